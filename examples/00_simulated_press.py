@@ -1,7 +1,7 @@
-"""From a simulated sensor to depth in millimetres: the whole path, with nothing but numpy and gelform.
+"""From a simulated sensor to depth in millimeters: the whole path, with only numpy and gelform.
 
-A sensor is simulated and a ball is pressed into it at many places. From those images alone it is calibrated.
-Then an object that it has never seen is pressed in, and its depth is compared with the truth.
+The script presses a ball into a simulated sensor at many places, and calibrates the sensor from those images alone. Then it
+presses another object in, and compares the depth with the truth.
 """
 
 import tempfile

@@ -1,7 +1,7 @@
 """The textbook's path with known lights: image -> normals and albedo -> gradients -> depth, and back.
 
-Everything here is exact: three distant lights, a Lambertian surface, no noise. It shows the conventions (x to the
-right, y down, z towards the camera, depth positive where pressed) and that each arrow undoes the other.
+Everything here is exact: three distant lights, a Lambertian surface, no noise. The script shows the conventions (x to the
+right, y down, z towards the camera, depth positive where pressed), and that each step inverts another.
 """
 
 import numpy as np
@@ -23,14 +23,14 @@ lights = np.stack([0.6 * np.cos(angles), 0.6 * np.sin(angles), np.full(3, 0.8)],
 normals = gelform.normals_from_gradients(gradients)
 image = gelform.image_from_normals(normals, lights, albedo=180.0)
 
-# 3. And back: normals and albedo from colours, slopes from normals, depth from slopes.
+# 3. And back: normals and albedo from colors, slopes from normals, depth from slopes.
 found_normals, albedo = gelform.normals_from_image(image, lights)
 found_gradients = gelform.gradients_from_normals(found_normals)
 found_mm = gelform.depth_from_gradients(found_gradients, mm_per_px=MM_PER_PX, zero="border")
 
 print(f"albedo {albedo.mean():.3f} (180 put in), peak {found_mm.max():.4f} mm (0.4 put in)")
 assert np.abs(albedo - 180).max() < 1e-3
-assert np.abs(found_mm - depth_mm).max() < 1e-3  # mm: a thousandth of a millimetre
+assert np.abs(found_mm - depth_mm).max() < 1e-3  # mm: a thousandth of a millimeter
 assert (
     np.abs(gelform.curl_from_gradients(found_gradients, mm_per_px=MM_PER_PX)).max() < 1e-2
 )  # it is a surface

@@ -1,4 +1,4 @@
-"""Why gelform integrates by least squares with a free border, and what the usual short cuts cost.
+"""Why gelform integrates by least squares with a free border, and the errors of the usual shortcuts.
 
 Run it with a path to get a picture: python examples/02_why_least_squares.py why.png
 """

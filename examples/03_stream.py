@@ -1,4 +1,4 @@
-"""A simulated sensor as a stream: the newest depth each time, however slow the loop, and how the sensor is.
+"""A simulated sensor as a stream: always the newest depth, however slow the loop, and the sensor's findings.
 
 python examples/03_stream.py
 """

@@ -1,7 +1,7 @@
-"""A robot's grip: close until the object is held, then watch the marker dots for shear, and log depth for learning.
+"""A robot's grip: close until the object is held, then track the markers for shear, and log depth for learning.
 
-The frames are simulated; on a robot they come from `gelform.stream`, as in 03_stream.py. Force is not measured here: the
-indentation is what a position-controlled gripper can be stopped by.
+The frames are simulated; on a robot they come from `gelform.stream`, as in 03_stream.py. The script does not measure
+force. A position-controlled gripper can stop at an indentation instead.
 """
 
 from dataclasses import replace
@@ -51,5 +51,5 @@ for press in simulate_sequence(sensor, Ball(5.0), pulling, rng=rng):
 print("shear while pulled, mm:", [round(value, 2) for value in shear_mm])
 assert shear_mm[-1] > shear_mm[0] + 0.1
 
-# 3. What a policy is trained on loses less than a micrometre.
+# 3. What a policy is trained on loses less than a micrometer.
 assert np.abs(depth_from_lerobot_levels(levels[-1]) - result.depth_mm).max() < 6e-4

@@ -1,6 +1,6 @@
-"""A data set: every frame of a folder tree to depth, in one call that can be killed and called again.
+"""A data set: every frame of a folder tree to depth, in one call that can be interrupted and repeated.
 
-`gelform batch sessions/ -c cal.npz -o depth` does the same; many processes and machines are in docs/batch.md.
+`gelform batch sessions/ -c cal.npz -o depth` does the same; docs/batch.md explains many processes and machines.
 """
 
 import csv

@@ -1,7 +1,7 @@
-"""Training data from a simulator that answers as a real, calibrated sensor does, with exact truth.
+"""Training data with exact truth, from a simulator that imitates a real, calibrated sensor.
 
-A calibration holds the forward response of its sensor (slope and place to colour): a `Twin` renders with it. Here the
-sensor that is copied is itself simulated, so that the copy can be compared with the original.
+A calibration contains the forward response of its sensor (slope and place to color), and a `Twin` renders with it. Here the
+imitated sensor is itself simulated, so that the copy can be compared with the original.
 """
 
 from dataclasses import replace
@@ -18,12 +18,12 @@ presses = simulate_ball_presses(sensor, ball_diameters_mm=[5.0, 8.0], count=10, 
 folder = gelform.save_simulated_presses("presses", presses)
 calibration = gelform.calibrate(gelform.read_presses(folder), color_model="polynomial")
 
-# 2. Its twin shows what the sensor would show: the same surface in both, and how far the colours are apart.
+# 2. Its twin shows what the sensor would show: the same surface in both, and how far the colors are apart.
 twin = Twin(calibration, gel=sensor.gel, relaxation_mm=sensor.relaxation_mm)
 original = presses.presses[3]
 copy = twin.rendered(original, rng)
 apart = copy.image.astype(float) - original.image
-print(f"twin against sensor: {np.sqrt(np.mean(apart**2)):.1f} grey levels RMS")
+print(f"twin against sensor: {np.sqrt(np.mean(apart**2)):.1f} gray levels RMS")
 assert np.sqrt(np.mean(apart**2)) < 8
 
 # 3. A data set: objects that nobody has to press, anywhere, as deep as one likes. Truth is exact for every pixel.

@@ -1,7 +1,7 @@
 """Inspection: is the dome on each part at least 0.30 mm high? Accept, reject, or measure again, by the stated uncertainty.
 
-A limit is compared with the measured value and its uncertainty (the decision rule of ISO 14253-1): what lies within two
-standard deviations of the limit is decided neither way. A frame with a finding about the sensor is not decided at all.
+A limit is compared with the measured value and its uncertainty (the decision rule of ISO 14253-1). A value within two
+standard deviations of the limit gives no decision, and neither does a frame with a finding about the sensor.
 """
 
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Record a dataset of the simulated sensor with LeRobot's own parts, read it again, and print what came back, as JSON.
+"""Record a dataset of the simulated sensor with LeRobot's own parts, read it back, and print the differences as JSON.
 
 python record.py [SECONDS]     # 5 s by default; needs lerobot[dataset] and this package
 """
@@ -20,13 +20,13 @@ from lerobot.utils.import_utils import register_third_party_plugins
 
 RATE_HZ, NAME = 30, "finger"
 COLOR_KEY, DEPTH_KEY = f"observation.images.{NAME}", f"observation.images.{NAME}_depth"
-SAVED, WRITER_THREADS = "tactile/press", 4  # as lerobot-record has them
+SAVED, WRITER_THREADS = "tactile/press", 4  # as in lerobot-record
 PRESSED_MM = 0.2
-LOOKED_AT = 5  # every so many frames are reconstructed from colour that came back
+LOOKED_AT = 5  # every fifth frame is reconstructed from the recorded color
 
 
 def camera_of(settings: dict[str, Any]) -> Any:
-    """The camera that LeRobot finds, parses and makes of settings."""
+    """The camera that LeRobot finds, parses and makes from settings."""
     register_third_party_plugins()
     config = draccus.decode(CameraConfig, {"type": "gelform", "fps": RATE_HZ, **settings})
     return make_cameras_from_configs({NAME: config})[NAME]
@@ -35,7 +35,7 @@ def camera_of(settings: dict[str, Any]) -> Any:
 def record(
     root: Path, seconds: float, rgb_encoder: Any = None
 ) -> tuple[dict[str, Any], list[Any], list[Any]]:
-    """Record a dataset; figures of the recording, the colours and the depths (mm, as reconstructed) in it."""
+    """Record a dataset; return figures of the recording, and its colors and depths (mm, as reconstructed)."""
     from lerobot_camera_gelform import gelform_camera
 
     camera = camera_of({"warn_lossy_rgb": False})
@@ -73,14 +73,14 @@ def record(
 
 
 def wait_for_press(camera: Any) -> None:
-    """Until the simulated ball has come down: what is recorded is a touch."""
+    """Wait until the simulated ball touches the gel, so that the recording contains a touch."""
     depth_mm = np.zeros(1)
     while depth_mm.max() < PRESSED_MM:
         depth_mm = (camera.async_read_depth(5000) - 1000.0) / 1000
 
 
 def read_back(root: Path, colors: list[Any], depths: list[Any]) -> dict[str, Any]:
-    """How far what LeRobot reads is from what was recorded."""
+    """The differences between the recorded data and the data that LeRobot reads."""
     from gelform.robots import depth_from_lerobot_levels
 
     dataset = LeRobotDataset(SAVED, root=root, return_uint8=True)
@@ -102,20 +102,20 @@ def read_back(root: Path, colors: list[Any], depths: list[Any]) -> dict[str, Any
 
 
 def lost_with_colour(colors: list[Any], came: list[Any]) -> dict[str, float]:
-    """Errors of slopes (degrees) and depth (um) in contact, RMS, reconstructed from colour that came back."""
+    """Errors of slopes (degrees) and depth (um) in contact, RMS, reconstructed from the color that LeRobot reads."""
     import gelform
 
     reconstruct = gelform.Reconstructor(camera_of({}).calibration)
-    degrees, micrometres = [], []
+    degrees, micrometers = [], []
     for color, other in list(zip(colors, came, strict=True))[::LOOKED_AT]:
         first, second = reconstruct.from_image(color), reconstruct.from_image(np.ascontiguousarray(other))
         if first.contact.any():
             chord = np.linalg.norm((first.normals - second.normals)[first.contact], axis=-1)
             degrees.append(np.degrees(2 * np.arcsin(np.minimum(chord / 2, 1))))
-            micrometres.append(1e3 * (second.depth_mm - first.depth_mm)[first.contact])
+            micrometers.append(1e3 * (second.depth_mm - first.depth_mm)[first.contact])
     if not degrees:
         raise SystemExit("Nothing was pressed while it was recorded. Record for longer.")
-    return {"color_slope_deg": rms(degrees), "color_depth_um": rms(micrometres)}
+    return {"color_slope_deg": rms(degrees), "color_depth_um": rms(micrometers)}
 
 
 def rms(parts: list[Any]) -> float:

@@ -1,4 +1,4 @@
-"""`python -m gelform` is `gelform`."""
+"""`python -m gelform` runs the command `gelform`."""
 
 from gelform.cli import main
 

@@ -1,9 +1,9 @@
-"""Where depth is held at 0, and how firmly: gel whose colour and coarse depth are those of untouched gel.
+"""The anchor: how firmly depth is held at 0 where color and coarse depth look like gel at rest.
 
-Colour alone cannot show that nothing touches: the flat face of a punch or a coin has the colour of untouched gel.
-So a coarse depth is found first, and the deeper it is at a pixel, the less firmly that pixel is held. A region that
-is enclosed by touched gel and lies deeper or higher than rest is a face, and not held at all: its rim says so. Nor is
-the gel beside touched gel, which is drawn down with it by less than a colour tells.
+Color alone cannot show that nothing touches: the flat face of a punch or a coin has the color of gel at rest.
+Therefore a coarse depth is solved first; the deeper a pixel lies in it, the less firmly that pixel is held. A region
+that touched gel encloses, and that lies deeper or higher than rest, is a flat face: its edge shows that, and it is not
+held. Gel next to touched gel is not held either, because it is drawn down by less than its color can show.
 """
 
 from __future__ import annotations
@@ -17,14 +17,16 @@ from gelform.foundations.pool import Pool
 from gelform.gradients import fill_unknown
 from gelform.solvers.dct import DctSolver
 
-REST_SIGMA_MM = 0.08  # how close to 0 gel of untouched colour is, far from what is pressed
-PRESSED_MM = 0.05  # gel of untouched colour that is deeper was more likely pressed flat than has drifted
-FACE_MM = 0.02  # an enclosed region off rest by more is a face; errors of slopes tilt one of a few mm by less
-REACH_MM = 1.0  # how far beside touched gel it is drawn down, by exp(-(distance/reach)^2)
-# Fractions of a coarse pixel that is untouched, from which it is at rest, and under which it is touched.
-UNTOUCHED_FRACTION, TOUCHED_FRACTION = 0.9, 0.5
-# Mean confidence of coarse pixels: from which on all slopes count alike, and up to which they count for nothing.
-TRUSTED, LEAST_TRUST = 0.5, 0.05
+REST_SIGMA_MM = 0.08  # mm, sigma of depth at pixels with the color of rest, far from contacts
+PRESSED_MM = (
+    0.05  # mm; gel of the color of rest that lies deeper was more likely pressed flat than has drifted
+)
+FACE_MM = (
+    0.02  # mm; an enclosed region farther off rest is a face; slope errors tilt a face of a few mm by less
+)
+REACH_MM = 1.0  # mm; touched gel draws down the gel at this distance, by exp(-(distance/reach)^2)
+UNTOUCHED_FRACTION = 0.5  # of a coarse pixel that has the color of rest: above it is at rest, below touched
+LEAST_TRUST = 0.05  # mean confidence of a coarse pixel, below which its slopes do not count
 
 _coarse_slopes = Kernel(
     "coarse_slopes",
@@ -43,17 +45,18 @@ _spread_over_chosen = Kernel(
     "spread_over_chosen", "f32[rows,columns] coarse, bool[h,w] chosen, out f32[n] work, out f32[h,w] map"
 )
 _distance_to_chosen = Kernel("distance_to_chosen", "bool[h,w] chosen, out f32[n] work, out f32[h,w] distance")
-WORDS_OF_COVER, WORDS_OF_RUN, WORDS_OF_REGION = 16, 6, 4  # of native/anchor
+# Floats of work memory; the same as in native/anchor.
+WORDS_OF_COVER, WORDS_OF_RUN, WORDS_OF_REGION = 16, 6, 4
 
 
 class RestAnchor:
-    """The anchor of a frame; prepared once, immutable, shared by threads.
+    """The anchor of a frame. It is prepared once and immutable; threads can share it.
 
     Parameters
     ----------
     shape : (H, W)
     mm_per_px : float, mm
-    clean : standard deviation of a slope of weight 1, mm/mm
+    clean : float, mm/mm; standard deviation of a slope of weight 1
     """
 
     def __init__(self, shape: tuple[int, int], mm_per_px: float, clean: float) -> None:
@@ -75,15 +78,16 @@ class RestAnchor:
         untouched: NDArray[np.bool_],
         confidence: NDArray[np.float32] | None = None,
     ) -> NDArray[np.float32]:
-        """Anchor (H, W) of slopes (H, W, 2) without bias, 0 where the gel was touched or pressed flat.
+        """Anchor (H, W) of slopes (H, W, 2) without bias; 0 where the gel was touched or pressed flat.
 
-        The coarse depth takes slopes by their confidence (H, W): a spot of light or dirt would otherwise tilt it over
-        the whole frame, and untouched gel would count as pressed.
+        The coarse depth weights slopes by their confidence (H, W). Without it, a highlight or dirt would tilt the coarse
+        depth of the whole frame, and gel at rest would count as pressed.
 
-        Untouched pixels hold with `(clean mm_per_px / REST_SIGMA_MM)^2`, times the weight of a robust loss,
-        `(1 + (z/PRESSED_MM)^2)^-2`, of their coarse depth z (S. Geman and D. McClure, Bull. Int. Statist.
-        Inst. 52, 1987), and times `1 - exp(-(d/REACH_MM)^2)`, d their distance from touched gel. Where so much is
-        touched that no coarse pixel is at rest, those count as rest that are untouched most.
+        A pixel at rest gets `(clean mm_per_px / REST_SIGMA_MM)^2`, times two factors. The first is the weight of a robust
+        loss, `(1 + (z/PRESSED_MM)^2)^-2`, of its coarse depth z (S. Geman and D. McClure, Bull. Int. Statist.
+        Inst. 52, 1987). The second is `1 - exp(-(d/REACH_MM)^2)`, with its distance d from touched gel. If no coarse pixel
+        is
+        at rest, the coarse pixels with the largest fraction at rest are taken instead.
         """
         trust, fraction = np.empty((2, *self._coarse), dtype=np.float32)
         weight, anchor = np.empty(self._coarse, np.float32), np.empty(self.shape, np.float32)
@@ -91,14 +95,14 @@ class RestAnchor:
             _coarse_trust(confidence, untouched, work, trust, fraction)
             slopes = self._coarse_slopes(gradients, confidence, trust, work)
             depth = self._solver(slopes).depth_mm
-            far = self._far_from(fraction < min(TOUCHED_FRACTION, float(fraction.max())), work)
+            far = self._far_from(fraction < min(UNTOUCHED_FRACTION, float(fraction.max())), work)
             limits = self.hold, UNTOUCHED_FRACTION, PRESSED_MM, FACE_MM
             _rest_hold(depth, fraction, far, work, weight, *limits)
             _spread_over_chosen(weight, untouched, work, anchor)
         return anchor
 
     def _far_from(self, touched: NDArray[np.bool_], work: NDArray[np.float32]) -> NDArray[np.float32] | None:
-        """0-1 on the coarse grid: 0 at touched gel, 1 far from it; None where nothing is touched."""
+        """Distance factor (h, w) on the coarse grid: 0 at touched gel, 1 far from it; None if nothing is touched."""
         if not touched.any():
             return None
         distance = np.empty(self._coarse, np.float32)
@@ -113,12 +117,11 @@ class RestAnchor:
         trust: NDArray[np.float32],
         work: NDArray[np.float32],
     ) -> NDArray[np.float32]:
-        """Means of the slopes, by confidence where some are not trusted; the rest filled from their neighbours."""
+        """Means of the slopes over coarse pixels, weighted by confidence; unknown means are filled from their neighbors."""
         slopes = np.empty((*self._coarse, 2), dtype=np.float32)
-        if confidence is None or trust.min() >= TRUSTED:
-            _coarse_slopes(gradients, None, work, slopes)
-            return slopes
         _coarse_slopes(gradients, confidence, work, slopes)
+        if confidence is None:
+            return slopes
         slopes /= np.maximum(trust, np.float32(1e-12))[..., None]
         known = trust >= LEAST_TRUST
         return fill_unknown(slopes, known) if known.any() else slopes

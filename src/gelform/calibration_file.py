@@ -1,4 +1,4 @@
-"""Calibration: everything that makes the ideal model usable on one sensor with one gel. Saved as one .npz."""
+"""Calibration: everything that adapts the ideal model to one sensor with one gel, saved as one .npz file."""
 
 from __future__ import annotations
 
@@ -32,30 +32,31 @@ from gelform.view import View
 
 KIND = "gelform calibration"
 FORMAT_VERSION = 3
-DISCONTINUED = ("depth_aware", "depth_by_lights")  # color models that only gelform 0.1.0 had
+DISCONTINUED = ("depth_aware", "depth_by_lights")  # color models that existed only in gelform 0.1.0
 MAX_BYTES = 512 * 2**20
 
 
 @dataclass(frozen=True, eq=False)
 class CalibrationSettings(Mapping[str, Any]):
-    """What a calibration chose and was given; also a mapping of what is known of it, by the names in files.
+    """The inputs and choices of a calibration; also a mapping of those that are known, by their names in files.
 
     Attributes
     ----------
-    contact_radius_ratio : how far out from a contact's centre the gel follows the ball, of the contact's radius
-    step_ridge : of the forward response by which slopes get a step
+    contact_radius_ratio : radius of the contact edge over the radius of the visible rim
+    step_ridge : ridge of the forward response that the step of slopes uses
     start : digest of the calibration of another unit from which this one began
-    presses : how many were used
+    presses : number of presses used
     response : exponent of the camera's response curve
     camera : settings of the camera, as they were read back
-    scale_source, lens : where mm_per_px, and distortion and perspective come from
-    gel_thickness_mm : of the gel at rest
-    crosstalk : what is undone before the color model, in words
-    relaxation_mm : length over which the gel falls off around a contact
-    image_noise : (3,) standard deviation of an image's pixel, grey levels
-    starter : where other units of the make were calibrated and this one was not: the make (`sensor`), the relative standard
+    scale_source, lens : source of mm_per_px, and of distortion and perspective
+    gel_thickness_mm : thickness of the gel at rest, mm
+    crosstalk : description of the crosstalk that is removed before the color model
+    relaxation_mm : length over which the gel falls off around a contact, mm
+    image_noise : (3,) standard deviation of a pixel of an image, gray levels
+    starter : only if other units of the make were calibrated and this one was not: the make (`sensor`), the relative
+        standard
         deviation of slopes between units (`spread`), the `units`, and the `findings` about this unit's background
-    others : the color model's own settings, options of an importer, what other releases wrote
+    others : settings of the color model, options of an importer, and values that other releases wrote
     """
 
     contact_radius_ratio: float | None = None
@@ -75,7 +76,7 @@ class CalibrationSettings(Mapping[str, Any]):
 
     @classmethod
     def from_dict(cls, stored: Mapping[str, Any]) -> CalibrationSettings:
-        """From names and values as they are in a file."""
+        """Make settings from the names and values of a file."""
         known = {name: stored[name] for name in _SETTING_NAMES if name in stored}
         return cls(**known, others={name: v for name, v in stored.items() if name not in known})
 
@@ -98,26 +99,26 @@ _SETTING_NAMES = [entry.name for entry in fields(CalibrationSettings) if entry.n
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """What was learnt about one sensor and one gel. It belongs to no other.
+    """A calibration of one sensor with one gel; it fits no other.
 
     Attributes
     ----------
-    sensor_name, serial, gel_id : which sensor, which unit, which gel
-    view : how frames become images; identity where images were calibrated as they are
+    sensor_name, serial, gel_id : name of the sensor, its serial number, and the gel
+    view : conversion of frames to images; identity if the calibration used images as they are
     image_shape : (H, W)
-    mm_per_px, mm_per_px_sigma : pixel pitch, mm, and its standard deviation where known; a pitch of None (an
-        imported calibration without a scale) gives gradients and depth_px, not depth_mm
-    background : (H, W, 3) float32, the untouched image
-    background_noise : (3,) standard deviation of a background pixel, grey levels
-    change : how an image becomes a color change
-    color_model : colour -> gradients
-    forward : gradients -> colour, fitted on the same presses; None where it was imported without
-    slope_sigma : standard deviation of the slopes, and their correlation length; None where nobody knows
-    untouched_change : color changes smaller than this mean: not touched
-    held_out : errors on presses that were left out, by name
+    mm_per_px, mm_per_px_sigma : mm per pixel, and its standard deviation if known; if mm_per_px is None (an
+        imported calibration without a scale), results have gradients and depth_px, but no depth_mm
+    background : (H, W, 3) float32, background image
+    background_noise : (3,) standard deviation of a background pixel, gray levels
+    change : conversion of an image to a color change
+    color_model : color -> gradients
+    forward : gradients -> color, fitted on the same presses; None in an import without it
+    slope_sigma : standard deviation of the slopes, and their correlation length; None if unknown
+    untouched_change : a smaller color change means that nothing touches
+    held_out : held-out errors, by name
     training_digests : SHA-256 of the images that were used
-    settings : what the calibration chose and was given; a dict becomes a `CalibrationSettings`
-    library_version, created_utc : by what and when
+    settings : inputs and choices of the calibration; a dict becomes a `CalibrationSettings`
+    library_version, created_utc : version of gelform that made it, and the time
     report : the CalibrationReport of the run that made it; not saved
     """
 
@@ -154,12 +155,12 @@ class Calibration:
 
     @property
     def unit_spread(self) -> float:
-        """Relative standard deviation of slopes between units, of a starter; 0 of a calibration of this very unit."""
+        """For a starter, the relative standard deviation of slopes between units; 0 for a calibration of this unit."""
         return 0.0 if self.settings.starter is None else float(self.settings.starter["spread"])
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """What should be known of every result: that the calibration is a starter's, and of what its background looks."""
+        """Findings that belong to every result: that the calibration is a starter, and the differences of its background."""
         starter = self.settings.starter
         if starter is None:
             return ()
@@ -172,12 +173,12 @@ class Calibration:
 
     @property
     def known_mm_per_px(self) -> float:
-        """The pixel pitch, mm, where millimetres are needed.
+        """The width of a pixel, mm, for callers that need millimeters.
 
         Raises
         ------
         CalibrationError
-            The scale is unknown: imported without one.
+            The scale is unknown, because the calibration was imported without one.
         """
         if self.mm_per_px is None:
             raise CalibrationError(
@@ -188,22 +189,22 @@ class Calibration:
 
     @cached_property
     def background_digest(self) -> str:
-        """SHA-256 of the background's pixels: whether today's is the calibration's own."""
+        """SHA-256 of the background's pixels; shows whether a background is the calibration's own."""
         return background_digest(self.background)
 
     def color_from_gradients(self, gradients: NDArray[Any]) -> NDArray[np.float32]:
-        """Forward response: expected color change (H, W, 3) of gradients (H, W, 2), of gel that lies at depth 0.
+        """Forward response: the expected color change (H, W, 3) of gradients (H, W, 2), for gel at depth 0.
 
         Raises
         ------
         CalibrationError
-            Imported from a package that does not say it.
+            The calibration was imported from a package that has no forward response.
         """
         source: Any = self.forward if self.forward is not None else self.color_model
         if not isinstance(source, RenderingModel):
             raise CalibrationError(
                 f"This calibration ({self.sensor_name}, color model {self.color_model.name}) was imported without a "
-                "forward response: what colour a slope gives is not known. Calibrate on presses of a ball."
+                "forward response: what color a slope gives is not known. Calibrate on presses of a ball."
             )
         height, width = self.image_shape
         if np.shape(gradients) != (height, width, 2):
@@ -215,12 +216,12 @@ class Calibration:
         return change.reshape(height, width, 3).astype(np.float32)
 
     def save(self, path: str | PathLike[str], *, overwrite: bool = False) -> None:
-        """Write one .npz without pickles, under a temporary name first.
+        """Write one .npz without pickles, first under a temporary name.
 
         Raises
         ------
         CalibrationError
-            The file is there already and `overwrite` is False, or it cannot be written.
+            The file exists and `overwrite` is False, or it cannot be written.
         """
         arrays, meta = self.contents()
         write_npz(
@@ -228,11 +229,11 @@ class Calibration:
         )
 
     def describe(self) -> dict[str, Any]:
-        """Its settings and figures, without its arrays, as JSON can hold them."""
+        """Settings and figures without the arrays, as values that JSON can hold."""
         return {**self.contents()[1], "digest": self.digest}
 
     def contents(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-        """Its arrays and settings, as files hold them."""
+        """Arrays and settings, in the form of a file."""
         model_arrays, model_settings = self.color_model.to_arrays()
         forward_arrays, forward_settings = ({}, None) if self.forward is None else self.forward.to_arrays()
         arrays: dict[str, NDArray[Any]] = {
@@ -277,13 +278,13 @@ def load_calibration(path: str | PathLike[str]) -> Calibration:
 
 
 def _own_words(problem: Exception) -> str:
-    """The text of a check of ours; for any other error, that the content does not fit together."""
+    """The text of an error of gelform; for any other error, that the content does not fit together."""
     said = str(problem)
     return said if said.startswith("Expected") else "what it holds does not make a calibration."
 
 
 def _check_contents(arrays: dict[str, NDArray[Any]], meta: dict[str, Any]) -> None:
-    """Refuse settings and arrays of the wrong kind; the models and records look at their own."""
+    """Refuse settings and arrays of the wrong kind; models and records check their own."""
     for names, kinds in _KINDS:
         for name in names:
             if not isinstance(meta[name], kinds):
@@ -320,7 +321,7 @@ _KINDS: tuple[tuple[tuple[str, ...], Any], ...] = (
 
 
 def as_calibration(calibration: Calibration | str | PathLike[str]) -> Calibration:
-    """A calibration as it is, or read from a path: what functions that take one accept; TypeError for neither."""
+    """Return a calibration unchanged, or read it from a path; TypeError for anything else."""
     if isinstance(calibration, (str, PathLike)):
         return load_calibration(calibration)
     if not isinstance(calibration, Calibration):
@@ -329,7 +330,10 @@ def as_calibration(calibration: Calibration | str | PathLike[str]) -> Calibratio
 
 
 def calibration_from_contents(arrays: dict[str, NDArray[Any]], meta: dict[str, Any]) -> Calibration:
-    """The calibration of `Calibration.contents`; a KeyError, TypeError or ValueError where something does not fit."""
+    """Make a calibration from `Calibration.contents`.
+
+    KeyError, TypeError or ValueError: the contents do not fit together.
+    """
     _check_contents(arrays, meta)
     shape: tuple[int, int] = (int(meta["image_shape"][0]), int(meta["image_shape"][1]))
     models = {**COLOR_MODELS, **IMPORTED_MODELS}
@@ -366,7 +370,7 @@ def _forward(
     shape: tuple[int, int],
     mm_per_px: float | None,
 ) -> ForwardResponse | None:
-    """The response; that of an older calibration translated, without a step."""
+    """The forward response; that of an older calibration is converted and has no step."""
     if settings is None:
         return None
     if "coefficients" in arrays:

@@ -1,4 +1,4 @@
-"""depth -> contact: where something touches the gel, and each connected region with what it measures."""
+"""depth -> contact: the regions where something touches the gel, and the measures of each."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from gelform._native import Kernel
 from gelform.background.change import PreparedBackground
 from gelform.color_models.seam import PreparedColorModel
 from gelform.foundations.checks import as_array, check_map, check_mm_per_px, check_number, check_positive
-from gelform.foundations.filters import LANES, SIGMA_OF_MEDIAN, blur_taps, medians_where
+from gelform.foundations.filters import LANES, MEDIAN_SAMPLES, SIGMA_OF_MEDIAN, blur_taps, medians_where
 
 MOST_CONTACTS = 65_535  # labels are uint16
-RUN_WORDS = 6  # of native/contact/runs.h
+RUN_WORDS = 6  # 32-bit words; as in native/contact/runs.h
 _label_regions = Kernel("label_regions", "bool[h,w] mask, out u16[h,w] labels, out i32[n] work")
 _region_moments = Kernel("region_moments", "u16[h,w] labels, f32[h,w] depth, out f64[n,14] moments")
 
@@ -26,19 +26,19 @@ _region_moments = Kernel("region_moments", "u16[h,w] labels, f32[h,w] depth, out
 class Contact:
     """One connected region of the contact mask.
 
-    Figures in mm are None where the scale is unknown. Places are (x, y) in pixels of the image, x to the right, y
-    down, pixel centres at whole numbers.
+    Measures in mm are None if the scale is unknown. Positions are (x, y) in pixels of the image: x to the right, y
+    down, pixel centers at whole numbers.
 
     Attributes
     ----------
-    label : its value in the label map, from 1
-    area_px : how many pixels it covers
-    centroid_px : (x, y), mean place of its pixels
+    label : value in the label map, from 1
+    area_px : number of pixels
+    centroid_px : (x, y), mean position of its pixels
     deepest_px : (x, y) of its deepest pixel
-    angle_deg : direction of the major axis, from x (right) towards y (down), -90 to 90
-    cut_by_border : whether it reaches the image's border: it may go on beyond, and its figures are those of the part seen
-    area_mm2 : mm^2
-    volume_mm3 : integral of the depth over it, mm^3
+    angle_deg : direction of the major axis, from x (right) toward y (down), -90 to 90
+    cut_by_border : whether it reaches the image's border; if so, its measures are those of the visible part
+    area_mm2 : area, mm^2
+    volume_mm3 : integral of the depth, mm^3
     deepest_mm : depth of its deepest pixel, mm
     axes_mm : full lengths of the major and minor axis of the ellipse with its second moments, mm
     """
@@ -61,17 +61,17 @@ def contacts_from_mask(
     """The connected regions of a contact mask, the largest first, and the map of their labels.
 
     Pixels that touch at a corner are connected. Holes stay holes: a ring is one contact whose area and volume leave
-    out what it encloses.
+    out the region that it encloses.
 
     Parameters
     ----------
     contact : (H, W) bool
-    depth : (H, W), positive where pressed; mm, where `mm_per_px` is not None
+    depth : (H, W), positive where pressed; mm if `mm_per_px` is not None
     mm_per_px : float or (x, y), mm; None where the scale is unknown
 
     Returns
     -------
-    contacts : by area, the largest first
+    contacts : sorted by area, the largest first
     labels : (H, W) uint16, 0 where nothing touches
 
     Raises
@@ -96,7 +96,7 @@ def contacts_from_mask(
 
 
 def labelled(mask: NDArray[np.bool_]) -> tuple[int, NDArray[np.uint16]]:
-    """How many connected regions a mask (H, W) has, and the map of their labels, in the order of their first pixels."""
+    """The number of connected regions of a mask (H, W), and the map of their labels in the order of their first pixels."""
     labels = np.empty(mask.shape, dtype=np.uint16)
     found = _label_regions(
         np.ascontiguousarray(mask), labels, np.empty(runs_work(labels.shape), dtype=np.int32)
@@ -107,7 +107,7 @@ def labelled(mask: NDArray[np.bool_]) -> tuple[int, NDArray[np.uint16]]:
 
 
 def runs_work(shape: tuple[int, ...]) -> int:
-    """Words of memory for the most runs of pixels that a map (H, W) can have."""
+    """Words of memory for the largest number of runs of pixels that a map (H, W) can have."""
     return RUN_WORDS * shape[0] * ((shape[1] + 1) // 2)
 
 
@@ -143,36 +143,36 @@ def _contact(
 
 
 def _axes(covariance: NDArray[np.float64]) -> tuple[tuple[float, float], float]:
-    """Full axes of an ellipse of that covariance, 4 standard deviations, and the angle of the major one, degrees."""
+    """Full axes (4 standard deviations) of the ellipse of a covariance, and the angle of the major axis, degrees."""
     (a, b), (_, d) = covariance.tolist()
     mean, apart = (a + d) / 2, float(np.hypot((a - d) / 2, b))
     angle = float(np.rad2deg(np.arctan2(2 * b, a - d)) / 2)
     return (4 * float(np.sqrt(mean + apart)), 4 * float(np.sqrt(max(mean - apart, 0.0)))), angle
 
 
-NOISE_FACTOR, MIN_AREA_MM2 = 4.0, 0.05  # by default: in standard deviations, and mm^2
-# Standard deviations, px, of the Gaussian before the surface's bending is taken: the first that leaves no more noise than
-# QUIET, 1/mm. To each: the fraction of the mean pressure of what is around, at which a contact ends. Blurring widens what
-# is narrow, and the more is known to be outside.
+NOISE_FACTOR, MIN_AREA_MM2 = 4.0, 0.05  # defaults, in standard deviations and in mm^2
+# Standard deviation, px, of the Gaussian that smooths before the Laplacian, and the fraction of the mean pressure around a
+# pixel at which a contact ends. The first that leaves noise below QUIET, 1/mm, is used. A wider blur widens narrow contacts,
+# so its fraction is larger.
 SMOOTHINGS_PX, QUIET = {0.7: 0.65, 1.5: 0.7, 2.5: 0.8}, 0.06
-# The same fraction by the next finer smoothing, which draws the outline where the mean is so many times its noise.
+# The same fraction for the next finer smoothing, which draws the outline where the mean pressure is so many times its noise.
 FINER_HALF, FINER_SIGMAS = 0.6, 8.0
-NOISE_SAMPLES = 10_000  # pixels: enough for a quantile
-FRACTION_AT_REST = 0.3  # of the frame that is taken to be untouched at least
-# Standard deviation of a normal distribution over the magnitude that 30 % of it are below.
+FRACTION_AT_REST = 0.3  # smallest fraction of a frame that is assumed to be at rest
+# Standard deviation of a normal distribution, over the magnitude that 30 % of its values lie below.
 SIGMA_OF_FRACTION = 2.595
-SIGMAS_OF_DEPTH = 2.0  # that depth has to exceed its own standard deviation by, to say anything
-STIFFEST = 25.0  # 1/mm^2: no gel relaxes within less than 0.2 mm
-LEAST_FALLING = 50  # pixels beside a contact, from which the gel's relaxation is estimated
-SEED, LEAST_SEEDS = 1.4, 4  # times the noise factor, and pixels, where contacts start
-NEIGHBOURHOOD_PX = 4  # half the width of what is around
-LEAST_OF_BED = 0.35  # times z/L^2: L is not known exactly, nor the same everywhere
-# Where the bed's fraction is so much of the pressure around, so much of it is a contact too.
+SIGMAS_OF_DEPTH = 2.0  # standard deviations; only the part of a depth beyond them counts
+STIFFEST = 25.0  # 1/mm^2; no gel relaxes within less than 0.2 mm
+LEAST_FALLING = 50  # pixels next to a contact, the fewest for an estimate of the gel's relaxation
+SEED = 1.4  # times the noise factor: a contact has a pixel above
+NEIGHBOURHOOD_PX = 4  # px, half the width of the surroundings of a pixel
+LEAST_OF_BED = 0.35  # times z/L^2, because L is not known exactly and varies over the gel
+# A pixel also belongs to a flat contact if z/L^2 exceeds FLAT of the mean pressure around, and the pressure OF_FLAT of
+# z/L^2.
 FLAT, OF_FLAT = 0.4, 0.75
-LEAST_PRESSURE = 0.02  # 1/mm, what counts where a frame has no noise
-USUAL_LEVELS = 2.0  # grey levels, the noise of a calibration that does not know its images'
-NOISE_BLUR_PX = 8.0  # standard deviation, of the noise from place to place
-# Of the noise of a place over the median place: beyond, a color model says more of itself than of noise.
+LEAST_PRESSURE = 0.02  # 1/mm, the limit for a frame without noise
+USUAL_LEVELS = 2.0  # gray levels, the noise if the calibration does not know the noise of its images
+NOISE_BLUR_PX = 8.0  # px, standard deviation of the blur of the noise map
+# Limits of the noise of a place over the median place; beyond them a color model says more of itself than of noise.
 LEAST_NOISE, MOST_NOISE = 0.3, 4.0
 
 _bent_surface = Kernel(
@@ -194,18 +194,18 @@ _contact_regions = Kernel(
     "contact_regions",
     "f32[h,w] pressure, f32[h,w] bed, f32[h,w] noise, f32[h,w]? finer, out bool[h,w] contact, out f32[n] work, "
     "i64 reach, f32 limit, f32 least_of_bed, f32 flat, f32 of_flat, f32 half, f32 finer_half, f32 finer_limit, "
-    "f32 seed, f32 min_px, f32 min_seeds",
+    "f32 seed, f32 min_px",
 )
 
 
 class _Pressure(NamedTuple):
-    """Pressure over the surface's tension, 1/mm, (H, W), and what it is estimated from."""
+    """Pressure on the surface over its tension, 1/mm, (H, W), and the maps that it is estimated from."""
 
     pressure: NDArray[np.float32]
-    bed: NDArray[np.float32]  # the bed's fraction z/L^2 of it, of what depth is known to be there
-    finer: NDArray[np.float32] | None  # minus the Laplacian by the next finer smoothing, where there is one
+    bed: NDArray[np.float32]  # the bed's part z/L^2, from the depth that exceeds its noise
+    finer: NDArray[np.float32] | None  # minus the Laplacian after the next finer smoothing, if there is one
     finer_noise: float
-    half: float  # of the mean pressure around, where a contact ends
+    half: float  # fraction of the mean pressure around, at which a contact ends
 
 
 def contact_from_depth(
@@ -217,26 +217,26 @@ def contact_from_depth(
     noise_factor: float = NOISE_FACTOR,
     min_area_mm2: float = MIN_AREA_MM2,
 ) -> NDArray[np.bool_]:
-    """Where something holds the gel's surface up.
+    """The pixels where an object holds the gel's surface up.
 
-    Beside an object the surface is held by the gel alone: a membrane under tension on an elastic bed, whose depth z
-    falls off as `laplace(z) = z/L^2` (Kerr, J. Appl. Mech. 31, 1964). So the pressure on it in units of its tension,
-    `p = z/L^2 - laplace(z)`, is 0 there and positive in the contact, on a ball as on a flat face. A contact starts where
-    p exceeds 1.4 times `noise_factor` of its noise, goes on where it exceeds `noise_factor` of it and a third of z/L^2,
-    and ends where it is about half of what it is around: gel that is drawn down beside an object is no contact, and
-    hollow contacts stay hollow. The depth is smoothed as wide as its noise asks for (0.7, 1.5 or 2.5 px); where the pressure
-    is far above the noise of the next finer smoothing, that one draws the outline.
+    Next to an object only the gel holds its surface: a membrane under tension on an elastic bed, whose depth z
+    falls off as `laplace(z) = z/L^2` (Kerr, J. Appl. Mech. 31, 1964). The pressure over the membrane's tension,
+    `p = z/L^2 - laplace(z)`, is 0 there and positive in the contact, for a ball as for a flat face. A contact starts where
+    p exceeds 1.4 times `noise_factor` of its noise. It continues where p exceeds `noise_factor` of the noise and a third of
+    z/L^2, and ends where p is about half of its mean around the pixel. So gel that an object draws down is no contact, and
+    hollow contacts stay hollow. The depth is smoothed as much as its noise needs (0.7, 1.5 or 2.5 px). Where the pressure
+    is far above the noise of the next finer smoothing, that smoothing draws the outline.
 
     Parameters
     ----------
     depth_mm : (H, W), mm, 0 at rest, positive where pressed
     mm_per_px : float or (x, y), mm
-    depth_sigma_mm : (H, W), mm, standard deviation of the depth; the depth counts by what it has beyond twice that.
-        Without it: that of the depths below 0, which no contact makes
-    relaxation_mm : L, mm; a calibration knows its gel's as `settings["relaxation_mm"]`. Without it L is read from the
-        frame, where the surface falls off: much less exactly, and where it hardly falls off not at all
-    noise_factor : how many standard deviations of the frame's noise count
-    min_area_mm2 : smaller regions are specks, mm^2
+    depth_sigma_mm : (H, W), mm, standard deviation of the depth; only the part of a depth beyond twice that counts.
+        The default is that of the negative depths, which no contact makes
+    relaxation_mm : L, mm; a calibration holds its gel's as `settings["relaxation_mm"]`. By default L is read from the
+        frame where the surface falls off. That is far less exact, and impossible where the surface hardly falls off
+    noise_factor : number of standard deviations of the frame's noise that a contact exceeds
+    min_area_mm2 : area of the smallest contact, mm^2
 
     Returns
     -------
@@ -269,14 +269,14 @@ def contact_from_depth(
 
 @dataclass(frozen=True)
 class PreparedContact:
-    """`contact_from_depth` for the frames of one sensor, float32, finite, in C order.
+    """`contact_from_depth` for the frames of one sensor: float32, finite, in C order.
 
     Attributes
     ----------
     pitch : (x, y), mm
-    relaxation_mm : of the gel; None where unknown
-    noise : (H, W) float32 > 0, how noisy each place is over the median place
-    noise_factor, min_area_mm2 : as of `contact_from_depth`
+    relaxation_mm : of the gel; None if unknown
+    noise : (H, W) float32 > 0, noise of each place over that of the median place
+    noise_factor, min_area_mm2 : as in `contact_from_depth`
     """
 
     pitch: tuple[float, float]
@@ -286,7 +286,7 @@ class PreparedContact:
     min_area_mm2: float = MIN_AREA_MM2
 
     def __call__(self, depth: NDArray[np.float32], sigma: NDArray[np.float32] | None) -> NDArray[np.bool_]:
-        """The mask (H, W) of a depth, mm, and its standard deviation >= 0."""
+        """The contact mask (H, W) of a depth, mm, and its standard deviation >= 0."""
         found = _pressure(depth, sigma, self)
         limit = max(self.noise_factor * _noise(found.pressure, self.noise), LEAST_PRESSURE)
         return _regions(found, limit, self.noise, self.min_area_mm2 / (self.pitch[0] * self.pitch[1]))
@@ -295,7 +295,7 @@ class PreparedContact:
 def _pressure(
     depth: NDArray[np.float32], sigma: NDArray[np.float32] | None, sensor: PreparedContact
 ) -> _Pressure:
-    """The pressure of a depth (H, W) whose sigma is given or that of the depths below 0, as L is that of the falling off."""
+    """The pressure of a depth (H, W); sigma and L are estimated from the depth if they are not given."""
     tried: list[tuple[NDArray[np.float32], float]] = []
     for smoothing in SMOOTHINGS_PX:
         smooth, bent = _bent(depth, sensor.pitch, smoothing)
@@ -315,7 +315,10 @@ def _pressure(
 def _bent(
     depth: NDArray[np.float32], pitch: tuple[float, float], smoothing: float
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """A depth (H, W) smoothed and minus its Laplacian, 1/mm; near the borders that of the next pixels inside."""
+    """A smoothed depth (H, W), and minus its Laplacian, 1/mm.
+
+    Pixels near the borders get the value of the next pixel inside.
+    """
     taps = blur_taps(smoothing)
     margin = int(np.ceil(2 * smoothing))
     if min(depth.shape) <= 2 * margin:
@@ -328,8 +331,8 @@ def _bent(
 
 
 def _noise(values: NDArray[np.float32], by_place: NDArray[np.float32]) -> float:
-    """Standard deviation of a map (H, W) where nothing is, at a place of unit noise: of the fraction that is smallest."""
-    step = max(1, values.size // NOISE_SAMPLES)
+    """Standard deviation of a map (H, W) at rest, at a place of unit noise: from its smallest magnitudes."""
+    step = max(1, values.size // MEDIAN_SAMPLES)
     work = np.empty(2 * -(-values.size // step), dtype=np.float32)
     magnitude = np.empty(1, dtype=np.float32)
     _magnitude_of_share(values, by_place, work, magnitude, step, FRACTION_AT_REST)
@@ -337,8 +340,8 @@ def _noise(values: NDArray[np.float32], by_place: NDArray[np.float32]) -> float:
 
 
 def _noise_mm(depth: NDArray[np.float32]) -> float:
-    """Standard deviation of the untouched gel: the median of its negative depths, as of half a Gaussian."""
-    step = max(1, depth.size // NOISE_SAMPLES)
+    """Standard deviation of gel at rest, mm: from the median of its negative depths, as of half a Gaussian."""
+    step = max(1, depth.size // MEDIAN_SAMPLES)
     work = np.empty(2 * -(-depth.size // step), dtype=np.float32)
     found = np.empty(1, dtype=np.float32)
     _median_below(depth, work, found, step)
@@ -346,9 +349,9 @@ def _noise_mm(depth: NDArray[np.float32]) -> float:
 
 
 def _regions(found: _Pressure, limit: float, noise: NDArray[np.float32], min_px: float) -> NDArray[np.bool_]:
-    """Where the pressure is above the limit and about half of what it is around, in regions that start for sure.
+    """Regions where the pressure is above its limit and about half of its mean around, each with a sure start.
 
-    A wide smoothing finds what is faint and widens what is narrow: the next finer one draws the outlines within.
+    A wide smoothing finds faint contacts and widens narrow ones; the next finer one draws the outlines within.
     """
     height, width = found.pressure.shape
     contact = np.empty((height, width), dtype=np.bool_)
@@ -356,7 +359,7 @@ def _regions(found: _Pressure, limit: float, noise: NDArray[np.float32], min_px:
     sums = (2 * side + 6) * (width + side + LANES)
     work = np.empty(sums + runs_work(contact.shape), dtype=np.float32)
     shares = LEAST_OF_BED, FLAT, OF_FLAT, found.half, FINER_HALF, FINER_SIGMAS * found.finer_noise
-    least = SEED * limit, min_px, min(LEAST_SEEDS, max(min_px, 1))
+    least = SEED * limit, min_px
     maps = found.pressure, found.bed, noise, found.finer, contact, work
     _contact_regions(*maps, NEIGHBOURHOOD_PX, limit, *shares, *least)
     return contact
@@ -367,14 +370,14 @@ def noise_by_place(
 ) -> NDArray[np.float32]:
     """Standard deviation of the slopes at rest at each place over its median, (H, W), from the image's noise.
 
-    By how much the slopes change when a channel is brighter by its noise: the color model's derivative, by one difference
-    for each channel.
+    The slopes change when noise makes a channel brighter. The color model's derivative says by how much; it is one
+    difference for each channel.
 
     Parameters
     ----------
-    model : ready for frames over this background
-    untouched : the background
-    levels : standard deviation of a pixel's red, green, blue, grey levels; None where unknown
+    model : color model, ready for frames over this background
+    untouched : the background image
+    levels : standard deviation of a pixel's red, green and blue, gray levels; None if unknown
     """
     rest = model.gradients_from_color(np.zeros_like(untouched.background))[0].copy()
     variance = np.zeros(rest.shape[:2], dtype=np.float32)
@@ -384,7 +387,7 @@ def noise_by_place(
         off = model.gradients_from_color(untouched.change(brighter))[0] - rest
         variance += off[..., 0] ** 2 + off[..., 1] ** 2
     noise = np.sqrt(cv2.GaussianBlur(variance, (0, 0), NOISE_BLUR_PX, borderType=cv2.BORDER_REPLICATE))
-    # np.median loads numpy.ma, a tenth of a first frame.
+    # np.median loads numpy.ma, which takes a tenth of the time of a first frame.
     median = float(medians_where(noise[..., None])[0][0])
     if median == 0:
         return np.ones_like(noise)

@@ -1,4 +1,4 @@
-"""LED layouts compared before they are built: each design is simulated, calibrated and reconstructed, and drawn."""
+"""Comparison of LED layouts before they are built: each is simulated, calibrated, reconstructed and drawn."""
 
 from __future__ import annotations
 
@@ -39,14 +39,14 @@ __all__ = [
     "light_quality",
 ]
 
-CELLS = (6, 8)  # rows and columns of the map of depth errors: a cell holds some presses
+CELLS = (6, 8)  # rows and columns of the map of depth errors; each cell holds some presses
 
 
 @dataclass(frozen=True)
 class Variation:
-    """How a design differs from the sensor that was given; factors, 1 for no change.
+    """The difference of a design from the given sensor; factors, 1 for no change.
 
-    `whiteness` moves each light's colour from what it is (0) to white of the same sum (1).
+    `whiteness` moves each light's color from its own (0) to white of the same sum (1).
     """
 
     name: str
@@ -66,7 +66,7 @@ class Variation:
             raise ValueError(f"Expected noise and crosstalk >= 0, got {self.noise} and {self.crosstalk}.")
 
     def of(self, sensor: SimulatedSensor) -> SimulatedSensor:
-        """The sensor so changed, exposed to the same mean levels."""
+        """The changed sensor, exposed to the same mean levels."""
         crosstalk = np.asarray(sensor.crosstalk, dtype=np.float64)
         mixed = crosstalk * np.where(np.eye(3) > 0, 1, self.crosstalk)
         rows: Any = tuple((float(a), float(b), float(c)) for a, b, c in mixed)
@@ -102,18 +102,18 @@ VARIATIONS = (
 
 @dataclass(frozen=True)
 class DesignResult:
-    """What a design can do.
+    """The quality of a design.
 
     Attributes
     ----------
     name : str
     sensor : SimulatedSensor
-    condition : (H, W), condition number of the light matrix at rest: 1 is even, large is blind in some direction
+    condition : (H, W), condition number of the light matrix at rest: 1 is even; a large one is blind in some direction
     slope_sigma : (H, W), the least standard deviation of a slope that one pixel's noise allows, mm/mm
-    depth_rmse_um : of test presses inside the contact
-    depth_rmse_se_um : its standard error over the presses: designs nearer than this are alike
-    depth_map_um : (6, 8), the same over the gel; NaN where no test press was
-    normal_deg : mean angle error of the normals inside the contact
+    depth_rmse_um : RMS depth error of the test presses inside the contact, um
+    depth_rmse_se_um : its standard error over the presses; designs that differ by less are alike
+    depth_map_um : (6, 8), RMS depth error over the gel, um; NaN without a test press
+    normal_deg : mean angle error of the normals inside the contact, degrees
     """
 
     name: str
@@ -142,15 +142,15 @@ def compare_designs(
 
     Parameters
     ----------
-    presses, tests : how many to calibrate on, and others to measure on
-    halved : whether at half the resolution, which is four times as fast; noise is per pixel, so depth is a little noisier
+    presses, tests : number of presses for calibration, and of others for the measurement
+    halved : whether to use half the resolution, which is four times as fast; depth is a little noisier
 
     Raises
     ------
     SensorError
-        One of the designs cannot be made, such as without light in a channel.
+        A design cannot be made, for example without light in a channel.
     CalibrationError
-        Presses do not calibrate one of the designs, such as without light from three sides.
+        A design cannot be calibrated, for example without light from three sides.
     """
     if presses < 4 or tests < 1 or len(variations) == 0:
         raise ValueError(
@@ -169,7 +169,7 @@ def compare_designs(
         except CalibrationError as problem:
             raise CalibrationError(
                 f"Expected designs that {presses} presses can calibrate, got {variation.name!r}, which they cannot: give it "
-                f"light of three colours from three sides, or give more presses= (--presses). {problem}"
+                f"light of three colors from three sides, or give more presses= (--presses). {problem}"
             ) from problem
         reconstruct = Reconstructor(calibration)
         errors = [_errors(press, reconstruct.from_image(press.image)) for press in held_out.presses]
@@ -189,18 +189,21 @@ def _design(variation: Variation, sensor: SimulatedSensor) -> SimulatedSensor:
 def light_quality(sensor: SimulatedSensor) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Condition number (H, W) of the light matrix, and the least noise (H, W) of a slope.
 
-    The light matrix is the change of the three levels per slope, J (3x2), each divided by its noise, at the untouched
-    gel: by central differences of the whole simulated path but noise, so that crosstalk, ambient and scattered
-    light count. The slope's standard deviation is the square root of half the trace of (J^T J)^-1 (Cramer and Rao).
+    The light matrix J (3x2) is the change of the three levels per slope, each divided by its noise, for gel at
+    rest. It comes from central differences of the whole simulated path except noise, so that crosstalk, ambient and
+    scattered light count. The slope's standard deviation is the square root of half the trace of (J^T J)^-1 (Cramer and
+    Rao).
     """
     plain = replace(sensor, optics=Optics())
     rest = _levels_of_slope(plain, 0.0, 0.0)
-    step = 1e-3  # of a slope
+    step = 1e-3  # mm/mm, of a slope
     columns = [
         (_levels_of_slope(plain, px, py) - _levels_of_slope(plain, -px, -py)) / (2 * step)
         for px, py in ((step, 0.0), (0.0, step))
     ]
-    variance = sensor.noise_sd**2 + sensor.noise_gain * rest + 1 / 12  # the last: rounding to grey levels
+    variance = (
+        sensor.noise_sd**2 + sensor.noise_gain * rest + 1 / 12
+    )  # the last term: rounding to gray levels
     matrix = np.stack(columns, axis=-1) / np.sqrt(variance)[..., None]
     singular = np.linalg.svd(matrix, compute_uv=False)
     smallest = np.maximum(singular[..., 1], 1e-9 * singular[..., 0])
@@ -209,7 +212,7 @@ def light_quality(sensor: SimulatedSensor) -> tuple[NDArray[np.float64], NDArray
 
 
 def _levels_of_slope(sensor: SimulatedSensor, p: float, q: float) -> NDArray[np.float64]:
-    """Levels of a gel that has the same slope everywhere and stays at its height."""
+    """Levels of a gel with the same slope everywhere, at height 0."""
     x, y = sensor.grid_mm()
     gradients = np.empty((*sensor.shape, 2))
     gradients[...] = p, q
@@ -229,7 +232,7 @@ def _halved(sensor: SimulatedSensor) -> SimulatedSensor:
 
 
 def _errors(press: SimulatedPress, result: Any) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
-    """Where (N, 2), depth errors in mm and angles in degrees of the contact's pixels."""
+    """Positions (N, 2), depth errors in mm and angle errors in degrees of the contact's pixels."""
     inside = press.contact
     angles = angle_deg(result.gradients[inside], press.gradients[inside])
     depth = result.depth_mm[inside] - press.depth_mm[inside]
@@ -239,7 +242,7 @@ def _errors(press: SimulatedPress, result: Any) -> tuple[NDArray[Any], NDArray[A
 def _summed(
     errors: Sequence[tuple[NDArray[Any], NDArray[Any], NDArray[Any]]], shape: tuple[int, int]
 ) -> tuple[float, float, NDArray[np.float64], float]:
-    """Depth RMSE in um, its standard error over the presses, its map over the gel, mean angle."""
+    """Depth RMSE in um, its standard error over the presses, its map over the gel, and the mean angle error."""
     where, depth, angle = (np.concatenate(parts) for parts in zip(*errors))
     cell = where * np.array(CELLS) // np.array(shape)
     number = np.ravel_multi_index((cell[:, 0], cell[:, 1]), CELLS)
@@ -248,14 +251,16 @@ def _summed(
     mean = np.divide(square, count, out=np.full(square.shape, np.nan), where=count > 0)
     rmse = float(np.sqrt(np.mean(depth**2)))
     squares = [np.mean(one**2) for _, one, _ in errors]
-    scatter = float(np.std(squares) / np.sqrt(len(squares)) / (2 * rmse))  # of the root of their mean
+    scatter = float(
+        np.std(squares) / np.sqrt(len(squares)) / (2 * rmse)
+    )  # by the derivative of the square root
     return 1000 * rmse, 1000 * scatter, 1000 * np.sqrt(mean).reshape(CELLS), float(angle.mean())
 
 
 def design_picture(results: Sequence[DesignResult]) -> NDArray[np.uint8]:
-    """One column per design, one row per map, each with its median and one colour scale; white: no test press was there.
+    """Draw one column per design and one row per map, each with its median and one color scale; white: no test press.
 
-    The last row shows the gel among its LEDs, dots in their colours; the others the gel alone.
+    The last row shows the gel with its LEDs as dots in their colors; the other rows show the gel alone.
 
     Returns
     -------
@@ -295,7 +300,7 @@ def _draw(axes: Any, values: NDArray[Any], result: DesignResult, low: float, hig
 
 
 def _draw_leds(axes: Any, result: DesignResult) -> None:
-    """The LEDs around the gel, to scale."""
+    """Draw the LEDs around the gel, to scale."""
     height, width = (n * result.sensor.mm_per_px / 2 for n in result.sensor.shape)
     for led in result.sensor.leds:
         x, y, _ = led.position_mm

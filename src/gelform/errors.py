@@ -1,11 +1,11 @@
-"""What gelform raises beside ValueError and TypeError."""
+"""Errors that gelform raises in addition to ValueError and TypeError."""
 
 from importlib import import_module
 from typing import Any
 
 
 class GelformError(Exception):
-    """Base of every error that is gelform's own; the command line shows it as one line."""
+    """Base of all of gelform's own errors; the command line prints them as one line."""
 
 
 class CalibrationError(GelformError):
@@ -17,7 +17,7 @@ class SensorError(GelformError):
 
 
 class SourceLostError(SensorError):
-    """A source of frames went away, stands still or sends what is no frame; opened again it may go on."""
+    """A source of frames is gone, stands still or sends something that is no frame; opening it again may help."""
 
 
 class ConvergenceError(GelformError):
@@ -29,13 +29,13 @@ class StaleError(SensorError):
 
 
 class DataError(GelformError):
-    """A file or folder is missing, unreadable, incomplete, altered or already there."""
+    """A file or folder is missing, unreadable, incomplete or altered, or already exists."""
 
 
 def needed(module: str, extra: str, what: str) -> Any:
-    """Import a module of an extra where it is used; `what` needs it, such as "HDF5".
+    """Import a module of an extra where it is used; `what` names the feature that needs it, such as "HDF5".
 
-    DataError: it is not installed; the message says how to.
+    DataError: it is not installed; the message says how to install it.
     """
     try:
         return import_module(module)
@@ -44,7 +44,7 @@ def needed(module: str, extra: str, what: str) -> Any:
 
 
 def said(problem: BaseException) -> str:
-    """What an error of another library says of a file, in a line."""
+    """The message of another library's error about a file, in one line."""
     if isinstance(problem, UnicodeDecodeError):
         return f"byte {problem.start} of a text is no character"
     return str(problem).splitlines()[0] if str(problem) else type(problem).__name__

@@ -1,4 +1,4 @@
-"""A frame: what one look of a camera gave, and when; and the identity of pixels."""
+"""Frame: one picture of a camera, with its time; and digests of pixels."""
 
 from __future__ import annotations
 
@@ -11,21 +11,24 @@ from numpy.typing import ArrayLike, NDArray
 
 from gelform.foundations.checks import check_image
 
+# Gray levels, of means of pixels: a channel below or above says nothing of slopes, at either end of a camera's range.
+DARK, BRIGHT = 8, 250
+
 
 @dataclass(frozen=True)
 class Frame:
-    """One picture of a camera, as it came.
+    """One picture of a camera, unchanged.
 
     Attributes
     ----------
     image : (H, W, 3) uint8, RGB, before any view
     time_s : float
-        Monotonic clock, for ages and rates.
+        Time of capture on the monotonic clock, for ages and rates.
     wall_time_ns : int
-        UTC, for records.
+        Time of capture in UTC, for records.
     index : int
-        Counts the frames of a source from 0; a gap is a dropped frame.
-    encoded : the JPEG as the camera compressed it, for recorders; None where frames come uncompressed
+        Number of the frame in its source, from 0; a gap is a dropped frame.
+    encoded : the camera's own JPEG, for recorders; None if frames arrive uncompressed
     """
 
     image: NDArray[Any]
@@ -36,7 +39,7 @@ class Frame:
 
 
 def pixels_digest(pixels: NDArray[Any]) -> str:
-    """SHA-256 (hex) of an image's shape and bytes: how presses and backgrounds are recognised again.
+    """SHA-256 (hex) of an image's shape and bytes, which identifies presses and backgrounds.
 
     The same picture in another dtype has another digest.
     """
@@ -46,7 +49,7 @@ def pixels_digest(pixels: NDArray[Any]) -> str:
 def check_viewed_image(
     shape: tuple[int, int], frame_shape: tuple[int, int] | None, image: ArrayLike, name: str = "image"
 ) -> NDArray[Any]:
-    """An RGB image of that shape, as `check_image`; where it has the shape of a frame, the message says so."""
+    """Return an RGB image of a given shape, as `check_image` does; if it has the shape of a frame, the error says so."""
     try:
         return check_image(image, shape=shape, name=name)
     except ValueError as problem:
@@ -57,11 +60,11 @@ def check_viewed_image(
 
 
 def as_levels(image: NDArray[Any]) -> NDArray[np.uint8]:
-    """Whole grey levels of an image (H, W, 3), uint8 or float 0-255, in C order: as a camera would have given it."""
+    """An image (H, W, 3), uint8 or float 0-255, in whole gray levels and C order, as a camera would give it."""
     return np.ascontiguousarray(image if image.dtype == np.uint8 else np.rint(image).astype(np.uint8))
 
 
 def whole_levels(image: NDArray[Any]) -> NDArray[Any]:
-    """The image (H, W, 3), as uint8 where its floats 0-255 are all whole: the same picture gives the same bytes."""
+    """The image (H, W, 3) as uint8 if its floats 0-255 are all whole, so that the same picture has the same bytes."""
     levels = as_levels(image)
     return levels if levels is image or np.array_equal(levels, image) else image

@@ -1,4 +1,4 @@
-"""gradients (H, W, 2): slopes dz/dx and dz/dy in mm/mm, x to the right, y down, z towards the camera."""
+"""gradients (H, W, 2): slopes dz/dx and dz/dy in mm/mm, x to the right, y down, z toward the camera."""
 
 from __future__ import annotations
 
@@ -20,7 +20,8 @@ from gelform.foundations.checks import (
     check_within,
 )
 
-COARSE_PX, AGREED_PX = 3.0, 2.5  # at 240 rows, of `smoothed_gradients`
+STEEPEST_GEL = 1.0  # mm/mm, the steepest slope of a gel: where nothing is known, a slope is off by that
+COARSE_PX, AGREED_PX = 3.0, 2.5  # px at 240 rows, standard deviations of G3 and G2.5 in `smoothed_gradients`
 
 _slopes_of_depth = Kernel("slopes_of_depth", "f32[h,w] depth, out f32[h,w,2] gradients, f32 per_x, f32 per_y")
 _curl_squares = Kernel("curl_squares", "f32[n,h,w,2] gradients, bool[n,h,w]? known, out f64[2] result")
@@ -56,9 +57,9 @@ def gradients_from_normals(normals: ArrayLike) -> NDArray[np.float32]:
 def smoothed_gradients(gradients: ArrayLike, *, texture: float = 0.02) -> NDArray[np.float32]:
     """Slopes with faint detail smoothed away and strong detail kept, for smooth objects and for display.
 
-    Detail `d = g - G3 g` (G3: a Gaussian of 3 px at 240 rows) is kept in the part `k = |b|^2/(|b|^2 + texture^2)`, where
-    `b = G2.5 d` is what of it neighbours agree on: noise of single pixels goes, an edge stays. Engraved detail as
-    faint as the texture is lost with the noise; the result is no longer exactly that of a surface.
+    Detail `d = g - G3 g` (G3: a Gaussian of 3 px at 240 rows) is multiplied by `k = |b|^2/(|b|^2 + texture^2)`. Here
+    `b = G2.5 d` is the part of the detail that neighbors share: noise of single pixels vanishes, an edge stays. Engraved
+    detail as faint as the texture is lost with the noise. The result is not exactly the slopes of a surface.
 
     Parameters
     ----------
@@ -115,14 +116,14 @@ def gradients_from_depth(depth_mm: ArrayLike, *, mm_per_px: float | Sequence[flo
 
 
 def slopes_of_solution(depth: NDArray[np.float32], mm_per_px: tuple[float, float]) -> NDArray[np.float32]:
-    """`gradients_from_depth` of one solved depth map (H, W) float32, in single precision: for each frame."""
+    """`gradients_from_depth` for one solved depth map (H, W) float32, in single precision."""
     gradients = np.empty((*depth.shape, 2), dtype=np.float32)
     _slopes_of_depth(depth, gradients, 1 / mm_per_px[0], 1 / mm_per_px[1])
     return gradients
 
 
 def curl_from_gradients(gradients: ArrayLike, *, mm_per_px: float | Sequence[float]) -> NDArray[np.float32]:
-    """Integrability check `dp/dy - dq/dx` per pixel, in 1/mm: zero where the slopes are those of a surface.
+    """Integrability check `dp/dy - dq/dx` per pixel, in 1/mm: zero where the slopes belong to a surface.
 
     Parameters
     ----------
@@ -144,9 +145,9 @@ def curl_from_gradients(gradients: ArrayLike, *, mm_per_px: float | Sequence[flo
 
 
 def curl_rms(gradients: NDArray[np.float32], known: NDArray[np.bool_] | None) -> float:
-    """RMS of the curl of gradients (N, H, W, 2) over known pixels (N, H, W) off the border, slope per pixel.
+    """RMS of the curl of gradients (N, H, W, 2) over known pixels (N, H, W) inside the border, slope per pixel.
 
-    None stands for all pixels.
+    `known` None means all pixels.
     """
     found = np.empty(2)
     _curl_squares(gradients, known, found)
@@ -154,11 +155,11 @@ def curl_rms(gradients: NDArray[np.float32], known: NDArray[np.bool_] | None) ->
 
 
 def fill_unknown(values: ArrayLike, known: ArrayLike) -> NDArray[np.float32]:
-    """Replace unknown pixels of a map by a smooth surface through their neighbours.
+    """Replace unknown pixels of a map by a smooth surface through their neighbors.
 
-    Unknown pixels come from the next coarser level of a pyramid of averages of known pixels, and are then
-    relaxed towards the mean of their four neighbours (a membrane, which carries planes on). Their own values
-    have no influence; known pixels come back as they were.
+    Unknown pixels start from the next coarser level of a pyramid of averages of known pixels. They are then
+    relaxed toward the mean of their four neighbors (a membrane, which continues planes). Their own values
+    have no influence; known pixels stay unchanged.
 
     Parameters
     ----------
@@ -172,7 +173,7 @@ def fill_unknown(values: ArrayLike, known: ArrayLike) -> NDArray[np.float32]:
     Raises
     ------
     ValueError, TypeError
-        Values of another shape or not finite, or a mask that is not boolean or knows no pixel.
+        Values of another shape or not finite, or a mask that is not boolean or has no known pixel.
     """
     array = check_values(values, "values")
     if array.ndim != 3:
@@ -198,7 +199,7 @@ def _filled(values: NDArray[np.float32], known: NDArray[np.bool_]) -> NDArray[np
 
 
 def _slope(values: NDArray[Any], axis: int) -> NDArray[Any]:
-    """Second-order difference per pixel along an axis; of lower order where fewer than 3 pixels are left."""
+    """Second-order difference per pixel along an axis; of lower order if the axis has fewer than 3 pixels."""
     count = values.shape[axis]
     if count == 1:
         return np.zeros_like(values)

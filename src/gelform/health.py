@@ -1,4 +1,4 @@
-"""What is wrong with a frame itself, in named findings with figures; a degraded frame is never an exception."""
+"""Faults of a frame, as named findings with figures; a degraded frame never raises an exception."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from gelform._native import Kernel
 from gelform.errors import CalibrationError
 from gelform.foundations.checks import value_range
 from gelform.foundations.findings import Finding
-from gelform.frames import as_levels
+from gelform.frames import DARK, as_levels
 
-BLOCK_PX = 16  # of JPEG with halved colour: what is lost of a frame is lost in such blocks
+BLOCK_PX = 16  # px, a block of JPEG with halved color resolution; parts of a frame are lost in such blocks
 
 _blocks = Kernel(
     "health_blocks",
@@ -30,14 +30,14 @@ class Blocks:
 
     Attributes
     ----------
-    means : (h, w, 3) uint8, grey levels
+    means : (h, w, 3) uint8, gray levels
     ranges : (h, w) uint8
-        Largest minus smallest value within a block, of the channel where that is most. Noise alone makes it 3 or more.
+        Largest minus smallest value within a block, in the channel with the largest range. Noise alone gives 3 or more.
     row_digests : (H,) int64
         Rows of equal pixels have equal digests.
     row_jumps : (H,) float32
-        How much the difference to the rest image changes from the row above, grey levels: the mean over the row, in which
-        a pixel counts at most 16, so that it grows with how wide a seam is.
+        Change of the difference to the background image from the row above, gray levels: the mean over the row, with at
+        most 16 from each pixel, so that it grows with the width of a seam.
     """
 
     means: NDArray[np.uint8]
@@ -46,7 +46,7 @@ class Blocks:
     row_jumps: NDArray[np.float32]
 
     def pixels(self, chosen: NDArray[np.bool_], width: int) -> NDArray[np.bool_]:
-        """The pixels (H, W) of chosen blocks (h, w); what is left over at the border goes with the last block."""
+        """The pixels (H, W) of selected blocks (h, w); the remainder at the border belongs to the last block."""
         mask = np.zeros((len(self.row_digests), width), dtype=bool)
         if chosen.any():
             rows = np.minimum(np.arange(mask.shape[0]) // BLOCK_PX, chosen.shape[0] - 1)
@@ -55,13 +55,13 @@ class Blocks:
         return mask
 
     def centered_in(self, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """The blocks (h, w) whose centres lie in a mask (H, W)."""
+        """The blocks (h, w) whose centers lie in a mask (H, W)."""
         height, width = self.ranges.shape
         return mask[BLOCK_PX // 2 :: BLOCK_PX, BLOCK_PX // 2 :: BLOCK_PX][:height, :width]
 
 
 def blocks_from_image(image: NDArray[np.uint8], rest: NDArray[np.uint8]) -> Blocks:
-    """The blocks of an image (H, W, 3); `rest` is the untouched image."""
+    """The blocks of an image (H, W, 3); `rest` is the background image."""
     height, width = image.shape[:2]
     shape = height // BLOCK_PX, width // BLOCK_PX
     blocks = Blocks(
@@ -74,30 +74,30 @@ def blocks_from_image(image: NDArray[np.uint8], rest: NDArray[np.uint8]) -> Bloc
     return blocks
 
 
-DARK, LIT = 8, 16  # grey levels of a block; of the untouched image's, from which on darkness says something
-# Grey levels of a block; of the untouched image's, under which saturation says something.
-SATURATED, BELOW = 252, 240
-# Fraction of the frame; a hard contact saturates or shades less than this on good sensors.
+# Gray levels of the background image's block: from LIT on it can be too dark, below BELOW saturated.
+LIT, BELOW = 16, 240
+SATURATED = 252  # gray levels of a block: lower ones still show slopes of a bright gel
+# Fraction of the frame; on good sensors a hard contact saturates or shades less.
 LEAST_CLIPPED = 0.05
 CHANNELS = ("red", "green", "blue")
 
 
 class Levels:
-    """Finds dark and saturated blocks of frames; prepared once for an untouched image.
+    """Finds dark and saturated blocks of frames; prepared once for a background image.
 
-    A block counts in one channel already: slopes need all three lights.
+    One channel is enough for a block to count, because slopes need all three lights.
 
     Parameters
     ----------
-    rest : blocks of the untouched image
+    rest : blocks of the background image
 
     Attributes
     ----------
-    dark_to, saturated_from : (h, w, 3) uint8, means below or from which on a channel of a block counts
+    dark_to, saturated_from : (h, w, 3) uint8, a block with a mean below the first is dark, from the second on saturated
     """
 
     def __init__(self, rest: Blocks) -> None:
-        # Levels are compared as integers of the blocks' own type: -1 and 256 have no place in it.
+        # Levels are compared as integers of the blocks' own type, which cannot hold -1 or 256.
         self.dark_to = np.where(rest.means >= LIT, DARK, 0).astype(np.uint8)
         self.saturated_from = np.where(rest.means < BELOW, SATURATED, 255).astype(np.uint8)
         self._may_saturate = rest.means < BELOW
@@ -105,7 +105,7 @@ class Levels:
     def __call__(
         self, blocks: Blocks, torn: NDArray[np.bool_] | None = None
     ) -> tuple[tuple[Finding, ...], NDArray[np.bool_] | None]:
-        """Findings `dark` and `saturated`, and the blocks (h, w) concerned but for torn ones; None: there are none."""
+        """Findings `dark` and `saturated`, and their blocks (h, w) without the torn ones; None if there are none."""
         dark = blocks.means < self.dark_to
         saturated = blocks.means >= self.saturated_from
         if not (dark.any() or saturated.any()):
@@ -123,7 +123,7 @@ class Levels:
 
 
 def _finding(name: str, where: NDArray[np.bool_], what: str, advice: str) -> Finding | None:
-    """A finding whose figure is the fraction of the frame, of the channel where that is largest."""
+    """A finding; its figure is the fraction of the frame in the channel with the largest fraction."""
     fractions = where.mean(axis=(0, 1)) if where.size else np.zeros(3)
     if fractions.max() < LEAST_CLIPPED:
         return None
@@ -133,24 +133,30 @@ def _finding(name: str, where: NDArray[np.bool_], what: str, advice: str) -> Fin
     return Finding(name, f"Parts of the frame are {what}: {said}. {advice}", float(fractions.max()))
 
 
-FLAT_RANGE = 2  # grey levels within a block; a camera's noise alone gives more
-ALIKE, UNLIKE = 4, 10  # grey levels: flat blocks among each other; a flat block and the untouched image
-LEAST_TORN = 0.03  # fraction of the frame
-JUMP, JUMP_FACTOR = 5.0, 3.0  # grey levels, and times the rows' median: a seam against the rows beside it
-APART_ROWS = 3  # between equal rows: video that halves the colour's rows makes neighbours equal
+FLAT_RANGE = 2  # gray levels within a block; a camera's noise alone gives more
+# gray levels: largest difference of alike flat blocks, smallest difference of a flat block from the background
+ALIKE, UNLIKE = 4, 10
+LEAST_TORN = 0.03  # smallest fraction of the frame
+# Gray levels, and times the rows' median: smallest jump of a seam compared with the next rows.
+JUMP, JUMP_FACTOR = 5.0, 3.0
+APART_ROWS = (
+    3  # rows, smallest distance of equal rows; video that halves the color's rows makes neighbors equal
+)
 
 
 class Torn:
-    """Finds parts of frames that are no picture; prepared once for an untouched image and its blocks."""
+    """Finds parts of frames that contain no picture; prepared once for a background image and its blocks."""
 
     def __init__(self, background: NDArray[Any], rest: Blocks) -> None:
         self._background = background
         self._rest = rest.means.astype(np.int16)
         _, place, count = np.unique(rest.row_digests, return_inverse=True, return_counts=True)
-        self._own_rows = count.ravel()[place.ravel()] == 1  # rows that the rest image has only once
+        self._own_rows = (
+            count.ravel()[place.ravel()] == 1
+        )  # rows that occur only once in the background image
 
     def __call__(self, blocks: Blocks, image: NDArray[Any]) -> NDArray[np.bool_] | None:
-        """Pixels (H, W) that did not arrive; None where all did."""
+        """Pixels (H, W) that did not arrive; None if all did."""
         flat, repeated = self.flat(blocks), self.repeated_rows(blocks, image)
         displaced = self.displaced_rows(blocks) if flat is None and repeated is None else None
         if flat is None and repeated is None and displaced is None:
@@ -163,7 +169,7 @@ class Torn:
         return torn
 
     def flat(self, blocks: Blocks) -> NDArray[np.bool_] | None:
-        """Blocks (h, w) of one and the same colour that is not the rest image's; None where they are few."""
+        """Blocks (h, w) of one uniform color that is not the background image's; None if they are few."""
         flat = blocks.ranges <= FLAT_RANGE
         least = LEAST_TORN * flat.size
         if np.count_nonzero(flat) <= least:
@@ -177,9 +183,9 @@ class Torn:
         return flat if np.count_nonzero(flat) > least else None
 
     def repeated_rows(self, blocks: Blocks, image: NDArray[Any]) -> NDArray[np.bool_] | None:
-        """Rows (H,) that repeat another row of the frame; None where they are few.
+        """Rows (H,) that repeat another row of the frame; None if they are few.
 
-        Of rows that are alike, the one that fits the rest image best counts as the true one.
+        Among equal rows, the one that fits the background image best counts as the true one.
         """
         order = np.sort(blocks.row_digests)
         least = LEAST_TORN * len(order)
@@ -194,11 +200,12 @@ class Torn:
         return repeated if np.count_nonzero(repeated) > least else None
 
     def displaced_rows(self, blocks: Blocks) -> NDArray[np.bool_] | None:
-        """Rows (H,) on the far side of a seam across the whole frame; None where there is no seam.
+        """Rows (H,) on the wrong side of a seam across the whole frame; None if there is no seam.
 
-        The difference to the rest image jumps there from one row to the next. Edges of objects are blurred over more
-        rows than that. Of the two sides, the one that fits the rest image worse counts as displaced; of several seams,
-        what lies between them.
+        At a seam the difference to the background image jumps from one row to the next; edges of objects are blurred over
+        more
+        rows. The side that fits the background image worse counts as displaced; with several seams, the rows between them
+        do.
         """
         seams = self._seams(blocks.row_jumps)
         if not len(seams):
@@ -214,17 +221,17 @@ class Torn:
         return far if away[blocks_far].mean() > away[~blocks_far].mean() else ~far
 
     def _seams(self, jumps: NDArray[np.float32]) -> NDArray[np.intp]:
-        """Rows that jump by far more than a row beside them and the middle one: a contact may begin right at a seam."""
+        """Rows with a far larger jump than the median and a neighbor: a contact may begin right at a seam."""
         if jumps.max() <= JUMP:
             return np.zeros(0, dtype=np.intp)
         least = max(JUMP_FACTOR * float(np.median(jumps)), JUMP)
-        neighbours = np.stack([np.append(jumps[1:], 0), np.append(0, jumps[:-1])])
-        alone = (jumps > neighbours.min(axis=0) + JUMP) & (jumps > neighbours.max(axis=0) + JUMP / 2)
+        neighbors = np.stack([np.append(jumps[1:], 0), np.append(0, jumps[:-1])])
+        alone = (jumps > neighbors.min(axis=0) + JUMP) & (jumps > neighbors.max(axis=0) + JUMP / 2)
         return np.flatnonzero((jumps > least) & alone)
 
 
 def torn_finding(lost: NDArray[np.bool_]) -> Finding:
-    """The finding; its figure is the fraction of the frame."""
+    """The finding `torn`; its figure is the fraction of the frame."""
     fraction = float(lost.mean())
     message = (
         f"{100 * fraction:.0f} % of the frame is torn: it has one color, repeats rows of another part, or is displaced. "
@@ -233,7 +240,7 @@ def torn_finding(lost: NDArray[np.bool_]) -> Finding:
     return Finding("torn", message, fraction)
 
 
-# Fraction of the frame: one of one colour is dark or saturated where that is an end of the range.
+# Fraction of the frame; a whole frame of one color is dark or saturated if the color is an end of the range.
 MOST_TORN = 0.95
 
 
@@ -246,13 +253,13 @@ _signs = Kernel(
 
 @dataclass(frozen=True, eq=False)
 class FrameFaults:
-    """What is wrong with a frame.
+    """The faults of a frame.
 
     Attributes
     ----------
-    image : (H, W, 3), with the untouched image in place of what is lost, so that nothing is read from it
+    image : (H, W, 3), with the background image in place of lost pixels, so that these give no slopes
     findings : `dark`, `saturated`, `torn` (figure: fraction of the frame), `frozen` (figure 1)
-    lost : (H, W) bool, pixels that say nothing about the gel, a margin around torn parts included; None: there are none
+    lost : (H, W) bool, pixels without information, including a margin around torn parts; None if there are none
     """
 
     image: NDArray[Any]
@@ -260,30 +267,30 @@ class FrameFaults:
     lost: NDArray[np.bool_] | None = None
 
     def hidden(self, markers: NDArray[np.bool_] | None) -> NDArray[np.bool_] | None:
-        """Pixels (H, W) that markers hide or that are lost; None where there are neither."""
+        """Pixels (H, W) that markers hide or that are lost; None if there are neither."""
         if self.lost is None or markers is None:
             return markers if self.lost is None else self.lost
         return markers | self.lost
 
     def without_lost(self, known: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """What is known (H, W), without what is lost."""
+        """The known pixels (H, W), without the lost ones."""
         return known if self.lost is None else known & ~self.lost
 
     def widen(self, sigma: NDArray[np.float32] | None, least: float) -> None:
-        """Raise a standard deviation (H, W), in place, to `least` where the frame is lost."""
+        """Raise a standard deviation (H, W), in place, to at least `least` at lost pixels."""
         if self.lost is not None and sigma is not None:
             np.maximum(sigma, np.float32(least), out=sigma, where=self.lost)
 
 
 class FrameHealth:
-    """Looks for faults of frames of one sensor; prepared once, immutable, shared by threads.
+    """Finds faults of the frames of one sensor. It is prepared once and immutable; threads can share it.
 
-    A pure function of the frame: what needs memory, such as a camera that gives one image again and again, belongs to a
-    stream. Here only the untouched image itself is known again.
+    It is a pure function of the frame; a stream finds faults that need memory, such as a camera that repeats one image.
+    Only a repetition of the background image itself is found here.
 
     Parameters
     ----------
-    background : (H, W, 3), 0-255, the untouched image
+    background : (H, W, 3), 0-255, background image
     """
 
     def __init__(self, background: NDArray[Any]) -> None:
@@ -315,7 +322,7 @@ class FrameHealth:
         return FrameFaults(np.where(lost[..., None], self._pixels, image), findings, lost)
 
     def _is_plainly_sound(self, blocks: Blocks) -> bool:
-        """Nothing is to be seen of what any of the faults begins with: nearly every frame, and a tenth of their time."""
+        """Whether the frame shows no sign of a fault: true for nearly every frame, a tenth of the time."""
         signs, rows = np.empty(4, dtype=np.int32), len(blocks.row_digests)
         work = np.empty(1 << rows.bit_length(), dtype=np.int32)
         digests, ends = blocks.row_digests, (self._levels.dark_to, self._levels.saturated_from)
@@ -331,9 +338,9 @@ class FrameHealth:
 
 
 def check_untouched_image(image: NDArray[Any], calibrated: NDArray[Any]) -> None:
-    """Refuse an untouched image (H, W, 3) in which parts are dark, saturated or torn against the calibration's.
+    """Refuse a background image (H, W, 3) with parts that are dark, saturated or torn compared with the calibration's.
 
-    CalibrationError: the finding's own words are in the message.
+    CalibrationError: its message contains the finding.
     """
     faults = FrameHealth(calibrated)(image)
     if faults.lost is not None:
@@ -343,7 +350,7 @@ def check_untouched_image(image: NDArray[Any], calibrated: NDArray[Any]) -> None
 
 
 def _grown(lost: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """With a block's width around: blocks that were cut in two count too."""
+    """The blocks and their neighbors, because a fault may cut blocks in two."""
     kernel = np.ones((2 * BLOCK_PX + 1,) * 2, dtype=np.uint8)
     grown: NDArray[np.bool_] = cv2.dilate(lost.view(np.uint8), kernel).view(np.bool_)
     return grown
@@ -351,12 +358,12 @@ def _grown(lost: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True)
 class DepthLimit:
-    """The largest depth that is possible, mm.
+    """The largest possible depth, mm.
 
     Attributes
     ----------
-    limit_mm : the gel's thickness where that is known, else the shorter side of the field of view
-    is_thickness : which of the two it is
+    limit_mm : the gel's thickness if known, else the shorter side of the field of view
+    is_thickness : whether it is the thickness
     """
 
     limit_mm: float
@@ -371,11 +378,11 @@ class DepthLimit:
 
     @property
     def ignorance_mm(self) -> float:
-        """Standard deviation of a depth of which nothing but the limit is known: that of a uniform distribution."""
+        """Standard deviation of a depth about which only the limit is known: that of a uniform distribution."""
         return self.limit_mm / sqrt(12)
 
     def bound(self, depth_mm: NDArray[np.float32]) -> tuple[NDArray[np.float32], tuple[Finding, ...]]:
-        """The depth (H, W) within plus and minus the limit, and a finding where it was not."""
+        """Clip the depth (H, W) to plus and minus the limit, with a finding if that changed it."""
         low, high = value_range(depth_mm)
         largest = max(high, -low)
         if largest <= self.limit_mm:

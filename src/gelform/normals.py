@@ -21,7 +21,7 @@ def normals_from_image(
     Parameters
     ----------
     image : (..., 3), linear intensity per channel (no gamma), any unit
-    lights : (3, 3); row c is the direction towards the light that channel c sees, times its strength
+    lights : (3, 3); row c is the direction toward the light that channel c sees, times its strength
 
     Returns
     -------
@@ -54,7 +54,7 @@ def image_from_normals(normals: ArrayLike, lights: ArrayLike, albedo: ArrayLike 
     Parameters
     ----------
     normals : (..., 3), n_z > 0
-    lights : (3, 3); row c is the direction towards light c times its strength
+    lights : (3, 3); row c is the direction toward light c times its strength
     albedo : scalar or (...)
 
     Returns
@@ -132,7 +132,7 @@ def lights_from_normals(image: ArrayLike, normals: ArrayLike, albedo: ArrayLike 
 
 
 def check_lights(lights: ArrayLike) -> NDArray[Any]:
-    """Lights (3, 3), finite: row c is the direction towards the light of channel c times its strength."""
+    """Lights (3, 3), finite: row c is the direction toward the light of channel c times its strength."""
     array = check_values(lights, "lights", (3, 3))
     if array.ndim != 2:
         raise ValueError(f"Expected lights of shape (3, 3), one row per channel, got {array.shape}.")

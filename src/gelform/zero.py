@@ -1,4 +1,4 @@
-"""Where depth is 0, and what is levelled off: slopes leave a constant open, and drift adds a tilt."""
+"""The zero and the leveling of depth: slopes leave a constant open, and drift adds a tilt."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Level = Literal["slope", "plane", "quadratic"]
 
 
 def zero_region(zero: Zero | NDArray[np.bool_], shape: tuple[int, int]) -> NDArray[np.bool_]:
-    """The pixels that say where depth is 0, (H, W) bool.
+    """The pixels (H, W) bool that define where depth is 0.
 
     ValueError, TypeError: an unknown word, or a map that is not boolean of that shape.
     """
@@ -30,7 +30,7 @@ def zero_region(zero: Zero | NDArray[np.bool_], shape: tuple[int, int]) -> NDArr
 
 
 def checked_level(level: Any) -> Level | None:
-    """Return what is levelled off."""
+    """Return the kind of leveling, checked."""
     if level is not None and not (isinstance(level, str) and level in get_args(Level)):
         raise ValueError(f"Expected level as None, 'slope', 'plane' or 'quadratic', got {level!r:.60}.")
     return level  # type: ignore[return-value]
@@ -42,9 +42,9 @@ def zero_depth(
     region: NDArray[np.bool_],
     inside: NDArray[np.bool_] | None = None,
 ) -> np.float32:
-    """Depth of the zero of one island: its mean where `zero` says so or no zero pixel is inside, else their median.
+    """The depth that becomes 0 on one island: the median of its zero pixels, or its mean.
 
-    `inside` is the island; None stands for the whole frame.
+    It is the mean if `zero` is "mean" or the island has no zero pixel. `inside` is the island; None means the whole frame.
     """
     within = region if inside is None else region & inside
     if (isinstance(zero, str) and zero == "mean") or not within.any():
@@ -53,7 +53,7 @@ def zero_depth(
 
 
 def median_over(maps: NDArray[np.float32], region: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Median (...) of maps (..., H, W) over a region; of a large one on a lattice, which is plenty."""
+    """Median (...) of maps (..., H, W) over a region; a large region is sampled on a lattice, which is exact enough."""
     if maps.ndim > 2:
         return np.stack([median_over(one, region) for one in maps])
     step = lattice_step(region.size)
@@ -65,7 +65,7 @@ def median_over(maps: NDArray[np.float32], region: NDArray[np.bool_]) -> NDArray
 
 
 def fitted_surface(depth: NDArray[Any], region: NDArray[np.bool_], degree: int) -> NDArray[np.float32]:
-    """Least-squares polynomial surface of the depth at the region, evaluated over the frame.
+    """Least-squares polynomial surface of the depth in the region, evaluated over the frame.
 
     ValueError: the region has fewer pixels than the surface has terms.
     """

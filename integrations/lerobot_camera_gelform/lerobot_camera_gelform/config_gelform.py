@@ -1,4 +1,4 @@
-"""What a camera of LeRobot of type "gelform" is set to."""
+"""The configuration of a LeRobot camera of type "gelform"."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from lerobot.cameras import CameraConfig
 @CameraConfig.register_subclass("gelform")
 @dataclass(kw_only=True)
 class GelformCameraConfig(CameraConfig):
-    """A visual-tactile sensor through its calibration.
+    """A visual-tactile sensor with its calibration.
 
     Attributes
     ----------
-    source : serial, name, device path, address, recording, or "simulated"
-    calibration : path of the sensor's calibration; "simulated" has one of its own
-    use_rgb, use_depth : whether colour and depth are observations; one of them at least
-    fps : frames a second that a simulated sensor or a folder of images gives; cameras keep their own rate
-    width, height : of the image after the calibration's view, px; taken from the calibration where None
-    warn_lossy_rgb : whether to warn where LeRobot's default video encoder would lose colour that slopes are read from
+    source : serial number, name, device path, address, recording, or "simulated"
+    calibration : path of the sensor's calibration; "simulated" has its own
+    use_rgb, use_depth : whether color and depth are observations; at least one of them
+    fps : frames per second of a simulated sensor or a folder of images; cameras keep their own rate
+    width, height : of the image after the calibration's view, px; None: from the calibration
+    warn_lossy_rgb : whether to warn if LeRobot's default video encoder loses color, which slopes are read from
     """
 
     fps: int | None = 30

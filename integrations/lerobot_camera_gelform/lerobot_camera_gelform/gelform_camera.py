@@ -1,4 +1,4 @@
-"""A visual-tactile sensor as a camera of LeRobot: the newest image and its depth."""
+"""A visual-tactile sensor as a LeRobot camera: the newest image and its depth."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ class GelformCamera(Camera):
     Raises
     ------
     gelform.GelformError
-        The calibration cannot be read, or has no scale: depth is um.
+        The calibration cannot be read, or has no scale, which depth in um needs.
     ValueError
-        The configuration's width and height are not those of the calibrated image.
+        The configured width and height differ from the calibrated image's.
     """
 
     def __init__(self, config: GelformCameraConfig) -> None:
@@ -63,7 +63,7 @@ class GelformCamera(Camera):
 
     @staticmethod
     def find_cameras() -> list[dict[str, Any]]:
-        """What can be opened: cameras by serial or path, known sensors by name; the simulated sensor last."""
+        """The available sources: cameras by serial number or path, known sensors by name, the simulated sensor last."""
         found = [
             {
                 "name": one.name,
@@ -78,7 +78,7 @@ class GelformCamera(Camera):
 
     @check_if_already_connected
     def connect(self, warmup: bool = True) -> None:
-        """Open the sensor and reconstruct from now on.
+        """Open the sensor and start to reconstruct.
 
         Parameters
         ----------
@@ -87,7 +87,7 @@ class GelformCamera(Camera):
         Raises
         ------
         ConnectionError
-            The sensor cannot be opened, or gives nothing.
+            The sensor cannot be opened, or gives no frame.
         """
         if self.use_rgb and self.config.warn_lossy_rgb:
             warn_if_lossy()
@@ -102,37 +102,37 @@ class GelformCamera(Camera):
             raise ConnectionError(f"{self}: {problem}") from problem
 
     def disconnect(self) -> None:
-        """Give the sensor back."""
+        """Release the sensor."""
         stream = self._running()
         self._stream = None
         stream.close()
 
-    # -- colour -------------------------------------------------------------------------------------------------------
+    # -- color -------------------------------------------------------------------------------------------------------
 
     def read(self) -> NDArray[np.uint8]:
-        """The next image (H, W, 3), RGB, after the calibration's view; waits for it."""
+        """Wait for the next image (H, W, 3), RGB, after the calibration's view."""
         return self._read(COLOR).image
 
     def async_read(self, timeout_ms: float = 200) -> NDArray[np.uint8]:
-        """The newest image that was not given yet; waits for one, TimeoutError where none comes in time."""
+        """The newest image that was not returned yet; waits for one, and raises TimeoutError if none arrives in time."""
         return self._unconsumed(COLOR, timeout_ms).image
 
     def read_latest(self, max_age_ms: int = 500) -> NDArray[np.uint8]:
-        """The newest image, at once; TimeoutError where it is older, RuntimeError before the first one."""
+        """The newest image, at once; TimeoutError if it is too old, RuntimeError before the first one."""
         return self._latest(COLOR, max_age_ms).image
 
     # -- depth --------------------------------------------------------------------------------------------------------
 
     def read_depth(self) -> NDArray[np.uint16]:
-        """The next depth (H, W, 1), 1000 + um; waits for it."""
+        """Wait for the next depth (H, W, 1), 1000 + um."""
         return _levels(self._read(DEPTH))
 
     def async_read_depth(self, timeout_ms: float = 200) -> NDArray[np.uint16]:
-        """The newest depth that was not given yet; waits for one, TimeoutError where none comes in time."""
+        """The newest depth that was not returned yet; waits for one, and raises TimeoutError if none arrives in time."""
         return _levels(self._unconsumed(DEPTH, timeout_ms))
 
     def read_latest_depth(self, max_age_ms: int = 500) -> NDArray[np.uint16]:
-        """The newest depth, at once; TimeoutError where it is older, RuntimeError before the first one."""
+        """The newest depth, at once; TimeoutError if it is too old, RuntimeError before the first one."""
         return _levels(self._latest(DEPTH, max_age_ms))
 
     # -- results ------------------------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""Whether Python and LeRobot are new enough, in a sentence; imports nothing of either."""
+"""A check of the versions of Python and LeRobot; it imports neither gelform nor LeRobot."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ INSTALL = "pip install 'lerobot[dataset]>=0.6,<0.8' lerobot_camera_gelform"
 
 
 def check_versions(python: tuple[int, ...] = sys.version_info[:3], lerobot: str | None = None) -> None:
-    """Raise ImportError, saying what to do, for Python older than 3.12 or LeRobot older than 0.6.
+    """Raise ImportError, with advice, for Python older than 3.12 or LeRobot older than 0.6.
 
     Parameters
     ----------
     python : the version of Python
-    lerobot : the version of LeRobot; the one that is installed where None
+    lerobot : the version of LeRobot; None: the installed one
     """
     if python < PYTHON:
         shown = ".".join(map(str, python))

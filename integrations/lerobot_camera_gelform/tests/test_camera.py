@@ -49,7 +49,7 @@ def test_shapes_and_types(connected):
         assert (depth.shape, depth.dtype) == ((*size, 1), np.uint16)
 
 
-def test_depth_is_that_of_the_result_in_whole_micrometres(connected):
+def test_depth_is_that_of_the_result_in_whole_micrometers(connected):
     for _ in range(5):
         levels = connected.read_latest_depth(2000)
         seen = connected._stream.newest(-1, 0.0)

@@ -1,4 +1,4 @@
-"""A dataset that LeRobot writes and reads: depth to a micrometre, at 30 Hz; LeRobot's default colour is lossy."""
+"""A dataset that LeRobot writes and reads: depth to a micrometer, at 30 Hz; LeRobot's default color is lossy."""
 
 import os
 
@@ -12,7 +12,7 @@ def figures():
     return measured(5.0, lossless_rgb_encoder())
 
 
-def test_depth_comes_back_to_a_micrometre(figures):
+def test_depth_comes_back_to_a_micrometer(figures):
     assert figures["deepest_mm"] > 0.3  # something was pressed
     assert figures["depth_rms_um"] < 1
     assert figures["depth_worst_um"] < 3
@@ -26,7 +26,7 @@ def test_five_seconds_at_thirty_frames_a_second_without_a_timeout(figures):
     assert figures["rate_hz"] == pytest.approx(RATE_HZ, rel=0.1)
 
 
-def test_colour_comes_back_exactly_with_the_lossless_encoder_alone(figures):
+def test_color_comes_back_exactly_with_the_lossless_encoder_alone(figures):
     assert figures["color_worst_level"] == figures["color_slope_deg"] == 0
     lossy = measured(0.5)
     assert lossy["color_worst_level"] > 3

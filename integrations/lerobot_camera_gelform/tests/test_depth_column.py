@@ -66,7 +66,7 @@ def added(recorded, calibration, tmp_path_factory):
     return output / "frames"
 
 
-def test_every_depth_comes_back_to_a_micrometre(added, frames, calibration):
+def test_every_depth_comes_back_to_a_micrometer(added, frames, calibration):
     reconstruct, errors_um, deepest = gelform.Reconstructor(calibration), [], 0.0
     data = LeRobotDataset("tactile/press", root=added, return_uint8=True)
     assert len(data) == sum(EPISODES)

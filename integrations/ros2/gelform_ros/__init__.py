@@ -1,1 +1,1 @@
-"""Depth in millimetres of a visual-tactile sensor as topics of ROS 2."""
+"""Depth in millimeters of a visual-tactile sensor as topics of ROS 2."""

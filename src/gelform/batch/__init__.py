@@ -1,4 +1,4 @@
-"""Data sets: every frame of a folder tree, of videos and recordings to depth, resumable, on several processes."""
+"""Data sets: every frame of a folder tree, of videos and recordings to depth, on several processes, resumable."""
 
 from gelform.batch.engines import Engine
 from gelform.batch.inputs.containers import Sequence

@@ -1,6 +1,6 @@
-"""What does the parts of a batch: this process, others of this machine, or Ray; in whatever order they end.
+"""The engines of a batch: this process, a pool of processes on this machine, or Ray. Parts may end in any order.
 
-Ray's machines have to see the same files under the same paths.
+Ray's machines must see the same files under the same paths.
 """
 
 from __future__ import annotations
@@ -25,20 +25,20 @@ from gelform.errors import GelformError, needed
 from gelform.foundations.processes import WorkerLostError, interrupt_held, worker_processes
 
 NOTHING_LOST = "What is done is kept, and not done again."
-TRIES_AGAIN = 5  # of a part whose worker or machine is lost; it writes the same bytes each time
-WAITING_PER_CPU = 2  # so that a worker never waits for the driver, and no million tasks wait in memory
-MEMORY_BYTES = 600 << 20  # of a task, which Ray sets aside
+TRIES_AGAIN = 5  # repetitions of a part whose worker or machine is lost; its bytes are the same
+WAITING_PER_CPU = 2  # queued tasks: a worker never waits, and memory holds no million tasks
+MEMORY_BYTES = 600 << 20  # memory of a task that Ray reserves
 
 _worker: Worker | None = None
 _stop: Any = None
-_run: str | None = None  # of Ray, that the worker was made for
+_run: str | None = None  # the Ray run that the worker was made for
 
 
 class DoneParts(Protocol):
-    """Does parts; gives each with its number of frames and of errors as it is done.
+    """Does parts; yields each finished part with its numbers of frames and of errors.
 
-    Closing the iterator ends the work between two frames; parts that are not done leave no record. Raises WorkerLostError
-    where workers were killed, DataError where an output cannot be written.
+    Closing the iterator ends the work between two frames; unfinished parts leave no record. Raises WorkerLostError if
+    workers were killed, and DataError if an output cannot be written.
     """
 
     def __call__(
@@ -49,15 +49,15 @@ class DoneParts(Protocol):
 def done_parts(
     job: Job, parts: Sequence[Part], workers: int, address: str | None = None
 ) -> Generator[tuple[Part, int, int], None, None]:
-    """Do parts here, or in several processes of this machine, which has no address (see `DoneParts`)."""
+    """Do parts in this process, or in several on this machine; takes no address (see `DoneParts`)."""
     if workers == 1:
         worker = Worker(job)
         for part in parts:
             yield part, *_counts(worker.do(part))
         return
-    stop = RawValue("b", 0)  # without a lock, which a killed worker would hold for ever
+    stop = RawValue("b", 0)  # without a lock, which a killed worker would hold forever
     with tempfile.TemporaryDirectory(prefix="gelform-batch-") as folder:
-        shared = Path(folder) / "job"  # a file, since it may be large
+        shared = Path(folder) / "job"  # a file, because it may be large
         shared.write_bytes(pickle.dumps(job))
         with worker_processes(workers, _prepare, shared, stop, kept=NOTHING_LOST) as pool:
             try:
@@ -72,7 +72,7 @@ def done_parts(
 def done_parts_on_ray(
     job: Job, parts: Sequence[Part], workers: int, address: str | None = None
 ) -> Generator[tuple[Part, int, int], None, None]:
-    """Do parts as Ray's tasks, of one CPU each (see `DoneParts`); without an address a Ray is started here."""
+    """Do parts as Ray tasks with one CPU each (see `DoneParts`); without an address, start Ray here."""
     ray = needed("ray", "ray", "The engine ray")
     with _connected(ray, workers, address):
         do = ray.remote(num_cpus=1, memory=MEMORY_BYTES, max_retries=TRIES_AGAIN)(_do_on_ray)
@@ -100,18 +100,18 @@ ENGINES: dict[str, DoneParts] = {"pool": done_parts, "ray": done_parts_on_ray}
 
 @dataclass(frozen=True)
 class Engine:
-    """Which engine, and how many parts at once.
+    """The engine, and the number of parts at once.
 
     Attributes
     ----------
     name : one of ENGINES
-    workers : processes of the pool; CPUs of Ray, where `address` is None
-    address : of a Ray cluster that runs, such as "auto" or "ray://head:10001"
+    workers : processes of the pool; CPUs of Ray if `address` is None
+    address : address of a running Ray cluster, such as "auto" or "ray://head:10001"
 
     Raises
     ------
     ValueError
-        Another name, fewer workers than one, or an address for the pool.
+        The name is unknown, workers is below 1, or the pool got an address.
     """
 
     name: str = "pool"
@@ -137,7 +137,7 @@ def _counts(record: PartRecord) -> tuple[int, int]:
 
 
 def _prepare(shared: Path, stop: Any) -> None:
-    """What a worker process needs before its first part."""
+    """Prepare a worker process for its first part."""
     global _worker, _stop
     _worker, _stop = Worker(pickle.loads(shared.read_bytes())), stop
 
@@ -151,7 +151,7 @@ def _do(part: Part) -> tuple[int, int]:
 
 
 def _do_on_ray(run: str, job: Job, part: Part) -> tuple[int, int]:
-    """A part, in a worker process of Ray; the Reconstructor is prepared once in each."""
+    """Do a part in a worker process of Ray; each worker prepares the Reconstructor once."""
     global _worker, _run
     if _worker is None or _run != run:
         cv2.setNumThreads(1)
@@ -161,14 +161,14 @@ def _do_on_ray(run: str, job: Job, part: Part) -> tuple[int, int]:
 
 @contextmanager
 def _connected(ray: Any, workers: int, address: str | None) -> Any:
-    """Connected to Ray; one that was there before stays connected."""
+    """Connect to Ray; an existing connection stays open."""
     if ray.is_initialized():
         yield
         return
     local = {"num_cpus": workers, "include_dashboard": False} if address is None else {"address": address}
     try:
         ray.init(log_to_driver=False, logging_level="ERROR", **local)
-    except Exception as problem:  # Ray raises Exception itself where one of its own processes does not start
+    except Exception as problem:  # Ray raises a plain Exception if one of its own processes does not start
         what = "start Ray here" if address is None else f"reach Ray at {address}"
         said = str(problem).rstrip(".")
         raise WorkerLostError(f"Cannot {what}: {said}. Look at: ray status.") from problem
@@ -179,7 +179,7 @@ def _connected(ray: Any, workers: int, address: str | None) -> Any:
 
 
 def _result(ray: Any, done: Any) -> tuple[int, int]:
-    """What a task gave; an error of ours is raised as it was there."""
+    """The result of a task; its errors are raised here unchanged."""
     lost = ray.exceptions.WorkerCrashedError, ray.exceptions.NodeDiedError, ray.exceptions.OutOfMemoryError
     try:
         counts: tuple[int, int] = ray.get(done)

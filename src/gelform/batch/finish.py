@@ -1,4 +1,4 @@
-"""What is written once all parts are done: the form's own file of everything, the table, the contact sheet."""
+"""The files that are written once all parts are done: the form's own index, the table, the contact sheet."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from gelform.foundations.npz_files import written_file
 from gelform.foundations.pictures import picture_bytes
 
 SHEET = "sheet.png"
-COLUMNS, ROWS, TILE_PX, LABEL_PX = 6, 4, 200, 34  # of the contact sheet
-LEAST_RANGE_MM = 0.1  # of a tile's colours: an untouched gel stays dark
+COLUMNS, ROWS, TILE_PX, LABEL_PX = 6, 4, 200, 34  # of the contact sheet: tiles per row, rows, px
+LEAST_RANGE_MM = 0.1  # mm, smallest range of a tile's colors, so that a gel at rest stays dark
 
 
 def finish(output: Path, manifest: Manifest, table: str, source: Path, *, again: bool) -> None:
-    """Write what is not there yet, a table of that form too; all of it where parts were done in this run (`again`)."""
+    """Write the missing files, and a table in that form; all of them if this run did parts (`again`)."""
     last, parts = WRITERS[manifest.settings["form"]].finish, manifest.parts
     if again or last.missing(output):
         last.write(output, files_of(output, parts), source)
@@ -32,7 +32,7 @@ def finish(output: Path, manifest: Manifest, table: str, source: Path, *, again:
 
 
 def problems_of_finish(output: Path, manifest: Manifest) -> list[Path]:
-    """Files of it that are missing, or do not say what the parts say."""
+    """Files that are missing, or disagree with the records of the parts."""
     parts = manifest.parts
     wrong = WRITERS[manifest.settings["form"]].finish.wrong(output, files_of(output, parts))
     tables = tables_there(output)
@@ -46,7 +46,7 @@ def problems_of_finish(output: Path, manifest: Manifest) -> list[Path]:
 
 
 def write_sheet(output: Path, manifest: Manifest) -> None:
-    """Write `sheet.png`; nothing where depth was not kept."""
+    """Write `sheet.png`; nothing if depth was not kept."""
     content = sheet_bytes(output, manifest)
     if content:
         with written_file(output / SHEET, overwrite=True) as file:
@@ -54,9 +54,9 @@ def write_sheet(output: Path, manifest: Manifest) -> None:
 
 
 def sheet_bytes(output: Path, manifest: Manifest) -> bytes:
-    """A PNG of up to 24 frames, each from 0 (dark) to its own deepest point; empty where depth was not kept.
+    """A PNG of up to 24 frames, each from 0 (dark) to its own deepest point; empty if depth was not kept.
 
-    The choice follows from the list of inputs, so that the same data set has the same sheet.
+    The choice depends only on the list of inputs, so that the same data set gives the same sheet.
     """
     tiles = [_tile(depth, row) for depth, row in _chosen(output, manifest)]
     if not tiles:
@@ -64,11 +64,11 @@ def sheet_bytes(output: Path, manifest: Manifest) -> bytes:
     blank = np.zeros_like(tiles[0])
     tiles += [blank] * (-len(tiles) % COLUMNS)
     lines = [np.hstack(tiles[k : k + COLUMNS]) for k in range(0, len(tiles), COLUMNS)]
-    return picture_bytes(np.vstack(lines)[..., ::-1])  # OpenCV colours tiles in BGR
+    return picture_bytes(np.vstack(lines)[..., ::-1])  # OpenCV colors tiles in BGR
 
 
 def _chosen(output: Path, manifest: Manifest) -> list[tuple[NDArray[Any], dict[str, Any]]]:
-    """Depth and row of frames at random: parts are drawn first, so that no more records are read than frames are shown."""
+    """Depth and row of random frames; parts are drawn first, so that at most one record is read per frame."""
     rng = np.random.default_rng(int(manifest.listing_digest[:16], 16))
     wanted, form = COLUMNS * ROWS, manifest.settings["form"]
     numbers = np.sort(rng.permutation(manifest.parts)[:wanted])
@@ -85,7 +85,7 @@ def _chosen(output: Path, manifest: Manifest) -> list[tuple[NDArray[Any], dict[s
 
 
 def _tile(depth: NDArray[Any], row: dict[str, Any]) -> NDArray[np.uint8]:
-    """Depth as colours with two lines of text below: which frame, and how deep."""
+    """Depth as colors with two lines of text below: the frame's name and its deepest point."""
     depth = np.nan_to_num(depth, nan=0.0)
     levels = np.clip(255 * depth / max(float(depth.max()), LEAST_RANGE_MM), 0, 255).astype(np.uint8)
     height = round(TILE_PX * depth.shape[0] / depth.shape[1])
@@ -102,5 +102,5 @@ def _tile(depth: NDArray[Any], row: dict[str, Any]) -> NDArray[np.uint8]:
 
 
 def _deepest(row: dict[str, Any]) -> str:
-    """How deep, in words; a row has no number where depth is known in no pixel."""
+    """The deepest point as text; a row has no number if depth is known in no pixel."""
     return f"{row['deepest_mm']:.3f} mm" if isinstance(row["deepest_mm"], float) else "unknown"

@@ -1,4 +1,4 @@
-"""What an output was begun with, so that another run goes on with the same and nothing else; and who may write to it."""
+"""The conditions of an output: a later run continues it only under the same ones. Also the lock against other writers."""
 
 from __future__ import annotations
 
@@ -32,15 +32,15 @@ _IN_WORDS = {
 
 @dataclass(frozen=True)
 class Manifest:
-    """Everything that decides the outputs.
+    """Everything that determines the outputs.
 
     Attributes
     ----------
-    settings : of the batch, as JSON has them
-    calibration_digest, background_digest, listing_digest : of what it is made from; no background of its own: empty
-    parts : how many there are
-    images : how many images there are; frames of videos and recordings are not counted
-    gelform_version : that wrote it
+    settings : of the batch, as in JSON
+    calibration_digest, background_digest, listing_digest : of the inputs; empty without a background of its own
+    parts : number of parts
+    images : number of images; frames of videos and recordings are not counted
+    gelform_version : version that wrote it
     """
 
     settings: dict[str, Any]
@@ -60,19 +60,19 @@ class Manifest:
         listing: Listing,
         parts: int,
     ) -> Manifest:
-        """That of a run which is about to begin."""
+        """The manifest of a new run."""
         images = sum(len(sequence.images) for sequence in listing.sequences)
         digests = calibration_digest, background_digest, listing.digest
         return cls(settings.facts(), *digests, parts, images)
 
     def write(self, output: Path) -> None:
-        """Write it into the output folder."""
+        """Write the manifest into the output folder."""
         content = {"format": KIND, "format_version": FORMAT_VERSION, **vars(self)}
         with written_file(output / NAME, overwrite=True) as file:
             file.write((json.dumps(content, indent=1) + "\n").encode())
 
     def differences(self, other: Manifest) -> list[str]:
-        """What is not the same, in words."""
+        """The differences, as text."""
         words = [text for name, text in _IN_WORDS.items() if getattr(self, name) != getattr(other, name)]
         for name in sorted(self.settings.keys() | other.settings.keys()):
             mine, others = self.settings.get(name), other.settings.get(name)
@@ -82,7 +82,7 @@ class Manifest:
 
 
 def read_manifest(output: Path) -> Manifest | None:
-    """The manifest of an output folder; None where there is none. DataError where it is damaged, or of a newer format."""
+    """The manifest of an output folder; None if there is none. DataError if it is damaged or of a newer format."""
     path = output / NAME
     try:
         content = json.loads(path.read_bytes())
@@ -100,13 +100,13 @@ def read_manifest(output: Path) -> Manifest | None:
         raise DataError(f"Cannot read {path}: {problem.strerror}.") from problem
     except (ValueError, KeyError, TypeError, AttributeError) as problem:
         raise DataError(
-            f"{path} is damaged. Give another output folder, or begin anew with --overwrite."
+            f"{path} is damaged. Give another output folder, or start again with --overwrite."
         ) from problem
     raise DataError(f"{path} is no manifest of a batch. Give another output folder.")
 
 
 def begin(output: Path, wanted: Manifest, *, overwrite: bool) -> None:
-    """See that an output is new, or was begun with the same (DataError); `overwrite` empties it. Write the manifest."""
+    """Check that an output is new or has the same manifest (DataError), then write it; `overwrite` empties the output."""
     if overwrite:
         _remove(output)
     there = read_manifest(output)
@@ -121,8 +121,8 @@ def begin(output: Path, wanted: Manifest, *, overwrite: bool) -> None:
     different = there.differences(wanted)
     if different:
         raise DataError(
-            f"{output} was begun with something else: {'; '.join(different)}. Give another output folder, or "
-            "begin anew with --overwrite, which deletes what is there."
+            f"{output} was started with something else: {'; '.join(different)}. Give another output folder, or "
+            "start again with --overwrite, which deletes the old output."
         )
 
 
@@ -143,14 +143,14 @@ def _text(value: Any) -> str:
 
 @contextmanager
 def only_run(output: Path, shard: tuple[int, int] = (1, 1)) -> Iterator[bool]:
-    """Hold an output folder while it is written; gives whether nobody else writes to it. DataError where somebody does.
+    """Lock an output folder during a run; yields whether no other run writes to it. DataError if the lock is taken.
 
-    A run of all parts holds it alone; shards hold it together, each its own number. The system lets go whatever
-    becomes of the process.
+    A run of all parts locks the folder alone; shards share it, each with its own number. The system releases the lock
+    however the process ends.
     """
     try:
         import fcntl
-    except ImportError:  # Windows: files are replaced in one step all the same
+    except ImportError:  # Windows: each file is still replaced in one step
         yield True
         return
     alone = shard[1] == 1
@@ -183,7 +183,7 @@ def _take(handle: IO[str], kind: int, said: str) -> None:
         fcntl.flock(handle, kind | fcntl.LOCK_NB)
     except BlockingIOError as problem:
         raise DataError(f"{said} now. Wait for it, or give another output folder.") from problem
-    except OSError as problem:  # a file system without locks
+    except OSError as problem:  # file system without locks
         raise DataError(
             f"Cannot lock {handle.name}: {problem.strerror}. Give an output folder on a file system with locks."
         ) from problem

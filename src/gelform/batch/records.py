@@ -1,5 +1,7 @@
-"""What is written of each part when it is done, and the table of all frames, one row each:
-Parquet where pyarrow is installed, CSV else."""
+"""The record of each finished part, and the table of all frames.
+
+The table has one row per frame: as Parquet if pyarrow is installed, else as CSV.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,7 @@ from gelform.batch.outputs.files import PARTS, OutputFile
 from gelform.errors import DataError
 from gelform.foundations.npz_files import written_file
 
-PARTS_IN_A_FOLDER = 1000  # records: folders of millions of files are slow
+PARTS_IN_A_FOLDER = 1000  # records in one folder: folders with millions of files are slow
 COLUMNS: dict[str, str] = {  # name -> type in Parquet
     "sequence": "string",
     "frame": "string",
@@ -37,18 +39,18 @@ COLUMNS: dict[str, str] = {  # name -> type in Parquet
     "error": "string",
 }
 TABLES = {"parquet": "frames.parquet", "csv": "frames.csv"}
-PARTS_IN_A_GROUP = 100  # of rows in Parquet, and what is in memory at once
+PARTS_IN_A_GROUP = 100  # parts per row group of Parquet, which is in memory at once
 
 
 @dataclass(frozen=True)
 class PartRecord:
-    """A part that is done.
+    """A finished part.
 
     Attributes
     ----------
-    input_digest : of the files that it was made from (see `Part.input_digest`)
-    rows : a dict for each frame: the table's columns, and `bytes` and `sha256` where its output is a file of its own
-    files : those that hold several frames
+    input_digest : digest of the part's files (see `Part.input_digest`)
+    rows : a dict per frame: the table's columns, and `bytes` and `sha256` if the frame has its own file
+    files : files with several frames
     """
 
     input_digest: str
@@ -63,17 +65,17 @@ class PartRecord:
 
     @property
     def errors(self) -> int:
-        """How many frames have one."""
+        """Number of frames with an error."""
         return sum(bool(row["error"]) for row in self.rows)
 
 
 def record_path(output: Path, number: int) -> Path:
-    """Where the record of a part is."""
+    """The path of a part's record."""
     return output / PARTS / f"{number // PARTS_IN_A_FOLDER:05d}" / f"{number:08d}.json"
 
 
 def write_record(output: Path, number: int, record: PartRecord) -> None:
-    """Write a part's record, a line with its digest and one of JSON: from then on the part is done."""
+    """Write a part's record, one line with its digest and one of JSON; this marks the part as done."""
     path = record_path(output, number)
     path.parent.mkdir(parents=True, exist_ok=True)
     content = {
@@ -87,7 +89,7 @@ def write_record(output: Path, number: int, record: PartRecord) -> None:
 
 
 def read_record(output: Path, number: int) -> PartRecord | None:
-    """The record of a part; None where it is not done. DataError where it is damaged."""
+    """The record of a part; None if the part is not done. DataError if the record is damaged."""
     path = record_path(output, number)
     try:
         digest, _, line = path.read_bytes().partition(b"\n")
@@ -100,13 +102,13 @@ def read_record(output: Path, number: int) -> PartRecord | None:
         return None
     except (ValueError, KeyError, TypeError, AttributeError) as problem:
         raise DataError(
-            f"{path} is damaged. Delete it and run the same command: its part is done anew."
+            f"{path} is damaged. Delete it and run the same command: its part is then done again."
         ) from problem
 
 
 def outputs_there(output: Path, record: PartRecord) -> bool:
-    """Whether every output of a part is there in its full size; `gelform verify` reads them too."""
-    # Of millions: no objects for each, paths as text.
+    """Whether every output of a part exists with its full size; `gelform verify` also reads the content."""
+    # There may be millions: paths as text, no object for each.
     folder = os.fspath(output)
     files = [(file.path, file.bytes) for file in record.files]
     own = ((row["output"], row["bytes"]) for row in record.rows if row["output"] and "sha256" in row)
@@ -117,12 +119,12 @@ def outputs_there(output: Path, record: PartRecord) -> bool:
 
 
 def files_of(output: Path, parts: int) -> list[str]:
-    """Those of all parts that hold several frames, in the order of the parts."""
+    """Files with several frames of all parts, in the order of the parts."""
     return [file.path for record in done_records(output, parts) for file in record.files]
 
 
 def done_records(output: Path, parts: int) -> Iterator[PartRecord]:
-    """Those of all parts; DataError where one is not done."""
+    """The records of all parts; DataError if a part is not done."""
     for number in range(parts):
         record = read_record(output, number)
         if record is None:
@@ -135,7 +137,7 @@ def _digest(line: bytes) -> bytes:
 
 
 def table_form(asked: str = "auto") -> str:
-    """What "auto" means: "parquet" if pyarrow is there, else "csv". DataError where Parquet is asked for without it."""
+    """The form of the table: "auto" is "parquet" if pyarrow is installed, else "csv". DataError for Parquet without it."""
     if asked not in ("auto", *TABLES):
         raise ValueError(f"Expected a table among auto, {', '.join(TABLES)}, got {asked!r}.")
     there = find_spec("pyarrow") is not None
@@ -161,7 +163,7 @@ def write_table(output: Path, parts: int, form: str) -> None:
 
 
 def table_is_whole(output: Path, parts: int, form: str) -> bool:
-    """Whether the table that is there says what the records say."""
+    """Whether the existing table agrees with the records."""
     try:
         return _csv_is_whole(output, parts) if form == "csv" else _parquet_is_whole(output, parts)
     except OSError:
@@ -169,7 +171,7 @@ def table_is_whole(output: Path, parts: int, form: str) -> bool:
 
 
 def tables_there(output: Path) -> list[str]:
-    """The forms in which the output has a table."""
+    """The forms of the output's tables."""
     return [form for form, name in TABLES.items() if (output / name).exists()]
 
 
@@ -201,11 +203,11 @@ def _lines(output: Path, parts: int) -> Iterator[bytes]:
 def _csv(rows: Sequence[Sequence[Any]]) -> bytes:
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows(rows)
-    return text.getvalue().encode("utf-8", "backslashreplace")  # names of files may be no text
+    return text.getvalue().encode("utf-8", "backslashreplace")  # file names may not be valid text
 
 
 def _groups(output: Path, parts: int) -> Iterator[Any]:
-    """Tables of pyarrow, one for every hundred parts."""
+    """pyarrow tables, one per hundred parts."""
     group: list[Mapping[str, Any]] = []
     for number, record in enumerate(done_records(output, parts), 1):
         group += record.rows

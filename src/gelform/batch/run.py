@@ -1,4 +1,4 @@
-"""A batch from its input to its table: listed, planned, done, and gone on with where it was left."""
+"""A batch from its input to its table: list, plan, do the parts, and continue an interrupted run."""
 
 from __future__ import annotations
 
@@ -27,20 +27,20 @@ from gelform.errors import DataError
 from gelform.exporters.folders import check_room
 from gelform.foundations.checks import check_path
 
-LOOKED_AT = 5  # sequences, for frames of the calibrated size
+LOOKED_AT = 5  # sequences that are checked for frames of the calibrated size
 LEFTOVERS = ".gelform-*.tmp"
 
 
 @dataclass(frozen=True)
 class RunOptions:
-    """Which parts a run does, and what ends it.
+    """The parts that a run does, and its limit of errors.
 
     Attributes
     ----------
     max_errors : frames with errors; more end the run
-    retry_errors : do parts again that have frames with errors
-    overwrite : begin anew where the output was begun with something else
-    shard : (i, N): only every N-th part, from the i-th; shards may run at once
+    retry_errors : repeat parts with failed frames
+    overwrite : start again if the output was started with other inputs or settings
+    shard : (i, N): only every N-th part, from the i-th; shards may run at the same time
     """
 
     max_errors: int = 1000
@@ -51,17 +51,17 @@ class RunOptions:
 
 @dataclass
 class BatchSummary:
-    """How far a run is, and how it ended.
+    """The progress of a run, and its end.
 
     Attributes
     ----------
-    parts, parts_done : of this shard; those done before are counted
-    frames : done in this run, those with errors counted
-    frames_before : done in earlier runs
+    parts, parts_done : of this shard, including parts of earlier runs
+    frames : frames of this run, including those with errors
+    frames_before : frames of earlier runs
     errors : frames with errors, in this run and before
     stopped : whether there were more errors than allowed
     table : name of the table
-    warnings : what the user should know of the input
+    warnings : messages about the input for the user
     complete : whether all parts of all shards are done and the table is written
     """
 
@@ -90,28 +90,28 @@ def run_batch(
     progress: Callable[[BatchSummary], Any] = lambda _: None,
     chosen: Callable[[str], Any] = lambda _: None,
 ) -> BatchSummary:
-    """Reconstruct every frame of a data set into an output folder; the same call goes on where it was left.
+    """Reconstruct every frame of a data set into an output folder; the same call continues an interrupted run.
 
     Parameters
     ----------
     source : see `listing_of`
-    calibration : of the sensor, with a scale; None: the library's of the unit that the input names, in a run that goes on
-        the one with which it was begun
-    output : a new folder, or one that the same call began
-    settings : BatchSettings; the defaults without
-    background : an image or a folder of the untouched gel, for all sequences; or a CSV table of `sequence,background`
-    dataset : where the frames are in HDF5, Zarr or LeRobot (see `listing_of`)
-    table : "parquet", "csv", or "auto": Parquet where pyarrow is installed
-    engine : what does the parts; this process without
-    options : which parts are done, and what ends the run; all of them without
+    calibration : of the sensor, with a scale. None: the library's calibration of the unit that the input names; a continued
+        run uses the one that it started with
+    output : a new folder, or one that the same call started
+    settings : BatchSettings; None: the defaults
+    background : an image or a folder of the gel at rest, for all sequences; or a CSV table of `sequence,background`
+    dataset : place of the frames in HDF5, Zarr or LeRobot (see `listing_of`)
+    table : "parquet", "csv", or "auto": Parquet if pyarrow is installed
+    engine : does the parts; None: this process
+    options : parts to do, and the limit of errors; None: all parts
     progress : called with the BatchSummary after each part
-    chosen : called with a sentence on the calibration where none was given
+    chosen : called with a sentence about the calibration, if none was given
 
     Raises
     ------
     DataError
-        No input, an output that cannot be used or is begun with something else, frames of another size than the
-        calibration's.
+        There is no input; the output is unusable or was started with other inputs or settings; or no frame has the
+        calibration's size.
     WorkerLostError
         A worker was killed.
     """
@@ -160,7 +160,7 @@ def _with_scale(calibration: Calibration) -> Calibration:
 
 
 def _chosen(listing: Listing, output: Path, anew: bool, said: Callable[[str], Any]) -> Calibration:
-    """The library's calibration of the unit that the input names; of a run that goes on the one that it was begun with."""
+    """The library's calibration of the unit that the input names; a continued run keeps the one that it started with."""
     unit = unit_of_all(sequence.path for sequence in listing.sequences)
     begun = None if anew else read_manifest(output)
     if begun is not None:
@@ -171,18 +171,18 @@ def _chosen(listing: Listing, output: Path, anew: bool, said: Callable[[str], An
 
 
 def check_apart(listing: Listing, output: Path) -> None:
-    """Refuse (DataError) an output inside the input, where the next run would find it, and the other way round."""
+    """Refuse (DataError) an output inside the input, where the next run would find it, or an input inside the output."""
     there = Path(os.path.realpath(output))
     folders = {Path(os.path.realpath(one.path)) for one in listing.sequences}
     searched = {Path(os.path.realpath(listing.root))} if listing.searched else set()
     if there in folders or searched & {there, *there.parents}:
-        raise DataError(f"The output {output} is inside the input {listing.root}. Give a folder beside it.")
+        raise DataError(f"The output {output} is inside the input {listing.root}. Give a folder outside it.")
     if any(there in folder.parents for folder in folders):
-        raise DataError(f"The input {listing.root} is inside the output {output}. Give a folder beside it.")
+        raise DataError(f"The input {listing.root} is inside the output {output}. Give a folder outside it.")
 
 
 def _check_size(plan: Sequence[Part], calibration: Calibration) -> None:
-    """Refuse an input whose frames are all of another size, before anything is written."""
+    """Refuse, before writing anything, an input without frames of the calibrated size."""
     first = {part.sequence: part for part in reversed(plan)}
     problems = []
     for part in islice(reversed(first.values()), LOOKED_AT):
@@ -202,7 +202,7 @@ def _check_size(plan: Sequence[Part], calibration: Calibration) -> None:
 
 
 def _made(output: Path) -> None:
-    """The output folder, with room to write; a full disk is said before the work."""
+    """Make the output folder and check that the disk has room, before the work."""
     try:
         output.mkdir(parents=True, exist_ok=True)
         check_room(output)
@@ -215,7 +215,7 @@ def _made(output: Path) -> None:
 def _not_done(
     output: Path, parts: Sequence[Part], summary: BatchSummary, retry_errors: bool
 ) -> Iterator[Part]:
-    """Parts without a record, with one of other files, or whose outputs are gone; the others are counted."""
+    """Parts without a record, or whose inputs changed or outputs are missing; the others are counted."""
     for part in parts:
         record = read_record(output, part.number)
         valid = record is not None and record.input_digest == part.input_digest()
@@ -233,10 +233,10 @@ def _not_done(
 
 
 def _clean(output: Path, todo: Sequence[Part], form: str) -> None:
-    """Delete the temporary files that a killed run left."""
-    deep = {output / FRAMES} if form == "lerobot" else set()  # which copies more than the parts write
+    """Delete the temporary files of a killed run."""
+    deep = {output / FRAMES} if form == "lerobot" else set()  # it copies more than the parts write
     shallow = {output / FRAMES / part.sequence for part in todo} - deep
-    if form == "zarr":  # whose shards lie in folders of their own
+    if form == "zarr":  # its shards are in folders of their own
         deep, shallow = shallow, deep
     shallow |= {record_path(output, part.number).parent for part in todo} | {output, output / PARTS}
     for folders, pattern in ((deep, f"**/{LEFTOVERS}"), (shallow, LEFTOVERS)):

@@ -1,4 +1,4 @@
-"""What is asked of a batch: everything that decides the bytes of its outputs, beside the input and the calibration."""
+"""The settings of a batch: with the input and the calibration, they determine the bytes of its outputs."""
 
 from __future__ import annotations
 
@@ -13,32 +13,32 @@ from gelform.solvers.inputs import takes_weights
 KEPT = tuple(KEPT_MAPS)
 FORMATS = ("npz", "png", "zarr", "hdf5", "ffv1", "lerobot")
 DTYPES = ("float32", "uint16")
-LEVELS_ALONE = ("png", "ffv1", "lerobot")  # which hold nothing but depth in 16 bits
-WHOLE_SEQUENCES = ("ffv1", "lerobot")  # which are one file and so one part
-MOST_BACKGROUND_FRAMES = 200  # which are all in memory
+LEVELS_ALONE = ("png", "ffv1", "lerobot")  # forms with 16-bit depth only
+WHOLE_SEQUENCES = ("ffv1", "lerobot")  # forms with one file per sequence, which is one part
+MOST_BACKGROUND_FRAMES = 200  # frames that are in memory together
 
 
 @dataclass(frozen=True)
 class BatchSettings:
-    """Settings of a batch; those of a resumed one have to be the same.
+    """Settings of a batch; a continued run must have the same.
 
     Attributes
     ----------
-    form : "npz" and "png", a file per frame; "zarr" and "hdf5", whose chunks are frames; "ffv1", a video of 16 bits per
-        sequence; "lerobot", a LeRobot data set with a column of depth more than the input's
-    keep : maps among KEPT; ("all",), npz alone: the whole result, which `gelform.load_result` reads
-    dtype : of what is kept; "uint16" is depth alone, (v - 32768) x 1e-4 mm, 0 where unknown: always so in png and ffv1,
-        never in npz; in lerobot 1000 + depth in um
+    form : "npz" and "png", a file per frame; "zarr" and "hdf5", whose chunks are frames; "ffv1", a 16-bit video per
+        sequence; "lerobot", a LeRobot data set with an additional column of depth
+    keep : maps among KEPT; ("all",), only for npz: the whole result, which `gelform.load_result` reads
+    dtype : of the kept maps; "uint16" is depth only, (v - 32768) x 1e-4 mm, 0 where unknown: always so in png and
+        ffv1, never in npz; in lerobot 1000 + depth in um
     solver : as of a `Reconstructor`
-    depth_sigma : whether depth's standard deviation is worked out, which also decides where contact is; without it a
+    depth_sigma : whether to compute the standard deviation of depth, which also improves the contact; without it a
         frame takes a quarter less time
-    background_frames : how many frames at the start of each sequence are averaged to its background; 0: none
-    part_frames : images that are one piece of work; a video or a recording is one piece
+    background_frames : number of frames at the start of each sequence that are averaged as its background; 0: none
+    part_frames : images in one part; a video or a recording is one part
 
     Raises
     ------
     ValueError
-        A setting that cannot be; the message says what was expected.
+        A setting is invalid; the message says what was expected.
     """
 
     form: str = "npz"
@@ -55,7 +55,7 @@ class BatchSettings:
         self._check_keep()
         self._check_dtype()
         if "depth_sigma" in self.keep and not self.depth_sigma:
-            raise ValueError("Expected depth_sigma to be worked out where it is kept. Leave out --no-sigma.")
+            raise ValueError("Expected depth_sigma to be computed if it is kept. Leave out --no-sigma.")
         if self.solver not in ("auto", *SOLVERS):
             raise ValueError(f"Expected a solver among auto, {', '.join(SOLVERS)}, got {self.solver!r}.")
         if not 0 <= self.background_frames <= MOST_BACKGROUND_FRAMES:
@@ -88,15 +88,15 @@ class BatchSettings:
 
     @property
     def frames_in_a_part(self) -> int:
-        """The most images in a part; those of a whole sequence where that is one file."""
+        """The largest number of images in a part; all of a sequence if that is one file."""
         return sys.maxsize if self.form in WHOLE_SEQUENCES else self.part_frames
 
     @property
     def slope_sigma(self) -> bool:
-        """Whether the slopes' standard deviation is needed: kept, for weights, or for that of depth."""
+        """Whether the slopes' standard deviation is needed: kept, for weights, or for the depth's."""
         kept = "confidence" in self.keep or self.keep == ("all",)
         return kept or self.depth_sigma or takes_weights(self.solver)
 
     def facts(self) -> dict[str, Any]:
-        """The settings as JSON has them."""
+        """The settings for JSON."""
         return {**asdict(self), "keep": list(self.keep)}

@@ -1,4 +1,4 @@
-"""An output read again, whole: what is missing, altered, damaged or in excess."""
+"""A full check of an output: missing, changed, damaged and extra files."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ TO_BE_MADE = "is missing or not what the parts say. Delete it and run the same c
 
 @dataclass(frozen=True)
 class Problem:
-    """Something that is wrong with an output: which file, and what."""
+    """A fault of an output: the file and its problem."""
 
     path: Path
     what: str
@@ -30,18 +30,18 @@ class Problem:
 def verify_output(
     output: str | os.PathLike[str], progress: Progress = no_progress
 ) -> tuple[int, int, list[Problem]]:
-    """Read everything that a batch wrote and hold it against its records.
+    """Read everything that a batch wrote and compare it with its records.
 
     Returns
     -------
-    frames : how many outputs are as they were written
-    errors : how many frames have none, because of an error that the table says
-    problems : what is wrong; none where the batch is done and whole
+    frames : number of unchanged outputs
+    errors : number of frames without output because of an error, which the table states
+    problems : the faults; empty if the batch is done and complete
 
     Raises
     ------
     DataError
-        The folder was written by no batch, or its manifest is damaged.
+        No batch wrote the folder, or its manifest is damaged.
     """
     output = check_path(output)
     manifest = read_manifest(output)
@@ -71,7 +71,7 @@ def verify_output(
         problems.append(Problem(output, what))
     elif not problems:
         problems += [Problem(path, TO_BE_MADE) for path in problems_of_finish(output, manifest)]
-    if not missing:  # a part that is being done has no record yet of what it wrote
+    if not missing:  # a part in work has no record of its files yet
         problems += [Problem(path, "no part knows of it.") for path in _others(output, expected)]
     return good, errors, problems
 
@@ -93,14 +93,14 @@ def _problems_of_part(output: Path, record: PartRecord) -> Iterator[Problem]:
 
 
 def _whole_frames(output: Path, record: PartRecord, wrong: set[Path]) -> int:
-    """Frames in files of their own that are whole; of a damaged file of several frames, none counts."""
+    """Number of intact frames in their own files; a damaged file of several frames counts for none."""
     if record.files and wrong:
         return 0
     return sum(bool(row["output"]) and output / row["output"] not in wrong for row in record.rows)
 
 
 def _others(output: Path, expected: set[str]) -> Iterator[Path]:
-    """Files among the frames that no part wrote; hidden ones are what a killed run left."""
+    """Files among the frames that no part wrote; hidden files are leftovers of a killed run."""
     for folder, _, files in os.walk(output / FRAMES):
         for name in sorted(files):
             path = Path(folder) / name

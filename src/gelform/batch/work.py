@@ -1,4 +1,4 @@
-"""One part, done: a pure function of its input, the calibration and the settings."""
+"""The work on one part: a pure function of its input, the calibration and the settings."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ from gelform.reconstruction import Reconstruction
 
 
 class Stopped(Exception):
-    """The run is being ended between two frames."""
+    """The run ends between two frames."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """What all parts share; plain data, so that it can be sent to another process."""
+    """The data that all parts share; plain, so that it can be sent to another process."""
 
     calibration: Calibration
     background: NDArray[Any] | None
@@ -43,7 +43,7 @@ class Job:
 
 
 class Worker:
-    """Does parts one after the other; the Reconstructor is prepared once, or once per sequence with its own background."""
+    """Does parts one after the other; prepares the Reconstructor once, or once per sequence with its own background."""
 
     def __init__(self, job: Job) -> None:
         self.job = job
@@ -51,7 +51,7 @@ class Worker:
         self._reconstruct: Any = None
 
     def do(self, part: Part, stop: Callable[[], bool] = bool) -> PartRecord:
-        """Write the outputs of a part, then its record, the same bytes each time; Stopped where `stop()` says so."""
+        """Write the outputs of a part, then its record, with the same bytes each time; Stopped if `stop()` returns True."""
         digest, rows = part.input_digest(), []
         with WRITERS[self.job.settings.form].writer(self._target(part)) as writer:
             for named in frames_of_part(part):
@@ -68,7 +68,7 @@ class Worker:
         return PartTarget(self.job.output, part, self.job.settings, calibration.image_shape, facts)
 
     def _row(self, part: Part, named: NamedFrame, writer: PartWriter) -> dict[str, Any]:
-        """What the table and the record say of a frame, its output written."""
+        """Write a frame's output; return its row for the table and the record."""
         row: dict[str, Any] = dict.fromkeys(COLUMNS, "")
         row |= {"sequence": part.sequence, "frame": named.name, "index": named.index}
         error, prepared, facts = named.error, None, {}
@@ -80,7 +80,7 @@ class Worker:
                 prepared, facts = writer.prepared(result), facts_of(result)
             except GelformError as problem:
                 error = str(problem)
-            except Exception as problem:  # one frame that meets a bug must not end a run of a million
+            except Exception as problem:  # a bug with one frame must not end a run of a million
                 error = f"bug of gelform: {type(problem).__name__}: {problem}"
         row |= {**facts, "error": " ".join(error.split())} if prepared is None else facts
         return row | writer.add(named.name, named.index, prepared)
@@ -96,7 +96,7 @@ class Worker:
         )
 
     def _prepared(self, part: Part) -> Reconstructor:
-        """The Reconstructor of a part's sequence; where its background was refused, refused again."""
+        """The Reconstructor of a part's sequence; a refused background raises its error again."""
         per_sequence = self.job.settings.background_frames or self.job.background_files
         own = part.sequence if per_sequence else None
         if self._prepared_for != (own,):

@@ -1,8 +1,8 @@
-"""Whether the presses are of the ball that was stated: its diameter as colours read it that were learnt elsewhere.
+"""Check of the stated ball diameter against the diameter that colors of other units or presses give.
 
 A calibration believes its labels: with every diameter doubled it reads every slope half as steep, and its own held-out
-presses with small errors. What was learnt on other units of the make, or on the presses of another size, does not share
-that mistake. Only the ratio of diameter to pixel pitch shows in an image, so either may be wrong.
+presses with small errors. Other units of the make, or presses of another size, do not share that mistake. An image shows
+only the ratio of diameter to pixel pitch, so either may be wrong.
 """
 
 from __future__ import annotations
@@ -16,22 +16,20 @@ from numpy.typing import NDArray
 from gelform.calibration.candidates import Start, training_samples
 from gelform.calibration.circles.find import ContactCircle, why_no_contact
 from gelform.calibration.circles.locate import Located
-from gelform.calibration.circles.refine import REFINING_SAMPLES
-from gelform.calibration.circles.samples import PreparedPress
+from gelform.calibration.circles.samples import PRESS_PIXELS, TRIAL_SAMPLES, PreparedPress
 from gelform.calibration.enough import enough
 from gelform.color_models import COLOR_MODELS, DEFAULT_MODEL, ColorModel
 from gelform.metrics.ball import radius_from_gradients
 
-INNER = 0.6  # of the visible circle: the gel follows the ball there on every sensor
-PIXELS = 1500  # that a press is read by
-# Relative, of the ratio of two sizes read by each other's presses: 0.034 off on a real GelSight Mini.
+INNER = 0.6  # fraction of the visible circle; the gel follows the ball inside it on every sensor
+# Relative error of the ratio of two sizes, each read by the other's presses: 0.034 on a real GelSight Mini.
 SIZE_SIGMA = 0.05
-MOST_SIGMAS = 2.0  # by which a stated diameter may be off what is read
+MOST_SIGMAS = 2.0  # largest difference of a stated diameter from the one read, in standard deviations
 
 
 @dataclass(frozen=True)
 class BallReading:
-    """A ball's diameter as it was stated and as it is read, and by what."""
+    """A ball's stated diameter, the diameter that was read, and the model that read it."""
 
     stated_mm: float
     read_mm: float
@@ -44,11 +42,11 @@ class BallReading:
 
     @property
     def sigmas(self) -> float:
-        """How many standard deviations the stated diameter is off; of its logarithm, so that twice and half are alike."""
+        """Standard deviations between the two diameters; of their logarithm, so that twice and half are alike."""
         return float(abs(np.log(self.read_mm / self.stated_mm)) / (self.sigma_mm / self.read_mm))
 
     def sentence(self) -> str:
-        """What it says, in words."""
+        """The comparison in words."""
         read = f"{self.read_mm:.3g} ± {self.sigma_mm:.2g} mm"
         if self.sigmas > MOST_SIGMAS:
             return (
@@ -66,14 +64,14 @@ UNCHECKED = (
 
 
 def ball_readings(located: Located, known: Start | None) -> tuple[BallReading, ...]:
-    """Each stated diameter as another unit's model reads it, where one is known, or as the other sizes' presses do."""
+    """Each stated diameter with the one that another unit's model reads, or else the presses of the other sizes."""
     if known is not None:
         return _by_model(located, known)
     return _by_sizes(located)
 
 
 def notes_of(readings: Sequence[BallReading]) -> tuple[str, ...]:
-    """What a user should know of the ball's diameter: what is wrong, else what agrees, else that nothing checked it."""
+    """Notes on the ball's diameter: an error, else an agreement, else that nothing checked it."""
     wrong = [one.sentence() for one in readings if one.sigmas > MOST_SIGMAS]
     return tuple(wrong or [one.sentence() for one in readings] or [UNCHECKED])
 
@@ -86,7 +84,9 @@ def _by_model(located: Located, known: Start) -> tuple[BallReading, ...]:
     for stated, members in _by_size(located, chosen).items():
         logs = _log_ratios(located, members, known.model)
         if logs.size:
-            of_median = 1.2533 * float(logs.std()) / np.sqrt(logs.size)  # of normal errors
+            of_median = (
+                1.2533 * float(logs.std()) / np.sqrt(logs.size)
+            )  # standard error of the median of normal errors
             read = stated * float(np.exp(np.median(logs)))
             readings.append(
                 BallReading(stated, read, read * float(np.hypot(known.spread, of_median)), known.by)
@@ -95,7 +95,7 @@ def _by_model(located: Located, known: Start) -> tuple[BallReading, ...]:
 
 
 def _by_sizes(located: Located) -> tuple[BallReading, ...]:
-    """The second size, and further ones, by the first one's presses, and the other way round: the mean of both."""
+    """The second size, and further ones, read by the first one's presses, and vice versa: the mean of both."""
     sizes = {
         stated: members
         for stated, members in _by_size(located, located.refined.accepted).items()
@@ -123,7 +123,7 @@ def _by_size(located: Located, chosen: Sequence[int]) -> dict[float, list[int]]:
 
 def _fitted_on(located: Located, members: Sequence[int]) -> ColorModel:
     presses, contacts = [located.prepared[i] for i in members], [located.refined.contacts[i] for i in members]
-    return COLOR_MODELS[DEFAULT_MODEL].fit(training_samples(presses, contacts, total=REFINING_SAMPLES))
+    return COLOR_MODELS[DEFAULT_MODEL].fit(training_samples(presses, contacts, total=TRIAL_SAMPLES))
 
 
 def _log_ratios(located: Located, members: Sequence[int], model: ColorModel) -> NDArray[np.float64]:
@@ -134,7 +134,7 @@ def _log_ratios(located: Located, members: Sequence[int], model: ColorModel) -> 
 
 def _ratio(press: PreparedPress, contact: ContactCircle, model: ColorModel) -> float:
     inner = replace(press, contact_radius_ratio=INNER)
-    rows, cols = inner.pixels(contact, 1.0, PIXELS)
+    rows, cols = inner.pixels(contact, 1.0, PRESS_PIXELS)
     if len(rows) < 30:
         return float("nan")
     return radius_from_gradients(press.gradients(model, rows, cols), cols, rows) / press.ball_radius_px

@@ -1,7 +1,7 @@
-"""What calibration fits: a color model with its settings, where it starts, and the forward response of its step.
+"""Candidates of a calibration: a color model with its settings, its start, and the forward response of its step.
 
-Which settings a color model is tried with is said by the model's own class (`variants`); which model "auto" means for how
-many presses, by `enough.AUTO_MODELS`.
+The model's own class has the settings to try (`variants`); `enough.AUTO_MODELS` has the models of "auto" for each number
+of presses.
 """
 
 from __future__ import annotations
@@ -39,13 +39,14 @@ from gelform.errors import CalibrationError
 from gelform.starters import check_light, light_from_background, starter_for
 
 AUTO = "auto"
-START_RIDGES = (1e-1, 1e-2, 1e-3)  # of a model that is drawn to another unit's, the stiffest first
-STEP_SIGMAS = 1.25  # of the color model's residual on its training slopes: 1.0-1.5 are alike on nine sensors
-LEAST_STEP_SIGMA = 1e-4  # mm/mm, of images without noise
-TRANSLATED_SAMPLES = 20_000  # colours that a first unit's model reads
-# The steepest slope, mm/mm, where the first unit does not say up to which slope it was measured.
+# Ridges of a model that is pulled toward another unit's, the stiffest first.
+START_RIDGES = (1e-1, 1e-2, 1e-3)
+STEP_SIGMAS = 1.25  # times the color model's residual on its training slopes; 1.0-1.5 give the same errors on nine sensors
+LEAST_STEP_SIGMA = 1e-4  # mm/mm, for images without noise
+TRANSLATED_SAMPLES = 20_000  # number of colors that a first unit's model reads
+# Steepest slope, mm/mm, if the first unit's calibration does not have the largest slope that it was measured to.
 TRANSLATED_SLOPE = 0.7
-# Relative, of slopes between units of a make that has no starter: that of DIGITs, the larger of two makes.
+# Relative spread of slopes between units of a make without a starter: that of DIGITs, the larger of two makes.
 UNIT_SPREAD = 0.10
 
 
@@ -55,11 +56,11 @@ class Start:
 
     Attributes
     ----------
-    model : of this unit's color changes
-    digest : of its calibration
+    model : color model for this unit's color changes
+    digest : digest of its calibration
     spread : relative standard deviation of slopes between units
-    by : whose it is, in words
-    offered : whether a fit without it is tried as well, and kept where held-out presses are read better by it
+    by : description of its origin
+    offered : whether a fit without it is tried too, and kept if it reads held-out presses better
     """
 
     model: StartableModel
@@ -71,14 +72,14 @@ class Start:
 
 @dataclass(frozen=True)
 class Candidate:
-    """A color model with its settings, what it starts from, and the forward response of its step.
+    """A color model with its settings, its start, and the forward response of its step.
 
     Attributes
     ----------
     model : a name in `COLOR_MODELS`
     settings : keywords of the model's `fit`, as pairs
     start : another unit's model, or None
-    step_ridge : of the forward response; None: slopes stay as the model reads them
+    step_ridge : ridge of the forward response; None: no step
     """
 
     model: str
@@ -88,12 +89,12 @@ class Candidate:
 
     @property
     def plain(self) -> Candidate:
-        """The same without a step."""
+        """The same candidate without a step."""
         return replace(self, step_ridge=None)
 
     @property
     def change_offset(self) -> float:
-        """Grey levels that are added to the background where its color changes are divided by it."""
+        """Gray levels added to the background in the divisor of its color changes."""
         return float(COLOR_MODELS[self.model].change_offset)
 
     def fit(self, samples: Samples) -> ColorModel:
@@ -110,12 +111,12 @@ class Candidate:
 
 
 def color_model_names() -> list[str]:
-    """What `calibrate` takes as its color model."""
+    """The names that `calibrate` takes as its color model."""
     return [AUTO, *COLOR_MODELS]
 
 
 def candidates_for(color_model: str, presses: int) -> list[Candidate]:
-    """What is tried with so many accepted presses, simplest first: all variants of a color model, or what "auto" means.
+    """The candidates for a number of accepted presses, simplest first: all variants of a color model, or those of "auto".
 
     Raises
     ------
@@ -135,21 +136,21 @@ def candidates_for(color_model: str, presses: int) -> list[Candidate]:
 
 
 def candidates_from(start: Start) -> list[Candidate]:
-    """What is tried on a second unit, stiffest first: the first unit's model, changed more and more freely."""
+    """The candidates for a second unit, stiffest first: the first unit's model, changed more and more freely."""
     return [Candidate(start.model.name, (("ridge", ridge),), start) for ridge in START_RIDGES]
 
 
 def training_samples(
     presses: Sequence[PreparedPress], contacts: Sequence[ContactCircle], *, total: int = TOTAL_SAMPLES
 ) -> Samples:
-    """What color models are fitted on: pixels inside the contacts' edges, and untouched ones."""
+    """The samples that color models are fitted on: pixels inside the contact edges, and pixels at rest."""
     return with_rest_samples(contact_samples(presses, contacts, total=total), presses, contacts)
 
 
 class SlopeReader:
     """Reads whole presses of one sensor by a fitted color model and steps of forward responses, as a Reconstructor does.
 
-    `press` is any of those that it will read; color changes up to `untouched` are those of untouched gel.
+    `press` is any press that it will read; a color change up to `untouched` means rest.
     """
 
     def __init__(self, model: ColorModel, press: PreparedPress, untouched: float) -> None:
@@ -160,7 +161,7 @@ class SlopeReader:
         self._depth = FrameDepth(shape, untouched)
 
     def frames(self, press: PreparedPress, responses: Sequence[ForwardResponse | None]) -> list[Step]:
-        """Slopes of the whole press by the step of each response; where none is taken variance is 1, residual 0."""
+        """Slopes of the whole press by the step of each response; without a step, variance is 1 and residual 0."""
         change = np.ascontiguousarray(press.color_change)
         slopes, _ = self._prepared.gradients_from_color(change)
         ones, zeros = np.ones(slopes.shape[:2], np.float32), np.zeros(slopes.shape[:2], np.float32)
@@ -174,13 +175,13 @@ class SlopeReader:
         ]
 
     def depth_px(self, press: PreparedPress) -> NDArray[np.float32]:
-        """Depth (H, W), px, by the slopes that the color model reads: what forward responses are fitted with."""
+        """Depth (H, W), px, from the slopes of the color model, for the fit of forward responses."""
         change = np.ascontiguousarray(press.color_change)
         return self._depth.at_pixels(change, self._prepared.gradients_from_color(change)[0])
 
 
 class FittedSlopes(NamedTuple):
-    """A fitted candidate: what reads presses by its color model, and the forward response of its step or None."""
+    """A fitted candidate: the reader with its color model, and the forward response of its step or None."""
 
     reader: SlopeReader
     forward: ForwardResponse | None
@@ -198,7 +199,7 @@ def fitted_responses(
     *,
     total: int = TOTAL_SAMPLES,
 ) -> list[ForwardResponse]:
-    """Forward responses of presses, one for each ridge, with the depths that the reader's color model gives there.
+    """Forward responses of presses, one for each ridge, with the depths from the reader's color model.
 
     The model was fitted on the same presses; about `total` pixels are used.
     """
@@ -209,7 +210,7 @@ def fitted_responses(
 
 
 def step_sigma_of(model: ColorModel, samples: Samples) -> tuple[float, float]:
-    """Of a step's prior: how far off a component of the slopes is that a model reads, at rest and per slope."""
+    """Standard deviations for a step's prior: error of a component of the color model's slopes, at rest and per slope."""
     error = model.gradients_at(samples.color_change, samples.x_px, samples.y_px) - samples.gradients
     square, slope = np.mean(error**2, axis=1), np.sum(np.square(samples.gradients), axis=1)
     at_rest, pressed = (float(square[part].mean()) if part.any() else 0.0 for part in (slope == 0, slope > 0))
@@ -217,38 +218,34 @@ def step_sigma_of(model: ColorModel, samples: Samples) -> tuple[float, float]:
     return STEP_SIGMAS * max(at_rest, LEAST_STEP_SIGMA**2) ** 0.5, STEP_SIGMAS * growth**0.5
 
 
-def known_make(presses: Presses) -> Start | None:
-    """The starter of the make that the sensor's name begins with; None where there is none, or its light is another."""
+def known_make(presses: Presses, color_model: str) -> Start | None:
+    """The starter of the make that the sensor's name begins with; None if there is none, or its light differs.
+
+    It is offered to fits of the default color model, except for the presses that it was made from.
+    """
     starter = starter_for(presses.sensor_name, presses.image_shape)
     if starter is None:
         return None
     try:
         check_light(presses.background, starter.light, starter.make)
     except CalibrationError:
-        return None  # a name alone does not make it that sensor; whoever names a start gets the error
+        return None  # a name alone does not make it that sensor; a start given by name raises the error
     model, _ = starter.models_for(light_from_background(presses.background)[0])
-    digest = starter.calibration.digest
-    return Start(model, digest, starter.spread, f"the starter of a {starter.make}", offered=True)
-
-
-def is_offered(make: Start | None, presses: Presses, color_model: str) -> bool:
-    """Whether a fit begins with the starter by default: not where it was made from these very presses."""
-    if make is None or color_model not in (AUTO, DEFAULT_MODEL):
-        return False
-    starter = starter_for(presses.sensor_name, presses.image_shape)
-    seen = set() if starter is None else set(starter.calibration.training_digests)
-    return seen.isdisjoint(press.digest for press in presses.presses)
+    made = starter.calibration
+    unseen = set(made.training_digests).isdisjoint(press.digest for press in presses.presses)
+    offered = unseen and color_model in (AUTO, DEFAULT_MODEL)
+    return Start(model, made.digest, starter.spread, f"the starter of a {starter.make}", offered)
 
 
 def start_from(start: Calibration | str | PathLike[str], presses: Presses, color_model: str) -> Start:
-    """What a first unit's calibration, or its file, gives a second one to begin with: its color model, or a translation.
+    """The start for a second unit from a first unit's calibration or its file: its color model, or a translation of it.
 
     Raises
     ------
     ValueError
-        The second unit asks for another color model than the default one, or its images are of another size.
+        The second unit uses another color model than the default one, or its images are of another size.
     CalibrationError
-        The first unit's calibration was imported and does not say what colour a slope gives.
+        The first unit's calibration was imported and has no forward response.
     """
     first = as_calibration(start)
     if color_model not in (AUTO, DEFAULT_MODEL):
@@ -270,15 +267,15 @@ def start_from(start: Calibration | str | PathLike[str], presses: Presses, color
 
 
 def translated(first: Calibration) -> StartableModel:
-    """A model of the default kind that reads the slopes that a calibration's model reads, where its gel gives colours.
+    """A model of the default kind that reads the same slopes as a calibration's model, for the colors of its gel.
 
-    Places and slopes are drawn at random, always the same ones; the forward response gives their colours, its noise
-    is added, and the model says which slopes it reads there. A CalibrationError where there is no forward response.
+    Places and slopes are drawn at random, always the same ones. The forward response gives their colors, its noise
+    is added, and the model reads their slopes. A CalibrationError is raised if there is no forward response.
     """
     if first.forward is None:
         raise CalibrationError(
             f"Expected a first unit that was calibrated on presses of a ball, got {first.sensor_name} with the imported "
-            f"color model {first.color_model.name}: it does not say what colour a slope gives. Calibrate it on presses."
+            f"color model {first.color_model.name}: it does not say what color a slope gives. Calibrate it on presses."
         )
     rng, shape, kind = np.random.default_rng(0), first.image_shape, COLOR_MODELS[DEFAULT_MODEL]
     x, y = (rng.integers(0, n, TRANSLATED_SAMPLES) for n in (shape[1], shape[0]))

@@ -1,8 +1,8 @@
-"""Where presses of a ball have shown which slope directions, and where to press next.
+"""Coverage: the places and slope directions that presses of a ball have shown, and the next places to press.
 
-The lights are near, so a colour means another slope at another place: a calibration knows what was pressed there. The
-image is divided into tiles, the slopes into eight directions; a press shows a direction in a tile where enough of
-its contact has it.
+The lights are near, so a color means another slope at another place; a calibration knows only the places that were
+pressed. The image is divided into tiles, the slopes into eight directions. A press shows a direction in a tile if enough
+of its contact there has it.
 """
 
 from __future__ import annotations
@@ -17,22 +17,22 @@ from numpy.typing import ArrayLike, NDArray
 from gelform.calibration.enough import NEEDED, enough
 from gelform.metrics.ball import followed_radius
 
-DIRECTIONS = 8  # of slopes, 45 degrees each
-LONGER_SIDE = 8  # tiles along it
-COARSE = (3, 4)  # tiles (rows, columns) that notes speak of
-ZONE = 0.8  # of the contact's radius: what counts
-FLAT = 0.25  # of the contact radius: nearer to its centre a ball is level
-STEP = 2  # px, between the pixels that are counted
-ENOUGH = 0.0007  # of the image's pixels
-NAMED_PLACES = 5  # to press at, in a note
-PART_FRACTION = 0.65  # of a side: contacts that reach over more of it are not in one part
+DIRECTIONS = 8  # directions of slopes, 45 degrees each
+LONGER_SIDE = 8  # tiles along the longer side
+COARSE = (3, 4)  # tiles (rows, columns) in notes
+ZONE = 0.8  # fraction of the contact radius that counts
+FLAT = 0.25  # fraction of the contact radius; nearer to its center a ball is level
+STEP = 2  # px between the counted pixels
+ENOUGH = 0.0007  # smallest fraction of the image's pixels
+NAMED_PLACES = 5  # places to press at, in a note
+PART_FRACTION = 0.65  # of a side; contacts that extend over more are not in one part
 
 Circle = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
 class PressPlace:
-    """A place in the image to press at: its name ("top left"), and (x, y) in px."""
+    """A place to press at: its name ("top left"), and (x, y) in px of the image."""
 
     name: str
     x_px: float
@@ -44,14 +44,14 @@ class PressPlace:
 
 @dataclass(frozen=True)
 class Coverage:
-    """How presses cover the image.
+    """The coverage of the image by presses.
 
     Attributes
     ----------
     shape : (H, W) of the images
     circles : (x, y, contact radius) in px of the presses that count
     zone : fraction of the contact radius that counts
-    counts : (rows, columns, 8) int, how many presses show a direction in a tile; direction 0 rises to the right
+    counts : (rows, columns, 8) int, number of presses that show a direction in a tile; direction 0 rises to the right
         (dz/dx > 0), the next ones turn clockwise by 45 degrees
     """
 
@@ -67,7 +67,7 @@ class Coverage:
 
     @property
     def contact_radius_px(self) -> float:
-        """Radius of a usual contact: the median, or an eighth of the shorter side where there is none."""
+        """Radius of a usual contact: the median, or an eighth of the shorter side without any."""
         return float(np.median([r for _, _, r in self.circles])) if self.circles else min(self.shape) / 8
 
 
@@ -88,17 +88,16 @@ def coverage_from_circles(
 def press_coverage(
     circles: Sequence[Circle], ball_radii_px: Sequence[float], shape: tuple[int, int]
 ) -> Coverage:
-    """The coverage that is stated to users, of visible contact circles with the balls that made them.
+    """The coverage for users, from visible contact circles and the balls that made them.
 
-    The guide and the report both have it from here, on square tiles and up to the same part of the contact, so that it is
-    one figure.
+    The guide and the report share it, with square tiles and the same part of the contact, so that they state one figure.
     """
     followed = [(x, y, followed_radius(r, ball)) for (x, y, r), ball in zip(circles, ball_radii_px)]
     return coverage_from_circles(followed, shape, tiles=square_tiles(shape))
 
 
 def square_tiles(shape: tuple[int, int], longer: int = LONGER_SIDE) -> tuple[int, int]:
-    """Rows and columns of tiles that are about square; the image's longer side has so many of them."""
+    """Rows and columns of tiles that are about square; the image's longer side has a given number of them."""
     height, width = shape
     if width >= height:
         return max(2, round(longer * height / width)), longer
@@ -124,7 +123,7 @@ def direction_of(gradients: NDArray[Any]) -> NDArray[np.intp]:
 def shown_by(
     circle: Circle, shape: tuple[int, int], tiles: tuple[int, int], zone: float
 ) -> NDArray[np.bool_]:
-    """(rows, columns, 8) the directions that a press shows in each tile."""
+    """The directions (rows, columns, 8) that a press shows in each tile."""
     y, x = (axis.ravel() for axis in np.mgrid[: shape[0] : STEP, : shape[1] : STEP])
     rho = np.hypot(x - circle[0], y - circle[1]) / circle[2]
     inside = (rho > FLAT) & (rho < zone)
@@ -139,11 +138,11 @@ def shown_by(
 def press_next(
     coverage: Coverage, count: int = NAMED_PLACES, square_error: NDArray[np.float64] | None = None
 ) -> tuple[PressPlace, ...]:
-    """Up to so many places to press at next, each the one that helps most after those before it.
+    """The next places to press at, each the one that helps most after those before it.
 
-    Tried is a contact of the usual size. Where mean square errors (rows, columns, 8) are known it takes
-    `error^2 / (1 + n) - error^2 / (2 + n)` from each direction that it shows in a tile and n presses have shown; where not,
-    what no press has shown counts. Of places that help alike the one farthest from all presses comes first.
+    Each try is a contact of the usual size. If mean square errors (rows, columns, 8) are known, it gains
+    `error^2 / (1 + n) - error^2 / (2 + n)` for each direction that it shows in a tile and n presses have shown. Otherwise
+    the directions that no press has shown count. Among equal places, the one farthest from all presses comes first.
     """
     tiles = (coverage.counts.shape[0], coverage.counts.shape[1])
     radius, counts = coverage.contact_radius_px, coverage.counts.astype(np.float64)
@@ -187,7 +186,7 @@ def name_of_place(x_px: float, y_px: float, shape: tuple[int, int]) -> str:
 
 
 def coverage_notes(circles: Sequence[Circle], shape: tuple[int, int]) -> tuple[str, ...]:
-    """What a user should know of where presses are missing: too few, all in one part; () where nothing is."""
+    """Notes on missing presses: too few, or all in one part; () if nothing is missing."""
     coverage = coverage_from_circles(circles, shape)
     part = one_part(circles, shape)
     if part is not None:
@@ -212,10 +211,10 @@ def coverage_notes(circles: Sequence[Circle], shape: tuple[int, int]) -> tuple[s
 
 
 def one_part(circles: Sequence[Circle], shape: tuple[int, int]) -> str | None:
-    """The part of the image that holds the centres of all contacts; None where there is none, or they reach over it.
+    """The part of the image that holds the centers of all contacts; None if there is none, or the contacts extend beyond.
 
-    Top, bottom, left and right are halves, the middle is a third. Along one side at least the contacts must
-    leave a third of the image free.
+    Top, bottom, left and right are halves, the middle is a third. The contacts must leave a third of the image free along
+    at least one side.
     """
     if not enough("spread", len(circles)):
         return None
@@ -242,7 +241,7 @@ def one_part(circles: Sequence[Circle], shape: tuple[int, int]) -> str | None:
 
 
 def _holding(centers: NDArray[np.float64]) -> int | None:
-    """1 where all centres, as fractions of a side, lie in its middle third, 0 or 2 in its first or last half; else None."""
+    """1 where all centers, as fractions of a side, lie in its middle third, 0 or 2 in its first or last half; else None."""
     low, high = float(centers.min()), float(centers.max())
     if low >= 1 / 3 and high <= 2 / 3:
         return 1
@@ -250,6 +249,6 @@ def _holding(centers: NDArray[np.float64]) -> int | None:
 
 
 def _at(word: str, places: Sequence[PressPlace]) -> str:
-    """Where to press, as the rest of a sentence; nothing where there are no places."""
+    """The places to press at, as the rest of a sentence; "" without places."""
     listed = ", ".join(str(place) for place in places)
     return f", {word} at {listed} (x, y in px of the image)" if places else ""

@@ -1,7 +1,7 @@
-"""How many presses each thing needs: every such number of a calibration stands here, with its reason.
+"""The number of presses that each part of a calibration needs, with the reasons.
 
-Presses are counted that are accepted (`circles.locate`), where a row does not say otherwise. docs/press-folder.md shows
-the same table. A color model says itself what its settings need (`variants`).
+They count accepted presses (`circles.locate`), except where a row says something else. docs/press-folder.md shows
+the same table. A color model states the needs of its own settings (`variants`).
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from gelform.color_models import DEFAULT_MODEL, PLAIN_MODEL
 
 
 class Need(NamedTuple):
-    """So many presses, what they are enough for, and why no fewer are."""
+    """A number of presses, its purpose, and the reason that no fewer are enough."""
 
     presses: int
     what: str
@@ -24,7 +24,7 @@ NEEDED = {
     "places": Need(3, "a calibration; presses at different places", "each fold is held out from two others at least"),
     "interval": Need(3, "a figure's interval, a bin of the gain curve", "two drawn with replacement say nothing of others"),
     "spread": Need(3, "the note that all presses lie in one part of the image", "two lie in one part by chance"),
-    "median": Need(5, "the check for a contact in the background (images)", "the median of the presses is untouched then"),
+    "median": Need(5, "the check for a contact in the background (images)", "their median shows the gel at rest"),
     "guided": Need(5, "a calibration from presses that the live page guides (images)", "each of five folds holds one out"),
     "forecast": Need(6, "the live page's forecast (images)", "a half and three quarters of them train, the others test"),
     "whole": Need(6, "circles moved by presses alone that the border does not cut", "fewer leave the model without places"),
@@ -40,11 +40,14 @@ NEEDED = {
     "settings": Need(30, "a learning curve of the chosen settings alone", "up to there simpler settings may be better"),
 }  # fmt: skip
 
-# From so many presses on: the polynomial's position degrees that circles are moved with while they are uncertain.
+SAMPLED = 24  # presses that stand for all in a median
+FOLDS = 5  # groups of presses, each held out in turn: the other four fifths train
+
+# Position degrees of the polynomial that moves uncertain circles, from a number of presses on.
 REFINING = ((0, (1,)), (6, (2, 1)), (9, (3, 2, 0)))
 
-# From so many presses on: what "auto" tries, a color model with its settings, or with all its variants (None). Of 5 presses
-# a polynomial of few terms errs by 7.6 degrees, `hierarchical` by 10.5; from 12 on it is the better one.
+# Candidates of "auto", from a number of presses on: a color model with its settings, or with all its variants (None). With 5
+# presses a polynomial of few terms has an error of 7.6 degrees, `hierarchical` of 10.5; from 12 on `hierarchical` is better.
 AUTO_MODELS = (
     (0, PLAIN_MODEL, (("position_degrees", (1,)),)),
     (6, PLAIN_MODEL, (("position_degrees", (2, 1)),)),
@@ -53,5 +56,5 @@ AUTO_MODELS = (
 
 
 def enough(what: str, presses: int) -> bool:
-    """Whether so many presses are enough for a row of the table."""
+    """Whether a number of presses is enough for a row of the table."""
     return presses >= NEEDED[what].presses

@@ -22,9 +22,9 @@ from gelform.errors import DataError
 from gelform.foundations.progress import Progress, no_progress
 from gelform.reconstruct import Reconstructor
 
-STANDING = 0.5  # of the largest depth: more than that is the punch and a narrow strip around it
-MIDDLE = 0.6  # of the radius of a disc as large as what stands: the face, without its edge
-SMOOTHED_PX = 5  # of a depth map, for its largest depth
+STANDING = 0.5  # of the largest depth; a larger depth is the punch and a narrow strip around it
+MIDDLE = 0.6  # of the radius of a disc as large as the standing area: the face without its edge
+SMOOTHED_PX = 5  # px, smoothing of a depth map for its largest depth
 
 
 @dataclass(frozen=True)
@@ -33,14 +33,14 @@ class Evaluation:
 
     Attributes
     ----------
-    rows : one per press: its name, whether the calibration has seen it, its circle and errors, or why it has none
+    rows : one per press: its name, whether the calibration was made from it, its circle and errors, or the reason for none
     summary : over the presses that have errors
-    where : their normal errors by the ball's slope and by place, inside the contact's edge and up to the visible rim
-    seen : how many of them the calibration was made from; their errors say little
+    where : their normal errors by the ball's slope and by place, inside the contact edge and up to the visible rim
+    seen : number of presses that the calibration was made from; their errors say little
     own_background : whether the presses' background is the calibration's own, pixel for pixel
-    findings : what should be known of a background that is not
-    flats : one per press of a flat punch: its name, its known height and the one that is read, mm; None where its face is
-        not whole in the image
+    findings : findings about a background that is not
+    flats : one per press of a flat punch: its name, its known and its measured height, mm; None if its face is not
+        completely in the image
     """
 
     rows: tuple[dict[str, Any], ...]
@@ -52,7 +52,7 @@ class Evaluation:
     flats: tuple[dict[str, Any], ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
-        """The evaluation as JSON can hold it."""
+        """The evaluation, as values that JSON can hold."""
         return asdict(self)
 
 
@@ -62,19 +62,19 @@ def evaluate(
     *,
     progress: Progress = no_progress,
 ) -> Evaluation:
-    """Reconstruct presses of known balls and compare; labels are used where the folder has them. Also flat punches.
+    """Measure errors on presses of known balls and flat punches; labels are used if the folder has them.
 
     Parameters
     ----------
     calibration : or its file
-    presses : from `read_presses`, or what that reads without options
-        Frames without a view of their own are seen through the calibration's.
+    presses : from `read_presses`, or a path that it reads without options
+        Frames without a view of their own pass through the calibration's view.
     progress : called with (done, total, what)
 
     Raises
     ------
     DataError
-        No press could be evaluated; the reasons are in the message.
+        No press could be evaluated; the message has the reasons.
     CalibrationError, ValueError, TypeError
         The presses are not of the calibrated sensor, or of another image size, or none.
     """
@@ -119,9 +119,9 @@ def _height_of(flat: FlatPress, reconstruct: Reconstructor) -> dict[str, Any]:
 
 
 def face_height_mm(depth_mm: NDArray[np.float32]) -> float:
-    """Mean depth in the middle of the largest flat face of a depth map (H, W); NaN where it is cut by the border.
+    """Mean depth in the middle of the largest flat face of a depth map (H, W); NaN if the border cuts it.
 
-    The mean about the middle does not feel a small tilt. A punch has to be about as wide as it is long.
+    A small tilt does not change the mean about the middle. A punch has to be about as wide as it is long.
     """
     top = float(cv2.blur(depth_mm, (SMOOTHED_PX, SMOOTHED_PX)).max())
     standing = (depth_mm > STANDING * top).astype(np.uint8)

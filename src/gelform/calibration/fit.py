@@ -1,4 +1,4 @@
-"""calibrate: presses of a ball in, a Calibration out, without a click."""
+"""calibrate: from presses of a ball to a Calibration, without a click."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import replace
 from os import PathLike
 
 from gelform.calibration.balls import ball_readings, notes_of
-from gelform.calibration.candidates import AUTO, candidates_for, is_offered, known_make, start_from
+from gelform.calibration.candidates import AUTO, candidates_for, known_make, start_from
 from gelform.calibration.circles.locate import check_places, locate
 from gelform.calibration.fitted import fit
 from gelform.calibration.held_out.folds import make_folds
@@ -29,28 +29,29 @@ def calibrate(
 ) -> Calibration:
     """Calibrate a sensor from presses of a ball.
 
-    Finds each contact circle, measures where the gel leaves the ball, deals the presses into folds to choose on presses that
-    they have not seen how stiff the color model and its forward response are, and fits both on all presses.
+    It finds each contact circle, and measures the contact edge, where the gel leaves the ball. It splits the presses into
+    folds, and selects the stiffness of the color model and its forward response on held-out presses. Then it fits both on
+    all presses.
 
     Parameters
     ----------
-    presses : from `read_presses`, or what that reads without options
+    presses : from `read_presses`, or a path that it reads without options
     color_model : "auto" or a name in `gelform.color_models.COLOR_MODELS`
     start : "auto", None, or the calibration of another unit of the same sensor, of any color model, or its file
-        What it learnt is kept where these presses say nothing else: five of them can do. "auto" tries the starter of a known
-        make beside a fit without it, and keeps it where held-out presses are not read worse; None tries none.
-    compare : whether every color model is tried on the same folds, for the report's table; what is chosen stays the same
+        Its model is kept where these presses give no other information, so five presses suffice. "auto" also tries the
+        starter of a known make, and keeps it if held-out presses are not read worse; None tries none.
+    compare : whether every color model is tried on the same folds, for the report's table; the selection stays the same
     progress : called with (done, total, what)
 
     Returns
     -------
     Calibration
-        With `.report`: every circle, why presses were rejected, the candidates, the held-out errors.
+        With `.report`: every circle, the reasons for rejected presses, the candidates, the held-out errors.
 
     Raises
     ------
     CalibrationError
-        Too few presses fit: the message says why each was rejected.
+        Too few presses fit; the message has the reason for each rejected one.
     ValueError, TypeError
         An unknown color model, a start that cannot be one, or no presses.
     """
@@ -58,14 +59,14 @@ def calibrate(
     presses = as_presses(presses, progress=progress)
     candidates_for(color_model, len(presses.presses))  # an unknown name fails before any work
     check_inputs(presses)
-    make = known_make(presses)
     if start is None or start == AUTO:
-        first_unit = make if start == AUTO and is_offered(make, presses, color_model) else None
+        known = known_make(presses, color_model)
+        first_unit = known if start == AUTO and known is not None and known.offered else None
     else:
-        first_unit = make = start_from(start, presses, color_model)
+        first_unit = known = start_from(start, presses, color_model)
 
     located = locate(presses, first_unit, progress=progress)
-    balls = ball_readings(located, make)
+    balls = ball_readings(located, known)
     located = replace(located, notes=(*notes_of(balls), *located.notes))
     folds = make_folds(
         located.prepared, located.found, located.refined.accepted, start=located.refined_by, progress=progress

@@ -1,4 +1,4 @@
-"""The chosen color model fitted on every accepted press: a calibration that does not know its errors yet."""
+"""The fit of the selected color model on all accepted presses: a calibration without its errors yet."""
 
 from __future__ import annotations
 
@@ -25,6 +25,7 @@ from gelform.calibration.circles.find import ContactCircle
 from gelform.calibration.circles.locate import Located
 from gelform.calibration.circles.prepare import change_settings, prepared_by_offset
 from gelform.calibration.circles.samples import ZONE, PreparedPress
+from gelform.calibration.enough import SAMPLED
 from gelform.calibration.held_out.folds import Fold
 from gelform.calibration.held_out.scores import HeldOutPresses, Selection, select
 from gelform.calibration.presses.press_set import Presses
@@ -36,33 +37,30 @@ from gelform.confidence.causes import ends_shown
 from gelform.errors import GelformError
 from gelform.foundations.progress import Progress, no_progress
 
-UNTOUCHED_PERCENTILE = 99.0  # of the color change's size
+UNTOUCHED_PERCENTILE = 99.0  # percentile of the size of the color change
 UNTOUCHED_DISTANCE = 3  # contact radii
-USUAL_UNTOUCHED_CHANGE = 0.03  # where no press leaves room for it
-CLIPPED_SHARE = 0.01  # of the training pixels: fewer teach nothing of what a clipped channel means
-MAX_NOISE_IMAGES = 12  # whose noise is measured
-# What a Reconstructor weighs slopes by until held-out presses were measured; any sensor's, roughly.
+USUAL_UNTOUCHED_CHANGE = 0.03  # if no press leaves room for the measurement
+CLIPPED_SHARE = 0.01  # of the training pixels; fewer do not teach the effect of a clipped channel
+# Weights of slopes before held-out presses are measured; roughly those of any sensor.
 FIRST_GUESS = SlopeSigma(rest=0.02, slopes=(0.0, 0.5), sigmas=(0.02, 0.06), clean=0.04, correlation_px=10.0)
 LENGTHS_MM = np.geomspace(0.15, 2.0, 53)
-BLURRED_PX = 4.0  # around a contact the blurred image still shows the ball
-REACH_MM = 3.0  # around a contact: the gel is level beyond
-LEAST_SEEN = 0.75  # of a ring's pixels: over a whole ring a tilt of all slopes cancels
-LEAST_RINGS = 5  # of 1 px around a contact
+BLURRED_PX = 4.0  # px around a contact where the blurred image still shows the ball
+REACH_MM = 3.0  # mm around a contact; the gel is level beyond
+LEAST_SEEN = 0.75  # of a ring's pixels; a tilt of all slopes cancels over a whole ring
 LEAST_EXPLAINED = 0.5  # of the slopes' sum of squares
-MOST_PRESSES = 24  # whose surroundings are looked at
 
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """The chosen color model and forward response, fitted on all presses that are used, and without each fold.
+    """The selected color model and forward response, fitted on all accepted presses, and without each fold.
 
     Attributes
     ----------
     located : the presses and their circles
-    held_out : the presses, dealt into folds, with all that was fitted without each
-    selection : what was chosen
-    calibration : of all presses that are used; it does not know its errors yet
-    notes : which color models could not be compared, and why
+    held_out : the presses, split into folds, with the fits without each
+    selection : the selected candidate
+    calibration : of all accepted presses, without its errors yet
+    notes : the color models that could not be compared, with the reasons
     """
 
     located: Located
@@ -80,10 +78,10 @@ def fit(
     compare: bool = False,
     progress: Progress = no_progress,
 ) -> Fitted:
-    """Choose on held-out presses how stiff the color model and its forward response are, and fit both on all.
+    """Select the stiffness of the color model and its forward response on held-out presses, and fit both on all.
 
-    The color model is not asked for where `located` has another unit's that was not just offered; `compare` tries all, the
-    choice stays.
+    The color model is ignored if `located` has another unit's that was not just offered. `compare` tries all models and does
+    not change the selection.
     """
     accepted, start = len(located.refined.accepted), located.start
     begun = [] if start is None else [candidates_from(start)]
@@ -110,13 +108,13 @@ def fit(
 def _compared(
     selection: Selection, held_out: HeldOutPresses, presses: int, progress: Progress
 ) -> tuple[Selection, tuple[str, ...]]:
-    """The selection with the trials of every color model after its own, and which could not be tried."""
+    """The selection followed by the trials of every other color model, and the models that could not be tried."""
     trials = {trial.candidate: trial for trial in selection.trials}
     left_out: list[str] = []
     for name in COLOR_MODELS:
         try:
             others = select([candidates_for(name, presses)], held_out, progress=progress).trials
-        except GelformError as problem:  # its extra is not installed, or the presses are not enough for it
+        except GelformError as problem:  # its extra is not installed, or it needs more presses
             left_out.append(f"{name} was not compared: {problem}")
             continue
         trials |= {trial.candidate: trial for trial in others if trial.candidate not in trials}
@@ -130,7 +128,7 @@ def fit_all(
     chosen: Candidate,
     untouched: float,
 ) -> Calibration:
-    """The calibration of presses by what was chosen; its errors and its slope sigma are filled in later."""
+    """The calibration of presses by the selected candidate; its errors and its slope sigma are filled in later."""
     noise = presses.background_noise
     model = chosen.fit(training_samples(prepared, contacts))
     ridge = RIDGES[0] if chosen.step_ridge is None else chosen.step_ridge
@@ -166,7 +164,7 @@ def fit_all(
 
 
 def _first_guess(forward: ForwardResponse) -> SlopeSigma:
-    """By which slopes are weighed until held-out presses were measured: the step's own deviation, or a usual one."""
+    """Weights of slopes before held-out presses are measured: the step's own deviation, or a usual one."""
     if forward.step_sigma is None:
         return FIRST_GUESS
     return replace(FIRST_GUESS, sigmas=(1.0, 1.0))
@@ -175,7 +173,7 @@ def _first_guess(forward: ForwardResponse) -> SlopeSigma:
 def _clipped(
     images: Sequence[NDArray[Any]], presses: Sequence[PreparedPress], contacts: Sequence[ContactCircle]
 ) -> NDArray[np.bool_]:
-    """(2, 3): which channels more than a hundredth of the training pixels show at the camera's lower and upper end."""
+    """Channels (2, 3) that more than a hundredth of the training pixels show at the camera's lower and upper end."""
     levels = [image[press.pixels(contact, ZONE)] for image, press, contact in zip(images, presses, contacts)]
     return np.asarray(ends_shown(np.concatenate(levels)) > CLIPPED_SHARE)
 
@@ -187,7 +185,7 @@ def _settings(
     contact_radius_ratio: float,
     relaxation_mm: float | None = None,
 ) -> CalibrationSettings:
-    """What the run chose and was given and how the gel relaxes, as the calibration records it."""
+    """Inputs and choices of the run and the gel's relaxation, as the calibration records them."""
     return CalibrationSettings(
         contact_radius_ratio=contact_radius_ratio,
         step_ridge=chosen.step_ridge,
@@ -203,7 +201,7 @@ def _settings(
 
 
 def untouched_change(presses: Sequence[PreparedPress], contacts: Sequence[ContactCircle]) -> float:
-    """Size of the color change that untouched pixels stay under, beyond three contact radii."""
+    """Largest color change of pixels at rest, beyond three contact radii."""
     sizes = []
     for press, contact in zip(presses, contacts):
         height, width = press.size.shape
@@ -216,11 +214,11 @@ def untouched_change(presses: Sequence[PreparedPress], contacts: Sequence[Contac
 
 
 def image_noise(images: Sequence[NDArray[Any]], background: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Standard deviation (3,) of an image's pixel, grey levels: the median over some of the images.
+    """Standard deviation (3,) of an image's pixel, gray levels: the median over some of the images.
 
-    A background is often an average of frames, and quieter than the images of presses.
+    A background is often an average of frames, with less noise than the images of presses.
     """
-    some = images[:: max(1, len(images) // MAX_NOISE_IMAGES)]
+    some = images[:: max(1, len(images) // SAMPLED)]
     found = [noise_from_image(image.astype(np.float32) - background) for image in some]
     return np.asarray(np.median(found, axis=0), dtype=np.float64)
 
@@ -232,18 +230,18 @@ def relaxation_from_presses(
     background: NDArray[np.float32],
     mm_per_px: float,
 ) -> float | None:
-    """The gel's relaxation length L in mm; None where the surroundings of the contacts do not tell.
+    """The gel's relaxation length L in mm; None if the surroundings of the contacts do not show it.
 
-    Around a ball's contact a membrane under tension on an elastic bed, `laplace(z) = z/L^2` (Kerr, J. Appl. Mech. 31,
-    1964), has the depth A K0(r/L) and the slope -A/L K1(r/L) at the distance r of the ball's axis. One L is fitted to the
-    slopes of all presses by least squares, and an A to each.
+    Around a ball's contact the gel is a membrane under tension on an elastic bed, `laplace(z) = z/L^2` (Kerr, J. Appl.
+    Mech. 31, 1964). It has the depth A K0(r/L) and the slope -A/L K1(r/L) at the distance r from the ball's axis. One L is
+    fitted to the slopes of all presses by least squares, and one A to each.
     """
-    prepared, step = model.prepare(background, presses[0].size.shape), -(-len(presses) // MOST_PRESSES)
+    prepared, step = model.prepare(background, presses[0].size.shape), -(-len(presses) // SAMPLED)
     errors, squares = np.zeros(LENGTHS_MM.size), 0.0
     for press, contact in zip(presses[::step], contacts[::step]):
         slopes = prepared.gradients_from_color(np.ascontiguousarray(press.color_change))[0]
         r, slope, pixels = slopes_around(slopes, contact, press.usable, mm_per_px)
-        if r.size >= LEAST_RINGS:
+        if r.size:
             errors += [_misfit(r, slope, pixels, length) for length in LENGTHS_MM]
             squares += float(pixels @ slope**2)
     best = int(np.argmin(errors))
@@ -254,7 +252,7 @@ def relaxation_from_presses(
 def slopes_around(
     gradients: NDArray[np.float32], contact: ContactCircle, usable: NDArray[np.bool_] | None, mm_per_px: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Distance (mm), mean outward slope and number of pixels of rings around a contact, 1 px wide, that are seen."""
+    """Distance (mm), mean outward slope and number of visible pixels of rings around a contact, 1 px wide."""
     height, width = gradients.shape[:2]
     dx = np.arange(width, dtype=np.float32) - np.float32(contact.x_px)
     dy = (np.arange(height, dtype=np.float32) - np.float32(contact.y_px))[:, None]
@@ -276,7 +274,7 @@ def slopes_around(
 def _misfit(
     r_mm: NDArray[np.float64], slope: NDArray[np.float64], weight: NDArray[np.float64], length_mm: float
 ) -> float:
-    """Sum of squares that the best -A K1(r/L) with A >= 0 leaves."""
+    """Sum of squares that remains after the best -A K1(r/L) with A >= 0."""
     shape = scipy.special.k1e(r_mm / length_mm) * np.exp((r_mm[0] - r_mm) / length_mm)
     size = max(-float(weight @ (slope * shape)) / float(weight @ shape**2), 0.0)
     return float(weight @ (slope + size * shape) ** 2)

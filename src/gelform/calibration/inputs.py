@@ -1,4 +1,4 @@
-"""What is wrong with a whole set of presses, which no single image shows."""
+"""Faults of a whole set of presses, which no single image shows."""
 
 from __future__ import annotations
 
@@ -12,30 +12,30 @@ from gelform.background.change import color_change_from_image
 from gelform.background.check import check_background_of_frames
 from gelform.calibration.circles.find import ContactCircle, find_contact, magnitude, scale_of, why_no_contact
 from gelform.calibration.circles.locate import Located
-from gelform.calibration.circles.samples import PreparedPress, contact_samples
+from gelform.calibration.circles.samples import TRIAL_SAMPLES, PreparedPress, contact_samples
 from gelform.calibration.coverage import coverage_notes
-from gelform.calibration.enough import NEEDED, enough
+from gelform.calibration.enough import NEEDED, SAMPLED, enough
 from gelform.calibration.presses.press_set import Presses
+from gelform.confidence.causes import SATURATED_FROM
 from gelform.errors import CalibrationError
+from gelform.frames import DARK
 from gelform.sensors.profiles import light_order_of, scale_off_make
 
-REVERSED_FIT = 0.6  # of the difference as it is: reversed channels fit clearly better
-MIN_DIFFERENCE = 3.0  # grey levels, median: less is noise
-CHECKED_STEP = 4  # px, between the pixels that are looked at
-MOST_FOR_MEDIAN = 25  # images, for memory's sake
+REVERSED_FIT = 0.6  # of the unchanged difference; reversed channels fit clearly better
+MIN_DIFFERENCE = 3.0  # gray levels, median: less is noise
+CHECKED_STEP = 4  # px between the pixels that are compared
 MIN_CHANGE = 0.08  # of color, mean over a contact in the background
-MIN_ROUGHER = 1.3  # background over the presses' median
-DARK, SATURATED = 10.0, 254.5  # grey levels
-MOST_UNUSABLE = 0.1  # of the pixels of the untouched image
-EARLY_EDGE = 0.75  # of the visible radius: a gel that leaves the ball further in is worth a note
+MIN_ROUGHER = 1.3  # roughness of the background over that of the presses' median
+MOST_UNUSABLE = 0.1  # of the pixels of the background image
+EARLY_EDGE = 0.75  # of the visible radius; a contact edge further in is worth a note
 UNUSUAL_SCALE = 0.1  # |logarithm| of mm_per_px over the make's: units of a make differ by under 7 %
-MIN_SINE = 0.3  # sum of the lights' turns; 2.6 for equal angles: less may be noise
+MIN_SINE = 0.3  # sum over the lights' turns; 2.6 for equal angles; less may be noise
 
 
 def check_inputs(presses: Presses) -> None:
-    """Refuse no presses, grey ones, channels reversed against the background, and a background with a contact in it.
+    """Refuse a set without presses, with gray images, with reversed channels, or with a contact in the background.
 
-    The CalibrationError says which images, or where the contact is, and what to do.
+    The CalibrationError names the images or the place of the contact, and the remedy.
     """
     _check_any(presses)
     _check_flats(presses)
@@ -95,7 +95,7 @@ def _check_channels(presses: Presses) -> None:
 def is_reversed(image: NDArray[np.uint8], background: NDArray[np.float32]) -> bool:
     """Whether an image fits the background clearly better with red and blue exchanged.
 
-    Compares the median difference over the pixels, most of which a press leaves alone.
+    It compares the median difference over the pixels, because a press leaves most of them unchanged.
     """
     some = image[::CHECKED_STEP, ::CHECKED_STEP].astype(np.float32)
     untouched = background[::CHECKED_STEP, ::CHECKED_STEP]
@@ -114,16 +114,17 @@ def _check_untouched(presses: Presses) -> None:
 
 
 def contact_in_background(presses: Presses) -> ContactCircle | None:
-    """The contact that the background shows, or None; five presses or more are needed to tell.
+    """The contact in the background, or None; five presses or more are needed to find it.
 
-    Each place is untouched in most presses, so their median is the untouched gel. Where the background differs
-    from it as a contact does, and is the rougher of the two (a median of presses at one place is touched itself),
-    the background is touched.
+    Each place is at rest in most presses, so their median shows the gel at rest. The background is touched if it differs
+    from
+    the median as a contact does, and is the rougher of the two. The second condition excludes presses at one place, whose
+    median is itself touched.
     """
     count = len(presses.presses)
     if not enough("median", count):
         return None
-    chosen = np.unique(np.linspace(0, count - 1, min(count, MOST_FOR_MEDIAN)).round().astype(int))
+    chosen = np.unique(np.linspace(0, count - 1, min(count, SAMPLED)).round().astype(int))
     images = np.stack([presses.presses[k].image for k in chosen])
     untouched = np.median(images, axis=0).astype(np.float32)
     change = color_change_from_image(presses.background, untouched)
@@ -138,7 +139,7 @@ def contact_in_background(presses: Presses) -> ContactCircle | None:
 
 
 def input_notes(located: Located) -> tuple[str, ...]:
-    """What a user should know of the presses: how they were read, where some are missing, drift, light, their order."""
+    """Notes on the presses for the user: reading, missing places, drift, light, order of the lights."""
     presses = located.presses
     prepared, contacts = located.refined.of_accepted(located.prepared)
     covered = coverage_notes([contact.circle_px for contact in contacts], presses.image_shape)
@@ -157,16 +158,16 @@ def input_notes(located: Located) -> tuple[str, ...]:
 
 
 def light_notes(background: NDArray[np.float32]) -> tuple[str, ...]:
-    """Which channels of the untouched image are too dark, or saturated, in more than a tenth of it; () where none is."""
+    """Channels of the background image that are too dark, or saturated, in more than a tenth of it; () if there are none."""
     notes = []
     for name, channel in zip(("Red", "Green", "Blue"), np.moveaxis(background, -1, 0)):
         for where, said in (
             (
                 channel < DARK,
-                f"below {DARK:g} gray levels. Noise hides slopes there. Raise its light or exposure.",
+                f"below {DARK} gray levels. Noise hides slopes there. Raise its light or exposure.",
             ),
             (
-                channel >= SATURATED,
+                channel >= SATURATED_FROM,
                 "saturated. Brighter slopes look the same there. Lower its light or exposure.",
             ),
         ):
@@ -177,7 +178,7 @@ def light_notes(background: NDArray[np.float32]) -> tuple[str, ...]:
 
 
 def _edge_notes(prepared: Sequence[PreparedPress]) -> tuple[str, ...]:
-    """A note where the gel leaves the ball far inside of the visible rim."""
+    """A note if the contact edge lies far inside the visible rim."""
     if not prepared or prepared[0].contact_radius_ratio >= EARLY_EDGE:
         return ()
     one_size = len({press.ball_radius_px for press in prepared}) == 1
@@ -189,7 +190,7 @@ def _edge_notes(prepared: Sequence[PreparedPress]) -> tuple[str, ...]:
 
 
 def _scale_notes(presses: Presses) -> tuple[str, ...]:
-    """A note where mm_per_px is far from that of the make that the sensor's name starts with."""
+    """A note if mm_per_px differs much from that of the make that the sensor's name starts with."""
     off = scale_off_make(presses.sensor_name, presses.image_shape, presses.mm_per_px)
     if off is None or off < UNUSUAL_SCALE:
         return ()
@@ -202,10 +203,10 @@ def _scale_notes(presses: Presses) -> tuple[str, ...]:
 def light_order_note(
     presses: Presses, prepared: Sequence[PreparedPress], contacts: Sequence[ContactCircle]
 ) -> str | None:
-    """A note where the lights come round the gel the other way than in this kind of sensor, else None.
+    """A note if the lights are in the opposite order around the gel for this kind of sensor, else None.
 
-    Presses and background that were both saved as BGR agree with each other; only the lights tell. Which way each
-    channel is lit is the slope direction that brightens it most.
+    If presses and background were both saved as BGR, they agree with each other, and only the lights show it. The direction
+    of each light is the slope direction that brightens its channel most.
     """
     expected = light_order_of(presses.sensor_name)
     if expected is None or not contacts:
@@ -224,11 +225,11 @@ def light_order_note(
 
 
 def light_turn(prepared: Sequence[PreparedPress], contacts: Sequence[ContactCircle]) -> float:
-    """Which way red, green and blue light come round the gel: > 0 clockwise in the image, < 0 the other way.
+    """Direction in which red, green and blue light follow each other around the gel: > 0 clockwise in the image.
 
-    The sum of the sines of the turns from one light to the next, up to 2.6 for lights at equal angles.
+    It is the sum of the sines of the turns from one light to the next, up to 2.6 for lights at equal angles.
     """
-    samples = contact_samples(prepared, contacts, total=8000)
+    samples = contact_samples(prepared, contacts, total=TRIAL_SAMPLES)
     response = np.linalg.lstsq(samples.gradients, samples.color_change, rcond=None)[0]
     towards = np.arctan2(response[1], response[0])  # y is down: a growing angle turns clockwise
     return float(np.sin(np.roll(towards, -1) - towards).sum())
@@ -241,7 +242,7 @@ def _disc(shape: tuple[int, int], contact: ContactCircle, fraction: float) -> ND
 
 
 def _roughness(image: NDArray[np.float32], inside: NDArray[np.bool_]) -> float:
-    """Root mean square of the relative steps between neighbouring pixels, a little blurred."""
+    """Root mean square of the relative steps between neighboring pixels, after a slight blur."""
     smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), 1.5)
     rows, cols = np.gradient(np.log(smooth + 10), axis=(0, 1))
     return float(np.sqrt(np.mean((rows**2 + cols**2)[inside])))

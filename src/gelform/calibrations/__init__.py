@@ -1,4 +1,4 @@
-"""The user's calibrations in one folder, found by the camera that they are of."""
+"""The library: the user's calibrations in one folder, found by their camera."""
 
 import lazy_loader
 

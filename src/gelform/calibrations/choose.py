@@ -1,4 +1,4 @@
-"""The calibration of the library that a camera, a recording or a folder of images takes where none is given."""
+"""Choice of a calibration from the library for a camera, a recording or a folder of images."""
 
 from __future__ import annotations
 
@@ -32,16 +32,16 @@ HOW_TO = (
 
 @dataclass(frozen=True)
 class Unit:
-    """Which sensor gave frames, as far as it says so.
+    """The sensor that gave frames, as far as they identify it.
 
     Attributes
     ----------
-    said : for messages, such as "camera DIGIT D20123" or "session.mcap"
-    serial : of the camera; empty where it has none
-    names : of the sensor, where it has no serial and no other such sensor could be meant
-    digest : of the calibration that was in use; empty where nothing says
-    gel_id : of the gel that was on it; empty where nothing says
-    carries : the recording that holds a calibration of its own, or None
+    said : name for messages, such as "camera DIGIT D20123" or "session.mcap"
+    serial : serial number of the camera; empty if it has none
+    names : names of the sensor, if it has no serial and no other such sensor could be meant
+    digest : digest of the calibration that was in use; empty if unknown
+    gel_id : gel that was on it; empty if unknown
+    carries : the recording that contains a calibration, or None
     """
 
     said: str
@@ -52,7 +52,7 @@ class Unit:
     carries: Path | None = None
 
     def is_calibrated_by(self, entry: Entry | Calibration) -> bool:
-        """Whether the calibration is of this unit, and of no other gel."""
+        """Whether the calibration belongs to this unit and to no other gel."""
         if self.gel_id and entry.gel_id not in (None, self.gel_id):
             return False
         if self.serial:
@@ -66,7 +66,7 @@ class NoCalibration(CalibrationError):
 
 @dataclass(frozen=True)
 class Choice:
-    """A calibration that was chosen, and what the user is told of it."""
+    """A selected calibration, and the message about it."""
 
     calibration: Calibration
     said: str
@@ -74,21 +74,21 @@ class Choice:
 
 
 def choose_calibration(unit: Unit, folder: Path | None = None) -> Choice:
-    """The calibration that the recording carries, else the one that was in use, else the newest of the unit.
+    """The calibration in the recording, else the one that was in use, else the newest one of the unit.
 
-    A unit without a serial takes those without one that have its sensor's name.
+    A unit without a serial uses calibrations without a serial that have its sensor's name.
 
     Parameters
     ----------
     unit : see `unit_of`
-    folder : of the library; the user's without
+    folder : folder of the library; the user's by default
 
     Raises
     ------
     NoCalibration
-        There is none; the message says what the library has, and what to do.
+        There is none; the message lists the library and says what to do.
     CalibrationError
-        The one that would be taken cannot be read.
+        The selected one cannot be read.
     """
     if unit.carries is not None:
         carried = attached_calibration(unit.carries)
@@ -111,7 +111,7 @@ def _gel(calibration: Calibration) -> str:
 
 
 def _missing(unit: Unit, there: Sequence[Entry]) -> str:
-    """Why the library has none, in a sentence's end."""
+    """The end of a sentence about the reason that the library has none."""
     if not unit.serial and not unit.names:
         return "was given, and nothing says which unit it is of, so none of the library is taken."
     damaged = sum(bool(one.problem) for one in there)
@@ -124,12 +124,12 @@ def _missing(unit: Unit, there: Sequence[Entry]) -> str:
 
 
 def unit_of(source: Any) -> Unit:
-    """Which sensor a source is; cameras are not opened for it.
+    """The sensor of a source; this opens no camera.
 
     Parameters
     ----------
-    source : what `open_source` takes; a Source or a Grabber that is open; or a function that opens one, which is opened for
-        a moment
+    source : an argument of `open_source`; an open Source or Grabber; or a function that opens one, which is called to open
+        it for a moment
 
     Raises
     ------
@@ -167,11 +167,11 @@ def _unit_of_open(source: Any) -> Unit:
 
 
 def unit_of_camera(camera: Camera, cameras: Iterable[Camera]) -> Unit:
-    """The unit of a camera; one without a serial has its names where no other camera that is plugged in shares one.
+    """The unit of a camera; without a serial it has names only if no other connected camera shares one.
 
     Parameters
     ----------
-    cameras : all that are plugged in
+    cameras : all connected cameras
     """
     if camera.serial:
         return Unit(f"camera {camera.name} {camera.serial}", camera.serial)
@@ -182,24 +182,24 @@ def unit_of_camera(camera: Camera, cameras: Iterable[Camera]) -> Unit:
 
 
 def _names(camera: Camera) -> tuple[str, ...]:
-    """What a calibration may call the camera's sensor: its own name, and that of the known sensor that it is."""
+    """Names of the camera's sensor that a calibration may use: its own, and that of the known sensor."""
     known = PROFILES.get(camera.kind or "")
     return tuple(dict.fromkeys((camera.name, *([known.name] if known else []))))
 
 
 def unit_of_files(path: Path) -> Unit:
-    """The unit of a recording, or of images beside or below which a `sensor.toml` or a recording's facts name it.
+    """The unit of a recording, or of images with a `sensor.toml` or the facts of a recording in or above their folder.
 
     Raises
     ------
     DataError
-        What says it is damaged.
+        The file that names the unit is damaged.
     """
     if path.suffix.lower() == ".mcap" or (path.is_dir() and is_bag_folder(path)):
         facts, _ = picture_topic_of(mcap_file_in(path) if path.is_dir() else path)
         return _of_recording(path, facts)
     folder = path if path.is_dir() else path.parent
-    for place in (folder, folder.parent):  # a press folder has its images in a folder of their own
+    for place in (folder, folder.parent):  # a press folder has its images in a subfolder
         if is_recorded_folder(place):
             text = (place / FACTS).read_text(encoding="utf-8")
             return _of_recording(place, RecordingFacts.from_json(text, str(place / FACTS)))

@@ -1,4 +1,4 @@
-"""The library: a folder of the user's calibrations, under names that say of which sensor, unit and gel they are."""
+"""The library: a folder of the user's calibrations, in files named by sensor, unit and gel."""
 
 from __future__ import annotations
 
@@ -12,31 +12,27 @@ from typing import Any
 
 from gelform.calibration_file import Calibration, load_calibration
 from gelform.errors import CalibrationError, DataError, GelformError
-from gelform.foundations.npz_files import sweep
+from gelform.foundations.npz_files import DIGEST_SHOWN, sweep
 
 FOLDER_VARIABLE = "GELFORM_CALIBRATIONS"
-DIGEST_SHOWN = (
-    10  # characters of a digest in names and lists: two of a million calibrations share them once in two
-)
-MAX_PART = (
-    40  # characters of a sensor's name, a serial or a gel in a file's name: file systems take 255 in all
-)
+# Characters of a sensor's name, a serial or a gel in a file name; file systems allow 255 in all.
+MAX_PART = 40
 
 
 def library_folder() -> Path:
-    """Where this user's calibrations are: `GELFORM_CALIBRATIONS`, else the system's place for data of programs.
+    """The folder of this user's calibrations: `GELFORM_CALIBRATIONS`, else in the system's folder for data of programs.
 
     Raises
     ------
     DataError
-        The variable does not name an absolute path, or nothing says where the user's files are.
+        The variable does not name an absolute path, or the user has no home folder.
     """
     given = os.environ.get(FOLDER_VARIABLE)
     if given:
         return _whole(Path(given).expanduser(), FOLDER_VARIABLE)
     try:
         return _data_folder(sys.platform, os.environ, Path.home()) / "gelform" / "calibrations"
-    except RuntimeError as problem:  # neither HOME nor an entry of the user
+    except RuntimeError as problem:  # neither HOME nor an entry for the user
         raise DataError(
             f"Expected a home folder for the library of calibrations, got none. Name a folder in {FOLDER_VARIABLE}."
         ) from problem
@@ -65,8 +61,8 @@ class Entry:
     Attributes
     ----------
     path : of the file
-    problem : why it cannot be read; empty where it can
-    sensor_name, serial, gel_id, created_utc, digest, held_out : as of the `Calibration`; empty where it cannot be read
+    problem : the reason that it cannot be read; empty if it can
+    sensor_name, serial, gel_id, created_utc, digest, held_out : from the `Calibration`; empty if it cannot be read
     """
 
     path: Path
@@ -79,22 +75,27 @@ class Entry:
     held_out: Mapping[str, float] = field(default_factory=dict)
 
     def described(self) -> str:
-        """For a sentence: its file, gel and date."""
-        return f"{self.path.name} (gel {self.gel_id or 'not named'}, of {date_of(self.created_utc)})"
+        """File, gel and date, for a sentence."""
+        return described(self.path.name, self)
 
     def answers_to(self, word: str) -> bool:
-        """Whether a serial, a file's name or the begin of a digest means it."""
+        """Whether a serial, a file name or the beginning of a digest identifies it."""
         by_digest = bool(self.digest) and len(word) >= 4 and self.digest.startswith(word.lower())
         return word in (self.serial, self.path.name, self.path.stem) or by_digest
 
 
 def date_of(created_utc: str) -> str:
-    """A calibration's date and minute as people read them, UTC."""
+    """Date and minute of a calibration for people, UTC."""
     return created_utc[:16].replace("T", " ") or "an unknown date"
 
 
+def described(name: str, one: Entry | Calibration) -> str:
+    """Name, gel and date of a calibration, for a sentence."""
+    return f"{name} (gel {one.gel_id or 'not named'}, of {date_of(one.created_utc)})"
+
+
 def entry_of(path: Path) -> Entry:
-    """What a file of the library is; one that cannot be read says why."""
+    """The entry of a file of the library; for an unreadable file it has the reason."""
     try:
         return _entry(path, load_calibration(path))
     except GelformError as problem:
@@ -119,7 +120,7 @@ def entries(folder: Path | None = None) -> list[Entry]:
 
     Parameters
     ----------
-    folder : of the library; the user's without
+    folder : folder of the library; the user's by default
     """
     folder = library_folder() if folder is None else folder
     try:
@@ -130,12 +131,12 @@ def entries(folder: Path | None = None) -> list[Entry]:
 
 
 def matching(word: str, gel_id: str | None = None, folder: Path | None = None) -> list[Entry]:
-    """The entries that a serial, a file's name or the begin of a digest means, the newest first.
+    """The entries that a serial, a file name or the beginning of a digest identifies, the newest first.
 
     Raises
     ------
     DataError
-        There is none; the message lists what there is.
+        There is none; the message lists the entries.
     """
     there = entries(folder)
     found = [one for one in there if one.answers_to(word) and gel_id in (None, one.gel_id)]
@@ -148,19 +149,19 @@ def matching(word: str, gel_id: str | None = None, folder: Path | None = None) -
 
 
 def listed(there: Sequence[Entry]) -> str:
-    """Names of entries in a sentence's end."""
+    """Names of entries, for the end of a sentence."""
     return ", ".join(one.path.name for one in there) or "nothing"
 
 
 def add_calibration(calibration: Calibration, folder: Path | None = None) -> tuple[Path, bool]:
-    """Put a calibration into the library; one that is there already (by its digest) is not written again.
+    """Add a calibration to the library; one that is already there (by its digest) is not written again.
 
-    The file appears under its name whole or not at all, and no file is replaced: any number of processes may add at once.
+    The file appears completely or not at all, and no file is replaced, so any number of processes can add at once.
 
     Returns
     -------
-    path : of its file
-    new : whether it was written now
+    path : path of its file
+    new : whether this call wrote it
 
     Raises
     ------
@@ -184,15 +185,15 @@ def add_calibration(calibration: Calibration, folder: Path | None = None) -> tup
         except CalibrationError:
             if not os.path.lexists(path):
                 raise
-            if entry_of(path).digest == calibration.digest:  # another process was quicker
+            if entry_of(path).digest == calibration.digest:  # another process was faster
                 return path, False
-            number += 1  # what has the name is damaged: it stays
+            number += 1  # the file with this name is damaged; it stays
         else:
             return path, True
 
 
 def file_name(calibration: Calibration, number: int = 1) -> str:
-    """Sensor, serial, gel, date and begin of the digest; numbered from the second of the same name on."""
+    """Sensor, serial, gel, date and beginning of the digest; numbered from the second file of the same name on."""
     made = re.sub(r"[^0-9T]", "", calibration.created_utc[:16])
     parts = [calibration.sensor_name, calibration.serial or "no-serial", calibration.gel_id or "no-gel", made]
     named = "_".join(_plain(part) for part in parts)
@@ -200,12 +201,15 @@ def file_name(calibration: Calibration, number: int = 1) -> str:
 
 
 def _plain(text: str) -> str:
-    """What every file system takes in a name."""
+    """The text with only the characters that every file system accepts in a name."""
     return re.sub(r"[^A-Za-z0-9.]+", "-", text).strip("-.")[:MAX_PART] or "unnamed"
 
 
 def remove_calibration(entry: Entry) -> None:
-    """Delete a file of the library; DataError where that cannot be."""
+    """Delete a file of the library.
+
+    DataError: it cannot be deleted.
+    """
     try:
         entry.path.unlink(missing_ok=True)
     except OSError as problem:
@@ -213,7 +217,7 @@ def remove_calibration(entry: Entry) -> None:
 
 
 def facts_of(entry: Entry) -> dict[str, Any]:
-    """An entry as JSON has it."""
+    """An entry, as JSON holds it."""
     return {
         "file": str(entry.path),
         "sensor": entry.sensor_name or None,

@@ -1,4 +1,4 @@
-"""The command line, a shell over the library: each command parses, calls and reports."""
+"""The command line, a shell over the library: each command parses its options, calls the library and reports."""
 
 from gelform.cli.app import app, command_names, main
 

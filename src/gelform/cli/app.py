@@ -1,4 +1,4 @@
-"""The list of commands, in groups as the help shows them, and the options that stand before one."""
+"""The list of commands, in the groups of the help, and the options that come before a command."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from gelform.cli.options import flat
 from gelform.cli.process import DEBUG, ReportedFailures, as_process
 
 THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
-LIBRARY = "calibrations"  # the one command that has commands below it
+LIBRARY = "calibrations"  # the only command with commands of its own
 GROUPS: dict[str, tuple[Any, ...]] = {
     "Start": (demo, live, simulate, info),
     "Sensor": (cameras, record, scale, lens, crosstalk, calibrate, starter, evaluate, LIBRARY, design),
@@ -43,7 +43,7 @@ class Commands(ReportedFailures):
     """All commands, in groups; `gelform batch verify` is `gelform verify`."""
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
-        """Write each group with a line for each of its commands."""
+        """Write each group with one line per command."""
         width = max(map(len, command_names()))
         for group, commands in GROUPS.items():
             rows = []
@@ -54,7 +54,7 @@ class Commands(ReportedFailures):
                 formatter.write_dl(rows)
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """The command that is meant, and its arguments."""
+        """The requested command and its arguments."""
         if args[:2] == ["batch", "verify"]:
             return "batch verify", self.commands["verify"], args[2:]
         return super().resolve_command(ctx, args)
@@ -64,7 +64,7 @@ def _typer(name: str, **settings: Any) -> typer.Typer:
     return typer.Typer(
         name=name,
         no_args_is_help=True,
-        rich_markup_mode=None,  # plain help: rich takes 0.3 s to start
+        rich_markup_mode=None,  # plain help, because importing rich takes 0.3 s
         context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
         **settings,
     )

@@ -1,4 +1,4 @@
-"""What all commands share with the terminal: progress, tables, JSON."""
+"""Output to the terminal for all commands: progress, tables, JSON."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from gelform.foundations.progress import Progress, no_progress
 
 @contextmanager
 def progress_shown(quiet: bool) -> Iterator[Progress]:
-    """A bar for each kind of work on standard error, where that is a terminal; gives what to call."""
+    """Show a bar for each kind of work on standard error, if that is a terminal; yields the function that updates it."""
     if quiet or sys.stderr is None or not sys.stderr.isatty():
         yield no_progress
         return
@@ -38,13 +38,13 @@ def progress_shown(quiet: bool) -> Iterator[Progress]:
 
 
 def say(text: str, quiet: bool = False) -> None:
-    """A line for the user on standard error, where results do not mix with it."""
+    """Print a line for the user on standard error, apart from the results."""
     if not quiet:
         typer.echo(text, err=True)
 
 
 def show_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """A table on standard output; its first column is text, the others are numbers."""
+    """Print a table on standard output; its first column is text, the others are numbers."""
     from rich.console import Console
     from rich.table import Table
 
@@ -56,14 +56,14 @@ def show_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]
     for row in rows:
         table.add_row(*row)
     on_screen = sys.stdout is not None and sys.stdout.isatty()
-    wide = None if on_screen else 400  # in a file or a pipe no name is broken over lines
+    wide = None if on_screen else 400  # in a file or a pipe no name is wrapped
     console = Console(highlight=False, markup=False, width=wide)
     console.print(table)
     console.print()
 
 
 def check_pictures() -> None:
-    """See that pictures can be drawn; that matplotlib cannot keep a cache where HOME is read-only is no concern of a user's.
+    """Check that pictures can be drawn, and silence matplotlib's warning about its cache where HOME is read-only.
 
     Raises
     ------
@@ -79,18 +79,18 @@ def check_pictures() -> None:
 
 
 def print_json(content: Mapping[str, Any]) -> None:
-    """One JSON object on standard output; what is not a number (NaN) becomes null."""
+    """Print one JSON object on standard output; NaN and infinity become null."""
     utf8 = "utf" in (getattr(sys.stdout, "encoding", None) or "").lower()
     typer.echo(json.dumps(_plain(content), indent=2, ensure_ascii=not utf8))
 
 
 def json_bytes(content: Mapping[str, Any]) -> bytes:
-    """The same as a file's content."""
+    """The same JSON as the content of a file."""
     return (json.dumps(_plain(content), indent=2, ensure_ascii=False) + "\n").encode()
 
 
 def figure(value: Any) -> str:
-    """A number for a table; a dash where there is none."""
+    """A number for a table; a dash for None and NaN."""
     if value is None or (isinstance(value, float) and not math.isfinite(value)):
         return "-"
     return f"{value:.3g}" if isinstance(value, float) else str(value)

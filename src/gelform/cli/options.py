@@ -26,12 +26,12 @@ ALL_TOPICS = ",".join(TOPICS)
 def names_in(file: str, table: str) -> tuple[str, ...]:
     """The keys of a dict literal in a file of the package, in its order; the file is not imported.
 
-    `--help` has to start at once, and the tables hold classes that need numpy.
+    `--help` must start at once, and the tables hold classes that need numpy.
 
     Raises
     ------
     LookupError
-        There is no such table, or it is no dict with keys written out.
+        There is no such table, or it is no dict with literal keys.
     """
     for node in ast.parse((PACKAGE / file).read_text(encoding="utf-8")).body:
         if isinstance(node, ast.Assign | ast.AnnAssign) and isinstance(node.value, ast.Dict):
@@ -50,7 +50,7 @@ STARTERS = tuple(sorted(path.stem for path in (PACKAGE / "starters").glob("*.npz
 
 
 def listed(names: tuple[str, ...]) -> str:
-    """Names as a sentence has them: a, b or c."""
+    """Names joined for a sentence: a, b or c."""
     return " or ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
 
 
@@ -64,7 +64,7 @@ def usage_errors(option: str | None = None) -> Iterator[None]:
 
 
 def positive(text: str) -> float:
-    """A finite number > 0 that was given as an option."""
+    """Parse a finite number > 0 of an option."""
     try:
         number = float(text)
     except ValueError:
@@ -77,15 +77,15 @@ def positive(text: str) -> float:
 
 
 def pitch(text: str) -> float:
-    """A sensor's pixel pitch, mm, that was given as an option."""
-    from gelform.foundations.checks import check_sensor_pitch  # imports numpy, which --help does not wait for
+    """Parse a sensor's pixel pitch, mm, of an option."""
+    from gelform.foundations.checks import check_sensor_pitch  # imports numpy, too slow for --help
 
     with usage_errors():
         return check_sensor_pitch(positive(text))
 
 
 def ball_diameter(text: str) -> float:
-    """A ball's diameter, mm, that was given as an option."""
+    """Parse a ball's diameter, mm, of an option."""
     from gelform.calibration.presses.press_set import check_ball_diameter
 
     with usage_errors():
@@ -93,12 +93,12 @@ def ball_diameter(text: str) -> float:
 
 
 def number(help: str, parser: Callable[[str], float] = positive) -> Any:
-    """An option that takes a finite number > 0, or one that a parser of its own takes."""
+    """An option that takes a finite number > 0, or a value for another parser."""
     return Option(metavar="F", parser=parser, help=help)
 
 
 def numbers(text: str, form: str, option: str) -> tuple[float, ...]:
-    """Numbers parted by commas, as many as the form (such as "X1,Y1,X2,Y2,MM") has parts."""
+    """Numbers separated by commas, as many as the form (such as "X1,Y1,X2,Y2,MM") has parts."""
     try:
         found = tuple(float(part) for part in text.split(","))
     except ValueError:
@@ -109,7 +109,7 @@ def numbers(text: str, form: str, option: str) -> tuple[float, ...]:
 
 
 def one_of(name: str, names: tuple[str, ...], option: str) -> str:
-    """The name, where it is one of those known."""
+    """The name, if it is a known one."""
     if name not in names:
         raise BadParameter(f"expected {listed(names)}, got {name!r}.", param_hint=option)
     return name
@@ -134,7 +134,7 @@ OptionalCalibration = Annotated[
         "--calibration",
         "-c",
         metavar="CAL.npz",
-        help="The sensor's calibration; else the newest of its serial in the library.",
+        help="The sensor's calibration. Default: the library's newest of its serial.",
     ),
 ]
 StarterSensor = Annotated[
@@ -146,7 +146,8 @@ StarterSensor = Annotated[
     ),
 ]
 Sensor = Annotated[
-    str | None, Option(metavar="PROFILE", help=f"Sensor profile: {listed(tuple(PROFILES))}; crop and scale.")
+    str | None,
+    Option(metavar="PROFILE", help=f"Make of the sensor, for crop and scale: {listed(tuple(PROFILES))}."),
 ]
 MmPerPx = Annotated[float | None, number("Width of an image pixel on the gel, mm.", pitch)]
 Background = Annotated[
@@ -157,38 +158,38 @@ Seed = Annotated[int, Option(min=0, help="Seed of the random numbers.")]
 
 @dataclass(frozen=True)
 class Shown:
-    """How a command reports: results on standard output, the rest on standard error."""
+    """The output of a command: results on standard output, the rest on standard error."""
 
     quiet: Quiet = False
     as_json: Annotated[bool, Option("--json", help="Print the numbers as JSON on standard output.")] = False
 
     @property
     def silent(self) -> bool:
-        """Whether nothing is said beside JSON."""
+        """Whether to print nothing but JSON."""
         return self.quiet or self.as_json
 
     def say(self, text: str) -> None:
-        """A line for the user."""
+        """Print a line for the user."""
         say(text, self.quiet)
 
     def table(self, title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-        """A table for the user."""
+        """Print a table for the user."""
         if not self.silent:
             show_table(title, columns, rows)
 
     def json(self, content: Mapping[str, Any]) -> None:
-        """The numbers, where they are wanted as JSON."""
+        """Print the numbers as JSON, if requested."""
         if self.as_json:
             print_json(content)
 
     def progress(self) -> AbstractContextManager[Progress]:
-        """A bar for each kind of work; gives what to call."""
+        """Show a bar for each kind of work; yields the function that updates it."""
         return progress_shown(self.quiet)
 
 
 @dataclass(frozen=True)
 class CalibrationOptions:
-    """Which calibration reads the images: a file's, else the library's newest of the unit, else a starter's."""
+    """The calibration for the images: a file, else the library's newest of the unit, else a starter."""
 
     calibration: OptionalCalibration = None
     sensor: StarterSensor = None
@@ -197,7 +198,7 @@ class CalibrationOptions:
     ] = None
 
     def check(self, background: Path | None) -> None:
-        """Refuse options that do not go together; a starter needs the background image."""
+        """Refuse options that exclude each other; a starter needs the background image."""
         if self.sensor is None:
             if self.mm_per_px is not None:
                 raise BadParameter("is of a starter: name it with --sensor.", param_hint="--mm-per-px")
@@ -209,14 +210,14 @@ class CalibrationOptions:
             )
         if background is None or background.suffix.lower() == ".csv":
             raise BadParameter(
-                "needed with --sensor: an image of the untouched gel, or a folder of several.",
+                "needed with --sensor: an image of the gel at rest, or a folder of several.",
                 param_hint="--background",
             )
 
 
 @dataclass(frozen=True)
 class PressOptions:
-    """Facts of presses that their folder may lack: keywords of `read_presses`."""
+    """Facts about presses that their folder may lack: keywords of `read_presses`."""
 
     sensor: Sensor = None
     mm_per_px: MmPerPx = None
@@ -228,7 +229,7 @@ class PressOptions:
 
 
 def flat(function: Callable[..., None]) -> Callable[..., None]:
-    """A command as typer takes it: each field of a dataclass of options is a parameter of its own."""
+    """Flatten a command for typer: each field of a dataclass of options becomes a parameter."""
     hints = get_type_hints(function, include_extras=True)
     parameters: list[inspect.Parameter] = []
     groups: dict[str, Any] = {}
@@ -254,9 +255,9 @@ def flat(function: Callable[..., None]) -> Callable[..., None]:
 
 
 def as_written(hint: Any) -> Any:
-    """An annotation without the Optional that Python 3.10 puts around it where the default is None.
+    """An annotation without the Optional that Python 3.10 adds if the default is None.
 
-    typer finds an option's names only where `Annotated` is outermost.
+    typer finds an option's names only if `Annotated` is outermost.
     """
     if get_origin(hint) is Annotated:
         return hint

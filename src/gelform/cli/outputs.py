@@ -1,4 +1,4 @@
-"""What commands write: names that no two inputs share, checked before any work, and the files of a calibration's report."""
+"""Output files: unique names, checked before any work, and the files of a calibration's report."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ REPORT_FILES = ("report.html", "report.json", "circles.csv")
 
 
 def result_paths(inputs: Sequence[Path], folder: Path, formats: Sequence[str]) -> list[dict[str, Path]]:
-    """Where each input's result goes, in each format: `folder/<path below the common folder>.<format>`.
+    """The path of each input's result, in each format: `folder/<path below the common folder>.<format>`.
 
-    Where only the suffix tells two inputs apart (a.png, a.jpg), it stays in the name (a.png.npz, a.jpg.npz).
+    If two inputs differ only in their suffix (a.png, a.jpg), the suffix stays in the name (a.png.npz, a.jpg.npz).
 
     Raises
     ------
     DataError
-        An input is given twice, or two inputs cannot be told apart by any name.
+        An input is given twice, or two inputs would get the same name.
     """
     full = [Path(os.path.abspath(path)) for path in inputs]
     twice = [str(path) for path, count in Counter(full).items() if count > 1]
@@ -47,14 +47,14 @@ def result_paths(inputs: Sequence[Path], folder: Path, formats: Sequence[str]) -
 
 
 def check_results(paths: Sequence[dict[str, Path]], *, overwrite: bool, protected: Sequence[Path]) -> None:
-    """Refuse results that are there already (unless `overwrite`), and any that would replace an input.
+    """Refuse results that exist (unless `overwrite`), and any that would replace an input.
 
-    What killed runs left beside them is deleted.
+    Temporary files of killed runs are deleted there.
 
     Raises
     ------
     DataError
-        The message names the first one and how many there are.
+        The message names the first existing result and their number.
     """
     from gelform.foundations.npz_files import sweep
 
@@ -74,7 +74,7 @@ def check_results(paths: Sequence[dict[str, Path]], *, overwrite: bool, protecte
 def picture_paths(
     images: Sequence[Path], folder: Path | None, *, overwrite: bool, protected: Sequence[Path]
 ) -> list[Path | None]:
-    """Where each image's picture goes; None for each where no folder is given. Checked before any work.
+    """The path of each image's picture; None for each without a folder. Checked before any work.
 
     Raises
     ------
@@ -92,14 +92,14 @@ def picture_paths(
 
 
 def check_output(path: Path, *, overwrite: bool) -> None:
-    """Refuse a file name that cannot be written to, before the work: its folder is made where it is missing.
+    """Refuse a file name that cannot be written, before the work; a missing folder is made.
 
-    What killed runs left in that folder is deleted.
+    Temporary files of killed runs in that folder are deleted.
 
     Raises
     ------
     DataError
-        The name is a folder's, a file has it already (unless `overwrite`), or nothing can be written there.
+        The name is a folder's, the file exists (unless `overwrite`), or nothing can be written there.
     """
     from gelform.foundations.npz_files import sweep
 
@@ -112,12 +112,12 @@ def check_output(path: Path, *, overwrite: bool) -> None:
 
 
 def make_folder(folder: Path) -> Path:
-    """Make a folder and those above it, and see that it can be written to.
+    """Make a folder and its parents, and check that it is writable.
 
     Raises
     ------
     DataError
-        It cannot be made or written to; the message says why.
+        The folder cannot be made or written to; the message says why.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -141,7 +141,7 @@ def _check_room(folder: Path) -> None:
 
 
 def check_report_folder(folder: Path, overwrite: bool) -> None:
-    """Make the folder, and refuse one that holds a report (unless `overwrite`): before the work, not after it."""
+    """Make the folder, and refuse one that contains a report (unless `overwrite`), before the work."""
     check_output(folder / REPORT_FILES[0], overwrite=True)
     there = [name for name in REPORT_FILES if (folder / name).exists()]
     if there and not overwrite:
@@ -151,7 +151,7 @@ def check_report_folder(folder: Path, overwrite: bool) -> None:
 def content_of(
     presses: Presses, calibration: Calibration, progress: Progress, *, with_learning: bool
 ) -> dict[str, Any]:
-    """The report in numbers and words; with the learning curve, which calibrates a dozen times more, it says more."""
+    """The report as numbers and text. The learning curve costs a dozen calibrations and adds a section."""
     import numpy as np
 
     from gelform.calibration.report.content import report_content
@@ -165,7 +165,7 @@ def content_of(
 def write_report(
     content: dict[str, Any], presses: Presses, calibration: Calibration, folder: Path, *, overwrite: bool
 ) -> None:
-    """Write what `--report` promises: the page, the numbers behind it, and the circles as a table."""
+    """Write the files of `--report`: the page, its numbers, and the circles as a table."""
     from gelform.calibration.report.page.page import report_page
 
     page = report_page(content, presses, calibration)
@@ -174,7 +174,7 @@ def write_report(
 
 
 def _write_all(files: Mapping[Path, bytes], overwrite: bool) -> None:
-    """Write all the files or none: each takes its name only when the bytes of all are on the disk."""
+    """Write all files or none: each gets its name only when the bytes of all are on the disk."""
     from gelform.foundations.npz_files import written_file
 
     make_folder(next(iter(files)).parent)
@@ -187,7 +187,7 @@ def _write_all(files: Mapping[Path, bytes], overwrite: bool) -> None:
 
 
 def _circles_csv(rows: Any) -> bytes:
-    """The table of presses with the circles found: as presses.csv wants its labels."""
+    """The table of presses with the fitted circles, in the form of labels in presses.csv."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     named = ["image", "ball_diameter_mm", "center_x_px", "center_y_px", "contact_radius_px"]

@@ -1,7 +1,8 @@
-"""The command as a process: how it fails, signals, streams of any encoding or none, one writer per file.
+"""The command as a process: failures, signals, streams of any encoding or none, one writer per file.
 
-A mistake in what the user gave is one line and status 1, a bug of gelform's status 70. A mistake is a GelformError, an
-OSError of a file, or a ValueError that a command has turned round with `mistakes_in`. Any other exception is a bug.
+A mistake in the user's input prints one line and exits with status 1, a bug of gelform with status 70. A mistake is a
+GelformError, an OSError about a file, or a ValueError that a command converts with `mistakes_in`. Any other exception is a
+bug.
 """
 
 from __future__ import annotations
@@ -24,14 +25,14 @@ from gelform.errors import DataError, GelformError
 
 MISTAKE, BUG, INTERRUPTED = 1, 70, 130
 DEBUG = "--debug"
-_USAGE: Any = typer.BadParameter.__bases__[0]  # click's UsageError, wherever typer keeps its click
+_USAGE: Any = typer.BadParameter.__bases__[0]  # click's UsageError, from the click that typer uses
 
 
 @contextmanager
 def mistakes_in(what: object) -> Iterator[None]:
-    """Turn a ValueError or TypeError about something that the user gave into a DataError that names it.
+    """Convert a ValueError or TypeError about one input of the user into a DataError that names it.
 
-    For the call that reads or checks that one thing, and no more: what fails further in is a bug.
+    It belongs around the call that reads or checks that input, and no more: a later failure is a bug.
     """
     try:
         yield
@@ -40,10 +41,10 @@ def mistakes_in(what: object) -> Iterator[None]:
 
 
 class ReportedFailures(TyperGroup):
-    """The group of all commands; reports what they raise, without a traceback unless `--debug` is given."""
+    """The group of all commands; reports their exceptions, without a traceback unless `--debug` is given."""
 
     def invoke(self, ctx: Any) -> Any:
-        """Run the command that was asked for."""
+        """Run the requested command."""
         try:
             return super().invoke(ctx)
         except (typer.Exit, typer.Abort, _USAGE, BrokenPipeError):
@@ -55,7 +56,7 @@ class ReportedFailures(TyperGroup):
 
 
 def _report(problem: BaseException) -> int:
-    """Say what went wrong; gives the exit status."""
+    """Print the problem; return the exit status."""
     if isinstance(problem, KeyboardInterrupt):
         return _said("interrupted.", INTERRUPTED)
     if isinstance(problem, MemoryError):
@@ -66,8 +67,8 @@ def _report(problem: BaseException) -> int:
         return _said(f"error: {problem}", MISTAKE)
     where = _place(problem)
     return _said(
-        f"bug: {type(problem).__name__}: {problem} ({where}). This is a mistake in gelform, not in what you gave: please "
-        f"report it, with what the same command shows as `gelform {DEBUG} ...`.",
+        f"bug: {type(problem).__name__}: {problem} ({where}). This is a mistake in gelform, not in your input. Please "
+        f"report it, with the output of the same command as `gelform {DEBUG} ...`.",
         BUG,
     )
 
@@ -83,18 +84,18 @@ def one_line(text: object) -> str:
 
 
 def in_options(text: str) -> str:
-    """A library's message as a command says it: "give mm_per_px= (--mm-per-px)" names the option alone."""
+    """A library message in the words of the command line: "give mm_per_px= (--mm-per-px)" becomes the option alone."""
     return re.sub(r"\b\w+=\w* \((--[a-z-]+)\)", r"\1", text)
 
 
 def _sentence(problem: OSError) -> str:
-    """The system's words without its number: "Permission denied: /root/x.npz"."""
+    """The system's message without its number: "Permission denied: /root/x.npz"."""
     named = f": {problem.filename}" if problem.filename is not None else ""
     return f"{problem.strerror}{named}." if problem.strerror else str(problem)
 
 
 def _place(problem: BaseException) -> str:
-    """File and line of gelform's own in which the exception came up."""
+    """The file and line of gelform that raised the exception."""
     frames = traceback.extract_tb(problem.__traceback__)
     package = os.path.dirname(os.path.dirname(__file__))
     own = [frame for frame in frames if frame.filename.startswith(package)] or list(frames)
@@ -103,9 +104,9 @@ def _place(problem: BaseException) -> str:
 
 @contextmanager
 def as_process() -> Iterator[None]:
-    """Streams that take any text, SIGTERM that ends as Ctrl-C does, output that is flushed or said to be lost."""
+    """Set up the process: streams take any text, SIGTERM ends it as Ctrl-C does, lost output is reported."""
     for stream in (sys.stdout, sys.stderr):
-        if hasattr(stream, "reconfigure"):  # None where it is closed
+        if hasattr(stream, "reconfigure"):  # None if the stream is closed
             stream.reconfigure(errors="backslashreplace")
     on_main = threading.current_thread() is threading.main_thread()
     before = signal.signal(signal.SIGTERM, _interrupt) if on_main else None
@@ -115,7 +116,7 @@ def as_process() -> Iterator[None]:
     except SystemExit:
         _flush()
         raise
-    except OSError as problem:  # of the output itself: a command reports its own
+    except OSError as problem:  # about the output itself; commands report their own
         _lose_output(problem)
     finally:
         if on_main:
@@ -127,7 +128,7 @@ def _interrupt(*_: Any) -> NoReturn:
 
 
 def _flush() -> None:
-    """Write what standard output still holds; where nobody reads it (`| head`), drop it without a word."""
+    """Write the rest of standard output; drop it silently if its reader is gone (`| head`)."""
     if sys.stdout is None or sys.stdout.closed:
         return
     try:
@@ -137,7 +138,7 @@ def _flush() -> None:
 
 
 def _lose_output(problem: OSError) -> None:
-    """Say why the output is lost, unless its reader has gone; Python would try again as it exits."""
+    """Report why the output is lost, unless its reader is gone; Python would try again at exit."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     if not isinstance(problem, BrokenPipeError):
         sys.stderr.write(f"gelform: error: cannot write the output: {problem.strerror}.\n")
@@ -146,7 +147,7 @@ def _lose_output(problem: OSError) -> None:
 
 @contextmanager
 def only_writer(path: Path) -> Iterator[None]:
-    """Hold a file's name while it is made; the system lets go of it whatever becomes of the process.
+    """Reserve a file's name while the file is made; the system releases it however the process ends.
 
     Raises
     ------
@@ -155,7 +156,7 @@ def only_writer(path: Path) -> Iterator[None]:
     """
     try:
         import fcntl
-    except ImportError:  # Windows: `written_file` alone keeps two writers apart, when they end
+    except ImportError:  # Windows: only `written_file` separates two writers, when they finish
         yield
         return
     lock = path.with_name(f".{path.name}.lock")

@@ -1,4 +1,4 @@
-"""Image files of a calibrated sensor: through its view, of its size, and reconstructed; what is wrong names the file."""
+"""Image files of a calibrated sensor: view, check of the size, reconstruction; errors name the file."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def image_in(path: Path, calibration: Calibration) -> NDArray[np.uint8]:
 
 
 def background_in(path: Path | None, calibration: Calibration) -> NDArray[np.float32] | None:
-    """The background image of a file or a folder of frames; None where none is given."""
+    """The background image from a file or a folder of frames; None without a path."""
     from gelform.sensors.files import read_background
 
     return None if path is None else _viewed(read_background(path), path, calibration)
@@ -39,7 +39,7 @@ def background_in(path: Path | None, calibration: Calibration) -> NDArray[np.flo
 def calibration_given(
     given: CalibrationOptions, background: Path | None, unit: Callable[[], Unit], quiet: bool = False
 ) -> Calibration:
-    """The calibration of a file; where none is given the library's for a unit, else a starter's, and which one is said."""
+    """The calibration from a file, else from the library, else a starter's; prints which one it is unless it is a file's."""
     from gelform.calibration_file import load_calibration
     from gelform.calibrations.choose import NoCalibration, choose_calibration
 
@@ -58,19 +58,19 @@ def calibration_given(
 def starter_given(
     given: CalibrationOptions, background: Path | None, serial: str, missing: GelformError, quiet: bool
 ) -> Calibration:
-    """The starter's calibration that is asked for, and that it is one is said; `missing`, with advice, where none is."""
+    """The requested starter's calibration, announced to the user; raises `missing` with advice if none is requested."""
     if given.sensor is None or background is None:
         known = ", ".join(STARTERS)
         raise type(missing)(
-            f"{missing} Or take a starter, with an image of the untouched gel: --sensor NAME ({known}) --background IMG."
+            f"{missing} Or take a starter, with an image of the gel at rest: --sensor NAME ({known}) --background IMG."
         )
     made = starter_calibration(given.sensor, background, mm_per_px=given.mm_per_px, serial=serial or None)
-    say(f"Calibration: the starter of a {made.sensor_name}, with {background} as its untouched gel.", quiet)
+    say(f"Calibration: the starter of a {made.sensor_name}, with {background} as its background.", quiet)
     return made
 
 
 def prepared(calibration: Calibration | Path, background: Path | None, **settings: Any) -> Reconstructor:
-    """A Reconstructor of a calibration, and of a background image or a folder of them where one is given."""
+    """A Reconstructor from a calibration and, if given, a background image or a folder of them."""
     from gelform.calibration_file import as_calibration
     from gelform.reconstruct import Reconstructor
 
@@ -79,7 +79,7 @@ def prepared(calibration: Calibration | Path, background: Path | None, **setting
 
 
 def starter_calibration(sensor: str, background: Path, **known: Any) -> Calibration:
-    """The calibration of a unit of a make, from an image of its untouched gel or a folder of several; what is wrong is said.
+    """The calibration of a unit from an image of its gel at rest, or a folder of several, by its make's starter.
 
     Parameters
     ----------
@@ -97,7 +97,7 @@ def starter_calibration(sensor: str, background: Path, **known: Any) -> Calibrat
 
 
 def reconstruction_of(run: Reconstructor, image: NDArray[np.uint8], path: Path) -> Reconstruction:
-    """The reconstruction of a file's image; an image that is refused is named."""
+    """The reconstruction of a file's image; an error names the file."""
     try:
         return run.from_image(image)
     except GelformError as problem:

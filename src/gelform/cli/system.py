@@ -1,4 +1,4 @@
-"""What a report of a fault has to say of a machine: versions, processor, cameras, extras; nothing of the user's files."""
+"""Facts of the machine for a bug report: versions, processor, cameras, extras; nothing about the user's files."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from typing import Any
 
 from gelform.errors import GelformError
 
-VARIABLES = ("GELFORM_ISA", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")  # those that change speed or kernels
-OF_DEVELOPERS = {"dev", "docs", "mutation"}  # extras that no program of a user's needs
+VARIABLES = ("GELFORM_ISA", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")  # they change speed or kernels
+OF_DEVELOPERS = {"dev", "docs", "mutation"}  # extras that only developers need
 _REQUIREMENT = re.compile(r"(?P<name>[\w.-]+)[^;]*(?:;(?P<marker>.*))?")
 
 
@@ -37,7 +37,7 @@ def system_facts() -> dict[str, Any]:
 
 
 def system_lines(facts: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """A line for each fact, and for each of those that hold several."""
+    """One line per fact; several lines for facts with several values."""
     lines: list[tuple[str, str]] = []
     for name, value in facts.items():
         if isinstance(value, dict):
@@ -50,7 +50,7 @@ def system_lines(facts: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 def _declared() -> list[str]:
-    """What the installed gelform requires; empty for a checkout that was put on the path and never installed."""
+    """The requirements of the installed gelform; empty for a checkout that is only on the path."""
     try:
         return requires("gelform") or []
     except PackageNotFoundError:
@@ -74,7 +74,7 @@ def _requirements(declared: Iterable[str]) -> tuple[list[str], dict[str, list[st
 
 
 def _for_this_python(marker: str) -> bool:
-    """Whether what a marker says of Python's version holds here."""
+    """Whether a marker's condition on Python's version holds here."""
     for compared, major, minor in re.findall(r"python_version\s*(<|>=)\s*['\"](\d+)\.(\d+)['\"]", marker):
         below = sys.version_info[:2] < (int(major), int(minor))
         if below != (compared == "<"):
@@ -90,7 +90,7 @@ def _version(package: str) -> str | None:
 
 
 def _extra(names: Iterable[str]) -> str:
-    """The versions of an extra's packages, or which are missing."""
+    """The versions of an extra's packages, or the missing ones."""
     found = {name: _version(name) for name in names}
     missing = [name for name, known in found.items() if known is None]
     if missing:
@@ -99,7 +99,7 @@ def _extra(names: Iterable[str]) -> str:
 
 
 def _kernels() -> str:
-    """The instruction set in use, or why no kernels can be loaded: a report must say that too."""
+    """The instruction set in use, or the reason why the kernels cannot be loaded."""
     from gelform._native import instruction_set, library
 
     try:
@@ -111,7 +111,7 @@ def _kernels() -> str:
 
 
 def _cameras() -> list[str]:
-    """Name and USB number of each camera; no serial, which names a unit and so perhaps its owner."""
+    """Name and USB id of each camera; no serial number, because it identifies a unit and perhaps its owner."""
     from gelform.sensors.cameras.camera import cameras_there
 
     try:

@@ -1,11 +1,11 @@
-"""colour -> gradients: one model per file, listed in COLOR_MODELS.
+"""color -> gradients: one model per file, listed in COLOR_MODELS.
 
 A model is fitted on samples of ball presses, where the gradient is known, and prepared once for a background:
 
     model = COLOR_MODELS["polynomial"].fit(samples)
     gradients, gradients_sigma = model.prepare(background, shape).gradients_from_color(color_change)
 
-No colour change means no slope, in every model.
+No color change means no slope, in every model.
 """
 
 from gelform.color_models.forward_response import ForwardResponse
@@ -36,11 +36,11 @@ COLOR_MODELS: dict[str, type[FittableColorModel]] = {
     "lookup": LookupModel,
 }
 
-# Which of them calibration takes where nobody names one: the one that knows the light at every place and may begin at
-# another unit's, and one of few terms, for few presses and for circles that are still uncertain.
+# Models that calibration uses by default: one that models the light at every place and can start at another unit's, and one
+# of few terms, for few presses and for circles that are still uncertain.
 DEFAULT_MODEL, PLAIN_MODEL = "hierarchical", "polynomial"
 
-# Made by other packages and read by `importers`, never fitted here.
+# Models that other packages made and `importers` reads; they are never fitted here.
 IMPORTED_MODELS: dict[str, type[ColorModel]] = {
     "network": NetworkModel,
     "slope_table": SlopeTableModel,

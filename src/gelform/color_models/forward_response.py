@@ -1,11 +1,11 @@
-"""The forward response: which colour change a slope gives at a place and a depth, and one step back from it.
+"""The forward response: the color change of a slope at a place and a depth, and one step back from it.
 
     f(g; x, y, z) = sum over 1 <= i + j <= 4 of B_ij(x, y) vx^i vy^j  +  z a(x, y)  +  z (bx vx + by vy)      (3 channels)
 
-v is the normal's first two components over 0.3, z the depth of the frame over 10 px. A pressed gel is nearer to the lamps
-than an untouched one: it changes its colour where it is level too, which no map from colour to slope can say. So the slopes
-that a color model read get one Gauss-Newton step towards those of the colour in the image, with the step's prior: the color
-model's own error. Its covariance and what it leaves unexplained come with it (C. M. Bishop, Pattern Recognition and Machine
+v is the normal's first two components over 0.3, z the depth of the frame over 10 px. Pressed gel is nearer to the
+lamps than gel at rest, so that level gel changes its color too, which no map from color to slope can express. So the
+slopes of a color model get one Gauss-Newton step toward those of the color in the image. The step's prior is the color
+model's own error; the step also gives its covariance and its residual (C. M. Bishop, Pattern Recognition and Machine
 Learning, 2006, section 4.4, Laplace's approximation; Huber weights as in P. J. Huber, Robust Statistics, 1981).
 """
 
@@ -39,11 +39,12 @@ from gelform.foundations.checks import check_values, check_within
 
 # Units that make all terms about 1: the RMS of the normal's first two components in contacts, and a usual depth, px.
 NORMAL_UNIT, DEPTH_UNIT_PX = 0.3, 10.0
-PLACE_DEGREES, DEPTH_PLACE_DEGREE = (5, 4, 3, 2), 4  # of terms of order 1 to 4 in the normal; of the depth
-HUBER_CHANGE = 0.03  # color change, about twice the usual residual: from there on a sample counts less
-LONGEST_STEP = 0.3  # mm/mm: beyond it the response is not linear
-RIDGES = (3e-4, 1e-4, 3e-5, 1e-5)  # that calibration tries, the stiffest first
-# Prior of a slope of which one channel of three says nothing, mm/mm: a wide one.
+# degrees in place of terms of order 1 to 4 in the normal, and of the depth
+PLACE_DEGREES, DEPTH_PLACE_DEGREE = (5, 4, 3, 2), 4
+HUBER_CHANGE = 0.03  # color change, about twice the usual residual; samples with larger residuals count less
+LONGEST_STEP = 0.3  # mm/mm; the response is not linear over a longer step
+RIDGES = (3e-4, 1e-4, 3e-5, 1e-5)  # ridges that calibration tries, the stiffest first
+# Prior of a slope with one of three channels clipped, mm/mm: a wide one.
 CLIPPED_STEP_SIGMA = 0.3
 
 _POWERS = monomials(2, len(PLACE_DEGREES))  # (vx, vy, vx vx, vx vy, ...)
@@ -58,7 +59,7 @@ _forward_step = Kernel(
 
 
 class Step(NamedTuple):
-    """Slopes after one step, and what the step says of them.
+    """Slopes after one step, with their variance and residual.
 
     Attributes
     ----------
@@ -82,13 +83,13 @@ class ForwardResponse:
         normal, the depth, and the depth times the normal
     covariance : (3, 3), of the color change about it on the presses it was fitted to
     shape : (H, W)
-    step_sigma : (at rest, per slope), the prior of a step: slopes g that the color model reads are off by a standard
-        deviation of hypot(at rest, per slope |g|), mm/mm; None where no step is taken, because held-out presses were not
-        read better by it, or the response is of an older calibration
-    residual_scale : of squared residuals on presses that were held out over those that the covariance says, at the 95 %
-        that usual pixels stay under: the unit in which outliers are judged
-    clipped : (2, 3) bool, whether the training presses show red, green, blue at the camera's lower and upper end: what
-        was learnt holds for such pixels too
+    step_sigma : (at rest, per slope), the prior of a step: slopes g of the color model have a standard
+        deviation of hypot(at rest, per slope |g|), mm/mm; None without a step, because it did not improve held-out
+        presses, or because the calibration is older
+    residual_scale : squared residuals on held-out presses over those that the covariance predicts, at the 95 % that
+        usual pixels stay under: the unit for judging outliers
+    clipped : (2, 3) bool, whether the training presses show red, green, blue at the camera's lower and upper end: if so,
+        the model holds for such pixels too
     """
 
     nodes: NDArray[np.float64]
@@ -122,11 +123,11 @@ class ForwardResponse:
         *,
         step_sigma: tuple[float, float] | None = None,
     ) -> list[ForwardResponse]:
-        """One response for each ridge, by penalised Huber regression of the color change.
+        """One response for each ridge, by penalized Huber regression of the color change.
 
-        The samples need `depth_px`, of the frame that the color model reads; a ridge is that of a coefficient that is the
-        same
-        everywhere, relative to the samples' weight.
+        The samples need `depth_px`, the depth of the frame from the color model. The ridge belongs to a coefficient that is
+        the
+        same everywhere, relative to the samples' weight.
         """
         assert samples.depth_px is not None
         regression = VaryingRegression.of(
@@ -156,13 +157,13 @@ class ForwardResponse:
         return np.asarray(np.einsum("tn,ntc->nc", products, coefficients))
 
     def of_smaller_changes(self, gain: NDArray[np.float64]) -> ForwardResponse:
-        """The response of color changes that are smaller by a gain (rows, columns, 3) at the nodes, and their noise."""
+        """The response for color changes that are smaller by a gain (rows, columns, 3) at the nodes, and their noise."""
         usual = np.exp(np.log(gain).mean(axis=(0, 1)))
         covariance = self.covariance / np.outer(usual, usual)
         return replace(self, nodes=self.nodes / gain[:, :, None], covariance=covariance)
 
     def to_arrays(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-        """Arrays and settings that `from_arrays` makes it of."""
+        """Arrays and settings for `from_arrays`."""
         arrays: dict[str, NDArray[Any]] = {"nodes": self.nodes, "covariance": self.covariance}
         if self.clipped is not None:
             arrays["clipped"] = self.clipped
@@ -179,7 +180,7 @@ class ForwardResponse:
 
     @cached_property
     def slope_per_change(self) -> float:
-        """Error of a slope, mm/mm, that an error of the color change of 1 makes at rest: the median over the image."""
+        """Error of a slope at rest, mm/mm, for an error of 1 of the color change: the median over the image."""
         along = np.moveaxis(self.nodes[:, :, :2], 2, 3) / NORMAL_UNIT
         information = np.einsum("rcka,rckb->rcab", along, along) + 1e-12 * np.eye(2)
         variance = np.trace(np.linalg.inv(information), axis1=2, axis2=3) / 2
@@ -198,7 +199,7 @@ class ForwardResponse:
 
 
 class PreparedStep:
-    """Steps of whole frames by one forward response; immutable, shared by threads."""
+    """Steps of whole frames by one forward response. It is immutable; threads can share it."""
 
     def __init__(self, forward: ForwardResponse) -> None:
         assert forward.step_sigma is not None
@@ -218,9 +219,8 @@ class PreparedStep:
     ) -> Step:
         """The step of a frame, from the gradients (H, W, 2) that a color model read of a color change (H, W, 3).
 
-        The depth (rows, columns), px, is coarser. Where a channel is `clipped` (H, W, 3) it says nothing: there the other
-        two take
-        two steps, with a prior of 0.3.
+        The depth (rows, columns), px, is coarser. A `clipped` channel (H, W, 3) does not count; there the other two take two
+        steps, with a prior of 0.3.
         """
         stepped = np.empty_like(gradients)
         variance, residual = (np.empty(gradients.shape[:2], np.float32) for _ in range(2))
@@ -233,7 +233,7 @@ class PreparedStep:
 
 
 def normal_terms(gradients: NDArray[Any]) -> NDArray[np.float64]:
-    """The normal's first two components (N, 2), their sign that of the slopes, in the response's unit."""
+    """The normal's first two components (N, 2), with the sign of the slopes, in the response's unit."""
     slopes = np.asarray(gradients, dtype=np.float64)
     length = np.sqrt(1 + np.sum(slopes**2, axis=-1, keepdims=True))
     return np.asarray(slopes / (NORMAL_UNIT * length))
@@ -252,16 +252,17 @@ def _terms(gradients: NDArray[Any], depth_px: NDArray[Any]) -> list[Term]:
 
 
 OLDER_DEPTH_DEGREE = 3  # in place, of the depth's terms, before format 3
-STEEPEST_OLDER = 0.7  # mm/mm, to which polynomials of slopes are translated: what presses of balls show
+# mm/mm, steepest slope for the conversion of polynomials of slopes; presses of balls show slopes up to it
+STEEPEST_OLDER = 0.7
 
 
 def older_response(
     arrays: dict[str, NDArray[Any]], settings: dict[str, Any], shape: tuple[int, int], mm_per_px: float | None
 ) -> ForwardResponse:
-    """The response without a step: it renders, says what a fault is, and reads no slopes.
+    """The response without a step: it renders and identifies faults, but corrects no slopes.
 
-    Of `coefficients` (terms, 3) of the slopes and, behind them, of normal and depth in mm, `noise` (3,), and the settings
-    `position_degrees` and, where it is known, `held_out_noise`, the RMS of the channels' noise on held-out presses.
+    It has `coefficients` (terms, 3) of the slopes and, after them, of normal and depth in mm, and `noise` (3,). Its settings
+    are `position_degrees` and, if known, `held_out_noise`, the RMS of the channels' noise on held-out presses.
     """
     coefficients, degrees = np.asarray(arrays["coefficients"]), tuple(settings["position_degrees"])
     noise = np.maximum(np.asarray(arrays["noise"], dtype=np.float64), 1e-6)
@@ -292,7 +293,7 @@ def older_response(
 
 
 def _normal_from_slope_terms(terms: list[tuple[int, ...]]) -> NDArray[np.float64]:
-    """(14, terms): coefficients of the normal's monomials that give each monomial of the slopes best."""
+    """Coefficients (14, terms) of the normal's monomials that fit each monomial of the slopes best."""
     p, q = (axis.ravel() for axis in np.meshgrid(*(np.linspace(-STEEPEST_OLDER, STEEPEST_OLDER, 21),) * 2))
     slopes = np.stack([p, q])[:, np.hypot(p, q) <= STEEPEST_OLDER]
     of_normal = np.stack(monomial_products(normal_terms(slopes.T).T, monomials(2, 4)), axis=1)

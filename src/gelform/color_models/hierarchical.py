@@ -1,10 +1,9 @@
-"""Gradients as a polynomial in the colour change, its coefficients shrunk the more they vary over the image.
+"""Gradients as a polynomial in the color change, with coefficients that shrink more the more they vary over the image.
 
-A press shows few slopes at few places, so a free polynomial in (colour, x, y) invents the rest. Here each
-coefficient is a sum of Legendre polynomials of the place and of the light that falls there (the logarithm of the
-untouched image, which tells how near the lamps are), and a ridge grows with the degree: what the presses do not
-show stays as simple as it can be (A. E. Hoerl and R. W. Kennard, Technometrics 12(1), 1970, with a prior variance
-per term).
+A press shows few slopes at few places, so a free polynomial in (color, x, y) invents the rest. Here each
+coefficient is a sum of Legendre polynomials of the place and of the light there (the logarithm of the background image,
+which shows how near the lamps are). A ridge grows with the degree, so that the model stays simple where presses show
+nothing (A. E. Hoerl and R. W. Kennard, Technometrics 12(1), 1970, with a prior variance per term).
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ from gelform.color_models._shared.least_squares import (
 from gelform.color_models.seam import PendingChange, Samples, check_image_shape
 from gelform.foundations.filters import CHANGE_OFFSET
 
-RIDGES = (3e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-5)  # that calibration tries, the stiffest first
+RIDGES = (3e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-5)  # ridges that calibration tries, the stiffest first
 
 _hierarchical_gradients = Kernel(
     "hierarchical_gradients",
@@ -46,12 +45,12 @@ _hierarchical_from_image = Kernel(
 
 @dataclass(frozen=True)
 class HierarchicalModel:
-    """Polynomial in (R, G, B) without a constant, its coefficients given at nodes and bilinear between them.
+    """Polynomial in (R, G, B) without a constant; its coefficients are given at nodes and bilinear between them.
 
     Attributes
     ----------
     nodes : (rows, columns, terms, 2) float64, coefficients at every 16th pixel, the last beyond the border
-    degree : of the polynomial in colour
+    degree : degree of the polynomial in color
     shape : (H, W) of the images it was fitted on
     """
 
@@ -75,12 +74,12 @@ class HierarchicalModel:
 
         Parameters
         ----------
-        samples : with `background` the light at each place counts too
-        position_degrees : degree in (x, y) of the linear, quadratic, cubic colour terms; each may be large,
-            since the ridge is 4 times stronger per degree in place and 3 times per degree in colour
-        ridge : > 0, of a coefficient that is the same everywhere, relative to the samples' weight, where the color
-            change's RMS is 1
-        start : the model of another unit of the same sensor; the coefficients are drawn to its own instead of to 0
+        samples : with `background`, the light at each place is used too
+        position_degrees : degree in (x, y) of the linear, quadratic, cubic color terms; each may be large,
+            since the ridge is 4 times stronger per degree in place and 3 times per degree in color
+        ridge : > 0, of a coefficient that is the same everywhere, relative to the samples' weight, for a color change
+            of RMS 1
+        start : the model of another unit of the same sensor; the coefficients are pulled to its own instead of to 0
         """
         if not position_degrees or min(position_degrees) < 0 or not ridge > 0:
             raise ValueError(
@@ -94,18 +93,18 @@ class HierarchicalModel:
 
     @classmethod
     def variants(cls, presses: int) -> list[dict[str, Any]]:
-        """One for each ridge, the stiffest first."""
+        """One variant for each ridge, the stiffest first."""
         return [{"ridge": ridge} for ridge in RIDGES]
 
     def of_smaller_changes(self, gain: NDArray[np.float64]) -> HierarchicalModel:
-        """The model that reads color changes which are smaller by a gain (rows, columns, 3) at the nodes."""
+        """The model for color changes that are smaller by a gain (rows, columns, 3) at the nodes."""
         factors = np.stack(
             [gain[..., list(term)].prod(axis=-1) for term in monomials(3, self.degree)], axis=-1
         )
         return HierarchicalModel(self.nodes * factors[..., None], self.degree, self.shape)
 
     def check_like(self, degree: int, shape: tuple[int, int]) -> None:
-        """Raise a ValueError where a model of a degree and an image shape could not start from this one."""
+        """Raise a ValueError if a model of a degree and an image shape cannot start from this one."""
         if (self.degree, tuple(self.shape)) != (degree, tuple(shape)):
             raise ValueError(
                 f"Expected to start from a model of degree {degree} for images of {shape[0]}x{shape[1]} px, got one of "
@@ -125,7 +124,7 @@ class HierarchicalModel:
         return at_pixels(self.nodes, *interpolation(x_px, y_px, self.shape))
 
     def prepare(self, background: NDArray[Any], shape: tuple[int, int]) -> PreparedHierarchical:
-        """The coefficients of every row of pixels at every 16th column."""
+        """Prepare the coefficients of every row of pixels at every 16th column."""
         check_image_shape(shape, self.shape)
         return PreparedHierarchical(self)
 
@@ -140,14 +139,14 @@ class HierarchicalModel:
         return cls(arrays["nodes"], settings["degree"], (height, width))
 
 
-# The last regression, and what it is of: calibration tries one ridge after the other.
+# The last regression and its arguments, because calibration tries one ridge after the other.
 _last: tuple[Any, ...] = ()
 
 
 def _regression(
     samples: Samples, position_degrees: tuple[int, ...], start: HierarchicalModel | None
 ) -> tuple[VaryingRegression, NDArray[np.float64]]:
-    """The regression of samples on the monomials of their color change, and what each monomial was divided by (terms,)."""
+    """The regression of samples on the monomials of their color change, and the divisor of each monomial (terms,)."""
     global _last
     if _last and _last[0]() is samples and _last[1] == position_degrees and _last[2] is start:
         regression, scales = _last[3:]
@@ -167,7 +166,7 @@ def _regression(
 
 
 class PreparedHierarchical:
-    """The coefficients at the nodes, as the kernels take them; immutable, shared by threads."""
+    """The coefficients at the nodes, in the form of the kernels. It is immutable; threads can share it."""
 
     def __init__(self, model: HierarchicalModel) -> None:
         self._nodes = np.ascontiguousarray(model.nodes, dtype=np.float32)
@@ -176,7 +175,7 @@ class PreparedHierarchical:
         self._work_size = 2 * columns * terms + 4 * terms + 3 * -(-model.shape[1] // NODE_PX) * NODE_PX
 
     def gradients_from_color(self, color_change: NDArray[np.float32]) -> tuple[NDArray[np.float32], None]:
-        """Gradients (H, W, 2) of a color change (H, W, 3); their deviation is the calibration's."""
+        """Gradients (H, W, 2) of a color change (H, W, 3); their deviation is in the calibration."""
         gradients = np.empty((*color_change.shape[:2], 2), dtype=np.float32)
         work = np.empty(self._work_size, dtype=np.float32)
         _hierarchical_gradients(color_change, self._nodes, self._parents, work, gradients)
@@ -185,7 +184,7 @@ class PreparedHierarchical:
     def gradients_in_one_pass(
         self, pending: PendingChange, out: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], None]:
-        """The same of an image whose color change is yet to be computed: that is written to `out` (H, W, 3)."""
+        """The gradients of an image, whose color change is computed in the same pass and written to `out` (H, W, 3)."""
         gradients = np.empty((*out.shape[:2], 2), dtype=np.float32)
         work = np.empty(pending.work_size + self._work_size, dtype=np.float32)
         _hierarchical_from_image(*pending.arguments, self._nodes, self._parents, work, out, gradients)

@@ -1,8 +1,8 @@
-"""Gradients from the nearest samples in (R, G, B, x, y): a line through the origin of colour, fitted at each pixel.
+"""Gradients from the nearest samples in (R, G, B, x, y): a line through the origin of color, fitted at each pixel.
 
-Local linear regression (W. S. Cleveland, J. Am. Stat. Assoc. 74, 1979) without a constant, drawn to the line of all
-samples where the neighbours do not say. It knows how far from its samples a pixel is, which parametric models do
-not; it is slow, seconds for a frame.
+It is local linear regression (W. S. Cleveland, J. Am. Stat. Assoc. 74, 1979) without a constant, pulled to the line of
+all samples where the neighbors do not determine it. Unlike parametric models, it measures the distance of a pixel from
+its samples. It is slow: seconds for a frame.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from gelform.color_models.seam import Samples, Untuned, check_image_shape
 from gelform.foundations.filters import CHANGE_OFFSET
 from gelform.view.resample import pixel_positions
 
-NEIGHBOURS = 16  # of a pixel: five times the unknowns of its line
+NEIGHBOURS = 16  # neighbors of a pixel: five times the unknowns of its line
 POINTS = 4000  # samples that are kept, for speed
-CHUNK = 20_000  # pixels at a time, for the memory
-PRIOR = 0.3  # of the color change's size: how large changes are from which neighbours count more than the line of all
+CHUNK = 20_000  # pixels at a time, to limit memory
+PRIOR = 0.3  # of the color change's size; neighbors with larger changes count more than the line of all
 ARRAYS, SCALES = ("color", "x_px", "y_px", "gradients", "line"), ("color_scale", "place_scale", "spacing")
 
 
@@ -33,11 +33,11 @@ class InterpolationModel(Untuned):
 
     Attributes
     ----------
-    color : (M, 3) float64, colour changes of the samples that are kept
+    color : (M, 3) float64, color changes of the samples that are kept
     x_px, y_px : (M,) float64
     gradients : (M, 2) float64
     line : (3, 2) float64, gradients = color @ line over all samples
-    color_scale : size of a colour change that counts as much as `place_scale`
+    color_scale : size of a color change that is as far as `place_scale`
     place_scale : in half the image's larger side
     spacing : typical distance between samples, in these units
     shape : (H, W) of the images they come from
@@ -58,7 +58,7 @@ class InterpolationModel(Untuned):
 
     @classmethod
     def fit(cls, samples: Samples, *, points: int = POINTS, place_scale: float = 0.5) -> InterpolationModel:
-        """Keep every n-th sample, about `points`; `place_scale` says how far neighbours may be in the image."""
+        """Keep every n-th sample, about `points`; `place_scale` is the distance of neighbors in the image."""
         if points < NEIGHBOURS or not place_scale > 0:
             raise ValueError(
                 f"Expected points >= {NEIGHBOURS} and place_scale > 0, got {points}, {place_scale}."
@@ -86,8 +86,8 @@ class InterpolationModel(Untuned):
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Gradients (N, 2) and their standard deviation (N, 2).
 
-        The deviation is that of the neighbours about their line; for each typical spacing that a pixel is further
-        away from its neighbours than they are from each other, its slope is doubted by a tenth more of itself.
+        The deviation is that of the neighbors about their line. For each typical spacing that a pixel is further
+        away from its neighbors than they are from each other, it grows by a tenth of the slope.
         """
         color = np.asarray(color_change, dtype=np.float64)
         where = self._features(color, x_px, y_px)
@@ -98,7 +98,7 @@ class InterpolationModel(Untuned):
         return gradients, sigma
 
     def prepare(self, background: NDArray[Any], shape: tuple[int, int]) -> PreparedInterpolation:
-        """The same model: the search tree is built once."""
+        """Return the model itself, whose search tree is built once."""
         check_image_shape(shape, self.shape)
         return PreparedInterpolation(self)
 
@@ -119,7 +119,7 @@ class InterpolationModel(Untuned):
         return scipy.spatial.cKDTree(self._features(self.color, self.x_px, self.y_px))
 
     def _features(self, color: NDArray[Any], x_px: NDArray[Any], y_px: NDArray[Any]) -> NDArray[np.float64]:
-        """(N, 5): colour and place, each in its scale."""
+        """Coordinates (N, 5): color and place, each in its scale."""
         x, y = unit_position(x_px, y_px, self.shape)
         place = np.stack([x, y], axis=1) / self.place_scale
         return np.concatenate([color / self.color_scale, place], axis=1)
@@ -127,7 +127,7 @@ class InterpolationModel(Untuned):
     def _local(
         self, color: NDArray[np.float64], where: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """One ridge regression per pixel on its neighbours, weighted by a Gaussian of the distance."""
+        """One ridge regression per pixel on its neighbors, weighted by a Gaussian of the distance."""
         distance, near = self._tree.query(where, k=NEIGHBOURS)
         width = np.maximum(distance[:, NEIGHBOURS // 2], self.spacing)[:, None]
         weight = np.exp(-0.5 * (distance / width) ** 2)
@@ -145,7 +145,7 @@ class InterpolationModel(Untuned):
 
 @dataclass(frozen=True)
 class PreparedInterpolation:
-    """An interpolation and the places of all pixels."""
+    """An interpolation and the positions of all pixels."""
 
     model: InterpolationModel
 

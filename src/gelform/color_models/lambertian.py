@@ -1,8 +1,8 @@
-"""Photometric stereo with three fixed lights, on the ratio of the image to the untouched image.
+"""Photometric stereo with three fixed lights, on the ratio of the image to the background image.
 
-At rest the normal is (0, 0, 1), so `I/I0 = (l . n)/l_z`: albedo, vignetting and the lights' falloff cancel, and
-three rows `l/l_z = (a, b, 1)` are all there is to know (Woodham, Optical Engineering 19(1), 1980, eq. 7).
-Crosstalk makes a channel see a mixture of lights, which is a light again: the rows hold it, exactly where the
+At rest the normal is (0, 0, 1), so `I/I0 = (l . n)/l_z`: albedo, vignetting and the lights' falloff cancel. The
+three rows `l/l_z = (a, b, 1)` are the only unknowns (Woodham, Optical Engineering 19(1), 1980, eq. 7).
+Crosstalk makes a channel record a mixture of lights, which acts as one light: the rows contain it, exactly if the
 mixture is the same everywhere. A camera whose levels are light^response is made linear first.
 """
 
@@ -19,14 +19,14 @@ from gelform.color_models._shared.least_squares import HUBER_SLOPE, robust_ridge
 from gelform.color_models.seam import Samples, Untuned
 from gelform.foundations.checks import LARGEST, check_response, check_values
 
-MAX_CONDITION = 1e4  # of a light matrix, from which lights count as coplanar
-MAX_SLOPE = 5.0  # mm/mm, that pixels in shadow get at most
-DARKEST_RATIO = 0.02  # of the light at rest: a darker channel is in shadow, where the law does not hold
-RESPONSES = (0.3, 1.6)  # exponents that a fit looks for
+MAX_CONDITION = 1e4  # of a light matrix; with a larger one, lights count as coplanar
+MAX_SLOPE = 5.0  # mm/mm, largest slope of pixels in shadow
+DARKEST_RATIO = 0.02  # of the light at rest; a darker channel is in shadow, where the law does not hold
+RESPONSES = (0.3, 1.6)  # range of exponents in a fit
 
 
 def inverse_lights(lights: ArrayLike) -> NDArray[np.float64]:
-    """Inverse of the light matrix, refused where the lights are coplanar or nearly so."""
+    """Inverse of the light matrix; an error if the lights are coplanar or nearly so."""
     matrix = check_values(lights, "lights", (3, 3), np.float64)
     if matrix.ndim != 2:
         raise ValueError(f"Expected lights of shape (3, 3), one row per channel, got {matrix.shape}.")
@@ -66,7 +66,7 @@ class LambertianModel(Untuned):
     def fit(cls, samples: Samples, *, response: float | None = None) -> LambertianModel:
         """Lights by robust least squares: `(I/I0) sqrt(1 + p^2 + q^2) - 1 = -(a p + b q)`, shadows left out.
 
-        The response is the exponent, 0.3-1.6, that leaves the least median error, unless it is given.
+        The response, if not given, is the exponent from 0.3 to 1.6 with the smallest median error.
         """
         if response is not None and not response > 0:
             raise ValueError(f"Expected a response > 0, got {response}.")
@@ -83,12 +83,12 @@ class LambertianModel(Untuned):
     def gradients_at(
         self, color_change: NDArray[Any], x_px: NDArray[Any], y_px: NDArray[Any]
     ) -> NDArray[np.float64]:
-        """Gradients (N, 2) of scattered pixels; the place does not matter to fixed lights."""
+        """Gradients (N, 2) of scattered pixels; with fixed lights they do not depend on the place."""
         change = linear_change(np.asarray(color_change, dtype=np.float64), self.response)
         return gradients_from_scaled(change, inverse_lights(self.lights))
 
     def prepare(self, background: NDArray[Any], shape: tuple[int, int]) -> PreparedLambertian:
-        """The inverse light matrix, ready for frames of any shape."""
+        """Prepare the inverse light matrix, for frames of any shape."""
         return PreparedLambertian(inverse_lights(self.lights).astype(np.float32), self.response)
 
     def to_arrays(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
@@ -109,7 +109,7 @@ class PreparedLambertian:
     response: float = 1.0
 
     def gradients_from_color(self, color_change: NDArray[np.float32]) -> tuple[NDArray[np.float32], None]:
-        """Gradients (H, W, 2) of a color change (H, W, 3); their deviation is the calibration's."""
+        """Gradients (H, W, 2) of a color change (H, W, 3); their deviation is in the calibration."""
         return gradients_from_scaled(linear_change(color_change, self.response), self.inverse), None
 
     def albedo_from_color(self, color_change: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -119,7 +119,7 @@ class PreparedLambertian:
 
 
 def linear_change(change: NDArray[Any], response: float) -> NDArray[Any]:
-    """The change of light behind a change of grey levels: `(I/I0)^(1/response) - 1`."""
+    """The change of light for a change of gray levels: `(I/I0)^(1/response) - 1`."""
     if response == 1:
         return change
     ratio = np.maximum(1 + change, change.dtype.type(0))
@@ -128,7 +128,7 @@ def linear_change(change: NDArray[Any], response: float) -> NDArray[Any]:
 
 
 def gradients_from_scaled(change: NDArray[Any], inverse: NDArray[Any]) -> NDArray[Any]:
-    """Slopes -g_xy/g_z of `g = L^-1 (1 + change)`; a pixel in shadow, whose g_z vanishes, gets at most MAX_SLOPE.
+    """Slopes -g_xy/g_z of `g = L^-1 (1 + change)`; a pixel in shadow, with g_z near 0, gets at most MAX_SLOPE.
 
     `inverse` is one matrix (3, 3), or one per pixel (..., 3, 3).
     """

@@ -1,6 +1,6 @@
-"""A table over colour change and place, fitted by lattice regression, read by multilinear interpolation.
+"""A table over color change and place, fitted by lattice regression, read by multilinear interpolation.
 
-Each sample pulls on the corners of the grid cell that it lies in; nodes without samples follow their neighbours,
+Each sample pulls the corners of its grid cell; nodes without samples follow their neighbors,
 because second differences are kept small (E. Garcia, R. Arora, M. R. Gupta, Optimized regression for efficient
 function evaluation, IEEE Trans. Image Processing 21(9), 2012, section III).
 """
@@ -19,14 +19,16 @@ from gelform.color_models._shared.layers import blocks_of
 from gelform.color_models._shared.least_squares import HUBER_SLOPE
 from gelform.color_models.seam import Samples, Untuned, check_image_shape
 from gelform.foundations.filters import CHANGE_OFFSET
+from gelform.gradients import STEEPEST_GEL
 
-HUBER_ROUNDS = 2  # of reweighting by Huber's loss
-FOLDS, STRETCHES = 2, 24  # stretches of the samples, about a press or two each, are dealt into folds
+HUBER_ROUNDS = 2  # rounds of reweighting by Huber's loss
+# Folds, and stretches of the samples that are split into them; a stretch is about a press or two.
+FOLDS, STRETCHES = 2, 24
 CG_TOLERANCE = 1e-3  # of the residual over the right side
 
 
 def corner_weights(coordinates: list[NDArray[np.float64]], sizes: tuple[int, ...]) -> scipy.sparse.csr_matrix:
-    """Multilinear weights (N, nodes) at positions (N,) along each axis, in nodes; beyond the grid those of its face."""
+    """Multilinear weights (N, nodes) at positions (N,) along each axis, in nodes; constant beyond the grid."""
     count = len(coordinates[0])
     low, part = [], []
     for at, size in zip(coordinates, sizes):
@@ -48,7 +50,7 @@ def corner_weights(coordinates: list[NDArray[np.float64]], sizes: tuple[int, ...
 
 
 class Lattice:
-    """Least squares on the nodes of a grid over (y, x, R, G, B), of slopes that are 0 at no change of colour.
+    """Least squares on the nodes of a grid over (y, x, R, G, B), for slopes that are 0 without a change of color.
 
     `zero` is the node of no change on the color axes, `smoothness` the weight of second differences relative to the
     samples.
@@ -88,7 +90,7 @@ class Lattice:
 
 
 def _squared_differences(sizes: tuple[int, ...], axis: int) -> scipy.sparse.csr_matrix:
-    """D^T D of second differences along one axis (first ones where there are two nodes), over all nodes."""
+    """D^T D of second differences along one axis (first ones for two nodes), over all nodes."""
     size = sizes[axis]
     order = [1.0, -2.0, 1.0] if size > 2 else [-1.0, 1.0]
     line = scipy.sparse.diags(order, list(range(len(order))), shape=(size - len(order) + 1, size))
@@ -104,9 +106,9 @@ def held_out_residuals(
     target: NDArray[np.float64],
     weight: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Residuals (N, 2) of samples that were not fitted: stretches of them are left out in turn.
+    """Residuals (N, 2) of held-out samples; stretches of them are left out in turn.
 
-    Samples come press by press, so a stretch is about one press and its neighbours in the list no copies of it.
+    Samples are in the order of presses, so a stretch is about one press, and its neighbors in the list are no copies of it.
     """
     stretch = np.arange(len(target)) * STRETCHES // max(len(target), 1)
     fold = stretch % FOLDS
@@ -118,11 +120,10 @@ def held_out_residuals(
     return residual
 
 
-OFF_GAMUT_SIGMA = 1.0  # mm/mm, of colours that no press has shown: as good as nothing is known
-NODES = 11  # per channel: about a node for each tenth of the range
-RANGE = (0.2, 99.8)  # percentiles of the samples' colour change that the table spans
-MIN_SAMPLES = 1.0  # corners with less weight of samples about them are off the gamut
-PRIOR_SAMPLES = 20.0  # that count for the typical deviation: fewer at a node do not tell their own
+NODES = 11  # nodes per channel: about one for each tenth of the range
+RANGE = (0.2, 99.8)  # percentiles of the samples' color change that the table spans
+MIN_SAMPLES = 1.0  # smallest weight of samples around a corner; corners with less are off the gamut
+PRIOR_SAMPLES = 20.0  # samples that the typical deviation counts for; a node with fewer has no reliable deviation of its own
 
 
 @dataclass(frozen=True)
@@ -132,10 +133,10 @@ class LookupModel(Untuned):
     Attributes
     ----------
     table : (rows, columns, reds, greens, blues, 3) float32: two slopes and their standard deviation, which is
-        OFF_GAMUT_SIGMA where no samples were; 0 everywhere where nobody knows it
-    low, step : (3,) colour change of the first node and between nodes, per channel
+        STEEPEST_GEL without samples; 0 everywhere if unknown
+    low, step : (3,) color change of the first node and between nodes, per channel
     shape : (H, W) of the images
-    gain : "none", or "mean_over_background" for tables of grey levels times 1 + 2 (mean(I0)/I0 - 1)
+    gain : "none", or "mean_over_background" for tables of gray levels times 1 + 2 (mean(I0)/I0 - 1)
     background : (H, W, 3) float32, with that gain: the image that it was imported with
     """
 
@@ -158,12 +159,12 @@ class LookupModel(Untuned):
         positions: tuple[int, int] = (3, 4),
         smoothness: float = 0.02,
     ) -> LookupModel:
-        """Fit on the samples, in seconds; in the order of their presses, so that residuals are of other presses.
+        """Fit on the samples, in seconds. They are in the order of their presses, so that residuals are of other presses.
 
         Parameters
         ----------
-        nodes : per channel
-        positions : nodes over (rows, columns) of the image; (1, 1) for a table over colour alone
+        nodes : nodes per channel
+        positions : nodes over (rows, columns) of the image; (1, 1) for a table over color alone
         smoothness : weight of the second differences, relative to the samples
         """
         if nodes < 4 or min(positions) < 1:
@@ -199,13 +200,13 @@ class LookupModel(Untuned):
         return slopes
 
     def prepare(self, background: NDArray[Any], shape: tuple[int, int]) -> PreparedLookup:
-        """The gain of each pixel and its place in the table."""
+        """Prepare the gain of each pixel and its position in the table."""
         check_image_shape(shape, self.shape)
         gain = None if self.gain == "none" else _gain(np.asarray(background, dtype=np.float32))
         return PreparedLookup(self, gain)
 
     def to_arrays(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-        """The table, its axes, and the background that an imported gain needs."""
+        """The table, its axes, and the background for an imported gain."""
         arrays: dict[str, NDArray[Any]] = {"table": self.table, "low": self.low, "step": self.step}
         if self.background is not None:
             arrays["background"] = self.background
@@ -236,7 +237,7 @@ class LookupModel(Untuned):
 
 
 class PreparedLookup:
-    """A table over frames of one shape; immutable, shared by threads."""
+    """A table for frames of one shape. It is immutable; threads can share it."""
 
     def __init__(self, model: LookupModel, gain: NDArray[np.float32] | None) -> None:
         rows, columns, *colors, _ = model.table.shape
@@ -259,7 +260,7 @@ class PreparedLookup:
     def gradients_from_color(
         self, color_change: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
-        """Gradients (H, W, 2) of a color change (H, W, 3), and their standard deviation where the table holds one."""
+        """Gradients (H, W, 2) of a color change (H, W, 3), and their standard deviation if the table has one."""
         change = color_change if self._gain is None else color_change * self._gain
         out = np.empty((*change.shape[:2], 3), dtype=np.float32)
         for rows in blocks_of(*change.shape[:2]):
@@ -268,7 +269,7 @@ class PreparedLookup:
         return out[..., :2] - self._rest, sigma
 
     def _read(self, change: NDArray[np.float32], first: NDArray[np.intp]) -> NDArray[np.float32]:
-        """Multilinear values (h, w, 3): of each pixel 8 corners of colour in the one or two columns of nodes beside it."""
+        """Multilinear values (h, w, 3), from 8 corners of color in the one or two columns of nodes next to each pixel."""
         node, fraction = _node_and_fraction((change - self._low) / self._step, self._colors)
         _, greens, blues = self._colors
         strides = np.array([greens * blues, blues, 1])
@@ -287,14 +288,14 @@ class PreparedLookup:
 def _node_and_fraction(
     at: NDArray[Any], sizes: int | NDArray[np.intp]
 ) -> tuple[NDArray[np.intp], NDArray[Any]]:
-    """The node below a position in nodes, and the fraction of the one above, 0-1; inside the grid."""
+    """The node below a position in nodes, and the fraction of the way to the next, 0-1; inside the grid."""
     clipped = np.clip(at, 0, np.asarray(sizes - 1, dtype=at.dtype))
     node = np.minimum(clipped.astype(np.intp), np.maximum(sizes - 2, 0))
     return node, (clipped - node).astype(at.dtype)
 
 
 def _gain(background: NDArray[np.float32]) -> NDArray[np.float32]:
-    """From (I - I0)/255 to the grey levels of tables in the tradition of Dong and Yuan."""
+    """Factor from (I - I0)/255 to the gray levels of tables in the tradition of Dong and Yuan."""
     level = background + np.float32(1)
     return np.asarray(255 * (1 + 2 * (level.mean() / level - 1)), dtype=np.float32)
 
@@ -313,9 +314,9 @@ def _deviation(
     weight: NDArray[np.float64],
     sizes: tuple[int, ...],
 ) -> NDArray[np.float64]:
-    """Standard deviation (nodes,) of a slope component: the residuals about a node and its neighbours."""
+    """Standard deviation (nodes,) of a slope component: the residuals about a node and its neighbors."""
     used = (weight > 0).astype(np.float64)
-    size = np.minimum(np.sum(residual**2, axis=1) / 2, OFF_GAMUT_SIGMA**2)
+    size = np.minimum(np.sum(residual**2, axis=1) / 2, STEEPEST_GEL**2)
     count, sums = (np.asarray(corners.T @ values).reshape(sizes) for values in (used, used * size))
     for axis, length in enumerate(sizes):
         if length > 1:
@@ -324,4 +325,4 @@ def _deviation(
             )
     typical = float(np.average(size, weights=used))
     variance = (sums + PRIOR_SAMPLES * typical) / (count + PRIOR_SAMPLES)
-    return np.where(count >= MIN_SAMPLES, np.sqrt(variance), OFF_GAMUT_SIGMA).ravel()
+    return np.where(count >= MIN_SAMPLES, np.sqrt(variance), STEEPEST_GEL).ravel()

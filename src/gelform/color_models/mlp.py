@@ -1,7 +1,7 @@
-"""A small network from colour change and place to gradients, trained on presses; its answer at rest is zero.
+"""A small network from color change and place to gradients, trained on presses; its output at rest is zero.
 
-The network's own answer to the untouched colour at the same place is subtracted, in training too: no colour
-change, no slope.
+Its raw output for the color of rest at the same place is subtracted, in training too, so that no color change means
+no slope.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from gelform.view.resample import pixel_positions
 
 @dataclass(frozen=True)
 class MlpModel(Untuned):
-    """A network of five inputs (colour change R, G, B in units of its size; x, y) and two slopes.
+    """A network of five inputs (color change R, G, B in units of its size; x, y) and two slopes.
 
     Attributes
     ----------
     layers : five inputs, two outputs
-    change_scale : (3,) float64, what the colour change is divided by
+    change_scale : (3,) float64, divisor of the color change
     shape : (H, W) of the images it was fitted on
     """
 
@@ -80,7 +80,7 @@ class MlpModel(Untuned):
         return prepared.gradients_from_color(np.asarray(color_change, dtype=np.float32))[0].astype(np.float64)
 
     def prepare(self, background: NDArray[Any], shape: tuple[int, int]) -> PreparedMlp:
-        """The inputs at rest of a frame, and the network's answer to them."""
+        """Prepare the inputs at rest of a frame, and the network's output for them."""
         check_image_shape(shape, self.shape)
         return PreparedMlp(self, *pixel_positions(shape).T)
 
@@ -96,7 +96,7 @@ class MlpModel(Untuned):
 
 
 class PreparedMlp:
-    """The network with its answer at rest at given places; immutable, shared by threads."""
+    """The network with its output at rest at given places. It is immutable; threads can share it."""
 
     def __init__(self, model: MlpModel, x_px: NDArray[Any], y_px: NDArray[Any]) -> None:
         inputs = np.zeros((5, len(x_px)), dtype=np.float32)
@@ -105,6 +105,6 @@ class PreparedMlp:
         self._rest = self._network.outputs_from_color(np.zeros((len(x_px), 3), dtype=np.float32))
 
     def gradients_from_color(self, color_change: NDArray[np.float32]) -> tuple[NDArray[np.float32], None]:
-        """Gradients (..., 2) of a color change (..., 3); their deviation is the calibration's."""
+        """Gradients (..., 2) of a color change (..., 3); their deviation is in the calibration."""
         slopes = self._network.outputs_from_color(color_change.reshape(-1, 3)) - self._rest
         return slopes.reshape(*color_change.shape[:-1], 2), None

@@ -1,10 +1,10 @@
-"""Photometric stereo with three near lights, on the ratio of the image to the untouched image.
+"""Photometric stereo with three near lights, on the ratio of the image to the background image.
 
 A light at S shines on a surface point X from the direction (S - X)/|S - X| with a strength that falls as
 |S - X|^-falloff, so `E = n . (S - X)/|S - X|^(1 + falloff)` (R. Mecca et al., Near field photometric stereo with
 point light sources, SIAM J. Imaging Sciences 7(4), 2014, eq. 3, at constant depth). Positions are in units of half the
-image's larger side, about its centre. Crosstalk mixes the lights into each channel; where all of them shine the channel
-is linear in the normal at every pixel, with a light matrix of its own.
+image's larger side, about its center. Crosstalk mixes the lights into each channel; where all of them shine, the channel
+is linear in the normal, with a separate light matrix at every pixel.
 """
 
 from __future__ import annotations
@@ -30,18 +30,18 @@ from gelform.color_models.lambertian import (
 from gelform.color_models.seam import Samples, Untuned, check_image_shape
 from gelform.view.resample import pixel_positions
 
-LEAST_RATIO = 1e-3  # of the light at rest: a channel with less is held there
+LEAST_RATIO = 1e-3  # of the light at rest; a channel with less is set to it
 OFF_DIAGONAL = ~np.eye(3, dtype=bool)
 
 
 @dataclass(frozen=True)
 class Toward:
-    """The way from pixels to the lights.
+    """The vectors from pixels to the lights.
 
     Attributes
     ----------
     way : (N, 3 lights, 3) S - X
-    strength : (N, 3 lights) |S|^falloff / |S - X|^(1 + falloff): 1 over the distance, at the centre
+    strength : (N, 3 lights) |S|^falloff / |S - X|^(1 + falloff): 1 over the distance, at the center
     """
 
     way: NDArray[np.float64]
@@ -51,7 +51,7 @@ class Toward:
     def of(
         cls, x: NDArray[np.float64], y: NDArray[np.float64], positions: NDArray[np.float64], falloff: float
     ) -> Toward:
-        """From pixels (N,) to lights at positions (3, 3)."""
+        """Vectors from pixels (N,) to lights at positions (3, 3)."""
         way = positions - np.stack([x, y, np.zeros_like(x)], axis=-1)[:, None]
         square = np.einsum("nlk,nlk->nl", way, way)
         strength = (np.sum(positions**2, axis=1) / square) ** (falloff / 2) / np.sqrt(square)
@@ -59,7 +59,7 @@ class Toward:
 
     @property
     def light(self) -> NDArray[np.float64]:
-        """(N, 3 lights, 3): what a normal is multiplied by."""
+        """The factor (N, 3 lights, 3) of a normal."""
         return self.strength[..., None] * self.way
 
 
@@ -71,7 +71,7 @@ def light_ratio(
     mixture: NDArray[np.float64],
     falloff: float,
 ) -> NDArray[np.float64]:
-    """Light of each channel over that at rest, (N, 3), of normals (N, 3); a light behind the surface gives nothing."""
+    """Light of each channel over that at rest, (N, 3), for normals (N, 3); a light behind the surface gives nothing."""
     light = Toward.of(x, y, positions, falloff).light
     lit = np.maximum(np.einsum("nlk,nk->nl", light, normals), 0)
     ratio: NDArray[np.float64] = lit @ mixture.T / (light[..., 2] @ mixture.T)
@@ -111,9 +111,9 @@ def light_ratio_derivatives(
     )
 
 
-FITTED_SAMPLES = 4000  # at most: neighbours in a press say the same
-LEAST_PRESSED = 30  # samples, twice the numbers that are fitted
-# Of the lights, in half the image's larger side: least height above the gel; most height, and distance beside it.
+FITTED_SAMPLES = 4000  # samples at most, because neighbors in a press carry the same information
+LEAST_PRESSED = 30  # samples, twice the number of fitted parameters
+# Lights, in half the image's larger side: smallest height above the gel; largest height, and distance from it.
 LOWEST, FARTHEST = 0.05, 20.0
 
 
@@ -125,12 +125,12 @@ _near_light_gradients = Kernel(
 
 @dataclass(frozen=True)
 class NearLightModel(Untuned):
-    """Three near lights, the mixture that each channel sees, and the camera's response.
+    """Three near lights, the mixture of them in each channel, and the camera's response.
 
     Attributes
     ----------
-    positions_px : (3, 3) float64, x, y from the image's centre and height above the gel, of the lights that R, G, B
-        mainly see; times mm_per_px it is mm
+    positions_px : (3, 3) float64, x, y from the image's center and height above the gel, of the main lights of
+        R, G, B; times mm_per_px it is mm
     mixture : (3, 3) float64, row: channel, column: light; relative strength, 1 on the diagonal
     falloff : exponent of the distance; 2 is a point light
     response : exponent of the camera's response, I = light^response
@@ -154,9 +154,9 @@ class NearLightModel(Untuned):
 
         Parameters
         ----------
-        response : of the camera; estimated within 0.3-1.6 unless given. Give it where it is known: on gentle slopes a
+        response : of the camera; estimated within 0.3-1.6 by default. Give it if it is known, because on gentle slopes a
             smaller exponent looks like higher lights
-        crosstalk : whether a channel may see the other two lights; False: only its own
+        crosstalk : whether a channel may record the other two lights; False: only its own
         falloff : exponent of the distance
         """
         used = _pressed(samples)
@@ -173,11 +173,11 @@ class NearLightModel(Untuned):
         return cls(positions * max(samples.shape) / 2, mixture, falloff, exponent, samples.shape)
 
     def positions_mm(self, mm_per_px: float) -> NDArray[np.float64]:
-        """Positions (3, 3) of the lights, mm from the point of the gel at the image's centre."""
+        """Positions (3, 3) of the lights, mm from the point of the gel at the image's center."""
         return self.positions_px * mm_per_px
 
     def lights_at(self, x_px: NDArray[Any], y_px: NDArray[Any]) -> NDArray[np.float64]:
-        """Light matrices (N, 3, 3), rows (a, b, 1) for R, G, B, as fixed lights would have them at each pixel."""
+        """Light matrices (N, 3, 3), rows (a, b, 1) for R, G, B, of equivalent fixed lights at each pixel."""
         x, y = unit_position(x_px, y_px, self.shape)
         toward = Toward.of(x, y, 2 * self.positions_px / max(self.shape), self.falloff)
         lights = np.einsum("cl,nlk->nck", self.mixture, toward.light)
@@ -191,7 +191,7 @@ class NearLightModel(Untuned):
         return gradients_from_scaled(change, _inverted(self.lights_at(x_px, y_px)))
 
     def prepare(self, background: NDArray[Any], shape: tuple[int, int]) -> PreparedNearLight:
-        """The inverse light matrix of every pixel."""
+        """Prepare the inverse light matrix of every pixel."""
         check_image_shape(shape, self.shape)
         inverse = _inverted(self.lights_at(*pixel_positions(shape).T)).reshape(-1, 9).T.reshape(3, 3, *shape)
         return PreparedNearLight(np.ascontiguousarray(inverse, dtype=np.float32), self.response)
@@ -217,7 +217,7 @@ class PreparedNearLight:
     response: float
 
     def gradients_from_color(self, color_change: NDArray[np.float32]) -> tuple[NDArray[np.float32], None]:
-        """Gradients (H, W, 2) of a color change (H, W, 3); their deviation is the calibration's."""
+        """Gradients (H, W, 2) of a color change (H, W, 3); their deviation is in the calibration."""
         gradients = np.empty((*color_change.shape[:2], 2), dtype=np.float32)
         light = np.ascontiguousarray(linear_change(color_change, self.response))
         _near_light_gradients(light, self.inverse, gradients, 1 / MAX_SLOPE)
@@ -225,7 +225,7 @@ class PreparedNearLight:
 
 
 def _pressed(samples: Samples) -> Samples:
-    """Some 4000 samples that are pressed and lit: at rest every light gives the ratio 1."""
+    """Some 4000 samples that are pressed and lit, because at rest every light gives the ratio 1."""
     known = np.any(samples.gradients != 0, axis=1) & np.all(samples.color_change > DARKEST_RATIO - 1, axis=1)
     chosen = np.flatnonzero(known)
     if len(chosen) < LEAST_PRESSED:
@@ -253,7 +253,7 @@ def _problem(
 ) -> tuple[
     Callable[[NDArray[np.float64]], NDArray[np.float64]], Callable[[NDArray[np.float64]], NDArray[np.float64]]
 ]:
-    """What least squares makes small, of the vector that is fitted: residuals (3 N,) and their jacobian."""
+    """The least-squares problem for the fitted vector: residuals (3 N,) and their jacobian."""
     x, y = unit_position(samples.x_px, samples.y_px, samples.shape)
     normals = np.concatenate([-samples.gradients, np.ones((len(x), 1))], axis=1)
     normals /= np.linalg.norm(normals, axis=1)[:, None]
@@ -280,7 +280,7 @@ def _problem(
 def _unpacked(
     values: NDArray[np.float64], crosstalk: bool, response: float | None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
-    """Positions (3, 3), mixture (3, 3), response from the vector that is fitted."""
+    """Positions (3, 3), mixture (3, 3), response from the fitted vector."""
     mixture = np.eye(3)
     if crosstalk:
         mixture[OFF_DIAGONAL] = values[9:15]

@@ -1,7 +1,7 @@
-"""A network that another package trained on raw images: colours and place in, slopes at rest subtracted.
+"""A network of another package, trained on raw images: its input is colors and place, and slopes at rest are subtracted.
 
-It sees the image itself, which the color change and the background give back: image = background + 255 change
-(a calibration that holds such a network subtracts, and does not blur).
+It needs the image itself, which the color change and the background give: image = background + 255 change
+(a calibration with such a network subtracts, and does not blur).
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ Answer = Literal["angles", "normals"]
 
 @dataclass(frozen=True)
 class NetworkModel:
-    """An imported network: (B, G, R)/255 and the place in, two numbers out.
+    """An imported network with the inputs (B, G, R)/255 and place, and two outputs.
 
     Attributes
     ----------
     layers : five inputs, two outputs
-    background : (H, W, 3) float32, 0-255, the untouched image that it was imported with
-    position : "xy" for x/W, y/H after the colours, "yx" for y/H, x/W, "zeros" for two zeros
-    answer : "angles" are slope angles in rad of a surface that goes down where pressed; "normals" are n_x, n_y
+    background : (H, W, 3) float32, 0-255, the background image that it was imported with
+    position : "xy" for x/W, y/H after the colors, "yx" for y/H, x/W, "zeros" for two zeros
+    answer : "angles" are slope angles in rad of a surface that is lower where pressed; "normals" are n_x, n_y
     """
 
     layers: Layers
@@ -58,7 +58,7 @@ class NetworkModel:
         return prepared.gradients_from_color(np.asarray(color_change, dtype=np.float32))[0].astype(np.float64)
 
     def prepare(self, background: NDArray[Any], shape: tuple[int, int]) -> PreparedNetwork:
-        """The inputs at rest, and the network's answer to them, of a frame of the imported size."""
+        """Prepare the inputs at rest, and the network's output for them, for frames of the imported size."""
         height, width = self.background.shape[:2]
         check_image_shape(shape, (height, width), made="imported")
         rest = np.asarray(background, dtype=np.float32).reshape(-1, 3)
@@ -75,7 +75,7 @@ class NetworkModel:
         return PreparedNetwork(network, self.answer, len(x))
 
     def to_arrays(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-        """The layers and the background; how they are fed and read."""
+        """The layers and the background, and the meaning of inputs and outputs."""
         arrays = {**self.layers.to_arrays(), "background": self.background}
         return arrays, {"position": self.position, "answer": self.answer}
 
@@ -86,7 +86,7 @@ class NetworkModel:
 
 
 class PreparedNetwork:
-    """The network with its answer at rest; immutable, shared by threads."""
+    """The network with its output at rest. It is immutable; threads can share it."""
 
     def __init__(self, network: RestedNetwork, answer: Answer, pixels: int) -> None:
         self._network, self._answer = network, answer
@@ -94,7 +94,7 @@ class PreparedNetwork:
         self._rest = self._slopes(np.zeros((pixels, 3), dtype=np.float32))
 
     def gradients_from_color(self, color_change: NDArray[np.float32]) -> tuple[NDArray[np.float32], None]:
-        """Gradients (..., 2) of a color change (..., 3), (I - I0)/255; nothing is known of their deviation."""
+        """Gradients (..., 2) of a color change (..., 3), (I - I0)/255; their deviation is unknown."""
         slopes = self._slopes(color_change.reshape(-1, 3))
         return slopes.reshape(*color_change.shape[:-1], 2), None
 
@@ -103,5 +103,5 @@ class PreparedNetwork:
         if self._answer == "angles":
             return -np.tan(answer) - self._rest
         square = np.sum(answer**2, axis=-1, keepdims=True)
-        down = np.sqrt(np.maximum(1 - square, square / MAX_SLOPE**2))  # the network may say |n| >= 1
+        down = np.sqrt(np.maximum(1 - square, square / MAX_SLOPE**2))  # the network may give |n| >= 1
         return -answer / np.maximum(down, np.float32(1e-12)) - self._rest

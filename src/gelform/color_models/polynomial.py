@@ -1,7 +1,7 @@
-"""Gradients as a polynomial in the colour change whose coefficients vary over the image.
+"""Gradients as a polynomial in the color change whose coefficients vary over the image.
 
-The lights are near, so the effective light direction differs from place to place: each linear, quadratic and
-cubic colour term carries a polynomial in (x, y) of its own.
+The lights are near, so the effective light direction differs from place to place. Therefore each linear, quadratic and
+cubic color term has its own polynomial in (x, y).
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ MAX_POSITION_DEGREE = 5  # 21 functions of the place
 # Position degrees that calibration tries, and the accepted presses that each needs.
 DEGREES = (((1,), 3), ((2, 1), 6), ((3, 2, 0), 9), ((4, 3, 1), 18), ((5, 4, 3), 30))
 
-PIXELS = 16  # of a row at a time, in native/color_models/polynomial.c
+PIXELS = 16  # pixels of a row at a time, as in native/color_models/polynomial.c
 _polynomial_gradients = Kernel(
     "polynomial_gradients",
     "f32[h,w,3] change, f32[w] x, f32[h,2,t,c] table, i32[t] degrees, i32[t,2] parents, out f32[n] work, "
@@ -40,12 +40,12 @@ _polynomial_gradients = Kernel(
 
 @dataclass(frozen=True)
 class PolynomialModel:
-    """Polynomial in (R, G, B, x, y) without a constant: no colour change, no slope.
+    """Polynomial in (R, G, B, x, y) without a constant: no color change, no slope.
 
     Attributes
     ----------
     coefficients : (terms, 2) float64
-    position_degrees : degree in (x, y) of the linear, quadratic, cubic ... colour terms, such as (4, 3, 1)
+    position_degrees : degree in (x, y) of the linear, quadratic, cubic ... color terms, such as (4, 3, 1)
     shape : (H, W) of the images it was fitted on
     """
 
@@ -60,7 +60,7 @@ class PolynomialModel:
     def fit(
         cls, samples: Samples, *, position_degrees: tuple[int, ...] = (4, 3, 1), ridge: float = 1e-5
     ) -> PolynomialModel:
-        """Robust ridge regression of the gradients on the colour terms; position degrees up to 5."""
+        """Robust ridge regression of the gradients on the color terms; position degrees up to 5."""
         if not position_degrees or not all(0 <= degree <= MAX_POSITION_DEGREE for degree in position_degrees):
             raise ValueError(f"Expected position degrees of 0-{MAX_POSITION_DEGREE}, got {position_degrees}.")
         x, y = unit_position(samples.x_px, samples.y_px, samples.shape)
@@ -70,7 +70,7 @@ class PolynomialModel:
 
     @classmethod
     def variants(cls, presses: int) -> list[dict[str, Any]]:
-        """Each set of degrees that so many presses can carry, the smallest first."""
+        """Each set of degrees that a number of presses can support, the smallest first."""
         carried = [degrees for degrees, needed in DEGREES if presses >= needed] or [DEGREES[0][0]]
         return [{"position_degrees": degrees} for degrees in carried]
 
@@ -86,7 +86,7 @@ class PolynomialModel:
 
     @property
     def degree(self) -> int:
-        """Of the polynomial in colour."""
+        """Degree of the polynomial in color."""
         return len(self.position_degrees)
 
     def coefficients_at(self, x_px: NDArray[Any], y_px: NDArray[Any]) -> NDArray[np.float64]:
@@ -102,7 +102,7 @@ class PolynomialModel:
         return np.stack(maps, axis=1)
 
     def prepare(self, background: NDArray[Any], shape: tuple[int, int]) -> PreparedPolynomial:
-        """Coefficients of each row as polynomials in x, so that a frame is a few products per pixel."""
+        """Prepare the coefficients of each row as polynomials in x, so that a frame takes a few products per pixel."""
         check_image_shape(shape, self.shape)
         return PreparedPolynomial(self)
 
@@ -119,7 +119,7 @@ class PolynomialModel:
 
 
 class PreparedPolynomial:
-    """The polynomial with its position terms worked out per row; immutable, shared by threads."""
+    """The polynomial with its position terms computed per row. It is immutable; threads can share it."""
 
     def __init__(self, model: PolynomialModel) -> None:
         height, width = model.shape
@@ -138,7 +138,7 @@ class PreparedPolynomial:
         self._parents = monomial_parents(terms)
 
     def gradients_from_color(self, color_change: NDArray[np.float32]) -> tuple[NDArray[np.float32], None]:
-        """Gradients (H, W, 2) of a color change (H, W, 3); their deviation is the calibration's."""
+        """Gradients (H, W, 2) of a color change (H, W, 3); their deviation is in the calibration."""
         height, width, _ = color_change.shape
         gradients = np.empty((height, width, 2), dtype=np.float32)
         work = np.empty(6 * (width + PIXELS), dtype=np.float32)

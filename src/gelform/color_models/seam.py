@@ -1,4 +1,4 @@
-"""The seam that every color model fits: what it learns from and what it answers."""
+"""ColorModel: the protocol of all color models, and the samples that they are fitted on."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ class Samples:
     gradients : (N, 2) float64, mm/mm
     weight : (N,) float64, >= 0
     shape : (H, W) of the images they come from
-    background : (H, W, 3) float32, the untouched image, for models that learn from the light at a place; or None
-    depth_px : (N,) float32, >= 0, depth that a plain model reads there, in pixels, for models that learn from it; or None
+    background : (H, W, 3) float32, the background image, for models that use the light at a place; or None
+    depth_px : (N,) float32, >= 0, depth in pixels from a plain model, for models that use it; or None
     """
 
     color_change: NDArray[Any]
@@ -46,16 +46,16 @@ class PreparedColorModel(Protocol):
 
 
 class PendingChange(Protocol):
-    """An image whose color change is still to be computed: a model with a kernel of its own may do both in one pass."""
+    """An image whose color change is not yet computed; a model with its own kernel may do both in one pass."""
 
     @property
     def arguments(self) -> tuple[Any, ...]:
-        """Of the kernel `color_change`, up to its work array."""
+        """Arguments of the kernel `color_change`, up to its work array."""
         ...
 
     @property
     def work_size(self) -> int:
-        """How many floats of work it needs."""
+        """Floats of work memory that it needs."""
         ...
 
     def write(self, out: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -65,7 +65,7 @@ class PendingChange(Protocol):
 
 @runtime_checkable
 class OnePassModel(Protocol):
-    """Beyond `PreparedColorModel`: its kernel works out the color change too."""
+    """Addition to `PreparedColorModel`: its kernel also computes the color change."""
 
     def gradients_in_one_pass(
         self, pending: PendingChange, out: NDArray[np.float32]
@@ -76,17 +76,17 @@ class OnePassModel(Protocol):
 
 @runtime_checkable
 class AlbedoModel(Protocol):
-    """Beyond `PreparedColorModel`: it knows the albedo besides the slopes."""
+    """Addition to `PreparedColorModel`: it gives the albedo besides the slopes."""
 
     def albedo_from_color(self, color_change: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Albedo (H, W) relative to the untouched gel's."""
+        """Albedo (H, W) relative to the gel at rest."""
         ...
 
 
 def gradients_from_pending(
     model: PreparedColorModel, pending: PendingChange, out: NDArray[np.float32]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
-    """Gradients and their deviation, in one pass where the model can; the color change is written to `out` (H, W, 3)."""
+    """Gradients and their deviation, in one pass if the model can; the color change is written to `out` (H, W, 3)."""
     if isinstance(model, OnePassModel):
         return model.gradients_in_one_pass(pending, out)
     return model.gradients_from_color(pending.write(out))
@@ -97,8 +97,8 @@ class ColorModel(Protocol):
 
     Attributes
     ----------
-    name : what users and calibration files call it
-    change_offset : grey levels c of the color change `(I - I0)/(I0 + c)` that it takes; 0 for laws of physics
+    name : name for users and calibration files
+    change_offset : gray levels c of its color change `(I - I0)/(I0 + c)`; 0 for laws of physics
     """
 
     name: ClassVar[str]
@@ -115,18 +115,18 @@ class ColorModel(Protocol):
         ...
 
     def to_arrays(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-        """Arrays and JSON-able settings that `from_arrays` rebuilds the model from."""
+        """Arrays and JSON-able settings, from which `from_arrays` makes the model again."""
         ...
 
     @classmethod
     def from_arrays(cls, arrays: dict[str, NDArray[Any]], settings: dict[str, Any]) -> ColorModel:
-        """The model of `to_arrays`. Files are read for ever: what is added later has a default here."""
+        """The model from `to_arrays`. Later additions have a default here, because older files stay readable."""
         ...
 
 
 @runtime_checkable
 class RenderingModel(Protocol):
-    """Beyond `ColorModel`: it says what colour a slope gives, as a forward response does."""
+    """Addition to `ColorModel`: it gives the color of a slope, as a forward response does."""
 
     def color_from_gradients(
         self, gradients: NDArray[Any], x_px: NDArray[Any], y_px: NDArray[Any]
@@ -136,7 +136,7 @@ class RenderingModel(Protocol):
 
 
 class FittableColorModel(ColorModel, Protocol):
-    """What the classes in `COLOR_MODELS` have beside: how they are fitted, and what calibration should try."""
+    """The additional methods of the classes in `COLOR_MODELS`: the fit, and the settings that calibration tries."""
 
     @classmethod
     def fit(cls, *samples: Any, **settings: Any) -> FittableColorModel:
@@ -145,7 +145,7 @@ class FittableColorModel(ColorModel, Protocol):
 
     @classmethod
     def variants(cls, presses: int) -> Sequence[Mapping[str, Any]]:
-        """Keywords of `fit` to try with so many accepted presses, the simplest first; at least one."""
+        """Keywords of `fit` to try with a number of accepted presses, the simplest first; at least one."""
         ...
 
 
@@ -154,30 +154,30 @@ class Untuned:
 
     @classmethod
     def variants(cls, presses: int) -> list[dict[str, Any]]:
-        """Itself."""
+        """The class's only variant."""
         return [{}]
 
 
 @runtime_checkable
 class StartableModel(ColorModel, Protocol):
-    """Beyond `ColorModel`: the fit of another unit may begin at it; its class's `fit` takes it as `start`, and a `ridge`."""
+    """Addition to `ColorModel`: a fit can start from another unit's; `fit` takes it as `start`, and a `ridge`."""
 
     @property
     def degree(self) -> int:
-        """Of the polynomial in colour."""
+        """Degree of the polynomial in color."""
         ...
 
     def of_smaller_changes(self, gain: NDArray[np.float64]) -> StartableModel:
-        """The model that reads color changes which are smaller by a gain (rows, columns, 3) at its nodes."""
+        """The model for color changes that are smaller by a gain (rows, columns, 3) at its nodes."""
         ...
 
     def check_like(self, degree: int, shape: tuple[int, int]) -> None:
-        """Raise a ValueError where a model of a degree and an image shape could not start from this one."""
+        """Raise a ValueError if a model of a degree and an image shape cannot start from this one."""
         ...
 
 
 def check_image_shape(shape: tuple[int, int], expected: tuple[int, int], *, made: str = "calibrated") -> None:
-    """Raise a ValueError where a model is prepared for images of another size than it was made from."""
+    """Raise a ValueError if a model is prepared for images of another size than its own."""
     if tuple(shape) != tuple(expected):
         raise ValueError(
             f"Expected images of {expected[0]}x{expected[1]} px, as {made}, got {shape[0]}x{shape[1]}."

@@ -1,8 +1,8 @@
-"""Taxim's forward table, inverted: which slope gives this colour change at this place.
+"""Taxim's forward table, inverted: the slope for a color change at a place.
 
-The table says what colour change a slope angle in a direction gives, as a quadratic in the place (Si and Yuan,
-Taxim, IEEE RA-L 7(2), 2022, section III-B). Each pixel's slope is found from a coarse search over the table,
-then by Gauss-Newton steps on the squared difference of the three channels.
+The table has the color change of a slope angle in a direction, as a quadratic in the place (Si and Yuan,
+Taxim, IEEE RA-L 7(2), 2022, section III-B). Each pixel's slope comes from a coarse search over the table,
+then from Gauss-Newton steps on the squared difference of the three channels.
 """
 
 from __future__ import annotations
@@ -18,10 +18,14 @@ from gelform._native import Kernel
 from gelform.color_models.seam import check_image_shape
 from gelform.view.resample import pixel_positions
 
-FADED_DEG = 10.0  # the table's own answer at slope 0 is subtracted there, and less and less up to this angle
-SMOOTHED_BINS = 1.0  # standard deviation: bins were fitted apart from their neighbours
-STEEPEST_SEARCHED_DEG = 60.0  # slope angle, beyond what a gel shows
-SEARCHED = (12, 24)  # slope angles and directions: Gauss-Newton meets the truth from the nearest of them
+FADED_DEG = (
+    10.0  # degrees; the table's value at slope 0 is subtracted there, and less and less up to this angle
+)
+SMOOTHED_BINS = (
+    1.0  # bins, standard deviation of the smoothing; bins were fitted separately from their neighbors
+)
+STEEPEST_SEARCHED_DEG = 60.0  # degrees, slope angle beyond those of a gel
+SEARCHED = (12, 24)  # slope angles and directions; Gauss-Newton converges from the nearest of them
 
 _slope_table_color = Kernel(
     "slope_table_color",
@@ -42,7 +46,7 @@ class SlopeTableModel:
     ----------
     table : (angles, directions, 3, 6) float32; of a slope angle 0-90 deg and a direction -180 to 180 deg (of the
         gradient, x right, y down), channel R, G, B and the terms u^2, v^2, u v, u, v, 1 of the place, in units
-        of 255 grey levels. u and v run from 0 to 1 over the image.
+        of 255 gray levels. u and v run from 0 to 1 over the image.
     shape : (H, W) of the images
     """
 
@@ -79,7 +83,7 @@ class SlopeTableModel:
         return prepared.gradients_from_color(np.asarray(color_change, dtype=np.float32))[0].astype(np.float64)
 
     def prepare(self, background: NDArray[Any], shape: tuple[int, int]) -> PreparedSlopeTable:
-        """The table and each pixel's place in it."""
+        """Prepare the table and each pixel's position in it."""
         check_image_shape(shape, self.shape, made="imported")
         return PreparedSlopeTable(self._faded(), *self._place(*pixel_positions(shape).T))
 
@@ -94,7 +98,7 @@ class SlopeTableModel:
         return cls(arrays["table"], (height, width))
 
     def _faded(self) -> NDArray[np.float32]:
-        """The table, its bins evened out (they were fitted apart), without its own answer at slope 0."""
+        """The table with smoothed bins (they were fitted separately), without its own value at slope 0."""
         angles = np.arange(self.table.shape[0]) * 90.0 / (self.table.shape[0] - 1)
         fade = np.maximum(0, 1 - angles / FADED_DEG).astype(np.float32)
         faded = self.table - fade[:, None, None, None] * self.table[:1]
@@ -113,7 +117,7 @@ class SlopeTableModel:
 
 
 class PreparedSlopeTable:
-    """The inverse for pixels at given places; immutable, shared by threads."""
+    """The inverse for pixels at given places. It is immutable; threads can share it."""
 
     def __init__(self, table: NDArray[np.float32], u: NDArray[np.float32], v: NDArray[np.float32]) -> None:
         self._table, self._u, self._v = table, u, v
@@ -125,7 +129,7 @@ class PreparedSlopeTable:
         self._terms = _searched_terms(table, self._starts)
 
     def gradients_from_color(self, color_change: NDArray[np.float32]) -> tuple[NDArray[np.float32], None]:
-        """Gradients (..., 2) of a color change (..., 3), (I - I0)/255; their deviation is not known."""
+        """Gradients (..., 2) of a color change (..., 3), (I - I0)/255; their deviation is unknown."""
         change = np.ascontiguousarray(color_change.reshape(-1, 3), dtype=np.float32)
         gradients = np.empty((len(change), 2), dtype=np.float32)
         _slope_table_gradients(self._table, self._u, self._v, change, self._starts, self._terms, gradients)

@@ -13,7 +13,7 @@ from gelform.foundations.filters import MIN_UNTOUCHED, medians_where
 from gelform.gradients import fill_unknown
 from gelform.solvers.dct import DctSolver
 
-COARSER = 4  # times fewer rows and columns: depth is smooth, a sixteenth of the pixels says it
+COARSER = 4  # times fewer rows and columns; depth is smooth, so a sixteenth of the pixels is enough
 
 
 def coarse_grid(shape: tuple[int, int]) -> tuple[tuple[int, int], tuple[float, float]]:
@@ -23,7 +23,7 @@ def coarse_grid(shape: tuple[int, int]) -> tuple[tuple[int, int], tuple[float, f
 
 
 class FrameDepth:
-    """Least-squares depth of frames; immutable. Color changes up to `untouched` say untouched gel, where depth is 0."""
+    """Least-squares depth of frames; immutable. A color change up to `untouched` means rest, where depth is 0."""
 
     def __init__(self, shape: tuple[int, int], untouched: float) -> None:
         self._square = np.float32(untouched**2)
@@ -36,10 +36,10 @@ class FrameDepth:
         gradients: NDArray[np.float32],
         hidden: NDArray[np.bool_] | None = None,
     ) -> NDArray[np.float32]:
-        """Depth (rows, columns) on the coarser grid, px: 0 in the median of the untouched samples, and nowhere less.
+        """Depth (rows, columns) on the coarser grid, px; its median over the samples at rest is 0, and no depth is less.
 
-        Of a color change (H, W, 3) and the gradients (H, W, 2) that a color model reads. The slopes around hidden pixels
-        (H, W) are carried on across them.
+        It comes from a color change (H, W, 3) and the gradients (H, W, 2) of a color model. The slopes around hidden pixels
+        (H, W) are continued across them.
         """
         change, slopes = self._made_coarse(color_change), self._made_coarse(gradients)
         if hidden is not None and hidden.any():
@@ -68,19 +68,19 @@ class FrameDepth:
         gradients: NDArray[np.float32],
         hidden: NDArray[np.bool_] | None = None,
     ) -> NDArray[np.float32]:
-        """The same at every pixel (H, W)."""
+        """The depth at every pixel (H, W)."""
         depth = self(color_change, gradients, hidden)
         return np.asarray(cv2.resize(depth, gradients.shape[1::-1], interpolation=cv2.INTER_LINEAR))
 
     def _made_coarse(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Values (H, W, ...) on the coarser grid: means."""
+        """Values (H, W, ...) on the coarser grid, as means."""
         return np.asarray(cv2.resize(values, self._coarse[::-1], interpolation=cv2.INTER_AREA))
 
 
 class SteppedSlopes:
-    """Steps of the frames of one calibration; immutable, shared by threads.
+    """Steps of the frames of one calibration. It is immutable; threads can share it.
 
-    None is taken without a response or its `step_sigma`: slopes stay as they were read.
+    Without a response or its `step_sigma` there is no step, and slopes stay as they were read.
     """
 
     def __init__(self, forward: ForwardResponse | None, shape: tuple[int, int], untouched: float) -> None:
@@ -89,7 +89,7 @@ class SteppedSlopes:
 
     @property
     def steps(self) -> bool:
-        """Whether a step is taken."""
+        """Whether there is a step."""
         return self._step is not None
 
     def __call__(
@@ -99,9 +99,9 @@ class SteppedSlopes:
         hidden: NDArray[np.bool_] | None = None,
         clipped: NDArray[np.uint8] | None = None,
     ) -> Step | None:
-        """The step of a frame, from the gradients (H, W, 2) as the color model read them; None where none is taken.
+        """The step of a frame, from the gradients (H, W, 2) of the color model; None without a step.
 
-        Pixels that show no gel are `hidden` (H, W), channels that say nothing are `clipped` (H, W, 3).
+        Pixels without gel are `hidden` (H, W), unusable channels are `clipped` (H, W, 3).
         """
         if self._step is None:
             return None

@@ -1,4 +1,4 @@
-"""How far each slope of a frame is to be trusted: its standard deviation, what raises it, and the confidence."""
+"""The standard deviation of each slope of a frame, the causes that raise it, and the confidence."""
 
 from gelform.confidence.causes import AllAlike, ClippedChannels, PreparedCauses
 from gelform.confidence.explanation import Explanation, explanation_of

@@ -1,4 +1,4 @@
-"""What makes a slope uncertain beyond what its step and place say: one row for each cause, and what each adds."""
+"""Causes that make a slope more uncertain than its step and place alone: one row for each cause, and its effect."""
 
 from __future__ import annotations
 
@@ -12,16 +12,18 @@ from numpy.typing import NDArray
 from gelform._native import Kernel
 from gelform.background.change import ChangeSettings, gain_from_background
 from gelform.confidence.solved import reach_px
-from gelform.frames import as_levels
+from gelform.frames import DARK, as_levels
+from gelform.gradients import STEEPEST_GEL
+from gelform.health import BELOW, BLOCK_PX, LIT
 
 
 class Cause(NamedTuple):
-    """One cause of doubt: all that the command line, the plots and the live page say of it.
+    """One cause of low confidence: its text and color in the command line, the plots and the live page.
 
     Attributes
     ----------
-    sentence : what is said of the pixels that it is named for; "" where it is never named
-    named_from : standard deviation, mm/mm, that it has to add to a slope to be named
+    sentence : sentence about the pixels that it is named for; "" if it is never named
+    named_from : mm/mm, smallest standard deviation that it has to add to a slope to be named
     color : in pictures, "#rrggbb"
     """
 
@@ -30,9 +32,9 @@ class Cause(NamedTuple):
     color: str
 
 
-LEAVES_NOTHING = 0.35  # mm/mm, about the slope of a ball's rim
-SIX_SIGMA = 7.0  # mm/mm, what a residual of 6 sigma adds: rims of real presses leave up to 5
-# The colours are those of Okabe and Ito, told apart with every kind of colour blindness; the last is not theirs.
+LEAVES_NOTHING = 0.35  # mm/mm, standard deviation that leaves no information; about the slope of a ball's rim
+SIX_SIGMA = 7.0  # mm/mm, standard deviation that a residual of 6 sigma adds; rims of real presses reach 5
+# The colors are those of Okabe and Ito, distinct for every kind of color blindness; the last is not theirs.
 CAUSES = {
     "saturated": Cause(
         "at the camera's upper end. Lower exposure, gain or the lights.", LEAVES_NOTHING, "#e69f00"
@@ -60,21 +62,17 @@ CAUSES = {
     ),
 }
 
-# Squared residual, in units of its covariance on held-out presses, from which nothing is left of a slope: three sigma.
+# Squared residual over its covariance on held-out presses from which no slope is left: three sigma.
 OUTLIER = 9.0
-UNKNOWN = 1.0  # mm/mm, what such a slope is off by: the steepest that a gel shows
-# |Mean| of a color change's channels over their RMS, from which all are darker (a shadow) or all brighter (a mirror).
+# Smallest |mean| of a color change's channels over their RMS for which all are darker (a shadow) or all brighter (a mirror).
 ALIKE = 0.5
-# mm/mm, by which slopes differ from those `reach_px` away more than a small ball's do: such slopes are blurred. And their
-# error over what they differ by more.
+# mm/mm: slopes that differ by more from those `reach_px` away are blurred; a small ball's slopes differ by less. Then the
+# error of blurred slopes over the excess of that difference.
 DIFFERENCE_FROM, ERROR_OF_DIFFERENCE = 0.1, 1.75
-UNSEEN = 1000.0  # clean sigmas, of what says nothing: a weight of 1e-6, which solvers take for none
-# Of a wall at least: with less than 0.001 it is filled from its neighbours, and the object is gone.
+UNSEEN = 1000.0  # clean sigmas of a pixel without information: a weight of 1e-6, which solvers treat as none
+# Least confidence of a wall: below 0.001 it is filled from its neighbors, and the object is lost.
 WALL_CONFIDENCE = 0.01
-UNLIT_TO = 8  # grey levels of the untouched image's brightest channel, as of a block that is dark
-LEAST_OUTSIDE_PX = 25  # connected pixels: a region of fewer is dust
-# Mean grey level of a block that was lost, up to or from which it is dark or saturated, and torn between.
-LOST_BLOCK_PX, LOST_DARK_TO, LOST_SATURATED_FROM = 16, 16, 240
+LEAST_OUTSIDE_PX = 25  # smallest number of connected pixels; a smaller region is dust
 
 _raise_sigma = Kernel(
     "raise_sigma",
@@ -85,17 +83,17 @@ _raise_sigma = Kernel(
 
 
 class PreparedCauses:
-    """All causes of one calibration and background; immutable, shared by threads.
+    """All causes for one calibration and background. It is immutable; threads can share it.
 
     Parameters
     ----------
-    rest : (H, W, 3), 0-255, the untouched image in use
-    change : how images become color changes
+    rest : (H, W, 3), 0-255, the background image in use
+    change : settings of the conversion of images to color changes
     clean : standard deviation of a slope of confidence 1, mm/mm
-    levels : standard deviation of the calibrated images' pixels, grey levels, of each channel; None where not known
-    slope_per_change : slope that a color change of 1 is worth, mm/mm
-    walls : whether slopes that bend sharply are doubted; not those of imported color models, whose blur is unknown
-    outside : (H, W) bool, where no light comes at rest, as `outside_of_gel` gives it; None: nowhere
+    levels : standard deviation of the calibrated images' pixels, gray levels, of each channel; None if unknown
+    slope_per_change : slope for a color change of 1, mm/mm
+    walls : whether sharply bending slopes get low confidence; False for imported color models, whose blur is unknown
+    outside : (H, W) bool, pixels without light at rest, from `outside_of_gel`; None: none
     """
 
     def __init__(
@@ -114,7 +112,7 @@ class PreparedCauses:
         self._gain = np.ascontiguousarray(gain_from_background(rest, change).mean(axis=-1))
         self._outside, self._disc = outside, bloom_disc(change.blur_px)
         error = ERROR_OF_DIFFERENCE if walls else 0.0
-        self._rules = error, DIFFERENCE_FROM, UNKNOWN, WALL_CONFIDENCE, reach_px(change.blur_px)
+        self._rules = error, DIFFERENCE_FROM, STEEPEST_GEL, WALL_CONFIDENCE, reach_px(change.blur_px)
 
     def __call__(
         self,
@@ -125,18 +123,18 @@ class PreparedCauses:
         step: tuple[NDArray[Any], NDArray[Any]] | None = None,
         maps: dict[str, NDArray[np.float32]] | None = None,
     ) -> NDArray[np.float32]:
-        """Raise the sigma (H, W) of a frame's slopes in place; the confidence (H, W) that follows.
+        """Raise the sigma (H, W) of a frame's slopes in place, and return the confidence (H, W) that follows.
 
-        Confidence is min(1, (clean / sigma)^2): the only rule, whatever the cause; but of a wall 0.01 is left.
+        Confidence is min(1, (clean / sigma)^2) for every cause; a wall keeps at least 0.01.
 
         Parameters
         ----------
         gradients : (H, W, 2)
         sigma : (H, W)
-        unseen : (H, W) bool, pixels that show no gel, or of which too few channels say something; None: nowhere
-        image : (H, W, 3), 0-255, the raw image: its noise counts
-        step : residual and variance (H, W) of the forward response's step, the residual's unit that of held-out presses
-        maps : gets what walls, outliers and compression add, by name, where it is given
+        unseen : (H, W) bool, pixels without gel, or with too few usable channels; None: none
+        image : (H, W, 3), 0-255, the raw image, for its noise
+        step : residual and variance (H, W) of the forward response's step; the residual's unit is that of held-out presses
+        maps : receives the contributions of walls, outliers and compression, by name, if given
         """
         added = added_levels(as_levels(image), self._rest, self._levels)
         unseen_at = either(unseen, self._outside)
@@ -162,11 +160,13 @@ class PreparedCauses:
         lost: NDArray[np.bool_] | None,
         color_change: NDArray[np.float32],
     ) -> dict[str, NDArray[np.float32]]:
-        """What each cause of `CAUSES` adds (H, W), in squares, to the sigma of slopes, mm/mm.
+        """The contribution of each cause of `CAUSES` (H, W), as a standard deviation, to the sigma of slopes, mm/mm.
 
-        Of the maps from the call, the sigma (H, W) before it was raised and the raw image; of channels that say nothing,
-        pixels
-        that markers hide, parts that were lost, and the color change (H, W, 3), which says what kind outliers are.
+        Its arguments are the maps from the call, the sigma (H, W) before it was raised, and the raw image. Further ones are
+        the
+        unusable channels, the pixels that markers hide, the lost parts, and the color change (H, W, 3), which tells the
+        kinds
+        of outliers apart.
         """
         nothing, unseen = np.zeros(sigma.shape, np.float32), np.float32(UNSEEN * self._clean)
         found = {name: maps.get(name, nothing) for name in CAUSES}
@@ -182,9 +182,9 @@ class PreparedCauses:
                 np.where(bright, nothing, cost),
             )
         if lost is not None:
-            level = cv2.blur(pixels, (LOST_BLOCK_PX, LOST_BLOCK_PX))
-            bright = lost & (level.max(axis=-1) >= LOST_SATURATED_FROM)
-            dark = lost & ~bright & (level.min(axis=-1) <= LOST_DARK_TO)
+            level = cv2.blur(pixels, (BLOCK_PX, BLOCK_PX))
+            bright = lost & (level.max(axis=-1) >= BELOW)
+            dark = lost & ~bright & (level.min(axis=-1) <= LIT)
             for name, where in (
                 ("saturated", bright),
                 ("dark", dark),
@@ -200,16 +200,16 @@ class PreparedCauses:
 
 
 class AllAlike:
-    """Where results state no deviation of the slopes: each has a confidence of 1, as solvers without weights count it."""
+    """Causes for results without standard deviations of slopes: each slope has a confidence of 1."""
 
     def __call__(self, gradients: NDArray[np.float32], *frame: Any) -> NDArray[np.float32]:
-        """Confidence (H, W), of the arguments of `PreparedCauses`; the sigma stays as it is."""
+        """Confidence (H, W), with the arguments of `PreparedCauses`; the sigma stays as it is."""
         return np.ones(gradients.shape[:2], dtype=np.float32)
 
 
 def outside_of_gel(background: NDArray[Any]) -> NDArray[np.bool_] | None:
-    """Pixels (H, W) of an untouched image that no light reaches, in regions that are not dust; None: there are none."""
-    unlit = (np.asarray(background).max(axis=-1) <= UNLIT_TO).astype(np.uint8)
+    """Pixels (H, W) of a background image without light, except regions as small as dust; None if there are none."""
+    unlit = (np.asarray(background).max(axis=-1) <= DARK).astype(np.uint8)
     count, labels, boxes, _ = cv2.connectedComponentsWithStats(unlit, connectivity=8)
     large = boxes[:, cv2.CC_STAT_AREA] >= LEAST_OUTSIDE_PX
     large[0] = False
@@ -217,18 +217,20 @@ def outside_of_gel(background: NDArray[Any]) -> NDArray[np.bool_] | None:
 
 
 def either(one: NDArray[np.bool_] | None, other: NDArray[np.bool_] | None) -> NDArray[np.bool_] | None:
-    """Where one of two masks (H, W) is, each of which may be None: nowhere."""
+    """Union of two masks (H, W); a mask may be None, which means no pixel."""
     return one if other is None else other if one is None else one | other
 
 
 JPEG_BLOCK_PX = 8
-LEAST_BLOCKS = 4  # across a frame: the medians over fewer columns are noise
-EVERY_ROW = 4  # of how many rows one is looked at
-USUAL_NOISE = 1.5  # times the calibrated images' noise is still usual: presses are no flat fields
-LEAST_LEVELS = 1.0  # grey level, a step of the camera: less noise is as good as none
-# sqrt(pi)/2: sigma of a normal distribution over the mean |a - b| of two of its values.
+LEAST_BLOCKS = 4  # blocks across a frame; the medians over fewer columns are noise
+EVERY_ROW = 4  # one of so many rows is used
+USUAL_NOISE = (
+    1.5  # times the calibrated images' noise; up to it noise is usual, because presses are no flat fields
+)
+LEAST_LEVELS = 1.0  # gray level, one step of the camera; less noise has no effect
+# Standard deviation of a normal distribution over the mean |a - b| of two of its values: sqrt(pi)/2.
 SIGMA_OF_JUMP = 0.8862
-# Times the usual jump, that jumps between blocks have to be.
+# Smallest jump between blocks over the usual jump.
 JUMP_EXCESS = 1.15
 _column_jumps = Kernel(
     "column_jumps", "u8[h,w,3] image, u8[h,w,3] rest, out i32[n] work, out f32[8] medians, i32 step"
@@ -236,12 +238,11 @@ _column_jumps = Kernel(
 
 
 def added_levels(pixels: NDArray[np.uint8], rest: NDArray[np.uint8], usual_levels: float) -> float:
-    """Noise of an image (H, W, 3) beyond the usual, grey levels: of single pixels, and of JPEG's blocks.
+    """Noise of an image (H, W, 3) beyond the usual, gray levels: of single pixels, and of JPEG's blocks.
 
-    Blocks of 8x8 pixels that were rounded apart from each other jump where they meet: such columns come every 8 pixels,
-    at a place that depends on the crop. Their jumps' excess over the other columns' is twice the blocks' variance.
-    Nothing
-    counts where the usual deviation of a pixel from the untouched image is infinite.
+    Blocks of 8x8 pixels are rounded separately and jump at their borders. Such columns come every 8 pixels, at an offset
+    that depends on the crop. The excess of their jumps over those of other columns is twice the blocks' variance.
+    Pixels with an infinite usual deviation from the background image do not count.
     """
     width = pixels.shape[1]
     if (width - 1) // JPEG_BLOCK_PX < LEAST_BLOCKS:
@@ -256,8 +257,8 @@ def added_levels(pixels: NDArray[np.uint8], rest: NDArray[np.uint8], usual_level
     return added if added > LEAST_LEVELS else 0.0
 
 
-DARK_TO, SATURATED_FROM = 2, 254  # grey levels from which a channel counts as clipped
-BLOOMS_PX = 1  # further than the color change's blur reaches
+DARK_TO, SATURATED_FROM = 2, 254  # gray levels: up to the first and from the second a channel is clipped
+BLOOMS_PX = 1  # px beyond the reach of the color change's blur
 
 _clipped_channels = Kernel(
     "clipped_channels",
@@ -266,12 +267,12 @@ _clipped_channels = Kernel(
 
 
 class Clipped(NamedTuple):
-    """What of a frame is at an end of the camera's range, and was not so in the images that the calibration was made from.
+    """The clipped parts of a frame that were not clipped in the images of the calibration.
 
     Attributes
     ----------
     channels : (H, W, 3) uint8, 1 where a channel is clipped or a clipped one blurred into it; None: nowhere
-    unseen : (H, W) bool, where too few channels are left for two slopes; None: nowhere
+    unseen : (H, W) bool, pixels with too few channels left for two slopes; None: none
     """
 
     channels: NDArray[np.uint8] | None
@@ -279,15 +280,15 @@ class Clipped(NamedTuple):
 
 
 class ClippedChannels:
-    """Finds clipped channels in frames of one calibration; immutable, shared by threads.
+    """Finds clipped channels in frames of one calibration. It is immutable; threads can share it.
 
     Parameters
     ----------
     blur_px : of the color change
-    learnt : (2, 3) bool, red, green, blue at the lower and the upper end in the calibration's own presses: what was learnt
-        holds there; None: nowhere
-    spare : channels that a slope can be read without: 1 where there is a forward response's step, else 0
-    outside : (H, W) bool, where no light comes at rest: dark there is no fault; None: nowhere
+    learned : (2, 3) bool, red, green, blue at the lower and the upper end whether it
+        was clipped in the calibration's own presses, so that the model learned it; None: nowhere
+    spare : number of channels that a slope can be read without: 1 with a forward response's step, else 0
+    outside : (H, W) bool, pixels without light at rest, where dark is no fault; None: none
     """
 
     def __init__(
@@ -303,7 +304,7 @@ class ClippedChannels:
         self._disc = bloom_disc(blur_px)
 
     def __call__(self, pixels: NDArray[np.uint8], hidden: NDArray[np.bool_] | None) -> Clipped:
-        """The clipped channels of an image (H, W, 3), but for those of hidden pixels (H, W), which reach nowhere."""
+        """The clipped channels of an image (H, W, 3), without those of hidden pixels (H, W)."""
         channels = np.empty_like(pixels)
         if not _clipped_channels(pixels, *self._counts, channels, DARK_TO, SATURATED_FROM):
             return Clipped(None, None)
@@ -318,7 +319,7 @@ class ClippedChannels:
 
 
 def bloom_disc(blur_px: float) -> NDArray[np.uint8]:
-    """Structuring element of how far a clipped pixel reaches in a color change of that blur."""
+    """Structuring element: the reach of a clipped pixel in a color change of that blur."""
     size = 2 * (int(np.ceil(2 * blur_px)) + BLOOMS_PX) + 1
     return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)), dtype=np.uint8)
 

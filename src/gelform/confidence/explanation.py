@@ -1,4 +1,4 @@
-"""Why each pixel of a frame was trusted or not: the sigma that each cause adds, its part of the variance, what is named."""
+"""The reasons for each pixel's confidence: the sigma that each cause adds, its part of the variance, and its name."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from gelform.confidence.causes import CAUSES
 from gelform.foundations.findings import Finding
 
 LAW = "law"
-LEAST_NAMED_PX = 12  # connected pixels where a cause adds enough: fewer are not named, as noise makes a few
+LEAST_NAMED_PX = 12  # smallest number of connected pixels with a cause; noise makes smaller regions
 
 
 @dataclass(frozen=True, eq=False)
 class Explanation:
-    """Why each pixel was trusted or not.
+    """The reasons for each pixel's confidence.
 
     Attributes
     ----------
-    maps : by cause, (H, W) float32: the standard deviation that it adds, in squares, to that of the slopes, mm/mm;
-        0 where it plays no part
-    law : (H, W) float32, mm/mm: what is left, by size and place of the slope on held-out presses
+    maps : by cause, (H, W) float32, mm/mm: the standard deviation that it adds, in squares, to that of the slopes;
+        0 where it has no part
+    law : (H, W) float32, mm/mm: the rest, by size and place of the slope on held-out presses
     gradients_sigma : (H, W) float32, mm/mm, of the slopes as they were read; the larger of both components
     confidence : (H, W) float32, 0-1: min(1, (clean / gradients_sigma)^2)
     clean : sigma up to which confidence is 1, mm/mm
@@ -40,7 +40,7 @@ class Explanation:
 
     @cached_property
     def shares(self) -> dict[str, float]:
-        """Share of the variance that each cause and the law (`"law"`) have, averaged over the pixels; they add up to 1."""
+        """Share of the variance of each cause and of the law (`"law"`), averaged over the pixels; the shares add up to 1."""
         squares = {LAW: np.square(self.law), **{name: np.square(one) for name, one in self.maps.items()}}
         total = np.maximum(sum(squares.values()), np.float32(1e-12))
         found = {name: float(np.mean(square / total)) for name, square in squares.items()}
@@ -48,7 +48,7 @@ class Explanation:
 
     @cached_property
     def findings(self) -> tuple[Finding, ...]:
-        """The faults that matter: each with the fraction of the frame where it alone leaves nothing of a slope."""
+        """The important faults, each with the fraction of the frame where it alone leaves no information on a slope."""
         return tuple(
             Finding(name, f"{100 * fraction:.1f} % of the frame is {CAUSES[name].sentence}", fraction)
             for name, one in self.maps.items()
@@ -57,12 +57,12 @@ class Explanation:
 
     @cached_property
     def dominant(self) -> NDArray[np.uint8]:
-        """What most of each pixel's variance is due to (H, W): 0 the law, k the k-th of `maps`."""
+        """The largest part of each pixel's variance (H, W): 0 for the law, k for the k-th of `maps`."""
         stack = np.stack([self.law, *self.maps.values()])
         return np.asarray(stack.argmax(axis=0), dtype=np.uint8)
 
     def to_dict(self) -> dict[str, Any]:
-        """Its figures, as JSON can hold them."""
+        """Its figures, as values that JSON can hold."""
         return {
             "clean_sigma": self.clean,
             "median_sigma": float(np.median(self.gradients_sigma)),
@@ -79,7 +79,7 @@ def explanation_of(
     confidence: NDArray[np.float32],
     clean: float,
 ) -> Explanation:
-    """The maps of all causes of a frame, beside the sigma (H, W) and the confidence (H, W) that it was solved with."""
+    """The maps of all causes of a frame, with its sigma (H, W) and the confidence (H, W) that the solver used."""
     explained = sum(np.square(one) for one in maps.values())
     law = np.sqrt(np.maximum(np.square(gradients_sigma) - explained, 0))
     return Explanation(maps, np.asarray(law, np.float32), gradients_sigma, confidence, clean)

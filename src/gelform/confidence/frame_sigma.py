@@ -1,4 +1,4 @@
-"""Standard deviation of a frame's slopes, as they are read: by their step, their size and their place, pixel by pixel."""
+"""Standard deviation of a frame's slopes as they are read: by their step, their size and their place, for each pixel."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from gelform.confidence.slope_sigma import SlopeSigma, factor_at, law_at
 from gelform.confidence.solved import for_both
 from gelform.solvers.inputs import HIGHEST_SLOPE, check_slopes
 
-LAW_STEPS = 64  # of the table of the law in the frame's kernel, linear between
+LAW_STEPS = 64  # steps of the table of the law in the frame's kernel, linear in between
 _frame_sigma = Kernel(
     "frame_sigma",
     "f32[h,w,3] change, bool[h,w]? hidden, bool[h,w]? given, f32[3] common, f32[2] bias, f32[h,w] place, f32[t] law, "
@@ -26,7 +26,7 @@ _subtract_bias = Kernel(
 
 
 class PreparedSigma:
-    """Standard deviation of whole frames: their step's, times factors of slope and place; immutable, shared by threads."""
+    """Standard deviation for whole frames: that of the step, times factors of slope and place. Threads can share it."""
 
     def __init__(self, sigma: SlopeSigma, shape: tuple[int, int]) -> None:
         y, x = ((np.arange(n) + 0.5) / n for n in shape)
@@ -45,12 +45,10 @@ class PreparedSigma:
         hidden: NDArray[np.bool_] | None = None,
         variance: NDArray[np.float32] | None = None,
     ) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
-        """Which pixels (H, W) are untouched, and standard deviation (H, W) of the slopes, alike for both components.
+        """The pixels (H, W) at rest, and the standard deviation (H, W) of the slopes, equal for both components.
 
-        Untouched pixels have the deviation of rest. The reference's bias is subtracted from the gradients (H, W, 2), in
-        place;
-        hidden pixels are not untouched; `variance` (H, W) is that of the step of the forward response, 1 where none is
-        taken.
+        Pixels at rest have the deviation of rest. The reference's bias is subtracted from the gradients (H, W, 2) in place.
+        Hidden pixels are not at rest. `variance` (H, W) is that of the forward response's step, or 1 without a step.
 
         Raises
         ------
@@ -69,7 +67,7 @@ class PreparedSigma:
 
 
 class UnknownSigma:
-    """Of an imported calibration: one usual deviation everywhere, that decides how much slopes count, and is not stated."""
+    """For an imported calibration: one usual deviation everywhere; it weights the slopes, and results do not state it."""
 
     def __init__(self, usual: float) -> None:
         self._usual = np.float32(usual)
@@ -97,9 +95,9 @@ def with_model_sigma(
     model_sigma: NDArray[np.float32] | None,
     clean: float,
 ) -> tuple[NDArray[np.float32] | None, NDArray[np.float32]]:
-    """Standard deviation (H, W, 2) and confidence (H, W), where the color model states a deviation (H, W, 2) of its own.
+    """Standard deviation (H, W, 2) and confidence (H, W), if the color model has a deviation (H, W, 2) of its own.
 
-    Of two deviations the larger counts, of two confidences the smaller; `clean` is the deviation up to which confidence
+    The larger of two deviations counts, and the smaller of two confidences; `clean` is the deviation up to which confidence
     is 1.
     """
     both = None if sigma is None else for_both(sigma)

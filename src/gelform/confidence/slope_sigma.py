@@ -1,4 +1,4 @@
-"""Standard deviation of a slope by its size and place: a law, fitted to errors on held-out presses."""
+"""Standard deviation of a slope by its size and place, fitted to errors on held-out presses."""
 
 from __future__ import annotations
 
@@ -11,20 +11,18 @@ from numpy.typing import NDArray
 
 from gelform.foundations.checks import check_values, check_within
 
-SLOPE_BINS = 10  # of equal counts, between which the law is linear
+SLOPE_BINS = 10  # bins of equal counts; the law is linear between them
 PLACES = (3, 4)  # rows and columns of the factors by place
 ONE_SIGMA = 0.6827  # fraction of a normal distribution within one standard deviation
-MIN_IN_BIN = 50  # pixels: fewer do not tell a quantile
-CLEAN_FRACTION = 0.95  # of the pixels in contact whose confidence is 1
-PRIOR_PRESSES = 2.0  # a place counts for itself as far as more presses than this touched it
-LAW_ROUNDS = 3  # of law and factors in turn, each from the other
-LEAST_FACTOR = 0.1  # of a place, over the law
-# Of the slopes between which solved factors are linear; of those factors.
+MIN_IN_BIN = 50  # pixels; fewer do not determine a quantile
+CLEAN_FRACTION = 0.95  # fraction of the pixels in contact whose confidence is 1
+PRIOR_PRESSES = 2.0  # presses; a place's own factor counts by its number of presses over this
+LAW_ROUNDS = 3  # rounds of law and factors, each computed from the other
+LEAST_FACTOR = 0.3  # smallest factor of a place, over the law or the predicted deviation
+# mm/mm between the slopes of neighboring solved factors; largest such factor.
 LEAST_APART, MOST_FACTOR = 1e-6, 1e3
-NO_LONGER = (
-    "surround_sigma",
-    "steepest",
-)  # in older calibrations, by rules that a step's covariance replaced
+# Settings of older calibrations, for rules that a step's covariance replaced.
+NO_LONGER = ("surround_sigma", "steepest")
 
 _RANGES = (
     ("rest", 1e-9, 1e3),
@@ -45,10 +43,10 @@ class SlopeErrors:
     ----------
     slopes : (N,) measured |gradient| in contact
     errors : (N, 2) of its components
-    x, y : (N,) place in the frame, 0-1
-    press : (N,) index of the press: pixels of one press are no independent witnesses
-    rest : (M, 2) slopes read where nothing touched, their bias removed: all of it is error
-    stated : (N,) standard deviation by the step of the forward response; 1 where none is taken
+    x, y : (N,) position in the frame, 0-1
+    press : (N,) index of the press, because pixels of one press are not independent
+    rest : (M, 2) slopes read at rest, without their bias; they are all error
+    stated : (N,) standard deviation by the step of the forward response; 1 without a step
     """
 
     slopes: NDArray[Any]
@@ -69,8 +67,8 @@ class SolvedErrors:
     slopes : (N,) |gradient| of the solved depth
     errors : (N, 2) of its components
     predicted : (N,) standard deviation by a `SolvedSigma` without factors
-    extra : (N,) the part of it that does not come from the readings
-    x, y : (N,) place in the frame, 0-1
+    extra : (N,) the part of it that does not come from the slopes as read
+    x, y : (N,) position in the frame, 0-1
     press : (N,) index of the press
     """
 
@@ -87,26 +85,26 @@ class SolvedErrors:
 class SlopeSigma:
     """Standard deviation of a slope component: that of its step, times factors of slope and place.
 
-    Where no step is taken, the step's counts as 1 mm/mm and the factors are the deviation. 68 % of the errors on held-out
-    presses are within it: it is fitted to that fraction, not to the variance, which a few bad pixels would rule.
+    Without a step, its deviation counts as 1 mm/mm and the factors are the deviation. 68 % of the errors on held-out
+    presses are within it: it is fitted to that fraction, because a few bad pixels would dominate the variance.
 
     Attributes
     ----------
-    rest : of untouched gel
+    rest : deviation of gel at rest
     slopes, sigmas : factors in contact, linear between these |gradient| and proportional beyond the last
-    gain_sigma : relative error of all slopes of a press together, RMS over presses: depth is off in proportion
+    gain_sigma : relative error common to all slopes of a press, RMS over presses; depth is off in proportion
     solved_factor : deviation of the solved depth's slopes over that of the slopes read, in a contact, in older calibrations
-    solved_slopes, solved_places : (gentle, steep) and (2, rows, columns): the same by slope and place, over what a slope's
-        reading and its neighbours predict; linear between the slopes, constant beyond. None in calibrations that do not
-        hold it
-    place : factors on a grid of 3 rows and 4 columns over the frame, interpolated between its cells' centres
-    clean : what 95 % of the pixels in contact stay under: confidence is 1 up to it, since errors that are alike over
-        many pixels, unlike white ones, are not averaged away by weighting the pixels of a contact against each other
+    solved_slopes, solved_places : (gentle, steep) and (2, rows, columns): the same by slope and place, over the deviation
+        that a slope's reading and its neighbors predict; linear between the slopes, constant beyond. None in calibrations
+        without it
+    place : factors on a grid of 3 rows and 4 columns over the frame, interpolated between its cells' centers
+    clean : deviation that 95 % of the pixels in contact stay under; confidence is 1 up to it. Weighting the pixels of a
+        contact against each other does not average out errors that many pixels share
     correlation_px : over this distance the correlated part falls to exp(-1/2) (a Gaussian)
     correlated_share : fraction of the variance that is correlated; the rest is white
-    rest_correlation_px, rest_correlated_share : the same of untouched gel, where noise is left that the color change's
-        blur correlates over a pixel or two: over the first the errors fall to exp(-1/2), but for the second, 0-1,
-        which is correlated over `correlation_px`; None: as in a contact, in calibrations that do not hold it
+    rest_correlation_px, rest_correlated_share : the same for gel at rest, where the color change's blur correlates the
+        noise over a pixel or two. The errors' correlation falls to exp(-1/2) over the first; the second, 0-1, is the
+        share that is correlated over `correlation_px`. None: as in a contact, in calibrations without it
     """
 
     rest: float
@@ -153,7 +151,7 @@ class SlopeSigma:
     def fit(
         cls, held_out: SlopeErrors, correlation_px: float, correlated_share: float, gain_sigma: float = 0.0
     ) -> SlopeSigma:
-        """The law and the factors that hold 68 % of the held-out errors within one sigma, everywhere alike."""
+        """Fit the law and the factors, so that 68 % of the held-out errors lie within one sigma everywhere."""
         stated = np.broadcast_to(np.float64(held_out.stated), held_out.slopes.shape)[:, None]
         slopes, error = held_out.slopes, np.abs(held_out.errors) / stated
         edges = np.unique(np.quantile(slopes, np.linspace(0, 1, SLOPE_BINS + 1)))
@@ -185,7 +183,7 @@ class SlopeSigma:
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> SlopeSigma:
-        """What `dataclasses.asdict` gave; the two-figure law of the first file format too."""
+        """Make it from `dataclasses.asdict`, or from the two-figure law of the first file format."""
         if "growth" in values:
             slopes = np.linspace(0, 1, SLOPE_BINS + 1)
             sigmas = np.hypot(values["rest"], values["growth"] * slopes)
@@ -203,19 +201,19 @@ class SlopeSigma:
 
     @property
     def correlation(self) -> dict[str, Any]:
-        """How the errors correlate, as `DepthSigma` takes it."""
+        """The correlation of the errors, as arguments of `DepthSigma`."""
         names = ("correlation_px", "correlated_share", "rest_correlation_px", "rest_correlated_share")
         return {name: getattr(self, name) for name in names}
 
 
 def law_at(slopes: NDArray[Any], knots: NDArray[Any], sigmas: NDArray[Any]) -> NDArray[np.float64]:
-    """Linear between the knots, constant before the first, proportional to the slope beyond the last."""
+    """Linear between the knots of the law, constant before the first, proportional to the slope beyond the last."""
     within = np.interp(slopes, knots, sigmas)
     return within * np.maximum(1.0, slopes / knots[-1] if knots[-1] > 0 else 1.0)
 
 
 def factor_at(grid: NDArray[Any], x: NDArray[Any], y: NDArray[Any]) -> NDArray[np.float64]:
-    """Factors at places 0-1, bilinear between the cells' centres; x and y are broadcast against each other."""
+    """Factors at positions 0-1, bilinear between the cells' centers; x and y are broadcast against each other."""
     rows, columns = grid.shape
     column = np.clip(np.asarray(x) * columns - 0.5, 0, columns - 1).astype(np.float32)
     row = np.clip(np.asarray(y) * rows - 0.5, 0, rows - 1).astype(np.float32)
@@ -236,11 +234,10 @@ def place_factors(
     among: NDArray[np.bool_] | bool = True,
     whole: float = 1.0,
 ) -> NDArray[np.float64]:
-    """Factors of `PLACES`, each drawn towards that of the whole frame where few presses touched the place.
+    """Factors of `PLACES`, each pulled toward that of the whole frame if few presses touched the place.
 
-    `ratio` (N, 2) are errors over those predicted, `size_of` gives the factor that some of them tell; `prior` presses
-    count for
-    the whole frame.
+    `ratio` (N, 2) are errors over predicted deviations; `size_of` computes the factor of some of them; `prior` presses count
+    for the whole frame.
     """
     rows, columns = PLACES
     row = np.clip((held_out.y * rows).astype(int), 0, rows - 1)

@@ -1,8 +1,8 @@
-"""Standard deviation of the slopes of the solved depth, which is what a result states: where balls showed them, and beyond.
+"""Standard deviation of the slopes of the solved depth, which results state, for slopes of balls and of other objects.
 
-A surface cannot follow errors of slopes that have curl, so solved slopes are better than those that were read; by how much,
-held-out presses say by slope and place. What presses of balls hardly show is added: what blur takes at edges and walls.
-None of it changes how slopes are weighted, nor the depth.
+A surface cannot follow slope errors that have curl, so solved slopes are better than slopes as read. Held-out presses
+show by how much, by slope and place. An error at edges and walls is added, because presses of balls hardly show what the
+blur takes there. None of this changes the weights of slopes or the depth.
 """
 
 from __future__ import annotations
@@ -16,23 +16,24 @@ from numpy.typing import NDArray
 from gelform._native import Kernel
 from gelform.confidence.slope_sigma import (
     LEAST_APART,
+    LEAST_FACTOR,
     MIN_IN_BIN,
     ONE_SIGMA,
+    PRIOR_PRESSES,
     SlopeSigma,
     SolvedErrors,
     factor_at,
     place_factors,
 )
+from gelform.gradients import STEEPEST_GEL
 
-STEEPEST_GEL = 1.0  # mm/mm: no slope of a gel is known less well; saturated or hidden, it is known no better
-UNLIMITED = 4 * STEEPEST_GEL  # mm/mm, before the factors
-LEAST_SOLVED_FACTOR = 0.3  # of the predicted deviation
-PRIOR_SOLVED_PRESSES = 3.0  # a place counts for itself as far as more presses than this touched it
-# Blur of standard deviation d px takes d^2/2 times its Laplacian from a slope (Taylor); BLURRED times that holds two thirds
-# of the errors at edges and walls. To the blur of the color change comes the camera's, OPTICS_PX. Both were chosen on eight
-# objects on twelve simulated sensors and on a real one, and held on eight others.
+UNLIMITED = 4 * STEEPEST_GEL  # mm/mm, largest deviation before the factors
+# A blur of standard deviation d px removes d^2/2 times its Laplacian from a slope (Taylor); BLURRED times that contains two
+# thirds of the errors at edges and walls. OPTICS_PX, px, is the camera's blur, added to that of the color change. Both were
+# chosen on eight objects on twelve simulated sensors and a real one, and confirmed on eight others.
 OPTICS_PX, BLURRED = 2.5, 0.6
-REACH_BLURS = 1.6  # to the slopes that a slope is compared with: further than what the blur makes alike
+# blurs, distance of the slopes that a slope is compared with; it is longer than the blur's own correlation
+REACH_BLURS = 1.6
 
 _solved_sigma = Kernel(
     "solved_sigma",
@@ -42,20 +43,20 @@ _solved_sigma = Kernel(
 
 
 class SolvedSigma:
-    """Of whole frames of one calibration; immutable, shared by threads.
+    """Standard deviation of the solved slopes for whole frames of one calibration. It is immutable; threads can share it.
 
     Parameters
     ----------
-    sigma : of the calibration; None where it knows none: what a color model states itself holds for solved slopes too
+    sigma : of the calibration; None if unknown: a color model's own deviation then holds for solved slopes too
     shape : (H, W) of the images
-    blur_px : of the color change; None of imported calibrations, whose blur is unknown: no slope is a wall's
+    blur_px : of the color change; None for imported calibrations, whose blur is unknown, so that no slope is a wall's
     spread : relative standard deviation of slopes between units, of a starter
     """
 
     def __init__(
         self, sigma: SlopeSigma | None, shape: tuple[int, int], blur_px: float | None, spread: float = 0.0
     ) -> None:
-        self._spread = np.float32(spread / np.sqrt(2))  # of one component of a slope
+        self._spread = np.float32(spread / np.sqrt(2))  # for one component of a slope
         y, x = ((np.arange(n) + 0.5) / n for n in shape)
         slopes: tuple[float, float] = (0.0, 1.0)
         grids: tuple[Any, ...] = (((1.0,),),) * 2
@@ -76,13 +77,13 @@ class SolvedSigma:
     ) -> NDArray[np.float32] | None:
         """Standard deviation (H, W, 2) of the slopes of the solved depth.
 
-        A slope that was read badly follows from its neighbours: beside its own reading each is known by the two loops of
-        four edges that it closes. Where slopes bend sharply they are off by what the blur takes. No slope is less known than
-        within `STEEPEST_GEL` but for a wall's.
+        A badly read slope follows from its neighbors: besides its own reading, the two loops of four edges that it closes
+        determine it. Sharply bending slopes have the error of the blur. No deviation exceeds `STEEPEST_GEL` except that of
+        a wall.
 
         Parameters
         ----------
-        sigma : (H, W, 2) of the slopes as they were read; None where nobody knows
+        sigma : (H, W, 2) of the slopes as they were read; None if unknown
         gradients : (H, W, 2) of the solved depth
         """
         if sigma is None:
@@ -100,7 +101,7 @@ class SolvedSigma:
 
 
 def reach_px(blur_px: float) -> int:
-    """How far from a pixel those lie that its slope is compared with, of a color change that is blurred so much."""
+    """Distance, px, of the slopes that a slope is compared with, for a color change of that blur."""
     return max(1, round(REACH_BLURS * blur_px))
 
 
@@ -110,17 +111,17 @@ def error_per_difference(blur_px: float) -> float:
 
 
 def for_both(sigma: NDArray[np.float32]) -> NDArray[np.float32]:
-    """One map (H, W) as both components (H, W, 2), read-only: what `np.broadcast_to` gives, in a tenth of its time."""
+    """One map (H, W) for both components (H, W, 2), read-only: as `np.broadcast_to`, in a tenth of its time."""
     both: NDArray[np.float32] = np.ndarray((*sigma.shape, 2), sigma.dtype, sigma, 0, (*sigma.strides, 0))
     both.flags.writeable = False
     return both
 
 
 def with_solved_factors(sigma: SlopeSigma, held_out: SolvedErrors) -> SlopeSigma:
-    """The deviation with factors by slope and place that hold 68 % of the held-out errors of solved slopes within one sigma.
+    """The deviation with factors by slope and place, so that 68 % of held-out errors of solved slopes lie within one sigma.
 
-    A place's factor is drawn towards that of the whole frame where few presses touched it. Where all slopes are alike
-    the deviation stays as it is.
+    A place's factor is pulled toward that of the whole frame if few presses touched it. If all slopes are alike,
+    the deviation stays unchanged.
     """
     if held_out.slopes.size < MIN_IN_BIN or np.ptp(held_out.slopes) < LEAST_APART:
         return sigma
@@ -130,10 +131,10 @@ def with_solved_factors(sigma: SlopeSigma, held_out: SolvedErrors) -> SlopeSigma
     ratio = (held_out.errors**2 - held_out.extra[:, None] ** 2) / squares[:, None]
 
     parts = [(part, _root_size(ratio[part])) for part in (~steep, steep)]
-    grids = [place_factors(held_out, ratio, _root_size, PRIOR_SOLVED_PRESSES, *part) for part in parts]
+    grids = [place_factors(held_out, ratio, _root_size, PRIOR_PRESSES, *part) for part in parts]
     places = tuple(tuple(tuple(map(float, line)) for line in grid) for grid in grids)
     return replace(sigma, solved_slopes=(gentle_slope, steep_slope), solved_places=places)
 
 
 def _root_size(squares: NDArray[Any]) -> float:
-    return float(np.sqrt(max(np.quantile(squares, ONE_SIGMA), LEAST_SOLVED_FACTOR**2)))
+    return float(np.sqrt(max(np.quantile(squares, ONE_SIGMA), LEAST_FACTOR**2)))

@@ -1,1 +1,1 @@
-"""How far depth may be off: one standard deviation for each pixel."""
+"""The standard deviation of depth for each pixel."""

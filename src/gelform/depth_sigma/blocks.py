@@ -1,4 +1,4 @@
-"""The integration problem on blocks of several pixels, and the way back: sigma is smooth, probes need no more."""
+"""The integration problem on blocks of several pixels, and the way back to pixels: sigma is smooth enough for it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from gelform.foundations.filters import blur_taps
 from gelform.gradients import fill_unknown
 from gelform.solvers.system import FLOOR, constant_map, problem_from_gradients
 
-LEAST_DEVIATION = 1e-6  # of the fractions within a block: none is 0, which the kernel divides by
+LEAST_DEVIATION = 1e-6  # smallest deviation fraction within a block; the kernel divides by it
 
 
 @dataclass(frozen=True)
@@ -22,8 +22,8 @@ class ErrorParts:
     """Parts of the variance of slope errors.
 
     In a contact a fraction of it is correlated over a long distance (a color model's bias) and the rest is white. At rest
-    no color model errs: what is left is the images' noise, blurred as the color change is. Over a block of pixels such
-    short correlations are as good as independent errors of more variance.
+    the color model has no error, only the images' noise, blurred as the color change is. Over a block of pixels such
+    short correlations equal independent errors of more variance.
 
     Attributes
     ----------
@@ -48,7 +48,7 @@ class ErrorParts:
 
     @cached_property
     def within_blocks(self) -> NDArray[np.float32]:
-        """(2,), in contact and at rest: fraction of the deviation that, if white, moves depth as far within a block."""
+        """Fraction (2,), in contact and at rest, of the deviation that moves depth as far within a block if white."""
         within = white_as_blurred(self.aspect, self.block, self.rest_px)[1]
         contact, rest = np.sqrt(1 - self.fraction), np.sqrt((1 - self.rest_fraction) * within)
         return np.maximum([contact, rest], LEAST_DEVIATION, dtype=np.float32)
@@ -74,19 +74,19 @@ _sigma_of_pixels = Kernel(
     "f32[rows,columns] variance, f32[h,w,slopes] sigma, bool[h,w]? rest, f32[2] white, f32[2] within, f32[4] fading, "
     "f32[h,w] weights, f32 floor, f32[h,w]? anchor, i64 block, out f32[22,line] work, out f32[h,w] out",
 )
-# Standard deviation of a Gaussian over which the probes' variance is averaged: 32 probes are few.
+# Blocks, standard deviation of the Gaussian that averages the probes' variance, because 32 probes are few.
 SMOOTHING_BLOCKS = 0.6
 LINES = 22  # rows of scratch memory of `sigma_of_pixels`
 
-# What is summed over the pixels of a block: those inside the mask, weight and its square, anchor, zero pixels, pixels at
-# rest; then for each slope weight x sigma and its square.
+# Sums over the pixels of a block: pixels inside the mask, weight and its square, anchor, zero pixels, pixels at rest; then
+# weight x sigma and its square for each slope.
 INSIDE, WEIGHT, SQUARE, HOLD, REGION, REST, FIRST = range(7)
 
 
 def block_rows_and_columns(shape: tuple[int, ...], block: int) -> tuple[int, int]:
-    """How many blocks cover a frame (H, W): an odd number each way, the last of them without pixels if need be.
+    """Number of blocks that cover a frame (H, W): odd in each direction; the last ones may have no pixels.
 
-    Multigrid has coarse pixels on all borders of a frame of odd size, and two cycles are then enough everywhere.
+    On a frame of odd size multigrid has coarse pixels on all borders, and two cycles are then enough everywhere.
     """
     return -(-shape[0] // block) | 1, -(-shape[1] // block) | 1
 
@@ -97,7 +97,7 @@ class Blocks:
     Attributes
     ----------
     mask : (h, w) bool; anchored : bool; problem : its couplings; size : pixels across a block
-    region : (h, w), pixels that are zero pixels, inside the mask
+    region : (h, w), number of zero pixels inside the mask
     white, common : (h, w, 2)
         Standard deviation of the weighted mean slope of a block: of independent errors, and of common ones.
     """
@@ -130,21 +130,21 @@ class Blocks:
             constant_map((*shape, 2), 0.0), weight, self.mask, sums[HOLD] if self.anchored else None
         )
         self.region = sums[REGION]
-        # Slopes of less weight than the floor are replaced by a fill from their neighbours: they bring no error.
+        # Slopes below the floor are replaced by a fill from their neighbors; they add no error.
         known = (weight >= FLOOR * weight.max()) | ~self.mask
         self._known = None if known.all() else known
         if self._known is not None:
-            self.common = fill_unknown(self.common, known)  # as the slopes are
+            self.common = fill_unknown(self.common, known)  # filled like the slopes
 
     def share_in_median(self) -> NDArray[np.float32]:
-        """How much each slope (h, w, 2) counts in the zero pixels' median: as likely as it is near 0."""
+        """Weight of each slope (h, w, 2) in the median over the zero pixels: its probability density near 0."""
         usual = self._usual if self._known is None else fill_unknown(self._usual, self._known)
         density = self.region[..., None] / np.maximum(usual, 1e-30) * (usual > 0)
         return np.asarray(density / density.sum(axis=(0, 1)), dtype=np.float32)
 
 
 def less_mean(depths: NDArray[np.float32], pixels: NDArray[np.bool_], block: int) -> NDArray[np.float32]:
-    """Depths (h, w, probes) of blocks less the mean of each probe over pixels (H, W)."""
+    """Depths (h, w, probes) of blocks minus the mean of each probe over pixels (H, W)."""
     height, width, probes = depths.shape
     padded = np.zeros((height * block, width * block), dtype=np.float32)
     padded[: pixels.shape[0], : pixels.shape[1]] = pixels
@@ -155,7 +155,7 @@ def less_mean(depths: NDArray[np.float32], pixels: NDArray[np.bool_], block: int
 
 
 def variance_of_depths(depths: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Mean square (h, w) over the probes of depths (h, w, probes), averaged over neighbours inside the mask."""
+    """Mean square (h, w) over the probes of depths (h, w, probes), averaged over neighbors inside the mask."""
     taps = blur_taps(SMOOTHING_BLOCKS)
     work = np.empty(2 * (mask.size + mask.shape[1] + taps.size), dtype=np.float32)
     variance = np.empty(mask.shape, dtype=np.float32)
@@ -175,19 +175,19 @@ def sigma_of_pixels(
     anchor: NDArray[np.float32] | None,
     block: int,
 ) -> NDArray[np.float32]:
-    """Standard deviation of pixels (H, W), with what blocks do not see; less where an anchor holds a pixel.
+    """Standard deviation of pixels (H, W), including the part within blocks; smaller where an anchor holds a pixel.
 
     Parameters
     ----------
-    variance : (h, w), mm^2, of the blocks, of `block` x `block` pixels; bilinear between their centres
+    variance : (h, w), mm^2, of the blocks, of `block` x `block` pixels; bilinear between their centers
     sigma : (H, W, 1 or 2), of the slopes
     rest, white : (H, W) and (2,), the fraction of sigma that is white within a block: in contact, and at rest
-    within : (2,) of p and q: variance within a block for each unit of theirs
-        The usual sigma of 3x3 pixels counts, their harmonic mean: one bad pixel among good ones is held by them.
-    fading : (4,), how that gets less where an anchor holds: see `fading_within_blocks`
+    within : (2,) of p and q: variance within a block for each unit of their variance
+        It uses the usual sigma of 3x3 pixels, their harmonic mean: good pixels around a bad one hold it.
+    fading : (4,), decrease of that where an anchor holds: see `fading_within_blocks`
     weights, floor : (H, W); slopes of less weight than the floor are not trusted
     anchor : (H, W)
-        What blocks see reaches a pixel that it holds by ties over ties and anchor: of 3x3 pixels, and of its own.
+        The variance of blocks is multiplied by ties over ties plus anchor: of 3x3 pixels, and of the pixel itself.
     """
     out = np.empty(weights.shape, dtype=np.float32)
     work = np.empty((LINES, weights.shape[1] + 2), dtype=np.float32)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-TRIAL_BLOCKS = 32  # across a square frame, in whose middle the errors of a uniform frame are looked up
+TRIAL_BLOCKS = 32  # blocks across a square frame; the errors of a uniform frame are taken from its middle
 
 
 @lru_cache(maxsize=8)
@@ -21,7 +21,7 @@ def variance_of_white(
 ) -> tuple[NDArray[Any], NDArray[Any]]:
     """Variance (H, W) of zero-mean depth per unit variance of white errors of p, and of q.
 
-    With a length, in pixels, of errors of correlation exp(-d^2/(2 length^2)), far from the border.
+    With a length, in pixels, the errors have the correlation exp(-d^2/(2 length^2)); the result holds far from the border.
     """
     modes = [_modes(n) for n in shape]
     eigen, gain = zip(*(_eigenvalues(n, h) for n, h in zip(shape, pitch[::-1])))
@@ -37,8 +37,8 @@ def variance_of_white(
 def variance_within_blocks(aspect: float, block: int) -> tuple[float, float]:
     """Variance of depth per unit of white slope errors (of p, of q) and pixel area that a grid of blocks misses.
 
-    That of pixels minus that of blocks, in the middle of a uniform frame; `aspect` is the pitch along x over
-    that along y, `block` the pixels across a block. (Of correlated errors blocks miss next to nothing.)
+    It is the variance of pixels minus that of blocks, in the middle of a uniform frame; `aspect` is the pitch along x over
+    that along y, `block` the pixels across a block. (Blocks miss almost nothing of correlated errors.)
     """
     fine, coarse = _variance_in_middle(aspect, block), _variance_in_middle(aspect, 1)
     return fine[0] - coarse[0], fine[1] - coarse[1]
@@ -46,11 +46,11 @@ def variance_within_blocks(aspect: float, block: int) -> tuple[float, float]:
 
 @lru_cache(maxsize=64)
 def white_as_blurred(aspect: float, block: int, length: float) -> tuple[float, float]:
-    """Variances of the white errors, of blocks and within them, that move depth as far as blurred ones of variance 1.
+    """Variances of the white errors, of blocks and within them, that move depth as far as blurred errors of variance 1.
 
-    Errors whose correlation falls to exp(-1/2) over `length` pixels, less than a block, have the power of
-    `2 pi length^2` white ones at the wavelengths of blocks, and little within them. Where that is more than they
-    move depth altogether, blocks get what they do.
+    Errors with a correlation that falls to exp(-1/2) over `length` pixels, less than a block, have the power of
+    `2 pi length^2` white ones at the wavelengths of blocks, and little within them. If that exceeds their whole effect on
+    depth, blocks get that effect instead.
     """
     if length == 0:
         return 1.0, 1.0
@@ -63,7 +63,7 @@ def white_as_blurred(aspect: float, block: int, length: float) -> tuple[float, f
 def _variance_in_middle(aspect: float, block: int, length: float = 0.0) -> tuple[float, float]:
     """Variance of depth by errors of p, and of q, in the middle of a uniform frame of many blocks, per pixel area.
 
-    The mean errors of whole blocks move it as far as those of as many pixels (`block` 1).
+    The mean errors of whole blocks move depth as far as those of as many pixels (`block` 1).
     """
     size = TRIAL_BLOCKS * block
     middle = slice(3 * size // 8, 5 * size // 8)
@@ -73,10 +73,10 @@ def _variance_in_middle(aspect: float, block: int, length: float = 0.0) -> tuple
 
 @lru_cache(maxsize=64)
 def fading_within_blocks(aspect: float, block: int) -> tuple[float, float, float, float]:
-    """How `variance_within_blocks` gets less where an anchor holds: coefficients of a ratio of polynomials.
+    """The decrease of `variance_within_blocks` where an anchor holds: coefficients of a ratio of polynomials.
 
-    Anchor over weight, x, adds to every eigenvalue: what a grid of blocks misses is then nearly
-    `(1 + c0 x)/(1 + c1 x + c2 x^2 + c3 x^3)` of what it misses without, good to 2 % for x from 0 to 100.
+    Anchor over weight, x, adds to every eigenvalue. The variance that a grid of blocks misses is then nearly
+    `(1 + c0 x)/(1 + c1 x + c2 x^2 + c3 x^3)` of that without anchor, within 2 % for x from 0 to 100.
     """
     x = np.concatenate([[0], np.logspace(-4, 2, 30)])
     left = _missed(aspect, block, x)
@@ -91,7 +91,7 @@ def fading_within_blocks(aspect: float, block: int) -> tuple[float, float, float
 
 
 def _missed(aspect: float, block: int, anchors: NDArray[Any]) -> NDArray[Any]:
-    """Mean variance of pixels minus that of blocks over a frame with each anchor, both slopes together."""
+    """Mean variance of pixels minus that of blocks over a frame, for each anchor, both slopes together."""
     missed = np.zeros(anchors.size)
     for size, pixels, sign in ((TRIAL_BLOCKS * block, 1, 1), (TRIAL_BLOCKS, block, -1)):
         eigen, gain = zip(*(_eigenvalues(size, pixels * pitch) for pitch in (aspect**-0.5, aspect**0.5)))
@@ -106,7 +106,7 @@ def _missed(aspect: float, block: int, anchors: NDArray[Any]) -> NDArray[Any]:
 def correlation_of_blocks(correlation_px: float, block: int) -> tuple[float, float]:
     """Length, in blocks, and variance of correlated errors of length `correlation_px` > 0 and variance 1.
 
-    They are averaged over a block, as if over a Gaussian of the same second moment: longer and weaker, with
+    Averaging over a block acts as a Gaussian of the same second moment: the errors become longer and weaker, with
     the same power at low frequencies.
     """
     length = np.sqrt(correlation_px**2 / block**2 + 1 / 6)

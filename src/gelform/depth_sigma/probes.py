@@ -1,10 +1,10 @@
-"""Probes: random slope errors that are integrated, many at once, to see how far they move depth.
+"""Probes: many random slope errors that are integrated together; the spread of their depths gives sigma.
 
 Independent draws would leave a relative error of 1/sqrt(2 n) in a standard deviation from n probes. Here the
-draws of neighbouring places are orthogonal over the probes instead, as in probing for the diagonal of an
+draws of neighboring places are orthogonal over the probes instead, as in probing for the diagonal of an
 inverse (J. Tang and Y. Saad, A probing method for computing the diagonal of a matrix inverse, Numer. Linear
-Algebra Appl. 19, 2012): places of one colour share a row of an orthogonal matrix, up to sign, and are far
-apart. Depth depends on near slopes far more than on distant ones, so that what is left is half as large.
+Algebra Appl. 19, 2012): places of one color share a row of an orthogonal matrix, up to sign, and are far
+apart. Depth depends far more on near slopes than on distant ones, so the remaining error is half as large.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ def correlated_draws(
 ) -> NDArray[np.float32]:
     """Fields (count, H, W, 2) of variance 1 and correlation exp(-d^2/(2 length^2)).
 
-    The first is taken half a place to the right, the second half a place down: on the edges. Gaussians on a
-    lattice of spacing `length` are added up, which has that correlation to 1.4 %.
+    The first is half a place to the right, the second half a place down, that is, on the edges. The sum of Gaussians on
+    a lattice of spacing `length` has that correlation within 1.4 %.
     """
     parts = []
     for down, right in ((0.0, 0.5), (0.5, 0.0)):
@@ -62,7 +62,7 @@ def _gaussians(count: int, length: float, offset: float) -> NDArray[Any]:
 
 
 def _placed(count: int, shape: tuple[int, int], rng: np.random.Generator) -> NDArray[Any]:
-    """Values (count, H, W, 2) of variance 1 over the probes, orthogonal where colours differ."""
+    """Values (count, H, W, 2) of variance 1 over the probes, orthogonal where colors differ."""
     rows = _cosines(count)
     colour = _colours(max(count // 2, 1), shape)
     columns = rng.permutation(count)[np.stack([2 * colour % count, (2 * colour + 1) % count], axis=-1)]
@@ -76,7 +76,7 @@ def _cosines(count: int) -> NDArray[Any]:
 
 
 def _colours(count: int, shape: tuple[int, int]) -> NDArray[np.int64]:
-    """Colour (H, W) of each place: `column + turn row` modulo the count, with same colours far apart."""
+    """Color (H, W) of each place: `column + turn row` modulo the count; places of the same color are far apart."""
     rows, cols = np.mgrid[: shape[0], : shape[1]]
     return np.asarray((cols + _turn(count) * rows) % count)
 
@@ -92,12 +92,12 @@ def _turn(count: int) -> int:
 
 
 class ProbeSolver:
-    """Depths of draws of slope errors, all with the same couplings; prepared once.
+    """Solves for the depths of draws of slope errors, all with the same couplings; prepared once.
 
     Parameters
     ----------
-    white, common : (N, H, W, 2), as `white_draws` and `correlated_draws` make them
-        Where H or W is even, depths are less exact along the last row or column.
+    white, common : (N, H, W, 2), from `white_draws` and `correlated_draws`
+        If H or W is even, depths are less exact along the last row or column.
     mm_per_px : (x, y), mm
     """
 
@@ -118,11 +118,10 @@ class ProbeSolver:
         problem: Problem,
         median: NDArray[np.float32] | None = None,
     ) -> NDArray[np.float32]:
-        """Depths (H, W, N) to some percent, up to a constant without an anchor; the problem's slopes do not count.
+        """Depths (H, W, N) within some percent, up to a constant without an anchor; the problem's slopes do not count.
 
-        The slopes' standard deviations (H, W, 2) are of errors that are white, and of correlated ones; `median` (H, W, 2)
-        says how
-        much each slope counts in the median that is subtracted from all.
+        The slopes' standard deviations (H, W, 2) belong to white errors and to correlated ones. `median` (H, W, 2) is the
+        weight of each slope in the median that is subtracted from all.
         """
         bias = np.zeros((2, self._white.shape[-1]), dtype=np.float32)
         if median is not None:

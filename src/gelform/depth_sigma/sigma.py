@@ -1,7 +1,7 @@
-"""How well depth is known: one standard deviation per pixel against the zero reference.
+"""The standard deviation of depth at each pixel, relative to the zero reference.
 
 Slope errors have a white part, which integration averages out, and a part that is correlated over some pixels
-(a color model's bias), which it does not: at equal size the second moves depth far more.
+(a color model's bias), which it does not. At equal size the second part moves depth far more.
 """
 
 from __future__ import annotations
@@ -44,7 +44,8 @@ from gelform.solvers.inputs import check_anchor
 from gelform.solvers.system import FLOOR, constant_map
 from gelform.zero import Level, Zero, checked_level, fitted_surface, zero_region
 
-MOST_PX, MOST_PROBES = 20_000, 10_000  # beyond any camera and any memory: a typing error
+# pixels and probes; a larger number is a typing error, because no camera or memory has so many
+MOST_PX, MOST_PROBES = 20_000, 10_000
 
 
 def checked_sigma(gradients_sigma: ArrayLike, shape: tuple[int, int] | None = None) -> NDArray[np.float32]:
@@ -73,7 +74,7 @@ def checked_weights(weights: ArrayLike, shape: tuple[int, int]) -> NDArray[np.fl
 
 
 def checked_probes(probes: int) -> int:
-    """Return a number of random draws that tell a deviation."""
+    """Return a number of random draws that is enough for a standard deviation."""
     return int(check_within(probes, "probes", 2, MOST_PROBES))
 
 
@@ -84,7 +85,7 @@ def checked_share(correlation_px: float, correlated_share: float) -> float:
 
 
 def checked_rest(rest: ArrayLike | None, shape: tuple[int, int]) -> NDArray[np.bool_] | None:
-    """Return pixels (H, W) where nothing touches, which may be none, as bool."""
+    """Return the pixels (H, W) at rest, possibly none, as bool."""
     if rest is None:
         return None
     array = as_array(rest, "rest")
@@ -93,14 +94,14 @@ def checked_rest(rest: ArrayLike | None, shape: tuple[int, int]) -> NDArray[np.b
     return np.ascontiguousarray(array)
 
 
-# Probes are solved on blocks, since sigma is smooth: about so many, of so many pixels across at least and at most.
+# Probes are solved on blocks, because sigma is smooth: about BLOCKS of them, from BLOCK_PX[0] to BLOCK_PX[1] pixels wide.
 BLOCKS, BLOCK_PX = 2300, (2, 6)
 
 
 class DepthSigma:
-    """One standard deviation of the depth, frame by frame: what does not depend on the frame is prepared once.
+    """One standard deviation of the depth, frame by frame; everything that does not depend on the frame is prepared once.
 
-    Immutable; a pure function of its arguments, and safe to share between threads.
+    It is immutable and a pure function of its arguments; threads can share it.
 
     Parameters
     ----------
@@ -112,12 +113,12 @@ class DepthSigma:
     correlated_share : float, 0-1
         Share of the variance that is correlated, if `correlation_px` > 0.
     rest_correlated_share : float, 0-1, optional
-        The same where nothing touches; as elsewhere by default.
+        The same for pixels at rest; as elsewhere by default.
     rest_correlation_px : float, >= 0
-        Distance over which the other part falls to exp(-1/2) where nothing touches, a few pixels; 0: it is white.
+        Distance over which the other part falls to exp(-1/2) at rest, a few pixels; 0: it is white.
     probes : int, >= 2
-        Fields of random slope errors that are integrated; 32 leave an error of 3 to 9 % in the
-        median over the frame.
+        Number of fields of random slope errors that are integrated; 32 leave an error of 3 to 9 % in
+        the median over the frame.
     rng : numpy Generator
         Draws the probes; a fixed seed if None, so that the same arguments give the same map.
 
@@ -185,9 +186,9 @@ class DepthSigma:
         weights, mask, anchor, zero, level
             As for `depth_from_gradients`; weights per pixel.
         rest : (H, W) bool, optional
-            Where nothing touches, and errors are correlated as they are there; nowhere by default.
+            Pixels at rest, where errors have the correlation of rest; none by default.
         against : (H, W) bool
-            Of depth minus its mean over these pixels, which all their errors share: that of the shape.
+            Gives the standard deviation of depth minus its mean over these pixels, that is, of the shape.
         """
         shape = self.shape
         sigma = checked_sigma(gradients_sigma, shape)

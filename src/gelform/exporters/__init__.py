@@ -1,4 +1,4 @@
-"""Files of simulated presses; folders appear whole or not at all."""
+"""Files for other programs, and of simulated presses; folders appear complete or not at all."""
 
 from gelform.exporters.folders import written_whole
 from gelform.exporters.press_folder import save_press_folder, save_simulated_presses

@@ -1,4 +1,4 @@
-"""Folders that are written whole or not at all, and the files in them."""
+"""Folders that are written completely or not at all, and the files in them."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ PROBE_BYTES = 16_384  # several blocks of any file system
 
 @contextmanager
 def written_whole(target: Path) -> Iterator[Path]:
-    """A temporary folder beside `target` that takes its name when the block ends well, else vanishes."""
+    """A temporary folder next to `target`; it gets that name if the block ends without an error, else it is deleted."""
     try:
         if target.exists() and (not target.is_dir() or any(target.iterdir())):
             raise DataError(
@@ -40,7 +40,7 @@ def written_whole(target: Path) -> Iterator[Path]:
             check_room(partial)
             yield partial
             with suppress(OSError):  # a file system without times
-                os.utime(partial)  # it has no lock from here on: `sweep` leaves it alone for a minute
+                os.utime(partial)  # it has no lock from now on; `sweep` spares it for a minute
         partial.chmod(0o777 & ~_umask())
         if target.exists():
             target.rmdir()
@@ -50,17 +50,17 @@ def written_whole(target: Path) -> Iterator[Path]:
             f"Cannot write {target}: {error.strerror or error}. Nothing of it was kept."
         ) from error
     finally:
-        shutil.rmtree(partial, ignore_errors=True)  # where it has not got its name
+        shutil.rmtree(partial, ignore_errors=True)  # if it did not get its name
 
 
 def check_room(folder: Path) -> None:
-    """Write a few kilobytes into a folder and take them away: a full disk is said (OSError) before the work, not after."""
+    """Write a few kilobytes into a folder and delete them: a full disk raises OSError before the work, not after."""
     with tempfile.TemporaryFile(dir=folder) as probe:
         probe.write(bytes(PROBE_BYTES))
 
 
 def write_sensor_toml(path: Path, name: str, mm_per_px: float, serial: str = "") -> None:
-    """Write the least that a `sensor.toml` says: a name, the width of a pixel, mm, and the serial where there is one."""
+    """Write a minimal `sensor.toml`: a name, the width of a pixel, mm, and the serial number if there is one."""
     unit = f"serial = {_toml_text(serial)}\n" if serial else ""
     content = f"name = {_toml_text(name)}\nmm_per_px = {float(mm_per_px)!r}\n{unit}"
     path.write_text(content, encoding="utf-8")
@@ -72,7 +72,7 @@ def _toml_text(text: str) -> str:
 
 
 def write_csv(path: Path, rows: Sequence[Mapping[str, str]]) -> None:
-    """Write rows with the same keys, those of the first as the header."""
+    """Write rows with equal keys, which become the header."""
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, fieldnames=list(rows[0]), lineterminator="\n")
         writer.writeheader()
@@ -80,7 +80,7 @@ def write_csv(path: Path, rows: Sequence[Mapping[str, str]]) -> None:
 
 
 def write_png(path: Path, image: ArrayLike, shape: tuple[int, int] | None = None) -> None:
-    """Write an RGB image (H, W, 3), of a given shape (H, W) where there is one, rounded to 8 bits, as PNG."""
+    """Write an RGB image (H, W, 3), rounded to 8 bits, as PNG; check it against a shape (H, W) if there is one."""
     pixels = check_image(image, shape=shape, name=path.name)
     if pixels.dtype != np.uint8:
         pixels = np.rint(pixels).astype(np.uint8)

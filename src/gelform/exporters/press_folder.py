@@ -1,4 +1,4 @@
-"""A press folder as calibration reads it, from images or from a simulated set."""
+"""A press folder, in the form that calibration reads, from images or from a simulated set."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ def save_press_folder(
 ) -> Path:
     """Write presses of balls as the folder that `calibrate` reads.
 
-    Writes background.png, presses.csv, sensor.toml, images/0000.png, ... and, with `truths`,
-    truth/0000.npz, ... into a temporary folder beside the wanted one and renames it when all is there.
+    Writes background.png, presses.csv, sensor.toml, images/0000.png, ... and, with `truths`, truth/0000.npz, ... into a
+    temporary folder, and renames that when it is complete.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def save_press_folder(
     ball_diameters_mm : N numbers
     mm_per_px : float, mm
     name : str, of the sensor
-    serial : of the camera; empty where it has none
+    serial : serial number of the camera; empty without one
     centers_px, contact_radii_px : N labels, known for simulated presses
     truths : N times named arrays, such as depth_mm and gradients
     progress : called with (done, total, what)
@@ -58,9 +58,9 @@ def save_press_folder(
     Raises
     ------
     DataError
-        The folder holds something already or cannot be written.
+        The folder is not empty or cannot be written.
     ValueError
-        Lists of different lengths, images of different sizes, numbers that are not positive.
+        Lists differ in length, images differ in size, or numbers are not positive.
     """
     target = check_path(folder, "folder as a path")
     images = check_list(images, "images")
@@ -91,7 +91,7 @@ def save_simulated_presses(
     truth: bool = True,
     progress: Progress = no_progress,
 ) -> Path:
-    """Write what `simulate_ball_presses` gave as a press folder with labels and truth."""
+    """Write the result of `simulate_ball_presses` as a press folder with labels and truth."""
     presses = check_is(simulated, SimulatedPresses, "simulated").presses
     return save_press_folder(
         folder,

@@ -1,4 +1,4 @@
-"""Depth in 16 bits: depth_mm = (v - 32768) x 1e-4, and 0 where it is not known."""
+"""Depth in 16 bits: depth_mm = (v - 32768) x 1e-4, or 0 where unknown."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from gelform.errors import DataError
 from gelform.foundations.checks import check_values
 
-ZERO_LEVEL, MM_PER_LEVEL, UNKNOWN = 32768, 1e-4, 0  # of 16 bits: 0.1 um a step, 3.3 mm either way
+ZERO_LEVEL, MM_PER_LEVEL, UNKNOWN = 32768, 1e-4, 0  # 16-bit levels: 0.1 um per step, +-3.3 mm
 
 
 def levels_from_depth(depth_mm: ArrayLike, known: ArrayLike | None = None) -> NDArray[np.uint16]:
@@ -18,15 +18,15 @@ def levels_from_depth(depth_mm: ArrayLike, known: ArrayLike | None = None) -> ND
 
     Parameters
     ----------
-    depth_mm : (H, W), -3.2767 to 3.2767 mm where it is known
+    depth_mm : (H, W), -3.2767 to 3.2767 mm where known
     known : (H, W) bool; False becomes level 0
 
     Raises
     ------
     DataError
-        Depth out of range: nothing is clipped.
+        Depth is out of range; nothing is clipped.
     ValueError, TypeError
-        No finite (H, W) of numbers, or another shape of `known`.
+        Depth is no finite (H, W) array of numbers, or `known` has another shape.
     """
     exact = np.float32 if getattr(depth_mm, "dtype", None) == np.float32 else np.float64
     depth = check_values(depth_mm, "depth_mm", (), exact)
@@ -50,9 +50,9 @@ def levels_from_depth(depth_mm: ArrayLike, known: ArrayLike | None = None) -> ND
 
 
 def depth_from_levels(levels: NDArray[Any]) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Depth (H, W) float32, mm, 0 where unknown, and where it is known, of 16-bit levels.
+    """Depth (H, W) float32, mm, 0 where unknown, and the map of known pixels, from 16-bit levels.
 
-    TypeError: no uint16.
+    TypeError: the levels are not uint16.
     """
     if getattr(levels, "dtype", None) != np.uint16:
         raise TypeError(f"Expected levels as uint16, got {getattr(levels, 'dtype', type(levels).__name__)}.")

@@ -1,6 +1,6 @@
-"""Simulated presses with their truth, as files: one, or a data set of any size.
+"""Simulated presses with their truth, as files: a single press, or a data set of any size.
 
-Several processes write a data set; its bytes are the same whatever their number.
+Several processes write a data set; its bytes do not depend on their number.
 """
 
 from __future__ import annotations
@@ -42,14 +42,14 @@ def save_simulated_press(
 ) -> Path:
     """Simulate one press and write it: background.png, image.png, truth.npz, parameters.json, sensor.toml.
 
-    With a `twin` the images are the twin's, and `sensor` is its sensor. The folder appears whole or not at all.
+    With a `twin` the images are the twin's, and `sensor` is its sensor. The folder appears complete or not at all.
 
     Raises
     ------
     DataError
-        The folder holds something already or cannot be written.
+        The folder is not empty or cannot be written.
     ValueError
-        A press that cannot be; see `simulate_press`.
+        The press is impossible; see `simulate_press`.
     """
     from gelform import __version__
 
@@ -76,7 +76,7 @@ def save_simulated_press(
 
 
 def write_truth(path: Path, press: SimulatedPress, meta: Mapping[str, Any], **arrays: Any) -> None:
-    """Write everything that is true of a press as .npz; `meta` joins its pose as JSON, `arrays` its arrays."""
+    """Write the truth of a press as .npz; `meta` is added to its pose as JSON, `arrays` to its arrays."""
     pose = {
         "depth_mm": press.press_depth_mm,
         "center_mm": list(press.center_mm),
@@ -98,7 +98,7 @@ def write_truth(path: Path, press: SimulatedPress, meta: Mapping[str, Any], **ar
 
 
 def truth_from_press(press: SimulatedPress) -> dict[str, NDArray[Any]]:
-    """The truth of a simulated press as it is saved: depth_mm, gradients (float32), contact."""
+    """The saved truth of a simulated press: depth_mm, gradients (float32), contact."""
     return {
         "depth_mm": press.depth_mm.astype(np.float32),
         "gradients": press.gradients.astype(np.float32),
@@ -111,7 +111,7 @@ COLUMNS = ("image", "ball_diameter_mm", "center_x_px", "center_y_px", "contact_r
 
 @dataclass(frozen=True)
 class SetOfPresses:
-    """What a data set of ball presses is made from: everything that its bytes depend on.
+    """The parameters of a data set of ball presses: everything that determines its bytes.
 
     With a `twin` the images are the twin's, and `sensor` is its sensor.
     """
@@ -135,7 +135,7 @@ class SetOfPresses:
         check_balls(self.sensor, self.ball_diameters_mm)
 
     def press(self, k: int) -> SimulatedPress:
-        """The k-th press; it depends on no other."""
+        """The k-th press; independent of the others."""
         press = ball_press_of_set(
             self.sensor, self.ball_diameters_mm, k, seed=self.seed, oversample=self.oversample
         )
@@ -146,14 +146,14 @@ class SetOfPresses:
         )
 
     def background(self) -> NDArray[np.uint8]:
-        """The untouched gel."""
+        """The image of the gel at rest."""
         if self.twin is not None:
             return self.twin.background
         rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(0,)))
         return np.asarray(simulate_background(self.sensor, rng), dtype=np.uint8)
 
     def parameters(self) -> dict[str, Any]:
-        """All of it, as JSON can hold it."""
+        """All parameters, for JSON."""
         from gelform import __version__
 
         return {
@@ -176,15 +176,15 @@ def save_simulated_set(
 ) -> Path:
     """Write ball presses as a press folder with labels, truth and all parameters.
 
-    Writes background.png, presses.csv, sensor.toml, parameters.json, images/0000.png and truth/0000.npz, ...
-    (depth_mm, gradients, contact, albedo, shadowed, saturated, markers_px, markers_shift_mm, and `meta`: pose,
-    seed, number). Each press has its own random stream, so the bytes do not depend on the number of workers.
-    The folder appears whole or not at all.
+    Writes background.png, presses.csv, sensor.toml, parameters.json, images/0000.png and truth/0000.npz, ... (depth_mm,
+    gradients, contact, albedo, shadowed, saturated, markers_px, markers_shift_mm, and `meta`: pose, seed, number).
+    Each press has its own random stream, so the bytes do not depend on the number of workers. The folder appears
+    complete or not at all.
 
     Raises
     ------
     DataError
-        The folder holds something already or cannot be written.
+        The folder is not empty or cannot be written.
     """
     if workers < 1:
         raise ValueError(f"Expected workers >= 1, got {workers}.")
@@ -205,7 +205,7 @@ def save_simulated_set(
 
 
 def _made(presses: SetOfPresses, folder: Path, workers: int) -> Iterator[dict[str, str]]:
-    """Write each press, in this process or in several; its lines of presses.csv in order."""
+    """Write each press, in this process or in several; yields the lines of presses.csv in order."""
     numbers: Sequence[int] = range(presses.count)
     if workers == 1:
         for k in numbers:

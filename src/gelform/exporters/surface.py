@@ -1,8 +1,8 @@
-"""X3P, the XML container of surface topography (ISO 25178-72, openGPS): heights in metres, with checksums.
+"""X3P, the XML container of surface topography (ISO 25178-72, openGPS): heights in meters, with checksums.
 
-A zip of `main.xml`, `bindata/data.bin` (little-endian heights, row by row from the least y) and `md5checksum.hex`. The axes
-are x right, y up, z towards the camera, right-handed: the image's rows are stored from the last to the first, and z is
-depth. Heights that are not known are NaN, as the format says it.
+The file is a zip of `main.xml`, `bindata/data.bin` (little-endian heights, row by row from the smallest y) and
+`md5checksum.hex`. The axes are right-handed: x right, y up, z towards the camera. The image's rows are therefore stored from
+the last to the first, and z is depth. Unknown heights are NaN, as the format requires.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ xsi:schemaLocation="{namespace} {namespace}/ISO5436_2.xsd">
 
 
 def x3p_bytes(result: Reconstruction) -> bytes:
-    """The container of a result with mm_per_px; the same bytes for the same result."""
+    """The container of a result with mm_per_px; the same result gives the same bytes."""
     height, width = result.depth_mm.shape
     heights = np.where(result.known, result.depth_mm.astype(np.float64) * M_PER_MM, np.nan)
     data = heights[::-1].astype("<f8").tobytes()
@@ -77,36 +77,36 @@ def x3p_bytes(result: Reconstruction) -> bytes:
 
 
 def _md5(content: bytes) -> str:
-    """As the format asks for; nothing is kept secret by it."""
+    """The checksum that the format requires; it protects no secret."""
     return hashlib.md5(content, usedforsecurity=False).hexdigest()
 
 
-BASE_SHARE = 0.1  # an STL's base lies this share of the frame's width below the lowest point
+BASE_SHARE = 0.1  # distance of an STL's base below the lowest point, as a fraction of the frame's width
 
 
 def save_surface(result: Reconstruction, path: str | PathLike[str], *, overwrite: bool = False) -> Path:
-    """Write a result's surface; the ending of the name says how.
+    """Write a result's surface; the ending of the name selects the format.
 
-    | ending | what it holds |
+    | ending | content |
     |---|---|
-    | .ply | points_mm (x, y, -depth) of the camera's optical frame, x right, y down, z away from the camera, as triangles |
+    | .ply | points_mm (x, y, -depth) in the camera's optical frame, x right, y down, z away from the camera, as triangles |
     | .stl | the same surface, closed by walls and a flat base: watertight, to print |
     | .tif, .tiff | depth_mm, float32 |
-    | .x3p | ISO 25178-72: heights in metres, x right, y up, z towards the camera |
-    | .png | 16 bits: depth_mm = (v - 32768) x 1e-4, 0 where depth is not known |
+    | .x3p | ISO 25178-72: heights in meters, x right, y up, z towards the camera |
+    | .png | 16 bits: depth_mm = (v - 32768) x 1e-4, or 0 where depth is unknown |
 
     Parameters
     ----------
     result : with mm_per_px
     path : one of SURFACES' endings
-    overwrite : whether a file that is there may be replaced
+    overwrite : whether to replace an existing file
 
     Raises
     ------
     ValueError, TypeError
-        Another ending, or no Reconstruction.
+        The ending is unknown, or the result is no Reconstruction.
     DataError
-        A result in pixels, depth out of the format's range, trimesh missing (extra `mesh`), or the file is there or
+        The result is in pixels, depth exceeds the format's range, trimesh is missing (extra `mesh`), or the file exists or
         cannot be written.
     """
     check_is(result, Reconstruction, "result")
@@ -139,7 +139,7 @@ def points_from_result(result: Reconstruction) -> NDArray[np.float32]:
 
 
 def _grid_triangles(height: int, width: int) -> NDArray[np.int64]:
-    """Triangles (n, 3) of a grid of points, seen from the camera (z down) counter-clockwise."""
+    """Triangles (n, 3) of a grid of points, counter-clockwise from the camera's side (z down)."""
     index = np.arange(height * width).reshape(height, width)
     a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
     return np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([b, d, c], -1).reshape(-1, 3)])
@@ -155,7 +155,7 @@ def _ply(result: Reconstruction) -> bytes:
 
 
 def _outward(triangles: NDArray[Any]) -> NDArray[Any]:
-    """Turned round: normals towards the camera, -z."""
+    """The triangles reversed: normals towards the camera, -z."""
     return triangles[:, ::-1]
 
 

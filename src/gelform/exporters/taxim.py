@@ -1,8 +1,8 @@
-"""A calibration as the tables that Taxim, TacEx and Isaac Lab render a sensor's images from.
+"""A calibration as the tables from which Taxim, TacEx and Isaac Lab render a sensor's images.
 
-Z. Si and W. Yuan, Taxim: an example-based simulation model for GelSight tactile sensors, RA-L 7(2), 2022: bins of the
-slope's angle and direction hold, for each channel, a quadratic polynomial in the pixel's place of the change in grey
-levels. The table is filled from the calibration's forward response.
+Z. Si and W. Yuan, Taxim: an example-based simulation model for GelSight tactile sensors, RA-L 7(2), 2022. Slopes are binned
+by angle and direction. Each bin has, per channel, a quadratic polynomial of the pixel's place for the change in gray levels.
+The calibration's forward response fills the table.
 """
 
 from __future__ import annotations
@@ -23,30 +23,30 @@ from gelform.foundations.checks import check_path
 from gelform.foundations.pictures import picture_bytes
 from gelform.simulate.twin import STEEPEST_RENDERED
 
-RENDERERS = {  # the channel, of R, G, B, that each reads from grad_r, grad_g, grad_b
-    "taxim": (2, 1, 0),  # whose images are OpenCV's, blue first
+RENDERERS = {  # channel (of R, G, B) that each renderer reads from grad_r, grad_g, grad_b
+    "taxim": (2, 1, 0),  # its images have OpenCV's order, blue first
     "isaaclab": (0, 1, 2),
 }
-BINS = 125  # Taxim's own
-PLACES = 9, 12  # pixels, rows and columns, that a bin's polynomial is fitted to
-JPEG = [  # as good as it gets: colour at every pixel
+BINS = 125  # as in Taxim
+PLACES = 9, 12  # rows and columns of the pixels to which a bin's polynomial is fitted
+JPEG = [  # best quality, with color at every pixel
     cv2.IMWRITE_JPEG_QUALITY,
     100,
     cv2.IMWRITE_JPEG_SAMPLING_FACTOR,
     cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444,
 ]
-BACKGROUND_BLUR_PX = 4.0  # a quadratic in the place knows no dust
+BACKGROUND_BLUR_PX = 4.0  # a quadratic polynomial of the place contains no dust
 
 
 def save_taxim(
     calibration: Calibration | str | PathLike[str], folder: str | PathLike[str], *, renderer: str = "taxim"
 ) -> Path:
-    """Write `polycalib.npz`, `bg.jpg`, `real_bg.npy` and a note of the settings that belong to them.
+    """Write `polycalib.npz`, `bg.jpg`, `real_bg.npy` and a note with the renderer's settings for them.
 
     Parameters
     ----------
-    calibration : or its file
-    folder : new or empty; appears whole or not at all
+    calibration : a Calibration or its file
+    folder : new or empty; appears complete or not at all
     renderer : "taxim" (and TacEx), whose `grad_r` is the blue channel, or "isaaclab", whose `grad_r` is the red one
 
     Returns
@@ -56,11 +56,11 @@ def save_taxim(
     Raises
     ------
     CalibrationError
-        Imported without a forward response, or without mm per px.
+        The calibration was imported without a forward response, or has no mm per px.
     DataError
-        The folder holds something, or cannot be written.
+        The folder is not empty or cannot be written.
     ValueError
-        Another renderer.
+        The renderer is unknown.
     """
     calibration, folder = as_calibration(calibration), check_path(folder)
     if renderer not in RENDERERS:
@@ -83,14 +83,14 @@ def save_taxim(
 
 
 def taxim_table(calibration: Calibration) -> NDArray[np.float64]:
-    """Changes in grey levels, (bins, bins, 3, 6): by angle and direction, for R, G, B, in x^2, y^2, xy, x, y, 1.
+    """Changes in gray levels, (bins, bins, 3, 6): by angle and direction, for R, G, B, in x^2, y^2, xy, x, y, 1.
 
-    Angles run from 0 to 90 degrees, directions of the gradient from -180 to 180, both in BINS - 1 steps; places are
+    Angles run from 0 to 90 degrees, directions of the gradient from -180 to 180, both in BINS - 1 steps. Places are
     pixels of the calibrated image. A level gel changes nothing.
 
-    CalibrationError: imported without a forward response.
+    CalibrationError: the calibration was imported without a forward response.
     """
-    calibration.color_from_gradients(np.zeros((*calibration.image_shape, 2)))  # or says that it cannot
+    calibration.color_from_gradients(np.zeros((*calibration.image_shape, 2)))  # raises without a response
     response: Any = calibration.forward or calibration.color_model
     y_px, x_px = _places(calibration.image_shape)
     blurred = cv2.GaussianBlur(calibration.background, (0, 0), BACKGROUND_BLUR_PX)

@@ -1,1 +1,1 @@
-"""What every room stands on: checks at public doors, files of arrays, lent memory, processes, findings, progress."""
+"""The base of every room: checks of arguments, files of arrays, lent memory, processes, findings, progress."""

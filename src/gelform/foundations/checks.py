@@ -1,4 +1,4 @@
-"""One door for shapes, dtypes and ranges: every public function checks its arguments here, once."""
+"""Checks of shapes, dtypes and ranges: every public function checks its arguments here, once."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from gelform._native import Kernel
 
 _range = Kernel("range_f32", "f32[...] values, out f32[2] range")
 
-POSSIBLE_RESPONSES = (0.05, 20.0)  # exponents of a camera's response, levels = light^response
-LARGEST = 1e18  # squares of it, and sums of those, fit into float32
+POSSIBLE_RESPONSES = (0.05, 20.0)  # exponents of a camera's response curve, levels = light^response
+LARGEST = 1e18  # its squares, and sums of those, fit into float32
 
 
 def as_array(values: ArrayLike, name: str) -> NDArray[Any]:
-    """The values as an array, whatever its type; refused where they are no rectangle of values, or partly masked.
+    """The values as an array, whatever its type; refused if they are no rectangle of values, or partly masked.
 
-    ValueError: rows of different lengths, or masked values: what is unknown is said by a mask of its own.
+    ValueError: rows of different lengths, or masked values; a separate mask marks unknown values.
     """
-    # numpy.ma takes 20 ms to import; where nobody has, nothing is masked
+    # numpy.ma takes 20 ms to import; nothing is masked before someone imports it
     if type(values) is not np.ndarray and "numpy.ma" in sys.modules and np.ma.is_masked(values):
         raise ValueError(
             f"Expected {name} without masked values. Give numbers everywhere and say where with mask=."
@@ -60,13 +60,13 @@ def check_image(
     """Return an RGB image (H, W, 3): uint8 as it is, float (0-255) as float32.
 
     TypeError: the array is neither uint8 nor float.
-    ValueError: wrong shape, a grey image, a value that is not finite or outside 0-255, or floats that look like 0-1.
+    ValueError: wrong shape, a gray image, a value that is not finite or outside 0-255, or floats that look like 0-1.
     """
     array = as_array(image, name)
     if array.ndim == 2:
         raise ValueError(
-            f"Expected {name} of shape (H, W, 3) in RGB, got a grey image of shape {array.shape}. "
-            "Three lights need three channels: read the file in colour (gelform.read_image)."
+            f"Expected {name} of shape (H, W, 3) in RGB, got a gray image of shape {array.shape}. "
+            "Three lights need three channels: read the file in color (gelform.read_image)."
         )
     if array.ndim != 3 or array.shape[2] != 3 or 0 in array.shape:
         hint = " Drop the alpha channel: image[..., :3]." if array.ndim == 3 and array.shape[2] == 4 else ""
@@ -118,7 +118,7 @@ def check_normals(normals: ArrayLike) -> NDArray[Any]:
     if array.size and float(array[..., 2].min()) < 1 / LARGEST:
         raise ValueError(
             f"Expected normals that face the camera (n_z > 0), got n_z down to {array[..., 2].min():g}. "
-            "z points towards the camera: flip the sign if yours points away."
+            "z points toward the camera: flip the sign if yours points away."
         )
     return array
 
@@ -158,13 +158,13 @@ def check_mask(
 
 
 def check_finite(array: NDArray[Any], name: str) -> NDArray[Any]:
-    """Return the array if every value is finite, and its square too: NaN is refused at the door, always."""
+    """Return the array if every value is finite, and its square too."""
     finite_range(array, name)
     return array
 
 
 def finite_range(array: NDArray[Any], name: str) -> tuple[float, float]:
-    """The least and the largest value of an array, refused as `check_finite` does."""
+    """The smallest and the largest value of an array, which is refused as by `check_finite`."""
     low, high = value_range(array)
     if not (low >= -LARGEST and high <= LARGEST):
         bad = int(np.count_nonzero(~(np.abs(array.astype(np.float64)) <= LARGEST)))
@@ -176,7 +176,7 @@ def finite_range(array: NDArray[Any], name: str) -> tuple[float, float]:
 
 
 def value_range(array: NDArray[Any]) -> tuple[float, float]:
-    """The least and the largest value; NaN where a value is NaN or infinite, 0 where there is none."""
+    """The smallest and the largest value; NaN if a value is NaN or infinite, 0 if there is none."""
     if not array.size:
         return 0.0, 0.0
     if array.dtype != np.float32 or not array.flags.c_contiguous:
@@ -191,7 +191,9 @@ def _as_float(array: NDArray[Any], name: str, dtype: Any = np.float32) -> NDArra
         np.issubdtype(array.dtype, np.floating) or np.issubdtype(array.dtype, np.integer)
     ):
         raise TypeError(f"Expected {name} as numbers, got {array.dtype}.")
-    with np.errstate(over="ignore", under="ignore"):  # what does not fit becomes infinite: refused as that
+    with np.errstate(
+        over="ignore", under="ignore"
+    ):  # a value that does not fit becomes infinite and is refused
         return np.ascontiguousarray(array, dtype=dtype).reshape(array.shape)
 
 
@@ -200,18 +202,18 @@ def _size(array: NDArray[Any]) -> str:
 
 
 T = TypeVar("T")
-MAX_PATH, MAX_NAME = 4096, 255  # characters, of Linux
+MAX_PATH, MAX_NAME = 4096, 255  # characters, on Linux
 
 
 def check_is(value: Any, kind: type[T], name: str) -> T:
-    """Return what is of a kind, such as a View or a Reconstruction."""
+    """Return a value if it is of a kind, such as a View or a Reconstruction."""
     if not isinstance(value, kind):
         raise TypeError(f"Expected {name} as {kind.__name__}, got {type(value).__name__}.")
     return value
 
 
 def check_list(values: Any, name: str, kind: type[Any] | None = None) -> list[Any]:
-    """Return a list of what a sequence or an array holds; `kind` is that of each."""
+    """Return the items of a sequence or an array as a list; `kind` is that of each."""
     is_array = isinstance(values, np.ndarray) and values.ndim > 0
     if isinstance(values, (str, bytes)) or not (is_array or isinstance(values, Sequence)):
         raise TypeError(f"Expected {name} as a list, got {type(values).__name__}.")
@@ -219,7 +221,7 @@ def check_list(values: Any, name: str, kind: type[Any] | None = None) -> list[An
 
 
 def check_path(path: Any, what: str = "a path") -> Path:
-    """Return a path that a file system can have: text that is neither empty nor too long, without a zero byte."""
+    """Return a path that a file system can have: not empty, not too long, without a zero byte."""
     if not isinstance(path, (str, PathLike)):
         raise TypeError(f"Expected {what} as text or a Path, got {type(path).__name__}.")
     text = os.fspath(path)
@@ -231,16 +233,16 @@ def check_path(path: Any, what: str = "a path") -> Path:
     return Path(text)
 
 
-# Of sensors, the least and the most: beyond, a number is in another unit.
+# mm, smallest and largest values of sensors; a number outside is in another unit.
 GEL_THICKNESS_MM, PITCH_MM = (0.05, 50.0), (1e-4, 1.0)
-MM_PER_PX = 1e-6, 1e3  # what square sums of float32 can hold, and far beyond any sensor
+MM_PER_PX = 1e-6, 1e3  # mm; float32 holds sums of such squares, and no sensor comes near
 
 
 def check_mm_per_px(mm_per_px: float | Sequence[float] | NDArray[Any] | None) -> tuple[float, float]:
     """Return the pixel pitch as (x, y) in mm; one number stands for square pixels."""
     if mm_per_px is None:
         raise ValueError("Expected mm_per_px, got None. Give the pixel pitch in mm, for example 0.0634.")
-    if type(mm_per_px) is float and MM_PER_PX[0] <= mm_per_px <= MM_PER_PX[1]:  # as each frame gives it
+    if type(mm_per_px) is float and MM_PER_PX[0] <= mm_per_px <= MM_PER_PX[1]:  # the usual case of each frame
         return mm_per_px, mm_per_px
     try:
         values = np.atleast_1d(np.asarray(mm_per_px))
@@ -261,9 +263,9 @@ def check_mm_per_px(mm_per_px: float | Sequence[float] | NDArray[Any] | None) ->
 
 
 def check_sensor_pitch(mm_per_px: float) -> float:
-    """Return the pixel pitch of a sensor, mm: a number that a camera over a gel can have, up to 1 mm.
+    """Return the pixel pitch of a sensor, mm: a number that a camera over a gel can have, at most 1 mm.
 
-    TypeError, ValueError: it is no number, or too large: the message says what pixels per mm would be.
+    TypeError, ValueError: it is no number, or too large; the message gives its value as pixels per mm.
     """
     pitch = check_positive(mm_per_px, "mm_per_px")
     if pitch > PITCH_MM[1]:
@@ -275,7 +277,7 @@ def check_sensor_pitch(mm_per_px: float) -> float:
 
 
 def check_gel_thickness(thickness_mm: float) -> float:
-    """Return the thickness of a gel, mm: one that a finger-sized sensor can have."""
+    """Return the thickness of a gel, mm, if a finger-sized sensor can have it."""
     return check_within(thickness_mm, "gel_thickness_mm", *GEL_THICKNESS_MM)
 
 
@@ -298,7 +300,7 @@ def check_number(value: float, name: str) -> float:
 
 
 def check_numbers(values: Any, name: str, count: int) -> tuple[float, ...]:
-    """Return so many finite numbers as a tuple of floats, such as a point (x, y)."""
+    """Return a given number of finite numbers as a tuple of floats, such as a point (x, y)."""
     numbers = tuple(check_number(value, f"each of {name}") for value in check_list(values, name))
     if len(numbers) != count or not np.isfinite(numbers).all():
         raise ValueError(f"Expected {name} as {count} finite numbers, got {values!r:.80}.")
@@ -314,5 +316,5 @@ def check_within(value: float, name: str, low: float, high: float) -> float:
 
 
 def check_response(response: float) -> float:
-    """Return the exponent of a camera's response, as a file may say it, as float."""
+    """Return the exponent of a camera's response as float; the value may be from a file."""
     return check_within(response, "response", *POSSIBLE_RESPONSES)

@@ -1,4 +1,4 @@
-"""Filters of maps that several rooms share: medians over chosen pixels, logarithms, the weights of Gaussian blurs."""
+"""Filters of maps for several rooms: medians over selected pixels, logarithms, weights of Gaussian blurs."""
 
 from __future__ import annotations
 
@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 
 from gelform._native import Kernel
 
-CHANGE_OFFSET = 10.0  # grey levels added where a color change divides, and to logarithms: noise of dark pixels is no color
+# gray levels, added to the divisor of a color change and in logarithms, so that noise of dark pixels is no color
+CHANGE_OFFSET = 10.0
 SIGMA_OF_MEDIAN = 1.4826  # standard deviation of normal noise over its median magnitude
 MEDIAN_SAMPLES = 5_000  # pixels on a lattice, fine enough for medians and fractions
-MIN_UNTOUCHED = 0.02  # fraction of the frame: the median slope of fewer pixels is noise
-LANES = 16  # floats, of native/common.h: rows of work arrays are as long as a whole number of them
+MIN_UNTOUCHED = 0.02  # fraction of the frame; the median slope of fewer pixels is noise
+LANES = 16  # floats, as in native/common.h; the length of a row of a work array is a multiple
 _medians_where = Kernel(
     "medians_where",
     "f32[h,w,c] values, bool[h,w]? chosen, i64 step, out f32[n] work, out f32[c] medians",
@@ -25,9 +26,9 @@ _medians_where = Kernel(
 def medians_where(
     values: NDArray[np.float32], chosen: NDArray[np.bool_] | None = None, step: int = 1
 ) -> tuple[NDArray[np.float32], int]:
-    """Median (C,) of each channel of a map (H, W, C) over chosen pixels of every `step`-th row and column; how many.
+    """Median (C,) of each channel of a map (H, W, C) over selected pixels of every `step`-th row and column; their number.
 
-    The map is float32, in C order and without NaN. All pixels are chosen by default; where none is, medians are 0.
+    The map is float32, in C order and without NaN. All pixels are selected by default; without any, medians are 0.
     """
     height, width, channels = values.shape
     medians = np.empty(channels, dtype=np.float32)
@@ -36,7 +37,7 @@ def medians_where(
 
 
 def lattice_step(pixels: int) -> int:
-    """Of how many rows and columns one has to be looked at, for about `MEDIAN_SAMPLES` of so many pixels."""
+    """The step between sampled rows and columns that leaves about `MEDIAN_SAMPLES` of a number of pixels."""
     return max(1, round((pixels / MEDIAN_SAMPLES) ** 0.5))
 
 
@@ -49,7 +50,7 @@ def log_levels(image: NDArray[Any]) -> NDArray[np.float32]:
 
 @lru_cache(maxsize=16)
 def blur_taps(blur_px: float) -> NDArray[np.float32]:
-    """Weights of a Gaussian blur from the middle on, to 4 standard deviations as in OpenCV; nobody writes to them."""
+    """Weights of a Gaussian blur from the middle outward, to 4 standard deviations as in OpenCV; read-only."""
     if blur_px == 0:
         return np.ones(1, dtype=np.float32)
     size = int(np.rint(8 * blur_px + 1)) | 1

@@ -1,4 +1,4 @@
-"""Findings: what a user should know of an image, a background or a stream, in words and with a figure."""
+"""Finding: a fact about an image, a background or a stream that a user should know, in words and with a figure."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Finding:
-    """Something that a user should know, with its figure."""
+    """A fact that a user should know, with its figure."""
 
     name: str
     message: str

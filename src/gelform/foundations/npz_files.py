@@ -1,4 +1,4 @@
-"""Files of arrays and one JSON string, without pickles: written whole or not at all, checked when read.
+"""Files of arrays and one JSON string, without pickles: written completely or not at all, checked when read.
 
 Calibrations and results are such files. `numpy.load` opens them too.
 """
@@ -28,21 +28,22 @@ from gelform.foundations.checks import check_path
 
 try:
     import fcntl
-except ImportError:  # Windows: what killed runs left stays
+except ImportError:  # Windows: partial files of killed processes stay
     fcntl = None  # type: ignore[assignment]
 
 LEFT_FILE = re.compile(r"\.gelform-[0-9a-f]{12}\.tmp")
-LEFT_AFTER_S = 60.0  # a younger one may not be locked yet
-MAX_BYTES, MAX_META_BYTES = 2**30, 2**26  # of all members of an archive, and of its settings
-MAX_ARRAY_BYTES = 2**28  # of another program's file
+DIGEST_SHOWN = 10  # characters of a digest in names and lists: a million calibrations share one with a chance of one half
+LEFT_AFTER_S = 60.0  # seconds; a younger file may not be locked yet
+MAX_BYTES, MAX_META_BYTES = 2**30, 2**26  # bytes of all members of an archive, and of its settings
+MAX_ARRAY_BYTES = 2**28  # bytes of an array in another program's file
 _RESERVED = ("format", "format_version", "gelform_version", "digest")
-# What zipfile, zlib and numpy's reader of arrays raise where an archive is not as it was written.
+# Errors that zipfile, zlib and numpy's reader of arrays raise for a damaged archive.
 DAMAGED_ARCHIVE = (
     zipfile.BadZipFile,
     zlib.error,
     EOFError,
     NotImplementedError,
-    MemoryError,  # of an array that declares more than any machine has
+    MemoryError,  # an array may declare more memory than any machine has
     RuntimeError,
     SyntaxError,
     tokenize.TokenError,
@@ -59,13 +60,13 @@ def written_file(
     flushed: bool = True,
     error: type[GelformError] = DataError,
 ) -> Iterator[BinaryIO]:
-    """Open a file for writing that appears under its name only when the block ends well.
+    """Open a file for writing that appears under its name only if the block succeeds.
 
-    The bytes go to a temporary name in the same folder, which replaces `path` in one step; where anything
-    fails (disk full, an exception in the block) the temporary file goes and what was at `path` stays.
-    Without `flushed` the disk may have them later: until somebody flushes the file, a loss of power may take it.
+    The bytes go to a temporary file in the same folder, which replaces `path` in one step. If anything
+    fails (disk full, an exception in the block), the temporary file is deleted and the file at `path` stays.
+    Without `flushed`, a loss of power may lose the file until the system has written it to the disk.
 
-    error: the file is already there and `overwrite` is False, or its folder is missing, not writable or full.
+    error: the file exists and `overwrite` is False, or its folder is missing, not writable or full.
     """
     path = check_path(path)
     check_free(path, overwrite=overwrite, error=error)
@@ -78,8 +79,8 @@ def written_file(
             if flushed:
                 os.fsync(handle.fileno())
             with suppress(OSError):  # a file system without times
-                os.utime(temporary)  # it has no lock from here on: `sweep` leaves it alone for a minute
-        if not overwrite:  # another process may have been quicker
+                os.utime(temporary)  # the file has no lock from now on; `sweep` leaves it alone for a minute
+        if not overwrite:  # another process may have been faster
             check_free(path, overwrite=False, error=error)
         os.replace(temporary, path)
     except BaseException as problem:
@@ -91,7 +92,7 @@ def written_file(
 
 
 def locked(descriptor: int) -> bool:
-    """Lock an open file or folder until it is closed, also by the end of its process; False where that cannot be."""
+    """Lock an open file or folder until it is closed or its process ends; False if that is impossible."""
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except (OSError, AttributeError):
@@ -101,7 +102,7 @@ def locked(descriptor: int) -> bool:
 
 @contextmanager
 def locked_folder(folder: Path) -> Iterator[None]:
-    """Lock a partial folder while it is filled, where the system can: `sweep` leaves it alone."""
+    """Lock a partial folder while it is filled, if the system can; `sweep` leaves it alone."""
     if fcntl is None:
         yield
         return
@@ -116,22 +117,22 @@ def locked_folder(folder: Path) -> Iterator[None]:
 def sweep(folder: Path, target: str = "") -> None:
     """Delete the partial files that killed processes left in a folder, or the partial folders of a target's name.
 
-    Those that a living process has locked stay, and those that were changed within the last minute.
+    Files that a running process has locked stay, and so do files that changed within the last minute.
     """
     names = re.compile(re.escape(f".{target}.partial-") + "([a-z0-9_]{8}|[0-9]+)") if target else LEFT_FILE
     try:
         found = [path for path in folder.iterdir() if names.fullmatch(path.name) and not path.is_symlink()]
-    except OSError:  # a folder to write to, not to list
+    except OSError:  # a folder that can be written to, but not listed
         return
     for left in found:
         if not (left.is_dir() if target else left.is_file()):
             continue
         try:
             descriptor = os.open(left, os.O_RDONLY)
-        except OSError:  # another one has just taken it away, or it is another user's
+        except OSError:  # another process has just removed it, or it belongs to another user
             continue
         try:
-            # old before, or the lock would be in its owner's way; old after, or its owner is about to give it its name
+            # Check the age before and after: the lock must not hinder an owner that is still writing or about to rename.
             if _is_old(descriptor) and locked(descriptor) and _is_old(descriptor):
                 if target:
                     shutil.rmtree(left, ignore_errors=True)
@@ -148,7 +149,7 @@ def _is_old(descriptor: int) -> bool:
 def check_free(
     path: str | os.PathLike[str], *, overwrite: bool, error: type[GelformError] = DataError
 ) -> None:
-    """Refuse a name that a file already has (unless `overwrite`), or whose folder is not there."""
+    """Refuse a name that a file already has (unless `overwrite`), or whose folder is missing."""
     path = check_path(path)
     if path.is_dir():
         raise error(f"Expected a file name to write to, got the folder {path}. Add a name: {path / 'name'}.")
@@ -170,24 +171,24 @@ def write_npz(
     overwrite: bool = False,
     error: type[GelformError] = DataError,
 ) -> None:
-    """Write arrays and settings to one `.npz` without pickles, whole or not at all.
+    """Write arrays and settings to one `.npz` without pickles, completely or not at all.
 
     Parameters
     ----------
     arrays : name -> array of numbers, booleans or text
     meta : JSON-able settings; kept in the member `meta` beside `format` (the kind), `format_version`,
         `gelform_version` and a `digest` (SHA-256) over the arrays and the settings
-    kind : what the file is, such as "gelform calibration"
+    kind : kind of the file, such as "gelform calibration"
     version : of the format of this kind, from 1
     overwrite : whether an existing file is replaced
-    error : what is raised where the file cannot be written
+    error : class of the error that is raised if the file cannot be written
 
     Raises
     ------
     error
         See `written_file`.
     ValueError, TypeError
-        Settings that JSON cannot say (NaN included), an array of objects, or a reserved name.
+        Settings that JSON cannot hold (NaN included), an array of objects, or a reserved name.
     """
     members = _members_to_write(arrays, meta, kind, version)
     with written_file(path, overwrite=overwrite, error=error) as handle:
@@ -197,7 +198,10 @@ def write_npz(
 def npz_bytes(
     arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any], *, kind: str, version: int
 ) -> bytes:
-    """What `write_npz` writes, but no digest: of a file whose digest is kept elsewhere. `read_npz` refuses it."""
+    """The bytes that `write_npz` writes, without a digest, for a file whose digest is kept elsewhere.
+
+    `read_npz` refuses them.
+    """
     content = io.BytesIO()
     _write_members(content, _members_to_write(arrays, meta, kind, version, digest=False))
     return content.getvalue()
@@ -227,16 +231,16 @@ def read_npz(
     max_bytes: int = MAX_BYTES,
     error: type[GelformError] = DataError,
 ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-    """Read what `write_npz` wrote: the arrays by name and the settings, after every check.
+    """Read a file of `write_npz`: the arrays by name and the settings, after every check.
 
-    The sizes that the file declares are checked before anything is read, nothing is ever unpickled.
+    The sizes that the file declares are checked before anything is read; nothing is unpickled.
 
     Parameters
     ----------
-    kind : what the file has to be
+    kind : the required kind of the file
     newest_version : the newest format version that the caller reads; older ones are the caller's to convert
-    max_bytes : the most that all members together may hold
-    error : what is raised where the file cannot be used
+    max_bytes : largest size of all members together
+    error : class of the error that is raised if the file cannot be used
 
     Raises
     ------
@@ -269,7 +273,7 @@ def read_npz(
 
 
 def read_npy(path: str | os.PathLike[str], what: str) -> NDArray[Any]:
-    """The one array of a `.npy` file, which holds `what`; nothing is unpickled.
+    """The array of a `.npy` file; `what` describes it in errors; nothing is unpickled.
 
     DataError: the file is missing, larger than 256 MB, damaged, an archive, or holds no numbers.
     """
@@ -285,7 +289,7 @@ def read_npy(path: str | os.PathLike[str], what: str) -> NDArray[Any]:
 
 
 def present_file(path: str | os.PathLike[str], what: str, max_bytes: int = MAX_ARRAY_BYTES) -> Path:
-    """The path of a file that is there and not too large; a DataError names `what` was expected."""
+    """The path of a file that exists and is not too large; otherwise a DataError names `what` was expected."""
     path = check_path(path)
     if not path.is_file():
         raise DataError(f"No file {path}: expected {what}.")
@@ -295,8 +299,8 @@ def present_file(path: str | os.PathLike[str], what: str, max_bytes: int = MAX_A
 
 
 def kind_of_npz(path: str | os.PathLike[str]) -> str | None:
-    """The kind that a file names (its `format`), or None where it is no such file; nothing else is read."""
-    if not check_path(path).is_file():  # opening a pipe would wait for ever
+    """The kind that a file names (its `format`), or None if it is no such file; nothing else is read."""
+    if not check_path(path).is_file():  # opening a pipe would wait forever
         return None
     try:
         with zipfile.ZipFile(path) as archive:
@@ -320,7 +324,7 @@ def digest_of(arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any]) -> st
 
 
 def _write_members(handle: BinaryIO, members: Mapping[str, NDArray[Any]]) -> None:
-    """What `numpy.savez` writes, but closed properly where the disk is full."""
+    """Write as `numpy.savez` does, but close the file properly if the disk is full."""
     with zipfile.ZipFile(handle, "w") as archive:
         for name, array in members.items():
             with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
@@ -347,7 +351,7 @@ _READ_HEADER = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.form
 
 
 def _array(content: bytes) -> NDArray[Any]:
-    """One `.npy` member; its header is held against its size before anything is allocated."""
+    """One `.npy` member; its header is compared with its size before anything is allocated."""
     stream = io.BytesIO(content)
     try:
         version = np.lib.format.read_magic(stream)

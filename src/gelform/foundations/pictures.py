@@ -1,4 +1,4 @@
-"""Pixels into the bytes of a picture file."""
+"""Encoding of pixels as the bytes of a picture file."""
 
 from __future__ import annotations
 
@@ -11,15 +11,17 @@ from numpy.typing import NDArray
 
 from gelform.errors import DataError
 
-# Of PNG: runs of equal bytes and Huffman codes alone. What a camera's noise leaves has no repetitions to find. Files are a
+# PNG with runs of equal bytes and Huffman codes only, because a camera's noise leaves no repetitions to find. Files are a
 # fifth smaller than at zlib's level 1, and written as fast; any PNG reader reads them.
 FAST_PNG = (cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE)
 
 
 def picture_bytes(pixels: NDArray[Any], ending: str = ".png", settings: Sequence[int] = ()) -> bytes:
-    """The bytes of a picture file of an RGB image (H, W, 3) or a map (H, W); DataError where no such file holds it.
+    """The bytes of a picture file of an RGB image (H, W, 3) or a map (H, W).
 
-    `ending` says which kind, `settings` are OpenCV's.
+    `ending` names the format; `settings` are OpenCV's.
+
+    DataError: the format cannot hold the picture.
     """
     shown = pixels[..., ::-1] if pixels.ndim == 3 else pixels
     try:

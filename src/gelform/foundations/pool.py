@@ -9,21 +9,21 @@ from typing import Generic, TypeVar
 import numpy as np
 
 Work = TypeVar("Work")
-MOST_KEPT = 31 << 20  # glibc learns nothing from larger blocks
+MOST_KEPT = 31 << 20  # bytes; glibc learns nothing from larger blocks
 
 
 def keep_freed_memory(size: int) -> None:
-    """Let the C library keep about twice `size` bytes that were freed, instead of handing them back at once.
+    """Let the C library keep about twice `size` bytes of freed memory instead of returning it to the system at once.
 
-    Memory that was handed back costs a page fault for every 4 KB when the next frame asks for it again: a fifth of a
-    plain frame. glibc keeps twice the largest block that it has seen freed, up to 32 MB; others take no notice.
+    Returned memory costs a page fault for every 4 KB when the next frame needs it again: a fifth of the time of a
+    plain frame. glibc keeps twice the largest block that it has seen freed, up to 32 MB; other libraries ignore it.
     """
     block = np.empty(min(size, MOST_KEPT), dtype=np.uint8)
-    del block  # never written to: it takes no memory
+    del block  # never written to, so it takes no memory
 
 
 class Pool(Generic[Work]):
-    """Lends what `make` makes and lends again what came back: frames after the first allocate nothing."""
+    """Lends objects from `make` and lends returned ones again, so that frames after the first allocate nothing."""
 
     def __init__(self, make: Callable[[], Work]) -> None:
         self._make = make
@@ -31,9 +31,9 @@ class Pool(Generic[Work]):
 
     @contextmanager
     def one(self) -> Iterator[Work]:
-        """Work arrays that nobody else holds. list.pop and list.append are atomic: no lock is needed.
+        """Work arrays that no other thread holds; list.pop and list.append are atomic, so no lock is needed.
 
-        Where an exception leaves the block, they are forgotten: they may hold whatever made it fail.
+        After an exception in the block they are discarded, because their content may have caused it.
         """
         try:
             work = self._free.pop()

@@ -1,4 +1,4 @@
-"""What long work reports to: a callable (done, total, what)."""
+"""Progress: the callable (done, total, what) that long work reports to."""
 
 from __future__ import annotations
 

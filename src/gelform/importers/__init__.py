@@ -1,4 +1,4 @@
-"""Other packages' calibrations and tables, meshes and height images."""
+"""Calibrations and tables of other packages, meshes and height images."""
 
 from gelform.importers.tables import TaximLook, read_taxim_forward
 

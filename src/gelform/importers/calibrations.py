@@ -1,4 +1,4 @@
-"""A Calibration from what another package calibrated: one door for all formats."""
+"""A Calibration from another package's calibration: one function for all formats."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from gelform.importers.networks import read_gs_sdk, read_gsrobotics, read_gsrobo
 from gelform.importers.tables import read_lut, read_taxim
 from gelform.view import View
 
-# Untouched pixels of a Mini differ from its background by up to this, noise and drift together, grey levels / 255.
+# Gray levels / 255. Pixels of a Mini at rest differ from its background by up to this, from noise and drift together.
 UNTOUCHED_CHANGE = 8 / 255
-LUT_BLUR_PX = 0.5**0.5  # as wide as their 3x3 blur, weights 1/4, 1/2, 1/4
+LUT_BLUR_PX = 0.5**0.5  # as wide as the 3x3 blur of these tables, weights 1/4, 1/2, 1/4
 
 PACKAGES: dict[str, Callable[..., ColorModel]] = {
     "gs_sdk": read_gs_sdk,
@@ -45,28 +45,28 @@ def import_calibration(
     flip_depth: bool = False,
     sensor_name: str | None = None,
 ) -> Calibration:
-    """A calibration from another package's file, with gelform's signs, held beside today's untouched image.
+    """A calibration from another package's file, with gelform's signs and a current background image.
 
-    What the file does not say stays unknown: without `mm_per_px` it gives gradients and depth in pixels; no
-    deviation of the slopes is claimed, confidence is 1 but for clipped pixels.
+    Values that the file lacks stay unknown. Without `mm_per_px` the calibration gives gradients and depth in pixels.
+    It states no standard deviation of the slopes, so confidence is 1 except at clipped pixels.
 
     Parameters
     ----------
     path : the package's file
     package : a name in `PACKAGES`: gs_sdk, gsrobotics, gsrobotics-web, taxim or lut
-    background : (H, W, 3) RGB, 0-255, the untouched image, cropped and sized as that package's images are
-    mm_per_px : width of a pixel on the gel, mm, where it is known
-    position : for gsrobotics and gsrobotics-web only, and needed there: "zeros" is what its program feeds, "true"
-        what its network was trained on
-    flip_depth : for lut only: the table's surface falls where pressed
-    sensor_name : of the calibration; the file's name by default
+    background : (H, W, 3) RGB, 0-255, the background image, cropped and sized as that package's images
+    mm_per_px : width of a pixel on the gel, mm, if known
+    position : required for gsrobotics and gsrobotics-web, and only there: "zeros", the input of its program, or "true", the
+        input of its network's training
+    flip_depth : only for lut: the table's surface falls where pressed
+    sensor_name : name of the calibration's sensor; by default the file's name
 
     Raises
     ------
     DataError
-        The file is not of that package, damaged, or would have to be unpickled.
+        The file is not of that package, damaged, or would need unpickling.
     ValueError
-        An unknown package, or an option that it does not take, or lacks.
+        The package is unknown, or an option is missing or not accepted.
     """
     path = check_path(path)
     options = _options(check_is(package, str, "package"), position, flip_depth)

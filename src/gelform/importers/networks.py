@@ -1,4 +1,4 @@
-"""Networks of other packages, by their weights: gs_sdk, gsrobotics and its browser port."""
+"""Networks of other packages, from their weights: gs_sdk, gsrobotics and its browser port."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ UNITS = {"gs_sdk": 32, "gsrobotics": 64}
 
 
 def read_gs_sdk(path: str | PathLike[str], background: NDArray[np.float32]) -> NetworkModel:
-    """gs_sdk's `nnmodel.pth`: slope angles of a surface that goes down where pressed, from B, G, R, x/W, y/H."""
+    """gs_sdk's `nnmodel.pth`: B, G, R, x/W, y/H to slope angles of a surface that goes down where pressed."""
     return NetworkModel(_layers(read_tensors(path), path, UNITS["gs_sdk"]), background, "xy", "angles")
 
 
 def read_gsrobotics(
     path: str | PathLike[str], background: NDArray[np.float32], *, position: str
 ) -> NetworkModel:
-    """gsrobotics' `nnmini.pt`: normals n_x, n_y from B, G, R, row/H, column/W.
+    """gsrobotics' `nnmini.pt`: B, G, R, row/H, column/W to normals n_x, n_y.
 
     Parameters
     ----------
-    position : "zeros" as the shipped program feeds it (it truncates the positions), or "true"
+    position : "zeros" as in the original program, which truncates the positions, or "true"
     """
     tensors = {name.removeprefix("state_dict."): a for name, a in read_tensors(path).items()}
     return NetworkModel(
@@ -70,11 +70,11 @@ def _position(position: str) -> Any:
 
 
 def _layers(tensors: Mapping[str, NDArray[Any]], path: str | PathLike[str], units: int) -> Layers:
-    """fc1 ... fc4 of a state dict; their width tells the two packages' networks apart."""
+    """fc1 ... fc4 of a state dict; their width distinguishes the two packages' networks."""
     if any(name.split(".")[-2:-1] == ["conv1"] for name in tensors):
         raise DataError(
             f"{path} holds a convolutional network (py3DCal's TouchNet has such layers: 298 GMAC a frame), which "
-            "gelform does not run. Its data folder is what gelform can use: calibrate anew from the presses."
+            "gelform does not run. Its data folder is what gelform can use: calibrate again from the presses."
         )
     wanted = [f"fc{k}.{kind}" for k in range(1, LAYERS + 1) for kind in ("weight", "bias")]
     missing = [name for name in wanted if name not in tensors]

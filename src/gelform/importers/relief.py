@@ -1,4 +1,4 @@
-"""Things to press into a simulated gel, from files: meshes (STL, PLY, OBJ) and height images."""
+"""Objects to press into a simulated gel, from files: meshes (STL, PLY, OBJ) and height images."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gelform.foundations.npz_files import present_file
 from gelform.simulate import HeightMap, Mesh
 
 MESH_SUFFIXES = (".stl", ".ply", ".obj")
-MAX_MESH_BYTES = 2**29  # larger ones take minutes
+MAX_MESH_BYTES = 2**29  # bytes; larger meshes take minutes
 
 
 def read_mesh(path: str | PathLike[str], *, mm_per_unit: float = 1.0) -> Mesh:
@@ -22,13 +22,13 @@ def read_mesh(path: str | PathLike[str], *, mm_per_unit: float = 1.0) -> Mesh:
     Parameters
     ----------
     path : .stl, .ply or .obj
-    mm_per_unit : 1 for files in mm, 1000 for metres, 25.4 for inches
+    mm_per_unit : 1 for files in mm, 1000 for meters, 25.4 for inches
 
     Raises
     ------
     DataError
-        No such file, another kind of file, one that is too large or damaged, or a mesh that is empty, open, or
-        of a size that suggests another unit.
+        The file is missing, of another kind, too large or damaged; or the mesh is empty, open, or of a size that suggests
+        another unit.
     ImportError
         trimesh is not installed: `pip install "gelform[mesh]"`.
     """
@@ -44,7 +44,7 @@ def read_mesh(path: str | PathLike[str], *, mm_per_unit: float = 1.0) -> Mesh:
     try:
         mesh = trimesh.load(path, force="mesh", process=False)
         vertices, triangles = np.asarray(mesh.vertices), np.asarray(mesh.faces)
-    except Exception as problem:  # its readers raise whatever their parsing meets
+    except Exception as problem:  # its readers raise many kinds of errors
         raise DataError(f"{path} is damaged, or no {path.suffix[1:].upper()} file: {problem}.") from problem
     if triangles.size == 0:
         raise DataError(f"{path}: Expected a mesh with triangles, got an empty one.")
@@ -55,17 +55,17 @@ def read_mesh(path: str | PathLike[str], *, mm_per_unit: float = 1.0) -> Mesh:
 
 
 def read_height_image(path: str | PathLike[str], *, mm_per_px: float, height_mm: float) -> HeightMap:
-    """Read a height map from a grey image, 8 or 16 bits: black is lowest, white `height_mm` higher.
+    """Read a height map from a gray image of 8 or 16 bits: black is the lowest, white is `height_mm` higher.
 
-    DataError: no such file, no image, or one in colour.
+    DataError: the file is missing, no image, or in color.
     """
-    path = present_file(path, "a grey image")
-    grey = cv2.imdecode(np.frombuffer(path.read_bytes(), dtype=np.uint8), cv2.IMREAD_UNCHANGED)
-    if grey is None:
+    path = present_file(path, "a gray image")
+    gray = cv2.imdecode(np.frombuffer(path.read_bytes(), dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+    if gray is None:
         raise DataError(f"{path} is no image, or a damaged one.")
-    if grey.ndim != 2 or grey.dtype not in (np.uint8, np.uint16):
+    if gray.ndim != 2 or gray.dtype not in (np.uint8, np.uint16):
         raise DataError(
-            f"Expected a grey image of 8 or 16 bits, got {path} of shape {grey.shape}, {grey.dtype}."
+            f"Expected a gray image of 8 or 16 bits, got {path} of shape {gray.shape}, {gray.dtype}."
         )
-    scale = check_positive(height_mm, "height_mm") / float(np.iinfo(grey.dtype).max)
-    return HeightMap(grey.astype(np.float64) * scale, mm_per_px)
+    scale = check_positive(height_mm, "height_mm") / float(np.iinfo(gray.dtype).max)
+    return HeightMap(gray.astype(np.float64) * scale, mm_per_px)

@@ -1,7 +1,7 @@
-"""Other packages' tables: look-up tables of gradients by colour difference, and Taxim's forward model.
+"""Tables of other packages: look-up tables from color difference to gradients, and Taxim's forward model.
 
-The look-up tables (`table_smooth.npy`) are in the tradition of Dong and Yuan. Taxim's tables (`polycalib.npz`) say for bins
-of the slope's angle and direction a quadratic polynomial in the pixel's place for each channel's change in grey levels
+The look-up tables (`table_smooth.npy`) are in the tradition of Dong and Yuan. Taxim's tables (`polycalib.npz`) bin slopes by
+angle and direction. Each bin has a quadratic polynomial of the pixel's place for each channel's change in gray levels
 (Z. Si and W. Yuan, Taxim: an example-based simulation model for GelSight tactile sensors, RA-L 2022).
 """
 
@@ -21,32 +21,32 @@ from gelform.errors import DataError, said
 from gelform.foundations.checks import check_positive
 from gelform.foundations.npz_files import DAMAGED_ARCHIVE, MAX_ARRAY_BYTES, present_file, read_npy
 
-MAX_LUT_BINS, MAX_TAXIM_BINS = 200, 2000  # along each axis: theirs have 90 and 125
-RANGE_LEVELS = 180.0  # a look-up table spans -90 to 90 grey levels of difference in each channel
-HEIGHT, WIDTH = 480, 640  # px, of the images that Taxim's polynomials count the place in
-MEMBERS = ("bins", "grad_b", "grad_g", "grad_r")  # the file's "r" is channel 0 of an OpenCV image: blue
-FADED_IN_MM = 0.1  # depth over which a contact's own level colour replaces that of untouched gel
-ASPECT_TOLERANCE = 0.02  # of an image's proportions against those of the tables
+MAX_LUT_BINS, MAX_TAXIM_BINS = 200, 2000  # limits along each axis: the originals have 90 and 125
+RANGE_LEVELS = 180.0  # gray levels: a look-up table spans differences of -90 to 90 per channel
+HEIGHT, WIDTH = 480, 640  # px, size of the images whose pixels Taxim's polynomials use
+MEMBERS = ("bins", "grad_b", "grad_g", "grad_r")  # "r" is channel 0 of an OpenCV image, which is blue
+FADED_IN_MM = 0.1  # mm of depth over which the color of level contacts replaces that of the gel at rest
+ASPECT_TOLERANCE = 0.02  # relative difference of the aspect ratios of an image and the tables
 _DAMAGED = (OSError, *DAMAGED_ARCHIVE, ValueError, AttributeError, TypeError)
 
 
 def read_lut(
     path: str | PathLike[str], background: NDArray[np.float32], *, depth_sign: int = 1
 ) -> LookupModel:
-    """A table (bins, bins, bins, 2), indexed by the blue, green and red difference, of gradients (gx, gy).
+    """A table (bins, bins, bins, 2) of gradients (gx, gy), indexed by the blue, green and red difference.
 
-    The difference is taken between images blurred by 3x3 px and multiplied by 1 + 2 (mean(I0)/I0 - 1). Values
-    are those at the bins' centres, with linear interpolation between; the table's answer to no difference is
-    subtracted. Its accuracy is not in the file: no deviation is claimed.
+    The images are blurred by 3x3 px; their difference is multiplied by 1 + 2 (mean(I0)/I0 - 1). Values hold at the
+    bins' centers, with linear interpolation between them. The table's gradient for no difference is subtracted. The
+    file does not state its accuracy, so no standard deviation is given.
 
     Parameters
     ----------
-    depth_sign : 1 where the table's surface rises where pressed, -1 where it falls
+    depth_sign : 1 if the table's surface rises where pressed, -1 if it falls
 
     Raises
     ------
     DataError
-        No such file, no such table, or a damaged one.
+        The file is missing, no such table, or damaged.
     """
     if depth_sign not in (1, -1):
         raise ValueError(f"Expected depth_sign 1 or -1, got {depth_sign}.")
@@ -71,16 +71,16 @@ def _lut(path: str | PathLike[str]) -> NDArray[np.float64]:
 
 
 def read_taxim(path: str | PathLike[str], background: NDArray[np.float32]) -> SlopeTableModel:
-    """Taxim's table; `grad_r` is channel 0 of an image as OpenCV holds it, which is blue.
+    """Taxim's table; `grad_r` is channel 0 of an image in OpenCV's order, which is blue.
 
     Parameters
     ----------
-    background : (H, W, 3), of the table's 480x640 px or of its proportions
+    background : (H, W, 3), of the table's 480x640 px or of the same aspect ratio
 
     Raises
     ------
     DataError
-        No such file, another one, a damaged one, or a background of other proportions.
+        The file is missing, of another kind or damaged, or the background has another aspect ratio.
     """
     table = read_taxim_forward(path).table
     height, width = background.shape[:2]
@@ -105,16 +105,16 @@ class TaximTables:
     table : (bins, bins, 3, 6) float64
         By slope angle (0 to 90 degrees) and direction (-180 to 180), for red, green and blue: the factors of
         x^2, y^2, x y, x, y, 1 in pixels of an image of 480x640.
-    name : whose
+    name : name of the tables
     """
 
     table: NDArray[np.float64]
     name: str = "Taxim tables"
 
     def level_change(self, gradients: NDArray[Any], *, as_level: bool = False) -> NDArray[np.float64]:
-        """Change in grey levels (H, W, 3) of slopes (H, W, 2) of an image of the whole gel, in the tables' bins.
+        """Change in gray levels (H, W, 3) for slopes (H, W, 2) of an image of the whole gel, in the tables' bins.
 
-        `as_level`: as if each slope were 0 in its own direction.
+        With `as_level`, as if each slope were 0 in its own direction.
         """
         height, width = gradients.shape[:2]
         last = len(self.table) - 1
@@ -131,17 +131,17 @@ class TaximTables:
 
 @dataclass(frozen=True, eq=False)
 class TaximLook:
-    """Taxim's tables over an untouched image: a look for `gelform.simulate.twin.Twin`.
+    """Taxim's tables on a background image: a look for `gelform.simulate.twin.Twin`.
 
-    The tables were fitted inside contacts, where level gel has another colour than untouched gel; so what they
-    say of level gel is faded in over the first 0.1 mm of depth. Untouched gel keeps its background.
+    The tables were fitted inside contacts, where level gel has another color than at rest. Their color of level gel is
+    therefore faded in over the first 0.1 mm of depth. Gel at rest keeps its background.
 
     Attributes
     ----------
     tables : TaximTables
-    background : (H, W, 3) float32, 4:3 as the tables are, turned as the images that they were made from
-    mm_per_px : of this image; the tables hold no scale
-    noise : (3,) grey levels
+    background : (H, W, 3) float32, 4:3 as the tables, oriented as the images of their calibration
+    mm_per_px : of this image; the tables contain no scale
+    noise : (3,) gray levels
     """
 
     tables: TaximTables
@@ -160,11 +160,11 @@ class TaximLook:
 
     @property
     def name(self) -> str:
-        """Whose look it is."""
+        """The name of the tables."""
         return self.tables.name
 
     def levels(self, gradients: NDArray[Any], depth_mm: NDArray[Any]) -> NDArray[np.float32]:
-        """Grey levels (H, W, 3), 0-255, of slopes (H, W, 2) and depths (H, W)."""
+        """Gray levels (H, W, 3), 0-255, of slopes (H, W, 2) and depths (H, W)."""
         level = self.tables.level_change(gradients, as_level=True)
         untouched = 1 - np.clip(depth_mm / FADED_IN_MM, 0, 1)[..., None]
         levels = self.background + self.tables.level_change(gradients) - untouched * level
@@ -176,11 +176,11 @@ def _is_of_tables_aspect(height: int, width: int) -> bool:
 
 
 def is_taxim_forward(path: str | PathLike[str]) -> bool:
-    """Whether a file is an archive with Taxim's members; what else it is, `load_calibration` says."""
+    """Whether a file is an archive with Taxim's members; `load_calibration` reports other kinds."""
     try:
         with open(path, "rb") as handle, np.load(handle, allow_pickle=False) as file:
             return set(MEMBERS) <= set(file.files)
-    except _DAMAGED:  # no archive: an array, or nothing
+    except _DAMAGED:  # no archive: an array, or another file
         return False
 
 
@@ -190,7 +190,7 @@ def read_taxim_forward(path: str | PathLike[str]) -> TaximTables:
     Raises
     ------
     DataError
-        No such file, one without its tables, damaged, too large, or of another form.
+        The file is missing, lacks these tables, is damaged, too large, or of another form.
     """
     path = present_file(path, "Taxim's tables (polycalib.npz)")
     try:

@@ -1,7 +1,7 @@
-"""Tensors from a `.pth` or `.pt` file, without torch and without running anything that the file says.
+"""Tensors from a `.pth` or `.pt` file, without torch and without running code from the file.
 
-Such a file is a zip: `data.pkl` describes the tensors, `data/0`, `data/1` ... hold their numbers. The pickle is
-not unpickled: a stack machine follows the few instructions that a dict of tensors needs, and refuses the rest.
+Such a file is a zip: `data.pkl` describes the tensors; `data/0`, `data/1` ... contain their numbers. The pickle is not
+unpickled. A stack machine follows the few instructions that a dict of tensors needs, and refuses all others.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from gelform.errors import DataError, said
 from gelform.foundations.npz_files import DAMAGED_ARCHIVE, present_file
 
-MAX_BYTES, MAX_PICKLE_BYTES = 64 * 2**20, 2**20  # of a file, and of what describes its tensors
+MAX_BYTES, MAX_PICKLE_BYTES = 64 * 2**20, 2**20  # limits of the file, and of the description of its tensors
 
 _STORAGES = {
     "FloatStorage": "f4",
@@ -58,10 +58,10 @@ class _Tensor:
 
 
 def read_tensors(path: str | PathLike[str]) -> dict[str, NDArray[Any]]:
-    """The tensors of a state dict by name, such as "fc1.weight"; of nested dicts "state_dict.fc1.weight".
+    """The tensors of a state dict by name, such as "fc1.weight"; in nested dicts "state_dict.fc1.weight".
 
-    DataError: no such file, an old torch file that is no zip, one that holds anything but tensors in dicts (a pickled
-    module, say: it could run code), a damaged one, or one that declares more than 64 MB.
+    DataError: the file is missing, an old torch file that is no zip, or damaged; it holds more than tensors in dicts
+    (such as a pickled module, which could run code); or it declares more than 64 MB.
     """
     path = present_file(path, "weights saved by torch (.pth, .pt)")
     try:
@@ -79,12 +79,10 @@ def _not_a_zip(path: Path) -> str:
     if start[:1] == b"\x80":
         return (
             f"{path} is a pickle, as torch wrote before version 1.6: reading it could run code, so gelform does "
-            "not. If you trust it, save it anew where torch is installed: "
+            "not. If you trust it, save it again where torch is installed: "
             "torch.save(torch.load(old, weights_only=True), new)."
         )
-    return (
-        f"{path} is truncated or damaged, or not written by torch.save. Copy it again from where it was made."
-    )
+    return f"{path} is truncated or damaged, or not written by torch.save. Copy it again from its source."
 
 
 def _tensors(archive: zipfile.ZipFile, path: Path) -> dict[str, NDArray[Any]]:
@@ -115,7 +113,7 @@ def _tensors(archive: zipfile.ZipFile, path: Path) -> dict[str, NDArray[Any]]:
 
 
 def _followed(pickled: bytes) -> Any:
-    """The dicts, lists, tuples, numbers, texts and tensors that a pickle describes; anything else is refused."""
+    """The dicts, lists, tuples, numbers, texts and tensors that a pickle describes; everything else is refused."""
     stack: list[Any] = []
     memo: dict[int, Any] = {}
     for opcode, found, _ in pickletools.genops(pickled):
@@ -148,7 +146,7 @@ _LITERALS = {"BININT", "BININT1", "BININT2", "LONG1", "BINFLOAT", "BINUNICODE", 
 
 
 def _act(name: str, argument: Any, stack: list[Any]) -> None:
-    """One instruction that works on the stack."""
+    """Run one instruction that works on the stack."""
     if name == "GLOBAL":
         stack.append(_inert(argument))
     elif name == "STACK_GLOBAL":
@@ -224,7 +222,7 @@ def _made(function: Any, arguments: tuple[Any, ...]) -> Any:
 
 
 def _named(content: Any, archive: zipfile.ZipFile, folder: str, prefix: str = "") -> dict[str, NDArray[Any]]:
-    """Every tensor below, by its path in the dicts; what is no tensor (an epoch, a setting) is left out."""
+    """Every tensor below, by its path in the dicts; other values (an epoch, a setting) are skipped."""
     found: dict[str, NDArray[Any]] = {}
     for key, value in _checked(content, dict).items():
         if isinstance(value, dict):
@@ -235,7 +233,7 @@ def _named(content: Any, archive: zipfile.ZipFile, folder: str, prefix: str = ""
 
 
 def _array(tensor: _Tensor, content: bytes) -> NDArray[Any]:
-    """The numbers of a tensor: a view into its storage, held against the storage's size, copied."""
+    """The numbers of a tensor: a view into its storage, checked against the storage's size, copied."""
     numbers = np.frombuffer(content, dtype="<" + tensor.storage.dtype)
     steps = [(size - 1) * stride for size, stride in zip(tensor.size, tensor.stride, strict=True)]
     count = int(np.prod(tensor.size, dtype=object))

@@ -1,4 +1,4 @@
-"""What the page's buttons do to a station; calibration is imported when a guide starts, after the first picture."""
+"""The effect of the page's buttons on a station. Calibration is imported when a guide starts, after the first picture."""
 
 from __future__ import annotations
 
@@ -36,27 +36,28 @@ if TYPE_CHECKING:
     from gelform.live.guide.guide import Asked
     from gelform.live.guide.session import GuideSession
 
-ZERO_FRAMES = 8  # that are averaged
-ON_THEIR_WAY = 4  # frames that a simulated sensor made before it was told to rest
+ZERO_FRAMES = 8  # frames that are averaged
+ON_THEIR_WAY = 4  # frames that a simulated sensor made before it stopped
 
 
 def take_background(hub: Hub, station: int) -> None:
-    """Take the next frames as the untouched gel of today."""
+    """Take the next frames as a new background image."""
     chosen = hub.station(station)
     calibration = chosen.setup.calibration
     _check_calibrated(calibration)
     if calibration is not None and calibration.settings.starter is not None:
         take_starter(hub, station, calibration.settings.starter["sensor"])
         return
-    images = [shown.image for shown in _frames(chosen, BACKGROUND_FRAMES)]
+    with _at_rest(chosen):
+        images = [shown.image for shown in _frames(chosen, BACKGROUND_FRAMES)]
     taken = background_from_frames(images)
-    # In whole grey levels: what the file background.png of a snapshot or a recording holds is what was used.
+    # Whole gray levels, so that background.png of a snapshot or recording contains exactly the image in use.
     chosen.setup = chosen.setup.with_background(np.rint(taken.background).astype(np.float32))
     hub.notice(f"Background taken: the average of {len(images) - len(taken.left_out)} frames.")
 
 
 def take_starter(hub: Hub, station: int, sensor: str) -> None:
-    """Take the next frames as the untouched gel of a unit that was never calibrated; its make's starter reads it then.
+    """Take the next frames as the gel at rest of an uncalibrated unit; the starter of its make then reads it.
 
     Parameters
     ----------
@@ -66,7 +67,7 @@ def take_starter(hub: Hub, station: int, sensor: str) -> None:
     hub.check_idle(station)
     name = sensor or starter_of_station(chosen)
     if not name:
-        raise GelformError("This camera is of no make that has a starter. Say which sensor it is.")
+        raise GelformError("No starter is known for this camera. Choose the sensor in the list.")
     try:
         with _at_rest(chosen):
             frames = [shown.frame for shown in _frames(chosen, BACKGROUND_FRAMES)]
@@ -75,7 +76,7 @@ def take_starter(hub: Hub, station: int, sensor: str) -> None:
         listed = f"starter {calibration.sensor_name}, sensor {station + 1}"
         chosen.setup = chosen.setup.with_calibration(calibration, listed, calibration.background)
     except GelformError as problem:
-        chosen.starter_problem = str(problem)  # the page shows it until it succeeds
+        chosen.starter_problem = str(problem)  # the page shows it until the action succeeds
     else:
         chosen.starter_problem = ""
         hub.calibrations.put(listed, calibration, origin)
@@ -84,17 +85,18 @@ def take_starter(hub: Hub, station: int, sensor: str) -> None:
 
 @contextmanager
 def _at_rest(station: Station) -> Iterator[None]:
-    """Nothing touches a simulated sensor meanwhile; others are left alone by who looks at them."""
+    """Keep a simulated sensor at rest meanwhile; the user keeps other sensors at rest."""
     source: Any = station.source
     if not hasattr(source, "press_at"):
         yield
         return
+    before = source.resting
     source.rest()
     try:
         wait_for_frames(station, ON_THEIR_WAY)
         yield
     finally:
-        source.rest(False)
+        source.rest(before)
 
 
 def own_background(hub: Hub, station: int) -> None:
@@ -104,19 +106,19 @@ def own_background(hub: Hub, station: int) -> None:
 
 
 def set_zero(hub: Hub, station: int) -> None:
-    """Take the depth of now as zero; a second time takes that back."""
+    """Take the current depth as zero; a second call undoes that."""
     chosen = hub.station(station)
     _check_calibrated(chosen.setup.calibration)
     if chosen.setup.zero_mm is not None:
         chosen.setup = replace(chosen.setup, zero_mm=None)
-        hub.notice("Zero is the untouched gel again.")
+        hub.notice("Zero undone: depth is relative to the gel at rest again.")
         return
     results = [shown.result for shown in _frames(chosen, ZERO_FRAMES) if shown.result and shown.measures]
     if not results:
-        raise GelformError("There is no depth to set as zero: the frames could not be reconstructed.")
+        raise GelformError("There is no depth to set as zero, because the frames could not be reconstructed.")
     mean = np.mean([result.depth for result in results], axis=0).astype(np.float32)
     chosen.setup = replace(chosen.setup, zero_mm=mean)
-    hub.notice("Zero set: depth is shown against what was there just now.")
+    hub.notice("Zero set: depth is relative to the last frames.")
 
 
 def use_calibration(hub: Hub, station: int, name: str) -> None:
@@ -126,14 +128,14 @@ def use_calibration(hub: Hub, station: int, name: str) -> None:
     setup = chosen.setup.with_calibration(calibration, name)
     newest = chosen.newest
     if newest is not None:
-        # One that does not fit is refused, not used.
+        # A calibration that does not fit is refused here, before its use.
         setup.result_of(newest.frame, setup.image_of(newest.frame), alone=True)
     chosen.setup = setup
     hub.changed()
 
 
 def compare_with(hub: Hub, station: int, name: str) -> None:
-    """Show the depth by a second calibration beside the first; "" shows the first alone."""
+    """Also show the depth by a second calibration; "" shows only the first."""
     chosen = hub.station(station)
     other = hub.calibrations[name] if name else None
     chosen.setup = chosen.setup.with_other(other, name)
@@ -150,13 +152,13 @@ def use_solver(hub: Hub, station: int, name: str) -> None:
 
 
 def pause(hub: Hub, station: int, paused: bool) -> None:
-    """Hold the picture, or let it go on."""
+    """Hold the picture, or continue."""
     hub.station(station).pause(paused)
     hub.changed()
 
 
 def set_camera(hub: Hub, station: int, name: str, value: float) -> None:
-    """Change one setting of the camera; everybody is told what it has now."""
+    """Change one setting of the camera and tell all pages its new value."""
     found = devices.set_camera(hub.station(station), name, value)
     hub.notice(
         f"{name.replace('_', ' ').capitalize()} of {hub.station(station).grabber.name}: {found:g}, read back."
@@ -164,7 +166,7 @@ def set_camera(hub: Hub, station: int, name: str, value: float) -> None:
 
 
 def show_camera(hub: Hub, station: int, camera: int) -> None:
-    """Show a camera of the list in place of what a station shows, with its newest calibration if there is one."""
+    """Show a camera of the list on a station, with its newest calibration if there is one."""
     chosen, found = hub.station(station), hub.devices.camera(camera)
     hub.check_idle(station)
     setup = Setup(solver=chosen.setup.solver)
@@ -173,12 +175,12 @@ def show_camera(hub: Hub, station: int, camera: int) -> None:
         setup = setup.with_calibration(hub.calibrations[name], name)
     hub.devices.show(chosen, found, setup)
     hub.end_guide(station)
-    how = f"with its calibration {name}" if name else "without a calibration: none on the list has its serial"
-    hub.notice(f"Sensor {station + 1} shows {found.name} now, {how}.")
+    how = f"with its calibration {name}" if name else "without a calibration: none in the list has its serial"
+    hub.notice(f"Sensor {station + 1} now shows {found.name}, {how}.")
 
 
 def identify(hub: Hub, on: bool) -> None:
-    """Name the device that is unplugged from now on."""
+    """Name each device that is unplugged from now on."""
     hub.devices.identify(on)
     hub.changed()
 
@@ -187,15 +189,15 @@ def press(hub: Hub, station: int, x_px: float, y_px: float) -> None:
     """Press the simulated sensor at a place of the image."""
     source: Any = hub.station(station).source
     if not hasattr(source, "press_at"):
-        raise GelformError("Only a simulated sensor can be pressed from here.")
+        raise GelformError("The page can press only a simulated sensor.")
     source.press_at(x_px, y_px)
 
 
 def record(hub: Hub, station: int, on: bool, page: str = "") -> None:
-    """Begin to record the frames as the camera gives them, or finish; it ends with the page that began it, where one did."""
+    """Start or finish recording the camera's frames; a recording ends with the page that started it, if there is one."""
     chosen = hub.station(station)
     if on and chosen.player is not None:
-        raise GelformError("This is a recording already. Share makes one file of it, with the calibration.")
+        raise GelformError("This is already a recording. Press Share to make one file of it.")
     if on and station not in hub.recorders:
         begun = hub.recorders[station] = Recorder(
             chosen.grabber,
@@ -212,16 +214,16 @@ def record(hub: Hub, station: int, on: bool, page: str = "") -> None:
 
 
 def snapshot(hub: Hub, station: int) -> dict[str, Any]:
-    """Keep what is shown now; the answer has its number and the names of its files."""
+    """Keep the current frame; the answer has its number and the names of its files."""
     shown = hub.station(station).newest
     if shown is None:
-        raise GelformError("There is no picture yet. Wait for the first one.")
+        raise GelformError("There is no frame yet. Wait for the first one.")
     number = hub.snapshots.add(shown)
     return {"kind": "snapshot", "number": number, "files": hub.snapshots.names(number)}
 
 
 def code(hub: Hub, station: int, view: str, x_px: float, y_px: float) -> dict[str, Any]:
-    """What reproduces a view, a profile through a point: the answer has it in Python and as command lines."""
+    """The code that reproduces a view, a profile through a point: as Python and as command lines."""
     chosen = hub.station(station)
     setup, frame = chosen.setup, None if chosen.newest is None else chosen.newest.frame
     mine, other = (
@@ -242,21 +244,21 @@ def code(hub: Hub, station: int, view: str, x_px: float, y_px: float) -> dict[st
 
 
 def _frames(station: Station, count: int) -> Sequence[Shown]:
-    """The next frames; of a recording that is held the one that is shown."""
+    """The next frames; of a held recording the current frame."""
     if station.player is not None and not station.player.playing:
         if station.newest is None:
-            raise GelformError("There is no picture yet. Wait for the first one.")
+            raise GelformError("There is no frame yet. Wait for the first one.")
         return [station.newest]
     return wait_for_frames(station, count)
 
 
 def _check_calibrated(calibration: Any) -> None:
     if calibration is None:
-        raise GelformError("This sensor has no calibration yet. Choose one, or make one: Calibrate.")
+        raise GelformError("This sensor has no calibration yet. Make one on the page Calibrate.")
 
 
 def open_recording(hub: Hub, station: int, name: str) -> None:
-    """Show a recording of the list in place of what a station shows; "" shows again what it was started with."""
+    """Show a recording of the list on a station; "" returns to the station's first source."""
     chosen = hub.station(station)
     hub.check_idle(station)
     if name:
@@ -271,10 +273,10 @@ def open_recording(hub: Hub, station: int, name: str) -> None:
 
 
 def attached_setup(hub: Hub, setup: Setup, path: Path) -> Setup:
-    """A setup with the calibration, and the background, that a recording carries; the same where it carries none."""
+    """A setup with the calibration and the background attached to a recording; unchanged if there are none."""
     calibration = attached_calibration(path)
     if calibration is None:
-        return replace(setup, background=None, zero_mm=None)  # those were of the sensor
+        return replace(setup, background=None, zero_mm=None)  # they belonged to the sensor
     origin = Origin(
         f"attached_calibration({str(path)!r})",
         ("from gelform.sensors.recordings import attached_calibration",),
@@ -300,7 +302,7 @@ speed = _player_action(Player.set_speed)
 
 
 def share(hub: Hub, station: int) -> None:
-    """Make one file of the recording and the calibration in use; it joins the list, from which it is fetched."""
+    """Write one file with the recording and the current calibration, and add it to the list for download."""
     chosen = hub.station(station)
     recording, setup = player_of(chosen).recording, chosen.setup
     path = hub.folder / f"{named_by_time('shared')}.mcap"
@@ -314,28 +316,28 @@ def share(hub: Hub, station: int) -> None:
             progress=progress,
         )
         name = hub.recordings.add(path)
-        hub.notice(f"Ready to share: {name}, with the calibration in it. Download it below Recordings.")
+        hub.notice(f"{name} is ready to share, with its calibration. Download it from the list Recordings.")
 
     hub.start(work, station, "one file to share")
 
 
 def player_of(station: Station) -> Player:
-    """The player of a station; GelformError where it shows a sensor."""
+    """The player of a station; GelformError if the station shows a sensor."""
     if station.player is None:
         raise GelformError("This is a sensor, not a recording. Open a recording first.")
     return station.player
 
 
 def guide_start(hub: Hub, station: int, ball_diameter_mm: float, profile: str, mm_per_px: float) -> None:
-    """Begin a guided calibration, or begin again; of a recording from its start.
+    """Start a guided calibration, or restart it; a recording starts from its beginning.
 
-    The scale is the profile's, or the one given, or the simulated sensor's own.
+    The scale is the profile's, or the given one, or the simulated sensor's own.
     """
     from gelform.live.guide.session import GuideSession
 
     chosen = hub.station(station)
     if chosen.newest is None:
-        raise GelformError("There is no picture yet. Connect the sensor first.")
+        raise GelformError("There is no frame yet. Connect the sensor first.")
     asked = _asked(chosen, ball_diameter_mm, profile, mm_per_px)
     hub.end_guide(station)
     hub.guides[station] = GuideSession(chosen, asked, hub.folder, hub.changed)
@@ -347,26 +349,26 @@ def guide_start(hub: Hub, station: int, ball_diameter_mm: float, profile: str, m
 
 
 def guide_fit(hub: Hub, station: int) -> None:
-    """Calibrate on the presses that were accepted."""
+    """Calibrate on the accepted presses."""
     session = _session(hub, station)
-    session.guide.presses()  # too few are said at once
+    session.guide.presses()  # too few presses are reported at once
     hub.start(session.fit, station, "calibrating")
 
 
 def guide_use(hub: Hub, station: int) -> None:
-    """Reconstruct with the calibration that a guide made; the guide ends."""
+    """Reconstruct with the guide's calibration; the guide ends."""
     session = _session(hub, station)
     if session.calibration is None:
-        raise GelformError("There is nothing to use yet. Fit first.")
+        raise GelformError("There is no calibration to use yet. Press Fit now first.")
     name = hub.calibrations.add_file(session.path)
     use_calibration(hub, station, name)
     hub.end_guide(station)
-    hub.notice(f"In use, and saved: {session.name}/calibration.npz. {session.kept}")
+    hub.notice(f"The new calibration is in use, and saved as {session.name}/calibration.npz. {session.kept}")
 
 
 def _session(hub: Hub, station: int) -> GuideSession:
     if station not in hub.guides:
-        raise GelformError("No calibration is under way. Start one.")
+        raise GelformError("No calibration is running. Press Start first.")
     return hub.guides[station]
 
 

@@ -1,4 +1,4 @@
-"""The Python and the command line that give what a view shows."""
+"""The Python code and the command lines that reproduce a view."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ TITLES = {
     "normals": "the normals",
     "confidence": "the confidence",
     "sigma": "the depth's uncertainty",
-    "causes": "why pixels are not trusted",
+    "causes": "the causes of low confidence",
     "other": "depth by another calibration",
     "difference": "the difference of two calibrations",
     "profile": "a profile",
-    "time": "numbers against time",
+    "time": "numbers over time",
 }
 
 
 @dataclass(frozen=True)
 class Situation:
-    """What a station shows, as its code needs it.
+    """The state of a station, as far as its code depends on it.
 
     Attributes
     ----------
-    source : as it was asked for, or the path of the recording that was opened
-    calibration : where it comes from; None where there is none
-    other : the same of the calibration compared with
-    background, zero : whether one was taken on the page: a snapshot has it as a file
+    source : the user's spec, or the path of the open recording
+    calibration : its origin; None without one
+    other : the origin of the second calibration
+    background, zero : whether one was taken on the page; a snapshot has it as a file
     solver : "auto" or a name
     number : of the recording's frame; None for a sensor, whose next frame is taken
     point : (x, y) of the profile, px
@@ -49,19 +49,19 @@ class Situation:
 
 
 def code_of(view: str, now: Situation) -> tuple[str, list[dict[str, str]]]:
-    """Title, and [{language, text}] of what gives the same as a view.
+    """Title, and [{language, text}] of code that reproduces a view.
 
     Raises
     ------
     GelformError
-        There is no such view, or it needs a calibration that there is not.
+        The view is unknown, or needs a calibration that is missing.
     """
     if view not in TITLES:
         raise GelformError("There is no such view.")
     if now.calibration is None and view != "image":
-        raise GelformError("This view needs a calibration. Choose one, or make one: Calibrate.")
+        raise GelformError("This view needs a calibration. Choose one, or make one on the page Calibrate.")
     if now.other is None and view in ("other", "difference"):
-        raise GelformError("This view needs a second calibration: Compare with.")
+        raise GelformError("This view needs a second calibration. Choose one under “Compare with”.")
     python = "\n".join(
         [*_imports(view, now), "", *_frame(now), *_image(now), *_result(view, now), *_last(view, now)]
     )
@@ -140,7 +140,7 @@ def _last(view: str, now: Situation) -> list[str]:
 
 
 def _shell(view: str, now: Situation) -> str:
-    """The page again; and files of a frame that was taken with the button Snapshot."""
+    """Commands that open the page again, and use the files of a frame from the button Snapshot."""
     path = None if now.calibration is None else now.calibration.path
     given = [] if path is None else ["-c", str(path)]
     again = shlex.join(["gelform", "live", now.source, *given])
@@ -152,7 +152,7 @@ def _shell(view: str, now: Situation) -> str:
         files = ["gelform", "explain", "frame.png", *given, *background, "-o", "out"]
     elif view in ("other", "difference"):
         if now.other is None or now.other.path is None or now.background:
-            return again  # `gelform compare` would give the background to both
+            return again  # `gelform compare` would use the background for both
         files = ["gelform", "compare", "frame.png", *given, "-c", str(now.other.path), "-o", "out"]
     else:
         files = ["gelform", "reconstruct", "frame.png", *given, *background, *solver]

@@ -1,4 +1,4 @@
-"""The devices that the page lists and may show, which of them somebody unplugs, and how a camera is set."""
+"""The devices that the page lists and may show, the detection of an unplugged one, and settings of cameras."""
 
 from __future__ import annotations
 
@@ -17,28 +17,27 @@ from gelform.sensors.cameras.settings import CONTROLS, settings_mismatch
 from gelform.sensors.cameras.usb import UsbCamera
 from gelform.sensors.source import Source
 
-LOOK_EVERY_S = 0.5  # for the cameras that are plugged in
-NOT_SHOWN = "not shown"  # of a camera that is plugged in
+LOOK_EVERY_S = 0.5  # s between searches for connected cameras
+NOT_SHOWN = "not shown"  # state of a connected camera that no station shows
 SETTABLE = (*CONTROLS, "led_level")
 
 Opener = Callable[[Camera, Mapping[str, float | str]], Source]
 
 
 def listed_cameras() -> list[Camera]:
-    """The cameras that are plugged in, where the system lists them; elsewhere they would have to be opened for it."""
+    """The connected cameras, if the system lists them; elsewhere each would have to be opened for that."""
     return cameras_in_sysfs() if sys.platform.startswith("linux") else []
 
 
 class Devices:
-    """What is plugged in or open, and which of it went away since somebody asked.
+    """The connected or open devices, and those that disappeared since `identify`.
 
-    A camera is called by a number that is given here when it is first seen, and stays with the socket that it is plugged
-    into: pages never send a path.
+    A camera's number is assigned at its first appearance, and stays with its USB socket. Pages never send a path.
 
     Parameters
     ----------
-    stations : those of the hub, whose sources are listed, recordings left out
-    cameras : lists the cameras that are plugged in
+    stations : the hub's stations; their sources are listed, except recordings
+    cameras : lists the connected cameras
     open_camera : opens one of them, with settings
     """
 
@@ -56,43 +55,43 @@ class Devices:
         self._gone = ""
 
     def cameras(self) -> tuple[Camera, ...]:
-        """The cameras that are plugged in."""
+        """The connected cameras."""
         return self._plugged_in()
 
     def camera(self, number: int) -> Camera:
-        """The camera of a number of the list; GelformError where it is not plugged in."""
+        """The camera with a number of the list; GelformError if it is not connected."""
         for camera in self._plugged_in():
             if self._number(camera) == number:
                 return camera
-        raise GelformError("That camera is not plugged in any more. Choose one of the list.")
+        raise GelformError("That camera is no longer plugged in. Choose another one in the list.")
 
     def show(self, station: Station, camera: Camera, setup: Setup) -> None:
-        """Show a camera on a station; of several pages that ask for it at once the first one gets it.
+        """Show a camera on a station; if several pages ask at once, the first one gets it.
 
         Raises
         ------
         GelformError
-            It is shown already: a camera gives its pictures to one reader.
+            The camera is already shown, and only one reader can have its pictures.
         """
         with self._showing:
             for other in tuple(self._stations):
                 if other.camera is not None and _key(other.camera) == _key(camera):
                     raise GelformError(
-                        f"{camera.name} is shown already, as sensor {other.number + 1}. Any number of pages may look at it."
+                        f"Sensor {other.number + 1} already shows {camera.name}. Any number of pages may show it."
                     )
             wanted: dict[str, float | str] = {}
             opening = Opening(partial(self._open_camera, camera, wanted), camera=camera, wanted=wanted)
             station.show(opening, setup)
 
     def identify(self, on: bool) -> None:
-        """Remember what is there: what goes away from now on is named. Off: forget it."""
+        """Remember the present devices and name each one that disappears. False: forget them."""
         rows = self._rows()
         with self._lock:
             self._before = {row["key"]: row["name"] for row in rows if row["there"]} if on else None
             self._gone = ""
 
     def facts(self) -> dict[str, Any]:
-        """The list, whether somebody asks which device it is, what went away, and whether that is back."""
+        """The list, whether identification runs, the device that disappeared, and whether it is back."""
         rows = self._rows()
         there = {row["key"] for row in rows if row["there"]}
         with self._lock:
@@ -132,18 +131,18 @@ class Devices:
 
 
 def set_camera(station: Station, name: str, value: float) -> float:
-    """Set one setting of a station's camera; what the camera has afterwards. It is set again when the camera comes back.
+    """Set one setting of a station's camera; return its new value. It is set again when the camera is reopened.
 
     Raises
     ------
     GelformError
-        The source has no settings, there is no such setting, or the camera does not take the value.
+        The source has no settings, the setting does not exist, or the camera rejects the value.
     """
     source: Any = station.source
     if not hasattr(source, "set_controls"):
         what = station.spec if source is None else source.name
         raise GelformError(
-            f"{what} has no settings that can be changed from here: only a USB camera of this machine has."
+            f"{what} has no settings that the page can change. Only a USB camera of this machine has."
         )
     if name not in SETTABLE:
         raise GelformError(f"Expected a setting among {', '.join(SETTABLE)}.")
@@ -153,7 +152,7 @@ def set_camera(station: Station, name: str, value: float) -> float:
 
 
 def camera_facts(station: Station) -> dict[str, Any]:
-    """The settings that can be changed, as read back, and which of all are not those of the calibration."""
+    """The settings that can be changed, as read back, and those that differ from the calibration."""
     source: Any = station.source
     settings = {} if source is None else dict(source.settings)
     settable = {name: settings[name] for name in SETTABLE if name in settings}
@@ -166,7 +165,7 @@ def camera_facts(station: Station) -> dict[str, Any]:
     )
     return {
         "settable": settable if hasattr(source, "set_controls") else {},
-        "mismatch": f"Not set as calibrated: {said}." if said else "",
+        "mismatch": f"The calibration had other settings: {said}." if said else "",
     }
 
 
@@ -181,14 +180,14 @@ def _row_of_station(station: Station) -> dict[str, Any]:
 
 
 def _row(key: str, name: str, serial: str | None, state: str, **known: Any) -> dict[str, Any]:
-    """A row of the list; `known` has its station or its camera, and figures of a station."""
+    """A row of the list; `known` contains its station or its camera, and figures of a station."""
     unknown = dict.fromkeys(("station", "camera", "rate_hz", "age_ms", "lost", "skipped"))
     there = state in ("running", NOT_SHOWN)
     return {**unknown, "key": key, "name": name, "serial": serial, "state": state, "there": there, **known}
 
 
 def _key(camera: Camera) -> str:
-    """What stays with the socket that a camera is plugged into, where the system says that."""
+    """An identifier that stays with the camera's USB socket, if the system states it."""
     return camera.by_path or camera.path
 
 

@@ -1,4 +1,4 @@
-"""What one `gelform live` is about: its stations, calibrations, long work, notices; shared by all clients."""
+"""The shared state of one `gelform live`: stations, calibrations, long work and notices, for all clients."""
 
 from __future__ import annotations
 
@@ -28,25 +28,25 @@ from gelform.solvers import SOLVERS
 if TYPE_CHECKING:
     from gelform.live.guide.session import GuideSession
 
-NOTICES = 20  # that are kept
+NOTICES = 20  # notices that are kept
 
 
 @dataclass
 class Hub:
-    """The stations and what they share.
+    """The stations and their shared state.
 
     Attributes
     ----------
     stations : in the order of the command line
     calibrations : to choose from
-    recordings : to open and to fetch
-    snapshots : frames that somebody wanted to keep
+    recordings : to open and to download
+    snapshots : kept frames
     guides : guided calibrations by the station's number
-    recorders : recordings under way, by the station's number
-    pages : those that are open
-    sinks : how many other programs are fed with what the page shows
-    folder : where both are written
-    work : (what, done, total) of long work by the station's number; shown as progress
+    recorders : current recordings by the station's number
+    pages : the open pages
+    sinks : number of other programs that show the same results
+    folder : folder for calibrations and recordings
+    work : (what, done, total) of long work by the station's number, for the progress display
     notices : (number, level, text), the newest last; level is "info", "warning" or "error"
     """
 
@@ -69,33 +69,33 @@ class Hub:
         self.devices = Devices(self.stations)
 
     def listen(self, listener: Callable[[], None]) -> None:
-        """Call this, in any thread, whenever there is something newer to show."""
+        """Register a function to call, in any thread, whenever there is something new to show."""
         self._listeners.append(listener)
 
     def changed(self) -> None:
-        """There is something newer to show."""
+        """Announce that there is something new to show."""
         for listener in tuple(self._listeners):
             listener()
 
     def watched(self) -> bool:
-        """Whether anybody wants every result: a page is open, or another program is fed."""
+        """Whether every result is needed: a page is open, or another program shows the results."""
         return self.pages.any_connected or self.sinks > 0
 
     def notice(self, text: str, level: str = "info") -> None:
-        """Tell everybody who looks."""
+        """Show a notice on all pages."""
         with self._lock:
             self._noticed += 1
             self.notices.append((self._noticed, level, " ".join(text.split())))
         self.changed()
 
     def station(self, number: int) -> Station:
-        """The station of a number; GelformError where there is none."""
+        """The station with a number; GelformError if there is none."""
         if not 0 <= number < len(self.stations):
             raise GelformError(f"There is no sensor {number}.")
         return self.stations[number]
 
     def start(self, work: Callable[[Progress], None], station: int, what: str) -> None:
-        """Do long work in a thread of its own, its progress shown; what goes wrong becomes a notice."""
+        """Do long work in a new thread and show its progress; errors become notices."""
 
         def report(done: int, total: int, what: str) -> None:
             self.work[station] = (what, done, total)
@@ -115,14 +115,14 @@ class Hub:
         threading.Thread(target=run, name=what, daemon=True).start()
 
     def end_guide(self, station: int) -> None:
-        """End the guided calibration of a station; what was not fitted is gone."""
+        """End the guided calibration of a station; presses without a fit are discarded."""
         session = self.guides.pop(station, None)
         if session is not None:
             session.close()
         self.changed()
 
     def recorded(self, station: int, ended: Recorder) -> None:
-        """List a recording that has ended, once, whoever hears of it first, and say so."""
+        """Add a finished recording to the list, once, and announce it."""
         with self._lock:
             if self.recorders.get(station) is not ended:
                 return
@@ -133,12 +133,12 @@ class Hub:
         self.notice(f"{ended.problem} {said}".strip(), "warning" if ended.problem else "info")
 
     def check_idle(self, station: int) -> None:
-        """Raise GelformError while long work of a station is under way."""
+        """Raise GelformError during long work of a station."""
         if station in self.work:
             raise GelformError("This sensor is busy. Wait until it is done.")
 
     def facts(self, notices_after: int = 0) -> dict[str, Any]:
-        """What the page shows beside frames."""
+        """The state for the page, besides frames."""
         return {
             "version": __version__,
             "now_s": time.monotonic(),
@@ -174,12 +174,12 @@ class Hub:
 
 
 def wait_for_frames(station: Station, count: int, timeout_s: float = 15.0) -> list[Shown]:
-    """The next frames of a station, as the camera gives them.
+    """The next frames of a station, from the camera.
 
     Raises
     ------
     GelformError
-        They do not come in time.
+        They do not arrive in time.
     """
     got: SimpleQueue[Shown] = SimpleQueue()
     found, until_s = [], time.monotonic() + timeout_s

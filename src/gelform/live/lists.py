@@ -1,4 +1,4 @@
-"""What the page may choose from, by names that are made here: no path of a client's is opened."""
+"""The lists that the page chooses from, by names made here; no path from a client is opened."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 
 from gelform.calibration_file import KIND, Calibration, load_calibration
 from gelform.calibrations.choose import Unit
-from gelform.calibrations.library import date_of
+from gelform.calibrations.library import described
 from gelform.errors import GelformError
 from gelform.foundations.npz_files import kind_of_npz
 from gelform.sensors.recordings.image_folder import is_recorded_folder
@@ -19,13 +19,13 @@ from gelform.sensors.video_files import is_video
 
 @dataclass(frozen=True)
 class Origin:
-    """Where a calibration comes from, as Python says it.
+    """The origin of a calibration, as Python code.
 
     Attributes
     ----------
-    expression : gives the calibration, beside `import gelform`
-    imports : lines that it needs
-    path : of its file, where it has one of its own
+    expression : evaluates to the calibration, after `import gelform`
+    imports : additional lines
+    path : of its own file, if it has one
     """
 
     expression: str
@@ -34,12 +34,12 @@ class Origin:
 
 
 class Calibrations:
-    """Calibrations by name: those given, those of a folder, those made while the page is open.
+    """Calibrations by name: given ones, those of a folder, those made while the page is open.
 
     Parameters
     ----------
     given : paths from the command line
-    folder, library : whose calibrations are offered too, or None
+    folder, library : more folders of calibrations, or None
     """
 
     def __init__(
@@ -57,17 +57,17 @@ class Calibrations:
 
     @property
     def names(self) -> list[str]:
-        """What the page lists, in the order in which they came."""
+        """The names for the page, in the order of their addition."""
         with self._lock:
             return list(self._origins)
 
     def origin_of(self, name: str) -> Origin:
-        """Where the calibration of a name comes from."""
+        """The origin of the calibration with a name."""
         with self._lock:
             return self._origins[name]
 
     def add_file(self, path: Path) -> str:
-        """Offer a file; gives its name: the file's, with its folder where two are called alike."""
+        """Add a file; return its name: the file's, with its folder if two files have the same name."""
         with self._lock:
             listed = {name: one.path for name, one in self._origins.items() if one.path is not None}
             if (known := _name_of(path, listed)) is not None:
@@ -78,56 +78,55 @@ class Calibrations:
             return name
 
     def add(self, name: str, calibration: Calibration, origin: Origin) -> str:
-        """Offer a calibration that has no file of its own; gives the name that it got."""
+        """Add a calibration without a file; return its assigned name."""
         with self._lock:
             name = _free(name, self._origins)
             self._loaded[name], self._origins[name] = calibration, origin
             return name
 
     def put(self, name: str, calibration: Calibration, origin: Origin) -> str:
-        """Offer a calibration that has no file in place of the one that had its name; gives the name."""
+        """Replace the calibration with a name by one without a file; return the name."""
         with self._lock:
             self._loaded[name], self._origins[name] = calibration, origin
             return name
 
     def add_once(self, name: str, calibration: Calibration, origin: Origin) -> str:
-        """As `add`, but not where the name is taken by the same calibration already."""
+        """As `add`, unless the same calibration already has that name."""
         with self._lock:
             known = self._loaded.get(name)
         return name if known and known.digest == calibration.digest else self.add(name, calibration, origin)
 
     def of_unit(self, unit: Unit) -> str | None:
-        """The name of the newest one on the list that is of a unit, or of the one that was in use; None where none is."""
+        """The name of the newest listed calibration of a unit, or of the one that was in use; None if there is none."""
         found: list[tuple[bool, str, str]] = []
         for name in self.names:
             try:
                 calibration = self[name]
             except GelformError:
-                continue  # what is wrong with its file is said when it is chosen
+                continue  # the error of its file is reported when it is chosen
             if unit.is_calibrated_by(calibration):
                 in_use = bool(unit.digest) and calibration.digest == unit.digest
                 found.append((in_use, calibration.created_utc, name))
         return max(found)[2] if found else None
 
     def described(self, name: str) -> str:
-        """For a sentence: the name of a calibration, its gel and date."""
-        calibration = self[name]
-        return f"{name} (gel {calibration.gel_id or 'not named'}, of {date_of(calibration.created_utc)})"
+        """The name of a calibration, its gel and date, for a sentence."""
+        return described(name, self[name])
 
     def __getitem__(self, name: str) -> Calibration:
-        """The calibration of a name.
+        """The calibration with a name.
 
         Raises
         ------
         GelformError
-            No such name, or its file cannot be read.
+            The name is unknown, or the file cannot be read.
         """
         with self._lock:
             if name in self._loaded:
                 return self._loaded[name]
             path = self._origins[name].path if name in self._origins else None
         if path is None:
-            raise GelformError(f"There is no calibration {name!r}. Choose one of the list.")
+            raise GelformError(f"There is no calibration {name!r}. Choose one in the list.")
         calibration = load_calibration(path)
         with self._lock:
             self._loaded[name] = calibration
@@ -140,7 +139,7 @@ class Recordings:
     Parameters
     ----------
     given : paths from the command line
-    folder : whose recordings (*.mcap, videos, folders that were recorded) are offered too, or None
+    folder : a folder with more recordings (*.mcap, videos, recorded folders), or None
     """
 
     def __init__(self, given: Iterable[Path] = (), folder: Path | None = None) -> None:
@@ -153,29 +152,29 @@ class Recordings:
                 self.add(path)
 
     def add(self, path: Path) -> str:
-        """Offer a recording; gives its name: the file's, numbered where several are called alike."""
+        """Add a recording; return its name: the file's, with a number if that name is taken."""
         with self._lock:
             name = _name_of(path, self._paths) or _free(path.resolve().name, self._paths)
             self._paths.setdefault(name, path)
             return name
 
     def path(self, name: str) -> Path:
-        """The file or folder of a name; GelformError where there is none."""
+        """The file or folder with a name; GelformError if there is none."""
         with self._lock:
             if name not in self._paths:
-                raise GelformError(f"There is no recording {name!r}. Choose one of the list.")
+                raise GelformError(f"There is no recording {name!r}. Choose one in the list.")
             return self._paths[name]
 
     def file(self, number: int) -> Path:
-        """The file that is fetched under a number of the list; GelformError where there is none, or a folder."""
+        """The file with a number of the list, for download; GelformError if there is none, or it is a folder."""
         with self._lock:
             paths = list(self._paths.values())
         if not 0 <= number < len(paths) or not paths[number].is_file():
-            raise GelformError("There is no such file. Share the recording first: that makes one file of it.")
+            raise GelformError("There is no such file. Press Share first to make one file of the recording.")
         return paths[number]
 
     def facts(self) -> list[dict[str, Any]]:
-        """What the page lists: name, and the bytes of those that are one file; they are fetched by their place here."""
+        """The list for the page: names, and sizes in bytes of single files, which are downloaded by their position."""
         with self._lock:
             listed = list(self._paths.items())
         return [{"name": name, "bytes": _bytes(path)} for name, path in listed]

@@ -1,4 +1,4 @@
-"""A recording as a source that is told what to show: play, pause, seek, step, speed, loop."""
+"""A recording as a source with controls: play, pause, seek, step, speed, loop."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gelform.errors import DataError, GelformError
 from gelform.frames import Frame
 from gelform.sensors.recordings.indexed import Indexed
 
-SLOWEST, FASTEST = 1 / 16, 16.0  # times the pace at which it was taken
+SLOWEST, FASTEST = 1 / 16, 16.0  # times the original pace
 
 
 @dataclass(frozen=True)
@@ -23,7 +23,7 @@ class ReplayedFrame(Frame):
     Attributes
     ----------
     number : in the recording, from 0
-    recorded_s : when it was taken, from the recording's first frame
+    recorded_s : recording time, from the first frame
     """
 
     number: int = 0
@@ -31,15 +31,15 @@ class ReplayedFrame(Frame):
 
 
 class Player:
-    """Plays a recording, at first from its start, at its own pace and once.
+    """Plays a recording: at first from its start, at its own pace and once.
 
-    A reader that is too slow gets the newest frame that is due. A frame that is damaged is passed over, playing stops
-    there, and `problem` says why. Methods may be called in any thread.
+    A reader that is too slow gets the newest frame that is due. At a damaged frame playing stops, and `problem` gives
+    the reason; the frame is skipped. Methods may be called in any thread.
 
     Parameters
     ----------
     recording : Indexed
-    clock : replace it to run faster or slower than real time
+    clock : replaceable, to run faster or slower than real time
     """
 
     live = True
@@ -77,37 +77,37 @@ class Player:
             )
             index += 1
 
-    # -- what it is told --------------------------------------------------------------------------------------------
+    # -- controls -----------------------------------------------------------------------------------------------------
 
     def play(self, playing: bool = True) -> None:
-        """Go on, from the start where it is at its end; or hold."""
+        """Play, from the start if it is at the end; False: pause."""
         with self._changed:
             if playing and self._number >= len(self.recording) - 1:
                 self._asked = 0
             self._set(playing=playing)
 
     def seek(self, number: float) -> None:
-        """Show a frame, the first or last one where the number is beyond; plays on from there if it was playing."""
+        """Show a frame, or the first or last one if the number is out of range; continue playing if it was."""
         with self._changed:
             self._asked = min(max(int(number), 0), len(self.recording) - 1)
             self._set()
 
     def step(self, by: float) -> None:
-        """Hold, and show the next frame (+1) or the one before (-1)."""
+        """Pause, and show the next frame (+1) or the previous one (-1)."""
         with self._changed:
             at = self._number if self._asked < 0 else self._asked
             self._asked = min(max(at + int(by), 0), len(self.recording) - 1)
             self._set(playing=False)
 
     def again(self) -> None:
-        """Show the frame that is held once more: it is to be reconstructed otherwise."""
+        """Show the current frame again, because its reconstruction has changed."""
         with self._changed:
             if not self._playing and self._asked < 0:
                 self._asked = max(self._number, 0)
                 self._set()
 
     def set_speed(self, speed: float) -> None:
-        """Play at so many times the pace at which it was taken, 1/16 to 16."""
+        """Play at a multiple of the original pace, 1/16 to 16."""
         if not SLOWEST <= speed <= FASTEST:
             raise GelformError(f"Expected a speed from {SLOWEST:g} to {FASTEST:g}, got {speed:g}.")
         with self._changed:
@@ -115,18 +115,18 @@ class Player:
             self._set()
 
     def loop(self, loops: bool = True) -> None:
-        """Begin again at the end, or hold there."""
+        """At the end, start again; False: stop there."""
         with self._changed:
             self._loops = loops
             self._set()
 
     @property
     def playing(self) -> bool:
-        """Whether it goes on by itself."""
+        """Whether it is playing."""
         return self._playing
 
     def facts(self) -> dict[str, Any]:
-        """How it stands, as the page shows it."""
+        """The player's state for the page."""
         with self._changed:
             times = self.recording.times_s
             return {
@@ -156,13 +156,13 @@ class Player:
     # -- the pace -----------------------------------------------------------------------------------------------------
 
     def _set(self, playing: bool | None = None) -> None:
-        """Take over a change; the pace is counted from the frame that is shown."""
+        """Apply a change; the pace counts from the current frame."""
         self._playing = self._playing if playing is None else playing
         self._from_s, self._since_s = self.recording.times_s[max(self._number, 0)], self._clock()
         self._changed.notify_all()
 
     def _next(self) -> int | None:
-        """Wait for the next frame's turn; None once it is closed."""
+        """Wait until the next frame is due; None once the player is closed."""
         with self._changed:
             while not self._closed:
                 if self._asked >= 0:
@@ -182,7 +182,7 @@ class Player:
         return number
 
     def _due(self) -> int:
-        """The newest frame whose time has come; waits for the next one where none has."""
+        """The newest frame that is due; waits for the next one if none is."""
         times = self.recording.times_s
         at_s = self._from_s + self._speed * (self._clock() - self._since_s)
         wait_s = (times[self._number + 1] - at_s) / self._speed

@@ -1,4 +1,4 @@
-"""Recordings that the page makes: a station's frames from a button to the next, one file to share."""
+"""Recordings by the page: a station's frames between two clicks, and one file for sharing."""
 
 from __future__ import annotations
 
@@ -26,35 +26,34 @@ from gelform.sensors.recordings.indexed import Indexed
 from gelform.sensors.recordings.mcap_writer import McapRecording
 from gelform.sensors.recordings.record import RecordStats, attachments_of, new_recording, record_frames
 
-MAX_BYTES = (
-    2 * 10**9
-)  # of the pictures of one recording: six minutes of 60 frames a second, 320x240 px, as PNG
+# bytes of pictures in one recording: six minutes at 60 frames per second, 320x240 px, as PNG
+MAX_BYTES = 2 * 10**9
 
 
 def named_by_time(kind: str) -> str:
-    """The name of what the page makes: its kind and the time in UTC, to the second."""
+    """A name for a new file: its kind and the time in UTC, to the second."""
     return f"{kind}-{time.strftime('%Y%m%d-%H%M%S', time.gmtime())}"
 
 
 class Recorder:
-    """One recording, in a thread of its own; a file where the extra `mcap` is installed, else a folder of images.
+    """One recording in its own thread: a file if the extra `mcap` is installed, else a folder of images.
 
-    It begins with `start`.
+    `start` starts it.
 
     Parameters
     ----------
-    grabber : running; it goes on for its other consumers
-    folder : where the recording is made, under a name of its own
-    setup : whose calibration and background the recording carries
-    wanted : asked at each frame, and four times a second; where it says False the recording ends
-    on_ended : called in the recording's thread when it has ended, for whatever reason, and is finished
-    max_bytes : of pictures, after which it ends
+    grabber : running; stays open for its other consumers
+    folder : parent of the recording, which gets its own name
+    setup : its calibration and background are attached to the recording
+    wanted : called at each frame, and four times a second; the recording ends when it returns False
+    on_ended : called in the recording's thread once the recording is finished, for whatever reason
+    max_bytes : size of the pictures at which the recording ends
 
     Attributes
     ----------
     path : of the recording
     stats : RecordStats so far
-    problem : why it ended by itself; "" where it did not
+    problem : why it ended by itself; "" if it did not
     """
 
     def __init__(
@@ -80,7 +79,7 @@ class Recorder:
         self._thread = threading.Thread(target=self._run, name="record", daemon=True)
 
     def start(self) -> None:
-        """Begin."""
+        """Start recording."""
         self._thread.start()
 
     def close(self) -> None:
@@ -103,10 +102,10 @@ class Recorder:
             return False
         if stats.written_bytes >= self._max_bytes:
             self.problem = (
-                f"The recording has ended: it holds {self._max_bytes / 1e9:g} GB, the most for one."
+                f"The recording has ended, because it has reached its limit of {self._max_bytes / 1e9:g} GB."
             )
         elif not self._wanted():
-            self.problem = "The recording has ended: the page that began it was closed."
+            self.problem = "The recording has ended, because the page that began it was closed."
         return not self.problem
 
 
@@ -120,25 +119,24 @@ def share(
 ) -> Path:
     """Write an MCAP file of a recording, with its calibration attached.
 
-    Frames are kept as the camera compressed them, or as PNG without loss: `gelform live FILE` anywhere shows what is
-    shown here.
+    Frames are kept as the camera compressed them, or as lossless PNG. `gelform live FILE` shows the same on any machine.
 
     Parameters
     ----------
     recording : any
     path : a new file, *.mcap
     calibration : in use
-    background : (H, W, 3) that was taken on the page, or None: the calibration's own
+    background : (H, W, 3) taken on the page, or None: the calibration's own
 
     Raises
     ------
     DataError
-        The file is there already or cannot be written, a frame is damaged, or the extra `mcap` is missing.
+        The file exists or cannot be written, a frame is damaged, or the extra `mcap` is missing.
     """
     facts = replace(recording.facts, calibration_digest=_digest_of(calibration), library_version=__version__)
     check_free(path, overwrite=False)
     now_ns, attached = time.time_ns(), attachments_of(calibration, background)
-    unfinished = path.with_name(f".{path.name}.part")  # no name of the list: half a recording is not offered
+    unfinished = path.with_name(f".{path.name}.part")  # not listed: half a recording is not offered
     try:
         with closing(McapRecording(unfinished, facts, attached)) as out:
             for number, time_s in enumerate(recording.times_s):

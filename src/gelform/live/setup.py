@@ -1,4 +1,4 @@
-"""How a station reconstructs: calibration, background, solver, zero; replaced whole, never changed."""
+"""The setup of a station's reconstruction: calibration, background, solver, zero; immutable."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from gelform.reconstruction import Reconstruction
 from gelform.streams.memory import Memory, of_frame, result_from_image
 from gelform.view import View, image_from_frame
 
-BACKGROUND_FRAMES = 15  # of the untouched gel that are averaged
+BACKGROUND_FRAMES = 15  # frames at rest that are averaged
 
 
 @dataclass(frozen=True)
 class Setup:
-    """What turns a frame into what is shown.
+    """Everything that turns a frame into the displayed result.
 
     Attributes
     ----------
-    memory : the Reconstructor with what the sequence has taught it; None without a calibration: the image alone is shown
-    name : of the calibration, as the page lists it
-    solver : as it was asked for, "auto" by default
-    background : (H, W, 3) float32 that was taken live, or None: the calibration's own
-    zero_mm : (H, W) depth that is taken off every result, or None
-    other, other_name : the calibration that it is compared with
+    memory : the Reconstructor with the memory of the sequence; None without a calibration: only the image is shown
+    name : of the calibration, in the page's list
+    solver : the chosen one, "auto" by default
+    background : (H, W, 3) float32 taken live, or None: the calibration's own
+    zero_mm : (H, W) depth that is subtracted from every result, or None
+    other, other_name : the second calibration, for comparison
     """
 
     memory: Memory | None = None
@@ -44,7 +44,7 @@ class Setup:
 
     @property
     def reconstruct(self) -> Reconstructor | None:
-        """For the frames to come; None without a calibration."""
+        """The Reconstructor for the coming frames; None without a calibration."""
         return None if self.memory is None else self.memory.reconstruct
 
     @property
@@ -53,19 +53,18 @@ class Setup:
         return None if self.reconstruct is None else self.reconstruct.calibration
 
     def image_of(self, frame: Frame) -> NDArray[np.uint8]:
-        """The frame through the view; as it is without a calibration."""
+        """The frame through the view; unchanged without a calibration."""
         view = View() if self.calibration is None else self.calibration.view
         return np.ascontiguousarray(image_from_frame(frame.image, view), dtype=np.uint8)
 
     def result_of(
         self, frame: Frame, image: NDArray[np.uint8], *, alone: bool = False
     ) -> Reconstruction | None:
-        """What the calibration says of the image, against the untouched gel; None without a calibration.
+        """The calibration's result of an image, against the background; None without a calibration.
 
         Parameters
         ----------
-        alone : whether the frame is reconstructed for itself, as one of a recording: it may come again, and the next one
-            may be an earlier one
+        alone : whether to reconstruct the frame without memory, as for a recording, whose frames may come in any order
         """
         if self.memory is None:
             return None
@@ -74,7 +73,7 @@ class Setup:
         return self.memory.remembered(image, of_frame(self.memory.result_from_image(image), frame))
 
     def other_of(self, frame: Frame) -> Reconstruction | None:
-        """What the other calibration says of the same frame; None where it cannot, or there is none."""
+        """The other calibration's result of the same frame; None if it fails or there is none."""
         if self.other is None:
             return None
         try:
@@ -83,7 +82,7 @@ class Setup:
             return None
 
     def against_zero(self, result: Reconstruction) -> Reconstruction:
-        """The result against the zero that was set."""
+        """The result relative to the chosen zero."""
         if self.zero_mm is None or self.zero_mm.shape != result.depth.shape:
             return result
         depth = result.depth - self.zero_mm
@@ -97,32 +96,32 @@ class Setup:
     def with_calibration(
         self, calibration: Calibration, name: str, background: NDArray[np.float32] | None = None
     ) -> Setup:
-        """The same with another calibration, its own background or one that was taken live, nothing compared."""
+        """A setup with another calibration, its own background or one taken live, and no comparison."""
         run = Reconstructor(calibration, background=background, solver=self.solver)
         return Setup(Memory(run), name, self.solver, background)
 
     def with_background(self, background: NDArray[np.float32] | None) -> Setup:
-        """The same with today's background; None: the calibration's own.
+        """A setup with a new background; None: the calibration's own.
 
         Raises
         ------
         CalibrationError
-            It is not of the calibrated sensor.
+            The background is not of the calibrated sensor.
         """
         return replace(self, background=background, zero_mm=None).anew()
 
     def with_solver(self, solver: str) -> Setup:
-        """The same with another solver."""
+        """A setup with another solver."""
         return replace(self, solver=solver, zero_mm=None).anew()
 
     def anew(self) -> Setup:
-        """The same for another sequence of frames: what the last one has taught is forgotten."""
+        """A setup for another sequence of frames, without memory."""
         if self.calibration is None:
             return self
         run = Reconstructor(self.calibration, background=self.background, solver=self.solver)
         return replace(self, memory=Memory(run))
 
     def with_other(self, calibration: Calibration | None, name: str) -> Setup:
-        """The same, compared with another calibration, or with none."""
+        """A setup with another calibration for comparison, or with none."""
         run = None if calibration is None else Reconstructor(calibration, solver=self.solver)
         return replace(self, other=run, other_name=name if run else "")

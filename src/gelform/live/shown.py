@@ -1,4 +1,4 @@
-"""What a station shows of one frame, encoded once however many clients want it; and its numbers."""
+"""The displayed data of one frame, encoded once for all clients, and its numbers."""
 
 from __future__ import annotations
 
@@ -24,12 +24,10 @@ from gelform.reconstruction.maps import MAP_PLANES
 
 PLANES = ("image", "flags", "unknown", "causes", "other", *MAP_PLANES)
 CONTACT, KNOWN = 1, 2  # bits of the plane `flags`
-UNKNOWN, OTHER_UNKNOWN = (
-    1,
-    2,
-)  # bits of the plane `unknown`: of this result, of the one that it is compared with
-MOST_CONTACTS, MOST_OUTLINES = 8, 32  # of a frame that are sent
-OUTLINE_PX = 0.6  # how far an outline may be from the pixels' edge
+# Bits of the plane `unknown`: of this result, of the result compared with it.
+UNKNOWN, OTHER_UNKNOWN = 1, 2
+MOST_CONTACTS, MOST_OUTLINES = 8, 32  # sent per frame at most
+OUTLINE_PX = 0.6  # px, largest distance of an outline from the edge of the pixels
 
 
 @dataclass(frozen=True)
@@ -39,9 +37,9 @@ class Measures:
     Attributes
     ----------
     peak : the deepest point, mm (widths of a pixel without a scale)
-    x_px, y_px : where it is
+    x_px, y_px : its place
     area : of the contact, mm^2
-    volume : of gel displaced in the contact, mm^3
+    volume : of the gel displaced in the contact, mm^3
     """
 
     peak: float
@@ -52,14 +50,14 @@ class Measures:
 
     @property
     def numbers(self) -> dict[str, float]:
-        """Those that are shown against time."""
+        """The numbers that are plotted over time."""
         return {"peak": self.peak, "area": self.area, "volume": self.volume}
 
 
 def measures_of(result: Reconstruction) -> Measures | None:
-    """The numbers of a result; in pixels where it has no scale. None where nothing of its depth is known.
+    """The numbers of a result, in pixels if it has no scale; None if no depth is known.
 
-    The deepest point is one of those that are known.
+    The deepest point is one of the known pixels.
     """
     if not result.known.any():
         return None
@@ -77,7 +75,7 @@ def measures_of(result: Reconstruction) -> Measures | None:
 
 
 def outlines_of(result: Reconstruction) -> list[list[int]]:
-    """Outlines of the contact, each as x, y, x, y ... in px of the image; the largest ones where there are many."""
+    """Outlines of the contact, each as x, y, x, y ... in px of the image; only the largest if there are many."""
     found, _ = cv2.findContours(result.contact.view(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     largest = sorted(found, key=len, reverse=True)[:MOST_OUTLINES]
     simple: list[Any] = [cv2.approxPolyDP(outline, OUTLINE_PX, True) for outline in largest]
@@ -86,21 +84,21 @@ def outlines_of(result: Reconstruction) -> list[list[int]]:
 
 @dataclass(eq=False)
 class Shown:
-    """One frame of a station with its result, where there is one.
+    """One frame of a station with its result, if there is one.
 
     Attributes
     ----------
-    serial : counts what the station has shown; larger is newer
-    frame : as the camera gave it
+    serial : running number of the station's frames; larger is newer
+    frame : from the camera
     image : (H, W, 3) uint8, after the view
     result : Reconstruction or None: no calibration, or this frame could not be reconstructed
-    other : the same frame by the calibration that it is compared with, or None
-    measures : numbers of the result; None where there is none, or one that knows nothing: no map of it is shown then
-    explain : gives the explanation of the image when it is asked for: it takes longer than a frame
-    background : (H, W, 3) that was taken live, or None: the calibration's own
-    problem : why there is no result, in words; "" where there is one
-    zero_mm : (H, W) depth that was taken off, or None
-    learn : learns from the result for the frames to come; None where there is nothing to learn
+    other : the same frame by the second calibration, or None
+    measures : numbers of the result; None without a result, or if nothing is known, and then no map is shown
+    explain : computes the explanation of the image on request, because it takes longer than a frame
+    background : (H, W, 3) taken live, or None: the calibration's own
+    problem : why there is no result; "" if there is one
+    zero_mm : (H, W) depth that was subtracted, or None
+    learn : learns from the result for the coming frames; None if there is nothing to learn
     """
 
     serial: int
@@ -118,12 +116,12 @@ class Shown:
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
     def planes(self, names: Sequence[str], encoding: str) -> list[Plane]:
-        """The planes of those names that this frame has."""
+        """The planes with those names that this frame has."""
         made = [self._once((name, encoding), lambda name=name: self._plane(name, encoding)) for name in names]
         return [plane for plane in made if plane is not None]
 
     def header(self) -> dict[str, Any]:
-        """What is said of the frame beside its pixels."""
+        """The data of the frame besides its pixels."""
         facts: dict[str, Any] = self._once("header", self._header)
         return facts
 
@@ -195,7 +193,7 @@ class Shown:
 
 
 def _unknown_bits(result: Reconstruction, other: Reconstruction | None) -> NDArray[np.uint8]:
-    """Where depth was filled without information: pixels that no map may show as if they were known."""
+    """Pixels whose depth was filled without information; no map may show them as known."""
     bits = np.where(result.known, 0, UNKNOWN).astype(np.uint8)
     if other is not None and other.known.shape == bits.shape:
         bits |= np.where(other.known, 0, OTHER_UNKNOWN).astype(np.uint8)
@@ -203,7 +201,7 @@ def _unknown_bits(result: Reconstruction, other: Reconstruction | None) -> NDArr
 
 
 def _cause_bits(explanation: Explanation) -> NDArray[np.uint16]:
-    """One bit for each cause, where it alone makes a slope less certain than a clean one."""
+    """One bit per cause, at pixels where it alone makes a slope less certain than a clean one."""
     bits = np.zeros(explanation.confidence.shape, dtype=np.uint16)
     for number, one in enumerate(explanation.maps.values()):
         bits |= np.where(one > explanation.clean, np.uint16(1 << number), np.uint16(0))
@@ -211,7 +209,7 @@ def _cause_bits(explanation: Explanation) -> NDArray[np.uint16]:
 
 
 def _other_facts(result: Reconstruction, other: Reconstruction) -> dict[str, float]:
-    """Numbers of the other calibration's result, and how far the two are apart (root mean square)."""
+    """Numbers of the other calibration's result, and its RMS difference from this one."""
     measures = measures_of(other)
     if measures is None:
         return {}
@@ -232,7 +230,7 @@ def _contact_facts(contact: Contact) -> dict[str, Any]:
 
 
 def _marker_rows(flow: MarkerFlow | None) -> list[list[float]]:
-    """x and y at rest, x and y now, of each visible dot, px."""
+    """x and y at rest, then x and y now, of each visible marker, px."""
     if flow is None:
         return []
     rows = np.concatenate([flow.rest_px, flow.now_px], axis=1)[flow.seen]

@@ -1,7 +1,7 @@
-"""Other programs that show what the page shows: Rerun (extra `rerun`), Foxglove (extra `foxglove`).
+"""Other programs that show the results of the page: Rerun (extra `rerun`), Foxglove (extra `foxglove`).
 
-The newest frame wins, and a slow sink harms nobody. Foxglove's server listens on this machine alone, since it asks
-neither for an Origin nor for a token.
+The newest frame wins, and a slow sink delays nothing else. Foxglove's server listens only on this machine, because it checks
+neither an Origin nor a token.
 """
 
 from __future__ import annotations
@@ -19,27 +19,27 @@ from gelform.live.hub import Hub
 from gelform.live.shown import Shown
 
 HOST = "127.0.0.1"
-RERUN_PORT, FOXGLOVE_PORT = 9876, 8767  # Rerun's own; one that nothing else is known for
-PER_METRE = 1000.0  # depth is mm
-BACKLOG = 16  # messages that wait for a slow client; the oldest are dropped (1024 would be 300 MB)
+RERUN_PORT, FOXGLOVE_PORT = 9876, 8767  # Rerun's default; one without a known other use
+PER_METER = 1000.0  # depth is in mm
+BACKLOG = 16  # waiting messages for a slow client; the oldest are dropped (1024 would be 300 MB)
 
 
 class Sink(Protocol):
-    """Another program that shows results; `how` is a sentence that says where they are visible."""
+    """Another program that shows results; `how` is a sentence that says where."""
 
     how: str
 
     def show(self, name: str, shown: Shown) -> None:
-        """Show one frame of a sensor, called in the feeder's thread; `name` is a path of letters, digits and _."""
+        """Show one frame of a sensor, in the feeder's thread; `name` is a path of letters, digits and _."""
 
     def close(self) -> None:
-        """Show nothing any more."""
+        """Stop showing."""
 
 
 class Feeder:
-    """Gives a sink the newest frame of each station; those that come while it is busy are passed over.
+    """Gives a sink the newest frame of each station; frames that arrive while it is busy are skipped.
 
-    What a sink raises ends it and becomes a notice of the hub; the page goes on.
+    An exception of the sink ends it and becomes a notice of the hub; the page continues.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ class Feeder:
                 self._newer.wait()
                 self._newer.clear()
                 self._show_newest()
-        except Exception as problem:  # of another program's library: the page goes on without it
+        except Exception as problem:  # from another program's library; the page continues without it
             self._hub.notice(f"{self._name} ended: {type(problem).__name__}: {problem}", "error")
         finally:
             self._hub.sinks -= 1
@@ -121,18 +121,18 @@ class RerunSink:
         log(f"{name}/image", rerun.Image(shown.image))
         if shown.result is not None:
             depth_mm = np.where(shown.result.known, shown.result.depth_mm, np.float32(np.nan))
-            log(f"{name}/depth", rerun.DepthImage(depth_mm, meter=PER_METRE))
+            log(f"{name}/depth", rerun.DepthImage(depth_mm, meter=PER_METER))
         if shown.measures is not None:
             for what, number in shown.measures.numbers.items():
                 log(f"{name}/{what}", rerun.Scalars(number))
 
     def close(self) -> None:
-        """Send what is left."""
+        """Send the rest."""
         self._recording.disconnect()
 
 
 class FoxgloveSink:
-    """Topics `/sensor_N/image` (rgb8), `/sensor_N/indentation` (32FC1, metres, NaN where unknown), `/sensor_N/numbers`.
+    """Topics `/sensor_N/image` (rgb8), `/sensor_N/indentation` (32FC1, meters, NaN where unknown), `/sensor_N/numbers`.
 
     Parameters
     ----------
@@ -160,23 +160,23 @@ class FoxgloveSink:
                 context=self._context,
                 message_backlog_size=BACKLOG,
             )
-        except Exception as problem:  # of the extension's own kind
+        except Exception as problem:  # the extension's own class
             raise GelformError(
                 f"Foxglove's server cannot listen on {HOST}:{port}: {problem}. Another program, perhaps another gelform "
-                "live, uses the port: end it."
+                "live, uses the port. End it."
             ) from problem
         self._channels: dict[str, Any] = {}
         self.address = f"ws://{HOST}:{self._server.port}"
         self.how = f"Foxglove: open a connection to {self.address} (WebSocket)."
 
     def show(self, name: str, shown: Shown) -> None:
-        """Send a frame to the clients that are there."""
+        """Send a frame to the connected clients."""
         stamp = shown.frame.wall_time_ns
         self._image(f"/{name}/image", shown.image, "rgb8", stamp)
         if shown.result is not None:
-            metres = (shown.result.depth_mm * np.float32(1e-3)).astype("<f4")
-            metres[~shown.result.known] = np.nan
-            self._image(f"/{name}/indentation", metres, "32FC1", stamp)
+            meters = (shown.result.depth_mm * np.float32(1e-3)).astype("<f4")
+            meters[~shown.result.known] = np.nan
+            self._image(f"/{name}/indentation", meters, "32FC1", stamp)
         if shown.measures is not None:
             self._channel(f"/{name}/numbers", None).log(shown.measures.numbers, log_time=stamp)
 
@@ -215,16 +215,16 @@ SINKS: dict[str, Callable[[], Sink]] = {"rerun": RerunSink, "foxglove": Foxglove
 
 
 def feed(hub: Hub, names: Sequence[str]) -> tuple[list[Feeder], list[str]]:
-    """Feed the sinks of those names; the feeders, and a sentence for each that says where it is visible.
+    """Start the sinks with those names; return the feeders, and a sentence for each that says where it shows.
 
     Raises
     ------
     ValueError
-        An unknown name.
+        A name is unknown.
     DataError
         The sink's extra is not installed.
     GelformError
-        No viewer answers, or the port is taken; none is fed then.
+        No viewer answers, or the port is in use; then none is started.
     """
     unknown = [name for name in names if name not in SINKS]
     if unknown:
@@ -234,5 +234,5 @@ def feed(hub: Hub, names: Sequence[str]) -> tuple[list[Feeder], list[str]]:
         for name in dict.fromkeys(names):
             made[name] = SINKS[name]()
             undone.callback(made[name].close)
-        undone.pop_all()  # all were made: they stay
+        undone.pop_all()  # all started; they stay open
     return [Feeder(hub, sink, name) for name, sink in made.items()], [sink.how for sink in made.values()]

@@ -1,4 +1,4 @@
-"""Files of one frame that is shown: result, image, depth, points."""
+"""Files of one displayed frame: result, image, depth, points."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from gelform.foundations.checks import check_mm_per_px
 from gelform.live.shown import Shown
 from gelform.reconstruction import Reconstruction, save_result
 
-KEPT = 16  # the last ones
+KEPT = 16  # snapshots that are kept
 _POINT = np.dtype([(name, "<f4") for name in ("x", "y", "z", "nx", "ny", "nz", "confidence")])
 
 
 class Snapshots:
-    """The last frames that somebody wanted, by number: files are made when they are fetched."""
+    """The last kept frames, by number; files are made when they are downloaded."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -32,7 +32,7 @@ class Snapshots:
         self._count = 0
 
     def add(self, shown: Shown) -> int:
-        """Keep a frame; gives its number. The oldest goes where there are more than 16."""
+        """Keep a frame; return its number. Beyond 16 frames the oldest is dropped."""
         with self._lock:
             self._count += 1
             self._kept[self._count] = shown
@@ -41,7 +41,7 @@ class Snapshots:
             return self._count
 
     def names(self, number: int) -> list[str]:
-        """The files that a snapshot has."""
+        """The names of a snapshot's files."""
         shown = self._kept[number]
         lacking = {"background.png"} if shown.background is None else set()
         lacking |= {"zero.npy"} if shown.zero_mm is None else set()
@@ -55,17 +55,17 @@ class Snapshots:
         Raises
         ------
         GelformError
-            There is no such snapshot or file, or the frame has no result.
+            The snapshot or the file does not exist, or the frame has no result.
         """
         with self._lock:
             shown = self._kept.get(number)
         if shown is None or name not in FILES:
-            raise GelformError("This snapshot is not kept any more. Take it again.")
+            raise GelformError("This snapshot is no longer kept. Take another one.")
         return f"gelform-{number:03d}-{name}", FILES[name](shown)
 
 
 def result_npz(shown: Shown) -> bytes:
-    """The result as `gelform.load_result` reads it."""
+    """The result, for `gelform.load_result`."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "result.npz"
         save_result(_result(shown), path)
@@ -73,17 +73,17 @@ def result_npz(shown: Shown) -> bytes:
 
 
 def frame_png(shown: Shown) -> bytes:
-    """The frame as the camera gave it: what `gelform reconstruct` takes."""
+    """The frame from the camera, for `gelform reconstruct`."""
     return _png(np.ascontiguousarray(shown.frame.image[..., ::-1]))
 
 
 def depth_png(shown: Shown) -> bytes:
-    """Depth with 16 bits: depth_mm = (v - 32768) x 1e-4, 0 where it is unknown.
+    """Depth with 16 bits: depth_mm = (v - 32768) x 1e-4, or 0 where unknown.
 
     Raises
     ------
     DataError
-        Depth beyond 3.2767 mm does not fit.
+        Depth is beyond 3.2767 mm.
     """
     result = _result(shown)
     return _png(levels_from_depth(result.depth_mm, result.known))
@@ -107,14 +107,14 @@ def points_ply(shown: Shown) -> bytes:
 
 
 def background_png(shown: Shown) -> bytes:
-    """The background that was taken on the page: what `gelform reconstruct --background` takes."""
+    """The background taken on the page, for `gelform reconstruct --background`."""
     if shown.background is None:
-        raise GelformError("No background was taken on the page: the calibration has its own.")
+        raise GelformError("No background was taken on the page. The calibration has its own.")
     return _png(np.rint(shown.background[..., ::-1]).astype(np.uint8))
 
 
 def zero_npy(shown: Shown) -> bytes:
-    """The depth that was set as zero on the page, mm: what `numpy.load` reads."""
+    """The depth that was set as zero on the page, mm, for `numpy.load`."""
     if shown.zero_mm is None:
         raise GelformError("No zero was set on the page.")
     content = io.BytesIO()
@@ -134,7 +134,7 @@ FILES: dict[str, Callable[[Shown], bytes]] = {
 
 def _result(shown: Shown) -> Reconstruction:
     if shown.result is None:
-        raise GelformError("This frame has no result: there was no calibration, or it could not be used.")
+        raise GelformError("This frame has no result, because it had no usable calibration.")
     return shown.result
 
 

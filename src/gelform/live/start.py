@@ -1,4 +1,4 @@
-"""From the command line's arguments to a hub whose stations run."""
+"""From the command line's arguments to a hub with running stations."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ from gelform.sensors.source import ADDRESSES, DEFAULT_SENSOR, SIMULATED, Source,
 from gelform.simulate import SimulatedSensor
 
 READY = "simulated sensor"
-SIMULATED_STALL_S = 10.0  # a busy machine simulates late; nothing was unplugged
+SIMULATED_STALL_S = 10.0  # s; a busy machine simulates late although nothing was unplugged
 
 
 @dataclass(frozen=True)
 class Options:
-    """What `gelform live` is asked for.
+    """The options of `gelform live`.
 
     Attributes
     ----------
-    sources : "simulated", serials, names, paths ...
+    sources : "simulated", serial numbers, names, paths ...
     calibrations : files, one for all sources or one for each
-    folder : whose calibrations the page offers too
-    rate_hz : frames a second of simulated sensors
-    sensor : the make of those without a calibration, whose starter is used; None: that of the camera
+    folder : its calibrations are offered too
+    rate_hz : frames per second of simulated sensors
+    sensor : the make whose starter is used for sources without a calibration; None: that of the camera
     """
 
     sources: Sequence[str] = (SIMULATED,)
@@ -49,12 +49,12 @@ class Options:
 
 
 def start(options: Options) -> Hub:
-    """Open the sources and reconstruct; a camera that is not there is waited for.
+    """Open the sources and reconstruct; wait for cameras that are not connected yet.
 
     Raises
     ------
     DataError
-        Several calibrations, but not one for each source; a file that is missing; a camera that is named twice.
+        Several calibrations, but not one for each source; a missing file; a camera named twice.
     CalibrationError
         A calibration cannot be read.
     """
@@ -75,7 +75,7 @@ def start(options: Options) -> Hub:
         hub.notice(problem, "warning")
     names = [hub.calibrations.add_file(path) for path in options.calibrations]
     for name in names:
-        hub.calibrations[name]  # one that cannot be read is said before anything opens
+        hub.calibrations[name]  # an unreadable one is reported before anything opens
     for number, spec in enumerate(options.sources):
         sensor = _simulated_sensor(spec)
         recording = indexed(Path(spec)) if sensor is None and is_recording(spec) else None
@@ -97,7 +97,7 @@ def start(options: Options) -> Hub:
 
 
 def _library() -> tuple[Path | None, str]:
-    """The library's folder, or None and why there is none: the page works without one."""
+    """The library's folder, or None and the reason; the page works without one."""
     try:
         return library_folder(), ""
     except DataError as problem:
@@ -105,10 +105,10 @@ def _library() -> tuple[Path | None, str]:
 
 
 def _take_known(hub: Hub, station: Station, spec: str) -> None:
-    """Use the newest calibration on the list that is of the source's unit; without one the station shows images alone."""
+    """Use the newest listed calibration of the source's unit; without one the station shows only images."""
     try:
         unit = unit_of(spec)
-    except GelformError:  # not there yet: its serial may be what it is called by
+    except GelformError:  # not connected yet; the spec may be its serial number
         unit = Unit(f"camera {spec}", spec)
     name = hub.calibrations.of_unit(unit)
     if name is not None:
@@ -122,7 +122,7 @@ def _simulated_sensor(spec: str) -> SimulatedSensor | None:
 
 
 def _check_named_once(specs: Sequence[str]) -> None:
-    """Refuse a camera that is named twice, also where that is by two names. A recording may be."""
+    """Refuse a camera that is named twice, even by two names. A recording may be named twice."""
     named: dict[str, str] = {}
     for spec in specs:
         if spec.partition(":")[0] == SIMULATED or is_recording(spec):
@@ -131,13 +131,13 @@ def _check_named_once(specs: Sequence[str]) -> None:
         if camera in named:
             both = f"{spec!r} twice" if named[camera] == spec else f"{named[camera]!r} and {spec!r}"
             raise DataError(
-                f"Expected each camera once, got {both}: one camera. Any number of pages may look at it."
+                f"Expected each camera once, got {both}, which is one camera. Any number of pages may show it."
             )
         named[camera] = spec
 
 
 def _camera_of(spec: str) -> str:
-    """What tells cameras apart: the device that a name means; addresses, and names of what is not there, as they are."""
+    """An identifier of a camera: the device that a name means; addresses and unknown names unchanged."""
     if spec.startswith(ADDRESSES):
         return spec
     try:
@@ -149,7 +149,7 @@ def _camera_of(spec: str) -> str:
 def _opening(
     hub: Hub, spec: str, known: SimulatedSensor | Indexed | None, rate_hz: float, number: int
 ) -> Opening:
-    """How the source is opened; the first time is now, so that a mistake is said in the terminal too."""
+    """How to open the source. It is opened once now, so that a mistake is also reported in the terminal."""
     if isinstance(known, Indexed):
         return Opening(lambda: Player(known), NEVER_S)
     if known is not None:
@@ -159,7 +159,7 @@ def _opening(
     try:
         opened.append(open_source(spec, paced=True))
     except SensorError as problem:
-        hub.notice(f"{problem} It is tried again every second.", "warning")
+        hub.notice(f"{problem} gelform tries again every second.", "warning")
     return Opening(
         lambda: opened.pop() if opened else open_source(spec, paced=True, settings=wanted),
         STALL_S,

@@ -1,4 +1,4 @@
-"""A station that was never calibrated: of which make it is, and the starter's calibration of its untouched gel."""
+"""A station without a calibration: its make, and the starter's calibration from its gel at rest."""
 
 from __future__ import annotations
 
@@ -12,28 +12,31 @@ from gelform.errors import GelformError
 from gelform.frames import Frame
 from gelform.live.lists import Origin
 from gelform.live.station import Station
-from gelform.sensors.profiles import SENSORS
-from gelform.starters import Starter, load_starter, starter_names, starter_of_source
+from gelform.starters import Starter, load_starter, make_name, starter_names, starter_of_source
 from gelform.streams.starting import UntouchedImage
 
-STARTERS = tuple(starter_names())
 IMPORTS = ("from gelform.starters import load_starter", "from gelform.view import View")
 
 
 def starters() -> list[list[str]]:
-    """[name, as people write it] of the makes that have a starter."""
-    return [[name, _make(name)] for name in STARTERS]
+    """[name, display name] of the makes with a starter."""
+    return [[name, make_name(name)] for name in starter_names()]
 
 
 def starter_facts(station: Station) -> dict[str, Any] | None:
-    """What the page says of it: `ask` for the untouched gel, or a starter's is `used`; None of a unit that was calibrated.
+    """The starter's state for the page: `ask` for the gel at rest, or `used`; None for a calibrated unit.
 
-    `sensor` is the starter's name, empty where the make is not known; `said` is what should be known of it, in sentences.
+    `sensor` is the starter's name, empty if the make is unknown; `said` are sentences for the user.
     """
     calibration, problem = station.setup.calibration, station.starter_problem
     if calibration is None:
         sensor = starter_of_station(station)
-        return {"state": "ask", "sensor": sensor, "make": _make(sensor), "said": [problem] if problem else []}
+        return {
+            "state": "ask",
+            "sensor": sensor,
+            "make": make_name(sensor),
+            "said": [problem] if problem else [],
+        }
     record = calibration.settings.starter
     if record is None:
         return None
@@ -48,19 +51,19 @@ def starter_facts(station: Station) -> dict[str, Any] | None:
 
 
 def starter_of_station(station: Station) -> str:
-    """The name of the starter that a station was started with, else of its camera's make; "" where neither is known."""
+    """The starter that the station was started with, else that of its camera's make; "" if neither is known."""
     return station.sensor or (starter_of_source(station.source) if station.source is not None else None) or ""
 
 
 def starter_calibration(
     sensor: str, frames: Iterable[Frame], serial: str | None, before: Calibration | None
 ) -> tuple[Calibration, Origin]:
-    """The calibration of the unit that gave frames of its untouched gel, and how Python makes it again of a snapshot.
+    """The calibration of a unit from frames of its gel at rest, and the Python code that makes it again from a snapshot.
 
     Parameters
     ----------
     sensor : the starter's name
-    before : what was in use: a scale that somebody gave a starter's calibration is kept
+    before : the calibration in use; a scale that the user gave to a starter's calibration is kept
 
     Raises
     ------
@@ -74,7 +77,7 @@ def starter_calibration(
     image = untouched.mean()
     if image is None:
         raise GelformError(untouched.reason)
-    # In whole grey levels: what the file background.png of a snapshot or a recording holds is what was used.
+    # Whole gray levels, so that background.png of a snapshot or recording contains exactly the image in use.
     pitch = _own_pitch(starter, before)
     made = starter.for_unit(np.rint(image), view=untouched.view, mm_per_px=pitch, serial=serial)
     scale = "" if pitch is None else f", mm_per_px={pitch!r}"
@@ -86,13 +89,8 @@ def starter_calibration(
 
 
 def _own_pitch(starter: Starter, before: Calibration | None) -> float | None:
-    """The scale of a starter's calibration of the same make where it is not the make's."""
+    """The scale of a starter's calibration of the same make, if it differs from the make's."""
     record = None if before is None else before.settings.starter
     if before is None or record is None or record["sensor"] != starter.sensor:
         return None
     return None if before.mm_per_px == starter.calibration.mm_per_px else before.mm_per_px
-
-
-def _make(sensor: str) -> str:
-    profile = SENSORS[sensor].profile if sensor in SENSORS else None
-    return sensor if profile is None else profile.name

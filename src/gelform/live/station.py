@@ -1,4 +1,4 @@
-"""One sensor of the page: the pipeline of its frames, how they are reconstructed, and what is shown."""
+"""One sensor of the page: the pipeline of its frames, its reconstruction, and the displayed results."""
 
 from __future__ import annotations
 
@@ -26,32 +26,32 @@ from gelform.streams.feed import NewestFrames
 from gelform.streams.memory import Timed, Work
 from gelform.streams.pipeline import Pipeline
 
-KEPT_NUMBERS = 18_000  # results whose numbers are kept for the curves: five minutes at 60 a second
-RETRY_S = 1.0  # between attempts to open a source that is not there
-WAIT_S = 0.25  # for a result, before it is looked whether to go on
-RATE_OVER, STALE_S = 60, 1.0  # results that the rate is taken of; without one for so long it is 0
-CLOSE_S = 10.0  # for the threads of the pipeline and of the device, which are waited for 2 s each
-# Between frames that are reconstructed while nobody looks, s. What the memory learns are means over a second and more,
-# what it finds takes a quarter of a second at the least: eight frames a second are enough for it.
+KEPT_NUMBERS = 18_000  # results whose numbers are kept for the curves: five minutes at 60 per second
+RETRY_S = 1.0  # s between attempts to open an unavailable source
+WAIT_S = 0.25  # s, longest wait for a result before a request to stop is checked
+RATE_OVER, STALE_S = 60, 1.0  # results for the rate; s without a result until it is 0
+CLOSE_S = 10.0  # s for the threads of the pipeline and of the device, 2 s each
+# s between reconstructed frames while no page is open. The memory learns means over a second and more, and its
+# findings take at least a quarter of a second, so eight frames per second are enough.
 UNWATCHED_S = 0.125
 MADE_HERE = (
     SimulatedSource,
     Playback,
 )  # they leave out what comes too late: no frame of theirs is lost on its way
-NEVER_S = float("inf")  # a recording that is held has not stalled
-STAGES = ("view", "reconstruct")  # whose times are told as that of the reconstruction
+NEVER_S = float("inf")  # a held recording has not stalled
+STAGES = ("view", "reconstruct")  # stages whose times add up to the displayed time of reconstruction
 
 
 @dataclass(frozen=True)
 class Opening:
-    """How a station comes to its source.
+    """How a station opens its source.
 
     Attributes
     ----------
-    open_it : opens the source; called again when it is lost
-    stall_s : after so many seconds without a frame the source counts as lost
-    camera : of this machine, which it opens; None for anything else
-    wanted : settings of the camera that were chosen here: `open_it` sets them again
+    open_it : opens the source; called again after a loss
+    stall_s : seconds without a frame until the source counts as lost
+    camera : the camera of this machine that it opens; None for other sources
+    wanted : camera settings chosen here; `open_it` sets them again
     """
 
     open_it: Callable[[], Source]
@@ -61,24 +61,24 @@ class Opening:
 
 
 class Station:
-    """A source, how it is reconstructed, and what it shows.
+    """A source, its reconstruction, and the displayed results.
 
     Parameters
     ----------
-    number : how the page names it
-    spec : what the user asked for: "simulated", a serial, a path
-    opening : how it comes to its source, or what opens it
-    on_shown : called in the station's thread when there is something newer to show
-    watched : whether every frame is wanted, which a tap says too; else eight a second are reconstructed, for the memory
+    number : the page's name for it
+    spec : the user's spec: "simulated", a serial number, a path
+    opening : how to open its source, or the function that opens it
+    on_shown : called in the station's thread when there is something new to show
+    watched : whether every frame is needed, as for a tap; else eight per second are reconstructed, for the memory
 
     Attributes
     ----------
-    setup : Setup; assign another one to change it: a recording that is held is reconstructed anew
+    setup : Setup; assign another one to change it: a held recording is then reconstructed again
     newest : Shown or None
-    taps : called with what is shown, in the station's thread: guides
+    taps : called with each shown frame, in the station's thread: guides
     paused : whether a sensor's picture is held
-    sensor : the name of the starter that was asked for; "" for that of the camera's make
-    starter_problem : why no starter's calibration could be made of it; "" where there is nothing to say
+    sensor : the requested starter; "" for that of the camera's make
+    starter_problem : why there is no starter's calibration; "" if there is nothing to report
     """
 
     def __init__(
@@ -110,11 +110,11 @@ class Station:
         self._thread = threading.Thread(target=self._run, name=f"station {number}", daemon=True)
 
     def start(self) -> None:
-        """Begin; a source that is not there yet is tried again every second, and the page says so."""
+        """Start; an unavailable source is tried again every second, and the page shows that."""
         self._thread.start()
 
     def close(self) -> None:
-        """Stop and give the device back."""
+        """Stop and release the device."""
         self._stop.set()
         self._switched.set()
         if self._thread.ident is not None:
@@ -122,7 +122,7 @@ class Station:
 
     @property
     def setup(self) -> Setup:
-        """How frames are reconstructed."""
+        """The setup of the reconstruction."""
         return self._setup
 
     @setup.setter
@@ -134,21 +134,21 @@ class Station:
             self.player.again()
 
     def show(self, opening: Opening, setup: Setup) -> None:
-        """Show another source in place of the one it was started with."""
+        """Show another source in place of the first one."""
         if not self.opened:
             self._given_setup = self._setup
         self._opening, self._setup, self.starter_problem = opening, setup, ""
         self._switched.set()
 
     def show_given(self) -> None:
-        """Show again what it was started with, reconstructed as it was then."""
+        """Return to the first source, with its setup of that time."""
         if self.opened:
             self._opening, self._setup = self._given, self._given_setup
             self._switched.set()
 
     @property
     def opened(self) -> bool:
-        """Whether it shows another source than the one it was started with."""
+        """Whether the station shows another source than its first one."""
         return self._opening is not self._given
 
     @property
@@ -158,7 +158,7 @@ class Station:
 
     @property
     def wanted(self) -> dict[str, float | str]:
-        """Settings of the camera that were chosen here."""
+        """The camera settings chosen here."""
         return self._opening.wanted
 
     @property
@@ -168,30 +168,30 @@ class Station:
 
     @property
     def player(self) -> Player | None:
-        """The source where it is a recording that can be told what to show; None for a sensor."""
+        """The source if it is a recording with controls; None for a sensor."""
         return self.source if isinstance(self.source, Player) else None
 
     @property
     def grabber(self) -> Grabber:
-        """The running grabber; GelformError where there is no sensor."""
+        """The running grabber; GelformError if there is no sensor."""
         if self._grabber is None:
-            raise GelformError("The sensor is not there. Plug it in.")
+            raise GelformError("The sensor is not connected. Plug it in.")
         return self._grabber
 
     def pause(self, paused: bool) -> None:
-        """Hold the picture, or let it go on; a recording itself is held."""
+        """Hold the picture, or continue; a recording is held itself."""
         if self.player is None:
             self.paused = paused
         else:
             self.player.play(not paused)
 
     def numbers_since(self, serial: int) -> list[tuple[float, ...]]:
-        """(serial, time_s, peak, area, volume) of each result after the one of that serial; all that are kept."""
+        """(serial, time_s, peak, area, volume) of all kept results after the one with that serial."""
         newest_first = takewhile(lambda row: row[0] > serial, reversed(self._numbers.copy()))
         return list(newest_first)[::-1]
 
     def facts(self) -> dict[str, Any]:
-        """How the station is doing, as the page shows it."""
+        """The station's state for the page."""
         grabber, setup, calibration, player = self._grabber, self.setup, self.setup.calibration, self.player
         stage_ms = {} if self._pipeline is None else self._pipeline.stats().stage_ms
         facts: dict[str, Any] = {
@@ -207,7 +207,7 @@ class Station:
             "simulated": hasattr(self.source, "press_at"),
             "calibration": setup.name,
             "image_shape": None if calibration is None else list(calibration.image_shape),
-            "background": "taken here" if setup.background is not None else "of the calibration",
+            "background": "taken on this page" if setup.background is not None else "from the calibration",
             "zero": setup.zero_mm is not None,
             "solver": setup.solver,
             "other": setup.other_name,
@@ -222,23 +222,23 @@ class Station:
 
     @property
     def lost(self) -> int:
-        """How many frames of a camera never reached us: by the gaps in its own count."""
+        """Number of camera frames lost on the way, by the gaps in the camera's own count."""
         return 0 if self._grabber is None or isinstance(self.source, MADE_HERE) else self._grabber.stats.drops
 
     @property
     def skipped(self) -> int:
-        """How many frames that were there, and wanted, were passed over for a newer one: not drawn, not in any figure."""
+        """Number of needed frames that a newer one replaced: neither drawn nor in any figure."""
         return max(0, self._skipped)
 
     @property
     def rate_hz(self) -> float:
-        """Results a second over the last 60; 0 where the last one is older than a second."""
+        """Results per second over the last 60; 0 if the last one is older than a second."""
         times_s = tuple(self._times_s)
         if len(times_s) < 2 or time.monotonic() - times_s[-1] > STALE_S:
             return 0.0
         return (len(times_s) - 1) / max(times_s[-1] - times_s[0], 1e-9)
 
-    # -- the thread, and what the pipeline's threads call -----------------------------------------------------------
+    # -- the thread, and functions that the pipeline's threads call -------------------------------------------------
 
     def _run(self) -> None:
         while not self._stop.is_set():
@@ -251,13 +251,13 @@ class Station:
                 self._missing, self._grabber = str(problem), None
                 self._on_shown()
                 self._switched.wait(RETRY_S)
-            except Exception as problem:  # a bug: the page says that this sensor has stopped, and why
+            except Exception as problem:  # a bug: the page shows that this sensor has stopped, and why
                 self._missing, self._grabber = f"bug: {type(problem).__name__}: {problem}", None
                 self._on_shown()
                 raise
 
     def _show_all(self, grabber: Grabber) -> None:
-        """Show results until another source is wanted; when the source ends, its last frame stays."""
+        """Show results until another source is chosen; after the source's end its last frame stays."""
         feed = NewestFrames(grabber, owned=False, paused=self._waits)
         pipeline = self._pipeline = Pipeline(feed, self)
         pipeline.start()
@@ -267,7 +267,7 @@ class Station:
                 shown = pipeline.results.newest(after, WAIT_S)
                 if shown is not None:
                     after = shown.frame.index
-                    if not self.paused:  # what was on its way when it was held is not shown
+                    if not self.paused:  # frames in work when it was held are not shown
                         self._show(shown)
                 elif pipeline.results.ended:
                     self._switched.wait(WAIT_S)
@@ -276,7 +276,7 @@ class Station:
             self._pipeline = self._run_by = None
 
     def _waits(self) -> bool:
-        """Whether no frame is to be reconstructed now: the picture is held, or nobody looks and there was one just now."""
+        """Whether to skip frames now: the picture is held, or no page is open and a result is recent."""
         if self._watched() or self.taps:
             waits = self.paused
         else:
@@ -285,7 +285,7 @@ class Station:
         return waits
 
     def _count_skipped(self, index: int) -> None:
-        """Count the frames between the last one that was reconstructed and this one; not those that nobody wanted."""
+        """Count the frames between the last reconstructed one and this one, except those that were not needed."""
         before, lost_before = self._counted
         self._counted = index, self.lost
         if not self._waited:
@@ -300,13 +300,13 @@ class Station:
         self._on_shown()
 
     def run_by(self, helper: Callable[[Work], Work], examine: Callable[[Work], None] | None) -> None:
-        """Have slow work of this setup and those to come run elsewhere."""
+        """Run slow work of this and later setups elsewhere."""
         self._run_by = helper, examine
         if self._setup.memory is not None:
             self._setup.memory.run_by(helper, examine)
 
     def reconstructed(self, frame: Frame, timed: Timed) -> Shown:
-        """What the setup makes of a frame; where that cannot be reconstructed, the frame and the reason."""
+        """The setup's result of a frame; if reconstruction fails, the frame and the reason."""
         setup, self._serial, self._begun_s = self._setup, self._serial + 1, time.monotonic()
         self._count_skipped(frame.index)
         image = frame.image
@@ -337,6 +337,6 @@ class Station:
         )
 
     def learn_from(self, shown: Shown) -> None:
-        """Learn from the result of a sensor; a recording's frames teach nothing."""
+        """Learn from the result of a sensor; frames of a recording are not learned from."""
         if shown.learn is not None:
             shown.learn()

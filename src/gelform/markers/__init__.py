@@ -1,4 +1,4 @@
-"""Marker dots on the gel: found at rest, followed in frames, their pixels left out of depth."""
+"""Markers on the gel: found at rest, followed in frames, and hidden from depth."""
 
 from gelform.markers.finder import MarkerFinder, Markers, markers_from_image
 from gelform.markers.flow import MarkerFlow

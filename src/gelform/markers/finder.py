@@ -1,9 +1,9 @@
-"""Marker dots on the gel, found by their darkness in the untouched image and in others.
+"""Markers on the gel, found by their darkness in the background image and in other images.
 
-A dot is dark in all channels against the gel around it; a contact is bright on one side and dark on the other. So
-the mean of the channels is held against its closing (the largest value nearby, then the smallest of those: what
-the gel would be without anything small and dark on it). Dots are markers only where they form a grid or are
-spread evenly: dust is not.
+A marker is darker in all channels than the gel around it; a contact is bright on one side and dark on the other. So
+the mean of the channels is compared with its closing (the largest value nearby, then the smallest of those), which
+is the gel without anything small and dark on it. Dots are markers only if they form a grid or are spread evenly;
+dust does not.
 """
 
 from __future__ import annotations
@@ -19,37 +19,32 @@ from numpy.typing import ArrayLike, NDArray
 from gelform.foundations.checks import check_image
 from gelform.markers.patches import level_from_image
 
-CLOSING_FRACTION = 0.13  # of the shorter side: wider than any dot
-LEVEL_OFFSET = 5.0  # grey levels: noise of dark pixels is no darkness
-FAINT, MIN_PEAK = (
-    0.12,
-    0.2,
-)  # darkness, as a fraction, from which pixels are looked at; of a dot's darkest pixel
-MIN_DOTS, MIN_AREA_PX = 9, 5  # fewer form no grid, smaller ones are noise
+CLOSING_FRACTION = 0.13  # of the shorter side; wider than any dot
+LEVEL_OFFSET = 5.0  # gray levels; noise of dark pixels is no darkness
+# Darkness, as a fraction: smallest of a pixel of a dot, and of a dot's darkest pixel.
+FAINT, MIN_PEAK = 0.12, 0.2
+MIN_DOTS, MIN_AREA_PX = 9, 5  # fewer dots form no grid, smaller ones are noise
 SIZE_RANGE = (0.4, 2.5)  # of a dot's area over the typical one
-MIN_ORDER = 0.5  # |mean of exp(i k angle)| over neighbours of a grid, k 4 or 6: 1 for an even one, 0 for scattered points
-# Of dots in no grid: the fraction of the image that they span, their number and their evenness; dust is not so even.
+MIN_ORDER = 0.5  # |mean of exp(i k angle)| over neighbors of a grid, k 4 or 6: 1 for an even grid, 0 for scattered points
+# Dots without a grid: fraction of the image that they span, their number and their evenness; dust is less even.
 SPAN, MIN_IRREGULAR, MIN_EVENNESS = 0.6, 25, 1.4
-NEIGHBOURS, MIN_WITH_NEIGHBOURS = (
-    (0.7, 1.3),
-    0.7,
-)  # distances over the usual; fraction of a grid's dots with two of them
-LEVELS = (0.3, 0.5, 0.7)  # of a dot's peak; the first is its edge, the others part it from a shadow beside it
-INNER, OUTER = (
-    1.3,
-    3.6,
-)  # widths of the two boxes whose means a candidate is the difference of, in radii of a dot
+# Range of a neighbor's distance over the usual one; smallest fraction of a grid's dots with two such neighbors.
+NEIGHBOURS, MIN_WITH_NEIGHBOURS = (0.7, 1.3), 0.7
+# Of a dot's peak; the first is its edge, the others separate it from a shadow next to it.
+LEVELS = (0.3, 0.5, 0.7)
+# Widths of the two boxes whose means are compared at a candidate, in radii of a dot.
+INNER, OUTER = 1.3, 3.6
 LEAST_RESPONSE = 0.35  # of the typical dot's difference
 
 
 @dataclass(frozen=True)
 class Markers:
-    """Dots of one image.
+    """Markers of one image.
 
     Attributes
     ----------
-    centers_px : (N, 2) float32, x and y; N is 0 where the gel has no markers
-    radius_px : of a dot, from their median area; 0 where there are none
+    centers_px : (N, 2) float32, x and y; N is 0 if the gel has no markers
+    radius_px : of a dot, from their median area; 0 if there are none
     mask : (H, W) bool, the pixels that they darken
     """
 
@@ -62,15 +57,15 @@ class Markers:
 
 
 class MarkerFinder:
-    """Finds a gel's dots in its images, if its background has any: prepared once, used for every frame.
+    """Finds a gel's markers in its images, if its background has any. It is prepared once for all frames.
 
     Parameters
     ----------
-    background : (H, W, 3), 0-255, the untouched gel
+    background : (H, W, 3), 0-255, background image
 
     Attributes
     ----------
-    untouched : the dots of the untouched gel; none where they form no grid, nor are evenly spread
+    untouched : the markers at rest; none if they neither form a grid nor are evenly spread
     """
 
     def __init__(self, background: ArrayLike) -> None:
@@ -82,7 +77,7 @@ class MarkerFinder:
         self.untouched = self(image)
 
     def __call__(self, image: NDArray[Any]) -> Markers:
-        """The dots of an image (H, W, 3) of this gel, 0-255; they move with its surface."""
+        """The markers of an image (H, W, 3) of this gel, 0-255; they move with its surface."""
         if not self._peak:
             return Markers(np.zeros((0, 2), np.float32), 0.0, np.zeros(image.shape[:2], dtype=bool))
         darkness = self._darkness(image)
@@ -100,11 +95,13 @@ class MarkerFinder:
         radius = float(np.sqrt(np.median(sizes) / np.pi)) if len(sizes) else 0.0
         return Markers(np.concatenate(centers).astype(np.float32), radius, mask)
 
-    def mask(self, image: NDArray[Any], grow_px: int = 0) -> NDArray[np.bool_]:
-        """Pixels (H, W) that the dots darken in the image or in the background, grown by some pixels: for each frame.
+    def mask(self, image: NDArray[Any]) -> NDArray[np.bool_]:
+        """Pixels (H, W) that the markers darken in the image or in the background: for each frame.
 
-        Where the background is dark it is divided by, so the slopes of both are wrong. Faster than calling the finder
-        (half of a bare DCT pair at 240x320), because no dot is looked at: a narrow, deep shadow is taken for one too.
+        The color change is divided by the background, so a marker in either image makes wrong slopes. This is faster than
+        calling the finder (half of a bare DCT pair at 240x320), because it checks no single dot: it also includes a narrow,
+        deep
+        shadow.
         """
         if not self._peak:
             return np.zeros(image.shape[:2], dtype=bool)
@@ -115,12 +112,10 @@ class MarkerFinder:
             level, cv2.convertScaleAbs(closed, alpha=1 - edge, beta=-edge * LEVEL_OFFSET), cv2.CMP_LT
         )
         dark |= self.untouched.mask.view(np.uint8) * np.uint8(255)
-        if grow_px:
-            dark = cv2.dilate(dark, np.ones((2 * grow_px + 1,) * 2, dtype=np.uint8))
         return dark > 0
 
     def _darkness(self, image: NDArray[Any]) -> NDArray[np.float32]:
-        """How much darker (H, W) than the gel around it, as a fraction; 0-1."""
+        """Darkness (H, W) relative to the gel around, as a fraction; 0-1."""
         level = level_from_image(image)
         closed = cv2.morphologyEx(level, cv2.MORPH_CLOSE, self._kernel).astype(np.float32)
         darkness: NDArray[np.float32] = (closed - level) / (closed + np.float32(LEVEL_OFFSET))
@@ -128,19 +123,19 @@ class MarkerFinder:
 
 
 def markers_from_image(image: ArrayLike, background: ArrayLike | None = None) -> Markers:
-    """Find the marker dots on a gel.
+    """Find the markers on a gel.
 
     Parameters
     ----------
     image : (H, W, 3), RGB, 0-255
-    background : (H, W, 3), the untouched image, optional
-        Says whether this gel has markers at all and how large they are; without it the image itself does, and
-        dots that a contact moved out of their grid may be missed.
+    background : (H, W, 3), background image, optional
+        It shows whether this gel has markers, and their size. Without it the image itself is used, and dots that a
+        contact moved out of their grid may be missed.
 
     Returns
     -------
     Markers
-        None on a gel without markers. Dots that form no grid and are not spread evenly either, as dust, are no markers.
+        Empty for a gel without markers. Dots that neither form a grid nor are spread evenly, such as dust, are no markers.
 
     Raises
     ------
@@ -155,7 +150,7 @@ def markers_from_image(image: ArrayLike, background: ArrayLike | None = None) ->
 
 
 def _dots_of_grid(darkness: NDArray[np.float32]) -> tuple[float, float]:
-    """Typical peak and area of the dots of a regular grid; 0, 0 where there is none."""
+    """Typical peak and area of the dots of a regular grid; 0, 0 without one."""
     areas, labels, whole = _dots(darkness, FAINT, None)
     if np.count_nonzero(whole) < MIN_DOTS:
         return 0.0, 0.0
@@ -175,7 +170,7 @@ def _dots_of_grid(darkness: NDArray[np.float32]) -> tuple[float, float]:
 
 
 def _is_layout(centers_px: NDArray[Any], shape: tuple[int, ...]) -> bool:
-    """Whether points (N, 2) of an image of that shape are a gel's layout: a grid, or evenly spread all over it."""
+    """Whether points (N, 2) of an image of a shape are a gel's layout: a grid, or evenly spread all over it."""
     if is_grid(centers_px):
         return True
     all_over = bool(np.all(np.ptp(centers_px, axis=0) > SPAN * np.array(shape[::-1])))
@@ -183,9 +178,9 @@ def _is_layout(centers_px: NDArray[Any], shape: tuple[int, ...]) -> bool:
 
 
 def evenness(centers_px: NDArray[Any]) -> float:
-    """Mean distance of points (N, 2) to the nearest over that of random points: about 1 for dust, 2 for a square grid.
+    """Mean distance of points (N, 2) to the nearest, over that of random points: about 1 for dust, 2 for a square grid.
 
-    Clark and Evans, Ecology 35, 1954; the points' bounding box, half a distance wider, is their area.
+    Clark and Evans, Ecology 35, 1954. The area is the points' bounding box, half a distance wider.
     """
     nearest = np.asarray(scipy.spatial.cKDTree(centers_px).query(centers_px, k=2)[0])[:, 1]
     area = float(np.prod(np.ptp(centers_px, axis=0) + nearest.mean()))
@@ -195,7 +190,7 @@ def evenness(centers_px: NDArray[Any]) -> float:
 def is_grid(centers_px: NDArray[Any]) -> bool:
     """Whether points (N, 2) form a regular grid, square or hexagonal, bent or with gaps.
 
-    In a grid most points have two neighbours or more about as far away as the nearest usually is, and these lie in
+    In a grid most points have at least two neighbors at about the usual distance of the nearest one, in
     directions that repeat every 90 or 60 degrees.
     """
     if len(centers_px) < MIN_DOTS:
@@ -215,7 +210,7 @@ def is_grid(centers_px: NDArray[Any]) -> bool:
 def _dots(
     darkness: NDArray[np.float32], threshold: float, area: float | None
 ) -> tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.bool_]]:
-    """Areas of compact dark components, a map of their numbers from 1 (0: none), and which are not cut off."""
+    """Areas of compact dark components, a map of their numbers from 1 (0: none), and whether each is whole."""
     count, labels, stats, _ = cv2.connectedComponentsWithStats((darkness > threshold).astype(np.uint8))
     height, width = darkness.shape
     left, top, wide, high, areas = (stats[1:, k].astype(np.float64) for k in range(5))
@@ -232,7 +227,7 @@ def _dots(
 
 
 def _grown(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Two pixels more on each side: about from a dot's core to its edge."""
+    """The mask with two more pixels on each side: about from a dot's core to its edge."""
     grown: NDArray[np.bool_] = cv2.dilate(mask.view(np.uint8), np.ones((5, 5), dtype=np.uint8)).view(np.bool_)
     return grown
 
@@ -248,7 +243,7 @@ def _peaks(darkness: NDArray[np.float32], labels: NDArray[np.int32], count: int)
 
 
 def _centers(darkness: NDArray[np.float32], labels: NDArray[np.int32], count: int) -> NDArray[np.float64]:
-    """Centres (N, 2), x and y, weighted by the darkness."""
+    """Centers (N, 2), x and y, weighted by the darkness."""
     rows, cols = np.nonzero(labels)
     number, weight = labels[rows, cols], darkness[rows, cols].astype(np.float64)
     total, x, y = (
@@ -258,7 +253,7 @@ def _centers(darkness: NDArray[np.float32], labels: NDArray[np.int32], count: in
 
 
 class CandidateFinder:
-    """Where a dot could be: darker than what is around, by a dot's size. Prepared for one gel."""
+    """Finds possible dots: places that are darker than their surroundings, at a dot's size. Prepared for one gel."""
 
     def __init__(self, logs: NDArray[np.float32], centers_px: NDArray[Any], radius_px: float) -> None:
         self._inner, self._outer = (max(1, round(width * radius_px)) | 1 for width in (INNER, OUTER))

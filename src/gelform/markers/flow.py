@@ -1,4 +1,4 @@
-"""Where the gel's marker dots are now, against where they are at rest."""
+"""Positions of the gel's markers in an image, and at rest."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ _SHAPES = {"rest_px": (2,), "now_px": (2,), "seen": (), "sigma_px": ()}
 
 @dataclass(frozen=True, eq=False)
 class MarkerFlow:
-    """How far each dot of a gel has moved from rest: the gel's surface shears with it.
+    """The displacement of each marker of a gel from rest, which shows the shear of the surface.
 
-    Dots keep their order from frame to frame.
+    Markers keep their order from frame to frame.
 
     Attributes
     ----------
-    rest_px : (N, 2) float32, x and y, where the dots are on the untouched gel
-    now_px : (N, 2) float32, where they are in this image; of a dot that is not seen, where its neighbours say it is
-    seen : (N,) bool, whether the dot itself was measured
-    sigma_px : (N,) float32, one standard deviation of `now_px`, for x and y alike; large where not seen
-    mm_per_px : float or (x, y), mm; None where the scale is unknown
+    rest_px : (N, 2) float32, x and y, positions at rest
+    now_px : (N, 2) float32, positions in this image; that of an unseen marker is predicted from its neighbors
+    seen : (N,) bool, whether the marker itself was measured
+    sigma_px : (N,) float32, one standard deviation of `now_px`, for x and y alike; large if not seen
+    mm_per_px : float or (x, y), mm; None if the scale is unknown
     """
 
     rest_px: NDArray[np.float32]
@@ -50,21 +50,21 @@ class MarkerFlow:
 
     @property
     def displacement_px(self) -> NDArray[np.float32]:
-        """How far (N, 2) each dot has moved from rest, x to the right and y down, pixels."""
+        """Displacement (N, 2) of each marker from rest, x to the right and y down, pixels."""
         return self.now_px - self.rest_px
 
     @property
     def displacement_mm(self) -> NDArray[np.float32] | None:
-        """The same on the gel, mm; None where the scale is unknown."""
+        """Displacement (N, 2) on the gel, mm; None if the scale is unknown."""
         return None if self.mm_per_px is None else self.displacement_px * self._pitch
 
     @property
     def sigma_mm(self) -> NDArray[np.float32] | None:
-        """One standard deviation (N,) of the displacement, mm; None where the scale is unknown."""
+        """One standard deviation (N,) of the displacement, mm; None if the scale is unknown."""
         return None if self.mm_per_px is None else self.sigma_px * self._pitch.max()
 
     def in_words(self) -> str:
-        """One line for people: how many are seen, and how far these have moved."""
+        """One line for people: the number of seen markers, and their displacement."""
         if not self.seen.any():
             return f"none of {len(self)} seen"
         scaled = self.displacement_mm
@@ -76,7 +76,7 @@ class MarkerFlow:
         )
 
     def facts(self) -> dict[str, Any]:
-        """All of it as JSON can say it; one list entry for each dot."""
+        """All of it, as values that JSON can hold; one list entry for each marker."""
         millimetres = self.displacement_mm
         return {
             "in_words": self.in_words(),
@@ -86,19 +86,19 @@ class MarkerFlow:
         }
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """What a file keeps of it, by name; `from_arrays` takes them."""
+        """The arrays of a file, by name; `from_arrays` reads them."""
         return {f"markers_{name}": getattr(self, name) for name in _SHAPES}
 
     @classmethod
     def from_arrays(
         cls, arrays: Mapping[str, NDArray[Any]], mm_per_px: float | tuple[float, float] | None
     ) -> MarkerFlow | None:
-        """The flow that `arrays` gave; None where there is none among these.
+        """The flow from `arrays`; None if these contain none.
 
         Raises
         ------
         KeyError
-            Some of its arrays are there and one is missing.
+            One of its arrays is missing, but not all.
         TypeError, ValueError
             An array is of another type or shape, or not finite.
         """

@@ -1,8 +1,8 @@
-"""The dots of one gel, prepared once: where each is in an image, and the pixels that they darken there.
+"""The markers of one gel, prepared once: their positions in an image, and the pixels that they darken.
 
-Each dot is sought from where it is expected. Those that are not found there are sought at the candidates nearest to
-where their neighbours say they are, ring by ring; a dot that moves unlike its neighbours, or that another dot stands on,
-is not taken. A tracker has memory of them, one per sequence, and follows them however far they move.
+Each dot is searched for near its expected position. A dot that is not found there is searched for at the candidates
+nearest to the prediction of its neighbors, ring by ring. A dot is rejected if it moves unlike its neighbors, or if another
+dot has its place. A tracker has memory, one for each sequence, and follows dots however far they move.
 """
 
 from __future__ import annotations
@@ -19,21 +19,21 @@ from gelform.markers.finder import CandidateFinder, MarkerFinder
 from gelform.markers.flow import MarkerFlow
 from gelform.markers.patches import Patches, StretchedPatches, logs_from_image
 
-NEIGHBOURS, REACH = 8, 1.7  # of a dot at most; as far as they count, in spacings
-# In spacings: a dot further from its neighbours' motion is another one; so is one found further from where it was sought,
-# and one that memory has lost further from where its neighbours say it is.
+NEIGHBOURS, REACH = 8, 1.7  # neighbors of a dot at most; spacings within which they count
+# Spacings: a dot further from its neighbors' motion is another one; so is a dot found further from its search position, and
+# a dot that memory has lost further from its neighbors' prediction.
 MOST_ASTRAY, HALF, AGAIN = 0.45, 0.5, 0.3
-FIT_PRIOR = 0.3  # spacings squared: neighbours that spread less than that tell no plane
-RINGS = 8  # of lost dots that are sought from those around, one ring after the other
-CLEARLY = 0.5  # of the distance to the next candidate: nearer than this, it is the dot and not another one
-# What is left of a fit is no white noise: its sigma times that and at least so many px, measured on simulated shear.
+FIT_PRIOR = 0.3  # spacings squared; neighbors that spread less do not determine a plane
+RINGS = 8  # rings of lost dots that are searched for from those around, one after the other
+CLEARLY = 0.5  # of the distance to the next candidate; a nearer candidate is the dot itself
+# A fit's residual is no white noise: factor of its sigma, and smallest sigma, px; measured on simulated shear.
 SIGMA_FACTOR, SIGMA_FLOOR_PX = 1.5, 0.01
-UNSEEN_SIGMA = 0.2  # in spacings, of a dot that was not found
-WHOLE = 1.0  # in radii: dots nearer to the border are cut, and not followed
+UNSEEN_SIGMA = 0.2  # spacings, sigma of a dot that was not found
+WHOLE = 1.0  # radii; dots nearer to the border are cut, and not followed
 
 
 class Neighbours:
-    """A dot's neighbours: the gel's surface moves smoothly, so a dot moves nearly as they do."""
+    """The neighbors of dots; the gel's surface moves smoothly, so a dot moves nearly as they do."""
 
     def __init__(self, rest_px: NDArray[Any]) -> None:
         self._rest = np.asarray(rest_px, dtype=np.float64)
@@ -44,7 +44,7 @@ class Neighbours:
         self._near = distance < REACH * np.maximum(self.spacing_px, distance[:, :1])
 
     def astray_px(self, shift_px: NDArray[Any], sure: NDArray[np.bool_]) -> NDArray[np.float64]:
-        """How far (N,) each dot's shift is from the median of its sure neighbours; 0 where it has none."""
+        """Distance (N,) of each dot's shift from the median of its sure neighbors; 0 without any."""
         theirs = np.where((self._near & sure[self._index])[..., None], shift_px[self._index], np.inf)
         theirs.sort(axis=1)
         count = np.count_nonzero(np.isfinite(theirs[..., 0]), axis=1)
@@ -62,8 +62,8 @@ class Neighbours:
     ) -> NDArray[np.float64]:
         """Shifts (M, 2) of some dots (`of`, (N,) bool) from those of the sure ones around.
 
-        A plane through the shifts around, the near ones counting most; held towards their mean where they do not
-        tell a plane.
+        They lie on a plane through the shifts around, weighted by nearness. It is pulled to their mean where they do not
+        determine a plane.
         """
         away = self._rest[sure] - self._rest[of][:, None]
         square = np.sum(away**2, axis=-1) / self.spacing_px**2
@@ -80,16 +80,16 @@ class Neighbours:
 
 
 class MarkerFollower:
-    """Finds where the dots of a gel have moved: a pure function of the image and of where to look first.
+    """Finds the moved markers of a gel: a pure function of the image and of the start of the search.
 
     Parameters
     ----------
-    background : (H, W, 3), 0-255, the untouched gel
-    mm_per_px : float or (x, y), mm; None where unknown
+    background : (H, W, 3), 0-255, background image
+    mm_per_px : float or (x, y), mm; None if unknown
 
     Attributes
     ----------
-    rest_px : (N, 2) float32, dots wholly inside the untouched image; N is 0 where the gel has no markers
+    rest_px : (N, 2) float32, markers completely inside the background image; N is 0 if the gel has no markers
     """
 
     def __init__(self, background: ArrayLike, mm_per_px: float | tuple[float, float] | None = None) -> None:
@@ -118,21 +118,21 @@ class MarkerFollower:
 
     @property
     def radius_px(self) -> float:
-        """Of a dot, from their median area."""
+        """Radius of a dot, from their median area."""
         return self._patches.radius_px
 
     @property
     def spacing_px(self) -> float:
-        """Median distance between neighbouring dots at rest."""
+        """Median distance between neighboring dots at rest."""
         return self._neighbours.spacing_px
 
     def __call__(self, image: NDArray[Any], start_px: NDArray[Any] | None = None) -> MarkerFlow:
-        """Where the dots are in an image (H, W, 3), 0-255.
+        """The positions of the markers in an image (H, W, 3), 0-255.
 
         Parameters
         ----------
-        start_px : (N, 2), displacements to look at first; rest by default, which finds dots that have moved less
-            than half a spacing
+        start_px : (N, 2), displacements at the start of the search; 0 by default, which finds dots that have moved
+            less than half a spacing
         """
         expected = np.zeros((len(self), 2)) if start_px is None else np.asarray(start_px, dtype=np.float64)
         shift, seen, sigma = self._resolved(logs_from_image(image), expected)
@@ -142,16 +142,19 @@ class MarkerFollower:
         return MarkerFlow(self.rest_px, now, seen, sigma, self.mm_per_px)
 
     def unlikeliness(self, flow: MarkerFlow) -> float:
-        """How many dots are missing or move unlike their neighbours: to choose between two flows of one image."""
+        """Number of dots that are missing or move unlike their neighbors, for the choice between two flows of one image."""
         astray = self._neighbours.astray_px(*self._with_cut(flow.displacement_px, flow.seen))[: len(self)]
         return float(np.sum(~flow.seen) + np.sum(astray[flow.seen]) / self.spacing_px)
 
-    def mask(self, image: NDArray[Any], flow: MarkerFlow, grow_px: int = 0) -> NDArray[np.bool_]:
-        """Pixels (H, W) that the dots darken in the image or in the background, grown by some pixels.
+    def hidden(self, image: NDArray[Any], flow: MarkerFlow | None) -> NDArray[np.bool_] | None:
+        """Pixels (H, W) that the markers darken in the image or in the background; None if the gel has no markers.
 
-        At rest, where the background is divided by, and where the flow has taken them; around the latter whatever is as
-        dark as a dot, because contacts stretch dots.
+        They include the dots at rest, because the color change is divided by the background, and the dots at the positions
+        of
+        the flow. Around the latter all pixels as dark as a dot are included, because contacts stretch dots.
         """
+        if flow is None or not len(self):
+            return None
         shift = self._of_all(flow.displacement_px, flow.seen)
         moved = np.zeros(image.shape[:2], dtype=np.uint8)
         at = self._dark + np.rint(shift).astype(np.intp)[self._owner]
@@ -162,20 +165,10 @@ class MarkerFollower:
         near &= self._finder.mask(image).view(np.uint8)
         near |= cv2.dilate(moved, np.ones((3, 3), dtype=np.uint8))
         near |= self._finder.untouched.mask.view(np.uint8)
-        if grow_px:
-            near = cv2.dilate(near, np.ones((2 * grow_px + 1,) * 2, dtype=np.uint8))
         return near > 0
 
-    def hidden(
-        self, image: NDArray[Any], flow: MarkerFlow | None, blur_px: float
-    ) -> NDArray[np.bool_] | None:
-        """Pixels (H, W) of the mask and as far as a blur carries them; None where the gel has no markers."""
-        if flow is None or not len(self):
-            return None
-        return self.mask(image, flow, int(np.ceil(2 * blur_px)))
-
     def _resolved(self, logs: NDArray[np.float32], expected: NDArray[np.float64]) -> tuple[Any, Any, Any]:
-        """Shifts (N, 2), which dots are seen and their sigma, from where they are expected."""
+        """Shifts (N, 2), whether each dot is seen, and its sigma, from the expected positions."""
         found = self._patches(logs, expected)
         shift, sigma = found.shift_px.astype(np.float64), found.sigma_px.copy()
         close = np.linalg.norm(shift - expected, axis=1) < HALF * self.spacing_px
@@ -216,7 +209,7 @@ class MarkerFollower:
     def _with_stretched(
         self, logs: NDArray[np.float32], starts: NDArray[Any], shift: Any, seen: Any, sigma: Any
     ) -> tuple[Any, Any, Any]:
-        """Shifts, which dots are seen and their sigma, the lost ones sought with an affine map from `starts` (N, 2)."""
+        """Shifts, seen dots and sigma; the lost dots are searched for with an affine map from `starts` (N, 2)."""
         todo = np.nonzero(~seen & self._patches.inside(self.rest_px + starts))[0]
         if not len(todo):
             return shift, seen, sigma
@@ -234,7 +227,7 @@ class MarkerFollower:
         return np.where(taken[:, None], trial, shift), taken, np.where(seen, sigma, new)
 
     def _at_darkest(self, logs: NDArray[np.float32], shift: Any, seen: Any) -> NDArray[np.float64]:
-        """Shifts (N, 2) to start from: for lost dots the candidate nearest to where their neighbours say they are."""
+        """Shifts (N, 2) to start from; for lost dots the candidate nearest to their neighbors' prediction."""
         guess = shift.copy()
         todo = np.nonzero(~seen)[0]
         if not len(todo):
@@ -266,7 +259,7 @@ class MarkerFollower:
         return start
 
     def _clear(self, places: NDArray[Any], candidates: NDArray[Any]) -> NDArray[np.bool_]:
-        """Whether one candidate is much nearer to each place (M, 2) than any other; of crowded dots none is."""
+        """Whether one candidate is much nearer to each place (M, 2) than any other; never so for crowded dots."""
         if len(candidates) < 2:
             return np.ones(len(places), dtype=bool)
         apart = np.linalg.norm(places[:, None] - candidates, axis=-1)
@@ -275,7 +268,7 @@ class MarkerFollower:
         return clear
 
     def _agreeing(self, shift: NDArray[Any], seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """The dots seen that move like their neighbours and stand alone; of two on one place the better stays."""
+        """The seen dots that move like their neighbors and stand alone; of two dots at one place, the better one stays."""
         astray = self._neighbours.astray_px(*self._with_cut(shift, seen))[: len(self)]
         seen = seen & (astray < MOST_ASTRAY * self.spacing_px)
         number = np.nonzero(seen)[0]
@@ -287,14 +280,14 @@ class MarkerFollower:
         return seen
 
     def _predicted(self, shift: NDArray[Any], seen: NDArray[np.bool_]) -> NDArray[np.float64]:
-        """Shifts of the dots that are not seen, by those that are."""
+        """Shifts of the unseen dots, predicted from the seen ones."""
         full, sure = self._with_cut(shift, seen)
         of = ~sure
         of[len(self) :] = False
         return self._neighbours.predicted_px(full, sure, of)
 
     def _of_all(self, shift: NDArray[Any], seen: NDArray[np.bool_]) -> NDArray[np.float64]:
-        """Shifts of all dots, those that the border cuts by their neighbours."""
+        """Shifts of all dots; those of dots that the border cuts come from their neighbors."""
         full, sure = self._with_cut(shift, seen)
         cut = np.arange(len(full)) >= len(self)
         if seen.any() and cut.any():
@@ -302,33 +295,33 @@ class MarkerFollower:
         return full
 
     def _with_cut(self, shift: NDArray[Any], seen: NDArray[np.bool_]) -> tuple[Any, Any]:
-        """Shifts and whether they are sure, of all dots: those that the border cuts at rest come last, not sure."""
+        """Shifts of all dots and whether they are sure; dots that the border cuts at rest come last, not sure."""
         more = len(self._all) - len(self)
         full = np.concatenate([shift, np.zeros((more, 2))])
         return full, np.concatenate([seen, np.zeros(more, dtype=bool)])
 
     def _pixels_of_dots(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Places (M, 2) of the pixels that dots darken at rest, and whose (M,) they are: the nearest dot's."""
+        """Positions (M, 2) of the pixels that dots darken at rest, and the nearest dot (M,) of each."""
         row, column = np.nonzero(self._finder.untouched.mask)
         places = np.stack([column, row], axis=-1)
         apart = np.linalg.norm(places[:, None] - self._all, axis=-1)
         return places, apart.argmin(axis=1)
 
 
-FAST = 0.05  # spacings a frame: slower dots are sought where they were last, noise is not carried on
-DOUBTFUL = 0.1  # fraction of the dots lost since the last frame, from which rest is tried too
+FAST = 0.05  # spacings a frame; slower dots are searched for at their last position, so that noise is not extrapolated
+DOUBTFUL = 0.1  # fraction of the dots lost since the last frame; with more, rest is tried too
 
 
 class MarkerTracker:
-    """Follows the dots of one gel through a sequence of images.
+    """Follows the markers of one gel through a sequence of images.
 
-    Each dot is sought where its motion so far puts it, so that it may move by many spacings; by less than about half of
-    one from frame to frame. After a gap in which the gel sprang back it is found at rest again.
+    Each marker is searched for where its motion so far leads. So it can move by many spacings, but by less than about half
+    of one from frame to frame. After a gap in which the gel sprang back, it is found at rest again.
 
     Parameters
     ----------
-    background : (H, W, 3), 0-255, the untouched gel; or a MarkerFollower of it, which can be shared
-    mm_per_px : float or (x, y), mm; of a follower, its own
+    background : (H, W, 3), 0-255, background image; or a MarkerFollower of it, which can be shared
+    mm_per_px : float or (x, y), mm; a follower uses its own
     """
 
     def __init__(
@@ -347,12 +340,12 @@ class MarkerTracker:
         return len(self._follower)
 
     def reset(self) -> None:
-        """Forget all motion: the next image is sought from rest."""
+        """Forget all motion; the search in the next image starts from rest."""
         self._shift = self._velocity = np.zeros((len(self), 2))
         self._seen = len(self)
 
     def update(self, image: ArrayLike) -> MarkerFlow | None:
-        """Where the dots are in the sequence's next image (H, W, 3), 0-255; None where the gel has no markers."""
+        """The positions in the sequence's next image (H, W, 3), 0-255; None if the gel has no markers."""
         pixels = check_image(image)
         if not len(self):
             return None
@@ -364,7 +357,7 @@ class MarkerTracker:
         return flow
 
     def _followed(self, pixels: NDArray[Any]) -> MarkerFlow:
-        """The likeliest of the flows from where the dots should be and, where some are lost, from rest."""
+        """The likeliest flow from the expected positions and, if some dots are lost, from rest."""
         flow = self._follower(pixels, self._shift + self._velocity)
         if flow.seen.sum() >= self._seen - DOUBTFUL * len(self):
             return flow

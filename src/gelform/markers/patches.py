@@ -1,12 +1,12 @@
-"""A dot's patch of the untouched image, sought in another image to parts of a pixel.
+"""A dot's patch of the background image, searched for in another image to fractions of a pixel.
 
-In the logarithm of the grey level a patch is the light, which is smooth, plus the dot's own darkness, which moves with
+In the logarithm of the gray level a patch is the light, which is smooth, plus the dot's own darkness, which moves with
 the gel. So the patch at a shift d is fitted with a quadratic (the light, whatever a contact makes of it), the rest
-patch and its two derivatives; the latter say how far d is wrong. A broken dot is as good a patch as a round one.
+patch and its two derivatives. The derivatives give the error of d. A broken dot is as good a patch as a round one.
 
-Beside a steep wall the gel is drawn out, and a dot with it, to nearly twice its width: where a shift alone does not
-explain a dot, its patch is fitted at x = c + d + (1 + A) u instead of c + d + u (c its centre at rest, u the place in
-the patch). That fit has four more unknowns, and a dot that is nearly round says little about its rotation.
+Next to a steep wall the gel is stretched, and a dot with it, to nearly twice its width. If a shift alone does not
+explain a dot, its patch is fitted at x = c + d + (1 + A) u instead of c + d + u (c its center at rest, u the position in
+the patch). That fit has four more unknowns, and a nearly round dot hardly determines its rotation.
 
 Baker and Matthews, Lucas-Kanade 20 years on, IJCV 56, 2004 (inverse compositional, with linear appearance; affine warp).
 """
@@ -23,26 +23,22 @@ from gelform._native import Kernel
 from gelform.foundations.filters import CHANGE_OFFSET, log_levels
 from gelform.frames import as_levels
 
-STEPS, STRETCHED_STEPS = 8, 15  # of the fit at most, for a shift and for an affine map
+STEPS, STRETCHED_STEPS = 8, 15  # largest number of steps of the fit, for a shift and for an affine map
 SIDE_RADII = 1.35  # half a patch, in radii of a dot
-MOST_SIDE, BASIS = 63, 9  # of native/markers/follow.c
-STRENGTH = (
-    0.3,
-    2.2,
-)  # of a dot that is there, against rest: turned away it is fainter, stretched it is stronger
-# Fractions of the energy of dot and rest together that may stay unexplained: dots are stretched and turned. With an affine
-# map, which explains that, fewer.
+MOST_SIDE, BASIS = 63, 9  # as in native/markers/follow.c
+# Range of a present dot's strength over that at rest: turned away it is fainter, stretched it is stronger.
+STRENGTH = (0.3, 2.2)
+# Largest unexplained fraction of the energy of dot and rest together, because dots are stretched and turned. An affine map
+# explains that, so its fraction is smaller.
 MOST_LEFT, MOST_LEFT_STRETCHED = 0.8, 0.35
-LAST_STEP_PX, ENOUGH_PX = (
-    0.1,
-    0.02,
-)  # the last step of a fit that counts, and one after which no other is made
-MOST_CHANGE = 0.25  # of A in one step: the fit is linear in it
-DAMPING = 0.02  # of the patch's energy in each column of A: rotation of a round dot stays where it is
-STRETCH = (0.35, 2.2)  # singular values of 1 + A that rubber reaches
+# px, largest last step of a valid fit, and the step that ends a fit.
+LAST_STEP_PX, ENOUGH_PX = 0.1, 0.02
+MOST_CHANGE = 0.25  # of A in one step; the fit is linear in it
+DAMPING = 0.02  # of the patch's energy in each column of A; it keeps the rotation of a round dot
+STRETCH = (0.35, 2.2)  # singular values of 1 + A within the reach of rubber
 LIGHT, SHIFT = 6, 7  # columns: quadratic light, the dot, its derivatives (2), their products with u (4)
 
-_MEAN = np.full((1, 3), 1 / 3, dtype=np.float32)  # of the channels
+_MEAN = np.full((1, 3), 1 / 3, dtype=np.float32)  # mean of the channels
 _LOGS = np.log(np.arange(256, dtype=np.float32) + np.float32(CHANGE_OFFSET))
 _follow_patches = Kernel(
     "follow_patches",
@@ -52,7 +48,7 @@ _follow_patches = Kernel(
 
 
 class Followed(NamedTuple):
-    """Patches sought in an image.
+    """Patches found in an image.
 
     shift_px : (N, 2) float32, from rest; ok : (N,) bool, whether the dot is there; sigma_px : (N,) float32
     """
@@ -67,7 +63,7 @@ class Patches:
 
     Parameters
     ----------
-    logs : (H, W) float32, of the untouched image: `logs_from_image`
+    logs : (H, W) float32, of the background image: `logs_from_image`
     centers_px : (N, 2) x and y
     radius_px : of a dot
     """
@@ -90,7 +86,7 @@ class Patches:
     def __call__(
         self, logs: NDArray[np.float32], start_px: NDArray[Any], of: NDArray[np.intp] | None = None
     ) -> Followed:
-        """Seek dots in an image's logs from shifts (N, 2); `of` picks dots by number, all by default."""
+        """Search for dots in an image's logs from shifts (N, 2); `of` selects dots by number, all by default."""
         chosen = np.arange(len(self.corners_px)) if of is None else of
         shift = np.array(start_px, dtype=np.float32, order="C")
         fit = np.zeros((len(chosen), 4), dtype=np.float32)
@@ -106,7 +102,7 @@ class Patches:
         return Followed(shift, ok, sigma)
 
     def inside(self, places: NDArray[Any]) -> NDArray[np.bool_]:
-        """Whether most of a dot at each place (N, 2) is in the image."""
+        """Whether most of a dot at each position (N, 2) is in the image."""
         margin = 0.7 * self.radius_px
         far = np.array(self._shape[::-1]) - 1 - margin
         inside: NDArray[np.bool_] = np.all((places >= margin) & (places <= far), axis=1)
@@ -147,19 +143,19 @@ def logs_from_image(image: NDArray[Any]) -> NDArray[np.float32]:
 
 
 def level_from_image(image: NDArray[Any]) -> NDArray[np.uint8]:
-    """Mean of the channels (H, W), in whole grey levels."""
+    """Mean of the channels (H, W), in whole gray levels."""
     return np.asarray(cv2.transform(as_levels(image), _MEAN))
 
 
 class StretchedPatches:
-    """The dots of one gel, sought with an affine map; `logs` (H, W) are those of the untouched image."""
+    """The dots of one gel, searched for with an affine map; `logs` (H, W) are those of the background image."""
 
     def __init__(self, logs: NDArray[np.float32], patches: Patches) -> None:
         self._logs, self._patches = logs, patches
         self._down, self._across = np.asarray(np.gradient(logs.astype(np.float64)))
 
     def __call__(self, logs: NDArray[np.float32], start_px: NDArray[Any], of: NDArray[np.intp]) -> Followed:
-        """Seek the dots numbered `of` in an image's logs from shifts (M, 2)."""
+        """Search for the dots numbered `of` in an image's logs from shifts (M, 2)."""
         found = [self._one(logs, int(i), start) for i, start in zip(of, start_px)]
         shift = np.array([f[0] for f in found], dtype=np.float32).reshape(-1, 2)
         ok = np.array([f[1] for f in found], dtype=bool)
@@ -196,7 +192,7 @@ class StretchedPatches:
         return shift, bool(ok and _is_of_rubber(warp)), float(np.sqrt(variance) / max(fit[LIGHT], 0.1))
 
     def _columns(self, i: int) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
-        """Places (P, 2) of a patch's pixels from its dot's centre, their weights, and weighted columns (P, 13)."""
+        """Positions (P, 2) of a patch's pixels from its dot's center, their weights, and weighted columns (P, 13)."""
         left, top = (int(place) for place in self._patches.corners_px[i])
         side = self._patches.side_px
         at = slice(top, top + side), slice(left, left + side)
@@ -211,13 +207,13 @@ class StretchedPatches:
 
 
 def _sampled(logs: NDArray[np.float32], places: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Values (P,) at places (P, 2); beyond the border the nearest."""
+    """Values (P,) at positions (P, 2); the nearest value beyond the border."""
     x, y = places.T[:, :, None]
     return np.asarray(cv2.remap(logs, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)).ravel() + 0.0
 
 
 def _limited(step: NDArray[np.float64], longest: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """A step's shift (2,), of a length at most, and change of A (2, 2): the fit is linear in both."""
+    """A step's shift (2,), limited in length, and its limited change of A (2, 2), because the fit is linear in both."""
     length = max(float(np.linalg.norm(step[:2])), 1e-9)
     return step[:2] * min(1.0, longest / length), np.clip(step[2:], -MOST_CHANGE, MOST_CHANGE).reshape(2, 2)
 
@@ -229,5 +225,5 @@ def _is_of_rubber(warp: NDArray[np.float64]) -> bool:
 
 
 def _unexplained_energy(columns: NDArray[np.float64], dot: NDArray[np.float64]) -> float:
-    """Energy of what columns (P, C) do not explain of one more (P,)."""
+    """Energy of the part of a column (P,) that columns (P, C) do not explain."""
     return float(np.sum((dot - columns @ np.linalg.lstsq(columns, dot, rcond=None)[0]) ** 2))

@@ -1,4 +1,4 @@
-"""Figures of surfaces: how far a result is from the truth, and how rough a surface is."""
+"""Measures of surfaces: errors of a result against the truth, and roughness."""
 
 from gelform.metrics.depth_errors import (
     PressErrors,

@@ -1,4 +1,4 @@
-"""Geometry of a pressed ball: its slopes, its centre from slopes, a sphere through a depth map."""
+"""Geometry of a pressed ball: its slopes, its center and radius from slopes, and a sphere through a depth map."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ _ball_center = Kernel(
     "ball_center",
     "f64[n,2] gradients, f64[n] x, f64[n] y, out f64[2] center, f64 radius, f64 scale, i64 rounds",
 )
-# Of the radius: beyond it the slopes of a ball are held; native/ball/center.c has it too.
+# Fraction of the radius: farther out the slopes of a ball are held constant; the same in native/ball/center.c.
 STEEPEST_FRACTION = 0.97
-# Of the radius, where the visible circle is as wide as the ball: 0.8 of it has slopes up to 0.75.
+# Fraction of the radius, if the visible circle is as wide as the ball: 0.8 of it has slopes up to 0.75.
 FOLLOWED_FRACTION = 0.75
-HUBER_NORMAL = 0.05  # about the usual error of a normal's component: from there on a pixel counts less
-RADIUS_ROUNDS = 8  # of weights: later ones move the radius by less than 0.1 %
+HUBER_NORMAL = 0.05  # about the usual error of a component of a normal; pixels with larger errors count less
+RADIUS_ROUNDS = 8  # rounds of weights; later ones move the radius by less than 0.1 %
 
 
 def followed_radius(contact_radius_px: float, ball_radius_px: float) -> float:
     """Radius, px, up to which the gel of a press follows the ball.
 
-    It is the visible circle's, unless that is as wide as the ball or wider: then the gel stands off the ball inside
-    of it, and 0.75 of the ball's radius is what it certainly follows.
+    It is the radius of the visible circle, unless that is as wide as the ball or wider. In that case the gel leaves the
+    ball inside the circle, and certainly follows it up to 0.75 of the ball's radius.
     """
     if contact_radius_px < STEEPEST_FRACTION * ball_radius_px:
         return contact_radius_px
@@ -39,17 +39,17 @@ def followed_radius(contact_radius_px: float, ball_radius_px: float) -> float:
 def ball_gradients(
     x_px: ArrayLike, y_px: ArrayLike, center_px: tuple[float, float], radius_px: float | tuple[float, float]
 ) -> NDArray[np.float64]:
-    """Slopes `p = -u/sqrt(R^2 - u^2 - v^2)` of a ball, u and v its pixel distances from the centre.
+    """Slopes `p = -u/sqrt(R^2 - u^2 - v^2)` of a ball, u and v its pixel distances from the center.
 
     Parameters
     ----------
     x_px, y_px : (...) pixel positions
     center_px : (x, y)
-    radius_px : the ball's radius, px; or (x, y) where pixels are not square
+    radius_px : the ball's radius, px; or (x, y) if pixels are not square
 
     Returns
     -------
-    gradients : (..., 2) float64; beyond 0.97 R the slope is held, since it grows without bound at R
+    gradients : (..., 2) float64; beyond 0.97 R the slope stays constant, because it grows without bound at R
     """
     rx, ry = np.broadcast_to(np.asarray(radius_px, dtype=np.float64), (2,))
     u = (np.asarray(x_px, dtype=np.float64) - center_px[0]) / rx
@@ -68,9 +68,9 @@ def ball_center(
     scale: float = 0.05,
     rounds: int = 30,
 ) -> tuple[float, float]:
-    """Centre (x, y) in px of the ball of known radius whose slopes agree best with gradients (N, 2).
+    """Center (x, y), px, of the ball of known radius with the slopes closest to gradients (N, 2).
 
-    Gauss-Newton on a pseudo-Huber loss; `scale` is the slope error beyond which a pixel counts less.
+    It uses Gauss-Newton on a pseudo-Huber loss; `scale` is the slope error beyond which a pixel counts less.
     """
     center = np.array(start_px, dtype=np.float64)
     slopes, x, y = (np.ascontiguousarray(values, dtype=np.float64) for values in (gradients, x_px, y_px))
@@ -79,10 +79,10 @@ def ball_center(
 
 
 def radius_from_gradients(gradients: NDArray[Any], x_px: NDArray[Any], y_px: NDArray[Any]) -> float:
-    """Radius, px, of the ball whose slopes agree best with gradients (N, 2) at pixel positions (N,); centre free.
+    """Radius, px, of the ball with the slopes closest to gradients (N, 2) at pixel positions (N,); the center is free.
 
-    The first two components of a ball's normals are `((x - cx)/R, (y - cy)/R)`: 1/R is the slope of a line through them, by
-    least squares with Huber weights. Infinite or negative where they do not show a ball.
+    The first two components of a ball's normals are `((x - cx)/R, (y - cy)/R)`. So 1/R is the slope of a line through them,
+    fitted by least squares with Huber weights. The radius is infinite or negative if the slopes show no ball.
     """
     slopes = np.asarray(gradients, dtype=np.float64)
     normals = -slopes / np.sqrt(1 + np.sum(slopes**2, axis=1, keepdims=True))
@@ -97,9 +97,9 @@ def radius_from_gradients(gradients: NDArray[Any], x_px: NDArray[Any], y_px: NDA
 
 
 def center_jacobian(ball: NDArray[np.float64], radius_px: float | NDArray[np.float64]) -> NDArray[np.float64]:
-    """Derivative (N, 2, 2) of a ball's slopes by its centre: `(1 + p^2, p q; p q, 1 + q^2) sqrt(1 + p^2 + q^2)/R`.
+    """Derivative (N, 2, 2) of a ball's slopes by its center: `(1 + p^2, p q; p q, 1 + q^2) sqrt(1 + p^2 + q^2)/R`.
 
-    One radius, or one for each pixel (N,).
+    R is one radius, or one for each pixel (N,).
     """
     p, q = ball[:, 0], ball[:, 1]
     length = np.sqrt(1 + p * p + q * q) / radius_px
@@ -112,7 +112,7 @@ def center_jacobian(ball: NDArray[np.float64], radius_px: float | NDArray[np.flo
 
 @dataclass(frozen=True)
 class SphereFit:
-    """A sphere fitted to a depth map: centre (x, y, z) and radius, mm."""
+    """A sphere fitted to a depth map: center (x, y, z) and radius, mm."""
 
     center_mm: tuple[float, float, float]
     radius_mm: float
@@ -121,7 +121,7 @@ class SphereFit:
 def fit_sphere(
     depth_mm: ArrayLike, region: NDArray[np.bool_], *, mm_per_px: float | Sequence[float], radius_mm: float
 ) -> SphereFit:
-    """Sphere through a region of a depth map by soft-l1 (20 um) least squares; starts from `radius_mm`."""
+    """Sphere through a region of a depth map, by soft-l1 (20 um) least squares that starts from `radius_mm`."""
     hx, hy = check_mm_per_px(mm_per_px)
     rows, cols = np.nonzero(region)
     if rows.size < 10:

@@ -1,4 +1,4 @@
-"""How far a result is from the truth: angles between normals in degrees, depth in um, radii in per cent."""
+"""Errors of a result against the truth: angles between normals in degrees, depth in um, radii in per cent."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ def angle_deg(gradients: ArrayLike, reference: ArrayLike) -> NDArray[np.float64]
 
 @dataclass(frozen=True)
 class SlopeScore:
-    """Slopes of a contact's pixels against those of the ball that pressed it.
+    """Errors of the slopes of a contact against those of the ball that pressed it.
 
     Attributes
     ----------
-    center_px : (x, y) of the ball, fitted to the slopes: the centre of a contact circle is off by a pixel
-    true_gradients : (N, 2) slopes of the ball of known radius at that centre
+    center_px : (x, y) of the ball, fitted to the slopes, because the center of a contact circle is off by a pixel
+    true_gradients : (N, 2) slopes of the ball of known radius at that center
     errors : (N, 2) slopes minus true slopes
     normal_deg : mean angle to the ball's normals, degrees
     """
@@ -45,9 +45,9 @@ def score_slopes(
     start_px: tuple[float, float],
     ball_radius_px: float,
 ) -> SlopeScore:
-    """Score slopes (N, 2) at pixels x_px, y_px (N,) of one contact against a ball of known radius.
+    """Compare slopes (N, 2) at pixels x_px, y_px (N,) of one contact with a ball of known radius.
 
-    `start_px` is where the search for the ball's centre begins: the centre of the contact circle.
+    The search for the ball's center begins at `start_px`, the center of the contact circle.
     """
     center = ball_center(gradients, x_px, y_px, start_px, ball_radius_px)
     truth = ball_gradients(x_px, y_px, center, ball_radius_px)
@@ -56,21 +56,20 @@ def score_slopes(
 
 @dataclass(frozen=True)
 class PressErrors:
-    """Errors of one reconstructed ball press against the ball; no scale is fitted.
+    """Errors of one reconstructed press against the ball; no scale is fitted.
 
-    They are counted inside the contact's edge, where the gel follows the ball, and 3 px (at 240 rows) inside the visible rim
-    at least. Where the visible circle is as wide as the ball, the contact is what the gel certainly follows
-    (`followed_radius`).
+    They cover the pixels inside the contact edge, where the gel follows the ball, and at least 3 px (at 240 rows) inside
+    the visible rim. If the visible circle is as wide as the ball, the contact ends at `followed_radius`.
 
     Attributes
     ----------
-    normal_deg : mean angle to the ball's normals
-    normal_free_deg : the same with a free centre: the ball of known radius fitted to the gradients
-    normal_rim_deg : the same up to 3 px inside the visible rim: it holds the gel against a ball that it has left there
-    cap_um : standard deviation of depth minus the ball's cap (offset free, scale not)
-    cap_free_um : the same with a free centre, fitted to the slopes of the depth map
+    normal_deg : mean angle to the ball's normals, degrees
+    normal_free_deg : the same with a free center: the ball of known radius is fitted to the gradients
+    normal_rim_deg : the same up to 3 px inside the visible rim, where the gel has already left the ball
+    cap_um : standard deviation of depth minus the ball's cap (offset free, scale not), um
+    cap_free_um : the same with a free center, fitted to the slopes of the depth map
     radius_percent : (R_fit - R)/R of a sphere fitted to the depth, signed
-    off_contact_um : RMS of depth beyond 2.5 radii of the visible circle; NaN where the frame ends before
+    off_contact_um : RMS of depth beyond 2.5 radii of the visible circle, um; NaN if the frame ends before
     """
 
     normal_deg: float
@@ -97,9 +96,9 @@ def press_errors(
     ----------
     depth_mm : (H, W)
     gradients : (H, W, 2)
-    circle_px : contact circle (centre x, centre y, radius), px
+    circle_px : contact circle (center x, center y, radius), px
     ball_radius_mm, mm_per_px : known, never fitted
-    contact_radius_ratio : radius of the contact's edge over that of the visible circle, 0-1
+    contact_radius_ratio : radius of the contact edge over that of the visible circle, 0-1
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Areal roughness of a surface by ISO 25178-2, its form removed, small and large scales filtered out."""
+"""Areal roughness of a surface by ISO 25178-2, without its form and without small and large scales."""
 
 from __future__ import annotations
 
@@ -11,14 +11,12 @@ from scipy import ndimage
 
 from gelform.foundations.checks import check_positive, check_values
 
-FORMS = {"none": 0, "plane": 1, "quadratic": 2}  # -> degree of the polynomial
-ALPHA = np.sqrt(np.log(2) / np.pi)  # ISO 16610-61: half of a wave of the cut-off's length passes
-S_FILTER_PX, L_FILTER_MM = (
-    3.0,
-    2.5,
-)  # noise is shorter than the first, waviness longer than the second (ISO 25178-3)
-REACH = 5.0  # standard deviations, where the Gaussian ends: 4e-6 of its peak
-LEAST_PX = 100  # of a region whose roughness is asked for
+FORMS = {"none": 0, "plane": 1, "quadratic": 2}  # degree of the polynomial
+ALPHA = np.sqrt(np.log(2) / np.pi)  # ISO 16610-61: a wave of the cut-off length keeps half its height
+# px, mm: noise is shorter than the first, waviness longer than the second (ISO 25178-3).
+S_FILTER_PX, L_FILTER_MM = 3.0, 2.5
+REACH = 5.0  # standard deviations at which the Gaussian ends: 4e-6 of its peak
+LEAST_PX = 100  # pixels, the smallest region whose roughness can be computed
 
 
 @dataclass(frozen=True)
@@ -30,10 +28,10 @@ class Roughness:
     Sa_um, Sq_um : arithmetic mean and root mean square of the heights, um
     Sz_um : highest peak to deepest pit, um
     Ssk, Sku : skewness and kurtosis of the heights; 0 and 3 for Gaussian ones
-    Sdr_percent : by how much the surface's area exceeds that of its projection
-    form : what was removed: none, plane or quadratic
-    s_filter_mm, l_filter_mm : cut-off lengths (nesting indices); None: not filtered
-    area_mm2 : that was evaluated
+    Sdr_percent : excess of the surface's area over that of its projection, per cent
+    form : the form that was removed: none, plane or quadratic
+    s_filter_mm, l_filter_mm : cut-off lengths (nesting indices), mm; None: not filtered
+    area_mm2 : the evaluated area, mm^2
     """
 
     Sa_um: float
@@ -59,18 +57,18 @@ def areal_roughness(
 ) -> Roughness:
     """Roughness of a height map.
 
-    The S-filter takes the small scales out, then the form goes (a polynomial fitted by least squares), then the
-    L-filter the large scales (ISO 25178-3). Both are Gaussian (ISO 16610-61); where the surface ends, the Gaussian's weights
-    are those of the pixels that there are.
+    The S-filter removes the small scales. Then the form, a polynomial fitted by least squares, is subtracted, and the
+    L-filter removes the large scales (ISO 25178-3). Both filters are Gaussian (ISO 16610-61); at the end of the surface
+    their weights cover the existing pixels.
 
     Parameters
     ----------
     depth_mm : (H, W), heights
-    mm_per_px : > 0, of square pixels
-    mask : (H, W) bool, the pixels that are evaluated and that the filters see; all without
+    mm_per_px : > 0; pixels are square
+    mask : (H, W) bool, the pixels that are evaluated and filtered; all by default
     form : "none", "plane" or "quadratic"
-    s_filter_mm : cut-off of the S-filter; "auto": 3 pixels; None: not filtered
-    l_filter_mm : cut-off of the L-filter; None: not filtered, and the result is of an S-F surface
+    s_filter_mm : cut-off of the S-filter, mm; "auto": 3 pixels; None: no filter
+    l_filter_mm : cut-off of the L-filter, mm; None: no filter, and the result is that of an S-F surface
 
     Raises
     ------
@@ -108,8 +106,8 @@ def gaussian_areal_filter(
 ) -> NDArray[np.float64]:
     """The large scales of heights (H, W): their mean with the weights of ISO 16610-61 around each pixel.
 
-    Weights exp(-pi r^2 / (alpha cutoff)^2), alpha = sqrt(ln 2 / pi), of the pixels `inside` alone, whose sum is made 1.
-    A wave of the cut-off's length keeps half of its height. What lies outside is returned as 0.
+    The weights are exp(-pi r^2 / (alpha cutoff)^2) with alpha = sqrt(ln 2 / pi), over the pixels `inside`, normalized to 1.
+    A wave of the cut-off length keeps half of its height. Pixels outside are 0.
     """
     sigma = ALPHA * cutoff_px / np.sqrt(2 * np.pi)
     blurred, weight = (
@@ -143,7 +141,7 @@ def _developed_area(depth: NDArray[Any], inside: NDArray[np.bool_], pitch: float
 
 
 def _form(depth: NDArray[Any], inside: NDArray[np.bool_], degree: int) -> NDArray[np.float64]:
-    """The polynomial (H, W) of least squares over the pixels inside."""
+    """The polynomial (H, W), fitted by least squares to the pixels inside."""
     height, width = depth.shape
     y, x = np.meshgrid(np.linspace(-1, 1, height), np.linspace(-1, 1, width), indexing="ij")
     terms = np.stack([x**i * y**j for i in range(degree + 1) for j in range(degree + 1 - i)], axis=-1)

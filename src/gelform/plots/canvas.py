@@ -1,6 +1,6 @@
-"""What all pictures share: an off-screen figure, its colours, its panels, and the file that it becomes.
+"""Common parts of all pictures: an off-screen figure, its colors, its panels, and its file.
 
-Needs matplotlib, the extra `plots`. Figures are drawn off screen; matplotlib's global state is not touched.
+Needs matplotlib, the extra `plots`. Figures are drawn off screen; matplotlib's global state stays unchanged.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ ORANGE, BLUE = "#f4731c", "#29a3e0"
 
 
 def check_matplotlib() -> None:
-    """Raise DataError, naming the extra, where matplotlib is not installed."""
+    """Raise DataError, naming the extra, if matplotlib is not installed."""
     needed("matplotlib", "plots", "A picture")
 
 
@@ -46,12 +46,12 @@ def pixels_of(figure: Any) -> NDArray[np.uint8]:
 
 
 def save_picture(path: str | PathLike[str], picture: ArrayLike, *, overwrite: bool = False) -> None:
-    """Write an RGB picture (h, w, 3) uint8 as PNG, whole or not at all.
+    """Write an RGB picture (h, w, 3) uint8 as PNG, completely or not at all.
 
     Raises
     ------
     DataError
-        The file is already there and `overwrite` is False, or it cannot be written.
+        The file exists and `overwrite` is False, or it cannot be written.
     """
     content = picture_bytes(check_image(picture, name="picture").astype(np.uint8))
     with written_file(path, overwrite=overwrite) as handle:
@@ -59,9 +59,9 @@ def save_picture(path: str | PathLike[str], picture: ArrayLike, *, overwrite: bo
 
 
 def draw_map(axes: Any, values: ArrayLike, title: str, **style: Any) -> Any:
-    """Show an image or a map under a title, pixel by pixel and without ticks; gives what a colour bar needs.
+    """Show an image or a map under a title, pixel by pixel and without ticks; returns the object for a color bar.
 
-    NaN is hatched: unknown.
+    NaN, which means unknown, is hatched.
     """
     shown = axes.imshow(values, interpolation="nearest", **style)
     hatch_behind(axes)
@@ -72,7 +72,7 @@ def draw_map(axes: Any, values: ArrayLike, title: str, **style: Any) -> Any:
 
 
 def hatch_behind(axes: Any) -> None:
-    """Hatch the axes where nothing is drawn over them: where a map is NaN, unknown."""
+    """Hatch the axes' background, which shows where a map is NaN (unknown)."""
     axes.set_facecolor(GRID)
     axes.patch.set(hatch="///", edgecolor=FAINT, linewidth=0)
 
@@ -90,17 +90,20 @@ def style_profiles(axes: Any, title: str, unit: str) -> None:
 
 
 def known_depth(result: Reconstruction, depth: NDArray[np.float32]) -> NDArray[np.float32]:
-    """A depth of the result as it is drawn: NaN where it was filled without information."""
+    """A depth of the result for drawing: NaN where it was filled without information."""
     return np.where(result.known, depth, np.float32(np.nan))
 
 
 def in_words(depth: float) -> str:
-    """A depth to the micrometre; a dash where it is not known."""
+    """A depth to the micrometer; a dash if it is unknown."""
     return "–" if np.isnan(depth) else f"{depth:.3f}"
 
 
 def deepest_px(depth: NDArray[np.float32]) -> tuple[int, int]:
-    """Row and column of the deepest point, single noisy pixels and NaN (unknown) aside; the first where all is NaN."""
+    """Row and column of the deepest point, ignoring single noisy pixels and NaN (unknown).
+
+    If all are NaN, the first pixel.
+    """
     unknown = np.isnan(depth)
     smooth = cv2.GaussianBlur(np.where(unknown, 0, depth), (0, 0), 1)
     smooth[unknown] = -np.inf

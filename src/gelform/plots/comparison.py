@@ -1,4 +1,4 @@
-"""What two calibrations say of one image: figures, and a picture of both side by side."""
+"""The comparison of two calibrations on one image: figures, and a picture of both side by side."""
 
 from __future__ import annotations
 
@@ -29,16 +29,16 @@ from gelform.reconstruction.maps import MAPS
 
 @dataclass(frozen=True)
 class Comparison:
-    """Two depth maps in one unit, and how they differ.
+    """Two depth maps in one unit, and their differences.
 
     Attributes
     ----------
-    unit : "mm", or "px" (widths of a pixel) where one of the two has no scale
+    unit : "mm", or "px" (widths of a pixel) if one of the two has no scale
     depths : the two maps (H, W) float32, in that unit
     peak_a, peak_b : their deepest points
     difference_rms : RMS of B minus A over the frame
-    angle_deg : mean angle between their normals where either sees contact; None where neither does
-    curl_rms_a, curl_rms_b : how far the slopes are from those of a surface, slope per pixel
+    angle_deg : mean angle between their normals, inside the contact of either; None if neither has one
+    curl_rms_a, curl_rms_b : deviation of the slopes from those of a surface, slope per pixel
     """
 
     unit: str
@@ -51,15 +51,15 @@ class Comparison:
     curl_rms_b: float
 
     def figures(self) -> dict[str, Any]:
-        """All but the maps, as JSON can hold it."""
+        """All but the maps, for JSON."""
         names = ("peak_a", "peak_b", "difference_rms", "angle_deg", "curl_rms_a", "curl_rms_b")
         return {"unit": self.unit, **{name: getattr(self, name) for name in names}}
 
 
 def compare_results(a: Reconstruction, b: Reconstruction) -> Comparison:
-    """Hold two results of the same image against each other.
+    """Compare two results of the same image.
 
-    DataError: they are of different sizes.
+    DataError: they differ in size.
     """
     if a.shape != b.shape:
         raise DataError(

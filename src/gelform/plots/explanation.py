@@ -1,4 +1,4 @@
-"""The picture of an explanation: the image, how far each slope is trusted, and what each cause adds (extra `plots`)."""
+"""The picture of an explanation: the image, the confidence of each slope, and the share of each cause (extra `plots`)."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from gelform.foundations.checks import check_image
 from gelform.plots.canvas import INK, WIDTH, canvas, draw_map, pixels_of
 from gelform.reconstruction.maps import MAPS
 
-COLUMNS = 4  # panels in a row
-LEAST_SHARE = 5e-4  # of the frame that a cause touches: less gets no panel
+COLUMNS = 4  # panels per row
+LEAST_SHARE = 5e-4  # fraction of the frame that a cause affects; a smaller one gets no panel
 COLORS = ("#e8e8e8", *(cause.color for cause in CAUSES.values()))
-"""Of the law and of each cause, in the order of `CAUSES`."""
+"""Colors of the usual noise and of each cause, in the order of `CAUSES`."""
 
 
 def explanation_picture(explanation: Explanation, image: ArrayLike) -> NDArray[np.uint8]:
-    """Why each pixel was trusted or not: image, confidence, sigma, what most of it is due to; a panel for each cause.
+    """Draw why each pixel has its confidence: image, confidence, sigma, largest cause, and a panel for each cause.
 
     Parameters
     ----------
-    explanation : of `Reconstructor.explain`
-    image : (H, W, 3) RGB, the image that it is of
+    explanation : result of `Reconstructor.explain`
+    image : (H, W, 3) RGB, its image
 
     Returns
     -------
@@ -36,7 +36,7 @@ def explanation_picture(explanation: Explanation, image: ArrayLike) -> NDArray[n
     GelformError
         matplotlib is not installed.
     ValueError
-        The image is of another size.
+        The image has another size.
     """
     shown = check_image(image, shape=explanation.confidence.shape).astype(np.uint8)
     there = {name: one for name, one in explanation.maps.items() if (one > 0).mean() >= LEAST_SHARE}
@@ -59,7 +59,7 @@ def explanation_picture(explanation: Explanation, image: ArrayLike) -> NDArray[n
 
 
 def _style() -> dict[str, Any]:
-    """Sigma from 0.01 to 1 mm/mm on a logarithmic scale; the palest where there is none."""
+    """Sigma from 0.01 to 1 mm/mm on a logarithmic scale; the palest color means none."""
     from matplotlib.colors import LogNorm
 
     return {"cmap": "magma_r", "norm": LogNorm(0.01, 1, clip=True)}

@@ -27,11 +27,11 @@ from gelform.reconstruction.maps import MAPS
 
 
 def picture(result: Reconstruction, image: ArrayLike | None = None) -> NDArray[np.uint8]:
-    """One picture of a result: what came in, what was found, and how deep it is.
+    """Draw a result: the image, its slopes and its depth.
 
-    Image (where given), normals, both slopes, depth with a scale bar and the contact's outline, and the
-    profiles along x and y through the deepest point, in mm; in widths of a pixel where the scale is unknown.
-    What is not known is hatched.
+    Shows the image (if given), normals, both slopes, depth with a scale bar and the contact's outline, and the
+    profiles along x and y through the deepest point. Lengths are in mm, or in widths of a pixel if the scale is
+    unknown. Unknown pixels are hatched.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ def picture(result: Reconstruction, image: ArrayLike | None = None) -> NDArray[n
     GelformError
         matplotlib is not installed.
     ValueError
-        The image is of another size than the result.
+            The image and the result differ in size.
     """
     shape = check_is(result, Reconstruction, "result").shape
     shown = None if image is None else check_image(image, shape=shape).astype(np.uint8)
@@ -64,7 +64,7 @@ def picture(result: Reconstruction, image: ArrayLike | None = None) -> NDArray[n
 
 
 def _heights(aspect: float, panels: int, lines: int) -> tuple[float, float]:
-    """Inches of the upper and lower row: what the maps need at the picture's width."""
+    """Height of the upper and lower row, inches: as the maps need at the picture's width."""
     return (WIDTH - 1.1) / panels * aspect + 0.75 + 0.2 * lines, max(4.2, (WIDTH / 2 - 1.5) * aspect + 0.9)
 
 
@@ -82,7 +82,7 @@ def _headline(result: Reconstruction, row: int, column: int) -> str:
 
 
 def _pitch(result: Reconstruction) -> tuple[float, float]:
-    """Of a pixel, (x, y), in the picture's unit."""
+    """Pitch of a pixel, (x, y), in the picture's unit."""
     return (1.0, 1.0) if result.mm_per_px is None else check_mm_per_px(result.mm_per_px)
 
 
@@ -97,7 +97,7 @@ def _unit(result: Reconstruction) -> str:
 def _draw_maps(figure: Any, result: Reconstruction, image: NDArray[np.uint8] | None) -> None:
     slopes = result.gradients
     limit = max(0.1, float(np.quantile(np.abs(slopes), 0.998)))
-    normals = np.dstack([(result.normals + 1) / 2, result.known])  # unknown ones are transparent
+    normals = np.dstack([(result.normals + 1) / 2, result.known])  # unknown pixels are transparent
     slopes = np.where(result.known[..., None], slopes, np.nan)
     style = {"cmap": MAPS["gradients"].colors, "vmin": -limit, "vmax": limit}
     panels: list[tuple[str, NDArray[Any], dict[str, Any]]] = [
@@ -116,7 +116,7 @@ def _draw_maps(figure: Any, result: Reconstruction, image: NDArray[np.uint8] | N
 def _draw_depth(figure: Any, axes: Any, result: Reconstruction, row: int, column: int) -> None:
     depth, unit, (pitch_x, pitch_y) = _depth(result), _unit(result), _pitch(result)
     height, width = depth.shape
-    left, right = -pitch_x / 2, (width - 0.5) * pitch_x  # the first pixel's centre is at 0
+    left, right = -pitch_x / 2, (width - 0.5) * pitch_x  # the first pixel's center is at 0
     low, high = (height - 0.5) * pitch_y, -pitch_y / 2
     shown = axes.imshow(
         depth, cmap=MAPS["depth_mm"].colors, extent=(left, right, low, high), interpolation="nearest"
@@ -138,7 +138,7 @@ def _draw_depth(figure: Any, axes: Any, result: Reconstruction, row: int, column
 
 
 def _draw_markers(axes: Any, result: Reconstruction) -> None:
-    """Arrows as long as the dots have moved, from where they are at rest; those not seen are paler."""
+    """Draw each marker's displacement from its place at rest as an arrow; markers that were not found are paler."""
     flow = result.markers
     if flow is None or not len(flow):
         return

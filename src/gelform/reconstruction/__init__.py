@@ -1,4 +1,4 @@
-"""What one frame gave, the table of its maps, and its files; the command line's help reads the table alone."""
+"""The result of one frame, the table of its maps, and its files; the command line's help reads only the table."""
 
 import lazy_loader
 

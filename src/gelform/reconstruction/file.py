@@ -1,4 +1,4 @@
-"""Results as files: one `.npz` without pickles, read for ever."""
+"""Files of results: one `.npz` without pickles; newer versions of gelform keep reading them."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from gelform.reconstruction.maps import BESIDE_DEPTH, MAPS
 from gelform.reconstruction.record import Reconstruction
 
 KIND = "gelform result"
-# 1: in mm; 2: in pixels; 3: either, and gradients are those of the solved depth; 4: markers too
+# Versions: 1 in mm; 2 in pixels; 3 either, with the gradients of the solved depth; 4 with markers.
 FORMAT_VERSION = 4
-MAX_BYTES = 4 * 2**30  # that a file may declare: far beyond any frame's result
+MAX_BYTES = 4 * 2**30  # bytes that a file may declare: far beyond any frame's result
 _META = (
     "mm_per_px_sigma",
     "zero",
@@ -44,15 +44,15 @@ _META = (
 def save_result(result: Reconstruction, path: str | PathLike[str], *, overwrite: bool = False) -> None:
     """Write a result as one `.npz` without pickles, under a temporary name first.
 
-    `numpy.load` gives its maps by name, and `mm_per_px`; `load_result` gives all of it. A result without a scale
+    `numpy.load` reads its maps by name, and `mm_per_px`; `load_result` reads everything. A result without a scale
     holds `depth_px` instead of `depth_mm` and `mm_per_px`.
 
     Raises
     ------
     DataError
-        The file is already there and `overwrite` is False, or it cannot be written.
+        The file exists and `overwrite` is False, or it cannot be written.
     """
-    check_map(check_is(result, Reconstruction, "result").depth, "depth")  # NaN is no depth
+    check_map(check_is(result, Reconstruction, "result").depth, "depth")  # refuses NaN, which is no depth
     maps = {one.name: getattr(result, one.name) for one in BESIDE_DEPTH}
     arrays = {name: values for name, values in maps.items() if values is not None}
     if result.mm_per_px is None:
@@ -72,7 +72,7 @@ def load_result(path: str | PathLike[str]) -> Reconstruction:
     Raises
     ------
     DataError
-        The file is missing, truncated, altered, no result, or of a newer format: the message says which.
+        The file is missing, truncated, altered, no result, or of a newer format; the message says which.
     """
     arrays, meta = read_npz(
         path, kind=KIND, newest_version=FORMAT_VERSION, max_bytes=MAX_BYTES, error=DataError
@@ -101,7 +101,7 @@ def load_result(path: str | PathLike[str]) -> Reconstruction:
 
 
 def _check_contents(arrays: dict[str, NDArray[Any]], meta: dict[str, Any]) -> None:
-    """Refuse NaN, arrays of other types and settings of the wrong kind; the record looks at shapes itself."""
+    """Refuse NaN, arrays of other types and settings of the wrong kind; the record checks the shapes."""
     for name, array in arrays.items():
         wanted = np.bool_ if name in MAPS and MAPS[name].dtype == "bool" else np.floating
         if not np.issubdtype(array.dtype, wanted):

@@ -1,4 +1,4 @@
-"""The maps of a result in one table, which files, batches, the live page, pictures and help read."""
+"""The table of the maps of a result, which files, batches, the live page, pictures and help read."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ class ResultMap:
 
     Attributes
     ----------
-    name : of the attribute of a `Reconstruction` and in files; the depth of a result without a scale is `depth_px`
+    name : name of the attribute of `Reconstruction`, and in files; the depth of a result without a scale is `depth_px`
     dtype : "float32" or "bool"
-    unit : "" where it has none
+    unit : "" if it has none
     meaning : in words
-    axes : sizes behind (H, W)
-    optional : whether a result may be without it
-    derived : whether it follows from other maps, so that a result's file does without
-    kept_as : its name among those that a batch keeps; "" where a batch keeps the whole result only
-    plane : its name on the live page; "" where the page does not draw it by itself
-    plane_step : of the page's 8-bit levels, in its unit; 0 where the page has another way
-    colors : matplotlib's name of the colour map; "" where no picture shows it by itself
+    axes : sizes after (H, W)
+    optional : whether a result can lack it
+    derived : whether it follows from other maps, so that a result's file omits it
+    kept_as : name of the map in the choice of a batch; "" if a batch keeps it only in complete results
+    plane : name of the map on the live page; "" if the page does not draw it by itself
+    plane_step : step of the page's 8-bit levels, in the map's unit; 0 if the page converts it in another way
+    colors : matplotlib's name of the color map; "" if no picture shows the map by itself
     """
 
     name: str
@@ -48,7 +48,7 @@ MAPS: dict[str, ResultMap] = {
         ),
         ResultMap("gradients", "float32", "mm/mm", "slopes of the depth", (2,), kept_as="gradients", colors="RdBu_r"),
         ResultMap("gradients_sigma", "float32", "mm/mm", "one standard deviation of them", (2,), optional=True),
-        ResultMap("observed_gradients", "float32", "mm/mm", "slopes read from colour", (2,), optional=True),
+        ResultMap("observed_gradients", "float32", "mm/mm", "slopes read from color", (2,), optional=True),
         ResultMap("normals", "float32", "", "unit normals", (3,), derived=True, kept_as="normals"),
         ResultMap(
             "confidence", "float32", "", "the solver's weight, 0-1",

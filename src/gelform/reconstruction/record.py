@@ -1,4 +1,4 @@
-"""The Reconstruction record: what one frame gave."""
+"""Reconstruction: the result of one frame."""
 
 from __future__ import annotations
 
@@ -21,38 +21,36 @@ from gelform.markers import MarkerFlow
 from gelform.normals import normals_from_gradients
 from gelform.reconstruction.maps import BESIDE_DEPTH
 
-THUMBNAIL_PX, HATCH_PX = (
-    240,
-    8,
-)  # in a notebook: the picture's width, and between stripes of what is not known
+# px in a notebook: the picture's width, and the distance of stripes over unknown depth.
+THUMBNAIL_PX, HATCH_PX = 240, 8
 
 
 @dataclass(frozen=True, eq=False)
 class Reconstruction:
-    """What one frame gave.
+    """The result of one frame.
 
     Attributes
     ----------
     depth : (H, W) float32, 0 at rest, positive where pressed; finite everywhere. In mm, or in widths of a pixel
-        where mm_per_px is None: read depth_mm or depth_px, which say which
+        if mm_per_px is None; depth_mm and depth_px have a fixed unit
     depth_sigma_mm : (H, W) float32, mm, one standard deviation, or None
     gradients : (H, W, 2) float32, slopes dz/dx and dz/dy of the solved depth, mm/mm
     gradients_sigma : (H, W, 2) float32, their standard deviation, or None
-    observed_gradients : (H, W, 2) float32, slopes as the color model read them, without the bias of untouched pixels:
-        what the depth was solved from. None in results of format versions 1 and 2, whose `gradients` they are
+    observed_gradients : (H, W, 2) float32, slopes from the color model, without the bias of pixels at rest; the
+        depth was solved from them. None in results of format versions 1 and 2, where `gradients` holds them
     confidence : (H, W) float32, 0-1
-    contact : (H, W) bool, where something touches
+    contact : (H, W) bool, True where something touches
     known : (H, W) bool; False where the depth was filled without information
-    mm_per_px : float or (x, y), mm; None where the calibration has no scale
-    mm_per_px_sigma : its standard deviation, mm, or None; not part of depth_sigma_mm
-    zero : what depth 0 is: "untouched", "border", "mean"
-    solver : the method that integrated
-    curl_rms : RMS of `dp/dy - dq/dx` of the observed slopes, per pixel: how far they are from those of a surface
-    health : findings that a user should know, each with its figure
-    markers : how far the gel's marker dots have moved; None where the gel has none
+    mm_per_px : float or (x, y), mm; None if the calibration has no scale
+    mm_per_px_sigma : standard deviation of mm_per_px, mm, or None; not part of depth_sigma_mm
+    zero : the reference of depth 0: "untouched" (pixels at rest), "border" or "mean"
+    solver : the solver that ran
+    curl_rms : RMS of `dp/dy - dq/dx` of the observed slopes, per pixel; 0 for the slopes of a surface
+    health : findings, each with its figure
+    markers : displacements of the gel's markers; None if the gel has none
     index, time_s, wall_time_ns : of the frame, or None
-    calibration_digest : of the calibration that was used
-    albedo_source, difference_source : give `albedo` and `depth_difference_sigma` when they are asked for; not saved
+    calibration_digest : digest of the calibration that was used
+    albedo_source, difference_source : functions that compute `albedo` and `depth_difference_sigma` on demand; not saved
     """
 
     depth: NDArray[np.float32]
@@ -89,7 +87,7 @@ class Reconstruction:
                 raise ValueError(f"Expected {one.name} of shape {wanted}, as depth, got {np.shape(values)}.")
 
     def __getstate__(self) -> dict[str, Any]:
-        """Pickled as saved: without the sources."""
+        """Pickle the content of a file: everything but the sources."""
         return {**self.__dict__, "albedo_source": None, "difference_source": None}
 
     @cached_property
@@ -99,15 +97,15 @@ class Reconstruction:
 
     @property
     def contacts(self) -> tuple[Contact, ...]:
-        """The connected regions of `contact`, each measured; the largest first.
+        """The connected regions of `contact`, each with its measures; the largest first.
 
-        Worked out of contact and depth when asked for, and so known of results of every format.
+        They are computed on demand from contact and depth, so results of every file format have them.
         """
         return self._labelled[0]
 
     @property
     def contact_labels(self) -> NDArray[np.uint16]:
-        """Which contact (H, W) each pixel belongs to, by `Contact.label`; 0 where nothing touches."""
+        """The number (H, W) of each pixel's contact, as in `Contact.label`; 0 where nothing touches."""
         return self._labelled[1]
 
     @cached_property
@@ -116,17 +114,17 @@ class Reconstruction:
 
     @cached_property
     def albedo(self) -> NDArray[np.float32] | None:
-        """Reflectance (H, W) relative to the gel at rest, where the color model is photometric stereo.
+        """Reflectance (H, W) relative to the gel at rest, if the color model is photometric stereo.
 
-        None for other models, which do not tell a darker gel from a steeper one, and for loaded results.
+        None for other models, which cannot distinguish a darker gel from a steeper one, and for loaded results.
         """
         return None if self.albedo_source is None else self.albedo_source()
 
     def depth_difference_sigma(self, region: ArrayLike | None = None) -> NDArray[np.float32]:
-        """Standard deviation (H, W), mm, of the depth minus its mean over a region: that of the shape.
+        """Standard deviation (H, W), mm, of the depth minus its mean over a region, that is, of the shape.
 
-        Depth is measured against gel at rest, and most of its error is alike over a contact: it is in `depth_sigma_mm`
-        and not in a difference of two depths of the contact. Takes as long as a frame.
+        Depth is measured from gel at rest, and most of its error is common to all pixels of a contact. That part is in
+        `depth_sigma_mm`, but not in a difference of two depths of the contact. The call takes as long as a frame.
 
         Parameters
         ----------
@@ -154,7 +152,7 @@ class Reconstruction:
         Raises
         ------
         GelformError
-            The calibration has no scale: there is depth_px only.
+            The calibration has no scale; use depth_px.
         """
         if self.mm_per_px is None:
             raise GelformError(
@@ -166,7 +164,7 @@ class Reconstruction:
 
     @property
     def depth_px(self) -> NDArray[np.float32]:
-        """Depth (H, W) in widths of a pixel: depth_mm / mm_per_px, and all there is without a scale.
+        """Depth (H, W) in widths of a pixel: depth_mm / mm_per_px; available without a scale too.
 
         Raises
         ------
@@ -190,7 +188,7 @@ class Reconstruction:
 
     @property
     def peak_mm(self) -> float:
-        """The deepest point, mm."""
+        """The largest depth, mm."""
         return float(self.depth_mm.max())
 
     def __repr__(self) -> str:
@@ -198,7 +196,7 @@ class Reconstruction:
         return f"Reconstruction({figures})"
 
     def _repr_html_(self) -> str:
-        """What a notebook shows: the depth as a small picture beside its figures; nothing is fetched."""
+        """A notebook's view of the result: a small picture of the depth and its figures; nothing is fetched."""
         findings = ((finding.name, finding.message) for finding in self.health)
         return _shown_in_notebook(self.depth, self.known, (*self._figures().items(), *findings))
 
@@ -236,8 +234,8 @@ def _counted(area: float, unit: str, count: int) -> str:
 def _shown_in_notebook(
     depth: NDArray[np.float32], known: NDArray[np.bool_], rows: Iterable[tuple[str, str]]
 ) -> str:
-    """HTML of a depth map (H, W), where it is known, and a table of (name, text); nothing in it is fetched from outside."""
-    import html  # its table of characters takes longer to load than a frame
+    """HTML of a depth map (H, W), its known pixels, and a table of (name, text); it fetches nothing from outside."""
+    import html  # importing its table of characters takes longer than a frame
 
     picture = base64.b64encode(_depth_png(depth, known)).decode("ascii")
     cells = "".join(
@@ -251,7 +249,7 @@ def _shown_in_notebook(
 
 
 def _depth_png(depth: NDArray[np.float32], known: NDArray[np.bool_]) -> bytes:
-    """A small picture of the depth: dark at rest, bright where deep, hatched where it is not known."""
+    """A small picture of the depth: dark at rest, bright where deep, hatched where unknown."""
     low, high = (float(depth[known].min()), float(depth[known].max())) if known.any() else (0.0, 0.0)
     levels = np.clip((depth - low) * (255 / max(high - low, 1e-9)), 0, 255).astype(np.uint8)
     scale = THUMBNAIL_PX / depth.shape[1]
@@ -262,4 +260,4 @@ def _depth_png(depth: NDArray[np.float32], known: NDArray[np.bool_]) -> bytes:
     hatch = np.where((row + col) % HATCH_PX < 2, np.uint8(150), np.uint8(225))
     unknown = cv2.resize(known.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) == 0
     colors[unknown] = hatch[unknown][:, np.newaxis]
-    return picture_bytes(colors[..., ::-1])  # OpenCV colours in BGR
+    return picture_bytes(colors[..., ::-1])  # OpenCV colors are BGR

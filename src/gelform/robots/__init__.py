@@ -1,4 +1,4 @@
-"""Results for robots' software: bags (extra `ros`) and live topics of ROS 2 (`zenoh`), depth for LeRobot's video."""
+"""Results for robot software: ROS 2 bags (extra `ros`), live ROS 2 topics (`zenoh`), depth for LeRobot's video."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""A bag of ROS 2 that is being written: under a temporary name until it is whole."""
+"""Writing a ROS 2 bag, under a temporary name until it is complete."""
 
 from __future__ import annotations
 
@@ -18,29 +18,29 @@ from gelform.reconstruction import Reconstruction
 from gelform.robots.ros_messages import RosMessages
 from gelform.robots.topics import TOPICS, check_sensor_name, check_topics
 
-METADATA_VERSION = 9  # rosbag2 of Jazzy and later; Humble plays the .mcap inside
-QUEUE = 10  # of the publisher that `ros2 bag play` makes: ROS's default
+METADATA_VERSION = 9  # of rosbag2 in Jazzy and later; Humble plays the .mcap inside
+QUEUE = 10  # queue of the publishers of `ros2 bag play`: ROS's default
 
 
 class BagFile:
     """A rosbag2 folder (metadata.yaml and one MCAP file), written frame by frame; a context manager.
 
-    The folder appears under its name when it is closed. An exception discards it, but for an interrupt (Ctrl-C):
-    what was written until then is kept.
+    The folder gets its name when it is closed. An exception discards it, except an interrupt (Ctrl-C), which keeps the
+    frames written so far.
 
     Parameters
     ----------
     path : a new folder
-    sensor : a name of ROS: topics begin with it, and the names of the coordinate frames
-    topics : of TOPICS, those that are written
+    sensor : a ROS name, the prefix of topics and coordinate frames
+    topics : names of TOPICS to write
     hardware_id : of the diagnostics, such as the serial number
 
     Raises
     ------
     DataError
-        The path is there already or cannot be written, or the extra `ros` is not installed.
+        The path exists or cannot be written, or the extra `ros` is not installed.
     ValueError
-        No name of ROS, or an unknown topic.
+        The sensor is no ROS name, or a topic is unknown.
     """
 
     def __init__(
@@ -69,18 +69,18 @@ class BagFile:
             raise self._unwritable(problem) from problem
 
     def write(self, frame: Frame, result: Reconstruction, stamp_ns: int) -> None:
-        """Add a frame and what it gave.
+        """Add a frame and its result.
 
         Parameters
         ----------
-        frame : as the camera gave it
-        result : of it, in mm where indentation or points are written
-        stamp_ns : UTC, ns, when it was taken
+        frame : from the camera
+        result : of the frame, in mm if indentation or points are written
+        stamp_ns : capture time, UTC, ns
 
         Raises
         ------
         DataError
-            The disk takes no more: nothing is kept.
+            The disk is full; nothing is kept.
         """
         try:
             for name, message in self._messages.due(self._topics, frame, result, stamp_ns):
@@ -139,10 +139,10 @@ def _writer(path: Path) -> Any:
 
 
 def _offered() -> Any:
-    """Reliable, volatile, the last ten kept: a player that offers it serves subscribers of either reliability."""
+    """Reliable, volatile, keep the last ten: a player with these settings serves subscribers of either reliability."""
     from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 
-    unlimited = QosTime(9223372036, 854775807)  # what rosbag2 writes where there is no limit
+    unlimited = QosTime(9223372036, 854775807)  # rosbag2's value for no limit
     return Qos(
         QosHistory.KEEP_LAST,
         QUEUE,

@@ -1,7 +1,7 @@
-"""Depth in LeRobot's 16 bits: v = 1000 + depth in um.
+"""Depth in 16 bits for LeRobot: v = 1000 + depth in um.
 
-LeRobot writes depth images of integers as video of 12 bits, and takes them for millimetres. In this encoding its
-default settings keep depth to a fraction of a micrometre; "mm" then means um. Depth in metres, as floats, is lost in it.
+LeRobot writes integer depth images as 12-bit video and interprets them as millimeters. With this encoding its default
+settings keep depth to a fraction of a micrometer, and "mm" means um. Depth in meters, as floats, is lost in that video.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from gelform.errors import DataError
 from gelform.foundations.checks import check_values
 
-ZERO_LEVEL, UM_PER_MM, MAX_LEVEL = 1000, 1000.0, 65535  # of 16 bits: 1 um a step
+ZERO_LEVEL, UM_PER_MM, MAX_LEVEL = 1000, 1000.0, 65535  # 16-bit levels: 1 um per step
 
 
 def lerobot_levels_from_depth(depth_mm: ArrayLike) -> NDArray[np.uint16]:
@@ -22,14 +22,14 @@ def lerobot_levels_from_depth(depth_mm: ArrayLike) -> NDArray[np.uint16]:
 
     Parameters
     ----------
-    depth_mm : (..., H, W), finite, -0.999 to 64.535 mm; level 0 is left to those who mean unknown by it
+    depth_mm : (..., H, W), finite, -0.999 to 64.535 mm; level 0 is free to mean unknown
 
     Raises
     ------
     DataError
-        Depth out of range: nothing is clipped.
+        Depth is out of range; nothing is clipped.
     ValueError, TypeError
-        NaN, or no numbers.
+        Depth contains NaN or is not numeric.
     """
     depth = np.asarray(check_values(depth_mm, "depth_mm", (), np.float64))
     levels = np.rint(depth * UM_PER_MM) + ZERO_LEVEL
@@ -42,16 +42,16 @@ def lerobot_levels_from_depth(depth_mm: ArrayLike) -> NDArray[np.uint16]:
 
 
 def depth_from_lerobot_levels(levels: NDArray[Any]) -> NDArray[np.float32]:
-    """Depth (..., H, W) float32, mm, of such levels: the nearest float32 to a whole number of um.
+    """Depth (..., H, W) float32, mm, from such levels: the nearest float32 to a whole number of um.
 
     Parameters
     ----------
-    levels : (..., H, W) of whole numbers, or of floats where a video decoder gave parts of one
+    levels : (..., H, W), whole numbers, or floats if a video decoder interpolated
 
     Raises
     ------
     ValueError, TypeError
-        NaN, or no numbers.
+        The levels contain NaN or are not numeric.
     """
     values = np.asarray(check_values(levels, "levels", (), np.float64))
     return ((values - ZERO_LEVEL) / UM_PER_MM).astype(np.float32)

@@ -1,4 +1,4 @@
-"""A frame and its result as messages of ROS 2, in its encoding CDR: standard types, metres, optical frames.
+"""A frame and its result as ROS 2 messages, encoded as CDR: standard types, meters, optical frames.
 
 REP-103: a frame whose name ends in `_optical_frame` has x to the right, y down and z away from the camera.
 """
@@ -18,7 +18,7 @@ from gelform.reconstruction import Reconstruction
 from gelform.robots.topics import TOPICS
 
 FLOAT32 = 7  # sensor_msgs/PointField
-DIAGNOSTICS_NS = 10**9  # at least one message a second, as ROS's own diagnostics
+DIAGNOSTICS_NS = 10**9  # longest time between two messages, as for ROS's own diagnostics
 OK, WARN, ERROR = 0, 1, 2  # diagnostic_msgs/DiagnosticStatus
 
 
@@ -27,7 +27,7 @@ class RosMessages:
 
     Parameters
     ----------
-    sensor : a name of ROS; frames are `<sensor>_camera_optical_frame` and `<sensor>_gel_optical_frame`
+    sensor : a ROS name; frames are `<sensor>_camera_optical_frame` and `<sensor>_gel_optical_frame`
     hardware_id : of the diagnostics, such as the serial number
 
     Raises
@@ -45,23 +45,23 @@ class RosMessages:
     def due(
         self, topics: Iterable[str], frame: Frame, result: Reconstruction, stamp_ns: int
     ) -> Iterator[tuple[str, memoryview]]:
-        """(topic, message) of a frame taken at UTC ns; diagnostics once a second, and when findings change."""
+        """(topic, message) pairs of a frame taken at UTC ns; diagnostics once a second, and when findings change."""
         for name in topics:
             if name != "diagnostics" or self._diagnostics_are_due(result, stamp_ns):
                 yield name, getattr(self, name)(frame, result, stamp_ns)
 
     def image(self, frame: Frame, result: Reconstruction, stamp_ns: int) -> memoryview:
-        """The frame as the camera gave it: sensor_msgs/Image, rgb8."""
+        """The frame from the camera: sensor_msgs/Image, rgb8."""
         return self._image(frame.image, "rgb8", self._header(stamp_ns, self.camera_frame))
 
     def indentation(self, frame: Frame, result: Reconstruction, stamp_ns: int) -> memoryview:
-        """Depth in metres, positive where pressed, NaN where it is not known: sensor_msgs/Image, 32FC1."""
-        metres = (result.depth_mm * M_PER_MM).astype("<f4")
-        metres[~result.known] = np.nan
-        return self._image(metres, "32FC1", self._header(stamp_ns, self.gel_frame))
+        """Depth in meters, positive where pressed, NaN where unknown: sensor_msgs/Image, 32FC1."""
+        meters = (result.depth_mm * M_PER_MM).astype("<f4")
+        meters[~result.known] = np.nan
+        return self._image(meters, "32FC1", self._header(stamp_ns, self.gel_frame))
 
     def points(self, frame: Frame, result: Reconstruction, stamp_ns: int) -> memoryview:
-        """The surface, row by row: (x, y, -depth), metres; NaN where it is not known: sensor_msgs/PointCloud2."""
+        """The surface, row by row: (x, y, -depth), meters; NaN where unknown: sensor_msgs/PointCloud2."""
         height, width = result.shape
         points = (points_from_result(result) * M_PER_MM).astype("<f4")
         points[~result.known.ravel()] = np.nan
@@ -83,7 +83,7 @@ class RosMessages:
     def diagnostics(self, frame: Frame, result: Reconstruction, stamp_ns: int) -> memoryview:
         """The findings of `health`, each as a value: diagnostic_msgs/DiagnosticArray with one status.
 
-        OK without findings, WARN with some, ERROR where not one pixel of depth is known.
+        The status is OK without findings, WARN with findings, ERROR if depth is known in no pixel.
         """
         pair = self._type("diagnostic_msgs/msg/KeyValue")
         findings = result.health
@@ -99,7 +99,7 @@ class RosMessages:
         return self._encoded(message)
 
     def _diagnostics_are_due(self, result: Reconstruction, stamp_ns: int) -> bool:
-        """Whether the findings are others than those said last, or a second has gone since."""
+        """Whether the findings have changed since the last message, or a second has passed."""
         names = tuple(finding.name for finding in result.health)
         if (
             self._said is not None
@@ -141,6 +141,6 @@ class RosMessages:
 
 
 def typestore() -> Any:
-    """Definitions of ROS 2's own messages; DataError, naming the extra, where they are not installed."""
+    """Definitions of ROS 2's own messages; DataError, naming the extra, if they are not installed."""
     typesys = needed("rosbags.typesys", "ros", "A message of ROS 2")
     return typesys.get_typestore(typesys.Stores.ROS2_JAZZY)

@@ -1,4 +1,4 @@
-"""A source through a calibration to ROS 2: into a bag, or live over zenoh (experimental)."""
+"""Results of a source for ROS 2: into a bag, or live over zenoh (experimental)."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ from gelform.streams.stream import Stream, stream
 
 @dataclass(frozen=True)
 class SentStats:
-    """What was written or published.
+    """Figures of a bag or of a publication.
 
     Attributes
     ----------
-    sensor : the name that its topics begin with
-    frames, duration_s : how many, and s from the first to the last
-    drops : frames of the source that never became a result
-    stamped : whether frames said when they were taken; else stamps begin when the first one was sent
-    problem : what the last frame's findings say, where depth was known in no pixel of any frame; else ""
+    sensor : prefix of its topics
+    frames, duration_s : number of frames, and s from the first to the last
+    drops : frames of the source without a result
+    stamped : whether frames had capture times; else stamps start at the time of sending the first frame
+    problem : the findings of the last frame as text, if depth was known in no pixel of any frame; else ""
     """
 
     sensor: str
@@ -45,13 +45,13 @@ class SentStats:
 
 
 class StampedResults:
-    """Loops over a running stream, until `seconds` have gone; counts what was asked for.
+    """Loops over a running stream for at most `seconds`, and keeps the figures.
 
     Parameters
     ----------
-    running : of the source
-    source : as the user named it, for messages
-    seconds : how long, by the times of the frames; to the end where None
+    running : stream of the source
+    source : the user's name for it, for messages
+    seconds : duration by the times of the frames; None: to the end
     """
 
     def __init__(self, running: Stream, source: object, seconds: float | None) -> None:
@@ -63,7 +63,7 @@ class StampedResults:
     def __iter__(self) -> Iterator[tuple[StreamFrame, int]]:
         """Each result with its frame, and its stamp, ns.
 
-        DataError: the source gives no frame, or frames of another size than the calibrated one.
+        DataError: the source gives no frame, or frames of another size than calibrated.
         """
         try:
             for one in self._running.pairs():
@@ -79,12 +79,12 @@ class StampedResults:
                 raise
             raise DataError(f"{self._source}: {problem}") from problem
         if not self._count:
-            raise DataError(f"No frame came from {self._source}: there is nothing to send.")
+            raise DataError(f"No frame arrived from {self._source}: there is nothing to send.")
 
     def send(
         self, send: Callable[[Frame, Reconstruction, int], None], progress: Callable[[int], None]
     ) -> None:
-        """Send each result with its frame and stamp; an interrupt (Ctrl-C), a camera's usual end, ends the loop."""
+        """Send each result with its frame and stamp; an interrupt (Ctrl-C), the usual end with a camera, ends the loop."""
         try:
             for count, (one, stamp_ns) in enumerate(self, 1):
                 send(one.frame, one.result, stamp_ns)
@@ -93,14 +93,14 @@ class StampedResults:
             pass
 
     def stats(self, sensor: str) -> SentStats:
-        """What the loop gave."""
+        """The figures of the loop."""
         duration_s = self._last_s - self._stamps.first_s if self._count else 0.0
         drops, problem = self._running.stats.drops, "" if self._known else self._problem
         return SentStats(sensor, self._count, duration_s, drops, self._stamps.known, problem)
 
 
 class _Stamps:
-    """When frames were taken, UTC, ns; where they do not say, from now on, as far apart as they were."""
+    """Capture times of frames, UTC, ns; without them, times from now on at the frames' own distances."""
 
     def __init__(self) -> None:
         self.known, self.first_s = True, 0.0
@@ -125,31 +125,31 @@ def save_bag(
     background: ArrayLike | None = None,
     progress: Progress = no_progress,
 ) -> SentStats:
-    """Reconstruct what a source gives, and write frames and results as a rosbag2 folder.
+    """Reconstruct the frames of a source, and write frames and results as a rosbag2 folder.
 
-    Of a recording, a video or a folder every frame; of a camera the newest ones, until `seconds` have gone. An
-    interrupt (Ctrl-C) ends the bag as the source's end does.
+    A recording, a video or a folder gives every frame; a camera gives the newest ones, for `seconds`. An interrupt (Ctrl-C)
+    ends the bag normally.
 
     Parameters
     ----------
-    source : what `open_source` takes
+    source : argument of `open_source`
     calibration : of the sensor, or the path of its file
     path : a new folder
     topics : names of TOPICS
-    sensor : a name of ROS that topics and frames begin with; by default made of the calibration's sensor name
-    seconds : how long; without end where None
-    background : (H, W, 3), 0-255, the untouched image of today; the calibration's own by default
-    progress : called with the frames so far
+    sensor : a ROS name, the prefix of topics and frames; by default made from the calibration's sensor name
+    seconds : duration; None: no limit
+    background : (H, W, 3), 0-255, a current background image; by default the calibration's own
+    progress : called with the number of frames so far
 
     Raises
     ------
     SensorError, DataError
-        The source cannot be opened or gives no frame, or frames of another size; the path is there already or cannot
-        be written; the extra `ros` is not installed.
+        The source cannot be opened, or gives no frame or frames of another size; the path exists or cannot be written; the
+        extra `ros` is not installed.
     CalibrationError
-        The calibration cannot be read or is of another sensor, or it has no scale: indentation and points are metres.
+        The calibration cannot be read or is of another sensor; or it has no scale, which indentation and points need.
     ValueError
-        An unknown topic, no name of ROS, or seconds that are no time.
+        A topic is unknown, the sensor is no ROS name, or `seconds` is no time.
     """
     calibration, topics, name = _checked(calibration, topics, sensor, seconds)
     with (
@@ -173,33 +173,33 @@ def publish(
     background: ArrayLike | None = None,
     progress: Progress = no_progress,
 ) -> SentStats:
-    """Reconstruct what a source gives, and publish the newest results as topics of ROS 2 until it ends.
+    """Reconstruct the frames of a source, and publish the newest results as ROS 2 topics until it ends.
 
-    Nodes whose middleware is rmw_zenoh (Jazzy and later) receive them. Recordings, videos and folders are played at
-    their own pace. An interrupt (Ctrl-C) ends it as the source's end does.
+    Nodes with the middleware rmw_zenoh (Jazzy and later) receive them. Recordings, videos and folders play at their
+    own pace. An interrupt (Ctrl-C) ends it normally.
 
     Parameters
     ----------
-    source : what `open_source` takes
+    source : argument of `open_source`
     calibration : of the sensor, or the path of its file
     topics : names of TOPICS
-    sensor : a name of ROS that topics and frames begin with; by default made of the calibration's sensor name
+    sensor : a ROS name, the prefix of topics and frames; by default made from the calibration's sensor name
     router : address of the zenoh router
-    domain : the number ROS_DOMAIN_ID of those who listen
-    seconds : how long; without end where None
-    background : (H, W, 3), 0-255, the untouched image of today; the calibration's own by default
-    progress : called with the frames so far
+    domain : the subscribers' ROS_DOMAIN_ID
+    seconds : duration; None: no limit
+    background : (H, W, 3), 0-255, a current background image; by default the calibration's own
+    progress : called with the number of frames so far
 
     Raises
     ------
     GelformError
         No router answers.
     SensorError, DataError
-        The source cannot be opened or gives no frame, or frames of another size; the extra `zenoh` is not installed.
+        The source cannot be opened, or gives no frame or frames of another size; the extra `zenoh` is not installed.
     CalibrationError
-        The calibration cannot be read or is of another sensor, or it has no scale: indentation and points are metres.
+        The calibration cannot be read or is of another sensor; or it has no scale, which indentation and points need.
     ValueError
-        An unknown topic, no name of ROS, no such domain, no address, or seconds that are no time.
+        A topic is unknown, the sensor is no ROS name, the domain or the address is invalid, or `seconds` is no time.
     """
     calibration, topics, name = _checked(calibration, topics, sensor, seconds)
     hardware_id = calibration.serial or ""
@@ -218,7 +218,7 @@ def _checked(
     sensor: str | None,
     seconds: float | None,
 ) -> tuple[Calibration, tuple[str, ...], str]:
-    """What can be sent of a calibration: the topics, and the sensor's name in ROS."""
+    """The parts of a calibration to send: the topics, and the sensor's ROS name."""
     calibration, topics = as_calibration(calibration), check_topics(topics)
     if set(topics) & set(NEEDS_SCALE):
         _ = calibration.known_mm_per_px

@@ -1,4 +1,4 @@
-"""What a sensor is called in ROS 2: its topics, their types, its coordinate frames."""
+"""Names of a sensor in ROS 2: its topics, their types, its coordinate frames."""
 
 from __future__ import annotations
 
@@ -6,19 +6,19 @@ import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-ROUTER = "tcp/localhost:7447"  # of zenoh, where rmw_zenoh's own sessions look for it
-MAX_DOMAIN = 232  # of ROS 2
+ROUTER = "tcp/localhost:7447"  # of zenoh; sessions of rmw_zenoh search there
+MAX_DOMAIN = 232  # largest ROS_DOMAIN_ID of ROS 2
 
 
 @dataclass(frozen=True)
 class Topic:
-    """A topic: its name below the sensor's (from the root where it begins with /), and the type of its messages."""
+    """A topic: its name below the sensor's (absolute if it starts with /), and the type of its messages."""
 
     name: str
     type: str
 
     def of(self, sensor: str) -> str:
-        """Its whole name for a sensor."""
+        """Its full name for a sensor."""
         return self.name if self.name.startswith("/") else f"/{sensor}/{self.name}"
 
 
@@ -42,7 +42,7 @@ def check_topics(topics: Iterable[str]) -> tuple[str, ...]:
 
 
 def check_sensor_name(name: str) -> str:
-    """Return a name that topics and frames can begin with; ValueError for another."""
+    """Return a name if topics and frames can start with it; else ValueError."""
     if not _NAME.fullmatch(name):
         raise ValueError(
             f"Expected a name of ROS: small letters, digits and single underscores, a letter first, got {name!r}."
@@ -51,6 +51,6 @@ def check_sensor_name(name: str) -> str:
 
 
 def sensor_name_from(text: str) -> str:
-    """Such a name, made of what people call a sensor: "GelSight Mini" becomes "gelsight_mini"."""
+    """A ROS name from a sensor's usual name: "GelSight Mini" becomes "gelsight_mini"."""
     name = re.sub(r"[^a-z0-9]+", "_", text.lower()).strip("_")
     return name if _NAME.fullmatch(name) else f"sensor_{name}".rstrip("_")

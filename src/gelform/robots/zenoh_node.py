@@ -1,7 +1,7 @@
-"""What ROS 2 calls its topics and publishers in zenoh, as rmw_zenoh of Jazzy and later has it.
+"""The names of ROS 2 topics and publishers in zenoh, as in rmw_zenoh of Jazzy and later.
 
 Source: the design document of rmw_zenoh (https://github.com/ros2/rmw_zenoh, docs/design.md) and its liveliness tokens.
-Humble leaves type hashes out: its nodes do not see these topics.
+Humble omits type hashes, so its nodes do not receive these topics.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ from gelform.reconstruction import Reconstruction
 from gelform.robots.ros_messages import RosMessages
 from gelform.robots.topics import MAX_DOMAIN, ROUTER, TOPICS, check_sensor_name, check_topics
 
-GRAPH = "@ros2_lv"  # where tokens are that say which nodes and publishers there are
-NO_NAMESPACE = NO_ENCLAVE = "%"  # a slash, which stands for a level in zenoh
+GRAPH = "@ros2_lv"  # prefix of the tokens that announce nodes and publishers
+NO_NAMESPACE = NO_ENCLAVE = "%"  # a slash, which separates levels in zenoh
 NODE, NODE_ID = "NN", 0
 PUBLISHER = "MP"
-QOS = "::,10:,:,:,,"  # reliable, volatile, keep the last 10: what differs from rmw_zenoh's default is said
-GID_BYTES = 16  # as rmw_zenoh has them
+QOS = "::,10:,:,:,,"  # reliable, volatile, keep the last 10; only differences from rmw_zenoh's default are stated
+GID_BYTES = 16  # as in rmw_zenoh
 
 
 @dataclass(frozen=True)
 class Node:
-    """A node of ROS 2 in a zenoh session: the number ROS_DOMAIN_ID, the session's id, hexadecimal, and the node's name."""
+    """A node of ROS 2 in a zenoh session: ROS_DOMAIN_ID, the session's id in hexadecimal, and the node's name."""
 
     domain: int
     session: str
@@ -38,16 +38,16 @@ class Node:
 
     @property
     def token(self) -> str:
-        """What says that there is such a node."""
+        """The token that announces the node."""
         return self._token(NODE_ID, NODE)
 
     def publisher_token(self, number: int, topic: str, kind: str, type_hash: str) -> str:
-        """What says that the publisher, numbered from 1, sends a topic such as /left/points, of a type and its hash."""
+        """The token that announces a topic's publisher, numbered from 1; a topic is such as /left/points."""
         mangled = topic.replace("/", "%")
         return f"{self._token(number, PUBLISHER)}/{mangled}/{dds_type(kind)}/{type_hash}/{QOS}"
 
     def topic_key(self, topic: str, kind: str, type_hash: str) -> str:
-        """The key that messages of a topic are put to."""
+        """The key for a topic's messages."""
         return f"{self.domain}/{topic.strip('/')}/{dds_type(kind)}/{type_hash}"
 
     def _token(self, number: int, entity: str) -> str:
@@ -62,29 +62,29 @@ def dds_type(kind: str) -> str:
 
 
 def gid_from_token(token: str) -> bytes:
-    """16 bytes that tell a publisher from others."""
+    """16 bytes that identify a publisher."""
     return blake2b(token.encode(), digest_size=GID_BYTES).digest()
 
 
 def attachment(number: int, sent_ns: int, gid: bytes) -> bytes:
-    """What goes with each message: its number from 1, when it was sent (UTC, ns), the publisher's gid."""
+    """The attachment of a message: its number from 1, sending time (UTC, ns), and the publisher's gid."""
     return struct.pack("<qqB", number, sent_ns, len(gid)) + gid
 
 
-CONNECT_MS = 3000  # until a router that does not answer is an error
+CONNECT_MS = 3000  # ms until a router that does not answer is an error
 
 
 class ZenohNode:
-    """Publishes frames and results as topics of ROS 2; a context manager.
+    """Publishes frames and results as ROS 2 topics; a context manager.
 
-    Messages that a subscriber is too slow for are dropped: the newest counts.
+    Messages for a subscriber that is too slow are dropped, because only the newest matters.
 
     Parameters
     ----------
-    sensor : a name of ROS: topics begin with it, the node is `gelform_<sensor>`
-    topics : of TOPICS, those that are published
+    sensor : a ROS name, the prefix of topics; the node is `gelform_<sensor>`
+    topics : names of TOPICS to publish
     router : address of the zenoh router, such as "tcp/localhost:7447"
-    domain : the number ROS_DOMAIN_ID of those who listen
+    domain : the subscribers' ROS_DOMAIN_ID
     hardware_id : of the diagnostics, such as the serial number
 
     Raises
@@ -94,7 +94,7 @@ class ZenohNode:
     DataError
         The extra `zenoh` is not installed.
     ValueError
-        No name of ROS, an unknown topic, no such domain, or what is no address.
+        The sensor is no ROS name, a topic is unknown, or the domain or the address is invalid.
     """
 
     def __init__(
@@ -109,6 +109,8 @@ class ZenohNode:
         self._topics = check_topics(topics)
         if not 0 <= domain <= MAX_DOMAIN:
             raise ValueError(f"Expected a ROS domain from 0 to {MAX_DOMAIN}, got {domain}.")
+        for module in ("zenoh", "rosbags.typesys"):
+            needed(module, "zenoh", "Publishing for ROS 2")
         self._messages = RosMessages(check_sensor_name(sensor), hardware_id)
         self._session = _session(router)
         self.node = Node(domain, str(self._session.zid()), f"gelform_{sensor}")
@@ -116,13 +118,13 @@ class ZenohNode:
         self._publishers = {name: self._publisher(k, name) for k, name in enumerate(self._topics, 1)}
 
     def publish(self, frame: Frame, result: Reconstruction, stamp_ns: int) -> None:
-        """Send a frame and what it gave, to those who listen.
+        """Send a frame and its result to the subscribers.
 
         Parameters
         ----------
-        frame : as the camera gave it
-        result : of it, in mm where indentation or points are published
-        stamp_ns : UTC, ns, when it was taken
+        frame : from the camera
+        result : of the frame, in mm if indentation or points are published
+        stamp_ns : capture time, UTC, ns
         """
         for name, message in self._messages.due(self._topics, frame, result, stamp_ns):
             self._publishers[name].put(bytes(message))
@@ -151,7 +153,7 @@ class ZenohNode:
 
 
 class _Publisher:
-    """One topic: its messages are numbered."""
+    """One topic; its messages are numbered."""
 
     def __init__(self, session: Any, key: str, gid: bytes) -> None:
         import zenoh
@@ -166,8 +168,9 @@ class _Publisher:
 
 
 def _session(router: str) -> Any:
-    """A session as rmw_zenoh's: finds its peers by the router, sends to them directly."""
-    zenoh = needed("zenoh", "zenoh", "Publishing for ROS 2")
+    """A session with rmw_zenoh's settings: it finds its peers through the router and sends to them directly."""
+    import zenoh
+
     config = zenoh.Config()
     settings: dict[str, Any] = {
         "mode": "peer",

@@ -1,4 +1,4 @@
-"""Frames and images that come in, and what is known of the sensors that made them; imported when asked for."""
+"""Sources of frames and images, and the table of known sensors; submodules are imported on first use."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""Images, untouched images and sensor settings from files. BGR is turned round here, and nowhere after it."""
+"""Images, background images and sensor settings from files. Files' BGR is converted to RGB here, and only here."""
 
 from __future__ import annotations
 
@@ -40,20 +40,20 @@ IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".p
 
 @dataclass(frozen=True)
 class SensorSettings:
-    """What a `sensor.toml` says of the sensor that made a folder of images.
+    """The content of a `sensor.toml`: the sensor that made a folder of images.
 
     Attributes
     ----------
     name : str
     mm_per_px : mm per image pixel, after the view
-    mm_per_px_sigma : its standard deviation, mm; None where it is not known
-    response : exponent of the camera's response, I = light^response; 1 where it is linear or not known
-    serial, gel_id : which unit and which gel; empty where they are not known
-    gel_thickness_mm : of the gel at rest, which no depth can exceed; None where it is not known
-    view : from the camera's frames to the images; identity by default
-    measured : what `gelform scale` and `gelform lens` wrote: where the scale and the lens come from (texts, by the
-        names `scale` and `lens`), `crosstalk` and `crosstalk_spread` (3x3)
-    camera : how the camera was set while the images were taken (exposure, gain ...): numbers and texts
+    mm_per_px_sigma : its standard deviation, mm; None if unknown
+    response : exponent of the camera's response, I = light^response; 1 if linear or unknown
+    serial, gel_id : the unit and the gel; empty if unknown
+    gel_thickness_mm : thickness of the gel at rest, the upper limit of depth; None if unknown
+    view : maps the camera's frames to images; identity by default
+    measured : results of `gelform scale` and `gelform lens`: the origin of scale and lens (texts under `scale` and `lens`),
+        `crosstalk` and `crosstalk_spread` (3x3)
+    camera : camera settings during the recording (exposure, gain ...): numbers and texts
     """
 
     name: str
@@ -73,16 +73,16 @@ def read_image(path: str | Path) -> NDArray[np.uint8]:
 
     Parameters
     ----------
-    path : a PNG, JPEG, BMP, TIFF, WebP or PPM file of 8-bit colour
+    path : a PNG, JPEG, BMP, TIFF, WebP or PPM file of 8-bit color
 
     Returns
     -------
-    image : (H, W, 3) uint8, RGB; pixels as they are stored, not turned by an orientation tag
+    image : (H, W, 3) uint8, RGB; pixels as stored, ignoring an orientation tag
 
     Raises
     ------
     DataError
-        The file is missing, unreadable, truncated or damaged, grey, 16-bit, or has an alpha channel; the
+        The file is missing, unreadable, truncated or damaged, gray, 16-bit, or has an alpha channel; the
         message says which and what to do.
     """
     path = check_path(path)
@@ -93,13 +93,13 @@ def read_image(path: str | Path) -> NDArray[np.uint8]:
     pixels = _decoded(content, path)
     if pixels.dtype != np.uint8:
         raise DataError(
-            f"Expected 8-bit colour, got {pixels.dtype} in {path}. Save the camera's frames with 8 bits per "
+            f"Expected 8-bit color, got {pixels.dtype} in {path}. Save the camera's frames with 8 bits per "
             "channel (0-255)."
         )
     if pixels.ndim == 2 or pixels.shape[2] == 1:
         raise DataError(
-            f"Expected a colour image, got a grey one: {path}. Three lights need three channels: save the "
-            "camera's colour frames."
+            f"Expected a color image, got a gray one: {path}. Three lights need three channels: save the "
+            "camera's color frames."
         )
     if pixels.shape[2] != 3:
         raise DataError(
@@ -118,7 +118,7 @@ def read_sensor_toml(path: str | Path) -> SensorSettings:
     Raises
     ------
     DataError
-        The file is missing or no TOML, lacks a key, has one that is unknown, or a value that cannot be.
+        The file is missing or no TOML, lacks a key, has an unknown key, or a value out of range.
     """
     path = check_path(path)
     try:
@@ -199,7 +199,7 @@ def _is_matrix(value: Any) -> bool:
 def _content(path: Path) -> bytes:
     if path.is_dir():
         raise DataError(f"Expected a file, got the folder {path}.")
-    if path.exists() and not path.is_file():  # reading a pipe or a device might wait for ever
+    if path.exists() and not path.is_file():  # reading a pipe or a device could block forever
         raise DataError(
             f"Expected a file, got a pipe or a device: {path}. Save what it gives as a file first."
         )
@@ -212,7 +212,7 @@ def _content(path: Path) -> bytes:
 
 
 def _pixels_of_jpeg(content: bytes, path: Path) -> NDArray[np.uint8] | None:
-    """RGB of a JPEG; None of other files and of grey pictures."""
+    """RGB pixels of a JPEG; None for other files and gray pictures."""
     if not content.startswith(JPEG):
         return None
     try:
@@ -224,7 +224,7 @@ def _pixels_of_jpeg(content: bytes, path: Path) -> NDArray[np.uint8] | None:
 
 
 def _decoded(content: bytes, path: Path) -> NDArray[Any]:
-    """Pixels as OpenCV has them (BGR). The bytes are read by Python: names outside ASCII work everywhere."""
+    """Pixels in OpenCV's order (BGR). Python reads the bytes, so that names outside ASCII work on every system."""
     if not content:
         raise DataError(f"{path} is empty. Copy or record it again.")
     if content.startswith(PNG):
@@ -250,7 +250,7 @@ def _decoded(content: bytes, path: Path) -> NDArray[Any]:
 
 @contextmanager
 def _opencv_silent() -> Iterator[None]:
-    """OpenCV writes its own complaints to the terminal; ours is raised. Wheels of 4.x have no such switch."""
+    """Silence OpenCV's own messages on the terminal; our error reports the fault. Wheels of 4.x lack this switch."""
     logging = getattr(cv2.utils, "logging", None)
     if logging is None:
         yield
@@ -264,7 +264,7 @@ def _opencv_silent() -> Iterator[None]:
 
 
 def read_background(paths: str | Path | Sequence[str | Path]) -> NDArray[Any]:
-    """The untouched image (H, W, 3), RGB: uint8 of one file, float32 of the robust average of several.
+    """The background image (H, W, 3), RGB: uint8 from one file, float32 as the robust average of several.
 
     Parameters
     ----------
@@ -273,7 +273,7 @@ def read_background(paths: str | Path | Sequence[str | Path]) -> NDArray[Any]:
     Raises
     ------
     DataError
-        A file is missing or unreadable, a folder holds no image, or the frames disagree (see
+        A file is missing or unreadable, a folder contains no image, or the frames disagree (see
         `background_from_frames`).
     """
     files = background_files(paths)
@@ -281,16 +281,16 @@ def read_background(paths: str | Path | Sequence[str | Path]) -> NDArray[Any]:
 
 
 def averaged_background(paths: str | Path | Sequence[str | Path]) -> Background:
-    """The same with the noise of a frame, and which images were left out and why."""
+    """As `read_background`, with the noise of one frame and the names of rejected images with their reasons."""
     files = background_files(paths)
     try:
         return background_from_frames(map(read_image, files), names=[str(file) for file in files])
-    except ValueError as problem:  # another size
-        raise DataError(f"Images of the untouched gel in {files[0].parent}: {problem}") from problem
+    except ValueError as problem:  # an image of another size
+        raise DataError(f"Images of the gel at rest in {files[0].parent}: {problem}") from problem
 
 
 def background_in(folder: Path, stem: str = "background") -> Path:
-    """The image of that stem in a folder, or a folder of that name with several."""
+    """The image with that stem in a folder, or a folder of that name with several images."""
     found = sorted(
         p
         for p in folder.glob(f"{stem}*")
@@ -298,14 +298,14 @@ def background_in(folder: Path, stem: str = "background") -> Path:
     )
     if not found:
         raise DataError(
-            f"No background in {folder}: expected {stem}.png, an image of the untouched gel. "
+            f"No background in {folder}: expected {stem}.png, an image of the gel at rest. "
             "Take one, or name it with background= (--background)."
         )
     return found[0]
 
 
 def background_files(paths: str | Path | Sequence[str | Path]) -> list[Path]:
-    """Every image that is meant, folders opened, in the order of their names."""
+    """All images of the given paths; folders are listed in the order of their file names."""
     if not isinstance(paths, (str, PathLike, Sequence)) or isinstance(paths, bytes):
         raise TypeError(f"Expected the path of an image or a folder, or several, got {type(paths).__name__}.")
     given = [paths] if isinstance(paths, (str, PathLike)) else list(paths)
@@ -317,6 +317,6 @@ def background_files(paths: str | Path | Sequence[str | Path]) -> list[Path]:
             else [path]
         )
         if not inside:
-            raise DataError(f"Expected images of the untouched gel in the folder {path}, got none.")
+            raise DataError(f"Expected images of the gel at rest in the folder {path}, got none.")
         files += inside
     return files

@@ -1,4 +1,4 @@
-"""The newest frame of a source: one thread per device reads it, and opens it again when it is lost."""
+"""The newest frame of a source: one thread per device reads it, and reopens it after a loss."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from gelform.foundations.checks import check_within
 from gelform.frames import Frame
 from gelform.sensors.source import Source, open_source
 
-STALL_S = 0.5  # without a frame: robots' recorders give up then
-FIRST_WAIT_S, WAIT_GROWTH, LONGEST_WAIT_S = 0.02, 1.5, 0.12  # s, between attempts to open a source again
-AGAIN_S = 0.25  # for the connection to a host that answered before: one that is off swallows attempts
-MAX_KEPT = 1_000_000  # frames
-RATE_FRAMES = 60  # the rate is measured over so many frames
+STALL_S = 0.5  # s without a frame until "reconnecting"; robots' recorders give up after as long
+FIRST_WAIT_S, WAIT_GROWTH, LONGEST_WAIT_S = 0.02, 1.5, 0.12  # s: waits between attempts to reopen
+AGAIN_S = 0.25  # s, timeout of reconnecting to a host that answered before; one that is off does not refuse
+MAX_KEPT = 1_000_000  # frames that are held at most
+RATE_FRAMES = 60  # frames over which the rate is measured
 
 
 @dataclass(frozen=True)
@@ -28,12 +28,12 @@ class GrabberStats:
 
     Attributes
     ----------
-    frames : read so far
-    drops : frames that never reached us, by the gaps in the source's own count: lost on the way, or torn
-    unseen : frames that nobody asked for before a newer one replaced them
-    reopened : how often the source was lost and came back
-    rate_hz : frames a second, measured over the last 60; 0 before the second
-    age_s : how long ago the newest frame was captured, s; None before the first
+    frames : frames read so far
+    drops : frames lost on the way or torn, by gaps in the source's own count
+    unseen : frames that a newer one replaced before anyone asked for them
+    reopened : how often the source was lost and reopened
+    rate_hz : frames per second, over the last 60; 0 before the second frame
+    age_s : age of the newest frame, s; None before the first
     """
 
     frames: int = 0
@@ -45,22 +45,22 @@ class GrabberStats:
 
 
 class Grabber:
-    """Reads a source in a thread of its own and keeps its newest frame, for any number of consumers.
+    """Reads a source in its own thread and keeps the newest frame, for any number of consumers.
 
-    A source that is lost (unplugged, stopped, only torn frames) is opened again, at first after 20 ms and then at
-    most 120 ms apart, until it is back; meanwhile `state` is "reconnecting" and `reason` says why. Its frames are
-    counted on: `Frame.index` never goes back. A camera with another serial number is not taken for the lost one.
+    A source that is lost (unplugged, stopped, only torn frames) is reopened. Attempts are 20 ms apart at first, then at most
+    120 ms. Meanwhile `state` is "reconnecting" and `reason` says why. Frame numbers continue: `Frame.index` never goes back.
+    A camera with another serial number does not replace the lost one.
 
     Parameters
     ----------
-    source : what `open_source` takes, or a function that opens the source and is called again when it is lost
-    keep : how many frames are held for `following`; `newest` needs 1
-    stall_s : after so many seconds without a frame the state is "reconnecting"
+    source : argument of `open_source`, or a function that opens the source and is called again after a loss
+    keep : number of frames held for `following`; `newest` needs 1
+    stall_s : seconds without a frame until the state is "reconnecting"
 
     Raises
     ------
     SensorError, DataError
-        On entering the context: the source cannot be opened, as `open_source` says it.
+        On entering the context: the source cannot be opened; the message is that of `open_source`.
     """
 
     def __init__(
@@ -80,7 +80,7 @@ class Grabber:
         self._times_s: deque[float] = deque(maxlen=RATE_FRAMES)
         self._state, self._reason = "starting", ""
         self._stats = GrabberStats()
-        self._asked = -1  # the last frame that anybody was given
+        self._asked = -1  # index of the last frame that a consumer received
         self._heard_s = time.monotonic()
         self._stop = threading.Event()
         self._error: Exception | None = None
@@ -91,37 +91,37 @@ class Grabber:
 
     @property
     def source(self) -> Source:
-        """The source that is open, or was until it was lost."""
+        """The open source, or the last one if it was lost."""
         if self._source is None:
             raise RuntimeError("Expected an entered Grabber: with Grabber(...) as grabber.")
         return self._source
 
     @property
     def name(self) -> str:
-        """The source's name, for people."""
+        """The source's name for display."""
         return self.source.name
 
     @property
     def serial(self) -> str | None:
-        """The camera's serial number, where it has one."""
+        """The camera's serial number; None if it has none."""
         return self.source.serial
 
     @property
     def settings(self) -> dict[str, float | str]:
-        """The camera's settings, read back."""
+        """The camera's settings as read back."""
         return self.source.settings
 
     # -- for consumers ------------------------------------------------------------------------------------------
 
     @property
     def state(self) -> str:
-        """Is "starting" until the first frame, "running", "reconnecting", or "ended"."""
+        """One of "starting" (until the first frame), "running", "reconnecting", "ended"."""
         with self._changed:
             return "reconnecting" if self._state == "running" and self._stalled() else self._state
 
     @property
     def reason(self) -> str:
-        """Why it is reconnecting or ended; empty while it runs."""
+        """Why the source is reconnecting or has ended; empty while it runs."""
         with self._changed:
             if self._state == "running" and self._stalled():
                 return f"no frame for {time.monotonic() - self._heard_s:.1f} s"
@@ -129,7 +129,7 @@ class Grabber:
 
     @property
     def stats(self) -> GrabberStats:
-        """Figures of this moment."""
+        """Current figures."""
         with self._changed:
             span = self._times_s[-1] - self._times_s[0] if len(self._times_s) > 1 else 0.0
             age = time.monotonic() - self._held[-1].time_s if self._held else None
@@ -140,18 +140,17 @@ class Grabber:
     def newest(self, after_index: int = -1, timeout_s: float | None = None) -> Frame | None:
         """The newest frame with a number above `after_index`.
 
-        Waits for one, at most `timeout_s` (None: as long as it takes; 0: not at all). None where the time is over or
-        the source has ended.
+        Waits at most `timeout_s` (None: no limit; 0: not at all). Returns None after the timeout or the end of the source.
 
         Raises
         ------
         DataError, SensorError
-            The source ended because of it: a damaged file.
+            The error that ended the source, such as a damaged file.
         """
         return self._awaited(after_index, timeout_s, oldest=False)
 
     def following(self, after_index: int = -1, timeout_s: float | None = None) -> Frame | None:
-        """The oldest of the frames held whose number is above `after_index`: for recorders; else as `newest`."""
+        """The oldest held frame with a number above `after_index`, for recorders; otherwise as `newest`."""
         return self._awaited(after_index, timeout_s, oldest=True)
 
     def _awaited(self, after_index: int, timeout_s: float | None, oldest: bool) -> Frame | None:
@@ -184,10 +183,10 @@ class Grabber:
         self.close()
 
     def close(self) -> None:
-        """Stop reading and give the device back; waits for the thread, at most 2 s where the device hangs."""
+        """Stop reading and release the device; waits at most 2 s for a device that hangs."""
         self._stop.set()
         if self._source is not None:
-            self._source.close()  # its loop ends
+            self._source.close()  # this ends its loop
         if self._thread is not None and self._thread is not threading.current_thread():
             self._thread.join(2.0)
         self._set("ended", self._reason or "closed")
@@ -204,14 +203,14 @@ class Grabber:
                 self._source.close()
                 self._reopen()
             self._set("ended", "closed" if self._stop.is_set() else "the source has no more frames")
-        except Exception as problem:  # nothing may vanish in a thread: the consumers get it
+        except Exception as problem:  # consumers raise it: an exception must not vanish in a thread
             self._error = problem
             self._set("ended", str(problem))
         finally:
             self._source.close()
 
     def _read(self, source: Source) -> None:
-        """Take frames until the source ends, is lost, or nobody wants any more."""
+        """Read frames until the source ends, is lost, or the grabber is closed."""
         base = self._held[-1].index + 1 if self._held else 0
         for frame in source:
             if self._stop.is_set():
@@ -236,7 +235,7 @@ class Grabber:
             self._changed.notify_all()
 
     def _reopen(self) -> None:
-        """Open the source again, as soon as it is there."""
+        """Reopen the source as soon as it is available."""
         wait_s, lost = FIRST_WAIT_S, self.source
         while not self._stop.wait(wait_s):
             wait_s = min(wait_s * WAIT_GROWTH, LONGEST_WAIT_S)
@@ -250,7 +249,7 @@ class Grabber:
             return
 
     def _found_again(self, lost: Source) -> Source | None:
-        """The lost source, where it is back: by what it was opened with, else by its serial, as paths may change places."""
+        """The lost source if it is available again: by its spec, else by its serial, because paths may change."""
         attempts = [self._open_again]
         if self._finds_serials and lost.serial:
             attempts.append(partial(open_source, lost.serial))

@@ -1,4 +1,4 @@
-"""A camera at an address: pictures pushed over HTTP (multipart/x-mixed-replace), the newest one taken."""
+"""A network camera: JPEG pictures over HTTP (multipart/x-mixed-replace); the newest one is decoded."""
 
 from __future__ import annotations
 
@@ -18,29 +18,29 @@ from gelform.errors import SensorError, SourceLostError
 from gelform.frames import Frame
 from gelform.sensors.jpeg import MAX_TORN, image_from_jpeg, jpeg_shape, reduction_of
 
-OPEN_S = 2.0  # for the connection and the first picture
-STALL_S = 1.0  # a camera that sends nothing for so long is lost
-RECEIVE_BYTES, MAX_WAITING_BYTES = 2**20, 2**26  # of one call, and of all that is taken at a time
-MAX_PART_BYTES, MAX_PART_HEADER_BYTES = 2**26, 2**14  # more is no stream of pictures
+OPEN_S = 2.0  # s, timeout for the connection and the first picture
+STALL_S = 1.0  # s without data until the camera counts as lost
+RECEIVE_BYTES, MAX_WAITING_BYTES = 2**20, 2**26  # bytes of one call; bytes read at once at most
+MAX_PART_BYTES, MAX_PART_HEADER_BYTES = 2**26, 2**14  # limits of a picture and its header
 _LENGTH = re.compile(rb"content-length:\s*(\d+)", re.IGNORECASE)
 
 
 class MjpegUrl:
     """The frames of an MJPEG address.
 
-    Where several pictures have arrived, the last one is decoded and the others count as dropped; a torn picture
-    (without its end, or not to be decoded) is left out and leaves a gap in the count too. Large pictures are decoded
-    at reduced size (see `reduction_of`). `time_s` is when the picture had arrived.
+    If several pictures have arrived, the last one is decoded and the others count as dropped. A torn picture (without its
+    end, or not decodable) is skipped and leaves a gap in the count too. Large pictures are decoded at reduced size (see
+    `reduction_of`). `time_s` is the arrival time of the picture.
 
     Parameters
     ----------
     url : http:// or https://
-    timeout_s : for the connection
+    timeout_s : timeout of the connection, s
 
     Raises
     ------
     SensorError
-        Nobody answers, the answer is no stream of pictures, or no picture comes within 2 s.
+        The host does not answer, the answer is no stream of pictures, or no picture arrives within 2 s.
     """
 
     live = True
@@ -60,7 +60,7 @@ class MjpegUrl:
             self._splitter = PartSplitter(self._boundary(first))
             self._arrived = self._splitter.feed(first)
             self.settings = self._settings_of_first()
-            undone.pop_all()  # it gives pictures: it stays open
+            undone.pop_all()  # it sends pictures; the connection stays open
         self._reduction = int(self.settings["reduced"])
 
     def __iter__(self) -> Iterator[Frame]:
@@ -90,7 +90,7 @@ class MjpegUrl:
         self.close()
 
     def _boundary(self, first: bytes) -> str:
-        """As the header names it; servers that name no kind of content begin with it."""
+        """The boundary from the header; without one, from the first line of the body."""
         kind = self._body.headers.get_content_type()
         boundary = self._body.headers.get_param("boundary")
         if kind.startswith("multipart/") and isinstance(boundary, str):
@@ -103,7 +103,7 @@ class MjpegUrl:
         return first.partition(b"\r\n")[0].decode("latin-1")
 
     def _settings_of_first(self) -> dict[str, float | str]:
-        """Wait for the first picture; its size and reduction."""
+        """Wait for the first picture; return its size and reduction."""
         until = time.monotonic() + OPEN_S
         while True:
             shape = next((shape for part in self._arrived if (shape := jpeg_shape(part))), None)
@@ -125,17 +125,17 @@ class MjpegUrl:
 
 
 class HttpBody:
-    """The body of a GET request whose answer goes on for ever, as it arrives.
+    """The body of a GET request whose answer never ends, as it arrives.
 
     Parameters
     ----------
-    url : http:// or https://, with user:password@ where the camera wants them
-    timeout_s : for the connection and the answer's header
+    url : http:// or https://, with user:password@ if the camera requires them
+    timeout_s : timeout of the connection and of the answer's header, s
 
     Raises
     ------
     SensorError
-        Nobody answers there, or the answer is not 200.
+        The host does not answer, or the status is not 200.
     """
 
     def __init__(self, url: str, timeout_s: float) -> None:
@@ -145,19 +145,19 @@ class HttpBody:
         with ExitStack() as undone:
             undone.callback(self._socket.close)
             self._response = _answer_to(place, self._socket, url)
-            undone.pop_all()  # it answers: it stays open
+            undone.pop_all()  # it answers; the connection stays open
         self.headers = self._response.headers
         self._dechunk = Dechunker() if self._response.chunked else None
-        # Bytes as they come: the library's own reader of chunks waits for the next one's size; a stream has no length.
+        # Read raw bytes: the library's reader of chunks waits for the size of the next chunk, and a stream has no length.
         self._response.chunked, self._response.length = False, None
 
     def read(self, timeout_s: float) -> bytes:
-        """All bytes that are there, after waiting for the first; empty where the body has ended.
+        """Wait for data and return all bytes available; empty at the end of the body.
 
         Raises
         ------
         SourceLostError
-            The connection is gone, or nothing came for `timeout_s`.
+            The connection is lost, or nothing arrived for `timeout_s`.
         """
         while self._dechunk is None or not self._dechunk.ended:
             received = self._received(timeout_s)
@@ -167,7 +167,7 @@ class HttpBody:
         return b""
 
     def _received(self, timeout_s: float) -> bytes:
-        if self._response.isclosed():  # by itself, at the end
+        if self._response.isclosed():  # closed by the server, at the end
             return b""
         try:
             self._socket.settimeout(timeout_s)
@@ -180,15 +180,15 @@ class HttpBody:
             return bytes(received)
         except TimeoutError:
             raise SourceLostError(f"{self.url} sent nothing for {timeout_s:g} s.") from None
-        except (OSError, ValueError) as problem:  # ValueError: closed meanwhile
+        except (OSError, ValueError) as problem:  # ValueError: another thread closed it
             raise SourceLostError(f"The connection to {self.url} is lost: {_said(problem)}.") from problem
 
     def close(self) -> None:
-        """Close the connection; a reading thread wakes up."""
-        with contextlib.suppress(OSError):  # it is closed already
+        """Close the connection; this wakes a reading thread."""
+        with contextlib.suppress(OSError):  # already closed
             self._socket.shutdown(socket.SHUT_RDWR)
         self._socket.close()
-        self._response.close()  # it holds the socket too
+        self._response.close()  # it also holds the socket
 
     def _is_ready(self) -> bool:
         if isinstance(self._socket, ssl.SSLSocket) and self._socket.pending():
@@ -197,12 +197,12 @@ class HttpBody:
 
 
 class Dechunker:
-    """Takes the chunks' sizes out of a chunked body (RFC 9112, section 7.1)."""
+    """Removes the chunk sizes from a chunked body (RFC 9112, section 7.1)."""
 
     def __init__(self) -> None:
         self.ended = False
         self._bytes = bytearray()
-        self._left = 0  # of the chunk that is being read
+        self._left = 0  # bytes left of the current chunk
 
     def feed(self, data: bytes) -> bytes:
         """The content of these bytes."""
@@ -218,7 +218,7 @@ class Dechunker:
         return b"".join(content)
 
     def _next_chunk(self) -> bool:
-        """Read a size line, and the line end of the chunk before it; False where it is not all there."""
+        """Read a size line, and the line end of the previous chunk; False if it is incomplete."""
         start = 2 if self._bytes.startswith(b"\r\n") else 0
         end = self._bytes.find(b"\r\n", start)
         if end < 0:
@@ -242,9 +242,9 @@ def _connected(place: SplitResult, url: str, timeout_s: float) -> socket.socket:
         raise SensorError(f"Expected an address like http://host:8080/stream, got {url}.")
     try:
         plain = socket.create_connection((place.hostname, port), timeout_s)
-        if plain.getsockname() == plain.getpeername():  # TCP may connect a port of this machine to itself:
-            plain.close()  # the server, when it comes, could not have it
-            raise ConnectionRefusedError("nobody listens")
+        if plain.getsockname() == plain.getpeername():  # TCP may connect a local port to itself:
+            plain.close()  # the server could not bind the port later
+            raise ConnectionRefusedError("no program listens")
         if place.scheme != "https":
             return plain
         return ssl.create_default_context().wrap_socket(plain, server_hostname=place.hostname)
@@ -256,7 +256,7 @@ def _connected(place: SplitResult, url: str, timeout_s: float) -> socket.socket:
 
 
 def _answer_to(place: SplitResult, connected: socket.socket, url: str) -> HTTPResponse:
-    """The answer, its header read."""
+    """The answer, with its header read."""
     headers = {"Host": place.netloc.rpartition("@")[2], "Accept": "*/*", "Connection": "close"}
     if place.username is not None:
         pair = f"{unquote(place.username)}:{unquote(place.password or '')}"
@@ -293,25 +293,25 @@ def _said(problem: BaseException) -> str:
 
 
 class PartSplitter:
-    """Collects bytes and gives the parts that are complete.
+    """Collects bytes and returns the complete parts.
 
-    A part ends where its Content-Length says, else at the next boundary. Where a part is not followed by a boundary,
-    it is given all the same, and what comes up to the next boundary is passed over.
+    A part ends where its Content-Length says, else at the next boundary. A part without a boundary after it is returned too;
+    bytes up to the next boundary are skipped.
 
     Parameters
     ----------
-    boundary : as the stream's content type names it; servers disagree about the dashes before it
+    boundary : from the stream's content type; servers differ in the dashes before it
     """
 
     def __init__(self, boundary: str) -> None:
         self._boundary = b"--" + boundary.strip().strip('"').lstrip("-").encode("latin-1")
         self._bytes = bytearray()
-        self._searched = 0  # bytes of the buffer that hold no boundary
+        self._searched = 0  # bytes of the buffer known to hold no boundary
 
     def feed(self, data: bytes) -> list[bytes]:
         """Parts that these bytes complete.
 
-        ValueError: more bytes without a boundary than a picture has: this is no such stream.
+        ValueError: the bytes without a boundary exceed a picture's size, so this is no such stream.
         """
         self._bytes += data
         parts = []
@@ -324,7 +324,7 @@ class PartSplitter:
         return parts
 
     def _next(self) -> bytes | None:
-        """The first part, cut off the buffer; None while it is not complete."""
+        """Remove the first part from the buffer; None if it is incomplete."""
         start = self._bytes.find(self._boundary)
         if start < 0:
             return None

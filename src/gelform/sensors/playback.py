@@ -1,4 +1,4 @@
-"""Frames from files as a source: as fast as they are read, or at the pace at which they were taken."""
+"""Frames from files as a source: as fast as they can be read, or at their original pace."""
 
 from __future__ import annotations
 
@@ -15,41 +15,41 @@ from gelform.sensors.video_files import USUAL_RATE_HZ, Video
 
 
 class Pace:
-    """The times of evenly spaced frames, the first one now."""
+    """The times of evenly spaced frames; the first time is now."""
 
     def __init__(self, rate_hz: float) -> None:
         self._rate_hz, self._start_s = rate_hz, time.monotonic()
 
     def wait_for(self, index: int) -> float:
-        """Wait for the time of a frame; that time, on the clock."""
+        """Wait for the time of a frame; return that time, on the clock."""
         return self.wait_until(index / self._rate_hz)
 
     def wait_until(self, after_s: float) -> float:
-        """Wait until so many seconds after the start; that time, on the clock."""
+        """Wait until `after_s` seconds after the start; return that time, on the clock."""
         due = self._start_s + after_s
         time.sleep(max(0.0, due - time.monotonic()))
         return due
 
     def next_after(self, index: int) -> int:
-        """The next frame whose time is not past by a whole frame: a late reader does not get old frames."""
+        """The next frame that is less than one frame period late: a slow reader gets no old frames."""
         return max(index + 1, int(self.late_s(0.0) * self._rate_hz))
 
     def late_s(self, after_s: float) -> float:
-        """How long ago the moment `after_s` after the start was, s; negative where it is to come."""
+        """Seconds since the moment `after_s` after the start; negative if it is in the future."""
         return time.monotonic() - self._start_s - after_s
 
 
 class Playback:
-    """Frames that were taken before.
+    """Recorded frames.
 
     Parameters
     ----------
-    frames : gives the frames anew from the start each time it is called
-    name : for people
-    rate_hz : frames a second, where it is known
-    serial, settings : of the camera that took them, where they are known
-    paced : False: each frame as fast as it is read, its `time_s` as the file has it. True: at the pace at which they
-        were taken, `time_s` on the monotonic clock; frames that come too late by more than one frame are passed over.
+    frames : each call returns the frames from the start
+    name : for display
+    rate_hz : frames per second, if known
+    serial, settings : of the recording camera, if known
+    paced : False: each frame as fast as it can be read, with the file's `time_s`. True: at the original pace, `time_s` on
+        the monotonic clock; frames more than one frame period late are skipped
     """
 
     def __init__(
@@ -85,7 +85,7 @@ class Playback:
             yield replace(frame, time_s=time_s, wall_time_ns=frame.wall_time_ns or time.time_ns())
 
     def close(self) -> None:
-        """End the loop over it."""
+        """End the loop over this source."""
         self._closed = True
 
     def __enter__(self) -> Playback:
@@ -96,7 +96,7 @@ class Playback:
 
 
 def video_playback(path: Path, *, paced: bool = False) -> Playback:
-    """The frames of a video file; DataError where it is none (see `Video`)."""
+    """The frames of a video file; DataError if it is no video (see `Video`)."""
     video = Video(path)
     height, width = video.facts.shape
     return Playback(
@@ -109,17 +109,17 @@ def video_playback(path: Path, *, paced: bool = False) -> Playback:
 
 
 def folder_playback(path: Path, *, rate_hz: float | None = None, paced: bool = False) -> Playback:
-    """The images of a folder in the order of their names, evenly spaced in time.
+    """The images of a folder, ordered by name and evenly spaced in time.
 
     Parameters
     ----------
     path : a folder of images
-    rate_hz : images a second; 25 by default
+    rate_hz : images per second; 25 by default
 
     Raises
     ------
     DataError
-        The folder holds no image; in a loop: one cannot be read.
+        The folder contains no image; in a loop: an image cannot be read.
     """
     rate = check_positive(rate_hz or USUAL_RATE_HZ, "rate_hz")
     frame, count = images_by_number(path, rate)
@@ -127,7 +127,7 @@ def folder_playback(path: Path, *, rate_hz: float | None = None, paced: bool = F
 
 
 def images_by_number(path: Path, rate_hz: float) -> tuple[Callable[[int], Frame], int]:
-    """number -> frame of a folder's images in the order of their names, and how many there are; DataError for none."""
+    """(number -> frame, number of frames) of a folder's images, ordered by name; DataError if there are none."""
     files = sorted(file for file in path.iterdir() if file.suffix.lower() in IMAGE_SUFFIXES)
     if not files:
         raise DataError(f"Expected images ({', '.join(IMAGE_SUFFIXES)}) in the folder {path}, got none.")

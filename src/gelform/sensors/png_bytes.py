@@ -1,4 +1,4 @@
-"""The bytes of a PNG: whether they are whole, without what is no picture, and the pixels of the usual kind."""
+"""The bytes of a PNG: whether they are complete, the same without metadata, and the pixels of the usual kind."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from numpy.typing import NDArray
 
 from gelform._native import Kernel
 
-# The extra png: Intel's ISA-L decompresses to the same bytes in a quarter of the time.
+# The extra `png`: Intel's ISA-L decompresses to the same bytes in a quarter of the time.
 inflate: Any = import_module("isal.isal_zlib") if find_spec("isal") else zlib
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
 CRITICAL = (b"IHDR", b"PLTE", b"IDAT", b"IEND", b"tRNS")
-MAX_PIXEL_BYTES = 2**32  # decompressed: a small file cannot ask for all memory
+MAX_PIXEL_BYTES = 2**32  # decompressed bytes at most, so that a small file cannot fill the memory
 USUAL = (8, 2, 0, 0, 0)  # bits, RGB, compression, filters, no interlace
 _png_rows = Kernel("png_rows", "u8[h,r] rows, u8[n] zeros, out u8[h,n] pixels")
 
 
 def pixels_of_png(content: bytes) -> NDArray[np.uint8] | None:
-    """RGB pixels (H, W, 3) of a whole PNG of 8-bit RGB without interlace; None of any other, and of a damaged one.
+    """RGB pixels (H, W, 3) of a complete PNG of 8-bit RGB without interlace; None for any other and for a damaged one.
 
-    The same checks as `png_of_pixels`, but decompressed once: half the time of a decoder after them, and a third of that
-    with the extra png.
+    The checks are those of `png_of_pixels`, but the data is decompressed once. That takes half the time of the checks plus a
+    decoder, and a third of it with the extra `png`.
     """
     header, pixels = b"", []
     for kind, _, data in _chunks(content):
@@ -63,11 +63,10 @@ def _rgb(header: bytes, compressed: bytes) -> NDArray[np.uint8] | None:
 
 
 def png_of_pixels(content: bytes) -> bytes | None:
-    """A PNG with nothing but its pixels; None where it is truncated or damaged.
+    """A PNG reduced to its pixels; None if it is truncated or damaged.
 
-    Every chunk has to agree with its checksum, up to the last one (PNG specification, section 5.3), and the compressed
-    pixels with theirs. What else a file may hold (colour profiles, texts, times) is left out: a decoder that does not
-    like it says so on the terminal.
+    Every chunk must match its checksum, up to the last one (PNG specification, section 5.3), and so must the compressed
+    pixels. Metadata (color profiles, texts, times) is removed, because decoders print warnings about metadata they reject.
     """
     kept, pixels = [SIGNATURE], []
     for kind, chunk, data in _chunks(content):
@@ -81,7 +80,7 @@ def png_of_pixels(content: bytes) -> bytes | None:
 
 
 def _chunks(content: bytes) -> Iterator[tuple[bytes, bytes, bytes]]:
-    """Kind, whole chunk and data, as long as they agree with their checksums."""
+    """Kind, whole chunk and data of each chunk, as long as the checksums match."""
     position = len(SIGNATURE)
     while position + 12 <= len(content):
         (length,) = struct.unpack(">I", content[position : position + 4])
@@ -94,7 +93,7 @@ def _chunks(content: bytes) -> Iterator[tuple[bytes, bytes, bytes]]:
 
 
 def _is_stream(compressed: bytes) -> bool:
-    """Whether bytes decompress to their end; a piece at a time, so that a small file cannot ask for all memory."""
+    """Whether bytes decompress to their end; in pieces, so that a small file cannot fill the memory."""
     stream, total = inflate.decompressobj(), 0
     try:
         while not stream.eof:

@@ -1,7 +1,7 @@
-"""Sensors that are known by name: one table of their geometry, the order of their lights and their simulation.
+"""The table of known sensors: geometry, order of the lights and simulation.
 
-To add a sensor, add a row to `SENSORS`. Importing this module loads no numpy: the help of the command line
-lists the names in it.
+To add a sensor, add a row to `SENSORS`. This module does not import numpy, because the command line's help lists these
+names.
 """
 
 from __future__ import annotations
@@ -16,25 +16,25 @@ if TYPE_CHECKING:
     from gelform.simulate.sensor.sensor import SimulatedSensor
     from gelform.view import View
 
-MAX_ASPECT_ERROR = 0.01  # of pixels: 1 % out of square
+MAX_ASPECT_ERROR = 0.01  # relative error of the pixels' aspect ratio: 1 % from square
 
 
 @dataclass(frozen=True)
 class SensorProfile:
-    """The geometry of a kind of sensor, and the order of its lights.
+    """The geometry of a make of sensor, and the order of its lights.
 
     Attributes
     ----------
-    name : as people write it; a sensor's own name starts with it
+    name : the usual name; names of single sensors start with it
     image_shape : (H, W) of its images after the view
-    border : fraction of the frame cut away on each of the four sides
+    border : fraction of the frame that is cropped on each of the four sides
     mm_per_px : mm per image pixel
-    mm_per_px_sigma : its standard deviation between units and from what is known, mm
-    verified : whether the scale was held against an independent measurement
-    source : where these figures come from
-    light_order : "clockwise" or "counter-clockwise": how red, green and blue light come round the gel in the
-        image, measured on one unit. Turning the camera keeps it; reversed channels and mirrored images turn it.
-    gel_thickness_mm : of its gel at rest, which no depth can exceed; None where no source says it
+    mm_per_px_sigma : its standard deviation, mm: variation between units and uncertainty of the source
+    verified : whether the scale was checked by an independent measurement
+    source : origin of these figures
+    light_order : "clockwise" or "counter-clockwise": the order of red, green and blue light around the gel in the image,
+        measured on one unit. Turning the camera keeps it; swapping channels or mirroring the image reverses it.
+    gel_thickness_mm : thickness of its gel at rest, the upper limit of depth; None if no source states it
     """
 
     name: str
@@ -50,12 +50,12 @@ class SensorProfile:
     def view(self, frame_shape: tuple[int, int]) -> View:
         """The view of frames (H, W) of this sensor, upright or turned by 90 degrees.
 
-        A frame that already has the image's size counts as an image: nothing is cut from it.
+        A frame that already has the image's size counts as an image and is not cropped.
 
         Raises
         ------
         SensorError
-            The cropped frame has another aspect than the image: its pixels would not be square.
+            The cropped frame has another aspect ratio than the image: its pixels would not be square.
         """
         from gelform.view import View
 
@@ -80,15 +80,15 @@ class SensorProfile:
 
 @dataclass(frozen=True)
 class KnownCamera:
-    """The camera of a kind of sensor.
+    """The camera of a make of sensor.
 
     Attributes
     ----------
     usb_id : vendor and product
-    modes : ((height, width), frames a second) that it offers, the usual one first
-    fourcc : the picture format that is asked for
-    turn : what makes its frames upright, as a view says it: this make's images are taken turned
-    led_levels : how many steps of LED brightness there are beside 0, set through the zoom control; 0: it cannot be set
+    modes : ((height, width), frames per second) that it offers, the usual one first
+    fourcc : the picture format to request
+    turn : rotation that makes its frames upright, as in a view
+    led_levels : LED brightness steps above 0, set through the zoom control; 0 if the LEDs cannot be set
     """
 
     usb_id: str
@@ -104,9 +104,9 @@ class KnownSensor:
 
     Attributes
     ----------
-    profile : SensorProfile, or None where there is no real sensor that it was taken from
-    preset : the function of `gelform.simulate.presets` that makes its simulation; None where there is none
-    camera : KnownCamera, or None where it is built with any camera
+    profile : SensorProfile; None if no real sensor exists
+    preset : function of `gelform.simulate.presets` that makes its simulation; None if there is none
+    camera : KnownCamera; None if units are built with any camera
     """
 
     profile: SensorProfile | None
@@ -114,7 +114,7 @@ class KnownSensor:
     camera: KnownCamera | None = None
 
     def simulated(self) -> SimulatedSensor:
-        """The sensor to simulate; SensorError where there is no simulation of it."""
+        """The sensor to simulate; SensorError if it has no simulation."""
         from gelform.simulate import presets
 
         if self.preset is None:
@@ -168,7 +168,7 @@ PROFILES = {name: known.profile for name, known in SENSORS.items() if known.prof
 
 
 def profile_named(name: str) -> SensorProfile:
-    """The profile of that name; SensorError, naming those that are known, where there is none."""
+    """The profile with that name; SensorError if there is none, with the known names."""
     if not isinstance(name, str) or name not in PROFILES:
         raise SensorError(
             f"Expected a sensor profile among {', '.join(PROFILES)}, got {name!r}. "
@@ -177,19 +177,25 @@ def profile_named(name: str) -> SensorProfile:
     return PROFILES[name]
 
 
-def scale_off_make(sensor_name: str, image_shape: tuple[int, int], mm_per_px: float) -> float | None:
-    """How far mm_per_px is from that of the make which a name starts with, |logarithm|, of images of its size (H, W).
+def make_of(sensor_name: str) -> str | None:
+    """The make that a sensor's name starts with; None for an unknown make."""
+    return next((name for name, one in PROFILES.items() if sensor_name.startswith(one.name)), None)
 
-    Of the profile's crop or of the whole frame, whichever is nearer; None for an unknown make or another size of images.
+
+def scale_off_make(sensor_name: str, image_shape: tuple[int, int], mm_per_px: float) -> float | None:
+    """Distance |log ratio| of mm_per_px from the scale of the make that a name starts with, for images (H, W).
+
+    The nearer of two scales counts: that of the profile's crop and that of the whole frame. None for an unknown make or for
+    another image size.
     """
-    for profile in PROFILES.values():
-        if sensor_name.startswith(profile.name) and tuple(image_shape) == profile.image_shape:
-            usual = profile.mm_per_px, profile.mm_per_px / (1 - 2 * profile.border)
-            return min(abs(log(mm_per_px / one)) for one in usual)
-    return None
+    profile = PROFILES.get(make_of(sensor_name) or "")
+    if profile is None or tuple(image_shape) != profile.image_shape:
+        return None
+    usual = profile.mm_per_px, profile.mm_per_px / (1 - 2 * profile.border)
+    return min(abs(log(mm_per_px / one)) for one in usual)
 
 
 def light_order_of(sensor_name: str) -> str | None:
-    """The order of the lights in the kind of sensor that a name starts with; None for an unknown kind."""
-    orders = [p.light_order for p in PROFILES.values() if sensor_name.startswith(p.name)]
-    return orders[0] if orders else None
+    """The order of the lights of the make that a name starts with; None for an unknown make."""
+    make = make_of(sensor_name)
+    return None if make is None else PROFILES[make].light_order

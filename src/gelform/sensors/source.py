@@ -1,4 +1,4 @@
-"""Where frames come from: one interface to cameras, files, addresses and the simulated sensor."""
+"""The source of frames: one interface to cameras, files, addresses and the simulated sensor."""
 
 from __future__ import annotations
 
@@ -26,19 +26,19 @@ ADDRESSES = ("http://", "https://")
 
 
 class Source(Protocol):
-    """Frames, one after the other; a context manager.
+    """Frames in sequence; a context manager.
 
     Attributes
     ----------
-    name : for people, such as "GelSight Mini 2BKRXXXX", "simulated three-edges", "press.mp4"
-    serial : of the camera, where it has one
-    settings : what is read back: width, height, fps, exposure, gain, white_balance, led_level, what there is of them
-    live : True where frames come at their own time (a camera, an address, the simulated sensor, a paced replay); False
-        where they come as fast as they are read
-    rate_hz : nominal frames a second, where it is known
+    name : for display, such as "GelSight Mini 2BKRXXXX", "simulated three-edges", "press.mp4"
+    serial : the camera's serial number, if it has one
+    settings : as read back: width, height, fps, exposure, gain, white_balance, led_level, as far as they exist
+    live : True if frames arrive at their own time (a camera, an address, the simulated sensor, a paced replay); False if
+        they are read as fast as possible
+    rate_hz : nominal frames per second, if known
 
-    A loop over a live source raises SourceLostError where it goes away or stands still. Each source is looped
-    over once; `open_source` gives a new one.
+    A loop over a live source raises SourceLostError if the source disappears or stalls. Each source is looped over once;
+    `open_source` returns a new one.
     """
 
     name: str
@@ -50,7 +50,7 @@ class Source(Protocol):
     def __iter__(self) -> Iterator[Frame]: ...
 
     def close(self) -> None:
-        """Give the device back; a loop over the source, in any thread, ends at its next frame or timeout."""
+        """Release the device; a loop over the source, in any thread, ends at its next frame or timeout."""
 
     def __enter__(self) -> Source: ...
 
@@ -71,18 +71,18 @@ def open_source(
 
     Parameters
     ----------
-    spec : what to open
+    spec : the source
 
         - "simulated", or "simulated:NAME" for another simulated sensor than three-edges, such as gelsight-mini
-        - http://... or https://...: a camera that pushes JPEG pictures (multipart/x-mixed-replace)
+        - http://... or https://...: a camera that sends JPEG pictures (multipart/x-mixed-replace)
         - the serial number of a USB camera, its name (or a part of it, or "digit", "gelsight-mini"), or its path; "" for the
-          only one that is plugged in
-        - *.mcap, a folder of rosbag2, a video file, or a folder of images (one that `gelform record` wrote has its times)
-    paced : whether files play at the pace at which they were taken, instead of as fast as they are read
-    rate_hz : frames a second of the simulated sensor (60) and of a folder of images (25)
-    timeout_s : for the connection to an address
-    settings : of a USB camera, those that are to be set: width, height, fps, fourcc, exposure, gain, white_balance,
-        led_level; they are read back. Other sources have nothing that could be set
+          only connected camera
+        - *.mcap, a rosbag2 folder, a video file, or a folder of images (those of `gelform record` have their times)
+    paced : whether files play at their original pace, instead of as fast as they can be read
+    rate_hz : frames per second of the simulated sensor (60) and of a folder of images (25)
+    timeout_s : timeout of the connection to an address, s
+    settings : values to set on a USB camera: width, height, fps, fourcc, exposure, gain, white_balance, led_level; they are
+        read back. Other sources accept no settings
 
     Returns
     -------
@@ -92,8 +92,8 @@ def open_source(
     Raises
     ------
     SensorError
-        There is no such camera, or several (the message lists what is there); it may not be opened (with the udev rule), is
-        in use, or does not take a setting; or settings are given for what is no USB camera.
+        No camera or several match (the message lists the connected ones); access is denied (with the udev rule); the camera
+        is in use or rejects a setting; or settings are given for a source that is no USB camera.
     DataError
         The file or folder is missing or cannot be read.
     """
@@ -111,7 +111,7 @@ def open_source(
 def _without_settings(
     spec: str | PathLike[str], paced: bool, rate_hz: float | None, timeout_s: float
 ) -> Source | None:
-    """The simulated sensor, an address, or what files hold; None where the spec can only be a USB camera's."""
+    """The simulated sensor, an address, or files; None if the spec can only be a USB camera's."""
     if isinstance(spec, str) and spec.partition(":")[0] == SIMULATED:
         return _simulated(spec, rate_hz)
     if isinstance(spec, str) and spec.startswith(ADDRESSES):
@@ -120,7 +120,7 @@ def _without_settings(
 
 
 def _of_files(path: Path, paced: bool, rate_hz: float | None) -> Source | None:
-    """A recording, a video or a folder; None where the path can only be a camera's name."""
+    """A recording, a video or a folder; None if the path can only be a camera's name."""
     if path.suffix.lower() == ".mcap":
         return mcap_playback(path, paced=paced)
     if path.is_dir():

@@ -1,4 +1,4 @@
-"""Frames from a video file, in RGB, one after the other: memory holds one at a time."""
+"""Frames from a video file in RGB, in sequence; one frame at a time is in memory."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from gelform.foundations.checks import check_path
 from gelform.frames import Frame
 
 VIDEO_SUFFIXES = (".avi", ".mp4", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv")
-USUAL_RATE_HZ = 25.0  # of videos and images that do not say when they were taken
-COMPLETE_FRACTION = 0.9  # of the declared frames: containers count a few too many
+USUAL_RATE_HZ = 25.0  # usual rate of videos and images without time stamps
+COMPLETE_FRACTION = 0.9  # of the declared frames: containers may declare a few too many
 
 
 @dataclass(frozen=True)
 class VideoFacts:
-    """What a video file says of itself: shape (H, W), frame rate in Hz, and number of frames; 0 where unknown."""
+    """Facts that a video file states: shape (H, W), frame rate in Hz, number of frames; 0 where unknown."""
 
     shape: tuple[int, int]
     frame_rate_hz: float
@@ -30,10 +30,10 @@ class VideoFacts:
 
 
 class Video:
-    """The frames of a video file; each loop over it reads them anew from the start.
+    """The frames of a video file; each loop over it reads them from the start.
 
-    `for frame in Video("presses.avi")` gives `Frame`s: image (H, W, 3) uint8 RGB, `time_s` from the file's time
-    stamps, `index` from 0, `wall_time_ns` 0, because a file does not say when it was filmed.
+    `for frame in Video("presses.avi")` gives `Frame`s: image (H, W, 3) uint8 RGB, `time_s` from the file's time stamps,
+    `index` from 0, `wall_time_ns` 0, because a file does not store its recording time.
 
     Parameters
     ----------
@@ -42,8 +42,8 @@ class Video:
     Raises
     ------
     DataError
-        The file is missing, empty or cannot be decoded; in a loop also: its frames end well before the number
-        that it declares, or change their size.
+        The file is missing, empty or cannot be decoded; in a loop also: its frames end well before the declared number, or
+        change their size.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -66,7 +66,7 @@ class Video:
         return self.frames()
 
     def frames(self, only: Container[int] | None = None) -> Iterator[Frame]:
-        """The frames, or those of them whose index is in `only`: the others are not turned into pictures."""
+        """The frames, or those with an index in `only`; the others are not decoded."""
         capture = self._opened()
         index = 0
         try:
@@ -86,7 +86,7 @@ class Video:
 
     def _frame(self, capture: cv2.VideoCapture, index: int) -> Frame:
         time_s = capture.get(cv2.CAP_PROP_POS_MSEC) / 1000
-        if index and not time_s > 0:  # no time stamps: by the frame rate
+        if index and not time_s > 0:  # no time stamps: use the frame rate
             time_s = index / (self.facts.frame_rate_hz or USUAL_RATE_HZ)
         return Frame(grabbed_image(capture, f"Frame {index} of {self.path}"), float(time_s), 0, index)
 
@@ -105,13 +105,13 @@ class Video:
 
 
 def grabbed_image(capture: cv2.VideoCapture, where: str) -> NDArray[Any]:
-    """The frame that was grabbed, (H, W, 3) RGB; DataError, naming `where`, if it is damaged or no colour."""
+    """The grabbed frame, (H, W, 3) RGB; DataError, naming `where`, if it is damaged or not a color image."""
     decoded, pixels = capture.retrieve()
     if not decoded or pixels is None or pixels.ndim != 3 or pixels.shape[2] != 3:
-        raise DataError(f"{where} is damaged or no colour. Record the video again.")
+        raise DataError(f"{where} is damaged or no color. Record the video again.")
     return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB))
 
 
 def is_video(path: str | Path) -> bool:
-    """Whether a path is named as a video file."""
+    """Whether a path has the ending of a video file."""
     return Path(path).suffix.lower() in VIDEO_SUFFIXES

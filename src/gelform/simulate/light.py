@@ -1,4 +1,4 @@
-"""Light on the gel: near point lights with beams, matte and glossy shading, cast shadows, scattering in the gel."""
+"""Light on the gel: nearby point lights with beams, diffuse and glossy shading, cast shadows, scattering in the gel."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from gelform.simulate.gel.gel import Surface
 from gelform.simulate.sensor.coating import Coating
 from gelform.simulate.sensor.sensor import Led
 
-BLOCK_SAMPLES = 1 << 14  # of the surface at once in numpy: what the processor's cache holds
+BLOCK_SAMPLES = 1 << 14  # samples of the surface at once in numpy; they fit the processor's cache
 
 _irradiance = Kernel(
     "irradiance",
     "f64[w] x, f64[h] y, f64[h,w] z, f64[h,w,2] gradients, f32[h,w,2]? texture, f32[lights,10] leds, "
     "f32[lights,rows,columns]? visible, out f32[rows,columns,3] out, f32 specular, i32 doublings, i32 oversample",
 )
-SHARPEST = 1e-4  # samples: the penumbra of a light without size
+SHARPEST = 1e-4  # samples, the penumbra of a light without size
 
 _visible_lights = Kernel(
     "visible_lights",
@@ -40,12 +40,12 @@ def irradiance_from_surface(
     visible: NDArray[np.float32] | None = None,
     dtype: Any = np.float64,
 ) -> NDArray[Any]:
-    """Light that a surface sends to the camera, averaged over each pixel.
+    """Light from a surface to the camera, averaged over each pixel.
 
     For an LED of strength I at d mm from a surface point with unit normal n, direction l:
-    `E = I max(0, n . l)/d^2` (Lambert's cosine law and the inverse square law). Lights add up; one behind
-    the surface gives nothing (the attached shadow). With a beam it is times cos^m of the angle to the LED's
-    axis, with gloss `specular max(0, n . h)^s I/d^2` more, h halfway between l and the view (J. F. Blinn,
+    `E = I max(0, n . l)/d^2` (Lambert's cosine law and the inverse square law). Lights add up; a light behind
+    the surface gives nothing (the attached shadow). A beam multiplies E by cos^m of the angle to the LED's axis. Gloss
+    adds `specular max(0, n . h)^s I/d^2`, with h halfway between l and the view (J. F. Blinn,
     Models of light reflection for computer synthesized pictures, SIGGRAPH 1977).
 
     Parameters
@@ -53,14 +53,14 @@ def irradiance_from_surface(
     surface : Surface on the subpixel grid
     leds : lights; `color` is I per channel
     oversample : subpixels per pixel along each axis
-    texture : (h, w, 2), slopes that shade beside those of the surface, on the subpixel grid
+    texture : (h, w, 2), slopes that shade in addition to those of the surface, on the subpixel grid
     specular, shininess : of the gloss
-    visible : (lights, H, W), the part of each light that a pixel sees; see `shadows`
+    visible : (lights, H, W), the part of each light that reaches a pixel; see `visible_from_surface`
     dtype : of the result: float32 is twice as fast and good to 1e-6
 
     Returns
     -------
-    irradiance : (H, W, 3), grey levels before vignetting
+    irradiance : (H, W, 3), gray levels before vignetting
     """
     doublings = int(shininess).bit_length() - 1
     table = _table(leds).astype(dtype)
@@ -92,7 +92,7 @@ def exact_irradiance(
     specular: float,
     doublings: int,
 ) -> NDArray[np.float64]:
-    """The same in double precision, of lights as rows of numbers: what the kernel is held to."""
+    """The same in double precision, with lights as rows of numbers: the reference for the kernel."""
     p, q = surface.gradients[..., 0], surface.gradients[..., 1]
     cosine = 1 / np.sqrt(1 + p**2 + q**2)
     height, width = (n // oversample for n in surface.depth_mm.shape)
@@ -114,7 +114,7 @@ def exact_irradiance(
 
 @lru_cache(maxsize=8)
 def _table(leds: tuple[Led, ...]) -> NDArray[np.float64]:
-    """Lights as rows of numbers: place, colour, axis, power of the beam."""
+    """Lights as rows of numbers: position, color, axis, power of the beam."""
     axes = [np.subtract(led.aim_mm, led.position_mm) for led in leds]
     return np.array(
         [
@@ -125,12 +125,11 @@ def _table(leds: tuple[Led, ...]) -> NDArray[np.float64]:
 
 
 def visible_from_surface(surface: Surface, leds: tuple[Led, ...]) -> NDArray[np.float32] | None:
-    """The part of each light (lights, H, W), 0-1, that each sample of the surface sees; None: all of all.
+    """The part of each light (lights, H, W), 0-1, that reaches each sample of the surface; None: all of it everywhere.
 
-    The ray from each sample to the light is followed a sample at a time until it is above the highest point.
-    A light of diameter D at distance d is half hidden where the ray touches the surface. It is hidden where the
-    surface stands s D/(2 d) above the ray at distance s along it, and seen in full where it stands as far
-    below: the penumbra.
+    The ray from each sample to the light is followed sample by sample until it is above the highest point.
+    A light of diameter D at distance d is half hidden if the ray touches the surface. It is hidden if the surface stands
+    s D/(2 d) above the ray at distance s along it, and fully visible if it stands as far below: the penumbra.
     """
     depth = surface.depth_mm.astype(np.float32)
     top = float(depth.max())
@@ -148,12 +147,12 @@ def visible_from_surface(surface: Surface, leds: tuple[Led, ...]) -> NDArray[np.
 def shadowed_from_surface(
     surface: Surface, leds: tuple[Led, ...], visible: NDArray[np.float32] | None
 ) -> NDArray[np.bool_]:
-    """Where (H, W) at least half of some light is lost: behind the surface, or hidden by another part of it."""
+    """Pixels (H, W) that lose at least half of some light: behind the surface, or hidden by another part of it."""
     lost = np.zeros(surface.depth_mm.shape, dtype=bool) if visible is None else visible.min(axis=0) < 0.5
     x, y, z, g = surface.x_mm.ravel(), surface.y_mm.ravel(), surface.depth_mm, surface.gradients
     places = np.array([led.position_mm for led in leds], dtype=np.float64)
     far = np.abs(places[:, None, :2] - np.array([(x[0], y[0]), (x[-1], y[-1])])).max(axis=1)
-    # A light is behind the surface where `z + g . (light - place)` is over it: possible on steep pixels alone.
+    # A light is behind the surface if `z + g . (light - place)` exceeds its height, which only steep pixels allow.
     needed = np.maximum(places[:, 2] - z.max(), 0) / np.linalg.norm(far, axis=1)
     steep = np.abs(g) >= needed.min() / np.sqrt(2)
     row, column = np.nonzero(steep[..., 0] | steep[..., 1])
@@ -164,7 +163,7 @@ def shadowed_from_surface(
 
 
 def _reach(leds: NDArray[np.float64], shape: tuple[int, ...], top: float) -> NDArray[np.int64]:
-    """How many samples a shadow of the highest point can be long, for the pixel farthest from each light."""
+    """Number of samples that a shadow of the highest point can be long, for the pixel farthest from each light."""
     height, width = shape
     far_x = np.maximum(np.abs(leds[:, 0]), np.abs(leds[:, 0] - (width - 1)))
     far_y = np.maximum(np.abs(leds[:, 1]), np.abs(leds[:, 1] - (height - 1)))
@@ -176,7 +175,7 @@ def _reach(leds: NDArray[np.float64], shape: tuple[int, ...], top: float) -> NDA
 def spread_in_gel(light: NDArray[Any], coating: Coating, mm_per_px: float) -> NDArray[Any]:
     """Light after scattering in the gel and one bounce between gel and walls.
 
-    Both are wide blurs, made on a coarser grid: one keeps the light's sum, the other adds to it.
+    Both are wide blurs on a coarser grid; the first preserves the light's sum, the second adds to it.
     """
     wide = [
         (part, length_mm / mm_per_px)
@@ -200,7 +199,7 @@ def spread_in_gel(light: NDArray[Any], coating: Coating, mm_per_px: float) -> ND
 
 
 def _blurred(small: NDArray[Any], sigma: float) -> NDArray[Any]:
-    """Gaussian blur; a wide one on a coarser grid still."""
+    """Gaussian blur; a wide one uses a coarser grid."""
     factor = max(1, int(sigma / 3))
     if factor == 1:
         return np.asarray(cv2.GaussianBlur(small, (0, 0), sigma, borderType=cv2.BORDER_REFLECT))

@@ -1,4 +1,4 @@
-"""Ready sensors: layouts with quite different lights, to test what a calibration copes with; looks of real sensors."""
+"""Ready sensors: layouts with different lights, for tests of calibration, and models of real sensors."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from gelform.simulate.sensor.sensor import (
 )
 
 LAYOUTS: dict[str, SimulatedSensor] = {
-    # As a GelSight Mini: rows of LEDs along the left and right edges and the lower one; mean levels of the
-    # untouched image 78, 95, 105, as of a real one.
+    # Like a GelSight Mini: rows of LEDs along the left and right edges and the lower one; mean levels of the background
+    # image 78, 95, 105, as of a real one.
     "three-edges": SimulatedSensor(
         (
             *led_row((-18, -10, 12), (-18, 2, 12), RED, 4),
@@ -49,7 +49,7 @@ LAYOUTS: dict[str, SimulatedSensor] = {
         noise_sd=0.8,
         relaxation_mm=0.4,
     ),
-    # Close, low lights of unequal places, much crosstalk, vignetting and noise: a first own build; levels 85, 80, 75.
+    # Close, low lights at uneven places, much crosstalk, vignetting and noise: a first home-made sensor; levels 85, 80, 75.
     "homemade": SimulatedSensor(
         (
             Led((-12.5, -3, 7.5), (1, 0.05, 0)),
@@ -74,8 +74,8 @@ LAYOUTS: dict[str, SimulatedSensor] = {
 def gelsight_mini() -> SimulatedSensor:
     """A GelSight Mini without markers, 240x320.
 
-    Lights and shading were fitted to the ratio of pressed to untouched light in 23 ball presses of a real one, and to
-    its background; they are places that explain the picture, not where the LEDs are soldered.
+    Lights and shading were fitted to the ratio of light under press to light at rest in 23 ball presses of a real one, and
+    to its background. The positions explain the picture; they are not those of the LEDs.
     """
     leds = (
         *led_row((-9.95, -9.45, 8.51), (-0.89, -13.69, 8.51), (1094.4, 4.8, 1.6), 3),
@@ -111,7 +111,7 @@ def gelsight_mini() -> SimulatedSensor:
 def digit() -> SimulatedSensor:
     """A DIGIT, 320x240: three strong lights and their triangular cast shadows.
 
-    Fitted as the GelSight Mini is, to 21 ball presses whose scale is not verified.
+    It was fitted like the GelSight Mini, to 21 ball presses whose scale is not verified.
     """
     leds = (
         *led_row((21.83, -18.68, 11.4), (23.07, -17.12, 11.4), (1669.6, 0.8, 568.4), 3),
@@ -147,10 +147,10 @@ def digit() -> SimulatedSensor:
 
 @lru_cache(maxsize=1)
 def gelslim() -> SimulatedSensor:
-    """In the manner of GelSlim 3.0: low light from the edges, markers, a lens with distortion; 240x320.
+    """A sensor like GelSlim 3.0: low light from the edges, markers, a lens with distortion; 240x320.
 
-    The idea is that of Taylor, Dong and Rodriguez, GelSlim 3.0, ICRA 2022; the figures are guesses, not taken
-    from it and fitted to nothing: no images of one were at hand.
+    The idea is that of Taylor, Dong and Rodriguez, GelSlim 3.0, ICRA 2022. The figures are guesses, neither taken from the
+    paper nor fitted, because no images of one were available.
     """
     leds = (
         *led_row((-17, -8, 4), (-17, 8, 4), (1, 0.05, 0.02), 4),
@@ -179,7 +179,7 @@ def gelslim() -> SimulatedSensor:
 
 @lru_cache(maxsize=1)
 def first_build() -> SimulatedSensor:
-    """A first own build: the layout `homemade` with everything that goes wrong with one."""
+    """A first home-made sensor: the layout `homemade` with all its usual faults."""
     return replace(
         LAYOUTS["homemade"],
         name="first-build",

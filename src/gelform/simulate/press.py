@@ -1,4 +1,4 @@
-"""One call from a sensor and an indenter to an image with its truth."""
+"""Simulated presses: one call from a sensor and an indenter to an image with its truth."""
 
 from __future__ import annotations
 
@@ -26,28 +26,28 @@ from gelform.simulate.sensor.sensor import SimulatedSensor
 
 @dataclass(frozen=True)
 class SimulatedPress(Rendered):
-    """An image and the truth behind it, on the image's grid.
+    """An image and its truth, on the image's grid.
 
     Attributes
     ----------
-    image : (H, W, 3) uint8, or float64 where not quantised, RGB
-    depth_mm : (H, W) float64, the surface at the pixels' centres, positive where pressed
+    image : (H, W, 3) uint8, or float64 where not quantized, RGB
+    depth_mm : (H, W) float64, the surface at the pixels' centers, positive where pressed
     gradients : (H, W, 2) float64, its slopes there, mm/mm
     contact : (H, W) bool
-    indenter : what was pressed
-    center_mm : (x, y), where its centre was, mm from the gel's centre
+    indenter : the pressed indenter
+    center_mm : (x, y), position of its center, mm from the gel's center
     center_px : (x, y), the same in pixels
     press_depth_mm : float
-        How far its foremost point stood in the gel.
+        Depth of its foremost point in the gel.
     contact_radius_px : float or None
         Radius of the circle in which gel and ball touch; None for other indenters.
     albedo : (H, W) float32, reflectance with dust and markers; 1 is the clean coating
     shadowed : (H, W) bool, where at least half of some light is lost to the surface
     saturated : (H, W) bool, where some channel is cut at 0 or 255
-    markers_px : (N, 2), where the markers are, x and y; some lie beside the image
-    markers_shift_mm : (N, 2), how far they were dragged from rest
+    markers_px : (N, 2), positions of the markers, x and y; some lie outside the image
+    markers_shift_mm : (N, 2), their displacement from rest
     pose : Pose
-    time_s : float, since the LEDs were switched on
+    time_s : float, time since the LEDs were switched on
     """
 
     indenter: Indenter
@@ -67,7 +67,7 @@ class SimulatedPress(Rendered):
 
     @property
     def ball_diameter_mm(self) -> float:
-        """Diameter of the ball that was pressed; an error for anything else."""
+        """Diameter of the pressed ball; an error for any other indenter."""
         if not isinstance(self.indenter, Ball):
             raise ValueError(f"Expected the press of a ball, got one of a {type(self.indenter).__name__}.")
         return 2 * self.indenter.radius_mm
@@ -88,16 +88,16 @@ def simulate_press(
     """The image of an indenter pressed into the gel, and its truth.
 
     Light is computed on a grid `oversample` times finer and averaged over each pixel; the truth is that
-    grid's middle sample: the surface at the pixel's centre.
+    grid's middle sample: the surface at the pixel's center.
 
     Parameters
     ----------
     depth_mm : float
-        How far the indenter's foremost point stands in the gel.
+        Depth of the indenter's foremost point in the gel.
     center_mm : (x, y)
-        Place of the indenter, from the gel's centre, x to the right, y down.
+        Position of the indenter, from the gel's center, x to the right, y down.
     rng : Generator or None
-        For the noise; None makes none.
+        For the noise; None: no noise.
     spin_deg, tilt_deg : float, (about x, about y)
         Turn of the indenter; see `Posed`.
     oversample : odd int
@@ -145,7 +145,7 @@ def simulate_pose(
 ) -> SimulatedPress:
     """The image of an indenter at a pose, touching or not, and its truth.
 
-    `drag` remembers the poses before it; without one the gel is dragged by none.
+    `drag` remembers the earlier poses; without it the gel is not dragged.
     """
     if oversample < 1 or oversample % 2 == 0:
         raise ValueError(f"Expected oversample as an odd number (1, 3, 5), got {oversample}.")
@@ -181,14 +181,14 @@ def simulate_pose(
 
 
 def _pressed(sensor: SimulatedSensor, indenter: Indenter, pose: Pose, oversample: int) -> Surface:
-    """The gel's surface on the subpixel grid; any face but a ball's is solved on a wider one."""
+    """The gel's surface on the subpixel grid; all faces but a ball's are solved on a wider grid."""
     if pose.depth_mm <= 0:
         return flat_surface(*sensor.grid_mm(oversample))
     press: dict[str, Any] = {"center_mm": pose.center_mm, "depth_mm": pose.depth_mm}
     press |= {"relaxation_mm": sensor.relaxation_mm, "gel": sensor.gel}
     if isinstance(indenter, Ball):
         return surface_from_indenter(indenter, *sensor.grid_mm(oversample), **press)
-    # The gel reaches four relaxation lengths beyond the image: e^-4 = 2 % is left there.
+    # The gel extends four relaxation lengths beyond the image, where e^-4 = 2 % is left.
     margin = int(np.ceil(4 * sensor.relaxation_mm / sensor.mm_per_px * oversample))
     turned = pose.spin_deg != 0 or pose.tilt_deg != (0, 0)
     posed = Posed(indenter, pose.spin_deg, pose.tilt_deg) if turned else indenter
@@ -197,7 +197,7 @@ def _pressed(sensor: SimulatedSensor, indenter: Indenter, pose: Pose, oversample
 
 
 def _rim(sensor: SimulatedSensor, indenter: Indenter, depth_mm: float) -> tuple[float | None, float]:
-    """Contact radius of a ball as the camera sees it, and the depth of the rim, mm; None and 0 for others."""
+    """Contact radius of a ball in the image, and the depth of the rim, mm; None and 0 for others."""
     if not isinstance(indenter, Ball) or depth_mm <= 0:
         return None, 0.0
     gel, radius = sensor.gel, indenter.radius_mm

@@ -30,7 +30,7 @@ from gelform.simulate.sensor.sensor import SimulatedSensor, Triple
 
 @dataclass(frozen=True)
 class Rendered:
-    """An image and what is true of it, on the image's grid; see `SimulatedPress`."""
+    """An image and its truth, on the image's grid; see `SimulatedPress`."""
 
     image: NDArray[Any]
     depth_mm: NDArray[np.float64]
@@ -57,10 +57,10 @@ def render(
     Parameters
     ----------
     surface : on the grid of `sensor.grid_mm(oversample)`
-    rng : for the noise; None makes none
+    rng : for the noise; None: no noise
     quantise : False: levels in double precision, neither rounded, cut nor compressed
-    markers_mm : (N, 2), where the markers are; None: at rest
-    time_s : since the LEDs were switched on, for their drift and flicker
+    markers_mm : (N, 2), positions of the markers; None: at rest
+    time_s : time since the LEDs were switched on, for their drift and flicker
     """
     dtype = np.float32 if quantise else np.float64
     coarse = surface.middles(oversample)
@@ -99,7 +99,7 @@ def render(
 def _truth(
     surface: Surface, albedo: NDArray[np.float32], shadowed: NDArray[np.bool_], maps: Maps | None
 ) -> tuple[NDArray[Any], ...]:
-    """Depth, gradients, albedo, contact, shadowed where each pixel looks."""
+    """Depth, gradients, albedo, contact and shadow at the positions that the pixels see."""
     if maps is None:
         return surface.depth_mm, surface.gradients, albedo, surface.contact, shadowed
     numbers = [surface.depth_mm, surface.gradients[..., 0], surface.gradients[..., 1], albedo]
@@ -112,7 +112,7 @@ def _truth(
 
 
 def _albedo(sensor: SimulatedSensor, markers_mm: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Reflectance (H, W) on the gel's grid, its markers where they are now."""
+    """Reflectance (H, W) on the gel's grid, with the markers at their present positions."""
     albedo = albedo_map(sensor.coating, sensor.shape, sensor.mm_per_px)
     if len(markers_mm) == 0:
         return albedo
@@ -124,11 +124,11 @@ def _albedo(sensor: SimulatedSensor, markers_mm: NDArray[np.float64]) -> NDArray
 def simulate_background(
     sensor: SimulatedSensor, rng: np.random.Generator | None, *, frames: int = 1, quantise: bool = True
 ) -> NDArray[Any]:
-    """The image of the untouched gel, the mean of `frames` images where there are several.
+    """The background image, the mean of `frames` images if there are several.
 
     Returns
     -------
-    image : (H, W, 3), uint8; float32 for several frames; float64 where not quantised
+    image : (H, W, 3), uint8; float32 for several frames; float64 where not quantized
     """
     if frames < 1:
         raise ValueError(f"Expected frames >= 1, got {frames}.")
@@ -141,13 +141,13 @@ def simulate_background(
 
 
 def exposed(sensor: SimulatedSensor, levels: float | Triple) -> SimulatedSensor:
-    """The sensor with the white balance that gives its untouched image these mean grey levels."""
+    """The sensor with the white balance that gives its background image these mean gray levels."""
     flat = replace(sensor.linear(), white_balance=(1, 1, 1))
     light = simulate_background(flat, None, quantise=False)
     if light.mean(axis=(0, 1)).min() <= 0:
         raise ValueError(
             f"Expected light in every channel, got mean levels {light.mean(axis=(0, 1))} for {sensor.name!r}. "
-            "Add an LED of the missing colour (red, green, blue)."
+            "Add an LED of the missing color (red, green, blue)."
         )
     wanted = np.broadcast_to(np.asarray(levels, dtype=np.float64), 3)
     gamma = sensor.optics.response_gamma

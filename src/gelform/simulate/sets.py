@@ -1,4 +1,4 @@
-"""Many presses of one sensor: balls spread over the image, as calibrations are made from, and indenters that move."""
+"""Sets of presses of one sensor: balls spread over the image, for calibration, and moving indenters."""
 
 from __future__ import annotations
 
@@ -18,17 +18,15 @@ from gelform.simulate.press import SimulatedPress, simulate_pose, simulate_press
 from gelform.simulate.render import simulate_background
 from gelform.simulate.sensor.sensor import SimulatedSensor
 
-RIM_SLOPES = (0.5, 0.95)  # mm/mm, at the contact's rim: as of a hand that presses a GelSight
-SMALLEST_BALL_PX = 4.0  # px, the diameter: of the flattest press the contact is 1.8 px wide
-MAX_BALL_MM, HALVINGS = (
-    1000.0,
-    40,
-)  # mm; of the interval in which the largest ball is searched for, to 1e-9 mm
+RIM_SLOPES = (0.5, 0.95)  # mm/mm at the contact's rim, as when a hand presses a GelSight
+SMALLEST_BALL_PX = 4.0  # px, diameter; the contact of its flattest press is 1.8 px wide
+# mm, and halvings of the interval in the search for the largest ball, to 1e-9 mm.
+MAX_BALL_MM, HALVINGS = 1000.0, 40
 
 
 @dataclass(frozen=True)
 class SimulatedPresses:
-    """A background and presses of one simulated sensor: what a press folder holds, and the truth."""
+    """A background and presses of one simulated sensor: the content of a press folder, and the truth."""
 
     sensor: SimulatedSensor
     background: NDArray[np.uint8]
@@ -46,7 +44,7 @@ def simulate_ball_presses(
 ) -> SimulatedPresses:
     """A background and `count` presses of balls, spread over the image; some are cut by its border.
 
-    The balls take turns. Centres lie on a low-discrepancy sequence that fills the image evenly; depths give
+    The balls take turns. Centers lie on a low-discrepancy sequence that fills the image evenly; depths give
     slopes of 0.5-0.95 at the contact's rim, as a hand that presses a GelSight does. Each press has its own
     random stream, so it does not depend on the others.
     """
@@ -63,7 +61,7 @@ def simulate_ball_presses(
 
 
 def check_balls(sensor: SimulatedSensor, ball_diameters_mm: Sequence[float]) -> None:
-    """Refuse (ValueError) balls whose contact is no pixel wide, or that go through the gel; the message says the range."""
+    """Refuse (ValueError) balls whose contact is no pixel wide, or that go through the gel; the message has the range."""
     smallest, largest = SMALLEST_BALL_PX * sensor.mm_per_px, largest_ball_mm(sensor)
     for diameter in ball_diameters_mm:
         if not smallest <= diameter <= largest:
@@ -75,7 +73,7 @@ def check_balls(sensor: SimulatedSensor, ball_diameters_mm: Sequence[float]) -> 
 
 
 def largest_ball_mm(sensor: SimulatedSensor) -> float:
-    """The largest diameter, mm, of which the deepest press of a set stays within the gel; at most 1000."""
+    """Diameter, mm, of the largest ball whose deepest press in a set stays within the gel; at most 1000."""
     low, high = 0.0, MAX_BALL_MM
     for _ in range(HALVINGS):
         middle = (low + high) / 2
@@ -85,7 +83,7 @@ def largest_ball_mm(sensor: SimulatedSensor) -> float:
 
 
 def _depth(sensor: SimulatedSensor, radius_mm: float, rim_slope: float) -> float:
-    """How deep a ball is pressed for a slope at its rim, mm."""
+    """Depth of a ball with a given slope at its rim, mm."""
     gel = {"thickness_mm": sensor.gel.thickness_mm, "bulge": sensor.gel.bulge}
     return depth_of_ball(radius_mm, rim_slope, sensor.relaxation_mm, **gel)
 
@@ -93,7 +91,7 @@ def _depth(sensor: SimulatedSensor, radius_mm: float, rim_slope: float) -> float
 def ball_press_of_set(
     sensor: SimulatedSensor, ball_diameters_mm: Sequence[float], k: int, *, seed: int, oversample: int = 3
 ) -> SimulatedPress:
-    """The k-th press of `simulate_ball_presses` with `rng=numpy.random.default_rng(seed)`, alone."""
+    """The k-th press of `simulate_ball_presses` with `rng=numpy.random.default_rng(seed)`, by itself."""
     place_rng, press_rng = (
         np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(n,))) for n in (1, k + 2)
     )
@@ -135,8 +133,8 @@ def simulate_sequence(
 ) -> Iterator[SimulatedPress | None]:
     """Images of an indenter that moves from pose to pose, one per frame of the sensor's camera.
 
-    The surface is dragged along (`markers_shift_mm`), the light drifts and flickers; a frame that the camera
-    drops is None. Poses may stand off the gel (depth 0 or less).
+    The surface is dragged along (`markers_shift_mm`), the light drifts and flickers; a dropped frame
+    is None. Poses may be off the gel (depth 0 or less).
     """
     drag = Drag(sensor.gel)
     for k, pose in enumerate(poses):
@@ -154,24 +152,24 @@ def simulate_sequence(
 
 
 def press_poses(depth_mm: float, count: int, *, center_mm: Pair = (0.0, 0.0)) -> tuple[Pose, ...]:
-    """From just touching to `depth_mm` in equal steps."""
+    """Poses from first touch to `depth_mm` in equal steps."""
     return tuple(Pose(float(d), center_mm) for d in np.linspace(0, depth_mm, _check_count(count)))
 
 
 def slide_poses(depth_mm: float, start_mm: Pair, end_mm: Pair, count: int) -> tuple[Pose, ...]:
-    """Along a line at one depth, dragging the surface."""
+    """Poses along a line at one depth, which drag the surface."""
     return tuple(Pose(depth_mm, at) for at in _line(start_mm, end_mm, count))
 
 
 def roll_poses(depth_mm: float, start_mm: Pair, end_mm: Pair, count: int) -> tuple[Pose, ...]:
-    """Along a line at one depth, as a ball or a cylinder rolls: the touched side stands still."""
+    """Poses along a line at one depth of a rolling ball or cylinder; the touched side does not move."""
     return tuple(Pose(depth_mm, at, carried_mm=start_mm) for at in _line(start_mm, end_mm, count))
 
 
 def twist_poses(
     depth_mm: float, angle_deg: float, count: int, *, center_mm: Pair = (0.0, 0.0)
 ) -> tuple[Pose, ...]:
-    """Turning about the view axis on the spot, from 0 to `angle_deg`."""
+    """Poses that turn in place about the view axis, from 0 to `angle_deg`."""
     return tuple(Pose(depth_mm, center_mm, float(a)) for a in np.linspace(0, angle_deg, _check_count(count)))
 
 

@@ -1,4 +1,4 @@
-"""Presses that look like those of one real sensor: its calibration's forward response, rendered."""
+"""Twin: simulated presses that look like those of one real sensor, rendered by its calibration's forward response."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ from gelform.simulate.sensor.camera import draws, normal_table, saturated_from_l
 from gelform.simulate.sensor.sensor import Led, SimulatedSensor
 from gelform.simulate.sets import SimulatedPresses, simulate_ball_presses
 
-STEEPEST_RENDERED = 1.2  # slope; calibrations are fitted up to about 1, beyond that a cubic says nothing
-GEL = Gel(thickness_mm=3.5, bulge=0.5)  # a GelSight Mini's, found on ball presses
-RELAXATION_MM = 0.5  # of that gel, from the same presses
+STEEPEST_RENDERED = 1.2  # mm/mm; calibrations are fitted up to about 1, and a cubic is meaningless beyond
+GEL = Gel(thickness_mm=3.5, bulge=0.5)  # a GelSight Mini's, fitted to ball presses
+RELAXATION_MM = 0.5  # mm, of that gel, from the same presses
 
 
 class Look(Protocol):
-    """How one sensor answers to a surface: what a twin shows.
+    """The response of one sensor to a surface, which a twin shows.
 
     Attributes
     ----------
-    name : whose look it is
-    background : (H, W, 3), the untouched image
+    name : name of the sensor
+    background : (H, W, 3), background image
     mm_per_px : pixel pitch, mm
-    noise : (3,), standard deviation of an image's pixel, grey levels
+    noise : (3,), standard deviation of an image's pixel, gray levels
     """
 
     @property
@@ -46,21 +46,21 @@ class Look(Protocol):
     def noise(self) -> NDArray[np.float64]: ...
 
     def levels(self, gradients: NDArray[Any], depth_mm: NDArray[Any]) -> NDArray[np.float32]:
-        """Grey levels (H, W, 3), 0-255, of slopes (H, W, 2) and depths (H, W)."""
+        """Gray levels (H, W, 3), 0-255, for slopes (H, W, 2) and depths (H, W)."""
         ...
 
 
 class CalibratedLook:
-    """The look that a calibration has learnt: its forward response to slope and depth.
+    """The look that a calibration has learned: its forward response to slope and depth.
 
-    To slope alone where it was imported without. The noise is that of the images it was made from; its
-    background's where the calibration knows no other.
+    An imported response may depend on slope alone. The noise is that of the calibration's images, or that of its background
+    if the former is unknown.
 
     Parameters
     ----------
     calibration : of the real sensor
     steepest : float
-        Steeper slopes are rendered as this one: the response was fitted on gentler ones.
+        Steeper slopes are rendered with this slope, because the response was fitted on gentler ones.
     """
 
     def __init__(self, calibration: Calibration, *, steepest: float = STEEPEST_RENDERED) -> None:
@@ -78,12 +78,12 @@ class CalibratedLook:
         self.noise = np.asarray(calibration.background_noise if known is None else known, dtype=np.float64)
 
     def levels(self, gradients: NDArray[Any], depth_mm: NDArray[Any]) -> NDArray[np.float32]:
-        """Grey levels (H, W, 3) of slopes (H, W, 2) and depths (H, W)."""
+        """Gray levels (H, W, 3) for slopes (H, W, 2) and depths (H, W)."""
         change = self.color_change(gradients, depth_mm)
         return image_from_color_change(change, self.background, self.calibration.change)
 
     def color_change(self, gradients: NDArray[Any], depth_mm: NDArray[Any]) -> NDArray[np.float32]:
-        """Expected color change (H, W, 3) of gradients (H, W, 2), the steep ones made less so, and depths (H, W)."""
+        """Expected color change (H, W, 3) for gradients (H, W, 2), with a limit on steep ones, and depths (H, W)."""
         steepness = np.linalg.norm(gradients, axis=-1, keepdims=True)
         limited = gradients * np.minimum(1, self.steepest / np.maximum(steepness, 1e-12))
         forward = self.calibration.forward
@@ -97,14 +97,14 @@ class CalibratedLook:
 
 
 class Twin:
-    """A sensor that answers as a real one does, as far as its calibration or its tables say.
+    """A simulated sensor with the response of a real one, as far as its calibration or its tables describe it.
 
-    The surface comes from the simulator's gel, everything that one sees from the look: dust and scratches are in
-    its background; cast shadows, which depend on more than slope and depth at a pixel, are not made.
+    The surface comes from the simulator's gel, and everything visible from the look. Dust and scratches are in its
+    background. Cast shadows are missing, because they depend on more than slope and depth at a pixel.
 
     Parameters
     ----------
-    look : a Calibration, or any `Look`: another package's tables, say
+    look : a Calibration, or any `Look`, such as another package's tables
     gel, relaxation_mm : of its gel
     """
 
@@ -149,11 +149,11 @@ class Twin:
 
     @property
     def background(self) -> NDArray[np.uint8]:
-        """The untouched image, without noise."""
+        """The background image, without noise."""
         return _grey(self.look.background)
 
     def rendered(self, press: SimulatedPress, rng: np.random.Generator | None) -> SimulatedPress:
-        """A press of the twin's sensor with the look's image; `rng` for its noise, None for none."""
+        """A press of the twin's sensor with the look's image; `rng` is for its noise, None for none."""
         levels = self.look.levels(press.gradients, press.depth_mm)
         if rng is not None:
             drawn = normal_table()[draws(rng, levels.size)].reshape(levels.shape)

@@ -1,6 +1,6 @@
 """gradients -> depth: one method per file, listed here.
 
-`docs/choosing-a-solver.md` says which to take, `docs/adding-a-solver.md` how to write one.
+`docs/choosing-a-solver.md` compares them, `docs/adding-a-solver.md` explains how to write one.
 """
 
 from gelform.solvers.at_least import AtLeastSolver

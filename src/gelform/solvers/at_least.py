@@ -1,8 +1,8 @@
-"""Depth whose walls are at least as steep as they were read: rounds of `multigrid`, with inequality terms.
+"""Depth with walls at least as steep as the slopes read there: rounds of `multigrid` with inequality terms.
 
-Shading saturates with the slope and the optics mix a wall with what is beside it, so a wall reads too flat, never too steep.
-Where the slopes of a depth exceed those that were read of a wall, along them, the reading loses its weight in the next
-round; where they fall short it keeps it (an active set: J. Nocedal and S. Wright, Numerical Optimization, 2006, ch. 16).
+Shading saturates with the slope, and the optics mix a wall with its surroundings. So a wall reads too flat, never too
+steep. Where the slopes of the depth exceed the slopes read on a wall, in their direction, those lose their weight in the
+next round; elsewhere they keep it (an active set: J. Nocedal and S. Wright, Numerical Optimization, 2006, ch. 16).
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from gelform.gradients import slopes_of_solution
 from gelform.solvers.multigrid import MultigridSolver
 from gelform.solvers.seam import Solution, Weights
 
-# px, mm/mm: slopes that differ by more from those so far away are those of a wall or its edge.
+# px, mm/mm: a slope that differs by more from one at this distance belongs to a wall or its edge.
 REACH_PX, WALL_DIFFERENCE = 2, 0.1
-EXCEEDED_WEIGHT = 0.01  # times the weight of a reading that the depth's slope exceeds: next to none
+EXCEEDED_WEIGHT = 0.01  # weight of a slope on a wall that the depth's slope exceeds: close to none
 
 
 class AtLeastSolver(MultigridSolver):
-    """As `MultigridSolver`, and some rounds more where there are walls; `rounds` says how many at most."""
+    """As `MultigridSolver`, with at most `rounds` more rounds if there are walls."""
 
     def __init__(self, shape: tuple[int, int], mm_per_px: tuple[float, float], *, rounds: int = 4) -> None:
         super().__init__(shape, mm_per_px)
@@ -35,7 +35,7 @@ class AtLeastSolver(MultigridSolver):
         mask: NDArray[np.bool_] | None = None,
         anchor: NDArray[Any] | None = None,
     ) -> Solution:
-        """Depth of one frame; without walls that of `multigrid`."""
+        """Depth of one frame; without walls it is that of `multigrid`."""
         solution, walls = super().__call__(gradients, weights, mask, anchor), _walls(gradients)
         square = np.square(gradients).sum(axis=-1)
         for _ in range(self.rounds if walls.any() else 0):
@@ -47,7 +47,7 @@ class AtLeastSolver(MultigridSolver):
 
 
 def _walls(gradients: NDArray[Any]) -> NDArray[np.bool_]:
-    """Where (H, W) slopes differ from those `REACH_PX` away by more, the root of half the sum of squares."""
+    """Pixels (H, W) whose slopes differ by more from those `REACH_PX` away: root of half the sum of squares."""
     squares = np.zeros(gradients.shape[:2], dtype=np.float32)
     for axis in (0, 1):
         along, lines = np.moveaxis(gradients, axis, 0), np.moveaxis(squares, axis, 0)
@@ -58,7 +58,7 @@ def _walls(gradients: NDArray[Any]) -> NDArray[np.bool_]:
 
 
 def _weighted(weights: Weights, factors: NDArray[np.float32]) -> Weights:
-    """The weights, of pixels or of edges, times the factors of the pixels; an edge takes the smaller of its two."""
+    """The weights of pixels or edges, times the factors of the pixels; an edge takes the smaller of its two."""
     if isinstance(weights, tuple):
         across, down = weights
         return (

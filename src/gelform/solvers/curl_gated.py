@@ -1,4 +1,4 @@
-"""Weighted least squares that finds outliers by itself: pixels around which the curl of the slopes is large."""
+"""Weighted least squares that finds outliers itself: pixels with a large curl of the slopes around them."""
 
 from __future__ import annotations
 
@@ -13,23 +13,26 @@ from gelform.solvers.multigrid import MultigridSolver
 from gelform.solvers.seam import Solution, Weights
 from gelform.solvers.system import EVERY_EDGE, FLOOR, edges_from_gradients
 
-# Times the usual curl of the frame, from which a pixel is an outlier: 2 keeps 99 % of pixels under Gaussian noise, which
+# Multiple of the frame's usual curl above which a pixel is an outlier: 2 keeps 99 % of pixels under Gaussian noise, which
 # costs 2 % of accuracy.
 TIMES_USUAL = 2.0
-LEAST_CURL = 0.014  # slope per pixel, the curl of slopes good to 0.01: less is never held against a pixel
-# Slopes jump where neighbours differ by more than so many times the usual circulation (1 % of pairs do under
-# noise alone), and by more than surfaces without noise bend from pixel to pixel, mm/mm.
+LEAST_CURL = (
+    0.014  # slope per pixel, curl of slopes with errors of 0.01; a smaller curl never makes an outlier
+)
+# A slope jumps if two neighbors differ by more than JUMP times the usual circulation (noise alone does that to 1 % of
+# pairs), and by more than LEAST_JUMP, mm/mm, which is more than surfaces without noise bend from pixel to pixel.
 JUMP, LEAST_JUMP = 3.0, 0.1
-ALONG_RIM = 0.1  # fraction of the jump's square along the rim, from which no surface has it
-# Fraction of a rim that has to say so for a region to be an outlier. Contacts reach 0 to 0.3, more where patches touch their
-# rim; outlier patches 0.3 to 0.7. A region under a fraction of the frame needs less: little is lost if it was right.
+ALONG_RIM = 0.1  # fraction of the square of the jump that lies along the rim; no surface has more
+# Fraction of a region's rim with such jumps that makes the region an outlier. Contacts have 0 to 0.3, more where patches
+# touch their rim; outlier patches have 0.3 to 0.7. A region below SMALL of the frame needs only SMALL_RIM, because little is
+# lost if it was right.
 RIM, SMALL_RIM, SMALL = 0.36, 0.2, 0.005
-# Loops that a contact's rim has at least, and the fraction of the jump's square that it shows at single ones.
+# Fewest loops of a contact's rim, and the fraction of the square of the jump that single loops of it show.
 CONTACT_LOOPS, KINK = 12, 0.2
 
 
 class CurlGatedSolver(MultigridSolver):
-    """Finds outlier pixels and patches by the curl of the slopes, gives them no weight, solves by `multigrid`."""
+    """Finds outlier pixels and patches by the curl of the slopes, gives them no weight, and solves by `multigrid`."""
 
     def __call__(
         self,
@@ -38,7 +41,7 @@ class CurlGatedSolver(MultigridSolver):
         mask: NDArray[np.bool_] | None = None,
         anchor: NDArray[Any] | None = None,
     ) -> Solution:
-        """Depth of one frame; given weights (per pixel) are multiplied by what the curl says."""
+        """Depth of one frame; given weights (per pixel) are multiplied by the confidence from the curl."""
         if isinstance(weights, tuple):
             raise ValueError(
                 "Expected weights per pixel (H, W) for solver 'curl_gated', got weights per edge."
@@ -47,12 +50,12 @@ class CurlGatedSolver(MultigridSolver):
         trusted = None if weights is None and mask is None else _trusted(given, mask)
         confidence = confidence_from_curl(gradients, self.mm_per_px, trusted) * given
         if not np.any(confidence if mask is None else confidence[mask]):
-            confidence = given  # a few pixels, all of them outliers: the curl cannot tell them apart
+            confidence = given  # a few pixels, all of them outliers: the curl cannot separate them
         return super().__call__(gradients, confidence, mask, anchor)
 
 
 def _trusted(weights: NDArray[Any], mask: NDArray[np.bool_] | None) -> NDArray[np.bool_]:
-    """Pixels whose slopes count."""
+    """Pixels whose slopes count: those with weight."""
     inside = weights if mask is None else np.where(mask, weights, 0)
     return np.asarray(inside > FLOOR * inside.max())
 
@@ -60,12 +63,12 @@ def _trusted(weights: NDArray[Any], mask: NDArray[np.bool_] | None) -> NDArray[n
 def confidence_from_curl(
     gradients: NDArray[Any], mm_per_px: tuple[float, float], trusted: NDArray[np.bool_] | None = None
 ) -> NDArray[np.float32]:
-    """1 where slopes (H, W, 2) can be those of a surface, 0 where they cannot, (H, W) float32.
+    """1 where slopes (H, W, 2) can belong to a surface, 0 where they cannot, (H, W) float32.
 
-    Around the four loops of edges that meet at a pixel, a surface's slopes add up to 0, but for what the
-    pixels make of a contact's rim. What is usual comes from the median over the frame, so up to half of it
-    may be outliers. Patches of outliers that agree among themselves are found by their rims. Pixels that are not trusted
-    (H, W) say nothing about their neighbours.
+    A surface's slopes add up to 0 around the four loops of edges that meet at a pixel, except at a contact's rim, which the
+    pixels sample too coarsely. The usual curl comes from the median over the frame, so up to half of the pixels may be
+    outliers. Rims show patches of outliers that agree among themselves. Pixels that are not trusted (H, W) do not count
+    for their neighbors.
     """
     g = np.ascontiguousarray(gradients, dtype=np.float32)
     height, width = g.shape[:2]
@@ -89,7 +92,7 @@ def confidence_from_curl(
 
 
 def _circulation(g: NDArray[np.float32], mm_per_px: tuple[float, float]) -> NDArray[np.float32]:
-    """Sum of the edge slopes around each loop of four pixels: (H-1, W-1)."""
+    """The sum of the edge slopes around each loop of four pixels: (H-1, W-1)."""
     ex, ey = edges_from_gradients(g)
     mean = np.sqrt(mm_per_px[0] * mm_per_px[1])
     loops = np.float32(mm_per_px[0] / mean) * (ex[:-1] - ex[1:])
@@ -122,7 +125,7 @@ def _around(loops: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 class Patches(NamedTuple):
-    """What the rims say.
+    """The regions that their rims show to be outliers, and the rims of contacts.
 
     Attributes
     ----------
@@ -141,10 +144,10 @@ def patches_from_jumps(
     jumps: tuple[NDArray[np.float32], NDArray[np.float32]],
     usual: float,
 ) -> Patches | None:
-    """Judge the regions of a frame; None where nothing jumps.
+    """Judge the regions of a frame; None if no slope jumps.
 
-    By the circulation (H-1, W-1) around each loop of four pixels, its usual standard deviation, and the squares of the
-    differences of slope between neighbours, (H, W-1) and (H-1, W).
+    Its arguments are the circulation (H-1, W-1) around each loop of four pixels, its usual standard deviation, and the
+    squares of the differences of slope between neighbors, (H, W-1) and (H-1, W).
     """
     across, down = jumps
     limit = np.float32(max(JUMP * usual, LEAST_JUMP) ** 2)
@@ -172,9 +175,9 @@ def patches_from_jumps(
 def _regions(
     jumps_across: NDArray[np.bool_], jumps_down: NDArray[np.bool_]
 ) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
-    """Numbers (H, W) of connected pixels off all jumps, from 1 for the largest down; areas by number.
+    """Numbers (H, W) of regions of connected pixels without jumps, from 1 for the largest down; areas by number.
 
-    0 where a jump is: both pixels of it.
+    Both pixels of a jump have the number 0.
     """
     smooth = np.ones((jumps_across.shape[0], jumps_down.shape[1]), dtype=np.uint8)
     smooth[:, 1:] &= ~jumps_across

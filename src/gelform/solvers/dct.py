@@ -1,6 +1,6 @@
 """Exact uniform least squares with a free border: cosine transform along rows, elimination along columns.
 
-Each edge between two neighbouring pixels says that their difference of depth is the pixel pitch times the
+For each edge between two neighboring pixels, their difference of depth is the pixel pitch times the
 mean of their two slopes (trapezoid rule). The normal equations are a Poisson equation with a free border.
 The DCT-II along rows, with eigenvalues 4 sin^2(pi k/2W), k from 0 (Strang, The discrete cosine transform,
 SIAM Review 41, 1999), leaves one tridiagonal system per column, which is eliminated without pivoting
@@ -13,7 +13,7 @@ from functools import lru_cache
 from typing import Any, ClassVar
 
 import numpy as np
-import scipy  # its parts load at first use: the usual sizes need none of them
+import scipy  # its parts load at first use; the usual sizes need none of them
 from numpy.typing import NDArray
 
 from gelform._native import Kernel
@@ -21,10 +21,11 @@ from gelform.foundations.pool import Pool
 from gelform.solvers.seam import Solution, Weights
 from gelform.solvers.system import divergence, edges_from_gradients
 
-# A row stride of a large power of two maps a whole column onto a few cache lines: such rows get so many floats more.
+# bytes, floats: a row stride that is a multiple of the first maps a column onto a few cache lines, so rows get longer.
 ALIASING_BYTES, STRIDE_PAD = 1024, 16
-# Rows of an even width whose half has no larger prime are transformed by the kernel of native/solvers/cosine.c, in half the
-# time of scipy's, so many side by side at most; others by a matrix product up to a width: scipy.fft takes 0.3 s to import.
+# MOST_PRIME: the largest prime of half an even width that the kernel of native/solvers/cosine.c transforms, in half the time
+# of scipy's. ROWS: rows that it transforms side by side. PRODUCT_WIDTH: other rows up to this width use a matrix product,
+# because importing scipy.fft takes 0.3 s.
 MOST_PRIME, ROWS, PRODUCT_WIDTH = 7, 16, 128
 
 _right_side = Kernel(
@@ -39,9 +40,9 @@ _sweep = Kernel("dct_sweep", "out f32[h,stride] spectrum, f32[rows,w] pivots, i6
 
 
 class DctSolver:
-    """Prepared once for a shape and a pitch; gives depth of mean 0.
+    """A solver for frames of one shape and pitch; its depth has mean 0.
 
-    An edge's slope is the mean of its two pixels': exact on quadratics, best under noise.
+    An edge's slope is the mean of its two pixels' slopes: exact on quadratics, best under noise.
 
     Parameters
     ----------
@@ -118,9 +119,9 @@ class DctSolver:
 
 
 class Dct4Solver(DctSolver):
-    """The same with an edge's slope from four pixels.
+    """As `DctSolver`, with an edge's slope from four pixels.
 
-    Exact on quartics: for fine texture where the slope noise is under 0.02.
+    It is exact on quartics and suits fine texture with slope noise under 0.02.
     """
 
     def _write_right_side(self, frame: NDArray[np.float32], work: NDArray[np.float32]) -> None:
@@ -132,7 +133,7 @@ class Dct4Solver(DctSolver):
 
 @lru_cache(maxsize=16)
 def _all_known(shape: tuple[int, int]) -> NDArray[np.bool_]:
-    """A map of True, shared: nobody can write to it."""
+    """A shared map of True that nobody can write to."""
     known = np.ones(shape, dtype=bool)
     known.flags.writeable = False
     return known
@@ -149,7 +150,7 @@ def _is_smooth(width: int) -> bool:
 
 @lru_cache(maxsize=16)
 def _turns(width: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Roots of 1 as the kernel takes them: of half the width (width/2, 2), of it and four times it (width/2 + 1, 4)."""
+    """Roots of 1 for the kernel: of half the width (width/2, 2), of the width and of four times it (width/2 + 1, 4)."""
     k = np.arange(width // 2 + 1)
     roots = [np.exp(-2j * np.pi * k / n) for n in (width // 2, width, 4 * width)]
     parts = [np.stack([z.real, z.imag], axis=-1).astype(np.float32) for z in roots]
@@ -158,7 +159,7 @@ def _turns(width: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
 
 @lru_cache(maxsize=16)
 def _cosines(width: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """What a row (width) is multiplied by for its DCT-II, not normalised, and for the inverse."""
+    """Matrices (width, width) that multiply a row for its DCT-II, not normalized, and for the inverse."""
     forward = 2 * np.cos(np.pi * np.outer(np.arange(width) + 0.5, np.arange(width)) / width)
     inverse = forward.T / (2 * width)
     inverse[0] /= 2
@@ -166,7 +167,7 @@ def _cosines(width: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
 
 
 def _row_stride(width: int) -> int:
-    """Row length of work arrays: longer than the frame's where that would alias in the cache."""
+    """Row length of work arrays: longer than the frame's if that would alias in the cache."""
     return width + (0 if (width * 4) % ALIASING_BYTES else STRIDE_PAD)
 
 
@@ -175,8 +176,8 @@ def _elimination(
 ) -> tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.float32]]:
     """Inverse pivots of the tridiagonal systems `-z[i-1] + (2 + lambda_k) z[i] - z[i+1]`, free at both ends.
 
-    From row to row they settle at a limit, the sooner the higher the frequency; `splits[i]` counts the
-    columns that have not settled at row i, so the sweeps read little more than one row of them.
+    From row to row they converge, sooner at higher frequencies; `splits[i]` counts the columns that have
+    not converged at row i, so the sweeps read little more than one row of pivots.
     """
     height, width = shape
     eigenvalues = (2 * np.sin(np.pi * np.arange(width) / (2 * width)) * mm_per_px[1] / mm_per_px[0]) ** 2

@@ -1,4 +1,4 @@
-"""What solvers are given, checked once at the doors of `depth` and `depth_sigma`."""
+"""Checks of the arguments of solvers, made once on entry to `depth` and `depth_sigma`."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from gelform.foundations.checks import as_array, check_map, value_range
 from gelform.solvers import SOLVERS
 from gelform.solvers.seam import Weights
 
-HIGHEST_SLOPE = 1e15  # mm/mm: no sum of such squares over a frame overflows in float32
+HIGHEST_SLOPE = 1e15  # mm/mm; the sum of such squares over a frame does not overflow in float32
 
 
 def checked_solver(solver: str) -> str:
-    """The solver's name, where it is "auto" or in `SOLVERS`."""
+    """The solver's name, if it is "auto" or in `SOLVERS`; else ValueError."""
     if solver != "auto" and (not isinstance(solver, str) or solver not in SOLVERS):
         raise ValueError(f"Expected a solver among auto, {', '.join(SOLVERS)}, got {solver!r}.")
     return solver
@@ -27,7 +27,7 @@ def takes_weights(solver: str) -> bool:
 
 
 def check_slopes(gradients: NDArray[np.float32]) -> None:
-    """Refuse slopes that are not finite, or whose squares would not be.
+    """Refuse slopes that are not finite, or whose squares would overflow.
 
     ValueError: a slope is NaN or beyond `HIGHEST_SLOPE`.
     """
@@ -41,7 +41,7 @@ def check_slopes(gradients: NDArray[np.float32]) -> None:
 
 
 def check_weights(weights: Any, shape: tuple[int, ...]) -> Weights:
-    """Weights as solvers take them, for frames of slopes of the given shape ((H, W), or (..., H, W) for a stack).
+    """Weights in the form that solvers take, for slopes of shape (H, W), or (..., H, W) for a stack.
 
     ValueError, TypeError: another shape, or a value that is negative or not finite.
     """
@@ -67,7 +67,7 @@ def check_weights(weights: Any, shape: tuple[int, ...]) -> Weights:
 
 
 def check_anchor(anchor: ArrayLike, shape: tuple[int, int]) -> NDArray[np.float32]:
-    """An anchor map (H, W) of a map or a number."""
+    """An anchor map (H, W) from a map or a number."""
     array = as_array(anchor, "anchor")
     array = check_map(
         np.full(shape, array) if array.ndim == 0 else array, "anchor", shape=shape, nonnegative=True

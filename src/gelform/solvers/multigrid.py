@@ -1,8 +1,8 @@
 """Weighted least squares at video rate: conjugate gradients, preconditioned by black-box multigrid.
 
 J. E. Dendy, Black box multigrid, J. Comput. Phys. 48, 1982; R. Kettler, in Multigrid Methods, LNM 960, 1982
-(as a preconditioner). The operator-dependent interpolation is what makes 3 to 5 iterations suffice at jumps
-of the weights by 1000, where plain multigrid needs 24 to 80 or stalls.
+(as a preconditioner). With the operator-dependent interpolation, 3 to 5 iterations suffice at jumps of
+the weights by 1000; plain multigrid needs 24 to 80 or stalls.
 """
 
 from __future__ import annotations
@@ -31,15 +31,15 @@ _solve = Kernel(
     "multigrid_solve",
     "multigrid* grid, f32[h,w]? start, out f32[h,w] depth, f64 whole, f64 tolerance, i32 limit, out f64[2] report",
 )
-# Floats for each pixel, coarse levels included: 9 planes of the finest, 16 of each coarser one.
+# Floats for each pixel, coarse levels included: 9 planes of the finest level, 16 of each coarser one.
 PLANES = 9 + 16 / 3
-_NOT_CONVERGED, _NOT_FINITE = 1, 2  # as in conjugate.c
+_NOT_CONVERGED, _NOT_FINITE = 1, 2  # the same in native/solvers/multigrid/conjugate.c
 
 
 class Grid:
-    """Memory for one frame at a time, and the couplings that it was last built for.
+    """Memory for one frame at a time, and the couplings of its coarse levels.
 
-    Where `solve` raises, the grid must not be used again: its arrays may hold NaN. `Pool` sees to that.
+    After `solve` raises, the grid must not be used again, because its arrays may hold NaN; `Pool` makes sure of it.
     """
 
     def __init__(self, shape: tuple[int, int]) -> None:
@@ -54,7 +54,7 @@ class Grid:
             ) from None
 
     def load(self, problem: Problem, mm_per_px: tuple[float, float]) -> None:
-        """Take a frame; the coarse levels are computed anew only if its couplings differ from the last's."""
+        """Load a frame; the coarse levels are computed again only if its couplings differ from the last ones."""
         if problem.gradients is None or problem.confidence is None:
             system = *edge_system(problem, mm_per_px), problem.anchor
             self.load_edges(*(np.ascontiguousarray(array, dtype=np.float32) for array in system))
@@ -68,7 +68,7 @@ class Grid:
         right: NDArray[np.float32],
         anchor: NDArray[np.float32],
     ) -> None:
-        """Take couplings (H, W-1) and (H-1, W), right side and anchor (H, W)."""
+        """Load couplings (H, W-1) and (H-1, W), right side and anchor (H, W)."""
         _load_edges(self.handle, east, south, anchor, right)
         self.build()
 
@@ -83,11 +83,12 @@ class Grid:
         start: NDArray[np.float32] | None = None,
         whole: float = 0.0,
     ) -> tuple[NDArray[np.float32], int, float]:
-        """Depth (H, W) for the loaded right side, added to a start that left it; iterations; estimated largest error.
+        """Depth (H, W) for the loaded right side, added to `start`; iterations; estimated largest error.
 
-        The error is a fraction of `whole`; 0 stands for the range of the first answer.
+        The right side is the one that remains after `start`. The error is a fraction of `whole`; if that is 0, of the range
+        of the first answer.
 
-        ConvergenceError: the tolerance was not reached, or float32 does not hold the answer.
+        ConvergenceError: the tolerance was not reached, or float32 cannot hold the answer.
         """
         depth, report = np.empty(self.shape, dtype=np.float32), np.empty(2)
         status = _solve(self.handle, start, depth, whole, tolerance, max_iterations, report)
@@ -108,7 +109,7 @@ class Grid:
 
 
 class MultigridSolver:
-    """Prepared once for a shape and a pitch; takes weights, mask and anchor with each frame.
+    """A solver for frames of one shape and pitch; it takes weights, mask and anchor with each frame.
 
     Parameters
     ----------

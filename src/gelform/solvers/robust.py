@@ -1,8 +1,8 @@
 """Robust depth without known confidence: iteratively reweighted least squares around `multigrid`.
 
-Each round gives an edge the weight that its residual deserves under the loss, relative to the usual residual
-of the frame (P. W. Holland and R. E. Welsch, Robust regression using iteratively reweighted least-squares,
-Communications in Statistics A6, 1977).
+Each round computes an edge's weight from its residual by the loss, relative to the usual residual of the frame
+(P. W. Holland and R. E. Welsch, Robust regression using iteratively reweighted least-squares, Communications in
+Statistics A6, 1977).
 """
 
 from __future__ import annotations
@@ -30,18 +30,18 @@ from gelform.solvers.system import (
 
 Loss = Callable[[NDArray[Any]], NDArray[Any]]
 
-# Weight of a residual given in units of the usual one; constants for 95 % efficiency under Gaussian noise.
+# Weight of a residual in units of the usual residual; the constants give 95 % efficiency under Gaussian noise.
 LOSSES: dict[str, Loss] = {
     "huber": lambda r: 1.345 / np.maximum(np.abs(r), 1.345),
     "cauchy": lambda r: 1 / (1 + (r / 2.385) ** 2),
     "l1": lambda r: 0.1 / np.maximum(np.abs(r), 0.1),
 }
-# Of the range of depth, in each round and in the last: the weights move more from round to round.
+# Fraction of the range of depth, in each round and in the last; the weights change more from round to round.
 TOLERANCE, LAST_TOLERANCE = 3e-3, 1e-3
 
 
 class RobustSolver:
-    """Rounds of: residuals, usual residual, weights, solve; Cauchy's loss.
+    """A solver that repeats four steps with Cauchy's loss: residuals, usual residual, weights, solve.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ class RobustSolver:
         return Solution(depth, problem.known, iterations, error)
 
     def _load_round(self, grid: Grid, problem: Problem, depth: NDArray[np.float32]) -> None:
-        """New weights from the residuals of a depth; the right side is what it leaves unsatisfied."""
+        """Load new weights from the residuals of a depth, and the remaining right side."""
         assert problem.edges is not None
         assert problem.edge_weights is not None
         pitch = self.mm_per_px
@@ -107,19 +107,19 @@ class RobustSolver:
 
 
 class HuberSolver(RobustSolver):
-    """The same with Huber's loss: quadratic for small residuals, absolute for large ones."""
+    """As `RobustSolver`, with Huber's loss: quadratic for small residuals, absolute for large ones."""
 
     loss: ClassVar[str] = "huber"
 
 
 class L1Solver(RobustSolver):
-    """The same with absolute residuals."""
+    """As `RobustSolver`, with absolute residuals."""
 
     loss: ClassVar[str] = "l1"
 
 
 def _per_edge(problem: Problem) -> Problem:
-    """The same problem with edge slopes and weights."""
+    """The same problem, with edge slopes and weights."""
     if problem.edges is not None:
         return problem
     assert problem.gradients is not None
@@ -132,7 +132,7 @@ def _per_edge(problem: Problem) -> Problem:
 
 
 def _usual(residual: Pair, weights: Pair) -> np.float32:
-    """Median size of the residuals that count, as a standard deviation; tiny where all are 0."""
+    """Usual residual: the median size of the residuals with weight, as a standard deviation; tiny if all are 0."""
     sample = [(r.ravel()[::EVERY_EDGE], w.ravel()[::EVERY_EDGE]) for r, w in zip(residual, weights)]
     sizes = np.concatenate([np.abs(r[w > 0]) for r, w in sample])
     return np.float32(max(SIGMA_OF_MEDIAN * float(np.median(sizes)) if sizes.size else 0.0, 1e-6))

@@ -1,4 +1,4 @@
-"""The seam that every solver fits: prepared once for a shape and a pitch, called with each frame."""
+"""Solver: the protocol of all solvers. One is prepared for a shape and a pitch, and called with each frame."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from typing import Any, ClassVar, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-Pair = tuple[NDArray[Any], NDArray[Any]]  # of maps of the edges along x, (H, W-1), and along y, (H-1, W)
+Pair = tuple[NDArray[Any], NDArray[Any]]  # maps of the edges along x, (H, W-1), and along y, (H-1, W)
 Weights = NDArray[Any] | Pair | None
 
 
 class Solution(NamedTuple):
-    """What a solver returns for one frame.
+    """The answer of a solver for one frame.
 
     Attributes
     ----------
-    depth_mm : (H, W) float32; each island up to a constant, 0 outside the mask
-    known : (H, W) bool; False outside the mask and where no slope and no anchor says anything
+    depth_mm : (H, W) float32; each island up to a constant; 0 outside the mask
+    known : (H, W) bool; False outside the mask and where neither a slope nor an anchor counts
     iterations : int
         0 for a direct method.
     tolerance : float
@@ -31,18 +31,18 @@ class Solution(NamedTuple):
 
 
 class Solver(Protocol):
-    """A method, prepared for frames of one shape; safe to share between threads.
+    """A method, prepared for frames of one shape; threads can share it.
 
     Attributes
     ----------
-    takes_weights : whether weights, mask and anchor mean something to it; one that treats all slopes alike
+    takes_weights : whether it uses weights, mask and anchor; a solver that treats all slopes alike
         refuses them with a ValueError
     """
 
     takes_weights: ClassVar[bool]
 
     def __init__(self, shape: tuple[int, int], mm_per_px: tuple[float, float]) -> None:
-        """Everything that depends on the shape (H, W) and the pitch (x, y), mm, alone."""
+        """Prepare everything that depends only on the shape (H, W) and the pitch (x, y), mm."""
         ...
 
     def __call__(

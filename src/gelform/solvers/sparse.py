@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, ClassVar
 
 import numpy as np
-import scipy  # its parts load at first use: a weighted solve needs none of them
+import scipy  # its parts load at first use; a weighted solve needs none of them
 from numpy.typing import NDArray
 
 from gelform.solvers.seam import Solution, Weights
@@ -13,7 +13,7 @@ from gelform.solvers.system import Problem, edge_system, problem_from_gradients
 
 
 class SparseSolver:
-    """Exact up to rounding, whatever the weights; 100 times slower than `multigrid`."""
+    """Exact up to rounding for any weights; 100 times slower than `multigrid`."""
 
     takes_weights: ClassVar[bool] = True
 
@@ -31,7 +31,7 @@ class SparseSolver:
         """Depth of one frame of slopes (H, W, 2); weights (H, W) or per edge ((H, W-1), (H-1, W))."""
         problem = problem_from_gradients(gradients, weights, mask, anchor)
         matrix, right = normal_equations(problem, self.mm_per_px)
-        # Pixels of an island without an anchor have no absolute height: one of them is held at 0.
+        # An island without an anchor has no absolute height; one of its pixels is held at 0.
         _, island = scipy.sparse.csgraph.connected_components(matrix, directed=False)
         anchored = np.bincount(island, weights=problem.anchor.ravel()) > 0
         first = np.unique(island, return_index=True)[1]

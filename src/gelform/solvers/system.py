@@ -1,11 +1,11 @@
-"""The weighted least-squares problem of one frame: which slopes count how much, and what they add up to.
+"""The weighted least-squares problem of one frame: its edge slopes and their weights.
 
     E(z) = sum wx (z_x - p)^2 + wy (z_y - q)^2 + sum anchor z^2 / (hx hy)
 
-over edges; the normal equations are `A z = f` with `A = D^T W D + diag(anchor)`, `f = D^T W e`. Shared by the
-solvers that take weights, so that all of them solve the same problem.
+The sum is over edges; the normal equations are `A z = f` with `A = D^T W D + diag(anchor)`, `f = D^T W e`. All
+solvers that take weights share this module, so that they solve the same problem.
 
-An edge lies between two neighbouring pixels: along x there are (H, W-1) of them, along y (H-1, W). Edge slopes ex, ey
+An edge lies between two neighboring pixels: along x there are (H, W-1) of them, along y (H-1, W). Edge slopes ex, ey
 are compared with differences of depth along them. No edge crosses the border of the frame, so the border is free.
 """
 
@@ -78,19 +78,18 @@ def _four_pixels(p: NDArray[Any]) -> NDArray[Any]:
     return edge / p.dtype.type(24)
 
 
-# Fraction of the largest weight under which a slope is replaced by a fill from its neighbours, and the weight raised to it:
-# smaller ones would isolate regions beyond what float32 resolves.
+# Fraction of the largest weight: slopes of less weight are replaced by a fill from their neighbors, and get this weight.
+# Smaller weights would isolate regions beyond the resolution of float32.
 FLOOR = 1e-3
-EVERY_EDGE = (
-    7  # of how many edges or loops one counts for the usual one: enough of them, and a median is slow
-)
-_HIGHEST_ANCHOR = 1e30  # over the largest weight: what float32 holds beside weights of 1, with room for sums
+# One of so many edges or loops counts for the usual residual or curl: enough of them, and a median is slow.
+EVERY_EDGE = 7
+_HIGHEST_ANCHOR = 1e30  # over the largest weight; float32 holds it beside weights of 1, with room for sums
 
 
 class Problem(NamedTuple):
-    """One frame, ready to be loaded: slopes filled where they count for nothing, weights scaled to 1 at most.
+    """One frame, ready to load: slopes without weight are filled, weights scaled to 1 at most.
 
-    Either `gradients` and `confidence` per pixel, or `edges` and `edge_weights` per edge.
+    It has either `gradients` and `confidence` per pixel, or `edges` and `edge_weights` per edge.
     """
 
     gradients: NDArray[Any] | None
@@ -112,9 +111,9 @@ _scale_weights = Kernel(
 def problem_from_gradients(
     gradients: NDArray[Any], weights: Weights, mask: NDArray[np.bool_] | None, anchor: NDArray[Any] | None
 ) -> Problem:
-    """Scale the weights, replace slopes of weight under `FLOOR` by a fill from their neighbours.
+    """Scale the weights, and replace slopes of weight under `FLOOR` by a fill from their neighbors.
 
-    Only the ratios of weights and anchor count: both are divided by the largest weight.
+    Only the ratios of weights and anchor matter, so both are divided by the largest weight.
     """
     shape = gradients.shape[:2]
     gradients = np.ascontiguousarray(gradients, dtype=np.float32)
@@ -154,7 +153,7 @@ def _relative(anchor: NDArray[np.float32], largest: float) -> NDArray[np.float32
 
 @lru_cache(maxsize=16, typed=True)
 def constant_map(shape: tuple[int, int], value: float | bool) -> NDArray[Any]:
-    """A map of one value, shared: nobody writes to it. Zeros that nobody writes take no memory."""
+    """A shared map of one value, which nobody writes to; unwritten zeros take no memory."""
     dtype = bool if isinstance(value, bool) else np.float32
     return np.full(shape, value, dtype=dtype) if value else np.zeros(shape, dtype=dtype)
 
@@ -191,7 +190,7 @@ def edge_system(
 ) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
     """Couplings (H, W-1) and (H-1, W), and right side (H, W).
 
-    An edge between two pixels counts by the harmonic mean of their confidence: the variance of an averaged slope.
+    An edge between two pixels is weighted by the harmonic mean of their confidence: the variance of an averaged slope.
     """
     edges, weights = problem.edges, problem.edge_weights
     if edges is None or weights is None:

@@ -1,4 +1,4 @@
-"""Starters: what units of one make of sensor have in common, so that depth is there before anything was pressed."""
+"""Starters: the common properties of the units of a make, which give depth before any press."""
 
 import lazy_loader
 
@@ -10,6 +10,7 @@ __getattr__, __dir__, __all__ = lazy_loader.attach(
             "Starter",
             "calibration_from_background",
             "load_starter",
+            "make_name",
             "starter_for",
             "starter_names",
             "starter_of_source",

@@ -1,8 +1,8 @@
-"""The light of a make of sensor on its untouched gel: thirty numbers that units share up to brightness and white balance.
+"""The light of a make of sensor on gel at rest: thirty numbers that units share up to brightness and white balance.
 
-A smooth surface is fitted to the logarithm of each channel of an untouched image. Two units of one make differ in how
-bright each channel is, in dust and in scratches; the pattern of colours over the gel, which follows from where the lamps
-are, is the same. No pixel of an image can be told from it.
+A smooth surface is fitted to the logarithm of each channel of a background image. Two units of one make differ in the
+brightness of each channel, in dust and in scratches. The pattern of colors over the gel is the same, because it follows
+from the positions of the lamps. No pixel of an image can be recovered from it.
 """
 
 from __future__ import annotations
@@ -17,25 +17,24 @@ from gelform.color_models._shared.least_squares import node_positions
 from gelform.errors import CalibrationError
 from gelform.foundations.findings import Finding
 
-DEGREE = 3  # of the surface in place
-BLOCKS = 16  # along the longer side: means that the surface is fitted to
-OFFSET = 1.0  # grey level, so that black has a logarithm
-# Correlation of the patterns of colour: units of one make 0.94-0.99, touched ones 0.80 or more, other makes under 0.5.
+DEGREE = 3  # degree of the polynomial in x and y
+BLOCKS = 16  # blocks along the longer side; the surface is fitted to their means
+OFFSET = 1.0  # gray levels, so that black has a logarithm
+# Correlation of the patterns of color: units of one make 0.94-0.99, with a touch 0.80 or more, other makes under 0.5.
 LEAST_ALIKE, SURELY_ALIKE = 0.7, 0.9
-REVERSED_ALIKE = (
-    0.1  # by which the pattern correlates better with red and blue exchanged in an image that is BGR
-)
+# A BGR image's pattern correlates better by at least this with red and blue exchanged.
+REVERSED_ALIKE = 0.1
 # RMS of the logarithm about the surface: clean units 0.04-0.06, a Mini with the gel's rim in sight 0.11, touched ones more.
 ROUGH = 0.12
 
 
 def light_from_background(background: NDArray[Any]) -> tuple[NDArray[np.float64], float]:
-    """The light of an untouched image (H, W, 3), 0-255, and how far the image is from it.
+    """The light of a background image (H, W, 3), 0-255, and the image's distance from it.
 
     Returns
     -------
-    light : (10, 3) coefficients of each channel's logarithm, polynomials of the third degree in the place
-    rough : RMS difference of the logarithms of about 16 x 12 blocks: dust, scratches and touches are in it
+    light : (10, 3) coefficients of each channel's logarithm, polynomials of the third degree in x and y
+    rough : RMS difference of the logarithms of about 16 x 12 blocks; dust, scratches and touches raise it
     """
     height, width = background.shape[:2]
     step = max(height, width) / BLOCKS
@@ -49,7 +48,7 @@ def light_from_background(background: NDArray[Any]) -> tuple[NDArray[np.float64]
 
 
 def levels_from_light(light: NDArray[np.float64], x: NDArray[Any], y: NDArray[Any]) -> NDArray[np.float32]:
-    """Grey levels (..., 3) of a light at places 0-1 across the width and down the height, of equal shapes (...)."""
+    """Gray levels (..., 3) of a light at positions 0-1 across the width and down the height, of equal shapes (...)."""
     levels = np.exp(_terms(x, y) @ light) - OFFSET
     return np.clip(levels, 0, 255).astype(np.float32).reshape(*np.shape(x), 3)
 
@@ -57,7 +56,7 @@ def levels_from_light(light: NDArray[np.float64], x: NDArray[Any], y: NDArray[An
 def pixel_places(
     columns: NDArray[Any], rows: NDArray[Any], shape: tuple[int, int]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Places 0-1 of the pixels where columns and rows of images (H, W) cross; nodes beyond the border are on it."""
+    """Positions 0-1 of the pixels at crossings of columns and rows of images (H, W); nodes beyond the border lie on it."""
     x, y = (np.clip((np.asarray(along) + 0.5) / n, 0, 1) for along, n in zip((columns, rows), shape[::-1]))
     across, down = np.meshgrid(x, y)
     return across, down
@@ -66,9 +65,9 @@ def pixel_places(
 def gain_between(
     light: NDArray[np.float64], usual: NDArray[np.float64], offset: float, shape: tuple[int, int]
 ) -> NDArray[np.float64]:
-    """By how much color changes under a light are smaller than under a usual one, at the nodes: (rows, columns, 3).
+    """Usual color change over the color change under a light, at the nodes: (rows, columns, 3).
 
-    A color change is divided by the light and `offset` grey levels more, which weigh more the darker a unit is.
+    A color change is divided by the light plus `offset` gray levels; the offset weighs more in a darker unit.
     """
     rows, columns = node_positions(shape)
     places = pixel_places(columns, rows, shape)
@@ -77,25 +76,25 @@ def gain_between(
 
 
 def check_light(background: NDArray[Any], light: NDArray[np.float64], make: str) -> tuple[Finding, ...]:
-    """Refuse an untouched image whose colours are not those of a make of sensor; return what should be warned of.
+    """Refuse a background image without the colors of a make of sensor; return findings.
 
-    Brightness and white balance are free: the pattern of colours over the gel is compared, not pixels.
+    Brightness and white balance are free: the pattern of colors over the gel is compared, not the pixels.
 
     Raises
     ------
     CalibrationError
-        Another make, a turned or mirrored image, or BGR. The figure is in the message.
+        Another make, a turned or mirrored image, or BGR. The message has the figure.
     """
     own, rough = light_from_background(background)
     alike, reversed_alike = (_alike(one, light) for one in (own, own[:, ::-1]))
     if reversed_alike > max(alike + REVERSED_ALIKE, LEAST_ALIKE):
         raise CalibrationError(
-            f"The background looks like BGR: its colours fit a {make} better reversed (correlation {reversed_alike:.2f} "
+            f"The background looks like BGR: its colors fit a {make} better reversed (correlation {reversed_alike:.2f} "
             f"against {alike:.2f}). Turn them: image[..., ::-1]."
         )
     if alike < LEAST_ALIKE:
         raise CalibrationError(
-            f"Expected the background of a {make}: the colours over its gel correlate by {alike:.2f} with those of its make "
+            f"Expected the background of a {make}: the colors over its gel correlate by {alike:.2f} with those of its make "
             f"(expected {LEAST_ALIKE} or more). Is it another sensor, or is the image turned or mirrored? Name the right "
             "sensor, or calibrate it with presses of a ball."
         )
@@ -116,14 +115,14 @@ def check_light(background: NDArray[Any], light: NDArray[np.float64], make: str)
 
 
 def _terms(x: NDArray[Any], y: NDArray[Any]) -> NDArray[np.float64]:
-    """Legendre polynomials (N, 10) of places 0-1, up to the third degree together."""
+    """Legendre polynomials (N, 10) of positions 0-1, up to the third total degree."""
     across, down = (np.polynomial.legendre.legvander(2 * np.ravel(a) - 1, DEGREE) for a in (x, y))
     pairs = [(i, j) for j in range(DEGREE + 1) for i in range(DEGREE + 1 - j)]
     return np.stack([across[:, i] * down[:, j] for i, j in pairs], axis=1)
 
 
 def _alike(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
-    """Correlation of the patterns of colour of two lights: each channel against the channels' mean, over the gel."""
+    """Correlation of the patterns of color of two lights: each channel relative to the channels' mean, over the gel."""
     x, y = np.meshgrid(*((np.arange(BLOCKS) + 0.5) / BLOCKS,) * 2)
     patterns = []
     for light in (one, other):

@@ -1,13 +1,14 @@
-"""A starter: a calibration of other units of a make, which today's background turns into one of this unit.
+"""Starter: a calibration of other units of a make, which today's background image turns into one of this unit.
 
-What units share is how their lamps lie around the gel, and so how colour follows from slope, to some per cent. What they
-do not share is the untouched image, which takes a second to photograph. So a starter holds the models of colour, the smooth
-light of the make and the spread between units; with a unit's background it becomes a calibration that says what it is.
+Units share the positions of their lamps around the gel, and therefore the color of each slope, to some per cent. They
+do not share the background image, which takes a second to photograph. So a starter holds the color models, the smooth
+light of the make and the spread between units. With a unit's background it becomes a calibration that is marked as such.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cache
 from importlib.resources import files
 from os import PathLike
 from typing import Any
@@ -21,7 +22,7 @@ from gelform.color_models import StartableModel
 from gelform.errors import CalibrationError, SensorError
 from gelform.foundations.checks import check_image, check_mm_per_px, check_positive
 from gelform.foundations.npz_files import read_npz, write_npz
-from gelform.sensors.profiles import SENSORS
+from gelform.sensors.profiles import PROFILES, SENSORS, make_of
 from gelform.starters.light import (
     check_light,
     gain_between,
@@ -37,16 +38,16 @@ FOLDER = files("gelform") / "starters"
 
 @dataclass(frozen=True, eq=False)
 class Starter:
-    """What units of one make of sensor have in common.
+    """The common properties of the units of one make of sensor.
 
     Attributes
     ----------
-    sensor : its name, as `starter_names` lists it
-    calibration : of the units that it was made from; its background is rendered from `light`, no image
-    light : (10, 3), of the untouched gel, as `light_from_background` gives it
+    sensor : name, as in `starter_names`
+    calibration : calibration of the units that it was made from; its background is rendered from `light`
+    light : (10, 3), light on the gel at rest, from `light_from_background`
     spread : relative standard deviation of the slopes of one unit about those of the make
-    units : what it was made from, in words
-    color_variance : of a unit's colors about the forward response, over that of the units that it was fitted to
+    units : description of the units that it was made from
+    color_variance : variance of a unit's colors about the forward response, over that of the units that it was fitted to
     """
 
     sensor: str
@@ -58,19 +59,18 @@ class Starter:
 
     @property
     def make(self) -> str:
-        """The sensor's name, as people write it."""
-        profile = SENSORS[self.sensor].profile if self.sensor in SENSORS else None
-        return self.sensor if profile is None else profile.name
+        """The sensor's name for people."""
+        return make_name(self.sensor)
 
     def view(self, frame_shape: tuple[int, int]) -> View:
-        """How frames (H, W) of such a sensor's camera become images; identity where they have their size already.
+        """The view of frames (H, W) of such a sensor's camera; identity if they already have the size of images.
 
         Raises
         ------
         SensorError
             Frames have another aspect than the make's.
         """
-        profile = SENSORS[self.sensor].profile if self.sensor in SENSORS else None
+        profile = PROFILES.get(self.sensor)
         view = View() if profile is None else profile.view(frame_shape)
         wanted = self.calibration.image_shape
         if (view.shape or frame_shape) == wanted or wanted[0] == wanted[1]:
@@ -92,16 +92,16 @@ class Starter:
         serial: str | None = None,
         gel_id: str | None = None,
     ) -> Calibration:
-        """The calibration of a unit of this make, of which the untouched image is known and nothing else.
+        """The calibration of a unit of this make, from its background image alone.
 
-        Its slopes are known within `spread` besides their noise, which results state in their deviations.
+        In addition to their noise, its slopes have an error of `spread`; the standard deviations of results include it.
 
         Parameters
         ----------
-        background : (H, W, 3), 0-255, the untouched image, of the starter's size
-        view : how frames become images; identity by default
+        background : (H, W, 3), 0-255, the background image, of the starter's size
+        view : conversion of frames to images; identity by default
         mm_per_px : by default the make's
-        serial, gel_id : which unit, which gel
+        serial, gel_id : of the unit and its gel
 
         Raises
         ------
@@ -139,8 +139,15 @@ class Starter:
             settings=replace(made.settings, starter=record),
         )
 
+    def for_frame(self, background: ArrayLike, **known: Any) -> Calibration:
+        """`for_unit` of a background frame as the camera gives it; see `calibration_from_background`."""
+        frame = check_image(background, name="background")
+        view = self.view((int(frame.shape[0]), int(frame.shape[1])))
+        image = frame if view.is_identity else image_from_frame(frame, view)
+        return self.for_unit(image, view=view, **known)
+
     def models_for(self, light: NDArray[np.float64]) -> tuple[Any, Any]:
-        """Color model and forward response of a unit with another light (10, 3): they read its own color changes."""
+        """Color model and forward response of a unit with another light (10, 3), for that unit's color changes."""
         made = self.calibration
         gain = gain_between(light, self.light, made.change.offset, made.image_shape)
         assert isinstance(made.color_model, StartableModel)
@@ -150,12 +157,12 @@ class Starter:
         return made.color_model.of_smaller_changes(gain), forward
 
     def save(self, path: str | PathLike[str], *, overwrite: bool = False) -> None:
-        """Write one .npz without the background; its numbers are of single precision.
+        """Write one .npz without the background, in single precision.
 
         Raises
         ------
         CalibrationError
-            The file is there already and `overwrite` is False, or it cannot be written.
+            The file exists and `overwrite` is False, or it cannot be written.
         """
         arrays, meta = self.calibration.contents()
         kept = {
@@ -185,7 +192,7 @@ def starter_from_calibration(
     units: tuple[str, ...],
     color_variance: float = 1.0,
 ) -> Starter:
-    """What one unit's calibration gives to the others of its make; its background becomes thirty numbers."""
+    """Make a starter from one unit's calibration; its background is replaced by thirty numbers."""
     light, _ = light_from_background(calibration.background)
     smooth = levels_from_light(light, *_all_places(calibration.image_shape))
     plain = replace(calibration, background=smooth, view=View(), serial=None, gel_id=None, report=None)
@@ -215,9 +222,16 @@ def read_starter(path: str | PathLike[str]) -> Starter:
         raise CalibrationError(f"{path} is damaged: what it holds does not make a starter.") from problem
 
 
-def starter_names() -> list[str]:
-    """The sensors that have a starter."""
-    return sorted(one.name.removesuffix(".npz") for one in FOLDER.iterdir() if one.name.endswith(".npz"))
+@cache
+def starter_names() -> tuple[str, ...]:
+    """The names of the sensors that have a starter."""
+    names = (one.name for one in FOLDER.iterdir())
+    return tuple(sorted(name.removesuffix(".npz") for name in names if name.endswith(".npz")))
+
+
+def make_name(sensor: str) -> str:
+    """A sensor's name for people."""
+    return PROFILES[sensor].name if sensor in PROFILES else sensor
 
 
 def load_starter(sensor: str) -> Starter:
@@ -226,7 +240,7 @@ def load_starter(sensor: str) -> Starter:
     Raises
     ------
     SensorError
-        There is none; those that have one are listed.
+        There is none; the message lists the sensors that have one.
     """
     if sensor not in starter_names():
         raise SensorError(
@@ -237,32 +251,23 @@ def load_starter(sensor: str) -> Starter:
 
 
 def starter_for(sensor_name: str, image_shape: tuple[int, int]) -> Starter | None:
-    """The starter of the real make that a sensor's name begins with, for images (H, W); None where there is none."""
-    for name in starter_names():
-        profile = SENSORS[name].profile if name in SENSORS else None
-        if profile is not None and sensor_name.startswith(profile.name):
-            starter = load_starter(name)
-            return starter if starter.calibration.image_shape == tuple(image_shape) else None
-    return None
+    """The starter of the real make that a sensor's name begins with, for images (H, W); None if there is none."""
+    make = make_of(sensor_name)
+    if make is None or make not in starter_names():
+        return None
+    starter = load_starter(make)
+    return starter if starter.calibration.image_shape == tuple(image_shape) else None
 
 
 def starter_of_source(source: Any) -> str | None:
-    """The name of the starter of a source of frames, by its camera's USB id or by what it calls itself; None without one.
+    """The name of the starter of a source of frames, by its camera's USB id or by its own name; None without one.
 
     Parameters
     ----------
-    source : has a `name` and, where it is a camera of this machine, a `camera`
+    source : object with a `name` and, for a camera of this machine, a `camera`
     """
-    names = starter_names()
-    kind = getattr(getattr(source, "camera", None), "kind", None)
-    if kind is not None:
-        return kind if kind in names else None
-    said = str(getattr(source, "name", ""))
-    for name in names:
-        profile = SENSORS[name].profile if name in SENSORS else None
-        if profile is not None and said.startswith(profile.name):
-            return name
-    return None
+    kind = getattr(getattr(source, "camera", None), "kind", None) or make_of(str(getattr(source, "name", "")))
+    return kind if kind in starter_names() else None
 
 
 def calibration_from_background(
@@ -273,24 +278,24 @@ def calibration_from_background(
     serial: str | None = None,
     gel_id: str | None = None,
 ) -> Calibration:
-    """A calibration of a known sensor from its untouched image alone, by what other units of its make have shown.
+    """A calibration of a known sensor from its background image alone, based on other units of its make.
 
-    Every result of it says that it is a starter, and states wider deviations. Presses of a ball make it better:
-    `calibrate(presses, start=...)` begins where it ends.
+    Every result of it has a finding about the starter, and larger standard deviations. Presses of a ball improve it:
+    `calibrate(presses, start=...)` begins with it.
 
     Parameters
     ----------
     background : (H, W, 3), 0-255, RGB
-        A frame of the untouched gel, or an average of several, as the camera gives it; or an image that already has the
+        A frame of the gel at rest, or an average of several, as the camera gives it; or an image that already has the
         size of the make's images.
     sensor : a name in `starter_names()`, such as "gelsight-mini"
     mm_per_px : by default the make's
-    serial, gel_id : which unit, which gel
+    serial, gel_id : of the unit and its gel
 
     Returns
     -------
     Calibration
-        With `settings.starter`: the make, its spread between units and what it was made from.
+        With `settings.starter`: the make, the spread between its units, and the units that it was made from.
 
     Raises
     ------
@@ -301,11 +306,7 @@ def calibration_from_background(
     ValueError, TypeError
         No RGB image, or of a size that the make does not have.
     """
-    starter = load_starter(sensor)
-    frame = check_image(background, name="background")
-    view = starter.view((int(frame.shape[0]), int(frame.shape[1])))
-    image = frame if view.is_identity else image_from_frame(frame, view)
-    return starter.for_unit(image, view=view, mm_per_px=mm_per_px, serial=serial, gel_id=gel_id)
+    return load_starter(sensor).for_frame(background, mm_per_px=mm_per_px, serial=serial, gel_id=gel_id)
 
 
 def _all_places(shape: tuple[int, ...]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

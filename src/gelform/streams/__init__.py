@@ -1,4 +1,4 @@
-"""Frames of one sensor in sequence: what has memory, around a Reconstructor that has none."""
+"""Frames of one sensor in sequence: memory around a Reconstructor, which has none."""
 
 import lazy_loader
 

@@ -1,13 +1,13 @@
-"""The untouched image follows the gel where nothing touches it: smooth light at once, all else late and slowly.
+"""Updates the background image while nothing touches the gel: smooth light at once, other changes late and slowly.
 
-What changes a frame slowly is either the sensor (LEDs that warm up, a gel that relaxes) or a slow press, and the two
-look alike for a while. They are told apart by shape and by time:
+A slow change comes either from the sensor (LEDs that warm up, a gel that relaxes) or from a slow press. The two look alike
+for a while. Shape and time tell them apart:
 
-- Light that changes smoothly over the whole image (`SmoothLight`) is followed within seconds. No contact is that wide
-  when it begins.
-- Everything else is held in quarantine: an average over 10 s becomes part of the untouched image only where nothing
-  touched for 30 s before it *and* for 60 s after it (`Touched`, with a margin). A slow press is noticed by then, however
-  slight it was at first, so that nothing of it is absorbed.
+- Light that changes smoothly over the whole image (`SmoothLight`) is followed within seconds. No contact is that wide when
+  it begins.
+- Everything else waits in quarantine: an average over 10 s becomes part of the background only where nothing touched for
+  30 s before it *and* for 60 s after it (`Touched`, with a margin). By then even a slight slow press is detected, so that
+  none of it enters the background.
 """
 
 from __future__ import annotations
@@ -23,37 +23,37 @@ from numpy.typing import NDArray
 from gelform.reconstruction import Reconstruction
 from gelform.streams.smooth_light import SmoothLight, block_means, robust_sigma
 
-BLOCK_PX = 8  # blocks average noise and texture away
-STEP_S, MEAN_S = 1.0, 3.0  # how often the light is fitted, and over how long blocks are averaged for it
-MEAN_IMAGE_S = 10.0  # over which frames are averaged before they wait
-BEFORE_S, AFTER_S = 30.0, 60.0  # around a mean image in which nothing may touch
-FOLLOW_S = 60.0  # time constant of taking mean images in
-LONGEST_GAP_S = 5.0  # without a frame: nobody knows what happened
-LEAST_FREE = 0.3  # fraction of the blocks that has to be untouched for the light to be fitted
+BLOCK_PX = 8  # px, width of a block: its mean removes noise and texture
+STEP_S, MEAN_S = 1.0, 3.0  # s: interval of the light's fits, and averaging time of the blocks for them
+MEAN_IMAGE_S = 10.0  # s over which frames are averaged before they wait
+BEFORE_S, AFTER_S = 30.0, 60.0  # s before and after a mean image in which nothing may touch
+FOLLOW_S = 60.0  # s, time constant of adding mean images
+LONGEST_GAP_S = 5.0  # s without a frame, after which the past is unknown
+LEAST_FREE = 0.3  # fraction of the blocks that must be free of contact to fit the light
 NO_MEASURE = {"beyond_gel", "dark", "exposure_unknown", "frozen", "saturated", "torn"}
 DIFFERENT = {"background_differs", "few_untouched", "not_this_gel"}  # contact all over, or another gel
-PER_GREY_LEVEL = 256  # steps of a mean image that waits
-WHITE = 255.0  # what a camera shows at most; the smooth light can promise more
+PER_GREY_LEVEL = 256  # steps per gray level of a waiting mean image
+WHITE = 255.0  # largest gray level of a camera; the fitted light can exceed it
 
-TOUCH_SIGMAS = 5.0  # deviations of noise by which a touched block changes
+TOUCH_SIGMAS = 5.0  # standard deviations of noise by which a touched block changes
 LEAST_CHANGE = 0.0025  # fraction of a block's brightness: slopes of about 0.2 %
-LONG_S = 10.0  # over which changes are averaged, for those that are slight
-MOST_CHANGE = 0.01  # of such an average: what is strong must not stay in it
-MARGIN = 0.1  # fraction of the image's shorter side: the gel is drawn down, and rises, around what touches it
+LONG_S = 10.0  # s, averaging time for slight changes
+MOST_CHANGE = 0.01  # limit of such an average, so that a strong change does not stay in it
+MARGIN = 0.1  # fraction of the image's shorter side: around a contact the gel sinks or rises
 
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """The mean of the frames of some ten seconds.
+    """The mean of the frames of about ten seconds.
 
     Attributes
     ----------
-    image : (H, W, 3) float32, their mean, 0-255
-    start : (H, W, 3) float32, the untouched image from which the sequence started
-    light : (H, W, 3) float32, how much brighter the smooth light is than then
-    touched : (H, W) bool, where something may have touched meanwhile, with a margin
-    contact : (H, W) bool, where a frame showed contact
-    different : float, 0-1, fraction of the frames that differ from the untouched image nearly everywhere
+    image : (H, W, 3) float32, mean of the frames, 0-255
+    start : (H, W, 3) float32, the background at the start of the sequence
+    light : (H, W, 3) float32, brightness of the smooth light relative to the start
+    touched : (H, W) bool, True where something may have touched meanwhile, with a margin
+    contact : (H, W) bool, True where a frame showed contact
+    different : float, 0-1, fraction of the frames that differ from the background nearly everywhere
     """
 
     image: NDArray[np.float32]
@@ -66,7 +66,7 @@ class Evidence:
 
 @dataclass(frozen=True, eq=False)
 class MeanImage:
-    """A mean image without the smooth light, that waits to become the untouched one: (H, W, 3), 1/256 grey level."""
+    """A mean image without the smooth light that waits to become background: (H, W, 3), in 1/256 gray level."""
 
     start_s: float
     end_s: float
@@ -74,15 +74,15 @@ class MeanImage:
 
 
 class BackgroundDrift:
-    """The untouched image of now; a function of the sequence of images and results.
+    """The current background; a function of the sequence of images and results.
 
     Parameters
     ----------
-    background : (H, W, 3) float32, 0-255, the untouched image from which the sequence starts
+    background : (H, W, 3) float32, 0-255, the background at the start of the sequence
 
     Attributes
     ----------
-    evidence : the mean of the last ten seconds that were whole, or None
+    evidence : mean of the last complete ten seconds, or None
     """
 
     def __init__(self, background: NDArray[np.float32]) -> None:
@@ -101,11 +101,11 @@ class BackgroundDrift:
         self._start_anew(0.0)
 
     def take(self) -> None:
-        """Nothing touches now: the mean of the next second is the untouched image. From any thread."""
+        """Take the mean of the next second as background, because nothing touches now. May be called from any thread."""
         self._asked = True
 
     def __call__(self, image: NDArray[Any], result: Reconstruction) -> NDArray[np.float32] | None:
-        """Learn from a frame; the untouched image (H, W, 3) where it has changed, else None."""
+        """Learn from a frame; the background (H, W, 3) if it has changed, else None."""
         time_s = result.time_s or 0.0
         if self._last_s is None or not 0 <= time_s - self._last_s <= LONGEST_GAP_S:
             self._lose_track(time_s)
@@ -126,7 +126,7 @@ class BackgroundDrift:
         return self._taken(time_s) if self._taking else self._step(time_s)
 
     def _taken(self, time_s: float) -> NDArray[np.float32]:
-        """Start again from the mean since it was asked for."""
+        """Start again from the mean of the frames since the request."""
         self._taking = False
         self.start = self._local = self._sum / np.float32(self._sum_count)
         self._local_blocks = block_means(self._local, BLOCK_PX)
@@ -144,7 +144,7 @@ class BackgroundDrift:
         self._start_anew(time_s)
 
     def _start_anew(self, time_s: float) -> None:
-        """Begin a step and a mean image."""
+        """Start a new step and a new mean image."""
         self._step_s = self._mean_image_s = time_s
         self._blocks = np.zeros_like(self._local_blocks)
         self._contact = np.zeros(self._local.shape[:2], dtype=bool)
@@ -160,7 +160,7 @@ class BackgroundDrift:
         self._contact_long |= contact
 
     def _step(self, time_s: float) -> NDArray[np.float32] | None:
-        """Fit the light, mark what is touched, take in what has waited long enough."""
+        """Fit the light, mark touched blocks, and add the mean images that have waited long enough."""
         step_s, blocks = time_s - self._step_s, self._blocks * np.float32(1 / self._count)
         averaged, untouched = self._averaged(blocks, step_s), self._local_blocks
         contact = self._contact_blocks()
@@ -212,7 +212,7 @@ class BackgroundDrift:
         )
 
     def _take_in(self, time_s: float) -> None:
-        """Let mean images that have waited become part of the untouched image, where nothing touched around their time."""
+        """Add mean images that have waited to the background, where nothing touched around their time."""
         while self._waiting and self._waiting[0].end_s + AFTER_S <= time_s:
             waited = self._waiting.popleft()
             free = self.touched.not_since(waited.start_s - BEFORE_S).astype(np.float32)
@@ -230,11 +230,11 @@ def _as_pixels(blocks: NDArray[np.bool_], shape: tuple[int, int]) -> NDArray[np.
 
 
 class Touched:
-    """When each block was last touched, or may have been.
+    """The time of the last touch, or possible touch, of each block.
 
     Parameters
     ----------
-    blocks : (h, w), how many blocks
+    blocks : (h, w), number of blocks
     """
 
     def __init__(self, blocks: tuple[int, int]) -> None:
@@ -251,17 +251,17 @@ class Touched:
         change: NDArray[np.float32],
         untouched: NDArray[np.float32],
     ) -> NDArray[np.bool_]:
-        """The blocks (h, w) that may be touched at this time, margin included; remembered.
+        """Find and remember the blocks (h, w) that may be touched at this time, including the margin.
 
-        A block may be touched where a frame shows contact, and where its brightness stands out among all blocks, in the
-        last second or in the mean of some ten.
+        A block may be touched if a frame shows contact there. It also may be if its brightness stands out from all
+        blocks, in the last second or in the mean of about ten.
 
         Parameters
         ----------
-        step_s : the time since the last call, s
+        step_s : time since the last call, s
         contact : (h, w), blocks in which a frame shows contact
-        change : (h, w, 3), relative change of the blocks against the untouched image in today's light
-        untouched : (h, w, 3), that image, grey levels
+        change : (h, w, 3), relative change of the blocks against the background in the current light
+        untouched : (h, w, 3), the background, gray levels
         """
         slight = np.clip(change, -MOST_CHANGE, MOST_CHANGE)
         self._long += np.float32(-np.expm1(-step_s / LONG_S)) * (slight - self._long)
@@ -271,7 +271,7 @@ class Touched:
         return near
 
     def everywhere(self, time_s: float) -> None:
-        """Nobody looked: something may have touched anywhere."""
+        """Mark every block as touched, because no frame was available."""
         self._last_s[:] = time_s
 
     def nowhere(self) -> None:
@@ -279,12 +279,12 @@ class Touched:
         self._last_s[:] = -np.inf
 
     def not_since(self, time_s: float) -> NDArray[np.bool_]:
-        """Blocks (h, w) that nothing has touched since."""
+        """The blocks (h, w) without a touch since that time."""
         return self._last_s < time_s
 
 
 def _stands_out(change: NDArray[np.float32], untouched: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Blocks (h, w) that changed by more than noise, which is alike in grey levels, and by more than drift."""
+    """The blocks (h, w) that changed by more than drift and noise; noise is equal in gray levels."""
     size = np.abs(change)
     levels = size * untouched
     noise = robust_sigma(levels, axis=(0, 1))

@@ -1,4 +1,4 @@
-"""Where a stream's frames come from: the newest one of a live source, every one of a recording."""
+"""The frames of a stream: the newest one of a live source, every one of a recording."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from gelform.frames import Frame
 from gelform.sensors.grabber import Grabber
 from gelform.sensors.source import Source, open_source
 
-WAKE_S = 0.2  # how long a wait for a frame lasts at most before it is looked whether to stop
-PAUSED_S = 0.05  # between looks whether it is still paused
+WAKE_S = 0.2  # s, longest wait for a frame before a request to stop is checked
+PAUSED_S = 0.05  # s between checks whether the pause is over
 
 SourceLike = str | PathLike[str] | Source | Callable[[], Source] | Grabber
 
@@ -22,9 +22,9 @@ class Feed(Protocol):
 
     Attributes
     ----------
-    every : whether each frame is given, instead of the newest one
-    camera : has its serial, and its settings as they were read back
-    state, reason : "starting", "running", "reconnecting" or "ended"; why, in a sentence
+    every : True if each frame is given, False if only the newest one
+    camera : has the serial number, and the settings as read back
+    state, reason : "starting", "running", "reconnecting" or "ended"; the reason as a sentence
     """
 
     every: bool
@@ -37,10 +37,10 @@ class Feed(Protocol):
     def reason(self) -> str: ...
 
     def next(self, after_index: int) -> Frame | None:
-        """A frame with a larger number; None where none came within a moment, or at the end."""
+        """A frame with a number above `after_index`; None if none arrived within a moment, or at the end."""
 
     def close(self) -> None:
-        """Give back what the feed opened itself."""
+        """Close the objects that the feed itself opened."""
 
 
 class NewestFrames:
@@ -49,8 +49,8 @@ class NewestFrames:
     Parameters
     ----------
     grabber : running
-    owned : whether the grabber is closed with the feed; one that was given goes on for its other consumers
-    paused : says whether to give no frame for now
+    owned : True if the grabber closes with the feed; a grabber that the caller passed stays open for other consumers
+    paused : returns True while no frame is to be given
     """
 
     every = False
@@ -79,7 +79,7 @@ class NewestFrames:
 
 
 class EveryFrame:
-    """Each frame of a recording, one after the other, when it is asked for."""
+    """Each frame of a recording in order, on request."""
 
     every = True
 
@@ -99,17 +99,17 @@ class EveryFrame:
 
 
 def feed_from_source(source: SourceLike) -> Feed:
-    """The feed of a source, opened.
+    """Open the feed of a source.
 
     Parameters
     ----------
-    source : what `open_source` takes, or a function that opens a source: opened again when it is lost; an open Source; or
-        a running Grabber, which other streams may share
+    source : argument of `open_source`, or a function that opens a source and is called again after a loss; an open
+        Source; or a running Grabber, which other streams may share
 
     Raises
     ------
     SensorError, DataError
-        The source cannot be opened; the message lists what is there.
+        The source cannot be opened; the message lists the available ones.
     """
     if isinstance(source, Grabber):
         return NewestFrames(source, owned=False)
@@ -127,5 +127,5 @@ def feed_from_source(source: SourceLike) -> Feed:
     grabber = Grabber(source).__enter__()
     if grabber.source.live:
         return NewestFrames(grabber, owned=True)
-    grabber.close()  # of a recording no frame is passed over: it is read again, frame by frame
+    grabber.close()  # a recording must give every frame: read it again, frame by frame
     return EveryFrame(source() if callable(source) else open_source(source))

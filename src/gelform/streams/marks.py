@@ -1,4 +1,4 @@
-"""Scratch, dust, tear: small parts of the image that differ from the start's and stay so."""
+"""Scratch, dust and tear: small parts of the image that differ permanently from the start."""
 
 from __future__ import annotations
 
@@ -13,28 +13,28 @@ from gelform.foundations.findings import Finding
 from gelform.streams.background_drift import Evidence
 from gelform.streams.smooth_light import robust_sigma
 
-SMOOTH_PX, WIDE_PX = 1.0, 8.0  # of the image, and of the surroundings that it is compared with
-MARK_SIGMAS, LEAST_MARK_CHANGE = 6.0, 0.04  # deviations of noise; fraction of the brightness
-MARK_STAYS = 3  # evidences in a row, some ten seconds each
-LEAST_AREA_PX = 4  # less is noise
-LONG_PX, THIN = 10.0, 0.4  # a scratch: its length, and its width over that; or ...
-GROOVE_THIN, BOTH_SIGNS = 0.6, 0.4  # ... less thin, but bright on one side and dark on the other
-TORN, TORN_AREA = 0.2, 0.0045  # a tear: fraction of the brightness in all channels, and of the image
-DARK = 0.06  # dust keeps light away, on average so much; a slight bright spot does no harm
-CONTACT_AROUND = 0.5  # of a mark's surroundings; more of it is a body that rests there
-AROUND_PX = 8  # how far a mark's surroundings reach
-BODY_PX = 15  # contact that is wider is a body
+SMOOTH_PX, WIDE_PX = 1.0, 8.0  # px, widths of the blur of the image and of its surroundings
+MARK_SIGMAS, LEAST_MARK_CHANGE = 6.0, 0.04  # standard deviations of noise; least fraction of the brightness
+MARK_STAYS = 3  # consecutive evidences, about ten seconds each
+LEAST_AREA_PX = 4  # px; a smaller area is noise
+LONG_PX, THIN = 10.0, 0.4  # a scratch: least length, px, and largest width / length; or ...
+GROOVE_THIN, BOTH_SIGNS = 0.6, 0.4  # ... width / length, if it is bright on one side and dark on the other
+TORN, TORN_AREA = 0.2, 0.0045  # a tear: fraction of the brightness, all channels; of the image
+DARK = 0.06  # mean loss of light by dust, a fraction; a slight bright spot does no harm
+CONTACT_AROUND = 0.5  # fraction of a mark's surroundings in contact; above it an object rests there
+AROUND_PX = 8  # px, width of a mark's surroundings
+BODY_PX = 15  # px; a wider contact is an object
 
 
 @dataclass(frozen=True)
 class Mark:
-    """One connected part of the image that differs.
+    """One connected part of the image that differs from the start.
 
     Attributes
     ----------
     name : "scratch", "dust", "tear"
     area_px, length_px : int, float
-    change : float, relative, of all channels together
+    change : float, relative, mean of all channels
     """
 
     name: str
@@ -44,13 +44,16 @@ class Mark:
 
 
 class Marks:
-    """Remembers for how long each pixel has differed from the start without contact around it."""
+    """Counts for how long each pixel has differed from the start without contact around it."""
 
     def __init__(self) -> None:
         self._stays: NDArray[np.uint8] | None = None
 
     def __call__(self, evidence: Evidence) -> tuple[Finding, ...]:
-        """`scratch`, `dust` and `tear`; figures are the largest one's length or diameter, px, and fraction of the image."""
+        """Find `scratch`, `dust` and `tear`.
+
+        Their figures are the largest one's length or diameter, px, and image fraction.
+        """
         change = evidence.image / np.maximum(evidence.start * evidence.light, 1) - 1
         odd = _stands_out(change, _near_a_body(evidence.contact))
         if self._stays is None:
@@ -78,7 +81,7 @@ def _finding(name: str, marks: list[Mark], pixels: int) -> Finding:
 
 
 def _near_a_body(contact: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Pixels (H, W) in or beside contact that is wider than a mark somewhere: their relief is that of what touches."""
+    """Pixels (H, W) in or near a contact that is wider than a mark: their relief belongs to the touching object."""
     map8 = contact.view(np.uint8)
     wide = cv2.morphologyEx(map8, cv2.MORPH_OPEN, np.ones((BODY_PX, BODY_PX), np.uint8))
     count, labels = cv2.connectedComponents(map8, connectivity=8)
@@ -96,14 +99,14 @@ def _dilated(mask: NDArray[Any], by_px: int) -> NDArray[np.bool_]:
 
 
 def _stands_out(change: NDArray[np.float32], near_a_body: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Pixels (H, W) that differ from their wide surroundings by much more than others do, in any channel; or are torn."""
+    """Pixels (H, W) that are torn, or differ far more than others from their wide surroundings, in any channel."""
     smooth = cv2.GaussianBlur(change, (0, 0), SMOOTH_PX)
     height, width = change.shape[:2]
     step = max(1, round(WIDE_PX / 2))
     small = cv2.resize(smooth, (max(1, width // step), max(1, height // step)), interpolation=cv2.INTER_AREA)
     wide = cv2.resize(cv2.medianBlur(small, 5), (width, height), interpolation=cv2.INTER_LINEAR)
     off = np.abs(smooth - wide)
-    torn = np.abs(smooth).min(axis=-1) > TORN  # wider than the surroundings that the median looks at
+    torn = np.abs(smooth).min(axis=-1) > TORN  # wider than the median's window
     noise = robust_sigma(off[::2, ::2], axis=(0, 1))
     odd = (off > np.maximum(MARK_SIGMAS * noise, LEAST_MARK_CHANGE)).any(axis=-1)
     return np.asarray((odd & ~near_a_body) | torn)
@@ -127,7 +130,7 @@ def _marks(where: NDArray[np.bool_], change: NDArray[np.float32], contact: NDArr
 
 
 def _kind(mine: NDArray[np.bool_], change: NDArray[np.float32], area: int) -> tuple[str, float]:
-    """The name and the length, px, of a mark (H, W) whose pixels have changed by (N, 3)."""
+    """The name and the length, px, of a mark (H, W) whose pixels changed by (N, 3)."""
     y, x = np.nonzero(mine)
     covariance = np.cov(np.stack([x, y])) if area > 1 else np.zeros((2, 2))
     small, large = np.sqrt(np.maximum(np.linalg.eigvalsh(covariance), 0)) * np.sqrt(12) + 1
@@ -138,13 +141,13 @@ def _kind(mine: NDArray[np.bool_], change: NDArray[np.float32], area: int) -> tu
 
 
 def _has_both_signs(change: NDArray[np.float32]) -> bool:
-    """Whether pixels (N, 3) became brighter and darker alike, in the channel that changed most."""
+    """Whether pixels (N, 3) became brighter and darker in equal measure, in the channel that changed most."""
     sizes = np.abs(change).mean(axis=0)
     most = int(sizes.argmax())
     return float(abs(change[:, most].mean())) < BOTH_SIGNS * float(sizes[most])
 
 
 def _rests(mine: NDArray[np.bool_], contact: NDArray[np.bool_]) -> bool:
-    """Whether a wide contact is around the mark: something that rests on the gel, not the gel itself."""
+    """Whether the mark lies inside a wide contact: an object rests on the gel, and the gel itself is unchanged."""
     around = _dilated(mine, AROUND_PX) & ~mine
     return float(contact[around].mean()) > CONTACT_AROUND

@@ -1,4 +1,4 @@
-"""All that one sequence of frames has taught: what is around a Reconstructor, which itself remembers nothing."""
+"""The memory of one sequence of frames, around a Reconstructor, which itself has none."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from gelform import view
 from gelform.errors import CalibrationError
 from gelform.foundations.findings import Finding
 from gelform.frames import Frame
+from gelform.gradients import STEEPEST_GEL
 from gelform.health import DepthLimit
 from gelform.markers import MarkerFlow, MarkerTracker
 from gelform.reconstruct import Reconstructor
@@ -24,7 +25,6 @@ from gelform.streams.sensor_health import FROZEN, Examination, Frozen, light_fin
 from gelform.streams.smoothing import Smoothing
 
 NOT_THIS_GEL = "not_this_gel"
-UNKNOWN_SLOPE = 1.0  # standard deviation of a slope of which nothing is known, mm/mm
 
 Work = Callable[[], Any]
 Timed = Callable[[str], AbstractContextManager[None]]
@@ -32,15 +32,15 @@ Timed = Callable[[str], AbstractContextManager[None]]
 
 @dataclass(frozen=True, eq=False)
 class StreamFrame:
-    """A result and the image that it is of.
+    """A result and its image.
 
     Attributes
     ----------
     image : (H, W, 3), RGB, after the calibration's view
     result : Reconstruction
-    index : int, of the frame; grows
-    time_s : float, when it was captured, on `time.monotonic()`'s clock
-    frame : Frame, as the source gave it, before the view
+    index : int, number of the frame; increasing
+    time_s : float, capture time, on the clock of `time.monotonic()`
+    frame : Frame, from the source, before the view
     """
 
     image: NDArray[Any]
@@ -51,17 +51,17 @@ class StreamFrame:
 
 
 class Memory:
-    """A function of the images and results of one sequence, in order; it takes its times from the frames.
+    """A function of the images and results of one sequence, in order; times come from the frames.
 
     Parameters
     ----------
-    reconstruct : of the sensor, with the untouched image that the sequence starts from
+    reconstruct : Reconstructor of the sensor, with the background at the start of the sequence
     smoothing : time constant of the smoothing, s, or None
-    standing : gives the findings on the source at this moment, such as a camera that is set otherwise than calibrated
+    standing : returns the current findings about the source, such as a camera whose settings differ from the calibration's
 
     Attributes
     ----------
-    reconstruct : for the frames to come
+    reconstruct : Reconstructor for the coming frames
     """
 
     def __init__(
@@ -83,16 +83,16 @@ class Memory:
         self._smoothing = None if smoothing is None else Smoothing(smoothing)
 
     def run_by(self, helper: Callable[[Work], Work], examine: Callable[[Work], None] | None) -> None:
-        """Have slow work run elsewhere: `helper` as in `Reconstructor.with_helper`; `examine` is given the rest, or None."""
+        """Run slow work elsewhere: `helper` as in `Reconstructor.with_helper`; `examine` receives the rest, or is None."""
         self.reconstruct = self.reconstruct.with_helper(helper)
         self._examine = examine or self._examine
 
     def take_background(self) -> None:
-        """Nothing touches now: what the next second shows is the untouched gel. From any thread."""
+        """Take the mean of the next second as background, because nothing touches now. May be called from any thread."""
         self._drift.take()
 
     def image_from_frame(self, frame: Frame) -> NDArray[Any]:
-        """The calibration's view of a frame; ValueError where it is of another size."""
+        """The calibration's view of a frame; ValueError if the frame has another size."""
         calibration = self.reconstruct.calibration
         expected, given = calibration.view.frame_shape or calibration.image_shape, frame.image.shape[:2]
         if given != expected:
@@ -104,17 +104,17 @@ class Memory:
         return view.image_from_frame(frame.image, calibration.view)
 
     def result_from_image(self, image: NDArray[Any]) -> Reconstruction:
-        """Reconstruct an image as the sequence is understood now; its marker dots are followed from image to image."""
+        """Reconstruct an image with the current knowledge of the sequence; markers are tracked from image to image."""
         return result_from_image(self.reconstruct, image, self._markers.update(image))
 
     def __call__(self, image: NDArray[Any], result: Reconstruction) -> Reconstruction:
-        """`remembered`, then `learn`: for who needs no result sooner than that."""
+        """`remembered`, then `learn`, for callers that can wait for both."""
         result = self.remembered(image, result)
         self.learn(image, result)
         return result
 
     def reconstructed(self, frame: Frame, timed: Timed) -> StreamFrame:
-        """The remembered result of a frame."""
+        """The result of a frame, after `remembered`."""
         with timed("view"):
             image = self.image_from_frame(frame)
         with timed("reconstruct"):
@@ -123,11 +123,11 @@ class Memory:
             return StreamFrame(image, self.remembered(image, result), frame.index, frame.time_s, frame)
 
     def learn_from(self, given: StreamFrame) -> None:
-        """`learn` from what `reconstructed` gave."""
+        """Run `learn` on a result of `reconstructed`."""
         self.learn(given.image, given.result)
 
     def remembered(self, image: NDArray[Any], result: Reconstruction) -> Reconstruction:
-        """The result with what the sequence adds to it: findings, and smoothing."""
+        """The result with the findings and the smoothing of the sequence."""
         frozen = self._frozen(image, result.time_s or 0.0)
         result = replace(result, health=(*result.health, *frozen, *self._findings))
         if frozen:
@@ -135,9 +135,9 @@ class Memory:
         return result if self._smoothing is None else self._smoothing(result)
 
     def learn(self, image: NDArray[Any], result: Reconstruction) -> None:
-        """Learn for the frames to come from a remembered result; takes some ms once a second.
+        """Learn from a remembered result for the coming frames; takes some ms once a second.
 
-        May run in another thread than the frames, which then are a frame or two ahead of what was learned.
+        It may run in another thread than the frames, which then run a frame or two ahead.
         """
         if any(finding.name == FROZEN for finding in result.health):
             return
@@ -166,12 +166,12 @@ def of_frame(result: Reconstruction, frame: Frame) -> Reconstruction:
 def result_from_image(
     reconstruct: Reconstructor, image: NDArray[Any], markers: MarkerFlow | None = None
 ) -> Reconstruction:
-    """The image's result; where the Reconstructor refuses the image, one that knows nothing.
+    """The result of an image; if the Reconstructor refuses the image, a result in which nothing is known.
 
-    In a sequence a frame that is clearly not of the calibrated gel (the gel was taken off, a light went out) is no
-    reason to stop: the finding `not_this_gel` has the words of the refusal.
+    A frame that is clearly not of the calibrated gel (the gel was removed, a light failed) must not end a sequence.
+    The finding `not_this_gel` holds the text of the refusal.
 
-    ValueError, TypeError: as `Reconstructor.from_image`: the source gives no images of the calibrated size.
+    ValueError, TypeError: as `Reconstructor.from_image`: the source's images do not have the calibrated size.
     """
     try:
         return reconstruct.from_image(image, markers=markers)
@@ -180,7 +180,7 @@ def result_from_image(
 
 
 def _unusable(reconstruct: Reconstructor, finding: Finding) -> Reconstruction:
-    """A result of depth 0, known nowhere: its deviation is that of a depth of which only the limits are known."""
+    """A result of depth 0 that is known nowhere; its sigma is that of a depth known only by its limits."""
     calibration = reconstruct.calibration
     shape, pitch = calibration.image_shape, calibration.mm_per_px
     nothing: dict[str, Any] = {
@@ -190,7 +190,7 @@ def _unusable(reconstruct: Reconstructor, finding: Finding) -> Reconstruction:
     return Reconstruction(
         depth=np.zeros(shape, np.float32),
         depth_sigma_mm=sigma,
-        gradients_sigma=np.full((*shape, 2), UNKNOWN_SLOPE, np.float32),
+        gradients_sigma=np.full((*shape, 2), STEEPEST_GEL, np.float32),
         **nothing,
         mm_per_px=pitch,
         mm_per_px_sigma=calibration.mm_per_px_sigma,
@@ -200,7 +200,7 @@ def _unusable(reconstruct: Reconstructor, finding: Finding) -> Reconstruction:
 
 
 def _unknown_by_now(reconstruct: Reconstructor, result: Reconstruction) -> Reconstruction:
-    """The result of an image that a hanging camera repeats: as before, but not known."""
+    """The result of an image that a hanging camera repeats: unchanged, but known nowhere."""
     nothing = _unusable(reconstruct, result.health[-1])
     return replace(
         result,

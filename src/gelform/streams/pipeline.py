@@ -1,4 +1,4 @@
-"""The threads of a stream: one turns the newest frame into a result, one learns from results, one examines the sensor."""
+"""The threads of a stream: one reconstructs the newest frame, one learns from results, one examines the sensor."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ from gelform.frames import Frame
 from gelform.streams.feed import Feed
 from gelform.streams.memory import Timed, Work
 
-RECENT = 120  # frames that rates and times are taken from
-JOIN_S = 2.0  # for each thread at close; one that hangs in a device dies with the process
+RECENT = 120  # frames over which rates and times are measured
+JOIN_S = 2.0  # s per thread at close; a thread that hangs in a device ends with the process
 
 Value = TypeVar("Value")
 
 
 @dataclass(frozen=True)
 class StreamStats:
-    """How a stream is doing at this moment.
+    """The current state of a stream.
 
     Attributes
     ----------
     state : "starting", "running", "reconnecting", "ended", "failed", "closed"
-    reason : why, in a sentence, where there is something to say
-    results : how many frames were reconstructed
-    drops : how many frames between the first and the last result are missing, wherever they were lost
-    rate_hz : results a second, over the last 120; 0 before the second one
-    age_s : how long ago the newest result's frame was captured; infinite before the first one
+    reason : the reason as a sentence, if there is one
+    results : number of reconstructed frames
+    drops : number of frames missing between the first and the last result, wherever they were lost
+    rate_hz : results per second, over the last 120; 0 before the second one
+    age_s : time since the capture of the newest result's frame; infinite before the first one
     latency_ms : from capture to result, the median of the last 120; NaN before the first one
     stage_ms : name -> median time of a stage over its last 120 frames: `wait` (from capture to pick-up), `view`,
         `reconstruct`, `remember`
@@ -52,7 +52,7 @@ class StreamStats:
 
 
 class Meter:
-    """Counts and times what the stages of one stream do; shared by their threads."""
+    """Counts and times the stages of one stream; shared by its threads."""
 
     def __init__(self) -> None:
         self._lock = Lock()
@@ -65,18 +65,18 @@ class Meter:
 
     @contextmanager
     def timed(self, stage: str) -> Iterator[None]:
-        """Count the time of the block for a stage."""
+        """Time the block as a stage."""
         start = time.monotonic()
         yield
         self.add(stage, time.monotonic() - start)
 
     def add(self, stage: str, seconds: float) -> None:
-        """Count a time for a stage."""
+        """Add a time to a stage."""
         with self._lock:
             self._stages.setdefault(stage, deque(maxlen=RECENT)).append(seconds)
 
     def given(self, index: int, captured_s: float) -> None:
-        """Count a result: of which frame, and when that was captured."""
+        """Count a result, by its frame number and capture time."""
         now = time.monotonic()
         with self._lock:
             self._results += 1
@@ -87,7 +87,7 @@ class Meter:
             self._latencies.append(now - captured_s)
 
     def stats(self, state: str, reason: str) -> StreamStats:
-        """What was counted so far."""
+        """The figures so far."""
         with self._lock:
             span = self._given[-1] - self._given[0] if len(self._given) > 1 else 0.0
             captured = self._last_captured
@@ -104,16 +104,16 @@ class Meter:
 
 
 class HandOver(Generic[Value]):
-    """Keeps the newest value for any number of readers, who each remember the number of what they read last.
+    """Keeps the newest value for any number of readers; each reader remembers the last number that it read.
 
     Parameters
     ----------
-    every : values are not replaced before someone has read them: for recordings, of which no frame is to be lost
+    every : True: a value stays until someone has read it. For recordings, of which no frame may be lost
 
     Attributes
     ----------
-    ended : whether nothing more comes
-    error : what ended it, or None
+    ended : whether no more values will come
+    error : the error that ended it, or None
     """
 
     def __init__(self, *, every: bool = False) -> None:
@@ -126,7 +126,7 @@ class HandOver(Generic[Value]):
         self._read = True
 
     def expect(self, number: int) -> None:
-        """Say that the value of this number is being made: who asks now gets it, instead of an older one."""
+        """Announce that the value of this number is being made: readers wait for it instead of taking an older one."""
         with self._changed:
             self._expected = number
 
@@ -139,18 +139,18 @@ class HandOver(Generic[Value]):
             self._changed.notify_all()
 
     def newest(self, after: int = -1, timeout_s: float | None = None) -> Value | None:
-        """The newest value, whose number is larger than `after`; None at the end, or when the time is over.
+        """The newest value with a number above `after`; None at the end or after the timeout.
 
-        Where a newer one was being made when it was asked for, it is waited for: a value that has lain here gets older,
-        and is given only where the time is over before the newer one is there.
+        If a newer value was being made at the time of the call, this waits for it, because a stored value ages. The
+        stored one is returned only if the timeout passes first.
 
-        BaseException: what ended the thread that puts values, once there is no value left that the reader has not had.
+        BaseException: the error that ended the writing thread, once the reader has had every value.
         """
         found = self._numbered(after, timeout_s)
         return None if found is None else found[1]
 
     def __iter__(self) -> Iterator[Value]:
-        """Values until the end; of those put while one was in use, the newest."""
+        """Values until the end; of several that arrived during the loop's body, only the newest."""
         number = -1
         while (found := self._numbered(number, None)) is not None:
             number, value = found
@@ -169,7 +169,7 @@ class HandOver(Generic[Value]):
             return None
 
     def end(self, error: BaseException | None = None) -> None:
-        """Nothing more comes; with `error`, because of it. Wakes everybody; the first end counts."""
+        """End the values, with `error` if one caused it. Wakes all readers; only the first end counts."""
         with self._changed:
             if not self.ended:
                 self.ended, self.error = True, error
@@ -177,30 +177,30 @@ class HandOver(Generic[Value]):
 
 
 class Sequence(Protocol[Value]):
-    """What makes results of frames, in order: a `Memory`, or a sensor of the live page."""
+    """Makes results from frames, in order: a `Memory`, or a sensor of the live page."""
 
     def reconstructed(self, frame: Frame, timed: Timed) -> Value:
-        """What is given of a frame; `timed(stage)` counts the time of a block."""
+        """The result of a frame; `timed(stage)` times a block."""
 
     def learn_from(self, given: Value) -> None:
-        """Learn for the frames to come, after the result was given."""
+        """Learn for the coming frames, after the result was given out."""
 
     def run_by(self, helper: Callable[[Work], Work], examine: Callable[[Work], None] | None) -> None:
-        """Have slow work run elsewhere."""
+        """Run slow work elsewhere."""
 
 
 class Pipeline(Generic[Value]):
-    """Frames to results on threads of their own, until the feed ends or the pipeline is closed.
+    """Turns frames into results on its own threads, until the feed ends or the pipeline is closed.
 
-    A result is given out before anything is learned from it. A recording is learned from frame by frame in one thread,
-    so that it gives the same results each time. An exception in a stage ends the pipeline and reaches whoever reads
+    Each result is given out before anything is learned from it. For a recording, one thread learns frame by frame, so
+    that the results are the same each time. An exception in a stage ends the pipeline and is raised to the readers of
     `results`.
 
     Parameters
     ----------
-    feed : of frames, running; closed with the pipeline
-    sequence : makes the results; its slow work gets threads
-    keep : how many of the last results are held in `recent`
+    feed : running source of frames; closed with the pipeline
+    sequence : makes the results; its slow work runs on threads
+    keep : number of last results held in `recent`
     """
 
     def __init__(self, feed: Feed, sequence: Sequence[Value], *, keep: int = 0) -> None:
@@ -224,24 +224,24 @@ class Pipeline(Generic[Value]):
         ]
 
     def start(self) -> None:
-        """Start the threads; OpenCV's own are turned off, for the whole process: there is one thread per stage."""
+        """Start the threads. OpenCV's own threads are disabled for the whole process: there is one thread per stage."""
         cv2.setNumThreads(1)
         for thread in self._threads:
             thread.start()
 
     def stats(self) -> StreamStats:
-        """How the stream is doing."""
+        """The current state of the stream."""
         state, reason = self.feed.state, self.feed.reason
         if self._stop.is_set():
             state, reason = "closed", ""
         elif self.results.error is not None:
             state, reason = "failed", str(self.results.error)
         elif state == "ended" and not self.results.ended:
-            state = "running"  # the last frames are still on their way
+            state = "running"  # the last frames are still in work
         return self.meter.stats(state, reason)
 
     def close(self) -> None:
-        """Stop the threads and give the source back; every wait is bounded."""
+        """Stop the threads and release the source; every wait has a limit."""
         self._stop.set()
         self._end()
         self.feed.close()
@@ -256,7 +256,7 @@ class Pipeline(Generic[Value]):
         self._checks.end()
 
     def _stage(self, work: Callable[[], None]) -> None:
-        """Run a stage; when it ends or fails, so do the others."""
+        """Run a stage; when it ends or fails, end the others too."""
         try:
             work()
         except BaseException as problem:
@@ -275,7 +275,7 @@ class Pipeline(Generic[Value]):
                 return
 
     def _give(self, frame: Frame) -> None:
-        """Make a frame's result and put it where readers are."""
+        """Make a frame's result and give it to the readers."""
         if not self.feed.every:
             self.results.expect(frame.index)
             self.meter.add("wait", time.monotonic() - frame.time_s)
@@ -293,7 +293,7 @@ class Pipeline(Generic[Value]):
                 self.sequence.learn_from(given)
 
     def _ask(self, check: Work) -> None:
-        """Have a check made by its own thread: the newest one, where they come too fast."""
+        """Have a thread make a check; only the newest one, if they come too fast."""
         self._checks.put(self._checks_asked, check)
         self._checks_asked += 1
 

@@ -1,4 +1,4 @@
-"""Whether the gel stands where it stood, and whether it is the same gel: by its fine texture, as by a fingerprint."""
+"""Whether the gel has moved and whether it is the same gel, by its fine texture, as by a fingerprint."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from gelform.foundations.findings import Finding
 from gelform.streams.background_drift import Evidence
 from gelform.streams.smooth_light import robust_sigma
 
-MOVED_PX, TURNED_DEG = 0.5, 0.2  # from which on a camera has moved
-MOVED_SIGMAS = 4.0  # deviations of the registration by which it must exceed them
-FINE_PX, COARSE_PX = 0.8, 2.0  # the texture is finer than the second and coarser than the first
-MARGIN_PX = 12  # where a blur reaches beyond the image
-# Correlation that the texture must promise, and the part of it that the same gel has at least: little, for a touch adds
-# texture of its own; never more than SAME_GEL.
+MOVED_PX, TURNED_DEG = 0.5, 0.2  # least motion of a camera that moved
+MOVED_SIGMAS = 4.0  # standard deviations of the registration that the motion must exceed
+FINE_PX, COARSE_PX = 0.8, 2.0  # px, blur widths between which the texture lies
+MARGIN_PX = 12  # px at the border that a blur distorts
+# Correlation of the texture: least expected one, least fraction of it for the same gel, and the limit of that product.
+# The fraction is small because a touch adds its own texture.
 LEAST_EXPECTED, SAME_FRACTION, SAME_GEL = 0.08, 0.4, 0.07
-LEAST_FREE = 0.15  # fraction of the image that nothing may touch
-PATTERN = 0.02  # of the brightness: what the light of one gel leaves unexplained in the middle of all blocks
-PATTERN_PX = 16  # width of these blocks
-MOSTLY_DIFFERENT, GEL_STAYS = 0.9, 3  # fraction of the frames of some ten seconds; so often in a row
-OTHER_STAYS = 2  # a step of the light is not followed at once
+LEAST_FREE = 0.15  # fraction of the image that must be free of contact
+PATTERN = 0.02  # fraction of the brightness, not explained by smooth light: median over blocks
+PATTERN_PX = 16  # px, width of these blocks
+MOSTLY_DIFFERENT, GEL_STAYS = 0.9, 3  # fraction of the frames of about ten seconds; consecutive times
+OTHER_STAYS = 2  # consecutive times: a step of the light is not followed at once
 
 
 class SameGel:
-    """Compares what the sensor shows with the untouched image of the start; of one sequence.
+    """Compares a sequence's images with the background at its start.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ class SameGel:
         self._different = self._others = 0
 
     def __call__(self, evidence: Evidence) -> tuple[Finding, ...]:
-        """`camera_moved` (figure: px) or `other_gel` (figure: what differs, or the texture's correlation)."""
+        """Find `camera_moved` (figure: px) or `other_gel` (figure: the difference, or the texture's correlation)."""
         texture, before = _texture(evidence.image), self._before
         self._before = texture
         self._different = self._different + 1 if evidence.different > MOSTLY_DIFFERENT else 0
@@ -62,7 +62,7 @@ class SameGel:
     def _moved(self, evidence: Evidence) -> tuple[Finding, ...]:
         gains = evidence.light.mean(
             axis=(0, 1)
-        )  # its slopes must stay: those of a moved image look like light
+        )  # the slopes of this image must stay: those of a moved image look like light
         found = self._registration(np.clip(evidence.image / gains, 0, 255), evidence.touched)
         by_px = found.moved_px(MOVED_SIGMAS)
         turned = abs(found.turn_deg) - MOVED_SIGMAS * found.turn_sigma_deg
@@ -76,7 +76,7 @@ class SameGel:
         return (Finding("camera_moved", message, float(np.hypot(x, y))),)
 
     def _other_pattern(self, evidence: Evidence) -> tuple[Finding, ...]:
-        """Brightness that no smooth light explains, all over."""
+        """A change of brightness nearly everywhere that smooth light does not explain."""
         height, width = evidence.touched.shape
         size = max(1, width // PATTERN_PX), max(1, height // PATTERN_PX)
         ratio = (evidence.image + 1) / (evidence.start * evidence.light + 1) - 1
@@ -93,7 +93,7 @@ class SameGel:
     def _other_texture(
         self, now: NDArray[np.float32], before: NDArray[np.float32] | None, free: NDArray[np.bool_]
     ) -> tuple[Finding, ...]:
-        """Texture that stays from one evidence to the next, but is not that of the start."""
+        """Texture that repeats from one evidence to the next, but differs from the start's."""
         if before is None:
             return ()
         stays = _correlation(now[free], before[free])
@@ -112,12 +112,12 @@ def _other_gel(said: str, figure: float) -> Finding:
 
 
 def _texture(image: NDArray[np.float32]) -> NDArray[np.float32]:
-    """What is finer than 2 px and coarser than noise, (H, W): relative brightness, channels together."""
+    """Detail finer than 2 px and coarser than noise, (H, W): relative brightness, channels combined."""
     logs = np.log(image.mean(axis=-1) + 10)
     fine = cv2.GaussianBlur(logs, (0, 0), FINE_PX) - cv2.GaussianBlur(logs, (0, 0), COARSE_PX)
-    fine -= cv2.GaussianBlur(fine, (0, 0), 2 * COARSE_PX)  # shading that curves is no texture
+    fine -= cv2.GaussianBlur(fine, (0, 0), 2 * COARSE_PX)  # curved shading is no texture
     limit = 6 * float(robust_sigma(fine))
-    # A speck of dust is not all of the texture.
+    # Limit a single speck of dust.
     return np.asarray(np.clip(fine, -limit, limit), dtype=np.float32)
 
 

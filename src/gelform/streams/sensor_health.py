@@ -1,4 +1,4 @@
-"""What is wrong with a sensor, as only a sequence of frames shows it: named findings with figures."""
+"""Faults of a sensor that only a sequence of frames shows: named findings with figures."""
 
 from __future__ import annotations
 
@@ -19,18 +19,21 @@ from gelform.streams.same_gel import SameGel
 from gelform.streams.smooth_light import FIT_ROUNDS, tukey_weights
 
 FROZEN = "frozen"
-FROZEN_S, FROZEN_FRAMES = 0.25, 3  # videos repeat a frame now and then; noise makes no two images alike
-ROWS_APART = 16  # of a first look whether images are equal
-BRIGHTER = 0.08  # logarithm of all channels' gain: slopes stay good, but something has changed
-COLORED = 0.03  # of one channel against the others
-OUTSIDE_LEVELS = 3.0  # grey levels that were added to all channels alike
-LEAST_PIXELS = 2_000  # without contact, for light from outside to be looked for
-STEP_PX = 3  # every third row and column tells it
-LEAST_NOISE = 1e-3  # grey levels
+FROZEN_S, FROZEN_FRAMES = 0.25, 3  # s and frames: videos repeat some frames; noise makes all others differ
+ROWS_APART = 16  # px between the rows of a first check for equal images
+BRIGHTER = 0.08  # log of the gain of all channels: slopes stay good, but something changed
+COLORED = 0.03  # log of one channel's gain relative to the others
+OUTSIDE_LEVELS = 3.0  # gray levels added to all channels
+LEAST_PIXELS = 2_000  # pixels without contact that the search for light from outside needs
+STEP_PX = 3  # px: every third row and column is used
+LEAST_NOISE = 1e-3  # gray levels
 
 
 class CameraCheck:
-    """Compares a camera with the calibration's; again whenever it says something else: one that was unplugged forgets."""
+    """Compares a camera with the calibration's, again after each change of its facts.
+
+    A reconnected camera loses settings.
+    """
 
     def __init__(self, calibration: Calibration) -> None:
         self._serial = calibration.serial
@@ -39,11 +42,13 @@ class CameraCheck:
         self._findings: tuple[Finding, ...] = ()
 
     def __call__(self, camera: Source | Grabber) -> tuple[Finding, ...]:
-        """`other_camera` and `settings_mismatch`; figures: 1, and how many settings are not as calibrated.
+        """Find `other_camera` and `settings_mismatch`.
+
+        Their figures are 1, and the number of settings that differ from the calibration.
 
         Parameters
         ----------
-        camera : its serial and settings, as they were read back; what is not known is not compared
+        camera : its serial number and settings, as read back; unknown ones are not compared
         """
         now = camera.serial, dict(camera.settings)
         if self._compared != now:
@@ -65,7 +70,7 @@ class CameraCheck:
 
 
 class Frozen:
-    """Counts for how long the images of a sequence have been the same, pixel for pixel."""
+    """Counts for how long the images of a sequence have been equal, pixel by pixel."""
 
     def __init__(self) -> None:
         self._last: NDArray[Any] | None = None
@@ -73,7 +78,7 @@ class Frozen:
         self._count = 0
 
     def __call__(self, image: NDArray[Any], time_s: float) -> tuple[Finding, ...]:
-        """The finding `frozen` (figure: for how long, s) from the third equal image and 0.25 s on."""
+        """The finding `frozen` (figure: duration, s), from the third equal image and 0.25 s on."""
         if self._last is None or not _equal(image, self._last) or time_s < self._since_s:
             self._last, self._since_s, self._count = image, time_s, 1
             return ()
@@ -92,7 +97,7 @@ def _equal(image: NDArray[Any], other: NDArray[Any]) -> bool:
 
 
 def light_findings(gains: NDArray[np.float64]) -> tuple[Finding, ...]:
-    """`brightness_shift` and `color_shift` of gains (3,) against the start; a figure is the largest gain minus 1."""
+    """Find `brightness_shift` and `color_shift` by gains (3,) against the start; a figure is the largest gain minus 1."""
     logs = np.log(np.maximum(gains, 1e-3))
     said = ", ".join(f"{name} {100 * (gain - 1):+.1f} %" for name, gain in zip("RGB", gains))
     findings = []
@@ -110,10 +115,10 @@ def light_findings(gains: NDArray[np.float64]) -> tuple[Finding, ...]:
 
 
 def room_light_finding(evidence: Evidence) -> tuple[Finding, ...]:
-    """`room_light`: light that was added to all channels, figure: grey levels.
+    """Find `room_light`: light added to all channels; figure: gray levels.
 
-    The sensor's own light multiplies the untouched image; light from outside is added to it, where it is dark too. Both are
-    fitted to the untouched pixels, channel by channel, robustly: now = gain start + added.
+    The sensor's own light multiplies the background image. Light from outside is added to it, in dark places too. Both are
+    fitted robustly to the pixels at rest, channel by channel: now = gain start + added.
     """
     every = np.s_[::STEP_PX, ::STEP_PX]
     free = ~evidence.contact[every]
@@ -132,7 +137,7 @@ def room_light_finding(evidence: Evidence) -> tuple[Finding, ...]:
 
 
 def _added(now: NDArray[np.float32], start: NDArray[np.float32]) -> float:
-    """The constant of the robust line through (start, now), less three of its standard deviations; 0 where unknown."""
+    """The constant of the robust line through (start, now), minus three standard deviations; 0 if unknown."""
     x = start.astype(np.float64) - float(start.mean())
     weights = np.ones_like(x)
     for _ in range(FIT_ROUNDS + 1):
@@ -146,13 +151,13 @@ def _added(now: NDArray[np.float32], start: NDArray[np.float32]) -> float:
         off = now - level - slope * (x - middle)
         noise, weights = tukey_weights(off, LEAST_NOISE)
     at_zero = -float(start.mean()) - middle
-    independent = max(total / 50, 1.0)  # neighbours share what the line does not explain
+    independent = max(total / 50, 1.0)  # the errors of neighbors are correlated
     sigma = noise * np.sqrt(1 / independent + at_zero**2 / (spread / total * independent))
     return float(level + slope * at_zero - 3 * sigma)
 
 
 class Examination:
-    """Holds each evidence against the untouched image of the start; remembers what stayed from one to the next."""
+    """Compares each evidence with the background of the start; remembers which findings persist."""
 
     def __init__(self) -> None:
         self._marks = Marks()
@@ -160,10 +165,10 @@ class Examination:
         self._start: object = None
 
     def __call__(self, evidence: Evidence) -> tuple[Finding, ...]:
-        """The findings: `camera_moved`, `other_gel`, `room_light`, `scratch`, `dust`, `tear`.
+        """Find `camera_moved`, `other_gel`, `room_light`, `scratch`, `dust`, `tear`.
 
-        The first cause stands for what follows from it: in light from outside the gel looks like another one, and on a gel
-        that has moved every speck is new.
+        A cause hides its effects: under light from outside the gel looks like another one, and on a moved gel every
+        speck is new.
         """
         if self._same_gel is None or evidence.start is not self._start:
             self._same_gel, self._marks, self._start = SameGel(evidence.start), Marks(), evidence.start

@@ -1,4 +1,4 @@
-"""Light that changed smoothly over the whole image: for each channel a cubic of the place, fitted to untouched blocks."""
+"""Light that changed smoothly over the whole image: a cubic polynomial per channel, fitted to blocks without contact."""
 
 from __future__ import annotations
 
@@ -11,23 +11,24 @@ from numpy.typing import NDArray
 from gelform.foundations.filters import SIGMA_OF_MEDIAN
 
 DEGREE = 3  # of the polynomial
-POWERS = [(i, j) for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)]  # of x and y
-FIT_ROUNDS = 3  # of reweighting
-TUKEY_SIGMAS = 4.0  # deviations of noise from which on a value no longer counts (Tukey's biweight)
-# By how much the mean light, and its other coefficients, may change from fit to fit; matters where no block is untouched.
+POWERS = [(i, j) for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)]  # exponents of x and y
+FIT_ROUNDS = 3  # rounds of reweighting
+TUKEY_SIGMAS = 4.0  # standard deviations of noise beyond which a value has no weight (Tukey's biweight)
+# Standard deviations of the change per fit: of the mean light, and of its other coefficients. Only blocks in contact
+# feel it.
 MEAN_STEP, STEP = 0.1, 3e-3
-LEAST_NOISE = 0.02  # grey levels of a block's mean
+LEAST_NOISE = 0.02  # gray levels, noise of a block's mean
 
 
 class SmoothLight:
-    """The light of now relative to the untouched image's, 1 + polynomial; third degree, for each channel.
+    """The current light relative to the background's: 1 + a polynomial of third degree per channel.
 
-    Warming LEDs change their own share of the light, which varies slowly over the image; so does the colour of a gel
-    that relaxes over widths of many millimetres. A contact is far narrower, and its blocks are left out.
+    Warming LEDs change their share of the light, which varies slowly over the image. So does the color of a relaxing
+    gel, over many millimeters. A contact is far narrower, and its blocks are left out.
 
     Parameters
     ----------
-    blocks : (h, w), how many blocks
+    blocks : (h, w), number of blocks
     """
 
     def __init__(self, blocks: tuple[int, int]) -> None:
@@ -38,15 +39,15 @@ class SmoothLight:
 
     @property
     def gains(self) -> NDArray[np.float64]:
-        """The mean light of each channel (3,), relative."""
+        """The relative mean light of each channel (3,)."""
         return np.asarray(1 + self.coefficients[:, 0], dtype=np.float64)
 
     def at(self, shape: tuple[int, int]) -> NDArray[np.float32]:
-        """The light (H, W, 3), relative, at the centres of as many rows and columns over the image."""
+        """The relative light (H, W, 3), at the centers of that many rows and columns of the image."""
         in_y, in_x = (_legendre(n).astype(np.float32) for n in shape)
         light = np.empty((*shape, 3), dtype=np.float32)
         for channel, values in enumerate(self.coefficients):
-            square = np.zeros((DEGREE + 1, DEGREE + 1), dtype=np.float32)  # of y's and x's polynomials
+            square = np.zeros((DEGREE + 1, DEGREE + 1), dtype=np.float32)  # of the polynomials of y and x
             for value, (i, j) in zip(values, POWERS):
                 square[j, i] = value
             light[..., channel] = 1 + in_y @ square @ in_x.T
@@ -55,15 +56,15 @@ class SmoothLight:
     def fit(
         self, blocks: NDArray[np.float32], untouched: NDArray[np.float32], free: NDArray[np.bool_]
     ) -> None:
-        """Follow the light of untouched blocks.
+        """Fit the light to blocks without contact.
 
-        Iteratively reweighted least squares with Tukey's biweight (P. J. Huber and E. M. Ronchetti, Robust Statistics,
-        2009, chapter 7), and a prior that the light is as it was, which decides where blocks do not.
+        Iteratively reweighted least squares with Tukey's biweight (P. J. Huber and E. M. Ronchetti, Robust Statistics, 2009,
+        chapter 7). A prior keeps the previous light where no block determines it.
 
         Parameters
         ----------
-        blocks, untouched : (h, w, 3), means of blocks now and of the untouched image, grey levels
-        free : (h, w), blocks where nothing touches
+        blocks, untouched : (h, w, 3), block means of now and of the background, gray levels
+        free : (h, w), True for blocks that nothing touches
         """
         basis = self._basis[free]
         for channel in range(3):
@@ -82,18 +83,18 @@ class SmoothLight:
 
 
 def robust_sigma(off: NDArray[Any], axis: Any = None) -> Any:
-    """Standard deviation of noise about 0, by the median magnitude: outliers do not count."""
+    """Standard deviation of noise about 0, from the median magnitude: robust to outliers."""
     return SIGMA_OF_MEDIAN * np.median(np.abs(off), axis=axis)
 
 
 def tukey_weights(off: NDArray[Any], least_noise: float) -> tuple[float, NDArray[Any]]:
-    """Noise of residuals, at least `least_noise`, and their biweights."""
+    """The noise of residuals, at least `least_noise`, and their biweights."""
     noise = max(float(robust_sigma(off)), least_noise)
     return noise, np.square(np.clip(1 - np.square(off / (TUKEY_SIGMAS * noise)), 0, None))
 
 
 def _legendre(count: int) -> NDArray[np.float64]:
-    """Legendre polynomials (count, 4) at the centres of so many parts of -1..1."""
+    """Legendre polynomials (count, 4) at the centers of `count` equal parts of -1..1."""
     centers = (np.arange(count) + 0.5) / count * 2 - 1
     return np.asarray(np.polynomial.legendre.legvander(centers, DEGREE), dtype=np.float64)
 

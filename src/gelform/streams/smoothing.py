@@ -1,4 +1,4 @@
-"""Depth averaged over the last frames where it stands still, followed at once where it moves."""
+"""Depth averaged over the last frames where it is constant, and followed at once where it changes."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from gelform.gradients import slopes_of_solution
 from gelform.reconstruction import Reconstruction
 from gelform.streams.smooth_light import robust_sigma
 
-LONGEST_S = 60.0  # time constant that is accepted
-STILL, MOVING = 2.0, 4.0  # deviations of noise between which a change goes from averaged to followed
-NEARBY_PX = 5  # a change is looked for in squares of this width: noise is alike over some pixels
-NOISE_FRACTION = 0.1  # of each frame in the noise's running mean
-NOISE_SAMPLE_PX = 4  # every fourth row and column tells the noise
+LONGEST_S = 60.0  # s, largest time constant
+STILL, MOVING = 2.0, 4.0  # standard deviations of noise: a change is averaged below, followed above
+NEARBY_PX = 5  # px, width of the squares in which a change is searched: noise is correlated over some pixels
+NOISE_FRACTION = 0.1  # weight of each frame in the running mean of the noise
+NOISE_SAMPLE_PX = 4  # px: every fourth row and column measures the noise
 
 
 class Smoothing:
-    """A running mean of depth, pixel by pixel, with exponentially falling weights.
+    """A running mean of depth per pixel, with exponentially falling weights.
 
-    The mean's delay is the time constant. A pixel whose change within a square of 5 px is 4 times the noise of two
-    frames starts its mean anew: it has no delay; from 2 times on it does in part.
+    The delay of the mean is the time constant. If the change within a square of 5 px exceeds 4 times the noise of two
+    frames, the mean of that pixel starts again without delay. Between 2 and 4 times it restarts in part.
 
     Parameters
     ----------
@@ -35,15 +35,15 @@ class Smoothing:
     def __init__(self, time_s: float) -> None:
         self.time_s = check_within(time_s, "smoothing", 0, LONGEST_S)
         self._mean = self._last = np.empty((0, 0), np.float32)
-        self._left = np.empty((0, 0), np.float32)  # fraction of a frame's variance that is left in the mean
+        self._left = np.empty((0, 0), np.float32)  # fraction of a frame's variance left in the mean
         self._last_s = -math.inf
         self._noise = 0.0
 
     def __call__(self, result: Reconstruction) -> Reconstruction:
-        """The result with depth, slopes and standard deviation of the mean; what was read of this frame stays.
+        """The result with depth, slopes and standard deviation of the mean; observations of this frame stay unchanged.
 
-        Only noise that changes from frame to frame is averaged away: its variance, measured on differences of
-        frames, is what `depth_sigma_mm` loses.
+        Averaging reduces only noise that changes from frame to frame. Its variance is measured on differences of
+        frames and is subtracted in `depth_sigma_mm`.
         """
         depth, time_s = result.depth, result.time_s or 0.0
         if self._mean.shape != depth.shape or time_s <= self._last_s:
@@ -61,7 +61,7 @@ class Smoothing:
         moves *= np.float32(1 / max(math.sqrt(2) * self._noise, 1e-9))
         moves -= np.float32(STILL)
         moves *= np.float32(1 / (MOVING - STILL))
-        # Of a mean of n frames the next one is the part 1/(n + 1): the mean of a pixel that came to rest grows.
+        # In a mean of n frames the next frame has the weight 1/(n + 1): the mean of a pixel that came to rest grows.
         least = self._left / (1 + self._left)
         weight = np.clip(np.maximum(moves, least), -math.expm1(-step_s / max(self.time_s, 1e-9)), 1)
         self._mean += weight * change
@@ -79,7 +79,7 @@ class Smoothing:
         sigma = result.depth_sigma_mm
         if sigma is not None:
             averaged_away = np.float32(self._noise**2) * (1 - self._left)
-            least = self._left * np.square(sigma)  # were all of it noise that changes from frame to frame
+            least = self._left * np.square(sigma)  # if all of sigma is noise of frames
             sigma = np.sqrt(np.maximum(np.square(sigma) - averaged_away, least))
         slopes = slopes_of_solution(depth, pitches)
         return replace(result, depth=depth, depth_sigma_mm=sigma, gradients=slopes)

@@ -1,4 +1,4 @@
-"""A stream without a calibration: its first frames become the untouched image, which makes one of a starter."""
+"""A stream without a calibration: its first frames give the background image, which makes one from a starter."""
 
 from __future__ import annotations
 
@@ -21,22 +21,20 @@ from gelform.streams.feed import Feed
 from gelform.streams.memory import Memory, StreamFrame, Timed, Work
 from gelform.view import View, image_from_frame
 
-STEADY_S = 1.0  # s, in which nothing may move: a hand does not hold a press as still
-AVERAGED, LEAST = 15, 3  # frames: so many of that second are averaged; fewer cannot agree
-HELD, MAX_BYTES = (
-    15,
-    192 * 2**20,
-)  # frames, and bytes, of a recording that are looked at before the first is given
+STEADY_S = 1.0  # s without motion; a hand that presses cannot keep as still
+AVERAGED, LEAST = 15, 3  # frames: number averaged of that second; fewer than LEAST cannot agree
+# Limits of the frames, and of their bytes, that are read of a recording before the first one is given out.
+HELD, MAX_BYTES = 15, 192 * 2**20
 TOUCH_NOTHING = "Touch nothing: the starter's calibration needs the gel at rest."
 
 
 class UntouchedImage:
-    """The mean of frames among which nothing moved.
+    """The mean of frames without motion.
 
     Attributes
     ----------
     view : of the frames
-    reason : why there is none yet, in a sentence
+    reason : why there is no mean yet, as a sentence
     """
 
     def __init__(self, starter: Starter) -> None:
@@ -46,22 +44,22 @@ class UntouchedImage:
         self._images: deque[tuple[float, NDArray[Any]]] = deque()
 
     def keep(self, frame: Frame) -> bool:
-        """Take a frame; whether there is a second of them.
+        """Add a frame; True once a whole second of them is there.
 
         Raises
         ------
         SensorError
-            It has another aspect than the frames of the make.
+            The frame has another aspect ratio than those of the make.
         """
         height, width = frame.image.shape[:2]
-        if (height, width) != self._shape:  # the camera's mode has changed: what was kept is of another view
+        if (height, width) != self._shape:  # the camera's mode has changed: earlier frames have another view
             self._shape, self.view = (height, width), self._starter.view((height, width))
             self._images.clear()
         self._images.append((frame.time_s, image_from_frame(frame.image, self.view)))
         return len(self._images) >= LEAST and frame.time_s - self._images[0][0] >= STEADY_S
 
     def mean(self) -> NDArray[np.float32] | None:
-        """The mean (H, W, 3) of what was kept; where that does not agree None, and its first half is forgotten."""
+        """The mean (H, W, 3) of the frames; None if they disagree, and then the first half is dropped."""
         stride = max(1, len(self._images) // AVERAGED)
         chosen = [image for _, image in list(self._images)[::-stride]]
         try:
@@ -79,7 +77,7 @@ class UntouchedImage:
 
 
 class UntouchedFirst:
-    """A feed that begins once the untouched gel was seen; of a recording every frame is given then.
+    """A feed that starts once the gel was at rest; of a recording every frame is then given.
 
     Parameters
     ----------
@@ -105,12 +103,12 @@ class UntouchedFirst:
         return self._untouched.reason if self.state == "starting" else self._feed.reason
 
     def next(self, after_index: int) -> Frame | None:
-        """As of the feed; None while the untouched gel is awaited.
+        """As the feed's; None while it waits for the gel at rest.
 
         Raises
         ------
         CalibrationError
-            The untouched image is of another make; or a recording does not begin with one.
+            The background image is of another make, or a recording does not begin with the gel at rest.
         """
         if not self._begun:
             self._look()
@@ -122,7 +120,7 @@ class UntouchedFirst:
         self._feed.close()
 
     def _look(self) -> None:
-        """At a frame of a sensor, or at the first ones of a recording."""
+        """Look at one frame of a sensor, or at the first ones of a recording."""
         ready = self._hold() if self.every else self._see_next()
         image = self._untouched.mean() if ready else None
         if image is not None:
@@ -153,11 +151,11 @@ class UntouchedFirst:
 
 
 class LaterMemory:
-    """The memory of a sequence whose calibration its first frames make: what a `Pipeline` runs.
+    """The memory of a sequence whose first frames make its calibration, as a `Pipeline` runs it.
 
     Parameters
     ----------
-    made : gives the `Memory` of a Reconstructor
+    made : makes the `Memory` from a Reconstructor
     """
 
     def __init__(self, made: Callable[[Reconstructor], Memory]) -> None:
@@ -166,7 +164,7 @@ class LaterMemory:
         self._run_by: tuple[Any, Any] | None = None
 
     def begin(self, calibration: Calibration) -> None:
-        """From now on the sequence is reconstructed, with this calibration."""
+        """Reconstruct the sequence with this calibration from now on."""
         memory = self._made(Reconstructor(calibration))
         if self._run_by is not None:
             memory.run_by(*self._run_by)
@@ -174,12 +172,12 @@ class LaterMemory:
 
     @property
     def memory(self) -> Memory:
-        """Of the sequence.
+        """The memory of the sequence.
 
         Raises
         ------
         StaleError
-            The untouched gel has not been seen yet.
+            The gel was not at rest yet.
         """
         if self._memory is None:
             raise StaleError(f"The stream is starting. {TOUCH_NOTHING}")
@@ -187,22 +185,25 @@ class LaterMemory:
 
     @property
     def reconstruct(self) -> Reconstructor:
-        """As of the memory."""
+        """The memory's Reconstructor."""
         return self.memory.reconstruct
 
     def run_by(self, helper: Callable[[Work], Work], examine: Callable[[Work], None] | None) -> None:
-        """As of the memory."""
+        """As `Memory.run_by`."""
         self._run_by = helper, examine
 
     def reconstructed(self, frame: Frame, timed: Timed) -> StreamFrame:
-        """As of the memory."""
+        """As `Memory.reconstructed`."""
         return self.memory.reconstructed(frame, timed)
 
     def learn_from(self, given: StreamFrame) -> None:
-        """As of the memory."""
+        """As `Memory.learn_from`."""
         self.memory.learn_from(given)
 
     def take_background(self) -> None:
-        """As of the memory; before the calibration is there, the untouched image is awaited anyway."""
+        """As `Memory.take_background`.
+
+        Does nothing before there is a calibration, because the gel at rest is awaited anyway.
+        """
         if self._memory is not None:
             self._memory.take_background()

@@ -1,4 +1,4 @@
-"""source -> results: the newest frame's depth, never stale, and what the sequence of frames tells."""
+"""source -> results: the depth of the newest frame, never a stale one, with the findings of the sequence."""
 
 from __future__ import annotations
 
@@ -19,7 +19,6 @@ from gelform.sensors.grabber import Grabber
 from gelform.sensors.source import Source
 from gelform.starters import (
     Starter,
-    calibration_from_background,
     load_starter,
     starter_names,
     starter_of_source,
@@ -31,7 +30,7 @@ from gelform.streams.sensor_health import CameraCheck
 from gelform.streams.smoothing import Smoothing
 from gelform.streams.starting import LaterMemory, UntouchedFirst
 
-KEPT = 8  # results whose images are held for `image_of`
+KEPT = 8  # results whose images stay available to `image_of`
 
 
 def stream(
@@ -42,7 +41,7 @@ def stream(
     background: ArrayLike | None = None,
     smoothing: float | None = None,
 ) -> Stream:
-    """Start to reconstruct what a sensor sees.
+    """Start to reconstruct the frames of a sensor.
 
         with gelform.stream("simulated", "mini.npz") as stream:
             for result in stream:
@@ -50,39 +49,37 @@ def stream(
 
     Parameters
     ----------
-    source : what `open_source` takes: "simulated", a serial, a name, a device path, a video, a folder, an address; or an
-        open Source, a function that opens one, or a running Grabber that several streams share
-    calibration : of the sensor, or the path of its file; None: the newest one of the user's library that is of the camera's
-        serial, or the one that a recording carries; where there is none, a starter's
-    sensor : where there is no calibration, the make whose starter is taken, such as "gelsight-mini"; by default the one that
-        the camera or the recording is of. Results begin after a second in which nothing touches the gel; until then
-        the stream's state is "starting", and `stats.reason` says what it waits for
-    background : (H, W, 3), 0-255, the untouched image of today, of a starter as the source's frames are; the calibration's
-        own by default
-    smoothing : temporal smoothing, s; None: none. Noise is averaged over this time; depth that changes by more
-        than its noise is followed at once, what is smaller late by at most this
-
+    source : argument of `open_source`: "simulated", a serial number, a name, a device path, a video, a folder, an
+        address; or an open Source, a function that opens one, or a running Grabber that several streams share
+    calibration : the sensor's calibration, or the path of its file. None: the newest one in the user's library with the
+        camera's serial number, or the one attached to a recording; without either, a starter's
+    sensor : without a calibration, the make whose starter is used, such as "gelsight-mini"; by default the make of the
+        camera or of the recording. Results begin after a second in which nothing touches the gel. Until then the
+        stream's state is "starting", and `stats.reason` says what it waits for
+    background : (H, W, 3), 0-255, a current background image; with a starter, at the size of the source's frames. By default
+        the calibration's own
+    smoothing : temporal smoothing, s; None: none. Noise is averaged over this time. A change of depth above the noise is
+        followed at once, a smaller one is delayed by at most this time
     Returns
     -------
     Stream
-        Running; `close` it, use it as a context manager, or loop over it until the loop ends.
+        Running. `close` it, use it as a context manager, or loop over it until the loop ends.
 
     Raises
     ------
     SensorError, DataError
-        The source cannot be opened; the message lists what is there.
+        The source cannot be opened; the message lists the available ones.
     CalibrationError
-        The background is clearly not of the calibrated sensor, the calibration cannot be read, or none was given, the
-        library has none, and the make is not known.
+        The background clearly belongs to another sensor; the calibration cannot be read; or none was given, the library has
+        none, and the make is unknown.
     ValueError, TypeError
-        A background of another size or a smoothing that is no time.
+        The background has another size, or the smoothing is no time.
     """
     if smoothing is not None:
-        Smoothing(smoothing)  # refused before a device is opened
-    if sensor is not None:
-        if calibration is not None:
-            raise ValueError("Expected calibration=, or sensor= for its starter, got both. Leave one out.")
-        load_starter(sensor)
+        Smoothing(smoothing)  # check before a device is opened
+    if sensor is not None and calibration is not None:
+        raise ValueError("Expected calibration=, or sensor= for its starter, got both. Leave one out.")
+    named = None if sensor is None else load_starter(sensor)
     missing: NoCalibration | None = None
     if calibration is None:
         try:
@@ -98,12 +95,11 @@ def stream(
 
     try:
         if reconstruct is None:
-            starter = _starter(feed.camera, sensor, missing)
+            starter = named or _starter_of(feed.camera, missing)
             if background is None:
                 later = LaterMemory(memory_of)
                 return Stream(Pipeline(UntouchedFirst(feed, starter, later.begin), later, keep=KEPT), later)
-            unit = calibration_from_background(background, starter.sensor, serial=feed.camera.serial)
-            reconstruct = Reconstructor(unit)
+            reconstruct = Reconstructor(starter.for_frame(background, serial=feed.camera.serial))
         memory = memory_of(reconstruct)
         return Stream(Pipeline(feed, memory, keep=KEPT), memory)
     except BaseException:
@@ -111,9 +107,9 @@ def stream(
         raise
 
 
-def _starter(camera: Source | Grabber, sensor: str | None, missing: NoCalibration | None) -> Starter:
-    """The starter that is named, else that of the camera's make."""
-    name = sensor or starter_of_source(getattr(camera, "source", camera))
+def _starter_of(camera: Source | Grabber, missing: NoCalibration | None) -> Starter:
+    """The starter of the camera's make."""
+    name = starter_of_source(getattr(camera, "source", camera))
     if name is None:
         raise CalibrationError(
             f"{missing} If its make has a starter, name the make: sensor= (--sensor), one of {', '.join(starter_names())}."
@@ -122,10 +118,10 @@ def _starter(camera: Source | Grabber, sensor: str | None, missing: NoCalibratio
 
 
 class Stream:
-    """Results of a running sensor, newest first; for any number of consumers in any threads.
+    """Results of a running sensor, newest first, for any number of consumers in any threads.
 
-    A recording (a video or a folder that is not paced) is no live source: each of its frames is reconstructed, in
-    order, and waits until someone has read it.
+    A recording (a video or folder that is not paced) is no live source: each of its frames is reconstructed in order, and
+    waits until someone has read it.
 
     Parameters
     ----------
@@ -147,13 +143,13 @@ class Stream:
         self.close()
 
     def close(self) -> None:
-        """Stop, and give the sensor back; again and again does no harm."""
+        """Stop, and release the sensor; repeated calls do no harm."""
         self._finalizer()
 
     def __iter__(self) -> Iterator[Reconstruction]:
-        """Results, newest first: one that came while the last was in use is passed over for a newer one.
+        """Results, newest first: of several that arrived during the loop's body, only the newest is given.
 
-        Outside a `with` block the stream is closed with the loop.
+        Outside a `with` block, the end of the loop closes the stream.
         """
         for given in self.pairs():
             yield given.result
@@ -167,39 +163,39 @@ class Stream:
                 self.close()
 
     def newest(self, after_index: int = -1, timeout_s: float | None = None) -> StreamFrame | None:
-        """The newest result, of a frame numbered above `after_index`, with its image.
+        """The newest result of a frame numbered above `after_index`, with its image.
 
         Parameters
         ----------
-        after_index : int, `result.index` of what is known already
-        timeout_s : how long to wait for one, s; None: until there is one or the stream ends
+        after_index : int, `result.index` of the last known result
+        timeout_s : longest wait, s; None: until there is a result or the stream ends
 
         Returns
         -------
         StreamFrame or None
-            None where the time is over, or the stream ended.
+            None after the timeout or the end of the stream.
 
         Raises
         ------
         Exception
-            What made a stage of the stream fail.
+            The error of a failed stage of the stream.
         """
         return self._pipeline.results.newest(after_index, timeout_s)
 
     def latest(self, max_age_s: float) -> Reconstruction:
-        """The newest result, captured at most `max_age_s` ago; waits for one for as long.
+        """The newest result, captured at most `max_age_s` ago; waits for one at most as long.
 
         Raises
         ------
         StaleError
-            There is none: the message says how old the newest is, and what the stream does.
+            There is none; the message gives the age of the newest one and the state of the stream.
         Exception
-            What made a stage of the stream fail.
+            The error of a failed stage of the stream.
         """
         deadline, newest = time.monotonic() + max_age_s, self._pipeline.results.newest
         given = newest(-1, 0)
         if given is not None and (left_s := self._left_s(given, max_age_s)) >= 0:
-            # The one that is being made, or this one while it is young.
+            # Prefer the result that is being made; take this one if that takes too long.
             return (newest(-1, left_s / 2) or given).result
         while given is None or self._left_s(given, max_age_s) < 0:
             given = newest(-1 if given is None else given.index, max(0.0, deadline - time.monotonic()))
@@ -208,7 +204,7 @@ class Stream:
         return given.result
 
     def _left_s(self, given: StreamFrame, max_age_s: float) -> float:
-        """For how long a result stays young enough, negative where it is not; those of a recording have no age."""
+        """How long a result stays young enough, negative if it is too old; results of recordings have no age."""
         return 0.0 if self._pipeline.feed.every else max_age_s - (time.monotonic() - given.time_s)
 
     def _stale(self, max_age_s: float) -> StaleError:
@@ -220,12 +216,12 @@ class Stream:
         )
 
     def image_of(self, result: Reconstruction) -> NDArray[Any]:
-        """The image (H, W, 3), RGB, after the view, that one of the last results is of.
+        """The image (H, W, 3), RGB, after the view, of one of the last results.
 
         Raises
         ------
         LookupError
-            It is not among the last 8: take image and result together, by `newest` or `pairs`.
+            The result is not among the last 8: read image and result together, with `newest` or `pairs`.
         """
         for given in tuple(self._pipeline.recent):
             if given.index == result.index:
@@ -236,11 +232,11 @@ class Stream:
 
     @property
     def calibration(self) -> Calibration:
-        """The calibration in use; a StaleError while a starter awaits the untouched gel."""
+        """The calibration in use; StaleError while a starter waits for the gel at rest."""
         return self._memory.reconstruct.calibration
 
     def take_background(self) -> None:
-        """Say that nothing touches the gel: the mean of the next second becomes the untouched image."""
+        """Take the mean of the next second as background image, because nothing touches the gel."""
         self._memory.take_background()
 
     @property

@@ -1,4 +1,4 @@
-"""images -> color change, a batch at a time: exposure, response, crosstalk and blur as the numpy path has them."""
+"""images -> color change, for batches: exposure, response, crosstalk and blur as in the numpy path."""
 
 from __future__ import annotations
 
@@ -9,17 +9,18 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from gelform.background.change import ChangeSettings, gain_from_background, light_from_image
-from gelform.background.exposure import BRIGHT, DARK, FULL_SHARE, HALF_WIDTHS_LOG, MIN_SHARE, block_means
+from gelform.background.exposure import FULL_SHARE, HALF_WIDTHS_LOG, MIN_SHARE, block_means
 from gelform.foundations.filters import blur_taps
+from gelform.frames import BRIGHT, DARK
 from gelform.torch.maps import block_shares, planes
 
-BINS, WINDOW, SPAN = 240, 6, 1.2  # of the histogram of log ratios, as the kernel `crowd_of_ratios` has them
+BINS, WINDOW, SPAN = 240, 6, 1.2  # of the histogram of log ratios, as in the kernel `crowd_of_ratios`
 
 
 class ColorChange(nn.Module):
-    """Color change (N, 3, H, W) of images (N, 3, H, W), 0-255, against an untouched image (H, W, 3).
+    """Color change (N, 3, H, W) of images (N, 3, H, W), 0-255, against a background image (H, W, 3).
 
-    With `compensate_exposure` the exposure of each image is estimated from its untouched blocks and undone, as a
+    With `compensate_exposure` the exposure of each image is estimated from its blocks at rest and removed. It is a
     constant: no derivative passes through it.
     """
 
@@ -43,7 +44,7 @@ class ColorChange(nn.Module):
         self.register_buffer("crosstalk", torch.from_numpy(crosstalk.astype(np.float32)))
 
     def forward(self, images: Tensor) -> Tensor:
-        """The color change; the exponent of the camera's response needs images above 0 to be differentiable."""
+        """The color change; a response exponent is differentiable only for images above 0."""
         levels = images.to(self.untouched.dtype)
         if self.compensate_exposure:
             levels = levels / self._believed_gain(images)[:, :, None, None]
@@ -64,7 +65,7 @@ class ColorChange(nn.Module):
 
     @torch.no_grad()
     def _believed_gain(self, images: Tensor) -> Tensor:
-        """How many times as bright as the background each channel is, (N, 3); see `Exposure.believed_gain`."""
+        """Brightness of each channel relative to the background, (N, 3); see `Exposure.believed_gain`."""
         levels = images.to(self.untouched.dtype)
         blocks = self.rows @ levels @ self.columns.T
         if not images.is_floating_point():
@@ -95,7 +96,7 @@ def _weighted_sum(values: Tensor, taps: list[float], dim: int) -> Tensor:
 
 
 def _fullest(logs: Tensor, lit: Tensor) -> Tensor:
-    """Middle (N, 3) of the window of bins that holds the most log ratios (N, 3, blocks)."""
+    """Middle (N, 3) of the window of bins with the most log ratios (N, 3, blocks)."""
     bins = ((logs + SPAN) * (BINS / (2 * SPAN))).clamp(0, BINS - 1).long()
     counts = torch.zeros(*logs.shape[:2], BINS, dtype=logs.dtype, device=logs.device)
     counts.scatter_add_(2, bins, lit[:, None].to(logs.dtype).expand_as(logs))

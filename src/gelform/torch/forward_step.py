@@ -1,4 +1,4 @@
-"""The forward response's step and the depth that it needs: `PreparedStep` and `FrameDepth` of numpy, a batch at a time."""
+"""The step of the forward response and the depth that it needs, for batches: numpy's `PreparedStep` and `FrameDepth`."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from gelform.view.resample import pixel_positions
 
 
 class FrameDepth(nn.Module):
-    """Least-squares depth of frames on a grid that is four times coarser, 0 in the median of untouched gel.
+    """Least-squares depth of frames on a grid four times coarser, 0 at the median of the gel at rest.
 
-    Color changes up to `untouched` say untouched gel.
+    Pixels with a color change up to `untouched` count as gel at rest.
     """
 
     def __init__(self, shape: tuple[int, int], untouched: float) -> None:
@@ -43,14 +43,14 @@ class FrameDepth(nn.Module):
 
     @torch.no_grad()
     def rest(self, color_change: Tensor) -> Tensor:
-        """Samples (N, 1, rows, columns) whose color change (N, 3, H, W) says untouched gel; at least 2 % of them."""
+        """Samples (N, 1, rows, columns) at rest by their color change (N, 3, H, W); at least 2 % of them."""
         change = self.made_coarse(color_change)
         square = ((change - medians_where(change)) ** 2).sum(1, keepdim=True)
         least = square.flatten(1).quantile(MIN_UNTOUCHED, dim=1)
         return square <= least.clamp(min=self.square)[:, None, None, None]
 
     def made_coarse(self, maps: Tensor) -> Tensor:
-        """Maps (N, C, H, W) on the coarser grid: means."""
+        """Means of maps (N, C, H, W) on the coarser grid."""
         return self.rows_coarse @ maps @ self.columns_coarse.T
 
     def in_full(self, maps: Tensor) -> Tensor:
@@ -58,11 +58,11 @@ class FrameDepth(nn.Module):
         return self.rows_full @ (maps @ self.columns_full.T)
 
 
-ROUNDING = 1e-6  # of a determinant in float32, over the product of its diagonal
+ROUNDING = 1e-6  # relative rounding error of a determinant in float32, over the product of its diagonal
 
 
 class ForwardStep(nn.Module):
-    """Gradients (N, 2, H, W) after one step from those that a color model read; the response has a `step_sigma`."""
+    """Gradients (N, 2, H, W) after one step from those of a color model; the response has a `step_sigma`."""
 
     def __init__(self, forward: ForwardResponse, untouched: float) -> None:
         super().__init__()
@@ -78,7 +78,7 @@ class ForwardStep(nn.Module):
         self.depth = FrameDepth(forward.shape, untouched)
 
     def forward(self, color_change: Tensor, gradients: Tensor) -> Tensor:
-        """The step, of a color change (N, 3, H, W) and gradients (N, 2, H, W)."""
+        """The step for a color change (N, 3, H, W) and gradients (N, 2, H, W)."""
         depth = self.depth(gradients, self.depth.rest(color_change))
         z = self.depth.in_full(depth)[:, 0] / DEPTH_UNIT_PX
         p, q = gradients.unbind(1)
@@ -101,7 +101,7 @@ class ForwardStep(nn.Module):
         return gradients + step * (LONGEST_STEP / length).clamp(max=1)
 
     def _value(self, x: Tensor, y: Tensor, z: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """The whitened color change (N, 3, H, W) that normal and depth give, and its derivatives by the normal's terms."""
+        """The whitened color change (N, 3, H, W) of a normal and a depth, and its derivatives by the normal's terms."""
         xs, ys = ([torch.ones_like(v), v, v * v, v**3, v**4] for v in (x, y))
         *of_normal, by_depth, by_depth_x, by_depth_y = self.coefficients
         value = z[:, None] * by_depth

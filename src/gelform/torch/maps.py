@@ -1,4 +1,4 @@
-"""Maps a batch at a time: means of blocks, bilinear enlargement, medians over chosen pixels, depth from gradients."""
+"""Operations on batches of maps: block means, bilinear enlargement, medians over chosen pixels, depth from gradients."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ def planes(values: NDArray[Any]) -> Tensor:
 
 
 def block_shares(size: int, blocks: int) -> Tensor:
-    """Which fraction of each pixel of a line goes into each block's mean, (blocks, size), as OpenCV has them."""
+    """The fraction of each pixel of a line in each block's mean, (blocks, size), as in OpenCV."""
     return _resized(size, blocks, cv2.INTER_AREA)
 
 
 def bilinear_shares(few: int, size: int) -> Tensor:
-    """Which fraction of each sample of a coarser line goes into each pixel, (size, few), as OpenCV has them."""
+    """The fraction of each sample of a coarser line in each pixel, (size, few), as in OpenCV."""
     return _resized(few, size, cv2.INTER_LINEAR)
 
 
@@ -35,7 +35,7 @@ def _resized(size: int, other: int, interpolation: int) -> Tensor:
 
 
 def medians_where(maps: Tensor, chosen: Tensor | None = None) -> Tensor:
-    """Medians (N, C, 1, 1) of maps (N, C, h, w) over chosen pixels (N, 1, h, w), by default all; 0 where none is."""
+    """Medians (N, C, 1, 1) of maps (N, C, h, w) over chosen pixels (N, 1, h, w), by default all; 0 if none is chosen."""
     if chosen is None:
         chosen = torch.ones_like(maps[:, :1], dtype=torch.bool)
     values = torch.where(chosen, maps, torch.inf).flatten(2).sort(dim=2).values
@@ -46,22 +46,22 @@ def medians_where(maps: Tensor, chosen: Tensor | None = None) -> Tensor:
 
 
 class PoissonDepth(nn.Module):
-    """Depth (N, H, W) of mean 0 from gradients (N, 2, H, W): the solver `dct` of the numpy path.
+    """Depth (N, H, W) of mean 0 from gradients (N, 2, H, W), as the solver `dct` of the numpy path.
 
-    An edge's slope is the mean of its two pixels'. The cosine modes diagonalise the normal equations (B. L. Buzbee,
-    G. H. Golub and C. W. Nielson, SIAM J. Numer. Anal. 7, 1970); each transform is one FFT of the reordered rows
-    (J. Makhoul, IEEE Trans. ASSP 28, 1980).
+    The slope of an edge is the mean of its two pixels' slopes. The cosine modes diagonalize the normal equations (B.
+    L. Buzbee, G. H. Golub and C. W. Nielson, SIAM J. Numer. Anal. 7, 1970). Each transform is one FFT of the reordered
+    rows (J. Makhoul, IEEE Trans. ASSP 28, 1980).
 
     Parameters
     ----------
     shape : (H, W)
-    mm_per_px : (x, y), mm, or any unit that depth is wanted in
+    mm_per_px : (x, y), mm, or another unit, which depth then has
     """
 
     def __init__(self, shape: tuple[int, int], mm_per_px: tuple[float, float]) -> None:
         super().__init__()
         self.pitch = mm_per_px[1]
-        self.along_x = mm_per_px[1] / mm_per_px[0]  # the weight of edges along x, where those along y count 1
+        self.along_x = mm_per_px[1] / mm_per_px[0]  # weight of edges along x; edges along y have weight 1
         eigen = [
             (2 * torch.sin(torch.pi * torch.arange(n, dtype=torch.float64) / (2 * n))) ** 2 for n in shape
         ]
@@ -91,7 +91,7 @@ def _turns(count: int, like: Tensor) -> Tensor:
 
 
 def _cosines(rows: Tensor) -> Tensor:
-    """Cosine transform (type 2, orthonormal but for the scale of each mode) along the last dimension."""
+    """Cosine transform (type 2, orthonormal except for the scale of each mode) along the last dimension."""
     count = rows.shape[-1]
     reordered = torch.cat([rows[..., ::2], rows[..., 1::2].flip(-1)], -1)
     return (torch.fft.fft(reordered) * _turns(count, rows)).real

@@ -1,4 +1,4 @@
-"""The path as a module: a batch of images to depth in mm."""
+"""The path as a PyTorch module: a batch of images to depth in mm."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ from gelform.torch.forward_step import ForwardStep
 from gelform.torch.maps import PoissonDepth, medians_where
 from gelform.torch.slopes import gradients_module
 
-CPU_FRAMES = 2  # at a time: what they need stays in the processor's cache
+CPU_FRAMES = 2  # frames at a time: their data fits into the processor's cache
 
 
 class BatchReconstruction(NamedTuple):
-    """What a batch of images gave.
+    """The result of a batch of images.
 
     Attributes
     ----------
-    depth_mm : (N, 1, H, W), mm, 0 where the gel is untouched, positive where pressed; px without mm_per_px
-    gradients : (N, 2, H, W), mm/mm: dz/dx, dz/dy as the color model read them, the untouched pixels' bias removed
+    depth_mm : (N, 1, H, W), mm, 0 where the gel is at rest, positive where pressed; px without mm_per_px
+    gradients : (N, 2, H, W), mm/mm: dz/dx, dz/dy of the color model, without the bias of the pixels at rest
     """
 
     depth_mm: Tensor
@@ -45,23 +45,23 @@ class BatchReconstruction(NamedTuple):
 
 
 class Reconstruct(nn.Module):
-    """Color model and cosine solve of a calibration, for batches: differentiable, on the device it is moved to.
+    """Color model and cosine solver of a calibration, for batches: differentiable, on the module's device.
 
-    The same depth as `gelform.Reconstructor(calibration, solver="dct").from_image`, within 1e-4 of its peak; without
-    weights, anchor, confidence, uncertainty, contact and health. A clipped channel is read as it is. Its buffers follow
-    `.to(device)` and `.double()`.
+    Depth equals that of `gelform.Reconstructor(calibration, solver="dct").from_image` within 1e-4 of its peak.
+    Weights, anchor, confidence, uncertainty, contact and health are left out. Clipped channels are used as they are.
+    Buffers follow `.to(device)` and `.double()`.
 
     Parameters
     ----------
     calibration : of this sensor, or the path of its file; color model hierarchical, polynomial, lambertian or near_light
-    background : (H, W, 3), 0-255, the untouched image of today; the calibration's own by default
-    compensate_exposure : whether each image's exposure is estimated and undone, as the numpy path does
-        As a constant: no derivative passes through it. Off for images that are rendered, and for exact derivatives.
+    background : (H, W, 3), 0-255, a current background image; by default the calibration's own
+    compensate_exposure : whether each image's exposure is estimated and removed, as in the numpy path
+        It is a constant: no derivative passes through it. Turn it off for rendered images, and for exact derivatives.
 
     Raises
     ------
     CalibrationError
-        Another color model, a gel with markers, or a file that cannot be read.
+        The color model is another one, the gel has markers, or the file cannot be read.
     GelformError
         torch is not installed.
     """
@@ -93,12 +93,12 @@ class Reconstruct(nn.Module):
         self.solver = PoissonDepth(self.shape, (calibration.mm_per_px or 1.0,) * 2)
 
     def forward(self, images: Tensor) -> BatchReconstruction:
-        """Depth of a batch of images, RGB, 0-255, (N, 3, H, W): uint8, or floating for derivatives.
+        """Depth of a batch of images, RGB, 0-255, (N, 3, H, W): uint8, or floating point for derivatives.
 
         Raises
         ------
         ValueError
-            Another shape.
+            The images have another shape.
         """
         if images.ndim != 4 or tuple(images.shape[1:]) != (3, *self.shape):
             raise ValueError(
@@ -126,7 +126,7 @@ class Reconstruct(nn.Module):
 
     @torch.no_grad()
     def _untouched(self, change: Tensor) -> Tensor:
-        """Pixels (N, 1, H, W) whose colour did not change; where they are too few, those that changed least."""
+        """Pixels (N, 1, H, W) whose color did not change; if too few, the pixels that changed least."""
         coarse = change[..., ::EXPOSURE_STEP_PX, ::EXPOSURE_STEP_PX]
         near = ((change - medians_where(coarse)) ** 2).sum(1, keepdim=True) < self.threshold**2
         step = lattice_step(self.shape[0] * self.shape[1])

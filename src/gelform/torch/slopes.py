@@ -1,4 +1,4 @@
-"""color change -> gradients, a batch at a time: the color models that are a formula."""
+"""color change -> gradients, for batches: the color models with a closed formula."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ LEAST_NORMAL_Z = 1e-6  # as in `gradients_from_scaled`
 
 
 def gradients_module(model: ColorModel, background: NDArray[Any]) -> nn.Module:
-    """The model over an untouched image (H, W, 3) as a module: color change (N, 3, H, W) -> gradients (N, 2, H, W).
+    """A color model on a background image (H, W, 3) as a module: color change (N, 3, H, W) -> gradients (N, 2, H, W).
 
-    CalibrationError: a color model that has no such form.
+    CalibrationError: the color model has no such form.
     """
     shape = background.shape[:2]
     if isinstance(model, (HierarchicalModel, PolynomialModel)):
@@ -53,7 +53,7 @@ class PolynomialGradients(nn.Module):
         self.parents = monomial_parents(monomials(3, model.degree)).tolist()
 
     def forward(self, color_change: Tensor) -> Tensor:
-        """Gradients, each monomial a product of one before it with a channel."""
+        """Gradients; each monomial is the product of an earlier one and a channel."""
         channels = color_change.unbind(1)
         products: list[Tensor] = []
         gradients = torch.zeros_like(color_change[:, :2])
@@ -64,7 +64,7 @@ class PolynomialGradients(nn.Module):
 
 
 class LitGradients(nn.Module):
-    """Photometric stereo with the inverse of a light matrix, one for all pixels or one for each."""
+    """Photometric stereo with the inverse of a light matrix, one for all pixels or one per pixel."""
 
     def __init__(self, inverse: NDArray[Any], response: float) -> None:
         super().__init__()
@@ -74,7 +74,7 @@ class LitGradients(nn.Module):
         self.response = response
 
     def forward(self, color_change: Tensor) -> Tensor:
-        """Gradients -g_xy/g_z of g = L^-1 (1 + change), at most MAX_SLOPE steep."""
+        """Gradients -g_xy/g_z of g = L^-1 (1 + change), with slopes up to MAX_SLOPE."""
         ratio = 1 + color_change
         if self.response != 1:
             ratio = ratio.clamp(min=0) ** (1 / self.response)

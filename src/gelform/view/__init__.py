@@ -1,4 +1,4 @@
-"""frame -> image and back: what a view holds, its lens, and resampling in one pass."""
+"""frame -> image and back: the view, its lens, and resampling in one pass."""
 
 from gelform.view.lens import Lens
 from gelform.view.view import (

@@ -11,28 +11,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)  # homography, row by row
-UNDISTORTION_ROUNDS, UNDISTORTED_PX = 40, 1e-9  # of Newton's method, which ends with a step of so many px
-DIFFERENCE_PX = 1e-3  # of central differences: far above rounding, far below a lens's curvature
-LEAST_AREA = 1e-3  # a smaller change of area is at a fold, where nothing can be undone
+# Rounds of Newton's method at most; it ends with a smaller step, px.
+UNDISTORTION_ROUNDS, UNDISTORTED_PX = 40, 1e-9
+DIFFERENCE_PX = 1e-3  # px, step of central differences: far above rounding, far below a lens's curvature
+LEAST_AREA = 1e-3  # px^2 per px^2; the map is folded where it changes area by less, and has no inverse there
 KEYS = ("camera", "distortion", "perspective")
 
 
 @dataclass(frozen=True)
 class Lens:
-    """A pinhole with Brown's distortion that looks at a plane, from any side.
+    """A pinhole camera with Brown's distortion that views a plane from any side.
 
     Attributes
     ----------
     camera : (fx, fy, cx, cy), px
     distortion : (k1, k2, p1, p2, k3), in the order of OpenCV; missing ones at the end are 0
-        Sources: D. C. Brown, Photogrammetric Engineering 32(3), 1966; the order is that of OpenCV.
+        Source: D. C. Brown, Photogrammetric Engineering 32(3), 1966.
     perspective : 9 numbers, row by row
         Homography from rectified pixels to the pixels of the undistorted frame; identity by default.
 
     Raises
     ------
     ValueError
-        Not these counts of finite numbers, a focal length that is not positive, a perspective that is singular.
+        Another count of numbers, a number that is not finite, a focal length <= 0, or a singular perspective.
     """
 
     camera: tuple[float, ...]
@@ -58,12 +59,12 @@ class Lens:
         return np.asarray(self.perspective, dtype=np.float64).reshape(3, 3)
 
     def frame_px_from_rectified_px(self, points_px: NDArray[Any]) -> NDArray[np.float64]:
-        """Points (N, 2), x and y, of the rectified plane as the camera sees them."""
+        """Positions (N, 2), x and y, in the frame of points of the rectified plane."""
         flat = cv2.perspectiveTransform(np.asarray(points_px, dtype=np.float64)[None], self._homography)[0]
         return self._distorted(flat)
 
     def _distorted(self, flat: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Points of the undistorted frame as the lens shows them."""
+        """Positions in the frame of points of the undistorted frame."""
         fx, fy, cx, cy = self.camera
         k1, k2, p1, p2, k3 = (*self.distortion, *[0.0] * (5 - len(self.distortion)))
         x, y = (flat[:, 0] - cx) / fx, (flat[:, 1] - cy) / fy
@@ -78,13 +79,13 @@ class Lens:
         )
 
     def rectified_px_from_frame_px(self, points_px: NDArray[Any]) -> NDArray[np.float64]:
-        """What `frame_px_from_rectified_px` undoes."""
+        """Positions (N, 2) in the rectified plane of points of the frame: the inverse of `frame_px_from_rectified_px`."""
         flat = self._undistorted(np.asarray(points_px, dtype=np.float64))
         back = cv2.perspectiveTransform(flat[None], np.linalg.inv(self._homography))
         return np.asarray(back[0], dtype=np.float64)
 
     def _undistorted(self, distorted: NDArray[np.float64]) -> NDArray[np.float64]:
-        """What `_distorted` undoes, by Newton's method: from that point it approaches the answer from one side."""
+        """The inverse of `_distorted`, by Newton's method: from the given point it approaches the answer from one side."""
         flat = distorted.copy()
         for _ in range(UNDISTORTION_ROUNDS):
             xx, yx, xy, yy = self._distortion_slopes(flat)
@@ -100,14 +101,14 @@ class Lens:
         return flat
 
     def _distortion_slopes(self, flat: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
-        """dx/dx, dy/dx, dx/dy, dy/dy of what `_distorted` gives, by central differences."""
+        """The derivatives dx/dx, dy/dx, dx/dy, dy/dy of `_distorted`, by central differences."""
         along_x, along_y = np.array([DIFFERENCE_PX, 0.0]), np.array([0.0, DIFFERENCE_PX])
         by_x = (self._distorted(flat + along_x) - self._distorted(flat - along_x)) / (2 * DIFFERENCE_PX)
         by_y = (self._distorted(flat + along_y) - self._distorted(flat - along_y)) / (2 * DIFFERENCE_PX)
         return by_x[:, 0], by_x[:, 1], by_y[:, 0], by_y[:, 1]
 
     def to_dict(self) -> dict[str, list[float]]:
-        """The settings as JSON and TOML can say them."""
+        """The settings, as values that JSON and TOML can hold."""
         return {name: list(getattr(self, name)) for name in KEYS}
 
     @classmethod

@@ -1,7 +1,7 @@
 """Resampling of an image in one pass: averages over boxes of whole pixels, then one bilinear remap.
 
-Pixel centres are at integers, so a pixel covers half a pixel on each side of its number, and resizing maps *areas*.
-Where an image is reduced strongly, whole pixels are averaged first, so that nothing is aliased.
+Pixel centers are at integers, so a pixel covers half a pixel on each side of its number, and resizing maps *areas*.
+If an image is reduced strongly, whole pixels are averaged first, which avoids aliasing.
 """
 
 from __future__ import annotations
@@ -16,13 +16,11 @@ from numpy.typing import NDArray
 def box_centres(
     start: float, length: float, available: int, count: int, flipped: bool
 ) -> tuple[NDArray[Any], slice, int]:
-    """Where image pixels lie along one axis of a frame, in boxes of whole frame pixels.
+    """Positions of image pixels along one axis of a frame, in boxes of whole frame pixels.
 
-    Of `count` image pixels that show a part of a frame of `available` px; flipped, the first of them is at the part's
-    end.
-    Gives their centres in boxes, the cut of the frame that is needed, and the frame pixels in a box, the integer part of
-    the
-    reduction.
+    The axis has `count` image pixels, which show a part of a frame of `available` px. If it is flipped, the first of them is
+    at the end of the part. Returns their centers in boxes, the part of the frame to cut out, and the number of frame pixels
+    in a box, which is the integer part of the reduction.
     """
     scale = length / count
     box = max(1, int(scale + 0.5))
@@ -35,7 +33,7 @@ def box_centres(
 
 
 def averaged(pixels: NDArray[Any], box: tuple[int, int]) -> NDArray[Any]:
-    """Mean of pixels (H, W, 3) over boxes (height, width); the last box repeats the border where the pixels run out."""
+    """Mean of pixels (H, W, 3) over boxes (height, width); the last box repeats the border beyond the frame."""
     if box == (1, 1):
         return pixels
     boxes = [-(-pixels.shape[axis] // box[axis]) for axis in (0, 1)]
@@ -47,7 +45,10 @@ def averaged(pixels: NDArray[Any], box: tuple[int, int]) -> NDArray[Any]:
 
 
 def pixel_maps(x: NDArray[Any], y: NDArray[Any]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Maps (h, w) of each pixel's place in the source where all rows have columns x (w,), all columns rows y (h,)."""
+    """Maps (h, w) of each pixel's position in the source.
+
+    All rows of the maps have the columns x (w,), and all columns the rows y (h,).
+    """
     map_x, map_y = np.meshgrid(x.astype(np.float32), y.astype(np.float32))
     return _read_only(map_x), _read_only(map_y)
 
@@ -61,18 +62,18 @@ def pixel_positions(shape: tuple[int, int]) -> NDArray[np.int64]:
 def maps_of_positions(
     positions_px: NDArray[Any], shape: tuple[int, int]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Maps (H, W) of positions (H*W, 2), x and y, in the source: what `remapped` looks up."""
+    """Maps (H, W) of positions (H*W, 2), x and y, in the source, as `remapped` takes them."""
     map_x, map_y = (positions_px[:, k].reshape(shape).astype(np.float32) for k in (0, 1))
     return _read_only(map_x), _read_only(map_y)
 
 
 def _read_only(values: NDArray[Any]) -> NDArray[Any]:
-    """The same array, kept from being written to: prepared maps are shared by threads."""
+    """The same array, read-only, because threads share prepared maps."""
     values.setflags(write=False)
     return values
 
 
 def remapped(pixels: NDArray[Any], map_x: NDArray[Any], map_y: NDArray[Any]) -> NDArray[Any]:
-    """Pixels looked up at maps (h, w) of source columns and rows, bilinear; beyond the border it is repeated."""
+    """Bilinear values at maps (h, w) of source columns and rows; the border is repeated beyond it."""
     found: NDArray[Any] = cv2.remap(pixels, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return found

@@ -1,9 +1,9 @@
 """frame -> image: lens, crop, flip and resize in one remap, and back.
 
-Pixel centres are at integers and resizing maps areas: `x_frame = (x_image + 1/2) scale - 1/2 + left`.
+Pixel centers are at integers and resizing maps areas: `x_frame = (x_image + 1/2) scale - 1/2 + left`.
 
-With a lens the crop is one of the *rectified* frame, which has the frame's size and square pixels on the gel; each of
-its pixels is looked up in the frame by way of the perspective and the distortion.
+With a lens the crop is part of the *rectified* frame, which has the frame's size and square pixels on the gel; each of
+its pixels is looked up in the frame through the perspective and the distortion.
 """
 
 from __future__ import annotations
@@ -27,33 +27,33 @@ from gelform.view.resample import (
     remapped,
 )
 
-MAX_PIXELS = 200e6  # of a frame or an image
+MAX_PIXELS = 200e6  # pixels of a frame or an image, at most
 FLIPS = ("none", "x", "y", "xy")
-TURNS = {"none": 0, "left": 1, "right": -1}  # quarter turns against the clock
+TURNS = {"none": 0, "left": 1, "right": -1}  # quarter turns counterclockwise
 
 
 @dataclass(frozen=True)
 class View:
-    """Which part of a camera's frame is the image, how it lies and its size in pixels; identity by default.
+    """The part of a camera's frame that is the image, its orientation and its size in pixels; identity by default.
 
     Attributes
     ----------
     frame_shape : (H, W) of the camera's frames, or None for frames of any size
-        Needed where frames are cropped, resized or seen through a lens.
+        Needed if frames are cropped, resized or have a lens.
     crop : (left, top, width, height) in frame pixels, or None for the whole frame
         Fractions of a pixel are allowed, in a size of 1 or more. Counted in the frame as the camera gives it, before flips.
-    flip : "none", "x" (left and right change places), "y" (top and bottom), or "xy" (turned by 180 degrees)
+    flip : "none", "x" (left and right exchanged), "y" (top and bottom), or "xy" (turned by 180 degrees)
     image_shape : (H, W) of the image, or None for the size of the crop, rounded
     lens : Lens or None
-        Distortion and perspective to undo; the crop then counts in the rectified frame.
-    turn : "none", "left" (a quarter turn against the clock) or "right", after the flip; `image_shape` is that of the
+        Distortion and perspective to remove; the crop is then in pixels of the rectified frame.
+    turn : "none", "left" (a quarter turn counterclockwise) or "right", after the flip; `image_shape` is that of the
         turned image
 
     Raises
     ------
     ValueError
-        A crop outside the frame, sizes that are not positive, an unknown flip, or no frame_shape where one is
-        needed.
+        A crop outside the frame, sizes that are not positive, an unknown flip, or a missing
+        frame_shape.
     """
 
     frame_shape: tuple[int, int] | None = None
@@ -80,7 +80,7 @@ class View:
 
     @property
     def shape(self) -> tuple[int, int] | None:
-        """(H, W) of the images that this view gives; None where any size passes."""
+        """(H, W) of the images of this view; None if any size passes."""
         if self.image_shape is not None or self.frame_shape is None:
             return self.image_shape
         _, _, width, height = self._box
@@ -89,7 +89,7 @@ class View:
 
     @property
     def is_identity(self) -> bool:
-        """Whether an image is its frame, unchanged."""
+        """Whether images are unchanged frames."""
         if self.turn != "none":
             return False
         if self.frame_shape is None:
@@ -101,18 +101,18 @@ class View:
 
     @property
     def unturned(self) -> View:
-        """The same without its turn."""
+        """The same view without its turn."""
         if self.turn == "none":
             return self
         return replace(self, turn="none", image_shape=self.image_shape and self.image_shape[::-1])
 
     def of_frames(self, frame_shape: tuple[int, int]) -> View:
-        """This view of frames (H, W), where it does not say their size itself."""
+        """This view for frames (H, W), if it does not have their size itself."""
         return self if self.frame_shape is not None else replace(self, frame_shape=frame_shape)
 
     @property
     def _sizes(self) -> tuple[tuple[int, int], tuple[int, int]]:
-        """(H, W) of frames and of images, where both have to be known."""
+        """(H, W) of frames and of images, for a view that needs both."""
         if self.frame_shape is None or self.shape is None:
             raise ValueError(
                 "Expected a view that knows the size of its frames where points are mapped through it: "
@@ -127,7 +127,7 @@ class View:
         return self.crop or (0.0, 0.0, float(width), float(height))
 
     def to_dict(self) -> dict[str, Any]:
-        """The settings that differ from the default, as JSON and TOML can say them."""
+        """The settings that differ from the default, as values that JSON and TOML can hold."""
         plain = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "lens"}
         settings = {
             name: list(v) if isinstance(v, tuple) else v
@@ -149,13 +149,13 @@ class View:
 
 
 def image_from_frame(frame: ArrayLike, view: View) -> NDArray[Any]:
-    """The image that the path works on, from a camera's frame.
+    """Make the image, which the path works on, from a camera's frame.
 
     Parameters
     ----------
     frame : (H, W, 3) RGB, uint8 or float (0-255)
-        Of `view.frame_shape`, or of any size where the view names none. What is an image already does not go
-        through the view again.
+        Of `view.frame_shape`, or of any size if the view has none. An image must not go through
+        the view again.
     view : View
 
     Returns
@@ -192,9 +192,9 @@ def image_from_frame(frame: ArrayLike, view: View) -> NDArray[Any]:
 
 
 def frame_from_image(image: ArrayLike, view: View) -> NDArray[Any]:
-    """A frame whose view is the image: what `image_from_frame` undoes.
+    """Make a frame whose view is the image; `image_from_frame` is the inverse.
 
-    Frame pixels that the view does not see repeat the nearest one that it sees.
+    Frame pixels outside the view repeat the nearest pixel inside.
 
     Parameters
     ----------
@@ -208,7 +208,7 @@ def frame_from_image(image: ArrayLike, view: View) -> NDArray[Any]:
     Raises
     ------
     ValueError, TypeError
-        The image is not of the size that the view gives.
+        The image does not have the size of the view's images.
     """
     check_is(view, View, "view")
     pixels = check_image(image, shape=view.shape)
@@ -222,7 +222,7 @@ def frame_from_image(image: ArrayLike, view: View) -> NDArray[Any]:
 
 @lru_cache(maxsize=8)
 def _maps_to_image(view: View) -> tuple[slice, slice, tuple[int, int], NDArray[Any], NDArray[Any]]:
-    """The rows and columns to cut out of the frame, the box to average there, and where each image pixel then lies in it."""
+    """The rows and columns to cut out of the frame, the box to average, and each image pixel's position in the result."""
     (frame, image), (left, top, width, height) = view._sizes, view._box
     x, columns, box_x = box_centres(left, width, frame[1], image[1], "x" in view.flip)
     y, rows, box_y = box_centres(top, height, frame[0], image[0], "y" in view.flip)
@@ -231,7 +231,7 @@ def _maps_to_image(view: View) -> tuple[slice, slice, tuple[int, int], NDArray[A
 
 @lru_cache(maxsize=8)
 def _maps_through_lens(view: View) -> tuple[tuple[int, int], NDArray[Any], NDArray[Any]]:
-    """The box to average in the whole frame, and where each image pixel then lies in it."""
+    """The box to average in the whole frame, and each image pixel's position in the result."""
     shape, (_, _, width, height) = view._sizes[1], view._box
     box = max(1, int(height / shape[0] + 0.5)), max(1, int(width / shape[1] + 0.5))
     points = frame_px_from_image_px(pixel_positions(shape), view)
@@ -240,7 +240,7 @@ def _maps_through_lens(view: View) -> tuple[tuple[int, int], NDArray[Any], NDArr
 
 
 def frame_px_from_image_px(points_px: ArrayLike, view: View) -> NDArray[np.float64]:
-    """Where points (N, 2), x and y, of the image lie in the frame, px."""
+    """Positions (N, 2) in the frame, px, of points of the image, x and y."""
     points = np.asarray(points_px, dtype=np.float64).reshape(-1, 2)
     if view.is_identity:
         return points
@@ -255,7 +255,7 @@ def frame_px_from_image_px(points_px: ArrayLike, view: View) -> NDArray[np.float
 
 
 def image_px_from_frame_px(points_px: ArrayLike, view: View) -> NDArray[np.float64]:
-    """Where points (N, 2), x and y, of the frame lie in the image, px: what `frame_px_from_image_px` undoes."""
+    """Positions (N, 2) in the image, px, of points of the frame: the inverse of `frame_px_from_image_px`."""
     points = np.asarray(points_px, dtype=np.float64).reshape(-1, 2)
     if view.is_identity:
         return points
@@ -270,7 +270,7 @@ def image_px_from_frame_px(points_px: ArrayLike, view: View) -> NDArray[np.float
 
 
 def _flipped(points: NDArray[np.float64], view: View) -> NDArray[np.float64]:
-    """Points of the image where its flip takes them; twice is as before."""
+    """Points of the image after its flip; a second flip restores them."""
     height, width = view._sizes[1]
     x, y = points.T
     return np.stack(
@@ -280,7 +280,7 @@ def _flipped(points: NDArray[np.float64], view: View) -> NDArray[np.float64]:
 
 @lru_cache(maxsize=8)
 def _maps_to_frame(view: View) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Where each frame pixel lies in the image."""
+    """The position of each frame pixel in the image."""
     frame_shape = view._sizes[0]
     points = image_px_from_frame_px(pixel_positions(frame_shape), view)
     return maps_of_positions(points, frame_shape)

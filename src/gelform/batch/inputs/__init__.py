@@ -1,1 +1,1 @@
-"""What a batch works on: sequences of frames, listed, parted and read."""
+"""The input of a batch: sequences of frames are listed, split into parts and read."""

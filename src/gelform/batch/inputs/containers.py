@@ -1,4 +1,4 @@
-"""Sequences of frames, and files that hold many at a path inside: which they have, and the frames of HDF5 and Zarr."""
+"""Sequences of frames, and files that hold many of them under a path inside; the frames of HDF5 and Zarr."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from numpy.typing import NDArray
 
 from gelform.errors import DataError, needed
 
-BLOCK_BYTES, BLOCK_FRAMES = 1 << 26, 64  # the most that is read at once
-DAMAGED = (OSError, ValueError, RuntimeError)  # of h5py and zarr, where a chunk cannot be decoded
+BLOCK_BYTES, BLOCK_FRAMES = 1 << 26, 64  # limits of one read: bytes and frames
+DAMAGED = (OSError, ValueError, RuntimeError)  # errors of h5py and zarr for a chunk that cannot be decoded
 HDF5_SUFFIXES = (
     ".h5",
     ".hdf5",
 )  # robomimic's data/demo_0/obs/CAMERA, ALOHA's observations/images/CAMERA, or any
 NODES, ZIPPED = (".zgroup", ".zarray", "zarr.json"), ".zarr.zip"
-ENDS = "meta/episode_ends"  # beside data/CAMERA, as diffusion policies have it
+ENDS = "meta/episode_ends"  # next to data/CAMERA, in the layout of diffusion policies
 Shapes = Mapping[str, tuple[tuple[int, ...], str]]  # path inside -> (shape, dtype)
 
 
@@ -35,10 +35,10 @@ class Sequence:
     ----------
     name : its path below the input, with /; empty for the input's own folder
     path : the folder of its images, the video, the recording, or the HDF5 file, Zarr store or LeRobot video
-    images : names of the images in natural order; empty for all others, of which a video's frames are not counted yet
-    dataset : path inside the file or store; of LeRobot the camera; empty for images, videos and recordings
-    offset, count : which frames of the dataset; count is 0 where the file cannot be read, which reading it says
-    rate_hz : frames a second of LeRobot's episodes; 0 of all others
+    images : names of the images in natural order; otherwise empty. The frames of a video are not counted yet
+    dataset : path inside the file or store; for LeRobot the camera; empty for images, videos and recordings
+    offset, count : range of frames in the dataset; count is 0 if the file is unreadable, and reading it gives the error
+    rate_hz : frames per second of LeRobot's episodes; otherwise 0
     """
 
     name: str
@@ -49,18 +49,25 @@ class Sequence:
     count: int = 0
     rate_hz: int = 0
 
+    def __post_init__(self) -> None:
+        # Anyone may have chosen the names inside a file, and outputs are named after their inputs.
+        if Path(self.name).anchor or ".." in Path(self.name).parts:
+            raise DataError(
+                f"{self.path} names frames {self.name}, which leads out of any folder. Do not trust this file."
+            )
+
 
 def natural(name: str) -> tuple[list[str | int], str]:
-    """Sorts image2 before image10."""
+    """Sort key that puts image2 before image10."""
     return [int(part) if part.isdecimal() else part for part in re.split(r"(\d+)", name)], name
 
 
 class ContainerError(DataError):
-    """A file that should hold frames cannot be opened."""
+    """A file of frames cannot be opened."""
 
 
 def matching(path: Path, there: Shapes, wanted: str) -> list[str]:
-    """The datasets that a pattern such as "data/*/obs/gelsight" means (DataError); * stands for one name."""
+    """The datasets that match a pattern such as "data/*/obs/gelsight"; * matches one name. DataError if none does."""
     parts = wanted.strip("/").split("/")
     found = [one for one in there if wanted and _matches(one.split("/"), parts)]
     if found:
@@ -70,9 +77,9 @@ def matching(path: Path, there: Shapes, wanted: str) -> list[str]:
 
 
 def image_from_values(values: NDArray[Any] | DataError) -> NDArray[np.uint8]:
-    """An RGB image (H, W, 3) uint8 of what a dataset holds for a frame; DataError where it is none.
+    """An RGB image (H, W, 3) uint8 from a dataset's values for one frame; DataError if they are no image.
 
-    It holds (H, W, 3) uint8, whole numbers 0-255 as floats, or (L,) uint8: a JPEG or PNG, padded with zeros.
+    The values are (H, W, 3) uint8, whole numbers 0-255 as floats, or (L,) uint8: a JPEG or PNG, padded with zeros.
     """
     if isinstance(values, DataError):
         raise values
@@ -98,9 +105,9 @@ def image_from_values(values: NDArray[Any] | DataError) -> NDArray[np.uint8]:
 
 
 def blocks(dataset: Any, start: int, count: int, chunk: int) -> Iterator[NDArray[Any] | DataError]:
-    """What a dataset holds for each frame of a range, or why that cannot be read.
+    """The values of a dataset for each frame of a range, or the error that prevents reading them.
 
-    Read in blocks of chunks, so that no chunk is decompressed for every frame of it.
+    Whole chunks are read in blocks, so that no chunk is decompressed once per frame.
     """
     frame_bytes = max(1, int(np.prod(dataset.shape[1:])) * dataset.dtype.itemsize)
     length = max(1, min(chunk, BLOCK_FRAMES, BLOCK_BYTES // frame_bytes))
@@ -120,7 +127,7 @@ def _one(dataset: Any, index: int) -> NDArray[Any] | DataError:
 
 
 def is_frames(shape: tuple[int, ...], dtype: Any) -> bool:
-    """Whether a dataset may hold frames: (N, H, W, 3), or compressed ones (N, L) or of any length."""
+    """Whether a dataset may hold frames: (N, H, W, 3), or compressed frames as (N, L) or of variable length."""
     kind = np.dtype(dtype)
     if kind == np.dtype(object):
         return len(shape) == 1
@@ -134,7 +141,7 @@ def _matches(names: list[str], pattern: list[str]) -> bool:
 
 
 def _listed(there: Shapes) -> str:
-    """Like ones, which differ in a number, once."""
+    """List the datasets; those that differ only in a number appear once."""
     if not there:
         return "is no dataset of frames (N, H, W, 3)"
     kinds = Counter(re.sub(r"\d+", "*", one) for one in there)
@@ -152,7 +159,7 @@ def _shape(shape: Iterable[int]) -> str:
 
 
 def hdf5_sequences(path: Path, name: str, wanted: str) -> list[Sequence]:
-    """A sequence for each dataset of the file that is meant, in natural order; DataError where there is none."""
+    """A sequence for each matching dataset of the file, in natural order; DataError if there is none."""
     there: dict[str, tuple[tuple[int, ...], str]] = {}
     with _opened_hdf5(path) as file:
 
@@ -166,7 +173,7 @@ def hdf5_sequences(path: Path, name: str, wanted: str) -> list[Sequence]:
 
 
 def hdf5_values(path: Path, dataset: str, start: int, count: int) -> Iterator[NDArray[Any] | DataError]:
-    """What the dataset holds for each frame of a range, or why that cannot be read."""
+    """The values of a dataset for each frame of a range, or the error that prevents reading them."""
     with _opened_hdf5(path) as file:
         if dataset not in file:
             raise DataError(f"Expected {dataset} in {path}, got none.")
@@ -190,7 +197,7 @@ def is_zarr(path: Path) -> bool:
 
 
 def zarr_sequences(path: Path, name: str, wanted: str) -> list[Sequence]:
-    """A sequence for each episode of each array that is meant; DataError where there is none, or its episodes do not fit."""
+    """A sequence for each episode of each matching array; DataError if there is none, or its episodes do not fit."""
     group = _opened_zarr(path)
     arrays = dict(_arrays(group))
     there = {one: (a.shape, str(a.dtype)) for one, a in arrays.items() if is_frames(a.shape, a.dtype)}
@@ -214,7 +221,7 @@ def zarr_sequences(path: Path, name: str, wanted: str) -> list[Sequence]:
 
 
 def zarr_values(path: Path, dataset: str, start: int, count: int) -> Iterator[NDArray[Any] | DataError]:
-    """What the array holds for each frame of a range, or why that cannot be read."""
+    """The values of an array for each frame of a range, or the error that prevents reading them."""
     array = dict(_arrays(_opened_zarr(path))).get(dataset)
     if array is None:
         raise DataError(f"Expected {dataset} in {path}, got none.")
@@ -227,7 +234,7 @@ def _opened_zarr(path: Path) -> Any:
         if path.suffix == ".zip":
             return zarr.open_group(zarr.storage.ZipStore(path, mode="r"), mode="r")
         return zarr.open_group(str(path), mode="r")
-    except Exception as problem:  # of a dozen kinds, by version of zarr
+    except Exception as problem:  # a dozen classes, depending on the version of zarr
         raise ContainerError(
             f"Cannot read {path} as a Zarr group: {problem}. It is damaged, or of another kind."
         ) from problem

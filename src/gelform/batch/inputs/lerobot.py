@@ -1,4 +1,4 @@
-"""Frames of a LeRobot data set (version 3.0): episodes one after the other in mp4 files or tables, listed in Parquet."""
+"""Frames of a LeRobot data set (version 3.0): consecutive episodes in mp4 files or tables, listed in Parquet."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from gelform.batch.inputs.containers import Sequence, matching
 from gelform.errors import DataError, needed
 
 PENALTY = "av1 yuv420p crf 30 moves depth in contact by 27 um, h264 yuv420p crf 23 by 38 um, h264 yuv444p crf 10 by 7 um"
-ROWS_AT_ONCE = 32  # of a table with images
+ROWS_AT_ONCE = 32  # rows of a table with images that are read at once
 INFO, STATS, EPISODES, VERSION = "meta/info.json", "meta/stats.json", "meta/episodes", "v3.0"
 
 
@@ -24,7 +24,7 @@ def is_lerobot_set(path: Path) -> bool:
 
 
 def lerobot_info(root: Path) -> dict[str, Any]:
-    """What `meta/info.json` says; DataError where it cannot be read, or is of another version."""
+    """The content of `meta/info.json`; DataError if it is unreadable or of another version."""
     try:
         info: dict[str, Any] = json.loads((root / INFO).read_bytes())
         version, _ = info["codebase_version"], (info["features"], info["fps"])
@@ -39,7 +39,7 @@ def lerobot_info(root: Path) -> dict[str, Any]:
 
 
 def lerobot_episodes(root: Path, columns: list[str]) -> list[dict[str, Any]]:
-    """Rows of `meta/episodes`, in the order of the episodes; DataError where they cannot be read or lack a column."""
+    """Rows of `meta/episodes`, ordered by episode; DataError if they are unreadable or lack a column."""
     parquet = needed("pyarrow.parquet", "lerobot", "LeRobot")
     pyarrow = needed("pyarrow", "lerobot", "LeRobot")
     rows: list[dict[str, Any]] = []
@@ -55,7 +55,7 @@ def lerobot_episodes(root: Path, columns: list[str]) -> list[dict[str, Any]]:
 
 
 def lerobot_sequences(root: Path, wanted: str) -> list[Sequence]:
-    """A sequence for each episode of each camera that is meant, of videos or of images; DataError where there is none."""
+    """A sequence for each episode of each matching camera, from videos or images; DataError if there is none."""
     info = lerobot_info(root)
     cameras = {
         key: (tuple(feature["shape"]), feature["dtype"])
@@ -82,7 +82,7 @@ def _is_depth(feature: dict[str, Any]) -> bool:
 
 
 def _in_videos(root: Path, info: dict[str, Any], key: str) -> Iterator[tuple[int, str, int, int]]:
-    """Of each episode: its number, the video below the data set, the first frame in it, and how many there are."""
+    """For each episode: number, video below the data set, its first frame in the video, number of frames."""
     chunk, file, begin = (f"videos/{key}/{name}" for name in ("chunk_index", "file_index", "from_timestamp"))
     for row in lerobot_episodes(root, ["episode_index", "length", chunk, file, begin]):
         path = info["video_path"].format(video_key=key, chunk_index=row[chunk], file_index=row[file])
@@ -90,7 +90,7 @@ def _in_videos(root: Path, info: dict[str, Any], key: str) -> Iterator[tuple[int
 
 
 def _in_tables(root: Path, info: dict[str, Any], key: str) -> Iterator[tuple[int, str, int, int]]:
-    """The same of a table: its rows are episodes one after the other."""
+    """The same for a table, whose rows are consecutive episodes."""
     columns = ["data/chunk_index", "data/file_index", "dataset_from_index"]
     first: dict[str, int] = {}
     for row in lerobot_episodes(root, ["episode_index", "length", *columns]):
@@ -103,9 +103,9 @@ _PLACES = {"video": _in_videos, "image": _in_tables}
 
 
 def compression_of(root: Path, key: str) -> str:
-    """Codec, pixels and quality of a camera's video in words, such as "av1 yuv420p crf 30"; empty where it has no loss.
+    """Codec, pixel format and quality of a camera's video, such as "av1 yuv420p crf 30"; empty if lossless.
 
-    LeRobot writes the images in its tables as PNG, without loss.
+    LeRobot stores the images in its tables as PNG, without loss.
     """
     feature = lerobot_info(root)["features"].get(key, {})
     if feature.get("dtype") == "image":
@@ -119,7 +119,7 @@ def compression_of(root: Path, key: str) -> str:
 
 
 def lossy_warnings(root: Path, sequences: Iterable[Sequence]) -> tuple[str, ...]:
-    """What each camera's compression costs, by measurement (`benchmarks/batch.py lossy`); nothing where it has no loss."""
+    """The measured cost of each camera's compression (`benchmarks/batch.py lossy`); nothing if it is lossless."""
     said = []
     for key in dict.fromkeys(one.dataset for one in sequences):
         if coded := compression_of(root, key):
@@ -133,9 +133,9 @@ def lossy_warnings(root: Path, sequences: Iterable[Sequence]) -> tuple[str, ...]
 def video_frames(
     path: Path, offset: int, start: int, count: int
 ) -> Iterator[tuple[float, NDArray[np.uint8]]]:
-    """Frames of an episode that begins at the frame `offset` of a video: seconds since then, and image (H, W, 3).
+    """Frames of an episode that starts at frame `offset` of a video: seconds since then, and image (H, W, 3).
 
-    Decoding begins at the key frame before the frame `start` of the episode. DataError where the video ends before.
+    Decoding starts at the key frame before frame `start` of the episode. DataError if the video ends earlier.
     """
     av = needed("av", "lerobot", "LeRobot")
     done = 0
@@ -163,10 +163,10 @@ def video_frames(
 def stored_images(
     path: Path, key: str, offset: int, start: int, count: int
 ) -> Iterator[tuple[float, NDArray[np.uint8] | DataError]]:
-    """Images of an episode that begins at the row `offset` of a table: seconds since then, and PNG or JPEG bytes (L,).
+    """Images of an episode that starts at row `offset` of a table: seconds since then, and PNG or JPEG bytes (L,).
 
-    Only the row groups and the columns that are needed are read. DataError where the table ends before, or is in another
-    order than the episodes' table says.
+    Only the needed row groups and columns are read. DataError if the table ends earlier, or its order contradicts the
+    table of episodes.
     """
     parquet = needed("pyarrow.parquet", "lerobot", "LeRobot")
     pyarrow = needed("pyarrow", "lerobot", "LeRobot")
@@ -177,7 +177,7 @@ def stored_images(
                 if row["frame_index"] != start + done:
                     raise DataError(
                         f"Expected frame {start + done} of an episode in row {offset + start + done} of {path}, got frame "
-                        f"{row['frame_index']}. The tables of the data set do not agree: make it anew."
+                        f"{row['frame_index']}. The tables of the data set do not agree: create it again."
                     )
                 yield float(row["timestamp"]), _bytes_of(row[key], path, start + done)
                 done += 1
@@ -190,7 +190,7 @@ def stored_images(
 
 
 def _rows(file: Any, first: int, count: int, columns: list[str]) -> Iterator[dict[str, Any]]:
-    """Rows of a range, of the row groups that it meets."""
+    """Rows of a range, from the row groups that overlap it."""
     lengths = [file.metadata.row_group(k).num_rows for k in range(file.num_row_groups)]
     ends = np.cumsum(lengths, dtype=np.int64)
     groups = [k for k, end in enumerate(ends) if end > first and end - lengths[k] < first + count]
@@ -204,8 +204,8 @@ def _rows(file: Any, first: int, count: int, columns: list[str]) -> Iterator[dic
 
 
 def _bytes_of(value: Any, path: Path, index: int) -> NDArray[np.uint8] | DataError:
-    """What a cell holds; LeRobot's images are {bytes, path}, of which the bytes count."""
+    """The bytes of a cell; LeRobot's images are {bytes, path}, of which only the bytes are used."""
     content = value.get("bytes") if isinstance(value, dict) else None
     if not content:
-        return DataError(f"Frame {index} in {path} has no bytes of an image. Record the data set anew.")
+        return DataError(f"Frame {index} in {path} has no bytes of an image. Record the data set again.")
     return np.frombuffer(content, dtype=np.uint8)

@@ -1,4 +1,4 @@
-"""Which frames there are: folders of images, videos and recordings, in natural order, none of them opened."""
+"""The list of frames: folders of images, videos and recordings, in natural order; no file is opened."""
 
 from __future__ import annotations
 
@@ -35,10 +35,10 @@ class Listing:
 
     Attributes
     ----------
-    root : the folder; what the sequences' names start from
-    sequences : in the order in which they are done
+    root : the folder that the sequences' names are relative to
+    sequences : in the order of the work
     searched : whether every folder below `root` belongs to the input
-    warnings : what the user should know of it
+    warnings : messages about the input for the user
     """
 
     root: Path
@@ -48,7 +48,7 @@ class Listing:
 
     @property
     def digest(self) -> str:
-        """SHA-256 of all names: another one means that files came, went or were renamed."""
+        """SHA-256 of all names; it changes when files are added, removed or renamed."""
         sha = hashlib.sha256()
         for sequence in self.sequences:
             inside = (sequence.dataset, str(sequence.offset), str(sequence.count)) if sequence.dataset else ()
@@ -59,23 +59,22 @@ class Listing:
 def listing_of(
     source: str | os.PathLike[str], *, leave_out: Collection[Path] = (), dataset: str = ""
 ) -> Listing:
-    """List what a batch is to work on.
+    """List the frames of a batch.
 
     Parameters
     ----------
     source : a folder (with all folders below it), a video, a recording, an image, or a pattern such as "day*/*.png",
         where ** stands for any number of folders; an HDF5 file, a Zarr store, a LeRobot data set (version 3.0)
-    leave_out : files that are no frames of it, such as the background
-    dataset : which of HDF5's or Zarr's datasets, or LeRobot's cameras; * stands for one name ("data/*/obs/gelsight").
-        Where it is given, the HDF5 files and Zarr stores in a folder are read and nothing else
+    leave_out : files to exclude, such as the background
+    dataset : datasets of HDF5 or Zarr, or cameras of LeRobot; * matches one name ("data/*/obs/gelsight"). With it, only the
+        HDF5 files and Zarr stores of a folder are read
 
-    Hidden files, and what is neither image, video nor recording, are passed over; folders that are links are not
-    entered.
+    Hidden files and other kinds of files are skipped; folders that are links are not entered.
 
     Raises
     ------
     DataError
-        There is no such thing, it cannot be read, or holds no frames.
+        The source is missing, unreadable, or contains no frames.
     """
     path, hidden = check_path(source), {os.path.realpath(one) for one in leave_out}
     if is_lerobot_set(path):
@@ -109,7 +108,7 @@ def listing_of(
 
 
 def is_container(path: Path) -> bool:
-    """Whether a path is an HDF5 file or a Zarr store, which hold frames at a path inside."""
+    """Whether a path is an HDF5 file or a Zarr store, which hold frames under a path inside."""
     return path.suffix.lower() in HDF5_SUFFIXES or is_zarr(path)
 
 
@@ -118,7 +117,7 @@ def _in_container(path: Path, name: str, dataset: str) -> list[Sequence]:
 
 
 def _among_others(path: Path, name: str, dataset: str) -> list[Sequence]:
-    """The same; of several, one that cannot be read is a sequence whose only row says why."""
+    """The same; if one of several is unreadable, it becomes a sequence whose only row holds the error."""
     try:
         return _in_container(path, name, dataset)
     except ContainerError:
@@ -138,12 +137,12 @@ def _containers_in_tree(root: Path, dataset: str) -> Iterator[Sequence]:
 
 
 def _begin(pattern: Path) -> Path:
-    """The folder below which a pattern searches: names do not depend on how much there matches."""
+    """The folder below which a pattern searches; names do not depend on the number of matches."""
     return Path(*takewhile(lambda one: not glob.has_magic(one), _absolute(pattern).parent.parts))
 
 
 def _of_found(found: list[Path], hidden: set[str], dataset: str, root: Path) -> Listing:
-    """What a pattern matched."""
+    """The listing of a pattern's matches."""
     if not dataset:
         return _of_files(found, hidden, root)
     paths = sorted(
@@ -154,7 +153,7 @@ def _of_found(found: list[Path], hidden: set[str], dataset: str, root: Path) -> 
 
 
 def _in_tree(root: Path, hidden: set[str]) -> Iterator[Sequence]:
-    """Folder by folder, each before those in it."""
+    """Folder by folder, each before its subfolders."""
     folders = [root]
     while folders:
         folder = folders.pop()
@@ -170,7 +169,7 @@ def _in_tree(root: Path, hidden: set[str]) -> Iterator[Sequence]:
 
 
 def _entries(folder: Path) -> tuple[list[str], list[str]]:
-    """Names of the files and the folders in a folder."""
+    """Names of the files and of the folders in a folder."""
     files: list[str] = []
     folders: list[str] = []
     try:
@@ -180,7 +179,7 @@ def _entries(folder: Path) -> tuple[list[str], list[str]]:
                     (folders if entry.is_dir(follow_symlinks=False) else files).append(entry.name)
     except OSError as problem:
         raise DataError(
-            f"Cannot list {folder}: {problem.strerror}. Allow it to be read, or give the folders beside it."
+            f"Cannot list {folder}: {problem.strerror}. Allow reading it, or give the other folders."
         ) from problem
     return files, folders
 
@@ -196,7 +195,7 @@ def _of_folder(name: str, folder: Path, files: Iterable[str]) -> Iterator[Sequen
 
 
 def _of_files(paths: Iterable[Path], hidden: set[str], root: Path) -> Listing:
-    """Files and folders of recordings, grouped by the folder that they are in."""
+    """Files and folders of recordings, grouped by their parent folder."""
     wanted = [path for path in map(_absolute, paths) if os.path.realpath(path) not in hidden]
     wanted = [path for path in wanted if _is_frames(path)]
     inside: dict[Path, list[str]] = {}

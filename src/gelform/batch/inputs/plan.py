@@ -1,4 +1,4 @@
-"""A listing in parts: the pieces of work that are done, recorded and repeated as wholes."""
+"""A listing split into parts: the units that are done, recorded and repeated as a whole."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ from gelform.errors import DataError
 
 @dataclass(frozen=True)
 class Part:
-    """Some images of a sequence, or all of a video or a recording; small, so that it can be sent to another process.
+    """Some images of a sequence, or a whole video or recording; small, so that it can be sent to another process.
 
     Attributes
     ----------
-    number : its place in the plan, from 0; it belongs to no shard
-    sequence : the name of the sequence that it is a part of
+    number : its position in the plan, from 0; independent of shards
+    sequence : the name of its sequence
     path : the folder of its images, the video, or the recording
-    start : place of its first image in the sequence
+    start : position of its first image in the sequence
     images : names of its images; empty for a video or a recording
-    names : what each image's output is called, without its ending
-    first : the first images of the sequence, where they make its background
-    total : frames of the whole sequence; 0 where they are not counted yet
-    dataset, offset : where the sequence is in a larger file (see `Sequence`); empty for images, videos and recordings
+    names : name of each image's output, without ending
+    first : the first images of the sequence, if they make its background
+    total : frames of the whole sequence; 0 if not counted yet
+    dataset, offset : place of the sequence in a larger file (see `Sequence`); empty for images, videos and recordings
     count : frames of such a part
-    rate_hz : frames a second of a LeRobot data set; else 0
+    rate_hz : frames per second of a LeRobot data set; else 0
     """
 
     number: int
@@ -50,17 +50,17 @@ class Part:
 
     @property
     def frames(self) -> int:
-        """How many there are in the part; 0 where they are not counted yet."""
+        """Number of frames in the part; 0 if not counted yet."""
         return len(self.images) or self.count
 
     def input_digest(self) -> str:
-        """SHA-256 of its files' names and sizes: another one means that a file was replaced, and the part is done again."""
+        """SHA-256 of its files' names and sizes; if a file was replaced, it differs and the part is done again."""
         sha = hashlib.sha256(os.fsencode(self.sequence))
         for path in self._files():
             try:
                 size = os.stat(path).st_size
             except OSError:
-                size = -1  # reading it says why
+                size = -1  # reading it gives the error
             sha.update(os.fsencode(f"\n{os.path.basename(path)} {size}"))
         sha.update(
             os.fsencode(f"\n{self.dataset} {self.offset} {self.start} {self.count}") if self.dataset else b""
@@ -68,7 +68,7 @@ class Part:
         return sha.hexdigest()
 
     def _files(self) -> list[str]:
-        """As text: there may be millions."""
+        """Paths as text, because there may be millions."""
         folder = os.fspath(self.path)
         if self.images:
             return [f"{folder}/{one}" for one in (*self.first, *self.images)]
@@ -78,7 +78,7 @@ class Part:
 
 
 def plan_of(listing: Listing, part_frames: int, background_frames: int = 0) -> list[Part]:
-    """All parts, of so many images at most, in the order of the listing; with the first frames that make a background."""
+    """All parts with at most `part_frames` images, in the order of the listing, with the first frames for a background."""
     parts: list[Part] = []
     for sequence in listing.sequences:
         pieces = _ranges if sequence.dataset else _pieces
@@ -91,7 +91,7 @@ def plan_of(listing: Listing, part_frames: int, background_frames: int = 0) -> l
 
 
 def shard_of(parts: Several[Part], shard: tuple[int, int]) -> list[Part]:
-    """The parts of shard i of N, counted from 1 (DataError): every N-th, so that long sequences are spread."""
+    """The parts of shard i of N, counted from 1: every N-th, which spreads long sequences. DataError if out of range."""
     number, count = shard
     if not 1 <= number <= count:
         raise DataError(f"Expected a shard from 1/{count} to {count}/{count}, got {number}/{count}.")
@@ -99,7 +99,7 @@ def shard_of(parts: Several[Part], shard: tuple[int, int]) -> list[Part]:
 
 
 def _pieces(sequence: Sequence, part_frames: int) -> Iterator[dict[str, Any]]:
-    """Of images, or all of a film; a name is the stem, where no other image of the sequence has the same."""
+    """Pieces of a folder of images, or a whole video. A name is the file's stem if that is unique in the sequence."""
     if not sequence.images:
         yield {}
     stems = [os.path.splitext(one)[0] for one in sequence.images]
@@ -115,7 +115,7 @@ def _pieces(sequence: Sequence, part_frames: int) -> Iterator[dict[str, Any]]:
 
 
 def _ranges(sequence: Sequence, part_frames: int) -> Iterator[dict[str, Any]]:
-    """Of a dataset; one that cannot be read is one part, which says why."""
+    """Ranges of a dataset; an unreadable dataset is one part, whose reading gives the error."""
     inside = {"dataset": sequence.dataset, "offset": sequence.offset, "rate_hz": sequence.rate_hz}
     for start in range(0, max(1, sequence.count), part_frames):
         yield {**inside, "start": start, "count": min(part_frames, sequence.count - start)}

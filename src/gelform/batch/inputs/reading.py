@@ -1,4 +1,4 @@
-"""The frames of a part, each with its name or with why it cannot be read, and the untouched gel of a sequence."""
+"""The frames of a part, each with its name or its error, and the background image of a sequence."""
 
 from __future__ import annotations
 
@@ -26,20 +26,20 @@ from gelform.sensors.source import open_source
 from gelform.view import image_from_frame
 
 BACKGROUND_COLUMNS = ("sequence", "background")
-MOST_NAMED = 3  # sequences, in a message
+MOST_NAMED = 3  # sequences that a message names at most
 
 
 @dataclass(frozen=True)
 class NamedFrame:
-    """A frame of a sequence, or why there is none.
+    """A frame of a sequence, or its error.
 
     Attributes
     ----------
-    name : of its output, without ending
-    index : its place in the sequence, from 0
-    frame : None where it cannot be read; images of a folder have no times
-    error : why; empty where there is a frame
-    timed : whether the frame's times are those of its recording
+    name : name of its output, without ending
+    index : its position in the sequence, from 0
+    frame : None if it is unreadable; images of a folder have no times
+    error : the reason; empty if there is a frame
+    timed : whether the frame has the times of its recording
     """
 
     name: str
@@ -50,7 +50,7 @@ class NamedFrame:
 
 
 def frames_of_part(part: Part) -> Iterator[NamedFrame]:
-    """The frames of a part in their order; a video ends with the first that cannot be read."""
+    """The frames of a part in order; a video ends at its first unreadable frame."""
     if part.images:
         yield from _images(part.path, part.images, part.names, part.start)
     elif part.dataset:
@@ -69,9 +69,9 @@ def image_of_calibration(frame: Frame, calibration: Calibration) -> NDArray[Any]
 
 
 def background_of_sequence(part: Part, count: int, calibration: Calibration) -> NDArray[Any]:
-    """The average (H, W, 3) of the first frames of a part's sequence that can be read.
+    """The average (H, W, 3) of the first readable frames of a part's sequence.
 
-    DataError where none can, one is of another size, or they differ: something touches the gel in them.
+    DataError if none is readable, one has another size, or they differ because something touches the gel.
     """
     first = list(islice(_from_the_first(part, count), count))
     images = [image_of_calibration(one.frame, calibration) for one in first if one.frame is not None]
@@ -85,14 +85,14 @@ def background_of_sequence(part: Part, count: int, calibration: Calibration) -> 
 
 
 def _from_the_first(part: Part, count: int) -> Iterator[NamedFrame]:
-    """Frames of a part's sequence from its beginning."""
+    """Frames of a part's sequence from its start."""
     if part.images:
         return _images(part.path, part.first, part.first, 0)
     return _dataset(part, 0, min(count, part.total)) if part.dataset else _film(part.path)
 
 
 def _dataset(part: Part, start: int, count: int) -> Iterator[NamedFrame]:
-    """Frames of a sequence in a larger file, each with what it is or why it cannot be read."""
+    """Frames of a sequence in a larger file, each with its image or its error."""
     index, timed = start, part.rate_hz > 0
     try:
         for seconds, values in _values(part, start, count):
@@ -139,12 +139,12 @@ def _film(path: Path) -> Iterator[NamedFrame]:
 
 @dataclass(frozen=True)
 class Backgrounds:
-    """Files of the untouched gel.
+    """Files of the gel at rest.
 
     Attributes
     ----------
-    of_all : an image or a folder of several, of every sequence; None where there is none
-    by_sequence : the same for each sequence, where a table names them
+    of_all : an image or a folder of several, for every sequence; or None
+    by_sequence : the same for each sequence that a table names
     """
 
     of_all: Path | None = None
@@ -152,11 +152,11 @@ class Backgrounds:
 
     @property
     def files(self) -> list[Path]:
-        """All of them."""
+        """All files."""
         return [*self.by_sequence.values()] + ([] if self.of_all is None else [self.of_all])
 
     def read(self, sequences: Collection[str], calibration: Calibration) -> tuple[NDArray[Any] | None, str]:
-        """The image (H, W, 3) of all sequences, if it is one, and a digest of all; DataError for odd sequences."""
+        """The image (H, W, 3) for all sequences, if there is one, and a digest of all; DataError for unknown sequences."""
         if self.of_all is not None:
             image = background_of_file(self.of_all, calibration)
             return image, background_digest(image)
@@ -174,9 +174,9 @@ class Backgrounds:
 
 
 def backgrounds_of(path: Path | None) -> Backgrounds:
-    """What `--background` means: an image, a folder of several, or a CSV table of `sequence,background` (DataError).
+    """Read `--background`: an image, a folder of several, or a CSV table of `sequence,background` (DataError if neither).
 
-    A table's paths start from its own folder; sequences are named as in the table that the batch writes.
+    Paths in a table are relative to its folder; sequences have their names in the batch's own table.
     """
     if path is None or path.suffix.lower() != ".csv":
         return Backgrounds(path)
@@ -197,7 +197,7 @@ def backgrounds_of(path: Path | None) -> Backgrounds:
 
 
 def background_of_file(path: Path, calibration: Calibration) -> NDArray[Any]:
-    """The image (H, W, 3) of the untouched gel, through the calibration's view; DataError where it cannot be."""
+    """The background image (H, W, 3) from a file, through the calibration's view; DataError if that fails."""
     try:
         return image_of_calibration(Frame(read_background(path), 0.0, 0, 0), calibration)
     except GelformError as problem:

@@ -1,1 +1,1 @@
-"""What a batch writes: the maps of a result, and one file for each form they are written in."""
+"""The output of a batch: the maps of a result, and one module for each form of files."""

@@ -1,4 +1,4 @@
-"""Where a part's outputs go, what is recorded of each file, and the maps of a result as they are written."""
+"""Paths of a part's outputs, the record of each file, and the maps of a result as they are written."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ from gelform.reconstruction import Reconstruction
 from gelform.reconstruction.maps import KEPT_MAPS, MAPS, ResultMap
 
 FRAMES, PARTS = "frames", "parts"
-FLUSHED_AT_ONCE = 4  # threads that wait for the disk
+FLUSHED_AT_ONCE = 4  # threads that flush files to the disk
 LEVELS = {"unit": "mm", "scale_factor": MM_PER_LEVEL, "add_offset": -ZERO_LEVEL * MM_PER_LEVEL}
 Maps = Mapping[str, NDArray[Any]]
 
 
 @dataclass(frozen=True)
 class PartTarget:
-    """What a writer has to know of a part.
+    """The data about a part that a writer needs.
 
     Attributes
     ----------
     output : folder of the batch
-    part : whose frames come
+    part : the part to write
     settings : of the batch
     shape : (H, W) of the maps
     facts : of the calibration, for the files' attributes: mm_per_px and calibration_digest
@@ -50,23 +50,23 @@ class PartTarget:
 
     @property
     def folder(self) -> Path:
-        """Of the part's sequence."""
+        """The folder of the part's sequence."""
         return self.output / FRAMES / self.part.sequence
 
     def name_of(self, path: Path) -> str:
-        """A path as records and the table have it."""
+        """A path in the form of the records and the table."""
         return path.relative_to(self.output).as_posix()
 
     def write(self, path: Path, content: bytes) -> OutputFile:
-        """Write a file whole or not at all."""
+        """Write a file completely or not at all."""
         return write_output(self.output, path, content)
 
 
 class FlushedLater:
-    """Files that are flushed to the disk beside the work; a context manager, whose block ends when the disk has them all.
+    """Flushes files to the disk in the background; the end of the context waits until the disk has them all.
 
-    A worker would wait for the disk after every frame. What a loss of power takes before is a part without its record, which
-    is done again. DataError where the disk has not taken one of them.
+    Otherwise a worker would wait for the disk after every frame. If power fails before, the part has no record and is done
+    again. DataError if the disk rejected a file.
     """
 
     def __init__(self, output: Path) -> None:
@@ -75,7 +75,7 @@ class FlushedLater:
         self._files: list[Future[None]] = []
 
     def write(self, path: Path, content: bytes) -> OutputFile:
-        """Write a file whole or not at all; the folders above it are made."""
+        """Write a file completely or not at all; makes its folders."""
         written = write_output(self._output, path, content, flushed=False)
         self._files.append(self._flushing.submit(_flush, path))
         return written
@@ -102,7 +102,7 @@ def _flush(path: Path) -> None:
 
 @dataclass(frozen=True)
 class OutputFile:
-    """A file that a part wrote: its path below the output, bytes, and SHA-256."""
+    """A file that a part wrote: its path below the output, size in bytes, and SHA-256."""
 
     path: str
     bytes: int
@@ -110,7 +110,7 @@ class OutputFile:
 
 
 def write_output(output: Path, path: Path, content: bytes, *, flushed: bool = True) -> OutputFile:
-    """Write a file below an output whole or not at all (DataError), and the folders above it."""
+    """Write a file below an output completely or not at all (DataError); makes its folders."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with written_file(path, overwrite=True, flushed=flushed) as file:
         file.write(content)
@@ -119,7 +119,7 @@ def write_output(output: Path, path: Path, content: bytes, *, flushed: bool = Tr
 
 
 def output_file(output: Path, path: Path) -> OutputFile:
-    """Of a file that is there."""
+    """The entry of an existing file."""
     sha, size = hashlib.sha256(), 0
     with path.open("rb") as file:
         while piece := file.read(1 << 20):
@@ -133,8 +133,8 @@ class PartWriter(AbstractContextManager["PartWriter"]):
 
     Attributes
     ----------
-    files : those that hold several frames, whole when the block has ended well. Where the block ends by an exception,
-        nothing half-written is left under its name.
+    files : files with several frames, complete once the context ended without an error. After an exception no partial file
+        has its final name.
     """
 
     def __init__(self, target: PartTarget) -> None:
@@ -142,29 +142,29 @@ class PartWriter(AbstractContextManager["PartWriter"]):
         self._target = target
 
     def prepared(self, result: Reconstruction) -> Any:
-        """What `add` takes; raises what the result itself forbids, such as depth beyond 16 bits (DataError)."""
+        """The argument of `add`; raises DataError for a result that the form cannot hold, such as depth beyond 16 bits."""
         return maps_of(result, self._target.settings)
 
     @abstractmethod
     def add(self, name: str, index: int, prepared: Any | None) -> dict[str, Any]:
-        """Write the next frame, None where it has an error; raises DataError where it cannot be written.
+        """Write the next frame, or None for a frame with an error; DataError if it cannot be written.
 
-        Gives what the row says: output, and bytes and sha256 where that is a file of its own.
+        Returns the row's columns: output, and bytes and sha256 if the frame has its own file.
         """
 
     @abstractmethod
     def __exit__(self, *error: Any) -> None:
-        """Leave whole files, or none."""
+        """Finish complete files, or leave none."""
 
     def _row(self, path: Path, prepared: Any | None) -> dict[str, Any]:
-        """Of a frame in a file of several."""
+        """The row of a frame in a shared file."""
         return {} if prepared is None else {"output": self._target.name_of(path)}
 
 
 class RememberingFile:
-    """A file for libraries in C that lose or only print why a write failed.
+    """A file for C libraries that lose the reason of a failed write or only print it.
 
-    The first error is kept for `check`; what is written after it goes nowhere.
+    The first error is kept for `check`; later writes are ignored.
     """
 
     def __init__(self, file: BinaryIO) -> None:
@@ -172,36 +172,36 @@ class RememberingFile:
         self._problem: OSError | None = None
 
     def check(self) -> None:
-        """Raise the OSError that a write met."""
+        """Raise the OSError of a failed write."""
         if self._problem is not None:
             raise self._problem
 
     def write(self, content: Any) -> int:
-        """All of it, or nothing after an error."""
+        """Write everything, or nothing after an error."""
         return int(self._tried(self._file.write, content, otherwise=len(content)))
 
     def seek(self, offset: int, whence: int = 0) -> int:
-        """As of a file; writes what was buffered."""
+        """As a file's method; first writes the buffer."""
         return int(self._tried(self._file.seek, offset, whence, otherwise=offset))
 
     def truncate(self, size: int | None = None) -> int:
-        """As of a file."""
+        """As a file's method."""
         return int(self._tried(self._file.truncate, size, otherwise=size or 0))
 
     def flush(self) -> None:
-        """As of a file."""
+        """As a file's method."""
         self._tried(self._file.flush, otherwise=None)
 
     def tell(self) -> int:
-        """As of a file."""
+        """As a file's method."""
         return int(self._tried(self._file.tell, otherwise=0))
 
     def read(self, size: int = -1) -> bytes:
-        """As of a file."""
+        """As a file's method."""
         return bytes(self._tried(self._file.read, size, otherwise=b""))
 
     def readinto(self, buffer: Any) -> int:
-        """As of a file."""
+        """As a file's method."""
         return int(self._tried(self._file.readinto, buffer, otherwise=0))  # type: ignore[attr-defined]
 
     def _tried(self, action: Callable[..., Any], *args: Any, otherwise: Any) -> Any:
@@ -214,9 +214,9 @@ class RememberingFile:
 
 
 def maps_of(result: Reconstruction, settings: BatchSettings) -> dict[str, NDArray[Any]]:
-    """The kept maps by their names in files, (H, W) or with axes behind; depth as uint16 levels where the settings say so.
+    """The kept maps by name, (H, W) or with trailing axes; depth as uint16 levels if the settings say so.
 
-    DataError for depth beyond 16 bits, or a map that this calibration does not give.
+    DataError for depth beyond 16 bits, or a map that this calibration does not provide.
     """
     if settings.dtype == "uint16":
         return {"depth_mm": levels_from_depth(result.depth_mm, result.known)}
@@ -224,7 +224,7 @@ def maps_of(result: Reconstruction, settings: BatchSettings) -> dict[str, NDArra
 
 
 def blank_maps(settings: BatchSettings, shape: tuple[int, int]) -> dict[str, NDArray[Any]]:
-    """The maps of a frame that could not be done: NaN, False, or level 0, which means unknown."""
+    """The maps of a frame with an error: NaN, False, or level 0, which means unknown."""
     if settings.dtype == "uint16":
         return {"depth_mm": np.full(shape, UNKNOWN, dtype=np.uint16)}
     blank = {"bool": False, "float32": np.nan}
@@ -232,16 +232,16 @@ def blank_maps(settings: BatchSettings, shape: tuple[int, int]) -> dict[str, NDA
 
 
 def attributes_of(name: str, settings: BatchSettings) -> dict[str, Any]:
-    """Unit of a map, and how levels are turned to mm: scale_factor x level + add_offset, the names of the CF conventions."""
+    """Unit of a map, and conversion of levels to mm: scale_factor x level + add_offset, as in the CF conventions."""
     if settings.dtype == "uint16":
         return dict(LEVELS)
     return {"unit": MAPS[name].unit}
 
 
 def facts_of(result: Reconstruction) -> dict[str, Any]:
-    """Deepest point (mm, and its pixel), area (mm^2) and volume (mm^3) of all contacts, their number, findings' names.
+    """Deepest point (mm, and its pixel), area (mm^2) and volume (mm^3) of all contacts, their number, names of findings.
 
-    Where depth is known in no pixel all but the names are left out.
+    If depth is known in no pixel, only the names are given.
     """
     health = " ".join(dict.fromkeys(finding.name for finding in result.health))
     if not result.known.any():
@@ -260,7 +260,7 @@ def facts_of(result: Reconstruction) -> dict[str, Any]:
 
 
 def check_names(sequences: Iterable[str], settings: BatchSettings) -> None:
-    """Refuse (DataError) folders that are called as the arrays beside them would be."""
+    """Refuse (DataError) folders with the names of arrays next to them."""
     if settings.form not in ("zarr", "hdf5"):
         return
     arrays = {one.name for one in KEPT_MAPS.values()}

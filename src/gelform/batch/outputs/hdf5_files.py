@@ -1,7 +1,7 @@
-"""HDF5: one file per part, and one that shows each sequence as a whole.
+"""HDF5: one file per part, and one file that presents each sequence as a whole.
 
-`frames/<sequence>/<first frame>.h5` has a dataset per map, one compressed chunk per frame. `frames.h5`, written when all
-parts are done, has a group per sequence whose datasets are virtual: they point into the parts' files.
+`frames/<sequence>/<first frame>.h5` has a dataset per map, with one compressed chunk per frame. `frames.h5` is written when
+all parts are done. It has a group per sequence with virtual datasets that refer to the parts' files.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ from gelform.errors import needed
 from gelform.foundations.npz_files import written_file
 
 INDEX = "frames.h5"
-COMPRESSION = {"compression": "gzip", "compression_opts": 1, "shuffle": True}  # what every reader of HDF5 has
+COMPRESSION = {"compression": "gzip", "compression_opts": 1, "shuffle": True}  # every HDF5 reader knows it
 
 
 class Hdf5Files(PartWriter):
-    """Writes a part's file frame by frame; it takes its name when the part is done."""
+    """Writes a part's file frame by frame; the file gets its name when the part is done."""
 
     def __init__(self, target: PartTarget) -> None:
         super().__init__(target)
@@ -44,10 +44,10 @@ class Hdf5Files(PartWriter):
         self._count = 0
 
     def add(self, name: str, index: int, prepared: Maps | None) -> dict[str, Any]:
-        """Write a frame's maps; NaN, False or level 0 where it has an error."""
+        """Write a frame's maps; NaN, False or level 0 for a frame with an error."""
         for map_name, values in (prepared or self._blank).items():
             dataset = self._file[map_name]
-            if self._count == len(dataset):  # of a video, whose frames were not counted
+            if self._count == len(dataset):  # for a video, whose frames were not counted
                 dataset.resize(self._count + 1, axis=0)
             dataset[self._count] = values
         self._handle.check()
@@ -84,18 +84,18 @@ def write_hdf5_index(output: Path, files: list[str], source: Path) -> None:
 
 
 def no_hdf5_index(output: Path) -> bool:
-    """Whether that file is not there."""
+    """Whether that file is missing."""
     return not (output / INDEX).is_file()
 
 
 def wrong_hdf5_index(output: Path, files: list[str]) -> Path | None:
-    """That file, where it is missing or has other bytes now."""
+    """The path of that file if it is missing or its bytes have changed."""
     path = output / INDEX
     return None if path.is_file() and path.read_bytes() == hdf5_index(output, files) else path
 
 
 def hdf5_index(output: Path, files: list[str]) -> bytes:
-    """The file of all sequences: virtual datasets, which name the parts' files relative to it."""
+    """The file of all sequences: virtual datasets with relative paths of the parts' files."""
     h5py, content = needed("h5py", "hdf5", "HDF5"), io.BytesIO()
     sequences: dict[str, list[str]] = {}
     for name in files:
@@ -122,6 +122,6 @@ def _add_sequence(h5py: Any, group: Any, output: Path, files: list[str]) -> None
 
 
 def read_hdf5(path: Path, index: int) -> NDArray[Any] | None:
-    """Depth of a frame, or its levels, back from the part's file."""
+    """Depth of a frame, or its levels, read back from the part's file."""
     with needed("h5py", "hdf5", "HDF5").File(path, "r") as file:
         return np.asarray(file["depth_mm"][index - int(path.stem)]) if "depth_mm" in file else None

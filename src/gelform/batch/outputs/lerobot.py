@@ -1,9 +1,9 @@
-"""A LeRobot data set (version 3.0) with depth: the input's files, copied, and a video of depth for each episode.
+"""A LeRobot data set (version 3.0) with depth: copies of the input's files, and a depth video for each episode.
 
-The videos are HEVC of 12 bits without loss. `frames/` of the output is the data set. `meta/info.json`, without which
-LeRobot finds none, comes last. LeRobot reads 12-bit codes as `depth_min + code / 4095 x (depth_max - depth_min)` metres and
-rounds to whole mm. With 0 and 4.095 m a code is its number of "mm", which here are um: v = 1000 + depth in um comes back as
-it went in, up to 3.095 mm.
+The videos are lossless 12-bit HEVC. The data set is in `frames/` of the output. `meta/info.json` is written last, because
+LeRobot finds no data set without it. LeRobot reads 12-bit codes as `depth_min + code / 4095 x (depth_max - depth_min)`
+meters and rounds to whole mm. With 0 and 4.095 m a code equals its number of "mm", which are um here: v = 1000 + depth
+in um is recovered exactly, up to 3.095 mm.
 (LeRobot's own logarithmic default reaches 9 mm, in steps of 1.5 to 4 um.)
 """
 
@@ -35,16 +35,16 @@ from gelform.robots.lerobot_depth import (
     lerobot_levels_from_depth,
 )
 
-SUFFIX = "_depth"  # of the feature, as of the camera's
-MAX_CODE = 4095  # of 12 bits
+SUFFIX = "_depth"  # the depth feature's name ends so, after the camera's
+MAX_CODE = 4095  # largest 12-bit code
 FILES_IN_A_CHUNK = 1000  # LeRobot's own default
-EPISODES = "lerobot"  # folder beside the records of parts: what the tables are to say of each episode
+EPISODES = "lerobot"  # folder next to the records of parts: entries of each episode for the tables
 VIDEO_PATH = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
 QUANTILES = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
 LISTED = f"{PARTS}/{EPISODES}/files.json"
-Episodes = dict[str, dict[int, dict[str, Any]]]  # camera -> episode -> what its part said
+Episodes = dict[str, dict[int, dict[str, Any]]]  # camera -> episode -> entries of its part
 X265 = "lossless=1"
-KEY_FRAMES = 2  # every other frame, as LeRobot's own videos: any frame is quick to reach
+KEY_FRAMES = 2  # distance of key frames, as in LeRobot's own videos, for quick access to any frame
 CODEC = Codec(
     "libx265",
     "gray12le",
@@ -77,7 +77,7 @@ class LerobotVideo(VideoWriter):
         return levels
 
     def add(self, name: str, index: int, prepared: NDArray[np.uint16] | None) -> dict[str, Any]:
-        """Encode the next frame; level 0, unknown, where it has an error."""
+        """Encode the next frame; level 0 (unknown) for a frame with an error."""
         if prepared is None:
             self._counts[0] += np.prod(self._target.shape)
         else:
@@ -98,7 +98,7 @@ class LerobotVideo(VideoWriter):
             self.files.append(self._target.write(path, json.dumps(facts).encode()))
 
     def _feature(self) -> dict[str, Any]:
-        """What `meta/info.json` says of the depth: LeRobot's entries, and where it comes from."""
+        """The entry of the depth in `meta/info.json`: LeRobot's keys, and the origin of the depth."""
         height, width = self._target.shape
         video = {"height": height, "width": width, "codec": "hevc", "pix_fmt": CODEC.pix_fmt, "channels": 1}
         encoder = {
@@ -118,7 +118,7 @@ class LerobotVideo(VideoWriter):
 
 
 def episode_of(sequence: str) -> tuple[str, int]:
-    """The camera and the episode that a sequence of a LeRobot data set is named for; DataError where it is none."""
+    """The camera and the episode in the name of a LeRobot sequence; DataError for another name."""
     key, found, number = sequence.rpartition("/episode_")
     if not (key and found and number.isdecimal()):
         raise DataError(
@@ -133,13 +133,13 @@ def place_of_video(episode: int) -> tuple[int, int]:
 
 
 def video_path(key: str, episode: int) -> str:
-    """Of an episode's video, below the data set."""
+    """The path of an episode's video below the data set."""
     chunk, file = place_of_video(episode)
     return VIDEO_PATH.format(video_key=key, chunk_index=chunk, file_index=file)
 
 
 def statistics(counts: NDArray[np.int64], frames: int) -> dict[str, float]:
-    """Least, greatest, mean, standard deviation, number of frames and quantiles of levels that were counted."""
+    """Minimum, maximum, mean, standard deviation, number of frames and quantiles, from the counts of levels."""
     levels, total = np.arange(len(counts)), max(1, int(counts.sum()))
     there = np.flatnonzero(counts)
     if not len(there):
@@ -158,7 +158,7 @@ def statistics(counts: NDArray[np.int64], frames: int) -> dict[str, float]:
 
 
 def check_lerobot_source(source: Path, keys: set[str]) -> None:
-    """Refuse (DataError) an input to which no depth can be added, before anything is done."""
+    """Refuse (DataError), before any work, an input to which depth cannot be added."""
     if not (source / INFO).is_file():
         raise DataError(
             f"Expected a LeRobot data set as input of the format lerobot, got {source}, which has no {INFO}. Write "
@@ -173,7 +173,7 @@ def check_lerobot_source(source: Path, keys: set[str]) -> None:
 
 
 def write_lerobot_set(output: Path, files: list[str], source: Path) -> None:
-    """Write all of the data set but the depth videos, which the parts wrote; nothing in the source is changed."""
+    """Write all of the data set except the depth videos, which the parts wrote; the source stays unchanged."""
     episodes, root, done = _episodes(output, files), output / FRAMES, []
     for path in _to_copy(source):
         done.append(_copied(source / path, root / path, output))
@@ -191,7 +191,7 @@ def write_lerobot_set(output: Path, files: list[str], source: Path) -> None:
 
 
 def set_files(output: Path) -> list[OutputFile]:
-    """What `write_lerobot_set` wrote; nothing where it did not end."""
+    """The files of `write_lerobot_set`; empty if it did not finish."""
     try:
         return [OutputFile(**one) for one in json.loads((output / LISTED).read_bytes())]
     except (OSError, ValueError, TypeError):
@@ -199,18 +199,18 @@ def set_files(output: Path) -> list[OutputFile]:
 
 
 def names_of_set(output: Path) -> set[str]:
-    """Their paths below the output."""
+    """The paths of these files below the output."""
     return {one.path for one in set_files(output)}
 
 
 def set_is_missing(output: Path) -> bool:
-    """Whether one of them is not there in its full size."""
+    """Whether one of these files is missing or has another size."""
     files = set_files(output)
     return not files or any(not _has_size(output / one.path, one.bytes) for one in files)
 
 
 def wrong_file_of_set(output: Path, files: list[str]) -> Path | None:
-    """The first of those files that is missing or was altered, or their list."""
+    """The first of these files that is missing or changed, or their list."""
     written = set_files(output)
     for file in written:
         try:
@@ -239,7 +239,7 @@ def _episodes(output: Path, files: list[str]) -> Episodes:
 
 
 def _to_copy(source: Path) -> Iterator[Path]:
-    """Every file of the data set that stays as it is, below its root; hidden ones are no part of it."""
+    """Every file of the data set to copy unchanged, below its root; hidden files are skipped."""
     for folder, folders, files in os.walk(source):
         folders[:] = sorted(name for name in folders if not name.startswith("."))
         here = Path(folder).relative_to(source)
@@ -252,7 +252,7 @@ def _to_copy(source: Path) -> Iterator[Path]:
 
 
 def _copied(path: Path, target: Path, output: Path) -> OutputFile:
-    """A copy; one that is there already, of a run that was ended, is kept where it has the same bytes."""
+    """A copy of the file; an existing copy of an interrupted run is kept if its bytes are equal."""
     if target.is_file() and _sha256(path) == _sha256(target):
         return output_file(output, target)
     target.parent.mkdir(parents=True, exist_ok=True)
@@ -316,7 +316,7 @@ def _together(episodes: list[dict[str, Any]]) -> dict[str, float]:
 
 
 def _in_lists(stats: dict[str, float]) -> dict[str, Any]:
-    """As LeRobot has them: one value of one channel, (1, 1, 1); the count (1,)."""
+    """In LeRobot's shapes: one value of one channel as (1, 1, 1), the count as (1,)."""
     return {name: [int(value)] if name == "count" else [[[value]]] for name, value in stats.items()}
 
 
@@ -325,7 +325,7 @@ def _json(content: Any) -> bytes:
 
 
 def read_lerobot(path: Path, index: int) -> NDArray[np.float32]:
-    """Depth of a frame, mm, back from the video: its codes are not those of `exporters.quantised`."""
+    """Depth of a frame, mm, read back from the video; its codes differ from those of `exporters.quantised`."""
     with needed("av", "lerobot", "LeRobot").open(str(path)) as file:
         frames = file.decode(file.streams.video[0])
         codes = next(islice(frames, index, None)).to_ndarray(format=CODEC.pix_fmt)

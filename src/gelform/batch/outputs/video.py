@@ -1,4 +1,4 @@
-"""Depth as lossless video, one file per sequence, that appears whole or not at all: FFV1 of 16 bits in Matroska."""
+"""Depth as lossless video, one complete file per sequence or none: 16-bit FFV1 in Matroska."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ from gelform.reconstruction import Reconstruction
 
 @dataclass(frozen=True)
 class Codec:
-    """How levels are kept without loss.
+    """A lossless codec for levels.
 
     Attributes
     ----------
-    encoder : ffmpeg's name of it, such as "ffv1"
-    pix_fmt : of one plane of little-endian uint16, such as "gray16le"
-    container : ffmpeg's name of the muxer, such as "matroska"
+    encoder : name in ffmpeg, such as "ffv1"
+    pix_fmt : pixel format of one plane of little-endian uint16, such as "gray16le"
+    container : name of the muxer in ffmpeg, such as "matroska"
     options : of the encoder
     """
 
@@ -44,14 +44,14 @@ class Codec:
     options: Mapping[str, str] = field(default_factory=dict)
 
 
-RATE_HZ = 30  # nominal: when a frame was taken is in the table
+RATE_HZ = 30  # nominal: the table has the capture times
 FFV1 = Codec("ffv1", "gray16le", "matroska", {"level": "3", "slices": "4", "slicecrc": "1"})
 
 
 class VideoWriter(PartWriter):
-    """Writes levels (H, W) uint16 as the frames of one video, of a part that is a whole sequence.
+    """Writes levels (H, W) uint16 as the frames of one video; the part is a whole sequence.
 
-    The times of the frames follow `rate_hz`; `av` is the module. DataError where it was built without the encoder.
+    The frame times follow `rate_hz`; `av` is the module. DataError if it was built without the encoder.
     """
 
     def __init__(self, target: PartTarget, path: Path, codec: Codec, rate_hz: int, av: Any) -> None:
@@ -61,10 +61,10 @@ class VideoWriter(PartWriter):
         self._count = 0
 
     def add(self, name: str, index: int, prepared: NDArray[np.uint16] | None) -> dict[str, Any]:
-        """Encode the next frame; level 0, unknown, where it has an error."""
+        """Encode the next frame; level 0 (unknown) for a frame with an error."""
         height, width = self._target.shape
         frame = self._av.VideoFrame(width, height, self._codec.pix_fmt)
-        plane = frame.planes[0]  # whose rows may be longer than the image's
+        plane = frame.planes[0]  # its rows may be longer than the image's
         rows = np.frombuffer(plane, dtype="<u2").reshape(-1, plane.line_size // 2)
         rows[:height, :width] = UNKNOWN if prepared is None else prepared
         frame.pts, frame.time_base = self._count, Fraction(1, self._rate_hz)
@@ -103,24 +103,24 @@ class VideoWriter(PartWriter):
             ) from problem
         stream.height, stream.width = self._target.shape
         stream.pix_fmt = codec.pix_fmt
-        stream.thread_count = 1  # the same bytes, and no threads beside the workers
+        stream.thread_count = 1  # the same bytes each time, and no threads besides the workers
         return stream
 
 
 class DepthVideo(VideoWriter):
-    """Writes frames/<sequence>.mkv, levels of depth (v - 32768) x 1e-4 mm."""
+    """Writes frames/<sequence>.mkv with depth as levels (v - 32768) x 1e-4 mm."""
 
     def __init__(self, target: PartTarget) -> None:
         path = target.output / FRAMES / f"{target.part.sequence or 'frames'}.mkv"
         super().__init__(target, path, FFV1, RATE_HZ, needed("av", "ffv1", "FFV1"))
 
     def prepared(self, result: Reconstruction) -> NDArray[np.uint16]:
-        """The levels."""
+        """The levels of the depth."""
         return maps_of(result, self._target.settings)["depth_mm"]
 
 
 def read_ffv1(path: Path, index: int) -> NDArray[Any]:
-    """Levels of a frame, back from the video."""
+    """Levels of a frame, read back from the video."""
     with needed("av", "ffv1", "FFV1").open(str(path)) as file:
         stream = file.streams.video[0]
         file.seek(int(index / RATE_HZ / stream.time_base), stream=stream)

@@ -1,4 +1,4 @@
-"""The forms of outputs in one table: what writes a part, what reads a frame back, what is written at the end."""
+"""The table of output forms: the writer of a part, the reader of a frame, and the files written at the end."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ from gelform.exporters.quantised import depth_from_levels
 
 
 class Finish(NamedTuple):
-    """What a form has beside the parts' files, made when all of them are done; by default nothing.
+    """The additional files of a form, made when all parts are done; none by default.
 
     Attributes
     ----------
     write : takes the output, the files that the parts wrote, and the input's folder
-    missing : takes the output; whether a file of it is not there, at a glance
-    wrong : takes the output and the parts' files; the first file of it that is missing or has other bytes now
-    names : takes the output; the paths below it of what was written among the frames
+    missing : takes the output; quick check whether one of its files is missing
+    wrong : takes the output and the parts' files; the first of its files that is missing or has changed
+    names : takes the output; paths below it of its files among the frames
     """
 
     write: Callable[[Path, list[str], Path], None] = lambda *_: None
@@ -54,8 +54,8 @@ class Form(NamedTuple):
     Attributes
     ----------
     writer : of a part
-    read : takes a row's output and index; the frame's depth, mm, or levels of it; None where it was not kept
-    finish : what it has beside the parts' files
+    read : takes a row's output and index; returns the frame's depth, mm, or its levels; None if it was not kept
+    finish : its additional files
     """
 
     writer: Callable[[PartTarget], PartWriter]
@@ -76,7 +76,7 @@ WRITERS: dict[str, Form] = {
 
 
 def depth_of_row(output: Path, form: str, row: Mapping[str, Any]) -> NDArray[np.float32] | None:
-    """Depth (H, W), mm, NaN or 0 where it is not known; None where the frame has an error or depth was not kept."""
+    """Depth (H, W), mm, NaN or 0 where unknown; None if the frame has an error or depth was not kept."""
     if not row["output"]:
         return None
     values = WRITERS[form].read(output / row["output"], int(row["index"]))

@@ -1,9 +1,9 @@
 """Zarr: one array per map and sequence, one shard file per run of frames, one compressed chunk per frame.
 
 The folder `frames/` is a Zarr version 3 group; sequences are groups below it. A shard ("sharding_indexed" of the Zarr
-specification, version 3) is the compressed frames one after the other, then (offset, size) of each as little-endian
-uint64 and a CRC-32C of those. Shards are written here and not by zarr itself: each is one file that appears whole, its
-bytes depend on the frames alone, and zarr's own way took several times as long per frame (`benchmarks/batch.py`).
+specification, version 3) contains the compressed frames, then (offset, size) of each as little-endian uint64, and a CRC-32C
+of those numbers. This module writes the shards itself: each is one file that appears complete, and its bytes depend only on
+the frames. zarr's own writer took several times as long per frame (`benchmarks/batch.py`).
 """
 
 from __future__ import annotations
@@ -27,21 +27,21 @@ from gelform.batch.outputs.files import (
 from gelform.errors import needed
 from gelform.reconstruction import Reconstruction
 
-MOST_SHARD_FRAMES = 64  # which are in memory until the shard is full
-MISSING = 2**64 - 1  # offset and size of a chunk that is not there: the array's fill value
+MOST_SHARD_FRAMES = 64  # frames in memory until the shard is full
+MISSING = 2**64 - 1  # offset and size of a missing chunk, which reads as the array's fill value
 FILL = {"f": "NaN", "b": False, "u": 0}
 BLOSC: dict[str, Any] = {"cname": "lz4", "clevel": 1, "shuffle": "bitshuffle", "blocksize": 0}
 NODE = "zarr.json"
 
 
 class ZarrArrays(PartWriter):
-    """Writes frames/<sequence>/<map>/c/<shard>/..., a shard whenever it is full; so memory does not grow with a video."""
+    """Writes frames/<sequence>/<map>/c/<shard>/..., each shard when it is full; memory does not grow with a video."""
 
     def __init__(self, target: PartTarget) -> None:
         super().__init__(target)
         blosc = needed("numcodecs.blosc", "zarr", "Zarr")
         needed("google_crc32c", "zarr", "Zarr")
-        blosc.use_threads = False  # the same bytes, and no threads beside the workers
+        blosc.use_threads = False  # the same bytes each time, and no threads besides the workers
         self._later = FlushedLater(target.output)
         self._length = shard_frames(target.settings.part_frames)
         self._chunks: dict[str, list[bytes]] = {}
@@ -53,7 +53,7 @@ class ZarrArrays(PartWriter):
         return {name: _compressed(values) for name, values in maps_of(result, self._target.settings).items()}
 
     def add(self, name: str, index: int, prepared: dict[str, bytes] | None) -> dict[str, Any]:
-        """Take a frame; an error is a missing chunk, which reads as NaN, False or level 0."""
+        """Add a frame; a frame with an error is a missing chunk, which reads as NaN, False or level 0."""
         for one in self._blank:
             self._chunks.setdefault(one, []).append(b"" if prepared is None else prepared[one])
         self._count += 1
@@ -67,7 +67,7 @@ class ZarrArrays(PartWriter):
             zeros = "/0" * self._blank[name].ndim
             path = self._target.folder / name / f"c/{number}{zeros}"
             if not any(chunks):
-                path.unlink(missing_ok=True)  # of frames that could be read when the part was done before
+                path.unlink(missing_ok=True)  # frames that were readable when the part was done before
             else:
                 self.files.append(self._later.write(path, shard_bytes(chunks, self._length)))
         self._chunks = {}
@@ -82,7 +82,7 @@ class ZarrArrays(PartWriter):
             self._write_nodes()
 
     def _write_nodes(self) -> None:
-        """Metadata of the arrays and of the groups above; the same bytes by every part of a sequence."""
+        """Write the metadata of the arrays and of the groups above; every part of a sequence writes the same bytes."""
         target, frames = self._target, self._target.part.total or self._count
         for name, blank in self._blank.items():
             attributes = {**attributes_of(name, target.settings), **target.facts}
@@ -94,12 +94,12 @@ class ZarrArrays(PartWriter):
 
 
 def shard_frames(part_frames: int) -> int:
-    """Frames in a shard: the most, up to 64, that divide a part, so that no shard belongs to two parts."""
+    """Frames in a shard: the largest divisor of the part's frames up to 64, so that no shard belongs to two parts."""
     return max(n for n in range(1, MOST_SHARD_FRAMES + 1) if part_frames % n == 0)
 
 
 def shard_bytes(chunks: list[bytes], length: int) -> bytes:
-    """A shard of so many places; empty chunks, and those after the last, are missing."""
+    """A shard with `length` places; empty chunks, and places after the last chunk, are missing."""
     import google_crc32c
 
     index = np.full((length, 2), MISSING, dtype="<u8")
@@ -156,7 +156,7 @@ def _json(content: dict[str, Any]) -> bytes:
 
 
 def read_zarr(path: Path, index: int) -> NDArray[Any] | None:
-    """Depth of a frame, or its levels, back from its shard by the shard's own index."""
+    """Depth of a frame, or its levels, read back through the shard's index."""
     folder = path / "depth_mm"
     if not folder.is_dir():
         return None

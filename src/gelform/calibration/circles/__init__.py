@@ -1,1 +1,1 @@
-"""The contact circle of each press: found, refined, and the pixels whose slope is known by it."""
+"""The contact circle of each press: found and refined; it gives the slopes of the pixels inside."""

@@ -1,8 +1,8 @@
-"""Where the gel leaves the ball: the ratio of the contact's radius to that of the visible circle, measured.
+"""The contact edge, where the gel leaves the ball: its radius over that of the visible circle, measured.
 
-What the eye calls a press's rim lies outside the contact, by a tenth on most sensors and by a half on some: beyond the
-contact the gel is less steep than the ball, and the ball's slopes are wrong labels. A model that has learnt from the inner
-half alone, which the gel certainly follows, reads on presses that it has not seen where that begins.
+The visible rim of a press lies outside the contact, by a tenth on most sensors and by a half on some. Beyond the contact
+edge the gel is less steep than the ball, and the ball's slopes are wrong labels. A model trained on the inner half alone,
+where the gel certainly follows the ball, reads held-out presses and shows where that begins.
 """
 
 from __future__ import annotations
@@ -14,37 +14,43 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.calibration.circles.find import ContactCircle
-from gelform.calibration.circles.samples import USUAL_EDGE, PreparedPress, contact_samples, with_rest_samples
-from gelform.calibration.enough import enough
+from gelform.calibration.circles.samples import (
+    PRESS_PIXELS,
+    TRIAL_SAMPLES,
+    USUAL_EDGE,
+    PreparedPress,
+    contact_samples,
+    with_rest_samples,
+)
+from gelform.calibration.enough import FOLDS, enough
 from gelform.color_models import COLOR_MODELS, DEFAULT_MODEL, ColorModel
 from gelform.metrics.ball import STEEPEST_FRACTION, ball_center, ball_gradients
 
-GROUPS = 5  # that are left out in turn
-INNER = 0.5  # of the visible radius: what trains
+INNER = 0.5  # fraction of the visible radius that trains
 RINGS = np.arange(0.05, 1.001, 0.05)
-REFERENCE = (0.1, 0.4)  # of the visible radius: what is read there is taken for right
-LEAST_GAIN = 0.8  # of what is read there, over the ball's slope: below it the gel has left the ball
-SAMPLES, PIXELS_OF_PRESS = 12_000, 3_000  # pixels that train a model, and that are read of a press
+REFERENCE = (0.1, 0.4)  # fractions of the visible radius; slopes read between them count as right
+LEAST_GAIN = 0.8  # of that reading, over the ball's slope; with less, the gel has left the ball
 
 
 def contact_radius_ratio(presses: Sequence[PreparedPress], contacts: Sequence[ContactCircle]) -> float:
-    """Where the median press begins to be read less than 0.8 times as steep as its ball, relative to the slopes further in.
+    """Radius, over the visible one, from which the median press reads less than 0.8 times its ball's slope.
 
-    In rings of 0.05 visible radii, of which two have to be below; `USUAL_EDGE` for fewer than 12 presses.
+    The reading further in counts as 1. Rings are 0.05 visible radii wide, and two of them have to be below 0.8. It is
+    `USUAL_EDGE` for fewer than 12 presses.
     """
     if not enough("edge", len(presses)):
         return USUAL_EDGE
     visible = [replace(press, contact_radius_ratio=1.0) for press in presses]
     gains = []
-    for group in range(GROUPS):
-        others = [i for i in range(len(visible)) if i % GROUPS != group]
+    for group in range(FOLDS):
+        others = [i for i in range(len(visible)) if i % FOLDS != group]
         model = _of_inner_half([visible[i] for i in others], [contacts[i] for i in others])
-        gains += [_gains(visible[i], contacts[i], model) for i in range(group, len(visible), GROUPS)]
+        gains += [_gains(visible[i], contacts[i], model) for i in range(group, len(visible), FOLDS)]
     return edge_of_gains(np.array(gains))
 
 
 def edge_of_gains(gains: NDArray[np.float64]) -> float:
-    """The edge by gains (presses, rings), read slopes over the ball's; NaN where a press shows nothing of a ring."""
+    """The edge from gains (presses, rings), read slopes over the ball's; NaN where a press has no pixels in a ring."""
     known = np.isfinite(gains).any(axis=0)
     median = np.full(gains.shape[1], np.nan)
     median[known] = np.nanmedian(gains[:, known], axis=0)
@@ -61,13 +67,13 @@ def edge_of_gains(gains: NDArray[np.float64]) -> float:
 
 
 def _of_inner_half(presses: Sequence[PreparedPress], contacts: Sequence[ContactCircle]) -> ColorModel:
-    samples = contact_samples(presses, contacts, INNER, total=SAMPLES)
+    samples = contact_samples(presses, contacts, INNER, total=TRIAL_SAMPLES)
     return COLOR_MODELS[DEFAULT_MODEL].fit(with_rest_samples(samples, presses, contacts))
 
 
 def _gains(press: PreparedPress, contact: ContactCircle, model: ColorModel) -> NDArray[np.float64]:
-    """Of each ring, read slopes over the ball's by least squares; its centre is that of the inner half."""
-    rows, cols = press.pixels(contact, 1.0, PIXELS_OF_PRESS)
+    """Gains of each ring, read slopes over the ball's by least squares, about the center fitted to the inner half."""
+    rows, cols = press.pixels(contact, 1.0, PRESS_PIXELS)
     read, radius = press.gradients(model, rows, cols), press.contact_radius(contact)
     start = contact.x_px, contact.y_px
     inner = np.hypot(cols - start[0], rows - start[1]) < INNER * radius

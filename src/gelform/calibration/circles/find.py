@@ -1,8 +1,8 @@
 """Find the contact circle of a ball press without a click.
 
-A ball's colour change is antisymmetric about its centre, because colour is nearly odd in the gradient and the
-gradient is odd about the centre. So the centre is where the colour change convolved with itself is most
-negative, and the contact's rim is where the ring mean of its size falls most steeply.
+A ball's color change is antisymmetric about its center, because color is nearly odd in the gradient and the
+gradient is odd about the center. So the color change convolved with itself is most negative at the center,
+and the ring mean of its size falls most steeply at the visible rim.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from scipy.fft import irfft2, next_fast_len, rfft2
 from scipy.ndimage import gaussian_filter1d
 
-MIN_ANTISYMMETRY = 0.2  # 0-1, of a ball that the border does not cut by half
-MIN_SIGNAL = 2.0  # change inside over that outside; 1 where nothing is pressed
+MIN_ANTISYMMETRY = 0.2  # 0-1, for a ball with more than half inside the border
+MIN_SIGNAL = 2.0  # change inside over that outside; 1 if nothing is pressed
 
 
 @dataclass(frozen=True)
@@ -25,13 +25,13 @@ class ContactCircle:
     Attributes
     ----------
     x_px, y_px : float
-        Centre, px; may lie outside the frame.
+        Center, px; may lie outside the frame.
     radius_px : float
-        Where the colour change falls most steeply: the rim that the eye sees.
+        Radius at which the color change falls most steeply: the visible rim.
     antisymmetry : float, 0-1
-        Share of the colour change's energy that is odd about the centre; a ball cut by the border keeps less.
+        Share of the color change's energy that is odd about the center; a ball cut by the border keeps less.
     signal : float
-        Colour change inside the circle over that outside; about 1 where nothing is pressed.
+        Color change inside the circle over that outside; about 1 if nothing is pressed.
     """
 
     x_px: float
@@ -42,12 +42,12 @@ class ContactCircle:
 
     @property
     def circle_px(self) -> tuple[float, float, float]:
-        """(centre x, centre y, radius)."""
+        """(center x, center y, radius)."""
         return self.x_px, self.y_px, self.radius_px
 
 
 def scale_of(shape: tuple[int, int]) -> float:
-    """What lengths in pixels are multiplied by: 1 for a frame whose shorter side is 240 px."""
+    """Factor for lengths in pixels: 1 for a frame whose shorter side is 240 px."""
     return min(shape) / 240
 
 
@@ -61,7 +61,7 @@ def find_contact(color_change: NDArray[np.float32]) -> ContactCircle:
 
 
 def why_no_contact(contact: ContactCircle) -> str | None:
-    """The reason why a found circle is not a ball press, or None."""
+    """The reason that a found circle is not a ball press, or None."""
     if contact.antisymmetry < MIN_ANTISYMMETRY:
         return (
             f"no ball found: too light, cut by the border, or no ball (antisymmetry {contact.antisymmetry:.2f}, expected "
@@ -81,7 +81,7 @@ def magnitude(change: NDArray[np.float32]) -> NDArray[np.float32]:
 def contact_radius(
     size: NDArray[np.float32], x_px: float, y_px: float, near_px: float | None = None
 ) -> float:
-    """Radius of the steepest descent of the ring mean of |change| about a centre; near a given one if any."""
+    """Radius of the steepest descent of the ring mean of |change| about a center; near a given one if any."""
     scale = scale_of(size.shape)
     slope = gaussian_filter1d(ring_mean(size, x_px, y_px), 2 * scale, order=1)
     low, high = 6 * scale, len(slope) - 5 * scale
@@ -93,19 +93,19 @@ def contact_radius(
 
 
 def steepest_radius(size: NDArray[np.float32], contact: ContactCircle) -> float:
-    """Radius, px, at which the ring mean of |change| is largest, out to the visible circle: the gel is steepest there."""
+    """Radius, px, at which the ring mean of |change| is largest, up to the visible circle; the gel is steepest there."""
     rings = gaussian_filter1d(ring_mean(size, contact.x_px, contact.y_px), 2 * scale_of(size.shape))
     return float(np.argmax(rings[: max(1, round(contact.radius_px))]))
 
 
 def moved(contact: ContactCircle, size: NDArray[np.float32], x_px: float, y_px: float) -> ContactCircle:
-    """The contact with another centre, its radius measured anew about it."""
+    """The contact with another center, and its radius measured again about it."""
     radius = contact_radius(size, x_px, y_px, contact.radius_px)
     return replace(contact, x_px=x_px, y_px=y_px, radius_px=radius)
 
 
 def ring_mean(values: NDArray[np.float32], x_px: float, y_px: float) -> NDArray[np.float64]:
-    """Mean of a map on rings of 1 px about a centre, out to 0.6 of the shorter side."""
+    """Mean of a map on rings of 1 px about a center, out to 0.6 of the shorter side."""
     height, width = values.shape
     count = int(0.6 * min(values.shape))
     columns = (np.arange(width, dtype=np.float32) - np.float32(x_px)) ** 2
@@ -117,7 +117,7 @@ def ring_mean(values: NDArray[np.float32], x_px: float, y_px: float) -> NDArray[
 
 
 def _antisymmetry_center(change: NDArray[np.float32]) -> tuple[float, float, float]:
-    """Centre c that maximises -sum_v d(c + v) . d(c - v), by one zero-padded FFT per channel."""
+    """Center c that maximizes -sum_v d(c + v) . d(c - v), by one zero-padded FFT per channel."""
     height, width = change.shape[:2]
     padded = (next_fast_len(2 * height, True), next_fast_len(2 * width, True))
     spectrum = rfft2(change, s=padded, axes=(0, 1))
@@ -140,7 +140,7 @@ def _signal(size: NDArray[np.float32], x: float, y: float, radius: float) -> flo
 
 
 def _parabola_offset(values: NDArray[np.floating], index: int) -> float:
-    """Sub-sample offset of an extremum from its two neighbours, within half a sample."""
+    """Sub-sample offset of an extremum from its two neighbors, within half a sample."""
     if not 0 < index < len(values) - 1:
         return 0.0
     before, here, after = (float(values[index + i]) for i in (-1, 0, 1))

@@ -1,4 +1,4 @@
-"""Where each press touches: the loop that moves circles and color model to each other, and which presses are used."""
+"""The contact of each press: the loop that fits circles and color model to each other, and the selection of presses."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from gelform.calibration.circles.edge import contact_radius_ratio
 from gelform.calibration.circles.find import ContactCircle, moved
 from gelform.calibration.circles.prepare import find_contacts, prepare
 from gelform.calibration.circles.refine import (
-    REFINING_SAMPLES,
     agreement,
     fit_model,
     is_deep,
@@ -23,7 +22,7 @@ from gelform.calibration.circles.refine import (
     why_misfits,
     why_too_wide,
 )
-from gelform.calibration.circles.samples import ZONE, PreparedPress
+from gelform.calibration.circles.samples import TRIAL_SAMPLES, ZONE, PreparedPress
 from gelform.calibration.coverage import coverage_notes
 from gelform.calibration.enough import NEEDED, enough
 from gelform.calibration.presses.press_set import Presses
@@ -31,14 +30,17 @@ from gelform.color_models import ColorModel, StartableModel
 from gelform.errors import CalibrationError
 from gelform.foundations.progress import Progress, no_progress
 
-ROUNDS = 5  # of fitting the model and moving circles to it: further ones move none by a tenth of a pixel
-WHOLE_ROUNDS = 2  # of them without presses that the border cuts: those are found too far inside
-JOINT_ROUNDS = 5  # of moving all centres at once
-JOINT_DEGREES = (1,)  # of place, in the model that they are moved with
-BALL_FACTORS = np.geomspace(0.5, 2.0, 21)  # times the stated ball
-MANY_REFUSED = 0.3  # of the presses, from which on another ball is looked for
-NEARLY_ALL = 0.9  # of them fit the other ball
-STATED_SIZE = 0.07  # |log| of a factor: a step of the sweep either way is the stated ball
+ROUNDS = (
+    5  # rounds of fitting the model and moving circles to it; further ones move none by a tenth of a pixel
+)
+WHOLE_ROUNDS = (
+    2  # rounds without presses that the border cuts, because their circles are found too far inside
+)
+JOINT_DEGREES = (1,)  # degree of position of the model for those rounds
+BALL_FACTORS = np.geomspace(0.5, 2.0, 21)  # factors of the stated ball
+MANY_REFUSED = 0.3  # of the presses; if more are refused, another ball is tried
+NEARLY_ALL = 0.9  # of the presses that have to fit the other ball
+STATED_SIZE = 0.07  # |log| of a factor; one step of the sweep either way still is the stated ball
 
 
 @dataclass(frozen=True)
@@ -47,9 +49,9 @@ class Refined:
 
     Attributes
     ----------
-    contacts : one per press, refined where it was accepted, as found where not
-    reasons : why a press was rejected, or None
-    model : what refined them
+    contacts : one per press, refined if it was accepted, else as found
+    reasons : the reason that a press was rejected, or None
+    model : the model that refined them
     """
 
     contacts: tuple[ContactCircle, ...]
@@ -64,13 +66,13 @@ class Refined:
     def of_accepted(
         self, presses: Sequence[PreparedPress]
     ) -> tuple[list[PreparedPress], list[ContactCircle]]:
-        """Those of all presses that fit, and their circles."""
+        """The accepted ones of all presses, and their circles."""
         return [presses[i] for i in self.accepted], [self.contacts[i] for i in self.accepted]
 
 
 @dataclass(frozen=True, eq=False)
 class Located:
-    """Presses with their circles: which are used, and why the others are not.
+    """Presses with their circles, and the reasons for rejected presses.
 
     Attributes
     ----------
@@ -80,7 +82,7 @@ class Located:
     refined : circles that agree with each other, and reasons
     start : another unit's model that a fit may begin with, or None
     refined_by : the model of it that circles were refined with, or None
-    notes : what a user should check
+    notes : notes for the user
     """
 
     presses: Presses
@@ -95,7 +97,7 @@ class Located:
 def locate(presses: Presses, start: Start | None = None, *, progress: Progress = no_progress) -> Located:
     """The contact circle of each press, refined with all others inside the measured edge of the contact.
 
-    An offered start helps where presses are few: from 12 on they say by themselves where they are.
+    An offered start helps with few presses; from 12 on the presses alone determine their circles.
     """
     prepared = prepare(presses, progress=progress)
     found = find_contacts(prepared, progress=progress)
@@ -124,7 +126,7 @@ def refine(
     start: StartableModel | None = None,
     progress: Progress = no_progress,
 ) -> Refined:
-    """Move each circle to agree with a color model fitted on all of them; reject the presses that do not."""
+    """Move each circle to agree with a color model fitted on all of them; reject presses that do not agree."""
     reasons = [why_impossible(press, contact) for press, contact in zip(presses, found)]
     reasons = [reason or wide for reason, wide in zip(reasons, why_too_wide(presses, found))]
     for i, reason in (excluded or {}).items():
@@ -140,11 +142,13 @@ def refine(
             contacts[i] = recentered(presses[i], contacts[i], found[i], model)
         misfits = why_misfits([presses[i] for i in candidates], [contacts[i] for i in candidates], model)
         late = {i: reason for i, reason in zip(candidates, misfits) if reason is not None}
-        if round_ + 1 == WHOLE_ROUNDS:  # presses cut by the border join; only then are misfits left out
+        if (
+            round_ + 1 == WHOLE_ROUNDS
+        ):  # from here on presses cut by the border take part, and misfits are left out
             fit_on = candidates
         elif round_ + 1 > WHOLE_ROUNDS:
             fit_on = [i for i in candidates if i not in late] or candidates
-        progress(round_ + 1, ROUNDS, "fitting circles and colours together")
+        progress(round_ + 1, ROUNDS, "fitting circles and colors together")
     if model is not None:
         for i, reason in late.items():
             reasons[i] = reason
@@ -155,18 +159,16 @@ def refine(
 def _jointly_centered(
     presses: Sequence[PreparedPress], contacts: list[ContactCircle], fit_on: Sequence[int]
 ) -> list[ContactCircle]:
-    """The contacts, moved with a first model of all where most presses are deep: those are found 2-10 px off.
+    """The contacts, moved with a first model of all if most presses are deep, which are found 2-10 px off.
 
-    Usual presses are found within 1-2 px, which alternating keeps, while the stiff model would move them.
+    Usual presses are found within 1-2 px. Alternating keeps them so, while the stiff model would move them.
     """
     deep = [is_deep(presses[i], contacts[i]) for i in fit_on]
     if not enough("whole", len(fit_on)) or np.mean(deep) < 0.5:
         return contacts
     chosen = [presses[i] for i in fit_on]
-    for _ in range(JOINT_ROUNDS):
-        moves = joint_moves(
-            chosen, [contacts[i] for i in fit_on], ZONE, JOINT_DEGREES, total=REFINING_SAMPLES
-        )
+    for _ in range(ROUNDS):
+        moves = joint_moves(chosen, [contacts[i] for i in fit_on], ZONE, JOINT_DEGREES, total=TRIAL_SAMPLES)
         for i, (dx, dy) in zip(fit_on, moves):
             x, y = contacts[i].x_px + float(dx), contacts[i].y_px + float(dy)
             contacts[i] = moved(contacts[i], presses[i].size, x, y)
@@ -174,16 +176,16 @@ def _jointly_centered(
 
 
 def _is_whole(press: PreparedPress, contact: ContactCircle) -> bool:
-    """Whether the circle lies inside the frame: one that the border cuts is found too far inside."""
+    """Whether the circle lies inside the frame; a circle that the border cuts is found too far inside."""
     height, width = press.size.shape
     margin = contact.radius_px
     return margin <= contact.x_px <= width - 1 - margin and margin <= contact.y_px <= height - 1 - margin
 
 
 def repeated_images(presses: Presses) -> dict[int, str]:
-    """Presses whose image is pixel for pixel an earlier one's, with the reason to leave them out.
+    """Presses with exactly the same image as an earlier one, with the reason to leave them out.
 
-    Raises a CalibrationError where the same image is said to be of two balls.
+    Raises a CalibrationError if the same image is listed with two balls.
     """
     first: dict[str, int] = {}
     repeated = {}
@@ -205,9 +207,9 @@ def other_ball_note(
     refined: Refined,
     excluded: Container[int] = (),
 ) -> str | None:
-    """What to check where many presses are refused, and nearly all fit a ball so many times as large; else None.
+    """A note if many presses are refused, and nearly all fit a ball of another size; else None.
 
-    Those that were excluded before, whatever their ball, do not count.
+    Presses that were excluded before for any ball do not count.
     """
     judged = [i for i in range(len(presses)) if i not in excluded]
     presses, found, count = [presses[i] for i in judged], [found[i] for i in judged], len(judged)
@@ -245,7 +247,7 @@ def check_places(located: Located, places: int) -> None:
         )
     rejected = [(row.name, why) for row, why in zip(presses.presses, refined.reasons) if why is not None]
     kinds: dict[str, list[str]] = {}
-    for name, why in rejected:  # alike but for figures, reasons are counted together
+    for name, why in rejected:  # reasons that differ only in figures are counted together
         kinds.setdefault(re.sub(r"\d[\d.]*", "", why), []).append(f"{name}: {why}")
     most = sorted(kinds.values(), key=len, reverse=True)[:4]
     listed = "; ".join(f"{len(one)} like {one[0]}" for one in most)

@@ -1,11 +1,11 @@
-"""The steps that move circles: the color model that they agree on, where a press agrees best with it, and which do not fit.
+"""Steps that move circles: the common color model, the best place of each press in it, and the presses that do not fit.
 
-A circle found in one image is off by a pixel or two. A model fitted on all presses averages that out, so each
-press is moved to where its ball agrees best with the model, and the model is fitted again (`circles.locate`).
+A circle found in one image is off by a pixel or two. A model fitted on all presses averages that out. So each press moves
+to the place where its ball agrees best with the model, and the model is fitted again (`circles.locate`).
 
-Where most presses are deep, all centres and the model are moved at once: a color model whose coefficients vary over the
-image follows much of a wrong centre, so that alternating converges slowly. The labels are linear in small moves of their
-centres, and model and moves are solved together, the model eliminated (variable projection, G. Golub and V. Pereyra,
+If most presses are deep, all centers and the model move at once. A color model whose coefficients vary over the image
+follows much of a wrong center, so alternating converges slowly. The labels are linear in small moves of their centers;
+model and moves are solved together, with the model eliminated (variable projection, G. Golub and V. Pereyra,
 SIAM J. Numer. Anal. 10, 1973).
 """
 
@@ -19,6 +19,8 @@ from numpy.typing import NDArray
 
 from gelform.calibration.circles.find import ContactCircle, moved, scale_of, steepest_radius, why_no_contact
 from gelform.calibration.circles.samples import (
+    PRESS_PIXELS,
+    TRIAL_SAMPLES,
     ZONE,
     PreparedPress,
     contact_samples,
@@ -35,21 +37,20 @@ from gelform.color_models._shared.least_squares import (
 )
 from gelform.metrics.ball import ball_center, center_jacobian, followed_radius
 
-REFINING_SAMPLES = 15_000  # pixels of all presses
-MAX_MOVE_PX = 8.0  # at 240 rows: usual presses are found within 2, deep ones within 10
-MAX_RESIDUAL = 0.25  # mm/mm, the median slope error of a press that may still fit
-RESIDUAL_OVER_MEDIAN = 3.0  # of the other presses' median slope error
-START_RIDGE = 1e-2  # of the model that another unit's is followed with
-STEEPEST_RING = 0.95  # of the ball's radius: a deep press is steepest further in
-MANY_BALLS = 3.0  # radii of the stated ball: no press makes so wide a contact
+MAX_MOVE_PX = 8.0  # px at 240 rows; usual presses are found within 2, deep ones within 10
+MAX_RESIDUAL = 0.25  # mm/mm, largest median slope error of a press that fits
+RESIDUAL_OVER_MEDIAN = 3.0  # times the other presses' median slope error
+START_RIDGE = 1e-2  # ridge of the model that follows another unit's
+STEEPEST_RING = 0.95  # of the ball's radius; a deep press is steepest further in
+MANY_BALLS = 3.0  # radii of the stated ball; no press makes so wide a contact
 GAIN_RANGE = (0.7, 1.45)  # slopes over those of the stated ball
-JOINT_RIDGE = 1e-5  # of the polynomial, relative to its normal equations' diagonal
-JOINT_MOVE_PX = 3.0  # at 240 rows, in one step: labels are linear in it
+JOINT_RIDGE = 1e-5  # ridge of the polynomial, relative to its normal equations' diagonal
+JOINT_MOVE_PX = 3.0  # px at 240 rows, in one step; labels are linear in such moves
 JOINT_REWEIGHTED = 2  # rounds of Huber's weights in one step
 
 
 def is_deep(press: PreparedPress, contact: ContactCircle) -> bool:
-    """Whether the visible circle is as wide as the ball, or wider: the gel stands off the ball inside of it."""
+    """Whether the visible circle is at least as wide as the ball; then the gel leaves the ball inside of it."""
     return followed_radius(contact.radius_px, press.ball_radius_px) < contact.radius_px
 
 
@@ -58,8 +59,8 @@ def fit_model(
     contacts: Sequence[ContactCircle],
     start: StartableModel | None = None,
 ) -> ColorModel:
-    """What circles are refined with: a polynomial, or a start that is followed closely."""
-    samples = contact_samples(presses, contacts, total=REFINING_SAMPLES)
+    """The model that refines circles: a polynomial, or one that follows a start closely."""
+    samples = contact_samples(presses, contacts, total=TRIAL_SAMPLES)
     samples = with_rest_samples(samples, presses, contacts)
     if start is not None:
         return COLOR_MODELS[start.name].fit(samples, ridge=START_RIDGE, start=start)
@@ -68,7 +69,7 @@ def fit_model(
 
 
 def why_impossible(press: PreparedPress, contact: ContactCircle) -> str | None:
-    """The reason why a circle found in one image cannot be a press of this ball, or None."""
+    """The reason that a circle found in one image cannot be a press of this ball, or None."""
     reason = why_no_contact(contact)
     if reason is None and len(press.pixels(contact, ZONE)[0]) < 30:
         reason = "contact lies outside the frame"
@@ -81,11 +82,11 @@ def why_impossible(press: PreparedPress, contact: ContactCircle) -> str | None:
 
 
 def why_too_wide(presses: Sequence[PreparedPress], found: Sequence[ContactCircle]) -> list[str | None]:
-    """For each press the reason why its visible circle is too wide for the stated ball, or None.
+    """For each press the reason that its visible circle is too wide for the stated ball, or None.
 
-    A circle as wide as the ball or wider is that of a deep press, which draws the gel down around the ball. The gel is
-    steepest where it leaves the ball then, which is nearer to the centre than 0.95 of the ball's radius. If it is
-    steepest further out in half of such presses, the ball is larger than stated, and all of them are refused.
+    A circle at least as wide as the ball belongs to a deep press, which draws the gel down around the ball. The gel is
+    then steepest where it leaves the ball, nearer to the center than 0.95 of the ball's radius. If it is steepest further
+    out in half of such presses, the ball is larger than stated, and all of them are refused.
     """
     deep = [i for i, (press, contact) in enumerate(zip(presses, found)) if is_deep(press, contact)]
     steepest = {i: steepest_radius(presses[i].size, found[i]) / presses[i].ball_radius_px for i in deep}
@@ -102,8 +103,8 @@ def why_too_wide(presses: Sequence[PreparedPress], found: Sequence[ContactCircle
 def recentered(
     press: PreparedPress, contact: ContactCircle, found: ContactCircle, model: ColorModel
 ) -> ContactCircle:
-    """The contact moved to where the ball agrees best with the model, not far from where it was found."""
-    rows, cols = press.pixels(contact, ZONE, 1000)
+    """The contact moved to the place near its found one where the ball agrees best with the model."""
+    rows, cols = press.pixels(contact, ZONE, PRESS_PIXELS)
     if len(rows) < 30:
         return contact
     gradients = press.gradients(model, rows, cols)
@@ -118,12 +119,12 @@ def recentered(
 def why_misfits(
     presses: Sequence[PreparedPress], contacts: Sequence[ContactCircle], model: ColorModel
 ) -> list[str | None]:
-    """For each press the reason why it does not agree with the model of all, or None."""
+    """For each press the reason that it does not agree with the model of all, or None."""
     return misfit_reasons([agreement(press, contact, model) for press, contact in zip(presses, contacts)])
 
 
 def misfit_reasons(agreements: Sequence[tuple[float, float]]) -> list[str | None]:
-    """For each (slope error, gain) the reason why such a press does not fit, or None."""
+    """For each (slope error, gain) the reason that such a press does not fit, or None."""
     typical = float(np.median([residual for residual, _ in agreements]))
     limit = min(MAX_RESIDUAL, max(RESIDUAL_OVER_MEDIAN * typical, 0.1))
     reasons: list[str | None] = []
@@ -144,8 +145,8 @@ def misfit_reasons(agreements: Sequence[tuple[float, float]]) -> list[str | None
 
 
 def agreement(press: PreparedPress, contact: ContactCircle, model: ColorModel) -> tuple[float, float]:
-    """Median slope error inside the contact, and the slope of model on ball (1 where they agree)."""
-    rows, cols = press.pixels(contact, ZONE, 1000)
+    """Median slope error inside the contact, and the slope of model on ball (1 if they agree)."""
+    rows, cols = press.pixels(contact, ZONE, PRESS_PIXELS)
     ball = press.ball_gradients(contact, rows, cols)
     seen: NDArray[np.float64] = press.gradients(model, rows, cols)
     error = np.linalg.norm(seen - ball, axis=1)
@@ -160,9 +161,9 @@ def joint_moves(
     *,
     total: int,
 ) -> NDArray[np.float64]:
-    """Moves (N, 2) of the centres, px, that agree best with one polynomial of all presses, at most 3 px at 240 rows.
+    """Moves (N, 2) of the centers, px, that agree best with one polynomial of all presses, at most 3 px at 240 rows.
 
-    One Gauss-Newton step of Huber's loss of the slope errors, at about `total` pixels inside `zone` of the contacts.
+    It is one Gauss-Newton step of Huber's loss of the slope errors, at about `total` pixels inside `zone` of the contacts.
     """
     samples, owner, jacobian = _labelled(presses, contacts, zone, total)
     x, y = unit_position(samples.x_px, samples.y_px, samples.shape)
@@ -181,7 +182,7 @@ def joint_moves(
 def _labelled(
     presses: Sequence[PreparedPress], contacts: Sequence[ContactCircle], zone: float, total: int
 ) -> tuple[Samples, NDArray[np.intp], NDArray[np.float64]]:
-    """Samples in the contacts and at rest, whose press each is, and the derivative (N, 2, 2) of its label."""
+    """Samples in the contacts and at rest, the press of each, and the derivative (N, 2, 2) of its label."""
     parts = [contact_samples([p], [c], zone, total=total // len(presses)) for p, c in zip(presses, contacts)]
     counts = [len(part.x_px) for part in parts]
     inside = joined(parts)
@@ -205,7 +206,7 @@ def _solved(
     jacobian: NDArray[np.float64],
     count: int,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Coefficients (terms, 2) and moves (N, 2) that minimise `sum weight |design w - target - jacobian move|^2`."""
+    """Coefficients (terms, 2) and moves (N, 2) that minimize `sum weight |design w - target - jacobian move|^2`."""
     normal, right = normal_equations(design, target, weight)
     factor = scipy.linalg.cho_factor(normal + np.diag(JOINT_RIDGE * np.diag(normal) + 1e-12))
     schur, rest = np.zeros((2 * count, 2 * count)), np.zeros(2 * count)

@@ -1,7 +1,7 @@
-"""Pixels of ball presses at known gradients: what color models are fitted on.
+"""Samples: pixels of ball presses with known gradients, on which color models are fitted.
 
-Inside the contact the gel follows the ball. Near the visible rim it has already left it, so a model trains inside the
-contact's edge only, which is measured on held-out presses (`circles.edge`).
+Inside the contact edge the gel follows the ball. Near the visible rim it has already left it, so a model trains only
+inside the contact edge, which is measured on held-out presses (`circles.edge`).
 """
 
 from __future__ import annotations
@@ -17,17 +17,19 @@ from gelform.calibration.circles.find import ContactCircle
 from gelform.color_models import ColorModel, Samples
 from gelform.metrics.ball import ball_gradients, followed_radius
 
-TOTAL_SAMPLES = 40_000  # pixels of all presses: twice as many fit no better
-ZONE = 0.95  # of the contact's radius: what trains
-# Of the visible radius: 0.74-0.90 on five simulated sensors, 0.81-0.91 where measured on real ones.
+TOTAL_SAMPLES = 40_000  # pixels of all presses; twice as many fit no better
+TRIAL_SAMPLES = 15_000  # pixels of all presses for a fit that places circles or is tried on held-out presses
+PRESS_PIXELS = 1_500  # pixels of a press that a model is compared with; neighbors are copies
+ZONE = 0.95  # fraction of the contact radius that trains
+# Fraction of the visible radius: 0.74-0.90 on five simulated sensors, 0.81-0.91 as measured on real ones.
 USUAL_EDGE = 0.85
-REST_WEIGHT = 0.3  # of an untouched pixel, over one in a contact
+REST_WEIGHT = 0.3  # weight of a pixel at rest over that of one in a contact
 REST_DISTANCE = 2.0  # visible radii
 
 
 @dataclass(frozen=True)
 class PreparedPress:
-    """One press, ready to be fitted: its color change and the ball that made it.
+    """One press, ready to be fitted: its color change and its ball.
 
     Attributes
     ----------
@@ -35,9 +37,9 @@ class PreparedPress:
     color_change : (H, W, 3) float32, blurred
     size : (H, W) float32, |color change - its median|
     ball_radius_px : float
-    usable : (H, W) bool, False on marker dots; None where all pixels are
-    background : (H, W, 3) float32, the untouched image that all presses share; or None
-    contact_radius_ratio : radius at which the gel leaves the ball over that of the visible circle; the same for all presses
+    usable : (H, W) bool, False on markers; None if all pixels are
+    background : (H, W, 3) float32, the background image of all presses; or None
+    contact_radius_ratio : radius of the contact edge over that of the visible circle; the same for all presses
     """
 
     name: str
@@ -91,7 +93,7 @@ class PreparedPress:
         weight: float,
         depth_px: NDArray[Any] | None = None,
     ) -> Samples:
-        """Pixels of known gradients (N, 2), all of one weight; their depths where those (H, W) are given."""
+        """Pixels of known gradients (N, 2), all of one weight, with their depths if those (H, W) are given."""
         weights, depth = np.full(len(rows), weight), None if depth_px is None else depth_px[rows, cols]
         change, shape = self.color_change[rows, cols], self.size.shape
         return Samples(change, cols, rows, gradients, weights, shape, self.background, depth)
@@ -105,7 +107,7 @@ def contact_samples(
     total: int = TOTAL_SAMPLES,
     depths_px: Sequence[NDArray[Any]] | None = None,
 ) -> Samples:
-    """Samples inside the contacts, labelled by the balls: about `total`, shared evenly by the presses.
+    """Samples inside the contacts, labeled by the balls: about `total`, shared evenly by the presses.
 
     `depths_px`, of each press (H, W), are kept as the samples' depths.
     """
@@ -126,7 +128,7 @@ def with_rest_samples(
     contacts: Sequence[ContactCircle],
     depths_px: Sequence[NDArray[Any]] | None = None,
 ) -> Samples:
-    """The samples and up to half as many from the untouched gel, where the gradient is 0, at a lower weight."""
+    """The samples and up to half as many of the gel at rest, where the gradient is 0, at a lower weight."""
     parts = [samples]
     for k, (press, contact) in enumerate(zip(presses, contacts)):
         step = max(1, int(np.sqrt(2 * press.size.size * len(presses) / len(samples.x_px))))

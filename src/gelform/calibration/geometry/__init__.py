@@ -1,1 +1,1 @@
-"""What is measured apart from the presses, and written where `read_presses` finds it: scale, lens, crosstalk."""
+"""Measurements apart from the presses, written where `read_presses` finds them: scale, lens, crosstalk."""

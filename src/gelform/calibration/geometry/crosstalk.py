@@ -1,4 +1,4 @@
-"""How much of each LED's light each channel sees, from frames with one LED (or one colour) lit at a time."""
+"""Crosstalk, the part of each LED's light in each channel, from frames with one LED (or one color) lit at a time."""
 
 from __future__ import annotations
 
@@ -13,11 +13,12 @@ from numpy.typing import ArrayLike, NDArray
 from gelform.background.change import ChangeSettings, light_from_image
 from gelform.errors import DataError
 from gelform.foundations.checks import check_image, check_list
+from gelform.frames import BRIGHT
 
 NAMES = ("red", "green", "blue")
-MIN_LEVEL, MAX_LEVEL = 20.0, 250.0  # grey levels that tell a ratio
-MIN_USABLE = 0.3  # of the pixels have to be usable
-BLOCKS = 4  # along either side of the image, compared with each other
+MIN_LEVEL = 20.0  # gray levels that are usable for a ratio
+MIN_USABLE = 0.3  # smallest fraction of usable pixels
+BLOCKS = 4  # parts along either side of the image that are compared
 
 
 @dataclass(frozen=True)
@@ -28,8 +29,8 @@ class Crosstalk:
     ----------
     matrix : 3x3, row c, column k: light of LED k in channel c over the same in channel k; the diagonal is 1
     spread : 3x3, standard deviation of each over 4x4 parts of the image
-        One matrix for the whole image is right to this much: filters see LEDs alike everywhere, scattered and
-        ambient light not.
+        One matrix for the whole image has this error: filters act alike everywhere, but scattered and ambient light
+        vary.
     """
 
     matrix: tuple[tuple[float, ...], ...]
@@ -37,7 +38,7 @@ class Crosstalk:
 
     @property
     def largest_spread(self) -> float:
-        """The largest change of an element over the image."""
+        """The largest standard deviation of an element over the image."""
         return float(np.max(self.spread))
 
     def describe(self) -> str:
@@ -53,7 +54,7 @@ class Crosstalk:
 def crosstalk_from_frames(
     frames: Sequence[ArrayLike], *, dark: ArrayLike | None = None, response: float = 1.0
 ) -> Crosstalk:
-    """Crosstalk from three frames of the untouched gel: red LEDs alone, green alone, blue alone.
+    """Crosstalk from three frames of the gel at rest: red LEDs alone, green alone, blue alone.
 
     An element is the median over the pixels of a channel's level over that of the LED's own channel, in linear
     light: three filters that overlap mix the lights by one matrix at every pixel.
@@ -61,7 +62,7 @@ def crosstalk_from_frames(
     Parameters
     ----------
     frames : three of (H, W, 3), RGB, 0-255; in this order
-    dark : (H, W, 3), a frame with no LED lit, taken off where there is one: ambient light is no crosstalk
+    dark : (H, W, 3), optional frame with no LED lit, to subtract, because ambient light is no crosstalk
     response : exponent of the camera's response, I = 255 (light/255)^response
 
     Raises
@@ -87,7 +88,7 @@ def crosstalk_from_frames(
 def _column(
     light: NDArray[np.float64], image: NDArray[Any], led: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """What each channel sees of one LED, and its spread over the image."""
+    """The response of each channel to one LED, and its spread over the image."""
     levels = np.median(light.reshape(-1, 3), axis=0)
     brightest = int(np.argmax(levels))
     listed = ", ".join(f"{name} {level:.0f}" for name, level in zip(NAMES, levels))
@@ -96,10 +97,10 @@ def _column(
             f"Expected the {NAMES[led]} LED's frame brightest in {NAMES[led]}, got {listed}. "
             "Give the frames in the order red, green, blue, one LED lit in each."
         )
-    usable = (light[..., led] > MIN_LEVEL) & (image.max(axis=-1) < MAX_LEVEL)
+    usable = (light[..., led] > MIN_LEVEL) & (image.max(axis=-1) < BRIGHT)
     if np.mean(usable) < MIN_USABLE:
         raise DataError(
-            f"Expected the {NAMES[led]} LED's frame at levels of {MIN_LEVEL:g}-{MAX_LEVEL:g}, got {listed} with "
+            f"Expected the {NAMES[led]} LED's frame at levels of {MIN_LEVEL:g}-{BRIGHT}, got {listed} with "
             f"{100 * np.mean(usable):.0f} % of the pixels usable. Change the exposure, the same for all three."
         )
     ratio = light / np.maximum(light[..., led : led + 1], MIN_LEVEL)

@@ -1,4 +1,4 @@
-"""Write what was measured apart from the presses where it is read again: a `sensor.toml`, or a calibration."""
+"""Write measurements apart from the presses to a `sensor.toml` or a calibration."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from gelform.view import View, image_from_frame
 
 
 def save_scale(scale: Scale, place: str | PathLike[str], *, sensor_name: str | None = None) -> Path:
-    """Write a scale into a `sensor.toml` or an imported calibration; the file that was written, in one step.
+    """Write a scale into a `sensor.toml` or an imported calibration, in one step; return the written file.
 
-    `place` is a folder, its `sensor.toml` (made where there is none, for a sensor of the folder's name), or a calibration.
+    `place` is a folder, its `sensor.toml` (created if missing, for a sensor of the folder's name), or a calibration.
 
     Raises
     ------
     CalibrationError
-        The calibration was fitted on presses: its slopes hold at the scale of that time.
+        The calibration was fitted on presses, and its slopes hold only at their scale.
     DataError
         The file cannot be read, edited or written.
     """
@@ -42,10 +42,10 @@ def save_scale(scale: Scale, place: str | PathLike[str], *, sensor_name: str | N
 
 
 def save_grid_view(found: GridView, place: str | PathLike[str], *, sensor_name: str | None = None) -> Path:
-    """Write the lens and the scale that a grid gave into a `sensor.toml`; a lens that was there is replaced.
+    """Write the lens and the scale of a grid into a `sensor.toml`, in place of an earlier lens.
 
-    Parameters and errors as in `save_scale`; also a DataError where the `[view]` there crops, flips or resizes
-    without a lens, and a CalibrationError for a calibration: its background and its color model are of other images.
+    Parameters and errors are those of `save_scale`. It also raises a DataError if the `[view]` there crops, flips or resizes
+    without a lens, and a CalibrationError for a calibration, because its background and color model belong to other images.
     """
     place = Path(place)
     if place.suffix == ".npz":
@@ -98,7 +98,7 @@ def _save_in_toml(
 ) -> Path:
     file = _toml_in(place)
     if file.is_file():
-        read_sensor_toml(file)  # what is wrong in it is said as always
+        read_sensor_toml(file)  # raises the usual errors for the file
         text = file.read_bytes().decode("utf-8")
     else:
         text = edited_toml("", {(): {"name": sensor_name or file.parent.resolve().name}})
@@ -128,7 +128,7 @@ def _save_in_calibration(scale: Scale, place: Path) -> Path:
 
 @dataclass(frozen=True)
 class SensorSetup:
-    """A sensor as it is set up: the view from its frames to images, and its untouched image (H, W, 3) float32."""
+    """The setup of a sensor: the view from its frames to images, and its background image (H, W, 3) float32."""
 
     view: View
     background: NDArray[np.float32]
@@ -144,10 +144,10 @@ def read_setup(
     background: str | PathLike[str] | None = None,
     sensor: str | None = None,
 ) -> SensorSetup:
-    """The view and the untouched image that a press folder, its `sensor.toml` or a calibration says.
+    """The view and the background image of a press folder, its `sensor.toml` or a calibration.
 
-    `background` is the untouched frame, where it is not the folder's `background.png`; `sensor` names a profile, for the
-    view of a folder without a `sensor.toml`. A DataError or CalibrationError where there is none, or it cannot be read.
+    `background` is the background frame, if it is not the folder's `background.png`; `sensor` names a profile, for the
+    view of a folder without a `sensor.toml`. A DataError or CalibrationError means that one is missing or unreadable.
     """
     place = Path(place)
     if place.suffix == ".npz":

@@ -1,4 +1,4 @@
-"""The view that undoes distortion and perspective, and the scale, from images of a grid that lies on the gel."""
+"""The view that removes distortion and perspective, and the scale, from images of a grid that lies on the gel."""
 
 from __future__ import annotations
 
@@ -16,25 +16,25 @@ from gelform.errors import DataError
 from gelform.foundations.checks import check_image, check_list, check_numbers, check_positive
 from gelform.view import Lens, View
 
-MAX_RESIDUAL_PX = 0.5  # of a grid's points, RMS
-PITCH_SIGMA = 0.002  # of a printed grid
+MAX_RESIDUAL_PX = 0.5  # px RMS of a grid's points
+PITCH_SIGMA = 0.002  # relative, of a printed grid
 MOST_POINTS = 1000  # along a side
-# Standard deviation of the optical axis about the frame's middle, as a fraction of its width.
+# Standard deviation of the optical axis from the frame's middle, as a fraction of its width.
 CENTER_PRIOR = 0.05
 DISTORTION_PRIOR = 1.0  # standard deviation of k1 and k2
-MIN_CROP = 0.5  # of the frame that has to be seen
+MIN_CROP = 0.5  # fraction of the frame that has to be visible
 
 
 @dataclass(frozen=True)
 class GridView:
-    """What is estimated from a grid.
+    """The view and the scale, estimated from a grid.
 
     Attributes
     ----------
-    view : from frames to images with square pixels on the gel, one remap; cropped to what the camera saw
+    view : from frames to images with square pixels on the gel, one remap; cropped to the part that the camera saw
     scale : mm per pixel of those images, and its standard deviation
     residual_px, residual_mm : root mean square distance of the grid's points from the model, in the frame and on the gel
-    points : how many points of how many images were used
+    points : number of points and of images that were used
     """
 
     view: View
@@ -56,12 +56,12 @@ def view_from_grid(
     kind: Literal["checkerboard", "dots"] = "checkerboard",
     pitch_sigma_mm: float | None = None,
 ) -> GridView:
-    """Undo the lens and tell the scale from images of a regular grid.
+    """Measure the lens and the scale from images of a regular grid.
 
-    The first image shows the grid on the gel: it gives the plane and the scale. Further ones, of the grid at other
-    places or tilts, help with the distortion alone. Fitted together by least squares: a homography for each image and
-    Brown's radial distortion (k1, k2) about one centre, common to all. The focal length that a single plane cannot
-    tell is not needed to rectify it and is set to the frame's longer side.
+    The first image shows the grid on the gel; it gives the plane and the scale. Further images, of the grid at other
+    places or tilts, improve only the distortion. Least squares fit a homography for each image together with
+    Brown's radial distortion (k1, k2) about one common center. A single plane does not determine the focal length, but
+    rectifying it does not need that; it is set to the frame's longer side.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ def _points_of_grid(
 def _refined_corners(
     grey: NDArray[Any], points: NDArray[np.float32], pattern: tuple[int, int]
 ) -> NDArray[np.float32]:
-    """Corners where the grey levels' gradients say, within a quarter of a square: ten times nearer than found."""
+    """Corners at the gray levels' gradients, within a quarter of a square: ten times more exact than the found ones."""
     rows = points.reshape(pattern[1], pattern[0], 2)
     square = min(float(np.linalg.norm(np.diff(rows, axis=axis), axis=-1).min()) for axis in (0, 1))
     half = max(2, int(square / 4))
@@ -143,7 +143,7 @@ def _refined_corners(
 
 
 def _dot_detector(pixels: int) -> Any:
-    blobs: Any = cv2  # OpenCV's stubs do not know its blob detector
+    blobs: Any = cv2  # OpenCV's stubs lack its blob detector
     settings = blobs.SimpleBlobDetector_Params()
     settings.minArea, settings.maxArea = 8.0, pixels / 40
     settings.minDistBetweenBlobs = 3.0
@@ -153,7 +153,7 @@ def _dot_detector(pixels: int) -> Any:
 
 @dataclass(frozen=True)
 class _Model:
-    """Grid (mm) -> undistorted px by a homography, then radial distortion about the centre."""
+    """Grid (mm) -> undistorted px by a homography, then radial distortion about the center."""
 
     homographies: NDArray[np.float64]
     distortion: tuple[float, float]
@@ -169,7 +169,7 @@ class _Model:
         return cls(homographies.reshape(-1, 3, 3), (k1, k2), (cx, cy), focal)
 
     def frame_px(self, grid: NDArray[np.float64], number: int) -> NDArray[np.float64]:
-        """Where image `number` shows points of the grid, px."""
+        """Positions in image `number` of points of the grid, px."""
         flat = _projected(self.homographies[number], grid)
         unit = (flat - self.center) / self.focal
         square = np.sum(unit**2, axis=1, keepdims=True)
@@ -193,7 +193,7 @@ def _fitted(
     def off(numbers: NDArray[np.float64]) -> NDArray[np.float64]:
         model = _Model.from_numbers(numbers, focal)
         residuals = [(model.frame_px(grid, k) - of_image).ravel() for k, of_image in enumerate(points)]
-        # without distortion its centre is anywhere, and over a small grid k2 too: weak priors of 0.1 px noise
+        # without distortion its center is anywhere, and so is k2 over a small grid: weak priors of 0.1 px noise
         prior = (
             0.1
             * (numbers[:4] - start[:4])
@@ -222,7 +222,7 @@ def _rectifying(model: _Model, shape: tuple[int, int]) -> tuple[Lens, float]:
     )  # mm of the grid per px of the frame
     mm_per_px = float(np.sqrt(abs(np.linalg.det(jacobian))))
     u, _, v = np.linalg.svd(jacobian)
-    turn = mm_per_px * (u @ v)  # the nearest turn (or mirror image: which corner comes first is arbitrary)
+    turn = mm_per_px * (u @ v)  # the nearest turn, or mirror image, because the first corner is arbitrary
     placed = np.eye(3)
     placed[:2, :2], placed[:2, 2] = turn, at[0] - turn @ middle
     perspective = model.homographies[0] @ placed
@@ -231,7 +231,7 @@ def _rectifying(model: _Model, shape: tuple[int, int]) -> tuple[Lens, float]:
 
 
 def _cropped(view: View) -> View:
-    """The largest middle part of the rectified frame, in whole pixels, of which the camera saw everything."""
+    """The largest middle part of the rectified frame, in whole pixels, that the camera saw completely."""
     assert view.frame_shape is not None
     assert view.lens is not None
     height, width = view.frame_shape

@@ -1,4 +1,4 @@
-"""What was measured about a sensor before its presses: scale, crosstalk, lens; and what a report says of it."""
+"""Measurements of a sensor before its presses: scale, crosstalk, lens; and their sentences for a report."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from gelform.calibration.geometry.crosstalk import Crosstalk
 
 @dataclass(frozen=True)
 class Geometry:
-    """Measured apart from the presses; nothing by default.
+    """Measurements apart from the presses; none by default.
 
     Attributes
     ----------
-    scale_source : what mm_per_px was measured on, with the figures; empty: given as a number
-    crosstalk : undone before the color model; None: absorbed in it
-    lens : what distortion and perspective were measured on, with the residual; empty: none is undone
-    gel_thickness_mm : of the gel at rest; None: not known
+    scale_source : target that mm_per_px was measured on, with the figures; empty: given as a number
+    crosstalk : removed before the color model; None: the color model absorbs it
+    lens : target that distortion and perspective were measured on, with the residual; empty: none is removed
+    gel_thickness_mm : thickness of the gel at rest, mm; None if unknown
     """
 
     scale_source: str = ""
@@ -28,7 +28,7 @@ class Geometry:
 
     @classmethod
     def from_settings(cls, measured: Mapping[str, Any], gel_thickness_mm: float | None = None) -> Geometry:
-        """From the table `[measured]` of a `sensor.toml` (`SensorSettings.measured`), and the gel's thickness."""
+        """Make it from the table `[measured]` of a `sensor.toml` (`SensorSettings.measured`), and the gel's thickness."""
         crosstalk = None
         if "crosstalk" in measured:
             spread = measured.get("crosstalk_spread", ((0.0,) * 3,) * 3)
@@ -39,11 +39,11 @@ class Geometry:
 
     @property
     def matrix(self) -> tuple[tuple[float, ...], ...] | None:
-        """The crosstalk to undo, 3x3, or None."""
+        """The crosstalk to remove, 3x3, or None."""
         return None if self.crosstalk is None else self.crosstalk.matrix
 
     def settings(self) -> dict[str, Any]:
-        """What a calibration records of it, by the names of `CalibrationSettings`."""
+        """The record of it in a calibration, by the names of `CalibrationSettings`."""
         said: dict[str, Any] = {"scale_source": self.scale_source, "lens": self.lens}
         said["gel_thickness_mm"] = self.gel_thickness_mm
         if self.crosstalk is not None:
@@ -51,7 +51,7 @@ class Geometry:
         return {name: value for name, value in said.items() if value}
 
     def notes(self, response: float, mm_per_px_sigma: float | None) -> tuple[str, ...]:
-        """What a report says of it, one sentence each."""
+        """The sentences of a report about it."""
         sigma = "is not known" if mm_per_px_sigma is None else f"is {mm_per_px_sigma:.2g} mm/px"
         scale = self.scale_source or "the number given"
         notes = [

@@ -1,4 +1,4 @@
-"""mm per pixel with its uncertainty, and where it comes from: presses of a ball alone do not tell it."""
+"""mm per pixel with its uncertainty and its origin; presses of a ball alone do not determine it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from gelform.foundations.checks import LARGEST, check_list, check_numbers, check
 from gelform.sensors.profiles import profile_named
 
 SOURCES = "two marked points, a flat punch, a thread, a step of a stage, or a grid"
-MARK_SIGMA_PX = 0.5  # of a point marked by hand
+MARK_SIGMA_PX = 0.5  # px, of a point marked by hand
 MAX_DISAGREEMENT = 4.0  # standard deviations between two scales
 
 
@@ -24,7 +24,7 @@ class Scale:
     ----------
     mm_per_px : mm per image pixel (square pixels)
     sigma : its standard deviation, mm
-    source : what it was measured on, with the figures
+    source : target that it was measured on, with the figures
     """
 
     mm_per_px: float
@@ -50,7 +50,7 @@ def scale_from_points(
     sigma_px: float = MARK_SIGMA_PX,
     sigma_mm: float = 0.0,
 ) -> Scale:
-    """From two marked points a known distance apart.
+    """The scale from two marked points with a known distance.
 
     Parameters
     ----------
@@ -78,19 +78,19 @@ def scale_from_points(
 
 
 def scale_from_lengths(mm: float, px: float, sigma_mm: float, sigma_px: float, source: str) -> Scale:
-    """mm/px of one length known in both, with the uncertainty of both."""
+    """Scale, mm/px, from one length known in both units, with the uncertainty of both."""
     pitch = check_positive(mm, "length_mm") / check_positive(px, "length_px")
     sigma_mm = check_within(sigma_mm, "sigma_mm", 0, LARGEST)
     return Scale(pitch, float(pitch * np.hypot(sigma_mm / mm, sigma_px / px)), source)
 
 
 def combined_scale(scales: Sequence[Scale]) -> Scale:
-    """The mean of several, weighted by their inverse variances.
+    """The mean of several scales, weighted by their inverse variances.
 
     Raises
     ------
     DataError
-        Two of them are more than four standard deviations apart: one is wrong, and a mean would hide it.
+        Two of them are more than four standard deviations apart; one is wrong, and a mean would hide it.
     """
     scales = check_list(scales, "scales", Scale)
     if not scales:

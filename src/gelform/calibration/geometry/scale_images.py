@@ -1,4 +1,4 @@
-"""mm per pixel from a pressed thing of known size: a flat punch or a thread."""
+"""mm per pixel from a pressed object of known size: a flat punch or a thread."""
 
 from __future__ import annotations
 
@@ -17,31 +17,31 @@ from gelform.errors import DataError
 from gelform.foundations.checks import check_image, check_positive
 
 RAYS = 360  # from the punch's middle
-SECTORS = 24  # of its outline, each fitted by itself
+SECTORS = 24  # sectors of its outline, each fitted by itself
 RAY_STEP_PX = 0.2  # along a ray
-EDGE_BLUR_PX = 1.0  # of the change of colour, against noise
-EDGE_SIGMA_PX = 0.3  # what the flank's shape leaves open about where the edge is
-MIN_CONTRAST = 0.03  # change of colour that a press makes
+EDGE_BLUR_PX = 1.0  # px, blur of the change of color against noise
+EDGE_SIGMA_PX = 0.3  # px, uncertainty of the edge from the shape of the flank
+MIN_CONTRAST = 0.03  # smallest change of color by a press
 MAX_RESIDUAL = 0.04  # of the punch's radius
 MIN_PERIODS = 4.0  # of a thread in the image
 MAX_FREQUENCY = 0.25  # cycles per px: crests 4 px apart
-MIN_ELONGATION = 1.5  # length over width of what has an axis
+MIN_ELONGATION = 1.5  # smallest length over width of an object with an axis
 MAX_LEAN_RAD = np.deg2rad(15)
 MIN_PROMINENCE = 4.0  # of the wave over the spectrum's median
-FUNDAMENTAL = 0.35  # of the peak: a wave below it that is so strong is its fundamental
-THREAD_SIGMA = 0.003  # relative, what the crests' shape leaves open
-STEP_SIGMA_PX = 0.1  # what the images' likeness leaves open about the shift
+FUNDAMENTAL = 0.35  # of the peak; a wave below it of at least this strength is its fundamental
+THREAD_SIGMA = 0.003  # relative uncertainty from the shape of the crests
+STEP_SIGMA_PX = 0.1  # px, uncertainty of the shift from the similarity of the images
 MIN_LIKENESS = 0.5  # correlation, 0-1
 
 
 def scale_from_punch(
     image: NDArray[Any], background: NDArray[Any], diameter_mm: float, *, sigma_mm: float = 0.01
 ) -> Scale:
-    """From the outline of a flat, round punch with a sharp edge.
+    """The scale from the outline of a flat, round punch with a sharp edge.
 
-    Inside its edge the gel lies flat, so its colour is that at rest; outside it slopes away most steeply beside
-    the edge, less and less further out. In each of 24 sectors that profile, a step and an exponential fall behind a
-    blur (an exponentially modified Gaussian), is fitted to the change of colour; its step is the edge.
+    Inside the edge the gel lies flat, so its color is that of rest. Outside, it slopes most steeply next to the edge, and
+    less further out. That profile is a step and an exponential fall after a blur (an exponentially modified Gaussian).
+    It is fitted to the change of color in each of 24 sectors; its step is the edge.
 
     Parameters
     ----------
@@ -52,12 +52,12 @@ def scale_from_punch(
     Raises
     ------
     DataError
-        No ring of changed colour, or one that is no circle; the figure is in the message.
+        No ring of changed color, or one that is no circle; the message has the figure.
     """
     size = np.linalg.norm(change_of(image, background, EDGE_BLUR_PX), axis=-1)
     if np.quantile(size, 0.995) < MIN_CONTRAST:
         raise DataError(
-            f"Expected the press of a flat punch, got an image whose colour hardly changes "
+            f"Expected the press of a flat punch, got an image whose color hardly changes "
             f"({np.quantile(size, 0.995):.3f}, expected {MIN_CONTRAST:g} or more). Press it in firmly."
         )
     x, y, rough, residual, count = _circle_through(_edges(size, _middle(size)))
@@ -77,10 +77,10 @@ def scale_from_punch(
 def scale_from_thread(
     image: NDArray[Any], background: NDArray[Any], pitch_mm: float, *, sigma_mm: float = 0.002
 ) -> Scale:
-    """From the pitch of a screw thread (or of a ruled bar) that lies in the gel.
+    """The scale from the pitch of a screw thread (or of a ruled bar) that lies in the gel.
 
-    The strongest wave in the change of colour is found in its spectrum and refined to a fraction of a bin. What
-    counts is its part along the screw: the crests lean by the helix, which brings them 0.1-0.8 % closer.
+    The strongest wave in the change of color is found in its spectrum and refined to a fraction of a bin. Only
+    its part along the screw counts: the crests lean by the helix, which brings them 0.1-0.8 % closer.
 
     Parameters
     ----------
@@ -101,14 +101,14 @@ def scale_from_thread(
 
 
 def change_of(image: NDArray[Any], background: NDArray[Any], blur_px: float) -> NDArray[np.float32]:
-    """Change of colour (H, W, 3), exposure compensated."""
+    """Change of color (H, W, 3), with the exposure compensated."""
     bare = PreparedBackground(background, ChangeSettings(blur_px=blur_px))
     checked = check_image(image, shape=bare.background.shape[:2])
     return bare.change(checked, bare.compare(checked)[0])
 
 
 def _middle(size: NDArray[np.float32]) -> tuple[float, float]:
-    """Middle of what changed clearly."""
+    """Middle of the clearly changed pixels."""
     rows, columns = np.nonzero(size > 0.5 * np.quantile(size, 0.995))
     return float((columns.min() + columns.max()) / 2), float((rows.min() + rows.max()) / 2)
 
@@ -142,7 +142,7 @@ def _edges(size: NDArray[np.float32], middle: tuple[float, float]) -> NDArray[np
 
 
 def _circle_through(points: NDArray[np.float64]) -> tuple[float, float, float, float, int]:
-    """x, y, radius of the circle that fits robustly, its residual (robust standard deviation), how many are near."""
+    """x, y, radius of the robustly fitted circle, its residual (robust standard deviation), number of points near it."""
     if len(points) < 8:
         return 0.0, 0.0, 1.0, np.inf, len(points)
     design = np.column_stack([2 * points, np.ones(len(points))])
@@ -162,7 +162,7 @@ def _circle_through(points: NDArray[np.float64]) -> tuple[float, float, float, f
 def _radii_of_flank(
     size: NDArray[np.float32], center: tuple[float, float], rough: float
 ) -> NDArray[np.float64]:
-    """Radius of the edge in each sector whose profile the flank's model fits, px."""
+    """Radius of the edge, px, in each sector whose profile fits the flank's model."""
     r = np.arange(0.6 * rough, 1.5 * rough, 0.5)
     angles = (
         (np.arange(SECTORS)[:, None] + np.arange(RAYS // SECTORS) / (RAYS // SECTORS)) * 2 * np.pi / SECTORS
@@ -187,7 +187,7 @@ def _radius_in_sector(
     r: NDArray[np.float64],
     angles: NDArray[np.float64],
 ) -> float | None:
-    """Where the flank's step is in one sector; None where it does not lie in the image with room around it."""
+    """Radius of the flank's step in one sector; None if it is not in the image with room around it."""
     x, y = center[0] + r[:, None] * np.cos(angles), center[1] + r[:, None] * np.sin(angles)
     inside = ((x >= 0) & (x <= size.shape[1] - 1) & (y >= 0) & (y <= size.shape[0] - 1)).all(axis=1)
     if np.count_nonzero(inside) < 20 or r[inside][-1] < 1.2 * rough:
@@ -206,9 +206,9 @@ def _radius_in_sector(
 def _flank(
     r: NDArray[np.float64], edge: float, fall: float, blur: float, height: float, floor: float
 ) -> NDArray[np.float64]:
-    """A step at `edge` that falls off as exp(-(r - edge)/fall), behind a Gaussian blur, over a floor."""
+    """A step at `edge` that falls off as exp(-(r - edge)/fall), after a Gaussian blur, over a floor."""
     t = (r - edge) / blur
-    # erfcx keeps exp() erfc() from overflowing where the flank is far off
+    # erfcx keeps exp() erfc() from overflowing far from the flank
     arg = (blur / fall - t) / np.sqrt(2)
     tail = np.where(arg > 0, np.exp(-(t**2) / 2) * erfcx(np.maximum(arg, 0)), 0.0)
     near = np.exp(np.minimum(blur**2 / (2 * fall**2) - (r - edge) / fall, 50)) * erfc(np.minimum(arg, 0))
@@ -216,7 +216,7 @@ def _flank(
 
 
 def _axis_of(change: NDArray[np.float32]) -> NDArray[np.float64] | None:
-    """Unit vector (x, y) along which what changed is long; None where it is as long as wide."""
+    """Unit vector (x, y) along the long side of the changed region; None if it is as long as wide."""
     weight = np.sum(change.astype(np.float64) ** 2, axis=-1)
     weight[weight < 0.05 * weight.max()] = 0
     y, x = np.mgrid[: weight.shape[0], : weight.shape[1]]
@@ -245,7 +245,7 @@ def _frequency(change: NDArray[np.float32]) -> tuple[float, float]:
 
 
 def _strongest(change: NDArray[np.float32], axis: NDArray[np.float64] | None) -> NDArray[np.float64]:
-    """(fx, fy) of the spectrum's peak, in cycles per pixel, along the thing where it is long; not a harmonic."""
+    """(fx, fy) of the spectrum's peak, in cycles per pixel, along a long object; not a harmonic."""
     height, width = change.shape[:2]
     size = 2 * max(height, width)
     window = np.outer(np.hanning(height), np.hanning(width))[..., None]
@@ -254,7 +254,7 @@ def _strongest(change: NDArray[np.float32], axis: NDArray[np.float64] | None) ->
     )
     fy, fx = np.fft.fftfreq(size)[:, None], np.fft.fftfreq(size)[None, :]
     frequency = np.hypot(fx, fy)
-    spectrum *= frequency  # what the thing's outline gives falls off as 1/f: made level
+    spectrum *= frequency  # flattens the spectrum of the object's outline, which falls off as 1/f
     meant = (frequency > MIN_PERIODS / max(height, width)) & (frequency < MAX_FREQUENCY) & (fx >= 0)
     if axis is not None:
         meant &= np.abs(fx * axis[0] + fy * axis[1]) > np.cos(MAX_LEAN_RAD) * frequency
@@ -266,7 +266,7 @@ def _strongest(change: NDArray[np.float32], axis: NDArray[np.float64] | None) ->
             "Expected a thread, got an image in which no wave stands out. Lay the screw flat and press firmly, with "
             f"{MIN_PERIODS:g} crests or more in the image."
         )
-    for part in (3, 2):  # a sharp crest has strong harmonics: the fundamental is below
+    for part in (3, 2):  # a sharp crest has strong harmonics, so the fundamental may be below
         row, column = (round(f / part * size) for f in best[::-1])
         around = spectrum.take(range(row - 2, row + 3), 0, mode="wrap").take(
             range(column - 2, column + 3), 1, mode="wrap"
@@ -300,22 +300,22 @@ def scale_from_stage(
     *,
     sigma_mm: float = 0.005,
 ) -> Scale:
-    """From one thing pressed twice, moved along the gel by a stage in between, at the same depth.
+    """The scale from one object pressed twice at the same depth, moved along the gel by a stage in between.
 
-    The shift is the peak of the correlation of the two changes of colour, then refined for each channel by
+    The shift is the peak of the correlation of the two changes of color, then refined for each channel by
     aligning the images (G. D. Evangelidis and E. Z. Psarakis, IEEE Trans. PAMI 30(10), 2008); the channels' spread
     is its uncertainty.
 
     Parameters
     ----------
     first, second, background : (H, W, 3), RGB, 0-255, after the view
-    distance_mm : that the stage moved
+    distance_mm : motion of the stage
     sigma_mm : standard deviation of the distance, mm
 
     Raises
     ------
     DataError
-        The two do not show one thing: nothing aligns.
+        The two images do not show the same object, because nothing aligns.
     """
     a, b = (change_of(image, background, 1.0) for image in (first, second))
     shifts = [_aligned(a[..., c], b[..., c], _coarse_shift(a, b)) for c in range(3)]
@@ -338,7 +338,7 @@ def scale_from_stage(
 
 
 def _coarse_shift(a: NDArray[np.float32], b: NDArray[np.float32]) -> tuple[int, int]:
-    """Whole pixels (dx, dy) by which b is a shifted, from the correlation of all channels together."""
+    """Whole pixels (dx, dy) of the shift of b against a, from the correlation of all channels together."""
     shape = (2 * a.shape[0], 2 * a.shape[1])
     correlation = sum(
         np.fft.irfft2(np.fft.rfft2(b[..., c], shape) * np.conj(np.fft.rfft2(a[..., c], shape)), shape)
@@ -354,14 +354,14 @@ def _coarse_shift(a: NDArray[np.float32], b: NDArray[np.float32]) -> tuple[int, 
 def _aligned(
     a: NDArray[np.float32], b: NDArray[np.float32], start: tuple[int, int]
 ) -> tuple[float, float] | None:
-    """Sub-pixel shift (dx, dy) of b against a; None where the alignment does not converge near the start."""
+    """Sub-pixel shift (dx, dy) of b against a; None if the alignment does not converge near the start."""
     matrix = np.array([[1, 0, start[0]], [0, 1, start[1]]], dtype=np.float32)
     stop = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 200, 1e-7)
     try:
         likeness, matrix = cv2.findTransformECC(
             np.ascontiguousarray(a), np.ascontiguousarray(b), matrix, cv2.MOTION_TRANSLATION, stop, None, 5
         )
-    except cv2.error:  # raised by OpenCV where the images have nothing in common
+    except cv2.error:  # raised by OpenCV if the images have nothing in common
         return None
     if likeness < MIN_LIKENESS or np.hypot(matrix[0, 2] - start[0], matrix[1, 2] - start[1]) > 3:
         return None

@@ -1,4 +1,4 @@
-"""Change values in a TOML file's text: its comments, its order and all other keys stay."""
+"""Change values in the text of a TOML file and keep its comments, its order and all other keys."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ def edited_toml(text: str, changes: Mapping[Table, Mapping[str, Any]], drop: Seq
 
     Parameters
     ----------
-    text : of the file; "" for a new one
+    text : text of the file; "" for a new one
     changes : table (a path of names, () for the top level) -> key -> number, text, or list of them
-    drop : tables whose keys and tables are taken out before
+    drop : tables whose keys and tables are removed first
 
     Raises
     ------
@@ -41,7 +41,7 @@ def edited_toml(text: str, changes: Mapping[Table, Mapping[str, Any]], drop: Seq
 
 
 def _table_in(content: Any, path: Table) -> Any:
-    """A table, made where there is none."""
+    """A table, created if missing."""
     for name in path:
         if name not in content:
             content[name] = tomlkit.table()

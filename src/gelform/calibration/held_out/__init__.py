@@ -1,1 +1,1 @@
-"""What presses that a model has not seen say: which settings are chosen, how far off slopes are, how well that is known."""
+"""Held-out presses: the selection of settings, the errors of slopes, and their uncertainty."""

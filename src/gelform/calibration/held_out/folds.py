@@ -1,7 +1,7 @@
-"""Presses held out: dealt into folds.
+"""Folds of held-out presses.
 
-For each fold the circles of the other presses are refined from scratch: no pixel of a scored press, nor a circle
-that it helped to place, is ever in the model that scores it.
+The circles of the other presses are refined from scratch for each fold. So neither a pixel of a scored press nor a circle
+that it helped to place is ever in the model that scores it.
 """
 
 from __future__ import annotations
@@ -15,23 +15,23 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
 from gelform.calibration.circles.find import ContactCircle, scale_of
-from gelform.calibration.circles.locate import refine
+from gelform.calibration.circles.locate import ROUNDS, refine
 from gelform.calibration.circles.refine import fit_model, recentered
 from gelform.calibration.circles.samples import PreparedPress
+from gelform.calibration.enough import FOLDS
 from gelform.color_models import StartableModel
 from gelform.foundations.progress import Progress, no_progress
 
-FOLDS = 5  # each trains on four fifths of the presses
-SHORTER_SIDE = 12  # px of the small copies that are compared: noise averages out in them
-# Of the smaller change; frames of one press: up to 0.06, two presses of real sets: 0.081 or more.
+SHORTER_SIDE = 12  # px of the small copies that are compared; noise averages out in them
+# Of the smaller change; frames of one press differ by up to 0.06, two presses of real sets by 0.081 or more.
 MAX_DIFFERENCE = 0.08
-NEAR_PX, NEAR_RADIUS = 2.0, 0.04  # at 240 rows; of the smaller radius: circles of one press saved in two ways
-MOVES = 4  # of a circle to a model that has not seen it: it stays after three
+# px at 240 rows, and fraction of the smaller radius: circles of one press saved in two ways
+NEAR_PX, NEAR_RADIUS = 2.0, 0.04
 
 
 @dataclass(frozen=True)
 class Fold:
-    """Indices of the presses held out, and of those that train, with their refined circles."""
+    """Indices of the held-out presses and of the training presses, with the refined circles of the latter."""
 
     held_out: tuple[int, ...]
     training: tuple[int, ...]
@@ -46,9 +46,9 @@ def make_folds(
     start: StartableModel | None = None,
     progress: Progress = no_progress,
 ) -> list[Fold]:
-    """Deal the usable presses into folds, each size of ball evenly, and refine each fold's training circles.
+    """Split the usable presses into folds, each size of ball evenly, and refine each fold's training circles.
 
-    Presses that show the same (`near_duplicates`) stay in one fold. `start` is another unit's model.
+    Presses of the same contact (`near_duplicates`) stay in one fold. `start` is another unit's model.
     """
     groups = near_duplicates(presses, found, sorted(usable, key=lambda i: presses[i].ball_radius_px))
     ordered = [i for group in groups for i in group]
@@ -80,11 +80,11 @@ def _fold(
 def near_duplicates(
     presses: Sequence[PreparedPress], found: Sequence[ContactCircle], among: Sequence[int]
 ) -> list[list[int]]:
-    """The presses in groups that show the same ball at the same place, each of `among` in one; order is kept.
+    """Group the presses that show the same ball at the same place, each of `among` in one group, in order.
 
-    Two are near duplicates where the root mean square difference of their color changes is under 8 % of the smaller
-    change, or where the same ball left the same circle: another exposure, another compression or another moment changes the
-    colours, not the circle.
+    Two are near duplicates if the root mean square difference of their color changes is under 8 % of the smaller change, or
+    if
+    the same ball left the same circle. Another exposure, compression or moment changes the colors, but not the circle.
     """
     if not among:
         return []
@@ -99,7 +99,7 @@ def near_duplicates(
 
 
 def _same_circle(presses: Sequence[PreparedPress], found: Sequence[ContactCircle]) -> NDArray[np.bool_]:
-    """(n, n): the same ball at the same place, as deep."""
+    """Whether (n, n) two presses show the same ball at the same place and depth."""
     x, y, radius = np.array([circle.circle_px for circle in found]).T
     ball = np.array([press.ball_radius_px for press in presses])
     near = NEAR_PX * scale_of(presses[0].size.shape)
@@ -109,7 +109,7 @@ def _same_circle(presses: Sequence[PreparedPress], found: Sequence[ContactCircle
 
 
 def _small(change: NDArray[np.float32]) -> NDArray[np.float64]:
-    """A color change without what all pixels share, averaged down; flat."""
+    """A color change without the part that all pixels share, averaged down; flat."""
     height, width = change.shape[:2]
     scale = min(1.0, SHORTER_SIDE / min(height, width))
     size = (max(1, round(width * scale)), max(1, round(height * scale)))
@@ -123,12 +123,11 @@ def circle_sigmas(
     folds: Sequence[Fold],
     start: StartableModel | None = None,
 ) -> dict[int, tuple[float, float]]:
-    """Standard deviations, px, of each usable press's centre (either axis) and of its visible radius.
+    """Standard deviations, px, of each usable press's center (either axis) and of its visible radius.
 
-    A delete-a-group jackknife (B. Efron, The Jackknife, SIAM 1982, eq. 3.6) of the joint refinement: each circle as
-    it comes out without each fold; without its own, it is fitted to a model that has not seen it. What all
-    refinements have in common is not in it: on simulated presses distances to the truth are about 1.5 times as
-    large.
+    It is a delete-a-group jackknife (B. Efron, The Jackknife, SIAM 1982, eq. 3.6) of the joint refinement: each circle is
+    refined without each fold; without its own fold, it is fitted to a model that has not seen it. An error common to all
+    refinements is not in it; on simulated presses distances to the truth are about 1.5 times as large.
     """
     circles: dict[int, list[tuple[float, float, float]]] = {}
     for fold in folds:
@@ -138,7 +137,7 @@ def circle_sigmas(
             model = fit_model([presses[i] for i in fold.training], fold.contacts, start)
             for i in fold.held_out:
                 contact = found[i]
-                for _ in range(MOVES):
+                for _ in range(ROUNDS):
                     contact = recentered(presses[i], contact, found[i], model)
                 circles.setdefault(i, []).append(contact.circle_px)
     return {i: _jackknife(np.array(known)) for i, known in circles.items() if len(known) > 1}

@@ -1,7 +1,7 @@
-"""Errors on held-out presses: each is reconstructed once, by what was chosen and fitted without it.
+"""Errors on held-out presses: each is reconstructed once, by a calibration selected and fitted without it.
 
-Some of its pixels are kept with their slopes and the ball's own, and the depth minus the cap. They stay in the report of
-the run, unsaved; the report's statistics are binned from them.
+Some of its pixels are kept with their slopes, the ball's own slopes, and the depth minus the cap. They stay in the report
+of the run, unsaved; the report's statistics are binned from them.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from gelform.calibration.candidates import Candidate
 from gelform.calibration.circles.find import ContactCircle
 from gelform.calibration.circles.prepare import change_settings
-from gelform.calibration.circles.samples import ZONE, PreparedPress
+from gelform.calibration.circles.samples import PRESS_PIXELS, ZONE, PreparedPress
 from gelform.calibration.fitted import Fitted
 from gelform.calibration.held_out.folds import Fold, circle_sigmas
 from gelform.calibration.held_out.sigma import fraction_trained, slope_sigma_from_folds
@@ -31,22 +31,19 @@ from gelform.metrics.ball import STEEPEST_FRACTION, ball_center, ball_gradients,
 from gelform.reconstruct import Reconstructor
 from gelform.reconstruction import Reconstruction
 
-MAX_PIXELS = 2000  # kept of a press
-CENTER_PIXELS = 1500  # that a circle's free centre is fitted to
-
 
 @dataclass(frozen=True, eq=False)
 class HeldOutSample:
-    """Pixels of one press, reconstructed with a model that has not seen it; the ball's centre is free.
+    """Pixels of one press, reconstructed with a model that has not seen it; the ball's center is free.
 
     Attributes
     ----------
     index : of the press in its folder
-    circle_px : (centre x, centre y, contact radius), px; of a press too deep for that, the radius that the gel follows
+    circle_px : (center x, center y, contact radius), px; for a deep press, the radius that the gel follows
     x_px, y_px : (N,) float32, inside the contact, 3 px (at 240 rows) inside its rim
-    true_gradients, gradients : (N, 2) float32, the ball's slopes there and those that were reconstructed
+    true_gradients, gradients : (N, 2) float32, the ball's slopes there and the reconstructed ones
     cap_error_um : (h, w) float32, depth minus the ball's cap in the contact's box, mean 0, NaN outside it;
-        empty where the fitted ball lies outside the frame
+        empty if the fitted ball lies outside the frame
     """
 
     index: int
@@ -72,16 +69,16 @@ class HeldOutSample:
 
 @dataclass(frozen=True)
 class Judged:
-    """What the held-out presses say of what was fitted.
+    """The errors of a fit on held-out presses.
 
     Attributes
     ----------
-    errors : index of the press -> its errors through the whole path, by what was chosen without its fold
+    errors : index of the press -> its errors through the whole path, with the candidate selected without its fold
     saved_errors : the same by the saved model's kind, settings and zone, fitted without its fold
-    samples : some pixels of each
+    samples : some pixels of each press
     slope_sigma : standard deviation of the slopes of the chosen color model, and of those of the solved depth
     forward : the forward response, its residuals in the unit of those of held-out presses
-    circle_sigmas : index of the press -> standard deviations, px, of its circle's centre and radius
+    circle_sigmas : index of the press -> standard deviations, px, of its circle's center and radius
     """
 
     errors: Mapping[int, PressErrors]
@@ -93,10 +90,10 @@ class Judged:
 
 
 def judge(fitted: Fitted, *, progress: Progress = no_progress) -> Judged:
-    """Errors of every usable press, with what was chosen and fitted without its fold, and how well slopes are known.
+    """Errors of every usable press with the candidate selected and fitted without its fold, and the deviation of slopes.
 
-    The deviation of slopes is put together here: of those that are read by what the folds' models are off, and of those of
-    the solved depth by what the reconstructed presses are.
+    The deviation of slopes as read comes from the errors of the folds' models, that of the solved depth's slopes from the
+    errors of the reconstructed presses.
     """
     errors: dict[int, PressErrors] = {}
     saved_errors: dict[int, PressErrors] = {}
@@ -154,8 +151,8 @@ def _reconstructed(
 def _free_circle(
     press: PreparedPress, found: ContactCircle, result: Reconstruction
 ) -> tuple[float, float, float]:
-    """The held-out press's circle: found in its own image, its centre that of the solved slopes, its radius not refined."""
-    rows, cols = press.pixels(found, ZONE, CENTER_PIXELS)
+    """The circle found in the held-out press alone, with the center of the solved slopes; its radius is not refined."""
+    rows, cols = press.pixels(found, ZONE, PRESS_PIXELS)
     start = found.x_px, found.y_px
     x, y = ball_center(result.gradients[rows, cols], cols, rows, start, press.ball_radius_px)
     return x, y, found.radius_px
@@ -168,7 +165,7 @@ def errors_of(
     mm_per_px: float,
     contact_radius_ratio: float,
 ) -> PressErrors:
-    """Errors of a reconstructed press whose visible circle (centre x, centre y, radius, px) is known."""
+    """Errors of a reconstructed press whose visible circle (center x, center y, radius, px) is known."""
     return press_errors(
         result.depth_mm,
         result.gradients,
@@ -187,11 +184,11 @@ def sample_of(
     mm_per_px: float,
     contact_radius_ratio: float,
     *,
-    max_pixels: int = MAX_PIXELS,
+    max_pixels: int = PRESS_PIXELS,
 ) -> HeldOutSample:
-    """Pixels of a reconstructed press that tell how far off it is, up to the visible rim; about `max_pixels`.
+    """Pixels of a reconstructed press for its errors, up to the visible rim; about `max_pixels`.
 
-    That region and the free centres, fitted inside the contact's edge, are those of `gelform.metrics.press_errors`.
+    That region and the free centers, fitted inside the contact edge, are those of `gelform.metrics.press_errors`.
     """
     ball_px = press.ball_diameter_mm / 2 / mm_per_px
     height, width = result.depth_mm.shape
@@ -229,7 +226,7 @@ def _cap_error_um(
     ball_px: float,
     mm_per_px: float,
 ) -> NDArray[np.float32]:
-    """Depth minus the cap of a ball whose centre is fitted to the slopes of the depth, in the contact's box."""
+    """Depth minus the cap of a ball whose center is fitted to the slopes of the depth, in the contact's box."""
     along_y, along_x = np.gradient(depth_mm.astype(np.float64), mm_per_px)
     slopes = np.stack([along_x, along_y], axis=-1)[inside]
     y, x = np.mgrid[: depth_mm.shape[0], : depth_mm.shape[1]]
@@ -248,10 +245,10 @@ def _cap_error_um(
 def solved_by_place(
     draft: Calibration, sigma: SlopeSigma, presses: Presses, samples: Sequence[HeldOutSample], trained: float
 ) -> SlopeSigma:
-    """The deviation of slopes with factors by slope and place for those of the solved depth.
+    """The deviation of slopes, with factors by slope and place for those of the solved depth.
 
-    As in `slope_sigma_from_folds`, errors are taken down by the root of the fraction of presses that a fold has seen. Where
-    too few pixels were held out for factors, the slopes of the solved depth are known as well as those that were read.
+    As in `slope_sigma_from_folds`, errors are multiplied by the root of the fraction of presses that a fold has seen. If
+    too few pixels were held out for factors, the slopes of the solved depth have the deviation of those that were read.
     """
     reconstruct = Reconstructor(replace(draft, slope_sigma=sigma), depth_sigma=False)
     no_walls = copy(reconstruct)
@@ -274,7 +271,7 @@ def solved_by_place(
 def stated_sigma(
     reconstruct: Reconstructor, image: NDArray[Any], sample: HeldOutSample
 ) -> NDArray[np.float32]:
-    """(N, 2) standard deviation of the slopes that a Reconstructor states at the pixels of a sample."""
+    """Standard deviation (N, 2) that a Reconstructor states for the slopes at the pixels of a sample."""
     sigma = reconstruct.from_image(image).gradients_sigma
     if sigma is None:
         raise ValueError("Expected a calibration that states a standard deviation of its slopes, got none.")

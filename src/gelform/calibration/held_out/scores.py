@@ -1,10 +1,10 @@
-"""Choose how stiff the color model and the forward response are, by their slopes on presses that they have not seen.
+"""Selection of the stiffness of the color model and the forward response by their slopes on held-out presses.
 
-What counts is the mean logarithm of each press's slope error inside the contact's edge: one press with a wrong circle moves
-a mean of errors as it likes, and a mean of logarithms by a few per cent.
+The score is the mean logarithm of each press's slope error inside the contact edge. One press with a wrong circle can
+dominate a mean of errors, but moves a mean of logarithms only by a few per cent.
 
-Choosing on the scores that are then reported flatters them. So each fold's presses are reported by what the scores of the
-other folds' presses choose.
+Reporting the scores of the selection would flatter them. So each fold's presses are reported with the candidate that the
+other folds' presses select.
 """
 
 from __future__ import annotations
@@ -22,19 +22,16 @@ from gelform.calibration.candidates import (
     training_samples,
 )
 from gelform.calibration.circles.find import ContactCircle
-from gelform.calibration.circles.samples import PreparedPress
+from gelform.calibration.circles.samples import PRESS_PIXELS, TRIAL_SAMPLES, PreparedPress
 from gelform.calibration.held_out.folds import Fold
 from gelform.color_models.forward_response import RIDGES, Step
 from gelform.foundations.progress import Progress, no_progress
 from gelform.metrics import score_slopes
 
-SAMPLES_OF_FOLD = 12_000  # pixels of all presses that train
-SCORED_PIXELS = 1_500  # of a press
-
 
 @dataclass(frozen=True)
 class SlopeScore:
-    """RMS error of the slopes read on one press, mm/mm, and mean angle; its centre is free, labels are off by a pixel."""
+    """RMS error, mm/mm, and mean angle of the slopes of one press; its center is free, since labels are off by a pixel."""
 
     slope_error: float
     normal_deg: float
@@ -42,7 +39,7 @@ class SlopeScore:
 
 @dataclass(frozen=True)
 class Trial:
-    """A candidate's scores on presses that it had not seen, each with the press's fold left out."""
+    """A candidate's scores on held-out presses, each with the press's fold left out."""
 
     candidate: Candidate
     scores: Mapping[int, SlopeScore]
@@ -55,7 +52,7 @@ class Trial:
 
 @dataclass(frozen=True)
 class Selection:
-    """What was chosen, what each fold would have chosen without its own presses, and what was tried."""
+    """The selected candidate, the selection of each fold without its own presses, and all trials."""
 
     chosen: Candidate
     by_fold: tuple[Candidate, ...]
@@ -64,14 +61,14 @@ class Selection:
 
 @dataclass(frozen=True, eq=False)
 class HeldOutPresses:
-    """The presses, and the ways to leave some of them out.
+    """The presses and their folds.
 
     Attributes
     ----------
-    presses : prepared, by the `change_offset` that candidates want
+    presses : prepared, by the `change_offset` of candidates
     found : the circles found in single images, one per press
     folds : from `make_folds`
-    untouched : color changes up to it are those of untouched gel, by the offset too
+    untouched : largest color change of gel at rest, by the offset too
     """
 
     presses: Mapping[float, Sequence[PreparedPress]]
@@ -81,12 +78,12 @@ class HeldOutPresses:
     _fits: dict[tuple[Fold, Candidate], FittedSlopes] = field(default_factory=dict, init=False, repr=False)
 
     def fit(self, fold: Fold, candidates: Sequence[Candidate]) -> list[FittedSlopes]:
-        """Candidates that differ in their settings alone, fitted on a fold's training presses; remembered."""
+        """Fit candidates that differ only in their settings on a fold's training presses; the fits are kept."""
         new = [one for one in dict.fromkeys(candidates) if (fold, one) not in self._fits]
         if new:
             offset = new[0].change_offset
             training = [self.presses[offset][i] for i in fold.training]
-            samples = training_samples(training, fold.contacts, total=SAMPLES_OF_FOLD)
+            samples = training_samples(training, fold.contacts, total=TRIAL_SAMPLES)
             for plain in dict.fromkeys(one.plain for one in new):
                 if (fold, plain) not in self._fits:
                     reader = SlopeReader(plain.fit(samples), self.presses[offset][0], self.untouched[offset])
@@ -98,18 +95,18 @@ class HeldOutPresses:
                 }
                 if ridges:
                     responses = fitted_responses(
-                        reader, training, fold.contacts, list(ridges), total=SAMPLES_OF_FOLD
+                        reader, training, fold.contacts, list(ridges), total=TRIAL_SAMPLES
                     )
                     for one, forward in zip(ridges.values(), responses):
                         self._fits[fold, one] = FittedSlopes(reader, forward)
         return [self._fits[fold, one] for one in candidates]
 
     def fitted(self, candidate: Candidate) -> list[FittedSlopes]:
-        """A candidate fitted without each fold."""
+        """Fit a candidate without each fold."""
         return [self.fit(fold, [candidate])[0] for fold in self.folds]
 
     def try_candidates(self, candidates: Sequence[Candidate]) -> list[Trial]:
-        """Fit candidates that differ in their settings alone without each fold; score what was left out."""
+        """Fit candidates that differ only in their settings without each fold, and score them on that fold."""
         scores: list[dict[int, SlopeScore]] = [{} for _ in candidates]
         prepared = self.presses[candidates[0].change_offset]
         for fold in self.folds:
@@ -117,7 +114,10 @@ class HeldOutPresses:
             fits = self.fit(fold, candidates)
             for k, fit in enumerate(fits):
                 readers.setdefault(fit.reader, []).append(k)
-            for reader, members in readers.items():  # one that differs by its steps alone is read once
+            for (
+                reader,
+                members,
+            ) in readers.items():  # candidates that differ only by their steps are read once
                 for i in fold.held_out:
                     frames = reader.frames(prepared[i], [fits[k].forward for k in members])
                     for k, frame in zip(members, frames):
@@ -126,8 +126,8 @@ class HeldOutPresses:
 
 
 def score_of(press: PreparedPress, found: ContactCircle, frame: Step) -> SlopeScore:
-    """Errors of the slopes that were read on a press, inside the contact's edge."""
-    rows, cols = press.pixels(found, 1.0, SCORED_PIXELS)
+    """Errors of the slopes that were read on a press, inside the contact edge."""
+    rows, cols = press.pixels(found, 1.0, PRESS_PIXELS)
     score = score_slopes(
         frame.gradients[rows, cols], cols, rows, (found.x_px, found.y_px), press.ball_radius_px
     )
@@ -138,9 +138,9 @@ def score_of(press: PreparedPress, found: ContactCircle, frame: Step) -> SlopeSc
 def select(
     groups: Sequence[Sequence[Candidate]], held_out: HeldOutPresses, *, progress: Progress = no_progress
 ) -> Selection:
-    """Choose among candidates, in groups of one color model, and then the step: by all presses, and without each fold's.
+    """Select among candidates, in groups of one color model, then the step: by all presses, and without each fold's.
 
-    Of groups that read held-out presses alike the first one's is chosen.
+    If groups read held-out presses equally well, the first one is selected.
     """
     plain = [held_out.try_candidates(group) for group in groups]
     progress(1, 2, f"tried {groups[0][0].model}")
@@ -169,5 +169,5 @@ def _left_out(held_out: HeldOutPresses) -> list[Sequence[int]]:
 
 
 def _best(trials: Sequence[Trial], without: Sequence[int] = ()) -> Candidate:
-    """The candidate of the least mean logarithm; the first one where too few presses say."""
+    """The candidate with the smallest mean logarithm; the first one if there are too few presses."""
     return min(trials, key=lambda trial: trial.mean_log(without)).candidate

@@ -10,27 +10,27 @@ from numpy.typing import NDArray
 
 from gelform.calibration.candidates import FittedSlopes
 from gelform.calibration.circles.find import ContactCircle, scale_of
-from gelform.calibration.circles.samples import REST_DISTANCE, PreparedPress
+from gelform.calibration.circles.samples import PRESS_PIXELS, REST_DISTANCE, PreparedPress
 from gelform.calibration.held_out.folds import Fold
 from gelform.color_models.forward_response import Step
 from gelform.confidence import SlopeErrors, SlopeSigma
 from gelform.metrics import score_slopes
 
-LAGS = 24  # steps, px at 240 rows: errors in a contact correlate over 3-10
-PER_PRESS = 2_000  # pixels that count
-ROWS = 8  # of untouched gel, for the correlation of errors there
-SHORTEST_PX, LONGEST_PX = 0.3, 6.0  # of it, by noise and blur
-MOST, CHI_SQUARE_AT_MOST = 0.95, 3.84  # of squared residuals of 1 degree of freedom
+LAGS = 24  # steps, px at 240 rows; errors in a contact correlate over 3-10
+ROWS = 8  # rows of gel at rest, for the correlation of errors there
+SHORTEST_PX = 0.3  # px, shortest of that correlation, which noise and blur cause
+# Fraction of squared residuals of 1 degree of freedom, and their limit.
+MOST, CHI_SQUARE_AT_MOST = 0.95, 3.84
 
 
 @dataclass(frozen=True)
 class PressResiduals:
-    """What a model that has not seen a press reads there, and how far off it is.
+    """The slopes that a model reads on a held-out press, and their errors.
 
     Attributes
     ----------
     slopes, errors : (h, w, 2) in the contact's bounding box, mm/mm, NaN outside its edge
-    stated : (N,) standard deviation by the step; 1 where none is taken
+    stated : (N,) standard deviation by the step; 1 without a step
     residual : (N,) squared, of the color change after the step
     rows, cols : (N,) of the pixels of that part, in the image
     untouched : (M, 2) slopes read far from the contact, where 0 is true, their median removed
@@ -47,8 +47,8 @@ class PressResiduals:
     untouched_rows: NDArray[np.float64]
 
     def columns(self, shape: tuple[int, int], press: int) -> tuple[NDArray[np.float64], ...]:
-        """Slope, errors, x and y in parts of the image, and the press's index, of some 2000 pixels."""
-        thin = slice(None, None, max(1, len(self.rows) // PER_PRESS))
+        """Slope, errors, x and y in parts of the image, and the press's index, of some pixels."""
+        thin = slice(None, None, max(1, len(self.rows) // PRESS_PIXELS))
         rows, cols = self.rows[thin], self.cols[thin]
         at = rows - self.rows.min(), cols - self.cols.min()
         x, y = (cols + 0.5) / shape[1], (rows + 0.5) / shape[0]
@@ -70,10 +70,11 @@ def slope_sigma_from_folds(
     presses: Sequence[PreparedPress],
     found: Sequence[ContactCircle],
 ) -> tuple[SlopeSigma, float]:
-    """Standard deviation and correlation of the slopes, and the scale of the residual, on presses left out.
+    """Standard deviation and correlation of the slopes, and the scale of the residual, on held-out presses.
 
-    A fold's model has seen fewer presses than the final one, and is worse for it: its errors are taken down by
-    the root of the number of presses, the rate at which errors of estimation fall.
+    A fold's model has seen fewer presses than the final one, and is worse for it. So its errors are multiplied by the root
+    of
+    the fraction of presses, the rate at which errors of estimation fall.
     """
     trained = fraction_trained(folds)
     shape = presses[0].size.shape
@@ -104,7 +105,7 @@ def fraction_trained(folds: Sequence[Fold]) -> float:
 
 
 def gain_of(read: NDArray[np.float64], truth: NDArray[np.float64]) -> float:
-    """Slopes over true ones, by least squares; both (..., 2), NaN where nothing is known."""
+    """Slopes over true ones, by least squares; both (..., 2), NaN where unknown."""
     known = np.isfinite(truth)
     return float((read[known] @ truth[known]) / max(float(truth[known] @ truth[known]), 1e-12))
 
@@ -112,7 +113,7 @@ def gain_of(read: NDArray[np.float64], truth: NDArray[np.float64]) -> float:
 def correlation_from_products(products: NDArray[np.float64], step: float) -> tuple[float, float]:
     """Length (px) and fraction (0-1) of the correlated part of errors: `fraction exp(-lag^2 / (2 length^2))` from lag 1 on.
 
-    The rest is white: its correlation is gone at the first lag. Products are at lags of 0, 1, 2 ... steps (px).
+    The rest is white, with no correlation at the first lag. Products are at lags of 0, 1, 2 ... steps (px).
     """
     correlation = products / max(products[0], 1e-30)
     below = np.nonzero(correlation[1:] < 0.05)[0]
@@ -128,7 +129,7 @@ def correlation_from_products(products: NDArray[np.float64], step: float) -> tup
 
 
 def rest_correlation(products: NDArray[np.float64], length: float) -> tuple[float, float]:
-    """Short length (px), and fraction a of errors of untouched gel: `(1 - a) exp(-lag^2/(2 short^2)) + a exp(...)`.
+    """Short length (px), and fraction a, of errors of gel at rest: `(1 - a) exp(-lag^2/(2 short^2)) + a exp(...)`.
 
     The second term falls off over the given length, as errors in a contact do. Products are at lags of 0, 1, 2 ... px.
     """
@@ -138,7 +139,7 @@ def rest_correlation(products: NDArray[np.float64], length: float) -> tuple[floa
     wanted = products[1:] / products[0]
     far = np.exp(-(lags**2) / (2 * length**2))
     best = (np.inf, 0.0, 0.0)
-    for short in np.geomspace(SHORTEST_PX, max(min(LONGEST_PX, length / 2), SHORTEST_PX), 60):
+    for short in np.geomspace(SHORTEST_PX, max(length / 2, SHORTEST_PX), 60):
         near = np.exp(-(lags**2) / (2 * short**2))
         fraction = float(
             np.clip((far - near) @ (wanted - near) / max((far - near) @ (far - near), 1e-30), 0, 1)
@@ -149,7 +150,7 @@ def rest_correlation(products: NDArray[np.float64], length: float) -> tuple[floa
 
 
 def press_residuals(press: PreparedPress, found: ContactCircle, frame: Step) -> PressResiduals:
-    """What is read on a press that was left out, and how far off it is; its centre is free: labels are off by a pixel."""
+    """The slopes read on a held-out press and their errors; its center is free, because labels are off by a pixel."""
     rows, cols = press.pixels(found, 1.0)
     gradients = frame.gradients[rows, cols].astype(np.float64)
     error = score_slopes(gradients, cols, rows, (found.x_px, found.y_px), press.ball_radius_px).errors
@@ -165,9 +166,9 @@ def press_residuals(press: PreparedPress, found: ContactCircle, frame: Step) -> 
 def _untouched_slopes(
     press: PreparedPress, found: ContactCircle, gradients: NDArray[np.float32]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Slopes (N, 2) read far from the contact, their median removed as the Reconstructor does; and (rows, W, 2) of rows."""
+    """Slopes (N, 2) read far from the contact, minus their median as in the Reconstructor; and (rows, W, 2) of rows."""
     height, width = press.size.shape
-    step = max(1, int(np.sqrt(height * width / PER_PRESS)))
+    step = max(1, int(np.sqrt(height * width / PRESS_PIXELS)))
     apart = max(1, height // ROWS)
     y, x = np.ogrid[:height, :width]
     far = np.hypot(x - found.x_px, y - found.y_px) > (REST_DISTANCE + 1) * found.radius_px

@@ -1,1 +1,1 @@
-"""Presses in, from folders, other packages' layouts and videos: a press set."""
+"""Reading of presses from folders, other packages' layouts and videos into a press set."""

@@ -1,4 +1,4 @@
-"""Read presses of a ball from anything: a press folder, other packages' folders, plain images, a video."""
+"""Read presses of a ball from a press folder, other packages' folders, plain images or a video."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ from gelform.view import View, image_from_frame, image_px_from_frame_px
 
 LABEL_COLUMNS = ("center_x_px", "center_y_px", "contact_radius_px")
 BALL, FLAT = "ball", "flat"  # indenters
-NAMED_ODD = 5  # images of another size, in a message
+NAMED_ODD = 5  # images of another size that a message lists
 PRESS_FOLDER, GS_SDK, PY3DCAL = "press folder", "gs_sdk folder", "py3DCal folder"
 TAXIM, PLAIN, VIDEO = "Taxim dataPack", "folder of images", "video"
 
@@ -68,10 +68,10 @@ def read_presses(
     ----------
     path : a press folder (`presses.csv` with the columns image, ball_diameter_mm), gs_sdk's (`catalog.csv`) or
         py3DCal's folder, Taxim's `dataPack.npz`, or a folder of plain images or a video with `ball_diameter_mm`
-    sensor : name of a profile, which gives the view and mm_per_px
-    mm_per_px : pixel pitch, mm; goes before sensor.toml and the profile
-    ball_diameter_mm : for data that do not name it
-    background : the untouched image; or a folder of several; the folder's `background.png` or `background/`
+    sensor : name of a profile, which has the view and mm_per_px
+    mm_per_px : pixel pitch, mm; overrides sensor.toml and the profile
+    ball_diameter_mm : for data without it
+    background : the background image, or a folder of several; the press folder's `background.png` or `background/`
         by default
     crop : (left, top, width, height) in pixels of the frame
     progress : called with (done, total, what)
@@ -80,7 +80,7 @@ def read_presses(
     ------
     DataError
         The data, a table, a column or an image is missing or unreadable, sizes differ, no scale is known,
-        a ball diameter is not a number > 0, or a video shows no untouched gel or no press (see
+        a ball diameter is not a number > 0, or a video shows no gel at rest or no press (see
         `presses_from_frames`). The message says what was expected and what to do.
     """
     place = check_path(path)
@@ -98,12 +98,12 @@ def read_presses(
 
 
 def as_presses(presses: Presses | str | PathLike[str], *, progress: Progress = no_progress) -> Presses:
-    """Presses as they are, or read from a path: what functions that take presses accept.
+    """Return a press set unchanged, or read it from a path, for functions that take presses.
 
     Raises
     ------
     TypeError, ValueError
-        Neither, or a press of a ball that none is: 0.1 to 200 mm are expected.
+        Neither, or a ball diameter outside 0.1 to 200 mm.
     """
     if isinstance(presses, Presses):
         for press in presses.presses:
@@ -120,7 +120,7 @@ def as_presses(presses: Presses | str | PathLike[str], *, progress: Progress = n
 
 
 def kind_of_presses(place: Path) -> str | None:
-    """What layout of presses is at a path: VIDEO, a name in `SOURCES`, or None."""
+    """The layout of presses at a path: VIDEO, a name in `SOURCES`, or None."""
     if place.is_file() and is_video(place):
         return VIDEO
     if (place / "presses.csv").is_file():
@@ -135,7 +135,7 @@ def kind_of_presses(place: Path) -> str | None:
 
 
 def _read(place: Path, source: PressSource, options: ReadOptions, progress: Progress) -> Presses:
-    """Every image of a source, through one view."""
+    """Read every image of a source, through one view."""
     settings = options.settings(place, source.known)
     if not source.listed:
         others = f" beside {len(source.flats)} of flat punches" if source.flats else ""
@@ -165,7 +165,7 @@ def _read(place: Path, source: PressSource, options: ReadOptions, progress: Prog
 
 
 def _check_one_size(sizes: Mapping[str, tuple[int, int]], background: tuple[int, int]) -> None:
-    """Refuse images that are not of the background's size, and name those that are odd."""
+    """Refuse images of another size than the background's, and name the ones that differ."""
     odd = {name: size for name, size in sizes.items() if size != background}
     if not odd:
         return
@@ -240,7 +240,7 @@ __all__ = ["Press", "Presses", "as_presses", "kind_of_presses", "read_presses"]
 
 
 def with_scale(presses: Presses | str | PathLike[str], scale: Scale) -> Presses:
-    """The presses, or those of a path, at a measured scale."""
+    """The presses, or those at a path, with a measured scale."""
     check_is(scale, Scale, "scale")
     presses = as_presses(presses)
     return replace(
@@ -252,20 +252,20 @@ def with_scale(presses: Presses | str | PathLike[str], scale: Scale) -> Presses:
 
 
 def with_crosstalk(presses: Presses | str | PathLike[str], crosstalk: Crosstalk) -> Presses:
-    """The presses of channels whose crosstalk is known: the calibration undoes it before its color model."""
+    """The presses with a known crosstalk, which the calibration removes before its color model."""
     check_is(crosstalk, Crosstalk, "crosstalk")
     presses = as_presses(presses)
     return replace(presses, geometry=replace(presses.geometry, crosstalk=crosstalk))
 
 
 def with_view(presses: Presses | str | PathLike[str], view: View, source: str) -> Presses:
-    """The presses through a view that undoes the lens; labels move with their pixels.
+    """The presses through a view that removes the lens distortion; labels move with their pixels.
 
     Parameters
     ----------
     presses : as they were read, without a view
     view : from the presses' frames to images
-    source : what the view was measured on, for the report
+    source : target that the view was measured on, for the report
 
     Raises
     ------

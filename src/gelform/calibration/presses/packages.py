@@ -25,7 +25,7 @@ from gelform.foundations.checks import check_positive, check_sensor_pitch
 from gelform.foundations.npz_files import DAMAGED_ARCHIVE
 from gelform.sensors.files import IMAGE_SUFFIXES, SensorSettings, background_in, read_background, read_image
 
-MAX_PACK_BYTES = 4 << 30  # of a dataPack, unpacked
+MAX_PACK_BYTES = 4 << 30  # bytes of an unpacked dataPack
 _DAMAGED = (OSError, *DAMAGED_ARCHIVE)
 TAXIM_ARRAYS = ("f0", "imgs", "touch_center", "touch_radius")
 
@@ -63,7 +63,7 @@ def _gs_sdk_label(path: Path) -> tuple[float, float, float]:
 
 
 def py3dcal_source(folder: Path, options: ReadOptions) -> PressSource:
-    """py3DCal's folder: a printer pressed one probe at places of a stage.
+    """py3DCal's folder: a printer pressed one probe at the positions of a stage.
 
     `annotations/annotations.csv` (img_name, x_px, y_px), `annotations/metadata.json` (px_per_mm,
     probe_radius_mm), `blank_images/blank.png`, `probe_images/`.
@@ -86,14 +86,14 @@ def _blank_in(folder: Path) -> Path:
     images = sorted(p for p in folder.glob("*") if p.suffix.lower() in IMAGE_SUFFIXES)
     if not images:
         raise DataError(
-            f"No background in {folder}: expected blank.png, an image of the untouched gel. "
+            f"No background in {folder}: expected blank.png, an image of the gel at rest. "
             "Take one, or name it with background= (--background)."
         )
     return images[0]
 
 
 def _py3dcal_facts(folder: Path) -> dict[str, float]:
-    """px_per_mm and probe_radius_mm; the package has kept its metadata in either of two places."""
+    """px_per_mm and probe_radius_mm; the package stores its metadata in either of two places."""
     places = [folder / "annotations" / "metadata.json", folder / "metadata.json"]
     path = next((place for place in places if place.is_file()), places[0])
     try:
@@ -108,7 +108,7 @@ def _py3dcal_facts(folder: Path) -> dict[str, float]:
 
 
 def taxim_pack_in(path: Path) -> Path | None:
-    """The `dataPack.npz` that a path is or that lies in it, under this name or another; or None."""
+    """The `dataPack.npz` at or in a path, under this name or another; or None."""
     pack = path / "dataPack.npz" if path.is_dir() else path
     if not pack.is_file() or pack.suffix != ".npz":
         return None

@@ -1,4 +1,4 @@
-"""A set of ball presses of one sensor: what calibration works on, wherever it came from."""
+"""Press set: the presses of a ball on one sensor, from any source, for calibration."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from gelform.view import View, image_from_frame
 if TYPE_CHECKING:
     from gelform.simulate import SimulatedPresses
 
-MIN_BALL_MM, MAX_BALL_MM = 0.1, 200.0  # diameters: others are in another unit
-MIN_HEIGHT_MM, MAX_HEIGHT_MM = 0.01, 20.0  # of flat punches over the gel
+MIN_BALL_MM, MAX_BALL_MM = 0.1, 200.0  # mm; other diameters are in another unit
+MIN_HEIGHT_MM, MAX_HEIGHT_MM = 0.01, 20.0  # mm over the gel, of flat punches
 
 
 @dataclass(frozen=True)
@@ -35,9 +35,9 @@ class Press:
     name : path of the image below the folder, or its place in the video
     image : (H, W, 3) uint8, RGB, after the view
     ball_diameter_mm : float
-    label : (centre x, centre y, contact radius) in px of the image, where somebody labelled it
+    label : (center x, center y, contact radius) in px of the image, if labeled
     digest : SHA-256 of the image's pixels
-    center_px : (x, y) in px of the image where only the centre is known: a stage put it there
+    center_px : (x, y) in px of the image, if only the center is known, from a stage
     """
 
     name: str
@@ -56,7 +56,7 @@ class FlatPress:
     ----------
     name : path of the image below the folder
     image : (H, W, 3) uint8, RGB, after the view
-    height_mm : how far the middle of its face stands over the gel around it
+    height_mm : height of the middle of its face over the gel around it
     digest : SHA-256 of the image's pixels
     """
 
@@ -72,18 +72,18 @@ class Presses:
 
     Attributes
     ----------
-    folder : where they came from
+    folder : their source
     presses : in the order of the table, or of their names, or of time
-    background : (H, W, 3) float32, the untouched image, after the view
-    mm_per_px, mm_per_px_sigma : pixel pitch of the images, mm, and its standard deviation where known
+    background : (H, W, 3) float32, the background image, after the view
+    mm_per_px, mm_per_px_sigma : pixel pitch of the images, mm, and its standard deviation if known
     sensor_name, serial, gel_id : from sensor.toml or the profile
-    view : how frames become images
-    response : exponent of the camera's response, from sensor.toml; undone where it is not 1
-    geometry : what was measured apart from the presses: scale, crosstalk, lens
-    background_noise : (3,) standard deviation of a pixel in one frame, grey levels; None where there was
-        only one untouched frame to tell it
-    camera : how the camera was set, from sensor.toml; empty where that is not known
-    notes : what a user should know of how they were read, such as parts of a video that were left out
+    view : conversion of frames to images
+    response : exponent of the camera's response, from sensor.toml; removed if it is not 1
+    geometry : separate measurements: scale, crosstalk, lens
+    background_noise : (3,) standard deviation of a pixel in one frame, gray levels; None if only
+        one frame of the gel at rest was there
+    camera : settings of the camera, from sensor.toml; empty if unknown
+    notes : notes for the user about the reading, such as parts of a video that were left out
     flats : presses of a flat punch of known height, besides those of a ball
     """
 
@@ -112,12 +112,12 @@ class Presses:
         return self.background.shape[0], self.background.shape[1]
 
     def subset(self, indices: Sequence[int]) -> Presses:
-        """The same sensor with some of the presses of a ball, and all flat ones."""
+        """The same sensor with some of the presses of a ball, and all flat punches."""
         return replace(self, presses=tuple(self.presses[i] for i in indices))
 
 
 def presses_from_simulated(made: SimulatedPresses) -> Presses:
-    """Simulated presses as `read_presses` gives those of a folder without labels."""
+    """Simulated presses, in the form that `read_presses` gives for a folder without labels."""
     settings, background = SensorSettings(made.sensor.name, made.sensor.mm_per_px), made.background
     presses = [
         press_from_frame(Listed(f"press {k}", press.ball_diameter_mm), press.image, View())
@@ -130,13 +130,13 @@ def presses_from_simulated(made: SimulatedPresses) -> Presses:
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """Options of `read_presses`; each goes before what the folder says.
+    """Options of `read_presses`; each overrides the folder.
 
     Attributes
     ----------
     sensor : name of a profile
     mm_per_px, ball_diameter_mm : float
-    background : path of the untouched image
+    background : path of the background image
     crop : (left, top, width, height) in pixels of the frame
     """
 
@@ -153,7 +153,7 @@ class ReadOptions:
             check_ball_diameter(self.ball_diameter_mm)
 
     def settings(self, place: Path, known: SensorSettings | None = None) -> SensorSettings:
-        """sensor.toml beside the data, else what the data know, else the profile; a given scale goes first."""
+        """sensor.toml next to the data, else the data's own settings, else the profile; a given scale overrides them."""
         settings = known
         toml = place / "sensor.toml" if place.is_dir() else place.parent / "sensor.toml"
         if toml.is_file():
@@ -181,7 +181,7 @@ class ReadOptions:
         return settings
 
     def view(self, settings: SensorSettings, frame_shape: tuple[int, int]) -> View:
-        """The crop that was asked for, else sensor.toml's view, else the profile's where the images are frames of it."""
+        """The requested crop, else sensor.toml's view, else the profile's if the images are frames of it."""
         if self.crop is not None:
             return View(frame_shape=frame_shape, crop=self.crop)
         if not settings.view.is_identity or self.sensor is None:
@@ -189,7 +189,7 @@ class ReadOptions:
         return profile_named(self.sensor).view(frame_shape)
 
     def ball(self, what: str) -> float:
-        """The ball's diameter, for data that do not name it."""
+        """The ball's diameter, for data without it."""
         if self.ball_diameter_mm is None:
             raise DataError(
                 f"{what}: which ball pressed? Give ball_diameter_mm= (--ball-diameter-mm), or write presses.csv "
@@ -206,7 +206,7 @@ def presses_from_settings(
     view: View,
     **more: Any,
 ) -> Presses:
-    """The press set of a sensor, with other fields of `Presses` as they are given."""
+    """The press set of a sensor, with the given other fields of `Presses`."""
     return Presses(
         folder=folder,
         presses=tuple(presses),
@@ -226,7 +226,7 @@ def presses_from_settings(
 
 @dataclass(frozen=True)
 class Listed:
-    """One press as a table lists it, before its image is read; names and pixels as in `Press`."""
+    """One press in a table, before its image is read; names and pixels as in `Press`."""
 
     name: str
     ball_diameter_mm: float
@@ -236,7 +236,7 @@ class Listed:
 
 @dataclass(frozen=True)
 class ListedFlat:
-    """One press of a flat punch as a table lists it, before its image is read."""
+    """One press of a flat punch in a table, before its image is read."""
 
     name: str
     height_mm: float
@@ -248,12 +248,12 @@ class PressSource:
 
     Attributes
     ----------
-    background : (H, W, 3) uint8, RGB, the untouched frame
+    background : (H, W, 3) uint8, RGB, frame of the gel at rest
     listed : the presses
-    frame : gives the frame of the k-th press, (H, W, 3) uint8, RGB; after those of balls come the flat ones
-    known : what the data say of the sensor, where they do
+    frame : function of the number of a press to its frame, (H, W, 3) uint8, RGB; flat punches follow the balls
+    known : settings of the sensor in the data, if any
     flats : presses of a flat punch
-    notes : what a user should know of how they were listed
+    notes : notes for the user about the list
     """
 
     background: NDArray[Any]
@@ -265,7 +265,7 @@ class PressSource:
 
 
 def press_from_frame(listed: Listed, frame: NDArray[Any], view: View) -> Press:
-    """A press whose image is the frame seen through the view."""
+    """A press whose image is the frame after the view."""
     image = np.ascontiguousarray(image_from_frame(frame, view))
     return Press(
         listed.name, image, listed.ball_diameter_mm, listed.label, pixels_digest(image), listed.center_px
@@ -273,13 +273,13 @@ def press_from_frame(listed: Listed, frame: NDArray[Any], view: View) -> Press:
 
 
 def flat_from_frame(listed: ListedFlat, frame: NDArray[Any], view: View) -> FlatPress:
-    """A press of a flat punch whose image is the frame seen through the view."""
+    """A press of a flat punch whose image is the frame after the view."""
     image = np.ascontiguousarray(image_from_frame(frame, view))
     return FlatPress(listed.name, image, listed.height_mm, pixels_digest(image))
 
 
 def table_rows(path: Path, columns: tuple[str, ...]) -> Iterator[tuple[str, dict[str, str]]]:
-    """Rows of a CSV with where they stand; a DataError for columns that lack, too many or few fields, or no text."""
+    """Rows of a CSV with their line numbers; DataError for missing columns, too many or few fields, or no text."""
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             reader = csv.DictReader(file)
@@ -311,7 +311,7 @@ def table_rows(path: Path, columns: tuple[str, ...]) -> Iterator[tuple[str, dict
 
 
 def diameter(text: str, where: str) -> float:
-    """A ball's diameter in mm, of a table."""
+    """A ball's diameter in mm, from a table."""
     try:
         return check_ball_diameter(number(text, "ball diameter", where))
     except ValueError as problem:
@@ -331,7 +331,7 @@ def check_ball_diameter(ball_diameter_mm: float) -> float:
 
 
 def height(text: str, where: str) -> float:
-    """How far a flat punch stands over the gel around it, mm, of a table: 0.01 to 20."""
+    """Height of a flat punch over the gel around it, mm, from a table: 0.01 to 20."""
     value = number(text, "height_mm", where)
     if not MIN_HEIGHT_MM <= value <= MAX_HEIGHT_MM:
         raise DataError(
@@ -341,7 +341,7 @@ def height(text: str, where: str) -> float:
 
 
 def number(text: str, name: str, where: str) -> float:
-    """A finite number of a table."""
+    """A finite number from a table."""
     try:
         value = float(text)
     except ValueError:

@@ -1,8 +1,8 @@
-"""Where in a sequence the gel is untouched, and where a contact stands still.
+"""The parts of a sequence with the gel at rest, and those in which a contact stands still.
 
-Works on thumbnails, because what a contact changes is large and noise averages out in them. All distances are
-in grey levels: the mean over the pixels that changed most, after the change that all pixels share (flicker,
-exposure) was taken off.
+It works on thumbnails, because a contact changes a large area and noise averages out in them. All distances are
+in gray levels: the mean over the pixels that changed most, after subtracting the change that all pixels share
+(flicker, exposure).
 """
 
 from __future__ import annotations
@@ -15,25 +15,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 THUMB_ROWS = 36  # px of a thumbnail's shorter side
-MAX_THUMBS = 6000  # kept: four minutes at 25 frames a second
-MOST_CHANGED = 0.007  # of a thumbnail's pixels, those that changed most
-MIN_TOUCH = 3.0  # grey levels, of a contact
+MAX_THUMBS = 6000  # thumbnails that are kept: four minutes at 25 frames a second
+MOST_CHANGED = 0.007  # fraction of a thumbnail's pixels that changed most
+MIN_TOUCH = 3.0  # gray levels, smallest change by a contact
 TOUCH_OVER_NOISE = 4.0  # times the noise
 TOUCH_OVER_STRONGEST = 0.12  # of the strongest contact's change
 MIN_STILL = 5  # frames
 MIN_STILL_S = 0.2  # seconds
-MOVED_OVER_TOUCH = 0.08  # of the contact's change: more is motion
-SAME_PLACE_PX = 2.0  # px of a thumbnail
-MOVED_PX = 0.6  # px of a thumbnail: a contact that slid or rolled
-LIGHT_TOUCH = 0.35  # of the median contact's change: less is too light
-MAX_STATES = 80  # that are tried as the untouched one
-MAX_NOISE = 2.0  # grey levels of a thumbnail
-CHUNK = 64  # thumbnails compared at once, for memory's sake
-_SCALE = 64  # steps of a grey level that thumbnails keep
+MOVED_OVER_TOUCH = 0.08  # of the contact's change; more is motion
+SAME_PLACE_PX = 2.0  # px of a thumbnail; closer contacts are at the same place
+MOVED_PX = 0.6  # px of a thumbnail; a contact that moved more slid or rolled
+LIGHT_TOUCH = 0.35  # of the median contact's change; less is too light
+MAX_STATES = 80  # states that are tried as the one at rest
+MAX_NOISE = 2.0  # gray levels of a thumbnail
+CHUNK = 64  # thumbnails compared at once, to limit memory
+_SCALE = 64  # steps of a gray level that thumbnails keep
 
 
 class Thumbnails:
-    """Small copies of a sequence's frames; where there are too many, every second one is dropped.
+    """Small copies of a sequence's frames; if there are too many, every second one is dropped.
 
     Attributes
     ----------
@@ -49,7 +49,7 @@ class Thumbnails:
         self._stride, self._most, self._seen = 1, most, 0
 
     def add(self, image: NDArray[np.uint8], index: int, time_s: float) -> None:
-        """The next frame of the sequence."""
+        """Add the next frame of the sequence."""
         self._seen += 1
         if (self._seen - 1) % self._stride:
             return
@@ -63,7 +63,7 @@ class Thumbnails:
                 del kept[1::2]  # type: ignore[attr-defined]
 
     def levels(self) -> NDArray[np.float32]:
-        """(n, h, w, 3) grey levels."""
+        """(n, h, w, 3) gray levels."""
         return np.asarray(np.asarray(self._small, dtype=np.float32) / np.float32(_SCALE))
 
 
@@ -75,7 +75,7 @@ class Still:
     ----------
     start, stop : thumbnails from start to before stop
     best : the thumbnail that is most like all of them
-    touch : grey levels by which they differ from the untouched gel
+    touch : gray levels by which they differ from the gel at rest
     center_px : (x, y) of the change, in thumbnail pixels
     """
 
@@ -88,7 +88,7 @@ class Still:
 
 @dataclass(frozen=True)
 class Stretch:
-    """A stretch in which the gel is touched: its stills, and why it has none (or what else was left out)."""
+    """A stretch of contact: its stills, and the reason that it has none or that others were left out."""
 
     start: int
     stop: int
@@ -105,7 +105,7 @@ def thumbnail(image: NDArray[np.uint8]) -> NDArray[np.float32]:
 
 
 def distances(levels: NDArray[np.float32], reference: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Of each thumbnail (n, h, w, 3) to one (h, w, 3), or to one each."""
+    """Distances of thumbnails (n, h, w, 3) to one (h, w, 3), or to one each."""
     references = np.broadcast_to(reference, levels.shape)
     parts = [
         _distances(levels[at : at + CHUNK], references[at : at + CHUNK])
@@ -122,7 +122,7 @@ def _distances(a: NDArray[np.float32], b: NDArray[np.float32]) -> NDArray[np.flo
 
 
 def _changed(a: NDArray[np.float32], b: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Size (..., h, w) of the change of each pixel, in grey levels of its strongest channel."""
+    """Size (..., h, w) of the change of each pixel, in gray levels of its strongest channel."""
     change = a - b
     change -= np.median(change[..., ::3, ::3, :], axis=(-3, -2), keepdims=True)
     np.abs(change, out=change)
@@ -131,18 +131,18 @@ def _changed(a: NDArray[np.float32], b: NDArray[np.float32]) -> NDArray[np.float
 
 
 def noise_of(motion: NDArray[np.float64]) -> float:
-    """Distance of two frames between which nothing happened: the tenth part of the steps is that quiet.
+    """Noise: the distance of two frames without an event; a tenth of the steps are that quiet.
 
-    Where all is in motion that is no noise: averaged over a thumbnail's pixel, noise is never above `MAX_NOISE`.
+    If everything moves, that is no noise: averaged over a thumbnail's pixel, noise never exceeds `MAX_NOISE`.
     """
     return min(float(np.percentile(motion, 10)), MAX_NOISE) if len(motion) else 0.0
 
 
 def untouched(levels: NDArray[np.float32], motion: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Which thumbnails (n,) show the untouched gel.
+    """Thumbnails (n,) that show the gel at rest.
 
-    The untouched state is the one that comes back: each press looks different, the gel between them does not.
-    Where no state comes back, the smoothest one is the untouched.
+    The state at rest is the one that returns: each press looks different, but the gel between them does not. If no state
+    returns, the smoothest one is at rest.
     """
     noise = noise_of(motion)
     tolerance = max(3 * noise, 2.0)
@@ -165,7 +165,7 @@ def untouched(levels: NDArray[np.float32], motion: NDArray[np.float64]) -> NDArr
 
 
 def _visits(state: NDArray[np.bool_]) -> int:
-    """How many times a state is entered; a single odd frame is no leave."""
+    """Number of times that a state is entered; a single odd frame does not leave it."""
     return int(1 + np.count_nonzero(np.diff(np.flatnonzero(state)) > 3))
 
 
@@ -175,7 +175,7 @@ def _roughness(levels: NDArray[np.float32]) -> float:
 
 
 def touch_threshold(touch: NDArray[np.float64], noise: float) -> float:
-    """Grey levels from which the gel counts as touched."""
+    """Gray levels from which the gel counts as touched."""
     strongest = float(np.percentile(touch, 98)) if len(touch) else 0.0
     return max(MIN_TOUCH, TOUCH_OVER_NOISE * noise, TOUCH_OVER_STRONGEST * strongest)
 
@@ -183,10 +183,10 @@ def touch_threshold(touch: NDArray[np.float64], noise: float) -> float:
 def stretches(
     levels: NDArray[np.float32], rest: NDArray[np.float32], noise: float, *, rate_hz: float, factor: float
 ) -> list[Stretch]:
-    """Stretches in which the gel is touched, with the stills in them.
+    """Stretches of contact, with their stills.
 
-    `levels` (n, h, w, 3) are thumbnails in the order of time, `rate_hz` a second, of `factor` image pixels; `rest`
-    (h, w, 3) is the untouched one.
+    `levels` (n, h, w, 3) are thumbnails in the order of time, `rate_hz` per second, each pixel `factor` image pixels wide;
+    `rest` (h, w, 3) is the one at rest.
     """
     touch = distances(levels, rest)
     touched = touch > touch_threshold(touch, noise)
@@ -222,7 +222,7 @@ def _still_runs(
 
 
 def _length_within(levels: NDArray[np.float32], tolerance: float) -> int:
-    """How many thumbnails from the first on are within a distance of it."""
+    """Number of thumbnails from the first on that are within a distance of it."""
     for at in range(0, len(levels), CHUNK):
         far = distances(levels[at : at + CHUNK], levels[0]) > tolerance
         if far.any():
@@ -243,7 +243,7 @@ def _still(
 
 
 def center_of(level: NDArray[np.float32], rest: NDArray[np.float32]) -> tuple[float, float]:
-    """(x, y) of the middle of what changed, in thumbnail pixels, to a fraction of one."""
+    """(x, y) of the middle of the changed pixels, in thumbnail pixels, to a fraction of one."""
     size = _changed(level, rest)
     weight = np.maximum(size - 0.3 * size.max(), 0)
     rows, cols = np.indices(size.shape)
@@ -252,7 +252,7 @@ def center_of(level: NDArray[np.float32], rest: NDArray[np.float32]) -> tuple[fl
 
 
 def _deepest_per_place(stills: Sequence[Still]) -> tuple[Still, ...]:
-    """Of stills at one place the deepest: a hand that hesitates on its way down made no second press."""
+    """The deepest of the stills at one place, because a hand that pauses on its way down makes no second press."""
     kept: list[Still] = []
     for still in sorted(stills, key=lambda one: -one.touch):
         if all(np.hypot(*np.subtract(still.center_px, one.center_px)) > SAME_PLACE_PX for one in kept):
@@ -283,7 +283,7 @@ def _stretch(
 
 
 def _without_light(found: Sequence[Stretch]) -> list[Stretch]:
-    """Stretches without stills that are much lighter than the others."""
+    """Stretches without the stills that are much lighter than the others."""
     touches = [still.touch for stretch in found for still in stretch.stills]
     limit = LIGHT_TOUCH * float(np.median(touches)) if touches else 0.0
     kept = []

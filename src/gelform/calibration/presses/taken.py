@@ -1,4 +1,4 @@
-"""A press folder that grows while somebody presses: background first, then one image per press."""
+"""A press folder that grows during pressing: the background first, then one image per press."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from gelform.errors import DataError
 from gelform.sensors.files import SensorSettings
 
 BACKGROUND, TABLE, SETTINGS, IMAGES = "background", "presses.csv", "sensor.toml", "images"
-# A press shows where this fraction of the pixels differs by so many standard deviations of the background, and levels.
+# A press is visible if this fraction of the pixels differs by so many standard deviations of the background, and levels.
 LEAST_FRACTION, LEAST_SIGMAS, LEAST_LEVELS = 0.002, 6.0, 4.0
 
 
 class TakenPresses:
-    """Writes what `gelform calibrate` reads, image by image: what was taken is there, whatever happens next.
+    """Writes a press folder image by image, so that a later failure loses no image.
 
     Parameters
     ----------
     folder : a new or empty one
     settings : of the sensor, written into sensor.toml
-    ball_diameter_mm : of the ball that presses
+    ball_diameter_mm : diameter of the ball
 
     Raises
     ------
     DataError
-        The folder holds something already, or cannot be written.
+        The folder is not empty, or cannot be written.
     """
 
     def __init__(self, folder: Path, settings: SensorSettings, ball_diameter_mm: float) -> None:
@@ -51,7 +51,7 @@ class TakenPresses:
             raise DataError(f"Cannot write {folder}: {problem.strerror}.") from problem
 
     def take_background(self, images: Sequence[NDArray[np.uint8]]) -> None:
-        """Keep images (H, W, 3) uint8 RGB of the untouched gel; a DataError where they disagree: something moved."""
+        """Keep images (H, W, 3) uint8 RGB of the gel at rest; a DataError if they disagree, because something moved."""
         average = background_from_frames(images)
         self._rest, self._noise = average.background, np.asarray(average.noise)
         (self.folder / BACKGROUND).mkdir(exist_ok=True)
@@ -59,14 +59,17 @@ class TakenPresses:
             self._write(self.folder / BACKGROUND / f"{k:02d}.png", image)
 
     def take_press(self, image: NDArray[np.uint8]) -> str:
-        """Keep an image (H, W, 3) uint8 RGB of a press; its name below the folder. A DataError where nothing is pressed."""
+        """Keep an image (H, W, 3) uint8 RGB of a press, and return its name in the folder.
+
+        DataError: nothing is pressed.
+        """
         if self._rest is None or self._noise is None:
             raise DataError("Expected the background before the presses.")
         apart = np.abs(image - self._rest)
         limit = np.maximum(LEAST_SIGMAS * self._noise, LEAST_LEVELS)
         fraction = float((apart > limit).any(axis=-1).mean())
         if fraction < LEAST_FRACTION:
-            raise DataError("Nothing is pressed: the image is that of the untouched gel.")
+            raise DataError("Nothing is pressed: the image shows the gel at rest.")
         name = f"{IMAGES}/{self.count:04d}.png"
         self._write(self.folder / name, image)
         self.count += 1
@@ -74,7 +77,7 @@ class TakenPresses:
         return name
 
     def drop_last(self) -> str | None:
-        """Take the last press out again; its name, or None where there is none."""
+        """Remove the last press; return its name, or None without one."""
         if self.count == 0:
             return None
         self.count -= 1
@@ -84,7 +87,7 @@ class TakenPresses:
         return name
 
     def _write_table(self) -> None:
-        """Anew each time: a table is whole or the one before."""
+        """Write the table anew, so that it is complete or the previous one."""
         rows = "".join(f"{IMAGES}/{k:04d}.png,{self.ball_diameter_mm:.6g}\n" for k in range(self.count))
         partial = self.folder / f".{TABLE}.partial"
         partial.write_text(f"image,ball_diameter_mm\n{rows}", encoding="ascii")
@@ -99,7 +102,7 @@ class TakenPresses:
 
 
 def toml_of_settings(settings: SensorSettings) -> str:
-    """The text of a sensor.toml that says the same as the settings."""
+    """The text of a sensor.toml with the settings."""
     top: dict[str, Any] = {"name": settings.name, "mm_per_px": settings.mm_per_px}
     if settings.mm_per_px_sigma is not None:
         top["mm_per_px_sigma"] = settings.mm_per_px_sigma

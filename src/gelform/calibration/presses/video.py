@@ -1,4 +1,4 @@
-"""Presses from a video, or from live frames: the untouched stretch, and one still frame of each press."""
+"""Presses from a video or from live frames: the stretch at rest, and one still frame of each press."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ from gelform.sensors.files import read_background
 from gelform.sensors.video_files import Video
 from gelform.view import View, image_from_frame
 
-BACKGROUND_FRAMES = 60  # at most, that are averaged
-MAX_KEPT_BYTES = 1 << 30  # of images of an iterator
-DRIFT_WARN = 0.03  # relative, of the untouched gel's brightness
+BACKGROUND_FRAMES = 60  # frames that are averaged at most
+MAX_KEPT_BYTES = 1 << 30  # bytes of images kept from an iterator
+DRIFT_WARN = 0.03  # relative change of the brightness of the gel at rest
 
 Reader = Callable[[Container[int] | None], Iterable[Frame]]
 
@@ -57,26 +57,26 @@ def presses_from_frames(
 ) -> Presses:
     """Find the presses of a ball in a sequence of frames.
 
-    The untouched gel is the state that comes back between the presses; the background is the trimmed mean of
-    its frames and their scatter is the noise. Of each contact that stands still one frame is taken; frames in
-    which it slides, rolls or is pressed down are left out. `notes` of the result say what was left out and why.
+    The gel at rest is the state that returns between the presses. The background is the trimmed mean of its frames, and
+    their scatter is the noise. One frame of each contact that stands still becomes a press. Frames in which a contact
+    slides, rolls or is pressed down are left out; `notes` of the result list them with the reasons.
 
     Parameters
     ----------
-    frames : in the order of time, at least some untouched ones; RGB
-        Gone through twice where that can be done (`gelform.Video`, a list). Of an iterator, such as a camera,
-        the images are kept: up to 1 GiB.
-    ball_diameter_mm : of the ball that pressed
+    frames : in the order of time, with some of the gel at rest; RGB
+        They are read twice if possible (`gelform.Video`, a list). The images of an iterator, such as a camera, are kept
+        in memory, up to 1 GiB.
+    ball_diameter_mm : diameter of the ball
     mm_per_px, sensor : the scale, or the profile that has it
-    background : (H, W, 3) the untouched frame, 0-255, for a sequence without one
+    background : (H, W, 3) background frame, 0-255, for a sequence without one
     crop : (left, top, width, height) in pixels of the frame
-    name : what the presses are called
+    name : prefix of the presses' names
     progress : called with (done, total, what)
 
     Raises
     ------
     DataError
-        No frame, no scale, no untouched stretch, no contact, none that stands still, or an iterator of more
+        No frame, no scale, no stretch at rest, no contact, none that stands still, or an iterator of more
         than 1 GiB.
     """
     check_is(frames, Iterable, "frames")  # type: ignore[type-abstract]
@@ -88,7 +88,7 @@ def presses_from_frames(
 
 
 def presses_from_video(path: Path, options: ReadOptions, progress: Progress = no_progress) -> Presses:
-    """`presses_from_frames` of a video file, read twice; settings may stand in a `sensor.toml` beside it."""
+    """`presses_from_frames` for a video file, read twice; a `sensor.toml` next to it can hold settings."""
     options.ball(str(path))
     background = None if options.background is None else read_background(options.background)
     video = Video(path)
@@ -96,13 +96,13 @@ def presses_from_video(path: Path, options: ReadOptions, progress: Progress = no
 
 
 class _ViewOfFrames:
-    """How frames become images: known when the first frame is."""
+    """The view of frames, known from the first frame on."""
 
     def __init__(self, options: ReadOptions, place: Path) -> None:
         self.options, self.settings = options, options.settings(place)
         self.view: View | None = None
         self.frame_shape: tuple[int, int] | None = None
-        self.is_done = False  # the frames are images already
+        self.is_done = False  # the frames are already images
 
     def __call__(self, frame: NDArray[Any]) -> NDArray[Any]:
         if self.is_done:
@@ -121,7 +121,7 @@ class _ViewOfFrames:
 
 
 def _kept(frames: Iterable[Frame], view: _ViewOfFrames) -> list[Frame]:
-    """The frames of an iterator, as images: it can be gone through only once."""
+    """The frames of an iterator, as images, because it can be read only once."""
     kept: list[Frame] = []
     size = 0
     for frame in frames:
@@ -176,7 +176,7 @@ def _presses(
         progress(len(presses), len(picked), "taking the stills")
     mean, noise = trimmed_mean(rest_images) if rest_images else (None, None)
     if len(rest_images) < MIN_STILL:
-        noise = None  # too few to tell it
+        noise = None  # too few to measure it
     notes = (*_notes(thumbs, found), *_drift(thumbs, rest))
     if rest_reference is not None:
         mean = rest_reference.astype(np.float32)
@@ -189,7 +189,7 @@ def _presses(
 def _analysed(
     thumbs: Thumbnails, background: NDArray[Any] | None, name: str
 ) -> tuple[NDArray[np.bool_], list[Stretch]]:
-    """Which thumbnails are untouched, and the stretches of contact; what there must be is checked."""
+    """The thumbnails at rest and the stretches of contact, checked for a usable sequence."""
     levels = thumbs.levels()
     motion = distances(levels[1:], levels[:-1])
     if background is None:
@@ -228,7 +228,7 @@ def _check_presses(found: list[Stretch], touch: NDArray[np.float64], noise: floa
 
 
 def _spread(indices: NDArray[np.intp], most: int) -> NDArray[np.intp]:
-    """At most so many of them, evenly."""
+    """At most a given number of items, evenly spaced."""
     if len(indices) <= most:
         return indices
     return indices[np.linspace(0, len(indices) - 1, most).round().astype(int)]
@@ -244,7 +244,7 @@ def _notes(thumbs: Thumbnails, found: list[Stretch]) -> tuple[str, ...]:
 
 
 def _drift(thumbs: Thumbnails, rest: NDArray[np.bool_]) -> tuple[str, ...]:
-    """A note where the untouched gel is brighter or darker at the end than at the start."""
+    """A note if the brightness of the gel at rest changes from start to end."""
     times = np.flatnonzero(rest)
     if len(times) < 2 * MIN_STILL:
         return ()

@@ -1,4 +1,4 @@
-"""What a calibration run found, in numbers, in words and on a page."""
+"""The report of a calibration run: numbers, words and a page."""
 
 from gelform.calibration.report.content import report_content
 from gelform.calibration.report.learning import learning_curve

@@ -1,4 +1,4 @@
-"""All numbers of a calibration's report: what report.json holds and the page shows."""
+"""All numbers of a calibration's report, for report.json and the page."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from gelform.sensors.profiles import scale_off_make
 FORMAT, FORMAT_VERSION = "gelform calibration report", 2
 ERROR_COLUMNS, PLACE_COLUMNS = 16, 4  # tiles along the longer side, of errors and of fractions within sigma
 SUGGESTIONS = 3  # places to press at next
-GAIN_TO_SLOPE, GAIN_PIXELS = 0.8, 500  # mm/mm and pixels: bins that count for the verdict
+GAIN_TO_SLOPE, GAIN_PIXELS = 0.8, 500  # mm/mm and pixels, limits of the bins that count for the verdict
 FIGURES: tuple[tuple[str, Callable[..., NDArray[np.float64]]], ...] = (
     ("normal_deg", np.mean),
     ("normal_free_deg", np.mean),
@@ -53,15 +53,15 @@ def report_content(
 
     Parameters
     ----------
-    presses : what the calibration was made from, in the same order
+    presses : the presses of the calibration, in the same order
     calibration : with its `report` and its held-out samples
-    rng : draws presses for the intervals
+    rng : generator that draws presses for the intervals
     learning : from `learning_curve`
 
     Returns
     -------
     content : dict
-        What `CalibrationReport.to_dict` holds, and format, verdict, checks, figures (with 95 % intervals over
+        The content of `CalibrationReport.to_dict`, and format, verdict, checks, figures (with 95 % intervals over
         presses), calibration, background, coverage, gain, where, error_map, sigma, learning.
 
     Raises
@@ -108,7 +108,7 @@ def report_content(
 
 
 def _figures(rows: Sequence[PressReport], rng: np.random.Generator) -> dict[str, dict[str, Any]]:
-    """Each figure over the held-out presses with its 95 % interval, from presses drawn with replacement."""
+    """Each figure over the held-out presses with its 95 % interval, by drawing presses with replacement."""
     scored = [row.errors for row in rows if row.errors]
     figures = {}
     for name, middle in FIGURES:
@@ -168,7 +168,7 @@ def report_coverage(report: CalibrationReport, shape: tuple[int, int], mm_per_px
 
 
 def _coverage(report: CalibrationReport, shape: tuple[int, int], mm_per_px: float) -> dict[str, Any]:
-    """How many presses show each slope direction in each tile, and where to press next."""
+    """Number of presses that show each slope direction in each tile, and the next places to press at."""
     coverage = report_coverage(report, shape, mm_per_px)
     rows, columns = coverage.counts.shape[:2]
     errors = square_error_by_direction(report.samples, shape, (rows, columns))
@@ -186,7 +186,7 @@ def _coverage(report: CalibrationReport, shape: tuple[int, int], mm_per_px: floa
 
 
 def _checked_figures(content: dict[str, Any]) -> dict[str, float | None]:
-    """The figure of each check, in its unit; None where it is not known."""
+    """The figure of each check, in its unit; None if unknown."""
     rows, facts = content["presses"], content["calibration"]
     used = [row for row in rows if row["accepted"]]
     gains = [abs(b["gain"] - 1) for b in content["gain"]["contact"] if _counts(b)]
@@ -210,6 +210,6 @@ def _checked_figures(content: dict[str, Any]) -> dict[str, float | None]:
 
 
 def _counts(gain: dict[str, Any]) -> bool:
-    """Whether a bin of the gain curve is judged: few pixels of a few presses tell little."""
+    """Whether a bin of the gain curve is judged; few pixels of a few presses are too uncertain."""
     known = enough("judged gain", gain["presses"]) and gain["pixels"] >= GAIN_PIXELS
     return bool(known and gain["slope_to"] <= GAIN_TO_SLOPE)

@@ -1,4 +1,4 @@
-"""The learning curve: how the error on held-out presses falls with the number of presses, and what more would bring."""
+"""The learning curve: the error on held-out presses by the number of presses, and the gain from more presses."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ from gelform.calibration.candidates import (
 from gelform.calibration.circles.find import ContactCircle
 from gelform.calibration.circles.locate import refine
 from gelform.calibration.circles.prepare import find_contacts, prepare, prepared_by_offset
-from gelform.calibration.circles.samples import PreparedPress
+from gelform.calibration.circles.samples import TRIAL_SAMPLES, PreparedPress
 from gelform.calibration.enough import enough
 from gelform.calibration.held_out.folds import near_duplicates
-from gelform.calibration.held_out.scores import SAMPLES_OF_FOLD, score_of
+from gelform.calibration.held_out.scores import score_of
 from gelform.calibration.presses.press_set import Presses
 from gelform.calibration_file import Calibration
 from gelform.color_models import COLOR_MODELS
 from gelform.foundations.progress import Progress, no_progress
 
-SIZES = (5, 10, 15, 20, 30, 45, 70, 100, 150)  # numbers of presses that train
-DRAWS = 3  # of presses, for each size
-HELD_OUT = 0.25  # of the accepted presses
+SIZES = (5, 10, 15, 20, 30, 45, 70, 100, 150)  # numbers of training presses
+DRAWS = 3  # draws of presses for each size
+HELD_OUT = 0.25  # fraction of the accepted presses
 MORE = 10  # presses, whose gain is predicted
-LEAST_HELP = 0.03  # relative gain of ten more presses: less is no help
+LEAST_HELP = 0.03  # smallest relative gain of ten more presses that counts as help
 
 
 def learning_curve(
@@ -46,25 +46,25 @@ def learning_curve(
     rng: np.random.Generator,
     progress: Progress = no_progress,
 ) -> dict[str, Any] | None:
-    """Error of held-out presses against the number of presses that train.
+    """Error of held-out presses by the number of training presses.
 
-    Three times a quarter of the accepted presses is held out and 5, 10, 15 ... of the others train the chosen
-    color model. Their circles are refined by themselves, so nothing of a held-out press is in the model that it
-    judges. Under 30 presses simpler settings of the same color model are tried too, and the best is kept.
+    Three times a quarter of the accepted presses is held out, and 5, 10, 15 ... of the others train the selected
+    color model. Their circles are refined without the held-out presses, so these have no part in the model that they
+    judge. Under 30 presses simpler settings of the same color model are tried too, and the best is kept.
 
     Parameters
     ----------
-    presses : what the calibration was made from, in the same order
-    calibration : with its `report`; where it began with another unit's, so do the curve's models
-    rng : deals the presses
+    presses : the presses of the calibration, in the same order
+    calibration : with its `report`; the curve's models have the same start as it
+    rng : generator that splits the presses
     progress : called with (done, total, what)
 
     Returns
     -------
     curve : dict or None
-        `points` (presses, model, draws_deg, mean_deg), `expected` (what more presses would bring) and `sentence`; where a
-        starter was offered, `other_points` of models without it, or from it where it was not used, and `other`, which.
-        None with fewer than 8 accepted presses: there is nothing to hold out.
+        `points` (presses, model, draws_deg, mean_deg), `expected` (the gain from more presses) and `sentence`; if a
+        starter was offered, also `other_points`, of models with the other choice of start, and `other`, that choice.
+        None with fewer than 8 accepted presses, which leave nothing to hold out.
     """
     accepted = [i for i, row in enumerate(calibration.report.presses) if row.accepted]
     if not enough("learning curve", len(accepted)):
@@ -80,18 +80,18 @@ def learning_curve(
     orders = [rng.permutation(len(own.presses)) for _ in range(DRAWS)]
     begun, offered = calibration.report.start, calibration.report.offered
     other_start = offered if begun is None else None
+
+    def point_of(size: int, start: Start | None) -> list[dict[str, Any]]:
+        candidates, untouched = candidates_of(calibration, size, start), calibration.untouched_change
+        parts = [parted(order, size, groups) for order in orders]
+        draws = [_one_draw(candidates, *part, to_refine, to_fit, found, untouched) for part in parts]
+        return _best_point(candidates, size, [draw for draw in draws if draw is not None])
+
     points, others = [], []
     for done, size in enumerate(sizes):
-
-        def point_of(candidates: list[Candidate], size: int = size) -> list[dict[str, Any]]:
-            parts = [parted(order, size, groups) for order in orders]
-            untouched = calibration.untouched_change
-            draws = [_one_draw(candidates, *part, to_refine, to_fit, found, untouched) for part in parts]
-            return _best_point(candidates, size, [draw for draw in draws if draw is not None])
-
-        points += point_of(candidates_of(calibration, size, begun))
+        points += point_of(size, begun)
         if offered is not None:
-            others += point_of(candidates_of(calibration, size, other_start))
+            others += point_of(size, other_start)
         progress(done + 1, len(sizes), "measuring the learning curve")
     curve = _with_expectation(points, len(own.presses))
     if curve is None or offered is None:
@@ -108,7 +108,7 @@ def parted(
 ) -> tuple[list[int], list[int]]:
     """The first `size` presses of an order, which train, and the last ones, which are held out.
 
-    What shows the same as a held-out press does not train.
+    Near duplicates of a held-out press do not train.
     """
     tested = [int(i) for i in order[-held_out_count(len(order)) :]]
     same = {i for group in groups if not set(group).isdisjoint(tested) for i in group}
@@ -116,18 +116,18 @@ def parted(
 
 
 def held_out_count(accepted: int) -> int:
-    """How many of the accepted presses a draw holds out."""
+    """Number of accepted presses that a draw holds out."""
     return max(3, round(HELD_OUT * accepted))
 
 
 def sizes_for(accepted: int) -> list[int]:
-    """Numbers of presses that train; the last one is all that are not held out."""
+    """Numbers of training presses; the last one is all that are not held out."""
     most = accepted - held_out_count(accepted)
     return [size for size in SIZES if size < 0.9 * most] + [most]
 
 
 def candidates_of(calibration: Calibration, presses: int, start: Start | None) -> list[Candidate]:
-    """The chosen color model with settings that so many presses can carry, and the chosen step."""
+    """The selected color model with settings that a number of presses can support, and the selected step."""
     step = calibration.settings.step_ridge
     options = (
         candidates_for(calibration.color_model.name, presses) if start is None else candidates_from(start)
@@ -151,19 +151,19 @@ def _one_draw(
     found: Sequence[ContactCircle],
     untouched: float,
 ) -> list[float] | None:
-    """Each candidate's mean normal error on held-out presses, inside the contact's edge, fitted on others."""
+    """Each candidate's mean normal error on held-out presses, inside the contact edge, fitted on others."""
     start = None if candidates[0].start is None else candidates[0].start.model
     refined = refine([to_refine[i] for i in training], [found[i] for i in training], start=start)
     kept = refined.accepted
     if not enough("model", len(kept)):
         return None
     used, contacts = [to_fit[training[k]] for k in kept], [refined.contacts[k] for k in kept]
-    degrees, samples = [], training_samples(used, contacts, total=SAMPLES_OF_FOLD)
+    degrees, samples = [], training_samples(used, contacts, total=TRIAL_SAMPLES)
     for candidate in candidates:
         fit = FittedSlopes(SlopeReader(candidate.fit(samples), used[0], untouched), None)
         if candidate.step_ridge is not None:
             ridges = [candidate.step_ridge]
-            responses = fitted_responses(fit.reader, used, contacts, ridges, total=SAMPLES_OF_FOLD)
+            responses = fitted_responses(fit.reader, used, contacts, ridges, total=TRIAL_SAMPLES)
             fit = FittedSlopes(fit.reader, responses[0])
         scores = [score_of(to_fit[i], found[i], fit.frame(to_fit[i])) for i in tested]
         degrees.append(float(np.mean([score.normal_deg for score in scores])))
@@ -173,7 +173,7 @@ def _one_draw(
 def _best_point(
     candidates: Sequence[Candidate], size: int, draws: Sequence[Sequence[float]]
 ) -> list[dict[str, Any]]:
-    """The candidate with the smallest mean over the draws; nothing where no draw could be fitted."""
+    """The candidate with the smallest mean over the draws; nothing if no draw could be fitted."""
     if not draws or not candidates:
         return []
     degrees = np.array(draws)
@@ -189,9 +189,9 @@ def _best_point(
 
 
 def floor_and_slope(presses: Sequence[float], degrees: Sequence[float]) -> tuple[float, float]:
-    """(a, b) of `error^2 = a + b/n`, both >= 0: what no number of presses removes, and what each one halves.
+    """(a, b) of `error^2 = a + b/n`, both >= 0: a remains for any number of presses, b/n falls with it.
 
-    Least squares on the relative error, so that the small errors of many presses count as much.
+    It uses least squares on the relative error, so that the small errors of many presses count as much.
     """
     square = np.square(np.asarray(degrees, dtype=np.float64))
     design = np.stack([np.ones(square.size), 1 / np.asarray(presses, dtype=np.float64)], axis=1)
@@ -200,7 +200,7 @@ def floor_and_slope(presses: Sequence[float], degrees: Sequence[float]) -> tuple
 
 
 def _with_expectation(points: list[dict[str, Any]], accepted: int) -> dict[str, Any] | None:
-    """The curve with what `MORE` presses are expected to bring; None where two points cannot tell."""
+    """The curve with the expected gain of `MORE` presses; None if two points do not determine it."""
     late = [p for p in points if enough("learning law", p["presses"])]
     used = late if len(late) >= 3 else points
     if len(used) < 2:
@@ -229,9 +229,9 @@ def _with_expectation(points: list[dict[str, Any]], accepted: int) -> dict[str, 
 def _expected(
     points: Sequence[dict[str, Any]], accepted: int, without: int | None
 ) -> tuple[float, float, tuple[float, float]]:
-    """Errors now and with `MORE` presses by the law of the draws' means, one draw left out or none.
+    """Errors now and with `MORE` presses by the law of the draws' means, without one draw or with all.
 
-    The means are fitted, not the draws: all sizes of a draw are tested on the same presses, so an easy or a
+    The fit uses the means, not the draws: all sizes of a draw are tested on the same presses, so an easy or a
     hard draw moves the whole curve and cancels.
     """
     means = []
@@ -244,7 +244,7 @@ def _expected(
 
 
 def _help(gains: Sequence[float]) -> str:
-    """What more presses do, if one believes it only where leaving out any draw says the same."""
+    """The help of more presses, believed only if leaving out any draw gives the same."""
     if min(gains) > LEAST_HELP:
         return "would help"
     return "would not help much" if max(gains) <= LEAST_HELP else "may help"

@@ -1,4 +1,4 @@
-"""What a calibration run found: the presses, the candidates, the held-out errors."""
+"""The record of a calibration run: the presses, the candidates, the held-out errors."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ class PressReport:
     ----------
     name : path below the folder
     ball_diameter_mm : float
-    center_x_px, center_y_px, contact_radius_px : the circle found
-    center_sigma_px, contact_radius_sigma_px : its standard deviations (`circle_sigmas`); None where rejected
+    center_x_px, center_y_px, contact_radius_px : its circle
+    center_sigma_px, contact_radius_sigma_px : its standard deviations (`circle_sigmas`); None if rejected
     accepted : whether the calibration uses it
-    reason : why not
-    errors : names and values of PressErrors, from a model that has not seen this press; None where rejected
+    reason : the reason if not
+    errors : names and values of PressErrors, from a model that has not seen this press; None if rejected
     """
 
     name: str
@@ -51,18 +51,18 @@ class CalibrationReport:
     Attributes
     ----------
     presses : every press of the folder
-    candidates : what was tried: name, typical (geometric mean) slope error and mean normal error of the slopes that are read
-        on held-out presses, chosen or not
-    held_out : errors over the presses, each from a model that has not seen it, of what was chosen without it
-        (free center): what the procedure does on presses that nothing has seen
-    seconds : how long it took
-    notes : what a reader should know
-    held_out_saved : the same of the saved model's kind and settings, fitted without each press; a little
-        flattered, since those were chosen on the same presses; empty in reports from before it was measured
+    candidates : the trials: name, typical (geometric mean) slope error and mean normal error of the slopes that are read
+        on held-out presses, selected or not
+    held_out : errors over the presses (free center), each from a model selected and fitted without it: the errors
+        of the whole procedure on new presses
+    seconds : duration of the run, s
+    notes : notes for the reader
+    held_out_saved : the same for the saved model's kind and settings, fitted without each press; a little too
+        small, because those were selected on the same presses; empty in reports from before it was measured
     samples : of each press that was held out, some pixels with their slopes; not in `to_dict`, not saved
-    balls : each stated diameter and what it is read as, by what; empty where nothing could check it
+    balls : each stated diameter, the diameter that was read, and the model that read it; empty if nothing could check it
     start : another unit's model that the fit began with, or None; not in `to_dict`, not saved
-    offered : the starter's that it might have begun with, or None; not in `to_dict`, not saved
+    offered : the starter's model that was offered to it, or None; not in `to_dict`, not saved
     """
 
     presses: tuple[PressReport, ...]
@@ -77,7 +77,7 @@ class CalibrationReport:
     offered: Start | None = field(default=None, repr=False)
 
     def to_dict(self) -> dict[str, Any]:
-        """The report as JSON can hold it, without the samples and the start."""
+        """The report, as values that JSON can hold, without the samples and the start."""
         content = asdict(replace(self, samples=(), start=None, offered=None))
         del content["samples"], content["start"], content["offered"]
         return {**content, "balls": [one.to_dict() for one in self.balls]}
@@ -86,7 +86,7 @@ class CalibrationReport:
 def report_of_run(
     fitted: Fitted, judged: Judged, balls: Sequence[BallReading], *, notes: Sequence[str], seconds: float
 ) -> CalibrationReport:
-    """The report of a calibration run, from what its steps gave; `notes` follow its own."""
+    """The report of a calibration run from the results of its steps; `notes` follow its own."""
     presses, begun = fitted.located.presses, fitted.located.start
     offered = begun if begun is not None and begun.offered else None
     return CalibrationReport(
@@ -111,7 +111,7 @@ def report_of_run(
 
 
 def _of_starter(fitted: Fitted, offered: Start | None) -> tuple[str, ...]:
-    """Whether the fit began with the starter, and the held-out slope errors that say why."""
+    """Whether the fit began with the starter, and the held-out slope errors behind that decision."""
     if offered is None:
         return ()
     selection, errors = fitted.selection, {}
@@ -148,7 +148,7 @@ def _press_rows(located: Located, judged: Judged) -> tuple[PressReport, ...]:
 
 
 def _candidate_rows(selection: Selection) -> tuple[dict[str, Any], ...]:
-    """What was tried, the smallest held-out slope error first."""
+    """The trials, with the smallest held-out slope error first."""
     rows = [
         {
             "candidate": trial.candidate.describe(),
@@ -170,7 +170,7 @@ def _how_held_out(presses: int, selection: Selection) -> str:
     )
 
 
-FIGURES = {  # the figures of `summary`, as people read them
+FIGURES = {  # the figures of `summary`, with labels for people
     "presses": "presses",
     "normal_deg": "normal error, center from the circle (°)",
     "normal_free_deg": "normal error, center fitted (°)",
@@ -184,7 +184,7 @@ FIGURES = {  # the figures of `summary`, as people read them
 
 
 def summary(errors: list[PressErrors]) -> dict[str, float]:
-    """Means over presses; the median where a sphere is fitted, whose errors have a long tail.
+    """Means over presses; the median for a fitted sphere, because its errors have a long tail.
 
     Off-contact errors are averaged over the presses that leave any of the frame beyond 2.5 contact radii.
     """

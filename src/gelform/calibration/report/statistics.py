@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from gelform.calibration.coverage import COARSE, DIRECTIONS, direction_of, tile_of
 from gelform.calibration.enough import enough
 from gelform.calibration.held_out.measure import HeldOutSample
+from gelform.confidence.slope_sigma import MIN_IN_BIN
 from gelform.metrics import angle_deg
 
 SLOPE_EDGES = tuple(round(0.1 * k, 1) for k in range(13))
-MIN_PIXELS = 60  # of a bin of slopes or places
-DRAWS = 1000  # of presses with replacement, for intervals
-PRIOR_PIXELS = 200  # by which a direction's error in a tile is drawn to the mean of all
+DRAWS = 1000  # bootstrap draws of presses, for intervals
+PRIOR_PIXELS = 200  # pixels; the error of a direction in a tile is pulled to the mean of all with this weight
 
 
 def resampled(count: int, rng: np.random.Generator) -> NDArray[np.float64]:
@@ -40,7 +40,7 @@ def gain_curve(samples: Sequence[HeldOutSample], rng: np.random.Generator) -> li
     curve = []
     for b, (low, high) in enumerate(pairwise(SLOPE_EDGES)):
         projected, square, pixels = sums[:, :, b]
-        if not enough("interval", int(np.count_nonzero(pixels))) or pixels.sum() < MIN_PIXELS:
+        if not enough("interval", int(np.count_nonzero(pixels))) or pixels.sum() < MIN_IN_BIN:
             continue
         among = drawn @ square
         gains = (drawn @ projected)[among > 0] / among[among > 0]
@@ -101,11 +101,11 @@ def fraction_within_sigma(
     by_slope = []
     for low, high in pairwise(SLOPE_EDGES):
         member = (slope >= low) & (slope < high)
-        if np.count_nonzero(member) >= MIN_PIXELS:
+        if np.count_nonzero(member) >= MIN_IN_BIN:
             by_slope.append({"slope_from": low, "slope_to": high, "share": float(inside[member].mean())})
     tile = np.concatenate([tile_of(one.x_px, one.y_px, shape, grid) for one in samples])
     by_place = [
-        float(inside[tile == i].mean()) if np.count_nonzero(tile == i) >= MIN_PIXELS else None
+        float(inside[tile == i].mean()) if np.count_nonzero(tile == i) >= MIN_IN_BIN else None
         for i in range(grid[0] * grid[1])
     ]
     return {
@@ -126,7 +126,7 @@ def errors_where(
     """Normal errors of reconstructed presses by slope and by place: `contact` up to its edge, `rim` up to the visible rim.
 
     Means over pixels, so that a large contact counts for more than a small one; the figures of whole presses are means over
-    presses. Bins of the ball's slope of under 60 pixels are left out, and such cells of the grid (rows, columns) are None.
+    presses. Bins of the ball's slope of under 50 pixels are left out, and such cells of the grid (rows, columns) are None.
     """
     regions = {"contact": [one.within(contact_radius_ratio) for one in samples], "rim": samples}
     parts = {name: _part(region, shape, grid) for name, region in regions.items()}
@@ -153,7 +153,7 @@ def _by_slope(
     bins = []
     for low, high in pairwise(SLOPE_EDGES):
         member = (slope >= low) & (slope < high)
-        if np.count_nonzero(member) >= MIN_PIXELS:
+        if np.count_nonzero(member) >= MIN_IN_BIN:
             gain = np.sum(read[member] * true[member]) / np.sum(true[member] ** 2)
             bins.append(
                 {
@@ -170,5 +170,5 @@ def _by_slope(
 def _by_place(tile: NDArray[np.intp], angles: NDArray[np.float64], grid: tuple[int, int]) -> dict[str, Any]:
     pixels = np.bincount(tile, minlength=grid[0] * grid[1])
     sums = np.bincount(tile, angles, pixels.size)
-    normal_deg = [float(s / n) if n >= MIN_PIXELS else None for s, n in zip(sums, pixels)]
+    normal_deg = [float(s / n) if n >= MIN_IN_BIN else None for s, n in zip(sums, pixels)]
     return {"rows": grid[0], "columns": grid[1], "normal_deg": normal_deg, "pixels": pixels.tolist()}

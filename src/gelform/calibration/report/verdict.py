@@ -1,4 +1,4 @@
-"""From figures to words: which part of a calibration is good, fair or poor, and what to do next."""
+"""The verdict: which part of a calibration is good, fair or poor, and the next step."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ LEVELS = ("good", "fair", "poor")
 
 @dataclass(frozen=True)
 class Limit:
-    """What a check measures, and where good and fair end.
+    """The figure of a check, and the limits of good and fair.
 
     Attributes
     ----------
     name, label, unit : of the figure
-    good, fair : good and fair up to here; from here on where `rising`
+    good, fair : largest good and fair figure; the smallest one if `rising`
     rising : a larger figure is better
-    action : what to do where it is not good
+    action : the advice if it is not good
     """
 
     name: str
@@ -55,18 +55,19 @@ LIMITS = (
     Limit("off_contact_um", "depth error off contact, held out", "µm", 30, 80, False,
           "Take a new background image in the same minute as the presses, with exposure and white balance fixed."),
     Limit("sigma_percent", "largest deviation of the uncertainty from 68 %", "%", 10, 23, False,
-          "Press where the share is far from 68 %, first at the places marked 1, 2, 3. Until then, it is rough."),
+          "Press where the share is far from 68 %, first at places 1, 2, 3. Until then, the uncertainty is rough."),
     Limit("ball_sizes", "ball sizes", "", 2, 1, True,
           "Add presses of a second ball of another size. One size alone cannot show a wrong slope scale."),
     Limit("scale_percent", "uncertainty of the scale", "%", 1, 3, False,
           "Measure mm_per_px on an object of known size. Write it into sensor.toml, together with mm_per_px_sigma."),
 )  # fmt: skip
 HEADLINE = ("normal_free_deg", "radius_percent")
-REFUTING = ("ball_sigmas",)  # poor, they make the headline poor: the other figures believe the labels
+# If one is poor, so is the headline, because the other figures rely on the labels.
+REFUTING = ("ball_sigmas",)
 
 
 def level_of(limit: Limit, value: float | None) -> str:
-    """good, fair or poor; what is not known is fair."""
+    """good, fair or poor; an unknown figure is fair."""
     if value is None or not math.isfinite(value):
         return "fair"
     sign = -1 if limit.rising else 1
@@ -76,9 +77,9 @@ def level_of(limit: Limit, value: float | None) -> str:
 
 
 def checks_of(figures: Mapping[str, float | None]) -> list[dict[str, Any]]:
-    """Every check with its figure (None where it is not known), its level and its limits, causes before their effects.
+    """Every check with its figure (None if unknown), its level and its limits, causes before their effects.
 
-    A check without a figure, which the sensor does not need, is left out.
+    A check that the sensor does not need, and that has no figure, is left out.
     """
     return [
         {
@@ -92,11 +93,11 @@ def checks_of(figures: Mapping[str, float | None]) -> list[dict[str, Any]]:
 
 
 def verdict_of(checks: list[dict[str, Any]], learning_sentence: str | None = None) -> dict[str, Any]:
-    """The headline: the worse of normals and radius in words, and one sentence on what to do next.
+    """The headline: the worse of normals and radius in words, and one sentence about the next step.
 
-    The next step is that of the largest fault: of a poor check before that of a fair one, and among those the
-    one whose figure is the most times its limit; of equal ones the first, since causes stand before their effects.
-    Where all is good, it is what keeps it so.
+    The next step belongs to the largest fault: a poor check comes before a fair one, and then the check whose figure is the
+    most times its limit. Among equal ones the first counts, because causes come before their effects. If all is good, the
+    sentence says how to keep it so.
     """
     named = {check["name"]: check for check in checks}
     level = max((named[name]["level"] for name in HEADLINE), key=LEVELS.index)
@@ -136,7 +137,7 @@ def _headline(
 
 
 def _severity(check: Mapping[str, Any]) -> tuple[int, float]:
-    """How bad a check is: its level, then how many times its figure is the limit of good, or the other way round."""
+    """The severity of a check: its level, then its figure over the limit of good, or the inverse if `rising`."""
     value, limit = check["value"], check["good"]
     if value is None or not math.isfinite(value):
         return LEVELS.index(check["level"]), 1.0

@@ -1,4 +1,4 @@
-"""gelform batch: every frame of a data set to depth, resumable; gelform verify: its output read again, whole."""
+"""gelform batch: every frame of a data set to depth, resumable; gelform verify: check of all its output."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from gelform.batch import BatchSettings, BatchSummary, Engine
 
 
-SHOWN_PROBLEMS = 20  # of gelform verify; --json gives all
-LINE_EVERY_S = 30.0  # of progress, where standard error is a file
+SHOWN_PROBLEMS = 20  # problems that gelform verify prints; --json gives all
+LINE_EVERY_S = 30.0  # s between lines of progress, if standard error is a file
 
 
 def _shard(text: str) -> tuple[int, int]:
@@ -36,7 +36,7 @@ def _shard(text: str) -> tuple[int, int]:
 
 @dataclass(frozen=True)
 class Frames:
-    """Where frames and background images are in the input."""
+    """The places of frames and background images in the input."""
 
     dataset: Annotated[
         str, Option(metavar="PATH", help="Where frames are in HDF5, Zarr, LeRobot; * stands for one name.")
@@ -55,7 +55,7 @@ class Frames:
 
 @dataclass(frozen=True)
 class Results:
-    """Which maps are worked out, and in which form they are written."""
+    """The maps to compute and the form of the output."""
 
     form: Annotated[
         str,
@@ -64,17 +64,20 @@ class Results:
         ),
     ] = "npz"
     dtype: Annotated[
-        str | None, Option(help="Of zarr and hdf5: float32, or uint16: depth alone, 0.1 um a step.")
+        str | None, Option(help="For zarr and hdf5: float32, or uint16 (depth only, 0.1 um per step).")
     ] = None
-    table: Annotated[str, Option(help="parquet or csv; auto: parquet where pyarrow is.")] = "auto"
-    keep: Annotated[str, Option(help=f"Maps: {', '.join(KEPT_MAPS)}; all: whole results.")] = "depth,known"
-    solver: Annotated[str, Option(help="How slopes become depth; auto chooses.")] = "auto"
+    table: Annotated[str, Option(help="parquet or csv; auto: parquet if pyarrow is installed.")] = "auto"
+    keep: Annotated[str, Option(help=f"Maps to save: {', '.join(KEPT_MAPS)}; all: whole results.")] = (
+        "depth,known"
+    )
+    solver: Annotated[str, Option(help="Solver from slopes to depth; auto chooses.")] = "auto"
     sigma: Annotated[
-        bool, Option("--sigma/--no-sigma", help="Compute depth's standard deviation; contact uses it.")
+        bool,
+        Option("--sigma/--no-sigma", help="Compute the standard deviation of depth, which contact uses."),
     ] = True
 
     def settings(self, background_frames: int) -> BatchSettings:
-        """As the batch takes them; a usage error where they cannot be."""
+        """The settings of the batch; raises a usage error for invalid ones."""
         from gelform.batch import BatchSettings
 
         maps = tuple(dict.fromkeys(one.strip() for one in self.keep.split(",") if one.strip()))
@@ -86,10 +89,10 @@ class Results:
 
 @dataclass(frozen=True)
 class Machines:
-    """Who does the work."""
+    """The processes that do the work."""
 
     workers: Annotated[int, Option(min=1, metavar="N", help="Number of processes; for Ray, of CPUs.")] = 1
-    engine: Annotated[str, Option(help="pool: processes of this machine; ray.")] = "pool"
+    engine: Annotated[str, Option(help="pool (processes on this machine) or ray.")] = "pool"
     address: Annotated[
         str | None, Option(metavar="ADDRESS", help="Address of a running Ray cluster, such as auto.")
     ] = None
@@ -98,7 +101,7 @@ class Machines:
     ] = "1/1"
 
     def made(self) -> Engine:
-        """The engine; a usage error where there is no such."""
+        """The engine; raises a usage error for an unknown one."""
         from gelform.batch import Engine
 
         with usage_errors():
@@ -107,7 +110,7 @@ class Machines:
 
 @dataclass(frozen=True)
 class Run:
-    """Whether a run goes on where it was left, and what ends it."""
+    """How a run continues an earlier one, and when it ends."""
 
     max_errors: Annotated[
         int, Option(min=0, metavar="N", help="End the run when more frames than this have errors.")
@@ -138,15 +141,16 @@ def batch(
 ) -> None:
     """Reconstruct every frame of a data set.
 
-    The same command continues an interrupted run; `gelform batch verify DIR` reads all that was written.
+    The same command continues an interrupted run. `gelform batch verify DIR` checks all output.
 
-    INPUT is a folder with all folders below it, a video, a recording (MCAP or a folder), an HDF5 file, a Zarr store, a
-    LeRobot data set, or a pattern. DIR gets
-    frames/<sequence>/<frame>.npz, a table with one row per frame, and manifest.json. A frame that cannot be
-    read or is of another size is a row with its error; the others are done, and the exit status is 1.
+    INPUT is a folder (with all folders below it), a video, a recording (MCAP or a folder), an HDF5 file, a Zarr store, a
+    LeRobot data set, or a pattern. DIR gets frames/<sequence>/<frame>.npz, a table with one row per frame, and
+    manifest.json. A frame that cannot be read or has another size gets a row with its error; the other frames are still
+    done, and the exit status is 1.
 
-    Without -c, the one serial in a sensor.toml or the recordings selects its newest calibration. For a sensor without a
-    calibration, give --sensor and an image of its gel at rest. The starter of its make then reads the frames.
+    Without -c, the serial number in a sensor.toml or in the recordings selects the newest calibration of that sensor; there
+    must be only one serial. For a sensor without a calibration, give --sensor and an image of its gel at rest. The starter
+    of its make then reads the frames.
 
     \b
     Examples:
@@ -191,7 +195,7 @@ def batch(
 
 @contextmanager
 def _progress(quiet: bool) -> Iterator[Callable[[BatchSummary], None]]:
-    """A line on standard error: renewed on a terminal, one every half minute in a file."""
+    """Show a line on standard error: updated on a terminal, a new one every half minute in a file."""
     on_screen = sys.stderr is not None and sys.stderr.isatty()
     begin, last, before = time.monotonic(), 0.0, -1
 
@@ -223,7 +227,7 @@ def _line(summary: BatchSummary, seconds: float, parts: int) -> str:
 def _report(summary: BatchSummary, output: Path, max_errors: int, quiet: bool) -> None:
     for warning in summary.warnings:
         say(f"gelform: warning: {warning}")
-    before = f", {summary.frames_before} were there" if summary.frames_before else ""
+    before = f", {summary.frames_before} from earlier runs" if summary.frames_before else ""
     say(f"{summary.frames} frames done{before}; {summary.errors} with errors.", quiet)
     if summary.stopped:
         say(
@@ -250,10 +254,10 @@ def verify(
 ) -> None:
     """Check every output of a batch, and list problems.
 
-    Lists missing, altered and extra files; `gelform batch verify` is the same command.
+    Lists missing, changed and extra files. `gelform batch verify` is the same command.
 
-    The exit status is 1 if there is a problem. Frames with an error of their own are counted, but are
-    no problem of the output.
+    The exit status is 1 if there is a problem. Frames that failed in the batch are counted, but are no problem of the
+    output.
 
     \b
     Examples:
@@ -271,6 +275,6 @@ def verify(
             say(f"gelform: error: {one.path}: {one.what}")
         if len(problems) > SHOWN_PROBLEMS:
             say(f"{len(problems) - SHOWN_PROBLEMS} more; all with --json.")
-    say(f"{good} frames are whole, {errors} have an error, {len(problems)} problems.", shown.silent)
+    say(f"{good} frames are complete, {errors} have an error, {len(problems)} problems.", shown.silent)
     if problems:
         raise typer.Exit(MISTAKE)

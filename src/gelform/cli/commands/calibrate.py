@@ -37,32 +37,32 @@ def calibrate(
         str,
         Option(
             metavar="CAL.npz",
-            help="Calibration of another unit to begin with: 5 presses do. auto: a known make's starter; none.",
+            help="Start from another unit's calibration: then 5 presses are enough. auto: a known make's starter; none.",
         ),
     ] = "auto",
     given: PressOptions,
     crop: Annotated[
         str | None,
-        Option(metavar="L,T,W,H", help="Part of the frame that is the image: left,top,width,height, px."),
+        Option(metavar="L,T,W,H", help="Part of the frame to use as image: left,top,width,height, px."),
     ] = None,
     report: Annotated[
         Path | None,
-        Option(metavar="DIR", help="Folder for a report: how good it is, what to do next."),
+        Option(metavar="DIR", help="Folder for a report on the calibration's quality and the next steps."),
     ] = None,
     compare: Annotated[
         bool,
-        Option("--compare", help="Try every color model on the same presses too, for the report's table."),
+        Option("--compare", help="Also try every color model on the same presses, for the report's table."),
     ] = False,
     overwrite: Overwrite = False,
     shown: Shown,
 ) -> None:
     """Calibrate a sensor from presses of a ball.
 
-    PRESSES holds background.png (the gel at rest), images, presses.csv (columns image,ball_diameter_mm) and
+    PRESSES contains background.png (the gel at rest), images, presses.csv (columns image,ball_diameter_mm) and
     sensor.toml (name, mm_per_px). These also work: a plain folder of images, with --ball-diameter-mm and --mm-per-px
     or --sensor; a video that begins with the gel at rest; gs_sdk's and py3DCal's folders; Taxim's
-    dataPack.npz. Twenty presses all over the gel are enough, forty of two balls are good. Measure scale, lens and
-    crosstalk first, with `gelform scale`, `gelform lens` and `gelform crosstalk`.
+    dataPack.npz. Twenty presses spread over the gel are enough; forty presses of two balls are good. Measure scale, lens
+    and crosstalk first, with `gelform scale`, `gelform lens` and `gelform crosstalk`.
 
     \b
     Examples:
@@ -82,7 +82,6 @@ def calibrate(
         check_report_folder(report, overwrite)
     from gelform.calibration.fit import calibrate as calibrate_presses
     from gelform.calibration.presses.folder import read_presses
-    from gelform.calibration_file import load_calibration
 
     with only_writer(output), shown.progress() as progress:
         found = read_presses(
@@ -91,11 +90,12 @@ def calibrate(
             crop=box,  # type: ignore[arg-type]
             progress=progress,
         )
-        first = (
-            {"auto": "auto", "none": None}[start] if start in ("auto", "none") else load_calibration(start)
-        )
         calibration = calibrate_presses(
-            found, color_model=model, start=first, compare=compare, progress=progress
+            found,
+            color_model=model,
+            start=None if start == "none" else start,
+            compare=compare,
+            progress=progress,
         )
         calibration.save(output, overwrite=overwrite)
         content = content_of(found, calibration, progress, with_learning=report is not None)

@@ -1,7 +1,7 @@
-"""Keep calibrations in a folder, from which commands take the newest for a camera's serial.
+"""Keep calibrations in a folder; commands use the newest one with the camera's serial number.
 
-`live`, `reconstruct`, `batch`, `bag` and `ros` search it if you give no calibration, and print the one that they take. The
-guide of `gelform live` puts its calibration there. GELFORM_CALIBRATIONS names another folder.
+If you give no calibration, `live`, `reconstruct`, `batch`, `bag` and `ros` search this folder and print their choice. The
+guide of `gelform live` saves its calibration there. GELFORM_CALIBRATIONS names another folder.
 
 \b
 Examples:
@@ -32,25 +32,24 @@ COLUMNS = {
     "cap_free_um": "contact (um)",
     "off_contact_um": "off contact (um)",
 }
-SHOWN_DIGEST = 10  # characters: what tells calibrations apart, and `remove` and `export` take
 
 Which = Annotated[
-    str, Argument(metavar="WHICH", help="Serial, name of the file, or first characters of the digest.")
+    str, Argument(metavar="WHICH", help="Serial, file name, or first characters of the digest.")
 ]
-Gel = Annotated[str | None, Option("--gel", metavar="GEL", help="Only those of this gel.")]
+Gel = Annotated[str | None, Option("--gel", metavar="GEL", help="Only calibrations of this gel.")]
 
 
 def list_(
     *,
-    serial: Annotated[str | None, Option(help="Only those of this camera.")] = None,
+    serial: Annotated[str | None, Option(help="Only calibrations of this camera.")] = None,
     gel: Gel = None,
     shown: Shown,
 ) -> None:
     """List calibrations by serial, gel and date.
 
-    The table has their errors on held-out presses.
+    The table shows their errors on held-out presses.
 
-    The newest comes first; a camera uses the newest one of its serial. Unreadable files are listed with the reason.
+    The newest comes first; a camera uses the newest one with its serial number. Unreadable files are listed with the reason.
 
     \b
     Examples:
@@ -59,6 +58,7 @@ def list_(
       gelform calibrations list --json
     """
     from gelform.calibrations.library import date_of, entries, facts_of, library_folder
+    from gelform.foundations.npz_files import DIGEST_SHOWN
 
     folder = library_folder()
     there = [one for one in entries(folder) if serial in (None, one.serial) and gel in (None, one.gel_id)]
@@ -72,7 +72,7 @@ def list_(
             one.gel_id or "-",
             date_of(one.created_utc),
             *(figure(one.held_out.get(name)) for name in COLUMNS),
-            one.digest[:SHOWN_DIGEST],
+            one.digest[:DIGEST_SHOWN],
         )
         for one in there
         if not one.problem
@@ -90,15 +90,15 @@ def list_(
 def add(
     *,
     files: Annotated[list[Path], Argument(metavar="CAL.npz...", help="Files of calibrations.")],
-    serial: Annotated[str | None, Option(help="Of the camera, where the file does not say it.")] = None,
+    serial: Annotated[str | None, Option(help="Serial number of the camera, if the file lacks it.")] = None,
     gel: Annotated[
-        str | None, Option("--gel", metavar="GEL", help="Name of the gel, where the file does not say it.")
+        str | None, Option("--gel", metavar="GEL", help="Name of the gel, if the file lacks it.")
     ] = None,
     shown: Shown,
 ) -> None:
     """Copy calibrations into the library.
 
-    The file itself stays where it is. One that is there already is not copied again.
+    The file itself stays in its place. A calibration that is already in the library is not copied again.
 
     \b
     Examples:
@@ -109,22 +109,22 @@ def add(
     from gelform.calibrations.library import add_calibration
 
     if serial is not None and len(files) > 1:
-        raise BadParameter("is of one camera: add one file at a time.", param_hint="--serial")
+        raise BadParameter("belongs to one camera: add one file at a time.", param_hint="--serial")
     loaded = [_named(load_calibration(path), path, serial, gel) for path in files]
     added = []
     for calibration in loaded:
         path, new = add_calibration(calibration)
-        shown.say(f"Added {path}." if new else f"There already: {path}.")
+        shown.say(f"Added {path}." if new else f"Already in the library: {path}.")
         if not calibration.serial:
             shown.say(
-                "It names no serial: only a camera without one takes it by itself. Say whose it is: --serial SERIAL."
+                "It has no serial, so only a camera without one uses it automatically. Name its camera: --serial SERIAL."
             )
         added.append({"file": path, "new": new, "serial": calibration.serial, "gel_id": calibration.gel_id})
     shown.json({"added": added})
 
 
 def _named(calibration: Calibration, path: Path, serial: str | None, gel: str | None) -> Calibration:
-    """With the serial and gel that the user says; DataError where the file says another one."""
+    """The calibration with the user's serial number and gel; DataError if the file states others."""
     from dataclasses import replace
 
     said: dict[str, Any] = {}
@@ -141,7 +141,7 @@ def remove(
     *,
     which: Which,
     gel: Gel = None,
-    every: Annotated[bool, Option("--all", help="All that match, where there are several.")] = False,
+    every: Annotated[bool, Option("--all", help="Delete all that match, if there are several.")] = False,
     yes: Annotated[bool, Option("--yes", "-y", help="Do not ask.")] = False,
     shown: Shown,
 ) -> None:
@@ -156,10 +156,10 @@ def remove(
 
     found = matching(which, gel)
     if len(found) > 1 and not every:
-        raise DataError(f"{len(found)} calibrations match: {listed(found)}. Name one, or take --all.")
+        raise DataError(f"{len(found)} calibrations match: {listed(found)}. Name one, or use --all.")
     if not yes:
         if sys.stdin is None:
-            raise DataError("Expected a terminal to ask in. Take --yes to delete without being asked.")
+            raise DataError("Expected a terminal to ask in. Use --yes to delete without a question.")
         typer.confirm(f"Delete {listed(found)}?", abort=True, err=True)
     for entry in found:
         remove_calibration(entry)
@@ -170,7 +170,7 @@ def remove(
 def export_(
     *, which: Which, gel: Gel = None, output: NewCalibration, overwrite: Overwrite = False, shown: Shown
 ) -> None:
-    """Copy a calibration out of the library; of several the newest.
+    """Copy the newest matching calibration out of the library.
 
     \b
     Examples:

@@ -1,4 +1,4 @@
-"""gelform demo: the whole path on a simulated sensor, held against the truth."""
+"""gelform demo: the whole path on a simulated sensor, compared with the truth."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ def demo(
 ) -> None:
     """Try everything without a sensor, on a simulated one.
 
-    The command calibrates it, reconstructs objects and compares them with the truth.
+    The command calibrates the sensor, reconstructs objects and compares them with the truth.
 
-    Writes DIR/presses (a press folder), DIR/calibration.npz, DIR/report and, for each of four objects (a
-    ball, a coin-like relief, a screw thread, a ball cut by the border) its image, result and picture.
+    It writes DIR/presses (a press folder), DIR/calibration.npz and DIR/report. For each of four objects (a ball, a coin-like
+    relief, a screw thread, a ball cut by the border) it writes image, result and picture.
 
     \b
     Examples:
@@ -55,7 +55,15 @@ def demo(
     rows = [(name, *(_shown(key, value) for key, value in row.items())) for name, row in errors.items()]
     shown.table(
         "Errors against the true surfaces",
-        ("object", "true peak mm", "peak mm", "ratio", "depth RMSE um", "RMSE in contact um", "normals deg"),
+        (
+            "object",
+            "true peak (mm)",
+            "peak (mm)",
+            "ratio",
+            "depth RMSE (um)",
+            "RMSE in contact (um)",
+            "normals (°)",
+        ),
         rows,
     )
     if not shown.as_json:
@@ -112,7 +120,7 @@ def _objects(sensor: SimulatedSensor) -> list[tuple[str, SimulatedPress]]:
 
 
 def _compared(folder: Path, name: str, press: SimulatedPress, calibration: Calibration) -> dict[str, float]:
-    """Reconstruct one object with what the calibration found, and hold it against the truth."""
+    """Reconstruct one object with the calibration, and compare it with the truth."""
     import numpy as np
 
     from gelform.metrics import angle_deg

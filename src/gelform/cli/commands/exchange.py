@@ -1,4 +1,4 @@
-"""gelform import and gelform export: calibrations and results from and for other programs."""
+"""gelform import and gelform export: exchange of calibrations and results with other programs."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from gelform.cli.outputs import check_output
 from gelform.cli.process import mistakes_in
 from gelform.errors import DataError
 
-RENDERERS = ("taxim", "isaaclab")  # as in exporters.taxim, which help does not import
+RENDERERS = ("taxim", "isaaclab")  # as in exporters.taxim, which the help does not import
 FILES = ("ply", "stl", "tiff", "png", "x3p")
 
 
@@ -38,11 +38,11 @@ def import_(
         str | None,
         Option(
             metavar="zeros|true",
-            help="For gsrobotics: zeros as its program feeds its network, or the true positions.",
+            help="For gsrobotics: zeros, as in its own program, or the true positions.",
         ),
     ] = None,
     flip_depth: Annotated[
-        bool, Option("--flip-depth", help="For lut: its surface falls where pressed.")
+        bool, Option("--flip-depth", help="For lut: reverse depth that falls where pressed.")
     ] = False,
     name: Annotated[str | None, Option(metavar="NAME", help="Name of the sensor.")] = None,
     overwrite: Overwrite = False,
@@ -51,8 +51,8 @@ def import_(
     """Import a calibration that another package made.
 
     Networks of gs_sdk (nnmodel.pth), gsrobotics (nnmini.pt) and its browser port, Taxim's polycalib.npz, and
-    look-up tables (table_smooth.npy). Nothing in FILE is executed. The background is an image of the untouched
-    gel, cropped and sized as that package's images are. Without --mm-per-px, results are gradients and depth in
+    look-up tables (table_smooth.npy). Nothing in FILE is executed. The background is an image of the gel at
+    rest, cropped and sized as that package's images are. Without --mm-per-px, results are gradients and depth in
     pixels.
 
     \b
@@ -65,7 +65,7 @@ def import_(
     one_of(package, PACKAGES, "--from")
     if background is None:
         raise BadParameter(
-            "needed: an image of the untouched gel; these files hold none.", param_hint="--background"
+            "needed: an image of the gel at rest; these files hold none.", param_hint="--background"
         )
     from gelform.importers.calibrations import import_calibration
     from gelform.sensors.files import read_image
@@ -106,8 +106,8 @@ def export(
     """Write a calibration or a result for another program.
 
     A calibration becomes the tables (polycalib.npz, bg.jpg, real_bg.npy) from which Taxim and TacEx (--to taxim) or
-    Isaac Lab's GelSightRenderCfg (--to isaaclab) render this sensor. A result becomes a surface: ply (triangles in
-    mm, camera's optical frame), stl (closed, to print), tiff (float depth, mm), png (16 bits, 0.1 um a step),
+    Isaac Lab's GelSightRenderCfg (--to isaaclab) render this sensor. A result becomes a surface: ply (triangles in mm, in
+    the camera's optical frame), stl (closed, to print), tiff (float depth, mm), png (16 bits, 0.1 um per step),
     x3p (ISO 25178-72).
 
     \b

@@ -1,4 +1,4 @@
-"""gelform scale and gelform lens: mm per pixel, lens and crosstalk, from things whose size is known."""
+"""gelform scale, lens and crosstalk: calibration from objects of known size, and from the gel under single LEDs."""
 
 from __future__ import annotations
 
@@ -25,13 +25,14 @@ def scale(
         Option(metavar="X1,Y1,X2,Y2,MM", help="Two marked points of the image, px, and their distance."),
     ] = None,
     punch: Annotated[
-        str | None, Option(metavar="IMG,MM", help="Press of a flat, round punch and its diameter.")
+        str | None, Option(metavar="IMG,MM", help="Image of a pressed flat, round punch, and its diameter.")
     ] = None,
     thread: Annotated[
-        str | None, Option(metavar="IMG,MM", help="Press of a screw's thread and its pitch.")
+        str | None, Option(metavar="IMG,MM", help="Image of a pressed screw thread, and its pitch.")
     ] = None,
     stage: Annotated[
-        str | None, Option(metavar="A,B,MM", help="One object pressed twice, a stage's step apart.")
+        str | None,
+        Option(metavar="A,B,MM", help="Two images of one object, and the stage's step between them."),
     ] = None,
     sensor: Sensor = None,
     background: Background = None,
@@ -39,9 +40,9 @@ def scale(
 ) -> None:
     """Measure mm per pixel, for `calibrate`.
 
-    Writes it into the folder's sensor.toml, where `calibrate` reads it.
+    Writes the scale into the folder's sensor.toml, where `calibrate` reads it.
 
-    Images are camera frames, read through the existing [view]. Several measurements are averaged by their
+    The images are camera frames, read through the existing [view]. Several measurements are averaged, weighted by their
     uncertainty. If they contradict each other, nothing is written.
 
     \b
@@ -79,7 +80,7 @@ def scale(
 
 
 def _images_and_mm(text: str, option: str) -> tuple[list[Path], float]:
-    """The image files and the length behind them."""
+    """The image files and the length after them."""
     form = "A,B,MM" if option == "--stage" else "IMG,MM"
     *paths, length = text.split(",")
     if len(paths) != form.count(","):
@@ -117,23 +118,23 @@ def lens(
     ],
     images: Annotated[
         list[Path] | None,
-        Option("--image", metavar="IMG", help="The grid on the gel, a whole frame; may be repeated."),
+        Option("--image", metavar="IMG", help="Whole frame with the grid on the gel; may be repeated."),
     ] = None,
     grid: Annotated[
-        str | None, Option(metavar="CxR", help="Its inner corners, such as 9x6; or its dots.")
+        str | None, Option(metavar="CxR", help="Inner corners of the grid, such as 9x6; or its dots.")
     ] = None,
-    pitch_mm: Annotated[float | None, number("Its pitch, mm.")] = None,
-    dots: Annotated[bool, Option("--dots", help="It is a grid of dots, not a checkerboard.")] = False,
+    pitch_mm: Annotated[float | None, number("Pitch of the grid, mm.")] = None,
+    dots: Annotated[bool, Option("--dots", help="The grid has dots, not a checkerboard.")] = False,
     led_frames: Annotated[
         tuple[Path, Path, Path] | None,
-        Option(metavar="R G B", hidden=True),  # `gelform crosstalk`, where it was before
+        Option(metavar="R G B", hidden=True),  # the earlier form of `gelform crosstalk`
     ] = None,
     shown: Shown,
 ) -> None:
-    """Measure the lens, for `calibrate` to undo.
+    """Measure the lens, so that `calibrate` undoes it.
 
-    Distortion, perspective and scale. The first image shows a printed grid that lies on the gel; further ones, tilted or
-    moved, help with the distortion alone. All are written into sensor.toml, beside what is there.
+    Measures distortion, perspective and scale. The first image shows a printed grid on the gel. Further images, tilted or
+    moved, improve the distortion only. The results are added to sensor.toml.
 
     \b
     Examples:
@@ -170,8 +171,8 @@ def crosstalk(
 ) -> None:
     """Measure the crosstalk of the colors, for `calibrate`.
 
-    Each of three images shows the gel at rest under the LEDs of one color alone. Their light in the other channels is
-    written into sensor.toml, beside what is there.
+    Each of three images shows the gel at rest under the LEDs of one color only. Their light in the other channels is
+    added to sensor.toml.
 
     \b
     Examples:

@@ -1,4 +1,4 @@
-"""gelform info: what a file or folder is, and what it lacks; in lines that a person reads, or as JSON."""
+"""gelform info: what a file or folder is and what is missing, as readable lines or as JSON."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ if TYPE_CHECKING:
 
 Facts = Mapping[str, Any]
 Lines = list[tuple[str, str]]
-LISTED = 8  # contacts, the largest first; --json gives all
+LISTED = 8  # largest contacts that are printed; --json gives all
 HELD_OUT = {
     "normal_free_deg": "normals {:.1f}°",
     "radius_percent": "ball's radius {:.1f} %",
-    "cap_free_um": "depth in the contact {:.0f} um",
-    "off_contact_um": "depth off it {:.0f} um",
+    "cap_free_um": "depth in contact {:.0f} um",
+    "off_contact_um": "depth off contact {:.0f} um",
 }
 
 
@@ -44,7 +44,7 @@ def info(
 ) -> None:
     """Describe a file or folder, and list what is missing.
 
-    It knows calibrations, results, images, videos, recordings, bags of ROS 2 and folders of presses.
+    It recognizes calibrations, results, images, videos, recordings, ROS 2 bags and folders of presses.
 
     \b
     Examples:
@@ -111,7 +111,7 @@ def _file(path: Path) -> dict[str, Any]:
 
 
 def _recording(summary: RecordingSummary) -> dict[str, Any]:
-    """Its frames are counted, none is decoded."""
+    """The facts of a recording; its frames are counted, but not decoded."""
     facts = summary.facts
     return {
         "kind": "recording",
@@ -119,7 +119,9 @@ def _recording(summary: RecordingSummary) -> dict[str, Any]:
         "serial": facts.serial,
         "frames": summary.frames,
         "duration_s": summary.duration_s,
-        "finished": "yes" if summary.finished else "no: the recorder was stopped; what is there can be read",
+        "finished": "yes"
+        if summary.finished
+        else "no: the recorder was stopped; the frames until then can be read",
         "settings": dict(facts.settings),
         "calibration": facts.calibration_digest,
         "gelform": facts.library_version,
@@ -160,7 +162,7 @@ def _result(path: Path) -> dict[str, Any]:
 
 
 def _roughness(result: Reconstruction) -> dict[str, Any] | None:
-    """The roughness of what is in contact, by ISO 25178; None where there is too little of it, or no scale."""
+    """The roughness of the contact by ISO 25178; None without a scale or if the contact is too small."""
     from gelform.metrics.roughness import LEAST_PX, areal_roughness
 
     inside = result.contact & result.known
@@ -171,7 +173,7 @@ def _roughness(result: Reconstruction) -> dict[str, Any] | None:
 
 
 def _video(path: Path) -> dict[str, Any]:
-    """The file's own facts; its presses are found when it is calibrated."""
+    """The facts that the file states; calibration finds the presses."""
     from gelform.sensors.video_files import Video
 
     video = Video(path)
@@ -192,7 +194,7 @@ def _video(path: Path) -> dict[str, Any]:
 
 
 def _folder(path: Path) -> dict[str, Any]:
-    """A bag, a recording or presses; of a folder that is none yet, what would make it a folder of presses."""
+    """The facts of a bag, a recording or presses; for any other folder, the files that would make it a press folder."""
     from gelform.calibration.presses.folder import PLAIN, PRESS_FOLDER, kind_of_presses
     from gelform.sensors.recordings.image_folder import folder_summary, is_recorded_folder
     from gelform.sensors.recordings.mcap_reader import is_bag_folder
@@ -207,7 +209,7 @@ def _folder(path: Path) -> dict[str, Any]:
     here = {entry.name for entry in path.iterdir()}
     missing = []
     if not any(Path(name).stem == "background" for name in here):
-        missing.append("background.png, an image of the untouched gel (or --background)")
+        missing.append("background.png, an image of the gel at rest (or --background)")
     if layout == PLAIN:
         missing.append("presses.csv with the columns image,ball_diameter_mm (or --ball-diameter-mm)")
     if "sensor.toml" not in here:
@@ -218,7 +220,7 @@ def _folder(path: Path) -> dict[str, Any]:
 
 
 def _bag(path: Path) -> dict[str, Any]:
-    """Its topics with how many messages each has; what stops a reader is what is missing."""
+    """The topics with their numbers of messages; an error of the reader is listed as missing."""
     from gelform.sensors.recordings.mcap_reader import Placed, mcap_file_in, mcap_records
 
     facts: dict[str, Any] = {"kind": "bag of ROS 2"}
@@ -237,7 +239,7 @@ def _images(names: set[str]) -> int:
 
 
 def _presses(path: Path, layout: str | None) -> dict[str, Any]:
-    """Presses are read as calibration reads them; what stops it is what is missing."""
+    """The presses as calibration reads them; an error of the reader is listed as missing."""
     from gelform.calibration.presses.folder import read_presses
 
     facts: dict[str, Any] = {"kind": layout}
@@ -259,7 +261,7 @@ def _presses(path: Path, layout: str | None) -> dict[str, Any]:
 
 
 def lines_of(facts: Facts) -> Lines:
-    """(label, text) of each line; an unknown kind of file is listed as it is."""
+    """(label, text) of each line; an unknown kind of file is listed unchanged."""
     lines = WORDS.get(facts["kind"], _plain_lines)(facts)
     return [("kind", str(facts["kind"])), *lines]
 
@@ -268,7 +270,7 @@ def _calibration_lines(facts: Facts) -> Lines:
     settings = ", ".join(
         f"{name} {_said(value)}"
         for name, value in (facts.get("model_settings") or {}).items()
-        if name != "shape"  # said of the images
+        if name != "shape"  # part of the line about images
     )
     held_out = facts.get("held_out") or {}
     known = [form.format(held_out[name]) for name, form in HELD_OUT.items() if name in held_out]
@@ -277,7 +279,7 @@ def _calibration_lines(facts: Facts) -> Lines:
         ("sensor", str(facts["sensor_name"])),
         *[(label, str(text)) for label, text in named if text],
         ("images", f"{_size(facts['image_shape'])}, {_scale(facts)}"),
-        ("view", "a frame is an image as it is" if not facts.get("view") else _said(facts["view"])),
+        ("view", "none: a frame is used as the image" if not facts.get("view") else _said(facts["view"])),
         ("color model", f"{facts['color_model']} ({settings})" if settings else str(facts["color_model"])),
         *_made_from(facts),
         ("held out", ", ".join(known) or "no errors on held-out presses are known"),
@@ -288,7 +290,7 @@ def _calibration_lines(facts: Facts) -> Lines:
 
 
 def _made_from(facts: Facts) -> Lines:
-    """What it was made from; of a starter's also the make, and how far units differ."""
+    """The origin of a calibration; for a starter also the make, and the spread between units."""
     starter = facts["settings"].get("starter")
     if starter is None:
         presses = facts["training_presses"]
@@ -296,7 +298,7 @@ def _made_from(facts: Facts) -> Lines:
     return [
         (
             "starter",
-            f"of the make {starter['sensor']}: no presses of this unit, but its background image",
+            f"starter of the make {starter['sensor']}: no presses of this unit, but its background image",
         ),
         ("made from", "; ".join(starter["units"])),
         (

@@ -1,4 +1,4 @@
-"""gelform evaluate, compare and explain: how good calibrations are, and why each pixel was trusted or not."""
+"""gelform evaluate, compare and explain: errors of calibrations, and reasons for the confidence of each pixel."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ if TYPE_CHECKING:
     from gelform.calibration_file import Calibration
     from gelform.reconstruct import Reconstructor
 
-COLUMNS = {  # of the table, which fits 80 columns
-    "normal_free_deg": "normal °",
-    "cap_free_um": "in um",
+COLUMNS = {  # of the table, which fits into 80 columns
+    "normal_free_deg": "normals °",
+    "cap_free_um": "contact um",
     "radius_percent": "radius %",
-    "off_contact_um": "off um",
+    "off_contact_um": "off contact um",
 }
-PRESSES = "Errors of each press: normals (°), depth in and off the contact (um), ball radius (%)"
+PRESSES = "Errors of each press: normals, depth in contact, ball radius, depth off contact"
 SEEN = (
     "Their errors say little about new presses. They may even be larger than the held-out errors of `calibrate`, which "
     "fits all circles together; here each circle is found in its own image."
@@ -47,7 +47,7 @@ COMPARED = {  # {u}: the unit of depth
     "peak_a": "peak A ({u})",
     "peak_b": "peak B ({u})",
     "difference_rms": "RMS of B - A ({u})",
-    "angle_deg": "angle of A and B (deg)",
+    "angle_deg": "angle of A and B (°)",
     "curl_rms_a": "curl A",
     "curl_rms_b": "curl B",
 }
@@ -64,7 +64,7 @@ def evaluate(
 
     Angles are in degrees, depth in um, the ball's radius in percent.
 
-    Marks the presses that the calibration was made from, because their errors say little about new ones.
+    Presses that were used for the calibration are marked, because their errors say little about new presses.
 
     \b
     Examples:
@@ -91,7 +91,7 @@ def evaluate(
     shown.json(evaluation.to_dict())
     rows = [
         (
-            f"{row['name']}{' (seen)' if row['seen'] else ''}",
+            f"{row['name']}{' (used)' if row['seen'] else ''}",
             f"{row['ball_diameter_mm']:g}",
             *(figure(row["errors"][name]) if row["reason"] is None else "-" for name in COLUMNS),
         )
@@ -116,7 +116,7 @@ def _height_row(name: str, height_mm: float, read_mm: float | None) -> tuple[str
 
 
 def _show_where(where: dict[str, Any], shown: Shown) -> None:
-    """Normal errors by the ball's slope, and by place: inside the contact's edge and up to the visible rim."""
+    """Show normal errors by the ball's slope and by place: inside the contact edge and up to the visible rim."""
     to_rim = {b["slope_from"]: b for b in where["rim"]["by_slope"]}
     edge = f"{where['contact_radius_ratio']:.2f} of the visible radius"
     title = f"Normal error, degrees, by the ball's slope (contact edge at {edge})"
@@ -143,7 +143,7 @@ def _show_where(where: dict[str, Any], shown: Shown) -> None:
 
 
 def _check_size(presses: Presses, calibration: Calibration) -> None:
-    """Images of the calibration's size, or frames of its view."""
+    """Accept images of the calibration's size, or frames of its view."""
     frame, sizes = calibration.view.frame_shape, [calibration.image_shape]
     if frame is not None and frame not in sizes:
         sizes.append(frame)
@@ -157,7 +157,13 @@ def compare(
     *,
     images: Images,
     calibrations: Annotated[
-        list[Path], Option("--calibration", "-c", metavar="CAL.npz", help="Give it twice: A and B.")
+        list[Path],
+        Option(
+            "--calibration",
+            "-c",
+            metavar="CAL.npz",
+            help="A calibration; give the option twice, for A and B.",
+        ),
     ],
     output: PictureFolder = None,
     background: Background = None,
@@ -166,11 +172,11 @@ def compare(
 ) -> None:
     """Compare two calibrations on the same images.
 
-    Depth, normals and curl, with a picture of both.
+    Compares depth, normals and curl, and draws a picture of both.
 
-    Depths are compared in mm, or in pixels where one calibration has no scale. The angle is the mean between
-    the normals where either sees contact. With -o, DIR/<image>.png shows both depths on one scale, their
-    difference, and the profile through the deepest point.
+    Depths are in mm, or in pixels if one calibration has no scale. The angle is the mean angle between the normals in the
+    contact of either result. With -o, DIR/<image>.png shows both depths on one scale, their difference, and the profile
+    through the deepest point.
 
     \b
     Examples:
@@ -220,8 +226,8 @@ def explain(
     """Explain the confidence of each pixel of an image.
 
     Lists the share of the slopes' variance from the usual noise at each slope and place, and from each cause: saturated,
-    dark, shadow, specular, wall, off_gamut, inconsistent, marker, outside, compression. With -o, DIR/<image>.png draws
-    the confidence, and what each cause adds, pixel by pixel.
+    dark, shadow, specular, wall, off_gamut, inconsistent, marker, outside, compression. With -o, DIR/<image>.png shows the
+    confidence, and the share of each cause, pixel by pixel.
 
     \b
     Examples:
@@ -252,7 +258,7 @@ def explain(
         for row in rows
     ]
     causes = ["usual noise" if name == "law" else name for name in names]
-    columns = ("trusted pixels (%)", "median sigma", *(f"{cause} (%)" for cause in causes))
+    columns = ("trusted pixels (%)", "median slope sigma", *(f"{cause} (%)" for cause in causes))
     shown.table("Share of the slopes' variance", ("image", *columns), table)
     _say_pictures(rows, output, shown)
     shown.json({"calibration": given.calibration and str(given.calibration), "images": rows})
@@ -273,7 +279,7 @@ def _explain_one(run: Reconstructor, path: Path, picture: NewPicture | None) -> 
 
 @dataclass(frozen=True)
 class NewPicture:
-    """A picture that is to be written."""
+    """A picture to write."""
 
     path: Path
     overwrite: bool
@@ -288,7 +294,7 @@ class NewPicture:
 def _pictures(
     images: Sequence[Path], folder: Path | None, read: Sequence[Path | None], overwrite: bool
 ) -> list[NewPicture | None]:
-    """The picture of each image; None for each where no folder is given. Checked before any work."""
+    """The picture of each image; None for each without a folder. Checked before any work."""
     protected = [path for path in read if path is not None]
     paths = picture_paths(images, folder, overwrite=overwrite, protected=protected)
     return [None if path is None else NewPicture(path, overwrite) for path in paths]

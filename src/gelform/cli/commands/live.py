@@ -1,4 +1,4 @@
-"""gelform live: the page that shows a sensor as it is touched."""
+"""gelform live: the page that shows a sensor while it is touched."""
 
 from __future__ import annotations
 
@@ -28,31 +28,34 @@ def live(
             "--calibration",
             "-c",
             metavar="CAL.npz",
-            help="The sensor's; one for each; else the newest of its serial.",
+            help="Calibration of each sensor, in order. Default: the newest of its serial.",
         ),
     ] = None,
     sensor: StarterSensor = None,
     folder: Annotated[
-        Path, Option(metavar="DIR", help="Whose calibrations are offered, where recordings go.")
+        Path, Option(metavar="DIR", help="Folder of the offered calibrations and of new recordings.")
     ] = Path("."),
-    host: Annotated[
-        str, Option(help="Address to listen on; beyond this machine a token is needed.")
-    ] = "127.0.0.1",
-    port: Annotated[int | None, Option(min=1, max=65535, help="8765, or the next free one.")] = None,
+    host: Annotated[str, Option(help="Address to listen on; other machines need a token.")] = "127.0.0.1",
+    port: Annotated[
+        int | None, Option(min=1, max=65535, help="Port to listen on. Default: 8765, or the next free one.")
+    ] = None,
     token: Annotated[
-        bool, Option("--token", help="Want a token on this machine too: others share it.")
+        bool, Option("--token", help="Require a token on this machine too, if others use it.")
     ] = False,
-    rate: Annotated[float, Option(metavar="HZ", parser=positive, help="Of the simulated sensor.")] = 60.0,
+    rate: Annotated[
+        float, Option(metavar="HZ", parser=positive, help="Frame rate of the simulated sensor.")
+    ] = 60.0,
     sink: Annotated[
-        list[str] | None, Option(metavar="NAME", help="Show it in rerun or foxglove too; may be given twice.")
+        list[str] | None,
+        Option(metavar="NAME", help="Also show the results in rerun or foxglove; may be repeated."),
     ] = None,
     browser: Annotated[bool, Option("--open", help="Open the page in the browser.")] = False,
     quiet: Quiet = False,
 ) -> None:
     """Show depth in the browser, calibrate with a ball, record.
 
-    Without SOURCE, the page shows a simulated sensor. A GelSight Mini or a DIGIT without a calibration is read by the
-    starter of its make, once the page has taken its background. --sensor names the make of another camera.
+    Without SOURCE, the page shows a simulated sensor. For a GelSight Mini or a DIGIT without a calibration, it uses the
+    starter of the make, once it has taken a background image. --sensor names the make of another camera.
 
     \b
     Examples:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from gelform.reconstruction import Reconstruction
 
-SURFACES = ("ply", "stl", "tiff", "x3p")  # as in exporters.surface; its png holds depth, ours is a picture
+SURFACES = ("ply", "stl", "tiff", "x3p")  # of exporters.surface; png is a picture here, not depth
 FORMATS = ("npz", "png", *SURFACES)
 
 
@@ -44,7 +44,7 @@ def reconstruct(
     given: CalibrationOptions,
     output: Annotated[Path, Option("--output", "-o", metavar="DIR", help="Folder for the results.")],
     background: Background = None,
-    solver: Annotated[str, Option(help="How slopes become depth; auto chooses.")] = "auto",
+    solver: Annotated[str, Option(help="Solver from slopes to depth; auto chooses.")] = "auto",
     formats: Annotated[
         str,
         Option(
@@ -54,18 +54,19 @@ def reconstruct(
     skip_existing: Annotated[
         bool, Option("--skip-existing", help="Skip images that have results, to continue a run.")
     ] = False,
-    strict: Annotated[bool, Option("--strict", help="Exit with 1 where a result has a warning.")] = False,
+    strict: Annotated[bool, Option("--strict", help="Exit with status 1 if a result has a warning.")] = False,
     overwrite: Overwrite = False,
     shown: Shown,
 ) -> None:
     """Reconstruct depth in mm from images.
 
     An image a/b/c.png becomes DIR/<path below the images' common folder>.npz with depth_mm, gradients,
-    confidence, contact, known and mm_per_px; with --format npz,png a picture beside it. An image that cannot be
-    read or is of another sensor is reported, the others are done, and the exit status is 1.
+    confidence, contact, known and mm_per_px. With --format npz,png a picture is added. An image that cannot be read or
+    belongs to another sensor is reported. The other images are still done, and the exit status is 1.
 
-    Without -c, the serial in the images' sensor.toml or recording selects its newest calibration. For a sensor without a
-    calibration, give --sensor and an image of its gel at rest. The starter of its make then reads the images.
+    Without -c, the serial number in the images' sensor.toml or recording selects the newest calibration of that
+    sensor. For a sensor without a calibration, give --sensor and an image of its gel at rest. The starter of its make
+    then reads the images.
 
     \b
     Examples:
@@ -107,7 +108,7 @@ def reconstruct(
     _report(rows, shown)
     if len(images) > len(rows) and len(images) > 1:
         skipped = len(images) - len(todo)
-        shown.say(f"{len(rows)} of {len(images)} images done, {skipped} skipped, {len(failed)} not possible.")
+        shown.say(f"{len(rows)} of {len(images)} images done, {skipped} skipped, {len(failed)} failed.")
     shown.json({"results": rows, "failed": failed})
     if failed or (strict and any(row["findings"] for row in rows)):
         raise typer.Exit(MISTAKE)
@@ -148,7 +149,7 @@ def _row(result: Reconstruction, path: Path, results: dict[str, Path]) -> dict[s
 
 
 def _peak(result: Reconstruction) -> dict[str, Any]:
-    """Deepest point and area of contact, in mm, in pixels where the scale is unknown; None where no depth is known."""
+    """Deepest point and contact area, in mm, or in pixels if the scale is unknown; None if no depth is known."""
     known = bool(result.known.any())
     if result.mm_per_px is None:
         return {"peak_px": float(result.depth_px.max()) if known else None}

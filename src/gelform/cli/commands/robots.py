@@ -1,4 +1,4 @@
-"""gelform bag and gelform ros: a source through a calibration into a bag of ROS 2, or live over zenoh."""
+"""gelform bag and gelform ros: results of a source as a ROS 2 bag, or live over zenoh."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Sent:
-    """Topics to make of a source, the name that they begin with, how long, and the background image."""
+    """Topics of a source, their prefix, the duration, and the background image."""
 
     topics: Annotated[str, Option(metavar="A,B", help=f"Topics, of {ALL_TOPICS}.")] = ALL_TOPICS
     name: Annotated[
@@ -32,7 +32,7 @@ class Sent:
     background: Background = None
 
     def wanted(self) -> tuple[str, ...]:
-        """The topics by name; usage errors of a topic or a name."""
+        """The topics by name; raises a usage error for an unknown topic or an invalid name."""
         with usage_errors("--topics"):
             wanted = check_topics(one.strip() for one in self.topics.split(",") if one.strip())
         with usage_errors("--name"):
@@ -57,12 +57,13 @@ def bag(
     sent: Sent,
     shown: Shown,
 ) -> None:
-    """Write results as a bag of ROS 2; needs no ROS.
+    """Write results as a ROS 2 bag; needs no ROS.
 
-    Images, indentation, points and findings, as rosbag2 (MCAP).
+    Writes images, indentation, points and findings as rosbag2 (MCAP).
 
-    Every frame of a recording, the newest ones of a camera. Topics: /NAME/image_raw (rgb8), /NAME/indentation (32FC1,
-    meters, positive where pressed), /NAME/points (meters, in NAME_gel_optical_frame), /diagnostics. Extra `ros`.
+    It takes every frame of a recording, and the newest frames of a camera. Topics: /NAME/image_raw (rgb8), /NAME/indentation
+    (32FC1, meters, positive where pressed), /NAME/points (meters, in NAME_gel_optical_frame), /diagnostics. Needs the extra
+    `ros`.
 
     \b
     Examples:
@@ -100,10 +101,10 @@ def ros(
 ) -> None:
     """Publish results to ROS 2 over zenoh (experimental).
 
-    Images, indentation, points and findings; needs no ROS here.
+    Publishes images, indentation, points and findings; this machine needs no ROS.
 
-    For nodes whose middleware is rmw_zenoh, Jazzy and later; topics and messages are those of gelform bag. A zenoh
-    router has to run, as rmw_zenoh wants: `ros2 run rmw_zenoh_cpp rmw_zenohd`. Extra `zenoh`.
+    The subscribers must use the middleware rmw_zenoh (ROS 2 Jazzy and later). Topics and messages are those of gelform
+    bag. A zenoh router must run: `ros2 run rmw_zenoh_cpp rmw_zenohd`. Needs the extra `zenoh`.
 
     \b
     Examples:

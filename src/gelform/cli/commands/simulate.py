@@ -29,35 +29,45 @@ if TYPE_CHECKING:
     from gelform.simulate.twin import Twin
 
 
-GREY_SHAPE, GREY_LEVEL = (240, 320, 3), 110.0  # the background of tables that come without one
-TABLES_NOISE = 1.0  # gray levels: they say none
+GREY_SHAPE, GREY_LEVEL = (240, 320, 3), 110.0  # background for tables without one: shape and gray level
+TABLES_NOISE = 1.0  # gray levels, assumed noise: the tables state none
+
+# headings of the table of `gelform design`, in the order of its JSON keys
+DESIGN_COLUMNS = (
+    "design",
+    "depth RMSE (um)",
+    "its standard error (um)",
+    "normal error (°)",
+    "slope noise",
+    "condition number",
+)
 
 
 @dataclass(frozen=True)
 class Look:
-    """Another sensor to answer as, instead of a simulated one."""
+    """The sensor to imitate, instead of a simulated one."""
 
     like: Annotated[
         Path | None,
         Option(
             metavar="CAL.npz",
-            help="Answer as this calibrated sensor, or as Taxim's tables.",
+            help="Imitate this calibrated sensor, or Taxim's tables.",
         ),
     ] = None
     background: Annotated[
-        Path | None, Option(metavar="IMG", help="The background image behind Taxim's tables; else gray.")
+        Path | None, Option(metavar="IMG", help="Background image for Taxim's tables. Default: gray.")
     ] = None
     mm_per_px: Annotated[
-        float | None, number("Pixel pitch of that image, mm: the tables hold none.", pitch)
+        float | None, number("Width of a background pixel on the gel, mm, for the tables.", pitch)
     ] = None
 
 
 @dataclass(frozen=True)
 class Balls:
-    """A set of presses of balls."""
+    """A set of ball presses."""
 
     count: Annotated[int, Option(min=1, help="Number of ball presses.")] = 40
-    ball_diameter_mm: Annotated[list[float], number("Diameter of a ball, mm; several take turns.")] = (
+    ball_diameter_mm: Annotated[list[float], number("Diameter of a ball, mm; several alternate.")] = (
         6.0,
         9.0,
     )  # type: ignore[assignment]  # typer makes a list of it
@@ -65,23 +75,24 @@ class Balls:
 
 @dataclass(frozen=True)
 class Face:
-    """Something else to press: a height map or a mesh."""
+    """Another object to press: a height map or a mesh."""
 
     height_map: Annotated[
-        Path | None, Option(metavar="FILE", help="Press this instead: heights in mm (.npy), or a gray image.")
+        Path | None,
+        Option(metavar="FILE", help="Press this height map: heights in mm (.npy), or a gray image."),
     ] = None
     height_map_mm_per_px: Annotated[float | None, number("Sample pitch of the height map, mm.")] = None
     height_map_range_mm: Annotated[
         float | None, Option(metavar="F", help="For a gray image: height of white over black, mm.")
     ] = None
-    depth_mm: Annotated[float, number("How deep the height map or mesh is pressed, mm.")] = 0.5
+    depth_mm: Annotated[float, number("Depth of the pressed height map or mesh, mm.")] = 0.5
     mesh: Annotated[
-        Path | None, Option(metavar="FILE", help="Press this instead: .stl, .ply or .obj (trimesh).")
+        Path | None, Option(metavar="FILE", help="Press this mesh: .stl, .ply or .obj (needs trimesh).")
     ] = None
     mesh_mm_per_unit: Annotated[float, number("Unit of the mesh: 1 for mm, 1000 for meters.")] = 1.0
 
     def read(self) -> Indenter | None:
-        """The thing to press; None for balls."""
+        """The object to press; None for balls."""
         if self.mesh is not None:
             return _mesh(self.mesh, self.mesh_mm_per_unit)
         if self.height_map is not None:
@@ -103,16 +114,16 @@ def simulate(
     balls: Balls,
     face: Face,
     seed: Seed = 0,
-    workers: Annotated[int, Option(min=1, help="Processes; the bytes are the same for any number.")] = 1,
+    workers: Annotated[int, Option(min=1, help="Number of processes; any number gives the same bytes.")] = 1,
     shown: Shown,
 ) -> None:
     """Simulate a sensor: images of presses with their truth.
 
     Presses balls, or your own height map or mesh.
 
-    Balls make a press folder that `gelform calibrate` reads: background.png, presses.csv with labels,
-    sensor.toml, images/, and truth/ with depth_mm, gradients, contact and more of each image. A height map
-    or a mesh makes background.png, image.png, truth.npz.
+    Balls make a press folder that `gelform calibrate` reads: background.png, presses.csv with labels, sensor.toml, images/,
+    and truth/ with depth_mm, gradients, contact and more for each image. A height map or a mesh makes background.png,
+    image.png, truth.npz.
 
     \b
     Examples:
@@ -144,7 +155,7 @@ def simulate(
         else:
             from gelform.exporters.simulated import SetOfPresses, save_simulated_set
 
-            oversample = 1 if twin is not None else 3  # a look answers to the slope at the pixel's center
+            oversample = 1 if twin is not None else 3  # a twin answers to the slope at the pixel's center
             diameters = tuple(balls.ball_diameter_mm)
             with usage_errors("--ball-diameter-mm"):
                 wanted = SetOfPresses(made, diameters, balls.count, seed, oversample, twin)
@@ -156,7 +167,7 @@ def simulate(
 
 
 def sensor_of(name_or_file: str) -> SimulatedSensor:
-    """A ready sensor by name, or one from a TOML file."""
+    """A ready-made sensor by name, or one from a TOML file."""
     from gelform.sensors.simulated.settings import read_simulated_sensor, simulated_sensor_named
 
     if name_or_file.endswith(".toml"):
@@ -224,22 +235,22 @@ def _height_map(path: Path, mm_per_px: float | None, range_mm: float | None) -> 
 def design(
     *,
     sensor: Annotated[
-        str, Argument(metavar="SENSOR.toml", help="A simulated sensor, or a ready one's name.")
+        str, Argument(metavar="SENSOR.toml", help="A simulated sensor, or the name of a ready-made one.")
     ],
     output: Annotated[
         Path | None, Option("--output", "-o", metavar="FILE.png", help="A picture of the study.")
     ] = None,
-    presses: Annotated[int, Option(min=4, help="Ball presses to calibrate each design on.")] = 14,
+    presses: Annotated[int, Option(min=4, help="Number of ball presses that calibrate each design.")] = 14,
     seed: Seed = 0,
     overwrite: Overwrite = False,
     shown: Shown,
 ) -> None:
     """Compare designs of a sensor before it is built.
 
-    Lights, crosstalk, noise, gel.
+    Varies lights, crosstalk, noise and gel.
 
-    Each design is simulated, calibrated on ball presses and measured on others, whose depth is known exactly. The
-    slope noise and the condition of the lights show where on the gel a design is weak, for any calibration.
+    Each design is simulated, calibrated on ball presses and measured on other presses, whose depth is known exactly. The
+    slope noise and the condition number of the lights show where on the gel a design is weak, for any calibration.
 
     \b
     Examples:
@@ -274,6 +285,6 @@ def design(
     ]
     shown.json({"sensor": chosen.name, "designs": rows})
     lines = [[str(row["design"]), *(figure(row[name]) for name in list(row)[1:])] for row in rows]  # type: ignore[arg-type]
-    shown.table(f"Designs of {chosen.name}", list(rows[0]), lines)
+    shown.table(f"Designs of {chosen.name}", DESIGN_COLUMNS, lines)
     if output is not None and not shown.as_json:
         shown.say(f"Wrote {output}.")

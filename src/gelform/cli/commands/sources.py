@@ -1,4 +1,4 @@
-"""gelform cameras: what is plugged in; gelform record: frames into a file, background and presses for a calibration."""
+"""gelform cameras: the connected cameras; gelform record: frames into a file, or background and presses."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ if TYPE_CHECKING:
     from gelform.sensors.recordings.record import RecordStats
 
 
-POLL_S = 0.05  # between looks at the keyboard of Windows
-SHOWN_MODES = 4  # of a camera in the table
-BACKGROUND_FRAMES, FRESH_S = 10, 5.0  # s, within which a frame has to come
+POLL_S = 0.05  # s between checks of the keyboard on Windows
+SHOWN_MODES = 4  # modes per camera in the table
+BACKGROUND_FRAMES, FRESH_S = 10, 5.0  # frames to average; s within which a frame must arrive
 
 
 @contextmanager
 def single_keys(purpose: str) -> Iterator[Callable[[], str]]:
-    """Gives a function that waits for a key; "" at the end of the input.
+    """Yield a function that waits for a key; it returns "" at the end of the input.
 
-    The terminal's own settings come back with the end of the block.
+    The end of the block restores the terminal's settings.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ def _of_windows() -> Iterator[Callable[[], str]]:
 
     def read() -> str:
         while not msvcrt.kbhit():  # type: ignore[attr-defined]
-            time.sleep(POLL_S)  # Ctrl-C interrupts this, and not what waits for a key
+            time.sleep(POLL_S)  # Ctrl-C interrupts the sleep, but not a wait for a key
         return str(msvcrt.getwch())  # type: ignore[attr-defined]
 
     yield read
@@ -86,9 +86,9 @@ def cameras(
     ] = True,
     shown: Shown,
 ) -> None:
-    """List the cameras that are plugged in.
+    """List the connected cameras.
 
-    Each with serial, name, path, modes and measured rate.
+    Shows serial number, name, path, modes and measured rate of each.
 
     \b
     Examples:
@@ -161,7 +161,8 @@ class PressesTaken:
 def record(
     *,
     source: Annotated[
-        str, Argument(metavar="[SOURCE]", help="Serial, name, path, URL, simulated; else the only camera.")
+        str,
+        Argument(metavar="[SOURCE]", help="Serial, name, path, URL or simulated. Default: the only camera."),
     ] = "",
     output: Annotated[
         Path, Option("--output", "-o", metavar="FILE.mcap|DIR", help="A new file, or a new folder of images.")
@@ -187,10 +188,10 @@ def record(
 ) -> None:
     """Record a camera's frames, or presses for a calibration.
 
-    Frames are kept as they come, with their times and the camera's settings.
+    Keeps the frames unchanged, with their times and the camera's settings.
 
-    An MCAP file (extra `mcap`) holds ROS 2 messages, a folder PNG or JPEG files and frames.csv; both play again with
-    every command that takes a SOURCE. With --presses, a folder that `gelform calibrate` reads.
+    An MCAP file (extra `mcap`) contains ROS 2 messages; a folder contains PNG or JPEG files and frames.csv. Every command
+    that takes a SOURCE plays both. With --presses, it writes a folder that `gelform calibrate` reads.
 
     \b
     Examples:
@@ -218,7 +219,7 @@ def record(
     if stats.frames == 0:
         raise DataError(f"No frame arrived, so {output} holds none. Check the camera with gelform cameras.")
     missing = f", {stats.missing} missing" if stats.missing else ""
-    again = f", the source was lost and back {reopened} times" if reopened else ""
+    again = f", the source was lost and reopened {reopened} times" if reopened else ""
     shown.say(
         f"Wrote {output}: {stats.frames} frames in {stats.duration_s:.1f} s{missing}{again}, "
         f"{stats.written_bytes / 1e6:.1f} MB."
@@ -229,7 +230,7 @@ def record(
 def _recorded(
     opened: Any, output: Path, wanted: dict[str, Any], digest: str, shown: Shown
 ) -> tuple[RecordStats, int]:
-    """Figures of a recording to its end or to Ctrl-C, and how often the source came back."""
+    """The figures of a recording until its end or Ctrl-C, and how often the source was reopened."""
     from gelform.sensors.grabber import Grabber
     from gelform.sensors.recordings.record import KEPT_FRAMES, RecordStats, new_recording, record_frames
 
@@ -259,9 +260,11 @@ def _recorded(
 
 
 def _presses(opened: Any, output: Path, wanted: PressesTaken, shown: Shown) -> None:
-    """Background and presses, a key each."""
+    """Take background and presses, one key each."""
     if wanted.ball_diameter_mm is None:
-        raise BadParameter("needed with --presses: which ball presses?", param_hint="--ball-diameter-mm")
+        raise BadParameter(
+            "needed with --presses: the diameter of the ball.", param_hint="--ball-diameter-mm"
+        )
     from gelform.calibration.presses.taken import TakenPresses
     from gelform.sensors.grabber import Grabber
 
@@ -285,7 +288,7 @@ def _presses(opened: Any, output: Path, wanted: PressesTaken, shown: Shown) -> N
 
 
 def _take(taken: Any, grabber: Grabber, key: Any, shown: Shown) -> None:
-    """A press per space bar, until q or the end of the input."""
+    """Take a press at each space bar, until q or the end of the input."""
     while (pressed := key()) not in ("q", ""):
         if pressed == " ":
             try:
@@ -299,7 +302,7 @@ def _take(taken: Any, grabber: Grabber, key: Any, shown: Shown) -> None:
 
 
 def _fresh(grabber: Grabber, count: int) -> list[Any]:
-    """Images of frames that come from now on."""
+    """Images of frames that arrive from now on."""
     images: list[Any] = []
     held = grabber.newest(-1, 0)
     after = held.index if held is not None else -1
@@ -313,7 +316,7 @@ def _fresh(grabber: Grabber, count: int) -> list[Any]:
 
 
 def _sensor_settings(grabber: Grabber, wanted: PressesTaken) -> Any:
-    """The content of sensor.toml: the known sensor's scale and view, the unit's serial, the camera's settings."""
+    """The content of sensor.toml: the known sensor's scale and view, the serial number, the camera's settings."""
     from gelform.sensors.files import SensorSettings
     from gelform.sensors.profiles import profile_named
     from gelform.view import View
@@ -321,7 +324,7 @@ def _sensor_settings(grabber: Grabber, wanted: PressesTaken) -> Any:
     sensor, mm_per_px = wanted.sensor, wanted.mm_per_px
     if sensor is None and mm_per_px is None:
         raise BadParameter(
-            "expected a known sensor or the width of a pixel: presses of a ball alone do not tell the scale.",
+            "expected a known sensor or the width of a pixel: ball presses alone do not give the scale.",
             param_hint="--sensor, --mm-per-px",
         )
     frame = _fresh(grabber, 1)[0]
@@ -339,7 +342,7 @@ def _sensor_settings(grabber: Grabber, wanted: PressesTaken) -> Any:
 
 
 def _settings(pairs: list[str]) -> dict[str, float | str]:
-    """exposure=50 ... as a table."""
+    """Parse exposure=50 ... into a table."""
     settings: dict[str, float | str] = {}
     for pair in pairs:
         name, separator, text = pair.partition("=")

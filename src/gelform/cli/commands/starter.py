@@ -1,4 +1,4 @@
-"""gelform starter: a calibration of a sensor that nobody has pressed yet."""
+"""gelform starter: a calibration without a press."""
 
 from __future__ import annotations
 

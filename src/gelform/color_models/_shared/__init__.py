@@ -1,1 +1,1 @@
-"""What color models have in common: regression, small networks, tables, the colours that were seen."""
+"""Common parts of color models: regression, small networks, tables, and the training zone of colors."""

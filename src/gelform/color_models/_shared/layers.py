@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-BLOCK_PX = 8192  # at a time: the units of a layer stay in the processor's cache
+BLOCK_PX = 8192  # pixels at a time; the units of a layer stay in the processor's cache
 
 
 def blocks_of(count: int, each_px: int = 1) -> Iterator[slice]:
@@ -23,7 +23,7 @@ def blocks_of(count: int, each_px: int = 1) -> Iterator[slice]:
         yield slice(start, min(start + rows, count))
 
 
-MAX_UNITS, MAX_LAYERS = 4096, 16  # that a file may have
+MAX_UNITS, MAX_LAYERS = 4096, 16  # largest numbers in a file
 
 
 @dataclass(frozen=True)
@@ -56,23 +56,23 @@ class Layers:
 
     @property
     def inputs(self) -> int:
-        """How many numbers go in."""
+        """The number of inputs."""
         return int(self.weights[0].shape[1])
 
     @property
     def outputs(self) -> int:
-        """How many come out."""
+        """The number of outputs."""
         return int(self.weights[-1].shape[0])
 
     def check_reads_slopes(self) -> None:
-        """Raise a ValueError where it does not make two numbers of three colours and a place."""
+        """Raise a ValueError unless it makes two numbers from three colors and a place."""
         if (self.inputs, self.outputs) != (5, 2):
             raise ValueError(
                 f"Expected a network of 5 inputs and 2 outputs, got {self.inputs} and {self.outputs}."
             )
 
     def outputs_from(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
-        """What comes out (outputs, N) for inputs (inputs, N)."""
+        """The outputs (outputs, N) for inputs (inputs, N)."""
         last = len(self.weights) - 1
         for k, (weight, bias) in enumerate(zip(self.weights, self.biases)):
             values = weight @ values
@@ -88,19 +88,19 @@ class Layers:
 
     @classmethod
     def from_arrays(cls, arrays: dict[str, NDArray[Any]]) -> Layers:
-        """The layers of `to_arrays`; other arrays are left alone."""
+        """The layers from `to_arrays`; other arrays are ignored."""
         count = sum(name.startswith("weight") for name in arrays)
         pairs = [(arrays[f"weight{k}"], arrays[f"bias{k}"]) for k in range(1, count + 1)]
         return cls(*(tuple(np.asarray(a, dtype=np.float32) for a in each) for each in zip(*pairs)))
 
 
 class RestedNetwork:
-    """A network over pixels whose inputs are those at rest plus the colour change: immutable once made.
+    """A network over pixels whose inputs are those at rest plus the color change; immutable.
 
     Parameters
     ----------
-    layers : Layers of at least three inputs, the first three being colours
-    rest : (inputs, N) float32, what goes in for each pixel where nothing touches
+    layers : Layers of at least three inputs, the first three being colors
+    rest : (inputs, N) float32, inputs of each pixel at rest
     channels : of the color change, for the first three inputs: (2, 1, 0) for B, G, R
     scale : (3,), of the color change in the inputs' units
     """
@@ -114,7 +114,7 @@ class RestedNetwork:
         self._scale = np.asarray(scale, dtype=np.float32)
 
     def outputs_from_color(self, color_change: NDArray[np.float32]) -> NDArray[np.float32]:
-        """What comes out (N, outputs) for the color change (N, 3) of each pixel."""
+        """The outputs (N, outputs) for the color change (N, 3) of each pixel."""
         out = np.empty((color_change.shape[0], self._layers.outputs), dtype=np.float32)
         for part in blocks_of(len(out)):
             values = self._rest[:, part].copy()

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from gelform.color_models.seam import Samples
 
-HUBER_SLOPE = 0.05  # mm/mm, about the usual error of a slope: from there on a sample counts less
+HUBER_SLOPE = 0.05  # mm/mm, about the usual error of a slope; samples with larger errors count less
 Normal = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 
@@ -33,7 +33,7 @@ def monomials(channels: int, degree: int) -> list[tuple[int, ...]]:
 
 
 def monomial_parents(terms: list[tuple[int, ...]]) -> NDArray[np.int32]:
-    """Which monomial, times which channel, each one is: (terms, 2), as the kernels take it; -1 stands for 1."""
+    """The parent monomial and the channel of each monomial, (terms, 2), for the kernels; -1 stands for 1."""
     number = {term: t for t, term in enumerate(terms)}
     return np.array([[number.get(term[:-1], -1), term[-1]] for term in terms], dtype=np.int32)
 
@@ -44,13 +44,13 @@ def position_powers(degree: int) -> list[tuple[int, int]]:
 
 
 def term_count(channels: int, position_degrees: tuple[int, ...]) -> int:
-    """How many columns `polynomial_terms` has."""
+    """The number of columns of `polynomial_terms`."""
     terms = monomials(channels, len(position_degrees))
     return sum(len(position_powers(position_degrees[len(term) - 1])) for term in terms)
 
 
 def unit_position(x_px: NDArray[Any], y_px: NDArray[Any], shape: tuple[int, int]) -> tuple[Any, Any]:
-    """Positions about the image's centre in units of half its larger side."""
+    """Positions about the image's center in units of half its larger side."""
     height, width = shape
     half = max(height, width) / 2
     x = (np.asarray(x_px, dtype=np.float64) - (width - 1) / 2) / half
@@ -88,7 +88,7 @@ def monomial_products(channels: NDArray[Any], terms: list[tuple[int, ...]]) -> l
 def position_terms(
     x: NDArray[Any], y: NDArray[Any], degree: int
 ) -> dict[tuple[int, int], NDArray[np.float64]]:
-    """x^i y^j by its exponents, each a product of one before it: powers take ten times as long."""
+    """x^i y^j by its exponents, each the product of an earlier one; powers take ten times as long."""
     place = {(0, 0): np.ones(len(x))}
     for i, j in position_powers(degree)[1:]:
         place[i, j] = place[i - 1, j] * x if i else place[i, j - 1] * y
@@ -124,10 +124,10 @@ def penalised_huber(
     rounds: int = 3,
     whole: Normal | None = None,
 ) -> NDArray[np.float64]:
-    """Coefficients (terms, outputs) of a regression with a ridge of its own for each column, in samples' mean weight.
+    """Coefficients (terms, outputs) of a regression with a separate ridge for each column, in samples' mean weight.
 
-    Reweighted by Huber's loss of the residual's length; the columns are taken as they are. `whole` are their normal
-    equations, where they are known already.
+    They are reweighted by Huber's loss of the residual's length; the columns are not scaled. `whole` are their normal
+    equations, if known.
     """
     prior = np.diag(penalties * float(weight.sum()))
     columns = np.asarray(design, dtype=np.float32)  # sums of squares; the ridge is far above their rounding
@@ -144,10 +144,9 @@ def _reweighted(
     huber: float,
     rounds: int,
 ) -> NDArray[np.float64]:
-    """Coefficients (terms, outputs) that Huber's loss of the residual's length finds in so many rounds.
+    """Coefficients (terms, outputs) after some rounds of Huber's loss of the residual's length.
 
-    Only samples beyond `huber` count less than at first, so what they lose is subtracted from `whole`, the normal
-    equations of the first round.
+    Only samples beyond `huber` lose weight, so the loss is subtracted from `whole`, the normal equations of the first round.
     """
     normal, right = whole
     for done in range(1, rounds + 1):
@@ -163,7 +162,7 @@ def _reweighted(
 
 
 def _rows(design: NDArray[Any], chosen: NDArray[np.intp]) -> NDArray[Any]:
-    """Some rows of a design, in its own order in memory: gathered across it they take ten times as long."""
+    """Some rows of a design, in its own order in memory; gathering across it takes ten times as long."""
     return design[chosen] if design.flags.c_contiguous else np.take(design.T, chosen, axis=1).T
 
 
@@ -173,18 +172,18 @@ def normal_equations(
     """Weighted sums of products: terms by terms, and terms by outputs."""
     root = np.sqrt(weight).astype(design.dtype)[:, None]
     weighted = design * root
-    normal = (weighted.T @ weighted).astype(np.float64)  # of an array with itself: half the work
+    normal = (weighted.T @ weighted).astype(np.float64)  # an array with itself takes half the work
     return normal, weighted.T @ (root * target)
 
 
-NODE_PX = 16  # between nodes, of native/color_models/nodes.h
-LIGHT_BLUR_PX = 8.0  # standard deviation, of the untouched image: lamps are broad
-# Of the ridge, per degree in place and per order of the term.
+NODE_PX = 16  # px between nodes, as in native/color_models/nodes.h
+LIGHT_BLUR_PX = 8.0  # px, standard deviation of the blur of the background image; lamps are broad
+# Growth of the ridge, per degree in place and per order of the term.
 PLACE_GROWTH, ORDER_GROWTH = 4.0, 3.0
-# Of the untouched image's logarithm: its ridge, as of a degree in place, and the orders of the terms that vary with it.
+# Logarithm of the background image: its ridge, as for a degree in place, and the orders of the terms that vary with it.
 LIGHT_RIDGE, LIGHT_ORDERS = 4.0, 2
-DARKEST = 1.0  # grey level: the logarithm of less is noise
-MAX_SAMPLES = 20_000  # of a regression: neighbours in a press are copies
+DARKEST = 1.0  # gray level; the logarithm of less is noise
+MAX_SAMPLES = 20_000  # samples of a regression; neighbors in a press are copies
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,9 +193,9 @@ class Term:
     Attributes
     ----------
     values : (N,)
-    place_degree : of the Legendre polynomials of the place that its coefficient is a sum of
-    ridge : of a coefficient that is the same everywhere, relative to the regression's
-    varies_with_light : whether the coefficient is a sum of the untouched image's logarithm too
+    place_degree : degree of the Legendre polynomials of the place in its coefficient
+    ridge : ridge of a coefficient that is the same everywhere, relative to the regression's
+    varies_with_light : whether the coefficient also depends on the background image's logarithm
     """
 
     values: NDArray[Any]
@@ -208,7 +207,7 @@ class Term:
 def terms_of_orders(
     products: Sequence[NDArray[Any]], orders: Sequence[int], place_degrees: Sequence[int]
 ) -> list[Term]:
-    """Terms of products (N,) of so many factors, the stiffer the higher their order; `place_degrees` by order."""
+    """Terms of products (N,) of a number of factors, stiffer at higher orders; `place_degrees` by order."""
     return [
         Term(product, place_degrees[order - 1], ORDER_GROWTH ** (order - 1), order <= LIGHT_ORDERS)
         for product, order in zip(products, orders)
@@ -217,7 +216,7 @@ def terms_of_orders(
 
 @dataclass(frozen=True, eq=False)
 class VaryingRegression:
-    """Penalised Huber regression on terms whose coefficients vary over the image; one set of columns, any ridge.
+    """Penalized Huber regression on terms whose coefficients vary over the image; one set of columns for all ridges.
 
     Attributes
     ----------
@@ -225,9 +224,9 @@ class VaryingRegression:
     target : (N, K) float64
     weight : (N,)
     penalties : (columns,), of their ridges
-    ends : where each term's columns end
+    ends : the end of each term's columns
     places : of each term: its functions at the nodes, (rows, columns, functions)
-    huber : residual from which a sample counts less
+    huber : residual beyond which a sample counts less
     """
 
     columns: NDArray[np.float32]
@@ -242,7 +241,7 @@ class VaryingRegression:
     def of(
         cls, terms: Sequence[Term], target: NDArray[Any], samples: Samples, *, huber: float
     ) -> VaryingRegression:
-        """Terms (N,) and target (N, K) of samples; at most some 20,000 of them: neighbours in a press are copies."""
+        """Terms (N,) and target (N, K) of at most some 20,000 samples, because neighbors in a press are copies."""
         step = max(1, round(len(samples.x_px) / MAX_SAMPLES))
         light = None if samples.background is None else light_at_nodes(samples.background)
         at = interpolation(samples.x_px[::step], samples.y_px[::step], samples.shape)
@@ -266,7 +265,7 @@ class VaryingRegression:
         return normal_equations(self.columns, self.target, self.weight)
 
     def coefficients(self, ridge: float) -> NDArray[np.float64]:
-        """Coefficients (columns, K) that a ridge finds."""
+        """Coefficients (columns, K) for a ridge."""
         known: dict[str, Any] = {"huber": self.huber, "whole": self._normal}
         return penalised_huber(self.columns, self.target, self.weight, ridge * self.penalties, **known)
 
@@ -276,7 +275,7 @@ class VaryingRegression:
         return np.stack([place @ part for place, part in zip(self.places, split)], axis=2)
 
     def residual(self, coefficients: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Target minus what the coefficients give, (N, K)."""
+        """Target minus the prediction of the coefficients, (N, K)."""
         return np.asarray(self.target - self.columns @ coefficients.astype(np.float32), dtype=np.float64)
 
 
@@ -289,7 +288,7 @@ def node_positions(shape: tuple[int, int]) -> tuple[NDArray[np.int64], NDArray[n
 def _places(
     degree: int, with_light: bool, shape: tuple[int, int], light: NDArray[Any] | None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """What a coefficient is a sum of at the nodes, (rows, columns, functions), and by how much each is penalised."""
+    """The functions in a coefficient's sum at the nodes, (rows, columns, functions), and the penalty of each."""
     unit = [
         2 * nodes / (n - 1) - 1 if n > 1 else 0.0 * nodes for nodes, n in zip(node_positions(shape), shape)
     ]
@@ -305,7 +304,7 @@ def _places(
 
 
 def light_at_nodes(background: NDArray[Any]) -> NDArray[np.float64]:
-    """Logarithm of the untouched image at the nodes, (3, rows, columns), of mean 0 and deviation 1."""
+    """Logarithm of the background image at the nodes, (3, rows, columns), with mean 0 and deviation 1."""
     pixels = np.asarray(background, dtype=np.float32)
     return _light_of_pixels(pixels.tobytes(), pixels.shape)
 
@@ -320,17 +319,17 @@ def _light_of_pixels(pixels: bytes, shape: tuple[int, ...]) -> NDArray[np.float6
     rows, columns = (
         np.minimum(n, limit - 1) for n, limit in zip(node_positions(light.shape[:2]), light.shape)
     )
-    values = logarithm[np.ix_(rows, columns)] / np.maximum(deviation, 0.01)  # even light tells nothing
+    values = logarithm[np.ix_(rows, columns)] / np.maximum(deviation, 0.01)  # even light has no information
     return np.moveaxis(values, -1, 0)
 
 
 def colour_products(change: NDArray[np.float64], terms: list[tuple[int, ...]]) -> NDArray[np.float64]:
-    """Monomials (terms, N) of a colour change (N, 3)."""
+    """Monomials (terms, N) of a color change (N, 3)."""
     return np.stack(monomial_products(np.ascontiguousarray(change.T), terms))
 
 
 def interpolation(x_px: NDArray[Any], y_px: NDArray[Any], shape: tuple[int, int]) -> tuple[Any, ...]:
-    """The node above left of each pixel, and how far on towards the next it lies, 0-1."""
+    """The node at the upper left of each pixel, and the fraction of the way to the next node, 0-1."""
     found: list[Any] = []
     for position, nodes in zip((y_px, x_px), node_positions(shape)):
         along = np.asarray(position, dtype=np.float64) / NODE_PX

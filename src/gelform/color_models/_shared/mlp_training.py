@@ -14,7 +14,7 @@ from gelform.color_models._shared.layers import Layers
 from gelform.color_models._shared.least_squares import HUBER_SLOPE
 from gelform.errors import GelformError
 
-BATCH, LEARNING_RATE = 512, 1e-2  # samples of a step; AdamW's rate
+BATCH, LEARNING_RATE = 512, 1e-2  # samples of a step; learning rate of AdamW
 
 
 def train(
@@ -28,11 +28,11 @@ def train(
     weight_decay: float,
     seed: int,
 ) -> Layers:
-    """Layers whose answer to (change, place) minus that to (0, place) is the gradient, in Huber's loss.
+    """Layers whose output for (change, place) minus that for (0, place) is the gradient, in Huber's loss.
 
-    AdamW with a cosine schedule (Loshchilov and Hutter, ICLR 2019), one thread, all randomness from `seed`. Of N samples:
-    a
-    color change (N, 3) about 1 in size, a place (N, 2) of -1 to 1, gradients (N, 2) and weights (N,) >= 0.
+    It uses AdamW with a cosine schedule (Loshchilov and Hutter, ICLR 2019) and one thread; all randomness comes from
+    `seed`. The N samples have a color change (N, 3) about 1 in size, a place (N, 2) of -1 to 1, gradients (N, 2) and
+    weights (N,) >= 0.
     """
     torch = _torch()
     if not hidden or steps < 1 or len(change) < 2:
@@ -82,7 +82,7 @@ def _one_thread(torch: Any) -> Iterator[None]:
 def _tensors(
     torch: Any, change: NDArray[Any], place: NDArray[Any], gradients: NDArray[Any], weight: NDArray[Any]
 ) -> tuple[Any, Any, Any, Any]:
-    """Inputs when touched, inputs at rest, targets, and weights of mean 1."""
+    """Inputs under touch, inputs at rest, targets, and weights of mean 1."""
     touched = np.concatenate([change, place], axis=1)
     rest = np.concatenate([np.zeros_like(change), place], axis=1)
     relative = np.asarray(weight) / max(float(np.mean(weight)), 1e-12)
@@ -94,7 +94,7 @@ def _tensors(
 
 
 def _initial(torch: Any, sizes: tuple[int, ...], random: Any) -> list[tuple[Any, Any]]:
-    """Weights by He's rule (ICCV 2015), biases spread so that the kinks lie inside the inputs' range."""
+    """Weights by He's rule (ICCV 2015), with biases that spread the kinks over the inputs' range."""
     layers = []
     for inputs, outputs in pairwise(sizes):
         weight = torch.randn((outputs, inputs), generator=random) * (2 / inputs) ** 0.5

@@ -1,4 +1,4 @@
-"""The guide: which step it is at, what is asked for, what was accepted; fed with the frames of a station."""
+"""The guide: its current step, its requests and the accepted presses; it receives the frames of a station."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ from gelform.live.setup import BACKGROUND_FRAMES
 from gelform.view import View, image_from_frame
 
 WANTED, LEAST = (NEEDED[row].presses for row in ("guided well", "guided"))
-LOOK_EVERY_S = 0.08  # at a frame: a look takes some 10 ms
-STILL_LOOKS = 3  # in a row, for a press to count
-NEXT_PLACES = 3  # that are shown: where to press next, and then
-FIRST_RADIUS = 0.55  # of the target over the ball's radius, before the first press
+LOOK_EVERY_S = 0.08  # s between analyzed frames; an analysis takes some 10 ms
+STILL_LOOKS = 3  # consecutive still frames until a press counts
+NEXT_PLACES = 3  # suggested places on the page: the next one, and those after it
+FIRST_RADIUS = 0.55  # radius of the target over the ball's radius, before the first press
 
 
 @dataclass(frozen=True)
 class Asked:
-    """What the user says before the first press.
+    """The user's input before the first press.
 
     Attributes
     ----------
     ball_diameter_mm : of the ball
     mm_per_px, mm_per_px_sigma : scale of the images
-    view : how frames become images
+    view : from frames to images
     sensor_name, serial : of the sensor
     """
 
@@ -59,14 +59,14 @@ class Guide:
     Attributes
     ----------
     step : "background", "press", "fit", "report" or "failed"
-    hint : what to do now, in words
-    places : where to press next, the most helpful one first; a later one is chosen anew after each press
-    covered : Coverage of the presses that were accepted, None before the background is there
+    hint : instruction for the user
+    places : suggested places for presses, the most helpful one first; later ones are chosen again after each press
+    covered : Coverage of the accepted presses, None before the background exists
     """
 
     def __init__(self, asked: Asked, on_changed: Callable[[], None] = lambda: None) -> None:
         self.asked = asked
-        self.step, self.hint = "background", "Touch nothing: the untouched gel is recorded."
+        self.step, self.hint = "background", "Touch nothing while the page takes the background."
         self.places: tuple[PressPlace, ...] = ()
         self.covered: Coverage | None = None
         self.forecast: Forecast | None = None
@@ -87,16 +87,16 @@ class Guide:
 
     @property
     def target(self) -> PressPlace | None:
-        """Where to press now; None where no place helps any more."""
+        """The place for the next press; None if no place helps any more."""
         return self.places[0] if self.places else None
 
     @property
     def count(self) -> int:
-        """How many presses were accepted."""
+        """Number of accepted presses."""
         return len(self._circles)
 
     def look_at(self, frame: Frame) -> None:
-        """Take a frame; those that come too soon after the last one are passed over."""
+        """Process a frame; frames too soon after the last one are skipped."""
         now = time.monotonic()
         if self.step not in ("background", "press") or now - self._looked_at < LOOK_EVERY_S:
             return
@@ -110,7 +110,7 @@ class Guide:
         self._changed()
 
     def presses(self) -> Presses:
-        """What was accepted, as calibration takes it.
+        """The accepted presses, in the form that calibration reads.
 
         Raises
         ------
@@ -119,7 +119,9 @@ class Guide:
         """
         with self._lock:
             if self._background is None or len(self._images) < LEAST:
-                raise GelformError(f"Expected at least {LEAST} presses, got {len(self._images)}. Press on.")
+                raise GelformError(
+                    f"Expected at least {LEAST} presses, got {len(self._images)}. Press again."
+                )
             diameter = self.asked.ball_diameter_mm
             return Presses(
                 folder="guided presses",
@@ -138,7 +140,7 @@ class Guide:
             )
 
     def facts(self) -> dict[str, Any]:
-        """What the page shows of it."""
+        """The guide's state for the page."""
         with self._lock:
             live, radius = self._live, self._radius()
             return {
@@ -168,7 +170,7 @@ class Guide:
         try:
             taken = background_from_frames(self._untouched)
         except GelformError as problem:
-            self._untouched, self.hint = [], f"{problem} Touch nothing, it is tried again."
+            self._untouched, self.hint = [], f"{problem} Touch nothing: the page tries again."
             return
         self._background, self._noise = np.rint(taken.background).astype(np.float32), taken.noise
         self._judge = Judge(self._background, image, float(taken.noise.max()), self._ball_radius_px)
@@ -192,7 +194,7 @@ class Guide:
                 self._decide(image, look)
 
     def _decide(self, image: NDArray[np.uint8], look: Look) -> None:
-        """Accept or reject what was held still."""
+        """Accept or reject a press that was held still."""
         self._still = 0
         if look.reason or look.circle is None:
             self.hint = look.reason
@@ -216,8 +218,8 @@ class Guide:
 
     def _asking(self) -> str:
         if len(self._circles) >= WANTED:
-            return "Enough. Fit now, or press on where circle 1 is."
-        return f"Press the ball at 1: {self.target.name}." if self.target else "Press anywhere else."
+            return "These are enough presses. Fit now, or press again at circle 1."
+        return f"Press the ball at 1: {self.target.name}." if self.target else "Press at any other place."
 
     @property
     def _ball_radius_px(self) -> float:
@@ -230,7 +232,7 @@ class Guide:
 
 
 def _coverage_facts(covered: Coverage) -> dict[str, Any]:
-    """How many of eight slope directions each tile has shown, and the share of all."""
+    """Number of the eight slope directions in each tile, and the share of all."""
     directions = (covered.counts > 0).sum(axis=-1)
     return {
         "tiles": list(directions.shape),

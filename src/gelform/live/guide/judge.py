@@ -1,4 +1,4 @@
-"""What an image of a guided calibration shows: nothing, a moving ball, a press; and what presses so far promise."""
+"""The content of an image during a guided calibration: nothing, a moving ball or a press; and the forecast of errors."""
 
 from __future__ import annotations
 
@@ -21,31 +21,31 @@ from gelform.calibration.report.learning import floor_and_slope
 from gelform.errors import CalibrationError
 from gelform.metrics import score_slopes
 
-LEAST_RADIUS_PX = 9.0  # of a contact, at 240 rows
-DEEPEST = 0.87  # contact radius over ball radius: half the radius deep
-APART = 0.4  # of the contact radius: nearer to an earlier press is the same place
-OUTSIDE = 0.2  # of the contact radius: its middle may be so far beyond the border
-TOUCHED, NOISE_FACTOR = 0.05, 1.6  # the color change of a touch; times what noise alone makes
-TOUCHED_PART = 500  # a touch covers a five-hundredth of the image
-STILL_LEVELS, STILL_NOISE = 1.0, 0.9  # change of a block between looks: grey levels, and times the noise
-SMALL = 8  # width of such a block, px
-MORE = 5  # presses, by which a forecast looks ahead
-HELD_OUT_EVERY = 4  # every fourth press judges the others
-SAMPLES = 400  # pixels of a held-out press
+LEAST_RADIUS_PX = 9.0  # px, radius of a contact, at 240 rows
+DEEPEST = 0.87  # contact radius over ball radius: pressed in by half the radius
+APART = 0.4  # of the contact radius: a smaller distance to an earlier press is the same place
+OUTSIDE = 0.2  # of the contact radius: largest distance of its center beyond the border
+TOUCHED, NOISE_FACTOR = 0.05, 1.6  # color change of a touch; multiple of the change by noise
+TOUCHED_PART = 500  # a touch covers at least 1/500 of the image
+STILL_LEVELS, STILL_NOISE = 1.0, 0.9  # largest change of a still block: gray levels, times noise
+SMALL = 8  # px, width of such a block
+MORE = 5  # presses that a forecast looks ahead
+HELD_OUT_EVERY = 4  # every fourth press tests a fit to the others
+SAMPLES = 400  # sampled pixels of a held-out press
 
 Circle = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
 class Look:
-    """What an image shows.
+    """The content of an image.
 
     Attributes
     ----------
     circle : the contact (x, y, radius) in px, or None
-    touched : whether anything touches
-    moving : whether it differs from the image before
-    reason : why this is no press to keep; "" where it is one
+    touched : whether anything touches the gel
+    moving : whether it differs from the previous image
+    reason : why this press is not accepted; "" if it is
     """
 
     circle: Circle | None
@@ -55,13 +55,13 @@ class Look:
 
 
 class Judge:
-    """Looks at the images of one sensor, one after the other.
+    """Analyzes the images of one sensor in sequence.
 
     Parameters
     ----------
-    background : (H, W, 3) float32, the untouched image
-    untouched : (H, W, 3) uint8, one frame of it: how much noise alone changes the colours
-    noise : standard deviation of a pixel in one frame, grey levels
+    background : (H, W, 3) float32, the background image
+    untouched : (H, W, 3) uint8, one frame at rest, which shows how much noise changes the colors
+    noise : standard deviation of a pixel in one frame, gray levels
     ball_radius_px : of the ball that presses
     """
 
@@ -82,7 +82,7 @@ class Judge:
         self._touched = max(TOUCHED, NOISE_FACTOR * _largest(self._changes(untouched)[0]))
 
     def look(self, image: NDArray[Any], accepted: Sequence[Circle] = ()) -> Look:
-        """Judge an image (H, W, 3) against the presses that were accepted before."""
+        """Judge an image (H, W, 3), given the accepted presses."""
         moving = self._moves(image)
         try:
             change, _ = self._changes(image)
@@ -108,13 +108,13 @@ class Judge:
         x, y, radius = contact.circle_px
         (height, width), by = self._shape, OUTSIDE * radius
         if not (-by < x < width + by and -by < y < height + by):
-            return "Too far outside. Press where the circle is."
+            return "The press is too far outside. Press at the circle."
         if radius < LEAST_RADIUS_PX * self._scale:
-            return "Too light. Press a little harder."
+            return "The press is too light. Press a little harder."
         if radius > DEEPEST * self._ball_px:
-            return "Too deep, or another ball. Press at most half the ball's radius deep."
+            return "The press is too deep, or the ball has another size. Press at most half the ball's radius deep."
         if any(np.hypot(x - ax, y - ay) < APART * max(radius, ar) for ax, ay, ar in accepted):
-            return "Pressed here before. Press where the circle is."
+            return "You pressed here before. Press at the circle."
         return ""
 
 

@@ -1,4 +1,4 @@
-"""A guided calibration on a station: frames in, the simulated sensor pressed, the fit in a thread, the files it leaves."""
+"""A guided calibration on a station: its frames, presses of the simulated sensor, the fit in a thread, and its files."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ from gelform.live.recorder import named_by_time
 from gelform.live.shown import Shown
 from gelform.live.station import Station
 
-DEPTH_RATIO = 0.9  # of the simulated presses: depth over radius x fraction^2 (a cap: 0.5)
-RIM_FRACTIONS = (0.45, 0.6, 0.52)  # of the simulated presses in turn: contact radius over ball radius
-GAP_S = 0.5  # between simulated presses
-HELD_S = 20.0  # a simulated press: lifted once it is accepted, on a slow machine after many a look
+DEPTH_RATIO = 0.9  # of simulated presses: depth over radius x fraction^2 (0.5 for a spherical cap)
+RIM_FRACTIONS = (0.45, 0.6, 0.52)  # contact radius over ball radius of successive simulated presses
+GAP_S = 0.5  # s between simulated presses
+HELD_S = 20.0  # s, longest simulated press; it is lifted once accepted, which takes long on a slow machine
 
 
 class GuideSession:
@@ -37,9 +37,9 @@ class GuideSession:
 
     Parameters
     ----------
-    station : whose frames it sees
+    station : gives the frames
     asked : Asked
-    folder : where presses, calibration and report are written, into a folder of their own
+    folder : parent of the new folder for presses, calibration and report
     on_changed : called when the page has something new to show
     """
 
@@ -58,29 +58,29 @@ class GuideSession:
         station.taps.append(self._tap)
 
     def close(self) -> None:
-        """See no more frames; the simulated sensor plays again."""
+        """Stop receiving frames; the simulated sensor continues its program."""
         if self._tap in self._station.taps:
             self._station.taps.remove(self._tap)
         if self._simulated is not None:
             self._simulated.rest(False)
 
     def fit(self, progress: Progress) -> None:
-        """Calibrate on what was accepted, write it down, say how good it is.
+        """Calibrate on the accepted presses, write the files, and report the quality.
 
         Raises
         ------
         GelformError
-            Too few presses, or they do not fit: the guide goes on asking for presses.
+            There are too few presses, or they do not fit; the guide continues to ask for presses.
         """
         guide, before = self.guide, self.guide.step
-        guide.step, guide.hint = "fit", "Calibrating. This takes a moment."
+        guide.step, guide.hint = "fit", "gelform calibrates. This takes a moment."
         try:
             presses = guide.presses()
             calibration = calibrate(presses, progress=progress)
             content = report_content(presses, calibration, rng=np.random.default_rng(0))
             self.name = self._written(presses, calibration, content)
         except GelformError as problem:
-            guide.step, guide.hint = before, f"The fit did not succeed. {problem}"
+            guide.step, guide.hint = before, f"The fit failed. {problem}"
             raise
         self._keep(calibration)
         self.calibration = calibration
@@ -89,16 +89,16 @@ class GuideSession:
             guide.covered = report_coverage(
                 calibration.report, calibration.image_shape, calibration.known_mm_per_px
             )
-        guide.step, guide.hint = "report", "Done. Look at the report, then use it."
+        guide.step, guide.hint = "report", "Done. Read the report, then use the calibration."
         self._on_changed()
 
     def _keep(self, calibration: Calibration) -> None:
-        """Put it into the library; where that cannot be, it is in the folder all the same."""
+        """Add the calibration to the library; if that fails, it still is in the folder."""
         try:
             self._in_library, _ = add_calibration(calibration)
-            self.kept = "It is in the library too: this sensor takes it from now on."
+            self.kept = "The library has it too, so this sensor uses it from now on."
         except GelformError as problem:
-            self.kept = f"The library does not have it: {problem} Take it with -c."
+            self.kept = f"The library does not have it: {problem} Name it with -c."
 
     def _tap(self, shown: Shown) -> None:
         self.guide.look_at(shown.frame)
@@ -107,7 +107,7 @@ class GuideSession:
             self._forecast()
 
     def _press_simulated(self) -> None:
-        """Press the simulated sensor where the guide asks, once for each target."""
+        """Press the simulated sensor at the suggested place, once for each target."""
         guide, target, now = self.guide, self.guide.target, time.monotonic()
         waiting = now - self._pressed_s < HELD_S and self._pressed == guide.count
         if self._simulated is None or target is None or waiting or guide.facts()["enough"]:
@@ -123,7 +123,7 @@ class GuideSession:
         self._simulated.press_at(target.x_px, target.y_px, depth, ball_diameter_mm=2 * radius, held_s=HELD_S)
 
     def _forecast(self) -> None:
-        """Look ahead after each new press, in a thread of its own."""
+        """Forecast errors after each new press, in a separate thread."""
         guide = self.guide
         known = 0 if guide.forecast is None else guide.forecast.presses
         if self._forecasting or not enough("forecast", guide.count) or guide.count == known:
@@ -134,14 +134,14 @@ class GuideSession:
             try:
                 guide.forecast = forecast_of(guide.presses())
             except (GelformError, ValueError):
-                guide.forecast = None  # these presses cannot say: the fit will say why
+                guide.forecast = None  # these presses allow no forecast; the fit will give the reason
             finally:
                 self._forecasting = False
 
         threading.Thread(target=work, name="forecast", daemon=True).start()
 
     def _written(self, presses: Presses, calibration: Calibration, content: dict[str, Any]) -> str:
-        """Write the press folder, the calibration in it and the report; the folder's name."""
+        """Write the press folder, with the calibration and the report in it; return the folder's name."""
         folder = self._folder / named_by_time("calibration")
         save_press_folder(
             folder,
@@ -159,12 +159,12 @@ class GuideSession:
 
     @property
     def path(self) -> Path:
-        """Of the calibration that was written: in the library, else in the folder."""
+        """The path of the calibration: in the library, else in the folder."""
         return self._in_library or self._folder / self.name / "calibration.npz"
 
 
 def report_facts(calibration: Calibration, content: dict[str, Any], name: str) -> dict[str, Any]:
-    """What the page shows of a report; the whole one is a file of its own."""
+    """The parts of a report that the page shows; the full report is a file."""
     verdict = content["verdict"]
     shown = ("label", "unit", "value", "level")
     return {

@@ -1,1 +1,1 @@
-"""What is shown without hardware: a simulated sensor that objects touch, and its calibration."""
+"""The live page without hardware: a simulated sensor that objects touch, and its calibration."""

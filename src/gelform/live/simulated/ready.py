@@ -1,6 +1,6 @@
-"""A simulated sensor's calibration: shipped for the usual one, else made by `calibrate` on simulated presses and kept.
+"""Calibrations of simulated sensors: shipped for the default one, else made by `calibrate` on simulated presses and cached.
 
-What makes one is imported when it is needed: it takes longer than the first picture.
+The modules for making one are imported on demand, because that takes longer than the first picture.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ from gelform.sensors.simulated.settings import simulated_sensor_named
 from gelform.sensors.source import DEFAULT_SENSOR
 from gelform.simulate import SimulatedPresses, SimulatedSensor, simulate_ball_presses
 
-BALLS_MM, COUNT, SEED = (4.0, 6.0), 16, 11  # of the presses: diameters, how many of each, their places
+BALLS_MM, COUNT, SEED = (4.0, 6.0), 16, 11  # ball diameters, presses per ball, seed of the places
 SHIPPED = f"{DEFAULT_SENSOR}.npz"  # made by `benchmarks/live.py --calibration`
-COLOR_MODEL = "polynomial"  # half the time that choosing takes; 0.2 degrees worse than the best here
+COLOR_MODEL = "polynomial"  # half the time of choosing a model; 0.2 degrees worse than the best model here
 
 
 def ready_calibration(sensor: SimulatedSensor, *, progress: Progress = no_progress) -> Calibration:
-    """The calibration of a simulated sensor: the one shipped, or from the cache, else made (about ten seconds).
+    """The calibration of a simulated sensor: shipped, cached, or made in about ten seconds.
 
     Parameters
     ----------
     sensor : SimulatedSensor
-    progress : called with (done, total, what) while it is made
+    progress : called with (done, total, what) while the calibration is made
     """
     if sensor == simulated_sensor_named(DEFAULT_SENSOR):
         with resources.as_file(resources.files(__package__) / SHIPPED) as shipped:
@@ -41,7 +41,7 @@ def ready_calibration(sensor: SimulatedSensor, *, progress: Progress = no_progre
         try:
             return load_calibration(kept)
         except CalibrationError:
-            kept.unlink(missing_ok=True)  # damaged: it is ours, and made again
+            kept.unlink(missing_ok=True)  # damaged; it is gelform's own file, and is made again
     from gelform.calibration.fit import calibrate
     from gelform.calibration.presses.press_set import presses_from_simulated
 
@@ -53,7 +53,7 @@ def ready_calibration(sensor: SimulatedSensor, *, progress: Progress = no_progre
 
 
 def kept_path(sensor: SimulatedSensor) -> Path | None:
-    """Where the calibration of this sensor is kept; None where the user's cache cannot be written."""
+    """The path of the cached calibration of a sensor; None if the user's cache is not writable."""
     folder = cache_folder()
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -66,7 +66,7 @@ def kept_path(sensor: SimulatedSensor) -> Path | None:
 
 
 def cache_folder() -> Path:
-    """The folder for files that can be made again: XDG_CACHE_HOME, or what the system has in its place."""
+    """The folder for cached files: XDG_CACHE_HOME, or the system's equivalent."""
     if given := os.environ.get("XDG_CACHE_HOME"):
         return Path(given) / "gelform"
     home = Path.home()
@@ -80,7 +80,7 @@ def cache_folder() -> Path:
 def simulated_presses(
     sensor: SimulatedSensor, count: int, *, progress: Progress = no_progress
 ) -> SimulatedPresses:
-    """Presses of two balls all over the gel, as the live page's objects are simulated."""
+    """Presses of two balls all over the gel, simulated as the live page's objects."""
     rng = np.random.default_rng(SEED)
     return simulate_ball_presses(
         sensor, ball_diameters_mm=BALLS_MM, count=count, rng=rng, oversample=1, progress=progress

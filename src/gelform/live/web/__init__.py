@@ -1,1 +1,1 @@
-"""The server: requests, websockets, and who may make them."""
+"""The server: requests, websockets, and access control."""

@@ -20,9 +20,9 @@ from gelform.live.web.client import TOO_MANY, Client
 from gelform.live.web.guard import OPEN_PATHS, Access, Guard
 from gelform.live.web.pages import page_named
 
-MAX_CLIENTS = 16  # pages that are open at once
-MAX_BODY = 1024  # bytes of a request: a token has 43
-TICK_S = 0.25  # between looks whether there is news where no frames come
+MAX_CLIENTS = 16  # pages open at once
+MAX_BODY = 1024  # bytes of a request; a token has 43
+TICK_S = 0.25  # s between checks for news while no frames arrive
 TYPES = {
     ".html": "text/html; charset=utf-8",
     ".css": "text/css; charset=utf-8",
@@ -32,7 +32,7 @@ TYPES = {
 
 
 def page_files() -> dict[str, bytes]:
-    """The page's files by the path that they are asked for: all that is ever given of the disk."""
+    """The page's files by request path; nothing else from the disk is served."""
     folder = resources.files("gelform.live") / "page"
     found = {}
     folders = [("/", folder)]
@@ -47,7 +47,7 @@ def page_files() -> dict[str, bytes]:
 
 
 def make_app(hub: Hub, access: Access) -> Any:
-    """The whole application, guarded."""
+    """The application, behind the guard."""
     files = page_files()
     clients: set[Client] = set()
 
@@ -58,7 +58,7 @@ def make_app(hub: Hub, access: Access) -> Any:
         return Response(files[name], media_type=TYPES[suffix], headers=headers)
 
     async def session(request: Request) -> Response:
-        """Change the token for a cookie that scripts cannot read."""
+        """Exchange the token for a cookie that scripts cannot read."""
         try:
             given = await _body(request)
         except ClientDisconnect:
@@ -125,7 +125,7 @@ def make_app(hub: Hub, access: Access) -> Any:
 
 
 async def _body(request: Request) -> str | None:
-    """The body as text; None where it is longer than a token or no text."""
+    """The body as text; None if it is longer than a token or not text."""
     body = b""
     async for chunk in request.stream():
         body += chunk
@@ -138,12 +138,12 @@ async def _body(request: Request) -> str | None:
 
 
 async def _tick(wake: Any) -> None:
-    """Wake the clients now and then, so that they hear how things are where no frames come."""
+    """Wake the clients at intervals, so that they get the state while no frames arrive."""
     while True:
         await asyncio.sleep(TICK_S)
         wake()
 
 
 def _call(loop: asyncio.AbstractEventLoop, function: Any) -> None:
-    with contextlib.suppress(RuntimeError):  # the loop has just been closed: nobody is left to tell
+    with contextlib.suppress(RuntimeError):  # the loop was just closed; no client is left
         loop.call_soon_threadsafe(function)

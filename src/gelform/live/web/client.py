@@ -1,7 +1,7 @@
-"""One browser: it is sent the newest frame when it has room for one, and never waits in a queue.
+"""One browser: it gets the newest frame when it is ready for one; frames never wait in a queue.
 
-Credit: the page gives one for each picture that it has drawn, at once or shortly before it draws the next one. Without
-credit nothing is sent, and what came meanwhile is passed over; so a slow or stalled page costs nobody anything but itself.
+Credit: the page sends one credit per drawn picture, at once or shortly before it draws the next one. Without credit
+nothing is sent, and newer frames replace older ones. A slow or stalled page therefore affects only itself.
 """
 
 from __future__ import annotations
@@ -24,21 +24,21 @@ from gelform.live.station import Station
 from gelform.live.web.commands import MessageError, done, parsed, station
 from gelform.live.web.wire import ENCODINGS, message
 
-MAX_CREDIT = 4  # for each station
-SURFACE = ("depth", "unknown")  # planes of stations of which no more is shown
-MAX_REPLIES = 32  # that wait for a client
-STATE_EVERY_S = 0.25  # how often a client hears how things are
-MESSAGES_PER_S, MESSAGES_AT_ONCE = 200.0, 400.0  # of a client: a page that draws 60 times a second sends 70
+MAX_CREDIT = 4  # per station
+SURFACE = ("depth", "unknown")  # planes of the stations that a client shows small
+MAX_REPLIES = 32  # replies that wait for a client at most
+STATE_EVERY_S = 0.25  # s between messages about the state
+MESSAGES_PER_S, MESSAGES_AT_ONCE = 200.0, 400.0  # limits per client; a page at 60 frames/s sends 70
 MAX_NUMBERS, MAX_OLDER = (
     240,
     1200,
-)  # rows of a frame for the curves: each one, and of those before as many groups
-POLICY, TOO_MANY = 1008, 1013  # codes of a close: RFC 6455, 7.4.1
+)  # rows for the curves per frame: the newest singly, and as many groups of earlier ones
+POLICY, TOO_MANY = 1008, 1013  # close codes: RFC 6455, 7.4.1
 
 
 @dataclass
 class Watched:
-    """What a client wants to see: which stations, which planes of them, how encoded; of `few` no more than the surface."""
+    """The selection of a client: stations, planes and encoding; of the stations in `few` only the surface."""
 
     stations: list[int] = field(default_factory=lambda: [0])
     planes: list[str] = field(default_factory=lambda: ["image"])
@@ -52,7 +52,7 @@ class Client:
     Parameters
     ----------
     socket : accepted
-    hub : what it looks at
+    hub : the hub that it shows
     """
 
     def __init__(self, socket: WebSocket, hub: Hub) -> None:
@@ -68,11 +68,11 @@ class Client:
         self._allowance, self._heard_at = MESSAGES_AT_ONCE, time.monotonic()
 
     def wake(self) -> None:
-        """There may be something to send."""
+        """Check for something to send."""
         self._wake.set()
 
     async def run(self) -> None:
-        """Talk until the page goes."""
+        """Exchange messages until the page closes."""
         tasks = [asyncio.create_task(self._send_all()), asyncio.create_task(self._receive_all())]
         self.wake()
         try:
@@ -89,7 +89,7 @@ class Client:
             await self._wake.wait()
             self._wake.clear()
             await self._send_words()
-            # Who was sent least lately first: with little credit each one gets its turn.
+            # Longest wait first: with little credit each station gets its turn.
             for number in sorted(self._watched.stations, key=lambda one: self._turns.get(one, 0.0)):
                 if self._credit > 0 and number < len(self._hub.stations):
                     await self._send_frame(self._hub.stations[number])
@@ -121,7 +121,7 @@ class Client:
         while True:
             try:
                 text = await self._socket.receive_text()
-            except (WebSocketDisconnect, KeyError, RuntimeError):  # gone, or bytes where text belongs
+            except (WebSocketDisconnect, KeyError, RuntimeError):  # closed, or bytes instead of text
                 return
             if not self._may_speak():
                 await self._socket.close(POLICY, "too many messages")
@@ -153,7 +153,7 @@ class Client:
         self.wake()
 
     async def _act(self, content: dict[str, Any]) -> None:
-        """Do what a button asks for; the answer says how it went."""
+        """Do a button's action; the answer reports its success or error."""
         reply = {"kind": "done", "do": content["do"], "problem": ""}
         try:
             answer = await asyncio.to_thread(done, self._hub, content)
@@ -170,7 +170,7 @@ class Client:
 
 
 def watched_from(content: dict[str, Any]) -> Watched:
-    """What a message wants to see; MessageError where that is not in the lists."""
+    """The selection in a message; MessageError for values outside the lists."""
     stations, planes, encoding = (content.get(name) for name in ("stations", "planes", "encoding"))
     if not isinstance(stations, list) or not isinstance(planes, list) or len(stations) > 16:
         raise MessageError("Expected stations and planes as lists.")
@@ -199,7 +199,7 @@ def _encoded(station: Station, shown: Shown, before: int, watched: Watched) -> b
 
 
 def thinned(rows: Sequence[tuple[float, ...]]) -> list[tuple[float, ...]]:
-    """Rows (serial, time_s, peak, ...) for the curves: the newest ones, and the deepest of each group of those before."""
+    """Rows (serial, time_s, peak, ...) for the curves: the newest ones, and the deepest of each group of earlier ones."""
     newest, older = list(rows[-MAX_NUMBERS:]), rows[:-MAX_NUMBERS]
     size = -(-len(older) // MAX_OLDER) or 1
     deepest = [max(older[k : k + size], key=itemgetter(2)) for k in range(0, len(older), size)]

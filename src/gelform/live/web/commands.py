@@ -1,4 +1,4 @@
-"""Messages of the page: each is checked whole, then does one thing. A new button is one line in `COMMANDS`."""
+"""Messages of the page: each is checked completely, then does one thing. A new button is one line in `COMMANDS`."""
 
 from __future__ import annotations
 
@@ -12,39 +12,39 @@ from gelform.errors import GelformError
 from gelform.live import actions
 from gelform.live.hub import Hub
 
-MAX_BYTES, MAX_TEXT = 16 * 1024, 200  # of a message, and letters of a name
+MAX_BYTES, MAX_TEXT = 16 * 1024, 200  # bytes of a message; letters of a name
 
 
 class MessageError(GelformError):
-    """A message of a client that is none of those known; the client is at fault."""
+    """A client's message is unknown or malformed; the fault is the client's."""
 
 
 def station(value: Any) -> int:
-    """The number of a sensor."""
+    """Check the number of a sensor."""
     return _small(value, "station")
 
 
 def camera(value: Any) -> int:
-    """The number of a camera on the list of devices."""
+    """Check the number of a camera in the list of devices."""
     return _small(value, "camera")
 
 
 def text(value: Any) -> str:
-    """A name from a list that the server made."""
+    """Check a name from a list that the server made."""
     if not isinstance(value, str) or len(value) > MAX_TEXT or not value.isprintable():
         raise MessageError(f"Expected a name of at most {MAX_TEXT} letters.")
     return value
 
 
 def number(value: Any) -> float:
-    """A finite number."""
+    """Check a finite number."""
     if type(value) not in (int, float) or not math.isfinite(value) or abs(value) > 1e6:
         raise MessageError("Expected a finite number.")
     return float(value)
 
 
 def yes_no(value: Any) -> bool:
-    """True or false."""
+    """Check True or False."""
     if not isinstance(value, bool):
         raise MessageError("Expected true or false.")
     return value
@@ -52,7 +52,7 @@ def yes_no(value: Any) -> bool:
 
 @dataclass(frozen=True)
 class Command:
-    """What is done, which may give an answer, and the check of each of its fields."""
+    """An action, which may return an answer, and the check of each of its fields."""
 
     act: Callable[..., dict[str, Any] | None]
     fields: dict[str, Callable[[Any], Any]]
@@ -97,7 +97,7 @@ def parsed(message: str) -> dict[str, Any]:
     Raises
     ------
     MessageError
-        Too long, no JSON, no object, or without `do`.
+        The message is too long, no JSON, no object, or lacks `do`.
     """
     if len(message) > MAX_BYTES:
         raise MessageError(f"Expected a message of at most {MAX_BYTES} bytes.")
@@ -111,14 +111,14 @@ def parsed(message: str) -> dict[str, Any]:
 
 
 def done(hub: Hub, content: dict[str, Any]) -> dict[str, Any] | None:
-    """Do what a message asks for; gives the answer where there is one.
+    """Do the action of a message; return its answer, if there is one.
 
     Raises
     ------
     MessageError
-        An unknown command, or fields that are missing, unknown or of the wrong kind.
+        The command is unknown, or fields are missing, unknown or of the wrong type.
     GelformError
-        It cannot be done; the text is for the user.
+        The action failed; the text is for the user.
     """
     command = COMMANDS.get(content["do"])
     if command is None:

@@ -1,8 +1,8 @@
-"""Who may talk to the server: checks of Host, Origin and token on every request and websocket; headers of answers.
+"""Access to the server: checks of Host, Origin and token on every request and websocket; headers of answers.
 
-A page of another site can make a browser send requests to this machine. It cannot choose the Host and Origin that
-the browser writes: a name that was bound to this machine's address from outside (DNS rebinding) shows in Host, a
-foreign page in Origin and in Sec-Fetch-Site.
+A page of another site can make a browser send requests to this machine, but the browser writes Host and Origin itself. A
+foreign name that was bound to this machine's address (DNS rebinding) shows in Host. A foreign page shows in Origin and in
+Sec-Fetch-Site.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from starlette.datastructures import Headers
 from starlette.responses import PlainTextResponse
 
 LOOPBACK = ("127.0.0.1", "localhost", "::1")  # names of this machine
-DECIDING = ("host", "origin", "sec-fetch-site")  # headers that may come once
-OPEN_PATHS = ("/session",)  # the page's files are open too: there is nothing secret in them
+DECIDING = ("host", "origin", "sec-fetch-site")  # headers that may occur only once
+OPEN_PATHS = ("/session",)  # the page's files are open too: they contain nothing secret
 HEADERS = {
     b"content-security-policy": b"default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; "
     b"connect-src 'self'; manifest-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
@@ -32,15 +32,15 @@ HEADERS = {
 
 
 class Access:
-    """Which hosts the server answers as, and the token that it wants.
+    """The host names of the server, and its token.
 
     Parameters
     ----------
     port : of the server
-    names : hosts that the server may be called by, beside this machine's own
-    token : None where none is wanted
-    any_address : whether any address (not name) is fine as a host: of a server that listens on all of them. An
-        address cannot be bound to another machine, so this opens nothing
+    names : host names of the server besides this machine's own
+    token : None if none is required
+    any_address : whether any address (not name) is accepted as a host, for a server that listens on all of them. An address
+        cannot be bound to another machine, so this is safe
     """
 
     def __init__(
@@ -49,7 +49,7 @@ class Access:
         self.token = token
         self._port, self._any_address = port, any_address
         self._names = {name.lower() for name in (*LOOPBACK, *names)}
-        self.cookie = f"gelform_{port}"  # cookies are not kept apart by port
+        self.cookie = f"gelform_{port}"  # cookies do not distinguish ports
 
     def host_allowed(self, host: str) -> bool:
         """Whether a Host header names this server."""
@@ -59,7 +59,7 @@ class Access:
         return name in self._names or (self._any_address and _is_address(name))
 
     def origin_allowed(self, origin: str, host: str) -> bool:
-        """Whether an Origin header names the page that this server gave under that host."""
+        """Whether an Origin header names the page that this server served under that host."""
         return origin.lower() == f"http://{host.lower()}"
 
     def token_allowed(self, given: str) -> bool:
@@ -78,7 +78,7 @@ class Access:
 
 
 class Guard:
-    """Refuses what `Access` does not allow, before the application sees it; adds the headers to every answer."""
+    """Refuses requests that `Access` does not allow, before the application; adds the headers to every answer."""
 
     def __init__(self, app: Any, access: Access, open_paths: Iterable[str] = OPEN_PATHS) -> None:
         self._app, self._access, self._open_paths = app, access, frozenset(open_paths)
@@ -101,7 +101,7 @@ class Guard:
             await PlainTextResponse(text, status)(scope, receive, _with_headers(send))
 
     def _refusal(self, scope: Any) -> tuple[int, str] | None:
-        """Status and text of a refusal; None where all is well."""
+        """Status and text of a refusal; None if the request is allowed."""
         headers = Headers(scope=scope)
         host = headers.get("host")
         repeated = any(len(headers.getlist(name)) > 1 for name in DECIDING)
@@ -122,7 +122,7 @@ class Guard:
 
 
 def split_host(host: str) -> tuple[str, int]:
-    """Name and port of a Host header; port 80 where it names none, -1 where it is none."""
+    """Name and port of a Host header; port 80 if it states none, -1 if it is invalid."""
     name, colon, port = host.lower().rpartition(":")
     if not colon or host.endswith("]"):
         name, port = host.lower(), "80"
@@ -131,7 +131,7 @@ def split_host(host: str) -> tuple[str, int]:
 
 
 def _is_visit(headers: Headers) -> bool:
-    """Whether somebody follows a link to the page: that may come from anywhere, and only shows the page."""
+    """Whether a user follows a link to the page, which may come from anywhere and only shows the page."""
     return headers.get("sec-fetch-mode") == "navigate" and headers.get("sec-fetch-dest") == "document"
 
 

@@ -1,4 +1,4 @@
-"""Which pages are open: each names itself, so that one that was reloaded is known again."""
+"""The open pages; each has a name, so that a reloaded page is recognized."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import time
 from collections import Counter
 from collections.abc import Callable
 
-# Seconds for which a page without a connection counts as open: one that was reloaded, or whose network was away, is back
-# by then (it gives up a silent connection after 5 s, and tries again at least every 4 s).
+# Seconds for which a page without a connection counts as open: a page that was reloaded or lost its network is back by
+# then (it gives up a silent connection after 5 s, and tries again at least every 4 s).
 GRACE_S = 10.0
 NAME = re.compile(r"[0-9a-z-]{8,64}")
 
@@ -19,7 +19,7 @@ class Pages:
 
     Parameters
     ----------
-    clock : replace it to run faster or slower than real time
+    clock : replaceable, to run faster or slower than real time
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
@@ -29,12 +29,12 @@ class Pages:
         self._left_s: dict[str, float] = {}
 
     def came(self, name: str) -> None:
-        """A page has connected."""
+        """Note that a page has connected."""
         with self._lock:
             self._connections[name] += 1
 
     def left(self, name: str) -> None:
-        """A connection of a page has ended."""
+        """Note that a connection of a page has ended."""
         with self._lock:
             now = self._clock()
             self._left_s = {one: at_s for one, at_s in self._left_s.items() if now - at_s < GRACE_S}
@@ -44,7 +44,7 @@ class Pages:
                 self._left_s[name] = now
 
     def is_open(self, name: str) -> bool:
-        """Whether a page is connected, or was a moment ago: it may be loading anew."""
+        """Whether a page is connected, or was a moment ago and may be reloading."""
         with self._lock:
             if name in self._connections:
                 return True
@@ -53,10 +53,10 @@ class Pages:
 
     @property
     def any_connected(self) -> bool:
-        """Whether anybody looks at this moment."""
+        """Whether any page is connected now."""
         return bool(self._connections)
 
 
 def page_named(given: str) -> str:
-    """The name that a page gives itself; "" where that is none: such a page is nobody's in particular."""
+    """The name that a page states; "" for an invalid one, and such a page has no identity."""
     return given if NAME.fullmatch(given) else ""

@@ -1,4 +1,4 @@
-"""Starts the server: a free port, a token beyond this machine, the address to open."""
+"""Starts the server: a free port, a token for access from other machines, the address to open."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from typing import Any
 from gelform.errors import GelformError
 from gelform.live.hub import Hub
 
-PORT, PORTS_TRIED = 8765, 20  # the first one, and how many are tried
-MAX_MESSAGE = 64 * 1024  # bytes, of a page
+PORT, PORTS_TRIED = 8765, 20  # first port, and number of ports that are tried
+MAX_MESSAGE = 64 * 1024  # bytes of a page's message
 MAX_CONNECTIONS = 128  # 16 pages with their files
 ALL_ADDRESSES = ("0.0.0.0", "::")
 
 
 @dataclass(frozen=True)
 class Server:
-    """A server that listens already and answers once `serve` is called.
+    """A server that already listens; it answers once `serve` is called.
 
     Attributes
     ----------
-    url : what to open, with the token where there is one
-    token : None on this machine alone
+    url : address to open, with the token if there is one
+    token : None if only this machine has access
     """
 
     url: str
@@ -35,7 +35,7 @@ class Server:
 
     @property
     def address(self) -> str:
-        """Host and port, as a Host header has them."""
+        """Host and port, as in a Host header."""
         host, port = self._socket.getsockname()[:2]
         return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
 
@@ -48,7 +48,7 @@ class Server:
         uvicorn.run(sockets=[self._socket])
 
     def close(self) -> None:
-        """Give the port back."""
+        """Release the port."""
         self._socket.close()
 
     def uvicorn_of(self, hub: Hub) -> Any:
@@ -80,18 +80,18 @@ class Server:
 
 
 def listen(host: str = "127.0.0.1", port: int | None = None, *, token: bool = False) -> Server:
-    """Take a port.
+    """Listen on a port.
 
     Parameters
     ----------
-    host : this machine alone by default; beyond it a token is made
-    port : None: 8765, or the next one that is free
-    token : whether one is wanted on this machine too, for one that others share
+    host : by default only this machine; for others a token is made
+    port : None: 8765, or the next free one
+    token : whether to require one on this machine too, if others use it
 
     Raises
     ------
     GelformError
-        The extra is not installed, the port is in use, or there is no such host.
+        The extra is not installed, the port is in use, or the host does not exist.
     """
     check_extra()
     taken = _bound(host, port)
@@ -103,7 +103,7 @@ def listen(host: str = "127.0.0.1", port: int | None = None, *, token: bool = Fa
 
 
 def check_extra() -> None:
-    """Raise GelformError, naming the extra, where the server's packages are not installed."""
+    """Raise GelformError, naming the extra, if the server's packages are not installed."""
     try:
         import starlette  # noqa: F401
         import uvicorn  # noqa: F401
@@ -115,7 +115,7 @@ def check_extra() -> None:
 
 
 def is_loopback(host: str) -> bool:
-    """Whether a host is this machine alone."""
+    """Whether a host means only this machine."""
     try:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:

@@ -1,8 +1,8 @@
-"""The page's binary messages: a header and maps as bytes: depth as uint16, levels as uint8, the image as it is or as JPEG.
+"""The page's binary messages: a header and maps as bytes: depth as uint16, levels as uint8, the image raw or as JPEG.
 
 A message is magic bytes, the header's length, the header as JSON, then the planes, each aligned to 8 bytes. There are two
-encodings: `raw` for a browser on the same machine, where bytes cost nothing and time does, and `small` for a network: the
-image as JPEG, maps at half the resolution, packed with deflate.
+encodings. `raw` is for a browser on the same machine, where bytes are cheap and time is not. `small` is for a network:
+the image as JPEG, maps at half the resolution, packed with deflate.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ ENCODINGS = ("raw", "small")
 JPEG_QUALITY = 80  # of 100
 LARGEST = 32767  # levels on either side of zero
 MAGIC = b"GFL1"
-ALIGNMENT = 8  # bytes: what typed arrays in the browser want
+ALIGNMENT = 8  # bytes, required by typed arrays in the browser
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Plane:
 
     Attributes
     ----------
-    facts : name, kind, height, width, packed; zero and step where its numbers mean something else
+    facts : name, kind, height, width, packed; zero and step if its numbers are scaled
     data : the bytes
     """
 
@@ -54,9 +54,9 @@ def image_plane(image: NDArray[Any], encoding: str) -> Plane:
 
 
 def depth_plane(depth: NDArray[np.float32], encoding: str, name: str = "depth") -> Plane:
-    """Depth (H, W) as uint16 in steps of 1e-4 mm about 32768, in larger steps where that does not reach.
+    """Depth (H, W) as uint16 in steps of 1e-4 mm around 32768, or in larger steps if the range requires it.
 
-    0 is never sent: in files it stands for unknown pixels.
+    0 is never sent, because files use it for unknown pixels.
     """
     reach = float(np.abs(depth).max(initial=0.0))
     step = max(MM_PER_LEVEL, reach / LARGEST)
@@ -65,13 +65,13 @@ def depth_plane(depth: NDArray[np.float32], encoding: str, name: str = "depth") 
 
 
 def level_plane(name: str, values: NDArray[Any], encoding: str, *, step: float = 1 / 255) -> Plane:
-    """Values from 0 up (H, W) as uint8 in the given steps; larger ones are cut at 255 steps."""
+    """Values from 0 up (H, W) as uint8 in the given steps; values above 255 steps are clipped."""
     levels = np.rint(np.clip(values * np.float32(1 / step), 0, 255)).astype(np.uint8)
     return _numbers(name, levels, encoding, zero=0, step=step)
 
 
 def bits_plane(name: str, bits: NDArray[Any], encoding: str) -> Plane:
-    """Bit sets (H, W), uint8 or uint16; a lower resolution takes every second pixel as it is."""
+    """Bit sets (H, W), uint8 or uint16; at lower resolution every second pixel."""
     return _numbers(name, bits, encoding, zero=0, step=1)
 
 
@@ -80,7 +80,7 @@ def _numbers(name: str, levels: NDArray[Any], encoding: str, *, zero: int, step:
     if encoding == "raw":
         return _plane(name, f"u{8 * levels.itemsize}", levels, meaning)
     half = levels[::2, ::2]
-    # Differences along rows are small where a surface is smooth: they pack three times as well.
+    # Differences along rows are small on a smooth surface; they compress three times better.
     steps = np.diff(half, axis=1, prepend=half.dtype.type(0))
     data = zlib.compress(np.ascontiguousarray(steps).tobytes(), 1)
     return Plane(_facts(name, f"u{8 * levels.itemsize}", half.shape, packed=True) | meaning, data)
@@ -97,8 +97,8 @@ def _facts(name: str, kind: str, shape: tuple[int, ...], *, packed: bool = False
 def message(header: Mapping[str, Any], planes: Sequence[Plane]) -> bytes:
     """Bytes of a message.
 
-    The header gains `planes`: for each its name, kind ("u8", "u16", "rgb", "jpeg"), height and width, whether it is
-    packed ("deflate") and `offset` and `length` in bytes from the end of the header; for numbers also `zero` and
+    The header gains `planes`: for each its name, kind ("u8", "u16", "rgb", "jpeg"), height and width, whether it is packed
+    ("deflate"), and `offset` and `length` in bytes from the end of the header. Number planes also have `zero` and
     `step`, with value = (number - zero) * step.
     """
     listed, at = [], 0
@@ -114,12 +114,12 @@ def message(header: Mapping[str, Any], planes: Sequence[Plane]) -> bytes:
 
 
 def read_message(data: bytes) -> tuple[dict[str, Any], dict[str, bytes]]:
-    """The header and the bytes of each plane by name: what a client in Python reads.
+    """The header and the bytes of each plane by name, for a client in Python.
 
     Raises
     ------
     DataError
-        No such message, or a truncated one.
+        This is no such message, or it is truncated.
     """
     if data[:4] != MAGIC or len(data) < 8:
         raise DataError("Expected a message of gelform live, got other bytes.")

@@ -1,1 +1,1 @@
-"""USB cameras: which are plugged in, which one is meant, how they are set, and their frames."""
+"""USB cameras: list them, choose one, set its controls, and read its frames."""

@@ -1,4 +1,4 @@
-"""Cameras that are plugged in, and which of several is meant: by serial first, name second, path last."""
+"""Lists the connected cameras and chooses one by its serial number, else its name, else its path."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ NOTHING_THERE = (
 )
 CLASS, BY_PATH = "sys/class/video4linux", "dev/v4l/by-path"
 VIDEO4LINUX = 81  # major number of the kernel's video devices (Documentation/admin-guide/devices.txt)
-TRIED_NUMBERS = 4  # cameras that are opened to look, where the system has no list
+TRIED_NUMBERS = 4  # how many camera numbers are tried where the system has no list
 
 
 @dataclass(frozen=True)
 class Camera:
-    """A camera as the system knows it.
+    """A camera as the system lists it.
 
     Attributes
     ----------
-    name : as it calls itself
-    path : what opens it: /dev/video0, or its number where the system has no paths
-    serial : of the USB device; None where it has none
-    usb_id : vendor and product, such as "0c45:636d"; None where it is not on USB
-    by_path : the name that belongs to the socket it is plugged into; None where the system has none
-    kind : the row of `SENSORS` that it is; None for a camera of no known sensor
+    name : the name that the camera reports
+    path : opens the camera: /dev/video0, or its number on systems without paths
+    serial : serial number of the USB device; None if it has none
+    usb_id : vendor and product, such as "0c45:636d"; None if it is not on USB
+    by_path : path named after the USB socket; None if the system has none
+    kind : its row of `SENSORS`; None for a camera of no known sensor
     """
 
     name: str
@@ -46,24 +46,24 @@ class Camera:
     kind: str | None = None
 
     def described(self) -> str:
-        """For a list: name, serial, path."""
+        """Name, serial and path for a list."""
         serial = f"serial {self.serial}" if self.serial else "no serial"
         return f"{self.name} ({serial}, {self.path}{f', {self.by_path}' if self.by_path else ''})"
 
 
 def chosen_camera(spec: str, cameras: Sequence[Camera]) -> Camera:
-    """The camera that is meant.
+    """Choose one camera.
 
     Parameters
     ----------
-    spec : a serial, else a name (also a part of one, in capitals or not; or a row of `SENSORS`, such as "digit"), else a
-        path (also the one by its socket); empty: the only camera there is
-    cameras : those that are plugged in
+    spec : a serial number; else a name, a part of one in any case, or a row of `SENSORS` such as "digit"; else a path, also
+        the one by USB socket. Empty: the only camera
+    cameras : the connected cameras
 
     Raises
     ------
     SensorError
-        None or several answer to it; the message lists what is there.
+        No camera or several match; the message lists the connected ones.
     """
     if not cameras:
         raise SensorError(NOTHING_THERE if not spec else f"{_none_named(spec)} {NOTHING_THERE}")
@@ -82,12 +82,12 @@ def chosen_camera(spec: str, cameras: Sequence[Camera]) -> Camera:
 
 
 def listed_cameras(cameras: Sequence[Camera]) -> str:
-    """All of them in one sentence's end."""
+    """All cameras, as the end of a sentence."""
     return "; ".join(camera.described() for camera in cameras)
 
 
 def _none_named(spec: str) -> str:
-    """A name that is no camera's may have been meant as a file's."""
+    """A hint for a name that may be a file's."""
     return f"No camera {spec!r}, and no file or folder of that name."
 
 
@@ -101,11 +101,11 @@ def _only(matches: list[Camera], several: str, cameras: Sequence[Camera]) -> Cam
 
 
 def cameras_in_sysfs(root: Path = Path("/")) -> list[Camera]:
-    """The cameras of this machine, in the order of their numbers.
+    """The cameras of this machine, ordered by number.
 
     Parameters
     ----------
-    root : the folder that holds sys and dev
+    root : the folder that contains sys and dev
     """
     entries = [entry for entry in (root / CLASS).glob("video*") if _text(entry / "index") in ("0", None)]
     by_path = _links(root)
@@ -113,7 +113,7 @@ def cameras_in_sysfs(root: Path = Path("/")) -> list[Camera]:
 
 
 def _camera(entry: Path, by_path: dict[str, str]) -> Camera:
-    """A camera by its entry in sysfs and its USB device."""
+    """The camera of an entry in sysfs and its USB device."""
     usb = _usb_device(entry)
     vendor, product = (_text(usb / name) if usb else None for name in ("idVendor", "idProduct"))
     usb_id = f"{vendor}:{product}" if vendor and product else None
@@ -129,7 +129,7 @@ def _camera(entry: Path, by_path: dict[str, str]) -> Camera:
 
 
 def kind_of(usb_id: str | None) -> str | None:
-    """The known sensor of that USB id."""
+    """The known sensor with this USB id."""
     known = (name for name, row in SENSORS.items() if row.camera is not None and row.camera.usb_id == usb_id)
     return next(known, None)
 
@@ -141,7 +141,7 @@ def _usb_device(entry: Path) -> Path | None:
 
 
 def _links(root: Path) -> dict[str, str]:
-    """videoN -> its name by the socket that it is plugged into."""
+    """Map from videoN to its path by USB socket."""
     folder = root / BY_PATH
     links = sorted(folder.iterdir()) if folder.is_dir() else []
     return {link.resolve().name: f"/{BY_PATH}/{link.name}" for link in reversed(links)}
@@ -153,7 +153,7 @@ def _number(entry: Path) -> int:
 
 
 def _text(file: Path) -> str | None:
-    """A file's only line; None where it is not there, or went away with the device."""
+    """The only line of a file; None if the file is missing, or vanishes with its device."""
     try:
         return file.read_text(encoding="utf-8", errors="replace").strip()
     except OSError:
@@ -163,9 +163,8 @@ def _text(file: Path) -> str | None:
 def cameras_there(root: Path = Path("/")) -> list[Camera]:
     """The cameras of this machine.
 
-    Linux lists them with serial, name and path. On macOS and Windows OpenCV knows no more than that the n-th camera
-    opens: they are called "camera 0", "camera 1" ..., their path is the number, and to know them all are opened for a
-    moment.
+    Linux lists them with serial, name and path. On macOS and Windows OpenCV only knows whether camera number n opens. There
+    each number is opened for a moment; the cameras are named "camera 0", "camera 1" ..., and their path is the number.
     """
     if sys.platform.startswith("linux"):
         return cameras_in_sysfs(root)
@@ -181,7 +180,7 @@ def _opens(number: int) -> bool:
 
 
 def camera_named(spec: str, cameras: list[Camera] | None = None) -> Camera:
-    """The camera that a serial, a name or a path means (see `chosen_camera`); a device beside the list by its path."""
+    """The camera with this serial, name or path (see `chosen_camera`); a path may also lie outside the list."""
     there = cameras_there() if cameras is None else cameras
     path = Path(spec)
     if spec.startswith("/dev/") and path.exists():
@@ -194,7 +193,7 @@ def camera_named(spec: str, cameras: list[Camera] | None = None) -> Camera:
 
 
 def _is_video_device(path: Path) -> bool:
-    """Whether the kernel calls it one; where it cannot be asked, opening it will tell."""
+    """Whether the kernel lists the path as a video device. True where the kernel cannot be asked: opening will show it."""
     if not sys.platform.startswith("linux"):
         return True
     status = path.stat()

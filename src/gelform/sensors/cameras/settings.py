@@ -1,4 +1,4 @@
-"""How a camera is set: exposure, gain, white balance, LED level; set, read back, and compared with a calibration's."""
+"""Camera settings (exposure, gain, white balance, LED level): set, read back, compared with a calibration's."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from gelform.errors import SensorError
 from gelform.foundations.checks import check_number
 
 Settings = Mapping[str, float | str]
-# name: (OpenCV's property, the automatic control that has to be off for it)
+# name: (OpenCV's property, the automatic control that must be off)
 CONTROLS = {
     "exposure": (cv2.CAP_PROP_EXPOSURE, "auto_exposure"),
     "gain": (cv2.CAP_PROP_GAIN, None),
@@ -19,16 +19,16 @@ CONTROLS = {
 }
 AUTOMATIC = {"auto_exposure": cv2.CAP_PROP_AUTO_EXPOSURE, "auto_white_balance": cv2.CAP_PROP_AUTO_WB}
 OFF = {"auto_exposure": 1.0, "auto_white_balance": 0.0}  # 1: V4L2_EXPOSURE_MANUAL
-LED = cv2.CAP_PROP_ZOOM  # of a DIGIT: four bits each of red, green and blue
-LED_OF_LEVEL = 0x111  # one step of all three
+LED = cv2.CAP_PROP_ZOOM  # of a DIGIT: four bits each for red, green and blue
+LED_OF_LEVEL = 0x111  # one brightness step of all three colors
 MODE = ("width", "height", "fps", "fourcc")
 SETTABLE = (*MODE, *CONTROLS, "led_level")
 COMPARED = ("width", "height", "reduced", "fourcc", *CONTROLS, *AUTOMATIC, "led_level")
-UNKNOWN = -1.0  # what OpenCV gives for a control that a camera lacks
+UNKNOWN = -1.0  # OpenCV's value of a control that the camera lacks
 
 
 def check_settings(settings: Settings) -> dict[str, float | str]:
-    """Settings that can be asked for; ValueError for an unknown name or a value that is no number."""
+    """Check that settings can be applied; ValueError for an unknown name or a value that is no number."""
     unknown = [name for name in settings if name not in SETTABLE]
     if unknown:
         raise ValueError(
@@ -46,14 +46,14 @@ def set_controls(capture: cv2.VideoCapture, settings: Settings, led_levels: int,
     Parameters
     ----------
     capture : an open camera
-    settings : the wanted ones by name
-    led_levels : of the known camera; 0 where the LEDs cannot be set
-    name : of the camera, for messages
+    settings : values by name
+    led_levels : LED steps of the known camera; 0 if its LEDs cannot be set
+    name : the camera's name, for messages
 
     Raises
     ------
     SensorError
-        The camera lacks a control, or has another value afterwards.
+        The camera lacks a control, or reports another value after setting it.
     """
     for setting, (which, automatic) in CONTROLS.items():
         if setting in settings:
@@ -71,7 +71,7 @@ def set_controls(capture: cv2.VideoCapture, settings: Settings, led_levels: int,
 
 
 def controls_of(capture: cv2.VideoCapture, led_levels: int) -> dict[str, float]:
-    """The controls as they are now, of those that the camera has."""
+    """The current values of the controls that the camera has."""
     properties = {**{name: which for name, (which, _) in CONTROLS.items()}, **AUTOMATIC}
     found = {name: float(capture.get(which)) for name, which in properties.items()}
     if led_levels:
@@ -80,15 +80,15 @@ def controls_of(capture: cv2.VideoCapture, led_levels: int) -> dict[str, float]:
 
 
 def settings_mismatch(calibrated: Settings, used: Settings) -> dict[str, tuple[Any, Any]]:
-    """Settings of a camera that are not those of its calibration: name -> (calibrated, used).
+    """Settings in which a camera differs from its calibration: name -> (calibrated, used).
 
     Parameters
     ----------
-    calibrated : kept in the calibration, `calibration.settings.camera or {}`
-    used : of the source, `source.settings`
+    calibrated : from the calibration, `calibration.settings.camera or {}`
+    used : from the source, `source.settings`
 
-    Compares what decides the colours (size, reduction, picture format, exposure, gain, white balance, LED level), where
-    both are known: a video does not know its camera's exposure. Empty: nothing is known to be different.
+    Compares the settings that affect colors: size, reduction, picture format, exposure, gain, white balance and LED level. A
+    setting counts only if both sides know it: a video does not record its camera's exposure. Empty: no known difference.
     """
     return {
         name: (calibrated[name], used[name])
@@ -98,13 +98,13 @@ def settings_mismatch(calibrated: Settings, used: Settings) -> dict[str, tuple[A
 
 
 def calibrated_settings(calibrated: Settings) -> dict[str, float | str]:
-    """The settings for `open_source(settings=...)` that make a camera as it was in a calibration.
+    """Settings for `open_source(settings=...)` that restore the camera's state during calibration.
 
     Parameters
     ----------
-    calibrated : kept in the calibration, `calibration.settings.camera or {}`
+    calibrated : from the calibration, `calibration.settings.camera or {}`
 
-    Exposure and white balance are left out where they were automatic: to set them would switch that off.
+    Automatic exposure and white balance are left out, because setting a value would switch them off.
     """
     by_hand = {
         name: automatic is None or calibrated.get(automatic, OFF[automatic]) == OFF[automatic]

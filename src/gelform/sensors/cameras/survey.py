@@ -1,4 +1,4 @@
-"""What a camera offers by its driver (Video4Linux2), and how fast it really is: opened for a moment."""
+"""Modes that a camera's driver offers (Video4Linux2), and its measured frame rate."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from gelform.sensors.cameras.camera import Camera
 from gelform.sensors.cameras.usb import UsbCamera
 from gelform.sensors.grabber import Grabber
 
-CAPTURE, DISCRETE = 1, 1  # of linux/videodev2.h
-MAX_ENTRIES = 64  # of one list: a driver that never ends is not asked for ever
-# (request, size of the answer, where the index is written first)
+CAPTURE, DISCRETE = 1, 1  # from linux/videodev2.h
+MAX_ENTRIES = 64  # entries of one list; a faulty driver may never end it
+# (request, size of the answer in bytes, offset of the index)
 FORMATS, SIZES, INTERVALS = (0xC0405602, 64), (0xC02C564A, 44), (0xC034564B, 52)
 
 Ask = Callable[[int, bytearray], object]
-MEASURED_S, FIRST_S = 1.0, 3.0  # s: how long frames are counted, and how long the first one may take
+MEASURED_S, FIRST_S = 1.0, 3.0  # s: time in which frames are counted; longest wait for the first frame
 
 
 @dataclass(frozen=True)
 class Mode:
-    """A picture format (as four letters, such as MJPG), size (H, W) and rate that a camera offers."""
+    """A mode of a camera: picture format (four letters, such as MJPG), size (H, W) and rate."""
 
     fourcc: str
     shape: tuple[int, int]
@@ -35,7 +35,7 @@ class Mode:
 
 
 def modes_of(path: str) -> list[Mode]:
-    """The modes of a camera; none where the system or the driver does not say.
+    """The modes of a camera; empty if the system or the driver does not list them.
 
     Parameters
     ----------
@@ -54,14 +54,14 @@ def modes_of(path: str) -> list[Mode]:
 
 
 def modes_from_answers(ask: Ask) -> Iterator[Mode]:
-    """The modes by what `ask(request, buffer)` writes into its buffer; OSError ends each list."""
+    """Read the modes by `ask(request, buffer)`, which fills its buffer; OSError ends each list."""
     for answer in _answers(ask, FORMATS, struct.pack("<II", 0, CAPTURE)):
         (pixel_format,) = struct.unpack_from("<I", answer, 44)
         fourcc = struct.pack("<I", pixel_format).decode("latin-1").strip()
         for size in _answers(ask, SIZES, struct.pack("<II", 0, pixel_format)):
             kind, width, height = struct.unpack_from("<III", size, 8)
             if kind != DISCRETE:
-                continue  # any size in a range: those of sensors' cameras are listed one by one
+                continue  # a range of sizes; the cameras of known sensors list each size
             asked = struct.pack("<IIII", 0, pixel_format, width, height)
             for interval in _answers(ask, INTERVALS, asked):
                 kind, numerator, denominator = struct.unpack_from("<III", interval, 16)
@@ -70,7 +70,7 @@ def modes_from_answers(ask: Ask) -> Iterator[Mode]:
 
 
 def _answers(ask: Ask, request: tuple[int, int], start: bytes) -> Iterator[bytearray]:
-    """Each entry of a list, its index counted up in the first four bytes."""
+    """Each entry of a list; the first four bytes of the request count up."""
     number, size = request
     for index in range(MAX_ENTRIES):
         buffer = bytearray(size)
@@ -85,15 +85,15 @@ def _answers(ask: Ask, request: tuple[int, int], start: bytes) -> Iterator[bytea
 
 @dataclass(frozen=True)
 class Survey:
-    """A camera, looked at.
+    """The result of probing a camera.
 
     Attributes
     ----------
     camera : Camera
-    modes : that its driver lists
-    rate_hz : measured in the mode that gelform asks for; None where it was not measured
-    settings : read back in that mode
-    problem : why it could not be opened; empty where it could
+    modes : the modes that its driver lists
+    rate_hz : measured rate in the mode that gelform uses; None if not measured
+    settings : settings read back in that mode
+    problem : why the camera could not be opened; empty if it could
     """
 
     camera: Camera

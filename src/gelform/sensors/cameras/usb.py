@@ -1,4 +1,4 @@
-"""A USB camera through OpenCV, and why one cannot be opened. BGR is turned round here."""
+"""A USB camera through OpenCV, and the reason if it cannot be opened. Frames are converted from BGR to RGB here."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ from gelform.sensors.jpeg import MAX_TORN, image_from_jpeg, reduction_of
 from gelform.sensors.profiles import SENSORS, KnownCamera
 
 RULE_FILE = "/etc/udev/rules.d/60-gelform.rules"
-NAMED_PROGRAMS = 4  # in a message
+NAMED_PROGRAMS = 4  # programs that an error message names at most
 JPEG = "MJPG"
-SIZE = {  # OpenCV takes a size over when both sides are set
+SIZE = {  # OpenCV applies a size only when both sides are set
     "width": cv2.CAP_PROP_FRAME_WIDTH,
     "height": cv2.CAP_PROP_FRAME_HEIGHT,
     "fps": cv2.CAP_PROP_FPS,
 }
-LONGEST_AGE_S = 5.0  # of the driver's time stamp; older ones are of another clock
+LONGEST_AGE_S = 5.0  # s; an older time stamp of the driver belongs to another clock
 
 
 def udev_rule(usb_id: str | None) -> str:
-    """A line for udev that lets whoever sits at the machine, and the group video, use a camera."""
+    """A udev rule that lets the user at the machine and the group video use a camera."""
     vendor, _, product = (usb_id or "").partition(":")
     which = f'ATTRS{{idVendor}}=="{vendor}", ATTRS{{idProduct}}=="{product}", ' if product else ""
     return f'SUBSYSTEM=="video4linux", {which}MODE="0660", GROUP="video", TAG+="uaccess"'
@@ -44,8 +44,7 @@ def udev_rule(usb_id: str | None) -> str:
 def check_access(camera: Camera) -> None:
     """Open the camera's path for a moment.
 
-    SensorError: it is not there, not allowed (with the udev rule), or in use by another program (which is named where
-    it can be seen).
+    SensorError: the camera is missing, access is denied (with the udev rule), or another program uses it (named if known).
     """
     try:
         os.close(os.open(camera.path, os.O_RDWR | getattr(os, "O_NONBLOCK", 0)))
@@ -54,7 +53,7 @@ def check_access(camera: Camera) -> None:
 
 
 def in_use(camera: Camera) -> SensorError:
-    """The error for a camera that opens but gives no frames: somebody else has them."""
+    """The error for a camera that opens but gives no frames, because another program reads them."""
     holders = programs_that_hold(camera.path)
     holders = holders[:NAMED_PROGRAMS] + ["others"] * (len(holders) > NAMED_PROGRAMS)
     who = f"by {', '.join(holders)}" if holders else "by another program"
@@ -65,7 +64,7 @@ def in_use(camera: Camera) -> SensorError:
 
 
 def programs_that_hold(path: str) -> list[str]:
-    """Name and number of the programs that have a file open, as far as this user may see; without this one."""
+    """Names and process ids of other programs that have the file open, as far as this user may see."""
     target, found = os.path.realpath(path), []
     for process in sorted(Path("/proc").glob("[0-9]*")):
         if process.name == str(os.getpid()):
@@ -74,7 +73,7 @@ def programs_that_hold(path: str) -> list[str]:
             if any(os.readlink(link) == target for link in (process / "fd").iterdir()):
                 found.append(f"{(process / 'comm').read_text().strip()} (process {process.name})")
         except OSError:
-            continue  # another user's, or it ended
+            continue  # another user's process, or it has ended
     return found
 
 
@@ -92,26 +91,26 @@ def _reason(camera: Camera, problem: OSError) -> str:
     return f"cannot be opened: {problem.strerror}."
 
 
-# Read by OpenCV when a camera is opened: 10 s by default, during which a camera that stands still blocks its reader.
+# OpenCV reads this when it opens a camera. Its default of 10 s would block the reader of a camera that hangs.
 os.environ.setdefault("OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT", "1")
 
 
 class UsbCamera:
     """The frames of a USB camera.
 
-    A known sensor's camera is asked for its usual mode, any other keeps its own. Where the camera compresses large
-    frames as JPEG, they come undecoded and are decoded at reduced size (see `reduction_of`). `time_s` is the driver's time
-    stamp, where it has one on the monotonic clock.
+    A known sensor's camera runs in its usual mode, any other camera in its current mode. Large frames that the camera sends
+    as JPEG are decoded at reduced size (see `reduction_of`). `time_s` is the driver's time stamp if it is on the monotonic
+    clock.
 
     Parameters
     ----------
     camera : one of `cameras_there`
-    settings : width, height, fps, fourcc, exposure, gain, white_balance, led_level, those that are to be set
+    settings : the values to set: width, height, fps, fourcc, exposure, gain, white_balance, led_level
 
     Raises
     ------
     SensorError
-        It is not there, not allowed, in use, or does not take a setting.
+        The camera is missing, access is denied, it is in use, or it rejects a setting.
     """
 
     live = True
@@ -132,7 +131,7 @@ class UsbCamera:
             _set_mode(self._capture, wanted, known, camera.name)
             set_controls(self._capture, wanted, self._led_levels, camera.name)
             self.settings = self._read_back(known)
-            undone.pop_all()  # set as wanted: it stays open
+            undone.pop_all()  # everything is set; the camera stays open
         rate = self._capture.get(cv2.CAP_PROP_FPS)
         self.rate_hz: float | None = float(rate) if rate > 0 else None
 
@@ -146,7 +145,7 @@ class UsbCamera:
             if self._closed:
                 return
             if not grabbed:
-                raise SourceLostError(f"{self.name} gives no frame: it was unplugged, or stands still.")
+                raise SourceLostError(f"{self.name} gives no frame: it was unplugged, or hangs.")
             index += 1
             frame = self._frame(pixels, time_s, wall_time_ns, index)
             torn = torn + 1 if frame is None else 0
@@ -156,9 +155,9 @@ class UsbCamera:
                 yield frame
 
     def set_controls(self, settings: Mapping[str, float | str]) -> dict[str, float | str]:
-        """Set exposure, gain, white_balance or led_level between two frames; all settings as read back then.
+        """Set exposure, gain, white_balance or led_level between two frames; return all settings as read back.
 
-        SensorError: the camera lacks a control, has another value afterwards, or is closed.
+        SensorError: the camera lacks a control, reports another value after setting it, or is closed.
         """
         wanted = check_settings(settings)
         with self._lock:
@@ -171,7 +170,7 @@ class UsbCamera:
             return self.settings
 
     def close(self) -> None:
-        """Give the camera back, after the frame that is being read."""
+        """Release the camera after the frame that is being read."""
         self._closed = True
         with self._lock:
             self._capture.release()
@@ -185,7 +184,7 @@ class UsbCamera:
     def _frame(
         self, pixels: NDArray[Any] | None, time_s: float, wall_time_ns: int, index: int
     ) -> Frame | None:
-        """RGB, decoded where it is a JPEG; None where it is torn."""
+        """The RGB image, decoded if it is a JPEG; None if it is torn."""
         if pixels is None or pixels.size == 0:
             return None
         if not self._undecoded:
@@ -195,13 +194,13 @@ class UsbCamera:
         return None if image is None else Frame(image, time_s, wall_time_ns, index, content)
 
     def _captured_s(self) -> float:
-        """When the driver had the frame; now, where it does not say on our clock."""
+        """The driver's time stamp; the current time if that stamp is on another clock."""
         now = time.monotonic()
         stamp = float(self._capture.get(cv2.CAP_PROP_POS_MSEC)) / 1000
         return stamp if 0 <= now - stamp < LONGEST_AGE_S else now
 
     def _read_back(self, known: KnownCamera | None) -> dict[str, float | str]:
-        """The settings that the camera has now, after choosing how its pictures are decoded."""
+        """The camera's current settings, once the way of decoding is chosen."""
         capture = self._capture
         shape = int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT)), int(capture.get(cv2.CAP_PROP_FRAME_WIDTH))
         fourcc = fourcc_text(capture.get(cv2.CAP_PROP_FOURCC))
@@ -214,7 +213,7 @@ class UsbCamera:
 
 
 def fourcc_text(code: float) -> str:
-    """The four letters of a picture format; empty where there is none."""
+    """The four letters of a picture format; empty if there are none."""
     number = int(code) if code > 0 else 0
     return number.to_bytes(8, "little")[:4].decode("latin-1").rstrip("\0 ")
 
@@ -232,7 +231,7 @@ def _opened(camera: Camera) -> cv2.VideoCapture:
 def _set_mode(
     capture: cv2.VideoCapture, wanted: Mapping[str, float | str], known: KnownCamera | None, name: str
 ) -> None:
-    """Picture format, size and rate: the wanted ones, else the usual ones of a known camera."""
+    """Set picture format, size and rate: the given ones, else the usual ones of a known camera."""
     mode: dict[str, float | str] = {}
     if known is not None:
         (height, width), rate = known.modes[0]

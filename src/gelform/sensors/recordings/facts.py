@@ -1,4 +1,4 @@
-"""A recording's facts of its camera, and each frame's bytes."""
+"""Facts of a recording about its camera, and the encoded bytes of its frames."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ CALIBRATION, BACKGROUND = "calibration.npz", "background.png"
 ATTACHABLE = {
     CALIBRATION: "application/x-npz",
     BACKGROUND: "image/png",
-}  # what a recording may carry, with its type
+}  # facts that a recording may contain, with their types
 
 
 @dataclass(frozen=True)
 class RecordingFacts:
-    """Which camera was recorded, and how it was set.
+    """The recorded camera and its settings.
 
     Attributes
     ----------
     name, serial, settings, rate_hz : as of a `Source`
-    calibration_digest : of the calibration that was in use; empty where none was
-    library_version : of gelform
+    calibration_digest : digest of the calibration in use; empty without one
+    library_version : gelform's version
     """
 
     name: str
@@ -45,17 +45,17 @@ class RecordingFacts:
     library_version: str = ""
 
     def to_json(self) -> str:
-        """All of it as one JSON object."""
+        """All facts as one JSON object."""
         content = {**vars(self), "settings": dict(self.settings), "format_version": FORMAT_VERSION}
         return json.dumps(content)
 
     @classmethod
     def from_json(cls, text: str, where: str) -> RecordingFacts:
-        """The facts that `to_json` wrote; DataError where it is damaged or of a newer format."""
+        """The facts that `to_json` wrote; DataError if the text is damaged or of a newer format."""
         try:
             content: dict[str, Any] = json.loads(text)
             version = content.pop("format_version")
-            content.pop("finished", None)  # of the recording, not of its camera
+            content.pop("finished", None)  # describes the recording, not its camera
             if version > FORMAT_VERSION:
                 raise DataError(
                     f"{where} has format version {version}, written by gelform {content.get('library_version')}; this "
@@ -63,12 +63,12 @@ class RecordingFacts:
                 )
             return cls(**content)
         except (ValueError, TypeError, KeyError, AttributeError) as problem:
-            raise DataError(f"{where} is damaged: what it says of its camera cannot be read.") from problem
+            raise DataError(f"{where} is damaged: its facts about the camera cannot be read.") from problem
 
 
 @dataclass(frozen=True)
 class RecordingSummary:
-    """A recording: facts of its camera, frames, seconds from the first to the last, whether it was finished."""
+    """Summary of a recording: camera, number of frames, seconds from first to last, whether it was finished."""
 
     facts: RecordingFacts
     frames: int
@@ -88,7 +88,7 @@ def playback_of(facts: RecordingFacts, frames: Callable[[], Iterator[Frame]], pa
 
 
 def unwritable(path: Path, problem: OSError) -> DataError:
-    """The error for a recording that cannot go on."""
+    """The error for a recording that cannot be continued."""
     return DataError(
         f"Cannot write {path} any further: {problem.strerror}. What was written before can be read."
     )
@@ -102,7 +102,7 @@ def encoded_from_frame(frame: Frame) -> tuple[str, bytes]:
 
 
 def image_from_encoded(content: bytes, reduction: int, where: str) -> NDArray[np.uint8]:
-    """The pixels (H, W, 3) uint8 RGB of what `encoded_from_frame` gave; JPEGs reduced as the camera's frames were.
+    """The pixels (H, W, 3) uint8 RGB of the result of `encoded_from_frame`; JPEGs are reduced as the camera's frames were.
 
     DataError: the bytes are damaged.
     """
@@ -117,5 +117,5 @@ def image_from_encoded(content: bytes, reduction: int, where: str) -> NDArray[np
 
 
 def reduction_in(settings: Mapping[str, float | str]) -> int:
-    """By how much the camera's JPEGs were reduced while they were decoded."""
+    """The reduction of the camera's JPEGs during decoding."""
     return int(float(settings.get("reduced", 1)))

@@ -1,4 +1,4 @@
-"""Frames into a folder of images with their times, and back: a recording without any extra."""
+"""A recording as a folder of images with their times, written and read; needs no extra."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ SUFFIX = {"png": ".png", "jpeg": ".jpg"}
 
 
 class FolderRecording:
-    """A folder that is being written: an image per frame, `frames.csv` with their times, `recording.json`.
+    """A folder that is being written: one image per frame, `frames.csv` with the times, `recording.json`.
 
-    Each line of `frames.csv` is written after its image and given to the system at once: a recorder that is killed
-    loses the frame it was at.
+    Each line of `frames.csv` is written after its image and handed to the system at once. A recorder that is killed loses
+    only the current frame.
 
     Parameters
     ----------
     path : a new or empty folder
     facts : of the camera
-    attached : files that it carries, by name: `attachments_of`
+    attached : attached files by name: `attachments_of`
 
     Raises
     ------
     DataError
-        The folder holds something already or cannot be written.
+        The folder is not empty or cannot be written.
     """
 
     def __init__(
@@ -67,7 +67,7 @@ class FolderRecording:
         self._first_s: float | None = None
 
     def write(self, frame: Frame) -> int:
-        """Add a frame; the bytes that it takes."""
+        """Add a frame; return its size in bytes."""
         self._first_s = frame.time_s if self._first_s is None else self._first_s
         picture_format, content = encoded_from_frame(frame)
         name = f"{frame.index:08d}{SUFFIX[picture_format]}"
@@ -81,10 +81,10 @@ class FolderRecording:
         return len(content)
 
     def flush_if_due(self) -> None:
-        """Nothing is held back."""
+        """Nothing to do: every frame is written at once."""
 
     def close(self) -> None:
-        """Close the table, and note that the recording is finished."""
+        """Close the table and mark the recording as finished."""
         if self._times.closed:
             return
         try:
@@ -94,7 +94,7 @@ class FolderRecording:
             raise unwritable(self.path, problem) from problem
 
     def _write_facts(self, *, finished: bool) -> None:
-        """Replace recording.json as a whole: a recorder that is killed leaves one that can be read."""
+        """Replace recording.json in one step, so that it stays readable if the recorder is killed."""
         fresh = self.path / f".{FACTS}"
         fresh.write_text(json.dumps({**self._facts, "finished": finished}), encoding="utf-8")
         os.replace(fresh, self.path / FACTS)
@@ -106,7 +106,7 @@ def is_recorded_folder(path: Path) -> bool:
 
 
 def recorded_folder_playback(path: Path, *, paced: bool = False) -> Playback:
-    """The frames of a recorded folder, their `time_s` counted from the first.
+    """The frames of a recorded folder, with `time_s` counted from the first.
 
     DataError: its tables are damaged; in a loop: an image is missing or damaged.
     """
@@ -116,24 +116,24 @@ def recorded_folder_playback(path: Path, *, paced: bool = False) -> Playback:
 
 
 def facts_of_folder(path: Path) -> RecordingFacts:
-    """What a recorded folder says of the camera; DataError where it is damaged."""
+    """The facts of a recorded folder about its camera; DataError if they are damaged."""
     return RecordingFacts.from_json((path / FACTS).read_text(encoding="utf-8"), str(path / FACTS))
 
 
 def folder_summary(path: Path) -> RecordingSummary:
-    """Count a recorded folder's frames, without reading them; finished where the recorder said so at its end."""
+    """Count the frames of a recorded folder without reading them; the recorder marked at its end that it was finished."""
     text = (path / FACTS).read_text(encoding="utf-8")
     facts = RecordingFacts.from_json(text, str(path / FACTS))
     lines = _lines(path)
     whole = [_row(path, line) for line in lines if line.endswith("\n")]
     duration_s = whole[-1][0] - whole[0][0] if whole else 0.0
-    # Folders of older recorders do not say: theirs is finished where the last line is.
+    # Older recorders did not mark the end: their folders are finished if the last line is complete.
     finished = bool(json.loads(text).get("finished", True)) and len(whole) == len(lines)
     return RecordingSummary(facts, len(whole), duration_s, finished)
 
 
 def _lines(path: Path) -> list[str]:
-    """The lines of the table below its header; the last one lacks its end where the recorder was killed."""
+    """The lines of the table below its header; the last one lacks its line end if the recorder was killed."""
     lines = (path / TIMES).read_text(encoding="ascii", errors="replace").splitlines(keepends=True)
     if not lines or lines[0].strip() != COLUMNS:
         raise DataError(f"Expected the columns {COLUMNS} in {path / TIMES}, got {lines[:1]}.")
@@ -141,7 +141,7 @@ def _lines(path: Path) -> list[str]:
 
 
 def _row(path: Path, line: str) -> tuple[float, int, int, str]:
-    """(time_s, wall_time_ns, index, name of the image) of a line."""
+    """(time_s, wall_time_ns, index, image name) of a line."""
     try:
         index, time_s, wall_time_ns, name = line.strip().split(",")
         return float(time_s), int(wall_time_ns), int(index), Path(name).name
@@ -150,15 +150,15 @@ def _row(path: Path, line: str) -> tuple[float, int, int, str]:
 
 
 def rows_of(path: Path) -> Iterator[tuple[float, int, int, str]]:
-    """(time_s, wall_time_ns, index, name of the image) of each frame; a line without its end is left out."""
+    """(time_s, wall_time_ns, index, image name) of each frame; a line without its line end is skipped."""
     for line in _lines(path):
         if not line.endswith("\n"):
-            return  # the recorder was killed while it wrote
+            return  # the recorder was killed while writing this line
         yield _row(path, line)
 
 
 def frame_of_row(path: Path, row: tuple[float, int, int, str], reduction: int) -> Frame:
-    """The frame of a row; DataError where its image is missing or damaged."""
+    """The frame of a row; DataError if its image is missing or damaged."""
     time_s, wall_time_ns, index, name = row
     file = path / name
     try:

@@ -1,4 +1,4 @@
-"""A recording whose frames are at hand by their number, in any order: folders, videos, MCAP files."""
+"""A recording with random access by frame number: folders, videos, MCAP files."""
 
 from __future__ import annotations
 
@@ -26,20 +26,20 @@ from gelform.sensors.recordings.mcap_reader import (
 )
 from gelform.sensors.video_files import USUAL_RATE_HZ, Video, grabbed_image, is_video
 
-MAGIC_BYTES = 8  # at the start of an MCAP file
-KEPT_CHUNKS = 2  # those that were last looked at
+MAGIC_BYTES = 8  # length of the magic at the start of an MCAP file
+KEPT_CHUNKS = 2  # most recently used chunks that stay in memory
 
 
 @dataclass(frozen=True)
 class Indexed:
-    """A recording.
+    """A recording with random access.
 
     Attributes
     ----------
-    path : of the file or folder
+    path : file or folder
     facts : of the camera
-    times_s : of each frame, counted from the first, growing
-    frame : number from 0 -> Frame; DataError where it is damaged
+    times_s : time of each frame, counted from the first, increasing
+    frame : number from 0 -> Frame; DataError if it is damaged
     """
 
     path: Path
@@ -52,15 +52,15 @@ class Indexed:
 
 
 def is_recording(spec: str) -> bool:
-    """Whether what was asked for is a file or a folder of frames; a device is none."""
+    """Whether a spec is a file or a folder of frames, not a device."""
     path = Path(spec)
     return path.exists() and not spec.startswith("/dev/")
 
 
 def indexed(path: Path) -> Indexed:
-    """Look through a recording once.
+    """Scan a recording once.
 
-    DataError: it is missing, damaged, empty, or nothing that frames can be read from.
+    DataError: the recording is missing, damaged, empty, or of an unknown kind.
     """
     if path.suffix.lower() == ".mcap" or is_bag_folder(path):
         index = McapIndex(mcap_file_in(path) if path.is_dir() else path)
@@ -103,8 +103,8 @@ def _of_video(path: Path) -> Indexed:
 class _Reel:
     """Frames of a video in any order.
 
-    Videos hold most frames as changes against others. OpenCV seeks by time, which some files answer inexactly: where the
-    frame that comes has another time than the wanted one had in the first pass, the video is read from its start.
+    Most frames of a video are stored as changes against others. OpenCV seeks by time, which is inexact in some files. If the
+    frame after a seek has another time than in the first pass, the video is read again from its start.
     """
 
     def __init__(self, path: Path, rate_hz: float) -> None:
@@ -146,7 +146,7 @@ class _Reel:
 
 
 class MessagePlace(NamedTuple):
-    """A message: its time, where its record (a chunk, or itself) begins in the file, and which message of it that is."""
+    """Place of a message: its time, the file offset of its record (a chunk, or itself), its number within the record."""
 
     log_time: int
     offset: int
@@ -157,8 +157,8 @@ class MessagePlace(NamedTuple):
 class McapIndex:
     """The frames of an MCAP file by number.
 
-    Reads the file once; what it keeps is 32 bytes a frame and the two chunks that were last looked at. A file whose recorder
-    was killed has the frames up to its last whole chunk.
+    The file is scanned once; 32 bytes per frame and the two last used chunks stay in memory. If the recorder was killed, the
+    frames up to the last complete chunk are available.
 
     Parameters
     ----------
@@ -167,12 +167,12 @@ class McapIndex:
     Attributes
     ----------
     facts : RecordingFacts
-    times_s : of each frame, from the first
+    times_s : time of each frame, counted from the first
 
     Raises
     ------
     DataError
-        It is missing, no MCAP file or damaged, holds no topic of pictures that can be read, or the extra `mcap` is missing.
+        The file is missing, no MCAP file or damaged, has no readable topic of pictures, or the extra `mcap` is missing.
     """
 
     def __init__(self, path: Path) -> None:
@@ -185,7 +185,7 @@ class McapIndex:
         self._chunks: OrderedDict[int, list[Any]] = OrderedDict()
 
     def frame(self, number: int) -> Frame:
-        """A frame; DataError where it is damaged or the file has changed."""
+        """A frame; DataError if it is damaged or the file has changed."""
         place = self._places[number]
         messages = self._messages_at(place.offset)
         if place.nth >= len(messages) or messages[place.nth].log_time != place.log_time:
@@ -201,7 +201,7 @@ class McapIndex:
         )
 
     def _placed(self) -> Iterator[MessagePlace]:
-        """Every message of the topic, in the order of the file."""
+        """Every message of the topic, in file order."""
         for offset, inside in _records(self._path, 0):
             for nth, message in enumerate(self._wanted(inside)):
                 yield MessagePlace(message.log_time, offset, nth, message.sequence)
@@ -215,7 +215,7 @@ class McapIndex:
         return self._chunks[offset]
 
     def _wanted(self, inside: list[Any]) -> Iterator[Any]:
-        """The messages of the topic among records; learns the numbers of its channels."""
+        """The topic's messages among records; also notes the numbers of its channels."""
         for one in inside:
             kind = type(one).__name__
             if kind == "Channel" and one.topic == self._topic.name:
@@ -225,7 +225,10 @@ class McapIndex:
 
 
 def _records(path: Path, offset: int) -> Iterator[tuple[int, list[Any]]]:
-    """(where it begins, what is inside: itself, or a chunk's records) from an offset on: 0, or one given before."""
+    """(offset, contents) of each record from an offset on; the contents are the record itself or those of a chunk.
+
+    The first offset is 0, or one that this function returned before.
+    """
     from mcap.stream_reader import StreamReader, breakup_chunk
 
     with path.open("rb") as file, faults_named(path):

@@ -1,4 +1,4 @@
-"""Frames from an MCAP file: a recording of gelform's, another one of pictures, a bag of ROS 2; finished or not."""
+"""Frames from an MCAP file: gelform's recording, another recording of pictures, or a ROS 2 bag; finished or not."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ from gelform.sensors.recordings.messages import (
 )
 
 METADATA_FILE, METADATA_KEY = "metadata.yaml", "rosbag2_bagfile_information"
-MAX_KEY_AT = 4096  # characters of metadata.yaml
-MAX_RECORD_BYTES = 256 * 2**20  # more is damage, and would take all memory
-SAMPLED_RECORDS = 200  # looked at, for what kind of pictures a file holds
-DEPTH_SUFFIX = "/compressedDepth"  # of image_transport: the message is that of a picture, its content is none
+MAX_KEY_AT = 4096  # characters of metadata.yaml in which the key is searched
+MAX_RECORD_BYTES = 256 * 2**20  # bytes; a larger record is damaged and would fill the memory
+SAMPLED_RECORDS = 200  # records that are read to find which pictures a file contains
+DEPTH_SUFFIX = "/compressedDepth"  # of image_transport: the message type is a picture's, the content is not a plain picture
 
 
 def is_bag_folder(path: Path) -> bool:
-    """Whether a folder is one of rosbag2: by its metadata.yaml."""
+    """Whether a folder is a rosbag2 folder, by its metadata.yaml."""
     file = path / METADATA_FILE
     if not file.is_file():
         return False
@@ -47,7 +47,7 @@ def is_bag_folder(path: Path) -> bool:
 
 
 def mcap_file_in(path: Path) -> Path:
-    """The one MCAP file of a rosbag2 folder.
+    """The only MCAP file of a rosbag2 folder.
 
     DataError: its files are of sqlite3, compressed as a whole, several or missing; the message says what to do.
     """
@@ -76,7 +76,7 @@ def mcap_file_in(path: Path) -> Path:
 
 @dataclass(frozen=True)
 class Channel:
-    """A topic with the name of its messages' type, and how they are encoded."""
+    """A topic with the name of its message type and the encoding of its messages."""
 
     topic: str
     schema: str
@@ -85,16 +85,16 @@ class Channel:
 
 @dataclass(frozen=True)
 class Placed:
-    """A message with the topic that it belongs to."""
+    """A message with its topic."""
 
     topic: str
     message: Any
 
 
 def mcap_records(path: Path) -> Iterator[Any]:
-    """Channels, messages with their topic, and all other records as the library has them.
+    """Channels, messages with their topic, and all other records as the library returns them.
 
-    DataError: the file is missing, none of MCAP or damaged, or the extra `mcap` is not installed.
+    DataError: the file is missing, no MCAP file or damaged, or the extra `mcap` is not installed.
     """
     try:
         from mcap.stream_reader import StreamReader
@@ -122,19 +122,19 @@ def mcap_records(path: Path) -> Iterator[Any]:
 
 @contextmanager
 def faults_named(path: Path) -> Iterator[None]:
-    """Of a block that reads records: DataError for damage, the end for a file whose recorder was killed."""
+    """Context for reading records: damage raises DataError; a file whose recorder was killed just ends."""
     from mcap.exceptions import EndOfFile, McapError
 
     try:
         yield
     except EndOfFile:
-        return  # not finished: the recorder was killed
+        return  # unfinished: the recorder was killed
     except (ValueError, KeyError, struct.error, MemoryError, McapError) as problem:
         raise DataError(f"{path} is no MCAP file, or a damaged one: {problem}") from problem
 
 
 class _WholeReads:
-    """A file that has ended where it holds fewer bytes than wanted: the library asks for records as they say they are."""
+    """A file that ends where fewer bytes are left than requested; the library trusts the length that a record states."""
 
     def __init__(self, file: BinaryIO) -> None:
         self._file = file
@@ -146,7 +146,7 @@ class _WholeReads:
 
 @dataclass(frozen=True)
 class PictureTopic:
-    """A topic of pictures: compressed or raw, and whether its messages count frames (in gelform's own recordings)."""
+    """A topic of pictures: compressed or raw, and whether its messages number the frames (gelform's recordings do)."""
 
     name: str
     raw: bool = False
@@ -155,11 +155,11 @@ class PictureTopic:
 
 @dataclass
 class _Found:
-    """Facts, topics and encodings that the first records name."""
+    """Facts, topics and encodings that the first records state."""
 
     facts: RecordingFacts | None = None
     compressed: list[str] = field(default_factory=list)
-    encodings: dict[str, str] = field(default_factory=dict)  # of raw pictures; "" until a message was seen
+    encodings: dict[str, str] = field(default_factory=dict)  # of raw pictures; "" until the first message
     others: list[str] = field(default_factory=list)
 
     @property
@@ -172,9 +172,9 @@ class _Found:
 
 
 def picture_topic_of(path: Path) -> tuple[RecordingFacts, PictureTopic]:
-    """The facts and the topic of the pictures, from the first records: one of gelform's own, else the only one.
+    """The facts and the topic of pictures, from the first records: gelform's own topic, else the only one.
 
-    DataError: there is none that can be read, or several; the message names them and says what to do.
+    DataError: there is no readable topic, or several; the message names them and says what to do.
     """
     found = _Found()
     for count, record in enumerate(mcap_records(path)):
@@ -208,7 +208,7 @@ def _add(found: _Found, record: Any, path: Path) -> None:
 
 
 def _refusal(path: Path, found: _Found, topics: list[str]) -> str:
-    """Why there is no topic to read, and what to do."""
+    """Why there is no readable topic, and what to do."""
     if found.facts is not None and not topics:
         return f"{path} holds no frame yet: its recorder ended, or was killed, before the first."
     if topics:
@@ -231,20 +231,20 @@ def _refusal(path: Path, found: _Found, topics: list[str]) -> str:
 
 
 def mcap_playback(path: Path, *, paced: bool = False) -> Playback:
-    """The frames of an MCAP file, their `time_s` counted from the first.
+    """The frames of an MCAP file, with `time_s` counted from the first.
 
-    A file whose recorder was killed is read up to its last whole chunk. Frames of other tools' files are counted as they
-    come: their messages have no numbers that can be relied on.
+    If the recorder was killed, the file is read up to its last complete chunk. Frames of other tools' files are numbered in
+    their order, because the numbers in their messages are unreliable.
 
-    DataError: it is missing, no MCAP file, holds no topic of pictures that can be read (or several, none of
-    gelform's), or the extra `mcap` is not installed; in a loop: its bytes are damaged.
+    DataError: the file is missing, no MCAP file, has no readable topic of pictures (or several, none of them gelform's), or
+    the extra `mcap` is not installed; in a loop: its bytes are damaged.
     """
     facts, topic = picture_topic_of(path)
     return playback_of(facts, lambda: _frames(path, topic, facts), paced)
 
 
 def mcap_summary(path: Path) -> RecordingSummary:
-    """Read a whole recording, but decode none of its pictures."""
+    """Read a whole recording without decoding its pictures."""
     facts, topic = picture_topic_of(path)
     stamps, finished = [], False
     for record in mcap_records(path):
@@ -273,7 +273,7 @@ def _frames(path: Path, topic: PictureTopic, facts: RecordingFacts) -> Iterator[
 def frame_from_message(
     data: bytes, topic: PictureTopic, reduction: int, time_s: float, index: int, where: str
 ) -> Frame:
-    """The frame of a message of a topic of pictures; DataError, naming `where`, where it is damaged."""
+    """The frame of a message with a picture; DataError, naming `where`, if it is damaged."""
     try:
         if topic.raw:
             raw = raw_image_from_message(data)

@@ -1,4 +1,4 @@
-"""Frames into an MCAP file that is readable whenever the recorder stops, even if it is killed."""
+"""Frames into an MCAP file that stays readable whenever the recorder stops, even if it is killed."""
 
 from __future__ import annotations
 
@@ -18,27 +18,27 @@ from gelform.sensors.recordings.messages import (
 )
 
 TOPIC, METADATA = "/gelform/image/compressed", "gelform"
-FLUSH_S = 0.5  # what a recorder that is killed loses
-CHUNK_BYTES = 16 * 2**20  # at most, between two flushes
+FLUSH_S = 0.5  # s of frames that a killed recorder loses
+CHUNK_BYTES = 16 * 2**20  # bytes at most between two flushes
 
 
 class McapRecording:
     """An MCAP file that is being written.
 
-    Frames are gathered in chunks of half a second, each with its checksum and its index, and given to the system at once:
-    a recorder that is killed loses the last half second. Messages are stamped with a time that starts as UTC and
-    goes on with the monotonic clock of `Frame.time_s`, so that a clock that is set meanwhile moves nothing.
+    Frames are gathered in chunks of half a second, each with its checksum and index, and handed to the system at once. A
+    recorder that is killed loses the last half second. Time stamps start as UTC and advance with the monotonic clock of
+    `Frame.time_s`, so that a change of the system clock does not shift them.
 
     Parameters
     ----------
     path : a new file
     facts : of the camera
-    attached : files that it carries, by name: `attachments_of`
+    attached : attached files by name: `attachments_of`
 
     Raises
     ------
     DataError
-        The file is there already or cannot be written, or the extra `mcap` is not installed.
+        The file exists or cannot be written, or the extra `mcap` is not installed.
     """
 
     def __init__(
@@ -58,7 +58,7 @@ class McapRecording:
             raise DataError(f"{path} is there already. Give another name, or remove it.") from None
         except OSError as problem:
             raise DataError(f"Cannot write {path}: {problem.strerror}.") from problem
-        uncompressed = CompressionType.NONE  # pictures are compressed already
+        uncompressed = CompressionType.NONE  # pictures are already compressed
         self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=uncompressed)
         self._writer.start(profile="ros2", library=f"gelform {facts.library_version}")
         self._writer.add_metadata(METADATA, {"facts": facts.to_json()})
@@ -67,14 +67,14 @@ class McapRecording:
             self._writer.add_attachment(now_ns, now_ns, name, ATTACHABLE[name], content)
         schema = self._writer.register_schema(SCHEMA_NAME, SCHEMA_ENCODING, SCHEMA.encode())
         self._channel = self._writer.register_channel(TOPIC, MESSAGE_ENCODING, schema)
-        # The library ends a chunk by its size alone; what it calls then is private to it (a test holds it to that).
+        # The library ends a chunk only by its size; the method that ends one is private (a test guards this use).
         self._end_chunk = self._writer._Writer__finalize_chunk
         self._epoch_ns: int | None = None
         self._flushed_s = time.monotonic()
         self._flush()
 
     def write(self, frame: Frame) -> int:
-        """Add a frame; the bytes that it takes."""
+        """Add a frame; return its size in bytes."""
         picture_format, content = encoded_from_frame(frame)
         time_ns = round(frame.time_s * 1e9)
         if self._epoch_ns is None:
@@ -89,7 +89,7 @@ class McapRecording:
         return len(content)
 
     def flush_if_due(self) -> None:
-        """Give what was gathered to the system, where half a second has gone."""
+        """Write the gathered frames to the file if half a second has passed."""
         if time.monotonic() - self._flushed_s >= FLUSH_S:
             self._flush()
 

@@ -1,7 +1,7 @@
-"""Pictures as messages of robots' tools: sensor_msgs/CompressedImage and Image of ROS 2, in its encoding CDR.
+"""Pictures as ROS 2 messages: sensor_msgs/CompressedImage and Image, encoded as CDR.
 
-CDR (OMG, DDS-XTypes 1.3, 7.4.1): numbers aligned to their size after a header of 4 bytes, here little-endian; texts and
-arrays preceded by their length, texts with a zero at their end.
+CDR (OMG, DDS-XTypes 1.3, 7.4.1) starts with a header of 4 bytes. Numbers are aligned to their size and little-endian
+here. Texts and arrays start with their length; texts end with a zero byte.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ _ZSTD = b"\x28\xb5\x2f\xfd"
 
 
 def message_from_picture(content: bytes, picture_format: str, wall_time_ns: int, frame_id: str) -> bytes:
-    """A message that holds a picture.
+    """A message with a picture.
 
     Parameters
     ----------
     content : the bytes of a PNG or a JPEG
     picture_format : "png" or "jpeg"
-    wall_time_ns : when it was taken, UTC
-    frame_id : which camera
+    wall_time_ns : capture time, UTC
+    frame_id : name of the camera
     """
     seconds, nanoseconds = divmod(wall_time_ns, 10**9)
     body = bytearray(struct.pack("<iI", seconds, nanoseconds))
@@ -48,7 +48,7 @@ def message_from_picture(content: bytes, picture_format: str, wall_time_ns: int,
 
 
 def picture_from_message(message: bytes) -> tuple[bytes, int]:
-    """The picture's bytes, and when it was taken (UTC, ns); ValueError where the message is no such."""
+    """The picture's bytes and its time (UTC, ns); ValueError if the message is not of this type."""
     reader = _Fields(message)
     wall_time_ns = reader.time_ns()
     for _ in ("frame_id", "format"):
@@ -57,7 +57,7 @@ def picture_from_message(message: bytes) -> tuple[bytes, int]:
 
 
 class RawImage(NamedTuple):
-    """A sensor_msgs/Image whose pixels are not looked at yet."""
+    """A sensor_msgs/Image whose pixels are not decoded yet."""
 
     wall_time_ns: int
     shape: tuple[int, int]
@@ -67,18 +67,18 @@ class RawImage(NamedTuple):
 
 
 def raw_image_from_message(message: bytes) -> RawImage:
-    """The fields of an uncompressed picture's message; ValueError where it is none."""
+    """The fields of a message with an uncompressed picture; ValueError if it is of another type."""
     reader = _Fields(message)
     wall_time_ns = reader.time_ns()
     reader.content()  # frame_id
     shape = (reader.number(), reader.number())
     encoding = reader.content().rstrip(b"\0").decode(errors="replace")
-    reader.at += 1  # is_bigendian: of no meaning for bytes
+    reader.at += 1  # is_bigendian: irrelevant for bytes
     return RawImage(wall_time_ns, shape, encoding, reader.number(), reader.content())
 
 
 def pixels_from_raw(image: RawImage) -> NDArray[np.uint8]:
-    """The pixels (H, W, 3) uint8, RGB; ValueError where the encoding is none of COLOR_ENCODINGS or the sizes disagree."""
+    """The pixels (H, W, 3) uint8, RGB; ValueError for an encoding outside COLOR_ENCODINGS or inconsistent sizes."""
     if image.encoding not in COLOR_ENCODINGS:
         raise ValueError(f"Expected pictures in {' or '.join(COLOR_ENCODINGS)}, got {image.encoding}.")
     height, width = image.shape
@@ -92,7 +92,7 @@ def pixels_from_raw(image: RawImage) -> NDArray[np.uint8]:
 
 
 class _Fields:
-    """The fields of a message, one after the other; ValueError where it ends too early."""
+    """The fields of a message in order; ValueError if the message ends too early."""
 
     def __init__(self, message: bytes) -> None:
         if message[:4] == _ZSTD:
@@ -118,7 +118,7 @@ class _Fields:
         return int(self._unpacked("<I")[0])
 
     def content(self) -> bytes:
-        """A text with its zero, or an array."""
+        """A text with its zero byte, or an array."""
         length = self.number()
         start = len(_HEADER) + self.at
         content = self._message[start : start + length]

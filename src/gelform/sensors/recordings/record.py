@@ -1,4 +1,4 @@
-"""Record what a grabber reads, every frame it holds in their order, with calibration and background beside them."""
+"""Record every frame that a grabber holds, in order, with calibration and background."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ from gelform.sensors.recordings.mcap_writer import McapRecording
 from gelform.sensors.video_files import is_video
 
 MAX_ATTACHMENT_BYTES = 64 * 2**20
-KEPT_FRAMES = 32  # of a grabber for `record_frames`: half a second in which the disk may stand still
-WAIT_S = 0.25  # for a frame, before it is asked whether to go on
+KEPT_FRAMES = 32  # held by the grabber for `record_frames`: bridges half a second in which the disk stalls
+WAIT_S = 0.25  # s, wait for a frame before `going_on` is asked again
 
 
 def attachments_of(
@@ -43,8 +43,8 @@ def attachments_of(
 
     Parameters
     ----------
-    calibration : in use, or None
-    background : (H, W, 3) RGB in whole grey levels that was taken after the calibration, or None
+    calibration : the one in use, or None
+    background : (H, W, 3) RGB in whole gray levels, taken after the calibration, or None
     """
     attached = {}
     if calibration is not None:
@@ -59,7 +59,7 @@ def attachments_of(
 def attached_to(path: Path) -> dict[str, bytes]:
     """The attachments of a recording (MCAP file or recorded folder); of an MCAP file those before its first frame.
 
-    Videos and plain folders of images carry none.
+    Videos and plain folders of images have none.
 
     DataError: the file cannot be read, or an attachment is larger than 64 MB.
     """
@@ -78,7 +78,7 @@ def attached_to(path: Path) -> dict[str, bytes]:
 
 
 def attached_calibration(path: str | Path) -> Calibration | None:
-    """The calibration that a recording carries; None where it carries none.
+    """The calibration attached to a recording; None if there is none.
 
     Raises
     ------
@@ -97,7 +97,7 @@ def attached_calibration(path: str | Path) -> Calibration | None:
 
 
 def attached_background(path: str | Path) -> NDArray[np.float32] | None:
-    """The background (H, W, 3), RGB, that a recording carries; None where it carries none."""
+    """The background (H, W, 3), RGB, attached to a recording; None if there is none."""
     content = attached_to(Path(path)).get(BACKGROUND)
     if content is None:
         return None
@@ -115,23 +115,23 @@ def _in_mcap(path: Path) -> dict[str, bytes]:
 
 
 class Recording(Protocol):
-    """A file or folder that takes frames."""
+    """A file or folder that frames are written to."""
 
     path: Path
 
     def write(self, frame: Frame) -> int:
-        """Add a frame; the bytes that it takes."""
+        """Add a frame; return its size in bytes."""
 
     def flush_if_due(self) -> None:
-        """Give what was gathered to the system, where it is time."""
+        """Write gathered frames to the file, when it is time."""
 
     def close(self) -> None:
-        """Finish it."""
+        """Finish the recording."""
 
 
 @dataclass(frozen=True)
 class RecordStats:
-    """Figures of a recording: frames written and missing between them, bytes, seconds from first to last."""
+    """Figures of a recording: frames written, frames missing between them, bytes, seconds from first to last."""
 
     frames: int
     missing: int
@@ -146,19 +146,19 @@ def new_recording(
     calibration_digest: str = "",
     attached: Mapping[str, bytes] | None = None,
 ) -> Recording:
-    """A recording of what a grabber reads: an MCAP file where the name ends so, else a folder of images.
+    """A new recording for a grabber: an MCAP file if the name ends so, else a folder of images.
 
     Parameters
     ----------
     path : a new file (*.mcap) or folder
-    grabber : entered
-    calibration_digest : of the calibration in use
-    attached : files that it carries, by name: `attachments_of`
+    grabber : already entered
+    calibration_digest : digest of the calibration in use
+    attached : attached files by name: `attachments_of`
 
     Raises
     ------
     DataError
-        The name is that of a video, the file is there already, or it cannot be written.
+        The name is that of a video, the file exists, or it cannot be written.
     """
     if is_video(path):
         raise DataError(
@@ -179,14 +179,14 @@ def record_frames(
     frames: int | None = None,
     going_on: Callable[[RecordStats], bool] = lambda _: True,
 ) -> RecordStats:
-    """Write frames until enough are there, the source ends, or `going_on` says False.
+    """Write frames until the limit is reached, the source ends, or `going_on` returns False.
 
     Parameters
     ----------
-    grabber : entered; one with `keep=KEPT_FRAMES` loses nothing while the disk is busy
-    recording : is not closed
-    seconds, frames : how long, by the frames' times, or how many; without end where both are None
-    going_on : called after each frame, and four times a second while none comes
+    grabber : already entered; with `keep=KEPT_FRAMES` no frame is lost while the disk is busy
+    recording : stays open
+    seconds, frames : limit of duration by the frames' times, or of their number; None: no limit
+    going_on : called after each frame, and four times a second while none arrives
     """
     stats, after, first_s, began_s = RecordStats(0, 0, 0, 0.0), -1, 0.0, time.monotonic()
     limit_s = math.inf if seconds is None else seconds

@@ -1,4 +1,4 @@
-"""Simulated sensors as sources of frames, and their settings from files; imported when asked for."""
+"""Simulated sensors as sources of frames, and their settings from files; submodules are imported on first use."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""Simulated sensors by name, from plain settings, or from a TOML file of them."""
+"""Simulated sensors by name, from settings, or from a TOML file."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-MAX_BYTES = 1 << 20  # of a file
+MAX_BYTES = 1 << 20  # largest size of a settings file, bytes
 SECTIONS = {"gel": Gel, "coating": Coating, "optics": Optics, "timing": Timing}
 OWN_KEYS = ("base", "exposed_levels")
 LED_KEYS = ("peak_nm", "width_nm", "power")
@@ -38,7 +38,7 @@ KINDS: tuple[tuple[str, Any], ...] = (
 
 
 def simulated_sensor_named(name: str) -> SimulatedSensor:
-    """A ready sensor: a layout of lights, or a known sensor; an unknown name gets the nearest one suggested."""
+    """A ready-made sensor: a layout of lights, or a known sensor. For an unknown name the error suggests the nearest one."""
     known = _ready_names()
     if name not in known:
         raise ValueError(f"Expected a sensor among {', '.join(known)}, got {name!r}.{_nearest(name, known)}")
@@ -51,7 +51,7 @@ def read_simulated_sensor(path: str | PathLike[str]) -> SimulatedSensor:
     Raises
     ------
     SensorError
-        No such file, no TOML, unknown or misspelt keys (the nearest is suggested), values out of range.
+        The file is missing or no TOML, has unknown or misspelled keys (the nearest is suggested), or values out of range.
     """
     path = Path(path)
     if not path.is_file():
@@ -69,20 +69,19 @@ def read_simulated_sensor(path: str | PathLike[str]) -> SimulatedSensor:
 
 
 def sensor_from_settings(settings: Mapping[str, Any]) -> SimulatedSensor:
-    """A sensor from settings.
+    """Make a sensor from settings.
 
     Parameters
     ----------
     settings : mapping
-        `base` (a ready sensor to start from; without it `leds` is needed), the fields of
-        `SimulatedSensor`, `leds` as a list of tables with the fields of `Led` (`peak_nm`, `width_nm` and
-        `power` may stand for `color`), the tables `gel`, `coating`, `optics`, `timing`, and `exposed_levels`,
-        the wished mean level per channel.
+        `base` (a ready-made sensor to start from; without it `leds` is required), the fields of `SimulatedSensor`, `leds` as
+        a list of tables with the fields of `Led` (`peak_nm`, `width_nm` and `power` may replace `color`), the tables `gel`,
+        `coating`, `optics`, `timing`, and `exposed_levels`, the desired mean level per channel.
 
     Raises
     ------
     ValueError, TypeError
-        An unknown key (the nearest known one is suggested), a value of the wrong kind or out of range.
+        A key is unknown (the nearest known one is suggested), or a value has the wrong type or is out of range.
     """
     _check(settings, SimulatedSensor, "the sensor", OWN_KEYS)
     given = {
@@ -135,7 +134,7 @@ def _tables(leds: Any) -> Sequence[Mapping[str, Any]]:
 
 
 def _check(given: Mapping[str, Any], kind: Any, where: str, own: Sequence[str] = ()) -> None:
-    """Refuse unknown keys, and words where numbers belong and the like: a value is of the kind of its default."""
+    """Refuse unknown keys and values of another type than the default, such as words for numbers."""
     defaults = {field.name: field.default for field in fields(kind)}
     known = (*own, *defaults)
     for key, value in given.items():
@@ -158,5 +157,5 @@ def _nearest(word: str, known: Any) -> str:
 
 
 def _frozen(value: Any) -> Any:
-    """Lists as tuples, all the way down."""
+    """Lists as tuples, at every level."""
     return tuple(_frozen(item) for item in value) if isinstance(value, (list, tuple)) else value

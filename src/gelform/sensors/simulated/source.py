@@ -1,4 +1,4 @@
-"""The simulated sensor as a source of frames: objects touch it in turn, or what somebody asks for."""
+"""The simulated sensor as a source of frames: objects touch it in turn, or a press on request."""
 
 from __future__ import annotations
 
@@ -29,20 +29,20 @@ from gelform.simulate import (
 from gelform.simulate.sensor.camera import image_from_levels
 
 RATE_HZ = 60.0  # frames a second
-IMAGE_RATE_HZ = 30.0  # images that are shown in a second
-REST_IMAGES = 12  # of the untouched gel before each object
+IMAGE_RATE_HZ = 30.0  # images shown per second
+REST_IMAGES = 12  # images of the gel at rest before each object
 BALL = Ball(2.5)
-ROLL = 0.3  # fraction of the image's width and height: how far the ball rolls from the middle
-STEP_MM = 0.025  # depths of a press that was asked for are rounded to this, so that images can be used again
-PRESS_S, HOLD_S = 0.35, 1.6  # of a press that was asked for: going in or out, and staying
-KEPT_PRESSES = 64  # images of such presses that are kept
-PAUSE_S = 0.03  # between images that are computed ahead: the frames of now come first
-SEED_APART_S = 0.7  # by which sensors of different seeds are apart in the programme
+ROLL = 0.3  # distance of the rolling ball from the middle, as a fraction of the image's width and height
+STEP_MM = 0.025  # depths of requested presses are rounded to this, so that computed images can be reused
+PRESS_S, HOLD_S = 0.35, 1.6  # s of a requested press: time of going in or out, and of staying
+KEPT_PRESSES = 64  # cached images of requested presses
+PAUSE_S = 0.03  # s between images computed in advance: current frames come first
+SEED_APART_S = 0.7  # s between the start times of consecutive seeds in the program
 
 
 @dataclass(frozen=True, eq=False)
 class Touch:
-    """What touches in one image of the programme, and how."""
+    """An object and its pose, in one image of the program."""
 
     indenter: Indenter
     pose: Pose
@@ -50,7 +50,7 @@ class Touch:
 
 @dataclass(frozen=True)
 class AskedPress:
-    """A press that somebody asked for: where (px), how deep (mm), with which ball, and when."""
+    """A requested press: place (px), depth (mm), ball and time."""
 
     x_px: float
     y_px: float
@@ -60,29 +60,29 @@ class AskedPress:
     held_s: float
 
     def depth_at(self, now_s: float) -> float | None:
-        """In mm, 0 and less off the gel; None once it is over."""
+        """Depth in mm, 0 or less off the gel; None once the press is over."""
         going_in = now_s - self.start_s
         going_out = 2 * PRESS_S + self.held_s - going_in
         return None if going_out < 0 else self.depth_mm * min(1.0, going_in / PRESS_S, going_out / PRESS_S)
 
 
 def serial_of_simulated(sensor: SimulatedSensor) -> str:
-    """What stands for a serial number: a simulated sensor of a name is always the same one."""
+    """The serial number of a simulated sensor: the same for each sensor of a name."""
     return f"simulated-{sensor.name}"
 
 
 class SimulatedSource:
-    """Frames of a simulated sensor, evenly spaced in time, each with noise of its own; late ones are left out.
+    """Frames of a simulated sensor, evenly spaced in time, each with its own noise; late frames are skipped.
 
-    A ball rolls, then a coin, a screw, letters and a ring are pressed, for ever, until it is told where to press, or to
-    rest. Images without noise are computed once: the ball's when they are first shown, the others' in a thread, and
-    each object joins in when its images are there.
+    A ball rolls, then a coin, a screw, letters and a ring are pressed, in a loop, until a press or rest is requested. Images
+    without noise are computed once: those of the ball when first shown, the others in a thread. Each object joins the loop
+    when its images are ready.
 
     Parameters
     ----------
     sensor : SimulatedSensor
-    rate_hz : frames a second
-    seed : of the noise, and of where in the programme it begins
+    rate_hz : frames per second
+    seed : of the noise and of the starting point in the program
     """
 
     live = True
@@ -96,29 +96,29 @@ class SimulatedSource:
         self.settings: dict[str, float | str] = {"width": width, "height": height, "fps": rate_hz}
         self._rate_hz, self._seed = rate_hz, seed
         self._linear = sensor.linear()
-        self._objects = programme(sensor)
+        self._objects = program(sensor)
         self._images = self._objects[0]
         self._levels: dict[Touch, NDArray[Any]] = {}
         self._pressed_levels = lru_cache(maxsize=KEPT_PRESSES)(self._levels_of_press)
         self._untouched = self._pressed_levels(BALL, 0.0, 0.0, 0.0)
         self._asked: AskedPress | None = None
-        self._resting = False
+        self.resting = False
         self._closed = threading.Event()
         self._ahead: threading.Thread | None = None
 
     def __iter__(self) -> Iterator[Frame]:
         ahead = threading.Thread(target=self._compute_ahead, name="simulated touches", daemon=True)
         ahead.start()
-        self._ahead = ahead  # started, so that close() can wait for it
+        self._ahead = ahead  # started: close() waits for this thread
         pace, index = Pace(self._rate_hz), 0
         while not self._closed.is_set():
-            image = self.image_at(index)  # before its time: a camera's exposure takes no time of ours
+            image = self.image_at(index)  # before its time: a real exposure takes none of ours
             time_s = pace.wait_for(index)
             yield Frame(image, time_s, time.time_ns(), index)
             index = pace.next_after(index)
 
     def image_at(self, index: int) -> NDArray[np.uint8]:
-        """The image (H, W, 3) uint8 RGB of the frame of that number."""
+        """The image (H, W, 3) uint8 RGB of a frame number."""
         levels = self._levels_now(index / self._rate_hz).astype(np.float32)
         return np.asarray(image_from_levels(self.sensor, levels, np.random.default_rng([self._seed, index])))
 
@@ -131,21 +131,21 @@ class SimulatedSource:
         ball_diameter_mm: float = 2 * BALL.radius_mm,
         held_s: float = HOLD_S,
     ) -> None:
-        """Press a ball at a place of the image, hold it for a while, lift it."""
+        """Press a ball at a place of the image, hold it for a while, then lift it."""
         ball = Ball(ball_diameter_mm / 2)
         depth_mm = min(depth_mm, 0.9 * self.sensor.gel.thickness_mm, ball.radius_mm)
         self._asked = AskedPress(x_px, y_px, depth_mm, ball, time.monotonic(), held_s)
 
     def lift(self) -> None:
-        """End the press that was asked for."""
+        """End the requested press."""
         self._asked = None
 
     def rest(self, resting: bool = True) -> None:
-        """Touch nothing but where it is asked to; False: go on with the programme."""
-        self._resting = resting
+        """Touch nothing except on request; False: continue with the program."""
+        self.resting = resting
 
     def close(self) -> None:
-        """End the loop over it; waits for the image that is being computed."""
+        """End the loop over this source; waits for the image that is being computed."""
         self._closed.set()
         if self._ahead is not None:
             self._ahead.join(2.0)
@@ -157,7 +157,7 @@ class SimulatedSource:
         self.close()
 
     def _levels_now(self, time_s: float) -> NDArray[Any]:
-        """Linear grey levels (H, W, 3) of what touches: before noise, response curve and rounding."""
+        """Linear gray levels (H, W, 3) of the current touch, before noise, response curve and rounding."""
         asked = self._asked
         depth_mm = None if asked is None else asked.depth_at(time.monotonic())
         if asked is not None and depth_mm is not None:
@@ -166,7 +166,7 @@ class SimulatedSource:
                 return self._pressed_levels(asked.ball, depth_mm, asked.x_px, asked.y_px)
             return self._untouched
         images, at = self._images, int((time_s + SEED_APART_S * self._seed) * IMAGE_RATE_HZ)
-        touch = None if self._resting else images[at % len(images)]
+        touch = None if self.resting else images[at % len(images)]
         return self._untouched if touch is None else self._levels_of_touch(touch)
 
     def _levels_of_touch(self, touch: Touch) -> NDArray[Any]:
@@ -183,22 +183,22 @@ class SimulatedSource:
 
     def _simulated(self, indenter: Indenter, pose: Pose) -> NDArray[Any]:
         press = simulate_pose(self._linear, indenter, pose, rng=None, quantise=False)
-        return press.image.astype(np.float16)  # steps of 1/8 of a grey level: noise is larger
+        return press.image.astype(np.float16)  # steps of 1/8 of a gray level: finer than the noise
 
     def _compute_ahead(self) -> None:
-        """Compute one object after the other; not while it rests."""
+        """Compute the images of one object after the other; pauses at rest."""
         for images in self._objects[1:]:
             touches = [touch for touch in dict.fromkeys(images) if touch is not None]
             while touches:
                 if self._closed.wait(PAUSE_S):
                     return
-                if not self._resting:
+                if not self.resting:
                     self._levels_of_touch(touches.pop(0))
             self._images = [*self._images, *images]
 
 
-def programme(sensor: SimulatedSensor) -> list[list[Touch | None]]:
-    """For each object what touches in each image, None: nothing; what is pressed goes out as it came in."""
+def program(sensor: SimulatedSensor) -> list[list[Touch | None]]:
+    """The touches of each object, image by image; None: nothing touches. Pressed objects leave the way they came."""
     objects = [[*[None] * REST_IMAGES, *(Touch(BALL, pose) for pose in _rolling(sensor))]]
     for indenter, depth_mm, steps, spin_deg, tilt_deg in (
         (Coin(), 0.35, 14, 0.0, 0.0),
@@ -216,7 +216,7 @@ def programme(sensor: SimulatedSensor) -> list[list[Touch | None]]:
 
 
 def _rolling(sensor: SimulatedSensor) -> list[Pose]:
-    """In, once round the middle, and out."""
+    """Poses of a ball that goes in, rolls once around the middle, and goes out."""
     height, width = (size * sensor.mm_per_px for size in sensor.shape)
     turn = np.linspace(0, 2 * np.pi, 48, endpoint=False)
     depth_mm = 0.55 * np.minimum(1, np.minimum(np.arange(48), np.arange(48)[::-1]) / 8)

@@ -1,1 +1,1 @@
-"""The surface of the gel under an indenter, and how it is dragged sideways."""
+"""The surface of the gel under an indenter, and its sideways drag."""

@@ -1,4 +1,4 @@
-"""The gel under a ball, in closed form beside the contact: depth and slope depend on the radius alone."""
+"""The gel under a ball, in closed form outside the contact: depth and slope depend on the radius alone."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from gelform._native import Kernel
 
-NODES = 200  # of the differences that solve the bulge inside the contact: measured to be good to 3e-6 of its height
-TABLE = 4096  # distances at which depth beside the contact is tabulated: measured to be good to 25 nm
+NODES = 200  # of the differences that solve the bulge inside the contact; measured error 3e-6 of its height
+TABLE = 4096  # distances at which depth outside the contact is tabulated; measured error 25 nm
 
 _ball_surface = Kernel(
     "ball_surface",
@@ -30,7 +30,7 @@ class BallPress:
 
     Attributes
     ----------
-    radius_mm, depth_mm : of the ball, and how deep it stands
+    radius_mm, depth_mm : radius of the ball, and its depth in the gel
     contact_radius_mm : of the circle in which they touch
     tail_mm : depth at the rim that falls off over the relaxation length: the membrane, less the part of the
         bulge with the same length
@@ -84,7 +84,7 @@ def depth_of_ball(
     thickness_mm: float = 3.0,
     bulge: float = 0.0,
 ) -> float:
-    """How deep a ball must be pressed, in mm, for its slope at the contact's rim to be `rim_slope`."""
+    """Depth of a ball, mm, at which its slope at the contact's rim is `rim_slope`."""
     thickness_mm = _apart(thickness_mm, relaxation_mm)
     a = rim_slope * radius_mm / np.hypot(1, rim_slope)
     at_0, at_1 = (_rim(a, radius_mm, d, relaxation_mm, thickness_mm, bulge)[0] for d in (0.0, 1.0))
@@ -114,7 +114,7 @@ def _table(press: BallPress, step: float) -> tuple[NDArray[np.float64], NDArray[
 def _rim(
     a: float, radius_mm: float, depth_mm: float, length: float, thickness: float, bulge: float
 ) -> tuple[float, float, float]:
-    """Slope of the gel just inside the rim less that outside; membrane and bulge there.
+    """Slope of the gel just inside the rim minus that outside; membrane and bulge at the rim.
 
     Inside, the membrane is the ball's face g plus the bulge b: (1 - bulge) b - h^2 laplace(b) = bulge g, by
     second-order differences. Outside, both are Bessel functions.
@@ -153,5 +153,5 @@ def _bulge_inside(
 
 
 def _apart(thickness_mm: float, relaxation_mm: float) -> float:
-    """The thickness, a thousandth off where it equals the relaxation length: the formula has a pole there."""
+    """The thickness, changed by a thousandth if it equals the relaxation length, because the formula has a pole there."""
     return relaxation_mm * (1 + 1e-3) if abs(thickness_mm / relaxation_mm - 1) < 1e-3 else thickness_mm

@@ -1,15 +1,15 @@
-"""The gel: its surface follows the indenter where it touches, relaxes beside it, and is dragged along.
+"""The gel: its surface follows the indenter in the contact, relaxes around it, and is dragged along.
 
 The surface is a membrane under tension on an elastic bed, held up by the indenter: of all surfaces u that do
 not enter the indenter's face g, the one of least energy
 
     min_u  integral |grad u|^2 + (u/L)^2      subject to  u >= g.
 
-So u = g in the contact, L^2 laplace(u) = u beside it (depth falls off over the relaxation length L), and the
+So u = g in the contact, L^2 laplace(u) = u around it (depth falls off over the relaxation length L), and the
 slope is continuous at the rim: the gel leaves the indenter a little inside the circle where the undeformed
 plane would cut it.
 
-Rubber keeps its volume: what is displaced rises beside the contact, over a length of about the gel's
+Rubber keeps its volume: the displaced part rises around the contact, over a length of about the gel's
 thickness. With w the membrane, b the bulge and h the thickness, the surface is
 
     u = w - b,    b - h^2 laplace(b) = bulge w,    w the membrane over g + b.
@@ -38,16 +38,16 @@ from gelform.simulate.indenters.pose import Pose
 
 @dataclass(frozen=True)
 class Gel:
-    """What the gel is made of.
+    """The material of the gel.
 
     Attributes
     ----------
     thickness_mm : float
-        What is displaced rises within about this distance of the contact.
+        The displaced gel rises within about this distance of the contact.
     bulge : float, 0 to 0.95
-        Part of the displaced volume that rises beside the contact: 0 for a foam, near 1 for rubber.
+        Part of the displaced volume that rises around the contact: 0 for a foam, near 1 for rubber.
     friction : float, >= 0
-        How far the surface is dragged before it slips, per mm of depth.
+        Distance that the surface is dragged before it slips, per mm of depth.
     """
 
     thickness_mm: float = 3.0
@@ -79,7 +79,7 @@ class Surface:
     Attributes
     ----------
     x_mm, y_mm : (1, W) and (H, 1), coordinates of the samples
-    depth_mm : (H, W) float64, positive where pressed, negative where the gel rises beside the contact
+    depth_mm : (H, W) float64, positive where pressed, negative where the gel rises around the contact
     gradients : (H, W, 2) float64, mm/mm
     contact : (H, W) bool, where gel and indenter touch
     """
@@ -91,7 +91,7 @@ class Surface:
     contact: NDArray[np.bool_]
 
     def sampled(self, at: slice) -> Surface:
-        """The surface at these rows, and at the same of its columns."""
+        """The surface at given rows, and at the same of its columns."""
         return Surface(
             self.x_mm[:, at],
             self.y_mm[at],
@@ -101,12 +101,12 @@ class Surface:
         )
 
     def middles(self, stride: int) -> Surface:
-        """The surface at the middle of each `stride` samples: at the pixels' centres, of an odd number per pixel."""
+        """The surface at the middle of each `stride` samples, for an odd number per pixel: at the pixels' centers."""
         return self if stride == 1 else self.sampled(slice(stride // 2, None, stride))
 
 
 def flat_surface(x_mm: NDArray[np.float64], y_mm: NDArray[np.float64]) -> Surface:
-    """The untouched gel."""
+    """The surface of the gel at rest."""
     shape = (y_mm.size, x_mm.size)
     return Surface(x_mm, y_mm, np.zeros(shape), np.zeros((*shape, 2)), np.zeros(shape, dtype=bool))
 
@@ -123,7 +123,8 @@ def surface_from_indenter(
 ) -> Surface:
     """The pressed gel under an indenter: the membrane solved on the grid, its slopes by central differences.
 
-    The grid must reach some relaxation lengths beyond what is looked at: no force acts across its border. Under a
+    The grid must extend some relaxation lengths beyond the region of interest, because no force acts across its border.
+    Under a
     ball the surface is known in closed form: a cap, then Bessel functions K0 of r over the gel's lengths.
     """
     gel = gel or Gel()
@@ -145,12 +146,12 @@ def surface_from_indenter(
 
 
 class Drag:
-    """The surface's sideways displacement during a sequence; it has memory, so one per sequence.
+    """The surface's sideways displacement during a sequence. It has memory, so each sequence needs its own.
 
     In the contact the surface sticks to the indenter until it has been dragged `friction` times the local
-    depth (Coulomb: the bed's pressure grows with the depth); then it slips. Beside the contact the
-    displacement falls off over the gel's thickness. What is pressed away flows sideways by `-h grad b` (b the
-    bulge): the layer's mean flow that keeps its volume where bulge = 1.
+    depth (Coulomb: the bed's pressure grows with the depth); then it slips. Around the contact the
+    displacement falls off over the gel's thickness. Displaced gel flows sideways by `-h grad b` (b the bulge):
+    the layer's mean flow that keeps its volume where bulge = 1.
     """
 
     def __init__(self, gel: Gel) -> None:
@@ -182,7 +183,7 @@ class Drag:
         return moved + self._pressed_away(surface, pitch)
 
     def _step(self, x: NDArray[Any], y: NDArray[Any], pose: Pose) -> NDArray[np.float64]:
-        """How far the indenter's surface has moved sideways since the last pose, at each point."""
+        """Sideways motion of the indenter's surface since the last pose, at each point."""
         last = self._pose or pose
         turn = np.deg2rad(pose.spin_deg - last.spin_deg)
         dx, dy = np.broadcast_arrays(x - pose.center_mm[0], y - pose.center_mm[1])
@@ -201,7 +202,7 @@ class Drag:
 def displacement_at(
     displacement_mm: NDArray[np.float64], surface: Surface, points_mm: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """A displacement field (h, w, 2) at points (N, 2), bilinear; at the border the nearest value."""
+    """A displacement field (h, w, 2) at points (N, 2), bilinear; the nearest value outside the border."""
     pitch_x = float(surface.x_mm[0, 1] - surface.x_mm[0, 0])
     pitch_y = float(surface.y_mm[1, 0] - surface.y_mm[0, 0])
     column = ((points_mm[:, 0] - surface.x_mm[0, 0]) / pitch_x).astype(np.float32)

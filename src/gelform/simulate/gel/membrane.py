@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from gelform._native import Handle, Kernel
 from gelform.errors import ConvergenceError
 
-TOLERANCE = 1e-5  # largest change by a cycle, of the deepest point: 5 nm of a press 0.5 mm deep
-MAX_CYCLES = 100  # V-cycles before a solution is given up
+TOLERANCE = 1e-5  # largest change by a cycle over the deepest point: 5 nm for a press 0.5 mm deep
+MAX_CYCLES = 100  # V-cycles before a solution fails
 Map = NDArray[np.float64]
 
 _membrane_cycles = Kernel(
@@ -28,7 +28,7 @@ def membrane_over(
 ) -> tuple[Map, Map]:
     """The membrane w of least energy over an obstacle and the bulge b of its gel; no force across the border.
 
-    Solves `w >= g + b`, `4 w - sum of neighbours + w/L^2 >= 0`, one of the two an equality at every sample. b is
+    Solves `w >= g + b`, `4 w - sum of neighbors + w/L^2 >= 0`, one of the two an equality at every sample. b is
     `bulge` times w spread over the length `bulge_px` by the kernel K0(r/h)/(2 pi h^2), whose integral is 1:
     `b - h^2 laplace(b) = bulge w`. The surface is w - b: the obstacle where they touch, and its volume over the
     whole grid is (1 - bulge) times that of w.
@@ -46,12 +46,12 @@ def membrane_over(
     Raises
     ------
     ConvergenceError
-        The cycles did not settle.
+        The cycles did not converge.
 
     Notes
     -----
     R. Kornhuber, Monotone multigrid methods for elliptic variational inequalities I, Numer. Math. 69, 1994,
-    truncated: coarse grids correct only what does not touch. The smoother is C. W. Cryer's projected
+    truncated: coarse grids correct only samples without contact. The smoother is C. W. Cryer's projected
     relaxation (SIAM J. Control 9(3), 1971), red-black.
     """
     g = np.ascontiguousarray(obstacle, dtype=np.float64)
@@ -59,7 +59,7 @@ def membrane_over(
 
 
 class _Grids:
-    """The grids of a multigrid solution, from the finest to one on which relaxation alone is quick."""
+    """The grids of a multigrid solution, from the finest to one on which relaxation alone is fast."""
 
     def __init__(self, shape: tuple[int, ...], relaxation_px: float) -> None:
         height, width = shape
@@ -86,7 +86,7 @@ def _solved(
 ) -> tuple[Map, Map]:
     """First guess from the grid of half the resolution, then cycles until the change is below the tolerance.
 
-    A first guess may stop short of that: on a coarse relief two contacts can take turns for ever.
+    A first guess may stop before that, because on a coarse relief two contacts can alternate forever.
     """
     u, b = _coarse_guess(g, relaxation_px, bulge, bulge_px)
     grids = _Grids(g.shape, relaxation_px)
@@ -113,11 +113,13 @@ def _solved(
 
 
 def spread(values: Map, length_px: float) -> Map:
-    """Values smoothed by K0(r/h)/(2 pi h^2), mirrored at the border, so that their sum stays.
+    """Values smoothed by K0(r/h)/(2 pi h^2), mirrored at the border, so that their sum is preserved.
 
     By cosine transform on a coarser grid: the result is smooth over the length.
     """
-    factor = max(1, int(length_px / 12))  # twelve samples per length: what is smooth over it needs no more
+    factor = max(
+        1, int(length_px / 12)
+    )  # twelve samples per length are enough for a result that is smooth over it
     height, width = values.shape
     small = cv2.resize(
         values, (max(2, width // factor), max(2, height // factor)), interpolation=cv2.INTER_AREA
@@ -135,7 +137,7 @@ def spread(values: Map, length_px: float) -> Map:
 
 
 def carried_along(values: Map, fixed: NDArray[np.bool_], length_px: float) -> Map:
-    """Values kept where `fixed` and falling off over a length beside: v = h^2 laplace(v), no flux at the border.
+    """Values kept where `fixed` and falling off over a length elsewhere: v = h^2 laplace(v), no flux at the border.
 
     The values that are not fixed are the first guess; the result is good to a thousandth of the largest value.
     """
@@ -149,7 +151,7 @@ def carried_along(values: Map, fixed: NDArray[np.bool_], length_px: float) -> Ma
 
 
 def _coarse_guess(g: Map, relaxation_px: float, bulge: float, bulge_px: float) -> tuple[Map, Map]:
-    """The solution on a grid of half the resolution, brought to this one."""
+    """The solution on a grid of half the resolution, interpolated to this one."""
     if relaxation_px < 2 or min(g.shape) < 8:
         return np.zeros(g.shape), np.zeros(g.shape)
     height, width = g.shape

@@ -1,1 +1,1 @@
-"""What is pressed into the gel, and how it stands."""
+"""Indenters, and their poses."""

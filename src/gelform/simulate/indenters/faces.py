@@ -1,7 +1,7 @@
-"""What is pressed into the gel: each indenter is the height of its face over a plane.
+"""Indenters: each one is the height of its face over a plane.
 
-An indenter answers `face_mm(x_mm, y_mm)`: how far its face stands back from its foremost point, in mm, 0 at
-that point, negative elsewhere, -inf where there is nothing. x to the right, y down, the origin at its centre.
+An indenter has the method `face_mm(x_mm, y_mm)`: the height of its face relative to its foremost point, in mm. It is 0 at
+that point, negative elsewhere, and -inf outside. x is to the right, y down, with the origin at its center.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gelform.foundations.checks import check_map, check_mm_per_px, check_positive
 
-MAX_SIZE_MM = 1000.0  # of an indenter: over a metre the unit is mistaken
+MAX_SIZE_MM = 1000.0  # mm, of an indenter; a larger number is in another unit
 
 
 class Indenter(Protocol):
@@ -28,7 +28,7 @@ class Indenter(Protocol):
 
 
 def check_size(value: float, name: str) -> None:
-    """Refuse a length in mm that is not positive, or is so large that its unit is mistaken."""
+    """Refuse a length in mm that is not positive, or so large that it must be in another unit."""
     if check_positive(value, name) > MAX_SIZE_MM:
         raise ValueError(
             f"Expected {name} in mm, at most {MAX_SIZE_MM:g}, got {value:g}. Is it in another unit?"
@@ -61,9 +61,9 @@ class Ball(_Sized):
 
 @dataclass(frozen=True)
 class HeightMap:
-    """A measured or made face: heights in mm on a grid, larger is nearer to the camera.
+    """A measured or generated face: heights in mm on a grid, larger is nearer to the camera.
 
-    Between the samples the face is a cubic spline; beside the grid there is nothing.
+    Between the samples the face is a cubic spline; outside the grid there is none.
 
     Attributes
     ----------
@@ -99,7 +99,7 @@ class Coin(_Sized):
     ----------
     diameter_mm : float
     relief_mm : float
-        How far rim, star and beads stand over the disc; their flanks are twice as wide as they are high.
+        Height of rim, star and beads over the disc; their flanks are twice as wide as they are high.
     """
 
     diameter_mm: float = 8.0
@@ -130,7 +130,7 @@ class Coin(_Sized):
 class Screw(_Sized):
     """A metric screw thread lying on its side, its axis along x.
 
-    A V thread of the given pitch, flanks at 60 degrees (30 from the normal of the axis each), cut to five
+    It is a V thread of the given pitch, flanks at 60 degrees (30 from the normal of the axis each), cut to five
     eighths of the sharp V's height as in ISO 68-1; the helix is that of the crest's cylinder.
     """
 
@@ -164,7 +164,7 @@ class Cylinder(_Sized):
 
 @dataclass(frozen=True)
 class BoxEdge(_Sized):
-    """A long edge of a box, along x: a roof whose two sides fall off alike.
+    """A long edge of a box, along x: a roof with two equal sides.
 
     Attributes
     ----------
@@ -197,7 +197,7 @@ class Punch(_Sized):
 
 @dataclass(frozen=True)
 class Pyramid(_Sized):
-    """A square pyramid, its point towards the camera.
+    """A square pyramid, its point toward the camera.
 
     Attributes
     ----------
@@ -216,7 +216,7 @@ class Pyramid(_Sized):
 
 @dataclass(frozen=True)
 class Cone(_Sized):
-    """A cone, its point towards the camera.
+    """A cone, its point toward the camera.
 
     Attributes
     ----------
@@ -257,18 +257,18 @@ def text_relief(text: str, *, height_mm: float, relief_mm: float = 0.3) -> Heigh
     ----------
     text : printable ASCII
     height_mm : of a capital letter
-    relief_mm : how far the letters stand over the plate
+    relief_mm : height of the letters over the plate
 
     Raises
     ------
     ValueError
-        Text that is empty or holds a character that the font has not.
+        Text that is empty or has a character that the font lacks.
     """
     if not text.strip() or not all(32 <= ord(letter) < 127 for letter in text):
         raise ValueError(f"Expected text of printable ASCII letters, got {text!r}.")
     check_size(height_mm, "height_mm")
     check_size(relief_mm, "relief_mm")
-    capital_px = 48  # height of a capital letter in the map
+    capital_px = 48  # px, height of a capital letter in the map
     font, thickness = cv2.FONT_HERSHEY_SIMPLEX, 6
     scale = capital_px / 22.0  # this font's capitals are 22 px high at scale 1
     (width, height), below = cv2.getTextSize(text, font, scale, thickness)

@@ -1,4 +1,4 @@
-"""Triangles: a closed mesh as an indenter, and the height of triangles seen from above."""
+"""Triangles: a closed mesh as an indenter, and the height of triangles viewed from above."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from gelform._native import Kernel
 from gelform.foundations.checks import check_finite
 from gelform.simulate.indenters.faces import MAX_SIZE_MM
 
-MAX_TRIANGLES = 5_000_000  # of a mesh: a guard against files that were meant for something else
-MIN_SIZE_MM = 0.01  # of a mesh: below, its unit is mistaken
+MAX_TRIANGLES = 5_000_000  # of a mesh; a larger file was meant for something else
+MIN_SIZE_MM = 0.01  # mm, of a mesh; a smaller number is in another unit
 
 _rasterise = Kernel(
     "rasterise",
@@ -23,13 +23,13 @@ _rasterise = Kernel(
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """A closed triangle mesh; its side towards +z faces the gel.
+    """A closed triangle mesh; its side toward +z faces the gel.
 
     Its origin is the middle of its extent in x and y, at its highest point.
 
     Attributes
     ----------
-    vertices_mm : (V, 3), x to the right, y down, z towards the camera
+    vertices_mm : (V, 3), x to the right, y down, z toward the camera
     triangles : (T, 3) int, indices into the vertices
 
     Raises
@@ -73,7 +73,7 @@ def check_mesh(vertices: NDArray[Any], triangles: NDArray[Any]) -> None:
     if not MIN_SIZE_MM <= size <= MAX_SIZE_MM:
         raise ValueError(
             f"Expected a mesh of {MIN_SIZE_MM}-{MAX_SIZE_MM:g} mm, got {size:.4g} mm. Is it in another unit? "
-            "Scale it: metres x 1000, inches x 25.4."
+            "Scale it: meters x 1000, inches x 25.4."
         )
     _check_closed(vertices, triangles)
 

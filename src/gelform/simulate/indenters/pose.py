@@ -1,4 +1,4 @@
-"""Where an indenter stands, and indenters put together: turned, tilted, several at once; each is an indenter again."""
+"""Poses of indenters, and combinations: turned, tilted, several at once; each of them is again an indenter."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from numpy.typing import NDArray
 from gelform.simulate.indenters.faces import Ball, Indenter
 from gelform.simulate.indenters.mesh import Mesh, height_of_triangles
 
-MAX_TILT_DEG = 75.0  # of an indenter: beyond, one would look along its face
+MAX_TILT_DEG = 75.0  # degrees, of an indenter; beyond, the view would be along its face
 Pair = tuple[float, float]
 
 
 @dataclass(frozen=True)
 class Pose:
-    """Where an indenter stands.
+    """The pose of an indenter.
 
     Attributes
     ----------
-    depth_mm : how far its foremost point stands in the gel; 0 or less: not pressed
-    center_mm : (x, y) of its centre, x to the right, y down
+    depth_mm : depth of its foremost point in the gel; 0 or less: not pressed
+    center_mm : (x, y) of its center, x to the right, y down
     spin_deg, tilt_deg : as in `Posed`
-    carried_mm : (x, y), how far the touched side of the indenter has travelled; None: as far as the centre
-        (it slides). When it rolls, the touched side stays where it is.
+    carried_mm : (x, y), travel of the touched side of the indenter; None: as far as the center (it slides). If it
+        rolls, the touched side does not move.
     """
 
     depth_mm: float
@@ -54,14 +54,14 @@ class Posed:
     Attributes
     ----------
     indenter : any
-    spin_deg : about the view axis, from x (right) towards y (down): clockwise in the image
+    spin_deg : about the view axis, from x (right) toward y (down): clockwise in the image
     tilt_deg : (about x, about y), applied before the spin; positive about x raises the lower side (+y)
-        towards the camera, positive about y the right side (+x)
-    extent_mm : how far from its centre a tilted face is looked at
-    samples : per extent, of the triangles that a tilted face is made of
+        toward the camera, positive about y the right side (+x)
+    extent_mm : distance from its center up to which a tilted face is sampled
+    samples : samples per extent, for the triangles of a tilted face
 
-    The face is tilted about the origin, then moved so that its foremost point is at height 0 again. What is
-    behind the face is taken as a prism.
+    The face is tilted about the origin, then moved so that its foremost point is at height 0 again. The body
+    behind the face counts as a prism.
     """
 
     indenter: Indenter
@@ -96,7 +96,7 @@ class Posed:
 
 @dataclass(frozen=True)
 class Placed:
-    """One of several indenters: where it is, and how far it stands back behind the foremost."""
+    """One of several indenters: its place, and its distance behind the foremost one."""
 
     indenter: Indenter
     center_mm: Pair = (0.0, 0.0)
@@ -124,7 +124,7 @@ class Several:
 
 
 def rotation(spin_deg: float, tilt_deg: Pair) -> NDArray[np.float64]:
-    """Rotation (3, 3) in the image frame (x right, y down, z towards the camera): tilt, then spin."""
+    """Rotation (3, 3) in the image frame (x right, y down, z toward the camera): tilt, then spin."""
     ax, ay = np.deg2rad(tilt_deg)
     about_x = np.array([[1, 0, 0], [0, np.cos(ax), -np.sin(ax)], [0, np.sin(ax), np.cos(ax)]])
     about_y = np.array([[np.cos(ay), 0, -np.sin(ay)], [0, 1, 0], [np.sin(ay), 0, np.cos(ay)]])
@@ -149,15 +149,15 @@ def _tilted(posed: Posed) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     return np.ascontiguousarray(turned), triangles
 
 
-@lru_cache(maxsize=1)  # a press tilts one face again and again; its triangles take up to 50 MB
+@lru_cache(maxsize=1)  # a press tilts one face repeatedly; its triangles take up to 50 MB
 def _triangulated(
     indenter: Indenter, extent_mm: float, samples: int
 ) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
-    """A face as vertices and triangles, with walls down to its depth where it ends; and which vertices are in one."""
+    """A face as vertices and triangles, with walls down to its depth at its ends; and the triangles that are walls."""
     axis = np.linspace(-extent_mm, extent_mm, 2 * samples + 1)
     face = indenter.face_mm(axis[None, :], axis[:, None])
     if not np.isfinite(face).any():
-        raise ValueError(f"Expected a face within {extent_mm:g} mm of its centre, got none: raise extent_mm.")
+        raise ValueError(f"Expected a face within {extent_mm:g} mm of its center, got none: raise extent_mm.")
     height = np.where(np.isfinite(face), face, -2 * extent_mm)
     x, y = np.meshgrid(axis, axis)
     vertices = np.stack([x, y, height], axis=-1).reshape(-1, 3)

@@ -1,4 +1,4 @@
-"""What a simulated sensor is, and what its camera makes of light."""
+"""The simulated sensor and its camera."""
 
 from gelform.simulate.sensor.sensor import led_ring, led_row
 

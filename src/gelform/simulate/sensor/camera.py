@@ -1,4 +1,4 @@
-"""What the camera makes of the light from the gel: where each pixel looks, linear levels, noise, response curve, JPEG."""
+"""The camera: the light from the gel to an image, by perspective, lens, levels, noise, response curve, JPEG."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from gelform.foundations.pictures import picture_bytes
 from gelform.simulate.sensor.sensor import SHADING_DEGREES, SimulatedSensor
 
 Maps = tuple[NDArray[np.float32], NDArray[np.float32]]
-RESPONSE_STEPS = 4096  # of the table of the response curve: measured to be good to 5e-5 grey levels
+RESPONSE_STEPS = 4096  # points of the table of the response curve; measured error 5e-5 gray levels
 
 _grey_levels = Kernel(
     "grey_levels",
@@ -26,10 +26,10 @@ _grey_levels = Kernel(
 
 
 def maps_from_depth(sensor: SimulatedSensor, depth_mm: NDArray[Any]) -> Maps | None:
-    """Where on the gel's grid each pixel looks, x and y (H, W) in pixels; None: each at its own place.
+    """The position on the gel's grid that each pixel sees, x and y (H, W) in pixels; None: its own position.
 
-    A pinhole at height H over the middle sees the surface point at x (1 - z/H) where the plane's point x
-    would be. It is found by two fixed-point steps, enough for depths of a tenth of H.
+    A pinhole at height H over the middle sees the surface point at x (1 - z/H) in place of the plane's point x.
+    Two fixed-point steps find it, enough for depths of a tenth of H.
     """
     optics = sensor.optics
     if optics.height_mm is None and optics.distortion == (0, 0):
@@ -51,7 +51,7 @@ def maps_from_depth(sensor: SimulatedSensor, depth_mm: NDArray[Any]) -> Maps | N
 def px_from_mm(
     sensor: SimulatedSensor, points_mm: NDArray[Any], depth_mm: float = 0.0
 ) -> NDArray[np.float64]:
-    """Pixels (N, 2) at which the camera sees points (N, 2) of the gel at one depth, mm from its centre."""
+    """Pixels (N, 2) at which the camera sees points (N, 2) of the gel at one depth, mm from its center."""
     points = np.asarray(points_mm, dtype=np.float64).reshape(-1, 2)
     if sensor.optics.height_mm is not None:
         points = points / (1 - depth_mm / sensor.optics.height_mm)
@@ -65,7 +65,7 @@ def px_from_mm(
 
 @lru_cache(maxsize=8)
 def _undistorted(sensor: SimulatedSensor) -> Maps:
-    """Where on the plane each pixel looks, by Newton's method on the radius."""
+    """The position on the plane that each pixel sees, by Newton's method on the radius."""
     height, width = sensor.shape
     half = np.hypot(height, width) / 2
     x, y = np.meshgrid(np.arange(width) - (width - 1) / 2, np.arange(height) - (height - 1) / 2)
@@ -83,10 +83,10 @@ def _undistorted(sensor: SimulatedSensor) -> Maps:
 def levels_from_irradiance(
     sensor: SimulatedSensor, irradiance: NDArray[Any], *, maps: Maps | None = None
 ) -> NDArray[Any]:
-    """Noise-free, unquantised, linear grey levels (H, W, 3) of the light (H, W, 3) from the gel.
+    """Noise-free, unquantized, linear gray levels (H, W, 3) of the light (H, W, 3) from the gel.
 
-    The dtype stays. `maps` says where in the light each pixel looks (see `maps_from_depth`); None:
-    straight down.
+    The dtype stays. `maps` has the position in the light that each pixel sees (see `maps_from_depth`); None: its
+    own.
     """
     light = irradiance
     if maps is not None:
@@ -105,7 +105,7 @@ def _gain_and_mixing(sensor: SimulatedSensor, dtype: str) -> tuple[NDArray[Any],
     gain = _gain(sensor)
     mixing = np.asarray(sensor.crosstalk, dtype=np.float64) * np.asarray(sensor.white_balance)[:, None]
     mixing = mixing * sensor.optics.exposure
-    ambient = (gain * np.asarray(sensor.ambient)) @ mixing.T  # neither blur nor lens changes what is even
+    ambient = (gain * np.asarray(sensor.ambient)) @ mixing.T  # neither blur nor lens changes uniform light
     return gain.astype(dtype), mixing.astype(dtype), ambient.astype(dtype)
 
 
@@ -130,7 +130,7 @@ def image_from_levels(
     """The image of given levels: shot and read noise, response curve, rounded to 0-255, JPEG.
 
     Without `rng` there is no noise; without `quantise` levels are neither rounded, cut nor compressed. Noise is
-    normal in 65536 steps, so that none is beyond 4.3 standard deviations.
+    normal in 65536 steps, within 4.3 standard deviations.
     """
     if rng is not None:
         check_is(rng, np.random.Generator, "rng")
@@ -148,7 +148,7 @@ def image_from_levels(
 
 
 def draws(rng: np.random.Generator, count: int) -> NDArray[np.uint16]:
-    """Even random numbers of 16 bits: places in `normal_table`, four times as fast as normal numbers."""
+    """Uniform random numbers of 16 bits, as indices of `normal_table`: four times as fast as normal numbers."""
     words = rng.integers(0, 2**64 - 1, size=-(-count // 4), dtype=np.uint64, endpoint=True)
     return words.view(np.uint16)[:count]
 
@@ -162,12 +162,12 @@ def normal_table() -> NDArray[np.float32]:
 
 @lru_cache(maxsize=8)
 def response_table(gamma: float) -> NDArray[np.float32]:
-    """Grey levels of the response curve at evenly spaced square roots of the linear level, 0 to 1."""
+    """Gray levels of the response curve at evenly spaced square roots of the linear level, 0 to 1."""
     return np.asarray(255 * np.linspace(0, 1, RESPONSE_STEPS + 1) ** (2 / gamma), dtype=np.float32)
 
 
 def saturated_from_levels(levels: NDArray[Any]) -> NDArray[np.bool_]:
-    """Where (H, W) some channel is cut at 0 or 255."""
+    """Pixels (H, W) with some channel cut at 0 or 255."""
     return cv2.inRange(levels, (-0.5,) * 3, (255.5,) * 3) == 0
 
 

@@ -1,4 +1,4 @@
-"""What the gel's surface looks like: gloss, scattering, roughness, scratches, dust, markers, albedo."""
+"""The appearance of the gel's surface: gloss, scattering, roughness, scratches, dust, markers, albedo."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def check_not_negative(settings: Any, *names: str) -> None:
 
 @dataclass(frozen=True)
 class Coating:
-    """The reflecting layer on the gel. All zeros: a perfect white Lambertian one.
+    """The reflecting layer on the gel. With all zeros it is perfectly white and Lambertian.
 
     Attributes
     ----------
@@ -33,22 +33,22 @@ class Coating:
     shininess : int, 1-1024, a power of two
         Exponent of the gloss: larger is sharper.
     scattering : float, 0-1, scattering_mm : float
-        This part of the light spreads in the gel before it is seen, over this length (standard deviation).
+        Part of the light that spreads in the gel before it is visible, and the length (standard deviation).
     interreflection : float, 0-1, interreflection_mm : float
-        This part of the reflected light comes back from gel and walls, spread over this length: one bounce.
+        Part of the reflected light that returns from gel and walls in one bounce, and the length of its spread.
     roughness : float
         Standard deviation of the coating's own slopes, mm/mm, that shade but are no depth; `grain_mm` is the
         size of the grains.
     scratches, dust : int
-        How many; dust is dark or bright specks.
+        Number of them; dust is dark or bright specks.
     marker_pitch_mm, marker_radius_mm : float
         Dark dots on a grid; 0 pitch: none.
     marker_missing, marker_broken, marker_jitter : float, 0-1
-        Fractions of dots that are missing and that lost a piece; how far dots stand from the grid, in pitches.
+        Fractions of dots that are missing and that lost a piece; distance of dots from the grid, in pitches.
     albedo : (h, w) or None
         Reflectance 0-1 over the image, stretched to its size.
     seed : int
-        What this gel's own roughness, scratches and dust are drawn from: another gel, another seed.
+        Seed of this gel's own roughness, scratches and dust; another gel needs another seed.
     """
 
     specular: float = 0.0
@@ -84,7 +84,7 @@ class Coating:
             object.__setattr__(self, "albedo", _Albedo(self.albedo))
 
     def markers_mm(self, shape: Grid, mm_per_px: float) -> NDArray[np.float64]:
-        """Places (N, 2) of the markers at rest: a grid about the centre, to half a pitch beyond the image."""
+        """Positions (N, 2) of the markers at rest: a grid about the center, to half a pitch beyond the image."""
         if self.marker_pitch_mm == 0:
             return np.zeros((0, 2))
         half_x, half_y = (n * mm_per_px / 2 for n in shape[::-1])
@@ -97,7 +97,7 @@ class Coating:
         return (places + away)[there]
 
     def marker_bites(self, count: int) -> NDArray[np.float64]:
-        """Where (N, 2), in radii from its centre, each marker lost a round piece of 0.6 of its radius; NaN: it is whole."""
+        """Center (N, 2), in radii, of the round piece of 0.6 of its radius that each marker lost; NaN: it is whole."""
         rng = np.random.default_rng([self.seed, 4])
         angle, broken = rng.uniform(0, 2 * np.pi, count), rng.random(count) < self.marker_broken
         bites = 0.85 * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
@@ -139,7 +139,7 @@ def with_markers(
     radius_px: float,
     bites: NDArray[np.float64] | None = None,
 ) -> NDArray[np.float32]:
-    """The reflectance with dark dots at places (N, 2), x and y, with soft edges; `bites` as `Coating.marker_bites`."""
+    """The reflectance with dark dots at positions (N, 2), x and y, with soft edges; `bites` as `Coating.marker_bites`."""
     out = albedo.copy()
     reach = int(radius_px) + 1
     row, column = np.mgrid[-reach : reach + 1, -reach : reach + 1]
@@ -162,7 +162,7 @@ def texture_gradients(
 ) -> NDArray[np.float32] | None:
     """Slopes (h, w, 2) of roughness and scratches on the fine grid, or None where there are none.
 
-    Made on a grid of the pixels' pitch and stretched, so that every oversample sees the same gel.
+    They are made on a grid of the pixels' pitch and stretched, so that the gel is the same for every oversample.
     """
     if coating.roughness == 0 and coating.scratches == 0:
         return None

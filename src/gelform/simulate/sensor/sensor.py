@@ -1,4 +1,4 @@
-"""What a simulated sensor is, as plain numbers: its lights, optics, clock, grid, noise and gel."""
+"""The simulated sensor as plain numbers: its lights, optics, clock, grid, noise and gel."""
 
 from __future__ import annotations
 
@@ -17,27 +17,27 @@ Triple = tuple[float, float, float]
 RED: Triple = (1, 0, 0)
 GREEN: Triple = (0, 1, 0)
 BLUE: Triple = (0, 0, 1)
-SHADING_DEGREES = {6: 2, 15: 4}  # numbers of a polynomial in two variables: its degree
+SHADING_DEGREES = {6: 2, 15: 4}  # number of coefficients of a polynomial in two variables: its degree
 IDENTITY: tuple[Triple, Triple, Triple] = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
 
 
 @dataclass(frozen=True)
 class Led:
-    """A small light near the gel; unless it has a beam it shines alike in all directions.
+    """A small light near the gel; without a beam it shines equally in all directions.
 
     Attributes
     ----------
     position_mm : (x, y, z)
-        From the gel's centre; x to the right, y down, z towards the camera: z > 0.
+        From the gel's center; x to the right, y down, z toward the camera: z > 0.
     color : (red, green, blue)
-        Strength in each channel, >= 0: grey levels that a white surface facing it gives at 1 mm.
+        Strength in each channel, >= 0: gray levels that a white surface facing it gives at 1 mm.
     beam_power : int, 0-64
-        Falls off beside its axis with this power of the cosine: 0 not at all, 1 Lambert's emitter, more:
+        Falls off from its axis with this power of the cosine: 0 not at all, 1 Lambert's emitter, more:
         narrow.
     aim_mm : (x, y, z)
-        The point that its axis goes through; the gel's centre unless said.
+        The point that its axis goes through; the gel's center by default.
     size_mm : float
-        Its diameter; only cast shadows know it: larger is softer.
+        Its diameter; it affects only cast shadows: larger is softer.
     """
 
     position_mm: Triple
@@ -52,7 +52,7 @@ class Led:
             raise ValueError(
                 f"Expected an LED on the camera's side of the gel (z > 0 mm), got position_mm="
                 f"{self.position_mm}. "
-                "z points from the gel towards the camera."
+                "z points from the gel toward the camera."
             )
         if min(color) < 0 or max(color) == 0:
             raise ValueError(f"Expected color >= 0 and not all 0, got {self.color}.")
@@ -76,7 +76,7 @@ def led_ring(
     angles_deg: Sequence[float],
     colors: Sequence[Triple] = (RED, GREEN, BLUE),
 ) -> tuple[Led, ...]:
-    """One LED of each colour around the gel's centre; 0 degrees is to the right, 90 is down."""
+    """One LED of each color around the gel's center; 0 degrees is to the right, 90 is down."""
     angles = np.deg2rad(angles_deg)
     return tuple(
         Led((float(distance_mm * np.cos(a)), float(distance_mm * np.sin(a)), height_mm), color)
@@ -87,8 +87,8 @@ def led_ring(
 def led_color(peak_nm: float, width_nm: float = 25.0) -> tuple[float, float, float]:
     """Strength in the three channels of an LED of unit power with a Gaussian spectrum.
 
-    The channels' sensitivities are taken as Gaussians about 600, 540 and 465 nm, 45, 45 and 35 nm wide (standard
-    deviations): round figures, measured on no camera. The product of two Gaussians integrates in closed form.
+    The channels' sensitivities are Gaussians about 600, 540 and 465 nm, 45, 45 and 35 nm wide (standard
+    deviations). These are round figures, not measured on a camera. The product of two Gaussians integrates in closed form.
 
     Parameters
     ----------
@@ -118,14 +118,14 @@ class Optics:
     Attributes
     ----------
     height_mm : float or None
-        Height of a pinhole over the gel: pressed surface is nearer and looks larger. None: orthographic.
+        Height of a pinhole over the gel; a pressed surface is nearer and looks larger. None: orthographic.
     distortion : (k1, k2)
         Radial, Brown's model: a point at distance r from the middle appears at r (1 + k1 r^2 + k2 r^4), r in
         units of half the image's diagonal; k1 < 0 is a barrel.
     response_gamma : float
-        Grey level = 255 (linear level/255)^(1/gamma): 1 is linear, 2.2 about sRGB.
+        Gray level = 255 (linear level/255)^(1/gamma): 1 is linear, 2.2 about sRGB.
     exposure : float
-        Times the light; noise follows, as its signal does.
+        Factor of the light; noise changes with its signal.
     jpeg_quality : int 1-100, or None
         Quality of the camera's compression; None: none.
     """
@@ -164,9 +164,9 @@ class Timing:
     flicker : float, 0-1, flicker_hz : float
         The LEDs' light swings by this part of its mean, at this rate.
     drift : (red, green, blue), drift_time_s : float
-        The light moves by this part of itself in the end, exponentially with this time (warming up).
+        Final change of the light as a part of it, and the time constant of its exponential approach (warming up).
     drop_probability : float, 0-1
-        Probability of each frame to be lost; its index is skipped.
+        Probability that a frame is lost; its index is skipped.
     """
 
     frame_rate_hz: float = 25.0
@@ -204,7 +204,7 @@ class Timing:
 
 @dataclass(frozen=True)
 class SimulatedSensor:
-    """A sensor that exists as numbers; `LAYOUTS` holds ready ones.
+    """A simulated sensor; `LAYOUTS` holds ready ones.
 
     Attributes
     ----------
@@ -215,31 +215,31 @@ class SimulatedSensor:
     mm_per_px : float
         Pixel pitch on the gel, mm.
     ambient : (red, green, blue)
-        Grey levels of light from all sides (scattered in the gel), before vignetting.
+        Gray levels of light from all sides (scattered in the gel), before vignetting.
     white_balance : (red, green, blue)
-        Gain of each channel behind the crosstalk; `exposed` finds it.
+        Gain of each channel after the crosstalk; `exposed` finds it.
     vignetting : float, 0-1
-        Part of the light lost in the image's corners, growing with the square of the distance to the centre.
+        Part of the light lost in the image's corners, growing with the square of the distance to the center.
     crosstalk : 3x3, >= 0
-        Row c: how much of the red, green, blue light channel c sees.
+        Row c: the fractions of the red, green, blue light that channel c records.
     blur_px : float
         Standard deviation of the optics' blur.
     noise_sd : float
-        Read noise, grey levels.
+        Read noise, gray levels.
     noise_gain : float
-        Shot noise: variance per grey level of signal.
+        Shot noise: variance per gray level of signal.
     relaxation_mm : float
-        Length over which the gel's surface relaxes beside the contact.
+        Length over which the gel's surface relaxes around the contact.
     gel : Gel
         Thickness, bulge, friction.
     coating : Coating
-        What the gel's surface looks like: gloss, scattering, roughness, scratches, dust, markers, albedo.
+        Appearance of the gel's surface: gloss, scattering, roughness, scratches, dust, markers, albedo.
     optics : Optics
         Projection, distortion, response curve, exposure, JPEG.
     timing : Timing
-        Frame rate, flicker, drift, dropped frames; only sequences know it.
+        Frame rate, flicker, drift, dropped frames; only sequences use it.
     shading : three tuples of 6 or 15 numbers, or None
-        Per channel the gain over the image, for light guides and lenses that no LED position explains: the
+        Gain over the image for each channel, for light guides and lenses that no LED position explains: the
         first number times `1 + a x + b y + c x^2 + d x y + e y^2` (or to the fourth degree), x and y in -1..1.
     cast_shadows : bool
         Whether the surface shades itself; attached shadows are always there.
@@ -285,15 +285,15 @@ class SimulatedSensor:
             raise ValueError(f"Expected vignetting in 0-1 (1 excluded), got {self.vignetting}.")
 
     def linear(self) -> SimulatedSensor:
-        """The same sensor with grey levels in proportion to light: no response curve, no JPEG."""
+        """The same sensor with gray levels in proportion to light: no response curve, no JPEG."""
         return replace(self, optics=replace(self.optics, response_gamma=1.0, jpeg_quality=None))
 
     def grid_mm(
         self, oversample: int = 1, margin: int = 0
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Coordinates of (sub)pixel centres: x as a row (1, w), y as a column (h, 1), mm from the centre.
+        """Coordinates of (sub)pixel centers: x as a row (1, w), y as a column (h, 1), mm from the center.
 
-        With an odd `oversample` the middle subpixel lies on the pixel's centre. `margin` adds subpixels on each
+        With an odd `oversample` the middle subpixel lies on the pixel's center. `margin` adds subpixels on each
         side.
         """
         pitch = self.mm_per_px / oversample
@@ -306,13 +306,13 @@ class SimulatedSensor:
 def settings_from_sensor(sensor: SimulatedSensor) -> dict[str, Any]:
     """A sensor as lists, numbers and words that JSON can hold; an albedo map as its values.
 
-    `gelform.sensors.simulated.settings.sensor_from_settings` turns them back into the sensor.
+    `gelform.sensors.simulated.settings.sensor_from_settings` is the inverse.
     """
     return {one.name: _plain(getattr(sensor, one.name)) for one in fields(sensor)}
 
 
 def _check_outside_gel(led: Led, sensor: SimulatedSensor) -> None:
-    """Refuse a light between the gel's two faces; one beside the gel may be as low as it likes."""
+    """Refuse a light between the gel's two faces; a light outside the gel may be at any height."""
     x, y, z = led.position_mm
     half_height, half_width = (n * sensor.mm_per_px / 2 for n in sensor.shape)
     if z < sensor.gel.thickness_mm and abs(x) < half_width and abs(y) < half_height:

@@ -1,4 +1,4 @@
-"""The report's curves, bars and maps of the frame as SVG: small, crisp, in the page's own colours, light or dark."""
+"""The report's curves, bars and maps of the frame as SVG: small, crisp, in the page's own colors, light or dark."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ WIDTH, HEIGHT = 460, 270  # px of the curves, as drawn
 LEFT, RIGHT, TOP, BOTTOM = 46, 12, 30, 40  # px around the plot
 MAP_WIDTH, SHARE_MAP_WIDTH = 560, 330  # px
 LONGEST_ARROW = 50.0  # px
-SUPPORT_OPACITY = (0.0, 0.3, 0.55, 0.85)  # of a petal that no, one, two, three or more presses show
-GAIN_RIGHT = (0.95, 1.05)  # the band of the gain that is right
+SUPPORT_OPACITY = (0.0, 0.3, 0.55, 0.85)  # opacity of a petal that no, one, two, three or more presses show
+GAIN_RIGHT = (0.95, 1.05)  # range of a good gain
 SHARE_RIGHT, SHARE_FAIR = (60, 76), (45, 90)  # % within one sigma; 68 is right
 Ticks = Sequence[float] | NDArray[Any]
 
 
 def svg(body: str, width: float, height: float, title: str, kind: str = "chart") -> str:
-    """An SVG that scales with the page; its title is read to who cannot see it."""
+    """An SVG that scales with the page; screen readers read its title."""
     return (
         f'<svg class="{kind}" viewBox="0 0 {width:g} {height:g}" role="img" aria-label="{escape(title)}">'
         f"<title>{escape(title)}</title>{body}</svg>"
@@ -30,7 +30,7 @@ def svg(body: str, width: float, height: float, title: str, kind: str = "chart")
 
 
 def _px(value: float) -> str:
-    """A length: whole, or to a tenth of a pixel."""
+    """A length in px, whole or to a tenth."""
     return str(value) if isinstance(value, int) else f"{value:.1f}"
 
 
@@ -53,7 +53,7 @@ def _circle(kind: str, x: float, y: float, radius: float) -> str:
 
 @dataclass(frozen=True)
 class Axes:
-    """A plot area: data to pixels, and its frame. x to the right, y upwards."""
+    """A plot area: conversion of data to pixels, and its frame. x to the right, y upward."""
 
     x_range: tuple[float, float]
     y_range: tuple[float, float]
@@ -95,7 +95,7 @@ class Axes:
         return f'<polygon class="{kind}" points="{points}"/>'
 
     def level_band(self, low: float, high: float) -> str:
-        """What is right, over the whole plot."""
+        """The band of good values, over the whole plot."""
         return self.band(self.x_range, (low, low), (high, high), "right")
 
     def dots(self, xs: Sequence[float], ys: Sequence[float], kind: str, radius: float = 3) -> str:
@@ -104,7 +104,7 @@ class Axes:
 
 
 def gain_chart(gain: dict[str, Any]) -> str:
-    """Recovered over true slope by slope, inside the contact's edge and up to the visible rim; 1 is right."""
+    """Recovered over true slope by slope, inside the contact edge and up to the visible rim; 1 is right."""
     both = gain["contact"] + gain["rim"]
     if not both:
         return ""
@@ -133,7 +133,7 @@ def _slope_ticks(end: float) -> NDArray[np.float64]:
 
 
 def learning_chart(learning: dict[str, Any]) -> str:
-    """Held-out error by number of presses: every draw, their mean, and the law that is carried on."""
+    """Held-out error by number of presses: every draw, their mean, and the fitted law beyond them."""
     points, expected = learning["points"], learning["expected"]
     now = expected["presses_now"]
     end = now + expected["presses_more"]
@@ -197,7 +197,7 @@ def _bar_of(percent: float) -> str:
 
 
 def limit_bar(value: float, interval: Sequence[float] | None, good: float, fair: float) -> str:
-    """Where a figure and its interval lie on good, fair and poor; smaller is better."""
+    """A figure and its interval on the ranges good, fair and poor; smaller is better."""
     end = max(1.5 * fair, 1.05 * value, 1.05 * (interval or [0, 0])[1])
     scale = 200 / end
     parts = [
@@ -224,7 +224,7 @@ def range_bar(row: dict[str, Any], end: float) -> str:
 
 
 def coverage_map(coverage: dict[str, Any], shape: Sequence[int]) -> str:
-    """A rose in every cell: one petal for each slope direction, filled by how many presses have shown it."""
+    """A rose in every cell: one petal for each slope direction, filled by the number of presses that show it."""
     scale = MAP_WIDTH / shape[1]
     parts, cells = _cells(coverage, shape, MAP_WIDTH)
     for (left, top, width, height), counts in zip(cells, coverage["presses"]):
@@ -243,7 +243,7 @@ def coverage_map(coverage: dict[str, Any], shape: Sequence[int]) -> str:
 def _cells(
     grid: dict[str, Any], shape: Sequence[int], width: int
 ) -> tuple[list[str], Iterator[tuple[float, float, float, float]]]:
-    """The ground of a map of the frame, and left, top, width, height of its cells, row by row."""
+    """The background of a map of the frame, and left, top, width, height of its cells, row by row."""
     height, rows, columns = shape[0] * width / shape[1], grid["rows"], grid["columns"]
     ground = f'<rect class="ground" width="{width}" height="{height:.1f}" rx="3"/>'
     across, down = width / columns, height / rows
@@ -266,7 +266,7 @@ def _petal(x: float, y: float, radius: float, k: int, directions: int, count: in
 
 
 def slope_error_map(errors: dict[str, Any], shape: Sequence[int]) -> str:
-    """RMS length of the held-out slope error as shade, its mean as an arrow, by place."""
+    """The RMS length of the held-out slope error as shade, its mean as an arrow, by place."""
     limit = scale_of_errors(errors)
     parts, cells = _cells(errors, shape, MAP_WIDTH)
     arrows = []
@@ -282,7 +282,7 @@ def slope_error_map(errors: dict[str, Any], shape: Sequence[int]) -> str:
 
 
 def scale_of_errors(errors: dict[str, Any]) -> float:
-    """The RMS slope error that the map shows darkest; an arrow of this length spans 0.9 of a cell."""
+    """The RMS slope error of the map's darkest shade; an arrow of this length spans 0.9 of a cell."""
     known = [rms for rms in errors["rms"] if rms is not None]
     return float(max(np.quantile(known, 0.95), 1e-6)) if known else 1.0
 

@@ -1,4 +1,4 @@
-"""The report as one HTML page that needs nothing else: no script, no network, no font, no extra."""
+"""The report as one self-contained HTML page: no script, no network, no font, no extra."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ def report_page(content: dict[str, Any], presses: Presses, calibration: Calibrat
     Parameters
     ----------
     content : from `report_content`
-    presses : the presses it is of, for their pictures
+    presses : the presses of the report, for their pictures
     calibration : for its held-out depth pictures and its background
 
     Returns
     -------
     html : str
-        At most about 3 MB: hundreds of presses are shown smaller.
+        At most about 3 MB; hundreds of presses have smaller pictures.
     """
     name = content["calibration"]["sensor_name"]
     samples = calibration.report.samples
@@ -61,7 +61,7 @@ def report_page(content: dict[str, Any], presses: Presses, calibration: Calibrat
 
 
 def _saved_section(report: Any) -> str:
-    """The saved model's own held-out errors beside those of the whole procedure."""
+    """The saved model's own held-out errors, next to those of the whole procedure."""
     words = {name: escape(figure.replace("(um)", "(µm)")) for name, figure in FIGURES.items()}
     rows = "".join(
         f"<tr><td>{words[name]}</td><td>{saved:.3g}</td><td>{report.held_out[name]:.3g}</td></tr>"

@@ -14,22 +14,23 @@ from numpy.typing import NDArray
 
 from gelform.calibration.held_out.measure import HeldOutSample
 
-WORSE = 2.0  # times the median error: such presses stand out
+WORSE = 2.0  # times the median error; worse presses are highlighted
 SHOWN = (
     ("normal_free_deg", "normals", "°", 1),
     ("cap_free_um", "depth in the contact", " µm", 0),
     ("radius_percent", "ball's radius", " %", 1),
     ("off_contact_um", "depth off contact", " µm", 0),
 )
-BUDGET_BYTES = 1_300_000  # of all pictures of presses: the page stays under 3 MB
-WIDTHS_PX = (320, 240, 160, 112, 80, 56)  # of a press's picture, the first that the budget allows
-QUALITY = 82  # of JPEG, %
-TILE_PX = 56  # of a picture of depth minus cap
+BUDGET_BYTES = 1_300_000  # bytes of all pictures of presses; the page stays under 3 MB
+# px, widths of a press's picture; the first that the budget allows is used.
+WIDTHS_PX = (320, 240, 160, 112, 80, 56)
+QUALITY = 82  # %, quality of JPEG
+TILE_PX = 56  # px of a picture of depth minus cap
 HIGH, LOW = (214, 69, 65), (40, 110, 200)  # RGB of depth above and below the ball
 
 
 def presses_section(content: dict[str, Any], images: Sequence[NDArray[np.uint8]]) -> str:
-    """Every press with the circle found on it: the rejected ones first, with their reasons."""
+    """Every press with its circle; the rejected ones come first, with their reasons."""
     rows, shape = content["presses"], content["calibration"]["image_shape"]
     urls = press_urls([np.asarray(image, dtype=np.uint8) for image in images])
     errors = [row["errors"]["normal_free_deg"] for row in rows if row["errors"]]
@@ -82,7 +83,7 @@ def _circled(url: str, shape: Sequence[int], x: float, y: float, radius: float, 
         f'<image href="{url}" x="-0.5" y="-0.5" width="{width}" height="{height}" preserveAspectRatio="none"/>'
         f'<circle class="circle-under" {circle}/>'
         f'<circle class="circle" {circle}/>'
-        f'<path class="centre" d="{cross}"/></svg>'
+        f'<path class="center" d="{cross}"/></svg>'
     )
 
 
@@ -93,7 +94,7 @@ def _figure(errors: dict[str, float], shown: tuple[str, str, str, int]) -> str:
 
 
 def short_names(names: Sequence[str], length: int = 28) -> list[str]:
-    """Names without the ending that all share (`/gelsight.png`, `.png`), the middle of long ones left out."""
+    """Names without their common ending (`/gelsight.png`, `.png`); long ones lose their middle."""
     ending = os.path.commonprefix([name[::-1] for name in names])[::-1]  # noqa: RUF071 (letters are meant)
     cut = max(ending.find("/"), 0) if "/" in ending else max(ending.rfind("."), 0)
     shared = len(ending) - cut if ending[cut : cut + 1] in ("/", ".") else 0
@@ -121,7 +122,7 @@ def caps_section(content: dict[str, Any], samples: Sequence[HeldOutSample]) -> s
         )
     return (
         "<h3>Depth minus the ball's cap, every held-out press</h3>"
-        f"<p class='lead'>Red is too high, blue too low, full color {scale:g} µm; the figure is the RMS. "
+        f"<p class='lead'>Red is too high and blue too low. Full color is {scale:g} µm. The figure is the RMS. "
         "The color model causes a pattern that is the same in every press. A pattern that stays at one place of the gel is "
         "dust, a scratch or a shadow.</p>"
         f'<div class="caps">{"".join(tiles)}</div>'
@@ -140,7 +141,7 @@ def jpeg_url(image: NDArray[np.uint8], width_px: int) -> str:
 
 
 def press_urls(images: Sequence[NDArray[np.uint8]], budget_bytes: int = BUDGET_BYTES) -> list[str]:
-    """All presses as wide as the budget of the page allows: hundreds become small."""
+    """All presses as wide as the page's budget allows; hundreds become small."""
     for width in WIDTHS_PX:
         each = len(jpeg_url(images[len(images) // 2], width))
         if each * len(images) <= budget_bytes:
@@ -149,7 +150,7 @@ def press_urls(images: Sequence[NDArray[np.uint8]], budget_bytes: int = BUDGET_B
 
 
 def cap_scale_um(maps: Sequence[NDArray[np.float32]]) -> float:
-    """The depth error that all the tiles show in full colour: a round figure that few pixels exceed."""
+    """The depth error of the tiles' full color: a round figure that few pixels exceed."""
     typical = float(np.nanquantile(np.abs(np.concatenate([one[::2, ::2].ravel() for one in maps])), 0.97))
     power = 10.0 ** np.floor(np.log10(max(typical, 1e-3)))
     return float(next(step * power for step in (1, 1.5, 2, 3, 5, 7, 10) if step * power >= typical))

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from gelform.calibration.report.page import charts
 from gelform.calibration.report.page.presses import jpeg_url
 from gelform.calibration.report.verdict import shown
+from gelform.foundations.npz_files import DIGEST_SHOWN
 
-DIGEST_SHOWN = 12  # characters of a digest: enough to tell two calibrations apart
-BACKGROUND_WIDTH_PX = 320  # of the picture of the gel at rest
+BACKGROUND_WIDTH_PX = 320  # px, of the picture of the gel at rest
 CARDS = (
     ("normal_free_deg", "Normals in the contact", "°", "mean angle to the ball's normals, center fitted"),
     ("radius_percent", "The ball's radius", " %", "median error of a sphere fitted to the depth"),
@@ -40,7 +40,7 @@ def section(anchor: str, title: str, *parts: str) -> str:
 
 
 def table(head: str, rows: str, kind: str = "") -> str:
-    """A table that scrolls where it is too wide, of rows that are written."""
+    """A table that scrolls if it is too wide."""
     return (
         f'<div class="scroll"><table{kind}><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table></div>'
     )
@@ -93,7 +93,7 @@ def _check_row(check: dict[str, Any]) -> str:
 
 
 def coverage_section(content: dict[str, Any]) -> str:
-    """Which slope directions each place has seen, and where to press next."""
+    """The slope directions that each place has shown, and the next places to press at."""
     coverage, facts = content["coverage"], content["calibration"]
     places = "".join(
         f"<li>{escape(place_in_words(place, facts['mm_per_px']))}</li>" for place in coverage["next"]
@@ -120,7 +120,7 @@ def coverage_section(content: dict[str, Any]) -> str:
 
 
 def models_section(content: dict[str, Any]) -> str:
-    """The models that were tried, with every figure that the run has measured, and how one was chosen."""
+    """The models that were tried, with every measured figure, and the rule of selection."""
     rows = content["candidates"]
     tried = {key for row in rows for key in row if key not in NOT_FIGURES and not key.endswith("_se")}
     keys = [key for key in COLUMNS if key in tried] + sorted(tried - COLUMNS.keys())
@@ -180,7 +180,7 @@ def errors_section(content: dict[str, Any], caps: str) -> str:
         "errors",
         "Residuals: where the errors are",
         f'<div class="two"><div>{charts.slope_error_map(errors, content["calibration"]["image_shape"])}</div><div>'
-        "<p>Error of the held-out slopes by place. The shade is its RMS size. An arrow is the mean error, "
+        "<p>The map shows the error of the held-out slopes by place. The shade is its RMS size. An arrow is the mean error, "
         "which more pixels do not reduce. If arrows agree over a region, the model does not know that "
         f"region's light.</p>{key}</div></div>{caps}",
     )
@@ -193,7 +193,7 @@ def where_section(content: dict[str, Any]) -> str:
     return section(
         "where",
         "Errors by slope and place",
-        "<p class='lead'>Mean angle between the normals of the solved depth and the ball's, over held-out pixels: "
+        "<p class='lead'>The mean angle between the normals of the solved depth and the ball's, over held-out pixels, is "
         f"{_deg(where['contact']['normal_deg'])} inside the contact edge, at {where['contact_radius_ratio']:.2f} of "
         f"the visible radius, and {_deg(where['rim']['normal_deg'])} up to 3 px inside the visible rim. There the gel has "
         "left the ball, so most of the difference is no error of the color model.</p>"
@@ -220,7 +220,9 @@ def _slope_table(where: dict[str, Any], zone: str) -> str:
 
 def _place_table(where: dict[str, Any]) -> str:
     whole, part = (where[name]["by_place"] for name in ("contact", "rim"))
-    cells = [f"<td>{_deg(a)} / {_deg(b)}</td>" for a, b in zip(whole["normal_deg"], part["normal_deg"])]
+    cells = [
+        f"<td>{_deg(a)}\u00a0/\u00a0{_deg(b)}</td>" for a, b in zip(whole["normal_deg"], part["normal_deg"])
+    ]
     columns = whole["columns"]
     rows = ["".join(cells[k : k + columns]) for k in range(0, len(cells), columns)]
     return f"<table><tbody>{''.join(f'<tr>{row}</tr>' for row in rows)}</tbody></table>"
@@ -242,7 +244,8 @@ def gain_section(content: dict[str, Any]) -> str:
         "gain",
         "Slope gain",
         f'<div class="two"><div>{charts.gain_chart(gain)}{key}</div>'
-        "<div><p>Recovered slope divided by true slope; <strong>1 is right</strong>, the green band is ±5 %. Below 1, "
+        "<div><p>The slope gain is the recovered slope divided by the true slope. <strong>1 is right</strong>; the "
+        "green band is ±5 %. Below 1, "
         "slopes are too flat: noise pulls them to the mean, or no press shows such slopes. Above 1, they are too steep. "
         "Bands are 95 % intervals over presses.</p><p>The dashed line counts up to the visible rim. Near the rim the gel "
         "has already left the ball, so the ball is steeper than the gel. This line falls on every sensor, and the color "
@@ -251,7 +254,7 @@ def gain_section(content: dict[str, Any]) -> str:
 
 
 def learning_section(content: dict[str, Any]) -> str:
-    """Error by number of presses, and what more would bring."""
+    """The error by number of presses, and the gain from more."""
     learning, title = content["learning"], "How many presses?"
     if learning is None:
         return section(
@@ -284,18 +287,18 @@ def learning_section(content: dict[str, Any]) -> str:
 
 
 def sigma_section(content: dict[str, Any]) -> str:
-    """Whether the stated uncertainty of the slopes is right."""
+    """A comparison of the stated uncertainty of the slopes with the held-out errors."""
     sigma, shape = content["sigma"], content["calibration"]["image_shape"]
     return section(
         "sigma",
         "Uncertainty: is the stated standard deviation right?",
-        "<p class='lead'>Share of held-out slopes within one stated standard deviation: 68 % is right, the green band "
-        "60–76 % is good. Under that, the stated uncertainty is too small; over that, it is too large. "
-        f"Overall {100 * sigma['all']:.0f} %. Outside the contact edge the gel has left the ball, and no pixel "
-        "counts. The uncertainty was fitted on the same presses for the final model; held-out models are a little "
+        "<p class='lead'>The figures are the share of held-out slopes within one stated standard deviation. 68 % is right, "
+        "and the green band 60–76 % is good. Below it, the stated uncertainty is too small; above it, too large. "
+        f"Overall, the share is {100 * sigma['all']:.0f} %. Outside the contact edge the gel has left the ball, and no "
+        "pixel counts. The uncertainty was fitted on the same presses for the final model; held-out models are a little "
         "worse.</p>"
         f'<div class="two"><div>{charts.sigma_chart(sigma)}</div><div>{charts.share_map(sigma, shape)}'
-        "<p class='muted'>The same by place.</p></div></div>",
+        "<p class='muted'>The same share by place.</p></div></div>",
     )
 
 
@@ -339,12 +342,12 @@ def _facts(content: dict[str, Any]) -> list[tuple[str, str]]:
 
 
 def digits(value: float) -> str:
-    """Three significant digits, zeros at the end included."""
+    """Three significant digits, with zeros at the end."""
     return f"{value:#.3g}".removesuffix(".")
 
 
 def place_in_words(place: dict[str, Any], mm_per_px: float) -> str:
-    """A place as a user finds it: part of the image, px, and mm from its left and its top."""
+    """A place for people: part of the image, px, and mm from its left and its top."""
     x, y = place["x_px"], place["y_px"]
     from_left, from_top = x * mm_per_px, y * mm_per_px
     return f"{place['name']}: ({x:.0f}, {y:.0f}) px, {from_left:.1f} mm from the left, {from_top:.1f} mm from the top"

@@ -1,4 +1,4 @@
-"""The style of the report's page: one sheet, light and dark, narrow and printed. Nothing comes from outside."""
+"""The style of the report's page: one sheet, light and dark, narrow and printed, with nothing from outside."""
 
 STYLE = """
 :root{color-scheme:light dark;--bg:#f7f7f5;--card:#fff;--ink:#1a1d21;--muted:#5f6670;--line:#e2e3e6;
@@ -88,10 +88,10 @@ svg .cell{font-size:13px;font-weight:600}
 align-items:center;justify-content:center;padding:20px;cursor:zoom-out;font-size:15px;line-height:1.5;text-align:center}
 .press input:checked+.view svg{width:min(92vw,calc(78vh*var(--aspect)))}
 .press input:checked+.view .more{display:block;color:var(--muted)}
-.circle-under,.circle,.centre{fill:none;vector-effect:non-scaling-stroke}
+.circle-under,.circle,.center{fill:none;vector-effect:non-scaling-stroke}
 .circle-under{stroke:#000;stroke-opacity:.6;stroke-width:3.5px}.circle{stroke:#5dff8f;stroke-width:1.7px}
 .no .circle{stroke:#ff7a6e}
-.centre{stroke:#fff;stroke-width:1px}
+.center{stroke:#fff;stroke-width:1px}
 .caps{display:grid;grid-template-columns:repeat(auto-fill,minmax(64px,1fr));gap:10px 8px;margin-top:10px}
 .caps figure{margin:0;text-align:center}
 .caps img{width:56px;height:56px;object-fit:contain;background:color-mix(in srgb,var(--ink) 5%,transparent);

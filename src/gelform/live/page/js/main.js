@@ -43,9 +43,9 @@ function watch() {
 }
 
 function missing(view) {
-  if (view === "sigma") return "this calibration says nothing of its uncertainty";
-  if (view === "other" || view === "difference") return "choose a calibration under “Compare with”";
-  return station()?.calibration ? "not there for this frame" : "needs a calibration";
+  if (view === "sigma") return "This calibration has no uncertainty.";
+  if (view === "other" || view === "difference") return "Choose a calibration under “Compare with”.";
+  return station()?.calibration ? "This frame does not have it." : "This view needs a calibration.";
 }
 
 // -- drawing ------------------------------------------------------------------------------------------------------------
@@ -76,7 +76,7 @@ function draw() {
 
 function drawPage(frame) {
   if (stale.panels) drawPanels();
-  if (frame && page === "calibrate" && stale.pictures) guidePane.draw(frame, { ...settings, plain: true, outlines: false, cursor: null, ruler: null, extra: (context, _, px) => drawGuideCircles(context, facts?.guides[number], px) });
+  if (frame && page === "calibrate" && stale.pictures) guidePane.draw(frame, { ...settings, plain: facts?.guides[number]?.step === "press", outlines: false, cursor: null, ruler: null, extra: (context, _, px) => drawGuideCircles(context, facts?.guides[number], px) });
   if (page === "live") {
     if (frame && stale.pictures) drawPictures(frame);
     if (frame && stale.curves && (!inSoftware() || curves.due(drawnAt))) drawNumbersAndCurves(frame);
@@ -254,24 +254,24 @@ function compared() {
 
 const replayed = (what, fields) => () => station()?.replay && send(what, fields());
 const KEYS = [
-  [" ", "hold the picture, go on", () => byId("pause").click()],
+  [" ", "pause or continue", () => byId("pause").click()],
   ["b", "take the background", () => byId("background").click()],
-  ["z", "set zero, take it back", () => byId("zero").click()],
-  ["s", "snapshot", () => byId("snapshot").click()],
-  ["r", "record, finish", () => byId("record").click()],
-  [",", "of a recording: one frame back", replayed("step", () => ({ by: -1 }))],
-  [".", "of a recording: one frame on", replayed("step", () => ({ by: 1 }))],
-  ["l", "of a recording: begin again at its end, or not", replayed("loop", () => ({ loop: !station().replay.loop }))],
-  ["f", "profile through the deepest point", follow],
-  ["m", "measure between two points of a map, or not", measure],
-  ["x", "surface over the whole screen, or not", () => byId("whole").click()],
-  ["1", "page Live", () => choosePage("live")],
-  ["2", "page Calibrate", () => choosePage("calibrate")],
-  ["n", "the next sensor", () => choose((number + 1) % stages.length)],
-  ["c", "Python and command line of the depth", () => code("depth")],
-  ["d", "light or dark", () => byId("theme").click()],
-  ["0", "surface as at the start", () => byId("reset-view").click()],
-  ["?", "these shortcuts", () => byId("help").click()],
+  ["z", "set zero, or undo it", () => byId("zero").click()],
+  ["s", "take a snapshot", () => byId("snapshot").click()],
+  ["r", "start or stop a recording", () => byId("record").click()],
+  [",", "recording: one frame back", replayed("step", () => ({ by: -1 }))],
+  [".", "recording: one frame forward", replayed("step", () => ({ by: 1 }))],
+  ["l", "recording: loop on or off", replayed("loop", () => ({ loop: !station().replay.loop }))],
+  ["f", "draw the profile through the deepest point", follow],
+  ["m", "ruler on or off", measure],
+  ["x", "surface on the whole screen, or back", () => byId("whole").click()],
+  ["1", "open the page Live", () => choosePage("live")],
+  ["2", "open the page Calibrate", () => choosePage("calibrate")],
+  ["n", "choose the next sensor", () => choose((number + 1) % stages.length)],
+  ["c", "show the code for the depth", () => code("depth")],
+  ["d", "switch between light and dark", () => byId("theme").click()],
+  ["0", "return to the first view of the surface", () => byId("reset-view").click()],
+  ["?", "show these shortcuts", () => byId("help").click()],
 ];
 
 function startPage() {

@@ -2,7 +2,7 @@
 
 import { byId, element, fit, setText, sizeOf } from "../page/dom.js";
 
-const LEFT = 58, BOTTOM = 24, TOP = 10, RIGHT = 12;
+const LEFT = 58, BOTTOM = 24, TOP = 10, RIGHT = 12, LEGEND = 18; // px around the plot; height of the legend
 
 const styles = (names) => { const all = getComputedStyle(document.documentElement); return names.map((name) => all.getPropertyValue(`--${name}`).trim()); };
 
@@ -30,7 +30,8 @@ export function drawChart(canvas, lines, { xUnit, yUnit, xRange, yLeast = 0.1, m
   const all = lines.flatMap((line) => Array.from(line.y)).filter((v) => !Number.isNaN(v));
   const high = Math.max(yLeast, ...all) * 1.08, low = Math.min(0, ...all) * 1.1 - 0.03 * high;
   const toX = (v) => LEFT + ((v - xRange[0]) / (xRange[1] - xRange[0] || 1)) * (width - LEFT - RIGHT);
-  const toY = (v) => height - BOTTOM - ((v - low) / (high - low)) * (height - BOTTOM - TOP);
+  const top = lines.some(({ name }) => name) ? TOP + LEGEND : TOP; // below the legend
+  const toY = (v) => height - BOTTOM - ((v - low) / (high - low)) * (height - BOTTOM - top);
   context.font = "11px system-ui, sans-serif";
   context.fillStyle = soft;
   context.strokeStyle = grid;
@@ -40,8 +41,11 @@ export function drawChart(canvas, lines, { xUnit, yUnit, xRange, yLeast = 0.1, m
   marks.forEach((v, k) => { line(context, LEFT, toY(v), width - RIGHT, toY(v)); context.fillText(`${v}${k === marks.length - 1 ? ` ${yUnit}` : ""}`, LEFT - 6, toY(v) + 4); });
   context.textAlign = "center";
   const below = ticks(...xRange, 5);
-  below.forEach((v, k) => context.fillText(`${v}${k === below.length - 1 ? ` ${xUnit}` : ""}`, Math.min(width - 20, toX(v)), height - 8));
-  if (mark !== null) { context.setLineDash([3, 3]); context.strokeStyle = soft; line(context, toX(mark), TOP, toX(mark), height - BOTTOM); context.setLineDash([]); }
+  below.forEach((v, k) => {
+    const text = `${v}${k === below.length - 1 ? ` ${xUnit}` : ""}`;
+    context.fillText(text, Math.min(width - RIGHT / 2 - context.measureText(text).width / 2, toX(v)), height - 8);
+  });
+  if (mark !== null) { context.setLineDash([3, 3]); context.strokeStyle = soft; line(context, toX(mark), top, toX(mark), height - BOTTOM); context.setLineDash([]); }
   lines.forEach((one, k) => trace(context, one, toX, toY, k));
   legend(context, lines, width, ink ?? soft);
 }
@@ -49,7 +53,7 @@ export function drawChart(canvas, lines, { xUnit, yUnit, xRange, yLeast = 0.1, m
 function trace(context, { x, y, color }, toX, toY, nth) {
   context.strokeStyle = styles([color])[0];
   context.lineWidth = 2;
-  if (nth % 2) context.setLineDash([7, 3]); // told apart without colours too
+  if (nth % 2) context.setLineDash([7, 3]); // told apart without colors too
   context.beginPath();
   for (let k = 0; k < y.length; k++) if (!Number.isNaN(y[k])) context[k && !Number.isNaN(y[k - 1]) ? "lineTo" : "moveTo"](toX(x[k]), toY(y[k])); // interrupted where nothing is known
   context.stroke();

@@ -37,7 +37,7 @@ export class Painting {
   }
 }
 
-export const HATCH = ["#8a9499", "#5d676c"], HATCH_PX = 6; // two greys in stripes, so many pixels of the map apart
+export const HATCH = ["#8a9499", "#5d676c"], HATCH_PX = 6; // two grays in stripes, so many pixels of the map apart
 const [LIGHT, DARK] = HATCH.map((color) => 0xff000000 | parseInt(color.slice(1).match(/../g).reverse().join(""), 16));
 
 /** What is not known is hatched, whatever was filled in there. `bits`: of the plane, which of its pixels are meant. */

@@ -5,7 +5,7 @@ import { drawRuler } from "./ruler.js";
 import { ramp, VIEWS } from "./views.js";
 import { element, fit } from "../page/dom.js";
 
-// Marks: coordinates are pixels of the image, whole numbers at their centres; `px` is the width of a pixel of the style
+// Marks: coordinates are pixels of the image, whole numbers at their centers; `px` is the width of a pixel of the style
 // sheet in them.
 const LIGHT = "#fff", HALO = "rgb(0 0 0 / 60%)";
 
@@ -23,6 +23,7 @@ function drawCross(context, { width, height }, [x, y], px) {
   context.beginPath();
   context.moveTo(0, y); context.lineTo(width, y);
   context.moveTo(x, 0); context.lineTo(x, height);
+  stroked(context, px, "rgb(0 0 0 / 35%)"); // seen between white dashes on a bright map
   context.setLineDash([3 * px, 3 * px]);
   stroked(context, px, "rgb(255 255 255 / 85%)");
   context.setLineDash([]);
@@ -32,7 +33,7 @@ function drawDeepest(context, { header, width }, px) {
   if (header.peak_px && header.outlines?.length) drawRing(context, [...header.peak_px, width / 90], { width: 2 * px, color: LIGHT });
 }
 
-/** A circle [x, y, radius]. `look`: {width, color, dash: [on, off] or nothing, fill: a colour or nothing}. */
+/** A circle [x, y, radius]. `look`: {width, color, dash: [on, off] or nothing, fill: a color or nothing}. */
 export function drawRing(context, [x, y, radius], { width, color, dash = [], fill = null }) {
   context.beginPath();
   context.arc(x, y, radius, 0, 2 * Math.PI);
@@ -110,7 +111,7 @@ export class Pane {
   show(view) {
     this.view = view;
     this.select.value = view;
-    this.code.setAttribute("aria-label", `Code of ${VIEWS[view].title}`);
+    this.code.setAttribute("aria-label", `Code for ${VIEWS[view].title}`);
     this.node.dataset.view = view;
     this.said = "";
     this.actions.changed();

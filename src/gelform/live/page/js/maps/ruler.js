@@ -8,7 +8,7 @@ export class Ruler {
   constructor(changed) {
     this.changed = changed;
     this.on = false;
-    this.ends = []; // [x, y] in px of the image, whole numbers at the pixels' centres
+    this.ends = []; // [x, y] in px of the image, whole numbers at the pixels' centers
   }
 
   toggle() { this.on = !this.on; this.changed(); }
@@ -33,12 +33,12 @@ export class Ruler {
     return { distance: Math.hypot((b[0] - a[0]) * x, (b[1] - a[1]) * y), rise: frame.depthAt(...b) - frame.depthAt(...a) };
   }
 
-  /** In words. */
+  /** The measurement as a sentence. */
   said(frame) {
     const found = this.measured(frame);
-    if (!found) return this.ends.length < 2 ? `Click ${this.ends.length ? "the other point" : "two points"} on a map, or type them.` : "There is no depth.";
-    const { distance, rise } = found, height = Number.isNaN(rise) ? "height not known" : `B ${Math.abs(rise).toFixed(3)} ${frame.unit} ${rise < 0 ? "less deep" : "deeper"}`;
-    return `${distance.toFixed(2)} ${frame.unit} apart, ${height}`;
+    if (!found) return this.ends.length < 2 ? `Click ${this.ends.length ? "the other point" : "two points"} on a map, or type the coordinates.` : "This frame has no depth.";
+    const { distance, rise } = found, height = Number.isNaN(rise) ? "their difference in depth is not known" : `B is ${Math.abs(rise).toFixed(3)} ${frame.unit} ${rise < 0 ? "less deep" : "deeper"}`;
+    return `A and B are ${distance.toFixed(2)} ${frame.unit} apart, ${height}.`;
   }
 }
 

@@ -1,16 +1,16 @@
-// The maps that a pane can show: which planes they need, how a pixel gets its colour, which bits of the plane `unknown` are hatched, what the legend says.
+// The maps that a pane can show: the planes that they need, the color of a pixel, the bits of the plane `unknown` that are hatched, the legend.
 
-// viridis and cividis grow evenly in lightness, so they read the same to the colour-blind and in grey.
+// viridis and cividis grow evenly in lightness, so they read the same to the color-blind and in gray.
 const ANCHORS = {
   viridis: "440154 481769 472a7a 433d84 3d4e8a 355e8d 2e6d8e 297b8e 23898e 1f978b 21a585 2eb37c 46c06f 65cb5e 89d548 b0dd2f d8e219 fde725",
   cividis: "00224e 002d68 163770 2e416d 3f4c6c 4e566c 5c616e 696b71 767676 838179 928c78 a09875 afa471 bfb06b cfbd62 dfca57 f0d846 fee838",
-  grey: "101010 f4f4f4",
+  gray: "101010 f4f4f4",
 };
 export const MAP_NAMES = Object.keys(ANCHORS);
 
 function channels(hex) { return [0, 2, 4].map((k) => parseInt(hex.slice(k, k + 2), 16)); }
 
-/** 256 colours [r, g, b] of a map. */
+/** 256 colors [r, g, b] of a map. */
 export function ramp(name) {
   const anchors = ANCHORS[name].split(" ").map(channels);
   return Array.from({ length: 256 }, (_, k) => {
@@ -28,7 +28,7 @@ const rgb = (color) => channels(color.slice(1));
 
 /**
  * Calls back(index, nx, ny, nz) with the unit normal of every pixel, as `gelform.normals_from_gradients(gelform.gradients_from_depth(...))`
- * gives it: (-dz/dx, -dz/dy, 1) / norm, z towards the camera; differences of neighbours, one-sided at the border.
+ * gives it: (-dz/dx, -dz/dy, 1) / norm, z towards the camera; differences of neighbors, one-sided at the border.
  */
 export function eachNormal(map, pitchX, pitchY, back) {
   const { width, height, values, step } = map, inside = step / (2 * pitchX), border = step / pitchX;
@@ -48,7 +48,7 @@ export function eachNormal(map, pitchX, pitchY, back) {
 const OPAQUE = 0xff000000; // of an ImageData seen as 32 bits, little end first
 const pack = (r, g, b) => OPAQUE | (b << 16) | (g << 8) | r;
 
-/** Paints values from low to high with the colours of a map. */
+/** Paints values from low to high with the colors of a map. */
 function ramped(name, low, high) {
   return (frame, pixels, settings) => {
     const map = frame.map(name), colors = packedRamp(settings.colors), [from, to] = [low(settings), high(settings)];
@@ -84,18 +84,18 @@ function paintCauses(frame, pixels, settings) {
   const colors = (frame.header.cause_colors ?? []).map((color) => pack(...rgb(color)));
   for (let k = 0; k < pixels.length; k++) {
     const first = bits[k] ? Math.log2(bits[k] & -bits[k]) : -1;
-    const grey = image ? (image[3 * k] * 2 + image[3 * k + 1] * 5 + image[3 * k + 2]) >> 4 : 40;
-    pixels[k] = first >= 0 ? colors[first] : pack(grey, grey, grey);
+    const gray = image ? (image[3 * k] * 2 + image[3 * k + 1] * 5 + image[3 * k + 2]) >> 4 : 40;
+    pixels[k] = first >= 0 ? colors[first] : pack(gray, gray, gray);
   }
 }
 
 export const VIEWS = {
   depth: { title: "Depth", planes: ["depth"], from: "depth", paint: ramped("depth", () => 0, (s) => s.range), unknown: 1, legend: (s, f) => ({ colors: s.colors, low: "0", high: `${s.range.toPrecision(2)} ${f.unit}` }) },
-  image: { title: "Camera", planes: ["image"], from: "image", paint: paintImage, legend: (s, f) => ({ text: s.plain ? "yellow: press at 1, then at 2 and 3; white: what is pressed now" : f.header.simulated ? "click to press here" : "as the calibration's view shows it" }) },
-  normals: { title: "Normals", planes: ["depth"], from: "depth", paint: paintNormals, unknown: 1, legend: () => ({ text: "red: x to the right, green: y down, blue: towards the camera" }) },
+  image: { title: "Camera", planes: ["image"], from: "image", paint: paintImage, legend: (s, f) => ({ text: s.plain ? "Yellow: press at 1, then at 2 and 3. White: contact now." : f.header.simulated ? "Click to press here." : "The image, after crop, flip and resizing." }) },
+  normals: { title: "Normals", planes: ["depth"], from: "depth", paint: paintNormals, unknown: 1, legend: () => ({ text: "Red: x to the right. Green: y down. Blue: toward the camera." }) },
   confidence: { title: "Confidence", planes: ["confidence"], from: "confidence", paint: ramped("confidence", () => 0, () => 1), legend: (s) => ({ colors: s.colors, low: "0", high: "1" }) },
   sigma: { title: "Uncertainty", planes: ["sigma"], from: "sigma", paint: ramped("sigma", () => 0, () => 0.1), unknown: 1, legend: (s) => ({ colors: s.colors, low: "0", high: "0.1 mm" }) },
-  causes: { title: "Why not trusted", planes: ["causes", "image"], from: "causes", paint: paintCauses, legend: (s, f) => ({ swatches: (f.header.causes ?? []).map((name, k) => [f.header.cause_colors[k].slice(1), name.replace("_", " ")]) }) },
-  other: { title: "Other calibration", planes: ["other"], from: "other", paint: ramped("other", () => 0, (s) => s.range), unknown: 2, legend: (s, f) => ({ colors: s.colors, low: `deepest ${f.header.other?.peak.toFixed(3)} ${f.unit}; 0`, high: `${s.range.toPrecision(2)} ${f.unit}` }) },
-  difference: { title: "Difference", planes: ["depth", "other"], from: "depth", paint: paintOther, unknown: 3, legend: (s, f) => ({ text: `orange: deeper than by the other, blue: less deep; full colour at ${(s.range / 5).toPrecision(2)} ${f.unit}; apart by ${f.header.other?.apart?.toFixed(4)} ${f.unit} (RMS)` }) },
+  causes: { title: "Causes of low confidence", planes: ["causes", "image"], from: "causes", paint: paintCauses, legend: (s, f) => ({ swatches: (f.header.causes ?? []).map((name, k) => [f.header.cause_colors[k].slice(1), name.replace("_", " ")]) }) },
+  other: { title: "Other calibration", planes: ["other"], from: "other", paint: ramped("other", () => 0, (s) => s.range), unknown: 2, legend: (s, f) => ({ colors: s.colors, low: "0", high: `${s.range.toPrecision(2)} ${f.unit} (deepest: ${f.header.other?.peak.toFixed(3)} ${f.unit})` }) },
+  difference: { title: "Difference", planes: ["depth", "other"], from: "depth", paint: paintOther, unknown: 3, legend: (s, f) => ({ text: `Orange: deeper than by the other calibration. Blue: less deep. Full color: ${(s.range / 5).toPrecision(2)} ${f.unit}. RMS difference: ${f.header.other?.apart?.toFixed(4)} ${f.unit}.` }) },
 };

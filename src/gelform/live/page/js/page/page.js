@@ -12,7 +12,7 @@ function openDialog(title, ...content) {
 
 /** What reproduces a view: [{language, text}] under their names, each with a button that copies it. */
 export function showCode(title, parts) {
-  openDialog(`How to get it: ${title}`, ...parts.map(({ language, text }) => element("div", {},
+  openDialog(`Code for ${title}`, ...parts.map(({ language, text }) => element("div", {},
     element("div", { class: "copy" }, element("h3", { text: language }), element("button", { class: "quiet", text: "Copy", onclick: () => copy(text) })),
     element("pre", { tabindex: 0 }, text))));
 }
@@ -20,9 +20,9 @@ export function showCode(title, parts) {
 async function copy(text) {
   try {
     await navigator.clipboard.writeText(text);
-    toast("Copied.");
+    toast("Copied to the clipboard.");
   } catch {
-    toast("The browser does not allow copying here. Select the text.", "warning");
+    toast("The browser does not allow copying here. Select the text and copy it.", "warning");
   }
 }
 
@@ -39,8 +39,8 @@ export function startKeys(table) {
 }
 
 export function showKeys(table) {
-  const rows = [...table.map(([key, what]) => [key === " " ? "Space" : key.toUpperCase(), what]), ["← ↑ → ↓", "turn the surface, where it has the focus"], ["+ −", "nearer, farther"]];
-  openDialog("Keyboard", element("div", { class: "keys" }, ...rows.flatMap(([key, what]) => [element("span", {}, element("kbd", { text: key })), element("span", { text: what })])));
+  const rows = [...table.map(([key, what]) => [key === " " ? "Space" : key.toUpperCase(), what]), ["← ↑ → ↓", "turn the surface while it has the focus"], ["+ −", "zoom in, zoom out"]];
+  openDialog("Keyboard shortcuts", element("div", { class: "keys" }, ...rows.flatMap(([key, what]) => [element("span", {}, element("kbd", { text: key })), element("span", { text: what })])));
 }
 
 /** Arrow keys move between tabs, as screen readers expect. */

@@ -10,17 +10,17 @@ export function startControls(does) {
   const choice = (id, text, act) => element("label", {}, text, element("select", { id, onchange: (event) => act(event.target.value) }));
   byId("actions").append(
     element("div", { class: "row" },
-      button("background", "Take background", "The untouched gel of today: touch nothing (B)", () => send("background"), true),
-      button("zero", "Set zero", "Show depth against what is there now (Z)", () => send("zero")),
-      button("snapshot", "Snapshot", "npz, png and ply of this frame (S)", () => send("snapshot")),
-      button("record", "Record", "Frames as the camera gives them, into the folder of gelform live, while this page is open (R)", () => send("record", { on: !does.recording(), page: does.page })),
-      button("pause", "Pause", "Hold the picture (space)", () => send("pause", { paused: !holds(does.chosen()) }))));
+      button("background", "Take background", "Average the next frames as the background image. Touch nothing. (B)", () => send("background"), true),
+      button("zero", "Set zero", "Show depth relative to the present state (Z)", () => send("zero")),
+      button("snapshot", "Snapshot", "Save this frame as npz, png and ply (S)", () => send("snapshot")),
+      button("record", "Record", "Save the frames as the camera gives them, in the folder of gelform live. It ends when this page is closed. (R)", () => send("record", { on: !does.recording(), page: does.page })),
+      button("pause", "Pause", "Hold this frame (space)", () => send("pause", { paused: !holds(does.chosen()) }))));
   byId("choices").append(
     choice("calibration", "Calibration", (name) => name && send("calibration", { name })),
     choice("compare", "Compare with", (name) => { send("compare", { name }); if (name) does.compared(); }),
     element("div", { class: "row" },
       choice("solver", "Solver", (name) => send("solver", { name })),
-      choice("colors", "Colours", (name) => { does.settings.colors = name; does.redraw(); })),
+      choice("colors", "Colors", (name) => { does.settings.colors = name; does.redraw(); })),
     element("label", { class: "check" }, element("span", {}, element("input", { id: "outlines", type: "checkbox", checked: true, onchange: (event) => { does.settings.outlines = event.target.checked; does.redraw(); } }), " Outlines and deepest point")));
   setOptions(byId("colors"), MAP_NAMES.map((name) => [name, name]), does.settings.colors);
 }
@@ -30,15 +30,15 @@ const holds = (station) => station?.replay ? !station.replay.playing : Boolean(s
 export function drawControls(station, facts) {
   if (!station) return;
   const named = facts.calibrations.map((name) => [name, name]);
-  setOptions(byId("calibration"), station.calibration ? named : [["", "none yet"], ...named], station.calibration);
+  setOptions(byId("calibration"), station.calibration ? named : [["", "none"], ...named], station.calibration);
   setOptions(byId("compare"), [["", "nothing"], ...named], station.other);
   setOptions(byId("solver"), facts.solvers.map((name) => [name, name]), station.solver);
-  byId("pause").textContent = holds(station) ? "Go on" : "Pause";
+  byId("pause").textContent = holds(station) ? "Continue" : "Pause";
   byId("pause").setAttribute("aria-pressed", String(holds(station)));
   const recording = facts.recordings[station.number];
   byId("record").textContent = recording ? `Stop, ${recording.frames} frames, ${Math.round(recording.bytes / 1e6)} MB` : "Record";
   byId("record").setAttribute("aria-pressed", String(Boolean(recording)));
-  byId("zero").textContent = station.zero ? "Zero: undo" : "Set zero";
+  byId("zero").textContent = station.zero ? "Undo zero" : "Set zero";
   byId("zero").setAttribute("aria-pressed", String(station.zero));
   for (const id of ["background", "zero", "snapshot"]) byId(id).disabled = !station.calibration;
   byId("record").disabled = Boolean(station.replay);

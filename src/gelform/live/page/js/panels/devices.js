@@ -1,4 +1,4 @@
-// Cameras and sources with serial, rate, age, frames skipped and lost, each of which can be shown; which one it is that somebody unplugs; how a camera is set.
+// The list of cameras and sources, the device that somebody unplugs, and the settings of a camera.
 
 import { byId, element, setText } from "../page/dom.js";
 
@@ -16,7 +16,7 @@ export function drawDevices({ rows, asking, gone, gone_name, back }, station, do
   byId("devices-back").hidden = !away;
   if (away) setText(byId("devices-back"), `Back to ${station.spec}`);
   byId("identify").setAttribute("aria-pressed", String(asking));
-  setText(byId("identified"), gone ? `It is ${gone_name}${back ? ". It is back." : ". Plug it in again."}` : asking ? "Unplug one now: the one that goes away is named here." : "");
+  setText(byId("identified"), gone ? `You unplugged ${gone_name}. ${back ? "It is back." : "Plug it in again."}` : asking ? "Unplug one device now. Its name will appear here." : "");
 }
 
 const named = (row) => [row.name, row.serial ?? "–", row.state];
@@ -38,6 +38,6 @@ export function drawCamera(station, does) {
     byId("camera-form").replaceChildren(...names.map((name) => element("label", {}, element("span", {}, `${NAMES[name]} `, element("small", { id: `now-${name}` })),
       element("input", { id: `set-${name}`, type: "number", step: "any", value: found[name], onchange: (event) => event.target.value !== "" && does.send("camera", { name, value: Number(event.target.value) }) }))));
   }
-  for (const name of names) setText(byId(`now-${name}`), `is ${Number(found[name].toPrecision(6))}`);
+  for (const name of names) setText(byId(`now-${name}`), `now ${Number(found[name].toPrecision(6))}`);
   setText(byId("mismatch"), station?.mismatch ?? "");
 }

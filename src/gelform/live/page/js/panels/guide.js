@@ -1,16 +1,16 @@
-// The guided calibration: what to do now, where to press, what is covered, the fit, the report.
+// The guided calibration: the next step, the next places to press, the coverage, the fit, the report.
 
 import { drawRing } from "../maps/pane.js";
 import { byId, element, setText } from "../page/dom.js";
 
 const STEPS = [["start", "Ball"], ["background", "Background"], ["press", "Press"], ["fit", "Fit"], ["report", "Report"]];
 const HELP = {
-  start: "Press a ball of known size about twelve times; the page says where. It takes a few minutes.",
-  fit: "Circles are found, color models are compared on presses that they have not seen.",
+  start: "Press a ball of known size about twelve times. The page shows where to press. It takes a few minutes.",
+  fit: "gelform finds the circles, and compares color models on held-out presses.",
 };
 let shownKey = "";
 
-/** Circles over the camera image: where to press, what is pressed, what was kept. */
+/** Circles over the camera image: the next places, the present contact, the accepted presses. */
 export function drawGuideCircles(context, guide, px) {
   if (!guide || guide.step !== "press") return;
   for (const circle of guide.accepted) drawRing(context, circle, { width: px, color: "rgb(255 255 255 / 65%)", fill: "rgb(255 255 255 / 10%)" });
@@ -20,7 +20,7 @@ export function drawGuideCircles(context, guide, px) {
 
 const YELLOW = "#ffd166", LATER = "rgb(255 209 102 / 85%)", DARK = "rgb(0 0 0 / 70%)";
 
-/** Where to press: 1 now, 2 and 3 after it, so far as one can tell. */
+/** A place to press: 1 is the next one, 2 and 3 come after it. */
 function drawPlace(context, [x, y, radius], nth, px) {
   const now = nth === 0, color = now ? YELLOW : LATER;
   drawRing(context, [x, y, radius], { width: (now ? 3 : 1.5) * px, color, dash: [(now ? 7 : 3) * px, (now ? 5 : 4) * px] });
@@ -52,30 +52,30 @@ function startForm(_, station, facts, does) {
   const ball = element("input", { type: "number", min: 0.5, max: 100, step: "any", value: 5, required: true, id: "ball" });
   const profile = element("select", { id: "profile" }, ...facts.profiles.map(([value, name, pitch]) => element("option", { value, text: `${name} (${pitch} mm per pixel)` })), element("option", { value: "", text: "another sensor" }));
   const pitch = element("input", { type: "number", min: 0.001, max: 1, step: "any", value: 0.06, id: "pitch" });
-  const scale = element("label", {}, "Width of a pixel on the gel, mm", pitch);
+  const scale = element("label", {}, "Scale: width of one pixel on the gel (mm)", pitch);
   const show = () => (scale.hidden = profile.value !== "");
   profile.addEventListener("change", show);
   show();
   const begin = (event) => { event.preventDefault(); does.send("guide_start", { ball_diameter_mm: Number(ball.value), profile: begun ? begun.sensor : station.simulated ? "" : profile.value, mm_per_px: Number(pitch.value) }); };
   const begun = station.starter?.state === "used" ? station.starter : null;
-  const sensor = begun ? [element("p", { text: `A ${begun.make}, as the starter knows it. Five presses are enough to begin with, twelve are good.` })] : station.simulated ? [element("p", { text: "The simulated sensor knows its scale, and is pressed by itself where the guide asks." })] : [element("label", {}, "Sensor", profile), scale];
-  return [element("form", { onsubmit: begin }, element("p", { text: HELP.start }), element("label", {}, "Diameter of the ball, mm", ball), ...sensor, element("button", { class: "main", id: "guide-start", text: "Start" }))];
+  const sensor = begun ? [element("p", { text: `The starter knows the scale of a ${begun.make}. Five presses are enough to begin with, and twelve are good.` })] : station.simulated ? [element("p", { text: "The simulated sensor knows its scale. It presses itself where the guide asks." })] : [element("label", {}, "Sensor", profile), scale];
+  return [element("form", { onsubmit: begin }, element("p", { text: HELP.start }), element("label", {}, "Ball diameter (mm)", ball), ...sensor, element("button", { class: "main", id: "guide-start", text: "Start" }))];
 }
 
 function background(guide, _, __, does) {
-  return [element("div", { class: "part" }, element("progress", { max: guide.untouched[1], value: guide.untouched[0], "aria-label": "frames of the untouched gel" }), stopButton(does))];
+  return [element("div", { class: "part" }, element("progress", { max: guide.untouched[1], value: guide.untouched[0], "aria-label": "frames of the gel at rest" }), stopButton(does))];
 }
 
 function press(guide, _, __, does) {
   const { tiles: [rows, columns], directions, share } = guide.coverage ?? { tiles: [1, 1], directions: [0], share: 0 };
-  const map = element("div", { class: "tiles", role: "img", "aria-label": `${Math.round(100 * share)} % of places and slope directions seen` }, ...directions.map((seen) => element("i", { "data-seen": seen })));
+  const map = element("div", { class: "tiles", role: "img", "aria-label": `Presses show ${Math.round(100 * share)} % of the places and slope directions` }, ...directions.map((seen) => element("i", { "data-seen": seen })));
   map.style.gridTemplateColumns = `repeat(${columns}, 1fr)`;
-  const ahead = guide.forecast ? `Expected now: normals within ${guide.forecast.now_deg.toFixed(1)}°; with five more presses ${guide.forecast.more_deg.toFixed(1)}°.` : "After six presses the page says how good the calibration will be.";
+  const ahead = guide.forecast ? `Expected error of the normals: ${guide.forecast.now_deg.toFixed(1)}° now, ${guide.forecast.more_deg.toFixed(1)}° with five more presses.` : "After six presses, the page predicts the error of the calibration.";
   const fitButton = element("button", { class: guide.enough ? "main" : "", id: "guide-fit", text: "Fit now", onclick: () => does.send("guide_fit") });
   fitButton.disabled = !guide.can_fit;
   return [
-    element("div", { class: "part" }, element("div", {}, element("span", { class: "count", text: guide.count }), ` of ${guide.wanted} presses`), element("progress", { max: guide.wanted, value: Math.min(guide.count, guide.wanted), "aria-label": "presses" }), element("label", {}, element("span", { class: "visually-hidden", text: "held still" }), element("progress", { max: 1, value: guide.still, "aria-label": "held still" }))),
-    element("div", { class: "part" }, element("p", { text: `Places and slope directions seen: ${Math.round(100 * share)} %` }), map, element("p", { id: "forecast", text: ahead }), element("div", { class: "row" }, fitButton, " ", stopButton(does))),
+    element("div", { class: "part" }, element("div", {}, element("span", { class: "count", text: guide.count }), ` of ${guide.wanted} presses`), element("progress", { max: guide.wanted, value: Math.min(guide.count, guide.wanted), "aria-label": "presses" }), element("label", {}, "Ball held still", element("progress", { max: 1, value: guide.still }))),
+    element("div", { class: "part" }, element("p", { text: `Coverage: presses show ${Math.round(100 * share)} % of the places and slope directions.` }), map, element("p", { id: "forecast", text: ahead }), element("div", { class: "row" }, fitButton, " ", stopButton(does))),
   ];
 }
 
@@ -86,11 +86,11 @@ function fit(_, __, ___, ____, work) {
 
 function report(guide, _, __, does) {
   const { headline, level, next, checks, model, accepted, rejected, folder } = guide.report;
-  const rows = checks.map((check) => element("tr", {}, element("td", { text: check.label }), element("td", { text: check.value === null ? "not known" : `${Number(check.value.toPrecision(3))} ${check.unit}` }), element("td", { class: `level-${check.level}`, text: check.level })));
+  const rows = checks.map((check) => element("tr", {}, element("td", { text: check.label }), element("td", { text: check.value === null ? "not known" : `${Number(check.value.toPrecision(3))} ${check.unit}`.replace(" °", "°") }), element("td", { class: `level-${check.level}`, text: check.level })));
   return [
-    element("div", { class: "part" }, element("h3", { class: `level-${level}`, id: "verdict", text: headline }), element("p", { text: next }), element("table", { class: "checks" }, ...rows)),
-    element("div", { class: "part" }, element("p", { text: `${accepted} presses used, ${rejected.length} rejected; color model ${model}. Presses, calibration and the whole report are in ${folder}/.` }), element("div", {}, element("button", { class: "main", id: "guide-use", text: "Use it", onclick: () => does.send("guide_use") }), " ", stopButton(does))),
+    element("div", { class: "part" }, element("h3", { class: `level-${level}`, id: "verdict", text: headline }), element("p", {}, element("strong", { text: "Next: " }), next), element("table", { class: "checks" }, ...rows)),
+    element("div", { class: "part" }, element("p", { text: `The calibration uses ${accepted} presses and rejects ${rejected.length}. Its color model is ${model}. The presses, the calibration and the full report are in ${folder}/.` }), element("div", {}, element("button", { class: "main", id: "guide-use", text: "Use this calibration", onclick: () => does.send("guide_use") }), " ", stopButton(does, "Do not use it"))),
   ];
 }
 
-const stopButton = (does) => element("button", { class: "quiet", id: "guide-stop", text: "Stop", onclick: () => does.send("guide_stop") });
+const stopButton = (does, text = "Stop") => element("button", { class: "quiet", id: "guide-stop", text, onclick: () => does.send("guide_stop") });

@@ -1,4 +1,4 @@
-// A recording under control: scrub, step, play, speed, loop, share; and the list of recordings.
+// The controls of a recording (slider, step, play, speed, loop, share) and the list of recordings.
 
 import { byId, element, setText } from "../page/dom.js";
 
@@ -17,13 +17,13 @@ export function startReplay(does) {
   scrub.addEventListener("input", () => does.send("seek", { frame: Number(scrub.value) }));
   byId("replay").append(
     button("step-back", "‹", "One frame back (,)", () => does.send("step", { by: -1 })),
-    button("play", "Play", "Play or hold (space)", ({ target }) => does.send("play", { playing: target.getAttribute("aria-pressed") !== "true" })), // what it says, though the end may have come meanwhile
-    button("step-on", "›", "One frame on (.)", () => does.send("step", { by: 1 })),
+    button("play", "Play", "Play or pause (space)", ({ target }) => does.send("play", { playing: target.getAttribute("aria-pressed") !== "true" })), // what it says, though the end may have come meanwhile
+    button("step-on", "›", "One frame forward (.)", () => does.send("step", { by: 1 })),
     scrub,
     element("output", { id: "replay-at", for: "scrub" }),
     element("label", {}, element("span", { class: "visually-hidden", text: "Speed" }), element("select", { id: "speed", onchange: (event) => does.send("speed", { speed: Number(event.target.value) }) }, ...SPEEDS.map(([value, text]) => element("option", { value, text })))),
-    button("loop", "Loop", "Begin again at the end (L)", () => does.send("loop", { loop: !does.chosen()?.replay?.loop })),
-    button("share", "Share", "One file with the frames and the calibration in use", () => does.send("share")),
+    button("loop", "Loop", "Start again at the end (L)", () => does.send("loop", { loop: !does.chosen()?.replay?.loop })),
+    button("share", "Share", "Make one file of the frames and the calibration in use", () => does.send("share")),
   );
 }
 
@@ -35,9 +35,9 @@ export function drawReplay(station, frame) {
   const number = frame?.header.replay?.[0] ?? replay.number, time = frame?.header.replay?.[1] ?? replay.time_s, scrub = byId("scrub");
   scrub.max = Math.max(0, replay.count - 1);
   if (!held) scrub.value = number;
-  scrub.setAttribute("aria-valuetext", `frame ${number} of ${replay.count}`);
+  scrub.setAttribute("aria-valuetext", `frame ${number + 1} of ${replay.count}`);
   setText(byId("replay-at"), `${number + 1} / ${replay.count}, ${clock(time)} of ${clock(replay.duration_s)}`);
-  setText(byId("play"), replay.playing ? "Hold" : "Play");
+  setText(byId("play"), replay.playing ? "Pause" : "Play");
   byId("play").setAttribute("aria-pressed", String(replay.playing));
   byId("loop").setAttribute("aria-pressed", String(replay.loop));
   if (document.activeElement !== byId("speed")) byId("speed").value = String(replay.speed);

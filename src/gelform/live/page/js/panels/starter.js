@@ -1,4 +1,4 @@
-// A sensor that was never calibrated: its make, its untouched gel, and that what is shown is a starter's.
+// The banner of a sensor without a calibration of its own: it asks for the make and the background, then names the starter.
 
 import { byId, element } from "../page/dom.js";
 
@@ -17,13 +17,13 @@ export function drawStarter(station, starters, work, does) {
 }
 
 function asked({ sensor, make }, starters, does) {
-  const choice = element("select", { id: "starter-sensor", "aria-label": "Which sensor it is" }, element("option", { value: "", text: "which sensor?" }), ...starters.map(([value, text]) => element("option", { value, text })));
+  const choice = element("select", { id: "starter-sensor", "aria-label": "Make of the sensor" }, element("option", { value: "", text: "choose the sensor" }), ...starters.map(([value, text]) => element("option", { value, text })));
   const take = element("button", { class: "main", id: "starter-take", text: "Take the background", disabled: !sensor, onclick: () => does.send("starter", { sensor: sensor || choice.value }) });
   choice.addEventListener("change", () => { take.disabled = !choice.value; });
-  if (sensor) return [element("p", { text: `Nothing touches the gel? Take the background. This ${make} was never calibrated; what other units have shown is enough for depth in mm.` }), take];
-  return [element("p", { text: "This sensor has no calibration. If it is of a make in the list, and nothing touches the gel, its background is enough to begin with." }), choice, take];
+  if (sensor) return [element("p", { text: `This ${make} has no calibration. Touch nothing and take the background. A starter, made from other units, then gives depth in mm.` }), take];
+  return [element("p", { text: "This sensor has no calibration. If its make is in the list, touch nothing and take the background. A starter, made from other units, then gives depth in mm." }), choice, take];
 }
 
 function used({ make, percent }, does) {
-  return [element("p", {}, element("strong", { text: "Starter" }), `: made on other units of a ${make}, ± ${percent.toFixed(0)} %.`), element("button", { class: "main", id: "starter-calibrate", text: "Five presses make it yours", onclick: does.calibrate })];
+  return [element("p", {}, element("strong", { text: "Starter" }), `: a model from other units of a ${make}. Slopes and depth may be off by ${percent.toFixed(0)} % (one standard deviation).`), element("button", { class: "main", id: "starter-calibrate", text: "Five presses make it yours", onclick: does.calibrate })];
 }

@@ -1,13 +1,13 @@
-// How the sensor is doing: the line at the top, the banner, empty states with what to do, lists of facts, findings, contacts.
+// The state of the sensor: the line at the top, the banner, the text in place of the surface, the details, findings and contacts.
 
 import { byId, element, setText } from "../page/dom.js";
 
-const WORDS = { running: "live", starting: "starting", reconnecting: "reconnecting", missing: "not there", ended: "ended", offline: "no server", paused: "paused" };
+const WORDS = { running: "live", starting: "starting", reconnecting: "reconnecting", missing: "not connected", ended: "ended", offline: "server offline", paused: "paused" };
 const ADVICE = {
-  missing: "Plug the sensor in. It is tried again every second.",
-  busy: "If it is another gelform live, open its address instead: any number of pages may look at one camera.",
-  reconnecting: "The camera went away. It comes back by itself when it is plugged in again.",
-  ended: "The recording is over. The last picture stays.",
+  missing: "Plug the sensor in. gelform tries again every second.",
+  busy: "If another gelform live has it, open its address instead. Any number of pages may show one camera.",
+  reconnecting: "The camera was disconnected. gelform continues when the camera is plugged in again.",
+  ended: "The recording is over. The page keeps its last frame.",
 };
 
 export function drawStatus(station, online, look) {
@@ -24,14 +24,14 @@ export function drawStatus(station, online, look) {
 }
 
 function bannerText(station, online) {
-  if (!online) return "The server does not answer. Start gelform live again in the terminal, or wait: this page comes back by itself.";
+  if (!online) return "The server does not answer. Start gelform live again in the terminal, or wait. This page reconnects by itself.";
   if (station?.replay?.problem) return station.replay.problem;
   if (!station || station.state === "running" || station.state === "starting") return "";
   const reason = station.reason ? `${station.reason.replace(/\.?$/, ".")} ` : "", advice = / is in use /.test(reason) ? ADVICE.busy : (ADVICE[station.state] ?? "");
   return reason.includes(advice) ? reason : reason + advice;
 }
 
-/** What stands in place of the surface: why there is none, and what to do. */
+/** The text in place of the surface: the reason, and the next step. */
 export function drawEmpty(box, frame, station, work) {
   const content = emptyContent(frame, station, work), key = content.map((one) => one.outerHTML).join("");
   if (box.dataset.key === key) return;
@@ -46,18 +46,20 @@ function emptyContent(frame, station, work) {
     return [element("strong", { text: "Calibrating" }), element("span", { text: what }), element("progress", { max: Math.max(1, total), value: done, "aria-label": what })];
   }
   if (frame?.header.problem) return [element("strong", { text: "This frame cannot be reconstructed" }), element("span", { text: frame.header.problem })];
-  if (!frame) return [element("strong", { text: station?.state === "missing" ? "No sensor" : "Waiting for the first picture" }), element("span", { text: station?.state === "missing" ? ADVICE.missing : "" })];
-  if (station?.starter?.sensor && !station.calibration) return [element("strong", { text: "Nothing touches the gel?" }), element("span", { text: "Take the background, above." })];
-  if (station && !station.calibration) return [element("strong", { text: "No calibration yet" }), element("span", { text: "Choose one at the right, or make one in ten minutes with a ball: Calibrate." })];
+  if (!frame) return [element("strong", { text: station?.state === "missing" ? "No sensor" : "Waiting for the first frame" }), element("span", { text: station?.state === "missing" ? ADVICE.missing : "" })];
+  if (station?.starter?.sensor && !station.calibration) return [element("strong", { text: "Touch nothing" }), element("span", { text: "Then press “Take the background” above." })];
+  if (station && !station.calibration) return [element("strong", { text: "No calibration yet" }), element("span", { text: "Choose one in the list, or make one with a ball in ten minutes on the page Calibrate." })];
   return [];
 }
 
+const UNITS = { width: "px", height: "px", fps: "Hz" };
+
 export function drawFacts(station, look) {
   if (!station) return;
-  const rows = [["sensor", station.name], ["serial", station.serial ?? "–"], ["camera", `${(station.camera_hz ?? 0).toFixed(1)} Hz`], ["reconstructed", `${station.rate_hz.toFixed(1)} Hz`],
-    ["drawn", `${look.drawnHz.toFixed(1)} Hz`], ["reconstruction", `${station.took_ms.toFixed(1)} ms`], ["capture to screen", `${look.ageMs.toFixed(0)} ms`], ["skipped frames", String(station.skipped)], ["lost frames", String(station.lost)], ["reopened", String(station.reopened ?? 0)],
-    ["sent as", look.encoding === "raw" ? "depth 16 bit, image as it is" : "depth 16 bit at half size, image JPEG"], ["traffic", `${(look.bytesPerS / 1e6).toFixed(2)} MB/s`], ["surface", look.renderer],
-    ["background", station.background], ...Object.entries(station.settings).map(([name, value]) => [name.replace("_", " "), String(value)])];
+  const rows = [["sensor", station.name], ["serial", station.serial ?? "–"], ["camera rate", `${(station.camera_hz ?? 0).toFixed(1)} Hz`], ["reconstruction rate", `${station.rate_hz.toFixed(1)} Hz`],
+    ["drawing rate", `${look.drawnHz.toFixed(1)} Hz`], ["reconstruction time", `${station.took_ms.toFixed(1)} ms`], ["capture to screen", `${look.ageMs.toFixed(0)} ms`], ["skipped frames", String(station.skipped)], ["lost frames", String(station.lost)], ["reconnections", String(station.reopened ?? 0)],
+    ["data format", look.encoding === "raw" ? "16-bit depth, raw image" : "16-bit depth of half size, JPEG image"], ["data rate", `${(look.bytesPerS / 1e6).toFixed(2)} MB/s`], ["surface drawn by", look.renderer],
+    ["background", station.background], ...Object.entries(station.settings).map(([name, value]) => [name.replace("_", " "), UNITS[name] ? `${value} ${UNITS[name]}` : String(value)])];
   byId("facts").replaceChildren(...rows.flatMap(([name, value]) => [element("dt", { text: name }), element("dd", { text: value })]));
 }
 
@@ -75,8 +77,8 @@ const MOST_CONTACTS = 5;
 /** The contacts of a frame, the largest first. */
 export function drawContacts({ header }) {
   const contacts = (header.contacts ?? []).slice(0, MOST_CONTACTS), card = byId("contacts-card");
-  card.hidden = contacts.length < 2; // of one contact the numbers above say it all
+  card.hidden = contacts.length < 2; // the numbers above already show a single contact
   if (card.hidden) return;
-  const rows = contacts.map(({ deepest_mm, area_mm2, deepest_px, cut }) => element("tr", {}, ...[`${deepest_px[0]}, ${deepest_px[1]}`, deepest_mm?.toFixed(3) ?? "–", area_mm2?.toFixed(1) ?? "–", cut ? "at the border" : ""].map((text) => element("td", { text }))));
+  const rows = contacts.map(({ deepest_mm, area_mm2, deepest_px, cut }) => element("tr", {}, ...[`${deepest_px[0]}, ${deepest_px[1]}`, deepest_mm?.toFixed(3) ?? "–", area_mm2?.toFixed(1) ?? "–", cut ? "cut by the border" : ""].map((text) => element("td", { text }))));
   byId("contacts").replaceChildren(...rows);
 }

@@ -44,7 +44,7 @@ void main() {
   ivec2 at = ivec2(round(place * vec2(size - 1)));
   ${coarse ? "vec3 n = normalize(normalAt(at, 1)); float z = depthAt(at);" : "vec3 n = normalize(normal); float z = level;"}
   vec3 base = draped == 1 ? texture(drape, place).rgb : texture(colors, vec2(clamp(z / range, 0.0, 1.0), 0.5)).rgb;
-  bool filled = hatched == 1 && (texelFetch(unknown, at, 0).r & 1u) != 0u; // no depth is known here: grey stripes
+  bool filled = hatched == 1 && (texelFetch(unknown, at, 0).r & 1u) != 0u; // no depth is known here: gray stripes
   if (filled) base = vec3((at.x + at.y) % 6 < 3 ? 0.56 : 0.38);
   vec3 towards = normalize(eye - seen);
   vec3 key = normalize(vec3(-0.5, 0.65, 0.75));

@@ -36,7 +36,7 @@ class Relief {
   }
 }
 
-const SAID = { confidence: ", colours: confidence from 0 to 1", image: ", colours: the camera's" };
+const SAID = { confidence: ", colors: confidence from 0 to 1", image: ", colors: camera image" };
 const LEAST_RANGE = 0.2, LEAST_RANGE_PX = 3, FALLING = 0.985;
 
 export class Stage {
@@ -76,7 +76,7 @@ export class Stage {
     this.range = this.rangeOf(frame.header);
   }
 
-  /** The largest depth of the colours: follows the deepest point up at once and down slowly, so that they do not flicker. */
+  /** The largest depth of the colors: follows the deepest point up at once and down slowly, so that they do not flicker. */
   rangeOf({ unit, peak }) {
     const wanted = Math.max(unit === "px" ? LEAST_RANGE_PX : LEAST_RANGE, 1.05 * (peak ?? 0));
     return wanted > this.range ? wanted : Math.max(wanted, this.range * FALLING);
