@@ -1,11 +1,11 @@
-"""How right it is: integrators on exact slopes, real held-out presses, simulated truth. No scale is ever fitted.
+"""Accuracy: integrators on exact slopes, real held-out presses, simulated truth. No scale is ever fitted.
 
     python benchmarks/accuracy.py            # all (about 45 minutes); writes results/accuracy.json after each part
     python benchmarks/accuracy.py anchor sigma
-    python benchmarks/accuracy.py --quick    # whether the parts run; `integrators` and `simulated` have no such mode
+    python benchmarks/accuracy.py --quick    # checks that the parts run; not for `integrators` and `simulated`
 
-The real presses are read from GELFORM_DATA (default ../shared/data); that part is left out, and says so, where
-the folder is absent.
+The real presses are read from GELFORM_DATA (default ../shared/data). Without that folder their parts are left out, with a
+message.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from accuracy.real import calibrated, few, real, sigma
 from gelform.background.change import ChangeSettings
 from gelform.calibration.circles.find import find_contact, scale_of, why_no_contact
 from gelform.simulate import LAYOUTS, Ball, Coin, Punch, Screw, simulate_ball_presses, simulate_press
-from presses import DATA, data_is_missing, mini_ball, presses_of, unlabelled
+from presses import DATA, data_is_missing, mini_ball, presses_of, unlabeled
 from report import recorded, table, write
 from scenes import BUMP, PLANE, SCENES, ball, scene
 
@@ -53,14 +53,14 @@ def integrators() -> dict[str, Any]:
     print(
         table(["peak recovered over true", *PEERS["recovered_peak_percent"]["smooth bump"], "gelform"], rows)
     )
-    for name in ("ball", "balls", "peaks", "texture"):  # the last two leave no pixel untouched
+    for name in ("ball", "balls", "peaks", "texture"):  # the last two have no pixel at rest
         offsets[name] = _rmse_by_offset(scene(SCENES[name]))
     print("\n" + table(["RMSE, um", *offsets["ball"]], [[k, *v.values()] for k, v in offsets.items()]))
     return {"recovered_peak_percent": peaks, "rmse_um": offsets}
 
 
 def _peak(depth: np.ndarray, truth: Any) -> float:
-    """Peak above the median of the untouched pixels; the range where nothing is untouched."""
+    """Peak above the median of the pixels at rest; the range if there are none."""
     untouched = (truth.gradients == 0).all(axis=-1)
     if not untouched.any():
         return float(depth.max() - depth.min())
@@ -94,7 +94,7 @@ def _rmse_by_offset(truth: Any) -> dict[str, float]:
 
 
 def whole(quick: bool) -> dict[str, Any]:
-    """All 67 presses of mini-ball end to end, and circles found in single images."""
+    """All 67 presses of mini-ball, end to end, and circles found in single images."""
     presses, _ = mini_ball()
     calibration, seconds = calibrated(presses)
     distance = [
@@ -113,7 +113,7 @@ def whole(quick: bool) -> dict[str, Any]:
 
 
 def _circles() -> dict[str, Any]:
-    """Circles found in single images, unchanged on every data set; a gross failure is more than 10 px off."""
+    """Circles found in single images, with equal settings on every data set; a gross failure is more than 10 px off."""
     rows = []
     for name in ("mini-ball", "gelsight-ball-deep", "digit-ball"):
         presses = mini_ball()[0] if name == "mini-ball" else gelform.read_presses(DATA / name)
@@ -162,13 +162,13 @@ def _against(background: np.ndarray, images: list[Any], wanted: list[Any]) -> li
 
 
 def simulated() -> dict[str, Any]:
-    """Objects on three simulated sensors, each calibrated from its own presses alone."""
+    """Objects on three simulated sensors, each calibrated only on its own presses."""
     figures, rows = {}, []
     for name, sensor in LAYOUTS.items():
         presses = simulate_ball_presses(
             sensor, ball_diameters_mm=[5.0, 8.0], count=30, rng=np.random.default_rng(1)
         )
-        calibration = gelform.calibrate(unlabelled(presses_of(presses)))
+        calibration = gelform.calibrate(unlabeled(presses_of(presses)))
         reconstruct = gelform.Reconstructor(calibration)
         without = gelform.Reconstructor(calibration, solver="dct", depth_sigma=False)
         objects = {
@@ -223,7 +223,7 @@ NEEDS_DATA = ("real", "whole", "sigma", "few", "at_least")
 
 
 def main() -> None:
-    """Run the parts that are named, or all; keep the others' last figures. A quick run writes nothing."""
+    """Run the named parts, or all; keep the earlier figures of the others. A quick run writes nothing."""
     quick = "--quick" in sys.argv
     wanted = [name for name in sys.argv[1:] if name != "--quick"] or list(PARTS)
     figures = recorded("accuracy")

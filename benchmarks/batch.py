@@ -1,12 +1,11 @@
-"""Data sets: frames a second, what a frame costs, memory, kills, corrupt inputs, full disks, a million entries, lossy video.
+"""Data sets: frames per second, cost of a frame, memory, kills, corrupt inputs, full disks, a million entries, lossy video.
 
-    python benchmarks/batch.py                    # all of it into results/batch.json: about 45 minutes on 2 cores
-    python benchmarks/batch.py rates              # a part; --help names them all
-    python benchmarks/batch.py --quick            # small everything, writes nothing: about 4 minutes
+    python benchmarks/batch.py                    # all, into results/batch.json: about 45 minutes on 2 cores
+    python benchmarks/batch.py rates              # one part; --help names them all
+    python benchmarks/batch.py --quick            # small sizes, writes nothing: about 4 minutes
 
-The rows of Ray are left out, and said to be, where ray is not installed. All files lie in a temporary folder (TMPDIR).
-The frames are a simulated sensor's, a few different ones under many names, so that making them takes no longer than reading
-them.
+Without ray its rows are left out, with a message. All files are in a temporary folder (TMPDIR). The frames are those of a
+simulated sensor: a few different ones under many names, so that making them takes no longer than reading them.
 """
 
 from __future__ import annotations
@@ -33,13 +32,13 @@ from report import recorded, write
 
 
 def stages(folder: Path, quick: bool) -> dict[str, Any]:
-    """Of a worker's frame, beside the bare loop's."""
+    """Processor time of a worker's frame, compared with the bare loop's."""
     make_input(folder, 1000)
     return stages_of_a_frame(folder, SETTINGS, quick)
 
 
 def memory(folder: Path, quick: bool) -> dict[str, Any]:
-    """Of a worker, for a tenth of the data set and for all of it."""
+    """Memory of a worker, for a tenth of the data set and for all of it."""
     make_input(folder, 4000 if quick else 20_000)
     name = "dct, depth only, Zarr uint16"
     some, every = (rate(folder, source, name)["worker_mb"] for source in (folder / "in/0000", folder / "in"))
@@ -47,7 +46,7 @@ def memory(folder: Path, quick: bool) -> dict[str, Any]:
 
 
 def scan(folder: Path, quick: bool) -> dict[str, Any]:
-    """Seconds to list, plan and look at an output of many frames that is done; inputs and outputs are empty files."""
+    """Seconds to list, plan and check a finished output of many frames; inputs and outputs are empty files."""
     entries = 20_000 if quick else 1_000_000
     source, output = folder / "many", folder / "many-out"
     for k in range(entries):
@@ -74,7 +73,7 @@ def scan(folder: Path, quick: bool) -> dict[str, Any]:
 
 
 def _row(sequence: str, name: str, index: int) -> dict[str, Any]:
-    """As of a frame that was done; its output is empty here."""
+    """The row of a finished frame; its output is empty here."""
     figures = {"deepest_mm": 0.123456789, "contact_mm2": 12.3456789, "volume_mm3": 1.23456789, "contacts": 1}
     where = {"sequence": sequence, "frame": name, "index": index, "output": f"frames/{sequence}/{name}.npz"}
     return {**dict.fromkeys(COLUMNS, ""), **where, **figures, "bytes": 0, "sha256": "0" * 64}
@@ -83,7 +82,7 @@ def _row(sequence: str, name: str, index: int) -> dict[str, Any]:
 def with_input(
     measure: Callable[[Path, int], dict[str, Any]], frames: int, rounds: int, quick: bool
 ) -> Callable[[Path], dict[str, Any]]:
-    """A measurement that wants some frames in a folder first."""
+    """A measurement that first needs some frames in a folder."""
 
     def measured(folder: Path) -> dict[str, Any]:
         make_input(folder, max(40, frames // 5) if quick else frames)
@@ -93,7 +92,7 @@ def with_input(
 
 
 def parts(quick: bool) -> dict[str, Callable[[Path], dict[str, Any]]]:
-    """Name -> what measures in a temporary folder."""
+    """Name -> function that measures in a temporary folder."""
     return {
         "rates": lambda folder: rates(folder, quick),
         "stages": lambda folder: stages(folder, quick),
@@ -112,7 +111,7 @@ def _text(value: Any) -> str:
 
 
 def main() -> None:
-    """Measure, print and, where it is not the quick mode, write."""
+    """Measure and print; write unless in quick mode."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

@@ -3,8 +3,8 @@
     python benchmarks/calibration.py             # about 10 minutes; writes results/calibration.json and .png
     python benchmarks/calibration.py "10 presses" "half and half"
 
-Circles are refined on the calibrating presses of a split alone; errors are those of whole reconstructions of the
-others. Read from GELFORM_DATA (default ../shared/data).
+Circles are refined only on the calibrating presses of a split; errors are those of whole reconstructions of the other
+presses. The data are in GELFORM_DATA (default ../shared/data).
 """
 
 from __future__ import annotations
@@ -30,21 +30,21 @@ from presses import DATA, by_name, reference_circles
 from report import RESULTS, dct_pair, median_ms, recorded, table, write
 
 PRESSES = 60  # what is tried with so many
-TRAINED_WITH = {"mlp": "torch"}  # left out where it is not installed
+TRAINED_WITH = {"mlp": "torch"}  # left out if it is not installed
 MODELS = {
     candidate.describe(): candidate
     for name in COLOR_MODELS
     if name not in TRAINED_WITH or find_spec(TRAINED_WITH[name])
     for candidate in candidates_for(name, PRESSES)
 }
-# Seconds for a fit or a frame: measured on one split, no frame rate.
+# They take seconds for a fit or a frame: measured on one split, without a frame rate.
 SLOW = [name for name, candidate in MODELS.items() if candidate.model in ("mlp", "interpolation")]
 COUNTS = (10, 20, 50)
 FIGURES = ("normal_free_deg", "radius_percent", "radius_signed_percent", "cap_free_um", "off_contact_um")
 
 
 class Bench:
-    """mini-ball, prepared once for each offset of the division, and the circles that score."""
+    """mini-ball, prepared once for each offset of the division, and the circles for scoring."""
 
     def __init__(self) -> None:
         self.presses = gelform.read_presses(DATA / "mini-ball")
@@ -55,7 +55,7 @@ class Bench:
         self.order = by_name(self.presses)
 
     def splits(self) -> dict[str, tuple[list[int], list[int]]]:
-        """Calibrating and testing presses."""
+        """Presses for calibration and for the test."""
         small = [i for i in self.order if self.presses.presses[i].ball_diameter_mm < 8]
         large = [i for i in self.order if self.presses.presses[i].ball_diameter_mm > 8]
         splits = {
@@ -101,7 +101,7 @@ class Bench:
         )
 
     def speed(self) -> dict[str, float]:
-        """Time of a frame through each model, in bare DCT pairs D of the same size, one thread."""
+        """Time of a frame with each model, relative to D, a bare DCT pair of the same size, one thread."""
         training, contacts = self.refined(self.order[0::2])
         shape = self.presses.image_shape
         calls = [dct_pair(shape)]
@@ -130,7 +130,7 @@ def picture(figures: dict[str, dict[str, dict[str, float]]]) -> None:
 
 
 def main() -> None:
-    """The splits that are named, or all and the speed; the others' last figures are kept."""
+    """Run the named splits, or all and the speed; keep the earlier figures of the others."""
     if not DATA.is_dir():
         sys.exit(f"No data in {DATA}: set GELFORM_DATA.")
     bench, wanted = Bench(), sys.argv[1:]

@@ -1,13 +1,13 @@
-"""Whether sigma, causes and contacts keep what they say: on simulated frames with faults, and on real ones without.
+"""Whether sigma, causes and contacts are right: on simulated frames with faults, and on real ones without.
 
     python benchmarks/confidence.py                        # about 10 minutes; writes results/confidence.json
     python benchmarks/confidence.py coverage masks --quick # a tenth of the frames, nothing written
-    python benchmarks/confidence.py --calibrations DIR     # keeps the calibrations there, and takes them from there
+    python benchmarks/confidence.py --calibrations DIR     # keeps the calibrations there, and reuses them
 
-Thresholds were chosen on the layout three-edges and on the presses of mini-ball that calibrate; figures are of the layouts
-ring-120 and homemade, and of the other presses. Those of contacts were chosen on all three layouts and on drawn sensors,
+Thresholds were chosen on the layout three-edges and on the calibrating presses of mini-ball. The figures use the layouts
+ring-120 and homemade, and the other presses. Thresholds of contacts were chosen on all three layouts and on random sensors,
 with other seeds than these figures.
-`digit`, `alarms` read real data (GELFORM_DATA, default ../shared/data).
+`digit` and `alarms` read real data (GELFORM_DATA, default ../shared/data).
 """
 
 from __future__ import annotations
@@ -52,17 +52,17 @@ SEED = 20261122
 
 @dataclass(frozen=True)
 class Run:
-    """How many frames, and where calibrations are kept."""
+    """The number of frames, and the folder of calibrations."""
 
     quick: bool
     calibrations: Path
 
     def frames(self, whole: int) -> int:
-        """So many, or a tenth of them."""
+        """That many, or a tenth of them."""
         return max(3, whole // 10) if self.quick else whole
 
     def calibration(self, name: str) -> gelform.Calibration:
-        """Of a layout, from 24 simulated presses; or of every second press of real ones."""
+        """The calibration of a layout, from 24 simulated presses; or from every second press of real ones."""
         path = self.calibrations / f"{name}.npz"
         if not path.is_file():
             presses = _simulated_presses(name) if name in LAYOUTS else _real_presses(name)[0]
@@ -80,7 +80,7 @@ def _simulated_presses(name: str, count: int = 24) -> Any:
 
 @cache
 def _real_presses(name: str) -> tuple[Any, Any]:
-    """The presses that calibrate and the others."""
+    """The presses for calibration, and the others."""
     presses = gelform.read_presses(DATA / name)
     order = by_name(presses)
     return presses.subset(order[0::2]), presses.subset(order[1::2])
@@ -102,7 +102,7 @@ def coverage(run: Run) -> dict[str, Any]:
 
 
 def weights(run: Run) -> dict[str, Any]:
-    """RMS depth error with a saturated and two shadowed spots, over that of the same solver without weights."""
+    """RMS depth error with one saturated and two shadowed spots, over that of the same solver without weights."""
     found: dict[str, Any] = {}
     for name in REPORTED:
         calibration, rng = run.calibration(name), np.random.default_rng(SEED + 1)
@@ -158,7 +158,7 @@ def _sphere_um(depth: np.ndarray, circle: Any, one: Any, mm_per_px: float) -> tu
 
 
 def limit(run: Run) -> dict[str, Any]:
-    """The shallowest press of a ball that is found in 95 % of the frames, and untouched frames in which something is."""
+    """The shallowest press of a ball that is found in 95 % of the frames, and frames at rest in which one is found."""
     found: dict[str, Any] = {}
     for name in REPORTED:
         calibration, rng = run.calibration(name), np.random.default_rng(SEED + 2)
@@ -179,7 +179,7 @@ def limit(run: Run) -> dict[str, Any]:
 def _fraction_found(
     reconstruct: gelform.Reconstructor, name: str, depth_um: float, count: int, rng: np.random.Generator
 ) -> tuple[float, int]:
-    """Share of presses so deep that are found, and of how many: a depth is given up once too many are missed."""
+    """Share of presses of a depth that are found, and their number; stops once too many are missed."""
     hits = frames = 0
     while frames < count and frames - hits <= (1 - FOUND) * count:
         truth = press(name, rng, (depth_um / 1e3, depth_um / 1e3))
@@ -191,10 +191,10 @@ def _fraction_found(
 def masks(run: Run) -> dict[str, Any]:
     """Intersection over union of the contact mask and the pixels that the indenter touches.
 
-    Both are where something presses on the gel: in the simulator where gel and indenter meet, however shallow, in the
-    result where the surface needs a pressure to be held up. How deep the gel is counts in neither. `one_pixel_wider` is
-    what the truth itself would have if it were one pixel wider all around: edges and the tops of textures are touched
-    in lines of a pixel or two, while images are blurred over three.
+    Both masks mark where something presses on the gel. In the simulator gel and indenter meet there, however shallow. In the
+    result the surface needs a pressure to be held up. The depth of the gel counts in neither. `one_pixel_wider` is the
+    score of a truth one pixel wider all around: edges and tops of textures touch in lines of a pixel or two, while
+    images are blurred over three.
     """
     found: dict[str, Any] = {}
     for name in REPORTED:
@@ -218,7 +218,7 @@ def _overlap(mask: np.ndarray, other: np.ndarray) -> float:
 
 
 def causes(run: Run) -> dict[str, Any]:
-    """Share of frames with a fault in which it is named."""
+    """Share of frames with a fault in which the fault is named."""
     found: dict[str, Any] = {}
     for name in REPORTED:
         calibration, rng = run.calibration(name), np.random.default_rng(SEED + 4)
@@ -274,8 +274,10 @@ def _named(calibration: gelform.Calibration, images: list[np.ndarray]) -> dict[s
 
 
 def few(run: Run) -> dict[str, Any]:
-    """Normal error, degrees, in contacts by a calibration of five presses: outliers told by held-out residuals, by those of
-    training, or not at all."""
+    """Normal error, degrees, in contacts after calibration on five presses.
+
+    Outliers are found by held-out residuals, by training residuals, or not at all.
+    """
     name, rng = REPORTED[0], np.random.default_rng(SEED + 6)
     calibration = gelform.calibrate(_simulated_presses(name, 5), color_model="hierarchical")
     forward = calibration.forward
@@ -295,7 +297,7 @@ def _normal_deg(reconstruct: gelform.Reconstructor, truth: SimulatedPress) -> fl
 
 
 def cost(run: Run) -> dict[str, Any]:
-    """CPU time of a whole default frame with its contacts over that without causes, contact, contacts and health."""
+    """CPU time of a default frame with its contacts, over that without causes, contact, contacts and health."""
     rng, count = np.random.default_rng(SEED + 5), run.frames(200)
     name = REPORTED[0]
     return {name: _cost(run.calibration(name), [press(name, rng).image for _ in range(4)], count)}
@@ -319,7 +321,7 @@ def _cost(calibration: gelform.Calibration, images: list[np.ndarray], count: int
 
 
 def _leave_out(stack: ExitStack, reconstruct: gelform.Reconstructor) -> None:
-    """Within the stack a frame is not examined, its sigma is that of the law, and no contact is looked for."""
+    """Within the stack: frames are not examined, sigma is the usual noise, and no contact is searched for."""
     clean = np.float32(reconstruct.calibration.slope_sigma.clean)
     nowhere, today = np.zeros(reconstruct.calibration.image_shape, dtype=bool), reconstruct._today
 
@@ -348,7 +350,7 @@ REAL = ("digit", "alarms")
 
 
 def main() -> None:
-    """Run the parts that are named, or all; keep the others' last figures."""
+    """Run the named parts, or all; keep the earlier figures of the others."""
     arguments = sys.argv[1:]
     quick = "--quick" in arguments
     kept = arguments[arguments.index("--calibrations") + 1] if "--calibrations" in arguments else None

@@ -1,9 +1,9 @@
-"""What noise, JPEG and blur of an image cost: error of depth in a contact and off it, with truth from the simulator.
+"""The effect of noise, JPEG and blur in an image: depth error in a contact and off it, with truth from the simulator.
 
     python benchmarks/degraded.py
 
-Writes results/degraded.json; about ten seconds. The calibration is the one that comes with the simulated sensor, made from
-images without compression and with that sensor's own noise.
+Writes results/degraded.json; takes about ten seconds. The calibration is the simulated sensor's own, made from images
+without compression and with that sensor's own noise.
 """
 
 from __future__ import annotations
@@ -29,32 +29,32 @@ COLUMNS = ("in_contact_um", "off_contact_um", "within_sigma_percent", "with_find
 
 
 def noisy(image: Image, sd: float) -> Image:
-    """With normal noise of a standard deviation in grey levels, the same every time."""
+    """Add normal noise with a standard deviation in gray levels, the same every time."""
     noise = np.random.default_rng(5).normal(0, sd, image.shape)
     return np.clip(np.rint(image + noise), 0, 255).astype(np.uint8)
 
 
 def compressed(image: Image, quality: int) -> Image:
-    """As JPEG of that quality gives it back."""
+    """Compress and decompress as JPEG of that quality."""
     _, data = cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])
     return np.ascontiguousarray(cv2.imdecode(data, cv2.IMREAD_COLOR)[..., ::-1])
 
 
 def blurred(image: Image, sd_px: float) -> Image:
-    """As a lens out of focus gives it."""
+    """Blur as a lens out of focus."""
     return cv2.GaussianBlur(image, (0, 0), sd_px)
 
 
 CHANGES: dict[str, Callable[[Image], Image]] = {
     "as it is": lambda image: image,
-    **{f"noise, sd {sd} grey levels": partial(noisy, sd=sd) for sd in (2, 5, 10)},
+    **{f"noise, sd {sd} gray levels": partial(noisy, sd=sd) for sd in (2, 5, 10)},
     **{f"JPEG, quality {quality}": partial(compressed, quality=quality) for quality in (95, 80, 50, 20)},
     **{f"blur, sd {sd} px": partial(blurred, sd_px=sd) for sd in (1, 2)},
 }
 
 
 def main() -> None:
-    """Every change to every press, errors over all pixels of all presses."""
+    """Apply every change to every press; errors over all pixels of all presses."""
     sensor = simulated_sensor_named(DEFAULT_SENSOR)
     reconstruct = gelform.Reconstructor(ready_calibration(sensor))
     rng = np.random.default_rng(1)

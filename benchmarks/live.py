@@ -2,15 +2,16 @@
 
     python benchmarks/live.py            # about four minutes on a quiet machine
     python benchmarks/live.py --quick    # about one and a half: shorter spans, six presses; writes nothing
-    python benchmarks/live.py --rates    # one: the rates in the browser alone; writes nothing
-    python benchmarks/live.py --starter  # one: to depth of a sensor that was never calibrated; writes that part alone
+    python benchmarks/live.py --rates    # one: only the rates in the browser; writes nothing
+    python benchmarks/live.py --starter  # one: time to depth for an uncalibrated sensor; writes only that part
     python benchmarks/live.py --pictures docs/images/live    # two: takes the pictures of docs/live.md instead
-    python benchmarks/live.py --calibration                  # makes that of the simulated sensor, which is shipped
+    python benchmarks/live.py --moving docs/images/live      # two: takes the README's moving picture instead
+    python benchmarks/live.py --calibration                  # makes the shipped calibration of the simulated sensor
 
-`gelform live` runs as a user starts it; its clients are a headless Chromium and websockets. Chromium has the flags that it
-needs to start here and to compute WebGL2 at all without a graphics processor (SwiftShader); the rest of the page it then
-puts together by the processor too, as it does on any machine without one. A figure that could not be taken is left out, and
-said. Writes results/live.json with the machine's load, Chromium's version and flags.
+`gelform live` runs as for a user; its clients are a headless Chromium and websockets. Chromium gets the flags that it
+needs to start here, and to compute WebGL2 without a graphics processor (SwiftShader). It then also composes the page
+on the processor, as on any machine without a graphics processor. A figure that cannot be measured is left out, with a
+message. Writes results/live.json with the machine's load, and Chromium's version and flags.
 
 axe-core is found by GELFORM_AXE or in node_modules (npm install axe-core).
 """
@@ -32,6 +33,7 @@ from gelform.live.web.app import page_files
 from gelform.live.web.wire import read_message
 from live.calibration import make_calibration
 from live.guided import WANTED, guided
+from live.moving import take_moving
 from live.pictures import take_pictures
 from live.server import CHROMIUM, COMPUTED_S, FLAGS, Live, running
 from live.starter import to_depth
@@ -43,13 +45,13 @@ STARTS, SETTLE_S = 3, 5.0
 
 
 class Viewer(threading.Thread):
-    """A client that gives a credit for each picture, at most so many a second; stalled: it never reads on."""
+    """A client that gives a credit for each picture, at most `most_hz` per second; a stalled one stops reading."""
 
     def __init__(self, live: Live, *, most_hz: float = 1e9, stalled: bool = False) -> None:
         super().__init__(daemon=True)
         self.live, self.most_hz, self.stalled = live, most_hz, stalled
         self.pictures, self.ages_ms, self.state = 0, [], {}
-        self.results: list[float] = []  # times of all results that it was told of, shown or not
+        self.results: list[float] = []  # times of all results that the server announced, displayed or not
         self.first_s: float | None = None
         self.stop = threading.Event()
 
@@ -81,7 +83,7 @@ class Viewer(threading.Thread):
 
 
 def first_pictures() -> list[float]:
-    """Seconds from the start of the process to the first depth at a client, of starts one after the other."""
+    """Seconds from the start of the process to the first depth at a client, for several consecutive starts."""
     found = []
     for _ in range(STARTS):
         with running() as (live, _):
@@ -96,7 +98,7 @@ def first_pictures() -> list[float]:
 
 
 def clients(live: Live, seconds: float) -> dict[str, Any]:
-    """A client alone; then with another, one at 2 Hz and one that stalls: what each gets, the server's rate and memory."""
+    """One client alone; then with three more: a normal one, one at 2 Hz, one that stalls. Rates, ages and memory."""
     alone = Viewer(live)
     alone.start()
     time.sleep(SETTLE_S)
@@ -131,7 +133,7 @@ def clients(live: Live, seconds: float) -> dict[str, Any]:
 
 
 def in_browser(page: Any, seconds: float) -> dict[str, Any]:
-    """Pictures a second, capture to screen."""
+    """Pictures per second, and time from capture to screen."""
     page.wait_for_timeout(1e3 * COMPUTED_S)
     serial, times, ages = "gelform.frame.header.serial", [], []
     surfaces = page.evaluate("gelform.look.surfaces")
@@ -170,7 +172,7 @@ def accessibility(page: Any) -> dict[str, Any]:
 
 
 def browser(live: Live, folder: Path, seconds: float, presses: int) -> dict[str, Any]:
-    """One headless Chromium: rates; with presses accessibility, the guided calibration, requests to other hosts too."""
+    """One headless Chromium: rates; with `presses` also accessibility, the guided calibration, requests to other hosts."""
     from playwright.sync_api import sync_playwright
 
     hosts = set()
@@ -197,11 +199,12 @@ def browser(live: Live, folder: Path, seconds: float, presses: int) -> dict[str,
 
 
 def main() -> None:
-    """Measure, print, write down."""
+    """Measure, print and write."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--quick", action="store_true", help="shorter; results/live.json stays as it is")
     parser.add_argument("--rates", action="store_true", help="the rates in the browser alone")
     parser.add_argument("--pictures", type=Path, metavar="FOLDER", help="take the pictures of docs/live.md")
+    parser.add_argument("--moving", type=Path, metavar="FOLDER", help="take the README's moving picture")
     parser.add_argument("--calibration", action="store_true", help="make the shipped calibration again")
     parser.add_argument(
         "--starter", action="store_true", help="to depth of a sensor that was never calibrated"
@@ -212,8 +215,13 @@ def main() -> None:
         write_part("live", "starter", starter)
         print(json.dumps(starter, indent=1))
         return
-    if asked.pictures or asked.calibration:
-        take_pictures(asked.pictures) if asked.pictures else make_calibration()
+    if asked.pictures or asked.moving or asked.calibration:
+        if asked.pictures:
+            take_pictures(asked.pictures)
+        if asked.moving:
+            take_moving(asked.moving)
+        if asked.calibration:
+            make_calibration()
         return
     seconds, presses = (6.0, 6) if asked.quick else (30.0, WANTED)
     if asked.rates:
@@ -240,7 +248,7 @@ def main() -> None:
 
 
 def rows(figures: dict[str, Any]) -> list[list[Any]]:
-    """Each figure that was asked for beside the one that was reached."""
+    """Each required figure with the measured one."""
     told, shown, memory = figures["clients"], figures["clients"]["shown_hz"], figures["clients"]["memory_mb"]
     listed = [
         ["first picture, warm, s", "2", statistics.median(figures["first_depth_s"][1:])],

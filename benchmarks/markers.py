@@ -1,11 +1,11 @@
-"""Marker dots: found, followed, and what they leave in depth; on the real video and on simulated shear with exact truth.
+"""Markers: detection, tracking, and their traces in depth; on the real video and on simulated shear with exact truth.
 
     python benchmarks/markers.py            # about two minutes
     python benchmarks/markers.py --quick    # one seed, nothing written
 
-Writes results/markers.json. The video needs GELFORM_DATA. It has no truth: a swap is counted where two dots stand on one
-place or one jumps by half a spacing between frames. The dent is measured on simulated frames, at the dots against the same
-places of the same gel without dots.
+Writes results/markers.json. The video needs GELFORM_DATA. It has no truth: a swap is counted if two markers have the same
+place, or one jumps by half a spacing between frames. The dent is measured on simulated frames: depth at the markers against
+the same places of the same gel without markers.
 """
 
 from __future__ import annotations
@@ -30,17 +30,17 @@ from gelform.simulate import (
     simulate_sequence,
     slide_poses,
 )
-from presses import DATA, presses_of, unlabelled
+from presses import DATA, presses_of, unlabeled
 from report import table, write
 
 SEEDS = (0, 1)
-REST_FRAMES = 12  # of the video, before anything touches
+REST_FRAMES = 12  # of the video, before the first touch
 
 
 def marked(
     pitch_mm: float, radius_mm: float, seed: int, friction: float, **arguments: float
 ) -> SimulatedSensor:
-    """A GelSight Mini with dots, 6 % missing and 10 % broken."""
+    """A GelSight Mini with markers, 6 % missing and 10 % broken."""
     sensor = SENSORS["gelsight-mini"].simulated()
     coating = replace(
         sensor.coating, marker_pitch_mm=pitch_mm, marker_radius_mm=radius_mm, marker_missing=0.06,
@@ -50,7 +50,7 @@ def marked(
 
 
 def sequences(seed: int) -> dict[str, tuple[SimulatedSensor, list[Any]]]:
-    """What is simulated: dots pressed, and dragged by up to several spacings."""
+    """Simulated sequences: markers pressed, and dragged by up to several spacings."""
     press = press_poses(0.9, 6)
     near, far = (slide_poses(0.9, (0, 0), end, count) for end, count in (((0.8, 0.4), 6), ((2.5, 0.8), 24)))
     return {
@@ -103,7 +103,7 @@ def shear(sensor: SimulatedSensor, poses: list[Any], seed: int) -> dict[str, flo
 
 
 def video() -> dict[str, float]:
-    """The real video: dots found in the image, swaps, noise at rest, time of a frame."""
+    """The real video: markers found in the image, swaps, noise at rest, time of a frame."""
     frames = [f.image for f in gelform.Video(DATA / "mini-markers-video" / "mini_example.avi").frames()]
     follower = MarkerFollower(frames[0])
     tracker = MarkerTracker(follower)
@@ -136,13 +136,13 @@ def video() -> dict[str, float]:
 
 
 def dent(seed: int) -> dict[str, float]:
-    """Depth at the dots of a simulated gel: error there against the error beside them, of presses and at rest."""
+    """Depth at the markers of a simulated gel: the error there against the error near them, in presses and at rest."""
     plain = SENSORS["gelsight-mini"].simulated()
     sensor = marked(1.9, 0.36, seed, 0.8)
     rng = np.random.default_rng(seed)
     arguments = {"ball_diameters_mm": [6.0, 8.0], "count": 12, "rng": rng, "oversample": 1}
     simulated = simulate_ball_presses(plain, **arguments)
-    calibration = gelform.calibrate(unlabelled(presses_of(simulated)), color_model="hierarchical")
+    calibration = gelform.calibrate(unlabeled(presses_of(simulated)), color_model="hierarchical")
     background = np.mean([simulate_background(sensor, rng) for _ in range(8)], axis=0).astype(np.float32)
     reconstruct = gelform.Reconstructor(replace(calibration, background=background))
     bare = gelform.Reconstructor(calibration)

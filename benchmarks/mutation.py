@@ -1,12 +1,12 @@
-"""Do the tests notice? Statements of a module are changed in turn, and the tests that execute them are run.
+"""Mutation testing: statements of a module are changed one by one, and the tests that execute them are run.
 
-    pip install "gelform[dev]"
+    pip install "gelform[dev,mutation]"
     python benchmarks/mutation.py anchor contact --limit 40 --seed 1     # some modules, a random sample of each
     python benchmarks/mutation.py                                        # the whole path: hours
 
-A survivor needs a test, or is equivalent: `mutants/equivalent.json` says which are, and why. Works on a copy of the
-checkout. Tests of real data are skipped, so that what is noticed is noticed everywhere. Writes results/mutation.json.
-Not part of CI.
+A surviving mutant needs a test, or is equivalent: `mutants/equivalent.json` lists those with reasons. The script works
+on a copy of the checkout. Tests with real data are skipped, so that the result is the same on every machine. Writes
+results/mutation.json. Not part of CI.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ from mutants.python_code import python_mutants
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = Path(__file__).parent / "results"
 EQUIVALENT = Path(__file__).parent / "mutants" / "equivalent.json"
-OWN_TIMEOUT_S = 240.0  # of a whole test file, on a machine that does other things too
+OWN_TIMEOUT_S = 240.0  # for a whole test file, on a busy machine
 PATH_TESTS = ("tests/test_reconstruct_truth.py", "tests/test_reconstruct_faults.py")
-RELATED = {  # files of tests that hold what a module does beside its own
+RELATED = {  # test files that check a module besides its own
     "view/view": ("tests/view/test_lens.py",),
     "color_models/_shared/least_squares": tuple(
         f"tests/color_models/test_{name}.py" for name in ("lambertian", "hierarchical")
@@ -83,7 +83,7 @@ def modules() -> list[str]:
 
 
 def own_tests(module: str) -> str:
-    """A module's own test file; of C, that of the same name."""
+    """A module's own test file; for C, the one with the same name."""
     if module == "reconstruct":
         return PATH_TESTS[0]
     room, _, name = module.removeprefix("native/").rpartition("/")
@@ -91,7 +91,7 @@ def own_tests(module: str) -> str:
 
 
 def candidates(module: str, wide: bool) -> list[str]:
-    """Its own test file and those of the whole path; `wide`: those of its room and of calibrating too."""
+    """Its own test file and those of the whole path; `wide`: also those of its room and of calibration."""
     room = module.removeprefix("native/").rpartition("/")[0]
     found = [own_tests(module), *RELATED.get(module, ()), *PATH_TESTS]
     if wide or module.startswith("native/"):
@@ -105,7 +105,7 @@ def candidates(module: str, wide: bool) -> list[str]:
 
 
 class Trial:
-    """Mutants of one file in a copy of the checkout, each run against the tests that execute its line."""
+    """Mutants of one file in a copy of the checkout, each tested by the tests that execute its line."""
 
     def __init__(
         self, module: str, folder: Path, kept: Path, budget_s: float, wide: bool, by: list[str] | None
@@ -120,7 +120,7 @@ class Trial:
         self.tests = [] if self.whole else covering_tests(folder, candidates(module, wide), files, kept)
 
     def judged(self, mutants: Sequence[Mutant]) -> dict[str, Any]:
-        """Counts of the mutants that the tests notice, and those that they miss."""
+        """Numbers of noticed mutants, and the list of missed ones."""
         known = {
             (entry["before"], entry["after"]): entry["because"]
             for entry in json.loads(EQUIVALENT.read_text(encoding="utf-8"))
@@ -176,7 +176,7 @@ def kernels(folder: Path) -> Kernels:
 
 
 def copied(folder: Path) -> Path:
-    """A copy of the checkout that mutants are written into."""
+    """A copy of the checkout for the mutants."""
     ignored = shutil.ignore_patterns(".git", "results", "__pycache__", ".venv*", "build", "dist", ".*_cache")
     copy = Path(shutil.copytree(ROOT, folder / "gelform", ignore=ignored))
     compileall.compile_dir(copy / "src", quiet=1)
@@ -184,7 +184,7 @@ def copied(folder: Path) -> Path:
 
 
 def again(trial: Trial) -> dict[str, Any]:
-    """The counts of the last run with what it missed tried once more."""
+    """The counts of the last run after another try of the missed mutants."""
     before = json.loads((RESULTS / "mutation.json").read_text())["modules"][trial.module]
     wanted = {(one["before"], one["after"]) for one in before["missed"]}
     once = {(one.before, one.after): one for one in trial.mutants}
@@ -196,7 +196,7 @@ def again(trial: Trial) -> dict[str, Any]:
 
 def record(module: str, figures: dict[str, Any]) -> None:
     """Put one module's counts into results/mutation.json."""
-    child = os.fork()  # this process must not import gelform: the forked ones import their own
+    child = os.fork()  # this process must not import gelform, because each forked one imports its own
     if not child:
         from report import write
 

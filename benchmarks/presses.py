@@ -1,4 +1,4 @@
-"""Presses that benchmarks share: mini-ball with the circles that score it; simulated ones as calibration reads them."""
+"""Presses for several benchmarks: mini-ball with its reference circles; simulated presses in calibration's form."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ Circle = tuple[float, float, float]
 
 
 def data_is_missing(part: str) -> bool:
-    """Whether there is no real data; says then that the part is left out."""
+    """Whether the real data are missing; then print that the part is left out."""
     if not DATA.is_dir():
         print(f"\n{part}: left out, no data in {DATA} (set GELFORM_DATA).")
     return not DATA.is_dir()
 
 
 def reference_circles() -> dict[str, Circle]:
-    """Centre and radius (px) of the contacts of mini-ball, for scoring, by the names of the presses."""
+    """Center and radius (px) of the contacts of mini-ball, for scoring, by the names of the presses."""
     with (DATA / "mini-ball" / "reference_circles.csv").open(encoding="utf-8") as file:
         return {
             row["image"]: (
@@ -37,25 +37,38 @@ def reference_circles() -> dict[str, Circle]:
 
 
 def mini_ball() -> tuple[gelform.Presses, list[int]]:
-    """The presses, labelled with the circles that score them, and their order by name."""
+    """The presses, labeled with the reference circles, and their order by name."""
     presses, circles = gelform.read_presses(DATA / "mini-ball"), reference_circles()
-    labelled = tuple(replace(p, label=circles[p.name]) for p in presses.presses)
-    return replace(presses, presses=labelled), by_name(presses)
+    labeled = tuple(replace(p, label=circles[p.name]) for p in presses.presses)
+    return replace(presses, presses=labeled), by_name(presses)
 
 
 def by_name(presses: gelform.Presses) -> list[int]:
-    """The numbers of the presses in the order of their names."""
+    """The indices of the presses in the order of their names."""
     return sorted(range(len(presses.presses)), key=lambda i: presses.presses[i].name)
 
 
-def unlabelled(presses: gelform.Presses, indices: Sequence[int] | None = None) -> gelform.Presses:
+def unlabeled(presses: gelform.Presses, indices: Sequence[int] | None = None) -> gelform.Presses:
     """These presses, or all, without their circles."""
     chosen = presses.presses if indices is None else [presses.presses[i] for i in indices]
     return replace(presses, presses=tuple(replace(press, label=None) for press in chosen))
 
 
+def labeled(presses: gelform.Presses) -> gelform.Presses:
+    """The presses accepted by a calibration on all, without a starter, with its circles; people's labels stay."""
+    if presses.presses[0].label is not None:
+        return presses
+    rows = gelform.calibrate(presses, start=None).report.presses
+    kept = (
+        replace(press, label=(row.center_x_px, row.center_y_px, row.contact_radius_px))
+        for press, row in zip(presses.presses, rows)
+        if row.accepted
+    )
+    return replace(presses, presses=tuple(kept))
+
+
 def presses_of(made: SimulatedPresses) -> gelform.Presses:
-    """Simulated presses as calibration reads them."""
+    """Simulated presses in the form that calibration reads."""
     with tempfile.TemporaryDirectory() as folder:
         gelform.save_simulated_presses(Path(folder) / "presses", made, truth=False)
         return gelform.read_presses(Path(folder) / "presses")

@@ -1,4 +1,4 @@
-"""What every benchmark shares: the machine, the bare DCT pair that times are divided by, tables, JSON."""
+"""Shared parts of all benchmarks: the machine, the bare DCT pair as unit of time, tables, JSON."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ RESULTS = Path(__file__).parent / "results"
 
 
 def machine() -> dict[str, str]:
-    """Processor, versions and date: what a figure is worth nothing without."""
+    """Processor, versions and date, which belong to every figure."""
     model = platform.processor()
     cpuinfo = Path("/proc/cpuinfo")
     if cpuinfo.is_file():
@@ -37,13 +37,13 @@ def machine() -> dict[str, str]:
 
 
 def dct_pair(shape: tuple[int, int]) -> Callable[[], Any]:
-    """The yardstick D: a bare float32 scipy dctn + idctn pair of that size."""
+    """The unit of time D: a bare float32 scipy dctn + idctn pair of that size."""
     values = np.random.default_rng(0).normal(size=shape).astype(np.float32)
     return lambda: idctn(dctn(values))
 
 
 def median_ms(calls: Sequence[Callable[[], Any]], *, rounds: int = 31, seconds: float = 20) -> list[float]:
-    """Median time of each call, ms, taken in turn so that a slow moment of the machine meets all alike."""
+    """Median time of each call, ms; the calls alternate, so that a slow moment of the machine affects all."""
     for call in calls:
         call()
     times: list[list[float]] = [[] for _ in calls]
@@ -66,7 +66,7 @@ def table(header: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
 
 
 def recorded(name: str) -> dict[str, Any]:
-    """The figures of `results/<name>.json` so far, without the machine; a part that is measured again replaces its own."""
+    """The present figures of `results/<name>.json`, without the machine; a new measurement replaces its own part."""
     path = RESULTS / f"{name}.json"
     figures: dict[str, Any] = json.loads(path.read_text()) if path.is_file() else {}
     figures.pop("machine", None)
@@ -83,7 +83,7 @@ def write(name: str, figures: dict[str, Any]) -> None:
 
 
 def write_part(name: str, part: str, figures: dict[str, Any]) -> None:
-    """Write a part of `results/<name>.json` that is measured alone, with a machine and a date of its own."""
+    """Write a separately measured part of `results/<name>.json`, with its own machine and date."""
     path = RESULTS / f"{name}.json"
     whole = json.loads(path.read_text()) if path.is_file() else {}
     whole[part] = {"machine": machine(), **figures}

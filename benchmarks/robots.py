@@ -1,11 +1,11 @@
-"""The robots' doors: bags, zenoh, the Taxim export, PyTorch, LeRobot; what each keeps, and how fast.
+"""Interfaces to robots: bags, zenoh, the Taxim export, PyTorch, LeRobot; their accuracy and speed.
 
     python benchmarks/robots.py                                    # writes results/robots.json; about 4 minutes
-        --torch PYTHON      a Python with torch, where this one has none: that part runs in it
+        --torch PYTHON      a Python with torch for that part, if this one has none
         --lerobot PYTHON    a Python 3.12 with LeRobot and the camera, as integrations/lerobot_camera_gelform/test.sh makes
     python benchmarks/robots.py --quick                            # fewer frames, simulated presses, writes nothing
 
-Parts whose packages are not there are left out and named; what was recorded of them before is kept, with its own date.
+Parts without their packages are left out and named; their earlier figures are kept, with their own date.
 """
 
 from __future__ import annotations
@@ -28,23 +28,23 @@ LEROBOT = ROOT / "integrations" / "lerobot_camera_gelform" / "record.py"
 
 
 def lerobot_rows(figures: dict[str, Any]) -> list[tuple[str, Any, Any]]:
-    """(what, asked, reached)."""
+    """(figure, required, measured)."""
     kept, default = figures["lossless"], figures["default"]
     return [
         (f"LeRobot {kept['lerobot']}: depth of 5 s, written and read, um RMS", 1.0, kept["depth_rms_um"]),
         ("the same: frames a second", 30, kept["rate_hz"]),
         ("the same: TimeoutErrors", 0, kept["timeouts"]),
-        ("colour without loss: largest difference, grey levels", 0, kept["color_worst_level"]),
-        ("colour without loss: kB a frame", "-", kept["color_kb"]),
+        ("color without loss: largest difference, gray levels", 0, kept["color_worst_level"]),
+        ("color without loss: kB a frame", "-", kept["color_kb"]),
         ("depth: kB a frame", "-", kept["depth_kb"]),
-        ("colour by LeRobot's default: slope error in contact, degrees", "-", default["color_slope_deg"]),
-        ("colour by LeRobot's default: depth error in contact, um", "-", default["color_depth_um"]),
-        ("colour by LeRobot's default: kB a frame", "-", default["color_kb"]),
+        ("color by LeRobot's default: slope error in contact, degrees", "-", default["color_slope_deg"]),
+        ("color by LeRobot's default: depth error in contact, um", "-", default["color_depth_um"]),
+        ("color by LeRobot's default: kB a frame", "-", default["color_kb"]),
     ]
 
 
 def main() -> None:
-    """Measure what can be measured here, print the table, write the figures."""
+    """Measure the available parts, print the table, write the figures."""
     given = _arguments()
     if given.alone_torch:
         print(json.dumps(torch_module.measure(given.quick)))
@@ -97,7 +97,7 @@ def _missing(*modules: str) -> str | None:
 
 
 def _in(python: str, script: Path, *options: str) -> dict[str, Any]:
-    """What a script prints in another environment, as JSON, in its last line."""
+    """The JSON in the last line that a script prints in another environment."""
     ran = subprocess.run([python, str(script), *options], stdout=subprocess.PIPE, text=True, check=True)
     last: dict[str, Any] = json.loads(ran.stdout.splitlines()[-1])
     return last

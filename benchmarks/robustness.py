@@ -1,10 +1,11 @@
-"""Bad input by the ten thousand: the properties of tests/robustness with a larger budget and a seed of its own.
+"""Tens of thousands of bad inputs: the properties of tests/robustness with a larger budget and another seed.
 
     OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python benchmarks/robustness.py                # 50,000 cases, 15 minutes
     python benchmarks/robustness.py --cases 200000 --seed 7
 
-Every case ends in an error of gelform's own, a finding, or a result that is right; anything else is printed and makes the
-exit status 1. Writes results/robustness.json after each round of some 7,000 cases, so that a run that is stopped counts too.
+Every case must end in an error of gelform, a finding, or a right result. Anything else is printed and makes the exit
+status 1. The script writes results/robustness.json after each round of some 7,000 cases, so that an interrupted run
+counts too.
 """
 
 from __future__ import annotations
@@ -23,13 +24,13 @@ from pathlib import Path
 from report import write
 
 ROOT = Path(__file__).resolve().parents[1]
-CASES_IN_CI = 4_700  # about what the suite tries by itself
-ROUND = 7_000  # each has a seed of its own, the first one's plus its number
+CASES_IN_CI = 4_700  # about the number of cases in the test suite
+ROUND = 7_000  # cases; each round has its own seed, the first one's plus its number
 SUMMARY = re.compile(r"robustness: (\d+) cases: (.*)")
 
 
 def run(cases: int, seed: int) -> tuple[int, dict[str, int], list[list[str]]]:
-    """Cases tried, how they ended, and what was wrong: (case, complaint)."""
+    """Number of cases, their endings, and the faults as (case, complaint)."""
     with tempfile.TemporaryDirectory() as folder:
         wrong = Path(folder) / "wrong.jsonl"
         environment = {

@@ -1,7 +1,7 @@
-"""Surfaces of known depth and slopes, and what goes wrong with slopes: for tests and benchmarks.
+"""Surfaces of known depth and slopes, and faults of slopes, for tests and benchmarks.
 
-Each surface is a function `(x, y) -> depth, dz/dx, dz/dy` of positions in mm, so that it can be sampled on
-any grid: convergence, pixels of any shape, any frame. All in float64.
+Each surface is a function `(x, y) -> depth, dz/dx, dz/dy` of positions in mm, so that it can be sampled on any grid: for
+convergence, for pixels of any shape, for any frame. All values are float64.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ MM_PER_PX = 0.0634
 
 
 class Scene(NamedTuple):
-    """A surface sampled at pixel centres: depth (H, W) in mm, slopes (H, W, 2) in mm/mm, exact."""
+    """A surface sampled at pixel centers: depth (H, W) in mm, slopes (H, W, 2) in mm/mm, exact."""
 
     depth_mm: Array
     gradients: Array
@@ -31,7 +31,7 @@ class Scene(NamedTuple):
 def scene(
     surface: Surface, shape: tuple[int, int] = SHAPE, mm_per_px: float | tuple[float, float] = MM_PER_PX
 ) -> Scene:
-    """Sample a surface at pixel centres; (0, 0) mm is the middle of the frame."""
+    """Sample a surface at pixel centers; (0, 0) mm is the middle of the frame."""
     pitch = (mm_per_px, mm_per_px) if isinstance(mm_per_px, (int, float)) else mm_per_px
     height, width = shape
     x = (np.arange(width) - (width - 1) / 2) * pitch[0]
@@ -71,7 +71,7 @@ def total(*surfaces: Surface) -> Surface:
 
 
 def gaussian(peak_mm: float, sigma_mm: float, center_mm: tuple[float, float] = (0.0, 0.0)) -> Surface:
-    """A smooth bump, or a smooth dent where the peak is negative."""
+    """A smooth bump, or a smooth dent if the peak is negative."""
 
     def surface(x: Array, y: Array) -> tuple[Array, Array, Array]:
         u, v = x - center_mm[0], y - center_mm[1]
@@ -93,7 +93,7 @@ def waves(amplitude_mm: float, wavelength_mm: float) -> Surface:
 
 
 def polynomial(coefficients: dict[tuple[int, int], float]) -> Surface:
-    """Sum of `c x^i y^j` for entries (i, j): c; planes and quadratics among them."""
+    """Sum of `c x^i y^j` for entries (i, j): c; includes planes and quadratics."""
 
     def surface(x: Array, y: Array) -> tuple[Array, Array, Array]:
         zero = np.zeros_like(x)
@@ -135,17 +135,17 @@ def with_noise(gradients: Array, sigma: float, rng: np.random.Generator) -> Arra
 
 
 class Corrupted(NamedTuple):
-    """Slopes that lie where `valid` is False."""
+    """Slopes with outliers where `valid` is False."""
 
     gradients: Array
     valid: NDArray[np.bool_]
 
 
 def with_outliers(gradients: Array, fraction: float, rng: np.random.Generator) -> Corrupted:
-    """Slopes with specks (0 to 2 px in radius) that lie until `fraction` of the pixels do: dust, highlights.
+    """Slopes with specks (0 to 2 px in radius) of outliers in `fraction` of the pixels: dust, highlights.
 
-    The wrong slopes scatter by 0.7 about the true ones plus (0.15, 0.1): lies that lean one way are what
-    tilts depth over the whole frame.
+    The wrong slopes scatter by 0.7 around the true ones plus (0.15, 0.1), because outliers with a common direction
+    tilt depth over the whole frame.
     """
     height, width = gradients.shape[:2]
     valid = np.ones((height, width), dtype=bool)
@@ -157,10 +157,10 @@ def with_outliers(gradients: Array, fraction: float, rng: np.random.Generator) -
 
 
 def with_patches(gradients: Array, fraction: float, rng: np.random.Generator) -> Corrupted:
-    """Slopes with discs (2 to 9 px in radius) that lie coherently until `fraction` of the pixels do: shadows.
+    """Slopes with discs (2 to 9 px in radius) of coherent outliers in `fraction` of the pixels: shadows.
 
-    Half of the discs carry one wrong slope (scatter 0.85) throughout, a quarter lost their slopes (0), a
-    quarter are independent noise. A coherent lie is nearly a surface: only its rim shows.
+    Half of the discs have one wrong slope (scatter 0.85) throughout, a quarter have slopes of 0, and a quarter are
+    independent noise. Coherent outliers nearly form a surface: only their rim shows.
     """
     height, width = gradients.shape[:2]
     valid = np.ones((height, width), dtype=bool)
@@ -184,7 +184,7 @@ def _clear_disc(flags: NDArray[np.bool_], row: int, col: int, radius: int) -> No
 
 
 def confidence_from_valid(valid: NDArray[np.bool_], *, low: float = 1e-3, blur_px: float = 0.0) -> Array:
-    """1 where valid, `low` elsewhere, with soft edges if asked for."""
+    """1 where valid, `low` elsewhere, optionally with soft edges."""
     soft: Array = gaussian_filter(valid.astype(np.float64), blur_px) if blur_px else valid.astype(np.float64)
     return low + (1 - low) * soft
 

@@ -1,11 +1,11 @@
-"""Figures of the simulator: exactness, speed, likeness to real sensors, same bytes.
+"""Figures of the simulator: exactness, speed, similarity to real sensors, identical bytes.
 
     python benchmarks/simulator.py -o benchmarks/results/simulator.json
 
-Speed is processor time of one thread, beside D: a bare float32 cosine transform and back of the same size in the
-same run; the least of many repeats, because the machine is shared, and the median. Likeness needs the real data
-(GELFORM_DATA). `--calibration` and `--digit-calibration` are ones made from the presses 0, 2, 4 ... of mini-ball and
-digit-ball; without them they are made, which takes minutes.
+Speed is processor time of one thread, compared with D, a bare float32 cosine transform and its inverse of the same
+size in the same run: the minimum of many repetitions, because the machine is shared, and the median. Similarity needs
+the real data (GELFORM_DATA). `--calibration` and `--digit-calibration` take calibrations from the presses 0, 2, 4 ...
+of mini-ball and digit-ball; without them they are made, which takes minutes.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ RIM_MM = (
 
 
 def far_lights() -> tuple[SimulatedSensor, np.ndarray]:
-    """Three distant lights, one per channel, and the matrix that photometric stereo needs."""
+    """Three distant lights, one per channel, and their matrix for photometric stereo."""
     directions = np.array([[0.55, 0.0, 0.83], [-0.28, 0.48, 0.83], [-0.28, -0.48, 0.83]])
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     far = 1e8
@@ -88,7 +88,7 @@ def exactness() -> dict[str, float]:
 
 
 def cpu_ms(work: Callable[[], Any], repeats: int) -> tuple[float, float]:
-    """Least and median processor time of the calling thread, ms."""
+    """Minimum and median processor time of the calling thread, ms."""
     work()
     times = []
     for _ in range(repeats):
@@ -99,7 +99,7 @@ def cpu_ms(work: Callable[[], Any], repeats: int) -> tuple[float, float]:
 
 
 def everything_on() -> SimulatedSensor:
-    """A sensor with every part of the model at work but cast shadows."""
+    """A sensor with every part of the model active, except cast shadows."""
     base = LAYOUTS["three-edges"]
     sensor = replace(
         base,
@@ -122,7 +122,7 @@ def everything_on() -> SimulatedSensor:
 
 
 def speed() -> dict[str, Any]:
-    """Frames per second of a sliding ball at 240x320, and single presses, beside D."""
+    """Frames per second of a sliding ball at 240x320, and single presses, compared with D."""
     cv2.setNumThreads(1)
     pair = np.random.default_rng(0).standard_normal((240, 320)).astype(np.float32)
     full = everything_on()
@@ -175,7 +175,7 @@ def same_bytes() -> bool:
 
 
 def backgrounds() -> dict[str, Any]:
-    """Presets beside real backgrounds: mean levels and shape."""
+    """Presets compared with real backgrounds: mean levels and shape."""
     result = {}
     for name, folder in (("gelsight-mini", "mini-ball"), ("digit", "digit-ball")):
         real = cv2.imread(str(DATA / folder / "background.png"))[..., ::-1].astype(np.float64)
@@ -190,7 +190,7 @@ def backgrounds() -> dict[str, Any]:
 
 
 def half_calibrated(name: str, path: Path | None) -> gelform.Calibration:
-    """A calibration of the presses 0, 2, 4 ... of mini-ball or digit-ball."""
+    """A calibration from the presses 0, 2, 4 ... of mini-ball or digit-ball."""
     if path is not None:
         return gelform.load_calibration(path)
     presses = gelform.read_presses(DATA / name)
@@ -199,8 +199,10 @@ def half_calibrated(name: str, path: Path | None) -> gelform.Calibration:
 
 
 def likeness(calibration: gelform.Calibration) -> dict[str, Any]:
-    """Held-out real presses of mini-ball beside `--like` and the preset: grey levels inside the visible rim,
-    and inside the smaller circle in which the twin's gel touches the ball."""
+    """Held-out real presses of mini-ball compared with `--like` and the preset, in gray levels.
+
+    Inside the visible rim, and inside the smaller circle in which the twin's gel touches the ball.
+    """
     circles, twin, preset = reference_circles(), Twin(calibration), SENSORS["gelsight-mini"].simulated()
     rest = simulate_background(preset, None, quantise=False)
     errors: dict[str, list[float]] = {
@@ -266,17 +268,17 @@ def likeness(calibration: gelform.Calibration) -> dict[str, Any]:
 
 
 def _cut_out(change: np.ndarray, circle: Circle) -> list[np.ndarray]:
-    """81x81 pixels of a change about a circle's middle, in a list; none where they leave the image."""
+    """A list of 81x81 pixels of a change around a circle's center; empty if they leave the image."""
     x, y = round(circle[0]), round(circle[1])
     cut = change[max(y - 40, 0) : y + 41, max(x - 40, 0) : x + 41]
     return [cut] if cut.shape[:2] == (81, 81) else []
 
 
 def digit_likeness(calibration: gelform.Calibration) -> dict[str, Any]:
-    """Held-out presses of a DIGIT beside its own `--like`, Taxim's tables of another DIGIT, and the preset.
+    """Held-out presses of a DIGIT compared with its own `--like`, Taxim's tables of another DIGIT, and the preset.
 
-    Inside 0.8 of the contact radius that `evaluate` finds, in grey levels. The scale of these presses is not
-    verified: the figures say which look is nearer, not how near.
+    Gray levels inside 0.8 of the contact radius that `evaluate` finds. The scale of these presses is not verified: the
+    figures show which look is nearer, but not how near.
     """
     presses = gelform.read_presses(DATA / "digit-ball")
     held_out = presses.subset(range(1, len(presses.presses), 2))
@@ -309,16 +311,16 @@ def digit_likeness(calibration: gelform.Calibration) -> dict[str, Any]:
 
 
 def _levels_of_turned(look: TaximLook, press: Any) -> np.ndarray:
-    """What tables of a camera turned by 90 degrees say of an upright press: x of the tables is up, y right."""
+    """The response of tables for a camera turned by 90 degrees to an upright press: x of the tables is up, y right."""
     gradients = np.rot90(np.stack([-press.gradients[..., 1], press.gradients[..., 0]], axis=-1), -1)
     return np.rot90(look.levels(gradients, np.rot90(press.depth_mm, -1)), 1)
 
 
 def transfer(calibration: gelform.Calibration) -> dict[str, Any]:
-    """Calibrated on the twin's presses, tested on real ones, beside the real calibration on the same ones.
+    """Calibrate on the twin's presses, test on real ones, and compare with the real calibration on the same ones.
 
-    The twin presses the same balls at the same places and depths as the real half that made it (their circles
-    found, not the reference's); its presses are calibrated as a folder without labels would be. Tested on the
+    The twin presses the same balls at the same places and depths as the half of real presses that made it, with the
+    found circles instead of the reference's. Its presses are calibrated as a folder without labels. The test uses the
     presses 1, 3, 5 ...
     """
     presses = gelform.read_presses(DATA / "mini-ball")
@@ -335,9 +337,9 @@ def transfer(calibration: gelform.Calibration) -> dict[str, Any]:
     pretended = replace(presses, presses=tuple(made), background=calibration.background)
     by_twin = gelform.calibrate(pretended, color_model="polynomial")
     held_out = presses.subset(range(1, len(presses.presses), 2))
-    labelled = tuple(replace(press, label=circles[press.name]) for press in held_out.presses)
+    labeled = tuple(replace(press, label=circles[press.name]) for press in held_out.presses)
     found = {
-        name: gelform.evaluate(one, replace(held_out, presses=labelled)).summary
+        name: gelform.evaluate(one, replace(held_out, presses=labeled)).summary
         for name, one in (("real", calibration), ("like", by_twin))
     }
     ratio = {key: found["like"][key] / found["real"][key] for key in found["real"] if key not in ("presses",)}
@@ -351,7 +353,7 @@ def _inside(circle: Circle, shape: tuple[int, ...]) -> np.ndarray:
 
 
 def _pose_of(press: Any, circle: Circle, sensor: SimulatedSensor) -> tuple[Pose, Ball]:
-    """The pose whose visible rim is the circle that is known of a real press."""
+    """The pose whose visible rim is the known circle of a real press."""
     x, y, a = circle
     radius = press.ball_diameter_mm / 2
     height, width = sensor.shape

@@ -1,10 +1,10 @@
-"""The solvers' tables and picture: accuracy, lies, noise, sigma, speed, memory, first start.
+"""The solvers' tables and picture: accuracy, outliers, noise, sigma, speed, memory, first start.
 
     python benchmarks/solvers.py [--quick] [--only WORD] [-o benchmarks/results]
-    python benchmarks/solvers.py --pictures docs/images     # draws those of docs/choosing-a-solver.md instead
+    python benchmarks/solvers.py --pictures docs/images     # draws the pictures of docs/choosing-a-solver.md instead
 
-Times are CPU times of one thread, 10 % quantile, as ratios to D: a bare float32 scipy.fft dctn + idctn pair
-of the same size, taken in turn with what is measured, so that a busy machine hits both.
+Times are CPU times of one thread, 10 % quantile, as ratios to D: a bare float32 scipy.fft dctn + idctn pair of the
+same size. Both are measured alternately, so that a busy machine affects both.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ def noise(repeats: int) -> Table:
 
 
 def lies(repeats: int) -> Table:
-    """RMSE in um with 15 % corrupt pixels and slope noise 0.05: specks, and coherent patches."""
+    """RMSE in um with 15 % outliers and slope noise 0.05: specks, and coherent patches."""
     table: Table = {}
     for corrupt, kind in ((with_outliers, "specks"), (with_patches, "patches")):
         for title, surface in (("ball", BALL), ("balls", BALLS)):
@@ -113,7 +113,7 @@ def lies(repeats: int) -> Table:
 
 
 def frame_with_outliers(shape: tuple[int, int], kind: str) -> tuple[Any, Any, tuple[float, float], Any]:
-    """Slopes with 10 % lies and confidence from 1 to 1e-3."""
+    """Slopes with 10 % outliers and confidence from 1 to 1e-3."""
     sample = scene(PEAKS, shape, MM_PER_PX * SHAPE[0] / shape[0])
     rng = np.random.default_rng(0)
     corrupt = with_outliers if kind == "specks" else with_patches
@@ -123,7 +123,7 @@ def frame_with_outliers(shape: tuple[int, int], kind: str) -> tuple[Any, Any, tu
 
 
 def speed(sizes: list[tuple[int, int]]) -> Table:
-    """Ratios to D."""
+    """Times as ratios to D."""
     table: Table = {}
     for shape in sizes:
         repeats = max(5, int(4e6 / (shape[0] * shape[1])))
@@ -156,7 +156,7 @@ def speed(sizes: list[tuple[int, int]]) -> Table:
 def timed_weighted(
     table: Table, shape: tuple[int, int], kind: str, bare: Callable[[], Any], repeats: int
 ) -> None:
-    """Setup and solve of `multigrid`, its iterations, and its error against `sparse` where feasible."""
+    """Setup and solve of `multigrid`, its iterations, and its error against `sparse` where that is feasible."""
     gradients, weights, pitch, depth = frame_with_outliers(shape, kind)
     size = f"{shape[0]}x{shape[1]}"
     grid = Grid(shape)
@@ -187,7 +187,7 @@ def timed_weighted(
 
 
 def growth(table: Table) -> Table:
-    """Power of the number of pixels that times grow with."""
+    """Exponent of the number of pixels in the growth of times."""
     powers: Table = {"growth": {}}
     for name, end in (("dct, ms", "960x1280"), ("multigrid, patches, ms", "2048x2048")):
         if end in table.get(name, {}):
@@ -200,7 +200,7 @@ def growth(table: Table) -> Table:
 
 
 def uncertainty(count: int, probes: tuple[int, ...] = (16, 32, 64)) -> Table:
-    """Standard deviation map, weighted, white and correlated, against full Monte Carlo; its time once prepared."""
+    """Map of the standard deviation, weighted, white and correlated, against full Monte Carlo; its time once prepared."""
     table: Table = {}
     for length in (0, 10, 20):
         expected = monte_carlo_sigma(length, count)
@@ -255,7 +255,7 @@ def sigma_frames() -> dict[str, tuple[Any, dict[str, Any]]]:
 
 
 def monte_carlo_sigma(length: float, count: int) -> dict[str, Any]:
-    """Standard deviation of full solutions; half of the variance is correlated where there is a length."""
+    """Standard deviation of full solutions; with a length, half of the variance is correlated."""
     rng = np.random.default_rng(1)
     frames = sigma_frames()
     total = {title: np.zeros(SHAPE) for title in frames}
@@ -283,7 +283,7 @@ def correlated_errors(shape: tuple[int, int], length: float, rng: np.random.Gene
 
 
 def groove() -> Table:
-    """Gradients of the measured groove, integrated back: largest error as a share of the range."""
+    """Gradients of the measured groove, integrated: largest error as a fraction of the range."""
     folder = DATA / "groove"
     files = sorted(folder.glob("*.np[yz]")) if folder.is_dir() else []
     if not files:
@@ -305,7 +305,7 @@ def groove() -> Table:
 
 
 def pictures() -> Any:
-    """The module that draws, where matplotlib is installed."""
+    """The module that draws, if matplotlib is installed."""
     try:
         from solvers import pictures
     except ImportError as error:

@@ -1,9 +1,9 @@
-"""How fast it is: every stage of a frame, and the whole frame, one thread, at three sizes; and a calibration.
+"""Speed: every stage of a frame, and the whole frame, one thread, at three sizes; and a calibration.
 
-    OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python benchmarks/speed.py    # three minutes; --quick: 240x320 alone, one
+    OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python benchmarks/speed.py    # three minutes; --quick: only 240x320, one
 
-Machines are shared and noisy: trust the ratios to D, a bare float32 scipy dctn + idctn pair of the same size that is
-timed in turn with the stages in the same run. Writes results/speed.json.
+Machines are shared and noisy: trust the ratios to D, a bare float32 scipy dctn + idctn pair of the same size, measured
+alternately with the stages in the same run. Writes results/speed.json.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ from report import dct_pair, median_ms, table, write
 
 SIZES = ((240, 320), (480, 640), (960, 1280))
 PLAIN, EVERYTHING = "whole frame, dct, no sigma of depth", "whole frame, everything on"
-DEPTHS = "whole frame, dct, no sigma at all"  # as `gelform batch` runs where depth alone is kept
+DEPTHS = "whole frame, dct, no sigma at all"  # as `gelform batch` runs if only depth is kept
 FIRST_FRAMES = 5
 PEERS = json.loads((Path(__file__).parent / "peers.json").read_text())
 
@@ -72,7 +72,7 @@ def calibration_at(shape: tuple[int, int]) -> tuple[gelform.Calibration, np.ndar
 
 
 def stages(calibration: gelform.Calibration, image: np.ndarray) -> dict[str, Callable[[], Any]]:
-    """Each stage of a frame on its own; the whole without sigma and weights, and with everything."""
+    """Each stage of a frame separately; the whole frame without sigma and weights, and with everything."""
     reconstruct = gelform.Reconstructor(calibration)
     plain = gelform.Reconstructor(calibration, solver="dct", depth_sigma=False)
     depths = gelform.Reconstructor(calibration, solver="dct", depth_sigma=False, slope_sigma=False)
@@ -99,7 +99,7 @@ def stages(calibration: gelform.Calibration, image: np.ndarray) -> dict[str, Cal
         return untouched, deviation, causes(gradients, deviation, None, image, (step.residual, step.variance))
 
     untouched, deviation, confidence = trusted(reference)
-    unbiased = reference._replace(bias=np.zeros(2, dtype=np.float32))  # gradients have lost theirs above
+    unbiased = reference._replace(bias=np.zeros(2, dtype=np.float32))  # removed from the gradients above
     anchor = RestAnchor(calibration.image_shape, pitch, calibration.slope_sigma.clean)
     hold = anchor(gradients, untouched, confidence)
     arguments = {"weights": confidence, "anchor": hold}
@@ -142,9 +142,9 @@ def stages(calibration: gelform.Calibration, image: np.ndarray) -> dict[str, Cal
 
 
 def first_frame_s(calibration: gelform.Calibration, image: np.ndarray, bytecode: bool) -> float:
-    """Seconds from the start of a new Python process to its first result; the least of some.
+    """Seconds from the start of a new Python process to its first result; the minimum of several.
 
-    With bytecode: as pip leaves an installed package. Without: each process compiles gelform's sources once more.
+    With bytecode, as in a package that pip installed; without it, each process compiles gelform's sources again.
     """
     with tempfile.TemporaryDirectory() as folder:
         calibration.save(Path(folder) / "cal.npz")
@@ -161,7 +161,7 @@ def first_frame_s(calibration: gelform.Calibration, image: np.ndarray, bytecode:
 
 
 def calibration_cpu_s() -> float | None:
-    """CPU seconds of calibrating the 67 presses of mini-ball; None without them."""
+    """CPU seconds to calibrate on the 67 presses of mini-ball; None without them."""
     if not (DATA / "mini-ball").is_dir():
         return None
     presses = gelform.read_presses(DATA / "mini-ball")
@@ -171,7 +171,7 @@ def calibration_cpu_s() -> float | None:
 
 
 def main() -> None:
-    """Time every size and print the table."""
+    """Measure every size and print the table."""
     parser = argparse.ArgumentParser(description="How fast every stage of a frame is.")
     parser.add_argument("--quick", action="store_true", help="240x320 alone; writes no results")
     quick = parser.parse_args().quick

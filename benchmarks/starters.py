@@ -1,12 +1,12 @@
-"""Starters: depth of a unit that was never pressed, few presses that begin with one, and whether a wrong ball is noticed.
+"""Starters: depth of a unit without presses, few presses with a starter, and detection of a wrong ball diameter.
 
     python benchmarks/starters.py             # about 20 minutes; writes results/starters.json
     python benchmarks/starters.py units       # one part: units, presses, balls, simulated
     python benchmarks/starters.py make        # makes the starters that the package ships, from the data
 
-The unit that is read has given nothing to the starter. Real presses are read from GELFORM_DATA (default ../shared/data).
-The diameter that is stated for mini-d's ball, 4.0 mm, is doubtful: its contacts are as wide as those of 4.70 mm, which is
-taken for right here.
+The tested unit had no part in the starter. Real presses are read from GELFORM_DATA (default ../shared/data). The stated
+diameter of mini-d's ball, 4.0 mm, is doubtful: its contacts are as wide as those of a ball of 4.70 mm, which counts as right
+here.
 """
 
 from __future__ import annotations
@@ -28,31 +28,31 @@ from gelform.errors import CalibrationError
 from gelform.metrics import score_slopes
 from gelform.starters import load_starter
 from gelform.starters.starter import Starter, starter_from_calibration
-from presses import DATA, data_is_missing, mini_ball, unlabelled
+from presses import DATA, data_is_missing, labeled, mini_ball, unlabeled
 from report import recorded, table, write
-from starters.make import COLOR_VARIANCE, LAYOUT, SPREAD, labelled, make, simulated_unit
+from starters.make import COLOR_VARIANCE, LAYOUT, SPREAD, make, simulated_unit
 
-LIKELY = 4.70 / 4.0  # of mini-d's ball over what is stated
+LIKELY = 4.70 / 4.0  # mini-d's ball: likely over stated diameter
 FOLDS, DRAWS = 3, 5
 SIZES = (3, 5, 8, 12, 20)
 FACTORS = (0.5, 0.8, 1.0, 1.2, 1.25, 2.0)
 SETS = ("mini-ball", "mini-d", "digit-ball", "gelslim", "gelslim-dots", "gelsight-ball-deep")
-UNSEEN = 11  # number of a simulated unit that made nothing
+UNSEEN = 11  # number of a simulated unit outside the starter
 
 
 def stated(presses: gelform.Presses, factor: float) -> gelform.Presses:
-    """The same images, of balls that are stated so many times as large."""
+    """The same images, with stated diameters multiplied by a factor."""
     balls = (replace(one, ball_diameter_mm=one.ball_diameter_mm * factor) for one in presses.presses)
     return replace(presses, presses=tuple(balls))
 
 
 def mini_d() -> gelform.Presses:
-    """mini-d with its likelier diameter and the circles that score it."""
-    return labelled(stated(gelform.read_presses(DATA / "mini-d"), LIKELY))
+    """mini-d with its likely diameter and the circles for scoring."""
+    return labeled(stated(gelform.read_presses(DATA / "mini-d"), LIKELY))
 
 
 def judged(calibration: gelform.Calibration, presses: gelform.Presses, edge: float) -> dict[str, float]:
-    """Errors on labelled presses, and the share of slopes inside the edge that are within one stated sigma."""
+    """Errors on labeled presses, and the share of slopes inside the edge within one stated sigma."""
     reconstruct, rows, within = gelform.Reconstructor(calibration, depth_sigma=False), [], []
     pitch = calibration.known_mm_per_px
     for press in presses.presses:
@@ -72,7 +72,7 @@ def _within(result: Any, press: Any, pitch: float, edge: float) -> float:
 
 
 def units() -> dict[str, Any]:
-    """No press at all: the starter on another unit, against that unit's own calibration on held-out presses."""
+    """No press: the starter on another unit, against that unit's own calibration on held-out presses."""
     found: dict[str, Any] = {}
     presses = mini_d()
     starter = load_starter("gelsight-mini")
@@ -82,7 +82,7 @@ def units() -> dict[str, Any]:
     found["mini-d, its own calibration"] = _folds(presses, EDGES["mini-d"])
     ball, order = mini_ball()
     for name, (own, other) in {"even": (order[0::2], order[1::2]), "odd": (order[1::2], order[0::2])}.items():
-        calibration = gelform.calibrate(unlabelled(ball, own), start=None)
+        calibration = gelform.calibrate(unlabeled(ball, own), start=None)
         half = starter_from_calibration(
             calibration, "gelsight-mini", spread=SPREAD["gelsight-mini"], units=("half",)
         )
@@ -100,9 +100,9 @@ def units() -> dict[str, Any]:
 
 
 def _by_mini_d(presses: gelform.Presses) -> dict[str, float]:
-    """mini-ball, with the circles that score it, by a starter of the other unit."""
+    """mini-ball, with the circles for scoring, by a starter from the other unit."""
     ball, order = mini_ball()
-    own = gelform.calibrate(unlabelled(presses), start=None)
+    own = gelform.calibrate(unlabeled(presses), start=None)
     settings: Any = {"spread": SPREAD["gelsight-mini"], "color_variance": COLOR_VARIANCE}
     of_d = starter_from_calibration(own, "gelsight-mini", units=("mini-d",), **settings)
     unit = of_d.for_unit(ball.background, mm_per_px=ball.mm_per_px)
@@ -115,13 +115,13 @@ def _folds(presses: gelform.Presses, edge: float) -> dict[str, float]:
         others, own = (
             [i for i in range(len(presses.presses)) if (i % FOLDS == fold) == held] for held in (False, True)
         )
-        calibration = gelform.calibrate(unlabelled(presses, others), start=None)
+        calibration = gelform.calibrate(unlabeled(presses, others), start=None)
         parts.append(judged(calibration, presses.subset(own), edge))
     return {key: float(np.mean([part[key] for part in parts])) for key in parts[0]}
 
 
 def presses() -> dict[str, Any]:
-    """Few presses of another unit, alone and offered the starter: the same draws, judged on presses of neither."""
+    """Few presses of another unit, without and with the starter: the same draws, judged on presses new to both."""
     known, rng, found = mini_d(), np.random.default_rng(0), {}
     count = len(known.presses)
     for size in (*SIZES, 2 * count // 3):
@@ -131,7 +131,7 @@ def presses() -> dict[str, Any]:
             order = rng.permutation(count)
             training, test = order[:size].tolist(), order[-count // 3 :].tolist()
             for name, start in (("alone", None), ("offered", "auto")):
-                calibration = gelform.calibrate(unlabelled(known, training), start=start)
+                calibration = gelform.calibrate(unlabeled(known, training), start=start)
                 both[name].append(judged(calibration, known.subset(test), EDGES["mini-d"]))
                 used += calibration.settings.start is not None
         means = {n: {k: float(np.mean([one[k] for one in rows])) for k in KEYS} for n, rows in both.items()}
@@ -148,12 +148,12 @@ def presses() -> dict[str, Any]:
 
 
 def balls() -> dict[str, Any]:
-    """Every real set with its diameters as they are and wrong: what is read, and what the verdict is."""
+    """Every real set with right and wrong diameters: recovered sizes, and the verdict."""
     found: dict[str, Any] = {"read": _read_by_others(), "verdicts": {}}
     for name in SETS:
         right = LIKELY if name == "mini-d" else 1.0
         whole = gelform.read_presses(DATA / name)
-        some = unlabelled(whole, range(0, len(whole.presses), 2))
+        some = unlabeled(whole, range(0, len(whole.presses), 2))
         for factor in FACTORS:
             said = _verdict(stated(some, right * factor))
             found["verdicts"][f"{name} x {factor:g}"] = said
@@ -176,18 +176,18 @@ def _verdict(presses: gelform.Presses) -> str:
 
 
 def _read_by_others() -> dict[str, Any]:
-    """Diameters of Minis by presses that are not theirs, over the right ones, and which factors are found."""
+    """Diameters of Minis recovered with presses of other units, over the right ones, and the factors that are detected."""
     ball, order = mini_ball()
     halves = [order[0::2], order[1::2]]
     cases: list[tuple[str, gelform.Presses, Any]] = []
     other = stated(gelform.read_presses(DATA / "mini-d"), LIKELY)
-    cases.append(("mini-d", other, known_make(other)))
+    cases.append(("mini-d", other, known_make(other, "auto")))
     for own, rest in (halves, halves[::-1]):
-        of_half = gelform.calibrate(unlabelled(ball, own), start=None)
+        of_half = gelform.calibrate(unlabeled(ball, own), start=None)
         half: Starter = starter_from_calibration(
             of_half, "gelsight-mini", spread=SPREAD["gelsight-mini"], units=("half",)
         )
-        test = unlabelled(ball, rest)
+        test = unlabeled(ball, rest)
         start = start_from(half.for_unit(test.background), test, "auto")
         cases.append((f"mini-ball, {'odd' if own is halves[0] else 'even'}", test, start))
     rows: dict[str, Any] = {}
@@ -206,9 +206,9 @@ def _read_by_others() -> dict[str, Any]:
 
 
 def simulated() -> dict[str, Any]:
-    """A simulated unit that made nothing, read by the starter of four others."""
+    """A simulated unit outside the starter, read by the starter of four others."""
     unit = simulated_unit(UNSEEN)
-    known = labelled(unit)
+    known = labeled(unit)
     starter = load_starter(f"simulated-{LAYOUT}")
     found = {
         "starter": judged(starter.for_unit(known.background), known, 0.8),
@@ -227,7 +227,7 @@ PARTS = {"units": units, "presses": presses, "balls": balls, "simulated": simula
 
 
 def main(names: Sequence[str]) -> None:
-    """Make the starters, or measure the parts that were named, or all."""
+    """Make the starters, or measure the named parts, or all."""
     if list(names) == ["make"]:
         make()
         return

@@ -1,16 +1,16 @@
-"""All figures of streams: rate, latency, age, lost sources, 8 megapixels, slow presses, drift, faults, false alarms; a soak.
+"""All figures of streams: rate, latency, age, lost sources, large frames, slow presses, drift, faults, false alarms, a soak.
 
-    python benchmarks/stream.py                        # everything but the soak: about 20 minutes on an idle machine
+    python benchmarks/stream.py                        # all except the soak test: about 20 minutes on an idle machine
     python benchmarks/stream.py --quick                # a few draws and seconds of each, about 4 minutes; writes nothing
     python benchmarks/stream.py --only live slow       # some parts; the others keep their figures
     python benchmarks/stream.py --soak 60              # an hour of the simulated sensor: memory and rate
 
-Parts: live (1 min), slow (2 min), restarts and large (3 and 2 min; a real ffmpeg), presses and drift (5 min; sensors
-drawn at random), faults (8 min), alarms (2 min; needs GELFORM_DATA).
+Parts: live (1 min), slow (2 min), restarts and large (3 and 2 min; with a real ffmpeg), presses and drift (5 min; random
+sensors), faults (8 min), alarms (2 min; needs GELFORM_DATA).
 
-Sensors, gels, faults, presses and drift are drawn from `--seed`, a new one each time unless it is given: nothing is tuned on
-what is reported. What takes minutes in life is simulated faster: a stream's memory takes its times from the frames.
-Writes results/stream.json. Times and ages depend on what else the machine does: its load is recorded beside them.
+Sensors, gels, faults, presses and drift are random, by default with a new `--seed` each time: nothing is tuned on the
+reported data. Slow processes are simulated faster than real time, because a stream's memory takes its times from the frames.
+The script writes results/stream.json. Times and ages depend on the machine's other work, so its load is recorded too.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ import gelform
 from gelform.sensors.files import read_image
 from gelform.simulate import LAYOUTS, simulate_ball_presses
 from gelform.simulate.render import simulate_background
-from presses import DATA, presses_of, unlabelled
+from presses import DATA, presses_of, unlabeled
 from report import recorded, table, write
 from stream.ffmpeg_camera import why_absent
 from stream.rates import live, slow_consumer, soak
@@ -53,15 +53,15 @@ NAMED = {
 
 
 def calibrated(sensor: Any) -> gelform.Calibration:
-    """A calibration of a simulated sensor, made as a user does; its background is the mean of ten frames."""
+    """A calibration of a simulated sensor, as a user makes it; its background is the mean of ten frames."""
     rng = np.random.default_rng(3)
     simulated = simulate_ball_presses(sensor, ball_diameters_mm=[5.0, 8.0], count=14, rng=rng)
-    calibration = gelform.calibrate(unlabelled(presses_of(simulated)), color_model="hierarchical")
+    calibration = gelform.calibrate(unlabeled(presses_of(simulated)), color_model="hierarchical")
     return replace(calibration, background=simulate_background(sensor, rng, frames=10))
 
 
 def faults(calibration: gelform.Calibration, draws: int, rng: np.random.Generator) -> dict[str, Any]:
-    """Each fault on gels drawn at random: how often it is named within 48 s, and what else; and sound gels."""
+    """Each fault on random gels: how often it is named within 48 s, and other findings; and gels without a fault."""
     found: dict[str, Any] = {}
     for fault in (None, *FAULTS):
         others: Counter[str] = Counter()
@@ -79,13 +79,13 @@ def faults(calibration: gelform.Calibration, draws: int, rng: np.random.Generato
 
 
 def false_alarms() -> dict[str, Any]:
-    """Real sensors that are sound, each image shown for two seconds, video as it is: names of faults that were found."""
+    """Real sensors without a fault, each image shown for two seconds, video unchanged: names of findings."""
     mini = gelform.calibrate(gelform.read_presses(DATA / "mini-ball"), color_model="hierarchical")
     found = {}
     for name, images, background, rate_hz in _real_sequences():
         calibration = replace(
             mini, background=background.astype(np.float32)
-        )  # the untouched image of its own unit
+        )  # the background image of its own unit
         names = NAMED & found_in(iter(images), calibration, rate_hz).keys()
         found[name] = sorted(names)
         print(f"  {name}: {len(images)} images: {sorted(names)}", flush=True)
@@ -112,7 +112,7 @@ def _real_sequences() -> Iterator[tuple[str, list[np.ndarray], np.ndarray, float
 
 
 class Made:
-    """What several parts need, made when the first one asks for it."""
+    """Shared inputs of several parts, made for the first one that needs them."""
 
     def __init__(self, rng: np.random.Generator, sensors: int) -> None:
         self._rng, self._count = rng, sensors
@@ -120,13 +120,13 @@ class Made:
         self._sensors: Sensors = []
 
     def calibration(self, sensor: Any) -> gelform.Calibration:
-        """Of a sensor."""
+        """The calibration of a sensor."""
         if sensor.shape not in self._calibrations:
             self._calibrations[sensor.shape] = calibrated(sensor)
         return self._calibrations[sensor.shape]
 
     def sensors(self) -> Sensors:
-        """Drawn at random, each with its calibration."""
+        """Random sensors, each with its calibration."""
         while len(self._sensors) < self._count:
             sensor = drawn_sensor(self._rng)
             self._sensors.append((sensor, calibrated(sensor)))
@@ -134,7 +134,7 @@ class Made:
 
 
 def parts_of(asked: argparse.Namespace, rng: np.random.Generator) -> dict[str, Callable[[], dict[str, Any]]]:
-    """The parts by name, as long as they were asked for."""
+    """The requested parts by name."""
     quick = asked.quick
     made = Made(rng, asked.sensors or (1 if quick else 4))
     seconds, few, many = (5, 1, 2) if quick else (30, 2, 40)
@@ -155,13 +155,13 @@ def parts_of(asked: argparse.Namespace, rng: np.random.Generator) -> dict[str, C
 
 
 def of_ffmpeg(part: Callable[[], dict[str, Any]]) -> dict[str, Any]:
-    """The part's figures, or why there are none here."""
+    """The part's figures, or the reason why there are none."""
     reason = why_absent()
     return part() if reason is None else {"skipped": reason}
 
 
 def shown(figures: dict[str, Any]) -> str:
-    """A table of what was asked and reached, of the parts that have been run."""
+    """A table of required and measured figures, of the parts that were run."""
     wanted = (
         ("live", "simulated 240x320 at 60 Hz: results a second", "60", ("rate_hz",)),
         ("live", "capture to result, median ms", "15", ("latency_ms",)),

@@ -1,10 +1,10 @@
-"""Whether what a calibration says of itself is so: its sigma, its slope gain, few presses, a second unit.
+"""Whether a calibration's own statements are right: its sigma, its slope gain, few presses, a second unit.
 
     python benchmarks/trust.py                    # about 10 minutes; writes results/trust.json
     python benchmarks/trust.py sigma gain
 
-`sigma`, `gain` and `few` read real presses (mini-ball below GELFORM_DATA, default ../shared/data) and are left out, and
-say so, where they are absent. Every press that is judged was not there when the calibration was made.
+`sigma`, `gain` and `few` read real presses (mini-ball below GELFORM_DATA, default ../shared/data). Without them they
+are left out, with a message. Every judged press is new to the calibration.
 """
 
 from __future__ import annotations
@@ -19,39 +19,39 @@ import numpy as np
 import gelform
 from gelform.metrics import angle_deg, score_slopes
 from gelform.simulate import LAYOUTS, SimulatedSensor, simulate_ball_presses
-from presses import DATA, data_is_missing, mini_ball, presses_of, unlabelled
+from presses import DATA, data_is_missing, mini_ball, presses_of, unlabeled
 from report import recorded, table, write
 
 SLOPES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
-SCORED_ZONE = 0.8  # of the contact radius: beyond it the gel leaves the ball
+SCORED_ZONE = 0.8  # fraction of the contact radius: beyond it the gel leaves the ball
 PLACES = (3, 4)
 
 
 class Bench:
-    """mini-ball, its scoring circles, and the two ways to calibrate on half of it."""
+    """mini-ball, its circles for scoring, and the two ways to calibrate on half of it."""
 
     def __init__(self) -> None:
         self.presses, self.order = mini_ball()
         self._halves: list[tuple[gelform.Calibration, list[int]]] = []
 
     def calibrated(self, training: list[int]) -> gelform.Calibration:
-        """A calibration that was told no circle."""
-        return gelform.calibrate(unlabelled(self.presses, training))
+        """A calibration without labeled circles."""
+        return gelform.calibrate(unlabeled(self.presses, training))
 
     def halves(self) -> list[tuple[gelform.Calibration, list[int]]]:
-        """Either half calibrates, the other is judged."""
+        """Each half calibrates once, and the other is judged."""
         if not self._halves:
             even, odd = self.order[0::2], self.order[1::2]
             self._halves = [(self.calibrated(a), b) for a, b in ((even, odd), (odd, even))]
         return self._halves
 
     def others(self, training: list[int]) -> list[int]:
-        """The presses that do not train."""
+        """The presses outside the training."""
         return [i for i in self.order if i not in set(training)]
 
 
 def sigma(bench: Bench) -> dict[str, Any]:
-    """Share of slopes within one sigma on presses never seen: by slope, by place, at rest (68 % is right)."""
+    """Share of slopes within one sigma on held-out presses: by slope, by place, at rest (68 % is right)."""
     figures: dict[str, Any] = {}
     for name, (calibration, test) in zip(("even -> odd", "odd -> even"), bench.halves()):
         inside = [_slopes(bench, calibration, i) for i in test]
@@ -92,7 +92,7 @@ def _slopes(bench: Bench, calibration: gelform.Calibration, index: int) -> tuple
 
 
 def gain(bench: Bench) -> dict[str, Any]:
-    """Recovered over true slope by slope bin, and whether a monotone correction wins on presses it has not seen."""
+    """Recovered over true slope by slope bin, and whether a monotone correction improves held-out presses."""
     figures: dict[str, Any] = {}
     for name, (calibration, test) in zip(("even -> odd", "odd -> even"), bench.halves()):
         found = [_true_and_found(bench, calibration, i) for i in test]
@@ -124,7 +124,7 @@ def _gain(true: np.ndarray, recovered: np.ndarray) -> float:
 
 
 def _correction(calibration: gelform.Calibration) -> dict[str, float]:
-    """A curve |g| -> |g| / gain, fitted on four fifths of the held-out presses and judged on the rest."""
+    """A curve |g| -> |g| / gain, fitted to four fifths of the held-out presses and judged on the rest."""
     samples = [s.within(1.0) for s in calibration.report.samples]
     change = []
     for k, sample in enumerate(samples):
@@ -153,7 +153,7 @@ def _correction(calibration: gelform.Calibration) -> dict[str, float]:
 
 
 def few(bench: Bench) -> dict[str, Any]:
-    """Normal error and radius of the other presses, calibrated on few: random draws, all chosen by auto."""
+    """Normal error and radius of the other presses after calibration on few: random draws, model chosen by auto."""
     figures: dict[str, Any] = {}
     for count in (10, 20):
         rows = []
@@ -171,7 +171,7 @@ def few(bench: Bench) -> dict[str, Any]:
 
 
 def second_unit(_: Bench | None) -> dict[str, Any]:
-    """Another unit of a simulated sensor, LEDs 2 mm (sd) elsewhere and up to 30 % brighter or dimmer."""
+    """Another unit of a simulated sensor, with LEDs displaced by 2 mm (sd) and up to 30 % brighter or dimmer."""
     first = replace(LAYOUTS["three-edges"], shape=(132, 176), mm_per_px=0.1153)
     figures: dict[str, Any] = {}
     for seed in (5, 6, 7):
@@ -213,7 +213,7 @@ PARTS = {"sigma": sigma, "gain": gain, "few": few, "second_unit": second_unit}
 
 
 def main() -> None:
-    """Run the parts that are named, or all; keep the others' last figures."""
+    """Run the named parts, or all; keep the earlier figures of the others."""
     figures = recorded("trust")
     bench = Bench() if DATA.is_dir() else None
     for name in sys.argv[1:] or list(PARTS):

@@ -21,10 +21,12 @@ from gelform.sensors.recordings.mcap_writer import McapRecording
 from gelform.simulate import (
     LAYOUTS,
     Ball,
+    Pose,
     SimulatedPress,
     SimulatedPresses,
     SimulatedSensor,
     simulate_ball_presses,
+    simulate_pose,
     simulate_press,
 )
 from kernel_agreement import usable_isas
@@ -132,6 +134,17 @@ def simulated(sensor, made_once) -> SimulatedPresses:
 
 
 @pytest.fixture(scope="session")
+def unpressed(made_once) -> dict[float, list[np.ndarray]]:
+    """Images of a unit of simulated-three-edges that made no starter: at rest, and pressed 0.4 mm deep by a ball."""
+    rng, layout = np.random.default_rng(40), LAYOUTS["three-edges"]
+
+    def image(depth_mm):
+        return simulate_pose(layout, Ball(2.5), Pose(depth_mm), rng=rng, oversample=1).image
+
+    return made_once("unpressed", lambda _: {mm: [image(mm) for _ in range(4)] for mm in (0.0, 0.4)})
+
+
+@pytest.fixture(scope="session")
 def folder(simulated, made_once) -> Path:
     """The same as a press folder on disk, without labels: nothing to peek at."""
     return made_once("folder", lambda path: _written(path, simulated))
@@ -171,7 +184,7 @@ def calibration(presses, made_once):
 
 @pytest.fixture(scope="session")
 def polynomial_calibration(presses, made_once):
-    """The same folder, fitted as polynomials of the colour."""
+    """The same folder, fitted as polynomials of the color."""
     return made_once("polynomial", lambda _: gelform.calibrate(presses, color_model="polynomial"))
 
 

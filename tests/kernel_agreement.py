@@ -1,4 +1,4 @@
-"""What every kernel is held to: the same bits on every instruction set, and what numpy says within 1e-5."""
+"""The check of every kernel: the same bits on every instruction set, and numpy's values within 1e-5."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Waiting for what other threads do."""
+"""Waiting for the work of other threads."""
 
 import time
 

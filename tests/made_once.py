@@ -1,4 +1,4 @@
-"""What takes seconds to make is made once per run: the workers of pytest-xdist find it as a file."""
+"""Slow fixtures are made once per run; the workers of pytest-xdist share them as files."""
 
 from __future__ import annotations
 

@@ -21,13 +21,13 @@ def away_from(x, y):
 
 
 def read(depth):
-    """The gradients of a depth, and where their colour is that of rest."""
+    """The gradients of a depth, and where their color is that of rest."""
     gradients = gradients_from_depth(depth, mm_per_px=PITCH).astype(np.float32)
     return gradients, np.linalg.norm(gradients, axis=-1) < 1e-3
 
 
 def plateau(height_mm: float, radius_px: float = 22.0, center=(70, 60)):
-    """A flat punch with sloping walls: its face has the slope, and so the colour, of rest."""
+    """A flat punch with sloping walls: its face has the slope, and so the color, of rest."""
     rho = away_from(*center)
     depth = height_mm * np.clip((radius_px + 6 - rho) / 6, 0, 1)
     return depth, *read(depth), rho < radius_px - 2
@@ -54,7 +54,7 @@ def test_gel_that_lies_deeper_is_held_less_by_the_robust_loss(height_mm):
 
 
 def test_rest_is_where_most_is_untouched_not_where_most_pixels_are():
-    """A press over most of the frame, and nowhere a whole coarse pixel of untouched colour: 0 is still the gel's."""
+    """A press over most of the frame, and nowhere a whole coarse pixel of untouched color: 0 is still the gel's."""
     _, gradients, _, face = plateau(0.5, radius_px=75)
     outside = away_from(70, 60) > 84
     anchor = anchored(gradients, outside & (np.add(*np.indices(SHAPE)) % 2 == 0))
@@ -72,7 +72,7 @@ def test_rest_is_where_most_is_untouched_not_where_most_pixels_are():
     ],
 )
 def test_a_flat_face_is_not_held(height_mm, radius_px, share, within):
-    """Nor 2 mm wide: the rim that encloses it says that it is not at rest, although its colour is."""
+    """Nor 2 mm wide: the rim that encloses it says that it is not at rest, although its color is."""
     _, gradients, untouched, face = plateau(height_mm, radius_px)
     anchor = anchored(gradients, untouched)
     assert untouched[face].all()
@@ -83,7 +83,7 @@ def test_a_flat_face_is_not_held(height_mm, radius_px, share, within):
     assert found[face].mean() == pytest.approx(height_mm, rel=within)
     alike = untouched * np.float32(anchor[:5].mean())
     naive = depth_from_gradients(gradients, mm_per_px=PITCH, anchor=alike)
-    assert abs(naive[face].mean()) < 0.8 * abs(height_mm)  # what colour alone would have made of it
+    assert abs(naive[face].mean()) < 0.8 * abs(height_mm)  # what color alone would have made of it
 
 
 def test_gel_that_a_ring_encloses_at_rest_is_held():
@@ -94,7 +94,7 @@ def test_gel_that_a_ring_encloses_at_rest_is_held():
 
 
 def test_gel_beside_touched_gel_is_hardly_held():
-    """By 1 - exp(-(d/1 mm)^2) of the distance from what is touched: it is drawn down, by less than its colour tells."""
+    """By 1 - exp(-(d/1 mm)^2) of the distance from what is touched: it is drawn down, by less than its color tells."""
     depth, gradients, untouched, _ = plateau(0.3)
     anchor = anchored(gradients, untouched)
     for beyond_px in (8, 16):

@@ -36,13 +36,14 @@ SHELLS = {"__main__"}  # what starts the command line
 LEVEL = {name: level for level, names in enumerate([*LEVELS, SHELLS]) for name in names}
 INNER = 4  # the last level that neither reads, prints nor draws
 MODULES = sorted(path for path in SOURCE.rglob("*.py") if path != SOURCE / "__init__.py")
-# Whose same-level neighbours they may use, said in ARCHITECTURE.md.
-NEIGHBOURS = {
+# Whose same-level neighbors they may use, said in ARCHITECTURE.md.
+NEIGHBORS = {
     ("_native", "errors"),
     ("foundations", "_native"),
     ("foundations", "errors"),
     ("color_models", "solvers"),
     ("calibration_file", "confidence"),
+    ("confidence", "health"),  # what a lost block is
     ("reconstruction", "contact"),
     ("reconstruction", "normals"),
     ("starters", "sensors"),  # the table of makes
@@ -137,14 +138,14 @@ def test_imports_go_down():
         for module in own(path)
         if (here := room(path)) != (there := module.split(".")[1])
         and LEVEL[there] >= LEVEL[here]
-        and (here, there) not in NEIGHBOURS
+        and (here, there) not in NEIGHBORS
     ]
     assert not upwards
 
 
 def test_every_exception_is_used():
     used = {(room(path), module.split(".")[1]) for path in MODULES for module in own(path)}
-    assert used >= NEIGHBOURS
+    assert used >= NEIGHBORS
 
 
 def test_inner_rooms_only_compute():

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform.calibration_file import KIND
+from gelform.calibration_file import FORMAT_VERSION, KIND
 from gelform.color_models._shared.least_squares import polynomial_terms, unit_position
 from gelform.errors import CalibrationError
 from gelform.foundations.npz_files import write_npz
+from made import small_gel
 
 DATA = Path(__file__).parent / "data"
 
@@ -88,7 +89,7 @@ def test_a_result_is_no_calibration_and_a_response_wants_a_frame(calibration, si
         calibration.color_from_gradients(np.zeros((3, 3, 2)))
 
 
-def test_calibrations_of_every_format_are_read():
+def test_calibrations_of_the_first_formats_are_read():
     """Written by earlier releases; their forward responses, polynomials of the slopes, are translated, and take no step."""
     first, second = (gelform.load_calibration(DATA / f"calibration-version-{k}.npz") for k in (1, 2))
     assert (first.color_model.name, second.color_model.name) == ("polynomial", "hierarchical")
@@ -109,6 +110,22 @@ def test_calibrations_of_every_format_are_read():
         expected = polynomial_terms(slopes, *unit_position(x, y, (24, 32)), (1, 0)) @ known
         found = one.color_from_gradients(slopes.reshape(24, 32, 2)).reshape(-1, 3)
         np.testing.assert_allclose(found, expected, atol=0.02 * np.abs(expected).max())
+
+
+def test_the_third_format_is_read():
+    """Of a gel that is known exactly, with a forward response that takes a step: its depth is still the truth."""
+    third = gelform.load_calibration(DATA / "calibration-version-3.npz")
+    assert (third.color_model.name, third.forward.step_sigma) == ("lambertian", (0.02, 0.05))
+    touch = small_gel.Touch()
+    result = gelform.Reconstructor(third, solver="dct")(small_gel.image_of(touch))
+    assert small_gel.depth_error(result.depth_mm, touch) is None
+    assert result.depth_mm.max() == pytest.approx(0.3985, abs=5e-4)
+
+
+def test_a_file_of_every_format_is_kept():
+    """With a new format comes a file of the one before, written by the release that wrote it."""
+    kept = {int(path.stem.rsplit("-", 1)[1]) for path in DATA.glob("calibration-version-*.npz")}
+    assert kept == set(range(1, FORMAT_VERSION + 1))
 
 
 def older(calibration, knows_depth, **more):

@@ -225,11 +225,11 @@ def test_pressure_agrees_with_numpy(with_sigma, least, known):
 
 
 # What decides on a region: reach, limit, of_bed, flat, of_flat, half, finer_half, finer_limit, seed, least.
-RULES = 4, 0.2, 0.35, 0.4, 0.75, 0.65, 0.6, 2.0, 0.8, 6.0, 3.0
+RULES = 4, 0.2, 0.35, 0.4, 0.75, 0.65, 0.6, 2.0, 0.8, 6.0
 
 
 def regions_by_numpy(pressure, bed, noise, finer, contact, work, *rules):
-    reach, limit, of_bed, flat, of_flat, half, finer_half, finer_limit, seed, *least = rules
+    reach, limit, of_bed, flat, of_flat, half, finer_half, finer_limit, seed, least = rules
     above = pressure > np.maximum(limit * noise, of_bed * bed)
     window = np.ones(2 * reach + 1)
 
@@ -253,7 +253,7 @@ def regions_by_numpy(pressure, bed, noise, finer, contact, work, *rules):
     large = [
         k
         for k in range(1, count + 1)
-        if (labels == k).sum() >= least[0] and (pressure > seed * noise)[labels == k].sum() >= least[1]
+        if (labels == k).sum() >= least and (pressure > seed * noise)[labels == k].any()
     ]
     return np.isin(labels, large)
 

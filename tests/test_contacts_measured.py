@@ -14,7 +14,7 @@ UNEVEN_PITCH = (0.05, 0.08)
 
 
 def ellipse(shape, center, axes_mm, angle_deg):
-    """Mask of an ellipse with full axes in mm, its major axis turned from x towards y."""
+    """Mask of an ellipse with full axes in mm, its major axis turned from x toward y."""
     y, x = np.mgrid[: shape[0], : shape[1]].astype(float)
     u, v = (x - center[0]) * UNEVEN_PITCH[0], (y - center[1]) * UNEVEN_PITCH[1]
     c, s = np.cos(np.deg2rad(angle_deg)), np.sin(np.deg2rad(angle_deg))

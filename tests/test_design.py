@@ -136,7 +136,7 @@ def test_the_sensor_of_the_documentation_can_be_studied(tmp_path):
     ("color", "error", "message"),
     [
         ((900.0, 20.0, 0.0), SensorError, "'no crosstalk' cannot be made. Expected light in every channel"),
-        ((900.0, 900.0, 900.0), CalibrationError, "got 'no crosstalk', .*three colours from three sides"),
+        ((900.0, 900.0, 900.0), CalibrationError, "got 'no crosstalk', .*three colors from three sides"),
     ],
 )
 def test_a_design_that_shows_no_slopes_is_refused_by_name(color, error, message):

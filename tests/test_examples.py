@@ -1,4 +1,4 @@
-"""Every example runs as it stands, asserts something, and is short."""
+"""Every example runs unchanged, asserts something, and is short."""
 
 import subprocess
 import sys

@@ -39,7 +39,7 @@ def test_a_sound_frame_has_no_faults(health, frame):
     ("level", "name"),
     [(0, "dark"), (3, "dark"), (255, "saturated"), (128, "torn"), ((90, 135, 90), "torn")],
 )
-def test_a_frame_of_one_colour_says_nothing(health, level, name):
+def test_a_frame_of_one_color_says_nothing(health, level, name):
     faults = health(constant(level))
     assert names(faults) == [name]
     assert faults.findings[0].figure == pytest.approx(1.0, abs=0.03)
@@ -65,7 +65,7 @@ def test_darkness_with_noise_and_one_light_that_is_off_are_dark(health):
         ((slice(80, None), EVERYWHERE), (0, 135, 0)),
     ],
 )
-def test_a_part_of_one_colour_is_torn_and_lost(health, part, level):
+def test_a_part_of_one_color_is_torn_and_lost(health, part, level):
     faults = health(with_part(pressed(), part, level))
     true = np.zeros(SHAPE, dtype=bool)
     true[part] = True
@@ -293,21 +293,21 @@ def torn_of(background):
     return Torn(background.astype(np.float32), blocks_of(background))
 
 
-def test_flat_blocks_with_the_rest_images_colour_are_sound():
+def test_flat_blocks_with_the_rest_images_color_are_sound():
     rest, corner = gel(), np.s_[:48, :48]
     own = rest[corner].mean(axis=(0, 1)).round().astype(np.uint8)
-    flat, other = (torn_of(rest).flat(blocks_of(with_part(rest, corner, colour))) for colour in (own, 20))
+    flat, other = (torn_of(rest).flat(blocks_of(with_part(rest, corner, color))) for color in (own, 20))
     assert flat is None or np.count_nonzero(flat) < 9
     assert np.count_nonzero(other) == 9
 
 
-def test_flat_blocks_of_many_colours_are_a_picture():
-    colours = np.random.default_rng(3).integers(0, 256, (6, 8, 3), dtype=np.uint8)
-    found = torn_of(gel()).flat(blocks_of(np.kron(colours, np.ones((16, 16, 1), np.uint8))))
+def test_flat_blocks_of_many_colors_are_a_picture():
+    colors = np.random.default_rng(3).integers(0, 256, (6, 8, 3), dtype=np.uint8)
+    found = torn_of(gel()).flat(blocks_of(np.kron(colors, np.ones((16, 16, 1), np.uint8))))
     assert found is None or found.mean() < 0.1
 
 
-def test_neighbouring_rows_that_are_alike_are_what_video_does():
+def test_neighboring_rows_that_are_alike_are_what_video_does():
     frame = pressed()
     frame[1::2] = frame[::2]
     assert torn_of(gel()).repeated_rows(blocks_of(frame), frame) is None

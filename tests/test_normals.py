@@ -1,4 +1,4 @@
-"""Photometric stereo with known lights, forwards and backwards."""
+"""Photometric stereo with known lights, forward and backward."""
 
 import numpy as np
 import pytest

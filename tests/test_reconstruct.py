@@ -31,7 +31,7 @@ def assert_same(one, expected):
         np.testing.assert_array_equal(one.markers.now_px, expected.markers.now_px)
 
 
-def test_depth_in_millimetres(calibration, press):
+def test_depth_in_millimeters(calibration, press):
     result = gelform.Reconstructor(calibration)(press.image)
     error = result.depth_mm - press.depth_mm
     assert np.sqrt(np.mean(error**2)) < 0.03
@@ -151,7 +151,7 @@ def test_frame_times_pass_through(calibration, press):
 @pytest.mark.parametrize(
     ("spoil", "error", "message"),
     [
-        (lambda image: image[..., 0], ValueError, "grey image"),
+        (lambda image: image[..., 0], ValueError, "gray image"),
         (lambda image: image[:-2], ValueError, "132x176"),
         (lambda image: image / 255, ValueError, "0-1 range"),
         (lambda image: image.astype(float) * 2, ValueError, "within 0-255"),
@@ -168,7 +168,7 @@ def test_bad_images_are_refused(calibration, press, spoil, error, message):
 
 
 def test_the_flat_face_of_a_punch_keeps_its_depth(calibration, sensor):
-    """Its colour is that of rest: an anchor that goes by colour alone would pull it to 0."""
+    """Its color is that of rest: an anchor that goes by color alone would pull it to 0."""
     punch = simulate_press(
         sensor, Punch(4.0), depth_mm=0.3, center_mm=(-1.0, 0.5), rng=np.random.default_rng(6)
     )

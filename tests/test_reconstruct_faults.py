@@ -70,7 +70,7 @@ def test_a_background_that_is_none_is_refused():
 
 
 def test_depth_ends_where_the_gel_does(reconstruct):
-    """A colour change that means slopes of 5 all over: no gel does that, and the result says so."""
+    """A color change that means slopes of 5 all over: no gel does that, and the result says so."""
     ramp = np.clip(background() * np.array([0.75, 1.3, 1.0]), 0, 255)
     ramp[:, :4] = background()[:, :4]
     result = reconstruct(ramp.astype(np.float32))

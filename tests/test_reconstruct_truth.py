@@ -25,7 +25,7 @@ def error_um(result):
     return 1e3 * float(np.sqrt(np.mean((result.depth_mm - TRUTH) ** 2)))
 
 
-def test_depth_of_a_ball_to_a_few_micrometres(reconstruct):
+def test_depth_of_a_ball_to_a_few_micrometers(reconstruct):
     """And untouched gel is held at 0."""
     result = reconstruct(image_of(TOUCH))
     assert error_um(result) < 5
@@ -39,9 +39,9 @@ def test_depth_of_a_ball_to_a_few_micrometres(reconstruct):
 
 
 def test_light_that_is_added_everywhere_is_no_slope(reconstruct):
-    """Room light adds grey levels and multiplies none: what the exposure leaves of it is taken out as a bias."""
-    for colour in [(3.0, 0.0, 0.0), (0.0, -3.0, 3.0)]:
-        lit = np.clip(image_of(TOUCH) + np.array(colour), 0, 255).astype(np.float32)
+    """Room light adds gray levels and multiplies none: what the exposure leaves of it is taken out as a bias."""
+    for color in [(3.0, 0.0, 0.0), (0.0, -3.0, 3.0)]:
+        lit = np.clip(image_of(TOUCH) + np.array(color), 0, 255).astype(np.float32)
         result = reconstruct(lit)
         assert error_um(result) < 12
         assert np.abs(np.median(result.observed_gradients[TRUTH == 0], axis=0)).max() < 1e-4
@@ -97,7 +97,7 @@ DOTS = np.all((np.indices(SHAPE) - 4) % 10 < 4, axis=0) & np.all(np.indices(SHAP
 
 
 def with_dots(image, share=0.3, right_px=0):
-    """Dark dots, 4 px wide, on a square grid of 10 px, of a share of the light around them; their ink is not grey."""
+    """Dark dots, 4 px wide, on a square grid of 10 px, of a share of the light around them; their ink is not gray."""
     light = np.where(np.roll(DOTS, right_px, axis=1)[..., None], share * np.array([0.7, 1.0, 1.3]), 1)
     return (image * light).astype(np.asarray(image).dtype)
 
@@ -118,7 +118,7 @@ def test_markers_have_no_confidence_and_leave_no_dents(marked):
 
 
 def test_markers_that_moved_are_no_contact(marked):
-    """Where a dot was and where it is, colours changed as if by steep slopes: nothing touches."""
+    """Where a dot was and where it is, colors changed as if by steep slopes: nothing touches."""
     result = marked(with_dots(background(), right_px=1))
     assert np.abs(result.depth_mm).max() < 0.005
     assert not result.contact.any()

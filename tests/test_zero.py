@@ -1,4 +1,4 @@
-"""Where depth is 0, and what is levelled off."""
+"""Where depth is 0, and what is leveled off."""
 
 import numpy as np
 import pytest

@@ -1,7 +1,7 @@
-"""Parts of accuracy.py: heights of objects, calibrated on balls alone; walls that may be steeper than they are read.
+"""Parts of accuracy.py: heights of objects with calibrations from balls only, and steep walls.
 
-The four layouts, and sensors that nothing was chosen on: lamps, gel, coating and camera drawn at random.
-`quick` takes one sensor and few objects: whether it runs, not a figure.
+They use the four layouts, and sensors with random lamps, gel, coating and camera, on which no setting was chosen.
+`quick` takes one sensor and few objects: it checks that the parts run, and gives no figure.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ from gelform.simulate.presets import gelsight_mini
 from gelform.simulate.render import exposed
 from gelform.simulate.sensor.coating import Coating
 from gelform.simulate.sensor.sensor import led_row
-from presses import mini_ball, presses_of, unlabelled
+from presses import mini_ball, presses_of, unlabeled
 from report import table
 
 DRAWN = range(411, 415)
-WALLS_DRAWN = (*range(311, 315), *range(421, 425))  # rules of sigma were chosen on 301-308
+WALLS_DRAWN = (*range(311, 315), *range(421, 425))  # the rules of sigma were chosen on 301-308
 GENTLE = 1.0
 ERRORS = ("normal_free_deg", "radius_percent", "cap_free_um", "off_contact_um")
 
 
 def drawn_sensor(seed: int) -> SimulatedSensor:
-    """132x176 px; three rows of lamps, a gel that bulges, a coating that scatters, a camera: all drawn at random."""
+    """A random sensor of 132x176 px: three rows of lamps, a gel that bulges, a coating that scatters, a camera."""
     rng = np.random.default_rng(seed)
     leds = []
     for k in range(3):
@@ -62,17 +62,17 @@ def drawn_sensor(seed: int) -> SimulatedSensor:
 
 
 def heights(quick: bool) -> dict[str, Any]:
-    """Heights of the eight objects, calibrated on balls alone: the four layouts."""
+    """Heights of the eight objects on the four layouts, calibrated on balls only."""
     return _table(quick, {**LAYOUTS, "gelsight-mini": gelsight_mini()})
 
 
 def heights_drawn(quick: bool) -> dict[str, Any]:
-    """The same on four sensors that nothing was chosen on."""
+    """The same on four random sensors, on which no setting was chosen."""
     return _table(quick, {f"drawn {seed}": drawn_sensor(seed) for seed in DRAWN})
 
 
 def walls_drawn(quick: bool) -> dict[str, Any]:
-    """Shares of slopes within one sigma on eight sensors that no rule of sigma has seen."""
+    """Shares of slopes within one sigma on eight sensors that had no part in the rules of sigma."""
     return walls(quick, {f"drawn {seed}": drawn_sensor(seed) for seed in WALLS_DRAWN})
 
 
@@ -116,7 +116,7 @@ def _heights_of(quick: bool, name: str, sensor: SimulatedSensor) -> dict[str, An
 
 
 def at_least(quick: bool) -> dict[str, Any]:
-    """`at_least` beside `multigrid`: mini-ball, half of which calibrates, and objects on four sensors drawn at random."""
+    """`at_least` against `multigrid`: mini-ball, calibrated on half of it, and objects on four random sensors."""
     figures = {"mini-ball, mean of presses": _balls(quick)}
     for seed in list(WALLS_DRAWN)[: 1 if quick else None]:
         sensor = drawn_sensor(seed)
@@ -136,7 +136,7 @@ def at_least(quick: bool) -> dict[str, Any]:
 
 def _balls(quick: bool) -> dict[str, dict[str, float]]:
     presses, order = mini_ball()
-    calibration = gelform.calibrate(unlabelled(presses, order[0 : 24 if quick else None : 2]))
+    calibration = gelform.calibrate(unlabeled(presses, order[0 : 24 if quick else None : 2]))
     figures = {}
     for solver in ("multigrid", "at_least"):
         reconstruct, rows = gelform.Reconstructor(calibration, solver=solver, depth_sigma=False), []
@@ -155,7 +155,7 @@ def _balls(quick: bool) -> dict[str, dict[str, float]]:
 def _heights_at_least(
     sensor: SimulatedSensor, reconstruct: gelform.Reconstructor, quick: bool
 ) -> dict[str, float]:
-    """Recovered over true height of eight objects at three depths, per cent."""
+    """Recovered over true height of eight objects at three depths, percent."""
     percent = []
     for indenter, depths in list(OBJECTS.values())[: 2 if quick else None]:
         for depth_mm in depths:

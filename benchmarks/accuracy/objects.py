@@ -1,6 +1,6 @@
-"""Parts of accuracy.py on simulated objects and presses, where the truth is exact: heights, the anchor, deep presses.
+"""Parts of accuracy.py on simulated objects and presses with exact truth: heights, the anchor, deep presses.
 
-`quick` takes one sensor and few objects: whether it runs, not a figure.
+`quick` takes one sensor and few objects: it checks that the parts run, and gives no figure.
 """
 
 from __future__ import annotations
@@ -45,15 +45,15 @@ OBJECTS: dict[str, tuple[Any, tuple[float, float, float]]] = {
     "cone": (Cone(6.0, 150.0), (0.2, 0.4, 0.6)),
     "ring": (Torus(2.5, 0.8), (0.1, 0.2, 0.4)),
 }
-LEAST_SLOPE = 0.05  # of pixels that count by the slope that is read
+LEAST_SLOPE = 0.05  # smallest recovered slope of pixels in the statistics by slope
 STEEP = ((0.6, 0.8), (0.8, 1.0), (1.0, 1.4), (1.4, 3.0))  # true slopes
-FACE = 0.97  # of the largest depth: a flat face, or the peak
+FACE = 0.97  # fraction of the largest depth: a flat face, or the peak
 DEEP_BALL_MM, DEEP, DRAWN_MM = 4.0, (0.8, 1.3), 1.2
 SEED = 111  # rules were chosen on sets of seed 11
 
 
 def objects(quick: bool) -> dict[str, Any]:
-    """Recovered over true height of eight objects at three depths, and whether the stated deviation covers it."""
+    """Recovered over true height of eight objects at three depths, and whether the stated sigma covers the error."""
     sensors = {**LAYOUTS, "gelsight-mini": gelsight_mini()}
     figures: dict[str, Any] = {}
     for name, sensor in list(sensors.items())[: 1 if quick else None]:
@@ -76,7 +76,7 @@ def objects(quick: bool) -> dict[str, Any]:
 
 
 def height_of(sensor: SimulatedSensor, reconstruct: Any, indenter: Any, depth_mm: float) -> dict[str, Any]:
-    """Height over the true one, per cent, of an object that is pressed in, and whether 2 sigma cover what is missing."""
+    """Recovered over true height of a pressed object, percent, and whether 2 sigma cover the error."""
     press = simulate_press(sensor, indenter, depth_mm=depth_mm, rng=np.random.default_rng(SEED))
     result = reconstruct.from_image(press.image)
     face = press.depth_mm > FACE * press.depth_mm.max()
@@ -96,7 +96,7 @@ def height_of(sensor: SimulatedSensor, reconstruct: Any, indenter: Any, depth_mm
 
 
 def walls(quick: bool, sensors: dict[str, SimulatedSensor] | None = None) -> dict[str, Any]:
-    """Share of the slopes of the eight objects within one sigma: by slope, by slope and place, and of steep true slopes."""
+    """Share of the slopes of the eight objects within one sigma: by slope, by slope and place, and at steep true slopes."""
     sensors = sensors or {**LAYOUTS, "gelsight-mini": gelsight_mini()}
     figures: dict[str, Any] = {}
     for name, sensor in list(sensors.items())[: 1 if quick else None]:
@@ -131,7 +131,7 @@ def walls(quick: bool, sensors: dict[str, SimulatedSensor] | None = None) -> dic
 
 
 def _slopes_of(sensor: SimulatedSensor, reconstruct: Any, indenter: Any, depth_mm: float) -> np.ndarray:
-    """x, y, share of the components within sigma, slope as read, true slope of all pixels of an object's image."""
+    """x, y, share of the components within sigma, recovered slope, true slope of all pixels of an object's image."""
     press = simulate_press(sensor, indenter, depth_mm=depth_mm, rng=np.random.default_rng(SEED))
     result = reconstruct.from_image(press.image)
     y, x = np.mgrid[: result.shape[0], : result.shape[1]]
@@ -141,7 +141,7 @@ def _slopes_of(sensor: SimulatedSensor, reconstruct: Any, indenter: Any, depth_m
 
 
 def anchor(quick: bool) -> dict[str, Any]:
-    """What the anchor costs flat punches: depth of the face, per cent, of true slopes and of those that are read."""
+    """The anchor's effect on flat punches: depth of the face, percent, from true slopes and from recovered ones."""
     figures: dict[str, Any] = {}
     for name, sensor in list(LAYOUTS.items())[: 1 if quick else None]:
         calibration = gelform.calibrate(presses_of(usual_presses(sensor, 12 if quick else 30)))
@@ -158,7 +158,7 @@ def anchor(quick: bool) -> dict[str, Any]:
 
 
 def _anchored(reconstruct: gelform.Reconstructor, press: Any) -> dict[str, float]:
-    """The face's depth over the true one: true slopes and read ones, without anchor and with it."""
+    """The face's depth over the true one, from true slopes and recovered ones, without and with the anchor."""
     result = reconstruct.from_image(press.image)
     change = np.empty((*press.depth_mm.shape, 3), dtype=np.float32)
     untouched = reconstruct._read(press.image, change).untouched
@@ -180,7 +180,7 @@ def _anchored(reconstruct: gelform.Reconstructor, press: Any) -> dict[str, float
 
 
 def deep(quick: bool) -> dict[str, Any]:
-    """Balls pressed 0.8-1.3 of their radius deep into gel that is drawn down far around, against usual presses."""
+    """Balls pressed 0.8-1.3 of their radius into a gel that sinks far around them, compared with usual presses."""
     figures, rows = {}, []
     for name in list(LAYOUTS)[: 1 if quick else None]:
         layout = replace(LAYOUTS[name], relaxation_mm=DRAWN_MM)
@@ -200,7 +200,7 @@ def deep(quick: bool) -> dict[str, Any]:
 
 
 def _held_out(made: SimulatedPresses) -> dict[str, Any]:
-    """Presses used, how far their centres are from the truth, and held-out errors; or why it was refused."""
+    """Number of used presses, distance of their centers from the truth, and held-out errors; or the refusal."""
     try:
         report = gelform.calibrate(presses_of(made)).report
     except gelform.CalibrationError as problem:
@@ -213,7 +213,7 @@ def _held_out(made: SimulatedPresses) -> dict[str, Any]:
     keys = ("normal_free_deg", "radius_percent", "cap_free_um", "off_contact_um")
     return {
         "used": f"{len(off)} of {len(made.presses)}",
-        "centre, px": float(np.median(off)),
+        "center, px": float(np.median(off)),
         **{key: report.held_out.get(key, float("nan")) for key in keys},
     }
 
@@ -228,7 +228,7 @@ def usual_presses(
 
 
 def _deep(sensor: SimulatedSensor, count: int) -> SimulatedPresses:
-    """Presses on a lattice over the image, moved by up to 0.5 mm, each as deep as chance has it."""
+    """Presses on a lattice over the image, shifted by up to 0.5 mm, each with a random depth."""
     rng = np.random.default_rng(SEED)
     height, width = (n * sensor.mm_per_px for n in sensor.shape)
     columns = round((count * width / height) ** 0.5)

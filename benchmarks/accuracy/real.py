@@ -1,17 +1,17 @@
-"""Parts of accuracy.py on real presses: errors on every set, where stated deviations hold, few presses.
+"""Parts of accuracy.py on real presses: errors on every set, coverage of the stated sigma, few presses.
 
-Each press is judged by a calibration that has not seen it. `quick` takes fewer presses.
+Each press is judged by a calibration without it. `quick` takes fewer presses.
 
-Normals have a free centre. Circles are the reference's (mini-ball), people's (gelsight-ball-deep), or of a calibration of
-all the presses, which scores nothing else. "edge" is inside the contact, whose radius over that of the visible circle is the
-same for every code that is compared (EDGES); "rim" is up to 3 px inside the visible rim; "inner" within 0.8 of its radius.
+Normals have a free center. Circles are the reference's (mini-ball), labels by people (gelsight-ball-deep), or those of a
+calibration on all presses, which serves no other purpose. "edge" is inside the contact; its radius relative to the visible
+circle is the same for every compared package (EDGES). "rim" is up to 3 px inside the visible rim; "inner" is within
+0.8 of its radius.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,7 @@ import gelform
 from gelform.calibration.coverage import COARSE, tile_of
 from gelform.metrics import press_errors, score_slopes
 from gelform.metrics.ball import ball_center
-from presses import DATA, mini_ball, unlabelled
+from presses import DATA, labeled, mini_ball, unlabeled
 from report import table
 
 FOLDS = 3
@@ -32,17 +32,17 @@ EDGES = {
     "digit-ball": 0.6,
     "gelsight-ball-deep": 0.75,
 }
-STEEPEST = 0.95  # of the ball's radius, beyond which no pixel counts
+STEEPEST = 0.95  # fraction of the ball's radius beyond which no pixel counts
 INNER = 0.8
 SLOPES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
-SCORED_ZONE = 0.8  # of the contact radius, for slopes: beyond it the gel leaves the ball
-MIN_PIXELS = 500  # of a bin
+SCORED_ZONE = 0.8  # fraction of the contact radius, for slopes: beyond it the gel leaves the ball
+MIN_PIXELS = 500  # least pixels of a bin
 DRAWS = 10
 KEYS = ("read_edge_deg", "edge_deg", "inner_deg", "rim_deg", "radius_percent", "cap_um", "off_contact_um")
 
 
 def real(quick: bool) -> dict[str, Any]:
-    """Every set: mini-ball half by half and one size by the other, the others in three folds."""
+    """Every set: mini-ball one half by the other and one ball size by the other, the others in three folds."""
     parts: dict[str, list[Any]] = {}
     for name, training, test in _splits():
         if quick:
@@ -64,13 +64,13 @@ def real(quick: bool) -> dict[str, Any]:
 
 
 def calibrated(presses: gelform.Presses) -> tuple[gelform.Calibration, float]:
-    """A calibration that was told no circle, and its CPU seconds."""
+    """A calibration without labeled circles, and its CPU seconds."""
     began = time.process_time()
-    return gelform.calibrate(unlabelled(presses)), time.process_time() - began
+    return gelform.calibrate(unlabeled(presses)), time.process_time() - began
 
 
 def with_results(calibration: gelform.Calibration, presses: gelform.Presses) -> Iterator[Any]:
-    """Each press and what is read of it."""
+    """Each press and its result."""
     reconstruct = gelform.Reconstructor(calibration, depth_sigma=False)
     for press in presses.presses:
         yield press, reconstruct.from_image(press.image)
@@ -108,7 +108,7 @@ def summary(rows: list[dict[str, float]]) -> dict[str, float]:
 
 
 def _splits() -> Iterator[tuple[str, gelform.Presses, gelform.Presses]]:
-    """Name, presses that calibrate, presses that test."""
+    """Name, presses for calibration, presses for the test."""
     ball, order = mini_ball()
     sizes = [[i for i in order if ball.presses[i].ball_diameter_mm == d] for d in (6.31, 9.5)]
     even, odd = ([i for one in sizes for i in one[k::2]] for k in (0, 1))
@@ -123,7 +123,7 @@ def _splits() -> Iterator[tuple[str, gelform.Presses, gelform.Presses]]:
     for name, (training, test) in splits.items():
         yield f"mini-ball, {name}", ball.subset(training), ball.subset(test)
     for name in list(EDGES)[1:]:
-        presses = _with_circles(gelform.read_presses(DATA / name))
+        presses = labeled(gelform.read_presses(DATA / name))
         for fold in range(FOLDS):
             of_fold = [i % FOLDS == fold for i in range(len(presses.presses))]
             others, own = (
@@ -132,21 +132,8 @@ def _splits() -> Iterator[tuple[str, gelform.Presses, gelform.Presses]]:
             yield name, presses.subset(others), presses.subset(own)
 
 
-def _with_circles(presses: gelform.Presses) -> gelform.Presses:
-    """The presses that a calibration of all accepts, with its circles; people's circles stay."""
-    if presses.presses[0].label is not None:
-        return presses
-    rows = gelform.calibrate(presses).report.presses
-    labelled = (
-        replace(press, label=(row.center_x_px, row.center_y_px, row.contact_radius_px))
-        for press, row in zip(presses.presses, rows)
-        if row.accepted
-    )
-    return replace(presses, presses=tuple(labelled))
-
-
 def sigma(quick: bool) -> dict[str, Any]:
-    """Share of slopes, and of depth minus its mean over the contact, within the stated deviations: either half judges."""
+    """Share of slopes, and of depth minus its mean over the contact, within the stated sigma; each half judges the other."""
     presses, order = mini_ball()
     even, odd = order[0 : None if not quick else 24 : 2], order[1::2]
     figures = _within(presses, even, odd[:: 5 if quick else 1])
@@ -158,7 +145,7 @@ def sigma(quick: bool) -> dict[str, Any]:
 
 
 def _within(presses: gelform.Presses, training: list[int], test: list[int]) -> dict[str, Any]:
-    calibration = gelform.calibrate(unlabelled(presses, training))
+    calibration = gelform.calibrate(unlabeled(presses, training))
     reconstruct = gelform.Reconstructor(calibration)
     slopes, shapes, normals = [], [], []
     for i in test:
@@ -197,7 +184,7 @@ def _slopes(result: Any, label: Any, radius_px: float) -> np.ndarray:
 
 
 def _shape(result: Any, label: Any, radius_px: float) -> list[float]:
-    """Share within 1 and 2 of depth minus its mean over the contact less 3 px: of its own sigma, of depth's."""
+    """Share within 1 and 2 sigma of depth minus its mean, over the contact less 3 px: by its own sigma, by depth's sigma."""
     y, x, rho = _from_center(result, label)
     near = rho < label[2] - 3
     center = ball_center(result.gradients[near], x[near], y[near], label[:2], radius_px)
@@ -210,7 +197,7 @@ def _shape(result: Any, label: Any, radius_px: float) -> list[float]:
 
 
 def _plain_and_smoothed(result: Any, label: Any, radius_px: float) -> list[float]:
-    """Normal errors of a result's slopes and of those smoothed: in the contact less 3 px, then in its inner part."""
+    """Normal errors of a result's slopes and of smoothed ones: in the contact less 3 px, then in its inner part."""
     y, x, rho = _from_center(result, label)
     maps = result.gradients, gelform.smoothed_gradients(result.gradients)
     regions = rho < label[2] - 3, rho < SCORED_ZONE * label[2]
@@ -227,7 +214,7 @@ def _from_center(result: Any, label: Any) -> tuple[np.ndarray, np.ndarray, np.nd
 
 
 def fractions_within(within: np.ndarray, bins: np.ndarray) -> list[float]:
-    """Share within sigma, per cent, of each bin that has pixels enough."""
+    """Share within sigma, percent, of each bin with enough pixels."""
     counted = [bins == b for b in np.unique(bins)]
     return [float(100 * within[one].mean()) for one in counted if np.count_nonzero(one) >= MIN_PIXELS]
 
@@ -242,7 +229,7 @@ def _mean(rows: list[list[float]], start: int, stop: int) -> list[float]:
 
 
 def few(quick: bool) -> dict[str, Any]:
-    """Errors of the other presses, calibrated on 10 and on 20: the mean of ten random draws."""
+    """Errors of the other presses after calibration on 10 and on 20 presses: mean of ten random draws."""
     presses, order = mini_ball()
     figures = {}
     for count in (10, 20):

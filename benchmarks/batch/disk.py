@@ -1,4 +1,4 @@
-"""A disk that is full in the middle of a batch, for each form of its outputs. See `batch.py`."""
+"""A disk that becomes full during a batch, for each form of its outputs. See `batch.py`."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from gelform.errors import DataError
 
 FORMS = ("npz", "png", "zarr", "hdf5", "ffv1", "lerobot")
 KEY, FPS = "observation.images.gel", 30
-EPISODE, EPISODES = 12, 3  # frames of each, and how many
-DISK_BYTES, SOON_BYTES = 64 << 20, 200_000  # a small disk, and the room on it that is soon used up
+EPISODE, EPISODES = 12, 3  # frames per episode; episodes
+DISK_BYTES, SOON_BYTES = 64 << 20, 200_000  # size of the small disk; room on it that is soon used up
 
 
 def disk(folder: Path, rounds: int) -> dict[str, Any]:
-    """For each form: the error, which files differ then from an undisturbed run's, and whether going on gives that run.
+    """For each form: the error, the files that then differ from an undisturbed run's, and whether continuing gives that run.
 
-    A LeRobot data set is also ended while what the batch did not make is copied into it.
+    A LeRobot data set is also interrupted while its unchanged files are copied.
     """
     small = folder / "disk"
     small.mkdir()
@@ -47,7 +47,7 @@ def disk(folder: Path, rounds: int) -> dict[str, Any]:
 def filled(
     source: Path, folder: Path, small: Path, form: str, whole: dict[str, str], room: int
 ) -> dict[str, Any]:
-    """A run into a disk with so many bytes of room, and the same run again with room enough."""
+    """A run into a disk with that many bytes of room, and the same run again with enough room."""
     with full_disk(small, room):
         said = ""
         try:
@@ -69,7 +69,7 @@ def filled(
 
 
 def run_into(source: Path, folder: Path, output: Path, form: str) -> bool:
-    """The same run each time; whether it is complete."""
+    """The same run each time; returns whether it is complete."""
     settings = BatchSettings(form, keep=("depth",), solver="dct", depth_sigma=False, part_frames=16)
     dataset = KEY if form == "lerobot" else ""
     return run_batch(source, folder / "cal.npz", output, settings, table="csv", dataset=dataset).complete
@@ -77,7 +77,7 @@ def run_into(source: Path, folder: Path, output: Path, form: str) -> bool:
 
 @contextmanager
 def full_disk(small: Path, room: int) -> Iterator[None]:
-    """A file system in memory on which all but `room` bytes are taken, by the file `filler`."""
+    """A file system in memory on which the file `filler` takes all but `room` bytes."""
     assert mounted(small)
     try:
         (small / "filler").write_bytes(bytes(DISK_BYTES - room))
@@ -87,7 +87,7 @@ def full_disk(small: Path, room: int) -> Iterator[None]:
 
 
 def mounted(small: Path) -> bool:
-    """Mount it, where that is allowed."""
+    """Mount it, if that is allowed."""
     size = ["mount", "-t", "tmpfs", "-o", f"size={DISK_BYTES}", "tmpfs", str(small)]
     return subprocess.run(size, capture_output=True).returncode == 0
 
@@ -98,7 +98,7 @@ def size_of(folder: Path) -> int:
 
 
 def make_lerobot_set(root: Path, images: list[Path]) -> Path:
-    """A LeRobot data set (version 3.0) of some episodes of one camera, its video without loss."""
+    """A LeRobot data set (version 3.0) of some episodes of one camera, with lossless video."""
     import pyarrow
     from pyarrow import parquet
 
@@ -134,7 +134,7 @@ def make_lerobot_set(root: Path, images: list[Path]) -> Path:
 
 
 def episode_row(number: int) -> dict[str, Any]:
-    """What the table of episodes says of one."""
+    """The row of an episode in the table of episodes."""
     begin = EPISODE * number
     video = {"chunk_index": 0, "file_index": 0, "from_timestamp": begin / FPS, "to_timestamp": 0.0}
     return {
@@ -149,7 +149,7 @@ def episode_row(number: int) -> dict[str, Any]:
 
 
 def encode(path: Path, frames: list[Any]) -> None:
-    """A video of frames, without loss."""
+    """A lossless video of frames."""
     import av
 
     with av.open(str(path), "w") as file:

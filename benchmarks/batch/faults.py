@@ -1,4 +1,4 @@
-"""What is done to a batch on purpose: processes killed, inputs torn, a video compressed. See `batch.py`."""
+"""Deliberate faults in a batch: killed processes, corrupt inputs, compressed video. See `batch.py`."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ from batch.faults import SETTINGS
 if __name__ == "__main__":
     run_batch(source, calibration, output, SETTINGS, engine=Engine(engine, 2), table="csv")
 """
-OUTLIVE_S = 180  # what Ray starts looks for its driver at times
-CODECS = [  # name of encoder, pixels, options
+OUTLIVE_S = 180  # s after which Ray's processes notice that their driver is gone
+CODECS = [  # name of encoder, pixel format, options
     ("libsvtav1", "yuv420p", {"crf": "30", "g": "2"}),
     ("libsvtav1", "yuv420p", {"crf": "10", "g": "2"}),
     ("libx264", "yuv420p", {"crf": "23"}),
@@ -42,7 +42,7 @@ CODECS = [  # name of encoder, pixels, options
 
 
 def kills(folder: Path, rounds: int, engine: str = "pool") -> dict[str, Any]:
-    """SIGKILL at random moments of a worker and of the driver, then the same command: the bytes of an undisturbed run."""
+    """SIGKILL at random moments to a worker or the driver, then the same command: the bytes equal an undisturbed run's."""
     if engine == "ray" and find_spec("ray") is None:
         return {"engine": engine, "left out": "not installed"}
     (folder / "driver.py").write_text(DRIVER)
@@ -52,7 +52,7 @@ def kills(folder: Path, rounds: int, engine: str = "pool") -> dict[str, Any]:
     usual_s, whole = time.monotonic() - begin, tree(folder / engine)
     for who in ("worker", "driver"):
         equal = killed = went_on = tried = 0
-        for k in range(3 * rounds):  # a moment before there is a process, or after it, kills nothing
+        for k in range(3 * rounds):  # a kill before a process exists, or after its end, hits nothing
             if killed == rounds:
                 break
             output = folder / f"{engine}-{who}-{k}"
@@ -80,7 +80,7 @@ def started(folder: Path, output: Path, engine: str) -> subprocess.Popen[bytes]:
 
 
 def kill_once(folder: Path, output: Path, engine: str, who: str, after_s: float) -> tuple[bool, bool]:
-    """Kill one process of a run; gives whether the run ended well all the same, and whether there was one to kill."""
+    """Kill one process of a run; return whether the run still ended well, and whether there was a process to kill."""
     process = started(folder, output, engine)
     time.sleep(after_s)
     below = descendants(process.pid)
@@ -100,7 +100,7 @@ def kill_once(folder: Path, output: Path, engine: str, who: str, after_s: float)
 
 
 def descendants(number: int) -> list[int]:
-    """Processes below one, as far as they are its children still."""
+    """Processes below one, as long as they are still its children."""
     try:
         tasks = Path(f"/proc/{number}/task").iterdir()
         children = [int(one) for task in tasks for one in (task / "children").read_text().split()]
@@ -110,7 +110,7 @@ def descendants(number: int) -> list[int]:
 
 
 def command_of(number: int) -> bytes:
-    """What a process was started with, or calls itself; empty of one that has ended."""
+    """The command of a process, or its own title; empty if it has ended."""
     try:
         return Path(f"/proc/{number}/cmdline").read_bytes()
     except OSError:
@@ -118,18 +118,18 @@ def command_of(number: int) -> bytes:
 
 
 def alive(number: int) -> bool:
-    """Whether a process runs; one that has ended and was not waited for does not."""
+    """Whether a process runs; a zombie does not."""
     return bool(command_of(number))
 
 
 def tree(output: Path) -> dict[str, str]:
-    """Every file that is no leftover, with its digest."""
+    """Every file except leftovers, with its digest."""
     files = (path for path in output.rglob("*") if path.is_file() and not path.name.startswith("."))
     return {str(p.relative_to(output)): hashlib.sha256(p.read_bytes()).hexdigest() for p in files}
 
 
 def corrupt(folder: Path, rounds: int) -> dict[str, Any]:
-    """One image of a hundred truncated, of another size, empty, or a text: each with its reason, the others done."""
+    """One image of a hundred truncated, of another size, empty, or a text: each gets its reason, the others are done."""
     images = sorted((folder / "in").rglob("*.png"))
     ways = {"truncated": "truncated", "size": "shape", "empty": "is empty", "text": "no image"}
     broken: dict[str, str] = {}
@@ -158,7 +158,7 @@ def corrupt(folder: Path, rounds: int) -> dict[str, Any]:
 
 
 def lossy(folder: Path, rounds: int) -> dict[str, Any]:
-    """Depth from frames that went through a video against depth from the frames themselves."""
+    """Depth from frames after video compression, compared with depth from the original frames."""
     import av
 
     reconstruct = gelform.Reconstructor(gelform.load_calibration(folder / "cal.npz"))

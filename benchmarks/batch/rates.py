@@ -1,7 +1,7 @@
-"""Frames a second of a batch, beside those of a bare loop over the same images in as many processes.
+"""Frames per second of a batch, compared with a bare loop over the same images in as many processes.
 
-The bare loop reads an image, takes two of its channels for slopes, solves for depth by cosines and saves it: no color
-model, no confidence, no contacts, no digests, nothing flushed, nothing to go on from.
+The bare loop reads an image, takes two of its channels for slopes, solves for depth by cosines and saves it. It has no color
+model, confidence, contacts, digests or flushing, and cannot be resumed.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ PIECE = 256  # images, as a part of a batch
 
 
 def make_input(folder: Path, count: int) -> Path:
-    """`count` PNG files of a simulated sensor, and its calibration; gives the calibration's path."""
+    """Write `count` PNG files of a simulated sensor, and its calibration; return the calibration's path."""
     sensor = replace(LAYOUTS["three-edges"], shape=SHAPE, mm_per_px=0.0634, name="benchmark")
     presses = simulate_ball_presses(
         sensor, ball_diameters_mm=(6, 9), count=DIFFERENT, rng=np.random.default_rng(0), oversample=1
@@ -81,7 +81,7 @@ def make_input(folder: Path, count: int) -> Path:
 
 
 def rate(folder: Path, source: Path, name: str, engine: str = "pool") -> dict[str, Any]:
-    """Frames a second from the start of the run to its table, and the most that a worker's memory held."""
+    """Frames per second from the start of the run to its table, and the largest memory of a worker."""
     with tempfile.TemporaryDirectory(dir=folder) as output:
         program, written = folder / "run.py", Path(output) / "out"
         program.write_text(RATE)
@@ -96,7 +96,7 @@ def rate(folder: Path, source: Path, name: str, engine: str = "pool") -> dict[st
 
 
 def rates(folder: Path, quick: bool) -> dict[str, Any]:
-    """Of a bare loop; of each setting; of Ray beside the pool."""
+    """Rates of a bare loop, of each setting, and of Ray against the pool."""
     count = 1000 if quick else 20_000
     make_input(folder, count)
     bare = bare_rate(folder / "in", folder / "bare", WORKERS)
@@ -116,7 +116,7 @@ def rates(folder: Path, quick: bool) -> dict[str, Any]:
 
 
 def bare_loop(paths: list[Path], output: Path) -> int:
-    """Depth of images, each saved as npz; how many."""
+    """Save the depth of images, each as npz; return their number."""
     cv2.setNumThreads(1)
     solve = SOLVERS["dct"](cv2.imread(str(paths[0])).shape[:2], (0.06, 0.06))
     for path in paths:
@@ -127,7 +127,7 @@ def bare_loop(paths: list[Path], output: Path) -> int:
 
 
 def bare_rate(source: Path, output: Path, workers: int) -> float:
-    """Frames a second of the loop, from the start of its processes."""
+    """Frames per second of the loop, from the start of its processes."""
     output.mkdir()
     begin = time.perf_counter()
     paths = sorted(source.rglob("*.png"))

@@ -1,7 +1,7 @@
-"""Where a worker's time of a frame goes, beside a bare loop's in the same minutes. See `batch.py`.
+"""Processor time of a worker's frame by stage, compared with a bare loop's in the same minutes. See `batch.py`.
 
-Processor time of one process, which other work on the machine stretches less than it does the clock's; each figure is a
-median over parts, taken in turns.
+Processor time of one process depends less on other work of the machine than clock time. Each figure is a median over parts,
+taken in turns.
 """
 
 from __future__ import annotations
@@ -38,19 +38,19 @@ class Clock:
         self.seconds: dict[str, float] = {}
 
     def of_stage(self, name: str, stage: str) -> AbstractContextManager[None]:
-        """The same of a stage of a setting."""
+        """Add the time of the block to a stage of a setting."""
         return self.of(f"{name}: {stage}")
 
     @contextmanager
     def of(self, name: str) -> Iterator[None]:
-        """Add what the block takes."""
+        """Add the time of the block."""
         begin = time.process_time()
         yield
         self.seconds[name] = self.seconds.get(name, 0.0) + time.process_time() - begin
 
 
 def stages_of_a_frame(folder: Path, settings: Mapping[str, BatchSettings], quick: bool) -> dict[str, Any]:
-    """Milliseconds of processor time a frame, by stage, for each setting; and bare loop over worker."""
+    """Milliseconds of processor time per frame, by stage, for each setting; and the ratio of bare loop to worker."""
     cv2.setNumThreads(1)
     parts = plan_of(listing_of(folder / "in"), PART)[: 3 if quick else 6]
     calibration = gelform.load_calibration(folder / "cal.npz")
@@ -65,7 +65,7 @@ def stages_of_a_frame(folder: Path, settings: Mapping[str, BatchSettings], quick
 
 
 def clock_of(jobs: Mapping[str, Job], part: Part, bare: Path) -> Clock:
-    """Of one part: by the bare loop, and for each job by a worker and stage by stage."""
+    """Times of one part: in the bare loop, and for each job in a worker, stage by stage."""
     clock, paths = Clock(), [part.path / name for name in part.images]
     with emptied(bare), clock.of("bare"):
         bare_loop(paths, bare)
@@ -80,7 +80,7 @@ def clock_of(jobs: Mapping[str, Job], part: Part, bare: Path) -> Clock:
 
 
 def by_stage(worker: Worker, part: Part, of: Callable[[str], AbstractContextManager[None]]) -> None:
-    """What `Worker.do` does of a frame, in its order."""
+    """The steps of `Worker.do` for a frame, in its order."""
     job, frames, reconstruct = worker.job, frames_of_part(part), worker._prepared(part)
     facts = {"mm_per_px": job.calibration.mm_per_px, "calibration_digest": job.calibration.digest}
     place = PartTarget(job.output, part, job.settings, job.calibration.image_shape, facts)
@@ -107,7 +107,7 @@ def row_of(name: str, ms: Mapping[str, float]) -> dict[str, Any]:
 
 @contextmanager
 def emptied(folder: Path) -> Iterator[None]:
-    """A new folder, and nothing left of it after the block."""
+    """A new folder that is deleted after the block."""
     folder.mkdir()
     try:
         yield

@@ -1,4 +1,4 @@
-"""Presses drawn at random on a simulated layout: balls, and objects of which at least 40 pixels touch."""
+"""Random presses on a simulated layout: balls, and objects that touch at least 40 pixels."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from gelform.simulate import (
 
 
 def press(name: str, rng: np.random.Generator, depths_mm: tuple[float, float] = (0.2, 0.8)) -> SimulatedPress:
-    """A ball of 3 to 8 mm somewhere on the gel, so that a pixel's centre at least is touched."""
+    """A ball of 3 to 8 mm at a random place; it touches at least one pixel's center."""
     while True:
         radius = rng.uniform(1.5, 4)
         depth = min(float(np.exp(rng.uniform(*np.log(depths_mm)))), 0.45 * radius)
@@ -30,7 +30,7 @@ def press(name: str, rng: np.random.Generator, depths_mm: tuple[float, float] = 
             return simulate_press(
                 LAYOUTS[name], Ball(radius), depth_mm=depth, center_mm=place, rng=rng, oversample=1
             )
-        except ValueError:  # it touches between the pixels' centres
+        except ValueError:  # it touches between the pixels' centers
             continue
 
 
@@ -41,7 +41,7 @@ def _place(name: str, rng: np.random.Generator) -> tuple[float, float]:
 
 
 def object_press(name: str, rng: np.random.Generator) -> tuple[str, SimulatedPress]:
-    """A ball, an edge or a texture of random size and turn, 0.05 to 1.5 mm deep; at least 40 pixels of it touch."""
+    """A ball, an edge or a texture of random size and rotation, 0.05 to 1.5 mm deep; it touches at least 40 pixels."""
     while True:
         kind = str(rng.choice(["ball", "edge", "texture"]))
         depth = float(np.exp(rng.uniform(np.log(0.05), np.log(1.5))))
@@ -51,7 +51,7 @@ def object_press(name: str, rng: np.random.Generator) -> tuple[str, SimulatedPre
                 LAYOUTS[name], _object(kind, depth, rng), depth_mm=depth, center_mm=_place(name, rng), rng=rng,
                 spin_deg=spin, oversample=1,
             )  # fmt: skip
-        except ValueError:  # beside the image
+        except ValueError:  # outside the image
             continue
         if made.contact.sum() >= 40:
             return kind, made

@@ -1,4 +1,4 @@
-"""Faults drawn at random onto an image, at the sizes that sensors have: for tests and benchmarks."""
+"""Random faults in an image, of realistic size, for tests and benchmarks."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Fault = Callable[[Image, np.random.Generator], Image]
 def region(
     shape: tuple[int, int], rng: np.random.Generator, size: tuple[float, float]
 ) -> NDArray[np.float32]:
-    """An ellipse, 0-1, of random place and direction, its axes `size` shares of the height, its rim soft by 1.5 px."""
+    """An ellipse, 0-1, of random place and direction; axes of `size` as fractions of the height, rim blurred by 1.5 px."""
     height, width = shape
     center = rng.uniform(0.1, 0.9, 2) * (width, height)
     axes = rng.uniform(*size, 2) * height / 2
@@ -58,13 +58,13 @@ def specular(image: Image, rng: np.random.Generator) -> Image:
 
 
 def dirt(image: Image, rng: np.random.Generator) -> Image:
-    """A spot of another colour: one channel gains, the others lose."""
+    """A spot of another color: one channel gains, the others lose."""
     factor = rng.permutation([rng.uniform(1.6, 2.2), rng.uniform(0.2, 0.5), rng.uniform(0.2, 0.5)])
     return _towards(image, region(image.shape[:2], rng, (0.05, 0.15)), np.minimum(image * factor, 250.0))
 
 
 def torn(image: Image, rng: np.random.Generator) -> Image:
-    """The rest of the frame grey from a row on, as a decoder leaves it."""
+    """The frame gray below a random row, as after a decoder's failure."""
     changed = image.copy()
     changed[int(rng.uniform(0.3, 0.9) * len(image)) :] = 128
     return changed
@@ -88,11 +88,11 @@ FAULTS: dict[str, Fault] = {
     "inconsistent": torn,
     "compression": compressed,
 }
-"""A fault of the frame for each cause that a frame alone can show."""
+"""One fault per cause that a single frame can show."""
 
 
 def dots(shape: tuple[int, int], rng: np.random.Generator) -> NDArray[np.float32]:
-    """A lattice of printed dots, 0-1: how much of the light they swallow."""
+    """A lattice of printed dots, 0-1: the fraction of light that they absorb."""
     pitch, radius = rng.uniform(18, 30), rng.uniform(2.5, 4)
     y, x = np.mgrid[: shape[0], : shape[1]]
     off = rng.uniform(0, pitch, 2)
@@ -103,7 +103,7 @@ def dots(shape: tuple[int, int], rng: np.random.Generator) -> NDArray[np.float32
 def printed(
     calibration: gelform.Calibration, image: Image, name: str, rng: np.random.Generator
 ) -> tuple[gelform.Calibration, Image]:
-    """Background and image with what belongs to the gel: `marker` dots, or a corner `outside` the light."""
+    """Background and image with faults of the gel itself: `marker` dots, or a corner `outside` the light."""
     shape = calibration.image_shape
     if name == "marker":
         left = 1 - 0.8 * dots(shape, rng)
@@ -117,7 +117,7 @@ def printed(
 
 
 def corrupted(image: Image, rng: np.random.Generator, fraction: float) -> tuple[Image, NDArray[np.bool_]]:
-    """An image of which a fraction of the pixels is spoilt by saturated, dark, shadowed, mirroring and dirty spots."""
+    """An image in which saturated, dark, shadowed, specular and dirty spots spoil a fraction of the pixels."""
     changed = image
     while True:
         fault = rng.choice(["saturated", "dark", "shadow", "specular", "off_gamut"])

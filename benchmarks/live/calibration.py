@@ -1,7 +1,7 @@
-"""The calibration that `gelform live` shows its simulated sensor with: src/gelform/live/simulated/three-edges.npz.
+"""The shipped calibration of `gelform live`'s simulated sensor: src/gelform/live/simulated/three-edges.npz.
 
-It is made as any calibration is, from presses of a ball, and shipped so that the first picture needs no wait. Its
-background is the sensor's without noise: whole grey levels, which pack into a few kilobytes.
+It is made from presses of a ball, as any calibration, and shipped so that the first picture needs no wait. Its background is
+the sensor's without noise: whole gray levels, which compress to a few kilobytes.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ PRESSES = 24
 
 
 def make_calibration() -> None:
-    """Calibrate, save, pack."""
+    """Calibrate, save, compress."""
     sensor = simulated_sensor_named(DEFAULT_SENSOR)
     presses = presses_from_simulated(simulated_presses(sensor, PRESSES))
     presses = replace(
@@ -41,7 +41,7 @@ def make_calibration() -> None:
 
 
 def _pack(path: Path) -> None:
-    """Write the file's members again, deflated; the digest is of what they hold."""
+    """Write the file's members again, deflated; the digest covers their contents."""
     with zipfile.ZipFile(path) as archive:
         members = {name: archive.read(name) for name in archive.namelist()}
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:

@@ -1,4 +1,4 @@
-"""The guided calibration driven in a browser, against one made offline of as many presses of the same ball."""
+"""The guided calibration in a browser, compared with one made offline from as many presses of the same ball."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ NORMAL = "normal_free_deg"
 
 
 def guided(page: Any, folder: Path, wanted: int = WANTED) -> dict[str, Any]:
-    """Press Start, wait for the presses, fit, use: seconds of each part, and the error on presses that neither has seen.
+    """Press Start, wait for the presses, fit, use: seconds of each part, and the error on presses that are new to both.
 
     Parameters
     ----------
     page : Playwright's, on a server whose `--folder` is `folder` and whose sensor is the simulated one
-    folder : where the calibration is written
-    wanted : presses after which it is fitted
+    folder : folder of the calibration
+    wanted : number of presses before the fit
     """
     page.click("#tab-calibrate")
     page.fill("#ball", str(BALL_MM))
@@ -56,7 +56,7 @@ def guided(page: Any, folder: Path, wanted: int = WANTED) -> dict[str, Any]:
 
 
 def _errors(calibration: gelform.Calibration, count: int) -> dict[str, float]:
-    """Errors of normals, degrees: by each calibration's own held-out presses, and on presses that neither has seen."""
+    """Errors of normals, degrees: on each calibration's own held-out presses, and on presses that are new to both."""
     sensor = simulated_sensor_named(DEFAULT_SENSOR)
 
     def presses(number: int, seed: int) -> Any:
@@ -79,7 +79,7 @@ def _errors(calibration: gelform.Calibration, count: int) -> dict[str, float]:
 
 
 def wait_for(page: Any, condition: str) -> None:
-    """The page's policy forbids Playwright's own waiting for a script: it would have to evaluate text."""
+    """Wait in Python: the page's policy forbids Playwright's own waiting for a script, which evaluates text."""
     stop = time.monotonic() + LONGEST_S
     while not page.evaluate(f"Boolean({condition})"):
         if time.monotonic() > stop:

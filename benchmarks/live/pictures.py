@@ -21,7 +21,7 @@ from gelform.frames import Frame
 from gelform.sensors import simulated_sensor_named
 from gelform.sensors.recordings.facts import RecordingFacts
 from gelform.sensors.recordings.image_folder import FolderRecording
-from gelform.sensors.simulated.source import IMAGE_RATE_HZ, programme
+from gelform.sensors.simulated.source import IMAGE_RATE_HZ, program
 from gelform.simulate import Screw, simulate_ball_presses, simulate_pose
 from live.guided import wait_for
 from live.server import CHROMIUM, COMPUTED_S, FLAGS, Live
@@ -29,13 +29,15 @@ from live.server import CHROMIUM, COMPUTED_S, FLAGS, Live
 DESKTOP, GUIDE, LARGE, PHONE = (1360, 1010), (1360, 900), (1300, 1145), (390, 844)
 QUALITY = 88
 HELD_AT = 12
+TRIES = 50  # of a picture of what moves
+DEEP = "gelform.frame.header.peak > 0.3"
 SCRUB = "document.getElementById('scrub')"
 SEEK = f"{SCRUB}.value = {HELD_AT}; {SCRUB}.dispatchEvent(new Event('input'))"
 
 
 @contextmanager
 def served(folder: str, *words: str) -> Iterator[Any]:
-    """`gelform live` and a browser; opens its page at a size (width, height), in light or dark colours."""
+    """`gelform live` and a browser; opens its page at a size (width, height), in light or dark colors."""
     from playwright.sync_api import sync_playwright
 
     live = Live(folder, *words)
@@ -56,17 +58,24 @@ def served(folder: str, *words: str) -> Iterator[Any]:
         live.close()
 
 
-def keep(page: Any, path: Path) -> None:
-    """What the page shows, as JPEG."""
-    image = cv2.imdecode(np.frombuffer(page.screenshot(), np.uint8), cv2.IMREAD_COLOR)
+def keep(page: Any, path: Path, condition: str = "true") -> None:
+    """What the page shows, as JPEG; while a condition holds, before and after the picture is taken."""
+    for _ in range(TRIES):
+        wait_for(page, condition)
+        shot = page.screenshot()
+        if page.evaluate(f"Boolean({condition})"):
+            break
+    else:
+        raise TimeoutError(f"Expected {condition} while a picture is taken: the machine is too busy.")
+    image = cv2.imdecode(np.frombuffer(shot, np.uint8), cv2.IMREAD_COLOR)
     cv2.imwrite(str(path), image, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
     print(path)
 
 
 def of_the_sensor(folder: Path) -> None:
-    """The page at work, on a desk and on a phone, and the guide in the middle of its presses."""
+    """The page in use, on a desktop and on a phone, and the guide in the middle of its presses."""
     with tempfile.TemporaryDirectory() as work, served(work) as opened:
-        time.sleep(COMPUTED_S)  # until all objects are there
+        time.sleep(COMPUTED_S)  # until all objects are computed
         for name, size, theme in (
             ("desktop-light", DESKTOP, "light"),
             ("desktop-dark", DESKTOP, "dark"),
@@ -74,8 +83,7 @@ def of_the_sensor(folder: Path) -> None:
         ):
             page = opened(size, theme)
             page.wait_for_timeout(3000)  # rates and curves have begun
-            wait_for(page, "gelform.frame.header.contacts?.length > 4 && gelform.frame.header.peak > 0.35")
-            keep(page, folder / f"{name}.jpg")
+            keep(page, folder / f"{name}.jpg", DEEP)
             page.close()
         page = opened(GUIDE)
         page.click("#tab-calibrate")
@@ -87,13 +95,10 @@ def of_the_sensor(folder: Path) -> None:
 
 
 def of_a_recording(folder: Path) -> None:
-    """A recording held at a frame, by two calibrations."""
+    """A recording held at a frame, with two calibrations."""
     sensor = simulated_sensor_named("three-edges")
     touches = [
-        touch
-        for images in programme(sensor)
-        for touch in images
-        if touch and isinstance(touch.indenter, Screw)
+        touch for images in program(sensor) for touch in images if touch and isinstance(touch.indenter, Screw)
     ]
     with tempfile.TemporaryDirectory() as name:
         work = Path(name)
@@ -124,7 +129,7 @@ def of_a_recording(folder: Path) -> None:
 
 
 def take_pictures(folder: Path) -> None:
-    """All of them, as JPEG files of a folder."""
+    """Take all pictures, as JPEG files in a folder."""
     folder.mkdir(parents=True, exist_ok=True)
     of_the_sensor(folder)
     of_a_recording(folder)

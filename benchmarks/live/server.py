@@ -1,4 +1,4 @@
-"""`gelform live` as a process, and the flags of the Chromium that looks at it."""
+"""`gelform live` as a process, and the flags of the Chromium that shows it."""
 
 from __future__ import annotations
 
@@ -14,13 +14,11 @@ from pathlib import Path
 
 FLAGS = ["--no-sandbox", "--enable-unsafe-swiftshader", "--no-first-run"]
 CHROMIUM = os.environ.get("GELFORM_CHROMIUM") or shutil.which("chromium") or shutil.which("google-chrome")
-COMPUTED_S = (
-    25.0  # by when the simulated objects are there, which are computed while the first ones are shown
-)
+COMPUTED_S = 25.0  # s until the simulated objects exist, which are computed while the first ones are shown
 
 
 class Live:
-    """`gelform live` as a process of its own, in a folder of its own; `words` are more of its command line."""
+    """`gelform live` as a separate process in its own folder; `words` are further arguments."""
 
     def __init__(self, folder: str, *words: str) -> None:
         self.started = time.monotonic()
@@ -31,7 +29,7 @@ class Live:
         self.address = self.url.removeprefix("http://").rstrip("/")
 
     def resident_mb(self) -> float:
-        """Memory of the process, where the system tells it."""
+        """Memory of the process, if the system states it."""
         status = Path(f"/proc/{self.process.pid}/status").read_text(encoding="ascii")
         return next(int(line.split()[1]) for line in status.splitlines() if line.startswith("VmRSS")) / 1024
 

@@ -1,7 +1,7 @@
-"""From the start of `gelform live` to depth on the screen, of a camera of a known make that was never calibrated.
+"""Time from the start of `gelform live` to depth on the screen, for an uncalibrated camera of a known make.
 
-The camera is an address that pushes JPEG pictures of a simulated unit: untouched, and pressed by a ball once the page has
-taken the background.
+The camera is an address that sends JPEG pictures of a simulated unit: at rest, and pressed by a ball once the page has taken
+the background.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ STARTS = 3
 
 
 class Camera(ThreadingHTTPServer):
-    """Pushes pictures at 30 a second; `pressed` says which."""
+    """Sends 30 pictures per second; `pressed` selects which."""
 
     daemon_threads = True
 
@@ -56,7 +56,7 @@ class _Pictures(BaseHTTPRequestHandler):
                 time.sleep(1 / RATE_HZ)
 
     def log_message(self, *_: Any) -> None:
-        """Nothing is said of requests."""
+        """Log nothing."""
 
 
 def _jpeg(depth_mm: float, rng: np.random.Generator) -> bytes:

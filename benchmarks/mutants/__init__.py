@@ -1,1 +1,1 @@
-"""Mutation testing: changed statements of Python and C, and the tests that have to notice."""
+"""Mutation testing: changed statements of Python and C, and the tests that must notice them."""

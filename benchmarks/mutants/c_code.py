@@ -1,7 +1,7 @@
 """The mutants of a C file, and the kernels compiled with one of them.
 
-An operator, a comparison, a number or an index of one place is changed. Left out are preprocessor lines, comments, and the
-checks of sizes at a kernel's door (`WRONG_SIZE`), which no caller in Python can fail.
+Each mutant changes an operator, a comparison, a number or an index at one place. Preprocessor lines, comments, and the
+checks of sizes at a kernel's entry (`WRONG_SIZE`), which no caller in Python can fail, are left out.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def _changes(code: str) -> Iterator[tuple[str, int, int, str]]:
 
 
 def _numbers(text: str) -> tuple[str, str]:
-    """A number moves by 1."""
+    """A number changes by 1."""
     suffix = "f" if text.endswith("f") else ""
     value = float(text.rstrip("f")) if "." in text else int(text)
     below = f"({value - 1}{suffix})" if value < 1 else f"{value - 1}{suffix}"
@@ -70,7 +70,7 @@ def _numbers(text: str) -> tuple[str, str]:
 
 
 class Kernels:
-    """The kernels of a checkout, each file an object, so that a mutant compiles in a moment."""
+    """The kernels of a checkout, one object per file, so that a mutant compiles quickly."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -83,13 +83,13 @@ class Kernels:
         self.link()
 
     def changed(self, file: Path) -> bool:
-        """Compile anew what depends on a file; whether it compiles."""
+        """Compile what depends on a file; return whether it compiles."""
         return all(self._compile(one) for one in self._using(file)) and self.link()
 
     def link(self) -> bool:
-        """Put one library in the place of those of every instruction set: all of them are the mutant.
+        """Replace the libraries of all instruction sets by one, so that each is the mutant.
 
-        It says that it was made from the sources that lie there, which the package asks for.
+        It contains the digest of the present sources, which the package checks.
         """
         library = self.folder / "kernels.so"
         sources = runpy.run_path(str(self.folder / "src/gelform/_native/sources.py"))

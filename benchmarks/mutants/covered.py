@@ -1,4 +1,4 @@
-"""Which tests execute which lines: a mutant is run against those alone."""
+"""The tests that execute each line; a mutant is run only against those."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Lines = set[tuple[str, int]]  # (file, line)
 
 @dataclass(frozen=True)
 class Test:
-    """A test that passes: its name, seconds, and the lines it executes, those of its fixtures included."""
+    """A passing test: its name, seconds, and the lines that it and its fixtures execute."""
 
     name: str
     seconds: float
@@ -26,9 +26,9 @@ class Test:
 
 
 class Coverage:
-    """A pytest plugin that notes the lines of some files, by test.
+    """A pytest plugin that records the executed lines of some files, by test.
 
-    Lines that a shared fixture executes belong to every test that asks for the fixture.
+    Lines of a shared fixture belong to every test that uses the fixture.
     """
 
     def __init__(self, files: set[str]) -> None:
@@ -40,7 +40,7 @@ class Coverage:
         self._failed: set[str] = set()
 
     def start(self) -> None:
-        """Trace this thread and those it starts."""
+        """Trace this thread and the threads that it starts."""
         threading.settrace(self._trace)
         sys.settrace(self._trace)
 
@@ -60,7 +60,7 @@ class Coverage:
         outer, self._now = self._now, set()
         start = time.perf_counter()
         yield
-        if fixturedef.scope == "session":  # made by the first run that asks, and kept for all others
+        if fixturedef.scope == "session":  # made by the first run that needs it, and kept for all others
             self._seconds[request._pyfuncitem.nodeid] -= time.perf_counter() - start
         else:
             self._of_fixture[fixturedef.argname] |= self._now
@@ -83,9 +83,9 @@ class Coverage:
 
 
 def lines_of(source: str, line: int) -> tuple[set[int], bool]:
-    """Lines of which one is executed where the statement at `line` is, and whether it is outside all functions.
+    """Lines that are executed with the statement at `line`, and whether it is outside all functions.
 
-    A default in a signature counts with the function's body; what is outside of functions, with all of the module.
+    A default in a signature counts with the function's body; code outside of functions counts with the whole module.
     """
     tree = ast.parse(source)
     inside = [node for node in ast.walk(tree) if _has(node, line)]
@@ -120,7 +120,7 @@ def executing_tests(tests: list[Test], file: Path, source: str, line: int) -> li
 
 
 def within_budget(tests: list[Test], own: str, budget_s: float) -> list[Test]:
-    """The module's own tests first, the quickest first, and then the others, within the budget."""
+    """The module's own tests first, fastest first, then the others, within the time budget."""
     chosen, seconds = [], 0.0
     for test in sorted(tests, key=lambda test: (not test.name.startswith(own), test.seconds)):
         if seconds + test.seconds <= budget_s or not chosen:

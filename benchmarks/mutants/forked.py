@@ -1,4 +1,4 @@
-"""Runs of pytest in forked processes: the libraries are imported once, gelform anew in each."""
+"""Runs of pytest in forked processes: libraries are imported once, gelform again in each."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ PASSED = 0
 
 
 def passes(folder: Path, tests: Sequence[str], timeout_s: float) -> bool:
-    """Whether tests of a checkout pass, the first that fails ending the run."""
+    """Whether tests of a checkout pass; the first failure ends the run."""
     return _in_process(lambda: _pytest(folder, tests, ["-x"], []), folder, timeout_s) == PASSED
 
 
 def covering_tests(folder: Path, tests: Sequence[str], files: set[str], kept: Path) -> list[Test]:
-    """The tests of a checkout that pass, with the lines of `files` that each executes.
+    """The passing tests of a checkout, with the lines of `files` that each executes.
 
-    What a test file gave is kept in a folder for later runs, as long as neither it nor the package changes.
+    The result of a test file is kept in a folder for later runs, as long as neither it nor the package changes.
     """
     found: list[Test] = []
     for test in tests:
@@ -55,7 +55,7 @@ def covering_tests(folder: Path, tests: Sequence[str], files: set[str], kept: Pa
 
 
 def _trace(folder: Path, test: str, files: set[str], written: Path) -> None:
-    """Write what the tests of one file execute, making what is made once."""
+    """Write the lines that the tests of one file execute, and make its shared fixtures."""
 
     def run() -> int:
         coverage = Coverage({str(folder / file) for file in files})
@@ -72,7 +72,7 @@ def _trace(folder: Path, test: str, files: set[str], written: Path) -> None:
 
 
 def source_digest(folder: Path) -> str:
-    """Of the package, and of what its tests share."""
+    """Digest of the package and of the tests' shared code."""
     return _digest([*sorted((folder / "src").rglob("*.py")), folder / "tests" / "conftest.py"])
 
 
@@ -85,7 +85,7 @@ def _digest(files: Sequence[Path]) -> str:
 
 def _pytest(folder: Path, tests: Sequence[str], options: list[str], plugins: list[Any]) -> int:
     sys.path[:0] = [str(folder / part) for part in ("src", "tests", "benchmarks")]
-    sys.dont_write_bytecode = True  # a mutant's bytecode must not outlive it
+    sys.dont_write_bytecode = True  # a mutant's bytecode must not remain
     _share_what_is_made_once(Path(os.environ["GELFORM_MADE"]))
     quick = ["-q", "--assert=plain", "--tb=line", "-p", "no:cacheprovider", "-p", "_hypothesis_pytestplugin"]
     base = [*quick, f"--basetemp={folder / 'temporary'}"]
@@ -93,7 +93,7 @@ def _pytest(folder: Path, tests: Sequence[str], options: list[str], plugins: lis
 
 
 def _share_what_is_made_once(kept: Path) -> None:
-    """Fixtures that take seconds are made by the first run, which is of the unchanged code, and read by the others."""
+    """Fixtures that take seconds are made by the first run, with unchanged code; the other runs read them."""
     import made_once
 
     kept.mkdir(exist_ok=True)

@@ -1,7 +1,7 @@
 """The mutants of a Python file: Cosmic Ray's operators, one plausible change of each, and three of our own.
 
-Left out is what changes no result: annotations, decorators, imports, `assert` (which tells mypy a type), `raise` (texts of
-errors have tests of their own), `__repr__`, and operators that no float has.
+Code that changes no result is left out: annotations, decorators, imports, `assert` (which tells mypy a type), `raise` (error
+texts have their own tests), `__repr__`, and operators that floats lack.
 """
 
 from __future__ import annotations
@@ -10,13 +10,16 @@ import ast
 import re
 from collections.abc import Iterator
 
-from cosmic_ray.ast import Visitor, get_ast
-from cosmic_ray.mutating import mutate_code
-from cosmic_ray.plugins import get_operator
-
 from mutants.mutant import Mutant, mutant
 
-# `+` becomes `-` and so on; a comparison moves its boundary, or is turned round.
+try:
+    from cosmic_ray.ast import Visitor, get_ast
+    from cosmic_ray.mutating import mutate_code
+    from cosmic_ray.plugins import get_operator
+except ImportError as missing:
+    raise SystemExit('Mutants need the extra mutation: pip install "gelform[mutation]".') from missing
+
+# `+` becomes `-` and so on; a comparison moves its boundary, or is reversed.
 OPERATORS = [
     *(
         f"ReplaceBinaryOperator_{change}"
@@ -40,7 +43,7 @@ OPERATORS = [
     *("ReplaceTrueWithFalse", "ReplaceFalseWithTrue", "ReplaceAndWithOr", "ReplaceOrWithAnd", "AddNot"),
     *("ReplaceBreakWithContinue", "ReplaceContinueWithBreak", "ZeroIterationForLoop"),
 ]
-LARGE = 20  # numbers beyond are doubled and halved: 5,001 samples for 5,000 is no fault
+LARGE = 20  # larger numbers are doubled and halved: 5,001 samples instead of 5,000 is no fault
 SWAPPED = [
     *(("minimum", "maximum"), ("min", "max"), ("argmin", "argmax"), ("any", "all"), ("floor", "ceil")),
     *(("cos", "sin"), ("zeros", "ones"), ("zeros_like", "ones_like")),
@@ -59,7 +62,7 @@ def python_mutants(source: str) -> list[Mutant]:
         mutant(source, changed, place[0], change)
         for place, change, changed in found
         if changed != source
-        and not source.splitlines()[place[0] - 1][place[1] :].startswith("*,")  # of a signature: no operator
+        and not source.splitlines()[place[0] - 1][place[1] :].startswith("*,")  # of a signature
         and not any(start <= place < end for start, end in skipped)
         and _compiles(changed)
     ]
@@ -70,7 +73,7 @@ Found = tuple[tuple[int, int], str, str]  # (line, column), the operator's name,
 
 
 class _Places(Visitor):
-    """Where an operator applies."""
+    """The places where an operator applies."""
 
     def __init__(self, operator: object) -> None:
         self.operator = operator
@@ -93,7 +96,7 @@ def _from_cosmic_ray(source: str) -> Iterator[Found]:
 
 
 def _of_numbers(source: str, tree: ast.AST) -> Iterator[Found]:
-    """A number moves by 1; a large one is doubled and halved."""
+    """A number changes by 1; a large one is doubled and halved."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Constant) and type(node.value) in (int, float):
             value = node.value
@@ -121,14 +124,14 @@ def _of_calls(source: str, tree: ast.AST) -> Iterator[Found]:
 
 
 def _argument(source: str, call: ast.Call) -> str:
-    """What is left of a call without it: its first argument, or the object that has the method."""
+    """The replacement of a call: its first argument, or the object of the method."""
     library = isinstance(call.func, ast.Name) or getattr(call.func.value, "id", "") in ("np", "cv2", "math")
     kept = call.args[0] if library else call.func.value
     return f"({ast.get_source_segment(source, kept)})"
 
 
 def _of_statements(source: str, tree: ast.AST) -> Iterator[Found]:
-    """A statement is left out: a call for its effect, an update in place, a name bound anew."""
+    """A statement is removed: a call for its effect, an update in place, a second assignment to a name."""
     for function in ast.walk(tree):
         if not isinstance(function, ast.FunctionDef):
             continue
@@ -159,7 +162,7 @@ def _can_go(node: ast.stmt, bound: set[str]) -> bool:
 
 
 def _skipped(tree: ast.AST) -> Iterator[tuple[tuple[int, int], tuple[int, int]]]:
-    """Ranges of the text that are not mutated."""
+    """Ranges of the text without mutants."""
     for node in ast.walk(tree):
         parts = [getattr(node, "annotation", None), getattr(node, "returns", None)]
         parts += getattr(node, "decorator_list", [])
@@ -179,7 +182,7 @@ def _place(node: ast.expr | ast.stmt) -> tuple[int, int]:
 
 
 def _replaced(source: str, node: ast.expr | ast.stmt, text: str) -> str:
-    """The text with another in a node's place; columns count bytes."""
+    """The text with a node replaced; columns count bytes."""
     lines = [line.encode() for line in source.splitlines(keepends=True)]
     start = sum(map(len, lines[: node.lineno - 1])) + node.col_offset
     end = sum(map(len, lines[: node.end_lineno - 1])) + node.end_col_offset

@@ -1,7 +1,7 @@
-"""Bags of ROS 2: how fast they are written, and whether an independent reader finds the same values.
+"""ROS 2 bags: writing rate, and whether an independent reader finds the same values.
 
-The rate is that of one core: frames by the seconds of processor time that this process took, which a busy neighbour
-does not change; the rate by the clock stands beside it. Disks are not waited for: the system's cache takes the bytes.
+The rate is that of one core: frames per second of this process's processor time, which other processes do not change. The
+rate by the clock is given too. The system's cache takes the bytes, so disks play no role.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from gelform.simulate import LAYOUTS, Ball, Pose, simulate_ball_presses, simulat
 
 SENSOR = replace(LAYOUTS["three-edges"], shape=(240, 320))
 ASKED_HZ, START_NS = 60, 1_700_000_000_000_000_000
-DIFFERENT = 12  # frames, taken in turn
+DIFFERENT = 12  # different frames, which repeat
 M_PER_MM = np.float32(1e-3)
 
 
 def reconstructor() -> Reconstructor:
-    """Of a simulated sensor of 240x320."""
+    """A Reconstructor of a simulated sensor of 240x320."""
     from gelform.calibration.fit import calibrate
     from gelform.calibration.presses.folder import read_presses
     from gelform.exporters.press_folder import save_simulated_presses
@@ -43,7 +43,7 @@ def reconstructor() -> Reconstructor:
 
 
 def frames_and_results(reconstruct: Reconstructor) -> list[tuple[Frame, Reconstruction]]:
-    """A ball that presses deeper and deeper."""
+    """A ball pressed deeper and deeper."""
     rng, pairs = np.random.default_rng(1), []
     for k in range(DIFFERENT):
         image = simulate_pose(SENSOR, Ball(3.0), Pose(0.05 * k), rng=rng).image
@@ -53,7 +53,7 @@ def frames_and_results(reconstruct: Reconstructor) -> list[tuple[Frame, Reconstr
 
 
 def written(pairs: list[tuple[Frame, Reconstruction]], count: int, topics: tuple[str, ...]) -> dict[str, Any]:
-    """Frames a second into a bag of those topics, prepared results in memory."""
+    """Frames per second into a bag of those topics, with prepared results in memory."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "bag"
         busy, clock = time.process_time(), time.perf_counter()
@@ -73,7 +73,7 @@ def written(pairs: list[tuple[Frame, Reconstruction]], count: int, topics: tuple
 
 
 def read_back(pairs: list[tuple[Frame, Reconstruction]]) -> dict[str, Any]:
-    """Values of a bag that mcap-ros2-support decodes differently from those that were written; 0 is right."""
+    """Number of values that mcap-ros2-support decodes differently from those written; 0 is right."""
     from mcap_ros2.reader import read_ros2_messages
 
     different, compared, counts = 0, 0, dict.fromkeys(("image_raw", "indentation", "points"), 0)
@@ -97,7 +97,7 @@ def read_back(pairs: list[tuple[Frame, Reconstruction]]) -> dict[str, Any]:
 
 
 def _wanted(name: str, frame: Frame, result: Reconstruction) -> Any:
-    """The values of a message, flat, made without the writer."""
+    """The values of a message, flat, computed without the writer."""
     if name == "image_raw":
         return frame.image.ravel()
     if name == "indentation":
@@ -119,7 +119,7 @@ def measure(reconstruct: Reconstructor, quick: bool) -> dict[str, Any]:
 
 
 def rows(figures: dict[str, Any]) -> list[tuple[str, Any, Any]]:
-    """(what, asked, reached)."""
+    """(figure, required, measured)."""
     whole, fewer, again = figures["all_topics"], figures["without_points"], figures["read_back"]
     return [
         ("bag, all topics, 240x320: frames a second of one core", ASKED_HZ, whole["rate_hz_of_a_core"]),

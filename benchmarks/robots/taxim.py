@@ -1,7 +1,8 @@
-"""The Taxim export: presses that did not calibrate, rendered by Taxim's formula, against the real images.
+"""The Taxim export: presses that were not used for calibration, rendered by Taxim's formula, against the real images.
 
-Real presses (mini-ball, every second one calibrates) where there is data; else, and with --quick, a simulated sensor. Grey
-levels: mean absolute difference inside three quarters of the contact's radius, where a ball's slopes are exact.
+It uses real presses (mini-ball, every second one calibrates) if the data are there; else, and with --quick, a
+simulated sensor. Gray levels are the mean absolute difference inside three quarters of the contact's radius, where a
+ball's slopes are exact.
 """
 
 from __future__ import annotations
@@ -19,11 +20,11 @@ from gelform.exporters.taxim import save_taxim
 from gelform.metrics.ball import ball_gradients
 from presses import DATA, Circle, by_name, reference_circles
 
-INSIDE = 0.75  # of the contact's radius
+INSIDE = 0.75  # fraction of the contact's radius
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """Grey levels of the export and of the forward response itself."""
+    """Gray levels of the export and of the forward response itself."""
     on_simulated = quick or not (DATA / "mini-ball").is_dir()
     calibration, held_out = _simulated() if on_simulated else _real()
     with tempfile.TemporaryDirectory() as folder:
@@ -39,12 +40,12 @@ def measure(quick: bool) -> dict[str, Any]:
 
 
 def rows(figures: dict[str, Any]) -> list[tuple[str, Any, Any]]:
-    """(what, asked, reached)."""
+    """(figure, required, measured)."""
     of = f"{figures['held_out']} held-out presses ({figures['presses']})"
     return [
         (f"Taxim export: error over the forward response's, {of}", 1.2, figures["ratio"]),
-        ("grey levels, Taxim's formula", "-", figures["taxim_grey_levels"]),
-        ("grey levels, forward response", "-", figures["forward_grey_levels"]),
+        ("gray levels, Taxim's formula", "-", figures["taxim_grey_levels"]),
+        ("gray levels, forward response", "-", figures["forward_grey_levels"]),
     ]
 
 
@@ -66,7 +67,7 @@ def taxim_image(folder: Path, height_px: np.ndarray) -> np.ndarray:
 def _errors(
     calibration: gelform.Calibration, table: Path, image: np.ndarray, diameter_mm: float, circle: Circle
 ) -> tuple[float, float]:
-    """Grey levels inside a contact, of Taxim's image and of the forward response's."""
+    """Mean differences inside a contact, gray levels, of Taxim's image and of the forward response's."""
     x, y, rim = circle
     radius = diameter_mm / 2 / calibration.known_mm_per_px
     rows_px, columns_px = np.indices(image.shape[:2])

@@ -1,4 +1,4 @@
-"""The module for PyTorch against the numpy path, and a batch against single calls."""
+"""The PyTorch module compared with the numpy path, and a batch with single calls."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ BATCH = 64
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """Difference of depth in parts of its peak; ms of a batch and of as many calls, in turn."""
+    """Difference of depth as a fraction of its peak; ms of a batch and of as many single calls, alternating."""
     import torch
 
     import gelform
@@ -47,7 +47,7 @@ def measure(quick: bool) -> dict[str, Any]:
 
 
 def rows(figures: dict[str, Any]) -> list[tuple[str, Any, Any]]:
-    """(what, asked, reached)."""
+    """(figure, required, measured)."""
     count = figures["batch"]
     return [
         ("torch against numpy: difference of depth, of the peak", 1e-4, figures["difference_of_peak"]),

@@ -1,7 +1,7 @@
-"""zenoh: a router, a publisher and a subscriber in three processes, as a ROS 2 of rmw_zenoh has them; ages and rates.
+"""zenoh: a router, a publisher and a subscriber in three processes, as in a ROS 2 with rmw_zenoh; ages and rates.
 
-A message's age is from just before the publisher begins to make the frame's messages until the subscriber has decoded it.
-Type hashes are held against those that ROS publishes (`ros2 topic info --verbose`; the message packages' JSON files).
+The age of a message counts from just before the publisher starts to make the frame's messages, until the subscriber
+has decoded it. Type hashes are compared with those of ROS (`ros2 topic info --verbose`; the message packages' JSON files).
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ PUBLISHED_HASHES = {
     "diagnostic_msgs/msg/DiagnosticArray": "RIHS01_5a8a36efb05fb25070fa0fb3810290c0e6cd4862b54a8fb975a1ee8dc55a333e",
 }
 NO_POINTS = "image,indentation,diagnostics"
-WARMING = 30  # frames before it is counted
+WARMING = 30  # frames before counting starts
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """Rates and ages with and without points, and how many type hashes are those of ROS."""
+    """Rates and ages with and without points, and the number of type hashes equal to those of ROS."""
     seconds = 2 if quick else 10
     return {
         "all_topics": through("image,indentation,points,diagnostics", seconds),
@@ -40,7 +40,7 @@ def measure(quick: bool) -> dict[str, Any]:
 
 
 def rows(figures: dict[str, Any]) -> list[tuple[str, Any, Any]]:
-    """(what, asked, reached)."""
+    """(figure, required, measured)."""
     whole, fewer, hashes = figures["all_topics"], figures["without_points"], figures["hashes_equal"]
     return [
         ("zenoh, without points: frames a second", HZ, fewer["rate_hz"]),
@@ -57,7 +57,7 @@ def rows(figures: dict[str, Any]) -> list[tuple[str, Any, Any]]:
 
 
 def through(topics: str, seconds: float) -> dict[str, Any]:
-    """What a subscriber gets of so many seconds at 60 Hz."""
+    """The figures of a subscriber over that many seconds at 60 Hz."""
     address, count = f"tcp/127.0.0.1:{_free_port()}", round(seconds * HZ)
     with _beside("route", address) as router:
         assert router.stdout is not None
@@ -81,7 +81,7 @@ def through(topics: str, seconds: float) -> dict[str, Any]:
 
 
 class Listener:
-    """Decodes what is published; ages in ms of each topic, and when indentation came."""
+    """Decodes the published messages; records ages in ms of each topic, and arrival times of indentation."""
 
     def __init__(self, address: str) -> None:
         from gelform.robots.ros_messages import typestore
@@ -109,14 +109,14 @@ class Listener:
 
 
 def publish(address: str, topics: str, count: str) -> None:
-    """Publish prepared results at 60 Hz: in a process of its own."""
+    """Publish prepared results at 60 Hz, in a separate process."""
     from gelform.robots.zenoh_node import ZenohNode
     from gelform.sensors.playback import Pace
     from robots.bag import frames_and_results, reconstructor
 
     pairs = frames_and_results(reconstructor())
     with ZenohNode("gel", topics=tuple(topics.split(",")), router=address) as node:
-        time.sleep(1)  # the subscriber is told of the node by the router
+        time.sleep(1)  # the router announces the node to the subscriber
         pace = Pace(HZ)
         for k in range(int(count)):
             pace.wait_for(k)
@@ -125,7 +125,7 @@ def publish(address: str, topics: str, count: str) -> None:
 
 
 def route(address: str) -> None:
-    """A router, until it is ended: in a process of its own."""
+    """Run a router until it is ended, in a separate process."""
     session = _session("router", listen=address)
     print("ready", flush=True)
     while True:

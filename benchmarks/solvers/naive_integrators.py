@@ -1,7 +1,7 @@
-"""Three ways to integrate slopes that one meets in other packages, and that gelform does not use.
+"""Three ways to integrate slopes that other packages use, and gelform does not.
 
 Each is a function (gradients (H, W, 2), mm_per_px (x, y)) -> depth (H, W) in mm. `examples/02_why_least_squares.py`
-shows where each goes wrong.
+shows the errors of each.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from gelform.solvers.system import divergence, edges_from_gradients
 
 
 def depth_along_lines(gradients: NDArray[Any], mm_per_px: tuple[float, float]) -> NDArray[np.float32]:
-    """Line integration: along the middle row and from there along columns, and the other way; the mean of both.
+    """Line integration: along the middle row and from there along columns, and the reverse; the mean of both.
 
-    Exact on exact slopes; but the errors of all pixels on the way add up, in streaks.
+    It is exact on exact slopes, but the errors of all pixels on the way add up, in streaks.
     """
     ex, ey = edges_from_gradients(np.asarray(gradients, dtype=np.float64))
     along_x = np.pad(np.cumsum(ex * mm_per_px[0], axis=1), ((0, 0), (1, 0)))
@@ -32,14 +32,14 @@ def depth_along_lines(gradients: NDArray[Any], mm_per_px: tuple[float, float]) -
 
 
 def depth_periodic(gradients: NDArray[Any], mm_per_px: tuple[float, float]) -> NDArray[np.float32]:
-    """Least squares by the Fourier transform: left meets right, top meets bottom.
+    """Least squares by the Fourier transform: the left border meets the right one, the top meets the bottom.
 
-    R. T. Frankot and R. Chellappa, A method for enforcing integrability in shape from shading algorithms, IEEE
-    Trans. PAMI 10(4), 1988, eq. 21. Exact to all orders where the surface is periodic.
+    R. T. Frankot and R. Chellappa, A method for enforcing integrability in shape from shading algorithms, IEEE Trans.
+    PAMI 10(4), 1988, eq. 21. It is exact to all orders if the surface is periodic.
     """
     g = np.asarray(gradients, dtype=np.float32)
     height, width = g.shape[:2]
-    # At the highest frequency of an even size a sampled derivative says nothing.
+    # At the highest frequency of an even size a sampled derivative contains no information.
     u = 2 * np.pi * np.fft.rfftfreq(width, mm_per_px[0])
     v = 2 * np.pi * np.fft.fftfreq(height, mm_per_px[1])[:, None]
     u = np.where(np.arange(u.size) * 2 == width, 0, u)
@@ -51,9 +51,9 @@ def depth_periodic(gradients: NDArray[Any], mm_per_px: tuple[float, float]) -> N
 
 
 def depth_zero_border(gradients: NDArray[Any], mm_per_px: tuple[float, float]) -> NDArray[np.float32]:
-    """Least squares by the sine transform: depth is held at 0 on the border of the frame.
+    """Least squares by the sine transform: depth is 0 on the border of the frame.
 
-    The assumption of many tactile packages. Where the border cuts a contact, depth there is not 0.
+    Many tactile packages assume this. If the border cuts a contact, depth there is not 0.
     """
     g = np.asarray(gradients, dtype=np.float32)
     depth = np.zeros(g.shape[:2], dtype=np.float32)

@@ -62,7 +62,7 @@ def hole() -> tuple[Any, Panels]:
 
 
 def wall() -> tuple[Any, Panels]:
-    """A step of 0.5 mm, one pixel wide: steeper than slopes of 1 that the sensor can see."""
+    """A step of 0.5 mm, one pixel wide: steeper than a slope of 1, the sensor's limit."""
     truth = np.zeros(SHAPE)
     truth[70:170, 100:220] = 0.5
     gradients = np.clip(gelform.gradients_from_depth(truth, mm_per_px=MM_PER_PX), -1, 1)
@@ -71,7 +71,7 @@ def wall() -> tuple[Any, Panels]:
 
 
 def draw(truth: Any, panels: Panels, path: Path) -> None:
-    """Truth, then for each solver the depth and below it the error."""
+    """Draw the truth, then for each solver the depth and its error below."""
     figure, axes = plt.subplots(
         2, len(panels) + 1, figsize=(2.6 * (len(panels) + 1), 4.1), layout="constrained"
     )
@@ -96,7 +96,7 @@ def draw(truth: Any, panels: Panels, path: Path) -> None:
 
 
 def draw_failures(folder: Path) -> None:
-    """All of them, into a folder."""
+    """Draw all pictures, into a folder."""
     folder.mkdir(parents=True, exist_ok=True)
     for make in (noise, outliers, border, hole, wall):
         truth, panels = make()

@@ -1,4 +1,4 @@
-"""Times of a call over those of a bare transform; what the first weighted solve costs in a new process, and its memory."""
+"""Time of a call relative to a bare transform; time and memory of the first weighted solve in a new process."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def start_and_memory(large: bool) -> Table:
 
 
 def ratio(work: Callable[[], Any], bare: Callable[[], Any], repeats: int) -> tuple[float, float]:
-    """Time of work over that of bare, and in ms: 10 % quantiles of CPU times taken in turn."""
+    """CPU time of `work` relative to `bare`, and in ms: 10 % quantiles, measured alternately."""
     work(), bare()
     times = []
     for _ in range(repeats):

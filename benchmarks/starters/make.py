@@ -1,8 +1,8 @@
 """Make the starters that the package ships, from the presses of the units that may be shared.
 
-One unit's calibration is a starter as it is. Of several units a common model is fitted on the samples of all, each brought
-to the light that they have in the mean; each unit's own model is then drawn to the common one, and how far the units' slopes
-are from the common model's is the spread.
+The calibration of a single unit is used unchanged. For several units, a common model is fitted to the samples of all, each
+brought to their mean light. Each unit's own model is then regularized towards the common one. The spread is the
+difference of the units' slopes from the common model's.
 """
 
 from __future__ import annotations
@@ -27,15 +27,16 @@ from gelform.simulate import LAYOUTS, SimulatedSensor, simulate_ball_presses
 from gelform.simulate.render import exposed
 from gelform.starters.light import gain_between, light_from_background
 from gelform.starters.starter import Starter, starter_from_calibration
-from presses import DATA, presses_of, unlabelled
+from presses import DATA, labeled, presses_of, unlabeled
 
 FOLDER = Path(gelform.__file__).parent / "starters"
-RIDGE = 1e-3  # of a unit's own model, drawn to the common one: the middle of those that calibration tries
-# Of a unit's colors about the forward response of another one, over that about its own: mini-d by mini-ball 11, mini-ball
-# by mini-d 16. No second DIGIT's presses are here: the same is taken for it.
+RIDGE = 1e-3  # strength of that regularization: the middle one of the values that calibration tries
+# Ratio of color variances: a unit's colors around the response of another unit, over those around its own. Measured:
+# mini-d by mini-ball 11, mini-ball by mini-d 16. There are no presses of a second DIGIT, so the same value is assumed
+# for it.
 COLOR_VARIANCE = 11.0
-# Relative, of slopes. Minis: two other units' balls were read 5.0 % too large and 1.9 % too small by this one's model.
-# DIGITs: another unit's ball was read 10 % too large.
+# Relative spread of slopes, measured. Minis: the model of one unit read the balls of two others 5.0 % too large and
+# 1.9 % too small. DIGITs: another unit's ball was read 10 % too large.
 SPREAD = {"gelsight-mini": 0.06, "digit": 0.10}
 REAL = {
     "gelsight-mini": (
@@ -48,15 +49,15 @@ REAL = {
     ),
 }
 LAYOUT, UNITS = "three-edges", 4
-BALLS_MM, EACH = (4.0, 6.0), 16  # simulated presses: diameters, and how many of each
+BALLS_MM, EACH = (4.0, 6.0), 16  # simulated presses: ball diameters, presses per ball
 
 
 def make(folder: Path = FOLDER) -> None:
-    """Write every starter whose data are there."""
+    """Write every starter whose data exist."""
     made = {f"simulated-{LAYOUT}": of_units([simulated_unit(k) for k in range(UNITS)], LAYOUT)}
     for sensor, (name, said) in REAL.items():
         if (DATA / name).is_dir():
-            presses = unlabelled(gelform.read_presses(DATA / name))
+            presses = unlabeled(gelform.read_presses(DATA / name))
             calibration = gelform.calibrate(presses, start=None)
             made[sensor] = starter_from_calibration(
                 calibration, sensor, spread=SPREAD[sensor], units=(said,), color_variance=COLOR_VARIANCE
@@ -70,7 +71,7 @@ def make(folder: Path = FOLDER) -> None:
 
 
 def simulated_unit(number: int, layout: str = LAYOUT) -> gelform.Presses:
-    """Presses of a unit of a simulated layout: its lamps and its gel differ a little from every other's."""
+    """Presses of a unit of a simulated layout; lamps and gel differ slightly between units."""
     rng = np.random.default_rng([31, number])
     presses = simulate_ball_presses(
         varied(LAYOUTS[layout], rng), ball_diameters_mm=BALLS_MM, count=2 * EACH, rng=rng
@@ -79,7 +80,7 @@ def simulated_unit(number: int, layout: str = LAYOUT) -> gelform.Presses:
 
 
 def varied(sensor: SimulatedSensor, rng: np.random.Generator) -> SimulatedSensor:
-    """Another unit: lamps 0.5 mm off and 10 % brighter or darker, the image's levels 10 % too."""
+    """Another unit: lamps 0.5 mm displaced and 10 % brighter or darker, the image's levels 10 % too."""
     leds = tuple(
         replace(
             led,
@@ -93,8 +94,8 @@ def varied(sensor: SimulatedSensor, rng: np.random.Generator) -> SimulatedSensor
 
 
 def of_units(units: Sequence[gelform.Presses], layout: str) -> Starter:
-    """The starter of several units' presses: the mean of their models, and their spread about it."""
-    first = gelform.calibrate(unlabelled(units[0]), start=None)
+    """The starter from several units' presses: the mean of their models, and their spread around it."""
+    first = gelform.calibrate(unlabeled(units[0]), start=None)
     lights = [light_from_background(one.background)[0] for one in units]
     mean = starter_from_calibration(first, f"simulated-{layout}", spread=1.0, units=())
     mean = replace(mean, light=np.mean(lights, axis=0))
@@ -113,25 +114,14 @@ def of_units(units: Sequence[gelform.Presses], layout: str) -> Starter:
     said = f"{len(units)} simulated units of the layout {layout}, whose lamps and levels differ"
     smooth = replace(named, background=mean.calibration.background)
     made = replace(mean, calibration=smooth, spread=spread, units=(said,))
-    ratios = [color_variance(made, labelled(one)) for one in units]
+    ratios = [color_variance(made, labeled(one)) for one in units]
     return replace(made, color_variance=float(np.mean(ratios) * len(ratios) / (len(ratios) - 1)))
 
 
-def labelled(presses: gelform.Presses) -> gelform.Presses:
-    """The presses that a calibration of all without a starter accepts, with its circles."""
-    rows = gelform.calibrate(presses, start=None).report.presses
-    kept = (
-        replace(press, label=(row.center_x_px, row.center_y_px, row.contact_radius_px))
-        for press, row in zip(presses.presses, rows)
-        if row.accepted
-    )
-    return replace(presses, presses=tuple(kept))
-
-
 def color_variance(starter: Starter, presses: gelform.Presses) -> float:
-    """Variance of the colors of labelled presses about the starter's response, over that which the response states.
+    """Variance of the colors of labeled presses around the starter's response, over the variance that the response states.
 
-    In 0.6 of the circles, at the balls' slopes, their centers free.
+    Measured in 0.6 of the circles, at the balls' slopes, with free centers.
     """
     unit = starter.for_unit(presses.background, mm_per_px=presses.mm_per_px)
     changes = ColorChanges(presses.background, unit.change)
@@ -155,8 +145,8 @@ def color_variance(starter: Starter, presses: gelform.Presses) -> float:
 
 
 def samples_of(presses: gelform.Presses, light: np.ndarray, mean: Starter) -> Samples:
-    """Training samples of one unit, their color changes brought to the mean light."""
-    located = locate(unlabelled(presses))
+    """Training samples of one unit, with color changes brought to the mean light."""
+    located = locate(unlabeled(presses))
     offset = mean.calibration.change.offset
     prepared = prepared_by_offset(located.presses, located.prepared, {offset})[offset]
     samples = training_samples(*located.refined.of_accepted(prepared))

@@ -16,11 +16,11 @@ LISTENING, ESTABLISHED = "0A", "01"  # in /proc/net/tcp, by the address of this 
 
 
 class FfmpegCamera:
-    """Serves a generated test picture, or a file of JPEG pictures again and again, to one client.
+    """Serves a generated test picture, or a file of JPEG pictures in a loop, to one client.
 
     Parameters
     ----------
-    source : ffmpeg's options for what is served, such as "-f lavfi -i testsrc2=size=320x240:rate=30 -c:v mjpeg"
+    source : ffmpeg's options for the input, such as "-f lavfi -i testsrc2=size=320x240:rate=30 -c:v mjpeg"
     """
 
     def __init__(self, source: str = "-f lavfi -i testsrc2=size=320x240:rate=30 -c:v mjpeg -q:v 3") -> None:
@@ -30,7 +30,7 @@ class FfmpegCamera:
         self._process: subprocess.Popen[bytes] | None = None
 
     def start(self) -> float:
-        """Switch it on; the last monotonic time at which it did not yet listen."""
+        """Switch it on; return the last monotonic time at which it did not listen yet."""
         self._process = subprocess.Popen(self._command, stdin=subprocess.DEVNULL)
         until = time.monotonic() + STARTED_S
         before = looked = time.monotonic()
@@ -42,7 +42,7 @@ class FfmpegCamera:
         return before
 
     def kill(self) -> None:
-        """Switch it off, as a plug that is pulled."""
+        """Switch it off, as by pulling its plug."""
         if self._process is not None:
             self._process.kill()
             self._process.wait()
@@ -56,7 +56,10 @@ class FfmpegCamera:
         self.kill()
 
     def _listens(self) -> bool:
-        """As the kernel's table says, or it has its client already: connecting to see would take the only client's place."""
+        """Whether the kernel's table lists it as listening or connected.
+
+        A test connection would take its only client's place.
+        """
         rows = [line.split() for line in Path("/proc/net/tcp").read_text().splitlines()[1:]]
         return any(
             row[1].endswith(f":{self.port:04X}") and row[3] in (LISTENING, ESTABLISHED) for row in rows
@@ -64,7 +67,7 @@ class FfmpegCamera:
 
 
 def _free_port() -> int:
-    """Below those that the kernel lends to clients: one of them may have it while the camera is off."""
+    """A port below the range that the kernel gives to clients, so that none takes it while the camera is off."""
     for port in random.SystemRandom().sample(range(20000, 30000), 100):
         with socket.socket() as probe, contextlib.suppress(OSError):
             probe.bind(("127.0.0.1", port))
@@ -73,7 +76,7 @@ def _free_port() -> int:
 
 
 def why_absent() -> str | None:
-    """Why there can be no such camera here; None where there can."""
+    """The reason why such a camera is impossible here; None if it is possible."""
     if FFMPEG is None:
         return "ffmpeg is not installed"
     return None if Path("/proc/net/tcp").exists() else "needs Linux's /proc/net/tcp"

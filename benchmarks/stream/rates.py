@@ -13,12 +13,12 @@ import gelform
 from gelform.streams import Stream
 
 RATE_HZ, CONSUMER_HZ = 60, 5
-WARM_S = 3.0  # the first frames load and warm
-SOAK_START_S = 60.0  # what a process takes in its first minute is no growth
+WARM_S = 3.0  # s in which the first frames load and warm up
+SOAK_START_S = 60.0  # s; memory that a process takes in its first minute is no growth
 
 
 def live(calibration: gelform.Calibration, seconds: float) -> dict[str, Any]:
-    """60 frames a second of 240x320: how many become results, how late a loop has them, where the time goes."""
+    """60 frames per second of 240x320: number of results, their delay in a loop, time of each stage."""
     ages_ms = []
     with gelform.stream("simulated", calibration) as stream:
         before, busy, start = _warmed(stream).stats, time.process_time(), time.monotonic()
@@ -41,7 +41,7 @@ def live(calibration: gelform.Calibration, seconds: float) -> dict[str, Any]:
 
 
 def slow_consumer(calibration: gelform.Calibration, seconds: float) -> dict[str, Any]:
-    """Ages, in frames of the source, of what a loop and `latest` give to who comes by five times a second."""
+    """Ages, in frames of the source, of the results of a loop and of `latest` for a consumer at 5 Hz."""
     found: dict[str, Any] = {"asked": {"age_frames": 2}}
     with gelform.stream("simulated", calibration) as stream:
         _warmed(stream)
@@ -61,7 +61,7 @@ def slow_consumer(calibration: gelform.Calibration, seconds: float) -> dict[str,
 
 
 def soak(calibration: gelform.Calibration, minutes: float) -> dict[str, Any]:
-    """A stream that runs for long: what its memory grows by an hour, by the line through each minute's, and its rates."""
+    """A long-running stream: growth of its memory per hour, by a line fitted to the minutes, and its rates."""
     rates, resident, samples = [], [], max(2, round(minutes))
     with gelform.stream("simulated", calibration) as stream:
         stream.newest(timeout_s=60)
@@ -87,7 +87,7 @@ def soak(calibration: gelform.Calibration, minutes: float) -> dict[str, Any]:
 
 
 def resident_mb() -> float:
-    """Memory of this process that is in use, MB."""
+    """Memory in use by this process, MB."""
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 

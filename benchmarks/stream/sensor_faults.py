@@ -1,4 +1,4 @@
-"""Faults of a simulated sensor, of sizes drawn at random from what happens to real ones; sequences that have one."""
+"""Faults of a simulated sensor, of random realistic sizes, and sequences with one of them."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ BACKGROUND_FRAMES = 10
 
 @dataclass(frozen=True, eq=False)
 class Gel:
-    """A sensor with a gel of its own texture: images without noise, and with."""
+    """A sensor with a gel of its own texture: images without noise, and with noise."""
 
     sensor: SimulatedSensor
     rest: Image
 
     @classmethod
     def drawn(cls, sensor: SimulatedSensor, rng: np.random.Generator) -> Gel:
-        """With a coating drawn at random: rough, with some dust and scratches from the start."""
+        """A random coating: rough, with some dust and scratches from the start."""
         coating = Coating(
             roughness=float(rng.uniform(0.003, 0.01)),
             scratches=int(rng.integers(0, 4)),
@@ -40,30 +40,30 @@ class Gel:
         return cls(textured, np.asarray(simulate_background(textured, None, quantise=False)))
 
     def frame(self, image: Image, rng: np.random.Generator) -> NDArray[np.uint8]:
-        """As the camera gives it: with the sensor's noise, in whole levels."""
+        """The frame of the camera: with the sensor's noise, in whole levels."""
         sd = np.sqrt(self.sensor.noise_sd**2 + self.sensor.noise_gain * np.maximum(image, 0))
         return np.clip(np.rint(image + sd * rng.normal(size=image.shape)), 0, 255).astype(np.uint8)
 
     def calibration(self, calibration: Calibration, rng: np.random.Generator) -> Calibration:
-        """The calibration with this gel's untouched image, the mean of ten frames."""
+        """The calibration with this gel's background image, the mean of ten frames."""
         frames = [self.frame(self.rest, rng) for _ in range(BACKGROUND_FRAMES)]
         return replace(calibration, background=np.mean(frames, axis=0).astype(np.float32))
 
 
 def brightness(image: Image, rng: np.random.Generator) -> Image:
-    """Exposure, or all LEDs: 10-25 % more or less."""
+    """Change of exposure or of all LEDs by 10-25 %."""
     return image * (1 + rng.choice([-1, 1]) * rng.uniform(0.10, 0.25))
 
 
 def color(image: Image, rng: np.random.Generator) -> Image:
-    """White balance, or one LED's age: a channel by 5-15 %."""
+    """Change of the white balance, or aging of one LED: one channel by 5-15 %."""
     gains = np.ones(3)
     gains[rng.integers(3)] += rng.choice([-1, 1]) * rng.uniform(0.05, 0.15)
     return image * gains
 
 
 def moved(image: Image, rng: np.random.Generator) -> Image:
-    """The camera in its mount: 1-4 px, up to 0.3 degrees."""
+    """A shift of the camera in its mount by 1-4 px, and up to 0.3 degrees."""
     height, width = image.shape[:2]
     turn = cv2.getRotationMatrix2D((width / 2, height / 2), float(rng.uniform(-0.3, 0.3)), 1)
     angle, length = rng.uniform(0, 2 * np.pi), rng.uniform(1, 4)
@@ -95,7 +95,7 @@ def dust(image: Image, rng: np.random.Generator) -> Image:
 
 
 def tear(image: Image, rng: np.random.Generator) -> Image:
-    """The coating gone from 0.5-5 % of the image: darker or brighter by a third and more in all channels."""
+    """Loss of the coating on 0.5-5 % of the image: darker or brighter by at least a third in all channels."""
     height, width = image.shape[:2]
     radius = np.sqrt(rng.uniform(0.005, 0.05) * height * width / np.pi)
     x0, y0 = rng.uniform(0.15, 0.85, 2) * (width, height)
@@ -108,7 +108,7 @@ def tear(image: Image, rng: np.random.Generator) -> Image:
 
 
 def room_light(image: Image, rng: np.random.Generator) -> Image:
-    """Light through the gel's edge: 6-25 grey levels in all channels, a little coloured, more on one side."""
+    """Light through the gel's edge: 6-25 gray levels in all channels, slightly colored, stronger on one side."""
     height, width = image.shape[:2]
     y, x = np.mgrid[:height, :width]
     angle = rng.uniform(0, 2 * np.pi)

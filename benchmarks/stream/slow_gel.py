@@ -1,4 +1,4 @@
-"""A simulated sensor over minutes: LEDs warm up one by one, the gel relaxes, a ball is pressed slowly."""
+"""A simulated sensor over minutes: LEDs warm up separately, the gel relaxes, a ball is pressed slowly."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from gelform.simulate import LAYOUTS, Ball, SimulatedSensor, exposed
 from gelform.simulate.gel.gel import Surface, flat_surface, surface_from_indenter
 from gelform.simulate.render import render
 
-SHAPE = 132, 176  # of drawn sensors: what takes minutes has many frames
+SHAPE = 132, 176  # size of random sensors, small because minutes have many frames
 DRIFT_TIME_S = 100.0, 300.0
 RELAXED_MM, RELAXED_WIDTH_MM = (0.01, 0.03), (3.0, 8.0)
 
 
 @dataclass(frozen=True)
 class Touch:
-    """A ball that comes down from `start_s` on, stays `hold_s` and is lifted within a second.
+    """A ball that descends from `start_s` on, stays for `hold_s` and is lifted within a second.
 
     Attributes
     ----------
-    press_s : how long it takes to get `depth_mm` deep
+    press_s : duration of the descent to `depth_mm`
     """
 
     start_s: float
@@ -33,7 +33,7 @@ class Touch:
     radius_mm: float
 
     def depth_at(self, time_s: float) -> float:
-        """How deep it stands in the gel, mm; 0 where it does not touch."""
+        """Its depth in the gel, mm; 0 without contact."""
         after_s = time_s - self.start_s
         if after_s < self.press_s:
             return max(0.0, self.depth_mm * after_s / self.press_s)
@@ -42,14 +42,14 @@ class Touch:
 
 @dataclass(frozen=True, eq=False)
 class SlowGel:
-    """What changes: each LED's light, exponentially to its own end; the rest surface, a broad hill that goes down.
+    """Slow changes: each LED's light, exponentially to its own end; the surface at rest, a broad hill that sinks.
 
     Attributes
     ----------
-    led_ends : (N,) part of its light by which each LED has changed in the end
+    led_ends : (N,) final change of each LED, as a fraction of its light
     led_times_s : (N,) time constants
     hill_mm, hill_width_mm, hill_center_mm, hill_time_s : of the hill: height, standard deviation, place, time constant
-    touches : what is pressed
+    touches : the presses
     """
 
     sensor: SimulatedSensor
@@ -70,7 +70,7 @@ class SlowGel:
         drift: float = 0.05,
         touches: tuple[Touch, ...] = (),
     ) -> SlowGel:
-        """LEDs that change by `drift` on average, each by its own, all the same way; a gel that relaxes at random."""
+        """LEDs that change by `drift` on average, differently but in one direction; a gel that relaxes at random."""
         count = len(sensor.leds)
         half = np.array(sensor.shape[::-1]) * sensor.mm_per_px / 2
         x, y = rng.uniform(-half, half)
@@ -86,7 +86,7 @@ class SlowGel:
         )
 
     def image_at(self, time_s: float, rng: np.random.Generator | None) -> NDArray[np.uint8]:
-        """The camera's image (H, W, 3) uint8; without noise where `rng` is None."""
+        """The camera's image (H, W, 3) uint8; without noise if `rng` is None."""
         light = 1 + self.led_ends * -np.expm1(-time_s / self.led_times_s)
         leds = tuple(
             replace(led, color=tuple(share * part for part in led.color))
@@ -96,7 +96,7 @@ class SlowGel:
         return np.asarray(render(sensor, self.surface_at(time_s), rng=rng).image, dtype=np.uint8)
 
     def surface_at(self, time_s: float) -> Surface:
-        """The pressed gel on its hill, whose height counts from time 0."""
+        """The pressed gel on its hill; its height counts from time 0."""
         pressed = self.pressed_at(time_s)
         x, y = pressed.x_mm - self.hill_center_mm[0], pressed.y_mm - self.hill_center_mm[1]
         hill = np.exp(-(x**2 + y**2) / (2 * self.hill_width_mm**2))
@@ -105,7 +105,7 @@ class SlowGel:
         return replace(pressed, depth_mm=pressed.depth_mm + hill, gradients=pressed.gradients + slopes)
 
     def pressed_at(self, time_s: float) -> Surface:
-        """The surface that the touches alone make: what depth is the truth of."""
+        """The surface of the touches alone, which is the true depth."""
         grid = self.sensor.grid_mm()
         for touch in self.touches:
             depth = touch.depth_at(time_s)
@@ -122,7 +122,7 @@ class SlowGel:
 
 
 def drawn_sensor(rng: np.random.Generator) -> SimulatedSensor:
-    """One of the layouts with its LEDs placed and as bright as by hand, and its own noise, blur and vignetting."""
+    """A layout with manually placed LEDs of unequal brightness, and its own noise, blur and vignetting."""
     name = str(rng.choice(sorted(LAYOUTS)))
     base = LAYOUTS[name]
     leds = tuple(

@@ -1,4 +1,4 @@
-"""Minutes of a sensor that warms up and relaxes, on sensors drawn at random: slow presses kept, drift taken out."""
+"""Minutes of a sensor that warms up and relaxes, on random sensors: slow presses are kept, drift is removed."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Sensors = list[tuple[SimulatedSensor, gelform.Calibration]]
 
 
 def slow_presses(sensors: Sensors, draws: int, rng: np.random.Generator) -> dict[str, Any]:
-    """Two presses of 0.2 mm over 180 s each, anywhere, LEDs drifting: the depth at their ends in that of no memory."""
+    """Two presses of 0.2 mm over 180 s each, anywhere, with LED drift: their final depth relative to that without memory."""
     kept = _by_sensor(sensors, draws, lambda sensor, calibration: _kept(sensor, calibration, rng))
     figures = {name: [figure for draw in of_one for figure in draw] for name, of_one in kept.items()}
     everything = [figure for of_one in figures.values() for figure in of_one]
@@ -35,7 +35,7 @@ def slow_presses(sensors: Sensors, draws: int, rng: np.random.Generator) -> dict
 
 
 def drift(sensors: Sensors, draws: int, rng: np.random.Generator) -> dict[str, Any]:
-    """Ten minutes of 5 % LED drift and a gel that relaxes by 10-30 um, nothing touching: RMS of the depth, um."""
+    """Ten minutes of 5 % LED drift and a gel that relaxes by 10-30 um, without touch: RMS of the depth, um."""
     rms = _by_sensor(sensors, draws, lambda sensor, calibration: _drifted(sensor, calibration, rng))
     worst = {name: max(with_memory for with_memory, _ in of_one) for name, of_one in rms.items()}
     return {
@@ -59,7 +59,7 @@ def _by_sensor(
 
 
 def _kept(sensor: SimulatedSensor, calibration: gelform.Calibration, rng: np.random.Generator) -> list[float]:
-    """What is left of each of two presses: its depth with memory in that without, in the seconds in which it is held."""
+    """The kept fraction of each of two presses: depth with memory over depth without, while the press is held."""
     reconstruct = gelform.Reconstructor(calibration)
     half = 0.3 * np.array(sensor.shape[::-1]) * sensor.mm_per_px
     touches = tuple(
@@ -99,7 +99,7 @@ def _results(
 
 
 def _part_of(result: gelform.Reconstruction, gel: SlowGel) -> float:
-    """The depth in depths of the truth: the best factor over the press."""
+    """The depth relative to the truth: the best factor over the press."""
     truth = gel.pressed_at(result.time_s).depth_mm
     return float((result.depth_mm * truth).sum() / (truth * truth).sum())
 

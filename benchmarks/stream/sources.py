@@ -1,4 +1,4 @@
-"""Streams of a real ffmpeg: 8 megapixels at 25 Hz; killed and restarted 20 times."""
+"""Streams from a real ffmpeg: 8 megapixels at 25 Hz; killed and restarted 20 times."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ from stream.rates import resident_mb
 
 LARGE, LARGE_HZ = (2448, 3264), 25
 SMALL_HZ = 60
-NOISE_LEVELS = 1.5  # on the large pictures, so that they have a camera's number of bytes
-OFF_S = (0.2, 0.8, 1.5)  # how long the camera is off, in turn
-SETTLED_S = 90.0  # until a stream has all that it holds: ten seconds' means of more than a minute
+NOISE_LEVELS = 1.5  # gray levels, added to the large pictures, so that their size in bytes is a camera's
+OFF_S = (0.2, 0.8, 1.5)  # s that the camera is off, in turn
+SETTLED_S = 90.0  # s until a stream's memory is full: ten-second means of more than a minute
 
 
 def large_stream(calibration: gelform.Calibration, seconds: float) -> dict[str, Any]:
-    """8 megapixels at 25 Hz: frames a second and the load of this process; captured, then also reconstructed."""
+    """8 megapixels at 25 Hz: frames per second and load of this process; capture alone, then with reconstruction."""
     made = f"-f lavfi -i testsrc2=size={LARGE[1]}x{LARGE[0]}:rate={LARGE_HZ} -t 2 -c:v mjpeg -q:v 3"
     with tempfile.TemporaryDirectory() as folder:
         film = Path(folder) / "pattern.mjpeg"
@@ -52,7 +52,7 @@ def large_stream(calibration: gelform.Calibration, seconds: float) -> dict[str, 
 
 
 def restarts(calibration: gelform.Calibration, count: int, settled_s: float = SETTLED_S) -> dict[str, Any]:
-    """How long after a killed camera listens again its first result is there, and what the memory does."""
+    """Time from a killed camera's restart to its first result, and the memory of the process."""
     back_s, memory_mb, said = [], [], 0
     with tempfile.TemporaryDirectory() as folder:
         film = Path(folder) / "gel.mjpeg"
@@ -124,13 +124,13 @@ def _reconstructed(film: Path, calibration: gelform.Calibration, seconds: float)
 
 @contextmanager
 def _camera(film: Path, rate_hz: float) -> Iterator[FfmpegCamera]:
-    """An ffmpeg that serves the pictures of a film as they are, again and again."""
+    """An ffmpeg that serves the pictures of a film unchanged, in a loop."""
     with FfmpegCamera(f"-f mjpeg -framerate {rate_hz} -stream_loop -1 -i {film} -c:v copy") as camera:
         yield camera
 
 
 def _film_of_gel(path: Path, shape: tuple[int, int], rate_hz: int, quality: int) -> float:
-    """Two seconds of the simulated sensor as JPEG pictures of that shape; the bytes of one."""
+    """Two seconds of the simulated sensor as JPEG pictures of that shape; returns the bytes of one."""
     source = SimulatedSource(simulated_sensor_named("three-edges"), rate_hz=rate_hz)
     rng, pictures = np.random.default_rng(0), []
     for index in range(2 * rate_hz):

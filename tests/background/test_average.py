@@ -48,7 +48,7 @@ def test_frames_that_are_touched_or_exposed_otherwise_are_left_out_by_name():
     images[4] = np.clip(np.rint(images[4] * 1.06), 0, 255).astype(np.uint8)
     found = background_from_frames(images, names=[f"{k}.png" for k in range(9)])
     assert [name for name, _ in found.left_out] == ["2.png", "4.png", "7.png"]
-    assert "touched" in found.left_out[0][1]
+    assert "by a touch or a shadow" in found.left_out[0][1]
     assert "+6 %" in found.left_out[1][1]
     clean = background_from_frames([image for k, image in enumerate(images) if k not in (2, 4, 7)])
     np.testing.assert_array_equal(found.background, clean.background)
@@ -56,7 +56,7 @@ def test_frames_that_are_touched_or_exposed_otherwise_are_left_out_by_name():
 
 
 def test_a_small_thing_that_moves_leaves_no_trace():
-    """A fibre over a pixel or two in some frames is too small to cost a frame; the trimming takes it."""
+    """A fiber over a pixel or two in some frames is too small to cost a frame; the trimming takes it."""
     images = frames(15)
     for k in (1, 6, 11):
         images[k][20, 30:32] = 0

@@ -57,7 +57,7 @@ def test_a_large_contact_does_not_pull_the_gain(sensor, rest):
 
 
 def test_too_little_untouched_is_said_and_compensates_nothing(rest):
-    """Every part of the frame has another colour change: nothing agrees on a gain."""
+    """Every part of the frame has another color change: nothing agrees on a gain."""
     y, x = np.mgrid[: rest.shape[0], : rest.shape[1]] / rest.shape[0]
     change = np.stack([0.4 * np.sin(3 * x + y), 0.4 * np.cos(4 * y), 0.4 * np.sin(5 * x - 2 * y)], axis=-1)
     seen = exposure_from_image(times(rest, 1 + change), rest)
@@ -143,7 +143,7 @@ def test_the_means_of_bytes_are_those_of_opencv(shape, step):
     assert_kernel_agrees(exposure._means_of_bytes, by_opencv, image, step, work, means)
 
 
-@pytest.mark.parametrize(("level", "known"), [(5.6, False), (6.4, True), (249.6, True), (250.4, False)])
+@pytest.mark.parametrize(("level", "known"), [(7.6, False), (8.4, True), (249.6, True), (250.4, False)])
 def test_between_which_levels_a_block_tells_the_gain(level, known):
     """Below, noise rules the ratio; above, the sensor's end."""
     blocks = np.full((20, 3), level, dtype=np.float32)

@@ -26,7 +26,7 @@ def test_untouched_ignores_an_exposure_step():
 
 
 def change_where(share):
-    """A colour change of 0.2 on a share of the frame's rows, noise of 0.01 elsewhere."""
+    """A color change of 0.2 on a share of the frame's rows, noise of 0.01 elsewhere."""
     change = np.random.default_rng(0).normal(0, 0.01, (*SHAPE, 3)).astype(np.float32)
     change[: round(share * SHAPE[0])] += np.array([0.2, -0.2, 0.1], dtype=np.float32)
     return change

@@ -1,4 +1,4 @@
-"""Several processes, or Ray, give what one gives; one that is killed is said or done again; what cannot be is said."""
+"""Several processes, or Ray, give the bytes of one process; a killed one is reported or repeated; errors are sentences."""
 
 import os
 import signal

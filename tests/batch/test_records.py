@@ -1,5 +1,7 @@
-"""Settings, manifest and records of parts: read as written, what cannot be is refused, damage is found; the table and the
-contact sheet at the end show all of them."""
+"""Settings, manifest and records of parts: read back unchanged, invalid ones are refused, damage is found.
+
+The table and the contact sheet at the end show all of them.
+"""
 
 import csv
 import dataclasses
@@ -105,7 +107,7 @@ def test_a_folder_of_something_else_is_left_alone(tmp_path):
 
 def test_a_manifest_that_cannot_be_read_says_what_to_do(output):
     for content, said in (
-        ("", "is damaged. Give another output folder, or begin anew with --overwrite"),
+        ("", "is damaged. Give another output folder, or start again with --overwrite"),
         ('{"format": "gelform batch", "format_ver', "is damaged"),
         ("[]", "is damaged"),
         ('{"format": "gelform batch", "format_version": 1}', "is damaged"),

@@ -1,5 +1,7 @@
-"""A batch goes on where it was left, with the same and nothing else; what cannot be is said before the work; a part is a
-pure function; whatever is done to an output is found."""
+"""A batch continues after an interruption, only with the same inputs and settings.
+
+Impossible runs are refused before the work, a part is a pure function, and any change of an output is found.
+"""
 
 import csv
 import os

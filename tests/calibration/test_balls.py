@@ -7,7 +7,7 @@ import pytest
 
 import gelform
 from gelform.calibration.balls import MOST_SIGMAS, SIZE_SIGMA, UNCHECKED, BallReading, ball_readings, notes_of
-from gelform.calibration.candidates import Start, is_offered, known_make
+from gelform.calibration.candidates import Start, known_make
 from gelform.calibration.circles.locate import locate
 from gelform.calibration.presses.press_set import presses_from_simulated
 from gelform.calibration.report.content import report_content
@@ -42,7 +42,7 @@ def stated(presses, factor, of=lambda diameter: True):
 
 @pytest.fixture(scope="module")
 def known(calibration):
-    """A model that has learnt from the right diameters, as another unit's has."""
+    """A model that has learned from the right diameters, as another unit's has."""
     return Start(calibration.color_model, "digest", SPREAD, "another unit")
 
 
@@ -119,14 +119,14 @@ def test_a_starter_helps_five_presses_of_another_unit(data):
 
 def test_a_starter_is_not_offered_to_the_presses_that_it_was_made_from(data):
     ball, other = (gelform.read_presses(data / name) for name in ("mini-ball", "mini-d"))
-    make = known_make(ball)
+    make = known_make(ball, "auto")
     assert make is not None, "its ball can be checked by it all the same"
-    assert not is_offered(make, ball, "auto")
-    assert is_offered(known_make(other), other, "auto")
-    assert not is_offered(known_make(other), other, "lookup")
-    assert known_make(gelform.read_presses(data / "gelslim")) is None
+    assert not make.offered
+    assert known_make(other, "auto").offered
+    assert not known_make(other, "lookup").offered
+    assert known_make(gelform.read_presses(data / "gelslim"), "auto") is None
     renamed = replace(gelform.read_presses(data / "gelsight-ball-deep"), sensor_name="DIGIT")
-    assert known_make(renamed) is None, "a name alone does not make it that sensor"
+    assert known_make(renamed, "auto") is None, "a name alone does not make it that sensor"
 
 
 def test_where_no_press_fits_the_error_says_what_they_look_like(presses, calibration):

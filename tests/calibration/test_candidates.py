@@ -285,7 +285,7 @@ def test_the_noise_of_colours_is_that_of_the_response(lambertian_calibration, mo
 
 
 def test_a_start_without_a_forward_response_or_of_another_size_is_refused(lambertian_calibration, presses):
-    with pytest.raises(CalibrationError, match="what colour a slope gives"):
+    with pytest.raises(CalibrationError, match="what color a slope gives"):
         start_from(replace(lambertian_calibration, forward=None), presses, "auto")
     with pytest.raises(ValueError, match="132x176 px, got one for 10x20 px"):
         start_from(replace(lambertian_calibration, image_shape=(10, 20)), presses, "auto")

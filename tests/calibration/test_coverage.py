@@ -41,7 +41,7 @@ def test_one_press_shows_every_direction_of_its_cell_and_nothing_else():
 
 
 def test_a_press_cut_by_the_border_shows_only_what_is_seen_of_it():
-    """Of a centre on the left border the right half, where it falls to the right: dz/dx < 0. On the top border dz/dy < 0."""
+    """Of a center on the left border the right half, where it falls to the right: dz/dx < 0. On the top border dz/dy < 0."""
     for circle, shown, beside in (((0.0, 40.0, 30.0), 4, 0), ((40.0, 0.0, 30.0), 6, 2)):
         counts = coverage_from_circles([circle], SHAPE).counts[0, 0]
         assert (counts[shown], counts[beside]) == (1, 0)

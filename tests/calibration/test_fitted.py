@@ -109,7 +109,7 @@ def test_a_step_is_in_the_draft_where_one_was_chosen(drafted):
 
 
 def test_channels_that_presses_clip_are_kept(drafted, prepared, found):
-    """At each end, by the share of the pixels that train: what is learnt there holds for clipped pixels too."""
+    """At each end, by the share of the pixels that train: what is learned there holds for clipped pixels too."""
     inside = prepared[0].pixels(found[0], 0.9)
 
     def clipped(image):

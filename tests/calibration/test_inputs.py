@@ -191,7 +191,7 @@ def test_light_that_drifted_since_the_background_is_noted(presses):
 @pytest.mark.parametrize(
     ("channel", "gain", "said"),
     [
-        (2, 0.05, "In 100 % of the background image, blue is below 10"),
+        (2, 0.04, "In 100 % of the background image, blue is below 8"),
         (0, 50, "In 100 % of the background image, red is saturated"),
     ],
 )
@@ -263,7 +263,7 @@ def test_a_gel_that_leaves_the_ball_early_is_named(presses, prepared):
 
 
 def test_no_press_at_all_is_said(presses):
-    """Not that all of them are grey."""
+    """Not that all of them are gray."""
     with pytest.raises(
         gelform.CalibrationError, match=r"Expected presses of a ball in .*, got none\. Press a ball at 20"
     ):

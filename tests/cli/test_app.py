@@ -1,4 +1,4 @@
-"""The commands as a whole: help that starts at once, statuses, one line for a mistake."""
+"""All commands: help starts at once, exit statuses, one line for a mistake."""
 
 import re
 import subprocess

@@ -1,4 +1,4 @@
-"""What a command shows: tables that fit, numbers as JSON has them, nothing where it is to be quiet."""
+"""Output of commands: tables fit, numbers are valid JSON, quiet prints nothing."""
 
 import io
 import json

@@ -1,4 +1,4 @@
-"""Values of options are checked where they are read, groups of them are flat on the command line, names are the tables'."""
+"""Option values are checked when parsed, groups are flat on the command line, names are those of the tables."""
 
 from typing import Annotated, Optional
 

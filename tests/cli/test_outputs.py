@@ -1,4 +1,4 @@
-"""What commands write: names of results, folders, the files of a report."""
+"""Output files of commands: names of results, folders, the files of a report."""
 
 import errno
 import os

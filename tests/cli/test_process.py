@@ -35,7 +35,7 @@ def test_a_bug_says_that_it_is_one(broken, run):
         code, out, err = run("info", broken(problem))
         assert (code, out) == (70, "")
         assert err.startswith(f"gelform: bug: {type(problem).__name__}: {problem}")
-        assert "please report" in err
+        assert "Please report" in err
         assert "cli/commands/info.py, line" in err, "the last place in gelform itself, not in the test"
         assert err.count("\n") == 1
 

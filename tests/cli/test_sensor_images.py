@@ -1,4 +1,4 @@
-"""Image files of a calibrated sensor: what is wrong with one names it."""
+"""Image files of a calibrated sensor: an error names the file."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""gelform info --system: what a report of a fault says of the machine."""
+"""gelform info --system: the facts of the machine for a bug report."""
 
 import sys
 

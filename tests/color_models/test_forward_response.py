@@ -1,4 +1,4 @@
-"""The forward response: fitted to colours, and one step back from it to the slopes; those of older files."""
+"""The forward response: fitted to colors, and one step back from it to the slopes; those of older files."""
 
 import json
 from dataclasses import replace
@@ -139,7 +139,7 @@ def rms(errors):
     return np.sqrt(np.mean(np.square(errors)))
 
 
-# What it says of colours
+# What it says of colors
 
 
 def test_noisy_samples_give_the_response_back():

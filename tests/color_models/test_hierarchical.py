@@ -48,7 +48,7 @@ def test_few_presses_leave_less_error_elsewhere_than_in_a_free_polynomial():
 
 
 def test_the_light_tells_what_the_place_does_not():
-    """Colour that weakens with the light, unlike any polynomial of the place: stripes."""
+    """Color that weakens with the light, unlike any polynomial of the place: stripes."""
     wide = (96, 128)
     stripes = 80 * (1 + 0.6 * np.sign(np.sin(np.arange(wide[1]) // 2 / 6.0)))
     background = np.broadcast_to(stripes[:, None], (*wide, 3)).astype(np.float32)
@@ -85,7 +85,7 @@ def test_bad_settings_and_other_sizes_are_refused():
 
 
 def kernel_arguments(shape, degree, seed=0):
-    """A colour change, coefficients at nodes and which monomial comes from which, as the kernels take them."""
+    """A color change, coefficients at nodes and which monomial comes from which, as the kernels take them."""
     rng = np.random.default_rng(seed)
     terms = monomials(3, degree)
     nodes = rng.normal(0, 1, (*(len(axis) for axis in node_positions(shape)), len(terms), 2)).astype(

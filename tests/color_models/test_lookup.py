@@ -8,19 +8,19 @@ import pytest
 import gelform
 from gelform.color_models import Samples
 from gelform.color_models.lookup import (
-    OFF_GAMUT_SIGMA,
     Lattice,
     LookupModel,
     corner_weights,
     held_out_residuals,
 )
+from gelform.gradients import STEEPEST_GEL
 from made.color_samples import SHAPE, ball_samples, lambertian_change, shading_change
 
 FLAT = np.full((*SHAPE, 3), 100, dtype=np.float32)
 
 
 def linear_samples(count=4000, seed=0, noise=0.0):
-    """Slopes that are linear in colour, the more so to the right: multilinear in colour and place."""
+    """Slopes that are linear in color, the more so to the right: multilinear in color and place."""
     rng = np.random.default_rng(seed)
     change = rng.uniform(-0.3, 0.4, (count, 3))
     x, y = rng.uniform(0, SHAPE[1] - 1, count), rng.uniform(0, SHAPE[0] - 1, count)
@@ -79,7 +79,7 @@ def test_empty_corners_follow_their_neighbours_and_are_marked():
     assert np.sqrt(np.mean(error**2)) < 0.25 * np.sqrt(np.mean(gap.gradients**2))
     prepared = model.prepare(FLAT, SHAPE)
     inside, outside = (np.full((*SHAPE, 3), (r, 0.05, 0.05), dtype=np.float32) for r in (0.125, -0.1))
-    assert prepared.gradients_from_color(inside)[1].min() > 0.5 * OFF_GAMUT_SIGMA
+    assert prepared.gradients_from_color(inside)[1].min() > 0.5 * STEEPEST_GEL
     assert prepared.gradients_from_color(outside)[1].max() < 0.1
 
 
@@ -89,7 +89,7 @@ def test_off_gamut_colours_have_a_large_deviation():
     at_home = lambertian_change(np.full((SHAPE[0] * SHAPE[1], 2), 0.3), None, None).reshape(*SHAPE, 3)
     assert prepared.gradients_from_color(at_home.astype(np.float32))[1].max() < 0.1
     odd = np.zeros((*SHAPE, 3), dtype=np.float32) + np.array([0.6, 0.6, 0.6], dtype=np.float32)
-    assert prepared.gradients_from_color(odd)[1].min() > 0.5 * OFF_GAMUT_SIGMA
+    assert prepared.gradients_from_color(odd)[1].min() > 0.5 * STEEPEST_GEL
     assert np.isfinite(prepared.gradients_from_color(odd * 100)[0]).all()
 
 
@@ -97,13 +97,13 @@ def test_deviation_is_that_of_the_noise():
     for noise in (0.02, 0.1):  # of samples that were not fitted: more than the noise
         samples = linear_samples(1500, noise=noise)
         found = LookupModel.fit(samples, nodes=6, positions=(2, 2)).table[..., 2]
-        assert noise < np.median(found[found < OFF_GAMUT_SIGMA]) < 1.6 * noise
+        assert noise < np.median(found[found < STEEPEST_GEL]) < 1.6 * noise
 
 
 def test_the_reconstructor_lowers_confidence_off_gamut(calibration, simulated):
     table = np.zeros((1, 1, 4, 4, 4, 3), dtype=np.float32)
     table[..., 2] = 0.02
-    table[:, :, 3, 3, 3, 2] = OFF_GAMUT_SIGMA
+    table[:, :, 3, 3, 3, 2] = STEEPEST_GEL
     model = LookupModel(table, np.full(3, -1.0), np.full(3, 0.5), calibration.image_shape)
     lit = np.clip(calibration.background * 1.0, 5, 250).astype(np.uint8)
     lit[40:60, 50:70] = np.clip(lit[40:60, 50:70] * 1.5 + 20, 0, 254)
@@ -129,7 +129,7 @@ def test_the_table_spans_the_colours_and_one_wild_press_is_no_larger_doubt():
     span = model.step * (model.table.shape[2] - 1) / 0.7
     assert span.min() > 0.99
     assert span.max() < 1.15
-    assert model.table[..., 2].max() <= OFF_GAMUT_SIGMA
+    assert model.table[..., 2].max() <= STEEPEST_GEL
 
 
 SIZES = (2, 1, 5, 5, 5)
@@ -172,7 +172,7 @@ def test_residuals_are_those_of_samples_that_were_not_fitted():
 
 
 def test_nodes_without_samples_follow_the_others_and_outliers_count_little():
-    """All samples lie on the upper row of nodes; the lower one has only its neighbours to go by."""
+    """All samples lie on the upper row of nodes; the lower one has only its neighbors to go by."""
     at, target = samples()
     corners, lattice = corner_weights([0 * at[0], *at[1:]], SIZES), Lattice(SIZES, ZERO, smoothness=1e-2)
     plain = lattice.fitted(corners, target, np.ones(len(target))).reshape(*SIZES, 2)

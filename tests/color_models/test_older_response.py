@@ -1,4 +1,4 @@
-"""Forward responses of older files, which were polynomials: the same colours, and no step."""
+"""Forward responses of older files, which were polynomials: the same colors, and no step."""
 
 import numpy as np
 import pytest

@@ -15,7 +15,7 @@ SHAPE, UNTOUCHED = (90, 121), 0.02
 
 @pytest.fixture(scope="module")
 def response():
-    """Lights from three sides, stronger towards the right, and a pressed gel that is brighter."""
+    """Lights from three sides, stronger toward the right, and a pressed gel that is brighter."""
     rows, columns = (len(axis) for axis in node_positions(SHAPE))
     nodes = np.zeros((rows, columns, TERMS, 3))
     nodes[:, :, 0] = [0.3, -0.15, -0.1]
@@ -126,7 +126,7 @@ def test_nothing_is_below_the_untouched_gel_and_what_is_hidden_altogether_is_lev
 
 
 def test_where_all_of_the_gel_is_touched_the_least_changed_is_at_0():
-    """Gel that is bent everywhere: no colour is as little changed as untouched gel's, and 2 % of them are taken for it."""
+    """Gel that is bent everywhere: no color is as little changed as untouched gel's, and 2 % of them are taken for it."""
     y, x = np.mgrid[: ODD[0], : ODD[1]].astype(float)
     depth = 3 * np.sin(x / 15) * np.cos(y / 20)
     slopes = np.stack([np.cos(x / 15) * np.cos(y / 20) / 5, -0.15 * np.sin(x / 15) * np.sin(y / 20)], axis=-1)
@@ -151,7 +151,7 @@ def hidden_by(name, shape=ODD):
 
 @pytest.mark.parametrize("name", ["dots", "bar"])
 def test_what_hidden_pixels_show_does_not_count(name):
-    """Their slopes and colours are anything: the depth is that of what is seen around them."""
+    """Their slopes and colors are anything: the depth is that of what is seen around them."""
     depth, slopes, change = bump()
     hidden, rng = hidden_by(name), np.random.default_rng(0)
     count = np.count_nonzero(hidden)

@@ -15,13 +15,13 @@ from gelform.confidence.causes import (
     DIFFERENCE_FROM,
     ERROR_OF_DIFFERENCE,
     OUTLIER,
-    UNKNOWN,
     UNSEEN,
     WALL_CONFIDENCE,
     AllAlike,
     PreparedCauses,
     outside_of_gel,
 )
+from gelform.gradients import STEEPEST_GEL
 from gelform.metrics.ball import ball_gradients
 from kernel_agreement import assert_kernel_agrees
 
@@ -114,7 +114,7 @@ def test_asking_why_changes_nothing():
 def test_a_residual_is_doubted_from_half_of_an_outlier_s():
     residual = np.linspace(0, 4 * OUTLIER, SHAPE[1])
     sigma, confidence, maps = raised_by(causes_of(), step=step_of(residual))
-    wanted = UNKNOWN * np.maximum(2 * residual / OUTLIER - 1, 0)
+    wanted = STEEPEST_GEL * np.maximum(2 * residual / OUTLIER - 1, 0)
     np.testing.assert_allclose(maps["outlier"][5], wanted, atol=1e-5)
     np.testing.assert_allclose(sigma[5], np.hypot(LAW, wanted), rtol=1e-5)
     assert (sigma[:, residual <= OUTLIER / 2] == np.float32(LAW)).all()
@@ -125,7 +125,7 @@ def test_a_wall_keeps_a_part_of_its_confidence():
     slopes = np.zeros((*SHAPE, 2), np.float32)
     slopes[:, 30:] = 5.0
     sigma, confidence, _ = raised_by(causes_of(), slopes)
-    assert sigma.max() > UNKNOWN
+    assert sigma.max() > STEEPEST_GEL
     np.testing.assert_allclose(
         confidence.min(), WALL_CONFIDENCE / (1 + WALL_CONFIDENCE * (LAW / CLEAN) ** 2), rtol=1e-3
     )
@@ -163,17 +163,17 @@ def test_nothing_is_a_wall_where_the_blur_is_unknown():
 
 
 def test_a_wall_s_bend_takes_a_residual_for_its_own():
-    """A residual's unit grows by the wall's variance: an edge over which the colour is blurred is no shadow."""
+    """A residual's unit grows by the wall's variance: an edge over which the color is blurred is no shadow."""
     variance, residual = 0.02, 10 * OUTLIER
     _, _, maps = raised_by(causes_of(), wall(0.3), step=step_of(residual, variance))
     at_wall, beside = maps["wall"][5, 30], maps["outlier"][5, 10]
     share = residual / OUTLIER * variance / (variance + at_wall**2)
     assert 0.5 < share < 0.2 * residual / OUTLIER
-    np.testing.assert_allclose(maps["outlier"][5, 30], UNKNOWN * (2 * share - 1), rtol=1e-4)
-    np.testing.assert_allclose(beside, UNKNOWN * (2 * residual / OUTLIER - 1), rtol=1e-4)
+    np.testing.assert_allclose(maps["outlier"][5, 30], STEEPEST_GEL * (2 * share - 1), rtol=1e-4)
+    np.testing.assert_allclose(beside, STEEPEST_GEL * (2 * residual / OUTLIER - 1), rtol=1e-4)
     _, _, usual = raised_by(causes_of(), wall(0.3), step=step_of(2 * OUTLIER, variance))
     assert not usual["outlier"][:, 30:32].any()
-    assert usual["outlier"][:, :28].min() > UNKNOWN
+    assert usual["outlier"][:, :28].min() > STEEPEST_GEL
 
 
 def test_noise_becomes_slope_by_gain_and_worth():
@@ -240,7 +240,7 @@ def test_what_the_color_change_has_in_common_names_an_outlier(colour, kind):
     color_change = np.full(GREY.shape, colour, np.float32)
     found = explained(step=step_of(np.where(patch(), 3 * OUTLIER, 0)), color_change=color_change)
     assert there(found) == {kind}
-    np.testing.assert_allclose(found[kind], np.where(patch(), 5 * UNKNOWN, 0), rtol=1e-5)
+    np.testing.assert_allclose(found[kind], np.where(patch(), 5 * STEEPEST_GEL, 0), rtol=1e-5)
 
 
 def test_what_markers_hide_and_what_is_not_lit():

@@ -39,7 +39,7 @@ def test_the_ends_of_the_range(level, counts, channel):
 
 @pytest.mark.parametrize("blur_px", BLURS)
 def test_a_channel_is_clipped_as_far_as_its_blur_reaches(blur_px):
-    """Outside it changes a colour by less than 6 % of what it changes its own: the tail of a Gaussian at two sigma."""
+    """Outside it changes a color by less than 6 % of what it changes its own: the tail of a Gaussian at two sigma."""
     background, image = grey(), grey()
     image[20, 30, 1] = 255
     found = ClippedChannels(blur_px, None, 1)(image, None).channels

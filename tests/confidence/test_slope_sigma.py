@@ -83,7 +83,7 @@ def test_place_counts_where_presses_show_it():
 
 @pytest.mark.parametrize(
     ("times", "presses", "low", "high"),
-    [(4.0, 1, 1, 3), (0.0, 40, 2.5, 10)],
+    [(4.0, 1, 1, 3), (0.0, 40, 1.5, 5)],
     ids=["touched by one press", "all right"],
 )
 def test_a_place_of_little_or_perfect_evidence_counts_less(times, presses, low, high):

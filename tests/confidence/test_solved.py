@@ -1,4 +1,4 @@
-"""Deviation of the solved depth's slopes: what neighbours and held-out presses say, and what balls do not show."""
+"""Deviation of the solved depth's slopes: what neighbors and held-out presses say, and what balls do not show."""
 
 from dataclasses import asdict, replace
 
@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 
 from gelform.confidence import solved
-from gelform.confidence.slope_sigma import SlopeSigma
+from gelform.confidence.slope_sigma import LEAST_FACTOR, SlopeSigma
 from gelform.confidence.solved import (
     BLURRED,
     OPTICS_PX,
-    STEEPEST_GEL,
     SolvedErrors,
     SolvedSigma,
     error_per_difference,
     reach_px,
     with_solved_factors,
 )
+from gelform.gradients import STEEPEST_GEL
 from kernel_agreement import assert_kernel_agrees
 
 LAW = SlopeSigma(0.01, (0.0, 0.5, 1.0), (0.02, 0.05, 0.12), 0.03, 8.0, solved_factor=0.8)
@@ -33,7 +33,7 @@ def both(sigma):
 
 
 def numpy_own(sigma, limit):
-    """Own variance v and the neighbours' mean m: one over 1/v + (2/3)/m, scaled so that alike ones stay."""
+    """Own variance v and the neighbors' mean m: one over 1/v + (2/3)/m, scaled so that alike ones stay."""
     v = np.pad(np.minimum(sigma.astype(float), limit) ** 2, 1, mode="edge")
     rows, columns = sigma.shape
     around = sum(v[i : i + rows, j : j + columns] for i in range(3) for j in range(3)) - v[1:-1, 1:-1]
@@ -88,7 +88,7 @@ def test_a_slope_that_was_read_badly_follows_from_its_neighbours():
 
 def test_no_slope_is_less_known_than_the_steepest():
     unseen = both(np.full(SHAPE, 40.0, np.float32))
-    least = replace(LAW, solved_slopes=(0.2, 0.6), solved_places=(((solved.LEAST_SOLVED_FACTOR,),),) * 2)
+    least = replace(LAW, solved_slopes=(0.2, 0.6), solved_places=(((LEAST_FACTOR,),),) * 2)
     for law in (LAW, least):  # however good solved slopes are, where nothing is known nothing is
         np.testing.assert_allclose(SolvedSigma(law, SHAPE, None)(unseen, flat()), STEEPEST_GEL, rtol=1e-5)
 
@@ -161,6 +161,6 @@ def test_a_place_that_one_press_touched_counts_little():
 
 def test_good_readings_take_down_their_own_alone_and_slopes_all_alike_say_nothing():
     gentle, _ = with_solved_factors(LAW, held_out_errors(lambda s, x: 0 * s)).solved_places
-    np.testing.assert_allclose(gentle, solved.LEAST_SOLVED_FACTOR)
+    np.testing.assert_allclose(gentle, LEAST_FACTOR)
     held_out = held_out_errors(lambda s, x: 1 + 0 * s)
     assert with_solved_factors(LAW, replace(held_out, slopes=0 * held_out.slopes)) == LAW

@@ -183,7 +183,7 @@ def test_default_probes_meet_monte_carlo():
 
 
 def test_a_hole_without_any_slope_follows_its_fill():
-    """Monte Carlo through the door, which fills slopes of weight 0 from their neighbours."""
+    """Monte Carlo through the door, which fills slopes of weight 0 from their neighbors."""
     sigma = np.full((*SHAPE, 2), 0.05)
     weights = np.ones(SHAPE)
     weights[20:50, 30:70] = 0

@@ -1,5 +1,7 @@
-"""Folders and simulated presses as files, one and sets: whole or not at all, the same bytes whatever the number of workers,
-read like real ones."""
+"""Folders and simulated presses as files, single ones and sets.
+
+They are complete or absent, have the same bytes for any number of workers, and read back like real ones.
+"""
 
 import csv
 import json

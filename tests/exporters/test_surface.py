@@ -1,5 +1,8 @@
-"""Each file holds the surface: axes, signs, units; an STL is closed and its volume is the depth's; what a reader finds in
-X3P by the standard's letter is the surface in metres; 16-bit depth comes back within half a step."""
+"""Each file holds the surface: axes, signs, units.
+
+An STL is closed and has the volume of the depth. A reader written after the standard finds the surface in an X3P in meters.
+16-bit depth is recovered within half a step.
+"""
 
 import hashlib
 import io
@@ -52,7 +55,7 @@ def read(content):
     return np.frombuffer(data, "<f8").reshape(size[2], size[1], size[0])[0] * pitch[2], pitch[:2]
 
 
-def test_the_surface_in_metres_also_by_its_ending(result, tmp_path):
+def test_the_surface_in_meters_also_by_its_ending(result, tmp_path):
     heights, pitch = read(x3p_bytes(result))
     assert pitch == pytest.approx([PITCH * 1e-3] * 2)
     assert heights.shape == SHAPE
@@ -74,7 +77,7 @@ def test_meshes_come_back(result, tmp_path, ending):
     assert mesh.bounds[0, 2] == pytest.approx(-1)  # the deepest point is nearest to the camera
     assert mesh.bounds[:, 0] == pytest.approx([-1.95, 1.95])
     middle = mesh.face_normals[np.argmin(np.linalg.norm(mesh.triangles_center - [-0.95, -0.65, -1], axis=1))]
-    assert middle[2] < -0.9  # towards the camera
+    assert middle[2] < -0.9  # toward the camera
     assert mesh.is_watertight == (ending == ".stl")
     if ending == ".stl":
         base = 3.9 * 2.9 * BASE_SHARE * 3.9
@@ -116,7 +119,7 @@ def test_depth_comes_back(depth, known):
     assert not back[~known].any()
 
 
-def test_a_level_is_a_tenth_of_a_micrometre_and_out_of_range_is_refused():
+def test_a_level_is_a_tenth_of_a_micrometer_and_out_of_range_is_refused():
     np.testing.assert_array_equal(levels_from_depth([[0.0, 1e-4, -1.0]]), [[32768, 32769, 22768]])
     for depth in [3.3, -3.2769, 1e9]:
         with pytest.raises(DataError, match="16 bits"):

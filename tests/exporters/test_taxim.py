@@ -1,4 +1,4 @@
-"""Taxim's formula, written out here, renders what the forward response and new presses show."""
+"""Taxim's formula, written out here, reproduces the forward response and new presses from the exported tables."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Work arrays: never lent twice at once, lent again afterwards."""
+"""Work arrays: never lent twice at once, lent again afterward."""
 
 import platform
 import subprocess

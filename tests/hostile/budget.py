@@ -1,4 +1,4 @@
-"""How many cases each property gets: a tenth without the slow tests, many where `benchmarks/robustness.py` asks for them."""
+"""Number of cases per property: a tenth without the slow tests, many for `benchmarks/robustness.py`."""
 
 from __future__ import annotations
 

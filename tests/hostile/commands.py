@@ -1,4 +1,4 @@
-"""Every command that writes, with its output below a folder; and what it needs."""
+"""Every command that writes files, with its output below a folder, and its inputs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Damage to bytes and to values, drawn by hypothesis: small cases are tried again where one fails."""
+"""Damage to bytes and to values, drawn by hypothesis, which retries smaller cases after a failure."""
 
 from __future__ import annotations
 

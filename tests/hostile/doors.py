@@ -1,4 +1,4 @@
-"""Every public function with arguments that are right: the tests replace one by one with something odd."""
+"""Every public function with valid arguments; the tests replace them one by one with invalid ones."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Real files, written by the package or as other packages write them, and what is read from each."""
+"""Real files, written by the package or in other packages' form, and the call that reads each."""
 
 from __future__ import annotations
 

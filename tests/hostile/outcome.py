@@ -1,7 +1,7 @@
-"""What a call with bad input may end in, and the one judge of it.
+"""The allowed outcomes of a call with bad input, and the function that judges them.
 
-An error of gelform's own that says what is wrong, a finding, or a result that is right. All else is `Wrong`: an error of
-another library, one that no message explains, a warning that leaks, NaN, a wrong result without a word.
+Allowed are an error of gelform that explains the fault, a finding, or a right result. Everything else is `Wrong`: an
+error of another library, an unexplained error, a leaked warning, NaN, a silently wrong result.
 """
 
 from __future__ import annotations
@@ -67,6 +67,9 @@ def judge(
     """
     with warnings.catch_warnings():
         warnings.simplefilter("error")
+        # How an older matplotlib uses a newer pyparsing is none of gelform's.
+        warnings.filterwarnings("ignore", category=DeprecationWarning)
+        warnings.filterwarnings("error", category=DeprecationWarning, module="gelform")
         try:
             result = call()
         except Exception as problem:

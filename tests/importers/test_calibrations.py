@@ -1,4 +1,4 @@
-"""The door for other packages' calibrations: what is known, what stays unknown, what is refused."""
+"""Import of other packages' calibrations: known values, values that stay unknown, refusals."""
 
 import numpy as np
 import pytest
@@ -63,7 +63,7 @@ def test_options_belong_to_packages(network, tmp_path):
 
 
 def test_untouched_pixels_of_a_real_sensor_are_called_untouched(data):
-    """Far from the object, 8 grey levels hold 97 % and more of the pixels; in contact they do not."""
+    """Far from the object, 8 gray levels hold 97 % and more of the pixels; in contact they do not."""
     folder = data / "mini-objects"
     background = gelform.read_image(folder / "background.png").astype(np.float32)
     change = np.abs(gelform.read_image(folder / "key.png").astype(np.float32) - background) / 255

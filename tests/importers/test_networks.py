@@ -1,4 +1,4 @@
-"""Imported networks: as their own packages answer, with gelform's signs."""
+"""Imported networks give their own packages' answers, with gelform's signs."""
 
 import cv2
 import numpy as np

@@ -26,12 +26,12 @@ def test_open_empty_damaged_and_mistaken_meshes_are_refused(tmp_path):
     trimesh.Trimesh(box.vertices, box.faces[1:], process=False).export(tmp_path / "open.stl")
     (tmp_path / "empty.obj").write_text("v 0 0 0\n")
     (tmp_path / "damaged.ply").write_bytes(b"ply\nformat binary\x00\x01")
-    box.export(tmp_path / "metres.stl")
+    box.export(tmp_path / "meters.stl")
     for name, scale, message in (
         ("open.stl", 1, "border only one triangle"),
         ("empty.obj", 1, "empty"),
         ("damaged.ply", 1, "damaged"),
-        ("metres.stl", 1000, "another unit"),
+        ("meters.stl", 1000, "another unit"),
         ("none.stl", 1, "No file"),
         ("box.step", 1, "Expected a mesh as .stl"),
     ):
@@ -51,6 +51,6 @@ def test_a_height_image_is_scaled_to_its_height(tmp_path, dtype):
 def test_images_that_hold_no_heights_are_refused(tmp_path):
     cv2.imwrite(str(tmp_path / "color.png"), np.zeros((4, 4, 3), dtype=np.uint8))
     (tmp_path / "text.png").write_text("no image")
-    for name, message in (("color.png", "grey image"), ("text.png", "no image"), ("none.png", "No file")):
+    for name, message in (("color.png", "gray image"), ("text.png", "no image"), ("none.png", "No file")):
         with pytest.raises(DataError, match=message):
             read_height_image(tmp_path / name, mm_per_px=0.1, height_mm=0.5)

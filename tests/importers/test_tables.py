@@ -1,4 +1,4 @@
-"""Taxim's tables and look-up tables: what they say, and what is refused."""
+"""Taxim's tables and look-up tables: their values, and refusals."""
 
 import io
 
@@ -27,7 +27,7 @@ FLAT = np.full((*SHAPE, 3), 100, dtype=np.float32)
 
 
 def lut_file(path, bins=90):
-    """A table as its package writes it: linear in the differences, at the bins' centres, indexed b, g, r."""
+    """A table as its package writes it: linear in the differences, at the bins' centers, indexed b, g, r."""
     at = (np.arange(bins) + 0.5) * 180 / bins - 90
     blue, green, red = np.meshgrid(at, at, at, indexing="ij")
     table = np.stack([0.004 * red - 0.002 * blue + 0.1, 0.003 * green + 0.001 * blue - 0.2], axis=-1)

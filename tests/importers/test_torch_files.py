@@ -1,4 +1,4 @@
-"""Weights files: the same numbers as torch's, nothing executed, everything that is no dict of tensors refused."""
+"""Weights files: the same numbers as torch's, nothing executed, everything except a dict of tensors refused."""
 
 import pickle
 import zipfile
@@ -37,7 +37,7 @@ def test_what_torch_writes_is_read(tmp_path):
     with pytest.raises(gelform.DataError, match=r"names torch\.nn\.modules.*could run code"):
         read_tensors(tmp_path / "module.pt")
     torch.save(net.state_dict(), tmp_path / "old.pth", _use_new_zipfile_serialization=False)
-    with pytest.raises(gelform.DataError, match=r"before version 1.6.*save it anew"):
+    with pytest.raises(gelform.DataError, match=r"before version 1.6.*save it again"):
         read_tensors(tmp_path / "old.pth")
 
 

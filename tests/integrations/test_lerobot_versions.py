@@ -1,4 +1,4 @@
-"""The camera for LeRobot says in a sentence what is too old; run with whatever Python and LeRobot are here."""
+"""The camera for LeRobot reports versions that are too old; runs with any Python and LeRobot."""
 
 import importlib.util
 import subprocess

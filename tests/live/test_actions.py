@@ -1,4 +1,4 @@
-"""What the buttons do, on a running simulated sensor, on a recording, and in a guided calibration."""
+"""The effect of the buttons on a running simulated sensor, on a recording, and in a guided calibration."""
 
 from __future__ import annotations
 
@@ -30,6 +30,17 @@ def test_the_background_is_the_sensors(hub, sensor):
     assert "Background taken" in hub.notices[-1][2]
     actions.own_background(hub, 0)
     assert hub.stations[0].setup.background is None
+
+
+def test_a_simulated_sensor_rests_while_the_background_is_taken(hub):
+    source, resting = hub.stations[0].source, []
+    for before in (False, True):
+        source.rest(before)
+        rest, source.rest = source.rest, lambda on=True, rest=source.rest: (resting.append(on), rest(on))
+        actions.take_background(hub, 0)
+        source.rest = rest
+        assert source.resting is before
+    assert resting == [True, False, True, True]
 
 
 def test_zero_is_set_and_taken_back(hub):
@@ -104,7 +115,7 @@ def number_shown(station):
 
 
 def test_the_result_is_that_of_the_frame_alone(replayed, forms, calibration):
-    """Whatever was shown before: forwards, backwards, twice."""
+    """Whatever was shown before: forward, backward, twice."""
     station = replayed.stations[0]
     wanted = gelform.Reconstructor(calibration)(indexed(forms["recorded"]).frame(2)).depth_mm
     np.testing.assert_array_equal(station.newest.result.depth_mm, wanted)
@@ -147,7 +158,7 @@ def test_play_speed_loop_and_back_to_the_sensor(replayed):
     assert (facts["speed"], facts["loop"], facts["count"]) == (4, True, 7)
     actions.pause(replayed, 0, True)
     assert not station.facts()["replay"]["playing"]
-    with pytest.raises(GelformError, match="recording already"):
+    with pytest.raises(GelformError, match="already a recording"):
         actions.record(replayed, 0, True)
     actions.open_recording(replayed, 0, "")
     until(lambda: station.facts()["simulated"])
@@ -187,7 +198,7 @@ def test_a_ball_of_no_size_is_refused_and_without_a_guide_there_is_nothing_to_fi
             actions.guide_start(hub, 0, diameter, "", 0.0)
     assert not hub.guides
     for act in (actions.guide_fit, actions.guide_use):
-        with pytest.raises(GelformError, match="Start one"):
+        with pytest.raises(GelformError, match="Press Start first"):
             act(hub, 0)
 
 

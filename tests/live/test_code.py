@@ -1,4 +1,4 @@
-"""What reproduces a view: the Python runs and gives the numbers on the page, so do the command lines."""
+"""Code that reproduces a view: the Python and the command lines run and give the page's numbers."""
 
 import shlex
 from contextlib import closing

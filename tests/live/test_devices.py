@@ -1,4 +1,4 @@
-"""The list of devices, what is shown of it, the one that is unplugged (a real ffmpeg, killed), settings of a camera."""
+"""The list of devices, showing one, detection of an unplugged one (a real ffmpeg, killed), settings of a camera."""
 
 import threading
 from contextlib import closing
@@ -110,7 +110,7 @@ def test_a_camera_of_the_list_is_shown_with_its_calibration_and_left_again(choic
     assert station.setup.name == name
     assert station.facts()["opened"]
     assert list(numbers_of(hub)) == ["D1"]  # the other one is not offered twice
-    assert hub.notices[-1][2].endswith("shows DIGIT now, with its calibration of D2.")
+    assert hub.notices[-1][2].endswith("shows DIGIT, with its calibration of D2.")
     actions.open_recording(hub, 0, "")
     until(lambda: station.facts()["simulated"], 20)
     assert station.setup.name == "mine"
@@ -120,7 +120,7 @@ def test_a_camera_of_the_list_is_shown_with_its_calibration_and_left_again(choic
 def test_a_camera_without_a_calibration_shows_its_image(choice):
     actions.show_camera(choice, 0, numbers_of(choice)["D1"])
     assert choice.stations[0].setup.calibration is None
-    assert "none on the list has its serial" in choice.notices[-1][2]
+    assert "none in the list has its serial" in choice.notices[-1][2]
 
 
 def test_of_two_pages_that_want_one_camera_the_first_gets_it(choice):
@@ -141,11 +141,11 @@ def test_of_two_pages_that_want_one_camera_the_first_gets_it(choice):
     for one in asking:
         one.join(20)
     assert sorted(said)[0] == ""
-    assert "DIGIT is shown already, as sensor" in sorted(said)[1]
+    assert "already shows DIGIT" in sorted(said)[1]
 
 
 def test_a_camera_that_is_not_on_the_list_is_not_opened(hub):
-    with pytest.raises(GelformError, match="not plugged in any more"):
+    with pytest.raises(GelformError, match="no longer plugged in"):
         actions.show_camera(hub, 0, 9)
     assert hub.stations[0].facts()["simulated"]
 
@@ -185,7 +185,7 @@ def test_a_value_that_the_camera_does_not_take_is_not_remembered(adjustable):
 
 def test_a_source_without_settings_says_so(hub):
     for name in SETTABLE:
-        with pytest.raises(GelformError, match="only a USB camera"):
+        with pytest.raises(GelformError, match="Only a USB camera"):
             actions.set_camera(hub, 0, name, 1.0)
     assert camera_facts(hub.stations[0]) == {"settable": {}, "mismatch": ""}
 
@@ -196,4 +196,7 @@ def test_a_camera_set_otherwise_than_calibrated_is_said(adjustable, calibration)
     station.setup = station.setup.with_calibration(replace(calibration, settings=settings), "mine")
     assert camera_facts(station)["mismatch"] == ""
     set_camera(station, "exposure", 60.0)
-    assert camera_facts(station)["mismatch"] == "Not set as calibrated: exposure 60, calibrated at 50."
+    assert (
+        camera_facts(station)["mismatch"]
+        == "The calibration had other settings: exposure 60, calibrated at 50."
+    )

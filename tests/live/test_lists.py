@@ -1,4 +1,4 @@
-"""The lists of calibrations and recordings: names are made here, and nothing else is opened."""
+"""The lists of calibrations and recordings: names are made here, and nothing else can be opened."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_what_was_made_here_gets_a_free_name(calibration):
 
 def test_paths_and_files_that_cannot_be_read_are_refused(calibrations_folder):
     for name in ("", "../mine.npz", "deep/mine.npz", "/etc/passwd", "mine.npz\0"):
-        with pytest.raises(GelformError, match="Choose one of the list"):
+        with pytest.raises(GelformError, match="Choose one in the list"):
             Calibrations(folder=calibrations_folder)[name]
     with pytest.raises(CalibrationError):
         Calibrations([calibrations_folder / "other.npz"])["other.npz"]

@@ -1,4 +1,4 @@
-"""The player: in step with its clock, and told what to show; the clock is turned by hand."""
+"""The player: in step with its clock, and controlled; the test advances the clock."""
 
 import threading
 import time

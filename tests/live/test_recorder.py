@@ -1,4 +1,4 @@
-"""Recordings from the page, whole and in order; one file that plays elsewhere as it was shown here."""
+"""Recordings from the page are complete; one file plays elsewhere as it was shown here."""
 
 from __future__ import annotations
 
@@ -99,6 +99,6 @@ def test_it_ends_when_it_is_large_enough(hub, tmp_path):
     recorder = Recorder(station.grabber, tmp_path, station.setup, on_ended=ended.append, max_bytes=limit)
     recorder.start()
     until(lambda: ended)
-    assert "the most for one" in recorder.problem
+    assert "its limit of" in recorder.problem
     frame_bytes = recorder.stats.written_bytes / recorder.stats.frames
     assert limit <= recorder.stats.written_bytes < limit + 2 * frame_bytes

@@ -1,4 +1,4 @@
-"""How a station reconstructs: calibration, background, solver, zero, comparison."""
+"""The setup of a station: calibration, background, solver, zero, comparison."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""What is shown of a frame: the planes it has, each encoded once; its numbers, against those of the array."""
+"""The displayed data of a frame: its planes, each encoded once; its numbers, against those of the array."""
 
 from __future__ import annotations
 

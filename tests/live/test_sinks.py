@@ -1,4 +1,4 @@
-"""Sinks: the newest frame wins, a failure ends one alone; the real server of Foxglove, the real receiver of Rerun."""
+"""Sinks: the newest frame wins, a failure ends only one; the real server of Foxglove, the real receiver of Rerun."""
 
 from __future__ import annotations
 
@@ -139,9 +139,9 @@ def test_a_client_gets_images_and_numbers(sink, shown):
     assert wanted["schemaName"] == "foxglove.RawImage"
     subscription, stamp_ns = struct.unpack("<IQ", message[1:13])
     assert (subscription, stamp_ns) == (7, shown.frame.wall_time_ns)
-    metres = shown.result.depth_mm * np.float32(1e-3)
-    metres[~shown.result.known] = np.nan
-    assert metres.astype("<f4").tobytes() in message
+    meters = shown.result.depth_mm * np.float32(1e-3)
+    meters[~shown.result.known] = np.nan
+    assert meters.astype("<f4").tobytes() in message
 
 
 @pytest.mark.skipif(not TCP.is_file(), reason="reads Linux's table of sockets")
@@ -154,7 +154,7 @@ def test_only_this_machine_can_connect(sink):
 
 def test_a_port_that_is_taken_is_said(sink):
     port = int(sink.address.rpartition(":")[2])
-    with pytest.raises(GelformError, match=rf"cannot listen on 127\.0\.0\.1:{port}.*end it"):
+    with pytest.raises(GelformError, match=rf"cannot listen on 127\.0\.0\.1:{port}.*End it"):
         FoxgloveSink(port)
 
 

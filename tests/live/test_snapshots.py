@@ -1,4 +1,4 @@
-"""Files of a frame: read back by what people read them with."""
+"""Files of a frame: read back with the usual tools."""
 
 import cv2
 import numpy as np
@@ -47,7 +47,7 @@ def test_points_are_in_the_cameras_frame(saved, result):
     row, column = np.unravel_index(result.depth_mm.argmax(), result.shape)
     expected = [column * result.mm_per_px, row * result.mm_per_px, -result.peak_mm]
     np.testing.assert_allclose(deepest[:3], expected, rtol=1e-5)
-    assert (points[:, 5] < 0).all()  # normals towards the camera, whose z points away from it
+    assert (points[:, 5] < 0).all()  # normals toward the camera, whose z points away from it
 
 
 def test_without_a_background_of_the_page_there_is_none_to_fetch(shown):
@@ -66,7 +66,7 @@ def test_old_ones_go_and_unknown_files_are_refused(shown):
     for _ in range(KEPT):
         last = snapshots.add(shown)
     for number, name in ((first, "result.npz"), (last, "../result.npz"), (99, "frame.png")):
-        with pytest.raises(GelformError, match="not kept"):
+        with pytest.raises(GelformError, match="no longer kept"):
             snapshots.file(number, name)
 
 

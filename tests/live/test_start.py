@@ -45,7 +45,7 @@ def test_mistakes_are_said_at_once(tmp_path, sources, calibrations, error, said)
 
 def test_a_camera_that_is_not_there_is_said_and_waited_for():
     with closing(start(Options(["NO-SUCH-SERIAL-7"]))) as hub:
-        assert "tried again" in hub.notices[0][2]
+        assert "tries again" in hub.notices[0][2]
         until(lambda: hub.stations[0].facts()["reason"])
         assert hub.stations[0].facts()["state"] == "missing"
 
@@ -54,7 +54,7 @@ def test_a_camera_that_is_not_there_is_said_and_waited_for():
     ("specs", "said"),
     [
         (["D1", "D1"], "'D1' twice"),
-        (["D1", "simulated", "DIGIT"], "'D1' and 'DIGIT': one camera"),
+        (["D1", "simulated", "DIGIT"], "'D1' and 'DIGIT', which is one camera"),
         (["http://127.0.0.1:9/a"] * 2, "'http://127.0.0.1:9/a' twice"),
         (["NO-SUCH-SERIAL-7"] * 2, "'NO-SUCH-SERIAL-7' twice"),
     ],

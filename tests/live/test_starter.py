@@ -1,4 +1,4 @@
-"""A station that was never calibrated asks for its untouched gel; a starter reads it then, and says that it is one."""
+"""A station without a calibration asks for the gel at rest; then a starter reads it, and is reported as one."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,6 @@ from gelform.live import actions
 from gelform.live.hub import Hub
 from gelform.live.start import Options, start
 from gelform.live.station import Station
-from gelform.simulate import LAYOUTS, Ball, Pose, simulate_pose
 from gelform.starters import load_starter
 from live_waiting import until
 from made.sources import ImageSource
@@ -17,21 +16,10 @@ from made.sources import ImageSource
 MAKE = "simulated-three-edges"
 
 
-@pytest.fixture(scope="session")
-def unit(made_once):
-    """An image of a unit of the make untouched, and one of a ball 0.4 mm deep."""
-    rng, layout = np.random.default_rng(41), LAYOUTS["three-edges"]
-
-    def image(depth_mm):
-        return simulate_pose(layout, Ball(2.5), Pose(depth_mm), rng=rng, oversample=1).image
-
-    return made_once("live_unit", lambda _: {mm: [image(mm) for _ in range(3)] for mm in (0.0, 0.4)})
-
-
 @pytest.fixture
-def never(unit):
+def never(unpressed):
     """A hub whose one station is a camera that was never calibrated; its `source.images` are what it shows."""
-    made, source = Hub(), ImageSource(unit[0.0], rate_hz=40)
+    made, source = Hub(), ImageSource(unpressed[0.0], rate_hz=40)
     source.serial = "S1"
     station = Station(0, "camera", lambda: source, made.changed)
     made.stations.append(station)
@@ -45,16 +33,16 @@ def said(hub):
     return hub.facts()["stations"][0]["starter"]
 
 
-def test_the_untouched_gel_is_asked_for_and_depth_follows(never, unit):
+def test_the_untouched_gel_is_asked_for_and_depth_follows(never, unpressed):
     hub, source = never
     station = hub.stations[0]
     assert said(hub) == {"state": "ask", "sensor": "", "make": "", "said": []}
-    with pytest.raises(GelformError, match="Say which sensor it is"):
+    with pytest.raises(GelformError, match="Choose the sensor in the list"):
         actions.take_starter(hub, 0, "")
     station.sensor = MAKE
     assert said(hub)["sensor"] == said(hub)["make"] == MAKE
     actions.take_starter(hub, 0, "")
-    source.images = unit[0.4]
+    source.images = unpressed[0.4]
     until(lambda: station.newest.measures and station.newest.measures.peak > 0.3)
     assert said(hub)["state"] == "used"
     assert said(hub)["percent"] == pytest.approx(100 * load_starter(MAKE).spread)
@@ -63,17 +51,17 @@ def test_the_untouched_gel_is_asked_for_and_depth_follows(never, unit):
     assert hub.calibrations.names == [station.setup.name]
 
 
-def test_something_that_moves_is_said_and_it_is_taken_again(never, unit):
+def test_something_that_moves_is_said_and_it_is_taken_again(never, unpressed):
     hub, source = never
-    source.images = [*unit[0.0], *unit[0.4]]
+    source.images = [*unpressed[0.0], *unpressed[0.4]]
     actions.take_starter(hub, 0, MAKE)
     assert said(hub)["state"] == "ask"
     assert "Something moves" in said(hub)["said"][0]
-    source.images = unit[0.0]
+    source.images = unpressed[0.0]
     actions.take_starter(hub, 0, MAKE)
     assert said(hub)["said"] == []
     first = hub.stations[0].setup.calibration
-    source.images = [image // 2 for image in unit[0.0]]
+    source.images = [image // 2 for image in unpressed[0.0]]
     actions.take_background(hub, 0)  # the lamps are half as bright: the starter is brought to them
     second = hub.stations[0].setup.calibration
     assert second.background.mean() < 0.6 * first.background.mean()
@@ -89,9 +77,9 @@ def test_another_make_is_said(never):
     assert said(hub)["state"] == "ask"
 
 
-def test_a_scratched_gel_is_said_beside_the_depth(never, unit):
+def test_a_scratched_gel_is_said_beside_the_depth(never, unpressed):
     hub, source = never
-    scratched = [image.copy() for image in unit[0.0]]
+    scratched = [image.copy() for image in unpressed[0.0]]
     for image in scratched:
         image[::6, :, :] //= 4
         image[1::6, :, :] //= 4

@@ -1,4 +1,4 @@
-"""A station on a source that fails, comes late, is lost and comes back: it goes on, and says how things are."""
+"""A station on a source that fails, is late, disappears and returns: it continues, and reports its state."""
 
 import contextlib
 import threading
@@ -17,7 +17,7 @@ from live_waiting import until
 
 
 class Scripted:
-    """A live source of grey images that does what the test says."""
+    """A live source of gray images that does what the test says."""
 
     name, serial, settings, live, rate_hz = "scripted", "S1", {"fps": 100.0}, True, 100.0
 

@@ -1,4 +1,4 @@
-"""A camera behind OpenCV's interface that keeps its properties and gives the pictures of a list."""
+"""A camera behind OpenCV's interface that keeps its properties and returns the pictures of a list."""
 
 import cv2
 import numpy as np

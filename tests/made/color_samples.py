@@ -9,7 +9,7 @@ LIGHTS = np.array([[0.8, 0.1, 0.9], [-0.5, 0.6, 0.8], [-0.2, -0.9, 1.1]])
 
 
 def ball_samples(change_of, count: int = 4000, seed: int = 0) -> Samples:
-    """Random pixels with slopes up to 0.8, their colour change by a given law of (gradients, x, y)."""
+    """Random pixels with slopes up to 0.8, their color change by a given law of (gradients, x, y)."""
     rng = np.random.default_rng(seed)
     steepness, angle = 0.8 * np.sqrt(rng.uniform(size=count)), rng.uniform(0, 2 * np.pi, count)
     gradients = np.stack([steepness * np.cos(angle), steepness * np.sin(angle)], axis=-1)

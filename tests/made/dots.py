@@ -13,7 +13,7 @@ def grid(pitch=16.0, shape=SHAPE, margin=10.0):
 
 
 def image_of_dots(places, *, radii=RADIUS, shape=SHAPE, noise=0.0, seed=0, light=0.0):
-    """(H, W, 3) uint8: soft-edged dots on grey; `light` adds a bump of light in the middle, as a contact does."""
+    """(H, W, 3) uint8: soft-edged dots on gray; `light` adds a bump of light in the middle, as a contact does."""
     y, x = np.mgrid[: shape[0], : shape[1]].astype(float)
     level = 120 + 0.3 * x - 0.2 * y
     level *= 1 + light * np.exp(-((x - shape[1] / 2) ** 2 + (y - shape[0] / 2) ** 2) / 20**2)

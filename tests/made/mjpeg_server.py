@@ -1,4 +1,4 @@
-"""A small HTTP server that sends the bytes a test gives it, whole or torn."""
+"""A small HTTP server that sends given bytes, complete or torn."""
 
 import contextlib
 import socket
@@ -9,7 +9,7 @@ import numpy as np
 
 
 def jpeg(shape=(48, 64), color=(200, 30, 10), quality=95):
-    """The bytes of a picture of one colour (RGB), with a darker lower half."""
+    """The bytes of a picture of one color (RGB), with a darker lower half."""
     image = np.empty((*shape, 3), np.uint8)
     image[:] = color[::-1]
     image[shape[0] // 2 :] //= 2

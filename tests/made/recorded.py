@@ -14,7 +14,7 @@ FACTS = RecordingFacts("a camera", "S1", {"gain": 3.0}, 50.0, "abc")
 
 
 def frames(count=6, shape=(48, 64), encoded=False, rate_hz=50.0):
-    """Frames of noise (of one colour where encoded), unevenly spaced, with one index left out."""
+    """Frames of noise (of one color where encoded), unevenly spaced, with one index left out."""
     rng = np.random.default_rng(0)
     made = []
     for k in range(count):

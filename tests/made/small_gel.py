@@ -1,4 +1,4 @@
-"""A gel that is known exactly: three fixed lights on a Lambertian surface, a ball in it, no fit anywhere."""
+"""An exactly known gel: three fixed lights on a Lambertian surface, a ball pressed in, without any fit."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Sources of frames as tests need them: images that come at a pace, or as fast as they are read."""
+"""Sources of frames for tests: images at a pace, or as fast as they are read."""
 
 import time
 

@@ -12,7 +12,7 @@ def law(p, q, u, v):
 
 
 def taxim_arrays(bins=90, shape=(480, 640)):
-    """The law as Taxim writes it: in grey levels, over pixel positions, blue first."""
+    """The law as Taxim writes it: in gray levels, over pixel positions, blue first."""
     angle = (np.arange(bins) + 0.5) * np.pi / 2 / (bins - 1)
     turn = (np.arange(bins) + 0.5) * 2 * np.pi / (bins - 1) - np.pi
     steep = np.tan(np.minimum(angle, 1.5))[:, None]

@@ -1,4 +1,4 @@
-"""A background and an image in which something touches."""
+"""A background and an image with a contact."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""An untouched image of a gel as a camera gives it, and frames of it that did not arrive as they should."""
+"""A background image with a camera's noise, and damaged frames of the same gel."""
 
 import numpy as np
 
@@ -26,12 +26,12 @@ def pressed(seed: int = 1) -> np.ndarray:
 
 
 def constant(level: int | tuple[int, int, int]) -> np.ndarray:
-    """A frame of one colour."""
+    """A frame of one color."""
     return np.full((*SHAPE, 3), level, dtype=np.uint8)
 
 
 def with_part(image: np.ndarray, part: tuple[slice, slice], level: int | tuple[int, int, int]) -> np.ndarray:
-    """The image with a part of one colour."""
+    """The image with a part of one color."""
     changed = image.copy()
     changed[part] = level
     return changed

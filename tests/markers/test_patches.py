@@ -130,7 +130,7 @@ DOT, MOVED = 8, np.array([3.3, -1.6])
 
 
 def image_of_stretched(warp, moved=MOVED, light=0.3):
-    """All dots at rest but one, which a map (2, 2) about its centre has stretched."""
+    """All dots at rest but one, which a map (2, 2) about its center has stretched."""
     y, x = np.mgrid[:160, :192].astype(float)
     clean = image_of_dots(np.delete(FEW, DOT, 0), radii=FEW_RADIUS, shape=(160, 192), light=light).astype(
         float

@@ -1,4 +1,4 @@
-"""A ball's slopes, its centre found from slopes, and the sphere through its depth."""
+"""A ball's slopes, its center found from slopes, and the sphere through its depth."""
 
 import numpy as np
 import pytest
@@ -71,7 +71,7 @@ def test_the_gel_follows_the_visible_circle_unless_that_is_as_wide_as_the_ball()
 
 
 def center_by_numpy(gradients, x, y, center, radius, scale, rounds):
-    """Gauss-Newton with the derivatives of the slopes by the centre, each step on all pixels."""
+    """Gauss-Newton with the derivatives of the slopes by the center, each step on all pixels."""
     found = center.copy()
     for _ in range(rounds):
         slopes = ball_gradients(x, y, tuple(found), radius)

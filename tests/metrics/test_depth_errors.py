@@ -13,7 +13,7 @@ SHAPE = (120, 160)
 
 CIRCLE = (80.3, 59.6, 30.0)
 Y, X = np.mgrid[: SHAPE[0], : SHAPE[1]]
-away_px = np.hypot(X - CIRCLE[0], Y - CIRCLE[1])  # from the centre
+away_px = np.hypot(X - CIRCLE[0], Y - CIRCLE[1])  # from the center
 
 
 def pressed_ball(contact_px=30.0):

@@ -1,4 +1,4 @@
-"""What pictures share: files of them, the extra that they need, the deepest point."""
+"""Common parts of pictures: their files, the extra that they need, the deepest point."""
 
 import sys
 

@@ -1,4 +1,4 @@
-"""Pictures show what they are given where it is, depth the right way round: a result, two side by side, an explanation."""
+"""Pictures show their data at the right place and depth with the right sign: a result, a comparison, an explanation."""
 
 import sys
 from dataclasses import replace
@@ -32,7 +32,7 @@ def result_with_bump(row, column, *, shape=(48, 64), contact=True, mm_per_px=0.0
 
 
 def near(image, color, tolerance=12):
-    """Where the picture has a colour."""
+    """Where the picture has a color."""
     return np.abs(image.astype(int) - color).max(axis=-1) <= tolerance
 
 
@@ -97,7 +97,7 @@ def test_of_a_frame_of_which_nothing_is_known_no_depth_is_drawn(mm_per_px):
     flat = replace(result, depth=0 * result.depth, contact=nowhere, known=nowhere, mm_per_px=mm_per_px)
     left, top, width, height = largest_patch(picture(replace(flat, known=~nowhere)))
     inside = picture(flat)[top + 5 : top + height - 5, left + 5 : left + width - 5].astype(int)
-    assert np.ptp(inside, axis=-1).max() < 60  # grey: no colour of a depth
+    assert np.ptp(inside, axis=-1).max() < 60  # gray: no color of a depth
     assert _headline(flat, 0, 0).startswith("deepest – ")
 
 
@@ -187,7 +187,7 @@ def explained(*causes):
     return explanation_of(maps, sigma, np.minimum(1, (0.04 / sigma) ** 2), 0.04)
 
 
-def test_each_cause_that_is_there_has_a_panel_and_a_colour():
+def test_each_cause_that_is_there_has_a_panel_and_a_color():
     image = np.full((*EXPLAINED_SHAPE, 3), 100, np.uint8)
     without = explanation_picture(explained(), image)
     one = explanation_picture(explained("marker"), image)

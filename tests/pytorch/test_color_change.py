@@ -1,4 +1,4 @@
-"""The color change of a batch is that of the numpy path: blur, response, crosstalk and exposure."""
+"""The color change of a batch equals that of the numpy path: blur, response, crosstalk and exposure."""
 
 import numpy as np
 import pytest

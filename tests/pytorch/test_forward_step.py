@@ -1,4 +1,4 @@
-"""Steps of a batch are those of the numpy path at every pixel, and have exact derivatives."""
+"""Steps of a batch equal those of the numpy path at every pixel, and have exact derivatives."""
 
 import cv2
 import numpy as np
@@ -57,7 +57,7 @@ def test_steps_are_the_numpy_paths(shape, seed):
 
 
 def test_no_step_is_longer_than_the_longest():
-    """Of colours that no slope gives: as far, and in the same direction, as the numpy path goes."""
+    """Of colors that no slope gives: as far, and in the same direction, as the numpy path goes."""
     shape = (30, 45)
     forward = response(shape, scale=0.5)
     change, read = frame(shape, (20, 15))
@@ -70,7 +70,7 @@ def test_no_step_is_longer_than_the_longest():
 
 
 def test_derivatives_are_exact():
-    """By the colours and by the slopes, through the depth of the frame; where no step is cut off."""
+    """By the colors and by the slopes, through the depth of the frame; where no step is cut off."""
     shape = (6, 9)
     step = ForwardStep(response(shape), UNTOUCHED).double()
     rng = torch.Generator().manual_seed(0)
@@ -83,7 +83,7 @@ def test_derivatives_are_exact():
 
 
 def test_a_gel_at_rest_has_derivatives():
-    """No slope and no colour: the step's length is 0, which has none of itself."""
+    """No slope and no color: the step's length is 0, which has none of itself."""
     shape = (9, 12)
     step = ForwardStep(response(shape), UNTOUCHED)
     change = torch.zeros(1, 3, *shape, requires_grad=True)

@@ -1,4 +1,4 @@
-"""Medians over chosen pixels are those of the kernel."""
+"""Medians over chosen pixels equal those of the kernel."""
 
 import numpy as np
 import pytest

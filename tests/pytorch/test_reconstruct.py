@@ -1,4 +1,4 @@
-"""The module gives what the numpy path gives, batch by batch, and its derivatives are those of differences."""
+"""The module equals the numpy path, batch by batch, and its derivatives equal finite differences."""
 
 from dataclasses import replace
 

@@ -11,6 +11,7 @@ from gelform.foundations.findings import Finding
 from gelform.foundations.npz_files import write_npz
 from gelform.markers import MarkerFlow
 from gelform.reconstruction import KIND, Reconstruction, load_result, save_result
+from gelform.reconstruction.file import FORMAT_VERSION
 
 DATA = Path(__file__).parents[1] / "data"
 
@@ -65,7 +66,7 @@ def test_albedo_only_where_the_model_gives_it(result, tmp_path):
     assert load_result(tmp_path / "x.npz").albedo is None
 
 
-def test_results_of_every_format_are_read():
+def test_results_of_the_first_formats_are_read():
     """Written by earlier releases: version 1 in mm, with fields that are gone; version 2 in pixels."""
     for version in [1, 2]:
         old = load_result(DATA / f"result-version-{version}.npz")
@@ -83,6 +84,24 @@ def test_results_of_every_format_are_read():
         else:
             with pytest.raises(GelformError, match="no depth_mm"):
                 old.depth_mm  # noqa: B018
+
+
+def test_results_of_the_later_formats_are_read():
+    """Format 3 came with the slopes of the solved depth beside those that were read, format 4 with marker dots."""
+    third, fourth = (load_result(DATA / f"result-version-{version}.npz") for version in (3, 4))
+    for one in (third, fourth):
+        assert one.depth_mm.max() == np.float32(0.38049176)
+        assert one.observed_gradients.shape == one.gradients.shape == (12, 16, 2)
+        assert (one.mm_per_px, one.health) == (0.1, (Finding("exposure", "Exposure differs.", 1.05),))
+    assert third.markers is None
+    np.testing.assert_array_equal(fourth.markers.displacement_px, [[1, 1], [1, 1]])
+    assert list(fourth.markers.seen) == [True, False]
+
+
+def test_a_file_of_every_format_is_kept():
+    """With a new format comes a file of the one before, written by the release that wrote it."""
+    kept = {int(path.stem.rsplit("-", 1)[1]) for path in DATA.glob("result-version-*.npz")}
+    assert kept == set(range(1, FORMAT_VERSION + 1))
 
 
 def test_an_existing_result_stays(tmp_path, result):

@@ -1,4 +1,4 @@
-"""A bag appears whole or not at all: interrupted, failing, killed, on a disk that takes no more."""
+"""A bag is complete or absent: interrupted, failing, killed, on a full disk."""
 
 import signal
 import subprocess

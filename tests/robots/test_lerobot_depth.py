@@ -1,4 +1,4 @@
-"""Depth for LeRobot: every whole micrometre there and back, and nothing clipped."""
+"""Depth for LeRobot: every whole micrometer is recovered, and nothing is clipped."""
 
 import numpy as np
 import pytest
@@ -24,7 +24,7 @@ def test_every_level_comes_back_also_those_that_the_page_names():
 
 
 @given(st.floats(-0.99, 64.5, allow_nan=False))
-def test_any_depth_is_rounded_to_half_a_micrometre(depth_mm):
+def test_any_depth_is_rounded_to_half_a_micrometer(depth_mm):
     back = depth_from_lerobot_levels(lerobot_levels_from_depth([[depth_mm]]))
     assert abs(float(back[0, 0]) - depth_mm) <= 0.0005 + 4e-6  # float32 at 64 mm
 

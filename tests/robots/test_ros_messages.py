@@ -1,4 +1,4 @@
-"""Names of ROS and messages of a made-up result: units and signs by hand, NaN where nothing is known, levels of findings."""
+"""ROS names and messages of a made-up result: units and signs by hand, NaN where unknown, levels of findings."""
 
 import re
 import subprocess
@@ -67,8 +67,8 @@ def decoded(made, message, kind):
 
 def test_depth_points_and_images_by_hand(made, result):
     image = decoded(made, made.indentation(FRAME, result, STAMP_NS), "sensor_msgs/msg/Image")
-    metres = image.data.view("<f4").reshape(2, 3)
-    np.testing.assert_allclose(metres, [[0, 5e-4, -1.25e-4], [1e-3, 2e-3, np.nan]], rtol=1e-6)
+    meters = image.data.view("<f4").reshape(2, 3)
+    np.testing.assert_allclose(meters, [[0, 5e-4, -1.25e-4], [1e-3, 2e-3, np.nan]], rtol=1e-6)
     assert (image.header.stamp.sec, image.header.stamp.nanosec) == (1_700_000_000, 9)
     cloud = decoded(made, made.points(FRAME, result, STAMP_NS), "sensor_msgs/msg/PointCloud2")
     points = cloud.data.view("<f4").reshape(2, 3, 3)

@@ -1,5 +1,8 @@
-"""Stamps, counts and ends of a stream that is sent; a bag decoded by an independent reader: every value, stamp, frame and
-type; a recording to a subscriber of zenoh; what cannot be sent."""
+"""Sending a stream: stamps, counts and ends.
+
+An independent reader decodes every value, stamp, frame and type of a bag. A recording reaches a subscriber of zenoh.
+Impossible requests are refused.
+"""
 
 import threading
 import time
@@ -47,7 +50,7 @@ def test_frames_without_a_time_are_stamped_from_now_on(recording, calibration, t
 
 def test_an_empty_source_is_an_error(calibration):
     empty = ImageSource([], live=False, count=0)
-    with gelform.stream(empty, calibration) as running, pytest.raises(DataError, match="came from here"):
+    with gelform.stream(empty, calibration) as running, pytest.raises(DataError, match="arrived from here"):
         list(StampedResults(running, "here", None))
 
 
@@ -85,15 +88,15 @@ def test_images_are_the_frames(messages, truth):
         np.testing.assert_array_equal(decoded, frame.image)
 
 
-def test_indentation_is_metres_and_nan_where_unknown(messages, truth):
+def test_indentation_is_meters_and_nan_where_unknown(messages, truth):
     for message, (_, result) in zip(of_topic(messages, "/left_finger/indentation"), truth, strict=True):
         assert (message.encoding, message.step) == ("32FC1", 4 * result.shape[1])
         assert (message.height, message.width) == result.shape
         assert message.header.frame_id == "left_finger_gel_optical_frame"
-        metres = floats(message, *result.shape)
-        np.testing.assert_array_equal(np.isnan(metres), ~result.known)
+        meters = floats(message, *result.shape)
+        np.testing.assert_array_equal(np.isnan(meters), ~result.known)
         wanted = np.where(result.known, result.depth_mm * np.float32(1e-3), np.float32("nan"))
-        np.testing.assert_array_equal(metres, wanted)
+        np.testing.assert_array_equal(meters, wanted)
     pressed = floats(of_topic(messages, "/left_finger/indentation")[2], *truth[0][1].shape)
     assert 3e-4 < np.nanmax(pressed) < 6e-4  # a press of 0.5 mm
 
@@ -113,7 +116,7 @@ def test_points_are_in_the_optical_frame(messages, truth):
     pressed = floats(of_topic(messages, "/left_finger/points")[2], height, width, 3)
     assert pressed[0, -1, 0] > 0 > pressed[0, 0, 0]  # x to the right
     assert pressed[-1, 0, 1] > 0 > pressed[0, 0, 1]  # y down
-    assert np.nanmin(pressed[..., 2]) < -3e-4  # towards the camera, which is at -z
+    assert np.nanmin(pressed[..., 2]) < -3e-4  # toward the camera, which is at -z
 
 
 def test_findings_are_diagnostics(messages, truth):
@@ -169,8 +172,8 @@ def test_results_of_a_recording_are_published(router, recording, calibration):
     assert stats.stamped
     assert stats.frames >= 1
     message = typestore().deserialize_cdr(got[0].payload.to_bytes(), "sensor_msgs/msg/Image")
-    metres = np.nan_to_num(message.data.view("<f4").reshape(message.height, message.width))
-    assert min(np.abs(metres - np.nan_to_num(one)).max() for one in wanted) < 1e-5
+    meters = np.nan_to_num(message.data.view("<f4").reshape(message.height, message.width))
+    assert min(np.abs(meters - np.nan_to_num(one)).max() for one in wanted) < 1e-5
 
 
 def test_what_cannot_be_published_is_said(router, recording, calibration, tmp_path):

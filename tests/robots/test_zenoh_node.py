@@ -1,5 +1,7 @@
-"""Keys and tokens against those that rmw_zenoh's own documentation and other implementations of it publish; a node, a
-router and a subscriber that talk over zenoh's own sockets."""
+"""Keys and tokens equal those in rmw_zenoh's documentation and in its other implementations.
+
+A node, a router and a subscriber talk over zenoh's own sockets.
+"""
 
 import queue
 import struct

@@ -52,7 +52,7 @@ def part_lost(image, amount, level, rng):
 
 
 def rows_shifted(image, amount, level, rng):
-    """By so much that the seam is 5 grey levels high: what is less is not told from a gel's own edges."""
+    """By so much that the seam is 5 gray levels high: what is less is not told from a gel's own edges."""
     start = rng.integers(0, SHAPE[0])
     image[start:] = np.roll(image[start:], 20 + round(amount * 20), axis=1)
     return image

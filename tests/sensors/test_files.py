@@ -1,4 +1,4 @@
-"""Images, untouched images and sensor settings from files."""
+"""Images, background images and sensor settings from files."""
 
 import shutil
 
@@ -60,7 +60,7 @@ def test_truncated_files_are_refused_in_silence(tmp_path, capfd, picture):
 
 def test_other_images_are_refused_with_what_they_are(tmp_path, picture):
     for pixels, said in (
-        (picture[..., 0], r"got a grey one.*three channels"),
+        (picture[..., 0], r"got a gray one.*three channels"),
         (picture.astype(np.uint16) * 200, r"got uint16.*8 bits"),
         (np.dstack([picture, picture[..., :1]]), r"got 4 \(an alpha channel\?\).*without transparency"),
     ):
@@ -151,7 +151,7 @@ def test_one_image_is_itself_a_folder_is_averaged_and_no_background_refused(rest
     with pytest.raises(DataError, match="empty, got none"):
         read_background(tmp_path / "empty")
     save_picture(rests / "9.png", np.zeros((20, 30, 3), dtype=np.uint8))
-    with pytest.raises(DataError, match=r"untouched gel in .*20x30"):
+    with pytest.raises(DataError, match=r"gel at rest in .*20x30"):
         read_background(rests)
 
 

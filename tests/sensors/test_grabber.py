@@ -1,4 +1,4 @@
-"""The newest frame, its gaps, and a source that is lost and comes back."""
+"""The newest frame, gaps, and a source that is lost and reopened."""
 
 import queue
 import threading

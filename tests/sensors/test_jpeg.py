@@ -1,4 +1,4 @@
-"""JPEG pictures: whole, cut, and damaged in mid-file, where a decoder fills the picture up; their size and pixels."""
+"""JPEG pictures: complete, truncated, and damaged in the middle, where a decoder fills the picture; size and pixels."""
 
 from __future__ import annotations
 

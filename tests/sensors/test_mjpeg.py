@@ -1,4 +1,4 @@
-"""A camera at an address: newest picture, torn pictures, any answer and boundary, and a real server that is killed."""
+"""A network camera: newest picture, torn pictures, any answer and boundary, and a real server that is killed."""
 
 import re
 import socket
@@ -163,7 +163,7 @@ def test_a_connection_to_itself_is_no_server(monkeypatch):
         own.connect(own.getsockname())
         url = f"http://127.0.0.1:{own.getsockname()[1]}/"
         monkeypatch.setattr(socket, "create_connection", lambda *_: own)
-        with pytest.raises(SensorError, match="nobody listens"):
+        with pytest.raises(SensorError, match="no program listens"):
             HttpBody(url, 2.0)
 
 

@@ -1,4 +1,4 @@
-"""PNG files: whole, damaged behind a right checksum, and with things in them that are no picture."""
+"""PNG files: complete, damaged behind a right checksum, and with metadata."""
 
 import struct
 import zlib

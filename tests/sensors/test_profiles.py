@@ -1,4 +1,4 @@
-"""Profiles cut the same part of the gel out of frames of any size, with square pixels."""
+"""Profiles crop the same part of the gel from frames of any size, with square pixels."""
 
 import subprocess
 import sys

@@ -1,4 +1,4 @@
-"""One door to every source of frames; files and videos played in order, at their times and pace, or what is wrong."""
+"""One interface to every source of frames; files and videos play in order, with their times and pace, or give an error."""
 
 import time
 
@@ -158,7 +158,7 @@ def write(path, frames, rate_hz=25.0):
 
 @pytest.fixture
 def smooth():
-    """Smooth, coloured, no two alike."""
+    """Smooth, colored, no two alike."""
     y, x = np.mgrid[0:48, 0:64]
     return [
         np.stack([2 * x + k, 3 * y, 200 - 2 * x - k], axis=-1).clip(0, 255).astype(np.uint8)

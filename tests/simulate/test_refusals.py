@@ -71,7 +71,7 @@ REFUSED = [
     (lambda: Mesh(box(1, 1, 1)[0], box(1, 1, 1)[1][:-1]), "3 edges that border only one triangle"),
     (lambda: Mesh(np.zeros((4, 3)), np.zeros((0, 3), dtype=int)), "an empty one"),
     (lambda: Mesh(box(1, 1, 1)[0] * 100000.0, box(1, 1, 1)[1]), "another unit"),
-    (lambda: Mesh(box(1, 1, 1)[0] * 0.001, box(1, 1, 1)[1]), "metres x 1000"),
+    (lambda: Mesh(box(1, 1, 1)[0] * 0.001, box(1, 1, 1)[1]), "meters x 1000"),
     (lambda: Mesh(box(1, 1, 1)[0], box(1, 1, 1)[1] + 5), "indices in 0-7"),
     (lambda: Mesh(box(1, 1, 1)[0] * np.nan, box(1, 1, 1)[1]), "finite vertices_mm"),
     (lambda: Pose(np.nan), "finite numbers"),

@@ -63,7 +63,7 @@ def test_the_depth_changes_the_colour_in_millimetres(calibration):
 
 
 def test_without_a_response_the_colour_is_that_of_the_slope(calibration, tmp_path):
-    """Of an imported table of what colour a slope gives."""
+    """Of an imported table of what color a slope gives."""
     np.savez(tmp_path / "polycalib.npz", **taxim_arrays())
     table = read_taxim(tmp_path / "polycalib.npz", np.zeros((*calibration.image_shape, 3), dtype=np.float32))
     imported = replace(calibration, forward=None, color_model=table)

@@ -1,4 +1,4 @@
-"""The uniform solver: exact on quadratics, the least-squares minimiser, free at the border."""
+"""The uniform solver: exact on quadratics, the least-squares minimizer, free at the border."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SOLVER = {2: DctSolver, 4: Dct4Solver}
 
 
 def spectral_answer(gradients, pitch):
-    """The same minimiser by the plain two-dimensional transform in float64."""
+    """The same minimizer by the plain two-dimensional transform in float64."""
     height, width = gradients.shape[:2]
     eigen_x = (2 * np.sin(np.pi * np.arange(width) / (2 * width)) / pitch[0]) ** 2
     eigen_y = (2 * np.sin(np.pi * np.arange(height) / (2 * height)) / pitch[1]) ** 2
@@ -78,7 +78,7 @@ def test_mean_is_zero_also_for_large_frames():
 
 
 def right_side(gradients, right, scale_x, scale_y):
-    """In numpy: slopes of both neighbours, those beyond the border mirrored with their sign turned."""
+    """In numpy: slopes of both neighbors, those beyond the border mirrored with their sign turned."""
     p, q = np.float32(scale_x) * gradients[..., 0], np.float32(scale_y) * gradients[..., 1]
     p, q = np.pad(p, ((0, 0), (1, 1)), "edge"), np.pad(q, ((1, 1), (0, 0)), "edge")
     p[:, [0, -1]] *= -1
@@ -89,7 +89,7 @@ def right_side(gradients, right, scale_x, scale_y):
 
 
 def swept(spectrum, pivots, splits, end):
-    """In numpy, float64: forwards and backwards through the rows, column 0 on its own."""
+    """In numpy, float64: forward and backward through the rows, column 0 on its own."""
     v = spectrum[:, : pivots.shape[1]].astype(np.float64)
     first = -np.concatenate([[0], np.cumsum(np.cumsum(v[:-1, 0]))])
     mine = [

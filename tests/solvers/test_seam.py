@@ -80,7 +80,7 @@ def test_the_guide_says_when_to_take_it(solver):
 
 
 def dense_answer(gradients, wx, wy, anchor, pitch):
-    """Minimiser by a dense least-squares solve of the stated energy: one row per edge and per anchor."""
+    """Minimizer by a dense least-squares solve of the stated energy: one row per edge and per anchor."""
     height, width = gradients.shape[:2]
     unit = np.eye(height * width).reshape(-1, height, width)
     dx, dy = differences(unit, pitch)

@@ -135,7 +135,7 @@ def test_a_frame_of_the_camera_goes_through_the_make_s_view():
 
 
 def test_frames_of_a_digit_s_camera_lie_and_are_turned_upright():
-    """Its camera gives 240 rows of 320 pixels; the other way round the colours are of no DIGIT."""
+    """Its camera gives 240 rows of 320 pixels; the other way round the colors are of no DIGIT."""
     light = load_starter("digit").calibration.background
     lying = np.ascontiguousarray(np.rot90(light, -1))
     calibration = calibration_from_background(lying, "digit")
@@ -150,7 +150,7 @@ def test_frames_of_a_digit_s_camera_lie_and_are_turned_upright():
 def test_another_make_a_mirrored_image_and_bgr_are_refused():
     mini, digit = (load_starter(name).calibration.background for name in ("gelsight-mini", "digit"))
     with pytest.raises(
-        CalibrationError, match="background of a GelSight Mini: the colours over its gel correlate"
+        CalibrationError, match="background of a GelSight Mini: the colors over its gel correlate"
     ):
         calibration_from_background(np.ascontiguousarray(digit.transpose(1, 0, 2)), "gelsight-mini")
     with pytest.raises(CalibrationError, match="looks like BGR"):

@@ -1,5 +1,7 @@
-"""The untouched image over minutes: it follows LEDs and gel, and not a slow press; smooth light is not bent by what
-touches. Simulated, much faster than in time."""
+"""The background image over minutes: it follows LEDs and gel, but no slow press.
+
+Touches do not distort the smooth light. The simulation is much faster than real time.
+"""
 
 from __future__ import annotations
 

@@ -1,5 +1,8 @@
-"""What a sequence adds to results: smoothing, by which noise goes down as its deviation says and a step is followed at
-once; a frame that the Reconstructor refuses has nothing known, and the reason."""
+"""The effect of a sequence on results.
+
+Smoothing reduces noise as its sigma states, and follows a step at once. In a frame that the Reconstructor refuses nothing is
+known, and the reason is given.
+"""
 
 from __future__ import annotations
 
@@ -42,7 +45,7 @@ def test_smoothing_is_asked_for(reconstruct, at_rest):
 
 
 def test_marker_dots_are_followed_from_frame_to_frame(calibration):
-    """Over one and a half spacings, where a Reconstructor alone takes them for their neighbours."""
+    """Over one and a half spacings, where a Reconstructor alone takes them for their neighbors."""
     shape, pitch = calibration.image_shape, 14.0
     rest = grid(pitch, shape, 12.0)
     away = np.sum(((rest - [70, 50]) / [70, 60]) ** 2, axis=1)

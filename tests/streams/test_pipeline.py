@@ -1,4 +1,4 @@
-"""The threads of a stream: what an error ends, how long a close takes, which result a reader gets; what is counted."""
+"""The threads of a stream: effect of an error, duration of a close, the result that a reader gets, the counts."""
 
 from __future__ import annotations
 

@@ -1,5 +1,7 @@
-"""What is wrong with a sensor: an image that is repeated, the light, settings of the camera, marks on the gel, another gel
-or one that has moved, faults of a simulated gel."""
+"""Faults of a sensor: a repeated image, the light, settings of the camera, marks on the gel, another or a moved gel.
+
+The gels and their faults are simulated.
+"""
 
 from __future__ import annotations
 
@@ -19,6 +21,7 @@ from gelform.streams.background_drift import Evidence
 from gelform.streams.marks import Marks
 from gelform.streams.same_gel import SameGel
 from gelform.streams.sensor_health import CameraCheck, Frozen, light_findings, room_light_finding
+from live_waiting import until
 from made.sources import ImageSource
 from stream.sensor_faults import CHANGES, ONSET_S, Gel, dust, moved, scratch, tear
 
@@ -54,7 +57,7 @@ def named(gains):
     return {finding.name: finding.figure for finding in light_findings(np.array(gains))}
 
 
-def test_light_that_changes_is_brightness_or_colour():
+def test_light_that_changes_is_brightness_or_color():
     assert named([1.0, 1.02, 0.99]) == {}
     assert named([0.8, 0.8, 0.8]) == {"brightness_shift": pytest.approx(-0.2)}
     assert named([1.0, 1.06, 1.0]) == {"color_shift": pytest.approx(0.06)}
@@ -124,18 +127,13 @@ def test_another_unit_is_named_and_the_same_or_unknown_settings_are_none(calibra
 
 
 def test_a_camera_that_forgot_its_settings_when_it_was_unplugged_is_found(calibration, at_rest):
-    lost = SourceLostError("unplugged")
-    plugged = [source_of(at_rest, {"exposure": 100.0, "gain": 1.0}, count=3, fails=lost)]
-    plugged.append(source_of(at_rest, {"exposure": 250.0, "gain": 1.0}))
+    first = source_of(at_rest, {"exposure": 100.0, "gain": 1.0}, fails=SourceLostError("unplugged"))
+    plugged = [first, source_of(at_rest, {"exposure": 250.0, "gain": 1.0})]
     calibration = taken_with(calibration, exposure=100.0, gain=1.0)
     with gelform.stream(lambda: plugged.pop(0), calibration) as stream:
-        first = stream.newest(timeout_s=60)
-        assert mismatches(first.result) == []
-        index = first.index
-        while index < 4:
-            seen = stream.newest(index, timeout_s=60)
-            index = seen.index
-        (finding,) = mismatches(seen.result)
+        assert mismatches(stream.newest(timeout_s=60).result) == []
+        first.count = 0  # it ends, and fails
+        (finding,) = until(lambda: mismatches(stream.newest(timeout_s=60).result))
         assert finding.figure == 1
         assert "exposure 250.0 instead of 100.0" in finding.message
 

@@ -1,4 +1,4 @@
-"""A stream for who uses it: newest first, bounded ages, errors that arrive, threads that end; every frame of a recording."""
+"""A stream for its user: newest first, bounded ages, errors arrive, threads end; every frame of a recording."""
 
 import gc
 import threading

@@ -13,7 +13,7 @@ from gelform.view.view import image_px_from_frame_px
 
 
 def ramp(shape, *, per_x=0.31, per_y=0.17, start=40.0):
-    """A picture linear in the pixel's area centre: a point of the world has the same value in every size."""
+    """A picture linear in the pixel's area center: a point of the world has the same value in every size."""
     y, x = np.mgrid[: shape[0], : shape[1]] + 0.5
     plane = start + per_x * x + per_y * y
     return np.stack([plane, plane / 2, 255 - plane], axis=-1).astype(np.float32)
@@ -50,7 +50,7 @@ def test_a_plane_is_seen_where_it_is():
     for view in (*VIEWS, *(replace(view, lens=IDEAL) for view in VIEWS)):
         image = image_from_frame(ramp(view.frame_shape), view)
         inner = np.s_[1:-1, 1:-1]
-        # remap places a sample to 1/32 px; half a pixel of shift would be 0.15 grey levels per unit of scale
+        # remap places a sample to 1/32 px; half a pixel of shift would be 0.15 gray levels per unit of scale
         scale = max(1, view.frame_shape[1] / view.shape[1])
         assert np.abs(image - ramp_seen_through(view))[inner].max() < 0.02 * scale
         assert image.shape == (*view.shape, 3)
@@ -154,7 +154,7 @@ def test_frames_of_another_size_are_refused():
         image_from_frame(np.zeros((24, 32, 3), dtype=np.uint8), view)
     with pytest.raises(ValueError, match=r"frame of 48x64 px .*, got 20x30. Give the view"):
         image_from_frame(np.zeros((20, 30, 3), dtype=np.uint8), view)
-    with pytest.raises(ValueError, match="grey"):
+    with pytest.raises(ValueError, match="gray"):
         image_from_frame(np.zeros((48, 64), dtype=np.uint8), view)
     with pytest.raises(ValueError, match="24x32"):
         frame_from_image(np.zeros((48, 64, 3), dtype=np.uint8), view)

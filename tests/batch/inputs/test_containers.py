@@ -1,5 +1,8 @@
-"""What a dataset holds for a frame becomes an RGB image, or is refused with what to do; the depth of every frame in
-HDF5 (robomimic's, ALOHA's) and Zarr (diffusion policies') is that of the same image in a file of its own."""
+"""A dataset's values become RGB images, or are refused with advice.
+
+The depth of every frame in HDF5 (robomimic's, ALOHA's) and Zarr (diffusion policies') equals that of the same image in
+its own file.
+"""
 
 import cv2
 import numpy as np
@@ -146,6 +149,13 @@ def test_hdf5_that_cannot_be_is_said(demos, tmp_path):
     demos.write_bytes(demos.read_bytes()[:900])
     with pytest.raises(DataError, match="It is damaged, cut off"):
         listing_of(demos, dataset="data/*/obs/gelsight")
+
+
+def test_a_path_inside_that_leads_out_is_refused(h5py, tmp_path):
+    with h5py.File(tmp_path / "demos.h5", "w") as file:
+        file["data/../../../gel"] = np.zeros((2, 4, 4, 3), dtype=np.uint8)
+    with pytest.raises(DataError, match="leads out of any folder"):
+        listing_of(tmp_path / "demos.h5", dataset="data/*/*/*/gel")
 
 
 def test_among_others_a_damaged_file_is_a_row(demos, cal, tmp_path):

@@ -1,4 +1,4 @@
-"""LeRobot's version 3.0: episodes one after the other in one mp4, found by their times, or as images in tables."""
+"""LeRobot's version 3.0: consecutive episodes in one mp4, found by their times, or as images in tables."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""Which frames there are, in which order and parts, named and told apart; what cannot be read says why, the others come."""
+"""The list of frames: order, parts and unique names; an unreadable frame gets its error, and the others are done."""
 
 from itertools import chain
 from pathlib import Path
@@ -74,6 +74,12 @@ def test_nothing_to_do_is_said(tmp_path):
 
 IMAGES = tuple(f"{k}.png" for k in range(10))
 LISTING = Listing(Path(), (Sequence("a", Path("a"), IMAGES), Sequence("b.mp4", Path("b.mp4"))))
+
+
+@pytest.mark.parametrize("name", ["../up", "demos.h5/data/../../up", "/etc/up", ".."])
+def test_no_name_leads_out_of_the_output(name):
+    with pytest.raises(DataError, match="leads out of any folder"):
+        Sequence(name, Path("demos.h5"), dataset="data")
 
 
 def test_every_image_is_in_one_part_under_a_name_of_its_own():
@@ -182,7 +188,7 @@ def test_each_sequence_has_the_background_that_the_table_names(two_lights, cal, 
         with np.load(tmp_path / "own/frames" / name / "0.npz") as file:
             np.testing.assert_array_equal(file["depth_mm"], expected)
     swapped = table(two_lights, "a,b/rest.png", "b,a/rest.png")
-    with pytest.raises(DataError, match="begun with something else: the background"):
+    with pytest.raises(DataError, match="started with something else: the background"):
         run_batch(two_lights, cal, tmp_path / "own", background=swapped)
 
 

@@ -1,4 +1,4 @@
-"""A part of five frames, the third of which has an error, written in any form."""
+"""A part of five frames, the third with an error, written in any form."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""HDF5, Zarr, videos: what h5py, zarr and ffmpeg read is what was reconstructed; the bytes depend on nothing else."""
+"""HDF5, Zarr, videos: h5py, zarr and ffmpeg read the reconstructed values; the bytes depend on nothing else."""
 
 import json
 import os

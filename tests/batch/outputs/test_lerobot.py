@@ -1,5 +1,8 @@
-"""Depth in LeRobot's videos: codes of 1 um by the formula that LeRobot decodes them with, statistics of all of them;
-all that was there, one feature more in every table, whole after any interruption."""
+"""Depth in LeRobot's videos and tables.
+
+Codes are 1 um by the formula that LeRobot decodes, with the statistics of all of them. The data set keeps all its
+content, gains one feature in every table, and is complete after any interruption.
+"""
 
 import json
 from dataclasses import replace
@@ -36,10 +39,10 @@ def codes_in(path):
 
 
 def as_lerobot_reads(codes, info):
-    """Millimetres by LeRobot's linear formula, in float32 as there."""
+    """Millimeters by LeRobot's linear formula, in float32 as there."""
     low, high = info["video.depth_min"], info["video.depth_max"]
-    metres = codes.astype(np.float32) * np.float32((high - low) / 4095) + np.float32(low)
-    return np.rint(np.clip(metres, low, high) * np.float32(1000))
+    meters = codes.astype(np.float32) * np.float32((high - low) / 4095) + np.float32(low)
+    return np.rint(np.clip(meters, low, high) * np.float32(1000))
 
 
 def test_depth_as_lerobot_decodes_it(written, results, tmp_path):

@@ -1,5 +1,7 @@
-"""What is recorded of a file is what is there; every form gives back the depth that was written, the same bytes in any order
-and shards; damage is found."""
+"""Every form returns the written depth, and the same bytes in any order and shards.
+
+Records agree with the files, and damage is found.
+"""
 
 import errno
 import hashlib

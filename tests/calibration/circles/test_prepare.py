@@ -164,12 +164,15 @@ def test_dots_that_were_dragged_are_left_out_where_they_are_and_where_they_were(
         images.append((simulate_background(gel, None).astype(np.float32), last))
     (clean_rest, clean), (rest, press) = images
     assert np.abs(press.markers_shift_mm).max() > 0.3  # more than a dot's radius
-    _, usable = unmarked(press.image, rest)
+    change, usable = unmarked(press.image, rest)
     spoilt = spoilt_by_dots(press.image, rest, clean.image, clean_rest)
     assert np.count_nonzero(spoilt > 0.2) > 50
-    assert np.mean(usable[spoilt > 0.2]) < 0.05
-    assert np.mean(usable) > 0.6
-    assert np.mean(MarkerFinder(rest).mask(press.image, 2)[spoilt > 0.2]) > 0.95  # the fast way sees them too
+    assert np.mean(usable[spoilt > 0.2]) < 0.1
+    assert np.mean(usable) > 0.75
+    errors = np.abs(change - color_change_from_image(clean.image, clean_rest, SETTINGS)).mean(axis=-1)
+    assert errors[usable].max() < 0.6 * spoilt[usable].max()
+    assert np.percentile(errors[usable], 99) < 0.7 * np.percentile(spoilt[usable], 99)
+    assert np.mean(MarkerFinder(rest).mask(press.image)[spoilt > 0.2]) > 0.9  # the fast way sees them too
 
 
 def test_an_unmarked_gel_is_left_as_it_is(plain):
@@ -179,19 +182,22 @@ def test_an_unmarked_gel_is_left_as_it_is(plain):
     np.testing.assert_array_equal(change, color_change_from_image(image, background, SETTINGS))
 
 
-@pytest.mark.parametrize(("blur_px", "size"), [(0.0, 3), (0.7, 5), (2.0, 9)])
-def test_dots_and_twice_the_blur_around_are_left_out_and_the_rest_is_as_ever(blur_px, size):
+@pytest.mark.parametrize("blur_px", [0.0, 0.7, 2.0])
+def test_only_dots_are_left_out_and_a_blur_carries_nothing_of_them(blur_px):
     background = image_of_dots(grid(), noise=1.0)
     press = image_of_dots(np.add(grid(), [1.5, 0.5]), noise=3.0, seed=1)
     settings, finder = ChangeSettings("divide", 10, blur_px), MarkerFinder(background)
     change, usable = unmarked(press, background, settings)
-    dark = finder.untouched.mask | finder(press).mask
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
-    np.testing.assert_array_equal(~usable, cv2.dilate(dark.view(np.uint8), disc) > 0)
+    np.testing.assert_array_equal(~usable, finder.untouched.mask | finder(press).mask)
+    plain = PreparedBackground(background, settings).change(press)
     far = cv2.erode(usable.view(np.uint8), np.ones((11, 11), np.uint8)) > 0
     assert np.count_nonzero(far) > 50
-    plain = PreparedBackground(background, settings).change(press)
-    np.testing.assert_allclose(change[far], plain[far], atol=1e-3)
+    np.testing.assert_allclose(change[far], plain[far], atol=2e-3)
+    assert (
+        np.sqrt(np.mean(change[usable] ** 2)) < 0.045
+    )  # nothing changed but the noise, 3 levels of some 130
+    if blur_px > 1:
+        assert np.sqrt(np.mean(plain[usable] ** 2)) > 0.06
 
 
 def test_samples_leave_the_dots_out(dotted):
@@ -200,7 +206,7 @@ def test_samples_leave_the_dots_out(dotted):
         contact = ContactCircle(*true.center_px, true.contact_radius_px, 1.0, 9.0)
         rows, cols = press.pixels(contact, 0.8)
         assert len(rows) > 30
-        assert true.albedo[rows, cols].min() > 0.9
+        assert np.mean(true.albedo[rows, cols] < 0.9) < 0.02  # a few pixels of the rims
         assert (true.albedo < 0.5).any()
 
 

@@ -63,7 +63,7 @@ def test_presses_that_were_rejected_before_keep_their_reason(prepared, found):
 
 
 def test_double_contact_is_rejected(prepared):
-    """Two balls at once: the second is the colour change of another press, added far away."""
+    """Two balls at once: the second is the color change of another press, added far away."""
     prepared = list(prepared)
     shape = prepared[0].size.shape
     other = np.roll(prepared[0].color_change, (shape[0] // 4, shape[1] // 8), axis=(0, 1))
@@ -89,7 +89,7 @@ def test_a_circle_beyond_the_frame_is_rejected_and_named(prepared, found):
 
 
 class BallElsewhere:
-    """Slopes of a ball whose centre is elsewhere, as a model of the others might read them."""
+    """Slopes of a ball whose center is elsewhere, as a model of the others might read them."""
 
     def __init__(self, press, center_px):
         self.ball = center_px, press.ball_radius_px
@@ -162,7 +162,7 @@ TRUTH = [(x, y) for y in (30, 60, 90) for x in (30, 65, 100, 130)]
 
 
 def press_at(center):
-    """Colours that are linear in the slope, by lights that turn and weaken over the image, and a little even in it."""
+    """Colors that are linear in the slope, by lights that turn and weaken over the image, and a little even in it."""
     y, x = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)
     inside = np.hypot(x - center[0], y - center[1]) < CONTACT_PX
     slope = ball_gradients(x, y, center, BALL_PX) * inside[..., None]

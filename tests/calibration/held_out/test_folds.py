@@ -10,9 +10,9 @@ from gelform.calibration.circles.find import ContactCircle
 from gelform.calibration.circles.locate import refine
 from gelform.calibration.circles.prepare import find_contacts, prepare
 from gelform.calibration.circles.samples import PreparedPress
+from gelform.calibration.enough import FOLDS
 from gelform.calibration.held_out import folds as module
 from gelform.calibration.held_out.folds import (
-    FOLDS,
     Fold,
     _jackknife,
     circle_sigmas,
@@ -186,8 +186,8 @@ def test_sigma_of_a_circle_is_of_the_size_of_its_distance_to_the_truth(prepared,
 
 
 CIRCLE = ContactCircle(10.0, 12.0, 5.0, 0.9, 9.0)
-# Where it trains a circle stays, where it is left out it is drawn on by 4 px: of two, half of the difference.
-DRAWN = pytest.approx((np.sqrt(16 / 4 / 2), 0))
+# Where it trains a circle stays, where it is left out it is drawn on by 5 px: of two, half of the difference.
+DRAWN = pytest.approx((np.sqrt(25 / 4 / 2), 0))
 
 
 @pytest.mark.parametrize(

@@ -13,10 +13,9 @@ from gelform.calibration.candidates import (
     training_samples,
 )
 from gelform.calibration.circles.find import ContactCircle, magnitude
-from gelform.calibration.circles.samples import PreparedPress
+from gelform.calibration.circles.samples import TRIAL_SAMPLES, PreparedPress
 from gelform.calibration.held_out.folds import Fold
 from gelform.calibration.held_out.scores import (
-    SAMPLES_OF_FOLD,
     HeldOutPresses,
     SlopeScore,
     Trial,
@@ -124,10 +123,10 @@ def test_scores_are_those_of_models_that_have_not_seen_the_press(held_out, folds
     assert set(of_plain.scores) == set(of_stepped.scores) == set(range(len(prepared)))
     fold, untouched = folds[0], held_out.untouched[10.0]
     training = [prepared[i] for i in fold.training]
-    model = plain.fit(training_samples(training, fold.contacts, total=SAMPLES_OF_FOLD))
+    model = plain.fit(training_samples(training, fold.contacts, total=TRIAL_SAMPLES))
     ridges = [RIDGES[0]]
     reader = SlopeReader(model, prepared[0], untouched)
-    (forward,) = fitted_responses(reader, training, fold.contacts, ridges, total=SAMPLES_OF_FOLD)
+    (forward,) = fitted_responses(reader, training, fold.contacts, ridges, total=TRIAL_SAMPLES)
     for trial_, response in ((of_plain, None), (of_stepped, forward)):
         for i in fold.held_out:
             frame = FittedSlopes(reader, response).frame(prepared[i])
@@ -164,7 +163,7 @@ def test_each_candidate_is_fitted_once_for_each_fold(prepared, found, folds, hel
 
 
 def test_scores_are_the_errors_that_were_put_in():
-    """Inside the contact's edge, whatever lies beyond; the centre is free."""
+    """Inside the contact's edge, whatever lies beyond; the center is free."""
     rows, cols = np.mgrid[:90, :120]
     slopes = ball_gradients(cols, rows, (61.0, 44.0), 40.0)
     away = np.hypot(cols - 61, rows - 44)

@@ -20,7 +20,7 @@ from gelform.view import Lens, View, image_px_from_frame_px
 
 @pytest.fixture
 def copy(folder, tmp_path):
-    """The press folder, free to be spoilt."""
+    """The press folder, free to be spoiled."""
     return shutil.copytree(folder, tmp_path / "presses")
 
 

@@ -36,7 +36,7 @@ def py3dcal(folder, simulated, tmp_path):
 
 @pytest.fixture
 def pack(simulated, tmp_path):
-    """The simulated presses as Taxim's dataPack.npz, as arrays to be spoilt and the path to save them at."""
+    """The simulated presses as Taxim's dataPack.npz, as arrays to be spoiled and the path to save them at."""
     arrays = {
         "f0": simulated.background[..., ::-1],
         "imgs": np.stack([press.image[..., ::-1] for press in simulated.presses]),

@@ -20,7 +20,7 @@ NOISE = 0.3
 
 
 def gel(rng, contact=None):
-    """A thumbnail of a gel with a colour slope; contact: (x, y, strength) of a ball-like change."""
+    """A thumbnail of a gel with a color slope; contact: (x, y, strength) of a ball-like change."""
     y, x = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)
     levels = np.stack([90 + x, 110 + 0 * x, 120 - y], axis=-1)
     if contact is not None:
@@ -115,7 +115,7 @@ def test_the_untouched_state_comes_back_though_a_press_was_held_longer(after):
 def test_the_untouched_state_comes_back_though_the_pressed_gel_is_smoother():
     levels = sequence(8, [None] * 8, 4, [None] * 8, 4)
     slope = np.linspace(-8, 8, SHAPE[0])[:, None, None].astype(np.float32)
-    for start, share in ((8, 0.0), (20, 1.0)):  # a flat object takes the gel's own slope of colour away
+    for start, share in ((8, 0.0), (20, 1.0)):  # a flat object takes the gel's own slope of color away
         press = levels[start : start + 8]
         press[:] = press.mean(axis=(1, 2), keepdims=True) + share * slope
     rest = untouched(levels, distances(levels[1:], levels[:-1]))

@@ -1,4 +1,4 @@
-"""gelform batch and gelform verify: figures, status, what is refused in one line."""
+"""gelform batch and gelform verify: figures, exit status, refusals in one line."""
 
 import json
 
@@ -87,7 +87,7 @@ def output(run, tmp_path):
 def test_a_whole_output_has_no_problem(run, run_json, fails, output, tmp_path):
     code, _, err = run("verify", output)
     assert code == 0
-    assert "3 frames are whole, 0 have an error, 0 problems." in err
+    assert "3 frames are complete, 0 have an error, 0 problems." in err
     assert run_json("verify", output) == {"frames": 3, "errors": 0, "problems": []}
     assert "Expected the output folder of gelform batch" in fails("verify", tmp_path / "absent")
 

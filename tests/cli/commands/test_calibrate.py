@@ -1,4 +1,4 @@
-"""gelform calibrate: a folder in, a calibration and a report out; every missing thing is named."""
+"""gelform calibrate: from a folder to a calibration and a report; every missing file is named."""
 
 import csv
 import json

@@ -1,4 +1,4 @@
-"""gelform calibrations: list, add, remove, export; and the commands that take what is there where none is given."""
+"""gelform calibrations: list, add, remove, export; and the commands that search the library if no calibration is given."""
 
 import io
 import json
@@ -40,7 +40,7 @@ def test_a_calibration_is_added_once_and_listed(run, run_json, library, tmp_path
     arguments = ("calibrations", "add", tmp_path / "mine.npz", "--serial", "S7", "--gel", "g")
     (added,) = run_json(*arguments)["added"]
     assert added["new"]
-    assert "There already" in run(*arguments)[2]
+    assert "Already in the library" in run(*arguments)[2]
     (listed,) = run_json("calibrations", "list")["calibrations"]
     assert (listed["serial"], listed["gel_id"], listed["file"]) == ("S7", "g", added["file"])
     assert load_calibration(listed["file"]).serial == "S7"

@@ -1,4 +1,4 @@
-"""gelform demo, on a smaller sensor and fewer presses than it has on the command line."""
+"""gelform demo, with a smaller sensor and fewer presses than on the command line."""
 
 import json
 

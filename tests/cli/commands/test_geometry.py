@@ -1,4 +1,4 @@
-"""gelform scale and gelform lens: what they write, and what they refuse."""
+"""gelform scale and gelform lens: their results and refusals."""
 
 import shutil
 from dataclasses import replace
@@ -99,8 +99,8 @@ def checkerboard(path, shape, square_px):
     whole = np.ones((shape[0] * fine, shape[1] * fine))
     top, left = ((whole.shape[k] - board.shape[k]) // 2 for k in (0, 1))
     whole[top : top + board.shape[0], left : left + board.shape[1]] = board
-    grey = cv2.resize(whole, shape[::-1], interpolation=cv2.INTER_AREA)
-    save_picture(path, np.repeat((40 + 180 * grey).astype(np.uint8)[..., None], 3, axis=2))
+    gray = cv2.resize(whole, shape[::-1], interpolation=cv2.INTER_AREA)
+    save_picture(path, np.repeat((40 + 180 * gray).astype(np.uint8)[..., None], 3, axis=2))
 
 
 def test_a_grid_tells_lens_and_scale(run_json, presses, tmp_path):

@@ -1,4 +1,4 @@
-"""gelform info: what each kind of file is, in words, and what a folder lacks."""
+"""gelform info: the description of each kind of file, and the missing parts of a folder."""
 
 import re
 import shutil
@@ -92,7 +92,7 @@ def test_a_folder_and_what_it_lacks(run, run_json, press_folder, tmp_path):
     assert (said["presses"], said["balls_mm"], said["labelled"]) == (10, {"6": 5, "9": 5}, 10)
     assert "nothing" in run("info", press_folder)[1]
     for gone, text in (
-        ("background.png", "untouched gel"),
+        ("background.png", "gel at rest"),
         ("presses.csv", "ball_diameter_mm"),
         ("sensor.toml", "mm_per_px"),
     ):

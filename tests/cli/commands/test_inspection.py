@@ -22,7 +22,7 @@ def test_errors_and_what_was_seen(run, run_json, press_folder, calibration_file)
     code, out, err = run("evaluate", press_folder, "-c", calibration_file)
     assert code == 0
     assert f"made from {expected.seen} of these presses" in err
-    assert out.count("(seen)") == expected.seen
+    assert out.count("(used)") == expected.seen
     assert "may even be larger" in err
     assert "by the ball's slope" in out
     assert f"{expected.where['contact']['by_slope'][0]['normal_deg']:.3g}" in out
@@ -36,9 +36,9 @@ def test_errors_and_what_was_seen(run, run_json, press_folder, calibration_file)
 
 def test_mistakes_are_one_line(fails, press_folder, calibration_file, tmp_path):
     """Presses of another size, an image of another sensor, no calibration, one in place of two."""
-    grey = np.full((60, 80, 3), 90, dtype=np.uint8)
+    gray = np.full((60, 80, 3), 90, dtype=np.uint8)
     for name in ("background.png", "other.png"):
-        save_picture(tmp_path / name, grey)
+        save_picture(tmp_path / name, gray)
     image, mine, none = images_of(press_folder)[0], ("-c", calibration_file), ("-c", tmp_path / "none.npz")
     scale = ("--ball-diameter-mm", "6", "--mm-per-px", "0.1")
     said = fails("evaluate", tmp_path, *mine, *scale)

@@ -1,4 +1,4 @@
-"""gelform live: the address is printed, mistakes are one line; what it serves is tested in tests/live."""
+"""gelform live: the address is printed, mistakes are one line; tests/live tests the page."""
 
 import os
 import re

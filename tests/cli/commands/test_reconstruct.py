@@ -1,4 +1,4 @@
-"""gelform reconstruct: images of one name give as many results, and nothing is half done."""
+"""gelform reconstruct: images with the same name give as many results, and no result is partial."""
 
 import json
 import shutil
@@ -108,7 +108,7 @@ def test_one_bad_image_does_not_stop_the_others(run, run_json, calibration_file,
     code, out, err = run(*arguments, "-o", tmp_path / "out")
     assert code == 1
     assert err.startswith(f"gelform: error: {tmp_path / 'bad.png'} is ")
-    assert "3 of 4 images done, 0 skipped, 1 not possible." in err
+    assert "3 of 4 images done, 0 skipped, 1 failed." in err
     assert sum(1 for _ in (tmp_path / "out").rglob("*.npz")) == 3
     assert out.count(".npz") == 3
     code, out, _ = run(*arguments, "-o", tmp_path / "again", "--json")
@@ -125,7 +125,7 @@ def test_it_goes_on_where_it_was(run, calibration_file, press_folder, tmp_path):
     (out / "0002.npz").write_text("mine")
     code, said, err = run("reconstruct", *images, "-c", calibration_file, "-o", out, "--skip-existing")
     assert code == 0
-    assert "1 of 3 images done, 2 skipped, 0 not possible." in err
+    assert "1 of 3 images done, 2 skipped, 0 failed." in err
     assert said.count(".npz") == 1
     assert load_result(out / "0001.npz")
     assert (out / "0002.npz").read_text() == "mine"

@@ -1,4 +1,4 @@
-"""gelform bag and gelform ros: what they write and say; mistakes in one line."""
+"""gelform bag and gelform ros: their outputs and messages; mistakes in one line."""
 
 import cv2
 import numpy as np

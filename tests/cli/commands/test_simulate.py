@@ -1,4 +1,4 @@
-"""gelform simulate and gelform design: what they make, and what they refuse."""
+"""gelform simulate and gelform design: their outputs and refusals."""
 
 import json
 
@@ -52,10 +52,10 @@ def test_a_height_map(run, roof, tmp_path):
     assert (tmp_path / "out" / "image.png").is_file()
 
 
-def test_a_grey_image_is_a_height_map_and_all_truth_is_written(run, fails, tmp_path):
-    grey = np.zeros((60, 60), np.uint8)
-    grey[20:40, 20:40] = 255
-    cv2.imwrite(str(tmp_path / "block.png"), grey)
+def test_a_gray_image_is_a_height_map_and_all_truth_is_written(run, fails, tmp_path):
+    gray = np.zeros((60, 60), np.uint8)
+    gray[20:40, 20:40] = 255
+    cv2.imwrite(str(tmp_path / "block.png"), gray)
     face = ("--height-map", tmp_path / "block.png", "--height-map-mm-per-px", "0.1", "--depth-mm", "0.3")
     arguments = ("simulate", "-o", tmp_path / "out", "--sensor", "small", *face)
     assert "--height-map-range-mm" in fails(*arguments)
@@ -132,8 +132,8 @@ def test_presses_like_taxims_tables(run_json, fails, tmp_path):
     table[..., 5] = np.arange(90)[:, None]
     np.savez(tmp_path / "polycalib.npz", bins=90, grad_r=table, grad_g=table, grad_b=table)
     arguments = ("simulate", "--like", tmp_path / "polycalib.npz", "--count", "1")
-    run_json(*arguments, "--mm-per-px", "0.0634", "-o", tmp_path / "grey")
-    presses = read_presses(tmp_path / "grey")
+    run_json(*arguments, "--mm-per-px", "0.0634", "-o", tmp_path / "gray")
+    presses = read_presses(tmp_path / "gray")
     assert presses.image_shape == (240, 320)
     assert np.all(presses.background == 110)
     assert presses.presses[0].image.max() > 125

@@ -1,4 +1,4 @@
-"""gelform cameras and gelform record: what is plugged in, frames into files, presses taken with the space bar."""
+"""gelform cameras and gelform record: connected cameras, frames into files, presses taken with the space bar."""
 
 import json
 import os
@@ -204,7 +204,7 @@ def test_presses_with_the_space_bar(run, tmp_path, press_folder, monkeypatch):
 def test_what_it_needs_is_said_and_no_file_is_left(fails, monkeypatch, tmp_path):
     record = ("record", "simulated", "-o", tmp_path / "r")
     for arguments, said in (
-        (["--presses"], "which ball"),
+        (["--presses"], "diameter of the ball"),
         (["--set", "exposure"], "NAME=VALUE"),
         (["--set", "exposure=x"], "a number"),
         (["--set", "exposur=3"], "exposur"),

@@ -1,4 +1,4 @@
-"""gelform starter: a calibration of a unit from its untouched image; gelform info says what it is."""
+"""gelform starter: a calibration of a unit from its background image; gelform info describes it."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ SIMULATED = "simulated-three-edges"
 
 @pytest.fixture(scope="module")
 def unit(tmp_path_factory):
-    """A folder with an image of the untouched gel, and one of a ball 0.4 mm deep."""
+    """A folder with an image of the gel at rest, and one of a ball 0.4 mm deep."""
     folder, layout = tmp_path_factory.mktemp("unit"), LAYOUTS["three-edges"]
     rest = simulate_background(layout, np.random.default_rng(5)).round().astype(np.uint8)
     pressed = simulate_press(layout, Ball(2.5), depth_mm=0.4, rng=np.random.default_rng(6)).image
@@ -44,7 +44,7 @@ def test_what_it_is_is_said_when_it_is_made_and_by_info(run, unit, tmp_path):
     assert f"may be off by {spread}" in err
     lines = dict(line.split("  ", 1) for line in run("info", file)[1].splitlines())
     said = {label.strip(): text.strip() for label, text in lines.items()}
-    assert said["starter"].startswith(f"of the make {SIMULATED}")
+    assert said["starter"].startswith(f"starter of the make {SIMULATED}")
     assert said["made from"] == "; ".join(load_starter(SIMULATED).units)
     assert spread in said["spread"]
 
@@ -88,7 +88,7 @@ def test_what_a_starter_needs_is_said_before_any_work(fails, unit, tmp_path, com
     image, rest, out = unit / "frame.png", unit / "rest.png", ("-o", tmp_path / "out")
     said = fails(command, image, "--sensor", SIMULATED, *out, status=2)
     assert "--background" in said
-    assert "an image of the untouched gel" in said
+    assert "an image of the gel at rest" in said
     said = fails(command, image, "--sensor", "gelslim", "--background", rest, *out, status=2)
     assert "expected digit, gelsight-mini or simulated-three-edges, got 'gelslim'" in said
     assert "Leave one" in fails(command, image, "--sensor", SIMULATED, "-c", rest, *out, status=2)

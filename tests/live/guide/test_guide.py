@@ -1,4 +1,4 @@
-"""The guide's steps, fed with simulated images at a camera's pace, faster than real time."""
+"""The guide's steps, with simulated images at a camera's pace, faster than real time."""
 
 import numpy as np
 import pytest
@@ -83,7 +83,7 @@ def test_presses_fill_the_coverage_and_move_the_target_away(guide, see, press):
 
 def test_too_few_presses_cannot_be_fitted(guide, see):
     see(times=BACKGROUND_FRAMES)
-    with pytest.raises(GelformError, match="Press on"):
+    with pytest.raises(GelformError, match="Press again"):
         guide.presses()
 
 

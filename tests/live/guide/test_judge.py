@@ -1,4 +1,4 @@
-"""What an image of a guided calibration shows, against simulated presses; what presses so far promise."""
+"""The content of images during a guided calibration, against simulated presses; and the forecast from presses."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_reasons_say_what_to_do(judge, press):
     circle = looked(judge, here.image).circle
     assert "before" in looked(judge, here.image, [circle]).reason
     assert "harder" in looked(judge, press(0, 0, depth_mm=0.06).image).reason
-    assert "Too deep" in looked(judge, press(0, 0, depth_mm=0.7, diameter_mm=14).image).reason
+    assert "too deep" in looked(judge, press(0, 0, depth_mm=0.7, diameter_mm=14).image).reason
 
 
 def test_an_image_of_another_sensor_is_refused_with_the_reason(judge, untouched):

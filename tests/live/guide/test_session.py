@@ -1,4 +1,4 @@
-"""From the first frame to a calibration in use: on the simulated sensor, which is pressed where the guide asks."""
+"""From the first frame to a calibration in use: the simulated sensor is pressed at the suggested places."""
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ def test_it_fits_writes_reports_and_is_used(hub, tmp_path, library, presses, cal
     hub.folder = tmp_path
     actions.guide_start(hub, 0, 5.0, "", 0.0)
     session = hub.guides[0]
-    with pytest.raises(GelformError, match="nothing to use"):
+    with pytest.raises(GelformError, match="no calibration to use"):
         actions.guide_use(hub, 0)
     monkeypatch.setattr(session.guide, "presses", lambda: presses)
     monkeypatch.setattr(
@@ -48,7 +48,7 @@ def test_it_fits_writes_reports_and_is_used(hub, tmp_path, library, presses, cal
     (kept,) = library.iterdir()
     assert gelform.load_calibration(kept).digest == used.digest
     assert hub.stations[0].setup.name == kept.name
-    assert "in the library too" in hub.notices[-1][2]
+    assert "The library has it too" in hub.notices[-1][2]
     assert np.isfinite(used.held_out["normal_free_deg"])
 
 

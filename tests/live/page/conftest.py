@@ -1,4 +1,4 @@
-"""A real browser, and the page in it: what goes wrong in the page fails the test."""
+"""A real browser with the page; an error in the page fails the test."""
 
 import os
 import re

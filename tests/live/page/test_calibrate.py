@@ -1,4 +1,4 @@
-"""The whole guided calibration in a real browser: from the ball to a calibration in use, pressed where the guide asks."""
+"""The whole guided calibration in a real browser: from the ball to a calibration in use, with suggested presses."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ YELLOW = np.array([255, 209, 102])  # of the circle where to press
 
 
 def yellow_pixels(image):
-    """How many pixels (H, W, 3), BGR, have the colour of the target."""
+    """How many pixels (H, W, 3), BGR, have the color of the target."""
     return int((np.abs(image[..., ::-1].astype(int) - YELLOW).max(axis=-1) < 30).sum())
 
 

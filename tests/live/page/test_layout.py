@@ -1,4 +1,4 @@
-"""What stands where, at a desk and on a phone: legends, messages, the buttons within reach; old figures are dimmed."""
+"""The layout on a desktop and on a phone: legends, messages, reachable buttons; outdated figures are dimmed."""
 
 import threading
 
@@ -55,7 +55,7 @@ NEEDED = "#theme, #help, .tabs button, #status, main button, main select, main i
 
 def test_messages_cover_nothing_have_a_cross_and_go(sized, hub):
     hub.notice("The disk is almost full. " * 5, "error")
-    hub.notice("Zero set: depth is shown against what was there just now.")
+    hub.notice("Zero set: depth is relative to the last frames.")
     until(lambda: sized.locator(".toast").count() == 2)
     toasts = [sized.locator(".toast").nth(k).bounding_box() for k in range(2)]
     screen = {"x": 0, "y": 0, **sized.viewport_size}

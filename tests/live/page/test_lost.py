@@ -1,4 +1,4 @@
-"""What the page does without WebGL, with a graphics processor, and when the machine sleeps: the socket is dropped."""
+"""The page without WebGL, with a graphics processor, and after the machine slept: the socket is dropped."""
 
 import os
 import signal

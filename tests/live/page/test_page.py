@@ -29,7 +29,7 @@ def held(page, hub):
     return hub.stations[0].newest.result
 
 
-def test_colours_profile_and_numbers_are_those_of_the_array(page, hub):
+def test_colors_profile_and_numbers_are_those_of_the_array(page, hub):
     colormaps = pytest.importorskip("matplotlib").colormaps
     depth = held(page, hub).depth_mm
     top = page.evaluate("gelform.settings.range")
@@ -85,8 +85,8 @@ def test_what_is_not_known_is_hatched_and_never_a_depth(page, hub, blinded, pict
         page.evaluate("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
         script = "([x, y, w, h]) => [...gelform.panes[0].painting.canvas.getContext('2d').getImageData(x, y, w, h).data]"
         pixels = np.array(page.evaluate(script, [30, 90, 20, 10])).reshape(10, 20, 4)
-        greys = {tuple(rgb) for rgb in pixels.reshape(-1, 4)[:, :3].tolist()}
-        assert (greys == {(138, 148, 153), (93, 103, 108)}) is unknown
+        grays = {tuple(rgb) for rgb in pixels.reshape(-1, 4)[:, :3].tolist()}
+        assert (grays == {(138, 148, 153), (93, 103, 108)}) is unknown
         assert page.locator(".pane >> nth=0 >> .swatch").count() == int(unknown)
     script = """() => import('/js/maps/charts.js').then(({ profilesThrough }) => {
         const { alongX, depth } = profilesThrough(gelform.frame, [40, 95]);
@@ -103,7 +103,7 @@ def test_what_is_not_known_is_hatched_and_never_a_depth(page, hub, blinded, pict
     filled = picture(page, "#surface").astype(int)
     changed = np.abs(shown - filled).max(axis=-1) > 20
     assert changed.sum() > 500
-    spread = np.ptp(shown[changed], axis=-1)  # grey: channels alike
+    spread = np.ptp(shown[changed], axis=-1)  # gray: channels alike
     assert np.median(spread) < 12 < np.median(np.ptp(filled[changed], axis=-1))
 
 
@@ -112,7 +112,7 @@ def test_the_surface_wears_the_confidence_whatever_the_panes_show(page, hub, bli
     assert "confidence" not in page.evaluate("gelform.panes.map((one) => one.view)")
     page.select_option("#drape", "confidence")
     until(lambda: page.evaluate("gelform.frame.has('confidence')"), 20)
-    until(lambda: "colours: confidence" in page.inner_text("#stage .corner"), 20)
+    until(lambda: "colors: confidence" in page.inner_text("#stage .corner"), 20)
     yellow = np.array([37, 231, 253])  # BGR of 1, of which the most part is; lit, it keeps its hue
 
     def yellow_pixels():
@@ -128,8 +128,8 @@ def test_the_surface_wears_the_confidence_whatever_the_panes_show(page, hub, bli
 def test_the_surface_is_drawn_and_turns(page, hub, picture):
     held(page, hub)
     before = picture(page, "#surface")
-    colours = np.unique(before.reshape(-1, 3) // 16, axis=0)
-    assert len(colours) > 20
+    colors = np.unique(before.reshape(-1, 3) // 16, axis=0)
+    assert len(colors) > 20
     page.focus("#surface")
     for _ in range(4):
         page.keyboard.press("ArrowRight")
@@ -140,7 +140,7 @@ def test_buttons_do_what_they_say(page, hub):
     station = hub.stations[0]
     page.click("#zero")
     until(lambda: station.setup.zero_mm is not None)
-    until(lambda: page.inner_text("#zero") == "Zero: undo")
+    until(lambda: page.inner_text("#zero") == "Undo zero")
     page.click("#zero")
     until(lambda: station.setup.zero_mm is None)
     page.select_option("#solver", "dct")

@@ -1,4 +1,4 @@
-"""A recording in a real browser: opened from the list, scrubbed, stepped, looped, compared, shared, fetched."""
+"""A recording in a real browser: opened from the list, scrubbed, stepped, looped, compared, shared, downloaded."""
 
 import numpy as np
 import pytest
@@ -64,7 +64,7 @@ def test_it_is_scrubbed_stepped_played_and_looped(replay, hub, recording, calibr
     until(lambda: hub.stations[0].source.facts()["loop"])
     replay.click("#play")
     until(lambda: hub.stations[0].source.playing)
-    until(lambda: replay.inner_text("#play") == "Hold")
+    until(lambda: replay.inner_text("#play") == "Pause")
     before = hub.stations[0].newest.serial
     until(lambda: hub.stations[0].newest.serial > before + COUNT, 30)  # round the end
     replay.keyboard.press(" ")
@@ -87,7 +87,7 @@ def test_two_calibrations_are_compared_on_a_frame_and_one_file_is_shared(
     apart = float(np.sqrt(np.mean((shown.result.depth - shown.other.depth) ** 2)))
     assert apart > 1e-4
     assert replay.evaluate("gelform.frame.header.other.apart") == pytest.approx(apart)
-    until(lambda: f"apart by {apart:.4f}" in replay.inner_text(".pane[data-view=difference] .legend"))
+    until(lambda: f"RMS difference: {apart:.4f}" in replay.inner_text(".pane[data-view=difference] .legend"))
 
     replay.click("#share")
     until(lambda: replay.locator("#files a").count() == 1, 30)

@@ -70,7 +70,7 @@ def test_two_sensors_stand_side_by_side_and_one_is_chosen(two, visit, picture):
     page.fill("#set-exposure", "70")
     page.press("#set-exposure", "Enter")
     until(lambda: two.stations[1].source.settings["exposure"] == 70)
-    until(lambda: page.inner_text("#now-exposure") == "is 70")
+    until(lambda: page.inner_text("#now-exposure") == "now 70")
     page.keyboard.press("Tab")
     until(lambda: page.locator("#devices tr").count() == 2)
 
@@ -86,7 +86,7 @@ def test_two_pages_share_a_camera_and_both_hear_which_one_was_unplugged(visit, s
         for page in pages:
             until(lambda page=page: page.evaluate("Boolean(gelform.frame)"), 30)
         pages[0].click("#identify")
-        until(lambda: "Unplug one now" in pages[1].inner_text("#identified"))
+        until(lambda: "Unplug one device now" in pages[1].inner_text("#identified"))
         camera.kill()
         for page in pages:
             until(lambda page=page: "Plug it in again" in page.inner_text("#identified"), 20)
@@ -106,7 +106,7 @@ def test_a_camera_of_the_list_is_shown_from_the_page_and_left_again(hub, visit):
         until(lambda: not hub.stations[0].facts()["simulated"], 20)
         until(lambda: "No calibration yet" in page.inner_text("#stages"), 20)
         until(lambda: page.locator("#devices button.show").count() == 0)
-        until(lambda: "none on the list has its serial" in page.inner_text("#toasts"))
+        until(lambda: "none in the list has its serial" in page.inner_text("#toasts"))
         page.click("#devices-back")
         until(lambda: hub.stations[0].facts()["simulated"], 20)
         until(lambda: page.is_hidden("#devices-back"))
@@ -128,4 +128,4 @@ def test_what_is_in_the_way_of_a_camera_is_said_on_the_page(visit, serving_of):
     page = visit(serving_of(hub).url)
     until(lambda: page.is_visible("#banner"), 20)
     until(lambda: "process 7" in page.inner_text("#banner"))
-    assert "any number of pages may look at one camera" in page.inner_text("#banner")
+    assert "Any number of pages may show one camera" in page.inner_text("#banner")

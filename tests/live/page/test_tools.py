@@ -1,4 +1,4 @@
-"""What the page measures and how far back it shows: the ruler, curves of minutes, the surface over the whole screen."""
+"""The page's tools: the ruler, curves of minutes, the surface in full screen."""
 
 import cv2
 import numpy as np
@@ -44,7 +44,7 @@ def test_the_ruler_measures_between_two_points(page, still):
     assert rise > 0.3
     assert measured["rise"] == pytest.approx(rise, abs=1e-4)
     said = page.inner_text("#ruler output")
-    assert said == f"{measured['distance']:.2f} mm apart, B {measured['rise']:.3f} mm deeper"
+    assert said == f"A and B are {measured['distance']:.2f} mm apart, B is {measured['rise']:.3f} mm deeper."
     page.fill("#ruler input >> nth=2", "35")
     page.fill("#ruler input >> nth=3", "101")
     until(lambda: page.inner_text("#ruler output") != said)
@@ -52,7 +52,7 @@ def test_the_ruler_measures_between_two_points(page, still):
     page.evaluate(
         "gelform.frame.planes.unknown = { ...gelform.frame.planes.depth, values: new Uint8Array(132 * 176).fill(1) }"
     )
-    assert page.evaluate("gelform.stages[0].ruler.said(gelform.frame)").endswith("height not known")
+    assert page.evaluate("gelform.stages[0].ruler.said(gelform.frame)").endswith("in depth is not known.")
     page.keyboard.press("Escape")
     page.click("#measure")
     until(lambda: page.is_hidden("#ruler"))

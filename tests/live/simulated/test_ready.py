@@ -1,4 +1,4 @@
-"""The calibration that is shipped: read, and held against the simulated truth."""
+"""The shipped calibration: it loads, and agrees with the simulated truth."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Messages of a client: whatever comes, it is a known command with fields of the right kind, or refused."""
+"""Messages of a client: each is a known command with fields of the right type, or is refused."""
 
 import json
 

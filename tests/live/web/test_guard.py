@@ -1,4 +1,4 @@
-"""Who may talk to the server: hosts, origins, tokens."""
+"""Access to the server: hosts, origins, tokens."""
 
 from hypothesis import given
 from hypothesis import strategies as st

@@ -1,4 +1,4 @@
-"""Which pages are open: by name, over several connections, and a moment longer."""
+"""The open pages: by name, over several connections, and for a moment after the last one."""
 
 from gelform.live.web.pages import GRACE_S, Pages, page_named
 

@@ -1,4 +1,4 @@
-"""Where the server listens: ports, hosts, tokens, and what it says where it cannot."""
+"""Where the server listens: ports, hosts, tokens, and the error if it cannot."""
 
 import builtins
 import socket

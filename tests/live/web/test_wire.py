@@ -1,4 +1,4 @@
-"""Messages of the page: what is written is read again; maps as bytes: steps, rounding, packing, both encodings."""
+"""Messages of the page: written and read back; maps as bytes: steps, rounding, packing, both encodings."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def depth():
     return (0.8 * np.exp(-((x - 30) ** 2 + (y - 15) ** 2) / 80) - 0.05).astype(np.float32)
 
 
-def test_depth_is_exact_to_half_a_step_of_a_tenth_of_a_micrometre_that_grows_with_it(depth):
+def test_depth_is_exact_to_half_a_step_of_a_tenth_of_a_micrometer_that_grows_with_it(depth):
     plane = depth_plane(depth, "raw")
     assert plane.facts["step"] == 1e-4
     np.testing.assert_allclose(floats(plane), depth, atol=0.51e-4)

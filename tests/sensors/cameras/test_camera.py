@@ -1,4 +1,4 @@
-"""Cameras as Linux lists them, which of several is meant, their modes and measured rate, their settings."""
+"""Cameras as Linux lists them, the choice among several, their modes and measured rate, their settings."""
 
 import os
 import shutil

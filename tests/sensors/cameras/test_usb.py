@@ -1,4 +1,4 @@
-"""A USB camera: what is asked of OpenCV and what comes of it, and why one cannot be opened."""
+"""A USB camera: calls of OpenCV and their results, and the reason if it cannot be opened."""
 
 import os
 import subprocess

@@ -1,4 +1,4 @@
-"""Recordings by number: every frame is the one that was recorded, in whatever order, also of MCAP files that are torn."""
+"""Recordings by number: every frame is the recorded one, in any order, in torn MCAP files too."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""MCAP files: records, topics of pictures, bags of ROS 2, damage."""
+"""MCAP files: records, topics of pictures, ROS 2 bags, damage."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""MCAP files that are being written: readable after a kill, and by others."""
+"""MCAP files while they are written: readable after a kill, and by other readers."""
 
 import os
 import signal

@@ -1,4 +1,4 @@
-"""What a recording says of its camera, pictures without loss and as ROS 2 messages: the bytes by hand, there and back."""
+"""Facts of a recording about its camera; lossless pictures; ROS 2 messages, byte by byte in both directions."""
 
 from dataclasses import replace
 
@@ -23,10 +23,19 @@ from made.recorded import frames
 from made.ros_images import raw_message
 
 
+def test_facts_of_the_first_format_are_read_for_ever():
+    text = (
+        '{"name": "DIGIT D1", "serial": "D1", "settings": {"gain": 3.0}, "rate_hz": 60.0, "calibration_digest": "abc", '
+        '"library_version": "0.1.0", "format_version": 1}'
+    )
+    expected = RecordingFacts("DIGIT D1", "D1", {"gain": 3.0}, 60.0, "abc", "0.1.0")
+    assert RecordingFacts.from_json(text, "x") == expected
+
+
 def test_facts_survive_their_json_and_damaged_ones_say_so():
     facts = RecordingFacts("DIGIT D1", "D1", {"gain": 3.0, "fourcc": "YUYV"}, 60.0, "abc", "0.1")
     assert RecordingFacts.from_json(facts.to_json(), "x") == facts
-    for text in ("", "[]", '{"format_version": 1, "colour": 3}', '{"name": "x"}'):
+    for text in ("", "[]", '{"format_version": 1, "color": 3}', '{"name": "x"}'):
         with pytest.raises(DataError, match="x is damaged"):
             RecordingFacts.from_json(text, "x")
     newer = RecordingFacts("a", library_version="9.1").to_json().replace('_version": 1', '_version": 2')

@@ -1,4 +1,4 @@
-"""The simulated sensor as a source: pace, noise, its programme, presses where they are asked for."""
+"""The simulated sensor as a source: pace, noise, its program, presses on request."""
 
 import threading
 import time
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gelform.sensors.simulated.settings import simulated_sensor_named
-from gelform.sensors.simulated.source import REST_IMAGES, SimulatedSource, programme
+from gelform.sensors.simulated.source import REST_IMAGES, SimulatedSource, program
 from gelform.simulate import LAYOUTS, simulate_background, simulate_pose
 from live_waiting import until
 
@@ -62,9 +62,9 @@ def test_noise_is_of_the_frame_and_the_seed():
 
 def test_a_frame_is_the_simulated_image_of_its_touch(source):
     k = REST_IMAGES + 24
-    touch = programme(SMALL)[0][k]
+    touch = program(SMALL)[0][k]
     truth = simulate_pose(SMALL, touch.indenter, touch.pose, rng=None).image
-    rounds = len(programme(SMALL)[0])
+    rounds = len(program(SMALL)[0])
     shown = np.mean([source.image_at(round((k + 0.5 + rounds * n) * 200 / 30)) for n in range(60)], axis=0)
     assert np.abs(shown - truth).mean() < 0.4  # rounding of the truth, and noise of the mean
     assert np.abs(shown - UNTOUCHED).max() > 20
@@ -72,7 +72,7 @@ def test_a_frame_is_the_simulated_image_of_its_touch(source):
 
 def test_objects_touch_in_turn_without_going_through_the_gel():
     sensor = simulated_sensor_named("three-edges")
-    for images in programme(sensor):
+    for images in program(sensor):
         assert images[:REST_IMAGES] == [None] * REST_IMAGES
         depths = [touch.pose.depth_mm for touch in images[REST_IMAGES:]]
         assert max(depths) > 0.2
