@@ -1,7 +1,8 @@
-"""Look at a built site in Chromium: python docs/site/browser.py FOLDER [--shots FOLDER]
+"""Look at a built site in Chromium: python docs/site/browser.py FOLDER [--quick] [--shots FOLDER]
 
 FOLDER holds the site's index.html. The command prints the weight of the first page, the other hosts that pages ask,
-what axe-core finds, and the number of pages that a search finds, all from a server and from files. The exit status is 1
+what axe-core finds, and the number of pages that a search finds, all from a server and from files. Each page is read in
+light and dark colors, in a wide and a narrow window; with --quick, light and wide, dark and narrow. The exit status is 1
 where the first page is too heavy, or where a page asks another host, scrolls sideways, fails, or keeps someone out.
 It needs Chromium, playwright and axe-core, whose file GELFORM_AXE names, and says which of them is missing.
 """
@@ -53,14 +54,20 @@ def missing() -> str:
 
 
 def faults_of(
-    playwright: Any, site: Path, pages: tuple[str, ...] = PAGES, shots: Path | None = None
+    playwright: Any,
+    site: Path,
+    pages: tuple[str, ...] = PAGES,
+    shots: Path | None = None,
+    *,
+    quick: bool = False,
 ) -> list[str]:
     """What is wrong with a site's pages, the first of which is weighed; figures are printed."""
     wrong = []
+    looks = list(zip(THEMES, WINDOWS_PX) if quick else product(THEMES, WINDOWS_PX))
     with served(site) as server:
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
         for page in pages:
-            for theme, size in product(THEMES, WINDOWS_PX):
+            for theme, size in looks:
                 visit = Visit(browser, server, page, theme, size)
                 wrong += visit.faults(heaviest_kb=HEAVIEST_KB if page == pages[0] else None)
                 if shots:
@@ -144,6 +151,7 @@ def main() -> int:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("folder", type=Path)
+    parser.add_argument("--quick", action="store_true", help="two looks at each page, not four")
     parser.add_argument("--shots", type=Path, help="write a picture of each page here")
     asked = parser.parse_args()
     if needed := missing():
@@ -154,7 +162,7 @@ def main() -> int:
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as playwright:
-        wrong = faults_of(playwright, asked.folder, shots=asked.shots)
+        wrong = faults_of(playwright, asked.folder, shots=asked.shots, quick=asked.quick)
     print("\n".join(wrong), end="\n" if wrong else "")
     return int(bool(wrong))
 
