@@ -11,7 +11,6 @@ message.
 from __future__ import annotations
 
 import json
-import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -26,7 +25,7 @@ from gelform.background.change import ChangeSettings
 from gelform.calibration.circles.find import find_contact, scale_of, why_no_contact
 from gelform.simulate import LAYOUTS, Ball, Coin, Punch, Screw, simulate_ball_presses, simulate_press
 from presses import DATA, data_is_missing, mini_ball, presses_of, unlabeled
-from report import recorded, table, write
+from report import command_line, parts_asked, recorded, table, write
 from scenes import BUMP, PLANE, SCENES, ball, scene
 
 PEERS = json.loads((Path(__file__).parent / "peers.json").read_text())
@@ -224,16 +223,17 @@ NEEDS_DATA = ("real", "whole", "sigma", "few", "at_least")
 
 def main() -> None:
     """Run the named parts, or all; keep the earlier figures of the others. A quick run writes nothing."""
-    quick = "--quick" in sys.argv
-    wanted = [name for name in sys.argv[1:] if name != "--quick"] or list(PARTS)
+    command = command_line(__doc__)
+    command.add_argument("--quick", action="store_true", help="check that the parts run; write nothing")
+    asked = parts_asked(command, PARTS)
     figures = recorded("accuracy")
-    for name in wanted:
+    for name in asked.parts:
         if name in NEEDS_DATA and data_is_missing(name):
             continue
         start = time.perf_counter()
-        figures[name] = PARTS[name](quick)
+        figures[name] = PARTS[name](asked.quick)
         print(f"\n{name}: {time.perf_counter() - start:.0f} s")
-        if not quick:
+        if not asked.quick:
             write("accuracy", figures)
 
 

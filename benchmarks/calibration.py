@@ -27,7 +27,7 @@ from gelform.calibration.report.record import summary
 from gelform.color_models import COLOR_MODELS
 from gelform.metrics import press_errors
 from presses import DATA, by_name, reference_circles
-from report import RESULTS, dct_pair, median_ms, recorded, table, write
+from report import RESULTS, command_line, dct_pair, median_ms, recorded, table, write
 
 PRESSES = 60  # what is tried with so many
 TRAINED_WITH = {"mlp": "torch"}  # left out if it is not installed
@@ -131,11 +131,16 @@ def picture(figures: dict[str, dict[str, dict[str, float]]]) -> None:
 
 def main() -> None:
     """Run the named splits, or all and the speed; keep the earlier figures of the others."""
+    command = command_line(__doc__)
+    command.add_argument("splits", nargs="*", metavar="SPLIT", help="names of splits; all by default")
+    wanted = command.parse_args().splits
     if not DATA.is_dir():
         sys.exit(f"No data in {DATA}: set GELFORM_DATA.")
-    bench, wanted = Bench(), sys.argv[1:]
+    bench = Bench()
     content = {"splits": {}} | recorded("calibration")
     splits = bench.splits()
+    if unknown := [name for name in wanted if name not in splits]:
+        command.error(f"no split {', '.join(unknown)}: expected {', '.join(splits)}")
     for split in wanted or splits:
         used, contacts = bench.refined(splits[split][0])
         content["splits"][split] = {

@@ -13,7 +13,6 @@ with other seeds than these figures.
 from __future__ import annotations
 
 import json
-import sys
 import tempfile
 import time
 from contextlib import ExitStack
@@ -42,7 +41,7 @@ from gelform.simulate import (
     simulate_ball_presses,
 )
 from presses import DATA, by_name, data_is_missing, presses_of
-from report import recorded, table, write
+from report import command_line, parts_asked, recorded, table, write
 
 REPORTED = ("ring-120", "homemade")
 DEPTHS_UM = (5.0, 10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 70.0, 100.0)
@@ -351,13 +350,14 @@ REAL = ("digit", "alarms")
 
 def main() -> None:
     """Run the named parts, or all; keep the earlier figures of the others."""
-    arguments = sys.argv[1:]
-    quick = "--quick" in arguments
-    kept = arguments[arguments.index("--calibrations") + 1] if "--calibrations" in arguments else None
+    command = command_line(__doc__)
+    command.add_argument("--quick", action="store_true", help="a tenth of the frames; write nothing")
+    command.add_argument("--calibrations", type=Path, metavar="DIR", help="keep the calibrations there")
+    asked = parts_asked(command, PARTS)
     figures = recorded("confidence")
     with tempfile.TemporaryDirectory() as folder:
-        run = Run(quick, Path(kept or folder))
-        for name in [one for one in arguments if one in PARTS] or list(PARTS):
+        run = Run(asked.quick, asked.calibrations or Path(folder))
+        for name in asked.parts:
             if name in REAL and data_is_missing(name):
                 continue
             started = time.monotonic()
@@ -367,7 +367,7 @@ def main() -> None:
             )
             rows = figures[name].items()
             print(table([name, "figures"], [[key, json.dumps(value)] for key, value in rows]), flush=True)
-            if not quick:
+            if not asked.quick:
                 write("confidence", figures)
 
 

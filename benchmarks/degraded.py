@@ -21,7 +21,7 @@ from gelform.live.simulated.ready import ready_calibration
 from gelform.sensors.simulated.settings import simulated_sensor_named
 from gelform.sensors.source import DEFAULT_SENSOR
 from gelform.simulate import Ball, simulate_press
-from report import table, write
+from report import command_line, table, write
 
 Image = NDArray[np.uint8]
 PLACES_MM = [(0.0, 0.0), (-3.0, 2.0), (3.5, -2.0), (2.0, 2.5), (-4.0, -2.5), (0.5, -3.0)]
@@ -55,6 +55,7 @@ CHANGES: dict[str, Callable[[Image], Image]] = {
 
 def main() -> None:
     """Apply every change to every press; errors over all pixels of all presses."""
+    command_line(__doc__).parse_args()
     sensor = simulated_sensor_named(DEFAULT_SENSOR)
     reconstruct = gelform.Reconstructor(ready_calibration(sensor))
     rng = np.random.default_rng(1)

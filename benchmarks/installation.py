@@ -17,7 +17,7 @@ import tempfile
 from pathlib import Path
 from statistics import median
 
-from report import table, write
+from report import command_line, table, write
 
 ROOT = Path(__file__).resolve().parents[1]
 ROUNDS = 15
@@ -45,8 +45,11 @@ def cpu_seconds(*command: str | Path) -> float:
     return after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime
 
 
-def main(wheel: str | None = None) -> None:
+def main() -> None:
     """Install, measure, print, record."""
+    command = command_line(__doc__)
+    command.add_argument("wheel", nargs="?", type=Path, help="built from the checkout by default")
+    wheel = command.parse_args().wheel
     os.environ.pop("PYTHONPATH", None)  # what is measured is the installed package
     with tempfile.TemporaryDirectory() as folder:
         subprocess.run([sys.executable, "-m", "venv", folder], check=True)
@@ -56,7 +59,7 @@ def main(wheel: str | None = None) -> None:
             "install",
             "-q",
             "--no-compile",
-            str(Path(wheel).resolve()) if wheel else ROOT,
+            str(wheel.resolve()) if wheel else ROOT,
         ]
         subprocess.run(install, check=True, cwd=folder)
         packages = dict(sorted(sizes(programs / "python").items(), key=lambda one: -one[1][1]))
@@ -88,4 +91,4 @@ def main(wheel: str | None = None) -> None:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:2])
+    main()

@@ -10,7 +10,6 @@ the same places of the same gel without markers.
 
 from __future__ import annotations
 
-import sys
 import time
 from dataclasses import replace
 from typing import Any
@@ -31,7 +30,7 @@ from gelform.simulate import (
     slide_poses,
 )
 from presses import DATA, presses_of, unlabeled
-from report import table, write
+from report import command_line, table, write
 
 SEEDS = (0, 1)
 REST_FRAMES = 12  # of the video, before the first touch
@@ -179,7 +178,9 @@ def rms(values: Any) -> float:
 
 def main() -> None:
     """Measure, print and record."""
-    quick = "--quick" in sys.argv
+    command = command_line(__doc__)
+    command.add_argument("--quick", action="store_true", help="one seed; write nothing")
+    quick = command.parse_args().quick
     figures: dict[str, Any] = {"seeds": list(SEEDS[:1] if quick else SEEDS), "shear": {}}
     for seed in figures["seeds"]:
         for name, (sensor, poses) in sequences(seed).items():

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
 import platform
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
@@ -34,6 +35,22 @@ def machine() -> dict[str, str]:
         "gelform": gelform.__version__,
         "date": datetime.now(timezone.utc).date().isoformat(),
     }
+
+
+def command_line(doc: str) -> argparse.ArgumentParser:
+    """A command whose help is its script's docstring."""
+    return argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
+
+
+def parts_asked(command: argparse.ArgumentParser, parts: Iterable[str]) -> argparse.Namespace:
+    """What the user typed; `parts` are the names that were given, or all."""
+    known = list(parts)
+    command.add_argument("parts", nargs="*", metavar="PART", help=f"{', '.join(known)}; all by default")
+    asked = command.parse_args()
+    if unknown := [name for name in asked.parts if name not in known]:
+        command.error(f"no part {', '.join(unknown)}: expected {', '.join(known)}")
+    asked.parts = asked.parts or known
+    return asked
 
 
 def dct_pair(shape: tuple[int, int]) -> Callable[[], Any]:

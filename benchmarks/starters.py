@@ -2,7 +2,7 @@
 
     python benchmarks/starters.py             # about 20 minutes; writes results/starters.json
     python benchmarks/starters.py units       # one part: units, presses, balls, simulated
-    python benchmarks/starters.py make        # makes the starters that the package ships, from the data
+    python benchmarks/starters.py --make      # makes the starters that the package ships, from the data
 
 The tested unit had no part in the starter. Real presses are read from GELFORM_DATA (default ../shared/data). The stated
 diameter of mini-d's ball, 4.0 mm, is doubtful: its contacts are as wide as those of a ball of 4.70 mm, which counts as right
@@ -11,8 +11,6 @@ here.
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -29,7 +27,7 @@ from gelform.metrics import score_slopes
 from gelform.starters import load_starter
 from gelform.starters.starter import Starter, starter_from_calibration
 from presses import DATA, data_is_missing, labeled, mini_ball, unlabeled
-from report import recorded, table, write
+from report import command_line, parts_asked, recorded, table, write
 from starters.make import COLOR_VARIANCE, LAYOUT, SPREAD, make, simulated_unit
 
 LIKELY = 4.70 / 4.0  # mini-d's ball: likely over stated diameter
@@ -226,13 +224,16 @@ def simulated() -> dict[str, Any]:
 PARTS = {"units": units, "presses": presses, "balls": balls, "simulated": simulated}
 
 
-def main(names: Sequence[str]) -> None:
+def main() -> None:
     """Make the starters, or measure the named parts, or all."""
-    if list(names) == ["make"]:
+    command = command_line(__doc__)
+    command.add_argument("--make", action="store_true", help="make the starters, and measure nothing")
+    asked = parts_asked(command, PARTS)
+    if asked.make:
         make()
         return
     results = recorded("starters")
-    for name in names or PARTS:
+    for name in asked.parts:
         if name != "simulated" and data_is_missing(name):
             continue
         results[name] = PARTS[name]()
@@ -240,4 +241,4 @@ def main(names: Sequence[str]) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    main()

@@ -10,7 +10,6 @@ are left out, with a message. Every judged press is new to the calibration.
 from __future__ import annotations
 
 import json
-import sys
 from dataclasses import replace
 from typing import Any
 
@@ -20,7 +19,7 @@ import gelform
 from gelform.metrics import angle_deg, score_slopes
 from gelform.simulate import LAYOUTS, SimulatedSensor, simulate_ball_presses
 from presses import DATA, data_is_missing, mini_ball, presses_of, unlabeled
-from report import recorded, table, write
+from report import command_line, parts_asked, recorded, table, write
 
 SLOPES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
 SCORED_ZONE = 0.8  # fraction of the contact radius: beyond it the gel leaves the ball
@@ -214,9 +213,10 @@ PARTS = {"sigma": sigma, "gain": gain, "few": few, "second_unit": second_unit}
 
 def main() -> None:
     """Run the named parts, or all; keep the earlier figures of the others."""
+    asked = parts_asked(command_line(__doc__), PARTS)
     figures = recorded("trust")
     bench = Bench() if DATA.is_dir() else None
-    for name in sys.argv[1:] or list(PARTS):
+    for name in asked.parts:
         if name != "second_unit" and data_is_missing(name):
             continue
         figures[name] = PARTS[name](bench)  # type: ignore[operator]
