@@ -35,7 +35,7 @@ NEEDED = {
     "edge": Need(12, "the contact's edge, measured", "fewer do not know the light at every place: 0.85 is taken"),
     "size": Need(12, "a size of ball that another one is read by", "fewer do not know the light at every place"),
     "guided well": Need(12, "the live page to say that they are enough (images)", "the contact's edge is measured then"),
-    "advised": Need(20, "no note that more presses are advised", "10 read contacts within 2.4 degrees, 20 within 1.8"),
+    "advised": Need(20, "no note that more presses are advised", "10 read contacts within 2.4 degrees, 20 within 1.9"),
     "good": Need(30, "the verdict good on presses used", "normals hardly improve with more"),
     "settings": Need(30, "a learning curve of the chosen settings alone", "up to there simpler settings may be better"),
 }  # fmt: skip
