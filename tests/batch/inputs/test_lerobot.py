@@ -55,6 +55,27 @@ def test_the_frames_of_an_episode_from_anywhere_in_it(lerobot):
             np.testing.assert_array_equal(image_from_values(of_table[k][1]), frames[3 + start + k])
 
 
+@pytest.mark.parametrize(
+    "pattern",
+    [
+        "../{video_key}.mp4",
+        "/etc/{file_index}",
+        "{video_key.__class__}",
+        "{file_index:999999999d}",
+        "{other}",
+        None,
+        "{",
+    ],
+)
+def test_a_pattern_names_files_below_the_set_alone(lerobot, pattern):
+    """Anyone may have written the set."""
+    root, _ = lerobot
+    changed(root, video_path=pattern, data_path=pattern)
+    for key in (KEY, STORED):
+        with pytest.raises(DataError, match="to name files below the data set"):
+            lerobot_sequences(root, key)
+
+
 def test_a_video_that_is_cut_off_ends_with_a_reason(lerobot, cal, tmp_path, encode):
     root, frames = lerobot
     (path,) = root.rglob("*.mp4")

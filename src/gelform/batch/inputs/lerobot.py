@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
@@ -85,7 +86,7 @@ def _in_videos(root: Path, info: dict[str, Any], key: str) -> Iterator[tuple[int
     """For each episode: number, video below the data set, its first frame in the video, number of frames."""
     chunk, file, begin = (f"videos/{key}/{name}" for name in ("chunk_index", "file_index", "from_timestamp"))
     for row in lerobot_episodes(root, ["episode_index", "length", chunk, file, begin]):
-        path = info["video_path"].format(video_key=key, chunk_index=row[chunk], file_index=row[file])
+        path = _file_of(root, info, "video_path", video_key=key, chunk_index=row[chunk], file_index=row[file])
         yield row["episode_index"], path, round(row[begin] * info["fps"]), row["length"]
 
 
@@ -94,9 +95,22 @@ def _in_tables(root: Path, info: dict[str, Any], key: str) -> Iterator[tuple[int
     columns = ["data/chunk_index", "data/file_index", "dataset_from_index"]
     first: dict[str, int] = {}
     for row in lerobot_episodes(root, ["episode_index", "length", *columns]):
-        path = info["data_path"].format(chunk_index=row[columns[0]], file_index=row[columns[1]])
+        path = _file_of(root, info, "data_path", chunk_index=row[columns[0]], file_index=row[columns[1]])
         begin = row["dataset_from_index"]
         yield row["episode_index"], path, begin - first.setdefault(path, begin), row["length"]
+
+
+def _file_of(root: Path, info: dict[str, Any], pattern: str, **names: Any) -> str:
+    """A file below the data set; DataError unless the set's pattern has the format's fields and stays below it."""
+    path = info.get(pattern)
+    if isinstance(path, str) and re.fullmatch(r"([^{}]|{(video_key|(chunk|file)_index(:0\dd)?)})+", path):
+        path = path.format(**{"video_key": "", **names})
+        if not Path(path).anchor and ".." not in Path(path).parts:
+            return path
+    raise DataError(
+        f"Expected {pattern} in {root / INFO} to name files below the data set by video_key, chunk_index and "
+        f"file_index, got {info.get(pattern)!r}."
+    )
 
 
 _PLACES = {"video": _in_videos, "image": _in_tables}
