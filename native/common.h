@@ -1,4 +1,4 @@
-// What every kernel uses: what is exported, and sums whose order no instruction set changes.
+// Shared by every kernel: the mark of exported functions, and sums whose order no instruction set changes.
 #ifndef GELFORM_COMMON_H
 #define GELFORM_COMMON_H
 
@@ -14,7 +14,7 @@
 #define EXPORT __attribute__((visibility("default")))
 #endif
 
-// What a kernel returns: one of these, or a positive number that its caller understands.
+// A kernel returns one of these, or a positive number that its caller understands.
 enum { OK = 0, NO_MEMORY = -1, WRONG_SIZE = -2 };
 
 // A float sum has to be taken in one fixed order, or wider vectors would change its last bits. Value j goes to lane

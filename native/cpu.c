@@ -1,4 +1,4 @@
-// Which of the builds of this library may run here, and which sources and version it was made from.
+// Builds of this library that may run here, and the sources and version that it was made from.
 #include "common.h"
 
 #if defined(__x86_64__) || defined(_M_X64)
@@ -31,6 +31,6 @@ EXPORT int cpu_level(void) { return level(); }
 #define VERSION_DIGEST 0
 #endif
 
-// As hatch_build.py counted them when it compiled; see src/gelform/_native/sources.py.
+// The values that hatch_build.py counted when it compiled; see src/gelform/_native/sources.py.
 EXPORT int sources_digest(void) { return (int)SOURCES_DIGEST; }
 EXPORT int version_digest(void) { return (int)VERSION_DIGEST; }

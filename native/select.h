@@ -20,7 +20,7 @@ static inline float value_of(uint32_t key) {
   return x;
 }
 
-// Of n keys keep those whose digit at `shift` is that of the k-th smallest, which is then the k-th of those kept.
+// Keeps those of n keys whose digit at `shift` is that of the k-th smallest, which is then the k-th of those kept.
 static inline ptrdiff_t keep_digit(uint32_t *keys, ptrdiff_t n, int shift, ptrdiff_t *k) {
   int32_t counts[DIGITS] = {0};
   ptrdiff_t digit = 0, kept = 0;

@@ -3,7 +3,7 @@
 
 enum { WIDEST = 14 };  // pixels that a coarse one covers along an axis, parts of pixels included
 
-// Which pixels a coarse one covers along an axis, and how much of it each is.
+// The pixels that a coarse pixel covers along an axis, and the fraction of it that each makes up.
 struct cover {
   int32_t first, count;
   float share[WIDEST];
@@ -29,7 +29,7 @@ static const struct cover *covers_in(float *work, ptrdiff_t coarse, ptrdiff_t pi
   return covers;
 }
 
-// Of a line that holds `channels` values for each pixel.
+// The same for a line that holds `channels` values for each pixel.
 static inline void sum_covered(const float *restrict line, const struct cover *covers, ptrdiff_t channels, float *restrict out,
                                ptrdiff_t coarse) {
   for (ptrdiff_t j = 0; j < coarse; j++) {

@@ -1,7 +1,7 @@
-// How far the pixels of a coarse map are from those that are chosen.
+// Distance of the pixels of a coarse map from those that are chosen.
 #include "../common.h"
 
-// Of a step to a neighbor along a row or column and across a corner, which make a distance nearly Euclidean (G. Borgefors, Distance
+// Lengths of a step along a row or column and across a corner, which make a distance nearly Euclidean (G. Borgefors, Distance
 // transformations in digital images, Comput. Vis. Graph. Image Process. 34, 1986), in 65536ths: OpenCV's.
 enum { ALONG = 62587, ACROSS = 89738, FAR = 1 << 30 };
 

@@ -1,4 +1,4 @@
-// How firmly gel is held at 0 by its coarse depth, and that spread over the frame's pixels.
+// Strength of the anchor that holds gel at 0, from its coarse depth, spread over the frame's pixels.
 #include "../bilinear.h"
 #include "../contact/runs.h"
 #include "../select.h"
@@ -36,7 +36,7 @@ static ptrdiff_t most_runs(ptrdiff_t h, ptrdiff_t w) { return h * ((w + 1) / 2);
 
 enum { REGION_WORDS = sizeof(struct region) / sizeof(float) };
 
-// Of a coarse depth (h, w) and the share of untouched pixels in each of its pixels: `hold`, less by a robust loss the farther the
+// For a coarse depth (h, w) and the fraction of untouched pixels in each of its pixels: `hold`, less by a robust loss the farther the
 // depth is from that of rest, times `far`, and nothing in faces. Rest is where the share is `least`, or as large as it gets.
 EXPORT int rest_hold(const float *depth, const float *share, const float *far, float *work, float *weight, float hold, float least,
                      float pressed, float face, ptrdiff_t h, ptrdiff_t w, ptrdiff_t n) {

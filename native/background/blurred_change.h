@@ -35,7 +35,7 @@ static inline bool place_ring(struct blurred_change *c, float *work, ptrdiff_t s
   return c->radius <= MAX_RADIUS && size >= blurred_change_work(c->w, c->radius);
 }
 
-// How many columns a strip has: strips are about as wide as each other.
+// Number of columns of a strip; all strips are about equally wide.
 static inline ptrdiff_t strip_width(const struct blurred_change *c) {
   const ptrdiff_t most = STRIP_FLOATS / (3 * (2 * c->radius + 1)), widest = most < 64 ? 64 : most;
   const ptrdiff_t strips = c->radius == 0 ? 1 : (c->w + widest - 1) / widest, width = (c->w + strips - 1) / strips;
@@ -56,7 +56,7 @@ static inline ptrdiff_t mirrored(ptrdiff_t i, ptrdiff_t n) {
   return i;
 }
 
-// Of the pixels from ... to - 1 of row y.
+// Color change, before the blur, of the pixels from ... to - 1 of row y.
 static inline void change_row(const struct blurred_change *c, ptrdiff_t y, ptrdiff_t from, ptrdiff_t to, float *restrict change) {
   const ptrdiff_t at = 3 * (y * c->w + from), n = 3 * (to - from);
   const float *restrict scale = c->scale + 3 * from, *restrict untouched = c->untouched + at, *restrict gain = c->gain + at;
@@ -74,7 +74,7 @@ struct taken {
   const float *before[MAX_RADIUS + 1], *after[MAX_RADIUS + 1];
 };
 
-// What lies behind the n values is read too, up to whole lanes. Two lanes at a time: taps and rows are looked up half as often.
+// Reads beyond the n values too, up to whole lanes. Two lanes at a time: taps and rows are looked up half as often.
 static inline void weighted_sum(const struct taken *rows, const float *taps, ptrdiff_t radius, float *out, ptrdiff_t n) {
   ptrdiff_t x = 0;
   for (; x + 2 * LANES <= n; x += 2 * LANES) {

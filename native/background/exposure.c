@@ -1,4 +1,4 @@
-// Where log ratios of brightness crowd, in three channels at once.
+// The densest place of log ratios of brightness, in three channels at once.
 #include "../select.h"
 
 enum { BINS = 240, WINDOW = 6 };

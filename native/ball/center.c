@@ -1,4 +1,4 @@
-// Where the ball of a known radius is whose slopes agree best with some that were read.
+// The place of a ball of known radius whose slopes agree best with the given ones.
 #include "../common.h"
 
 enum { HELD_FROM = 97 };  // hundredths of the radius beyond which the slopes of a ball are held
@@ -8,7 +8,7 @@ struct normal {
   double xx, xy, yy, x, y;
 };
 
-// What a pixel adds, whose slope was read as (p, q): the ball's slope there, its derivative by the center, a pseudo-Huber weight.
+// Terms of a pixel with the slope (p, q): the ball's slope there, its derivative by the center, a pseudo-Huber weight.
 static inline struct normal at_pixel(double p, double q, double u, double v, double per_radius, double per_scale) {
   const double held = HELD_FROM / 100.0, square = 1 - u * u - v * v, least = 1 - held * held;
   const double height = sqrt(square > least ? square : least), a = -u / height, b = -v / height;

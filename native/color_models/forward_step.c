@@ -65,7 +65,7 @@ static inline lanes square_root(lanes a) {
   return a;
 }
 
-// What a step of this squared length is multiplied by: 1 up to the longest.
+// The factor for a step of this squared length: 1 up to the longest.
 static inline lanes shortening(lanes square, float longest) {
   lanes length = square_root(square);
   for (int k = 0; k < LANES; k++) length[k] = larger(length[k], longest);
@@ -130,7 +130,7 @@ static inline bool any_clipped(const uint8_t *clipped, ptrdiff_t count) {
   return any != 0;
 }
 
-// Whether this channel of a pixel says nothing, and the other two do.
+// Whether this channel of a pixel alone is clipped.
 static inline bool is_clipped_alone(const uint8_t *clipped, int channel) {
   return clipped[channel] != 0 && clipped[(channel + 1) % CHANNELS] == 0 && clipped[(channel + 2) % CHANNELS] == 0;
 }

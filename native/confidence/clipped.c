@@ -1,9 +1,9 @@
-// Which channels are at an end of the camera's range.
+// Channels that are at an end of the camera's range.
 #include "../common.h"
 
 enum { PIECE = 192 };  // values looked at together: nearly everywhere none is clipped
 
-// Where the channel c is at most `dark_to` and low[c], or at least `saturated_from` and high[c]. Returns how many are.
+// Marks channel c where it is at most `dark_to` and low[c], or at least `saturated_from` and high[c]. Returns the number of marks.
 EXPORT int clipped_channels(const uint8_t *image, const bool *low, const bool *high, uint8_t *clipped, int32_t dark_to,
                             int32_t saturated_from, ptrdiff_t h, ptrdiff_t w) {
   const uint8_t dark = (uint8_t)dark_to, saturated = (uint8_t)saturated_from;

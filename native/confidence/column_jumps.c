@@ -1,4 +1,4 @@
-// How the difference of an image to another jumps from column to column: noise, and the blocks of a compressed frame.
+// Jumps of the difference of two images from column to column: noise, and the blocks of a compressed frame.
 #include "../select.h"
 
 enum { BLOCK = 8 };  // of JPEG, px

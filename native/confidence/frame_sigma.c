@@ -1,9 +1,9 @@
-// Which pixels are untouched, their slopes without bias, and the slopes' deviation: one pass over a frame.
+// Untouched pixels, their slopes without bias, and the slopes' standard deviation, in one pass over a frame.
 #include "../common.h"
 
 enum { PIXELS = 64 };  // at a time: unpacked to lines, on which the arithmetic is vectors
 
-// What does not depend on the pixel; see PreparedSigma.
+// Inputs that do not depend on the pixel; see PreparedSigma.
 struct settings {
   const float *common, *bias, *law;
   float square, steps, grows, rest;
@@ -22,7 +22,7 @@ static inline void unpack(struct lines *restrict l, const float *restrict change
   for (ptrdiff_t k = 0; k < n; k++) l->p[k] = gradients[2 * k] - bias[0], l->q[k] = gradients[2 * k + 1] - bias[1];
 }
 
-// Where the color change is within a distance of what all pixels have in common.
+// Marks pixels whose color change is within a distance of the change that all pixels have in common.
 static inline void find_untouched(struct lines *restrict l, const struct settings *restrict s) {
   const float r = s->common[0], g = s->common[1], b = s->common[2], square = s->square;
   for (int k = 0; k < PIXELS; k++) {
@@ -56,7 +56,7 @@ static inline void deviation(const struct lines *restrict l, const struct settin
     for (ptrdiff_t k = 0; k < n; k++) sigma[k] = sqrtf(l->untouched[k] ? rest : l->variance[k] * place[k] * variance[k]);
 }
 
-// How many pixels have a slope that is NaN or beyond the highest.
+// Number of pixels whose slope is NaN or over the highest.
 static inline int count_refused(const struct lines *restrict l, float highest, ptrdiff_t n) {
   int count = 0;
   for (ptrdiff_t k = 0; k < n; k++) count += !((fabsf(l->p[k]) <= highest) & (fabsf(l->q[k]) <= highest));

@@ -1,4 +1,4 @@
-// What raises the standard deviation of a frame's slopes beyond their own: one pass, and the confidence that follows.
+// Causes that raise the standard deviation of a frame's slopes, in one pass, and the confidence that follows.
 #include "../common.h"
 
 enum { PIECE = 64 };  // pixels of a row at a time
@@ -39,7 +39,7 @@ static inline void find_bend(const struct causes *c, struct lines *restrict l, c
   if (y < h - reach) add_squares(l->bend, at, at + 2 * reach * w, 0, 2 * n);
 }
 
-// Whether some value is a limit or more: elsewhere nothing need be worked out.
+// Whether some value is at or over a limit; nothing else has to be computed.
 static inline bool any_from(const float *restrict values, float limit, int n) {
   int count = 0;
   for (int k = 0; k < n; k++) count += values[k] >= limit;

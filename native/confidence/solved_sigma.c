@@ -26,7 +26,7 @@ static inline void sum_of_three_rows(const float *restrict above, const float *r
   column[w + 1] = column[w];
 }
 
-// Of the slopes (p, q) of a row: second differences to those on four sides.
+// Second differences of the slopes (p, q) of a row to those on four sides.
 static inline void compare(const float *restrict row, ptrdiff_t left, ptrdiff_t right, const float *restrict above,
                            const float *restrict below, float *restrict second, ptrdiff_t first, ptrdiff_t end) {
   for (ptrdiff_t i = first; i < end; i++) {
@@ -35,7 +35,7 @@ static inline void compare(const float *restrict row, ptrdiff_t left, ptrdiff_t 
   }
 }
 
-// Where the frame ends before the other pixel nothing differs.
+// Nothing differs where the frame ends before the other pixel.
 static inline void compare_row(const float *row, ptrdiff_t reach, ptrdiff_t y, float *restrict second, ptrdiff_t h, ptrdiff_t w) {
   const float *above = y >= reach ? row - 2 * reach * w : row, *below = y < h - reach ? row + 2 * reach * w : row;
   const ptrdiff_t inner = reach < w ? reach : w, outer = w - inner, side = 2 * reach;

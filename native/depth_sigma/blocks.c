@@ -53,7 +53,7 @@ static void add_slopes(const struct maps *of, ptrdiff_t i, ptrdiff_t slope, floa
     }
 }
 
-// Of the n values of a block in a line: not one after the other, so that none waits for the one before.
+// Sum of the n values of a block in a line, in several partial sums, so that none waits for the one before.
 static inline float sum_of(const float *line, ptrdiff_t n) {
   if (n == 6) return ((line[0] + line[1]) + (line[2] + line[3])) + (line[4] + line[5]);
   float total = 0;
@@ -91,12 +91,12 @@ EXPORT int sum_blocks(const float *sigma, const float *weights, const bool *mask
   return OK;
 }
 
-// How slope errors split; see `ErrorParts`.
+// The parts of slope errors; see `ErrorParts`.
 struct parts {
   float share, rest_share, power;
 };
 
-// Of the sums (planes, rows, columns): the mean weight of a block's pixels; the standard deviation of its weighted mean slopes by
+// From the sums (planes, rows, columns): the mean weight of a block's pixels; the standard deviation of its weighted mean slopes by
 // independent errors and by common ones; and the usual sigma of its pixels.
 //
 // Holes make independent errors go round: worse by the unevenness of the weights in the block.

@@ -1,7 +1,7 @@
 // From the variance of blocks the sigma of pixels.
 #include "../bilinear.h"
 
-// What belongs to a pixel's slopes, beyond the variance of its block.
+// The part of the variance from a pixel's own slopes, beyond the variance of its block.
 struct slopes {
   const float *sigma, *weights;
   const bool *rest;  // NULL: nowhere
@@ -41,12 +41,12 @@ static void pad_row(const float *restrict weights, float floor, float *restrict 
   padded[0] = padded[1], padded[w + 1] = padded[w];
 }
 
-// How firmly two pixels are tied: the harmonic mean of their weights.
+// The coupling of two pixels: the harmonic mean of their weights.
 static inline void tie(const float *restrict a, const float *restrict b, float *restrict ties, ptrdiff_t n) {
   for (ptrdiff_t j = 0; j < n; j++) ties[j] = 2 * a[j] * (b[j] / (a[j] + b[j]));
 }
 
-// Where an anchor holds, relative to the weights of 3x3 pixels: how much is left of what blocks do not see (see
+// For an anchor relative to the weights of 3x3 pixels: the fraction that is left of what blocks do not resolve (see
 // `fading_within_blocks`). The variance of blocks reaches these pixels by ties over ties and anchor, of 3x3 pixels and then their own.
 static void hold(const float *restrict weights, const float *restrict anchor, const float *restrict p, const float *restrict across,
                  const float *restrict above, const float *restrict below, float *restrict faded, float *restrict total, ptrdiff_t w) {

@@ -8,7 +8,7 @@ struct errors {
   ptrdiff_t h, w, n;
 };
 
-// How many of the draws from `first` on are in one batch.
+// Number of the draws from `first` on that are in one batch.
 static size_t bytes_from(const struct errors *e, ptrdiff_t first) {
   return (e->n - first < BATCH ? e->n - first : BATCH) * sizeof(float);
 }
@@ -51,7 +51,7 @@ static void write_right_sides(const struct errors *e, struct batch_level *l, con
     }
 }
 
-// How far to go along the answers, as a step of conjugate gradients would; the right sides become what that leaves. The
+// Length of the step along the answers, as in conjugate gradients; the right sides become the residual of that step. The
 // operator times the answers is kept in the guess's place.
 static lanes step(struct batch_level *l, const struct level *f) {
   lanes up = {0}, down = {0}, length = {0};

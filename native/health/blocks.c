@@ -1,5 +1,5 @@
-// What a look at a frame takes in one pass: its 16x16 blocks, a digest of each row, and how the
-// difference to the rest image jumps from row to row.
+// Measures a frame in one pass: its 16x16 blocks, a digest of each row, and the jumps from row to row of its
+// difference to the background image.
 #include "../common.h"
 
 enum { BLOCK = 16, WIDE = 3 * BLOCK };  // pixels; bytes across a block
@@ -37,7 +37,7 @@ static inline uint64_t word_at(const uint8_t *row, ptrdiff_t at, ptrdiff_t bytes
   return word;
 }
 
-// Of up to WORDS words, evenly over the row.
+// Digest of up to WORDS words, evenly over the row.
 static int64_t digest(const uint8_t *row, ptrdiff_t bytes) {
   const uint64_t prime = 0x9E3779B97F4A7C15u;
   const ptrdiff_t step = bytes / WORDS > 8 ? bytes / WORDS : 8;

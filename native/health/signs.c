@@ -1,7 +1,7 @@
-// What a frame's blocks and rows show at a glance: whether any of its faults is possible at all.
+// A first check of a frame's blocks and rows: whether any fault is possible at all.
 #include "../common.h"
 
-// How many of n > 0 digests another one before them is equal to. `places`: scratch, a power of two of more than n of them.
+// Number of n > 0 digests that equal an earlier one. `places`: scratch, a power of two of more than n of them.
 static int32_t repeated(const int64_t *restrict digests, int32_t *restrict places, ptrdiff_t n, ptrdiff_t size) {
   int32_t count = 0;
   for (ptrdiff_t k = 0; k < size; k++) places[k] = -1;

@@ -1,4 +1,4 @@
-// Where patches of the untouched image are in another image: Gauss-Newton steps on their shift, to parts of a pixel.
+// Search for patches of the untouched image in another image: Gauss-Newton steps on their shift, to parts of a pixel.
 // Baker and Matthews, Lucas-Kanade 20 years on, IJCV 56, 2004: the inverse compositional algorithm.
 #include "../common.h"
 

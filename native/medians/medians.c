@@ -1,7 +1,7 @@
 // Medians over chosen pixels of a map.
 #include "../select.h"
 
-// Of every channel, over the chosen pixels of every `step`-th row and column; returns how many they are. Where there are none
+// Medians of every channel over the chosen pixels of every `step`-th row and column. Returns the number of pixels; if there are none,
 // the medians are 0.
 EXPORT int medians_where(const float *values, const bool *chosen, int64_t step, float *work, float *medians, ptrdiff_t h,
                          ptrdiff_t w, ptrdiff_t c, ptrdiff_t n) {

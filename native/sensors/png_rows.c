@@ -14,7 +14,7 @@ static inline pixel chosen(pixel where, pixel a, pixel b) { return (where & a) |
 
 static inline pixel magnitude(pixel x) { return (x ^ (x >> 15)) - (x >> 15); }
 
-// Of left, above and above left, the one next to left + above - above left; the first of equals. No branches: on noise they
+// The one of left, above and above left that is nearest to left + above - above left; the first of equals. No branches: on noise they
 // would be guessed wrong every other time.
 static inline pixel nearest(pixel left, pixel above, pixel corner) {
   const pixel to_left = magnitude(above - corner), to_above = magnitude(left - corner);

@@ -81,7 +81,7 @@ static void relax(const struct level *l, int sweeps) {
   }
 }
 
-// What moves is free and does not touch; the residual is 0 elsewhere.
+// Pixels that move are free and do not touch; the residual is 0 elsewhere.
 static void find_residual(const struct level *l) {
   const ptrdiff_t w = l->w, pitch = w + 2;
   mirror(l->u, l->h, w);

@@ -4,7 +4,7 @@
 
 enum { MOST_ODD = 7 };  // the largest prime that half a row's length may have
 
-// As many rows as one register holds: each is worked on for itself, so that their number changes no bit.
+// One register holds this many rows. Each is computed on its own, so their number changes no bit.
 #if defined(__AVX512F__)
 enum { ROWS = 16 };
 #elif defined(__AVX__)
@@ -23,7 +23,7 @@ static inline many added(many a, many b) { return (many){a.re + b.re, a.im + b.i
 static inline many less(many a, many b) { return (many){a.re - b.re, a.im - b.im}; }
 static inline many turned(many a, const float *by) { return (many){a.re * by[0] - a.im * by[1], a.re * by[1] + a.im * by[0]}; }
 
-// What all steps of a transform share: `turns` (length, 2) holds exp(-2 pi i k / length).
+// All steps of a transform share this: `turns` (length, 2) holds exp(-2 pi i k / length).
 struct fourier {
   const float *turns;
   ptrdiff_t length;
@@ -130,7 +130,7 @@ static void give_rows(const float *columns, float *rows, ptrdiff_t stride, ptrdi
     for (ptrdiff_t x = i < whole_rows ? whole : 0; x < w; x++) rows[i * stride + x] = columns[x * ROWS + i];
 }
 
-// Where value j of the sequence is that is Fourier transformed: even places upwards, then odd ones downwards.
+// Index of value j in the Fourier transformed sequence: even places upwards, then odd ones downwards.
 static inline ptrdiff_t place_of(ptrdiff_t j, ptrdiff_t half) { return j < half ? 2 * j : 4 * half - 1 - 2 * j; }
 
 // `twists` (half + 1, 4): exp(-2 pi i k / w) and exp(-pi i k / 2 w).

@@ -16,7 +16,7 @@ static void inner_pixels(const float *here, const float *above, const float *bel
     right[j] = sx * (here[2 * j - 2] - here[2 * j + 2]) + (sa * above[2 * j + 1] - sb * below[2 * j + 1]);
 }
 
-// What flows in over a pixel's edges minus what flows out. Beyond the border the slope is mirrored with its sign turned.
+// Divergence of a pixel: inflow over its edges minus outflow. Beyond the border the slope is mirrored with its sign turned.
 EXPORT int dct_right_side(const float *gradients, float *right, float scale_x, float scale_y, ptrdiff_t h, ptrdiff_t w,
                           ptrdiff_t stride) {
   const ptrdiff_t last = w - 1;

@@ -14,12 +14,12 @@
 // Added to a sum of couplings that may be 0, so that 0/0 is 0 without a branch.
 static const float TINY = 1e-30f;
 
-// What a row of pixels between two coarse pixels each hands on: its lack, a coupling, and anchors to both.
+// A row of pixels, each between two coarse pixels, passes on its residual, a coupling, and anchors to both.
 struct sides {
   float *lack, *coupling, *anchor_1, *anchor_2;
 };
 
-// What the middles of a row of blocks hand on: couplings between the corners, and anchors to them.
+// The middles of a row of blocks pass on couplings between the corners, and anchors to them.
 struct middles {
   float *top, *left, *low, *right, *falling, *rising, *anchor_nw, *anchor_ne, *anchor_sw, *anchor_se;
 };
@@ -37,7 +37,7 @@ struct between {
 // along the pixels between, and anchor. An anchor takes no more than its share of all that holds the pixel: one that is tied
 // weakly to both coarse pixels, and firmly to others between, would else be held at 0, and they with it.
 static inline struct between eliminate_side(float c1, float c2, float side1, float side2, float along, float anchor) {
-  // Where columns hold together far more than rows, collapsed couplings can be negative, a little.
+  // Collapsed couplings can be slightly negative where columns are coupled far more strongly than rows.
   float w1 = fabsf(c1 + side1), w2 = fabsf(c2 + side2);
   const float sum = w1 + w2, held = sum + (sum > 0 ? along : 0) + anchor + TINY;
   const float lack = anchor / held, scale = (1 - lack) / (sum + TINY);
@@ -116,7 +116,7 @@ static inline void middles(const struct level *f, const struct level *c, ptrdiff
   }
 }
 
-// What the couplings between the side pixels of a block, across the corners of the fine cells, hand on.
+// The couplings between the side pixels of a block, across the corners of the fine cells, pass this on.
 static void corners(const struct level *f, const struct level *c, ptrdiff_t i, const struct lines *t) {
   const float *se = row(f->southeast, f, 2 * i), *sw = row(f->southwest, f, 2 * i);
   const float *se_up = se - f->stride, *sw_up = sw - f->stride;

@@ -4,14 +4,14 @@
 enum { NOT_CONVERGED = 1, NOT_FINITE = 2 };
 enum { PAST = 4 };  // iterations over which the recent rate is taken
 
-// How the range of the answers falls: each answer is an estimate of the whole error before it is added.
+// The range of the answers over the iterations: each answer estimates the whole error before it is added.
 struct history {
   int done;
   double first, whole, past[PAST];
   double least;  // estimate so far
 };
 
-// What float32 can tell from rounding. Without an anchor nothing holds the sum of the right side at 0; beyond this the
+// The limit of float32's rounding. Without an anchor nothing holds the sum of the right side at 0; beyond this limit the
 // iteration would take what rounding leaves of it for an error, and chase it ever farther.
 static const double RESOLVED = 1e-6;
 

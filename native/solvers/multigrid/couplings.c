@@ -63,7 +63,7 @@ static bool store_edges_down(struct multigrid *m, ptrdiff_t i, float *values) {
   return changed;
 }
 
-// What flows in over the edges of row `i` minus what flows out, of its slopes `g`; `down` is what comes from the row above.
+// Divergence of the slopes `g` of row `i`: inflow over its edges minus outflow; `down` is the flow from the row above.
 static void right_side(const float *restrict g, const float *restrict east, const float *restrict south, float gx, float gy,
                        float *restrict across, float *restrict down, float *restrict right, ptrdiff_t w) {
   across[0] = across[w] = 0;

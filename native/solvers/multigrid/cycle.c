@@ -150,7 +150,7 @@ static inline void ascend(struct multigrid *m, int level, struct answer *answer)
   }
 }
 
-// Where the frame itself is the coarsest level.
+// The frame itself is the coarsest level here.
 static struct answer answer_directly(struct multigrid *m, struct step step) {
   struct answer answer = {0, INFINITY, -INFINITY};
   for (ptrdiff_t i = 1; step.pending && i <= m->levels[0].height; i++) advance_row(m, i, step);

@@ -14,7 +14,7 @@
 
 enum { MAX_LEVELS = 24, COARSEST = 40, MAX_ISLANDS = 512, MAX_ISLAND_PIXELS = 8192 };
 
-// How much of each coarse pixel a fine pixel between is made of. LEFT and RIGHT belong to the fine pixel right of
+// Fractions of the coarse pixels in a fine pixel between them. LEFT and RIGHT belong to the fine pixel right of
 // (I, J), UP and DOWN to the one below it, the last four to the one in the middle of four.
 enum { LEFT, RIGHT, UP, DOWN, FROM_NW, FROM_NE, FROM_SW, FROM_SE, WEIGHTS };
 
@@ -59,7 +59,7 @@ struct multigrid {
 enum { CYCLE_LINES = 8, COARSEN_LINES = 40 };
 
 static inline float *row(float *plane, const struct level *l, ptrdiff_t i) { return plane + i * l->stride; }
-// Where row or column `k` of a frame of n, counted from 1, lies on the finest level.
+// Place of row or column `k` of a frame of n, counted from 1, on the finest level.
 static inline ptrdiff_t on_finest(ptrdiff_t k, ptrdiff_t n) { return k == n ? n + 1 - n % 2 : k; }
 static inline const struct level *coarsest(const struct multigrid *m) { return &m->levels[m->count - 1]; }
 
@@ -73,7 +73,7 @@ struct step {
   float length;
 };
 
-// What the cycle answered: its product with the right side, and its range.
+// The cycle's answer: its product with the right side, and its range.
 struct answer {
   double product;
   float low, high;

@@ -89,7 +89,7 @@ static void add_shore(struct search *s) {
   }
 }
 
-// What holds the island and its shore where they are: shares times operator times shares.
+// Coupling that holds the island and its shore in place: fractions times operator times fractions.
 static float tie_of(const struct search *s) {
   float tie = 0;
   for (int k = 0; k < s->count; k++) {
@@ -177,7 +177,7 @@ void add_shifts(struct islands *islands, ptrdiff_t row, float *guess) {
   }
 }
 
-// What the shifts of these pixels themselves take from their residuals: shift times the diagonal.
+// The shifts of these pixels reduce their residuals by shift times the diagonal.
 void subtract_shifts(struct multigrid *m, ptrdiff_t row, float *residual) {
   struct islands *islands = &m->islands;
   for (; islands->next_residual < islands->pixels && islands->pixel[islands->next_residual].row == row; islands->next_residual++) {
@@ -186,7 +186,7 @@ void subtract_shifts(struct multigrid *m, ptrdiff_t row, float *residual) {
   }
 }
 
-// Of a guess and of what is tied to it, the residual: tied minus diagonal times guess.
+// Residual of a guess and its neighbors: their weighted sum minus diagonal times guess.
 void add_residuals(struct multigrid *m, ptrdiff_t row, const float *guess, const float *tied) {
   struct islands *islands = &m->islands;
   for (; islands->next_residual < islands->pixels && islands->pixel[islands->next_residual].row == row; islands->next_residual++) {
