@@ -29,7 +29,7 @@ static const struct cover *covers_in(float *work, ptrdiff_t coarse, ptrdiff_t pi
   return covers;
 }
 
-// The same for a line that holds `channels` values for each pixel.
+// Sums over the covered pixels of a line that holds `channels` values for each pixel.
 static inline void sum_covered(const float *restrict line, const struct cover *covers, ptrdiff_t channels, float *restrict out,
                                ptrdiff_t coarse) {
   for (ptrdiff_t j = 0; j < coarse; j++) {
