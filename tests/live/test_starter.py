@@ -29,12 +29,20 @@ def never(unpressed):
     made.close()
 
 
+def show(never, images):
+    """Let the camera show other images, and wait until those that were on their way are through."""
+    hub, source = never
+    source.images = images
+    after = hub.stations[0].newest.serial + 4
+    until(lambda: hub.stations[0].newest.serial >= after)
+
+
 def said(hub):
     return hub.facts()["stations"][0]["starter"]
 
 
 def test_the_untouched_gel_is_asked_for_and_depth_follows(never, unpressed):
-    hub, source = never
+    hub, _ = never
     station = hub.stations[0]
     assert said(hub) == {"state": "ask", "sensor": "", "make": "", "said": []}
     with pytest.raises(GelformError, match="Choose the sensor in the list"):
@@ -42,7 +50,7 @@ def test_the_untouched_gel_is_asked_for_and_depth_follows(never, unpressed):
     station.sensor = MAKE
     assert said(hub)["sensor"] == said(hub)["make"] == MAKE
     actions.take_starter(hub, 0, "")
-    source.images = unpressed[0.4]
+    show(never, unpressed[0.4])
     until(lambda: station.newest.measures and station.newest.measures.peak > 0.3)
     assert said(hub)["state"] == "used"
     assert said(hub)["percent"] == pytest.approx(100 * load_starter(MAKE).spread)
@@ -52,16 +60,16 @@ def test_the_untouched_gel_is_asked_for_and_depth_follows(never, unpressed):
 
 
 def test_something_that_moves_is_said_and_it_is_taken_again(never, unpressed):
-    hub, source = never
-    source.images = [*unpressed[0.0], *unpressed[0.4]]
+    hub, _ = never
+    show(never, [*unpressed[0.0], *unpressed[0.4]])
     actions.take_starter(hub, 0, MAKE)
     assert said(hub)["state"] == "ask"
     assert "Something moves" in said(hub)["said"][0]
-    source.images = unpressed[0.0]
+    show(never, unpressed[0.0])
     actions.take_starter(hub, 0, MAKE)
     assert said(hub)["said"] == []
     first = hub.stations[0].setup.calibration
-    source.images = [image // 2 for image in unpressed[0.0]]
+    show(never, [image // 2 for image in unpressed[0.0]])
     actions.take_background(hub, 0)  # the lamps are half as bright: the starter is brought to them
     second = hub.stations[0].setup.calibration
     assert second.background.mean() < 0.6 * first.background.mean()
@@ -78,14 +86,14 @@ def test_another_make_is_said(never):
 
 
 def test_a_scratched_gel_is_said_beside_the_depth(never, unpressed):
-    hub, source = never
+    hub, _ = never
     scratched = [image.copy() for image in unpressed[0.0]]
     for image in scratched:
         image[::6, :, :] //= 4
         image[1::6, :, :] //= 4
         image[:, ::40] //= 8
         image[60:180, 80:240] //= 2
-    source.images = scratched
+    show(never, scratched)
     actions.take_starter(hub, 0, MAKE)
     assert any("scratched" in one for one in said(hub)["said"])
 
