@@ -20,25 +20,73 @@ class Need(NamedTuple):
 
 
 NEEDED = {
-    "model": Need(2, "a color model that circles are moved with", "one press agrees with itself, wherever its circle is"),
-    "places": Need(3, "a calibration; presses at different places", "each fold is held out from two others at least"),
-    "interval": Need(3, "a figure's interval, a bin of the gain curve", "two drawn with replacement say nothing of others"),
-    "spread": Need(3, "the note that all presses lie in one part of the image", "two lie in one part by chance"),
-    "median": Need(5, "the check for a contact in the background (images)", "their median shows the gel at rest"),
-    "guided": Need(5, "a calibration from presses that the live page guides (images)", "each of five folds holds one out"),
-    "forecast": Need(6, "the live page's forecast (images)", "a half and three quarters of them train, the others test"),
-    "whole": Need(6, "circles moved by presses alone that the border does not cut", "fewer leave the model without places"),
-    "learning curve": Need(8, "a learning curve", "with fewer nothing is left to hold out"),
-    "learning law": Need(10, "a point of the curve that its law is fitted to", "fewer follow no law: circles are uncertain"),
-    "judged gain": Need(10, "a bin of the gain curve that counts for the verdict", "the chance of few presses is no fault"),
-    "fair": Need(10, "the verdict fair on presses used", "fewer leave whole parts of the gel unseen"),
-    "edge": Need(12, "the contact's edge, measured", "fewer do not know the light at every place: 0.85 is taken"),
-    "size": Need(12, "a size of ball that another one is read by", "fewer do not know the light at every place"),
-    "guided well": Need(12, "the live page to say that they are enough (images)", "the contact's edge is measured then"),
-    "advised": Need(20, "no note that more presses are advised", "10 read contacts within 2.4 degrees, 20 within 1.9"),
-    "good": Need(30, "the verdict good on presses used", "normals hardly improve with more"),
-    "settings": Need(30, "a learning curve of the chosen settings alone", "up to there simpler settings may be better"),
-}  # fmt: skip
+    "model": Need(
+        2, "moving circles with a color model", "a single press agrees with itself wherever its circle is"
+    ),
+    "places": Need(
+        3,
+        "a calibration, from presses at different places",
+        "each fold needs at least two others to train on",
+    ),
+    "interval": Need(
+        3, "the interval of a figure; a bin of the gain curve", "two presses say little about others"
+    ),
+    "spread": Need(
+        3, "the note that all presses lie in one part of the image", "two presses lie in one part by chance"
+    ),
+    "median": Need(
+        5,
+        "the check for a contact in the background (images)",
+        "the median of fewer images may show a contact",
+    ),
+    "guided": Need(
+        5, "a guided calibration on the live page (images)", "each of the five folds holds out one press"
+    ),
+    "forecast": Need(
+        6,
+        "the forecast on the live page (images)",
+        "half and three quarters of them train, and the others test",
+    ),
+    "whole": Need(
+        6,
+        "moving circles without the presses that the border cuts",
+        "fewer whole presses cover too few places",
+    ),
+    "learning curve": Need(8, "a learning curve", "fewer leave no presses to hold out"),
+    "learning law": Need(
+        10,
+        "a point of the curve that counts for its fitted law",
+        "circles from fewer presses are too uncertain",
+    ),
+    "judged gain": Need(
+        10, "a bin of the gain curve that counts for the verdict", "fewer presses may be off by chance"
+    ),
+    "fair": Need(10, "the verdict fair", "fewer leave whole parts of the gel without a press"),
+    "edge": Need(
+        12,
+        "measuring the contact edge",
+        "fewer do not show the light at every place; 0.85 of the visible radius is used instead",
+    ),
+    "size": Need(
+        12, "reading one ball size by the presses of another", "fewer do not show the light at every place"
+    ),
+    "guided well": Need(
+        12,
+        "the live page's message that there are enough presses (images)",
+        "the contact edge is measured from here on",
+    ),
+    "advised": Need(
+        20,
+        "no advice to add presses",
+        "the error in the contact falls from 2.4 degrees with 10 presses to 1.9 with 20",
+    ),
+    "good": Need(30, "the verdict good", "more presses hardly improve the normals"),
+    "settings": Need(
+        30,
+        "a learning curve of the chosen settings alone",
+        "with fewer presses, simpler settings may be better",
+    ),
+}
 
 SAMPLED = 24  # presses that stand for all in a median
 FOLDS = 5  # groups of presses, each held out in turn: the other four fifths train
