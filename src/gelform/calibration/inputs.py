@@ -196,7 +196,7 @@ def _scale_notes(presses: Presses) -> tuple[str, ...]:
         return ()
     return (
         f"The stated {presses.mm_per_px:g} mm/px differs by {100 * off:.0f} % from that of the make's images. Check it, or "
-        "measure it with gelform scale. If it is wrong, depth is wrong in the same proportion.",
+        "measure it with gelform scale. If it is 1 % off, depth is 2 % off.",
     )
 
 

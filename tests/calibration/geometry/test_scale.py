@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from gelform import Reconstructor, calibrate, with_scale
 from gelform.calibration.geometry.scale import Scale, combined_scale, scale_from_points, scale_from_profile
 from gelform.errors import DataError, SensorError
 
@@ -56,3 +57,15 @@ def test_a_profile_has_its_doubt():
     assert "0.0625" in scale.source
     with pytest.raises(SensorError):
         scale_from_profile("mini")
+
+
+@pytest.mark.slow
+def test_depth_is_off_by_the_square_of_a_wrong_scale(folder, simulated):
+    """The slopes of the balls and the steps between pixels are both off by its factor."""
+    deepest = [
+        Reconstructor(
+            calibrate(with_scale(folder, Scale(wrong * simulated.sensor.mm_per_px, 1e-4, "stated")))
+        )(simulated.presses[0].image).depth_mm.max()
+        for wrong in (1.0, 1.04)
+    ]
+    assert deepest[1] / deepest[0] == pytest.approx(1.04**2, abs=0.01)
