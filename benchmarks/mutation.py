@@ -48,7 +48,7 @@ RELATED = {  # test files that check a module besides its own
     "native/checks/finite.c": ("tests/foundations/test_checks.py", "tests/_native/test_kernel.py"),
     "native/ball/center.c": ("tests/metrics/test_ball.py",),
     "native/simulate/ball_press.c": ("tests/simulate/gel/test_ball_press.py",),
-    "native/simulate/grey_levels.c": ("tests/simulate/sensor/test_camera.py",),
+    "native/simulate/gray_levels.c": ("tests/simulate/sensor/test_camera.py",),
     "native/simulate/irradiance.c": ("tests/simulate/test_light.py",),
     "native/simulate/membrane.c": ("tests/simulate/gel/test_membrane.py",),
     "native/simulate/mesh.c": ("tests/simulate/indenters/test_mesh.py",),

@@ -127,4 +127,4 @@ def test_more_regions_than_labels_are_told():
     mask = np.zeros((600, 600), bool)
     mask[::2, ::2] = True
     with pytest.raises(ValueError, match="at most 65535 separate contacts, got 90000"):
-        contact_module.labelled(mask)
+        contact_module.labeled(mask)

@@ -33,8 +33,8 @@ def measure(quick: bool) -> dict[str, Any]:
     return {
         "presses": "simulated" if on_simulated else "mini-ball",
         "held_out": len(held_out),
-        "taxim_grey_levels": float(np.mean(taxim)),
-        "forward_grey_levels": float(np.mean(forward)),
+        "taxim_gray_levels": float(np.mean(taxim)),
+        "forward_gray_levels": float(np.mean(forward)),
         "ratio": float(np.mean(taxim) / np.mean(forward)),
     }
 
@@ -44,8 +44,8 @@ def rows(figures: dict[str, Any]) -> list[tuple[str, Any, Any]]:
     of = f"{figures['held_out']} held-out presses ({figures['presses']})"
     return [
         (f"Taxim export: error over the forward response's, {of}", 1.2, figures["ratio"]),
-        ("gray levels, Taxim's formula", "-", figures["taxim_grey_levels"]),
-        ("gray levels, forward response", "-", figures["forward_grey_levels"]),
+        ("gray levels, Taxim's formula", "-", figures["taxim_gray_levels"]),
+        ("gray levels, forward response", "-", figures["forward_gray_levels"]),
     ]
 
 

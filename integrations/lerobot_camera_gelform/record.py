@@ -97,11 +97,11 @@ def read_back(root: Path, colors: list[Any], depths: list[Any]) -> dict[str, Any
         "depth_worst_um": float(np.abs(wrong_um).max()),
         "deepest_mm": float(max(depth.max() for depth in depths)),
         "color_worst_level": differ,
-        **lost_with_colour(colors, came),
+        **lost_with_color(colors, came),
     }
 
 
-def lost_with_colour(colors: list[Any], came: list[Any]) -> dict[str, float]:
+def lost_with_color(colors: list[Any], came: list[Any]) -> dict[str, float]:
     """Errors of slopes (degrees) and depth (um) in contact, RMS, reconstructed from the color that LeRobot reads."""
     import gelform
 

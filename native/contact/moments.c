@@ -33,7 +33,7 @@ static inline void take_in(double *of, const float *depth, ptrdiff_t first, ptrd
 }
 
 // The first pixel from x on that is of a region; whole words of pixels that are not are passed by.
-static inline ptrdiff_t next_labelled(const uint16_t *row, ptrdiff_t x, ptrdiff_t w) {
+static inline ptrdiff_t next_labeled(const uint16_t *row, ptrdiff_t x, ptrdiff_t w) {
   for (uint64_t word; x + 4 <= w; x += 4) {
     memcpy(&word, row + x, sizeof word);
     if (word != 0) break;
@@ -48,7 +48,7 @@ EXPORT int region_moments(const uint16_t *labels, const float *depth, double *mo
   memset(moments, 0, (size_t)n * FIGURES * sizeof *moments);
   for (ptrdiff_t y = 0; y < h; y++) {
     const uint16_t *row = labels + y * w;
-    for (ptrdiff_t x = next_labelled(row, 0, w), end; x < w; x = next_labelled(row, end, w)) {
+    for (ptrdiff_t x = next_labeled(row, 0, w), end; x < w; x = next_labeled(row, end, w)) {
       if (row[x] > n) return WRONG_SIZE;
       for (end = x + 1; end < w && row[end] == row[x];) end++;
       take_in(moments + (row[x] - 1) * FIGURES, depth + y * w, x, end, y);

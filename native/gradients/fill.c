@@ -44,8 +44,8 @@ static void interpolate(const float *coarse, float *values, ptrdiff_t i, ptrdiff
 
 // A pixel becomes the mean of its neighbors, of those that the frame has.
 static void relax(float *values, ptrdiff_t i, ptrdiff_t j, ptrdiff_t h, ptrdiff_t w, ptrdiff_t c) {
-  const float neighbours = (float)((i > 0) + (i < h - 1) + (j > 0) + (j < w - 1));
-  if (neighbours == 0) return;
+  const float neighbors = (float)((i > 0) + (i < h - 1) + (j > 0) + (j < w - 1));
+  if (neighbors == 0) return;
   for (ptrdiff_t k = 0; k < c; k++) {
     const float *here = values + (i * w + j) * c + k;
     float total = 0;
@@ -53,7 +53,7 @@ static void relax(float *values, ptrdiff_t i, ptrdiff_t j, ptrdiff_t h, ptrdiff_
     if (i < h - 1) total += here[w * c];
     if (j > 0) total += here[-c];
     if (j < w - 1) total += here[c];
-    values[(i * w + j) * c + k] = total / neighbours;
+    values[(i * w + j) * c + k] = total / neighbors;
   }
 }
 

@@ -88,14 +88,14 @@ def contacts_from_mask(
     if mask.dtype != np.bool_:
         raise TypeError(f"Expected contact as bool, got {mask.dtype}. Convert it: contact > 0.")
     pitch = (1.0, 1.0) if mm_per_px is None else check_mm_per_px(mm_per_px)
-    count, labels = labelled(mask)
+    count, labels = labeled(mask)
     moments = np.empty((count, 14))
     _region_moments(labels, np.ascontiguousarray(height), moments)
     found = [_contact(k + 1, row, pitch, mask.shape, mm_per_px is not None) for k, row in enumerate(moments)]
     return tuple(sorted(found, key=lambda one: (-one.area_px, one.label))), labels
 
 
-def labelled(mask: NDArray[np.bool_]) -> tuple[int, NDArray[np.uint16]]:
+def labeled(mask: NDArray[np.bool_]) -> tuple[int, NDArray[np.uint16]]:
     """The number of connected regions of a mask (H, W), and the map of their labels in the order of their first pixels."""
     labels = np.empty(mask.shape, dtype=np.uint16)
     found = _label_regions(
@@ -164,7 +164,7 @@ SIGMAS_OF_DEPTH = 2.0  # standard deviations; only the part of a depth beyond th
 STIFFEST = 25.0  # 1/mm^2; no gel relaxes within less than 0.2 mm
 LEAST_FALLING = 50  # pixels next to a contact, the fewest for an estimate of the gel's relaxation
 SEED = 1.4  # times the noise factor: a contact has a pixel above
-NEIGHBOURHOOD_PX = 4  # px, half the width of the surroundings of a pixel
+NEIGHBORHOOD_PX = 4  # px, half the width of the surroundings of a pixel
 LEAST_OF_BED = 0.35  # times z/L^2, because L is not known exactly and varies over the gel
 # A pixel also belongs to a flat contact if z/L^2 exceeds FLAT of the mean pressure around, and the pressure OF_FLAT of
 # z/L^2.
@@ -355,13 +355,13 @@ def _regions(found: _Pressure, limit: float, noise: NDArray[np.float32], min_px:
     """
     height, width = found.pressure.shape
     contact = np.empty((height, width), dtype=np.bool_)
-    side = 2 * NEIGHBOURHOOD_PX + 1
+    side = 2 * NEIGHBORHOOD_PX + 1
     sums = (2 * side + 6) * (width + side + LANES)
     work = np.empty(sums + runs_work(contact.shape), dtype=np.float32)
     shares = LEAST_OF_BED, FLAT, OF_FLAT, found.half, FINER_HALF, FINER_SIGMAS * found.finer_noise
     least = SEED * limit, min_px
     maps = found.pressure, found.bed, noise, found.finer, contact, work
-    _contact_regions(*maps, NEIGHBOURHOOD_PX, limit, *shares, *least)
+    _contact_regions(*maps, NEIGHBORHOOD_PX, limit, *shares, *least)
     return contact
 
 

@@ -84,8 +84,8 @@ class Variation:
     def _moved(self, led: Led) -> Led:
         x, y, z = led.position_mm
         place = (x * self.led_distance, y * self.led_distance, z * self.led_height)
-        grey = sum(led.color) / 3
-        red, green, blue = ((1 - self.whiteness) * c + self.whiteness * grey for c in led.color)
+        gray = sum(led.color) / 3
+        red, green, blue = ((1 - self.whiteness) * c + self.whiteness * gray for c in led.color)
         return replace(led, position_mm=place, color=(red, green, blue))
 
 

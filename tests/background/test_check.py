@@ -59,8 +59,8 @@ def test_reversed_channels_are_named_unless_they_fit_about_as_well_as_they_are()
     with pytest.raises(CalibrationError, match="looks like BGR"):
         check_background(touched(scene(1))[..., ::-1], scene())
     y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
-    grey = 100 + 20 * np.sin(0.2 * x + 0.1 * y)[..., None]
-    ours = grey + 2 * np.stack([np.sin(0.3 * x), np.cos(0.25 * y), 0 * x], axis=-1)
+    gray = 100 + 20 * np.sin(0.2 * x + 0.1 * y)[..., None]
+    ours = gray + 2 * np.stack([np.sin(0.3 * x), np.cos(0.25 * y), 0 * x], axis=-1)
     theirs = ours + 10 * np.cos(0.31 * x - 0.27 * y)[..., None]
     check_background(theirs.astype(np.float32), ours.astype(np.float32))
 

@@ -24,10 +24,10 @@ def moved(image, shift, turn_deg=0.0, stretch=0.0):
 
     By splines: cv2.remap knows places to 1/32 px before OpenCV 4.12, and its cubic is off by up to 0.05 px.
     """
-    centre = (np.array(SHAPE[::-1]) - 1) / 2
+    center = (np.array(SHAPE[::-1]) - 1) / 2
     angle, size = np.deg2rad(turn_deg), 1 + stretch
     turn = size * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    affine = np.column_stack([turn, centre - turn @ centre + shift])
+    affine = np.column_stack([turn, center - turn @ center + shift])
     y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
     back = cv2.invertAffineTransform(affine)
     sources = back @ np.stack([x.ravel(), y.ravel(), np.ones(x.size)])

@@ -266,7 +266,7 @@ def test_a_second_unit_starts_from_any_color_model(lambertian_calibration, calib
     assert start_from(calibration, presses, "hierarchical").model is calibration.color_model
 
 
-def test_the_noise_of_colours_is_that_of_the_response(lambertian_calibration, monkeypatch):
+def test_the_noise_of_colors_is_that_of_the_response(lambertian_calibration, monkeypatch):
     """Alike channels stay alike: the covariance, not a deviation of each."""
     drawn = []
     covariance = 1e-4 * np.array([[1.0, 0.9, 0.0], [0.9, 1.0, 0.0], [0.0, 0.0, 0.25]])

@@ -22,8 +22,8 @@ def test_seen_presses_are_counted(calibration, presses):
 def test_labels_are_used(calibration, presses, simulated):
     truth = simulated.presses[0]
     label = (*truth.center_px, truth.contact_radius_px)
-    labelled = replace(presses, presses=(replace(presses.presses[0], label=label),))
-    evaluation = gelform.evaluate(calibration, labelled)
+    labeled = replace(presses, presses=(replace(presses.presses[0], label=label),))
+    evaluation = gelform.evaluate(calibration, labeled)
     assert evaluation.rows[0]["circle_px"] == label
     assert evaluation.summary["normal_deg"] < 6
 

@@ -66,10 +66,10 @@ def test_presses_whose_channels_are_reversed_are_refused(presses, indices, backg
         gelform.calibrate(reversed_channels(presses, indices, background))
 
 
-def test_grey_presses_are_refused(presses):
-    grey = [replace(p, image=np.repeat(p.image[..., 1:2], 3, axis=-1).copy()) for p in presses.presses]
+def test_gray_presses_are_refused(presses):
+    gray = [replace(p, image=np.repeat(p.image[..., 1:2], 3, axis=-1).copy()) for p in presses.presses]
     with pytest.raises(gelform.CalibrationError, match="red, green and blue are equal everywhere"):
-        check_inputs(replace(presses, presses=tuple(grey)))
+        check_inputs(replace(presses, presses=tuple(gray)))
 
 
 @pytest.mark.parametrize("as_ball", [True, False])

@@ -86,12 +86,12 @@ def scattered_step(forward, change, read, depth):
     at, place = enlarged(depth.astype(float), (height, width)).ravel(), pixels((height, width))
     slopes, tiny = read.reshape(-1, 2).astype(float), 1e-5
 
-    def colours(slopes):
+    def colors(slopes):
         return forward.color_from_gradients(slopes, *place, depth_px=at)
 
-    ahead, behind = ([colours(slopes + s * tiny * axis) for axis in np.eye(2)] for s in (1, -1))
+    ahead, behind = ([colors(slopes + s * tiny * axis) for axis in np.eye(2)] for s in (1, -1))
     jacobian = (np.stack(ahead, axis=-1) - np.stack(behind, axis=-1)) / (2 * tiny)
-    left, inverse = change.reshape(-1, 3) - colours(slopes), np.linalg.inv(forward.covariance)
+    left, inverse = change.reshape(-1, 3) - colors(slopes), np.linalg.inv(forward.covariance)
     prior = 1 / (forward.step_sigma[0] ** 2 + forward.step_sigma[1] ** 2 * np.sum(slopes**2, axis=1))
     weighted = np.einsum("ncm,ck->nmk", jacobian, inverse)
     information = weighted @ jacobian + prior[:, None, None] * np.eye(2)
@@ -170,7 +170,7 @@ def test_noisy_samples_give_the_response_back():
 # One step
 
 
-def test_a_step_brings_slopes_near_those_whose_colour_was_seen():
+def test_a_step_brings_slopes_near_those_whose_color_was_seen():
     forward = response()
     truth, read, depth, change = scene(forward)
     stepped = PreparedStep(forward)(change, read, depth)
@@ -213,7 +213,7 @@ def test_the_prior_says_how_far_to_trust_the_reading():
     assert rms(vague.gradients - truth) > rms(usual.gradients - truth)
 
 
-def test_what_is_left_of_usual_colours_is_chi_square_of_one_degree_of_freedom():
+def test_what_is_left_of_usual_colors_is_chi_square_of_one_degree_of_freedom():
     forward = response(bent=0.2)
     _, read, depth, change = scene(forward)
     left = PreparedStep(forward)(change, read, depth).residual
@@ -225,7 +225,7 @@ def test_what_is_left_of_usual_colours_is_chi_square_of_one_degree_of_freedom():
         assert np.mean(left < within * (1 + kept)) == pytest.approx(share, abs=0.05)
 
 
-def test_a_colour_that_no_slope_gives_is_left_over():
+def test_a_color_that_no_slope_gives_is_left_over():
     forward = response()
     _, read, depth, change = scene(forward)
     usual, brighter = (

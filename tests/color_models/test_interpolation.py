@@ -50,7 +50,7 @@ def test_bad_settings_and_other_sizes_are_refused():
     assert samples.shape == SHAPE
 
 
-def test_grey_levels_of_another_size_give_the_same_slopes():
+def test_gray_levels_of_another_size_give_the_same_slopes():
     """How near a sample is in color is judged by the samples' own range."""
     samples, unseen = ball_samples(shading_change), ball_samples(shading_change, seed=1, count=300)
     wider = replace(samples, color_change=8 * samples.color_change)
@@ -60,7 +60,7 @@ def test_grey_levels_of_another_size_give_the_same_slopes():
     np.testing.assert_allclose(found, at(InterpolationModel.fit(samples, points=500), unseen), atol=1e-6)
 
 
-def test_what_the_neighbours_do_not_say_is_taken_from_all():
+def test_what_the_neighbors_do_not_say_is_taken_from_all():
     """All colors near one place along red: how slopes go with blue there, the others tell."""
     samples = ball_samples(lambda g, x, y: g @ MATRIX)
     model = InterpolationModel.fit(samples)

@@ -69,7 +69,7 @@ def test_zero_is_exact_and_smooth():
         np.testing.assert_allclose(up, -down, atol=0.35 * np.linalg.norm(up))
 
 
-def test_empty_corners_follow_their_neighbours_and_are_marked():
+def test_empty_corners_follow_their_neighbors_and_are_marked():
     """A slab of red that no sample had: the fill goes on as the samples did, and says that it is a guess."""
     samples = linear_samples(6000)
     red = samples.color_change[:, 0]
@@ -83,7 +83,7 @@ def test_empty_corners_follow_their_neighbours_and_are_marked():
     assert prepared.gradients_from_color(outside)[1].max() < 0.1
 
 
-def test_off_gamut_colours_have_a_large_deviation():
+def test_off_gamut_colors_have_a_large_deviation():
     model = LookupModel.fit(ball_samples(lambertian_change), positions=(1, 1))
     prepared = model.prepare(FLAT, SHAPE)
     at_home = lambertian_change(np.full((SHAPE[0] * SHAPE[1], 2), 0.3), None, None).reshape(*SHAPE, 3)
@@ -121,7 +121,7 @@ def test_settings_out_of_range():
         LookupModel.fit(linear_samples(500), nodes=4).prepare(np.zeros((10, 10, 3)), (10, 10))
 
 
-def test_the_table_spans_the_colours_and_one_wild_press_is_no_larger_doubt():
+def test_the_table_spans_the_colors_and_one_wild_press_is_no_larger_doubt():
     samples = linear_samples(3000)
     gradients = np.array(samples.gradients)
     gradients[1000:1200] += 40.0

@@ -77,7 +77,7 @@ def test_outliers_are_outvoted():
     np.testing.assert_allclose(model.positions_mm(MM_PER_PX), LEDS, atol=0.5)
 
 
-def test_the_simulators_leds_are_found_within_a_tenth_of_a_millimetre():
+def test_the_simulators_leds_are_found_within_a_tenth_of_a_millimeter():
     """Its depth, which the model leaves out, is 0.12 mm of the lights' 4-5 mm; the response is given."""
     leds = tuple(Led(tuple(position), tuple(6000.0 * np.eye(3)[k])) for k, position in enumerate(LEDS))
     sensor = SimulatedSensor(shape=SHAPE, mm_per_px=MM_PER_PX, leds=leds)

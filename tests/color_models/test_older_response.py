@@ -58,7 +58,7 @@ def seen():
     return slopes, x, y, rng.uniform(0, 1, 3000)
 
 
-def assert_same_colours(found, expected):
+def assert_same_colors(found, expected):
     """But for what is lost between the nodes, 16 px apart, and in another polynomial."""
     assert np.sqrt(np.mean((found - expected) ** 2)) < 0.01 * np.sqrt(np.mean(expected**2))
     assert np.abs(found - expected).max() < 0.03 * np.abs(expected).max()
@@ -69,18 +69,18 @@ def settings(**more):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_polynomial_of_slopes_says_the_same_colours(seen, seed):
+def test_a_polynomial_of_slopes_says_the_same_colors(seen, seed):
     """Up to the steepest slopes that presses of balls show: a polynomial of the normal is nearly one of the slopes there."""
     slopes, x, y, _ = seen
     known = coefficients(np.random.default_rng(seed))
     arrays = {"coefficients": known, "noise": OLD_NOISE}
     response = older_response(arrays, settings(), OLD_SHAPE, MM_PER_PX)
-    assert_same_colours(response.color_from_gradients(slopes, x, y), of_slopes(slopes, x, y, known))
+    assert_same_colors(response.color_from_gradients(slopes, x, y), of_slopes(slopes, x, y, known))
     np.testing.assert_allclose(response.color_from_gradients(0 * slopes, x, y), 0, atol=1e-12)
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_polynomial_of_normal_and_depth_says_the_same_colours(seen, seed):
+def test_a_polynomial_of_normal_and_depth_says_the_same_colors(seen, seed):
     """Behind that of the slopes, which is not asked any more; depths were in mm, and are in px."""
     slopes, x, y, depth_mm = seen
     rng = np.random.default_rng(seed)
@@ -91,11 +91,11 @@ def test_a_polynomial_of_normal_and_depth_says_the_same_colours(seen, seed):
     response = older_response(arrays, settings(), OLD_SHAPE, MM_PER_PX)
     for depth in (depth_mm, 0 * depth_mm):
         expected = of_normals(slopes, depth, x, y, known, by_depth)
-        assert_same_colours(response.color_from_gradients(slopes, x, y, depth_px=depth / MM_PER_PX), expected)
+        assert_same_colors(response.color_from_gradients(slopes, x, y, depth_px=depth / MM_PER_PX), expected)
     level = response.color_from_gradients(0 * slopes, x, y, depth_px=depth_mm / MM_PER_PX)
     expected = of_normals(0 * slopes, depth_mm, x, y, known, by_depth)
     assert np.abs(expected).max() > 0.1
-    assert_same_colours(level, expected)
+    assert_same_colors(level, expected)
 
 
 def test_without_a_scale_depths_in_mm_say_nothing(seen):
@@ -106,7 +106,7 @@ def test_without_a_scale_depths_in_mm_say_nothing(seen):
     both = np.concatenate([plain, 9 * plain, depth_coefficients(rng)])
     response = older_response({"coefficients": both, "noise": OLD_NOISE}, settings(), OLD_SHAPE, None)
     expected = of_slopes(slopes, x, y, plain)
-    assert_same_colours(response.color_from_gradients(slopes, x, y, depth_px=5.0), expected)
+    assert_same_colors(response.color_from_gradients(slopes, x, y, depth_px=5.0), expected)
 
 
 def test_noise_is_kept_and_no_step_is_taken():

@@ -17,7 +17,7 @@ def fitted(name, samples, **settings):
 
 
 @pytest.mark.parametrize("name", COLOR_MODELS)
-def test_no_colour_change_means_no_slope(name):
+def test_no_color_change_means_no_slope(name):
     model = fitted(name, ball_samples(lambertian_change))
     prepared = model.prepare(np.full((*SHAPE, 3), 100, np.float32), SHAPE)
     gradients, _ = prepared.gradients_from_color(np.zeros((*SHAPE, 3), dtype=np.float32))

@@ -28,11 +28,11 @@ def scattered(count=2000, steepest=1.0, seed=0):
 def test_it_renders_the_law_and_inverts_what_it_renders(model):
     """Channels and places in order; the law itself where the table is not faded."""
     gradients, x, y = scattered(seed=1)
-    colours = law(*gradients.T, (x + 0.5) / SHAPE[1], (y + 0.5) / SHAPE[0])
+    colors = law(*gradients.T, (x + 0.5) / SHAPE[1], (y + 0.5) / SHAPE[0])
     rendered_ = model.color_from_gradients(gradients, x, y)
-    np.testing.assert_allclose(rendered_, colours, atol=0.015)
+    np.testing.assert_allclose(rendered_, colors, atol=0.015)
     np.testing.assert_allclose(model.gradients_at(rendered_, x, y), gradients, atol=0.01)
-    error = np.linalg.norm(model.gradients_at(colours, x, y) - gradients, axis=1)
+    error = np.linalg.norm(model.gradients_at(colors, x, y) - gradients, axis=1)
     assert np.median(error) < 0.02
     assert np.quantile(error, 0.99) < 0.06
 
@@ -54,7 +54,7 @@ def test_no_change_no_slope_and_frames_equal_pixels(model):
 
 
 @pytest.mark.parametrize(("name", "median_deg", "tenth"), [("digit", 0.3, 10.0), ("gelsight-r15", 0.3, 12.0)])
-def test_real_tables_come_back_from_their_own_colours(data, name, median_deg, tenth):
+def test_real_tables_come_back_from_their_own_colors(data, name, median_deg, tenth):
     path = data / "peer-calibrations" / f"taxim-{name}-polycalib.npz"
     model = read_taxim(path, np.full((*SHAPE, 3), 100, dtype=np.float32))
     gradients, x, y = scattered(4000)

@@ -155,13 +155,13 @@ def test_what_hidden_pixels_show_does_not_count(name):
     depth, slopes, change = bump()
     hidden, rng = hidden_by(name), np.random.default_rng(0)
     count = np.count_nonzero(hidden)
-    garbled, coloured = slopes.copy(), change.copy()
-    garbled[hidden], coloured[hidden] = rng.normal(1, 2, (count, 2)), rng.uniform(-1, 3, (count, 3))
+    garbled, colored = slopes.copy(), change.copy()
+    garbled[hidden], colored[hidden] = rng.normal(1, 2, (count, 2)), rng.uniform(-1, 3, (count, 3))
     measure = FrameDepth(ODD, 0.01)
-    found = measure(coloured, garbled, hidden)
+    found = measure(colored, garbled, hidden)
     np.testing.assert_allclose(found, coarse(depth), atol=0.4)
-    assert np.abs(measure(coloured, garbled) - coarse(depth)).max() > 2, "what is guarded against"
-    other = measure(coloured[..., ::-1].copy(), np.where(hidden[..., None], -garbled, garbled), hidden)
+    assert np.abs(measure(colored, garbled) - coarse(depth)).max() > 2, "what is guarded against"
+    other = measure(colored[..., ::-1].copy(), np.where(hidden[..., None], -garbled, garbled), hidden)
     np.testing.assert_allclose(other, found, atol=1e-4)
 
 

@@ -45,7 +45,7 @@ def test_page_and_command_list_them_all_in_their_order():
 
 SHAPE, CLEAN, LAW = (40, 72), 0.04, 0.03
 CHANGE = ChangeSettings(blur_px=1.25)  # compared with slopes 2 px away
-GREY = np.full((*SHAPE, 3), 100, np.uint8)
+GRAY = np.full((*SHAPE, 3), 100, np.uint8)
 NO_SLOPE = np.zeros((*SHAPE, 2), np.float32)
 UNSEEN_SIGMA = UNSEEN * CLEAN
 
@@ -57,7 +57,7 @@ def patch(box=np.s_[10:20, 30:44]):
     return mask
 
 
-def causes_of(rest=GREY, **changes):
+def causes_of(rest=GRAY, **changes):
     usual = {
         "clean": CLEAN,
         "levels": (1.5, 1.5, 1.5),
@@ -67,7 +67,7 @@ def causes_of(rest=GREY, **changes):
     return PreparedCauses(rest.astype(np.float32), CHANGE, **{**usual, **changes})
 
 
-def raised_by(causes, gradients=NO_SLOPE, unseen=None, image=GREY, step=None):
+def raised_by(causes, gradients=NO_SLOPE, unseen=None, image=GRAY, step=None):
     """Sigma, confidence and maps of a frame whose law says LAW everywhere."""
     sigma, maps = np.full(SHAPE, LAW, np.float32), {}
     confidence = causes(gradients, sigma, unseen, image, step, maps)
@@ -90,7 +90,7 @@ def test_where_nothing_is_seen_the_weight_is_below_every_solver_s_floor():
 def test_one_rule_whatever_the_cause():
     rng = np.random.default_rng(1)
     slopes = rng.uniform(-0.06, 0.06, (*SHAPE, 2)).astype(np.float32)
-    image = np.clip(GREY + rng.normal(0, 5, GREY.shape), 0, 255).astype(np.uint8)
+    image = np.clip(GRAY + rng.normal(0, 5, GRAY.shape), 0, 255).astype(np.uint8)
     residual = rng.exponential(6, SHAPE).astype(np.float32)
     step = step_of(residual, rng.uniform(1e-4, 1e-3, SHAPE))
     sigma, confidence, maps = raised_by(causes_of(), slopes, patch(), image, step)
@@ -106,7 +106,7 @@ def test_one_rule_whatever_the_cause():
 def test_asking_why_changes_nothing():
     slopes = np.random.default_rng(1).uniform(-0.5, 0.5, (*SHAPE, 2)).astype(np.float32)
     sigma = np.full(SHAPE, LAW, np.float32)
-    confidence = causes_of()(slopes, sigma, patch(), GREY, step_of(12.0))
+    confidence = causes_of()(slopes, sigma, patch(), GRAY, step_of(12.0))
     asked = raised_by(causes_of(), slopes, patch(), step=step_of(12.0))
     np.testing.assert_array_equal((sigma, confidence), asked[:2])
 
@@ -209,11 +209,11 @@ def test_unlit_is_up_to_8_levels_of_every_channel_over_25_pixels():
     assert outside_of_gel(background) is None
 
 
-def explained(causes=None, image=GREY, step=None, **frame):
+def explained(causes=None, image=GRAY, step=None, **frame):
     """What each cause adds to a frame."""
     causes = causes or causes_of()
     maps = raised_by(causes, image=image, step=step)[2]
-    usual = dict.fromkeys(("clipped", "markers", "lost")) | {"color_change": np.zeros(GREY.shape, np.float32)}
+    usual = dict.fromkeys(("clipped", "markers", "lost")) | {"color_change": np.zeros(GRAY.shape, np.float32)}
     return causes.maps_of(maps, np.full(SHAPE, LAW, np.float32), image, **{**usual, **frame})
 
 
@@ -221,13 +221,13 @@ def there(maps):
     return {name for name, one in maps.items() if one.any()}
 
 
-def test_every_cause_has_its_map_in_the_order_that_pictures_colour_them():
+def test_every_cause_has_its_map_in_the_order_that_pictures_color_them():
     assert list(explained()) == list(CAUSES)
     assert there(explained()) == set()
 
 
 @pytest.mark.parametrize(
-    ("colour", "kind"),
+    ("color", "kind"),
     [
         ((-0.4, -0.3, -0.35), "shadow"),
         ((-0.5, 0.0, 0.0), "shadow"),  # of one light
@@ -236,15 +236,15 @@ def test_every_cause_has_its_map_in_the_order_that_pictures_colour_them():
         ((0.4, -0.4, 0.1), "off_gamut"),
     ],
 )
-def test_what_the_color_change_has_in_common_names_an_outlier(colour, kind):
-    color_change = np.full(GREY.shape, colour, np.float32)
+def test_what_the_color_change_has_in_common_names_an_outlier(color, kind):
+    color_change = np.full(GRAY.shape, color, np.float32)
     found = explained(step=step_of(np.where(patch(), 3 * OUTLIER, 0)), color_change=color_change)
     assert there(found) == {kind}
     np.testing.assert_allclose(found[kind], np.where(patch(), 5 * STEEPEST_GEL, 0), rtol=1e-5)
 
 
 def test_what_markers_hide_and_what_is_not_lit():
-    rest = np.where(patch(np.s_[:12, :9])[..., None], np.uint8(5), GREY)
+    rest = np.where(patch(np.s_[:12, :9])[..., None], np.uint8(5), GRAY)
     found = explained(causes_of(rest), image=rest, markers=patch())
     assert there(found) == {"marker", "outside"}
     np.testing.assert_array_equal(found["marker"], np.where(patch(), np.float32(UNSEEN_SIGMA), 0))
@@ -255,7 +255,7 @@ def test_what_markers_hide_and_what_is_not_lit():
     ("level", "name"), [(254, "saturated"), (255, "saturated"), (0, "dark"), (2, "dark")]
 )
 def test_a_channel_that_is_left_out_costs_what_the_others_do_not_say(level, name):
-    image, clipped = GREY.copy(), np.zeros((*SHAPE, 3), np.uint8)
+    image, clipped = GRAY.copy(), np.zeros((*SHAPE, 3), np.uint8)
     image[patch(), 1], clipped[patch(), 1] = level, 1
     clipped[patch(np.s_[10:20, 30:34])] = 1
     found = explained(image=image, clipped=clipped)
@@ -266,7 +266,7 @@ def test_a_channel_that_is_left_out_costs_what_the_others_do_not_say(level, name
 
 
 def test_a_pixel_is_saturated_or_dark_not_both():
-    image, clipped = GREY.copy(), np.zeros((*SHAPE, 3), np.uint8)
+    image, clipped = GRAY.copy(), np.zeros((*SHAPE, 3), np.uint8)
     image[20, 30], image[20, 60] = (0, 100, 255), (0, 0, 0)
     saturated, dark = patch(np.s_[18:23, 28:33]), patch(np.s_[18:23, 58:63])
     clipped[saturated | dark] = 1
@@ -281,7 +281,7 @@ def test_a_pixel_is_saturated_or_dark_not_both():
      (16, "dark"), (0, "dark")],
 )  # fmt: skip
 def test_a_lost_part_is_named_by_how_bright_it_was(level, name):
-    came = GREY.copy()
+    came = GRAY.copy()
     came[:, 30:] = level
     lost = patch(np.s_[:, 48:])
     found = explained(causes_of(levels=None), image=came, lost=lost)
@@ -291,7 +291,7 @@ def test_a_lost_part_is_named_by_how_bright_it_was(level, name):
 
 def test_where_nothing_is_stated_each_slope_counts_alike():
     sigma = np.full(SHAPE, LAW, np.float32)
-    confidence = AllAlike()(NO_SLOPE, sigma, patch(), GREY, None, None)
+    confidence = AllAlike()(NO_SLOPE, sigma, patch(), GRAY, None, None)
     np.testing.assert_array_equal(confidence, np.ones(SHAPE))
     assert (sigma == np.float32(LAW)).all()
 

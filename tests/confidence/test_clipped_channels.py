@@ -15,7 +15,7 @@ FRAME = (41, 61)
 BLURS = [0.0, 0.5, 0.6875, 1.0, 1.25, 2.5]
 
 
-def grey(level=120):
+def gray(level=120):
     return np.full((*FRAME, 3), level, np.uint8)
 
 
@@ -27,7 +27,7 @@ def away_from(y, x):
 @pytest.mark.parametrize(("level", "counts"), [(0, True), (2, True), (3, False), (253, False), (254, True)])
 @pytest.mark.parametrize("channel", [0, 1, 2])
 def test_the_ends_of_the_range(level, counts, channel):
-    image = grey()
+    image = gray()
     image[20, 30, channel] = level
     found, unseen = ClippedChannels(1.25, None, 1)(image, None)
     if not counts:
@@ -40,7 +40,7 @@ def test_the_ends_of_the_range(level, counts, channel):
 @pytest.mark.parametrize("blur_px", BLURS)
 def test_a_channel_is_clipped_as_far_as_its_blur_reaches(blur_px):
     """Outside it changes a color by less than 6 % of what it changes its own: the tail of a Gaussian at two sigma."""
-    background, image = grey(), grey()
+    background, image = gray(), gray()
     image[20, 30, 1] = 255
     found = ClippedChannels(blur_px, None, 1)(image, None).channels
     assert not found[..., [0, 2]].any()
@@ -57,7 +57,7 @@ def test_a_channel_is_clipped_as_far_as_its_blur_reaches(blur_px):
 def test_what_training_presses_showed_counts_fully():
     learnt = np.array([[False, True, False], [True, False, False]])
     found = ClippedChannels(1.25, learnt, 1)
-    image = grey()
+    image = gray()
     image[10, 10], image[30, 40] = (120, 0, 120), (255, 120, 120)
     assert found(image, None) == (None, None)
     image[20, 50] = 0, 255, 120
@@ -68,7 +68,7 @@ def test_what_training_presses_showed_counts_fully():
 
 @pytest.mark.parametrize(("spare", "enough"), [(0, 3), (1, 2)])
 def test_how_many_channels_a_slope_needs(spare, enough):
-    image = grey()
+    image = gray()
     image[20, 30, :2] = 255
     image[10, 10, 2] = 0
     _, unseen = ClippedChannels(0.5, None, spare)(image, None)
@@ -77,7 +77,7 @@ def test_how_many_channels_a_slope_needs(spare, enough):
 
 
 def test_two_pixels_that_miss_one_channel_each_may_leave_too_few_between_them():
-    image = grey()
+    image = gray()
     image[20, 30, 0], image[20, 34, 2] = 255, 0
     channels, unseen = ClippedChannels(1.0, None, 1)(image, None)
     np.testing.assert_array_equal(unseen, channels.sum(axis=-1) == 2)
@@ -89,7 +89,7 @@ def test_hidden_and_unlit_pixels_do_not_clip():
     """A marker's black dot, and a corner that no light reaches."""
     hidden, outside = np.zeros(FRAME, bool), np.zeros(FRAME, bool)
     hidden[5:8, 5:8], outside[30:, 40:] = True, True
-    image = grey()
+    image = gray()
     image[hidden | outside] = 0
     dark = ClippedChannels(1.25, None, 1, outside)
     assert dark(image, hidden) == (None, None)

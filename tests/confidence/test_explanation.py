@@ -135,7 +135,7 @@ def test_an_edge_is_uncertain_and_no_fault(sensor, reconstruct):
 
 
 @pytest.mark.parametrize("step", ["none", "no response"])
-def test_without_a_step_no_colour_is_that_of_no_slope(calibration, image, step):
+def test_without_a_step_no_color_is_that_of_no_slope(calibration, image, step):
     forward = replace(calibration.forward, step_sigma=None) if step == "none" else None
     plain = gelform.Reconstructor(replace(calibration, forward=forward))
     for name in ("shadow", "specular", "off_gamut"):

@@ -17,7 +17,7 @@ LAW = SlopeSigma(rest=0.01, slopes=(0.0, 0.5, 1.0), sigmas=(0.02, 0.05, 0.12), c
 NOTHING = Reference(np.zeros(3, np.float32), 0.0, np.zeros(2, np.float32), None, ())  # no pixel is untouched
 
 
-def grey(shape):
+def gray(shape):
     return np.zeros((*shape, 3), np.float32)
 
 
@@ -26,7 +26,7 @@ def test_a_frame():
     gradients[1, 1], gradients[1, 2] = (0.6, 0.8), (1.2, 1.6)
     given = np.zeros((4, 5), dtype=bool)
     given[0, 4] = True
-    untouched, sigma = PreparedSigma(LAW, (4, 5))(grey((4, 5)), gradients, NOTHING._replace(given=given))
+    untouched, sigma = PreparedSigma(LAW, (4, 5))(gray((4, 5)), gradients, NOTHING._replace(given=given))
     np.testing.assert_array_equal(untouched, given)
     assert sigma.shape == (4, 5)
     assert sigma[0, 0] == pytest.approx(0.02)
@@ -39,7 +39,7 @@ def test_frames_and_scattered_pixels_agree():
     law = SlopeSigma.from_dict({**asdict(LAW), "place": [[1.0, 2.0, 0.5, 1.0]] * 2 + [[3.0, 1.0, 1.0, 1.0]]})
     gradients = np.random.default_rng(1).uniform(-0.5, 0.5, (30, 40, 2)).astype(np.float32)
     size = np.linalg.norm(gradients, axis=-1)
-    _, frame = PreparedSigma(law, (30, 40))(grey((30, 40)), gradients, NOTHING)
+    _, frame = PreparedSigma(law, (30, 40))(gray((30, 40)), gradients, NOTHING)
     y, x = (np.mgrid[:30, :40] + 0.5) / np.array([30, 40])[:, None, None]
     wanted = law_at(size, np.array(law.slopes), np.array(law.sigmas)) * factor_at(np.array(law.place), x, y)
     np.testing.assert_allclose(frame, wanted, rtol=0.02)
@@ -52,8 +52,8 @@ def test_the_step_s_deviation_is_what_the_factors_are_of():
     variance = rng.uniform(1e-4, 4e-2, (30, 40)).astype(np.float32)
     given = rng.uniform(size=(30, 40)) < 0.3
     prepared, reference = PreparedSigma(LAW, (30, 40)), NOTHING._replace(given=given)
-    _, factors = prepared(grey((30, 40)), gradients.copy(), reference)
-    _, sigma = prepared(grey((30, 40)), gradients.copy(), reference, variance=variance)
+    _, factors = prepared(gray((30, 40)), gradients.copy(), reference)
+    _, sigma = prepared(gray((30, 40)), gradients.copy(), reference, variance=variance)
     np.testing.assert_allclose(sigma[~given], (factors * np.sqrt(variance))[~given], rtol=1e-5)
     np.testing.assert_allclose(sigma[given], LAW.rest, rtol=1e-6)
 
@@ -65,7 +65,7 @@ def test_the_bias_is_subtracted_and_hidden_pixels_are_left_out():
     hidden[1, 2] = True
     for prepared in (PreparedSigma(LAW, (3, 4)), UnknownSigma(0.04)):
         found = gradients.copy()
-        untouched, _ = prepared(grey((3, 4)), found, reference, hidden)
+        untouched, _ = prepared(gray((3, 4)), found, reference, hidden)
         np.testing.assert_array_equal(found, np.broadcast_to(np.float32([0, -0.25]), (3, 4, 2)))
         np.testing.assert_array_equal(untouched, ~hidden)
 
@@ -73,11 +73,11 @@ def test_the_bias_is_subtracted_and_hidden_pixels_are_left_out():
 def test_where_nobody_knows_every_slope_counts_alike():
     gradients = np.random.default_rng(0).normal(size=(3, 4, 2)).astype(np.float32)
     given = np.eye(3, 4, dtype=bool)
-    untouched, sigma = UnknownSigma(0.04)(grey((3, 4)), gradients, NOTHING._replace(given=given))
+    untouched, sigma = UnknownSigma(0.04)(gray((3, 4)), gradients, NOTHING._replace(given=given))
     np.testing.assert_array_equal(sigma, np.full((3, 4), np.float32(0.04)))
     np.testing.assert_array_equal(untouched, given)
     variance = np.full((3, 4), 9.0, np.float32)
-    _, same = UnknownSigma(0.04)(grey((3, 4)), gradients, NOTHING._replace(given=given), None, variance)
+    _, same = UnknownSigma(0.04)(gray((3, 4)), gradients, NOTHING._replace(given=given), None, variance)
     np.testing.assert_array_equal(same, sigma)
 
 
@@ -128,7 +128,7 @@ def test_slopes_that_no_sum_can_hold_are_refused(wrong, component):
     gradients[4, 30, component] = wrong
     for prepared in (PreparedSigma(LAW, (5, 31)), UnknownSigma(0.04)):
         with pytest.raises(ValueError, match="Expected slopes up to 1e"):
-            prepared(grey((5, 31)), gradients.copy(), NOTHING)
+            prepared(gray((5, 31)), gradients.copy(), NOTHING)
 
 
 def test_of_two_deviations_the_larger_counts():

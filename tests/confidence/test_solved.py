@@ -73,7 +73,7 @@ def test_the_kernel_agrees_with_numpy(shape, curvature, reach):
     )  # fmt: skip
 
 
-def test_a_slope_that_was_read_badly_follows_from_its_neighbours():
+def test_a_slope_that_was_read_badly_follows_from_its_neighbors():
     sigma = np.full(SHAPE, 0.05, np.float32)
     sigma[4, 4], sigma[1, 1] = 1.0, 40.0
     stated = SolvedSigma(LAW, SHAPE, 1.0)

@@ -143,7 +143,7 @@ def test_sigma_of_pixels_is_what_numpy_says(maps, slopes, anchored):
 
 
 @pytest.mark.parametrize("anchor", [0.0, 0.05])
-def test_an_anchored_pixel_follows_its_neighbours_by_its_ties(anchor):
+def test_an_anchored_pixel_follows_its_neighbors_by_its_ties(anchor):
     weights, hold = np.ones((3, 3), dtype=np.float32), np.zeros((3, 3), dtype=np.float32)
     weights[1, 1], hold[1, 1] = 0.01, anchor
     sigma = np.full((3, 3, 2), 0.1, dtype=np.float32)

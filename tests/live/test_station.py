@@ -121,7 +121,9 @@ def test_while_nobody_looks_few_frames_are_reconstructed_and_recorders_get_all(t
         recorder.start()
         until(lambda: recorder.stats.frames > 40)
         recorder.close()
-        assert recorder.stats.missing < recorder.stats.frames / 4  # some on a busy machine; unwatched, 59 of 60
+        assert (
+            recorder.stats.missing < recorder.stats.frames / 4
+        )  # some on a busy machine; unwatched, 59 of 60
         assert recorder.stats.duration_s / recorder.stats.frames < UNWATCHED_S / 2
         looking.set()
         until(lambda: np.diff(times_s[-20:]).min() < UNWATCHED_S / 2)

@@ -7,7 +7,7 @@ import pytest
 
 import gelform
 from gelform.markers import MarkerFollower, MarkerTracker
-from gelform.markers.follower import Neighbours
+from gelform.markers.follower import Neighbors
 from gelform.sensors.profiles import SENSORS
 from gelform.simulate import Ball, Gel, simulate_background, simulate_sequence, slide_poses
 from made.dots import RADIUS, grid, image_of_dots
@@ -47,7 +47,7 @@ def test_all_dots_moved_alike_by_nearly_half_a_spacing(follower):
     assert np.abs(flow.displacement_px[inside] - [6.5, 3.0]).max() < 0.12
 
 
-def test_lost_dots_go_with_their_neighbours(follower):
+def test_lost_dots_go_with_their_neighbors(follower):
     gone, moved = [17, 24], bump(5.0)
     flow = follower(image_of_dots(np.delete(REST + moved, gone, axis=0), noise=1.0, seed=1))
     lost = np.isin(order_of(follower), gone)
@@ -66,7 +66,7 @@ def test_the_mask_goes_with_the_dots(follower):
     assert not mask[apart > RADIUS + 3].any()
 
 
-def test_dots_that_the_border_cuts_go_with_their_neighbours():
+def test_dots_that_the_border_cuts_go_with_their_neighbors():
     rest = grid(margin=2.0)
     follower = MarkerFollower(image_of_dots(rest, noise=1.0))
     flow = follower(image_of_dots(np.add(rest, [4.0, 2.0]), noise=1.0, seed=1))
@@ -76,7 +76,7 @@ def test_dots_that_the_border_cuts_go_with_their_neighbours():
     assert np.abs(shift[cut] - [4.0, 2.0]).max() < 0.5
 
 
-def test_a_dot_that_leaves_its_neighbours_is_not_taken(follower):
+def test_a_dot_that_leaves_its_neighbors_is_not_taken(follower):
     """By 7.6 px of a spacing of 16: it could be another one's."""
     flow = follower(image_of_dots(REST + [7.6, 0] * (np.arange(len(REST)) == 18)[:, None], noise=1.0, seed=1))
     np.testing.assert_array_equal(flow.seen, order_of(follower) != 18)
@@ -150,19 +150,19 @@ def only(*dots):
 
 
 def test_linear_motion_is_predicted_and_of_one_sure_dot_its_own():
-    assert Neighbours(REST).spacing_px == 16
+    assert Neighbors(REST).spacing_px == 16
     sure = ~only(10, 11, 25)
-    predicted = Neighbours(REST).predicted_px(LINEAR * sure[:, None], sure, ~sure)
+    predicted = Neighbors(REST).predicted_px(LINEAR * sure[:, None], sure, ~sure)
     assert np.abs(predicted - LINEAR[~sure]).max() < 0.15
-    predicted = Neighbours(REST).predicted_px(LINEAR, only(12), ~only(12))
+    predicted = Neighbors(REST).predicted_px(LINEAR, only(12), ~only(12))
     np.testing.assert_allclose(predicted, np.broadcast_to(LINEAR[12], predicted.shape), atol=1e-9)
 
 
-def test_a_dot_that_moves_otherwise_is_astray_where_its_neighbours_are_sure():
-    astray = Neighbours(REST).astray_px(LINEAR + [16, 0] * only(18)[:, None], ~only())
+def test_a_dot_that_moves_otherwise_is_astray_where_its_neighbors_are_sure():
+    astray = Neighbors(REST).astray_px(LINEAR + [16, 0] * only(18)[:, None], ~only())
     assert astray[18] == pytest.approx(16, abs=0.5)
     assert np.delete(astray, 18).max() < 1.5
-    assert Neighbours(REST).astray_px(LINEAR, only(0))[0] == 0
+    assert Neighbors(REST).astray_px(LINEAR, only(0))[0] == 0
 
 
 SHAPE = (128, 160)

@@ -91,14 +91,14 @@ def test_a_deep_press_is_scored_where_the_gel_follows_the_ball():
     assert max(errors.normal_deg, errors.normal_rim_deg, errors.normal_free_deg) < 0.01
 
 
-def test_wrong_circle_costs_the_label_but_not_the_free_centre():
+def test_wrong_circle_costs_the_label_but_not_the_free_center():
     errors = errors_of(*pressed_ball(), (81.8, 59.6, 28.0))
     assert errors.normal_deg > 1.0
     assert errors.normal_free_deg < 0.2
     assert errors.cap_free_um < 1 < errors.cap_um
 
 
-def test_a_score_finds_its_centre_and_reads_the_errors_put_in():
+def test_a_score_finds_its_center_and_reads_the_errors_put_in():
     y, x = (axis.ravel() for axis in np.mgrid[40:80, 60:100])
     truth = ball_gradients(x, y, (80.3, 59.6), 50.0)
     score = score_slopes(truth, x, y, (78.0, 61.0), 50.0)

@@ -32,7 +32,7 @@ def test_contacts_are_those_of_the_mask_largest_first(result):
     assert replace(result, contact=np.zeros_like(result.contact)).contacts == ()
 
 
-def test_without_a_scale_contacts_have_no_millimetres(result):
+def test_without_a_scale_contacts_have_no_millimeters(result):
     bare = replace(result, mm_per_px=None, mm_per_px_sigma=None)
     assert bare.contacts[0].area_px == 24
     assert bare.contacts[0].area_mm2 is bare.contacts[0].deepest_mm is None
@@ -98,9 +98,9 @@ def test_what_is_not_known_is_no_zero_in_a_notebook(result):
     assert len(np.unique(thumbnail(shown).reshape(-1, 3), axis=0)) == 2
     known[:, : known.shape[1] // 2] = True
     half = thumbnail(replace(result, known=known)._repr_html_())
-    grey = np.ptp(half.astype(int), axis=-1) == 0
-    assert grey[:, 125:].all()
-    assert not grey[:, :115].any()
+    gray = np.ptp(half.astype(int), axis=-1) == 0
+    assert gray[:, 125:].all()
+    assert not gray[:, :115].any()
 
 
 def thumbnail(html):

@@ -15,7 +15,7 @@ def test_same_seed_same_bytes():
     assert np.any(first.image != other.image)
 
 
-def test_truth_lies_on_pixel_centres_whatever_the_oversample():
+def test_truth_lies_on_pixel_centers_whatever_the_oversample():
     one, three = (
         simulate_press(SMALL, Ball(3), depth_mm=0.8, center_mm=(1.1, -2.3), rng=None, oversample=n)
         for n in (1, 3)

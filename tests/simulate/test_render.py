@@ -10,9 +10,9 @@ from made.sensors import PLAIN, SMALL
 
 
 def test_single_and_double_precision_agree():
-    grey = simulate_press(PLAIN, Ball(2), depth_mm=0.5, rng=None).image
+    gray = simulate_press(PLAIN, Ball(2), depth_mm=0.5, rng=None).image
     exact = simulate_press(PLAIN, Ball(2), depth_mm=0.5, rng=None, quantise=False).image
-    assert np.abs(grey - np.clip(exact, 0, 255)).max() < 0.501
+    assert np.abs(gray - np.clip(exact, 0, 255)).max() < 0.501
 
 
 def test_the_truth_says_which_pixels_are_saturated():

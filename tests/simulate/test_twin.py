@@ -17,7 +17,7 @@ def test_an_untouched_twin_is_the_background(calibration):
     assert np.abs(image - calibration.background).max() <= 0.5 + 1e-4
 
 
-def test_the_colour_is_the_calibrations_forward_response(calibration):
+def test_the_color_is_the_calibrations_forward_response(calibration):
     press = Twin(calibration).press(Ball(3), Pose(0.5), rng=None)
     y, x = (axis.ravel() for axis in np.mgrid[: press.depth_mm.shape[0], : press.depth_mm.shape[1]])
     expected = calibration.forward.color_from_gradients(
@@ -51,7 +51,7 @@ def test_steep_slopes_are_rendered_as_the_steepest_known(calibration):
     assert np.abs(look.color_change(steep, depth) - look.color_change(limit, depth)).max() > 0.02
 
 
-def test_the_depth_changes_the_colour_in_millimetres(calibration):
+def test_the_depth_changes_the_color_in_millimeters(calibration):
     """Level gel that is pressed 0.3 mm deep: the response counts pixels, of whatever width."""
     level, depth = np.zeros((*calibration.image_shape, 2), np.float32), np.full(calibration.image_shape, 0.3)
     look = CalibratedLook(calibration)
@@ -62,7 +62,7 @@ def test_the_depth_changes_the_colour_in_millimetres(calibration):
     np.testing.assert_allclose(wider.color_change(level, 2 * depth), found, atol=1e-6)
 
 
-def test_without_a_response_the_colour_is_that_of_the_slope(calibration, tmp_path):
+def test_without_a_response_the_color_is_that_of_the_slope(calibration, tmp_path):
     """Of an imported table of what color a slope gives."""
     np.savez(tmp_path / "polycalib.npz", **taxim_arrays())
     table = read_taxim(tmp_path / "polycalib.npz", np.zeros((*calibration.image_shape, 3), dtype=np.float32))

@@ -22,7 +22,7 @@ EXACT = ["multigrid", "sparse"]
 SHARE = {"dct": 3e-6, "dct4": 3e-6, **dict.fromkeys(EXACT, 2e-3)}  # of the range: what tolerances allow
 
 
-def centred(depth):
+def centered(depth):
     return depth - depth.mean(dtype=np.float64)
 
 
@@ -109,7 +109,7 @@ def test_minimises_the_stated_energy(solver, pitch, anchored, per_edge):
         edges = weights = rng.uniform(0.01, 1, (9, 10)), rng.uniform(0.01, 1, (8, 11))
     expected = dense_answer(gradients, *edges, anchor, pitch)
     depth = SOLVERS[solver]((9, 11), pitch)(gradients, weights, None, anchor).depth_mm
-    depth, expected = (depth, expected) if anchored else (centred(depth), centred(expected))
+    depth, expected = (depth, expected) if anchored else (centered(depth), centered(expected))
     assert np.max(np.abs(depth - expected)) < 5e-4 * np.ptp(expected)
 
 
@@ -120,7 +120,7 @@ def test_is_exact_on_quadratics_whatever_the_weights(shape, pitch, solver):
     truth, gradients, _ = scene(QUADRATIC, shape, pitch)
     weights = np.random.default_rng(3).uniform(0.01, 1, shape) if takes_weights(solver) else None
     depth = depth_from_gradients(gradients, mm_per_px=pitch, weights=weights, solver=solver)
-    assert np.max(np.abs(depth - centred(truth))) <= SHARE.get(solver, 4e-3) * max(np.ptp(truth), 1e-3)
+    assert np.max(np.abs(depth - centered(truth))) <= SHARE.get(solver, 4e-3) * max(np.ptp(truth), 1e-3)
 
 
 @settings(max_examples=25, deadline=None)
@@ -185,7 +185,7 @@ class TestMask:
         assert solution.islands == len(islands)
         assert np.array_equal(solution.known, mask)
         for island in islands:
-            assert np.max(np.abs(solution.depth_mm[island] - centred(truth[island]))) < 1e-3
+            assert np.max(np.abs(solution.depth_mm[island] - centered(truth[island]))) < 1e-3
         assert np.all(np.isfinite(solution.depth_mm))
         assert np.abs(solution.depth_mm).max() <= np.abs(solution.depth_mm[mask]).max() + 1e-6
 

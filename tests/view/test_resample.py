@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from gelform.view.resample import (
     averaged,
-    box_centres,
+    box_centers,
     maps_of_positions,
     pixel_maps,
     pixel_positions,
@@ -21,11 +21,11 @@ def plane(shape):
 
 
 @given(st.integers(4, 60), st.integers(1, 60), st.booleans(), st.data())
-def test_centres_lie_evenly_within_the_part(available, count, flipped, data):
+def test_centers_lie_evenly_within_the_part(available, count, flipped, data):
     start = data.draw(st.floats(0, available - 2))
     length = data.draw(st.floats(1, available - start))
-    centres, cut, box = box_centres(start, length, available, count, flipped)
-    in_frame = (centres + 0.5) * box - 0.5 + cut.start
+    centers, cut, box = box_centers(start, length, available, count, flipped)
+    in_frame = (centers + 0.5) * box - 0.5 + cut.start
     edges = np.linspace(start, start + length, count + 1) - 0.5
     expected = (edges[1:] + edges[:-1]) / 2
     np.testing.assert_allclose(in_frame, expected[::-1] if flipped else expected, atol=1e-9)

@@ -21,7 +21,7 @@ from gelform.color_models._shared.least_squares import (
     NODE_PX,
     VaryingRegression,
     at_pixels,
-    colour_products,
+    color_products,
     interpolation,
     monomial_parents,
     monomials,
@@ -115,7 +115,7 @@ class HierarchicalModel:
         self, color_change: NDArray[Any], x_px: NDArray[Any], y_px: NDArray[Any]
     ) -> NDArray[np.float64]:
         """Gradients (N, 2) of scattered pixels."""
-        products = colour_products(np.asarray(color_change, dtype=np.float64), monomials(3, self.degree))
+        products = color_products(np.asarray(color_change, dtype=np.float64), monomials(3, self.degree))
         gradients: NDArray[np.float64] = np.einsum("tn,ntk->nk", products, self.coefficients_at(x_px, y_px))
         return gradients
 
@@ -155,7 +155,7 @@ def _regression(
     terms = monomials(3, len(position_degrees))
     scale = float(np.sqrt(np.average(np.mean(change**2, axis=1), weights=samples.weight))) + 1e-12
     orders = [len(term) for term in terms]
-    products = terms_of_orders(list(colour_products(change / scale, terms)), orders, position_degrees)
+    products = terms_of_orders(list(color_products(change / scale, terms)), orders, position_degrees)
     target = np.asarray(samples.gradients, dtype=np.float64)
     if start is not None:
         target = target - start.gradients_at(samples.color_change, samples.x_px, samples.y_px)

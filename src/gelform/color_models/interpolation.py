@@ -20,7 +20,7 @@ from gelform.color_models.seam import Samples, Untuned, check_image_shape
 from gelform.foundations.filters import CHANGE_OFFSET
 from gelform.view.resample import pixel_positions
 
-NEIGHBOURS = 16  # neighbors of a pixel: five times the unknowns of its line
+NEIGHBORS = 16  # neighbors of a pixel: five times the unknowns of its line
 POINTS = 4000  # samples that are kept, for speed
 CHUNK = 20_000  # pixels at a time, to limit memory
 PRIOR = 0.3  # of the color change's size; neighbors with larger changes count more than the line of all
@@ -59,9 +59,9 @@ class InterpolationModel(Untuned):
     @classmethod
     def fit(cls, samples: Samples, *, points: int = POINTS, place_scale: float = 0.5) -> InterpolationModel:
         """Keep every n-th sample, about `points`; `place_scale` is the distance of neighbors in the image."""
-        if points < NEIGHBOURS or not place_scale > 0:
+        if points < NEIGHBORS or not place_scale > 0:
             raise ValueError(
-                f"Expected points >= {NEIGHBOURS} and place_scale > 0, got {points}, {place_scale}."
+                f"Expected points >= {NEIGHBORS} and place_scale > 0, got {points}, {place_scale}."
             )
         color = np.asarray(samples.color_change, dtype=np.float64)
         line = robust_ridge(color, samples.gradients, samples.weight, ridge=1e-4, huber=HUBER_SLOPE)
@@ -70,9 +70,9 @@ class InterpolationModel(Untuned):
         columns = (color, samples.x_px, samples.y_px, samples.gradients)
         kept = [np.ascontiguousarray(column[::step], dtype=np.float64) for column in columns]
         draft = cls(kept[0], kept[1], kept[2], kept[3], line, scale, place_scale, 1.0, samples.shape)
-        if len(kept[0]) < NEIGHBOURS:
-            raise ValueError(f"Expected at least {NEIGHBOURS} samples, got {len(kept[0])}.")
-        apart = draft._tree.query(draft._tree.data, k=[NEIGHBOURS // 4])[0]
+        if len(kept[0]) < NEIGHBORS:
+            raise ValueError(f"Expected at least {NEIGHBORS} samples, got {len(kept[0])}.")
+        apart = draft._tree.query(draft._tree.data, k=[NEIGHBORS // 4])[0]
         return replace(draft, spacing=float(np.median(apart)) + 1e-9)
 
     def gradients_at(
@@ -128,8 +128,8 @@ class InterpolationModel(Untuned):
         self, color: NDArray[np.float64], where: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """One ridge regression per pixel on its neighbors, weighted by a Gaussian of the distance."""
-        distance, near = self._tree.query(where, k=NEIGHBOURS)
-        width = np.maximum(distance[:, NEIGHBOURS // 2], self.spacing)[:, None]
+        distance, near = self._tree.query(where, k=NEIGHBORS)
+        width = np.maximum(distance[:, NEIGHBORS // 2], self.spacing)[:, None]
         weight = np.exp(-0.5 * (distance / width) ** 2)
         weight /= weight.sum(axis=1, keepdims=True)
         c, rest = self.color[near], self.gradients[near] - self.color[near] @ self.line
@@ -138,7 +138,7 @@ class InterpolationModel(Untuned):
         change = np.linalg.solve(normal, weighted.transpose(0, 2, 1) @ rest)
         gradients = color @ self.line + np.einsum("nc,nck->nk", color, change)
         spread = np.einsum("nm,nmk->nk", weight, (rest - c @ change) ** 2)
-        extra = np.maximum(distance[:, NEIGHBOURS // 4] / self.spacing - 1, 0)[:, None]
+        extra = np.maximum(distance[:, NEIGHBORS // 4] / self.spacing - 1, 0)[:, None]
         doubt = 0.1 * extra * np.linalg.norm(gradients, axis=1, keepdims=True)
         return gradients, np.sqrt(spread + doubt**2)
 

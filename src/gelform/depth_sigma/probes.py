@@ -55,17 +55,17 @@ def correlated_draws(
 def _gaussians(count: int, length: float, offset: float) -> NDArray[Any]:
     """Gaussians (places, lattice points) whose squares add up to 1 at every place."""
     half = int(np.ceil((count / 2) / length)) + 3
-    centres = np.arange(-half, half + 1) * length
+    centers = np.arange(-half, half + 1) * length
     places = np.arange(count) - (count - 1) / 2 + offset
-    bells = np.exp(-((places[:, None] - centres) ** 2) / length**2)
+    bells = np.exp(-((places[:, None] - centers) ** 2) / length**2)
     return np.asarray(bells / np.sqrt(np.sum(bells**2, axis=1, keepdims=True)))
 
 
 def _placed(count: int, shape: tuple[int, int], rng: np.random.Generator) -> NDArray[Any]:
     """Values (count, H, W, 2) of variance 1 over the probes, orthogonal where colors differ."""
     rows = _cosines(count)
-    colour = _colours(max(count // 2, 1), shape)
-    columns = rng.permutation(count)[np.stack([2 * colour % count, (2 * colour + 1) % count], axis=-1)]
+    color = _colors(max(count // 2, 1), shape)
+    columns = rng.permutation(count)[np.stack([2 * color % count, (2 * color + 1) % count], axis=-1)]
     return np.asarray(rows[:, columns] * rng.choice([-1.0, 1.0], size=(*shape, 2)))
 
 
@@ -75,7 +75,7 @@ def _cosines(count: int) -> NDArray[Any]:
     return np.asarray(np.cos(np.pi * k * (k[:, None] + 0.5) / count) * np.where(k == 0, 1, np.sqrt(2)))
 
 
-def _colours(count: int, shape: tuple[int, int]) -> NDArray[np.int64]:
+def _colors(count: int, shape: tuple[int, int]) -> NDArray[np.int64]:
     """Color (H, W) of each place: `column + turn row` modulo the count; places of the same color are far apart."""
     rows, cols = np.mgrid[: shape[0], : shape[1]]
     return np.asarray((cols + _turn(count) * rows) % count)

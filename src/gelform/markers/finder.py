@@ -29,7 +29,7 @@ MIN_ORDER = 0.5  # |mean of exp(i k angle)| over neighbors of a grid, k 4 or 6: 
 # Dots without a grid: fraction of the image that they span, their number and their evenness; dust is less even.
 SPAN, MIN_IRREGULAR, MIN_EVENNESS = 0.6, 25, 1.4
 # Range of a neighbor's distance over the usual one; smallest fraction of a grid's dots with two such neighbors.
-NEIGHBOURS, MIN_WITH_NEIGHBOURS = (0.7, 1.3), 0.7
+NEIGHBORS, MIN_WITH_NEIGHBORS = (0.7, 1.3), 0.7
 # Of a dot's peak; the first is its edge, the others separate it from a shadow next to it.
 LEVELS = (0.3, 0.5, 0.7)
 # Widths of the two boxes whose means are compared at a candidate, in radii of a dot.
@@ -196,12 +196,12 @@ def is_grid(centers_px: NDArray[Any]) -> bool:
     if len(centers_px) < MIN_DOTS:
         return False
     found = scipy.spatial.cKDTree(centers_px).query(centers_px, k=min(7, len(centers_px)))
-    distance, neighbour = np.asarray(found[0]), np.asarray(found[1])
+    distance, neighbor = np.asarray(found[0]), np.asarray(found[1])
     pitch = float(np.median(distance[:, 1]))
-    near = (distance[:, 1:] > NEIGHBOURS[0] * pitch) & (distance[:, 1:] < NEIGHBOURS[1] * pitch)
-    if np.mean(near.sum(axis=1) >= 2) < MIN_WITH_NEIGHBOURS:
+    near = (distance[:, 1:] > NEIGHBORS[0] * pitch) & (distance[:, 1:] < NEIGHBORS[1] * pitch)
+    if np.mean(near.sum(axis=1) >= 2) < MIN_WITH_NEIGHBORS:
         return False
-    step = centers_px[neighbour[:, 1:]] - centers_px[:, None]
+    step = centers_px[neighbor[:, 1:]] - centers_px[:, None]
     angle = np.arctan2(step[..., 1], step[..., 0])[near]
     order = max(abs(np.mean(np.exp(1j * fold * angle))) for fold in (4, 6))
     return bool(order >= MIN_ORDER)

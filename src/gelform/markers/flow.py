@@ -77,12 +77,12 @@ class MarkerFlow:
 
     def facts(self) -> dict[str, Any]:
         """All of it, as values that JSON can hold; one list entry for each marker."""
-        millimetres = self.displacement_mm
+        millimeters = self.displacement_mm
         return {
             "in_words": self.in_words(),
             **{name: getattr(self, name).tolist() for name in _SHAPES},
             "displacement_px": self.displacement_px.tolist(),
-            "displacement_mm": None if millimetres is None else millimetres.tolist(),
+            "displacement_mm": None if millimeters is None else millimeters.tolist(),
         }
 
     def arrays(self) -> dict[str, NDArray[Any]]:

@@ -19,7 +19,7 @@ from gelform.markers.finder import CandidateFinder, MarkerFinder
 from gelform.markers.flow import MarkerFlow
 from gelform.markers.patches import Patches, StretchedPatches, logs_from_image
 
-NEIGHBOURS, REACH = 8, 1.7  # neighbors of a dot at most; spacings within which they count
+NEIGHBORS, REACH = 8, 1.7  # neighbors of a dot at most; spacings within which they count
 # Spacings: a dot further from its neighbors' motion is another one; so is a dot found further from its search position, and
 # a dot that memory has lost further from its neighbors' prediction.
 MOST_ASTRAY, HALF, AGAIN = 0.45, 0.5, 0.3
@@ -32,13 +32,13 @@ UNSEEN_SIGMA = 0.2  # spacings, sigma of a dot that was not found
 WHOLE = 1.0  # radii; dots nearer to the border are cut, and not followed
 
 
-class Neighbours:
+class Neighbors:
     """The neighbors of dots; the gel's surface moves smoothly, so a dot moves nearly as they do."""
 
     def __init__(self, rest_px: NDArray[Any]) -> None:
         self._rest = np.asarray(rest_px, dtype=np.float64)
         count = len(self._rest)
-        found = scipy.spatial.cKDTree(self._rest).query(self._rest, k=min(NEIGHBOURS + 1, count))
+        found = scipy.spatial.cKDTree(self._rest).query(self._rest, k=min(NEIGHBORS + 1, count))
         distance, self._index = np.asarray(found[0])[:, 1:], np.asarray(found[1])[:, 1:]
         self.spacing_px = float(np.median(distance[:, 0]))
         self._near = distance < REACH * np.maximum(self.spacing_px, distance[:, :1])
@@ -106,7 +106,7 @@ class MarkerFollower:
             self.rest_px = found[:0]
             return
         self._all = np.concatenate([self.rest_px, found[~whole]])
-        self._neighbours = Neighbours(self._all)
+        self._neighbors = Neighbors(self._all)
         logs = logs_from_image(image)
         self._patches = Patches(logs, self.rest_px, radius)
         self._stretched = StretchedPatches(logs, self._patches)
@@ -124,7 +124,7 @@ class MarkerFollower:
     @property
     def spacing_px(self) -> float:
         """Median distance between neighboring dots at rest."""
-        return self._neighbours.spacing_px
+        return self._neighbors.spacing_px
 
     def __call__(self, image: NDArray[Any], start_px: NDArray[Any] | None = None) -> MarkerFlow:
         """The positions of the markers in an image (H, W, 3), 0-255.
@@ -143,7 +143,7 @@ class MarkerFollower:
 
     def unlikeliness(self, flow: MarkerFlow) -> float:
         """Number of dots that are missing or move unlike their neighbors, for the choice between two flows of one image."""
-        astray = self._neighbours.astray_px(*self._with_cut(flow.displacement_px, flow.seen))[: len(self)]
+        astray = self._neighbors.astray_px(*self._with_cut(flow.displacement_px, flow.seen))[: len(self)]
         return float(np.sum(~flow.seen) + np.sum(astray[flow.seen]) / self.spacing_px)
 
     def hidden(self, image: NDArray[Any], flow: MarkerFlow | None) -> NDArray[np.bool_] | None:
@@ -269,7 +269,7 @@ class MarkerFollower:
 
     def _agreeing(self, shift: NDArray[Any], seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """The seen dots that move like their neighbors and stand alone; of two dots at one place, the better one stays."""
-        astray = self._neighbours.astray_px(*self._with_cut(shift, seen))[: len(self)]
+        astray = self._neighbors.astray_px(*self._with_cut(shift, seen))[: len(self)]
         seen = seen & (astray < MOST_ASTRAY * self.spacing_px)
         number = np.nonzero(seen)[0]
         place = (self.rest_px + shift)[number]
@@ -284,14 +284,14 @@ class MarkerFollower:
         full, sure = self._with_cut(shift, seen)
         of = ~sure
         of[len(self) :] = False
-        return self._neighbours.predicted_px(full, sure, of)
+        return self._neighbors.predicted_px(full, sure, of)
 
     def _of_all(self, shift: NDArray[Any], seen: NDArray[np.bool_]) -> NDArray[np.float64]:
         """Shifts of all dots; those of dots that the border cuts come from their neighbors."""
         full, sure = self._with_cut(shift, seen)
         cut = np.arange(len(full)) >= len(self)
         if seen.any() and cut.any():
-            full[cut] = self._neighbours.predicted_px(full, sure, cut)
+            full[cut] = self._neighbors.predicted_px(full, sure, cut)
         return full
 
     def _with_cut(self, shift: NDArray[Any], seen: NDArray[np.bool_]) -> tuple[Any, Any]:

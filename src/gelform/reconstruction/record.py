@@ -101,15 +101,15 @@ class Reconstruction:
 
         They are computed on demand from contact and depth, so results of every file format have them.
         """
-        return self._labelled[0]
+        return self._labeled[0]
 
     @property
     def contact_labels(self) -> NDArray[np.uint16]:
         """The number (H, W) of each pixel's contact, as in `Contact.label`; 0 where nothing touches."""
-        return self._labelled[1]
+        return self._labeled[1]
 
     @cached_property
-    def _labelled(self) -> tuple[tuple[Contact, ...], NDArray[np.uint16]]:
+    def _labeled(self) -> tuple[tuple[Contact, ...], NDArray[np.uint16]]:
         return contacts_from_mask(self.contact, self.depth, mm_per_px=self.mm_per_px)
 
     @cached_property

@@ -24,7 +24,7 @@ from gelform.foundations.checks import (
     check_within,
 )
 from gelform.sensors.jpeg import SIGNATURE as JPEG
-from gelform.sensors.jpeg import is_grey_jpeg, pixels_of_jpeg
+from gelform.sensors.jpeg import is_gray_jpeg, pixels_of_jpeg
 from gelform.sensors.png_bytes import SIGNATURE as PNG
 from gelform.sensors.png_bytes import pixels_of_png, png_of_pixels
 from gelform.sensors.video_files import is_video
@@ -216,7 +216,7 @@ def _pixels_of_jpeg(content: bytes, path: Path) -> NDArray[np.uint8] | None:
     if not content.startswith(JPEG):
         return None
     try:
-        return None if is_grey_jpeg(content) else pixels_of_jpeg(content)
+        return None if is_gray_jpeg(content) else pixels_of_jpeg(content)
     except ValueError as problem:
         raise DataError(
             f"{path} is truncated or damaged: {str(problem).rstrip('.')}. Copy or record it again."

@@ -29,7 +29,7 @@ def pixels_of_jpeg(content: bytes, reduction: int = 1, *, strict: bool = True) -
     return np.asarray(decoded, dtype=np.uint8)
 
 
-def is_grey_jpeg(content: bytes) -> bool:
+def is_gray_jpeg(content: bytes) -> bool:
     """Whether a picture has one channel; ValueError if its header is damaged."""
     return bool(simplejpeg.decode_jpeg_header(content)[2] == "Gray")
 

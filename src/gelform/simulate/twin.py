@@ -150,7 +150,7 @@ class Twin:
     @property
     def background(self) -> NDArray[np.uint8]:
         """The background image, without noise."""
-        return _grey(self.look.background)
+        return _gray(self.look.background)
 
     def rendered(self, press: SimulatedPress, rng: np.random.Generator | None) -> SimulatedPress:
         """A press of the twin's sensor with the look's image; `rng` is for its noise, None for none."""
@@ -159,8 +159,8 @@ class Twin:
             drawn = normal_table()[draws(rng, levels.size)].reshape(levels.shape)
             levels = levels + drawn * self.look.noise.astype(np.float32)
         nowhere = np.zeros(press.contact.shape, dtype=bool)
-        return replace(press, image=_grey(levels), shadowed=nowhere, saturated=saturated_from_levels(levels))
+        return replace(press, image=_gray(levels), shadowed=nowhere, saturated=saturated_from_levels(levels))
 
 
-def _grey(levels: NDArray[Any]) -> NDArray[np.uint8]:
+def _gray(levels: NDArray[Any]) -> NDArray[np.uint8]:
     return np.clip(np.rint(levels), 0, 255).astype(np.uint8)

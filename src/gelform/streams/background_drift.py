@@ -32,7 +32,7 @@ LONGEST_GAP_S = 5.0  # s without a frame, after which the past is unknown
 LEAST_FREE = 0.3  # fraction of the blocks that must be free of contact to fit the light
 NO_MEASURE = {"beyond_gel", "dark", "exposure_unknown", "frozen", "saturated", "torn"}
 DIFFERENT = {"background_differs", "few_untouched", "not_this_gel"}  # contact all over, or another gel
-PER_GREY_LEVEL = 256  # steps per gray level of a waiting mean image
+PER_GRAY_LEVEL = 256  # steps per gray level of a waiting mean image
 WHITE = 255.0  # largest gray level of a camera; the fitted light can exceed it
 
 TOUCH_SIGMAS = 5.0  # standard deviations of noise by which a touched block changes
@@ -193,8 +193,8 @@ class BackgroundDrift:
         light = self.light.at(self._local.shape[:2])
         mean = self._sum * np.float32(1 / self._sum_count)
         self.evidence = self._evidence(mean, light)
-        image = mean * np.float32(PER_GREY_LEVEL) / light
-        levels = np.clip(np.rint(image), 0, 255 * PER_GREY_LEVEL).astype(np.uint16)
+        image = mean * np.float32(PER_GRAY_LEVEL) / light
+        levels = np.clip(np.rint(image), 0, 255 * PER_GRAY_LEVEL).astype(np.uint16)
         self._waiting.append(MeanImage(self._mean_image_s, time_s, levels))
         self._mean_image_s = time_s
         self._sum[:], self._sum_count, self._different = 0, 0, 0
@@ -219,7 +219,7 @@ class BackgroundDrift:
             fraction = cv2.resize(free, self._local.shape[1::-1], interpolation=cv2.INTER_LINEAR)
             span_s = waited.end_s - waited.start_s
             fraction *= np.float32(-np.expm1(-span_s / FOLLOW_S))
-            image = waited.image.astype(np.float32) * np.float32(1 / PER_GREY_LEVEL)
+            image = waited.image.astype(np.float32) * np.float32(1 / PER_GRAY_LEVEL)
             self._local += fraction[..., None] * (image - self._local)
             self._local_blocks = block_means(self._local, BLOCK_PX)
 

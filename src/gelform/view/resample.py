@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-def box_centres(
+def box_centers(
     start: float, length: float, available: int, count: int, flipped: bool
 ) -> tuple[NDArray[Any], slice, int]:
     """Positions of image pixels along one axis of a frame, in boxes of whole frame pixels.
@@ -26,10 +26,10 @@ def box_centres(
     box = max(1, int(scale + 0.5))
     first = min(int(start), available - 1)
     last = min(available, int(np.ceil(start + length)))
-    centres = (np.arange(count) + 0.5) * scale + start
+    centers = (np.arange(count) + 0.5) * scale + start
     if flipped:
-        centres = centres[::-1]
-    return (centres - first) / box - 0.5, slice(first, last), box
+        centers = centers[::-1]
+    return (centers - first) / box - 0.5, slice(first, last), box
 
 
 def averaged(pixels: NDArray[Any], box: tuple[int, int]) -> NDArray[Any]:

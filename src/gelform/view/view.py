@@ -20,7 +20,7 @@ from gelform.foundations.checks import check_image, check_is
 from gelform.view.lens import Lens
 from gelform.view.resample import (
     averaged,
-    box_centres,
+    box_centers,
     maps_of_positions,
     pixel_maps,
     pixel_positions,
@@ -224,8 +224,8 @@ def frame_from_image(image: ArrayLike, view: View) -> NDArray[Any]:
 def _maps_to_image(view: View) -> tuple[slice, slice, tuple[int, int], NDArray[Any], NDArray[Any]]:
     """The rows and columns to cut out of the frame, the box to average, and each image pixel's position in the result."""
     (frame, image), (left, top, width, height) = view._sizes, view._box
-    x, columns, box_x = box_centres(left, width, frame[1], image[1], "x" in view.flip)
-    y, rows, box_y = box_centres(top, height, frame[0], image[0], "y" in view.flip)
+    x, columns, box_x = box_centers(left, width, frame[1], image[1], "x" in view.flip)
+    y, rows, box_y = box_centers(top, height, frame[0], image[0], "y" in view.flip)
     return rows, columns, (box_y, box_x), *pixel_maps(x, y)
 
 

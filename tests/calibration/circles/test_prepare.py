@@ -85,7 +85,7 @@ def test_nothing_is_learnt_where_a_background_of_0_divides(few, marked, monkeypa
     for press in found[0.0]:
         assert np.argwhere(~press.usable).tolist() == [[5, 7], *([[20, 30]] if marked else [])]
         assert np.isfinite(press.color_change).all()
-        assert press.color_change[5, 7, 1] == pytest.approx(0, abs=0.05), "its neighbours', by the blur"
+        assert press.color_change[5, 7, 1] == pytest.approx(0, abs=0.05), "its neighbors', by the blur"
     for press in found[0.5]:
         assert press.usable is None if not marked else not press.usable[20, 30]
     assert found[USUAL_OFFSET] is usual

@@ -137,7 +137,7 @@ def deep():
     return made, prepared, [find_contact(c) for c in change]
 
 
-def test_deep_presses_are_used_and_their_centres_come_back(deep):
+def test_deep_presses_are_used_and_their_centers_come_back(deep):
     made, prepared, found = deep
     wide = np.array([c.radius_px for c in found]) / prepared[0].ball_radius_px
     assert np.median(wide) > 1.1
@@ -178,7 +178,7 @@ def circles(centers):
     return [ContactCircle(x, y, CONTACT_PX, 0.8, 10.0) for x, y in centers]
 
 
-def test_wrong_centres_come_back():
+def test_wrong_centers_come_back():
     rng = np.random.default_rng(3)
     presses = [press_at(center) for center in TRUTH]
     contacts = circles(np.array(TRUTH) + rng.uniform(-3, 3, (len(TRUTH), 2)))
@@ -189,7 +189,7 @@ def test_wrong_centres_come_back():
     assert off_px(contacts, TRUTH).max() < 0.3
 
 
-def test_right_centres_stay_and_no_step_is_long():
+def test_right_centers_stay_and_no_step_is_long():
     presses = [press_at(center) for center in TRUTH]
     stay = joint_moves(presses, circles(TRUTH), 0.8, (1,), total=6000)
     assert np.hypot(*stay.T).max() < 0.1

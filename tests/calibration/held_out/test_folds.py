@@ -121,7 +121,7 @@ def test_changes_are_alike_up_to_eight_per_cent_of_the_smaller(other, expected):
         ((30, 30, 15), (40.0, 41.0), False),
     ],
 )
-def test_the_same_ball_in_the_same_circle_is_alike_whatever_the_colours(circle, balls, expected):
+def test_the_same_ball_in_the_same_circle_is_alike_whatever_the_colors(circle, balls, expected):
     assert alike([pattern(0), pattern(1)], [(30, 30, 15), circle], balls) == expected
 
 
@@ -130,7 +130,7 @@ def saved_again(press, how):
     image = press.image.astype(np.float32)
     changed = {
         "as JPEG": lambda: cv2.imdecode(cv2.imencode(".jpg", press.image)[1], cv2.IMREAD_COLOR),
-        "3 grey levels brighter": lambda: image + 3,
+        "3 gray levels brighter": lambda: image + 3,
         "redder": lambda: image + np.array([3, 0, 0]),
         "5 % brighter": lambda: image * 1.05,
         "a moment later": lambda: image + np.random.default_rng(0).normal(0, 2, image.shape),
@@ -141,7 +141,7 @@ def saved_again(press, how):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "how", ["as JPEG", "3 grey levels brighter", "redder", "5 % brighter", "a moment later"]
+    "how", ["as JPEG", "3 gray levels brighter", "redder", "5 % brighter", "a moment later"]
 )
 def test_one_picture_saved_in_two_ways_stays_in_one_fold(presses, how):
     four = presses.subset(range(4))

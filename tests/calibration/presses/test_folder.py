@@ -109,7 +109,7 @@ def test_crop_and_view_of_the_settings(copy):
 def test_labels_are_read_and_rows_of_other_indenters_are_named(copy):
     """Nothing is left out silently: Flat is not flat."""
 
-    def labelled(header, rows):
+    def labeled(header, rows):
         names = ["center_x_px", "center_y_px", "contact_radius_px", "indenter", "height_mm"]
         kinds = ["ball", "Flat", *["cube"] * (len(rows) - 2)]
         label = ["80.5", "60", "21"]
@@ -117,7 +117,7 @@ def test_labels_are_read_and_rows_of_other_indenters_are_named(copy):
             [*row, *(label if kind == "ball" else [""] * 3), kind, "0.2"] for row, kind in zip(rows, kinds)
         ]
 
-    rewrite(copy, labelled)
+    rewrite(copy, labeled)
     read = gelform.read_presses(copy)
     assert [press.label for press in read.presses] == [(80.5, 60.0, 21.0)]
     assert ["indenter Flat: 1 (" in note for note in read.notes] == [True, False]

@@ -163,7 +163,7 @@ def test_columns_are_penalised_by_their_degree_in_place(samples):
     )
 
 
-def test_neighbours_are_left_out_where_they_are_many():
+def test_neighbors_are_left_out_where_they_are_many():
     """About 20,000 tell as much."""
     many = ball_samples(lambertian_change, count=3 * MAX_SAMPLES + 5)
     many = replace(many, weight=np.linspace(0.2, 1, len(many.x_px)))

@@ -62,11 +62,11 @@ def dense_membrane(obstacle, relaxation_px):
     """The same problem by projected relaxation on one grid, many times over."""
     u = np.maximum(obstacle, 0)
     spring = relaxation_px**-2
-    colour = np.add.outer(np.arange(u.shape[0]), np.arange(u.shape[1])) % 2
+    color = np.add.outer(np.arange(u.shape[0]), np.arange(u.shape[1])) % 2
     for sweep in range(4000):
         padded = np.pad(u, 1, mode="edge")
         total = padded[:-2, 1:-1] + padded[2:, 1:-1] + padded[1:-1, :-2] + padded[1:-1, 2:]
-        u = np.where(colour == sweep % 2, np.maximum(total / (4 + spring), obstacle), u)
+        u = np.where(color == sweep % 2, np.maximum(total / (4 + spring), obstacle), u)
     return u
 
 

@@ -94,16 +94,16 @@ def test_noise_is_normal():
     moments = [np.mean(drawn**k) for k in (1, 2, 3, 4)]
     np.testing.assert_allclose(moments, [0, 1, 0, 3], atol=0.03)
     assert np.mean(np.abs(drawn) > 2.5758) == pytest.approx(0.01, rel=0.1)
-    neighbours = drawn[: 4 * 100_000].reshape(-1, 4)
-    np.testing.assert_allclose(np.corrcoef(neighbours.T), np.eye(4), atol=0.015)
+    neighbors = drawn[: 4 * 100_000].reshape(-1, 4)
+    np.testing.assert_allclose(np.corrcoef(neighbors.T), np.eye(4), atol=0.015)
 
 
 @pytest.mark.parametrize("gamma", [0.6, 1.2, 2.2])
 def test_the_table_of_the_response_is_the_response(gamma):
     sensor = exposed(replace(PLAIN, optics=Optics(response_gamma=gamma)), 100)
-    grey = simulate_press(sensor, Ball(2), depth_mm=0.5, rng=None).image
+    gray = simulate_press(sensor, Ball(2), depth_mm=0.5, rng=None).image
     exact = simulate_press(sensor, Ball(2), depth_mm=0.5, rng=None, quantise=False).image
-    assert np.abs(grey - np.clip(exact, 0, 255)).max() < 0.51
+    assert np.abs(gray - np.clip(exact, 0, 255)).max() < 0.51
 
 
 def test_levels_under_zero_are_saturated_too():
@@ -129,7 +129,7 @@ def test_the_kernel_rounds_what_numpy_makes(noisy, gamma):
     drawn = draws(rng, levels.size).reshape(levels.shape) if noisy else None
     curve = None if gamma == 1 else camera.response_table(gamma)
 
-    def reference(levels, drawn, normal, curve, grey, variance, gain):
+    def reference(levels, drawn, normal, curve, gray, variance, gain):
         if drawn is not None:
             levels = levels + np.sqrt(variance + gain * np.maximum(levels, 0)) * normal[drawn]
         if curve is not None:
@@ -138,8 +138,8 @@ def test_the_kernel_rounds_what_numpy_makes(noisy, gamma):
             levels = curve[whole] + (place - whole) * (curve[whole + 1] - curve[whole])
         return np.rint(np.clip(levels, 0, 255)).astype(np.uint8)
 
-    grey = np.empty(levels.shape, np.uint8)
+    gray = np.empty(levels.shape, np.uint8)
     assert_kernel_agrees(
-        camera._grey_levels, reference, levels, drawn, normal_table(), curve, grey,
+        camera._gray_levels, reference, levels, drawn, normal_table(), curve, gray,
         np.float32(1.5), np.float32(0.02),
     )  # fmt: skip

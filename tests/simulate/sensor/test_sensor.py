@@ -19,7 +19,7 @@ def test_a_ring_goes_round_as_its_angles_say():
     np.testing.assert_allclose(down.position_mm, (0, 10, 5), atol=1e-9)
 
 
-def test_colours_of_leds_land_in_their_channels():
+def test_colors_of_leds_land_in_their_channels():
     assert np.argmax(led_color(625)) == 0
     assert np.argmax(led_color(530)) == 1
     assert np.argmax(led_color(465)) == 2

@@ -165,7 +165,7 @@ def joint_moves(
 
     It is one Gauss-Newton step of Huber's loss of the slope errors, at about `total` pixels inside `zone` of the contacts.
     """
-    samples, owner, jacobian = _labelled(presses, contacts, zone, total)
+    samples, owner, jacobian = _labeled(presses, contacts, zone, total)
     x, y = unit_position(samples.x_px, samples.y_px, samples.shape)
     design = polynomial_terms(samples.color_change, x, y, position_degrees)
     weight, moves = samples.weight, np.zeros((len(presses), 2))
@@ -179,7 +179,7 @@ def joint_moves(
     return moves * np.minimum(1, limit / np.maximum(far, 1e-12))
 
 
-def _labelled(
+def _labeled(
     presses: Sequence[PreparedPress], contacts: Sequence[ContactCircle], zone: float, total: int
 ) -> tuple[Samples, NDArray[np.intp], NDArray[np.float64]]:
     """Samples in the contacts and at rest, the press of each, and the derivative (N, 2, 2) of its label."""

@@ -112,15 +112,15 @@ def _points_of_grid(
     frame: NDArray[Any], pattern: tuple[int, int], kind: str, number: int
 ) -> NDArray[np.float64]:
     """(N, 2) points, x and y, row by row of the pattern."""
-    grey = cv2.cvtColor(frame.astype(np.uint8), cv2.COLOR_RGB2GRAY)
+    gray = cv2.cvtColor(frame.astype(np.uint8), cv2.COLOR_RGB2GRAY)
     if kind == "checkerboard":
         flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE
-        found, points = cv2.findChessboardCornersSB(grey, pattern, flags=flags)
+        found, points = cv2.findChessboardCornersSB(gray, pattern, flags=flags)
         if found:
-            points = _refined_corners(grey, np.asarray(points, dtype=np.float32).reshape(-1, 1, 2), pattern)
+            points = _refined_corners(gray, np.asarray(points, dtype=np.float32).reshape(-1, 1, 2), pattern)
     else:
         found, points = cv2.findCirclesGrid(
-            grey, pattern, flags=cv2.CALIB_CB_SYMMETRIC_GRID, blobDetector=_dot_detector(grey.size)
+            gray, pattern, flags=cv2.CALIB_CB_SYMMETRIC_GRID, blobDetector=_dot_detector(gray.size)
         )
     if not found:
         raise DataError(
@@ -131,14 +131,14 @@ def _points_of_grid(
 
 
 def _refined_corners(
-    grey: NDArray[Any], points: NDArray[np.float32], pattern: tuple[int, int]
+    gray: NDArray[Any], points: NDArray[np.float32], pattern: tuple[int, int]
 ) -> NDArray[np.float32]:
     """Corners at the gray levels' gradients, within a quarter of a square: ten times more exact than the found ones."""
     rows = points.reshape(pattern[1], pattern[0], 2)
     square = min(float(np.linalg.norm(np.diff(rows, axis=axis), axis=-1).min()) for axis in (0, 1))
     half = max(2, int(square / 4))
     stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-4)
-    refined: NDArray[np.float32] = cv2.cornerSubPix(grey, points, (half, half), (-1, -1), stop)
+    refined: NDArray[np.float32] = cv2.cornerSubPix(gray, points, (half, half), (-1, -1), stop)
     return refined
 
 

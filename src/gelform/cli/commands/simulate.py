@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from gelform.simulate.twin import Twin
 
 
-GREY_SHAPE, GREY_LEVEL = (240, 320, 3), 110.0  # background for tables without one: shape and gray level
+GRAY_SHAPE, GRAY_LEVEL = (240, 320, 3), 110.0  # background for tables without one: shape and gray level
 TABLES_NOISE = 1.0  # gray levels, assumed noise: the tables state none
 
 # headings of the table of `gelform design`, in the order of its JSON keys
@@ -199,7 +199,7 @@ def _twin_of_tables(path: Path, look: Look) -> Twin:
 
     if look.mm_per_px is None:
         raise BadParameter("needed with Taxim's tables: they hold none.", param_hint="--mm-per-px")
-    untouched = np.full(GREY_SHAPE, GREY_LEVEL) if look.background is None else read_image(look.background)
+    untouched = np.full(GRAY_SHAPE, GRAY_LEVEL) if look.background is None else read_image(look.background)
     noise = np.full(3, TABLES_NOISE)
     tables = read_taxim_forward(path)
     return Twin(TaximLook(tables, untouched.astype(np.float32), look.mm_per_px, noise))

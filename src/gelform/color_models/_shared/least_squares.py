@@ -323,7 +323,7 @@ def _light_of_pixels(pixels: bytes, shape: tuple[int, ...]) -> NDArray[np.float6
     return np.moveaxis(values, -1, 0)
 
 
-def colour_products(change: NDArray[np.float64], terms: list[tuple[int, ...]]) -> NDArray[np.float64]:
+def color_products(change: NDArray[np.float64], terms: list[tuple[int, ...]]) -> NDArray[np.float64]:
     """Monomials (terms, N) of a color change (N, 3)."""
     return np.stack(monomial_products(np.ascontiguousarray(change.T), terms))
 

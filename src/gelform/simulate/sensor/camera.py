@@ -18,9 +18,9 @@ from gelform.simulate.sensor.sensor import SHADING_DEGREES, SimulatedSensor
 Maps = tuple[NDArray[np.float32], NDArray[np.float32]]
 RESPONSE_STEPS = 4096  # points of the table of the response curve; measured error 5e-5 gray levels
 
-_grey_levels = Kernel(
-    "grey_levels",
-    "f32[...] levels, u16[...]? drawn, f32[65536] normal, f32[points]? curve, out u8[...] grey, f32 variance, "
+_gray_levels = Kernel(
+    "gray_levels",
+    "f32[...] levels, u16[...]? drawn, f32[65536] normal, f32[points]? curve, out u8[...] gray, f32 variance, "
     "f32 gain",
 )
 
@@ -141,10 +141,10 @@ def image_from_levels(
         if drawn is not None:
             levels = levels + np.sqrt(variance + gain * np.maximum(levels, 0)) * normal_table()[drawn]
         return levels if gamma == 1 else 255 * (np.maximum(levels, 0) / 255) ** (1 / gamma)
-    grey = np.empty(levels.shape, dtype=np.uint8)
+    gray = np.empty(levels.shape, dtype=np.uint8)
     curve = None if gamma == 1 else response_table(gamma)
-    _grey_levels(levels, drawn, normal_table(), curve, grey, variance, gain)
-    return grey if sensor.optics.jpeg_quality is None else _compressed(grey, sensor.optics.jpeg_quality)
+    _gray_levels(levels, drawn, normal_table(), curve, gray, variance, gain)
+    return gray if sensor.optics.jpeg_quality is None else _compressed(gray, sensor.optics.jpeg_quality)
 
 
 def draws(rng: np.random.Generator, count: int) -> NDArray[np.uint16]:
@@ -171,6 +171,6 @@ def saturated_from_levels(levels: NDArray[Any]) -> NDArray[np.bool_]:
     return cv2.inRange(levels, (-0.5,) * 3, (255.5,) * 3) == 0
 
 
-def _compressed(grey: NDArray[np.uint8], quality: int) -> NDArray[np.uint8]:
-    code = np.frombuffer(picture_bytes(grey, ".jpg", [cv2.IMWRITE_JPEG_QUALITY, quality]), np.uint8)
+def _compressed(gray: NDArray[np.uint8], quality: int) -> NDArray[np.uint8]:
+    code = np.frombuffer(picture_bytes(gray, ".jpg", [cv2.IMWRITE_JPEG_QUALITY, quality]), np.uint8)
     return np.asarray(cv2.cvtColor(cv2.imdecode(code, cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB))

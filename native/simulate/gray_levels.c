@@ -21,7 +21,7 @@ static void respond(float *restrict level, const float *restrict curve, ptrdiff_
 }
 
 // Variance of the noise: `variance + gain * level`. Without `drawn` there is none, without `curve` the response is linear.
-EXPORT int grey_levels(const float *levels, const uint16_t *drawn, const float *normal, const float *curve, uint8_t *grey,
+EXPORT int gray_levels(const float *levels, const uint16_t *drawn, const float *normal, const float *curve, uint8_t *gray,
                        float variance, float gain, ptrdiff_t count, ptrdiff_t points) {
   for (ptrdiff_t start = 0; start < count; start += BLOCK) {
     const ptrdiff_t n = count - start < BLOCK ? count - start : BLOCK;
@@ -29,7 +29,7 @@ EXPORT int grey_levels(const float *levels, const uint16_t *drawn, const float *
     memcpy(level, levels + start, (size_t)n * sizeof *level);
     if (drawn) add_noise(level, drawn + start, normal, variance, gain, n);
     if (curve) respond(level, curve, points, n);
-    for (ptrdiff_t j = 0; j < n; j++) grey[start + j] = (uint8_t)(int32_t)(clamp(level[j], 0, 255) + TO_WHOLE - TO_WHOLE);
+    for (ptrdiff_t j = 0; j < n; j++) gray[start + j] = (uint8_t)(int32_t)(clamp(level[j], 0, 255) + TO_WHOLE - TO_WHOLE);
   }
   return OK;
 }
