@@ -150,6 +150,7 @@ def _axes(covariance: NDArray[np.float64]) -> tuple[tuple[float, float], float]:
     return (4 * float(np.sqrt(mean + apart)), 4 * float(np.sqrt(max(mean - apart, 0.0)))), angle
 
 
+# Chosen on the simulated sensor three-edges and on drawn sensors, not on those that docs/contacts.md measures.
 NOISE_FACTOR, MIN_AREA_MM2 = 4.0, 0.05  # defaults, in standard deviations and in mm^2
 # Standard deviation, px, of the Gaussian that smooths before the Laplacian, and the fraction of the mean pressure around a
 # pixel at which a contact ends. The first that leaves noise below QUIET, 1/mm, is used. A wider blur widens narrow contacts,
