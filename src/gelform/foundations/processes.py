@@ -51,7 +51,7 @@ def worker_processes(
         try:
             yield pool
         except (BrokenProcessPool, OSError, ValueError) as problem:
-            if not (isinstance(problem, BrokenProcessPool) or context.lost_one() or _is_broken(pool)):
+            if not (isinstance(problem, BrokenProcessPool) or _is_broken(pool)):
                 raise
             lose.close()  # a broken pool forgets a process that was starting, and would wait for it forever
             said = ("A worker process was killed, perhaps for want of memory.", kept)
@@ -79,10 +79,6 @@ class _Recorded(SpawnContext):
         process = SpawnProcess(*args, **kwargs)
         self.started.append(process)
         return process
-
-    def lost_one(self) -> bool:
-        """Whether a process ended, although nothing told it to."""
-        return any(process.exitcode for process in self.started)
 
 
 def _is_broken(pool: ProcessPoolExecutor) -> bool:

@@ -51,10 +51,15 @@ class Sequence:
 
     def __post_init__(self) -> None:
         # Anyone may have chosen the names inside a file, and outputs are named after their inputs.
-        if Path(self.name).anchor or ".." in Path(self.name).parts:
+        if leads_out(self.name):
             raise DataError(
                 f"{self.path} names frames {self.name}, which leads out of any folder. Do not trust this file."
             )
+
+
+def leads_out(name: str) -> bool:
+    """Whether a name is a path to outside the folder that it is joined to."""
+    return bool(Path(name).anchor) or ".." in Path(name).parts
 
 
 def natural(name: str) -> tuple[list[str | int], str]:

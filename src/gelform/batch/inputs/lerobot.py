@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.batch.inputs.containers import Sequence, matching
+from gelform.batch.inputs.containers import Sequence, leads_out, matching
 from gelform.errors import DataError, needed
 
 PENALTY = "av1 yuv420p crf 30 moves depth in contact by 27 um, h264 yuv420p crf 23 by 38 um, h264 yuv444p crf 10 by 7 um"
@@ -105,7 +105,7 @@ def _file_of(root: Path, info: dict[str, Any], pattern: str, **names: Any) -> st
     path = info.get(pattern)
     if isinstance(path, str) and re.fullmatch(r"([^{}]|{(video_key|(chunk|file)_index(:0\dd)?)})+", path):
         path = path.format(**{"video_key": "", **names})
-        if not Path(path).anchor and ".." not in Path(path).parts:
+        if not leads_out(path):
             return path
     raise DataError(
         f"Expected {pattern} in {root / INFO} to name files below the data set by video_key, chunk_index and "
