@@ -10,7 +10,6 @@ simulated sensor: a few different ones under many names, so that making them tak
 
 from __future__ import annotations
 
-import argparse
 import os
 import resource
 import tempfile
@@ -28,7 +27,7 @@ from gelform.batch.inputs.listing import listing_of
 from gelform.batch.inputs.plan import plan_of
 from gelform.batch.records import COLUMNS, PartRecord, write_record
 from gelform.batch.run import BatchSummary, _not_done
-from report import recorded, write
+from report import command_line, parts_asked, recorded, write
 
 
 def stages(folder: Path, quick: bool) -> dict[str, Any]:
@@ -112,14 +111,11 @@ def _text(value: Any) -> str:
 
 def main() -> None:
     """Measure and print; write unless in quick mode."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("part", nargs="*", help=f"of {', '.join(parts(True))}; all without")
-    parser.add_argument("--quick", action="store_true")
-    arguments = parser.parse_args()
+    command = command_line(__doc__)
+    command.add_argument("--quick", action="store_true")
+    arguments = parts_asked(command, parts(True))
     figures = recorded("batch")
-    for name in arguments.part or parts(True):
+    for name in arguments.parts:
         begin = time.perf_counter()
         with tempfile.TemporaryDirectory() as folder:
             figures[name] = parts(arguments.quick)[name](Path(folder))

@@ -8,7 +8,6 @@ tests/benchmarks/test_paper.py holds the text to the quotes, and lets no other f
 
 from __future__ import annotations
 
-import argparse
 import json
 import tempfile
 from pathlib import Path
@@ -18,7 +17,7 @@ import numpy as np
 
 import gelform
 from gelform.simulate import LAYOUTS, Coin, simulate_ball_presses, simulate_press
-from report import RESULTS
+from report import RESULTS, command_line
 
 PAPER = Path(__file__).parents[1] / "paper"
 SEED, PRESSES, DEPTH_MM = 0, 24, 0.35
@@ -119,9 +118,7 @@ def draw(path: Path) -> None:
 
 def main() -> None:
     """Draw the figure, or print the quotes."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = command_line(__doc__)
     parser.add_argument("--quotes", action="store_true", help="print the quotes and draw nothing")
     if parser.parse_args().quotes:
         print("\n".join(quotes()))
