@@ -14,7 +14,7 @@ from typing import Any
 
 SOURCE = Path(__file__).resolve().parents[2] / "src" / "gelform"
 FOLDERS = ("calibration", "confidence", "background", "color_models", "depth_sigma", "starters")
-FILES = ("anchor.py", "contact.py", "health.py")
+FILES = ("anchor.py", "contact/evidence.py", "contact/pressure.py", "health.py")
 OTHER = (
     "calibration/presses",
     "calibration/geometry",

@@ -6,7 +6,7 @@ enum { PIXELS = 64 };  // at a time: unpacked to lines, on which the arithmetic 
 // Inputs that do not depend on the pixel; see PreparedSigma.
 struct settings {
   const float *common, *bias, *law;
-  float square, steps, grows, rest;
+  float square, steps, grows;
   int32_t law_size;
 };
 
@@ -47,13 +47,12 @@ static inline void variance_by_law(struct lines *restrict l, const struct settin
     l->variance[k] = l->fraction[k] <= end ? l->variance[k] : grows * l->square[k];
 }
 
-static inline void deviation(const struct lines *restrict l, const struct settings *restrict s, const float *restrict place,
+static inline void deviation(const struct lines *restrict l, const float *restrict rest, const float *restrict place,
                              const float *restrict variance, float *restrict sigma, ptrdiff_t n) {
-  const float rest = s->rest;
   if (variance == NULL)
-    for (ptrdiff_t k = 0; k < n; k++) sigma[k] = sqrtf(l->untouched[k] ? rest : l->variance[k] * place[k]);
+    for (ptrdiff_t k = 0; k < n; k++) sigma[k] = sqrtf(l->untouched[k] ? rest[k] : l->variance[k] * place[k]);
   else
-    for (ptrdiff_t k = 0; k < n; k++) sigma[k] = sqrtf(l->untouched[k] ? rest : l->variance[k] * place[k] * variance[k]);
+    for (ptrdiff_t k = 0; k < n; k++) sigma[k] = sqrtf(l->untouched[k] ? rest[k] : l->variance[k] * place[k] * variance[k]);
 }
 
 // Number of pixels whose slope is NaN or over the highest.
@@ -82,13 +81,14 @@ static inline void decide_untouched(struct lines *restrict l, const struct setti
   else if (hidden != NULL) hide_untouched(l, hidden + start, n);
 }
 
-// `given`: untouched pixels that were decided elsewhere, or NULL. `variance`: of each slope by its step, or NULL. `bias` is
-// subtracted from the gradients. Returns how many pixels have a slope that is NaN or beyond the highest.
+// `given`: untouched pixels that were decided elsewhere, or NULL. `rest`: the variance of a slope at rest. `variance`: of each
+// slope by its step, or NULL. `bias` is subtracted from the gradients. Returns how many pixels have a slope that is NaN or
+// beyond the highest.
 EXPORT int frame_sigma(const float *change, const bool *hidden, const bool *given, const float *common, const float *bias,
-                       const float *place, const float *law, const float *variance, float *gradients, bool *untouched,
-                       float *sigma, float square, float steps, float grows, float rest, float highest, ptrdiff_t h,
+                       const float *rest, const float *place, const float *law, const float *variance, float *gradients,
+                       bool *untouched, float *sigma, float square, float steps, float grows, float highest, ptrdiff_t h,
                        ptrdiff_t w, ptrdiff_t t) {
-  const struct settings s = {common, bias, law, square, steps, grows, rest, (int32_t)t};
+  const struct settings s = {common, bias, law, square, steps, grows, (int32_t)t};
   struct lines l = {0};
   int refused = 0;
   if (t < 2) return WRONG_SIZE;
@@ -98,7 +98,7 @@ EXPORT int frame_sigma(const float *change, const bool *hidden, const bool *give
     refused += count_refused(&l, highest, n);
     decide_untouched(&l, &s, hidden, given, start, n);
     variance_by_law(&l, &s);
-    deviation(&l, &s, place + start, variance == NULL ? NULL : variance + start, sigma + start, n);
+    deviation(&l, rest + start, place + start, variance == NULL ? NULL : variance + start, sigma + start, n);
     write_back(&l, gradients + 2 * start, untouched + start, n);
   }
   return refused;

@@ -5,7 +5,7 @@
 
 // Pixels from ... to - 1 of row y. A run's parent is an earlier run of its region, or itself.
 struct run {
-  int32_t y, from, to, parent, area, seeds;
+  int32_t y, from, to, parent, area;
 };
 
 enum { RUN_WORDS = sizeof(struct run) / sizeof(int32_t) };
@@ -47,7 +47,7 @@ static inline int32_t find_runs(const uint8_t *map, uint8_t bits, int touch, str
       const ptrdiff_t from = x;
       while (x < w && row[x] & bits) x++;
       while (above < before && runs[above].to <= from - touch) above++;
-      runs[count] = (struct run){(int32_t)y, (int32_t)from, (int32_t)x, count, (int32_t)(x - from), 0};
+      runs[count] = (struct run){(int32_t)y, (int32_t)from, (int32_t)x, count, (int32_t)(x - from)};
       for (int32_t k = above; k < before && runs[k].from < x + touch; k++) join(runs, k, count);
       count++;
     }

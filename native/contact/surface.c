@@ -83,35 +83,39 @@ EXPORT int median_below(const float *values, float *work, float *magnitude, int6
 }
 
 enum { CHUNK = 4 * LANES };
+enum { MOST_VARIANCE = 1 };  // (mm/mm)^2; a slope of such variance is not known at all
 
-// Ratios -bent/bed of the pixels where the surface falls off, appended to `ratios`; how many.
-static ptrdiff_t falling_off(const float *restrict bed, const float *restrict bent, float below, float *ratios, ptrdiff_t n) {
-  int32_t any = 0;
-  ptrdiff_t count = 0;
-  for (ptrdiff_t i = 0; i < n; i++) any += (bent[i] < below) & (bed[i] > 0);
-  if (any == 0) return 0;  // as nearly everywhere
-  for (ptrdiff_t i = 0; i < n; i++)
-    if (bent[i] < below && bed[i] > 0) ratios[count++] = -bent[i] / bed[i];
-  return count;
+// Variance of slopes, from their deviation as they were read where the gel is at rest, elsewhere of the solved depth's slopes.
+EXPORT int slope_variance(const float *restrict read, const float *restrict solved, const bool *restrict rest,
+                          float *restrict variance, ptrdiff_t count) {
+  for (ptrdiff_t i = 0; i < count; i++) {
+    const float r = read[i], s = solved[i], deviation = rest[i] ? r : s;
+    variance[i] = smaller(deviation * deviation, MOST_VARIANCE);
+  }
+  return OK;
 }
 
-// Depth that is known to be there becomes the bed's share of what bends the surface, and is added to the bending: the
-// pressure. Where the bed's stiffness is not known (0), it is the median ratio where the surface bends by less than `below`,
-// if `least` pixels do.
-EXPORT int pressure_on_bed(const float *sigma, float *bed, float *bent, float *work, float known, float every_sigma,
-                           float sigmas, float below, int64_t least, float stiffest, ptrdiff_t count, ptrdiff_t n) {
-  float stiffness = known;
-  ptrdiff_t falling = 0;
-  if (n < 2 * count) return WRONG_SIZE;
-  for (ptrdiff_t i = 0; i < count; i += CHUNK) {
-    const ptrdiff_t some = count - i < CHUNK ? count - i : CHUNK;
-    if (sigma != NULL)
-      for (ptrdiff_t k = i; k < i + some; k++) bed[k] = larger(bed[k] - sigmas * sigma[k], 0);
-    else
-      for (ptrdiff_t k = i; k < i + some; k++) bed[k] = larger(bed[k] - sigmas * every_sigma, 0);
-    if (known == 0) falling += falling_off(bed + i, bent + i, below, work + falling, some);
+// The bed's part of what holds the surface up is added to its bending: the pressure, where it is more than its own deviation and
+// more than `factor` times that of gel at rest, at known pixels; 0 elsewhere. `at_rest`, `elsewhere`: variance of the bending for a
+// variance of slopes of 1. Returns how many pixels have a pressure.
+EXPORT int contact_pressure(const float *restrict smooth, const float *restrict bent, const float *restrict sigma,
+                            const float *restrict variance, const float *restrict noise, const bool *restrict rest,
+                            const bool *restrict known, float *restrict pressure, float stiffness, float sigmas, float at_rest,
+                            float elsewhere, float factor, ptrdiff_t count) {
+  const float limit = factor * factor * at_rest;
+  int pixels = 0;
+  for (ptrdiff_t start = 0; start < count; start += CHUNK) {
+    const ptrdiff_t n = count - start < CHUNK ? count - start : CHUNK;
+    int32_t still[CHUNK], counts[CHUNK];
+    for (ptrdiff_t k = 0; k < n; k++) still[k] = rest[start + k], counts[k] = known[start + k];
+    for (ptrdiff_t k = 0; k < n; k++) {
+      const ptrdiff_t i = start + k;
+      const float s = sigma[i], bed = s * stiffness, gain = still[k] ? at_rest : elsewhere;
+      const float p = larger(bent[i] + stiffness * larger(smooth[i] - sigmas * s, 0), 0);
+      counts[k] &= p * p > larger(variance[i] * gain + bed * bed, limit * noise[i]);
+      pressure[i] = counts[k] ? p : 0;
+    }
+    for (ptrdiff_t k = 0; k < n; k++) pixels += counts[k];
   }
-  if (falling > 0 && falling >= least) stiffness = smaller(median(work, falling, (uint32_t *)(work + falling)), stiffest);
-  for (ptrdiff_t i = 0; i < count; i++) bed[i] *= stiffness, bent[i] += bed[i];
-  return OK;
+  return pixels;
 }

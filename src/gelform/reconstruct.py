@@ -28,10 +28,12 @@ from gelform.confidence import (
     SolvedSigma,
     UnknownSigma,
     explanation_of,
+    noise_at_rest,
+    one_sigma,
     with_model_sigma,
 )
 from gelform.confidence.causes import either, outside_of_gel
-from gelform.contact import PreparedContact, noise_by_place
+from gelform.contact import PreparedContact, SlopeDeviations
 from gelform.depth import Integration, integrate_unchecked
 from gelform.depth_sigma.sigma import DepthDifference, DepthSigma, add_in_proportion, checked_sigma
 from gelform.errors import GelformError
@@ -84,9 +86,6 @@ class _Calibrated:
         self.stepped = SteppedSlopes(forward, shape, calibration.untouched_change)
         self.residual_scale = 1.0 if forward is None else forward.residual_scale
         self.states_sigma = slope_sigma and known is not None
-        self.sigma: PreparedSigma | UnknownSigma = UnknownSigma(self.clean)
-        if known is not None and slope_sigma:
-            self.sigma = PreparedSigma(known, shape)
         self.anchor = RestAnchor(shape, self.pitch, self.clean)
         self.depth_sigma: DepthSigma | None = None
         if depth_sigma and known is not None and calibration.mm_per_px is not None:
@@ -141,8 +140,28 @@ class _Today:
                 background, change, clean=fixed.clean, levels=noise, walls=calibration.slope_sigma is not None,
                 outside=outside, slope_per_change=1.0 if forward is None else forward.slope_per_change,
             )  # fmt: skip
-        at_rest = noise_by_place(self.model, self.untouched_image, noise)
-        self.contact = PreparedContact((fixed.pitch,) * 2, calibration.settings.relaxation_mm, at_rest)
+        at_rest = noise_at_rest(self.model, self.untouched_image, noise)
+        known = calibration.slope_sigma
+        self.sigma: PreparedSigma | UnknownSigma = UnknownSigma(fixed.clean)
+        if known is not None and fixed.slope_sigma:
+            self.sigma = PreparedSigma(known, at_rest)
+        correlation = None
+        if isinstance(self.sigma, PreparedSigma) and known is not None:
+            at_rest, correlation = self.sigma.at_rest, known.correlation
+        self.contact = PreparedContact(
+            (fixed.pitch,) * 2, calibration.settings.relaxation_mm, at_rest, correlation
+        )
+        self._gel = None if outside is None else ~outside
+
+    def contact_of(
+        self,
+        depth_mm: NDArray[np.float32],
+        depth_sigma: NDArray[np.float32] | None,
+        known: NDArray[np.bool_],
+        slopes: SlopeDeviations | None,
+    ) -> NDArray[np.bool_]:
+        """The contact mask (H, W) of a depth; pixels that are unknown, or not of the gel, are no contact."""
+        return self.contact(depth_mm, depth_sigma, slopes, known if self._gel is None else known & self._gel)
 
 
 class Reconstructor:
@@ -291,15 +310,21 @@ class Reconstructor:
         depth_mm, too_deep = fixed.limit.bound(solution.depth_mm)
         faults.widen(depth_sigma, fixed.limit.ignorance_mm)
         gradients = slopes_of_solution(depth_mm, (fixed.pitch, fixed.pitch))
+        gradients_sigma = self.solved_sigma(read.observed_sigma, gradients)
+        known = faults.without_lost(solution.known)
+        slopes = None
+        if read.observed_sigma is not None and gradients_sigma is not None:
+            stated = one_sigma(read.observed_sigma), one_sigma(gradients_sigma)
+            slopes = SlopeDeviations(*stated, read.untouched)
         return Reconstruction(
             depth=depth_mm if self.calibration.mm_per_px else depth_mm / np.float32(fixed.pitch),
             depth_sigma_mm=depth_sigma,
             gradients=gradients,
-            gradients_sigma=self.solved_sigma(read.observed_sigma, gradients),
+            gradients_sigma=gradients_sigma,
             observed_gradients=read.observed,
             confidence=read.confidence,
-            contact=self._today.contact(depth_mm, depth_sigma),
-            known=faults.without_lost(solution.known),
+            contact=self._today.contact_of(depth_mm, depth_sigma, known, slopes),
+            known=known,
             mm_per_px=self.calibration.mm_per_px,
             mm_per_px_sigma=self.calibration.mm_per_px_sigma,
             zero="untouched",
@@ -351,7 +376,7 @@ class Reconstructor:
         step = fixed.stepped(change, direct, unseen, clipped.channels)
         observed, variance = (direct, None) if step is None else (step.gradients, step.variance)
         reference = reference_from_color_change(change, observed, self.calibration.untouched_change, hidden)
-        untouched, sigma = fixed.sigma(change, observed, reference, hidden, variance)
+        untouched, sigma = today.sigma(change, observed, reference, hidden, variance)
         maps: dict[str, NDArray[np.float32]] | None = {} if explains else None
         own = sigma.copy() if explains else sigma
         residual = (

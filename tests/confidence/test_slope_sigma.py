@@ -16,7 +16,7 @@ def errors_by(law, place=lambda x, y: 1.0, rest: float = 0.01, count: int = 60_0
     slopes, x, y = rng.uniform(0, 0.8, count), rng.uniform(0, 1, count), rng.uniform(0, 1, count)
     press = rng.integers(0, 40, count)
     errors = (law(slopes) * place(x, y))[:, None] * rng.standard_normal((count, 2))
-    return SlopeErrors(slopes, errors, x, y, press, rest * rng.standard_normal((5000, 2)))
+    return SlopeErrors(slopes, errors, x, y, press, rest * rng.standard_normal((5000, 2)), np.zeros(5000))
 
 
 def factors_of(sigma, slopes, x, y):
@@ -66,10 +66,22 @@ def test_factors_are_of_the_deviation_that_a_step_states():
 
 
 def test_rest_that_no_press_showed_is_as_a_gentle_slope():
-    held_out = replace(errors_by(lambda s: 0.02 + 0 * s), rest=np.zeros((0, 2)))
+    held_out = replace(errors_by(lambda s: 0.02 + 0 * s), rest=np.zeros((0, 2)), rest_noise=np.zeros(0))
     assert SlopeSigma.fit(held_out, 8.0, 0.5).rest == pytest.approx(0.02, rel=0.05)
     stated = replace(held_out, stated=np.full(held_out.slopes.shape, 0.1))
     assert SlopeSigma.fit(stated, 8.0, 0.5).rest == pytest.approx(0.02, rel=0.05)
+
+
+def test_the_deviation_at_rest_has_a_part_that_grows_with_the_place_s_noise():
+    rng = np.random.default_rng(1)
+    noise = rng.uniform(0.005, 0.05, 20_000) ** 2
+    true = np.sqrt(0.01**2 + 0.3**2 * noise)
+    rest = true[:, None] * rng.standard_normal((20_000, 2))
+    held_out = replace(errors_by(lambda s: 0.02 + 0 * s), rest=rest, rest_noise=noise)
+    sigma = SlopeSigma.fit(held_out, 8.0, 0.5)
+    assert (sigma.rest, sigma.rest_per_noise) == pytest.approx((0.01, 0.3), rel=0.06)
+    alike = SlopeSigma.fit(replace(held_out, rest=0.02 * rest / true[:, None]), 8.0, 0.5)
+    assert (alike.rest, alike.rest_per_noise) == pytest.approx((0.02, 0.0), abs=2e-3, rel=0.05)
 
 
 def test_place_counts_where_presses_show_it():

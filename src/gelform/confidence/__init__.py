@@ -2,9 +2,9 @@
 
 from gelform.confidence.causes import AllAlike, ClippedChannels, PreparedCauses
 from gelform.confidence.explanation import Explanation, explanation_of
-from gelform.confidence.frame_sigma import PreparedSigma, UnknownSigma, with_model_sigma
+from gelform.confidence.frame_sigma import PreparedSigma, UnknownSigma, noise_at_rest, with_model_sigma
 from gelform.confidence.slope_sigma import SlopeErrors, SlopeSigma, SolvedErrors
-from gelform.confidence.solved import SolvedSigma, with_solved_factors
+from gelform.confidence.solved import SolvedSigma, one_sigma, with_solved_factors
 
 __all__ = [
     "AllAlike",
@@ -18,6 +18,8 @@ __all__ = [
     "SolvedSigma",
     "UnknownSigma",
     "explanation_of",
+    "noise_at_rest",
+    "one_sigma",
     "with_model_sigma",
     "with_solved_factors",
 ]

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import nnls
 
 from gelform.foundations.checks import check_values, check_within
 
@@ -26,6 +27,7 @@ NO_LONGER = ("surround_sigma", "steepest")
 
 _RANGES = (
     ("rest", 1e-9, 1e3),
+    ("rest_per_noise", 0, 1e3),
     ("clean", 1e-9, 1e3),
     ("correlation_px", 1e-6, 1e4),
     ("correlated_share", 0, 1),
@@ -46,6 +48,7 @@ class SlopeErrors:
     x, y : (N,) position in the frame, 0-1
     press : (N,) index of the press, because pixels of one press are not independent
     rest : (M, 2) slopes read at rest, without their bias; they are all error
+    rest_noise : (M,) variance there from the image's noise, by `noise_at_rest`
     stated : (N,) standard deviation by the step of the forward response; 1 without a step
     """
 
@@ -55,6 +58,7 @@ class SlopeErrors:
     y: NDArray[Any]
     press: NDArray[Any]
     rest: NDArray[Any]
+    rest_noise: NDArray[Any]
     stated: NDArray[Any] | float = 1.0
 
 
@@ -90,7 +94,8 @@ class SlopeSigma:
 
     Attributes
     ----------
-    rest : deviation of gel at rest
+    rest, rest_per_noise : deviation of gel at rest: the root of `rest^2 + rest_per_noise^2 noise`, with the variance of
+        the place by `noise_at_rest`. The first part is the model's and alike everywhere, the second is the camera's
     slopes, sigmas : factors in contact, linear between these |gradient| and proportional beyond the last
     gain_sigma : relative error common to all slopes of a press, RMS over presses; depth is off in proportion
     solved_factor : deviation of the solved depth's slopes over that of the slopes read, in a contact, in older calibrations
@@ -120,6 +125,7 @@ class SlopeSigma:
     rest_correlated_share: float | None = None
     solved_slopes: tuple[float, float] | None = None
     solved_places: tuple[tuple[tuple[float, ...], ...], ...] | None = None
+    rest_per_noise: float = 0.0
 
     def __post_init__(self) -> None:
         for name, low, high in _RANGES:
@@ -166,9 +172,9 @@ class SlopeSigma:
             ] or [(float(slopes.mean()), float(np.quantile(error, ONE_SIGMA)))]
             law = law_at(slopes, *np.array(knots).T)[:, None]
             place = place_factors(held_out, error / law, _size, PRIOR_PRESSES)
-        rest = knots[0][1] * float(np.median(stated))
+        rest, per_noise = knots[0][1] * float(np.median(stated)), 0.0
         if held_out.rest.size:
-            rest = float(np.quantile(np.abs(held_out.rest), ONE_SIGMA))
+            rest, per_noise = _rest_law(held_out.rest, held_out.rest_noise)
         clean = float(np.quantile(law * factor * stated, CLEAN_FRACTION))
         return cls(
             rest=max(rest, 1e-5),
@@ -179,6 +185,7 @@ class SlopeSigma:
             correlated_share=float(correlated_share),
             gain_sigma=float(gain_sigma),
             place=tuple(tuple(float(v) for v in row) for row in place),
+            rest_per_noise=per_noise,
         )
 
     @classmethod
@@ -204,6 +211,20 @@ class SlopeSigma:
         """The correlation of the errors, as arguments of `DepthSigma`."""
         names = ("correlation_px", "correlated_share", "rest_correlation_px", "rest_correlated_share")
         return {name: getattr(self, name) for name in names}
+
+
+def _rest_law(errors: NDArray[Any], noise: NDArray[Any]) -> tuple[float, float]:
+    """The parts of the deviation at rest, from errors (M, 2) at pixels of that variance by noise (M,).
+
+    Nonnegative least squares of the squared 68 % quantiles in bins of equal noise, each relative to itself.
+    """
+    order = np.array_split(np.argsort(noise, kind="stable"), SLOPE_BINS)
+    bins = [part for part in order if len(part) >= MIN_IN_BIN] or [np.arange(len(noise))]
+    squares = np.array([max(np.quantile(np.abs(errors[part]), ONE_SIGMA), 1e-9) ** 2 for part in bins])
+    from_noise = np.array([np.mean(noise[part], dtype=np.float64) for part in bins])
+    unit = max(float(from_noise.mean()), 1e-30)
+    parts, _ = nnls(np.stack([1 / squares, from_noise / unit / squares], axis=1), np.ones(len(bins)))
+    return float(np.sqrt(parts[0])), float(np.sqrt(parts[1] / unit))
 
 
 def law_at(slopes: NDArray[Any], knots: NDArray[Any], sigmas: NDArray[Any]) -> NDArray[np.float64]:

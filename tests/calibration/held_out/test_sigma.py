@@ -92,6 +92,9 @@ class Reader:
 VISIBLE_PX = 22.5  # the gel leaves the ball at 18
 
 
+NOISE = np.zeros((120, 160), np.float32)  # of the image: none
+
+
 def press_at(x_px, y_px, shape=(120, 160)):
     """A press whose color change is its slopes, and the visible circle."""
     y, x = np.mgrid[: shape[0], : shape[1]]
@@ -119,7 +122,7 @@ def test_the_law_is_that_of_the_errors_that_were_made(six, stated):
     What a step states is multiplied by factors, so that they come out the same whatever it says.
     """
     presses, found, folds = six
-    sigma, _ = slope_sigma_from_folds([Reader(stated)] * 2, folds, presses, found)
+    sigma, _ = slope_sigma_from_folds([Reader(stated)] * 2, folds, presses, found, NOISE)
     assert sigma.gain_sigma == pytest.approx(0.07 / np.sqrt(2), rel=0.1)
     assert sigma.rest == pytest.approx(0.03, rel=0.1)
     gentle = np.interp(0.1, sigma.slopes, sigma.sigmas) * 0.03 * stated
@@ -131,7 +134,7 @@ def test_the_law_is_that_of_the_errors_that_were_made(six, stated):
 def test_the_residuals_scale_is_that_of_the_95_percent(six):
     """A tenth of the pixels has fifty times the usual square: the 95 % are reached among them, far below the largest."""
     presses, found, folds = six
-    _, scale = slope_sigma_from_folds([Reader()] * 2, folds, presses, found)
+    _, scale = slope_sigma_from_folds([Reader()] * 2, folds, presses, found, NOISE)
     reader = Reader()
     left = [reader.frame(p).residual[p.pixels(c, 1.0)] for p, c in zip(presses, found)]
     at_most = np.quantile(np.concatenate(left), 0.95)
@@ -142,7 +145,7 @@ def test_the_residuals_scale_is_that_of_the_95_percent(six):
         def frame(self, press):
             return super().frame(press)._replace(residual=np.full(press.size.shape, 0.1))
 
-    assert slope_sigma_from_folds([Usual()] * 2, folds, presses, found)[1] == 1, (
+    assert slope_sigma_from_folds([Usual()] * 2, folds, presses, found, NOISE)[1] == 1, (
         "at least what the covariance says"
     )
 
@@ -150,7 +153,7 @@ def test_the_residuals_scale_is_that_of_the_95_percent(six):
 def test_columns_are_thinned_and_stay_in_place():
     press, contact = press_at(60, 70)
     reader = Reader()
-    residuals = press_residuals(press, contact, reader.frame(press))
+    residuals = press_residuals(press, contact, reader.frame(press), NOISE)
     slopes, errors, x, y, number, stated, residual = residuals.columns((120, 160), 4)
     assert 600 < len(slopes) <= 2 * 2000
     pixels = np.rint(y * 120 - 0.5).astype(int), np.rint(x * 160 - 0.5).astype(int)

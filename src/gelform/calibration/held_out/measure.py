@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gelform.background.change import PreparedBackground
 from gelform.calibration.candidates import Candidate
 from gelform.calibration.circles.find import ContactCircle
 from gelform.calibration.circles.prepare import change_settings
@@ -24,7 +25,7 @@ from gelform.calibration.held_out.sigma import fraction_trained, slope_sigma_fro
 from gelform.calibration.presses.press_set import Press, Presses
 from gelform.calibration_file import Calibration
 from gelform.color_models import ForwardResponse
-from gelform.confidence import SlopeSigma, SolvedErrors, SolvedSigma, with_solved_factors
+from gelform.confidence import SlopeSigma, SolvedErrors, SolvedSigma, noise_at_rest, with_solved_factors
 from gelform.foundations.progress import Progress, no_progress
 from gelform.metrics import PressErrors, press_errors
 from gelform.metrics.ball import STEEPEST_FRACTION, ball_center, ball_gradients, followed_radius
@@ -101,7 +102,10 @@ def judge(fitted: Fitted, *, progress: Progress = no_progress) -> Judged:
     held_out, chosen, draft = fitted.held_out, fitted.selection.chosen, fitted.calibration
     prepared, folds = held_out.presses[chosen.change_offset], held_out.folds
     fits = held_out.fitted(chosen)
-    sigma, residual_scale = slope_sigma_from_folds(fits, folds, prepared, held_out.found)
+    model = draft.color_model.prepare(draft.background, draft.image_shape)
+    untouched = PreparedBackground(draft.background, draft.change)
+    noise = noise_at_rest(model, untouched, draft.settings.image_noise)
+    sigma, residual_scale = slope_sigma_from_folds(fits, folds, prepared, held_out.found, noise)
     assert draft.forward is not None
     forward = replace(draft.forward, residual_scale=residual_scale)
     draft = replace(draft, forward=forward)

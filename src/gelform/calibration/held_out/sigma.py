@@ -34,6 +34,7 @@ class PressResiduals:
     residual : (N,) squared, of the color change after the step
     rows, cols : (N,) of the pixels of that part, in the image
     untouched : (M, 2) slopes read far from the contact, where 0 is true, their median removed
+    untouched_noise : (M,) their variance from the image's noise
     untouched_rows : (rows, W, 2) the same of whole rows of the image, NaN near the contact
     """
 
@@ -44,6 +45,7 @@ class PressResiduals:
     rows: NDArray[np.intp]
     cols: NDArray[np.intp]
     untouched: NDArray[np.float64]
+    untouched_noise: NDArray[np.float32]
     untouched_rows: NDArray[np.float64]
 
     def columns(self, shape: tuple[int, int], press: int) -> tuple[NDArray[np.float64], ...]:
@@ -69,18 +71,19 @@ def slope_sigma_from_folds(
     folds: Sequence[Fold],
     presses: Sequence[PreparedPress],
     found: Sequence[ContactCircle],
+    noise: NDArray[np.float32],
 ) -> tuple[SlopeSigma, float]:
     """Standard deviation and correlation of the slopes, and the scale of the residual, on held-out presses.
 
     A fold's model has seen fewer presses than the final one, and is worse for it. So its errors are multiplied by the root
     of
-    the fraction of presses, the rate at which errors of estimation fall.
+    the fraction of presses, the rate at which errors of estimation fall. `noise` (H, W) is as `noise_at_rest` gives it.
     """
     trained = fraction_trained(folds)
     shape = presses[0].size.shape
     step = max(1, round(scale_of(shape)))
     residuals = {
-        i: press_residuals(presses[i], found[i], fit.frame(presses[i]))
+        i: press_residuals(presses[i], found[i], fit.frame(presses[i]), noise)
         for fit, fold in zip(fits, folds)
         for i in fold.held_out
     }
@@ -89,7 +92,8 @@ def slope_sigma_from_folds(
     parts = [one.columns(shape, i) for i, one in residuals.items()]
     slopes, errors, x, y, press, stated, residual = (np.concatenate(column) for column in zip(*parts))
     untouched = np.concatenate([one.untouched for one in residuals.values()])
-    held_out = SlopeErrors(slopes, np.sqrt(trained) * errors, x, y, press, untouched, stated)
+    there = np.concatenate([one.untouched_noise for one in residuals.values()])
+    held_out = SlopeErrors(slopes, np.sqrt(trained) * errors, x, y, press, untouched, there, stated)
     gain_sigma = float(np.sqrt(trained * np.mean((np.array(gains) - 1) ** 2)))
     length, fraction = correlation_from_products(np.mean(products, axis=0), step)
     fitted = SlopeSigma.fit(held_out, length, fraction, gain_sigma)
@@ -149,7 +153,9 @@ def rest_correlation(products: NDArray[np.float64], length: float) -> tuple[floa
     return best[1], best[2]
 
 
-def press_residuals(press: PreparedPress, found: ContactCircle, frame: Step) -> PressResiduals:
+def press_residuals(
+    press: PreparedPress, found: ContactCircle, frame: Step, noise: NDArray[np.float32]
+) -> PressResiduals:
     """The slopes read on a held-out press and their errors; its center is free, because labels are off by a pixel."""
     rows, cols = press.pixels(found, 1.0)
     gradients = frame.gradients[rows, cols].astype(np.float64)
@@ -159,14 +165,15 @@ def press_residuals(press: PreparedPress, found: ContactCircle, frame: Step) -> 
     for values, into in zip((gradients, error), maps):
         into[rows - rows.min(), cols - cols.min()] = values
     stated, residual = np.sqrt(frame.variance[rows, cols]), frame.residual[rows, cols]
-    untouched = _untouched_slopes(press, found, frame.gradients)
+    untouched = _untouched_slopes(press, found, frame.gradients, noise)
     return PressResiduals(maps[0], maps[1], stated, residual, rows, cols, *untouched)
 
 
 def _untouched_slopes(
-    press: PreparedPress, found: ContactCircle, gradients: NDArray[np.float32]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Slopes (N, 2) read far from the contact, minus their median as in the Reconstructor; and (rows, W, 2) of rows."""
+    press: PreparedPress, found: ContactCircle, gradients: NDArray[np.float32], noise: NDArray[np.float32]
+) -> tuple[NDArray[np.float64], NDArray[np.float32], NDArray[np.float64]]:
+    """Slopes (N, 2) read far from the contact, minus their median as in the Reconstructor; the noise there (N,); and
+    (rows, W, 2) of rows."""
     height, width = press.size.shape
     step = max(1, int(np.sqrt(height * width / PRESS_PIXELS)))
     apart = max(1, height // ROWS)
@@ -176,10 +183,11 @@ def _untouched_slopes(
         far &= press.usable
     slopes = np.where(far[..., None], gradients, np.nan).astype(np.float64)
     some, bias = slopes[::step, ::step], np.zeros(2)
-    known = some[np.isfinite(some[..., 0])]
+    there = np.isfinite(some[..., 0])
+    known = some[there]
     if len(known):
         bias = np.median(known, axis=0)
-    return known - bias, slopes[apart // 2 :: apart] - bias
+    return known - bias, noise[::step, ::step][there], slopes[apart // 2 :: apart] - bias
 
 
 def _lag_products(error: NDArray[np.float64], step: int) -> NDArray[np.float64]:

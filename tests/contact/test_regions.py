@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from gelform import contact as contact_module
-from gelform.contact import (
-    contacts_from_mask,
-)
+from gelform.contact import contacts_from_mask
+from gelform.contact import regions as regions_module
 from kernel_agreement import assert_kernel_agrees
 
 UNEVEN_PITCH = (0.05, 0.08)
@@ -104,7 +102,7 @@ def test_moments_agree_with_numpy():
             rows.append([*sums, top % 17, top // 17, u.min(), u.max(), v.min(), v.max()])
         return np.array(rows)
 
-    assert_kernel_agrees(contact_module._region_moments, by_numpy, labels, depth, np.empty((3, 14)))
+    assert_kernel_agrees(regions_module._region_moments, by_numpy, labels, depth, np.empty((3, 14)))
 
 
 @pytest.mark.parametrize("share", [0.05, 0.35, 0.6, 1.0])
@@ -119,12 +117,12 @@ def test_labels_agree_with_scipy(share, shape):
         order[firsts + 1] = np.arange(1, count + 1)
         return order[labels]
 
-    work = np.empty(contact_module.runs_work(shape), np.int32)
-    assert_kernel_agrees(contact_module._label_regions, by_scipy, mask, np.empty(shape, np.uint16), work)
+    work = np.empty(regions_module.runs_work(shape), np.int32)
+    assert_kernel_agrees(regions_module._label_regions, by_scipy, mask, np.empty(shape, np.uint16), work)
 
 
 def test_more_regions_than_labels_are_told():
     mask = np.zeros((600, 600), bool)
     mask[::2, ::2] = True
     with pytest.raises(ValueError, match="at most 65535 separate contacts, got 90000"):
-        contact_module.labeled(mask)
+        regions_module.labeled(mask)
