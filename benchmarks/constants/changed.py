@@ -13,8 +13,8 @@ from types import CodeType, FrameType
 from typing import Any
 
 SOURCE = Path(__file__).resolve().parents[2] / "src" / "gelform"
-FOLDERS = ("calibration", "confidence", "background", "color_models", "depth_sigma", "starters")
-FILES = ("anchor.py", "contact/evidence.py", "contact/pressure.py", "health.py")
+FOLDERS = ("calibration", "confidence", "contact", "background", "color_models", "depth_sigma", "starters")
+FILES = ("anchor.py", "health.py")
 OTHER = (
     "calibration/presses",
     "calibration/geometry",

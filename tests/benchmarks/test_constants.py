@@ -6,27 +6,27 @@ import sys
 import pytest
 
 from constants.changed import SOURCE, ChangedModule, Constant, Executed, constants, lines_with
-from gelform import contact, foundations
-from gelform.contact import contact_from_depth
+from gelform import foundations
+from gelform.contact import contact_from_depth, pressure
 
 
 def test_constants_are_found_with_their_values():
     found = {one.label: one.value for one in constants()}
-    assert found["contact.py NOISE_FACTOR"] == contact.NOISE_FACTOR
-    assert found["contact.py MIN_AREA_MM2"] == contact.MIN_AREA_MM2  # two in one line
+    assert found["contact/pressure.py FINER"] == pressure.FINER
+    assert found["contact/pressure.py MIN_AREA_MM2"] == pressure.MIN_AREA_MM2
     assert not any("BYTES" in label or label.startswith("live") for label in found)
 
 
 @pytest.mark.parametrize(
-    ("name", "factor", "value"), [("NOISE_FACTOR", 2.0, 8.0), ("MIN_AREA_MM2", 0.5, 0.025)]
+    ("name", "factor", "value"), [("SIGMAS_OF_DEPTH", 2.0, 4.0), ("MIN_AREA_MM2", 0.5, 0.025)]
 )
 def test_a_constant_is_changed_in_its_text_alone(name, factor, value):
-    (one,) = (c for c in constants() if c.label == f"contact.py {name}")
+    (one,) = (c for c in constants() if c.label == f"contact/pressure.py {name}")
     changed, text = one.changed(factor)
     space: dict = {}
     exec(compile(text, "contact", "exec"), space)
     assert changed == space[name] == value
-    assert [k for k, v in vars(contact).items() if isinstance(v, float) and space[k] != v] == [name]
+    assert [k for k, v in vars(pressure).items() if isinstance(v, float) and space[k] != v] == [name]
 
 
 def test_a_whole_number_stays_one_and_moves():
@@ -54,4 +54,4 @@ def test_what_is_read_is_noticed():
     executed.start()
     contact_from_depth([[0.0] * 9] * 9, mm_per_px=1.0)
     sys.settrace(None)
-    assert {"contact.py LEAST_PRESSURE", "contact.py FRACTION_AT_REST"} <= executed.labels
+    assert {"contact/pressure.py LEAST_NOISE", "contact/pressure.py FRACTION_AT_REST"} <= executed.labels
