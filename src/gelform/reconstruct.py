@@ -29,7 +29,6 @@ from gelform.confidence import (
     UnknownSigma,
     explanation_of,
     noise_at_rest,
-    one_sigma,
     with_model_sigma,
 )
 from gelform.confidence.causes import either, outside_of_gel
@@ -151,17 +150,6 @@ class _Today:
         self.contact = PreparedContact(
             (fixed.pitch,) * 2, calibration.settings.relaxation_mm, at_rest, correlation
         )
-        self._gel = None if outside is None else ~outside
-
-    def contact_of(
-        self,
-        depth_mm: NDArray[np.float32],
-        depth_sigma: NDArray[np.float32] | None,
-        known: NDArray[np.bool_],
-        slopes: SlopeDeviations | None,
-    ) -> NDArray[np.bool_]:
-        """The contact mask (H, W) of a depth; pixels that are unknown, or not of the gel, are no contact."""
-        return self.contact(depth_mm, depth_sigma, slopes, known if self._gel is None else known & self._gel)
 
 
 class Reconstructor:
@@ -312,10 +300,7 @@ class Reconstructor:
         gradients = slopes_of_solution(depth_mm, (fixed.pitch, fixed.pitch))
         gradients_sigma = self.solved_sigma(read.observed_sigma, gradients)
         known = faults.without_lost(solution.known)
-        slopes = None
-        if read.observed_sigma is not None and gradients_sigma is not None:
-            stated = one_sigma(read.observed_sigma), one_sigma(gradients_sigma)
-            slopes = SlopeDeviations(*stated, read.untouched)
+        slopes = SlopeDeviations.of(read.observed_sigma, gradients_sigma, read.untouched)
         return Reconstruction(
             depth=depth_mm if self.calibration.mm_per_px else depth_mm / np.float32(fixed.pitch),
             depth_sigma_mm=depth_sigma,
@@ -323,7 +308,7 @@ class Reconstructor:
             gradients_sigma=gradients_sigma,
             observed_gradients=read.observed,
             confidence=read.confidence,
-            contact=self._today.contact_of(depth_mm, depth_sigma, known, slopes),
+            contact=self._today.contact(depth_mm, depth_sigma, slopes, known),
             known=known,
             mm_per_px=self.calibration.mm_per_px,
             mm_per_px_sigma=self.calibration.mm_per_px_sigma,

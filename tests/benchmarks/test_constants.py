@@ -30,8 +30,8 @@ def test_a_constant_is_changed_in_its_text_alone(name, factor, value):
 
 
 def test_a_whole_number_stays_one_and_moves():
-    assert [Constant("contact.py", "ONE", 1, 0, 0, 1).changed(f)[0] for f in (2.0, 0.5)] == [2, 0]
-    assert [Constant("contact.py", "FIVE", 5, 0, 0, 1).changed(f)[0] for f in (2.0, 0.5)] == [10, 2]
+    assert [Constant("health.py", "ONE", 1, 0, 0, 1).changed(f)[0] for f in (2.0, 0.5)] == [2, 0]
+    assert [Constant("health.py", "FIVE", 5, 0, 0, 1).changed(f)[0] for f in (2.0, 0.5)] == [10, 2]
 
 
 def test_a_changed_module_is_what_everyone_imports(monkeypatch):

@@ -295,6 +295,15 @@ def test_outlines_agree_with_numpy(shape, limit):
     assert_kernel_agrees(pressure_module._contact_outline, by_numpy, *maps, 4, 0.7, 0.6, limit)
 
 
+def test_standing_regions_agree_with_numpy():
+    labels = np.random.default_rng(0).integers(0, 5, (13, 17)).astype(np.uint16)
+    stands = np.array([False, True, False, True, False])
+    blank = np.empty(labels.shape, bool)
+    assert_kernel_agrees(
+        pressure_module._standing_regions, lambda labels, stands, out: stands[labels], labels, stands, blank
+    )
+
+
 def test_the_pressure_s_variance_is_that_of_noisy_slopes():
     """White noise of slopes, integrated, smoothed and bent again; and noise that is correlated over some pixels."""
     rng, shape = np.random.default_rng(0), (200, 220)

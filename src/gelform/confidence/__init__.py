@@ -4,7 +4,7 @@ from gelform.confidence.causes import AllAlike, ClippedChannels, PreparedCauses
 from gelform.confidence.explanation import Explanation, explanation_of
 from gelform.confidence.frame_sigma import PreparedSigma, UnknownSigma, noise_at_rest, with_model_sigma
 from gelform.confidence.slope_sigma import SlopeErrors, SlopeSigma, SolvedErrors
-from gelform.confidence.solved import SolvedSigma, one_sigma, with_solved_factors
+from gelform.confidence.solved import SolvedSigma, with_solved_factors
 
 __all__ = [
     "AllAlike",
@@ -19,7 +19,6 @@ __all__ = [
     "UnknownSigma",
     "explanation_of",
     "noise_at_rest",
-    "one_sigma",
     "with_model_sigma",
     "with_solved_factors",
 ]

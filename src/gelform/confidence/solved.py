@@ -117,12 +117,6 @@ def for_both(sigma: NDArray[np.float32]) -> NDArray[np.float32]:
     return both
 
 
-def one_sigma(sigma: NDArray[np.float32]) -> NDArray[np.float32]:
-    """One map (H, W) of deviations for both components (H, W, 2): theirs, or the larger of two."""
-    alike = sigma.strides[-1] == 0
-    return np.ascontiguousarray(sigma[..., 0] if alike else sigma.max(axis=-1))
-
-
 def with_solved_factors(sigma: SlopeSigma, held_out: SolvedErrors) -> SlopeSigma:
     """The deviation with factors by slope and place, so that 68 % of held-out errors of solved slopes lie within one sigma.
 

@@ -172,8 +172,10 @@ def press_residuals(
 def _untouched_slopes(
     press: PreparedPress, found: ContactCircle, gradients: NDArray[np.float32], noise: NDArray[np.float32]
 ) -> tuple[NDArray[np.float64], NDArray[np.float32], NDArray[np.float64]]:
-    """Slopes (N, 2) read far from the contact, minus their median as in the Reconstructor; the noise there (N,); and
-    (rows, W, 2) of rows."""
+    """Slopes (N, 2) read far from the contact, minus their median as in the Reconstructor, with the noise there.
+
+    They are followed by the noise (N,), and by the slopes (rows, W, 2) of whole rows.
+    """
     height, width = press.size.shape
     step = max(1, int(np.sqrt(height * width / PRESS_PIXELS)))
     apart = max(1, height // ROWS)
