@@ -101,7 +101,7 @@ def stages(calibration: gelform.Calibration, image: np.ndarray) -> dict[str, Cal
     untouched, deviation, confidence = trusted(reference)
     unbiased = reference._replace(bias=np.zeros(2, dtype=np.float32))  # removed from the gradients above
     anchor = RestAnchor(calibration.image_shape, pitch, calibration.slope_sigma.clean)
-    hold = anchor(gradients, untouched, confidence)
+    hold = anchor(gradients, untouched)
     arguments = {"weights": confidence, "anchor": hold}
     depth = gelform.depth_from_gradients(gradients, mm_per_px=pitch, **arguments)
     both = np.broadcast_to(deviation[..., None], gradients.shape)
@@ -122,7 +122,7 @@ def stages(calibration: gelform.Calibration, image: np.ndarray) -> dict[str, Cal
         ),
         "depth of the frame, step of the forward response": lambda: stepped(change, gradients),
         "untouched, sigma, confidence": lambda: trusted(unbiased),
-        "anchor at rest": lambda: anchor(gradients, untouched, confidence),
+        "anchor at rest": lambda: anchor(gradients, untouched),
         "depth (dct), curl": lambda: (
             gelform.integrate(gradients, mm_per_px=pitch, zero=untouched, solver="dct").curl_rms
         ),

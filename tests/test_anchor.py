@@ -46,11 +46,11 @@ def test_untouched_gel_is_held_as_the_units_say():
 
 
 @pytest.mark.parametrize("height_mm", [0.1, -0.1])
-def test_gel_that_lies_deeper_is_held_less_by_the_robust_loss(height_mm):
-    """(1 + (z/0.05)^2)^-2 of the firmness at rest: 1/25 at 0.1 mm, on either side; cut by the border it may be drift."""
+def test_gel_off_rest_that_the_border_cuts_is_held_as_drift(height_mm):
+    """No rim encloses it: a ball's sink beyond the frame would count as pressed flat otherwise."""
     _, gradients, untouched, face = plateau(height_mm, radius_px=40, center=(0, 60))
     anchor = anchored(gradients, untouched)
-    assert anchor[face & (away_from(0, 60) < 20)].mean() == pytest.approx(HOLD / 25, rel=0.15)
+    assert anchor[face & (away_from(0, 60) < 20)].mean() == pytest.approx(HOLD, rel=0.05)
 
 
 def test_rest_is_where_most_is_untouched_not_where_most_pixels_are():
@@ -125,55 +125,11 @@ def test_any_shape(shape):
     assert np.isfinite(anchor).all()
 
 
-def test_spots_that_are_not_trusted_leave_it_as_it_is():
-    """A mirrored light would tilt the coarse depth, and untouched gel far from it would count as pressed."""
-    gradients, confidence = np.zeros((*SHAPE, 2), np.float32), np.ones(SHAPE, np.float32)
-    plain, untouched = anchored(gradients, EVERYWHERE), EVERYWHERE.copy()
-    spot = np.s_[SHAPE[0] // 3 : SHAPE[0] // 2, SHAPE[1] // 3 : SHAPE[1] // 2]
-    gradients[spot], confidence[spot], untouched[spot] = 3.0, 1e-6, False
-    assert np.median(anchored(gradients, untouched)) < 0.5 * np.median(plain)  # what the spot would do
-    found = anchored(gradients, untouched, confidence)
-    far = away_from(66, 50) > 45  # gel beside it is held less
-    assert found[far] == pytest.approx(plain[far], rel=0.01)
-    assert not found[spot].any()
-
-
-def covered(coarse, pixels):
-    """How much of each coarse pixel (rows) each pixel is (columns)."""
-    edges = np.arange(coarse + 1) * pixels / coarse
-    k = np.arange(pixels)
-    part = np.minimum(k + 1, edges[1:, None]) - np.maximum(k, edges[:-1, None])
-    return np.maximum(part, 0) * coarse / pixels
-
-
-@pytest.mark.parametrize("shape", [(12, 16), (13, 19), (3, 7), (1, 9)])
-def test_coarse_maps_are_means_over_areas(shape):
-    rng = np.random.default_rng(0)
-    coarse = max(1, shape[0] // 4), max(1, shape[1] // 4)
-    slopes, weights = rng.normal(size=(*shape, 2)).astype(np.float32), rng.random(shape).astype(np.float32)
-    chosen, work = rng.random(shape) < 0.5, np.empty(1000, np.float32)
-
-    def mean(values):
-        return np.einsum(
-            "iy,jx,yx...->ij...", covered(coarse[0], shape[0]), covered(coarse[1], shape[1]), values
-        )
-
-    out = np.empty((*coarse, 2), np.float32)
-    assert_kernel_agrees(room._coarse_slopes, lambda *_: mean(slopes), slopes, None, work, out)
-    weighted = mean(slopes * weights[..., None])
-    assert_kernel_agrees(room._coarse_slopes, lambda *_: weighted, slopes, weights, work, out)
-    maps = np.empty(coarse, np.float32), np.empty(coarse, np.float32)
-    both = mean(weights), mean(chosen.astype(float))
-    assert_kernel_agrees(room._coarse_trust, lambda *_: both, weights, chosen, work, *maps)
-    alike = np.ones(coarse), both[1]
-    assert_kernel_agrees(room._coarse_trust, lambda *_: alike, None, chosen, work, *maps)
-
-
-def hold_by_scipy(depth, share, far, hold, least, pressed, face):
+def hold_by_scipy(depth, share, far, hold, least, face):
     """Of regions that share an edge; those that touched gel encloses are free where they are off rest in the mean."""
     rest = share >= min(least, share.max())
     z = depth.astype(np.float64) - np.median(depth[rest])
-    weight = hold / (1 + (z / pressed) ** 2) ** 2 * (1 if far is None else far)
+    weight = hold * (np.ones(depth.shape) if far is None else far)
     labels, count = ndimage.label(rest)
     border = np.ones(depth.shape, bool)
     border[1:-1, 1:-1] = False
@@ -191,7 +147,7 @@ def test_the_hold_of_a_coarse_depth(shape, far):
     share = np.where(rng.random(shape) < 0.6, 1, rng.random(shape)).astype(np.float32)
     depth = rng.normal(0, 0.03, shape).astype(np.float32)
     near = rng.random(shape).astype(np.float32) if far else None
-    limits = 0.2, 0.9, 0.05, 0.02
+    limits = 0.2, 0.9, 0.02
     expected = hold_by_scipy(depth, share, near, *limits)
     assert far or shape[0] == 1 or shape[1] == 1 or (expected == 0).any()
     arguments = depth, share, near, np.empty(20 * depth.size, np.float32), np.empty(shape, np.float32)

@@ -170,7 +170,7 @@ def _anchored(reconstruct: gelform.Reconstructor, press: Any) -> dict[str, float
         ("true slopes", true, None),
         ("read slopes", result.observed_gradients, result.confidence),
     ):
-        hold = reconstruct._calibrated.anchor(slopes, untouched, weights)
+        hold = reconstruct._calibrated.anchor(slopes, untouched)
         free = integrate(slopes, mm_per_px=pitch, weights=weights, zero=untouched, solver="multigrid")
         held = integrate(slopes, mm_per_px=pitch, weights=weights, anchor=hold, solver="multigrid")
         for how, solution in (("no anchor", free), ("anchor", held)):

@@ -36,10 +36,10 @@ static ptrdiff_t most_runs(ptrdiff_t h, ptrdiff_t w) { return h * ((w + 1) / 2);
 
 enum { REGION_WORDS = sizeof(struct region) / sizeof(float) };
 
-// For a coarse depth (h, w) and the fraction of untouched pixels in each of its pixels: `hold`, less by a robust loss the farther the
-// depth is from that of rest, times `far`, and nothing in faces. Rest is where the share is `least`, or as large as it gets.
+// For a coarse depth (h, w) and the fraction of untouched pixels in each of its pixels: `hold` times `far`, and nothing in faces.
+// Rest is where the share is `least`, or as large as it gets.
 EXPORT int rest_hold(const float *depth, const float *share, const float *far, float *work, float *weight, float hold, float least,
-                     float pressed, float face, ptrdiff_t h, ptrdiff_t w, ptrdiff_t n) {
+                     float face, ptrdiff_t h, ptrdiff_t w, ptrdiff_t n) {
   const ptrdiff_t size = h * w, runs = most_runs(h, w);
   if (n < runs * (REGION_WORDS + RUN_WORDS) + 4 * size) return WRONG_SIZE;
   struct region *regions = (struct region *)work;
@@ -55,8 +55,7 @@ EXPORT int rest_hold(const float *depth, const float *share, const float *far, f
   const float zero = median(values, count, (uint32_t *)(values + size));
   for (ptrdiff_t k = 0; k < size; k++) {
     z[k] = depth[k] - zero;
-    const float off = z[k] / pressed, loss = 1 + off * off;
-    weight[k] = hold / (loss * loss) * (far ? far[k] : 1);
+    weight[k] = hold * (far ? far[k] : 1);
   }
   free_faces(rest, z, face, (struct run *)(regions + runs), regions, weight, h, w);
   return OK;

@@ -1,52 +1,40 @@
 """The anchor: how firmly depth is held at 0 where color and coarse depth look like gel at rest.
 
 Color alone cannot show that nothing touches: the flat face of a punch or a coin has the color of gel at rest.
-Therefore a coarse depth is solved first; the deeper a pixel lies in it, the less firmly that pixel is held. A region
-that touched gel encloses, and that lies deeper or higher than rest, is a flat face: its edge shows that, and it is not
-held. Gel next to touched gel is not held either, because it is drawn down by less than its color can show.
+Therefore a coarse depth is solved first. A region that touched gel encloses, and that lies deeper or higher than rest, is
+a flat face: its edge shows that, and it is not held. Gel next to touched gel is not held either, because it is drawn down
+by less than its color can show.
 """
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from gelform._native import Kernel
 from gelform.color_models.stepped import COARSER
 from gelform.foundations.pool import Pool
-from gelform.gradients import fill_unknown
 from gelform.solvers.dct import DctSolver
 
 REST_SIGMA_MM = 0.08  # mm, sigma of depth at pixels with the color of rest, far from contacts
-PRESSED_MM = (
-    0.05  # mm; gel of the color of rest that lies deeper was more likely pressed flat than has drifted
-)
 FACE_MM = (
     0.02  # mm; an enclosed region farther off rest is a face; slope errors tilt a face of a few mm by less
 )
 REACH_MM = 1.0  # mm; touched gel draws down the gel at this distance, by exp(-(distance/reach)^2)
 UNTOUCHED_FRACTION = 0.5  # of a coarse pixel that has the color of rest: above it is at rest, below touched
-LEAST_TRUST = 0.05  # mean confidence of a coarse pixel, below which its slopes do not count
 
-_coarse_slopes = Kernel(
-    "coarse_slopes",
-    "f32[h,w,2] slopes, f32[h,w]? weights, out f32[n] work, out f32[rows,columns,2] coarse",
-)
-_coarse_trust = Kernel(
-    "coarse_trust",
-    "f32[h,w]? weights, bool[h,w] chosen, out f32[n] work, out f32[rows,columns] trust, out f32[rows,columns] share",
-)
 _rest_hold = Kernel(
     "rest_hold",
     "f32[h,w] depth, f32[h,w] share, f32[h,w]? far, out f32[n] work, out f32[h,w] weight, f32 hold, f32 least, "
-    "f32 pressed, f32 face",
+    "f32 face",
 )
 _spread_over_chosen = Kernel(
     "spread_over_chosen", "f32[rows,columns] coarse, bool[h,w] chosen, out f32[n] work, out f32[h,w] map"
 )
 _distance_to_chosen = Kernel("distance_to_chosen", "bool[h,w] chosen, out f32[n] work, out f32[h,w] distance")
 # Floats of work memory; the same as in native/anchor.
-WORDS_OF_COVER, WORDS_OF_RUN, WORDS_OF_REGION = 16, 6, 4
+WORDS_OF_RUN, WORDS_OF_REGION = 6, 4
 
 
 class RestAnchor:
@@ -67,37 +55,30 @@ class RestAnchor:
         self._coarse_mm = mm_per_px * (shape[0] / rows + shape[1] / columns) / 2
         self._solver = DctSolver(self._coarse, (mm_per_px * shape[1] / columns, mm_per_px * shape[0] / rows))
         runs = rows * ((columns + 1) // 2)
-        of_frame = WORDS_OF_COVER * columns + 4 * shape[1]
         of_coarse = runs * (WORDS_OF_RUN + WORDS_OF_REGION) + 4 * rows * columns
-        size = max(of_frame, of_coarse, (rows + 2) * (columns + 2))
+        size = max(4 * shape[1], of_coarse, (rows + 2) * (columns + 2))
         self._pool = Pool(lambda: np.empty(size, dtype=np.float32))
 
     def __call__(
         self,
         gradients: NDArray[np.float32],
         untouched: NDArray[np.bool_],
-        confidence: NDArray[np.float32] | None = None,
     ) -> NDArray[np.float32]:
         """Anchor (H, W) of slopes (H, W, 2) without bias; 0 where the gel was touched or pressed flat.
 
-        The coarse depth weights slopes by their confidence (H, W). Without it, a highlight or dirt would tilt the coarse
-        depth of the whole frame, and gel at rest would count as pressed.
-
-        A pixel at rest gets `(clean mm_per_px / REST_SIGMA_MM)^2`, times two factors. The first is the weight of a robust
-        loss, `(1 + (z/PRESSED_MM)^2)^-2`, of its coarse depth z (S. Geman and D. McClure, Bull. Int. Statist.
-        Inst. 52, 1987). The second is `1 - exp(-(d/REACH_MM)^2)`, with its distance d from touched gel. If no coarse pixel
-        is
-        at rest, the coarse pixels with the largest fraction at rest are taken instead.
+        A pixel at rest gets `(clean mm_per_px / REST_SIGMA_MM)^2`, times `1 - exp(-(d/REACH_MM)^2)` with its distance d from
+        touched gel; in a face it gets 0. If no coarse pixel is at rest, the coarse pixels with the largest fraction at rest
+        are taken instead.
         """
-        trust, fraction = np.empty((2, *self._coarse), dtype=np.float32)
+        slopes, fraction = (
+            np.asarray(cv2.resize(values, self._coarse[::-1], interpolation=cv2.INTER_AREA), np.float32)
+            for values in (gradients, untouched.astype(np.float32))
+        )
+        depth = self._solver(slopes).depth_mm
         weight, anchor = np.empty(self._coarse, np.float32), np.empty(self.shape, np.float32)
         with self._pool.one() as work:
-            _coarse_trust(confidence, untouched, work, trust, fraction)
-            slopes = self._coarse_slopes(gradients, confidence, trust, work)
-            depth = self._solver(slopes).depth_mm
             far = self._far_from(fraction < min(UNTOUCHED_FRACTION, float(fraction.max())), work)
-            limits = self.hold, UNTOUCHED_FRACTION, PRESSED_MM, FACE_MM
-            _rest_hold(depth, fraction, far, work, weight, *limits)
+            _rest_hold(depth, fraction, far, work, weight, self.hold, UNTOUCHED_FRACTION, FACE_MM)
             _spread_over_chosen(weight, untouched, work, anchor)
         return anchor
 
@@ -109,19 +90,3 @@ class RestAnchor:
         _distance_to_chosen(touched, work, distance)
         far: NDArray[np.float32] = 1 - np.exp(-np.square(distance * np.float32(self._coarse_mm / REACH_MM)))
         return far
-
-    def _coarse_slopes(
-        self,
-        gradients: NDArray[np.float32],
-        confidence: NDArray[np.float32] | None,
-        trust: NDArray[np.float32],
-        work: NDArray[np.float32],
-    ) -> NDArray[np.float32]:
-        """Means of the slopes over coarse pixels, weighted by confidence; unknown means are filled from their neighbors."""
-        slopes = np.empty((*self._coarse, 2), dtype=np.float32)
-        _coarse_slopes(gradients, confidence, work, slopes)
-        if confidence is None:
-            return slopes
-        slopes /= np.maximum(trust, np.float32(1e-12))[..., None]
-        known = trust >= LEAST_TRUST
-        return fill_unknown(slopes, known) if known.any() else slopes

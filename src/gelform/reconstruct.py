@@ -104,7 +104,7 @@ class _Calibrated:
         """
         solve_args: dict[str, Any] = {"zero": read.untouched}
         if takes_weights(self.solver):
-            anchor = self.anchor(read.observed, read.untouched, read.confidence)
+            anchor = self.anchor(read.observed, read.untouched)
             solve_args = {"weights": read.confidence, "anchor": anchor}
         sigma_of: Work | None = None
         if self.depth_sigma is not None and read.observed_sigma is not None:

@@ -6,7 +6,7 @@ v is the normal's first two components over 0.3, z the depth of the frame over 1
 lamps than gel at rest, so that level gel changes its color too, which no map from color to slope can express. So the
 slopes of a color model get one Gauss-Newton step toward those of the color in the image. The step's prior is the color
 model's own error; the step also gives its covariance and its residual (C. M. Bishop, Pattern Recognition and Machine
-Learning, 2006, section 4.4, Laplace's approximation; Huber weights as in P. J. Huber, Robust Statistics, 1981).
+Learning, 2006, section 4.4, Laplace's approximation).
 """
 
 from __future__ import annotations
@@ -41,7 +41,6 @@ from gelform.foundations.checks import check_values, check_within
 NORMAL_UNIT, DEPTH_UNIT_PX = 0.3, 10.0
 # degrees in place of terms of order 1 to 4 in the normal, and of the depth
 PLACE_DEGREES, DEPTH_PLACE_DEGREE = (5, 4, 3, 2), 4
-HUBER_CHANGE = 0.03  # color change, about twice the usual residual; samples with larger residuals count less
 LONGEST_STEP = 0.3  # mm/mm; the response is not linear over a longer step
 RIDGES = (3e-4, 1e-4, 3e-5, 1e-5)  # ridges that calibration tries, the stiffest first
 # Prior of a slope with one of three channels clipped, mm/mm: a wide one.
@@ -123,7 +122,7 @@ class ForwardResponse:
         *,
         step_sigma: tuple[float, float] | None = None,
     ) -> list[ForwardResponse]:
-        """One response for each ridge, by penalized Huber regression of the color change.
+        """One response for each ridge, by penalized least squares of the color change.
 
         The samples need `depth_px`, the depth of the frame from the color model. The ridge belongs to a coefficient that is
         the
@@ -131,7 +130,7 @@ class ForwardResponse:
         """
         assert samples.depth_px is not None
         regression = VaryingRegression.of(
-            _terms(samples.gradients, samples.depth_px), samples.color_change, samples, huber=HUBER_CHANGE
+            _terms(samples.gradients, samples.depth_px), samples.color_change, samples
         )
         pressed = np.any(samples.gradients != 0, axis=1)[:: round(len(samples.x_px) / len(regression.target))]
         found = []

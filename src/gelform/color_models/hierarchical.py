@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from gelform._native import Kernel
 from gelform.color_models._shared.least_squares import (
-    HUBER_SLOPE,
     NODE_PX,
     VaryingRegression,
     at_pixels,
@@ -70,7 +69,7 @@ class HierarchicalModel:
         ridge: float = 3e-4,
         start: HierarchicalModel | None = None,
     ) -> HierarchicalModel:
-        """Penalised Huber regression.
+        """Penalized least squares.
 
         Parameters
         ----------
@@ -159,7 +158,7 @@ def _regression(
     target = np.asarray(samples.gradients, dtype=np.float64)
     if start is not None:
         target = target - start.gradients_at(samples.color_change, samples.x_px, samples.y_px)
-    regression = VaryingRegression.of(products, target, samples, huber=HUBER_SLOPE)
+    regression = VaryingRegression.of(products, target, samples)
     scales = scale ** np.array(orders, dtype=np.float64)
     _last = ref(samples), position_degrees, start, regression, scales
     return regression, scales

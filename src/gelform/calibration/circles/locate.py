@@ -33,10 +33,7 @@ from gelform.foundations.progress import Progress, no_progress
 ROUNDS = (
     5  # rounds of fitting the model and moving circles to it; further ones move none by a tenth of a pixel
 )
-WHOLE_ROUNDS = (
-    2  # rounds without presses that the border cuts, because their circles are found too far inside
-)
-JOINT_DEGREES = (1,)  # degree of position of the model for those rounds
+JOINT_DEGREES = (1,)  # degree of position of the model that moves the circles of deep presses
 BALL_FACTORS = np.geomspace(0.5, 2.0, 21)  # factors of the stated ball
 MANY_REFUSED = 0.3  # of the presses; if more are refused, another ball is tried
 NEARLY_ALL = 0.9  # of the presses that have to fit the other ball
@@ -126,7 +123,10 @@ def refine(
     start: StartableModel | None = None,
     progress: Progress = no_progress,
 ) -> Refined:
-    """Move each circle to agree with a color model fitted on all of them; reject presses that do not agree."""
+    """Move each circle to agree with a color model fitted on all of them; reject presses that do not agree.
+
+    The first model is fitted without the presses that the border cuts, because their circles are found too far inside.
+    """
     reasons = [why_impossible(press, contact) for press, contact in zip(presses, found)]
     reasons = [reason or wide for reason, wide in zip(reasons, why_too_wide(presses, found))]
     for i, reason in (excluded or {}).items():
@@ -142,12 +142,7 @@ def refine(
             contacts[i] = recentered(presses[i], contacts[i], found[i], model)
         misfits = why_misfits([presses[i] for i in candidates], [contacts[i] for i in candidates], model)
         late = {i: reason for i, reason in zip(candidates, misfits) if reason is not None}
-        if (
-            round_ + 1 == WHOLE_ROUNDS
-        ):  # from here on presses cut by the border take part, and misfits are left out
-            fit_on = candidates
-        elif round_ + 1 > WHOLE_ROUNDS:
-            fit_on = [i for i in candidates if i not in late] or candidates
+        fit_on = [i for i in candidates if i not in late] or candidates
         progress(round_ + 1, ROUNDS, "fitting circles and colors together")
     if model is not None:
         for i, reason in late.items():

@@ -114,27 +114,6 @@ def robust_ridge(
     return _reweighted(design, target, weight, whole, np.diag(ridge * total * size**2), huber, rounds)
 
 
-def penalised_huber(
-    design: NDArray[Any],
-    target: NDArray[np.float64],
-    weight: NDArray[np.float64],
-    penalties: NDArray[np.float64],
-    *,
-    huber: float,
-    rounds: int = 3,
-    whole: Normal | None = None,
-) -> NDArray[np.float64]:
-    """Coefficients (terms, outputs) of a regression with a separate ridge for each column, in samples' mean weight.
-
-    They are reweighted by Huber's loss of the residual's length; the columns are not scaled. `whole` are their normal
-    equations, if known.
-    """
-    prior = np.diag(penalties * float(weight.sum()))
-    columns = np.asarray(design, dtype=np.float32)  # sums of squares; the ridge is far above their rounding
-    whole = normal_equations(columns, target, weight) if whole is None else whole
-    return _reweighted(columns, target, weight, whole, prior, huber, rounds)
-
-
 def _reweighted(
     design: NDArray[Any],
     target: NDArray[np.float64],
@@ -216,7 +195,7 @@ def terms_of_orders(
 
 @dataclass(frozen=True, eq=False)
 class VaryingRegression:
-    """Penalized Huber regression on terms whose coefficients vary over the image; one set of columns for all ridges.
+    """Penalized least squares on terms whose coefficients vary over the image; one set of columns for all ridges.
 
     Attributes
     ----------
@@ -226,7 +205,6 @@ class VaryingRegression:
     penalties : (columns,), of their ridges
     ends : the end of each term's columns
     places : of each term: its functions at the nodes, (rows, columns, functions)
-    huber : residual beyond which a sample counts less
     """
 
     columns: NDArray[np.float32]
@@ -235,12 +213,9 @@ class VaryingRegression:
     penalties: NDArray[np.float64]
     ends: NDArray[np.intp]
     places: tuple[NDArray[np.float64], ...]
-    huber: float
 
     @classmethod
-    def of(
-        cls, terms: Sequence[Term], target: NDArray[Any], samples: Samples, *, huber: float
-    ) -> VaryingRegression:
+    def of(cls, terms: Sequence[Term], target: NDArray[Any], samples: Samples) -> VaryingRegression:
         """Terms (N,) and target (N, K) of at most some 20,000 samples, because neighbors in a press are copies."""
         step = max(1, round(len(samples.x_px) / MAX_SAMPLES))
         light = None if samples.background is None else light_at_nodes(samples.background)
@@ -258,16 +233,18 @@ class VaryingRegression:
             np.multiply(there, np.asarray(term.values)[::step, None], out=part, casting="same_kind")
         penalties = np.concatenate([term.ridge * growth for term, (_, growth, _) in zip(terms, kinds)])
         own_target, weight = np.asarray(target, dtype=np.float64)[::step], samples.weight[::step]
-        return cls(columns, own_target, weight, penalties, ends, tuple(kind[0] for kind in kinds), huber)
+        return cls(columns, own_target, weight, penalties, ends, tuple(kind[0] for kind in kinds))
 
     @cached_property
     def _normal(self) -> Normal:
+        # In float32: they are sums of squares, and the ridge is far above their rounding.
         return normal_equations(self.columns, self.target, self.weight)
 
     def coefficients(self, ridge: float) -> NDArray[np.float64]:
-        """Coefficients (columns, K) for a ridge."""
-        known: dict[str, Any] = {"huber": self.huber, "whole": self._normal}
-        return penalised_huber(self.columns, self.target, self.weight, ridge * self.penalties, **known)
+        """Coefficients (columns, K) for a ridge, which is relative to the samples' weight."""
+        normal, right = self._normal
+        prior = np.diag(ridge * float(self.weight.sum()) * self.penalties)
+        return np.asarray(np.linalg.solve(normal + prior, right), dtype=np.float64)
 
     def nodes(self, coefficients: NDArray[np.float64]) -> NDArray[np.float64]:
         """The terms' coefficients at the nodes, (rows, columns, terms, K)."""
