@@ -3,14 +3,14 @@
 #include "../bilinear.h"
 #include "nodes.h"
 
-enum { CHANNELS = 3, TERMS = 17, COUNT = TERMS * CHANNELS, PLANES = 6 };
+enum { CHANNELS = 3, TERMS = 17, COUNT = TERMS * CHANNELS, PLANES = 6, CLIPPED_STEPS = 3 };
 static const float PER_NORMAL = 1 / 0.3f, PER_DEPTH_PX = 0.1f;  // units of the response's variables
 static const float ROUNDING = 1e-6f;  // of a determinant in float32, over the product of its diagonal
 
 struct settings {
   const float *roots;  // (4, 3, 3): of the inverse covariance, lower triangular, of all channels and without each
   float at_rest, per_slope;  // variance of slopes that were read, and what the square of a slope adds to it
-  float clipped_prior, longest;
+  float clipped_prior;
 };
 
 // Coefficients (17, 3) at a block's first pixel, and how much more they are at the next node.
@@ -65,13 +65,6 @@ static inline lanes square_root(lanes a) {
   return a;
 }
 
-// The factor for a step of this squared length: 1 up to the longest.
-static inline lanes shortening(lanes square, float longest) {
-  lanes length = square_root(square);
-  for (int k = 0; k < LANES; k++) length[k] = larger(length[k], longest);
-  return longest / length;
-}
-
 // The root's transpose times the channels: their errors become independent and of variance 1.
 static inline void whiten(lanes v[CHANNELS], const float *root) {
   v[0] = root[0] * v[0] + root[3] * v[1] + root[6] * v[2];
@@ -79,7 +72,7 @@ static inline void whiten(lanes v[CHANNELS], const float *root) {
   v[2] *= root[8];
 }
 
-static struct stepped step_of(const struct pixels *at, struct place place, const float *root, float longest) {
+static struct stepped step_of(const struct pixels *at, struct place place, const float *root) {
   const lanes p = at->p, q = at->q, cosine = 1 / square_root(1 + p * p + q * q);
   const lanes unit = cosine * PER_NORMAL, cube = unit * (cosine * cosine), x = p * unit, y = q * unit;
   const lanes x_per_p = (1 + q * q) * cube, x_per_q = -p * q * cube, y_per_q = (1 + p * p) * cube;  // y_per_p is x_per_q
@@ -98,9 +91,7 @@ static struct stepped step_of(const struct pixels *at, struct place place, const
   }
   h11 += at->prior, h22 += at->prior;
   const lanes per = 1 / (h11 * h22 * (1 + ROUNDING) - h12 * h12);  // not 0 where a color tells two slopes apart no more
-  const lanes whole_u = (h22 * b1 - h12 * b2) * per, whole_v = (h11 * b2 - h12 * b1) * per;
-  const lanes part = shortening(whole_u * whole_u + whole_v * whole_v, longest);
-  const lanes u = whole_u * part, v = whole_v * part;
+  const lanes u = (h22 * b1 - h12 * b2) * per, v = (h11 * b2 - h12 * b1) * per;
   for (int c = 0; c < CHANNELS; c++) {
     const lanes rest = left[c] - per_p[c] * u - per_q[c] * v;
     residual += rest * rest;
@@ -135,7 +126,7 @@ static inline bool is_clipped_alone(const uint8_t *clipped, int channel) {
   return clipped[channel] != 0 && clipped[(channel + 1) % CHANNELS] == 0 && clipped[(channel + 2) % CHANNELS] == 0;
 }
 
-// A block's pixels of one clipped channel again, in two steps by the other two; of more clipped channels nothing is known.
+// A block's pixels of one clipped channel again, in steps from level gel by the other two; of more clipped channels nothing is known.
 static void store_clipped(const struct pixels *at, struct place place, const struct settings *s, const uint8_t *clipped,
                           struct outputs to, ptrdiff_t count) {
   for (int channel = 0; channel < CHANNELS; channel++) {
@@ -144,14 +135,16 @@ static void store_clipped(const struct pixels *at, struct place place, const str
     if (!alone) continue;
     const float *root = s->roots + CHANNELS * CHANNELS * (1 + channel);
     struct pixels again = *at;
-    again.prior = (lanes){0} + s->clipped_prior;
-    const struct stepped once = step_of(&again, place, root, s->longest);
-    again.p = once.p, again.q = once.q;
-    const struct stepped twice = step_of(&again, place, root, s->longest);
+    again.p = again.q = (lanes){0}, again.prior = (lanes){0} + s->clipped_prior;
+    struct stepped last;
+    for (int step = 0; step < CLIPPED_STEPS; step++) {
+      last = step_of(&again, place, root);
+      again.p = last.p, again.q = last.q;
+    }
     for (ptrdiff_t k = 0; k < count; k++) {
       if (!is_clipped_alone(clipped + CHANNELS * k, channel)) continue;
-      to.gradients[2 * k] = twice.p[k], to.gradients[2 * k + 1] = twice.q[k];
-      to.variance[k] = twice.variance[k], to.residual[k] = twice.residual[k];
+      to.gradients[2 * k] = last.p[k], to.gradients[2 * k + 1] = last.q[k];
+      to.variance[k] = last.variance[k], to.residual[k] = last.residual[k];
     }
   }
 }
@@ -165,7 +158,7 @@ static void step_row(const struct settings *s, const float *planes, ptrdiff_t st
     const lanes p = load_lanes(from + 3 * stride), q = load_lanes(from + 4 * stride);
     const struct pixels at = {{load_lanes(from), load_lanes(from + stride), load_lanes(from + 2 * stride)}, p, q,
                               load_lanes(from + 5 * stride), 1 / (s->at_rest + s->per_slope * (p * p + q * q))};
-    const struct stepped stepped = step_of(&at, place, s->roots, s->longest);
+    const struct stepped stepped = step_of(&at, place, s->roots);
     store(&stepped, to, count);
     if (clipped != NULL && any_clipped(clipped + CHANNELS * start, count))
       store_clipped(&at, place, s, clipped + CHANNELS * start, to, count);
@@ -187,12 +180,12 @@ static inline void plane_of_depth(struct rows_between *depths, ptrdiff_t y, doub
 
 EXPORT int forward_step(const float *change, const float *read, const float *depth, const uint8_t *clipped,
                         const float *nodes, const float *roots, float *work, float *gradients, float *variance,
-                        float *residual, float at_rest, float per_slope, float clipped_prior, float longest,
+                        float *residual, float at_rest, float per_slope, float clipped_prior,
                         ptrdiff_t h, ptrdiff_t w, ptrdiff_t dh, ptrdiff_t dw, ptrdiff_t r, ptrdiff_t c, ptrdiff_t n) {
   const ptrdiff_t stride = padded_width(w), own = 2 * c * COUNT + PLANES * stride;
   if (!nodes_fit(r, c, h, w) || dh < 1 || dw < 1 || n < own + 4 * w) return WRONG_SIZE;
   float *steps = work + c * COUNT, *planes = steps + c * COUNT, *lines = work + own;
-  const struct settings s = {roots, at_rest, per_slope, clipped_prior, longest};
+  const struct settings s = {roots, at_rest, per_slope, clipped_prior};
   const struct node_grid grid = {nodes, r, c, COUNT, work, NULL};
   struct rows_between depths = {depth, dh, dw, w, -1, (int32_t *)lines, lines + w, lines + 2 * w, lines + 3 * w};
   places_in_row(w, (double)dw / (double)w, dw, (int32_t *)lines, lines + w);

@@ -41,7 +41,6 @@ from gelform.foundations.checks import check_values, check_within
 NORMAL_UNIT, DEPTH_UNIT_PX = 0.3, 10.0
 # degrees in place of terms of order 1 to 4 in the normal, and of the depth
 PLACE_DEGREES, DEPTH_PLACE_DEGREE = (5, 4, 3, 2), 4
-LONGEST_STEP = 0.3  # mm/mm; the response is not linear over a longer step
 RIDGES = (3e-4, 1e-4, 3e-5, 1e-5)  # ridges that calibration tries, the stiffest first
 # Prior of a slope with one of three channels clipped, mm/mm: a wide one.
 CLIPPED_STEP_SIGMA = 0.3
@@ -53,7 +52,7 @@ _forward_step = Kernel(
     "forward_step",
     "f32[h,w,3] change, f32[h,w,2] read, f32[dh,dw] depth, u8[h,w,3]? clipped, f32[r,c,17,3] nodes, f32[4,3,3] roots, "
     "out f32[n] work, out f32[h,w,2] gradients, out f32[h,w] variance, out f32[h,w] residual, f32 at_rest, "
-    "f32 per_slope, f32 clipped_prior, f32 longest",
+    "f32 per_slope, f32 clipped_prior",
 )
 
 
@@ -218,16 +217,14 @@ class PreparedStep:
     ) -> Step:
         """The step of a frame, from the gradients (H, W, 2) that a color model read of a color change (H, W, 3).
 
-        The depth (rows, columns), px, is coarser. A `clipped` channel (H, W, 3) does not count; there the other two take two
-        steps, with a prior of 0.3.
+        The depth (rows, columns), px, is coarser. A `clipped` channel (H, W, 3) does not count; there the other two take
+        three steps from level gel, with a prior of 0.3, because the slopes that were read are wrong.
         """
         stepped = np.empty_like(gradients)
         variance, residual = (np.empty(gradients.shape[:2], np.float32) for _ in range(2))
         work = np.empty(self._work_size, np.float32)
         frame = color_change, gradients, depth_px, clipped
-        _forward_step(
-            *frame, self._nodes, self._roots, work, stepped, variance, residual, *self._priors, LONGEST_STEP
-        )
+        _forward_step(*frame, self._nodes, self._roots, work, stepped, variance, residual, *self._priors)
         return Step(stepped, variance, residual)
 
 

@@ -22,7 +22,7 @@ def steepness(away):
 
 
 def left_ball_at_px():
-    """Where the gel's slope is 0.75 of the ball's."""
+    """Where the gel's slope is 0.7 of the ball's."""
     return brentq(lambda r: steepness(r) * np.sqrt(BALL_PX**2 - r**2) / r - LEAST_GAIN, 22, 35)
 
 
@@ -73,7 +73,7 @@ def gains_of(curve, presses=3):
 @pytest.mark.parametrize("read", [1.0, 0.7])
 @pytest.mark.parametrize("edge", [0.52, 0.7, 0.86])
 def test_a_curve_is_cut_where_it_falls_below_what_is_read_further_in(read, edge):
-    """Linear through 0.75 at the edge; a model that reads all slopes too gently says nothing of it."""
+    """Linear through 0.7 at the edge; a model that reads all slopes too gently says nothing of it."""
     falls = np.clip(LEAST_GAIN - 4 * (MIDDLES - edge), 0.05, 1)
     assert edge_of_gains(read * gains_of(falls)) == pytest.approx(edge, abs=1e-6)
 

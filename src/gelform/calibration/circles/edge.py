@@ -29,15 +29,14 @@ from gelform.metrics.ball import STEEPEST_FRACTION, ball_center, ball_gradients
 INNER = 0.5  # fraction of the visible radius that trains
 RINGS = np.arange(0.05, 1.001, 0.05)
 REFERENCE = (0.1, 0.4)  # fractions of the visible radius; slopes read between them count as right
-LEAST_GAIN = (
-    0.75  # of that reading; with less, the gel has left the ball; 0.70-0.78 do as well on six real sensors
-)
+# of that reading; with less, the gel has left the ball; best of 0.70-0.80 on six real sensors
+LEAST_GAIN = 0.7
 
 
 def contact_radius_ratio(presses: Sequence[PreparedPress], contacts: Sequence[ContactCircle]) -> float:
-    """Radius, over the visible one, from which the median press reads less than 0.75 times its ball's slope.
+    """Radius, over the visible one, from which the median press reads less than 0.7 times its ball's slope.
 
-    The reading further in counts as 1. Rings are 0.05 visible radii wide, and two of them have to be below 0.75. It is
+    The reading further in counts as 1. Rings are 0.05 visible radii wide, and two of them have to be below 0.7. It is
     `USUAL_EDGE` for fewer than 12 presses.
     """
     if not enough("edge", len(presses)):
