@@ -8,9 +8,8 @@ struct region {
   int32_t pixels, open;  // open: it reaches the border
 };
 
-// Sums over the regions of `rest`, each at its first run's place; the number of pixels of the largest.
-static int32_t measure(struct run *runs, int32_t count, const float *depth, struct region *regions, ptrdiff_t h, ptrdiff_t w) {
-  int32_t most = 0;
+// Sums over the regions of `rest`, each at its first run's place.
+static void measure(struct run *runs, int32_t count, const float *depth, struct region *regions, ptrdiff_t h, ptrdiff_t w) {
   memset(regions, 0, (size_t)count * sizeof *regions);
   for (int32_t k = 0; k < count; k++) {
     const struct run *run = runs + k;
@@ -18,19 +17,17 @@ static int32_t measure(struct run *runs, int32_t count, const float *depth, stru
     for (ptrdiff_t x = run->from; x < run->to; x++) region->depth += depth[run->y * w + x];
     region->pixels += run->to - run->from;
     region->open |= run->y == 0 || run->y == h - 1 || run->from == 0 || run->to == w;
-    if (region->pixels > most) most = region->pixels;
   }
-  return most;
 }
 
-// No hold in regions that touched gel encloses, or parts from the largest, and that are off rest by more than `face` in the mean.
+// No hold in regions that touched gel encloses and that are off rest by more than `face` in the mean.
 static void free_faces(const uint8_t *rest, const float *depth, float face, struct run *runs, struct region *regions, float *weight,
                        ptrdiff_t h, ptrdiff_t w) {
   const int32_t count = find_runs(rest, 1, EDGES, runs, h, w);
-  const int32_t most = measure(runs, count, depth, regions, h, w);
+  measure(runs, count, depth, regions, h, w);
   for (int32_t k = 0; k < count; k++) {
     const struct region *region = regions + first_of(runs, k);
-    if ((region->open && region->pixels == most) || fabs(region->depth) <= (double)face * region->pixels) continue;
+    if (region->open || fabs(region->depth) <= (double)face * region->pixels) continue;
     memset(weight + runs[k].y * w + runs[k].from, 0, (size_t)(runs[k].to - runs[k].from) * sizeof *weight);
   }
 }

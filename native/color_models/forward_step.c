@@ -3,14 +3,14 @@
 #include "../bilinear.h"
 #include "nodes.h"
 
-enum { CHANNELS = 3, TERMS = 17, COUNT = TERMS * CHANNELS, PLANES = 6, CLIPPED_STEPS = 3 };
+enum { CHANNELS = 3, TERMS = 17, COUNT = TERMS * CHANNELS, PLANES = 6 };
 static const float PER_NORMAL = 1 / 0.3f, PER_DEPTH_PX = 0.1f;  // units of the response's variables
 static const float ROUNDING = 1e-6f;  // of a determinant in float32, over the product of its diagonal
 
 struct settings {
   const float *roots;  // (4, 3, 3): of the inverse covariance, lower triangular, of all channels and without each
   float at_rest, per_slope;  // variance of slopes that were read, and what the square of a slope adds to it
-  float clipped_prior;
+  float clipped_prior;  // 1 over the variance of slopes that were read with a clipped channel
 };
 
 // Coefficients (17, 3) at a block's first pixel, and how much more they are at the next node.
@@ -65,6 +65,13 @@ static inline lanes square_root(lanes a) {
   return a;
 }
 
+// The factor for a step of this squared length: 1 up to the longest.
+static inline lanes shortening(lanes square, float longest) {
+  lanes length = square_root(square);
+  for (int k = 0; k < LANES; k++) length[k] = larger(length[k], longest);
+  return longest / length;
+}
+
 // The root's transpose times the channels: their errors become independent and of variance 1.
 static inline void whiten(lanes v[CHANNELS], const float *root) {
   v[0] = root[0] * v[0] + root[3] * v[1] + root[6] * v[2];
@@ -72,7 +79,8 @@ static inline void whiten(lanes v[CHANNELS], const float *root) {
   v[2] *= root[8];
 }
 
-static struct stepped step_of(const struct pixels *at, struct place place, const float *root) {
+// One step; at most `longest`, or of any length where that is 0.
+static struct stepped step_of(const struct pixels *at, struct place place, const float *root, float longest) {
   const lanes p = at->p, q = at->q, cosine = 1 / square_root(1 + p * p + q * q);
   const lanes unit = cosine * PER_NORMAL, cube = unit * (cosine * cosine), x = p * unit, y = q * unit;
   const lanes x_per_p = (1 + q * q) * cube, x_per_q = -p * q * cube, y_per_q = (1 + p * p) * cube;  // y_per_p is x_per_q
@@ -91,7 +99,11 @@ static struct stepped step_of(const struct pixels *at, struct place place, const
   }
   h11 += at->prior, h22 += at->prior;
   const lanes per = 1 / (h11 * h22 * (1 + ROUNDING) - h12 * h12);  // not 0 where a color tells two slopes apart no more
-  const lanes u = (h22 * b1 - h12 * b2) * per, v = (h11 * b2 - h12 * b1) * per;
+  lanes u = (h22 * b1 - h12 * b2) * per, v = (h11 * b2 - h12 * b1) * per;
+  if (longest > 0) {
+    const lanes part = shortening(u * u + v * v, longest);
+    u *= part, v *= part;
+  }
   for (int c = 0; c < CHANNELS; c++) {
     const lanes rest = left[c] - per_p[c] * u - per_q[c] * v;
     residual += rest * rest;
@@ -126,25 +138,24 @@ static inline bool is_clipped_alone(const uint8_t *clipped, int channel) {
   return clipped[channel] != 0 && clipped[(channel + 1) % CHANNELS] == 0 && clipped[(channel + 2) % CHANNELS] == 0;
 }
 
-// A block's pixels of one clipped channel again, in steps from level gel by the other two; of more clipped channels nothing is known.
+// A block's pixels of one clipped channel again, in two steps by the other two, each at most its prior's deviation: one
+// of slopes read with a dead channel may end at a wrong slope of the right color. Of more clipped channels nothing is known.
 static void store_clipped(const struct pixels *at, struct place place, const struct settings *s, const uint8_t *clipped,
                           struct outputs to, ptrdiff_t count) {
   for (int channel = 0; channel < CHANNELS; channel++) {
     bool alone = false;
     for (ptrdiff_t k = 0; k < count; k++) alone |= is_clipped_alone(clipped + CHANNELS * k, channel);
     if (!alone) continue;
-    const float *root = s->roots + CHANNELS * CHANNELS * (1 + channel);
+    const float *root = s->roots + CHANNELS * CHANNELS * (1 + channel), longest = 1 / sqrtf(s->clipped_prior);
     struct pixels again = *at;
-    again.p = again.q = (lanes){0}, again.prior = (lanes){0} + s->clipped_prior;
-    struct stepped last;
-    for (int step = 0; step < CLIPPED_STEPS; step++) {
-      last = step_of(&again, place, root);
-      again.p = last.p, again.q = last.q;
-    }
+    again.prior = (lanes){0} + s->clipped_prior;
+    const struct stepped once = step_of(&again, place, root, longest);
+    again.p = once.p, again.q = once.q;
+    const struct stepped twice = step_of(&again, place, root, longest);
     for (ptrdiff_t k = 0; k < count; k++) {
       if (!is_clipped_alone(clipped + CHANNELS * k, channel)) continue;
-      to.gradients[2 * k] = last.p[k], to.gradients[2 * k + 1] = last.q[k];
-      to.variance[k] = last.variance[k], to.residual[k] = last.residual[k];
+      to.gradients[2 * k] = twice.p[k], to.gradients[2 * k + 1] = twice.q[k];
+      to.variance[k] = twice.variance[k], to.residual[k] = twice.residual[k];
     }
   }
 }
@@ -158,7 +169,7 @@ static void step_row(const struct settings *s, const float *planes, ptrdiff_t st
     const lanes p = load_lanes(from + 3 * stride), q = load_lanes(from + 4 * stride);
     const struct pixels at = {{load_lanes(from), load_lanes(from + stride), load_lanes(from + 2 * stride)}, p, q,
                               load_lanes(from + 5 * stride), 1 / (s->at_rest + s->per_slope * (p * p + q * q))};
-    const struct stepped stepped = step_of(&at, place, s->roots);
+    const struct stepped stepped = step_of(&at, place, s->roots, 0);
     store(&stepped, to, count);
     if (clipped != NULL && any_clipped(clipped + CHANNELS * start, count))
       store_clipped(&at, place, s, clipped + CHANNELS * start, to, count);

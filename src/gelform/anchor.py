@@ -1,9 +1,9 @@
 """The anchor: how firmly depth is held at 0 where color and coarse depth look like gel at rest.
 
 Color alone cannot show that nothing touches: the flat face of a punch or a coin has the color of gel at rest.
-Therefore a coarse depth is solved first. A region that touched gel encloses, or parts from most of the gel at rest, and that
-lies deeper or higher, is a flat face: its edge shows that, and it is not held. Gel next to touched gel is not held
-either, because it is drawn down by less than its color can show.
+Therefore a coarse depth is solved first. A region that touched gel encloses, and that lies deeper or higher than rest, is
+a flat face: its edge shows that, and it is not held. Gel next to touched gel is not held either, because it is drawn down
+by less than its color can show.
 """
 
 from __future__ import annotations
@@ -18,7 +18,9 @@ from gelform.foundations.pool import Pool
 from gelform.solvers.dct import DctSolver
 
 REST_SIGMA_MM = 0.08  # mm, sigma of depth at pixels with the color of rest, far from contacts
-FACE_MM = 0.02  # mm; a region apart from rest and farther off it is a face; slope errors tilt a face of a few mm by less
+FACE_MM = (
+    0.02  # mm; an enclosed region farther off rest is a face; slope errors tilt a face of a few mm by less
+)
 REACH_MM = 1.0  # mm; touched gel draws down the gel at this distance, by exp(-(distance/reach)^2)
 UNTOUCHED_FRACTION = 0.5  # of a coarse pixel that has the color of rest: above it is at rest, below touched
 

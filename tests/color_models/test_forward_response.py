@@ -79,7 +79,7 @@ def scene(forward, noise=1.0, seed=1):
     )
 
 
-def scattered_step(forward, change, read, depth):
+def scattered_step(forward, change, read, depth, longest=np.inf):
     """The step at every pixel of a frame, by the formula for scattered ones."""
     height, width, _ = change.shape
     at, place = enlarged(depth.astype(float), (height, width)).ravel(), pixels((height, width))
@@ -101,6 +101,7 @@ def scattered_step(forward, change, read, depth):
         np.linalg.inv(information) * (1 - 1e-6 * diagonal / np.linalg.det(information))[:, None, None]
     )
     step = (covariance @ (weighted @ left[..., None]))[..., 0]
+    step *= np.minimum(1, longest / np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-9))
     left = left - np.einsum("ncm,nm->nc", jacobian, step)
     variance = np.trace(covariance, axis1=1, axis2=2) / 2
     found = slopes + step, variance, np.einsum("nc,ck,nk->n", left, inverse, left)
@@ -122,14 +123,13 @@ def without(forward, channel):
 
 
 def frame_step(forward, change, read, depth, clipped):
-    """One step of all channels; three of the other two from level gel where one is clipped."""
+    """One step of all channels; two of the other two, of limited length, where one is clipped."""
     expected = scattered_step(forward, change, read, depth)
     for channel in range(3 if clipped is not None else 0):
-        last = [np.zeros_like(read)]
-        for _ in range(3):
-            last = scattered_step(without(forward, channel), change, last[0], depth)
+        once = scattered_step(without(forward, channel), change, read, depth, CLIPPED_STEP_SIGMA)
+        twice = scattered_step(without(forward, channel), change, once[0], depth, CLIPPED_STEP_SIGMA)
         here = clipped[:, :, channel] != 0
-        for whole, part in zip(expected, last):
+        for whole, part in zip(expected, twice):
             whole[here] = part[here]
     return tuple(expected)
 
