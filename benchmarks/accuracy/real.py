@@ -11,7 +11,8 @@ circle is the same for every compared package (EDGES). "rim" is up to 3 px insid
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -38,13 +39,19 @@ SLOPES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
 SCORED_ZONE = 0.8  # fraction of the contact radius, for slopes: beyond it the gel leaves the ball
 MIN_PIXELS = 500  # least pixels of a bin
 DRAWS = 10
+Split = tuple[str, Any, Any]  # name, presses for calibration, presses for the test
 KEYS = ("read_edge_deg", "edge_deg", "inner_deg", "rim_deg", "radius_percent", "cap_um", "off_contact_um")
 
 
 def real(quick: bool) -> dict[str, Any]:
     """Every set: mini-ball one half by the other and one ball size by the other, the others in three folds."""
+    return held_out(chain(of_mini_ball(), *map(of_folds, list(EDGES)[1:])), quick)
+
+
+def held_out(splits: Iterable[Split], quick: bool) -> dict[str, Any]:
+    """Errors of the presses that each calibration has not seen, by the names of the splits."""
     parts: dict[str, list[Any]] = {}
-    for name, training, test in _splits():
+    for name, training, test in splits:
         if quick:
             training, test = (one.subset(range(0, len(one.presses), 3)) for one in (training, test))
         calibration, seconds = calibrated(training)
@@ -107,8 +114,8 @@ def summary(rows: list[dict[str, float]]) -> dict[str, float]:
     return {"presses": float(len(rows)), **found, "radius_percent": median}
 
 
-def _splits() -> Iterator[tuple[str, gelform.Presses, gelform.Presses]]:
-    """Name, presses for calibration, presses for the test."""
+def of_mini_ball() -> Iterator[Split]:
+    """mini-ball: both halves, which have presses of both balls, then one ball by the other, and few presses."""
     ball, order = mini_ball()
     sizes = [[i for i in order if ball.presses[i].ball_diameter_mm == d] for d in (6.31, 9.5)]
     even, odd = ([i for one in sizes for i in one[k::2]] for k in (0, 1))
@@ -122,14 +129,15 @@ def _splits() -> Iterator[tuple[str, gelform.Presses, gelform.Presses]]:
     }
     for name, (training, test) in splits.items():
         yield f"mini-ball, {name}", ball.subset(training), ball.subset(test)
-    for name in list(EDGES)[1:]:
-        presses = labeled(gelform.read_presses(DATA / name))
-        for fold in range(FOLDS):
-            of_fold = [i % FOLDS == fold for i in range(len(presses.presses))]
-            others, own = (
-                [i for i, member in enumerate(of_fold) if member == held] for held in (False, True)
-            )
-            yield name, presses.subset(others), presses.subset(own)
+
+
+def of_folds(name: str) -> Iterator[Split]:
+    """A set in three folds; each is judged by a calibration on the others."""
+    presses = labeled(gelform.read_presses(DATA / name))
+    for fold in range(FOLDS):
+        of_fold = [i % FOLDS == fold for i in range(len(presses.presses))]
+        others, own = ([i for i, member in enumerate(of_fold) if member == held] for held in (False, True))
+        yield name, presses.subset(others), presses.subset(own)
 
 
 def sigma(quick: bool) -> dict[str, Any]:

@@ -1,0 +1,62 @@
+"""Real frames that are not the ball of the calibration, beside the balls: contacts, edges, exposure, torn frames.
+
+    python benchmarks/real_frames.py                       # all; writes results/real_frames.json after each part
+    python benchmarks/real_frames.py contacts rest --quick # every sixth frame, and nothing is written
+    python benchmarks/real_frames.py --sets mini-ball,mini-d --cache /tmp/calibrations exposure
+
+`contacts`, `rest` and `exposure` use each set's own calibration on all its presses; `balls` judges held-out presses.
+The data are read from GELFORM_DATA (default ../shared/data); without it only `simulated` runs. A cached calibration is used
+again while the sources that calibrations follow from stay the same. Figures of some sets alone are not written.
+"""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+from presses import data_is_missing
+from real_frames.balls import balls
+from real_frames.contacts import contacts, rest
+from real_frames.edges import edges
+from real_frames.faults import exposure, tears
+from real_frames.sets import SETS, Run
+from real_frames.simulated import simulated
+from report import command_line, parts_asked, recorded, write
+
+PARTS: dict[str, Any] = {
+    "contacts": contacts,
+    "rest": rest,
+    "simulated": simulated,
+    "balls": balls,
+    "edges": edges,
+    "exposure": exposure,
+    "tears": tears,
+}
+
+
+def main() -> None:
+    """Run the named parts, or all; keep the earlier figures of the others."""
+    command = command_line(__doc__)
+    command.add_argument("--quick", action="store_true", help="every sixth frame; write nothing")
+    command.add_argument("--sets", metavar="SET,...", help=f"of {', '.join(SETS)}; write nothing")
+    command.add_argument(
+        "--cache", type=Path, metavar="DIR", help="keep the calibrations there for later runs"
+    )
+    asked = parts_asked(command, PARTS)
+    sets = tuple(asked.sets.split(",")) if asked.sets else SETS
+    if unknown := [name for name in sets if name not in SETS]:
+        command.error(f"no set {', '.join(unknown)}: expected {', '.join(SETS)}")
+    run, figures = Run(sets, asked.quick, asked.cache), recorded("real_frames")
+    for name in asked.parts:
+        if name != "simulated" and data_is_missing(name):
+            continue
+        start = time.process_time()
+        figures[name] = PARTS[name](run)
+        print(f"\n{name}: {time.process_time() - start:.0f} s of CPU", flush=True)
+        if not asked.quick and sets == SETS:
+            write("real_frames", figures)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,149 @@
+"""Parts of real_frames.py: the number of contacts in frames of one object, and in frames without contact."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+
+import gelform
+from edges_of_cube import another_light
+from gelform.simulate import LAYOUTS, simulate_background
+from presses import DATA
+from real_frames.sets import MINI_MM_PER_PX, MINIS, Run, background_of, percent
+from report import table
+
+OBJECTS = ("bead", "key", "seed")
+UNTOUCHED = range(20, 59)  # frames of mini-markers-video in which nothing touches the gel
+NOISY = 20  # frames with noise for each background image
+SIMULATED = 500  # simulated frames at rest
+SEED = 20261125
+
+
+def contacts(run: Run) -> dict[str, Any]:
+    """Contacts found in frames of one ball, by each set's own calibration on all presses; of one edge; of objects."""
+    figures: dict[str, Any] = {"balls": {}, "objects": {}}
+    for name in run.sets:
+        reconstruct = gelform.Reconstructor(run.calibration(name))
+        chosen = run.some(list(zip(run.presses(name).presses, run.circles(name))))
+        results = (reconstruct.from_image(press.image) for press, _ in chosen)
+        figures["balls"][name] = counted(results, [circle for _, circle in chosen])
+        if name == "digit-ball":
+            paths = sorted((DATA / name / "deeper").glob("*.png"))
+            figures["balls"][f"{name}/deeper"] = counted(
+                reconstruct.from_image(gelform.read_image(path)) for path in paths
+            )
+    reconstruct = gelform.Reconstructor(run.carried("starter", background_of("mini-edge")))
+    paths = run.some(sorted((DATA / "mini-edge" / "images").glob("*.png")))
+    images = [gelform.read_image(path) for path in paths]
+    same_light = [one for one in images if not another_light(one, reconstruct.background)]
+    for what, chosen in (("all frames", images), ("those in its light", same_light)):
+        figures["balls"][f"mini-edge by the starter, {what}"] = counted(map(reconstruct.from_image, chosen))
+    print("\n" + table(["contacts", *HEADER], [[k, *v.values()] for k, v in figures["balls"].items()]))
+    for by, calibration in _for_objects(run).items():
+        reconstruct = gelform.Reconstructor(calibration)
+        images = [gelform.read_image(DATA / "mini-objects" / f"{one}.png") for one in OBJECTS]
+        figures["objects"][by] = {
+            one: len(reconstruct.from_image(image).contacts) for one, image in zip(OBJECTS, images)
+        }
+    rows = [[by, *counts.values()] for by, counts in figures["objects"].items()]
+    print("\n" + table(["contacts of objects", *OBJECTS], rows), flush=True)
+    return figures
+
+
+HEADER = (
+    "frames",
+    "exactly one %",
+    "none %",
+    "extra, mean",
+    "deepest <= 0",
+    "one, on the ball %",
+    "radius over circle",
+)
+
+
+def counted(results: Iterable[Any], circles: Sequence[Any] = ()) -> dict[str, float]:
+    """Figures of frames in which one object touches the gel.
+
+    `one, on the ball` are the frames whose only contact has the center of the ball's circle in it. `radius over circle` is
+    the median radius of the largest contact's area over that of the visible circle: the gel leaves a ball inside of it.
+    """
+    counts, negative, on_ball, ratios = [], 0, [], []
+    for k, result in enumerate(results):
+        found = result.contacts
+        counts.append(len(found))
+        negative += sum(not one.deepest_mm > 0 for one in found)
+        circle = circles[k] if len(circles) else None
+        if circle is not None and all(0 <= c < n - 0.5 for c, n in zip(circle[1::-1], result.shape)):
+            at = result.contact_labels[round(circle[1]), round(circle[0])]
+            on_ball.append(len(found) == 1 and at == found[0].label)
+            if found and not found[0].cut_by_border:
+                ratios.append(np.sqrt(found[0].area_px / np.pi) / circle[2])
+    number = np.array(counts)
+    figures = [
+        len(number),
+        percent(number == 1),
+        percent(number == 0),
+        float(np.maximum(number - 1, 0).mean()),
+        negative,
+        percent(on_ball),
+        float(np.median(ratios)) if ratios else float("nan"),
+    ]
+    return dict(zip(HEADER, figures))
+
+
+def _for_objects(run: Run) -> dict[str, gelform.Calibration]:
+    """Calibrations for the unit of mini-objects: the Mini starter, and a network that another package trained on it."""
+    background = background_of("mini-objects")
+    network = DATA / "peer-calibrations" / "gs_sdk-mini-c-nnmodel.pth"
+    imported = gelform.import_calibration(
+        network, package="gs_sdk", background=background, mm_per_px=MINI_MM_PER_PX
+    )
+    return {"by the starter": run.carried("starter", background), "by its own network (imported)": imported}
+
+
+def rest(run: Run) -> dict[str, Any]:
+    """Frames without contact in which one is found: backgrounds with camera noise, a video at rest, simulated frames."""
+    figures: dict[str, Any] = {}
+    known = {name: run.calibration(name) for name in run.sets}
+    known |= {name: run.carried("starter", background_of(name)) for name in MINIS}
+    for name, calibration in known.items():
+        rng, count = np.random.default_rng(SEED), run.frames(NOISY)
+        figures[f"{name}, background and noise"] = _found(
+            calibration, [with_noise(calibration, rng) for _ in range(count)]
+        )
+    figures["mini-markers-video, frames 20-58"] = _video(run)
+    for name in LAYOUTS:
+        rng, count = np.random.default_rng(SEED), run.frames(SIMULATED // len(LAYOUTS) + 1)
+        images = [simulate_background(LAYOUTS[name], rng) for _ in range(count)]
+        figures[f"simulated {name}"] = _found(run.layout(name), images)
+    rows = [[name, *row.values()] for name, row in figures.items()]
+    print("\n" + table(["without contact", "frames", "with a contact", "%"], rows), flush=True)
+    return figures
+
+
+def with_noise(calibration: gelform.Calibration, rng: np.random.Generator) -> np.ndarray:
+    """A calibration's background image with the noise of its camera, rounded to gray levels."""
+    noise = rng.normal(size=calibration.background.shape) * np.array(calibration.settings.image_noise)
+    return np.clip(np.rint(calibration.background + noise), 0, 255).astype(np.uint8)
+
+
+def _video(run: Run) -> dict[str, float]:
+    """The untouched frames of a video: the median of every second one is the background image of the others."""
+    frames = gelform.Video(DATA / "mini-markers-video" / "mini_example.avi").frames(set(UNTOUCHED))
+    images, figures = [one.image for one in frames], []
+    for k in (0, 1):
+        background = np.median(images[k::2], axis=0).astype(np.float32)
+        figures.append(_found(run.carried("starter", background), run.some(images[1 - k :: 2])))
+    return _of_counts(*(int(sum(one[key] for one in figures)) for key in ("frames", "with a contact")))
+
+
+def _found(calibration: gelform.Calibration, images: Sequence[np.ndarray]) -> dict[str, float]:
+    reconstruct = gelform.Reconstructor(calibration)
+    found = sum(bool(reconstruct.from_image(image).contacts) for image in images)
+    return _of_counts(len(images), found)
+
+
+def _of_counts(frames: int, found: int) -> dict[str, float]:
+    return {"frames": frames, "with a contact": found, "percent": 100 * found / frames}

@@ -1,0 +1,67 @@
+"""Part of real_frames.py: the edge of a cube, whose faces are steeper than any ball shows, on a Mini without presses."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+import gelform
+from edges_of_cube import Edge, crest_error_mm, edge_in, frames
+from real_frames.sets import MINI_MM_PER_PX, Run, percent
+from report import table
+
+CARRIED = ("starter", "mini-ball", "mini-d")  # what reads the frames: of other units
+SURE = 0.3  # confidence; pixels above count as sure
+
+
+def edges(run: Run) -> dict[str, Any]:
+    """Angle and slopes of the faces, whether their sigma and confidence say that they are wrong, and the crest's depth."""
+    background, images = frames()
+    figures: dict[str, Any] = {}
+    for name in (one for one in CARRIED if one == "starter" or one in run.sets):
+        reconstruct = gelform.Reconstructor(run.carried(name, background.astype(np.float32)))
+        results = map(reconstruct.from_image, run.some(list(images.values())))
+        pairs = [(edge_in(result.gradients, MINI_MM_PER_PX), result) for result in results]
+        figures[name] = _summary([_judged(edge, result) for edge, result in pairs if edge is not None])
+    header = ["cube edge, read by", *next(iter(figures.values()))]
+    print("\n" + table(header, [[k, *v.values()] for k, v in figures.items()]), flush=True)
+    return figures
+
+
+def _judged(edge: Edge, result: Any) -> dict[str, Any]:
+    """Figures of the pixels of both faces of one frame."""
+    off, sure = [], []
+    for face, true in zip(edge.faces, edge.true_gradients):
+        sigma = np.hypot(*(result.gradients_sigma[face] * edge.across).T)
+        off.append(np.abs((result.gradients[face] - true) @ edge.across) / sigma)
+        sure.append(result.confidence[face] > SURE)
+    missing = crest_error_mm(edge, result.depth_mm, MINI_MM_PER_PX)
+    return {
+        "angle": edge.angle_deg - 90,
+        "slopes": np.sort(edge.slopes),
+        "off": np.concatenate(off),
+        "sure": np.concatenate(sure),
+        "missing": missing,
+        "sigma": float(np.nanmean(result.depth_sigma_mm[edge.crest])),
+    }
+
+
+def _summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """Figures of all frames; pixels of all frames count alike."""
+    if not rows:
+        return {"frames": 0}
+    off, sure = (np.concatenate([row[key] for row in rows]) for key in ("off", "sure"))
+    missing, sigma = (np.array([row[key] for row in rows]) for key in ("missing", "sigma"))
+    flat, steep = np.median([row["slopes"] for row in rows], axis=0).tolist()
+    return {
+        "frames": len(rows),
+        "angle - 90, deg": float(np.mean([row["angle"] for row in rows])),
+        "flatter face's slope": flat,
+        "steeper face's slope": steep,
+        "error over sigma, median": float(np.median(off)),
+        "within 2 sigma, %": percent(off <= 2),
+        "confidence > 0.3, %": percent(sure),
+        "crest too low by, um": float(1e3 * np.mean(missing)),
+        "crest within 2 depth sigma, %": percent(np.abs(missing) <= 2 * sigma),
+    }
