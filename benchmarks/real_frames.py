@@ -2,6 +2,7 @@
 
     python benchmarks/real_frames.py                       # all; writes results/real_frames.json after each part
     python benchmarks/real_frames.py contacts rest --quick # every sixth frame, and nothing is written
+    python benchmarks/real_frames.py --pages               # writes the recorded figures into README and docs
     python benchmarks/real_frames.py --sets mini-ball,mini-d --cache /tmp/calibrations exposure
 
 `contacts`, `rest` and `exposure` use each set's own calibration on all its presses; `balls` judges held-out presses.
@@ -20,6 +21,7 @@ from real_frames.balls import balls
 from real_frames.contacts import contacts, rest
 from real_frames.edges import edges
 from real_frames.faults import exposure, tears
+from real_frames.page import fill_pages
 from real_frames.sets import SETS, Run
 from real_frames.simulated import simulated
 from report import command_line, parts_asked, recorded, write
@@ -43,7 +45,13 @@ def main() -> None:
     command.add_argument(
         "--cache", type=Path, metavar="DIR", help="keep the calibrations there for later runs"
     )
+    command.add_argument(
+        "--pages", action="store_true", help="write the recorded figures into the pages; measure nothing"
+    )
     asked = parts_asked(command, PARTS)
+    if asked.pages:
+        print("changed: " + (", ".join(fill_pages(recorded("real_frames"))) or "no page"))
+        return
     sets = tuple(asked.sets.split(",")) if asked.sets else SETS
     if unknown := [name for name in sets if name not in SETS]:
         command.error(f"no set {', '.join(unknown)}: expected {', '.join(SETS)}")

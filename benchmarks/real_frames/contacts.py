@@ -9,7 +9,6 @@ import numpy as np
 
 import gelform
 from edges_of_cube import another_light
-from gelform.simulate import LAYOUTS, simulate_background
 from presses import DATA
 from real_frames.sets import MINI_MM_PER_PX, MINIS, Run, background_of, percent
 from report import table
@@ -17,7 +16,6 @@ from report import table
 OBJECTS = ("bead", "key", "seed")
 UNTOUCHED = range(20, 59)  # frames of mini-markers-video in which nothing touches the gel
 NOISY = 20  # frames with noise for each background image
-SIMULATED = 500  # simulated frames at rest
 SEED = 20261125
 
 
@@ -63,11 +61,12 @@ HEADER = (
 )
 
 
-def counted(results: Iterable[Any], circles: Sequence[Any] = ()) -> dict[str, float]:
+def counted(results: Iterable[Any], circles: Sequence[Any] = ()) -> dict[str, Any]:
     """Figures of frames in which one object touches the gel.
 
     `one, on the ball` are the frames whose only contact has the center of the ball's circle in it. `radius over circle` is
     the median radius of the largest contact's area over that of the visible circle: the gel leaves a ball inside of it.
+    Both are None without circles.
     """
     counts, negative, on_ball, ratios = [], 0, [], []
     for k, result in enumerate(results):
@@ -87,8 +86,8 @@ def counted(results: Iterable[Any], circles: Sequence[Any] = ()) -> dict[str, fl
         percent(number == 0),
         float(np.maximum(number - 1, 0).mean()),
         negative,
-        percent(on_ball),
-        float(np.median(ratios)) if ratios else float("nan"),
+        percent(on_ball) if on_ball else None,
+        float(np.median(ratios)) if ratios else None,
     ]
     return dict(zip(HEADER, figures))
 
@@ -104,20 +103,16 @@ def _for_objects(run: Run) -> dict[str, gelform.Calibration]:
 
 
 def rest(run: Run) -> dict[str, Any]:
-    """Frames without contact in which one is found: backgrounds with camera noise, a video at rest, simulated frames."""
+    """Frames without contact in which one is found: backgrounds with camera noise, and a video at rest."""
     figures: dict[str, Any] = {}
     known = {name: run.calibration(name) for name in run.sets}
     known |= {name: run.carried("starter", background_of(name)) for name in MINIS}
     for name, calibration in known.items():
         rng, count = np.random.default_rng(SEED), run.frames(NOISY)
-        figures[f"{name}, background and noise"] = _found(
+        figures[f"{name}, background and noise"] = frames_with_contact(
             calibration, [with_noise(calibration, rng) for _ in range(count)]
         )
     figures["mini-markers-video, frames 20-58"] = _video(run)
-    for name in LAYOUTS:
-        rng, count = np.random.default_rng(SEED), run.frames(SIMULATED // len(LAYOUTS) + 1)
-        images = [simulate_background(LAYOUTS[name], rng) for _ in range(count)]
-        figures[f"simulated {name}"] = _found(run.layout(name), images)
     rows = [[name, *row.values()] for name, row in figures.items()]
     print("\n" + table(["without contact", "frames", "with a contact", "%"], rows), flush=True)
     return figures
@@ -135,11 +130,12 @@ def _video(run: Run) -> dict[str, float]:
     images, figures = [one.image for one in frames], []
     for k in (0, 1):
         background = np.median(images[k::2], axis=0).astype(np.float32)
-        figures.append(_found(run.carried("starter", background), run.some(images[1 - k :: 2])))
+        figures.append(frames_with_contact(run.carried("starter", background), run.some(images[1 - k :: 2])))
     return _of_counts(*(int(sum(one[key] for one in figures)) for key in ("frames", "with a contact")))
 
 
-def _found(calibration: gelform.Calibration, images: Sequence[np.ndarray]) -> dict[str, float]:
+def frames_with_contact(calibration: gelform.Calibration, images: Sequence[np.ndarray]) -> dict[str, float]:
+    """The number of frames, and of those in which a contact is found."""
     reconstruct = gelform.Reconstructor(calibration)
     found = sum(bool(reconstruct.from_image(image).contacts) for image in images)
     return _of_counts(len(images), found)

@@ -38,7 +38,7 @@ def _judged(edge: Edge, result: Any) -> dict[str, Any]:
         sure.append(result.confidence[face] > SURE)
     missing = crest_error_mm(edge, result.depth_mm, MINI_MM_PER_PX)
     return {
-        "angle": edge.angle_deg - 90,
+        "angle": 180 - edge.angle_deg,
         "slopes": np.sort(edge.slopes),
         "off": np.concatenate(off),
         "sure": np.concatenate(sure),
@@ -56,7 +56,7 @@ def _summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
     flat, steep = np.median([row["slopes"] for row in rows], axis=0).tolist()
     return {
         "frames": len(rows),
-        "angle - 90, deg": float(np.mean([row["angle"] for row in rows])),
+        "angle of faces, deg": float(np.mean([row["angle"] for row in rows])),
         "flatter face's slope": flat,
         "steeper face's slope": steep,
         "error over sigma, median": float(np.median(off)),

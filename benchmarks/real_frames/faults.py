@@ -15,7 +15,6 @@ from real_frames.contacts import OBJECTS, UNTOUCHED
 from real_frames.sets import MINIS, Run, background_of, percent
 from report import table
 
-EXPOSED = ("mini-ball", "digit-ball", "gelslim", "mini-d")
 FACTORS = (0.95, 1.05)
 DEEP = 0.3  # of the peak: pixels of the press itself
 SHARES = {"median": 0.5, "90 %": 0.9, "max": 1.0}
@@ -28,7 +27,7 @@ def exposure(run: Run) -> dict[str, Any]:
     `moved` is the median over the pixels deeper than 0.3 of the peak, `largest` that of the worst pixel of the frame.
     """
     figures: dict[str, Any] = {}
-    for name in (one for one in EXPOSED if one in run.sets):
+    for name in run.sets:
         reconstruct = gelform.Reconstructor(run.calibration(name), depth_sigma=False)
         moved = [_moved(reconstruct, press.image) for press in run.some(run.presses(name).presses)]
         both = zip(("moved", "largest"), np.array(moved).reshape(-1, 2).T)
@@ -36,9 +35,8 @@ def exposure(run: Run) -> dict[str, Any]:
             f"{what}, {key}": float(np.quantile(of, q)) for what, of in both for key, q in SHARES.items()
         }
         figures[name] = {"frames": len(FACTORS) * len(moved), **found}
-    if figures:
-        header = ["image x 0.95, 1.05", *next(iter(figures.values()))]
-        print("\n" + table(header, [[k, *v.values()] for k, v in figures.items()]), flush=True)
+    header = ["image x 0.95, 1.05", *next(iter(figures.values()))]
+    print("\n" + table(header, [[k, *v.values()] for k, v in figures.items()]), flush=True)
     return figures
 
 

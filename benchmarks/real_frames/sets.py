@@ -15,7 +15,6 @@ import gelform
 from gelform.starters import load_starter
 from gelform.starters.starter import starter_from_calibration
 from presses import DATA, mini_ball, presses_of, unlabeled
-from starters.make import COLOR_VARIANCE, SPREAD
 
 SETS = ("mini-ball", "digit-ball", "gelslim", "mini-d", "gelslim-dots", "gelsight-ball-deep")
 MINIS = ("mini-edge", "mini-objects")  # units without presses of balls
@@ -101,9 +100,9 @@ class Run:
         if name == "starter":
             return load_starter(MINI).for_unit(background, mm_per_px=MINI_MM_PER_PX)
         own = self.calibration(name) if name != "mini-d" else self.kept("mini-d, likely diameter", _likely)
-        starter = starter_from_calibration(
-            own, MINI, spread=SPREAD[MINI], units=(name,), color_variance=COLOR_VARIANCE
-        )
+        shipped = load_starter(MINI)
+        stated = {"spread": shipped.spread, "color_variance": shipped.color_variance}
+        starter = starter_from_calibration(own, MINI, units=(name,), **stated)
         return starter.for_unit(background, mm_per_px=MINI_MM_PER_PX)
 
 
@@ -115,8 +114,10 @@ def _likely() -> gelform.Calibration:
 
 
 def _sources_digest() -> str:
-    """Digest of the sources that calibrations follow from, and of the compiled kernels."""
-    paths = [path for name in SOURCES for path in (ROOT / name).rglob("*.py")] + [ROOT / SOURCES[-1]]
+    """Digest of the sources that calibrations follow from, kernels included."""
+    folders = [ROOT / name for name in SOURCES] + [ROOT.parents[1] / "native" / name for name in SOURCES]
+    paths = [path for folder in folders for path in folder.rglob("*.[pch]*")]
+    paths += [path for path in folders if path.is_file()]
     digest = hashlib.sha256()
     for path in sorted(paths):
         digest.update(path.read_bytes())

@@ -11,13 +11,15 @@ import numpy as np
 
 import gelform
 from confidence.drawn import object_press, press
-from gelform.simulate import LAYOUTS, simulate_press
+from gelform.simulate import LAYOUTS, simulate_background, simulate_press
+from real_frames.contacts import frames_with_contact
 from real_frames.sets import Run, percent
 from report import table
 
 FAINT_UM = {"ring-120": 10.0, "three-edges": 10.0, "homemade": 20.0}
 REPORTED = ("ring-120", "homemade")  # layouts on which the objects are pressed
 FRAMES, PAIRS, OBJECTS = 100, 60, 80
+AT_REST = 500  # frames of all layouts
 GAP_MM, PAIR_RADIUS_MM, PAIR_DEPTH_MM = 1.0, 1.5, 0.3
 OVERLAP = 0.5  # of the true contact's pixels, in a contact that counts as this one
 SEED = 20261125
@@ -43,7 +45,7 @@ class TwoBalls:
 
 
 def simulated(run: Run) -> dict[str, Any]:
-    """Faint presses found, two contacts 1 mm apart seen as two, and intersection over union by kind of object."""
+    """Contacts found at rest, faint presses found, near contacts told apart, and outlines by kind of object."""
     found = {f"{name}, {um:g} um": _faint(run, name, um) for name, um in FAINT_UM.items()}
     pairs = {name: _pairs(run, name) for name in REPORTED}
     overlaps: dict[str, list[float]] = {}
@@ -55,6 +57,7 @@ def simulated(run: Run) -> dict[str, Any]:
             missed[kind] = missed.get(kind, 0) + sum(score == 0 for score in scores)
             by_sensor[f"{name}, {kind}"] = float(np.median(scores))
     figures = {
+        "at_rest": {name: _at_rest(run, name) for name in LAYOUTS},
         "found_percent": found,
         "two_seen_percent": pairs,
         "overlap_median": {kind: float(np.median(scores)) for kind, scores in overlaps.items()},
@@ -65,6 +68,12 @@ def simulated(run: Run) -> dict[str, Any]:
     rows = [[what, json.dumps(values)] for what, values in figures.items()]
     print("\n" + table(["simulated", ""], rows), flush=True)
     return figures
+
+
+def _at_rest(run: Run, name: str) -> dict[str, float]:
+    rng, count = np.random.default_rng(SEED), run.frames(AT_REST // len(LAYOUTS) + 1)
+    images = [simulate_background(LAYOUTS[name], rng) for _ in range(count)]
+    return frames_with_contact(run.layout(name), images)
 
 
 def _faint(run: Run, name: str, depth_um: float) -> float:
