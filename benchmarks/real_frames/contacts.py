@@ -72,7 +72,7 @@ def counted(results: Iterable[Any], circles: Sequence[Any] = ()) -> dict[str, An
     for k, result in enumerate(results):
         found = result.contacts
         counts.append(len(found))
-        negative += sum(not one.deepest_mm > 0 for one in found)
+        negative += sum(one.deepest_mm is not None and one.deepest_mm <= 0 for one in found)
         circle = circles[k] if len(circles) else None
         if circle is not None and all(0 <= c < n - 0.5 for c, n in zip(circle[1::-1], result.shape)):
             at = result.contact_labels[round(circle[1]), round(circle[0])]

@@ -23,14 +23,14 @@ def edges(run: Run) -> dict[str, Any]:
         reconstruct = gelform.Reconstructor(run.carried(name, background.astype(np.float32)))
         results = map(reconstruct.from_image, run.some(list(images.values())))
         pairs = [(edge_in(result.gradients, MINI_MM_PER_PX), result) for result in results]
-        figures[name] = _summary([_judged(edge, result) for edge, result in pairs if edge is not None])
+        figures[name] = summary([judged(edge, result) for edge, result in pairs if edge is not None])
     header = ["cube edge, read by", *next(iter(figures.values()))]
     print("\n" + table(header, [[k, *v.values()] for k, v in figures.items()]), flush=True)
     return figures
 
 
-def _judged(edge: Edge, result: Any) -> dict[str, Any]:
-    """Figures of the pixels of both faces of one frame."""
+def judged(edge: Edge, result: Any) -> dict[str, Any]:
+    """Figures of one frame: of all pixels of both faces, and of the depth at the edge against flat faces of 45 degrees."""
     off, sure = [], []
     for face, true in zip(edge.faces, edge.true_gradients):
         sigma = np.hypot(*(result.gradients_sigma[face] * edge.across).T)
@@ -47,7 +47,7 @@ def _judged(edge: Edge, result: Any) -> dict[str, Any]:
     }
 
 
-def _summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
+def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
     """Figures of all frames; pixels of all frames count alike."""
     if not rows:
         return {"frames": 0}

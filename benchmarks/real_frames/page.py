@@ -111,6 +111,7 @@ def others(figures: Figures) -> str:
     """What has no sensor's row of its own: other objects, frames at rest, torn frames, simulated frames."""
     balls, objects = figures["contacts"]["balls"], figures["contacts"]["objects"]["by the starter"]
     edge = [balls[f"mini-edge by the starter, {what}"] for what in ("all frames", "those in its light")]
+    deeper = balls["digit-ball/deeper"]
     still, tears, made = figures["rest"], figures["tears"], figures["simulated"]
     ridge, older = tears["sound: cheese_tube_3, in contact"], tears["torn: mini-ball, older lower half"]
     sound = [row for name, row in tears.items() if name.startswith("sound") and row is not ridge]
@@ -118,6 +119,11 @@ def others(figures: Figures) -> str:
         ["a cube's edge has exactly one contact", edge[0]["frames"], _share(edge[0]["exactly one %"])],
         ["the same, in the light of the background", edge[1]["frames"], _share(edge[1]["exactly one %"])],
         [f"contacts of a {', a '.join(OBJECTS)}", 3, ", ".join(str(objects[one]) for one in OBJECTS)],
+        [
+            "a deeper, larger ball on the DIGIT has exactly one contact",
+            deeper["frames"],
+            _share(deeper["exactly one %"]),
+        ],
         ["a video at rest has a contact", still[VIDEO]["frames"], _share(still[VIDEO]["percent"])],
         ["simulated gel at rest has a contact", *_sums(made["at_rest"].values(), "with a contact")],
         ["a sharp ridge is called torn", *_sums([ridge], "torn")],

@@ -82,11 +82,11 @@ def _faint(run: Run, name: str, depth_um: float) -> float:
     hits = []
     for _ in range(run.frames(FRAMES)):
         truth = press(name, rng, (depth_um / 1e3, depth_um / 1e3))
-        hits.append(_covered(reconstruct.from_image(truth.image), truth.contact) > 0)
+        hits.append(label_over(reconstruct.from_image(truth.image), truth.contact) > 0)
     return percent(hits)
 
 
-def _covered(result: Any, true: np.ndarray) -> int:
+def label_over(result: Any, true: np.ndarray) -> int:
     """The label of the contact that covers half of the true one; 0 if none does."""
     counts = np.bincount(result.contact_labels[true], minlength=2)
     label = 1 + int(counts[1:].argmax())
@@ -108,7 +108,7 @@ def _pairs(run: Run, name: str) -> float:
         count, labels = cv2.connectedComponents(truth.contact.astype(np.uint8))
         assert count == 3, f"expected two true contacts, got {count - 1}"
         result = reconstruct.from_image(truth.image)
-        seen = {_covered(result, labels == k) for k in (1, 2)}
+        seen = {label_over(result, labels == k) for k in (1, 2)}
         hits.append(len(result.contacts) == 2 and len(seen - {0}) == 2)
     return percent(hits)
 

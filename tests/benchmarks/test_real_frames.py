@@ -2,18 +2,23 @@
 
 import json
 from dataclasses import dataclass
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy import ndimage
 
+import gelform
+from edges_of_cube import Edge
 from gelform.contact import contacts_from_mask
 from gelform.simulate import LAYOUTS, simulate_press
+from presses import unlabeled
 from real_frames import page
 from real_frames.contacts import contacts, counted, rest
+from real_frames.edges import judged, summary
 from real_frames.faults import exposure, older_halves, tears, torn
-from real_frames.sets import Run
-from real_frames.simulated import TwoBalls
+from real_frames.sets import MINI_MM_PER_PX, Run
+from real_frames.simulated import TwoBalls, label_over
 from report import RESULTS
 
 FIGURES = json.loads((RESULTS / "real_frames.json").read_text(encoding="utf-8"))
@@ -71,6 +76,43 @@ def test_torn_frames_are_counted():
     }
 
 
+def test_faces_of_a_cube_are_judged_by_their_sigma():
+    shape, (left, right) = (40, 60), (np.s_[:, 10:28], np.s_[:, 33:50])
+    faces, gradients = np.zeros((2, *shape), bool), np.zeros((*shape, 2))
+    faces[0][left] = faces[1][right] = True
+    gradients[left], gradients[right] = (0.5, 9), (-0.5, 9)  # the slope along the edge is not judged
+    slopes, true = np.array([0.5, 0.5]), np.array([[1.0, 0], [-1, 0]])
+    edge = Edge(np.array([1.0, 0]), np.array([30, 20]), 38.0, faces, slopes, 0.0, true)
+    sigma, confidence = np.full((*shape, 2), 0.1), np.zeros(shape)
+    sigma[left] = (0.26, 0)  # half is missing: 1.9 sigma
+    confidence[right] = 0.4
+    flat = SimpleNamespace(
+        gradients=gradients, gradients_sigma=sigma, confidence=confidence, depth_mm=np.zeros(shape),
+        depth_sigma_mm=np.full(shape, 0.4),
+    )  # fmt: skip
+    found = summary([judged(edge, flat)] * 2)
+    assert (found["frames"], found["angle of faces, deg"]) == (2, pytest.approx(180 - 53.13, abs=0.01))
+    assert found["within 2 sigma, %"] == pytest.approx(100 * 18 / 35)
+    assert found["confidence > 0.3, %"] == pytest.approx(100 * 17 / 35)
+    assert found["crest too low by, um"] == pytest.approx(
+        1e3 * 19.5 * MINI_MM_PER_PX
+    )  # of faces of 18 and 17 px
+    assert found["crest within 2 depth sigma, %"] == 0
+    assert summary([]) == {"frames": 0}
+
+
+def test_a_contact_counts_as_found_if_it_covers_half():
+    result = Found([(40, 30, 10, 0.5), (10, 10, 5, 0.2)])
+    y, x = np.mgrid[:60, :80]
+    big, small = np.hypot(x - 40, y - 30) < 10, np.hypot(x - 10, y - 10) < 5
+    assert [label_over(result, one) for one in (small, big)] == [
+        result.contact_labels[10, 10],
+        result.contact_labels[30, 40],
+    ]
+    assert label_over(result, np.hypot(x - 40, y - 30) < 16) == 0
+    assert label_over(Found([]), big) == 0
+
+
 @pytest.mark.slow
 def test_two_balls_touch_a_gap_apart():
     sensor, rng = LAYOUTS["ring-120"], np.random.default_rng(0)
@@ -85,19 +127,31 @@ def test_two_balls_touch_a_gap_apart():
 
 
 @pytest.mark.slow
-def test_quick_parts_run_on_one_set(data, tmp_path):
-    run = Run(("digit-ball",), quick=True, cache=tmp_path)
+def test_quick_parts_run_on_one_set(data):
+    run = Run(("mini-ball",), quick=True)
+    twelve = run.presses("mini-ball").subset(range(0, 67, 6))
+    run.kept("mini-ball", lambda: gelform.calibrate(unlabeled(twelve)))
     found = {part.__name__: part(run) for part in (contacts, rest, exposure, tears)}
-    assert found["contacts"]["balls"]["digit-ball"]["frames"] == 7
-    assert found["rest"]["digit-ball, background and noise"]["frames"] == 4
-    moved = found["exposure"]["digit-ball"]
-    assert 0 < moved["moved, median"] <= moved["moved, max"] < moved["largest, max"]
-    assert found["tears"]["sound: digit-ball"]["torn"] == 0
-    (kept,) = tmp_path.glob("*digit-ball.pickle")
-    kept.rename(tmp_path / "gone")
-    again = Run(("digit-ball",), quick=True, cache=tmp_path)
-    (tmp_path / "gone").rename(kept)
-    assert again.calibration("digit-ball").digest == run.calibration("digit-ball").digest
+    assert found["contacts"]["balls"]["mini-ball"]["frames"] == 12
+    assert found["contacts"]["balls"]["mini-ball"]["none %"] == 0
+    assert found["rest"]["mini-ball, background and noise"]["frames"] == 4
+    moved = found["exposure"]["mini-ball"]
+    assert 0 < moved["moved, median"] < moved["moved, max"] < moved["largest, max"]
+    assert found["tears"]["sound: mini-ball"] == {"frames": 12, "torn": 0, "percent": 0}
+
+
+def test_a_calibration_is_made_once_and_kept_for_later_runs(tmp_path):
+    made = []
+
+    def make():
+        made.append(1)
+        return {"made": len(made)}
+
+    first, again, alone = Run(cache=tmp_path), Run(cache=tmp_path), Run()
+    assert [run.kept("a set", make)["made"] for run in (first, first, again, alone, alone)] == [1, 1, 1, 2, 2]
+    (kept,) = tmp_path.iterdir()
+    kept.rename(tmp_path / "of other sources a set.pickle")
+    assert Run(cache=tmp_path).kept("a set", make)["made"] == 3
 
 
 def test_halves_are_of_two_presses_with_a_contact_at_the_seam(data):
@@ -110,6 +164,8 @@ def test_halves_are_of_two_presses_with_a_contact_at_the_seam(data):
             for rows in (np.s_[:120], np.s_[120:])
         )
         assert above[0] == below[0] + 1
+        labels = [presses[k].label for k in (above[0], below[0])]
+        assert any(abs(y - 120) < radius for _, y, radius in labels)
 
 
 @pytest.mark.parametrize("name", page.PAGES)
