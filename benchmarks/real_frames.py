@@ -18,6 +18,7 @@ from typing import Any
 
 from presses import data_is_missing
 from real_frames.balls import balls
+from real_frames.beyond import beyond
 from real_frames.contacts import contacts, rest
 from real_frames.edges import edges
 from real_frames.faults import exposure, tears
@@ -32,6 +33,7 @@ PARTS: dict[str, Any] = {
     "simulated": simulated,
     "balls": balls,
     "edges": edges,
+    "beyond": beyond,
     "exposure": exposure,
     "tears": tears,
 }

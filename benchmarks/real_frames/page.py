@@ -107,6 +107,42 @@ def cube(figures: Figures) -> str:
     return table(["cube's edge, 45 degrees, read by", *names.values()], rows)
 
 
+def balls(figures: Figures) -> str:
+    """What is stated about held-out balls, by the unit's own calibration and by that of another Mini."""
+    header = [
+        "balls of",
+        "read by",
+        "slopes within one sigma",
+        "sure in the inner part",
+        "caps within one sigma",
+    ]
+    rows = [
+        [*_whose(what), *map(_share, list(row.values())[1:])]
+        for what, row in figures["beyond"]["balls"].items()
+    ]
+    return table(header, rows)
+
+
+def steeper(figures: Figures) -> str:
+    """What is stated about slopes that the presses have not shown."""
+    header = [
+        "balls of",
+        "trained on slopes below",
+        "steeper pixels within two sigma",
+        "steeper pixels that are sure",
+    ]
+    found = (
+        (what.split(", below "), list(row.values())[1:]) for what, row in figures["beyond"]["steeper"].items()
+    )
+    return table(header, [[NAMES[name], limit, *map(_share, shares)] for (name, limit), shares in found])
+
+
+def _whose(what: str) -> tuple[str, str]:
+    """Whose balls, and whose calibration."""
+    name, by = what.split(", ")
+    return NAMES[name], "its own calibration" if by == "own" else "the other Mini's calibration"
+
+
 def others(figures: Figures) -> str:
     """What has no sensor's row of its own: other objects, frames at rest, torn frames, simulated frames."""
     balls, objects = figures["contacts"]["balls"], figures["contacts"]["objects"]["by the starter"]
@@ -172,4 +208,11 @@ def limits(figures: Figures) -> str:
     return "\n".join(textwrap.fill(one, WIDTH, subsequent_indent="  ") for one in (steep, contacts))
 
 
-BLOCKS = {"sensors": sensors, "cube": cube, "others": others, "limits": limits}
+BLOCKS = {
+    "sensors": sensors,
+    "cube": cube,
+    "balls": balls,
+    "steeper": steeper,
+    "others": others,
+    "limits": limits,
+}

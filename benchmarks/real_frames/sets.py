@@ -14,7 +14,7 @@ import numpy as np
 import gelform
 from gelform.starters import load_starter
 from gelform.starters.starter import starter_from_calibration
-from presses import DATA, mini_ball, presses_of, unlabeled
+from presses import DATA, labeled, mini_ball, presses_of, unlabeled
 
 SETS = ("mini-ball", "digit-ball", "gelslim", "mini-d", "gelslim-dots", "gelsight-ball-deep")
 MINIS = ("mini-edge", "mini-objects")  # units without presses of balls
@@ -95,22 +95,30 @@ class Run:
             for row in rows
         ]
 
-    def carried(self, name: str, background: np.ndarray) -> gelform.Calibration:
-        """The Mini starter, or the calibration of one Mini's presses, for another Mini's background image."""
-        if name == "starter":
-            return load_starter(MINI).for_unit(background, mm_per_px=MINI_MM_PER_PX)
-        own = self.calibration(name) if name != "mini-d" else self.kept("mini-d, likely diameter", _likely)
+    def unit(self, name: str) -> Any:
+        """The presses of a set in the order of their names, with the likely diameter of mini-d's ball."""
+        if name == "mini-ball":
+            presses, order = mini_ball()
+            return presses.subset(order)
+        presses, factor = self.presses(name), LIKELY if name == "mini-d" else 1.0
+        balls = (replace(one, ball_diameter_mm=one.ball_diameter_mm * factor) for one in presses.presses)
+        return replace(presses, presses=tuple(balls))
+
+    def labeled(self, name: str) -> Any:
+        """The same with circles for scoring: the reference's, or those of a calibration on all; only presses with one."""
+        return self.kept(f"{name}, labeled", lambda: labeled(self.unit(name)))
+
+    def carried(
+        self, name: str, background: np.ndarray, mm_per_px: float = MINI_MM_PER_PX
+    ) -> gelform.Calibration:
+        """The Mini starter, or a starter made of one Mini's presses alone, for another Mini's background image."""
         shipped = load_starter(MINI)
+        if name == "starter":
+            return shipped.for_unit(background, mm_per_px=mm_per_px)
+        own = self.kept(f"{name}, alone", lambda: gelform.calibrate(unlabeled(self.unit(name)), start=None))
         stated = {"spread": shipped.spread, "color_variance": shipped.color_variance}
         starter = starter_from_calibration(own, MINI, units=(name,), **stated)
-        return starter.for_unit(background, mm_per_px=MINI_MM_PER_PX)
-
-
-def _likely() -> gelform.Calibration:
-    """mini-d's calibration with the likely diameter of its ball: the slopes of a carried model depend on it."""
-    stated = unlabeled(gelform.read_presses(DATA / "mini-d"))
-    balls = (replace(one, ball_diameter_mm=one.ball_diameter_mm * LIKELY) for one in stated.presses)
-    return gelform.calibrate(replace(stated, presses=tuple(balls)))
+        return starter.for_unit(background, mm_per_px=mm_per_px)
 
 
 def _sources_digest() -> str:

@@ -14,6 +14,7 @@ from gelform.contact import contacts_from_mask
 from gelform.simulate import LAYOUTS, simulate_press
 from presses import unlabeled
 from real_frames import page
+from real_frames.beyond import below, on_balls, steeper
 from real_frames.contacts import contacts, counted, rest
 from real_frames.edges import judged, summary
 from real_frames.faults import exposure, older_halves, tears, torn
@@ -185,3 +186,32 @@ def test_another_figure_is_noticed():
     changed["contacts"]["balls"]["mini-ball"]["exactly one %"] += 1
     assert page.filled(text, changed) != text
     assert page.filled(page.filled(text, changed), FIGURES) == text
+
+
+@pytest.mark.slow
+def test_slopes_beyond_the_training_are_judged_alone(simulated, presses, calibration):
+    limit = 0.25
+    gentle = below(presses, limit)
+    shown = [float(np.max(one.slope_sigma.slopes)) for one in (gentle, calibration)]
+    assert shown[0] < 1.2 * limit < 0.4 < shown[1]
+    whole = [
+        one for one in simulated.presses if all(40 < c < n - 40 for c, n in zip(one.center_px, (176, 132)))
+    ]
+    known = [
+        SimpleNamespace(
+            image=one.image,
+            label=(*one.center_px, one.contact_radius_px),
+            ball_diameter_mm=one.ball_diameter_mm,
+        )
+        for one in whole
+    ]
+    counts = [steeper(calibration, known, 0.9, least)["pixels"] for least in (0, limit, 2)]
+    assert counts[0] > counts[1] > counts[2] == 0
+    own = on_balls(calibration, known, 0.9)
+    assert 60 < own["slopes within 1 sigma, %"] < 95
+    assert own["sure inside 0.6, %"] > 80
+    assert own["caps within 1 depth sigma, %"] > 50
+    doubled = [SimpleNamespace(**vars(one) | {"ball_diameter_mm": 2 * one.ball_diameter_mm}) for one in known]
+    wrong = on_balls(calibration, doubled, 0.9)
+    assert wrong["slopes within 1 sigma, %"] < 50
+    assert wrong["caps within 1 depth sigma, %"] < 30

@@ -1,0 +1,136 @@
+"""Part of real_frames.py: whether slopes that the presses have not shown, or another unit's, are stated as unsure.
+
+Balls are the truth. A calibration of gentle slopes is trained on the inner part of each contact alone, and judged on
+held-out pixels that are steeper. A carried calibration is of another unit of the same make.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+
+import gelform
+from accuracy.real import EDGES, STEEPEST
+from gelform.calibration.circles.samples import PreparedPress
+from gelform.calibration.held_out.measure import HeldOutSample
+from gelform.metrics import score_slopes
+from gelform.metrics.ball import ball_center
+from presses import unlabeled
+from real_frames.edges import SURE
+from real_frames.sets import Run, percent
+from report import table
+
+OWN = ("mini-ball", "mini-d", "digit-ball")
+CARRIED = (("mini-ball", "mini-d"), ("mini-d", "mini-ball"))  # whose calibration, whose presses
+GENTLE = (0.4, 0.5)  # mm/mm, steepest slope of the training
+INNER = 0.6  # of the visible circle: where a sure pixel is expected
+TOP, RIM_PX = 0.2, 1.5  # of the edge's radius; half the width of the ring at the edge
+
+
+def beyond(run: Run) -> dict[str, Any]:
+    """Balls by half of a unit's presses, by such without steep slopes, and by another unit's calibration."""
+    figures: dict[str, Any] = {"balls": {}, "steeper": {}}
+    for name in (one for one in OWN if one in run.sets):
+        presses = run.labeled(name)
+        even, odd = (presses.subset(range(k, len(presses.presses), 2)) for k in (0, 1))
+        test, edge = run.some(odd.presses), EDGES[name]
+        own = run.kept(f"{name}, even", lambda even=even: gelform.calibrate(unlabeled(even), start=None))
+        figures["balls"][f"{name}, own"] = on_balls(own, test, edge)
+        for limit in GENTLE:
+            gentle = run.kept(
+                f"{name}, even, below {limit}", lambda even=even, limit=limit: below(even, limit)
+            )
+            figures["steeper"][f"{name}, below {limit}"] = steeper(gentle, test, edge, limit)
+    for of, name in (pair for pair in CARRIED if set(pair) <= set(run.sets)):
+        presses = run.labeled(name)
+        carried = run.carried(of, presses.background, presses.mm_per_px)
+        test = run.some(presses.presses)
+        figures["balls"][f"{name}, by {of}'s"] = on_balls(carried, test, EDGES[name])
+    for what, rows in figures.items():
+        header = [what, *next(iter(rows.values()))] if rows else [what]
+        print("\n" + table(header, [[k, *v.values()] for k, v in rows.items()]), flush=True)
+    return figures
+
+
+def below(presses: Any, limit: float) -> gelform.Calibration:
+    """A calibration that has seen, and judged itself by, the slopes below a limit alone."""
+    radius, within = PreparedPress.contact_radius, HeldOutSample.within
+
+    def near(self: PreparedPress, contact: Any) -> float:
+        return min(radius(self, contact), float(np.sin(np.arctan(limit))) * self.ball_radius_px)
+
+    def gentle(self: HeldOutSample, zone: float) -> HeldOutSample:
+        one = within(self, zone)
+        keep = np.linalg.norm(one.true_gradients, axis=1) < limit
+        names = ("x_px", "y_px", "true_gradients", "gradients")
+        return replace(one, **{name: getattr(one, name)[keep] for name in names})
+
+    with (
+        patch.object(PreparedPress, "contact_radius", near),
+        patch.object(HeldOutSample, "within", gentle),
+    ):
+        return gelform.calibrate(unlabeled(presses), start=None)
+
+
+def steeper(calibration: gelform.Calibration, presses: Any, edge: float, limit: float) -> dict[str, float]:
+    """Held-out pixels whose true slope exceeds the limit: share within two sigma, and share that counts as sure."""
+    reconstruct, pixels = gelform.Reconstructor(calibration, depth_sigma=False), []
+    for press in presses:
+        result = reconstruct.from_image(press.image)
+        true, off, inside = _inside(calibration, press, result, edge)
+        above = np.linalg.norm(true, axis=1) > limit
+        sure = result.confidence[inside][above] > SURE
+        pixels.append(np.column_stack([(off[above] <= 2).mean(axis=1), sure]))
+    within, sure = np.concatenate(pixels).T
+    return {"pixels": len(within), "within 2 sigma, %": percent(within), "sure, %": percent(sure)}
+
+
+def on_balls(calibration: gelform.Calibration, presses: Any, edge: float) -> dict[str, float]:
+    """Slopes inside the contact edge within one sigma; sure pixels of the inner part; height of the cap within one sigma."""
+    reconstruct, rows = gelform.Reconstructor(calibration), []
+    for press in presses:
+        result = reconstruct.from_image(press.image)
+        _, off, inside = _inside(calibration, press, result, edge)
+        x, y, radius = press.label
+        inner = _away(result, (x, y)) < INNER * radius
+        rows.append(
+            [
+                (off <= 1).mean(),
+                (result.confidence[inner] > SURE).mean(),
+                _cap(calibration, press, result, inside),
+            ]
+        )
+    names = ("slopes within 1 sigma, %", "sure inside 0.6, %", "caps within 1 depth sigma, %")
+    return {"presses": len(rows), **dict(zip(names, (100 * np.mean(rows, axis=0)).tolist()))}
+
+
+def _inside(
+    calibration: Any, press: Any, result: Any, edge: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """True slopes (N, 2) inside the contact edge, errors over sigma (N, 2), and the pixels' mask (H, W)."""
+    x, y, radius = press.label
+    ball_px = press.ball_diameter_mm / 2 / calibration.known_mm_per_px
+    inside = _away(result, (x, y)) < min(edge * radius, STEEPEST * ball_px)
+    rows, columns = np.nonzero(inside)
+    score = score_slopes(result.gradients[inside], columns, rows, (x, y), ball_px)
+    return score.true_gradients, np.abs(score.errors) / result.gradients_sigma[inside], inside
+
+
+def _cap(calibration: Any, press: Any, result: Any, inside: np.ndarray) -> bool:
+    """Whether the height of the ball's top over the contact edge is right within one sigma of the depth there."""
+    pitch = calibration.known_mm_per_px
+    ball_px, radius = press.ball_diameter_mm / 2 / pitch, float(np.sqrt(inside.sum() / np.pi))
+    rows, columns = np.nonzero(inside)
+    center = ball_center(result.gradients[inside], columns, rows, press.label[:2], ball_px)
+    away = _away(result, center)
+    off = result.depth_mm - pitch * np.sqrt(np.maximum(ball_px**2 - away**2, 0))
+    top, rim = away < TOP * radius, np.abs(away - radius) < RIM_PX
+    return bool(abs(off[top].mean() - off[rim].mean()) < result.depth_sigma_mm[top].mean())
+
+
+def _away(result: Any, center: Any) -> np.ndarray:
+    y, x = np.mgrid[: result.shape[0], : result.shape[1]]
+    return np.hypot(x - center[0], y - center[1])
