@@ -22,8 +22,11 @@ MINI, MINI_MM_PER_PX = "gelsight-mini", 0.0634
 LIKELY = 4.70 / 4.0  # mini-d's ball: likely over stated diameter
 EVERY = 6  # a quick run takes every sixth frame
 ROOT = Path(gelform.__file__).parent
+NATIVE = ROOT.parents[1] / "native"
 # What a calibration follows from; a cached one is used again while none of these files changes.
-SOURCES = ("calibration", "color_models", "confidence", "background", "starters", "calibration_file.py")
+SOURCES = (
+    "calibration", "color_models", "confidence", "background", "starters", "calibration_file.py", "anchor.py",
+)  # fmt: skip
 T = TypeVar("T")
 
 
@@ -123,7 +126,7 @@ class Run:
 
 def _sources_digest() -> str:
     """Digest of the sources that calibrations follow from, kernels included."""
-    folders = [ROOT / name for name in SOURCES] + [ROOT.parents[1] / "native" / name for name in SOURCES]
+    folders = [ROOT / name for name in SOURCES] + [NATIVE / name.removesuffix(".py") for name in SOURCES]
     paths = [path for folder in folders for path in folder.rglob("*.[pch]*")]
     paths += [path for path in folders if path.is_file()]
     digest = hashlib.sha256()
