@@ -116,7 +116,7 @@ class Calibration:
     slope_sigma : standard deviation of the slopes, and their correlation length; None if unknown
     untouched_change : a smaller color change means that nothing touches
     held_out : held-out errors, by name
-    training_digests : SHA-256 of the images that were used
+    training_digests : SHA-256 of the images that were used, and of those that show the same presses again
     settings : inputs and choices of the calibration; a dict becomes a `CalibrationSettings`
     library_version, created_utc : version of gelform that made it, and the time
     report : the CalibrationReport of the run that made it; not saved

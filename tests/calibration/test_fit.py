@@ -89,7 +89,7 @@ def test_reasons_are_counted_together_and_the_first_is_given_in_full(presses):
     noted = r"; 1 like .* no ball found\. The ball is twice as large\. Press a ball"
     for notes, message in (((), first), (("The ball is twice as large.",), noted)):
         with pytest.raises(gelform.CalibrationError, match=message):
-            check_places(Located(presses, [], [], refined, notes=notes), 0)
+            check_places(Located(presses, [], [], refined, notes=notes))
 
 
 @pytest.mark.slow

@@ -8,7 +8,7 @@ import pytest
 
 import gelform
 from gelform.calibration.circles.find import find_contact
-from gelform.calibration.circles.locate import Located, Refined, repeated_images
+from gelform.calibration.circles.locate import Located, Refined
 from gelform.calibration.circles.prepare import prepare
 from gelform.calibration.inputs import (
     check_inputs,
@@ -20,6 +20,9 @@ from gelform.calibration.inputs import (
     light_turn,
 )
 from gelform.calibration.presses.press_set import FlatPress, presses_from_simulated
+from gelform.calibration.report.content import report_content
+from gelform.calibration.report.learning import learning_curve
+from gelform.calibration.report.record import used_in_words
 from gelform.simulate import Led, exposed, simulate_ball_presses
 
 
@@ -204,19 +207,6 @@ def test_a_channel_that_says_little_is_noted(presses, channel, gain, said):
     assert "exposure" in note
 
 
-def test_the_same_image_counts_once(presses):
-    """Listed twice, presses would judge models that have seen them: the second is left out and named."""
-    ones = presses.presses
-    copies = tuple(replace(press, name=f"copy of {press.name}") for press in ones[:3])
-    assert repeated_images(presses) == {}
-    assert repeated_images(replace(presses, presses=ones + copies)) == {
-        len(ones) + k: f"the same image as {ones[k].name}" for k in range(3)
-    }
-    other_ball = replace(ones[0], name="other", ball_diameter_mm=1.0)
-    with pytest.raises(gelform.CalibrationError, match="same image, listed with balls of 1 and"):
-        repeated_images(replace(presses, presses=(*ones, other_ball)))
-
-
 @pytest.mark.slow
 def test_a_calibration_of_presses_listed_twice_is_that_of_the_presses(presses):
     six = presses.subset(range(6))
@@ -230,15 +220,58 @@ def test_a_calibration_of_presses_listed_twice_is_that_of_the_presses(presses):
     assert not any("times as large" in note for note in twice.report.notes), "copies are no other ball"
 
 
-def test_frames_of_one_press_are_no_presses(presses):
-    noise, press = np.random.default_rng(0), presses.presses[0]
-    images = [np.clip(press.image + noise.normal(0, 1, press.image.shape), 0, 255) for _ in range(8)]
-    frames = [
-        replace(press, name=str(k), digest=str(k), image=image.astype(np.uint8))
+def frames_of(press, count):
+    """Frames of a press that is held still."""
+    noise = np.random.default_rng(0)
+    images = [np.clip(press.image + noise.normal(0, 1, press.image.shape), 0, 255) for _ in range(count)]
+    return tuple(
+        replace(press, name=f"{press.name}, {k}", digest=f"{press.name} {k}", image=image.astype(np.uint8))
         for k, image in enumerate(images)
-    ]
-    with pytest.raises(gelform.CalibrationError, match="presses at 3 places or more, got 1 among"):
-        gelform.calibrate(replace(presses, presses=tuple(frames)))
+    )
+
+
+def test_frames_of_one_press_are_no_presses(presses):
+    frames = frames_of(presses.presses[0], 8)
+    with pytest.raises(
+        gelform.CalibrationError, match=r"at least 3 presses .* got 1 of 8 .* the same press as"
+    ):
+        gelform.calibrate(replace(presses, presses=frames))
+
+
+@pytest.mark.slow
+def test_thirty_frames_of_five_presses_are_five_presses(presses):
+    """In everything that is fitted, chosen, measured and said."""
+    frames = replace(
+        presses, presses=tuple(one for press in presses.presses[:5] for one in frames_of(press, 6))
+    )
+    held = gelform.calibrate(frames)
+    rows = held.report.presses
+    alone = gelform.calibrate(frames.subset([k for k, row in enumerate(rows) if row.repeats is None]))
+    assert sum(row.accepted for row in rows) == held.settings["presses"] == 5
+    assert held.held_out == alone.held_out
+    assert held.report.candidates == alone.report.candidates
+    for one, other in zip(
+        held.color_model.to_arrays()[0].values(), alone.color_model.to_arrays()[0].values()
+    ):
+        np.testing.assert_array_equal(one, other)
+    for row in rows:
+        assert (row.repeats is None) == row.accepted
+        assert row.accepted or row.reason == f"the same press as {row.repeats}"
+    assert any(
+        note.startswith("25 of 30 images show a press of another image again") for note in held.report.notes
+    )
+    assert any("So far 5 presses fit" in note for note in held.report.notes)
+    assert set(held.training_digests) == {press.digest for press in frames.presses}, "no frame of them is new"
+    content, of_alone = (
+        report_content(some, one, rng=np.random.default_rng(0))
+        for some, one in ((frames, held), (frames.subset([rows.index(r) for r in rows if r.accepted]), alone))
+    )
+    assert content["verdict"] == of_alone["verdict"]
+    assert content["checks"] == of_alone["checks"]
+    assert content["figures"] == of_alone["figures"]
+    assert used_in_words(rows) == "5 of 5 presses used (25 more images show them again)"
+    assert used_in_words(alone.report.presses) == "5 of 5 presses used"
+    assert learning_curve(frames, held, rng=np.random.default_rng(0)) is None
 
 
 def edge_notes(presses, prepared):

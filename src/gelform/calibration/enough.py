@@ -1,7 +1,7 @@
 """The number of presses that each part of a calibration needs, with the reasons.
 
-They count accepted presses (`circles.locate`), except where a row says something else. docs/press-folder.md shows
-the same table. A color model states the needs of its own settings (`variants`).
+They count accepted presses (`circles.locate`), and frames of one press once (`circles.repeated`), except where a row says
+something else. docs/press-folder.md shows the same table. A color model states the needs of its own settings (`variants`).
 """
 
 from __future__ import annotations

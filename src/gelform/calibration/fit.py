@@ -68,10 +68,10 @@ def calibrate(
     located = locate(presses, first_unit, progress=progress)
     balls = ball_readings(located, known)
     located = replace(located, notes=(*notes_of(balls), *located.notes))
+    check_places(located)
     folds = make_folds(
         located.prepared, located.found, located.refined.accepted, start=located.refined_by, progress=progress
     )
-    check_places(located, len(folds))
     fitted = fit(located, folds, color_model, compare=compare, progress=progress)
     judged = judge(fitted, progress=progress)
     notes = input_notes(located)

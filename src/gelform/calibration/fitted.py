@@ -102,6 +102,11 @@ def fit(
     used, contacts = located.refined.of_accepted(by_offset[offset])
     own = located.presses.subset(located.refined.accepted)
     calibration = fit_all(own, used, contacts, selection.chosen, untouched[offset])
+    shown = set(located.refined.accepted)  # a frame that shows a used press again is no new one either
+    digests = [
+        one.digest for i, one in enumerate(located.presses.presses) if located.repeated.get(i, i) in shown
+    ]
+    calibration = replace(calibration, training_digests=tuple(digests))
     return Fitted(located, held_out, selection, calibration, notes)
 
 

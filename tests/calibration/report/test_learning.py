@@ -172,16 +172,3 @@ def test_presses_train_and_are_scored_inside_the_edge_of_the_calibration(presses
     learning_curve(presses, few, rng=np.random.default_rng(0))
     assert len(edges) > 10
     assert set(edges) == {0.6}
-
-
-def test_presses_that_show_the_same_are_on_one_side():
-    """Held out or training, never parted, in whatever order they are drawn."""
-    groups = [[0, 1, 2], [3], [4, 5], [6], [7, 8, 9, 10], [11]]
-    for seed in range(50):
-        order = np.random.default_rng(seed).permutation(12)
-        training, tested = learning_module.parted(order, 9, groups)
-        assert tested == order[-3:].tolist()
-        assert all(set(group).isdisjoint(training) or set(group).isdisjoint(tested) for group in groups)
-        assert set(training) <= set(order[:9].tolist())
-        alone = [[i] for i in range(12)]
-        assert learning_module.parted(order, 9, alone)[0] == order[:9].tolist()

@@ -3,7 +3,14 @@
 import numpy as np
 import pytest
 
-from gelform.calibration.report.verdict import LIMITS, checks_of, level_of, verdict_of
+from gelform.calibration.report.verdict import (
+    HEADLINE,
+    LIMITS,
+    REFUTING,
+    checks_of,
+    level_of,
+    verdict_of,
+)
 
 GOOD = {limit.name: limit.good for limit in LIMITS}
 
@@ -32,7 +39,32 @@ def test_all_good_is_to_be_used_and_what_is_not_known_is_said():
 def test_the_worse_of_normals_and_radius_is_the_level():
     assert verdict_of(checks_of({**GOOD, "radius_percent": 9.0}))["level"] == "poor"
     assert verdict_of(checks_of({**GOOD, "normal_free_deg": 4.0}))["level"] == "fair"
-    assert verdict_of(checks_of({**GOOD, "covered_percent": 1.0}))["level"] == "good"
+
+
+@pytest.mark.parametrize("limit", LIMITS, ids=lambda limit: limit.name)
+def test_no_headline_is_good_over_a_poor_check(limit):
+    """They count errors at the places that were pressed, so what else is poor caps them, and is said."""
+    if not np.isfinite(limit.fair):
+        return
+    worse = limit.fair - 1 if limit.rising else 2 * limit.fair
+    verdict = verdict_of(checks_of({**GOOD, limit.name: worse}))
+    assert verdict["level"] == ("poor" if limit.name in (*HEADLINE, *REFUTING) else "fair")
+    assert not verdict["headline"].startswith("Good")
+    if limit.name not in (*HEADLINE, *REFUTING):
+        assert f". Poor checks: {limit.label} (" in verdict["headline"]
+    fair = verdict_of(checks_of({**GOOD, limit.name: limit.fair}))
+    assert fair["level"] == ("fair" if limit.name in HEADLINE else "good")
+    assert "Poor checks" not in fair["headline"]
+
+
+def test_all_poor_checks_are_said_and_a_poor_headline_stays_poor():
+    figures = {"presses_used": 5.0, "covered_percent": 17.2, "normal_free_deg": 2.0}
+    verdict = verdict_of(checks_of({**GOOD, **figures}))
+    assert verdict["headline"] == (
+        "Fair: held-out normals are off by 2.0°, the ball radius by 3.0 %. Poor checks: presses used (5), "
+        "places and slope directions that presses show (17.2 %)"
+    )
+    assert verdict_of(checks_of({**GOOD, **figures, "normal_free_deg": 6.0}))["level"] == "poor"
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ import shutil
 from pathlib import Path
 
 import cv2
+import numpy as np
 import pytest
 
 from gelform.calibration_file import load_calibration
@@ -103,6 +104,18 @@ def test_a_folder_and_what_it_lacks(run, run_json, press_folder, tmp_path):
     copy = shutil.copytree(press_folder, tmp_path / "damaged")
     (copy / "images" / "0004.png").write_bytes(b"x")
     assert "0004.png" in run_json("info", copy)["missing"][0]
+
+
+def test_frames_of_one_press_count_once(run_json, press_folder, tmp_path):
+    copy = shutil.copytree(press_folder, tmp_path / "again")
+    rows = (copy / "presses.csv").read_text().splitlines()
+    for k in range(3):
+        image = read_image(copy / "images" / f"000{k}.png")
+        cv2.imwrite(str(copy / "images" / f"900{k}.png"), np.minimum(image, 254)[..., ::-1] + 1)
+    again = [row.replace("images/0", "images/9") for row in rows[1:4]]
+    (copy / "presses.csv").write_text("\n".join([*rows, *again]))
+    said = run_json("info", copy)
+    assert (said["images"], said["presses"]) == (13, 10)
 
 
 def test_a_video_and_what_it_lacks(run, run_json, press_folder, tmp_path):

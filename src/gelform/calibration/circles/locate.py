@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Container, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from gelform.calibration.circles.refine import (
     why_misfits,
     why_too_wide,
 )
+from gelform.calibration.circles.repeated import repeated_presses
 from gelform.calibration.circles.samples import TRIAL_SAMPLES, ZONE, PreparedPress
 from gelform.calibration.coverage import coverage_notes
 from gelform.calibration.enough import NEEDED, enough
@@ -77,6 +78,7 @@ class Located:
     prepared : with their color changes and the measured edge of their contacts
     found : the circle found in each image by itself
     refined : circles that agree with each other, and reasons
+    repeated : the frames that show another one's press again, with the one that stays
     start : another unit's model that a fit may begin with, or None
     refined_by : the model of it that circles were refined with, or None
     notes : notes for the user
@@ -86,6 +88,7 @@ class Located:
     prepared: list[PreparedPress]
     found: list[ContactCircle]
     refined: Refined
+    repeated: Mapping[int, int] = field(default_factory=dict)
     start: Start | None = None
     refined_by: StartableModel | None = None
     notes: tuple[str, ...] = ()
@@ -98,8 +101,9 @@ def locate(presses: Presses, start: Start | None = None, *, progress: Progress =
     """
     prepared = prepare(presses, progress=progress)
     found = find_contacts(prepared, progress=progress)
-    excluded, model = repeated_images(presses), None if start is None else start.model
-    if start is not None and start.offered and enough("edge", len(presses.presses)):
+    repeated, model = repeated_presses(presses, prepared, found), None if start is None else start.model
+    excluded = {i: f"the same press as {presses.presses[kept].name}" for i, kept in repeated.items()}
+    if start is not None and start.offered and enough("edge", len(found) - len(repeated)):
         model = None
     refined = refine(prepared, found, excluded=excluded, start=model, progress=progress)
     if start is not None and start.offered and model is not None:
@@ -112,7 +116,7 @@ def locate(presses: Presses, start: Start | None = None, *, progress: Progress =
         prepared = [replace(press, contact_radius_ratio=ratio) for press in prepared]
         refined = refine(prepared, found, excluded=excluded, start=model, progress=progress)
     notes = () if other_ball is None else (other_ball,)
-    return Located(presses, prepared, found, refined, start, model, notes)
+    return Located(presses, prepared, found, refined, repeated, start, model, notes)
 
 
 def refine(
@@ -177,25 +181,6 @@ def _is_whole(press: PreparedPress, contact: ContactCircle) -> bool:
     return margin <= contact.x_px <= width - 1 - margin and margin <= contact.y_px <= height - 1 - margin
 
 
-def repeated_images(presses: Presses) -> dict[int, str]:
-    """Presses with exactly the same image as an earlier one, with the reason to leave them out.
-
-    Raises a CalibrationError if the same image is listed with two balls.
-    """
-    first: dict[str, int] = {}
-    repeated = {}
-    for i, press in enumerate(presses.presses):
-        earlier = presses.presses[first.setdefault(press.digest, i)]
-        if earlier.ball_diameter_mm != press.ball_diameter_mm:
-            raise CalibrationError(
-                f"{press.name} and {earlier.name} of {presses.folder} are the same image, listed with balls of "
-                f"{press.ball_diameter_mm:g} and {earlier.ball_diameter_mm:g} mm. Correct the table."
-            )
-        if earlier is not press:
-            repeated[i] = f"the same image as {earlier.name}"
-    return repeated
-
-
 def other_ball_note(
     presses: Sequence[PreparedPress],
     found: Sequence[ContactCircle],
@@ -230,16 +215,11 @@ def other_ball_note(
     )
 
 
-def check_places(located: Located, places: int) -> None:
-    """Raise a CalibrationError for presses that fit at under three places, with the reasons of the others."""
+def check_places(located: Located) -> None:
+    """Raise a CalibrationError if under three presses fit, with the reasons of the others."""
     least, refined, presses = NEEDED["places"].presses, located.refined, located.presses
-    if places >= least:
-        return
     if len(refined.accepted) >= least:
-        raise CalibrationError(
-            f"Expected presses at {least} places or more, got {places} among the {len(refined.accepted)} of "
-            f"{presses.folder} that fit. The others show the same press. Press the ball at many places, one image each."
-        )
+        return
     rejected = [(row.name, why) for row, why in zip(presses.presses, refined.reasons) if why is not None]
     kinds: dict[str, list[str]] = {}
     for name, why in rejected:  # reasons that differ only in figures are counted together

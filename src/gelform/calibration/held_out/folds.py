@@ -9,24 +9,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
-from numpy.typing import NDArray
-from scipy.sparse.csgraph import connected_components
 
-from gelform.calibration.circles.find import ContactCircle, scale_of
+from gelform.calibration.circles.find import ContactCircle
 from gelform.calibration.circles.locate import ROUNDS, refine
 from gelform.calibration.circles.refine import fit_model, recentered
 from gelform.calibration.circles.samples import PreparedPress
 from gelform.calibration.enough import FOLDS
 from gelform.color_models import StartableModel
 from gelform.foundations.progress import Progress, no_progress
-
-SHORTER_SIDE = 12  # px of the small copies that are compared; noise averages out in them
-# Of the smaller change; frames of one press differ by up to 0.06, two presses of real sets by 0.081 or more.
-MAX_DIFFERENCE = 0.08
-# px at 240 rows, and fraction of the smaller radius: circles of one press saved in two ways
-NEAR_PX, NEAR_RADIUS = 2.0, 0.04
 
 
 @dataclass(frozen=True)
@@ -48,14 +39,13 @@ def make_folds(
 ) -> list[Fold]:
     """Split the usable presses into folds, each size of ball evenly, and refine each fold's training circles.
 
-    Presses of the same contact (`near_duplicates`) stay in one fold. `start` is another unit's model.
+    No two usable presses show the same contact (`circles.repeated`). `start` is another unit's model.
     """
-    groups = near_duplicates(presses, found, sorted(usable, key=lambda i: presses[i].ball_radius_px))
-    ordered = [i for group in groups for i in group]
-    count = min(FOLDS, len(groups))
+    ordered = sorted(usable, key=lambda i: presses[i].ball_radius_px)
+    count = min(FOLDS, len(ordered))
     folds = []
     for f in range(count):
-        held_out = tuple(i for k, group in enumerate(groups) if k % count == f for i in group)
+        held_out = tuple(ordered[f::count])
         folds.append(_fold(presses, found, held_out, [i for i in ordered if i not in held_out], start))
         progress(f + 1, count, "holding presses out")
     return folds
@@ -75,46 +65,6 @@ def _fold(
         training=tuple(training[k] for k in kept),
         contacts=tuple(refined.contacts[k] for k in kept),
     )
-
-
-def near_duplicates(
-    presses: Sequence[PreparedPress], found: Sequence[ContactCircle], among: Sequence[int]
-) -> list[list[int]]:
-    """Group the presses that show the same ball at the same place, each of `among` in one group, in order.
-
-    Two are near duplicates if the root mean square difference of their color changes is under 8 % of the smaller change, or
-    if
-    the same ball left the same circle. Another exposure, compression or moment changes the colors, but not the circle.
-    """
-    if not among:
-        return []
-    small = np.stack([_small(presses[i].color_change) for i in among])
-    product = small @ small.T
-    square = np.diag(product)
-    difference = np.maximum(square[:, None] + square - 2 * product, 0)
-    alike = difference < MAX_DIFFERENCE**2 * np.minimum(square[:, None], square)
-    alike |= _same_circle([presses[i] for i in among], [found[i] for i in among])
-    count, group = connected_components(alike, directed=False)
-    return [[among[k] for k in np.flatnonzero(group == g).tolist()] for g in range(count)]
-
-
-def _same_circle(presses: Sequence[PreparedPress], found: Sequence[ContactCircle]) -> NDArray[np.bool_]:
-    """Whether (n, n) two presses show the same ball at the same place and depth."""
-    x, y, radius = np.array([circle.circle_px for circle in found]).T
-    ball = np.array([press.ball_radius_px for press in presses])
-    near = NEAR_PX * scale_of(presses[0].size.shape)
-    apart = np.hypot(x[:, None] - x, y[:, None] - y)
-    unlike = np.abs(radius[:, None] - radius) / np.minimum(radius[:, None], radius)
-    return np.asarray((apart < near) & (unlike < NEAR_RADIUS) & (ball[:, None] == ball))
-
-
-def _small(change: NDArray[np.float32]) -> NDArray[np.float64]:
-    """A color change without the part that all pixels share, averaged down; flat."""
-    height, width = change.shape[:2]
-    scale = min(1.0, SHORTER_SIDE / min(height, width))
-    size = (max(1, round(width * scale)), max(1, round(height * scale)))
-    small = cv2.resize(change, size, interpolation=cv2.INTER_AREA)
-    return (small - np.median(small, axis=(0, 1))).ravel().astype(np.float64)
 
 
 def circle_sigmas(

@@ -188,7 +188,7 @@ def _coverage(report: CalibrationReport, shape: tuple[int, int], mm_per_px: floa
 def _checked_figures(content: dict[str, Any]) -> dict[str, float | None]:
     """The figure of each check, in its unit; None if unknown."""
     rows, facts = content["presses"], content["calibration"]
-    used = [row for row in rows if row["accepted"]]
+    used, different = [row for row in rows if row["accepted"]], [row for row in rows if not row["repeats"]]
     gains = [abs(b["gain"] - 1) for b in content["gain"]["contact"] if _counts(b)]
     fractions = [b["share"] for b in content["sigma"]["by_slope"]]
     fractions += [one for one in content["sigma"]["by_place"] if one is not None]
@@ -197,7 +197,7 @@ def _checked_figures(content: dict[str, Any]) -> dict[str, float | None]:
     figures = {name: one["value"] for name, one in content["figures"].items()}
     return {
         **figures,
-        "rejected_percent": 100 * (1 - len(used) / len(rows)),
+        "rejected_percent": 100 * (1 - len(used) / len(different)),
         "presses_used": float(len(used)),
         "ball_sizes": float(len({row["ball_diameter_mm"] for row in used})),
         "covered_percent": 100 * content["coverage"]["covered"],

@@ -25,7 +25,6 @@ from gelform.calibration.circles.locate import refine
 from gelform.calibration.circles.prepare import find_contacts, prepare, prepared_by_offset
 from gelform.calibration.circles.samples import TRIAL_SAMPLES, PreparedPress
 from gelform.calibration.enough import enough
-from gelform.calibration.held_out.folds import near_duplicates
 from gelform.calibration.held_out.scores import score_of
 from gelform.calibration.presses.press_set import Presses
 from gelform.calibration_file import Calibration
@@ -76,14 +75,13 @@ def learning_curve(
     to_fit = prepared_by_offset(own, to_refine, [offset])[offset]
     found = find_contacts(to_refine)
     sizes = sizes_for(len(own.presses))
-    groups = near_duplicates(to_refine, found, range(len(own.presses)))
     orders = [rng.permutation(len(own.presses)) for _ in range(DRAWS)]
     begun, offered = calibration.report.start, calibration.report.offered
     other_start = offered if begun is None else None
 
     def point_of(size: int, start: Start | None) -> list[dict[str, Any]]:
         candidates, untouched = candidates_of(calibration, size, start), calibration.untouched_change
-        parts = [parted(order, size, groups) for order in orders]
+        parts = [(order[:size], order[-held_out_count(len(order)) :]) for order in orders]
         draws = [_one_draw(candidates, *part, to_refine, to_fit, found, untouched) for part in parts]
         return _best_point(candidates, size, [draw for draw in draws if draw is not None])
 
@@ -101,18 +99,6 @@ def learning_curve(
         "other_points": others,
         "other": "without the starter" if begun else f"from {offered.by}",
     }
-
-
-def parted(
-    order: NDArray[np.intp], size: int, groups: Sequence[Sequence[int]]
-) -> tuple[list[int], list[int]]:
-    """The first `size` presses of an order, which train, and the last ones, which are held out.
-
-    Near duplicates of a held-out press do not train.
-    """
-    tested = [int(i) for i in order[-held_out_count(len(order)) :]]
-    same = {i for group in groups if not set(group).isdisjoint(tested) for i in group}
-    return [int(i) for i in order[:size] if i not in same], tested
 
 
 def held_out_count(accepted: int) -> int:
@@ -144,8 +130,8 @@ def candidates_of(calibration: Calibration, presses: int, start: Start | None) -
 
 def _one_draw(
     candidates: Sequence[Candidate],
-    training: Sequence[int],
-    tested: Sequence[int],
+    training: NDArray[np.intp],
+    tested: NDArray[np.intp],
     to_refine: Sequence[PreparedPress],
     to_fit: Sequence[PreparedPress],
     found: Sequence[ContactCircle],

@@ -29,6 +29,7 @@ class PressReport:
     center_sigma_px, contact_radius_sigma_px : its standard deviations (`circle_sigmas`); None if rejected
     accepted : whether the calibration uses it
     reason : the reason if not
+    repeats : name of the frame that stays, if this one shows its press again
     errors : names and values of PressErrors, from a model that has not seen this press; None if rejected
     """
 
@@ -42,6 +43,7 @@ class PressReport:
     errors: dict[str, float] | None
     center_sigma_px: float | None = None
     contact_radius_sigma_px: float | None = None
+    repeats: str | None = None
 
 
 @dataclass(frozen=True)
@@ -96,6 +98,7 @@ def report_of_run(
         seconds=seconds,
         notes=(
             _how_held_out(len(judged.errors), fitted.selection),
+            *_of_repeated(fitted.located),
             *_of_starter(fitted, offered),
             *presses.geometry.notes(presses.response, presses.mm_per_px_sigma),
             *fitted.located.notes,
@@ -107,6 +110,17 @@ def report_of_run(
         balls=tuple(balls),
         start=fitted.selection.chosen.start,
         offered=offered,
+    )
+
+
+def _of_repeated(located: Located) -> tuple[str, ...]:
+    """How many frames show a press again, and how many presses there are then."""
+    again, all_ = len(located.repeated), len(located.presses.presses)
+    if not again:
+        return ()
+    return (
+        f"{again} of {all_} images show a press of another image again, with the same ball at the same place. They tell "
+        f"nothing new, so {all_ - again} presses count. Lift the ball and press at another place for each image.",
     )
 
 
@@ -142,9 +156,17 @@ def _press_rows(located: Located, judged: Judged) -> tuple[PressReport, ...]:
                 errors=asdict(judged.errors[i]) if i in judged.errors else None,
                 center_sigma_px=sigmas[0],
                 contact_radius_sigma_px=sigmas[1],
+                repeats=located.presses.presses[located.repeated[i]].name if i in located.repeated else None,
             )
         )
     return tuple(rows)
+
+
+def used_in_words(rows: Sequence[PressReport]) -> str:
+    """The number of used presses among those that differ, and of the images that show them again."""
+    again = sum(row.repeats is not None for row in rows)
+    more = f" ({again} more images show them again)" if again else ""
+    return f"{sum(row.accepted for row in rows)} of {len(rows) - again} presses used{more}"
 
 
 def _candidate_rows(selection: Selection) -> tuple[dict[str, Any], ...]:

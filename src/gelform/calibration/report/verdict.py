@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -95,13 +95,16 @@ def checks_of(figures: Mapping[str, float | None]) -> list[dict[str, Any]]:
 def verdict_of(checks: list[dict[str, Any]], learning_sentence: str | None = None) -> dict[str, Any]:
     """The headline: the worse of normals and radius in words, and one sentence about the next step.
 
+    Both are errors at the places that were pressed. So over any other poor check the headline is fair at best, and names it.
     The next step belongs to the largest fault: a poor check comes before a fair one, and then the check whose figure is the
     most times its limit. Among equal ones the first counts, because causes come before their effects. If all is good, the
     sentence says how to keep it so.
     """
     named = {check["name"]: check for check in checks}
     level = max((named[name]["level"] for name in HEADLINE), key=LEVELS.index)
-    refuted = [named[name] for name in REFUTING if named[name]["level"] == "poor"]
+    poor = [check for check in checks if check["level"] == "poor" and check["name"] not in HEADLINE]
+    level = "fair" if poor and level == "good" else level
+    refuted = [check for check in poor if check["name"] in REFUTING]
     first_of = refuted or [check for check in checks if check["level"] != "good"]
     first = max(first_of, key=_severity, default=None)
     done = "Use it. Calibrate again after a new gel, another light or another camera setting."
@@ -116,6 +119,7 @@ def verdict_of(checks: list[dict[str, Any]], learning_sentence: str | None = Non
             figures,
             named["ball_sigmas"],
             named.get("scale_off_percent"),
+            poor,
             bool(refuted),
         ),
         "next": first["action"] if first else done,
@@ -126,14 +130,20 @@ def verdict_of(checks: list[dict[str, Any]], learning_sentence: str | None = Non
 
 
 def _headline(
-    level: str, figures: str, ball: Mapping[str, Any], scale: Mapping[str, Any] | None, refuted: bool
+    level: str,
+    figures: str,
+    ball: Mapping[str, Any],
+    scale: Mapping[str, Any] | None,
+    poor: Sequence[dict[str, Any]],
+    refuted: bool,
 ) -> str:
     if refuted:
         return f"Poor: the ball diameter or mm_per_px is wrong. With them, {figures}"
     unchecked = ". Nothing checked the ball diameter" if ball["value"] is None else ""
     usual = scale is None or scale["level"] == "good"
     unusual = "" if usual else ". The mm_per_px is unusual for this sensor"
-    return f"{level.capitalize()}: {figures}{unchecked}{unusual}"
+    also = ", ".join(f"{check['label']} ({shown(check)})" for check in poor)
+    return f"{level.capitalize()}: {figures}{f'. Poor checks: {also}' if also else ''}{unchecked}{unusual}"
 
 
 def _severity(check: Mapping[str, Any]) -> tuple[int, float]:

@@ -118,12 +118,11 @@ def calibrate(
 def _show(calibration: Calibration, shown: Shown) -> None:
     if shown.silent:
         return
-    from gelform.calibration.report.record import FIGURES
+    from gelform.calibration.report.record import FIGURES, used_in_words
 
     report = calibration.report
-    rejected = [(row.name, row.reason or "") for row in report.presses if not row.accepted]
-    used = len(report.presses) - len(rejected)
-    say(f"{calibration.sensor_name}: {used} of {len(report.presses)} presses used, {report.seconds:.0f} s.")
+    rejected = [(row.name, row.reason) for row in report.presses if row.reason and not row.repeats]
+    say(f"{calibration.sensor_name}: {used_in_words(report.presses)}, {report.seconds:.0f} s.")
     if rejected:
         show_table("Rejected presses", ("press", "reason"), rejected)
     tried = [

@@ -132,8 +132,8 @@ def _calibration(path: Path) -> dict[str, Any]:
     from gelform.calibration_file import load_calibration
 
     described = load_calibration(path).describe()
-    presses = len(described.pop("training_digests"))
-    return {"kind": "calibration", **described, "training_presses": presses}
+    described.pop("training_digests")
+    return {"kind": "calibration", **described, "training_presses": described["settings"].get("presses", 0)}
 
 
 def _result(path: Path) -> dict[str, Any]:
@@ -240,20 +240,22 @@ def _images(names: set[str]) -> int:
 
 def _presses(path: Path, layout: str | None) -> dict[str, Any]:
     """The presses as calibration reads them; an error of the reader is listed as missing."""
+    from gelform.calibration.circles.repeated import count_presses
     from gelform.calibration.presses.folder import read_presses
 
-    facts: dict[str, Any] = {"kind": layout}
     try:
         presses = read_presses(path)
+        different = count_presses(presses)
     except GelformError as problem:
-        return {**facts, "missing": [str(problem)]}
+        return {"kind": layout, "missing": [str(problem)]}
     balls = Counter(press.ball_diameter_mm for press in presses.presses)
     return {
-        **facts,
+        "kind": layout,
         "sensor": presses.sensor_name,
         "size_px": list(presses.image_shape),
         "mm_per_px": presses.mm_per_px,
-        "presses": len(presses.presses),
+        "images": len(presses.presses),
+        "presses": different,
         "balls_mm": {f"{ball:g}": count for ball, count in sorted(balls.items())},
         "labelled": sum(press.label is not None for press in presses.presses),
         "missing": ["nothing: gelform calibrate can read it"],

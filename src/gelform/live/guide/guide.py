@@ -218,7 +218,7 @@ class Guide:
 
     def _asking(self) -> str:
         if len(self._circles) >= WANTED:
-            return "These are enough presses. Fit now, or press again at circle 1."
+            return "You can fit now. More presses show more of the gel: press at circle 1."
         return f"Press the ball at 1: {self.target.name}." if self.target else "Press at any other place."
 
     @property

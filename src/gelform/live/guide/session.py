@@ -175,5 +175,7 @@ def report_facts(calibration: Calibration, content: dict[str, Any], name: str) -
         "checks": [{key: check[key] for key in shown} for check in content["checks"]],
         "model": calibration.color_model.name,
         "accepted": sum(row.accepted for row in calibration.report.presses),
-        "rejected": [[row.name, row.reason] for row in calibration.report.presses if not row.accepted],
+        "rejected": [
+            [row.name, row.reason] for row in calibration.report.presses if row.reason and not row.repeats
+        ],
     }

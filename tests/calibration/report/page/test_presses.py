@@ -43,11 +43,11 @@ def test_circles_are_in_image_pixels_and_rejected_presses_come_first_with_their_
     circle = (row["center_x_px"], row["center_y_px"], row["contact_radius_px"])
     assert 'cx="{:.2f}" cy="{:.2f}" r="{:.2f}"'.format(*circle) in drawn
     assert drawn.count("<label") == len(content["presses"])
-    assert "Rejected" not in drawn
+    assert "Left out" not in drawn
     rows = [dict(row) for row in content["presses"]]
     rows[-1] |= {"accepted": False, "reason": "not a ball <b>", "errors": None}
     drawn = presses_section({**content, "presses": rows}, images)
-    assert "Rejected: 1" in drawn
+    assert "Left out: 1" in drawn
     assert "not a ball &lt;b&gt;" in drawn
     assert drawn.index("not a ball") < drawn.index("Used:")
 

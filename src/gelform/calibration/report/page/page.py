@@ -10,7 +10,7 @@ from gelform.calibration.presses.folder import Presses
 from gelform.calibration.report.page import sections
 from gelform.calibration.report.page.presses import caps_section, presses_section
 from gelform.calibration.report.page.style import STYLE
-from gelform.calibration.report.record import FIGURES
+from gelform.calibration.report.record import FIGURES, used_in_words
 from gelform.calibration_file import Calibration
 
 POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
@@ -57,7 +57,9 @@ def report_page(content: dict[str, Any], presses: Presses, calibration: Calibrat
         sections.sigma_section(content),
         sections.history_section(content, calibration.background),
     ]
-    return _document(f"Calibration of {name}", [_head(content), _verdict(content), _nav(), *parts])
+    return _document(
+        f"Calibration of {name}", [_head(content, calibration.report), _verdict(content), _nav(), *parts]
+    )
 
 
 def _saved_section(report: Any) -> str:
@@ -87,12 +89,11 @@ def _document(title: str, parts: Sequence[str]) -> str:
     )
 
 
-def _head(content: dict[str, Any]) -> str:
+def _head(content: dict[str, Any], report: Any) -> str:
     facts = content["calibration"]
     unit = [f"{label} {facts[key]}" for key, label in (("serial", "serial"), ("gel_id", "gel")) if facts[key]]
-    used = sum(row["accepted"] for row in content["presses"])
     made = facts["created_utc"][:16].replace("T", " ")
-    facts_of_run = [*unit, f"{used} of {len(content['presses'])} presses used", f"made {made} UTC"]
+    facts_of_run = [*unit, used_in_words(report.presses), f"made {made} UTC"]
     return (
         f"<header><h1>Calibration of {escape(facts['sensor_name'])}</h1>"
         f"<span>{escape(' · '.join(facts_of_run))}</span></header>"

@@ -45,7 +45,7 @@ def presses_section(content: dict[str, Any], images: Sequence[NDArray[np.uint8]]
         "has not seen this press. Click a press to enlarge it, and click again to close it.</p>",
     ]
     if rejected:
-        parts.append(f"<h3>Rejected: {len(rejected)}. The calibration does not use them</h3>")
+        parts.append(f"<h3>Left out: {len(rejected)}. The calibration does not use them</h3>")
         parts.append(f'<div class="presses">{"".join(tiles[k] for k in rejected)}</div>')
         parts.append(f"<h3>Used: {len(used)}</h3>")
     else:
