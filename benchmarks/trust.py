@@ -1,9 +1,9 @@
-"""Whether a calibration's own statements are right: its sigma, its slope gain, few presses, a second unit.
+"""Whether a calibration's own statements are right: sigma, slope gain, few presses, repeated frames, a second unit.
 
     python benchmarks/trust.py                    # about 10 minutes; writes results/trust.json
     python benchmarks/trust.py sigma gain
 
-`sigma`, `gain` and `few` read real presses (mini-ball below GELFORM_DATA, default ../shared/data). Without them they
+All but `second_unit` read real presses (mini-ball below GELFORM_DATA, default ../shared/data). Without them they
 are left out, with a message. Every judged press is new to the calibration.
 """
 
@@ -13,9 +13,12 @@ import json
 from dataclasses import replace
 from typing import Any
 
+import cv2
 import numpy as np
 
 import gelform
+from gelform.calibration.report import report_content
+from gelform.frames import pixels_digest
 from gelform.metrics import angle_deg, score_slopes
 from gelform.simulate import LAYOUTS, SimulatedSensor, simulate_ball_presses
 from presses import DATA, data_is_missing, mini_ball, presses_of, unlabeled
@@ -169,6 +172,40 @@ def few(bench: Bench) -> dict[str, Any]:
     return figures
 
 
+def repeated(bench: Bench) -> dict[str, Any]:
+    """Five presses, and six frames of each: verdict, held-out error, and error on the other presses."""
+    figures: dict[str, Any] = {}
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        training = [int(i) for i in rng.permutation(bench.order)[:5]]
+        alone = unlabeled(bench.presses, training)
+        frames = tuple(_frame(press, rng) for press in alone.presses for _ in range(6))
+        test = bench.presses.subset(bench.others(training)[::3])
+        for name, some in (("5 presses", alone), ("30 frames of them", replace(alone, presses=frames))):
+            calibration = gelform.calibrate(some)
+            verdict = report_content(some, calibration, rng=rng)["verdict"]["headline"]
+            errors = [calibration.held_out, gelform.evaluate(calibration, test).summary]
+            found = [errors_of["normal_free_deg"] for errors_of in errors]
+            figures[f"{seed}: {name}"] = {
+                "verdict": verdict,
+                "held_out_deg": found[0],
+                "others_deg": found[1],
+            }
+            print(f"{seed}: {name}: held out {found[0]:.2f}, others {found[1]:.2f} degrees. {verdict}")
+    return figures
+
+
+def _frame(press: Any, rng: np.random.Generator) -> Any:
+    """Another frame of a press that is held: moved by up to half a pixel, with camera noise."""
+    height, width = press.image.shape[:2]
+    move = np.array([[1, 0, rng.uniform(-0.5, 0.5)], [0, 1, rng.uniform(-0.5, 0.5)]])
+    image = cv2.warpAffine(
+        press.image.astype(np.float32), move, (width, height), borderMode=cv2.BORDER_REFLECT
+    )
+    image = np.clip(np.rint(image + rng.normal(0, 1.5, image.shape)), 0, 255).astype(np.uint8)
+    return replace(press, image=image, digest=pixels_digest(image))
+
+
 def second_unit(_: Bench | None) -> dict[str, Any]:
     """Another unit of a simulated sensor, with LEDs displaced by 2 mm (sd) and up to 30 % brighter or dimmer."""
     first = replace(LAYOUTS["three-edges"], shape=(132, 176), mm_per_px=0.1153)
@@ -208,7 +245,7 @@ def _presses(sensor: SimulatedSensor, count: int, seed: int) -> Any:
     return presses_of(made)
 
 
-PARTS = {"sigma": sigma, "gain": gain, "few": few, "second_unit": second_unit}
+PARTS = {"sigma": sigma, "gain": gain, "few": few, "repeated": repeated, "second_unit": second_unit}
 
 
 def main() -> None:

@@ -142,7 +142,7 @@ def _headline(
     unchecked = ". Nothing checked the ball diameter" if ball["value"] is None else ""
     usual = scale is None or scale["level"] == "good"
     unusual = "" if usual else ". The mm_per_px is unusual for this sensor"
-    also = ", ".join(f"{check['label']} ({shown(check)})" for check in poor)
+    also = "" if level == "poor" else ", ".join(f"{check['label']} ({shown(check)})" for check in poor)
     return f"{level.capitalize()}: {figures}{f'. Poor checks: {also}' if also else ''}{unchecked}{unusual}"
 
 
