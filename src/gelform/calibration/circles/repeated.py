@@ -39,13 +39,15 @@ def repeated_presses(
     shown = [i for i, contact in enumerate(found) if why_no_contact(contact) is None]
     if not shown:
         return {}
-    place = np.array([[prepared[i].ball_radius_px, found[i].x_px, found[i].y_px] for i in shown])
-    ball, x, y = (axis[:, None] for axis in place.T)
+    places = [(prepared[i].ball_radius_px, found[i].x_px, found[i].y_px) for i in shown]
+    ball, x, y = np.array(places).T[..., None]
     near = np.hypot(x - x.T, y - y.T) < NEAR_PX * scale_of(presses.image_shape)
     group = connected_components(near & (ball == ball.T), directed=False)[1]
     kept: dict[int, int] = {}
     for i, press in zip(shown, group):
-        kept[press] = max(kept.get(press, i), i, key=lambda k: _depth(prepared[k], found[k]))
+        kept[press] = max(
+            kept.get(press, i), i, key=lambda k: (not is_deep(prepared[k], found[k]), found[k].radius_px)
+        )
     return {i: kept[press] for i, press in zip(shown, group) if i != kept[press]}
 
 
@@ -53,10 +55,6 @@ def count_presses(presses: Presses) -> int:
     """The number of presses, frames of one press counted once, and frames without a contact as they are."""
     prepared = prepare(presses)
     return len(prepared) - len(repeated_presses(presses, prepared, find_contacts(prepared)))
-
-
-def _depth(press: PreparedPress, contact: ContactCircle) -> tuple[bool, float]:
-    return not is_deep(press, contact), contact.radius_px
 
 
 def _check_balls(presses: Presses) -> None:
