@@ -100,6 +100,60 @@ def test_a_part_that_is_displaced_sideways_is_torn(displaced, rows):
     assert_torn(health(frame), displaced, rows / 96)
 
 
+def striped(seed, shift_px=0):
+    """A gel that a fine relief, of random height from place to place, presses all over."""
+    rng = np.random.default_rng(seed)
+    relief = cv2.GaussianBlur(rng.normal(0, 300, (*SHAPE, 3)), (0, 0), 6)
+    return np.clip(gel(seed + 50) + np.roll(relief, shift_px, axis=1), 0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize("row", [3, 37, 48, 92])
+def test_a_part_of_another_moment_is_torn(health, row):
+    """Of a press, over the gel at rest, in whichever part, and over another press."""
+    one, other, rest = striped(1), striped(2), gel(7)
+    for above, below, lost in ((one, rest, np.s_[:row]), (rest, one, np.s_[row:])):
+        assert_torn(health(np.vstack([above[:row], below[row:]])), lost)
+    assert names(health(np.vstack([one[:row], other[row:]]))) == ["torn"]
+    for whole in (one, other):
+        assert names(health(whole)) == []
+
+
+def test_a_seam_is_one_row_and_an_edge_along_the_rows_is_none(health):
+    """Both have the same height; optics blur the edge, by 0.7 pixels."""
+    step = np.zeros((*SHAPE, 1), dtype=np.float32)
+    step[40:, 20:90] = 60
+    edge = cv2.GaussianBlur(step, (0, 0), 0.7)[..., None]
+    found = [names(health(np.clip(gel(3) + one, 0, 255).astype(np.uint8))) for one in (step, edge)]
+    assert found == [["torn"], []]
+
+
+def test_compression_is_no_tear(health):
+    for image in (striped(1), pressed()):
+        for quality in (20, 50):
+            _, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])
+            assert "torn" not in names(health(cv2.imdecode(data, cv2.IMREAD_COLOR)))
+
+
+def test_older_halves_of_real_frames_are_found(data):
+    """Where neither half differs from the other at the seam, as when both show the gel at rest, nothing can be found."""
+    from gelform import read_presses
+
+    presses = read_presses(data / "mini-ball")
+    images, health = [press.image for press in presses.presses], FrameHealth(presses.background)
+    halves = [np.vstack([images[i][:120], images[i - 1][120:]]) for i in range(0, 64, 4)]
+    assert sum(names(health(half)) == ["torn"] for half in halves) >= 12
+
+
+@pytest.mark.slow
+def test_a_sharp_ridge_along_the_rows_of_a_real_video_is_no_tear(data):
+    from gelform import Video
+
+    frames = [frame.image for frame in Video(data / "slip" / "clips" / "cheese_tube_3.avi")]
+    for rest in (frames[0], np.median(frames[::8], axis=0)):
+        health = FrameHealth(rest.astype(np.float32))
+        assert [k for k, frame in enumerate(frames) if "torn" in names(health(frame))] == []
+
+
 def test_rows_that_the_untouched_image_repeats_too_are_sound():
     framed = gel()
     framed[:12] = framed[84:] = 0
@@ -150,20 +204,33 @@ def test_frames_of_real_sensors_raise_no_false_alarm(data):
     assert [k for k, frame in enumerate(frames) if health(frame).findings] == []
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "folder", ["digit-ball", "gelslim", "gelslim-dots", "gelsight-ball-deep", "mini-d", "mini-edge"]
+)
+def test_presses_of_real_sensors_are_not_torn(data, folder):
+    from gelform import read_image
+
+    health = FrameHealth(read_image(data / folder / "background.png"))
+    images = sorted((data / folder / "images").iterdir())
+    assert images
+    assert [path.name for path in images if "torn" in names(health(read_image(path)))] == []
+
+
 @pytest.mark.parametrize("rows", [1, 40, 240])
 def test_the_signs_of_faults_are_those_of_numpy(rows):
     rng = np.random.default_rng(9)
     means, ends = rng.integers(0, 256, (7, 9, 3), np.uint8), rng.integers(0, 256, (2, 7, 9, 3), np.uint8)
-    ranges, jumps = rng.integers(0, 9, (7, 9), np.uint8), rng.uniform(0, 5.1, rows).astype(np.float32)
+    ranges = rng.integers(0, 9, (7, 9), np.uint8)
 
-    def counted(means, ranges, digests, jumps, dark_to, saturated_from, work, signs, flat, jump):
+    def counted(means, ranges, digests, dark_to, saturated_from, work, signs, flat):
         ended = (means < dark_to) | (means >= saturated_from)
         repeated = len(digests) - len(np.unique(digests))
-        return np.array([np.sum(ranges <= flat), ended.sum(), repeated, jumps.max() > jump], np.int32)
+        return np.array([np.sum(ranges <= flat), ended.sum(), repeated], np.int32)
 
     for digests in (np.arange(rows), rng.integers(-3, 3, rows), rng.integers(-(2**60), 2**60, rows)):
-        arrays = means, ranges, digests, jumps, *ends, np.empty(256, np.int32), np.zeros(4, np.int32)
-        assert_kernel_agrees(health_module._signs, counted, *arrays, 2, 5.0)
+        arrays = means, ranges, digests, *ends, np.empty(256, np.int32), np.zeros(3, np.int32)
+        assert_kernel_agrees(health_module._signs, counted, *arrays, 2)
 
 
 def test_the_field_of_view_bounds_where_the_gel_is_unknown():
@@ -188,23 +255,13 @@ def test_the_gels_thickness_goes_first():
 PRIME = np.uint64(0x9E3779B97F4A7C15)
 
 
-def reference(image, rest, means, ranges, digests, jumps):
+def reference(image, means, ranges, digests, sums):
     h, w = means.shape[:2]
     seen = image[: 16 * h, : 16 * w].reshape(h, 16, w, 16, 3)[:, ::4].astype(int)
     means = (seen.sum(axis=(1, 3)) + 32) // 64
     ranges = np.ptp(seen, axis=(1, 3)).max(axis=-1)
-    differs = (image.astype(int) - rest).reshape(len(image), -1)
-    jumps = np.concatenate(
-        [[0], np.minimum(np.abs(np.diff(differs, axis=0)), 16)[:, compared(differs.shape[1])].mean(axis=1)]
-    )
-    return means, ranges, np.array([digest(row.tobytes()) for row in image]), jumps
-
-
-def compared(width):
-    """Every third piece of 64 bytes; of a row that has no whole one, all."""
-    if width < 64:
-        return np.arange(width)
-    return np.concatenate([np.arange(at, at + 64) for at in range(0, width - 63, 192)])
+    sums = image[:, : 16 * w].reshape(len(image), w, 16, 3).sum(axis=2, dtype=int)
+    return means, ranges, np.array([digest(row.tobytes()) for row in image]), sums
 
 
 def digest(row):
@@ -223,19 +280,38 @@ def digest(row):
 @pytest.mark.parametrize("shape", [(240, 320), (35, 50), (16, 16), (20, 18)])
 def test_the_kernel_agrees_with_numpy(shape):
     image = np.random.default_rng(1).integers(0, 256, (*shape, 3), dtype=np.uint8)
-    rest = np.random.default_rng(2).integers(0, 256, image.shape, dtype=np.uint8)
-    out = blocks_of(image, rest)
+    out = blocks_of(image)
     assert_kernel_agrees(
-        health_module._blocks, reference, image, rest, out.means, out.ranges, out.row_digests, out.row_jumps
+        health_module._blocks, reference, image, out.means, out.ranges, out.row_digests, out.row_sums
     )
 
 
-def test_jumps_are_those_of_the_difference_to_the_rest_image():
-    rest = np.random.default_rng(8).integers(0, 200, (32, 64, 3), dtype=np.uint8)
-    brighter = rest + 20
-    assert blocks_of(brighter, rest).row_jumps.max() == 0
-    brighter[12:] += 7
-    np.testing.assert_allclose(blocks_of(brighter, rest).row_jumps, 7.0 * (np.arange(32) == 12))
+def without_the_step(sums, rest, work, totals, least, factor, spill):
+    """The total of each row once the largest step is taken out of all rows below it."""
+    change = sums.astype(float) - rest
+
+    def steps(change):
+        found = np.zeros_like(change)
+        found[2:-1] = 3 * (change[2:-1] - change[1:-2]) - (change[3:] - change[:-3])
+        return found
+
+    weights = 1 / np.maximum((steps(change) ** 2).sum(axis=0) / len(change), least**2)
+    totals = steps(change) ** 2 @ weights
+    row = int(np.argmax(totals))
+    if row:
+        change[row:] -= steps(change)[row] / 2
+        for y in range(max(row - 2, 2), min(row + 3, len(change) - 1)):
+            totals[y] = steps(change)[y] ** 2 @ weights
+    return totals
+
+
+@pytest.mark.parametrize("shape", [(240, 60), (9, 3), (4, 1), (3, 6), (40, 0)])
+def test_the_steps_of_rows_are_those_of_numpy(shape):
+    rng = np.random.default_rng(5)
+    sums, rest = rng.integers(0, 4081, (2, *shape), dtype=np.uint16)
+    sums[shape[0] // 2 :] //= 2
+    work, totals = np.empty(3 * shape[1], np.float32), np.zeros(shape[0], np.float32)
+    assert_kernel_agrees(health_module._seam, without_the_step, sums, rest, work, totals, 8.0, 3.0, 0.1)
 
 
 def test_only_rows_alike_have_one_digest():

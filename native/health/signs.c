@@ -15,16 +15,14 @@ static int32_t repeated(const int64_t *restrict digests, int32_t *restrict place
   return count;
 }
 
-// Signs: how many blocks hold one color; how many of their channels lie at an end of the range; how many rows repeat another; whether
-// a row jumps by more than `jump`.
-EXPORT int health_signs(const uint8_t *means, const uint8_t *ranges, const int64_t *digests, const float *jumps,
-                        const uint8_t *dark_to, const uint8_t *saturated_from, int32_t *work, int32_t *signs, int32_t flat, float jump,
-                        ptrdiff_t bh, ptrdiff_t bw, ptrdiff_t h, ptrdiff_t n) {
+// Signs: how many blocks hold one color; how many of their channels lie at an end of the range; how many rows repeat another.
+EXPORT int health_signs(const uint8_t *means, const uint8_t *ranges, const int64_t *digests, const uint8_t *dark_to,
+                        const uint8_t *saturated_from, int32_t *work, int32_t *signs, int32_t flat, ptrdiff_t bh, ptrdiff_t bw, ptrdiff_t h,
+                        ptrdiff_t n) {
   if (n <= h || (n & (n - 1)) != 0) return WRONG_SIZE;
-  for (int k = 0; k < 4; k++) signs[k] = 0;
+  for (int k = 0; k < 3; k++) signs[k] = 0;
   for (ptrdiff_t k = 0; k < bh * bw; k++) signs[0] += ranges[k] <= flat;
   for (ptrdiff_t k = 0; k < 3 * bh * bw; k++) signs[1] += (means[k] < dark_to[k]) | (means[k] >= saturated_from[k]);
   signs[2] = repeated(digests, work, h, n);
-  for (ptrdiff_t y = 0; y < h; y++) signs[3] |= jumps[y] > jump;
   return OK;
 }

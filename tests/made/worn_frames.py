@@ -37,8 +37,6 @@ def with_part(image: np.ndarray, part: tuple[slice, slice], level: int | tuple[i
     return changed
 
 
-def blocks_of(image: np.ndarray, rest: np.ndarray | None = None) -> Blocks:
-    """The image's blocks, held against the gel or another untouched image of its size."""
-    pixels = as_levels(image)
-    rest = gel() if rest is None and image.shape[:2] == SHAPE else rest
-    return blocks_from_image(pixels, pixels if rest is None else rest)
+def blocks_of(image: np.ndarray) -> Blocks:
+    """The image's blocks."""
+    return blocks_from_image(as_levels(image))
