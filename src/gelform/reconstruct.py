@@ -84,6 +84,7 @@ class _Calibrated:
         self.clean = known.clean if known else USUAL_SIGMA
         self.stepped = SteppedSlopes(forward, shape, calibration.untouched_change)
         self.residual_scale = 1.0 if forward is None else forward.residual_scale
+        self.slope_per_change = 1.0 if forward is None else forward.slope_per_change
         self.states_sigma = slope_sigma and known is not None
         self.anchor = RestAnchor(shape, self.pitch, self.clean)
         self.depth_sigma: DepthSigma | None = None
@@ -137,7 +138,7 @@ class _Today:
         if fixed.slope_sigma:
             self.causes = PreparedCauses(
                 background, change, clean=fixed.clean, levels=noise, walls=calibration.slope_sigma is not None,
-                outside=outside, slope_per_change=1.0 if forward is None else forward.slope_per_change,
+                outside=outside, slope_per_change=fixed.slope_per_change,
             )  # fmt: skip
         at_rest = noise_at_rest(self.model, self.untouched_image, noise)
         known = calibration.slope_sigma
@@ -362,6 +363,8 @@ class Reconstructor:
         observed, variance = (direct, None) if step is None else (step.gradients, step.variance)
         reference = reference_from_color_change(change, observed, self.calibration.untouched_change, hidden)
         untouched, sigma = today.sigma(change, observed, reference, hidden, variance)
+        if exposure.gain_sigma:  # an unknown gain changes all colors alike, by nearly as much as itself
+            np.hypot(sigma, np.float32(exposure.gain_sigma * fixed.slope_per_change), out=sigma)
         maps: dict[str, NDArray[np.float32]] | None = {} if explains else None
         own = sigma.copy() if explains else sigma
         residual = (

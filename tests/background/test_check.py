@@ -73,6 +73,19 @@ def test_exposure_is_a_finding_with_its_figures(gain):
     assert finding.figure == pytest.approx(gain[1], abs=0.005)
 
 
+@pytest.mark.parametrize(
+    ("at_rest", "name", "said"),
+    [(0.6, "exposure", "gelform compensates it."), (0.1, "exposure", "gelform compensates it partly, because only 1"),
+     (0.02, "exposure_unknown", "of the image agrees on it")],
+)  # fmt: skip
+def test_an_exposure_that_few_pixels_tell_is_not_said_to_be_compensated(at_rest, name, said):
+    rest = scene()
+    change = np.random.default_rng(2).uniform(-0.3, 0.3, rest.shape)
+    change[:, : round(at_rest * SHAPE[1])] = 0
+    findings = {one.name: one for one in check_background(rest * 1.05 * (1 + change), rest)}
+    assert said in findings[name].message
+
+
 def tilted(background, amount):
     """The light of another unit: a slope of brightness, another one for each channel."""
     x = np.linspace(-1, 1, SHAPE[1])[None, :, None] * np.array([1, -0.5, 0.3])
@@ -235,3 +248,16 @@ def test_sums_over_the_least_changed_blocks_are_those_of_numpy(last):
     scale = np.array([0.9, 0.91, 0.92], np.float32)
     work, sums = np.empty(160, np.float32), np.empty(3)
     assert_kernel_agrees(check._least_changed_sums, sums_by_numpy, seen, rest, scale, last, work, sums)
+
+
+def test_slopes_are_less_sure_where_too_few_pixels_tell_the_exposure(calibration, simulated):
+    """Light that changes everywhere: 5 % of exposure are not known, and each slope may be wrong by what they do."""
+    press = simulated.presses[0].image
+    y, x = (np.linspace(-1, 1, n) for n in press.shape[:2])
+    tilt = x[None, :, None] * np.array([1, -0.7, 0.8]) + y[:, None, None] * np.array([-0.6, 1, -0.9])
+    uneven = np.clip(np.rint(press * (1 + 0.15 * tilt)), 0, 255).astype(np.uint8)
+    reconstruct = gelform.Reconstructor(calibration)
+    plain, unsure = (reconstruct(image) for image in (press, uneven))
+    expected = 0.05 * calibration.forward.slope_per_change
+    assert plain.gradients_sigma.min() < 0.2 * expected
+    assert unsure.gradients_sigma.min() > 0.5 * expected

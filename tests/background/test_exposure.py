@@ -63,14 +63,17 @@ def test_too_little_untouched_is_said_and_compensates_nothing(rest):
     seen = exposure_from_image(times(rest, 1 + change), rest)
     assert not seen.is_known
     np.testing.assert_array_equal(seen.believed_gain, 1)
+    assert seen.gain_sigma == 0.05
     bare = PreparedBackground(rest, ChangeSettings())
     np.testing.assert_array_equal(bare.change(rest, seen), bare.change(rest))
 
 
-def test_belief_grows_without_a_jump():
-    gains = [Exposure(np.full(3, 1.1), share, 0, 0).believed_gain[0] for share in np.linspace(0, 1, 101)]
-    assert (gains[0], gains[-1]) == (1, pytest.approx(1.1))
-    assert 0 <= np.diff(gains).min() <= np.diff(gains).max() < 0.01
+def test_belief_grows_without_a_jump_and_doubt_falls_with_it():
+    seen = [Exposure(np.full(3, 1.1), share, 0, 0) for share in np.linspace(0, 1, 101)]
+    gains, sigmas = np.array([(one.believed_gain[0], one.gain_sigma) for one in seen]).T
+    assert (gains[7], gains[15]) == (1, pytest.approx(1.1))
+    assert 0 <= np.diff(gains).min() <= np.diff(gains).max() < 0.02
+    np.testing.assert_allclose(sigmas / 0.05, 1 - np.log(gains) / np.log(1.1), atol=1e-12)
 
 
 def test_dark_and_saturated_cells_tell_nothing():
@@ -95,6 +98,16 @@ def test_real_presses_give_their_gain_back(data):
         for gain in ((1.08, 1.08, 1.08), (0.93, 1.05, 1.0)):
             seen = exposure_from_image(times(image, gain), rest)
             assert np.abs(seen.gain / own.gain / gain - 1).max() < 0.003
+
+
+def test_a_digit_pressed_all_over_gives_its_gain_back(data):
+    """On most of these presses, a seventh to a third of the image is at rest."""
+    folder = data / "digit-ball"
+    rest = read_image(folder / "background.png")
+    for path in sorted((folder / "images").iterdir())[::6]:
+        image = read_image(path)
+        own, other = (exposure_from_image(times(image, gain), rest) for gain in (1, 1.05))
+        np.testing.assert_allclose(other.believed_gain / own.believed_gain, 1.05, atol=0.015)
 
 
 def crowd(logs, half_widths, center, distances):

@@ -151,6 +151,17 @@ def test_a_gap_starts_the_quarantine_anew(reconstruct, at_rest, spot):
     assert np.abs(found[inside] / rest[inside] - 1).max() < 5e-4
 
 
+@pytest.mark.parametrize(("part", "gain"), [(0.3, 1.0), (0.0, 1.01)])
+def test_a_gel_that_sinks_around_a_contact_is_no_light(reconstruct, at_rest, part, gain):
+    """Smooth brightness is followed within seconds, unless something presses: then it may be the gel."""
+    rest = np.mean(at_rest, axis=0, dtype=np.float32)
+    contact = np.zeros(rest.shape[:2], dtype=bool)
+    contact[:, : round(part * contact.shape[1])] = True
+    result = replace(reconstruct.from_image(at_rest[0]), contact=contact)
+    found = still(BackgroundDrift(rest), 1.01 * rest, result, np.arange(0, 20, 1.0))
+    np.testing.assert_allclose(found[60:, 60:], gain * rest[60:, 60:], rtol=0.002)
+
+
 def test_frames_that_measure_nothing_teach_nothing(reconstruct, at_rest):
     rest = np.mean(at_rest, axis=0, dtype=np.float32)
     torn = replace(reconstruct.from_image(at_rest[0]), health=(Finding("torn", "half of it", 0.5),))

@@ -149,6 +149,12 @@ def _exposure_findings(exposure: Exposure) -> tuple[Finding, ...]:
     if gain is None:
         message = "gelform cannot compare the exposure: every part of the image is too dark in some channel, or saturated."
         return (Finding("exposure_unknown", message, 0.0),)
+    if not exposure.is_known:
+        message = (
+            f"gelform cannot tell the exposure, because only {100 * exposure.share:.0f} % of the image agrees on it. "
+            "The slopes' sigma contains what an unknown exposure does."
+        )
+        return (Finding("exposure_unknown", message, exposure.share),)
     gains = gain.tolist()
     largest = max(gains, key=lambda one: abs(log(one)))
     if min(gains) < RATIO_WARN[0] or max(gains) > RATIO_WARN[1]:
@@ -156,9 +162,11 @@ def _exposure_findings(exposure: Exposure) -> tuple[Finding, ...]:
             f"Pixels at rest are {_times(gain)} times as bright as in the background. Take a new background."
         )
         return (Finding("background_ratio", message, largest),)
-    if exposure.is_known and abs(largest - 1) > GAIN_REPORTED:
+    if abs(largest - 1) > GAIN_REPORTED:
         percents = ", ".join(f"{name} {100 * (one - 1):+.0f} %" for name, one in zip("RGB", gain))
-        message = f"The exposure differs from the background's by {percents}. gelform compensates it."
+        partly = f"partly, because only {100 * exposure.share:.0f} % of the image is at rest"
+        how = "it" if exposure.believed_part == 1 else f"it {partly}"
+        message = f"The exposure differs from the background's by {percents}. gelform compensates {how}."
         return (Finding("exposure", message, largest),)
     return ()
 

@@ -21,8 +21,12 @@ from gelform.frames import BRIGHT, DARK
 BLOCKS = 1200  # blocks of an image: each averages out the noise and is smaller than a contact
 # Largest distance from the gain, in logarithm, of a block that counts as at rest in each round.
 HALF_WIDTHS_LOG = np.array([0.06, 0.04, 0.03, 0.02, 0.02, 0.02])
-# Fraction of the image that agrees on the gain: above the first the gain counts in part, from the second on fully.
-MIN_SHARE, FULL_SHARE = 0.15, 0.3
+# Fraction of the image that agrees on the gain: above the first the gain counts in part, from the second on fully. Of real
+# presses with less than the first, nothing can be told.
+MIN_SHARE, FULL_SHARE = 0.07, 0.15
+GAIN_SIGMA = (
+    0.05  # standard deviation of an unknown gain: of a camera that is asked for a new background beyond 10 %
+)
 
 _means_of_bytes = Kernel(
     "means_of_bytes", "u8[h,w,3] image, i64 step, out u16[n] work, out f32[bh,bw,3] means"
@@ -60,19 +64,28 @@ class Exposure:
 
     @property
     def is_known(self) -> bool:
-        """Whether enough of the image agrees (15 %) to use the gain."""
+        """Whether enough of the image agrees (7 %) to use the gain."""
         return self.share >= MIN_SHARE
 
     @property
-    def believed_gain(self) -> NDArray[np.float64]:
-        """The gain to compensate, (3,): 1 if too little of the image agrees, the full gain from 30 % on.
+    def believed_part(self) -> float:
+        """Part of the gain's logarithm to compensate, 0-1: none if too little of the image agrees, all from 15 % on.
 
-        In between its logarithm grows in proportion, so that the compensation never jumps from frame to frame.
+        In between it grows in proportion, so that the compensation never jumps from frame to frame.
         """
-        if self.gain is None:
-            return np.ones(3)
-        part = min(max((self.share - MIN_SHARE) / (FULL_SHARE - MIN_SHARE), 0.0), 1.0)
-        return np.asarray(self.gain**part, dtype=np.float64)
+        return min(max((self.share - MIN_SHARE) / (FULL_SHARE - MIN_SHARE), 0.0), 1.0)
+
+    @property
+    def believed_gain(self) -> NDArray[np.float64]:
+        """The gain to compensate, (3,): the believed part of it."""
+        return (
+            np.ones(3) if self.gain is None else np.asarray(self.gain**self.believed_part, dtype=np.float64)
+        )
+
+    @property
+    def gain_sigma(self) -> float:
+        """Standard deviation of the gain's logarithm from what is not compensated; 0 if all is."""
+        return GAIN_SIGMA * (1 - self.believed_part)
 
 
 def exposure_from_image(image: ArrayLike, background: ArrayLike) -> Exposure:
