@@ -10,7 +10,7 @@ static const float ROUNDING = 1e-6f;  // of a determinant in float32, over the p
 struct settings {
   const float *roots;  // (4, 3, 3): of the inverse covariance, lower triangular, of all channels and without each
   float at_rest, per_slope;  // variance of slopes that were read, and what the square of a slope adds to it
-  float clipped_prior;  // 1 over the variance of slopes that were read with a clipped channel
+  float clipped_prior, longest;  // 1 over the variance of slopes read with a clipped channel; that deviation, of every step
 };
 
 // Coefficients (17, 3) at a block's first pixel, and how much more they are at the next node.
@@ -79,7 +79,7 @@ static inline void whiten(lanes v[CHANNELS], const float *root) {
   v[2] *= root[8];
 }
 
-// One step; at most `longest`, or of any length where that is 0.
+// One step, at most `longest`: a longer one would explain a mirrored light or dust by a slope of its color.
 static struct stepped step_of(const struct pixels *at, struct place place, const float *root, float longest) {
   const lanes p = at->p, q = at->q, cosine = 1 / square_root(1 + p * p + q * q);
   const lanes unit = cosine * PER_NORMAL, cube = unit * (cosine * cosine), x = p * unit, y = q * unit;
@@ -99,11 +99,9 @@ static struct stepped step_of(const struct pixels *at, struct place place, const
   }
   h11 += at->prior, h22 += at->prior;
   const lanes per = 1 / (h11 * h22 * (1 + ROUNDING) - h12 * h12);  // not 0 where a color tells two slopes apart no more
-  lanes u = (h22 * b1 - h12 * b2) * per, v = (h11 * b2 - h12 * b1) * per;
-  if (longest > 0) {
-    const lanes part = shortening(u * u + v * v, longest);
-    u *= part, v *= part;
-  }
+  const lanes whole_u = (h22 * b1 - h12 * b2) * per, whole_v = (h11 * b2 - h12 * b1) * per;
+  const lanes part = shortening(whole_u * whole_u + whole_v * whole_v, longest);
+  const lanes u = whole_u * part, v = whole_v * part;
   for (int c = 0; c < CHANNELS; c++) {
     const lanes rest = left[c] - per_p[c] * u - per_q[c] * v;
     residual += rest * rest;
@@ -138,20 +136,19 @@ static inline bool is_clipped_alone(const uint8_t *clipped, int channel) {
   return clipped[channel] != 0 && clipped[(channel + 1) % CHANNELS] == 0 && clipped[(channel + 2) % CHANNELS] == 0;
 }
 
-// A block's pixels of one clipped channel again, in two steps by the other two, each at most its prior's deviation: one
-// of slopes read with a dead channel may end at a wrong slope of the right color. Of more clipped channels nothing is known.
+// A block's pixels of one clipped channel again, in two steps by the other two; of more clipped channels nothing is known.
 static void store_clipped(const struct pixels *at, struct place place, const struct settings *s, const uint8_t *clipped,
                           struct outputs to, ptrdiff_t count) {
   for (int channel = 0; channel < CHANNELS; channel++) {
     bool alone = false;
     for (ptrdiff_t k = 0; k < count; k++) alone |= is_clipped_alone(clipped + CHANNELS * k, channel);
     if (!alone) continue;
-    const float *root = s->roots + CHANNELS * CHANNELS * (1 + channel), longest = 1 / sqrtf(s->clipped_prior);
+    const float *root = s->roots + CHANNELS * CHANNELS * (1 + channel);
     struct pixels again = *at;
     again.prior = (lanes){0} + s->clipped_prior;
-    const struct stepped once = step_of(&again, place, root, longest);
+    const struct stepped once = step_of(&again, place, root, s->longest);
     again.p = once.p, again.q = once.q;
-    const struct stepped twice = step_of(&again, place, root, longest);
+    const struct stepped twice = step_of(&again, place, root, s->longest);
     for (ptrdiff_t k = 0; k < count; k++) {
       if (!is_clipped_alone(clipped + CHANNELS * k, channel)) continue;
       to.gradients[2 * k] = twice.p[k], to.gradients[2 * k + 1] = twice.q[k];
@@ -169,7 +166,7 @@ static void step_row(const struct settings *s, const float *planes, ptrdiff_t st
     const lanes p = load_lanes(from + 3 * stride), q = load_lanes(from + 4 * stride);
     const struct pixels at = {{load_lanes(from), load_lanes(from + stride), load_lanes(from + 2 * stride)}, p, q,
                               load_lanes(from + 5 * stride), 1 / (s->at_rest + s->per_slope * (p * p + q * q))};
-    const struct stepped stepped = step_of(&at, place, s->roots, 0);
+    const struct stepped stepped = step_of(&at, place, s->roots, s->longest);
     store(&stepped, to, count);
     if (clipped != NULL && any_clipped(clipped + CHANNELS * start, count))
       store_clipped(&at, place, s, clipped + CHANNELS * start, to, count);
@@ -196,7 +193,7 @@ EXPORT int forward_step(const float *change, const float *read, const float *dep
   const ptrdiff_t stride = padded_width(w), own = 2 * c * COUNT + PLANES * stride;
   if (!nodes_fit(r, c, h, w) || dh < 1 || dw < 1 || n < own + 4 * w) return WRONG_SIZE;
   float *steps = work + c * COUNT, *planes = steps + c * COUNT, *lines = work + own;
-  const struct settings s = {roots, at_rest, per_slope, clipped_prior};
+  const struct settings s = {roots, at_rest, per_slope, clipped_prior, 1 / sqrtf(clipped_prior)};
   const struct node_grid grid = {nodes, r, c, COUNT, work, NULL};
   struct rows_between depths = {depth, dh, dw, w, -1, (int32_t *)lines, lines + w, lines + 2 * w, lines + 3 * w};
   places_in_row(w, (double)dw / (double)w, dw, (int32_t *)lines, lines + w);

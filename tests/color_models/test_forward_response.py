@@ -79,7 +79,7 @@ def scene(forward, noise=1.0, seed=1):
     )
 
 
-def scattered_step(forward, change, read, depth, longest=np.inf):
+def scattered_step(forward, change, read, depth):
     """The step at every pixel of a frame, by the formula for scattered ones."""
     height, width, _ = change.shape
     at, place = enlarged(depth.astype(float), (height, width)).ravel(), pixels((height, width))
@@ -101,7 +101,7 @@ def scattered_step(forward, change, read, depth, longest=np.inf):
         np.linalg.inv(information) * (1 - 1e-6 * diagonal / np.linalg.det(information))[:, None, None]
     )
     step = (covariance @ (weighted @ left[..., None]))[..., 0]
-    step *= np.minimum(1, longest / np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-9))
+    step *= np.minimum(1, CLIPPED_STEP_SIGMA / np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-9))
     left = left - np.einsum("ncm,nm->nc", jacobian, step)
     variance = np.trace(covariance, axis1=1, axis2=2) / 2
     found = slopes + step, variance, np.einsum("nc,ck,nk->n", left, inverse, left)
@@ -123,11 +123,11 @@ def without(forward, channel):
 
 
 def frame_step(forward, change, read, depth, clipped):
-    """One step of all channels; two of the other two, of limited length, where one is clipped."""
+    """What a frame's step has to be: two steps of the other channels where one is clipped, one of all elsewhere."""
     expected = scattered_step(forward, change, read, depth)
     for channel in range(3 if clipped is not None else 0):
-        once = scattered_step(without(forward, channel), change, read, depth, CLIPPED_STEP_SIGMA)
-        twice = scattered_step(without(forward, channel), change, once[0], depth, CLIPPED_STEP_SIGMA)
+        once = scattered_step(without(forward, channel), change, read, depth)
+        twice = scattered_step(without(forward, channel), change, once[0], depth)
         here = clipped[:, :, channel] != 0
         for whole, part in zip(expected, twice):
             whole[here] = part[here]
@@ -239,13 +239,17 @@ def test_a_color_that_no_slope_gives_is_left_over():
 @pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize("masked", [False, True])
 def test_the_kernel_agrees_with_numpy(shape, masked):
-    """Colors that no slope gives, and pixels of one clipped channel included."""
+    """Steps that are shortened, and pixels of one clipped channel included."""
     rng, forward = np.random.default_rng(4), response(shape, seed=4)
     _, read, depth, change = scene(forward)
     change[rng.uniform(size=shape) < 0.2] += rng.normal(0, 0.2, 3).astype(np.float32)
     clipped = mask(shape) if masked else None
     forward = replace(forward, nodes=forward.nodes.astype(np.float32).astype(np.float64))
     step = PreparedStep(forward)
+    if shape == SHAPES[-1]:
+        length = np.linalg.norm(step(change, read, depth).gradients - read, axis=2)
+        assert np.isclose(length, CLIPPED_STEP_SIGMA).any()
+        assert (length < 0.9 * CLIPPED_STEP_SIGMA).any()
     assert_kernel_agrees(
         forward_response._forward_step,
         lambda change, read, depth, clipped, *_: frame_step(forward, change, read, depth, clipped),

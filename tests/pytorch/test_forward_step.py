@@ -6,7 +6,7 @@ import pytest
 
 from gelform.color_models import stepped
 from gelform.color_models._shared.least_squares import node_positions
-from gelform.color_models.forward_response import TERMS, ForwardResponse
+from gelform.color_models.forward_response import CLIPPED_STEP_SIGMA, TERMS, ForwardResponse
 from gelform.color_models.stepped import SteppedSlopes
 
 torch = pytest.importorskip("torch", reason="needs the extra 'torch'")
@@ -44,7 +44,7 @@ def planes(*maps):
 @pytest.mark.parametrize("shape", [(64, 96), (61, 90), (17, 33)], ids=["divided", "not_divided", "small"])
 @pytest.mark.parametrize("seed", [0, 5])
 def test_steps_are_the_numpy_paths(shape, seed):
-    """Of two frames at once."""
+    """Of two frames at once; the slopes change by what a step may do."""
     forward = response(shape, seed)
     frames = [frame(shape, (20, 9)), frame(shape, (12.5, shape[0] / 2), seed=2)]
     changes, slopes = (planes(*maps) for maps in zip(*frames))
@@ -52,20 +52,46 @@ def test_steps_are_the_numpy_paths(shape, seed):
     step = SteppedSlopes(forward, shape, UNTOUCHED)
     for (change, read), one in zip(frames, found):
         expected = step(change, read).gradients
-        assert np.abs(expected - read).max() > 0.005
+        assert 0.005 < np.abs(expected - read).max() <= CLIPPED_STEP_SIGMA * (1 + 1e-5)
         np.testing.assert_allclose(one.permute(1, 2, 0), expected, atol=1e-4 * np.abs(expected).max())
 
 
+def test_no_step_is_longer_than_the_longest():
+    """Of colors that no slope gives: as far, and in the same direction, as the numpy path goes."""
+    shape = (30, 45)
+    forward = response(shape, scale=0.5)
+    change, read = frame(shape, (20, 15))
+    change[5:12, 30:40] += np.array([0.9, -0.7, 0.8], np.float32)
+    found = ForwardStep(forward, UNTOUCHED)(planes(change), planes(read))[0].permute(1, 2, 0).numpy()
+    length = np.linalg.norm(found - read, axis=-1)
+    assert length.max() == pytest.approx(CLIPPED_STEP_SIGMA, rel=1e-4)
+    expected = SteppedSlopes(forward, shape, UNTOUCHED)(change, read).gradients
+    np.testing.assert_allclose(found, expected, atol=1e-4)
+
+
 def test_derivatives_are_exact():
-    """By the colors and by the slopes, through the depth of the frame."""
+    """By the colors and by the slopes, through the depth of the frame; where no step is cut off."""
     shape = (6, 9)
     step = ForwardStep(response(shape), UNTOUCHED).double()
     rng = torch.Generator().manual_seed(0)
     slopes = 0.1 * torch.randn(1, 2, *shape, dtype=torch.float64, generator=rng)
     change = 0.03 * torch.randn(1, 3, *shape, dtype=torch.float64, generator=rng)
+    assert ((step(change, slopes) - slopes).norm(dim=1) < CLIPPED_STEP_SIGMA).all()
     assert torch.autograd.gradcheck(
         step, (change.requires_grad_(), slopes.requires_grad_()), eps=1e-7, atol=1e-5
     )
+
+
+def test_a_gel_at_rest_has_derivatives():
+    """No slope and no color: the step's length is 0, which has none of itself."""
+    shape = (9, 12)
+    step = ForwardStep(response(shape), UNTOUCHED)
+    change = torch.zeros(1, 3, *shape, requires_grad=True)
+    stepped = step(change, torch.zeros(1, 2, *shape))
+    assert stepped.abs().max() < 1e-6
+    (derivative,) = torch.autograd.grad(stepped.sum(), change)
+    assert derivative.isfinite().all()
+    assert derivative.abs().max() > 0.01
 
 
 def bump(shape, center):

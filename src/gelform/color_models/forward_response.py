@@ -42,7 +42,8 @@ NORMAL_UNIT, DEPTH_UNIT_PX = 0.3, 10.0
 # degrees in place of terms of order 1 to 4 in the normal, and of the depth
 PLACE_DEGREES, DEPTH_PLACE_DEGREE = (5, 4, 3, 2), 4
 RIDGES = (3e-4, 1e-4, 3e-5, 1e-5)  # ridges that calibration tries, the stiffest first
-# Prior of a slope with one of three channels clipped, mm/mm: a wide one. Also the longest step then.
+# Prior of a slope with one of three channels clipped, mm/mm: a wide one. Also the longest step: a longer one explains a
+# mirrored light or dust by a slope of its color.
 CLIPPED_STEP_SIGMA = 0.3
 
 _POWERS = monomials(2, len(PLACE_DEGREES))  # (vx, vy, vx vx, vx vy, ...)
@@ -218,7 +219,7 @@ class PreparedStep:
         """The step of a frame, from the gradients (H, W, 2) that a color model read of a color change (H, W, 3).
 
         The depth (rows, columns), px, is coarser. A `clipped` channel (H, W, 3) does not count; there the other two take two
-        steps, with a prior of 0.3, each of at most that length.
+        steps, with a prior of 0.3. No step is longer than that.
         """
         stepped = np.empty_like(gradients)
         variance, residual = (np.empty(gradients.shape[:2], np.float32) for _ in range(2))

@@ -10,6 +10,7 @@ from gelform.color_models import ForwardResponse
 from gelform.color_models._shared.least_squares import at_pixels, interpolation, monomials
 from gelform.color_models.forward_response import (
     DEPTH_UNIT_PX,
+    CLIPPED_STEP_SIGMA,
     NORMAL_UNIT,
     PLACE_DEGREES,
 )
@@ -95,7 +96,9 @@ class ForwardStep(nn.Module):
             (one * other).sum(1) for one, other in ((along_p, along_q), (along_p, left), (along_q, left))
         )
         determinant = (h11 * h22 * (1 + ROUNDING) - h12 * h12)[:, None]
-        return gradients + torch.stack([h22 * b1 - h12 * b2, h11 * b2 - h12 * b1], 1) / determinant
+        step = torch.stack([h22 * b1 - h12 * b2, h11 * b2 - h12 * b1], 1) / determinant
+        length = ((step**2).sum(1, keepdim=True) + 1e-18).sqrt()
+        return gradients + step * (CLIPPED_STEP_SIGMA / length).clamp(max=1)
 
     def _value(self, x: Tensor, y: Tensor, z: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """The whitened color change (N, 3, H, W) of a normal and a depth, and its derivatives by the normal's terms."""
