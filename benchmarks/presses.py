@@ -58,7 +58,12 @@ def labeled(presses: gelform.Presses) -> gelform.Presses:
     """The presses accepted by a calibration on all, without a starter, with its circles; people's labels stay."""
     if presses.presses[0].label is not None:
         return presses
-    rows = gelform.calibrate(presses, start=None).report.presses
+    return with_circles(presses, gelform.calibrate(presses, start=None))
+
+
+def with_circles(presses: gelform.Presses, calibration: gelform.Calibration) -> gelform.Presses:
+    """The presses that a calibration accepted, with its circles."""
+    rows = calibration.report.presses
     kept = (
         replace(press, label=(row.center_x_px, row.center_y_px, row.contact_radius_px))
         for press, row in zip(presses.presses, rows)

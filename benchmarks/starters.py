@@ -11,7 +11,6 @@ here.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -19,7 +18,7 @@ import numpy as np
 import gelform
 from accuracy.real import EDGES, KEYS, scored, summary
 from gelform.calibration.balls import MOST_SIGMAS, ball_readings
-from gelform.calibration.candidates import known_make, start_from
+from gelform.calibration.candidates import start_from
 from gelform.calibration.circles.locate import locate
 from gelform.calibration.report import report_content
 from gelform.errors import CalibrationError
@@ -28,83 +27,70 @@ from gelform.starters import load_starter
 from gelform.starters.starter import Starter, starter_from_calibration
 from presses import DATA, data_is_missing, labeled, mini_ball, unlabeled
 from report import command_line, parts_asked, recorded, table, write
-from starters.make import COLOR_VARIANCE, LAYOUT, SPREAD, make, simulated_unit
+from starters.make import LAYOUT, LIKELY, make, real_unit, simulated_unit, stated
 
-LIKELY = 4.70 / 4.0  # mini-d's ball: likely over stated diameter
 FOLDS, DRAWS = 3, 5
 SIZES = (3, 5, 8, 12, 20)
 FACTORS = (0.5, 0.8, 1.0, 1.2, 1.25, 2.0)
 SETS = ("mini-ball", "mini-d", "digit-ball", "gelslim", "gelslim-dots", "gelsight-ball-deep")
+SURE, INNER_SHARE = 0.3, 0.6  # confidence over which a slope counts as sure; share of the circle
+SHARES = ("within_sigma_percent", "sure_inner_percent")
+SHOWN = (*KEYS, *SHARES)
 UNSEEN = 11  # number of a simulated unit outside the starter
-
-
-def stated(presses: gelform.Presses, factor: float) -> gelform.Presses:
-    """The same images, with stated diameters multiplied by a factor."""
-    balls = (replace(one, ball_diameter_mm=one.ball_diameter_mm * factor) for one in presses.presses)
-    return replace(presses, presses=tuple(balls))
 
 
 def mini_d() -> gelform.Presses:
     """mini-d with its likely diameter and the circles for scoring."""
-    return labeled(stated(gelform.read_presses(DATA / "mini-d"), LIKELY))
+    return labeled(real_unit("mini-d"))
 
 
 def judged(calibration: gelform.Calibration, presses: gelform.Presses, edge: float) -> dict[str, float]:
-    """Errors on labeled presses, and the share of slopes inside the edge within one stated sigma."""
+    """Errors on labeled presses; shares of slopes inside the edge within one sigma, and of sure pixels in 0.6 of it."""
     reconstruct, rows, within = gelform.Reconstructor(calibration, depth_sigma=False), [], []
     pitch = calibration.known_mm_per_px
     for press in presses.presses:
         result = reconstruct.from_image(press.image)
         rows.append(scored((press, result), press.label, pitch, edge))
         within.append(_within(result, press, pitch, edge))
-    return {**summary(rows), "within_sigma_percent": 100 * float(np.mean(within))}
+    return {**summary(rows), **dict(zip(SHARES, 100 * np.mean(within, axis=0)))}
 
 
-def _within(result: Any, press: Any, pitch: float, edge: float) -> float:
+def _within(result: Any, press: Any, pitch: float, edge: float) -> tuple[float, float]:
     y, x = np.mgrid[: result.shape[0], : result.shape[1]]
     column, row, radius = press.label
     ball_px = press.ball_diameter_mm / 2 / pitch
-    inside = np.hypot(x - column, y - row) < min(edge * radius, 0.95 * ball_px)
+    away = np.hypot(x - column, y - row)
+    inside = away < min(edge * radius, 0.95 * ball_px)
     errors = score_slopes(result.gradients[inside], x[inside], y[inside], (column, row), ball_px).errors
-    return float(np.mean(np.abs(errors) < result.gradients_sigma[inside]))
+    sure = result.confidence[away < INNER_SHARE * radius] > SURE
+    return float(np.mean(np.abs(errors) < result.gradients_sigma[inside])), float(sure.mean())
 
 
 def units() -> dict[str, Any]:
-    """No press: the starter on another unit, against that unit's own calibration on held-out presses."""
+    """No press: the starter of one unit on another, against that unit's own calibration on held-out presses."""
     found: dict[str, Any] = {}
     presses = mini_d()
-    starter = load_starter("gelsight-mini")
-    of_unit = starter.for_unit(presses.background, mm_per_px=presses.mm_per_px)
-    found["mini-d, starter"] = judged(of_unit, presses, EDGES["mini-d"])
-    found["mini-ball, the starter made of mini-d"] = _by_mini_d(presses)
-    found["mini-d, its own calibration"] = _folds(presses, EDGES["mini-d"])
     ball, order = mini_ball()
+    of_ball, of_d = (of_one(gelform.calibrate(unlabeled(one), start=None)) for one in (ball, presses))
+    unit = of_ball.for_unit(presses.background, mm_per_px=presses.mm_per_px)
+    found["mini-d, the starter made of mini-ball"] = judged(unit, presses, EDGES["mini-d"])
+    unit = of_d.for_unit(ball.background, mm_per_px=ball.mm_per_px)
+    found["mini-ball, the starter made of mini-d"] = judged(unit, ball.subset(order), EDGES["mini-ball"])
+    found["mini-d, its own calibration"] = _folds(presses, EDGES["mini-d"])
     for name, (own, other) in {"even": (order[0::2], order[1::2]), "odd": (order[1::2], order[0::2])}.items():
-        calibration = gelform.calibrate(unlabeled(ball, own), start=None)
-        half = starter_from_calibration(
-            calibration, "gelsight-mini", spread=SPREAD["gelsight-mini"], units=("half",)
-        )
-        of_half = half.for_unit(ball.background)
+        half = of_one(gelform.calibrate(unlabeled(ball, own), start=None)).for_unit(ball.background)
         found[f"mini-ball, {name} presses made the starter"] = judged(
-            of_half, ball.subset(other), EDGES["mini-ball"]
+            half, ball.subset(other), EDGES["mini-ball"]
         )
-    print(
-        table(
-            ["no press", *KEYS, "within sigma %"],
-            [[n, *(v[k] for k in (*KEYS, "within_sigma_percent"))] for n, v in found.items()],
-        )
-    )
+    print(table(["no press", *SHOWN], [[n, *(v[k] for k in SHOWN)] for n, v in found.items()]))
     return found
 
 
-def _by_mini_d(presses: gelform.Presses) -> dict[str, float]:
-    """mini-ball, with the circles for scoring, by a starter from the other unit."""
-    ball, order = mini_ball()
-    own = gelform.calibrate(unlabeled(presses), start=None)
-    settings: Any = {"spread": SPREAD["gelsight-mini"], "color_variance": COLOR_VARIANCE}
-    of_d = starter_from_calibration(own, "gelsight-mini", units=("mini-d",), **settings)
-    unit = of_d.for_unit(ball.background, mm_per_px=ball.mm_per_px)
-    return judged(unit, ball.subset(order), EDGES["mini-ball"])
+def of_one(calibration: gelform.Calibration) -> Starter:
+    """A starter of one unit of a Mini, with the differences between units that the shipped starter states."""
+    shipped = load_starter("gelsight-mini")
+    stated = {"spread": shipped.spread, "color_variance": shipped.color_variance}
+    return starter_from_calibration(calibration, "gelsight-mini", units=("one",), **stated)
 
 
 def _folds(presses: gelform.Presses, edge: float) -> dict[str, float]:
@@ -119,29 +105,23 @@ def _folds(presses: gelform.Presses, edge: float) -> dict[str, float]:
 
 
 def presses() -> dict[str, Any]:
-    """Few presses of another unit, without and with the starter: the same draws, judged on presses new to both."""
+    """Few presses of another unit, without and with a start: the same draws, judged on presses new to both."""
     known, rng, found = mini_d(), np.random.default_rng(0), {}
+    start = of_one(gelform.calibrate(unlabeled(mini_ball()[0]), start=None))
+    unit = start.for_unit(known.background, mm_per_px=known.mm_per_px)
     count = len(known.presses)
     for size in (*SIZES, 2 * count // 3):
-        both: dict[str, list[dict[str, float]]] = {"alone": [], "offered": []}
-        used = 0
+        both: dict[str, list[dict[str, float]]] = {"alone": [], "started": []}
         for _ in range(DRAWS):
             order = rng.permutation(count)
             training, test = order[:size].tolist(), order[-count // 3 :].tolist()
-            for name, start in (("alone", None), ("offered", "auto")):
-                calibration = gelform.calibrate(unlabeled(known, training), start=start)
+            for name, begun in (("alone", None), ("started", unit)):
+                calibration = gelform.calibrate(unlabeled(known, training), start=begun)
                 both[name].append(judged(calibration, known.subset(test), EDGES["mini-d"]))
-                used += calibration.settings.start is not None
-        means = {n: {k: float(np.mean([one[k] for one in rows])) for k in KEYS} for n, rows in both.items()}
-        found[str(size)] = {**means, "begun_with_it": used, "draws": DRAWS}
-        print(
-            f"{size} presses: "
-            + ", ".join(
-                f"{n} {v['edge_deg']:.2f} deg, {v['radius_percent']:.1f} %" for n, v in means.items()
-            ),
-            f"used {used} of {DRAWS}",
-            flush=True,
-        )
+        means = {n: {k: float(np.mean([one[k] for one in rows])) for k in SHOWN} for n, rows in both.items()}
+        found[str(size)] = {**means, "draws": DRAWS}
+        print(f"{size} presses", *(f"{n}: {v['edge_deg']:.2f} deg, {v['radius_percent']:.1f} %, within sigma "
+              f"{v['within_sigma_percent']:.0f} %" for n, v in means.items()), sep="; ", flush=True)  # fmt: skip
     return found
 
 
@@ -178,15 +158,14 @@ def _read_by_others() -> dict[str, Any]:
     ball, order = mini_ball()
     halves = [order[0::2], order[1::2]]
     cases: list[tuple[str, gelform.Presses, Any]] = []
-    other = stated(gelform.read_presses(DATA / "mini-d"), LIKELY)
-    cases.append(("mini-d", other, known_make(other, "auto")))
+    other = real_unit("mini-d")
+    of_ball = of_one(gelform.calibrate(unlabeled(ball), start=None))
+    unit = of_ball.for_unit(other.background, mm_per_px=other.mm_per_px)
+    cases.append(("mini-d", other, start_from(unit, other, "auto")))
     for own, rest in (halves, halves[::-1]):
         of_half = gelform.calibrate(unlabeled(ball, own), start=None)
-        half: Starter = starter_from_calibration(
-            of_half, "gelsight-mini", spread=SPREAD["gelsight-mini"], units=("half",)
-        )
         test = unlabeled(ball, rest)
-        start = start_from(half.for_unit(test.background), test, "auto")
+        start = start_from(of_one(of_half).for_unit(test.background), test, "auto")
         cases.append((f"mini-ball, {'odd' if own is halves[0] else 'even'}", test, start))
     rows: dict[str, Any] = {}
     for name, test, start in cases:
@@ -214,8 +193,8 @@ def simulated() -> dict[str, Any]:
     }
     print(
         table(
-            ["simulated unit", *KEYS, "within sigma %"],
-            [[n, *(v[k] for k in (*KEYS, "within_sigma_percent"))] for n, v in found.items()],
+            ["simulated unit", *SHOWN],
+            [[n, *(v[k] for k in SHOWN)] for n, v in found.items()],
         )
     )
     return found

@@ -1,8 +1,8 @@
 """Make the starters that the package ships, from the presses of the units that may be shared.
 
-The calibration of a single unit is used unchanged. For several units, a common model is fitted to the samples of all, each
-brought to their mean light. Each unit's own model is then regularized towards the common one. The spread is the
-difference of the units' slopes from the common model's.
+The calibration of a single unit is used unchanged. For several units, a common color model and a common forward response are
+fitted to the samples of all: each brought to the mean light, and to the place where it lies in mm on the first unit's image.
+How far units differ is measured unit against unit: each one's own model reads the presses of the others.
 """
 
 from __future__ import annotations
@@ -15,38 +15,40 @@ import numpy as np
 
 import gelform
 from gelform.calibration.balls import INNER
-from gelform.calibration.candidates import training_samples
+from gelform.calibration.candidates import SlopeReader, step_sigma_of, training_samples
+from gelform.calibration.circles.find import ContactCircle
 from gelform.calibration.circles.locate import locate
 from gelform.calibration.circles.prepare import ColorChanges, prepared_by_offset
-from gelform.calibration.circles.samples import joined
-from gelform.color_models import HierarchicalModel, Samples
+from gelform.calibration.circles.samples import PreparedPress, contact_samples, joined, with_rest_samples
+from gelform.calibration.held_out.sigma import gain_of
+from gelform.color_models import ForwardResponse, HierarchicalModel, Samples
 from gelform.color_models._shared.least_squares import at_pixels, interpolation
+from gelform.color_models.forward_response import RIDGES
 from gelform.color_models.stepped import FrameDepth
+from gelform.metrics import score_slopes
 from gelform.metrics.ball import ball_center, ball_gradients
 from gelform.simulate import LAYOUTS, SimulatedSensor, simulate_ball_presses
 from gelform.simulate.render import exposed
-from gelform.starters.light import gain_between, light_from_background
+from gelform.starters.light import gain_between, levels_from_light, light_from_background, pixel_places
 from gelform.starters.starter import Starter, starter_from_calibration
-from presses import DATA, labeled, presses_of, unlabeled
+from presses import DATA, presses_of, unlabeled, with_circles
 
 FOLDER = Path(gelform.__file__).parent / "starters"
 RIDGE = 1e-3  # strength of that regularization: the middle one of the values that calibration tries
-# Ratio of color variances: a unit's colors around the response of another unit, over those around its own. Measured:
-# mini-d by mini-ball 11, mini-ball by mini-d 16. There are no presses of a second DIGIT, so the same value is assumed
-# for it.
-COLOR_VARIANCE = 11.0
-# Relative spread of slopes, measured. Minis: the model of one unit read the balls of two others 5.0 % too large and
-# 1.9 % too small. DIGITs: another unit's ball was read 10 % too large.
-SPREAD = {"gelsight-mini": 0.06, "digit": 0.10}
+# There are no presses of a second DIGIT. Spread of slopes: another unit's ball was read 10 % too large. The ratio of color
+# variances (see `color_variance`) is that of the two Minis before their places were equal in mm.
+SPREAD_OF_DIGITS, VARIANCE_OF_DIGITS = 0.10, 11.0
+LIKELY = (
+    4.70 / 4.0
+)  # mini-d's ball: likely over stated diameter, because its contacts are as wide as those of 4.70 mm
 REAL = {
-    "gelsight-mini": (
-        "mini-ball",
-        "one GelSight Mini, 67 presses of balls of 6.31 and 9.50 mm (rpl-cmu/gelslam, MIT)",
-    ),
-    "digit": (
-        "digit-ball",
-        "one DIGIT, 42 presses of a ball of 4.7 mm, scale not verified (Rancho-zhao/FOTS, MIT)",
-    ),
+    "gelsight-mini": {
+        "mini-ball": "a GelSight Mini, 67 presses of balls of 6.31 and 9.50 mm (rpl-cmu/gelslam, MIT)",
+        "mini-d": "a second one, 49 presses of a ball of 4.7 mm (RuihanGao/16741-Proj-ShapeMap3D-GelSightMini, MIT)",
+    },
+    "digit": {
+        "digit-ball": "one DIGIT, 42 presses of a ball of 4.7 mm, scale not verified (Rancho-zhao/FOTS, MIT)"
+    },
 }
 LAYOUT, UNITS = "three-edges", 4
 BALLS_MM, EACH = (4.0, 6.0), 16  # simulated presses: ball diameters, presses per ball
@@ -54,20 +56,30 @@ BALLS_MM, EACH = (4.0, 6.0), 16  # simulated presses: ball diameters, presses pe
 
 def make(folder: Path = FOLDER) -> None:
     """Write every starter whose data exist."""
-    made = {f"simulated-{LAYOUT}": of_units([simulated_unit(k) for k in range(UNITS)], LAYOUT)}
-    for sensor, (name, said) in REAL.items():
-        if (DATA / name).is_dir():
-            presses = unlabeled(gelform.read_presses(DATA / name))
-            calibration = gelform.calibrate(presses, start=None)
-            made[sensor] = starter_from_calibration(
-                calibration, sensor, spread=SPREAD[sensor], units=(said,), color_variance=COLOR_VARIANCE
-            )
+    simulated = [simulated_unit(k) for k in range(UNITS)]
+    said = f"{UNITS} simulated units of the layout {LAYOUT}, whose lamps and levels differ"
+    made = {f"simulated-{LAYOUT}": of_units(simulated, f"simulated-{LAYOUT}", (said,))}
+    for sensor, sources in REAL.items():
+        if all((DATA / name).is_dir() for name in sources):
+            made[sensor] = of_units([real_unit(name) for name in sources], sensor, tuple(sources.values()))
     for sensor, starter in made.items():
         starter.save(folder / f"{sensor}.npz", overwrite=True)
         size = (folder / f"{sensor}.npz").stat().st_size
         print(
-            f"{sensor}: {size / 1000:.0f} kB, spread {100 * starter.spread:.1f} %, {'; '.join(starter.units)}"
+            f"{sensor}: {size / 1000:.0f} kB, spread {100 * starter.spread:.1f} %, color variance "
+            f"{starter.color_variance:.1f}; {'; '.join(starter.units)}"
         )
+
+
+def real_unit(name: str) -> gelform.Presses:
+    """The presses of a set, mini-d's with the likely diameter of its ball."""
+    return stated(gelform.read_presses(DATA / name), LIKELY if name == "mini-d" else 1.0)
+
+
+def stated(presses: gelform.Presses, factor: float) -> gelform.Presses:
+    """The same images, with stated diameters multiplied by a factor."""
+    balls = (replace(one, ball_diameter_mm=one.ball_diameter_mm * factor) for one in presses.presses)
+    return replace(presses, presses=tuple(balls))
 
 
 def simulated_unit(number: int, layout: str = LAYOUT) -> gelform.Presses:
@@ -93,29 +105,29 @@ def varied(sensor: SimulatedSensor, rng: np.random.Generator) -> SimulatedSensor
     return exposed(replace(sensor, leds=leds), tuple(levels))
 
 
-def of_units(units: Sequence[gelform.Presses], layout: str) -> Starter:
-    """The starter from several units' presses: the mean of their models, and their spread around it."""
-    first = gelform.calibrate(unlabeled(units[0]), start=None)
-    lights = [light_from_background(one.background)[0] for one in units]
-    mean = starter_from_calibration(first, f"simulated-{layout}", spread=1.0, units=())
-    mean = replace(mean, light=np.mean(lights, axis=0))
-    samples = [samples_of(one, light, mean) for one, light in zip(units, lights)]
-    common = HierarchicalModel.fit(joined(samples), ridge=RIDGE)
-    offs = []
-    for own in samples:
-        drawn = HierarchicalModel.fit(own, ridge=RIDGE, start=common)
-        slopes, of_common = (m.gradients_at(own.color_change, own.x_px, own.y_px) for m in (drawn, common))
-        pressed = np.linalg.norm(own.gradients, axis=1) > 0
-        square = np.sum((slopes - of_common)[pressed] ** 2), np.sum(of_common[pressed] ** 2)
-        offs.append(square[0] / square[1])
-    spread = float(np.sqrt(np.mean(offs) * len(offs) / (len(offs) - 1)))
-    calibration = replace(first, color_model=common, forward=mean.models_for(lights[0])[1])
-    named = replace(calibration, sensor_name=f"simulated-{layout}")
-    said = f"{len(units)} simulated units of the layout {layout}, whose lamps and levels differ"
-    smooth = replace(named, background=mean.calibration.background)
-    made = replace(mean, calibration=smooth, spread=spread, units=(said,))
-    ratios = [color_variance(made, labeled(one)) for one in units]
-    return replace(made, color_variance=float(np.mean(ratios) * len(ratios) / (len(ratios) - 1)))
+def of_units(units: Sequence[gelform.Presses], sensor: str, said: tuple[str, ...]) -> Starter:
+    """The starter from several units' presses: their common models, and how far the model of one is off on another."""
+    own = [gelform.calibrate(unlabeled(one), start=None) for one in units]
+    alone = [starter_from_calibration(one, sensor, spread=SPREAD_OF_DIGITS, units=said) for one in own]
+    if len(units) == 1:
+        return replace(alone[0], color_variance=VARIANCE_OF_DIGITS)
+    known = [with_circles(*pair) for pair in zip(units, own)]
+    pairs = [(one, presses) for one in alone for other, presses in zip(alone, known) if other is not one]
+    gains = np.array([np.mean(gains_on(*pair)) for pair in pairs])
+    spread = float(np.sqrt(np.mean(np.square(gains - 1))))
+    variance = float(np.mean([color_variance(*pair) for pair in pairs]))
+    first = alone[0].calibration
+    light = np.mean([light_at_scale(one, first.known_mm_per_px) for one in alone], axis=0)
+    mean = replace(alone[0], light=light, spread=spread, color_variance=variance)
+    model, forward = common_models(units, own, replace(mean, color_variance=1.0))
+    digests = tuple(digest for one in own for digest in one.training_digests)
+    everything = replace(first, color_model=model, forward=forward, training_digests=digests)
+    if sensor.startswith("simulated"):
+        everything = replace(everything, sensor_name=sensor)
+    smooth = levels_from_light(
+        light, *pixel_places(*(np.arange(n) for n in first.image_shape[::-1]), first.image_shape)
+    )
+    return replace(mean, calibration=replace(everything, background=smooth))
 
 
 def color_variance(starter: Starter, presses: gelform.Presses) -> float:
@@ -144,12 +156,75 @@ def color_variance(starter: Starter, presses: gelform.Presses) -> float:
     return float(np.trace(np.linalg.solve(unit.forward.covariance, error.T @ error / len(error))) / 3)
 
 
-def samples_of(presses: gelform.Presses, light: np.ndarray, mean: Starter) -> Samples:
-    """Training samples of one unit, with color changes brought to the mean light."""
+def gains_on(starter: Starter, presses: gelform.Presses) -> list[float]:
+    """Slopes that a starter gives on each labeled press of another unit, over the ball's, inside the contact."""
+    unit = starter.for_unit(presses.background, mm_per_px=presses.mm_per_px)
+    reconstruct, gains = gelform.Reconstructor(unit, depth_sigma=False), []
+    y, x = np.mgrid[: unit.image_shape[0], : unit.image_shape[1]]
+    for press in presses.presses:
+        column, row, radius = press.label
+        ball_px = press.ball_diameter_mm / 2 / presses.mm_per_px
+        inside = np.hypot(x - column, y - row) < min(INNER * radius, 0.9 * ball_px)
+        slopes = reconstruct.from_image(press.image).gradients[inside]
+        score = score_slopes(slopes, x[inside], y[inside], (column, row), ball_px)
+        gains.append(gain_of(slopes.astype(float), score.true_gradients))
+    return gains
+
+
+def light_at_scale(starter: Starter, mm_per_px: float) -> np.ndarray:
+    """The light of a unit on images of another scale, whose middle is the same."""
+    height, width = starter.calibration.image_shape
+    wider = mm_per_px / starter.calibration.known_mm_per_px
+    places = pixel_places(np.arange(width), np.arange(height), (height, width))
+    image = levels_from_light(starter.light, *(0.5 + wider * (along - 0.5) for along in places))
+    return light_from_background(image)[0]
+
+
+def common_models(
+    units: Sequence[gelform.Presses], own: Sequence[gelform.Calibration], mean: Starter
+) -> tuple[HierarchicalModel, ForwardResponse]:
+    """Color model and forward response of the samples of several units, all as they were on the first one's images."""
+    made, parts, deep = mean.calibration, [], []
+    pressed = [pressed_of(presses, made.change.offset) for presses in units]
+    for presses, one in zip(units, pressed):
+        parts.append(as_first(training_samples(*one), mean, presses))
+    common = HierarchicalModel.fit(joined(parts), ridge=RIDGE)
+    for presses, one, calibration in zip(units, pressed, own):
+        light = light_from_background(presses.background)[0]
+        model, _ = replace(mean, calibration=replace(made, color_model=common)).models_for(
+            light, presses.mm_per_px
+        )
+        reader = SlopeReader(model, one[0][0], calibration.untouched_change)
+        depths = [reader.depth_px(press) for press in one[0]]
+        inside = contact_samples(*one, depths_px=depths)
+        deep.append(as_first(with_rest_samples(inside, *one, depths), mean, presses))
+    samples = joined(deep)
+    ridge = made.settings.step_ridge or RIDGES[0]
+    (forward,) = ForwardResponse.fit_each(samples, [ridge], step_sigma=step_sigma_of(common, samples))
+    return common, replace(forward, residual_scale=made.forward.residual_scale, clipped=made.forward.clipped)
+
+
+def pressed_of(presses: gelform.Presses, offset: float) -> tuple[list[PreparedPress], list[ContactCircle]]:
+    """The accepted presses of a unit and their circles."""
     located = locate(unlabeled(presses))
-    offset = mean.calibration.change.offset
     prepared = prepared_by_offset(located.presses, located.prepared, {offset})[offset]
-    samples = training_samples(*located.refined.of_accepted(prepared))
-    nodes = gain_between(light, mean.light, offset, samples.shape)
+    return located.refined.of_accepted(prepared)
+
+
+def as_first(samples: Samples, mean: Starter, presses: gelform.Presses) -> Samples:
+    """Samples of a unit as they were on the first one's images, under the mean light: those that lie on them."""
+    made, light = mean.calibration, light_from_background(presses.background)[0]
+    wider = presses.mm_per_px / made.known_mm_per_px
+    nodes = gain_between(light, mean.light, made.change.offset, samples.shape, wider)
     gain = at_pixels(nodes, *interpolation(samples.x_px, samples.y_px, samples.shape))
-    return replace(samples, color_change=(samples.color_change * gain).astype(np.float32))
+    middle = (np.array(samples.shape[::-1]) - 1) / 2
+    x, y = (half + wider * (at - half) for half, at in zip(middle, (samples.x_px, samples.y_px)))
+    on = (np.abs(x - middle[0]) <= middle[0]) & (np.abs(y - middle[1]) <= middle[1])
+    change = (samples.color_change * gain).astype(np.float32)
+    columns = {"color_change": change, "x_px": x, "y_px": y}
+    columns |= {"gradients": samples.gradients, "weight": samples.weight}
+    if samples.depth_px is not None:
+        columns["depth_px"] = wider * samples.depth_px
+    return replace(
+        samples, background=made.background, **{name: values[on] for name, values in columns.items()}
+    )

@@ -159,6 +159,11 @@ class Calibration:
         return 0.0 if self.settings.starter is None else float(self.settings.starter["spread"])
 
     @property
+    def carried(self) -> float:
+        """The share of the color model that comes from other units: 1 for a starter, 0 for a calibration of this unit."""
+        return float(self.settings.starter is not None)
+
+    @property
     def findings(self) -> tuple[Finding, ...]:
         """Findings that belong to every result: that the calibration is a starter, and the differences of its background."""
         starter = self.settings.starter

@@ -26,14 +26,18 @@ from gelform.confidence import (
     PreparedCauses,
     PreparedSigma,
     SolvedSigma,
+    SteepSlopes,
     UnknownSigma,
+    all_shown,
     explanation_of,
     noise_at_rest,
     with_model_sigma,
+    with_steep,
 )
 from gelform.confidence.causes import either, outside_of_gel
 from gelform.contact import PreparedContact, SlopeDeviations
 from gelform.depth import Integration, integrate_unchecked
+from gelform.depth_sigma.missing import MissingDepth
 from gelform.depth_sigma.sigma import DepthDifference, DepthSigma, add_in_proportion, checked_sigma
 from gelform.errors import GelformError
 from gelform.foundations.checks import check_image
@@ -67,6 +71,8 @@ class _Read(NamedTuple):
     untouched: NDArray[np.bool_]
     sigma: NDArray[np.float32]
     confidence: NDArray[np.float32]
+    steep: NDArray[np.float32]
+    stated_confidence: NDArray[np.float32]
     maps: dict[str, NDArray[np.float32]] | None = None
 
 
@@ -83,13 +89,17 @@ class _Calibrated:
         self.pitch = calibration.mm_per_px or USUAL_WIDTH_MM / shape[1]
         self.clean = known.clean if known else USUAL_SIGMA
         self.stepped = SteppedSlopes(forward, shape, calibration.untouched_change)
-        self.residual_scale = 1.0 if forward is None else forward.residual_scale
+        self.per_residual = np.float32(1 if forward is None else 1 / forward.residual_scale)
         self.slope_per_change = 1.0 if forward is None else forward.slope_per_change
         self.states_sigma = slope_sigma and known is not None
+        self.steep_slopes: Callable[..., tuple[NDArray[np.float32], NDArray[np.float32]]] = all_shown
+        if known is not None and slope_sigma:
+            self.steep_slopes = SteepSlopes(known, calibration.carried)
         self.anchor = RestAnchor(shape, self.pitch, self.clean)
         self.depth_sigma: DepthSigma | None = None
         if depth_sigma and known is not None and calibration.mm_per_px is not None:
             self.depth_sigma = DepthSigma(shape, mm_per_px=self.pitch, **known.correlation)
+        self.missing_depth = MissingDepth(shape, self.pitch)
         self.gain_sigma = known.gain_sigma if known else 0.0
         self.limit = DepthLimit.of(shape, self.pitch, calibration.settings.gel_thickness_mm)
         blur_px = calibration.change.blur_px if known else None
@@ -180,6 +190,7 @@ class Reconstructor:
     own_background : whether the background in use is the calibration's own, pixel for pixel
     findings : findings about a starter calibration, and about a background that is not the calibration's own
     solved_sigma : function from the standard deviation of the read slopes to that of the solved depth's slopes
+    steep_slopes : function to the standard deviation of slopes that presses have not shown, and to the stated confidence
     markers : finds the gel's markers in an image; its length is 0 if there are none. A `MarkerTracker` of it has memory
 
     Raises
@@ -212,7 +223,7 @@ class Reconstructor:
             self.background = today.astype(np.float32)
         self.own_background = background_digest(self.background) == calibration.background_digest
         self._today = _Today(self._calibrated, self.background)
-        self.solved_sigma = self._calibrated.solved_sigma
+        self.solved_sigma, self.steep_slopes = self._calibrated.solved_sigma, self._calibrated.steep_slopes
         self.markers = MarkerFollower(self.background, calibration.mm_per_px)
         self._start: Callable[[Work], Work] = lambda work: work
         height, width = shape = calibration.image_shape
@@ -299,24 +310,31 @@ class Reconstructor:
         depth_mm, too_deep = fixed.limit.bound(solution.depth_mm)
         faults.widen(depth_sigma, fixed.limit.ignorance_mm)
         gradients = slopes_of_solution(depth_mm, (fixed.pitch, fixed.pitch))
-        gradients_sigma = self.solved_sigma(read.observed_sigma, gradients)
-        known = faults.without_lost(solution.known)
-        slopes = SlopeDeviations.of(read.observed_sigma, gradients_sigma, read.untouched)
+        known, solved_sigma = (
+            faults.without_lost(solution.known),
+            self.solved_sigma(read.observed_sigma, gradients),
+        )
+        slopes = SlopeDeviations.of(read.observed_sigma, solved_sigma, read.untouched)
+        contact = self._today.contact(
+            depth_mm, depth_sigma, slopes, known
+        )  # no less certain for depth that is missing
+        steep = read.observed, read.steep, read.untouched
+        depth_sigma, difference, at_least = fixed.missing_depth(*steep, depth_mm, depth_sigma, difference)
+        findings = *read.reference.findings, *too_deep, *at_least
         return Reconstruction(
             depth=depth_mm if self.calibration.mm_per_px else depth_mm / np.float32(fixed.pitch),
             depth_sigma_mm=depth_sigma,
             gradients=gradients,
-            gradients_sigma=gradients_sigma,
+            gradients_sigma=with_steep(solved_sigma, read.steep),
             observed_gradients=read.observed,
-            confidence=read.confidence,
-            contact=self._today.contact(depth_mm, depth_sigma, slopes, known),
+            confidence=read.stated_confidence,
+            contact=contact,
             known=known,
             mm_per_px=self.calibration.mm_per_px,
             mm_per_px_sigma=self.calibration.mm_per_px_sigma,
-            zero="untouched",
             solver=solution.solver,
             curl_rms=solution.curl_rms,
-            health=(*self.findings, *faults.findings, *read.drifted, *read.reference.findings, *too_deep),
+            health=(*self.findings, *faults.findings, *read.drifted, *findings),
             markers=read.flow,
             calibration_digest=self.calibration.digest,
             albedo_source=albedo,
@@ -326,15 +344,16 @@ class Reconstructor:
     def explain(self, image: ArrayLike) -> Explanation:
         """The reasons for each pixel's confidence: the sigma that each cause adds, and its share.
 
-        It explains the sigma and the confidence that `from_image` solves with, and takes longer than a frame. Image and
-        errors are those of `from_image`.
+        It is of the slopes as read; the solver's weights are without the cause `steep`. It takes longer than a frame.
+        Image and errors are those of `from_image`.
         """
         if isinstance(self._today.causes, AllAlike):
             raise GelformError("Expected a Reconstructor with slope_sigma=True, which alone knows of causes.")
         image, change = self._checked(image), np.empty((*self.calibration.image_shape, 3), dtype=np.float32)
         read = self._read(image, change, explains=True)
         assert read.maps is not None
-        return explanation_of(read.maps, read.sigma, read.confidence, self._calibrated.clean)
+        read.maps["steep"], sigma = read.steep, np.asarray(with_steep(read.sigma, read.steep))
+        return explanation_of(read.maps, sigma, read.stated_confidence, self._calibrated.clean)
 
     def _read(
         self,
@@ -367,9 +386,7 @@ class Reconstructor:
             np.hypot(sigma, np.float32(exposure.gain_sigma * fixed.slope_per_change), out=sigma)
         maps: dict[str, NDArray[np.float32]] | None = {} if explains else None
         own = sigma.copy() if explains else sigma
-        residual = (
-            None if step is None else (step.residual * np.float32(1 / fixed.residual_scale), step.variance)
-        )
+        residual = None if step is None else (step.residual * fixed.per_residual, step.variance)
         confidence = today.causes(observed, sigma, unseen, raw_image, residual, maps)
         if maps is not None and isinstance(today.causes, PreparedCauses):
             maps = today.causes.maps_of(
@@ -377,8 +394,9 @@ class Reconstructor:
             )  # fmt: skip
         stated = sigma if fixed.states_sigma else None
         observed_sigma, confidence = with_model_sigma(stated, confidence, model_sigma, fixed.clean)
+        steep = self.steep_slopes(observed, sigma, confidence)
         return _Read(
-            faults, flow, markers, drifted, reference, observed, observed_sigma, untouched, sigma, confidence, maps
+            faults, flow, markers, drifted, reference, observed, observed_sigma, untouched, sigma, confidence, *steep, maps
         )  # fmt: skip
 
     def _albedo_source(self, change: NDArray[np.float32]) -> Callable[[], NDArray[np.float32]] | None:

@@ -263,7 +263,20 @@ def test_a_second_unit_starts_from_any_color_model(lambertian_calibration, calib
     start = start_from(lambertian_calibration, presses, "auto")
     assert start.digest == lambertian_calibration.digest
     assert start.model.degree == 3, "as the model that is drawn to it"
-    assert start_from(calibration, presses, "hierarchical").model is calibration.color_model
+    np.testing.assert_allclose(
+        start_from(calibration, presses, "hierarchical").model.nodes, calibration.color_model.nodes
+    )
+
+
+def test_another_unit_s_model_is_read_at_the_same_places_in_mm(calibration, presses):
+    """The first unit's pixels are half as wide, so that the whole second image lies in its middle half."""
+    first = replace(calibration, mm_per_px=presses.mm_per_px / 2)
+    model, own = start_from(first, presses, "auto").model, calibration.color_model
+    change = np.float32([[0.2, -0.1, 0.1]])
+    height, width = own.shape
+    x, y = (np.array([(n - 1) / 2 + part]) for n, part in ((width, 9), (height, 7)))
+    wider = own.gradients_at(change, x + 9, y + 7)
+    np.testing.assert_allclose(model.gradients_at(change, x, y), wider, rtol=0.1, atol=5e-3)
 
 
 def test_the_noise_of_colors_is_that_of_the_response(lambertian_calibration, monkeypatch):

@@ -230,7 +230,7 @@ def known_make(presses: Presses, color_model: str) -> Start | None:
         check_light(presses.background, starter.light, starter.make)
     except CalibrationError:
         return None  # a name alone does not make it that sensor; a start given by name raises the error
-    model, _ = starter.models_for(light_from_background(presses.background)[0])
+    model, _ = starter.models_for(light_from_background(presses.background)[0], presses.mm_per_px)
     made = starter.calibration
     unseen = set(made.training_digests).isdisjoint(press.digest for press in presses.presses)
     offered = unseen and color_model in (AUTO, DEFAULT_MODEL)
@@ -257,6 +257,8 @@ def start_from(start: Calibration | str | PathLike[str], presses: Presses, color
     spread = first.unit_spread or UNIT_SPREAD
     if isinstance(model, StartableModel):
         model.check_like(model.degree, presses.image_shape)
+        if first.mm_per_px is not None:
+            model = model.of_other_unit(np.ones((1, 1, 3)), presses.mm_per_px / first.mm_per_px)
         return Start(model, first.digest, spread, by)
     if tuple(first.image_shape) != tuple(presses.image_shape):
         (height, width), (rows, columns) = presses.image_shape, first.image_shape

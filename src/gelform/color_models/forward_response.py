@@ -29,6 +29,7 @@ from gelform.color_models._shared.least_squares import (
     monomial_products,
     monomials,
     node_positions,
+    nodes_at_scale,
     position_powers,
     term_count,
     terms_of_orders,
@@ -155,11 +156,16 @@ class ForwardResponse:
         products = np.stack([*monomial_products(v.T, _POWERS), z, z * v[:, 0], z * v[:, 1]])
         return np.asarray(np.einsum("tn,ntc->nc", products, coefficients))
 
-    def of_smaller_changes(self, gain: NDArray[np.float64]) -> ForwardResponse:
-        """The response for color changes that are smaller by a gain (rows, columns, 3) at the nodes, and their noise."""
+    def of_other_unit(self, gain: NDArray[np.float64], wider: float) -> ForwardResponse:
+        """The response of a unit with smaller color changes and noise, by a gain (rows, columns, 3) at its nodes.
+
+        Its pixels are `wider` times as wide on the gel.
+        """
+        nodes = nodes_at_scale(self.nodes, self.shape, wider) / gain[:, :, None]
+        nodes[:, :, -3:] *= wider  # depth is in pixels
         usual = np.exp(np.log(gain).mean(axis=(0, 1)))
         covariance = self.covariance / np.outer(usual, usual)
-        return replace(self, nodes=self.nodes / gain[:, :, None], covariance=covariance)
+        return replace(self, nodes=nodes, covariance=covariance)
 
     def to_arrays(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
         """Arrays and settings for `from_arrays`."""

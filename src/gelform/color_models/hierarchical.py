@@ -24,6 +24,7 @@ from gelform.color_models._shared.least_squares import (
     interpolation,
     monomial_parents,
     monomials,
+    nodes_at_scale,
     terms_of_orders,
 )
 from gelform.color_models.seam import PendingChange, Samples, check_image_shape
@@ -95,12 +96,16 @@ class HierarchicalModel:
         """One variant for each ridge, the stiffest first."""
         return [{"ridge": ridge} for ridge in RIDGES]
 
-    def of_smaller_changes(self, gain: NDArray[np.float64]) -> HierarchicalModel:
-        """The model for color changes that are smaller by a gain (rows, columns, 3) at the nodes."""
+    def of_other_unit(self, gain: NDArray[np.float64], wider: float) -> HierarchicalModel:
+        """The model of a unit whose color changes are smaller by a gain (rows, columns, 3) at its nodes.
+
+        Its pixels are `wider` times as wide on the gel.
+        """
         factors = np.stack(
             [gain[..., list(term)].prod(axis=-1) for term in monomials(3, self.degree)], axis=-1
         )
-        return HierarchicalModel(self.nodes * factors[..., None], self.degree, self.shape)
+        nodes = nodes_at_scale(self.nodes, self.shape, wider)
+        return HierarchicalModel(nodes * factors[..., None], self.degree, self.shape)
 
     def check_like(self, degree: int, shape: tuple[int, int]) -> None:
         """Raise a ValueError if a model of a degree and an image shape cannot start from this one."""

@@ -167,8 +167,11 @@ class StartableModel(ColorModel, Protocol):
         """Degree of the polynomial in color."""
         ...
 
-    def of_smaller_changes(self, gain: NDArray[np.float64]) -> StartableModel:
-        """The model for color changes that are smaller by a gain (rows, columns, 3) at its nodes."""
+    def of_other_unit(self, gain: NDArray[np.float64], wider: float) -> StartableModel:
+        """The model of a unit whose color changes are smaller by a gain (rows, columns, 3) at its nodes.
+
+        Its pixels are `wider` times as wide on the gel.
+        """
         ...
 
     def check_like(self, degree: int, shape: tuple[int, int]) -> None:

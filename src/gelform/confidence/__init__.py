@@ -5,6 +5,7 @@ from gelform.confidence.explanation import Explanation, explanation_of
 from gelform.confidence.frame_sigma import PreparedSigma, UnknownSigma, noise_at_rest, with_model_sigma
 from gelform.confidence.slope_sigma import SlopeErrors, SlopeSigma, SolvedErrors
 from gelform.confidence.solved import SolvedSigma, with_solved_factors
+from gelform.confidence.steep import SteepSlopes, all_shown, with_steep
 
 __all__ = [
     "AllAlike",
@@ -16,9 +17,12 @@ __all__ = [
     "SlopeSigma",
     "SolvedErrors",
     "SolvedSigma",
+    "SteepSlopes",
     "UnknownSigma",
+    "all_shown",
     "explanation_of",
     "noise_at_rest",
     "with_model_sigma",
     "with_solved_factors",
+    "with_steep",
 ]

@@ -49,6 +49,9 @@ CAUSES = {
         SIX_SIGMA,
         "#cc79a7",
     ),
+    "steep": Cause(
+        "steeper than the presses have shown: at least about this slope.", LEAVES_NOTHING, "#882255"
+    ),
     "inconsistent": Cause(
         "torn or from another moment: data of the frame were lost.", LEAVES_NOTHING, "#d55e00"
     ),

@@ -352,6 +352,7 @@ class DepthDifference:
     solve_args : weights and anchor, or zero, as the depth was solved with
     depth_mm : (H, W)
     gain_sigma : relative standard deviation of all slopes together, which moves differences of depth in proportion
+    missing_mm : (H, W), depth that steep slopes may miss, one standard deviation; None: none
     """
 
     prepared: DepthSigma
@@ -359,10 +360,13 @@ class DepthDifference:
     solve_args: dict[str, Any]
     depth_mm: NDArray[np.float32]
     gain_sigma: float
+    missing_mm: NDArray[np.float32] | None = None
 
     def __call__(self, region: NDArray[np.bool_]) -> NDArray[np.float32]:
         """Standard deviation (H, W), mm, of the depth minus its mean over a region (H, W) of some pixels."""
         sigma = self.prepared(self.gradients_sigma, **self.solve_args, against=region)
         apart = self.depth_mm - np.float32(self.depth_mm[region].mean(dtype=np.float64))
-        in_proportion = np.float32(self.gain_sigma) * apart
-        return np.asarray(np.sqrt(np.square(sigma) + np.square(in_proportion)))
+        square = np.square(sigma) + np.square(np.float32(self.gain_sigma) * apart)
+        if self.missing_mm is not None:
+            square += np.square(self.missing_mm - self.missing_mm[region].mean())
+        return np.asarray(np.sqrt(square))

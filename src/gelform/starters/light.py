@@ -63,15 +63,24 @@ def pixel_places(
 
 
 def gain_between(
-    light: NDArray[np.float64], usual: NDArray[np.float64], offset: float, shape: tuple[int, int]
+    light: NDArray[np.float64],
+    usual: NDArray[np.float64],
+    offset: float,
+    shape: tuple[int, int],
+    wider: float = 1.0,
 ) -> NDArray[np.float64]:
     """Usual color change over the color change under a light, at the nodes: (rows, columns, 3).
 
-    A color change is divided by the light plus `offset` gray levels; the offset weighs more in a darker unit.
+    A color change is divided by the light plus `offset` gray levels; the offset weighs more in a darker unit. The pixels
+    under this light are `wider` times as wide on the gel as those under the usual one.
     """
     rows, columns = node_positions(shape)
     places = pixel_places(columns, rows, shape)
-    own, other = (np.maximum(levels_from_light(one, *places).astype(np.float64), 1) for one in (light, usual))
+    usual_places = (np.clip(0.5 + wider * (along - 0.5), 0, 1) for along in places)
+    own, other = (
+        np.maximum(levels_from_light(one, *at).astype(np.float64), 1)
+        for one, at in ((light, places), (usual, usual_places))
+    )
     return (1 + offset / own) / (1 + offset / other)
 
 

@@ -113,7 +113,8 @@ class Starter:
         made = self.calibration
         image = check_image(background, shape=made.image_shape, name="background").astype(np.float32)
         findings = check_light(image, self.light, self.make)
-        model, forward = self.models_for(light_from_background(image)[0])
+        pitch = made.known_mm_per_px if mm_per_px is None else float(check_mm_per_px(mm_per_px)[0])
+        model, forward = self.models_for(light_from_background(image)[0], pitch)
         sigma = made.slope_sigma
         assert sigma is not None
         record = {
@@ -128,7 +129,7 @@ class Starter:
             serial=serial,
             gel_id=gel_id,
             view=View() if view is None else view,
-            mm_per_px=made.mm_per_px if mm_per_px is None else float(check_mm_per_px(mm_per_px)[0]),
+            mm_per_px=pitch,
             mm_per_px_sigma=made.mm_per_px_sigma if mm_per_px is None else None,
             background=image,
             background_noise=noise_from_image(image),
@@ -146,15 +147,19 @@ class Starter:
         image = frame if view.is_identity else image_from_frame(frame, view)
         return self.for_unit(image, view=view, **known)
 
-    def models_for(self, light: NDArray[np.float64]) -> tuple[Any, Any]:
-        """Color model and forward response of a unit with another light (10, 3), for that unit's color changes."""
+    def models_for(self, light: NDArray[np.float64], mm_per_px: float) -> tuple[Any, Any]:
+        """Color model and forward response of a unit with another light (10, 3) and scale, for its color changes.
+
+        The lamps stand around the gel, so that places and depths are equal in mm, counted from the middle of the image.
+        """
         made = self.calibration
-        gain = gain_between(light, self.light, made.change.offset, made.image_shape)
+        wider = mm_per_px / made.known_mm_per_px
+        gain = gain_between(light, self.light, made.change.offset, made.image_shape, wider)
         assert isinstance(made.color_model, StartableModel)
         assert made.forward is not None
-        forward = made.forward.of_smaller_changes(gain)
+        forward = made.forward.of_other_unit(gain, wider)
         forward = replace(forward, covariance=self.color_variance * forward.covariance)
-        return made.color_model.of_smaller_changes(gain), forward
+        return made.color_model.of_other_unit(gain, wider), forward
 
     def save(self, path: str | PathLike[str], *, overwrite: bool = False) -> None:
         """Write one .npz without the background, in single precision.

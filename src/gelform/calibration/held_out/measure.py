@@ -25,7 +25,14 @@ from gelform.calibration.held_out.sigma import fraction_trained, slope_sigma_fro
 from gelform.calibration.presses.press_set import Press, Presses
 from gelform.calibration_file import Calibration
 from gelform.color_models import ForwardResponse
-from gelform.confidence import SlopeSigma, SolvedErrors, SolvedSigma, noise_at_rest, with_solved_factors
+from gelform.confidence import (
+    SlopeSigma,
+    SolvedErrors,
+    SolvedSigma,
+    all_shown,
+    noise_at_rest,
+    with_solved_factors,
+)
 from gelform.foundations.progress import Progress, no_progress
 from gelform.metrics import PressErrors, press_errors
 from gelform.metrics.ball import STEEPEST_FRACTION, ball_center, ball_gradients, followed_radius
@@ -255,6 +262,7 @@ def solved_by_place(
     too few pixels were held out for factors, the slopes of the solved depth have the deviation of those that were read.
     """
     reconstruct = Reconstructor(replace(draft, slope_sigma=sigma), depth_sigma=False)
+    reconstruct.steep_slopes = all_shown  # the factors are those of slopes that presses show
     no_walls = copy(reconstruct)
     no_walls.solved_sigma = SolvedSigma(sigma, draft.image_shape, None)
     height, width = draft.image_shape

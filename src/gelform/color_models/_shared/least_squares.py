@@ -315,6 +315,19 @@ def interpolation(x_px: NDArray[Any], y_px: NDArray[Any], shape: tuple[int, int]
     return tuple(found)
 
 
+def nodes_at_scale(nodes: NDArray[Any], shape: tuple[int, int], wider: float) -> NDArray[np.float64]:
+    """Nodes (rows, columns, ...) for images (H, W) whose pixels are `wider` times as wide on the gel.
+
+    Each place is read where it lies in mm from the image's center; places outside the first image are read at its border.
+    """
+    rows, columns = (
+        np.clip((n - 1) / 2 + wider * (at - (n - 1) / 2), 0, at[-1])
+        for at, n in zip(node_positions(shape), shape)
+    )
+    y, x = (axis.ravel() for axis in np.meshgrid(rows, columns, indexing="ij"))
+    return at_pixels(nodes, *interpolation(x, y, shape)).reshape(np.shape(nodes))
+
+
 def at_pixels(nodes: NDArray[Any], row: Any, v: Any, column: Any, u: Any) -> NDArray[np.float64]:
     """Values (N, ...) between the nodes, bilinear."""
     v, u = (part.reshape(-1, *[1] * (nodes.ndim - 2)) for part in (v, u))

@@ -1,0 +1,105 @@
+"""Steep slopes that presses have not shown: never sure, on a unit's own calibration and on one of other units."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gelform.confidence import SteepSlopes, all_shown, steep, with_steep
+from gelform.confidence.slope_sigma import SlopeSigma
+from gelform.confidence.steep import PER_EXCESS, STEEPEST_FACE
+from gelform.gradients import STEEPEST_GEL
+from kernel_agreement import assert_kernel_agrees
+
+CLEAN = 0.05
+SHOWN = SlopeSigma(0.01, (0.1, 0.2, 0.3, 0.4, 0.5), (0.02,) * 5, CLEAN, 8.0)  # median 0.3, upper quartile 0.4
+
+
+def along(slopes):
+    """Slopes (1, N, 2) of these sizes, in directions all around."""
+    turn = np.arange(len(slopes))
+    return np.stack([slopes * np.cos(turn), slopes * np.sin(turn)], axis=-1).astype(np.float32)[None]
+
+
+def deviations(slopes, carried):
+    row = np.full((1, len(slopes)), 0.02, np.float32)
+    found = SteepSlopes(SHOWN, carried)(along(np.array(slopes)), row, np.ones_like(row))
+    return [one[0] for one in found]
+
+
+def test_a_unit_s_own_slopes_are_known_up_to_the_upper_quartile():
+    found, confidence = deviations([0.0, 0.3, 0.4, 0.5, 0.6], carried=0.0)
+    np.testing.assert_allclose(found, PER_EXCESS * np.array([0, 0, 0, 0.1, 0.2]), atol=1e-6)
+    np.testing.assert_array_equal(confidence[:3], 1)
+    np.testing.assert_allclose(confidence[3:], CLEAN**2 / (0.02**2 + found[3:] ** 2), rtol=1e-5)
+
+
+def test_two_sigma_of_another_unit_s_slopes_reach_the_steepest_face():
+    slopes = np.array([0.3, 0.35, 0.4])
+    found, confidence = deviations(slopes, carried=1.0)
+    np.testing.assert_allclose(slopes + 2 * found, STEEPEST_FACE, rtol=1e-5)
+    assert confidence.max() < 0.3, "never sure"
+    gentle, sure = deviations([0.0, 0.1, 0.3 - CLEAN], carried=1.0)
+    np.testing.assert_allclose(gentle, 0, atol=1e-6)
+    np.testing.assert_allclose(sure, 1, rtol=1e-6)
+
+
+def test_both_kinds_of_ignorance_add_up_and_are_bounded():
+    (own,), (other,), (both,) = (deviations([0.8], carried)[0] for carried in (0.0, 1.0, 1.0))
+    assert both == other == pytest.approx(np.hypot(own, (STEEPEST_FACE - 0.8) / 2), rel=1e-5)
+    assert deviations([50.0], 0.0)[0] == STEEPEST_GEL
+
+
+def test_confidence_is_never_raised():
+    row = np.full((1, 3), 0.02, np.float32)
+    low = np.float32([[0.9, 0.2, 0.0]])
+    assert (SteepSlopes(SHOWN, 1.0)(along(np.array([0.1, 0.1, 0.1])), row, low)[1] == low).all()
+    nothing, same = all_shown(along(np.array([0.9, 2.0, 0.0])), row, low)
+    assert not nothing.any()
+    assert same is low
+
+
+def test_it_is_added_in_squares_to_one_map_or_two():
+    sigma, more = np.full((2, 3), 3.0, np.float32), np.full((2, 3), 4.0, np.float32)
+    np.testing.assert_allclose(with_steep(sigma, more), 5)
+    np.testing.assert_allclose(with_steep(np.dstack([sigma, 0 * sigma]), more), np.dstack([sigma + 2, more]))
+    assert with_steep(None, more) is None
+
+
+def numpy_steep_sigma(
+    gradients,
+    sigma,
+    confidence,
+    out,
+    stated,
+    upper,
+    per_excess,
+    middle,
+    per_fade,
+    steepest,
+    carried,
+    most,
+    clean,
+):
+    slope = np.linalg.norm(gradients.astype(float), axis=-1)
+    own = per_excess * np.maximum(slope - upper, 0)
+    other = carried * np.clip((slope - middle) * per_fade + 1, 0, 1) * np.maximum(steepest - slope, 0)
+    found = np.minimum(np.hypot(own, other), most)
+    return found, np.minimum(confidence, clean**2 / (sigma.astype(float) ** 2 + found**2))
+
+
+def test_the_kernel_agrees_with_numpy():
+    rng = np.random.default_rng(0)
+    gradients = rng.normal(0, 0.6, (7, 37, 2)).astype(np.float32)
+    sigma, confidence = (rng.uniform(low, 1, (7, 37)).astype(np.float32) for low in (0.01, 0))
+    numbers = 0.4, PER_EXCESS, 0.3, 1 / CLEAN, STEEPEST_FACE, 0.5, 1.0, CLEAN
+    maps = gradients, sigma, confidence, np.empty_like(sigma), np.empty_like(sigma)
+    assert_kernel_agrees(steep._steep_sigma, numpy_steep_sigma, *maps, *numbers)
+
+
+def test_what_presses_have_shown_follows_from_the_law():
+    """Slopes twice as steep, doubts from twice as steep on."""
+    wider = replace(SHOWN, slopes=tuple(2 * one for one in SHOWN.slopes))
+    row = np.full((1, 2), 0.02, np.float32)
+    found = SteepSlopes(wider)(along(np.array([0.8, 0.9])), row, np.ones_like(row))[0]
+    np.testing.assert_allclose(found, [[0, 0.1 * PER_EXCESS]], atol=1e-6)
