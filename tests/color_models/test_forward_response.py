@@ -296,6 +296,19 @@ def test_a_frame_of_another_size_is_refused():
         PreparedStep(forward)(change, read, depth)
 
 
+def test_another_unit_is_read_at_the_same_place_and_depth_in_mm():
+    """Its pixels are twice as wide: half the distance from the middle, half the depth in pixels, half the color change."""
+    known = response()
+    unit = known.of_other_unit(np.full((1, 1, 3), 2.0), 2.0)
+    rows, columns = node_positions(SHAPE)
+    middle, slopes = (np.array(SHAPE[::-1]) - 1) / 2, np.float64([[0.3, -0.2]])
+    x, y = columns[2:3], rows[1:2]  # a node of the unit, so that nothing is interpolated there
+    far = middle + 2 * (np.array([x[0], y[0]]) - middle)
+    made = known.color_from_gradients(slopes, far[:1], far[1:], depth_px=6.0)
+    np.testing.assert_allclose(unit.color_from_gradients(slopes, x, y, depth_px=3.0), made / 2, rtol=1e-9)
+    np.testing.assert_allclose(unit.covariance, known.covariance / 4)
+
+
 # Files and mistakes
 
 

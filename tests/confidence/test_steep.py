@@ -1,14 +1,19 @@
 """Steep slopes that presses have not shown: never sure, on a unit's own calibration and on one of other units."""
 
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+import edges_of_cube
+import gelform
 from gelform.confidence import SteepSlopes, all_shown, steep, with_steep
 from gelform.confidence.slope_sigma import SlopeSigma
-from gelform.confidence.steep import PER_EXCESS, STEEPEST_FACE
+from gelform.confidence.steep import FADE, PER_EXCESS, STEEPEST_FACE
 from gelform.gradients import STEEPEST_GEL
+from gelform.simulate import Ball, Cone, simulate_press
+from gelform.starters import load_starter
 from kernel_agreement import assert_kernel_agrees
 
 CLEAN = 0.05
@@ -39,7 +44,7 @@ def test_two_sigma_of_another_unit_s_slopes_reach_the_steepest_face():
     found, confidence = deviations(slopes, carried=1.0)
     np.testing.assert_allclose(slopes + 2 * found, STEEPEST_FACE, rtol=1e-5)
     assert confidence.max() < 0.3, "never sure"
-    gentle, sure = deviations([0.0, 0.1, 0.3 - CLEAN], carried=1.0)
+    gentle, sure = deviations([0.0, 0.1, 0.3 - FADE * CLEAN], carried=1.0)
     np.testing.assert_allclose(gentle, 0, atol=1e-6)
     np.testing.assert_allclose(sure, 1, rtol=1e-6)
 
@@ -103,3 +108,66 @@ def test_what_presses_have_shown_follows_from_the_law():
     row = np.full((1, 2), 0.02, np.float32)
     found = SteepSlopes(wider)(along(np.array([0.8, 0.9])), row, np.ones_like(row))[0]
     np.testing.assert_allclose(found, [[0, 0.1 * PER_EXCESS]], atol=1e-6)
+
+
+def starter_of(calibration):
+    """The same calibration as one of other units."""
+    made = {"sensor": "x", "spread": 0.0, "units": ["others"], "findings": []}
+    return replace(calibration, settings=replace(calibration.settings, starter=made))
+
+
+def test_depth_contact_and_slopes_stay_the_same(calibration, sensor):
+    """What is stated changes alone: the solver's weights and the contacts are without it."""
+    image = simulate_press(sensor, Cone(6.0, 110.0), depth_mm=0.6, rng=np.random.default_rng(1)).image
+    reconstruct = gelform.Reconstructor(starter_of(calibration))
+    without = copy(reconstruct)
+    without.steep_slopes = all_shown
+    doubted, plain = reconstruct.from_image(image), without.from_image(image)
+    for name in ("depth", "gradients", "observed_gradients", "contact", "known"):
+        np.testing.assert_array_equal(getattr(doubted, name), getattr(plain, name), err_msg=name)
+    steeper = np.linalg.norm(plain.gradients, axis=-1) > np.median(calibration.slope_sigma.slopes) + 0.05
+    assert steeper.sum() > 50
+    assert doubted.confidence[steeper].max() < 0.3 < np.median(plain.confidence[steeper])
+    assert (doubted.gradients_sigma > plain.gradients_sigma)[steeper].all()
+    top = plain.depth_mm.argmax()
+    assert doubted.depth_sigma_mm.flat[top] > 2 * plain.depth_sigma_mm.flat[top]
+    found = {one.name: one for one in doubted.health}
+    assert "steep" in found
+    assert f"at least {plain.peak_mm:.2f} mm" in found["steep"].message
+    assert "steep" not in {one.name for one in plain.health}
+    assert "steep" in {one.name for one in reconstruct.explain(image).findings}
+
+
+def test_a_ball_on_its_own_unit_is_not_called_steep(calibration, sensor):
+    image = simulate_press(sensor, Ball(4.0), depth_mm=0.5, rng=np.random.default_rng(2)).image
+    reconstruct = gelform.Reconstructor(calibration)
+    assert "steep" not in {one.name for one in reconstruct.from_image(image).health}
+    assert "steep" not in {one.name for one in reconstruct.explain(image).findings}
+
+
+@pytest.mark.slow
+def test_the_faces_of_a_cube_are_never_sure_by_a_starter(data):
+    """They stand at some 45 degrees and are read at half of that; the edge is as much too low."""
+    background, images = edges_of_cube.frames()
+    calibration = load_starter("gelsight-mini").for_unit(background)
+    reconstruct, pitch = gelform.Reconstructor(calibration), calibration.known_mm_per_px
+    rows = []
+    for name in ("0.png", "24.png", "50.png"):
+        result = reconstruct.from_image(images[name])
+        edge = edges_of_cube.edge_in(result.gradients, pitch)
+        error = edges_of_cube.crest_error_mm(edge, result.depth_mm, pitch)
+        assert error > 0.2
+        assert error < 2.5 * result.depth_sigma_mm[edge.crest].mean()
+        assert "steep" in {one.name for one in result.health}
+        for face, true in zip(edge.faces, edge.true_gradients):
+            off = np.abs((result.gradients[face] - true) @ edge.across)
+            assert np.median(off) > 0.2
+            rows.append(
+                [
+                    (off < 2 * result.gradients_sigma[face][:, 0]).mean(),
+                    (result.confidence[face] > 0.3).mean(),
+                ]
+            )
+    within, sure = np.mean(rows, axis=0)
+    assert within > 0.85
+    assert sure < 0.15

@@ -18,6 +18,9 @@ from gelform.gradients import STEEPEST_GEL
 # Quantiles of the slopes that presses have shown. From the first on, a model of other units is doubted; from the second on,
 # every model.
 SHOWN = 0.5, 0.75
+FADE = (
+    1.5  # clean sigmas below the median over which that doubt begins, because slopes are read with an error
+)
 # Deviation of a slope over its excess over the upper quartile. Measured on three sensors: calibrations trained below slopes
 # of 0.4 and 0.5 have 92 % of the steeper pixels within two sigma, and call 12 % sure.
 PER_EXCESS = 1.25
@@ -43,7 +46,7 @@ class SteepSlopes:
 
     def __init__(self, sigma: SlopeSigma, carried: float = 0.0) -> None:
         middle, upper = np.quantile(sigma.slopes, SHOWN)
-        doubt = 1 / sigma.clean, STEEPEST_FACE, carried / 2
+        doubt = 1 / (FADE * sigma.clean), STEEPEST_FACE, carried / 2
         self._numbers = upper, PER_EXCESS, middle, *doubt, STEEPEST_GEL, sigma.clean
 
     def __call__(

@@ -20,6 +20,7 @@ from gelform.color_models._shared.least_squares import (
     light_at_nodes,
     monomials,
     node_positions,
+    nodes_at_scale,
     polynomial_terms,
     position_powers,
     robust_ridge,
@@ -163,3 +164,14 @@ def test_neighbors_are_left_out_where_they_are_many():
     np.testing.assert_array_equal(found.target, law(many)[::3])
     np.testing.assert_array_equal(found.weight, many.weight[::3])
     assert np.abs(found.residual(found.coefficients(1e-9))).max() < 1e-4
+
+
+@pytest.mark.parametrize("wider", [1.0, 1.25, 0.8])
+def test_nodes_at_another_scale_are_read_at_the_same_distance_from_the_middle(wider):
+    """Exact where nodes are linear in place, and on the first image's border beyond it."""
+    shape = (81, 113)
+    rows, columns = node_positions(shape)
+    nodes = np.stack(np.meshgrid(columns, rows), axis=-1).astype(float)
+    found = nodes_at_scale(nodes, shape, wider)
+    middle = np.array([56, 40])
+    np.testing.assert_allclose(found, np.clip(middle + wider * (nodes - middle), 0, nodes[-1, -1]), atol=1e-9)
