@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gelform.depth_sigma.missing import MissingDepth, at_least
+from gelform.depth_sigma.missing import DOUBTED, MissingDepth, at_least
 from gelform.depth_sigma.sigma import DepthDifference
 
 SHAPE, PITCH = (96, 160), 0.1
@@ -52,11 +52,14 @@ def test_the_stated_deviations_contain_it():
     assert findings[0].figure == pytest.approx(missing[SHAPE[0] // 2].mean(), rel=0.05)
 
 
-def test_nothing_changes_without_steep_slopes():
+@pytest.mark.parametrize("share", [0.0, 0.99 * DOUBTED / STEEP])
+def test_nothing_changes_where_slopes_are_hardly_doubted(share):
     gradients, steep, rest = roof(0.5)
     sigma = np.full(SHAPE, 0.03, np.float32)
-    frame = gradients, 0 * steep, rest, np.zeros(SHAPE, np.float32), sigma
-    assert MissingDepth(SHAPE, PITCH)(*frame, None)[0] is sigma
+    frame = gradients, np.float32(share) * steep, rest, np.zeros(SHAPE, np.float32), sigma
+    known = DepthDifference(Prepared(), np.ones((*SHAPE, 2)), {}, frame[3], 0.0)
+    stated = MissingDepth(SHAPE, PITCH)(*frame, known)
+    assert [one is same for one, same in zip(stated, (sigma, known, ()))] == [True] * 3
     assert MissingDepth(SHAPE, PITCH)(*frame[:4], None, None) == (None, None, ())
 
 

@@ -18,6 +18,10 @@ from gelform.foundations.filters import medians_where
 from gelform.foundations.findings import Finding
 from gelform.solvers.dct import DctSolver
 
+# mm/mm, deviation of a steep slope from which on depth may be missing: nearly none on balls of the own unit, whose depth is
+# right, but on walls and on faces that another unit's model reads.
+DOUBTED = 0.2
+
 
 class MissingDepth:
     """The missing depth of whole frames (H, W), on a grid that is four times coarser; immutable, threads can share it."""
@@ -39,6 +43,7 @@ class MissingDepth:
 
         The slopes (H, W, 2) are those that were read, `steep` (H, W) is the deviation of steep ones.
         """
+        steep = np.where(steep > DOUBTED, steep, np.float32(0))
         if sigma_mm is None or difference is None or not steep.any():
             return sigma_mm, difference, ()
         missing = self.of_slopes(gradients, steep, untouched)
