@@ -20,6 +20,7 @@ from gelform.calibration.held_out.measure import (
 from gelform.calibration.held_out.scores import Selection
 from gelform.calibration.report.statistics import fraction_within_sigma
 from gelform.color_models.forward_response import RIDGES
+from gelform.confidence import all_shown
 from gelform.confidence.slope_sigma import ONE_SIGMA
 from gelform.metrics import angle_deg
 from gelform.reconstruct import Reconstructor
@@ -163,6 +164,7 @@ def readings_alone(calibration, monkeypatch):
 
 def share_of(calibration, presses, sigma):
     reconstruct = Reconstructor(replace(calibration, slope_sigma=sigma), depth_sigma=False)
+    reconstruct.steep_slopes = all_shown
     samples = [one.within(0.85) for one in calibration.report.samples]
     sigmas = [stated_sigma(reconstruct, presses.presses[one.index].image, one) for one in samples]
     return fraction_within_sigma(samples, sigmas, calibration.image_shape, (1, 1))["all"]
