@@ -19,7 +19,7 @@ EXPORT int steep_sigma(const float *gradients, const float *sigma, const float *
       const float slope = sqrtf(row[2 * x] * row[2 * x] + row[2 * x + 1] * row[2 * x + 1]);
       const float own = n.per_excess * beyond(slope - n.upper);
       const float other = n.carried * clamp((slope - n.middle) * n.per_fade + 1, 0, 1) * beyond(n.steepest - slope);
-      const float square = smaller(own * own + other * other, n.most * n.most);
+      const float square = read[x] < n.most ? smaller(own * own + other * other, n.most * n.most) : 0;  // else it was not seen
       out[x] = sqrtf(square);
       share[x] = smaller(weight[x], n.clean * n.clean / (read[x] * read[x] + square));
     }
