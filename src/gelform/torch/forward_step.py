@@ -9,8 +9,8 @@ from torch import Tensor, nn
 from gelform.color_models import ForwardResponse
 from gelform.color_models._shared.least_squares import at_pixels, interpolation, monomials
 from gelform.color_models.forward_response import (
-    DEPTH_UNIT_PX,
     CLIPPED_STEP_SIGMA,
+    DEPTH_UNIT_PX,
     NORMAL_UNIT,
     PLACE_DEGREES,
 )
