@@ -57,16 +57,17 @@ EXPORT int bent_surface(const float *depth, const float *taps, float *smooth, fl
   return OK;
 }
 
-// The magnitude that a share of every `step`-th value, over its place's unit where there are such, is below.
-EXPORT int magnitude_of_share(const float *values, const float *units, float *work, float *magnitude, int64_t step,
-                              double share, ptrdiff_t count, ptrdiff_t n) {
+// The magnitude, over the root of its place's unit, that a share of every `step`-th value is below: of those chosen, or of all
+// where `chosen` is NULL; 0 where there are none.
+EXPORT int magnitude_of_share(const float *values, const float *units, const bool *chosen, float *work, float *magnitude,
+                              int64_t step, double share, ptrdiff_t count, ptrdiff_t n) {
   ptrdiff_t taken = 0;
   if (step < 1 || count < 1 || n < 2 * ((count + step - 1) / step)) return WRONG_SIZE;
-  if (units == NULL)
-    for (ptrdiff_t i = 0; i < count; i += step) work[taken++] = fabsf(values[i]);
-  else
-    for (ptrdiff_t i = 0; i < count; i += step) work[taken++] = fabsf(values[i]) / units[i];
-  *magnitude = kth_smallest(work, taken, (ptrdiff_t)(share * (double)(taken - 1)), (uint32_t *)(work + taken));
+  for (ptrdiff_t i = 0; i < count; i += step) {
+    work[taken] = values[i] * values[i] / units[i];
+    taken += chosen == NULL || chosen[i];
+  }
+  *magnitude = taken ? sqrtf(kth_smallest(work, taken, (ptrdiff_t)(share * (double)(taken - 1)), (uint32_t *)(work + taken))) : 0;
   return OK;
 }
 
@@ -83,7 +84,7 @@ EXPORT int median_below(const float *values, float *work, float *magnitude, int6
 }
 
 enum { CHUNK = 4 * LANES };
-enum { MOST_VARIANCE = 1 };  // (mm/mm)^2; a slope of such variance is not known at all
+static const float MOST_VARIANCE = 0.3f;  // (mm/mm)^2; a slope of such variance is not known at all
 
 // Variance of slopes, from their deviation as they were read where the gel is at rest, elsewhere of the solved depth's slopes.
 EXPORT int slope_variance(const float *restrict read, const float *restrict solved, const bool *restrict rest,

@@ -35,7 +35,7 @@ from gelform.confidence import (
     with_steep,
 )
 from gelform.confidence.causes import either, outside_of_gel
-from gelform.contact import PreparedContact, SlopeDeviations
+from gelform.contact import PreparedContact, SlopeDeviations, unknown_contact
 from gelform.depth import Integration, integrate_unchecked
 from gelform.depth_sigma.missing import MissingDepth
 from gelform.depth_sigma.sigma import DepthDifference, DepthSigma, add_in_proportion, checked_sigma
@@ -320,7 +320,8 @@ class Reconstructor:
         )  # no less certain for depth that is missing
         steep = read.observed, read.steep, read.untouched
         depth_sigma, difference, at_least = fixed.missing_depth(*steep, depth_mm, depth_sigma, difference)
-        findings = *read.reference.findings, *too_deep, *at_least
+        unsure = unknown_contact(contact, read.untouched, known)
+        findings = *read.reference.findings, *too_deep, *at_least, *unsure
         return Reconstruction(
             depth=depth_mm if self.calibration.mm_per_px else depth_mm / np.float32(fixed.pitch),
             depth_sigma_mm=depth_sigma,

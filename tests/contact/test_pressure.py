@@ -202,21 +202,23 @@ def test_bending_agrees_with_numpy(margin, shape):
 @pytest.mark.parametrize("shift", [0.0, -3.0, 5.0])
 @pytest.mark.parametrize("step", [1, 3])
 def test_noise_agrees_with_numpy(shift, step):
-    """Of all magnitudes, in given units or not, and of the depths below 0: where there are none it is 0."""
-    values = np.random.default_rng(0).normal(shift, 1, (31, 17)).astype(np.float32)
+    """Of all magnitudes or chosen ones, and of the depths below 0: where there are none it is 0."""
+    rng = np.random.default_rng(0)
+    values = rng.normal(shift, 1, (31, 17)).astype(np.float32)
     units = np.linspace(0.5, 3, values.size, dtype=np.float32).reshape(values.shape)
     work, magnitude = np.empty(2 * 527, np.float32), np.empty(1, np.float32)
 
-    def of_share(values, units, work, magnitude, step, share):
-        sample = np.sort(np.abs(values if units is None else values / units).ravel()[::step])
-        return sample[[int(share * (sample.size - 1))]]
+    def of_share(values, units, chosen, work, magnitude, step, share):
+        taken = slice(None) if chosen is None else chosen.ravel()[::step]
+        sample = np.sort((np.abs(values) / np.sqrt(units)).ravel()[::step][taken])
+        return sample[[int(share * (sample.size - 1))]] if sample.size else np.zeros(1)
 
     def below(values, work, magnitude, step):
         sample = values.ravel()[::step]
         return np.array([-np.median(sample[sample < 0]) if (sample < 0).any() else 0.0])
 
-    for unit in (None, units):
-        arguments = values, unit, work, magnitude, step, 0.3
+    for chosen in (None, rng.random(values.shape) < 0.4, np.zeros(values.shape, bool)):
+        arguments = values, units, chosen, work, magnitude, step, 0.3
         assert_kernel_agrees(pressure_module._magnitude_of_share, of_share, *arguments)
     assert_kernel_agrees(pressure_module._median_below, below, values, work, magnitude, step)
 
@@ -256,13 +258,13 @@ def test_pressure_agrees_with_numpy(shape):
 
 
 def test_slope_variance_agrees_with_numpy():
-    """As read at rest, as solved elsewhere; a slope that is not known at all has a variance of 1."""
+    """As read at rest, as solved elsewhere; a slope that is not known at all has a variance of 0.3."""
     rng = np.random.default_rng(0)
     read, solved = rng.uniform(0, 1.5, (2, 9, 13)).astype(np.float32)
     rest = rng.random(read.shape) < 0.5
 
     def by_numpy(read, solved, rest, variance):
-        return np.minimum(np.where(rest, read, solved).astype(float) ** 2, 1)
+        return np.minimum(np.where(rest, read, solved).astype(float) ** 2, 0.3)
 
     blank = np.empty_like(read)
     assert_kernel_agrees(pressure_module._slope_variance, by_numpy, read, solved, rest, blank)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from gelform.contact import contacts_from_mask
+from gelform.contact import contacts_from_mask, unknown_contact
 from gelform.contact import regions as regions_module
 from kernel_agreement import assert_kernel_agrees
 
@@ -84,6 +84,17 @@ def test_wrong_input(wrong, error, text):
     usual = {"contact": np.zeros((8, 8), bool), "depth": np.zeros((8, 8)), "mm_per_px": 1.0}
     with pytest.raises(error, match=text):
         contacts_from_mask(**usual | wrong)
+
+
+def test_a_gel_that_changed_without_a_contact_is_said():
+    rest, known, none = np.ones((40, 50), bool), np.ones((40, 50), bool), np.zeros((40, 50), bool)
+    assert unknown_contact(none, rest, known) == ()
+    rest[10:30, 10:30] = False
+    (found,) = unknown_contact(none, rest, known)
+    assert (found.name, found.figure) == ("contact_unknown", pytest.approx(0.2))
+    assert unknown_contact(~rest, rest, known) == ()
+    known[5:35, 5:35] = False  # dots, or another fault
+    assert unknown_contact(none, rest, known) == ()
 
 
 def test_moments_agree_with_numpy():

@@ -17,7 +17,7 @@ from gelform._native import Kernel
 # rest have none; docs/contacts.md shows the other frames.
 NOISE_FACTOR = 3.5  # standard deviations: pressures over the noise at rest, depths of regions over their own
 # Noise factors, evidence of a region that makes most of its depth itself, and of one that need not.
-SEED, ALONE = 1.6, 2.9
+SEED, ALONE = 2.0, 3.0
 MOST = 0.5  # fraction of a region's depth that its own pressure makes; the rest is drawn down by what is beside it
 TOPS = 3  # regions of a texture, the fewest, of which none makes most of its depth alone
 INFLUENCE = 6.0  # relaxation lengths, reach of a pressure; beyond, its depth is a thousandth

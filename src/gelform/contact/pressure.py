@@ -30,6 +30,7 @@ FRACTION_AT_REST = (
 SIGMA_OF_FRACTION = (
     2.595  # deviation of a normal distribution over the magnitude that 30 % of its values lie below
 )
+SIGMAS_OF_95 = 1.96  # standard deviations of a normal distribution that 95 % of its magnitudes lie below
 LEAST_NOISE = 1e-3  # 1/mm, pressure of a depth without noise: what float32 rounds to
 
 _bent_surface = Kernel(
@@ -39,7 +40,7 @@ _bent_surface = Kernel(
 )
 _magnitude_of_share = Kernel(
     "magnitude_of_share",
-    "f32[...] values, f32[...]? units, out f32[n] work, out f32[1] magnitude, i64 step, f64 share",
+    "f32[...] values, f32[...] units, bool[...]? chosen, out f32[n] work, out f32[1] magnitude, i64 step, f64 share",
 )
 _median_below = Kernel("median_below", "f32[...] values, out f32[n] work, out f32[1] magnitude, i64 step")
 _slope_variance = Kernel(
@@ -189,7 +190,7 @@ class PreparedContact:
         gains: list[float] = []
         for k, smoothing in enumerate(SMOOTHINGS_PX):
             smooth, bent = self._smoothed(depth, smoothing)
-            gains += given[k] if given else 2 * [self._measured_gain(bent)]
+            gains += self._gains_of_frame(bent, rest, None if given is None else given[k])
             maps, pressure = (smooth, bent, sigma, variance, self._noise, rest, known), np.empty_like(depth)
             rules = self._stiffness, SIGMAS_OF_DEPTH, *gains[-2:], self._factor
             if not _contact_pressure(*maps, pressure, *rules) and k == 0:
@@ -227,13 +228,26 @@ class PreparedContact:
         _bent_surface(values, taps, smooth, bent, work, along_x, along_y, margin)
         return smooth, bent
 
-    def _measured_gain(self, bent: NDArray[np.float32]) -> float:
-        """The same of a frame whose noise is unknown, from the smallest magnitudes of its bending."""
+    def _gains_of_frame(
+        self, bent: NDArray[np.float32], rest: NDArray[np.bool_], known: list[float] | None
+    ) -> list[float]:
+        """Variance of the pressure at rest, and elsewhere, for a variance of slopes of 1.
+
+        A frame may have more noise at rest than the calibration's presses, or larger outliers, as after compression: the
+        larger counts. If nothing is known, the smallest magnitudes of the frame tell its noise.
+        """
+        if known is None:
+            return 2 * [
+                max(SIGMA_OF_FRACTION * self._magnitude(bent, None, FRACTION_AT_REST), LEAST_NOISE) ** 2
+            ]
+        return [max(known[0], (self._magnitude(bent, rest, 0.95) / SIGMAS_OF_95) ** 2), known[1]]
+
+    def _magnitude(self, bent: NDArray[np.float32], chosen: NDArray[np.bool_] | None, share: float) -> float:
         step = max(1, bent.size // MEDIAN_SAMPLES)
         work = np.empty(2 * -(-bent.size // step), dtype=np.float32)
         magnitude = np.empty(1, dtype=np.float32)
-        _magnitude_of_share(bent, np.sqrt(self._noise), work, magnitude, step, FRACTION_AT_REST)
-        return max(SIGMA_OF_FRACTION * float(magnitude[0]), LEAST_NOISE) ** 2
+        _magnitude_of_share(bent, self._noise, chosen, work, magnitude, step, share)
+        return float(magnitude[0])
 
 
 def _gains(

@@ -10,8 +10,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from gelform._native import Kernel
 from gelform.foundations.checks import as_array, check_map, check_mm_per_px
+from gelform.foundations.findings import Finding
 
 MOST_CONTACTS = 65_535  # labels are uint16
+TOUCHED = 0.05  # fraction of the known pixels; noise leaves the color of rest at 0.1 % of them
 RUN_WORDS = 5  # 32-bit words; as in native/contact/runs.h
 _label_regions = Kernel("label_regions", "bool[h,w] mask, out u16[h,w] labels, out i32[n] work")
 _region_moments = Kernel("region_moments", "u16[h,w] labels, f32[h,w] depth, out f64[n,14] moments")
@@ -88,6 +90,22 @@ def contacts_from_mask(
     _region_moments(labels, np.ascontiguousarray(height), moments)
     found = [_contact(k + 1, row, pitch, mask.shape, mm_per_px is not None) for k, row in enumerate(moments)]
     return tuple(sorted(found, key=lambda one: (-one.area_px, one.label))), labels
+
+
+def unknown_contact(
+    contact: NDArray[np.bool_], rest: NDArray[np.bool_], known: NDArray[np.bool_]
+) -> tuple[Finding, ...]:
+    """One finding if no contact (H, W) was found, but many known pixels do not have the color of rest."""
+    if contact.any():
+        return ()
+    touched = float(np.count_nonzero(known & ~rest)) / max(float(np.count_nonzero(known)), 1.0)
+    if touched < TOUCHED:
+        return ()
+    message = (
+        f"Something touches the gel: {100 * touched:.0f} % of it changed. Where it presses and how deep is not known, "
+        "because the slopes there are not."
+    )
+    return (Finding("contact_unknown", message, touched),)
 
 
 def labeled(mask: NDArray[np.bool_]) -> tuple[int, NDArray[np.uint16]]:
