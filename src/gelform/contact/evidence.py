@@ -16,7 +16,8 @@ from gelform._native import Kernel
 # Chosen on every third press of six real sensors and on three simulated ones, so that one ball is one contact and frames at
 # rest have none; docs/contacts.md shows the other frames.
 NOISE_FACTOR = 3.5  # standard deviations: pressures over the noise at rest, depths of regions over their own
-# Noise factors, evidence of a region that makes most of its depth itself, and of one that need not.
+# Noise factors: of a region that makes most of its depth itself, what the surer of its depth and its pressure exceeds; and the
+# pressure of a region that need not make its depth.
 SEED, ALONE = 2.0, 3.0
 MOST = 0.5  # fraction of a region's depth that its own pressure makes; the rest is drawn down by what is beside it
 TOPS = 3  # regions of a texture, the fewest, of which none makes most of its depth alone
@@ -94,8 +95,10 @@ class Evidence:
 
     def _makes_its_depth(self, found: _Measures) -> NDArray[np.bool_]:
         part = found.own_mm / np.maximum(found.depth_mm, 1e-9)
-        sure = np.minimum(part, 1) * found.depth_sigmas > self.noise_factor
-        return np.asarray((part > MOST) & sure & (found.sigmas > SEED * self.noise_factor))
+        sure = np.minimum(part, 1) * found.depth_sigmas
+        weaker, stronger = np.minimum(sure, found.sigmas), np.maximum(sure, found.sigmas)
+        evident = (weaker > self.noise_factor) & (stronger > SEED * self.noise_factor)
+        return np.asarray((part > MOST) & evident)
 
     def _judge_together(
         self, regions: Regions, found: _Measures, waits: NDArray[np.bool_], stands: NDArray[np.bool_]
