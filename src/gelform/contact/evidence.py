@@ -16,8 +16,8 @@ from gelform._native import Kernel
 # Chosen on every third press of six real sensors and on three simulated ones, so that one ball is one contact and frames at
 # rest have none; docs/contacts.md shows the other frames.
 NOISE_FACTOR = 3.5  # standard deviations: pressures over the noise at rest, depths of regions over their own
-# Noise factors: of a region that makes most of its depth itself, what the surer of its depth and its pressure exceeds; and the
-# pressure of a region that need not make its depth.
+# Noise factors: what the surer of depth and pressure exceeds, of a region that makes most of its depth itself; and what the
+# pressure of any other exceeds.
 SEED, ALONE = 2.0, 3.0
 MOST = 0.5  # fraction of a region's depth that its own pressure makes; the rest is drawn down by what is beside it
 TOPS = 3  # regions of a texture, the fewest, of which none makes most of its depth alone
