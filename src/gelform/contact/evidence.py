@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from gelform._native import Kernel
 
-# Chosen on every third press of six real sensors and on three simulated ones, so that one ball is one contact and frames at
-# rest have none; docs/contacts.md shows the other frames.
+# Chosen on every second or third press of six real sensors and on three simulated ones, so that one ball is one contact and
+# frames at rest have none; docs/contacts.md shows the other frames.
 NOISE_FACTOR = 3.5  # standard deviations: pressures over the noise at rest, depths of regions over their own
 # Noise factors: what the surer of depth and pressure exceeds, of a region that makes most of its depth itself; and what the
 # pressure of any other exceeds.
