@@ -34,9 +34,8 @@ tracker = gelform.MarkerTracker(reconstruct.markers)
 closing, pulling = press_poses(0.6, 7)[1:], slide_poses(0.4, (0.0, 0.0), (0.8, 0.0), 5)
 for step, press in enumerate(simulate_sequence(sensor, Ball(5.0), closing, rng=rng)):
     result = reconstruct.from_image(press.image, markers=tracker.update(press.image))
-    print(
-        f"closing, step {step}: {result.peak_mm:.2f} mm deep, {result.contacts[0].area_mm2:.1f} mm2"
-    )  # the largest contact
+    area_mm2 = result.contacts[0].area_mm2 if result.contacts else 0.0  # of the largest contact
+    print(f"closing, step {step}: {result.peak_mm:.2f} mm deep, {area_mm2:.1f} mm2")
     if result.peak_mm >= 0.38:
         break
 assert abs(result.peak_mm - press.depth_mm.max()) < 0.05
