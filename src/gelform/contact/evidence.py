@@ -130,7 +130,10 @@ class Evidence:
     def _influence(self) -> NDArray[np.float32]:
         """Depth, mm, that a pressure of 1/mm on a pixel makes, by squared distance in pixels of mean size."""
         area = self.pitch[0] * self.pitch[1]
-        squares = np.arange(int((INFLUENCE * self.length_mm) ** 2 / area) + 2, dtype=np.float64)
+        reach = min(
+            (INFLUENCE * self.length_mm) ** 2 / area, 1e6
+        )  # px^2; no contact is a thousand pixels wide
+        squares = np.arange(int(reach) + 2, dtype=np.float64)
         squares[0] = 1 / (
             np.pi * np.e
         )  # where the logarithm is that of the mean over a disc of a pixel's area

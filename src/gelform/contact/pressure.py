@@ -11,7 +11,13 @@ from numpy.typing import ArrayLike, NDArray
 from gelform._native import Kernel
 from gelform.contact.evidence import NOISE_FACTOR, Evidence, Regions
 from gelform.contact.regions import labeled
-from gelform.foundations.checks import check_map, check_mm_per_px, check_number, check_positive
+from gelform.foundations.checks import (
+    check_map,
+    check_mm_per_px,
+    check_number,
+    check_positive,
+    check_within,
+)
 from gelform.foundations.filters import LANES, MEDIAN_SAMPLES, SIGMA_OF_MEDIAN, blur_taps
 
 MIN_AREA_MM2 = 0.05  # mm^2, area of the smallest contact
@@ -129,6 +135,7 @@ def contact_from_depth(
         check_number(value, name)
     if relaxation_mm is not None:
         check_positive(relaxation_mm, "relaxation_mm")
+        check_within(relaxation_mm, "relaxation_mm", 1e-3, 1e3)  # mm; anything else is a typing error
     if not (noise_factor > 0 and min_area_mm2 >= 0):
         raise ValueError(
             f"Expected noise_factor > 0 and min_area_mm2 >= 0, got {noise_factor} and {min_area_mm2}."
