@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy  # its parts load at first use
 from numpy.typing import NDArray
-from scipy.optimize import nnls
 
 from gelform.foundations.checks import check_values, check_within
 
@@ -223,7 +223,9 @@ def _rest_law(errors: NDArray[Any], noise: NDArray[Any]) -> tuple[float, float]:
     squares = np.array([max(np.quantile(np.abs(errors[part]), ONE_SIGMA), 1e-9) ** 2 for part in bins])
     from_noise = np.array([np.mean(noise[part], dtype=np.float64) for part in bins])
     unit = max(float(from_noise.mean()), 1e-30)
-    parts, _ = nnls(np.stack([1 / squares, from_noise / unit / squares], axis=1), np.ones(len(bins)))
+    parts, _ = scipy.optimize.nnls(
+        np.stack([1 / squares, from_noise / unit / squares], axis=1), np.ones(len(bins))
+    )
     return float(np.sqrt(parts[0])), float(np.sqrt(parts[1] / unit))
 
 

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
-import scipy.special
+import scipy  # its parts load at first use
 from numpy.typing import NDArray
 
 from gelform._native import Kernel
