@@ -315,8 +315,13 @@ class Reconstructor:
             self.solved_sigma(read.observed_sigma, gradients),
         )
         slopes = SlopeDeviations.of(read.observed_sigma, solved_sigma, read.untouched)
+        local = depth_sigma
+        if depth_sigma is not None:  # an error of all depths in proportion makes none of them 0
+            local = np.sqrt(
+                np.maximum(depth_sigma**2 - (fixed.gain_sigma * depth_mm) ** 2, np.float32(1e-12))
+            )
         contact = self._today.contact(
-            depth_mm, depth_sigma, slopes, known
+            depth_mm, local, slopes, known
         )  # no less certain for depth that is missing
         steep = read.observed, read.steep, read.untouched
         depth_sigma, difference, at_least = fixed.missing_depth(*steep, depth_mm, depth_sigma, difference)
