@@ -1,19 +1,15 @@
 """Whether slopes and depths are unsure where presses of balls have shown nothing like them, and how sure balls stay.
 
-    python benchmarks/steep.py             # about 10 minutes; writes results/steep.json
-    python benchmarks/steep.py edges       # one part: edges, beyond, caps, walls, few
+    python benchmarks/steep.py             # about 8 minutes; writes results/steep.json
+    python benchmarks/steep.py walls       # one part: caps, walls, few
 
-`edges`: the faces of a cube's edge (mini-edge) by the models of other units. `beyond`: calibrations that were trained below
-a slope, on steeper pixels of presses that are new to them. `caps`: depths of balls. `walls`: heights of simulated objects
-with walls. `few`: another unit's model after no, 3, 5 and 12 presses, without and with the doubt of carried models. All but
-`walls` read real data (GELFORM_DATA, default ../shared/data).
+`caps`: depths of balls. `walls`: heights of simulated objects with walls. `few`: another unit's model after no, 3, 5 and 12
+presses, without and with the doubt of carried models. All but `walls` read real data (GELFORM_DATA, default
+../shared/data). The faces of a cube's edge, and slopes beyond those of the training, are in real_frames.py.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import replace
 from typing import Any
 from unittest.mock import patch
 
@@ -23,115 +19,21 @@ import gelform
 from accuracy.heights import DRAWN, drawn_sensor
 from accuracy.objects import OBJECTS, height_of, usual_presses
 from accuracy.real import EDGES, STEEPEST
-from edges_of_cube import Edge, crest_error_mm, edge_in, frames
-from gelform.calibration.circles.samples import PreparedPress
-from gelform.calibration.held_out.measure import HeldOutSample
 from gelform.confidence import SteepSlopes
+from gelform.confidence.steep import SHOWN
 from gelform.metrics import score_slopes
 from gelform.metrics.ball import ball_center
 from gelform.simulate import LAYOUTS
 from gelform.simulate.presets import gelsight_mini
-from gelform.starters import load_starter
-from gelform.starters.starter import starter_from_calibration
-from presses import DATA, data_is_missing, labeled, mini_ball, presses_of, unlabeled
+from presses import data_is_missing, presses_of, unlabeled
+from real_frames.beyond import CARRIED, INNER
+from real_frames.edges import SURE
+from real_frames.sets import Run
 from report import command_line, parts_asked, recorded, table, write
-from starters.make import real_unit
 
-SURE, INNER = 0.3, 0.6  # confidence over which a slope counts as sure; share of the visible circle
-LIMITS = 0.4, 0.5  # slopes below which a calibration is trained
 SIZES, DRAWS = (3, 5, 12), 3
-SETS = ("mini-ball", "mini-d", "digit-ball")
 WALLS = ("screw", "punch 6 mm", "punch 2 mm")
 SHARES = ("within 1 sigma", "within 2 sigma", "sure", "sure in 0.6")
-
-
-def presses_with_circles(name: str) -> gelform.Presses:
-    """A real set with the circles for scoring."""
-    if name == "mini-ball":
-        presses, order = mini_ball()
-        return presses.subset(order)
-    return labeled(real_unit(name))
-
-
-def carried(
-    calibration: gelform.Calibration, background: np.ndarray, mm_per_px: float
-) -> gelform.Calibration:
-    """The models of a unit for another unit of the make, with the differences that the shipped starter states."""
-    made = load_starter("gelsight-mini")
-    stated: Any = {"spread": made.spread, "color_variance": made.color_variance}
-    starter = starter_from_calibration(calibration, "gelsight-mini", units=("one",), **stated)
-    return starter.for_unit(background, mm_per_px=mm_per_px)
-
-
-def edges() -> dict[str, Any]:
-    """Slopes of the faces within 1 and 2 sigma across the edge, sure pixels, and the depth of the crest within 2 sigma."""
-    background, images = frames()
-    found, pitch = {}, gelform.read_presses(DATA / "mini-ball").mm_per_px
-    models = {"the Mini starter": load_starter("gelsight-mini").for_unit(background)}
-    for name in ("mini-ball", "mini-d"):
-        own = gelform.calibrate(unlabeled(presses_with_circles(name)), start=None)
-        models[f"{name}'s model"] = carried(own, background, pitch)
-    for name, calibration in models.items():
-        reconstruct, rows, crests = gelform.Reconstructor(calibration), [], []
-        for image in images.values():
-            result = reconstruct.from_image(image)
-            edge = edge_in(result.gradients, calibration.known_mm_per_px)
-            if edge is not None:
-                rows.append(_face_slopes(edge, result))
-                error = abs(crest_error_mm(edge, result.depth_mm, calibration.known_mm_per_px))
-                crests.append([np.mean(error < 2 * result.depth_sigma_mm[edge.crest]), error])
-        shares = dict(zip(SHARES, 100 * np.concatenate(rows).mean(axis=0)))
-        crest = np.mean(crests, axis=0)
-        found[name] = {
-            "edges": len(rows),
-            **shares,
-            "crest within 2 sigma": 100 * crest[0],
-            "crest off, mm": crest[1],
-        }
-    return found
-
-
-def _face_slopes(edge: Edge, result: Any) -> np.ndarray:
-    rows = []
-    for face, true in zip(edge.faces, edge.true_gradients):
-        error = np.abs((result.gradients[face] - true) @ edge.across)
-        sigma = result.gradients_sigma[face][:, 0]
-        rows.append(np.stack([error < sigma, error < 2 * sigma, result.confidence[face] > SURE], axis=-1))
-    return np.concatenate(rows)
-
-
-@contextmanager
-def trained_below(limit: float) -> Iterator[None]:
-    """Calibrations neither fit nor judge pixels whose true slope exceeds a limit."""
-    radius, within = PreparedPress.contact_radius, HeldOutSample.within
-
-    def near(press: PreparedPress, contact: Any) -> float:
-        return min(radius(press, contact), float(np.sin(np.arctan(limit))) * press.ball_radius_px)
-
-    def gentle(sample: HeldOutSample, zone: float) -> HeldOutSample:
-        one = within(sample, zone)
-        keep = np.linalg.norm(one.true_gradients, axis=1) < limit
-        names = ("x_px", "y_px", "true_gradients", "gradients")
-        return replace(one, **{name: getattr(one, name)[keep] for name in names})
-
-    with patch.object(PreparedPress, "contact_radius", near), patch.object(HeldOutSample, "within", gentle):
-        yield
-
-
-def beyond() -> dict[str, Any]:
-    """Every second press calibrates, once below a limit and once on all slopes; the others judge."""
-    found = {}
-    for name in SETS:
-        presses = presses_with_circles(name)
-        training, test = (range(first, len(presses.presses), 2) for first in (0, 1))
-        judging = presses.subset(list(test))
-        for limit in LIMITS:
-            with trained_below(limit):
-                calibration = gelform.calibrate(unlabeled(presses, training), start=None)
-            found[f"{name}, steeper than {limit}"] = of_balls(calibration, judging, EDGES[name], limit)
-        calibration = gelform.calibrate(unlabeled(presses, training), start=None)
-        found[f"{name}, all slopes"] = of_balls(calibration, judging, EDGES[name])
-    return found
 
 
 def of_balls(
@@ -159,20 +61,17 @@ def of_balls(
 
 def caps() -> dict[str, Any]:
     """Depth over balls against the cap: of one unit's halves, and by the other unit's model."""
-    ball, other = (presses_with_circles(name) for name in ("mini-ball", "mini-d"))
-    own = {
-        name: gelform.calibrate(unlabeled(one), start=None) for name, one in (("ball", ball), ("d", other))
-    }
-    found = {}
-    for name, presses in (("mini-ball", ball), ("mini-d", other)):
+    run, found = Run(), {}
+    for name in ("mini-ball", "mini-d"):
+        presses = run.labeled(name)
         for half, rest in ((0, 1), (1, 0)):
             picked, judging = (list(range(k, len(presses.presses), 2)) for k in (half, rest))
             calibration = gelform.calibrate(unlabeled(presses, picked), start=None)
             found[f"{name}, half {half}"] = _caps(calibration, presses.subset(judging), EDGES[name])
-    by_ball = carried(own["ball"], other.background, other.mm_per_px)
-    by_d = carried(own["d"], ball.background, ball.mm_per_px)
-    found["mini-d by mini-ball's model"] = _caps(by_ball, other, EDGES["mini-d"])
-    found["mini-ball by mini-d's model"] = _caps(by_d, ball, EDGES["mini-ball"])
+    for of, name in CARRIED:
+        presses = run.labeled(name)
+        calibration = run.carried(of, presses.background, presses.mm_per_px)
+        found[f"{name} by {of}'s model"] = _caps(calibration, presses, EDGES[name])
     return found
 
 
@@ -228,24 +127,23 @@ def walls() -> dict[str, Any]:
 
 
 def few() -> dict[str, Any]:
-    """Slopes beyond the median of shown ones, after few presses of this unit: without the doubt, and with all of it."""
-    sets = {name: presses_with_circles(name) for name in ("mini-d", "mini-ball")}
-    own = {name: gelform.calibrate(unlabeled(one), start=None) for name, one in sets.items()}
-    found = {}
-    for (name, presses), source in zip(sets.items(), ("mini-ball", "mini-d")):
-        unit, rng = carried(own[source], presses.background, presses.mm_per_px), np.random.default_rng(0)
+    """Slopes that a carried model doubts, after few presses of this unit: without the doubt, and with all of it."""
+    run, found = Run(), {}
+    for source, name in CARRIED:
+        presses, rng = run.labeled(name), np.random.default_rng(0)
+        unit = run.carried(source, presses.background, presses.mm_per_px)
         for _ in range(DRAWS):
             order = rng.permutation(len(presses.presses)).tolist()
             judging = presses.subset(order[-len(order) // 3 :])
             for size in (0, *SIZES):
                 begun = unit if not size else gelform.calibrate(unlabeled(presses, order[:size]), start=unit)
                 assert begun.slope_sigma is not None
-                middle = float(np.median(begun.slope_sigma.slopes))
+                doubted = float(np.quantile(begun.slope_sigma.slopes, SHOWN[0]))
                 for share in (0.0, 1.0):
                     with patch(
                         "gelform.reconstruct.SteepSlopes", lambda sigma, own, s=share: SteepSlopes(sigma, s)
                     ):
-                        row = of_balls(begun, judging, EDGES[name], middle)
+                        row = of_balls(begun, judging, EDGES[name], doubted)
                     found.setdefault(f"{name}, {size} presses, share {share:g}", []).append(row)
     return {
         name: {key: float(np.mean([one[key] for one in rows])) for key in rows[0]}
@@ -253,7 +151,7 @@ def few() -> dict[str, Any]:
     }
 
 
-PARTS = {"edges": edges, "beyond": beyond, "caps": caps, "walls": walls, "few": few}
+PARTS = {"caps": caps, "walls": walls, "few": few}
 
 
 def main() -> None:

@@ -10,14 +10,16 @@ import edges_of_cube
 import gelform
 from gelform.confidence import SteepSlopes, all_shown, steep, with_steep
 from gelform.confidence.slope_sigma import SlopeSigma
-from gelform.confidence.steep import FADE, PER_EXCESS, STEEPEST_FACE
+from gelform.confidence.steep import PER_EXCESS, STEEPEST_FACE
 from gelform.gradients import STEEPEST_GEL
 from gelform.simulate import Ball, simulate_press
 from gelform.starters import load_starter
 from kernel_agreement import assert_kernel_agrees
 
 CLEAN = 0.05
-SHOWN = SlopeSigma(0.01, (0.1, 0.2, 0.3, 0.4, 0.5), (0.02,) * 5, CLEAN, 8.0)  # median 0.3, upper quartile 0.4
+SHOWN = SlopeSigma(
+    0.01, (0.1, 0.2, 0.3, 0.4, 0.5), (0.02,) * 5, CLEAN, 8.0
+)  # their 0.4 quantile is 0.26, their upper quartile 0.4
 
 
 def along(slopes):
@@ -40,11 +42,11 @@ def test_a_unit_s_own_slopes_are_known_up_to_the_upper_quartile():
 
 
 def test_two_sigma_of_another_unit_s_slopes_reach_the_steepest_face():
-    slopes = np.array([0.3, 0.35, 0.4])
+    slopes = np.array([0.26, 0.35, 0.4])
     found, confidence = deviations(slopes, carried=1.0)
     np.testing.assert_allclose(slopes + 2 * found, STEEPEST_FACE, rtol=1e-5)
     assert confidence.max() < 0.3, "never sure"
-    gentle, sure = deviations([0.0, 0.1, 0.3 - FADE * CLEAN], carried=1.0)
+    gentle, sure = deviations([0.0, 0.1, 0.26 - CLEAN], carried=1.0)
     np.testing.assert_allclose(gentle, 0, atol=1e-6)
     np.testing.assert_allclose(sure, 1, rtol=1e-6)
 
@@ -79,8 +81,7 @@ def numpy_steep_sigma(
     stated,
     upper,
     per_excess,
-    middle,
-    per_fade,
+    doubted,
     steepest,
     carried,
     most,
@@ -88,7 +89,7 @@ def numpy_steep_sigma(
 ):
     slope = np.linalg.norm(gradients.astype(float), axis=-1)
     own = per_excess * np.maximum(slope - upper, 0)
-    other = carried * np.clip((slope - middle) * per_fade + 1, 0, 1) * np.maximum(steepest - slope, 0)
+    other = carried * np.clip((slope - doubted) / clean + 1, 0, 1) * np.maximum(steepest - slope, 0)
     found = np.where(sigma < most, np.minimum(np.hypot(own, other), most), 0)
     return found, np.minimum(confidence, clean**2 / (sigma.astype(float) ** 2 + found**2))
 
@@ -97,7 +98,7 @@ def test_the_kernel_agrees_with_numpy():
     rng = np.random.default_rng(0)
     gradients = rng.normal(0, 0.6, (7, 37, 2)).astype(np.float32)
     sigma, confidence = (rng.uniform(low, 1.2, (7, 37)).astype(np.float32) for low in (0.01, 0))
-    numbers = 0.4, PER_EXCESS, 0.3, 1 / CLEAN, STEEPEST_FACE, 0.5, 1.0, CLEAN
+    numbers = 0.4, PER_EXCESS, 0.3, STEEPEST_FACE, 0.5, 1.0, CLEAN
     maps = gradients, sigma, confidence, np.empty_like(sigma), np.empty_like(sigma)
     assert_kernel_agrees(steep._steep_sigma, numpy_steep_sigma, *maps, *numbers)
 
