@@ -108,10 +108,9 @@ class _Calibrated:
     def integrate(
         self, read: _Read, start: Callable[[Work], Work]
     ) -> tuple[Integration, NDArray[np.float32] | None, DepthDifference | None]:
-        """Depth of the slopes, its standard deviation, and the standard deviation of depth differences.
+        """Depth of the slopes, its standard deviation by local errors of slopes, and the one of depth differences.
 
-        The slopes are weighted and anchored if the solver can do so. The standard deviation has two parts: local errors of
-        slopes, and an error that all pixels in or around a contact share, in proportion to depth.
+        The slopes are weighted and anchored if the solver can do so.
         """
         solve_args: dict[str, Any] = {"zero": read.untouched}
         if takes_weights(self.solver):
@@ -125,9 +124,8 @@ class _Calibrated:
         solution = integrate_unchecked(read.observed, mm_per_px=self.pitch, solver=self.solver, **solve_args)
         if self.depth_sigma is None or read.observed_sigma is None or sigma_of is None:
             return solution, None, None
-        sigma = add_in_proportion(sigma_of(), solution.depth_mm, self.gain_sigma, self.limit.ignorance_mm)
         parts = self.depth_sigma, read.observed_sigma, sigma_args, solution.depth_mm, self.gain_sigma
-        return solution, sigma, DepthDifference(*parts)
+        return solution, sigma_of(), DepthDifference(*parts)
 
 
 class _Today:
@@ -315,14 +313,10 @@ class Reconstructor:
             self.solved_sigma(read.observed_sigma, gradients),
         )
         slopes = SlopeDeviations.of(read.observed_sigma, solved_sigma, read.untouched)
-        local = depth_sigma
-        if depth_sigma is not None:  # an error of all depths in proportion makes none of them 0
-            local = np.sqrt(
-                np.maximum(depth_sigma**2 - (fixed.gain_sigma * depth_mm) ** 2, np.float32(1e-12))
-            )
-        contact = self._today.contact(
-            depth_mm, local, slopes, known
-        )  # no less certain for depth that is missing
+        contact = self._today.contact(depth_mm, depth_sigma, slopes, known)
+        # What follows makes no contact less certain: an error of all depths in proportion, and depth that is missing.
+        if depth_sigma is not None:
+            add_in_proportion(depth_sigma, solution.depth_mm, fixed.gain_sigma, fixed.limit.ignorance_mm)
         steep = read.observed, read.steep, read.untouched
         depth_sigma, difference, at_least = fixed.missing_depth(*steep, depth_mm, depth_sigma, difference)
         unsure = unknown_contact(contact, read.untouched, known)
