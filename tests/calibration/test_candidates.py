@@ -35,14 +35,12 @@ def described(color_model, presses):
     return [candidate.describe() for candidate in candidates_for(color_model, presses)]
 
 
-@pytest.mark.parametrize("presses", [12, 30, 100])
-def test_many_presses_are_worth_a_model_of_many_terms(presses):
-    """The stiffest first: what is chosen of equals. Few carry a polynomial of few terms."""
+@pytest.mark.parametrize("presses", [3, 12, 100])
+def test_auto_tries_the_ridges_of_one_model(presses):
+    """The stiffest first: what is chosen of equals."""
     ridges = [dict(c.settings)["ridge"] for c in candidates_for("auto", presses)]
     assert ridges == sorted(hierarchical.RIDGES, reverse=True)
     assert {c.model for c in candidates_for("auto", presses)} == {"hierarchical"}
-    for few, said in ((3, "polynomial 1"), (6, "polynomial 2-1"), (11, "polynomial 2-1")):
-        assert described("auto", few) == [said]
 
 
 @pytest.mark.parametrize("presses", [2, 3, 6, 12, 17, 18, 29, 30, 100])

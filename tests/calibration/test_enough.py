@@ -3,8 +3,7 @@
 import re
 from pathlib import Path
 
-from gelform.calibration.enough import AUTO_MODELS, NEEDED, REFINING, enough
-from gelform.color_models import COLOR_MODELS
+from gelform.calibration.enough import NEEDED, REFINING, enough
 
 PAGE = Path(__file__).parents[2] / "docs" / "press-folder.md"
 
@@ -20,8 +19,7 @@ def test_enough_begins_at_the_number_of_its_row():
 
 
 def test_few_presses_carry_few_terms():
-    for table in (REFINING, AUTO_MODELS, list(NEEDED.values())):
+    for table in (REFINING, list(NEEDED.values())):
         counts = [row[0] for row in table]
         assert counts == sorted(counts)
-    assert {row[1] for row in AUTO_MODELS} <= COLOR_MODELS.keys()
-    assert REFINING[0][0] == AUTO_MODELS[0][0] == 0, "something is always fitted"
+    assert REFINING[0][0] == 0, "something is always fitted"

@@ -1,7 +1,7 @@
 """Candidates of a calibration: a color model with its settings, its start, and the forward response of its step.
 
-The model's own class has the settings to try (`variants`); `enough.AUTO_MODELS` has the models of "auto" for each number
-of presses.
+The model's own class has the settings to try (`variants`). "auto" is `DEFAULT_MODEL` for any number of presses: on four real
+sensors its errors with 8 and 11 presses are smaller than those of a polynomial in 14 of 16 draws, with 5 in 4 of 8.
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ from gelform.calibration.circles.samples import (
     contact_samples,
     with_rest_samples,
 )
-from gelform.calibration.enough import AUTO_MODELS
 from gelform.calibration.presses.press_set import Presses
 from gelform.calibration_file import Calibration, as_calibration
 from gelform.color_models import (
@@ -126,9 +125,7 @@ def candidates_for(color_model: str, presses: int) -> list[Candidate]:
     if color_model not in color_model_names():
         raise ValueError(f"Expected color_model among {', '.join(color_model_names())}, got {color_model!r}.")
     if color_model == AUTO:
-        color_model, settings = [row[1:] for row in AUTO_MODELS if presses >= row[0]][-1]
-        if settings is not None:
-            return [Candidate(color_model, settings)]
+        color_model = DEFAULT_MODEL
     return [
         Candidate(color_model, tuple(variant.items()))
         for variant in COLOR_MODELS[color_model].variants(presses)

@@ -8,8 +8,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from gelform.color_models import DEFAULT_MODEL, PLAIN_MODEL
-
 
 class Need(NamedTuple):
     """A number of presses, its purpose, and the reason that no fewer are enough."""
@@ -93,14 +91,6 @@ FOLDS = 5  # groups of presses, each held out in turn: the other four fifths tra
 
 # Position degrees of the polynomial that moves uncertain circles, from a number of presses on.
 REFINING = ((0, (1,)), (6, (2, 1)), (9, (3, 2, 0)))
-
-# Candidates of "auto", from a number of presses on: a color model with its settings, or with all its variants (None). With 5
-# presses a polynomial of few terms has an error of 7.6 degrees, `hierarchical` of 10.5; from 12 on `hierarchical` is better.
-AUTO_MODELS = (
-    (0, PLAIN_MODEL, (("position_degrees", (1,)),)),
-    (6, PLAIN_MODEL, (("position_degrees", (2, 1)),)),
-    (12, DEFAULT_MODEL, None),
-)
 
 
 def enough(what: str, presses: int) -> bool:
