@@ -11,7 +11,7 @@ from gelform.calibration.presses.folder import read_presses
 from gelform.cli import main
 from gelform.exporters.press_folder import save_simulated_presses
 from gelform.simulate import LAYOUTS, simulate_ball_presses
-from made.networks import network_arrays, torch_file
+from made.networks import web_file
 
 SMALL = replace(LAYOUTS["three-edges"], shape=(120, 160), mm_per_px=0.1268, name="small")
 
@@ -85,14 +85,15 @@ def run_json(run):
 
 @pytest.fixture
 def network(tmp_path):
-    return torch_file(tmp_path / "nnmodel.pth", network_arrays((5, 32, 32, 32, 2)))
+    return web_file(tmp_path / "weights.bin")
 
 
 @pytest.fixture
 def imported(run, network, press_folder, tmp_path):
     path = tmp_path / "imported.npz"
     rest = press_folder / "background.png"
-    code, _, err = run("import", network, "--from", "gs_sdk", "--background", rest, "-o", path)
+    how = ("--from", "gsrobotics-web", "--position", "true", "--background", rest)
+    code, _, err = run("import", network, *how, "-o", path)
     assert code == 0, err
     assert "results are in pixels" in err
     return path

@@ -13,7 +13,7 @@ from gelform.exporters.taxim import BINS, save_taxim
 from gelform.importers.tables import read_taxim_forward
 from gelform.metrics.ball import ball_gradients
 from gelform.simulate import Ball, simulate_press
-from made.networks import network_arrays, torch_file
+from made.networks import web_file
 
 
 def rendered(folder, height_px, order):
@@ -106,9 +106,11 @@ def test_what_cannot_be_written_is_said(calibration, tmp_path):
     (tmp_path / "full" / "mine").write_text("x")
     with pytest.raises(DataError, match="holds something"):
         save_taxim(calibration, tmp_path / "full")
-    network = torch_file(tmp_path / "nnmodel.pth", network_arrays((5, 32, 32, 32, 2)))
+    network = web_file(tmp_path / "weights.bin")
     rest = np.rint(calibration.background).astype(np.uint8)
-    blind = gelform.import_calibration(network, "gs_sdk", background=rest, mm_per_px=0.1)
+    blind = gelform.import_calibration(
+        network, "gsrobotics-web", background=rest, mm_per_px=0.1, position="true"
+    )
     with pytest.raises(CalibrationError, match=r"without a forward response.*Calibrate on presses of a ball"):
         save_taxim(blind, tmp_path / "t")
     with pytest.raises(CalibrationError, match="gelform scale"):

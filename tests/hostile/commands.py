@@ -10,7 +10,7 @@ import numpy as np
 import gelform
 from gelform.exporters.press_folder import save_press_folder
 from gelform.starters import load_starter
-from made.networks import network_arrays, torch_file
+from made.networks import web_file
 from made.small_gel import MM_PER_PX, Touch, background, calibration, image_of, save
 
 PLACES = [(x, y) for y in (20, 32, 44) for x in (20, 40, 60)]
@@ -34,7 +34,7 @@ def make_work(folder: Path) -> Path:
     save(folder / "rest.png", np.rint(background()).astype(np.uint8))
     for k, name in enumerate(("red", "green", "blue")):
         save(folder / f"{name}.png", np.full((64, 80, 3), 20, np.uint8) + 100 * np.eye(3, dtype=np.uint8)[k])
-    torch_file(folder / "net.pth", network_arrays((5, 32, 32, 32, 2)))
+    web_file(folder / "net.bin")
     touches = [Touch(x_px=x, y_px=y, depth_mm=0.35, seed=k) for k, (x, y) in enumerate(PLACES)]
     save_press_folder(
         folder / "presses",
@@ -50,7 +50,16 @@ def make_work(folder: Path) -> Path:
 def commands(work: Path, out: Path) -> dict[str, list[Any]]:
     """The arguments of each command that writes, with its output below `out`."""
     images = [work / f"image{k}.png" for k in range(3)]
-    imported = ["--from", "gs_sdk", "--background", work / "rest.png", "--mm-per-px", "0.1"]
+    imported = [
+        "--from",
+        "gsrobotics-web",
+        "--position",
+        "true",
+        "--background",
+        work / "rest.png",
+        "--mm-per-px",
+        "0.1",
+    ]
     fitted = ["--model", "polynomial", "--report", out / "report"]
     two = ["-c", work / "cal.npz", "-c", work / "cal.npz"]
     leds = [work / f"{name}.png" for name in ("red", "green", "blue")]
@@ -64,7 +73,7 @@ def commands(work: Path, out: Path) -> dict[str, list[Any]]:
         "crosstalk": ["crosstalk", out / "sensor.toml", *leds],
         "simulate": ["simulate", "-o", out / "set", "--count", "2", "--sensor", "three-edges"],
         "design": ["design", "three-edges", "--presses", "4", "-o", out / "design.png"],
-        "import": ["import", work / "net.pth", *imported, "-o", out / "imported.npz"],
+        "import": ["import", work / "net.bin", *imported, "-o", out / "imported.npz"],
         "batch": ["batch", work / "image*.png", "-c", work / "cal.npz", "-o", out / "batch"],
         "compare": ["compare", images[0], *two, "-o", out / "compared"],
         "explain": ["explain", images[0], "-c", work / "cal.npz", "-o", out / "why"],

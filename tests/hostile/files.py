@@ -7,6 +7,7 @@ import json
 import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ import gelform
 from gelform.exporters.press_folder import save_press_folder
 from gelform.foundations.npz_files import digest_of
 from gelform.sensors.files import read_sensor_toml
-from made.networks import network_arrays, torch_file
+from made.networks import network_arrays, torch_file, web_file
 from made.small_gel import MM_PER_PX, Touch, background, calibration, image_of, save
 
 SENSOR_TOML = (
@@ -155,7 +156,7 @@ def _py3dcal_folder(folder: Path) -> dict[str, RealFile]:
 
 
 def _of_other_packages(folder: Path) -> dict[str, RealFile]:
-    weights = torch_file(folder / "nnmodel.pth", network_arrays((5, 32, 32, 32, 2)))
+    weights = web_file(folder / "weights.bin")
     table, pack = folder / "polycalib.npz", folder / "pack" / "dataPack.npz"
     rng = np.random.default_rng(0)
     grads = {name: rng.normal(0, 1e-4, (8, 8, 6)) for name in ("grad_r", "grad_g", "grad_b")}
@@ -170,9 +171,14 @@ def _of_other_packages(folder: Path) -> dict[str, RealFile]:
         touch_radius=np.array([17, 17]),
     )
     rest = np.ascontiguousarray(background()[:60, :80])
-    read = lambda path, name: lambda: gelform.import_calibration(path, name, background=rest)  # noqa: E731
+    read = lambda path, name, **more: lambda: gelform.import_calibration(path, name, background=rest, **more)  # noqa: E731
+    of_torch = {}
+    if find_spec("torch"):
+        saved = torch_file(folder / "nnmodel.pth", network_arrays((5, 32, 32, 32, 2)))
+        of_torch = {"torch weights": _real(saved, read(saved, "gs_sdk"), _all_finite)}
     return {
-        "torch weights": _real(weights, read(weights, "gs_sdk"), _all_finite),
+        **of_torch,
+        "browser weights": _real(weights, read(weights, "gsrobotics-web", position="true"), _all_finite),
         "Taxim table": _real(table, read(table, "taxim"), _all_finite),
         "Taxim pack": _real(
             pack,

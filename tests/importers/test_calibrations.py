@@ -5,15 +5,16 @@ import pytest
 
 import gelform
 from gelform.importers.calibrations import UNTOUCHED_CHANGE
-from made.networks import network_arrays, torch_file
+from made.networks import web_file
 
 SHAPE = (48, 64)
 BACKGROUND = np.random.default_rng(0).integers(60, 160, (*SHAPE, 3)).astype(np.uint8)
+WEB = {"package": "gsrobotics-web", "background": BACKGROUND, "position": "true"}
 
 
 @pytest.fixture
 def network(tmp_path):
-    return torch_file(tmp_path / "nnmodel.pth", network_arrays((5, 32, 32, 32, 2)))
+    return web_file(tmp_path / "weights.bin")
 
 
 def pressed():
@@ -23,24 +24,24 @@ def pressed():
 
 
 def test_unknown_stays_unknown_and_with_a_scale_depth_is_in_mm(network, tmp_path):
-    calibration = gelform.import_calibration(network, "gs_sdk", background=BACKGROUND)
+    calibration = gelform.import_calibration(network, **WEB)
     assert (calibration.mm_per_px, calibration.forward, calibration.slope_sigma) == (None, None, None)
-    assert calibration.settings == {"imported_from": "gs_sdk"}
-    assert calibration.sensor_name == "nnmodel"
+    assert calibration.settings == {"imported_from": "gsrobotics-web", "position": "true"}
+    assert calibration.sensor_name == "weights"
     calibration.save(tmp_path / "cal.npz")
     again = gelform.load_calibration(tmp_path / "cal.npz")
     a, b = (gelform.Reconstructor(one)(pressed()) for one in (calibration, again))
     np.testing.assert_array_equal(a.gradients, b.gradients)
     np.testing.assert_array_equal(a.depth_px, b.depth_px)
     assert a.gradients_sigma is None
-    calibration = gelform.import_calibration(network, "gs_sdk", background=BACKGROUND, mm_per_px=0.05)
+    calibration = gelform.import_calibration(network, **WEB, mm_per_px=0.05)
     result = gelform.Reconstructor(calibration)(pressed())
     np.testing.assert_allclose(result.depth_px * 0.05, result.depth_mm, rtol=1e-5)
 
 
 def test_the_image_is_recovered_from_the_change(network):
     """Through the color change comes what the network says of the image itself, less what it says at rest."""
-    calibration = gelform.import_calibration(network, "gs_sdk", background=BACKGROUND)
+    calibration = gelform.import_calibration(network, **WEB)
     model, image = calibration.color_model, pressed()
     black, full = model.prepare(np.zeros((*SHAPE, 3)), SHAPE), np.float32(255)
     said = [black.gradients_from_color(one.astype(np.float32) / full)[0] for one in (image, BACKGROUND)]
@@ -74,6 +75,7 @@ def test_untouched_pixels_of_a_real_sensor_are_called_untouched(data):
 
 @pytest.mark.parametrize("package", ["gs_sdk", "gsrobotics"])
 def test_a_real_press_stands_up(data, package):
+    pytest.importorskip("torch", reason="torch, the extra `torch`, is not installed")
     peers = data / "peer-calibrations"
     file = peers / ("gs_sdk-mini-c-nnmodel.pth" if package == "gs_sdk" else "gsrobotics-nnmini.pt")
     calibration = gelform.import_calibration(

@@ -1,65 +1,25 @@
-"""Small random networks, in plain numpy too, and files as torch.save writes them, made by hand: torch is not needed."""
+"""Small random networks, in plain numpy too, and files of them."""
 
-import struct
-import zipfile
 from itertools import pairwise
 
 import numpy as np
+import pytest
 
 from gelform.color_models._shared.layers import Layers
 
-TENSOR = b"ctorch._utils\n_rebuild_tensor_v2\n"
-ORDERED = b"ccollections\nOrderedDict\n"
+
+def torch_file(path, arrays, *, nested=False):
+    """A file of `torch.save`; the test is skipped without torch."""
+    torch = pytest.importorskip("torch", reason="torch, the extra `torch`, is not installed")
+    content = {name: torch.from_numpy(np.array(array)) for name, array in arrays.items()}
+    torch.save({"epoch": 3, "state_dict": content} if nested else content, path)
+    return path
 
 
-def text(value):
-    return b"X" + struct.pack("<I", len(value)) + value.encode()
-
-
-def integer(value):
-    return b"J" + struct.pack("<i", value)
-
-
-def integers(values):
-    return b"(" + b"".join(map(integer, values)) + b"t"
-
-
-def pickled_tensor(key, array, *, storage="FloatStorage", stride=None, size=None, offset=0):
-    stride = [s // array.itemsize for s in array.strides] if stride is None else stride
-    reference = (
-        b"("
-        + text("storage")
-        + f"ctorch\n{storage}\n".encode()
-        + text(key)
-        + text("cpu")
-        + integer(array.size)
-    )
-    shape = integers(array.shape if size is None else size)
-    return (
-        TENSOR
-        + (b"(" + reference + b"tQ" + integer(offset) + shape + integers(stride) + b"\x89")
-        + (ORDERED + b")R" + b"tR")
-    )
-
-
-def pickled_dict(items):
-    """An OrderedDict of (name, pickled value), with the `_metadata` that torch gives it."""
-    body = b"".join(text(name) + value for name, value in items)
-    return ORDERED + b")R(" + body + b"u" + b"}" + text("_metadata") + ORDERED + b")Rs" + b"b"
-
-
-def torch_file(path, arrays, *, pickle=None, nested=False, folder="net"):
-    """A zip with data.pkl and one member of numbers for each array."""
-    content = pickle or pickled_dict(
-        [(n, pickled_tensor(str(k), a)) for k, (n, a) in enumerate(arrays.items())]
-    )
-    if nested:
-        content = b"}" + text("state_dict") + content + b"s"
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr(f"{folder}/data.pkl", b"\x80\x02" + content + b".")
-        archive.writestr(f"{folder}/byteorder", "little")
-        for k, array in enumerate(arrays.values()):
-            archive.writestr(f"{folder}/data/{k}", np.ascontiguousarray(array).tobytes())
+def web_file(path, arrays=None):
+    """A network of gsrobotics as its browser port has it, which needs no torch; random by default."""
+    arrays = network_arrays((5, 64, 64, 64, 2)) if arrays is None else arrays
+    np.concatenate([array.ravel() for array in arrays.values()]).astype("<f4").tofile(path)
     return path
 
 

@@ -64,7 +64,7 @@ def import_calibration(
     Raises
     ------
     DataError
-        The file is not of that package, damaged, or would need unpickling.
+        The file is not of that package or damaged, holds more than weights, or needs torch, which is not installed.
     ValueError
         The package is unknown, or an option is missing or not accepted.
     """
@@ -73,6 +73,8 @@ def import_calibration(
     if sensor_name is not None:
         check_is(sensor_name, str, "sensor_name")
     image = check_image(background, name="background").astype(np.float32)
+    if mm_per_px is not None:
+        mm_per_px = check_sensor_pitch(mm_per_px)
     model = PACKAGES[package](path, image, **options)
     change = ChangeSettings("subtract", 0.0, LUT_BLUR_PX if package == "lut" else 0.0)
     return Calibration(
@@ -81,7 +83,7 @@ def import_calibration(
         gel_id=None,
         view=View(),
         image_shape=(image.shape[0], image.shape[1]),
-        mm_per_px=None if mm_per_px is None else check_sensor_pitch(mm_per_px),
+        mm_per_px=mm_per_px,
         mm_per_px_sigma=None,
         background=image,
         background_noise=noise_from_image(image),
