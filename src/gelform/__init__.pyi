@@ -35,8 +35,6 @@ from .calibration.geometry.scale import Scale as Scale
 from .calibration.geometry.scale import combined_scale as combined_scale
 from .calibration.geometry.scale import scale_from_profile as scale_from_profile
 from .calibration.geometry.scale import scale_from_points as scale_from_points
-from .calibration.geometry.scale_images import scale_from_punch as scale_from_punch
-from .calibration.geometry.scale_images import scale_from_thread as scale_from_thread
 from .calibration.geometry.scale_images import scale_from_stage as scale_from_stage
 from .calibration.geometry.crosstalk import crosstalk_from_frames as crosstalk_from_frames
 from .calibration.geometry.lens import view_from_grid as view_from_grid

@@ -126,12 +126,6 @@ DOORS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
         gelform.scale_from_points,
         {"a_px": (3.0, 4.0), "b_px": (60.0, 50.0), "distance_mm": 7.0, "sigma_px": 0.5, "sigma_mm": 0.01},
     ),
-    "scale_from_punch": (
-        gelform.scale_from_punch, {"image": IMAGE, "background": REST, "diameter_mm": 4.0, "sigma_mm": 0.01}
-    ),
-    "scale_from_thread": (
-        gelform.scale_from_thread, {"image": IMAGE, "background": REST, "pitch_mm": 0.5, "sigma_mm": 0.01}
-    ),
     "scale_from_stage": (
         gelform.scale_from_stage,
         {"first": IMAGE, "second": image_of(Touch(x_px=48)), "background": REST, "distance_mm": 0.8, "sigma_mm": 0.01},

@@ -47,7 +47,7 @@ def test_a_mean_is_weighted_and_better_than_each():
 def test_scales_that_disagree_are_refused():
     with pytest.raises(DataError, match=r"0\.06 .*\(a\) and 0\.07 .*\(b\): 7\.1 standard deviations"):
         combined_scale([Scale(0.06, 0.001, "a"), Scale(0.07, 0.001, "b")])
-    with pytest.raises(ValueError, match="flat punch, a thread"):
+    with pytest.raises(ValueError, match="a step of a stage"):
         combined_scale([])
 
 

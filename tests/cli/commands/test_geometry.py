@@ -10,23 +10,25 @@ import pytest
 from gelform.calibration_file import load_calibration
 from gelform.plots.canvas import save_picture
 from gelform.sensors.files import read_sensor_toml
-from gelform.simulate import Punch, Screw, simulate_background, simulate_press
+from gelform.simulate import Ball, simulate_background, simulate_press
 
 
 @pytest.fixture(scope="module")
 def images(small, tmp_path_factory):
-    """A punch and a thread, pressed into the sensor behind the press folder."""
+    """A ball, pressed into the sensor behind the press folder at two places 3.9 mm apart."""
     folder = tmp_path_factory.mktemp("measured")
     rng = np.random.default_rng(4)
-    for name, thing in (("punch", Punch(7.0)), ("thread", Screw(8, 1.25, 30))):
-        press = simulate_press(small, thing, depth_mm=0.4, rng=rng, oversample=1)
+    for name, center in (("left", (-2.0, -0.5)), ("right", (1.6, 1.0))):
+        press = simulate_press(small, Ball(3.0), depth_mm=0.4, center_mm=center, rng=rng, oversample=1)
         save_picture(folder / f"{name}.png", press.image)
     return folder
 
 
 @pytest.mark.slow
 def test_a_measured_scale_reaches_the_calibration(run, run_json, folder, images, small, tmp_path):
-    given = ("--punch", f"{images / 'punch.png'},7", "--thread", f"{images / 'thread.png'},1.25")
+    pressed = f"{images / 'left.png'},{images / 'right.png'},3.9"
+    far = 17 / small.mm_per_px
+    given = ("--stage", pressed, "--points", f"0,0,{far},0,17")
     said = run_json("scale", folder, *given)
     assert said["file"] == str(folder / "sensor.toml")
     assert said["mm_per_px"] == pytest.approx(small.mm_per_px, rel=0.015)
@@ -37,8 +39,8 @@ def test_a_measured_scale_reaches_the_calibration(run, run_json, folder, images,
     assert run("calibrate", folder, "-o", tmp_path / "cal.npz", "--model", "polynomial")[0] == 0
     calibration = load_calibration(tmp_path / "cal.npz")
     assert calibration.mm_per_px == pytest.approx(said["mm_per_px"])
-    assert "a punch of 7 mm" in calibration.settings["scale_source"]
-    assert "a thread of pitch 1.25 mm" in calibration.settings["scale_source"]
+    assert "two points" in calibration.settings["scale_source"]
+    assert "a stage step of 3.9 mm" in calibration.settings["scale_source"]
 
 
 def test_marked_points(run, folder):
@@ -52,14 +54,17 @@ def test_what_cannot_be_is_refused_and_nothing_changes(fails, folder, images, ca
     before = [path.read_bytes() for path in (folder / "sensor.toml", calibration_file)]
     assert "sensor.toml" in fails("scale", calibration_file, "--points", "20,10,100,70,12")
     for arguments, text, status in (
-        ((), "--points, --punch, --thread, --stage", 2),
+        ((), "--points, --stage or both", 2),
         (("--points", "1,2,3"), "X1,Y1,X2,Y2,MM", 2),
-        (("--punch", "punch.png"), "IMG,MM", 2),
-        (("--stage", "punch.png,2"), "A,B,MM", 2),
+        (("--stage", "left.png,2"), "A,B,MM", 2),
         (("--points", "1,1,2,2,5"), "--points: Expected two points at least", 1),
         (("--points", "20,10,100,70,-12"), "--points: Expected distance_mm > 0", 1),
-        (("--thread", "nothing.png,1"), "No file", 1),
-        (("--points", "20,10,100,70,12", "--punch", f"{images / 'punch.png'},14"), "agree", 1),
+        (("--stage", "nothing.png,nor.png,1"), "No file", 1),
+        (
+            ("--points", "20,10,100,70,12", "--stage", f"{images / 'left.png'},{images / 'right.png'},8"),
+            "agree",
+            1,
+        ),
     ):
         assert text in fails("scale", folder, *arguments, status=status)
     assert [path.read_bytes() for path in (folder / "sensor.toml", calibration_file)] == before

@@ -11,7 +11,7 @@ from gelform.errors import DataError
 from gelform.foundations.checks import LARGEST, check_list, check_numbers, check_positive, check_within
 from gelform.sensors.profiles import profile_named
 
-SOURCES = "two marked points, a flat punch, a thread, a step of a stage, or a grid"
+SOURCES = "two marked points, a step of a stage, or a grid"
 MARK_SIGMA_PX = 0.5  # px, of a point marked by hand
 MAX_DISAGREEMENT = 4.0  # standard deviations between two scales
 

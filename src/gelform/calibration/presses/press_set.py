@@ -175,8 +175,8 @@ class ReadOptions:
         if settings is None:
             raise DataError(
                 f"No scale for {place}: presses of a ball alone do not tell it. Write name and mm_per_px into "
-                f"{toml}, give mm_per_px= (--mm-per-px) or sensor= (--sensor), or measure it on two marked points, a "
-                "flat punch, a thread or a stage's step (gelform scale), or on a grid (gelform lens)."
+                f"{toml}, give mm_per_px= (--mm-per-px) or sensor= (--sensor), or measure it on two marked points "
+                "or a stage's step (gelform scale), or on a grid (gelform lens)."
             )
         return settings
 

@@ -24,12 +24,6 @@ def scale(
         str | None,
         Option(metavar="X1,Y1,X2,Y2,MM", help="Two marked points of the image, px, and their distance."),
     ] = None,
-    punch: Annotated[
-        str | None, Option(metavar="IMG,MM", help="Image of a pressed flat, round punch, and its diameter.")
-    ] = None,
-    thread: Annotated[
-        str | None, Option(metavar="IMG,MM", help="Image of a pressed screw thread, and its pitch.")
-    ] = None,
     stage: Annotated[
         str | None,
         Option(metavar="A,B,MM", help="Two images of one object, and the stage's step between them."),
@@ -47,30 +41,23 @@ def scale(
 
     \b
     Examples:
-      gelform scale presses/ --punch punch.png,5
       gelform scale presses/ --points 20,31.5,290,28,17.1
-      gelform scale presses/ --thread m8.png,1.25 --stage left.png,right.png,4 --background rest.png
-      gelform scale imported.npz --punch punch.png,5
+      gelform scale presses/ --stage left.png,right.png,4 --background rest.png
+      gelform scale imported.npz --points 20,31.5,290,28,17.1
     """
-    if all(one is None for one in (points, punch, thread, stage)):
-        raise BadParameter(
-            "expected one or more of --points, --punch, --thread, --stage.", param_hint="scale"
-        )
+    if points is None and stage is None:
+        raise BadParameter("expected --points, --stage or both.", param_hint="scale")
     marked = None if points is None else numbers(points, "X1,Y1,X2,Y2,MM", "--points")
-    pressed = {
-        option: _images_and_mm(text, option)
-        for option, text in (("--punch", punch), ("--thread", thread), ("--stage", stage))
-        if text is not None
-    }
-    from gelform.calibration.geometry.files import save_scale
+    pressed = None if stage is None else _images_and_mm(stage)
     from gelform.calibration.geometry.scale import combined_scale
 
     scales = [] if marked is None else [_scale_of_points(marked)]
-    if pressed:
+    if pressed is not None:
         from gelform.calibration.geometry.files import read_setup
 
-        setup = read_setup(place, background=background, sensor=sensor)
-        scales += [_scale_of_images(setup, option, *given) for option, given in pressed.items()]
+        scales.append(_scale_of_images(read_setup(place, background=background, sensor=sensor), *pressed))
+    from gelform.calibration.geometry.files import save_scale
+
     found = combined_scale(scales)
     written = save_scale(found, place)
     shown.say(f"{found.mm_per_px:.5g} +- {found.sigma:.2g} mm per pixel, from {found.source}.")
@@ -79,13 +66,12 @@ def scale(
     shown.json({"file": written, **described})
 
 
-def _images_and_mm(text: str, option: str) -> tuple[list[Path], float]:
-    """The image files and the length after them."""
-    form = "A,B,MM" if option == "--stage" else "IMG,MM"
+def _images_and_mm(text: str) -> tuple[list[Path], float]:
+    """The two image files and the length after them."""
     *paths, length = text.split(",")
-    if len(paths) != form.count(","):
-        raise BadParameter(f"expected {form}, got {text!r}.", param_hint=option)
-    return [Path(path) for path in paths], numbers(length, "MM", option)[0]
+    if len(paths) != 2:
+        raise BadParameter(f"expected A,B,MM, got {text!r}.", param_hint="--stage")
+    return [Path(path) for path in paths], numbers(length, "MM", "--stage")[0]
 
 
 def _scale_of_points(marked: tuple[float, ...]) -> Scale:
@@ -96,19 +82,12 @@ def _scale_of_points(marked: tuple[float, ...]) -> Scale:
         return scale_from_points((x1, y1), (x2, y2), mm)
 
 
-def _scale_of_images(setup: SensorSetup, option: str, paths: list[Path], mm: float) -> Scale:
-    from gelform.calibration.geometry.scale_images import (
-        scale_from_punch,
-        scale_from_stage,
-        scale_from_thread,
-    )
+def _scale_of_images(setup: SensorSetup, paths: list[Path], mm: float) -> Scale:
+    from gelform.calibration.geometry.scale_images import scale_from_stage
 
-    with mistakes_in(option):
-        images = [setup.image(path) for path in paths]
-        if option == "--stage":
-            return scale_from_stage(images[0], images[1], setup.background, mm)
-        measure = scale_from_punch if option == "--punch" else scale_from_thread
-        return measure(images[0], setup.background, mm)
+    with mistakes_in("--stage"):
+        first, second = (setup.image(path) for path in paths)
+        return scale_from_stage(first, second, setup.background, mm)
 
 
 def lens(
