@@ -135,10 +135,6 @@ def use_hdf5() -> None:
     batch("--format", "hdf5")
 
 
-def use_ffv1() -> None:
-    batch("--format", "ffv1")
-
-
 def use_parquet() -> None:
     batch("--table", "parquet")
     from pyarrow import parquet

@@ -15,7 +15,7 @@ from batch.faults import tree
 from gelform.batch import BatchSettings, run_batch, verify_output
 from gelform.errors import DataError
 
-FORMS = ("npz", "png", "zarr", "hdf5", "ffv1", "lerobot")
+FORMS = ("npz", "png", "zarr", "hdf5", "lerobot")
 KEY, FPS = "observation.images.gel", 30
 EPISODE, EPISODES = 12, 3  # frames per episode; episodes
 DISK_BYTES, SOON_BYTES = 64 << 20, 200_000  # size of the small disk; room on it that is soon used up

@@ -36,7 +36,7 @@ from made.small_gel import save
 
 def test_refused():
     for wrong, said in [
-        ({"form": "jpg"}, "Expected a format among npz, png, zarr, hdf5, ffv1, lerobot, got 'jpg'"),
+        ({"form": "jpg"}, "Expected a format among npz, png, zarr, hdf5, lerobot, got 'jpg'"),
         ({"keep": ("depht",)}, "Expected maps to keep among depth, known"),
         ({"keep": ()}, "Expected maps to keep"),
         ({"keep": ("all", "depth")}, "Expected maps to keep"),

@@ -11,10 +11,10 @@ from gelform.solvers import SOLVERS
 from gelform.solvers.inputs import takes_weights
 
 KEPT = tuple(KEPT_MAPS)
-FORMATS = ("npz", "png", "zarr", "hdf5", "ffv1", "lerobot")
+FORMATS = ("npz", "png", "zarr", "hdf5", "lerobot")
 DTYPES = ("float32", "uint16")
-LEVELS_ALONE = ("png", "ffv1", "lerobot")  # forms with 16-bit depth only
-WHOLE_SEQUENCES = ("ffv1", "lerobot")  # forms with one file per sequence, which is one part
+LEVELS_ALONE = ("png", "lerobot")  # forms with 16-bit depth only
+WHOLE_SEQUENCES = ("lerobot",)  # forms with one file per sequence, which is one part
 MOST_BACKGROUND_FRAMES = 200  # frames that are in memory together
 
 
@@ -24,11 +24,11 @@ class BatchSettings:
 
     Attributes
     ----------
-    form : "npz" and "png", a file per frame; "zarr" and "hdf5", whose chunks are frames; "ffv1", a 16-bit video per
-        sequence; "lerobot", a LeRobot data set with an additional column of depth
+    form : "npz" and "png", a file per frame; "zarr" and "hdf5", whose chunks are frames; "lerobot", a
+        LeRobot data set with an additional column of depth
     keep : maps among KEPT; ("all",), only for npz: the whole result, which `gelform.load_result` reads
-    dtype : of the kept maps; "uint16" is depth only, (v - 32768) x 1e-4 mm, 0 where unknown: always so in png and
-        ffv1, never in npz; in lerobot 1000 + depth in um
+    dtype : of the kept maps; "uint16" is depth only, (v - 32768) x 1e-4 mm, 0 where unknown: always so in png, never in
+        npz; in lerobot 1000 + depth in um
     solver : as of a `Reconstructor`
     depth_sigma : whether to compute the standard deviation of depth, which also improves the contact; without it a
         frame takes a quarter less time

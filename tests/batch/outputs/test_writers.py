@@ -144,7 +144,7 @@ def test_depth_in_16_bits(written, results, tmp_path):
     assert np.abs(depth - results[0].depth_mm)[known].max() <= 0.51e-4
 
 
-NEEDS = {"zarr": "numcodecs", "hdf5": "h5py", "ffv1": "av", "lerobot": "av"}
+NEEDS = {"zarr": "numcodecs", "hdf5": "h5py", "lerobot": "av"}
 TO_THE_LEVEL_MM = {"lerobot": 0.501e-3}
 EPISODE = "gel/episode_000001"
 
@@ -210,5 +210,5 @@ def test_the_same_bytes_twice_and_none_of_a_part_that_ended_early(written, tmp_p
     assert (a.files, rows) == (b.files, same)
     with pytest.raises(KeyboardInterrupt):
         written(form, sequence=EPISODE, folder=tmp_path / "c", interrupted=True)
-    if form in ("hdf5", "ffv1", "lerobot"):  # the others have files of their own that are done
+    if form in ("hdf5", "lerobot"):  # the others have files of their own that are done
         assert not [path for path in (tmp_path / "c").rglob("*") if path.is_file()]

@@ -1,4 +1,4 @@
-"""Depth as lossless video, one complete file per sequence or none: 16-bit FFV1 in Matroska."""
+"""Depth as lossless video, one complete file per sequence or none."""
 
 from __future__ import annotations
 
@@ -13,17 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.batch.outputs.files import (
-    FRAMES,
     PartTarget,
     PartWriter,
     RememberingFile,
-    maps_of,
     output_file,
 )
-from gelform.errors import DataError, needed
+from gelform.errors import DataError
 from gelform.exporters.quantised import UNKNOWN
 from gelform.foundations.npz_files import written_file
-from gelform.reconstruction import Reconstruction
 
 
 @dataclass(frozen=True)
@@ -32,9 +29,9 @@ class Codec:
 
     Attributes
     ----------
-    encoder : name in ffmpeg, such as "ffv1"
-    pix_fmt : pixel format of one plane of little-endian uint16, such as "gray16le"
-    container : name of the muxer in ffmpeg, such as "matroska"
+    encoder : name in ffmpeg, such as "libx265"
+    pix_fmt : pixel format of one plane of little-endian uint16, such as "gray12le"
+    container : name of the muxer in ffmpeg, such as "mp4"
     options : of the encoder
     """
 
@@ -42,10 +39,6 @@ class Codec:
     pix_fmt: str
     container: str
     options: Mapping[str, str] = field(default_factory=dict)
-
-
-RATE_HZ = 30  # nominal: the table has the capture times
-FFV1 = Codec("ffv1", "gray16le", "matroska", {"level": "3", "slices": "4", "slicecrc": "1"})
 
 
 class VideoWriter(PartWriter):
@@ -105,24 +98,3 @@ class VideoWriter(PartWriter):
         stream.pix_fmt = codec.pix_fmt
         stream.thread_count = 1  # the same bytes each time, and no threads besides the workers
         return stream
-
-
-class DepthVideo(VideoWriter):
-    """Writes frames/<sequence>.mkv with depth as levels (v - 32768) x 1e-4 mm."""
-
-    def __init__(self, target: PartTarget) -> None:
-        path = target.output / FRAMES / f"{target.part.sequence or 'frames'}.mkv"
-        super().__init__(target, path, FFV1, RATE_HZ, needed("av", "ffv1", "FFV1"))
-
-    def prepared(self, result: Reconstruction) -> NDArray[np.uint16]:
-        """The levels of the depth."""
-        return maps_of(result, self._target.settings)["depth_mm"]
-
-
-def read_ffv1(path: Path, index: int) -> NDArray[Any]:
-    """Levels of a frame, read back from the video."""
-    with needed("av", "ffv1", "FFV1").open(str(path)) as file:
-        stream = file.streams.video[0]
-        file.seek(int(index / RATE_HZ / stream.time_base), stream=stream)
-        frames = (one for one in file.decode(stream) if round(one.time * RATE_HZ) >= index)
-        return np.asarray(next(frames).to_ndarray(format=FFV1.pix_fmt))

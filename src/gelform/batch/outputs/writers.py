@@ -26,7 +26,6 @@ from gelform.batch.outputs.lerobot import (
     write_lerobot_set,
     wrong_file_of_set,
 )
-from gelform.batch.outputs.video import DepthVideo, read_ffv1
 from gelform.batch.outputs.zarr_arrays import ZarrArrays, read_zarr
 from gelform.exporters.quantised import depth_from_levels
 
@@ -70,7 +69,6 @@ WRITERS: dict[str, Form] = {
     "png": Form(FrameFiles, read_png),
     "zarr": Form(ZarrArrays, read_zarr),
     "hdf5": Form(Hdf5Files, read_hdf5, HDF5_FINISH),
-    "ffv1": Form(DepthVideo, read_ffv1),
     "lerobot": Form(LerobotVideo, read_lerobot, LEROBOT_FINISH),
 }
 

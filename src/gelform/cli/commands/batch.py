@@ -59,9 +59,7 @@ class Results:
 
     form: Annotated[
         str,
-        Option(
-            "--format", help="npz, png (depth in 16 bits), zarr, hdf5, ffv1, lerobot (its input with depth)."
-        ),
+        Option("--format", help="npz, png (depth in 16 bits), zarr, hdf5, lerobot (its input with depth)."),
     ] = "npz"
     dtype: Annotated[
         str | None, Option(help="For zarr and hdf5: float32, or uint16 (depth only, 0.1 um per step).")
