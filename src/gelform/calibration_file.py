@@ -15,7 +15,6 @@ from gelform.background.change import ChangeSettings
 from gelform.background.check import background_digest
 from gelform.color_models import COLOR_MODELS, IMPORTED_MODELS, ColorModel, ForwardResponse
 from gelform.color_models.forward_response import older_response
-from gelform.color_models.seam import RenderingModel
 from gelform.confidence import SlopeSigma
 from gelform.errors import CalibrationError
 from gelform.foundations.checks import (
@@ -205,8 +204,7 @@ class Calibration:
         CalibrationError
             The calibration was imported from a package that has no forward response.
         """
-        source: Any = self.forward if self.forward is not None else self.color_model
-        if not isinstance(source, RenderingModel):
+        if self.forward is None:
             raise CalibrationError(
                 f"This calibration ({self.sensor_name}, color model {self.color_model.name}) was imported without a "
                 "forward response: what color a slope gives is not known. Calibrate on presses of a ball."
@@ -217,7 +215,7 @@ class Calibration:
                 f"Expected gradients of shape ({height}, {width}, 2), got {np.shape(gradients)}."
             )
         y, x = (axis.ravel() for axis in np.mgrid[:height, :width])
-        change = source.color_from_gradients(np.reshape(gradients, (-1, 2)), x, y)
+        change = self.forward.color_from_gradients(np.reshape(gradients, (-1, 2)), x, y)
         return change.reshape(height, width, 3).astype(np.float32)
 
     def save(self, path: str | PathLike[str], *, overwrite: bool = False) -> None:

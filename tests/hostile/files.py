@@ -17,6 +17,7 @@ import numpy as np
 import gelform
 from gelform.exporters.press_folder import save_press_folder
 from gelform.foundations.npz_files import digest_of
+from gelform.importers.tables import read_taxim_forward
 from gelform.sensors.files import read_sensor_toml
 from made.networks import network_arrays, torch_file, web_file
 from made.small_gel import MM_PER_PX, Touch, background, calibration, image_of, save
@@ -179,7 +180,9 @@ def _of_other_packages(folder: Path) -> dict[str, RealFile]:
     return {
         **of_torch,
         "browser weights": _real(weights, read(weights, "gsrobotics-web", position="true"), _all_finite),
-        "Taxim table": _real(table, read(table, "taxim"), _all_finite),
+        "Taxim table": _real(
+            table, lambda: read_taxim_forward(table), lambda got: bool(np.isfinite(got.table).all())
+        ),
         "Taxim pack": _real(
             pack,
             lambda: gelform.read_presses(pack, mm_per_px=0.1, ball_diameter_mm=8.0),

@@ -56,7 +56,7 @@ def test_options_belong_to_packages(network, tmp_path):
         ("gs_sdk", {"position": "true"}, "Expected position"),
         ("gsrobotics", {}, "Expected position"),
         ("gsrobotics", {"position": "maybe"}, "Expected position"),
-        ("taxim", {"flip_depth": True}, "flip_depth for lut only"),
+        ("gs_sdk", {"flip_depth": True}, "flip_depth for lut only"),
         ("gs_sdk", {"mm_per_px": -1}, "mm_per_px > 0"),
     ):
         with pytest.raises(ValueError, match=why):

@@ -14,7 +14,6 @@ from gelform.importers.tables import (
     TaximTables,
     is_taxim_forward,
     read_lut,
-    read_taxim,
     read_taxim_forward,
 )
 from gelform.simulate import Ball, Pose
@@ -87,14 +86,9 @@ def test_other_tables_are_refused(tmp_path):
         read_lut(path, FLAT, depth_sign=2)
 
 
-TAXIM_SHAPE = (24, 32)
-
-
-def test_other_proportions_cut_and_large_files_are_refused(tmp_path, monkeypatch):
+def test_cut_and_large_files_are_refused(tmp_path, monkeypatch):
     path = tmp_path / "polycalib.npz"
     np.savez(path, **taxim_arrays(bins=20))
-    with pytest.raises(gelform.DataError, match="proportions"):
-        read_taxim(path, np.zeros((32, 24, 3), dtype=np.float32))
     monkeypatch.setattr("gelform.importers.tables.MAX_ARRAY_BYTES", 50_000)
     with pytest.raises(gelform.DataError, match=r"declares 0\.0\d+ MB"):
         read_taxim_forward(path)

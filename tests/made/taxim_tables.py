@@ -1,14 +1,8 @@
-"""Taxim's table of a smooth law, and the law."""
+"""Taxim's table of a smooth law: each channel lit from its side, more so to the right and below."""
 
 import numpy as np
 
 LIGHTS = np.array([[0.5, 0.1], [-0.3, 0.4], [-0.2, -0.5]])  # of the channels R, G, B
-
-
-def law(p, q, u, v):
-    """A smooth forward law (N, 3): each channel lit from its side, more so to the right and below."""
-    slope = np.stack([p, q], axis=-1)
-    return slope @ LIGHTS.T / np.sqrt(1 + p**2 + q**2)[:, None] * (0.6 + 0.3 * u + 0.2 * v * v)[:, None]
 
 
 def taxim_arrays(bins=90, shape=(480, 640)):

@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 
 from gelform.background.change import color_change_from_image
-from gelform.importers.tables import read_taxim
 from gelform.simulate import Ball, Pose
 from gelform.simulate.twin import CalibratedLook, Twin
-from made.taxim_tables import taxim_arrays
 
 
 def test_an_untouched_twin_is_the_background(calibration):
@@ -60,17 +58,6 @@ def test_the_depth_changes_the_color_in_millimeters(calibration):
     assert not look.color_change(level, 0 * depth).any()
     wider = CalibratedLook(replace(calibration, mm_per_px=2 * calibration.mm_per_px))
     np.testing.assert_allclose(wider.color_change(level, 2 * depth), found, atol=1e-6)
-
-
-def test_without_a_response_the_color_is_that_of_the_slope(calibration, tmp_path):
-    """Of an imported table of what color a slope gives."""
-    np.savez(tmp_path / "polycalib.npz", **taxim_arrays())
-    table = read_taxim(tmp_path / "polycalib.npz", np.zeros((*calibration.image_shape, 3), dtype=np.float32))
-    imported = replace(calibration, forward=None, color_model=table)
-    gradients = np.full((*imported.image_shape, 2), 0.2, dtype=np.float32)
-    found = CalibratedLook(imported).color_change(gradients, np.full(imported.image_shape, 0.3))
-    assert np.abs(found).max() > 0.05
-    np.testing.assert_array_equal(found, imported.color_from_gradients(gradients))
 
 
 def test_the_noise_is_that_of_the_images(calibration):

@@ -24,7 +24,6 @@ from gelform.color_models.seam import (
     Samples,
     StartableModel,
 )
-from gelform.color_models.slope_table import SlopeTableModel
 
 COLOR_MODELS: dict[str, type[FittableColorModel]] = {
     "lambertian": LambertianModel,
@@ -43,7 +42,6 @@ DEFAULT_MODEL, PLAIN_MODEL = "hierarchical", "polynomial"
 # Models that other packages made and `importers` reads; they are never fitted here.
 IMPORTED_MODELS: dict[str, type[ColorModel]] = {
     "network": NetworkModel,
-    "slope_table": SlopeTableModel,
 }
 
 __all__ = [
@@ -64,6 +62,5 @@ __all__ = [
     "PolynomialModel",
     "PreparedColorModel",
     "Samples",
-    "SlopeTableModel",
     "StartableModel",
 ]

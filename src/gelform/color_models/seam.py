@@ -124,17 +124,6 @@ class ColorModel(Protocol):
         ...
 
 
-@runtime_checkable
-class RenderingModel(Protocol):
-    """Addition to `ColorModel`: it gives the color of a slope, as a forward response does."""
-
-    def color_from_gradients(
-        self, gradients: NDArray[Any], x_px: NDArray[Any], y_px: NDArray[Any]
-    ) -> NDArray[np.float64]:
-        """Color change (N, 3) of gradients (N, 2) at pixel positions (N,)."""
-        ...
-
-
 class FittableColorModel(ColorModel, Protocol):
     """The additional methods of the classes in `COLOR_MODELS`: the fit, and the settings that calibration tries."""
 

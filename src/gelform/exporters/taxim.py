@@ -91,7 +91,7 @@ def taxim_table(calibration: Calibration) -> NDArray[np.float64]:
     CalibrationError: the calibration was imported without a forward response.
     """
     calibration.color_from_gradients(np.zeros((*calibration.image_shape, 2)))  # raises without a response
-    response: Any = calibration.forward or calibration.color_model
+    response: Any = calibration.forward
     y_px, x_px = _places(calibration.image_shape)
     blurred = cv2.GaussianBlur(calibration.background, (0, 0), BACKGROUND_BLUR_PX)
     untouched = blurred[y_px.astype(int), x_px.astype(int)]

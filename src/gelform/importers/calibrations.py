@@ -18,7 +18,7 @@ from gelform.calibration_file import Calibration, CalibrationSettings
 from gelform.color_models import ColorModel
 from gelform.foundations.checks import check_image, check_is, check_path, check_sensor_pitch
 from gelform.importers.networks import read_gs_sdk, read_gsrobotics, read_gsrobotics_web
-from gelform.importers.tables import read_lut, read_taxim
+from gelform.importers.tables import read_lut
 from gelform.view import View
 
 # Gray levels / 255. Pixels of a Mini at rest differ from its background by up to this, from noise and drift together.
@@ -29,7 +29,6 @@ PACKAGES: dict[str, Callable[..., ColorModel]] = {
     "gs_sdk": read_gs_sdk,
     "gsrobotics": read_gsrobotics,
     "gsrobotics-web": read_gsrobotics_web,
-    "taxim": read_taxim,
     "lut": read_lut,
 }
 POSITIONED = ("gsrobotics", "gsrobotics-web")
@@ -53,7 +52,7 @@ def import_calibration(
     Parameters
     ----------
     path : the package's file
-    package : a name in `PACKAGES`: gs_sdk, gsrobotics, gsrobotics-web, taxim or lut
+    package : a name in `PACKAGES`: gs_sdk, gsrobotics, gsrobotics-web or lut
     background : (H, W, 3) RGB, 0-255, the background image, cropped and sized as that package's images
     mm_per_px : width of a pixel on the gel, mm, if known
     position : required for gsrobotics and gsrobotics-web, and only there: "zeros", the input of its program, or "true", the

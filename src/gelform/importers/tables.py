@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.color_models.lookup import LookupModel
-from gelform.color_models.slope_table import SlopeTableModel
 from gelform.errors import DataError, said
 from gelform.foundations.checks import check_positive
 from gelform.foundations.npz_files import DAMAGED_ARCHIVE, MAX_ARRAY_BYTES, present_file, read_npy
@@ -68,32 +67,6 @@ def _lut(path: str | PathLike[str]) -> NDArray[np.float64]:
     if not np.issubdtype(array.dtype, np.floating) or not np.isfinite(array).all():
         raise DataError(f"Expected finite floats in {path}, got {array.dtype} or NaN.")
     return np.asarray(array, dtype=np.float64)
-
-
-def read_taxim(path: str | PathLike[str], background: NDArray[np.float32]) -> SlopeTableModel:
-    """Taxim's table; `grad_r` is channel 0 of an image in OpenCV's order, which is blue.
-
-    Parameters
-    ----------
-    background : (H, W, 3), of the table's 480x640 px or of the same aspect ratio
-
-    Raises
-    ------
-    DataError
-        The file is missing, of another kind or damaged, or the background has another aspect ratio.
-    """
-    table = read_taxim_forward(path).table
-    height, width = background.shape[:2]
-    if not _is_of_tables_aspect(height, width):
-        raise DataError(
-            f"Expected a background of 480x640 px or its proportions, as Taxim's tables have them, got {height}x{width}. "
-            "Turn or crop the images as Taxim does."
-        )
-    units = np.array([WIDTH**2, HEIGHT**2, WIDTH * HEIGHT, WIDTH, HEIGHT, 1]) / 255  # places 0-1, change /255
-    try:
-        return SlopeTableModel((table * units).astype(np.float32), (height, width))
-    except ValueError as problem:
-        raise DataError(f"{path}: {problem}") from problem
 
 
 @dataclass(frozen=True, eq=False)

@@ -50,7 +50,7 @@ def import_(
 ) -> None:
     """Import a calibration that another package made.
 
-    Networks of gs_sdk (nnmodel.pth), gsrobotics (nnmini.pt) and its browser port, Taxim's polycalib.npz, and
+    Networks of gs_sdk (nnmodel.pth), gsrobotics (nnmini.pt) and its browser port, and
     look-up tables (table_smooth.npy). Nothing in FILE is executed. The background is an image of the gel at
     rest, cropped and sized as that package's images are. Without --mm-per-px, results are gradients and depth in
     pixels.
@@ -59,7 +59,6 @@ def import_(
     Examples:
       gelform import nnmodel.pth --from gs_sdk --background rest.png --mm-per-px 0.0634 -o cal.npz
       gelform import nnmini.pt --from gsrobotics --position zeros --background rest.png -o cal.npz
-      gelform import polycalib.npz --from taxim --background rest.png -o cal.npz
       gelform import table_smooth.npy --from lut --flip-depth --background rest.png -o cal.npz
     """
     one_of(package, PACKAGES, "--from")
