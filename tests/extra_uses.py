@@ -69,8 +69,7 @@ def use_plots() -> None:
 
 def use_mesh() -> None:
     command("reconstruct", "frames/1.png", "-c", "cal.npz", "-o", "out", "--format", "stl", "-q")
-    command("simulate", "--mesh", "out/1.stl", "-o", "pressed", "--depth-mm", "0.3", "-q")
-    assert Path("pressed/image.png").exists()
+    assert Path("out/1.stl").stat().st_size > 10_000
 
 
 def use_mcap() -> None:

@@ -1,4 +1,4 @@
-"""Calibrations and tables of other packages, meshes and height images."""
+"""Calibrations and tables of other packages."""
 
 from gelform.importers.tables import TaximLook, read_taxim_forward
 

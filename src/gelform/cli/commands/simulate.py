@@ -22,10 +22,9 @@ from gelform.cli.options import (
 )
 from gelform.cli.outputs import check_output
 from gelform.cli.process import mistakes_in
-from gelform.errors import DataError
 
 if TYPE_CHECKING:
-    from gelform.simulate import HeightMap, Indenter, SimulatedSensor
+    from gelform.simulate import HeightMap, SimulatedSensor
     from gelform.simulate.twin import Twin
 
 
@@ -75,29 +74,17 @@ class Balls:
 
 @dataclass(frozen=True)
 class Face:
-    """Another object to press: a height map or a mesh."""
+    """Another object to press: a height map."""
 
     height_map: Annotated[
-        Path | None,
-        Option(metavar="FILE", help="Press this height map: heights in mm (.npy), or a gray image."),
+        Path | None, Option(metavar="FILE.npy", help="Press this height map: heights in mm.")
     ] = None
     height_map_mm_per_px: Annotated[float | None, number("Sample pitch of the height map, mm.")] = None
-    height_map_range_mm: Annotated[
-        float | None, Option(metavar="F", help="For a gray image: height of white over black, mm.")
-    ] = None
-    depth_mm: Annotated[float, number("Depth of the pressed height map or mesh, mm.")] = 0.5
-    mesh: Annotated[
-        Path | None, Option(metavar="FILE", help="Press this mesh: .stl, .ply or .obj (needs trimesh).")
-    ] = None
-    mesh_mm_per_unit: Annotated[float, number("Unit of the mesh: 1 for mm, 1000 for meters.")] = 1.0
+    depth_mm: Annotated[float, number("Depth of the pressed height map, mm.")] = 0.5
 
-    def read(self) -> Indenter | None:
+    def read(self) -> HeightMap | None:
         """The object to press; None for balls."""
-        if self.mesh is not None:
-            return _mesh(self.mesh, self.mesh_mm_per_unit)
-        if self.height_map is not None:
-            return _height_map(self.height_map, self.height_map_mm_per_px, self.height_map_range_mm)
-        return None
+        return None if self.height_map is None else _height_map(self.height_map, self.height_map_mm_per_px)
 
 
 def simulate(
@@ -119,10 +106,10 @@ def simulate(
 ) -> None:
     """Simulate a sensor: images of presses with their truth.
 
-    Presses balls, or your own height map or mesh.
+    Presses balls, or your own height map.
 
     Balls make a press folder that `gelform calibrate` reads: background.png, presses.csv with labels, sensor.toml, images/,
-    and truth/ with depth_mm, gradients, contact and more for each image. A height map or a mesh makes background.png,
+    and truth/ with depth_mm, gradients, contact and more for each image. A height map makes background.png,
     image.png, truth.npz.
 
     \b
@@ -132,15 +119,11 @@ def simulate(
       gelform simulate -o presses --sensor digit --count 10000 --workers 8
       gelform simulate -o presses --sensor mine.toml
       gelform simulate -o twin --like cal.npz --count 1000 --workers 4
-      gelform simulate -o gear --like cal.npz --mesh gear.stl
       gelform simulate -o taxim --like polycalib.npz --background rest.png --mm-per-px 0.03
       gelform simulate -o key --height-map key.npy --height-map-mm-per-px 0.02 --depth-mm 0.6
-      gelform simulate -o coin --height-map coin.png --height-map-mm-per-px 0.02 --height-map-range-mm 0.3
-      gelform simulate -o gear --mesh gear.stl --sensor gelsight-mini
     """
-    both = None not in (sensor, look.like) or None not in (face.height_map, face.mesh)
-    if both:
-        raise BadParameter("give one sensor and one thing to press.", param_hint="--sensor, --like")
+    if None not in (sensor, look.like):
+        raise BadParameter("give one sensor.", param_hint="--sensor, --like")
     twin = _twin_of(look)
     made = twin.sensor if twin is not None else sensor_of(sensor or LAYOUTS[0])
     pressed = face.read()
@@ -205,29 +188,13 @@ def _twin_of_tables(path: Path, look: Look) -> Twin:
     return Twin(TaximLook(tables, untouched.astype(np.float32), look.mm_per_px, noise))
 
 
-def _mesh(path: Path, mm_per_unit: float) -> Indenter:
-    from gelform.importers.relief import read_mesh
-
-    try:
-        return read_mesh(path, mm_per_unit=mm_per_unit)
-    except ImportError as problem:
-        raise DataError(str(problem)) from problem
-
-
-def _height_map(path: Path, mm_per_px: float | None, range_mm: float | None) -> HeightMap:
+def _height_map(path: Path, mm_per_px: float | None) -> HeightMap:
     from gelform.foundations.npz_files import read_npy
-    from gelform.importers.relief import read_height_image
     from gelform.simulate import HeightMap
 
     if mm_per_px is None:
         raise BadParameter("needed with --height-map.", param_hint="--height-map-mm-per-px")
-    if path.suffix.lower() != ".npy" and range_mm is not None:
-        return read_height_image(path, mm_per_px=mm_per_px, height_mm=range_mm)
-    try:
-        heights = read_npy(path, "heights in mm")
-    except DataError as problem:
-        remedy = "" if path.suffix.lower() == ".npy" else " Is it a gray image? Say --height-map-range-mm."
-        raise DataError(f"{problem}{remedy}") from problem
+    heights = read_npy(path, "heights in mm")
     with mistakes_in(path):
         return HeightMap(heights, mm_per_px)
 
