@@ -239,7 +239,7 @@ def use_live() -> None:
 
 
 def use_docs() -> None:
-    run_script("docs/site/build.py", str(Path("site").resolve()), "--no-gallery")
+    run_script("docs/site/build.py", str(Path("site").resolve()))
     assert Path("site/html/index.html").exists()
 
 

@@ -29,7 +29,6 @@ WINDOWS_PX = ((1400, 900), (390, 844))
 THEMES = ("light", "dark")
 PAGES = (
     "index.html",
-    "docs/gallery.html",
     "docs/tutorial.html",
     "docs/from-color-to-depth.html",
     "reference/index.html",

@@ -8,16 +8,17 @@ from typing import Any
 
 from docutils.utils.math.latex2mathml import tex2mathml
 from sphinx.builders.html import StandaloneHTMLBuilder
+from sphinx.util.logging import getLogger
 
 sys.path.insert(0, str(Path(__file__).parent))
 import gelform
 from docstrings import rewrite
-from links import linked_to_the_reference
+from links import ROOT, links_of_the_site
 
 project, author, release = "gelform", "The gelform authors", gelform.__version__
 copyright = author
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
-myst_enable_extensions = ["dollarmath"]
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.autosummary", "sphinx.ext.napoleon"]
+myst_enable_extensions = ["colon_fence", "dollarmath", "html_image"]
 myst_heading_anchors = 3
 html_theme = "furo"
 html_title = f"gelform {release}"
@@ -48,6 +49,12 @@ html_sidebars = {
         "sidebar/scroll-end.html",
     ]
 }
+LABELED = {  # in a page of the theme, for readers who listen to it, and what stands there instead
+    '<p class="caption" role="heading">': '<p class="caption" role="heading" aria-level="2">',
+    '<aside class="sidebar-drawer">': '<aside class="sidebar-drawer" aria-label="Site">',
+    '<aside class="toc-drawer">': '<aside class="toc-drawer" aria-label="This page">',
+    '<div id="search-results">': '<h1 class="only-read">Search</h1><div id="search-results">',
+}
 
 
 def inline_math(self: Any, node: Any) -> None:
@@ -62,13 +69,33 @@ def block_math(self: Any, node: Any) -> None:
 
 
 def read_source(_: Any, name: str, content: list[str]) -> None:
-    """Links to a function's source file become links to its reference."""
-    content[0] = linked_to_the_reference(content[0])
+    """The repository's pages have links that mean something else on the site."""
+    page = ROOT / f"{name}.md"
+    if page.exists():
+        content[0] = links_of_the_site(content[0], page, getLogger(__name__).warning)
+
+
+def read_docstring(_app: Any, _what: str, _name: str, _thing: Any, _options: Any, lines: list[str]) -> None:
+    """As Sphinx wants them."""
+    rewrite(lines)
 
 
 def set_language(_: Any, name: str, _template: str, context: dict[str, Any], _doctree: Any) -> None:
     """The language that a page tells browsers and readers of screens."""
     context["language"] = "zh" if name.startswith(CHINESE) else "en"
+
+
+def finish(app: Any, failed: Exception | None) -> None:
+    """Label what the theme leaves without a label."""
+    if failed or app.builder.name != "html":
+        return
+    pages = {path: path.read_text(encoding="utf-8") for path in Path(app.outdir).rglob("*.html")}
+    for old, new in LABELED.items():
+        if not any(old in page for page in pages.values()):
+            getLogger(__name__).warning(f"The theme has changed: no page has {old}")
+        pages = {path: page.replace(old, new) for path, page in pages.items()}
+    for path, page in pages.items():
+        path.write_text(page, encoding="utf-8")
 
 
 def setup(app: Any) -> None:
@@ -80,12 +107,8 @@ def setup(app: Any) -> None:
         (inline_math if node.tagname == "math" else block_math)(self, node)
         raise SkipNode
 
-    def read_docstring(
-        _app: Any, _what: str, _name: str, _thing: Any, _options: Any, lines: list[str]
-    ) -> None:
-        rewrite(lines)
-
     app.connect("autodoc-process-docstring", read_docstring, priority=400)  # before napoleon
     app.add_html_math_renderer("mathml", (skip, None), (skip, None))
     app.connect("source-read", read_source)
     app.connect("html-page-context", set_language)
+    app.connect("build-finished", finish)

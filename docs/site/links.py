@@ -1,43 +1,48 @@
-"""Links of the repository's Markdown that mean something else on the site."""
+"""Links of the repository's Markdown that mean something else on the site, and those that lead to no file."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from pathlib import Path
 
 import gelform
 
-FUNCTION = re.compile(r"\[`(\w+)`\]\([^)]*/src/gelform/[^)]*\.py\)")
-INDEXED = ("docs/decisions", "examples")  # folders that have a page
-SHOWN = (".md", ".png", ".jpg", ".svg", ".webp", ".gif")  # files that the site has
+ROOT = Path(__file__).resolve().parents[2]
+BLOCK = re.compile(r"^( *```.*?^ *```)", re.MULTILINE | re.DOTALL)
 TARGET = re.compile(r"\[([^\]]*)\]\(([^)#\s]+)(#[^)\s]*)?\)")
+INDEXED = ("docs/decisions", "examples")  # folders that have a page
 
 
-def linked_to_the_reference(text: str) -> str:
-    """``[`name`](.../src/gelform/file.py)`` leads to the reference of a public name instead."""
+def links_of_the_site(text: str, page: Path, warn: Callable[[str], None], root: Path = ROOT) -> str:
+    """A page whose links to functions lead to their reference, to examples to their pages; others off the site are text.
 
-    def reference(match: re.Match[str]) -> str:
-        name = match.group(1)
-        return f"{{py:obj}}`{name} <gelform.{name}>`" if name in gelform.__all__ else f"`{name}`"
-
-    return FUNCTION.sub(reference, text)
-
-
-def without_files_off_the_site(text: str, page: Path, root: Path) -> str:
-    """Links to what is no page become their text; those to examples lead to their pages."""
+    Parameters
+    ----------
+    text, page : a page in Markdown and its file
+    warn : is told each link whose file is not there, or whose source file does not define the name
+    root : folder of the repository
+    """
 
     def kept(match: re.Match[str]) -> str:
-        words, target, anchor = match.group(1), match.group(2), match.group(3) or ""
-        if "://" in target or target.startswith("mailto:"):
-            return match.group(0)
+        words, target, anchor = match[1], match[2], match[3] or ""
+        if re.match(r"\w+:", target):
+            return match[0]
         path = (page.parent / target).resolve()
-        relative = path.relative_to(root) if path.is_relative_to(root) else path
-        if relative.as_posix() in INDEXED:
+        if not path.exists():
+            warn(f"{page.relative_to(root)}: a link leads nowhere: {target}")
+            return words
+        place, name = path.relative_to(root).as_posix(), words.strip("`")
+        if place.startswith("src/gelform/") and path.suffix == ".py" and words == f"`{name}`":
+            if not re.search(rf"^((def|class) {name}\b|{name}\b.*=)", path.read_text("utf-8"), re.MULTILINE):
+                warn(f"{page.relative_to(root)}: {target} defines no {name}")
+            return f"{{py:obj}}`{name} <gelform.{name}>`" if name in gelform.__all__ else words
+        if place in INDEXED:
             return f"[{words}]({target}/index.md)"
-        if relative.parts[0] == "examples" and path.suffix == ".py":
+        if place.startswith("examples/"):
             return f"[{words}]({target.removesuffix('.py')}.md)"
-        if relative.parts[:2] == ("src", "gelform") or path.suffix in SHOWN:
-            return f"[{words}]({target}{anchor})"
-        return words
+        on_the_site = path.suffix in (".md", ".png", ".jpg", ".webp") and not place.startswith((".", "paper"))
+        return f"[{words}]({target}{anchor})" if on_the_site else words
 
-    return TARGET.sub(kept, text)
+    parts = BLOCK.split(text)  # every second one is a block of code
+    return "".join(part if k % 2 else TARGET.sub(kept, part) for k, part in enumerate(parts))

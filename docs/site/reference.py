@@ -27,7 +27,6 @@ INTRODUCTION = """# Python interface
 Every public name, in the order of the path. Units are suffixes: `_mm`, `_px`, `_deg`, `_s`.
 Shapes are (rows, columns, channels), and [conventions](../docs/conventions.md) has the axes and signs.
 """
-QUOTED = re.compile(r"(`[^`]*`)|[^`]+")
 ROOMS = {
     "gelform.simulate": "The simulator",
     "gelform.design": "Comparing designs",
@@ -42,73 +41,38 @@ ROOMS = {
 
 def write_reference(folder: Path) -> None:
     """One page for each part of the path, one for each subpackage that users import. They are read without torch."""
-    with mock(["torch"]):
-        _write_pages(folder)
-
-
-def _write_pages(folder: Path) -> None:
     folder.mkdir(parents=True)
     names = IMPORT.findall(STUB.read_text(encoding="utf-8"))
     known = " ".join(rooms for _, rooms in PAGES.values()).split()
-    other = [name for module, name in names if module.split(".")[0] not in known]
-    if other:
-        raise SystemExit(
-            f"Expected a page of PAGES in {__file__} for each public name, found none for {other}."
-        )
-    listed = {}
-    for page, (title, rooms) in PAGES.items():
-        its = [name for module, name in names if module.split(".")[0] in rooms.split()]
-        listed[page] = title, [("gelform", name) for name in its]
-    for module, title in ROOMS.items():
-        room = importlib.import_module(module)
-        own = [name for name in room.__all__ if getattr(room, name) is not getattr(gelform, name, None)]
-        listed[module] = title, [(module, name) for name in own]
-    for page, (title, its) in listed.items():
-        _write(folder / f"{page}.md", title, its)
-    tables = "\n".join(_table(page, *of_page) for page, of_page in listed.items())
-    pages = "\n".join(listed)
-    (folder / "index.md").write_text(
-        f"{INTRODUCTION}\n{tables}\n```{{toctree}}\n:hidden:\n\n{pages}\n```\n", encoding="utf-8"
-    )
+    if other := [name for module, name in names if module.split(".")[0] not in known]:
+        raise SystemExit(f"Expected a page of PAGES in {__file__} for each name, found none for {other}.")
+    with mock(["torch"]):
+        for page, (title, rooms) in PAGES.items():
+            its = [name for module, name in names if module.split(".")[0] in rooms.split()]
+            _write(folder / f"{page}.md", title, "gelform", its)
+        for module, title in ROOMS.items():
+            room = importlib.import_module(module)
+            own = [n for n in room.__all__ if getattr(room, n) is not getattr(gelform, n, None)]
+            _write(folder / f"{module}.md", title, module, own)
+    listed = "\n".join([*PAGES, *ROOMS])
+    text = f"{INTRODUCTION}\n```{{toctree}}\n:maxdepth: 2\n\n{listed}\n```\n"
+    (folder / "index.md").write_text(text, encoding="utf-8")
 
 
-def _table(page: str, title: str, names: list[tuple[str, str]]) -> str:
-    """The names of a page, each with the first sentence of its docstring."""
-    rows = [f"| {{py:obj}}`{name} <{module}.{name}>` | {_sentence(module, name)} |" for module, name in names]
-    return "\n".join([f"## [{title}]({page}.md)", "", "| name | what it is |", "|---|---|", *rows, ""])
+def _write(path: Path, title: str, module: str, names: list[str]) -> None:
+    """A page: the names with a sentence each, then all of their docstrings."""
+    things = [(f"{module}.{name}", getattr(importlib.import_module(module), name)) for name in names]
+    listed = "\n".join(f"   {name}" for name, thing in things if callable(thing))
+    blocks = "\n".join(_block(*one) for one in things)
+    summary = f".. autosummary::\n   :nosignatures:\n\n{listed}\n" if listed else ""
+    path.write_text(f"# {title}\n\n```{{eval-rst}}\n{summary}\n{blocks}\n```\n", encoding="utf-8")
 
 
-def _sentence(module: str, name: str) -> str:
-    """The first paragraph of a docstring as Markdown, in one line; a value that has none says what it holds."""
-    thing = getattr(importlib.import_module(module), name)
-    if not (callable(thing) and thing.__doc__):
-        return f"Holds {_holds(thing)}."
-    said = " ".join(inspect.cleandoc(thing.__doc__).partition("\n\n")[0].split()).replace("``", "`")
-    return QUOTED.sub(lambda part: part.group(0) if part.group(1) else _escaped(part.group(0)), said).replace(
-        "|", r"\|"
-    )
-
-
-def _escaped(text: str) -> str:
-    return re.sub(r"([*_<\[$])", r"\\\1", text)
-
-
-def _write(path: Path, title: str, names: list[tuple[str, str]]) -> None:
-    blocks = "\n".join(_block(module, name) for module, name in names)
-    path.write_text(f"# {title}\n\n```{{eval-rst}}\n{blocks}\n```\n", encoding="utf-8")
-
-
-def _block(module: str, name: str) -> str:
-    thing = getattr(importlib.import_module(module), name)
+def _block(name: str, thing: object) -> str:
     if inspect.isclass(thing):
         members = "" if issubclass(thing, (Exception, tuple)) else "   :members:\n"
-        return f".. autoclass:: {module}.{name}\n{members}"
+        return f".. autoclass:: {name}\n{members}"
     if callable(thing):
-        return f".. autofunction:: {module}.{name}\n"
-    return f".. py:data:: {module}.{name}\n\n   Holds {_holds(thing, '``')}.\n"
-
-
-def _holds(thing: object, quote: str = "`") -> str:
-    """The content of a value in words."""
+        return f".. autofunction:: {name}\n"
     parts = [str(key) for key in thing] if isinstance(thing, (dict, tuple)) else [repr(thing)]
-    return ", ".join(f"{quote}{part}{quote}" for part in parts)
+    return f".. py:data:: {name}\n\n   Holds {', '.join(f'``{part}``' for part in parts)}.\n"

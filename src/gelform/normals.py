@@ -47,7 +47,7 @@ def normals_from_image(
 
 
 def image_from_normals(normals: ArrayLike, lights: ArrayLike, albedo: ArrayLike = 1.0) -> NDArray[np.float32]:
-    """Lambertian shading `I_c = rho max(0, n . l_c)`: what `normals_from_image` inverts.
+    """Lambertian shading `I_c = rho max(0, n @ l_c)`: what `normals_from_image` inverts.
 
     A pixel that faces away from a light (`n . l < 0`) gets none of it: the attached shadow.
 
