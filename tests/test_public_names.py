@@ -50,10 +50,3 @@ def test_the_stub_is_in_the_wheel_and_the_sdist():
     packed = {file.distribution_path for file in wheel.recurse_included_files()}
     assert {"gelform/__init__.pyi", "gelform/py.typed"} <= packed
     assert "src/gelform/__init__.pyi" in {file.distribution_path for file in sdist.recurse_included_files()}
-
-
-def test_names_that_have_moved_warn_and_lead_to_their_modules():
-    for name, module in gelform.MOVED.items():
-        assert name not in gelform.__all__
-        with pytest.warns(DeprecationWarning, match=f"from gelform.{module} import {name}"):
-            assert getattr(gelform, name) is getattr(import_module(f"gelform.{module}"), name)

@@ -123,7 +123,7 @@ def test_a_dead_channel_beside_the_ball_does_no_harm():
 
 
 def test_without_a_step_a_clipped_channel_costs_the_pixel_its_weight():
-    """As in calibrations that were imported, and older ones; the rest gives its result."""
+    """As in calibrations that were imported; the rest gives its result."""
     image, own = image_of(TOUCH), calibration().slope_sigma
     image[BOX[0], BOX[1], 1] = 255
     stepless = replace(stepping(), forward=replace(stepping().forward, step_sigma=None))

@@ -44,7 +44,7 @@ def released(clone, *words):
 
 @pytest.mark.parametrize("version", [(), ("",), ("v0.2.0",), ("0.2",), ("0.2.0.dev0",), ("0.2.0; ls",)])
 def test_what_is_no_version(clone, version):
-    expected = f'Expected a version such as 0.2.0, got "{"".join(version)}".'
+    expected = f'Expected a version such as 0.1.0, got "{"".join(version)}".'
     assert released(clone, *version) == (1, expected)
 
 

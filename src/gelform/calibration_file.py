@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from gelform.background.change import ChangeSettings
 from gelform.background.check import background_digest
 from gelform.color_models import COLOR_MODELS, IMPORTED_MODELS, ColorModel, ForwardResponse
-from gelform.color_models.forward_response import older_response
 from gelform.confidence import SlopeSigma
 from gelform.errors import CalibrationError
 from gelform.foundations.checks import (
@@ -30,8 +29,7 @@ from gelform.foundations.npz_files import digest_of, read_npz, write_npz
 from gelform.view import View
 
 KIND = "gelform calibration"
-FORMAT_VERSION = 3
-DISCONTINUED = ("depth_aware", "depth_by_lights")  # color models that existed only in gelform 0.1.0
+FORMAT_VERSION = 1
 MAX_BYTES = 512 * 2**20
 
 
@@ -340,11 +338,6 @@ def calibration_from_contents(arrays: dict[str, NDArray[Any]], meta: dict[str, A
     _check_contents(arrays, meta)
     shape: tuple[int, int] = (int(meta["image_shape"][0]), int(meta["image_shape"][1]))
     models = {**COLOR_MODELS, **IMPORTED_MODELS}
-    if meta["color_model"] in DISCONTINUED:
-        raise CalibrationError(
-            f"This calibration's color model is {meta['color_model']}, which the forward response has replaced. Calibrate "
-            "again from its presses, or install gelform 0.1.0, which reads it."
-        )
     if meta["color_model"] not in models:
         raise ValueError(f"unknown color model {meta['color_model']!r}, known are {', '.join(models)}")
     own = _parts(arrays, "model_")
@@ -356,7 +349,9 @@ def calibration_from_contents(arrays: dict[str, NDArray[Any]], meta: dict[str, A
         background_noise=arrays["background_noise"],
         change=ChangeSettings(**meta["change"]),
         color_model=models[meta["color_model"]].from_arrays(own, meta["model_settings"]),
-        forward=_forward(_parts(arrays, "forward_"), meta["forward_settings"], shape, meta["mm_per_px"]),
+        forward=None
+        if meta["forward_settings"] is None
+        else ForwardResponse.from_arrays(_parts(arrays, "forward_"), meta["forward_settings"], shape),
         slope_sigma=None if meta["slope_sigma"] is None else SlopeSigma.from_dict(meta["slope_sigma"]),
         training_digests=tuple(meta["training_digests"]),
         settings=CalibrationSettings.from_dict(meta["settings"]),
@@ -365,17 +360,3 @@ def calibration_from_contents(arrays: dict[str, NDArray[Any]], meta: dict[str, A
 
 def _parts(arrays: dict[str, NDArray[Any]], prefix: str) -> dict[str, NDArray[Any]]:
     return {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
-
-
-def _forward(
-    arrays: dict[str, NDArray[Any]],
-    settings: dict[str, Any] | None,
-    shape: tuple[int, int],
-    mm_per_px: float | None,
-) -> ForwardResponse | None:
-    """The forward response; that of an older calibration is converted and has no step."""
-    if settings is None:
-        return None
-    if "coefficients" in arrays:
-        return older_response(arrays, settings, shape, mm_per_px)
-    return ForwardResponse.from_arrays(arrays, settings, shape)

@@ -59,17 +59,17 @@ def test_the_middle_of_a_face_is_read_whatever_its_tilt_and_its_surroundings(til
 
 
 def test_errors_are_counted_inside_the_edge_of_the_calibrations_contacts(calibration, presses):
-    """An older calibration does not know it: then up to the visible rim."""
+    """An imported calibration does not know it: then up to the visible rim."""
     few = presses.subset([0, 3, 5])
     ratio = calibration.settings["contact_radius_ratio"]
     known = gelform.evaluate(calibration, few)
     assert known.where["contact_radius_ratio"] == ratio
     assert known.summary["normal_free_deg"] < known.summary["normal_rim_deg"]
     settings = {name: one for name, one in calibration.settings.items() if name != "contact_radius_ratio"}
-    older = gelform.evaluate(replace(calibration, settings=settings), few)
-    assert older.where["contact_radius_ratio"] == 1
-    assert older.summary["normal_free_deg"] == older.summary["normal_rim_deg"]
-    assert older.where["contact"]["normal_deg"] == older.where["rim"]["normal_deg"]
+    without = gelform.evaluate(replace(calibration, settings=settings), few)
+    assert without.where["contact_radius_ratio"] == 1
+    assert without.summary["normal_free_deg"] == without.summary["normal_rim_deg"]
+    assert without.where["contact"]["normal_deg"] == without.where["rim"]["normal_deg"]
 
 
 def test_untouched_images_cannot_be_evaluated(calibration, presses):

@@ -1,4 +1,4 @@
-"""The forward response: fitted to colors, and one step back from it to the slopes; those of older files."""
+"""The forward response: fitted to colors, and one step back from it to the slopes."""
 
 import json
 from dataclasses import replace

@@ -115,10 +115,5 @@ def test_a_few_wild_errors_do_not_widen_it():
     assert spoilt.clean == pytest.approx(right.clean, rel=0.1)
 
 
-def test_the_first_format_is_read():
-    old = SlopeSigma.from_dict({"rest": 0.02, "growth": 0.1, "clean": 0.03, "correlation_px": 8.0})
-    assert factors_of(old, 0.7, 0.1, 0.9) == pytest.approx(np.hypot(0.02, 0.07), rel=0.02)
-    assert old.correlated_share == 1  # the cautious reading: no error is averaged away
+def test_a_law_comes_back_from_its_settings():
     assert SlopeSigma.from_dict(asdict(LAW)) == LAW
-    second = {**asdict(LAW), "surround_sigma": 0.03, "steepest": [[0.4, 0.5]]}  # rules that are no more
-    assert SlopeSigma.from_dict(second) == LAW

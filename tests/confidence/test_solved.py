@@ -19,7 +19,8 @@ from gelform.confidence.solved import (
 from gelform.gradients import STEEPEST_GEL
 from kernel_agreement import assert_kernel_agrees
 
-LAW = SlopeSigma(0.01, (0.0, 0.5, 1.0), (0.02, 0.05, 0.12), 0.03, 8.0, solved_factor=0.8)
+SOLVED = {"solved_slopes": (0.2, 0.6), "solved_places": (((0.8,),),) * 2}
+LAW = SlopeSigma(0.01, (0.0, 0.5, 1.0), (0.02, 0.05, 0.12), 0.03, 8.0, **SOLVED)
 SHAPE = (9, 12)
 OF_NOISE = 20  # of native/confidence/solved_sigma.c: variance of a second difference over that of a slope
 

@@ -69,7 +69,6 @@ def commands(work: Path, out: Path) -> dict[str, list[Any]]:
         "starter": ["starter", "digit", "--background", work / "digit.png", "-o", out / "unit.npz"],
         "reconstruct": ["reconstruct", *images, "-c", work / "cal.npz", "-o", out / "results"],
         "scale": ["scale", out / "sensor.toml", "--points", "20,30,60,30,4"],
-        "lens": ["lens", out / "sensor.toml", "--led-frames", *leds],
         "crosstalk": ["crosstalk", out / "sensor.toml", *leds],
         "simulate": ["simulate", "-o", out / "set", "--count", "2", "--sensor", "three-edges"],
         "design": ["design", "three-edges", "--presses", "4", "-o", out / "design.png"],

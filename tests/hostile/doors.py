@@ -209,17 +209,35 @@ SETTINGS = {
     ),
 }  # fmt: skip
 
+# Of modules below gelform, beside its own names.
+DEEPER = {
+    one.__name__: one
+    for one in (
+        ChangeSettings,
+        contacts_from_mask,
+        edge_residuals,
+        exposure_from_image,
+        fill_unknown,
+        frame_from_image,
+        image_from_color_change,
+        Lens,
+        MarkerFollower,
+        press_errors,
+        read_background,
+        save_picture,
+        save_press_folder,
+        with_crosstalk,
+        with_view,
+    )
+}
+
 # What no argument of a user's goes into: records of results, made by the functions above, and a Protocol.
 RECORDS = (
     "Calibration",
     "Contact",
     "Frame",
     "Integration",
-    "MarkerFlow",
-    "Markers",
     "Reconstruction",
-    "Registration",
-    "Source",
     "Stream",
 )
 # Tried with nothing right at all: what is right is long to make, or a thread.

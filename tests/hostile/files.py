@@ -64,20 +64,16 @@ def real_files(folder: Path) -> dict[str, RealFile]:
 
 
 def _own_files(folder: Path) -> dict[str, RealFile]:
-    cal, old, result = folder / "cal.npz", folder / "old.npz", folder / "result.npz"
+    cal, result = folder / "cal.npz", folder / "result.npz"
     calibration().save(cal)
-    old.write_bytes((Path(__file__).parents[1] / "data" / "calibration-version-1.npz").read_bytes())
     made = gelform.Reconstructor(calibration())(image_of(Touch()))
     gelform.save_result(made, result)
-    digest, old_digest = gelform.load_calibration(cal).digest, gelform.load_calibration(old).digest
+    digest = gelform.load_calibration(cal).digest
     toml = folder / "sensor.toml"
     toml.write_text(SENSOR_TOML)
     settings = read_sensor_toml(toml)
     return {
         "calibration": _real(cal, lambda: gelform.load_calibration(cal), lambda got: got.digest == digest),
-        "calibration of version 1": _real(
-            old, lambda: gelform.load_calibration(old), lambda got: got.digest == old_digest
-        ),
         "result": _real(
             result,
             lambda: gelform.load_result(result),

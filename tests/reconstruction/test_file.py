@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gelform.errors import DataError, GelformError
+from gelform.errors import DataError
 from gelform.foundations.findings import Finding
 from gelform.foundations.npz_files import write_npz
 from gelform.markers import MarkerFlow
@@ -66,36 +66,13 @@ def test_albedo_only_where_the_model_gives_it(result, tmp_path):
     assert load_result(tmp_path / "x.npz").albedo is None
 
 
-def test_results_of_the_first_formats_are_read():
-    """Written by earlier releases: version 1 in mm, with fields that are gone; version 2 in pixels."""
-    for version in [1, 2]:
-        old = load_result(DATA / f"result-version-{version}.npz")
-        assert (old.shape, old.zero, old.solver, old.index) == ((12, 16), "untouched", "multigrid", 3)
-        assert old.observed_gradients is None  # its gradients are those that were read
-        assert old.gradients.shape == (12, 16, 2)
-        assert old.health == (Finding("exposure", "Exposure differs.", 1.05),)
-        assert sum(one.area_px for one in old.contacts) == old.contact.sum() > 0
-        assert (old.contacts[0].area_mm2 is None) == (version == 2)
-        assert old.depth_px.max() == pytest.approx(3.83, rel=0.01)
-        assert (old.mm_per_px, old.mm_per_px_sigma) == ((0.1, 0.001) if version == 1 else (None, None))
-        if version == 1:
-            assert old.depth_mm.max() == pytest.approx(0.383, rel=0.01)
-            assert old.depth_sigma_mm.max() == np.float32(0.02)
-        else:
-            with pytest.raises(GelformError, match="no depth_mm"):
-                old.depth_mm  # noqa: B018
-
-
-def test_results_of_the_later_formats_are_read():
-    """Format 3 came with the slopes of the solved depth beside those that were read, format 4 with marker dots."""
-    third, fourth = (load_result(DATA / f"result-version-{version}.npz") for version in (3, 4))
-    for one in (third, fourth):
-        assert one.depth_mm.max() == np.float32(0.38049176)
-        assert one.observed_gradients.shape == one.gradients.shape == (12, 16, 2)
-        assert (one.mm_per_px, one.health) == (0.1, (Finding("exposure", "Exposure differs.", 1.05),))
-    assert third.markers is None
-    np.testing.assert_array_equal(fourth.markers.displacement_px, [[1, 1], [1, 1]])
-    assert list(fourth.markers.seen) == [True, False]
+def test_a_result_of_the_first_format_is_read():
+    first = load_result(DATA / "result-version-1.npz")
+    assert first.depth_mm.max() == np.float32(0.38049176)
+    assert first.observed_gradients.shape == first.gradients.shape == (12, 16, 2)
+    assert (first.mm_per_px, first.health) == (0.1, (Finding("exposure", "Exposure differs.", 1.05),))
+    np.testing.assert_array_equal(first.markers.displacement_px, [[1, 1], [1, 1]])
+    assert list(first.markers.seen) == [True, False]
 
 
 def test_a_file_of_every_format_is_kept():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import inspect
-from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -14,15 +13,13 @@ from hypothesis import strategies as st
 import gelform
 from hostile.budget import SLOW_IF_ALL, cases
 from hostile.damage import ODD_VALUES, odd_arrays
-from hostile.doors import ALL_ODD, DOORS, RECORDS, SETTINGS
+from hostile.doors import ALL_ODD, DEEPER, DOORS, RECORDS, SETTINGS
 from hostile.outcome import judge
 
 pytestmark = SLOW_IF_ALL
 
 SLOW = ("picture", "calibrate", "evaluate", "scale_from_stage")
-EXPORTS = {name: getattr(gelform, name) for name in gelform.__all__ if not name.endswith("Error")} | {
-    name: getattr(import_module(f"gelform.{module}"), name) for name, module in gelform.MOVED.items()
-}
+EXPORTS = DEEPER | {name: getattr(gelform, name) for name in gelform.__all__ if not name.endswith("Error")}
 NOTHING_RIGHT = (
     *ODD_VALUES,
     float("nan"),

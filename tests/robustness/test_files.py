@@ -19,13 +19,13 @@ pytestmark = SLOW_IF_ALL
 
 KINDS = (
     "metadata.json",
-    "calibration", "calibration of version 1", "result", "sensor.toml", "png", "jpg", "bmp", "tif", "ppm", "presses.csv",
+    "calibration", "result", "sensor.toml", "png", "jpg", "bmp", "tif", "ppm", "presses.csv",
     "image of a press", "sensor.toml of presses", "catalog.csv", "label.npz", "torch weights", "browser weights",
     "Taxim table", "Taxim pack",
 )  # fmt: skip
 
 ALIKE = (
-    {"calibration", "calibration of version 1"},
+    {"calibration"},
     {"png", "jpg", "bmp", "tif", "ppm", "image of a press"},
     {"sensor.toml", "sensor.toml of presses"},
 )

@@ -68,8 +68,8 @@ def test_the_noise_is_that_of_the_images(calibration):
         noisy = Twin(look).press(Ball(3), Pose(0.0), rng=np.random.default_rng(0)).image.astype(float)
         apart = (noisy - calibration.background).std(axis=(0, 1))
         np.testing.assert_allclose(apart, np.sqrt(look.noise**2 + 1 / 12), rtol=0.1)
-    older = {k: v for k, v in calibration.settings.items() if k != "image_noise"}
-    plain = CalibratedLook(replace(calibration, settings=older))
+    unknown = {k: v for k, v in calibration.settings.items() if k != "image_noise"}
+    plain = CalibratedLook(replace(calibration, settings=unknown))
     np.testing.assert_array_equal(plain.noise, calibration.background_noise)
 
 

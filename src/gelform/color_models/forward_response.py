@@ -28,12 +28,8 @@ from gelform.color_models._shared.least_squares import (
     interpolation,
     monomial_products,
     monomials,
-    node_positions,
     nodes_at_scale,
-    position_powers,
-    term_count,
     terms_of_orders,
-    unit_position,
 )
 from gelform.color_models.seam import Samples
 from gelform.foundations.checks import check_values, check_within
@@ -85,7 +81,7 @@ class ForwardResponse:
     shape : (H, W)
     step_sigma : (at rest, per slope), the prior of a step: slopes g of the color model have a standard
         deviation of hypot(at rest, per slope |g|), mm/mm; None without a step, because it did not improve held-out
-        presses, or because the calibration is older
+        presses
     residual_scale : squared residuals on held-out presses over those that the covariance predicts, at the 95 % that
         usual pixels stay under: the unit for judging outliers
     clipped : (2, 3) bool, whether the training presses show red, green, blue at the camera's lower and upper end: if so,
@@ -252,54 +248,3 @@ def _terms(gradients: NDArray[Any], depth_px: NDArray[Any]) -> list[Term]:
         Term(z, DEPTH_PLACE_DEGREE, ORDER_GROWTH),
         *(Term(z * one, 0, ORDER_GROWTH**2) for one in v.T),
     ]
-
-
-OLDER_DEPTH_DEGREE = 3  # in place, of the depth's terms, before format 3
-# mm/mm, steepest slope for the conversion of polynomials of slopes; presses of balls show slopes up to it
-STEEPEST_OLDER = 0.7
-
-
-def older_response(
-    arrays: dict[str, NDArray[Any]], settings: dict[str, Any], shape: tuple[int, int], mm_per_px: float | None
-) -> ForwardResponse:
-    """The response without a step: it renders and identifies faults, but corrects no slopes.
-
-    It has `coefficients` (terms, 3) of the slopes and, after them, of normal and depth in mm, and `noise` (3,). Its settings
-    are `position_degrees` and, if known, `held_out_noise`, the RMS of the channels' noise on held-out presses.
-    """
-    coefficients, degrees = np.asarray(arrays["coefficients"]), tuple(settings["position_degrees"])
-    noise = np.maximum(np.asarray(arrays["noise"], dtype=np.float64), 1e-6)
-    count, terms = term_count(2, degrees), monomials(2, len(degrees))
-    knows_depth = len(coefficients) > count and mm_per_px is not None
-    rows, columns = node_positions(shape)
-    x, y = unit_position(columns[None, :], rows[:, None], shape)
-
-    def at_nodes(first: int, degree: int) -> NDArray[np.float64]:
-        powers = position_powers(degree)
-        return np.asarray(
-            sum((x**i * y**j)[..., None] * c for (i, j), c in zip(powers, coefficients[first:]))
-        )
-
-    nodes, first = np.zeros((len(rows), len(columns), TERMS, 3)), count if knows_depth else 0
-    for t, term in enumerate(terms):
-        degree = degrees[len(term) - 1]
-        nodes[:, :, t] = at_nodes(first, degree) * (NORMAL_UNIT ** len(term) if knows_depth else 1)
-        first += len(position_powers(degree))
-    if knows_depth and mm_per_px is not None:
-        nodes[:, :, -3] = at_nodes(first, OLDER_DEPTH_DEGREE) * DEPTH_UNIT_PX * mm_per_px
-    else:
-        of_slopes = nodes[:, :, : len(terms)].copy()
-        nodes[:, :, : TERMS - 3] = np.einsum("ts,rcsk->rctk", _normal_from_slope_terms(terms), of_slopes)
-    usual = float(np.sqrt(np.mean(noise**2)))
-    scale = max(float(settings.get("held_out_noise") or 0.0) / usual, 1.0) ** 2
-    return ForwardResponse(nodes, np.diag(noise**2), shape, residual_scale=scale)
-
-
-def _normal_from_slope_terms(terms: list[tuple[int, ...]]) -> NDArray[np.float64]:
-    """Coefficients (14, terms) of the normal's monomials that fit each monomial of the slopes best."""
-    p, q = (axis.ravel() for axis in np.meshgrid(*(np.linspace(-STEEPEST_OLDER, STEEPEST_OLDER, 21),) * 2))
-    slopes = np.stack([p, q])[:, np.hypot(p, q) <= STEEPEST_OLDER]
-    of_normal = np.stack(monomial_products(normal_terms(slopes.T).T, monomials(2, 4)), axis=1)
-    return np.asarray(
-        np.linalg.lstsq(of_normal, np.stack(monomial_products(slopes, terms), axis=1), rcond=None)[0]
-    )

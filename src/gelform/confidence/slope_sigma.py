@@ -22,8 +22,6 @@ LAW_ROUNDS = 3  # rounds of law and factors, each computed from the other
 LEAST_FACTOR = 0.3  # smallest factor of a place, over the law or the predicted deviation
 # mm/mm between the slopes of neighboring solved factors; largest such factor.
 LEAST_APART, MOST_FACTOR = 1e-6, 1e3
-# Settings of older calibrations, for rules that a step's covariance replaced.
-NO_LONGER = ("surround_sigma", "steepest")
 
 _RANGES = (
     ("rest", 1e-9, 1e3),
@@ -32,7 +30,6 @@ _RANGES = (
     ("correlation_px", 1e-6, 1e4),
     ("correlated_share", 0, 1),
     ("gain_sigma", 0, 10),
-    ("solved_factor", 1e-3, 1e3),
     ("rest_correlation_px", 0, 1e4),
 )
 
@@ -98,10 +95,9 @@ class SlopeSigma:
         the place by `noise_at_rest`. The first part is the model's and alike everywhere, the second is the camera's
     slopes, sigmas : factors in contact, linear between these |gradient| and proportional beyond the last
     gain_sigma : relative error common to all slopes of a press, RMS over presses; depth is off in proportion
-    solved_factor : deviation of the solved depth's slopes over that of the slopes read, in a contact, in older calibrations
-    solved_slopes, solved_places : (gentle, steep) and (2, rows, columns): the same by slope and place, over the deviation
-        that a slope's reading and its neighbors predict; linear between the slopes, constant beyond. None in calibrations
-        without it
+    solved_slopes, solved_places : (gentle, steep) and (2, rows, columns): deviation of the solved depth's slopes in contact
+        over the one that a slope's reading and its neighbors predict, by slope and place; linear between the slopes,
+        constant beyond. None: 1
     place : factors on a grid of 3 rows and 4 columns over the frame, interpolated between its cells' centers
     clean : deviation that 95 % of the pixels in contact stay under; confidence is 1 up to it. Weighting the pixels of a
         contact against each other does not average out errors that many pixels share
@@ -119,7 +115,6 @@ class SlopeSigma:
     correlation_px: float
     correlated_share: float = 1.0
     gain_sigma: float = 0.0
-    solved_factor: float = 1.0
     place: tuple[tuple[float, ...], ...] = ((1.0,),)
     rest_correlation_px: float = 0.0
     rest_correlated_share: float | None = None
@@ -190,13 +185,8 @@ class SlopeSigma:
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> SlopeSigma:
-        """Make it from `dataclasses.asdict`, or from the two-figure law of the first file format."""
-        if "growth" in values:
-            slopes = np.linspace(0, 1, SLOPE_BINS + 1)
-            sigmas = np.hypot(values["rest"], values["growth"] * slopes)
-            law = tuple(slopes.tolist()), tuple(sigmas.tolist())
-            return cls(values["rest"], *law, values["clean"], values["correlation_px"])
-        kept = {name: value for name, value in values.items() if name not in NO_LONGER and value is not None}
+        """Make it from `dataclasses.asdict`."""
+        kept = {name: value for name, value in values.items() if value is not None}
         for name in ("slopes", "sigmas", "solved_slopes"):
             if name in kept:
                 kept[name] = tuple(kept[name])

@@ -62,7 +62,7 @@ class SolvedSigma:
         grids: tuple[Any, ...] = (((1.0,),),) * 2
         if sigma is not None:
             slopes = sigma.solved_slopes or slopes
-            grids = sigma.solved_places or (((sigma.solved_factor,),),) * 2
+            grids = sigma.solved_places or grids
         self._factors = [
             factor_at(np.array(grid), x[None, :], y[:, None]).astype(np.float32) for grid in grids
         ]

@@ -25,8 +25,7 @@ from gelform.reconstruction.maps import BESIDE_DEPTH, MAPS
 from gelform.reconstruction.record import Reconstruction
 
 KIND = "gelform result"
-# Versions: 1 in mm; 2 in pixels; 3 either, with the gradients of the solved depth; 4 with markers.
-FORMAT_VERSION = 4
+FORMAT_VERSION = 1
 MAX_BYTES = 4 * 2**30  # bytes that a file may declare: far beyond any frame's result
 _META = (
     "mm_per_px_sigma",

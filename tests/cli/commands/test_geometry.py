@@ -120,7 +120,7 @@ def test_a_grid_tells_lens_and_scale(run_json, presses, tmp_path):
 
 @pytest.mark.slow
 def test_crosstalk_reaches_the_calibration(run, run_json, presses, leds, tmp_path):
-    said = run_json("lens", presses, "--led-frames", *leds)
+    said = run_json("crosstalk", presses, *leds)
     assert said["matrix"][1][0] > 0.05
     made = run_json("calibrate", presses, "-o", tmp_path / "cal.npz", "--model", "polynomial")
     calibration = load_calibration(tmp_path / "cal.npz")
@@ -132,14 +132,14 @@ def test_a_lens_that_cannot_be_is_refused_and_nothing_changes(fails, presses, le
     before = (presses / "sensor.toml").read_bytes()
     image = ("--image", leds[0])
     for arguments, text, status in (
-        ((), "--image or --led-frames", 2),
-        (image, "all three or none", 2),
-        (("--grid", "9x6"), "all three or none", 2),
+        ((), "Missing option", 2),
+        (image, "Missing option", 2),
+        (("--grid", "9x6"), "Missing option", 2),
         ((*image, "--grid", "nine", "--pitch-mm", "1"), "COLUMNSxROWS", 2),
         ((*image, "--grid", "9x6", "--pitch-mm", "0"), "expected a number > 0", 2),
         ((*image, "--grid", "9x6", "--pitch-mm", "1"), "found none", 1),
         ((*image, "--grid", "1x6", "--pitch-mm", "1"), "--grid: Expected kind", 1),
-        (("--led-frames", leds[1], leds[0], leds[2]), "brightest in red", 1),
     ):
         assert text in fails("lens", presses, *arguments, status=status)
+    assert "brightest in red" in fails("crosstalk", presses, leds[1], leds[0], leds[2], status=1)
     assert (presses / "sensor.toml").read_bytes() == before

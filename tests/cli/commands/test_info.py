@@ -38,7 +38,7 @@ def test_a_calibration(run, run_json, calibration_file):
 def test_a_calibration_of_the_first_version(run):
     code, out, _ = run("info", VERSION_1)
     assert code == 0
-    assert "24x32 px" in out
+    assert "64x80 px" in out
 
 
 def test_a_result_in_words(run, calibration_file, press_folder, tmp_path):

@@ -27,7 +27,7 @@ from gelform.calibration_file import Calibration
 from gelform.reconstruct import Reconstructor
 from gelform.sensors.profiles import scale_off_make
 
-FORMAT, FORMAT_VERSION = "gelform calibration report", 2
+FORMAT, FORMAT_VERSION = "gelform calibration report", 1
 ERROR_COLUMNS, PLACE_COLUMNS = 16, 4  # tiles along the longer side, of errors and of fractions within sigma
 SUGGESTIONS = 3  # places to press at next
 GAIN_TO_SLOPE, GAIN_PIXELS = 0.8, 500  # mm/mm and pixels, limits of the bins that count for the verdict

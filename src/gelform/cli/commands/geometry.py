@@ -96,18 +96,12 @@ def lens(
         Path, Argument(metavar="PLACE", help="Press folder, or its sensor.toml, to write into.")
     ],
     images: Annotated[
-        list[Path] | None,
+        list[Path],
         Option("--image", metavar="IMG", help="Whole frame with the grid on the gel; may be repeated."),
-    ] = None,
-    grid: Annotated[
-        str | None, Option(metavar="CxR", help="Inner corners of the grid, such as 9x6; or its dots.")
-    ] = None,
-    pitch_mm: Annotated[float | None, number("Pitch of the grid, mm.")] = None,
+    ],
+    grid: Annotated[str, Option(metavar="CxR", help="Inner corners of the grid, such as 9x6; or its dots.")],
+    pitch_mm: Annotated[float, number("Pitch of the grid, mm.")],
     dots: Annotated[bool, Option("--dots", help="The grid has dots, not a checkerboard.")] = False,
-    led_frames: Annotated[
-        tuple[Path, Path, Path] | None,
-        Option(metavar="R G B", hidden=True),  # the earlier form of `gelform crosstalk`
-    ] = None,
     shown: Shown,
 ) -> None:
     """Measure the lens, so that `calibrate` undoes it.
@@ -120,19 +114,8 @@ def lens(
       gelform lens presses/ --image grid.png --grid 9x6 --pitch-mm 1
       gelform lens presses/sensor.toml --image flat.png --image tilted.png --grid 12x9 --pitch-mm 0.8 --dots
     """
-    asked = [images, grid, pitch_mm]
-    if any(asked) and not all(asked):
-        raise BadParameter("expected all three or none.", param_hint="--image, --grid, --pitch-mm")
-    if not images and led_frames is None:
-        raise BadParameter("expected --image or --led-frames.", param_hint="lens")
-    said: dict[str, Any] = {}
-    if images and grid is not None and pitch_mm is not None:
-        said |= _write_grid(place, images, _columns_rows(grid), pitch_mm, "dots" if dots else "checkerboard")
-    if led_frames is not None:
-        said |= _write_crosstalk(place, led_frames)
-    for measured in ("lens", "crosstalk"):
-        if measured in said:
-            shown.say(f"{said[measured]}.")
+    said = _write_grid(place, images, _columns_rows(grid), pitch_mm, "dots" if dots else "checkerboard")
+    shown.say(f"{said['lens']}.")
     shown.say(f"Wrote {said['file']}.")
     shown.json(said)
 
@@ -193,6 +176,6 @@ def _write_crosstalk(place: Path, led_frames: tuple[Path, Path, Path]) -> dict[s
     from gelform.sensors.files import read_image, read_sensor_toml
 
     settings = read_sensor_toml(place / "sensor.toml" if place.is_dir() else place)
-    with mistakes_in("--led-frames"):
+    with mistakes_in("R G B"):
         found = crosstalk_from_frames([read_image(path) for path in led_frames], response=settings.response)
     return {"file": save_crosstalk(found, place), "crosstalk": found.describe(), "matrix": found.matrix}

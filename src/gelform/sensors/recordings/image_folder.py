@@ -127,8 +127,7 @@ def folder_summary(path: Path) -> RecordingSummary:
     lines = _lines(path)
     whole = [_row(path, line) for line in lines if line.endswith("\n")]
     duration_s = whole[-1][0] - whole[0][0] if whole else 0.0
-    # Older recorders did not mark the end: their folders are finished if the last line is complete.
-    finished = bool(json.loads(text).get("finished", True)) and len(whole) == len(lines)
+    finished = bool(json.loads(text).get("finished")) and len(whole) == len(lines)
     return RecordingSummary(facts, len(whole), duration_s, finished)
 
 
