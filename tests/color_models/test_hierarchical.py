@@ -1,7 +1,9 @@
 """Hierarchical polynomial: exact where it can be, simple where nothing is known, the light as a clue."""
 
 import gc
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from weakref import ref
 
 import cv2
 import numpy as np
@@ -9,7 +11,12 @@ import pytest
 
 from gelform.background.change import ChangeSettings, PreparedBackground
 from gelform.color_models import HierarchicalModel, PolynomialModel, hierarchical
-from gelform.color_models._shared.least_squares import monomial_parents, monomials, node_positions
+from gelform.color_models._shared.least_squares import (
+    VaryingRegression,
+    monomial_parents,
+    monomials,
+    node_positions,
+)
 from kernel_agreement import assert_kernel_agrees
 from made.color_samples import SHAPE, ball_samples, lambertian_change, shading_change
 
@@ -165,17 +172,36 @@ def test_fits_one_after_the_other_are_those_of_each_alone():
             np.testing.assert_array_equal(found.nodes, alone.nodes)
 
 
-def test_columns_are_worked_out_once_and_do_not_keep_their_samples():
+def test_columns_are_worked_out_once_and_end_with_their_samples(monkeypatch):
+    made, of = [], VaryingRegression.of
+    monkeypatch.setattr(VaryingRegression, "of", lambda *given: made.append(of(*given)) or made[-1])
     samples = part_of(ball_samples(lambertian_change))
-    HierarchicalModel.fit(samples, position_degrees=(2, 1), ridge=1e-3)
-    regression = hierarchical._last[3]
-    HierarchicalModel.fit(samples, position_degrees=(2, 1), ridge=1e-4)
-    assert hierarchical._last[3] is regression
-    there = hierarchical._last[0]
-    assert there() is samples
+    for ridge in (1e-3, 1e-4):
+        HierarchicalModel.fit(samples, position_degrees=(2, 1), ridge=ridge)
+    assert len(made) == 1
+    there = ref(made.pop())
     del samples
     gc.collect()
     assert there() is None
+
+
+def test_a_fit_in_another_thread_at_any_moment_changes_nothing():
+    samples, others = ball_samples(lambertian_change, count=60), ball_samples(shading_change, count=60)
+    alone = HierarchicalModel.fit(part_of(samples), position_degrees=(1,))
+
+    class Interrupted(int):
+        """A degree at whose comparison another thread fits."""
+
+        __hash__ = int.__hash__
+
+        def __eq__(self, other):
+            with ThreadPoolExecutor(1) as pool:
+                pool.submit(HierarchicalModel.fit, others, position_degrees=(1,)).result()
+            return int(self) == int(other)
+
+    for _ in range(2):
+        found = HierarchicalModel.fit(samples, position_degrees=(Interrupted(1),))
+        np.testing.assert_array_equal(found.nodes, alone.nodes)
 
 
 def test_each_variant_is_stiffer_than_the_next():

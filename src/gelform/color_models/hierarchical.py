@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Any, ClassVar
-from weakref import ref
 
 import numpy as np
 from numpy.typing import NDArray
@@ -143,17 +142,16 @@ class HierarchicalModel:
         return cls(arrays["nodes"], settings["degree"], (height, width))
 
 
-# The last regression and its arguments, because calibration tries one ridge after the other.
-_last: tuple[Any, ...] = ()
-
-
 def _regression(
     samples: Samples, position_degrees: tuple[int, ...], start: HierarchicalModel | None
 ) -> tuple[VaryingRegression, NDArray[np.float64]]:
-    """The regression of samples on the monomials of their color change, and the divisor of each monomial (terms,)."""
-    global _last
-    if _last and _last[0]() is samples and _last[1] == position_degrees and _last[2] is start:
-        regression, scales = _last[3:]
+    """The regression of samples on the monomials of their color change, and the divisor of each monomial (terms,).
+
+    The samples keep the last one, because calibration tries one ridge after the other.
+    """
+    kept = samples.shared.get(HierarchicalModel.name)
+    if kept is not None and kept[0] is start and kept[1] == position_degrees:
+        regression, scales = kept[2:]
         return regression, scales
     change = np.asarray(samples.color_change, dtype=np.float64)
     terms = monomials(3, len(position_degrees))
@@ -165,7 +163,7 @@ def _regression(
         target = target - start.gradients_at(samples.color_change, samples.x_px, samples.y_px)
     regression = VaryingRegression.of(products, target, samples)
     scales = scale ** np.array(orders, dtype=np.float64)
-    _last = ref(samples), position_degrees, start, regression, scales
+    samples.shared[HierarchicalModel.name] = start, position_degrees, regression, scales
     return regression, scales
 
 

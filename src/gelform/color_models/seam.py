@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
@@ -23,6 +23,7 @@ class Samples:
     shape : (H, W) of the images they come from
     background : (H, W, 3) float32, the background image, for models that use the light at a place; or None
     depth_px : (N,) float32, >= 0, depth in pixels from a plain model, for models that use it; or None
+    shared : what fits on these samples have in common, by the model; a model writes it here for its next fit
     """
 
     color_change: NDArray[Any]
@@ -33,6 +34,7 @@ class Samples:
     shape: tuple[int, int]
     background: NDArray[Any] | None = None
     depth_px: NDArray[Any] | None = None
+    shared: dict[str, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
 
 
 class PreparedColorModel(Protocol):
