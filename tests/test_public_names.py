@@ -1,6 +1,7 @@
 """The table of public names: what type checkers read is what the run gives, in an installed package too."""
 
 import ast
+import os
 import subprocess
 import sys
 from importlib import import_module
@@ -41,6 +42,22 @@ def test_a_name_that_is_none():
 def test_importing_gelform_imports_nothing_heavy():
     code = "import sys, gelform; print(*{'numpy', 'scipy', 'cv2', 'matplotlib'} & set(sys.modules))"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "\n"
+
+
+@pytest.mark.slow
+def test_importing_everything_leaves_the_process_as_it_was():
+    code = """
+import os, cv2, gelform
+cv2.setNumThreads(3)
+there = dict(os.environ)
+for name in gelform.__all__:
+    getattr(gelform, name)
+import gelform.sensors.cameras.usb
+print(cv2.getNumThreads(), dict(os.environ) == there)
+"""
+    ours = {name: value for name, value in os.environ.items() if not name.startswith("OPENCV")}
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=ours)
+    assert ran.stdout == "3 True\n"
 
 
 def test_the_stub_is_in_the_wheel_and_the_sdist():

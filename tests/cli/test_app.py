@@ -4,6 +4,8 @@ import re
 import subprocess
 import sys
 
+import pytest
+
 from gelform import __version__
 from gelform.cli import command_names
 from gelform.cli.app import GROUPS, LIBRARY
@@ -34,6 +36,20 @@ print("all")
 """
     ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
     assert ran.stdout == "all\n", ran.stderr
+
+
+@pytest.mark.slow
+def test_opencv_has_one_thread_in_a_command():
+    program = """
+import contextlib
+from gelform.cli import main
+with contextlib.suppress(SystemExit):
+    main(["--version"])
+import cv2
+print(cv2.getNumThreads())
+"""
+    ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert ran.stdout.split()[-1] == "1"
 
 
 def test_help_has_worked_examples_that_name_real_options_and_few_of_them(run):

@@ -1,6 +1,7 @@
 """A stream for its user: newest first, bounded ages, errors arrive, threads end; every frame of a recording."""
 
 import gc
+import os
 import threading
 import time
 
@@ -40,6 +41,17 @@ def test_a_recording_loses_no_frame_and_is_as_without_a_stream(calibration, reco
     results = list(gelform.stream(source, calibration))
     assert [result.index for result in results] == list(range(7))
     np.testing.assert_array_equal(results[6].depth, reconstruct.from_image(pressed[6]).depth)
+
+
+def test_the_threads_of_the_process_and_its_environment_stay(calibration, pressed):
+    there, before = dict(os.environ), cv2.getNumThreads()
+    cv2.setNumThreads(3)
+    try:
+        with gelform.stream(ImageSource(pressed), calibration) as stream:
+            next(iter(stream))
+        assert (cv2.getNumThreads(), dict(os.environ)) == (3, there)
+    finally:
+        cv2.setNumThreads(before)
 
 
 def test_a_slow_consumer_gets_the_newest_frame(calibration, at_rest):

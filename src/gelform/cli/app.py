@@ -24,7 +24,12 @@ from gelform.cli.commands.starter import starter
 from gelform.cli.options import flat
 from gelform.cli.process import DEBUG, ReportedFailures, as_process
 
-THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+# With a busy neighbor two BLAS threads are nine times slower than one. A stream has a thread for each stage, so OpenCV needs
+# none of its own. A camera that hangs would block its reader for OpenCV's default of 10 s.
+ONE_THREAD = dict.fromkeys(
+    ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENCV_FOR_THREADS_NUM"), "1"
+)
+ENVIRONMENT = {**ONE_THREAD, "OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT": "1"}
 LIBRARY = "calibrations"  # the only command with commands of its own
 GROUPS: dict[str, tuple[Any, ...]] = {
     "Start": (demo, live, simulate, info),
@@ -115,7 +120,7 @@ def options(
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line and exit: 0, 1 (a mistake in the input), 2 (wrong usage), 70 (a bug), 130 (interrupted)."""
-    for threads in THREADS:  # with a busy neighbor two BLAS threads are nine times slower than one
-        os.environ.setdefault(threads, "1")
+    for name, value in ENVIRONMENT.items():
+        os.environ.setdefault(name, value)
     with as_process():
         app(arguments, prog_name="gelform")

@@ -12,8 +12,6 @@ from statistics import median
 from threading import Condition, Event, Lock, Thread
 from typing import Generic, Protocol, TypeVar
 
-import cv2
-
 from gelform.frames import Frame
 from gelform.streams.feed import Feed
 from gelform.streams.memory import Timed, Work
@@ -224,8 +222,7 @@ class Pipeline(Generic[Value]):
         ]
 
     def start(self) -> None:
-        """Start the threads. OpenCV's own threads are disabled for the whole process: there is one thread per stage."""
-        cv2.setNumThreads(1)
+        """Start the threads, one per stage."""
         for thread in self._threads:
             thread.start()
 

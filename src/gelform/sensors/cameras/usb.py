@@ -91,10 +91,6 @@ def _reason(camera: Camera, problem: OSError) -> str:
     return f"cannot be opened: {problem.strerror}."
 
 
-# OpenCV reads this when it opens a camera. Its default of 10 s would block the reader of a camera that hangs.
-os.environ.setdefault("OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT", "1")
-
-
 class UsbCamera:
     """The frames of a USB camera.
 
