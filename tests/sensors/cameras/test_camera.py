@@ -1,9 +1,8 @@
-"""Cameras as Linux lists them, the choice among several, their modes and measured rate, their settings."""
+"""Cameras as Linux lists them, the choice among several, their measured rate, their settings."""
 
 import os
 import shutil
 import stat
-import struct
 import sys
 
 import cv2
@@ -26,15 +25,7 @@ from gelform.sensors.cameras.settings import (
     set_controls,
     settings_mismatch,
 )
-from gelform.sensors.cameras.survey import (
-    FORMATS,
-    INTERVALS,
-    SIZES,
-    Mode,
-    modes_from_answers,
-    modes_of,
-    survey_of,
-)
+from gelform.sensors.cameras.survey import survey_of
 from made.capture import Capture
 from made.recorded import camera as frames_of
 from made.sysfs import DIGIT, MINI, plug_in
@@ -147,52 +138,6 @@ def test_a_camera_that_is_not_listed_opens_by_its_path():
         assert camera_named(path, []).path == path
     finally:
         os.unlink(path)
-
-
-YUYV, MJPG = (int.from_bytes(code, "little") for code in (b"YUYV", b"MJPG"))
-OFFERED = {YUYV: {(320, 240): [60, 30], (640, 480): [30, 15]}, MJPG: {(3280, 2464): [25]}}
-
-
-def driver(request, buffer):
-    """VIDIOC_ENUM_FMT, VIDIOC_ENUM_FRAMESIZES, VIDIOC_ENUM_FRAMEINTERVALS."""
-    index = struct.unpack_from("<I", buffer)[0]
-    try:
-        if request == FORMATS[0]:
-            assert struct.unpack_from("<I", buffer, 4)[0] == 1  # V4L2_BUF_TYPE_VIDEO_CAPTURE
-            struct.pack_into("<I", buffer, 44, list(OFFERED)[index])
-        elif request == SIZES[0]:
-            sizes = list(OFFERED[struct.unpack_from("<I", buffer, 4)[0]])
-            struct.pack_into("<III", buffer, 8, 1, *sizes[index])
-        else:
-            assert request == INTERVALS[0]
-            code, width, height = struct.unpack_from("<III", buffer, 4)
-            struct.pack_into("<III", buffer, 16, 1, 1, OFFERED[code][width, height][index])
-    except IndexError:
-        raise OSError(22, "Invalid argument") from None
-
-
-def test_every_format_size_and_rate_is_listed_by_the_kernels_requests():
-    """_IOWR('V', number, size), asm-generic/ioctl.h."""
-    assert list(modes_from_answers(driver)) == [
-        Mode("YUYV", (240, 320), 60.0),
-        Mode("YUYV", (240, 320), 30.0),
-        Mode("YUYV", (480, 640), 30.0),
-        Mode("YUYV", (480, 640), 15.0),
-        Mode("MJPG", (2464, 3280), 25.0),
-    ]
-    for (request, size), number in ((FORMATS, 2), (SIZES, 74), (INTERVALS, 75)):
-        assert request == (3 << 30) | (size << 16) | (ord("V") << 8) | number
-
-
-def test_a_driver_that_never_ends_and_what_is_no_camera(tmp_path):
-    def endless(request, buffer):
-        driver(request, buffer) if request != FORMATS[0] else struct.pack_into("<I", buffer, 44, YUYV)
-
-    assert 0 < len(list(modes_from_answers(endless))) <= 64 * 4
-    (tmp_path / "file").write_text("")
-    assert modes_of(str(tmp_path / "file")) == []
-    assert modes_of(str(tmp_path / "none")) == []
-    assert str(Mode("YUYV", (240, 320), 60.0)) == "YUYV 240x320 at 60 Hz"
 
 
 CAMERA = Camera("a camera", "/dev/none", "S1")

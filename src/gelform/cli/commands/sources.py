@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
 
 POLL_S = 0.05  # s between checks of the keyboard on Windows
-SHOWN_MODES = 4  # modes per camera in the table
 BACKGROUND_FRAMES, FRESH_S = 10, 5.0  # frames to average; s within which a frame must arrive
 
 
@@ -88,7 +87,7 @@ def cameras(
 ) -> None:
     """List the connected cameras.
 
-    Shows serial number, name, path, modes and measured rate of each.
+    Shows serial number, name, path and measured rate of each.
 
     \b
     Examples:
@@ -101,7 +100,7 @@ def cameras(
 
     found = [survey_of(camera, measure=measure) for camera in cameras_there()]
     if shown.as_json:
-        print_json({"cameras": [_facts(one) for one in found]})
+        print_json({"cameras": [_camera_content(one) for one in found]})
         return
     if not found:
         shown.say(NOTHING_THERE)
@@ -112,25 +111,17 @@ def cameras(
             one.camera.serial or "-",
             one.camera.path,
             one.camera.kind or "-",
-            _modes(one),
             figure(one.rate_hz),
         )
         for one in found
     ]
-    shown.table("Cameras", ("name", "serial", "path", "sensor", "modes", "measured Hz"), rows)
+    shown.table("Cameras", ("name", "serial", "path", "sensor", "measured Hz"), rows)
     for one in found:
         if one.problem:
             shown.say(f"{one.camera.path}: {one.problem}")
 
 
-def _modes(one: Survey) -> str:
-    shown = ", ".join(map(str, one.modes[:SHOWN_MODES]))
-    more = len(one.modes) - SHOWN_MODES
-    return (shown or "-") + (f" and {more} more (--json)" if more > 0 else "")
-
-
-def _facts(one: Survey) -> dict[str, Any]:
-    modes = [{"fourcc": mode.fourcc, "size_px": mode.shape, "rate_hz": mode.rate_hz} for mode in one.modes]
+def _camera_content(one: Survey) -> dict[str, Any]:
     camera = one.camera
     return {
         "name": camera.name,
@@ -139,7 +130,6 @@ def _facts(one: Survey) -> dict[str, Any]:
         "by_path": camera.by_path,
         "usb_id": camera.usb_id,
         "sensor": camera.kind,
-        "modes": modes,
         "rate_hz": one.rate_hz,
         "settings": one.settings,
         "problem": one.problem or None,

@@ -242,6 +242,6 @@ def _set_mode(
         found = float(capture.get(which))
         if key in wanted and abs(found - float(wanted[key])) > 0.5:
             raise SensorError(
-                f"{name}: expected {key} {float(wanted[key]):g}, but it has {found:g} afterwards. Choose one of the modes "
-                "that gelform cameras lists."
+                f"{name}: expected {key} {float(wanted[key]):g}, but it has {found:g} afterwards. Choose a mode that "
+                "it offers (v4l2-ctl -d PATH --list-formats-ext shows them on Linux)."
             )
