@@ -60,6 +60,8 @@ def test_torn_pictures_leave_a_gap_and_nothing_else_is_a_lost_source():
     torn = [piece for _ in range(15) for piece in (part(GREEN[:-2]), 0.01)]
     with pytest.raises(SourceLostError, match="torn pictures in a row"):
         taken([part(RED), 0.1, *torn], 2)
+    with pytest.raises(SourceLostError, match="header of at most"):
+        taken([b"--frame\r\n" + b"X-Filler: a\r\n" * 2000], 1)
     with pytest.raises(SourceLostError, match="ended the stream"):
         taken([part(RED), 0.1, part(GREEN)[:200], None], 2)
 
@@ -191,6 +193,14 @@ def test_parts_come_out_whole_however_they_arrive_or_torn_where_they_lie():
     stream = part(BODIES[0], False, "--frame") + part(BODIES[1], False, "--frame") + b"----frame\r\n"
     for boundary in ("--frame", "frame", '"--frame"', "----frame"):
         assert PartSplitter(boundary).feed(stream) == BODIES[:2]
+    for stated in ("4000", "999999999"):  # more than there is, up to what no memory holds
+        lying = part(BODIES[1]).replace(b": 3004", f": {stated}".encode())
+        for size in (1, 1000, 10**6):
+            feed, sent = PartSplitter("frame").feed, lying + part(BODIES[0])
+            found = [one for at in range(0, len(sent), size) for one in feed(sent[at : at + size])]
+            assert found == [BODIES[1], BODIES[0]]
+    with pytest.raises(ValueError, match="header"):
+        PartSplitter("frame").feed(b"--frame\r\n" + b"X-Filler: a\r\n" * 2000)
     with pytest.raises(ValueError, match="64 MB"):
         PartSplitter("frame").feed(bytes(MAX_PART_BYTES + 1))
     lying = part(BODIES[1]).replace(b"Content-Length: 3004", b"Content-Length: 1000")

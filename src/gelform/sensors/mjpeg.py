@@ -22,6 +22,7 @@ OPEN_S = 2.0  # s, timeout for the connection and the first picture
 STALL_S = 1.0  # s without data until the camera counts as lost
 RECEIVE_BYTES, MAX_WAITING_BYTES = 2**20, 2**26  # bytes of one call; bytes read at once at most
 MAX_PART_BYTES, MAX_PART_HEADER_BYTES = 2**26, 2**14  # limits of a picture and its header
+MAX_DASHES = 16  # bytes before a boundary's own two dashes: the line end, and dashes that servers add
 _LENGTH = re.compile(rb"content-length:\s*(\d+)", re.IGNORECASE)
 
 
@@ -58,7 +59,7 @@ class MjpegUrl:
             undone.callback(self._body.close)
             first = self._body.read(OPEN_S)
             self._splitter = PartSplitter(self._boundary(first))
-            self._arrived = self._splitter.feed(first)
+            self._arrived = self._parts(first)
             self.settings = self._settings_of_first()
             undone.pop_all()  # it sends pictures; the connection stays open
         self._reduction = int(self.settings["reduced"])
@@ -118,6 +119,9 @@ class MjpegUrl:
         data = self._body.read(timeout_s)
         if not data:
             raise SourceLostError(f"{self.url} ended the stream.")
+        return self._parts(data)
+
+    def _parts(self, data: bytes) -> list[bytes]:
         try:
             return self._splitter.feed(data)
         except ValueError as problem:
@@ -295,8 +299,9 @@ def _said(problem: BaseException) -> str:
 class PartSplitter:
     """Collects bytes and returns the complete parts.
 
-    A part ends where its Content-Length says, else at the next boundary. A part without a boundary after it is returned too;
-    bytes up to the next boundary are skipped.
+    A part ends where its Content-Length says, or at a boundary before that, because some servers state lengths that are too
+    large. Without a length it ends at the next boundary. A part without a boundary after it is returned too; bytes up to the
+    next boundary are skipped.
 
     Parameters
     ----------
@@ -305,13 +310,14 @@ class PartSplitter:
 
     def __init__(self, boundary: str) -> None:
         self._boundary = b"--" + boundary.strip().strip('"').lstrip("-").encode("latin-1")
+        self._after = re.compile(rb"\r\n-*" + re.escape(self._boundary))
         self._bytes = bytearray()
         self._searched = 0  # bytes of the buffer known to hold no boundary
 
     def feed(self, data: bytes) -> list[bytes]:
         """Parts that these bytes complete.
 
-        ValueError: the bytes without a boundary exceed a picture's size, so this is no such stream.
+        ValueError: the bytes without a boundary exceed a picture's size, or a header has no end: this is no such stream.
         """
         self._bytes += data
         parts = []
@@ -330,17 +336,21 @@ class PartSplitter:
             return None
         head_end = self._bytes.find(b"\r\n\r\n", start, start + MAX_PART_HEADER_BYTES)
         if head_end < 0:
+            if len(self._bytes) - start >= MAX_PART_HEADER_BYTES:
+                raise ValueError(
+                    f"Expected a part's header of at most {MAX_PART_HEADER_BYTES} bytes, got more."
+                )
             return None
         body = head_end + 4
-        length = _LENGTH.search(self._bytes, start, head_end)
-        if length is not None:
-            end = body + int(length.group(1))
-            return self._cut(body, end) if len(self._bytes) >= end else None
-        end = self._bytes.find(self._boundary, max(body, self._searched))
-        if end < 0:
-            self._searched = max(body, len(self._bytes) - len(self._boundary))
-            return None
-        return self._cut(body, end).rstrip(b"\r\n-")
+        stated = _LENGTH.search(self._bytes, start, head_end)
+        whole = len(self._bytes) if stated is None else body + int(stated.group(1))
+        after = self._after.search(self._bytes, max(body, self._searched), whole)
+        if after is not None:
+            return self._cut(body, after.start())
+        if stated is not None and len(self._bytes) >= whole:
+            return self._cut(body, whole)
+        self._searched = max(body, len(self._bytes) - len(self._boundary) - MAX_DASHES)
+        return None
 
     def _cut(self, start: int, end: int) -> bytes:
         part = bytes(memoryview(self._bytes)[start:end])
