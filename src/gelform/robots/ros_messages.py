@@ -16,6 +16,7 @@ from gelform.exporters.surface import M_PER_MM, points_from_result
 from gelform.frames import Frame
 from gelform.reconstruction import Reconstruction
 from gelform.robots.topics import TOPICS
+from gelform.sensors.recordings.messages import header_of, typestore
 
 FLOAT32 = 7  # sensor_msgs/PointField
 DIAGNOSTICS_NS = 10**9  # longest time between two messages, as for ROS's own diagnostics
@@ -37,6 +38,7 @@ class RosMessages:
     """
 
     def __init__(self, sensor: str, hardware_id: str = "") -> None:
+        needed("rosbags.typesys", "ros", "A message of ROS 2")
         self.store = typestore()
         self.sensor, self.hardware_id = sensor, hardware_id
         self.camera_frame, self.gel_frame = f"{sensor}_camera_optical_frame", f"{sensor}_gel_optical_frame"
@@ -128,9 +130,7 @@ class RosMessages:
         )
 
     def _header(self, stamp_ns: int, frame_id: str) -> Any:
-        seconds, nanoseconds = divmod(stamp_ns, 10**9)
-        stamp = self._type("builtin_interfaces/msg/Time")(sec=seconds, nanosec=nanoseconds)
-        return self._type("std_msgs/msg/Header")(stamp=stamp, frame_id=frame_id)
+        return header_of(self.store, stamp_ns, frame_id)
 
     def _type(self, name: str) -> Any:
         return self.store.types[name]
@@ -138,9 +138,3 @@ class RosMessages:
     def _encoded(self, message: Any) -> memoryview:
         encoded: memoryview = self.store.serialize_cdr(message, message.__msgtype__)
         return encoded
-
-
-def typestore() -> Any:
-    """Definitions of ROS 2's own messages; DataError, naming the extra, if they are not installed."""
-    typesys = needed("rosbags.typesys", "ros", "A message of ROS 2")
-    return typesys.get_typestore(typesys.Stores.ROS2_JAZZY)

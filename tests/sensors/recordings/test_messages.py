@@ -96,8 +96,8 @@ def test_there_and_back_and_torn_or_foreign_ones_refused():
     for end in (0, 3, 10, 20, len(message) - 1):
         with pytest.raises(ValueError, match="Expected"):
             picture_from_message(message[:end])
-    with pytest.raises(ValueError, match="little-endian"):
-        picture_from_message(b"\x00\x00" + message[2:])
+    with pytest.raises(ValueError, match="Expected"):
+        picture_from_message(b"\x00\x00" + message[2:])  # of big numbers first, which these are not
 
 
 PIXELS = np.arange(2 * 3 * 3, dtype=np.uint8).reshape(2, 3, 3)
@@ -122,7 +122,7 @@ def test_raw_pictures_that_are_none_are_refused():
     with pytest.raises(ValueError, match="rgb8 or bgr8, got 8UC3"):
         pixels_from_raw(raw_image_from_message(raw_message(PIXELS, "8UC3")))
     image = raw_image_from_message(message)
-    for wrong in ({"step": 8}, {"shape": (3, 3)}, {"shape": (0, 3)}, {"data": b""}):
+    for wrong in ({"step": 8}, {"shape": (3, 3)}, {"shape": (0, 3)}, {"data": np.empty(0, np.uint8)}):
         with pytest.raises(ValueError, match="rows of"):
             pixels_from_raw(image._replace(**wrong))
     with pytest.raises(ValueError, match="ros2 bag convert"):

@@ -11,10 +11,10 @@ from gelform.frames import Frame
 from gelform.sensors.recordings.facts import ATTACHABLE, RecordingFacts, encoded_from_frame, unwritable
 from gelform.sensors.recordings.messages import (
     MESSAGE_ENCODING,
-    SCHEMA,
     SCHEMA_ENCODING,
     SCHEMA_NAME,
     message_from_picture,
+    schema_of_picture,
 )
 
 TOPIC, METADATA = "/gelform/image/compressed", "gelform"
@@ -46,6 +46,8 @@ class McapRecording:
     ) -> None:
         try:
             from mcap.writer import CompressionType, Writer
+
+            definition = schema_of_picture()
         except ImportError as problem:
             raise DataError(
                 "MCAP files need the extra mcap: pip install 'gelform[mcap]'. A folder of images needs none: -o DIR."
@@ -65,7 +67,7 @@ class McapRecording:
         for name, content in (attached or {}).items():
             now_ns = time.time_ns()
             self._writer.add_attachment(now_ns, now_ns, name, ATTACHABLE[name], content)
-        schema = self._writer.register_schema(SCHEMA_NAME, SCHEMA_ENCODING, SCHEMA.encode())
+        schema = self._writer.register_schema(SCHEMA_NAME, SCHEMA_ENCODING, definition)
         self._channel = self._writer.register_channel(TOPIC, MESSAGE_ENCODING, schema)
         # The library ends a chunk only by its size; the method that ends one is private (a test guards this use).
         self._end_chunk = self._writer._Writer__finalize_chunk
