@@ -7,7 +7,7 @@ import pytest
 
 import gelform
 from gelform.calibration.balls import MOST_SIGMAS, SIZE_SIGMA, UNCHECKED, BallReading, ball_readings, notes_of
-from gelform.calibration.candidates import Start, known_make
+from gelform.calibration.candidates import Start, starter_start
 from gelform.calibration.circles.locate import locate
 from gelform.calibration.presses.press_set import presses_from_simulated
 from gelform.calibration.report.content import report_content
@@ -124,16 +124,16 @@ def test_a_starter_helps_five_presses_of_another_unit(data, monkeypatch):
 
 def test_a_starter_is_not_offered_to_the_presses_that_it_was_made_from(data):
     ball, other = (gelform.read_presses(data / name) for name in ("mini-ball", "mini-d"))
-    make = known_make(ball, "auto")
+    make = starter_start(ball, "auto")
     assert make is not None, "its ball can be checked by it all the same"
     assert not make.offered
-    assert not known_make(other, "auto").offered
+    assert not starter_start(other, "auto").offered
     new = replace(other, presses=tuple(replace(one, digest="of another image") for one in other.presses))
-    assert known_make(new, "auto").offered
-    assert not known_make(new, "lookup").offered
-    assert known_make(gelform.read_presses(data / "gelslim"), "auto") is None
+    assert starter_start(new, "auto").offered
+    assert not starter_start(new, "lookup").offered
+    assert starter_start(gelform.read_presses(data / "gelslim"), "auto") is None
     renamed = replace(gelform.read_presses(data / "gelsight-ball-deep"), sensor_name="DIGIT")
-    assert known_make(renamed, "auto") is None, "a name alone does not make it that sensor"
+    assert starter_start(renamed, "auto") is None, "a name alone does not make it that sensor"
 
 
 def test_where_no_press_fits_the_error_says_what_they_look_like(presses, calibration):

@@ -215,7 +215,7 @@ def step_sigma_of(model: ColorModel, samples: Samples) -> tuple[float, float]:
     return STEP_SIGMAS * max(at_rest, LEAST_STEP_SIGMA**2) ** 0.5, STEP_SIGMAS * growth**0.5
 
 
-def known_make(presses: Presses, color_model: str) -> Start | None:
+def starter_start(presses: Presses, color_model: str) -> Start | None:
     """The starter of the make that the sensor's name begins with; None if there is none, or its light differs.
 
     It is offered to fits of the default color model, except for the presses that it was made from.

@@ -7,7 +7,7 @@ from dataclasses import replace
 from os import PathLike
 
 from gelform.calibration.balls import ball_readings, notes_of
-from gelform.calibration.candidates import AUTO, candidates_for, known_make, start_from
+from gelform.calibration.candidates import AUTO, candidates_for, start_from, starter_start
 from gelform.calibration.circles.locate import check_places, locate
 from gelform.calibration.fitted import fit
 from gelform.calibration.held_out.folds import make_folds
@@ -60,7 +60,7 @@ def calibrate(
     candidates_for(color_model, len(presses.presses))  # an unknown name fails before any work
     check_inputs(presses)
     if start is None or start == AUTO:
-        known = known_make(presses, color_model)
+        known = starter_start(presses, color_model)
         first_unit = known if start == AUTO and known is not None and known.offered else None
     else:
         first_unit = known = start_from(start, presses, color_model)
