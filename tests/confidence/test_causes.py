@@ -359,9 +359,9 @@ def noisy(levels, seed=0):
 )
 def test_the_noise_of_single_pixels_beyond_the_usual(levels, usual, added):
     image, rest = noisy(levels)
-    assert causes.added_levels(image, rest, usual_levels=usual) == pytest.approx(added, rel=0.1)
+    assert causes.excess_noise(image, rest, usual_levels=usual) == pytest.approx(added, rel=0.1)
     narrow = image[:, :20].copy(), rest[:, :20].copy()
-    assert causes.added_levels(*narrow, 1.0) == 0, "too narrow for blocks"
+    assert causes.excess_noise(*narrow, 1.0) == 0, "too narrow for blocks"
 
 
 @pytest.mark.parametrize("cut", [0, 3, 6])
@@ -371,7 +371,7 @@ def test_blocks_of_a_jpeg_wherever_it_is_cut(cut):
     def added(quality):
         _, coded = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])
         cuts = (one[:, cut:].copy() for one in (cv2.imdecode(coded, cv2.IMREAD_COLOR), rest))
-        return causes.added_levels(*cuts, 3.0)
+        return causes.excess_noise(*cuts, 3.0)
 
     assert added(10) > 1
     assert added(95) == 0
@@ -383,7 +383,7 @@ def test_blocks_that_are_rounded_apart_add_their_deviation():
     rng = np.random.default_rng(3)
     off = np.kron(rng.normal(0, 2, (15, 22, 3)), np.ones((8, 8, 1)))[:120, :170]
     image = np.clip(np.rint(rest + off + rng.normal(0, 1.5, rest.shape)), 0, 255).astype(np.uint8)
-    assert causes.added_levels(image, rest, 1.5) == pytest.approx(2.0, rel=0.25)
+    assert causes.excess_noise(image, rest, 1.5) == pytest.approx(2.0, rel=0.25)
 
 
 @pytest.mark.parametrize("width", [9, 21, 50])

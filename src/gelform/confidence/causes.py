@@ -139,7 +139,7 @@ class PreparedCauses:
         step : residual and variance (H, W) of the forward response's step; the residual's unit is that of held-out presses
         maps : receives the contributions of walls, outliers and compression, by name, if given
         """
-        added = added_levels(as_levels(image), self._rest, self._levels)
+        added = excess_noise(as_levels(image), self._rest, self._levels)
         unseen_at = either(unseen, self._outside)
         confidence = np.empty_like(sigma)
         walls = outliers = None
@@ -240,7 +240,7 @@ _column_jumps = Kernel(
 )
 
 
-def added_levels(pixels: NDArray[np.uint8], rest: NDArray[np.uint8], usual_levels: float) -> float:
+def excess_noise(pixels: NDArray[np.uint8], rest: NDArray[np.uint8], usual_levels: float) -> float:
     """Noise of an image (H, W, 3) beyond the usual, gray levels: of single pixels, and of JPEG's blocks.
 
     Blocks of 8x8 pixels are rounded separately and jump at their borders. Such columns come every 8 pixels, at an offset
