@@ -11,7 +11,7 @@ from gelform.calibration.candidates import AUTO, candidates_for, start_from, sta
 from gelform.calibration.circles.locate import check_places, locate
 from gelform.calibration.fitted import fit
 from gelform.calibration.held_out.folds import make_folds
-from gelform.calibration.held_out.measure import judge
+from gelform.calibration.held_out.measure import measure_held_out
 from gelform.calibration.inputs import check_inputs, input_notes
 from gelform.calibration.presses.folder import Presses, as_presses
 from gelform.calibration.report.record import report_of_run
@@ -73,7 +73,7 @@ def calibrate(
         located.prepared, located.found, located.refined.accepted, start=located.refined_by, progress=progress
     )
     fitted = fit(located, folds, color_model, compare=compare, progress=progress)
-    judged = judge(fitted, progress=progress)
+    judged = measure_held_out(fitted, progress=progress)
     notes = input_notes(located)
     report = report_of_run(fitted, judged, balls, notes=notes, seconds=time.monotonic() - began)
     return replace(

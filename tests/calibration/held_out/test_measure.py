@@ -12,7 +12,7 @@ from gelform.calibration.fitted import Fitted
 from gelform.calibration.held_out import measure as module
 from gelform.calibration.held_out.measure import (
     errors_of,
-    judge,
+    measure_held_out,
     sample_of,
     solved_by_place,
     stated_sigma,
@@ -67,7 +67,7 @@ def judged(presses, prepared, found, held_out):
     """Judges a calibration with what was selected."""
     refined = Refined(tuple(found), (None,) * len(found), None)
     located = Located(presses, prepared, found, refined)
-    return lambda draft, chosen, by_fold: judge(
+    return lambda draft, chosen, by_fold: measure_held_out(
         Fitted(located, held_out, Selection(chosen, by_fold, ()), draft)
     )
 

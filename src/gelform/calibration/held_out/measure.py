@@ -97,7 +97,7 @@ class Judged:
     circle_sigmas: Mapping[int, tuple[float, float]]
 
 
-def judge(fitted: Fitted, *, progress: Progress = no_progress) -> Judged:
+def measure_held_out(fitted: Fitted, *, progress: Progress = no_progress) -> Judged:
     """Errors of every usable press with the candidate selected and fitted without its fold, and the deviation of slopes.
 
     The deviation of slopes as read comes from the errors of the folds' models, that of the solved depth's slopes from the
