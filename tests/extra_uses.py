@@ -259,11 +259,21 @@ def run_script(path: str, *arguments: str) -> None:
 USES: dict[str, Callable[[], None]] = {
     name.removeprefix("use_"): use for name, use in list(globals().items()) if name.startswith("use_")
 }
+# the extras with several uses; every other use has an extra of its name
+EXTRA_OF = dict.fromkeys(("zarr", "hdf5", "parquet", "lerobot"), "data") | {
+    "zenoh": "ros",
+    "rerun": "sinks",
+    "foxglove": "sinks",
+}
 
 
 if __name__ == "__main__":
     with tempfile.TemporaryDirectory() as work:
-        os.chdir(work)
-        prepared(Path(work))
-        USES[sys.argv[1]]()
+        for use in USES:
+            if EXTRA_OF.get(use, use) == sys.argv[1]:
+                folder = Path(work, use)
+                folder.mkdir()
+                prepared(folder)
+                os.chdir(folder)
+                USES[use]()
         os.chdir(ROOT)

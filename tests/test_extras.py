@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from extra_uses import USES, prepared
+from extra_uses import EXTRA_OF, USES, prepared
 
 try:
     import tomllib
@@ -27,13 +27,14 @@ def modules_of(extra):
 
 
 def test_every_extra_has_a_use():
-    assert set(EXTRAS) - {"dev"} == set(USES)
+    assert set(EXTRAS) - {"dev"} == {EXTRA_OF.get(use, use) for use in USES}
 
 
-@pytest.mark.parametrize("extra", sorted(set(USES) - SCRIPTS - HARMLESS))
-def test_without_its_packages_it_is_named(extra, tmp_path, monkeypatch):
+@pytest.mark.parametrize("use", sorted(set(USES) - SCRIPTS - HARMLESS))
+def test_without_its_packages_it_is_named(use, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     prepared(tmp_path)
+    extra = EXTRA_OF.get(use, use)
     missing = modules_of(extra)
     for module in [*missing, *sys.modules]:
         if module.split(".")[0] in missing:
@@ -41,7 +42,7 @@ def test_without_its_packages_it_is_named(extra, tmp_path, monkeypatch):
         elif module.startswith("gelform.torch"):
             monkeypatch.delitem(sys.modules, module)
     with pytest.raises((Exception, SystemExit)) as refused:
-        USES[extra]()
+        USES[use]()
     said = str(refused.value).removeprefix("gelform: error: ").strip()
     assert "\n" not in said
     assert f"gelform[{extra}]" in said

@@ -72,8 +72,8 @@ def lerobot(tmp_path, images):
 
     The video holds all episodes, the second table the last one.
     """
-    pytest.importorskip("av", reason="the extra lerobot is not installed")
-    pytest.importorskip("pyarrow", reason="the extra lerobot is not installed")
+    pytest.importorskip("av", reason="the extra data is not installed")
+    pytest.importorskip("pyarrow", reason="the extra data is not installed")
     root, frames = tmp_path / "set", [images[k % len(images)] for k in range(sum(EPISODES))]
     write_lerobot_set(root, frames)
     return root, frames

@@ -193,7 +193,7 @@ def test_csv(recorded):
 
 
 def test_parquet(recorded):
-    parquet = pytest.importorskip("pyarrow.parquet", reason="the extra parquet is not installed")
+    parquet = pytest.importorskip("pyarrow.parquet", reason="the extra data is not installed")
     write_table(recorded, PARTS, "parquet")
     read = parquet.read_table(recorded / "frames.parquet")
     assert read.column_names == list(COLUMNS)
@@ -206,7 +206,7 @@ def test_parquet(recorded):
 @pytest.mark.parametrize("form", ["csv", "parquet"])
 def test_a_table_that_says_something_else_is_found(recorded, form):
     if form == "parquet":
-        pytest.importorskip("pyarrow", reason="the extra parquet is not installed")
+        pytest.importorskip("pyarrow", reason="the extra data is not installed")
     write_table(recorded, PARTS, form)
     assert tables_there(recorded) == [form]
     assert table_is_whole(recorded, PARTS, form)
@@ -219,7 +219,7 @@ def test_a_table_that_says_something_else_is_found(recorded, form):
 def test_which_is_written(monkeypatch):
     monkeypatch.setattr("gelform.batch.records.find_spec", lambda name: None)
     assert table_form() == "csv"
-    with pytest.raises(DataError, match=r"gelform\[parquet\]"):
+    with pytest.raises(DataError, match=r"gelform\[data\]"):
         table_form("parquet")
     monkeypatch.setattr("gelform.batch.records.find_spec", lambda name: name)
     assert table_form() == "parquet"

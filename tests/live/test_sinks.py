@@ -99,7 +99,7 @@ def test_none_is_fine_and_an_unknown_one_is_named(hub):
 def test_without_its_extra_it_is_named(hub, name):
     if importlib.util.find_spec(name) is not None:
         pytest.skip(f"{name} is installed")
-    with pytest.raises(DataError, match=rf"extra {name}: pip install 'gelform\[{name}\]'"):
+    with pytest.raises(DataError, match=r"extra sinks: pip install 'gelform\[sinks\]'"):
         feed(hub, [name])
 
 
@@ -109,7 +109,7 @@ MESSAGE_DATA = 1  # opcode of the protocol: then subscription u32, log time u64,
 
 @pytest.fixture
 def sink():
-    pytest.importorskip("foxglove", reason="the extra foxglove is not installed")
+    pytest.importorskip("foxglove", reason="the extra sinks is not installed")
     made = FoxgloveSink(0)
     yield made
     made.close()
@@ -174,7 +174,7 @@ def answers(port):
 
 @pytest.mark.slow
 def test_a_viewer_gets_images_depth_and_numbers(shown, tmp_path):
-    pytest.importorskip("rerun", reason="the extra rerun is not installed")
+    pytest.importorskip("rerun", reason="the extra sinks is not installed")
     port, saved = free_port(), tmp_path / "seen.rrd"
     command = [sys.executable, "-m", "rerun", "--save", str(saved), "--port", str(port), "--bind", HOST]
     with subprocess.Popen(command, start_new_session=True) as receiver:  # it starts another program
@@ -193,7 +193,7 @@ def test_a_viewer_gets_images_depth_and_numbers(shown, tmp_path):
 
 
 def test_no_viewer_is_said():
-    pytest.importorskip("rerun", reason="the extra rerun is not installed")
+    pytest.importorskip("rerun", reason="the extra sinks is not installed")
     port = free_port()
     with pytest.raises(GelformError, match=rf"No Rerun viewer answers at 127\.0\.0\.1:{port}\. Start one"):
         RerunSink(port)

@@ -15,7 +15,7 @@ EPISODES = (3, 4, 2)  # frames of each
 def write_lerobot_set(root: Path, frames: list[np.ndarray]) -> None:
     """Write a set of as many images (H, W, 3), uint8, as the episodes have.
 
-    The video holds all episodes, the second table the last one. Needs the extra `lerobot`.
+    The video holds all episodes, the second table the last one. Needs the extra `data`.
     """
     shape = frames[0].shape
     told = {"video.codec": "h264", "video.pix_fmt": "gbrp", "video.crf": 0, "video.fps": FPS}

@@ -61,8 +61,8 @@ def messages(bag):
 @pytest.fixture(scope="session")
 def router():
     """A zenoh router: its address, its session, and `opened`, which opens others."""
-    zenoh = pytest.importorskip("zenoh", reason="the extra zenoh is not installed")
-    pytest.importorskip("rosbags", reason="the extra zenoh is not installed")
+    zenoh = pytest.importorskip("zenoh", reason="the extra ros is not installed")
+    pytest.importorskip("rosbags", reason="the extra ros is not installed")
 
     def opened(**settings):
         config = zenoh.Config()

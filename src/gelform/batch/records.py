@@ -143,7 +143,7 @@ def table_form(asked: str = "auto") -> str:
     there = find_spec("pyarrow") is not None
     if asked == "parquet" and not there:
         raise DataError(
-            'A table as Parquet needs the extra parquet: pip install "gelform[parquet]". Or ask for csv.'
+            'A table as Parquet needs the extra data: pip install "gelform[data]". Or ask for csv.'
         )
     return asked if asked != "auto" else ("parquet" if there else "csv")
 

@@ -1,4 +1,4 @@
-"""Other programs that show the results of the page: Rerun (extra `rerun`), Foxglove (extra `foxglove`).
+"""Other programs that show the results of the page: Rerun (extra `sinks`), Foxglove (extra `sinks`).
 
 The newest frame wins, and a slow sink delays nothing else. Foxglove's server listens only on this machine, because it checks
 neither an Origin nor a token.
@@ -93,7 +93,7 @@ class RerunSink:
     Raises
     ------
     DataError
-        The extra `rerun` is not installed.
+        The extra `sinks` is not installed.
     GelformError
         No viewer answers.
     """
@@ -102,7 +102,7 @@ class RerunSink:
         try:
             import rerun
         except ImportError as problem:
-            raise DataError("This needs the extra rerun: pip install 'gelform[rerun]'.") from problem
+            raise DataError("This needs the extra sinks: pip install 'gelform[sinks]'.") from problem
         try:
             socket.create_connection((HOST, port), timeout=2).close()
         except OSError as problem:
@@ -141,7 +141,7 @@ class FoxgloveSink:
     Raises
     ------
     DataError
-        The extra `foxglove` is not installed.
+        The extra `sinks` is not installed.
     GelformError
         The port is taken.
     """
@@ -150,7 +150,7 @@ class FoxgloveSink:
         try:
             import foxglove
         except ImportError as problem:
-            raise DataError("This needs the extra foxglove: pip install 'gelform[foxglove]'.") from problem
+            raise DataError("This needs the extra sinks: pip install 'gelform[sinks]'.") from problem
         self._context = foxglove.Context()
         try:
             self._server = foxglove.start_server(

@@ -195,7 +195,7 @@ def publish(
     GelformError
         No router answers.
     SensorError, DataError
-        The source cannot be opened, or gives no frame or frames of another size; the extra `zenoh` is not installed.
+        The source cannot be opened, or gives no frame or frames of another size; the extra `ros` is not installed.
     CalibrationError
         The calibration cannot be read or is of another sensor; or it has no scale, which indentation and points need.
     ValueError

@@ -92,7 +92,7 @@ class ZenohNode:
     GelformError
         No router answers at the address.
     DataError
-        The extra `zenoh` is not installed.
+        The extra `ros` is not installed.
     ValueError
         The sensor is no ROS name, a topic is unknown, or the domain or the address is invalid.
     """
@@ -110,7 +110,7 @@ class ZenohNode:
         if not 0 <= domain <= MAX_DOMAIN:
             raise ValueError(f"Expected a ROS domain from 0 to {MAX_DOMAIN}, got {domain}.")
         for module in ("zenoh", "rosbags.typesys"):
-            needed(module, "zenoh", "Publishing for ROS 2")
+            needed(module, "ros", "Publishing for ROS 2")
         self._messages = RosMessages(check_sensor_name(sensor), hardware_id)
         self._session = _session(router)
         self.node = Node(domain, str(self._session.zid()), f"gelform_{sensor}")

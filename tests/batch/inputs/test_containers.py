@@ -92,7 +92,7 @@ def test_numbers_count():
 
 @pytest.fixture
 def h5py():
-    return pytest.importorskip("h5py", reason="the extra hdf5 is not installed")
+    return pytest.importorskip("h5py", reason="the extra data is not installed")
 
 
 @pytest.fixture
@@ -169,7 +169,7 @@ def test_among_others_a_damaged_file_is_a_row(demos, cal, tmp_path):
 
 @pytest.fixture
 def zarr():
-    return pytest.importorskip("zarr", minversion="3", reason="the extra zarr is not installed")
+    return pytest.importorskip("zarr", minversion="3", reason="the extra data is not installed")
 
 
 @pytest.fixture(params=[2, 3])

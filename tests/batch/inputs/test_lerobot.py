@@ -18,8 +18,8 @@ from gelform.batch.inputs.lerobot import (
 from gelform.batch.inputs.listing import listing_of
 from gelform.errors import DataError
 
-pyarrow = pytest.importorskip("pyarrow", reason="the extra lerobot is not installed")
-parquet = pytest.importorskip("pyarrow.parquet", reason="the extra lerobot is not installed")
+pyarrow = pytest.importorskip("pyarrow", reason="the extra data is not installed")
+parquet = pytest.importorskip("pyarrow.parquet", reason="the extra data is not installed")
 
 KEY, STORED, FPS = "observation.images.gel", "observation.images.still", 30
 

@@ -22,7 +22,7 @@ from gelform.batch.outputs.lerobot import (
 from gelform.errors import DataError
 from gelform.robots import depth_from_lerobot_levels
 
-av = pytest.importorskip("av", reason="the extra lerobot is not installed")
+av = pytest.importorskip("av", reason="the extra data is not installed")
 KEY, STORED, EPISODE = "observation.images.gel", "observation.images.still", 1002
 SEQUENCE = f"{KEY}/episode_{EPISODE:06d}"
 VIDEO = f"frames/videos/{KEY}_depth/chunk-001/file-002.mp4"
@@ -105,7 +105,7 @@ def done(lerobot, cal, tmp_path, visible):
 
 
 def rows_of(path):
-    parquet = pytest.importorskip("pyarrow.parquet", reason="the extra lerobot is not installed")
+    parquet = pytest.importorskip("pyarrow.parquet", reason="the extra data is not installed")
     return parquet.read_table(path).to_pylist()
 
 

@@ -151,7 +151,7 @@ EPISODE = "gel/episode_000001"
 
 def import_extra(form):
     if form in NEEDS:
-        pytest.importorskip(NEEDS[form], reason=f"the extra {form} is not installed")
+        pytest.importorskip(NEEDS[form], reason="the extra data is not installed")
 
 
 def settings_of(form):

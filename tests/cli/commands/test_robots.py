@@ -71,7 +71,7 @@ def test_mistakes(run, fails, images, calibration_file, tmp_path):
     assert "is there already" in fails("bag", images, *given)
 
 
-pytest.importorskip("rosbags", reason="the extra zenoh is not installed")
+pytest.importorskip("rosbags", reason="the extra ros is not installed")
 
 
 def test_mistakes_in_usage(run, calibration_file):
@@ -81,7 +81,7 @@ def test_mistakes_in_usage(run, calibration_file):
 
 
 def test_no_router_is_one_sentence_that_says_what_to_do(fails, calibration_file):
-    pytest.importorskip("zenoh", reason="the extra zenoh is not installed")
+    pytest.importorskip("zenoh", reason="the extra ros is not installed")
     said = fails("ros", "-c", calibration_file, "--router", "tcp/127.0.0.1:1")
     assert "No zenoh router answers at tcp/127.0.0.1:1. Start one" in said
     assert "address of a zenoh router" in fails("ros", "-c", calibration_file, "--router", "here")

@@ -187,7 +187,7 @@ def hdf5_values(path: Path, dataset: str, start: int, count: int) -> Iterator[ND
 
 
 def _opened_hdf5(path: Path) -> Any:
-    h5py = needed("h5py", "hdf5", "HDF5")
+    h5py = needed("h5py", "data", "HDF5")
     try:
         return h5py.File(path, "r")
     except OSError as problem:
@@ -234,7 +234,7 @@ def zarr_values(path: Path, dataset: str, start: int, count: int) -> Iterator[ND
 
 
 def _opened_zarr(path: Path) -> Any:
-    zarr = needed("zarr", "zarr", "Zarr")
+    zarr = needed("zarr", "data", "Zarr")
     try:
         if path.suffix == ".zip":
             return zarr.open_group(zarr.storage.ZipStore(path, mode="r"), mode="r")

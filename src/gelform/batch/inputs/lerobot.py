@@ -41,8 +41,8 @@ def lerobot_info(root: Path) -> dict[str, Any]:
 
 def lerobot_episodes(root: Path, columns: list[str]) -> list[dict[str, Any]]:
     """Rows of `meta/episodes`, ordered by episode; DataError if they are unreadable or lack a column."""
-    parquet = needed("pyarrow.parquet", "lerobot", "LeRobot")
-    pyarrow = needed("pyarrow", "lerobot", "LeRobot")
+    parquet = needed("pyarrow.parquet", "data", "LeRobot")
+    pyarrow = needed("pyarrow", "data", "LeRobot")
     rows: list[dict[str, Any]] = []
     try:
         for path in sorted((root / EPISODES).glob("*/*.parquet")):
@@ -151,7 +151,7 @@ def video_frames(
 
     Decoding starts at the key frame before frame `start` of the episode. DataError if the video ends earlier.
     """
-    av = needed("av", "lerobot", "LeRobot")
+    av = needed("av", "data", "LeRobot")
     done = 0
     try:
         with av.open(str(path)) as file:
@@ -182,8 +182,8 @@ def stored_images(
     Only the needed row groups and columns are read. DataError if the table ends earlier, or its order contradicts the
     table of episodes.
     """
-    parquet = needed("pyarrow.parquet", "lerobot", "LeRobot")
-    pyarrow = needed("pyarrow", "lerobot", "LeRobot")
+    parquet = needed("pyarrow.parquet", "data", "LeRobot")
+    pyarrow = needed("pyarrow", "data", "LeRobot")
     done = 0
     try:
         with parquet.ParquetFile(path) as file:

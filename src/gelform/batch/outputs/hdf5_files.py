@@ -37,7 +37,7 @@ class Hdf5Files(PartWriter):
 
     def __init__(self, target: PartTarget) -> None:
         super().__init__(target)
-        self._h5py = needed("h5py", "hdf5", "HDF5")
+        self._h5py = needed("h5py", "data", "HDF5")
         self._path = target.folder / f"{target.part.start:08d}.h5"
         self._blank = blank_maps(target.settings, target.shape)
         self._open = ExitStack()
@@ -96,7 +96,7 @@ def wrong_hdf5_index(output: Path, files: list[str]) -> Path | None:
 
 def hdf5_index(output: Path, files: list[str]) -> bytes:
     """The file of all sequences: virtual datasets with relative paths of the parts' files."""
-    h5py, content = needed("h5py", "hdf5", "HDF5"), io.BytesIO()
+    h5py, content = needed("h5py", "data", "HDF5"), io.BytesIO()
     sequences: dict[str, list[str]] = {}
     for name in files:
         sequences.setdefault(PurePosixPath(name).parent.relative_to(FRAMES).as_posix(), []).append(name)
@@ -123,5 +123,5 @@ def _add_sequence(h5py: Any, group: Any, output: Path, files: list[str]) -> None
 
 def read_hdf5(path: Path, index: int) -> NDArray[Any] | None:
     """Depth of a frame, or its levels, read back from the part's file."""
-    with needed("h5py", "hdf5", "HDF5").File(path, "r") as file:
+    with needed("h5py", "data", "HDF5").File(path, "r") as file:
         return np.asarray(file["depth_mm"][index - int(path.stem)]) if "depth_mm" in file else None

@@ -63,7 +63,7 @@ class LerobotVideo(VideoWriter):
     def __init__(self, target: PartTarget) -> None:
         self._key, self._episode = episode_of(target.part.sequence)
         path = target.output / FRAMES / video_path(self._key + SUFFIX, self._episode)
-        super().__init__(target, path, CODEC, target.part.rate_hz, needed("av", "lerobot", "LeRobot"))
+        super().__init__(target, path, CODEC, target.part.rate_hz, needed("av", "data", "LeRobot"))
         self._counts = np.zeros(MAX_CODE + 1, dtype=np.int64)
 
     def prepared(self, result: Reconstruction) -> NDArray[np.uint16]:
@@ -270,8 +270,8 @@ def _sha256(path: Path) -> str:
 
 def _table(path: Path, episodes: Episodes) -> bytes:
     """A table of episodes with the places, times and statistics of their depth."""
-    parquet = needed("pyarrow.parquet", "lerobot", "LeRobot")
-    pyarrow = needed("pyarrow", "lerobot", "LeRobot")
+    parquet = needed("pyarrow.parquet", "data", "LeRobot")
+    pyarrow = needed("pyarrow", "data", "LeRobot")
     table, content = parquet.read_table(path), io.BytesIO()
     numbers = table["episode_index"].to_pylist()
     for key, of in episodes.items():
@@ -326,7 +326,7 @@ def _json(content: Any) -> bytes:
 
 def read_lerobot(path: Path, index: int) -> NDArray[np.float32]:
     """Depth of a frame, mm, read back from the video; its codes differ from those of `exporters.quantised`."""
-    with needed("av", "lerobot", "LeRobot").open(str(path)) as file:
+    with needed("av", "data", "LeRobot").open(str(path)) as file:
         frames = file.decode(file.streams.video[0])
         codes = next(islice(frames, index, None)).to_ndarray(format=CODEC.pix_fmt)
     return depth_from_lerobot_levels(codes)

@@ -39,8 +39,8 @@ class ZarrArrays(PartWriter):
 
     def __init__(self, target: PartTarget) -> None:
         super().__init__(target)
-        blosc = needed("numcodecs.blosc", "zarr", "Zarr")
-        needed("google_crc32c", "zarr", "Zarr")
+        blosc = needed("numcodecs.blosc", "data", "Zarr")
+        needed("google_crc32c", "data", "Zarr")
         blosc.use_threads = False  # the same bytes each time, and no threads besides the workers
         self._later = FlushedLater(target.output)
         self._length = shard_frames(target.settings.part_frames)
@@ -165,5 +165,5 @@ def read_zarr(path: Path, index: int) -> NDArray[Any] | None:
     content = (folder / f"c/{index // length}/0/0").read_bytes()
     index_in_file = np.frombuffer(content[-16 * length - 4 : -4], "<u8").reshape(length, 2)
     offset, size = map(int, index_in_file[index % length])
-    values = needed("numcodecs.blosc", "zarr", "Zarr").decompress(content[offset : offset + size])
+    values = needed("numcodecs.blosc", "data", "Zarr").decompress(content[offset : offset + size])
     return np.frombuffer(values, node["data_type"]).reshape(height, width)

@@ -104,7 +104,7 @@ def ros(
     Publishes images, indentation, points and findings; this machine needs no ROS.
 
     The subscribers must use the middleware rmw_zenoh (ROS 2 Jazzy and later). Topics and messages are those of gelform
-    bag. A zenoh router must run: `ros2 run rmw_zenoh_cpp rmw_zenohd`. Needs the extra `zenoh`.
+    bag. A zenoh router must run: `ros2 run rmw_zenoh_cpp rmw_zenohd`. Needs the extra `ros`.
 
     \b
     Examples:
