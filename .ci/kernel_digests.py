@@ -1,6 +1,6 @@
 """A pytest plugin that writes down what every call of a C kernel gave, and the comparison of two such files.
 
-    KERNEL_DIGESTS=here.txt python -m pytest -p kernel_digests tests/solvers
+    KERNEL_DIGESTS=here.txt python -m pytest -p kernel_digests tests/depth/solvers
     python .ci/kernel_digests.py here.txt there.txt     # 1 where the same input gave other bits
 
 A line is the kernel's name, a digest of all that went in and one of all that came out. Memory that C owns counts by

@@ -29,9 +29,9 @@ MUST_HOLD = (
     "gelform/live/page/icon.svg",
     "gelform/live/page/js/main.js",
     "gelform/live/simulated/three-edges.npz",
-    "gelform/starters/digit.npz",
-    "gelform/starters/gelsight-mini.npz",
-    "gelform/starters/simulated-three-edges.npz",
+    "gelform/calibration/starters/digit.npz",
+    "gelform/calibration/starters/gelsight-mini.npz",
+    "gelform/calibration/starters/simulated-three-edges.npz",
     "licenses/LICENSE",
     "licenses/NOTICE",
 )

@@ -24,8 +24,8 @@ from gelform.calibration.circles.prepare import prepare
 from gelform.calibration.circles.samples import PreparedPress
 from gelform.calibration.fitted import untouched_change
 from gelform.calibration.report.record import summary
-from gelform.color_models import COLOR_MODELS
-from gelform.metrics import press_errors
+from gelform.result.metrics import press_errors
+from gelform.slopes.color_models import COLOR_MODELS
 from presses import DATA, by_name, reference_circles
 from report import RESULTS, command_line, dct_pair, median_ms, recorded, table, write
 

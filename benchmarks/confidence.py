@@ -30,9 +30,9 @@ from confidence import faults
 from confidence.drawn import object_press, press
 from gelform.calibration.circles.find import find_contact, why_no_contact
 from gelform.calibration.circles.prepare import ColorChanges
-from gelform.health import FrameFaults
-from gelform.metrics import angle_deg
-from gelform.metrics.ball import fit_sphere
+from gelform.image.health import FrameFaults
+from gelform.result.metrics import angle_deg
+from gelform.result.metrics.ball import fit_sphere
 from gelform.sensors.files import read_background
 from gelform.simulate import (
     LAYOUTS,

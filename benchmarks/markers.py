@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 import gelform
-from gelform.markers import MarkerFollower, MarkerTracker
+from gelform.image.markers import MarkerFollower, MarkerTracker
 from gelform.sensors.profiles import SENSORS
 from gelform.simulate import (
     Ball,

@@ -34,19 +34,19 @@ EQUIVALENT = Path(__file__).parent / "mutants" / "equivalent.json"
 OWN_TIMEOUT_S = 240.0  # for a whole test file, on a busy machine
 PATH_TESTS = ("tests/test_reconstruct_truth.py", "tests/test_reconstruct_faults.py")
 RELATED = {  # test files that check a module besides its own
-    "view/view": ("tests/view/test_lens.py",),
-    "color_models/_shared/least_squares": tuple(
-        f"tests/color_models/test_{name}.py" for name in ("lambertian", "hierarchical")
+    "image/view/view": ("tests/image/view/test_lens.py",),
+    "slopes/color_models/_shared/least_squares": tuple(
+        f"tests/slopes/color_models/test_{name}.py" for name in ("lambertian", "hierarchical")
     ),
-    "background/untouched": ("tests/confidence/test_frame_sigma.py",),
-    "contact": ("tests/test_contacts_measured.py",),
-    "confidence/causes": ("tests/confidence/test_clipped_channels.py",),
-    "color_models/forward_response": ("tests/color_models/test_older_response.py",),
-    "native/solvers/system.c": ("tests/solvers/test_system.py", "tests/test_depth.py"),
-    "native/solvers/residual.c": ("tests/test_depth.py",),
-    "native/gradients/slopes.c": ("tests/test_depth.py",),
-    "native/checks/finite.c": ("tests/foundations/test_checks.py", "tests/_native/test_kernel.py"),
-    "native/ball/center.c": ("tests/metrics/test_ball.py",),
+    "image/background/untouched": ("tests/slopes/confidence/test_frame_sigma.py",),
+    "depth/contact": ("tests/test_contacts_measured.py",),
+    "slopes/confidence/causes": ("tests/slopes/confidence/test_clipped_channels.py",),
+    "slopes/color_models/forward_response": ("tests/slopes/color_models/test_older_response.py",),
+    "native/depth/solvers/system.c": ("tests/depth/solvers/test_system.py", "tests/depth/test_integrate.py"),
+    "native/depth/solvers/residual.c": ("tests/depth/test_integrate.py",),
+    "native/slopes/gradients.c": ("tests/depth/test_integrate.py",),
+    "native/finite.c": ("tests/foundations/test_checks.py", "tests/_native/test_kernel.py"),
+    "native/result/metrics/center.c": ("tests/result/metrics/test_ball.py",),
     "native/simulate/ball_press.c": ("tests/simulate/gel/test_ball_press.py",),
     "native/simulate/gray_levels.c": ("tests/simulate/sensor/test_camera.py",),
     "native/simulate/irradiance.c": ("tests/simulate/test_light.py",),
@@ -54,19 +54,20 @@ RELATED = {  # test files that check a module besides its own
     "native/simulate/mesh.c": ("tests/simulate/indenters/test_mesh.py",),
     "native/simulate/shadows.c": ("tests/simulate/test_light.py",),
     **{
-        f"native/solvers/multigrid/{name}.c": ("tests/solvers/test_multigrid.py",)
+        f"native/depth/solvers/multigrid/{name}.c": ("tests/depth/solvers/test_multigrid.py",)
         for name in ("coarsen", "coarsest", "conjugate", "couplings", "cycle", "grid", "islands")
     },
 }
 ROOMS = (
-    "background",
-    "confidence",
-    "depth_sigma",
-    "color_models",
-    "color_models/_shared",
+    "image/background",
+    "slopes/confidence",
+    "depth/sigma",
+    "slopes/color_models",
+    "slopes/color_models/_shared",
 )
-ROOMS += ("view", "calibration/held_out", "calibration/circles", "markers")
-FILES = ("reconstruct", "normals", "gradients", "anchor", "depth", "contact", "health")
+ROOMS += ("image/view", "calibration/held_out", "calibration/circles", "image/markers")
+FILES = ("reconstruct", "slopes/normals", "slopes/gradients", "foundations/fill")
+FILES += ("depth/anchor", "depth/integrate", "depth/stepped", "depth/contact", "image/health")
 
 
 def modules() -> list[str]:

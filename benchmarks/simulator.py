@@ -24,10 +24,8 @@ import numpy as np
 from scipy.fft import dctn, idctn
 
 import gelform
-from gelform.exporters.simulated import SetOfPresses, save_simulated_set
-from gelform.gradients import gradients_from_normals
-from gelform.importers.tables import TaximLook, read_taxim_forward
-from gelform.normals import normals_from_image
+from gelform.exchange.exporters.simulated import SetOfPresses, save_simulated_set
+from gelform.exchange.importers.tables import TaximLook, read_taxim_forward
 from gelform.sensors.profiles import SENSORS
 from gelform.simulate import (
     LAYOUTS,
@@ -49,6 +47,8 @@ from gelform.simulate import (
 )
 from gelform.simulate.gel.ball_press import depth_of_ball
 from gelform.simulate.twin import GEL, RELAXATION_MM, Twin
+from gelform.slopes.gradients import gradients_from_normals
+from gelform.slopes.normals import normals_from_image
 from presses import DATA, Circle, reference_circles
 
 RIM_MM = (

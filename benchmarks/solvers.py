@@ -22,9 +22,9 @@ import numpy as np
 from scipy.fft import dctn, idctn
 
 import gelform
-from gelform.solvers import SOLVERS, MultigridSolver, SparseSolver
-from gelform.solvers.multigrid import Grid
-from gelform.solvers.system import problem_from_gradients
+from gelform.depth.solvers import SOLVERS, MultigridSolver, SparseSolver
+from gelform.depth.solvers.multigrid import Grid
+from gelform.depth.solvers.system import problem_from_gradients
 from presses import DATA
 from scenes import (
     BALL,

@@ -28,18 +28,18 @@ import cv2
 import numpy as np
 
 import gelform
-from gelform.anchor import RestAnchor
-from gelform.background.change import PreparedBackground
-from gelform.background.untouched import reference_from_color_change
 from gelform.calibration.presses.folder import Press, Presses
-from gelform.color_models.seam import gradients_from_pending
-from gelform.color_models.stepped import SteppedSlopes
-from gelform.confidence import PreparedCauses, PreparedSigma, SolvedSigma
-from gelform.contact import contact_from_depth, contacts_from_mask
-from gelform.depth_sigma.sigma import DepthSigma
-from gelform.gradients import slopes_of_solution
+from gelform.depth.anchor import RestAnchor
+from gelform.depth.contact import contact_from_depth, contacts_from_mask
+from gelform.depth.sigma.sigma import DepthSigma
+from gelform.depth.stepped import SteppedSlopes
+from gelform.image.background.change import PreparedBackground
+from gelform.image.background.untouched import reference_from_color_change
+from gelform.image.view import View
 from gelform.simulate import LAYOUTS, Ball, simulate_ball_presses, simulate_press
-from gelform.view import View
+from gelform.slopes.color_models.seam import gradients_from_pending
+from gelform.slopes.confidence import PreparedCauses, PreparedSigma, SolvedSigma
+from gelform.slopes.gradients import slopes_of_solution
 from presses import DATA
 from report import dct_pair, median_ms, table, write
 

@@ -21,10 +21,10 @@ from gelform.calibration.balls import MOST_SIGMAS, ball_readings
 from gelform.calibration.candidates import start_from
 from gelform.calibration.circles.locate import locate
 from gelform.calibration.report import report_content
+from gelform.calibration.starters import load_starter
+from gelform.calibration.starters.starter import Starter, starter_from_calibration
 from gelform.errors import CalibrationError
-from gelform.metrics import score_slopes
-from gelform.starters import load_starter
-from gelform.starters.starter import Starter, starter_from_calibration
+from gelform.result.metrics import score_slopes
 from presses import DATA, data_is_missing, labeled, mini_ball, unlabeled
 from report import command_line, parts_asked, recorded, table, write
 from starters.make import LAYOUT, LIKELY, make, real_unit, simulated_unit, stated

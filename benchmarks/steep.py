@@ -19,12 +19,12 @@ import gelform
 from accuracy.heights import DRAWN, drawn_sensor
 from accuracy.objects import OBJECTS, height_of, usual_presses
 from accuracy.real import EDGES, STEEPEST
-from gelform.confidence import SteepSlopes
-from gelform.confidence.steep import SHOWN
-from gelform.metrics import score_slopes
-from gelform.metrics.ball import ball_center
+from gelform.result.metrics import score_slopes
+from gelform.result.metrics.ball import ball_center
 from gelform.simulate import LAYOUTS
 from gelform.simulate.presets import gelsight_mini
+from gelform.slopes.confidence import SteepSlopes
+from gelform.slopes.confidence.steep import SHOWN
 from presses import data_is_missing, presses_of, unlabeled
 from real_frames.beyond import CARRIED, INNER
 from real_frames.edges import SURE

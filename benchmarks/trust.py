@@ -18,8 +18,8 @@ import numpy as np
 
 import gelform
 from gelform.calibration.report import report_content
-from gelform.frames import pixels_digest
-from gelform.metrics import angle_deg, score_slopes
+from gelform.image.frame import pixels_digest
+from gelform.result.metrics import angle_deg, score_slopes
 from gelform.simulate import LAYOUTS, SimulatedSensor, simulate_ball_presses
 from presses import DATA, data_is_missing, mini_ball, presses_of, unlabeled
 from report import command_line, parts_asked, recorded, table, write

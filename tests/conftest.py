@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform.exporters.press_folder import save_press_folder
-from gelform.frames import Frame
+from gelform.exchange.exporters.press_folder import save_press_folder
+from gelform.image.frame import Frame
 from gelform.sensors.recordings.facts import RecordingFacts
 from gelform.sensors.recordings.image_folder import FolderRecording
 from gelform.sensors.recordings.mcap_writer import McapRecording
@@ -39,13 +39,13 @@ DATA = Path(os.environ.get("GELFORM_DATA", Path(__file__).parents[2] / "shared" 
 LONGEST = (
     "test_examples.py",
     "calibration/test_fit.py",
-    "exporters/test_taxim.py",
+    "exchange/exporters/test_taxim.py",
     "cli/test_process.py",
     "live/page/",
     "robustness/",
     "calibration/",
     "cli/",
-    "streams/",
+    "sensors/streams/",
     "live/",
 )
 

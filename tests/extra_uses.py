@@ -165,7 +165,7 @@ def use_ray() -> None:
 
 
 def shown_frame():
-    from gelform.frames import Frame
+    from gelform.image.frame import Frame
     from gelform.live.shown import Shown, measures_of
     from gelform.reconstruct import Reconstructor
 
@@ -247,7 +247,7 @@ def use_mutation() -> None:
     sys.path.insert(0, str(ROOT / "benchmarks"))
     from mutants.python_code import python_mutants
 
-    assert python_mutants((ROOT / "src/gelform/anchor.py").read_text(encoding="utf-8"))
+    assert python_mutants((ROOT / "src/gelform/depth/anchor.py").read_text(encoding="utf-8"))
 
 
 def run_script(path: str, *arguments: str) -> None:

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform import color_models
 from gelform.calibration.candidates import candidates_for, color_model_names
+from gelform.slopes import color_models
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "adding-a-color-model.md"
@@ -30,7 +30,7 @@ def added(tmp_path, monkeypatch):
     path = re.search(r"This is `(src/gelform/\S+\.py)`", PAGE.read_text(encoding="utf-8"))[1]
     assert (ROOT / path).parent == Path(color_models.__file__).parent
     (tmp_path / Path(path).name).write_text(code)
-    name = f"gelform.color_models.{Path(path).stem}"
+    name = f"gelform.slopes.color_models.{Path(path).stem}"
     spec = importlib.util.spec_from_file_location(name, tmp_path / Path(path).name)
     monkeypatch.setitem(sys.modules, name, importlib.util.module_from_spec(spec))
     spec.loader.exec_module(sys.modules[name])

@@ -12,55 +12,36 @@ SOURCE = Path(gelform.__file__).parent
 TESTS = Path(__file__).parent
 ARCHITECTURE = TESTS.parent / "ARCHITECTURE.md"
 LEVELS = [
-    {"errors", "_native", "foundations"},
-    {"gradients", "metrics", "view", "frames"},
-    {"color_models", "solvers", "markers", "background", "zero"},
-    {
-        "normals",
-        "depth",
-        "depth_sigma",
-        "anchor",
-        "confidence",
-        "contact",
-        "health",
-        "calibration_file",
-        "reconstruction",
-    },
+    {"errors"},
+    {"_native"},
+    {"foundations"},
+    {"image"},
+    {"slopes"},
+    {"depth"},
+    {"calibration_file", "result"},
     {"reconstruct", "simulate"},
-    {"sensors", "calibrations", "plots", "importers", "exporters", "torch", "starters"},
-    {"calibration", "design", "streams"},
-    {"batch", "live", "robots"},
+    {"sensors", "exchange"},
+    {"calibration"},
+    {"sensors/streams"},  # begins with a starter, or with a calibration of the library
+    {"robots", "torch"},
+    {"batch", "live"},
     {"cli"},
 ]
 SHELLS = {"__main__"}  # what starts the command line
 LEVEL = {name: level for level, names in enumerate([*LEVELS, SHELLS]) for name in names}
-INNER = 4  # the last level that neither reads, prints nor draws
+INNER = 7  # the last level that neither reads, prints nor draws
 MODULES = sorted(path for path in SOURCE.rglob("*.py") if path != SOURCE / "__init__.py")
-# Whose same-level neighbors they may use, said in ARCHITECTURE.md.
-NEIGHBORS = {
-    ("_native", "errors"),
-    ("foundations", "_native"),
-    ("foundations", "errors"),
-    ("color_models", "solvers"),
-    ("calibration_file", "confidence"),
-    ("confidence", "health"),  # what a lost block is
-    ("reconstruction", "contact"),
-    ("reconstruction", "normals"),
-    ("starters", "sensors"),  # the table of makes
-    ("calibrations", "sensors"),  # which unit a camera or a recording is
-    ("design", "calibration"),
-    ("batch", "robots"),  # LeRobot's levels
-}
+CIRCULAR = {"calibration", "live", "sensors"}  # rooms whose parts import each other; their modules do not
 INNER_LIBRARIES = {"numpy", "scipy", "cv2", "gelform", "lazy_loader"}
 EXTRAS = {"mlp_training.py": {"torch"}}  # imported where it trains, an extra
-READERS = {"calibration_file", "reconstruction", "foundations", "_native"}
+READERS = {"calibration_file", "result", "foundations", "_native"}
 MAX_LINES, MAX_FILES = 450, 15
 # What is tested through what it serves: all solvers against one truth, all forms of output.
 TESTED_TOGETHER = {
     "batch/outputs/frame_files.py": "batch/outputs/test_writers.py",
-    "foundations/findings.py": "background/test_check.py",
-    "solvers/sparse.py": "solvers/test_seam.py",
-    "solvers/curl_gated.py": "solvers/test_robust.py",
+    "foundations/findings.py": "image/background/test_check.py",
+    "depth/solvers/sparse.py": "depth/solvers/test_seam.py",
+    "depth/solvers/curl_gated.py": "depth/solvers/test_robust.py",
 }
 PUBLIC = {
     alias.name: f"gelform.{node.module}"
@@ -70,9 +51,16 @@ PUBLIC = {
 }
 
 
+def room_of(module: str) -> str:
+    """The room with a level that a module (`gelform.sensors.files`) belongs to; the inner one of two."""
+    parts = module.split(".")[1:]
+    names = ["/".join(parts[:count]) for count in range(len(parts), 0, -1)]
+    return next((name for name in names if name in LEVEL), parts[0])
+
+
 def room(path: Path) -> str:
-    """The top-level module or folder that a file belongs to."""
-    return path.relative_to(SOURCE).parts[0].removesuffix(".py")
+    """The room of a file."""
+    return room_of(name_of(path))
 
 
 def name_of(path: Path) -> str:
@@ -115,9 +103,9 @@ def own(path: Path) -> set[str]:
 
 
 def test_imports_are_seen_however_they_are_written(tmp_path):
-    code = "from gelform import depth, read_image\nimport gelform.view\nfrom gelform.simulate import Ball"
+    code = "from gelform import image, read_image\nimport gelform.depth\nfrom gelform.simulate import Ball"
     (tmp_path / "a.py").write_text(f"def f():\n    {code.replace(chr(10), chr(10) + '    ')}\n")
-    wanted = {"gelform.depth", "gelform.sensors.files", "gelform.view", "gelform.simulate"}
+    wanted = {"gelform.image", "gelform.sensors.files", "gelform.depth", "gelform.simulate"}
     assert imports(tmp_path / "a.py") == wanted
 
 
@@ -126,7 +114,7 @@ def test_every_module_has_a_level_and_every_level_its_rooms():
 
 
 def test_the_document_has_the_same_levels():
-    listed = re.findall(r"^(\d) (\w+(?: \w+)*)$", ARCHITECTURE.read_text(encoding="utf-8"), re.M)
+    listed = re.findall(r"^(\d+) ([\w/]+(?: [\w/]+)*)$", ARCHITECTURE.read_text(encoding="utf-8"), re.M)
     assert [set(names.split()) for _, names in listed] == LEVELS
     assert [int(level) for level, _ in listed] == list(range(len(LEVELS)))
 
@@ -136,16 +124,9 @@ def test_imports_go_down():
         f"{path.relative_to(SOURCE)} (level {LEVEL[here]}) imports {module} (level {LEVEL[there]})"
         for path in MODULES
         for module in own(path)
-        if (here := room(path)) != (there := module.split(".")[1])
-        and LEVEL[there] >= LEVEL[here]
-        and (here, there) not in NEIGHBORS
+        if (here := room(path)) != (there := room_of(module)) and LEVEL[there] >= LEVEL[here]
     ]
     assert not upwards
-
-
-def test_every_exception_is_used():
-    used = {(room(path), module.split(".")[1]) for path in MODULES for module in own(path)}
-    assert used >= NEIGHBORS
 
 
 def test_inner_rooms_only_compute():
@@ -161,20 +142,41 @@ def test_inner_rooms_only_compute():
         assert not calls & refused, f"{path} calls {calls & refused}"
 
 
-def test_no_cycles_among_modules():
-    graph = {name_of(path): own(path) for path in MODULES}
+def circle_in(graph: dict[str, set[str]]) -> str:
+    """Names that lead from one back to itself; empty where no circle is."""
     done: set[str] = set()
 
-    def visit(name: str, above: tuple[str, ...]) -> None:
-        assert name not in above, " -> ".join((*above, name))
-        if name in done:
-            return
-        for other in graph.get(name, ()):
-            visit(other, (*above, name))
+    def visit(name: str, above: tuple[str, ...]) -> str:
+        if name in above:
+            return " -> ".join((*above[above.index(name) :], name))
+        found = (
+            ""
+            if name in done
+            else next(filter(None, (visit(n, (*above, name)) for n in graph.get(name, ()))), "")
+        )
         done.add(name)
+        return found
 
-    for name in graph:
-        visit(name, ())
+    return next(filter(None, (visit(name, ()) for name in graph)), "")
+
+
+def test_no_circles_among_modules():
+    assert not circle_in({name_of(path): own(path) for path in MODULES})
+
+
+def test_the_parts_of_a_room_import_one_way():
+    """Its files, and its folders each as one."""
+    circles = {}
+    for folder in {path.parent for path in MODULES} - {SOURCE}:
+        inside = f"gelform.{folder.relative_to(SOURCE).as_posix().replace('/', '.')}."
+        graph: dict[str, set[str]] = {}
+        for path in folder.rglob("*.py"):
+            part = name_of(path).removeprefix(inside).split(".")[0]
+            others = {m.removeprefix(inside).split(".")[0] for m in own(path) if m.startswith(inside)}
+            graph[part] = graph.get(part, set()) | others - {part}
+        circles[folder.relative_to(SOURCE).as_posix()] = circle_in(graph)
+    circular = {name: circle for name, circle in circles.items() if circle}
+    assert circular.keys() == CIRCULAR, circular
 
 
 def test_files_stay_short():

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform.frames import Frame
-from gelform.reconstruction.maps import MAPS
+from gelform.image.frame import Frame
+from gelform.image.view import View
+from gelform.result.maps import MAPS
 from gelform.simulate import Ball, Punch, simulate_press
-from gelform.view import View
 from made.dots import grid, image_of_dots
 
 FLIP_TOML = 'name = "turned"\nmm_per_px = {:.6f}\n[view]\nflip = "x"\n'

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform.solvers import SOLVERS
+from gelform.depth.solvers import SOLVERS
 from made.small_gel import (
     MM_PER_PX,
     SHAPE,

@@ -66,9 +66,12 @@ def test_a_right_wheel_has_no_problems(tmp_path, checker):
         ({"tag": "manylinux_2_1_x86_64"}, "it needs a system of"),
         ({"says": "linux_x86_64"}, "The file WHEEL says"),
         ({"leave_out": ["gelform/_native/kernels_v3.so"]}, "Expected the libraries"),
-        ({"leave_out": ["gelform/starters/digit.npz"]}, "digit.npz is missing"),
+        ({"leave_out": ["gelform/calibration/starters/digit.npz"]}, "digit.npz is missing"),
         ({"leave_out": ["gelform-1.dist-info/licenses/NOTICE"]}, "NOTICE is missing"),
-        ({"add": ["tests/test_depth.py"]}, "tests/test_depth.py does not belong in a wheel"),
+        (
+            {"add": ["tests/depth/test_integrate.py"]},
+            "tests/depth/test_integrate.py does not belong in a wheel",
+        ),
         ({"add": ["gelform/left.o"]}, "gelform/left.o does not belong in a wheel"),
     ],
 )

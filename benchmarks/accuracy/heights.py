@@ -15,7 +15,7 @@ import numpy as np
 
 import gelform
 from accuracy.objects import FACE, OBJECTS, SEED, height_of, usual_presses, walls
-from gelform.metrics import press_errors
+from gelform.result.metrics import press_errors
 from gelform.simulate import LAYOUTS, SimulatedSensor, simulate_press
 from gelform.simulate.gel.gel import Gel
 from gelform.simulate.presets import gelsight_mini

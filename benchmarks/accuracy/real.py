@@ -19,8 +19,8 @@ import numpy as np
 
 import gelform
 from gelform.calibration.coverage import COARSE, tile_of
-from gelform.metrics import press_errors, score_slopes
-from gelform.metrics.ball import ball_center
+from gelform.result.metrics import press_errors, score_slopes
+from gelform.result.metrics.ball import ball_center
 from presses import DATA, labeled, mini_ball, unlabeled
 from report import table
 

@@ -24,10 +24,10 @@ import numpy as np
 
 import gelform
 from gelform.batch import BatchSettings, verify_output
-from gelform.exporters.folders import write_png
-from gelform.exporters.press_folder import save_simulated_presses
+from gelform.depth.solvers import SOLVERS
+from gelform.exchange.exporters.folders import write_png
+from gelform.exchange.exporters.press_folder import save_simulated_presses
 from gelform.simulate import LAYOUTS, simulate_ball_presses
-from gelform.solvers import SOLVERS
 
 SHAPE, DIFFERENT = (240, 320), 40
 PER_FOLDER = 2000

@@ -13,13 +13,22 @@ from types import CodeType, FrameType
 from typing import Any
 
 SOURCE = Path(__file__).resolve().parents[2] / "src" / "gelform"
-FOLDERS = ("calibration", "confidence", "contact", "background", "color_models", "depth_sigma", "starters")
-FILES = ("anchor.py", "health.py")
+FOLDERS = (
+    "calibration",
+    "slopes/confidence",
+    "depth/contact",
+    "image/background",
+    "slopes/color_models",
+    "depth/sigma",
+)
+FILES = ("depth/anchor.py", "depth/stepped.py", "image/health.py")
 OTHER = (
     "calibration/presses",
     "calibration/geometry",
     "calibration/report/page",
     "calibration/report/content",
+    "calibration/library",
+    "calibration/design",
 )
 NOT_TUNED = ("BYTES", "VERSION", "WORDS", "DIGEST", "COLUMNS", "NAMED")
 Line = tuple[str, int]

@@ -12,10 +12,10 @@ from pathlib import Path
 
 import numpy as np
 
-from gelform.background.average import noise_from_image
 from gelform.calibration.fit import calibrate
 from gelform.calibration.presses.press_set import presses_from_simulated
 from gelform.calibration_file import load_calibration
+from gelform.image.background.average import noise_from_image
 from gelform.live.simulated.ready import SHIPPED, simulated_presses
 from gelform.sensors.simulated.settings import simulated_sensor_named
 from gelform.sensors.source import DEFAULT_SENSOR

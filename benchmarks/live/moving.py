@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from gelform.frames import Frame
+from gelform.image.frame import Frame
 from gelform.live.simulated.ready import ready_calibration
 from gelform.sensors import simulated_sensor_named
 from gelform.sensors.recordings.facts import RecordingFacts

@@ -17,7 +17,7 @@ import numpy as np
 
 import gelform
 from gelform.calibration.presses.press_set import presses_from_simulated
-from gelform.frames import Frame
+from gelform.image.frame import Frame
 from gelform.sensors import simulated_sensor_named
 from gelform.sensors.recordings.facts import RecordingFacts
 from gelform.sensors.recordings.image_folder import FolderRecording

@@ -16,8 +16,8 @@ import gelform
 from accuracy.real import EDGES, STEEPEST
 from gelform.calibration.circles.samples import PreparedPress
 from gelform.calibration.held_out.measure import HeldOutSample
-from gelform.metrics import score_slopes
-from gelform.metrics.ball import ball_center
+from gelform.result.metrics import score_slopes
+from gelform.result.metrics.ball import ball_center
 from presses import unlabeled
 from real_frames.edges import SURE
 from real_frames.sets import Run, percent

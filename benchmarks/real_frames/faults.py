@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 import gelform
-from gelform.health import FrameHealth
+from gelform.image.health import FrameHealth
 from presses import DATA
 from real_frames.contacts import OBJECTS, UNTOUCHED
 from real_frames.sets import MINIS, Run, background_of, percent

@@ -12,8 +12,8 @@ from typing import Any, TypeVar
 import numpy as np
 
 import gelform
-from gelform.starters import load_starter
-from gelform.starters.starter import starter_from_calibration
+from gelform.calibration.starters import load_starter
+from gelform.calibration.starters.starter import starter_from_calibration
 from presses import DATA, labeled, mini_ball, presses_of, unlabeled
 
 SETS = ("mini-ball", "digit-ball", "gelslim", "mini-d", "gelslim-dots", "gelsight-ball-deep")
@@ -25,7 +25,7 @@ ROOT = Path(gelform.__file__).parent
 NATIVE = ROOT.parents[1] / "native"
 # What a calibration follows from; a cached one is used again while none of these files changes.
 SOURCES = (
-    "calibration", "color_models", "confidence", "background", "starters", "calibration_file.py", "anchor.py",
+    "calibration", "slopes/color_models", "slopes/confidence", "image/background", "calibration_file.py", "depth/anchor.py",
 )  # fmt: skip
 T = TypeVar("T")
 

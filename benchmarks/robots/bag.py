@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from gelform.exporters.surface import points_from_result
-from gelform.frames import Frame
+from gelform.exchange.exporters.surface import points_from_result
+from gelform.image.frame import Frame
 from gelform.reconstruct import Reconstructor
-from gelform.reconstruction import Reconstruction
+from gelform.result import Reconstruction
 from gelform.robots.bag_file import BagFile
 from gelform.robots.topics import TOPICS
 from gelform.simulate import LAYOUTS, Ball, Pose, simulate_ball_presses, simulate_pose
@@ -33,7 +33,7 @@ def reconstructor() -> Reconstructor:
     """A Reconstructor of a simulated sensor of 240x320."""
     from gelform.calibration.fit import calibrate
     from gelform.calibration.presses.folder import read_presses
-    from gelform.exporters.press_folder import save_simulated_presses
+    from gelform.exchange.exporters.press_folder import save_simulated_presses
 
     rng = np.random.default_rng(0)
     made = simulate_ball_presses(SENSOR, ball_diameters_mm=[5, 8], count=10, rng=rng, oversample=1)

@@ -15,9 +15,9 @@ import cv2
 import numpy as np
 
 import gelform
-from gelform.background.change import image_from_color_change
-from gelform.exporters.taxim import save_taxim
-from gelform.metrics.ball import ball_gradients
+from gelform.exchange.exporters.taxim import save_taxim
+from gelform.image.background.change import image_from_color_change
+from gelform.result.metrics.ball import ball_gradients
 from presses import DATA, Circle, by_name, reference_circles
 
 INSIDE = 0.75  # fraction of the contact's radius

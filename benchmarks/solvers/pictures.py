@@ -14,7 +14,7 @@ import numpy as np
 from scipy.fft import dctn, idctn
 
 import gelform
-from gelform.solvers import SOLVERS, RobustSolver
+from gelform.depth.solvers import SOLVERS, RobustSolver
 from scenes import BALL, BALLS, MM_PER_PX, SHAPE, rmse_um, scene, with_noise, with_outliers
 from solvers.naive_integrators import NAIVE, depth_along_lines
 from solvers.times import ratio

@@ -21,19 +21,24 @@ from gelform.calibration.circles.locate import locate
 from gelform.calibration.circles.prepare import ColorChanges, prepared_by_offset
 from gelform.calibration.circles.samples import PreparedPress, contact_samples, joined, with_rest_samples
 from gelform.calibration.held_out.sigma import gain_of
-from gelform.color_models import ForwardResponse, HierarchicalModel, Samples
-from gelform.color_models._shared.least_squares import at_pixels, interpolation
-from gelform.color_models.forward_response import RIDGES
-from gelform.color_models.stepped import FrameDepth
-from gelform.metrics import score_slopes
-from gelform.metrics.ball import ball_center, ball_gradients
+from gelform.calibration.starters.light import (
+    gain_between,
+    levels_from_light,
+    light_from_background,
+    pixel_places,
+)
+from gelform.calibration.starters.starter import Starter, starter_from_calibration
+from gelform.depth.stepped import FrameDepth
+from gelform.result.metrics import score_slopes
+from gelform.result.metrics.ball import ball_center, ball_gradients
 from gelform.simulate import LAYOUTS, SimulatedSensor, simulate_ball_presses
 from gelform.simulate.render import exposed
-from gelform.starters.light import gain_between, levels_from_light, light_from_background, pixel_places
-from gelform.starters.starter import Starter, starter_from_calibration
+from gelform.slopes.color_models import ForwardResponse, HierarchicalModel, Samples
+from gelform.slopes.color_models._shared.least_squares import at_pixels, interpolation
+from gelform.slopes.color_models.forward_response import RIDGES
 from presses import DATA, presses_of, unlabeled, with_circles
 
-FOLDER = Path(gelform.__file__).parent / "starters"
+FOLDER = Path(gelform.__file__).parent / "calibration" / "starters"
 RIDGE = 1e-3  # strength of that regularization: the middle one of the values that calibration tries
 # There are no presses of a second DIGIT. Spread of slopes: another unit's ball was read 10 % too large. The ratio of color
 # variances (see `color_variance`) is that of the two Minis before their places were equal in mm.

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 import gelform
-from gelform.streams import Stream
+from gelform.sensors.streams import Stream
 
 RATE_HZ, CONSUMER_HZ = 60, 5
 WARM_S = 3.0  # s in which the first frames load and warm up

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 import gelform
+from gelform.sensors.streams.memory import Memory
 from gelform.simulate import SimulatedSensor
-from gelform.streams.memory import Memory
 from stream.slow_gel import SlowGel, Touch
 
 STEP_S = 1.0  # between simulated frames

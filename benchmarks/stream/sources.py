@@ -17,10 +17,10 @@ import cv2
 import numpy as np
 
 import gelform
+from gelform.image.view import View
 from gelform.sensors.grabber import Grabber
 from gelform.sensors.simulated.settings import simulated_sensor_named
 from gelform.sensors.simulated.source import SimulatedSource
-from gelform.view import View
 from stream.ffmpeg_camera import FFMPEG, FfmpegCamera
 from stream.rates import resident_mb
 

@@ -14,12 +14,12 @@ import gelform
 STUB = Path(gelform.__file__).with_name("__init__.pyi")
 IMPORT = re.compile(r"^from \.([\w.]+) import (\w+) as \w+$", re.MULTILINE)
 PAGES = {
-    "frames": ("Frames and views", "sensors frames view lens"),
-    "color": ("Background and color change", "background markers"),
-    "path": ("Normals, gradients, depth", "normals gradients depth depth_sigma contact"),
-    "calibration": ("Calibration", "calibration starters importers calibration_file"),
-    "results": ("Results", "reconstruct reconstruction plots metrics exporters"),
-    "streams": ("Streams", "streams"),
+    "frames": ("Frames and views", "sensors image"),
+    "color": ("Background and color change", "image.background image.markers"),
+    "path": ("Normals, gradients, depth", "slopes depth"),
+    "calibration": ("Calibration", "calibration exchange.importers calibration_file"),
+    "results": ("Results", "reconstruct result exchange"),
+    "streams": ("Streams", "sensors.streams"),
     "errors": ("Errors", "errors"),
 }
 INTRODUCTION = """# Python interface
@@ -29,13 +29,13 @@ Shapes are (rows, columns, channels), and [conventions](../docs/conventions.md) 
 """
 ROOMS = {
     "gelform.simulate": "The simulator",
-    "gelform.design": "Comparing designs",
+    "gelform.calibration.design": "Comparing designs",
     "gelform.batch": "Data sets",
     "gelform.robots": "Robots",
     "gelform.torch": "PyTorch",
     "gelform.sensors": "Cameras and recordings",
-    "gelform.calibrations": "The library of calibrations",
-    "gelform.metrics": "Measures of error and surface",
+    "gelform.calibration.library": "The library of calibrations",
+    "gelform.result.metrics": "Measures of error and surface",
 }
 
 
@@ -43,12 +43,11 @@ def write_reference(folder: Path) -> None:
     """One page for each part of the path, one for each subpackage that users import. They are read without torch."""
     folder.mkdir(parents=True)
     names = IMPORT.findall(STUB.read_text(encoding="utf-8"))
-    known = " ".join(rooms for _, rooms in PAGES.values()).split()
-    if other := [name for module, name in names if module.split(".")[0] not in known]:
+    if other := [name for module, name in names if _page_of(module) is None]:
         raise SystemExit(f"Expected a page of PAGES in {__file__} for each name, found none for {other}.")
     with mock(["torch"]):
-        for page, (title, rooms) in PAGES.items():
-            its = [name for module, name in names if module.split(".")[0] in rooms.split()]
+        for page, (title, _) in PAGES.items():
+            its = [name for module, name in names if _page_of(module) == page]
             _write(folder / f"{page}.md", title, "gelform", its)
         for module, title in ROOMS.items():
             room = importlib.import_module(module)
@@ -57,6 +56,13 @@ def write_reference(folder: Path) -> None:
     listed = "\n".join([*PAGES, *ROOMS])
     text = f"{INTRODUCTION}\n```{{toctree}}\n:maxdepth: 2\n\n{listed}\n```\n"
     (folder / "index.md").write_text(text, encoding="utf-8")
+
+
+def _page_of(module: str) -> str | None:
+    """The page with the longest of the rooms that a module is in."""
+    rooms = {room: page for page, (_, rooms) in PAGES.items() for room in rooms.split()}
+    its = [room for room in rooms if f"{module}.".startswith(f"{room}.")]
+    return rooms[max(its, key=len)] if its else None
 
 
 def _write(path: Path, title: str, module: str, names: list[str]) -> None:

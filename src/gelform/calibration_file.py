@@ -11,10 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.background.change import ChangeSettings
-from gelform.background.check import background_digest
-from gelform.color_models import COLOR_MODELS, IMPORTED_MODELS, ColorModel, ForwardResponse
-from gelform.confidence import SlopeSigma
 from gelform.errors import CalibrationError
 from gelform.foundations.checks import (
     check_gel_thickness,
@@ -26,7 +22,11 @@ from gelform.foundations.checks import (
 )
 from gelform.foundations.findings import Finding
 from gelform.foundations.npz_files import digest_of, read_npz, write_npz
-from gelform.view import View
+from gelform.image.background.change import ChangeSettings
+from gelform.image.background.check import background_digest
+from gelform.image.view import View
+from gelform.slopes.color_models import COLOR_MODELS, IMPORTED_MODELS, ColorModel, ForwardResponse
+from gelform.slopes.confidence import SlopeSigma
 
 KIND = "gelform calibration"
 FORMAT_VERSION = 1

@@ -12,14 +12,28 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gelform.anchor import RestAnchor
-from gelform.background.change import PreparedBackground
-from gelform.background.check import background_digest, check_own_background
-from gelform.background.untouched import Reference, reference_from_color_change
 from gelform.calibration_file import Calibration, as_calibration
-from gelform.color_models.seam import AlbedoModel, gradients_from_pending
-from gelform.color_models.stepped import SteppedSlopes
-from gelform.confidence import (
+from gelform.depth.anchor import RestAnchor
+from gelform.depth.contact import PreparedContact, SlopeDeviations, unknown_contact
+from gelform.depth.integrate import Integration, integrate_unchecked
+from gelform.depth.sigma.missing import MissingDepth
+from gelform.depth.sigma.sigma import DepthDifference, DepthSigma, add_in_proportion, checked_sigma
+from gelform.depth.solvers.inputs import checked_solver, takes_weights
+from gelform.depth.stepped import SteppedSlopes
+from gelform.errors import GelformError
+from gelform.foundations.checks import check_image
+from gelform.foundations.findings import Finding
+from gelform.foundations.pool import Pool, keep_freed_memory
+from gelform.image.background.change import PreparedBackground
+from gelform.image.background.check import background_digest, check_own_background
+from gelform.image.background.untouched import Reference, reference_from_color_change
+from gelform.image.frame import Frame, as_levels, check_viewed_image, whole_levels
+from gelform.image.health import DepthLimit, FrameFaults, FrameHealth, check_untouched_image
+from gelform.image.markers import MarkerFlow, MarkerFollower
+from gelform.image.view import image_from_frame
+from gelform.result import Reconstruction
+from gelform.slopes.color_models.seam import AlbedoModel, gradients_from_pending
+from gelform.slopes.confidence import (
     AllAlike,
     ClippedChannels,
     Explanation,
@@ -34,22 +48,8 @@ from gelform.confidence import (
     with_model_sigma,
     with_steep,
 )
-from gelform.confidence.causes import either, outside_of_gel
-from gelform.contact import PreparedContact, SlopeDeviations, unknown_contact
-from gelform.depth import Integration, integrate_unchecked
-from gelform.depth_sigma.missing import MissingDepth
-from gelform.depth_sigma.sigma import DepthDifference, DepthSigma, add_in_proportion, checked_sigma
-from gelform.errors import GelformError
-from gelform.foundations.checks import check_image
-from gelform.foundations.findings import Finding
-from gelform.foundations.pool import Pool, keep_freed_memory
-from gelform.frames import Frame, as_levels, check_viewed_image, whole_levels
-from gelform.gradients import slopes_of_solution
-from gelform.health import DepthLimit, FrameFaults, FrameHealth, check_untouched_image
-from gelform.markers import MarkerFlow, MarkerFollower
-from gelform.reconstruction import Reconstruction
-from gelform.solvers.inputs import checked_solver, takes_weights
-from gelform.view import image_from_frame
+from gelform.slopes.confidence.causes import either, outside_of_gel
+from gelform.slopes.gradients import slopes_of_solution
 
 # Values for an imported calibration without its own; they affect the contact mask and the anchor, but no slope.
 USUAL_WIDTH_MM = 20.0  # mm, width of the frame on the gel; about that of a GelSight Mini
@@ -177,7 +177,7 @@ class Reconstructor:
     background : (H, W, 3), 0-255, optional
         Today's background image; the calibration's own by default. It is an image of the calibrated size;
         `image_from_frame(frame, calibration.view)` makes one of a frame.
-    solver : "auto" or a name in `gelform.solvers.SOLVERS`
+    solver : "auto" or a name in `gelform.depth.solvers.SOLVERS`
         "auto" is `multigrid`. Solvers that treat all slopes alike (`dct`, `dct4`) use neither weights nor anchor.
     depth_sigma : whether results have `depth_sigma_mm`; without it a frame takes a quarter less time
     slope_sigma : whether results have `gradients_sigma` and the confidence that follows from it. False needs a solver that

@@ -21,7 +21,10 @@ from gelform._native.sources import (
 )
 
 pytestmark = pytest.mark.skipif(native_folder() is None, reason="gelform is installed without its C sources")
-A_KERNEL = "import numpy; from gelform.gradients import fill_unknown; fill_unknown(numpy.ones((9, 9, 1)), numpy.eye(9) > 0)"
+A_KERNEL = (
+    "import numpy; from gelform.foundations.fill import fill_unknown;"
+    " fill_unknown(numpy.ones((9, 9, 1)), numpy.eye(9) > 0)"
+)
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +61,7 @@ def test_every_change_of_the_sources_counts(tmp_path):
 
 def test_a_library_left_over_from_other_sources_is_refused(checkout):
     assert called_in(checkout).returncode == 0
-    source = checkout / "native/gradients/fill.c"
+    source = checkout / "native/foundations/fill.c"
     source.write_text(source.read_text().replace("ptrdiff_t h", "int32_t more, ptrdiff_t h", 1))
     ran = called_in(checkout)
     assert ran.returncode == 1

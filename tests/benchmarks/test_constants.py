@@ -7,13 +7,13 @@ import pytest
 
 from constants.changed import SOURCE, ChangedModule, Constant, Executed, constants, lines_with
 from gelform import foundations
-from gelform.contact import contact_from_depth, pressure
+from gelform.depth.contact import contact_from_depth, pressure
 
 
 def test_constants_are_found_with_their_values():
     found = {one.label: one.value for one in constants()}
-    assert found["contact/pressure.py FINER"] == pressure.FINER
-    assert found["contact/pressure.py MIN_AREA_MM2"] == pressure.MIN_AREA_MM2
+    assert found["depth/contact/pressure.py FINER"] == pressure.FINER
+    assert found["depth/contact/pressure.py MIN_AREA_MM2"] == pressure.MIN_AREA_MM2
     assert not any("BYTES" in label or label.startswith("live") for label in found)
 
 
@@ -21,7 +21,7 @@ def test_constants_are_found_with_their_values():
     ("name", "factor", "value"), [("SIGMAS_OF_DEPTH", 2.0, 4.0), ("MIN_AREA_MM2", 0.5, 0.025)]
 )
 def test_a_constant_is_changed_in_its_text_alone(name, factor, value):
-    (one,) = (c for c in constants() if c.label == f"contact/pressure.py {name}")
+    (one,) = (c for c in constants() if c.label == f"depth/contact/pressure.py {name}")
     changed, text = one.changed(factor)
     space: dict = {}
     exec(compile(text, "contact", "exec"), space)
@@ -30,8 +30,8 @@ def test_a_constant_is_changed_in_its_text_alone(name, factor, value):
 
 
 def test_a_whole_number_stays_one_and_moves():
-    assert [Constant("health.py", "ONE", 1, 0, 0, 1).changed(f)[0] for f in (2.0, 0.5)] == [2, 0]
-    assert [Constant("health.py", "FIVE", 5, 0, 0, 1).changed(f)[0] for f in (2.0, 0.5)] == [10, 2]
+    assert [Constant("image/health.py", "ONE", 1, 0, 0, 1).changed(f)[0] for f in (2.0, 0.5)] == [2, 0]
+    assert [Constant("image/health.py", "FIVE", 5, 0, 0, 1).changed(f)[0] for f in (2.0, 0.5)] == [10, 2]
 
 
 def test_a_changed_module_is_what_everyone_imports(monkeypatch):
@@ -54,4 +54,7 @@ def test_what_is_read_is_noticed():
     executed.start()
     contact_from_depth([[0.0] * 9] * 9, mm_per_px=1.0)
     sys.settrace(None)
-    assert {"contact/pressure.py LEAST_NOISE", "contact/pressure.py FRACTION_AT_REST"} <= executed.labels
+    assert {
+        "depth/contact/pressure.py LEAST_NOISE",
+        "depth/contact/pressure.py FRACTION_AT_REST",
+    } <= executed.labels

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gelform.depth import depth_from_gradients
+from gelform.depth.integrate import depth_from_gradients
 from scenes import BALLS, PLANE, QUADRATIC, polynomial, rmse_um, scene, waves
 from solvers.naive_integrators import depth_along_lines, depth_periodic, depth_zero_border
 

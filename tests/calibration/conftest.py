@@ -12,7 +12,7 @@ from gelform.calibration.held_out.scores import HeldOutPresses
 from gelform.calibration.report.content import report_content
 from gelform.calibration.report.learning import learning_curve
 from gelform.calibration.report.page.page import report_page
-from gelform.metrics.ball import ball_gradients
+from gelform.result.metrics.ball import ball_gradients
 
 
 @pytest.fixture(scope="session")

@@ -11,10 +11,10 @@ from gelform.calibration.candidates import Start, starter_start
 from gelform.calibration.circles.locate import locate
 from gelform.calibration.presses.press_set import presses_from_simulated
 from gelform.calibration.report.content import report_content
+from gelform.calibration.starters.starter import starter_from_calibration
 from gelform.errors import CalibrationError
-from gelform.metrics.ball import ball_gradients, radius_from_gradients
+from gelform.result.metrics.ball import ball_gradients, radius_from_gradients
 from gelform.simulate import simulate_ball_presses
-from gelform.starters.starter import starter_from_calibration
 
 SPREAD = 0.05
 

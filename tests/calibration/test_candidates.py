@@ -23,11 +23,11 @@ from gelform.calibration.candidates import (
     translated,
 )
 from gelform.calibration.circles.samples import ZONE, PreparedPress
-from gelform.color_models import COLOR_MODELS, HierarchicalModel, hierarchical
-from gelform.color_models.forward_response import RIDGES
 from gelform.errors import CalibrationError
 from gelform.reconstruct import Reconstructor
 from gelform.simulate import Ball, simulate_press
+from gelform.slopes.color_models import COLOR_MODELS, HierarchicalModel, hierarchical
+from gelform.slopes.color_models.forward_response import RIDGES
 from made.color_samples import ball_samples, lambertian_change
 
 

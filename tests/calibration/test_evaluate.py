@@ -8,8 +8,8 @@ import pytest
 import gelform
 from gelform.calibration.evaluate import face_height_mm
 from gelform.calibration.presses.press_set import FlatPress
+from gelform.image.view import View
 from gelform.simulate import Punch, simulate_press
-from gelform.view import View
 
 
 def test_seen_presses_are_counted(calibration, presses):

@@ -11,9 +11,9 @@ from gelform.calibration.circles.edge import contact_radius_ratio
 from gelform.calibration.circles.find import ContactCircle
 from gelform.calibration.circles.locate import Located, Refined, check_places, refine
 from gelform.calibration.circles.samples import USUAL_EDGE
-from gelform.color_models import COLOR_MODELS
-from gelform.metrics import press_errors
+from gelform.result.metrics import press_errors
 from gelform.simulate import Ball, simulate_ball_presses, simulate_press
+from gelform.slopes.color_models import COLOR_MODELS
 
 
 def test_held_out_errors_are_those_of_new_presses(calibration, simulated):

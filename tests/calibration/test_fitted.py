@@ -19,10 +19,10 @@ from gelform.calibration.fitted import (
     slopes_around,
     untouched_change,
 )
-from gelform.color_models.forward_response import RIDGES
 from gelform.simulate import LAYOUTS, Ball
 from gelform.simulate.gel.ball_press import ball_press
 from gelform.simulate.gel.gel import surface_from_indenter
+from gelform.slopes.color_models.forward_response import RIDGES
 
 
 class Change:

@@ -9,7 +9,7 @@ import pytest
 from gelform.calibration.fit import calibrate
 from gelform.calibration.presses.folder import read_presses
 from gelform.cli import main
-from gelform.exporters.press_folder import save_simulated_presses
+from gelform.exchange.exporters.press_folder import save_simulated_presses
 from gelform.simulate import LAYOUTS, simulate_ball_presses
 from made.networks import web_file
 

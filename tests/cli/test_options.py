@@ -44,11 +44,11 @@ def test_a_number_that_no_sensor_or_ball_has_is_said(fails, press_folder, tmp_pa
 
 
 def test_the_names_are_those_of_the_tables():
-    from gelform.color_models import COLOR_MODELS
-    from gelform.importers.calibrations import PACKAGES
+    from gelform.calibration.starters import starter_names
+    from gelform.exchange.importers.calibrations import PACKAGES
     from gelform.sensors.profiles import SENSORS
     from gelform.simulate import LAYOUTS
-    from gelform.starters import starter_names
+    from gelform.slopes.color_models import COLOR_MODELS
 
     assert tuple(starter_names()) == options.STARTERS
     assert tuple(COLOR_MODELS) == options.COLOR_MODELS
@@ -67,9 +67,9 @@ def test_the_help_names_them_all_as_a_sentence(run):
 
 def test_a_table_that_is_none_is_said():
     with pytest.raises(LookupError, match="Expected a dict THEM"):
-        options.names_in("color_models/__init__.py", "THEM")
+        options.names_in("slopes/color_models/__init__.py", "THEM")
     with pytest.raises(LookupError, match="keys written out"):
-        options.names_in("color_models/__init__.py", "__all__")
+        options.names_in("slopes/color_models/__init__.py", "__all__")
 
 
 def test_an_options_names_are_found_on_python_3_10():

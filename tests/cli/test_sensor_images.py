@@ -6,7 +6,7 @@ import pytest
 from gelform.calibration_file import load_calibration
 from gelform.cli.sensor_images import background_in, image_in, reconstruction_of
 from gelform.errors import CalibrationError, DataError
-from gelform.plots.canvas import save_picture
+from gelform.exchange.plots.canvas import save_picture
 from gelform.reconstruct import Reconstructor
 
 

@@ -15,7 +15,7 @@ from versions import write_versions
 ROOT = Path(__file__).parents[2]
 LINKS = {
     "[`calibrate`](../src/gelform/calibration/fit.py)": "{py:obj}`calibrate <gelform.calibrate>`",
-    "[`zero_region`](../src/gelform/zero.py)": "`zero_region`",
+    "[`zero_region`](../src/gelform/depth/zero.py)": "`zero_region`",
     "[a](tutorial.md#x)": "[a](tutorial.md#x)",
     "[b](../tests)": "b",
     "[c](../examples/03_stream.py)": "[c](../examples/03_stream.md)",
@@ -27,7 +27,7 @@ LINKS = {
 WRONG = {
     "[a](gone.md)": "leads nowhere: gone.md",
     "[b](../tests/gone)": "leads nowhere: ../tests/gone",
-    "[`lost`](../src/gelform/depth.py)": "defines no lost",
+    "[`lost`](../src/gelform/depth/integrate.py)": "defines no lost",
 }
 
 

@@ -8,6 +8,7 @@ from hypothesis.extra import numpy as hnp
 
 from gelform.foundations import checks
 from gelform.foundations.checks import (
+    HIGHEST_SLOPE,
     as_array,
     check_gradients,
     check_image,
@@ -21,10 +22,11 @@ from gelform.foundations.checks import (
     check_path,
     check_positive,
     check_sensor_pitch,
+    check_slopes,
     check_values,
     check_within,
 )
-from gelform.view import View
+from gelform.image.view import View
 from kernel_agreement import assert_kernel_agrees
 
 IMAGE = np.full((4, 5, 3), 100, dtype=np.uint8)
@@ -237,3 +239,12 @@ def test_points():
 def test_what_is_no_point(values, error, said):
     with pytest.raises(error, match=said):
         check_numbers(values, "center", 2)
+
+
+def test_slopes_that_float32_cannot_square_are_refused():
+    slopes = np.zeros((2, 3, 2), dtype=np.float32)
+    slopes[1, 2, 0] = -HIGHEST_SLOPE
+    check_slopes(slopes)
+    slopes[1, 2, 0] *= 2
+    with pytest.raises(ValueError, match=r"slopes up to 1e\+15 mm/mm, got 2\.0e\+15"):
+        check_slopes(slopes)

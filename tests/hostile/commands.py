@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 
 import gelform
-from gelform.exporters.press_folder import save_press_folder
-from gelform.starters import load_starter
+from gelform.calibration.starters import load_starter
+from gelform.exchange.exporters.press_folder import save_press_folder
 from made.networks import web_file
 from made.small_gel import MM_PER_PX, Touch, background, calibration, image_of, save
 
 PLACES = [(x, y) for y in (20, 32, 44) for x in (20, 40, 60)]
 WRITE_NOTHING = ("evaluate", "info", "cameras", "verify")
-LIBRARY = ("calibrations",)  # which writes into the user's folder: tests/calibrations
+LIBRARY = ("calibrations",)  # which writes into the user's folder: tests/calibration/library
 SERVERS = ("live", "ros")  # live writes when the page asks for it: tests/live
 
 

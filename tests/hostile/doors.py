@@ -10,19 +10,19 @@ from typing import Any
 import numpy as np
 
 import gelform
-from gelform.background.change import ChangeSettings, image_from_color_change
-from gelform.background.exposure import exposure_from_image
 from gelform.calibration.presses.folder import with_crosstalk, with_view
-from gelform.contact import contacts_from_mask
-from gelform.depth import edge_residuals
-from gelform.exporters.press_folder import save_press_folder
-from gelform.gradients import fill_unknown
-from gelform.markers.follower import MarkerFollower
-from gelform.metrics import press_errors
-from gelform.plots.canvas import save_picture
+from gelform.calibration.starters import load_starter
+from gelform.depth.contact import contacts_from_mask
+from gelform.depth.integrate import edge_residuals
+from gelform.exchange.exporters.press_folder import save_press_folder
+from gelform.exchange.plots.canvas import save_picture
+from gelform.foundations.fill import fill_unknown
+from gelform.image.background.change import ChangeSettings, image_from_color_change
+from gelform.image.background.exposure import exposure_from_image
+from gelform.image.markers.follower import MarkerFollower
+from gelform.image.view import Lens, frame_from_image
+from gelform.result.metrics import press_errors
 from gelform.sensors.files import read_background
-from gelform.starters import load_starter
-from gelform.view import Lens, frame_from_image
 from made.small_gel import LIGHTS, MM_PER_PX, SHAPE, Touch, background, calibration, depth_of, image_of
 
 PLACE = tempfile.TemporaryDirectory(prefix="gelform-doors-")

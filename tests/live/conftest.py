@@ -6,7 +6,7 @@ import threading
 
 import pytest
 
-from gelform.frames import Frame
+from gelform.image.frame import Frame
 from gelform.live.hub import Hub
 from gelform.live.lists import Calibrations, Origin
 from gelform.live.setup import Setup

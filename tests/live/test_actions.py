@@ -9,7 +9,7 @@ import pytest
 
 import gelform
 from gelform.errors import GelformError
-from gelform.frames import Frame
+from gelform.image.frame import Frame
 from gelform.live import actions
 from gelform.live.setup import Setup
 from gelform.live.start import Options, start

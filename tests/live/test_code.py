@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 
 import gelform
 from gelform.errors import GelformError
+from gelform.exchange.plots.canvas import save_picture
 from gelform.live.code import TITLES, Situation, code_of
 from gelform.live.lists import Origin
 from gelform.live.player import ReplayedFrame
@@ -18,7 +19,6 @@ from gelform.live.setup import Setup
 from gelform.live.shown import Shown, measures_of
 from gelform.live.snapshots import FILES
 from gelform.live.start import Options, start
-from gelform.plots.canvas import save_picture
 from live_waiting import until
 
 MINE = Origin("gelform.load_calibration('mine.npz')", (), Path("mine.npz"))

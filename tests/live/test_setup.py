@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gelform.errors import CalibrationError
-from gelform.frames import Frame
+from gelform.image.frame import Frame
 from gelform.live.setup import Setup
 from gelform.reconstruct import Reconstructor
 from gelform.simulate import simulate_background

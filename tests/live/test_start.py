@@ -12,11 +12,11 @@ from pathlib import Path
 import pytest
 from websockets.sync.client import connect
 
+from gelform.calibration.library.library import add_calibration
 from gelform.calibration_file import load_calibration
-from gelform.calibrations.library import add_calibration
 from gelform.errors import CalibrationError, DataError
+from gelform.exchange.plots.canvas import save_picture
 from gelform.live.start import Options, start
-from gelform.plots.canvas import save_picture
 from gelform.sensors.cameras import camera as plugged_in
 from gelform.sensors.cameras.camera import Camera
 from live_waiting import until

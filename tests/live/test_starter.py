@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 import gelform
+from gelform.calibration.starters import load_starter
 from gelform.errors import GelformError
 from gelform.live import actions
 from gelform.live.hub import Hub
 from gelform.live.start import Options, start
 from gelform.live.station import Station
-from gelform.starters import load_starter
 from live_waiting import until
 from made.sources import ImageSource
 
@@ -108,7 +108,7 @@ def test_the_guide_takes_its_scale(never):
 
 
 def test_what_python_says_makes_it_again(never, tmp_path):
-    from gelform.plots.canvas import save_picture
+    from gelform.exchange.plots.canvas import save_picture
 
     hub, _ = never
     actions.take_starter(hub, 0, MAKE)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gelform.errors import SensorError, SourceLostError
-from gelform.frames import Frame
+from gelform.image.frame import Frame
 from gelform.live.recorder import Recorder
 from gelform.live.setup import Setup
 from gelform.live.station import UNWATCHED_S, Station

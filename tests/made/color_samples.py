@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from gelform.color_models import Samples
+from gelform.slopes.color_models import Samples
 
 SHAPE = (48, 64)
 LIGHTS = np.array([[0.8, 0.1, 0.9], [-0.5, 0.6, 0.8], [-0.2, -0.9, 1.1]])

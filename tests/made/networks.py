@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from gelform.color_models._shared.layers import Layers
+from gelform.slopes.color_models._shared.layers import Layers
 
 
 def torch_file(path, arrays, *, nested=False):

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from gelform.frames import Frame
+from gelform.image.frame import Frame
 from gelform.sensors.playback import Playback
 from gelform.sensors.recordings.facts import RecordingFacts
 from gelform.sensors.recordings.image_folder import FolderRecording

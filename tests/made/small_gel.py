@@ -9,13 +9,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from gelform.background.change import ChangeSettings
 from gelform.calibration_file import Calibration
-from gelform.color_models._shared.least_squares import monomial_products, monomials, node_positions
-from gelform.color_models.forward_response import TERMS, ForwardResponse, normal_terms
-from gelform.color_models.lambertian import LambertianModel
-from gelform.confidence import SlopeSigma
-from gelform.view import View
+from gelform.image.background.change import ChangeSettings
+from gelform.image.view import View
+from gelform.slopes.color_models._shared.least_squares import monomial_products, monomials, node_positions
+from gelform.slopes.color_models.forward_response import TERMS, ForwardResponse, normal_terms
+from gelform.slopes.color_models.lambertian import LambertianModel
+from gelform.slopes.confidence import SlopeSigma
 
 SHAPE = (64, 80)
 MM_PER_PX = 0.1

@@ -2,7 +2,7 @@
 
 import time
 
-from gelform.frames import Frame
+from gelform.image.frame import Frame
 
 
 class ImageSource:

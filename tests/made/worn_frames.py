@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from gelform.frames import as_levels
-from gelform.health import Blocks, blocks_from_image
+from gelform.image.frame import as_levels
+from gelform.image.health import Blocks, blocks_from_image
 
 SHAPE = (96, 128)
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gelform.background.change import ChangeSettings, PreparedBackground
+from gelform.image.background.change import ChangeSettings, PreparedBackground
 
 torch = pytest.importorskip("torch", reason="needs the extra 'torch'")
 from gelform.torch.color_change import ColorChange  # noqa: E402

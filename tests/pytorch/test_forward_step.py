@@ -4,10 +4,10 @@ import cv2
 import numpy as np
 import pytest
 
-from gelform.color_models import stepped
-from gelform.color_models._shared.least_squares import node_positions
-from gelform.color_models.forward_response import CLIPPED_STEP_SIGMA, TERMS, ForwardResponse
-from gelform.color_models.stepped import SteppedSlopes
+from gelform.depth import stepped
+from gelform.depth.stepped import SteppedSlopes
+from gelform.slopes.color_models._shared.least_squares import node_positions
+from gelform.slopes.color_models.forward_response import CLIPPED_STEP_SIGMA, TERMS, ForwardResponse
 
 torch = pytest.importorskip("torch", reason="needs the extra 'torch'")
 

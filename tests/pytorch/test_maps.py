@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from gelform.depth.solvers.dct import DctSolver
 from gelform.foundations.filters import medians_where as by_kernel
-from gelform.solvers.dct import DctSolver
 
 torch = pytest.importorskip("torch", reason="needs the extra 'torch'")
 

@@ -5,8 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from gelform.color_models import HierarchicalModel, LambertianModel, NearLightModel
 from gelform.errors import CalibrationError
+from gelform.slopes.color_models import HierarchicalModel, LambertianModel, NearLightModel
 
 torch = pytest.importorskip("torch", reason="needs the extra 'torch'")
 from gelform.torch.slopes import gradients_module  # noqa: E402

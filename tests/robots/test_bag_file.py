@@ -10,8 +10,8 @@ import pytest
 
 from gelform.errors import DataError
 from gelform.foundations.findings import Finding
-from gelform.frames import Frame
-from gelform.reconstruction import Reconstruction
+from gelform.image.frame import Frame
+from gelform.result import Reconstruction
 from gelform.robots.bag_file import BagFile
 from gelform.sensors.source import open_source
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from gelform.foundations.findings import Finding
-from gelform.frames import Frame
-from gelform.reconstruction import Reconstruction
+from gelform.image.frame import Frame
+from gelform.result import Reconstruction
 from gelform.robots.ros_messages import RosMessages
 from gelform.robots.topics import TOPICS, check_sensor_name, check_topics, sensor_name_from
 

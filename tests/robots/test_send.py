@@ -14,7 +14,7 @@ import pytest
 
 import gelform
 from gelform.errors import CalibrationError, DataError, GelformError
-from gelform.exporters.surface import points_from_result
+from gelform.exchange.exporters.surface import points_from_result
 from gelform.robots.send import StampedResults, publish, save_bag
 from gelform.sensors.recordings.messages import typestore
 from made.recorded import frames

@@ -13,8 +13,8 @@ import pytest
 
 from gelform.errors import GelformError
 from gelform.foundations.findings import Finding
-from gelform.frames import Frame
-from gelform.reconstruction import Reconstruction
+from gelform.image.frame import Frame
+from gelform.result import Reconstruction
 from gelform.robots.zenoh_node import Node, ZenohNode, attachment, dds_type, gid_from_token
 from gelform.sensors.recordings.messages import typestore
 

@@ -8,7 +8,8 @@ import pytest
 
 import gelform
 from gelform.errors import DataError
-from gelform.plots.canvas import save_picture
+from gelform.exchange.plots.canvas import save_picture
+from gelform.image.view import View
 from gelform.sensors.files import (
     SensorSettings,
     averaged_background,
@@ -17,7 +18,6 @@ from gelform.sensors.files import (
     read_sensor_toml,
 )
 from gelform.simulate import simulate_background
-from gelform.view import View
 
 
 @pytest.fixture

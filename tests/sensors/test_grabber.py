@@ -9,7 +9,7 @@ import pytest
 
 import gelform.sensors.grabber as grabber_module
 from gelform.errors import DataError, SensorError, SourceLostError
-from gelform.frames import Frame
+from gelform.image.frame import Frame
 from gelform.sensors.grabber import Grabber
 from live_waiting import until
 from made.sources import ImageSource

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from gelform.errors import SensorError
+from gelform.image.view import View, image_from_frame
 from gelform.sensors.profiles import PROFILES, SENSORS, KnownSensor, light_order_of, profile_named
 from gelform.simulate import LAYOUTS
-from gelform.view import View, image_from_frame
 
 
 def test_every_profile_gives_its_image_from_frames_of_any_size_by_a_cut():

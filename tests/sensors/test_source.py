@@ -8,7 +8,7 @@ import pytest
 
 import gelform
 from gelform.errors import DataError, SensorError
-from gelform.frames import Frame
+from gelform.image.frame import Frame
 from gelform.sensors import playback
 from gelform.sensors.playback import Pace, Playback, folder_playback, video_playback
 from gelform.sensors.source import open_source

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gelform.normals import image_from_normals
 from gelform.simulate import (
     LAYOUTS,
     Ball,
@@ -25,6 +24,7 @@ from gelform.simulate.light import (
     spread_in_gel,
     visible_from_surface,
 )
+from gelform.slopes.normals import image_from_normals
 from kernel_agreement import assert_kernel_agrees
 from made.sensors import PLAIN
 

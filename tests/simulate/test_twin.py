@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gelform.background.change import color_change_from_image
+from gelform.image.background.change import color_change_from_image
 from gelform.simulate import Ball, Pose
 from gelform.simulate.twin import CalibratedLook, Twin
 

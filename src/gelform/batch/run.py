@@ -21,10 +21,10 @@ from gelform.batch.outputs.lerobot import check_lerobot_source
 from gelform.batch.records import TABLES, outputs_there, read_record, record_path, table_form
 from gelform.batch.settings import BatchSettings
 from gelform.batch.work import Job
+from gelform.calibration.library.choose import choose_calibration, unit_of_all
 from gelform.calibration_file import Calibration, as_calibration
-from gelform.calibrations.choose import choose_calibration, unit_of_all
 from gelform.errors import DataError
-from gelform.exporters.folders import check_room
+from gelform.exchange.exporters.folders import check_room
 from gelform.foundations.checks import check_path
 
 LOOKED_AT = 5  # sequences that are checked for frames of the calibrated size

@@ -6,9 +6,9 @@ import sys
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from gelform.reconstruction.maps import KEPT_MAPS
-from gelform.solvers import SOLVERS
-from gelform.solvers.inputs import takes_weights
+from gelform.depth.solvers import SOLVERS
+from gelform.depth.solvers.inputs import takes_weights
+from gelform.result.maps import KEPT_MAPS
 
 KEPT = tuple(KEPT_MAPS)
 FORMATS = ("npz", "png", "zarr", "hdf5", "lerobot")

@@ -24,7 +24,7 @@ from gelform.batch.settings import BatchSettings
 from gelform.calibration_file import Calibration
 from gelform.errors import GelformError
 from gelform.reconstruct import Reconstructor
-from gelform.reconstruction import Reconstruction
+from gelform.result import Reconstruction
 
 
 class Stopped(Exception):

@@ -18,8 +18,8 @@ from gelform.calibration.circles.find import ContactCircle, why_no_contact
 from gelform.calibration.circles.locate import Located
 from gelform.calibration.circles.samples import PRESS_PIXELS, TRIAL_SAMPLES, PreparedPress
 from gelform.calibration.enough import enough
-from gelform.color_models import COLOR_MODELS, DEFAULT_MODEL, ColorModel
-from gelform.metrics.ball import radius_from_gradients
+from gelform.result.metrics.ball import radius_from_gradients
+from gelform.slopes.color_models import COLOR_MODELS, DEFAULT_MODEL, ColorModel
 
 INNER = 0.6  # fraction of the visible circle; the gel follows the ball inside it on every sensor
 # Relative error of the ratio of two sizes, each read by the other's presses: 0.034 on a real GelSight Mini.

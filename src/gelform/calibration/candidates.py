@@ -14,7 +14,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.background.change import ChangeSettings, gain_from_background
 from gelform.calibration.circles.find import ContactCircle
 from gelform.calibration.circles.samples import (
     TOTAL_SAMPLES,
@@ -23,8 +22,12 @@ from gelform.calibration.circles.samples import (
     with_rest_samples,
 )
 from gelform.calibration.presses.press_set import Presses
+from gelform.calibration.starters import check_light, light_from_background, starter_for
 from gelform.calibration_file import Calibration, as_calibration
-from gelform.color_models import (
+from gelform.depth.stepped import FrameDepth
+from gelform.errors import CalibrationError
+from gelform.image.background.change import ChangeSettings, gain_from_background
+from gelform.slopes.color_models import (
     COLOR_MODELS,
     DEFAULT_MODEL,
     ColorModel,
@@ -32,10 +35,7 @@ from gelform.color_models import (
     Samples,
     StartableModel,
 )
-from gelform.color_models.forward_response import PreparedStep, Step
-from gelform.color_models.stepped import FrameDepth
-from gelform.errors import CalibrationError
-from gelform.starters import check_light, light_from_background, starter_for
+from gelform.slopes.color_models.forward_response import PreparedStep, Step
 
 AUTO = "auto"
 # Ridges of a model that is pulled toward another unit's, the stiffest first.

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gelform.calibration.enough import NEEDED, enough
-from gelform.metrics.ball import followed_radius
+from gelform.result.metrics.ball import followed_radius
 
 DIRECTIONS = 8  # directions of slopes, 45 degrees each
 LONGER_SIDE = 8  # tiles along the longer side

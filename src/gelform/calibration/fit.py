@@ -36,7 +36,7 @@ def calibrate(
     Parameters
     ----------
     presses : from `read_presses`, or a path that it reads without options
-    color_model : "auto" or a name in `gelform.color_models.COLOR_MODELS`
+    color_model : "auto" or a name in `gelform.slopes.color_models.COLOR_MODELS`
     start : "auto", None, or the calibration of another unit of the same sensor, of any color model, or its file
         Its model is kept where these presses give no other information, so five presses suffice. "auto" also tries the
         starter of a known make, and keeps it if held-out presses are not read worse; None tries none.

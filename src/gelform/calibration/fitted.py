@@ -12,7 +12,6 @@ import scipy  # its parts load at first use
 from numpy.typing import NDArray
 
 from gelform import __version__
-from gelform.background.average import noise_from_image
 from gelform.calibration.candidates import (
     Candidate,
     SlopeReader,
@@ -30,12 +29,13 @@ from gelform.calibration.held_out.folds import Fold
 from gelform.calibration.held_out.scores import HeldOutPresses, Selection, select
 from gelform.calibration.presses.press_set import Presses
 from gelform.calibration_file import Calibration, CalibrationSettings
-from gelform.color_models import COLOR_MODELS, ColorModel, ForwardResponse
-from gelform.color_models.forward_response import RIDGES
-from gelform.confidence import SlopeSigma
-from gelform.confidence.causes import ends_shown
 from gelform.errors import GelformError
 from gelform.foundations.progress import Progress, no_progress
+from gelform.image.background.average import noise_from_image
+from gelform.slopes.color_models import COLOR_MODELS, ColorModel, ForwardResponse
+from gelform.slopes.color_models.forward_response import RIDGES
+from gelform.slopes.confidence import SlopeSigma
+from gelform.slopes.confidence.causes import ends_shown
 
 UNTOUCHED_PERCENTILE = 99.0  # percentile of the size of the color change
 UNTOUCHED_DISTANCE = 3  # contact radii

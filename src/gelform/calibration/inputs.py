@@ -8,18 +8,18 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.background.change import color_change_from_image
-from gelform.background.check import check_background_of_frames
 from gelform.calibration.circles.find import ContactCircle, find_contact, magnitude, scale_of, why_no_contact
 from gelform.calibration.circles.locate import Located
 from gelform.calibration.circles.samples import TRIAL_SAMPLES, PreparedPress, contact_samples
 from gelform.calibration.coverage import coverage_notes
 from gelform.calibration.enough import NEEDED, SAMPLED, enough
 from gelform.calibration.presses.press_set import Presses
-from gelform.confidence.causes import SATURATED_FROM
 from gelform.errors import CalibrationError
-from gelform.frames import DARK
+from gelform.image.background.change import color_change_from_image
+from gelform.image.background.check import check_background_of_frames
+from gelform.image.frame import DARK
 from gelform.sensors.profiles import light_order_of, scale_off_make
+from gelform.slopes.confidence.causes import SATURATED_FROM
 
 REVERSED_FIT = 0.6  # of the unchanged difference; reversed channels fit clearly better
 MIN_DIFFERENCE = 3.0  # gray levels, median: less is noise

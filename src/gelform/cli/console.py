@@ -72,7 +72,7 @@ def check_pictures() -> None:
     """
     import logging
 
-    from gelform.plots.canvas import check_matplotlib
+    from gelform.exchange.plots.canvas import check_matplotlib
 
     logging.getLogger("matplotlib").setLevel(logging.ERROR)
     check_matplotlib()

@@ -42,11 +42,11 @@ def names_in(file: str, table: str) -> tuple[str, ...]:
     raise LookupError(f"Expected a dict {table} with its keys written out in {file}.")
 
 
-COLOR_MODELS = names_in("color_models/__init__.py", "COLOR_MODELS")
-PACKAGES = names_in("importers/calibrations.py", "PACKAGES")
+COLOR_MODELS = names_in("slopes/color_models/__init__.py", "COLOR_MODELS")
+PACKAGES = names_in("exchange/importers/calibrations.py", "PACKAGES")
 LAYOUTS = names_in("simulate/presets.py", "LAYOUTS")
 SENSORS = names_in("sensors/profiles.py", "SENSORS")
-STARTERS = tuple(sorted(path.stem for path in (PACKAGE / "starters").glob("*.npz")))
+STARTERS = tuple(sorted(path.stem for path in (PACKAGE / "calibration" / "starters").glob("*.npz")))
 
 
 def listed(names: tuple[str, ...]) -> str:

@@ -132,7 +132,7 @@ def make_folder(folder: Path) -> Path:
 
 
 def _check_room(folder: Path) -> None:
-    from gelform.exporters.folders import check_room
+    from gelform.exchange.exporters.folders import check_room
 
     try:
         check_room(folder)

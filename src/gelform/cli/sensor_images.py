@@ -15,11 +15,11 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from gelform.calibration.library.choose import Unit
     from gelform.calibration_file import Calibration
-    from gelform.calibrations.choose import Unit
     from gelform.cli.options import CalibrationOptions
     from gelform.reconstruct import Reconstructor
-    from gelform.reconstruction import Reconstruction
+    from gelform.result import Reconstruction
 
 
 def image_in(path: Path, calibration: Calibration) -> NDArray[np.uint8]:
@@ -40,8 +40,8 @@ def calibration_given(
     given: CalibrationOptions, background: Path | None, unit: Callable[[], Unit], quiet: bool = False
 ) -> Calibration:
     """The calibration from a file, else from the library, else a starter's; prints which one it is unless it is a file's."""
+    from gelform.calibration.library.choose import NoCalibration, choose_calibration
     from gelform.calibration_file import load_calibration
-    from gelform.calibrations.choose import NoCalibration, choose_calibration
 
     given.check(background)
     if given.calibration is not None:
@@ -85,8 +85,8 @@ def starter_calibration(sensor: str, background: Path, **known: Any) -> Calibrat
     ----------
     known : mm_per_px, serial, gel_id, as `calibration_from_background` takes them
     """
+    from gelform.calibration.starters import calibration_from_background
     from gelform.sensors.files import read_background
-    from gelform.starters import calibration_from_background
 
     untouched = read_background(background)
     try:
@@ -106,7 +106,7 @@ def reconstruction_of(run: Reconstructor, image: NDArray[np.uint8], path: Path) 
 
 def _viewed(frame: NDArray[Any], path: Path, calibration: Calibration) -> NDArray[Any]:
     from gelform.foundations.checks import check_image
-    from gelform.view import image_from_frame
+    from gelform.image.view import image_from_frame
 
     with mistakes_in(path):
         return check_image(image_from_frame(frame, calibration.view), shape=calibration.image_shape)

@@ -318,3 +318,20 @@ def check_within(value: float, name: str, low: float, high: float) -> float:
 def check_response(response: float) -> float:
     """Return the exponent of a camera's response as float; the value may be from a file."""
     return check_within(response, "response", *POSSIBLE_RESPONSES)
+
+
+HIGHEST_SLOPE = 1e15  # mm/mm; the sum of such squares over a frame does not overflow in float32
+
+
+def check_slopes(gradients: NDArray[np.float32]) -> None:
+    """Refuse slopes that are not finite, or whose squares would overflow.
+
+    ValueError: a slope is NaN or beyond `HIGHEST_SLOPE`.
+    """
+    low, high = value_range(gradients)
+    largest = max(high, -low)
+    if not largest <= HIGHEST_SLOPE:
+        raise ValueError(
+            f"Expected slopes up to {HIGHEST_SLOPE:.0e} mm/mm, got {largest:.1e}: what they add up to is beyond "
+            "float32. Mark such pixels with weights of 0 and put any small value there."
+        )

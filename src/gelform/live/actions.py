@@ -10,11 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gelform.background.average import background_from_frames
-from gelform.calibrations.choose import unit_of_camera
+from gelform.calibration.library.choose import unit_of_camera
+from gelform.depth.solvers import SOLVERS
 from gelform.errors import GelformError
 from gelform.foundations.checks import check_sensor_pitch
 from gelform.foundations.progress import Progress
+from gelform.image.background.average import background_from_frames
+from gelform.image.view import View
 from gelform.live import devices
 from gelform.live.code import Situation, code_of
 from gelform.live.hub import Hub, wait_for_frames
@@ -29,8 +31,6 @@ from gelform.live.station import NEVER_S, Opening, Station
 from gelform.sensors.profiles import profile_named
 from gelform.sensors.recordings.indexed import indexed
 from gelform.sensors.recordings.record import attached_background, attached_calibration
-from gelform.solvers import SOLVERS
-from gelform.view import View
 
 if TYPE_CHECKING:
     from gelform.live.guide.guide import Asked

@@ -12,6 +12,7 @@ from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any
 
 from gelform import __version__
+from gelform.depth.solvers import SOLVERS
 from gelform.errors import GelformError
 from gelform.foundations.progress import Progress
 from gelform.live.devices import Devices, camera_facts
@@ -23,7 +24,6 @@ from gelform.live.starter import starter_facts, starters
 from gelform.live.station import Station
 from gelform.live.web.pages import Pages
 from gelform.sensors.profiles import PROFILES
-from gelform.solvers import SOLVERS
 
 if TYPE_CHECKING:
     from gelform.live.guide.session import GuideSession

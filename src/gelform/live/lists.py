@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from gelform.calibration.library.choose import Unit
+from gelform.calibration.library.library import described
 from gelform.calibration_file import KIND, Calibration, load_calibration
-from gelform.calibrations.choose import Unit
-from gelform.calibrations.library import described
 from gelform.errors import GelformError
 from gelform.foundations.npz_files import kind_of_npz
 from gelform.sensors.recordings.image_folder import is_recorded_folder

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from gelform.errors import DataError, GelformError
-from gelform.frames import Frame
+from gelform.image.frame import Frame
 from gelform.sensors.recordings.indexed import Indexed
 
 SLOWEST, FASTEST = 1 / 16, 16.0  # times the original pace

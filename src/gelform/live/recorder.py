@@ -19,7 +19,7 @@ from gelform.calibration_file import Calibration
 from gelform.errors import GelformError
 from gelform.foundations.npz_files import check_free
 from gelform.foundations.progress import Progress, no_progress
-from gelform.frames import Frame
+from gelform.image.frame import Frame
 from gelform.live.setup import Setup
 from gelform.sensors.grabber import Grabber
 from gelform.sensors.recordings.indexed import Indexed

@@ -8,14 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.calibration_file import Calibration
-from gelform.contact import contact_from_depth
+from gelform.depth.contact import contact_from_depth
 from gelform.errors import GelformError
 from gelform.foundations.checks import check_mm_per_px
-from gelform.frames import Frame
+from gelform.image.frame import Frame
+from gelform.image.view import View, image_from_frame
 from gelform.reconstruct import Reconstructor
-from gelform.reconstruction import Reconstruction
-from gelform.streams.memory import Memory, of_frame, result_from_image
-from gelform.view import View, image_from_frame
+from gelform.result import Reconstruction
+from gelform.sensors.streams.memory import Memory, of_frame, result_from_image
 
 BACKGROUND_FRAMES = 15  # frames at rest that are averaged
 

@@ -11,16 +11,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.confidence.causes import CAUSES
-from gelform.confidence.explanation import Explanation
-from gelform.contact import Contact
+from gelform.depth.contact import Contact
 from gelform.foundations.checks import check_mm_per_px
-from gelform.frames import Frame
+from gelform.image.frame import Frame
+from gelform.image.markers import MarkerFlow
 from gelform.live.player import ReplayedFrame
 from gelform.live.web.wire import Plane, bits_plane, depth_plane, image_plane, level_plane
-from gelform.markers import MarkerFlow
-from gelform.reconstruction import Reconstruction
-from gelform.reconstruction.maps import MAP_PLANES
+from gelform.result import Reconstruction
+from gelform.result.maps import MAP_PLANES
+from gelform.slopes.confidence.causes import CAUSES
+from gelform.slopes.confidence.explanation import Explanation
 
 PLANES = ("image", "flags", "unknown", "causes", "other", *MAP_PLANES)
 CONTACT, KNOWN = 1, 2  # bits of the plane `flags`

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.errors import DataError, GelformError
-from gelform.exporters.quantised import levels_from_depth
+from gelform.exchange.exporters.quantised import levels_from_depth
 from gelform.foundations.checks import check_mm_per_px
 from gelform.live.shown import Shown
-from gelform.reconstruction import Reconstruction, save_result
+from gelform.result import Reconstruction, save_result
 
 KEPT = 16  # snapshots that are kept
 _POINT = np.dtype([(name, "<f4") for name in ("x", "y", "z", "nx", "ny", "nz", "confidence")])

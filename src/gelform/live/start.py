@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from gelform.calibrations.choose import Unit, unit_of
-from gelform.calibrations.library import library_folder
+from gelform.calibration.library.choose import Unit, unit_of
+from gelform.calibration.library.library import library_folder
 from gelform.errors import DataError, GelformError, SensorError
 from gelform.foundations.progress import Progress
 from gelform.live import actions

@@ -7,15 +7,15 @@ from typing import Any
 
 import numpy as np
 
+from gelform.calibration.starters import Starter, load_starter, make_name, starter_names, starter_of_source
 from gelform.calibration_file import Calibration
 from gelform.errors import GelformError
-from gelform.frames import Frame
+from gelform.image.frame import Frame
 from gelform.live.lists import Origin
 from gelform.live.station import Station
-from gelform.starters import Starter, load_starter, make_name, starter_names, starter_of_source
-from gelform.streams.starting import UntouchedImage
+from gelform.sensors.streams.starting import UntouchedImage
 
-IMPORTS = ("from gelform.starters import load_starter", "from gelform.view import View")
+IMPORTS = ("from gelform.calibration.starters import load_starter", "from gelform.image.view import View")
 
 
 def starters() -> list[list[str]]:

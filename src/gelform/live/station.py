@@ -12,7 +12,7 @@ from itertools import takewhile
 from typing import Any
 
 from gelform.errors import GelformError
-from gelform.frames import Frame
+from gelform.image.frame import Frame
 from gelform.live.player import Player
 from gelform.live.setup import Setup
 from gelform.live.shown import Shown, measures_of
@@ -22,9 +22,9 @@ from gelform.sensors.playback import Playback
 from gelform.sensors.recordings.record import KEPT_FRAMES
 from gelform.sensors.simulated.source import SimulatedSource
 from gelform.sensors.source import Source
-from gelform.streams.feed import NewestFrames
-from gelform.streams.memory import Timed, Work
-from gelform.streams.pipeline import Pipeline
+from gelform.sensors.streams.feed import NewestFrames
+from gelform.sensors.streams.memory import Timed, Work
+from gelform.sensors.streams.pipeline import Pipeline
 
 KEPT_NUMBERS = 18_000  # results whose numbers are kept for the curves: five minutes at 60 per second
 RETRY_S = 1.0  # s between attempts to open an unavailable source

@@ -13,8 +13,8 @@ from typing import Any
 from gelform.errors import DataError
 from gelform.foundations.checks import check_path
 from gelform.foundations.npz_files import locked_folder, sweep
-from gelform.frames import Frame
-from gelform.reconstruction import Reconstruction
+from gelform.image.frame import Frame
+from gelform.result import Reconstruction
 from gelform.robots.ros_messages import RosMessages
 from gelform.robots.topics import TOPICS, check_sensor_name, check_topics
 

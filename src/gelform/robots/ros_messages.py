@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.errors import needed
-from gelform.exporters.surface import M_PER_MM, points_from_result
-from gelform.frames import Frame
-from gelform.reconstruction import Reconstruction
+from gelform.exchange.exporters.surface import M_PER_MM, points_from_result
+from gelform.image.frame import Frame
+from gelform.result import Reconstruction
 from gelform.robots.topics import TOPICS
 from gelform.sensors.recordings.messages import header_of, typestore
 

@@ -13,14 +13,14 @@ from gelform.calibration_file import Calibration, as_calibration
 from gelform.errors import DataError
 from gelform.foundations.checks import check_positive
 from gelform.foundations.progress import Progress, no_progress
-from gelform.frames import Frame
-from gelform.reconstruction import Reconstruction
+from gelform.image.frame import Frame
+from gelform.result import Reconstruction
 from gelform.robots.bag_file import BagFile
 from gelform.robots.topics import NEEDS_SCALE, ROUTER, TOPICS, check_topics, sensor_name_from
 from gelform.robots.zenoh_node import ZenohNode
 from gelform.sensors.source import open_source
-from gelform.streams.memory import StreamFrame
-from gelform.streams.stream import Stream, stream
+from gelform.sensors.streams.memory import StreamFrame
+from gelform.sensors.streams.stream import Stream, stream
 
 
 @dataclass(frozen=True)

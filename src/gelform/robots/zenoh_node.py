@@ -15,8 +15,8 @@ from types import TracebackType
 from typing import Any
 
 from gelform.errors import GelformError, needed
-from gelform.frames import Frame
-from gelform.reconstruction import Reconstruction
+from gelform.image.frame import Frame
+from gelform.result import Reconstruction
 from gelform.robots.ros_messages import RosMessages
 from gelform.robots.topics import MAX_DOMAIN, ROUTER, TOPICS, check_sensor_name, check_topics
 

@@ -14,7 +14,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.background.average import Background, background_from_frames
 from gelform.errors import DataError
 from gelform.foundations.checks import (
     check_gel_thickness,
@@ -23,12 +22,13 @@ from gelform.foundations.checks import (
     check_sensor_pitch,
     check_within,
 )
+from gelform.image.background.average import Background, background_from_frames
+from gelform.image.view import View
 from gelform.sensors.jpeg import SIGNATURE as JPEG
 from gelform.sensors.jpeg import is_gray_jpeg, pixels_of_jpeg
 from gelform.sensors.png_bytes import SIGNATURE as PNG
 from gelform.sensors.png_bytes import pixels_of_png, png_of_pixels
 from gelform.sensors.video_files import is_video
-from gelform.view import View
 
 if sys.version_info >= (3, 11):
     import tomllib

@@ -12,7 +12,7 @@ from os import PathLike
 
 from gelform.errors import SensorError, SourceLostError
 from gelform.foundations.checks import check_within
-from gelform.frames import Frame
+from gelform.image.frame import Frame
 from gelform.sensors.source import Source, open_source
 
 STALL_S = 0.5  # s without a frame until "reconnecting"; robots' recorders give up after as long

@@ -15,7 +15,7 @@ from http.client import HTTPConnection, HTTPException, HTTPResponse, RemoteDisco
 from urllib.parse import SplitResult, unquote, urlsplit
 
 from gelform.errors import SensorError, SourceLostError
-from gelform.frames import Frame
+from gelform.image.frame import Frame
 from gelform.sensors.jpeg import MAX_TORN, image_from_jpeg, jpeg_shape, reduction_of
 
 OPEN_S = 2.0  # s, timeout for the connection and the first picture

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from gelform.errors import DataError
 from gelform.foundations.checks import check_positive
-from gelform.frames import Frame
+from gelform.image.frame import Frame
 from gelform.sensors.files import IMAGE_SUFFIXES, read_image
 from gelform.sensors.video_files import USUAL_RATE_HZ, Video
 

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 from gelform.errors import SensorError
 
 if TYPE_CHECKING:
+    from gelform.image.view import View
     from gelform.simulate.sensor.sensor import SimulatedSensor
-    from gelform.view import View
 
 MAX_ASPECT_ERROR = 0.01  # relative error of the pixels' aspect ratio: 1 % from square
 
@@ -57,7 +57,7 @@ class SensorProfile:
         SensorError
             The cropped frame has another aspect ratio than the image: its pixels would not be square.
         """
-        from gelform.view import View
+        from gelform.image.view import View
 
         height, width = frame_shape
         image_shape = self.image_shape if self._is_upright(frame_shape) else self.image_shape[::-1]

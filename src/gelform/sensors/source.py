@@ -10,7 +10,7 @@ from typing import Protocol
 
 from gelform.errors import DataError, SensorError
 from gelform.foundations.checks import check_path
-from gelform.frames import Frame
+from gelform.image.frame import Frame
 from gelform.sensors.cameras.camera import camera_named
 from gelform.sensors.cameras.usb import UsbCamera
 from gelform.sensors.mjpeg import OPEN_S, MjpegUrl

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from gelform.errors import DataError
 from gelform.foundations.checks import check_path
-from gelform.frames import Frame
+from gelform.image.frame import Frame
 
 VIDEO_SUFFIXES = (".avi", ".mp4", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv")
 USUAL_RATE_HZ = 25.0  # usual rate of videos and images without time stamps

@@ -9,9 +9,9 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.background.change import image_from_color_change
 from gelform.calibration_file import Calibration
 from gelform.foundations.checks import check_positive
+from gelform.image.background.change import image_from_color_change
 from gelform.simulate.gel.gel import Gel
 from gelform.simulate.indenters.faces import Indenter
 from gelform.simulate.indenters.pose import Pose

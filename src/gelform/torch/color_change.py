@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
-from gelform.background.change import ChangeSettings, gain_from_background, light_from_image
-from gelform.background.exposure import FULL_SHARE, HALF_WIDTHS_LOG, MIN_SHARE, block_means
 from gelform.foundations.filters import blur_taps
-from gelform.frames import BRIGHT, DARK
+from gelform.image.background.change import ChangeSettings, gain_from_background, light_from_image
+from gelform.image.background.exposure import FULL_SHARE, HALF_WIDTHS_LOG, MIN_SHARE, block_means
+from gelform.image.frame import BRIGHT, DARK
 from gelform.torch.maps import block_shares, planes
 
 BINS, WINDOW, SPAN = 240, 6, 1.2  # of the histogram of log ratios, as in the kernel `crowd_of_ratios`

@@ -6,18 +6,18 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from gelform.color_models import ForwardResponse
-from gelform.color_models._shared.least_squares import at_pixels, interpolation, monomials
-from gelform.color_models.forward_response import (
+from gelform.depth.stepped import coarse_grid
+from gelform.foundations.filters import MIN_UNTOUCHED
+from gelform.image.view.resample import pixel_positions
+from gelform.slopes.color_models import ForwardResponse
+from gelform.slopes.color_models._shared.least_squares import at_pixels, interpolation, monomials
+from gelform.slopes.color_models.forward_response import (
     CLIPPED_STEP_SIGMA,
     DEPTH_UNIT_PX,
     NORMAL_UNIT,
     PLACE_DEGREES,
 )
-from gelform.color_models.stepped import coarse_grid
-from gelform.foundations.filters import MIN_UNTOUCHED
 from gelform.torch.maps import PoissonDepth, bilinear_shares, block_shares, medians_where
-from gelform.view.resample import pixel_positions
 
 
 class FrameDepth(nn.Module):

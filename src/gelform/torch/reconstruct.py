@@ -8,12 +8,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gelform.background.untouched import EXPOSURE_STEP_PX
 from gelform.calibration_file import Calibration, as_calibration
 from gelform.errors import CalibrationError, GelformError
 from gelform.foundations.checks import check_image
 from gelform.foundations.filters import MIN_UNTOUCHED, lattice_step
-from gelform.markers import markers_from_image
+from gelform.image.background.untouched import EXPOSURE_STEP_PX
+from gelform.image.markers import markers_from_image
 
 try:
     import torch

@@ -9,17 +9,17 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from gelform.color_models import (
+from gelform.errors import CalibrationError
+from gelform.image.view.resample import pixel_positions
+from gelform.slopes.color_models import (
     ColorModel,
     HierarchicalModel,
     LambertianModel,
     NearLightModel,
     PolynomialModel,
 )
-from gelform.color_models._shared.least_squares import monomial_parents, monomials
-from gelform.color_models.lambertian import MAX_SLOPE, inverse_lights
-from gelform.errors import CalibrationError
-from gelform.view.resample import pixel_positions
+from gelform.slopes.color_models._shared.least_squares import monomial_parents, monomials
+from gelform.slopes.color_models.lambertian import MAX_SLOPE, inverse_lights
 
 LEAST_NORMAL_Z = 1e-6  # as in `gradients_from_scaled`
 

@@ -18,7 +18,7 @@ from gelform.batch.inputs.reading import (
 )
 from gelform.batch.manifest import read_manifest
 from gelform.errors import DataError
-from gelform.frames import Frame
+from gelform.image.frame import Frame
 from gelform.sensors.recordings.facts import RecordingFacts
 from gelform.sensors.recordings.image_folder import FolderRecording
 from made.small_gel import image_of, save

@@ -14,7 +14,7 @@ from gelform.batch.outputs.video import Codec, VideoWriter
 from gelform.batch.outputs.zarr_arrays import shard_frames
 from gelform.batch.settings import KEPT, BatchSettings
 from gelform.errors import DataError
-from gelform.exporters.quantised import depth_from_levels
+from gelform.exchange.exporters.quantised import depth_from_levels
 
 LOSSLESS = Codec("ffv1", "gray16le", "matroska", {"level": "3", "slices": "4", "slicecrc": "1"})
 

@@ -30,7 +30,7 @@ from gelform.batch.outputs.files import (
 from gelform.batch.outputs.writers import WRITERS, depth_of_row
 from gelform.batch.settings import FORMATS, KEPT, BatchSettings
 from gelform.errors import DataError
-from gelform.exporters.quantised import depth_from_levels
+from gelform.exchange.exporters.quantised import depth_from_levels
 from made.small_gel import MM_PER_PX, SHAPE, Touch, depth_of
 
 

@@ -5,7 +5,6 @@ import csv
 import numpy as np
 import pytest
 
-from gelform.background.change import ChangeSettings, color_change_from_image
 from gelform.calibration.circles.find import (
     _parabola_offset,
     _signal,
@@ -16,6 +15,7 @@ from gelform.calibration.circles.find import (
     scale_of,
     why_no_contact,
 )
+from gelform.image.background.change import ChangeSettings, color_change_from_image
 from gelform.sensors.files import read_image
 
 

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform.background.change import ChangeSettings, PreparedBackground, color_change_from_image
 from gelform.calibration.circles.find import ContactCircle
 from gelform.calibration.circles.prepare import (
     USUAL_OFFSET,
@@ -19,7 +18,8 @@ from gelform.calibration.circles.prepare import (
     prepared_by_offset,
 )
 from gelform.calibration.presses.press_set import presses_from_simulated
-from gelform.markers import MarkerFinder
+from gelform.image.background.change import ChangeSettings, PreparedBackground, color_change_from_image
+from gelform.image.markers import MarkerFinder
 from gelform.simulate import Ball, Pose, simulate_background, simulate_ball_presses, simulate_sequence
 from made.dots import grid, image_of_dots
 

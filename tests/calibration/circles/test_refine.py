@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform.background.change import ChangeSettings, color_change_from_image
 from gelform.calibration.circles.find import ContactCircle, find_contact
 from gelform.calibration.circles.locate import ROUNDS, refine
 from gelform.calibration.circles.prepare import prepare
@@ -19,7 +18,8 @@ from gelform.calibration.circles.refine import (
     why_too_wide,
 )
 from gelform.calibration.circles.samples import PreparedPress
-from gelform.metrics.ball import ball_gradients
+from gelform.image.background.change import ChangeSettings, color_change_from_image
+from gelform.result.metrics.ball import ball_gradients
 from gelform.simulate import LAYOUTS, Ball, simulate_press
 from gelform.simulate.render import simulate_background
 

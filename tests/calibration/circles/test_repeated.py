@@ -11,7 +11,7 @@ from gelform.calibration.circles.find import ContactCircle
 from gelform.calibration.circles.prepare import find_contacts, prepare
 from gelform.calibration.circles.repeated import repeated_presses
 from gelform.calibration.circles.samples import PreparedPress
-from gelform.frames import pixels_digest
+from gelform.image.frame import pixels_digest
 
 SHAPE = (240, 320)
 

@@ -12,7 +12,7 @@ from gelform.calibration.circles.samples import (
     contact_samples,
     with_rest_samples,
 )
-from gelform.metrics.ball import followed_radius
+from gelform.result.metrics.ball import followed_radius
 
 
 def test_samples_carry_the_balls_slopes_and_the_untouched_image():

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gelform.background.change import ChangeSettings, color_change_from_image
 from gelform.calibration.geometry.crosstalk import crosstalk_from_frames
 from gelform.errors import DataError
+from gelform.image.background.change import ChangeSettings, color_change_from_image
 from gelform.simulate import LAYOUTS, Ball, Optics, simulate_background, simulate_press
 from gelform.simulate.sensor.sensor import IDENTITY
 

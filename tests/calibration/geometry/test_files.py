@@ -12,8 +12,8 @@ from gelform.calibration.geometry.files import read_setup, save_crosstalk, save_
 from gelform.calibration.geometry.lens import GridView
 from gelform.calibration.geometry.scale import Scale
 from gelform.errors import CalibrationError, DataError
+from gelform.image.view import Lens, View, image_from_frame
 from gelform.sensors.files import read_sensor_toml
-from gelform.view import Lens, View, image_from_frame
 
 SCALE = Scale(0.0634, 0.0004, "a punch of 5 mm")
 LENS = Lens((170.0, 170.0, 87.5, 65.5), (-0.1, 0.01))

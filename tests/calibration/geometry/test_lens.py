@@ -8,7 +8,7 @@ import pytest
 
 from gelform.calibration.geometry.lens import view_from_grid
 from gelform.errors import DataError
-from gelform.view import Lens, image_from_frame, image_px_from_frame_px
+from gelform.image.view import Lens, image_from_frame, image_px_from_frame_px
 
 SHAPE = (240, 320)
 MM_PER_PX = 0.0634
@@ -92,7 +92,7 @@ def test_nothing_unseen_is_in_the_image():
     assert (width, height) == found.view.shape[::-1]
     assert width < 320
     corners = np.array([[0, 0], [width - 1, 0], [0, height - 1], [width - 1, height - 1]])
-    from gelform.view import frame_px_from_image_px
+    from gelform.image.view import frame_px_from_image_px
 
     there = frame_px_from_image_px(corners, found.view)
     assert (there > -0.6).all()

@@ -15,7 +15,7 @@ from gelform.calibration.held_out.folds import (
     circle_sigmas,
     make_folds,
 )
-from gelform.color_models import HierarchicalModel
+from gelform.slopes.color_models import HierarchicalModel
 
 
 @pytest.fixture(scope="module")

@@ -19,11 +19,11 @@ from gelform.calibration.held_out.measure import (
 )
 from gelform.calibration.held_out.scores import Selection
 from gelform.calibration.report.statistics import fraction_within_sigma
-from gelform.color_models.forward_response import RIDGES
-from gelform.confidence import all_shown
-from gelform.confidence.slope_sigma import ONE_SIGMA
-from gelform.metrics import angle_deg
 from gelform.reconstruct import Reconstructor
+from gelform.result.metrics import angle_deg
+from gelform.slopes.color_models.forward_response import RIDGES
+from gelform.slopes.confidence import all_shown
+from gelform.slopes.confidence.slope_sigma import ONE_SIGMA
 
 
 def off_deg(sample):
@@ -158,7 +158,7 @@ def test_within_keeps_the_middle(sample):
 @pytest.fixture
 def readings_alone(calibration, monkeypatch):
     """Without what blur takes at walls, which is stated whatever presses of balls say."""
-    monkeypatch.setattr("gelform.confidence.solved.BLURRED", 0.0)
+    monkeypatch.setattr("gelform.slopes.confidence.solved.BLURRED", 0.0)
     return calibration
 
 
@@ -200,7 +200,7 @@ def test_what_blur_takes_is_not_learnt_from_balls(calibration, presses, monkeypa
     )  # else a ball's bends are within their noise
     found = []
     for blurred in (0.0, 0.6):
-        monkeypatch.setattr("gelform.confidence.solved.BLURRED", blurred)
+        monkeypatch.setattr("gelform.slopes.confidence.solved.BLURRED", blurred)
         found.append(solved_by_place(calibration, sharp, presses, samples, 1.0))
     assert np.mean(found[1].solved_places) < 0.9 * np.mean(found[0].solved_places)
 

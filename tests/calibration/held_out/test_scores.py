@@ -22,8 +22,8 @@ from gelform.calibration.held_out.scores import (
     score_of,
     select,
 )
-from gelform.color_models.forward_response import RIDGES, Step
-from gelform.metrics.ball import ball_gradients
+from gelform.result.metrics.ball import ball_gradients
+from gelform.slopes.color_models.forward_response import RIDGES, Step
 
 PRESSES, FOLDS = 20, 5
 STIFF, FREE = (Candidate("hierarchical", (("ridge", ridge),)) for ridge in (1e-3, 1e-5))

@@ -18,8 +18,8 @@ from gelform.calibration.held_out.sigma import (
     rest_correlation,
     slope_sigma_from_folds,
 )
-from gelform.color_models.forward_response import Step
-from gelform.metrics.ball import ball_center, ball_gradients
+from gelform.result.metrics.ball import ball_center, ball_gradients
+from gelform.slopes.color_models.forward_response import Step
 
 
 def slow(*values):

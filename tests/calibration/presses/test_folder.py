@@ -13,9 +13,9 @@ from gelform.calibration.geometry.crosstalk import Crosstalk
 from gelform.calibration.geometry.scale import Scale
 from gelform.calibration.presses.folder import with_crosstalk, with_scale, with_view
 from gelform.errors import DataError
-from gelform.metrics import press_errors
+from gelform.image.view import Lens, View, image_px_from_frame_px
+from gelform.result.metrics import press_errors
 from gelform.simulate import LAYOUTS, Optics, exposed, simulate_ball_presses
-from gelform.view import Lens, View, image_px_from_frame_px
 
 
 @pytest.fixture

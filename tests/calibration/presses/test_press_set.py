@@ -14,9 +14,9 @@ from gelform.calibration.presses.press_set import (
     table_rows,
 )
 from gelform.errors import DataError
+from gelform.image.view import View
 from gelform.sensors.files import SensorSettings
 from gelform.sensors.profiles import PROFILES
-from gelform.view import View
 
 MINI = PROFILES["gelsight-mini"]
 

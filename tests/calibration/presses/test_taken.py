@@ -6,8 +6,8 @@ import pytest
 from gelform.calibration.presses.folder import read_presses
 from gelform.calibration.presses.taken import TakenPresses, toml_of_settings
 from gelform.errors import DataError
+from gelform.image.view import View
 from gelform.sensors.files import SensorSettings, read_sensor_toml
-from gelform.view import View
 
 SETTINGS = SensorSettings(
     'A "gel"',

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform.background.change import ChangeSettings, color_change_from_image
 from gelform.calibration.circles.find import find_contact
+from gelform.image.background.change import ChangeSettings, color_change_from_image
 from gelform.simulate import (
     Ball,
     Pose,

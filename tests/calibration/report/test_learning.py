@@ -17,7 +17,7 @@ from gelform.calibration.report.learning import (
     learning_curve,
     sizes_for,
 )
-from gelform.color_models import PolynomialModel
+from gelform.slopes.color_models import PolynomialModel
 
 
 @pytest.mark.parametrize(("floor", "slope"), [(4.0, 100.0), (0.0, 50.0), (6.25, 0.0)])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gelform.calibration.report.record import FIGURES, summary
-from gelform.metrics import PressErrors
+from gelform.result.metrics import PressErrors
 
 
 def test_every_press_has_a_row_and_only_accepted_ones_have_errors(presses, calibration):

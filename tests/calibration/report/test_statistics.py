@@ -14,8 +14,8 @@ from gelform.calibration.report.statistics import (
     gain_curve,
     square_error_by_direction,
 )
-from gelform.metrics import angle_deg
 from gelform.reconstruct import Reconstructor
+from gelform.result.metrics import angle_deg
 
 SHAPE = (60, 80)
 

@@ -11,7 +11,7 @@ import pytest
 
 from gelform.calibration.presses.folder import read_presses
 from gelform.calibration_file import load_calibration
-from gelform.plots.canvas import save_picture
+from gelform.exchange.plots.canvas import save_picture
 from gelform.simulate import LAYOUTS, Ball, Pose, simulate_background, simulate_sequence
 
 SMALL = replace(LAYOUTS["three-edges"], shape=(120, 160), mm_per_px=0.1268, name="small")

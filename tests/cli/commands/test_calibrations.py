@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import pytest
 
+from gelform.calibration.library.library import add_calibration, entries
 from gelform.calibration_file import load_calibration
-from gelform.calibrations.library import add_calibration, entries
 from made.small_gel import Touch, calibration, image_of, save
 
 OLD = replace(

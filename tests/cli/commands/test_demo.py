@@ -6,7 +6,7 @@ import pytest
 from tests.cli.conftest import SMALL
 
 from gelform.cli.commands import demo
-from gelform.reconstruction import load_result
+from gelform.result import load_result
 from gelform.simulate import LAYOUTS
 
 pytest.importorskip("matplotlib", reason="pictures need the extra 'plots'")

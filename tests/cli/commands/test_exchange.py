@@ -5,9 +5,9 @@ import pytest
 
 import gelform
 from gelform.cli.commands import exchange
-from gelform.exporters.surface import SURFACES
-from gelform.exporters.taxim import RENDERERS
-from gelform.reconstruction import load_result, save_result
+from gelform.exchange.exporters.surface import SURFACES
+from gelform.exchange.exporters.taxim import RENDERERS
+from gelform.result import load_result, save_result
 
 
 def images_of(press_folder):

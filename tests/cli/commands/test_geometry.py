@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gelform.calibration_file import load_calibration
-from gelform.plots.canvas import save_picture
+from gelform.exchange.plots.canvas import save_picture
 from gelform.sensors.files import read_sensor_toml
 from gelform.simulate import Ball, simulate_background, simulate_press
 

@@ -11,7 +11,7 @@ import pytest
 from gelform.calibration_file import load_calibration
 from gelform.cli.commands.info import lines_of
 from gelform.reconstruct import Reconstructor
-from gelform.reconstruction import save_result
+from gelform.result import save_result
 from gelform.sensors.files import read_image
 from gelform.sensors.recordings.facts import RecordingFacts
 from gelform.sensors.recordings.image_folder import FolderRecording

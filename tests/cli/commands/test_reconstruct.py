@@ -6,8 +6,8 @@ import shutil
 import numpy as np
 import pytest
 
-from gelform.plots.canvas import save_picture
-from gelform.reconstruction import load_result
+from gelform.exchange.plots.canvas import save_picture
+from gelform.result import load_result
 from gelform.sensors.files import read_image
 from made.small_gel import calibration, save
 

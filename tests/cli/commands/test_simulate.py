@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gelform.calibration.presses.folder import read_presses
-from gelform.plots.canvas import save_picture
+from gelform.exchange.plots.canvas import save_picture
 from gelform.sensors.files import read_image
 from gelform.simulate import LAYOUTS
 
@@ -154,7 +154,7 @@ def test_a_misspelt_sensor_is_one_line(fails, tmp_path):
 
 @pytest.mark.slow
 def test_the_designs_are_compared(run_json, tmp_path, monkeypatch):
-    from gelform import design
+    from gelform.calibration import design
 
     pytest.importorskip("matplotlib")
     monkeypatch.setattr(design.compare_designs, "__defaults__", (design.VARIATIONS[:1],))

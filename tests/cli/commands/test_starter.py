@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from gelform.calibration.starters import load_starter
 from gelform.calibration_file import load_calibration
-from gelform.plots.canvas import save_picture
+from gelform.exchange.plots.canvas import save_picture
 from gelform.simulate import LAYOUTS, Ball, simulate_background, simulate_press
-from gelform.starters import load_starter
 
 SIMULATED = "simulated-three-edges"
 
@@ -99,8 +99,8 @@ def test_what_a_starter_needs_is_said_before_any_work(fails, unit, tmp_path, com
 
 
 def test_the_library_comes_before_the_starter(run, unit, tmp_path, monkeypatch):
+    from gelform.calibration.library import add_calibration
     from gelform.calibration_file import load_calibration
-    from gelform.calibrations import add_calibration
 
     monkeypatch.setenv("GELFORM_CALIBRATIONS", str(tmp_path / "library"))
     rest = unit / "rest.png"

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import gelform
+from gelform.exchange.plots.canvas import save_picture
 from gelform.live.player import Player
 from gelform.live.station import NEVER_S, Opening, Station
-from gelform.plots.canvas import save_picture
 from gelform.sensors.recordings.indexed import indexed
 from live_waiting import until
 

@@ -18,7 +18,7 @@ COUNT = 9
 @pytest.fixture
 def recording(simulated, tmp_path):
     """A recorded folder of nine presses."""
-    from gelform.frames import Frame
+    from gelform.image.frame import Frame
 
     written = FolderRecording(tmp_path / "session", RecordingFacts("ring", "S7", {}, 10.0))
     for k, press in enumerate(simulated.presses[:COUNT]):

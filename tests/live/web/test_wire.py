@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gelform.errors import DataError
-from gelform.exporters.quantised import ZERO_LEVEL
+from gelform.exchange.exporters.quantised import ZERO_LEVEL
 from gelform.live.web.wire import bits_plane, depth_plane, image_plane, level_plane, message, read_message
 
 DEPTH = np.linspace(-0.1, 0.6, 35, dtype=np.float32).reshape(5, 7)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gelform.errors import CalibrationError, DataError
-from gelform.frames import Frame
+from gelform.image.frame import Frame
 from gelform.sensors.grabber import Grabber
 from gelform.sensors.recordings.facts import RecordingFacts
 from gelform.sensors.recordings.image_folder import (

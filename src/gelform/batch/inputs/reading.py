@@ -12,18 +12,18 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from gelform.background.average import background_from_frames
-from gelform.background.check import background_digest
 from gelform.batch.inputs.containers import hdf5_values, image_from_values, is_zarr, zarr_values
 from gelform.batch.inputs.lerobot import stored_images, video_frames
 from gelform.batch.inputs.plan import Part
 from gelform.calibration_file import Calibration
 from gelform.errors import DataError, GelformError
 from gelform.foundations.checks import check_image
-from gelform.frames import Frame
+from gelform.image.background.average import background_from_frames
+from gelform.image.background.check import background_digest
+from gelform.image.frame import Frame
+from gelform.image.view import image_from_frame
 from gelform.sensors.files import read_background, read_image
 from gelform.sensors.source import open_source
-from gelform.view import image_from_frame
 
 BACKGROUND_COLUMNS = ("sequence", "background")
 MOST_NAMED = 3  # sequences that a message names at most

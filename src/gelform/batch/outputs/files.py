@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from gelform.batch.inputs.plan import Part
 from gelform.batch.settings import BatchSettings
 from gelform.errors import DataError
-from gelform.exporters.quantised import MM_PER_LEVEL, UNKNOWN, ZERO_LEVEL, levels_from_depth
+from gelform.exchange.exporters.quantised import MM_PER_LEVEL, UNKNOWN, ZERO_LEVEL, levels_from_depth
 from gelform.foundations.npz_files import written_file
-from gelform.reconstruction import Reconstruction
-from gelform.reconstruction.maps import KEPT_MAPS, MAPS, ResultMap
+from gelform.result import Reconstruction
+from gelform.result.maps import KEPT_MAPS, MAPS, ResultMap
 
 FRAMES, PARTS = "frames", "parts"
 FLUSHED_AT_ONCE = 4  # threads that flush files to the disk

@@ -27,7 +27,7 @@ from gelform.batch.outputs.files import FRAMES, PARTS, OutputFile, PartTarget, o
 from gelform.batch.outputs.video import Codec, VideoWriter
 from gelform.errors import DataError, needed
 from gelform.foundations.npz_files import written_file
-from gelform.reconstruction import Reconstruction
+from gelform.result import Reconstruction
 from gelform.robots.lerobot_depth import (
     UM_PER_MM,
     ZERO_LEVEL,

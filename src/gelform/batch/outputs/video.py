@@ -19,7 +19,7 @@ from gelform.batch.outputs.files import (
     output_file,
 )
 from gelform.errors import DataError
-from gelform.exporters.quantised import UNKNOWN
+from gelform.exchange.exporters.quantised import UNKNOWN
 from gelform.foundations.npz_files import written_file
 
 

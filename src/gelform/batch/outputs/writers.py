@@ -27,7 +27,7 @@ from gelform.batch.outputs.lerobot import (
     wrong_file_of_set,
 )
 from gelform.batch.outputs.zarr_arrays import ZarrArrays, read_zarr
-from gelform.exporters.quantised import depth_from_levels
+from gelform.exchange.exporters.quantised import depth_from_levels
 
 
 class Finish(NamedTuple):

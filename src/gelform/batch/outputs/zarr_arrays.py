@@ -25,7 +25,7 @@ from gelform.batch.outputs.files import (
     maps_of,
 )
 from gelform.errors import needed
-from gelform.reconstruction import Reconstruction
+from gelform.result import Reconstruction
 
 MOST_SHARD_FRAMES = 64  # frames in memory until the shard is full
 MISSING = 2**64 - 1  # offset and size of a missing chunk, which reads as the array's fill value

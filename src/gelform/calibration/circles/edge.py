@@ -23,8 +23,8 @@ from gelform.calibration.circles.samples import (
     with_rest_samples,
 )
 from gelform.calibration.enough import FOLDS, enough
-from gelform.color_models import COLOR_MODELS, DEFAULT_MODEL, ColorModel
-from gelform.metrics.ball import STEEPEST_FRACTION, ball_center, ball_gradients
+from gelform.result.metrics.ball import STEEPEST_FRACTION, ball_center, ball_gradients
+from gelform.slopes.color_models import COLOR_MODELS, DEFAULT_MODEL, ColorModel
 
 INNER = 0.5  # fraction of the visible radius that trains
 RINGS = np.arange(0.05, 1.001, 0.05)

@@ -27,9 +27,9 @@ from gelform.calibration.circles.samples import TRIAL_SAMPLES, ZONE, PreparedPre
 from gelform.calibration.coverage import coverage_notes
 from gelform.calibration.enough import NEEDED, enough
 from gelform.calibration.presses.press_set import Presses
-from gelform.color_models import ColorModel, StartableModel
 from gelform.errors import CalibrationError
 from gelform.foundations.progress import Progress, no_progress
+from gelform.slopes.color_models import ColorModel, StartableModel
 
 ROUNDS = (
     5  # rounds of fitting the model and moving circles to it; further ones move none by a tenth of a pixel

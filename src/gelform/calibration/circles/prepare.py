@@ -9,16 +9,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.background.change import ChangeSettings, PreparedBackground
-from gelform.background.check import check_background_of_frames
-from gelform.background.exposure import Exposure
 from gelform.calibration.circles.find import ContactCircle, find_contact, magnitude, scale_of
 from gelform.calibration.circles.samples import PreparedPress
 from gelform.calibration.presses.press_set import Presses
-from gelform.color_models import COLOR_MODELS, PLAIN_MODEL
 from gelform.errors import CalibrationError
 from gelform.foundations.progress import Progress, no_progress
-from gelform.markers import MarkerFinder
+from gelform.image.background.change import ChangeSettings, PreparedBackground
+from gelform.image.background.check import check_background_of_frames
+from gelform.image.background.exposure import Exposure
+from gelform.image.markers import MarkerFinder
+from gelform.slopes.color_models import COLOR_MODELS, PLAIN_MODEL
 
 BLUR_PX = 1.25  # px at 240 rows; it reduces a camera's noise, not the gel's edges
 USUAL_OFFSET = COLOR_MODELS[PLAIN_MODEL].change_offset

@@ -28,14 +28,14 @@ from gelform.calibration.circles.samples import (
     with_rest_samples,
 )
 from gelform.calibration.enough import REFINING
-from gelform.color_models import COLOR_MODELS, PLAIN_MODEL, ColorModel, Samples, StartableModel
-from gelform.color_models._shared.least_squares import (
+from gelform.result.metrics.ball import ball_center, center_jacobian, followed_radius
+from gelform.slopes.color_models import COLOR_MODELS, PLAIN_MODEL, ColorModel, Samples, StartableModel
+from gelform.slopes.color_models._shared.least_squares import (
     HUBER_SLOPE,
     normal_equations,
     polynomial_terms,
     unit_position,
 )
-from gelform.metrics.ball import ball_center, center_jacobian, followed_radius
 
 MAX_MOVE_PX = 8.0  # px at 240 rows; usual presses are found within 2, deep ones within 10
 MAX_RESIDUAL = 0.25  # mm/mm, largest median slope error of a press that fits

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.calibration.circles.find import ContactCircle
-from gelform.color_models import ColorModel, Samples
-from gelform.metrics.ball import ball_gradients, followed_radius
+from gelform.result.metrics.ball import ball_gradients, followed_radius
+from gelform.slopes.color_models import ColorModel, Samples
 
 TOTAL_SAMPLES = 40_000  # pixels of all presses; twice as many fit no better
 TRIAL_SAMPLES = 15_000  # pixels of all presses for a fit that places circles or is tried on held-out presses

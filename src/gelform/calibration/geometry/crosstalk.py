@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gelform.background.change import ChangeSettings, light_from_image
 from gelform.errors import DataError
 from gelform.foundations.checks import check_image, check_list
-from gelform.frames import BRIGHT
+from gelform.image.background.change import ChangeSettings, light_from_image
+from gelform.image.frame import BRIGHT
 
 NAMES = ("red", "green", "blue")
 MIN_LEVEL = 20.0  # gray levels that are usable for a ratio

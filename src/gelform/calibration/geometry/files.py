@@ -18,9 +18,9 @@ from gelform.calibration.geometry.toml_text import Table, edited_toml
 from gelform.calibration_file import load_calibration
 from gelform.errors import CalibrationError, DataError
 from gelform.foundations.npz_files import written_file
+from gelform.image.view import View, image_from_frame
 from gelform.sensors.files import background_in, read_background, read_image, read_sensor_toml
 from gelform.sensors.profiles import profile_named
-from gelform.view import View, image_from_frame
 
 
 def save_scale(scale: Scale, place: str | PathLike[str], *, sensor_name: str | None = None) -> Path:

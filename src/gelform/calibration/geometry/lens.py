@@ -14,7 +14,7 @@ from scipy.optimize import least_squares
 from gelform.calibration.geometry.scale import Scale
 from gelform.errors import DataError
 from gelform.foundations.checks import check_image, check_list, check_numbers, check_positive
-from gelform.view import Lens, View
+from gelform.image.view import Lens, View
 
 MAX_RESIDUAL_PX = 0.5  # px RMS of a grid's points
 PITCH_SIGMA = 0.002  # relative, of a printed grid

@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.background.change import ChangeSettings, PreparedBackground
 from gelform.calibration.geometry.scale import Scale, scale_from_lengths
 from gelform.errors import DataError
 from gelform.foundations.checks import check_image
+from gelform.image.background.change import ChangeSettings, PreparedBackground
 
 BLUR_PX = 1.0  # px, blur of the change of color against noise
 STEP_SIGMA_PX = 0.1  # px, uncertainty of the shift from the similarity of the images

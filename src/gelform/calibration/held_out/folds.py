@@ -16,8 +16,8 @@ from gelform.calibration.circles.locate import ROUNDS, refine
 from gelform.calibration.circles.refine import fit_model, recentered
 from gelform.calibration.circles.samples import PreparedPress
 from gelform.calibration.enough import FOLDS
-from gelform.color_models import StartableModel
 from gelform.foundations.progress import Progress, no_progress
+from gelform.slopes.color_models import StartableModel
 
 
 @dataclass(frozen=True)

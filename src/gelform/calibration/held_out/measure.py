@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.background.change import PreparedBackground
 from gelform.calibration.candidates import Candidate
 from gelform.calibration.circles.find import ContactCircle
 from gelform.calibration.circles.prepare import change_settings
@@ -24,8 +23,14 @@ from gelform.calibration.held_out.folds import Fold, circle_sigmas
 from gelform.calibration.held_out.sigma import fraction_trained, slope_sigma_from_folds
 from gelform.calibration.presses.press_set import Press, Presses
 from gelform.calibration_file import Calibration
-from gelform.color_models import ForwardResponse
-from gelform.confidence import (
+from gelform.foundations.progress import Progress, no_progress
+from gelform.image.background.change import PreparedBackground
+from gelform.reconstruct import Reconstructor
+from gelform.result import Reconstruction
+from gelform.result.metrics import PressErrors, press_errors
+from gelform.result.metrics.ball import STEEPEST_FRACTION, ball_center, ball_gradients, followed_radius
+from gelform.slopes.color_models import ForwardResponse
+from gelform.slopes.confidence import (
     SlopeSigma,
     SolvedErrors,
     SolvedSigma,
@@ -33,11 +38,6 @@ from gelform.confidence import (
     noise_at_rest,
     with_solved_factors,
 )
-from gelform.foundations.progress import Progress, no_progress
-from gelform.metrics import PressErrors, press_errors
-from gelform.metrics.ball import STEEPEST_FRACTION, ball_center, ball_gradients, followed_radius
-from gelform.reconstruct import Reconstructor
-from gelform.reconstruction import Reconstruction
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,7 +199,7 @@ def sample_of(
 ) -> HeldOutSample:
     """Pixels of a reconstructed press for its errors, up to the visible rim; about `max_pixels`.
 
-    That region and the free centers, fitted inside the contact edge, are those of `gelform.metrics.press_errors`.
+    That region and the free centers, fitted inside the contact edge, are those of `gelform.result.metrics.press_errors`.
     """
     ball_px = press.ball_diameter_mm / 2 / mm_per_px
     height, width = result.depth_mm.shape

@@ -24,9 +24,9 @@ from gelform.calibration.candidates import (
 from gelform.calibration.circles.find import ContactCircle
 from gelform.calibration.circles.samples import PRESS_PIXELS, TRIAL_SAMPLES, PreparedPress
 from gelform.calibration.held_out.folds import Fold
-from gelform.color_models.forward_response import RIDGES, Step
 from gelform.foundations.progress import Progress, no_progress
-from gelform.metrics import score_slopes
+from gelform.result.metrics import score_slopes
+from gelform.slopes.color_models.forward_response import RIDGES, Step
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,9 @@ from gelform.calibration.candidates import FittedSlopes
 from gelform.calibration.circles.find import ContactCircle, scale_of
 from gelform.calibration.circles.samples import PRESS_PIXELS, REST_DISTANCE, PreparedPress
 from gelform.calibration.held_out.folds import Fold
-from gelform.color_models.forward_response import Step
-from gelform.confidence import SlopeErrors, SlopeSigma
-from gelform.metrics import score_slopes
+from gelform.result.metrics import score_slopes
+from gelform.slopes.color_models.forward_response import Step
+from gelform.slopes.confidence import SlopeErrors, SlopeSigma
 
 LAGS = 24  # steps, px at 240 rows; errors in a contact correlate over 3-10
 ROWS = 8  # rows of gel at rest, for the correlation of errors there

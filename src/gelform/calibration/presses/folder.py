@@ -40,10 +40,10 @@ from gelform.calibration.presses.video import presses_from_video
 from gelform.errors import DataError
 from gelform.foundations.checks import check_is, check_path
 from gelform.foundations.progress import Progress, no_progress
-from gelform.frames import pixels_digest
+from gelform.image.frame import pixels_digest
+from gelform.image.view import View, image_from_frame, image_px_from_frame_px
 from gelform.sensors.files import IMAGE_SUFFIXES, background_in, read_background, read_image
 from gelform.sensors.video_files import is_video
-from gelform.view import View, image_from_frame, image_px_from_frame_px
 
 LABEL_COLUMNS = ("center_x_px", "center_y_px", "contact_radius_px")
 BALL, FLAT = "ball", "flat"  # indenters

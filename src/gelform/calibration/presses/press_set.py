@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from gelform.calibration.geometry.measured import Geometry
 from gelform.errors import DataError
 from gelform.foundations.checks import check_positive, check_sensor_pitch
-from gelform.frames import pixels_digest
+from gelform.image.frame import pixels_digest
+from gelform.image.view import View, image_from_frame
 from gelform.sensors.files import SensorSettings, read_sensor_toml
 from gelform.sensors.profiles import profile_named
-from gelform.view import View, image_from_frame
 
 if TYPE_CHECKING:
     from gelform.simulate import SimulatedPresses

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.background.average import trimmed_mean
 from gelform.calibration.presses.press_set import (
     Listed,
     Presses,
@@ -32,10 +31,11 @@ from gelform.calibration.presses.stills import (
 from gelform.errors import DataError
 from gelform.foundations.checks import check_is, check_path
 from gelform.foundations.progress import Progress, no_progress
-from gelform.frames import Frame
+from gelform.image.background.average import trimmed_mean
+from gelform.image.frame import Frame
+from gelform.image.view import View, image_from_frame
 from gelform.sensors.files import read_background
 from gelform.sensors.video_files import Video
-from gelform.view import View, image_from_frame
 
 BACKGROUND_FRAMES = 60  # frames that are averaged at most
 MAX_KEPT_BYTES = 1 << 30  # bytes of images kept from an iterator

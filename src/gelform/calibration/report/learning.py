@@ -28,8 +28,8 @@ from gelform.calibration.enough import enough
 from gelform.calibration.held_out.scores import score_of
 from gelform.calibration.presses.press_set import Presses
 from gelform.calibration_file import Calibration
-from gelform.color_models import COLOR_MODELS
 from gelform.foundations.progress import Progress, no_progress
+from gelform.slopes.color_models import COLOR_MODELS
 
 SIZES = (5, 10, 15, 20, 30, 45, 70, 100, 150)  # numbers of training presses
 DRAWS = 3  # draws of presses for each size

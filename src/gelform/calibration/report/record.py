@@ -14,7 +14,7 @@ from gelform.calibration.circles.locate import Located
 from gelform.calibration.fitted import Fitted
 from gelform.calibration.held_out.measure import HeldOutSample, Judged
 from gelform.calibration.held_out.scores import Selection
-from gelform.metrics import PressErrors
+from gelform.result.metrics import PressErrors
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from gelform.calibration.coverage import COARSE, DIRECTIONS, direction_of, tile_of
 from gelform.calibration.enough import enough
 from gelform.calibration.held_out.measure import HeldOutSample
-from gelform.confidence.slope_sigma import MIN_IN_BIN
-from gelform.metrics import angle_deg
+from gelform.result.metrics import angle_deg
+from gelform.slopes.confidence.slope_sigma import MIN_IN_BIN
 
 SLOPE_EDGES = tuple(round(0.1 * k, 1) for k in range(13))
 DRAWS = 1000  # bootstrap draws of presses, for intervals

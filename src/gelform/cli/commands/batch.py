@@ -17,7 +17,7 @@ from typer import Argument, BadParameter, Option
 from gelform.cli.console import progress_shown, say
 from gelform.cli.options import CalibrationOptions, Shown, one_of, usage_errors
 from gelform.cli.process import MISTAKE
-from gelform.reconstruction.maps import KEPT_MAPS
+from gelform.result.maps import KEPT_MAPS
 
 if TYPE_CHECKING:
     from gelform.batch import BatchSettings, BatchSummary, Engine
@@ -161,7 +161,7 @@ def batch(
     """
     given.check(frames.background)
     from gelform.batch import RunOptions, run_batch
-    from gelform.calibrations.choose import NoCalibration
+    from gelform.calibration.library.choose import NoCalibration
     from gelform.cli.sensor_images import starter_given
 
     settings = results.settings(frames.background_frames)

@@ -23,8 +23,8 @@ from gelform.cli.options import NewCalibration, Overwrite, Shown
 from gelform.errors import DataError
 
 if TYPE_CHECKING:
+    from gelform.calibration.library.library import Entry
     from gelform.calibration_file import Calibration
-    from gelform.calibrations.library import Entry
 
 SUMMARY = "List, add, remove and export calibrations by serial."
 COLUMNS = {
@@ -57,7 +57,7 @@ def list_(
       gelform calibrations list --serial 2BKRXXXX --gel gel-3
       gelform calibrations list --json
     """
-    from gelform.calibrations.library import date_of, entries, facts_of, library_folder
+    from gelform.calibration.library.library import date_of, entries, facts_of, library_folder
     from gelform.foundations.npz_files import DIGEST_SHOWN
 
     folder = library_folder()
@@ -105,8 +105,8 @@ def add(
       gelform calibrations add mini.npz
       gelform calibrations add mini.npz --serial 2BKRXXXX --gel gel-3
     """
+    from gelform.calibration.library.library import add_calibration
     from gelform.calibration_file import load_calibration
-    from gelform.calibrations.library import add_calibration
 
     if serial is not None and len(files) > 1:
         raise BadParameter("belongs to one camera: add one file at a time.", param_hint="--serial")
@@ -152,7 +152,7 @@ def remove(
       gelform calibrations remove 1a2b3c4d5e
       gelform calibrations remove 2BKRXXXX --gel gel-2 --all --yes
     """
-    from gelform.calibrations.library import listed, matching, remove_calibration
+    from gelform.calibration.library.library import listed, matching, remove_calibration
 
     found = matching(which, gel)
     if len(found) > 1 and not every:
@@ -177,7 +177,7 @@ def export_(
       gelform calibrations export 2BKRXXXX -o mini.npz
       gelform calibrations export 2BKRXXXX --gel gel-2 -o gel-2.npz
     """
-    from gelform.calibrations.library import matching
+    from gelform.calibration.library.library import matching
     from gelform.cli.outputs import check_output
     from gelform.foundations.npz_files import written_file
 

@@ -38,7 +38,7 @@ def demo(
       gelform demo
       gelform demo -o somewhere --json
     """
-    from gelform.exporters.folders import written_whole
+    from gelform.exchange.exporters.folders import written_whole
 
     check_pictures()
     started = time.monotonic()
@@ -73,7 +73,7 @@ def demo(
 def _simulated(folder: Path, progress: Progress) -> SimulatedSensor:
     import numpy as np
 
-    from gelform.exporters.press_folder import save_simulated_presses
+    from gelform.exchange.exporters.press_folder import save_simulated_presses
     from gelform.simulate import LAYOUTS, simulate_ball_presses
 
     presses = simulate_ball_presses(
@@ -123,11 +123,11 @@ def _compared(folder: Path, name: str, press: SimulatedPress, calibration: Calib
     """Reconstruct one object with the calibration, and compare it with the truth."""
     import numpy as np
 
-    from gelform.metrics import angle_deg
-    from gelform.plots.canvas import save_picture
-    from gelform.plots.result import picture
+    from gelform.exchange.plots.canvas import save_picture
+    from gelform.exchange.plots.result import picture
     from gelform.reconstruct import Reconstructor
-    from gelform.reconstruction import save_result
+    from gelform.result import save_result
+    from gelform.result.metrics import angle_deg
 
     result = Reconstructor(calibration).from_image(press.image)
     save_picture(folder / f"{name}_image.png", press.image)

@@ -66,7 +66,7 @@ def import_(
         raise BadParameter(
             "needed: an image of the gel at rest; these files hold none.", param_hint="--background"
         )
-    from gelform.importers.calibrations import import_calibration
+    from gelform.exchange.importers.calibrations import import_calibration
     from gelform.sensors.files import read_image
 
     check_output(output, overwrite=overwrite)
@@ -117,7 +117,7 @@ def export(
     """
     from gelform.calibration_file import KIND as CALIBRATION
     from gelform.foundations.npz_files import kind_of_npz
-    from gelform.reconstruction import KIND as RESULT
+    from gelform.result import KIND as RESULT
 
     to = one_of(to, RENDERERS + FILES, "--to")
     kind, wanted = kind_of_npz(source) or "", CALIBRATION if to in RENDERERS else RESULT
@@ -128,12 +128,12 @@ def export(
             f"in {source}. A calibration is written for {', '.join(RENDERERS)}; a result for {', '.join(FILES)}."
         )
     if to in RENDERERS:
-        from gelform.exporters.taxim import save_taxim
+        from gelform.exchange.exporters.taxim import save_taxim
 
         written = save_taxim(source, output or source.with_suffix(f".{to}"), renderer=to)
     else:
-        from gelform.exporters.surface import save_surface
-        from gelform.reconstruction import load_result
+        from gelform.exchange.exporters.surface import save_surface
+        from gelform.result import load_result
 
         target = output or source.with_suffix(f".{to}")
         if target.suffix.lower().lstrip(".") not in (to, to[:3]):

@@ -16,7 +16,7 @@ from gelform.cli.options import Json
 from gelform.errors import DataError, GelformError
 
 if TYPE_CHECKING:
-    from gelform.reconstruction import Reconstruction
+    from gelform.result import Reconstruction
     from gelform.sensors.recordings.facts import RecordingSummary
 
 
@@ -83,7 +83,7 @@ def _facts(path: Path) -> dict[str, Any]:
 def _file(path: Path) -> dict[str, Any]:
     from gelform.calibration_file import KIND as CALIBRATION
     from gelform.foundations.npz_files import kind_of_npz
-    from gelform.reconstruction import KIND as RESULT
+    from gelform.result import KIND as RESULT
 
     kind = kind_of_npz(path)
     if kind == CALIBRATION:
@@ -137,7 +137,7 @@ def _calibration(path: Path) -> dict[str, Any]:
 
 
 def _result(path: Path) -> dict[str, Any]:
-    from gelform.reconstruction import load_result
+    from gelform.result import load_result
 
     result = load_result(path)
     unit = "depth_mm" if result.mm_per_px is not None else "depth_px"
@@ -163,7 +163,7 @@ def _result(path: Path) -> dict[str, Any]:
 
 def _roughness(result: Reconstruction) -> dict[str, Any] | None:
     """The roughness of the contact by ISO 25178; None without a scale or if the contact is too small."""
-    from gelform.metrics.roughness import LEAST_PX, areal_roughness
+    from gelform.result.metrics.roughness import LEAST_PX, areal_roughness
 
     inside = result.contact & result.known
     if not isinstance(result.mm_per_px, float) or int(inside.sum()) < LEAST_PX:

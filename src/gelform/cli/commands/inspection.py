@@ -204,7 +204,7 @@ def compare(
 def _compare_one(
     pair: Sequence[Reconstructor], path: Path, picture: NewPicture | None, names: tuple[str, str]
 ) -> dict[str, Any]:
-    from gelform.plots.comparison import compare_results, comparison_picture
+    from gelform.exchange.plots.comparison import compare_results, comparison_picture
 
     images = [image_in(path, run.calibration) for run in pair]
     a, b = (reconstruction_of(run, image, path) for run, image in zip(pair, images))
@@ -238,7 +238,7 @@ def explain(
     """
     given.check(background)
     pictures = _pictures(images, output, [given.calibration, background], overwrite)
-    from gelform.calibrations.choose import unit_of_all
+    from gelform.calibration.library.choose import unit_of_all
 
     used = calibration_given(given, background, lambda: unit_of_all(images), shown.silent)
     run = prepared(used, background, depth_sigma=False)
@@ -271,7 +271,7 @@ def _explain_one(run: Reconstructor, path: Path, picture: NewPicture | None) -> 
     except CalibrationError as problem:
         raise CalibrationError(f"{path}: {problem}") from problem
     if picture is not None:
-        from gelform.plots.explanation import explanation_picture
+        from gelform.exchange.plots.explanation import explanation_picture
 
         picture.save(explanation_picture(found, image))
     return {"image": str(path), "picture": picture and str(picture.path), **found.to_dict()}
@@ -285,7 +285,7 @@ class NewPicture:
     overwrite: bool
 
     def save(self, pixels: NDArray[np.uint8]) -> None:
-        from gelform.plots.canvas import save_picture
+        from gelform.exchange.plots.canvas import save_picture
 
         make_folder(self.path.parent)
         save_picture(self.path, pixels, overwrite=self.overwrite)

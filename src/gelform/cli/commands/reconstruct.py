@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from gelform.reconstruction import Reconstruction
+    from gelform.result import Reconstruction
 
 SURFACES = ("ply", "stl", "tiff", "x3p")  # of exporters.surface; png is a picture here, not depth
 FORMATS = ("npz", "png", *SURFACES)
@@ -85,8 +85,8 @@ def reconstruct(
     check_results([results for _, results in todo], overwrite=overwrite or skip_existing, protected=protected)
     if "png" in wanted:
         check_pictures()
-    from gelform.calibrations.choose import unit_of_all
-    from gelform.solvers import SOLVERS
+    from gelform.calibration.library.choose import unit_of_all
+    from gelform.depth.solvers import SOLVERS
 
     one_of(solver, ("auto", *SOLVERS), "--solver")
     used = calibration_given(given, background, lambda: unit_of_all(images), shown.quiet)
@@ -117,19 +117,19 @@ def reconstruct(
 def _write(
     result: Reconstruction, image: NDArray[np.uint8], results: dict[str, Path], overwrite: bool
 ) -> None:
-    from gelform.reconstruction import save_result
+    from gelform.result import save_result
 
     make_folder(next(iter(results.values())).parent)
     if "npz" in results:
         save_result(result, results["npz"], overwrite=overwrite)
     for name in SURFACES:
         if name in results:
-            from gelform.exporters.surface import save_surface
+            from gelform.exchange.exporters.surface import save_surface
 
             save_surface(result, results[name], overwrite=overwrite)
     if "png" in results:
-        from gelform.plots.canvas import save_picture
-        from gelform.plots.result import picture
+        from gelform.exchange.plots.canvas import save_picture
+        from gelform.exchange.plots.result import picture
 
         save_picture(results["png"], picture(result, image), overwrite=overwrite)
 

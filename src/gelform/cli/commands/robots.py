@@ -72,7 +72,7 @@ def bag(
       gelform bag video.mp4 --sensor digit --background rest.png -o press_bag
       gelform bag video.mp4 -c cal.npz -o press_bag --topics indentation,diagnostics
     """
-    from gelform.calibrations.choose import unit_of
+    from gelform.calibration.library.choose import unit_of
     from gelform.robots.send import save_bag
 
     wanted = sent.wanted()
@@ -112,7 +112,7 @@ def ros(
       gelform ros 2BKRXXXX -c cal.npz --name left_finger --topics indentation,diagnostics
       gelform ros session.mcap -c cal.npz --router tcp/192.168.1.5:7447 --domain 7
     """
-    from gelform.calibrations.choose import unit_of
+    from gelform.calibration.library.choose import unit_of
     from gelform.robots.send import publish
 
     wanted = sent.wanted()

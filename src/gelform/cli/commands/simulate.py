@@ -129,14 +129,14 @@ def simulate(
     pressed = face.read()
     with shown.progress() as progress:
         if pressed is not None:
-            from gelform.exporters.simulated import save_simulated_press
+            from gelform.exchange.exporters.simulated import save_simulated_press
             from gelform.simulate.press import check_press_depth
 
             with usage_errors("--depth-mm"):
                 check_press_depth(made, face.depth_mm)
             save_simulated_press(output, made, pressed, depth_mm=face.depth_mm, seed=seed, twin=twin)
         else:
-            from gelform.exporters.simulated import SetOfPresses, save_simulated_set
+            from gelform.exchange.exporters.simulated import SetOfPresses, save_simulated_set
 
             oversample = 1 if twin is not None else 3  # a twin answers to the slope at the pixel's center
             diameters = tuple(balls.ball_diameter_mm)
@@ -162,7 +162,7 @@ def sensor_of(name_or_file: str) -> SimulatedSensor:
 def _twin_of(look: Look) -> Twin | None:
     """A twin of a calibration or of Taxim's tables; None without either."""
     from gelform.calibration_file import load_calibration
-    from gelform.importers.tables import is_taxim_forward
+    from gelform.exchange.importers.tables import is_taxim_forward
     from gelform.simulate.twin import Twin
 
     if look.like is not None and look.like.is_file() and is_taxim_forward(look.like):
@@ -176,7 +176,7 @@ def _twin_of(look: Look) -> Twin | None:
 def _twin_of_tables(path: Path, look: Look) -> Twin:
     import numpy as np
 
-    from gelform.importers.tables import TaximLook, read_taxim_forward
+    from gelform.exchange.importers.tables import TaximLook, read_taxim_forward
     from gelform.sensors.files import read_image
     from gelform.simulate.twin import Twin
 
@@ -226,7 +226,7 @@ def design(
     """
     import numpy as np
 
-    from gelform.design import compare_designs
+    from gelform.calibration.design import compare_designs
 
     chosen = sensor_of(sensor)
     if output is not None:
@@ -235,8 +235,8 @@ def design(
     with shown.progress() as progress:
         results = compare_designs(chosen, presses=presses, seed=seed, progress=progress)
     if output is not None:
-        from gelform.design import design_picture
-        from gelform.plots.canvas import save_picture
+        from gelform.calibration.design import design_picture
+        from gelform.exchange.plots.canvas import save_picture
 
         save_picture(output, design_picture(results), overwrite=overwrite)
     rows = [

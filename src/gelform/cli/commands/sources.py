@@ -307,9 +307,9 @@ def _fresh(grabber: Grabber, count: int) -> list[Any]:
 
 def _sensor_settings(grabber: Grabber, wanted: PressesTaken) -> Any:
     """The content of sensor.toml: the known sensor's scale and view, the serial number, the camera's settings."""
+    from gelform.image.view import View
     from gelform.sensors.files import SensorSettings
     from gelform.sensors.profiles import profile_named
-    from gelform.view import View
 
     sensor, mm_per_px = wanted.sensor, wanted.mm_per_px
     if sensor is None and mm_per_px is None:

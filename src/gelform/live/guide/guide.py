@@ -11,15 +11,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.background.average import background_from_frames
 from gelform.calibration.coverage import Coverage, PressPlace, press_coverage, press_next
 from gelform.calibration.enough import NEEDED
 from gelform.calibration.presses.press_set import Press, Presses
 from gelform.errors import GelformError
-from gelform.frames import Frame, pixels_digest
+from gelform.image.background.average import background_from_frames
+from gelform.image.frame import Frame, pixels_digest
+from gelform.image.view import View, image_from_frame
 from gelform.live.guide.judge import Circle, Forecast, Judge, Look
 from gelform.live.setup import BACKGROUND_FRAMES
-from gelform.view import View, image_from_frame
 
 WANTED, LEAST = (NEEDED[row].presses for row in ("guided well", "guided"))
 LOOK_EVERY_S = 0.08  # s between analyzed frames; an analysis takes some 10 ms

@@ -10,7 +10,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.background.change import ChangeSettings
 from gelform.calibration.candidates import Candidate, candidates_for, training_samples
 from gelform.calibration.circles.find import ContactCircle, find_contact, scale_of, why_no_contact
 from gelform.calibration.circles.prepare import BLUR_PX, USUAL_OFFSET, ColorChanges, find_contacts, prepare
@@ -19,7 +18,8 @@ from gelform.calibration.enough import enough
 from gelform.calibration.presses.press_set import Presses
 from gelform.calibration.report.learning import floor_and_slope
 from gelform.errors import CalibrationError
-from gelform.metrics import score_slopes
+from gelform.image.background.change import ChangeSettings
+from gelform.result.metrics import score_slopes
 
 LEAST_RADIUS_PX = 9.0  # px, radius of a contact, at 240 rows
 DEEPEST = 0.87  # contact radius over ball radius: pressed in by half the radius

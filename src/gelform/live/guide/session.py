@@ -11,13 +11,13 @@ import numpy as np
 
 from gelform.calibration.enough import enough
 from gelform.calibration.fit import calibrate
+from gelform.calibration.library.library import add_calibration
 from gelform.calibration.presses.press_set import Presses
 from gelform.calibration.report.content import report_content, report_coverage
 from gelform.calibration.report.page.page import report_page
 from gelform.calibration_file import Calibration
-from gelform.calibrations.library import add_calibration
 from gelform.errors import GelformError
-from gelform.exporters.press_folder import save_press_folder
+from gelform.exchange.exporters.press_folder import save_press_folder
 from gelform.foundations.npz_files import written_file
 from gelform.foundations.progress import Progress
 from gelform.live.guide.guide import Asked, Guide

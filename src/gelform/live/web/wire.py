@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.errors import DataError
-from gelform.exporters.quantised import MM_PER_LEVEL, ZERO_LEVEL
+from gelform.exchange.exporters.quantised import MM_PER_LEVEL, ZERO_LEVEL
 
 ENCODINGS = ("raw", "small")
 JPEG_QUALITY = 80  # of 100

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.errors import SensorError, SourceLostError
-from gelform.frames import Frame
+from gelform.image.frame import Frame
 from gelform.sensors.cameras.camera import Camera
 from gelform.sensors.cameras.settings import check_settings, controls_of, set_controls
 from gelform.sensors.jpeg import MAX_TORN, image_from_jpeg, reduction_of

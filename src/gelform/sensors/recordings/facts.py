@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from gelform.errors import DataError
 from gelform.foundations.pictures import FAST_PNG, picture_bytes
-from gelform.frames import Frame
+from gelform.image.frame import Frame
 from gelform.sensors.jpeg import image_from_jpeg
 from gelform.sensors.playback import Playback
 

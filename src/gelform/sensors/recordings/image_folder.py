@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from gelform.errors import DataError
-from gelform.frames import Frame
+from gelform.image.frame import Frame
 from gelform.sensors.playback import Playback
 from gelform.sensors.recordings.facts import (
     RecordingFacts,

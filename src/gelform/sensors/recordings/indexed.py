@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from gelform.errors import DataError
-from gelform.frames import Frame
+from gelform.image.frame import Frame
 from gelform.sensors.playback import images_by_number
 from gelform.sensors.recordings.facts import RecordingFacts, reduction_in
 from gelform.sensors.recordings.image_folder import facts_of_folder, frame_of_row, is_recorded_folder, rows_of

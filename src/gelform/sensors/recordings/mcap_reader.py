@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from gelform.errors import DataError
-from gelform.frames import Frame
+from gelform.image.frame import Frame
 from gelform.sensors.playback import Playback
 from gelform.sensors.recordings.facts import (
     RecordingFacts,

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from gelform.errors import DataError
-from gelform.frames import Frame
+from gelform.image.frame import Frame
 from gelform.sensors.recordings.facts import ATTACHABLE, RecordingFacts, encoded_from_frame, unwritable
 from gelform.sensors.recordings.messages import (
     MESSAGE_ENCODING,

@@ -17,7 +17,7 @@ from gelform import __version__
 from gelform.calibration_file import Calibration, load_calibration
 from gelform.errors import DataError
 from gelform.foundations.pictures import picture_bytes
-from gelform.frames import Frame
+from gelform.image.frame import Frame
 from gelform.sensors.grabber import Grabber
 from gelform.sensors.recordings.facts import (
     ATTACHABLE,

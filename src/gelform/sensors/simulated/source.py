@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.foundations.checks import check_positive
-from gelform.frames import Frame
+from gelform.image.frame import Frame
 from gelform.sensors.playback import Pace
 from gelform.simulate import (
     Ball,

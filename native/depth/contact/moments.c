@@ -1,0 +1,134 @@
+// Moments of labeled regions, which area, centroid, axes, volume and deepest point follow from; and what speaks for a contact.
+#include "../../common.h"
+
+enum { COUNT, SUM_X, SUM_Y, SUM_XX, SUM_XY, SUM_YY, SUM_Z, MAX_Z, X_OF_MAX, Y_OF_MAX, MIN_X, MAX_X, MIN_Y, MAX_Y, FIGURES };
+
+// 0 + 1 + 4 + ... + (n - 1)^2
+static inline int64_t squares_below(int64_t n) { return (n - 1) * n * (2 * n - 1) / 6; }
+
+// Depths are added in the order of the pixels; of the deepest the first counts.
+static inline void take_in_depths(double *of, const float *depth, ptrdiff_t first, ptrdiff_t end, ptrdiff_t y) {
+  double total = of[SUM_Z], most = of[COUNT] == 0 ? -INFINITY : of[MAX_Z];
+  ptrdiff_t deepest = -1;
+  for (ptrdiff_t x = first; x < end; x++) {
+    total += depth[x];
+    if (depth[x] > most) most = depth[x], deepest = x;
+  }
+  of[SUM_Z] = total, of[MAX_Z] = most;
+  if (deepest >= 0) of[X_OF_MAX] = (double)deepest, of[Y_OF_MAX] = (double)y;
+}
+
+// A run of a region's pixels in row y. Whole numbers add up exactly in doubles.
+static inline void take_in(double *of, const float *depth, ptrdiff_t first, ptrdiff_t end, ptrdiff_t y) {
+  const int64_t count = end - first, sum = (first + end - 1) * count / 2;
+  take_in_depths(of, depth, first, end, y);
+  if (of[COUNT] == 0) of[MIN_X] = (double)first, of[MAX_X] = (double)(end - 1), of[MIN_Y] = (double)y;
+  of[COUNT] += (double)count;
+  of[SUM_X] += (double)sum, of[SUM_Y] += (double)(y * count);
+  of[SUM_XX] += (double)(squares_below(end) - squares_below(first));
+  of[SUM_XY] += (double)(sum * y), of[SUM_YY] += (double)(y * y * count);
+  of[MIN_X] = (double)first < of[MIN_X] ? (double)first : of[MIN_X];
+  of[MAX_X] = (double)(end - 1) > of[MAX_X] ? (double)(end - 1) : of[MAX_X];
+  of[MAX_Y] = (double)y;
+}
+
+// The first pixel from x on that is of a region; whole words of pixels that are not are passed by.
+static inline ptrdiff_t next_labeled(const uint16_t *row, ptrdiff_t x, ptrdiff_t w) {
+  for (uint64_t word; x + 4 <= w; x += 4) {
+    memcpy(&word, row + x, sizeof word);
+    if (word != 0) break;
+  }
+  while (x < w && row[x] == 0) x++;
+  return x;
+}
+
+// Labels are 1 ... n; 0 is no region. `moments` (n, FIGURES) is set, not added to.
+EXPORT int region_moments(const uint16_t *labels, const float *depth, double *moments, ptrdiff_t h, ptrdiff_t w,
+                          ptrdiff_t n) {
+  memset(moments, 0, (size_t)n * FIGURES * sizeof *moments);
+  for (ptrdiff_t y = 0; y < h; y++) {
+    const uint16_t *row = labels + y * w;
+    for (ptrdiff_t x = next_labeled(row, 0, w), end; x < w; x = next_labeled(row, end, w)) {
+      if (row[x] > n) return WRONG_SIZE;
+      for (end = x + 1; end < w && row[end] == row[x];) end++;
+      take_in(moments + (row[x] - 1) * FIGURES, depth + y * w, x, end, y);
+    }
+  }
+  return OK;
+}
+
+enum { AREA, DEPTH, X, Y, SURE, EVIDENCE, OWN, MEASURES };
+
+struct maps {
+  const float *depth, *sigma, *variance, *coarse, *fine, *smooth, *bent, *influence;
+  const bool *rest;
+  float stiffness, coarse_at_rest, coarse_elsewhere, fine_at_rest, fine_elsewhere, per_x, per_y;
+  ptrdiff_t reach;  // of the influence, its number of values
+};
+
+// The square of a pixel's pressure over its variance, the larger of the two smoothings'.
+static inline double evidence_of(const struct maps *m, ptrdiff_t at) {
+  const double bed = m->sigma[at] * m->stiffness, slopes = m->variance[at];
+  const double coarse = m->coarse[at], of_coarse = slopes * (m->rest[at] ? m->coarse_at_rest : m->coarse_elsewhere) + bed * bed;
+  const double fine = m->fine[at], of_fine = slopes * (m->rest[at] ? m->fine_at_rest : m->fine_elsewhere) + bed * bed;
+  const double one = coarse * coarse / (of_coarse + 1e-30), other = fine * fine / (of_fine + 1e-30);
+  return one > other ? one : other;
+}
+
+// A run of a region's pixels in row y; `row` is that row's first pixel in the maps.
+static void take_evidence(double *of, const struct maps *m, ptrdiff_t first, ptrdiff_t end, ptrdiff_t y, ptrdiff_t row) {
+  for (ptrdiff_t x = first; x < end; x++) {
+    const double z = m->depth[row + x], sure = z / larger(m->sigma[row + x], 1e-9f), evidence = evidence_of(m, row + x);
+    if (of[AREA] == 0 || z > of[DEPTH]) of[DEPTH] = z, of[X] = (double)x, of[Y] = (double)y;
+    of[SURE] = of[AREA] == 0 || sure > of[SURE] ? sure : of[SURE];
+    of[EVIDENCE] = evidence > of[EVIDENCE] ? evidence : of[EVIDENCE];
+    of[AREA]++;
+  }
+}
+
+static void take_own_depth(double *of, const struct maps *m, ptrdiff_t first, ptrdiff_t end, ptrdiff_t y, ptrdiff_t row) {
+  const double dy = (double)y - of[Y], along_y = m->per_y * dy * dy;
+  for (ptrdiff_t x = first; x < end; x++) {
+    const double dx = (double)x - of[X], at = m->per_x * dx * dx + along_y;
+    const double pressure = m->bent[row + x] + (double)m->stiffness * m->smooth[row + x];
+    if (at < (double)m->reach) of[OWN] += (double)m->influence[(ptrdiff_t)at] * pressure;
+  }
+}
+
+// Of each region 1 ... n: its pixels, depth and place of the deepest one, the most sigmas that a depth is above 0, the most
+// evidence, and the depth that the region's own pressure makes at its deepest pixel. `coarse`, `fine`: pressures; `smooth`, `bent`:
+// the surface by the finer smoothing. `influence`: depth for a unit of pressure at a pixel whose squared distance is the index;
+// `per_x` and `per_y` are those of a step.
+EXPORT int region_evidence(const uint16_t *labels, const float *depth, const float *sigma, const float *variance,
+                           const bool *rest, const float *coarse, const float *fine, const float *smooth, const float *bent,
+                           const float *influence, double *measures, float stiffness, float coarse_at_rest,
+                           float coarse_elsewhere, float fine_at_rest, float fine_elsewhere, float per_x, float per_y, ptrdiff_t h,
+                           ptrdiff_t w, ptrdiff_t t, ptrdiff_t n) {
+  const struct maps m = {depth, sigma, variance, coarse, fine, smooth, bent, influence, rest, stiffness, coarse_at_rest,
+                         coarse_elsewhere, fine_at_rest, fine_elsewhere, per_x, per_y, t};
+  memset(measures, 0, (size_t)(n * MEASURES) * sizeof *measures);
+  for (int own = 0; own < 2; own++)
+    for (ptrdiff_t y = 0; y < h; y++) {
+      const uint16_t *row = labels + y * w;
+      for (ptrdiff_t x = next_labeled(row, 0, w), end; x < w; x = next_labeled(row, end, w)) {
+        if (row[x] > n) return WRONG_SIZE;
+        for (end = x + 1; end < w && row[end] == row[x];) end++;
+        (own ? take_own_depth : take_evidence)(measures + (row[x] - 1) * MEASURES, &m, x, end, y, y * w);
+      }
+    }
+  return OK;
+}
+
+// The pixels of the regions that stand, of labels 0 ... n - 1.
+EXPORT int standing_regions(const uint16_t *labels, const bool *stands, bool *contact, ptrdiff_t h, ptrdiff_t w, ptrdiff_t n) {
+  memset(contact, 0, (size_t)(h * w));
+  for (ptrdiff_t y = 0; y < h; y++) {
+    const uint16_t *row = labels + y * w;
+    for (ptrdiff_t x = next_labeled(row, 0, w), end; x < w; x = next_labeled(row, end, w)) {
+      if (row[x] >= n) return WRONG_SIZE;
+      for (end = x + 1; end < w && row[end] == row[x];) end++;
+      memset(contact + y * w + x, stands[row[x]], (size_t)(end - x));
+    }
+  }
+  return OK;
+}

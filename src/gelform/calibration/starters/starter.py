@@ -1,0 +1,319 @@
+"""Starter: a calibration of other units of a make, which today's background image turns into one of this unit.
+
+Units share the positions of their lamps around the gel, and therefore the color of each slope, to some per cent. They
+do not share the background image, which takes a second to photograph. So a starter holds the color models, the smooth
+light of the make and the spread between units. With a unit's background it becomes a calibration that is marked as such.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cache
+from importlib.resources import files
+from os import PathLike
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gelform.calibration.starters.light import (
+    check_light,
+    gain_between,
+    levels_from_light,
+    light_from_background,
+    pixel_places,
+)
+from gelform.calibration_file import Calibration, calibration_from_contents
+from gelform.errors import CalibrationError, SensorError
+from gelform.foundations.checks import check_image, check_mm_per_px, check_positive
+from gelform.foundations.npz_files import read_npz, write_npz
+from gelform.image.background.average import noise_from_image
+from gelform.image.view import View, image_from_frame
+from gelform.sensors.profiles import PROFILES, SENSORS, make_of
+from gelform.slopes.color_models import StartableModel
+
+KIND, FORMAT_VERSION, MAX_BYTES = "gelform starter", 1, 4 * 2**20
+FOLDER = files("gelform") / "calibration" / "starters"
+
+
+@dataclass(frozen=True, eq=False)
+class Starter:
+    """The common properties of the units of one make of sensor.
+
+    Attributes
+    ----------
+    sensor : name, as in `starter_names`
+    calibration : calibration of the units that it was made from; its background is rendered from `light`
+    light : (10, 3), light on the gel at rest, from `light_from_background`
+    spread : relative standard deviation of the slopes of one unit about those of the make
+    units : description of the units that it was made from
+    color_variance : variance of a unit's colors about the forward response, over that of the units that it was fitted to
+    """
+
+    sensor: str
+    calibration: Calibration
+    light: NDArray[np.float64]
+    spread: float
+    units: tuple[str, ...]
+    color_variance: float = 1.0
+
+    @property
+    def make(self) -> str:
+        """The sensor's name for people."""
+        return make_name(self.sensor)
+
+    def view(self, frame_shape: tuple[int, int]) -> View:
+        """The view of frames (H, W) of such a sensor's camera; identity if they already have the size of images.
+
+        Raises
+        ------
+        SensorError
+            Frames have another aspect than the make's.
+        """
+        profile = PROFILES.get(self.sensor)
+        view = View() if profile is None else profile.view(frame_shape)
+        wanted = self.calibration.image_shape
+        if (view.shape or frame_shape) == wanted or wanted[0] == wanted[1]:
+            return view
+        camera = SENSORS[self.sensor].camera if self.sensor in SENSORS else None
+        if (view.shape or frame_shape) != wanted[::-1] or camera is None or camera.turn == "none":
+            raise SensorError(
+                f"Expected frames of a {self.make} of the aspect of {wanted[0]}x{wanted[1]} px (height x width), "
+                f"got {frame_shape[0]}x{frame_shape[1]}. Turn them (numpy.rot90), or choose another camera mode."
+            )
+        return replace(view, frame_shape=frame_shape, turn=camera.turn, image_shape=wanted)
+
+    def for_unit(
+        self,
+        background: NDArray[Any],
+        *,
+        view: View | None = None,
+        mm_per_px: float | None = None,
+        serial: str | None = None,
+        gel_id: str | None = None,
+    ) -> Calibration:
+        """The calibration of a unit of this make, from its background image alone.
+
+        In addition to their noise, its slopes have an error of `spread`; the standard deviations of results include it.
+
+        Parameters
+        ----------
+        background : (H, W, 3), 0-255, the background image, of the starter's size
+        view : conversion of frames to images; identity by default
+        mm_per_px : by default the make's
+        serial, gel_id : of the unit and its gel
+
+        Raises
+        ------
+        CalibrationError
+            The image is of another make, dark or saturated in parts; see `check_light`.
+        ValueError, TypeError
+            No RGB image, or of another size.
+        """
+        made = self.calibration
+        image = check_image(background, shape=made.image_shape, name="background").astype(np.float32)
+        findings = check_light(image, self.light, self.make)
+        pitch = made.known_mm_per_px if mm_per_px is None else float(check_mm_per_px(mm_per_px)[0])
+        model, forward = self.models_for(light_from_background(image)[0], pitch)
+        sigma = made.slope_sigma
+        assert sigma is not None
+        record = {
+            "sensor": self.sensor,
+            "spread": self.spread,
+            "units": list(self.units),
+            "findings": [[one.name, one.message, one.figure] for one in findings],
+        }
+        return replace(
+            made,
+            sensor_name=self.make,
+            serial=serial,
+            gel_id=gel_id,
+            view=View() if view is None else view,
+            mm_per_px=pitch,
+            mm_per_px_sigma=made.mm_per_px_sigma if mm_per_px is None else None,
+            background=image,
+            background_noise=noise_from_image(image),
+            color_model=model,
+            forward=forward,
+            slope_sigma=replace(sigma, gain_sigma=float(np.hypot(sigma.gain_sigma, self.spread))),
+            held_out={},
+            settings=replace(made.settings, starter=record),
+        )
+
+    def for_frame(self, background: ArrayLike, **known: Any) -> Calibration:
+        """`for_unit` of a background frame as the camera gives it; see `calibration_from_background`."""
+        frame = check_image(background, name="background")
+        view = self.view((int(frame.shape[0]), int(frame.shape[1])))
+        image = frame if view.is_identity else image_from_frame(frame, view)
+        return self.for_unit(image, view=view, **known)
+
+    def models_for(self, light: NDArray[np.float64], mm_per_px: float) -> tuple[Any, Any]:
+        """Color model and forward response of a unit with another light (10, 3) and scale, for its color changes.
+
+        The lamps stand around the gel, so that places and depths are equal in mm, counted from the middle of the image.
+        """
+        made = self.calibration
+        wider = mm_per_px / made.known_mm_per_px
+        gain = gain_between(light, self.light, made.change.offset, made.image_shape, wider)
+        assert isinstance(made.color_model, StartableModel)
+        assert made.forward is not None
+        forward = made.forward.of_other_unit(gain, wider)
+        forward = replace(forward, covariance=self.color_variance * forward.covariance)
+        return made.color_model.of_other_unit(gain, wider), forward
+
+    def save(self, path: str | PathLike[str], *, overwrite: bool = False) -> None:
+        """Write one .npz without the background, in single precision.
+
+        Raises
+        ------
+        CalibrationError
+            The file exists and `overwrite` is False, or it cannot be written.
+        """
+        arrays, meta = self.calibration.contents()
+        kept = {
+            name: v.astype(np.float32) if name.endswith("nodes") else v
+            for name, v in arrays.items()
+            if name != "background"
+        }
+        own = {name: getattr(self, name) for name in ("sensor", "spread", "color_variance")}
+        meta = {"calibration": meta, **own, "units": list(self.units)}
+        everything = {**kept, "light": self.light}
+        write_npz(
+            path,
+            everything,
+            meta,
+            kind=KIND,
+            version=FORMAT_VERSION,
+            error=CalibrationError,
+            overwrite=overwrite,
+        )
+
+
+def starter_from_calibration(
+    calibration: Calibration,
+    sensor: str,
+    *,
+    spread: float,
+    units: tuple[str, ...],
+    color_variance: float = 1.0,
+) -> Starter:
+    """Make a starter from one unit's calibration; its background is replaced by thirty numbers."""
+    light, _ = light_from_background(calibration.background)
+    smooth = levels_from_light(light, *_all_places(calibration.image_shape))
+    plain = replace(calibration, background=smooth, view=View(), serial=None, gel_id=None, report=None)
+    return Starter(sensor, plain, light, check_positive(spread, "spread"), units, color_variance)
+
+
+def read_starter(path: str | PathLike[str]) -> Starter:
+    """Read a starter's file.
+
+    Raises
+    ------
+    CalibrationError
+        The file is missing, damaged, of another kind, or of a newer format.
+    """
+    arrays, meta = read_npz(
+        path, kind=KIND, newest_version=FORMAT_VERSION, max_bytes=MAX_BYTES, error=CalibrationError
+    )
+    try:
+        light = np.asarray(arrays.pop("light"), dtype=np.float64)
+        shape = tuple(meta["calibration"]["image_shape"])
+        arrays = {name: v.astype(np.float64) if name.endswith("nodes") else v for name, v in arrays.items()}
+        arrays["background"] = levels_from_light(light, *_all_places(shape))
+        calibration = calibration_from_contents(arrays, meta["calibration"])
+        figures = float(meta["spread"]), tuple(meta["units"]), float(meta.get("color_variance", 1))
+        return Starter(meta["sensor"], calibration, light, *figures)
+    except (KeyError, ValueError, TypeError, AttributeError) as problem:
+        raise CalibrationError(f"{path} is damaged: what it holds does not make a starter.") from problem
+
+
+@cache
+def starter_names() -> tuple[str, ...]:
+    """The names of the sensors that have a starter."""
+    names = (one.name for one in FOLDER.iterdir())
+    return tuple(sorted(name.removesuffix(".npz") for name in names if name.endswith(".npz")))
+
+
+def make_name(sensor: str) -> str:
+    """A sensor's name for people."""
+    return PROFILES[sensor].name if sensor in PROFILES else sensor
+
+
+def load_starter(sensor: str) -> Starter:
+    """The starter of a sensor by its name.
+
+    Raises
+    ------
+    SensorError
+        There is none; the message lists the sensors that have one.
+    """
+    if sensor not in starter_names():
+        raise SensorError(
+            f"Expected a sensor with a starter, {', '.join(starter_names())}, got {sensor!r}. "
+            "Another one is calibrated with presses of a ball: gelform calibrate."
+        )
+    return read_starter(str(FOLDER / f"{sensor}.npz"))
+
+
+def starter_for(sensor_name: str, image_shape: tuple[int, int]) -> Starter | None:
+    """The starter of the real make that a sensor's name begins with, for images (H, W); None if there is none."""
+    make = make_of(sensor_name)
+    if make is None or make not in starter_names():
+        return None
+    starter = load_starter(make)
+    return starter if starter.calibration.image_shape == tuple(image_shape) else None
+
+
+def starter_of_source(source: Any) -> str | None:
+    """The name of the starter of a source of frames, by its camera's USB id or by its own name; None without one.
+
+    Parameters
+    ----------
+    source : object with a `name` and, for a camera of this machine, a `camera`
+    """
+    kind = getattr(getattr(source, "camera", None), "kind", None) or make_of(str(getattr(source, "name", "")))
+    return kind if kind in starter_names() else None
+
+
+def calibration_from_background(
+    background: ArrayLike,
+    sensor: str,
+    *,
+    mm_per_px: float | None = None,
+    serial: str | None = None,
+    gel_id: str | None = None,
+) -> Calibration:
+    """A calibration of a known sensor from its background image alone, based on other units of its make.
+
+    Every result of it has a finding about the starter, and larger standard deviations. Presses of a ball improve it:
+    `calibrate(presses, start=...)` begins with it.
+
+    Parameters
+    ----------
+    background : (H, W, 3), 0-255, RGB
+        A frame of the gel at rest, or an average of several, as the camera gives it; or an image that already has the
+        size of the make's images.
+    sensor : a name in `starter_names()`, such as "gelsight-mini"
+    mm_per_px : by default the make's
+    serial, gel_id : of the unit and its gel
+
+    Returns
+    -------
+    Calibration
+        With `settings.starter`: the make, the spread between its units, and the units that it was made from.
+
+    Raises
+    ------
+    SensorError
+        The sensor has no starter, or the frames have another aspect than the make's.
+    CalibrationError
+        The image is of another make, or dark or saturated in parts.
+    ValueError, TypeError
+        No RGB image, or of a size that the make does not have.
+    """
+    return load_starter(sensor).for_frame(background, mm_per_px=mm_per_px, serial=serial, gel_id=gel_id)
+
+
+def _all_places(shape: tuple[int, ...]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    height, width = shape
+    return pixel_places(np.arange(width), np.arange(height), (height, width))

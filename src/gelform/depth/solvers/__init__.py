@@ -1,0 +1,41 @@
+"""gradients -> depth: one method per file, listed here.
+
+`docs/choosing-a-solver.md` compares them, `docs/adding-a-solver.md` explains how to write one.
+"""
+
+from gelform.depth.solvers.at_least import AtLeastSolver
+from gelform.depth.solvers.curl_gated import CurlGatedSolver
+from gelform.depth.solvers.dct import Dct4Solver, DctSolver
+from gelform.depth.solvers.multigrid import MultigridSolver
+from gelform.depth.solvers.robust import HuberSolver, L1Solver, RobustSolver
+from gelform.depth.solvers.seam import Solution, Solver, Weights
+from gelform.depth.solvers.sparse import SparseSolver
+
+# SOLVERS[name](shape, mm_per_px) prepares a solver.
+SOLVERS: dict[str, type[Solver]] = {
+    "dct": DctSolver,
+    "dct4": Dct4Solver,
+    "multigrid": MultigridSolver,
+    "sparse": SparseSolver,
+    "robust": RobustSolver,
+    "robust_huber": HuberSolver,
+    "robust_l1": L1Solver,
+    "curl_gated": CurlGatedSolver,
+    "at_least": AtLeastSolver,
+}
+
+__all__ = [
+    "SOLVERS",
+    "AtLeastSolver",
+    "CurlGatedSolver",
+    "Dct4Solver",
+    "DctSolver",
+    "HuberSolver",
+    "L1Solver",
+    "MultigridSolver",
+    "RobustSolver",
+    "Solution",
+    "Solver",
+    "SparseSolver",
+    "Weights",
+]

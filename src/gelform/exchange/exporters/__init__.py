@@ -1,0 +1,14 @@
+"""Files for other programs, and of simulated presses; folders appear complete or not at all."""
+
+from gelform.exchange.exporters.folders import written_whole
+from gelform.exchange.exporters.press_folder import save_press_folder, save_simulated_presses
+from gelform.exchange.exporters.simulated import SetOfPresses, save_simulated_press, save_simulated_set
+
+__all__ = [
+    "SetOfPresses",
+    "save_press_folder",
+    "save_simulated_press",
+    "save_simulated_presses",
+    "save_simulated_set",
+    "written_whole",
+]

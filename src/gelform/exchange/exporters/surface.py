@@ -1,0 +1,194 @@
+"""X3P, the XML container of surface topography (ISO 25178-72, openGPS): heights in meters, with checksums.
+
+The file is a zip of `main.xml`, `bindata/data.bin` (little-endian heights, row by row from the smallest y) and
+`md5checksum.hex`. The axes are right-handed: x right, y up, z towards the camera. The image's rows are therefore stored from
+the last to the first, and z is depth. Unknown heights are NaN, as the format requires.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import zipfile
+from collections.abc import Callable
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.errors import DataError, needed
+from gelform.exchange.exporters.quantised import levels_from_depth
+from gelform.foundations.checks import check_is, check_path
+from gelform.foundations.npz_files import written_file
+from gelform.foundations.pictures import picture_bytes
+from gelform.result import Reconstruction
+
+NAMESPACE = "http://www.opengps.eu/2008/ISO5436_2"
+DATA, CHECKSUM = "bindata/data.bin", "md5checksum.hex"
+M_PER_MM = 1e-3
+_MAIN = """<?xml version="1.0" encoding="UTF-8"?>
+<p:ISO5436_2 xmlns:p="{namespace}" xmlns:xsi="http://www.w3.org/2001/XMLSchema-instance" \
+xsi:schemaLocation="{namespace} {namespace}/ISO5436_2.xsd">
+  <Record1>
+    <Revision>ISO5436 - 2000</Revision>
+    <FeatureType>SUR</FeatureType>
+    <Axes>
+      <CX><AxisType>I</AxisType><DataType>D</DataType><Increment>{x!r}</Increment><Offset>0.0</Offset></CX>
+      <CY><AxisType>I</AxisType><DataType>D</DataType><Increment>{y!r}</Increment><Offset>0.0</Offset></CY>
+      <CZ><AxisType>A</AxisType><DataType>D</DataType><Increment>1.0</Increment><Offset>0.0</Offset></CZ>
+    </Axes>
+  </Record1>
+  <Record3>
+    <MatrixDimension><SizeX>{width}</SizeX><SizeY>{height}</SizeY><SizeZ>1</SizeZ></MatrixDimension>
+    <DataLink><PointDataLink>{data}</PointDataLink><MD5ChecksumPointData>{md5}</MD5ChecksumPointData></DataLink>
+  </Record3>
+  <Record4><ChecksumFile>{checksum}</ChecksumFile></Record4>
+</p:ISO5436_2>
+"""
+
+
+def x3p_bytes(result: Reconstruction) -> bytes:
+    """The container of a result with mm_per_px; the same result gives the same bytes."""
+    height, width = result.depth_mm.shape
+    heights = np.where(result.known, result.depth_mm.astype(np.float64) * M_PER_MM, np.nan)
+    data = heights[::-1].astype("<f8").tobytes()
+    pitch = np.broadcast_to(np.asarray(result.mm_per_px, dtype=np.float64), 2) * M_PER_MM
+    main = _MAIN.format(
+        namespace=NAMESPACE,
+        x=float(pitch[0]),
+        y=float(pitch[1]),
+        width=width,
+        height=height,
+        data=DATA,
+        md5=_md5(data),
+        checksum=CHECKSUM,
+    ).encode()
+    content = io.BytesIO()
+    with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as file:
+        for name, member in (
+            ("main.xml", main),
+            (DATA, data),
+            (CHECKSUM, f"{_md5(main)} *main.xml\n".encode()),
+        ):
+            file.writestr(zipfile.ZipInfo(name), member, zipfile.ZIP_DEFLATED)
+    return content.getvalue()
+
+
+def _md5(content: bytes) -> str:
+    """The checksum that the format requires; it protects no secret."""
+    return hashlib.md5(content, usedforsecurity=False).hexdigest()
+
+
+BASE_SHARE = 0.1  # distance of an STL's base below the lowest point, as a fraction of the frame's width
+
+
+def save_surface(result: Reconstruction, path: str | PathLike[str], *, overwrite: bool = False) -> Path:
+    """Write a result's surface; the ending of the name selects the format.
+
+    | ending | content |
+    |---|---|
+    | .ply | points_mm (x, y, -depth) in the camera's optical frame, x right, y down, z away from the camera, as triangles |
+    | .stl | the same surface, closed by walls and a flat base: watertight, to print |
+    | .tif, .tiff | depth_mm, float32 |
+    | .x3p | ISO 25178-72: heights in meters, x right, y up, z towards the camera |
+    | .png | 16 bits: depth_mm = (v - 32768) x 1e-4, or 0 where depth is unknown |
+
+    Parameters
+    ----------
+    result : with mm_per_px
+    path : one of SURFACES' endings
+    overwrite : whether to replace an existing file
+
+    Raises
+    ------
+    ValueError, TypeError
+        The ending is unknown, or the result is no Reconstruction.
+    DataError
+        The result is in pixels, depth exceeds the format's range, trimesh is missing (extra `mesh`), or the file exists or
+        cannot be written.
+    """
+    check_is(result, Reconstruction, "result")
+    path = check_path(path)
+    if path.suffix.lower() not in SURFACES:
+        raise ValueError(f"Expected a name that ends in {', '.join(SURFACES)}, got {path.name}.")
+    if result.mm_per_px is None:
+        raise DataError(f"Expected a result in mm to write {path.name}, got one without mm_per_px.")
+    if path.exists() and not overwrite:
+        raise DataError(f"{path} is there already. Choose another name, or overwrite.")
+    content = SURFACES[path.suffix.lower()](result)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DataError(f"Cannot write {path}: {error.strerror or error}. Nothing was kept.") from error
+    with written_file(path, overwrite=overwrite) as file:
+        file.write(content)
+    return path
+
+
+def points_from_result(result: Reconstruction) -> NDArray[np.float32]:
+    """points_mm (H*W, 3), row by row: (x, y, -depth_mm), right-handed, from the middle of the image."""
+    height, width = result.depth.shape
+    pitch_x, pitch_y = np.broadcast_to(np.asarray(result.mm_per_px, dtype=np.float64), 2)
+    points = np.empty((height, width, 3), dtype=np.float32)
+    points[..., 0] = (np.arange(width) - (width - 1) / 2) * pitch_x
+    points[..., 1] = ((np.arange(height) - (height - 1) / 2) * pitch_y)[:, None]
+    points[..., 2] = -result.depth_mm
+    return points.reshape(-1, 3)
+
+
+def _grid_triangles(height: int, width: int) -> NDArray[np.int64]:
+    """Triangles (n, 3) of a grid of points, counter-clockwise from the camera's side (z down)."""
+    index = np.arange(height * width).reshape(height, width)
+    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
+    return np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([b, d, c], -1).reshape(-1, 3)])
+
+
+def _mesh_bytes(points: NDArray[Any], triangles: NDArray[Any], form: str) -> bytes:
+    trimesh = needed("trimesh", "mesh", "Writing meshes")
+    return bytes(trimesh.Trimesh(points, triangles, process=False).export(file_type=form))
+
+
+def _ply(result: Reconstruction) -> bytes:
+    return _mesh_bytes(points_from_result(result), _outward(_grid_triangles(*result.depth.shape)), "ply")
+
+
+def _outward(triangles: NDArray[Any]) -> NDArray[Any]:
+    """The triangles reversed: normals towards the camera, -z."""
+    return triangles[:, ::-1]
+
+
+def _stl(result: Reconstruction) -> bytes:
+    height, width = result.depth.shape
+    top = points_from_result(result)
+    base = top.copy()
+    base[:, 2] = top[:, 2].max() + BASE_SHARE * np.ptp(top[:, 0])
+    count = height * width
+    surface = _outward(_grid_triangles(height, width))
+    index = np.arange(count).reshape(height, width)
+    rim = np.concatenate([index[0, :-1], index[:-1, -1], index[-1, :0:-1], index[:0:-1, 0]])
+    after = np.roll(rim, -1)
+    walls = np.concatenate(
+        [np.stack([rim, after, rim + count], -1), np.stack([after, after + count, rim + count], -1)]
+    )
+    triangles = np.concatenate([surface, surface[:, ::-1] + count, walls])
+    return _mesh_bytes(np.concatenate([top, base]), triangles, "stl")
+
+
+def _tiff(result: Reconstruction) -> bytes:
+    return picture_bytes(result.depth_mm, ".tiff")
+
+
+def _png(result: Reconstruction) -> bytes:
+    return picture_bytes(levels_from_depth(result.depth_mm, result.known), ".png")
+
+
+SURFACES: dict[str, Callable[[Reconstruction], bytes]] = {
+    ".ply": _ply,
+    ".stl": _stl,
+    ".tiff": _tiff,
+    ".tif": _tiff,
+    ".png": _png,
+    ".x3p": x3p_bytes,
+}

@@ -1,0 +1,119 @@
+"""A Calibration from another package's calibration: one function for all formats."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from datetime import datetime, timezone
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gelform import __version__
+from gelform.calibration_file import Calibration, CalibrationSettings
+from gelform.exchange.importers.networks import read_gs_sdk, read_gsrobotics, read_gsrobotics_web
+from gelform.exchange.importers.tables import read_lut
+from gelform.foundations.checks import check_image, check_is, check_path, check_sensor_pitch
+from gelform.image.background.average import noise_from_image
+from gelform.image.background.change import ChangeSettings
+from gelform.image.view import View
+from gelform.slopes.color_models import ColorModel
+
+# Gray levels / 255. Pixels of a Mini at rest differ from its background by up to this, from noise and drift together.
+UNTOUCHED_CHANGE = 8 / 255
+LUT_BLUR_PX = 0.5**0.5  # as wide as the 3x3 blur of these tables, weights 1/4, 1/2, 1/4
+
+PACKAGES: dict[str, Callable[..., ColorModel]] = {
+    "gs_sdk": read_gs_sdk,
+    "gsrobotics": read_gsrobotics,
+    "gsrobotics-web": read_gsrobotics_web,
+    "lut": read_lut,
+}
+POSITIONED = ("gsrobotics", "gsrobotics-web")
+
+
+def import_calibration(
+    path: str | PathLike[str],
+    package: str,
+    *,
+    background: ArrayLike,
+    mm_per_px: float | None = None,
+    position: str | None = None,
+    flip_depth: bool = False,
+    sensor_name: str | None = None,
+) -> Calibration:
+    """A calibration from another package's file, with gelform's signs and a current background image.
+
+    Values that the file lacks stay unknown. Without `mm_per_px` the calibration gives gradients and depth in pixels.
+    It states no standard deviation of the slopes, so confidence is 1 except at clipped pixels.
+
+    Parameters
+    ----------
+    path : the package's file
+    package : a name in `PACKAGES`: gs_sdk, gsrobotics, gsrobotics-web or lut
+    background : (H, W, 3) RGB, 0-255, the background image, cropped and sized as that package's images
+    mm_per_px : width of a pixel on the gel, mm, if known
+    position : required for gsrobotics and gsrobotics-web, and only there: "zeros", the input of its program, or "true", the
+        input of its network's training
+    flip_depth : only for lut: the table's surface falls where pressed
+    sensor_name : name of the calibration's sensor; by default the file's name
+
+    Raises
+    ------
+    DataError
+        The file is not of that package or damaged, holds more than weights, or needs torch, which is not installed.
+    ValueError
+        The package is unknown, or an option is missing or not accepted.
+    """
+    path = check_path(path)
+    options = _options(check_is(package, str, "package"), position, flip_depth)
+    if sensor_name is not None:
+        check_is(sensor_name, str, "sensor_name")
+    image = check_image(background, name="background").astype(np.float32)
+    if mm_per_px is not None:
+        mm_per_px = check_sensor_pitch(mm_per_px)
+    model = PACKAGES[package](path, image, **options)
+    change = ChangeSettings("subtract", 0.0, LUT_BLUR_PX if package == "lut" else 0.0)
+    return Calibration(
+        sensor_name=sensor_name or Path(path).stem,
+        serial=None,
+        gel_id=None,
+        view=View(),
+        image_shape=(image.shape[0], image.shape[1]),
+        mm_per_px=mm_per_px,
+        mm_per_px_sigma=None,
+        background=image,
+        background_noise=noise_from_image(image),
+        change=change,
+        color_model=model,
+        forward=None,
+        slope_sigma=None,
+        untouched_change=UNTOUCHED_CHANGE,
+        held_out={},
+        training_digests=(),
+        settings=CalibrationSettings(others={"imported_from": package, **options}),
+        library_version=__version__,
+        created_utc=datetime.now(timezone.utc).isoformat(timespec="seconds"),
+    )
+
+
+def _options(package: str, position: str | None, flip_depth: bool) -> dict[str, Any]:
+    """Keywords of the package's reader."""
+    if package not in PACKAGES:
+        raise ValueError(f"Expected a package among {', '.join(PACKAGES)}, got {package!r}.")
+    if position is not None:
+        check_is(position, str, "position")
+    if position not in (("zeros", "true") if package in POSITIONED else (None,)):
+        raise ValueError(
+            f"Expected position ('zeros' as its program feeds it, or 'true') for {' and '.join(POSITIONED)} and no "
+            f"other, got {position!r} for {package}."
+        )
+    if check_is(flip_depth, bool, "flip_depth") and package != "lut":
+        raise ValueError(
+            f"Expected flip_depth for lut only, whose tables differ in sign, got it for {package}."
+        )
+    if package == "lut":
+        return {"depth_sign": -1 if flip_depth else 1}
+    return {} if position is None else {"position": position}

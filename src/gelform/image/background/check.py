@@ -1,0 +1,209 @@
+"""Checks that a background belongs to an image, to a set of frames, and to the calibrated sensor; with figures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import inf, log
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform._native import Kernel
+from gelform.errors import CalibrationError
+from gelform.foundations.findings import Finding
+from gelform.image.background.exposure import Exposure, block_means, exposure_from_blocks
+from gelform.image.frame import pixels_digest
+
+# Gain of the brightness: outside the first range a new background is requested, outside the second the image is refused.
+RATIO_WARN, RATIO_REFUSE = (0.9, 1.1), (0.7, 1.4)
+GAIN_REPORTED = 0.02  # fraction of the brightness; a smaller difference is compensated without a finding
+CORRELATION_REFUSE = (
+    0.8  # smallest correlation over pixels at rest; with less, an image is another sensor's, or shifted
+)
+# Fractions of the brightness: half of an image differs by more than the first for a warning, the second for a refusal; the
+# quarter that changed least by more than the third for a refusal.
+PATTERN_WARN, PATTERN_REFUSE, LEAST_REFUSE = 0.02, 0.06, 0.036
+TOUCHED_FRACTION = 0.4  # fraction of an image that the correlation leaves out
+MIN_FRAMES = (
+    8  # smallest number of frames, each touched elsewhere, whose median is nearly the background image
+)
+
+_least_changed_sums = Kernel(
+    "least_changed_sums",
+    "f32[n,3] seen, f32[n,3] untouched, f32[3] scale, i64 last, out f32[m] work, out f64[3] sums",
+)
+
+
+def check_background(image: NDArray[Any], background: NDArray[Any]) -> tuple[Finding, ...]:
+    """Refuse a background that does not belong to this image; return findings.
+
+    Where nothing touches, the image should be the background times a gain near 1.
+
+    CalibrationError: the channels fit better reversed (RGB against BGR), a channel's gain is outside 0.7-1.4, or the
+    correlation is under 0.8. The message has the figure.
+    """
+    return compared(block_means(image), block_means(background))[1]
+
+
+def check_own_background(background: NDArray[Any], calibrated: NDArray[Any]) -> tuple[Finding, ...]:
+    """Refuse a background image that is not of the calibrated sensor; return findings.
+
+    It goes beyond `check_background`: both images show the gel at rest, so that they should be equal everywhere, up to
+    a gain for each channel. Another unit of the same model passes every other check.
+
+    CalibrationError: as `check_background`, or half of the image differs by more than 6 %. The message has the figure.
+    """
+    exposure, _ = compared(block_means(background), block_means(calibrated))
+    differs = exposure.middle_change
+    if np.isfinite(differs) and differs > PATTERN_REFUSE:
+        raise CalibrationError(
+            f"This background is not of the calibrated sensor. After a common gain ({_times(exposure.gain)}), half of it "
+            f"differs by {100 * differs:.1f} % or more (expected under {100 * PATTERN_REFUSE:g} %). Use this sensor's own "
+            "calibration. If it is the same unit, its gel or lights have moved, so calibrate again."
+        )
+    findings = list(_exposure_findings(exposure))
+    if np.isfinite(differs) and differs > PATTERN_WARN:
+        message = (
+            f"Today's background differs from the calibration's by {100 * differs:.1f} % after a common gain. "
+            "The gel or a light may have moved."
+        )
+        findings.append(Finding("background_pattern", message, differs))
+    return tuple(findings)
+
+
+def check_background_of_frames(
+    frames: Sequence[NDArray[Any]], background: NDArray[Any]
+) -> tuple[Finding, ...]:
+    """Refuse a background that is not of the sensor that took the frames; return findings.
+
+    Each frame is touched, at another place. Therefore the blocks' median over eight frames or more is nearly the background
+    image; fewer frames are not checked.
+
+    CalibrationError: the quarter that changed least differs by more than 3.6 %, and half by more than 6 %.
+    """
+    if len(frames) < MIN_FRAMES:
+        return ()
+    middle = np.median([block_means(frame) for frame in frames], axis=0).astype(np.float32)
+    exposure = exposure_from_blocks(middle, block_means(background))
+    if np.isfinite(exposure.least_change) and (
+        exposure.least_change > LEAST_REFUSE and exposure.middle_change > PATTERN_REFUSE
+    ):
+        raise CalibrationError(
+            f"The background is not of these images. After a common gain ({_times(exposure.gain)}), a quarter of "
+            f"their median differs by {100 * exposure.least_change:.1f} % or more, and half by "
+            f"{100 * exposure.middle_change:.1f} % (expected under {100 * LEAST_REFUSE:g} and "
+            f"{100 * PATTERN_REFUSE:g} %). Take a background with the same sensor, just before the presses."
+        )
+    if not PATTERN_WARN < exposure.middle_change < inf:
+        return ()
+    message = (
+        f"After a common gain ({_times(exposure.gain)}), half of the presses' median differs from the background by "
+        f"{100 * exposure.middle_change:.1f} % or more (usual: under {100 * PATTERN_WARN:g} %). Light or gel have "
+        "drifted, or most presses touch the same place. Depth off contact is wrong by as much. Take a background just "
+        "before the presses."
+    )
+    return (Finding("background_drift", message, exposure.middle_change),)
+
+
+def background_digest(background: NDArray[Any]) -> str:
+    """SHA-256 of the pixels of a background image, by which a calibration recognizes its own."""
+    return pixels_digest(np.asarray(background, dtype="<f4"))
+
+
+def compared(
+    image: NDArray[np.float32], untouched: NDArray[np.float32]
+) -> tuple[Exposure, tuple[Finding, ...]]:
+    """Exposure and findings of an image compared with the background image, both from `block_means`."""
+    exposure = exposure_from_blocks(image, untouched)
+    correlation = _correlation(image, untouched, exposure.gain)
+    turned = (
+        _correlation_reversed(image, untouched) if correlation is not None and correlation < 0.97 else None
+    )
+    if correlation is not None and turned is not None and turned > max(0.9, correlation + 0.03):
+        raise CalibrationError(
+            f"The image looks like BGR: its channels fit the background better reversed (correlation "
+            f"{turned:.2f} against {correlation:.2f}). Reverse them: image[..., ::-1]."
+        )
+    _refuse_unlike(exposure.gain, correlation)
+    return exposure, (*_exposure_findings(exposure), *_pattern_findings(exposure))
+
+
+def _refuse_unlike(gain: NDArray[np.float64] | None, correlation: float | None) -> None:
+    gains = [1.0] if gain is None else gain.tolist()
+    if min(gains) < RATIO_REFUSE[0] or max(gains) > RATIO_REFUSE[1]:
+        raise CalibrationError(
+            f"The background is not of this image: pixels at rest are {_times(gain)} times as bright as in "
+            f"the background (expected {RATIO_REFUSE[0]}-{RATIO_REFUSE[1]}). Take a new background with the "
+            "same exposure, white balance and lights."
+        )
+    if correlation is not None and correlation < CORRELATION_REFUSE:
+        raise CalibrationError(
+            f"The background is not of this image: the two correlate by {correlation:.2f} on pixels at rest "
+            f"(expected {CORRELATION_REFUSE} or more). Is it of another sensor, or shifted?"
+        )
+
+
+def _exposure_findings(exposure: Exposure) -> tuple[Finding, ...]:
+    gain = exposure.gain
+    if gain is None:
+        message = "gelform cannot compare the exposure: every part of the image is too dark in some channel, or saturated."
+        return (Finding("exposure_unknown", message, 0.0),)
+    if not exposure.is_known:
+        message = (
+            f"gelform cannot tell the exposure, because only {100 * exposure.share:.0f} % of the image agrees on it. "
+            "The slopes' sigma contains what an unknown exposure does."
+        )
+        return (Finding("exposure_unknown", message, exposure.share),)
+    gains = gain.tolist()
+    largest = max(gains, key=lambda one: abs(log(one)))
+    if min(gains) < RATIO_WARN[0] or max(gains) > RATIO_WARN[1]:
+        message = (
+            f"Pixels at rest are {_times(gain)} times as bright as in the background. Take a new background."
+        )
+        return (Finding("background_ratio", message, largest),)
+    if abs(largest - 1) > GAIN_REPORTED:
+        percents = ", ".join(f"{name} {100 * (one - 1):+.0f} %" for name, one in zip("RGB", gain))
+        partly = f"partly, because only {100 * exposure.share:.0f} % of the image is at rest"
+        how = "it" if exposure.believed_part == 1 else f"it {partly}"
+        message = f"The exposure differs from the background's by {percents}. gelform compensates {how}."
+        return (Finding("exposure", message, largest),)
+    return ()
+
+
+def _pattern_findings(exposure: Exposure) -> tuple[Finding, ...]:
+    least = exposure.least_change
+    if not LEAST_REFUSE < least < inf:
+        return ()
+    message = (
+        f"Even the quarter of the image that changed least differs from the background by {100 * least:.1f} %. Either a "
+        "contact fills the image, or the calibration or background is of another sensor."
+    )
+    return (Finding("background_differs", message, least),)
+
+
+def _times(gain: NDArray[np.float64] | None) -> str:
+    return "unknown" if gain is None else ", ".join(f"{name} {value:.2f}" for name, value in zip("RGB", gain))
+
+
+def _correlation_reversed(image: NDArray[np.float32], untouched: NDArray[np.float32]) -> float | None:
+    turned = np.ascontiguousarray(image[..., ::-1])
+    return _correlation(turned, untouched, exposure_from_blocks(turned, untouched).gain)
+
+
+def _correlation(
+    image: NDArray[np.float32], untouched: NDArray[np.float32], gain: NDArray[Any] | None
+) -> float | None:
+    """Correlation over all blocks but the `TOUCHED_FRACTION` that changed most, channels together.
+
+    None if the background image is featureless, so that nothing can correlate with it. 0 if only the image is featureless.
+    """
+    blocks = image.size // 3
+    scale = np.ones(3, dtype=np.float32) if gain is None else (1 / gain).astype(np.float32)
+    last = min(int((1 - TOUCHED_FRACTION) * blocks), blocks - 1)
+    sums, work = np.empty(3), np.empty(2 * blocks, dtype=np.float32)
+    count = _least_changed_sums(image.reshape(-1, 3), untouched.reshape(-1, 3), scale, last, work, sums)
+    of_image, of_untouched, of_both = sums.tolist()
+    if of_untouched < 1e-4 * count:
+        return None
+    return of_both / (of_image * of_untouched) ** 0.5 if of_image >= 1e-4 * count else 0.0

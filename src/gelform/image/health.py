@@ -1,0 +1,391 @@
+"""Faults of a frame, as named findings with figures; a degraded frame never raises an exception."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import sqrt
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform._native import Kernel
+from gelform.errors import CalibrationError
+from gelform.foundations.checks import value_range
+from gelform.foundations.findings import Finding
+from gelform.image.frame import DARK, as_levels
+
+BLOCK_PX = 16  # px, a block of JPEG with halved color resolution; parts of a frame are lost in such blocks
+
+_blocks = Kernel(
+    "health_blocks",
+    "u8[h,w,3] image, out u8[bh,bw,3] means, out u8[bh,bw] ranges, out i64[h] digests, out u16[h,bw,3] sums",
+)
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """An image (H, W) in h x w whole blocks of 16x16 pixels.
+
+    Attributes
+    ----------
+    means : (h, w, 3) uint8, gray levels
+    ranges : (h, w) uint8
+        Largest minus smallest value within a block, in the channel with the largest range. Noise alone gives 3 or more.
+    row_digests : (H,) int64
+        Rows of equal pixels have equal digests.
+    row_sums : (H, w, 3) uint16, sums over 16 pixels of a row, gray levels
+    """
+
+    means: NDArray[np.uint8]
+    ranges: NDArray[np.uint8]
+    row_digests: NDArray[np.int64]
+    row_sums: NDArray[np.uint16]
+
+    def pixels(self, chosen: NDArray[np.bool_], width: int) -> NDArray[np.bool_]:
+        """The pixels (H, W) of selected blocks (h, w); the remainder at the border belongs to the last block."""
+        mask = np.zeros((len(self.row_digests), width), dtype=bool)
+        if chosen.any():
+            rows = np.minimum(np.arange(mask.shape[0]) // BLOCK_PX, chosen.shape[0] - 1)
+            columns = np.minimum(np.arange(width) // BLOCK_PX, chosen.shape[1] - 1)
+            mask |= chosen[rows[:, None], columns[None, :]]
+        return mask
+
+    def centered_in(self, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """The blocks (h, w) whose centers lie in a mask (H, W)."""
+        height, width = self.ranges.shape
+        return mask[BLOCK_PX // 2 :: BLOCK_PX, BLOCK_PX // 2 :: BLOCK_PX][:height, :width]
+
+
+def blocks_from_image(image: NDArray[np.uint8]) -> Blocks:
+    """The blocks of an image (H, W, 3)."""
+    height, width = image.shape[:2]
+    shape = height // BLOCK_PX, width // BLOCK_PX
+    blocks = Blocks(
+        np.empty((*shape, 3), np.uint8),
+        np.empty(shape, np.uint8),
+        np.empty(height, np.int64),
+        np.empty((height, shape[1], 3), np.uint16),
+    )
+    _blocks(image, blocks.means, blocks.ranges, blocks.row_digests, blocks.row_sums)
+    return blocks
+
+
+# Gray levels of the background image's block: from LIT on it can be too dark, below BELOW saturated.
+LIT, BELOW = 16, 240
+SATURATED = 252  # gray levels of a block: lower ones still show slopes of a bright gel
+# Fraction of the frame; on good sensors a hard contact saturates or shades less.
+LEAST_CLIPPED = 0.05
+CHANNELS = ("red", "green", "blue")
+
+
+class Levels:
+    """Finds dark and saturated blocks of frames; prepared once for a background image.
+
+    One channel is enough for a block to count, because slopes need all three lights.
+
+    Parameters
+    ----------
+    rest : blocks of the background image
+
+    Attributes
+    ----------
+    dark_to, saturated_from : (h, w, 3) uint8, a block with a mean below the first is dark, from the second on saturated
+    """
+
+    def __init__(self, rest: Blocks) -> None:
+        # Levels are compared as integers of the blocks' own type, which cannot hold -1 or 256.
+        self.dark_to = np.where(rest.means >= LIT, DARK, 0).astype(np.uint8)
+        self.saturated_from = np.where(rest.means < BELOW, SATURATED, 255).astype(np.uint8)
+        self._may_saturate = rest.means < BELOW
+
+    def __call__(
+        self, blocks: Blocks, torn: NDArray[np.bool_] | None = None
+    ) -> tuple[tuple[Finding, ...], NDArray[np.bool_] | None]:
+        """Findings `dark` and `saturated`, and their blocks (h, w) without the torn ones; None if there are none."""
+        dark = blocks.means < self.dark_to
+        saturated = blocks.means >= self.saturated_from
+        if not (dark.any() or saturated.any()):
+            return (), None
+        saturated &= self._may_saturate
+        if torn is not None:
+            dark[torn] = saturated[torn] = False
+        below, end = f"below {DARK} of 255 gray levels", "at the camera's upper end"
+        findings = [
+            _finding("dark", dark, below, "Is a light off, or the lens covered?"),
+            _finding("saturated", saturated, end, "Lower exposure, gain or the lights."),
+        ]
+        named = tuple(finding for finding in findings if finding is not None)
+        return named, np.any(dark | saturated, axis=-1) if named else None
+
+
+def _finding(name: str, where: NDArray[np.bool_], what: str, advice: str) -> Finding | None:
+    """A finding; its figure is the fraction of the frame in the channel with the largest fraction."""
+    fractions = where.mean(axis=(0, 1)) if where.size else np.zeros(3)
+    if fractions.max() < LEAST_CLIPPED:
+        return None
+    said = ", ".join(
+        f"{channel} {100 * fraction:.0f} %" for channel, fraction in zip(CHANNELS, fractions) if fraction > 0
+    )
+    return Finding(name, f"Parts of the frame are {what}: {said}. {advice}", float(fractions.max()))
+
+
+FLAT_RANGE = 2  # gray levels within a block; a camera's noise alone gives more
+# gray levels: largest difference of alike flat blocks, smallest difference of a flat block from the background
+ALIKE, UNLIKE = 4, 10
+LEAST_TORN = 0.03  # smallest fraction of the frame
+# Squared step of a seam, summed over its row, over that of any other row: real frames of twelve sensors reach 2.3, with
+# dots, ridges and compression.
+SEAM_FACTOR = 3.0
+SPILL = 0.125  # fraction of a seam in the rows beside it; an edge that optics blur by 0.6 px leaves 0.16
+LEAST_STEP = 0.25  # gray levels, smallest usual step of 16 pixels' mean; whole levels alone give 0.16
+
+
+class Torn:
+    """Finds parts of frames that contain no picture; prepared once for a background image and its blocks."""
+
+    def __init__(self, background: NDArray[Any], rest: Blocks) -> None:
+        self._background = background
+        self._rest = rest.means.astype(np.int16)
+        self._rest_sums = rest.row_sums.reshape(len(rest.row_sums), -1)
+        _, place, count = np.unique(rest.row_digests, return_inverse=True, return_counts=True)
+        self._own_rows = (
+            count.ravel()[place.ravel()] == 1
+        )  # rows that occur only once in the background image
+
+    def __call__(self, blocks: Blocks, image: NDArray[Any]) -> NDArray[np.bool_] | None:
+        """Pixels (H, W) that did not arrive; None if all did."""
+        flat, repeated = self.flat(blocks), self.repeated_rows(blocks, image)
+        displaced = self.displaced_rows(blocks) if flat is None and repeated is None else None
+        if flat is None and repeated is None and displaced is None:
+            return None
+        width = image.shape[1]
+        torn = np.zeros(image.shape[:2], dtype=bool) if flat is None else blocks.pixels(flat, width)
+        for rows in (repeated, displaced):
+            if rows is not None:
+                torn[rows] = True
+        return torn
+
+    def flat(self, blocks: Blocks) -> NDArray[np.bool_] | None:
+        """Blocks (h, w) of one uniform color that is not the background image's; None if they are few."""
+        flat = blocks.ranges <= FLAT_RANGE
+        least = LEAST_TORN * flat.size
+        if np.count_nonzero(flat) <= least:
+            return None
+        means = blocks.means.astype(np.int16)
+        flat &= np.abs(means - self._rest).max(axis=-1) > UNLIKE
+        if np.count_nonzero(flat) <= least:
+            return None
+        common = np.median(means[flat], axis=0)
+        flat &= np.abs(means - common).max(axis=-1) <= ALIKE
+        return flat if np.count_nonzero(flat) > least else None
+
+    def repeated_rows(self, blocks: Blocks, image: NDArray[Any]) -> NDArray[np.bool_] | None:
+        """Rows (H,) that repeat another row of the frame; None if they are few.
+
+        Among equal rows, the one that fits the background image best counts as the true one. Compression makes rows within
+        a block equal.
+        """
+        order = np.sort(blocks.row_digests)
+        least = LEAST_TORN * len(order)
+        if np.count_nonzero(order[1:] == order[:-1]) <= least:
+            return None
+        repeated = np.zeros(len(order), dtype=bool)
+        for digest in np.unique(order[1:][order[1:] == order[:-1]]):
+            rows = np.flatnonzero((blocks.row_digests == digest) & self._own_rows)
+            if len(rows) > 1 and rows[-1] - rows[0] >= BLOCK_PX:
+                away = np.abs(image[rows].astype(np.float32) - self._background[rows]).mean(axis=(1, 2))
+                repeated[np.delete(rows, int(np.argmin(away)))] = True
+        return repeated if np.count_nonzero(repeated) > least else None
+
+    def seam(self, blocks: Blocks) -> int:
+        """The row below which everything belongs to another moment; 0 if there is none.
+
+        There the change from the background image steps from one row to the next, further than at any other row. An
+        object's edge, even one along the rows, is blurred over several rows, and markers and compression step at many.
+        """
+        sums = blocks.row_sums.reshape(len(blocks.row_sums), -1)
+        work, totals = (np.empty(size, dtype=np.float32) for size in (3 * sums.shape[1], len(sums)))
+        least = 2 * BLOCK_PX * LEAST_STEP  # twice the sum of 16 pixels, as the kernel counts
+        return _seam(sums, self._rest_sums, work, totals, least, SEAM_FACTOR, SPILL)
+
+    def displaced_rows(self, blocks: Blocks) -> NDArray[np.bool_] | None:
+        """Rows (H,) on the side of a seam that fits the background image worse; None if there is no seam."""
+        row = self.seam(blocks)
+        if not row:
+            return None
+        change = np.subtract(blocks.row_sums.reshape(self._rest_sums.shape), self._rest_sums, dtype=np.int32)
+        away = np.abs(change).mean(axis=1)
+        below = np.arange(len(away)) >= row
+        return below if away[below].mean() > away[~below].mean() else ~below
+
+
+def torn_finding(lost: NDArray[np.bool_]) -> Finding:
+    """The finding `torn`; its figure is the fraction of the frame."""
+    fraction = float(lost.mean())
+    message = (
+        f"{100 * fraction:.0f} % of the frame is torn: it has one color, repeats other rows, or is of another moment. "
+        "Check the cable, and whether other devices share the camera's bandwidth."
+    )
+    return Finding("torn", message, fraction)
+
+
+# Fraction of the frame; a whole frame of one color is dark or saturated if the color is an end of the range.
+MOST_TORN = 0.95
+
+
+_signs = Kernel(
+    "health_signs",
+    "u8[bh,bw,3] means, u8[bh,bw] ranges, i64[h] digests, u8[bh,bw,3] dark_to, u8[bh,bw,3] saturated_from, "
+    "out i32[n] work, out i32[3] signs, i32 flat",
+)
+_seam = Kernel(
+    "health_seam",
+    "u16[h,n] sums, u16[h,n] rest, out f32[m] work, out f32[h] totals, f32 least, f32 factor, f32 spill",
+)
+
+
+@dataclass(frozen=True, eq=False)
+class FrameFaults:
+    """The faults of a frame.
+
+    Attributes
+    ----------
+    image : (H, W, 3), with the background image in place of lost pixels, so that these give no slopes
+    findings : `dark`, `saturated`, `torn` (figure: fraction of the frame), `frozen` (figure 1)
+    lost : (H, W) bool, pixels without information, including a margin around torn parts; None if there are none
+    """
+
+    image: NDArray[Any]
+    findings: tuple[Finding, ...] = ()
+    lost: NDArray[np.bool_] | None = None
+
+    def hidden(self, markers: NDArray[np.bool_] | None) -> NDArray[np.bool_] | None:
+        """Pixels (H, W) that markers hide or that are lost; None if there are neither."""
+        if self.lost is None or markers is None:
+            return markers if self.lost is None else self.lost
+        return markers | self.lost
+
+    def without_lost(self, known: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """The known pixels (H, W), without the lost ones."""
+        return known if self.lost is None else known & ~self.lost
+
+    def widen(self, sigma: NDArray[np.float32] | None, least: float) -> None:
+        """Raise a standard deviation (H, W), in place, to at least `least` at lost pixels."""
+        if self.lost is not None and sigma is not None:
+            np.maximum(sigma, np.float32(least), out=sigma, where=self.lost)
+
+
+class FrameHealth:
+    """Finds faults of the frames of one sensor. It is prepared once and immutable; threads can share it.
+
+    It is a pure function of the frame; a stream finds faults that need memory, such as a camera that repeats one image.
+    Only a repetition of the background image itself is found here.
+
+    Parameters
+    ----------
+    background : (H, W, 3), 0-255, background image
+    """
+
+    def __init__(self, background: NDArray[Any]) -> None:
+        self._background = background
+        self._pixels = as_levels(background)
+        rest = blocks_from_image(self._pixels)
+        self._rest_digests = rest.row_digests
+        self._levels = Levels(rest)
+        self._torn = Torn(background, rest)
+
+    def __call__(self, image: NDArray[Any]) -> FrameFaults:
+        """The faults of an image (H, W, 3), RGB, 0-255, of the background's size."""
+        blocks = blocks_from_image(as_levels(image))
+        if self._is_background(blocks, image):
+            message = "The frame equals the background image in every pixel. The camera is frozen, or it is that image."
+            return FrameFaults(image, (Finding("frozen", message, 1.0),))
+        if self._is_plainly_sound(blocks):
+            return FrameFaults(image)
+        torn = self._torn(blocks, image)
+        if torn is not None and torn.mean() > MOST_TORN and self._levels(blocks)[1] is not None:
+            torn = None
+        levels, clipped = self._levels(blocks, None if torn is None else blocks.centered_in(torn))
+        if torn is None and clipped is None:
+            return FrameFaults(image)
+        lost = np.zeros(image.shape[:2], dtype=bool) if torn is None else _grown(torn)
+        if clipped is not None:
+            lost |= blocks.pixels(clipped, image.shape[1])
+        findings = (*(() if torn is None else (torn_finding(torn),)), *levels)
+        return FrameFaults(np.where(lost[..., None], self._pixels, image), findings, lost)
+
+    def _is_plainly_sound(self, blocks: Blocks) -> bool:
+        """Whether the frame shows no sign of a fault: true for nearly every frame, a tenth of the time."""
+        signs, rows = np.empty(3, dtype=np.int32), len(blocks.row_digests)
+        work = np.empty(1 << rows.bit_length(), dtype=np.int32)
+        digests, ends = blocks.row_digests, (self._levels.dark_to, self._levels.saturated_from)
+        _signs(blocks.means, blocks.ranges, digests, *ends, work, signs, FLAT_RANGE)
+        flat, ending, repeated = signs.tolist()
+        few_flat, few_repeated = flat <= LEAST_TORN * blocks.ranges.size, repeated <= LEAST_TORN * rows
+        return few_flat and few_repeated and not ending and not self._torn.seam(blocks)
+
+    def _is_background(self, blocks: Blocks, image: NDArray[Any]) -> bool:
+        if blocks.row_digests[0] != self._rest_digests[0]:
+            return False
+        return np.array_equal(image, self._background)
+
+
+def check_untouched_image(image: NDArray[Any], calibrated: NDArray[Any]) -> None:
+    """Refuse a background image (H, W, 3) with parts that are dark, saturated or torn compared with the calibration's.
+
+    CalibrationError: its message contains the finding.
+    """
+    faults = FrameHealth(calibrated)(image)
+    if faults.lost is not None:
+        raise CalibrationError(
+            f"This image cannot be a background. {faults.findings[0].message} Take it again, with nothing touching the gel."
+        )
+
+
+def _grown(lost: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """The blocks and their neighbors, because a fault may cut blocks in two."""
+    kernel = np.ones((2 * BLOCK_PX + 1,) * 2, dtype=np.uint8)
+    grown: NDArray[np.bool_] = cv2.dilate(lost.view(np.uint8), kernel).view(np.bool_)
+    return grown
+
+
+@dataclass(frozen=True)
+class DepthLimit:
+    """The largest possible depth, mm.
+
+    Attributes
+    ----------
+    limit_mm : the gel's thickness if known, else the shorter side of the field of view
+    is_thickness : whether it is the thickness
+    """
+
+    limit_mm: float
+    is_thickness: bool
+
+    @classmethod
+    def of(cls, shape: tuple[int, int], mm_per_px: float, thickness_mm: float | None = None) -> DepthLimit:
+        """The limit of images (H, W) of square pixels."""
+        if thickness_mm is not None:
+            return cls(float(thickness_mm), True)
+        return cls(min(shape) * float(mm_per_px), False)
+
+    @property
+    def ignorance_mm(self) -> float:
+        """Standard deviation of a depth about which only the limit is known: that of a uniform distribution."""
+        return self.limit_mm / sqrt(12)
+
+    def bound(self, depth_mm: NDArray[np.float32]) -> tuple[NDArray[np.float32], tuple[Finding, ...]]:
+        """Clip the depth (H, W) to plus and minus the limit, with a finding if that changed it."""
+        low, high = value_range(depth_mm)
+        largest = max(high, -low)
+        if largest <= self.limit_mm:
+            return depth_mm, ()
+        what = "thickness of the gel" if self.is_thickness else "width of the field of view"
+        message = (
+            f"Depth reaches {largest:.3g} mm, more than the {what} ({self.limit_mm:.3g} mm), and is cut there. "
+            "The image does not fit the calibration. Do not trust this depth."
+        )
+        limit = np.float32(self.limit_mm)
+        return np.clip(depth_mm, -limit, limit), (Finding("beyond_gel", message, largest),)

@@ -1,0 +1,365 @@
+"""The markers of one gel, prepared once: their positions in an image, and the pixels that they darken.
+
+Each dot is searched for near its expected position. A dot that is not found there is searched for at the candidates
+nearest to the prediction of its neighbors, ring by ring. A dot is rejected if it moves unlike its neighbors, or if another
+dot has its place. A tracker has memory, one for each sequence, and follows dots however far they move.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+import scipy
+from numpy.typing import ArrayLike, NDArray
+
+from gelform.foundations.checks import check_image, check_mm_per_px
+from gelform.image.markers.finder import CandidateFinder, MarkerFinder
+from gelform.image.markers.flow import MarkerFlow
+from gelform.image.markers.patches import Patches, StretchedPatches, logs_from_image
+
+NEIGHBORS, REACH = 8, 1.7  # neighbors of a dot at most; spacings within which they count
+# Spacings: a dot further from its neighbors' motion is another one; so is a dot found further from its search position, and
+# a dot that memory has lost further from its neighbors' prediction.
+MOST_ASTRAY, HALF, AGAIN = 0.45, 0.5, 0.3
+FIT_PRIOR = 0.3  # spacings squared; neighbors that spread less do not determine a plane
+RINGS = 8  # rings of lost dots that are searched for from those around, one after the other
+CLEARLY = 0.5  # of the distance to the next candidate; a nearer candidate is the dot itself
+# A fit's residual is no white noise: factor of its sigma, and smallest sigma, px; measured on simulated shear.
+SIGMA_FACTOR, SIGMA_FLOOR_PX = 1.5, 0.01
+UNSEEN_SIGMA = 0.2  # spacings, sigma of a dot that was not found
+WHOLE = 1.0  # radii; dots nearer to the border are cut, and not followed
+
+
+class Neighbors:
+    """The neighbors of dots; the gel's surface moves smoothly, so a dot moves nearly as they do."""
+
+    def __init__(self, rest_px: NDArray[Any]) -> None:
+        self._rest = np.asarray(rest_px, dtype=np.float64)
+        count = len(self._rest)
+        found = scipy.spatial.cKDTree(self._rest).query(self._rest, k=min(NEIGHBORS + 1, count))
+        distance, self._index = np.asarray(found[0])[:, 1:], np.asarray(found[1])[:, 1:]
+        self.spacing_px = float(np.median(distance[:, 0]))
+        self._near = distance < REACH * np.maximum(self.spacing_px, distance[:, :1])
+
+    def astray_px(self, shift_px: NDArray[Any], sure: NDArray[np.bool_]) -> NDArray[np.float64]:
+        """Distance (N,) of each dot's shift from the median of its sure neighbors; 0 without any."""
+        theirs = np.where((self._near & sure[self._index])[..., None], shift_px[self._index], np.inf)
+        theirs.sort(axis=1)
+        count = np.count_nonzero(np.isfinite(theirs[..., 0]), axis=1)
+        lower, upper = (np.maximum(count - 1, 0) // 2, count // 2)
+        number = np.arange(len(theirs))
+        upper = np.minimum(upper, theirs.shape[1] - 1)
+        middle = (theirs[number, lower] + theirs[number, upper]) / 2
+        middle = np.where((count > 0)[:, None], middle, shift_px)
+        away = shift_px - middle
+        astray: NDArray[np.float64] = np.hypot(away[:, 0], away[:, 1])
+        return astray
+
+    def predicted_px(
+        self, shift_px: NDArray[Any], sure: NDArray[np.bool_], of: NDArray[np.bool_]
+    ) -> NDArray[np.float64]:
+        """Shifts (M, 2) of some dots (`of`, (N,) bool) from those of the sure ones around.
+
+        They lie on a plane through the shifts around, weighted by nearness. It is pulled to their mean where they do not
+        determine a plane.
+        """
+        away = self._rest[sure] - self._rest[of][:, None]
+        square = np.sum(away**2, axis=-1) / self.spacing_px**2
+        weight = np.exp(-0.5 * (square - square.min(axis=1, keepdims=True)))
+        weight /= weight.sum(axis=1, keepdims=True)
+        mean, place = weight @ shift_px[sure], np.einsum("mk,mkc->mc", weight, away)
+        offset = away - place[:, None]
+        spread = np.einsum("mk,mkc,mkd->mcd", weight, offset, offset)
+        spread += FIT_PRIOR * self.spacing_px**2 * np.eye(2)
+        lean = np.einsum("mk,mkc,mkd->mcd", weight, offset, shift_px[sure] - mean[:, None])
+        slope = np.linalg.solve(spread, lean)
+        predicted: NDArray[np.float64] = mean - np.einsum("mc,mcd->md", place, slope)
+        return predicted
+
+
+class MarkerFollower:
+    """Finds the moved markers of a gel: a pure function of the image and of the start of the search.
+
+    Parameters
+    ----------
+    background : (H, W, 3), 0-255, background image
+    mm_per_px : float or (x, y), mm; None if unknown
+
+    Attributes
+    ----------
+    rest_px : (N, 2) float32, markers completely inside the background image; N is 0 if the gel has no markers
+    """
+
+    def __init__(self, background: ArrayLike, mm_per_px: float | tuple[float, float] | None = None) -> None:
+        image = check_image(background, name="background")
+        if mm_per_px is not None:
+            check_mm_per_px(mm_per_px)
+        self.mm_per_px = mm_per_px
+        self._finder = MarkerFinder(image)
+        found, radius = self._finder.untouched.centers_px, self._finder.untouched.radius_px
+        far = np.array(image.shape[1::-1]) - 1 - WHOLE * radius
+        whole = np.all((found >= WHOLE * radius) & (found <= far), axis=1)
+        self.rest_px = found[whole]
+        if len(self) < 2:
+            self.rest_px = found[:0]
+            return
+        self._all = np.concatenate([self.rest_px, found[~whole]])
+        self._neighbors = Neighbors(self._all)
+        logs = logs_from_image(image)
+        self._patches = Patches(logs, self.rest_px, radius)
+        self._stretched = StretchedPatches(logs, self._patches)
+        self._candidates = CandidateFinder(logs, self.rest_px, radius)
+        self._dark, self._owner = self._pixels_of_dots()
+
+    def __len__(self) -> int:
+        return len(self.rest_px)
+
+    @property
+    def radius_px(self) -> float:
+        """Radius of a dot, from their median area."""
+        return self._patches.radius_px
+
+    @property
+    def spacing_px(self) -> float:
+        """Median distance between neighboring dots at rest."""
+        return self._neighbors.spacing_px
+
+    def __call__(self, image: NDArray[Any], start_px: NDArray[Any] | None = None) -> MarkerFlow:
+        """The positions of the markers in an image (H, W, 3), 0-255.
+
+        Parameters
+        ----------
+        start_px : (N, 2), displacements at the start of the search; 0 by default, which finds dots that have moved
+            less than half a spacing
+        """
+        expected = np.zeros((len(self), 2)) if start_px is None else np.asarray(start_px, dtype=np.float64)
+        shift, seen, sigma = self._resolved(logs_from_image(image), expected)
+        sigma = np.hypot(SIGMA_FACTOR * sigma, SIGMA_FLOOR_PX).astype(np.float32)
+        sigma[~seen] = UNSEEN_SIGMA * self.spacing_px
+        now = (self.rest_px + shift).astype(np.float32)
+        return MarkerFlow(self.rest_px, now, seen, sigma, self.mm_per_px)
+
+    def unlikeliness(self, flow: MarkerFlow) -> float:
+        """Number of dots that are missing or move unlike their neighbors, for the choice between two flows of one image."""
+        astray = self._neighbors.astray_px(*self._with_cut(flow.displacement_px, flow.seen))[: len(self)]
+        return float(np.sum(~flow.seen) + np.sum(astray[flow.seen]) / self.spacing_px)
+
+    def hidden(self, image: NDArray[Any], flow: MarkerFlow | None) -> NDArray[np.bool_] | None:
+        """Pixels (H, W) that the markers darken in the image or in the background; None if the gel has no markers.
+
+        They include the dots at rest, because the color change is divided by the background, and the dots at the positions
+        of
+        the flow. Around the latter all pixels as dark as a dot are included, because contacts stretch dots.
+        """
+        if flow is None or not len(self):
+            return None
+        shift = self._of_all(flow.displacement_px, flow.seen)
+        moved = np.zeros(image.shape[:2], dtype=np.uint8)
+        at = self._dark + np.rint(shift).astype(np.intp)[self._owner]
+        at = at[np.all((at >= 0) & (at < moved.shape[::-1]), axis=1)]
+        moved[at[:, 1], at[:, 0]] = 1
+        reach = int(self.radius_px) | 1
+        near = cv2.dilate(moved, np.ones((2 * reach + 1,) * 2, dtype=np.uint8))
+        near &= self._finder.mask(image).view(np.uint8)
+        near |= cv2.dilate(moved, np.ones((3, 3), dtype=np.uint8))
+        near |= self._finder.untouched.mask.view(np.uint8)
+        return near > 0
+
+    def _resolved(self, logs: NDArray[np.float32], expected: NDArray[np.float64]) -> tuple[Any, Any, Any]:
+        """Shifts (N, 2), whether each dot is seen, and its sigma, from the expected positions."""
+        found = self._patches(logs, expected)
+        shift, sigma = found.shift_px.astype(np.float64), found.sigma_px.copy()
+        close = np.linalg.norm(shift - expected, axis=1) < HALF * self.spacing_px
+        seen = self._agreeing(shift, found.ok & close)
+        reach = (HALF if not expected.any() else AGAIN) * self.spacing_px
+        candidates = None
+        for _ in range(RINGS):
+            guess = shift.copy()
+            if seen.any():
+                guess[~seen] = self._predicted(shift, seen)
+            else:
+                guess[~seen] = expected[~seen]
+            todo = np.nonzero(~seen & self._patches.inside(self.rest_px + guess))[0]
+            if not len(todo):
+                break
+            candidates = self._candidates(logs) if candidates is None else candidates
+            if reach < HALF * self.spacing_px:
+                todo = todo[self._clear(self.rest_px[todo] + guess[todo], candidates)]
+            if not len(todo):
+                break
+            start = self._at_candidates(guess, todo, shift[seen] + self.rest_px[seen], candidates, reach)
+            again = self._patches(logs, start, todo)
+            close = np.linalg.norm(again.shift_px - guess[todo], axis=1) < reach
+            trial, taken = shift.copy(), seen.copy()
+            trial[todo], taken[todo] = again.shift_px, again.ok & close
+            taken = self._agreeing(trial, taken)
+            if taken.sum() <= seen.sum():
+                break
+            shift[taken], sigma[todo], seen = trial[taken], again.sigma_px, taken
+        if not seen.any():
+            return expected.copy(), seen, sigma
+        for starts in (expected, self._at_darkest(logs, shift, seen)):
+            shift, seen, sigma = self._with_stretched(logs, starts, shift, seen, sigma)
+        if not seen.all():
+            shift[~seen] = self._predicted(shift, seen)
+        return shift, seen, sigma
+
+    def _with_stretched(
+        self, logs: NDArray[np.float32], starts: NDArray[Any], shift: Any, seen: Any, sigma: Any
+    ) -> tuple[Any, Any, Any]:
+        """Shifts, seen dots and sigma; the lost dots are searched for with an affine map from `starts` (N, 2)."""
+        todo = np.nonzero(~seen & self._patches.inside(self.rest_px + starts))[0]
+        if not len(todo):
+            return shift, seen, sigma
+        guess = shift.copy()
+        guess[~seen] = self._predicted(shift, seen)
+        found = self._stretched(logs, starts[todo], todo)
+        trial, taken = shift.copy(), seen.copy()
+        trial[todo] = found.shift_px
+        taken[todo] = found.ok & (
+            np.linalg.norm(found.shift_px - guess[todo], axis=1) < AGAIN * self.spacing_px
+        )
+        taken = self._agreeing(trial, taken) | seen
+        new = sigma.copy()
+        new[todo] = found.sigma_px
+        return np.where(taken[:, None], trial, shift), taken, np.where(seen, sigma, new)
+
+    def _at_darkest(self, logs: NDArray[np.float32], shift: Any, seen: Any) -> NDArray[np.float64]:
+        """Shifts (N, 2) to start from; for lost dots the candidate nearest to their neighbors' prediction."""
+        guess = shift.copy()
+        todo = np.nonzero(~seen)[0]
+        if not len(todo):
+            return guess
+        guess[todo] = self._predicted(shift, seen)
+        taken = shift[seen] + self.rest_px[seen]
+        guess[todo] = self._at_candidates(guess, todo, taken, self._candidates(logs), AGAIN * self.spacing_px)
+        return guess
+
+    def _at_candidates(
+        self,
+        guess: NDArray[Any],
+        todo: NDArray[np.intp],
+        taken: NDArray[Any],
+        candidates: NDArray[Any],
+        reach: float,
+    ) -> NDArray[np.float64]:
+        """Shifts (M, 2) to the free candidate nearest to each guess, within reach; else the guess itself."""
+        start = guess[todo].copy()
+        if len(taken) and len(candidates):
+            apart = np.linalg.norm(candidates[:, None] - taken, axis=-1).min(axis=1)
+            candidates = candidates[apart > self.radius_px]
+        if len(candidates):
+            away = candidates[None] - (self.rest_px[todo] + guess[todo])[:, None]
+            length = np.linalg.norm(away, axis=-1)
+            best = length.argmin(axis=1)
+            near = length.min(axis=1) < reach
+            start[near] += away[np.arange(len(todo)), best][near]
+        return start
+
+    def _clear(self, places: NDArray[Any], candidates: NDArray[Any]) -> NDArray[np.bool_]:
+        """Whether one candidate is much nearer to each place (M, 2) than any other; never so for crowded dots."""
+        if len(candidates) < 2:
+            return np.ones(len(places), dtype=bool)
+        apart = np.linalg.norm(places[:, None] - candidates, axis=-1)
+        apart.partition(1, axis=1)
+        clear: NDArray[np.bool_] = apart[:, 0] < CLEARLY * apart[:, 1]
+        return clear
+
+    def _agreeing(self, shift: NDArray[Any], seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """The seen dots that move like their neighbors and stand alone; of two dots at one place, the better one stays."""
+        astray = self._neighbors.astray_px(*self._with_cut(shift, seen))[: len(self)]
+        seen = seen & (astray < MOST_ASTRAY * self.spacing_px)
+        number = np.nonzero(seen)[0]
+        place = (self.rest_px + shift)[number]
+        apart = np.linalg.norm(place[:, None] - place, axis=-1)
+        first, second = np.nonzero(np.triu(apart < self.radius_px, 1))
+        worse = np.where(astray[number[first]] > astray[number[second]], number[first], number[second])
+        seen[worse] = False
+        return seen
+
+    def _predicted(self, shift: NDArray[Any], seen: NDArray[np.bool_]) -> NDArray[np.float64]:
+        """Shifts of the unseen dots, predicted from the seen ones."""
+        full, sure = self._with_cut(shift, seen)
+        of = ~sure
+        of[len(self) :] = False
+        return self._neighbors.predicted_px(full, sure, of)
+
+    def _of_all(self, shift: NDArray[Any], seen: NDArray[np.bool_]) -> NDArray[np.float64]:
+        """Shifts of all dots; those of dots that the border cuts come from their neighbors."""
+        full, sure = self._with_cut(shift, seen)
+        cut = np.arange(len(full)) >= len(self)
+        if seen.any() and cut.any():
+            full[cut] = self._neighbors.predicted_px(full, sure, cut)
+        return full
+
+    def _with_cut(self, shift: NDArray[Any], seen: NDArray[np.bool_]) -> tuple[Any, Any]:
+        """Shifts of all dots and whether they are sure; dots that the border cuts at rest come last, not sure."""
+        more = len(self._all) - len(self)
+        full = np.concatenate([shift, np.zeros((more, 2))])
+        return full, np.concatenate([seen, np.zeros(more, dtype=bool)])
+
+    def _pixels_of_dots(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Positions (M, 2) of the pixels that dots darken at rest, and the nearest dot (M,) of each."""
+        row, column = np.nonzero(self._finder.untouched.mask)
+        places = np.stack([column, row], axis=-1)
+        apart = np.linalg.norm(places[:, None] - self._all, axis=-1)
+        return places, apart.argmin(axis=1)
+
+
+FAST = 0.05  # spacings a frame; slower dots are searched for at their last position, so that noise is not extrapolated
+DOUBTFUL = 0.1  # fraction of the dots lost since the last frame; with more, rest is tried too
+
+
+class MarkerTracker:
+    """Follows the markers of one gel through a sequence of images.
+
+    Each marker is searched for where its motion so far leads. So it can move by many spacings, but by less than about half
+    of one from frame to frame. After a gap in which the gel sprang back, it is found at rest again.
+
+    Parameters
+    ----------
+    background : (H, W, 3), 0-255, background image; or a MarkerFollower of it, which can be shared
+    mm_per_px : float or (x, y), mm; a follower uses its own
+    """
+
+    def __init__(
+        self,
+        background: ArrayLike | MarkerFollower,
+        mm_per_px: float | tuple[float, float] | None = None,
+    ) -> None:
+        if not isinstance(background, MarkerFollower):
+            background, mm_per_px = MarkerFollower(background, mm_per_px), None
+        if mm_per_px is not None:
+            raise ValueError("Expected mm_per_px of the follower itself, got another. Leave it out here.")
+        self._follower = background
+        self.reset()
+
+    def __len__(self) -> int:
+        return len(self._follower)
+
+    def reset(self) -> None:
+        """Forget all motion; the search in the next image starts from rest."""
+        self._shift = self._velocity = np.zeros((len(self), 2))
+        self._seen = len(self)
+
+    def update(self, image: ArrayLike) -> MarkerFlow | None:
+        """The positions in the sequence's next image (H, W, 3), 0-255; None if the gel has no markers."""
+        pixels = check_image(image)
+        if not len(self):
+            return None
+        flow = self._followed(pixels)
+        moved = flow.displacement_px - self._shift
+        fast = np.linalg.norm(moved, axis=1) > FAST * self._follower.spacing_px
+        self._velocity = np.where((fast & flow.seen)[:, None], moved, 0)
+        self._shift, self._seen = flow.displacement_px.astype(np.float64), int(flow.seen.sum())
+        return flow
+
+    def _followed(self, pixels: NDArray[Any]) -> MarkerFlow:
+        """The likeliest flow from the expected positions and, if some dots are lost, from rest."""
+        flow = self._follower(pixels, self._shift + self._velocity)
+        if flow.seen.sum() >= self._seen - DOUBTFUL * len(self):
+            return flow
+        others = [self._follower(pixels, self._shift), self._follower(pixels)]
+        return min((flow, *others), key=self._follower.unlikeliness)

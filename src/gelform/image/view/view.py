@@ -1,0 +1,326 @@
+"""frame -> image: lens, crop, flip and resize in one remap, and back.
+
+Pixel centers are at integers and resizing maps areas: `x_frame = (x_image + 1/2) scale - 1/2 + left`.
+
+With a lens the crop is part of the *rectified* frame, which has the frame's size and square pixels on the gel; each of
+its pixels is looked up in the frame through the perspective and the distortion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gelform.foundations.checks import check_image, check_is
+from gelform.image.view.lens import Lens
+from gelform.image.view.resample import (
+    averaged,
+    box_centers,
+    maps_of_positions,
+    pixel_maps,
+    pixel_positions,
+    remapped,
+)
+
+MAX_PIXELS = 200e6  # pixels of a frame or an image, at most
+FLIPS = ("none", "x", "y", "xy")
+TURNS = {"none": 0, "left": 1, "right": -1}  # quarter turns counterclockwise
+
+
+@dataclass(frozen=True)
+class View:
+    """The part of a camera's frame that is the image, its orientation and its size in pixels; identity by default.
+
+    Attributes
+    ----------
+    frame_shape : (H, W) of the camera's frames, or None for frames of any size
+        Needed if frames are cropped, resized or have a lens.
+    crop : (left, top, width, height) in frame pixels, or None for the whole frame
+        Fractions of a pixel are allowed, in a size of 1 or more. Counted in the frame as the camera gives it, before flips.
+    flip : "none", "x" (left and right exchanged), "y" (top and bottom), or "xy" (turned by 180 degrees)
+    image_shape : (H, W) of the image, or None for the size of the crop, rounded
+    lens : Lens or None
+        Distortion and perspective to remove; the crop is then in pixels of the rectified frame.
+    turn : "none", "left" (a quarter turn counterclockwise) or "right", after the flip; `image_shape` is that of the
+        turned image
+
+    Raises
+    ------
+    ValueError
+        A crop outside the frame, sizes that are not positive, an unknown flip, or a missing
+        frame_shape.
+    """
+
+    frame_shape: tuple[int, int] | None = None
+    crop: tuple[float, float, float, float] | None = None
+    flip: str = "none"
+    image_shape: tuple[int, int] | None = None
+    lens: Lens | None = None
+    turn: str = "none"
+
+    def __post_init__(self) -> None:
+        if self.lens is not None and not isinstance(self.lens, Lens):
+            object.__setattr__(self, "lens", Lens.from_dict(self.lens))
+        for name in ("frame_shape", "image_shape"):
+            object.__setattr__(self, name, _size_of(getattr(self, name), name))
+        object.__setattr__(self, "crop", _crop_of(self.crop, self.frame_shape))
+        if self.flip not in FLIPS:
+            raise ValueError(f"Expected the view's flip as one of {', '.join(FLIPS)}, got {self.flip!r}.")
+        if self.turn not in TURNS:
+            raise ValueError(f"Expected the view's turn as one of {', '.join(TURNS)}, got {self.turn!r}.")
+        if self.frame_shape is None and (self.crop or self.image_shape or self.lens):
+            raise ValueError(
+                "Expected frame_shape, (height, width) of the frames, in a view that crops, resizes or undoes a lens."
+            )
+
+    @property
+    def shape(self) -> tuple[int, int] | None:
+        """(H, W) of the images of this view; None if any size passes."""
+        if self.image_shape is not None or self.frame_shape is None:
+            return self.image_shape
+        _, _, width, height = self._box
+        shape = max(1, round(height)), max(1, round(width))
+        return shape if self.turn == "none" else shape[::-1]
+
+    @property
+    def is_identity(self) -> bool:
+        """Whether images are unchanged frames."""
+        if self.turn != "none":
+            return False
+        if self.frame_shape is None:
+            return self.flip == "none"
+        height, width = self.frame_shape
+        if self.lens is not None:
+            return False
+        return self.flip == "none" and self._box == (0, 0, width, height) and self.shape == self.frame_shape
+
+    @property
+    def unturned(self) -> View:
+        """The same view without its turn."""
+        if self.turn == "none":
+            return self
+        return replace(self, turn="none", image_shape=self.image_shape and self.image_shape[::-1])
+
+    def of_frames(self, frame_shape: tuple[int, int]) -> View:
+        """This view for frames (H, W), if it does not have their size itself."""
+        return self if self.frame_shape is not None else replace(self, frame_shape=frame_shape)
+
+    @property
+    def _sizes(self) -> tuple[tuple[int, int], tuple[int, int]]:
+        """(H, W) of frames and of images, for a view that needs both."""
+        if self.frame_shape is None or self.shape is None:
+            raise ValueError(
+                "Expected a view that knows the size of its frames where points are mapped through it: "
+                "view.of_frames((height, width))."
+            )
+        return self.frame_shape, self.shape
+
+    @property
+    def _box(self) -> tuple[float, float, float, float]:
+        """(left, top, width, height) of the crop, or of the whole frame."""
+        height, width = self.frame_shape or (0, 0)
+        return self.crop or (0.0, 0.0, float(width), float(height))
+
+    def to_dict(self) -> dict[str, Any]:
+        """The settings that differ from the default, as values that JSON and TOML can hold."""
+        plain = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "lens"}
+        settings = {
+            name: list(v) if isinstance(v, tuple) else v
+            for name, v in plain.items()
+            if v not in (None, "none")
+        }
+        return settings if self.lens is None else {**settings, "lens": self.lens.to_dict()}
+
+    @classmethod
+    def from_dict(cls, settings: Mapping[str, Any]) -> View:
+        """A view from `to_dict` or the `[view]` table of a `sensor.toml`; an unknown key is a ValueError."""
+        known = [field.name for field in fields(cls)]
+        unknown = [name for name in settings if name not in known]
+        if unknown:
+            raise ValueError(
+                f"Expected settings of a view among {', '.join(known)}, got {', '.join(unknown)}."
+            )
+        return cls(**settings)
+
+
+def image_from_frame(frame: ArrayLike, view: View) -> NDArray[Any]:
+    """Make the image, which the path works on, from a camera's frame.
+
+    Parameters
+    ----------
+    frame : (H, W, 3) RGB, uint8 or float (0-255)
+        Of `view.frame_shape`, or of any size if the view has none. An image must not go through
+        the view again.
+    view : View
+
+    Returns
+    -------
+    image : view.shape + (3,), dtype of the frame
+
+    Raises
+    ------
+    ValueError, TypeError
+        Another size, or no RGB image (see `checks.check_image`).
+    """
+    check_is(view, View, "view")
+    pixels = check_image(frame, name="frame")
+    shape = (pixels.shape[0], pixels.shape[1])
+    if view.frame_shape not in (None, shape):
+        hint = "Give the view that belongs to this camera."
+        if shape == view.shape:
+            hint = (
+                "It has the size of an image already: those go to Reconstructor.from_image, without the view."
+            )
+        raise ValueError(
+            f"Expected a frame of {_text(view.frame_shape)} px (height x width), got {_text(shape)}. {hint}"
+        )
+    if view.is_identity:
+        return pixels
+    if view.turn != "none":
+        return np.ascontiguousarray(np.rot90(image_from_frame(pixels, view.unturned), TURNS[view.turn]))
+    view = view.of_frames(shape)
+    if view.lens is not None:
+        box, map_x, map_y = _maps_through_lens(view)
+        return remapped(averaged(pixels, box), map_x, map_y)
+    rows, columns, box, map_x, map_y = _maps_to_image(view)
+    return remapped(averaged(pixels[rows, columns], box), map_x, map_y)
+
+
+def frame_from_image(image: ArrayLike, view: View) -> NDArray[Any]:
+    """Make a frame whose view is the image; `image_from_frame` is the inverse.
+
+    Frame pixels outside the view repeat the nearest pixel inside.
+
+    Parameters
+    ----------
+    image : view.shape + (3,) RGB, uint8 or float (0-255)
+    view : View
+
+    Returns
+    -------
+    frame : view.frame_shape + (3,), dtype of the image
+
+    Raises
+    ------
+    ValueError, TypeError
+        The image does not have the size of the view's images.
+    """
+    check_is(view, View, "view")
+    pixels = check_image(image, shape=view.shape)
+    if view.is_identity:
+        return pixels
+    if view.turn != "none":
+        return np.ascontiguousarray(frame_from_image(np.rot90(pixels, -TURNS[view.turn]), view.unturned))
+    view = view.of_frames((pixels.shape[0], pixels.shape[1]))
+    return remapped(pixels, *_maps_to_frame(view))
+
+
+@lru_cache(maxsize=8)
+def _maps_to_image(view: View) -> tuple[slice, slice, tuple[int, int], NDArray[Any], NDArray[Any]]:
+    """The rows and columns to cut out of the frame, the box to average, and each image pixel's position in the result."""
+    (frame, image), (left, top, width, height) = view._sizes, view._box
+    x, columns, box_x = box_centers(left, width, frame[1], image[1], "x" in view.flip)
+    y, rows, box_y = box_centers(top, height, frame[0], image[0], "y" in view.flip)
+    return rows, columns, (box_y, box_x), *pixel_maps(x, y)
+
+
+@lru_cache(maxsize=8)
+def _maps_through_lens(view: View) -> tuple[tuple[int, int], NDArray[Any], NDArray[Any]]:
+    """The box to average in the whole frame, and each image pixel's position in the result."""
+    shape, (_, _, width, height) = view._sizes[1], view._box
+    box = max(1, int(height / shape[0] + 0.5)), max(1, int(width / shape[1] + 0.5))
+    points = frame_px_from_image_px(pixel_positions(shape), view)
+    in_boxes = (points + 0.5) / (box[1], box[0]) - 0.5
+    return box, *maps_of_positions(in_boxes, shape)
+
+
+def frame_px_from_image_px(points_px: ArrayLike, view: View) -> NDArray[np.float64]:
+    """Positions (N, 2) in the frame, px, of points of the image, x and y."""
+    points = np.asarray(points_px, dtype=np.float64).reshape(-1, 2)
+    if view.is_identity:
+        return points
+    if view.turn != "none":
+        (rows, columns), (x, y) = view._sizes[1], points.T
+        inner = (rows - 1 - y, x) if view.turn == "left" else (y, columns - 1 - x)
+        return frame_px_from_image_px(np.stack(inner, axis=1), view.unturned)
+    shape, (left, top, width, height) = view._sizes[1], view._box
+    scale = np.divide((width, height), (shape[1], shape[0]))
+    rectified = (_flipped(points, view) + 0.5) * scale - 0.5 + (left, top)
+    return rectified if view.lens is None else view.lens.frame_px_from_rectified_px(rectified)
+
+
+def image_px_from_frame_px(points_px: ArrayLike, view: View) -> NDArray[np.float64]:
+    """Positions (N, 2) in the image, px, of points of the frame: the inverse of `frame_px_from_image_px`."""
+    points = np.asarray(points_px, dtype=np.float64).reshape(-1, 2)
+    if view.is_identity:
+        return points
+    if view.turn != "none":
+        (rows, columns), (x, y) = view._sizes[1], image_px_from_frame_px(points, view.unturned).T
+        return np.stack((y, rows - 1 - x) if view.turn == "left" else (columns - 1 - y, x), axis=1)
+    shape, (left, top, width, height) = view._sizes[1], view._box
+    if view.lens is not None:
+        points = view.lens.rectified_px_from_frame_px(points)
+    scale = np.divide((shape[1], shape[0]), (width, height))
+    return _flipped((points + 0.5 - (left, top)) * scale - 0.5, view)
+
+
+def _flipped(points: NDArray[np.float64], view: View) -> NDArray[np.float64]:
+    """Points of the image after its flip; a second flip restores them."""
+    height, width = view._sizes[1]
+    x, y = points.T
+    return np.stack(
+        [width - 1 - x if "x" in view.flip else x, height - 1 - y if "y" in view.flip else y], axis=1
+    )
+
+
+@lru_cache(maxsize=8)
+def _maps_to_frame(view: View) -> tuple[NDArray[Any], NDArray[Any]]:
+    """The position of each frame pixel in the image."""
+    frame_shape = view._sizes[0]
+    points = image_px_from_frame_px(pixel_positions(frame_shape), view)
+    return maps_of_positions(points, frame_shape)
+
+
+def _size_of(value: Any, name: str) -> tuple[int, int] | None:
+    if value is None:
+        return None
+    numbers = _numbers(value, 2, f"{name} as (height, width)")
+    if min(numbers) < 1 or numbers[0] * numbers[1] > MAX_PIXELS or any(n != int(n) for n in numbers):
+        raise ValueError(f"Expected {name} as two whole numbers of pixels, got {value}.")
+    return int(numbers[0]), int(numbers[1])
+
+
+def _crop_of(value: Any, frame_shape: tuple[int, int] | None) -> tuple[float, float, float, float] | None:
+    if value is None:
+        return None
+    left, top, width, height = _numbers(value, 4, "crop as (left, top, width, height)")
+    if left < 0 or top < 0 or width < 1 or height < 1:
+        raise ValueError(
+            f"Expected crop (left, top, width, height), left, top >= 0, a size >= 1 px, got {value}."
+        )
+    height_available, width_available = (np.inf, np.inf) if frame_shape is None else frame_shape
+    if left + width > width_available + 1e-6 or top + height > height_available + 1e-6:
+        raise ValueError(
+            f"Expected a crop within the frame of {_text(frame_shape)} px (height x width), got one ending "
+            f"at column {left + width:g} and row {top + height:g}. A crop is (left, top, width, height)."
+        )
+    return left, top, width, height
+
+
+def _numbers(value: Any, count: int, wanted: str) -> tuple[float, ...]:
+    try:
+        numbers = tuple(float(number) for number in value)
+    except (TypeError, ValueError):
+        raise ValueError(f"Expected {wanted} in pixels, got {value!r}.") from None
+    if len(numbers) != count or not all(np.isfinite(numbers)):
+        raise ValueError(f"Expected {wanted} in pixels, got {value!r}.")
+    return numbers
+
+
+def _text(shape: tuple[int, ...] | None) -> str:
+    return "any" if shape is None else f"{shape[0]}x{shape[1]}"

@@ -1,7 +1,0 @@
-"""Markers on the gel: found at rest, followed in frames, and hidden from depth."""
-
-from gelform.markers.finder import MarkerFinder, Markers, markers_from_image
-from gelform.markers.flow import MarkerFlow
-from gelform.markers.follower import MarkerFollower, MarkerTracker
-
-__all__ = ["MarkerFinder", "MarkerFlow", "MarkerFollower", "MarkerTracker", "Markers", "markers_from_image"]

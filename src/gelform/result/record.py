@@ -1,0 +1,263 @@
+"""Reconstruction: the result of one frame."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gelform.depth.contact import Contact, contacts_from_mask
+from gelform.errors import GelformError
+from gelform.foundations.checks import check_mask, check_mm_per_px
+from gelform.foundations.findings import Finding
+from gelform.foundations.pictures import picture_bytes
+from gelform.image.markers import MarkerFlow
+from gelform.result.maps import BESIDE_DEPTH
+from gelform.slopes.normals import normals_from_gradients
+
+# px in a notebook: the picture's width, and the distance of stripes over unknown depth.
+THUMBNAIL_PX, HATCH_PX = 240, 8
+
+
+@dataclass(frozen=True, eq=False)
+class Reconstruction:
+    """The result of one frame.
+
+    Attributes
+    ----------
+    depth : (H, W) float32, 0 at rest, positive where pressed; finite everywhere. In mm, or in widths of a pixel
+        if mm_per_px is None; depth_mm and depth_px have a fixed unit
+    depth_sigma_mm : (H, W) float32, mm, one standard deviation, or None
+    gradients : (H, W, 2) float32, slopes dz/dx and dz/dy of the solved depth, mm/mm
+    gradients_sigma : (H, W, 2) float32, their standard deviation, or None
+    observed_gradients : (H, W, 2) float32, slopes from the color model, without the bias of pixels at rest; the
+        depth was solved from them. None in results of format versions 1 and 2, where `gradients` holds them
+    confidence : (H, W) float32, 0-1
+    contact : (H, W) bool, True where something touches
+    known : (H, W) bool; False where the depth was filled without information
+    mm_per_px : float or (x, y), mm; None if the calibration has no scale
+    mm_per_px_sigma : standard deviation of mm_per_px, mm, or None; not part of depth_sigma_mm
+    zero : the reference of depth 0: "untouched" (pixels at rest), "border" or "mean"
+    solver : the solver that ran
+    curl_rms : RMS of `dp/dy - dq/dx` of the observed slopes, per pixel; 0 for the slopes of a surface
+    health : findings, each with its figure
+    markers : displacements of the gel's markers; None if the gel has none
+    index, time_s, wall_time_ns : of the frame, or None
+    calibration_digest : digest of the calibration that was used
+    albedo_source, difference_source : functions that compute `albedo` and `depth_difference_sigma` on demand; not saved
+    """
+
+    depth: NDArray[np.float32]
+    depth_sigma_mm: NDArray[np.float32] | None
+    gradients: NDArray[np.float32]
+    gradients_sigma: NDArray[np.float32] | None
+    confidence: NDArray[np.float32]
+    contact: NDArray[np.bool_]
+    known: NDArray[np.bool_]
+    mm_per_px: float | tuple[float, float] | None
+    mm_per_px_sigma: float | None = None
+    observed_gradients: NDArray[np.float32] | None = None
+    zero: str = "untouched"
+    solver: str = ""
+    curl_rms: float = 0.0
+    health: tuple[Finding, ...] = ()
+    markers: MarkerFlow | None = None
+    index: int | None = None
+    time_s: float | None = None
+    wall_time_ns: int | None = None
+    calibration_digest: str = ""
+    albedo_source: Callable[[], NDArray[np.float32]] | None = field(default=None, repr=False)
+    difference_source: Callable[[NDArray[np.bool_]], NDArray[np.float32]] | None = field(
+        default=None, repr=False
+    )
+
+    def __post_init__(self) -> None:
+        shape = np.shape(self.depth)
+        if len(shape) != 2:
+            raise ValueError(f"Expected depth of shape (H, W), got {shape}.")
+        for one in BESIDE_DEPTH:
+            values, wanted = getattr(self, one.name), (*shape, *one.axes)
+            if np.shape(values) != wanted and not (values is None and one.optional):
+                raise ValueError(f"Expected {one.name} of shape {wanted}, as depth, got {np.shape(values)}.")
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Pickle the content of a file: everything but the sources."""
+        return {**self.__dict__, "albedo_source": None, "difference_source": None}
+
+    @cached_property
+    def normals(self) -> NDArray[np.float32]:
+        """Unit normals (H, W, 3), n_z > 0, of the gradients."""
+        return normals_from_gradients(self.gradients)
+
+    @property
+    def contacts(self) -> tuple[Contact, ...]:
+        """The connected regions of `contact`, each with its measures; the largest first.
+
+        They are computed on demand from contact and depth, so results of every file format have them.
+        """
+        return self._labeled[0]
+
+    @property
+    def contact_labels(self) -> NDArray[np.uint16]:
+        """The number (H, W) of each pixel's contact, as in `Contact.label`; 0 where nothing touches."""
+        return self._labeled[1]
+
+    @cached_property
+    def _labeled(self) -> tuple[tuple[Contact, ...], NDArray[np.uint16]]:
+        return contacts_from_mask(self.contact, self.depth, mm_per_px=self.mm_per_px)
+
+    @cached_property
+    def albedo(self) -> NDArray[np.float32] | None:
+        """Reflectance (H, W) relative to the gel at rest, if the color model is photometric stereo.
+
+        None for other models, which cannot distinguish a darker gel from a steeper one, and for loaded results.
+        """
+        return None if self.albedo_source is None else self.albedo_source()
+
+    def depth_difference_sigma(self, region: ArrayLike | None = None) -> NDArray[np.float32]:
+        """Standard deviation (H, W), mm, of the depth minus its mean over a region, that is, of the shape.
+
+        Depth is measured from gel at rest, and most of its error is common to all pixels of a contact. That part is in
+        `depth_sigma_mm`, but not in a difference of two depths of the contact. The call takes as long as a frame.
+
+        Parameters
+        ----------
+        region : (H, W) bool; all of `contact` by default
+
+        Raises
+        ------
+        GelformError
+            The result was loaded from a file, or has no depth_sigma_mm.
+        ValueError, TypeError
+            No mask of that shape, or one without a pixel.
+        """
+        if self.difference_source is None:
+            raise GelformError(
+                "Expected a result fresh from a Reconstructor that states depth_sigma_mm: how errors of depth hang "
+                "together is not saved. Reconstruct the frame again, with depth_sigma=True and a calibration of balls."
+            )
+        pixels = check_mask(self.contact if region is None else region, shape=self.shape, name="region")
+        return self.difference_source(pixels)
+
+    @property
+    def depth_mm(self) -> NDArray[np.float32]:
+        """Depth (H, W), mm, 0 at rest, positive where pressed; finite everywhere.
+
+        Raises
+        ------
+        GelformError
+            The calibration has no scale; use depth_px.
+        """
+        if self.mm_per_px is None:
+            raise GelformError(
+                "The scale of this calibration is unknown, so there is no depth_mm. Read depth_px, the depth in "
+                "widths of a pixel, or import the calibration again with the width of a pixel on the gel: "
+                "gelform import ... --mm-per-px F."
+            )
+        return self.depth
+
+    @property
+    def depth_px(self) -> NDArray[np.float32]:
+        """Depth (H, W) in widths of a pixel: depth_mm / mm_per_px; available without a scale too.
+
+        Raises
+        ------
+        GelformError
+            The pixels are not square.
+        """
+        if self.mm_per_px is None:
+            return self.depth
+        pitch_x, pitch_y = check_mm_per_px(self.mm_per_px)
+        if pitch_x != pitch_y:
+            raise GelformError(
+                f"Expected square pixels for a depth in pixels, got mm_per_px={self.mm_per_px}."
+            )
+        return (self.depth / np.float32(pitch_x)).astype(np.float32)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(H, W) of the maps."""
+        height, width = self.confidence.shape
+        return height, width
+
+    @property
+    def peak_mm(self) -> float:
+        """The largest depth, mm."""
+        return float(self.depth_mm.max())
+
+    def __repr__(self) -> str:
+        figures = ", ".join(f"{name}: {value}" for name, value in self._figures().items())
+        return f"Reconstruction({figures})"
+
+    def _repr_html_(self) -> str:
+        """A notebook's view of the result: a small picture of the depth and its figures; nothing is fetched."""
+        findings = ((finding.name, finding.message) for finding in self.health)
+        return _shown_in_notebook(self.depth, self.known, (*self._figures().items(), *findings))
+
+    def _figures(self) -> dict[str, str]:
+        markers = {} if self.markers is None else {"markers": self.markers.in_words()}
+        height, width = self.shape
+        known = bool(self.known.any())
+        if self.mm_per_px is None:
+            return {
+                "height x width": f"{height}x{width} px, scale unknown",
+                "depth": f"{self.depth_px.min():.2f} to {self.depth_px.max():.2f} px" if known else "unknown",
+                "contacts": _counted(int(np.count_nonzero(self.contact)), "px", len(self.contacts))
+                if known
+                else "unknown",
+                **markers,
+                "zero": self.zero,
+                "solver": self.solver,
+            }
+        pitch = np.broadcast_to(self.mm_per_px, 2)
+        area = np.count_nonzero(self.contact) * float(pitch[0] * pitch[1])
+        return {
+            "height x width": f"{height}x{width} px, {height * pitch[1]:.1f}x{width * pitch[0]:.1f} mm",
+            "depth": f"{self.depth_mm.min():.3f} to {self.peak_mm:.3f} mm" if known else "unknown",
+            "contacts": _counted(round(area, 1), "mm^2", len(self.contacts)) if known else "unknown",
+            **markers,
+            "zero": self.zero,
+            "solver": self.solver,
+        }
+
+
+def _counted(area: float, unit: str, count: int) -> str:
+    return f"{count} of {area} {unit}" + (" together" if count > 1 else "") if count else "none"
+
+
+def _shown_in_notebook(
+    depth: NDArray[np.float32], known: NDArray[np.bool_], rows: Iterable[tuple[str, str]]
+) -> str:
+    """HTML of a depth map (H, W), its known pixels, and a table of (name, text); it fetches nothing from outside."""
+    import html  # importing its table of characters takes longer than a frame
+
+    picture = base64.b64encode(_depth_png(depth, known)).decode("ascii")
+    cells = "".join(
+        f"<tr><th style='text-align:left'>{html.escape(name)}</th><td>{html.escape(text)}</td></tr>"
+        for name, text in rows
+    )
+    return (
+        "<div style='display:flex;gap:1em;align-items:flex-start'>"
+        f"<img alt='depth' src='data:image/png;base64,{picture}'/><table>{cells}</table></div>"
+    )
+
+
+def _depth_png(depth: NDArray[np.float32], known: NDArray[np.bool_]) -> bytes:
+    """A small picture of the depth: dark at rest, bright where deep, hatched where unknown."""
+    low, high = (float(depth[known].min()), float(depth[known].max())) if known.any() else (0.0, 0.0)
+    levels = np.clip((depth - low) * (255 / max(high - low, 1e-9)), 0, 255).astype(np.uint8)
+    scale = THUMBNAIL_PX / depth.shape[1]
+    size = (THUMBNAIL_PX, max(1, round(depth.shape[0] * scale)))
+    small = cv2.resize(levels, size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR)
+    colors = np.asarray(cv2.applyColorMap(small, cv2.COLORMAP_VIRIDIS))
+    row, col = np.ogrid[: size[1], : size[0]]
+    hatch = np.where((row + col) % HATCH_PX < 2, np.uint8(150), np.uint8(225))
+    unknown = cv2.resize(known.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) == 0
+    colors[unknown] = hatch[unknown][:, np.newaxis]
+    return picture_bytes(colors[..., ::-1])  # OpenCV colors are BGR

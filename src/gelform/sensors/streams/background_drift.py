@@ -1,0 +1,292 @@
+"""Updates the background image while nothing touches the gel: smooth light at once, other changes late and slowly.
+
+A slow change comes either from the sensor (LEDs that warm up, a gel that relaxes) or from a slow press. The two look alike
+for a while. Shape and time tell them apart:
+
+- Light that changes smoothly over the whole image (`SmoothLight`) is followed within seconds. No contact is that wide when
+  it begins.
+- Everything else waits in quarantine: an average over 10 s becomes part of the background only where nothing touched for
+  30 s before it *and* for 60 s after it (`Touched`, with a margin). By then even a slight slow press is detected, so that
+  none of it enters the background.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.result import Reconstruction
+from gelform.sensors.streams.smooth_light import SmoothLight, block_means, robust_sigma
+
+BLOCK_PX = 8  # px, width of a block: its mean removes noise and texture
+STEP_S, MEAN_S = 1.0, 3.0  # s: interval of the light's fits, and averaging time of the blocks for them
+MEAN_IMAGE_S = 10.0  # s over which frames are averaged before they wait
+BEFORE_S, AFTER_S = 30.0, 60.0  # s before and after a mean image in which nothing may touch
+FOLLOW_S = 60.0  # s, time constant of adding mean images
+LONGEST_GAP_S = 5.0  # s without a frame, after which the past is unknown
+LEAST_FREE = 0.9  # fraction of the blocks that must be free of contact to fit the light, which the gel's halo resembles
+NO_MEASURE = {"beyond_gel", "dark", "exposure_unknown", "frozen", "saturated", "torn"}
+DIFFERENT = {"background_differs", "few_untouched", "not_this_gel"}  # contact all over, or another gel
+PER_GRAY_LEVEL = 256  # steps per gray level of a waiting mean image
+WHITE = 255.0  # largest gray level of a camera; the fitted light can exceed it
+
+TOUCH_SIGMAS = 5.0  # standard deviations of noise by which a touched block changes
+LEAST_CHANGE = 0.0025  # fraction of a block's brightness: slopes of about 0.2 %
+LONG_S = 10.0  # s, averaging time for slight changes
+MOST_CHANGE = 0.01  # limit of such an average, so that a strong change does not stay in it
+MARGIN = 0.1  # fraction of the image's shorter side: around a contact the gel sinks or rises
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """The mean of the frames of about ten seconds.
+
+    Attributes
+    ----------
+    image : (H, W, 3) float32, mean of the frames, 0-255
+    start : (H, W, 3) float32, the background at the start of the sequence
+    light : (H, W, 3) float32, brightness of the smooth light relative to the start
+    touched : (H, W) bool, True where something may have touched meanwhile, with a margin
+    contact : (H, W) bool, True where a frame showed contact
+    different : float, 0-1, fraction of the frames that differ from the background nearly everywhere
+    """
+
+    image: NDArray[np.float32]
+    start: NDArray[np.float32]
+    light: NDArray[np.float32]
+    touched: NDArray[np.bool_]
+    contact: NDArray[np.bool_]
+    different: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class MeanImage:
+    """A mean image without the smooth light that waits to become background: (H, W, 3), in 1/256 gray level."""
+
+    start_s: float
+    end_s: float
+    image: NDArray[np.uint16]
+
+
+class BackgroundDrift:
+    """The current background; a function of the sequence of images and results.
+
+    Parameters
+    ----------
+    background : (H, W, 3) float32, 0-255, the background at the start of the sequence
+
+    Attributes
+    ----------
+    evidence : mean of the last complete ten seconds, or None
+    """
+
+    def __init__(self, background: NDArray[np.float32]) -> None:
+        self.start = background
+        self._local = background.astype(np.float32)
+        self._local_blocks = block_means(self._local, BLOCK_PX)
+        shape = self._local_blocks.shape[:2]
+        self.light = SmoothLight((shape[0], shape[1]))
+        self.touched = Touched((shape[0], shape[1]))
+        self._mean: NDArray[np.float32] | None = None
+        self._waiting: deque[MeanImage] = deque()
+        self._last_s: float | None = None
+        self._asked = self._taking = False
+        self._contact_long = np.zeros(background.shape[:2], dtype=bool)
+        self.evidence: Evidence | None = None
+        self._start_anew(0.0)
+
+    def take(self) -> None:
+        """Take the mean of the next second as background, because nothing touches now. May be called from any thread."""
+        self._asked = True
+
+    def __call__(self, image: NDArray[Any], result: Reconstruction) -> NDArray[np.float32] | None:
+        """Learn from a frame; the background (H, W, 3) if it has changed, else None."""
+        time_s = result.time_s or 0.0
+        if self._last_s is None or not 0 <= time_s - self._last_s <= LONGEST_GAP_S:
+            self._lose_track(time_s)
+        self._last_s = time_s
+        if self._asked:
+            self._asked, self._taking = False, True
+            self._start_anew(time_s)
+        names = {finding.name for finding in result.health}
+        if names & NO_MEASURE:
+            self._contact |= True
+            return None
+        self._add(image, result.contact)
+        if names & DIFFERENT:
+            self._contact |= True
+            self._different += 1
+        if time_s - self._step_s < STEP_S:
+            return None
+        return self._taken(time_s) if self._taking else self._step(time_s)
+
+    def _taken(self, time_s: float) -> NDArray[np.float32]:
+        """Start again from the mean of the frames since the request."""
+        self._taking = False
+        self.start = self._local = self._sum / np.float32(self._sum_count)
+        self._local_blocks = block_means(self._local, BLOCK_PX)
+        self.light.coefficients[:] = 0
+        self.touched.nowhere()
+        self._waiting.clear()
+        self._mean = None
+        self._start_anew(time_s)
+        return self._local.copy()
+
+    def _lose_track(self, time_s: float) -> None:
+        self.touched.everywhere(time_s)
+        self._waiting.clear()
+        self._mean = None
+        self._start_anew(time_s)
+
+    def _start_anew(self, time_s: float) -> None:
+        """Start a new step and a new mean image."""
+        self._step_s = self._mean_image_s = time_s
+        self._blocks = np.zeros_like(self._local_blocks)
+        self._contact = np.zeros(self._local.shape[:2], dtype=bool)
+        self._sum = np.zeros_like(self._local)
+        self._count = self._sum_count = self._different = 0
+
+    def _add(self, image: NDArray[Any], contact: NDArray[np.bool_]) -> None:
+        self._blocks += block_means(image, BLOCK_PX)
+        self._count += 1
+        cv2.accumulate(image, self._sum)
+        self._sum_count += 1
+        self._contact |= contact
+        self._contact_long |= contact
+
+    def _step(self, time_s: float) -> NDArray[np.float32] | None:
+        """Fit the light, mark touched blocks, and add the mean images that have waited long enough."""
+        step_s, blocks = time_s - self._step_s, self._blocks * np.float32(1 / self._count)
+        averaged, untouched = self._averaged(blocks, step_s), self._local_blocks
+        contact = self._contact_blocks()
+        free = self.touched.not_since(time_s - MEAN_S) & ~contact
+        if free.mean() >= LEAST_FREE:
+            self.light.fit(averaged, untouched, free)
+        lit = untouched * self.light.at(untouched.shape[:2])
+        self.touched.mark(time_s, step_s, contact, blocks / lit - 1, lit)
+        if time_s - self._mean_image_s >= MEAN_IMAGE_S:
+            self._keep_mean_image(time_s)
+        self._take_in(time_s)
+        self._step_s = time_s
+        self._blocks[:], self._count = 0, 0
+        self._contact[:] = False
+        lit = self._local * self.light.at(self._local.shape[:2])
+        return np.asarray(np.minimum(lit, WHITE), dtype=np.float32)
+
+    def _averaged(self, blocks: NDArray[np.float32], step_s: float) -> NDArray[np.float32]:
+        if self._mean is None:
+            self._mean = blocks
+        else:
+            self._mean += np.float32(-np.expm1(-step_s / MEAN_S)) * (blocks - self._mean)
+        return self._mean
+
+    def _contact_blocks(self) -> NDArray[np.bool_]:
+        size, contact = self._local_blocks.shape[1::-1], self._contact.astype(np.float32)
+        return np.asarray(cv2.resize(contact, size, interpolation=cv2.INTER_AREA) > 0)
+
+    def _keep_mean_image(self, time_s: float) -> None:
+        light = self.light.at(self._local.shape[:2])
+        mean = self._sum * np.float32(1 / self._sum_count)
+        self.evidence = self._evidence(mean, light)
+        image = mean * np.float32(PER_GRAY_LEVEL) / light
+        levels = np.clip(np.rint(image), 0, 255 * PER_GRAY_LEVEL).astype(np.uint16)
+        self._waiting.append(MeanImage(self._mean_image_s, time_s, levels))
+        self._mean_image_s = time_s
+        self._sum[:], self._sum_count, self._different = 0, 0, 0
+        self._contact_long[:] = False
+
+    def _evidence(self, mean: NDArray[np.float32], light: NDArray[np.float32]) -> Evidence:
+        touched = ~self.touched.not_since(self._mean_image_s)
+        return Evidence(
+            image=mean,
+            start=self.start,
+            light=light,
+            touched=_as_pixels(touched, self._local.shape[:2]),
+            contact=self._contact_long.copy(),
+            different=self._different / self._sum_count,
+        )
+
+    def _take_in(self, time_s: float) -> None:
+        """Add mean images that have waited to the background, where nothing touched around their time."""
+        while self._waiting and self._waiting[0].end_s + AFTER_S <= time_s:
+            waited = self._waiting.popleft()
+            free = self.touched.not_since(waited.start_s - BEFORE_S).astype(np.float32)
+            fraction = cv2.resize(free, self._local.shape[1::-1], interpolation=cv2.INTER_LINEAR)
+            span_s = waited.end_s - waited.start_s
+            fraction *= np.float32(-np.expm1(-span_s / FOLLOW_S))
+            image = waited.image.astype(np.float32) * np.float32(1 / PER_GRAY_LEVEL)
+            self._local += fraction[..., None] * (image - self._local)
+            self._local_blocks = block_means(self._local, BLOCK_PX)
+
+
+def _as_pixels(blocks: NDArray[np.bool_], shape: tuple[int, int]) -> NDArray[np.bool_]:
+    pixels = cv2.resize(blocks.astype(np.uint8), shape[::-1], interpolation=cv2.INTER_NEAREST)
+    return np.asarray(pixels, dtype=bool)
+
+
+class Touched:
+    """The time of the last touch, or possible touch, of each block.
+
+    Parameters
+    ----------
+    blocks : (h, w), number of blocks
+    """
+
+    def __init__(self, blocks: tuple[int, int]) -> None:
+        self._last_s = np.full(blocks, -np.inf)
+        self._long = np.zeros((*blocks, 3), dtype=np.float32)
+        reach = max(1, round(MARGIN * min(blocks)))
+        self._kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1,) * 2)
+
+    def mark(
+        self,
+        time_s: float,
+        step_s: float,
+        contact: NDArray[np.bool_],
+        change: NDArray[np.float32],
+        untouched: NDArray[np.float32],
+    ) -> NDArray[np.bool_]:
+        """Find and remember the blocks (h, w) that may be touched at this time, including the margin.
+
+        A block may be touched if a frame shows contact there. It also may be if its brightness stands out from all
+        blocks, in the last second or in the mean of about ten.
+
+        Parameters
+        ----------
+        step_s : time since the last call, s
+        contact : (h, w), blocks in which a frame shows contact
+        change : (h, w, 3), relative change of the blocks against the background in the current light
+        untouched : (h, w, 3), the background, gray levels
+        """
+        slight = np.clip(change, -MOST_CHANGE, MOST_CHANGE)
+        self._long += np.float32(-np.expm1(-step_s / LONG_S)) * (slight - self._long)
+        touched = contact | _stands_out(change, untouched) | _stands_out(self._long, untouched)
+        near: NDArray[np.bool_] = cv2.dilate(touched.astype(np.uint8), self._kernel).view(np.bool_)
+        self._last_s[near] = time_s
+        return near
+
+    def everywhere(self, time_s: float) -> None:
+        """Mark every block as touched, because no frame was available."""
+        self._last_s[:] = time_s
+
+    def nowhere(self) -> None:
+        """Forget all touches."""
+        self._last_s[:] = -np.inf
+
+    def not_since(self, time_s: float) -> NDArray[np.bool_]:
+        """The blocks (h, w) without a touch since that time."""
+        return self._last_s < time_s
+
+
+def _stands_out(change: NDArray[np.float32], untouched: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """The blocks (h, w) that changed by more than drift and noise; noise is equal in gray levels."""
+    size = np.abs(change)
+    levels = size * untouched
+    noise = robust_sigma(levels, axis=(0, 1))
+    odd = (levels > TOUCH_SIGMAS * noise) & (size > LEAST_CHANGE)
+    return np.asarray(odd.any(axis=-1))

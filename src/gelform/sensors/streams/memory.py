@@ -1,0 +1,211 @@
+"""The memory of one sequence of frames, around a Reconstructor, which itself has none."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.errors import CalibrationError
+from gelform.foundations.findings import Finding
+from gelform.image import view
+from gelform.image.frame import Frame
+from gelform.image.health import DepthLimit
+from gelform.image.markers import MarkerFlow, MarkerTracker
+from gelform.reconstruct import Reconstructor
+from gelform.result import Reconstruction
+from gelform.result.maps import BESIDE_DEPTH
+from gelform.sensors.streams.background_drift import BackgroundDrift, Evidence
+from gelform.sensors.streams.sensor_health import FROZEN, Examination, Frozen, light_findings
+from gelform.sensors.streams.smoothing import Smoothing
+from gelform.slopes.gradients import STEEPEST_GEL
+
+NOT_THIS_GEL = "not_this_gel"
+
+Work = Callable[[], Any]
+Timed = Callable[[str], AbstractContextManager[None]]
+
+
+@dataclass(frozen=True, eq=False)
+class StreamFrame:
+    """A result and its image.
+
+    Attributes
+    ----------
+    image : (H, W, 3), RGB, after the calibration's view
+    result : Reconstruction
+    index : int, number of the frame; increasing
+    time_s : float, capture time, on the clock of `time.monotonic()`
+    frame : Frame, from the source, before the view
+    """
+
+    image: NDArray[Any]
+    result: Reconstruction
+    index: int
+    time_s: float
+    frame: Frame
+
+
+class Memory:
+    """A function of the images and results of one sequence, in order; times come from the frames.
+
+    Parameters
+    ----------
+    reconstruct : Reconstructor of the sensor, with the background at the start of the sequence
+    smoothing : time constant of the smoothing, s, or None
+    standing : returns the current findings about the source, such as a camera whose settings differ from the calibration's
+
+    Attributes
+    ----------
+    reconstruct : Reconstructor for the coming frames
+    """
+
+    def __init__(
+        self,
+        reconstruct: Reconstructor,
+        *,
+        smoothing: float | None = None,
+        standing: Callable[[], tuple[Finding, ...]] = tuple,
+    ) -> None:
+        self.reconstruct = reconstruct
+        self._examine: Callable[[Work], None] = lambda work: work()
+        self._frozen, self._examination = Frozen(), Examination()
+        self._examined: Evidence | None = None
+        self._standing = standing
+        self._light: tuple[Finding, ...] = ()
+        self._examined_findings: tuple[Finding, ...] = ()
+        self._markers = MarkerTracker(reconstruct.markers)
+        self._drift = BackgroundDrift(reconstruct.background)
+        self._smoothing = None if smoothing is None else Smoothing(smoothing)
+
+    def run_by(self, helper: Callable[[Work], Work], examine: Callable[[Work], None] | None) -> None:
+        """Run slow work elsewhere: `helper` as in `Reconstructor.with_helper`; `examine` receives the rest, or is None."""
+        self.reconstruct = self.reconstruct.with_helper(helper)
+        self._examine = examine or self._examine
+
+    def take_background(self) -> None:
+        """Take the mean of the next second as background, because nothing touches now. May be called from any thread."""
+        self._drift.take()
+
+    def image_from_frame(self, frame: Frame) -> NDArray[Any]:
+        """The calibration's view of a frame; ValueError if the frame has another size."""
+        calibration = self.reconstruct.calibration
+        expected, given = calibration.view.frame_shape or calibration.image_shape, frame.image.shape[:2]
+        if given != expected:
+            raise ValueError(
+                f"Expected frames of {expected[0]}x{expected[1]} px (height x width) as at the calibration, got "
+                f"{given[0]}x{given[1]}. "
+                "Set the camera's width and height as they were then, or calibrate with these frames."
+            )
+        return view.image_from_frame(frame.image, calibration.view)
+
+    def result_from_image(self, image: NDArray[Any]) -> Reconstruction:
+        """Reconstruct an image with the current knowledge of the sequence; markers are tracked from image to image."""
+        return result_from_image(self.reconstruct, image, self._markers.update(image))
+
+    def __call__(self, image: NDArray[Any], result: Reconstruction) -> Reconstruction:
+        """`remembered`, then `learn`, for callers that can wait for both."""
+        result = self.remembered(image, result)
+        self.learn(image, result)
+        return result
+
+    def reconstructed(self, frame: Frame, timed: Timed) -> StreamFrame:
+        """The result of a frame, after `remembered`."""
+        with timed("view"):
+            image = self.image_from_frame(frame)
+        with timed("reconstruct"):
+            result = of_frame(self.result_from_image(image), frame)
+        with timed("remember"):
+            return StreamFrame(image, self.remembered(image, result), frame.index, frame.time_s, frame)
+
+    def learn_from(self, given: StreamFrame) -> None:
+        """Run `learn` on a result of `reconstructed`."""
+        self.learn(given.image, given.result)
+
+    def remembered(self, image: NDArray[Any], result: Reconstruction) -> Reconstruction:
+        """The result with the findings and the smoothing of the sequence."""
+        frozen = self._frozen(image, result.time_s or 0.0)
+        result = replace(result, health=(*result.health, *frozen, *self._findings))
+        if frozen:
+            return _unknown_by_now(self.reconstruct, result)
+        return result if self._smoothing is None else self._smoothing(result)
+
+    def learn(self, image: NDArray[Any], result: Reconstruction) -> None:
+        """Learn from a remembered result for the coming frames; takes some ms once a second.
+
+        It may run in another thread than the frames, which then run a frame or two ahead.
+        """
+        if any(finding.name == FROZEN for finding in result.health):
+            return
+        background = self._drift(image, result)
+        if background is not None:
+            self.reconstruct = self.reconstruct.with_background(background)
+            self._light = light_findings(self._drift.light.gains)
+        if self._drift.evidence is not self._examined:
+            self._examined = self._drift.evidence
+            self._examine(self._examine_evidence)
+
+    @property
+    def _findings(self) -> tuple[Finding, ...]:
+        return (*self._standing(), *self._light, *self._examined_findings)
+
+    def _examine_evidence(self) -> None:
+        if (evidence := self._examined) is not None:
+            self._examined_findings = self._examination(evidence)
+
+
+def of_frame(result: Reconstruction, frame: Frame) -> Reconstruction:
+    """The result with the number and the times of its frame."""
+    return replace(result, index=frame.index, time_s=frame.time_s, wall_time_ns=frame.wall_time_ns)
+
+
+def result_from_image(
+    reconstruct: Reconstructor, image: NDArray[Any], markers: MarkerFlow | None = None
+) -> Reconstruction:
+    """The result of an image; if the Reconstructor refuses the image, a result in which nothing is known.
+
+    A frame that is clearly not of the calibrated gel (the gel was removed, a light failed) must not end a sequence.
+    The finding `not_this_gel` holds the text of the refusal.
+
+    ValueError, TypeError: as `Reconstructor.from_image`: the source's images do not have the calibrated size.
+    """
+    try:
+        return reconstruct.from_image(image, markers=markers)
+    except CalibrationError as refusal:
+        return _unusable(reconstruct, Finding(NOT_THIS_GEL, str(refusal), 1.0))
+
+
+def _unusable(reconstruct: Reconstructor, finding: Finding) -> Reconstruction:
+    """A result of depth 0 that is known nowhere; its sigma is that of a depth known only by its limits."""
+    calibration = reconstruct.calibration
+    shape, pitch = calibration.image_shape, calibration.mm_per_px
+    nothing: dict[str, Any] = {
+        one.name: np.zeros((*shape, *one.axes), one.dtype) for one in BESIDE_DEPTH if not one.optional
+    }
+    sigma = None if pitch is None else np.full(shape, DepthLimit.of(shape, pitch).ignorance_mm, np.float32)
+    return Reconstruction(
+        depth=np.zeros(shape, np.float32),
+        depth_sigma_mm=sigma,
+        gradients_sigma=np.full((*shape, 2), STEEPEST_GEL, np.float32),
+        **nothing,
+        mm_per_px=pitch,
+        mm_per_px_sigma=calibration.mm_per_px_sigma,
+        health=(*reconstruct.findings, finding),
+        calibration_digest=calibration.digest,
+    )
+
+
+def _unknown_by_now(reconstruct: Reconstructor, result: Reconstruction) -> Reconstruction:
+    """The result of an image that a hanging camera repeats: unchanged, but known nowhere."""
+    nothing = _unusable(reconstruct, result.health[-1])
+    return replace(
+        result,
+        depth_sigma_mm=nothing.depth_sigma_mm if result.depth_sigma_mm is not None else None,
+        gradients_sigma=nothing.gradients_sigma,
+        confidence=nothing.confidence,
+        known=nothing.known,
+    )

@@ -1,0 +1,299 @@
+"""The threads of a stream: one reconstructs the newest frame, one learns from results, one examines the sensor."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from statistics import median
+from threading import Condition, Event, Lock, Thread
+from typing import Generic, Protocol, TypeVar
+
+from gelform.image.frame import Frame
+from gelform.sensors.streams.feed import Feed
+from gelform.sensors.streams.memory import Timed, Work
+
+RECENT = 120  # frames over which rates and times are measured
+JOIN_S = 2.0  # s per thread at close; a thread that hangs in a device ends with the process
+
+Value = TypeVar("Value")
+
+
+@dataclass(frozen=True)
+class StreamStats:
+    """The current state of a stream.
+
+    Attributes
+    ----------
+    state : "starting", "running", "reconnecting", "ended", "failed", "closed"
+    reason : the reason as a sentence, if there is one
+    results : number of reconstructed frames
+    drops : number of frames missing between the first and the last result, wherever they were lost
+    rate_hz : results per second, over the last 120; 0 before the second one
+    age_s : time since the capture of the newest result's frame; infinite before the first one
+    latency_ms : from capture to result, the median of the last 120; NaN before the first one
+    stage_ms : name -> median time of a stage over its last 120 frames: `wait` (from capture to pick-up), `view`,
+        `reconstruct`, `remember`
+    """
+
+    state: str
+    reason: str
+    results: int
+    drops: int
+    rate_hz: float
+    age_s: float
+    latency_ms: float
+    stage_ms: dict[str, float]
+
+
+class Meter:
+    """Counts and times the stages of one stream; shared by its threads."""
+
+    def __init__(self) -> None:
+        self._lock = Lock()
+        self._stages: dict[str, deque[float]] = {}
+        self._given: deque[float] = deque(maxlen=RECENT)
+        self._latencies: deque[float] = deque(maxlen=RECENT)
+        self._results = self._drops = 0
+        self._last_index: int | None = None
+        self._last_captured: float | None = None
+
+    @contextmanager
+    def timed(self, stage: str) -> Iterator[None]:
+        """Time the block as a stage."""
+        start = time.monotonic()
+        yield
+        self.add(stage, time.monotonic() - start)
+
+    def add(self, stage: str, seconds: float) -> None:
+        """Add a time to a stage."""
+        with self._lock:
+            self._stages.setdefault(stage, deque(maxlen=RECENT)).append(seconds)
+
+    def given(self, index: int, captured_s: float) -> None:
+        """Count a result, by its frame number and capture time."""
+        now = time.monotonic()
+        with self._lock:
+            self._results += 1
+            if self._last_index is not None:
+                self._drops += max(0, index - self._last_index - 1)
+            self._last_index, self._last_captured = index, captured_s
+            self._given.append(now)
+            self._latencies.append(now - captured_s)
+
+    def stats(self, state: str, reason: str) -> StreamStats:
+        """The figures so far."""
+        with self._lock:
+            span = self._given[-1] - self._given[0] if len(self._given) > 1 else 0.0
+            captured = self._last_captured
+            return StreamStats(
+                state=state,
+                reason=reason,
+                results=self._results,
+                drops=self._drops,
+                rate_hz=(len(self._given) - 1) / span if span > 0 else 0.0,
+                age_s=float("inf") if captured is None else time.monotonic() - captured,
+                latency_ms=1e3 * median(self._latencies) if self._latencies else float("nan"),
+                stage_ms={name: 1e3 * median(times) for name, times in self._stages.items()},
+            )
+
+
+class HandOver(Generic[Value]):
+    """Keeps the newest value for any number of readers; each reader remembers the last number that it read.
+
+    Parameters
+    ----------
+    every : True: a value stays until someone has read it. For recordings, of which no frame may be lost
+
+    Attributes
+    ----------
+    ended : whether no more values will come
+    error : the error that ended it, or None
+    """
+
+    def __init__(self, *, every: bool = False) -> None:
+        self.ended = False
+        self.error: BaseException | None = None
+        self._every = every
+        self._changed = Condition()
+        self._value: Value | None = None
+        self._number = self._expected = -1
+        self._read = True
+
+    def expect(self, number: int) -> None:
+        """Announce that the value of this number is being made: readers wait for it instead of taking an older one."""
+        with self._changed:
+            self._expected = number
+
+    def put(self, number: int, value: Value) -> None:
+        """Make this the newest value; numbers grow from 0."""
+        with self._changed:
+            if self._every:
+                self._changed.wait_for(lambda: self._read or self.ended)
+            self._number, self._value, self._read = number, value, False
+            self._changed.notify_all()
+
+    def newest(self, after: int = -1, timeout_s: float | None = None) -> Value | None:
+        """The newest value with a number above `after`; None at the end or after the timeout.
+
+        If a newer value was being made at the time of the call, this waits for it, because a stored value ages. The
+        stored one is returned only if the timeout passes first.
+
+        BaseException: the error that ended the writing thread, once the reader has had every value.
+        """
+        found = self._numbered(after, timeout_s)
+        return None if found is None else found[1]
+
+    def __iter__(self) -> Iterator[Value]:
+        """Values until the end; of several that arrived during the loop's body, only the newest."""
+        number = -1
+        while (found := self._numbered(number, None)) is not None:
+            number, value = found
+            yield value
+
+    def _numbered(self, after: int, timeout_s: float | None) -> tuple[int, Value] | None:
+        with self._changed:
+            least = max(after + 1, self._expected)
+            self._changed.wait_for(lambda: self._number >= least or self.ended, timeout_s)
+            if self._value is not None and self._number > after:
+                self._read = True
+                self._changed.notify_all()
+                return self._number, self._value
+            if self.error is not None:
+                raise self.error
+            return None
+
+    def end(self, error: BaseException | None = None) -> None:
+        """End the values, with `error` if one caused it. Wakes all readers; only the first end counts."""
+        with self._changed:
+            if not self.ended:
+                self.ended, self.error = True, error
+            self._changed.notify_all()
+
+
+class Sequence(Protocol[Value]):
+    """Makes results from frames, in order: a `Memory`, or a sensor of the live page."""
+
+    def reconstructed(self, frame: Frame, timed: Timed) -> Value:
+        """The result of a frame; `timed(stage)` times a block."""
+
+    def learn_from(self, given: Value) -> None:
+        """Learn for the coming frames, after the result was given out."""
+
+    def run_by(self, helper: Callable[[Work], Work], examine: Callable[[Work], None] | None) -> None:
+        """Run slow work elsewhere."""
+
+
+class Pipeline(Generic[Value]):
+    """Turns frames into results on its own threads, until the feed ends or the pipeline is closed.
+
+    Each result is given out before anything is learned from it. For a recording, one thread learns frame by frame, so
+    that the results are the same each time. An exception in a stage ends the pipeline and is raised to the readers of
+    `results`.
+
+    Parameters
+    ----------
+    feed : running source of frames; closed with the pipeline
+    sequence : makes the results; its slow work runs on threads
+    keep : number of last results held in `recent`
+    """
+
+    def __init__(self, feed: Feed, sequence: Sequence[Value], *, keep: int = 0) -> None:
+        self.feed = feed
+        self.sequence = sequence
+        self.meter = Meter()
+        self.results: HandOver[Value] = HandOver(every=feed.every)
+        self.recent: deque[Value] = deque(maxlen=keep)
+        self._to_learn: HandOver[Value] = HandOver()
+        self._checks: HandOver[Work] = HandOver()
+        self._checks_asked = 0
+        self._stop = Event()
+        self._helper = ThreadPoolExecutor(1, "gelform sigma")
+        sequence.run_by(lambda work: self._helper.submit(work).result, None if feed.every else self._ask)
+        stages = {"reconstruct": self._reconstruct}
+        if not feed.every:
+            stages |= {"learn": self._learn, "examine": self._examine}
+        self._threads = [
+            Thread(target=self._stage, args=(work,), name=f"gelform {name}", daemon=True)
+            for name, work in stages.items()
+        ]
+
+    def start(self) -> None:
+        """Start the threads, one per stage."""
+        for thread in self._threads:
+            thread.start()
+
+    def stats(self) -> StreamStats:
+        """The current state of the stream."""
+        state, reason = self.feed.state, self.feed.reason
+        if self._stop.is_set():
+            state, reason = "closed", ""
+        elif self.results.error is not None:
+            state, reason = "failed", str(self.results.error)
+        elif state == "ended" and not self.results.ended:
+            state = "running"  # the last frames are still in work
+        return self.meter.stats(state, reason)
+
+    def close(self) -> None:
+        """Stop the threads and release the source; every wait has a limit."""
+        self._stop.set()
+        self._end()
+        self.feed.close()
+        for thread in self._threads:
+            if thread.ident is not None:
+                thread.join(JOIN_S)
+        self._helper.shutdown()
+
+    def _end(self, error: BaseException | None = None) -> None:
+        self.results.end(error)
+        self._to_learn.end()
+        self._checks.end()
+
+    def _stage(self, work: Callable[[], None]) -> None:
+        """Run a stage; when it ends or fails, end the others too."""
+        try:
+            work()
+        except BaseException as problem:
+            self._end(problem)
+        else:
+            self._end()
+
+    def _reconstruct(self) -> None:
+        index = -1
+        while not (self._stop.is_set() or self.results.ended):
+            frame = self.feed.next(index)
+            if frame is not None:
+                index = frame.index
+                self._give(frame)
+            elif self.feed.state == "ended":
+                return
+
+    def _give(self, frame: Frame) -> None:
+        """Make a frame's result and give it to the readers."""
+        if not self.feed.every:
+            self.results.expect(frame.index)
+            self.meter.add("wait", time.monotonic() - frame.time_s)
+        given = self.sequence.reconstructed(frame, self.meter.timed)
+        if self.feed.every:
+            self.sequence.learn_from(given)
+        self.recent.append(given)
+        self.meter.given(frame.index, frame.time_s)
+        self.results.put(frame.index, given)
+        self._to_learn.put(frame.index, given)
+
+    def _learn(self) -> None:
+        for given in self._to_learn:
+            with self.meter.timed("learn"):
+                self.sequence.learn_from(given)
+
+    def _ask(self, check: Work) -> None:
+        """Have a thread make a check; only the newest one, if they come too fast."""
+        self._checks.put(self._checks_asked, check)
+        self._checks_asked += 1
+
+    def _examine(self) -> None:
+        for check in self._checks:
+            check()

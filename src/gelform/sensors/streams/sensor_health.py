@@ -1,0 +1,175 @@
+"""Faults of a sensor that only a sequence of frames shows: named findings with figures."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.calibration_file import Calibration
+from gelform.foundations.findings import Finding
+from gelform.sensors import settings_mismatch
+from gelform.sensors.grabber import Grabber
+from gelform.sensors.source import Source
+from gelform.sensors.streams.background_drift import Evidence
+from gelform.sensors.streams.marks import Marks
+from gelform.sensors.streams.same_gel import SameGel
+from gelform.sensors.streams.smooth_light import FIT_ROUNDS, tukey_weights
+
+FROZEN = "frozen"
+FROZEN_S, FROZEN_FRAMES = 0.25, 3  # s and frames: videos repeat some frames; noise makes all others differ
+ROWS_APART = 16  # px between the rows of a first check for equal images
+BRIGHTER = 0.08  # log of the gain of all channels: slopes stay good, but something changed
+COLORED = 0.03  # log of one channel's gain relative to the others
+OUTSIDE_LEVELS = 3.0  # gray levels added to all channels
+LEAST_PIXELS = 2_000  # pixels without contact that the search for light from outside needs
+STEP_PX = 3  # px: every third row and column is used
+LEAST_NOISE = 1e-3  # gray levels
+
+
+class CameraCheck:
+    """Compares a camera with the calibration's, again after each change of its facts.
+
+    A reconnected camera loses settings.
+    """
+
+    def __init__(self, calibration: Calibration) -> None:
+        self._serial = calibration.serial
+        self._settings = calibration.settings.camera or {}
+        self._compared: tuple[str | None, dict[str, Any]] | None = None
+        self._findings: tuple[Finding, ...] = ()
+
+    def __call__(self, camera: Source | Grabber) -> tuple[Finding, ...]:
+        """Find `other_camera` and `settings_mismatch`.
+
+        Their figures are 1, and the number of settings that differ from the calibration.
+
+        Parameters
+        ----------
+        camera : its serial number and settings, as read back; unknown ones are not compared
+        """
+        now = camera.serial, dict(camera.settings)
+        if self._compared != now:
+            self._compared, self._findings = now, tuple(self._differences(*now))
+        return self._findings
+
+    def _differences(self, serial: str | None, settings: dict[str, Any]) -> Iterator[Finding]:
+        if serial and self._serial and serial != self._serial:
+            message = (
+                f"The camera's serial is {serial}, but the calibration is of {self._serial}. Colors differ from unit to "
+                "unit. Use this unit's calibration, or calibrate it."
+            )
+            yield Finding("other_camera", message, 1.0)
+        different = settings_mismatch(self._settings, settings)
+        if different:
+            said = ", ".join(f"{name} {now} instead of {then}" for name, (then, now) in different.items())
+            message = f"The camera's settings differ from those at calibration: {said}. Restore them, or calibrate again."
+            yield Finding("settings_mismatch", message, float(len(different)))
+
+
+class Frozen:
+    """Counts for how long the images of a sequence have been equal, pixel by pixel."""
+
+    def __init__(self) -> None:
+        self._last: NDArray[Any] | None = None
+        self._since_s = 0.0
+        self._count = 0
+
+    def __call__(self, image: NDArray[Any], time_s: float) -> tuple[Finding, ...]:
+        """The finding `frozen` (figure: duration, s), from the third equal image and 0.25 s on."""
+        if self._last is None or not _equal(image, self._last) or time_s < self._since_s:
+            self._last, self._since_s, self._count = image, time_s, 1
+            return ()
+        self._count += 1
+        for_s = time_s - self._since_s
+        if self._count < FROZEN_FRAMES or for_s < FROZEN_S:
+            return ()
+        message = f"The camera hangs: it has given the same image for {for_s:.1f} s. The depth is that of this image."
+        return (Finding(FROZEN, message, for_s),)
+
+
+def _equal(image: NDArray[Any], other: NDArray[Any]) -> bool:
+    if image.shape != other.shape or not np.array_equal(image[::ROWS_APART], other[::ROWS_APART]):
+        return False
+    return np.array_equal(image, other)
+
+
+def light_findings(gains: NDArray[np.float64]) -> tuple[Finding, ...]:
+    """Find `brightness_shift` and `color_shift` by gains (3,) against the start; a figure is the largest gain minus 1."""
+    logs = np.log(np.maximum(gains, 1e-3))
+    said = ", ".join(f"{name} {100 * (gain - 1):+.1f} %" for name, gain in zip("RGB", gains))
+    findings = []
+    if abs(float(logs.mean())) > BRIGHTER:
+        message = (
+            f"The light has changed since the start ({said}): exposure, or the LEDs. gelform compensates it."
+        )
+        findings.append(Finding("brightness_shift", message, float(np.exp(logs.mean()) - 1)))
+    apart = logs - np.median(logs)
+    worst = int(np.argmax(np.abs(apart)))
+    if abs(float(apart[worst])) > COLORED:
+        message = f"The light's color has changed since the start ({said}): white balance or LED. gelform compensates it."
+        findings.append(Finding("color_shift", message, float(np.exp(apart[worst]) - 1)))
+    return tuple(findings)
+
+
+def room_light_finding(evidence: Evidence) -> tuple[Finding, ...]:
+    """Find `room_light`: light added to all channels; figure: gray levels.
+
+    The sensor's own light multiplies the background image. Light from outside is added to it, in dark places too. Both are
+    fitted robustly to the pixels at rest, channel by channel: now = gain start + added.
+    """
+    every = np.s_[::STEP_PX, ::STEP_PX]
+    free = ~evidence.contact[every]
+    if np.count_nonzero(free) * STEP_PX**2 < LEAST_PIXELS:
+        return ()
+    now, start = evidence.image[every][free], evidence.start[every][free]
+    added = np.array([_added(now[:, c], start[:, c]) for c in range(3)])
+    least = float(added.min())
+    if least < OUTSIDE_LEVELS:
+        return ()
+    message = (
+        f"Light from outside adds {least:.0f} gray levels in every channel. Slopes are too flat by about "
+        f"{100 * least / float(evidence.start.mean()):.0f} %. Shade the gel."
+    )
+    return (Finding("room_light", message, least),)
+
+
+def _added(now: NDArray[np.float32], start: NDArray[np.float32]) -> float:
+    """The constant of the robust line through (start, now), minus three standard deviations; 0 if unknown."""
+    x = start.astype(np.float64) - float(start.mean())
+    weights = np.ones_like(x)
+    for _ in range(FIT_ROUNDS + 1):
+        total = float(weights.sum())
+        middle = float((weights * x).sum()) / total
+        spread = float((weights * np.square(x - middle)).sum())
+        if spread < 1e-6 * len(x):
+            return 0.0
+        level = float((weights * now).sum()) / total
+        slope = float((weights * (x - middle) * (now - level)).sum()) / spread
+        off = now - level - slope * (x - middle)
+        noise, weights = tukey_weights(off, LEAST_NOISE)
+    at_zero = -float(start.mean()) - middle
+    independent = max(total / 50, 1.0)  # the errors of neighbors are correlated
+    sigma = noise * np.sqrt(1 / independent + at_zero**2 / (spread / total * independent))
+    return float(level + slope * at_zero - 3 * sigma)
+
+
+class Examination:
+    """Compares each evidence with the background of the start; remembers which findings persist."""
+
+    def __init__(self) -> None:
+        self._marks = Marks()
+        self._same_gel: SameGel | None = None
+        self._start: object = None
+
+    def __call__(self, evidence: Evidence) -> tuple[Finding, ...]:
+        """Find `camera_moved`, `other_gel`, `room_light`, `scratch`, `dust`, `tear`.
+
+        A cause hides its effects: under light from outside the gel looks like another one, and on a moved gel every
+        speck is new.
+        """
+        if self._same_gel is None or evidence.start is not self._start:
+            self._same_gel, self._marks, self._start = SameGel(evidence.start), Marks(), evidence.start
+        return room_light_finding(evidence) or self._same_gel(evidence) or self._marks(evidence)

@@ -1,0 +1,245 @@
+"""source -> results: the depth of the newest frame, never a stale one, with the findings of the sequence."""
+
+from __future__ import annotations
+
+import time
+import weakref
+from collections.abc import Iterator
+from os import PathLike
+from typing import Any
+
+from numpy.typing import ArrayLike, NDArray
+
+from gelform.calibration.library.choose import NoCalibration, choose_calibration, unit_of
+from gelform.calibration.starters import (
+    Starter,
+    load_starter,
+    starter_names,
+    starter_of_source,
+)
+from gelform.calibration_file import Calibration
+from gelform.errors import CalibrationError, StaleError
+from gelform.reconstruct import Reconstructor
+from gelform.result import Reconstruction
+from gelform.sensors.grabber import Grabber
+from gelform.sensors.source import Source
+from gelform.sensors.streams.feed import SourceLike, feed_from_source
+from gelform.sensors.streams.memory import Memory, StreamFrame
+from gelform.sensors.streams.pipeline import Pipeline, StreamStats
+from gelform.sensors.streams.sensor_health import CameraCheck
+from gelform.sensors.streams.smoothing import Smoothing
+from gelform.sensors.streams.starting import LaterMemory, UntouchedFirst
+
+KEPT = 8  # results whose images stay available to `image_of`
+
+
+def stream(
+    source: SourceLike,
+    calibration: Calibration | str | PathLike[str] | None = None,
+    *,
+    sensor: str | None = None,
+    background: ArrayLike | None = None,
+    smoothing: float | None = None,
+) -> Stream:
+    """Start to reconstruct the frames of a sensor.
+
+        with gelform.stream("simulated", "mini.npz") as stream:
+            for result in stream:
+                print(result.peak_mm)
+
+    Parameters
+    ----------
+    source : argument of `open_source`: "simulated", a serial number, a name, a device path, a video, a folder, an
+        address; or an open Source, a function that opens one, or a running Grabber that several streams share
+    calibration : the sensor's calibration, or the path of its file. None: the newest one in the user's library with the
+        camera's serial number, or the one attached to a recording; without either, a starter's
+    sensor : without a calibration, the make whose starter is used, such as "gelsight-mini"; by default the make of the
+        camera or of the recording. Results begin after a second in which nothing touches the gel. Until then the
+        stream's state is "starting", and `stats.reason` says what it waits for
+    background : (H, W, 3), 0-255, a current background image; with a starter, at the size of the source's frames. By default
+        the calibration's own
+    smoothing : temporal smoothing, s; None: none. Noise is averaged over this time. A change of depth above the noise is
+        followed at once, a smaller one is delayed by at most this time
+    Returns
+    -------
+    Stream
+        Running. `close` it, use it as a context manager, or loop over it until the loop ends.
+
+    Raises
+    ------
+    SensorError, DataError
+        The source cannot be opened; the message lists the available ones.
+    CalibrationError
+        The background clearly belongs to another sensor; the calibration cannot be read; or none was given, the library has
+        none, and the make is unknown.
+    ValueError, TypeError
+        The background has another size, or the smoothing is no time.
+    """
+    if smoothing is not None:
+        Smoothing(smoothing)  # check before a device is opened
+    if sensor is not None and calibration is not None:
+        raise ValueError("Expected calibration=, or sensor= for its starter, got both. Leave one out.")
+    named = None if sensor is None else load_starter(sensor)
+    missing: NoCalibration | None = None
+    if calibration is None:
+        try:
+            calibration = choose_calibration(unit_of(source)).calibration
+        except NoCalibration as problem:
+            missing = problem
+    reconstruct = None if calibration is None else Reconstructor(calibration, background)
+    feed = feed_from_source(source)
+
+    def memory_of(reconstruct: Reconstructor) -> Memory:
+        check = CameraCheck(reconstruct.calibration)
+        return Memory(reconstruct, smoothing=smoothing, standing=lambda: check(feed.camera))
+
+    try:
+        if reconstruct is None:
+            starter = named or _starter_of(feed.camera, missing)
+            if background is None:
+                later = LaterMemory(memory_of)
+                return Stream(Pipeline(UntouchedFirst(feed, starter, later.begin), later, keep=KEPT), later)
+            reconstruct = Reconstructor(starter.for_frame(background, serial=feed.camera.serial))
+        memory = memory_of(reconstruct)
+        return Stream(Pipeline(feed, memory, keep=KEPT), memory)
+    except BaseException:
+        feed.close()
+        raise
+
+
+def _starter_of(camera: Source | Grabber, missing: NoCalibration | None) -> Starter:
+    """The starter of the camera's make."""
+    name = starter_of_source(getattr(camera, "source", camera))
+    if name is None:
+        raise CalibrationError(
+            f"{missing} If its make has a starter, name the make: sensor= (--sensor), one of {', '.join(starter_names())}."
+        )
+    return load_starter(name)
+
+
+class Stream:
+    """Results of a running sensor, newest first, for any number of consumers in any threads.
+
+    A recording (a video or folder that is not paced) is no live source: each of its frames is reconstructed in order, and
+    waits until someone has read it.
+
+    Parameters
+    ----------
+    pipeline : not yet started
+    memory : of its sequence
+    """
+
+    def __init__(self, pipeline: Pipeline[StreamFrame], memory: Memory | LaterMemory) -> None:
+        self._pipeline, self._memory = pipeline, memory
+        self._entered = False
+        self._finalizer = weakref.finalize(self, pipeline.close)
+        pipeline.start()
+
+    def __enter__(self) -> Stream:
+        self._entered = True
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Stop, and release the sensor; repeated calls do no harm."""
+        self._finalizer()
+
+    def __iter__(self) -> Iterator[Reconstruction]:
+        """Results, newest first: of several that arrived during the loop's body, only the newest is given.
+
+        Outside a `with` block, the end of the loop closes the stream.
+        """
+        for given in self.pairs():
+            yield given.result
+
+    def pairs(self) -> Iterator[StreamFrame]:
+        """As the loop over the stream, with the image of each result."""
+        try:
+            yield from self._pipeline.results
+        finally:
+            if not self._entered:
+                self.close()
+
+    def newest(self, after_index: int = -1, timeout_s: float | None = None) -> StreamFrame | None:
+        """The newest result of a frame numbered above `after_index`, with its image.
+
+        Parameters
+        ----------
+        after_index : int, `result.index` of the last known result
+        timeout_s : longest wait, s; None: until there is a result or the stream ends
+
+        Returns
+        -------
+        StreamFrame or None
+            None after the timeout or the end of the stream.
+
+        Raises
+        ------
+        Exception
+            The error of a failed stage of the stream.
+        """
+        return self._pipeline.results.newest(after_index, timeout_s)
+
+    def latest(self, max_age_s: float) -> Reconstruction:
+        """The newest result, captured at most `max_age_s` ago; waits for one at most as long.
+
+        Raises
+        ------
+        StaleError
+            There is none; the message gives the age of the newest one and the state of the stream.
+        Exception
+            The error of a failed stage of the stream.
+        """
+        deadline, newest = time.monotonic() + max_age_s, self._pipeline.results.newest
+        given = newest(-1, 0)
+        if given is not None and (left_s := self._left_s(given, max_age_s)) >= 0:
+            # Prefer the result that is being made; take this one if that takes too long.
+            return (newest(-1, left_s / 2) or given).result
+        while given is None or self._left_s(given, max_age_s) < 0:
+            given = newest(-1 if given is None else given.index, max(0.0, deadline - time.monotonic()))
+            if given is None:
+                raise self._stale(max_age_s)
+        return given.result
+
+    def _left_s(self, given: StreamFrame, max_age_s: float) -> float:
+        """How long a result stays young enough, negative if it is too old; results of recordings have no age."""
+        return 0.0 if self._pipeline.feed.every else max_age_s - (time.monotonic() - given.time_s)
+
+    def _stale(self, max_age_s: float) -> StaleError:
+        stats = self.stats
+        why = f": {stats.reason}" if stats.reason else "."
+        return StaleError(
+            f"Expected a result at most {max_age_s:g} s old, the newest is {stats.age_s:.3g} s old. "
+            f"The stream is {stats.state}{why}"
+        )
+
+    def image_of(self, result: Reconstruction) -> NDArray[Any]:
+        """The image (H, W, 3), RGB, after the view, of one of the last results.
+
+        Raises
+        ------
+        LookupError
+            The result is not among the last 8: read image and result together, with `newest` or `pairs`.
+        """
+        for given in tuple(self._pipeline.recent):
+            if given.index == result.index:
+                return given.image
+        raise LookupError(
+            f"The image of frame {result.index} is no longer in memory. Take both with newest() or pairs()."
+        )
+
+    @property
+    def calibration(self) -> Calibration:
+        """The calibration in use; StaleError while a starter waits for the gel at rest."""
+        return self._memory.reconstruct.calibration
+
+    def take_background(self) -> None:
+        """Take the mean of the next second as background image, because nothing touches the gel."""
+        self._memory.take_background()
+
+    @property
+    def stats(self) -> StreamStats:
+        """Rate, drops, age, time of each stage, and the state."""
+        return self._pipeline.stats()

@@ -1,0 +1,66 @@
+"""color -> gradients: one model per file, listed in COLOR_MODELS.
+
+A model is fitted on samples of ball presses, where the gradient is known, and prepared once for a background:
+
+    model = COLOR_MODELS["polynomial"].fit(samples)
+    gradients, gradients_sigma = model.prepare(background, shape).gradients_from_color(color_change)
+
+No color change means no slope, in every model.
+"""
+
+from gelform.slopes.color_models.forward_response import ForwardResponse
+from gelform.slopes.color_models.hierarchical import HierarchicalModel
+from gelform.slopes.color_models.interpolation import InterpolationModel
+from gelform.slopes.color_models.lambertian import LambertianModel
+from gelform.slopes.color_models.lookup import LookupModel
+from gelform.slopes.color_models.mlp import MlpModel
+from gelform.slopes.color_models.near_light import NearLightModel
+from gelform.slopes.color_models.network import NetworkModel
+from gelform.slopes.color_models.polynomial import PolynomialModel
+from gelform.slopes.color_models.seam import (
+    ColorModel,
+    FittableColorModel,
+    PreparedColorModel,
+    Samples,
+    StartableModel,
+)
+
+COLOR_MODELS: dict[str, type[FittableColorModel]] = {
+    "lambertian": LambertianModel,
+    "near_light": NearLightModel,
+    "polynomial": PolynomialModel,
+    "hierarchical": HierarchicalModel,
+    "interpolation": InterpolationModel,
+    "mlp": MlpModel,
+    "lookup": LookupModel,
+}
+
+# Models that calibration uses by default: one that models the light at every place and can start at another unit's, and one
+# of few terms, for few presses and for circles that are still uncertain.
+DEFAULT_MODEL, PLAIN_MODEL = "hierarchical", "polynomial"
+
+# Models that other packages made and `importers` reads; they are never fitted here.
+IMPORTED_MODELS: dict[str, type[ColorModel]] = {
+    "network": NetworkModel,
+}
+
+__all__ = [
+    "COLOR_MODELS",
+    "DEFAULT_MODEL",
+    "IMPORTED_MODELS",
+    "ColorModel",
+    "FittableColorModel",
+    "ForwardResponse",
+    "HierarchicalModel",
+    "InterpolationModel",
+    "LambertianModel",
+    "LookupModel",
+    "MlpModel",
+    "NetworkModel",
+    "NearLightModel",
+    "PLAIN_MODEL",
+    "PolynomialModel",
+    "PreparedColorModel",
+    "Samples",
+    "StartableModel",
+]

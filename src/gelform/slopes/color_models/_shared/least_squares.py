@@ -1,0 +1,337 @@
+"""Ridge regression with Huber weights, and polynomial terms whose coefficients vary over the image.
+
+The coefficients are polynomials in the place, or lie at the nodes of a coarse grid and are bilinear between them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from itertools import combinations_with_replacement
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.slopes.color_models.seam import Samples
+
+HUBER_SLOPE = 0.05  # mm/mm, about the usual error of a slope; samples with larger errors count less
+Normal = tuple[NDArray[np.float64], NDArray[np.float64]]
+
+
+def monomials(channels: int, degree: int) -> list[tuple[int, ...]]:
+    """Channel indices of every monomial of degree 1 to `degree`, lower degrees first.
+
+    Each monomial of degree n is one of degree n - 1 times a last channel: (0, 0, 2) means c0 c0 c2.
+    """
+    terms: list[tuple[int, ...]] = []
+    for n in range(1, degree + 1):
+        terms += combinations_with_replacement(range(channels), n)
+    return terms
+
+
+def monomial_parents(terms: list[tuple[int, ...]]) -> NDArray[np.int32]:
+    """The parent monomial and the channel of each monomial, (terms, 2), for the kernels; -1 stands for 1."""
+    number = {term: t for t, term in enumerate(terms)}
+    return np.array([[number.get(term[:-1], -1), term[-1]] for term in terms], dtype=np.int32)
+
+
+def position_powers(degree: int) -> list[tuple[int, int]]:
+    """Exponents (i, j) of x^i y^j with i + j <= degree."""
+    return [(i, j) for j in range(degree + 1) for i in range(degree + 1 - j)]
+
+
+def term_count(channels: int, position_degrees: tuple[int, ...]) -> int:
+    """The number of columns of `polynomial_terms`."""
+    terms = monomials(channels, len(position_degrees))
+    return sum(len(position_powers(position_degrees[len(term) - 1])) for term in terms)
+
+
+def unit_position(x_px: NDArray[Any], y_px: NDArray[Any], shape: tuple[int, int]) -> tuple[Any, Any]:
+    """Positions about the image's center in units of half its larger side."""
+    height, width = shape
+    half = max(height, width) / 2
+    x = (np.asarray(x_px, dtype=np.float64) - (width - 1) / 2) / half
+    y = (np.asarray(y_px, dtype=np.float64) - (height - 1) / 2) / half
+    return x, y
+
+
+def polynomial_terms(
+    values: NDArray[Any], x: NDArray[Any], y: NDArray[Any], position_degrees: tuple[int, ...]
+) -> NDArray[np.float64]:
+    """Design matrix (N, terms): each monomial of degree n of the values, times the position terms of its degree.
+
+    There is no constant term: values of zero give zero.
+    """
+    channels = np.asarray(values, dtype=np.float64).T
+    place = position_terms(np.asarray(x), np.asarray(y), max(position_degrees))
+    columns = np.empty((term_count(len(channels), position_degrees), channels.shape[1]))
+    filled = 0
+    terms = monomials(len(channels), len(position_degrees))
+    for term, product in zip(terms, monomial_products(channels, terms)):
+        for power in position_powers(position_degrees[len(term) - 1]):
+            np.multiply(product, place[power], out=columns[filled])
+            filled += 1
+    return columns.T
+
+
+def monomial_products(channels: NDArray[Any], terms: list[tuple[int, ...]]) -> list[NDArray[Any]]:
+    """Each monomial (N,) of channels (C, N), a product of its parent's with one channel."""
+    products: list[NDArray[Any]] = []
+    for parent, channel in monomial_parents(terms):
+        products.append(channels[channel] if parent < 0 else products[parent] * channels[channel])
+    return products
+
+
+def position_terms(
+    x: NDArray[Any], y: NDArray[Any], degree: int
+) -> dict[tuple[int, int], NDArray[np.float64]]:
+    """x^i y^j by its exponents, each the product of an earlier one; powers take ten times as long."""
+    place = {(0, 0): np.ones(len(x))}
+    for i, j in position_powers(degree)[1:]:
+        place[i, j] = place[i - 1, j] * x if i else place[i, j - 1] * y
+    return place
+
+
+def robust_ridge(
+    design: NDArray[np.float64],
+    target: NDArray[np.float64],
+    weight: NDArray[np.float64],
+    *,
+    ridge: float,
+    huber: float,
+    rounds: int = 3,
+) -> NDArray[np.float64]:
+    """Coefficients (terms, outputs) of a ridge regression, reweighted by Huber's loss of the residual's length.
+
+    The ridge is relative to the size of each column, so it means the same for every term.
+    """
+    whole = normal_equations(design, target, weight)
+    total = float(weight.sum())
+    size = np.sqrt(np.diag(whole[0]) / total) + 1e-12
+    return _reweighted(design, target, weight, whole, np.diag(ridge * total * size**2), huber, rounds)
+
+
+def _reweighted(
+    design: NDArray[Any],
+    target: NDArray[np.float64],
+    weight: NDArray[np.float64],
+    whole: Normal,
+    prior: NDArray[np.float64],
+    huber: float,
+    rounds: int,
+) -> NDArray[np.float64]:
+    """Coefficients (terms, outputs) after some rounds of Huber's loss of the residual's length.
+
+    Only samples beyond `huber` lose weight, so the loss is subtracted from `whole`, the normal equations of the first round.
+    """
+    normal, right = whole
+    for done in range(1, rounds + 1):
+        coefficients = np.linalg.solve(normal + prior, right)
+        if done == rounds:
+            break
+        residual = np.linalg.norm(design @ coefficients.astype(design.dtype) - target, axis=1)
+        beyond = np.flatnonzero(residual > huber)
+        lost = weight[beyond] * (1 - huber / residual[beyond])
+        less = normal_equations(_rows(design, beyond), target[beyond], lost)
+        normal, right = whole[0] - less[0], whole[1] - less[1]
+    return np.asarray(coefficients, dtype=np.float64)
+
+
+def _rows(design: NDArray[Any], chosen: NDArray[np.intp]) -> NDArray[Any]:
+    """Some rows of a design, in its own order in memory; gathering across it takes ten times as long."""
+    return design[chosen] if design.flags.c_contiguous else np.take(design.T, chosen, axis=1).T
+
+
+def normal_equations(
+    design: NDArray[Any], target: NDArray[np.float64], weight: NDArray[np.float64]
+) -> Normal:
+    """Weighted sums of products: terms by terms, and terms by outputs."""
+    root = np.sqrt(weight).astype(design.dtype)[:, None]
+    weighted = design * root
+    normal = (weighted.T @ weighted).astype(np.float64)  # an array with itself takes half the work
+    return normal, weighted.T @ (root * target)
+
+
+NODE_PX = 16  # px between nodes, as in native/slopes/color_models/nodes.h
+LIGHT_BLUR_PX = 8.0  # px, standard deviation of the blur of the background image; lamps are broad
+# Growth of the ridge, per degree in place and per order of the term.
+PLACE_GROWTH, ORDER_GROWTH = 4.0, 3.0
+# Logarithm of the background image: its ridge, as for a degree in place, and the orders of the terms that vary with it.
+LIGHT_RIDGE, LIGHT_ORDERS = 4.0, 2
+DARKEST = 1.0  # gray level; the logarithm of less is noise
+MAX_SAMPLES = 20_000  # samples of a regression; neighbors in a press are copies
+
+
+@dataclass(frozen=True, eq=False)
+class Term:
+    """A column of a regression whose coefficient varies over the image.
+
+    Attributes
+    ----------
+    values : (N,)
+    place_degree : degree of the Legendre polynomials of the place in its coefficient
+    ridge : ridge of a coefficient that is the same everywhere, relative to the regression's
+    varies_with_light : whether the coefficient also depends on the background image's logarithm
+    """
+
+    values: NDArray[Any]
+    place_degree: int
+    ridge: float
+    varies_with_light: bool = False
+
+
+def terms_of_orders(
+    products: Sequence[NDArray[Any]], orders: Sequence[int], place_degrees: Sequence[int]
+) -> list[Term]:
+    """Terms of products (N,) of a number of factors, stiffer at higher orders; `place_degrees` by order."""
+    return [
+        Term(product, place_degrees[order - 1], ORDER_GROWTH ** (order - 1), order <= LIGHT_ORDERS)
+        for product, order in zip(products, orders)
+    ]
+
+
+@dataclass(frozen=True, eq=False)
+class VaryingRegression:
+    """Penalized least squares on terms whose coefficients vary over the image; one set of columns for all ridges.
+
+    Attributes
+    ----------
+    columns : (N, columns) float32
+    target : (N, K) float64
+    weight : (N,)
+    penalties : (columns,), of their ridges
+    ends : the end of each term's columns
+    places : of each term: its functions at the nodes, (rows, columns, functions)
+    """
+
+    columns: NDArray[np.float32]
+    target: NDArray[np.float64]
+    weight: NDArray[np.float64]
+    penalties: NDArray[np.float64]
+    ends: NDArray[np.intp]
+    places: tuple[NDArray[np.float64], ...]
+
+    @classmethod
+    def of(cls, terms: Sequence[Term], target: NDArray[Any], samples: Samples) -> VaryingRegression:
+        """Terms (N,) and target (N, K) of at most some 20,000 samples, because neighbors in a press are copies."""
+        step = max(1, round(len(samples.x_px) / MAX_SAMPLES))
+        light = None if samples.background is None else light_at_nodes(samples.background)
+        at = interpolation(samples.x_px[::step], samples.y_px[::step], samples.shape)
+        made: dict[Any, tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]] = {}
+        for term in terms:
+            kind = term.place_degree, term.varies_with_light
+            if kind not in made:
+                functions, growth = _places(*kind, samples.shape, light)
+                made[kind] = functions, growth, at_pixels(functions, *at)
+        kinds = [made[term.place_degree, term.varies_with_light] for term in terms]
+        ends = np.cumsum([len(growth) for _, growth, _ in kinds])
+        columns = np.empty((len(samples.x_px[::step]), ends[-1]), dtype=np.float32)
+        for term, (_, _, there), part in zip(terms, kinds, np.split(columns, ends[:-1], axis=1)):
+            np.multiply(there, np.asarray(term.values)[::step, None], out=part, casting="same_kind")
+        penalties = np.concatenate([term.ridge * growth for term, (_, growth, _) in zip(terms, kinds)])
+        own_target, weight = np.asarray(target, dtype=np.float64)[::step], samples.weight[::step]
+        return cls(columns, own_target, weight, penalties, ends, tuple(kind[0] for kind in kinds))
+
+    @cached_property
+    def _normal(self) -> Normal:
+        # In float32: they are sums of squares, and the ridge is far above their rounding.
+        return normal_equations(self.columns, self.target, self.weight)
+
+    def coefficients(self, ridge: float) -> NDArray[np.float64]:
+        """Coefficients (columns, K) for a ridge, which is relative to the samples' weight."""
+        normal, right = self._normal
+        prior = np.diag(ridge * float(self.weight.sum()) * self.penalties)
+        return np.asarray(np.linalg.solve(normal + prior, right), dtype=np.float64)
+
+    def nodes(self, coefficients: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The terms' coefficients at the nodes, (rows, columns, terms, K)."""
+        split = np.split(coefficients, self.ends[:-1])
+        return np.stack([place @ part for place, part in zip(self.places, split)], axis=2)
+
+    def residual(self, coefficients: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Target minus the prediction of the coefficients, (N, K)."""
+        return np.asarray(self.target - self.columns @ coefficients.astype(np.float32), dtype=np.float64)
+
+
+def node_positions(shape: tuple[int, int]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Rows and columns of the nodes, px; the last is at the border or beyond."""
+    rows, columns = (np.arange(-(-(n - 1) // NODE_PX) + 1 + (n == 1)) * NODE_PX for n in shape)
+    return rows, columns
+
+
+def _places(
+    degree: int, with_light: bool, shape: tuple[int, int], light: NDArray[Any] | None
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The functions in a coefficient's sum at the nodes, (rows, columns, functions), and the penalty of each."""
+    unit = [
+        2 * nodes / (n - 1) - 1 if n > 1 else 0.0 * nodes for nodes, n in zip(node_positions(shape), shape)
+    ]
+    size = np.sqrt(2 * np.arange(degree + 1) + 1)
+    along_y, along_x = (np.polynomial.legendre.legvander(u, degree) * size for u in unit)
+    powers = position_powers(degree)
+    functions = [along_y[:, None, j] * along_x[None, :, i] for i, j in powers]
+    growth = [PLACE_GROWTH ** (i + j) for i, j in powers]
+    if with_light and light is not None:
+        functions += list(light)
+        growth += [LIGHT_RIDGE] * 3
+    return np.stack(functions, axis=-1), np.array(growth)
+
+
+def light_at_nodes(background: NDArray[Any]) -> NDArray[np.float64]:
+    """Logarithm of the background image at the nodes, (3, rows, columns), with mean 0 and deviation 1."""
+    pixels = np.asarray(background, dtype=np.float32)
+    return _light_of_pixels(pixels.tobytes(), pixels.shape)
+
+
+@lru_cache(maxsize=4)  # a calibration fits a hundred models on one background
+def _light_of_pixels(pixels: bytes, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    light = np.maximum(np.frombuffer(pixels, dtype=np.float32).reshape(shape), DARKEST)
+    smooth = cv2.GaussianBlur(light, (0, 0), LIGHT_BLUR_PX, borderType=cv2.BORDER_REFLECT_101)
+    logarithm = np.log(smooth.astype(np.float64))
+    logarithm -= logarithm.mean(axis=(0, 1))
+    deviation = logarithm.std(axis=(0, 1))
+    rows, columns = (
+        np.minimum(n, limit - 1) for n, limit in zip(node_positions(light.shape[:2]), light.shape)
+    )
+    values = logarithm[np.ix_(rows, columns)] / np.maximum(deviation, 0.01)  # even light has no information
+    return np.moveaxis(values, -1, 0)
+
+
+def color_products(change: NDArray[np.float64], terms: list[tuple[int, ...]]) -> NDArray[np.float64]:
+    """Monomials (terms, N) of a color change (N, 3)."""
+    return np.stack(monomial_products(np.ascontiguousarray(change.T), terms))
+
+
+def interpolation(x_px: NDArray[Any], y_px: NDArray[Any], shape: tuple[int, int]) -> tuple[Any, ...]:
+    """The node at the upper left of each pixel, and the fraction of the way to the next node, 0-1."""
+    found: list[Any] = []
+    for position, nodes in zip((y_px, x_px), node_positions(shape)):
+        along = np.asarray(position, dtype=np.float64) / NODE_PX
+        before = np.clip(along.astype(np.intp), 0, len(nodes) - 2)
+        found += [before, along - before]
+    return tuple(found)
+
+
+def nodes_at_scale(nodes: NDArray[Any], shape: tuple[int, int], wider: float) -> NDArray[np.float64]:
+    """Nodes (rows, columns, ...) for images (H, W) whose pixels are `wider` times as wide on the gel.
+
+    Each place is read where it lies in mm from the image's center; places outside the first image are read at its border.
+    """
+    rows, columns = (
+        np.clip((n - 1) / 2 + wider * (at - (n - 1) / 2), 0, at[-1])
+        for at, n in zip(node_positions(shape), shape)
+    )
+    y, x = (axis.ravel() for axis in np.meshgrid(rows, columns, indexing="ij"))
+    return at_pixels(nodes, *interpolation(x, y, shape)).reshape(np.shape(nodes))
+
+
+def at_pixels(nodes: NDArray[Any], row: Any, v: Any, column: Any, u: Any) -> NDArray[np.float64]:
+    """Values (N, ...) between the nodes, bilinear."""
+    v, u = (part.reshape(-1, *[1] * (nodes.ndim - 2)) for part in (v, u))
+    above = nodes[row, column] * (1 - u) + nodes[row, column + 1] * u
+    below = nodes[row + 1, column] * (1 - u) + nodes[row + 1, column + 1] * u
+    values: NDArray[np.float64] = above * (1 - v) + below * v
+    return values

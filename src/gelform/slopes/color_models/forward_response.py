@@ -1,0 +1,250 @@
+"""The forward response: the color change of a slope at a place and a depth, and one step back from it.
+
+    f(g; x, y, z) = sum over 1 <= i + j <= 4 of B_ij(x, y) vx^i vy^j  +  z a(x, y)  +  z (bx vx + by vy)      (3 channels)
+
+v is the normal's first two components over 0.3, z the depth of the frame over 10 px. Pressed gel is nearer to the
+lamps than gel at rest, so that level gel changes its color too, which no map from color to slope can express. So the
+slopes of a color model get one Gauss-Newton step toward those of the color in the image. The step's prior is the color
+model's own error; the step also gives its covariance and its residual (C. M. Bishop, Pattern Recognition and Machine
+Learning, 2006, section 4.4, Laplace's approximation).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform._native import Kernel
+from gelform.foundations.checks import check_values, check_within
+from gelform.slopes.color_models._shared.least_squares import (
+    ORDER_GROWTH,
+    Term,
+    VaryingRegression,
+    at_pixels,
+    interpolation,
+    monomial_products,
+    monomials,
+    nodes_at_scale,
+    terms_of_orders,
+)
+from gelform.slopes.color_models.seam import Samples
+
+# Units that make all terms about 1: the RMS of the normal's first two components in contacts, and a usual depth, px.
+NORMAL_UNIT, DEPTH_UNIT_PX = 0.3, 10.0
+# degrees in place of terms of order 1 to 4 in the normal, and of the depth
+PLACE_DEGREES, DEPTH_PLACE_DEGREE = (5, 4, 3, 2), 4
+RIDGES = (3e-4, 1e-4, 3e-5, 1e-5)  # ridges that calibration tries, the stiffest first
+# Prior of a slope with one of three channels clipped, mm/mm: a wide one. Also the longest step: a longer one explains a
+# mirrored light or dust by a slope of its color.
+CLIPPED_STEP_SIGMA = 0.3
+
+_POWERS = monomials(2, len(PLACE_DEGREES))  # (vx, vy, vx vx, vx vy, ...)
+TERMS = len(_POWERS) + 3
+
+_forward_step = Kernel(
+    "forward_step",
+    "f32[h,w,3] change, f32[h,w,2] read, f32[dh,dw] depth, u8[h,w,3]? clipped, f32[r,c,17,3] nodes, f32[4,3,3] roots, "
+    "out f32[n] work, out f32[h,w,2] gradients, out f32[h,w] variance, out f32[h,w] residual, f32 at_rest, "
+    "f32 per_slope, f32 clipped_prior",
+)
+
+
+class Step(NamedTuple):
+    """Slopes after one step, with their variance and residual.
+
+    Attributes
+    ----------
+    gradients : (..., 2), mm/mm
+    variance : (...), mean of both components' variances
+    residual : (...) >= 0, squared, of the color change after the step, in units of its covariance: 1 degree of freedom
+    """
+
+    gradients: NDArray[Any]
+    variance: NDArray[Any]
+    residual: NDArray[Any]
+
+
+@dataclass(frozen=True, eq=False)
+class ForwardResponse:
+    """Color change as a polynomial in the normal and the depth, its coefficients varying over the image.
+
+    Attributes
+    ----------
+    nodes : (rows, columns, 17, 3) float64, coefficients at every 16th pixel, bilinear between: 14 monomials of the
+        normal, the depth, and the depth times the normal
+    covariance : (3, 3), of the color change about it on the presses it was fitted to
+    shape : (H, W)
+    step_sigma : (at rest, per slope), the prior of a step: slopes g of the color model have a standard
+        deviation of hypot(at rest, per slope |g|), mm/mm; None without a step, because it did not improve held-out
+        presses
+    residual_scale : squared residuals on held-out presses over those that the covariance predicts, at the 95 % that
+        usual pixels stay under: the unit for judging outliers
+    clipped : (2, 3) bool, whether the training presses show red, green, blue at the camera's lower and upper end: if so,
+        the model holds for such pixels too
+    """
+
+    nodes: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    shape: tuple[int, int]
+    step_sigma: tuple[float, float] | None = None
+    residual_scale: float = 1.0
+    clipped: NDArray[np.bool_] | None = None
+
+    def __post_init__(self) -> None:
+        check_values(self.nodes, "forward_nodes", (3,))
+        covariance = check_values(self.covariance, "forward_covariance", (3,))
+        if (
+            np.shape(self.nodes)[2:] != (TERMS, 3)
+            or covariance.shape != (3, 3)
+            or np.linalg.eigvalsh(covariance)[0] <= 0
+        ):
+            raise ValueError(
+                f"Expected forward nodes (rows, columns, {TERMS}, 3) and a covariance (3, 3), got others."
+            )
+        if self.step_sigma is not None:
+            for value, least in zip(self.step_sigma, (1e-6, 0)):
+                check_within(value, "step_sigma", least, 1e3)
+        check_within(self.residual_scale, "residual_scale", 1e-6, 1e12)
+
+    @classmethod
+    def fit_each(
+        cls,
+        samples: Samples,
+        ridges: Sequence[float] = RIDGES,
+        *,
+        step_sigma: tuple[float, float] | None = None,
+    ) -> list[ForwardResponse]:
+        """One response for each ridge, by penalized least squares of the color change.
+
+        The samples need `depth_px`, the depth of the frame from the color model. The ridge belongs to a coefficient that is
+        the
+        same everywhere, relative to the samples' weight.
+        """
+        assert samples.depth_px is not None
+        regression = VaryingRegression.of(
+            _terms(samples.gradients, samples.depth_px), samples.color_change, samples
+        )
+        pressed = np.any(samples.gradients != 0, axis=1)[:: round(len(samples.x_px) / len(regression.target))]
+        found = []
+        for ridge in ridges:
+            coefficients = regression.coefficients(ridge)
+            left = regression.residual(coefficients)[pressed]
+            covariance = np.cov(left.T) + 1e-12 * np.eye(3)
+            found.append(cls(regression.nodes(coefficients), covariance, samples.shape, step_sigma))
+        return found
+
+    def color_from_gradients(
+        self,
+        gradients: NDArray[Any],
+        x_px: NDArray[Any],
+        y_px: NDArray[Any],
+        *,
+        depth_px: NDArray[Any] | float = 0.0,
+    ) -> NDArray[np.float64]:
+        """Expected color change (N, 3) of gradients (N, 2), and depths (N,), at pixel positions (N,)."""
+        v, z = normal_terms(gradients), np.broadcast_to(np.asarray(depth_px) / DEPTH_UNIT_PX, len(gradients))
+        coefficients = at_pixels(self.nodes, *interpolation(x_px, y_px, self.shape))
+        products = np.stack([*monomial_products(v.T, _POWERS), z, z * v[:, 0], z * v[:, 1]])
+        return np.asarray(np.einsum("tn,ntc->nc", products, coefficients))
+
+    def of_other_unit(self, gain: NDArray[np.float64], wider: float) -> ForwardResponse:
+        """The response of a unit with smaller color changes and noise, by a gain (rows, columns, 3) at its nodes.
+
+        Its pixels are `wider` times as wide on the gel.
+        """
+        nodes = nodes_at_scale(self.nodes, self.shape, wider) / gain[:, :, None]
+        nodes[:, :, -3:] *= wider  # depth is in pixels
+        usual = np.exp(np.log(gain).mean(axis=(0, 1)))
+        covariance = self.covariance / np.outer(usual, usual)
+        return replace(self, nodes=nodes, covariance=covariance)
+
+    def to_arrays(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+        """Arrays and settings for `from_arrays`."""
+        arrays: dict[str, NDArray[Any]] = {"nodes": self.nodes, "covariance": self.covariance}
+        if self.clipped is not None:
+            arrays["clipped"] = self.clipped
+        return arrays, {"step_sigma": self.step_sigma, "residual_scale": self.residual_scale}
+
+    @classmethod
+    def from_arrays(
+        cls, arrays: dict[str, NDArray[Any]], settings: dict[str, Any], shape: tuple[int, int]
+    ) -> ForwardResponse:
+        """The response of `to_arrays`."""
+        sigma, scale = settings["step_sigma"], settings["residual_scale"]
+        step_sigma = None if sigma is None else (sigma[0], sigma[1])
+        return cls(arrays["nodes"], arrays["covariance"], shape, step_sigma, scale, arrays.get("clipped"))
+
+    @cached_property
+    def slope_per_change(self) -> float:
+        """Error of a slope at rest, mm/mm, for an error of 1 of the color change: the median over the image."""
+        along = np.moveaxis(self.nodes[:, :, :2], 2, 3) / NORMAL_UNIT
+        information = np.einsum("rcka,rckb->rcab", along, along) + 1e-12 * np.eye(2)
+        variance = np.trace(np.linalg.inv(information), axis1=2, axis2=3) / 2
+        return float(np.sqrt(np.median(variance)))
+
+    @cached_property
+    def roots(self) -> NDArray[np.float32]:
+        """(4, 3, 3): lower factors L of the inverse covariance L L^T of all channels, and without red, green, blue."""
+        found = np.zeros((4, 3, 3))
+        found[0] = np.linalg.cholesky(np.linalg.inv(self.covariance))
+        for channel in range(3):
+            kept = [c for c in range(3) if c != channel]
+            inverse = np.linalg.inv(self.covariance[np.ix_(kept, kept)])
+            found[1 + channel][np.ix_(kept, [0, 1])] = np.linalg.cholesky(inverse)
+        return found.astype(np.float32)
+
+
+class PreparedStep:
+    """Steps of whole frames by one forward response. It is immutable; threads can share it."""
+
+    def __init__(self, forward: ForwardResponse) -> None:
+        assert forward.step_sigma is not None
+        self._nodes = np.ascontiguousarray(forward.nodes, dtype=np.float32)
+        self._roots = forward.roots
+        self._priors = *(sigma**2 for sigma in forward.step_sigma), 1 / CLIPPED_STEP_SIGMA**2
+        columns = self._nodes.shape[1]
+        padded = -(-forward.shape[1] // 16) * 16
+        self._work_size = 2 * columns * TERMS * 3 + 4 * TERMS * 3 + 12 * padded
+
+    def __call__(
+        self,
+        color_change: NDArray[np.float32],
+        gradients: NDArray[np.float32],
+        depth_px: NDArray[np.float32],
+        clipped: NDArray[np.uint8] | None = None,
+    ) -> Step:
+        """The step of a frame, from the gradients (H, W, 2) that a color model read of a color change (H, W, 3).
+
+        The depth (rows, columns), px, is coarser. A `clipped` channel (H, W, 3) does not count; there the other two take two
+        steps, with a prior of 0.3. No step is longer than that.
+        """
+        stepped = np.empty_like(gradients)
+        variance, residual = (np.empty(gradients.shape[:2], np.float32) for _ in range(2))
+        work = np.empty(self._work_size, np.float32)
+        frame = color_change, gradients, depth_px, clipped
+        _forward_step(*frame, self._nodes, self._roots, work, stepped, variance, residual, *self._priors)
+        return Step(stepped, variance, residual)
+
+
+def normal_terms(gradients: NDArray[Any]) -> NDArray[np.float64]:
+    """The normal's first two components (N, 2), with the sign of the slopes, in the response's unit."""
+    slopes = np.asarray(gradients, dtype=np.float64)
+    length = np.sqrt(1 + np.sum(slopes**2, axis=-1, keepdims=True))
+    return np.asarray(slopes / (NORMAL_UNIT * length))
+
+
+def _terms(gradients: NDArray[Any], depth_px: NDArray[Any]) -> list[Term]:
+    v, z = normal_terms(gradients), np.asarray(depth_px, dtype=np.float64) / DEPTH_UNIT_PX
+    of_normal = terms_of_orders(
+        monomial_products(v.T, _POWERS), [len(term) for term in _POWERS], PLACE_DEGREES
+    )
+    return [
+        *of_normal,
+        Term(z, DEPTH_PLACE_DEGREE, ORDER_GROWTH),
+        *(Term(z * one, 0, ORDER_GROWTH**2) for one in v.T),
+    ]

@@ -1,0 +1,193 @@
+"""Gradients as a polynomial in the color change, with coefficients that shrink more the more they vary over the image.
+
+A press shows few slopes at few places, so a free polynomial in (color, x, y) invents the rest. Here each
+coefficient is a sum of Legendre polynomials of the place and of the light there (the logarithm of the background image,
+which shows how near the lamps are). A ridge grows with the degree, so that the model stays simple where presses show
+nothing (A. E. Hoerl and R. W. Kennard, Technometrics 12(1), 1970, with a prior variance per term).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform._native import Kernel
+from gelform.foundations.filters import CHANGE_OFFSET
+from gelform.slopes.color_models._shared.least_squares import (
+    NODE_PX,
+    VaryingRegression,
+    at_pixels,
+    color_products,
+    interpolation,
+    monomial_parents,
+    monomials,
+    nodes_at_scale,
+    terms_of_orders,
+)
+from gelform.slopes.color_models.seam import PendingChange, Samples, check_image_shape
+
+RIDGES = (3e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-5)  # ridges that calibration tries, the stiffest first
+
+_hierarchical_gradients = Kernel(
+    "hierarchical_gradients",
+    "f32[h,w,3] change, f32[r,c,t,2] nodes, i32[t,2] parents, out f32[n] work, out f32[h,w,2] gradients",
+)
+_hierarchical_from_image = Kernel(
+    "hierarchical_from_image",
+    "u8[h,w,3]? image, f32[h,w,3]? light, f32[s] scale, f32[h,w,3] untouched, f32[h,w,3] gain, f32[k] taps, "
+    "f32[r,c,t,2] nodes, i32[t,2] parents, out f32[n] work, out f32[h,w,3] change, out f32[h,w,2] gradients",
+)
+
+
+@dataclass(frozen=True)
+class HierarchicalModel:
+    """Polynomial in (R, G, B) without a constant; its coefficients are given at nodes and bilinear between them.
+
+    Attributes
+    ----------
+    nodes : (rows, columns, terms, 2) float64, coefficients at every 16th pixel, the last beyond the border
+    degree : degree of the polynomial in color
+    shape : (H, W) of the images it was fitted on
+    """
+
+    nodes: NDArray[np.float64]
+    degree: int
+    shape: tuple[int, int]
+
+    name: ClassVar[str] = "hierarchical"
+    change_offset: ClassVar[float] = CHANGE_OFFSET
+
+    @classmethod
+    def fit(
+        cls,
+        samples: Samples,
+        *,
+        position_degrees: tuple[int, ...] = (5, 4, 3),
+        ridge: float = 3e-4,
+        start: HierarchicalModel | None = None,
+    ) -> HierarchicalModel:
+        """Penalized least squares.
+
+        Parameters
+        ----------
+        samples : with `background`, the light at each place is used too
+        position_degrees : degree in (x, y) of the linear, quadratic, cubic color terms; each may be large,
+            since the ridge is 4 times stronger per degree in place and 3 times per degree in color
+        ridge : > 0, of a coefficient that is the same everywhere, relative to the samples' weight, for a color change
+            of RMS 1
+        start : the model of another unit of the same sensor; the coefficients are pulled to its own instead of to 0
+        """
+        if not position_degrees or min(position_degrees) < 0 or not ridge > 0:
+            raise ValueError(
+                f"Expected position degrees >= 0 and ridge > 0, got {position_degrees} and {ridge}."
+            )
+        if start is not None:
+            start.check_like(len(position_degrees), samples.shape)
+        regression, scales = _regression(samples, tuple(position_degrees), start)
+        nodes = regression.nodes(regression.coefficients(ridge)) / scales[:, None]
+        return cls(nodes if start is None else nodes + start.nodes, len(position_degrees), samples.shape)
+
+    @classmethod
+    def variants(cls, presses: int) -> list[dict[str, Any]]:
+        """One variant for each ridge, the stiffest first."""
+        return [{"ridge": ridge} for ridge in RIDGES]
+
+    def of_other_unit(self, gain: NDArray[np.float64], wider: float) -> HierarchicalModel:
+        """The model of a unit whose color changes are smaller by a gain (rows, columns, 3) at its nodes.
+
+        Its pixels are `wider` times as wide on the gel.
+        """
+        factors = np.stack(
+            [gain[..., list(term)].prod(axis=-1) for term in monomials(3, self.degree)], axis=-1
+        )
+        nodes = nodes_at_scale(self.nodes, self.shape, wider)
+        return HierarchicalModel(nodes * factors[..., None], self.degree, self.shape)
+
+    def check_like(self, degree: int, shape: tuple[int, int]) -> None:
+        """Raise a ValueError if a model of a degree and an image shape cannot start from this one."""
+        if (self.degree, tuple(self.shape)) != (degree, tuple(shape)):
+            raise ValueError(
+                f"Expected to start from a model of degree {degree} for images of {shape[0]}x{shape[1]} px, got one of "
+                f"degree {self.degree} for {self.shape[0]}x{self.shape[1]} px."
+            )
+
+    def gradients_at(
+        self, color_change: NDArray[Any], x_px: NDArray[Any], y_px: NDArray[Any]
+    ) -> NDArray[np.float64]:
+        """Gradients (N, 2) of scattered pixels."""
+        products = color_products(np.asarray(color_change, dtype=np.float64), monomials(3, self.degree))
+        gradients: NDArray[np.float64] = np.einsum("tn,ntk->nk", products, self.coefficients_at(x_px, y_px))
+        return gradients
+
+    def coefficients_at(self, x_px: NDArray[Any], y_px: NDArray[Any]) -> NDArray[np.float64]:
+        """Coefficients (N, terms, 2) of each monomial of the color change at pixels."""
+        return at_pixels(self.nodes, *interpolation(x_px, y_px, self.shape))
+
+    def prepare(self, background: NDArray[Any], shape: tuple[int, int]) -> PreparedHierarchical:
+        """Prepare the coefficients of every row of pixels at every 16th column."""
+        check_image_shape(shape, self.shape)
+        return PreparedHierarchical(self)
+
+    def to_arrays(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+        """The coefficients at the nodes."""
+        return {"nodes": self.nodes}, {"degree": self.degree, "shape": list(self.shape)}
+
+    @classmethod
+    def from_arrays(cls, arrays: dict[str, NDArray[Any]], settings: dict[str, Any]) -> HierarchicalModel:
+        """The model of `to_arrays`."""
+        height, width = settings["shape"]
+        return cls(arrays["nodes"], settings["degree"], (height, width))
+
+
+def _regression(
+    samples: Samples, position_degrees: tuple[int, ...], start: HierarchicalModel | None
+) -> tuple[VaryingRegression, NDArray[np.float64]]:
+    """The regression of samples on the monomials of their color change, and the divisor of each monomial (terms,).
+
+    The samples keep the last one, because calibration tries one ridge after the other.
+    """
+    kept = samples.shared.get(HierarchicalModel.name)
+    if kept is not None and kept[0] is start and kept[1] == position_degrees:
+        regression, scales = kept[2:]
+        return regression, scales
+    change = np.asarray(samples.color_change, dtype=np.float64)
+    terms = monomials(3, len(position_degrees))
+    scale = float(np.sqrt(np.average(np.mean(change**2, axis=1), weights=samples.weight))) + 1e-12
+    orders = [len(term) for term in terms]
+    products = terms_of_orders(list(color_products(change / scale, terms)), orders, position_degrees)
+    target = np.asarray(samples.gradients, dtype=np.float64)
+    if start is not None:
+        target = target - start.gradients_at(samples.color_change, samples.x_px, samples.y_px)
+    regression = VaryingRegression.of(products, target, samples)
+    scales = scale ** np.array(orders, dtype=np.float64)
+    samples.shared[HierarchicalModel.name] = start, position_degrees, regression, scales
+    return regression, scales
+
+
+class PreparedHierarchical:
+    """The coefficients at the nodes, in the form of the kernels. It is immutable; threads can share it."""
+
+    def __init__(self, model: HierarchicalModel) -> None:
+        self._nodes = np.ascontiguousarray(model.nodes, dtype=np.float32)
+        self._parents = monomial_parents(monomials(3, model.degree))
+        _, columns, terms, _ = self._nodes.shape
+        self._work_size = 2 * columns * terms + 4 * terms + 3 * -(-model.shape[1] // NODE_PX) * NODE_PX
+
+    def gradients_from_color(self, color_change: NDArray[np.float32]) -> tuple[NDArray[np.float32], None]:
+        """Gradients (H, W, 2) of a color change (H, W, 3); their deviation is in the calibration."""
+        gradients = np.empty((*color_change.shape[:2], 2), dtype=np.float32)
+        work = np.empty(self._work_size, dtype=np.float32)
+        _hierarchical_gradients(color_change, self._nodes, self._parents, work, gradients)
+        return gradients, None
+
+    def gradients_in_one_pass(
+        self, pending: PendingChange, out: NDArray[np.float32]
+    ) -> tuple[NDArray[np.float32], None]:
+        """The gradients of an image, whose color change is computed in the same pass and written to `out` (H, W, 3)."""
+        gradients = np.empty((*out.shape[:2], 2), dtype=np.float32)
+        work = np.empty(pending.work_size + self._work_size, dtype=np.float32)
+        _hierarchical_from_image(*pending.arguments, self._nodes, self._parents, work, out, gradients)
+        return gradients, None

@@ -1,0 +1,154 @@
+"""gradients (H, W, 2): slopes dz/dx and dz/dy in mm/mm, x to the right, y down, z toward the camera."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gelform._native import Kernel
+from gelform.foundations.checks import (
+    check_gradients,
+    check_map,
+    check_mm_per_px,
+    check_normals,
+    check_within,
+)
+
+STEEPEST_GEL = 1.0  # mm/mm, the steepest slope of a gel: where nothing is known, a slope is off by that
+COARSE_PX, AGREED_PX = 3.0, 2.5  # px at 240 rows, standard deviations of G3 and G2.5 in `smoothed_gradients`
+
+_slopes_of_depth = Kernel("slopes_of_depth", "f32[h,w] depth, out f32[h,w,2] gradients, f32 per_x, f32 per_y")
+_curl_squares = Kernel("curl_squares", "f32[n,h,w,2] gradients, bool[n,h,w]? known, out f64[2] result")
+
+
+def gradients_from_normals(normals: ArrayLike) -> NDArray[np.float32]:
+    """Slopes of a surface from its normals: `p = -n_x/n_z`, `q = -n_y/n_z`.
+
+    Parameters
+    ----------
+    normals : (..., 3), n_z > 0; need not have unit length
+
+    Returns
+    -------
+    gradients : (..., 2) float32, mm/mm
+
+    Raises
+    ------
+    ValueError
+        A normal that faces away from the camera (n_z <= 0), NaN, or a wrong shape.
+    """
+    n = check_normals(normals)
+    return -n[..., :2] / n[..., 2:]
+
+
+def smoothed_gradients(gradients: ArrayLike, *, texture: float = 0.02) -> NDArray[np.float32]:
+    """Slopes with faint detail smoothed away and strong detail kept, for smooth objects and for display.
+
+    Detail `d = g - G3 g` (G3: a Gaussian of 3 px at 240 rows) is multiplied by `k = |b|^2/(|b|^2 + texture^2)`. Here
+    `b = G2.5 d` is the part of the detail that neighbors share: noise of single pixels vanishes, an edge stays. Engraved
+    detail as faint as the texture is lost with the noise. The result is not exactly the slopes of a surface.
+
+    Parameters
+    ----------
+    gradients : (H, W, 2), mm/mm
+    texture : 1e-6 to 1e6, mm/mm; detail of this size is halved
+
+    Returns
+    -------
+    gradients : (H, W, 2) float32
+
+    Raises
+    ------
+    ValueError
+        Slopes of several frames or not finite, or a texture out of range.
+    """
+    slopes = check_gradients(gradients)
+    if slopes.ndim != 3:
+        raise ValueError(f"Expected gradients of one frame, (H, W, 2), got {slopes.shape}.")
+    halved = np.float32(check_within(texture, "texture", 1e-6, 1e6)) ** 2
+    scale = min(slopes.shape[:2]) / 240
+    coarse = _blurred(slopes, COARSE_PX * scale)
+    detail = slopes - coarse
+    agreed = np.square(_blurred(detail, AGREED_PX * scale)).sum(axis=-1, keepdims=True)
+    kept: NDArray[np.float32] = coarse + agreed / (agreed + halved) * detail
+    return kept
+
+
+def _blurred(slopes: NDArray[np.float32], sigma_px: float) -> NDArray[np.float32]:
+    blurred = cv2.GaussianBlur(slopes, (0, 0), sigma_px, borderType=cv2.BORDER_REFLECT_101)
+    return np.asarray(blurred).reshape(slopes.shape)
+
+
+def gradients_from_depth(depth_mm: ArrayLike, *, mm_per_px: float | Sequence[float]) -> NDArray[np.float32]:
+    """Slopes of a depth map: second-order differences, central inside and one-sided on the border.
+
+    Parameters
+    ----------
+    depth_mm : (..., H, W), at least 2x2
+    mm_per_px : float or (x, y), mm
+
+    Returns
+    -------
+    gradients : (..., H, W, 2) float32, mm/mm
+
+    Raises
+    ------
+    ValueError, TypeError
+        A depth of another shape or not finite, or a pitch that is not positive.
+    """
+    hx, hy = check_mm_per_px(mm_per_px)
+    z = check_map(depth_mm, "depth_mm", dtype=np.float64)
+    gradients = np.stack([_slope(z, -1) / hx, _slope(z, -2) / hy], axis=-1)
+    return gradients.astype(np.float32)
+
+
+def slopes_of_solution(depth: NDArray[np.float32], mm_per_px: tuple[float, float]) -> NDArray[np.float32]:
+    """`gradients_from_depth` for one solved depth map (H, W) float32, in single precision."""
+    gradients = np.empty((*depth.shape, 2), dtype=np.float32)
+    _slopes_of_depth(depth, gradients, 1 / mm_per_px[0], 1 / mm_per_px[1])
+    return gradients
+
+
+def curl_from_gradients(gradients: ArrayLike, *, mm_per_px: float | Sequence[float]) -> NDArray[np.float32]:
+    """Integrability check `dp/dy - dq/dx` per pixel, in 1/mm: zero where the slopes belong to a surface.
+
+    Parameters
+    ----------
+    gradients : (..., H, W, 2), mm/mm
+    mm_per_px : float or (x, y), mm
+
+    Returns
+    -------
+    curl : (..., H, W) float32, 1/mm
+
+    Raises
+    ------
+    ValueError, TypeError
+        Slopes of another shape or not finite, or a pitch that is not positive.
+    """
+    hx, hy = check_mm_per_px(mm_per_px)
+    g = check_gradients(gradients, dtype=np.float64)
+    return (_slope(g[..., 0], -2) / hy - _slope(g[..., 1], -1) / hx).astype(np.float32)
+
+
+def curl_rms(gradients: NDArray[np.float32], known: NDArray[np.bool_] | None) -> float:
+    """RMS of the curl of gradients (N, H, W, 2) over known pixels (N, H, W) inside the border, slope per pixel.
+
+    `known` None means all pixels.
+    """
+    found = np.empty(2)
+    _curl_squares(gradients, known, found)
+    return float(np.sqrt(found[0] / found[1])) if found[1] else 0.0
+
+
+def _slope(values: NDArray[Any], axis: int) -> NDArray[Any]:
+    """Second-order difference per pixel along an axis; of lower order if the axis has fewer than 3 pixels."""
+    count = values.shape[axis]
+    if count == 1:
+        return np.zeros_like(values)
+    slope: NDArray[Any] = np.gradient(values, axis=axis, edge_order=2 if count > 2 else 1)
+    return slope

@@ -1,0 +1,200 @@
+"""Starters: depth of a unit that was never pressed, from its untouched image and what other units have shown."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import gelform
+from gelform.calibration.starters import (
+    calibration_from_background,
+    light_from_background,
+    load_starter,
+    starter_for,
+    starter_names,
+    starter_of_source,
+)
+from gelform.calibration.starters.starter import FOLDER, read_starter, starter_from_calibration
+from gelform.calibration_file import load_calibration
+from gelform.errors import CalibrationError, SensorError
+from gelform.result.metrics import press_errors
+from gelform.simulate import LAYOUTS, Ball, Punch, simulate_background, simulate_press
+
+SIMULATED = "simulated-three-edges"
+MAX_BYTES = 300_000
+
+
+@pytest.fixture(scope="module")
+def layout():
+    return LAYOUTS["three-edges"]
+
+
+@pytest.fixture(scope="module")
+def background(layout):
+    return simulate_background(layout, np.random.default_rng(5))
+
+
+def test_every_starter_is_small_and_says_what_it_was_made_from():
+    assert set(starter_names()) >= {"gelsight-mini", "digit", SIMULATED}
+    for name in starter_names():
+        starter = load_starter(name)
+        assert (FOLDER / f"{name}.npz").stat().st_size <= MAX_BYTES
+        assert starter.units
+        assert 0.01 < starter.spread < 0.2
+        assert starter.calibration.background.shape == (*starter.calibration.image_shape, 3)
+        assert light_from_background(starter.calibration.background)[1] < 1e-3, "an image lies in it"
+
+
+def test_a_unit_that_was_never_pressed_is_read(layout, background):
+    calibration = calibration_from_background(background, SIMULATED, serial="S1")
+    press = simulate_press(layout, Ball(2.5), depth_mm=0.4, rng=np.random.default_rng(6))
+    result = gelform.Reconstructor(calibration)(press.image)
+    height, width = layout.shape
+    radius_px = np.sqrt(press.contact.sum() / np.pi)
+    errors = press_errors(
+        result.depth_mm, result.gradients, circle_px=((width - 1) / 2, (height - 1) / 2, radius_px),
+        ball_radius_mm=2.5, mm_per_px=calibration.known_mm_per_px, contact_radius_ratio=0.85,
+    )  # fmt: skip
+    assert errors.normal_free_deg < 3
+    assert abs(errors.radius_percent) < 10
+    assert (calibration.serial, calibration.held_out) == ("S1", {})
+
+
+def test_every_result_says_that_it_is_a_starter_s_and_how_far_off_it_may_be(background):
+    calibration = calibration_from_background(background, SIMULATED)
+    result = gelform.Reconstructor(calibration)(background.round().astype(np.uint8))
+    finding = next(one for one in result.health if one.name == "starter")
+    assert finding.figure == calibration.unit_spread == load_starter(SIMULATED).spread
+    assert f"{100 * calibration.unit_spread:.0f} %" in finding.message
+
+
+def test_the_spread_between_units_is_in_the_stated_deviations(layout, background):
+    calibration = calibration_from_background(background, SIMULATED)
+    alike = {**calibration.settings.starter, "spread": 0.0}
+    known = replace(
+        calibration,
+        settings=replace(calibration.settings, starter=alike),
+        slope_sigma=load_starter(SIMULATED).calibration.slope_sigma,
+    )
+    image = simulate_press(layout, Punch(3.0), depth_mm=0.3, rng=np.random.default_rng(7)).image
+    wide, narrow = (gelform.Reconstructor(one)(image) for one in (calibration, known))
+    np.testing.assert_array_equal(wide.depth_mm, narrow.depth_mm)
+    slope = np.linalg.norm(narrow.gradients, axis=-1)
+    expected = np.hypot(narrow.gradients_sigma[..., 0], calibration.unit_spread / np.sqrt(2) * slope)
+    np.testing.assert_allclose(wide.gradients_sigma[..., 0], expected, rtol=1e-5)
+    deep = narrow.depth_mm > 0.2
+    added = np.sqrt(np.maximum(wide.depth_sigma_mm**2 - narrow.depth_sigma_mm**2, 0))[deep]
+    np.testing.assert_allclose(added, calibration.unit_spread * np.abs(narrow.depth_mm[deep]), rtol=0.05)
+
+
+def test_the_response_of_another_unit_is_known_less_well(background):
+    """A step follows the colors of this unit less: they scatter more about the response of others than about its own."""
+    starter = load_starter(SIMULATED)
+    assert starter.color_variance > 2
+    own, unit = starter.calibration.forward.covariance, starter.for_unit(background).forward.covariance
+    assert np.trace(np.linalg.solve(own, unit)) / 3 == pytest.approx(starter.color_variance, rel=0.2)
+
+
+def test_brightness_and_white_balance_are_free(layout, background):
+    """A unit half as bright, its white balance another: the same gel and lamps are read alike."""
+    gain = np.float32([0.5, 0.8, 0.65])
+    image = simulate_press(layout, Ball(2.5), depth_mm=0.4, rng=np.random.default_rng(8)).image
+    usual, other = (
+        gelform.Reconstructor(calibration_from_background(background * g, SIMULATED))
+        .from_image(image.astype(np.float32) * g)
+        .observed_gradients
+        for g in (np.float32(1), gain)
+    )
+    steep = np.linalg.norm(usual, axis=-1) > 0.3
+    ratio = np.sum(usual[steep] * other[steep]) / np.sum(usual[steep] ** 2)
+    assert abs(ratio - 1) < 0.01
+
+
+def test_a_starter_s_calibration_is_a_calibration_like_any_other(background, tmp_path):
+    calibration = calibration_from_background(background, SIMULATED, gel_id="g")
+    calibration.save(tmp_path / "unit.npz")
+    back = load_calibration(tmp_path / "unit.npz")
+    assert (
+        back.digest
+        == calibration.digest
+        == calibration_from_background(background, SIMULATED, gel_id="g").digest
+    )
+    assert back.findings == calibration.findings
+    assert back.unit_spread == calibration.unit_spread
+
+
+def test_a_frame_of_the_camera_goes_through_the_make_s_view():
+    light = load_starter("gelsight-mini").calibration.background
+    frame = np.zeros((336, 448, 3), np.float32)
+    frame[48:288, 64:384] = light
+    calibration = calibration_from_background(frame, "gelsight-mini")
+    assert calibration.view.frame_shape == (336, 448)
+    assert calibration.image_shape == light.shape[:2]
+    np.testing.assert_allclose(calibration.background, light, atol=1.5)
+
+
+def test_frames_of_a_digit_s_camera_lie_and_are_turned_upright():
+    """Its camera gives 240 rows of 320 pixels; the other way round the colors are of no DIGIT."""
+    light = load_starter("digit").calibration.background
+    lying = np.ascontiguousarray(np.rot90(light, -1))
+    calibration = calibration_from_background(lying, "digit")
+    assert (calibration.view.frame_shape, calibration.view.turn) == ((240, 320), "left")
+    np.testing.assert_array_equal(calibration.background, light)
+    result = gelform.Reconstructor(calibration)(lying.round().astype(np.uint8))
+    assert result.depth_mm.shape == (320, 240)
+    with pytest.raises(CalibrationError, match="background of a DIGIT"):
+        calibration_from_background(np.ascontiguousarray(lying[::-1, ::-1]), "digit")
+
+
+def test_another_make_a_mirrored_image_and_bgr_are_refused():
+    mini, digit = (load_starter(name).calibration.background for name in ("gelsight-mini", "digit"))
+    with pytest.raises(
+        CalibrationError, match="background of a GelSight Mini: the colors over its gel correlate"
+    ):
+        calibration_from_background(np.ascontiguousarray(digit.transpose(1, 0, 2)), "gelsight-mini")
+    with pytest.raises(CalibrationError, match="looks like BGR"):
+        calibration_from_background(mini[..., ::-1], "gelsight-mini")
+    with pytest.raises(CalibrationError, match="turned or mirrored"):
+        calibration_from_background(digit[:, ::-1], "digit")
+    with pytest.raises(SensorError, match=r"got 320x240\. Turn them"):
+        calibration_from_background(np.rot90(mini), "gelsight-mini")
+    with pytest.raises(SensorError, match="with a starter, digit, gelsight-mini"):
+        calibration_from_background(mini, "gelslim")
+
+
+def test_which_starter_a_sensor_has():
+    assert starter_for("GelSight Mini, unit 7", (240, 320)).sensor == "gelsight-mini"
+    assert starter_for("GelSight Mini", (480, 640)) is None
+    assert starter_for(SIMULATED, (240, 320)) is None, (
+        "simulated sensors are calibrated by their own presses alone"
+    )
+    assert starter_for("home-made", (240, 320)) is None
+
+
+def test_a_starter_of_a_unit_comes_back_from_its_file(calibration, tmp_path):
+    starter = starter_from_calibration(
+        calibration, "mine", spread=0.05, units=("one unit",), color_variance=3.0
+    )
+    starter.save(tmp_path / "mine.npz")
+    back = read_starter(tmp_path / "mine.npz")
+    np.testing.assert_allclose(back.calibration.color_model.nodes, calibration.color_model.nodes, rtol=1e-5)
+    assert (back.spread, back.units, back.make, back.color_variance) == (0.05, ("one unit",), "mine", 3.0)
+    with pytest.raises(CalibrationError, match="already there"):
+        starter.save(tmp_path / "mine.npz")
+    spoilt = tmp_path / "spoilt.npz"
+    spoilt.write_bytes((tmp_path / "mine.npz").read_bytes()[:-2000])
+    with pytest.raises(CalibrationError):
+        read_starter(spoilt)
+
+
+def test_the_starter_of_a_source_is_known_by_its_camera_or_its_name():
+    def source(name, kind=None):
+        return SimpleNamespace(name=name, camera=SimpleNamespace(kind=kind) if kind else None)
+
+    assert starter_of_source(source("GelSight Mini R0B 2BKR", "gelsight-mini")) == "gelsight-mini"
+    assert starter_of_source(source("a digit by its USB id", "digit")) == "digit"
+    assert starter_of_source(source("DIGIT D20123")) == "digit"
+    assert starter_of_source(source("simulated three-edges")) is None, "it moves all the time: name it"
+    assert starter_of_source(source("press.mp4")) is None
+    assert starter_of_source(source("DIGIT", "gelslim")) is None

@@ -1,0 +1,144 @@
+"""Regions of an outline: what speaks for each, and which of them stand."""
+
+import numpy as np
+import pytest
+from scipy.special import k0, k1
+
+from gelform.depth.contact import evidence as evidence_module
+from gelform.depth.contact.evidence import Evidence, Regions
+from gelform.depth.contact.regions import labeled
+from kernel_agreement import assert_kernel_agrees
+
+PITCH, LENGTH, FACTOR = 0.05, 0.6, 3.5
+
+
+def judge(**how):
+    return Evidence(
+        **{"pitch": (PITCH, PITCH), "length_mm": LENGTH, "noise_factor": FACTOR, "min_area_mm2": 0.05, **how}
+    )
+
+
+def distance(x, y, shape=(120, 140)):
+    rows, columns = np.mgrid[: shape[0], : shape[1]]
+    return np.hypot(columns - x, rows - y) * PITCH
+
+
+def depth_of(pressure):
+    """Depth that a pressure makes on a membrane over an elastic bed, by a sum over its pixels."""
+    depth, influence = np.zeros(pressure.shape), judge()._influence
+    rows, columns = np.nonzero(pressure)
+    for y, x in zip(rows, columns):
+        square = (np.arange(pressure.shape[0])[:, None] - y) ** 2 + (np.arange(pressure.shape[1]) - x) ** 2
+        depth += pressure[y, x] * np.where(
+            square < len(influence), influence[np.minimum(square, len(influence) - 1)], 0
+        )
+    return depth
+
+
+def regions_of(mask, depth, sigma, whole, noise=0.02):
+    """An outline, its depth, and pressures; the surface is given by its whole pressure."""
+    number, labels = labeled(mask)
+    maps = [
+        np.ascontiguousarray(m, np.float32)
+        for m in (depth, sigma * np.ones(depth.shape), noise**2 * np.ones(depth.shape))
+    ]
+    pressure, none = np.where(mask, whole, 0).astype(np.float32), np.zeros(depth.shape, np.float32)
+    rest = np.ones(depth.shape, bool)
+    bent = (whole - depth / LENGTH**2).astype(np.float32)
+    return Regions(
+        number, labels, (*maps, rest, pressure, none, maps[0], bent), (LENGTH**-2, 1.0, 1.0, 1.0, 1.0)
+    )
+
+
+def test_the_depth_of_a_pressed_disc_is_that_of_the_analytic_one():
+    """A uniform pressure p on a disc makes p L^2 (1 - R/L K1(R/L)) at its center."""
+    radius, measures = 1.0, np.empty((1, 7))
+    mask = distance(70, 60) < radius
+    regions = regions_of(mask, depth_of(0.8 * mask), 0.01, 0.8 * mask)
+    evidence_module._region_evidence(
+        regions.labels, *regions.maps, judge()._influence, measures, *regions.gains, 1.0, 1.0
+    )
+    wanted = 0.8 * LENGTH**2 * (1 - radius / LENGTH * k1(radius / LENGTH))
+    assert measures[0, 6] == pytest.approx(wanted, rel=0.01)
+    assert tuple(measures[0, 2:4]) == (70, 60)
+
+
+def test_the_depth_beside_a_pressed_pixel_is_bessel_s():
+    influence = judge()._influence
+    for n in (1, 4, 100, 400):
+        wanted = k0(np.sqrt(n) * PITCH / LENGTH) * PITCH**2 / (2 * np.pi)
+        assert influence[n] == pytest.approx(wanted, rel=1e-5)
+
+
+def test_a_contact_stands_and_gel_that_it_draws_down_does_not():
+    """Beside a disc lies a speck whose depth is the disc's: sure, but without pressure of its own."""
+    disc, speck = distance(50, 60) < 1.0, distance(84, 60) < 0.25
+    whole = 0.8 * disc + 0.12 * speck
+    depth = depth_of(whole)
+    stands = judge()(regions_of(disc | speck, depth, 0.01, whole, 0.02))
+    assert stands.tolist() == [False, True, False]
+    alone = depth_of(0.12 * speck)
+    assert judge()(regions_of(speck, alone, 0.0005, 0.12 * speck, 0.015)).tolist() == [False, True]
+
+
+@pytest.mark.parametrize(
+    ("sigma", "area", "stands"), [(0.01, 0.05, True), (0.5, 0.05, False), (0.01, 9.0, False)]
+)
+def test_depth_and_area_have_to_be_enough(sigma, area, stands):
+    disc = distance(50, 60) < 1.0
+    regions = regions_of(disc, depth_of(0.8 * disc), sigma, 0.8 * disc)
+    assert judge(min_area_mm2=area)(regions).tolist() == [False, stands]
+
+
+def test_a_depth_of_zero_or_less_is_no_contact():
+    disc = distance(50, 60) < 1.0
+    for depth in (0 * depth_of(disc), -depth_of(disc)):
+        assert not judge()(regions_of(disc, depth, 0.01, 0.8 * disc)).any()
+
+
+def test_tops_of_a_texture_stand_together_and_specks_do_not():
+    """Each top makes a fifth of its depth; nine of them make it together, two of them do not."""
+    tops = [distance(x, y) < 0.2 for x in (50, 60, 70) for y in (50, 60, 70)]
+    every = np.any(tops, axis=0)
+    depth = depth_of(0.18 * every)
+    assert judge()(regions_of(every, depth, 0.002, 0.18 * every)).tolist() == [False] + 9 * [True]
+    two = tops[0] | tops[8]
+    assert not judge()(regions_of(two, depth, 0.002, 0.18 * every)).any()
+
+
+def test_nothing_is_judged_where_nothing_is():
+    none = np.zeros((12, 14), bool)
+    assert judge()(regions_of(none, np.zeros(none.shape), 0.01, np.zeros(none.shape))).tolist() == [False]
+
+
+@pytest.mark.parametrize("shape", [(1, 9), (23, 31)])
+def test_evidence_agrees_with_numpy(shape):
+    rng = np.random.default_rng(0)
+    labels = rng.integers(0, 4, shape).astype(np.uint16)
+    depth, sigma, variance, coarse, fine, smooth, bent = rng.uniform(0.1, 1, (7, *shape)).astype(np.float32)
+    rest, influence = rng.random(shape) < 0.5, np.exp(-np.arange(60.0)).astype(np.float32)
+    numbers = 1.3, 0.4, 0.9, 2.0, 3.0, 1.1, 0.9
+
+    def by_numpy(
+        labels, depth, sigma, variance, rest, coarse, fine, smooth, bent, influence, measures, *numbers
+    ):
+        stiffness, coarse_rest, coarse_else, fine_rest, fine_else, per_x, per_y = numbers
+        square = np.maximum(
+            coarse**2 / (variance * np.where(rest, coarse_rest, coarse_else) + (stiffness * sigma) ** 2),
+            fine**2 / (variance * np.where(rest, fine_rest, fine_else) + (stiffness * sigma) ** 2),
+        )
+        y, x = np.mgrid[: shape[0], : shape[1]]
+        rows = []
+        for k in (1, 2, 3):
+            here = labels == k
+            top = np.argmax(np.where(here, depth, -9))
+            at = (per_x * (x - x.flat[top]) ** 2 + per_y * (y - y.flat[top]) ** 2).astype(int)
+            own = np.where(here & (at < 60), influence[np.minimum(at, 59)] * (bent + stiffness * smooth), 0)
+            sure = (depth / sigma)[here].max()
+            rows.append(
+                [here.sum(), depth.flat[top], x.flat[top], y.flat[top], sure, square[here].max(), own.sum()]
+            )
+        return np.array(rows)
+
+    maps = labels, depth, sigma, variance, rest, coarse, fine, smooth, bent, influence, np.empty((3, 7))
+    assert_kernel_agrees(evidence_module._region_evidence, by_numpy, *maps, *numbers)

@@ -1,0 +1,327 @@
+"""Contact of analytic ball presses: where it is known, how noise, specks and the frame's border act on it."""
+
+import numpy as np
+import pytest
+from scipy import ndimage
+from scipy.special import k0
+
+import gelform
+from gelform.depth.contact import PreparedContact, SlopeDeviations, contact_from_depth
+from gelform.depth.contact import pressure as pressure_module
+from kernel_agreement import assert_kernel_agrees
+
+PITCH = 0.0634
+
+
+def cap(*, center=(160, 120), ball_mm=4.0, depth_mm=0.8):
+    """A ball's cap over a plane: its rim is where the depth reaches 0; radius in px beside it."""
+    r = from_center(center)
+    z = np.sqrt(np.maximum(ball_mm**2 - r**2, 0)) - (ball_mm - depth_mm)
+    return np.maximum(z, 0), r / PITCH, np.sqrt(ball_mm**2 - (ball_mm - depth_mm) ** 2) / PITCH
+
+
+def slopes_noise(shape, sd, seed=0):
+    """Depth error of white slope errors: what a color model's noise leaves in the depth."""
+    slopes = np.random.default_rng(seed).normal(0, sd, (*shape, 2)).astype(np.float32)
+    return gelform.depth_from_gradients(slopes, mm_per_px=PITCH, zero="mean")
+
+
+def from_center(center=(160, 120)):
+    """Distance of each pixel of 240x320, mm."""
+    y, x = np.mgrid[:240, :320]
+    return np.hypot(x - center[0], y - center[1]) * PITCH
+
+
+@pytest.mark.parametrize("sd", [0, 0.005, 0.02])
+@pytest.mark.parametrize("center", [(160, 120), (5, 120), (300, 230)])
+def test_a_cap_keeps_its_radius_under_noise_and_across_the_border(sd, center):
+    depth, r, radius = cap(center=center)
+    contact = contact_from_depth(depth + slopes_noise(depth.shape, sd), mm_per_px=PITCH)
+    assert contact.dtype == bool
+    # Without gel beside it the cap ends in a kink, which bends the other way: under noise it takes pixels of the rim.
+    assert contact[r < radius - (5 if sd == 0.02 else 3)].mean() > 0.98
+    assert not contact[r > radius + 2].any()
+
+
+@pytest.mark.parametrize("length", [0.5, 0.7])
+def test_gel_that_is_drawn_down_beside_an_object_is_no_contact(length):
+    """A disc pressed flat into a membrane on an elastic bed: depth falls off as Bessel's K0(r / L)."""
+    r, edge = from_center((150, 110)), 2.0
+    depth = 0.4 * np.where(r < edge, 1, k0(np.maximum(r, edge) / length) / k0(edge / length))
+    depth = ndimage.gaussian_filter(depth, 2.2)  # as a camera shows the kink at the edge
+    if length == 0.5:
+        contact = contact_from_depth(depth, mm_per_px=PITCH)
+        assert contact[r < edge - 0.1].mean() > 0.98
+        assert not contact[r > edge + 0.2].any()
+        assert depth[r > edge + 0.15].max() > 0.25  # though it is deep there
+    noisy, how = 0.5 * depth + slopes_noise(depth.shape, 0.01), {"depth_sigma_mm": np.full(depth.shape, 0.01)}
+    contact = contact_from_depth(noisy, mm_per_px=PITCH, relaxation_mm=length, **how)
+    assert contact[r < edge - 0.2].mean() > 0.98
+    assert not contact[r > edge + 0.25].any()
+    too_small = contact_from_depth(noisy, mm_per_px=PITCH, relaxation_mm=0.5 * length, **how)
+    assert too_small[r > edge + 0.25].any(), "the gel beside the disc would seem to be held down"
+
+
+def test_an_outline_under_noise_is_hardly_wider_than_without():
+    """A ridge held in a line, beside which the gel falls off: the wide smoothing that noise asks for widens it."""
+    x = np.abs(np.arange(320) - 160.0) * PITCH
+    depth = np.tile(0.5 * np.exp(-np.maximum(x - 0.2, 0) / 0.5), (240, 1))
+    widths = []
+    for sd in (0.002, 0.04):
+        how = {"relaxation_mm": 0.5, "depth_sigma_mm": np.full(depth.shape, 0.5 * sd)}
+        contact = contact_from_depth(depth + slopes_noise(depth.shape, sd), mm_per_px=PITCH, **how)
+        widths.append(contact[20:-20].sum(axis=1).mean())
+    assert 0.4 / PITCH - 1 < widths[0] < 0.4 / PITCH + 4
+    assert abs(widths[1] - widths[0]) < 1.5
+
+
+def test_a_ring_stays_hollow():
+    r = from_center()
+    depth = np.sqrt(np.maximum(0.8**2 - (r - 3) ** 2, 0.5**2)) - 0.5
+    contact = contact_from_depth(depth + slopes_noise(depth.shape, 0.005), mm_per_px=PITCH)
+    half = np.sqrt(0.8**2 - 0.5**2)
+    assert contact[np.abs(r - 3) < half - 0.25].mean() > 0.99  # the kink at its rim bends the other way
+    assert not contact[np.abs(r - 3) > half + 0.1].any()
+
+
+def test_a_faint_touch_beside_a_deep_one_is_seen():
+    deep, *_ = cap(center=(80, 120))
+    faint, r, radius = cap(center=(240, 120), depth_mm=0.02)
+    contact = contact_from_depth(deep + faint, mm_per_px=PITCH)
+    assert contact[r < 0.7 * radius].all()
+
+
+def test_nothing_is_found_on_a_gel_at_rest():
+    for seed in range(5):
+        assert not contact_from_depth(slopes_noise((120, 160), 0.02, seed), mm_per_px=PITCH).any()
+    assert not contact_from_depth(np.zeros((24, 32)), mm_per_px=PITCH).any()
+    y, x = np.mgrid[:120, :160]
+    drift = 0.05 * np.cos(x / 60) * np.sin(y / 50)
+    drifted = drift + slopes_noise((120, 160), 0.02)
+    sigma = np.full((120, 160), 0.05)
+    assert not contact_from_depth(drifted, mm_per_px=PITCH, depth_sigma_mm=sigma).any()
+
+
+def test_a_noisy_place_is_no_contact_and_hides_none_elsewhere():
+    """A sixth of the gel has four times the noise of the rest."""
+    touched, *_ = cap(center=(80, 120), depth_mm=0.06)
+    noise = np.ones(touched.shape, np.float32)
+    noise[:, 270:] = 4.0
+    sigma, taken = 0.001 * noise, 0
+    for seed in range(4):
+        rest = slopes_noise(noise.shape, 0.02 * noise[..., None], seed)
+        knows, does_not = (PreparedContact((PITCH, PITCH), 0.5, n) for n in (noise**2, np.ones_like(noise)))
+        assert not knows(rest, sigma).any()
+        assert knows((rest + touched).astype(np.float32), sigma)[:, :160].any()
+        taken += does_not(rest, sigma).any()
+    assert taken > 0
+
+
+def test_unknown_pixels_are_no_contact():
+    depth, r, radius = cap()
+    known = np.ones(depth.shape, bool)
+    known[:, 160:] = False
+    sensor = PreparedContact((PITCH, PITCH), 0.5, np.ones(depth.shape, np.float32))
+    contact = sensor(depth.astype(np.float32), np.full(depth.shape, 0.01, np.float32), None, known)
+    assert contact[(r < radius - 3) & known].mean() > 0.98
+    assert not contact[~known].any()
+
+
+def test_a_depth_that_is_not_sure_is_no_contact():
+    """The same press with a depth that exceeds its own deviation by far, and hardly."""
+    depth, *_ = cap(depth_mm=0.3)
+    slopes = SlopeDeviations(*np.full((2, *depth.shape), 0.005, np.float32), np.ones(depth.shape, bool))
+    correlation = {
+        "correlation_px": 6.0,
+        "correlated_share": 0.5,
+        "rest_correlation_px": 1.0,
+        "rest_correlated_share": 0.1,
+    }
+    sensor = PreparedContact((PITCH, PITCH), 0.6, np.full(depth.shape, 0.005**2, np.float32), correlation)
+    for sigma, found in ((0.02, True), (0.12, False)):
+        contact = sensor(depth.astype(np.float32), np.full(depth.shape, sigma, np.float32), slopes)
+        assert contact.any() == found
+        assert not sensor(-depth.astype(np.float32), np.full(depth.shape, sigma, np.float32), slopes).any()
+
+
+def test_specks_go():
+    """A cap of 5 pixels across."""
+    depth, _, radius = cap(depth_mm=0.003)
+    assert radius < 3
+    assert not contact_from_depth(depth, mm_per_px=PITCH, min_area_mm2=0.2).any()
+    assert contact_from_depth(depth, mm_per_px=PITCH, min_area_mm2=0.01).any()
+
+
+def test_pixels_need_not_be_square():
+    y, x = np.mgrid[:200, :200]
+    r = np.hypot((x - 90) * 0.05, (y - 100) * 0.1)
+    depth = np.maximum(np.sqrt(np.maximum(16 - r**2, 0)) - 3.6, 0)
+    contact = contact_from_depth(depth, mm_per_px=(0.05, 0.1))
+    assert contact[r < 1.55].all()
+    assert not contact[r > 1.95].any()
+
+
+@pytest.mark.parametrize(
+    ("wrong", "text"),
+    [
+        ({"mm_per_px": 0}, "mm_per_px > 0"),
+        ({"noise_factor": 0}, "noise_factor > 0"),
+        ({"relaxation_mm": 0}, "relaxation_mm > 0"),
+        ({"min_area_mm2": float("nan")}, "min_area_mm2 >= 0"),
+        ({"depth_sigma_mm": np.zeros((7, 8))}, r"depth_sigma_mm of shape \(8, 8\)"),
+        ({"depth_mm": np.full((8, 8), np.nan)}, "NaN"),
+        ({"depth_mm": np.zeros((2, 8, 8))}, "one frame"),
+    ],
+)
+def test_wrong_depth_and_settings(wrong, text):
+    with pytest.raises(ValueError, match=text):
+        contact_from_depth(**{"depth_mm": np.zeros((8, 8)), "mm_per_px": PITCH, **wrong})
+
+
+@pytest.mark.parametrize(("margin", "shape"), [(0, (5, 6)), (2, (17, 21)), (3, (40, 53))])
+def test_bending_agrees_with_numpy(margin, shape):
+    depth = np.random.default_rng(0).normal(0, 1, shape).astype(np.float32)
+    taps = np.array([0.5, 0.2, 0.05], np.float32)
+
+    def by_numpy(depth, taps, smooth, bent, work, along_x, along_y, margin):
+        whole = np.concatenate([taps[:0:-1], taps]).astype(float)
+        smooth = ndimage.convolve1d(
+            ndimage.convolve1d(depth.astype(float), whole, 0, mode="nearest"), whole, 1, mode="nearest"
+        )
+        bent = -along_x * ndimage.convolve1d(smooth, [1, -2, 1], 1, mode="mirror")
+        bent -= along_y * ndimage.convolve1d(smooth, [1, -2, 1], 0, mode="mirror")
+        y, x = (np.clip(np.arange(n), margin, n - 1 - margin) for n in smooth.shape)
+        return smooth, bent[np.ix_(y, x)]
+
+    blank, work = np.empty_like(depth), np.empty(1000, np.float32)
+    assert_kernel_agrees(
+        pressure_module._bent_surface, by_numpy, depth, taps, blank, blank, work, 2.0, 3.0, margin
+    )
+
+
+@pytest.mark.parametrize("shift", [0.0, -3.0, 5.0])
+@pytest.mark.parametrize("step", [1, 3])
+def test_noise_agrees_with_numpy(shift, step):
+    """Of all magnitudes or chosen ones, and of the depths below 0: where there are none it is 0."""
+    rng = np.random.default_rng(0)
+    values = rng.normal(shift, 1, (31, 17)).astype(np.float32)
+    units = np.linspace(0.5, 3, values.size, dtype=np.float32).reshape(values.shape)
+    work, magnitude = np.empty(2 * 527, np.float32), np.empty(1, np.float32)
+
+    def of_share(values, units, chosen, work, magnitude, step, share):
+        taken = slice(None) if chosen is None else chosen.ravel()[::step]
+        sample = np.sort((np.abs(values) / np.sqrt(units)).ravel()[::step][taken])
+        return sample[[int(share * (sample.size - 1))]] if sample.size else np.zeros(1)
+
+    def below(values, work, magnitude, step):
+        sample = values.ravel()[::step]
+        return np.array([-np.median(sample[sample < 0]) if (sample < 0).any() else 0.0])
+
+    for chosen in (None, rng.random(values.shape) < 0.4, np.zeros(values.shape, bool)):
+        arguments = values, units, chosen, work, magnitude, step, 0.3
+        assert_kernel_agrees(pressure_module._magnitude_of_share, of_share, *arguments)
+    assert_kernel_agrees(pressure_module._median_below, below, values, work, magnitude, step)
+
+
+@pytest.mark.parametrize("shape", [(1, 7), (19, 23)])
+def test_pressure_agrees_with_numpy(shape):
+    rng = np.random.default_rng(0)
+    smooth, bent = (rng.normal(0.2, 0.5, shape).astype(np.float32) for _ in range(2))
+    sigma, variance, noise = (rng.uniform(0.01, 0.2, shape).astype(np.float32) for _ in range(3))
+    rest, known = rng.random((2, *shape)) < 0.6
+
+    def by_numpy(
+        smooth,
+        bent,
+        sigma,
+        variance,
+        noise,
+        rest,
+        known,
+        pressure,
+        stiffness,
+        sigmas,
+        at_rest,
+        elsewhere,
+        factor,
+    ):
+        pressure = bent + stiffness * np.maximum(smooth - sigmas * sigma, 0)
+        of_noise = variance * np.where(rest, at_rest, elsewhere) + (sigma * stiffness) ** 2
+        counts = known & (pressure > np.sqrt(of_noise)) & (pressure > factor * np.sqrt(noise * at_rest))
+        return np.where(counts, pressure, 0)
+
+    maps = smooth, bent, sigma, variance, noise, rest, known, np.empty(shape, np.float32)
+    arguments = *maps, 1.7, 2.0, 0.4, 2.0, 1.5
+    assert_kernel_agrees(pressure_module._contact_pressure, by_numpy, *arguments)
+    counted = pressure_module._contact_pressure(*arguments)
+    assert counted == np.count_nonzero(by_numpy(*arguments))
+
+
+def test_slope_variance_agrees_with_numpy():
+    """As read at rest, as solved elsewhere; a slope that is not known at all has a variance of 0.3."""
+    rng = np.random.default_rng(0)
+    read, solved = rng.uniform(0, 1.5, (2, 9, 13)).astype(np.float32)
+    rest = rng.random(read.shape) < 0.5
+
+    def by_numpy(read, solved, rest, variance):
+        return np.minimum(np.where(rest, read, solved).astype(float) ** 2, 0.3)
+
+    blank = np.empty_like(read)
+    assert_kernel_agrees(pressure_module._slope_variance, by_numpy, read, solved, rest, blank)
+
+
+@pytest.mark.parametrize("shape", [(1, 7), (9, 16), (61, 83)])
+@pytest.mark.parametrize("limit", [0.0, 0.5, 1e9])
+def test_outlines_agree_with_numpy(shape, limit):
+    rng = np.random.default_rng(3)
+    smooth = ndimage.gaussian_filter(rng.normal(0, 6, shape), 1.5)
+    coarse = np.maximum(smooth + 0.2, 0).astype(np.float32)
+    fine = np.maximum(smooth + 0.2 + rng.normal(0, 0.5, shape), 0).astype(np.float32)
+    noise = rng.uniform(0.5, 2, shape).astype(np.float32)
+    window = np.ones(9)
+
+    def mean_around(values):
+        total, count = (
+            ndimage.convolve1d(ndimage.convolve1d(a, window, 0, mode="constant"), window, 1, mode="constant")
+            for a in (values.astype(float), (values > 0).astype(float))
+        )
+        return total / np.maximum(count, 1)
+
+    def by_numpy(coarse, fine, noise, contact, work, reach, coarse_share, fine_share, limit):
+        around = mean_around(fine)
+        drawn = (coarse > 0) & (coarse > coarse_share * mean_around(coarse))
+        return np.where(around**2 > limit * noise, (coarse > 0) & (fine > fine_share * around), drawn)
+
+    work = np.empty(40_000, np.float32)
+    maps = coarse, fine, noise, np.empty(shape, bool), work
+    assert_kernel_agrees(pressure_module._contact_outline, by_numpy, *maps, 4, 0.7, 0.6, limit)
+
+
+def test_standing_regions_agree_with_numpy():
+    labels = np.random.default_rng(0).integers(0, 5, (13, 17)).astype(np.uint16)
+    stands = np.array([False, True, False, True, False])
+    blank = np.empty(labels.shape, bool)
+    assert_kernel_agrees(
+        pressure_module._standing_regions, lambda labels, stands, out: stands[labels], labels, stands, blank
+    )
+
+
+def test_the_pressure_s_variance_is_that_of_noisy_slopes():
+    """White noise of slopes, integrated, smoothed and bent again; and noise that is correlated over some pixels."""
+    rng, shape = np.random.default_rng(0), (200, 220)
+    sensor = PreparedContact((PITCH, PITCH), 0.5, np.ones(shape, np.float32))
+    for blur, smoothing in ((0.0, 0.7), (0.0, 2.5), (6.0, 0.7), (6.0, 2.5)):
+        slopes = rng.normal(0, 1, (*shape, 2))
+        if blur:
+            slopes = ndimage.gaussian_filter(slopes, (blur, blur, 0)) * 2 * np.sqrt(np.pi) * blur
+        length = np.sqrt(2) * blur  # the correlation of a blurred white noise falls to exp(-1/2) there
+        at_rest, elsewhere = pressure_module._gains(
+            (PITCH, PITCH), smoothing, length, 1.0 if blur else 0.0, 0.0, None
+        )
+        assert at_rest == elsewhere
+        depth = gelform.depth_from_gradients(0.01 * slopes.astype(np.float32), mm_per_px=PITCH)
+        _, bent = sensor._smoothed(depth, smoothing)
+        found = np.var(bent[40:-40, 40:-40]) / 0.01**2
+        assert found == pytest.approx(
+            at_rest, rel=0.35
+        )  # the five points of a Laplacian blur white noise, too

@@ -1,0 +1,135 @@
+"""Each file holds the surface: axes, signs, units.
+
+An STL is closed and has the volume of the depth. A reader written after the standard finds the surface in an X3P in meters.
+16-bit depth is recovered within half a step.
+"""
+
+import hashlib
+import io
+import zipfile
+from dataclasses import replace
+from xml.etree import ElementTree
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from gelform.errors import DataError
+from gelform.exchange.exporters.quantised import depth_from_levels, levels_from_depth
+from gelform.exchange.exporters.surface import (
+    BASE_SHARE,
+    SURFACES,
+    points_from_result,
+    save_surface,
+    x3p_bytes,
+)
+from gelform.result import Reconstruction
+
+SHAPE, PITCH = (30, 40), 0.1
+
+
+@pytest.fixture
+def result():
+    """A bump, above and left of the middle; the last row is not known."""
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    depth = np.maximum(0, 1 - ((x - 10) ** 2 + (y - 8) ** 2) / 36).astype(np.float32)
+    known = np.ones(SHAPE, dtype=bool)
+    known[-1] = False
+    gradients = np.zeros((*SHAPE, 2), dtype=np.float32)
+    return Reconstruction(
+        depth, None, gradients, None, np.ones(SHAPE, np.float32), depth > 0, known, mm_per_px=PITCH
+    )
+
+
+def read(content):
+    """Heights (SizeY, SizeX) and pitches, m; every checksum looked at."""
+    with zipfile.ZipFile(io.BytesIO(content)) as file:
+        main = file.read("main.xml")
+        digest, name = file.read("md5checksum.hex").decode().split()
+        assert (digest, name) == (hashlib.md5(main).hexdigest(), "*main.xml")
+        root = ElementTree.fromstring(main)
+        assert root.tag == "{http://www.opengps.eu/2008/ISO5436_2}ISO5436_2"
+        data = file.read(root.findtext("Record3/DataLink/PointDataLink"))
+        assert hashlib.md5(data).hexdigest() == root.findtext("Record3/DataLink/MD5ChecksumPointData")
+    assert root.findtext("Record1/FeatureType") == "SUR"
+    assert root.findtext("Record1/Axes/CZ/DataType") == "D"
+    size = [int(root.findtext(f"Record3/MatrixDimension/Size{axis}")) for axis in "XYZ"]
+    pitch = [float(root.findtext(f"Record1/Axes/C{axis}/Increment")) for axis in "XYZ"]
+    return np.frombuffer(data, "<f8").reshape(size[2], size[1], size[0])[0] * pitch[2], pitch[:2]
+
+
+def test_the_surface_in_meters_also_by_its_ending(result, tmp_path):
+    heights, pitch = read(x3p_bytes(result))
+    assert pitch == pytest.approx([PITCH * 1e-3] * 2)
+    assert heights.shape == SHAPE
+    upright = heights[::-1]  # y up
+    np.testing.assert_allclose(upright[result.known] * 1e3, result.depth_mm[result.known], rtol=1e-12)
+    assert np.isnan(upright[~result.known]).all()
+    assert save_surface(result, tmp_path / "a.x3p").read_bytes() == x3p_bytes(result)
+
+
+def test_points_are_of_the_optical_frame(result):
+    x, y, z = points_from_result(result)[8 * SHAPE[1] + 10]
+    assert (x, y, z) == pytest.approx(((10 - 19.5) * PITCH, (8 - 14.5) * PITCH, -1))
+
+
+@pytest.mark.parametrize("ending", [".ply", ".stl"])
+def test_meshes_come_back(result, tmp_path, ending):
+    trimesh = pytest.importorskip("trimesh", reason="needs the extra 'mesh'")
+    mesh = trimesh.load(save_surface(result, tmp_path / f"bump{ending}"), force="mesh")
+    assert mesh.bounds[0, 2] == pytest.approx(-1)  # the deepest point is nearest to the camera
+    assert mesh.bounds[:, 0] == pytest.approx([-1.95, 1.95])
+    middle = mesh.face_normals[np.argmin(np.linalg.norm(mesh.triangles_center - [-0.95, -0.65, -1], axis=1))]
+    assert middle[2] < -0.9  # toward the camera
+    assert mesh.is_watertight == (ending == ".stl")
+    if ending == ".stl":
+        base = 3.9 * 2.9 * BASE_SHARE * 3.9
+        assert mesh.volume == pytest.approx(base + float(result.depth.sum()) * PITCH**2, rel=0.01)
+
+
+def test_tiff_is_the_depth_and_png_in_16_bits(result, tmp_path):
+    path = save_surface(result, tmp_path / "deep" / "bump.tiff")
+    np.testing.assert_array_equal(cv2.imread(str(path), cv2.IMREAD_UNCHANGED), result.depth_mm)
+    levels = cv2.imread(str(save_surface(result, tmp_path / "bump.png")), cv2.IMREAD_UNCHANGED)
+    depth, known = depth_from_levels(levels)
+    np.testing.assert_array_equal(known, result.known)
+    np.testing.assert_allclose(depth[known], result.depth_mm[known], atol=0.51e-4)
+
+
+def test_what_cannot_be_written_is_said(result, tmp_path):
+    with pytest.raises(ValueError, match=r"\.obj"):
+        save_surface(result, tmp_path / "bump.obj")
+    with pytest.raises(DataError, match="mm_per_px"):
+        save_surface(replace(result, mm_per_px=None), tmp_path / "bump.tiff")
+    with pytest.raises(DataError, match="16 bits"):
+        save_surface(replace(result, depth=result.depth * 10), tmp_path / "bump.png")
+    (tmp_path / "there.tiff").write_bytes(b"mine")
+    with pytest.raises(DataError, match="is there already"):
+        save_surface(result, tmp_path / "there.tiff")
+    assert (tmp_path / "there.tiff").read_bytes() == b"mine"
+    assert list(tmp_path.iterdir()) == [tmp_path / "there.tiff"]
+    assert set(SURFACES) == {".ply", ".stl", ".tif", ".tiff", ".png", ".x3p"}
+
+
+DEPTHS = arrays(np.float64, (3, 4), elements=st.floats(-3.2766, 3.2766))
+
+
+@given(DEPTHS, arrays(bool, (3, 4)))
+def test_depth_comes_back(depth, known):
+    back, back_known = depth_from_levels(levels_from_depth(depth, known))
+    np.testing.assert_array_equal(back_known, known)
+    np.testing.assert_allclose(back[known], depth[known], atol=0.5e-4 + 1e-6)
+    assert not back[~known].any()
+
+
+def test_a_level_is_a_tenth_of_a_micrometer_and_out_of_range_is_refused():
+    np.testing.assert_array_equal(levels_from_depth([[0.0, 1e-4, -1.0]]), [[32768, 32769, 22768]])
+    for depth in [3.3, -3.2769, 1e9]:
+        with pytest.raises(DataError, match="16 bits"):
+            levels_from_depth([[depth]])
+        assert levels_from_depth([[depth]], [[False]]) == 0
+    with pytest.raises(TypeError, match="uint16"):
+        depth_from_levels(np.zeros((2, 2), dtype=np.uint8))

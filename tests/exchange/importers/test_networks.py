@@ -1,0 +1,253 @@
+"""Imported networks give their own packages' answers, with gelform's signs."""
+
+import pickle
+import sys
+import zipfile
+from itertools import pairwise
+
+import cv2
+import numpy as np
+import pytest
+
+import gelform
+from gelform.exchange.importers.networks import read_gs_sdk, read_gsrobotics, read_gsrobotics_web
+from made.networks import network_arrays, torch_file, web_file
+
+SHAPE = (12, 16)
+BACKGROUND = np.random.default_rng(0).uniform(60, 160, (*SHAPE, 3)).astype(np.float32)
+GENTLE = {name: 0.6 * array for name, array in network_arrays((5, 64, 64, 64, 2)).items()}
+
+
+def image_and_change(seed=1, background=BACKGROUND):
+    image = np.random.default_rng(seed).integers(1, 255, (*SHAPE, 3)).astype(np.float32)
+    return image, (image - background) / np.float32(255)
+
+
+def slopes_of(model, change, background=BACKGROUND):
+    return model.prepare(background, background.shape[:2]).gradients_from_color(change)[0]
+
+
+def answered(arrays, image, position):
+    """The network in plain numpy: B, G, R and two positions in, two numbers out."""
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    places = {"xy": (x / SHAPE[1], y / SHAPE[0]), "yx": (y / SHAPE[0], x / SHAPE[1]), "zeros": (0 * x, 0 * y)}
+    values = np.stack([image[..., 2] / 255, image[..., 1] / 255, image[..., 0] / 255, *places[position]], -1)
+    for k in range(1, 5):
+        values = values @ arrays[f"fc{k}.weight"].T.astype(float) + arrays[f"fc{k}.bias"]
+        values = np.maximum(values, 0) if k < 4 else values
+    return values
+
+
+def test_gs_sdk_angles_go_down_where_pressed(tmp_path):
+    arrays = network_arrays((5, 32, 32, 32, 2))
+    model = read_gs_sdk(torch_file(tmp_path / "nnmodel.pth", arrays), BACKGROUND)
+    image, change = image_and_change()
+    found = slopes_of(model, change)
+    theirs = np.tan(answered(arrays, image, "xy")) - np.tan(answered(arrays, BACKGROUND, "xy"))
+    np.testing.assert_allclose(found, -theirs, atol=2e-5)
+
+
+def by_gsrobotics(arrays, image, position):
+    """Gradients as its network's normals in plain numpy give them."""
+    n = answered(arrays, image, {"true": "yx", "zeros": "zeros"}[position])
+    return -n / np.sqrt(1 - np.sum(n**2, axis=-1, keepdims=True))
+
+
+@pytest.mark.parametrize("position", ["zeros", "true"])
+def test_the_browser_port_of_gsrobotics(tmp_path, position):
+    path = web_file(tmp_path / "weights.bin", GENTLE)
+    image, change = image_and_change()
+    found = slopes_of(read_gsrobotics_web(path, BACKGROUND, position=position), change)
+    theirs = by_gsrobotics(GENTLE, image, position) - by_gsrobotics(GENTLE, BACKGROUND, position)
+    np.testing.assert_allclose(found, theirs, atol=2e-5)
+    path.write_bytes(path.read_bytes()[:-4])
+    with pytest.raises(gelform.DataError, match="Expected 35336 bytes"):
+        read_gsrobotics_web(path, BACKGROUND, position="true")
+
+
+@pytest.mark.parametrize("nested", [True, False])
+def test_gsrobotics_is_its_browser_ports_network(tmp_path, nested):
+    a = read_gsrobotics_web(web_file(tmp_path / "weights.bin", GENTLE), BACKGROUND, position="true")
+    b = read_gsrobotics(torch_file(tmp_path / "n.pt", GENTLE, nested=nested), BACKGROUND, position="true")
+    change = image_and_change()[1]
+    np.testing.assert_array_equal(slopes_of(a, change), slopes_of(b, change))
+
+
+def test_another_background_is_rest_too(tmp_path):
+    model = read_gsrobotics_web(web_file(tmp_path / "w.bin", GENTLE), BACKGROUND, position="true")
+    today, differences = BACKGROUND + 3, []
+    assert np.abs(slopes_of(model, np.zeros_like(today), today)).max() == 0
+    for seed in (1, 7):  # the same image, so only the answer at rest differs
+        now = slopes_of(model, image_and_change(seed, today)[1], today)
+        differences.append(now - slopes_of(model, image_and_change(seed)[1]))
+    np.testing.assert_allclose(*differences, atol=1e-5)
+
+
+def test_normals_that_are_too_long_stay_finite(tmp_path):
+    arrays = network_arrays((5, 64, 64, 64, 2))
+    arrays["fc4.bias"] = np.array([2.0, 0.0], dtype=np.float32)
+    model = read_gsrobotics_web(web_file(tmp_path / "w.bin", arrays), BACKGROUND, position="true")
+    found = slopes_of(model, image_and_change()[1])
+    assert np.isfinite(found).all()
+    assert np.abs(found).max() <= 10.0 + 1e-5
+
+
+def test_frames_equal_scattered_pixels_and_saved_models(tmp_path):
+    model = read_gsrobotics_web(web_file(tmp_path / "w.bin", GENTLE), BACKGROUND, position="true")
+    change = image_and_change()[1]
+    frame = slopes_of(model, change)
+    rows, columns = np.array([0, 3, 11]), np.array([15, 4, 0])
+    scattered = model.gradients_at(change[rows, columns], columns, rows)
+    np.testing.assert_allclose(scattered, frame[rows, columns], atol=1e-6)
+    again = type(model).from_arrays(*model.to_arrays())
+    np.testing.assert_array_equal(slopes_of(again, change), frame)
+    with pytest.raises(ValueError, match="as imported, got 10x10"):
+        model.prepare(np.zeros((10, 10, 3)), (10, 10))
+
+
+def older_network(torch, kind):
+    """gs_sdk's older network, in its 1x1 convolutions or in the form that it trains, after some training data."""
+    torch.manual_seed(0)
+    layer, norm = {
+        "conv": (lambda n_in, n_out: torch.nn.Conv2d(n_in, n_out, 1), torch.nn.BatchNorm2d),
+        "fc": (torch.nn.Linear, torch.nn.BatchNorm1d),
+    }[kind]
+    parts = {}
+    for k, (n_in, n_out) in enumerate(pairwise((5, 128, 32, 32, 2)), start=1):
+        parts[f"{kind}{k}"] = layer(n_in, n_out)
+        if k < 4:
+            parts[f"bn{k}"], parts[f"relu{k}"] = norm(n_out), torch.nn.ReLU()
+            torch.nn.init.uniform_(parts[f"bn{k}"].weight, 0.5, 2)
+            torch.nn.init.uniform_(parts[f"bn{k}"].bias, -0.5, 0.5)
+    network = torch.nn.Sequential()
+    for name, part in parts.items():
+        network.add_module(name, part)
+    for seed in range(20):
+        values = torch.rand((64, 5), generator=torch.Generator().manual_seed(seed))
+        network(values[..., None, None] if kind == "conv" else values)
+    return network.eval()
+
+
+@pytest.mark.parametrize("kind", ["conv", "fc"])
+def test_older_networks_of_gs_sdk_give_what_torch_gives(tmp_path, kind):
+    torch = pytest.importorskip("torch", reason="torch, the extra `torch`, is not installed")
+    network = older_network(torch, kind)
+    torch.save(network.state_dict(), tmp_path / "nnmodel.pth")
+    model = read_gs_sdk(tmp_path / "nnmodel.pth", BACKGROUND)
+    assert [weight.shape[0] for weight in model.layers.weights] == [128, 32, 32, 2]
+
+    def slopes(image):
+        y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
+        values = np.concatenate(
+            [image[..., ::-1] / 255, (x / SHAPE[1])[..., None], (y / SHAPE[0])[..., None]], -1
+        )
+        values = torch.from_numpy(values.reshape(-1, 5).astype(np.float32))
+        with torch.no_grad():
+            angles = network(values[..., None, None] if kind == "conv" else values)
+        return -np.tan(angles.numpy().reshape(*SHAPE, 2))
+
+    image, change = image_and_change()
+    np.testing.assert_allclose(slopes_of(model, change), slopes(image) - slopes(BACKGROUND), atol=2e-5)
+
+
+def test_networks_of_another_kind_are_refused(tmp_path):
+    touchnet = {f"conv{k}.{part}": np.zeros((32, 5, 3, 3)[: 4 if part == "weight" else 1], np.float32)
+                for k in range(1, 5) for part in ("weight", "bias")}  # fmt: skip
+    spoilt = network_arrays((5, 32, 8, 8, 2))
+    spoilt["fc2.weight"][0, 0] = np.nan
+    halved = network_arrays((5, 32, 32, 32, 2)) | {"bn1.running_var": np.ones(32, np.float32)}
+    for arrays, said in (
+        (touchnet, "looks at neighbors"),
+        (network_arrays((5, 32, 2)), "Expected the layers fc1 to fc4"),
+        (network_arrays((3, 32, 8, 8, 2)), "5 inputs and 2 outputs"),
+        (network_arrays((5, 64, 64, 64, 2)), r"32 or 128 units .* is it gsrobotics's\?"),
+        (spoilt, "finite"),
+        (halved, r"lacks bn1\.weight"),
+    ):
+        with pytest.raises(gelform.DataError, match=said):
+            read_gs_sdk(torch_file(tmp_path / "net.pth", arrays), BACKGROUND)
+
+
+class Bomb:
+    def __init__(self, made):
+        self.made = made
+
+    def __reduce__(self):
+        return open, (str(self.made), "w")
+
+
+def test_no_code_of_a_file_runs(tmp_path):
+    torch = pytest.importorskip("torch", reason="torch, the extra `torch`, is not installed")
+    made, path = tmp_path / "made", tmp_path / "net.pth"
+    torch.save({"fc1.weight": Bomb(made)}, path)
+    with pytest.raises(gelform.DataError, match="could run code"):
+        read_gs_sdk(path, BACKGROUND)
+    torch.save(torch.nn.Linear(5, 32), path)
+    with pytest.raises(gelform.DataError, match="could run code"):
+        read_gs_sdk(path, BACKGROUND)
+    torch.save(torch.nn.Linear(5, 32).state_dict(), path, _use_new_zipfile_serialization=False)
+    with pytest.raises(gelform.DataError, match=r"before version 1\.6.*save it again"):
+        read_gs_sdk(path, BACKGROUND)
+    path.write_bytes(pickle.dumps(Bomb(made)))
+    with pytest.raises(gelform.DataError, match="could run code"):
+        read_gs_sdk(path, BACKGROUND)
+    with zipfile.ZipFile(path, "w") as archive:  # as TorchScript's programs are
+        archive.writestr("a/data.pkl", b"\x80\x02}.")
+        archive.writestr("a/constants.pkl", b"\x80\x02).")
+    with pytest.raises(gelform.DataError, match=r"Expected weights of torch\.save"):
+        read_gs_sdk(path, BACKGROUND)
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("a/data.pkl", b"\x80\x02}.")
+        archive.writestr("a/data/0", bytes(5 * 2**20))
+    with pytest.raises(gelform.DataError, match=r"declares 5\.24 MB"):
+        read_gs_sdk(path, BACKGROUND)
+    assert not made.exists()
+
+
+@pytest.mark.parametrize("keep", [0, 10, 300, -30])
+def test_truncated_files_are_refused(tmp_path, keep):
+    path = torch_file(tmp_path / "net.pth", network_arrays((5, 32, 32, 32, 2)))
+    path.write_bytes(path.read_bytes()[:keep])
+    with pytest.raises(gelform.DataError, match="truncated or damaged"):
+        read_gs_sdk(path, BACKGROUND)
+
+
+def test_without_torch_the_extra_is_named(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "torch", None)
+    (tmp_path / "net.pth").write_bytes(b"PK\x03\x04")
+    with pytest.raises(gelform.DataError, match=r"needs the extra torch: pip install \"gelform\[torch\]\""):
+        read_gs_sdk(tmp_path / "net.pth", BACKGROUND)
+
+
+def read_rgb(path):
+    return cv2.imread(str(path))[..., ::-1].astype(np.float32)
+
+
+@pytest.mark.parametrize("name", ["bead", "key", "seed"])
+def test_real_gs_sdk_answers_as_published(data, name):
+    pytest.importorskip("torch", reason="torch, the extra `torch`, is not installed")
+    reference = np.load(data / "peer-calibrations" / "reference_outputs.npz")[f"gs_sdk_{name}_gradients"]
+    background = read_rgb(data / "mini-objects" / "background.png")
+    change = (read_rgb(data / "mini-objects" / f"{name}.png") - background) / np.float32(255)
+    model = read_gs_sdk(data / "peer-calibrations" / "gs_sdk-mini-c-nnmodel.pth", background)
+    np.testing.assert_allclose(slopes_of(model, change, background), -reference, atol=2e-5)
+
+
+@pytest.mark.parametrize("position", ["zeros", "true"])
+def test_real_gsrobotics_answers_as_published(data, position):
+    pytest.importorskip("torch", reason="torch, the extra `torch`, is not installed")
+    normals = np.load(data / "peer-calibrations" / "reference_outputs.npz")[
+        f"gsrobotics_key_normals_xy_{position}"
+    ].astype(float)
+    background = read_rgb(data / "mini-objects" / "background.png")
+    image = read_rgb(data / "mini-objects" / "key.png")
+    model = read_gsrobotics(
+        data / "peer-calibrations" / "gsrobotics-nnmini.pt", background, position=position
+    )
+    black = np.zeros_like(background)
+    prepared = model.prepare(black, black.shape[:2])
+    found = prepared.gradients_from_color(image / np.float32(255))[0] + prepared._rest.reshape(
+        (*image.shape[:2], 2)
+    )
+    theirs = -normals / np.sqrt(1 - np.sum(normals**2, axis=-1, keepdims=True))
+    np.testing.assert_allclose(found, theirs, atol=1e-4, rtol=1e-4)

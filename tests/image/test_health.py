@@ -1,0 +1,397 @@
+"""Each fault is found and named, with its share; sound frames have none."""
+
+import cv2
+import numpy as np
+import pytest
+
+from gelform.image import health as health_module
+from gelform.image.health import DepthLimit, FrameHealth, Levels, Torn, torn_finding
+from kernel_agreement import assert_kernel_agrees
+from made.worn_frames import SHAPE, blocks_of, constant, gel, pressed, with_part
+
+EVERYWHERE = slice(None)
+
+
+@pytest.fixture(scope="module")
+def health():
+    return FrameHealth(gel().astype(np.float32))
+
+
+def names(faults):
+    return [finding.name for finding in faults.findings]
+
+
+def assert_torn(faults, lost, share=None):
+    """Nothing else is found, all of that is lost, and as large a share as is said."""
+    assert names(faults) == ["torn"]
+    assert faults.lost[lost].all()
+    assert share is None or faults.findings[0].figure == pytest.approx(share, abs=0.01)
+
+
+@pytest.mark.parametrize("frame", [gel(7), pressed()], ids=["untouched", "pressed"])
+def test_a_sound_frame_has_no_faults(health, frame):
+    faults = health(frame)
+    assert names(faults) == []
+    assert faults.lost is None
+
+
+@pytest.mark.parametrize(
+    ("level", "name"),
+    [(0, "dark"), (3, "dark"), (255, "saturated"), (128, "torn"), ((90, 135, 90), "torn")],
+)
+def test_a_frame_of_one_color_says_nothing(health, level, name):
+    faults = health(constant(level))
+    assert names(faults) == [name]
+    assert faults.findings[0].figure == pytest.approx(1.0, abs=0.03)
+
+
+def test_darkness_with_noise_and_one_light_that_is_off_are_dark(health):
+    noise = np.random.default_rng(5).integers(0, 5, (*SHAPE, 3), dtype=np.uint8)
+    assert names(health(noise)) == ["dark"]
+    frame = pressed()
+    frame[..., 1] = 2
+    faults = health(frame)
+    assert names(faults) == ["dark"]
+    assert "green 100 %" in faults.findings[0].message
+    assert "red 1" not in faults.findings[0].message
+
+
+@pytest.mark.parametrize(
+    ("part", "level"),
+    [
+        ((slice(0, 24), EVERYWHERE), 0),
+        ((slice(60, None), EVERYWHERE), 128),
+        ((EVERYWHERE, slice(70, None)), 0),
+        ((slice(80, None), EVERYWHERE), (0, 135, 0)),
+    ],
+)
+def test_a_part_of_one_color_is_torn_and_lost(health, part, level):
+    faults = health(with_part(pressed(), part, level))
+    true = np.zeros(SHAPE, dtype=bool)
+    true[part] = True
+    assert names(faults) == ["torn"]
+    assert faults.lost[true].all()
+    assert faults.findings[0].figure == pytest.approx(true.mean(), abs=0.08)
+    assert np.count_nonzero(faults.lost & ~true) < 0.4 * true.size
+
+
+def test_rows_that_repeat_a_good_one_or_a_band_are_torn_and_the_copy_is_lost(health):
+    frame = pressed()
+    frame[80:] = frame[79]
+    faults = health(frame)
+    assert_torn(faults, np.s_[80:])
+    assert not faults.lost[:48].any()
+    frame = gel(7)
+    frame[64:80] = frame[8:24]
+    assert_torn(health(frame), np.s_[64:80], 16 / 96)
+    faults = health(with_part(pressed(), np.s_[:7], 0))
+    assert_torn(faults, np.s_[:7])
+    assert not faults.lost[32:].any()
+
+
+@pytest.mark.parametrize(("displaced", "rows"), [(np.s_[:30], 30), (np.s_[70:], 26)])
+def test_a_part_that_is_displaced_sideways_is_torn(displaced, rows):
+    stripes = gel() + 25 * np.sin(np.arange(SHAPE[1]) / 8)[None, :, None]
+    rest = np.clip(stripes, 0, 255).astype(np.uint8)
+    frame = np.clip(rest + np.random.default_rng(3).normal(0, 1.5, rest.shape), 0, 255).astype(np.uint8)
+    health = FrameHealth(rest)
+    assert names(health(frame)) == []
+    frame[displaced] = np.roll(frame[displaced], 20, axis=1)
+    assert_torn(health(frame), displaced, rows / 96)
+
+
+def striped(seed, shift_px=0):
+    """A gel that a fine relief, of random height from place to place, presses all over."""
+    rng = np.random.default_rng(seed)
+    relief = cv2.GaussianBlur(rng.normal(0, 300, (*SHAPE, 3)), (0, 0), 6)
+    return np.clip(gel(seed + 50) + np.roll(relief, shift_px, axis=1), 0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize("row", [3, 37, 48, 92])
+def test_a_part_of_another_moment_is_torn(health, row):
+    """Of a press, over the gel at rest, in whichever part, and over another press."""
+    one, other, rest = striped(1), striped(2), gel(7)
+    for above, below, lost in ((one, rest, np.s_[:row]), (rest, one, np.s_[row:])):
+        assert_torn(health(np.vstack([above[:row], below[row:]])), lost)
+    assert names(health(np.vstack([one[:row], other[row:]]))) == ["torn"]
+    for whole in (one, other):
+        assert names(health(whole)) == []
+
+
+def test_a_seam_is_one_row_and_an_edge_along_the_rows_is_none(health):
+    """Both have the same height; optics blur the edge, by 0.7 pixels."""
+    step = np.zeros((*SHAPE, 1), dtype=np.float32)
+    step[40:, 20:90] = 60
+    edge = cv2.GaussianBlur(step, (0, 0), 0.7)[..., None]
+    found = [names(health(np.clip(gel(3) + one, 0, 255).astype(np.uint8))) for one in (step, edge)]
+    assert found == [["torn"], []]
+
+
+def test_compression_is_no_tear(health):
+    for image in (striped(1), pressed()):
+        for quality in (20, 50):
+            _, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])
+            assert "torn" not in names(health(cv2.imdecode(data, cv2.IMREAD_COLOR)))
+
+
+def test_older_halves_of_real_frames_are_found(data):
+    """Where neither half differs from the other at the seam, as when both show the gel at rest, nothing can be found."""
+    from gelform import read_presses
+
+    presses = read_presses(data / "mini-ball")
+    images, health = [press.image for press in presses.presses], FrameHealth(presses.background)
+    halves = [np.vstack([images[i][:120], images[i - 1][120:]]) for i in range(0, 64, 4)]
+    assert sum(names(health(half)) == ["torn"] for half in halves) >= 12
+
+
+@pytest.mark.slow
+def test_a_sharp_ridge_along_the_rows_of_a_real_video_is_no_tear(data):
+    from gelform import Video
+
+    frames = [frame.image for frame in Video(data / "slip" / "clips" / "cheese_tube_3.avi")]
+    for rest in (frames[0], np.median(frames[::8], axis=0)):
+        health = FrameHealth(rest.astype(np.float32))
+        assert [k for k, frame in enumerate(frames) if "torn" in names(health(frame))] == []
+
+
+def test_rows_that_the_untouched_image_repeats_too_are_sound():
+    framed = gel()
+    framed[:12] = framed[84:] = 0
+    frame = pressed()
+    frame[:12] = frame[84:] = 0
+    assert names(FrameHealth(framed)(frame)) == []
+
+
+def test_the_background_itself_is_frozen_and_a_second_look_is_not():
+    health = FrameHealth(gel().astype(np.float32))
+    assert names(health(gel())) == ["frozen"]
+    changed = gel()
+    changed[40, 60, 1] += 1
+    assert names(health(changed)) == []
+
+
+def test_a_quarter_that_saturates_is_found_and_only_it_is_lost(health):
+    glare = np.zeros(SHAPE, dtype=np.float32)
+    glare[:52, :68] = 255
+    frame = np.clip(pressed() + cv2.GaussianBlur(glare, (0, 0), 3)[..., None], 0, 255)
+    frame[:52, :68] -= np.random.default_rng(6).integers(0, 4, (52, 68, 3))
+    faults = health(np.clip(frame, 0, 255).astype(np.uint8))
+    assert names(faults) == ["saturated"]
+    assert faults.findings[0].figure == pytest.approx(0.25)
+    assert np.array_equal(np.argwhere(faults.lost).max(axis=0), [47, 63])
+
+
+def test_a_small_bright_spot_is_no_finding(health):
+    assert names(health(with_part(pressed(), (slice(20, 30), slice(20, 30)), 255))) == []
+
+
+def test_frames_of_real_sensors_raise_no_false_alarm(data):
+    from gelform import Video, read_image
+
+    ball = data / "mini-ball"
+    objects = data / "mini-objects"
+    sets = [
+        (ball / "background.png", sorted(ball.glob("*/*/gelsight.png"))),
+        (objects / "background.png", [objects / f"{name}.png" for name in ("bead", "key", "seed")]),
+    ]
+    for background, images in sets:
+        health = FrameHealth(read_image(background))
+        assert images
+        assert [path.name for path in images if health(read_image(path)).findings] == []
+    video = list(Video(data / "mini-markers-video" / "mini_example.avi"))
+    frames = [getattr(frame, "image", frame) for frame in video]
+    health = FrameHealth(np.mean(frames[:20], axis=0).astype(np.float32))
+    assert [k for k, frame in enumerate(frames) if health(frame).findings] == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "folder", ["digit-ball", "gelslim", "gelslim-dots", "gelsight-ball-deep", "mini-d", "mini-edge"]
+)
+def test_presses_of_real_sensors_are_not_torn(data, folder):
+    from gelform import read_image
+
+    health = FrameHealth(read_image(data / folder / "background.png"))
+    images = sorted((data / folder / "images").iterdir())
+    assert images
+    assert [path.name for path in images if "torn" in names(health(read_image(path)))] == []
+
+
+@pytest.mark.parametrize("rows", [1, 40, 240])
+def test_the_signs_of_faults_are_those_of_numpy(rows):
+    rng = np.random.default_rng(9)
+    means, ends = rng.integers(0, 256, (7, 9, 3), np.uint8), rng.integers(0, 256, (2, 7, 9, 3), np.uint8)
+    ranges = rng.integers(0, 9, (7, 9), np.uint8)
+
+    def counted(means, ranges, digests, dark_to, saturated_from, work, signs, flat):
+        ended = (means < dark_to) | (means >= saturated_from)
+        repeated = len(digests) - len(np.unique(digests))
+        return np.array([np.sum(ranges <= flat), ended.sum(), repeated], np.int32)
+
+    for digests in (np.arange(rows), rng.integers(-3, 3, rows), rng.integers(-(2**60), 2**60, rows)):
+        arrays = means, ranges, digests, *ends, np.empty(256, np.int32), np.zeros(3, np.int32)
+        assert_kernel_agrees(health_module._signs, counted, *arrays, 2)
+
+
+def test_the_field_of_view_bounds_where_the_gel_is_unknown():
+    limit = DepthLimit.of((240, 320), 0.05)
+    assert limit == DepthLimit(pytest.approx(12.0), False)
+    anything = np.random.default_rng(0).uniform(0, 6.0, 100_000)
+    assert DepthLimit(6.0, True).ignorance_mm == pytest.approx(anything.std(), rel=0.01)
+
+
+def test_the_gels_thickness_goes_first():
+    limit = DepthLimit.of((240, 320), 0.05, thickness_mm=3.5)
+    assert limit.limit_mm == 3.5
+    bounded, (finding,) = limit.bound(np.array([[1.0, 4.0], [-9.0, 0.0]], dtype=np.float32))
+    np.testing.assert_array_equal(bounded, [[1.0, 3.5], [-3.5, 0.0]])
+    assert (finding.name, finding.figure) == ("beyond_gel", 9.0)
+    assert "3.5 mm" in finding.message
+    assert "thickness of the gel" in finding.message
+    within = np.array([[0.0, 3.0]], dtype=np.float32)
+    assert limit.bound(within) == (within, ())
+
+
+PRIME = np.uint64(0x9E3779B97F4A7C15)
+
+
+def reference(image, means, ranges, digests, sums):
+    h, w = means.shape[:2]
+    seen = image[: 16 * h, : 16 * w].reshape(h, 16, w, 16, 3)[:, ::4].astype(int)
+    means = (seen.sum(axis=(1, 3)) + 32) // 64
+    ranges = np.ptp(seen, axis=(1, 3)).max(axis=-1)
+    sums = image[:, : 16 * w].reshape(len(image), w, 16, 3).sum(axis=2, dtype=int)
+    return means, ranges, np.array([digest(row.tobytes()) for row in image]), sums
+
+
+def digest(row):
+    step = max(len(row) // 16, 8)
+    even, odd = np.uint64(1), np.uint64(2)
+    with np.errstate(over="ignore"):
+        for count, at in enumerate(range(0, len(row), step)):
+            word = np.uint64(int.from_bytes(row[at : at + 8], "little"))
+            if count % 2:
+                odd = (odd ^ word) * PRIME
+            else:
+                even = (even ^ word) * PRIME
+        return (even + np.uint64(3) * odd).astype(np.int64)
+
+
+@pytest.mark.parametrize("shape", [(240, 320), (35, 50), (16, 16), (20, 18)])
+def test_the_kernel_agrees_with_numpy(shape):
+    image = np.random.default_rng(1).integers(0, 256, (*shape, 3), dtype=np.uint8)
+    out = blocks_of(image)
+    assert_kernel_agrees(
+        health_module._blocks, reference, image, out.means, out.ranges, out.row_digests, out.row_sums
+    )
+
+
+def without_the_step(sums, rest, work, totals, least, factor, spill):
+    """The total of each row once the largest step is taken out of all rows below it."""
+    change = sums.astype(float) - rest
+
+    def steps(change):
+        found = np.zeros_like(change)
+        found[2:-1] = 3 * (change[2:-1] - change[1:-2]) - (change[3:] - change[:-3])
+        return found
+
+    weights = 1 / np.maximum((steps(change) ** 2).sum(axis=0) / len(change), least**2)
+    totals = steps(change) ** 2 @ weights
+    row = int(np.argmax(totals))
+    if row:
+        change[row:] -= steps(change)[row] / 2
+        for y in range(max(row - 2, 2), min(row + 3, len(change) - 1)):
+            totals[y] = steps(change)[y] ** 2 @ weights
+    return totals
+
+
+@pytest.mark.parametrize("shape", [(240, 60), (9, 3), (4, 1), (3, 6), (40, 0)])
+def test_the_steps_of_rows_are_those_of_numpy(shape):
+    rng = np.random.default_rng(5)
+    sums, rest = rng.integers(0, 4081, (2, *shape), dtype=np.uint16)
+    sums[shape[0] // 2 :] //= 2
+    work, totals = np.empty(3 * shape[1], np.float32), np.zeros(shape[0], np.float32)
+    assert_kernel_agrees(health_module._seam, without_the_step, sums, rest, work, totals, 8.0, 3.0, 0.1)
+
+
+def test_only_rows_alike_have_one_digest():
+    image = np.random.default_rng(3).integers(0, 256, (64, 40, 3), dtype=np.uint8)
+    image[40] = image[7]
+    digests = blocks_of(image).row_digests
+    assert digests[40] == digests[7]
+    assert len(np.unique(digests)) == 63
+
+
+def test_floats_are_rounded_as_a_camera_would():
+    image = np.random.default_rng(4).uniform(0, 255, (32, 32, 3)).astype(np.float32)
+    rounded = np.rint(image).astype(np.uint8)
+    np.testing.assert_array_equal(blocks_of(image).means, blocks_of(rounded).means)
+
+
+def test_pixels_of_blocks_reach_the_border():
+    found = blocks_of(np.zeros((40, 60, 3), dtype=np.uint8))
+    mask = found.pixels(np.array([[False, False, False], [False, False, True]]), 60)
+    assert mask.shape == (40, 60)
+    assert mask[16:, 32:].all()
+    assert np.count_nonzero(mask) == 24 * 28
+    small = blocks_of(np.zeros((5, 7, 3), dtype=np.uint8))
+    assert small.means.shape == (0, 0, 3)
+    assert not small.pixels(np.zeros((0, 0), dtype=bool), 7).any()
+
+
+DIM, BRIGHT = np.minimum(gel(), 12), constant(250)
+
+
+@pytest.mark.parametrize(
+    ("rest", "level", "found"),
+    [
+        *((gel(), 7, ["dark"]), (gel(), 9, []), (gel(), 251, []), (gel(), 253, ["saturated"])),
+        *((DIM, 0, []), (BRIGHT, 255, [])),  # which the untouched image is itself
+    ],
+)
+def test_the_levels_that_count(rest, level, found):
+    findings, blocks = Levels(blocks_of(rest))(blocks_of(constant(level)))
+    assert [finding.name for finding in findings] == found
+    assert (blocks is not None) == bool(found)
+
+
+def test_what_is_counted_elsewhere_is_left_out():
+    levels = Levels(blocks_of(gel()))
+    black = blocks_of(constant(0))
+    torn = np.ones(black.means.shape[:2], dtype=bool)
+    torn[:3] = False
+    findings, blocks = levels(black, torn)
+    assert findings[0].figure == pytest.approx(0.5)
+    assert not blocks[3:].any()
+
+
+def torn_of(background):
+    return Torn(background.astype(np.float32), blocks_of(background))
+
+
+def test_flat_blocks_with_the_rest_images_color_are_sound():
+    rest, corner = gel(), np.s_[:48, :48]
+    own = rest[corner].mean(axis=(0, 1)).round().astype(np.uint8)
+    flat, other = (torn_of(rest).flat(blocks_of(with_part(rest, corner, color))) for color in (own, 20))
+    assert flat is None or np.count_nonzero(flat) < 9
+    assert np.count_nonzero(other) == 9
+
+
+def test_flat_blocks_of_many_colors_are_a_picture():
+    colors = np.random.default_rng(3).integers(0, 256, (6, 8, 3), dtype=np.uint8)
+    found = torn_of(gel()).flat(blocks_of(np.kron(colors, np.ones((16, 16, 1), np.uint8))))
+    assert found is None or found.mean() < 0.1
+
+
+def test_neighboring_rows_that_are_alike_are_what_video_does():
+    frame = pressed()
+    frame[1::2] = frame[::2]
+    assert torn_of(gel()).repeated_rows(blocks_of(frame), frame) is None
+
+
+def test_the_finding_says_how_much():
+    lost = np.zeros((10, 10), dtype=bool)
+    lost[:4] = True
+    finding = torn_finding(lost)
+    assert (finding.name, finding.figure) == ("torn", 0.4)
+    assert "40 % of the frame is torn" in finding.message

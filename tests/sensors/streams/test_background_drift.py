@@ -1,0 +1,295 @@
+"""The background image over minutes: it follows LEDs and gel, but no slow press.
+
+Touches do not distort the smooth light. The simulation is much faster than real time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from gelform.foundations.findings import Finding
+from gelform.sensors.streams.background_drift import AFTER_S, MEAN_IMAGE_S, BackgroundDrift, Touched
+from gelform.sensors.streams.memory import Memory
+from gelform.sensors.streams.smooth_light import SmoothLight, block_means
+from stream.slow_gel import SlowGel, Touch
+
+
+def test_evidence_is_the_mean_of_its_frames(reconstruct, at_rest):
+    drift = BackgroundDrift(reconstruct.background)
+    result = reconstruct.from_image(at_rest[0])
+    times_s = np.arange(0, MEAN_IMAGE_S + 0.5, 0.5)
+    for index, time_s in enumerate(times_s):
+        drift(at_rest[index % 10], replace(result, index=index, time_s=float(time_s)))
+    evidence = drift.evidence
+    expected = np.mean([at_rest[i % 10] for i in range(len(times_s))], axis=0)
+    np.testing.assert_allclose(evidence.image, expected, rtol=1e-5)
+    assert evidence.start is reconstruct.background
+    assert not evidence.contact.any()
+    assert evidence.different == 0
+
+
+STEP_S = 5.0
+BLOCKS = (20, 30)
+UNTOUCHED = np.full((*BLOCKS, 3), 100, np.float32)
+NOWHERE = np.zeros(BLOCKS, bool)
+
+
+def run(memory, gel, times_s, seed=5):
+    """The results of the gel's images at these times."""
+    rng, results = np.random.default_rng(seed), []
+    for index, time_s in enumerate(times_s):
+        image = gel.image_at(time_s, rng)
+        result = replace(memory.result_from_image(image), index=index, time_s=float(time_s))
+        results.append(memory(image, result))
+    return results
+
+
+def kept(result, gel):
+    """How deep the result is, in depths of the truth: the best factor over the press."""
+    truth = gel.pressed_at(result.time_s).depth_mm
+    return float((result.depth_mm * truth).sum() / (truth * truth).sum())
+
+
+def rms_um(result):
+    return 1e3 * float(np.sqrt(np.mean(np.square(result.depth_mm))))
+
+
+@pytest.fixture(scope="module")
+def two_presses(sensor):
+    """0.2 mm over 180 s, twice on one place; LEDs drift all the while."""
+    touches = tuple(Touch(start, 180.0, 5.0, 0.2, (1.5, -1.0), 4.0) for start in (30.0, 260.0))
+    return SlowGel.drawn(sensor, np.random.default_rng(11), drift=0.03, touches=touches)
+
+
+@pytest.mark.slow
+def test_slow_presses_are_not_absorbed(reconstruct, two_presses):
+    memory = Memory(reconstruct)
+    results = run(memory, two_presses, np.arange(0, 446, STEP_S))
+    pressed = [r for r in results if two_presses.pressed_at(r.time_s).depth_mm.max() > 0.19]
+    assert len(pressed) >= 3
+    alone = run(Memory(reconstruct), two_presses, [r.time_s for r in pressed][:1])[0]
+    depths = [kept(result, two_presses) for result in pressed]
+    assert min(depths) > 0.95 * kept(alone, two_presses)
+
+
+@pytest.fixture(scope="module")
+def drifting(sensor):
+    """Light that turns across the image by 5 % and a hill of 30 um."""
+    gel = SlowGel.drawn(sensor, np.random.default_rng(4), drift=0.05)
+    ends = np.where(np.arange(len(sensor.leds)) % 4 < 2, 0.08, 0.02)
+    return replace(gel, led_ends=ends, hill_mm=0.03, hill_width_mm=3.0)
+
+
+@pytest.mark.slow
+def test_drift_and_relaxation_are_followed(reconstruct, drifting):
+    memory = Memory(reconstruct)
+    results = run(memory, drifting, np.arange(0, 601, STEP_S))
+    assert max(rms_um(result) for result in results) < 5
+    image = drifting.image_at(600, np.random.default_rng(6))
+    alone, now = reconstruct.from_image(image), memory.reconstruct.from_image(image)
+    assert rms_um(now) < 0.5 * rms_um(alone)
+
+
+def test_smooth_light_is_followed_before_the_quarantine_ends(reconstruct, drifting):
+    memory = Memory(reconstruct)
+    run(memory, drifting, np.arange(0, AFTER_S, STEP_S))
+    truth = block_means(drifting.image_at(AFTER_S - STEP_S, None), 8)
+    start, now = (block_means(r.background, 8) for r in (reconstruct, memory.reconstruct))
+    assert np.abs(now - truth).mean() < 0.4 * np.abs(start - truth).mean()
+
+
+def still(drift, image, result, times_s):
+    """Show one image at these times; the last background that came of it."""
+    found = None
+    for index, time_s in enumerate(times_s):
+        background = drift(image, replace(result, index=index, time_s=float(time_s)))
+        found = found if background is None else background
+    return found
+
+
+@pytest.fixture
+def spot(reconstruct, at_rest):
+    """The gel with a faint spot, too small to be smooth light and too slight to be contact."""
+    spot = np.zeros(at_rest[0].shape[:2], np.float32)
+    cv2.circle(spot, (60, 50), 6, 1.0, -1)
+    rest = np.mean(at_rest, axis=0, dtype=np.float32)
+    return rest, rest * (1 + 0.0015 * spot[..., None]), spot > 0
+
+
+def test_what_is_slight_comes_late_and_slowly(reconstruct, at_rest, spot):
+    rest, spotted, inside = spot
+    result = reconstruct.from_image(at_rest[0])
+    drift = BackgroundDrift(rest)
+    early = still(drift, spotted, result, np.arange(0, AFTER_S, 2.0))
+    assert np.abs(early[inside] / rest[inside] - 1).mean() < 2e-4
+    late = still(drift, spotted, result, np.arange(AFTER_S, 400, 2.0))
+    assert (late[inside] / rest[inside] - 1).mean() == pytest.approx(0.0015, rel=0.15)
+
+
+def test_contact_after_it_keeps_it_out(reconstruct, at_rest, spot):
+    rest, spotted, inside = spot
+    result = reconstruct.from_image(at_rest[0])
+    touched = replace(result, contact=inside)
+    drift = BackgroundDrift(rest)
+    for start in np.arange(0, 400, 50.0):  # touched every 50 s, for a second
+        still(drift, spotted, result, np.arange(start, start + 48, 2.0))
+        found = still(drift, spotted, touched, [start + 48, start + 49])
+    assert np.abs(found[inside] / rest[inside] - 1).max() < 5e-4
+
+
+@pytest.mark.slow
+def test_a_gap_starts_the_quarantine_anew(reconstruct, at_rest, spot):
+    rest, spotted, inside = spot
+    result = reconstruct.from_image(at_rest[0])
+    drift = BackgroundDrift(rest)
+    for start in np.arange(0, 500, 60.0):
+        found = still(drift, spotted, result, np.arange(start, start + 50, 2.0))  # then nobody looks for 10 s
+    assert np.abs(found[inside] / rest[inside] - 1).max() < 5e-4
+
+
+@pytest.mark.parametrize(("part", "gain"), [(0.3, 1.0), (0.0, 1.01)])
+def test_a_gel_that_sinks_around_a_contact_is_no_light(reconstruct, at_rest, part, gain):
+    """Smooth brightness is followed within seconds, unless something presses: then it may be the gel."""
+    rest = np.mean(at_rest, axis=0, dtype=np.float32)
+    contact = np.zeros(rest.shape[:2], dtype=bool)
+    contact[:, : round(part * contact.shape[1])] = True
+    result = replace(reconstruct.from_image(at_rest[0]), contact=contact)
+    found = still(BackgroundDrift(rest), 1.01 * rest, result, np.arange(0, 20, 1.0))
+    np.testing.assert_allclose(found[60:, 60:], gain * rest[60:, 60:], rtol=0.002)
+
+
+def test_frames_that_measure_nothing_teach_nothing(reconstruct, at_rest):
+    rest = np.mean(at_rest, axis=0, dtype=np.float32)
+    torn = replace(reconstruct.from_image(at_rest[0]), health=(Finding("torn", "half of it", 0.5),))
+    assert still(BackgroundDrift(rest), at_rest[0] // 2, torn, np.arange(0, 200, 1.0)) is None
+
+
+def test_light_that_would_be_beyond_white_is_white(reconstruct, at_rest):
+    """A bright corner, all lights up by a quarter: what is smooth elsewhere promises more than a camera shows."""
+    rest = np.mean(at_rest, axis=0, dtype=np.float32)
+    result = reconstruct.from_image(at_rest[0])
+    rest[:12, :12] = 240
+    found = still(BackgroundDrift(rest), np.minimum(1.25 * rest, 255), result, np.arange(0, 20, 1.0))
+    assert found[:12, :12].min() == found.max() == 255
+    np.testing.assert_allclose(found[60:, 60:], 1.25 * rest[60:, 60:], rtol=0.01)
+
+
+def test_a_background_can_be_taken(reconstruct, sensor, at_rest, pressed):
+    """Also where something rests on the gel for ever; and in any light."""
+    dimmed = [(0.9 * image).astype(np.uint8) for image in pressed]
+    memory = Memory(reconstruct)
+    memory.take_background()
+    for index in range(30):
+        image = dimmed[index % 10]
+        memory(image, replace(memory.result_from_image(image), index=index, time_s=index / 10))
+    assert memory.result_from_image(dimmed[0]).peak_mm < 0.05
+    assert reconstruct.from_image(dimmed[0]).peak_mm > 0.3
+
+
+def noisy(seed=0, levels=0.02):
+    return np.random.default_rng(seed).normal(0, levels / 100, (*BLOCKS, 3)).astype(np.float32)
+
+
+def marked(touched, change, second=1.0, contact=NOWHERE):
+    return touched.mark(float(second), 1.0, contact, change, UNTOUCHED)
+
+
+def test_noise_and_light_that_changes_everywhere_touch_nothing():
+    """Blocks are held against each other: a pattern all over raises what counts as noise."""
+    touched = Touched(BLOCKS)
+    for second in range(200):
+        marked(touched, noisy(second), second)
+    assert touched.not_since(0.0).all()
+    x = np.linspace(-0.01, 0.01, BLOCKS[1], dtype=np.float32)[None, :, None]
+    assert not marked(Touched(BLOCKS), x + noisy()).any()
+    touched.everywhere(3.0)  # nobody looked
+    assert not touched.not_since(3.0).any()
+    touched.nowhere()
+    assert touched.not_since(0.0).all()
+
+
+def test_contact_counts_with_a_margin():
+    touched, contact = Touched(BLOCKS), NOWHERE.copy()
+    contact[10, 15] = True
+    near = marked(touched, noisy(), 50.0, contact)
+    assert near[[10, 12, 10], [15, 15, 13]].all()
+    assert not near[14, 15]
+    assert near.sum() < 30
+    np.testing.assert_array_equal(touched.not_since(50.0), ~near)
+    assert touched.not_since(50.1).all()
+    for blocks in ((1, 1), (3, 40)):
+        rest = np.full((*blocks, 3), 50, np.float32)
+        assert Touched(blocks).mark(0.0, 1.0, np.ones(blocks, bool), rest * 0, rest).all()
+
+
+def test_a_block_that_stands_out_is_touched_and_what_is_slight_is_seen_in_time():
+    """Half the noise limit of a second stands out of the mean of ten."""
+    change = noisy()
+    change[5, 7, 1] = 0.004  # in one channel
+    assert marked(Touched(BLOCKS), change)[5, 7]
+    touched, seen = Touched(BLOCKS), []
+    for second in range(30):
+        change = noisy(second, levels=0.12)
+        change[5, 7] += 0.0045
+        seen.append(bool(marked(touched, change, second)[5, 7]))
+    assert all(seen[20:])
+
+
+def test_a_strong_touch_is_forgotten_soon():
+    touched, pressed = Touched(BLOCKS), noisy()
+    pressed[5, 7] = 0.4
+    for second in range(60):
+        marked(touched, pressed if second < 20 else noisy(second), second)
+    assert touched.not_since(45.0).all()
+
+
+LIGHT_BLOCKS = (17, 22)
+
+
+def rest_levels():
+    y, x = np.mgrid[: LIGHT_BLOCKS[0], : LIGHT_BLOCKS[1]] / LIGHT_BLOCKS[1]
+    return np.stack([60 + 90 * x, 120 - 40 * y, 80 + 60 * x * y], axis=-1).astype(np.float32)
+
+
+def drifted(rest, noise=0.0, seed=0):
+    """The light of a cubic, different in each channel; its truth."""
+    y, x = ((np.arange(n) + 0.5) / n * 2 - 1 for n in LIGHT_BLOCKS)
+    x, y = np.meshgrid(x, y)
+    light = 1 + np.stack([0.04 + 0.02 * x, 0.03 * y - 0.01 * x**2, -0.02 * x * y**2 + 0.01 * x**3], axis=-1)
+    return (rest * light + np.random.default_rng(seed).normal(0, noise, rest.shape)).astype(np.float32), light
+
+
+def fitted(seen, rest, free, rounds=8):
+    light = SmoothLight(LIGHT_BLOCKS)
+    for _ in range(rounds):
+        light.fit(seen, rest, free)
+    return light
+
+
+def test_a_cubic_is_found_exactly_and_pixels_and_blocks_are_of_one_light():
+    """A block's light is the mean of its pixels': places are counted alike."""
+    rest = rest_levels()
+    seen, truth = drifted(rest)
+    light = fitted(seen, rest, np.ones(LIGHT_BLOCKS, bool))
+    np.testing.assert_allclose(light.at(LIGHT_BLOCKS), truth, atol=1e-4)
+    rest = rest_levels()
+    light = fitted(drifted(rest)[0], rest, np.ones(LIGHT_BLOCKS, bool))
+    pixels = light.at((LIGHT_BLOCKS[0] * 8, LIGHT_BLOCKS[1] * 8))
+    np.testing.assert_allclose(block_means(pixels, 8), light.at(LIGHT_BLOCKS), atol=2e-4)
+
+
+def test_what_touches_does_not_bend_the_light():
+    """A touched part that nobody named is an outlier; one that was named does not count at all."""
+    rest = rest_levels()
+    seen, truth = drifted(rest, noise=0.1)
+    seen[5:9, 4:9] *= [1.3, 0.8, 1.1]
+    unnamed = fitted(seen, rest, np.ones(LIGHT_BLOCKS, bool))
+    np.testing.assert_allclose(unnamed.at(LIGHT_BLOCKS), truth, atol=2e-3)
+    free = np.ones(LIGHT_BLOCKS, bool)
+    free[:, 8:] = False
+    named = fitted(seen, rest, free, rounds=1)
+    assert np.abs(named.at(LIGHT_BLOCKS) - 1).max() < 0.2  # where nothing is free it is not thrown about

@@ -1,0 +1,158 @@
+"""The effect of a sequence on results.
+
+Smoothing reduces noise as its sigma states, and follows a step at once. In a frame that the Reconstructor refuses nothing is
+known, and the reason is given.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gelform import Reconstructor
+from gelform.image.frame import Frame
+from gelform.image.health import DepthLimit
+from gelform.result import Reconstruction
+from gelform.sensors.streams.memory import NOT_THIS_GEL, Memory, result_from_image
+from gelform.sensors.streams.smoothing import Smoothing
+from made.dots import grid, image_of_dots
+
+
+def remembered(memory, images, rate_hz=25.0):
+    """The results of a sequence of images."""
+    results = []
+    for index, image in enumerate(images):
+        result = replace(memory.result_from_image(image), index=index, time_s=index / rate_hz)
+        results.append(memory(image, result))
+    return results
+
+
+def test_results_of_a_short_sequence_are_the_reconstructor_s(reconstruct, pressed):
+    memory = Memory(reconstruct)
+    np.testing.assert_array_equal(memory.image_from_frame(Frame(pressed[0], 0.0, 0, 0)), pressed[0])
+    results = remembered(memory, pressed[:3])
+    np.testing.assert_array_equal(results[2].depth, reconstruct.from_image(pressed[2]).depth)
+
+
+def test_smoothing_is_asked_for(reconstruct, at_rest):
+    plain = remembered(Memory(reconstruct), at_rest)
+    smooth = remembered(Memory(reconstruct, smoothing=1.0), at_rest)
+    assert smooth[-1].depth_sigma_mm.mean() < plain[-1].depth_sigma_mm.mean()
+    moved = [np.abs(one[-1].depth - one[-2].depth).mean() for one in (smooth, plain)]
+    assert moved[0] < 0.4 * moved[1]
+
+
+def test_marker_dots_are_followed_from_frame_to_frame(calibration):
+    """Over one and a half spacings, where a Reconstructor alone takes them for their neighbors."""
+    shape, pitch = calibration.image_shape, 14.0
+    rest = grid(pitch, shape, 12.0)
+    away = np.sum(((rest - [70, 50]) / [70, 60]) ** 2, axis=1)
+    drag = np.exp(-1.2 * away)[:, None] * np.array([1.5 * pitch, 0.4 * pitch])
+    marked = replace(calibration, background=image_of_dots(rest, shape=shape).astype(np.float32))
+    images = [image_of_dots(rest + share * drag, shape=shape) for share in np.linspace(0, 1, 12)]
+    flow = remembered(Memory(Reconstructor(marked)), images)[-1].markers
+    nearest = np.linalg.norm(flow.rest_px[:, None] - rest, axis=-1).argmin(axis=1)
+    error = np.linalg.norm(flow.displacement_px - drag[nearest], axis=1)[flow.seen]
+    assert error.max() < 1.0
+    alone = Reconstructor(marked).from_image(images[-1]).markers
+    assert np.linalg.norm(alone.displacement_px, axis=1).max() < pitch
+
+
+def test_of_another_gel_nothing_is_known_and_the_refusal_is_a_finding(reconstruct, at_rest):
+    """The gel's image turned over: no gain makes one of the other."""
+    foreign = np.ascontiguousarray(at_rest[0][::-1, ::-1, [2, 0, 1]])
+    result = result_from_image(reconstruct, foreign)
+    assert result.health[-1].name == NOT_THIS_GEL
+    assert "background" in result.health[-1].message
+    for nothing in (result.known, result.confidence, result.contact):
+        assert not nothing.any()
+    limit = DepthLimit.of(result.shape, result.mm_per_px).ignorance_mm
+    assert result.depth_sigma_mm.min() == np.float32(limit)
+    assert result.calibration_digest == reconstruct.calibration.digest
+    with pytest.raises(ValueError, match="132"):
+        result_from_image(reconstruct, at_rest[0][:-1])
+
+
+SHAPE, PITCH, RATE_HZ = (48, 64), 0.1, 50.0
+SYSTEMATIC_MM, NOISE_MM = 0.010, 0.004
+
+
+def result_of(depth, index):
+    """A result whose deviation is an error that all frames share, and noise of this frame."""
+    ones = np.ones(SHAPE, np.float32)
+    return Reconstruction(
+        depth=depth.astype(np.float32),
+        depth_sigma_mm=ones * np.float32(np.hypot(SYSTEMATIC_MM, NOISE_MM)),
+        gradients=np.zeros((*SHAPE, 2), np.float32),
+        gradients_sigma=None,
+        confidence=ones,
+        contact=depth > 0.02,
+        known=ones > 0,
+        mm_per_px=PITCH,
+        index=index,
+        time_s=index / RATE_HZ,
+    )
+
+
+def smoothed(truths, time_s, seed=0):
+    """Every result of the truths with noise."""
+    rng, smooth = np.random.default_rng(seed), Smoothing(time_s)
+    noisy = (truth + rng.normal(0, NOISE_MM, SHAPE) for truth in truths)
+    return [smooth(result_of(depth, index)) for index, depth in enumerate(noisy)]
+
+
+def test_noise_falls_as_exponential_weights_say_from_the_first_frames_on():
+    """Of a time constant of n frames the mean's variance is k/(2 - k), k = 1 - exp(-1/n)."""
+    n = 10
+    results = smoothed([np.zeros(SHAPE)] * 80, n / RATE_HZ)
+    k = 1 - np.exp(-1 / n)
+    found = np.std([result.depth for result in results[60::10]])
+    assert found == pytest.approx(NOISE_MM * np.sqrt(k / (2 - k)), rel=0.25)
+    expected = np.sqrt(SYSTEMATIC_MM**2 + NOISE_MM**2 * k / (2 - k))
+    assert np.median(results[-1].depth_sigma_mm) == pytest.approx(expected, rel=0.03)
+    fifth = smoothed([np.zeros(SHAPE)] * 5, 10.0)[-1]
+    assert fifth.depth.std() == pytest.approx(NOISE_MM / np.sqrt(5), rel=0.2)
+
+
+def test_a_step_is_followed_in_its_first_frame():
+    step = np.zeros(SHAPE)
+    step[10:30, 20:40] = 0.1
+    first = smoothed([np.zeros(SHAPE)] * 30 + [step], 1.0)[-1]
+    assert first.depth[15:25, 25:35].mean() == pytest.approx(0.1, abs=0.002)
+    assert abs(first.depth[36:, :10].std()) < NOISE_MM / 3  # what stood still stays averaged
+    assert first.depth_sigma_mm[20, 30] > first.depth_sigma_mm[44, 4]
+
+
+def test_what_is_slower_than_noise_is_late_by_the_time_constant():
+    rate_mm_per_s, time_s = 0.02, 0.2
+    truths = [np.full(SHAPE, rate_mm_per_s * index / RATE_HZ) for index in range(100)]
+    lag_s = (truths[-1].mean() - smoothed(truths, time_s)[-1].depth.mean()) / rate_mm_per_s
+    assert 0.5 * time_s < lag_s <= 1.1 * time_s
+
+
+def test_slopes_are_those_of_the_smoothed_depth():
+    x = np.broadcast_to(np.arange(SHAPE[1]) * PITCH, SHAPE)
+    result = smoothed([0.3 * x] * 40, 1.0)[-1]
+    np.testing.assert_allclose(result.gradients[5:-5, 5:-5, 0].mean(), 0.3, atol=0.002)
+
+
+def test_time_that_goes_back_starts_anew_and_what_is_no_time_is_refused():
+    smooth = Smoothing(1.0)
+    for index in range(5):
+        smooth(result_of(np.zeros(SHAPE), index))
+    again = smooth(result_of(np.full(SHAPE, 0.003), 0))
+    np.testing.assert_allclose(again.depth, 0.003)
+    for time_s in (-1, np.nan, 1e3, "long"):
+        with pytest.raises((ValueError, TypeError), match="smoothing"):
+            Smoothing(time_s)
+
+
+def test_results_of_the_frame_itself_stay():
+    result = result_of(np.zeros(SHAPE), 3)
+    seen = Smoothing(0.5)(result)
+    assert (seen.index, seen.time_s) == (3, result.time_s)
+    assert seen.contact is result.contact
+    without = Smoothing(0.5)(replace(result, depth_sigma_mm=None))
+    assert without.depth_sigma_mm is None

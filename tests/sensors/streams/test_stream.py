@@ -1,0 +1,240 @@
+"""A stream for its user: newest first, bounded ages, errors arrive, threads end; every frame of a recording."""
+
+import gc
+import os
+import threading
+import time
+
+import cv2
+import numpy as np
+import pytest
+
+import gelform
+from gelform.errors import DataError, SensorError, StaleError
+from gelform.sensors import new_recording, record_frames
+from gelform.sensors.grabber import Grabber
+from gelform.sensors.recordings.record import KEPT_FRAMES
+from gelform.sensors.streams.feed import feed_from_source
+from made.sources import ImageSource
+
+
+@pytest.fixture(autouse=True)
+def every_thread_ends():
+    yield
+    left = [thread for thread in threading.enumerate() if thread.name.startswith(("gelform", "grab"))]
+    assert left == []
+
+
+def test_results_carry_what_is_known_of_their_frames(calibration, pressed):
+    with gelform.stream(ImageSource(pressed), calibration) as stream:
+        first, second = (result for result, _ in zip(stream, range(2)))
+    assert second.index > first.index >= 0
+    assert second.time_s > first.time_s
+    assert 0 < time.monotonic() - first.time_s < 60
+    assert first.wall_time_ns is not None
+    assert first.calibration_digest == calibration.digest
+    assert first.peak_mm == pytest.approx(0.5, abs=0.1)
+
+
+def test_a_recording_loses_no_frame_and_is_as_without_a_stream(calibration, reconstruct, pressed):
+    source = ImageSource(pressed, live=False, count=7)
+    results = list(gelform.stream(source, calibration))
+    assert [result.index for result in results] == list(range(7))
+    np.testing.assert_array_equal(results[6].depth, reconstruct.from_image(pressed[6]).depth)
+
+
+def test_the_threads_of_the_process_and_its_environment_stay(calibration, pressed):
+    there, before = dict(os.environ), cv2.getNumThreads()
+    cv2.setNumThreads(3)
+    try:
+        with gelform.stream(ImageSource(pressed), calibration) as stream:
+            next(iter(stream))
+        assert (cv2.getNumThreads(), dict(os.environ)) == (3, there)
+    finally:
+        cv2.setNumThreads(before)
+
+
+def test_a_slow_consumer_gets_the_newest_frame(calibration, at_rest):
+    """The frame that is being reconstructed and one on its way; not those that came while the consumer slept."""
+    with gelform.stream(ImageSource(at_rest, rate_hz=20), calibration) as stream:
+        indices = []
+        for result in stream:
+            indices.append(result.index)
+            if len(indices) == 4:
+                break
+            time.sleep(0.5)
+            newest = stream.newest().index
+            assert newest - result.index >= 3  # capture went on
+        assert np.diff(indices).min() >= 3
+    assert stream.stats.results > len(indices)
+
+
+def test_a_loop_that_breaks_closes_the_stream_and_a_forgotten_one_ends(calibration, at_rest):
+    for _result in gelform.stream(ImageSource(at_rest), calibration):
+        break
+    stream = gelform.stream(ImageSource(at_rest), calibration)
+    assert stream.newest(timeout_s=10) is not None
+    del stream
+    gc.collect()
+
+
+def test_a_with_block_keeps_it_open_between_loops(calibration, at_rest):
+    with gelform.stream(ImageSource(at_rest), calibration) as stream:
+        first = next(iter(stream)).index
+        assert stream.newest(after_index=first, timeout_s=5).index > first
+        assert stream.stats.state == "running"
+    assert stream.stats.state == "closed"
+    stream.close()
+
+
+def test_an_error_in_a_stage_reaches_every_consumer(calibration, at_rest):
+    odd = [at_rest[0], at_rest[0][:-2]]  # another size: no frame of this sensor's
+    with gelform.stream(ImageSource(odd), calibration) as stream:
+        with pytest.raises(ValueError, match=r"frames of 132x176 px.*got 130x176. Set the camera's width"):
+            for _result in stream:
+                pass
+        with pytest.raises(ValueError, match="132"):
+            stream.latest(0.0)
+        assert stream.stats.state == "failed"
+        assert "132" in stream.stats.reason
+
+
+def test_latest_is_never_older_than_asked(calibration, at_rest):
+    with (
+        Grabber(lambda: ImageSource(at_rest, count=3)) as grabber,
+        gelform.stream(grabber, calibration) as stream,
+    ):
+        result = stream.latest(5.0)
+        assert time.monotonic() - result.time_s < 5
+        time.sleep(0.3)
+        with pytest.raises(StaleError, match=r"at most 0.05 s old, the newest is .* s old"):
+            stream.latest(0.05)
+        assert stream.latest(60).index == 2
+        assert stream.stats.age_s > 0.25
+
+
+def test_a_source_that_cannot_go_on_says_why(calibration, at_rest):
+    broken = ImageSource(at_rest, count=2, fails=SensorError("the cable is out"))
+    with gelform.stream(broken, calibration) as stream, pytest.raises(SensorError, match="the cable is out"):
+        for _result in stream:
+            pass
+
+
+def test_images_are_held_for_the_last_results(calibration, at_rest):
+    source = ImageSource(at_rest, live=False, count=10)
+    with gelform.stream(source, calibration) as stream:
+        pairs = list(stream.pairs())
+        assert stream.image_of(pairs[-1].result) is pairs[-1].image
+        np.testing.assert_array_equal(pairs[-1].image, at_rest[9])
+        with pytest.raises(LookupError, match="frame 0"):
+            stream.image_of(pairs[0].result)
+
+
+def test_several_sensors_at_once_and_one_for_several_streams(calibration, at_rest, pressed):
+    rest, press = (ImageSource(images) for images in (at_rest, pressed))
+    with gelform.stream(rest, calibration) as left, gelform.stream(press, calibration) as right:
+        assert left.latest(30).peak_mm < 0.1 < right.latest(30).peak_mm
+    with (
+        Grabber(lambda: ImageSource(at_rest)) as grabber,
+        gelform.stream(grabber, calibration) as page,
+        gelform.stream(grabber, calibration) as robot,
+    ):
+        assert page.latest(30).index >= 0
+        page.close()
+        index = robot.newest().index
+        assert robot.newest(after_index=index, timeout_s=10) is not None
+
+
+def test_one_sensor_for_a_stream_and_a_recorder(calibration, at_rest, tmp_path):
+    """The stream takes the newest frame, the recorder misses none."""
+    with Grabber(lambda: ImageSource(at_rest, rate_hz=50), keep=KEPT_FRAMES) as grabber:
+        with gelform.stream(grabber, calibration) as stream:
+            recording = new_recording(tmp_path / "session", grabber)
+            written = record_frames(grabber, recording, frames=30)
+            recording.close()
+            assert stream.newest(timeout_s=30).result.known.all()
+        assert grabber.state == "running"
+    taken = list(gelform.open_source(tmp_path / "session"))
+    assert written.missing == 0
+    assert np.diff([frame.index for frame in taken]).tolist() == [1] * 29
+
+
+def test_a_frame_that_is_not_of_this_gel_is_a_finding(calibration, at_rest):
+    """A gel that was taken off: no exception, nothing known, and the next frame is as any other."""
+    off = np.full_like(at_rest[0], 90)
+    off[:, ::2] = 30
+    source = ImageSource([at_rest[0], off, at_rest[1]], live=False, count=3)
+    before, odd, after = gelform.stream(source, calibration)
+    assert odd.health
+    assert not odd.known.any() or odd.depth_sigma_mm.min() > 0.5
+    assert after.known.all()
+    assert before.known.all()
+
+
+SPOILT = {
+    "dark": np.zeros_like,
+    "saturated": lambda image: np.full_like(image, 255),
+    "torn": lambda image: np.vstack([image[:66], np.full_like(image[66:], 128)]),
+    "frozen": lambda image: image,
+}
+
+
+@pytest.mark.parametrize(("name", "spoil"), SPOILT.items())
+def test_a_frame_that_shows_nothing_is_a_result_with_the_reason(calibration, at_rest, spoil, name):
+    """Eight at 10 Hz, so that one which hangs is seen to."""
+    source = ImageSource([spoil(at_rest[0])], live=False, count=8, rate_hz=10.0)
+    last = list(gelform.stream(source, calibration))[-1]
+    assert name in [finding.name for finding in last.health]
+    assert np.isfinite([last.depth_mm, last.depth_sigma_mm]).all()
+    unknown = ~last.known
+    assert unknown.mean() > 0.3
+    assert last.depth_sigma_mm[unknown].min() > 0.5
+
+
+def test_a_recording_or_folder_gives_every_frame_in_order(at_rest, tmp_path):
+    feed = feed_from_source(ImageSource(at_rest, live=False, count=5))
+    assert feed.every
+    assert [feed.next(-1).index for _ in range(5)] == [0, 1, 2, 3, 4]
+    assert feed.state == "running"
+    assert feed.next(4) is None
+    assert feed.state == "ended"
+    assert feed.reason
+    for number, image in enumerate(at_rest[:4]):
+        cv2.imwrite(str(tmp_path / f"{number}.png"), image[..., ::-1])
+    feed = feed_from_source(tmp_path)
+    frames = [feed.next(-1) for _ in range(5)]
+    assert [frame.index for frame in frames[:4]] == [0, 1, 2, 3]
+    assert frames[4] is None
+    np.testing.assert_array_equal(frames[0].image, at_rest[0])
+
+
+def test_a_live_source_is_opened_once_and_gives_frames_newer_than_the_last(at_rest):
+    """A camera cannot be opened twice."""
+    opened = []
+
+    def open_it():
+        opened.append(ImageSource(at_rest))
+        return opened[-1]
+
+    feed = feed_from_source(open_it)
+    assert not feed.every
+    first = feed.next(-1)
+    assert feed.next(first.index).index > first.index
+    assert feed.state == "running"
+    feed.close()
+    assert feed.state == "ended"
+    assert [one.closed for one in opened] == [True]
+
+
+def test_a_grabber_that_is_shared_goes_on(at_rest):
+    with Grabber(lambda: ImageSource(at_rest)) as grabber:
+        feed_from_source(grabber).close()
+        assert grabber.newest(-1, 5) is not None
+        assert grabber.state == "running"
+
+
+def test_what_is_no_source():
+    with pytest.raises(TypeError, match=r"Expected a source.*int"):
+        feed_from_source(7)
+    with pytest.raises(DataError, match="nowhere"):
+        feed_from_source("nowhere.mp4")

@@ -1,0 +1,209 @@
+"""Hierarchical polynomial: exact where it can be, simple where nothing is known, the light as a clue."""
+
+import gc
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from weakref import ref
+
+import cv2
+import numpy as np
+import pytest
+
+from gelform.image.background.change import ChangeSettings, PreparedBackground
+from gelform.slopes.color_models import HierarchicalModel, PolynomialModel, hierarchical
+from gelform.slopes.color_models._shared.least_squares import (
+    VaryingRegression,
+    monomial_parents,
+    monomials,
+    node_positions,
+)
+from kernel_agreement import assert_kernel_agrees
+from made.color_samples import SHAPE, ball_samples, lambertian_change, shading_change
+
+
+def rms(model, samples):
+    found = model.gradients_at(samples.color_change, samples.x_px, samples.y_px)
+    return np.sqrt(np.mean((found - samples.gradients) ** 2))
+
+
+def part_of(samples, which=slice(None)):
+    """Some of the samples, in arrays of their own, of which nothing is remembered."""
+    parts = ("color_change", "x_px", "y_px", "gradients", "weight")
+    return replace(samples, **{part: getattr(samples, part)[which].copy() for part in parts})
+
+
+def at_few_places(samples, count=6, seed=0):
+    """The samples within 6 px of a few places, as few presses give."""
+    rng = np.random.default_rng(seed)
+    x, y = rng.uniform(5, SHAPE[1] - 5, count), rng.uniform(5, SHAPE[0] - 5, count)
+    near = (np.hypot(samples.x_px[:, None] - x, samples.y_px[:, None] - y) < 6).any(axis=1)
+    return part_of(samples, near)
+
+
+def test_it_follows_lights_that_turn_over_the_image():
+    model = HierarchicalModel.fit(ball_samples(shading_change), ridge=1e-6)
+    assert rms(model, ball_samples(shading_change, seed=4)) < 0.03
+
+
+def test_few_presses_leave_less_error_elsewhere_than_in_a_free_polynomial():
+    few = at_few_places(ball_samples(shading_change, count=8000))
+    noise = 0.02 * np.random.default_rng(1).normal(size=few.color_change.shape)
+    few = replace(few, color_change=few.color_change + noise)
+    unseen = ball_samples(shading_change, seed=5)
+    free = PolynomialModel.fit(few, position_degrees=(5, 4, 3))
+    assert rms(HierarchicalModel.fit(few), unseen) < 0.5 * rms(free, unseen)
+
+
+def test_the_light_tells_what_the_place_does_not():
+    """Color that weakens with the light, unlike any polynomial of the place: stripes."""
+    wide = (96, 128)
+    stripes = 80 * (1 + 0.6 * np.sign(np.sin(np.arange(wide[1]) // 2 / 6.0)))
+    background = np.broadcast_to(stripes[:, None], (*wide, 3)).astype(np.float32)
+    smooth = cv2.GaussianBlur(background, (0, 0), 8.0)[48, :, 0]
+
+    def change(gradients, x, y):
+        light = np.log(smooth[np.clip(2 * x, 0, wide[1] - 1).astype(int)])[:, None]
+        mixed = gradients @ np.array([[1.0, 0.2, -0.7], [0.1, 0.9, 0.8]])
+        return mixed / (1 + 0.3 * light / light.mean())
+
+    samples, unseen = (ball_samples(change, seed=s) for s in (0, 6))
+    samples, unseen = (replace(s, x_px=2 * s.x_px, y_px=2 * s.y_px, shape=wide) for s in (samples, unseen))
+    settings = {"position_degrees": (1,), "ridge": 1e-6}
+    without = rms(HierarchicalModel.fit(samples, **settings), unseen)
+    known = rms(HierarchicalModel.fit(replace(samples, background=background), **settings), unseen)
+    assert known < 0.6 * without
+
+
+def test_more_ridge_is_less_slope():
+    samples = ball_samples(lambertian_change)
+    at = samples.color_change, samples.x_px, samples.y_px
+    models = [HierarchicalModel.fit(samples, ridge=ridge) for ridge in (1e-6, 1e-1, 1e3)]
+    sizes = [np.abs(model.gradients_at(*at)).mean() for model in models]
+    assert sizes[0] > sizes[1] > sizes[2]
+    assert sizes[2] < 0.01
+
+
+def test_bad_settings_and_other_sizes_are_refused():
+    samples = ball_samples(lambertian_change)
+    with pytest.raises(ValueError, match="ridge > 0"):
+        HierarchicalModel.fit(samples, ridge=0)
+    with pytest.raises(ValueError, match="as calibrated, got 10x10"):
+        HierarchicalModel.fit(samples).prepare(np.zeros((10, 10, 3)), (10, 10))
+
+
+def kernel_arguments(shape, degree, seed=0):
+    """A color change, coefficients at nodes and which monomial comes from which, as the kernels take them."""
+    rng = np.random.default_rng(seed)
+    terms = monomials(3, degree)
+    nodes = rng.normal(0, 1, (*(len(axis) for axis in node_positions(shape)), len(terms), 2)).astype(
+        np.float32
+    )
+    change = rng.normal(0, 0.3, (*shape, 3)).astype(np.float32)
+    work = np.empty((2 * nodes.shape[1] + 4) * len(terms) + 5 * (shape[1] + 15), dtype=np.float32)
+    return change, nodes, monomial_parents(terms), work, np.empty((*shape, 2), dtype=np.float32)
+
+
+def slopes(change, nodes, degree):
+    """Gradients by the model's own formula for scattered pixels."""
+    height, width, _ = change.shape
+    y, x = (axis.ravel() for axis in np.mgrid[:height, :width])
+    model = HierarchicalModel(nodes.astype(np.float64), degree, (height, width))
+    return model.gradients_at(change.reshape(-1, 3), x, y).reshape(height, width, 2)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (5, 16), (17, 17), (33, 50), (40, 321)])
+@pytest.mark.parametrize("degree", [1, 2, 3, 4])
+def test_the_kernel_agrees_with_numpy(shape, degree):
+    """Sizes of which the last pixel lies on the last node included."""
+    arguments = kernel_arguments(shape, degree)
+    assert_kernel_agrees(
+        hierarchical._hierarchical_gradients,
+        lambda change, nodes, parents, work, out: slopes(change, nodes, degree),
+        *arguments,
+    )
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.float32])
+def test_one_pass_gives_what_two_give(dtype):
+    shape = (33, 50)
+    rng = np.random.default_rng(3)
+    image = rng.integers(0, 256, (*shape, 3)).astype(dtype)
+    rest = rng.uniform(50, 200, (*shape, 3)).astype(np.float32)
+    pending = PreparedBackground(rest, ChangeSettings(blur_px=1.25)).pending(image, None)
+    _, nodes, parents, work, out = kernel_arguments(shape, 3)
+    two = pending.write(np.empty((*shape, 3), np.float32))
+    assert_kernel_agrees(
+        hierarchical._hierarchical_from_image,
+        lambda *_: (two, slopes(two, nodes, 3)),
+        *pending.arguments, nodes, parents, np.empty(work.size + pending.work_size, np.float32), two.copy(), out,
+    )  # fmt: skip
+    ready = HierarchicalModel(nodes.astype(float), 3, shape).prepare(rest, shape)
+    change = np.empty((*shape, 3), np.float32)
+    np.testing.assert_array_equal(
+        ready.gradients_in_one_pass(pending, change)[0], ready.gradients_from_color(two)[0]
+    )
+    np.testing.assert_array_equal(change, two)
+
+
+def test_a_start_is_corrected_by_what_it_does_not_explain():
+    """Another unit's slopes are a fifth too small: what the presses add is the missing fifth, not all of it again."""
+    samples = ball_samples(lambertian_change)
+    whole = HierarchicalModel.fit(samples, ridge=1e-6)
+    start = replace(whole, nodes=0.8 * whole.nodes)
+    assert rms(start, samples) > 0.05
+    assert rms(HierarchicalModel.fit(samples, start=start), samples) < 0.001
+    held = HierarchicalModel.fit(samples, start=start, ridge=1e6)
+    np.testing.assert_allclose(held.nodes, start.nodes, atol=1e-3)
+
+
+def test_fits_one_after_the_other_are_those_of_each_alone():
+    """What is worked out for one ridge is there for the next, and for nothing else."""
+    samples = ball_samples(lambertian_change)
+    turned = replace(samples, gradients=-samples.gradients)
+    lighter = replace(samples, weight=samples.weight * np.linspace(0.1, 1, len(samples.weight)))
+    moved = replace(samples, x_px=samples.x_px[::-1].copy())
+    first = HierarchicalModel.fit(part_of(samples), position_degrees=(2, 1))
+    start = replace(first, nodes=0.5 * first.nodes)
+    asked = [((2, 1), 1e-3, None), ((2, 1), 1e-5, None), ((2, 1), 1e-5, start), ((1,), 1e-3, None)]
+    for one in (samples, turned, samples, lighter, moved, samples):
+        for degrees, ridge, begun in asked:
+            how = {"position_degrees": degrees, "ridge": ridge, "start": begun}
+            found, alone = (HierarchicalModel.fit(given, **how) for given in (one, part_of(one)))
+            np.testing.assert_array_equal(found.nodes, alone.nodes)
+
+
+def test_columns_are_worked_out_once_and_end_with_their_samples(monkeypatch):
+    made, of = [], VaryingRegression.of
+    monkeypatch.setattr(VaryingRegression, "of", lambda *given: made.append(of(*given)) or made[-1])
+    samples = part_of(ball_samples(lambertian_change))
+    for ridge in (1e-3, 1e-4):
+        HierarchicalModel.fit(samples, position_degrees=(2, 1), ridge=ridge)
+    assert len(made) == 1
+    there = ref(made.pop())
+    del samples
+    gc.collect()
+    assert there() is None
+
+
+def test_a_fit_in_another_thread_at_any_moment_changes_nothing():
+    samples, others = ball_samples(lambertian_change, count=60), ball_samples(shading_change, count=60)
+    alone = HierarchicalModel.fit(part_of(samples), position_degrees=(1,))
+
+    class Interrupted(int):
+        """A degree at whose comparison another thread fits."""
+
+        __hash__ = int.__hash__
+
+        def __eq__(self, other):
+            with ThreadPoolExecutor(1) as pool:
+                pool.submit(HierarchicalModel.fit, others, position_degrees=(1,)).result()
+            return int(self) == int(other)
+
+    for _ in range(2):
+        found = HierarchicalModel.fit(samples, position_degrees=(Interrupted(1),))
+        np.testing.assert_array_equal(found.nodes, alone.nodes)
+
+
+def test_each_variant_is_stiffer_than_the_next():
+    ridges = [variant["ridge"] for variant in HierarchicalModel.variants(20)]
+    assert ridges == sorted(ridges, reverse=True)

@@ -1,0 +1,68 @@
+"""The seam, asked of every model in COLOR_MODELS: no change no slope, frames equal pixels, saved arrays, variants."""
+
+import numpy as np
+import pytest
+
+from gelform.slopes.color_models import COLOR_MODELS, IMPORTED_MODELS
+from gelform.slopes.color_models.seam import check_image_shape
+from made.color_samples import SHAPE, ball_samples, lambertian_change, shading_change
+
+
+def fitted(name, samples, **settings):
+    """A fitted model; where it takes torch to train, a test of it is skipped without."""
+    if name == "mlp":
+        pytest.importorskip("torch", reason="torch, the extra `torch`, is not installed")
+        settings = {"steps": 200, **settings}
+    return COLOR_MODELS[name].fit(samples, **settings)
+
+
+@pytest.mark.parametrize("name", COLOR_MODELS)
+def test_no_color_change_means_no_slope(name):
+    model = fitted(name, ball_samples(lambertian_change))
+    prepared = model.prepare(np.full((*SHAPE, 3), 100, np.float32), SHAPE)
+    gradients, _ = prepared.gradients_from_color(np.zeros((*SHAPE, 3), dtype=np.float32))
+    np.testing.assert_allclose(gradients, 0, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", COLOR_MODELS)
+def test_a_frame_equals_its_pixels_one_by_one(name):
+    model = fitted(name, ball_samples(shading_change))
+    change = np.random.default_rng(1).uniform(-0.3, 0.3, (*SHAPE, 3)).astype(np.float32)
+    frame, _ = model.prepare(np.full((*SHAPE, 3), 100, np.float32), SHAPE).gradients_from_color(change)
+    y, x = (axis.ravel() for axis in np.mgrid[: SHAPE[0], : SHAPE[1]])
+    pixels = model.gradients_at(change.reshape(-1, 3), x, y)
+    np.testing.assert_allclose(frame.reshape(-1, 2), pixels, atol=2e-5)
+
+
+@pytest.mark.parametrize("name", COLOR_MODELS)
+def test_saved_arrays_give_the_same_model(name):
+    model = fitted(name, ball_samples(shading_change))
+    again = COLOR_MODELS[name].from_arrays(*model.to_arrays())
+    samples = ball_samples(shading_change, seed=2)
+    for a, b in zip(
+        *(m.gradients_at(samples.color_change, samples.x_px, samples.y_px) for m in (model, again))
+    ):
+        np.testing.assert_array_equal(a, b)
+
+
+@pytest.mark.parametrize("name", COLOR_MODELS)
+def test_variants_are_settings_of_its_fit(name):
+    samples = ball_samples(shading_change)
+    for presses in (2, 10, 20, 100):
+        variants = COLOR_MODELS[name].variants(presses)
+        assert variants
+        assert all(variants.count(one) == 1 for one in variants)
+    for variant in variants:
+        fitted(name, samples, **variant)
+
+
+def test_models_are_listed_under_their_own_names():
+    for table in (COLOR_MODELS, IMPORTED_MODELS):
+        assert all(model.name == name for name, model in table.items())
+    assert not COLOR_MODELS.keys() & IMPORTED_MODELS.keys()
+
+
+def test_images_of_another_size_are_refused():
+    check_image_shape((48, 64), (48, 64))
+    with pytest.raises(ValueError, match="Expected images of 48x64 px, as imported, got 64x48"):
+        check_image_shape((64, 48), (48, 64), made="imported")
