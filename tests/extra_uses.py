@@ -243,13 +243,6 @@ def use_docs() -> None:
     assert Path("site/html/index.html").exists()
 
 
-def use_mutation() -> None:
-    sys.path.insert(0, str(ROOT / "benchmarks"))
-    from mutants.python_code import python_mutants
-
-    assert python_mutants((ROOT / "src/gelform/depth/anchor.py").read_text(encoding="utf-8"))
-
-
 def run_script(path: str, *arguments: str) -> None:
     done = subprocess.run([sys.executable, str(ROOT / path), *arguments], capture_output=True, text=True)
     if done.returncode:

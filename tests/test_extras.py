@@ -14,7 +14,7 @@ except ModuleNotFoundError:  # Python 3.10
     import tomli as tomllib
 
 PYPROJECT = Path(__file__).parents[1] / "pyproject.toml"
-SCRIPTS = {"docs", "mutation"}  # of the checkout, which other processes run: `.ci/extras` tries them
+SCRIPTS = {"docs"}  # of the checkout, which another process runs: `.ci/extras` tries them
 HARMLESS = {"png"}  # without it Python's own zlib reads the same pixels
 IMPORTED_AS = {"rerun-sdk": "rerun", "foxglove-sdk": "foxglove", "eclipse-zenoh": "zenoh"}
 EXTRAS = tomllib.loads(PYPROJECT.read_text(encoding="utf-8"))["project"]["optional-dependencies"]

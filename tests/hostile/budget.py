@@ -1,4 +1,4 @@
-"""Number of cases per property: a tenth without the slow tests, many for `benchmarks/robustness.py`."""
+"""Number of cases per property: a tenth without the slow tests, others and more with GELFORM_ROBUSTNESS_FACTOR=10."""
 
 from __future__ import annotations
 

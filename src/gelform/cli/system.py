@@ -13,7 +13,7 @@ from typing import Any
 from gelform.errors import GelformError
 
 VARIABLES = ("GELFORM_ISA", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")  # they change speed or kernels
-OF_DEVELOPERS = {"dev", "docs", "mutation"}  # extras that only developers need
+OF_DEVELOPERS = {"dev", "docs"}  # extras that only developers need
 _REQUIREMENT = re.compile(r"(?P<name>[\w.-]+)[^;]*(?:;(?P<marker>.*))?")
 
 

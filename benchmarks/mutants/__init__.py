@@ -1,1 +1,0 @@
-"""Mutation testing: changed statements of Python and C, and the tests that must notice them."""
