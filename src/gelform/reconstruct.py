@@ -58,7 +58,7 @@ BYTES_PER_PX = 80  # bytes that one frame allocates in all
 Work = Callable[[], NDArray[np.float32]]
 
 
-class _Read(NamedTuple):
+class ReadSlopes(NamedTuple):
     """The slopes of an image and their confidence; see `Reconstructor._read`."""
 
     faults: FrameFaults
@@ -76,7 +76,7 @@ class _Read(NamedTuple):
     maps: dict[str, NDArray[np.float32]] | None = None
 
 
-class _Calibrated:
+class FromCalibration:
     """The parts that follow from a calibration alone. They are immutable; threads and all background images share them."""
 
     def __init__(
@@ -106,7 +106,7 @@ class _Calibrated:
         self.solved_sigma = SolvedSigma(known, shape, blur_px, calibration.unit_spread)
 
     def integrate(
-        self, read: _Read, start: Callable[[Work], Work]
+        self, read: ReadSlopes, start: Callable[[Work], Work]
     ) -> tuple[Integration, NDArray[np.float32] | None, DepthDifference | None]:
         """Depth of the slopes, its standard deviation by local errors of slopes, and the one of depth differences.
 
@@ -128,10 +128,10 @@ class _Calibrated:
         return solution, sigma_of(), DepthDifference(*parts)
 
 
-class _Today:
+class FromBackground:
     """The parts that follow from today's background image (H, W, 3), 0-255. They are immutable; threads share them."""
 
-    def __init__(self, fixed: _Calibrated, background: NDArray[np.float32]) -> None:
+    def __init__(self, fixed: FromCalibration, background: NDArray[np.float32]) -> None:
         calibration, forward = fixed.calibration, fixed.calibration.forward
         change, noise = calibration.change, calibration.settings.image_noise
         self.untouched_image = PreparedBackground(background, change)
@@ -209,7 +209,9 @@ class Reconstructor:
         slope_sigma: bool = True,
     ) -> None:
         self.calibration = calibration = as_calibration(calibration)
-        self._calibrated = _Calibrated(calibration, solver, depth_sigma=depth_sigma, slope_sigma=slope_sigma)
+        self._calibrated = FromCalibration(
+            calibration, solver, depth_sigma=depth_sigma, slope_sigma=slope_sigma
+        )
         self.solver = self._calibrated.solver
         self.findings: tuple[Finding, ...] = calibration.findings
         self.background = calibration.background
@@ -220,7 +222,7 @@ class Reconstructor:
             self.findings += check_own_background(today, calibration.background)
             self.background = today.astype(np.float32)
         self.own_background = background_digest(self.background) == calibration.background_digest
-        self._today = _Today(self._calibrated, self.background)
+        self._today = FromBackground(self._calibrated, self.background)
         self.solved_sigma, self.steep_slopes = self._calibrated.solved_sigma, self._calibrated.steep_slopes
         self.markers = MarkerFollower(self.background, calibration.mm_per_px)
         self._start: Callable[[Work], Work] = lambda work: work
@@ -236,7 +238,7 @@ class Reconstructor:
         """
         other = copy(self)
         other.background, other.own_background = background, False
-        other._today = _Today(self._calibrated, background)
+        other._today = FromBackground(self._calibrated, background)
         return other
 
     def with_helper(self, start: Callable[[Work], Work]) -> Reconstructor:
@@ -362,7 +364,7 @@ class Reconstructor:
         flow: MarkerFlow | None = None,
         *,
         explains: bool = False,
-    ) -> _Read:
+    ) -> ReadSlopes:
         """The slopes of an image and their sigma and confidence; writes the image's color change to `change`."""
         fixed, today = self._calibrated, self._today
         image = whole_levels(image)
@@ -395,7 +397,7 @@ class Reconstructor:
         stated = sigma if fixed.states_sigma else None
         observed_sigma, confidence = with_model_sigma(stated, confidence, model_sigma, fixed.clean)
         steep = self.steep_slopes(observed, sigma, confidence)
-        return _Read(
+        return ReadSlopes(
             faults, flow, markers, drifted, reference, observed, observed_sigma, untouched, sigma, confidence, *steep, maps
         )  # fmt: skip
 

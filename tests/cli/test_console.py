@@ -7,7 +7,7 @@ import sys
 import numpy as np
 
 from gelform.cli.console import figure, print_json, progress_shown, show_table
-from gelform.cli.options import Shown
+from gelform.cli.options import ShownOption
 
 
 def test_json_is_json_whatever_is_in_it(capsys):
@@ -43,11 +43,11 @@ def test_a_table_that_is_not_on_a_screen_breaks_no_name(capsys):
 
 
 def test_quiet(capsys):
-    for shown in (Shown(quiet=True), Shown(as_json=True)):
+    for shown in (ShownOption(quiet=True), ShownOption(as_json=True)):
         shown.table("Title", ("a",), [("b",)])
-    Shown(quiet=True).say("text")
-    Shown(as_json=True).say("shown")
-    Shown().json({"not": "asked"})
+    ShownOption(quiet=True).say("text")
+    ShownOption(as_json=True).say("shown")
+    ShownOption().json({"not": "asked"})
     assert capsys.readouterr() == ("", "shown\n")
 
 

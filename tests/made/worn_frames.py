@@ -3,7 +3,7 @@
 import numpy as np
 
 from gelform.image.frame import as_levels
-from gelform.image.health import Blocks, blocks_from_image
+from gelform.image.health import ImageBlocks, blocks_from_image
 
 SHAPE = (96, 128)
 
@@ -37,6 +37,6 @@ def with_part(image: np.ndarray, part: tuple[slice, slice], level: int | tuple[i
     return changed
 
 
-def blocks_of(image: np.ndarray) -> Blocks:
+def blocks_of(image: np.ndarray) -> ImageBlocks:
     """The image's blocks."""
     return blocks_from_image(as_levels(image))

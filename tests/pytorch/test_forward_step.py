@@ -11,7 +11,7 @@ from gelform.slopes.color_models.forward_response import CLIPPED_STEP_SIGMA, TER
 
 torch = pytest.importorskip("torch", reason="needs the extra 'torch'")
 
-from gelform.torch.forward_step import ForwardStep, FrameDepth  # noqa: E402
+from gelform.torch.forward_step import ForwardStep, TorchFrameDepth  # noqa: E402
 
 UNTOUCHED = 0.01
 
@@ -112,7 +112,7 @@ def bump(shape, center):
 )
 def test_depth_is_the_numpy_paths(shape, untouched):
     frames = [bump(shape, (20, 5)), bump(shape, (12.5, shape[0] / 2))]
-    ours, theirs = FrameDepth(shape, untouched), stepped.FrameDepth(shape, untouched)
+    ours, theirs = TorchFrameDepth(shape, untouched), stepped.TorchFrameDepth(shape, untouched)
     changes, slopes = (planes(*maps) for maps in zip(*frames))
     found = ours(slopes, ours.rest(changes))
     for frame, depth, full in zip(frames, found[:, 0], ours.in_full(found)[:, 0]):
@@ -125,7 +125,7 @@ def test_depth_is_the_numpy_paths(shape, untouched):
 
 def test_values_of_the_coarser_grid_are_opencvs():
     values = np.random.default_rng(0).normal(size=(30, 45, 2)).astype(np.float32)
-    ours, (rows, columns) = FrameDepth((30, 45), 0.1), stepped.coarse_grid((30, 45))[0]
+    ours, (rows, columns) = TorchFrameDepth((30, 45), 0.1), stepped.coarse_grid((30, 45))[0]
     coarse, full = (
         ours.made_coarse(planes(values)),
         ours.in_full(ours.made_coarse(planes(values))),

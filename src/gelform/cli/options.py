@@ -157,7 +157,7 @@ Seed = Annotated[int, Option(min=0, help="Seed of the random numbers.")]
 
 
 @dataclass(frozen=True)
-class Shown:
+class ShownOption:
     """The output of a command: results on standard output, the rest on standard error."""
 
     quiet: Quiet = False

@@ -25,7 +25,7 @@ _blocks = Kernel(
 
 
 @dataclass(frozen=True)
-class Blocks:
+class ImageBlocks:
     """An image (H, W) in h x w whole blocks of 16x16 pixels.
 
     Attributes
@@ -58,11 +58,11 @@ class Blocks:
         return mask[BLOCK_PX // 2 :: BLOCK_PX, BLOCK_PX // 2 :: BLOCK_PX][:height, :width]
 
 
-def blocks_from_image(image: NDArray[np.uint8]) -> Blocks:
+def blocks_from_image(image: NDArray[np.uint8]) -> ImageBlocks:
     """The blocks of an image (H, W, 3)."""
     height, width = image.shape[:2]
     shape = height // BLOCK_PX, width // BLOCK_PX
-    blocks = Blocks(
+    blocks = ImageBlocks(
         np.empty((*shape, 3), np.uint8),
         np.empty(shape, np.uint8),
         np.empty(height, np.int64),
@@ -94,14 +94,14 @@ class Levels:
     dark_to, saturated_from : (h, w, 3) uint8, a block with a mean below the first is dark, from the second on saturated
     """
 
-    def __init__(self, rest: Blocks) -> None:
+    def __init__(self, rest: ImageBlocks) -> None:
         # Levels are compared as integers of the blocks' own type, which cannot hold -1 or 256.
         self.dark_to = np.where(rest.means >= LIT, DARK, 0).astype(np.uint8)
         self.saturated_from = np.where(rest.means < BELOW, SATURATED, 255).astype(np.uint8)
         self._may_saturate = rest.means < BELOW
 
     def __call__(
-        self, blocks: Blocks, torn: NDArray[np.bool_] | None = None
+        self, blocks: ImageBlocks, torn: NDArray[np.bool_] | None = None
     ) -> tuple[tuple[Finding, ...], NDArray[np.bool_] | None]:
         """Findings `dark` and `saturated`, and their blocks (h, w) without the torn ones; None if there are none."""
         dark = blocks.means < self.dark_to
@@ -145,7 +145,7 @@ LEAST_STEP = 0.25  # gray levels, smallest usual step of 16 pixels' mean; whole 
 class Torn:
     """Finds parts of frames that contain no picture; prepared once for a background image and its blocks."""
 
-    def __init__(self, background: NDArray[Any], rest: Blocks) -> None:
+    def __init__(self, background: NDArray[Any], rest: ImageBlocks) -> None:
         self._background = background
         self._rest = rest.means.astype(np.int16)
         self._rest_sums = rest.row_sums.reshape(len(rest.row_sums), -1)
@@ -154,7 +154,7 @@ class Torn:
             count.ravel()[place.ravel()] == 1
         )  # rows that occur only once in the background image
 
-    def __call__(self, blocks: Blocks, image: NDArray[Any]) -> NDArray[np.bool_] | None:
+    def __call__(self, blocks: ImageBlocks, image: NDArray[Any]) -> NDArray[np.bool_] | None:
         """Pixels (H, W) that did not arrive; None if all did."""
         flat, repeated = self.flat(blocks), self.repeated_rows(blocks, image)
         displaced = self.displaced_rows(blocks) if flat is None and repeated is None else None
@@ -167,7 +167,7 @@ class Torn:
                 torn[rows] = True
         return torn
 
-    def flat(self, blocks: Blocks) -> NDArray[np.bool_] | None:
+    def flat(self, blocks: ImageBlocks) -> NDArray[np.bool_] | None:
         """Blocks (h, w) of one uniform color that is not the background image's; None if they are few."""
         flat = blocks.ranges <= FLAT_RANGE
         least = LEAST_TORN * flat.size
@@ -181,7 +181,7 @@ class Torn:
         flat &= np.abs(means - common).max(axis=-1) <= ALIKE
         return flat if np.count_nonzero(flat) > least else None
 
-    def repeated_rows(self, blocks: Blocks, image: NDArray[Any]) -> NDArray[np.bool_] | None:
+    def repeated_rows(self, blocks: ImageBlocks, image: NDArray[Any]) -> NDArray[np.bool_] | None:
         """Rows (H,) that repeat another row of the frame; None if they are few.
 
         Among equal rows, the one that fits the background image best counts as the true one. Compression makes rows within
@@ -199,7 +199,7 @@ class Torn:
                 repeated[np.delete(rows, int(np.argmin(away)))] = True
         return repeated if np.count_nonzero(repeated) > least else None
 
-    def seam(self, blocks: Blocks) -> int:
+    def seam(self, blocks: ImageBlocks) -> int:
         """The row below which everything belongs to another moment; 0 if there is none.
 
         There the change from the background image steps from one row to the next, further than at any other row. An
@@ -210,7 +210,7 @@ class Torn:
         least = 2 * BLOCK_PX * LEAST_STEP  # twice the sum of 16 pixels, as the kernel counts
         return _seam(sums, self._rest_sums, work, totals, least, SEAM_FACTOR, SPILL)
 
-    def displaced_rows(self, blocks: Blocks) -> NDArray[np.bool_] | None:
+    def displaced_rows(self, blocks: ImageBlocks) -> NDArray[np.bool_] | None:
         """Rows (H,) on the side of a seam that fits the background image worse; None if there is no seam."""
         row = self.seam(blocks)
         if not row:
@@ -316,7 +316,7 @@ class FrameHealth:
         findings = (*(() if torn is None else (torn_finding(torn),)), *levels)
         return FrameFaults(np.where(lost[..., None], self._pixels, image), findings, lost)
 
-    def _is_plainly_sound(self, blocks: Blocks) -> bool:
+    def _is_plainly_sound(self, blocks: ImageBlocks) -> bool:
         """Whether the frame shows no sign of a fault: true for nearly every frame, a tenth of the time."""
         signs, rows = np.empty(3, dtype=np.int32), len(blocks.row_digests)
         work = np.empty(1 << rows.bit_length(), dtype=np.int32)
@@ -326,7 +326,7 @@ class FrameHealth:
         few_flat, few_repeated = flat <= LEAST_TORN * blocks.ranges.size, repeated <= LEAST_TORN * rows
         return few_flat and few_repeated and not ending and not self._torn.seam(blocks)
 
-    def _is_background(self, blocks: Blocks, image: NDArray[Any]) -> bool:
+    def _is_background(self, blocks: ImageBlocks, image: NDArray[Any]) -> bool:
         if blocks.row_digests[0] != self._rest_digests[0]:
             return False
         return np.array_equal(image, self._background)

@@ -1,4 +1,4 @@
-"""The step of the forward response and the depth that it needs, for batches: numpy's `PreparedStep` and `FrameDepth`."""
+"""The step of the forward response and the depth that it needs, for batches: `PreparedStep` of numpy, `TorchFrameDepth`."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from gelform.slopes.color_models.forward_response import (
 from gelform.torch.maps import PoissonDepth, bilinear_shares, block_shares, medians_where
 
 
-class FrameDepth(nn.Module):
+class TorchFrameDepth(nn.Module):
     """Least-squares depth of frames on a grid four times coarser, 0 at the median of the gel at rest.
 
     Pixels with a color change up to `untouched` count as gel at rest.
@@ -75,7 +75,7 @@ class ForwardStep(nn.Module):
         self.register_buffer("coefficients", torch.from_numpy(np.ascontiguousarray(maps, dtype=np.float32)))
         self.register_buffer("root", torch.from_numpy(forward.roots[0]))
         self.at_rest, self.per_slope = (sigma**2 for sigma in forward.step_sigma)
-        self.depth = FrameDepth(forward.shape, untouched)
+        self.depth = TorchFrameDepth(forward.shape, untouched)
 
     def forward(self, color_change: Tensor, gradients: Tensor) -> Tensor:
         """The step for a color change (N, 3, H, W) and gradients (N, 2, H, W)."""

@@ -17,7 +17,7 @@ from gelform.calibration.circles.samples import TRIAL_SAMPLES, PreparedPress
 from gelform.calibration.held_out.folds import Fold
 from gelform.calibration.held_out.scores import (
     HeldOutPresses,
-    SlopeScore,
+    HeldOutSlopeScore,
     Trial,
     score_of,
     select,
@@ -31,7 +31,7 @@ STIFF, FREE = (Candidate("hierarchical", (("ridge", ridge),)) for ridge in (1e-3
 
 def trial(candidate, error):
     """The slope errors of 20 presses, by their numbers."""
-    return Trial(candidate, {i: SlopeScore(error(i), 60 * error(i)) for i in range(PRESSES)})
+    return Trial(candidate, {i: HeldOutSlopeScore(error(i), 60 * error(i)) for i in range(PRESSES)})
 
 
 class MadeUpPresses:

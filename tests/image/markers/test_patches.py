@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gelform.image.markers import MarkerFollower, patches
-from gelform.image.markers.patches import Patches, StretchedPatches, level_from_image, logs_from_image
+from gelform.image.markers.patches import MarkerPatches, StretchedPatches, level_from_image, logs_from_image
 from kernel_agreement import assert_kernel_agrees
 from made.dots import RADIUS, grid, image_of_dots
 
@@ -12,7 +12,7 @@ REST = grid()
 
 
 def prepared(rest=REST, **how):
-    return Patches(logs_from_image(image_of_dots(rest, **how)), rest, RADIUS)
+    return MarkerPatches(logs_from_image(image_of_dots(rest, **how)), rest, RADIUS)
 
 
 def sampled(image, x, y, side):
@@ -74,7 +74,7 @@ def test_dots_of_all_sizes_and_pieces():
     """Two overlapping spots make a broken, lopsided dot; it moves as a round one does."""
     rest = np.concatenate([REST, np.add(REST[::3], [2.5, 1.0])])
     radii = np.where(np.arange(len(rest)) < len(REST), RADIUS, 1.5)
-    own = Patches(logs_from_image(image_of_dots(rest, radii=radii)), REST, RADIUS)
+    own = MarkerPatches(logs_from_image(image_of_dots(rest, radii=radii)), REST, RADIUS)
     found = own(logs_from_image(image_of_dots(np.add(rest, [1.2, -0.4]), radii=radii)), np.zeros_like(REST))
     assert found.ok.all()
     assert np.abs(found.shift_px - [1.2, -0.4]).max() < 0.03
@@ -99,7 +99,7 @@ def test_a_dot_that_left_by_the_border_is_not_ok():
 
 def test_a_dot_larger_than_the_largest_patch():
     rest = np.array([[64.0, 48.0]])
-    own = Patches(logs_from_image(image_of_dots(rest, radii=25.0)), rest, 25.0)
+    own = MarkerPatches(logs_from_image(image_of_dots(rest, radii=25.0)), rest, 25.0)
     found = own(logs_from_image(image_of_dots(np.add(rest, [1.2, -0.4]), radii=25.0)), np.zeros((1, 2)))
     assert found.ok.all()
     assert np.abs(found.shift_px - [1.2, -0.4]).max() < 0.05
@@ -153,7 +153,7 @@ def turned(longer, shorter, degrees):
     ("longer", "shorter", "degrees"), [(1.0, 1.0, 0), (1.6, 1.1, 0), (1.7, 0.9, 40), (0.9, 0.6, 110)]
 )
 def test_a_stretched_dot_is_found_where_it_is(longer, shorter, degrees):
-    patches = Patches(LOGS, FEW, FEW_RADIUS)
+    patches = MarkerPatches(LOGS, FEW, FEW_RADIUS)
     logs = logs_from_image(image_of_stretched(turned(longer, shorter, degrees)))
     found = StretchedPatches(LOGS, patches)(logs, MOVED[None] + [[1.5, -1.0]], np.array([DOT]))
     assert found.ok[0]
@@ -163,7 +163,7 @@ def test_a_stretched_dot_is_found_where_it_is(longer, shorter, degrees):
 
 def test_a_shift_alone_refuses_it_and_the_follower_does_not():
     image = image_of_stretched(turned(1.9, 1.3, 20))
-    plain = Patches(LOGS, FEW, FEW_RADIUS)(logs_from_image(image), np.zeros((len(FEW), 2)))
+    plain = MarkerPatches(LOGS, FEW, FEW_RADIUS)(logs_from_image(image), np.zeros((len(FEW), 2)))
     assert not plain.ok[DOT]
     follower = MarkerFollower(UNTOUCHED)
     flow = follower(image)
@@ -173,7 +173,7 @@ def test_a_shift_alone_refuses_it_and_the_follower_does_not():
 
 
 def test_no_dot_is_none():
-    patches = Patches(LOGS, FEW, FEW_RADIUS)
+    patches = MarkerPatches(LOGS, FEW, FEW_RADIUS)
     empty = logs_from_image(
         image_of_dots(np.delete(FEW, DOT, 0), radii=FEW_RADIUS, shape=(160, 192), noise=1.0)
     )

@@ -9,7 +9,7 @@ from gelform.sensors.recordings.mcap_reader import (
     SAMPLED_RECORDS,
     Channel,
     PictureTopic,
-    Placed,
+    PlacedMessage,
     is_bag_folder,
     mcap_file_in,
     mcap_playback,
@@ -60,7 +60,7 @@ def test_channels_once_and_messages_with_their_topic(tmp_path):
         Channel("/joints", "sensor_msgs/msg/JointState", "cdr"),
         Channel("/image", "sensor_msgs/msg/Image", "cdr"),
     ]
-    placed = [(one.topic, one.message.data) for one in found if isinstance(one, Placed)]
+    placed = [(one.topic, one.message.data) for one in found if isinstance(one, PlacedMessage)]
     assert placed == [("/joints", b"\0\1\0\0"), ("/image", b"a"), ("/image", b"b")]
     assert type(found[-1]).__name__ == "Footer"
 

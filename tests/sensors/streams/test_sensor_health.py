@@ -15,7 +15,7 @@ import gelform
 from gelform.calibration.presses.taken import TakenPresses
 from gelform.errors import SourceLostError
 from gelform.sensors import SensorSettings
-from gelform.sensors.streams.background_drift import Evidence
+from gelform.sensors.streams.background_drift import DriftEvidence
 from gelform.sensors.streams.marks import Marks
 from gelform.sensors.streams.same_gel import SameGel
 from gelform.sensors.streams.sensor_health import CameraCheck, Frozen, light_findings, room_light_finding
@@ -66,7 +66,7 @@ def test_light_that_changes_is_brightness_or_color():
 def evidence(now, contact=None):
     nowhere, start = np.zeros(SHAPE, bool), start_levels()
     touched = nowhere if contact is None else contact
-    return Evidence(now.astype(np.float32), start, np.ones_like(start), nowhere, touched)
+    return DriftEvidence(now.astype(np.float32), start, np.ones_like(start), nowhere, touched)
 
 
 def start_levels():
@@ -190,7 +190,7 @@ def marks_in(images, contact=None):
     for image in images:
         noisy = (image + rng.normal(0, 0.2, image.shape)).astype(np.float32)
         start = REST.astype(np.float32)
-        found = marks(Evidence(noisy, start, ones, nowhere, nowhere if contact is None else contact))
+        found = marks(DriftEvidence(noisy, start, ones, nowhere, nowhere if contact is None else contact))
     return [finding.name for finding in found]
 
 
@@ -240,7 +240,7 @@ def looks(start, images, *, touched=0.0, different=0.0):
     somewhere[: int(touched * shape[0])] = True
     light, nowhere = np.ones((*shape, 3), np.float32), np.zeros(shape, bool)
     return [
-        same_gel(Evidence(image.astype(np.float32), start, light, somewhere, nowhere, different))
+        same_gel(DriftEvidence(image.astype(np.float32), start, light, somewhere, nowhere, different))
         for image in images
     ]
 

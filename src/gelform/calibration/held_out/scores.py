@@ -30,7 +30,7 @@ from gelform.slopes.color_models.forward_response import RIDGES, Step
 
 
 @dataclass(frozen=True)
-class SlopeScore:
+class HeldOutSlopeScore:
     """RMS error, mm/mm, and mean angle of the slopes of one press; its center is free, since labels are off by a pixel."""
 
     slope_error: float
@@ -42,7 +42,7 @@ class Trial:
     """A candidate's scores on held-out presses, each with the press's fold left out."""
 
     candidate: Candidate
-    scores: Mapping[int, SlopeScore]
+    scores: Mapping[int, HeldOutSlopeScore]
 
     def mean_log(self, without: Sequence[int] = ()) -> float:
         """Mean logarithm of the slope error, without some presses."""
@@ -107,7 +107,7 @@ class HeldOutPresses:
 
     def try_candidates(self, candidates: Sequence[Candidate]) -> list[Trial]:
         """Fit candidates that differ only in their settings without each fold, and score them on that fold."""
-        scores: list[dict[int, SlopeScore]] = [{} for _ in candidates]
+        scores: list[dict[int, HeldOutSlopeScore]] = [{} for _ in candidates]
         prepared = self.presses[candidates[0].change_offset]
         for fold in self.folds:
             readers: dict[SlopeReader, list[int]] = {}
@@ -125,14 +125,14 @@ class HeldOutPresses:
         return [Trial(candidate, of) for candidate, of in zip(candidates, scores)]
 
 
-def score_of(press: PreparedPress, found: ContactCircle, frame: Step) -> SlopeScore:
+def score_of(press: PreparedPress, found: ContactCircle, frame: Step) -> HeldOutSlopeScore:
     """Errors of the slopes that were read on a press, inside the contact edge."""
     rows, cols = press.pixels(found, 1.0, PRESS_PIXELS)
     score = score_slopes(
         frame.gradients[rows, cols], cols, rows, (found.x_px, found.y_px), press.ball_radius_px
     )
     error = float(np.sqrt(np.mean(np.sum(score.errors**2, axis=1))))
-    return SlopeScore(max(error, 1e-9), score.normal_deg)
+    return HeldOutSlopeScore(max(error, 1e-9), score.normal_deg)
 
 
 def select(

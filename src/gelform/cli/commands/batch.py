@@ -15,7 +15,7 @@ import typer
 from typer import Argument, BadParameter, Option
 
 from gelform.cli.console import progress_shown, say
-from gelform.cli.options import CalibrationOptions, Shown, one_of, usage_errors
+from gelform.cli.options import CalibrationOptions, ShownOption, one_of, usage_errors
 from gelform.cli.process import MISTAKE
 from gelform.result.maps import KEPT_MAPS
 
@@ -135,7 +135,7 @@ def batch(
     results: Results,
     machines: Machines,
     run: Run,
-    shown: Shown,
+    shown: ShownOption,
 ) -> None:
     """Reconstruct every frame of a data set.
 
@@ -248,7 +248,7 @@ def _report(summary: BatchSummary, output: Path, max_errors: int, quiet: bool) -
 def verify(
     *,
     output: Annotated[Path, Argument(metavar="OUTPUT", help="Folder that gelform batch wrote.")],
-    shown: Shown,
+    shown: ShownOption,
 ) -> None:
     """Check every output of a batch, and list problems.
 

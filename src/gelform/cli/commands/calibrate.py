@@ -13,7 +13,7 @@ from gelform.cli.options import (
     NewCalibration,
     Overwrite,
     PressOptions,
-    Shown,
+    ShownOption,
     listed,
     numbers,
     one_of,
@@ -54,7 +54,7 @@ def calibrate(
         Option("--compare", help="Also try every color model on the same presses, for the report's table."),
     ] = False,
     overwrite: Overwrite = False,
-    shown: Shown,
+    shown: ShownOption,
 ) -> None:
     """Calibrate a sensor from presses of a ball.
 
@@ -115,7 +115,7 @@ def calibrate(
     shown.json({"calibration": str(output), **calibration.report.to_dict(), "verdict": verdict})
 
 
-def _show(calibration: Calibration, shown: Shown) -> None:
+def _show(calibration: Calibration, shown: ShownOption) -> None:
     if shown.silent:
         return
     from gelform.calibration.report.record import FIGURES, used_in_words

@@ -19,7 +19,7 @@ import typer
 from typer import Argument, BadParameter, Option
 
 from gelform.cli.console import figure, print_json
-from gelform.cli.options import NewCalibration, Overwrite, Shown
+from gelform.cli.options import NewCalibration, Overwrite, ShownOption
 from gelform.errors import DataError
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ def list_(
     *,
     serial: Annotated[str | None, Option(help="Only calibrations of this camera.")] = None,
     gel: Gel = None,
-    shown: Shown,
+    shown: ShownOption,
 ) -> None:
     """List calibrations by serial, gel and date.
 
@@ -94,7 +94,7 @@ def add(
     gel: Annotated[
         str | None, Option("--gel", metavar="GEL", help="Name of the gel, if the file lacks it.")
     ] = None,
-    shown: Shown,
+    shown: ShownOption,
 ) -> None:
     """Copy calibrations into the library.
 
@@ -143,7 +143,7 @@ def remove(
     gel: Gel = None,
     every: Annotated[bool, Option("--all", help="Delete all that match, if there are several.")] = False,
     yes: Annotated[bool, Option("--yes", "-y", help="Do not ask.")] = False,
-    shown: Shown,
+    shown: ShownOption,
 ) -> None:
     """Delete calibrations from the library, after asking.
 
@@ -168,7 +168,7 @@ def remove(
 
 
 def export_(
-    *, which: Which, gel: Gel = None, output: NewCalibration, overwrite: Overwrite = False, shown: Shown
+    *, which: Which, gel: Gel = None, output: NewCalibration, overwrite: Overwrite = False, shown: ShownOption
 ) -> None:
     """Copy the newest matching calibration out of the library.
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Option
 
 from gelform.cli.console import check_pictures, json_bytes
-from gelform.cli.options import Shown
+from gelform.cli.options import ShownOption
 from gelform.foundations.progress import Progress
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ def demo(
     output: Annotated[
         Path, Option("--output", "-o", metavar="DIR", help="A new or empty folder for the files.")
     ] = Path("gelform-demo"),
-    shown: Shown,
+    shown: ShownOption,
 ) -> None:
     """Try everything without a sensor, on a simulated one.
 

@@ -15,7 +15,7 @@ from gelform.cli.options import (
     NewCalibration,
     Overwrite,
     Quiet,
-    Shown,
+    ShownOption,
     listed,
     one_of,
 )
@@ -46,7 +46,7 @@ def import_(
     ] = False,
     name: Annotated[str | None, Option(metavar="NAME", help="Name of the sensor.")] = None,
     overwrite: Overwrite = False,
-    shown: Shown,
+    shown: ShownOption,
 ) -> None:
     """Import a calibration that another package made.
 

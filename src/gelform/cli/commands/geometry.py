@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, BadParameter, Option
 
-from gelform.cli.options import Background, Sensor, Shown, number, numbers
+from gelform.cli.options import Background, Sensor, ShownOption, number, numbers
 from gelform.cli.process import mistakes_in
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ def scale(
     ] = None,
     sensor: Sensor = None,
     background: Background = None,
-    shown: Shown,
+    shown: ShownOption,
 ) -> None:
     """Measure mm per pixel, for `calibrate`.
 
@@ -102,7 +102,7 @@ def lens(
     grid: Annotated[str, Option(metavar="CxR", help="Inner corners of the grid, such as 9x6; or its dots.")],
     pitch_mm: Annotated[float, number("Pitch of the grid, mm.")],
     dots: Annotated[bool, Option("--dots", help="The grid has dots, not a checkerboard.")] = False,
-    shown: Shown,
+    shown: ShownOption,
 ) -> None:
     """Measure the lens, so that `calibrate` undoes it.
 
@@ -129,7 +129,7 @@ def crosstalk(
         tuple[Path, Path, Path],
         Argument(metavar="R G B", help="Gel at rest under the red, green, blue LEDs alone."),
     ],
-    shown: Shown,
+    shown: ShownOption,
 ) -> None:
     """Measure the crosstalk of the colors, for `calibrate`.
 

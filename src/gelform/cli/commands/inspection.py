@@ -18,7 +18,7 @@ from gelform.cli.options import (
     Overwrite,
     PictureFolder,
     PressOptions,
-    Shown,
+    ShownOption,
 )
 from gelform.cli.outputs import make_folder, picture_paths
 from gelform.cli.sensor_images import calibration_given, image_in, prepared, reconstruction_of
@@ -58,7 +58,7 @@ def evaluate(
     presses: Annotated[Path, Argument(metavar="PRESSES", help="Folder of ball presses.")],
     calibration: CalibrationFile,
     given: PressOptions,
-    shown: Shown,
+    shown: ShownOption,
 ) -> None:
     """Measure a calibration's errors on presses of a ball.
 
@@ -115,7 +115,7 @@ def _height_row(name: str, height_mm: float, read_mm: float | None) -> tuple[str
     return name, f"{height_mm:g}", f"{read_mm:.3f}", figure(100 * read_mm / height_mm)
 
 
-def _show_where(where: dict[str, Any], shown: Shown) -> None:
+def _show_where(where: dict[str, Any], shown: ShownOption) -> None:
     """Show normal errors by the ball's slope and by place: inside the contact edge and up to the visible rim."""
     to_rim = {b["slope_from"]: b for b in where["rim"]["by_slope"]}
     edge = f"{where['contact_radius_ratio']:.2f} of the visible radius"
@@ -168,7 +168,7 @@ def compare(
     output: PictureFolder = None,
     background: Background = None,
     overwrite: Overwrite = False,
-    shown: Shown,
+    shown: ShownOption,
 ) -> None:
     """Compare two calibrations on the same images.
 
@@ -221,7 +221,7 @@ def explain(
     output: PictureFolder = None,
     background: Background = None,
     overwrite: Overwrite = False,
-    shown: Shown,
+    shown: ShownOption,
 ) -> None:
     """Explain the confidence of each pixel of an image.
 
@@ -300,6 +300,6 @@ def _pictures(
     return [None if path is None else NewPicture(path, overwrite) for path in paths]
 
 
-def _say_pictures(rows: Sequence[Any], output: Path | None, shown: Shown) -> None:
+def _say_pictures(rows: Sequence[Any], output: Path | None, shown: ShownOption) -> None:
     if output is not None and not shown.silent:
         say(f"Wrote {len(rows)} {'picture' if len(rows) == 1 else 'pictures'} to {output}.")

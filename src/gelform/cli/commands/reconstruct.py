@@ -12,7 +12,7 @@ import typer
 from typer import BadParameter, Option
 
 from gelform.cli.console import check_pictures, figure, say
-from gelform.cli.options import Background, CalibrationOptions, Images, Overwrite, Shown, one_of
+from gelform.cli.options import Background, CalibrationOptions, Images, Overwrite, ShownOption, one_of
 from gelform.cli.outputs import check_results, make_folder, result_paths
 from gelform.cli.process import MISTAKE, one_line
 from gelform.cli.sensor_images import calibration_given, image_in, prepared, reconstruction_of
@@ -56,7 +56,7 @@ def reconstruct(
     ] = False,
     strict: Annotated[bool, Option("--strict", help="Exit with status 1 if a result has a warning.")] = False,
     overwrite: Overwrite = False,
-    shown: Shown,
+    shown: ShownOption,
 ) -> None:
     """Reconstruct depth in mm from images.
 
@@ -161,7 +161,7 @@ def _peak(result: Reconstruction) -> dict[str, Any]:
     return {"peak_mm": result.peak_mm, "contact_mm2": float(result.contact.sum()) * pitch[0] * pitch[1]}
 
 
-def _report(rows: Sequence[dict[str, Any]], shown: Shown) -> None:
+def _report(rows: Sequence[dict[str, Any]], shown: ShownOption) -> None:
     if not rows:
         return
     found = [(finding["name"], finding["message"]) for row in rows for finding in row["findings"]]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Argument, Option
 
 from gelform.cli.console import say
-from gelform.cli.options import ALL_TOPICS, Background, CalibrationOptions, Shown, number, usage_errors
+from gelform.cli.options import ALL_TOPICS, Background, CalibrationOptions, ShownOption, number, usage_errors
 from gelform.cli.process import mistakes_in
 from gelform.cli.sensor_images import background_in, calibration_given
 from gelform.robots.topics import MAX_DOMAIN, ROUTER, TOPICS, check_sensor_name, check_topics
@@ -55,7 +55,7 @@ def bag(
     given: CalibrationOptions,
     output: Annotated[Path, Option("--output", "-o", metavar="DIR", help="A new folder: the bag of ROS 2.")],
     sent: Sent,
-    shown: Shown,
+    shown: ShownOption,
 ) -> None:
     """Write results as a ROS 2 bag; needs no ROS.
 
@@ -97,7 +97,7 @@ def ros(
     domain: Annotated[
         int, Option(envvar="ROS_DOMAIN_ID", min=0, max=MAX_DOMAIN, help="ROS domain of the subscribers.")
     ] = 0,
-    shown: Shown,
+    shown: ShownOption,
 ) -> None:
     """Publish results to ROS 2 over zenoh (experimental).
 

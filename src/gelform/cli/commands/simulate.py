@@ -14,7 +14,7 @@ from gelform.cli.options import (
     SENSORS,
     Overwrite,
     Seed,
-    Shown,
+    ShownOption,
     listed,
     number,
     pitch,
@@ -43,7 +43,7 @@ DESIGN_COLUMNS = (
 
 
 @dataclass(frozen=True)
-class Look:
+class LookOptions:
     """The sensor to imitate, instead of a simulated one."""
 
     like: Annotated[
@@ -97,12 +97,12 @@ def simulate(
             help=f"{listed(LAYOUTS + SENSORS)} ({LAYOUTS[0]} by default); or your own as TOML.",
         ),
     ] = None,
-    look: Look,
+    look: LookOptions,
     balls: Balls,
     face: Face,
     seed: Seed = 0,
     workers: Annotated[int, Option(min=1, help="Number of processes; any number gives the same bytes.")] = 1,
-    shown: Shown,
+    shown: ShownOption,
 ) -> None:
     """Simulate a sensor: images of presses with their truth.
 
@@ -159,7 +159,7 @@ def sensor_of(name_or_file: str) -> SimulatedSensor:
         return simulated_sensor_named(name_or_file)
 
 
-def _twin_of(look: Look) -> Twin | None:
+def _twin_of(look: LookOptions) -> Twin | None:
     """A twin of a calibration or of Taxim's tables; None without either."""
     from gelform.calibration_file import load_calibration
     from gelform.exchange.importers.tables import is_taxim_forward
@@ -173,7 +173,7 @@ def _twin_of(look: Look) -> Twin | None:
     return None if look.like is None else Twin(load_calibration(look.like))
 
 
-def _twin_of_tables(path: Path, look: Look) -> Twin:
+def _twin_of_tables(path: Path, look: LookOptions) -> Twin:
     import numpy as np
 
     from gelform.exchange.importers.tables import TaximLook, read_taxim_forward
@@ -210,7 +210,7 @@ def design(
     presses: Annotated[int, Option(min=4, help="Number of ball presses that calibrate each design.")] = 14,
     seed: Seed = 0,
     overwrite: Overwrite = False,
-    shown: Shown,
+    shown: ShownOption,
 ) -> None:
     """Compare designs of a sensor before it is built.
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Argument, BadParameter, Option
 
 from gelform.cli.console import figure, print_json, say
-from gelform.cli.options import MmPerPx, Sensor, Shown, ball_diameter, number, usage_errors
+from gelform.cli.options import MmPerPx, Sensor, ShownOption, ball_diameter, number, usage_errors
 from gelform.errors import DataError
 
 if TYPE_CHECKING:
@@ -83,7 +83,7 @@ def cameras(
     measure: Annotated[
         bool, Option("--measure/--no-measure", help="Open each camera for a second and count its frames.")
     ] = True,
-    shown: Shown,
+    shown: ShownOption,
 ) -> None:
     """List the connected cameras.
 
@@ -174,7 +174,7 @@ def record(
             help="Camera setting: exposure, gain, white_balance, led_level, width, height, fps, fourcc.",
         ),
     ] = None,
-    shown: Shown,
+    shown: ShownOption,
 ) -> None:
     """Record a camera's frames, or presses for a calibration.
 
@@ -218,7 +218,7 @@ def record(
 
 
 def _recorded(
-    opened: Any, output: Path, wanted: dict[str, Any], digest: str, shown: Shown
+    opened: Any, output: Path, wanted: dict[str, Any], digest: str, shown: ShownOption
 ) -> tuple[RecordStats, int]:
     """The figures of a recording until its end or Ctrl-C, and how often the source was reopened."""
     from gelform.sensors.grabber import Grabber
@@ -249,7 +249,7 @@ def _recorded(
         return stats, grabber.stats.reopened
 
 
-def _presses(opened: Any, output: Path, wanted: PressesTaken, shown: Shown) -> None:
+def _presses(opened: Any, output: Path, wanted: PressesTaken, shown: ShownOption) -> None:
     """Take background and presses, one key each."""
     if wanted.ball_diameter_mm is None:
         raise BadParameter(
@@ -277,7 +277,7 @@ def _presses(opened: Any, output: Path, wanted: PressesTaken, shown: Shown) -> N
     shown.json({"folder": output, "presses": taken.count, "ball_diameter_mm": wanted.ball_diameter_mm})
 
 
-def _take(taken: Any, grabber: Grabber, key: Any, shown: Shown) -> None:
+def _take(taken: Any, grabber: Grabber, key: Any, shown: ShownOption) -> None:
     """Take a press at each space bar, until q or the end of the input."""
     while (pressed := key()) not in ("q", ""):
         if pressed == " ":

@@ -8,7 +8,7 @@ from typing import Annotated
 from typer import Argument, Option
 
 from gelform.cli.console import say
-from gelform.cli.options import STARTERS, MmPerPx, NewCalibration, Overwrite, Shown, listed, one_of
+from gelform.cli.options import STARTERS, MmPerPx, NewCalibration, Overwrite, ShownOption, listed, one_of
 from gelform.cli.outputs import check_output
 
 
@@ -23,7 +23,7 @@ def starter(
     serial: Annotated[str | None, Option(metavar="TEXT", help="Serial number of the unit.")] = None,
     gel: Annotated[str | None, Option(metavar="TEXT", help="Name of its gel.")] = None,
     overwrite: Overwrite = False,
-    shown: Shown,
+    shown: ShownOption,
 ) -> None:
     """Make a calibration of a sensor without any press.
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from gelform._native import Handle, Kernel
 from gelform.depth.solvers.multigrid import Grid
-from gelform.depth.solvers.system import Problem
+from gelform.depth.solvers.system import LinearSystem
 from gelform.foundations.pool import Pool
 
 _probe_depths = Kernel(
@@ -115,7 +115,7 @@ class ProbeSolver:
         self,
         white: NDArray[np.float32],
         common: NDArray[np.float32],
-        problem: Problem,
+        problem: LinearSystem,
         median: NDArray[np.float32] | None = None,
     ) -> NDArray[np.float32]:
         """Depths (H, W, N) within some percent, up to a constant without an anchor; the problem's slopes do not count.

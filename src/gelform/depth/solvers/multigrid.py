@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from gelform._native import Handle, Kernel
 from gelform.depth.solvers.seam import Solution, Weights
-from gelform.depth.solvers.system import Problem, edge_system, problem_from_gradients
+from gelform.depth.solvers.system import LinearSystem, edge_system, problem_from_gradients
 from gelform.errors import ConvergenceError
 from gelform.foundations.pool import Pool
 
@@ -53,7 +53,7 @@ class Grid:
                 "Halve the image, or leave out weights, mask and anchor: solver 'dct' needs a tenth."
             ) from None
 
-    def load(self, problem: Problem, mm_per_px: tuple[float, float]) -> None:
+    def load(self, problem: LinearSystem, mm_per_px: tuple[float, float]) -> None:
         """Load a frame; the coarse levels are computed again only if its couplings differ from the last ones."""
         if problem.gradients is None or problem.confidence is None:
             system = *edge_system(problem, mm_per_px), problem.anchor

@@ -19,7 +19,7 @@ from gelform.depth.solvers.seam import Pair, Solution, Weights
 from gelform.depth.solvers.system import (
     EVERY_EDGE,
     FLOOR,
-    Problem,
+    LinearSystem,
     differences,
     divergence,
     edges_from_gradients,
@@ -89,7 +89,7 @@ class RobustSolver:
                 iterations += more
         return Solution(depth, problem.known, iterations, error)
 
-    def _load_round(self, grid: Grid, problem: Problem, depth: NDArray[np.float32]) -> None:
+    def _load_round(self, grid: Grid, problem: LinearSystem, depth: NDArray[np.float32]) -> None:
         """Load new weights from the residuals of a depth, and the remaining right side."""
         assert problem.edges is not None
         assert problem.edge_weights is not None
@@ -118,7 +118,7 @@ class L1Solver(RobustSolver):
     loss: ClassVar[str] = "l1"
 
 
-def _per_edge(problem: Problem) -> Problem:
+def _per_edge(problem: LinearSystem) -> LinearSystem:
     """The same problem, with edge slopes and weights."""
     if problem.edges is not None:
         return problem

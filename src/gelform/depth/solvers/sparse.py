@@ -9,7 +9,7 @@ import scipy  # its parts load at first use; a weighted solve needs none of them
 from numpy.typing import NDArray
 
 from gelform.depth.solvers.seam import Solution, Weights
-from gelform.depth.solvers.system import Problem, edge_system, problem_from_gradients
+from gelform.depth.solvers.system import LinearSystem, edge_system, problem_from_gradients
 
 
 class SparseSolver:
@@ -44,7 +44,7 @@ class SparseSolver:
 
 
 def normal_equations(
-    problem: Problem, mm_per_px: tuple[float, float]
+    problem: LinearSystem, mm_per_px: tuple[float, float]
 ) -> tuple[scipy.sparse.csr_matrix, NDArray[np.float64]]:
     """Matrix (H*W, H*W) and right side of the least-squares problem, in float64."""
     height, width = problem.mask.shape

@@ -86,7 +86,7 @@ EVERY_EDGE = 7
 _HIGHEST_ANCHOR = 1e30  # over the largest weight; float32 holds it beside weights of 1, with room for sums
 
 
-class Problem(NamedTuple):
+class LinearSystem(NamedTuple):
     """One frame, ready to load: slopes without weight are filled, weights scaled to 1 at most.
 
     It has either `gradients` and `confidence` per pixel, or `edges` and `edge_weights` per edge.
@@ -110,7 +110,7 @@ _scale_weights = Kernel(
 
 def problem_from_gradients(
     gradients: NDArray[Any], weights: Weights, mask: NDArray[np.bool_] | None, anchor: NDArray[Any] | None
-) -> Problem:
+) -> LinearSystem:
     """Scale the weights, and replace slopes of weight under `FLOOR` by a fill from their neighbors.
 
     Only the ratios of weights and anchor matter, so both are divided by the largest weight.
@@ -126,7 +126,7 @@ def problem_from_gradients(
     if isinstance(weights, tuple):
         return _problem_per_edge(gradients, weights, mask, anchor)
     if weights is None:
-        return Problem(gradients, mask.astype(np.float32), None, None, mask, anchor, mask.copy())
+        return LinearSystem(gradients, mask.astype(np.float32), None, None, mask, anchor, mask.copy())
     confidence, found = np.empty(shape, np.float32), np.empty(2)
     trusted, known = np.empty(shape, bool), np.empty(shape, bool)
     pixels = np.ascontiguousarray(weights, dtype=np.float32)
@@ -135,7 +135,7 @@ def problem_from_gradients(
     largest, untrusted = _checked_largest(float(found[0])), int(found[1])
     if untrusted:
         gradients = fill_unknown(gradients, trusted)
-    return Problem(gradients, confidence, None, None, mask, _relative(anchor, largest), known)
+    return LinearSystem(gradients, confidence, None, None, mask, _relative(anchor, largest), known)
 
 
 def _relative(anchor: NDArray[np.float32], largest: float) -> NDArray[np.float32]:
@@ -160,7 +160,7 @@ def constant_map(shape: tuple[int, int], value: float | bool) -> NDArray[Any]:
 
 def _problem_per_edge(
     gradients: NDArray[Any], weights: Pair, mask: NDArray[np.bool_], anchor: NDArray[Any]
-) -> Problem:
+) -> LinearSystem:
     inside = mask[:, 1:] & mask[:, :-1], mask[1:] & mask[:-1]
     inner = np.concatenate([w[i] for w, i in zip(weights, inside)])
     largest = _checked_largest(float(inner.max()) if inner.size else 0.0)
@@ -173,7 +173,7 @@ def _problem_per_edge(
     known[:, :-1] |= trusted[0]
     known[1:] |= trusted[1]
     known[:-1] |= trusted[1]
-    return Problem(None, None, filled, scaled, mask, _relative(anchor, largest), known)  # type: ignore[arg-type]
+    return LinearSystem(None, None, filled, scaled, mask, _relative(anchor, largest), known)  # type: ignore[arg-type]
 
 
 def _checked_largest(largest: float) -> float:
@@ -186,7 +186,7 @@ def _checked_largest(largest: float) -> float:
 
 
 def edge_system(
-    problem: Problem, mm_per_px: tuple[float, float]
+    problem: LinearSystem, mm_per_px: tuple[float, float]
 ) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
     """Couplings (H, W-1) and (H-1, W), and right side (H, W).
 

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from gelform.foundations.checks import check_image, check_mm_per_px
 from gelform.image.markers.finder import CandidateFinder, MarkerFinder
 from gelform.image.markers.flow import MarkerFlow
-from gelform.image.markers.patches import Patches, StretchedPatches, logs_from_image
+from gelform.image.markers.patches import MarkerPatches, StretchedPatches, logs_from_image
 
 NEIGHBORS, REACH = 8, 1.7  # neighbors of a dot at most; spacings within which they count
 # Spacings: a dot further from its neighbors' motion is another one; so is a dot found further from its search position, and
@@ -108,7 +108,7 @@ class MarkerFollower:
         self._all = np.concatenate([self.rest_px, found[~whole]])
         self._neighbors = Neighbors(self._all)
         logs = logs_from_image(image)
-        self._patches = Patches(logs, self.rest_px, radius)
+        self._patches = MarkerPatches(logs, self.rest_px, radius)
         self._stretched = StretchedPatches(logs, self._patches)
         self._candidates = CandidateFinder(logs, self.rest_px, radius)
         self._dark, self._owner = self._pixels_of_dots()

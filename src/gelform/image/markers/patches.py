@@ -58,7 +58,7 @@ class Followed(NamedTuple):
     sigma_px: NDArray[np.float32]
 
 
-class Patches:
+class MarkerPatches:
     """The patches of a gel's dots, prepared once.
 
     Parameters
@@ -150,7 +150,7 @@ def level_from_image(image: NDArray[Any]) -> NDArray[np.uint8]:
 class StretchedPatches:
     """The dots of one gel, searched for with an affine map; `logs` (H, W) are those of the background image."""
 
-    def __init__(self, logs: NDArray[np.float32], patches: Patches) -> None:
+    def __init__(self, logs: NDArray[np.float32], patches: MarkerPatches) -> None:
         self._logs, self._patches = logs, patches
         self._down, self._across = np.asarray(np.gradient(logs.astype(np.float64)))
 

@@ -84,7 +84,7 @@ class Channel:
 
 
 @dataclass(frozen=True)
-class Placed:
+class PlacedMessage:
     """A message with its topic."""
 
     topic: str
@@ -115,7 +115,7 @@ def mcap_records(path: Path) -> Iterator[Any]:
                 schema = schemas.get(record.schema_id, "")
                 yield Channel(record.topic, schema, record.message_encoding)
             elif kind == "Message":
-                yield Placed(topics.get(record.channel_id, ""), record)
+                yield PlacedMessage(topics.get(record.channel_id, ""), record)
             elif kind != "Channel":
                 yield record
 
@@ -200,7 +200,7 @@ def _add(found: _Found, record: Any, path: Path) -> None:
             found.encodings[record.topic] = ""
         else:
             found.others.append(record.topic)
-    elif isinstance(record, Placed) and found.encodings.get(record.topic) == "":
+    elif isinstance(record, PlacedMessage) and found.encodings.get(record.topic) == "":
         try:
             found.encodings[record.topic] = raw_image_from_message(record.message.data).encoding
         except ValueError as problem:
@@ -286,4 +286,4 @@ def frame_from_message(
 
 
 def _is_message_of(record: Any, topic: PictureTopic) -> bool:
-    return isinstance(record, Placed) and record.topic == topic.name
+    return isinstance(record, PlacedMessage) and record.topic == topic.name

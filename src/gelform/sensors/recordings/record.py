@@ -27,7 +27,7 @@ from gelform.sensors.recordings.facts import (
     image_from_encoded,
 )
 from gelform.sensors.recordings.image_folder import FolderRecording, is_recorded_folder
-from gelform.sensors.recordings.mcap_reader import Placed, is_bag_folder, mcap_file_in, mcap_records
+from gelform.sensors.recordings.mcap_reader import PlacedMessage, is_bag_folder, mcap_file_in, mcap_records
 from gelform.sensors.recordings.mcap_writer import McapRecording
 from gelform.sensors.video_files import is_video
 
@@ -107,7 +107,7 @@ def attached_background(path: str | Path) -> NDArray[np.float32] | None:
 def _in_mcap(path: Path) -> dict[str, bytes]:
     found: dict[str, bytes] = {}
     for record in mcap_records(path):
-        if isinstance(record, Placed):
+        if isinstance(record, PlacedMessage):
             break
         if type(record).__name__ == "Attachment" and record.name in ATTACHABLE:
             found[record.name] = record.data

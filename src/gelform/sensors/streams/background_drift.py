@@ -43,7 +43,7 @@ MARGIN = 0.1  # fraction of the image's shorter side: around a contact the gel s
 
 
 @dataclass(frozen=True, eq=False)
-class Evidence:
+class DriftEvidence:
     """The mean of the frames of about ten seconds.
 
     Attributes
@@ -97,7 +97,7 @@ class BackgroundDrift:
         self._last_s: float | None = None
         self._asked = self._taking = False
         self._contact_long = np.zeros(background.shape[:2], dtype=bool)
-        self.evidence: Evidence | None = None
+        self.evidence: DriftEvidence | None = None
         self._start_anew(0.0)
 
     def take(self) -> None:
@@ -200,9 +200,9 @@ class BackgroundDrift:
         self._sum[:], self._sum_count, self._different = 0, 0, 0
         self._contact_long[:] = False
 
-    def _evidence(self, mean: NDArray[np.float32], light: NDArray[np.float32]) -> Evidence:
+    def _evidence(self, mean: NDArray[np.float32], light: NDArray[np.float32]) -> DriftEvidence:
         touched = ~self.touched.not_since(self._mean_image_s)
-        return Evidence(
+        return DriftEvidence(
             image=mean,
             start=self.start,
             light=light,

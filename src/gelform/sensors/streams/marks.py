@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.foundations.findings import Finding
-from gelform.sensors.streams.background_drift import Evidence
+from gelform.sensors.streams.background_drift import DriftEvidence
 from gelform.sensors.streams.smooth_light import robust_sigma
 
 SMOOTH_PX, WIDE_PX = 1.0, 8.0  # px, widths of the blur of the image and of its surroundings
@@ -49,7 +49,7 @@ class Marks:
     def __init__(self) -> None:
         self._stays: NDArray[np.uint8] | None = None
 
-    def __call__(self, evidence: Evidence) -> tuple[Finding, ...]:
+    def __call__(self, evidence: DriftEvidence) -> tuple[Finding, ...]:
         """Find `scratch`, `dust` and `tear`.
 
         Their figures are the largest one's length or diameter, px, and image fraction.

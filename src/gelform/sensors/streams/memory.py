@@ -19,7 +19,7 @@ from gelform.image.markers import MarkerFlow, MarkerTracker
 from gelform.reconstruct import Reconstructor
 from gelform.result import Reconstruction
 from gelform.result.maps import BESIDE_DEPTH
-from gelform.sensors.streams.background_drift import BackgroundDrift, Evidence
+from gelform.sensors.streams.background_drift import BackgroundDrift, DriftEvidence
 from gelform.sensors.streams.sensor_health import FROZEN, Examination, Frozen, light_findings
 from gelform.sensors.streams.smoothing import Smoothing
 from gelform.slopes.gradients import STEEPEST_GEL
@@ -74,7 +74,7 @@ class Memory:
         self.reconstruct = reconstruct
         self._examine: Callable[[Work], None] = lambda work: work()
         self._frozen, self._examination = Frozen(), Examination()
-        self._examined: Evidence | None = None
+        self._examined: DriftEvidence | None = None
         self._standing = standing
         self._light: tuple[Finding, ...] = ()
         self._examined_findings: tuple[Finding, ...] = ()

@@ -174,7 +174,7 @@ class HandOver(Generic[Value]):
             self._changed.notify_all()
 
 
-class Sequence(Protocol[Value]):
+class RunningSequence(Protocol[Value]):
     """Makes results from frames, in order: a `Memory`, or a sensor of the live page."""
 
     def reconstructed(self, frame: Frame, timed: Timed) -> Value:
@@ -201,7 +201,7 @@ class Pipeline(Generic[Value]):
     keep : number of last results held in `recent`
     """
 
-    def __init__(self, feed: Feed, sequence: Sequence[Value], *, keep: int = 0) -> None:
+    def __init__(self, feed: Feed, sequence: RunningSequence[Value], *, keep: int = 0) -> None:
         self.feed = feed
         self.sequence = sequence
         self.meter = Meter()

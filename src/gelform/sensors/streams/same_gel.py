@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from gelform.foundations.findings import Finding
 from gelform.image.background.registration import PreparedRegistration
-from gelform.sensors.streams.background_drift import Evidence
+from gelform.sensors.streams.background_drift import DriftEvidence
 from gelform.sensors.streams.smooth_light import robust_sigma
 
 MOVED_PX, TURNED_DEG = 0.5, 0.2  # least motion of a camera that moved
@@ -39,7 +39,7 @@ class SameGel:
         self._before: NDArray[np.float32] | None = None
         self._different = self._others = 0
 
-    def __call__(self, evidence: Evidence) -> tuple[Finding, ...]:
+    def __call__(self, evidence: DriftEvidence) -> tuple[Finding, ...]:
         """Find `camera_moved` (figure: px) or `other_gel` (figure: the difference, or the texture's correlation)."""
         texture, before = _texture(evidence.image), self._before
         self._before = texture
@@ -59,7 +59,7 @@ class SameGel:
         self._others = self._others + 1 if other else 0
         return other if self._others >= OTHER_STAYS else ()
 
-    def _moved(self, evidence: Evidence) -> tuple[Finding, ...]:
+    def _moved(self, evidence: DriftEvidence) -> tuple[Finding, ...]:
         gains = evidence.light.mean(
             axis=(0, 1)
         )  # the slopes of this image must stay: those of a moved image look like light
@@ -75,7 +75,7 @@ class SameGel:
         )
         return (Finding("camera_moved", message, float(np.hypot(x, y))),)
 
-    def _other_pattern(self, evidence: Evidence) -> tuple[Finding, ...]:
+    def _other_pattern(self, evidence: DriftEvidence) -> tuple[Finding, ...]:
         """A change of brightness nearly everywhere that smooth light does not explain."""
         height, width = evidence.touched.shape
         size = max(1, width // PATTERN_PX), max(1, height // PATTERN_PX)

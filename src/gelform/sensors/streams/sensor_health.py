@@ -13,7 +13,7 @@ from gelform.foundations.findings import Finding
 from gelform.sensors import settings_mismatch
 from gelform.sensors.grabber import Grabber
 from gelform.sensors.source import Source
-from gelform.sensors.streams.background_drift import Evidence
+from gelform.sensors.streams.background_drift import DriftEvidence
 from gelform.sensors.streams.marks import Marks
 from gelform.sensors.streams.same_gel import SameGel
 from gelform.sensors.streams.smooth_light import FIT_ROUNDS, tukey_weights
@@ -114,7 +114,7 @@ def light_findings(gains: NDArray[np.float64]) -> tuple[Finding, ...]:
     return tuple(findings)
 
 
-def room_light_finding(evidence: Evidence) -> tuple[Finding, ...]:
+def room_light_finding(evidence: DriftEvidence) -> tuple[Finding, ...]:
     """Find `room_light`: light added to all channels; figure: gray levels.
 
     The sensor's own light multiplies the background image. Light from outside is added to it, in dark places too. Both are
@@ -164,7 +164,7 @@ class Examination:
         self._same_gel: SameGel | None = None
         self._start: object = None
 
-    def __call__(self, evidence: Evidence) -> tuple[Finding, ...]:
+    def __call__(self, evidence: DriftEvidence) -> tuple[Finding, ...]:
         """Find `camera_moved`, `other_gel`, `room_light`, `scratch`, `dust`, `tear`.
 
         A cause hides its effects: under light from outside the gel looks like another one, and on a moved gel every

@@ -9,6 +9,8 @@ from typing import Any, ClassVar, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from gelform.image.background.change import PendingChange
+
 
 @dataclass(frozen=True)
 class Samples:
@@ -44,24 +46,6 @@ class PreparedColorModel(Protocol):
         self, color_change: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
         """Gradients (H, W, 2) of a color change (H, W, 3), and their standard deviation or None."""
-        ...
-
-
-class PendingChange(Protocol):
-    """An image whose color change is not yet computed; a model with its own kernel may do both in one pass."""
-
-    @property
-    def arguments(self) -> tuple[Any, ...]:
-        """Arguments of the kernel `color_change`, up to its work array."""
-        ...
-
-    @property
-    def work_size(self) -> int:
-        """Floats of work memory that it needs."""
-        ...
-
-    def write(self, out: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Compute the color change into `out` (H, W, 3), and return it."""
         ...
 
 
