@@ -8,7 +8,7 @@ import pytest
 
 from gelform.image.frame import Frame
 from gelform.live.hub import Hub
-from gelform.live.lists import Calibrations, Origin
+from gelform.live.lists import Calibrations
 from gelform.live.setup import Setup
 from gelform.live.shown import Shown, measures_of
 from gelform.live.station import Station
@@ -40,8 +40,7 @@ def hub(sensor, calibration, library):
         return source
 
     station = Station(0, "simulated", opened, made.changed)
-    origin = Origin('gelform.load_calibration("mine.npz")')
-    station.setup = Setup().with_calibration(calibration, made.calibrations.add("mine", calibration, origin))
+    station.setup = Setup().with_calibration(calibration, made.calibrations.add("mine", calibration))
     made.stations.append(station)
     station.start()
     until(lambda: station.newest)

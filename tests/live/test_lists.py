@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gelform.errors import CalibrationError, GelformError
-from gelform.live.lists import Calibrations, Origin, Recordings
+from gelform.live.lists import Calibrations, Recordings
 
 
 @pytest.fixture
@@ -30,16 +32,17 @@ def test_files_that_are_called_alike_keep_apart(calibrations_folder):
         [calibrations_folder / "mine.npz", calibrations_folder / "deep" / "mine.npz"], calibrations_folder
     )
     assert known.names == ["mine.npz", "deep/mine.npz"]
-    assert known.origin_of("deep/mine.npz").path == calibrations_folder / "deep" / "mine.npz"
 
 
 def test_what_was_made_here_gets_a_free_name(calibration):
-    known, origin = Calibrations(), Origin("made()")
-    assert known.add("mine", calibration, origin) == "mine"
-    assert known.add("mine", calibration, origin) == "mine (2)"
-    assert known["mine (2)"] is calibration
-    assert known.add_once("mine", calibration, origin) == "mine"
+    known, another = Calibrations(), replace(calibration, serial="S9")
+    assert known.add("mine", calibration) == "mine"
+    assert known.add("mine", another) == "mine (2)"
+    assert known["mine (2)"] is another
+    assert known.add("mine", calibration) == "mine"
     assert len(known.names) == 2
+    known.put("mine", another)
+    assert known["mine"] is another
 
 
 def test_paths_and_files_that_cannot_be_read_are_refused(calibrations_folder):

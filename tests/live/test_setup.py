@@ -1,4 +1,4 @@
-"""The setup of a station: calibration, background, solver, zero, comparison."""
+"""The setup of a station: calibration, background, solver, zero."""
 
 from dataclasses import replace
 
@@ -47,12 +47,6 @@ def test_todays_background_is_used_and_given_back_another_sensors_refused(calibr
     assert not setup.reconstruct.own_background
     assert setup.with_solver("dct").background is today
     assert setup.with_background(None).reconstruct.own_background
-
-
-def test_the_other_calibration_sees_the_same_frame(frame, calibration, result):
-    setup = Setup().with_calibration(calibration, "mine").with_other(calibration, "same")
-    np.testing.assert_array_equal(setup.other_of(frame).depth, result.depth)
-    assert setup.with_other(None, "").other_of(frame) is None
 
 
 def test_anew_it_has_forgotten_what_the_sequence_taught(calibration, press):

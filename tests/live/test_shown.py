@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gelform.foundations.findings import Finding
-from gelform.live.shown import CONTACT, KNOWN, OTHER_UNKNOWN, PLANES, UNKNOWN, Shown, measures_of, outlines_of
+from gelform.live.shown import CONTACT, KNOWN, PLANES, Shown, measures_of, outlines_of
 
 
 def test_numbers_are_those_of_the_depth(result, press):
@@ -42,13 +42,10 @@ def test_what_is_not_known_is_told_and_is_no_deepest_point(shown, result):
     measures = measures_of(partly)
     assert measures.peak == result.depth[known].max() < result.depth.max()
     assert known[measures.y_px, measures.x_px]
-    other = replace(result, known=known[::-1, ::-1])
-    both = replace(shown, result=partly, other=other, measures=measures, _made={})
-    (plane,) = both.planes(["unknown"], "raw")
-    bits = np.frombuffer(plane.data, np.uint8).reshape(result.shape)
-    np.testing.assert_array_equal(bits & UNKNOWN != 0, ~known)
-    np.testing.assert_array_equal(bits & OTHER_UNKNOWN != 0, ~other.known)
-    (depth,), (plane,) = both.planes(["depth"], "small"), both.planes(["unknown"], "small")
+    again = replace(shown, result=partly, measures=measures, _made={})
+    (plane,) = again.planes(["unknown"], "raw")
+    np.testing.assert_array_equal(np.frombuffer(plane.data, np.uint8).reshape(result.shape), ~known)
+    (depth,), (plane,) = again.planes(["depth"], "small"), again.planes(["unknown"], "small")
     sizes = [[one.facts[name] for name in ("height", "width")] for one in (depth, plane)]
     assert sizes[0] == sizes[1], "each pixel of the depth has its own"
 
@@ -56,7 +53,6 @@ def test_what_is_not_known_is_told_and_is_no_deepest_point(shown, result):
 def test_it_has_the_planes_of_its_result(shown, result):
     planes = {plane.facts["name"]: plane for plane in shown.planes(PLANES, "raw")}
     assert {"image", "depth", "confidence", "sigma", "flags"} <= planes.keys()
-    assert "other" not in planes
     flags = np.frombuffer(planes["flags"].data, np.uint8).reshape(result.shape)
     np.testing.assert_array_equal(flags & CONTACT != 0, result.contact)
     np.testing.assert_array_equal(flags & KNOWN != 0, result.known)
@@ -87,11 +83,8 @@ def test_where_nothing_is_known_there_is_no_map_and_no_figure_but_the_findings(s
     words = Finding("not_this_gel", "This is another gel.", 1.0)
     unknown = replace(result, known=np.zeros_like(result.known), health=(words,))
     assert measures_of(unknown) is None
-    found = Shown(1, shown.frame, shown.image, unknown, unknown)
+    found = Shown(1, shown.frame, shown.image, unknown)
     assert [plane.facts["name"] for plane in found.planes(PLANES, "raw")] == ["image"]
     header = found.header()
     assert (header["problem"], "peak" in header, "outlines" in header) == (words.message, False, False)
     assert header["health"] == [["not_this_gel", "This is another gel.", 1.0]]
-    compared = Shown(1, shown.frame, shown.image, result, unknown, shown.measures)
-    assert "other" not in [plane.facts["name"] for plane in compared.planes(PLANES, "raw")]
-    assert compared.header()["other"] == {}

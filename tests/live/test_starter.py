@@ -1,9 +1,7 @@
 """A station without a calibration asks for the gel at rest; then a starter reads it, and is reported as one."""
 
-import numpy as np
 import pytest
 
-import gelform
 from gelform.calibration.starters import load_starter
 from gelform.errors import GelformError
 from gelform.live import actions
@@ -105,21 +103,6 @@ def test_the_guide_takes_its_scale(never):
     asked = hub.guides[0].guide.asked
     assert asked.mm_per_px == load_starter(MAKE).calibration.mm_per_px
     assert (asked.sensor_name, asked.serial) == (MAKE, "S1")
-
-
-def test_what_python_says_makes_it_again(never, tmp_path):
-    from gelform.exchange.plots.canvas import save_picture
-
-    hub, _ = never
-    actions.take_starter(hub, 0, MAKE)
-    calibration = hub.stations[0].setup.calibration
-    save_picture(tmp_path / "background.png", calibration.background.astype(np.uint8))
-    origin = hub.calibrations.origin_of(hub.stations[0].setup.name)
-    namespace = {"gelform": gelform}
-    exec("\n".join(origin.imports), namespace)
-    again = eval(origin.expression.replace("background.png", str(tmp_path / "background.png")), namespace)
-    assert again.background_digest == calibration.background_digest
-    assert again.view == calibration.view
 
 
 def test_a_make_that_was_named_is_asked_for_instead_of_calibrated():

@@ -40,11 +40,6 @@ NEEDED = {
     "guided": Need(
         5, "a guided calibration on the live page (images)", "each of the five folds holds out one press"
     ),
-    "forecast": Need(
-        6,
-        "the forecast on the live page (images)",
-        "half and three quarters of them train, and the others test",
-    ),
     "whole": Need(
         6,
         "moving circles without the presses that the border cuts",

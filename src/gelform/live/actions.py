@@ -18,10 +18,8 @@ from gelform.foundations.progress import Progress
 from gelform.image.background.average import background_from_frames
 from gelform.image.view import View
 from gelform.live import devices
-from gelform.live.code import Situation, code_of
 from gelform.live.hub import Hub, wait_for_frames
-from gelform.live.lists import Origin
-from gelform.live.player import Player, ReplayedFrame
+from gelform.live.player import Player
 from gelform.live.recorder import Recorder, named_by_time
 from gelform.live.recorder import share as share_file
 from gelform.live.setup import BACKGROUND_FRAMES, Setup
@@ -51,7 +49,7 @@ def take_background(hub: Hub, station: int) -> None:
     with _at_rest(chosen):
         images = [shown.image for shown in _frames(chosen, BACKGROUND_FRAMES)]
     taken = background_from_frames(images)
-    # Whole gray levels, so that background.png of a snapshot or recording contains exactly the image in use.
+    # Whole gray levels, so that the background in a recording is exactly the image in use.
     chosen.setup = chosen.setup.with_background(np.rint(taken.background).astype(np.float32))
     hub.notice(f"Background taken: the average of {len(images) - len(taken.left_out)} frames.")
 
@@ -72,14 +70,14 @@ def take_starter(hub: Hub, station: int, sensor: str) -> None:
         with _at_rest(chosen):
             frames = [shown.frame for shown in _frames(chosen, BACKGROUND_FRAMES)]
         serial = None if chosen.source is None else chosen.source.serial
-        calibration, origin = starter_calibration(name, frames, serial, chosen.setup.calibration)
+        calibration = starter_calibration(name, frames, serial, chosen.setup.calibration)
         listed = f"starter {calibration.sensor_name}, sensor {station + 1}"
         chosen.setup = chosen.setup.with_calibration(calibration, listed, calibration.background)
     except GelformError as problem:
         chosen.starter_problem = str(problem)  # the page shows it until the action succeeds
     else:
         chosen.starter_problem = ""
-        hub.calibrations.put(listed, calibration, origin)
+        hub.calibrations.put(listed, calibration)
     hub.changed()
 
 
@@ -134,14 +132,6 @@ def use_calibration(hub: Hub, station: int, name: str) -> None:
     hub.changed()
 
 
-def compare_with(hub: Hub, station: int, name: str) -> None:
-    """Also show the depth by a second calibration; "" shows only the first."""
-    chosen = hub.station(station)
-    other = hub.calibrations[name] if name else None
-    chosen.setup = chosen.setup.with_other(other, name)
-    hub.changed()
-
-
 def use_solver(hub: Hub, station: int, name: str) -> None:
     """Integrate with another solver."""
     if name not in ("auto", *SOLVERS):
@@ -179,12 +169,6 @@ def show_camera(hub: Hub, station: int, camera: int) -> None:
     hub.notice(f"Sensor {station + 1} now shows {found.name}, {how}.")
 
 
-def identify(hub: Hub, on: bool) -> None:
-    """Name each device that is unplugged from now on."""
-    hub.devices.identify(on)
-    hub.changed()
-
-
 def press(hub: Hub, station: int, x_px: float, y_px: float) -> None:
     """Press the simulated sensor at a place of the image."""
     source: Any = hub.station(station).source
@@ -214,33 +198,11 @@ def record(hub: Hub, station: int, on: bool, page: str = "") -> None:
 
 
 def snapshot(hub: Hub, station: int) -> dict[str, Any]:
-    """Keep the current frame; the answer has its number and the names of its files."""
+    """Keep the current frame; the answer has its number."""
     shown = hub.station(station).newest
     if shown is None:
         raise GelformError("There is no frame yet. Wait for the first one.")
-    number = hub.snapshots.add(shown)
-    return {"kind": "snapshot", "number": number, "files": hub.snapshots.names(number)}
-
-
-def code(hub: Hub, station: int, view: str, x_px: float, y_px: float) -> dict[str, Any]:
-    """The code that reproduces a view, a profile through a point: as Python and as command lines."""
-    chosen = hub.station(station)
-    setup, frame = chosen.setup, None if chosen.newest is None else chosen.newest.frame
-    mine, other = (
-        hub.calibrations.origin_of(name) if name else None for name in (setup.name, setup.other_name)
-    )
-    now = Situation(
-        chosen.spec if chosen.player is None else str(chosen.player.recording.path),
-        mine,
-        other,
-        setup.background is not None,
-        setup.zero_mm is not None,
-        setup.solver,
-        frame.number if isinstance(frame, ReplayedFrame) else None,
-        (int(x_px), int(y_px)),
-    )
-    title, parts = code_of(view, now)
-    return {"kind": "code", "title": title, "parts": parts}
+    return {"kind": "snapshot", "number": hub.snapshots.add(shown)}
 
 
 def _frames(station: Station, count: int) -> Sequence[Shown]:
@@ -277,12 +239,7 @@ def attached_setup(hub: Hub, setup: Setup, path: Path) -> Setup:
     calibration = attached_calibration(path)
     if calibration is None:
         return replace(setup, background=None, zero_mm=None)  # they belonged to the sensor
-    origin = Origin(
-        f"attached_calibration({str(path)!r})",
-        ("from gelform.sensors.recordings import attached_calibration",),
-    )
-    name = f"{path.resolve().name}: calibration"
-    name = hub.calibrations.add_once(name, calibration, origin)
+    name = hub.calibrations.add(f"{path.resolve().name}: calibration", calibration)
     setup = setup.with_calibration(calibration, name)
     background = attached_background(path)
     return setup if background is None else setup.with_background(background)

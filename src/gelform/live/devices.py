@@ -1,4 +1,4 @@
-"""The devices that the page lists and may show, the detection of an unplugged one, and settings of cameras."""
+"""The devices that the page lists and may show, and settings of cameras."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def listed_cameras() -> list[Camera]:
 
 
 class Devices:
-    """The connected or open devices, and those that disappeared since `identify`.
+    """The connected or open devices.
 
     A camera's number is assigned at its first appearance, and stays with its USB socket. Pages never send a path.
 
@@ -51,8 +51,6 @@ class Devices:
         self._lock, self._showing = threading.Lock(), threading.Lock()
         self._numbers: dict[str, int] = {}
         self._looked_s, self._there = float("-inf"), tuple[Camera, ...]()
-        self._before: dict[str, str] | None = None
-        self._gone = ""
 
     def cameras(self) -> tuple[Camera, ...]:
         """The connected cameras."""
@@ -83,33 +81,8 @@ class Devices:
             opening = Opening(partial(self._open_camera, camera, wanted), camera=camera, wanted=wanted)
             station.show(opening, setup)
 
-    def identify(self, on: bool) -> None:
-        """Remember the present devices and name each one that disappears. False: forget them."""
-        rows = self._rows()
-        with self._lock:
-            self._before = {row["key"]: row["name"] for row in rows if row["there"]} if on else None
-            self._gone = ""
-
-    def facts(self) -> dict[str, Any]:
-        """The list, whether identification runs, the device that disappeared, and whether it is back."""
-        rows = self._rows()
-        there = {row["key"] for row in rows if row["there"]}
-        with self._lock:
-            if self._before is not None:
-                lost = [key for key in self._before if key not in there]
-                if lost and not self._gone:
-                    self._gone = lost[0]
-            asking = self._before is not None and not self._gone
-            name = (self._before or {}).get(self._gone, "")
-            return {
-                "rows": rows,
-                "asking": asking,
-                "gone": self._gone,
-                "gone_name": name,
-                "back": bool(self._gone) and self._gone in there,
-            }
-
-    def _rows(self) -> list[dict[str, Any]]:
+    def facts(self) -> list[dict[str, Any]]:
+        """The rows of the page's list."""
         rows = [_row_of_station(one) for one in tuple(self._stations) if one.player is None]
         shown = {_key(one.camera) for one in tuple(self._stations) if one.camera is not None}
         others = [camera for camera in self._plugged_in() if _key(camera) not in shown]
@@ -182,8 +155,7 @@ def _row_of_station(station: Station) -> dict[str, Any]:
 def _row(key: str, name: str, serial: str | None, state: str, **known: Any) -> dict[str, Any]:
     """A row of the list; `known` contains its station or its camera, and figures of a station."""
     unknown = dict.fromkeys(("station", "camera", "rate_hz", "age_ms", "lost", "skipped"))
-    there = state in ("running", NOT_SHOWN)
-    return {**unknown, "key": key, "name": name, "serial": serial, "state": state, "there": there, **known}
+    return {**unknown, "key": key, "name": name, "serial": serial, "state": state, **known}
 
 
 def _key(camera: Camera) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Container, Iterable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,22 +14,6 @@ from gelform.errors import GelformError
 from gelform.foundations.npz_files import kind_of_npz
 from gelform.sensors.recordings.image_folder import is_recorded_folder
 from gelform.sensors.video_files import is_video
-
-
-@dataclass(frozen=True)
-class Origin:
-    """The origin of a calibration, as Python code.
-
-    Attributes
-    ----------
-    expression : evaluates to the calibration, after `import gelform`
-    imports : additional lines
-    path : of its own file, if it has one
-    """
-
-    expression: str
-    imports: tuple[str, ...] = ()
-    path: Path | None = None
 
 
 class Calibrations:
@@ -46,7 +29,7 @@ class Calibrations:
         self, given: Iterable[Path] = (), folder: Path | None = None, library: Path | None = None
     ) -> None:
         self._lock = threading.Lock()
-        self._origins: dict[str, Origin] = {}
+        self._paths: dict[str, Path | None] = {}
         self._loaded: dict[str, Calibration] = {}
         for path in given:
             self.add_file(path)
@@ -59,42 +42,32 @@ class Calibrations:
     def names(self) -> list[str]:
         """The names for the page, in the order of their addition."""
         with self._lock:
-            return list(self._origins)
-
-    def origin_of(self, name: str) -> Origin:
-        """The origin of the calibration with a name."""
-        with self._lock:
-            return self._origins[name]
+            return list(self._paths)
 
     def add_file(self, path: Path) -> str:
         """Add a file; return its name: the file's, with its folder if two files have the same name."""
         with self._lock:
-            listed = {name: one.path for name, one in self._origins.items() if one.path is not None}
+            listed = {name: known for name, known in self._paths.items() if known is not None}
             if (known := _name_of(path, listed)) is not None:
                 return known
             name = path.name if path.name not in listed else f"{path.parent.name}/{path.name}"
-            name = _free(name, self._origins)
-            self._origins[name] = Origin(f"gelform.load_calibration({str(path)!r})", (), path)
+            name = _free(name, self._paths)
+            self._paths[name] = path
             return name
 
-    def add(self, name: str, calibration: Calibration, origin: Origin) -> str:
-        """Add a calibration without a file; return its assigned name."""
-        with self._lock:
-            name = _free(name, self._origins)
-            self._loaded[name], self._origins[name] = calibration, origin
-            return name
-
-    def put(self, name: str, calibration: Calibration, origin: Origin) -> str:
-        """Replace the calibration with a name by one without a file; return the name."""
-        with self._lock:
-            self._loaded[name], self._origins[name] = calibration, origin
-            return name
-
-    def add_once(self, name: str, calibration: Calibration, origin: Origin) -> str:
-        """As `add`, unless the same calibration already has that name."""
+    def add(self, name: str, calibration: Calibration) -> str:
+        """Add a calibration without a file; return its name. The same calibration is added once."""
         with self._lock:
             known = self._loaded.get(name)
-        return name if known and known.digest == calibration.digest else self.add(name, calibration, origin)
+            if known is None or known.digest != calibration.digest:
+                name = _free(name, self._paths)
+                self._loaded[name], self._paths[name] = calibration, None
+            return name
+
+    def put(self, name: str, calibration: Calibration) -> None:
+        """Add a calibration without a file, in the place of one of that name."""
+        with self._lock:
+            self._loaded[name], self._paths[name] = calibration, None
 
     def of_unit(self, unit: Unit) -> str | None:
         """The name of the newest listed calibration of a unit, or of the one that was in use; None if there is none."""
@@ -124,7 +97,7 @@ class Calibrations:
         with self._lock:
             if name in self._loaded:
                 return self._loaded[name]
-            path = self._origins[name].path if name in self._origins else None
+            path = self._paths.get(name)
         if path is None:
             raise GelformError(f"There is no calibration {name!r}. Choose one in the list.")
         calibration = load_calibration(path)

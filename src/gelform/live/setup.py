@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from gelform.calibration_file import Calibration
 from gelform.depth.contact import contact_from_depth
-from gelform.errors import GelformError
 from gelform.foundations.checks import check_mm_per_px
 from gelform.image.frame import Frame
 from gelform.image.view import View, image_from_frame
@@ -31,7 +30,6 @@ class Setup:
     solver : the chosen one, "auto" by default
     background : (H, W, 3) float32 taken live, or None: the calibration's own
     zero_mm : (H, W) depth that is subtracted from every result, or None
-    other, other_name : the second calibration, for comparison
     """
 
     memory: Memory | None = None
@@ -39,8 +37,6 @@ class Setup:
     solver: str = "auto"
     background: NDArray[np.float32] | None = None
     zero_mm: NDArray[np.float32] | None = None
-    other: Reconstructor | None = None
-    other_name: str = ""
 
     @property
     def reconstruct(self) -> Reconstructor | None:
@@ -72,15 +68,6 @@ class Setup:
             return of_frame(result_from_image(self.memory.reconstruct, image), frame)
         return self.memory.remembered(image, of_frame(self.memory.result_from_image(image), frame))
 
-    def other_of(self, frame: Frame) -> Reconstruction | None:
-        """The other calibration's result of the same frame; None if it fails or there is none."""
-        if self.other is None:
-            return None
-        try:
-            return self.other(frame)
-        except (GelformError, ValueError):
-            return None
-
     def against_zero(self, result: Reconstruction) -> Reconstruction:
         """The result relative to the chosen zero."""
         if self.zero_mm is None or self.zero_mm.shape != result.depth.shape:
@@ -96,7 +83,7 @@ class Setup:
     def with_calibration(
         self, calibration: Calibration, name: str, background: NDArray[np.float32] | None = None
     ) -> Setup:
-        """A setup with another calibration, its own background or one taken live, and no comparison."""
+        """A setup with another calibration, and its own background or one taken live."""
         run = Reconstructor(calibration, background=background, solver=self.solver)
         return Setup(Memory(run), name, self.solver, background)
 
@@ -120,8 +107,3 @@ class Setup:
             return self
         run = Reconstructor(self.calibration, background=self.background, solver=self.solver)
         return replace(self, memory=Memory(run))
-
-    def with_other(self, calibration: Calibration | None, name: str) -> Setup:
-        """A setup with another calibration for comparison, or with none."""
-        run = None if calibration is None else Reconstructor(calibration, solver=self.solver)
-        return replace(self, other=run, other_name=name if run else "")

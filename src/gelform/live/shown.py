@@ -22,10 +22,8 @@ from gelform.result.maps import MAP_PLANES
 from gelform.slopes.confidence.causes import CAUSES
 from gelform.slopes.confidence.explanation import Explanation
 
-PLANES = ("image", "flags", "unknown", "causes", "other", *MAP_PLANES)
+PLANES = ("image", "flags", "unknown", "causes", *MAP_PLANES)
 CONTACT, KNOWN = 1, 2  # bits of the plane `flags`
-# Bits of the plane `unknown`: of this result, of the result compared with it.
-UNKNOWN, OTHER_UNKNOWN = 1, 2
 MOST_CONTACTS, MOST_OUTLINES = 8, 32  # sent per frame at most
 OUTLINE_PX = 0.6  # px, largest distance of an outline from the edge of the pixels
 
@@ -92,12 +90,9 @@ class Shown:
     frame : from the camera
     image : (H, W, 3) uint8, after the view
     result : Reconstruction or None: no calibration, or this frame could not be reconstructed
-    other : the same frame by the second calibration, or None
     measures : numbers of the result; None without a result, or if nothing is known, and then no map is shown
     explain : computes the explanation of the image on request, because it takes longer than a frame
-    background : (H, W, 3) taken live, or None: the calibration's own
     problem : why there is no result; "" if there is one
-    zero_mm : (H, W) depth that was subtracted, or None
     learn : learns from the result for the coming frames; None if there is nothing to learn
     """
 
@@ -105,12 +100,9 @@ class Shown:
     frame: Frame
     image: NDArray[np.uint8]
     result: Reconstruction | None = None
-    other: Reconstruction | None = None
     measures: Measures | None = None
     explain: Callable[[], Explanation] | None = None
-    background: NDArray[np.float32] | None = None
     problem: str = ""
-    zero_mm: NDArray[np.float32] | None = None
     learn: Callable[[], None] | None = None
     _made: dict[Any, Any] = field(default_factory=dict, repr=False)
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
@@ -135,10 +127,6 @@ class Shown:
         result = self.result
         if name == "image":
             return image_plane(self.image, encoding)
-        if name == "other":
-            if self.other is None or not self.other.known.any():
-                return None
-            return depth_plane(self.other.depth, encoding, "other")
         if result is None or self.measures is None:
             return None
         if name == "depth":
@@ -149,8 +137,11 @@ class Shown:
         if name == "causes" and self.explain is not None:
             return bits_plane("causes", _cause_bits(self.explain()), encoding)
         if name == "unknown":
-            bits = _unknown_bits(result, self.other)
-            return bits_plane("unknown", bits, encoding) if bits.any() else None
+            return (
+                None
+                if result.known.all()
+                else bits_plane("unknown", (~result.known).view(np.uint8), encoding)
+            )
         if name == "flags":
             bits = result.contact.view(np.uint8) * CONTACT + result.known.view(np.uint8) * KNOWN
             return bits_plane("flags", bits, encoding)
@@ -173,8 +164,6 @@ class Shown:
         findings = [[f.name, f.message, float(f.figure)] for f in self.result.health]
         if self.measures is None:
             return facts | {"health": findings, "problem": " ".join(f.message for f in self.result.health)}
-        if self.other is not None:
-            facts["other"] = _other_facts(self.result, self.other)
         pitch = self.result.mm_per_px
         return facts | {
             "unit": "px" if pitch is None else "mm",
@@ -192,31 +181,12 @@ class Shown:
         }
 
 
-def _unknown_bits(result: Reconstruction, other: Reconstruction | None) -> NDArray[np.uint8]:
-    """Pixels whose depth was filled without information; no map may show them as known."""
-    bits = np.where(result.known, 0, UNKNOWN).astype(np.uint8)
-    if other is not None and other.known.shape == bits.shape:
-        bits |= np.where(other.known, 0, OTHER_UNKNOWN).astype(np.uint8)
-    return bits
-
-
 def _cause_bits(explanation: Explanation) -> NDArray[np.uint16]:
     """One bit per cause, at pixels where it alone makes a slope less certain than a clean one."""
     bits = np.zeros(explanation.confidence.shape, dtype=np.uint16)
     for number, one in enumerate(explanation.maps.values()):
         bits |= np.where(one > explanation.clean, np.uint16(1 << number), np.uint16(0))
     return bits
-
-
-def _other_facts(result: Reconstruction, other: Reconstruction) -> dict[str, float]:
-    """Numbers of the other calibration's result, and its RMS difference from this one."""
-    measures = measures_of(other)
-    if measures is None:
-        return {}
-    facts = measures.numbers
-    if other.depth.shape == result.depth.shape:
-        facts["apart"] = float(np.sqrt(np.mean((result.depth - other.depth) ** 2)))
-    return facts
 
 
 def _contact_facts(contact: Contact) -> dict[str, Any]:

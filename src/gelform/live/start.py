@@ -12,7 +12,7 @@ from gelform.errors import DataError, GelformError, SensorError
 from gelform.foundations.progress import Progress
 from gelform.live import actions
 from gelform.live.hub import Hub
-from gelform.live.lists import Calibrations, Origin, Recordings
+from gelform.live.lists import Calibrations, Recordings
 from gelform.live.player import Player
 from gelform.live.simulated.ready import ready_calibration
 from gelform.live.station import NEVER_S, Opening, Station
@@ -92,7 +92,7 @@ def start(options: Options) -> Hub:
             _take_known(hub, station, spec)
         station.start()
         if sensor is not None and station.setup.calibration is None and not options.sensor:
-            hub.start(_made_ready(hub, number, spec, sensor), number, "calibrating the simulated sensor")
+            hub.start(_made_ready(hub, number, sensor), number, "calibrating the simulated sensor")
     return hub
 
 
@@ -168,19 +168,9 @@ def _opening(
     )
 
 
-def _made_ready(hub: Hub, number: int, spec: str, sensor: SimulatedSensor) -> Callable[[Progress], None]:
-    origin = Origin(
-        f"ready_calibration(simulated_sensor_named({spec.partition(':')[2] or DEFAULT_SENSOR!r}))",
-        (
-            "from gelform.live.simulated.ready import ready_calibration",
-            "from gelform.sensors import simulated_sensor_named",
-        ),
-    )
-
+def _made_ready(hub: Hub, number: int, sensor: SimulatedSensor) -> Callable[[Progress], None]:
     def work(progress: Progress) -> None:
-        name = f"{READY} {sensor.name}"
         calibration = ready_calibration(sensor, progress=progress)
-        name = hub.calibrations.add_once(name, calibration, origin)
-        actions.use_calibration(hub, number, name)
+        actions.use_calibration(hub, number, hub.calibrations.add(f"{READY} {sensor.name}", calibration))
 
     return work

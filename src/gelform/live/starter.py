@@ -11,11 +11,8 @@ from gelform.calibration.starters import Starter, load_starter, make_name, start
 from gelform.calibration_file import Calibration
 from gelform.errors import GelformError
 from gelform.image.frame import Frame
-from gelform.live.lists import Origin
 from gelform.live.station import Station
 from gelform.sensors.streams.starting import UntouchedImage
-
-IMPORTS = ("from gelform.calibration.starters import load_starter", "from gelform.image.view import View")
 
 
 def starters() -> list[list[str]]:
@@ -57,8 +54,8 @@ def starter_of_station(station: Station) -> str:
 
 def starter_calibration(
     sensor: str, frames: Iterable[Frame], serial: str | None, before: Calibration | None
-) -> tuple[Calibration, Origin]:
-    """The calibration of a unit from frames of its gel at rest, and the Python code that makes it again from a snapshot.
+) -> Calibration:
+    """The calibration of a unit from frames of its gel at rest.
 
     Parameters
     ----------
@@ -77,15 +74,9 @@ def starter_calibration(
     image = untouched.mean()
     if image is None:
         raise GelformError(untouched.reason)
-    # Whole gray levels, so that background.png of a snapshot or recording contains exactly the image in use.
+    # Whole gray levels, so that the background in a recording is exactly the image in use.
     pitch = _own_pitch(starter, before)
-    made = starter.for_unit(np.rint(image), view=untouched.view, mm_per_px=pitch, serial=serial)
-    scale = "" if pitch is None else f", mm_per_px={pitch!r}"
-    expression = (
-        f"load_starter({sensor!r}).for_unit(\n"
-        f'    gelform.read_image("background.png"), view=View.from_dict({untouched.view.to_dict()!r}){scale}\n)'
-    )
-    return made, Origin(expression, IMPORTS)
+    return starter.for_unit(np.rint(image), view=untouched.view, mm_per_px=pitch, serial=serial)
 
 
 def _own_pitch(starter: Starter, before: Calibration | None) -> float | None:

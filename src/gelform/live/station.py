@@ -210,7 +210,6 @@ class Station:
             "background": "taken on this page" if setup.background is not None else "from the calibration",
             "zero": setup.zero_mm is not None,
             "solver": setup.solver,
-            "other": setup.other_name,
             "paused": self.paused,
             "replay": None if player is None else player.facts(),
             "opened": self.opened,
@@ -328,11 +327,8 @@ class Station:
             frame,
             image,
             result,
-            setup.other_of(frame),
             measures,
             explain=partial(setup.memory.reconstruct.explain, image),
-            background=setup.background,
-            zero_mm=setup.zero_mm,
             learn=None if self.player is not None else partial(setup.memory.learn, image, found),
         )
 

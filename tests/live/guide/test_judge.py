@@ -1,12 +1,10 @@
-"""The content of images during a guided calibration, against simulated presses; and the forecast from presses."""
+"""The content of images during a guided calibration, against simulated presses."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from gelform.calibration.enough import NEEDED
-from gelform.live.guide.judge import forecast_of
 from gelform.simulate import simulate_background
 
 
@@ -47,17 +45,3 @@ def test_reasons_say_what_to_do(judge, press):
 
 def test_an_image_of_another_sensor_is_refused_with_the_reason(judge, untouched):
     assert "BGR" in looked(judge, untouched[..., ::-1].copy()).reason
-
-
-def test_it_is_near_what_the_calibration_reaches(presses, calibration):
-    found = forecast_of(presses)
-    reached = calibration.held_out["normal_free_deg"]
-    assert found.presses == len(presses.presses)
-    assert (
-        0.4 * reached < found.now_deg < 5 * reached
-    )  # recorded: 4.6, a polynomial without a step beside one with it
-    assert found.more_deg <= found.now_deg
-
-
-def test_few_presses_say_nothing(presses):
-    assert forecast_of(presses.subset(range(NEEDED["forecast"].presses - 1))) is None

@@ -6,7 +6,6 @@ import pytest
 from gelform.live.devices import Devices
 from gelform.live.hub import Hub
 from gelform.live.setup import Setup
-from gelform.live.start import Options, start
 from gelform.live.station import Station
 from gelform.sensors.cameras.camera import Camera
 from gelform.sensors.simulated.source import SimulatedSource
@@ -73,27 +72,6 @@ def test_two_sensors_stand_side_by_side_and_one_is_chosen(two, visit, picture):
     until(lambda: page.inner_text("#now-exposure") == "now 70")
     page.keyboard.press("Tab")
     until(lambda: page.locator("#devices tr").count() == 2)
-
-
-@pytest.mark.skipif(why_absent() is not None, reason=str(why_absent()))
-def test_two_pages_share_a_camera_and_both_hear_which_one_was_unplugged(visit, serving_of):
-    """The camera serves one client alone: the pages have it from the server."""
-    with FfmpegCamera() as camera:
-        hub = start(Options([camera.url]))
-        until(lambda: hub.stations[0].newest, 20)
-        url = serving_of(hub).url
-        pages = [visit(url), visit(url)]
-        for page in pages:
-            until(lambda page=page: page.evaluate("Boolean(gelform.frame)"), 30)
-        pages[0].click("#identify")
-        until(lambda: "Unplug one device now" in pages[1].inner_text("#identified"))
-        camera.kill()
-        for page in pages:
-            until(lambda page=page: "Plug it in again" in page.inner_text("#identified"), 20)
-            until(lambda page=page: page.is_visible("#banner"), 20)
-        camera.start()
-        for page in pages:
-            until(lambda page=page: page.inner_text("#identified").endswith("It is back."), 20)
 
 
 @pytest.mark.skipif(why_absent() is not None, reason=str(why_absent()))

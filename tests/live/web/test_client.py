@@ -126,8 +126,8 @@ def test_the_state_comes_by_itself_and_answers_to_buttons(running):
         assert "Expected a solver" in next_words(socket, "done")["problem"]
         say(socket, do="ping", sent=1.5)
         assert next_words(socket, "pong")["sent"] == 1.5
-        say(socket, do="code", station=0, view="depth", x_px=3, y_px=4)
-        assert next_words(socket, "code")["parts"][0]["language"] == "Python"
+        say(socket, do="snapshot", station=0)
+        assert next_words(socket, "snapshot")["number"] == 1
 
 
 def test_a_stalled_client_costs_the_others_nothing(running, hub):

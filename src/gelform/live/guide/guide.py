@@ -18,7 +18,7 @@ from gelform.errors import GelformError
 from gelform.image.background.average import background_from_frames
 from gelform.image.frame import Frame, pixels_digest
 from gelform.image.view import View, image_from_frame
-from gelform.live.guide.judge import Circle, Forecast, Judge, Look
+from gelform.live.guide.judge import Circle, Judge, Look
 from gelform.live.setup import BACKGROUND_FRAMES
 
 WANTED, LEAST = (NEEDED[row].presses for row in ("guided well", "guided"))
@@ -69,7 +69,6 @@ class Guide:
         self.step, self.hint = "background", "Touch nothing while the page takes the background."
         self.places: tuple[PressPlace, ...] = ()
         self.covered: Coverage | None = None
-        self.forecast: Forecast | None = None
         self.report: dict[str, Any] | None = None
         self._changed = on_changed
         self._lock = threading.Lock()
@@ -157,7 +156,6 @@ class Guide:
                 "accepted": [list(circle) for circle in self._circles],
                 "rejected": [[*circle, reason] for circle, reason in self._verdicts[-5:]],
                 "coverage": None if self.covered is None else _coverage_facts(self.covered),
-                "forecast": None if self.forecast is None else vars(self.forecast),
                 "report": self.report,
             }
 

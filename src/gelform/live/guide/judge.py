@@ -1,4 +1,4 @@
-"""The content of an image during a guided calibration: nothing, a moving ball or a press; and the forecast of errors."""
+"""The content of an image during a guided calibration: nothing, a moving ball or a press."""
 
 from __future__ import annotations
 
@@ -10,16 +10,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.calibration.candidates import Candidate, candidates_for, training_samples
 from gelform.calibration.circles.find import ContactCircle, find_contact, scale_of, why_no_contact
-from gelform.calibration.circles.prepare import BLUR_PX, USUAL_OFFSET, ColorChanges, find_contacts, prepare
-from gelform.calibration.circles.samples import PreparedPress
-from gelform.calibration.enough import enough
-from gelform.calibration.presses.press_set import Presses
-from gelform.calibration.report.learning import floor_and_slope
+from gelform.calibration.circles.prepare import BLUR_PX, USUAL_OFFSET, ColorChanges
 from gelform.errors import CalibrationError
 from gelform.image.background.change import ChangeSettings
-from gelform.result.metrics import score_slopes
 
 LEAST_RADIUS_PX = 9.0  # px, radius of a contact, at 240 rows
 DEEPEST = 0.87  # contact radius over ball radius: pressed in by half the radius
@@ -29,9 +23,6 @@ TOUCHED, NOISE_FACTOR = 0.05, 1.6  # color change of a touch; multiple of the ch
 TOUCHED_PART = 500  # a touch covers at least 1/500 of the image
 STILL_LEVELS, STILL_NOISE = 1.0, 0.9  # largest change of a still block: gray levels, times noise
 SMALL = 8  # px, width of such a block
-MORE = 5  # presses that a forecast looks ahead
-HELD_OUT_EVERY = 4  # every fourth press tests a fit to the others
-SAMPLES = 400  # sampled pixels of a held-out press
 
 Circle = tuple[float, float, float]
 
@@ -123,68 +114,3 @@ def _largest(change: NDArray[np.float32]) -> float:
     size = np.abs(change).max(axis=-1)
     rank = size.size - size.size // TOUCHED_PART - 1
     return float(np.partition(size, rank, axis=None)[rank])
-
-
-@dataclass(frozen=True)
-class Forecast:
-    """Mean angle between normals of presses that are held out.
-
-    Attributes
-    ----------
-    presses : so many were there
-    now_deg : expected of a calibration on them
-    more_deg : expected with five more
-    """
-
-    presses: int
-    now_deg: float
-    more_deg: float
-
-
-def forecast_of(presses: Presses) -> Forecast | None:
-    """Fit the simplest color model on a half and on three quarters of the presses, and extrapolate.
-
-    The law is error^2 = a + b / n, as in the report's learning curve; the final fit tries more models and refines
-    the circles, so it is rather better than this.
-
-    Parameters
-    ----------
-    presses : those accepted so far
-
-    Returns
-    -------
-    Forecast or None
-        None with fewer than six presses.
-    """
-    count = len(presses.presses)
-    if not enough("forecast", count):
-        return None
-    prepared = prepare(presses)
-    found = find_contacts(prepared)
-    candidate = candidates_for("polynomial", count)[0]
-    held_out = range(0, count, HELD_OUT_EVERY)
-    rest = [k for k in range(count) if k not in held_out]
-    sizes = [max(2, len(rest) // 2), len(rest)]
-    errors = [_error_deg(candidate, rest[:size], held_out, prepared, found) for size in sizes]
-    floor, slope = floor_and_slope(sizes, errors)
-    return Forecast(
-        count, float(np.sqrt(floor + slope / count)), float(np.sqrt(floor + slope / (count + MORE)))
-    )
-
-
-def _error_deg(
-    candidate: Candidate,
-    training: Sequence[int],
-    tested: Sequence[int],
-    prepared: Sequence[PreparedPress],
-    found: Sequence[ContactCircle],
-) -> float:
-    model = candidate.fit(training_samples([prepared[k] for k in training], [found[k] for k in training]))
-    degrees = []
-    for k in tested:
-        press, circle = prepared[k], found[k]
-        rows, columns = press.pixels(circle, 1.0, SAMPLES)
-        slopes = press.gradients(model, rows, columns)
-        score = score_slopes(slopes, columns, rows, (circle.x_px, circle.y_px), press.ball_radius_px)
-        degrees.append(score.normal_deg)
-    return float(np.mean(degrees))

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from gelform.calibration.enough import enough
 from gelform.calibration.fit import calibrate
 from gelform.calibration.library.library import add_calibration
 from gelform.calibration.presses.press_set import Presses
@@ -21,7 +19,6 @@ from gelform.exchange.exporters.press_folder import save_press_folder
 from gelform.foundations.npz_files import written_file
 from gelform.foundations.progress import Progress
 from gelform.live.guide.guide import Asked, Guide
-from gelform.live.guide.judge import forecast_of
 from gelform.live.recorder import named_by_time
 from gelform.live.shown import Shown
 from gelform.live.station import Station
@@ -50,7 +47,6 @@ class GuideSession:
         self._in_library: Path | None = None
         self._station, self._folder, self._on_changed = station, folder, on_changed
         self._pressed_s, self._pressed = 0.0, -1
-        self._forecasting = False
         source: Any = station.source
         self._simulated = source if hasattr(source, "press_at") else None
         if self._simulated is not None:
@@ -104,7 +100,6 @@ class GuideSession:
         self.guide.look_at(shown.frame)
         if self.guide.step == "press":
             self._press_simulated()
-            self._forecast()
 
     def _press_simulated(self) -> None:
         """Press the simulated sensor at the suggested place, once for each target."""
@@ -121,24 +116,6 @@ class GuideSession:
         fraction = RIM_FRACTIONS[guide.count % len(RIM_FRACTIONS)]
         depth = DEPTH_RATIO * radius * fraction**2 + 0.05
         self._simulated.press_at(target.x_px, target.y_px, depth, ball_diameter_mm=2 * radius, held_s=HELD_S)
-
-    def _forecast(self) -> None:
-        """Forecast errors after each new press, in a separate thread."""
-        guide = self.guide
-        known = 0 if guide.forecast is None else guide.forecast.presses
-        if self._forecasting or not enough("forecast", guide.count) or guide.count == known:
-            return
-        self._forecasting = True
-
-        def work() -> None:
-            try:
-                guide.forecast = forecast_of(guide.presses())
-            except (GelformError, ValueError):
-                guide.forecast = None  # these presses allow no forecast; the fit will give the reason
-            finally:
-                self._forecasting = False
-
-        threading.Thread(target=work, name="forecast", daemon=True).start()
 
     def _written(self, presses: Presses, calibration: Calibration, content: dict[str, Any]) -> str:
         """Write the press folder, with the calibration and the report in it; return the folder's name."""

@@ -6,7 +6,7 @@ import { Painting } from "./maps/painting.js";
 import { startRuler } from "./maps/ruler.js";
 import { VIEWS } from "./maps/views.js";
 import { byId, element, setText } from "./page/dom.js";
-import { Cadence, showCode, showKeys, startKeys, startTabs, startTheme, startWhole, toast } from "./page/page.js";
+import { Cadence, showKeys, startKeys, startTabs, startTheme, startWhole, toast } from "./page/page.js";
 import { drawControls, startControls } from "./panels/controls.js";
 import { drawCamera, drawDevices } from "./panels/devices.js";
 import { drawGuide, drawGuideCircles } from "./panels/guide.js";
@@ -44,7 +44,6 @@ function watch() {
 
 function missing(view) {
   if (view === "sigma") return "This calibration has no uncertainty.";
-  if (view === "other" || view === "difference") return "Choose a calibration under “Compare with”.";
   return station()?.calibration ? "This frame does not have it." : "This view needs a calibration.";
 }
 
@@ -178,15 +177,14 @@ connection.addEventListener("state", ({ detail }) => {
   if (guided && !facts.guides[number] && station()?.calibration) choosePage("live"); // it is in use: look at it
   guided = Boolean(facts.guides[number]);
   stale.panels = true;
-  const key = JSON.stringify([facts.guides, facts.work, facts.stations.map((one) => [one.name, one.state, one.calibration, one.other, one.paused, one.simulated])]);
+  const key = JSON.stringify([facts.guides, facts.work, facts.stations.map((one) => [one.name, one.state, one.calibration, one.paused, one.simulated])]);
   if (key !== stateKey) redraw(); // what is said over pictures may be another thing
   else schedule();
   stateKey = key;
 });
 
 connection.addEventListener("done", ({ detail }) => { if (detail.problem) toast(detail.problem, "error"); });
-connection.addEventListener("code", ({ detail }) => showCode(detail.title, detail.parts));
-connection.addEventListener("snapshot", ({ detail }) => toast(element("span", {}, `Snapshot ${detail.number}: `, ...detail.files.flatMap((name) => [element("a", { href: `/snapshots/${detail.number}/${name}`, download: "", text: name }), " "])), "kept"));
+connection.addEventListener("snapshot", ({ detail }) => toast(element("span", {}, `Snapshot ${detail.number}: `, ...["frame.png", "result.npz"].flatMap((name) => [element("a", { href: `/snapshots/${detail.number}/${name}`, download: "", text: name }), " "])), "kept"));
 connection.addEventListener("trouble", ({ detail }) => toast(detail, "error"));
 connection.addEventListener("open", () => { for (const one of stages) one.series.clear(); drawStatus(station(), true, look); sayOld(); });
 connection.addEventListener("closed", () => { owed = 0; drawStatus(station(), false, look); sayOld(); });
@@ -242,16 +240,6 @@ function sayMeasuring() {
   drawRulerLine(frameNow());
 }
 
-function code(view) {
-  const [x, y] = (frameNow() && stage().pointer.at(frameNow())) ?? [0, 0];
-  send("code", { view, x_px: x, y_px: y });
-}
-
-/** Two calibrations are compared: depth by both and the difference, side by side. */
-function compared() {
-  ["depth", "other", "difference"].forEach((view, k) => panes[k].show(view));
-}
-
 const replayed = (what, fields) => () => station()?.replay && send(what, fields());
 const KEYS = [
   [" ", "pause or continue", () => byId("pause").click()],
@@ -268,7 +256,6 @@ const KEYS = [
   ["1", "open the page Live", () => choosePage("live")],
   ["2", "open the page Calibrate", () => choosePage("calibrate")],
   ["n", "choose the next sensor", () => choose((number + 1) % stages.length)],
-  ["c", "show the code for the depth", () => code("depth")],
   ["d", "switch between light and dark", () => byId("theme").click()],
   ["0", "return to the first view of the surface", () => byId("reset-view").click()],
   ["?", "show these shortcuts", () => byId("help").click()],
@@ -281,18 +268,16 @@ function startPage() {
   startKeys(KEYS);
   startNumbers();
   makeStages(1);
-  const actions = { changed: () => guidePane && watch(), code, pointed };
+  const actions = { changed: () => guidePane && watch(), pointed };
   panes = ["depth", "image", "normals"].map((view) => new Pane(view, actions));
   guidePane = new Pane("image", actions);
   guidePane.select.parentElement.replaceWith(element("h2", { text: "Camera" }));
-  guidePane.code.remove();
   byId("guide-pane").append(guidePane.node);
   choosePage = startTabs((name) => { page = name; redraw(); });
   byId("panes").append(...panes.map((pane) => pane.node));
-  startControls({ send, chosen: station, recording: () => facts?.recordings[number], page: connection.page, settings, redraw, compared });
+  startControls({ send, chosen: station, recording: () => facts?.recordings[number], page: connection.page, settings, redraw });
   startReplay({ send, chosen: station });
   for (const id of ["files-back", "devices-back"]) byId(id).addEventListener("click", () => send("open", { name: "" }));
-  byId("identify").addEventListener("click", () => connection.send({ do: "identify", on: !facts.devices.asking }));
   byId("exaggeration").addEventListener("input", (event) => { setText(byId("exaggeration-value"), `× ${event.target.value}`); redraw(); });
   byId("drape").addEventListener("change", () => { watch(); redraw(); });
   byId("against").addEventListener("change", redraw);
@@ -302,7 +287,6 @@ function startPage() {
   byId("span").addEventListener("change", redraw);
   startWhole(byId("stage"), byId("whole"));
   byId("reset-view").addEventListener("click", () => stages.forEach((one) => one.surface.orbit.reset()));
-  for (const button of document.querySelectorAll("button.code[data-view]")) button.addEventListener("click", () => code(button.dataset.view));
   document.addEventListener("laidout", redraw);
 }
 

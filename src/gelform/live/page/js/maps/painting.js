@@ -27,7 +27,7 @@ export class Painting {
     }
     if (source.kind === "jpeg") return context.drawImage(source.values, 0, 0);
     view.paint(frame, this.words, settings);
-    if (view.unknown) hatch(this.words, frame.planes.unknown, view.unknown);
+    if (view.unknown) hatch(this.words, frame.planes.unknown);
     context.putImageData(this.image, 0, 0);
   }
 
@@ -40,9 +40,9 @@ export class Painting {
 export const HATCH = ["#8a9499", "#5d676c"], HATCH_PX = 6; // two grays in stripes, so many pixels of the map apart
 const [LIGHT, DARK] = HATCH.map((color) => 0xff000000 | parseInt(color.slice(1).match(/../g).reverse().join(""), 16));
 
-/** What is not known is hatched, whatever was filled in there. `bits`: of the plane, which of its pixels are meant. */
-function hatch(words, plane, bits) {
+/** What is not known is hatched, whatever was filled in there. */
+function hatch(words, plane) {
   if (!plane || plane.values.length !== words.length) return;
   const { values, width } = plane;
-  for (let k = 0; k < words.length; k++) if (values[k] & bits) words[k] = ((k % width) + Math.floor(k / width)) % HATCH_PX < HATCH_PX / 2 ? LIGHT : DARK;
+  for (let k = 0; k < words.length; k++) if (values[k]) words[k] = ((k % width) + Math.floor(k / width)) % HATCH_PX < HATCH_PX / 2 ? LIGHT : DARK;
 }

@@ -93,7 +93,7 @@ function swatch(background, name) {
 }
 
 export class Pane {
-  /** `actions`: {changed(), code(view), pointed(x, y, kind)}; kind is "move", "leave" or "click". */
+  /** `actions`: {changed(), pointed(x, y, kind)}; kind is "move", "leave" or "click". */
   constructor(view, actions) {
     this.actions = actions;
     this.painting = new Painting();
@@ -102,8 +102,7 @@ export class Pane {
     this.legend = element("div", { class: "legend" });
     this.bar = element("canvas", { width: 256, height: 1 });
     this.map = element("div", { class: "map" }, this.shown);
-    this.code = element("button", { class: "quiet icon code", title: "Python and command line", text: "</>", onclick: () => actions.code(this.view) });
-    this.node = element("section", { class: "card pane" }, element("div", { class: "bar" }, element("label", {}, element("span", { class: "visually-hidden", text: "What this pane shows" }), this.select), element("div", { class: "tools" }, this.code)), this.map, this.legend);
+    this.node = element("section", { class: "card pane" }, element("div", { class: "bar" }, element("label", {}, element("span", { class: "visually-hidden", text: "What this pane shows" }), this.select)), this.map, this.legend);
     for (const kind of ["pointermove", "pointerleave", "click"]) this.map.addEventListener(kind, (event) => this.point(event, kind.replace("pointer", "")));
     this.show(view);
   }
@@ -111,7 +110,6 @@ export class Pane {
   show(view) {
     this.view = view;
     this.select.value = view;
-    this.code.setAttribute("aria-label", `Code for ${VIEWS[view].title}`);
     this.node.dataset.view = view;
     this.said = "";
     this.actions.changed();

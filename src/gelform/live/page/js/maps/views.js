@@ -1,4 +1,4 @@
-// The maps that a pane can show: the planes that they need, the color of a pixel, the bits of the plane `unknown` that are hatched, the legend.
+// The maps that a pane can show: the planes that they need, the color of a pixel, whether unknown pixels are hatched, the legend.
 
 // viridis and cividis grow evenly in lightness, so they read the same to the color-blind and in gray.
 const ANCHORS = {
@@ -70,14 +70,6 @@ function paintNormals(frame, pixels) {
   eachNormal(map, x, y, (k, nx, ny, nz) => (pixels[k] = pack((127.5 + 127.5 * nx) | 0, (127.5 + 127.5 * ny) | 0, (127.5 + 127.5 * nz) | 0)));
 }
 
-function paintOther(frame, pixels, settings) {
-  const a = frame.map("depth"), b = frame.map("other"), scale = (255 * 5) / (settings.range || 1);
-  for (let k = 0; k < pixels.length; k++) { // blue: the other is deeper, orange: this one is
-    const level = Math.max(-255, Math.min(255, ((a.values[k] - a.zero) * a.step - (b.values[k] - b.zero) * b.step) * scale)), part = Math.abs(level) / 255;
-    pixels[k] = level > 0 ? pack(255 - 25 * part, 255 - 96 * part, 255 - 255 * part) : pack(255 - 255 * part, 255 - 141 * part, 255 - 77 * part);
-  }
-}
-
 function paintCauses(frame, pixels, settings) {
   const bits = frame.planes.causes.values;
   const image = frame.planes.image?.kind === "rgb" && frame.planes.image.width === frame.planes.causes.width ? frame.planes.image.values : null;
@@ -90,12 +82,10 @@ function paintCauses(frame, pixels, settings) {
 }
 
 export const VIEWS = {
-  depth: { title: "Depth", planes: ["depth"], from: "depth", paint: ramped("depth", () => 0, (s) => s.range), unknown: 1, legend: (s, f) => ({ colors: s.colors, low: "0", high: `${s.range.toPrecision(2)} ${f.unit}` }) },
+  depth: { title: "Depth", planes: ["depth"], from: "depth", paint: ramped("depth", () => 0, (s) => s.range), unknown: true, legend: (s, f) => ({ colors: s.colors, low: "0", high: `${s.range.toPrecision(2)} ${f.unit}` }) },
   image: { title: "Camera", planes: ["image"], from: "image", paint: paintImage, legend: (s, f) => ({ text: s.plain ? "Yellow: press at 1, then at 2 and 3. White: contact now." : f.header.simulated ? "Click to press here." : "The image, after crop, flip and resizing." }) },
-  normals: { title: "Normals", planes: ["depth"], from: "depth", paint: paintNormals, unknown: 1, legend: () => ({ text: "Red: x to the right. Green: y down. Blue: toward the camera." }) },
+  normals: { title: "Normals", planes: ["depth"], from: "depth", paint: paintNormals, unknown: true, legend: () => ({ text: "Red: x to the right. Green: y down. Blue: toward the camera." }) },
   confidence: { title: "Confidence", planes: ["confidence"], from: "confidence", paint: ramped("confidence", () => 0, () => 1), legend: (s) => ({ colors: s.colors, low: "0", high: "1" }) },
-  sigma: { title: "Uncertainty", planes: ["sigma"], from: "sigma", paint: ramped("sigma", () => 0, () => 0.1), unknown: 1, legend: (s) => ({ colors: s.colors, low: "0", high: "0.1 mm" }) },
+  sigma: { title: "Uncertainty", planes: ["sigma"], from: "sigma", paint: ramped("sigma", () => 0, () => 0.1), unknown: true, legend: (s) => ({ colors: s.colors, low: "0", high: "0.1 mm" }) },
   causes: { title: "Causes of low confidence", planes: ["causes", "image"], from: "causes", paint: paintCauses, legend: (s, f) => ({ swatches: (f.header.causes ?? []).map((name, k) => [f.header.cause_colors[k].slice(1), name.replace("_", " ")]) }) },
-  other: { title: "Other calibration", planes: ["other"], from: "other", paint: ramped("other", () => 0, (s) => s.range), unknown: 2, legend: (s, f) => ({ colors: s.colors, low: "0", high: `${s.range.toPrecision(2)} ${f.unit} (deepest: ${f.header.other?.peak.toFixed(3)} ${f.unit})` }) },
-  difference: { title: "Difference", planes: ["depth", "other"], from: "depth", paint: paintOther, unknown: 3, legend: (s, f) => ({ text: `Orange: deeper than by the other calibration. Blue: less deep. Full color: ${(s.range / 5).toPrecision(2)} ${f.unit}. RMS difference: ${f.header.other?.apart?.toFixed(4)} ${f.unit}.` }) },
 };

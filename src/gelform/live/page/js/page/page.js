@@ -4,28 +4,6 @@ import { byId, element } from "./dom.js";
 
 byId("dialog-close").addEventListener("click", () => byId("dialog").close());
 
-function openDialog(title, ...content) {
-  byId("dialog-title").textContent = title;
-  byId("dialog-body").replaceChildren(...content);
-  if (!byId("dialog").open) byId("dialog").showModal();
-}
-
-/** What reproduces a view: [{language, text}] under their names, each with a button that copies it. */
-export function showCode(title, parts) {
-  openDialog(`Code for ${title}`, ...parts.map(({ language, text }) => element("div", {},
-    element("div", { class: "copy" }, element("h3", { text: language }), element("button", { class: "quiet", text: "Copy", onclick: () => copy(text) })),
-    element("pre", { tabindex: 0 }, text))));
-}
-
-async function copy(text) {
-  try {
-    await navigator.clipboard.writeText(text);
-    toast("Copied to the clipboard.");
-  } catch {
-    toast("The browser does not allow copying here. Select the text and copy it.", "warning");
-  }
-}
-
 /** `table`: [[key, what it does, action]]; not heard while somebody types or chooses. */
 export function startKeys(table) {
   document.addEventListener("keydown", (event) => {
@@ -40,7 +18,8 @@ export function startKeys(table) {
 
 export function showKeys(table) {
   const rows = [...table.map(([key, what]) => [key === " " ? "Space" : key.toUpperCase(), what]), ["← ↑ → ↓", "turn the surface while it has the focus"], ["+ −", "zoom in, zoom out"]];
-  openDialog("Keyboard shortcuts", element("div", { class: "keys" }, ...rows.flatMap(([key, what]) => [element("span", {}, element("kbd", { text: key })), element("span", { text: what })])));
+  byId("dialog-body").replaceChildren(element("div", { class: "keys" }, ...rows.flatMap(([key, what]) => [element("span", {}, element("kbd", { text: key })), element("span", { text: what })])));
+  if (!byId("dialog").open) byId("dialog").showModal();
 }
 
 /** Arrow keys move between tabs, as screen readers expect. */

@@ -12,12 +12,11 @@ export function startControls(does) {
     element("div", { class: "row" },
       button("background", "Take background", "Average the next frames as the background image. Touch nothing. (B)", () => send("background"), true),
       button("zero", "Set zero", "Show depth relative to the present state (Z)", () => send("zero")),
-      button("snapshot", "Snapshot", "Save this frame as npz, png and ply (S)", () => send("snapshot")),
+      button("snapshot", "Snapshot", "Save this frame and its result (S)", () => send("snapshot")),
       button("record", "Record", "Save the frames as the camera gives them, in the folder of gelform live. It ends when this page is closed. (R)", () => send("record", { on: !does.recording(), page: does.page })),
       button("pause", "Pause", "Hold this frame (space)", () => send("pause", { paused: !holds(does.chosen()) }))));
   byId("choices").append(
     choice("calibration", "Calibration", (name) => name && send("calibration", { name })),
-    choice("compare", "Compare with", (name) => { send("compare", { name }); if (name) does.compared(); }),
     element("div", { class: "row" },
       choice("solver", "Solver", (name) => send("solver", { name })),
       choice("colors", "Colors", (name) => { does.settings.colors = name; does.redraw(); })),
@@ -31,7 +30,6 @@ export function drawControls(station, facts) {
   if (!station) return;
   const named = facts.calibrations.map((name) => [name, name]);
   setOptions(byId("calibration"), station.calibration ? named : [["", "none"], ...named], station.calibration);
-  setOptions(byId("compare"), [["", "nothing"], ...named], station.other);
   setOptions(byId("solver"), facts.solvers.map((name) => [name, name]), station.solver);
   byId("pause").textContent = holds(station) ? "Continue" : "Pause";
   byId("pause").setAttribute("aria-pressed", String(holds(station)));

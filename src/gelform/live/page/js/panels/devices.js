@@ -1,4 +1,4 @@
-// The list of cameras and sources, the device that somebody unplugs, and the settings of a camera.
+// The list of cameras and sources, and the settings of a camera.
 
 import { byId, element, setText } from "../page/dom.js";
 
@@ -6,17 +6,15 @@ const NAMES = { exposure: "Exposure", gain: "Gain", white_balance: "White balanc
 let shown = "", settable = "";
 
 /** `station` is the chosen one, which shows a camera where that is asked for; `does`: {send(do, fields)}; `all`: numbers too. */
-export function drawDevices({ rows, asking, gone, gone_name, back }, station, does, all) {
+export function drawDevices(rows, station, does, all) {
   byId("devices-card").hidden = !rows.length;
-  const key = JSON.stringify([rows.map((row) => [row.key, named(row)]), gone]);
-  if (key !== shown) byId("devices").replaceChildren(...rows.map((row) => element("tr", { class: row.key === gone ? "gone" : "" }, ...cells(row, does))));
+  const key = JSON.stringify(rows.map((row) => [row.key, named(row)]));
+  if (key !== shown) byId("devices").replaceChildren(...rows.map((row) => element("tr", {}, ...cells(row, does))));
   else if (all) rows.forEach((row, k) => row.camera === null && numbers(row).forEach((text, n) => setText(byId("devices").rows[k].cells[n + 2], text)));
   shown = key;
   const away = Boolean(station?.opened && !station.replay);
   byId("devices-back").hidden = !away;
   if (away) setText(byId("devices-back"), `Back to ${station.spec}`);
-  byId("identify").setAttribute("aria-pressed", String(asking));
-  setText(byId("identified"), gone ? `You unplugged ${gone_name}. ${back ? "It is back." : "Plug it in again."}` : asking ? "Unplug one device now. Its name will appear here." : "");
 }
 
 const named = (row) => [row.name, row.serial ?? "–", row.state];

@@ -42,7 +42,7 @@ export function drawGuide(guide, station, facts, does) {
   const at = STEPS.findIndex(([name]) => name === step);
   byId("steps").replaceChildren(...STEPS.map(([, title], k) => element("li", { class: k < at ? "done" : k === at ? "now" : "", "aria-current": k === at ? "step" : false, text: title })));
   setText(byId("guide-hint"), guide?.hint ?? "Calibrate with a ball");
-  const key = step === "start" ? `start${station.number}${station.simulated}${station.starter?.state}` : JSON.stringify([step, guide.count, guide.untouched, guide.forecast, guide.enough, work, Math.round(guide.still * 10)]);
+  const key = step === "start" ? `start${station.number}${station.simulated}${station.starter?.state}` : JSON.stringify([step, guide.count, guide.untouched, guide.enough, work, Math.round(guide.still * 10)]);
   if (key === shownKey) return;
   shownKey = key;
   byId("guide-body").replaceChildren(...{ start: startForm, background, press, fit, report }[step](guide, station, facts, does, work));
@@ -70,12 +70,11 @@ function press(guide, _, __, does) {
   const { tiles: [rows, columns], directions, share } = guide.coverage ?? { tiles: [1, 1], directions: [0], share: 0 };
   const map = element("div", { class: "tiles", role: "img", "aria-label": `Presses show ${Math.round(100 * share)} % of the places and slope directions` }, ...directions.map((seen) => element("i", { "data-seen": seen })));
   map.style.gridTemplateColumns = `repeat(${columns}, 1fr)`;
-  const ahead = guide.forecast ? `Expected error of the normals: ${guide.forecast.now_deg.toFixed(1)}° now, ${guide.forecast.more_deg.toFixed(1)}° with five more presses.` : "After six presses, the page predicts the error of the calibration.";
   const fitButton = element("button", { class: guide.enough ? "main" : "", id: "guide-fit", text: "Fit now", onclick: () => does.send("guide_fit") });
   fitButton.disabled = !guide.can_fit;
   return [
     element("div", { class: "part" }, element("div", {}, element("span", { class: "count", text: guide.count }), ` of ${guide.wanted} presses`), element("progress", { max: guide.wanted, value: Math.min(guide.count, guide.wanted), "aria-label": "presses" }), element("label", {}, "Ball held still", element("progress", { max: 1, value: guide.still }))),
-    element("div", { class: "part" }, element("p", { text: `Coverage: presses show ${Math.round(100 * share)} % of the places and slope directions.` }), map, element("p", { id: "forecast", text: ahead }), element("div", { class: "row" }, fitButton, " ", stopButton(does))),
+    element("div", { class: "part" }, element("p", { text: `Coverage: presses show ${Math.round(100 * share)} % of the places and slope directions.` }), map, element("div", { class: "row" }, fitButton, " ", stopButton(does))),
   ];
 }
 
