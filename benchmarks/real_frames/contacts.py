@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -95,11 +96,15 @@ def counted(results: Iterable[Any], circles: Sequence[Any] = ()) -> dict[str, An
 def _for_objects(run: Run) -> dict[str, gelform.Calibration]:
     """Calibrations for the unit of mini-objects: the Mini starter, and a network that another package trained on it."""
     background = background_of("mini-objects")
+    known = {"by the starter": run.carried("starter", background)}
+    if find_spec("torch") is None:
+        print('\nby its own network: left out, no torch: pip install "gelform[torch]"')
+        return known
     network = DATA / "peer-calibrations" / "gs_sdk-mini-c-nnmodel.pth"
     imported = gelform.import_calibration(
         network, package="gs_sdk", background=background, mm_per_px=MINI_MM_PER_PX
     )
-    return {"by the starter": run.carried("starter", background), "by its own network (imported)": imported}
+    return {**known, "by its own network (imported)": imported}
 
 
 def rest(run: Run) -> dict[str, Any]:

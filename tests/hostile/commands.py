@@ -10,6 +10,7 @@ import numpy as np
 import gelform
 from gelform.calibration.starters import load_starter
 from gelform.exchange.exporters.press_folder import save_press_folder
+from made.checkerboard import checkerboard
 from made.networks import web_file
 from made.small_gel import MM_PER_PX, Touch, background, calibration, image_of, save
 
@@ -34,6 +35,7 @@ def make_work(folder: Path) -> Path:
     save(folder / "rest.png", np.rint(background()).astype(np.uint8))
     for k, name in enumerate(("red", "green", "blue")):
         save(folder / f"{name}.png", np.full((64, 80, 3), 20, np.uint8) + 100 * np.eye(3, dtype=np.uint8)[k])
+    checkerboard(folder / "grid.png", (120, 160), 12)
     web_file(folder / "net.bin")
     touches = [Touch(x_px=x, y_px=y, depth_mm=0.35, seed=k) for k, (x, y) in enumerate(PLACES)]
     save_press_folder(
@@ -69,6 +71,16 @@ def commands(work: Path, out: Path) -> dict[str, list[Any]]:
         "starter": ["starter", "digit", "--background", work / "digit.png", "-o", out / "unit.npz"],
         "reconstruct": ["reconstruct", *images, "-c", work / "cal.npz", "-o", out / "results"],
         "scale": ["scale", out / "sensor.toml", "--points", "20,30,60,30,4"],
+        "lens": [
+            "lens",
+            out / "sensor.toml",
+            "--image",
+            work / "grid.png",
+            "--grid",
+            "8x6",
+            "--pitch-mm",
+            "1.2",
+        ],
         "crosstalk": ["crosstalk", out / "sensor.toml", *leds],
         "simulate": ["simulate", "-o", out / "set", "--count", "2", "--sensor", "three-edges"],
         "design": ["design", "three-edges", "--presses", "4", "-o", out / "design.png"],

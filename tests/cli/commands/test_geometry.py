@@ -3,7 +3,6 @@
 import shutil
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import pytest
 
@@ -11,6 +10,7 @@ from gelform.calibration_file import load_calibration
 from gelform.exchange.plots.canvas import save_picture
 from gelform.sensors.files import read_sensor_toml
 from gelform.simulate import Ball, simulate_background, simulate_press
+from made.checkerboard import checkerboard
 
 
 @pytest.fixture(scope="module")
@@ -95,17 +95,6 @@ def leds(small, tmp_path):
         paths.append(tmp_path / f"{name}.png")
         save_picture(paths[-1], simulate_background(replace(small, leds=lit, ambient=(0, 0, 0)), rng))
     return paths
-
-
-def checkerboard(path, shape, square_px):
-    """A checkerboard of 8x6 inner corners in the middle of a frame, white around it."""
-    fine = 8
-    board = np.kron(np.indices((7, 9)).sum(axis=0) % 2, np.ones((square_px * fine,) * 2))
-    whole = np.ones((shape[0] * fine, shape[1] * fine))
-    top, left = ((whole.shape[k] - board.shape[k]) // 2 for k in (0, 1))
-    whole[top : top + board.shape[0], left : left + board.shape[1]] = board
-    gray = cv2.resize(whole, shape[::-1], interpolation=cv2.INTER_AREA)
-    save_picture(path, np.repeat((40 + 180 * gray).astype(np.uint8)[..., None], 3, axis=2))
 
 
 def test_a_grid_tells_lens_and_scale(run_json, presses, tmp_path):
