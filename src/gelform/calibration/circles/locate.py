@@ -130,8 +130,8 @@ def refine(
     """Move each circle to agree with a color model fitted on all of them; reject presses that do not agree.
 
     The first model is fitted without the presses that the border cuts, because their circles are found too far inside. It
-    moves them, the second one is fitted on all, and presses are misfits from then on. Of a few presses, those that the border
-    cuts show slopes that no other shows: a model without them refused 1-3 of 12 good ones on two sensors.
+    moves them, the second one is fitted on all, and presses are misfits from then on. Of a few presses, those that the
+    border cuts show slopes that no other shows: a model without them refused 1-3 of 12 good ones on two sensors.
     """
     reasons = [why_impossible(press, contact) for press, contact in zip(presses, found)]
     reasons = [reason or wide for reason, wide in zip(reasons, why_too_wide(presses, found))]
