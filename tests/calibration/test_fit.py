@@ -156,7 +156,9 @@ def test_ten_real_presses_are_enough_to_start(data):
     images = tuple(replace(press, image=halved(press.image)) for press in few.presses)
     small = replace(few, presses=images, background=halved(few.background), mm_per_px=2 * few.mm_per_px)
     calibration = gelform.calibrate(small, color_model="hierarchical")
-    assert calibration.held_out["normal_free_deg"] < 2.5  # recorded: 2.39, with the press that the border cuts
+    assert (
+        calibration.held_out["normal_free_deg"] < 2.5
+    )  # recorded: 2.39, with the press that the border cuts
     assert calibration.held_out["normal_rim_deg"] < 3.3  # recorded: 2.81
     assert all(row.accepted for row in calibration.report.presses)
 
