@@ -194,7 +194,7 @@ def test_depth_says_how_well_it_is_known(calibration, sensor):
     assert result.depth_sigma_mm.shape == result.depth_mm.shape
     assert result.depth_sigma_mm.min() > 0
     assert 0.5 < np.mean(shares) < 0.99
-    assert 0.3 < np.mean(contact) < 0.97
+    assert 0.3 < np.mean(contact) < 0.99
 
 
 def test_the_shape_of_a_contact_is_within_the_sigma_of_differences(calibration, sensor):
