@@ -12,7 +12,7 @@ from gelform.calibration.circles.find import ContactCircle, find_contact, magnit
 from gelform.calibration.circles.locate import Located
 from gelform.calibration.circles.samples import TRIAL_SAMPLES, PreparedPress, contact_samples
 from gelform.calibration.coverage import coverage_notes
-from gelform.calibration.enough import NEEDED, SAMPLED, enough
+from gelform.calibration.enough import NEEDED, SAMPLED
 from gelform.calibration.presses.press_set import Presses
 from gelform.errors import CalibrationError
 from gelform.image.background.change import color_change_from_image
@@ -53,7 +53,7 @@ def _check_any(presses: Presses) -> None:
         )
         raise CalibrationError(
             f"Expected presses of a ball in {presses.folder}{flats or ', got none'}. "
-            f"Press a ball at {NEEDED['advised'].presses} places and add a row for each to presses.csv."
+            f"Press a ball at {NEEDED.advised.presses} places and add a row for each to presses.csv."
         )
 
 
@@ -122,7 +122,7 @@ def contact_in_background(presses: Presses) -> ContactCircle | None:
     median is itself touched.
     """
     count = len(presses.presses)
-    if not enough("median", count):
+    if not NEEDED.median.met(count):
         return None
     chosen = np.unique(np.linspace(0, count - 1, min(count, SAMPLED)).round().astype(int))
     images = np.stack([presses.presses[k].image for k in chosen])
