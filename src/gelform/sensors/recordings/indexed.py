@@ -1,4 +1,4 @@
-"""A recording with random access by frame number: folders, videos, MCAP files."""
+"""A recording with random access by frame number: MCAP files, videos, folders of images."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ from gelform.errors import DataError
 from gelform.image.frame import Frame
 from gelform.sensors.playback import images_by_number
 from gelform.sensors.recordings.facts import RecordingFacts, reduction_in
-from gelform.sensors.recordings.image_folder import facts_of_folder, frame_of_row, is_recorded_folder, rows_of
 from gelform.sensors.recordings.mcap_reader import (
     MAX_RECORD_BYTES,
     faults_named,
@@ -65,8 +64,6 @@ def indexed(path: Path) -> Indexed:
     if path.suffix.lower() == ".mcap" or is_bag_folder(path):
         index = McapIndex(mcap_file_in(path) if path.is_dir() else path)
         found = Indexed(path, index.facts, index.times_s, index.frame)
-    elif is_recorded_folder(path):
-        found = _of_recorded_folder(path)
     elif path.is_dir():
         found = _of_images(path)
     elif is_video(path):
@@ -76,13 +73,6 @@ def indexed(path: Path) -> Indexed:
     if not found.times_s:
         raise DataError(f"{path} holds no frame.")
     return found
-
-
-def _of_recorded_folder(path: Path) -> Indexed:
-    facts = facts_of_folder(path)
-    rows, reduction = sorted(rows_of(path)), reduction_in(facts.settings)
-    times_s = tuple(row[0] - rows[0][0] for row in rows)
-    return Indexed(path, facts, times_s, lambda number: frame_of_row(path, rows[number], reduction))
 
 
 def _of_images(path: Path) -> Indexed:

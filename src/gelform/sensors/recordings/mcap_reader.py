@@ -9,14 +9,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from gelform.errors import DataError
+from gelform.errors import DataError, needed
 from gelform.image.frame import Frame
 from gelform.sensors.playback import Playback
 from gelform.sensors.recordings.facts import (
     RecordingFacts,
     RecordingSummary,
     image_from_encoded,
-    playback_of,
     reduction_in,
 )
 from gelform.sensors.recordings.mcap_writer import METADATA, TOPIC
@@ -96,16 +95,15 @@ def mcap_records(path: Path) -> Iterator[Any]:
 
     DataError: the file is missing, no MCAP file or damaged, or the extra `mcap` is not installed.
     """
-    try:
-        from mcap.stream_reader import StreamReader
-    except ImportError as problem:
-        raise DataError("MCAP files need the extra mcap: pip install 'gelform[mcap]'.") from problem
+    stream_reader = needed("mcap.stream_reader", "mcap", "An MCAP file")
     if not path.is_file():
         raise DataError(f"No recording {path}. Check the path.")
     schemas: dict[int, str] = {}
     topics: dict[int, str] = {}
     with path.open("rb") as file, faults_named(path):
-        reader = StreamReader(_WholeReads(file), validate_crcs=True, record_size_limit=MAX_RECORD_BYTES)
+        reader = stream_reader.StreamReader(
+            _WholeReads(file), validate_crcs=True, record_size_limit=MAX_RECORD_BYTES
+        )
         for record in reader.records:
             kind = type(record).__name__
             if kind == "Schema":
@@ -240,7 +238,14 @@ def mcap_playback(path: Path, *, paced: bool = False) -> Playback:
     the extra `mcap` is not installed; in a loop: its bytes are damaged.
     """
     facts, topic = picture_topic_of(path)
-    return playback_of(facts, lambda: _frames(path, topic, facts), paced)
+    return Playback(
+        lambda: _frames(path, topic, facts),
+        name=facts.name,
+        rate_hz=facts.rate_hz,
+        serial=facts.serial,
+        settings=facts.settings,
+        paced=paced,
+    )
 
 
 def mcap_summary(path: Path) -> RecordingSummary:
