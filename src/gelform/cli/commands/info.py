@@ -390,8 +390,8 @@ def _noise(sigma: Facts | None) -> str:
 
 
 def _said(value: Any) -> str:
-    from gelform.calibration.report.page.sections import (
-        setting_in_words,
-    )  # imports numpy, which --help does not wait for
+    from gelform.calibration.report.record import (
+        setting_in_words,  # imports numpy; --help does not wait for it
+    )
 
     return setting_in_words(value)

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from gelform.calibration.report.content import report_content
-from gelform.calibration.report.page.page import NAV, report_page
+from gelform.calibration.report.page import digits, report_page
+from gelform.calibration.report.record import setting_in_words
 
 VOID = {"meta", "img", "input", "br"}
 CHROMIUM = "/usr/bin/chromium"
@@ -48,8 +49,9 @@ class Page(HTMLParser):
 
 def test_sections_are_where_the_links_lead(page):
     found = Page(page)
-    assert {link[1:] for link in found.links if link.startswith("#")} == {anchor for anchor, _ in NAV}
-    assert {anchor for anchor, _ in NAV} <= set(found.ids)
+    anchors = [link[1:] for link in found.links if link.startswith("#")]
+    assert len(anchors) == 10
+    assert set(anchors) <= set(found.ids)
     assert len(found.ids) == len(set(found.ids))
 
 
@@ -98,9 +100,136 @@ def test_it_parses_is_small_and_needs_nothing_from_outside(page):
     assert all(link.startswith(("data:image/", "#")) for link in found.links)
     assert not {"script", "link", "iframe", "object", "form"} & set(found.tags)
     style = page[page.index("<style>") : page.index("</style>")]
-    assert not re.search(r"url\(|@import|http", style)
+    assert not re.search(r"url\(|@import|http|//", style)
+    assert style.count("{") == style.count("}")
+    named, defined = (set(re.findall(form, style)) for form in (r"var\((--[\w-]+)\)", r"(--[\w-]+):"))
+    assert named - {"--aspect"} <= defined  # that one is written beside each picture
     assert not re.search(r"https?://", page)
     assert len(page.encode()) < 1_000_000
+
+
+@pytest.fixture
+def shown(content, presses, calibration):
+    """Makes the page of the shared report with other content, every run of white space one space."""
+    return lambda **other: " ".join(report_page({**content, **other}, presses, calibration).split())
+
+
+def test_figures_stand_with_their_intervals_and_one_that_does_not_exist_is_a_dash(content, shown):
+    assert [digits(v) for v in (2.0, 19.0, 0.5, 123.4)] == ["2.00", "19.0", "0.500", "123"]
+    drawn, one = shown(), content["figures"]["normal_free_deg"]
+    value, low, high = (digits(v) for v in (one["value"], *one["interval"]))
+    assert f"<b>{value}° <small>{low} – {high}" in drawn
+    assert drawn.count('<td class="text"><span class="tag') == len(content["checks"])
+    figures = {name: one for name, one in content["figures"].items() if name != "off_contact_um"}
+    assert "no press leaves enough of the image free" not in drawn
+    assert "no press leaves enough of the image free" in shown(figures=figures)
+
+
+def test_circles_are_in_image_pixels_and_rejected_presses_come_first_with_their_reasons(
+    content, shown, presses, calibration
+):
+    drawn, row = shown(), content["presses"][0]
+    circle = (row["center_x_px"], row["center_y_px"], row["contact_radius_px"])
+    assert 'cx="{:.2f}" cy="{:.2f}" r="{:.2f}"'.format(*circle) in drawn
+    assert drawn.count("<label") == len(content["presses"])
+    assert "Left out" not in drawn
+    rows = [dict(row) for row in content["presses"]]
+    rows[0]["errors"] = {**rows[0]["errors"], "normal_free_deg": 90.0, "off_contact_um": float("nan")}
+    rows[-1] |= {"accepted": False, "reason": "not a ball <b>", "errors": None}
+    bare = replace(calibration, report=replace(calibration.report, samples=()))
+    drawn = " ".join(report_page({**content, "presses": rows}, presses, bare).split())
+    assert "<figcaption>" not in drawn, "no depth of what was not held out"
+    assert "Left out: 1" in drawn
+    assert "not a ball &lt;b&gt;" in drawn
+    assert drawn.index("not a ball") < drawn.index("Used:")
+    assert drawn.count('class="press worse"') >= 1
+    assert "depth off contact – · circle" in drawn
+
+
+def test_one_model_or_several(content, shown):
+    rows = [
+        {"candidate": "b step 3e-05", "slope_error": 0.0213, "normal_free_deg": 1.5, "chosen": True},
+        {"candidate": "a <1>", "slope_error": 0.0345, "normal_free_deg": 2.0, "chosen": False},
+    ]
+    drawn = shown(candidates=rows)
+    for text in (
+        "a &lt;1&gt;",
+        "<td>1.5</td><td>0.0213</td>",
+        "<td>2</td><td>0.0345</td>",
+        "smallest typical slope error",
+    ):
+        assert text in drawn
+    assert '<tr class="chosen"><td>b step 3e-05 ← chosen' in drawn
+    assert "Only one model was tried" in shown(candidates=rows[:1])
+    assert "decides" not in shown(candidates=rows[:1])
+
+
+def test_places_to_press_are_said_in_words(content, shown):
+    place = {"name": "top left", "x_px": 10, "y_px": 20, "contact_radius_px": 9.0}
+    drawn = shown(
+        coverage={**content["coverage"], "next": [place]},
+        calibration={**content["calibration"], "mm_per_px": 0.1},
+    )
+    assert "<ol> <li>top left: (10, 20) px, 1.0 mm from the left, 2.0 mm from the top</li> </ol>" in drawn
+
+
+def test_the_learning_sentence_is_there_or_why_not(content, shown):
+    assert content["learning"]["sentence"] in shown()
+    assert "There is no learning curve" in shown(learning=None)
+
+
+WHERE = {
+    "contact_radius_ratio": 0.84,
+    "contact": {
+        "normal_deg": 2.12,
+        "by_slope": [
+            {"slope_from": 0.1, "slope_to": 0.2, "normal_deg": 1.11, "gain": 1.02, "pixels": 500},
+            {"slope_from": 0.7, "slope_to": 0.8, "normal_deg": 4.44, "gain": 0.91, "pixels": 90},
+        ],
+        "by_place": {"rows": 2, "columns": 2, "normal_deg": [1.0, 2.0, None, 3.0], "pixels": [99, 99, 0, 99]},
+    },
+    "rim": {
+        "normal_deg": 3.36,
+        "by_slope": [{"slope_from": 0.1, "slope_to": 0.2, "normal_deg": 1.99, "gain": 1.01, "pixels": 600}],
+        "by_place": {"rows": 2, "columns": 2, "normal_deg": [1.5, 2.6, 7.0, None], "pixels": [99, 99, 70, 5]},
+    },
+}
+
+
+def test_slopes_and_places_stand_in_their_rows_and_a_missing_bin_is_a_dash(shown):
+    page = shown(where=WHERE)
+    for said in (
+        "2.12° inside the contact edge, at 0.84 of the visible radius, and 3.36° up to 3 px inside",
+        "<td>0.1 – 0.2</td><td>1.11°</td><td>1.99°</td><td>1.02</td><td>500</td>",
+        "<td>0.7 – 0.8</td><td>4.44°</td><td>–</td><td>0.91</td><td>90</td>",
+        "<tr><td>1.00°&nbsp;/&nbsp;1.50°</td><td>2.00°&nbsp;/&nbsp;2.60°</td></tr>",
+        "<tr><td>–&nbsp;/&nbsp;7.00°</td><td>3.00°&nbsp;/&nbsp;–</td></tr>",
+    ):
+        assert said in page
+
+
+def test_every_held_out_press_has_its_depth_picture(content, shown):
+    held_out = [f"{row['errors']['cap_free_um']:.0f}" for row in content["presses"] if row["errors"]]
+    assert re.findall(r"<figcaption>(\d+) µm", shown()) == held_out
+
+
+@pytest.mark.parametrize(
+    ("value", "said"),
+    [
+        (0.8500000000000001, "0.85"),
+        (3e-4, "0.0003"),
+        ([1.2345678, 0.98765432], "1.235 / 0.9877"),
+        ((3, 2, 0), "3 / 2 / 0"),
+        ({"exposure": 33.33333333, "led": "on"}, "exposure: 33.33, led: on"),
+        ({}, "none"),
+        (None, "none"),
+        ("0123456789abcdef" * 4, "0123456789…"),
+        (True, "True"),
+        ("three-edges", "three-edges"),
+    ],
+)
+def test_settings_are_said_for_people(value, said):
+    assert setting_in_words(value) == said
 
 
 @pytest.mark.slow
