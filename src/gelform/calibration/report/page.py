@@ -40,7 +40,7 @@ def templates() -> jinja2.Environment:
         undefined=jinja2.StrictUndefined,
     )
     environment.globals |= {"charts": charts, "support_opacity": SUPPORT_OPACITY}
-    environment.filters |= {
+    filters: dict[str, Any] = {
         "deg": lambda value: "–" if value is None else f"{value:.2f}°",
         "digits": digits,
         "g": lambda value: f"{value:g}",
@@ -49,6 +49,7 @@ def templates() -> jinja2.Environment:
         "setting": setting_in_words,
         "shown": shown,
     }
+    environment.filters |= filters
     return environment
 
 

@@ -16,16 +16,14 @@ from gelform.image.frame import Frame
 from gelform.sensors.playback import images_by_number
 from gelform.sensors.recordings.facts import RecordingFacts, reduction_in
 from gelform.sensors.recordings.mcap_reader import (
-    MAX_RECORD_BYTES,
-    faults_named,
     frame_from_message,
     is_bag_folder,
     mcap_file_in,
     picture_topic_of,
+    records_from,
 )
 from gelform.sensors.video_files import USUAL_RATE_HZ, Video, grabbed_image, is_video
 
-MAGIC_BYTES = 8  # length of the magic at the start of an MCAP file
 KEPT_CHUNKS = 2  # most recently used chunks that stay in memory
 
 
@@ -192,13 +190,13 @@ class McapIndex:
 
     def _placed(self) -> Iterator[MessagePlace]:
         """Every message of the topic, in file order."""
-        for offset, inside in _records(self._path, 0):
+        for offset, inside in records_from(self._path):
             for nth, message in enumerate(self._wanted(inside)):
                 yield MessagePlace(message.log_time, offset, nth, message.sequence)
 
     def _messages_at(self, offset: int) -> list[Any]:
         if offset not in self._chunks:
-            self._chunks[offset] = list(self._wanted(next(_records(self._path, offset))[1]))
+            self._chunks[offset] = list(self._wanted(next(records_from(self._path, offset))[1]))
             while len(self._chunks) > KEPT_CHUNKS:
                 self._chunks.popitem(last=False)
         self._chunks.move_to_end(offset)
@@ -212,22 +210,3 @@ class McapIndex:
                 self._channels.add(one.id)
             elif kind == "Message" and one.channel_id in self._channels:
                 yield one
-
-
-def _records(path: Path, offset: int) -> Iterator[tuple[int, list[Any]]]:
-    """(offset, contents) of each record from an offset on; the contents are the record itself or those of a chunk.
-
-    The first offset is 0, or one that this function returned before.
-    """
-    from mcap.stream_reader import StreamReader, breakup_chunk
-
-    with path.open("rb") as file, faults_named(path):
-        file.seek(offset)
-        reader = StreamReader(
-            file, skip_magic=offset > 0, emit_chunks=True, record_size_limit=MAX_RECORD_BYTES
-        )
-        begins = offset or MAGIC_BYTES
-        for record in reader.records:
-            is_chunk = type(record).__name__ == "Chunk"
-            yield begins, breakup_chunk(record, validate_crc=True) if is_chunk else [record]
-            begins = file.tell()
