@@ -15,15 +15,6 @@ from gelform.sensors.source import open_source
 from gelform.sensors.video_files import is_video
 
 
-def test_simulated_comes_at_its_rate_and_counts():
-    with gelform.open_source("simulated", rate_hz=100.0) as source:
-        assert source.live
-        frames = [frame for _, frame in zip(range(4), source)]
-    assert [frame.index for frame in frames] == sorted({frame.index for frame in frames})
-    assert source.settings == {"width": 320, "height": 240, "fps": 100.0}
-    assert frames[0].image.shape == (240, 320, 3)
-
-
 def test_a_folder_and_what_cannot_be_set(tmp_path):
     cv2.imwrite(str(tmp_path / "0.png"), np.zeros((4, 4, 3), np.uint8))
     assert [frame.index for frame in open_source(tmp_path)] == [0]

@@ -239,14 +239,13 @@ def test_a_real_browser_shows_it_without_a_word_or_a_request(page, playwright, t
     path = tmp_path / "report.html"
     path.write_text(page, encoding="utf-8")
     browser = playwright.chromium.launch(executable_path=CHROMIUM)
+    tab, said, asked = browser.new_page(), [], []
+    tab.on("console", lambda message: said.append(message.text))
+    tab.on("request", lambda request: asked.append(request.url))
+    tab.goto(path.as_uri())
     for width, scheme in ((1200, "light"), (1200, "dark"), (380, "light")):
-        tab = browser.new_page(viewport={"width": width, "height": 800}, color_scheme=scheme)
-        said, asked = [], []
-        tab.on("console", lambda message, said=said: said.append(message.text))
-        tab.on("request", lambda request, asked=asked: asked.append(request.url))
-        tab.goto(path.as_uri())
-        assert said == []
-        assert [url for url in asked if not url.startswith("data:")] == [path.as_uri()]
+        tab.set_viewport_size({"width": width, "height": 800})
+        tab.emulate_media(color_scheme=scheme)
         assert tab.evaluate("document.documentElement.scrollWidth <= innerWidth")
         press = tab.locator("label.press").first
         small = press.locator("svg").bounding_box()["width"]
@@ -254,12 +253,11 @@ def test_a_real_browser_shows_it_without_a_word_or_a_request(page, playwright, t
         assert press.locator("svg").bounding_box()["width"] > 1.5 * small
         press.click()
         assert press.locator("svg").bounding_box()["width"] == small
-        tab.close()
-    paper = browser.new_page(color_scheme="dark")
-    paper.goto(path.as_uri())
-    paper.emulate_media(media="print", color_scheme="dark")
-    assert paper.evaluate("getComputedStyle(document.body).color") == "rgb(0, 0, 0)"
-    assert min(backgrounds_behind_text(paper)) > 150, (
+    assert said == []
+    assert [url for url in asked if not url.startswith("data:")] == [path.as_uri()]
+    tab.emulate_media(media="print", color_scheme="dark")
+    assert tab.evaluate("getComputedStyle(document.body).color") == "rgb(0, 0, 0)"
+    assert min(backgrounds_behind_text(tab)) > 150, (
         "dark ink on a dark ground: it was printed from a dark screen"
     )
     browser.close()

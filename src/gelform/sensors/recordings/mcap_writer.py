@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 from gelform.errors import DataError, needed
 from gelform.image.frame import Frame
@@ -54,20 +55,33 @@ class McapRecording:
             raise DataError(f"{path} is there already. Give another name, or remove it.") from None
         except OSError as problem:
             raise DataError(f"Cannot write {path}: {problem.strerror}.") from problem
+        try:
+            self._begin(mcap, definition, facts, attached or {})
+            self._flush()
+        except DataError:
+            with suppress(OSError):
+                self._file.close()  # tries to write again
+            path.unlink()
+            raise
+
+    def _begin(
+        self, mcap: Any, definition: bytes, facts: RecordingFacts, attached: Mapping[str, bytes]
+    ) -> None:
+        """Write what stands before the first frame."""
         uncompressed = mcap.CompressionType.NONE  # pictures are already compressed
         self._writer = mcap.Writer(self._file, chunk_size=CHUNK_BYTES, compression=uncompressed)
-        self._writer.start(profile="ros2", library=f"gelform {facts.library_version}")
-        self._writer.add_metadata(METADATA, {"facts": facts.to_json()})
-        for name, content in (attached or {}).items():
-            now_ns = time.time_ns()
-            self._writer.add_attachment(now_ns, now_ns, name, ATTACHABLE[name], content)
-        schema = self._writer.register_schema(SCHEMA_NAME, SCHEMA_ENCODING, definition)
-        self._channel = self._writer.register_channel(TOPIC, MESSAGE_ENCODING, schema)
+        with self._faults_named():
+            self._writer.start(profile="ros2", library=f"gelform {facts.library_version}")
+            self._writer.add_metadata(METADATA, {"facts": facts.to_json()})
+            for name, content in attached.items():
+                now_ns = time.time_ns()
+                self._writer.add_attachment(now_ns, now_ns, name, ATTACHABLE[name], content)
+            schema = self._writer.register_schema(SCHEMA_NAME, SCHEMA_ENCODING, definition)
+            self._channel = self._writer.register_channel(TOPIC, MESSAGE_ENCODING, schema)
         # The library ends a chunk only by its size; the method that ends one is private (a test guards this use).
         self._end_chunk = self._writer._Writer__finalize_chunk
         self._epoch_ns: int | None = None
         self._flushed_s = time.monotonic()
-        self._flush()
 
     def write(self, frame: Frame) -> int:
         """Add a frame; return its size in bytes."""
