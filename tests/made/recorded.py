@@ -36,11 +36,4 @@ def recorded(path, given, facts=None, attached=None):
 
 def camera(count=6, **how):
     """A function that opens a source of those frames, at their pace."""
-    return lambda: Playback(
-        lambda: frames(count, **how),
-        name="a camera",
-        rate_hz=50.0,
-        serial="S1",
-        settings={"gain": 3.0},
-        paced=True,
-    )
+    return lambda: Playback(lambda: frames(count, **how), FACTS, paced=True)

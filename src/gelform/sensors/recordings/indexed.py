@@ -13,7 +13,7 @@ import numpy as np
 
 from gelform.errors import DataError
 from gelform.image.frame import Frame
-from gelform.sensors.playback import images_by_number
+from gelform.sensors.playback import facts_of_video, images_by_number
 from gelform.sensors.recordings.facts import RecordingFacts, reduction_in
 from gelform.sensors.recordings.mcap_reader import (
     frame_from_message,
@@ -82,10 +82,7 @@ def _of_images(path: Path) -> Indexed:
 def _of_video(path: Path) -> Indexed:
     video = Video(path)
     reel = _Reel(path, video.facts.frame_rate_hz or USUAL_RATE_HZ)
-    height, width = video.facts.shape
-    settings = {"width": float(width), "height": float(height)}
-    facts = RecordingFacts(path.name, None, settings, video.facts.frame_rate_hz or None)
-    return Indexed(path, facts, reel.times_s, reel.frame)
+    return Indexed(path, facts_of_video(video), reel.times_s, reel.frame)
 
 
 class _Reel:

@@ -257,14 +257,7 @@ def mcap_playback(path: Path, *, paced: bool = False) -> Playback:
     the extra `mcap` is not installed; in a loop: its bytes are damaged.
     """
     facts, topic = picture_topic_of(path)
-    return Playback(
-        lambda: _frames(path, topic, facts),
-        name=facts.name,
-        rate_hz=facts.rate_hz,
-        serial=facts.serial,
-        settings=facts.settings,
-        paced=paced,
-    )
+    return Playback(lambda: _frames(path, topic, facts), facts, paced=paced)
 
 
 def mcap_summary(path: Path) -> RecordingSummary:
