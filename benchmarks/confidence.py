@@ -321,13 +321,13 @@ def _cost(calibration: gelform.Calibration, images: list[np.ndarray], count: int
 
 def _leave_out(stack: ExitStack, reconstruct: gelform.Reconstructor) -> None:
     """Within the stack: frames are not examined, sigma is the usual noise, and no contact is searched for."""
-    clean = np.float32(reconstruct.calibration.slope_sigma.clean)
+    full = np.float32(reconstruct.calibration.slope_sigma.full_confidence_sigma)
     nowhere, today = np.zeros(reconstruct.calibration.image_shape, dtype=bool), reconstruct._today
 
     def confidence(
         gradients: Any, sigma: Any, unseen: Any, image: Any, step: Any = None, maps: Any = None
     ) -> Any:
-        return np.minimum(np.square(clean / sigma), 1)
+        return np.minimum(np.square(full / sigma), 1)
 
     stack.enter_context(patch.object(today, "health", FrameFaults))
     stack.enter_context(patch.object(today, "causes", confidence))

@@ -90,7 +90,7 @@ def stages(calibration: gelform.Calibration, image: np.ndarray) -> dict[str, Cal
     causes = PreparedCauses(
         calibration.background,
         calibration.change,
-        clean=calibration.slope_sigma.clean,
+        full_confidence_sigma=calibration.slope_sigma.full_confidence_sigma,
         levels=calibration.settings.image_noise,
     )
 
@@ -100,7 +100,7 @@ def stages(calibration: gelform.Calibration, image: np.ndarray) -> dict[str, Cal
 
     untouched, deviation, confidence = trusted(reference)
     unbiased = reference._replace(bias=np.zeros(2, dtype=np.float32))  # removed from the gradients above
-    anchor = RestAnchor(calibration.image_shape, pitch, calibration.slope_sigma.clean)
+    anchor = RestAnchor(calibration.image_shape, pitch, calibration.slope_sigma.full_confidence_sigma)
     hold = anchor(gradients, untouched)
     arguments = {"weights": confidence, "anchor": hold}
     depth = gelform.depth_from_gradients(gradients, mm_per_px=pitch, **arguments)
@@ -110,7 +110,7 @@ def stages(calibration: gelform.Calibration, image: np.ndarray) -> dict[str, Cal
         mm_per_px=pitch,
         **calibration.slope_sigma.correlation,
     )
-    known = depth_sigma(both, **arguments, rest=untouched)
+    known = depth_sigma(both, **arguments, at_rest=untouched)
     touched = contact_from_depth(depth, mm_per_px=pitch, depth_sigma_mm=known)
     return {
         "exposure, background check": lambda: prepared.compare(image),
@@ -129,7 +129,7 @@ def stages(calibration: gelform.Calibration, image: np.ndarray) -> dict[str, Cal
         "depth (weighted, anchored), curl": lambda: (
             gelform.integrate(gradients, mm_per_px=pitch, **arguments).curl_rms
         ),
-        "sigma of depth": lambda: depth_sigma(both, **arguments, rest=untouched),
+        "sigma of depth": lambda: depth_sigma(both, **arguments, at_rest=untouched),
         "slopes of the depth and their sigma": lambda: solved(
             both, slopes_of_solution(depth, (pitch, pitch))
         ),

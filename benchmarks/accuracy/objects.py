@@ -14,6 +14,7 @@ import numpy as np
 import gelform
 from accuracy.real import MIN_PIXELS, SLOPES, fractions_within
 from gelform.calibration.coverage import COARSE, tile_of
+from gelform.depth.anchor import RestAnchor
 from gelform.depth.integrate import integrate
 from gelform.result.metrics import angle_deg
 from gelform.simulate import (
@@ -161,8 +162,10 @@ def _anchored(reconstruct: gelform.Reconstructor, press: Any) -> dict[str, float
     """The face's depth over the true one, from true slopes and recovered ones, without and with the anchor."""
     result = reconstruct.from_image(press.image)
     change = np.empty((*press.depth_mm.shape, 3), dtype=np.float32)
-    untouched = reconstruct._read(press.image, change).untouched
-    pitch = reconstruct.calibration.known_mm_per_px
+    at_rest = reconstruct._read(press.image, change).slopes.at_rest
+    calibration = reconstruct.calibration
+    pitch = calibration.known_mm_per_px
+    anchor = RestAnchor(calibration.image_shape, pitch, calibration.slope_sigma.full_confidence_sigma)
     true = gelform.gradients_from_depth(press.depth_mm, mm_per_px=pitch).astype(np.float32)
     face = press.depth_mm > FACE * press.depth_mm.max()
     found = {}
@@ -170,8 +173,8 @@ def _anchored(reconstruct: gelform.Reconstructor, press: Any) -> dict[str, float
         ("true slopes", true, None),
         ("read slopes", result.observed_gradients, result.confidence),
     ):
-        hold = reconstruct._calibrated.anchor(slopes, untouched)
-        free = integrate(slopes, mm_per_px=pitch, weights=weights, zero=untouched, solver="multigrid")
+        hold = anchor(slopes, at_rest)
+        free = integrate(slopes, mm_per_px=pitch, weights=weights, zero=at_rest, solver="multigrid")
         held = integrate(slopes, mm_per_px=pitch, weights=weights, anchor=hold, solver="multigrid")
         for how, solution in (("no anchor", free), ("anchor", held)):
             percent = 100 * solution.depth_mm[face].mean() / press.depth_mm[face].mean()

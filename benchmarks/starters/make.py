@@ -28,7 +28,7 @@ from gelform.calibration.starters.light import (
     pixel_places,
 )
 from gelform.calibration.starters.starter import Starter, starter_from_calibration
-from gelform.depth.stepped import FrameDepth
+from gelform.depth.stepped import CoarseDepth
 from gelform.result.metrics import score_slopes
 from gelform.result.metrics.ball import ball_center, ball_gradients
 from gelform.simulate import LAYOUTS, SimulatedSensor, simulate_ball_presses
@@ -142,7 +142,7 @@ def color_variance(starter: Starter, presses: gelform.Presses) -> float:
     """
     unit = starter.for_unit(presses.background, mm_per_px=presses.mm_per_px)
     changes = ColorChanges(presses.background, unit.change)
-    depth = FrameDepth(unit.image_shape, unit.untouched_change)
+    depth = CoarseDepth(unit.image_shape, unit.untouched_change)
     model = unit.color_model.prepare(presses.background, unit.image_shape)
     y, x = np.mgrid[: unit.image_shape[0], : unit.image_shape[1]]
     left = []

@@ -13,11 +13,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gelform.calibration_file import Calibration, as_calibration
-from gelform.depth.anchor import RestAnchor
 from gelform.depth.contact import PreparedContact, SlopeDeviations, unknown_contact
-from gelform.depth.integrate import Integration, integrate_unchecked
+from gelform.depth.frame import FrameDepth, Work
 from gelform.depth.sigma.missing import MissingDepth
-from gelform.depth.sigma.sigma import DepthDifference, DepthSigma, add_in_proportion, checked_sigma
+from gelform.depth.sigma.sigma import add_in_proportion
 from gelform.depth.solvers.inputs import checked_solver, takes_weights
 from gelform.depth.stepped import SteppedSlopes
 from gelform.errors import GelformError
@@ -25,13 +24,15 @@ from gelform.foundations.checks import check_image
 from gelform.foundations.findings import Finding
 from gelform.foundations.pool import Pool, keep_freed_memory
 from gelform.image.background.change import PreparedBackground
-from gelform.image.background.check import background_digest, check_own_background
-from gelform.image.background.untouched import Reference, reference_from_color_change
-from gelform.image.frame import Frame, as_levels, check_viewed_image, whole_levels
+from gelform.image.background.check import background_digest, check_own_background, check_viewed_image
+from gelform.image.background.exposure import Exposure
+from gelform.image.background.untouched import reference_from_color_change
+from gelform.image.frame import Frame, as_levels, whole_levels
 from gelform.image.health import DepthLimit, FrameFaults, FrameHealth, check_untouched_image
 from gelform.image.markers import MarkerFlow, MarkerFollower
 from gelform.image.view import image_from_frame
 from gelform.result import Reconstruction
+from gelform.slopes.color_models.forward_response import Step
 from gelform.slopes.color_models.seam import AlbedoModel, gradients_from_pending
 from gelform.slopes.confidence import (
     AllAlike,
@@ -48,32 +49,54 @@ from gelform.slopes.confidence import (
     with_model_sigma,
     with_steep,
 )
-from gelform.slopes.confidence.causes import either, outside_of_gel
+from gelform.slopes.confidence.causes import Clipped, either, outside_of_gel
 from gelform.slopes.gradients import slopes_of_solution
 
 # Values for an imported calibration without its own; they affect the contact mask and the anchor, but no slope.
 USUAL_WIDTH_MM = 20.0  # mm, width of the frame on the gel; about that of a GelSight Mini
 USUAL_SIGMA = 0.05  # mm/mm, standard deviation of a slope
 BYTES_PER_PX = 80  # bytes that one frame allocates in all
-Work = Callable[[], NDArray[np.float32]]
 
 
-class ReadSlopes(NamedTuple):
-    """The slopes of an image and their confidence; see `Reconstructor._read`."""
+class SeenImage(NamedTuple):
+    """What an image shows, and what may be wrong with it: the first stage of reading its slopes.
 
+    `image` is without its lost parts and markers; `unseen` are the pixels without gel or with too few usable channels.
+    """
+
+    raw: NDArray[Any]
+    image: NDArray[Any]
     faults: FrameFaults
     flow: MarkerFlow | None
     markers: NDArray[np.bool_] | None
+    hidden: NDArray[np.bool_] | None
+    clipped: Clipped
+    unseen: NDArray[np.bool_] | None
+    exposure: Exposure
     drifted: tuple[Finding, ...]
-    reference: Reference
-    observed: NDArray[np.float32]
-    observed_sigma: NDArray[np.float32] | None
-    untouched: NDArray[np.bool_]
+
+
+class ObservedSlopes(NamedTuple):
+    """Slopes (H, W, 2) without the bias that the pixels at rest show, and their standard deviation by size and place."""
+
+    gradients: NDArray[np.float32]
     sigma: NDArray[np.float32]
+    model_sigma: NDArray[np.float32] | None
+    at_rest: NDArray[np.bool_]
+    step: Step | None
+    findings: tuple[Finding, ...]
+
+
+class ReadSlopes(NamedTuple):
+    """The slopes of an image with their final sigma and confidence; see `Reconstructor._read`."""
+
+    seen: SeenImage
+    slopes: ObservedSlopes
+    sigma: NDArray[np.float32] | None
     confidence: NDArray[np.float32]
     steep: NDArray[np.float32]
     stated_confidence: NDArray[np.float32]
-    maps: dict[str, NDArray[np.float32]] | None = None
+    maps: dict[str, NDArray[np.float32]] | None
 
 
 class FromCalibration:
@@ -82,12 +105,12 @@ class FromCalibration:
     def __init__(
         self, calibration: Calibration, solver: str, *, depth_sigma: bool, slope_sigma: bool
     ) -> None:
-        self.calibration, self.solver, self.slope_sigma = calibration, checked_solver(solver), slope_sigma
+        self.calibration, self.slope_sigma, solver = calibration, slope_sigma, checked_solver(solver)
         if not slope_sigma and (depth_sigma or takes_weights(solver)):
             raise ValueError("Expected slope_sigma=True for a solver with weights and for depth_sigma=True.")
         shape, forward, known = calibration.image_shape, calibration.forward, calibration.slope_sigma
         self.pitch = calibration.mm_per_px or USUAL_WIDTH_MM / shape[1]
-        self.clean = known.clean if known else USUAL_SIGMA
+        self.full_confidence_sigma = known.full_confidence_sigma if known else USUAL_SIGMA
         self.stepped = SteppedSlopes(forward, shape, calibration.untouched_change)
         self.per_residual = np.float32(1 if forward is None else 1 / forward.residual_scale)
         self.slope_per_change = 1.0 if forward is None else forward.slope_per_change
@@ -95,37 +118,15 @@ class FromCalibration:
         self.steep_slopes: Callable[..., tuple[NDArray[np.float32], NDArray[np.float32]]] = all_shown
         if known is not None and slope_sigma:
             self.steep_slopes = SteepSlopes(known, calibration.carried)
-        self.anchor = RestAnchor(shape, self.pitch, self.clean)
-        self.depth_sigma: DepthSigma | None = None
-        if depth_sigma and known is not None and calibration.mm_per_px is not None:
-            self.depth_sigma = DepthSigma(shape, mm_per_px=self.pitch, **known.correlation)
+        stated = depth_sigma and known is not None and calibration.mm_per_px is not None
+        self.depth = FrameDepth(
+            shape, self.pitch, solver, self.full_confidence_sigma,
+            correlation=known.correlation if stated and known else None, gain_sigma=known.gain_sigma if known else 0.0,
+        )  # fmt: skip
         self.missing_depth = MissingDepth(shape, self.pitch)
-        self.gain_sigma = known.gain_sigma if known else 0.0
         self.limit = DepthLimit.of(shape, self.pitch, calibration.settings.gel_thickness_mm)
         blur_px = calibration.change.blur_px if known else None
         self.solved_sigma = SolvedSigma(known, shape, blur_px, calibration.unit_spread)
-
-    def integrate(
-        self, read: ReadSlopes, start: Callable[[Work], Work]
-    ) -> tuple[Integration, NDArray[np.float32] | None, DepthDifference | None]:
-        """Depth of the slopes, its standard deviation by local errors of slopes, and the one of depth differences.
-
-        The slopes are weighted and anchored if the solver can do so.
-        """
-        solve_args: dict[str, Any] = {"zero": read.untouched}
-        if takes_weights(self.solver):
-            anchor = self.anchor(read.observed, read.untouched)
-            solve_args = {"weights": read.confidence, "anchor": anchor}
-        sigma_of: Work | None = None
-        if self.depth_sigma is not None and read.observed_sigma is not None:
-            sigma_args = {**solve_args, "rest": read.untouched}
-            slopes_sigma = checked_sigma(read.observed_sigma)
-            sigma_of = start(partial(self.depth_sigma.unchecked, slopes_sigma, **sigma_args))
-        solution = integrate_unchecked(read.observed, mm_per_px=self.pitch, solver=self.solver, **solve_args)
-        if self.depth_sigma is None or read.observed_sigma is None or sigma_of is None:
-            return solution, None, None
-        parts = self.depth_sigma, read.observed_sigma, sigma_args, solution.depth_mm, self.gain_sigma
-        return solution, sigma_of(), DepthDifference(*parts)
 
 
 class FromBackground:
@@ -145,19 +146,19 @@ class FromBackground:
         self.causes: PreparedCauses | AllAlike = AllAlike()
         if fixed.slope_sigma:
             self.causes = PreparedCauses(
-                background, change, clean=fixed.clean, levels=noise, walls=calibration.slope_sigma is not None,
-                outside=outside, slope_per_change=fixed.slope_per_change,
+                background, change, full_confidence_sigma=fixed.full_confidence_sigma, levels=noise,
+                walls=calibration.slope_sigma is not None, outside=outside, slope_per_change=fixed.slope_per_change,
             )  # fmt: skip
-        at_rest = noise_at_rest(self.model, self.untouched_image, noise)
+        rest_variance = noise_at_rest(self.model, self.untouched_image, noise)
         known = calibration.slope_sigma
-        self.sigma: PreparedSigma | UnknownSigma = UnknownSigma(fixed.clean)
+        self.sigma: PreparedSigma | UnknownSigma = UnknownSigma(fixed.full_confidence_sigma)
         if known is not None and fixed.slope_sigma:
-            self.sigma = PreparedSigma(known, at_rest)
+            self.sigma = PreparedSigma(known, rest_variance)
         correlation = None
         if isinstance(self.sigma, PreparedSigma) and known is not None:
-            at_rest, correlation = self.sigma.at_rest, known.correlation
+            rest_variance, correlation = self.sigma.rest_variance, known.correlation
         self.contact = PreparedContact(
-            (fixed.pitch,) * 2, calibration.settings.relaxation_mm, at_rest, correlation
+            (fixed.pitch,) * 2, calibration.settings.relaxation_mm, rest_variance, correlation
         )
 
 
@@ -212,10 +213,10 @@ class Reconstructor:
         self._calibrated = FromCalibration(
             calibration, solver, depth_sigma=depth_sigma, slope_sigma=slope_sigma
         )
-        self.solver = self._calibrated.solver
+        self.solver = self._calibrated.depth.solver
         self.findings: tuple[Finding, ...] = calibration.findings
         self.background = calibration.background
-        self._checked = partial(check_viewed_image, calibration.image_shape, calibration.view.frame_shape)
+        self._checked = partial(check_viewed_image, calibration.background, calibration.view.frame_shape)
         if background is not None:
             today = self._checked(background, "background")
             check_untouched_image(today, calibration.background)
@@ -261,7 +262,7 @@ class Reconstructor:
         The calibration's report and a helper are left out; neither changes a byte of a result.
         """
         fixed, calibration = self._calibrated, replace(self.calibration, report=None)
-        depth_sigma, slope_sigma = fixed.depth_sigma is not None, fixed.slope_sigma
+        depth_sigma, slope_sigma = fixed.depth.sigma is not None, fixed.slope_sigma
         today = None if self.own_background else self.background
         state = {"findings": self.findings, "markers": self.markers}
         return _prepared_again, (type(self), calibration, self.solver, depth_sigma, slope_sigma, today), state
@@ -300,35 +301,38 @@ class Reconstructor:
         ValueError, TypeError
             No RGB image, or of another size than the calibrated ones.
         CalibrationError
-            The background is clearly not of this image, or the image is BGR.
+            The background is clearly not of this image, or the image is mirrored, turned or BGR.
         """
         with self._pool.one() as change:
             read = self._read(self._checked(image), change, markers)
             albedo = self._albedo_source(change)
-        faults, fixed = read.faults, self._calibrated
-        solution, depth_sigma, difference = fixed.integrate(read, self._start)
+        faults, fixed = read.seen.faults, self._calibrated
+        solution, depth_sigma, difference = fixed.depth(
+            read.slopes.gradients, read.sigma, read.confidence, read.slopes.at_rest, self._start
+        )
         depth_mm, too_deep = fixed.limit.bound(solution.depth_mm)
         faults.widen(depth_sigma, fixed.limit.ignorance_mm)
         gradients = slopes_of_solution(depth_mm, (fixed.pitch, fixed.pitch))
-        known, solved_sigma = (
-            faults.without_lost(solution.known),
-            self.solved_sigma(read.observed_sigma, gradients),
-        )
-        slopes = SlopeDeviations.of(read.observed_sigma, solved_sigma, read.untouched)
-        contact = self._today.contact(depth_mm, depth_sigma, slopes, known)
+        known, solved_sigma = faults.without_lost(solution.known), self.solved_sigma(read.sigma, gradients)
+        observed, at_rest = read.slopes.gradients, read.slopes.at_rest
+        deviations = SlopeDeviations.of(read.sigma, solved_sigma, at_rest)
+        contact = self._today.contact(depth_mm, depth_sigma, deviations, known)
         # What follows makes no contact less certain: an error of all depths in proportion, and depth that is missing.
         if depth_sigma is not None:
-            add_in_proportion(depth_sigma, solution.depth_mm, fixed.gain_sigma, fixed.limit.ignorance_mm)
-        steep = read.observed, read.steep, read.untouched
-        depth_sigma, difference, at_least = fixed.missing_depth(*steep, depth_mm, depth_sigma, difference)
-        unsure = unknown_contact(contact, read.untouched, known)
-        findings = *read.reference.findings, *too_deep, *at_least, *unsure
+            add_in_proportion(
+                depth_sigma, solution.depth_mm, fixed.depth.gain_sigma, fixed.limit.ignorance_mm
+            )
+        depth_sigma, difference, at_least = fixed.missing_depth(
+            observed, read.steep, at_rest, depth_mm, depth_sigma, difference
+        )
+        unsure = unknown_contact(contact, at_rest, known)
+        findings = *read.slopes.findings, *too_deep, *at_least, *unsure
         return Reconstruction(
             depth=depth_mm if self.calibration.mm_per_px else depth_mm / np.float32(fixed.pitch),
             depth_sigma_mm=depth_sigma,
             gradients=gradients,
             gradients_sigma=with_steep(solved_sigma, read.steep),
-            observed_gradients=read.observed,
+            observed_gradients=observed,
             confidence=read.stated_confidence,
             contact=contact,
             known=known,
@@ -336,8 +340,8 @@ class Reconstructor:
             mm_per_px_sigma=self.calibration.mm_per_px_sigma,
             solver=solution.solver,
             curl_rms=solution.curl_rms,
-            health=(*self.findings, *faults.findings, *read.drifted, *findings),
-            markers=read.flow,
+            health=(*self.findings, *faults.findings, *read.seen.drifted, *findings),
+            markers=read.seen.flow,
             calibration_digest=self.calibration.digest,
             albedo_source=albedo,
             difference_source=difference,
@@ -354,8 +358,10 @@ class Reconstructor:
         image, change = self._checked(image), np.empty((*self.calibration.image_shape, 3), dtype=np.float32)
         read = self._read(image, change, explains=True)
         assert read.maps is not None
-        read.maps["steep"], sigma = read.steep, np.asarray(with_steep(read.sigma, read.steep))
-        return explanation_of(read.maps, sigma, read.stated_confidence, self._calibrated.clean)
+        read.maps["steep"], sigma = read.steep, np.asarray(with_steep(read.slopes.sigma, read.steep))
+        return explanation_of(
+            read.maps, sigma, read.stated_confidence, self._calibrated.full_confidence_sigma
+        )
 
     def _read(
         self,
@@ -365,10 +371,17 @@ class Reconstructor:
         *,
         explains: bool = False,
     ) -> ReadSlopes:
-        """The slopes of an image and their sigma and confidence; writes the image's color change to `change`."""
-        fixed, today = self._calibrated, self._today
-        image = whole_levels(image)
-        raw_image, faults = image, today.health(image)
+        """The slopes of an image and their sigma and confidence; writes the image's color change to `change`.
+
+        It has three stages: what the image shows, which slopes its colors mean, and how far they are to be believed.
+        """
+        seen = self._seen(whole_levels(image), flow)
+        return self._believed(seen, self._observed(seen, change), change if explains else None)
+
+    def _seen(self, raw: NDArray[Any], flow: MarkerFlow | None) -> SeenImage:
+        """An image with its faults, markers, exposure and unusable channels."""
+        today = self._today
+        faults = today.health(raw)
         image = faults.image  # lost pixels show the background image and have no weight
         flow = self.markers(image) if flow is None and len(self.markers) else flow
         markers = self.markers.hidden(image, flow)
@@ -378,28 +391,44 @@ class Reconstructor:
         hidden = faults.hidden(markers)
         clipped = today.clipped(as_levels(image), hidden)
         unseen = either(hidden, clipped.unseen)
-        pending = today.untouched_image.pending(image, exposure)
+        return SeenImage(raw, image, faults, flow, markers, hidden, clipped, unseen, exposure, drifted)
+
+    def _observed(self, seen: SeenImage, change: NDArray[np.float32]) -> ObservedSlopes:
+        """The slopes that an image's colors mean; writes its color change to `change`."""
+        fixed, today = self._calibrated, self._today
+        pending = today.untouched_image.pending(seen.image, seen.exposure)
         direct, model_sigma = gradients_from_pending(today.model, pending, out=change)
-        step = fixed.stepped(change, direct, unseen, clipped.channels)
-        observed, variance = (direct, None) if step is None else (step.gradients, step.variance)
-        reference = reference_from_color_change(change, observed, self.calibration.untouched_change, hidden)
-        untouched, sigma = today.sigma(change, observed, reference, hidden, variance)
-        if exposure.gain_sigma:  # an unknown gain changes all colors alike, by nearly as much as itself
-            np.hypot(sigma, np.float32(exposure.gain_sigma * fixed.slope_per_change), out=sigma)
-        maps: dict[str, NDArray[np.float32]] | None = {} if explains else None
-        own = sigma.copy() if explains else sigma
+        step = fixed.stepped(change, direct, seen.unseen, seen.clipped.channels)
+        gradients, variance = (direct, None) if step is None else (step.gradients, step.variance)
+        reference = reference_from_color_change(
+            change, gradients, self.calibration.untouched_change, seen.hidden
+        )
+        at_rest, sigma = today.sigma(change, gradients, reference, seen.hidden, variance)
+        if seen.exposure.gain_sigma:  # an unknown gain changes all colors alike, by nearly as much as itself
+            np.hypot(sigma, np.float32(seen.exposure.gain_sigma * fixed.slope_per_change), out=sigma)
+        return ObservedSlopes(gradients, sigma, model_sigma, at_rest, step, reference.findings)
+
+    def _believed(
+        self, seen: SeenImage, slopes: ObservedSlopes, explained: NDArray[np.float32] | None
+    ) -> ReadSlopes:
+        """The slopes with the sigma that each cause adds, and their confidence; maps of causes if a change is given."""
+        fixed, causes = self._calibrated, self._today.causes
+        sigma, step = slopes.sigma, slopes.step
+        maps: dict[str, NDArray[np.float32]] | None = None if explained is None else {}
+        own = sigma if explained is None else sigma.copy()
         residual = None if step is None else (step.residual * fixed.per_residual, step.variance)
-        confidence = today.causes(observed, sigma, unseen, raw_image, residual, maps)
-        if maps is not None and isinstance(today.causes, PreparedCauses):
-            maps = today.causes.maps_of(
-                maps, own, raw_image, clipped=clipped.channels, markers=markers, lost=faults.lost, color_change=change
+        confidence = causes(slopes.gradients, sigma, seen.unseen, seen.raw, residual, maps)
+        if maps is not None and explained is not None and isinstance(causes, PreparedCauses):
+            maps = causes.maps_of(
+                maps, own, seen.raw, clipped=seen.clipped.channels, markers=seen.markers, lost=seen.faults.lost,
+                color_change=explained,
             )  # fmt: skip
         stated = sigma if fixed.states_sigma else None
-        observed_sigma, confidence = with_model_sigma(stated, confidence, model_sigma, fixed.clean)
-        steep = self.steep_slopes(observed, sigma, confidence)
-        return ReadSlopes(
-            faults, flow, markers, drifted, reference, observed, observed_sigma, untouched, sigma, confidence, *steep, maps
-        )  # fmt: skip
+        observed_sigma, confidence = with_model_sigma(
+            stated, confidence, slopes.model_sigma, fixed.full_confidence_sigma
+        )
+        steep, stated_confidence = self.steep_slopes(slopes.gradients, sigma, confidence)
+        return ReadSlopes(seen, slopes, observed_sigma, confidence, steep, stated_confidence, maps)
 
     def _albedo_source(self, change: NDArray[np.float32]) -> Callable[[], NDArray[np.float32]] | None:
         """A function that computes the albedo on demand; None if the color model has no albedo."""

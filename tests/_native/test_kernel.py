@@ -59,6 +59,19 @@ def test_refuses_what_is_not_finite():
     assert "finite" in refusal("finite f64[h,w] depth", bad.astype(np.float64))
 
 
+def test_parameters_are_given_in_order_or_by_name_and_each_once():
+    of_range, found = Kernel("range_f32", "f32[...] values, out f32[2] range"), np.empty(2, np.float32)
+    of_range(range=found, values=np.float32([3, -1, 2]))
+    assert found.tolist() == [-1, 3]
+    for arguments, named in (
+        ((ZEROS,), {"found": found}),
+        ((), {"range": found}),
+        ((ZEROS, found), {"range": found}),
+    ):
+        with pytest.raises(TypeError, match=r"range_f32: expected .*by name, got"):
+            of_range(*arguments, **named)
+
+
 def test_refuses_a_wrong_number_of_arguments_and_what_is_no_handle():
     assert "expected 2 arguments, got 1" in refusal("f32[h] a, f32 b", ZEROS[0])
     assert 'expected Handle("solver", ...), got None' in refusal("solver* prepared", None)

@@ -3,23 +3,23 @@
 import re
 from pathlib import Path
 
-from gelform.calibration.enough import NEEDED, REFINING, enough
+from gelform.calibration.enough import NEEDED, REFINING
 
 PAGE = Path(__file__).parents[2] / "docs" / "press-folder.md"
 
 
 def test_the_docs_show_the_table():
     rows = re.findall(r"^\| (\d+) \| (.*) \| (.*) \|$", PAGE.read_text(encoding="utf-8"), re.M)
-    assert rows == [(str(need.presses), need.what, need.why) for need in NEEDED.values()]
+    assert rows == [(str(need.presses), need.what, need.why) for need in NEEDED]
 
 
 def test_enough_begins_at_the_number_of_its_row():
-    for what, need in NEEDED.items():
-        assert (enough(what, need.presses - 1), enough(what, need.presses)) == (False, True)
+    for need in NEEDED:
+        assert (need.met(need.presses - 1), need.met(need.presses)) == (False, True)
 
 
 def test_few_presses_carry_few_terms():
-    for table in (REFINING, list(NEEDED.values())):
+    for table in (REFINING, list(NEEDED)):
         counts = [row[0] for row in table]
         assert counts == sorted(counts)
     assert REFINING[0][0] == 0, "something is always fitted"

@@ -1,5 +1,6 @@
 """calibrate: from a folder to depth, never with the simulator's own constants."""
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import cv2
@@ -51,6 +52,16 @@ def test_one_model_can_be_asked_for(presses, lambertian_calibration):
     assert lambertian_calibration.held_out["normal_free_deg"] < 6
     with pytest.raises(ValueError, match=r"auto, lambertian, .*polynomial, .*got 'magic'"):
         gelform.calibrate(presses, color_model="magic")
+
+
+@pytest.mark.slow
+def test_two_calibrations_in_two_threads_are_those_of_each_alone(presses):
+    halves = [presses.subset(range(start, len(presses.presses), 2)) for start in (0, 1)]
+    with ThreadPoolExecutor(2) as pool:
+        together = list(pool.map(gelform.calibrate, halves))
+    for half, found in zip(halves, together):
+        alone = replace(gelform.calibrate(half), created_utc="")
+        assert replace(found, created_utc="").digest == alone.digest
 
 
 def test_same_folder_same_calibration_and_progress_in_words(presses):

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from gelform.depth.stepped import COARSER, FrameDepth, SteppedSlopes, coarse_grid
+from gelform.depth.stepped import COARSER, CoarseDepth, SteppedSlopes, coarse_grid
 from gelform.slopes.color_models._shared.least_squares import node_positions
 from gelform.slopes.color_models.forward_response import TERMS, ForwardResponse, PreparedStep
 
@@ -50,8 +50,8 @@ def test_a_step_is_that_of_the_response_with_the_frames_depth(response, frame):
     change, read, _ = frame
     stepped = SteppedSlopes(response, SHAPE, UNTOUCHED)
     assert stepped.steps
-    assert 4 < FrameDepth(SHAPE, UNTOUCHED).at_pixels(change, read).max() < 5
-    depth = FrameDepth(SHAPE, UNTOUCHED)(change, read)
+    assert 4 < CoarseDepth(SHAPE, UNTOUCHED).at_pixels(change, read).max() < 5
+    depth = CoarseDepth(SHAPE, UNTOUCHED)(change, read)
     for found, wanted in zip(stepped(change, read), PreparedStep(response)(change, read, depth)):
         np.testing.assert_array_equal(found, wanted)
 
@@ -108,7 +108,7 @@ def test_the_grid_covers_the_frame(shape):
 @pytest.mark.parametrize("offset", [0.0, 0.02])
 def test_depth_is_that_of_the_slopes_and_0_where_the_gel_is_untouched(shape, offset):
     depth, slopes, change = bump(shape)
-    found = FrameDepth(shape, 0.01)(change + np.float32(offset), slopes + np.float32(offset))
+    found = CoarseDepth(shape, 0.01)(change + np.float32(offset), slopes + np.float32(offset))
     assert found.shape == coarse_grid(shape)[0]
     assert found.min() == 0
     np.testing.assert_allclose(found, coarse(depth), atol=0.15)
@@ -118,7 +118,7 @@ def test_depth_is_that_of_the_slopes_and_0_where_the_gel_is_untouched(shape, off
 def test_nothing_is_below_the_untouched_gel_and_what_is_hidden_altogether_is_level():
     """A dent and a bulge: the forward response knows pressed gel, so the bulge is at 0."""
     down, up = bump(center=(30, 40)), bump(center=(90, 45))
-    measure = FrameDepth(ODD, 0.01)
+    measure = CoarseDepth(ODD, 0.01)
     found = measure(down[2] + up[2], down[1] - up[1])
     np.testing.assert_allclose(found, np.maximum(coarse(down[0] - up[0]), 0), atol=0.25)
     assert found.min() == 0
@@ -137,7 +137,7 @@ def test_where_all_of_the_gel_is_touched_the_least_changed_is_at_0():
     means = coarse(change)
     size = np.linalg.norm(means - np.median(means, axis=(0, 1)), axis=-1)
     found, known, more = (
-        FrameDepth(ODD, limit)(change, slopes) for limit in (1e-9, *np.quantile(size, [0.02, 0.9]))
+        CoarseDepth(ODD, limit)(change, slopes) for limit in (1e-9, *np.quantile(size, [0.02, 0.9]))
     )
     np.testing.assert_allclose(found, known, atol=0.2)
     assert np.abs(found - more).max() > 0.5, "what is guarded against"
@@ -157,7 +157,7 @@ def test_what_hidden_pixels_show_does_not_count(name):
     count = np.count_nonzero(hidden)
     garbled, colored = slopes.copy(), change.copy()
     garbled[hidden], colored[hidden] = rng.normal(1, 2, (count, 2)), rng.uniform(-1, 3, (count, 3))
-    measure = FrameDepth(ODD, 0.01)
+    measure = CoarseDepth(ODD, 0.01)
     found = measure(colored, garbled, hidden)
     np.testing.assert_allclose(found, coarse(depth), atol=0.4)
     assert np.abs(measure(colored, garbled) - coarse(depth)).max() > 2, "what is guarded against"

@@ -8,7 +8,7 @@ struct region {
   int32_t pixels, open;  // open: it reaches the border
 };
 
-// Sums over the regions of `rest`, each at its first run's place.
+// Sums over the regions of `at_rest`, each at its first run's place.
 static void measure(struct run *runs, int32_t count, const float *depth, struct region *regions, ptrdiff_t h, ptrdiff_t w) {
   memset(regions, 0, (size_t)count * sizeof *regions);
   for (int32_t k = 0; k < count; k++) {
@@ -21,9 +21,9 @@ static void measure(struct run *runs, int32_t count, const float *depth, struct 
 }
 
 // No hold in regions that touched gel encloses and that are off rest by more than `face` in the mean.
-static void free_faces(const uint8_t *rest, const float *depth, float face, struct run *runs, struct region *regions, float *weight,
+static void free_faces(const uint8_t *at_rest, const float *depth, float face, struct run *runs, struct region *regions, float *weight,
                        ptrdiff_t h, ptrdiff_t w) {
-  const int32_t count = find_runs(rest, 1, EDGES, runs, h, w);
+  const int32_t count = find_runs(at_rest, 1, EDGES, runs, h, w);
   measure(runs, count, depth, regions, h, w);
   for (int32_t k = 0; k < count; k++) {
     const struct region *region = regions + first_of(runs, k);
@@ -44,20 +44,20 @@ EXPORT int rest_hold(const float *depth, const float *share, const float *far, f
   if (n < runs * (REGION_WORDS + RUN_WORDS) + 4 * size) return WRONG_SIZE;
   struct region *regions = (struct region *)work;
   float *z = work + runs * (REGION_WORDS + RUN_WORDS), *values = z + size;
-  uint8_t *rest = (uint8_t *)(values + 2 * size);
+  uint8_t *at_rest = (uint8_t *)(values + 2 * size);
   const float enough = smaller(least, range_of(share, size).high);
   ptrdiff_t count = 0;
   for (ptrdiff_t k = 0; k < size; k++) {
-    rest[k] = share[k] >= enough;
+    at_rest[k] = share[k] >= enough;
     values[count] = depth[k];
-    count += rest[k];
+    count += at_rest[k];
   }
   const float zero = median(values, count, (uint32_t *)(values + size));
   for (ptrdiff_t k = 0; k < size; k++) {
     z[k] = depth[k] - zero;
     weight[k] = hold * (far ? far[k] : 1);
   }
-  free_faces(rest, z, face, (struct run *)(regions + runs), regions, weight, h, w);
+  free_faces(at_rest, z, face, (struct run *)(regions + runs), regions, weight, h, w);
   return OK;
 }
 

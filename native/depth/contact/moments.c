@@ -61,7 +61,7 @@ enum { AREA, DEPTH, X, Y, SURE, EVIDENCE, OWN, MEASURES };
 
 struct maps {
   const float *depth, *sigma, *variance, *coarse, *fine, *smooth, *bent, *influence;
-  const bool *rest;
+  const bool *at_rest;
   float stiffness, coarse_at_rest, coarse_elsewhere, fine_at_rest, fine_elsewhere, per_x, per_y;
   ptrdiff_t reach;  // of the influence, its number of values
 };
@@ -69,8 +69,8 @@ struct maps {
 // The square of a pixel's pressure over its variance, the larger of the two smoothings'.
 static inline double evidence_of(const struct maps *m, ptrdiff_t at) {
   const double bed = m->sigma[at] * m->stiffness, slopes = m->variance[at];
-  const double coarse = m->coarse[at], of_coarse = slopes * (m->rest[at] ? m->coarse_at_rest : m->coarse_elsewhere) + bed * bed;
-  const double fine = m->fine[at], of_fine = slopes * (m->rest[at] ? m->fine_at_rest : m->fine_elsewhere) + bed * bed;
+  const double coarse = m->coarse[at], of_coarse = slopes * (m->at_rest[at] ? m->coarse_at_rest : m->coarse_elsewhere) + bed * bed;
+  const double fine = m->fine[at], of_fine = slopes * (m->at_rest[at] ? m->fine_at_rest : m->fine_elsewhere) + bed * bed;
   const double one = coarse * coarse / (of_coarse + 1e-30), other = fine * fine / (of_fine + 1e-30);
   return one > other ? one : other;
 }
@@ -100,11 +100,11 @@ static void take_own_depth(double *of, const struct maps *m, ptrdiff_t first, pt
 // the surface by the finer smoothing. `influence`: depth for a unit of pressure at a pixel whose squared distance is the index;
 // `per_x` and `per_y` are those of a step.
 EXPORT int region_evidence(const uint16_t *labels, const float *depth, const float *sigma, const float *variance,
-                           const bool *rest, const float *coarse, const float *fine, const float *smooth, const float *bent,
+                           const bool *at_rest, const float *coarse, const float *fine, const float *smooth, const float *bent,
                            const float *influence, double *measures, float stiffness, float coarse_at_rest,
                            float coarse_elsewhere, float fine_at_rest, float fine_elsewhere, float per_x, float per_y, ptrdiff_t h,
                            ptrdiff_t w, ptrdiff_t t, ptrdiff_t n) {
-  const struct maps m = {depth, sigma, variance, coarse, fine, smooth, bent, influence, rest, stiffness, coarse_at_rest,
+  const struct maps m = {depth, sigma, variance, coarse, fine, smooth, bent, influence, at_rest, stiffness, coarse_at_rest,
                          coarse_elsewhere, fine_at_rest, fine_elsewhere, per_x, per_y, t};
   memset(measures, 0, (size_t)(n * MEASURES) * sizeof *measures);
   for (int own = 0; own < 2; own++)

@@ -87,31 +87,31 @@ enum { CHUNK = 4 * LANES };
 static const float MOST_VARIANCE = 0.3f;  // (mm/mm)^2; a slope of such variance is not known at all
 
 // Variance of slopes, from their deviation as they were read where the gel is at rest, elsewhere of the solved depth's slopes.
-EXPORT int slope_variance(const float *restrict read, const float *restrict solved, const bool *restrict rest,
+EXPORT int slope_variance(const float *restrict read, const float *restrict solved, const bool *restrict at_rest,
                           float *restrict variance, ptrdiff_t count) {
   for (ptrdiff_t i = 0; i < count; i++) {
-    const float r = read[i], s = solved[i], deviation = rest[i] ? r : s;
+    const float r = read[i], s = solved[i], deviation = at_rest[i] ? r : s;
     variance[i] = smaller(deviation * deviation, MOST_VARIANCE);
   }
   return OK;
 }
 
 // The bed's part of what holds the surface up is added to its bending: the pressure, where it is more than its own deviation and
-// more than `factor` times that of gel at rest, at known pixels; 0 elsewhere. `at_rest`, `elsewhere`: variance of the bending for a
+// more than `factor` times that of gel at rest, at known pixels; 0 elsewhere. `gain_at_rest`, `gain_elsewhere`: variance of the bending for a
 // variance of slopes of 1. Returns how many pixels have a pressure.
 EXPORT int contact_pressure(const float *restrict smooth, const float *restrict bent, const float *restrict sigma,
-                            const float *restrict variance, const float *restrict noise, const bool *restrict rest,
-                            const bool *restrict known, float *restrict pressure, float stiffness, float sigmas, float at_rest,
-                            float elsewhere, float factor, ptrdiff_t count) {
-  const float limit = factor * factor * at_rest;
+                            const float *restrict variance, const float *restrict noise, const bool *restrict at_rest,
+                            const bool *restrict known, float *restrict pressure, float stiffness, float sigmas, float gain_at_rest,
+                            float gain_elsewhere, float factor, ptrdiff_t count) {
+  const float limit = factor * factor * gain_at_rest;
   int pixels = 0;
   for (ptrdiff_t start = 0; start < count; start += CHUNK) {
     const ptrdiff_t n = count - start < CHUNK ? count - start : CHUNK;
     int32_t still[CHUNK], counts[CHUNK];
-    for (ptrdiff_t k = 0; k < n; k++) still[k] = rest[start + k], counts[k] = known[start + k];
+    for (ptrdiff_t k = 0; k < n; k++) still[k] = at_rest[start + k], counts[k] = known[start + k];
     for (ptrdiff_t k = 0; k < n; k++) {
       const ptrdiff_t i = start + k;
-      const float s = sigma[i], bed = s * stiffness, gain = still[k] ? at_rest : elsewhere;
+      const float s = sigma[i], bed = s * stiffness, gain = still[k] ? gain_at_rest : gain_elsewhere;
       const float p = larger(bent[i] + stiffness * larger(smooth[i] - sigmas * s, 0), 0);
       counts[k] &= p * p > larger(variance[i] * gain + bed * bed, limit * noise[i]);
       pressure[i] = counts[k] ? p : 0;

@@ -6,7 +6,7 @@ enum { INSIDE, WEIGHT, SQUARE, HOLD, REGION, REST, FIRST };
 
 struct maps {
   const float *sigma, *weights, *anchor;
-  const bool *mask, *region, *rest;
+  const bool *mask, *region, *at_rest;
   ptrdiff_t w, slopes;
 };
 
@@ -67,18 +67,18 @@ static ptrdiff_t pixels_from(ptrdiff_t block, ptrdiff_t size, ptrdiff_t pixels) 
 }
 
 // Without a mask all pixels are inside it, without zero pixels or rest there are none.
-EXPORT int sum_blocks(const float *sigma, const float *weights, const bool *mask, const float *anchor, const bool *region, const bool *rest,
+EXPORT int sum_blocks(const float *sigma, const float *weights, const bool *mask, const float *anchor, const bool *region, const bool *at_rest,
                       float floor, int64_t block, float *work, float *sums, ptrdiff_t h, ptrdiff_t w, ptrdiff_t slopes,
                       ptrdiff_t planes, ptrdiff_t rows, ptrdiff_t columns) {
   if (planes != FIRST + 2 * slopes || rows * block < h || columns * block < w) return WRONG_SIZE;
-  const struct maps maps = {sigma, weights, anchor, mask, region, rest, w, slopes};
+  const struct maps maps = {sigma, weights, anchor, mask, region, at_rest, w, slopes};
   for (ptrdiff_t row = 0; row < rows; row++) {
     const ptrdiff_t high = pixels_from(row, block, h);
     memset(work, 0, planes * w * sizeof(float));
     for (ptrdiff_t i = row * block; i < row * block + high; i++) {
       add_row(&maps, i, floor, work);
       add_chosen(region ? region + i * w : NULL, mask ? mask + i * w : NULL, work + REGION * w, w);
-      add_chosen(rest ? rest + i * w : NULL, NULL, work + REST * w, w);
+      add_chosen(at_rest ? at_rest + i * w : NULL, NULL, work + REST * w, w);
       for (ptrdiff_t slope = 0; slope < slopes; slope++) add_slopes(&maps, i, slope, floor, work);
     }
     for (ptrdiff_t p = 0; p < planes; p++)

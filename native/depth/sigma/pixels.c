@@ -4,7 +4,7 @@
 // The part of the variance from a pixel's own slopes, beyond the variance of its block.
 struct slopes {
   const float *sigma, *weights;
-  const bool *rest;  // NULL: nowhere
+  const bool *at_rest;  // NULL: nowhere
   float contact_white, rest_white, floor;
   ptrdiff_t count;
 };
@@ -20,10 +20,10 @@ static void look_at_row(const struct slopes *of, ptrdiff_t i, ptrdiff_t slope, f
     for (ptrdiff_t j = 0; j < w; j++) certain[j + 1] = trusted[j + 1] * contact / sigma[j];
   else
     for (ptrdiff_t j = 0; j < w; j++) certain[j + 1] = trusted[j + 1] * contact / sigma[step * j];
-  if (!of->rest) return;
-  const bool *restrict rest = of->rest + i * w;
+  if (!of->at_rest) return;
+  const bool *restrict at_rest = of->at_rest + i * w;
   const float ratio = still / contact;
-  for (ptrdiff_t j = 0; j < w; j++) certain[j + 1] *= rest[j] ? ratio : 1.0f;
+  for (ptrdiff_t j = 0; j < w; j++) certain[j + 1] *= at_rest[j] ? ratio : 1.0f;
 }
 
 // Add what blocks do not see: the usual sigma of the trusted among 3x3 pixels, their harmonic mean.
@@ -66,11 +66,11 @@ static void add_lines(float *restrict sum, const float *restrict a, const float 
 enum { LINES = 22 };  // of w + 2 floats
 
 // `variance` (rows, columns) of blocks of `block` x `block` pixels becomes that of pixels, bilinearly.
-EXPORT int sigma_of_pixels(const float *variance, const float *sigma, const bool *rest, const float *white, const float *within,
+EXPORT int sigma_of_pixels(const float *variance, const float *sigma, const bool *at_rest, const float *white, const float *within,
                            const float *fading, const float *weights, float floor, const float *anchor, int64_t block, float *work,
                            float *out, ptrdiff_t rows, ptrdiff_t columns, ptrdiff_t h, ptrdiff_t w, ptrdiff_t slopes, ptrdiff_t line) {
   if (block < 1 || rows * block < h || columns * block < w || line != w + 2 || slopes < 1 || slopes > 2) return WRONG_SIZE;
-  const struct slopes of = {sigma, weights, rest, white[0], white[1], floor, slopes};
+  const struct slopes of = {sigma, weights, at_rest, white[0], white[1], floor, slopes};
   float *lines[LINES], **trusted = lines, **padded = lines + 3, **certain[] = {lines + 6, lines + 9};
   memset(work, 0, LINES * line * sizeof(float));
   for (int k = 0; k < LINES; k++) lines[k] = work + k * line;

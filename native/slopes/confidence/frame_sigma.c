@@ -13,7 +13,7 @@ struct settings {
 struct lines {
   float r[PIXELS], g[PIXELS], b[PIXELS], p[PIXELS], q[PIXELS];
   float variance[PIXELS], fraction[PIXELS], square[PIXELS];
-  int32_t untouched[PIXELS], index[PIXELS];
+  int32_t at_rest[PIXELS], index[PIXELS];
 };
 
 static inline void unpack(struct lines *restrict l, const float *restrict change, const float *restrict gradients,
@@ -23,11 +23,11 @@ static inline void unpack(struct lines *restrict l, const float *restrict change
 }
 
 // Marks pixels whose color change is within a distance of the change that all pixels have in common.
-static inline void find_untouched(struct lines *restrict l, const struct settings *restrict s) {
+static inline void find_at_rest(struct lines *restrict l, const struct settings *restrict s) {
   const float r = s->common[0], g = s->common[1], b = s->common[2], square = s->square;
   for (int k = 0; k < PIXELS; k++) {
     const float dr = l->r[k] - r, dg = l->g[k] - g, db = l->b[k] - b;
-    l->untouched[k] = dr * dr + dg * dg + db * db < square;
+    l->at_rest[k] = dr * dr + dg * dg + db * db < square;
   }
 }
 
@@ -50,9 +50,9 @@ static inline void variance_by_law(struct lines *restrict l, const struct settin
 static inline void deviation(const struct lines *restrict l, const float *restrict rest, const float *restrict place,
                              const float *restrict variance, float *restrict sigma, ptrdiff_t n) {
   if (variance == NULL)
-    for (ptrdiff_t k = 0; k < n; k++) sigma[k] = sqrtf(l->untouched[k] ? rest[k] : l->variance[k] * place[k]);
+    for (ptrdiff_t k = 0; k < n; k++) sigma[k] = sqrtf(l->at_rest[k] ? rest[k] : l->variance[k] * place[k]);
   else
-    for (ptrdiff_t k = 0; k < n; k++) sigma[k] = sqrtf(l->untouched[k] ? rest[k] : l->variance[k] * place[k] * variance[k]);
+    for (ptrdiff_t k = 0; k < n; k++) sigma[k] = sqrtf(l->at_rest[k] ? rest[k] : l->variance[k] * place[k] * variance[k]);
 }
 
 // Number of pixels whose slope is NaN or over the highest.
@@ -62,31 +62,31 @@ static inline int count_refused(const struct lines *restrict l, float highest, p
   return count;
 }
 
-// A pixel that a marker hides is not untouched.
-static inline void hide_untouched(struct lines *restrict l, const bool *restrict hidden, ptrdiff_t n) {
-  for (ptrdiff_t k = 0; k < n; k++) l->untouched[k] = l->untouched[k] & !hidden[k];
+// A pixel that a marker hides is not at rest.
+static inline void hide_at_rest(struct lines *restrict l, const bool *restrict hidden, ptrdiff_t n) {
+  for (ptrdiff_t k = 0; k < n; k++) l->at_rest[k] = l->at_rest[k] & !hidden[k];
 }
 
-static inline void write_back(const struct lines *restrict l, float *restrict gradients, bool *restrict untouched,
+static inline void write_back(const struct lines *restrict l, float *restrict gradients, bool *restrict at_rest,
                               ptrdiff_t n) {
   for (ptrdiff_t k = 0; k < n; k++) gradients[2 * k] = l->p[k], gradients[2 * k + 1] = l->q[k];
-  for (ptrdiff_t k = 0; k < n; k++) untouched[k] = l->untouched[k] != 0;
+  for (ptrdiff_t k = 0; k < n; k++) at_rest[k] = l->at_rest[k] != 0;
 }
 
-static inline void decide_untouched(struct lines *restrict l, const struct settings *restrict s, const bool *hidden,
+static inline void decide_at_rest(struct lines *restrict l, const struct settings *restrict s, const bool *hidden,
                                     const bool *given, ptrdiff_t start, ptrdiff_t n) {
-  find_untouched(l, s);
+  find_at_rest(l, s);
   if (given != NULL)
-    for (ptrdiff_t k = 0; k < n; k++) l->untouched[k] = given[start + k];
-  else if (hidden != NULL) hide_untouched(l, hidden + start, n);
+    for (ptrdiff_t k = 0; k < n; k++) l->at_rest[k] = given[start + k];
+  else if (hidden != NULL) hide_at_rest(l, hidden + start, n);
 }
 
-// `given`: untouched pixels that were decided elsewhere, or NULL. `rest`: the variance of a slope at rest. `variance`: of each
+// `given`: pixels at rest that were decided elsewhere, or NULL. `rest`: the variance of a slope at rest. `variance`: of each
 // slope by its step, or NULL. `bias` is subtracted from the gradients. Returns how many pixels have a slope that is NaN or
 // beyond the highest.
 EXPORT int frame_sigma(const float *change, const bool *hidden, const bool *given, const float *common, const float *bias,
                        const float *rest, const float *place, const float *law, const float *variance, float *gradients,
-                       bool *untouched, float *sigma, float square, float steps, float grows, float highest, ptrdiff_t h,
+                       bool *at_rest, float *sigma, float square, float steps, float grows, float highest, ptrdiff_t h,
                        ptrdiff_t w, ptrdiff_t t) {
   const struct settings s = {common, bias, law, square, steps, grows, (int32_t)t};
   struct lines l = {0};
@@ -96,17 +96,17 @@ EXPORT int frame_sigma(const float *change, const bool *hidden, const bool *give
     const ptrdiff_t n = h * w - start < PIXELS ? h * w - start : PIXELS;
     unpack(&l, change + 3 * start, gradients + 2 * start, bias, n);
     refused += count_refused(&l, highest, n);
-    decide_untouched(&l, &s, hidden, given, start, n);
+    decide_at_rest(&l, &s, hidden, given, start, n);
     variance_by_law(&l, &s);
     deviation(&l, rest + start, place + start, variance == NULL ? NULL : variance + start, sigma + start, n);
-    write_back(&l, gradients + 2 * start, untouched + start, n);
+    write_back(&l, gradients + 2 * start, at_rest + start, n);
   }
   return refused;
 }
 
-// The same where no law of the deviation is known: which pixels are untouched, and their slopes without bias.
+// The same where no law of the deviation is known: which pixels are at rest, and their slopes without bias.
 EXPORT int subtract_bias(const float *change, const bool *hidden, const bool *given, const float *common, const float *bias,
-                         float *gradients, bool *untouched, float square, float highest, ptrdiff_t h, ptrdiff_t w) {
+                         float *gradients, bool *at_rest, float square, float highest, ptrdiff_t h, ptrdiff_t w) {
   const struct settings s = {.common = common, .bias = bias, .square = square};
   struct lines l = {0};
   int refused = 0;
@@ -114,8 +114,8 @@ EXPORT int subtract_bias(const float *change, const bool *hidden, const bool *gi
     const ptrdiff_t n = h * w - start < PIXELS ? h * w - start : PIXELS;
     unpack(&l, change + 3 * start, gradients + 2 * start, bias, n);
     refused += count_refused(&l, highest, n);
-    decide_untouched(&l, &s, hidden, given, start, n);
-    write_back(&l, gradients + 2 * start, untouched + start, n);
+    decide_at_rest(&l, &s, hidden, given, start, n);
+    write_back(&l, gradients + 2 * start, at_rest + start, n);
   }
   return refused;
 }

@@ -4,7 +4,7 @@
 enum { PIECE = 64 };  // pixels of a row at a time
 
 struct causes {
-  float outlier, unseen, clean, added, per_bend, bend_from, unknown, least;
+  float outlier, unseen, full_confidence_sigma, added, per_bend, bend_from, unknown, least;
   int32_t reach;
 };
 
@@ -73,11 +73,11 @@ static inline void variance_of_outliers(const struct causes *c, struct lines *re
 // A wall alone costs a slope no more of its confidence than leaves `least`.
 static inline void finish(const struct causes *c, const struct lines *restrict l, const float *restrict gain,
                           float *restrict sigma, float *restrict confidence, int n) {
-  const float clean = c->clean * c->clean, most_of_wall = clean / c->least;
+  const float full = c->full_confidence_sigma * c->full_confidence_sigma, most_of_wall = full / c->least;
   for (int k = 0; k < n; k++) {
     const float noise = c->added * gain[k], others = sigma[k] * sigma[k] + l->outlier[k] + noise * noise;
     sigma[k] = sqrtf(others + l->wall[k]);
-    confidence[k] = smaller(clean / (others + smaller(l->wall[k], most_of_wall)), 1);
+    confidence[k] = smaller(full / (others + smaller(l->wall[k], most_of_wall)), 1);
   }
 }
 
@@ -90,9 +90,9 @@ static inline void write_roots(float *restrict map, const float *restrict varian
 // either adds, where they are asked for.
 EXPORT int raise_sigma(const float *gradients, const float *residual, const float *of_step, const bool *unseen_at,
                        const float *gain, float *sigma, float *confidence, float *walls, float *outliers, float outlier,
-                       float unseen, float clean, float added, float per_bend, float bend_from, float unknown, float least,
+                       float unseen, float full_confidence_sigma, float added, float per_bend, float bend_from, float unknown, float least,
                        int32_t reach, ptrdiff_t h, ptrdiff_t w) {
-  const struct causes c = {outlier, unseen, clean, added, per_bend, bend_from, unknown, least, reach};
+  const struct causes c = {outlier, unseen, full_confidence_sigma, added, per_bend, bend_from, unknown, least, reach};
   const float square = unseen * unseen;
   if (reach < 1 || !(outlier > 0) || (residual != NULL) != (of_step != NULL)) return WRONG_SIZE;
   struct lines l = {0};

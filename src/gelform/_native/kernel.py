@@ -151,6 +151,7 @@ class Kernel:
         self.declaration = declaration
         self.parameters = parameters_of(declaration)
         self.sizes = sizes_of(self.parameters)
+        self._names = tuple(parameter.name for parameter in self.parameters)
         self._arrays = [(i, p, p.plain_dtype) for i, p in enumerate(self.parameters) if p.axes is not None]
         self._handles = [(i, p) for i, p in enumerate(self.parameters) if p.is_handle]
         self._sizes_of_shapes: dict[tuple[tuple[int, ...] | None, ...], tuple[int, ...]] = {}
@@ -161,16 +162,22 @@ class Kernel:
         """The same kernel compiled for another instruction set, for tests that compare them."""
         return Kernel(self.name, self.declaration, isa)
 
-    def __call__(self, *arguments: Any) -> int:
-        """Call the kernel; return C's value.
+    def __call__(self, *arguments: Any, **named: Any) -> int:
+        """Call the kernel with its parameters in order, or by name after the first ones; return C's value.
 
         Raises
         ------
         TypeError, ValueError
-            An array's dtype, shape or order is not as declared, or does not fit the handle.
+            Arguments are missing, too many or of other names; an array's dtype, shape or order is not as declared, or does
+            not fit the handle.
         MemoryError
             C could not allocate.
         """
+        if named:
+            rest = self._names[len(arguments) :]
+            if named.keys() != set(rest):
+                raise TypeError(f"{self.name}: expected {', '.join(rest)} by name, got {', '.join(named)}.")
+            arguments += tuple(map(named.__getitem__, rest))
         if len(arguments) != len(self.parameters):
             raise TypeError(f"{self.name}: expected {len(self.parameters)} arguments, got {len(arguments)}.")
         values, seen = list(arguments), []

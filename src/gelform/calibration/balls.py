@@ -17,7 +17,7 @@ from gelform.calibration.candidates import Start, training_samples
 from gelform.calibration.circles.find import ContactCircle, why_no_contact
 from gelform.calibration.circles.locate import Located
 from gelform.calibration.circles.samples import PRESS_PIXELS, TRIAL_SAMPLES, PreparedPress
-from gelform.calibration.enough import enough
+from gelform.calibration.enough import NEEDED
 from gelform.result.metrics.ball import radius_from_gradients
 from gelform.slopes.color_models import COLOR_MODELS, DEFAULT_MODEL, ColorModel
 
@@ -99,7 +99,7 @@ def _by_sizes(located: Located) -> tuple[BallReading, ...]:
     sizes = {
         stated: members
         for stated, members in _by_size(located, located.refined.accepted).items()
-        if enough("size", len(members))
+        if NEEDED.size.met(len(members))
     }
     readings = []
     for stated in list(sizes)[1:]:

@@ -24,7 +24,7 @@ from gelform.calibration.circles.samples import (
 from gelform.calibration.presses.press_set import Presses
 from gelform.calibration.starters import check_light, light_from_background, starter_for
 from gelform.calibration_file import Calibration, as_calibration
-from gelform.depth.stepped import FrameDepth
+from gelform.depth.stepped import CoarseDepth
 from gelform.errors import CalibrationError
 from gelform.image.background.change import ChangeSettings, gain_from_background
 from gelform.slopes.color_models import (
@@ -155,7 +155,7 @@ class SlopeReader:
         background = np.zeros((*shape, 3), np.float32) if press.background is None else press.background
         self.model = model
         self._prepared = model.prepare(background, shape)
-        self._depth = FrameDepth(shape, untouched)
+        self._depth = CoarseDepth(shape, untouched)
 
     def frames(self, press: PreparedPress, responses: Sequence[ForwardResponse | None]) -> list[Step]:
         """Slopes of the whole press by the step of each response; without a step, variance is 1 and residual 0."""

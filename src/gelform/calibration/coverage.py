@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gelform.calibration.enough import NEEDED, enough
+from gelform.calibration.enough import NEEDED
 from gelform.result.metrics.ball import followed_radius
 
 DIRECTIONS = 8  # directions of slopes, 45 degrees each
@@ -194,7 +194,7 @@ def coverage_notes(circles: Sequence[Circle], shape: tuple[int, int]) -> tuple[s
             f"All {len(circles)} presses lie in the {part} of the image. Elsewhere the same colors mean other "
             f"slopes, so depth there is a guess. Press all over the gel{_at('next', press_next(coverage))}.",
         )
-    advised = NEEDED["advised"].presses
+    advised = NEEDED.advised.presses
     missing = advised - len(circles)
     if missing > 0:
         places = press_next(coverage, min(missing, NAMED_PLACES))
@@ -216,7 +216,7 @@ def one_part(circles: Sequence[Circle], shape: tuple[int, int]) -> str | None:
     Top, bottom, left and right are halves, the middle is a third. The contacts must leave a third of the image free along
     at least one side.
     """
-    if not enough("spread", len(circles)):
+    if not NEEDED.spread.met(len(circles)):
         return None
     x, y, radius = np.array(circles).T
     low_x, low_y = max(0, (x - radius).min()), max(0, (y - radius).min())

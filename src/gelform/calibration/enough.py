@@ -16,78 +16,81 @@ class Need(NamedTuple):
     what: str
     why: str
 
+    def met(self, presses: int) -> bool:
+        """Whether a number of presses is enough."""
+        return presses >= self.presses
 
-NEEDED = {
-    "model": Need(
+
+class _Needed(NamedTuple):
+    """A row for each part, in the order of their numbers."""
+
+    model: Need = Need(
         2, "moving circles with a color model", "a single press agrees with itself wherever its circle is"
-    ),
-    "places": Need(
+    )
+    places: Need = Need(
         3,
         "a calibration, from presses at different places",
         "each fold needs at least two others to train on",
-    ),
-    "interval": Need(
+    )
+    interval: Need = Need(
         3, "the interval of a figure; a bin of the gain curve", "two presses say little about others"
-    ),
-    "spread": Need(
+    )
+    spread: Need = Need(
         3, "the note that all presses lie in one part of the image", "two presses lie in one part by chance"
-    ),
-    "median": Need(
+    )
+    median: Need = Need(
         5,
         "the check for a contact in the background (images)",
         "the median of fewer images may show a contact",
-    ),
-    "guided": Need(
+    )
+    guided: Need = Need(
         5, "a guided calibration on the live page (images)", "each of the five folds holds out one press"
-    ),
-    "whole": Need(
+    )
+    whole: Need = Need(
         6,
         "moving circles without the presses that the border cuts",
         "fewer whole presses cover too few places",
-    ),
-    "learning curve": Need(8, "a learning curve", "fewer leave no presses to hold out"),
-    "learning law": Need(
+    )
+    learning_curve: Need = Need(8, "a learning curve", "fewer leave no presses to hold out")
+    learning_law: Need = Need(
         10,
         "a point of the curve that counts for its fitted law",
         "circles from fewer presses are too uncertain",
-    ),
-    "judged gain": Need(
+    )
+    judged_gain: Need = Need(
         10, "a bin of the gain curve that counts for the verdict", "fewer presses may be off by chance"
-    ),
-    "fair": Need(10, "the verdict fair", "fewer leave whole parts of the gel without a press"),
-    "edge": Need(
+    )
+    fair: Need = Need(10, "the verdict fair", "fewer leave whole parts of the gel without a press")
+    edge: Need = Need(
         12,
         "measuring the contact edge",
         "fewer do not show the light at every place; 0.85 of the visible radius is used instead",
-    ),
-    "size": Need(
+    )
+    size: Need = Need(
         12, "reading one ball size by the presses of another", "fewer do not show the light at every place"
-    ),
-    "guided well": Need(
+    )
+    guided_well: Need = Need(
         12,
         "the live page's message that there are enough presses (images)",
         "the contact edge is measured from here on",
-    ),
-    "advised": Need(
+    )
+    advised: Need = Need(
         20,
         "no advice to add presses",
         "the error in the contact falls from 2.4 degrees with 10 presses to 1.9 with 20",
-    ),
-    "good": Need(30, "the verdict good", "more presses hardly improve the normals"),
-    "settings": Need(
+    )
+    good: Need = Need(30, "the verdict good", "more presses hardly improve the normals")
+    settings: Need = Need(
         30,
         "a learning curve of the chosen settings alone",
         "with fewer presses, simpler settings may be better",
-    ),
-}
+    )
+
+
+NEEDED = _Needed()
 
 SAMPLED = 24  # presses that stand for all in a median
 FOLDS = 5  # groups of presses, each held out in turn: the other four fifths train
 
 # Position degrees of the polynomial that moves uncertain circles, from a number of presses on.
 REFINING = ((0, (1,)), (6, (2, 1)), (9, (3, 2, 0)))
-
-
-def enough(what: str, presses: int) -> bool:
-    """Whether a number of presses is enough for a row of the table."""
-    return presses >= NEEDED[what].presses

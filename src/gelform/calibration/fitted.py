@@ -42,7 +42,9 @@ UNTOUCHED_DISTANCE = 3  # contact radii
 USUAL_UNTOUCHED_CHANGE = 0.03  # if no press leaves room for the measurement
 CLIPPED_SHARE = 0.01  # of the training pixels; fewer do not teach the effect of a clipped channel
 # Weights of slopes before held-out presses are measured; roughly those of any sensor.
-FIRST_GUESS = SlopeSigma(rest=0.02, slopes=(0.0, 0.5), sigmas=(0.02, 0.06), clean=0.04, correlation_px=10.0)
+FIRST_GUESS = SlopeSigma(
+    rest=0.02, slopes=(0.0, 0.5), sigmas=(0.02, 0.06), full_confidence_sigma=0.04, correlation_px=10.0
+)
 LENGTHS_MM = np.geomspace(0.15, 2.0, 53)
 BLURRED_PX = 4.0  # px around a contact where the blurred image still shows the ball
 REACH_MM = 3.0  # mm around a contact; the gel is level beyond

@@ -44,12 +44,12 @@ class RestAnchor:
     ----------
     shape : (H, W)
     mm_per_px : float, mm
-    clean : float, mm/mm; standard deviation of a slope of weight 1
+    full_confidence_sigma : float, mm/mm; standard deviation of a slope of weight 1
     """
 
-    def __init__(self, shape: tuple[int, int], mm_per_px: float, clean: float) -> None:
+    def __init__(self, shape: tuple[int, int], mm_per_px: float, full_confidence_sigma: float) -> None:
         self.shape = shape
-        self.hold = (clean * mm_per_px / REST_SIGMA_MM) ** 2
+        self.hold = (full_confidence_sigma * mm_per_px / REST_SIGMA_MM) ** 2
         self._coarse = max(1, shape[0] // COARSER), max(1, shape[1] // COARSER)
         rows, columns = self._coarse
         self._coarse_mm = mm_per_px * (shape[0] / rows + shape[1] / columns) / 2
@@ -62,24 +62,24 @@ class RestAnchor:
     def __call__(
         self,
         gradients: NDArray[np.float32],
-        untouched: NDArray[np.bool_],
+        at_rest: NDArray[np.bool_],
     ) -> NDArray[np.float32]:
         """Anchor (H, W) of slopes (H, W, 2) without bias; 0 where the gel was touched or pressed flat.
 
-        A pixel at rest gets `(clean mm_per_px / REST_SIGMA_MM)^2`, times `1 - exp(-(d/REACH_MM)^2)` with its distance d from
-        touched gel; in a face it gets 0. If no coarse pixel is at rest, the coarse pixels with the largest fraction at rest
-        are taken instead.
+        A pixel at rest gets `(full_confidence_sigma mm_per_px / REST_SIGMA_MM)^2`, times `1 - exp(-(d/REACH_MM)^2)` with its
+        distance d from touched gel; in a face it gets 0. If no coarse pixel is at rest, the coarse pixels with the largest
+        fraction at rest are taken instead.
         """
         slopes, fraction = (
             np.asarray(cv2.resize(values, self._coarse[::-1], interpolation=cv2.INTER_AREA), np.float32)
-            for values in (gradients, untouched.astype(np.float32))
+            for values in (gradients, at_rest.astype(np.float32))
         )
         depth = self._solver(slopes).depth_mm
         weight, anchor = np.empty(self._coarse, np.float32), np.empty(self.shape, np.float32)
         with self._pool.one() as work:
             far = self._far_from(fraction < min(UNTOUCHED_FRACTION, float(fraction.max())), work)
             _rest_hold(depth, fraction, far, work, weight, self.hold, UNTOUCHED_FRACTION, FACE_MM)
-            _spread_over_chosen(weight, untouched, work, anchor)
+            _spread_over_chosen(weight, at_rest, work, anchor)
         return anchor
 
     def _far_from(self, touched: NDArray[np.bool_], work: NDArray[np.float32]) -> NDArray[np.float32] | None:

@@ -173,7 +173,7 @@ def integrate(
         zero=zero,
         region=region,
         level=level,
-        solver=_chosen(solver, uniform=weights is None and mask is None and anchor is None),
+        solver=_solver_for(solver, uniform=weights is None and mask is None and anchor is None),
         automatic=solver == "auto",
     )
     return request.solved()
@@ -201,7 +201,7 @@ def integrate_unchecked(
         zero=zero,
         region=zero_region(zero, gradients.shape[:2]),
         level=None,
-        solver=_chosen(solver, uniform=weights is None and anchor is None),
+        solver=_solver_for(solver, uniform=weights is None and anchor is None),
         automatic=solver == "auto",
     )
     return request.solved()
@@ -321,7 +321,7 @@ def _islands(known: NDArray[np.bool_]) -> NDArray[Any]:
     return cv2.connectedComponents(known.astype(np.uint8), connectivity=4)[1]
 
 
-def _chosen(solver: str, *, uniform: bool) -> str:
+def _solver_for(solver: str, *, uniform: bool) -> str:
     if checked_solver(solver) == "auto":
         return "dct" if uniform else "multigrid"
     return solver

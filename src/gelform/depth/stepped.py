@@ -22,7 +22,7 @@ def coarse_grid(shape: tuple[int, int]) -> tuple[tuple[int, int], tuple[float, f
     return (rows, columns), (shape[1] / columns, shape[0] / rows)
 
 
-class FrameDepth:
+class CoarseDepth:
     """Least-squares depth of frames; immutable. A color change up to `untouched` means rest, where depth is 0."""
 
     def __init__(self, shape: tuple[int, int], untouched: float) -> None:
@@ -84,7 +84,7 @@ class SteppedSlopes:
     """
 
     def __init__(self, forward: ForwardResponse | None, shape: tuple[int, int], untouched: float) -> None:
-        self._depth = FrameDepth(shape, untouched)
+        self._depth = CoarseDepth(shape, untouched)
         self._step = None if forward is None or forward.step_sigma is None else PreparedStep(forward)
 
     @property

@@ -208,7 +208,7 @@ class Torn:
         sums = blocks.row_sums.reshape(len(blocks.row_sums), -1)
         work, totals = (np.empty(size, dtype=np.float32) for size in (3 * sums.shape[1], len(sums)))
         least = 2 * BLOCK_PX * LEAST_STEP  # twice the sum of 16 pixels, as the kernel counts
-        return _seam(sums, self._rest_sums, work, totals, least, SEAM_FACTOR, SPILL)
+        return _seam(sums, self._rest_sums, work, totals, least=least, factor=SEAM_FACTOR, spill=SPILL)
 
     def displaced_rows(self, blocks: ImageBlocks) -> NDArray[np.bool_] | None:
         """Rows (H,) on the side of a seam that fits the background image worse; None if there is no seam."""
@@ -320,8 +320,10 @@ class FrameHealth:
         """Whether the frame shows no sign of a fault: true for nearly every frame, a tenth of the time."""
         signs, rows = np.empty(3, dtype=np.int32), len(blocks.row_digests)
         work = np.empty(1 << rows.bit_length(), dtype=np.int32)
-        digests, ends = blocks.row_digests, (self._levels.dark_to, self._levels.saturated_from)
-        _signs(blocks.means, blocks.ranges, digests, *ends, work, signs, FLAT_RANGE)
+        _signs(
+            blocks.means, blocks.ranges, blocks.row_digests, dark_to=self._levels.dark_to,
+            saturated_from=self._levels.saturated_from, work=work, signs=signs, flat=FLAT_RANGE,
+        )  # fmt: skip
         flat, ending, repeated = signs.tolist()
         few_flat, few_repeated = flat <= LEAST_TORN * blocks.ranges.size, repeated <= LEAST_TORN * rows
         return few_flat and few_repeated and not ending and not self._torn.seam(blocks)

@@ -185,7 +185,7 @@ def _cause_bits(explanation: Explanation) -> NDArray[np.uint16]:
     """One bit per cause, at pixels where it alone makes a slope less certain than a clean one."""
     bits = np.zeros(explanation.confidence.shape, dtype=np.uint16)
     for number, one in enumerate(explanation.maps.values()):
-        bits |= np.where(one > explanation.clean, np.uint16(1 << number), np.uint16(0))
+        bits |= np.where(one > explanation.full_confidence_sigma, np.uint16(1 << number), np.uint16(0))
     return bits
 
 

@@ -115,17 +115,17 @@ class Reconstruct(nn.Module):
         gradients = self.model(change)
         if self.step is not None:
             gradients = self.step(change, gradients)
-        untouched = self._untouched(change)
+        at_rest = self._at_rest(change)
         step = lattice_step(self.shape[0] * self.shape[1])
-        bias = medians_where(gradients[..., ::step, ::step], untouched[..., ::step, ::step])
+        bias = medians_where(gradients[..., ::step, ::step], at_rest[..., ::step, ::step])
         gradients = gradients - bias
         depth = self.solver(gradients)[:, None]
         step = lattice_step(self.shape[0] * self.shape[1])
-        zero = medians_where(depth[..., ::step, ::step], untouched[..., ::step, ::step])
+        zero = medians_where(depth[..., ::step, ::step], at_rest[..., ::step, ::step])
         return BatchReconstruction(depth - zero, gradients)
 
     @torch.no_grad()
-    def _untouched(self, change: Tensor) -> Tensor:
+    def _at_rest(self, change: Tensor) -> Tensor:
         """Pixels (N, 1, H, W) whose color did not change; if too few, the pixels that changed least."""
         coarse = change[..., ::EXPOSURE_STEP_PX, ::EXPOSURE_STEP_PX]
         near = ((change - medians_where(coarse)) ** 2).sum(1, keepdim=True) < self.threshold**2

@@ -128,7 +128,7 @@ def test_the_law_is_that_of_the_errors_that_were_made(six, stated):
     gentle = np.interp(0.1, sigma.slopes, sigma.sigmas) * 0.03 * stated
     assert gentle == pytest.approx(0.03 / np.sqrt(2), rel=0.25)
     assert sigma.correlated_share < 0.5
-    assert 0.02 < sigma.clean < 0.06
+    assert 0.02 < sigma.full_confidence_sigma < 0.06
 
 
 def test_the_residuals_scale_is_that_of_the_95_percent(six):

@@ -38,16 +38,19 @@ def depth_of(pressure):
 def regions_of(mask, depth, sigma, whole, noise=0.02):
     """An outline, its depth, and pressures; the surface is given by its whole pressure."""
     number, labels = labeled(mask)
-    maps = [
-        np.ascontiguousarray(m, np.float32)
-        for m in (depth, sigma * np.ones(depth.shape), noise**2 * np.ones(depth.shape))
-    ]
-    pressure, none = np.where(mask, whole, 0).astype(np.float32), np.zeros(depth.shape, np.float32)
-    rest = np.ones(depth.shape, bool)
-    bent = (whole - depth / LENGTH**2).astype(np.float32)
-    return Regions(
-        number, labels, (*maps, rest, pressure, none, maps[0], bent), (LENGTH**-2, 1.0, 1.0, 1.0, 1.0)
-    )
+    everywhere = np.ones(depth.shape)
+    maps = {
+        "depth": depth,
+        "sigma": sigma * everywhere,
+        "variance": noise**2 * everywhere,
+        "coarse": np.where(mask, whole, 0),
+        "fine": 0 * everywhere,
+        "smooth": depth,
+        "bent": whole - depth / LENGTH**2,
+    }
+    maps = {name: np.ascontiguousarray(values, np.float32) for name, values in maps.items()}
+    gains = dict.fromkeys(("coarse_at_rest", "coarse_elsewhere", "fine_at_rest", "fine_elsewhere"), 1.0)
+    return Regions(number, labels, {**maps, "at_rest": everywhere > 0}, gains)
 
 
 def test_the_depth_of_a_pressed_disc_is_that_of_the_analytic_one():
@@ -56,8 +59,9 @@ def test_the_depth_of_a_pressed_disc_is_that_of_the_analytic_one():
     mask = distance(70, 60) < radius
     regions = regions_of(mask, depth_of(0.8 * mask), 0.01, 0.8 * mask)
     evidence_module._region_evidence(
-        regions.labels, *regions.maps, judge()._influence, measures, *regions.gains, 1.0, 1.0
-    )
+        regions.labels, **regions.maps, influence=judge()._influence, measures=measures, stiffness=LENGTH**-2,
+        **regions.gains, per_x=1.0, per_y=1.0,
+    )  # fmt: skip
     wanted = 0.8 * LENGTH**2 * (1 - radius / LENGTH * k1(radius / LENGTH))
     assert measures[0, 6] == pytest.approx(wanted, rel=0.01)
     assert tuple(measures[0, 2:4]) == (70, 60)

@@ -221,7 +221,7 @@ def test_short_correlations_at_rest_meet_monte_carlo(length_px):
         SHAPE, mm_per_px=PITCH, correlation_px=10.0, correlated_share=1.0, rest_correlated_share=0.0,
         rest_correlation_px=length_px,
     )  # fmt: skip
-    found = prepared(np.full(SHAPE, SIGMA), anchor=ANCHOR, rest=REST)
+    found = prepared(np.full(SHAPE, SIGMA), anchor=ANCHOR, at_rest=REST)
     off = np.abs(found / expected - 1)
     assert np.median(off[REST]) < 0.15
     assert np.median(off[~REST]) < 0.15
@@ -232,9 +232,9 @@ def test_without_rest_errors_are_as_in_contact_everywhere():
     plain = DepthSigma(SHAPE, mm_per_px=PITCH, **SETTINGS)
     told = DepthSigma(SHAPE, mm_per_px=PITCH, rest_correlated_share=0.1, rest_correlation_px=1.5, **SETTINGS)
     assert np.array_equal(told(sigma, anchor=ANCHOR), plain(sigma, anchor=ANCHOR))
-    nowhere = told(sigma, anchor=ANCHOR, rest=np.zeros(SHAPE, bool))
+    nowhere = told(sigma, anchor=ANCHOR, at_rest=np.zeros(SHAPE, bool))
     assert nowhere == pytest.approx(plain(sigma, anchor=ANCHOR), rel=1e-5)
-    by_default = plain(sigma, anchor=ANCHOR, rest=REST)
+    by_default = plain(sigma, anchor=ANCHOR, at_rest=REST)
     assert by_default == pytest.approx(plain(sigma, anchor=ANCHOR), rel=1e-5)
 
 

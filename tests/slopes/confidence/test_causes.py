@@ -59,7 +59,7 @@ def patch(box=np.s_[10:20, 30:44]):
 
 def causes_of(rest=GRAY, **changes):
     usual = {
-        "clean": CLEAN,
+        "full_confidence_sigma": CLEAN,
         "levels": (1.5, 1.5, 1.5),
         "slope_per_change": 1.5,
         "outside": outside_of_gel(rest),
@@ -297,7 +297,7 @@ def test_where_nothing_is_stated_each_slope_counts_alike():
 
 
 def numpy_raise_sigma(
-    gradients, residual, of_step, unseen_at, gain, sigma, confidence, walls, outliers, outlier, unseen, clean, added,
+    gradients, residual, of_step, unseen_at, gain, sigma, confidence, walls, outliers, outlier, unseen, full, added,
     per_bend, bend_from, unknown, least, reach,
 ):  # fmt: skip
     """What the kernel should give, in float64."""
@@ -314,8 +314,8 @@ def numpy_raise_sigma(
     nothing = np.zeros((height, width), bool) if unseen_at is None else unseen_at
     doubt[nothing] = 0
     total = sigma.astype(float) ** 2 + bend + doubt + (added * gain) ** 2 + nothing * unseen**2
-    weighed = total - bend + np.minimum(bend, clean**2 / least)
-    written = np.sqrt(total), np.minimum(clean**2 / weighed, 1)
+    weighed = total - bend + np.minimum(bend, full**2 / least)
+    written = np.sqrt(total), np.minimum(full**2 / weighed, 1)
     return written if walls is None else (*written, np.sqrt(bend), np.sqrt(doubt))
 
 

@@ -26,7 +26,7 @@ def explained(**causes):
     maps = {name: np.asarray(causes.get(name, 0) * np.ones(SHAPE), np.float32) for name in CAUSES}
     sigma = np.sqrt(0.03**2 + sum(np.square(one.astype(float)) for one in maps.values())).astype(np.float32)
     confidence = np.minimum(1, (0.04 / sigma) ** 2).astype(np.float32)
-    return explanation_of(maps, sigma, confidence, clean=0.04)
+    return explanation_of(maps, sigma, confidence, full_confidence_sigma=0.04)
 
 
 def test_shares_add_up_and_the_law_is_what_is_left():

@@ -19,7 +19,13 @@ from gelform.slopes.confidence.frame_sigma import (
 from gelform.slopes.confidence.slope_sigma import SlopeSigma, factor_at, law_at
 from kernel_agreement import assert_kernel_agrees
 
-LAW = SlopeSigma(rest=0.01, slopes=(0.0, 0.5, 1.0), sigmas=(0.02, 0.05, 0.12), clean=0.03, correlation_px=8.0)
+LAW = SlopeSigma(
+    rest=0.01,
+    slopes=(0.0, 0.5, 1.0),
+    sigmas=(0.02, 0.05, 0.12),
+    full_confidence_sigma=0.03,
+    correlation_px=8.0,
+)
 
 
 NOTHING = Reference(np.zeros(3, np.float32), 0.0, np.zeros(2, np.float32), None, ())  # no pixel is untouched
@@ -120,15 +126,15 @@ def test_the_kernels_agree_with_numpy(shape, optional):
     masks = (mask if optional == "hidden" else None), (mask if optional == "given" else None)
     where = change, *masks, np.float32([0.02, 0, 0]), np.float32([0.01, -0.02])
     gradients = rng.normal(0, 0.5, (*shape, 2)).astype(np.float32)
-    outputs, square, highest = (np.empty(shape, bool), np.empty(shape, np.float32)), 0.3**2, 1e15
+    outputs, square = (np.empty(shape, bool), np.empty(shape, np.float32)), 0.3**2
     rest = rng.uniform(1e-5, 1e-3, shape).astype(np.float32)
     law = rest, prepared._place * rng.uniform(0.5, 2, shape).astype(np.float32), prepared._law
     for variance in (rng.uniform(1e-4, 1e-2, shape).astype(np.float32), None):
         assert_kernel_agrees(
             frame_sigma._frame_sigma, numpy_frame_sigma, *where, *law, variance, gradients, *outputs, square,
-            *prepared._numbers, highest,
+            *prepared._numbers.values(),
         )  # fmt: skip
-    arguments = *where, gradients, outputs[0], square, highest
+    arguments = *where, gradients, outputs[0], square, 1e15
     assert_kernel_agrees(frame_sigma._subtract_bias, numpy_subtract_bias, *arguments)
 
 
@@ -151,16 +157,16 @@ def test_of_two_deviations_the_larger_counts():
     sigma, confidence = np.full((2, 2), 0.05, np.float32), np.full((2, 2), 0.8, np.float32)
     own = np.full((2, 2, 2), 0.01, np.float32)
     own[0, 0] = 0.02, 0.3
-    both, found = with_model_sigma(sigma, confidence, own, clean=0.03)
+    both, found = with_model_sigma(sigma, confidence, own, full_confidence_sigma=0.03)
     np.testing.assert_allclose(both[0, 0], [0.05, 0.3])
     np.testing.assert_allclose(both[1, 1], 0.05)
     np.testing.assert_allclose(found, [[0.01, 0.8], [0.8, 0.8]], rtol=1e-6)
-    alone, _ = with_model_sigma(None, confidence, own, clean=0.03)
+    alone, _ = with_model_sigma(None, confidence, own, full_confidence_sigma=0.03)
     assert alone is own
-    alike, same = with_model_sigma(sigma, confidence, None, clean=0.03)
+    alike, same = with_model_sigma(sigma, confidence, None, full_confidence_sigma=0.03)
     assert alike.shape == (2, 2, 2)
     assert same is confidence
-    assert with_model_sigma(None, confidence, None, clean=0.03)[0] is None
+    assert with_model_sigma(None, confidence, None, full_confidence_sigma=0.03)[0] is None
 
 
 def linear(matrix):

@@ -7,7 +7,13 @@ import pytest
 
 from gelform.slopes.confidence.slope_sigma import SlopeErrors, SlopeSigma, factor_at, law_at
 
-LAW = SlopeSigma(rest=0.01, slopes=(0.0, 0.5, 1.0), sigmas=(0.02, 0.05, 0.12), clean=0.03, correlation_px=8.0)
+LAW = SlopeSigma(
+    rest=0.01,
+    slopes=(0.0, 0.5, 1.0),
+    sigmas=(0.02, 0.05, 0.12),
+    full_confidence_sigma=0.03,
+    correlation_px=8.0,
+)
 
 
 def errors_by(law, place=lambda x, y: 1.0, rest: float = 0.01, count: int = 60_000):
@@ -43,7 +49,9 @@ def test_law_is_recovered(floor, growth):
     for slope in (0.1, 0.3, 0.7):
         assert factors_of(sigma, slope, 0.5, 0.5) == pytest.approx(law(slope), rel=0.12)
     assert sigma.rest == pytest.approx(0.01, rel=0.05)
-    assert sigma.clean == pytest.approx(law(0.95 * 0.8), rel=0.12)  # 95 % of the slopes are gentler
+    assert sigma.full_confidence_sigma == pytest.approx(
+        law(0.95 * 0.8), rel=0.12
+    )  # 95 % of the slopes are gentler
     assert (sigma.correlation_px, sigma.correlated_share) == (8.0, 0.7)
     shares = shares_within(sigma, held_out, np.digitize(held_out.slopes, np.linspace(0, 0.8, 9)[1:-1]))
     assert min(shares) > 0.64
@@ -58,7 +66,7 @@ def test_factors_are_of_the_deviation_that_a_step_states():
         sigma = SlopeSigma.fit(replace(held_out, stated=share * true), 8.0, 0.5)
         np.testing.assert_allclose(sigma.sigmas, 1 / share, rtol=0.06)
         np.testing.assert_allclose(sigma.place, 1, atol=0.06)
-        assert sigma.clean == pytest.approx(np.quantile(true, 0.95), rel=0.05)
+        assert sigma.full_confidence_sigma == pytest.approx(np.quantile(true, 0.95), rel=0.05)
         assert sigma.rest == pytest.approx(0.01, rel=0.05)
     shares = shares_within(sigma, replace(held_out, stated=share * true), (4 * held_out.x).astype(int))
     assert min(shares) > 0.64
@@ -112,7 +120,7 @@ def test_a_few_wild_errors_do_not_widen_it():
     wild = held_out.errors.copy()
     wild[::50] = 3.0
     spoilt, right = (SlopeSigma.fit(one, 8.0, 0.5) for one in (replace(held_out, errors=wild), held_out))
-    assert spoilt.clean == pytest.approx(right.clean, rel=0.1)
+    assert spoilt.full_confidence_sigma == pytest.approx(right.full_confidence_sigma, rel=0.1)
 
 
 def test_a_law_comes_back_from_its_settings():

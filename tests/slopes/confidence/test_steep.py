@@ -85,13 +85,17 @@ def numpy_steep_sigma(
     steepest,
     carried,
     most,
-    clean,
+    full_confidence_sigma,
 ):
     slope = np.linalg.norm(gradients.astype(float), axis=-1)
     own = per_excess * np.maximum(slope - upper, 0)
-    other = carried * np.clip((slope - doubted) / clean + 1, 0, 1) * np.maximum(steepest - slope, 0)
+    other = (
+        carried
+        * np.clip((slope - doubted) / full_confidence_sigma + 1, 0, 1)
+        * np.maximum(steepest - slope, 0)
+    )
     found = np.where(sigma < most, np.minimum(np.hypot(own, other), most), 0)
-    return found, np.minimum(confidence, clean**2 / (sigma.astype(float) ** 2 + found**2))
+    return found, np.minimum(confidence, full_confidence_sigma**2 / (sigma.astype(float) ** 2 + found**2))
 
 
 def test_the_kernel_agrees_with_numpy():

@@ -22,7 +22,7 @@ from gelform.calibration.circles.samples import (
     contact_samples,
     with_rest_samples,
 )
-from gelform.calibration.enough import FOLDS, enough
+from gelform.calibration.enough import FOLDS, NEEDED
 from gelform.result.metrics.ball import STEEPEST_FRACTION, ball_center, ball_gradients
 from gelform.slopes.color_models import COLOR_MODELS, DEFAULT_MODEL, ColorModel
 
@@ -39,7 +39,7 @@ def contact_radius_ratio(presses: Sequence[PreparedPress], contacts: Sequence[Co
     The reading further in counts as 1. Rings are 0.05 visible radii wide, and two of them have to be below 0.7. It is
     `USUAL_EDGE` for fewer than 12 presses.
     """
-    if not enough("edge", len(presses)):
+    if not NEEDED.edge.met(len(presses)):
         return USUAL_EDGE
     visible = [replace(press, contact_radius_ratio=1.0) for press in presses]
     gains = []

@@ -25,7 +25,7 @@ from gelform.calibration.circles.refine import (
 from gelform.calibration.circles.repeated import repeated_presses
 from gelform.calibration.circles.samples import TRIAL_SAMPLES, ZONE, PreparedPress
 from gelform.calibration.coverage import coverage_notes
-from gelform.calibration.enough import NEEDED, enough
+from gelform.calibration.enough import NEEDED
 from gelform.calibration.presses.press_set import Presses
 from gelform.errors import CalibrationError
 from gelform.foundations.progress import Progress, no_progress
@@ -103,7 +103,7 @@ def locate(presses: Presses, start: Start | None = None, *, progress: Progress =
     found = find_contacts(prepared, progress=progress)
     repeated, model = repeated_presses(presses, prepared, found), None if start is None else start.model
     excluded = {i: f"the same press as {presses.presses[kept].name}" for i, kept in repeated.items()}
-    if start is not None and start.offered and enough("edge", len(found) - len(repeated)):
+    if start is not None and start.offered and NEEDED.edge.met(len(found) - len(repeated)):
         model = None
     refined = refine(prepared, found, excluded=excluded, start=model, progress=progress)
     if start is not None and start.offered and model is not None:
@@ -139,10 +139,10 @@ def refine(
         reasons[i] = reason
     candidates = [i for i, reason in enumerate(reasons) if reason is None]
     whole = [i for i in candidates if _is_whole(presses[i], found[i])]
-    contacts, fit_on = list(found), whole if enough("whole", len(whole)) else candidates
+    contacts, fit_on = list(found), whole if NEEDED.whole.met(len(whole)) else candidates
     contacts = _jointly_centered(presses, contacts, fit_on)
     model: ColorModel | None = None
-    for round_ in range(ROUNDS if enough("model", len(candidates)) else 0):
+    for round_ in range(ROUNDS if NEEDED.model.met(len(candidates)) else 0):
         model = fit_model([presses[i] for i in fit_on], [contacts[i] for i in fit_on], start)
         for i in candidates:
             contacts[i] = recentered(presses[i], contacts[i], found[i], model)
@@ -165,7 +165,7 @@ def _jointly_centered(
     Usual presses are found within 1-2 px. Alternating keeps them so, while the stiff model would move them.
     """
     deep = [is_deep(presses[i], contacts[i]) for i in fit_on]
-    if not enough("whole", len(fit_on)) or np.mean(deep) < 0.5:
+    if not NEEDED.whole.met(len(fit_on)) or np.mean(deep) < 0.5:
         return contacts
     chosen = [presses[i] for i in fit_on]
     for _ in range(ROUNDS):
@@ -219,7 +219,7 @@ def other_ball_note(
 
 def check_places(located: Located) -> None:
     """Raise a CalibrationError if under three presses fit, with the reasons of the others."""
-    least, refined, presses = NEEDED["places"].presses, located.refined, located.presses
+    least, refined, presses = NEEDED.places.presses, located.refined, located.presses
     if len(refined.accepted) >= least:
         return
     rejected = [(row.name, why) for row, why in zip(presses.presses, refined.reasons) if why is not None]

@@ -84,7 +84,7 @@ def presses_from_frames(
     view = _ViewOfFrames(ReadOptions(sensor, mm_per_px, ball_diameter_mm, None, crop), place)
     if iter(frames) is frames:
         frames = _kept(frames, view)
-    return _presses(lambda only: _chosen(frames, only), view, background, name, progress)
+    return _presses(lambda only: _selected(frames, only), view, background, name, progress)
 
 
 def presses_from_video(path: Path, options: ReadOptions, progress: Progress = no_progress) -> Presses:
@@ -137,7 +137,7 @@ def _kept(frames: Iterable[Frame], view: _ViewOfFrames) -> list[Frame]:
     return kept
 
 
-def _chosen(frames: Iterable[Frame], only: Container[int] | None) -> Iterator[Frame]:
+def _selected(frames: Iterable[Frame], only: Container[int] | None) -> Iterator[Frame]:
     for position, frame in enumerate(frames):
         check_is(frame, Frame, "each frame")
         if only is None or position in only:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.calibration.coverage import DIRECTIONS, Coverage, press_coverage, press_next, square_tiles
-from gelform.calibration.enough import enough
+from gelform.calibration.enough import NEEDED
 from gelform.calibration.held_out.measure import HeldOutSample, stated_sigma
 from gelform.calibration.presses.press_set import Presses
 from gelform.calibration.report.record import CalibrationReport, PressReport
@@ -117,7 +117,7 @@ def _figures(rows: Sequence[PressReport], rng: np.random.Generator) -> dict[str,
         if values.size:
             figures[name] = {
                 "value": float(middle(values)),
-                "interval": interval_of(values, middle, rng) if enough("interval", values.size) else None,
+                "interval": interval_of(values, middle, rng) if NEEDED.interval.met(values.size) else None,
                 "presses": int(values.size),
                 "statistic": middle.__name__,
             }
@@ -211,5 +211,5 @@ def _checked_figures(content: dict[str, Any]) -> dict[str, float | None]:
 
 def _counts(gain: dict[str, Any]) -> bool:
     """Whether a bin of the gain curve is judged; few pixels of a few presses are too uncertain."""
-    known = enough("judged gain", gain["presses"]) and gain["pixels"] >= GAIN_PIXELS
+    known = NEEDED.judged_gain.met(gain["presses"]) and gain["pixels"] >= GAIN_PIXELS
     return bool(known and gain["slope_to"] <= GAIN_TO_SLOPE)

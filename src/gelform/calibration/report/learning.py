@@ -24,7 +24,7 @@ from gelform.calibration.circles.find import ContactCircle
 from gelform.calibration.circles.locate import refine
 from gelform.calibration.circles.prepare import find_contacts, prepare, prepared_by_offset
 from gelform.calibration.circles.samples import TRIAL_SAMPLES, PreparedPress
-from gelform.calibration.enough import enough
+from gelform.calibration.enough import NEEDED
 from gelform.calibration.held_out.scores import score_of
 from gelform.calibration.presses.press_set import Presses
 from gelform.calibration_file import Calibration
@@ -66,7 +66,7 @@ def learning_curve(
         None with fewer than 8 accepted presses, which leave nothing to hold out.
     """
     accepted = [i for i, row in enumerate(calibration.report.presses) if row.accepted]
-    if not enough("learning curve", len(accepted)):
+    if not NEEDED.learning_curve.met(len(accepted)):
         return None
     own = presses.subset(accepted)
     ratio = calibration.settings["contact_radius_ratio"]
@@ -123,7 +123,7 @@ def candidates_of(calibration: Calibration, presses: int, start: Start | None) -
     options = [replace(candidate, step_ridge=step) for candidate in options]
     own = tuple((key, calibration.settings.others[key]) for key, _ in options[0].settings)
     chosen = Candidate(calibration.color_model.name, own, start, step)
-    if enough("settings", presses):
+    if NEEDED.settings.met(presses):
         return [chosen]
     return options[: options.index(chosen) + 1] if chosen in options else [*options, chosen]
 
@@ -141,7 +141,7 @@ def _one_draw(
     start = None if candidates[0].start is None else candidates[0].start.model
     refined = refine([to_refine[i] for i in training], [found[i] for i in training], start=start)
     kept = refined.accepted
-    if not enough("model", len(kept)):
+    if not NEEDED.model.met(len(kept)):
         return None
     used, contacts = [to_fit[training[k]] for k in kept], [refined.contacts[k] for k in kept]
     degrees, samples = [], training_samples(used, contacts, total=TRIAL_SAMPLES)
@@ -187,7 +187,7 @@ def floor_and_slope(presses: Sequence[float], degrees: Sequence[float]) -> tuple
 
 def _with_expectation(points: list[dict[str, Any]], accepted: int) -> dict[str, Any] | None:
     """The curve with the expected gain of `MORE` presses; None if two points do not determine it."""
-    late = [p for p in points if enough("learning law", p["presses"])]
+    late = [p for p in points if NEEDED.learning_law.met(p["presses"])]
     used = late if len(late) >= 3 else points
     if len(used) < 2:
         return None

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.calibration.coverage import COARSE, DIRECTIONS, direction_of, tile_of
-from gelform.calibration.enough import enough
+from gelform.calibration.enough import NEEDED
 from gelform.calibration.held_out.measure import HeldOutSample
 from gelform.result.metrics import angle_deg
 from gelform.slopes.confidence.slope_sigma import MIN_IN_BIN
@@ -55,7 +55,7 @@ def gain_curve(samples: Sequence[HeldOutSample], rng: np.random.Generator) -> li
     curve = []
     for b, (low, high) in enumerate(pairwise(SLOPE_EDGES)):
         projected, square, pixels = sums[:, :, b]
-        if not enough("interval", int(np.count_nonzero(pixels))) or pixels.sum() < MIN_IN_BIN:
+        if not NEEDED.interval.met(int(np.count_nonzero(pixels))) or pixels.sum() < MIN_IN_BIN:
             continue
         among = drawn @ square
         gains = (drawn @ projected)[among > 0] / among[among > 0]

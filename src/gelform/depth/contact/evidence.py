@@ -25,7 +25,7 @@ INFLUENCE = 6.0  # relaxation lengths, reach of a pressure; beyond, its depth is
 
 _region_evidence = Kernel(
     "region_evidence",
-    "u16[h,w] labels, f32[h,w] depth, f32[h,w] sigma, f32[h,w] variance, bool[h,w] rest, f32[h,w] coarse, f32[h,w] fine, "
+    "u16[h,w] labels, f32[h,w] depth, f32[h,w] sigma, f32[h,w] variance, bool[h,w] at_rest, f32[h,w] coarse, f32[h,w] fine, "
     "f32[h,w] smooth, f32[h,w] bent, f32[t] influence, out f64[n,7] measures, f32 stiffness, f32 coarse_at_rest, "
     "f32 coarse_elsewhere, f32 fine_at_rest, f32 fine_elsewhere, f32 per_x, f32 per_y",
 )
@@ -38,14 +38,14 @@ class Regions(NamedTuple):
     ----------
     number, labels : of the regions, from 1
     maps : depth and its deviation, mm, variance of the slopes, pixels at rest, the coarse and the fine pressure, and the
-        depth and minus its Laplacian by the fine smoothing
-    gains : 1/L^2, and the variance of the coarse and the fine pressure at rest and elsewhere, for a variance of slopes of 1
+        depth and minus its Laplacian by the fine smoothing; by the kernel's names
+    gains : the variance of the coarse and the fine pressure at rest and elsewhere, for a variance of slopes of 1
     """
 
     number: int
     labels: NDArray[np.uint16]
-    maps: tuple[NDArray[Any], ...]
-    gains: tuple[float, ...]
+    maps: dict[str, NDArray[Any]]
+    gains: dict[str, float]
 
 
 class _Measures(NamedTuple):
@@ -120,8 +120,9 @@ class Evidence:
         measures, area = np.empty((regions.number, 7)), self.pitch[0] * self.pitch[1]
         per_x, per_y = (step**2 / area for step in self.pitch)
         _region_evidence(
-            regions.labels, *regions.maps, self._influence, measures, *regions.gains, per_x, per_y
-        )
+            regions.labels, **regions.maps, influence=self._influence, measures=measures, stiffness=self.length_mm**-2,
+            **regions.gains, per_x=per_x, per_y=per_y,
+        )  # fmt: skip
         pixels, depth, x, y, sigmas_of_depth, square, own = measures.T
         deepest = y.astype(np.intp), x.astype(np.intp)
         return _Measures(pixels, depth, deepest, sigmas_of_depth, np.sqrt(square), own)

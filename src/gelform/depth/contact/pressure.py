@@ -50,12 +50,12 @@ _magnitude_of_share = Kernel(
 )
 _median_below = Kernel("median_below", "f32[...] values, out f32[n] work, out f32[1] magnitude, i64 step")
 _slope_variance = Kernel(
-    "slope_variance", "f32[...] read, f32[...] solved, bool[...] rest, out f32[...] variance"
+    "slope_variance", "f32[...] read, f32[...] solved, bool[...] at_rest, out f32[...] variance"
 )
 _contact_pressure = Kernel(
     "contact_pressure",
-    "f32[...] smooth, f32[...] bent, f32[...] sigma, f32[...] variance, f32[...] noise, bool[...] rest, bool[...] known, "
-    "out f32[...] pressure, f32 stiffness, f32 sigmas, f32 at_rest, f32 elsewhere, f32 factor",
+    "f32[...] smooth, f32[...] bent, f32[...] sigma, f32[...] variance, f32[...] noise, bool[...] at_rest, bool[...] known, "
+    "out f32[...] pressure, f32 stiffness, f32 sigmas, f32 gain_at_rest, f32 gain_elsewhere, f32 factor",
 )
 _contact_outline = Kernel(
     "contact_outline",
@@ -72,19 +72,19 @@ class SlopeDeviations(NamedTuple):
     ----------
     read : of the slopes as they were read from the image; taken at rest
     solved : of the slopes of the solved depth; taken elsewhere
-    rest : (H, W) bool, pixels at rest
+    at_rest : (H, W) bool, pixels at rest
     """
 
     read: NDArray[np.float32]
     solved: NDArray[np.float32]
-    rest: NDArray[np.bool_]
+    at_rest: NDArray[np.bool_]
 
     @classmethod
     def of(
-        cls, read: NDArray[np.float32] | None, solved: NDArray[np.float32] | None, rest: NDArray[np.bool_]
+        cls, read: NDArray[np.float32] | None, solved: NDArray[np.float32] | None, at_rest: NDArray[np.bool_]
     ) -> SlopeDeviations | None:
         """Those of a result's maps (H, W, 2), of whose components the larger counts; None if they are unknown."""
-        return None if read is None or solved is None else cls(_larger(read), _larger(solved), rest)
+        return None if read is None or solved is None else cls(_larger(read), _larger(solved), at_rest)
 
 
 def contact_from_depth(
@@ -188,25 +188,31 @@ class PreparedContact:
         """The contact mask (H, W) of a depth, mm, its standard deviation >= 0, that of its slopes, and its known pixels."""
         sigma = np.full_like(depth, _noise_mm(depth)) if sigma is None else sigma
         known = self._everywhere if known is None else known
-        variance, rest, given = self._noise, self._everywhere, None
+        variance, at_rest, given = self._noise, self._everywhere, None
         if slopes is not None and self._gains is not None:
-            variance, rest, given = np.empty_like(depth), slopes.rest, self._gains
-            _slope_variance(slopes.read, slopes.solved, rest, variance)
+            variance, at_rest, given = np.empty_like(depth), slopes.at_rest, self._gains
+            _slope_variance(slopes.read, slopes.solved, at_rest, variance)
             variance, _ = self._smoothed(variance, SMOOTHINGS_PX[0])
         pressures: list[NDArray[np.float32]] = []
-        gains: list[float] = []
-        for k, smoothing in enumerate(SMOOTHINGS_PX):
+        gains: dict[str, float] = {}
+        for k, (name, smoothing) in enumerate(zip(("coarse", "fine"), SMOOTHINGS_PX)):
             smooth, bent = self._smoothed(depth, smoothing)
-            gains += self._gains_of_frame(bent, rest, None if given is None else given[k])
-            maps, pressure = (smooth, bent, sigma, variance, self._noise, rest, known), np.empty_like(depth)
-            rules = self._stiffness, SIGMAS_OF_DEPTH, *gains[-2:], self._factor
-            if not _contact_pressure(*maps, pressure, *rules) and k == 0:
+            resting, elsewhere = self._gains_of_frame(bent, at_rest, None if given is None else given[k])
+            gains |= {f"{name}_at_rest": resting, f"{name}_elsewhere": elsewhere}
+            pressure = np.empty_like(depth)
+            some = _contact_pressure(
+                smooth, bent, sigma, variance, self._noise, at_rest, known, pressure, stiffness=self._stiffness,
+                sigmas=SIGMAS_OF_DEPTH, gain_at_rest=resting, gain_elsewhere=elsewhere, factor=self._factor,
+            )  # fmt: skip
+            if not some and k == 0:
                 return np.zeros(depth.shape, dtype=np.bool_)
             pressures.append(pressure)
-        contact = self._outlined(pressures[0], pressures[1], gains[2])
+        coarse, fine = pressures
+        contact = self._outlined(coarse, fine, gains["fine_at_rest"])
         count, labels = labeled(contact)
-        speak = depth, sigma, variance, rest, *pressures, smooth, bent
-        stands = self._stands(Regions(count, labels, speak, (self._stiffness, *gains)))
+        maps = {"depth": depth, "sigma": sigma, "variance": variance, "at_rest": at_rest}
+        maps |= {"coarse": coarse, "fine": fine, "smooth": smooth, "bent": bent}
+        stands = self._stands(Regions(count, labels, maps, gains))
         _standing_regions(labels, stands, contact)
         return contact
 
@@ -217,7 +223,10 @@ class PreparedContact:
         contact, side = np.empty(coarse.shape, dtype=np.bool_), 2 * NEIGHBORHOOD_PX + 1
         work = np.empty((2 * side + 6) * (coarse.shape[1] + side + LANES), dtype=np.float32)
         limit = (FINER * self._factor) ** 2 * fine_at_rest
-        _contact_outline(coarse, fine, self._noise, contact, work, NEIGHBORHOOD_PX, *SHARES, limit)
+        _contact_outline(
+            coarse, fine, self._noise, contact, work, reach=NEIGHBORHOOD_PX, coarse_share=SHARES[0],
+            finer_share=SHARES[1], limit=limit,
+        )  # fmt: skip
         return contact
 
     def _smoothed(
@@ -232,11 +241,11 @@ class PreparedContact:
         rows, width = 2 * taps.size - 1, values.shape[1] + LANES
         work = np.empty((rows + 1) * width + rows, dtype=np.float32)
         along_x, along_y = (step**-2 for step in self._pitch)
-        _bent_surface(values, taps, smooth, bent, work, along_x, along_y, margin)
+        _bent_surface(values, taps, smooth, bent, work, along_x=along_x, along_y=along_y, margin=margin)
         return smooth, bent
 
     def _gains_of_frame(
-        self, bent: NDArray[np.float32], rest: NDArray[np.bool_], known: list[float] | None
+        self, bent: NDArray[np.float32], at_rest: NDArray[np.bool_], known: list[float] | None
     ) -> list[float]:
         """Variance of the pressure at rest, and elsewhere, for a variance of slopes of 1.
 
@@ -247,13 +256,13 @@ class PreparedContact:
             return 2 * [
                 max(SIGMA_OF_FRACTION * self._magnitude(bent, None, FRACTION_AT_REST), LEAST_NOISE) ** 2
             ]
-        return [max(known[0], (self._magnitude(bent, rest, 0.95) / SIGMAS_OF_95) ** 2), known[1]]
+        return [max(known[0], (self._magnitude(bent, at_rest, 0.95) / SIGMAS_OF_95) ** 2), known[1]]
 
     def _magnitude(self, bent: NDArray[np.float32], chosen: NDArray[np.bool_] | None, share: float) -> float:
         step = max(1, bent.size // MEDIAN_SAMPLES)
         work = np.empty(2 * -(-bent.size // step), dtype=np.float32)
         magnitude = np.empty(1, dtype=np.float32)
-        _magnitude_of_share(bent, self._noise, chosen, work, magnitude, step, share)
+        _magnitude_of_share(bent, self._noise, chosen, work, magnitude, step=step, share=share)
         return float(magnitude[0])
 
 
@@ -267,11 +276,11 @@ def _gains(
 ) -> list[float]:
     """Variance of the pressure of gel at rest, and elsewhere, for a variance of the slopes of 1."""
     per_mm2 = (pitch[0] ** -2 + pitch[1] ** -2) / 2
-    at_rest = correlated_share if rest_correlated_share is None else rest_correlated_share
+    share_at_rest = correlated_share if rest_correlated_share is None else rest_correlated_share
     far = _divergence(correlation_px, smoothing)
     return [
         per_mm2 * (share * far + (1 - share) * _divergence(near, smoothing))
-        for share, near in ((at_rest, rest_correlation_px), (correlated_share, 0.0))
+        for share, near in ((share_at_rest, rest_correlation_px), (correlated_share, 0.0))
     ]
 
 

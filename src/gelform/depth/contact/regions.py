@@ -93,12 +93,12 @@ def contacts_from_mask(
 
 
 def unknown_contact(
-    contact: NDArray[np.bool_], rest: NDArray[np.bool_], known: NDArray[np.bool_]
+    contact: NDArray[np.bool_], at_rest: NDArray[np.bool_], known: NDArray[np.bool_]
 ) -> tuple[Finding, ...]:
     """One finding if no contact (H, W) was found, but many known pixels do not have the color of rest."""
     if contact.any():
         return ()
-    touched = float(np.count_nonzero(known & ~rest)) / max(float(np.count_nonzero(known)), 1.0)
+    touched = float(np.count_nonzero(known & ~at_rest)) / max(float(np.count_nonzero(known)), 1.0)
     if touched < TOUCHED:
         return ()
     message = (

@@ -56,7 +56,7 @@ class ErrorParts:
 
 _sum_blocks = Kernel(
     "sum_blocks",
-    "f32[h,w,slopes] sigma, f32[h,w] weights, bool[h,w]? mask, f32[h,w] anchor, bool[h,w]? region, bool[h,w]? rest, "
+    "f32[h,w,slopes] sigma, f32[h,w] weights, bool[h,w]? mask, f32[h,w] anchor, bool[h,w]? region, bool[h,w]? at_rest, "
     "f32 floor, i64 block, out f32[planes,w] work, out f32[planes,rows,columns] sums",
 )
 _errors_of_blocks = Kernel(
@@ -71,7 +71,7 @@ _variance_of_depths = Kernel(
 )
 _sigma_of_pixels = Kernel(
     "sigma_of_pixels",
-    "f32[rows,columns] variance, f32[h,w,slopes] sigma, bool[h,w]? rest, f32[2] white, f32[2] within, f32[4] fading, "
+    "f32[rows,columns] variance, f32[h,w,slopes] sigma, bool[h,w]? at_rest, f32[2] white, f32[2] within, f32[4] fading, "
     "f32[h,w] weights, f32 floor, f32[h,w]? anchor, i64 block, out f32[22,line] work, out f32[h,w] out",
 )
 # Blocks, standard deviation of the Gaussian that averages the probes' variance, because 32 probes are few.
@@ -109,7 +109,7 @@ class Blocks:
         mask: NDArray[np.bool_] | None,
         anchor: NDArray[np.float32] | None,
         region: NDArray[np.bool_] | None,
-        rest: NDArray[np.bool_] | None,
+        at_rest: NDArray[np.bool_] | None,
         floor: np.float32,
         parts: ErrorParts,
     ) -> None:
@@ -119,11 +119,16 @@ class Blocks:
         sums = np.empty((FIRST + 2 * sigma.shape[2], *shape), dtype=np.float32)
         work = np.empty((len(sums), pixels[1]), dtype=np.float32)
         hold = constant_map(pixels, 0.0) if anchor is None else anchor
-        _sum_blocks(sigma, weights, mask, hold, region, rest, floor, block, work, sums)
+        _sum_blocks(
+            sigma, weights, mask, hold, region, at_rest, floor=floor, block=block, work=work, sums=sums
+        )
         weight = np.empty(shape, dtype=np.float32)
         self.white, self.common, self._usual = np.empty((3, *shape, 2), dtype=np.float32)
-        errors = weight, self.white, self.common, self._usual
-        _errors_of_blocks(sums, *errors, block, *parts.of_blocks, *pixels)
+        share, rest_share, power = parts.of_blocks
+        _errors_of_blocks(
+            sums, weight, white=self.white, common=self.common, usual=self._usual, block=block, share=share,
+            rest_share=rest_share, power=power, h=pixels[0], w=pixels[1],
+        )  # fmt: skip
         self.mask = sums[INSIDE] > 0
         self.anchored = anchor is not None
         self.problem = problem_from_gradients(
@@ -166,7 +171,7 @@ def variance_of_depths(depths: NDArray[np.float32], mask: NDArray[np.bool_]) -> 
 def sigma_of_pixels(
     variance: NDArray[np.float32],
     sigma: NDArray[np.float32],
-    rest: NDArray[np.bool_] | None,
+    at_rest: NDArray[np.bool_] | None,
     white: NDArray[np.float32],
     within: NDArray[np.float32],
     fading: NDArray[np.float32],
@@ -181,7 +186,7 @@ def sigma_of_pixels(
     ----------
     variance : (h, w), mm^2, of the blocks, of `block` x `block` pixels; bilinear between their centers
     sigma : (H, W, 1 or 2), of the slopes
-    rest, white : (H, W) and (2,), the fraction of sigma that is white within a block: in contact, and at rest
+    at_rest, white : (H, W) and (2,), the fraction of sigma that is white within a block: in contact, and at rest
     within : (2,) of p and q: variance within a block for each unit of their variance
         It uses the usual sigma of 3x3 pixels, their harmonic mean: good pixels around a bad one hold it.
     fading : (4,), decrease of that where an anchor holds: see `fading_within_blocks`
@@ -191,5 +196,8 @@ def sigma_of_pixels(
     """
     out = np.empty(weights.shape, dtype=np.float32)
     work = np.empty((LINES, weights.shape[1] + 2), dtype=np.float32)
-    _sigma_of_pixels(variance, sigma, rest, white, within, fading, weights, floor, anchor, block, work, out)
+    _sigma_of_pixels(
+        variance, sigma, at_rest, white=white, within=within, fading=fading, weights=weights, floor=floor, anchor=anchor,
+        block=block, work=work, out=out,
+    )  # fmt: skip
     return out

@@ -34,7 +34,7 @@ class MissingDepth:
         self,
         gradients: NDArray[np.float32],
         steep: NDArray[np.float32],
-        untouched: NDArray[np.bool_],
+        at_rest: NDArray[np.bool_],
         depth_mm: NDArray[np.float32],
         sigma_mm: NDArray[np.float32] | None,
         difference: DepthDifference | None,
@@ -46,23 +46,23 @@ class MissingDepth:
         steep = np.where(steep > DOUBTED, steep, np.float32(0))
         if sigma_mm is None or difference is None or not steep.any():
             return sigma_mm, difference, ()
-        missing = self.of_slopes(gradients, steep, untouched)
+        missing = self.of_slopes(gradients, steep, at_rest)
         deepest = np.unravel_index(np.argmax(depth_mm), depth_mm.shape)
         findings = at_least(*(float(one[deepest]) for one in (depth_mm, sigma_mm, missing)))
         stated = np.asarray(np.sqrt(np.square(sigma_mm) + np.square(missing)))
         return stated, replace(difference, missing_mm=missing), findings
 
     def of_slopes(
-        self, gradients: NDArray[np.float32], steep: NDArray[np.float32], untouched: NDArray[np.bool_]
+        self, gradients: NDArray[np.float32], steep: NDArray[np.float32], at_rest: NDArray[np.bool_]
     ) -> NDArray[np.float32]:
         """The missing depth (H, W), mm, one standard deviation; its median over pixels at rest (H, W) is 0."""
-        slopes, sizes, rest = (
+        slopes, sizes, fraction = (
             cv2.resize(values, self._coarse[::-1], interpolation=cv2.INTER_AREA)
-            for values in (gradients, steep, untouched.astype(np.float32))
+            for values in (gradients, steep, at_rest.astype(np.float32))
         )
         length = np.maximum(np.sqrt(np.square(slopes).sum(axis=-1)), np.float32(1e-6))
         depth = self._solver(slopes * (sizes / length)[..., None]).depth_mm
-        depth -= medians_where(depth[..., None], rest > 0.5)[0]
+        depth -= medians_where(depth[..., None], fraction > 0.5)[0]
         return np.asarray(cv2.resize(depth, steep.shape[::-1], interpolation=cv2.INTER_LINEAR))
 
 

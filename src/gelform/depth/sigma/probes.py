@@ -128,9 +128,11 @@ class ProbeSolver:
             bias += np.einsum("ijck,ijc->ck", self._white, white * median)
             bias += np.einsum("ijck,ijc->ck", self._common, common * median)
         depths = np.empty((*white.shape[:2], self._white.shape[-1]), dtype=np.float32)
-        scales = 0.5 * self.mm_per_px[0], 0.5 * self.mm_per_px[1]
+        x_mm, y_mm = self.mm_per_px
         with self._pool.one() as (grid, batch):
             grid.load(problem, self.mm_per_px)
-            draws = self._white, self._common
-            _probe_depths(grid.handle, batch, *draws, white, common, bias, *scales, depths)
+            _probe_depths(
+                grid.handle, batch, white_draws=self._white, common_draws=self._common, white=white, common=common,
+                bias=bias, scale_x=0.5 * x_mm, scale_y=0.5 * y_mm, depths=depths,
+            )  # fmt: skip
         return depths

@@ -84,11 +84,11 @@ def checked_share(correlation_px: float, correlated_share: float) -> float:
     return correlated_share if correlation_px > 0 else 0.0
 
 
-def checked_rest(rest: ArrayLike | None, shape: tuple[int, int]) -> NDArray[np.bool_] | None:
+def checked_rest(at_rest: ArrayLike | None, shape: tuple[int, int]) -> NDArray[np.bool_] | None:
     """Return the pixels (H, W) at rest, possibly none, as bool."""
-    if rest is None:
+    if at_rest is None:
         return None
-    array = as_array(rest, "rest")
+    array = as_array(at_rest, "at_rest")
     if array.dtype != np.bool_ or array.shape != shape:
         raise ValueError(f"Expected rest as bool of shape {shape}, got {array.dtype} of {array.shape}.")
     return np.ascontiguousarray(array)
@@ -175,7 +175,7 @@ class DepthSigma:
         anchor: ArrayLike | None = None,
         zero: Zero | NDArray[np.bool_] = "mean",
         level: Level | None = None,
-        rest: ArrayLike | None = None,
+        at_rest: ArrayLike | None = None,
         against: NDArray[np.bool_] | None = None,
     ) -> NDArray[np.float32]:
         """Standard deviation of depth, (H, W) float32, mm, of one frame.
@@ -196,14 +196,14 @@ class DepthSigma:
         inside = None if mask is None else check_mask(mask, shape=shape)
         hold = None if anchor is None else check_anchor(anchor, shape)
         region, level = zero_region(zero, shape), checked_level(level)
-        untouched = checked_rest(rest, shape)
+        at_rest = checked_rest(at_rest, shape)
         if inside is not None:
             weight = weight * inside
         pixels = None
         if against is not None:
             pixels = check_mask(against, shape=shape, name="against")
             pixels = pixels if inside is None else pixels & inside
-        return self._of_pixels(sigma, weight, inside, hold, region, untouched, level, pixels)
+        return self._of_pixels(sigma, weight, inside, hold, region, at_rest, level, pixels)
 
     def unchecked(
         self,
@@ -212,7 +212,7 @@ class DepthSigma:
         weights: NDArray[np.float32] | None = None,
         anchor: NDArray[np.float32] | None = None,
         zero: NDArray[np.bool_] | None = None,
-        rest: NDArray[np.bool_],
+        at_rest: NDArray[np.bool_],
     ) -> NDArray[np.float32]:
         """The same of a frame that a Reconstructor made: its values were checked where they came in.
 
@@ -221,7 +221,7 @@ class DepthSigma:
         needed.
         """
         weight = constant_map(self.shape, 1.0) if weights is None else weights
-        return self._of_pixels(gradients_sigma, weight, None, anchor, zero, rest)
+        return self._of_pixels(gradients_sigma, weight, None, anchor, zero, at_rest)
 
     def _of_pixels(
         self,
@@ -230,18 +230,18 @@ class DepthSigma:
         inside: NDArray[np.bool_] | None,
         anchor: NDArray[np.float32] | None,
         region: NDArray[np.bool_] | None,
-        rest: NDArray[np.bool_] | None,
+        at_rest: NDArray[np.bool_] | None,
         level: Level | None = None,
         against: NDArray[np.bool_] | None = None,
     ) -> NDArray[np.float32]:
         """Standard deviation of pixels (H, W) from that of blocks."""
         floor = np.float32(FLOOR) * weight.max()
-        blocks = Blocks(sigma, weight, inside, anchor, region, rest, floor, self.parts)
+        blocks = Blocks(sigma, weight, inside, anchor, region, at_rest, floor, self.parts)
         median = blocks.share_in_median() if level == "slope" else None
         depths = self._solver(blocks.white, blocks.common, blocks.problem, median)
         variance = variance_of_depths(_against_zero(depths, blocks, level, against), blocks.mask)
         settings = self.parts.within_blocks, self._within, self._fading
-        return sigma_of_pixels(variance, sigma, rest, *settings, weight, floor, anchor, self.block)
+        return sigma_of_pixels(variance, sigma, at_rest, *settings, weight, floor, anchor, self.block)
 
 
 def depth_sigma_from_gradients_sigma(

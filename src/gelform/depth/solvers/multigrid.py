@@ -58,7 +58,9 @@ class Grid:
         if problem.gradients is None or problem.confidence is None:
             system = *edge_system(problem, mm_per_px), problem.anchor
             self.load_edges(*(np.ascontiguousarray(array, dtype=np.float32) for array in system))
-        elif _load(self.handle, problem.gradients, problem.confidence, problem.anchor, *mm_per_px):
+            return
+        x_mm, y_mm = mm_per_px
+        if _load(self.handle, problem.gradients, problem.confidence, problem.anchor, hx=x_mm, hy=y_mm):
             self.build()
 
     def load_edges(

@@ -200,7 +200,7 @@ def save_simulated_set(
             (partial / name).mkdir()
         write_png(partial / "background.png", presses.background())
         rows = []
-        for row in _made(presses, partial, workers):
+        for row in _rows_of_simulated(presses, partial, workers):
             rows.append(row)
             progress(len(rows), presses.count, "simulating")
         write_csv(partial / "presses.csv", rows)
@@ -210,7 +210,7 @@ def save_simulated_set(
     return target
 
 
-def _made(presses: SetOfPresses, folder: Path, workers: int) -> Iterator[dict[str, str]]:
+def _rows_of_simulated(presses: SetOfPresses, folder: Path, workers: int) -> Iterator[dict[str, str]]:
     """Write each press, in this process or in several; yields the lines of presses.csv in order."""
     numbers: Sequence[int] = range(presses.count)
     if workers == 1:

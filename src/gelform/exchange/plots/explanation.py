@@ -70,7 +70,7 @@ def _headline(explanation: Explanation) -> str:
     law = explanation.shares["law"]
     lines = [
         f"{100 * trusted:.1f} % of the pixels have a confidence of 0.5 or more   |   law of slope and place: "
-        f"{100 * law:.1f} % of the variance   |   confidence 1 up to sigma {explanation.clean:.3g} mm/mm"
+        f"{100 * law:.1f} % of the variance   |   confidence 1 up to sigma {explanation.full_confidence_sigma:.3g} mm/mm"
     ]
     return "\n".join([*lines, *(f"! {finding.message}" for finding in explanation.findings)])
 

@@ -91,8 +91,19 @@ class MarkerPatches:
         shift = np.array(start_px, dtype=np.float32, order="C")
         fit = np.zeros((len(chosen), 4), dtype=np.float32)
         parts = (self.corners_px, self.weights, self._basis, self._triangle)
-        picked = parts if of is None else tuple(part[chosen] for part in parts)
-        _follow_patches(logs, *picked, shift, fit, self.side_px, STEPS, self._longest)
+        corners, weight, basis, triangle = parts if of is None else (part[chosen] for part in parts)
+        _follow_patches(
+            logs,
+            corners,
+            weight,
+            basis,
+            triangle,
+            shift,
+            fit,
+            side=self.side_px,
+            steps=STEPS,
+            longest=self._longest,
+        )
         strength, left, own, last = fit.T
         noise = np.sqrt(left / self._freedom[chosen])
         sigma = (noise / np.maximum(strength, 0.1) * self._spread[chosen]).astype(np.float32)

@@ -21,7 +21,7 @@ from gelform.image.view import View, image_from_frame
 from gelform.live.guide.judge import Circle, Judge, Look
 from gelform.live.setup import BACKGROUND_FRAMES
 
-WANTED, LEAST = (NEEDED[row].presses for row in ("guided well", "guided"))
+WANTED, LEAST = NEEDED.guided_well.presses, NEEDED.guided.presses
 LOOK_EVERY_S = 0.08  # s between analyzed frames; an analysis takes some 10 ms
 STILL_LOOKS = 3  # consecutive still frames until a press counts
 NEXT_PLACES = 3  # suggested places on the page: the next one, and those after it

@@ -206,7 +206,10 @@ class PreparedStep:
         assert forward.step_sigma is not None
         self._nodes = np.ascontiguousarray(forward.nodes, dtype=np.float32)
         self._roots = forward.roots
-        self._priors = *(sigma**2 for sigma in forward.step_sigma), 1 / CLIPPED_STEP_SIGMA**2
+        at_rest, per_slope = forward.step_sigma
+        self._priors = {
+            "at_rest": at_rest**2, "per_slope": per_slope**2, "clipped_prior": 1 / CLIPPED_STEP_SIGMA**2
+        }  # fmt: skip
         columns = self._nodes.shape[1]
         padded = -(-forward.shape[1] // 16) * 16
         self._work_size = 2 * columns * TERMS * 3 + 4 * TERMS * 3 + 12 * padded
@@ -226,8 +229,10 @@ class PreparedStep:
         stepped = np.empty_like(gradients)
         variance, residual = (np.empty(gradients.shape[:2], np.float32) for _ in range(2))
         work = np.empty(self._work_size, np.float32)
-        frame = color_change, gradients, depth_px, clipped
-        _forward_step(*frame, self._nodes, self._roots, work, stepped, variance, residual, *self._priors)
+        _forward_step(
+            color_change, gradients, depth_px, clipped, self._nodes, self._roots, work, stepped, variance, residual,
+            **self._priors,
+        )  # fmt: skip
         return Step(stepped, variance, residual)
 
 

@@ -142,6 +142,7 @@ class PreparedPolynomial:
         height, width, _ = color_change.shape
         gradients = np.empty((height, width, 2), dtype=np.float32)
         work = np.empty(6 * (width + PIXELS), dtype=np.float32)
-        prepared = self._x, self._table, self._degrees, self._parents
-        _polynomial_gradients(color_change, *prepared, work, gradients)
+        _polynomial_gradients(
+            color_change, self._x, self._table, self._degrees, self._parents, work, gradients
+        )
         return gradients, None

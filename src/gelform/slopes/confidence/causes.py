@@ -81,7 +81,7 @@ _raise_sigma = Kernel(
     "raise_sigma",
     "f32[h,w,2] gradients, f32[h,w]? residual, f32[h,w]? of_step, bool[h,w]? unseen_at, f32[h,w] gain, out f32[h,w] sigma, "
     "out f32[h,w] confidence, out f32[h,w]? walls, out f32[h,w]? outliers, f32 outlier, f32 unseen, "
-    "f32 clean, f32 added, f32 per_bend, f32 bend_from, f32 unknown, f32 least, i32 reach",
+    "f32 full_confidence_sigma, f32 added, f32 per_bend, f32 bend_from, f32 unknown, f32 least, i32 reach",
 )
 
 
@@ -92,7 +92,7 @@ class PreparedCauses:
     ----------
     rest : (H, W, 3), 0-255, the background image in use
     change : settings of the conversion of images to color changes
-    clean : standard deviation of a slope of confidence 1, mm/mm
+    full_confidence_sigma : standard deviation of a slope of confidence 1, mm/mm
     levels : standard deviation of the calibrated images' pixels, gray levels, of each channel; None if unknown
     slope_per_change : slope for a color change of 1, mm/mm
     walls : whether sharply bending slopes get low confidence; False for imported color models, whose blur is unknown
@@ -104,18 +104,22 @@ class PreparedCauses:
         rest: NDArray[np.float32],
         change: ChangeSettings,
         *,
-        clean: float,
+        full_confidence_sigma: float,
         levels: Any | None,
         slope_per_change: float = 1.0,
         walls: bool = True,
         outside: NDArray[np.bool_] | None = None,
     ) -> None:
-        self._rest, self._clean, self._per_change = as_levels(rest), clean, slope_per_change
+        self._rest, self._per_change = as_levels(rest), slope_per_change
         self._levels = np.inf if levels is None else float(np.sqrt(np.mean(np.square(levels))))
         self._gain = np.ascontiguousarray(gain_from_background(rest, change).mean(axis=-1))
         self._outside, self._disc = outside, bloom_disc(change.blur_px)
         error = ERROR_OF_DIFFERENCE if walls else 0.0
-        self._rules = error, DIFFERENCE_FROM, STEEPEST_GEL, WALL_CONFIDENCE, reach_px(change.blur_px)
+        self._numbers = {
+            "outlier": OUTLIER, "unseen": UNSEEN * full_confidence_sigma, "full_confidence_sigma": full_confidence_sigma,
+            "per_bend": error, "bend_from": DIFFERENCE_FROM, "unknown": STEEPEST_GEL, "least": WALL_CONFIDENCE,
+            "reach": reach_px(change.blur_px),
+        }  # fmt: skip
 
     def __call__(
         self,
@@ -128,7 +132,7 @@ class PreparedCauses:
     ) -> NDArray[np.float32]:
         """Raise the sigma (H, W) of a frame's slopes in place, and return the confidence (H, W) that follows.
 
-        Confidence is min(1, (clean / sigma)^2) for every cause; a wall keeps at least 0.01.
+        Confidence is min(1, (full_confidence_sigma / sigma)^2) for every cause; a wall keeps at least 0.01.
 
         Parameters
         ----------
@@ -146,9 +150,10 @@ class PreparedCauses:
         if maps is not None:
             walls, outliers = maps["wall"], maps["outlier"] = np.empty_like(sigma), np.empty_like(sigma)
             maps["compression"] = np.float32(self._per_change * added) * self._gain
+        residual, of_step = step or (None, None)
         _raise_sigma(
-            gradients, *(step or (None, None)), unseen_at, self._gain, sigma, confidence, walls, outliers, OUTLIER,
-            UNSEEN * self._clean, self._clean, self._per_change * added, *self._rules,
+            gradients, residual, of_step, unseen_at, self._gain, sigma, confidence, walls, outliers,
+            added=self._per_change * added, **self._numbers,
         )  # fmt: skip
         return confidence
 
@@ -171,7 +176,7 @@ class PreparedCauses:
         kinds
         of outliers apart.
         """
-        nothing, unseen = np.zeros(sigma.shape, np.float32), np.float32(UNSEEN * self._clean)
+        nothing, unseen = np.zeros(sigma.shape, np.float32), np.float32(self._numbers["unseen"])
         found = {name: maps.get(name, nothing) for name in CAUSES}
         for name, where in (("marker", markers), ("outside", self._outside)):
             if where is not None:
@@ -309,7 +314,8 @@ class ClippedChannels:
     def __call__(self, pixels: NDArray[np.uint8], hidden: NDArray[np.bool_] | None) -> Clipped:
         """The clipped channels of an image (H, W, 3), without those of hidden pixels (H, W)."""
         channels = np.empty_like(pixels)
-        if not _clipped_channels(pixels, *self._counts, channels, DARK_TO, SATURATED_FROM):
+        low, high = self._counts
+        if not _clipped_channels(pixels, low, high, channels, dark_to=DARK_TO, saturated_from=SATURATED_FROM):
             return Clipped(None, None)
         for nothing in (hidden, self._outside):
             if nothing is not None:

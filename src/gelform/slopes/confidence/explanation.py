@@ -28,15 +28,15 @@ class Explanation:
         0 where it has no part
     law : (H, W) float32, mm/mm: the rest, by size and place of the slope on held-out presses
     gradients_sigma : (H, W) float32, mm/mm, of the slopes as they were read; the larger of both components
-    confidence : (H, W) float32, 0-1: min(1, (clean / gradients_sigma)^2)
-    clean : sigma up to which confidence is 1, mm/mm
+    confidence : (H, W) float32, 0-1: min(1, (full_confidence_sigma / gradients_sigma)^2)
+    full_confidence_sigma : sigma up to which confidence is 1, mm/mm
     """
 
     maps: Mapping[str, NDArray[np.float32]]
     law: NDArray[np.float32]
     gradients_sigma: NDArray[np.float32]
     confidence: NDArray[np.float32]
-    clean: float
+    full_confidence_sigma: float
 
     @cached_property
     def shares(self) -> dict[str, float]:
@@ -64,7 +64,7 @@ class Explanation:
     def to_dict(self) -> dict[str, Any]:
         """Its figures, as values that JSON can hold."""
         return {
-            "clean_sigma": self.clean,
+            "full_confidence_sigma": self.full_confidence_sigma,
             "median_sigma": float(np.median(self.gradients_sigma)),
             "mean_confidence": float(self.confidence.mean()),
             "trusted_share": float((self.confidence >= 0.5).mean()),
@@ -77,12 +77,12 @@ def explanation_of(
     maps: Mapping[str, NDArray[np.float32]],
     gradients_sigma: NDArray[np.float32],
     confidence: NDArray[np.float32],
-    clean: float,
+    full_confidence_sigma: float,
 ) -> Explanation:
     """The maps of all causes of a frame, with its sigma (H, W) and the confidence (H, W) that the solver used."""
     explained = sum(np.square(one) for one in maps.values())
     law = np.sqrt(np.maximum(np.square(gradients_sigma) - explained, 0))
-    return Explanation(maps, np.asarray(law, np.float32), gradients_sigma, confidence, clean)
+    return Explanation(maps, np.asarray(law, np.float32), gradients_sigma, confidence, full_confidence_sigma)
 
 
 def _named_fraction(mask: NDArray[np.bool_]) -> float:

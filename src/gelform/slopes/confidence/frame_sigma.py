@@ -22,13 +22,13 @@ NOISE_BLUR_PX = 8.0  # px, standard deviation of the blur of the map of noise; l
 _frame_sigma = Kernel(
     "frame_sigma",
     "f32[h,w,3] change, bool[h,w]? hidden, bool[h,w]? given, f32[3] common, f32[2] bias, f32[h,w] rest, f32[h,w] place, "
-    "f32[t] law, f32[h,w]? variance, out f32[h,w,2] gradients, out bool[h,w] untouched, out f32[h,w] sigma, f32 square, "
+    "f32[t] law, f32[h,w]? variance, out f32[h,w,2] gradients, out bool[h,w] at_rest, out f32[h,w] sigma, f32 square, "
     "f32 steps, f32 grows, f32 highest",
 )
 _subtract_bias = Kernel(
     "subtract_bias",
     "f32[h,w,3] change, bool[h,w]? hidden, bool[h,w]? given, f32[3] common, f32[2] bias, out f32[h,w,2] gradients, "
-    "out bool[h,w] untouched, f32 square, f32 highest",
+    "out bool[h,w] at_rest, f32 square, f32 highest",
 )
 
 
@@ -42,7 +42,7 @@ class PreparedSigma:
 
     Attributes
     ----------
-    at_rest : (H, W), variance of a slope at rest
+    rest_variance : (H, W), variance of a slope at rest
     """
 
     def __init__(self, sigma: SlopeSigma, noise: NDArray[np.float32]) -> None:
@@ -53,8 +53,8 @@ class PreparedSigma:
         knots = np.array(sigma.slopes), np.array(sigma.sigmas)
         self._law = (law_at(step * np.arange(LAW_STEPS), *knots) ** 2).astype(np.float32)
         grows = (knots[1][-1] / knots[0][-1]) ** 2 if knots[0][-1] > 0 else 0.0
-        self._numbers = (1 / step, grows)
-        self.at_rest = np.float32(sigma.rest**2) + np.float32(sigma.rest_per_noise**2) * noise
+        self._numbers = {"steps": 1 / step, "grows": grows, "highest": HIGHEST_SLOPE}
+        self.rest_variance = np.float32(sigma.rest**2) + np.float32(sigma.rest_per_noise**2) * noise
 
     def __call__(
         self,
@@ -76,14 +76,15 @@ class PreparedSigma:
             As `check_slopes` of the gradients.
         """
         shape = gradients.shape[:2]
-        untouched, sigma = np.empty(shape, dtype=bool), np.empty(shape, dtype=np.float32)
+        at_rest, sigma = np.empty(shape, dtype=bool), np.empty(shape, dtype=np.float32)
         refused = _frame_sigma(
-            color_change, hidden, reference.given, reference.common_change, reference.bias, self.at_rest, self._place,
-            self._law, variance, gradients, untouched, sigma, reference.threshold**2, *self._numbers, HIGHEST_SLOPE,
+            color_change, hidden, reference.given, reference.common_change, reference.bias, rest=self.rest_variance,
+            place=self._place, law=self._law, variance=variance, gradients=gradients, at_rest=at_rest, sigma=sigma,
+            square=reference.threshold**2, **self._numbers,
         )  # fmt: skip
         if refused:
             check_slopes(gradients)
-        return untouched, sigma
+        return at_rest, sigma
 
 
 class UnknownSigma:
@@ -102,15 +103,18 @@ class UnknownSigma:
     ) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
         """As `PreparedSigma`."""
         shape = gradients.shape[:2]
-        untouched, limits = np.empty(shape, dtype=bool), (reference.threshold**2, HIGHEST_SLOPE)
-        common = hidden, reference.given, reference.common_change, reference.bias
-        if _subtract_bias(color_change, *common, gradients, untouched, *limits):
+        at_rest = np.empty(shape, dtype=bool)
+        refused = _subtract_bias(
+            color_change, hidden, reference.given, reference.common_change, reference.bias, gradients, at_rest,
+            square=reference.threshold**2, highest=HIGHEST_SLOPE,
+        )  # fmt: skip
+        if refused:
             check_slopes(gradients)
-        return untouched, np.full(shape, self._usual)
+        return at_rest, np.full(shape, self._usual)
 
 
 def noise_at_rest(
-    model: PreparedColorModel, untouched: PreparedBackground, levels: Sequence[float] | None
+    model: PreparedColorModel, background: PreparedBackground, levels: Sequence[float] | None
 ) -> NDArray[np.float32]:
     """Variance (H, W) of the slopes at rest, if the image's noise were their only error.
 
@@ -121,15 +125,15 @@ def noise_at_rest(
     Parameters
     ----------
     model : color model, ready for frames over this background
-    untouched : the background image
+    background : in use
     levels : standard deviation of a pixel's red, green and blue, gray levels; None if unknown
     """
-    rest = model.gradients_from_color(np.zeros_like(untouched.background))[0].copy()
+    rest = model.gradients_from_color(np.zeros_like(background.background))[0].copy()
     variance = np.zeros(rest.shape[:2], dtype=np.float32)
     for channel, level in enumerate(levels or (USUAL_LEVELS,) * 3):
-        brighter = untouched.background.copy()
+        brighter = background.background.copy()
         brighter[..., channel] += np.float32(level)
-        off = model.gradients_from_color(untouched.change(brighter))[0] - rest
+        off = model.gradients_from_color(background.change(brighter))[0] - rest
         variance += off[..., 0] ** 2 + off[..., 1] ** 2
     return np.asarray(cv2.GaussianBlur(variance / 2, (0, 0), NOISE_BLUR_PX, borderType=cv2.BORDER_REPLICATE))
 
@@ -138,16 +142,15 @@ def with_model_sigma(
     sigma: NDArray[np.float32] | None,
     confidence: NDArray[np.float32],
     model_sigma: NDArray[np.float32] | None,
-    clean: float,
+    full_confidence_sigma: float,
 ) -> tuple[NDArray[np.float32] | None, NDArray[np.float32]]:
     """Standard deviation (H, W, 2) and confidence (H, W), if the color model has a deviation (H, W, 2) of its own.
 
-    The larger of two deviations counts, and the smaller of two confidences; `clean` is the deviation up to which confidence
-    is 1.
+    The larger of two deviations counts, and the smaller of two confidences; up to `full_confidence_sigma` confidence is 1.
     """
     both = None if sigma is None else for_both(sigma)
     if model_sigma is None:
         return both, confidence
-    limit = np.square(np.float32(clean) / model_sigma.max(axis=-1))
+    limit = np.square(np.float32(full_confidence_sigma) / model_sigma.max(axis=-1))
     larger = model_sigma if both is None else np.maximum(model_sigma, both)
     return larger, np.minimum(confidence, limit)

@@ -26,7 +26,7 @@ LEAST_APART, MOST_FACTOR = 1e-6, 1e3
 _RANGES = (
     ("rest", 1e-9, 1e3),
     ("rest_per_noise", 0, 1e3),
-    ("clean", 1e-9, 1e3),
+    ("full_confidence_sigma", 1e-9, 1e3),
     ("correlation_px", 1e-6, 1e4),
     ("correlated_share", 0, 1),
     ("gain_sigma", 0, 10),
@@ -99,8 +99,8 @@ class SlopeSigma:
         over the one that a slope's reading and its neighbors predict, by slope and place; linear between the slopes,
         constant beyond. None: 1
     place : factors on a grid of 3 rows and 4 columns over the frame, interpolated between its cells' centers
-    clean : deviation that 95 % of the pixels in contact stay under; confidence is 1 up to it. Weighting the pixels of a
-        contact against each other does not average out errors that many pixels share
+    full_confidence_sigma : deviation that 95 % of the pixels in contact stay under; confidence is 1 up to it. Weighting the
+        pixels of a contact against each other does not average out errors that many pixels share
     correlation_px : over this distance the correlated part falls to exp(-1/2) (a Gaussian)
     correlated_share : fraction of the variance that is correlated; the rest is white
     rest_correlation_px, rest_correlated_share : the same for gel at rest, where the color change's blur correlates the
@@ -111,7 +111,7 @@ class SlopeSigma:
     rest: float
     slopes: tuple[float, ...]
     sigmas: tuple[float, ...]
-    clean: float
+    full_confidence_sigma: float
     correlation_px: float
     correlated_share: float = 1.0
     gain_sigma: float = 0.0
@@ -170,12 +170,12 @@ class SlopeSigma:
         rest, per_noise = knots[0][1] * float(np.median(stated)), 0.0
         if held_out.rest.size:
             rest, per_noise = _rest_law(held_out.rest, held_out.rest_noise)
-        clean = float(np.quantile(law * factor * stated, CLEAN_FRACTION))
+        full_confidence_sigma = float(np.quantile(law * factor * stated, CLEAN_FRACTION))
         return cls(
             rest=max(rest, 1e-5),
             slopes=tuple(k[0] for k in knots),
             sigmas=tuple(max(k[1], 1e-5) for k in knots),
-            clean=max(clean, 1e-5),
+            full_confidence_sigma=max(full_confidence_sigma, 1e-5),
             correlation_px=float(correlation_px),
             correlated_share=float(correlated_share),
             gain_sigma=float(gain_sigma),

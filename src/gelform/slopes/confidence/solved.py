@@ -69,8 +69,10 @@ class SolvedSigma:
         per_difference, reach = 0.0, 1
         if blur_px is not None:
             per_difference, reach = error_per_difference(blur_px), reach_px(blur_px)
-        law = slopes[0], 1 / (slopes[1] - slopes[0])
-        self._numbers = per_difference, UNLIMITED, *law, STEEPEST_GEL, reach
+        self._numbers = {
+            "curvature": per_difference, "unlimited": UNLIMITED, "from_slope": slopes[0],
+            "per_slope": 1 / (slopes[1] - slopes[0]), "limit": STEEPEST_GEL, "reach": reach,
+        }  # fmt: skip
 
     def __call__(
         self, sigma: NDArray[np.float32] | None, gradients: NDArray[np.float32]
@@ -94,7 +96,8 @@ class SolvedSigma:
 
     def _map(self, sigma: NDArray[np.float32], gradients: NDArray[np.float32]) -> NDArray[np.float32]:
         solved, work = np.empty_like(sigma), np.empty(3 * sigma.shape[1] + 2, dtype=np.float32)
-        _solved_sigma(sigma, gradients, *self._factors, work, solved, *self._numbers)
+        gentle, steep = self._factors
+        _solved_sigma(sigma, gradients, gentle, steep, work, solved, **self._numbers)
         if self._spread:
             solved = np.hypot(solved, self._spread * np.hypot(gradients[..., 0], gradients[..., 1]))
         return solved

@@ -29,7 +29,7 @@ STEEPEST_FACE = 1.4
 _steep_sigma = Kernel(
     "steep_sigma",
     "f32[h,w,2] gradients, f32[h,w] sigma, f32[h,w] confidence, out f32[h,w] steep, out f32[h,w] stated, f32 upper, "
-    "f32 per_excess, f32 doubted, f32 steepest, f32 carried, f32 most, f32 clean",
+    "f32 per_excess, f32 doubted, f32 steepest, f32 carried, f32 most, f32 full_confidence_sigma",
 )
 
 
@@ -44,7 +44,10 @@ class SteepSlopes:
 
     def __init__(self, sigma: SlopeSigma, carried: float = 0.0) -> None:
         doubted, upper = np.quantile(sigma.slopes, SHOWN)
-        self._numbers = upper, PER_EXCESS, doubted, STEEPEST_FACE, carried / 2, STEEPEST_GEL, sigma.clean
+        self._numbers = {
+            "upper": upper, "per_excess": PER_EXCESS, "doubted": doubted, "steepest": STEEPEST_FACE, "carried": carried / 2,
+            "most": STEEPEST_GEL, "full_confidence_sigma": sigma.full_confidence_sigma,
+        }  # fmt: skip
 
     def __call__(
         self, gradients: NDArray[np.float32], sigma: NDArray[np.float32], confidence: NDArray[np.float32]
@@ -52,10 +55,10 @@ class SteepSlopes:
         """The deviation (H, W) of slopes (H, W, 2) as they were read, mm/mm, and the confidence (H, W) that results state.
 
         `sigma` and `confidence` (H, W) are those that the solver uses; confidence becomes
-        `min(confidence, clean^2 / (sigma^2 + steep^2))`.
+        `min(confidence, full_confidence_sigma^2 / (sigma^2 + steep^2))`.
         """
         steep, stated = np.empty_like(sigma), np.empty_like(confidence)
-        _steep_sigma(gradients, sigma, confidence, steep, stated, *self._numbers)
+        _steep_sigma(gradients, sigma, confidence, steep, stated, **self._numbers)
         return steep, stated
 
 
