@@ -42,7 +42,7 @@ def test_twice_on_and_twice_off_do_no_harm(hub, tmp_path):
     assert len(list(tmp_path.iterdir())) == 1
 
 
-@pytest.mark.parametrize("form", ["mcap", "recorded", "images", "video"])
+@pytest.mark.parametrize("form", ["mcap", "images", "video"])
 def test_the_file_holds_frames_times_and_calibration(form, forms, frames, calibration, tmp_path):
     recording = indexed(forms[form])
     background = np.rint(calibration.background)
@@ -59,7 +59,7 @@ def test_the_file_holds_frames_times_and_calibration(form, forms, frames, calibr
 
 def test_progress_is_told_and_nothing_is_left_of_a_share_that_failed(forms, tmp_path):
     said = []
-    recording = indexed(forms["recorded"])
+    recording = indexed(forms["mcap"])
     share(recording, tmp_path / "a.mcap", calibration=None, progress=lambda *what: said.append(what[:2]))
     assert said[-1] == (6, 7)
     with pytest.raises(DataError, match="already there"):
