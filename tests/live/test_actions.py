@@ -11,8 +11,8 @@ import gelform
 from gelform.errors import GelformError
 from gelform.image.frame import Frame
 from gelform.live import actions
-from gelform.live.setup import Setup
 from gelform.live.start import Options, start
+from gelform.live.station import Setup
 from gelform.sensors.recordings import attached_calibration
 from gelform.sensors.recordings.facts import RecordingFacts
 from gelform.sensors.recordings.image_folder import FolderRecording
@@ -127,6 +127,7 @@ def test_zero_and_background_are_of_the_held_frame(replayed):
     actions.set_zero(replayed, 0)
     until(lambda: station.newest.result.zero == "set")
     assert np.abs(station.newest.result.depth_mm).max() < 1e-6
+    np.testing.assert_array_equal(station.newest.result.gradients, 0)
     actions.take_background(replayed, 0)
     np.testing.assert_array_equal(station.setup.background, station.newest.image)
 

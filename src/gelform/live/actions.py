@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,19 +21,20 @@ from gelform.live.hub import Hub, wait_for_frames
 from gelform.live.player import Player
 from gelform.live.recorder import Recorder, named_by_time
 from gelform.live.recorder import share as share_file
-from gelform.live.setup import BACKGROUND_FRAMES, Setup
 from gelform.live.shown import Shown
 from gelform.live.starter import starter_calibration, starter_of_station
-from gelform.live.station import NEVER_S, Opening, Station
+from gelform.live.station import BACKGROUND_FRAMES, NEVER_S, Opening, Setup, Station
 from gelform.sensors.profiles import profile_named
 from gelform.sensors.recordings.indexed import indexed
 from gelform.sensors.recordings.record import attached_background, attached_calibration
+from gelform.sensors.streams.memory import zero_from_results
 
 if TYPE_CHECKING:
     from gelform.live.guide.guide import Asked
     from gelform.live.guide.session import GuideSession
 
 ZERO_FRAMES = 8  # frames that are averaged
+NOT_CALIBRATED = "This sensor has no calibration yet. Make one on the page Calibrate."
 ON_THEIR_WAY = 4  # frames that a simulated sensor made before it stopped
 
 
@@ -42,8 +42,9 @@ def take_background(hub: Hub, station: int) -> None:
     """Take the next frames as a new background image."""
     chosen = hub.station(station)
     calibration = chosen.setup.calibration
-    _check_calibrated(calibration)
-    if calibration is not None and calibration.settings.starter is not None:
+    if calibration is None:
+        raise GelformError(NOT_CALIBRATED)
+    if calibration.settings.starter is not None:
         take_starter(hub, station, calibration.settings.starter["sensor"])
         return
     with _at_rest(chosen):
@@ -84,8 +85,8 @@ def take_starter(hub: Hub, station: int, sensor: str) -> None:
 @contextmanager
 def _at_rest(station: Station) -> Iterator[None]:
     """Keep a simulated sensor at rest meanwhile; the user keeps other sensors at rest."""
-    source: Any = station.source
-    if not hasattr(source, "press_at"):
+    source = station.simulated
+    if source is None:
         yield
         return
     before = source.resting
@@ -106,17 +107,20 @@ def own_background(hub: Hub, station: int) -> None:
 def set_zero(hub: Hub, station: int) -> None:
     """Take the current depth as zero; a second call undoes that."""
     chosen = hub.station(station)
-    _check_calibrated(chosen.setup.calibration)
-    if chosen.setup.zero_mm is not None:
-        chosen.setup = replace(chosen.setup, zero_mm=None)
-        hub.notice("Zero undone: depth is relative to the gel at rest again.")
-        return
-    results = [shown.result for shown in _frames(chosen, ZERO_FRAMES) if shown.result and shown.measures]
-    if not results:
-        raise GelformError("There is no depth to set as zero, because the frames could not be reconstructed.")
-    mean = np.mean([result.depth for result in results], axis=0).astype(np.float32)
-    chosen.setup = replace(chosen.setup, zero_mm=mean)
-    hub.notice("Zero set: depth is relative to the last frames.")
+    memory = chosen.setup.memory
+    if memory is None:
+        raise GelformError(NOT_CALIBRATED)
+    if memory.zero is not None:
+        memory.zero, said = None, "Zero undone: depth is relative to the gel at rest again."
+    else:
+        results = [shown.result for shown in _frames(chosen, ZERO_FRAMES) if shown.result and shown.measures]
+        if not results:
+            raise GelformError(
+                "There is no depth to set as zero, because the frames could not be reconstructed."
+            )
+        memory.zero, said = zero_from_results(results), "Zero set: depth is relative to the last frames."
+    chosen.show_again()
+    hub.notice(said)
 
 
 def use_calibration(hub: Hub, station: int, name: str) -> None:
@@ -124,10 +128,9 @@ def use_calibration(hub: Hub, station: int, name: str) -> None:
     chosen = hub.station(station)
     calibration = hub.calibrations[name]
     setup = chosen.setup.with_calibration(calibration, name)
-    newest = chosen.newest
-    if newest is not None:
+    if chosen.newest is not None and setup.memory is not None:
         # A calibration that does not fit is refused here, before its use.
-        setup.result_of(newest.frame, setup.image_of(newest.frame), alone=True)
+        setup.memory.reconstructed(chosen.newest.frame, alone=True)
     chosen.setup = setup
     hub.changed()
 
@@ -171,10 +174,10 @@ def show_camera(hub: Hub, station: int, camera: int) -> None:
 
 def press(hub: Hub, station: int, x_px: float, y_px: float) -> None:
     """Press the simulated sensor at a place of the image."""
-    source: Any = hub.station(station).source
-    if not hasattr(source, "press_at"):
+    simulated = hub.station(station).simulated
+    if simulated is None:
         raise GelformError("The page can press only a simulated sensor.")
-    source.press_at(x_px, y_px)
+    simulated.press_at(x_px, y_px)
 
 
 def record(hub: Hub, station: int, on: bool, page: str = "") -> None:
@@ -214,11 +217,6 @@ def _frames(station: Station, count: int) -> Sequence[Shown]:
     return wait_for_frames(station, count)
 
 
-def _check_calibrated(calibration: Any) -> None:
-    if calibration is None:
-        raise GelformError("This sensor has no calibration yet. Make one on the page Calibrate.")
-
-
 def open_recording(hub: Hub, station: int, name: str) -> None:
     """Show a recording of the list on a station; "" returns to the station's first source."""
     chosen = hub.station(station)
@@ -238,7 +236,7 @@ def attached_setup(hub: Hub, setup: Setup, path: Path) -> Setup:
     """A setup with the calibration and the background attached to a recording; unchanged if there are none."""
     calibration = attached_calibration(path)
     if calibration is None:
-        return replace(setup, background=None, zero_mm=None)  # they belonged to the sensor
+        return setup.with_background(None)  # it belonged to the sensor
     name = hub.calibrations.add(f"{path.resolve().name}: calibration", calibration)
     setup = setup.with_calibration(calibration, name)
     background = attached_background(path)

@@ -10,8 +10,7 @@ from functools import partial
 from typing import Any
 
 from gelform.errors import GelformError
-from gelform.live.setup import Setup
-from gelform.live.station import Opening, Station
+from gelform.live.station import Opening, Setup, Station
 from gelform.sensors.cameras.camera import Camera, cameras_in_sysfs
 from gelform.sensors.cameras.settings import CONTROLS, settings_mismatch
 from gelform.sensors.cameras.usb import UsbCamera

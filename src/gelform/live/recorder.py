@@ -20,7 +20,7 @@ from gelform.errors import GelformError
 from gelform.foundations.npz_files import check_free
 from gelform.foundations.progress import Progress, no_progress
 from gelform.image.frame import Frame
-from gelform.live.setup import Setup
+from gelform.live.station import Setup
 from gelform.sensors.grabber import Grabber
 from gelform.sensors.recordings.indexed import Indexed
 from gelform.sensors.recordings.mcap_writer import McapRecording

@@ -144,10 +144,10 @@ def test_the_surface_is_drawn_and_turns(page, hub, picture):
 def test_buttons_do_what_they_say(page, hub):
     station = hub.stations[0]
     page.click("#zero")
-    until(lambda: station.setup.zero_mm is not None)
+    until(lambda: station.setup.memory.zero is not None)
     until(lambda: page.inner_text("#zero") == "Undo zero")
     page.click("#zero")
-    until(lambda: station.setup.zero_mm is None)
+    until(lambda: station.setup.memory.zero is None)
     page.select_option("#solver", "dct")
     until(lambda: station.newest.result.solver == "dct")
     page.select_option("#colors", "cividis")

@@ -5,8 +5,7 @@ import pytest
 
 from gelform.live.devices import Devices
 from gelform.live.hub import Hub
-from gelform.live.setup import Setup
-from gelform.live.station import Station
+from gelform.live.station import Setup, Station
 from gelform.sensors.cameras.camera import Camera
 from gelform.sensors.simulated.source import SimulatedSource
 from gelform.sensors.source import open_source

@@ -19,7 +19,7 @@ from gelform.image.background.average import background_from_frames
 from gelform.image.frame import Frame, pixels_digest
 from gelform.image.view import View, image_from_frame
 from gelform.live.guide.judge import Circle, Judge, Look
-from gelform.live.setup import BACKGROUND_FRAMES
+from gelform.live.station import BACKGROUND_FRAMES
 
 WANTED, LEAST = NEEDED.guided_well.presses, NEEDED.guided.presses
 LOOK_EVERY_S = 0.08  # s between analyzed frames; an analysis takes some 10 ms

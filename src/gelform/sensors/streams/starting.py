@@ -102,6 +102,10 @@ class UntouchedFirst:
     def reason(self) -> str:
         return self._untouched.reason if self.state == "starting" else self._feed.reason
 
+    @property
+    def skipped(self) -> int:
+        return self._feed.skipped
+
     def next(self, after_index: int) -> Frame | None:
         """As the feed's; None while it waits for the gel at rest.
 
