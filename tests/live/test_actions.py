@@ -175,6 +175,51 @@ def test_what_the_page_recorded_is_on_the_list_and_carries_the_calibration(hub, 
     assert hub.stations[0].setup.name == f"{name}: calibration"
 
 
+def test_frames_are_kept_as_they_came(hub, tmp_path):
+    hub.folder = tmp_path
+    actions.record(hub, 0, True)
+    recorder = hub.recorders[0]
+    until(lambda: recorder.stats.frames >= 8)
+    assert hub.facts()["recordings"][0]["frames"] >= 8
+    actions.record(hub, 0, False)
+    assert not hub.recorders
+    assert recorder.path.name in hub.notices[-1][2]
+    with gelform.open_source(recorder.path) as source:
+        frames = list(source)
+    assert len(frames) == recorder.stats.frames
+    assert [frame.index for frame in frames] == sorted({frame.index for frame in frames})
+    assert frames[0].image.shape == hub.stations[0].newest.frame.image.shape
+    assert np.diff([frame.time_s for frame in frames]).min() > 0
+
+
+def test_twice_on_and_twice_off_do_no_harm(hub, tmp_path):
+    hub.folder = tmp_path
+    actions.record(hub, 0, True)
+    first = hub.recorders[0]
+    actions.record(hub, 0, True)
+    assert hub.recorders[0] is first
+    actions.record(hub, 0, False)
+    actions.record(hub, 0, False)
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_it_ends_with_the_page_that_began_it(hub, tmp_path, monkeypatch):
+    monkeypatch.setattr("gelform.live.web.pages.GRACE_S", 0.05)
+    hub.folder = tmp_path
+    hub.pages.came("page-one")
+    actions.record(hub, 0, True, "page-one")
+    recorder = hub.recorders[0]
+    until(lambda: recorder.stats.frames >= 3)
+    hub.pages.left("page-one")
+    until(lambda: not hub.recorders)
+    until(lambda: hub.notices)
+    assert "the page that began it was closed" in hub.notices[-1][2]
+    assert hub.notices[-1][1] == "warning"
+    assert [one["name"] for one in hub.recordings.facts()] == [recorder.path.name]
+    with gelform.open_source(recorder.path) as source:
+        assert len(list(source)) == recorder.stats.frames
+
+
 def test_a_ball_of_no_size_is_refused_and_without_a_guide_there_is_nothing_to_fit(hub):
     for diameter in (0.0, -3.0, 1e4):
         with pytest.raises(GelformError, match="ball"):
@@ -223,7 +268,7 @@ def filmed(sensor, tmp_path):
 
 @pytest.mark.slow
 def test_a_recording_is_calibrated_from_start_to_end(hub, filmed, sensor, tmp_path, monkeypatch):
-    monkeypatch.setattr("gelform.live.guide.guide.LOOK_EVERY_S", 0.0)
+    monkeypatch.setattr("gelform.calibration.guided.guide.LOOK_EVERY_S", 0.0)
     hub.folder = tmp_path
     station = hub.stations[0]
     actions.open_recording(hub, 0, hub.recordings.add(filmed))

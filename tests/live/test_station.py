@@ -10,8 +10,8 @@ import pytest
 
 from gelform.errors import CalibrationError, SensorError, SourceLostError
 from gelform.image.frame import Frame
-from gelform.live.recorder import Recorder
 from gelform.live.station import UNWATCHED_S, Setup, Station
+from gelform.sensors.recordings.recorder import Recorder
 from gelform.simulate import simulate_background
 from live_waiting import until
 
@@ -117,7 +117,7 @@ def test_while_nobody_looks_few_frames_are_reconstructed_and_recorders_get_all(t
         until(lambda: len(times_s) > 8)
         # A frame is a little older than its reconstruction.
         assert np.median(np.diff(times_s)) >= 0.9 * UNWATCHED_S
-        recorder = Recorder(station.grabber, tmp_path, Setup())
+        recorder = Recorder(station.grabber, tmp_path)
         recorder.start()
         until(lambda: recorder.stats.frames > 40)
         recorder.close()

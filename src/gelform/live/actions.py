@@ -12,26 +12,23 @@ import numpy as np
 from gelform.calibration.library.choose import unit_of_camera
 from gelform.depth.solvers import SOLVERS
 from gelform.errors import GelformError
-from gelform.foundations.checks import check_sensor_pitch
 from gelform.foundations.progress import Progress
 from gelform.image.background.average import background_from_frames
-from gelform.image.view import View
 from gelform.live import devices
 from gelform.live.hub import Hub, wait_for_frames
-from gelform.live.player import Player
-from gelform.live.recorder import Recorder, named_by_time
-from gelform.live.recorder import share as share_file
 from gelform.live.shown import Shown
-from gelform.live.starter import starter_calibration, starter_of_station
+from gelform.live.starter import starter_of_station
 from gelform.live.station import BACKGROUND_FRAMES, NEVER_S, Opening, Setup, Station
-from gelform.sensors.profiles import profile_named
 from gelform.sensors.recordings.indexed import indexed
+from gelform.sensors.recordings.player import Player
 from gelform.sensors.recordings.record import attached_background, attached_calibration
+from gelform.sensors.recordings.recorder import Recorder
+from gelform.sensors.recordings.recorder import share as share_file
 from gelform.sensors.streams.memory import zero_from_results
+from gelform.sensors.streams.starting import calibration_at_rest
 
 if TYPE_CHECKING:
-    from gelform.live.guide.guide import Asked
-    from gelform.live.guide.session import GuideSession
+    from gelform.live.guide import GuideSession
 
 ZERO_FRAMES = 8  # frames that are averaged
 NOT_CALIBRATED = "This sensor has no calibration yet. Make one on the page Calibrate."
@@ -71,7 +68,7 @@ def take_starter(hub: Hub, station: int, sensor: str) -> None:
         with _at_rest(chosen):
             frames = [shown.frame for shown in _frames(chosen, BACKGROUND_FRAMES)]
         serial = None if chosen.source is None else chosen.source.serial
-        calibration = starter_calibration(name, frames, serial, chosen.setup.calibration)
+        calibration = calibration_at_rest(name, frames, serial, chosen.setup.calibration)
         listed = f"starter {calibration.sensor_name}, sensor {station + 1}"
         chosen.setup = chosen.setup.with_calibration(calibration, listed, calibration.background)
     except GelformError as problem:
@@ -189,7 +186,8 @@ def record(hub: Hub, station: int, on: bool, page: str = "") -> None:
         begun = hub.recorders[station] = Recorder(
             chosen.grabber,
             hub.folder,
-            chosen.setup,
+            calibration=chosen.setup.calibration,
+            background=chosen.setup.background,
             wanted=lambda: not page or hub.pages.is_open(page),
             on_ended=lambda ended: hub.recorded(station, ended),
         )
@@ -260,12 +258,11 @@ def share(hub: Hub, station: int) -> None:
     """Write one file with the recording and the current calibration, and add it to the list for download."""
     chosen = hub.station(station)
     recording, setup = player_of(chosen).recording, chosen.setup
-    path = hub.folder / f"{named_by_time('shared')}.mcap"
 
     def work(progress: Progress) -> None:
-        share_file(
+        path = share_file(
             recording,
-            path,
+            hub.folder,
             calibration=setup.calibration,
             background=setup.background,
             progress=progress,
@@ -288,12 +285,21 @@ def guide_start(hub: Hub, station: int, ball_diameter_mm: float, profile: str, m
 
     The scale is the profile's, or the given one, or the simulated sensor's own.
     """
-    from gelform.live.guide.session import GuideSession
+    from gelform.calibration.guided.guide import Asked
+    from gelform.live.guide import GuideSession
 
     chosen = hub.station(station)
-    if chosen.newest is None:
+    if chosen.newest is None or chosen.source is None:
         raise GelformError("There is no frame yet. Connect the sensor first.")
-    asked = _asked(chosen, ball_diameter_mm, profile, mm_per_px)
+    height, width = chosen.newest.frame.image.shape[:2]
+    asked = Asked.of(
+        chosen.source,
+        (height, width),
+        ball_diameter_mm,
+        profile=profile,
+        mm_per_px=mm_per_px,
+        begun=chosen.setup.calibration,
+    )
     hub.end_guide(station)
     hub.guides[station] = GuideSession(chosen, asked, hub.folder, hub.changed)
     if chosen.player is not None:
@@ -313,39 +319,16 @@ def guide_fit(hub: Hub, station: int) -> None:
 def guide_use(hub: Hub, station: int) -> None:
     """Reconstruct with the guide's calibration; the guide ends."""
     session = _session(hub, station)
-    if session.calibration is None:
+    made = session.made
+    if made is None:
         raise GelformError("There is no calibration to use yet. Press Fit now first.")
-    name = hub.calibrations.add_file(session.path)
+    name = hub.calibrations.add_file(made.path)
     use_calibration(hub, station, name)
     hub.end_guide(station)
-    hub.notice(f"The new calibration is in use, and saved as {session.name}/calibration.npz. {session.kept}")
+    hub.notice(f"The new calibration is in use, and saved as {made.folder.name}/calibration.npz. {made.kept}")
 
 
 def _session(hub: Hub, station: int) -> GuideSession:
     if station not in hub.guides:
         raise GelformError("No calibration is running. Press Start first.")
     return hub.guides[station]
-
-
-def _asked(station: Station, ball_diameter_mm: float, profile: str, mm_per_px: float) -> Asked:
-    from gelform.calibration.presses.press_set import check_ball_diameter
-    from gelform.live.guide.guide import Asked
-
-    assert station.newest is not None
-    shape = station.newest.frame.image.shape[:2]
-    source: Any = station.source
-    try:
-        diameter = check_ball_diameter(ball_diameter_mm)
-        if hasattr(source, "press_at"):
-            return Asked(diameter, source.sensor.mm_per_px, None, View(), source.sensor.name, source.serial)
-        begun = station.setup.calibration
-        if begun is not None and begun.settings.starter and begun.settings.starter["sensor"] == profile:
-            known_scale = begun.known_mm_per_px, begun.mm_per_px_sigma, begun.view
-            return Asked(diameter, *known_scale, begun.sensor_name, source.serial)
-        if profile:
-            known = profile_named(profile)
-            view = known.view((shape[0], shape[1]))
-            return Asked(diameter, known.mm_per_px, known.mm_per_px_sigma, view, known.name, source.serial)
-        return Asked(diameter, check_sensor_pitch(mm_per_px), None, View(), source.name, source.serial)
-    except (ValueError, TypeError) as problem:
-        raise GelformError(str(problem)) from problem

@@ -18,6 +18,7 @@ from gelform.sensors.source import Source
 
 LOOK_EVERY_S = 0.5  # s between searches for connected cameras
 NOT_SHOWN = "not shown"  # state of a connected camera that no station shows
+
 SETTABLE = (*CONTROLS, "led_level")
 
 Opener = Callable[[Camera, Mapping[str, float | str]], Source]

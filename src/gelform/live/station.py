@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 from gelform.calibration_file import Calibration
 from gelform.errors import GelformError
 from gelform.image.frame import Frame
-from gelform.live.player import Player
 from gelform.live.shown import Shown, measures_of
 from gelform.reconstruct import Reconstructor
 from gelform.sensors.cameras.camera import Camera
 from gelform.sensors.grabber import STALL_S, Grabber
+from gelform.sensors.recordings.player import Player
 from gelform.sensors.recordings.record import KEPT_FRAMES
 from gelform.sensors.source import Source
 from gelform.sensors.streams.feed import NewestFrames

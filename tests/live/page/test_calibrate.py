@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform.live.guide.guide import LEAST
+from gelform.calibration.guided.guide import LEAST
 from live_waiting import held, until
 
 pytestmark = pytest.mark.slow

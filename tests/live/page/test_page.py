@@ -10,9 +10,9 @@ import pytest
 
 import gelform
 from gelform.exchange.plots.canvas import save_picture
-from gelform.live.player import Player
 from gelform.live.station import NEVER_S, Opening, Station
 from gelform.sensors.recordings.indexed import indexed
+from gelform.sensors.recordings.player import Player
 from live_waiting import until
 
 pytestmark = pytest.mark.slow
