@@ -31,10 +31,7 @@ from gelform.calibration.circles.prepare import ColorChanges
 from gelform.image.health import FrameFaults
 from gelform.result.metrics.ball import fit_sphere
 from gelform.sensors.files import read_background
-from gelform.simulate import (
-    LAYOUTS,
-    simulate_ball_presses,
-)
+from gelform.simulate import LAYOUTS, simulate_ball_presses
 from presses import DATA, by_name, data_is_missing, presses_of
 from report import command_line, parts_asked, recorded, table, write
 
