@@ -28,7 +28,7 @@ MUST_HOLD = (
     "gelform/live/page/style.css",
     "gelform/live/page/icon.svg",
     "gelform/live/page/js/main.js",
-    "gelform/live/simulated/three-edges.npz",
+    "gelform/calibration/library/three-edges.npz",
     "gelform/calibration/starters/digit.npz",
     "gelform/calibration/starters/gelsight-mini.npz",
     "gelform/calibration/starters/simulated-three-edges.npz",

@@ -12,7 +12,6 @@ from gelform.calibration.library.library import described
 from gelform.calibration_file import KIND, Calibration, load_calibration
 from gelform.errors import GelformError
 from gelform.foundations.npz_files import kind_of_npz
-from gelform.sensors.recordings.image_folder import is_recorded_folder
 from gelform.sensors.video_files import is_video
 
 
@@ -112,7 +111,7 @@ class Recordings:
     Parameters
     ----------
     given : paths from the command line
-    folder : a folder with more recordings (*.mcap, videos, recorded folders), or None
+    folder : a folder with more recordings (*.mcap, videos), or None
     """
 
     def __init__(self, given: Iterable[Path] = (), folder: Path | None = None) -> None:
@@ -121,7 +120,7 @@ class Recordings:
         for path in given:
             self.add(path)
         for path in sorted(folder.iterdir()) if folder is not None and folder.is_dir() else ():
-            if path.suffix.lower() == ".mcap" or is_video(path) or is_recorded_folder(path):
+            if path.suffix.lower() == ".mcap" or is_video(path):
                 self.add(path)
 
     def add(self, path: Path) -> str:
