@@ -1,4 +1,4 @@
-"""The shipped calibration of `gelform live`'s simulated sensor: src/gelform/live/simulated/three-edges.npz.
+"""The shipped calibration of `gelform live`'s simulated sensor: src/gelform/calibration/library/three-edges.npz.
 
 It is made from presses of a ball, as any calibration, and shipped so that the first picture needs no wait. Its background is
 the sensor's without noise: whole gray levels, which compress to a few kilobytes.
@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 
 from gelform.calibration.fit import calibrate
+from gelform.calibration.library.simulated import SHIPPED, simulated_presses
 from gelform.calibration.presses.press_set import presses_from_simulated
 from gelform.calibration_file import load_calibration
 from gelform.image.background.average import noise_from_image
-from gelform.live.simulated.ready import SHIPPED, simulated_presses
 from gelform.sensors.simulated.settings import simulated_sensor_named
 from gelform.sensors.source import DEFAULT_SENSOR
 from gelform.simulate import simulate_background
@@ -34,7 +34,7 @@ def make_calibration() -> None:
         background=np.asarray(simulate_background(sensor, None), dtype=np.float32),
     )
     calibration = calibrate(presses)
-    path = Path(__file__).parents[2] / "src" / "gelform" / "live" / "simulated" / SHIPPED
+    path = Path(__file__).parents[2] / "src" / "gelform" / "calibration" / "library" / SHIPPED
     calibration.save(path, overwrite=True)
     _pack(path)
     print(load_calibration(path).held_out, f"{path.stat().st_size / 1e3:.0f} kB")

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+from gelform.calibration.library.simulated import ready_calibration
 from gelform.image.frame import Frame
-from gelform.live.simulated.ready import ready_calibration
 from gelform.sensors import simulated_sensor_named
 from gelform.sensors.recordings.facts import RecordingFacts
 from gelform.sensors.recordings.mcap_writer import McapRecording

@@ -9,9 +9,8 @@ import pytest
 from gelform.image.frame import Frame
 from gelform.live.hub import Hub
 from gelform.live.lists import Calibrations
-from gelform.live.setup import Setup
 from gelform.live.shown import Shown, measures_of
-from gelform.live.station import Station
+from gelform.live.station import Setup, Station
 from gelform.live.web.server import listen
 from gelform.reconstruct import Reconstructor
 from gelform.sensors.simulated.source import SimulatedSource

@@ -71,9 +71,8 @@ def test_a_folder_plays_once_and_stays_at_its_end(tmp_path, simulated, calibrati
     calibration.save(tmp_path / "mine.npz")
     with closing(start(Options([str(tmp_path)], [tmp_path / "mine.npz"]))) as hub:
         station = hub.stations[0]
-        until(lambda: (r := station.facts()["replay"]) and not r["playing"] and r["number"] == 3, 20)
-        until(lambda: station.newest.frame.number == 3)
-        assert station.newest.result is not None
+        until(lambda: (r := station.facts()["replay"]) and not r["playing"] and r["number"] == 3, 60)
+        until(lambda: (one := station.newest) and one.frame.number == 3 and one.result)
         assert station.facts()["state"] == "running"  # held, not lost
         assert hub.recordings.facts()[0]["name"] == tmp_path.name
 

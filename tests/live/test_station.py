@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gelform.errors import SensorError, SourceLostError
+from gelform.errors import CalibrationError, SensorError, SourceLostError
 from gelform.image.frame import Frame
-from gelform.live.recorder import Recorder
-from gelform.live.setup import Setup
-from gelform.live.station import UNWATCHED_S, Station
+from gelform.live.station import UNWATCHED_S, Setup, Station
+from gelform.sensors.recordings.recorder import Recorder
+from gelform.simulate import simulate_background
 from live_waiting import until
 
 
@@ -117,7 +117,7 @@ def test_while_nobody_looks_few_frames_are_reconstructed_and_recorders_get_all(t
         until(lambda: len(times_s) > 8)
         # A frame is a little older than its reconstruction.
         assert np.median(np.diff(times_s)) >= 0.9 * UNWATCHED_S
-        recorder = Recorder(station.grabber, tmp_path, Setup())
+        recorder = Recorder(station.grabber, tmp_path)
         recorder.start()
         until(lambda: recorder.stats.frames > 40)
         recorder.close()
@@ -182,3 +182,23 @@ def test_paused_it_holds_the_picture(hub):
     assert station.newest.serial == held
     station.paused = False
     until(lambda: station.newest.serial > held)
+
+
+def test_a_background_is_used_and_given_back_and_another_sensors_is_refused(calibration, sensor):
+    today = simulate_background(sensor, np.random.default_rng(8)).astype(np.float32)
+    setup = Setup().with_calibration(calibration, "mine").with_background(today)
+    with pytest.raises(CalibrationError):
+        setup.with_background(calibration.background[..., ::-1].copy())
+    assert not setup.memory.reconstruct.own_background
+    assert setup.with_solver("dct").background is today
+    assert setup.with_background(None).memory.reconstruct.own_background
+
+
+def test_a_setup_for_another_sequence_has_forgotten_what_the_last_one_taught(calibration):
+    setup = Setup().with_calibration(calibration, "mine")
+    setup.memory.reconstruct = setup.memory.reconstruct.with_background(calibration.background + 3)
+    setup.memory.zero = setup.memory.reconstruct.from_image(calibration.background)
+    fresh = setup.anew()
+    np.testing.assert_array_equal(fresh.memory.reconstruct.background, calibration.background)
+    assert (fresh.memory.zero, fresh.name) == (None, "mine")
+    assert Setup().anew() == Setup()

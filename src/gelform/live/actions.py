@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,28 +12,26 @@ import numpy as np
 from gelform.calibration.library.choose import unit_of_camera
 from gelform.depth.solvers import SOLVERS
 from gelform.errors import GelformError
-from gelform.foundations.checks import check_sensor_pitch
 from gelform.foundations.progress import Progress
 from gelform.image.background.average import background_from_frames
-from gelform.image.view import View
 from gelform.live import devices
 from gelform.live.hub import Hub, wait_for_frames
-from gelform.live.player import Player
-from gelform.live.recorder import Recorder, named_by_time
-from gelform.live.recorder import share as share_file
-from gelform.live.setup import BACKGROUND_FRAMES, Setup
 from gelform.live.shown import Shown
-from gelform.live.starter import starter_calibration, starter_of_station
-from gelform.live.station import NEVER_S, Opening, Station
-from gelform.sensors.profiles import profile_named
+from gelform.live.starter import starter_of_station
+from gelform.live.station import BACKGROUND_FRAMES, NEVER_S, Opening, Setup, Station
 from gelform.sensors.recordings.indexed import indexed
+from gelform.sensors.recordings.player import Player
 from gelform.sensors.recordings.record import attached_background, attached_calibration
+from gelform.sensors.recordings.recorder import Recorder
+from gelform.sensors.recordings.recorder import share as share_file
+from gelform.sensors.streams.memory import zero_from_results
+from gelform.sensors.streams.starting import calibration_at_rest
 
 if TYPE_CHECKING:
-    from gelform.live.guide.guide import Asked
-    from gelform.live.guide.session import GuideSession
+    from gelform.live.guide import GuideSession
 
 ZERO_FRAMES = 8  # frames that are averaged
+NOT_CALIBRATED = "This sensor has no calibration yet. Make one on the page Calibrate."
 ON_THEIR_WAY = 4  # frames that a simulated sensor made before it stopped
 
 
@@ -42,8 +39,9 @@ def take_background(hub: Hub, station: int) -> None:
     """Take the next frames as a new background image."""
     chosen = hub.station(station)
     calibration = chosen.setup.calibration
-    _check_calibrated(calibration)
-    if calibration is not None and calibration.settings.starter is not None:
+    if calibration is None:
+        raise GelformError(NOT_CALIBRATED)
+    if calibration.settings.starter is not None:
         take_starter(hub, station, calibration.settings.starter["sensor"])
         return
     with _at_rest(chosen):
@@ -70,7 +68,7 @@ def take_starter(hub: Hub, station: int, sensor: str) -> None:
         with _at_rest(chosen):
             frames = [shown.frame for shown in _frames(chosen, BACKGROUND_FRAMES)]
         serial = None if chosen.source is None else chosen.source.serial
-        calibration = starter_calibration(name, frames, serial, chosen.setup.calibration)
+        calibration = calibration_at_rest(name, frames, serial, chosen.setup.calibration)
         listed = f"starter {calibration.sensor_name}, sensor {station + 1}"
         chosen.setup = chosen.setup.with_calibration(calibration, listed, calibration.background)
     except GelformError as problem:
@@ -84,8 +82,8 @@ def take_starter(hub: Hub, station: int, sensor: str) -> None:
 @contextmanager
 def _at_rest(station: Station) -> Iterator[None]:
     """Keep a simulated sensor at rest meanwhile; the user keeps other sensors at rest."""
-    source: Any = station.source
-    if not hasattr(source, "press_at"):
+    source = station.simulated
+    if source is None:
         yield
         return
     before = source.resting
@@ -106,17 +104,20 @@ def own_background(hub: Hub, station: int) -> None:
 def set_zero(hub: Hub, station: int) -> None:
     """Take the current depth as zero; a second call undoes that."""
     chosen = hub.station(station)
-    _check_calibrated(chosen.setup.calibration)
-    if chosen.setup.zero_mm is not None:
-        chosen.setup = replace(chosen.setup, zero_mm=None)
-        hub.notice("Zero undone: depth is relative to the gel at rest again.")
-        return
-    results = [shown.result for shown in _frames(chosen, ZERO_FRAMES) if shown.result and shown.measures]
-    if not results:
-        raise GelformError("There is no depth to set as zero, because the frames could not be reconstructed.")
-    mean = np.mean([result.depth for result in results], axis=0).astype(np.float32)
-    chosen.setup = replace(chosen.setup, zero_mm=mean)
-    hub.notice("Zero set: depth is relative to the last frames.")
+    memory = chosen.setup.memory
+    if memory is None:
+        raise GelformError(NOT_CALIBRATED)
+    if memory.zero is not None:
+        memory.zero, said = None, "Zero undone: depth is relative to the gel at rest again."
+    else:
+        results = [shown.result for shown in _frames(chosen, ZERO_FRAMES) if shown.result and shown.measures]
+        if not results:
+            raise GelformError(
+                "There is no depth to set as zero, because the frames could not be reconstructed."
+            )
+        memory.zero, said = zero_from_results(results), "Zero set: depth is relative to the last frames."
+    chosen.show_again()
+    hub.notice(said)
 
 
 def use_calibration(hub: Hub, station: int, name: str) -> None:
@@ -124,10 +125,9 @@ def use_calibration(hub: Hub, station: int, name: str) -> None:
     chosen = hub.station(station)
     calibration = hub.calibrations[name]
     setup = chosen.setup.with_calibration(calibration, name)
-    newest = chosen.newest
-    if newest is not None:
+    if chosen.newest is not None and setup.memory is not None:
         # A calibration that does not fit is refused here, before its use.
-        setup.result_of(newest.frame, setup.image_of(newest.frame), alone=True)
+        setup.memory.reconstructed(chosen.newest.frame, alone=True)
     chosen.setup = setup
     hub.changed()
 
@@ -171,10 +171,10 @@ def show_camera(hub: Hub, station: int, camera: int) -> None:
 
 def press(hub: Hub, station: int, x_px: float, y_px: float) -> None:
     """Press the simulated sensor at a place of the image."""
-    source: Any = hub.station(station).source
-    if not hasattr(source, "press_at"):
+    simulated = hub.station(station).simulated
+    if simulated is None:
         raise GelformError("The page can press only a simulated sensor.")
-    source.press_at(x_px, y_px)
+    simulated.press_at(x_px, y_px)
 
 
 def record(hub: Hub, station: int, on: bool, page: str = "") -> None:
@@ -186,7 +186,8 @@ def record(hub: Hub, station: int, on: bool, page: str = "") -> None:
         begun = hub.recorders[station] = Recorder(
             chosen.grabber,
             hub.folder,
-            chosen.setup,
+            calibration=chosen.setup.calibration,
+            background=chosen.setup.background,
             wanted=lambda: not page or hub.pages.is_open(page),
             on_ended=lambda ended: hub.recorded(station, ended),
         )
@@ -214,11 +215,6 @@ def _frames(station: Station, count: int) -> Sequence[Shown]:
     return wait_for_frames(station, count)
 
 
-def _check_calibrated(calibration: Any) -> None:
-    if calibration is None:
-        raise GelformError("This sensor has no calibration yet. Make one on the page Calibrate.")
-
-
 def open_recording(hub: Hub, station: int, name: str) -> None:
     """Show a recording of the list on a station; "" returns to the station's first source."""
     chosen = hub.station(station)
@@ -238,7 +234,7 @@ def attached_setup(hub: Hub, setup: Setup, path: Path) -> Setup:
     """A setup with the calibration and the background attached to a recording; unchanged if there are none."""
     calibration = attached_calibration(path)
     if calibration is None:
-        return replace(setup, background=None, zero_mm=None)  # they belonged to the sensor
+        return setup.with_background(None)  # it belonged to the sensor
     name = hub.calibrations.add(f"{path.resolve().name}: calibration", calibration)
     setup = setup.with_calibration(calibration, name)
     background = attached_background(path)
@@ -262,12 +258,11 @@ def share(hub: Hub, station: int) -> None:
     """Write one file with the recording and the current calibration, and add it to the list for download."""
     chosen = hub.station(station)
     recording, setup = player_of(chosen).recording, chosen.setup
-    path = hub.folder / f"{named_by_time('shared')}.mcap"
 
     def work(progress: Progress) -> None:
-        share_file(
+        path = share_file(
             recording,
-            path,
+            hub.folder,
             calibration=setup.calibration,
             background=setup.background,
             progress=progress,
@@ -290,12 +285,21 @@ def guide_start(hub: Hub, station: int, ball_diameter_mm: float, profile: str, m
 
     The scale is the profile's, or the given one, or the simulated sensor's own.
     """
-    from gelform.live.guide.session import GuideSession
+    from gelform.calibration.guided.guide import Asked
+    from gelform.live.guide import GuideSession
 
     chosen = hub.station(station)
-    if chosen.newest is None:
+    if chosen.newest is None or chosen.source is None:
         raise GelformError("There is no frame yet. Connect the sensor first.")
-    asked = _asked(chosen, ball_diameter_mm, profile, mm_per_px)
+    height, width = chosen.newest.frame.image.shape[:2]
+    asked = Asked.of(
+        chosen.source,
+        (height, width),
+        ball_diameter_mm,
+        profile=profile,
+        mm_per_px=mm_per_px,
+        begun=chosen.setup.calibration,
+    )
     hub.end_guide(station)
     hub.guides[station] = GuideSession(chosen, asked, hub.folder, hub.changed)
     if chosen.player is not None:
@@ -315,39 +319,16 @@ def guide_fit(hub: Hub, station: int) -> None:
 def guide_use(hub: Hub, station: int) -> None:
     """Reconstruct with the guide's calibration; the guide ends."""
     session = _session(hub, station)
-    if session.calibration is None:
+    made = session.made
+    if made is None:
         raise GelformError("There is no calibration to use yet. Press Fit now first.")
-    name = hub.calibrations.add_file(session.path)
+    name = hub.calibrations.add_file(made.path)
     use_calibration(hub, station, name)
     hub.end_guide(station)
-    hub.notice(f"The new calibration is in use, and saved as {session.name}/calibration.npz. {session.kept}")
+    hub.notice(f"The new calibration is in use, and saved as {made.folder.name}/calibration.npz. {made.kept}")
 
 
 def _session(hub: Hub, station: int) -> GuideSession:
     if station not in hub.guides:
         raise GelformError("No calibration is running. Press Start first.")
     return hub.guides[station]
-
-
-def _asked(station: Station, ball_diameter_mm: float, profile: str, mm_per_px: float) -> Asked:
-    from gelform.calibration.presses.press_set import check_ball_diameter
-    from gelform.live.guide.guide import Asked
-
-    assert station.newest is not None
-    shape = station.newest.frame.image.shape[:2]
-    source: Any = station.source
-    try:
-        diameter = check_ball_diameter(ball_diameter_mm)
-        if hasattr(source, "press_at"):
-            return Asked(diameter, source.sensor.mm_per_px, None, View(), source.sensor.name, source.serial)
-        begun = station.setup.calibration
-        if begun is not None and begun.settings.starter and begun.settings.starter["sensor"] == profile:
-            known_scale = begun.known_mm_per_px, begun.mm_per_px_sigma, begun.view
-            return Asked(diameter, *known_scale, begun.sensor_name, source.serial)
-        if profile:
-            known = profile_named(profile)
-            view = known.view((shape[0], shape[1]))
-            return Asked(diameter, known.mm_per_px, known.mm_per_px_sigma, view, known.name, source.serial)
-        return Asked(diameter, check_sensor_pitch(mm_per_px), None, View(), source.name, source.serial)
-    except (ValueError, TypeError) as problem:
-        raise GelformError(str(problem)) from problem

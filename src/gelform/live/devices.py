@@ -10,8 +10,7 @@ from functools import partial
 from typing import Any
 
 from gelform.errors import GelformError
-from gelform.live.setup import Setup
-from gelform.live.station import Opening, Station
+from gelform.live.station import Opening, Setup, Station
 from gelform.sensors.cameras.camera import Camera, cameras_in_sysfs
 from gelform.sensors.cameras.settings import CONTROLS, settings_mismatch
 from gelform.sensors.cameras.usb import UsbCamera
@@ -19,6 +18,7 @@ from gelform.sensors.source import Source
 
 LOOK_EVERY_S = 0.5  # s between searches for connected cameras
 NOT_SHOWN = "not shown"  # state of a connected camera that no station shows
+
 SETTABLE = (*CONTROLS, "led_level")
 
 Opener = Callable[[Camera, Mapping[str, float | str]], Source]

@@ -17,16 +17,16 @@ from gelform.errors import GelformError
 from gelform.foundations.progress import Progress
 from gelform.live.devices import Devices, camera_facts
 from gelform.live.lists import Calibrations, Recordings
-from gelform.live.recorder import Recorder
 from gelform.live.shown import Shown
 from gelform.live.snapshots import Snapshots
 from gelform.live.starter import starter_facts, starters
 from gelform.live.station import Station
 from gelform.live.web.pages import Pages
 from gelform.sensors.profiles import PROFILES
+from gelform.sensors.recordings.recorder import Recorder
 
 if TYPE_CHECKING:
-    from gelform.live.guide.session import GuideSession
+    from gelform.live.guide import GuideSession
 
 NOTICES = 20  # notices that are kept
 

@@ -15,10 +15,10 @@ from gelform.depth.contact import Contact
 from gelform.foundations.checks import check_mm_per_px
 from gelform.image.frame import Frame
 from gelform.image.markers import MarkerFlow
-from gelform.live.player import ReplayedFrame
 from gelform.live.web.wire import Plane, bits_plane, depth_plane, image_plane, level_plane
 from gelform.result import Reconstruction
 from gelform.result.maps import MAP_PLANES
+from gelform.sensors.recordings.player import ReplayedFrame
 from gelform.slopes.confidence.causes import CAUSES
 from gelform.slopes.confidence.explanation import Explanation
 

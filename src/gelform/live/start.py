@@ -8,17 +8,17 @@ from pathlib import Path
 
 from gelform.calibration.library.choose import Unit, unit_of
 from gelform.calibration.library.library import library_folder
+from gelform.calibration.library.simulated import ready_calibration
 from gelform.errors import DataError, GelformError, SensorError
 from gelform.foundations.progress import Progress
 from gelform.live import actions
 from gelform.live.hub import Hub
 from gelform.live.lists import Calibrations, Recordings
-from gelform.live.player import Player
-from gelform.live.simulated.ready import ready_calibration
 from gelform.live.station import NEVER_S, Opening, Station
 from gelform.sensors.cameras.camera import camera_named
 from gelform.sensors.grabber import STALL_S
 from gelform.sensors.recordings.indexed import Indexed, indexed, is_recording
+from gelform.sensors.recordings.player import Player
 from gelform.sensors.simulated.settings import simulated_sensor_named
 from gelform.sensors.simulated.source import RATE_HZ, SimulatedSource
 from gelform.sensors.source import ADDRESSES, DEFAULT_SENSOR, SIMULATED, Source, open_source

@@ -6,40 +6,88 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import takewhile
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.calibration_file import Calibration
 from gelform.errors import GelformError
 from gelform.image.frame import Frame
-from gelform.live.player import Player
-from gelform.live.setup import Setup
 from gelform.live.shown import Shown, measures_of
+from gelform.reconstruct import Reconstructor
 from gelform.sensors.cameras.camera import Camera
 from gelform.sensors.grabber import STALL_S, Grabber
-from gelform.sensors.playback import Playback
+from gelform.sensors.recordings.player import Player
 from gelform.sensors.recordings.record import KEPT_FRAMES
-from gelform.sensors.simulated.source import SimulatedSource
 from gelform.sensors.source import Source
 from gelform.sensors.streams.feed import NewestFrames
-from gelform.sensors.streams.memory import Timed, Work
+from gelform.sensors.streams.memory import Memory, Timed, Work
 from gelform.sensors.streams.pipeline import Pipeline
 
+BACKGROUND_FRAMES = 15  # frames at rest that are averaged
 KEPT_NUMBERS = 18_000  # results whose numbers are kept for the curves: five minutes at 60 per second
 RETRY_S = 1.0  # s between attempts to open an unavailable source
 WAIT_S = 0.25  # s, longest wait for a result before a request to stop is checked
-RATE_OVER, STALE_S = 60, 1.0  # results for the rate; s without a result until it is 0
 CLOSE_S = 10.0  # s for the threads of the pipeline and of the device, 2 s each
 # s between reconstructed frames while no page is open. The memory learns means over a second and more, and its
 # findings take at least a quarter of a second, so eight frames per second are enough.
 UNWATCHED_S = 0.125
-MADE_HERE = (
-    SimulatedSource,
-    Playback,
-)  # they leave out what comes too late: no frame of theirs is lost on its way
 NEVER_S = float("inf")  # a held recording has not stalled
 STAGES = ("view", "reconstruct")  # stages whose times add up to the displayed time of reconstruction
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What a station reconstructs with.
+
+    Attributes
+    ----------
+    memory : the Reconstructor with the memory of the sequence; None without a calibration: only the image is shown
+    name : of the calibration, in the page's list
+    solver : the chosen one, "auto" by default
+    background : (H, W, 3) float32 taken live, or None: the calibration's own
+    """
+
+    memory: Memory | None = None
+    name: str = ""
+    solver: str = "auto"
+    background: NDArray[np.float32] | None = None
+
+    @property
+    def calibration(self) -> Calibration | None:
+        """The calibration in use."""
+        return None if self.memory is None else self.memory.reconstruct.calibration
+
+    def with_calibration(
+        self, calibration: Calibration, name: str, background: NDArray[np.float32] | None = None
+    ) -> Setup:
+        """A setup with another calibration, and its own background or one taken live."""
+        run = Reconstructor(calibration, background=background, solver=self.solver)
+        return Setup(Memory(run), name, self.solver, background)
+
+    def with_background(self, background: NDArray[np.float32] | None) -> Setup:
+        """A setup with a new background; None: the calibration's own.
+
+        Raises
+        ------
+        CalibrationError
+            The background is not of the calibrated sensor.
+        """
+        return replace(self, background=background).anew()
+
+    def with_solver(self, solver: str) -> Setup:
+        """A setup with another solver."""
+        return replace(self, solver=solver).anew()
+
+    def anew(self) -> Setup:
+        """A setup for another sequence of frames, without memory."""
+        if self.calibration is None:
+            return self
+        return self.with_calibration(self.calibration, self.name, self.background)
 
 
 @dataclass(frozen=True)
@@ -104,8 +152,6 @@ class Station:
         self._missing = ""
         self._stop, self._switched = threading.Event(), threading.Event()
         self._serial, self._begun_s = 0, -NEVER_S
-        self._skipped, self._counted, self._waited = 0, (-1, 0), True
-        self._times_s: deque[float] = deque(maxlen=RATE_OVER)
         self._numbers: deque[tuple[float, ...]] = deque(maxlen=KEPT_NUMBERS)
         self._thread = threading.Thread(target=self._run, name=f"station {number}", daemon=True)
 
@@ -130,6 +176,10 @@ class Station:
         if setup.memory is not None and self._run_by is not None and setup.memory is not self._setup.memory:
             setup.memory.run_by(*self._run_by)
         self._setup = setup
+        self.show_again()
+
+    def show_again(self) -> None:
+        """Show a held recording's frame again, because its reconstruction has changed."""
         if self.player is not None:
             self.player.again()
 
@@ -167,6 +217,11 @@ class Station:
         return None if self._grabber is None else self._grabber.source
 
     @property
+    def simulated(self) -> Any:
+        """The source if it is a simulated sensor, which the page can press; else None."""
+        return self.source if hasattr(self.source, "press_at") else None
+
+    @property
     def player(self) -> Player | None:
         """The source if it is a recording with controls; None for a sensor."""
         return self.source if isinstance(self.source, Player) else None
@@ -192,8 +247,9 @@ class Station:
 
     def facts(self) -> dict[str, Any]:
         """The station's state for the page."""
-        grabber, setup, calibration, player = self._grabber, self.setup, self.setup.calibration, self.player
-        stage_ms = {} if self._pipeline is None else self._pipeline.stats().stage_ms
+        grabber, setup, player, pipeline = self._grabber, self.setup, self.player, self._pipeline
+        calibration, memory = setup.calibration, setup.memory
+        stage_ms = {} if pipeline is None else pipeline.stats().stage_ms
         facts: dict[str, Any] = {
             "number": self.number,
             "spec": self.spec,
@@ -204,11 +260,11 @@ class Station:
             "reason": self._missing if grabber is None else grabber.reason,
             "rate_hz": self.rate_hz,
             "took_ms": sum(stage_ms.get(name, 0.0) for name in STAGES),
-            "simulated": hasattr(self.source, "press_at"),
+            "simulated": self.simulated is not None,
             "calibration": setup.name,
             "image_shape": None if calibration is None else list(calibration.image_shape),
             "background": "taken on this page" if setup.background is not None else "from the calibration",
-            "zero": setup.zero_mm is not None,
+            "zero": memory is not None and memory.zero is not None,
             "solver": setup.solver,
             "paused": self.paused,
             "replay": None if player is None else player.facts(),
@@ -221,21 +277,21 @@ class Station:
 
     @property
     def lost(self) -> int:
-        """Number of camera frames lost on the way, by the gaps in the camera's own count."""
-        return 0 if self._grabber is None or isinstance(self.source, MADE_HERE) else self._grabber.stats.drops
+        """Number of camera frames lost on the way, by the gaps in the camera's own count.
+
+        A simulated sensor loses none: it leaves out what comes too late.
+        """
+        return 0 if self._grabber is None or self.simulated else self._grabber.stats.drops
 
     @property
     def skipped(self) -> int:
         """Number of needed frames that a newer one replaced: neither drawn nor in any figure."""
-        return max(0, self._skipped)
+        return 0 if self._pipeline is None else self._pipeline.stats().skipped
 
     @property
     def rate_hz(self) -> float:
-        """Results per second over the last 60; 0 if the last one is older than a second."""
-        times_s = tuple(self._times_s)
-        if len(times_s) < 2 or time.monotonic() - times_s[-1] > STALE_S:
-            return 0.0
-        return (len(times_s) - 1) / max(times_s[-1] - times_s[0], 1e-9)
+        """Results per second; 0 if the last one is older than a second."""
+        return 0.0 if self._pipeline is None else self._pipeline.stats().rate_hz
 
     # -- the thread, and functions that the pipeline's threads call -------------------------------------------------
 
@@ -260,7 +316,7 @@ class Station:
         feed = NewestFrames(grabber, owned=False, paused=self._waits)
         pipeline = self._pipeline = Pipeline(feed, self)
         pipeline.start()
-        after, self._waited = -1, True
+        after = -1
         try:
             while not self._switched.is_set():
                 shown = pipeline.results.newest(after, WAIT_S)
@@ -276,24 +332,11 @@ class Station:
 
     def _waits(self) -> bool:
         """Whether to skip frames now: the picture is held, or no page is open and a result is recent."""
-        if self._watched() or self.taps:
-            waits = self.paused
-        else:
-            waits = self.paused or time.monotonic() - self._begun_s < UNWATCHED_S
-        self._waited |= waits
-        return waits
-
-    def _count_skipped(self, index: int) -> None:
-        """Count the frames between the last reconstructed one and this one, except those that were not needed."""
-        before, lost_before = self._counted
-        self._counted = index, self.lost
-        if not self._waited:
-            self._skipped += index - before - 1 - (self.lost - lost_before)
-        self._waited = False
+        unwatched = not (self._watched() or self.taps)
+        return self.paused or (unwatched and time.monotonic() - self._begun_s < UNWATCHED_S)
 
     def _show(self, shown: Shown) -> None:
         self.newest = shown
-        self._times_s.append(time.monotonic())
         for tap in tuple(self.taps):
             tap(shown)
         self._on_shown()
@@ -306,30 +349,25 @@ class Station:
 
     def reconstructed(self, frame: Frame, timed: Timed) -> Shown:
         """The setup's result of a frame; if reconstruction fails, the frame and the reason."""
-        setup, self._serial, self._begun_s = self._setup, self._serial + 1, time.monotonic()
-        self._count_skipped(frame.index)
-        image = frame.image
+        memory, self._serial, self._begun_s = self._setup.memory, self._serial + 1, time.monotonic()
+        alone = self.player is not None
+        if memory is None:
+            return Shown(self._serial, frame, frame.image)
         try:
-            with timed("view"):
-                image = setup.image_of(frame)
-            with timed("reconstruct"):
-                found = setup.result_of(frame, image, alone=self.player is not None)
+            given = memory.reconstructed(frame, timed, alone=alone)
         except (GelformError, ValueError) as problem:
-            return Shown(self._serial, frame, image, problem=str(problem))
-        if found is None or setup.memory is None:
-            return Shown(self._serial, frame, image)
-        result = setup.against_zero(found)
-        measures = measures_of(result)
+            return Shown(self._serial, frame, frame.image, problem=str(problem))
+        measures = measures_of(given.result)
         if measures is not None:
             self._numbers.append((self._serial, frame.time_s, *measures.numbers.values()))
         return Shown(
             self._serial,
             frame,
-            image,
-            result,
+            given.image,
+            given.result,
             measures,
-            explain=partial(setup.memory.reconstruct.explain, image),
-            learn=None if self.player is not None else partial(setup.memory.learn, image, found),
+            explain=partial(memory.reconstruct.explain, given.image),
+            learn=None if alone else partial(memory.learn_from, given),
         )
 
     def learn_from(self, shown: Shown) -> None:

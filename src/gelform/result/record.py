@@ -43,7 +43,7 @@ class Reconstruction:
     known : (H, W) bool; False where the depth was filled without information
     mm_per_px : float or (x, y), mm; None if the calibration has no scale
     mm_per_px_sigma : standard deviation of mm_per_px, mm, or None; not part of depth_sigma_mm
-    zero : the reference of depth 0: "untouched" (pixels at rest), "border" or "mean"
+    zero : the reference of depth 0: "untouched" (pixels at rest), "border", "mean" or "set" (an earlier result)
     solver : the solver that ran
     curl_rms : RMS of `dp/dy - dq/dx` of the observed slopes, per pixel; 0 for the slopes of a surface
     health : findings, each with its figure

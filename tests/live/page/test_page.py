@@ -10,9 +10,9 @@ import pytest
 
 import gelform
 from gelform.exchange.plots.canvas import save_picture
-from gelform.live.player import Player
 from gelform.live.station import NEVER_S, Opening, Station
 from gelform.sensors.recordings.indexed import indexed
+from gelform.sensors.recordings.player import Player
 from live_waiting import until
 
 pytestmark = pytest.mark.slow
@@ -25,7 +25,7 @@ def held(page, hub):
     page.click("#pause")
     until(lambda: hub.stations[0].paused)
     until(lambda: page.evaluate("gelform.frame.header.serial") == hub.stations[0].newest.serial, 20)
-    page.evaluate("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    until(lambda: page.evaluate("gelform.panes.every((one) => one.frame === gelform.frame && one.said)"), 20)
     return hub.stations[0].newest.result
 
 
@@ -80,14 +80,17 @@ def test_what_is_not_known_is_hatched_and_never_a_depth(page, hub, blinded, pict
     until(lambda: page.evaluate("gelform.frame.has('unknown')"), 20)
     known = held(page, hub).known
     assert not known[90:100, 30:50].any()
-    for view, unknown in (("depth", True), ("normals", True), ("image", False)):
+    script = "() => [...gelform.panes[0].painting.canvas.getContext('2d').getImageData(30, 90, 20, 10).data]"
+
+    def is_hatched():
+        pixels = np.array(page.evaluate(script)).reshape(-1, 4)
+        return {tuple(rgb) for rgb in pixels[:, :3].tolist()} == {(138, 148, 153), (93, 103, 108)}
+
+    for view, unknown in (("depth", True), ("image", False), ("normals", True)):  # each unlike the one before
         page.select_option(".pane select >> nth=0", view)
-        page.evaluate("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
-        script = "([x, y, w, h]) => [...gelform.panes[0].painting.canvas.getContext('2d').getImageData(x, y, w, h).data]"
-        pixels = np.array(page.evaluate(script, [30, 90, 20, 10])).reshape(10, 20, 4)
-        grays = {tuple(rgb) for rgb in pixels.reshape(-1, 4)[:, :3].tolist()}
-        assert (grays == {(138, 148, 153), (93, 103, 108)}) is unknown
-        assert page.locator(".pane >> nth=0 >> .swatch").count() == int(unknown)
+        until(lambda unknown=unknown: is_hatched() is unknown, 20)
+        swatches = page.locator(".pane >> nth=0 >> .swatch")
+        until(lambda count=int(unknown), swatches=swatches: swatches.count() == count, 20)
     script = """() => import('/js/maps/charts.js').then(({ profilesThrough }) => {
         const { alongX, depth } = profilesThrough(gelform.frame, [40, 95]);
         return [alongX.map(Number.isNaN), Number.isNaN(depth)];
@@ -99,10 +102,13 @@ def test_what_is_not_known_is_hatched_and_never_a_depth(page, hub, blinded, pict
     shown = picture(page, "#surface").astype(int)
     page.evaluate("gelform.frame.planes.unknown.values.fill(0)")
     page.evaluate("gelform.surface.orbit.changed()")
-    page.wait_for_timeout(400)
+
+    def changed_pixels():
+        return np.abs(shown - picture(page, "#surface").astype(int)).max(axis=-1) > 20
+
+    until(lambda: changed_pixels().sum() > 500, 20)
     filled = picture(page, "#surface").astype(int)
     changed = np.abs(shown - filled).max(axis=-1) > 20
-    assert changed.sum() > 500
     spread = np.ptp(shown[changed], axis=-1)  # gray: channels alike
     assert np.median(spread) < 12 < np.median(np.ptp(filled[changed], axis=-1))
 
@@ -127,9 +133,8 @@ def test_the_surface_wears_the_confidence_whatever_the_panes_show(page, hub, bli
 
 def test_the_surface_is_drawn_and_turns(page, hub, picture):
     held(page, hub)
+    until(lambda: len(np.unique(picture(page, "#surface").reshape(-1, 3) // 16, axis=0)) > 20, 20)
     before = picture(page, "#surface")
-    colors = np.unique(before.reshape(-1, 3) // 16, axis=0)
-    assert len(colors) > 20
     page.focus("#surface")
     for _ in range(4):
         page.keyboard.press("ArrowRight")
@@ -139,10 +144,10 @@ def test_the_surface_is_drawn_and_turns(page, hub, picture):
 def test_buttons_do_what_they_say(page, hub):
     station = hub.stations[0]
     page.click("#zero")
-    until(lambda: station.setup.zero_mm is not None)
+    until(lambda: station.setup.memory.zero is not None)
     until(lambda: page.inner_text("#zero") == "Undo zero")
     page.click("#zero")
-    until(lambda: station.setup.zero_mm is None)
+    until(lambda: station.setup.memory.zero is None)
     page.select_option("#solver", "dct")
     until(lambda: station.newest.result.solver == "dct")
     page.select_option("#colors", "cividis")
@@ -162,7 +167,7 @@ def test_every_view_can_be_chosen(page):
     for view in page.evaluate("Object.keys(gelform.views)"):
         page.select_option(".pane select >> nth=0", view)
         until(lambda: page.evaluate("gelform.panes[0].painting.image !== null"), 20)
-        assert page.locator(f".pane[data-view={view}]").count() >= 1
+        until(lambda view=view: page.locator(f".pane[data-view={view}]").count() >= 1)
 
 
 def test_a_recording_ends_with_its_tab_but_not_when_it_is_loaded_anew(visit, hub, tmp_path, monkeypatch):
@@ -186,7 +191,7 @@ def test_on_a_phone_nothing_is_wider_than_the_screen(page):
     page.set_viewport_size({"width": 390, "height": 844})
     until(lambda: page.evaluate("gelform.panes[0].shown.width < 390"))
     wide = "[...document.querySelectorAll('main *')].filter(one => one.getBoundingClientRect().right > 391).length"
-    assert page.evaluate(wide) == 0
+    until(lambda: page.evaluate(wide) == 0)
     page.set_viewport_size({"width": 1100, "height": 900})
 
 
@@ -242,4 +247,4 @@ def test_a_gel_that_is_another_one_has_no_surface_and_no_figures(page, hub, cali
     until(lambda: page.inner_text("#number-peak .value") == "–")
     until(lambda: page.inner_text("#profile-at") == "–")
     assert "The background is not of this image" in page.inner_text(".empty")
-    assert not page.evaluate("gelform.frame.has('depth')")
+    until(lambda: not page.evaluate("gelform.frame.has('depth')"))

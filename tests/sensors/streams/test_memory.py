@@ -11,11 +11,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gelform import Reconstructor
+from gelform import Reconstructor, depth_from_gradients
 from gelform.image.frame import Frame
 from gelform.image.health import DepthLimit
 from gelform.result import Reconstruction
-from gelform.sensors.streams.memory import NOT_THIS_GEL, Memory, result_from_image
+from gelform.sensors.streams.memory import (
+    NOT_THIS_GEL,
+    Memory,
+    against_zero,
+    result_from_image,
+    zero_from_results,
+)
 from gelform.sensors.streams.smoothing import Smoothing
 from made.dots import grid, image_of_dots
 
@@ -42,6 +48,70 @@ def test_smoothing_is_asked_for(reconstruct, at_rest):
     assert smooth[-1].depth_sigma_mm.mean() < plain[-1].depth_sigma_mm.mean()
     moved = [np.abs(one[-1].depth - one[-2].depth).mean() for one in (smooth, plain)]
     assert moved[0] < 0.4 * moved[1]
+
+
+def test_a_frame_alone_is_reconstructed_whatever_came_before(reconstruct, at_rest, pressed):
+    memory = Memory(reconstruct, smoothing=5.0)
+    for index, image in enumerate(at_rest):
+        memory.reconstructed(Frame(image, index / 25, 10**18, index))
+    given = memory.reconstructed(Frame(pressed[0], 7.0, 10**18, 20), alone=True)
+    np.testing.assert_array_equal(given.result.depth, reconstruct.from_image(pressed[0]).depth)
+    assert (given.result.index, given.result.time_s, given.index) == (20, 7.0, 20)
+
+
+@pytest.fixture
+def zeroed(reconstruct, at_rest, pressed):
+    """Results before and after a tilt of the gel at rest was set as zero: of the tilt itself, and of a press over it."""
+    rest, press = (reconstruct.from_image(images[0]) for images in (at_rest, pressed))
+    x = np.arange(rest.shape[1], dtype=np.float32)
+    tilt = {
+        "depth": rest.depth + 0.002 * x,
+        "gradients": rest.gradients + np.float32([0.002 / rest.mm_per_px, 0]),
+    }
+    tilted = replace(rest, **tilt)
+    over = replace(
+        press, depth=press.depth + 0.002 * x, gradients=press.gradients + tilt["gradients"] - rest.gradients
+    )
+    zero = zero_from_results([tilted, tilted])
+    return press, over, against_zero(tilted, zero), against_zero(over, zero)
+
+
+def test_against_a_zero_a_press_is_as_deep_as_over_the_gel_at_rest(zeroed, reconstruct):
+    press, over, rest, found = zeroed
+    np.testing.assert_allclose(rest.depth, 0, atol=1e-6)
+    assert not rest.contact.any()
+    assert rest.zero == found.zero == "set"
+    inside = press.contact
+    assert np.abs(over.depth - press.depth)[inside].mean() > 0.02
+    assert np.abs(found.depth - press.depth)[inside].mean() < 0.01
+    assert found.contact[inside].mean() > 0.85
+    assert (found.contact & ~inside).mean() < 0.02
+
+
+def test_against_a_zero_depth_slopes_and_deviations_agree(zeroed):
+    """Integrated, the slopes give the depth; nothing is more certain than before."""
+    press, over, _, found = zeroed
+    integrated = depth_from_gradients(found.gradients, mm_per_px=found.mm_per_px)
+    difference = integrated - found.depth
+    assert np.std(difference) < 0.003 < 0.03 < np.std(found.depth)
+    assert np.std(depth_from_gradients(over.gradients, mm_per_px=found.mm_per_px) - found.depth) > 0.05
+    assert (found.depth_sigma_mm >= press.depth_sigma_mm).all()
+    assert (found.depth_sigma_mm > press.depth_sigma_mm).mean() > 0.9
+    assert (found.gradients_sigma >= press.gradients_sigma).all()
+    assert (found.depth_difference_sigma() >= press.depth_difference_sigma(found.contact)).all()
+
+
+def test_the_memory_learns_against_the_gel_at_rest_whatever_the_zero(reconstruct, pressed):
+    memory = Memory(reconstruct)
+    frame = Frame(pressed[0], 0.0, 10**18, 0)
+    memory.zero = zero_from_results([memory.reconstructed(frame).result])
+    given = memory.reconstructed(frame)
+    assert not given.result.contact.any()
+    assert given.against_rest.contact.any()
+    learned = []
+    memory.learn = lambda image, result: learned.append(result)
+    memory.learn_from(given)
+    assert learned == [given.against_rest]
 
 
 def test_marker_dots_are_followed_from_frame_to_frame(calibration):

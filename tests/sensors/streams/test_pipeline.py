@@ -150,7 +150,7 @@ class SlowToLearn(Memory):
 class Stepwise:
     """A feed whose frames a test gives."""
 
-    every, state, reason, settings = False, "running", "", {}
+    every, state, reason, settings, skipped = False, "running", "", {}, 0
 
     def __init__(self):
         self.frames, self.closed = [], Event()

@@ -25,10 +25,14 @@ class Feed(Protocol):
     every : True if each frame is given, False if only the newest one
     camera : has the serial number, and the settings as read back
     state, reason : "starting", "running", "reconnecting" or "ended"; the reason as a sentence
+    skipped : number of frames that arrived, and that a newer one replaced before this feed was asked for them
     """
 
     every: bool
     camera: Source | Grabber
+
+    @property
+    def skipped(self) -> int: ...
 
     @property
     def state(self) -> str: ...
@@ -50,7 +54,7 @@ class NewestFrames:
     ----------
     grabber : running
     owned : True if the grabber closes with the feed; a grabber that the caller passed stays open for other consumers
-    paused : returns True while no frame is to be given
+    paused : returns True while no frame is to be given; frames of that time are not skipped
     """
 
     every = False
@@ -58,6 +62,7 @@ class NewestFrames:
     def __init__(self, grabber: Grabber, *, owned: bool, paused: Callable[[], bool] = lambda: False) -> None:
         self.camera: Source | Grabber = grabber
         self._grabber, self._owned, self._paused = grabber, owned, paused
+        self.skipped, self._lost, self._waited = 0, 0, True
 
     @property
     def state(self) -> str:
@@ -69,9 +74,20 @@ class NewestFrames:
 
     def next(self, after_index: int) -> Frame | None:
         if self._paused():
+            self._waited = True
             time.sleep(PAUSED_S)
             return None
-        return self._grabber.newest(after_index, WAKE_S)
+        frame = self._grabber.newest(after_index, WAKE_S)
+        if frame is not None:
+            self._count_skipped(frame.index - after_index - 1)
+        return frame
+
+    def _count_skipped(self, missing: int) -> None:
+        """Count the frames between two that were given, except those that were lost before, or not wanted."""
+        before, self._lost = self._lost, self._grabber.stats.drops
+        if not self._waited:
+            self.skipped += max(0, missing - (self._lost - before))
+        self._waited = False
 
     def close(self) -> None:
         if self._owned:
@@ -82,6 +98,7 @@ class EveryFrame:
     """Each frame of a recording in order, on request."""
 
     every = True
+    skipped = 0
 
     def __init__(self, source: Source) -> None:
         self.camera: Source | Grabber = source

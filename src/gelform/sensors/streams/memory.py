@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gelform.depth.contact import contact_from_depth
 from gelform.errors import CalibrationError
 from gelform.foundations.findings import Finding
 from gelform.image import view
@@ -25,6 +27,7 @@ from gelform.sensors.streams.smoothing import Smoothing
 from gelform.slopes.gradients import STEEPEST_GEL
 
 NOT_THIS_GEL = "not_this_gel"
+ZERO_SET = "set"  # `Reconstruction.zero` of a depth against a zero that a user set
 
 Work = Callable[[], Any]
 Timed = Callable[[str], AbstractContextManager[None]]
@@ -41,6 +44,7 @@ class StreamFrame:
     index : int, number of the frame; increasing
     time_s : float, capture time, on the clock of `time.monotonic()`
     frame : Frame, from the source, before the view
+    against_rest : Reconstruction, from which the memory learns; another than `result` only if a zero was set
     """
 
     image: NDArray[Any]
@@ -48,6 +52,12 @@ class StreamFrame:
     index: int
     time_s: float
     frame: Frame
+    against_rest: Reconstruction
+
+
+def untimed(_: str) -> AbstractContextManager[None]:
+    """A clock for those who need no times."""
+    return nullcontext()
 
 
 class Memory:
@@ -62,6 +72,7 @@ class Memory:
     Attributes
     ----------
     reconstruct : Reconstructor for the coming frames
+    zero : the result whose depth counts as 0, from `zero_from_results`; None: the gel at rest
     """
 
     def __init__(
@@ -72,6 +83,7 @@ class Memory:
         standing: Callable[[], tuple[Finding, ...]] = tuple,
     ) -> None:
         self.reconstruct = reconstruct
+        self.zero: Reconstruction | None = None
         self._examine: Callable[[Work], None] = lambda work: work()
         self._frozen, self._examination = Frozen(), Examination()
         self._examined: DriftEvidence | None = None
@@ -113,18 +125,29 @@ class Memory:
         self.learn(image, result)
         return result
 
-    def reconstructed(self, frame: Frame, timed: Timed) -> StreamFrame:
-        """The result of a frame, after `remembered`."""
+    def reconstructed(self, frame: Frame, timed: Timed = untimed, *, alone: bool = False) -> StreamFrame:
+        """The result of a frame, after `remembered`, against the zero.
+
+        Parameters
+        ----------
+        timed : times the stages
+        alone : whether to leave the sequence's findings, markers and smoothing out, as for a frame of a recording, whose
+            frames may come in any order
+        """
         with timed("view"):
             image = self.image_from_frame(frame)
         with timed("reconstruct"):
-            result = of_frame(self.result_from_image(image), frame)
+            found = result_from_image(self.reconstruct, image) if alone else self.result_from_image(image)
+            found = of_frame(found, frame)
         with timed("remember"):
-            return StreamFrame(image, self.remembered(image, result), frame.index, frame.time_s, frame)
+            found = found if alone else self.remembered(image, found)
+            relaxation_mm = self.reconstruct.calibration.settings.relaxation_mm
+            result = found if self.zero is None else against_zero(found, self.zero, relaxation_mm)
+        return StreamFrame(image, result, frame.index, frame.time_s, frame, found)
 
     def learn_from(self, given: StreamFrame) -> None:
         """Run `learn` on a result of `reconstructed`."""
-        self.learn(given.image, given.result)
+        self.learn(given.image, given.against_rest)
 
     def remembered(self, image: NDArray[Any], result: Reconstruction) -> Reconstruction:
         """The result with the findings and the smoothing of the sequence."""
@@ -156,6 +179,58 @@ class Memory:
     def _examine_evidence(self) -> None:
         if (evidence := self._examined) is not None:
             self._examined_findings = self._examination(evidence)
+
+
+def zero_from_results(results: Sequence[Reconstruction]) -> Reconstruction:
+    """A zero for depth: the mean of results. It is as uncertain as the last one, because most of its error is common."""
+    last = results[-1]
+    means = {
+        name: np.mean([getattr(one, name) for one in results], axis=0).astype(np.float32)
+        for name in ("depth", "gradients", "observed_gradients")
+        if getattr(last, name) is not None
+    }
+    return replace(last, known=np.all([one.known for one in results], axis=0), **means)
+
+
+def against_zero(
+    result: Reconstruction, zero: Reconstruction, relaxation_mm: float | None = None
+) -> Reconstruction:
+    """A result relative to another one of the same sensor: depth, slopes, their deviations and the contact.
+
+    Parameters
+    ----------
+    result, zero : both against the gel at rest
+    relaxation_mm : of the gel, as in `contact_from_depth`
+    """
+    depth, known = result.depth - zero.depth, result.known & zero.known
+    sigma = _both(result.depth_sigma_mm, zero.depth_sigma_mm)
+    pitch = 1.0 if result.mm_per_px is None else result.mm_per_px
+    contact = contact_from_depth(depth, mm_per_px=pitch, depth_sigma_mm=sigma, relaxation_mm=relaxation_mm)
+    observed = result.observed_gradients
+    if observed is not None and zero.observed_gradients is not None:
+        observed = observed - zero.observed_gradients
+    sources = result.difference_source, zero.difference_source
+    return replace(
+        result,
+        depth=depth,
+        depth_sigma_mm=sigma,
+        gradients=result.gradients - zero.gradients,
+        gradients_sigma=_both(result.gradients_sigma, zero.gradients_sigma),
+        observed_gradients=observed,
+        contact=contact & known,
+        known=known,
+        zero=ZERO_SET,
+        difference_source=None if None in sources else partial(_difference_sigma, *sources),
+    )
+
+
+def _both(one: NDArray[np.float32] | None, other: NDArray[np.float32] | None) -> NDArray[np.float32] | None:
+    """The standard deviation of a difference; None if one is unknown."""
+    return None if one is None or other is None else np.hypot(one, other)
+
+
+def _difference_sigma(one: Any, other: Any, region: NDArray[np.bool_]) -> NDArray[np.float32]:
+    return np.asarray(np.hypot(one(region), other(region)), dtype=np.float32)
 
 
 def of_frame(result: Reconstruction, frame: Frame) -> Reconstruction:

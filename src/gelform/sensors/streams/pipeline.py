@@ -17,6 +17,7 @@ from gelform.sensors.streams.feed import Feed
 from gelform.sensors.streams.memory import Timed, Work
 
 RECENT = 120  # frames over which rates and times are measured
+STALE_S = 1.0  # s without a result until the rate of a sensor is 0
 JOIN_S = 2.0  # s per thread at close; a thread that hangs in a device ends with the process
 
 Value = TypeVar("Value")
@@ -32,7 +33,8 @@ class StreamStats:
     reason : the reason as a sentence, if there is one
     results : number of reconstructed frames
     drops : number of frames missing between the first and the last result, wherever they were lost
-    rate_hz : results per second, over the last 120; 0 before the second one
+    skipped : number of frames among them that arrived, and were wanted, and that a newer one replaced
+    rate_hz : results per second, over the last 120; 0 before the second one, or if a sensor's last one is a second old
     age_s : time since the capture of the newest result's frame; infinite before the first one
     latency_ms : from capture to result, the median of the last 120; NaN before the first one
     stage_ms : name -> median time of a stage over its last 120 frames: `wait` (from capture to pick-up), `view`,
@@ -43,6 +45,7 @@ class StreamStats:
     reason: str
     results: int
     drops: int
+    skipped: int
     rate_hz: float
     age_s: float
     latency_ms: float
@@ -84,16 +87,19 @@ class Meter:
             self._given.append(now)
             self._latencies.append(now - captured_s)
 
-    def stats(self, state: str, reason: str) -> StreamStats:
-        """The figures so far."""
+    def stats(self, state: str, reason: str, skipped: int = 0, *, live: bool = False) -> StreamStats:
+        """The figures so far; `skipped` is the feed's, `live` says whether it is a sensor's."""
         with self._lock:
             span = self._given[-1] - self._given[0] if len(self._given) > 1 else 0.0
+            if span > 0 and live and time.monotonic() - self._given[-1] > STALE_S:
+                span = 0.0
             captured = self._last_captured
             return StreamStats(
                 state=state,
                 reason=reason,
                 results=self._results,
                 drops=self._drops,
+                skipped=skipped,
                 rate_hz=(len(self._given) - 1) / span if span > 0 else 0.0,
                 age_s=float("inf") if captured is None else time.monotonic() - captured,
                 latency_ms=1e3 * median(self._latencies) if self._latencies else float("nan"),
@@ -235,7 +241,7 @@ class Pipeline(Generic[Value]):
             state, reason = "failed", str(self.results.error)
         elif state == "ended" and not self.results.ended:
             state = "running"  # the last frames are still in work
-        return self.meter.stats(state, reason)
+        return self.meter.stats(state, reason, self.feed.skipped, live=not self.feed.every)
 
     def close(self) -> None:
         """Stop the threads and release the source; every wait has a limit."""

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.calibration.starters import Starter
+from gelform.calibration.starters import Starter, load_starter
 from gelform.calibration_file import Calibration
-from gelform.errors import CalibrationError, DataError, StaleError
+from gelform.errors import CalibrationError, DataError, GelformError, StaleError
 from gelform.image.background.average import background_from_frames
 from gelform.image.frame import Frame
 from gelform.image.view import View, image_from_frame
@@ -76,6 +76,41 @@ class UntouchedImage:
         return None
 
 
+def calibration_at_rest(
+    sensor: str, frames: Iterable[Frame], serial: str | None, before: Calibration | None
+) -> Calibration:
+    """The calibration of a unit from frames of its gel at rest.
+
+    Parameters
+    ----------
+    sensor : the starter's name
+    before : the calibration in use; a scale that the user gave to a starter's calibration is kept
+
+    Raises
+    ------
+    GelformError
+        Something moved, or the gel's light is not that of the make.
+    """
+    starter = load_starter(sensor)
+    untouched = UntouchedImage(starter)
+    for frame in frames:
+        untouched.keep(frame)
+    image = untouched.mean()
+    if image is None:
+        raise GelformError(untouched.reason)
+    # Whole gray levels, so that the background in a recording is exactly the image in use.
+    pitch = _own_pitch(starter, before)
+    return starter.for_unit(np.rint(image), view=untouched.view, mm_per_px=pitch, serial=serial)
+
+
+def _own_pitch(starter: Starter, before: Calibration | None) -> float | None:
+    """The scale of a starter's calibration of the same make, if it differs from the make's."""
+    record = None if before is None else before.settings.starter
+    if before is None or record is None or record["sensor"] != starter.sensor:
+        return None
+    return None if before.mm_per_px == starter.calibration.mm_per_px else before.mm_per_px
+
+
 class UntouchedFirst:
     """A feed that starts once the gel was at rest; of a recording every frame is then given.
 
@@ -101,6 +136,10 @@ class UntouchedFirst:
     @property
     def reason(self) -> str:
         return self._untouched.reason if self.state == "starting" else self._feed.reason
+
+    @property
+    def skipped(self) -> int:
+        return self._feed.skipped
 
     def next(self, after_index: int) -> Frame | None:
         """As the feed's; None while it waits for the gel at rest.

@@ -13,15 +13,20 @@ from numpy.typing import NDArray
 
 from gelform.calibration.coverage import Coverage, PressPlace, press_coverage, press_next
 from gelform.calibration.enough import NEEDED
-from gelform.calibration.presses.press_set import Press, Presses
+from gelform.calibration.guided.judge import Circle, Judge, Look
+from gelform.calibration.presses.press_set import Press, Presses, check_ball_diameter
+from gelform.calibration_file import Calibration
 from gelform.errors import GelformError
+from gelform.foundations.checks import check_sensor_pitch
 from gelform.image.background.average import background_from_frames
 from gelform.image.frame import Frame, pixels_digest
 from gelform.image.view import View, image_from_frame
-from gelform.live.guide.judge import Circle, Judge, Look
-from gelform.live.setup import BACKGROUND_FRAMES
+from gelform.sensors.profiles import profile_named
+from gelform.sensors.simulated.source import SimulatedSource
+from gelform.sensors.source import Source
 
 WANTED, LEAST = NEEDED.guided_well.presses, NEEDED.guided.presses
+BACKGROUND_FRAMES = 15  # frames at rest that are averaged
 LOOK_EVERY_S = 0.08  # s between analyzed frames; an analysis takes some 10 ms
 STILL_LOOKS = 3  # consecutive still frames until a press counts
 NEXT_PLACES = 3  # suggested places on the page: the next one, and those after it
@@ -46,6 +51,46 @@ class Asked:
     view: View = field(default_factory=View)
     sensor_name: str = "sensor"
     serial: str | None = None
+
+    @classmethod
+    def of(
+        cls,
+        source: Source,
+        frame_shape: tuple[int, int],
+        ball_diameter_mm: float,
+        *,
+        profile: str = "",
+        mm_per_px: float = 0.0,
+        begun: Calibration | None = None,
+    ) -> Asked:
+        """What is known of a source's sensor; the scale is the simulated sensor's, the profile's, or the given one.
+
+        Parameters
+        ----------
+        frame_shape : (H, W) of its frames
+        profile : name of a sensor; "": unknown
+        mm_per_px : for a sensor without a profile
+        begun : the calibration in use; if the profile's starter made it, its scale and view are taken
+
+        Raises
+        ------
+        GelformError
+            The ball or the scale is impossible, or the profile is unknown.
+        """
+        try:
+            diameter = check_ball_diameter(ball_diameter_mm)
+            if isinstance(source, SimulatedSource):
+                return cls(diameter, source.sensor.mm_per_px, None, View(), source.sensor.name, source.serial)
+            if begun is not None and begun.settings.starter and begun.settings.starter["sensor"] == profile:
+                known_scale = begun.known_mm_per_px, begun.mm_per_px_sigma, begun.view
+                return cls(diameter, *known_scale, begun.sensor_name, source.serial)
+            if profile:
+                known = profile_named(profile)
+                view = known.view(frame_shape)
+                return cls(diameter, known.mm_per_px, known.mm_per_px_sigma, view, known.name, source.serial)
+            return cls(diameter, check_sensor_pitch(mm_per_px), None, View(), source.name, source.serial)
+        except (ValueError, TypeError) as problem:
+            raise GelformError(str(problem)) from problem
 
 
 class Guide:

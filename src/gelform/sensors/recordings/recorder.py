@@ -1,4 +1,4 @@
-"""Recordings by the page: a station's frames between two clicks, and one file for sharing."""
+"""A recording in a thread of its own, and one file of a recording and its calibration, for sharing."""
 
 from __future__ import annotations
 
@@ -19,7 +19,6 @@ from gelform.errors import GelformError
 from gelform.foundations.npz_files import check_free
 from gelform.foundations.progress import Progress, no_progress
 from gelform.image.frame import Frame
-from gelform.live.setup import Setup
 from gelform.sensors.grabber import Grabber
 from gelform.sensors.recordings.indexed import Indexed
 from gelform.sensors.recordings.mcap_writer import McapRecording
@@ -43,7 +42,7 @@ class Recorder:
     ----------
     grabber : running; stays open for its other consumers
     folder : parent of the recording, which gets its own name
-    setup : its calibration and background are attached to the recording
+    calibration, background : in use, or None; they are attached to the recording
     wanted : called at each frame, and four times a second; the recording ends when it returns False
     on_ended : called in the recording's thread once the recording is finished, for whatever reason
     max_bytes : size of the pictures at which the recording ends
@@ -59,8 +58,9 @@ class Recorder:
         self,
         grabber: Grabber,
         folder: Path,
-        setup: Setup,
         *,
+        calibration: Calibration | None = None,
+        background: NDArray[np.float32] | None = None,
         wanted: Callable[[], bool] = lambda: True,
         on_ended: Callable[[Recorder], None] = lambda _: None,
         max_bytes: int = MAX_BYTES,
@@ -71,8 +71,8 @@ class Recorder:
         self._grabber = grabber
         self._wanted, self._on_ended, self._max_bytes = wanted, on_ended, max_bytes
         self._stop = threading.Event()
-        calibration, digest = setup.calibration, _digest_of(setup.calibration)
-        attached = attachments_of(calibration, setup.background)
+        attached = attachments_of(calibration, background)
+        digest = _digest_of(calibration)
         self._recording = new_recording(self.path, grabber, calibration_digest=digest, attached=attached)
         self._thread = threading.Thread(target=self._run, name="record", daemon=True)
 
@@ -109,20 +109,20 @@ class Recorder:
 
 def share(
     recording: Indexed,
-    path: Path,
+    folder: Path,
     *,
     calibration: Calibration | None,
     background: NDArray[np.float32] | None = None,
     progress: Progress = no_progress,
 ) -> Path:
-    """Write an MCAP file of a recording, with its calibration attached.
+    """Write a new MCAP file of a recording, with its calibration attached; return its path.
 
     Frames are kept as the camera compressed them, or as lossless PNG. `gelform live FILE` shows the same on any machine.
 
     Parameters
     ----------
     recording : any
-    path : a new file, *.mcap
+    folder : of the file, which is named by the time
     calibration : in use
     background : (H, W, 3) taken on the page, or None: the calibration's own
 
@@ -132,6 +132,7 @@ def share(
         The file exists or cannot be written, a frame is damaged, or the extra `mcap` is missing.
     """
     facts = replace(recording.facts, calibration_digest=_digest_of(calibration), library_version=__version__)
+    path = folder / f"{named_by_time('shared')}.mcap"
     check_free(path, overwrite=False)
     now_ns, attached = time.time_ns(), attachments_of(calibration, background)
     unfinished = path.with_name(f".{path.name}.part")  # not listed: half a recording is not offered

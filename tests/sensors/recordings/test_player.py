@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from gelform.errors import DataError, GelformError
-from gelform.live.player import Player
 from gelform.sensors.recordings.indexed import indexed
+from gelform.sensors.recordings.player import Player
 from live_waiting import until
 
 

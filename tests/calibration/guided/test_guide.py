@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from gelform.calibration.guided import guide as module
+from gelform.calibration.guided.guide import BACKGROUND_FRAMES, LEAST, NEXT_PLACES, STILL_LOOKS, Asked, Guide
 from gelform.errors import GelformError
 from gelform.image.frame import Frame
-from gelform.live.guide import guide as module
-from gelform.live.guide.guide import BACKGROUND_FRAMES, LEAST, NEXT_PLACES, STILL_LOOKS, Asked, Guide
 from gelform.simulate import simulate_background
 
 

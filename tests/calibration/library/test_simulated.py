@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from gelform.calibration.library import simulated as ready
+from gelform.calibration.library.simulated import kept_path, ready_calibration
 from gelform.calibration.presses.press_set import presses_from_simulated
-from gelform.live.simulated import ready
-from gelform.live.simulated.ready import kept_path, ready_calibration
 from gelform.reconstruct import Reconstructor
 from gelform.sensors.simulated.settings import simulated_sensor_named
 from gelform.simulate import Ball, simulate_press

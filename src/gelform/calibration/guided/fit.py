@@ -1,0 +1,100 @@
+"""The calibration of guided presses, and its files: presses, calibration, report, and a copy in the library."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gelform.calibration.coverage import Coverage
+from gelform.calibration.fit import calibrate
+from gelform.calibration.library.library import add_calibration
+from gelform.calibration.presses.press_set import Presses
+from gelform.calibration.report.content import report_content, report_coverage
+from gelform.calibration.report.page import report_page
+from gelform.calibration_file import Calibration
+from gelform.errors import GelformError
+from gelform.exchange.exporters.press_folder import save_press_folder
+from gelform.foundations.npz_files import written_file
+from gelform.foundations.progress import Progress, no_progress
+
+
+@dataclass(frozen=True, eq=False)
+class GuidedCalibration:
+    """A calibration of guided presses.
+
+    Attributes
+    ----------
+    calibration : Calibration
+    folder : has the presses, calibration.npz and report.html
+    path : of the calibration: in the library, else in the folder
+    kept : whether the library has it, as a sentence
+    report : the figures that the live page shows; the full report is a file
+    covered : the coverage of the presses that it was fitted on
+    """
+
+    calibration: Calibration
+    folder: Path
+    path: Path
+    kept: str
+    report: dict[str, Any]
+    covered: Coverage
+
+
+def calibrate_guided(
+    presses: Presses, folder: Path, *, progress: Progress = no_progress
+) -> GuidedCalibration:
+    """Calibrate on presses, write them with the calibration and its report to a new folder, and add it to the library.
+
+    Raises
+    ------
+    GelformError
+        The presses do not fit, or the folder cannot be written. A library that cannot be written is only said.
+    """
+    calibration = calibrate(presses, progress=progress)
+    content = report_content(presses, calibration, rng=np.random.default_rng(0))
+    save_press_folder(
+        folder,
+        background=presses.background,
+        images=[press.image for press in presses.presses],
+        ball_diameters_mm=[press.ball_diameter_mm for press in presses.presses],
+        mm_per_px=presses.mm_per_px,
+        name=presses.sensor_name,
+        serial=presses.serial or "",
+    )
+    calibration.save(folder / "calibration.npz")
+    with written_file(folder / "report.html") as handle:
+        handle.write(report_page(content, presses, calibration).encode())
+    path, kept = _kept(calibration, folder)
+    covered = report_coverage(calibration.report, calibration.image_shape, calibration.known_mm_per_px)
+    return GuidedCalibration(
+        calibration, folder, path, kept, _report_facts(calibration, content, folder.name), covered
+    )
+
+
+def _kept(calibration: Calibration, folder: Path) -> tuple[Path, str]:
+    """Add the calibration to the library; if that fails, it still is in the folder."""
+    try:
+        path, _ = add_calibration(calibration)
+    except GelformError as problem:
+        return folder / "calibration.npz", f"The library does not have it: {problem} Name it with -c."
+    return path, "The library has it too, so this sensor uses it from now on."
+
+
+def _report_facts(calibration: Calibration, content: dict[str, Any], name: str) -> dict[str, Any]:
+    verdict = content["verdict"]
+    shown = ("label", "unit", "value", "level")
+    return {
+        "folder": name,
+        "level": verdict["level"],
+        "headline": verdict["headline"],
+        "next": verdict["next"],
+        "checks": [{key: check[key] for key in shown} for check in content["checks"]],
+        "model": calibration.color_model.name,
+        "accepted": sum(row.accepted for row in calibration.report.presses),
+        "rejected": [
+            [row.name, row.reason] for row in calibration.report.presses if row.reason and not row.repeats
+        ],
+    }

@@ -1,1 +1,0 @@
-"""The live page without hardware: a simulated sensor that objects touch, and its calibration."""

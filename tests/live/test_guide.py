@@ -1,0 +1,48 @@
+"""From the first frame to a calibration in use: the simulated sensor is pressed at the suggested places."""
+
+import pytest
+
+from gelform.errors import GelformError
+from gelform.live import actions
+from live_waiting import until
+
+
+def test_a_press_is_made_where_the_guide_asks_and_counts(hub, tmp_path):
+    hub.folder = tmp_path
+    actions.guide_start(hub, 0, 5.0, "", 0.0)
+    guide = hub.guides[0].guide
+    until(lambda: guide.target, 30)
+    x, y = guide.target.x_px, guide.target.y_px
+    until(lambda: guide.count >= 1, 30)
+    assert guide.facts()["accepted"][0][:2] == pytest.approx((x, y), abs=4)
+    hub.end_guide(0)
+    assert not hub.guides
+    assert not hub.stations[0].taps
+
+
+def test_what_was_fitted_is_reported_and_used(hub, tmp_path, library, presses, calibration, monkeypatch):
+    hub.folder = tmp_path
+    actions.guide_start(hub, 0, 5.0, "", 0.0)
+    session = hub.guides[0]
+    with pytest.raises(GelformError, match="no calibration to use"):
+        actions.guide_use(hub, 0)
+    monkeypatch.setattr(session.guide, "presses", lambda: presses)
+    monkeypatch.setattr("gelform.calibration.guided.fit.calibrate", lambda *_, **__: calibration)
+    session.fit(lambda *_: None)
+    assert session.guide.step == "report"
+    assert session.guide.facts()["report"]["folder"] == session.made.folder.name
+    actions.guide_use(hub, 0)
+    assert hub.stations[0].setup.calibration.digest == calibration.digest
+    (kept,) = library.iterdir()
+    assert hub.stations[0].setup.name == kept.name
+    assert "The library has it too" in hub.notices[-1][2]
+
+
+def test_a_fit_that_does_not_succeed_asks_for_more(hub, tmp_path):
+    hub.folder = tmp_path
+    actions.guide_start(hub, 0, 5.0, "", 0.0)
+    session = hub.guides[0]
+    with pytest.raises(GelformError):
+        session.fit(lambda *_: None)
+    assert session.guide.step == "background"
+    until(lambda: session.guide.step == "press", 30)
