@@ -144,7 +144,7 @@ def check_viewed_image(
     try:
         return check_image(image, shape=shape, name=name)
     except ValueError as problem:
-        got = np.shape(image)[:2]
+        got = getattr(image, "shape", ())[:2]
         if got == shape[::-1] != shape:
             check_upright(orientation_from_image(check_image(image, name=name), background))
         if got != frame_shape or frame_shape == shape:
