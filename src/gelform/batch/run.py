@@ -141,12 +141,14 @@ def run_batch(
         begin(output, manifest, overwrite=options.overwrite)
         summary = BatchSummary(parts=len(parts), table=TABLES[table], warnings=listing.warnings)
         todo = list(_not_done(output, parts, summary, options.retry_errors))
+        if todo:  # what an earlier run made of all parts will be out of date
+            record_path(output, None).unlink(missing_ok=True)
         if alone:
             _clean(output, todo, settings.form)
         job = Job(calibration, untouched, output, settings, backgrounds.by_sequence)
         _do(job, todo, engine, options.max_errors, summary, progress)
         if not summary.stopped and all(record_path(output, part.number).exists() for part in plan):
-            finish(output, manifest, table, listing.root, again=bool(todo))
+            finish(output, manifest, table, listing.root)
             summary.complete = True
     return summary
 
