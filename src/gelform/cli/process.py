@@ -156,6 +156,8 @@ def only_writer(path: Path) -> Iterator[None]:
     """
     from filelock import FileLock, Timeout  # takes a tenth of a second, and most commands lock nothing
 
+    if not path.parent.is_dir():  # the lock would make it
+        raise DataError(f"Cannot write into {path.parent}: there is no such folder.")
     lock = path.with_name(f".{path.name}.lock")
     with ExitStack() as held:
         try:
