@@ -12,11 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from gelform import __version__
-from gelform.batch.inputs.listing import Listing
 from gelform.batch.outputs.files import FRAMES, PARTS
 from gelform.batch.outputs.hdf5_files import INDEX
 from gelform.batch.records import TABLES
-from gelform.batch.settings import BatchSettings
 from gelform.errors import DataError
 from gelform.foundations.npz_files import written_file
 
@@ -50,20 +48,6 @@ class Manifest:
     parts: int
     images: int
     gelform_version: str = __version__
-
-    @classmethod
-    def of(
-        cls,
-        settings: BatchSettings,
-        calibration_digest: str,
-        background_digest: str,
-        listing: Listing,
-        parts: int,
-    ) -> Manifest:
-        """The manifest of a new run."""
-        images = sum(len(sequence.images) for sequence in listing.sequences)
-        digests = calibration_digest, background_digest, listing.digest
-        return cls(settings.facts(), *digests, parts, images)
 
     def write(self, output: Path) -> None:
         """Write the manifest into the output folder."""

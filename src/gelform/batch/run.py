@@ -135,7 +135,9 @@ def run_batch(
     parts = shard_of(plan, options.shard)
     untouched, digest = backgrounds.read([sequence.name for sequence in listing.sequences], calibration)
     _check_size(plan, calibration)
-    manifest = Manifest.of(settings, calibration.digest, digest, listing, len(plan))
+    images = sum(len(sequence.images) for sequence in listing.sequences)
+    digests = calibration.digest, digest, listing.digest
+    manifest = Manifest(settings.facts(), *digests, parts=len(plan), images=images)
     _made(output)
     with only_run(output, options.shard) as alone:
         begin(output, manifest, overwrite=options.overwrite)
