@@ -1,6 +1,6 @@
-"""Data sets: frames per second, cost of a frame, memory, kills, corrupt inputs, full disks, a million entries, lossy video.
+"""Data sets: frames per second, kills, corrupt inputs, a million entries, lossy video.
 
-    python benchmarks/batch.py                    # all, into results/batch.json: about 45 minutes on 2 cores
+    python benchmarks/batch.py                    # all, into results/batch.json: about 40 minutes on 2 cores
     python benchmarks/batch.py rates              # one part; --help names them all
     python benchmarks/batch.py --quick            # small sizes, writes nothing: about 4 minutes
 
@@ -19,29 +19,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from batch.disk import disk
 from batch.faults import corrupt, kills, lossy
-from batch.rates import DIFFERENT, SETTINGS, make_input, rate, rates
-from batch.stages import stages_of_a_frame
+from batch.rates import DIFFERENT, make_input, rates
 from gelform.batch.inputs.listing import listing_of
 from gelform.batch.inputs.plan import plan_of
 from gelform.batch.records import COLUMNS, PartRecord, write_record
 from gelform.batch.run import BatchSummary, _not_done
 from report import command_line, parts_asked, recorded, write
-
-
-def stages(folder: Path, quick: bool) -> dict[str, Any]:
-    """Processor time of a worker's frame, compared with the bare loop's."""
-    make_input(folder, 1000)
-    return stages_of_a_frame(folder, SETTINGS, quick)
-
-
-def memory(folder: Path, quick: bool) -> dict[str, Any]:
-    """Memory of a worker, for a tenth of the data set and for all of it."""
-    make_input(folder, 4000 if quick else 20_000)
-    name = "dct, depth only, Zarr uint16"
-    some, every = (rate(folder, source, name)["worker_mb"] for source in (folder / "in/0000", folder / "in"))
-    return {"settings": name, "worker_mb_of_2000": some, "worker_mb_of_all": every, "reach_mb": 600}
 
 
 def scan(folder: Path, quick: bool) -> dict[str, Any]:
@@ -94,13 +78,10 @@ def parts(quick: bool) -> dict[str, Callable[[Path], dict[str, Any]]]:
     """Name -> function that measures in a temporary folder."""
     return {
         "rates": lambda folder: rates(folder, quick),
-        "stages": lambda folder: stages(folder, quick),
-        "memory": lambda folder: memory(folder, quick),
         "scan": lambda folder: scan(folder, quick),
         "kills": with_input(kills, 400, 20, quick),
         "kills_ray": with_input(partial(kills, engine="ray"), 400, 20, quick),
         "corrupt": with_input(corrupt, 2000, 1, quick),
-        "disk": with_input(disk, 80, 1, quick),
         "lossy": with_input(lossy, DIFFERENT, 1, False),
     }
 

@@ -1,9 +1,8 @@
-"""Interfaces to robots: bags, zenoh, the Taxim export, PyTorch, LeRobot; their accuracy and speed.
+"""Interfaces to robots: bags, zenoh, LeRobot; their accuracy and speed.
 
     python benchmarks/robots.py                                    # writes results/robots.json; about 4 minutes
-        --torch PYTHON      a Python with torch for that part, if this one has none
         --lerobot PYTHON    a Python 3.12 with LeRobot and the camera, as integrations/lerobot_camera_gelform/test.sh makes
-    python benchmarks/robots.py --quick                            # fewer frames, simulated presses, writes nothing
+    python benchmarks/robots.py --quick                            # fewer frames, writes nothing
 
 Parts without their packages are left out and named; their earlier figures are kept, with their own date.
 """
@@ -13,7 +12,6 @@ from __future__ import annotations
 import argparse
 import json
 import subprocess
-import sys
 from collections.abc import Callable
 from datetime import datetime, timezone
 from importlib.util import find_spec
@@ -21,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from report import recorded, table, write
-from robots import bag, taxim, torch_module, zenoh_link
+from robots import bag, zenoh_link
 
 ROOT = Path(__file__).parents[1]
 LEROBOT = ROOT / "integrations" / "lerobot_camera_gelform" / "record.py"
@@ -46,10 +44,6 @@ def lerobot_rows(figures: dict[str, Any]) -> list[tuple[str, Any, Any]]:
 def main() -> None:
     """Measure the available parts, print the table, write the figures."""
     given = _arguments()
-    if given.alone_torch:
-        print(json.dumps(torch_module.measure(given.quick)))
-        return
-    quick = ["--quick"] if given.quick else []
     parts: dict[str, tuple[str | None, Callable[[], Any], Callable[[Any], Any]]] = {
         "bag": (
             _missing("rosbags", "mcap_ros2"),
@@ -57,12 +51,6 @@ def main() -> None:
             bag.rows,
         ),
         "zenoh": (_missing("zenoh", "rosbags"), lambda: zenoh_link.measure(given.quick), zenoh_link.rows),
-        "taxim": (None, lambda: taxim.measure(given.quick), taxim.rows),
-        "torch": (
-            None if given.torch else _missing("torch"),
-            lambda: _in(given.torch or sys.executable, Path(__file__), "--alone-torch", *quick),
-            torch_module.rows,
-        ),
         "lerobot": (
             None if given.lerobot else "give --lerobot PYTHON",
             lambda: _in(given.lerobot, LEROBOT),
@@ -85,8 +73,6 @@ def main() -> None:
 def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--quick", action="store_true")
-    parser.add_argument("--torch", metavar="PYTHON")
-    parser.add_argument("--alone-torch", action="store_true", help="the part of torch alone, as JSON")
     parser.add_argument("--lerobot", metavar="PYTHON")
     return parser.parse_args()
 
@@ -96,9 +82,9 @@ def _missing(*modules: str) -> str | None:
     return f"{', '.join(absent)} is not installed" if absent else None
 
 
-def _in(python: str, script: Path, *options: str) -> dict[str, Any]:
+def _in(python: str, script: Path) -> dict[str, Any]:
     """The JSON in the last line that a script prints in another environment."""
-    ran = subprocess.run([python, str(script), *options], stdout=subprocess.PIPE, text=True, check=True)
+    ran = subprocess.run([python, str(script)], stdout=subprocess.PIPE, text=True, check=True)
     last: dict[str, Any] = json.loads(ran.stdout.splitlines()[-1])
     return last
 

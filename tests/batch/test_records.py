@@ -6,14 +6,15 @@ The table and the contact sheet at the end show all of them.
 import csv
 import dataclasses
 import json
+import os
 from contextlib import nullcontext
 
 import cv2
 import numpy as np
 import pytest
 
-from gelform.batch import KEPT, run_batch
-from gelform.batch.finish import LABEL_PX, TILE_PX, finish, problems_of_finish, write_sheet
+from gelform.batch import KEPT, run_batch, verify_output
+from gelform.batch.finish import LABEL_PX, TILE_PX, sheet_bytes
 from gelform.batch.manifest import Manifest, begin, only_run, read_manifest
 from gelform.batch.outputs.files import OutputFile
 from gelform.batch.records import (
@@ -24,8 +25,6 @@ from gelform.batch.records import (
     read_record,
     record_path,
     table_form,
-    table_is_whole,
-    tables_there,
     write_record,
     write_table,
 )
@@ -119,8 +118,8 @@ def test_a_manifest_that_cannot_be_read_says_what_to_do(output):
             begin(output, THERE, overwrite=False)
 
 
-def test_who_may_run_together(tmp_path):
-    pytest.importorskip("fcntl")
+def test_who_may_run_together(tmp_path, monkeypatch):
+    monkeypatch.setattr("gelform.batch.manifest.WAIT_S", 0.05)
     whole = (1, 1)
     for first, second, together in (
         (whole, whole, False),
@@ -203,19 +202,6 @@ def test_parquet(recorded):
     assert (second["deepest_mm"], second["frame"], second["error"]) == (None, "\\udcff", "it is empty, so")
 
 
-@pytest.mark.parametrize("form", ["csv", "parquet"])
-def test_a_table_that_says_something_else_is_found(recorded, form):
-    if form == "parquet":
-        pytest.importorskip("pyarrow", reason="the extra data is not installed")
-    write_table(recorded, PARTS, form)
-    assert tables_there(recorded) == [form]
-    assert table_is_whole(recorded, PARTS, form)
-    assert not table_is_whole(recorded, PARTS - 1, form)
-    path = recorded / f"frames.{form}"
-    path.write_bytes(path.read_bytes()[:-9])
-    assert not table_is_whole(recorded, PARTS, form)
-
-
 def test_which_is_written(monkeypatch):
     monkeypatch.setattr("gelform.batch.records.find_spec", lambda name: None)
     assert table_form() == "csv"
@@ -230,16 +216,44 @@ def test_which_is_written(monkeypatch):
 def test_what_went_is_written_again(tree, cal, tmp_path):
     out = tmp_path / "out"
     run_batch(tree, cal, out, table="csv")
-    manifest = read_manifest(out)
-    assert problems_of_finish(out, manifest) == []
-    for path in (out / "frames.csv", out / "sheet.png"):
+    for path in (out / "frames.csv", out / "sheet.png", record_path(out, None)):
         whole = path.read_bytes()
-        path.write_bytes(whole[:-1])
-        assert problems_of_finish(out, manifest) == [path]
         path.unlink()
-        assert problems_of_finish(out, manifest) == [path]
-        finish(out, manifest, "csv", tree, again=False)
+        assert [problem.path for problem in verify_output(out)[2]] == [path]
+        assert run_batch(tree, cal, out, table="csv").complete
         assert path.read_bytes() == whole
+
+
+def test_a_second_form_of_the_table_leaves_the_first(tree, cal, tmp_path):
+    pytest.importorskip("pyarrow", reason="the extra data is not installed")
+    for form in ("csv", "parquet"):
+        run_batch(tree, cal, tmp_path / "out", table=form)
+    assert (tmp_path / "out/frames.csv").exists()
+    assert verify_output(tmp_path / "out") == (8, 0, [])
+    (tmp_path / "out/frames/frame1.npz").unlink()
+    run_batch(tree, cal, tmp_path / "out", table="parquet")  # the CSV would say what was
+    assert not (tmp_path / "out/frames.csv").exists()
+    assert verify_output(tmp_path / "out") == (8, 0, [])
+
+
+def test_a_run_that_ended_before_its_table_leaves_none_of_the_parts_before(tree, cal, images, tmp_path):
+    out = tmp_path / "out"
+    run_batch(tree, cal, out, table="csv")
+    before = (out / "frames.csv").read_bytes()
+    os.utime(tree / "frame1.png", (1, 1))
+    save(tree / "frame1.png", np.ascontiguousarray(images[3]))
+
+    def ends(summary):
+        if summary.parts_done == summary.parts:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_batch(tree, cal, out, table="csv", progress=ends)
+    (problem,) = verify_output(out)[2]
+    assert problem.path == record_path(out, None)
+    assert run_batch(tree, cal, out, table="csv").frames == 0
+    assert (out / "frames.csv").read_bytes() != before
+    assert verify_output(out) == (8, 0, [])
 
 
 def test_where_the_touch_is_it_is_bright(tree, cal, tmp_path):
@@ -250,8 +264,7 @@ def test_where_the_touch_is_it_is_bright(tree, cal, tmp_path):
     tile = sheet[:height, :TILE_PX].sum(axis=2)
     assert tile[height * 30 // 64, TILE_PX // 2] > 2 * tile[5, 5]
     before = (tmp_path / "out/sheet.png").read_bytes()
-    write_sheet(tmp_path / "out", read_manifest(tmp_path / "out"))
-    assert (tmp_path / "out/sheet.png").read_bytes() == before
+    assert sheet_bytes(tmp_path / "out", read_manifest(tmp_path / "out")) == before
 
 
 def test_no_sheet_where_no_depth_was_kept_and_unknown_pixels_are_dark(tree, cal, tmp_path, monkeypatch):
@@ -260,8 +273,8 @@ def test_no_sheet_where_no_depth_was_kept_and_unknown_pixels_are_dark(tree, cal,
     depth = np.full((64, 80), np.nan, np.float32)
     row = {"sequence": "ä", "frame": "0", "deepest_mm": 0.0, "health": ""}
     monkeypatch.setattr("gelform.batch.finish._chosen", lambda *_: [(depth, row)])
-    write_sheet(tmp_path, None)
-    assert cv2.imread(str(tmp_path / "sheet.png"))[:100, :TILE_PX].max() < 90
+    sheet = cv2.imdecode(np.frombuffer(sheet_bytes(tmp_path, None), np.uint8), cv2.IMREAD_COLOR)
+    assert sheet[:100, :TILE_PX].max() < 90
 
 
 def test_a_frame_of_which_nothing_is_known_has_no_figures(tree, cal, tmp_path, monkeypatch):
@@ -279,6 +292,6 @@ def test_a_frame_of_which_nothing_is_known_has_no_figures(tree, cal, tmp_path, m
     assert float(second["deepest_mm"]) > 0.1
     texts = []
     monkeypatch.setattr(cv2, "putText", lambda *arguments: texts.append(arguments[1]))
-    write_sheet(tmp_path / "out", read_manifest(tmp_path / "out"))
+    sheet_bytes(tmp_path / "out", read_manifest(tmp_path / "out"))
     assert len([text for text in texts if text.startswith("unknown")]) == 1
     assert not [text for text in texts if text.startswith("0.000")]

@@ -197,7 +197,7 @@ def _levels(seen: Any) -> NDArray[np.uint16]:
 def _calibration(config: GelformCameraConfig) -> gelform.Calibration:
     if config.calibration:
         return gelform.load_calibration(config.calibration)
-    from gelform.live.simulated.ready import ready_calibration
+    from gelform.calibration.library.simulated import ready_calibration
     from gelform.sensors.simulated.settings import simulated_sensor_named
     from gelform.sensors.source import DEFAULT_SENSOR
 

@@ -10,9 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.batch.manifest import Manifest
+from gelform.batch.outputs.files import output_file, write_output
 from gelform.batch.outputs.writers import WRITERS, depth_of_row
-from gelform.batch.records import TABLES, files_of, read_record, table_is_whole, tables_there, write_table
-from gelform.foundations.npz_files import written_file
+from gelform.batch.records import (
+    TABLES,
+    PartRecord,
+    files_of,
+    outputs_there,
+    read_record,
+    write_record,
+    write_table,
+)
 from gelform.foundations.pictures import picture_bytes
 
 SHEET = "sheet.png"
@@ -20,37 +28,23 @@ COLUMNS, ROWS, TILE_PX, LABEL_PX = 6, 4, 200, 34  # of the contact sheet: tiles 
 LEAST_RANGE_MM = 0.1  # mm, smallest range of a tile's colors, so that a gel at rest stays dark
 
 
-def finish(output: Path, manifest: Manifest, table: str, source: Path, *, again: bool) -> None:
-    """Write the missing files, and a table in that form; all of them if this run did parts (`again`)."""
-    last, parts = WRITERS[manifest.settings["form"]].finish, manifest.parts
-    if again or last.missing(output):
-        last.write(output, files_of(output, parts), source)
-    if again or not (output / TABLES[table]).exists():
-        write_table(output, parts, table)
-    if again or not (output / SHEET).exists():
-        write_sheet(output, manifest)
-
-
-def problems_of_finish(output: Path, manifest: Manifest) -> list[Path]:
-    """Files that are missing, or disagree with the records of the parts."""
-    parts = manifest.parts
-    wrong = WRITERS[manifest.settings["form"]].finish.wrong(output, files_of(output, parts))
-    tables = tables_there(output)
-    bad = [output / TABLES[one] for one in tables if not table_is_whole(output, parts, one)]
-    if not tables:
-        bad.append(output / TABLES["csv"])
-    sheet = output / SHEET
-    if (sheet.read_bytes() if sheet.is_file() else b"") != sheet_bytes(output, manifest):
-        bad.append(sheet)
-    return [path for path in (wrong, *bad) if path is not None]
-
-
-def write_sheet(output: Path, manifest: Manifest) -> None:
-    """Write `sheet.png`; nothing if depth was not kept."""
-    content = sheet_bytes(output, manifest)
-    if content:
-        with written_file(output / SHEET, overwrite=True) as file:
-            file.write(content)
+def finish(output: Path, manifest: Manifest, table: str, source: Path) -> None:
+    """Write the files and their record, unless they are there; of the table, the form that was asked for."""
+    done = read_record(output, None)
+    if done is None or not outputs_there(output, done):
+        for name in TABLES.values():  # of an earlier state of the parts
+            (output / name).unlink(missing_ok=True)
+        files = WRITERS[manifest.settings["form"]].finish(output, files_of(output, manifest.parts), source)
+        sheet = sheet_bytes(output, manifest)
+        if sheet:
+            files.append(write_output(output, output / SHEET, sheet))
+    else:
+        files = list(done.files)
+    name = TABLES[table]
+    if name not in {file.path for file in files}:
+        write_table(output, manifest.parts, table)
+        files.append(output_file(output, output / name))
+        write_record(output, None, PartRecord("", (), tuple(files)))
 
 
 def sheet_bytes(output: Path, manifest: Manifest) -> bytes:

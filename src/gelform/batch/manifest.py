@@ -9,19 +9,17 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 from gelform import __version__
-from gelform.batch.inputs.listing import Listing
 from gelform.batch.outputs.files import FRAMES, PARTS
 from gelform.batch.outputs.hdf5_files import INDEX
 from gelform.batch.records import TABLES
-from gelform.batch.settings import BatchSettings
 from gelform.errors import DataError
 from gelform.foundations.npz_files import written_file
 
 NAME, KIND, FORMAT_VERSION = "manifest.json", "gelform batch", 1
-LOCK = ".gelform-batch.lock"
+LOCK, WAIT_S = ".gelform-batch.lock", 5.0
 _IN_WORDS = {
     "gelform_version": "the version of gelform",
     "calibration_digest": "the calibration",
@@ -50,20 +48,6 @@ class Manifest:
     parts: int
     images: int
     gelform_version: str = __version__
-
-    @classmethod
-    def of(
-        cls,
-        settings: BatchSettings,
-        calibration_digest: str,
-        background_digest: str,
-        listing: Listing,
-        parts: int,
-    ) -> Manifest:
-        """The manifest of a new run."""
-        images = sum(len(sequence.images) for sequence in listing.sequences)
-        digests = calibration_digest, background_digest, listing.digest
-        return cls(settings.facts(), *digests, parts, images)
 
     def write(self, output: Path) -> None:
         """Write the manifest into the output folder."""
@@ -145,45 +129,26 @@ def _text(value: Any) -> str:
 def only_run(output: Path, shard: tuple[int, int] = (1, 1)) -> Iterator[bool]:
     """Lock an output folder during a run; yields whether no other run writes to it. DataError if the lock is taken.
 
-    A run of all parts locks the folder alone; shards share it, each with its own number. The system releases the lock
-    however the process ends.
+    A run of all parts holds the folder's lock, and a shard its own; each looks at the other's as it begins. The system
+    releases a lock however the process ends.
     """
-    try:
-        import fcntl
-    except ImportError:  # Windows: each file is still replaced in one step
-        yield True
-        return
-    alone = shard[1] == 1
+    from filelock import FileLock, Timeout  # takes a tenth of a second, and most commands lock nothing
+
+    alone, whole = shard[1] == 1, output / LOCK
+    own = whole if alone else output / f"{LOCK}-{shard[0]}-of-{shard[1]}"
     with ExitStack() as held:
-        whole = _opened(output / LOCK, held)
-        _take(
-            whole,
-            fcntl.LOCK_EX if alone else fcntl.LOCK_SH,
-            f"Another run of gelform batch writes to {output}",
-        )
-        if not alone:
-            own = _opened(output / f"{LOCK}-{shard[0]}-of-{shard[1]}", held)
-            _take(own, fcntl.LOCK_EX, f"Shard {shard[0]}/{shard[1]} of {output} is running")
+        try:
+            held.enter_context(FileLock(own, timeout=0))
+            for other in output.glob(f"{LOCK}-*") if alone else (whole,):
+                # Other shards look at the folder's lock too, for a moment.
+                with FileLock(other, timeout=0 if alone else WAIT_S):
+                    pass
+        except Timeout as problem:
+            raise DataError(
+                f"Another run of gelform batch writes to {output} now. Wait for it, or give another output folder."
+            ) from problem
+        except (OSError, NotImplementedError) as problem:
+            raise DataError(
+                f"Cannot lock {own}: {problem}. Give an output folder that can be written to, on a file system with locks."
+            ) from problem
         yield alone
-
-
-def _opened(path: Path, held: ExitStack) -> IO[str]:
-    try:
-        return held.enter_context(path.open("w"))
-    except OSError as problem:
-        raise DataError(
-            f"Cannot write into {path.parent}: {problem.strerror}. Give another output."
-        ) from problem
-
-
-def _take(handle: IO[str], kind: int, said: str) -> None:
-    import fcntl
-
-    try:
-        fcntl.flock(handle, kind | fcntl.LOCK_NB)
-    except BlockingIOError as problem:
-        raise DataError(f"{said} now. Wait for it, or give another output folder.") from problem
-    except OSError as problem:  # file system without locks
-        raise DataError(
-            f"Cannot lock {handle.name}: {problem.strerror}. Give an output folder on a file system with locks."
-        ) from problem

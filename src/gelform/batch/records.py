@@ -13,7 +13,6 @@ import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
-from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -44,7 +43,7 @@ PARTS_IN_A_GROUP = 100  # parts per row group of Parquet, which is in memory at 
 
 @dataclass(frozen=True)
 class PartRecord:
-    """A finished part.
+    """A finished part, or the end of a batch, which has files and no rows.
 
     Attributes
     ----------
@@ -69,12 +68,14 @@ class PartRecord:
         return sum(bool(row["error"]) for row in self.rows)
 
 
-def record_path(output: Path, number: int) -> Path:
-    """The path of a part's record."""
+def record_path(output: Path, number: int | None) -> Path:
+    """The path of a part's record; None: of the record of the files that are written once all parts are done."""
+    if number is None:
+        return output / PARTS / "finished.json"
     return output / PARTS / f"{number // PARTS_IN_A_FOLDER:05d}" / f"{number:08d}.json"
 
 
-def write_record(output: Path, number: int, record: PartRecord) -> None:
+def write_record(output: Path, number: int | None, record: PartRecord) -> None:
     """Write a part's record, one line with its digest and one of JSON; this marks the part as done."""
     path = record_path(output, number)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -88,7 +89,7 @@ def write_record(output: Path, number: int, record: PartRecord) -> None:
         file.write(_digest(line) + b"\n" + line)
 
 
-def read_record(output: Path, number: int) -> PartRecord | None:
+def read_record(output: Path, number: int | None) -> PartRecord | None:
     """The record of a part; None if the part is not done. DataError if the record is damaged."""
     path = record_path(output, number)
     try:
@@ -160,37 +161,6 @@ def write_table(output: Path, parts: int, form: str) -> None:
         with parquet.ParquetWriter(file, _schema()) as writer:
             for group in _groups(output, parts):
                 writer.write_table(group)
-
-
-def table_is_whole(output: Path, parts: int, form: str) -> bool:
-    """Whether the existing table agrees with the records."""
-    try:
-        return _csv_is_whole(output, parts) if form == "csv" else _parquet_is_whole(output, parts)
-    except OSError:
-        return False
-
-
-def tables_there(output: Path) -> list[str]:
-    """The forms of the output's tables."""
-    return [form for form, name in TABLES.items() if (output / name).exists()]
-
-
-def _csv_is_whole(output: Path, parts: int) -> bool:
-    with (output / TABLES["csv"]).open("rb") as file:
-        return all(file.read(len(piece)) == piece for piece in _lines(output, parts)) and not file.read(1)
-
-
-def _parquet_is_whole(output: Path, parts: int) -> bool:
-    table_form("parquet")
-    from pyarrow import ArrowException, parquet
-
-    try:
-        with parquet.ParquetFile(output / TABLES["parquet"]) as file:
-            there = (file.read_row_group(k) for k in range(file.num_row_groups))
-            pairs = zip_longest(there, _groups(output, parts))
-            return all(a is not None and b is not None and a.equals(b) for a, b in pairs)
-    except ArrowException:
-        return False
 
 
 def _lines(output: Path, parts: int) -> Iterator[bytes]:

@@ -135,18 +135,22 @@ def run_batch(
     parts = shard_of(plan, options.shard)
     untouched, digest = backgrounds.read([sequence.name for sequence in listing.sequences], calibration)
     _check_size(plan, calibration)
-    manifest = Manifest.of(settings, calibration.digest, digest, listing, len(plan))
+    images = sum(len(sequence.images) for sequence in listing.sequences)
+    digests = calibration.digest, digest, listing.digest
+    manifest = Manifest(settings.facts(), *digests, parts=len(plan), images=images)
     _made(output)
     with only_run(output, options.shard) as alone:
         begin(output, manifest, overwrite=options.overwrite)
         summary = BatchSummary(parts=len(parts), table=TABLES[table], warnings=listing.warnings)
         todo = list(_not_done(output, parts, summary, options.retry_errors))
+        if todo:  # what an earlier run made of all parts will be out of date
+            record_path(output, None).unlink(missing_ok=True)
         if alone:
             _clean(output, todo, settings.form)
         job = Job(calibration, untouched, output, settings, backgrounds.by_sequence)
         _do(job, todo, engine, options.max_errors, summary, progress)
         if not summary.stopped and all(record_path(output, part.number).exists() for part in plan):
-            finish(output, manifest, table, listing.root, again=bool(todo))
+            finish(output, manifest, table, listing.root)
             summary.complete = True
     return summary
 

@@ -7,16 +7,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from gelform.batch.finish import problems_of_finish
 from gelform.batch.manifest import read_manifest
 from gelform.batch.outputs.files import FRAMES, output_file
-from gelform.batch.outputs.writers import WRITERS
-from gelform.batch.records import PartRecord, read_record
+from gelform.batch.records import PartRecord, read_record, record_path
 from gelform.errors import DataError
 from gelform.foundations.checks import check_path
 from gelform.foundations.progress import Progress, no_progress
 
-TO_BE_MADE = "is missing or not what the parts say. Delete it and run the same command again."
+NOT_FINISHED = "is missing, with the table and the contact sheet. Run the same command again."
 
 
 @dataclass(frozen=True)
@@ -48,30 +46,30 @@ def verify_output(
     if manifest is None:
         raise DataError(f"{output} has no manifest.json. Expected the output folder of gelform batch.")
     problems: list[Problem] = []
-    expected = WRITERS[manifest.settings["form"]].finish.names(output)
+    expected: set[str] = set()
     good = errors = missing = 0
-    for number in range(manifest.parts):
-        progress(number, manifest.parts, "verifying")
+    for number in (*range(manifest.parts), None):
+        progress(manifest.parts if number is None else number, manifest.parts, "verifying")
         try:
             record = read_record(output, number)
         except DataError as problem:
             problems.append(Problem(output, str(problem)))
             continue
         if record is None:
-            missing += 1
+            if number is not None:
+                missing += 1
+            elif not missing:
+                problems.append(Problem(record_path(output, None), NOT_FINISHED))
             continue
         errors += record.errors
         expected |= {file.path for file in record.outputs}
         here = list(_problems_of_part(output, record))
         good += _whole_frames(output, record, {one.path for one in here})
         problems += here
-    progress(manifest.parts, manifest.parts, "verifying")
     if missing:
         what = f"{missing} of {manifest.parts} parts are not done. Run the same command again."
         problems.append(Problem(output, what))
-    elif not problems:
-        problems += [Problem(path, TO_BE_MADE) for path in problems_of_finish(output, manifest)]
-    if not missing:  # a part in work has no record of its files yet
+    else:  # a part in work has no record of its files yet
         problems += [Problem(path, "no part knows of it.") for path in _others(output, expected)]
     return good, errors, problems
 

@@ -14,7 +14,7 @@ import sys
 import threading
 import traceback
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -154,24 +154,22 @@ def only_writer(path: Path) -> Iterator[None]:
     DataError
         Another process is making the same file, or the folder cannot be written to.
     """
-    try:
-        import fcntl
-    except ImportError:  # Windows: only `written_file` separates two writers, when they finish
-        yield
-        return
+    from filelock import FileLock, Timeout  # takes a tenth of a second, and most commands lock nothing
+
+    if not path.parent.is_dir():  # the lock would make it
+        raise DataError(f"Cannot write into {path.parent}: there is no such folder.")
     lock = path.with_name(f".{path.name}.lock")
-    try:
-        handle = lock.open("w")
-    except OSError as problem:
-        raise DataError(f"Cannot write into {path.parent}: {problem.strerror or problem}.") from problem
-    with handle:
+    with ExitStack() as held:
         try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as problem:
+            held.enter_context(FileLock(lock, timeout=0))
+        except Timeout as problem:
             raise DataError(
                 f"Another gelform is making {path} now. Wait for it, or choose another name."
             ) from problem
+        except OSError as problem:
+            raise DataError(f"Cannot write into {path.parent}: {problem.strerror or problem}.") from problem
         try:
             yield
         finally:
-            lock.unlink(missing_ok=True)
+            with suppress(OSError):  # Windows deletes no open file, but the lock does there
+                lock.unlink()

@@ -164,7 +164,7 @@ def test_a_run_that_ended_before_its_tables_goes_on(done, lerobot, cal, visible)
     left = output / "frames/data/.gelform-123.tmp"
     left.write_bytes(b"half")
     (output / "frames/data/chunk-000/file-001.parquet").write_bytes(b"half")
-    for name in ("parts/lerobot/files.json", "frames/meta/info.json", "frames/meta/stats.json"):
+    for name in ("parts/finished.json", "frames/meta/info.json", "frames/meta/stats.json"):
         (output / name).unlink()
     assert verify_output(output)[2]
     summary = run_batch(root, cal, output, SETTINGS, dataset=KEY, table="csv")

@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 
 from gelform.calibration.library.library import (
-    _data_folder,
     add_calibration,
     entries,
     file_name,
@@ -26,16 +25,6 @@ OLD = replace(calibration(), serial="S1", gel_id="gel/1", created_utc="2026-01-0
 NEW = replace(OLD, gel_id="2", created_utc="2026-11-12T13:14:15+00:00")
 
 
-def test_each_system_has_its_place():
-    home = Path("/home/me")
-    assert _data_folder("linux", {"XDG_DATA_HOME": "/data"}, home) == Path("/data")
-    for given in ({}, {"XDG_DATA_HOME": ""}, {"XDG_DATA_HOME": "relative"}):
-        assert _data_folder("linux", given, home) == home / ".local/share"
-    assert _data_folder("darwin", {}, home) == home / "Library/Application Support"
-    assert _data_folder("win32", {"LOCALAPPDATA": "/local"}, home) == Path("/local")
-    assert _data_folder("win32", {}, home) == home / "AppData/Local"
-
-
 def test_a_variable_names_another_folder(monkeypatch, tmp_path):
     monkeypatch.setenv("GELFORM_CALIBRATIONS", str(tmp_path))
     assert library_folder() == tmp_path
@@ -43,7 +32,17 @@ def test_a_variable_names_another_folder(monkeypatch, tmp_path):
     with pytest.raises(DataError, match="GELFORM_CALIBRATIONS, got relative"):
         library_folder()
     monkeypatch.delenv("GELFORM_CALIBRATIONS")
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
     assert library_folder().parts[-2:] == ("gelform", "calibrations")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="a user without an entry")
+def test_a_user_without_a_home_must_name_a_folder(monkeypatch):
+    for name in ("GELFORM_CALIBRATIONS", "XDG_DATA_HOME", "HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr("pwd.getpwuid", lambda _: {}["no entry"])
+    with pytest.raises(DataError, match=r"Expected a home folder .* Name a folder in GELFORM_CALIBRATIONS"):
+        library_folder()
 
 
 def test_names_are_readable_and_no_two_alike(library):

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from gelform.batch.outputs.files import (
     FRAMES,
     Maps,
+    OutputFile,
     PartTarget,
     PartWriter,
     RememberingFile,
@@ -78,20 +79,9 @@ class Hdf5Files(PartWriter):
             self.files.append(output_file(self._target.output, self._path))
 
 
-def write_hdf5_index(output: Path, files: list[str], source: Path) -> None:
+def write_hdf5_index(output: Path, files: list[str], source: Path) -> list[OutputFile]:
     """Write the file of all sequences."""
-    write_output(output, output / INDEX, hdf5_index(output, files))
-
-
-def no_hdf5_index(output: Path) -> bool:
-    """Whether that file is missing."""
-    return not (output / INDEX).is_file()
-
-
-def wrong_hdf5_index(output: Path, files: list[str]) -> Path | None:
-    """The path of that file if it is missing or its bytes have changed."""
-    path = output / INDEX
-    return None if path.is_file() and path.read_bytes() == hdf5_index(output, files) else path
+    return [write_output(output, output / INDEX, hdf5_index(output, files))]
 
 
 def hdf5_index(output: Path, files: list[str]) -> bytes:

@@ -41,7 +41,6 @@ FILES_IN_A_CHUNK = 1000  # LeRobot's own default
 EPISODES = "lerobot"  # folder next to the records of parts: entries of each episode for the tables
 VIDEO_PATH = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
 QUANTILES = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
-LISTED = f"{PARTS}/{EPISODES}/files.json"
 Episodes = dict[str, dict[int, dict[str, Any]]]  # camera -> episode -> entries of its part
 X265 = "lossless=1"
 KEY_FRAMES = 2  # distance of key frames, as in LeRobot's own videos, for quick access to any frame
@@ -172,7 +171,7 @@ def check_lerobot_source(source: Path, keys: set[str]) -> None:
             raise DataError(f"{source} has {key}{SUFFIX} already. Write another format, or remove it there.")
 
 
-def write_lerobot_set(output: Path, files: list[str], source: Path) -> None:
+def write_lerobot_set(output: Path, files: list[str], source: Path) -> list[OutputFile]:
     """Write all of the data set except the depth videos, which the parts wrote; the source stays unchanged."""
     episodes, root, done = _episodes(output, files), output / FRAMES, []
     for path in _to_copy(source):
@@ -187,46 +186,7 @@ def write_lerobot_set(output: Path, files: list[str], source: Path) -> None:
     features = {key + SUFFIX: next(iter(of.values()))["feature"] for key, of in episodes.items()}
     info |= {"features": {**info["features"], **features}, "video_path": VIDEO_PATH}
     done.append(write_output(output, root / INFO, _json(info)))
-    write_output(output, output / LISTED, _json([vars(one) for one in done]))
-
-
-def set_files(output: Path) -> list[OutputFile]:
-    """The files of `write_lerobot_set`; empty if it did not finish."""
-    try:
-        return [OutputFile(**one) for one in json.loads((output / LISTED).read_bytes())]
-    except (OSError, ValueError, TypeError):
-        return []
-
-
-def names_of_set(output: Path) -> set[str]:
-    """The paths of these files below the output."""
-    return {one.path for one in set_files(output)}
-
-
-def set_is_missing(output: Path) -> bool:
-    """Whether one of these files is missing or has another size."""
-    files = set_files(output)
-    return not files or any(not _has_size(output / one.path, one.bytes) for one in files)
-
-
-def wrong_file_of_set(output: Path, files: list[str]) -> Path | None:
-    """The first of these files that is missing or changed, or their list."""
-    written = set_files(output)
-    for file in written:
-        try:
-            same = output_file(output, output / file.path) == file
-        except OSError:
-            same = False
-        if not same:
-            return output / file.path
-    return None if written else output / LISTED
-
-
-def _has_size(path: Path, size: int) -> bool:
-    try:
-        return path.stat().st_size == size
-    except OSError:
-        return False
+    return done
 
 
 def _episodes(output: Path, files: list[str]) -> Episodes:

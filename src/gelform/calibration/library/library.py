@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import os
 import re
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+
+from platformdirs import user_data_path
 
 from gelform.calibration_file import Calibration, load_calibration
 from gelform.errors import CalibrationError, DataError, GelformError
@@ -29,29 +30,21 @@ def library_folder() -> Path:
     """
     given = os.environ.get(FOLDER_VARIABLE)
     if given:
-        return _whole(Path(given).expanduser(), FOLDER_VARIABLE)
+        folder = Path(given).expanduser()
+        if not folder.is_absolute():
+            raise DataError(
+                f"Expected an absolute path in {FOLDER_VARIABLE}, got {folder}. Begin it at the root."
+            )
+        return folder
     try:
-        return _data_folder(sys.platform, os.environ, Path.home()) / "gelform" / "calibrations"
-    except RuntimeError as problem:  # neither HOME nor an entry for the user
+        folder = user_data_path("gelform", appauthor=False)
+    except (RuntimeError, OSError):
+        folder = Path()
+    if not folder.is_absolute():  # neither HOME nor an entry for the user
         raise DataError(
             f"Expected a home folder for the library of calibrations, got none. Name a folder in {FOLDER_VARIABLE}."
-        ) from problem
-
-
-def _data_folder(platform: str, variables: Mapping[str, str], home: Path) -> Path:
-    """The system's folder for data of a user's programs."""
-    if platform == "darwin":
-        return home / "Library" / "Application Support"
-    if platform == "win32":
-        return Path(variables.get("LOCALAPPDATA") or home / "AppData" / "Local")
-    given = Path(variables.get("XDG_DATA_HOME", ""))
-    return given if given.is_absolute() else home / ".local" / "share"  # the standard ignores other values
-
-
-def _whole(path: Path, variable: str) -> Path:
-    if not path.is_absolute():
-        raise DataError(f"Expected an absolute path in {variable}, got {path}. Begin it at the root.")
-    return path
+        )
+    return folder / "calibrations"
 
 
 @dataclass(frozen=True)

@@ -6,11 +6,11 @@ The modules for making one are imported on demand, because that takes longer tha
 from __future__ import annotations
 
 import os
-import sys
 from importlib import resources
 from pathlib import Path
 
 import numpy as np
+from platformdirs import user_cache_path
 
 from gelform import __version__
 from gelform.calibration_file import FORMAT_VERSION, Calibration, load_calibration
@@ -54,7 +54,9 @@ def ready_calibration(sensor: SimulatedSensor, *, progress: Progress = no_progre
 
 def kept_path(sensor: SimulatedSensor) -> Path | None:
     """The path of the cached calibration of a sensor; None if the user's cache is not writable."""
-    folder = cache_folder()
+    folder = user_cache_path("gelform", appauthor=False)
+    if not folder.is_absolute():  # a user without a home folder
+        return None
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError:
@@ -63,18 +65,6 @@ def kept_path(sensor: SimulatedSensor) -> Path | None:
         return None
     height, width = sensor.shape
     return folder / f"{sensor.name}-{height}x{width}-{__version__}-{FORMAT_VERSION}.npz"
-
-
-def cache_folder() -> Path:
-    """The folder for cached files: XDG_CACHE_HOME, or the system's equivalent."""
-    if given := os.environ.get("XDG_CACHE_HOME"):
-        return Path(given) / "gelform"
-    home = Path.home()
-    if sys.platform == "darwin":
-        return home / "Library" / "Caches" / "gelform"
-    if sys.platform == "win32":
-        return Path(os.environ.get("LOCALAPPDATA", home / "AppData" / "Local")) / "gelform" / "cache"
-    return home / ".cache" / "gelform"
 
 
 def simulated_presses(
