@@ -204,7 +204,7 @@ def test_twice_on_and_twice_off_do_no_harm(hub, tmp_path):
 
 
 def test_it_ends_with_the_page_that_began_it(hub, tmp_path, monkeypatch):
-    monkeypatch.setattr("gelform.live.web.pages.GRACE_S", 0.05)
+    monkeypatch.setattr("gelform.live.hub.GRACE_S", 0.05)
     hub.folder = tmp_path
     hub.pages.came("page-one")
     actions.record(hub, 0, True, "page-one")
@@ -288,7 +288,7 @@ def test_a_recording_is_calibrated_from_start_to_end(hub, filmed, sensor, tmp_pa
     ]
     assert all(min(np.hypot(x - px, y - py) for px, py in PLACES_MM) < 0.4 for x, y in mm)
     said = []
-    hub.guides[0].fit(lambda done, total, what: said.append(what))
+    guide.fit(tmp_path, lambda done, total, what: said.append(what))
     assert guide.step == "report"
     assert said
     actions.guide_use(hub, 0)

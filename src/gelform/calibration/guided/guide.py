@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,11 +14,13 @@ from numpy.typing import NDArray
 
 from gelform.calibration.coverage import Coverage, PressPlace, press_coverage, press_next
 from gelform.calibration.enough import NEEDED
+from gelform.calibration.guided.fit import GuidedCalibration, calibrate_guided
 from gelform.calibration.guided.judge import Circle, Judge, Look
 from gelform.calibration.presses.press_set import Press, Presses, check_ball_diameter
 from gelform.calibration_file import Calibration
 from gelform.errors import GelformError
 from gelform.foundations.checks import check_sensor_pitch
+from gelform.foundations.progress import Progress, no_progress
 from gelform.image.background.average import background_from_frames
 from gelform.image.frame import Frame, pixels_digest
 from gelform.image.view import View, image_from_frame
@@ -94,7 +97,7 @@ class Asked:
 
 
 class Guide:
-    """One guided calibration, up to the presses.
+    """One guided calibration, from the background to the files.
 
     Parameters
     ----------
@@ -107,6 +110,7 @@ class Guide:
     hint : instruction for the user
     places : suggested places for presses, the most helpful one first; later ones are chosen again after each press
     covered : Coverage of the accepted presses, None before the background exists
+    made : the calibration and its files, None before the fit
     """
 
     def __init__(self, asked: Asked, on_changed: Callable[[], None] = lambda: None) -> None:
@@ -114,7 +118,7 @@ class Guide:
         self.step, self.hint = "background", "Touch nothing while the page takes the background."
         self.places: tuple[PressPlace, ...] = ()
         self.covered: Coverage | None = None
-        self.report: dict[str, Any] | None = None
+        self.made: GuidedCalibration | None = None
         self._changed = on_changed
         self._lock = threading.Lock()
         self._untouched: list[NDArray[np.uint8]] = []
@@ -183,6 +187,25 @@ class Guide:
                 background_noise=self._noise,
             )
 
+    def fit(self, folder: Path, progress: Progress = no_progress) -> None:
+        """Calibrate on the accepted presses, and write the files to a new folder below `folder`.
+
+        Raises
+        ------
+        GelformError
+            There are too few presses, or they do not fit; the guide continues to ask for presses.
+        """
+        before = self.step
+        self.step, self.hint = "fit", "gelform calibrates. This takes a moment."
+        try:
+            self.made = calibrate_guided(self.presses(), folder, progress=progress)
+        except GelformError as problem:
+            self.step, self.hint = before, f"The fit failed. {problem}"
+            raise
+        self.covered = self.made.covered
+        self.step, self.hint = "report", "Done. Read the report, then use the calibration."
+        self._changed()
+
     def facts(self) -> dict[str, Any]:
         """The guide's state for the page."""
         with self._lock:
@@ -201,7 +224,7 @@ class Guide:
                 "accepted": [list(circle) for circle in self._circles],
                 "rejected": [[*circle, reason] for circle, reason in self._verdicts[-5:]],
                 "coverage": None if self.covered is None else _coverage_facts(self.covered),
-                "report": self.report,
+                "report": None if self.made is None else self.made.report,
             }
 
     # -- one image ----------------------------------------------------------------------------------------------------
