@@ -1,12 +1,11 @@
-"""Whether sigma, causes and contacts are right: on simulated frames with faults, and on real ones without.
+"""Whether sigma and causes are right: on simulated frames with faults, and on real ones without.
 
     python benchmarks/confidence.py                        # about 10 minutes; writes results/confidence.json
-    python benchmarks/confidence.py coverage masks --quick # a tenth of the frames, nothing written
+    python benchmarks/confidence.py coverage causes --quick # a tenth of the frames, nothing written
     python benchmarks/confidence.py --calibrations DIR     # keeps the calibrations there, and reuses them
 
 Thresholds were chosen on the layout three-edges and on the calibrating presses of mini-ball. The figures use the layouts
-ring-120 and homemade, and the other presses. Thresholds of contacts were chosen on all three layouts and on random sensors,
-with other seeds than these figures.
+ring-120 and homemade, and the other presses. Contacts are in real_frames.py.
 `digit` and `alarms` read real data (GELFORM_DATA, default ../shared/data).
 """
 
@@ -16,36 +15,27 @@ import json
 import tempfile
 import time
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
-import cv2
 import numpy as np
 
 import gelform
 from confidence import faults
-from confidence.drawn import object_press, press
+from confidence.drawn import press
 from gelform.calibration.circles.find import find_contact, why_no_contact
 from gelform.calibration.circles.prepare import ColorChanges
 from gelform.image.health import FrameFaults
-from gelform.result.metrics import angle_deg
 from gelform.result.metrics.ball import fit_sphere
 from gelform.sensors.files import read_background
-from gelform.simulate import (
-    LAYOUTS,
-    SimulatedPress,
-    simulate_background,
-    simulate_ball_presses,
-)
+from gelform.simulate import LAYOUTS, simulate_ball_presses
 from presses import DATA, by_name, data_is_missing, presses_of
 from report import command_line, parts_asked, recorded, table, write
 
 REPORTED = ("ring-120", "homemade")
-DEPTHS_UM = (5.0, 10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 70.0, 100.0)
-FOUND = 0.95
 SEED = 20261122
 
 
@@ -156,66 +146,6 @@ def _sphere_um(depth: np.ndarray, circle: Any, one: Any, mm_per_px: float) -> tu
     )
 
 
-def limit(run: Run) -> dict[str, Any]:
-    """The shallowest press of a ball that is found in 95 % of the frames, and frames at rest in which one is found."""
-    found: dict[str, Any] = {}
-    for name in REPORTED:
-        calibration, rng = run.calibration(name), np.random.default_rng(SEED + 2)
-        reconstruct, count = gelform.Reconstructor(calibration), run.frames(100)
-        resting = [simulate_background(LAYOUTS[name], rng) for _ in range(count)]
-        false = sum(bool(reconstruct.from_image(image).contacts) for image in resting)
-        row: dict[str, Any] = {"frames": count, "false_at_rest": false, "limit_um": None}
-        for depth_um in DEPTHS_UM:
-            share, frames = _fraction_found(reconstruct, name, depth_um, count, rng)
-            row[f"found_at_{depth_um:g}_um"] = [share, frames]
-            if share >= FOUND:
-                row["limit_um"] = depth_um
-                break
-        found[name] = row
-    return found
-
-
-def _fraction_found(
-    reconstruct: gelform.Reconstructor, name: str, depth_um: float, count: int, rng: np.random.Generator
-) -> tuple[float, int]:
-    """Share of presses of a depth that are found, and their number; stops once too many are missed."""
-    hits = frames = 0
-    while frames < count and frames - hits <= (1 - FOUND) * count:
-        truth = press(name, rng, (depth_um / 1e3, depth_um / 1e3))
-        hits += bool((reconstruct.from_image(truth.image).contact & truth.contact).any())
-        frames += 1
-    return hits / frames, frames
-
-
-def masks(run: Run) -> dict[str, Any]:
-    """Intersection over union of the contact mask and the pixels that the indenter touches.
-
-    Both masks mark where something presses on the gel. In the simulator gel and indenter meet there, however shallow. In the
-    result the surface needs a pressure to be held up. The depth of the gel counts in neither. `one_pixel_wider` is the
-    score of a truth one pixel wider all around: edges and tops of textures touch in lines of a pixel or two, while
-    images are blurred over three.
-    """
-    found: dict[str, Any] = {}
-    for name in REPORTED:
-        reconstruct, rng = gelform.Reconstructor(run.calibration(name)), np.random.default_rng(SEED + 3)
-        scores: dict[str, list[float]] = {}
-        for _ in range(run.frames(60)):
-            kind, truth = object_press(name, rng)
-            touched = truth.contact
-            wider = cv2.dilate(touched.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-            overlap = _overlap(reconstruct.from_image(truth.image).contact, touched)
-            for key in ("median", kind):
-                scores.setdefault(key, []).append(overlap)
-            for key in ("one_pixel_wider", f"{kind}_one_pixel_wider"):
-                scores.setdefault(key, []).append(_overlap(wider, touched))
-        found[name] = {key: float(np.median(values)) for key, values in sorted(scores.items())}
-    return found
-
-
-def _overlap(mask: np.ndarray, other: np.ndarray) -> float:
-    return float((mask & other).sum() / (mask | other).sum())
-
-
 def causes(run: Run) -> dict[str, Any]:
     """Share of frames with a fault in which the fault is named."""
     found: dict[str, Any] = {}
@@ -272,29 +202,6 @@ def _named(calibration: gelform.Calibration, images: list[np.ndarray]) -> dict[s
     return counts
 
 
-def few(run: Run) -> dict[str, Any]:
-    """Normal error, degrees, in contacts after calibration on five presses.
-
-    Outliers are found by held-out residuals, by training residuals, or not at all.
-    """
-    name, rng = REPORTED[0], np.random.default_rng(SEED + 6)
-    calibration = gelform.calibrate(_simulated_presses(name, 5), color_model="hierarchical")
-    forward = calibration.forward
-    never = replace(forward, residual_scale=1e12)
-    kinds = {"held_out": forward, "training": replace(forward, residual_scale=1.0), "not_asked": never}
-    truths = [press(name, rng) for _ in range(run.frames(30))]
-    found: dict[str, Any] = {}
-    for kind, own in kinds.items():
-        reconstruct = gelform.Reconstructor(replace(calibration, forward=own), depth_sigma=False)
-        found[f"{kind}_deg"] = float(np.mean([_normal_deg(reconstruct, truth) for truth in truths]))
-    return found
-
-
-def _normal_deg(reconstruct: gelform.Reconstructor, truth: SimulatedPress) -> float:
-    gradients = reconstruct.from_image(truth.image).gradients[truth.contact]
-    return float(angle_deg(gradients, truth.gradients[truth.contact]).mean())
-
-
 def cost(run: Run) -> dict[str, Any]:
     """CPU time of a default frame with its contacts, over that without causes, contact, contacts and health."""
     rng, count = np.random.default_rng(SEED + 5), run.frames(200)
@@ -338,11 +245,8 @@ PARTS = {
     "coverage": coverage,
     "weights": weights,
     "digit": digit,
-    "limit": limit,
-    "masks": masks,
     "causes": causes,
     "alarms": alarms,
-    "few": few,
     "cost": cost,
 }
 REAL = ("digit", "alarms")

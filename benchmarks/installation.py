@@ -54,13 +54,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         subprocess.run([sys.executable, "-m", "venv", folder], check=True)
         programs = Path(folder, "bin")
-        install = [
-            programs / "pip",
-            "install",
-            "-q",
-            "--no-compile",
-            str(wheel.resolve()) if wheel else ROOT,
-        ]
+        install = [programs / "pip", "install", "-q", "--no-compile", str(wheel.resolve()) if wheel else ROOT]
         subprocess.run(install, check=True, cwd=folder)
         packages = dict(sorted(sizes(programs / "python").items(), key=lambda one: -one[1][1]))
         starts: dict[str, list[str | Path]] = {

@@ -105,11 +105,7 @@ def stages(calibration: gelform.Calibration, image: np.ndarray) -> dict[str, Cal
     arguments = {"weights": confidence, "anchor": hold}
     depth = gelform.depth_from_gradients(gradients, mm_per_px=pitch, **arguments)
     both = np.broadcast_to(deviation[..., None], gradients.shape)
-    depth_sigma = DepthSigma(
-        calibration.image_shape,
-        mm_per_px=pitch,
-        **calibration.slope_sigma.correlation,
-    )
+    depth_sigma = DepthSigma(calibration.image_shape, mm_per_px=pitch, **calibration.slope_sigma.correlation)
     known = depth_sigma(both, **arguments, at_rest=untouched)
     touched = contact_from_depth(depth, mm_per_px=pitch, depth_sigma_mm=known)
     return {

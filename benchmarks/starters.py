@@ -191,12 +191,7 @@ def simulated() -> dict[str, Any]:
         "starter": judged(starter.for_unit(known.background), known, 0.8),
         "its own calibration": _folds(known, 0.8),
     }
-    print(
-        table(
-            ["simulated unit", *SHOWN],
-            [[n, *(v[k] for k in SHOWN)] for n, v in found.items()],
-        )
-    )
+    print(table(["simulated unit", *SHOWN], [[n, *(v[k] for k in SHOWN)] for n, v in found.items()]))
     return found
 
 

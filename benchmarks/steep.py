@@ -1,11 +1,11 @@
 """Whether slopes and depths are unsure where presses of balls have shown nothing like them, and how sure balls stay.
 
-    python benchmarks/steep.py             # about 8 minutes; writes results/steep.json
-    python benchmarks/steep.py walls       # one part: caps, walls, few
+    python benchmarks/steep.py             # about 6 minutes; writes results/steep.json
+    python benchmarks/steep.py walls       # one part: walls, few
 
-`caps`: depths of balls. `walls`: heights of simulated objects with walls. `few`: another unit's model after no, 3, 5 and 12
-presses, without and with the doubt of carried models. All but `walls` read real data (GELFORM_DATA, default
-../shared/data). The faces of a cube's edge, and slopes beyond those of the training, are in real_frames.py.
+`walls`: heights of simulated objects with walls. `few`: another unit's model after no, 3, 5 and 12 presses of real data
+(GELFORM_DATA, default ../shared/data), without and with the doubt of carried models. The faces of a cube's edge, slopes
+beyond those of the training, and the depth of balls are in real_frames.py.
 """
 
 from __future__ import annotations
@@ -20,7 +20,6 @@ from accuracy.heights import DRAWN, drawn_sensor
 from accuracy.objects import OBJECTS, height_of, usual_presses
 from accuracy.real import EDGES, STEEPEST
 from gelform.result.metrics import score_slopes
-from gelform.result.metrics.ball import ball_center
 from gelform.simulate import LAYOUTS
 from gelform.simulate.presets import gelsight_mini
 from gelform.slopes.confidence import SteepSlopes
@@ -57,56 +56,6 @@ def of_balls(
     columns = np.concatenate(rows).T
     known = [one[np.isfinite(one)] for one in columns]
     return {name: float(100 * one.mean()) if one.size else np.nan for name, one in zip(SHARES, known)}
-
-
-def caps() -> dict[str, Any]:
-    """Depth over balls against the cap: of one unit's halves, and by the other unit's model."""
-    run, found = Run(), {}
-    for name in ("mini-ball", "mini-d"):
-        presses = run.labeled(name)
-        for half, rest in ((0, 1), (1, 0)):
-            picked, judging = (list(range(k, len(presses.presses), 2)) for k in (half, rest))
-            calibration = gelform.calibrate(unlabeled(presses, picked), start=None)
-            found[f"{name}, half {half}"] = _caps(calibration, presses.subset(judging), EDGES[name])
-    for of, name in CARRIED:
-        presses = run.labeled(name)
-        calibration = run.carried(of, presses.background, presses.mm_per_px)
-        found[f"{name} by {of}'s model"] = _caps(calibration, presses, EDGES[name])
-    return found
-
-
-def _caps(calibration: gelform.Calibration, presses: gelform.Presses, edge: float) -> dict[str, float]:
-    reconstruct, rows, pitch = gelform.Reconstructor(calibration), [], calibration.known_mm_per_px
-    y, x = np.mgrid[: calibration.image_shape[0], : calibration.image_shape[1]]
-    for press in presses.presses:
-        result = reconstruct.from_image(press.image)
-        column, row, radius = press.label
-        ball_px = press.ball_diameter_mm / 2 / pitch
-        reach = min(edge * radius, STEEPEST * ball_px)
-        near = np.hypot(x - column, y - row) < reach
-        center = ball_center(result.gradients[near], x[near], y[near], (column, row), ball_px)
-        away = np.hypot(x - center[0], y - center[1])
-        error = result.depth_mm - pitch * np.sqrt(np.maximum(ball_px**2 - away**2, 0))
-        inside, ring, top = away < reach, np.abs(away - reach) < 1.5, away < 0.2 * reach
-        shape = np.abs(error - error[inside].mean())[inside]
-        rise, sigma = abs(error[top].mean() - error[ring].mean()), result.depth_sigma_mm
-        stated = result.depth_difference_sigma(inside)[inside]
-        rows.append(
-            [
-                np.mean(shape < stated),
-                np.mean(shape < sigma[inside]),
-                rise < sigma[top].mean(),
-                rise,
-                sigma[top].mean(),
-            ]
-        )
-    means = np.mean(rows, axis=0)
-    names = "shape within 1 sigma of the difference", "shape within 1 sigma", "rise within 1 sigma"
-    return {
-        **dict(zip(names, 100 * means[:3])),
-        "rise off, um": 1e3 * means[3],
-        "sigma of the top, um": 1e3 * means[4],
-    }
 
 
 def walls() -> dict[str, Any]:
@@ -151,7 +100,7 @@ def few() -> dict[str, Any]:
     }
 
 
-PARTS = {"caps": caps, "walls": walls, "few": few}
+PARTS = {"walls": walls, "few": few}
 
 
 def main() -> None:

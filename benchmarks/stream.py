@@ -1,15 +1,15 @@
-"""All figures of streams: rate, latency, age, lost sources, large frames, slow presses, drift, faults, false alarms, a soak.
+"""Figures of streams: rate, latency, age, lost sources, large frames, named faults, false alarms, a soak.
 
-    python benchmarks/stream.py                        # all except the soak test: about 20 minutes on an idle machine
+    python benchmarks/stream.py                        # all except the soak test: about 15 minutes on an idle machine
     python benchmarks/stream.py --quick                # a few draws and seconds of each, about 4 minutes; writes nothing
     python benchmarks/stream.py --only live slow       # some parts; the others keep their figures
     python benchmarks/stream.py --soak 60              # an hour of the simulated sensor: memory and rate
 
-Parts: live (1 min), slow (2 min), restarts and large (3 and 2 min; with a real ffmpeg), presses and drift (5 min; random
-sensors), faults (8 min), alarms (2 min; needs GELFORM_DATA).
+Parts: live (1 min), slow (2 min), restarts and large (3 and 2 min; with a real ffmpeg), faults (8 min), alarms (2 min; needs
+GELFORM_DATA).
 
-Sensors, gels, faults, presses and drift are random, by default with a new `--seed` each time: nothing is tuned on the
-reported data. Slow processes are simulated faster than real time, because a stream's memory takes its times from the frames.
+Gels and faults are random, by default with a new `--seed` each time: nothing is tuned on the reported data. Minutes of them
+are simulated faster than real time, because a stream's memory takes its times from the frames.
 The script writes results/stream.json. Times and ages depend on the machine's other work, so its load is recorded too.
 """
 
@@ -22,6 +22,7 @@ import secrets
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -39,13 +40,11 @@ from report import recorded, table, write
 from stream.ffmpeg_camera import why_absent
 from stream.rates import live, slow_consumer, soak
 from stream.sensor_faults import FAULTS, Gel, found_in, frames_with
-from stream.slow_gel import drawn_sensor
-from stream.slow_streams import Sensors, drift, slow_presses
 from stream.sources import large_stream, restarts
 
 SMALL = replace(LAYOUTS["three-edges"], shape=(132, 176), mm_per_px=0.1153)
 FULL = LAYOUTS["three-edges"]
-PARTS = ("live", "slow", "restarts", "large", "presses", "drift", "faults", "alarms")
+PARTS = ("live", "slow", "restarts", "large", "faults", "alarms")
 NAMED = {
     "brightness_shift", "camera_moved", "color_shift", "dust", "frozen",
     "other_gel", "room_light", "scratch", "tear", "torn",
@@ -111,46 +110,20 @@ def _real_sequences() -> Iterator[tuple[str, list[np.ndarray], np.ndarray, float
     yield "mini-markers-video", frames, np.mean(frames[:20], axis=0), 25.0
 
 
-class Made:
-    """Shared inputs of several parts, made for the first one that needs them."""
-
-    def __init__(self, rng: np.random.Generator, sensors: int) -> None:
-        self._rng, self._count = rng, sensors
-        self._calibrations: dict[Any, gelform.Calibration] = {}
-        self._sensors: Sensors = []
-
-    def calibration(self, sensor: Any) -> gelform.Calibration:
-        """The calibration of a sensor."""
-        if sensor.shape not in self._calibrations:
-            self._calibrations[sensor.shape] = calibrated(sensor)
-        return self._calibrations[sensor.shape]
-
-    def sensors(self) -> Sensors:
-        """Random sensors, each with its calibration."""
-        while len(self._sensors) < self._count:
-            sensor = drawn_sensor(self._rng)
-            self._sensors.append((sensor, calibrated(sensor)))
-        return self._sensors
-
-
 def parts_of(asked: argparse.Namespace, rng: np.random.Generator) -> dict[str, Callable[[], dict[str, Any]]]:
     """The requested parts by name."""
     quick = asked.quick
-    made = Made(rng, asked.sensors or (1 if quick else 4))
-    seconds, few, many = (5, 1, 2) if quick else (30, 2, 40)
-    few, many = asked.draws or few, asked.draws or many
+    of = cache(calibrated)
+    seconds, draws = (5, 2) if quick else (30, 40)
+    draws = asked.draws or draws
     return {
-        "live": lambda: live(made.calibration(FULL), seconds),
-        "slow": lambda: slow_consumer(made.calibration(FULL), seconds),
-        "restarts": lambda: of_ffmpeg(
-            lambda: restarts(made.calibration(FULL), *((3, 5.0) if quick else (20,)))
-        ),
-        "large": lambda: of_ffmpeg(lambda: large_stream(made.calibration(FULL), 3 if quick else 20)),
-        "presses": lambda: slow_presses(made.sensors(), few, rng),
-        "drift": lambda: drift(made.sensors(), few, rng),
-        "faults": lambda: faults(made.calibration(SMALL), many, rng),
+        "live": lambda: live(of(FULL), seconds),
+        "slow": lambda: slow_consumer(of(FULL), seconds),
+        "restarts": lambda: of_ffmpeg(lambda: restarts(of(FULL), *((3, 5.0) if quick else (20,)))),
+        "large": lambda: of_ffmpeg(lambda: large_stream(of(FULL), 3 if quick else 20)),
+        "faults": lambda: faults(of(SMALL), draws, rng),
         "alarms": false_alarms,
-        "soak": lambda: soak(made.calibration(FULL), asked.soak),
+        "soak": lambda: soak(of(FULL), asked.soak),
     }
 
 
@@ -173,8 +146,6 @@ def shown(figures: dict[str, Any]) -> str:
         ("large", "share of a core", "0.6", ("captured", "busy_share_of_a_core")),
         ("large", "with reconstruction: results a second", "-", ("reconstructed", "rate_hz")),
         ("large", "share of a core", "-", ("reconstructed", "busy_share_of_a_core")),
-        ("presses", "slow presses: least part of the depth kept", "0.95", ("kept_least",)),
-        ("drift", "ten minutes of drift: RMS off contact, um", "5", ("rms_um_worst",)),
         ("soak", "memory growth an hour, MB", "20", ("growth_mb_per_hour",)),
     )
     rows = []
@@ -193,8 +164,7 @@ def main() -> None:
         "--quick", action="store_true", help="a few draws and seconds of each; writes nothing"
     )
     parser.add_argument("--only", choices=PARTS, nargs="+")
-    parser.add_argument("--draws", type=int, help="of each sensor or fault")
-    parser.add_argument("--sensors", type=int, help="how many are drawn for presses and drift")
+    parser.add_argument("--draws", type=int, help="of each fault")
     parser.add_argument("--seed", type=int, default=secrets.randbelow(10**6))
     parser.add_argument("--soak", type=float, metavar="MINUTES")
     asked = parser.parse_args()

@@ -1,15 +1,15 @@
-"""Whether a calibration's own statements are right: sigma, slope gain, few presses, repeated frames, a second unit.
+"""Whether repeated frames pass for presses, and what a second unit needs.
 
-    python benchmarks/trust.py                    # about 10 minutes; writes results/trust.json
-    python benchmarks/trust.py sigma gain
+    python benchmarks/trust.py                    # about 5 minutes; writes results/trust.json
+    python benchmarks/trust.py second_unit
 
-All but `second_unit` read real presses (mini-ball below GELFORM_DATA, default ../shared/data). Without them they
-are left out, with a message. Every judged press is new to the calibration.
+`repeated` reads real presses (mini-ball below GELFORM_DATA, default ../shared/data), and is left out without them. Every
+judged press is new to the calibration. Coverage of sigma, and few presses, are in accuracy.py.
 """
 
 from __future__ import annotations
 
-import json
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -19,168 +19,21 @@ import numpy as np
 import gelform
 from gelform.calibration.report import report_content
 from gelform.image.frame import pixels_digest
-from gelform.result.metrics import angle_deg, score_slopes
 from gelform.simulate import LAYOUTS, SimulatedSensor, simulate_ball_presses
-from presses import DATA, data_is_missing, mini_ball, presses_of, unlabeled
+from presses import data_is_missing, mini_ball, presses_of, unlabeled
 from report import command_line, parts_asked, recorded, table, write
 
-SLOPES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
-SCORED_ZONE = 0.8  # fraction of the contact radius: beyond it the gel leaves the ball
-PLACES = (3, 4)
 
-
-class Bench:
-    """mini-ball, its circles for scoring, and the two ways to calibrate on half of it."""
-
-    def __init__(self) -> None:
-        self.presses, self.order = mini_ball()
-        self._halves: list[tuple[gelform.Calibration, list[int]]] = []
-
-    def calibrated(self, training: list[int]) -> gelform.Calibration:
-        """A calibration without labeled circles."""
-        return gelform.calibrate(unlabeled(self.presses, training))
-
-    def halves(self) -> list[tuple[gelform.Calibration, list[int]]]:
-        """Each half calibrates once, and the other is judged."""
-        if not self._halves:
-            even, odd = self.order[0::2], self.order[1::2]
-            self._halves = [(self.calibrated(a), b) for a, b in ((even, odd), (odd, even))]
-        return self._halves
-
-    def others(self, training: list[int]) -> list[int]:
-        """The presses outside the training."""
-        return [i for i in self.order if i not in set(training)]
-
-
-def sigma(bench: Bench) -> dict[str, Any]:
-    """Share of slopes within one sigma on held-out presses: by slope, by place, at rest (68 % is right)."""
-    figures: dict[str, Any] = {}
-    for name, (calibration, test) in zip(("even -> odd", "odd -> even"), bench.halves()):
-        inside = [_slopes(bench, calibration, i) for i in test]
-        pixels = np.concatenate([p for p, _ in inside])
-        within = pixels[:, 2:4]
-        slope = np.digitize(pixels[:, 4], SLOPES)
-        height, width = calibration.image_shape
-        cell = (pixels[:, 1] * PLACES[0] / height).astype(int) * PLACES[1]
-        cell += (pixels[:, 0] * PLACES[1] / width).astype(int)
-        figures[name] = {
-            "all": float(within.mean()),
-            "by slope": {f"{b / 10:g}-": float(within[slope == b].mean()) for b in np.unique(slope)},
-            "by place": [float(within[cell == c].mean()) for c in np.unique(cell)],
-            "at rest": float(np.nanmean([rest for _, rest in inside])),
-        }
-        row = figures[name]
-        print(f"\n{name}: {100 * row['all']:.0f} % within one sigma, at rest {100 * row['at rest']:.0f} %")
-        print("  by slope: " + ", ".join(f"{k} {100 * v:.0f} %" for k, v in row["by slope"].items()))
-        print("  by place: " + ", ".join(f"{100 * v:.0f} %" for v in row["by place"]))
-    return figures
-
-
-def _slopes(bench: Bench, calibration: gelform.Calibration, index: int) -> tuple[np.ndarray, float]:
-    """x, y, within sigma (p, q), |g| of the pixels in the scored zone; share within sigma far away."""
-    press = bench.presses.presses[index]
-    result = gelform.Reconstructor(calibration).from_image(press.image)
-    cx, cy, contact = press.label
-    y, x = np.mgrid[: result.depth_mm.shape[0], : result.depth_mm.shape[1]]
-    rho = np.hypot(x - cx, y - cy)
-    zone = rho < SCORED_ZONE * contact
-    radius = press.ball_diameter_mm / 2 / calibration.mm_per_px
-    score = score_slopes(result.gradients[zone], x[zone], y[zone], (cx, cy), radius)
-    within = np.abs(score.errors) < result.gradients_sigma[zone]
-    far = rho > 3 * contact
-    rest = (np.abs(result.gradients[far]) < result.gradients_sigma[far]).mean() if far.any() else np.nan
-    slope = np.linalg.norm(result.gradients[zone], axis=-1)
-    return np.column_stack([x[zone], y[zone], within, slope]), float(rest)
-
-
-def gain(bench: Bench) -> dict[str, Any]:
-    """Recovered over true slope by slope bin, and whether a monotone correction improves held-out presses."""
-    figures: dict[str, Any] = {}
-    for name, (calibration, test) in zip(("even -> odd", "odd -> even"), bench.halves()):
-        found = [_true_and_found(bench, calibration, i) for i in test]
-        true, recovered = (np.concatenate([pair[k] for pair in found]) for k in (0, 1))
-        bins = np.digitize(np.linalg.norm(true, axis=1), SLOPES)
-        gains = {f"{b / 10:g}-": _gain(true[bins == b], recovered[bins == b]) for b in np.unique(bins)}
-        figures[name] = {"gain": gains, "correction": _correction(calibration)}
-        print(f"\n{name}: gain by true slope " + ", ".join(f"{k} {v:.3f}" for k, v in gains.items()))
-        print("  a correction changes the normal error of held-out presses by "
-              "{mean_deg:+.3f} +- {standard_error_deg:.3f} degrees".format(**figures[name]["correction"]))  # fmt: skip
-    return figures
-
-
-def _true_and_found(
-    bench: Bench, calibration: gelform.Calibration, index: int
-) -> tuple[np.ndarray, np.ndarray]:
-    press = bench.presses.presses[index]
-    gradients = gelform.Reconstructor(calibration).from_image(press.image).gradients
-    cx, cy, contact = press.label
-    y, x = np.mgrid[: gradients.shape[0], : gradients.shape[1]]
-    zone = np.hypot(x - cx, y - cy) < SCORED_ZONE * contact
-    radius = press.ball_diameter_mm / 2 / calibration.mm_per_px
-    score = score_slopes(gradients[zone], x[zone], y[zone], (cx, cy), radius)
-    return score.true_gradients, gradients[zone]
-
-
-def _gain(true: np.ndarray, recovered: np.ndarray) -> float:
-    return float((true * recovered).sum() / (true * true).sum())
-
-
-def _correction(calibration: gelform.Calibration) -> dict[str, float]:
-    """A curve |g| -> |g| / gain, fitted to four fifths of the held-out presses and judged on the rest."""
-    samples = [s.within(1.0) for s in calibration.report.samples]
-    change = []
-    for k, sample in enumerate(samples):
-        others = [
-            s.within(calibration.settings["contact_radius_ratio"])
-            for j, s in enumerate(samples)
-            if j % 5 != k % 5
-        ]
-        true, recovered = (
-            np.concatenate([getattr(s, a) for s in others]) for a in ("true_gradients", "gradients")
-        )
-        size = np.linalg.norm(true, axis=1)
-        edges = np.quantile(size, np.linspace(0, 1, 9))
-        bins = np.clip(np.digitize(size, edges[1:-1]), 0, 7)
-        gains = np.array([_gain(true[bins == b], recovered[bins == b]) for b in range(8)])
-        measured = np.maximum.accumulate(gains * np.array([size[bins == b].mean() for b in range(8)]))
-        factor = np.interp(np.linalg.norm(sample.gradients, axis=1), measured, 1 / gains)[:, None]
-        errors = [
-            angle_deg(g, sample.true_gradients).mean() for g in (sample.gradients, factor * sample.gradients)
-        ]
-        change.append(errors[1] - errors[0])
-    return {
-        "mean_deg": float(np.mean(change)),
-        "standard_error_deg": float(np.std(change, ddof=1) / np.sqrt(len(change))),
-    }
-
-
-def few(bench: Bench) -> dict[str, Any]:
-    """Normal error and radius of the other presses after calibration on few: random draws, model chosen by auto."""
-    figures: dict[str, Any] = {}
-    for count in (10, 20):
-        rows = []
-        for seed in range(4):
-            drawn = np.random.default_rng(seed).permutation(len(bench.order))[:count]
-            training = [bench.order[k] for k in sorted(drawn)]
-            calibration = bench.calibrated(training)
-            test = bench.presses.subset(bench.others(training)[::2])
-            rows.append(gelform.evaluate(calibration, test).summary)
-        keys = ("normal_free_deg", "radius_percent", "cap_free_um", "off_contact_um")
-        figures[str(count)] = {key: [row[key] for row in rows] for key in keys}
-        means = {key: float(np.mean(values)) for key, values in figures[str(count)].items()}
-        print(f"\n{count} presses, mean of {len(rows)} draws: " + json.dumps(means))
-    return figures
-
-
-def repeated(bench: Bench) -> dict[str, Any]:
+def repeated() -> dict[str, Any]:
     """Five presses, and six frames of each: verdict, held-out error, and error on the other presses."""
+    presses, order = mini_ball()
     figures: dict[str, Any] = {}
     for seed in range(3):
         rng = np.random.default_rng(seed)
-        training = [int(i) for i in rng.permutation(bench.order)[:5]]
-        alone = unlabeled(bench.presses, training)
+        training = [int(i) for i in rng.permutation(order)[:5]]
+        alone = unlabeled(presses, training)
         frames = tuple(_frame(press, rng) for press in alone.presses for _ in range(6))
-        test = bench.presses.subset(bench.others(training)[::3])
+        test = presses.subset([i for i in order if i not in training][::3])
         for name, some in (("5 presses", alone), ("30 frames of them", replace(alone, presses=frames))):
             calibration = gelform.calibrate(some, start=None)  # the starter has seen these presses
             verdict = report_content(some, calibration, rng=rng)["verdict"]["headline"]
@@ -206,7 +59,7 @@ def _frame(press: Any, rng: np.random.Generator) -> Any:
     return replace(press, image=image, digest=pixels_digest(image))
 
 
-def second_unit(_: Bench | None) -> dict[str, Any]:
+def second_unit() -> dict[str, Any]:
     """Another unit of a simulated sensor, with LEDs displaced by 2 mm (sd) and up to 30 % brighter or dimmer."""
     first = replace(LAYOUTS["three-edges"], shape=(132, 176), mm_per_px=0.1153)
     figures: dict[str, Any] = {}
@@ -245,18 +98,17 @@ def _presses(sensor: SimulatedSensor, count: int, seed: int) -> Any:
     return presses_of(made)
 
 
-PARTS = {"sigma": sigma, "gain": gain, "few": few, "repeated": repeated, "second_unit": second_unit}
+PARTS: dict[str, Callable[[], dict[str, Any]]] = {"repeated": repeated, "second_unit": second_unit}
 
 
 def main() -> None:
     """Run the named parts, or all; keep the earlier figures of the others."""
     asked = parts_asked(command_line(__doc__), PARTS)
     figures = recorded("trust")
-    bench = Bench() if DATA.is_dir() else None
     for name in asked.parts:
         if name != "second_unit" and data_is_missing(name):
             continue
-        figures[name] = PARTS[name](bench)  # type: ignore[operator]
+        figures[name] = PARTS[name]()
         write("trust", figures)
 
 

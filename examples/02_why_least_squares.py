@@ -11,8 +11,8 @@ import numpy as np
 import gelform
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
+from naive_integrators import depth_along_lines, depth_periodic, depth_zero_border
 from scenes import BALL, CUT_BALL, rmse_um, scene, with_noise, with_outliers
-from solvers.naive_integrators import depth_along_lines, depth_periodic, depth_zero_border
 
 truth, gradients, pitch = scene(CUT_BALL)
 

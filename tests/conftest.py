@@ -16,7 +16,6 @@ import gelform
 from gelform.exchange.exporters.press_folder import save_press_folder
 from gelform.image.frame import Frame
 from gelform.sensors.recordings.facts import RecordingFacts
-from gelform.sensors.recordings.image_folder import FolderRecording
 from gelform.sensors.recordings.mcap_writer import McapRecording
 from gelform.simulate import (
     LAYOUTS,
@@ -218,17 +217,14 @@ def frames(simulated):
 def forms(frames, tmp_path_factory):
     """Path by form; the video is without loss (FFV1)."""
     base = tmp_path_factory.mktemp("forms")
-    facts = RecordingFacts("ring", "S7", {"exposure": 50.0}, RATE_HZ)
-    written = {"mcap": McapRecording(base / "a.mcap", facts), "recorded": FolderRecording(base / "b", facts)}
+    recording = McapRecording(base / "a.mcap", RecordingFacts("ring", "S7", {"exposure": 50.0}, RATE_HZ))
     height, width = frames[0].image.shape[:2]
     video = cv2.VideoWriter(str(base / "c.avi"), cv2.VideoWriter.fourcc(*"FFV1"), RATE_HZ, (width, height))
     (base / "d").mkdir()
     for frame in frames:
-        for one in written.values():
-            one.write(frame)
+        recording.write(frame)
         video.write(np.ascontiguousarray(frame.image[..., ::-1]))
         cv2.imwrite(str(base / "d" / f"{frame.index:03d}.png"), frame.image[..., ::-1])
-    for one in written.values():
-        one.close()
+    recording.close()
     video.release()
-    return {"mcap": base / "a.mcap", "recorded": base / "b", "video": base / "c.avi", "images": base / "d"}
+    return {"mcap": base / "a.mcap", "video": base / "c.avi", "images": base / "d"}

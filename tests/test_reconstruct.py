@@ -159,7 +159,9 @@ def test_frame_times_pass_through(calibration, press):
         (lambda image: np.moveaxis(image, -1, 0), ValueError, "channel axis last"),
         (lambda image: np.dstack([image, image[..., 0]]), ValueError, "alpha"),
         (lambda image: image.astype(np.uint16), TypeError, "uint16"),
-        (lambda image: image[..., ::-1], gelform.CalibrationError, "looks like BGR"),
+        (lambda image: image[..., ::-1], gelform.CalibrationError, "is BGR compared"),
+        (lambda image: image[:, ::-1], gelform.CalibrationError, "is mirrored left to right compared"),
+        (lambda image: np.rot90(image, -1), gelform.CalibrationError, "turned by 90 degrees clockwise"),
     ],
 )
 def test_bad_images_are_refused(calibration, press, spoil, error, message):
@@ -261,7 +263,7 @@ def test_a_frame_is_always_turned_and_an_image_never(calibration, press):
     expected = gelform.Reconstructor(calibration)(press.image).depth_mm
     np.testing.assert_array_equal(reconstruct(press.image[:, ::-1]).depth_mm, expected)
     np.testing.assert_array_equal(reconstruct.from_image(press.image).depth_mm, expected)
-    with pytest.raises(gelform.CalibrationError, match="background is not of this image"):
+    with pytest.raises(gelform.CalibrationError, match="is mirrored left to right"):
         reconstruct(press.image)
 
 

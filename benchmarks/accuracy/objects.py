@@ -191,10 +191,7 @@ def deep(quick: bool) -> dict[str, Any]:
         sensors = {name: layout, f"{name}, dots": replace(layout, coating=dotted)}
         for what, sensor in list(sensors.items())[: 1 if quick else None]:
             count = 12 if quick else 24
-            sets = {
-                "deep": _deep(sensor, count),
-                "usual": usual_presses(sensor, count, (DEEP_BALL_MM,)),
-            }
+            sets = {"deep": _deep(sensor, count), "usual": usual_presses(sensor, count, (DEEP_BALL_MM,))}
             for depth, made in sets.items():
                 figures[f"{what}, {depth}"] = one = _held_out(made)
                 rows.append([f"{what}, {depth}", *one.values()])

@@ -18,7 +18,7 @@ from gelform.calibration.library.simulated import ready_calibration
 from gelform.image.frame import Frame
 from gelform.sensors import simulated_sensor_named
 from gelform.sensors.recordings.facts import RecordingFacts
-from gelform.sensors.recordings.image_folder import FolderRecording
+from gelform.sensors.recordings.mcap_writer import McapRecording
 from gelform.sensors.source import DEFAULT_SENSOR
 from gelform.simulate import Coin, simulate_press, text_relief
 from live.guided import wait_for
@@ -46,10 +46,10 @@ def depths_mm() -> list[tuple[Any, float]]:
     ]  # fmt: skip
 
 
-def write_presses(folder: Path) -> int:
+def write_presses(path: Path) -> int:
     """A recording of the presses; how many frames it has."""
     sensor, rng = simulated_sensor_named(DEFAULT_SENSOR), np.random.default_rng(0)
-    recording = FolderRecording(folder, RecordingFacts(sensor.name, None, {}, RECORDED_HZ))
+    recording = McapRecording(path, RecordingFacts(sensor.name, None, {}, RECORDED_HZ))
     frames = depths_mm()
     for k, (indenter, depth_mm) in enumerate(frames):
         image = simulate_press(sensor, indenter, depth_mm=max(depth_mm, LEAST_MM), rng=rng).image
@@ -81,8 +81,8 @@ def take_moving(folder: Path) -> None:
         It is larger than a README should load.
     """
     with tempfile.TemporaryDirectory() as name:
-        count = write_presses(Path(name) / "presses")
-        with served(name, str(Path(name) / "presses"), "-c", str(_calibration(Path(name)))) as opened:
+        count = write_presses(Path(name) / "presses.mcap")
+        with served(name, str(Path(name) / "presses.mcap"), "-c", str(_calibration(Path(name)))) as opened:
             page = opened(PAGE)
             page.click("#step-back")  # holds
             page.evaluate("document.activeElement.blur()")

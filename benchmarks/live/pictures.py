@@ -20,7 +20,7 @@ from gelform.calibration.presses.press_set import presses_from_simulated
 from gelform.image.frame import Frame
 from gelform.sensors import simulated_sensor_named
 from gelform.sensors.recordings.facts import RecordingFacts
-from gelform.sensors.recordings.image_folder import FolderRecording
+from gelform.sensors.recordings.mcap_writer import McapRecording
 from gelform.sensors.simulated.source import IMAGE_RATE_HZ, program
 from gelform.simulate import Screw, simulate_ball_presses, simulate_pose
 from live.guided import wait_for
@@ -106,13 +106,13 @@ def of_a_recording(folder: Path) -> None:
             sensor, ball_diameters_mm=[5.0], count=12, rng=np.random.default_rng(12), oversample=1
         )
         gelform.calibrate(presses_from_simulated(made)).save(work / "twelve-presses.npz")
-        recording = FolderRecording(work / "screw", RecordingFacts(sensor.name, None, {}, IMAGE_RATE_HZ))
+        recording = McapRecording(work / "screw.mcap", RecordingFacts(sensor.name, None, {}, IMAGE_RATE_HZ))
         rng = np.random.default_rng(0)
         for k, touch in enumerate(dict.fromkeys(touches)):
             image = simulate_pose(sensor, touch.indenter, touch.pose, rng=rng).image
             recording.write(Frame(image, k / IMAGE_RATE_HZ, k, k))
         recording.close()
-        with served(name, str(work / "screw"), "-c", str(work / "twelve-presses.npz")) as opened:
+        with served(name, str(work / "screw.mcap"), "-c", str(work / "twelve-presses.npz")) as opened:
             page = opened(LARGE)
             page.click("#step-back")  # holds
             page.evaluate(SEEK)

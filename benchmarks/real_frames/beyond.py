@@ -68,10 +68,7 @@ def below(presses: Any, limit: float) -> gelform.Calibration:
         names = ("x_px", "y_px", "true_gradients", "gradients")
         return replace(one, **{name: getattr(one, name)[keep] for name in names})
 
-    with (
-        patch.object(PreparedPress, "contact_radius", near),
-        patch.object(HeldOutSample, "within", gentle),
-    ):
+    with patch.object(PreparedPress, "contact_radius", near), patch.object(HeldOutSample, "within", gentle):
         return gelform.calibrate(unlabeled(presses), start=None)
 
 

@@ -24,10 +24,10 @@ from gelform.foundations.checks import check_image
 from gelform.foundations.findings import Finding
 from gelform.foundations.pool import Pool, keep_freed_memory
 from gelform.image.background.change import PreparedBackground
-from gelform.image.background.check import background_digest, check_own_background
+from gelform.image.background.check import background_digest, check_own_background, check_viewed_image
 from gelform.image.background.exposure import Exposure
 from gelform.image.background.untouched import reference_from_color_change
-from gelform.image.frame import Frame, as_levels, check_viewed_image, whole_levels
+from gelform.image.frame import Frame, as_levels, whole_levels
 from gelform.image.health import DepthLimit, FrameFaults, FrameHealth, check_untouched_image
 from gelform.image.markers import MarkerFlow, MarkerFollower
 from gelform.image.view import image_from_frame
@@ -216,7 +216,7 @@ class Reconstructor:
         self.solver = self._calibrated.depth.solver
         self.findings: tuple[Finding, ...] = calibration.findings
         self.background = calibration.background
-        self._checked = partial(check_viewed_image, calibration.image_shape, calibration.view.frame_shape)
+        self._checked = partial(check_viewed_image, calibration.background, calibration.view.frame_shape)
         if background is not None:
             today = self._checked(background, "background")
             check_untouched_image(today, calibration.background)
@@ -301,7 +301,7 @@ class Reconstructor:
         ValueError, TypeError
             No RGB image, or of another size than the calibrated ones.
         CalibrationError
-            The background is clearly not of this image, or the image is BGR.
+            The background is clearly not of this image, or the image is mirrored, turned or BGR.
         """
         with self._pool.one() as change:
             read = self._read(self._checked(image), change, markers)

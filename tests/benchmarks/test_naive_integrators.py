@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from gelform.depth.integrate import depth_from_gradients
+from naive_integrators import depth_along_lines, depth_periodic, depth_zero_border
 from scenes import BALLS, PLANE, QUADRATIC, polynomial, rmse_um, scene, waves
-from solvers.naive_integrators import depth_along_lines, depth_periodic, depth_zero_border
 
 PITCHES = [(0.0634, 0.0634), (0.05, 0.08)]
 

@@ -11,7 +11,7 @@ from gelform.calibration.held_out.measure import HeldOutSample
 from gelform.calibration.held_out.scores import HeldOutPresses
 from gelform.calibration.report.content import report_content
 from gelform.calibration.report.learning import learning_curve
-from gelform.calibration.report.page.page import report_page
+from gelform.calibration.report.page import report_page
 from gelform.result.metrics.ball import ball_gradients
 
 

@@ -89,7 +89,7 @@ def commands(work: Path, out: Path) -> dict[str, list[Any]]:
         "compare": ["compare", images[0], *two, "-o", out / "compared"],
         "explain": ["explain", images[0], "-c", work / "cal.npz", "-o", out / "why"],
         "export": ["export", work / "result.npz", "--to", "tiff", "-o", out / "depth.tiff"],
-        "record": ["record", work / "frames", "-o", out / "recorded", "--frames", "3"],
+        "record": ["record", work / "frames", "-o", out / "recorded.mcap", "--frames", "3"],
         "bag": ["bag", work / "frames", "-c", work / "cal.npz", "-o", out / "bag"],
     }
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gelform.image.frame import Frame, check_viewed_image, pixels_digest
+from gelform.image.frame import Frame, pixels_digest
 
 
 def test_the_digest_tells_values_shapes_and_dtypes_apart():
@@ -26,13 +26,3 @@ def test_a_frame_does_not_change():
     frame = Frame(np.zeros((2, 2, 3), dtype=np.uint8), time_s=1.0, wall_time_ns=2, index=3)
     with pytest.raises(AttributeError):
         frame.index = 4
-
-
-def test_a_frame_in_an_images_place_is_told_the_way():
-    image = np.zeros((4, 6, 3), dtype=np.uint8)
-    assert check_viewed_image((4, 6), (8, 12), image) is image
-    with pytest.raises(ValueError, match=r"Expected background of 4x6.*image_from_frame"):
-        check_viewed_image((4, 6), (8, 12), np.zeros((8, 12, 3), dtype=np.uint8), "background")
-    with pytest.raises(ValueError, match="got 9x12") as other:
-        check_viewed_image((4, 6), (8, 12), np.zeros((9, 12, 3), dtype=np.uint8))
-    assert "image_from_frame" not in str(other.value)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from gelform.image import health as health_module
-from gelform.image.health import DepthLimit, FrameHealth, Levels, Torn, torn_finding
+from gelform.image.health import DepthLimit, FrameHealth, Levels, Torn
 from kernel_agreement import assert_kernel_agrees
 from made.worn_frames import SHAPE, blocks_of, constant, gel, pressed, with_part
 
@@ -36,8 +36,7 @@ def test_a_sound_frame_has_no_faults(health, frame):
 
 
 @pytest.mark.parametrize(
-    ("level", "name"),
-    [(0, "dark"), (3, "dark"), (255, "saturated"), (128, "torn"), ((90, 135, 90), "torn")],
+    ("level", "name"), [(0, "dark"), (3, "dark"), (255, "saturated"), (128, "torn"), ((90, 135, 90), "torn")]
 )
 def test_a_frame_of_one_color_says_nothing(health, level, name):
     faults = health(constant(level))
@@ -314,14 +313,6 @@ def test_the_steps_of_rows_are_those_of_numpy(shape):
     assert_kernel_agrees(health_module._seam, without_the_step, sums, rest, work, totals, 8.0, 3.0, 0.1)
 
 
-def test_only_rows_alike_have_one_digest():
-    image = np.random.default_rng(3).integers(0, 256, (64, 40, 3), dtype=np.uint8)
-    image[40] = image[7]
-    digests = blocks_of(image).row_digests
-    assert digests[40] == digests[7]
-    assert len(np.unique(digests)) == 63
-
-
 def test_floats_are_rounded_as_a_camera_would():
     image = np.random.default_rng(4).uniform(0, 255, (32, 32, 3)).astype(np.float32)
     rounded = np.rint(image).astype(np.uint8)
@@ -387,11 +378,3 @@ def test_neighboring_rows_that_are_alike_are_what_video_does():
     frame = pressed()
     frame[1::2] = frame[::2]
     assert torn_of(gel()).repeated_rows(blocks_of(frame), frame) is None
-
-
-def test_the_finding_says_how_much():
-    lost = np.zeros((10, 10), dtype=bool)
-    lost[:4] = True
-    finding = torn_finding(lost)
-    assert (finding.name, finding.figure) == ("torn", 0.4)
-    assert "40 % of the frame is torn" in finding.message

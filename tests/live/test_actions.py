@@ -15,8 +15,8 @@ from gelform.live.start import Options, start
 from gelform.live.station import Setup
 from gelform.sensors.recordings import attached_calibration
 from gelform.sensors.recordings.facts import RecordingFacts
-from gelform.sensors.recordings.image_folder import FolderRecording
 from gelform.sensors.recordings.indexed import indexed
+from gelform.sensors.recordings.mcap_writer import McapRecording
 from gelform.simulate import Ball, simulate_background, simulate_press
 from live_waiting import until
 
@@ -88,9 +88,9 @@ def test_what_is_not_listed_or_known_is_refused(hub):
 
 @pytest.fixture
 def replayed(hub, forms, tmp_path):
-    """The hub's station on the recorded folder, held at frame 2."""
+    """The hub's station on the recording, held at frame 2."""
     hub.folder = tmp_path
-    actions.open_recording(hub, 0, hub.recordings.add(forms["recorded"]))
+    actions.open_recording(hub, 0, hub.recordings.add(forms["mcap"]))
     station = hub.stations[0]
     until(lambda: station.facts()["replay"])
     actions.play(hub, 0, False)
@@ -106,7 +106,7 @@ def number_shown(station):
 def test_the_result_is_that_of_the_frame_alone(replayed, forms, calibration):
     """Whatever was shown before: forward, backward, twice."""
     station = replayed.stations[0]
-    wanted = gelform.Reconstructor(calibration)(indexed(forms["recorded"]).frame(2)).depth_mm
+    wanted = gelform.Reconstructor(calibration)(indexed(forms["mcap"]).frame(2)).depth_mm
     np.testing.assert_array_equal(station.newest.result.depth_mm, wanted)
     actions.step(replayed, 0, 1)
     until(lambda: number_shown(station) == 3)
@@ -227,14 +227,14 @@ def filmed(sensor, tmp_path):
     """A recording of six presses of a ball, each held for half a second, after the untouched gel."""
     rng = np.random.default_rng(7)
     rest = simulate_background(sensor, None).astype(np.float64)
-    folder = FolderRecording(tmp_path / "filmed", RecordingFacts("ring", None, {}, 25.0))
+    recording = McapRecording(tmp_path / "filmed.mcap", RecordingFacts("ring", None, {}, 25.0))
     count = 0
 
     def film(image, frames):
         nonlocal count
         for _ in range(frames):
             noisy = np.clip(image + rng.normal(0, sensor.noise_sd, image.shape), 0, 255).astype(np.uint8)
-            folder.write(Frame(noisy, count / 25, 10**18 + count, count))
+            recording.write(Frame(noisy, count / 25, 10**18 + count, count))
             count += 1
 
     film(rest, UNTOUCHED)
@@ -242,8 +242,8 @@ def filmed(sensor, tmp_path):
         press = simulate_press(sensor, Ball(2.5), depth_mm=0.45, center_mm=place, rng=None, oversample=1)
         film(press.image.astype(np.float64), HELD)
         film(rest, LIFTED)
-    folder.close()
-    return tmp_path / "filmed"
+    recording.close()
+    return tmp_path / "filmed.mcap"
 
 
 @pytest.mark.slow

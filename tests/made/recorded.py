@@ -5,7 +5,6 @@ import numpy as np
 from gelform.image.frame import Frame
 from gelform.sensors.playback import Playback
 from gelform.sensors.recordings.facts import RecordingFacts
-from gelform.sensors.recordings.image_folder import FolderRecording
 from gelform.sensors.recordings.mcap_writer import McapRecording
 from made.mjpeg_server import jpeg
 
@@ -27,9 +26,8 @@ def frames(count=6, shape=(48, 64), encoded=False, rate_hz=50.0):
 
 
 def recorded(path, given, facts=None, attached=None):
-    """The path, after the frames were written to a recording there: an MCAP file or a folder, by its name."""
-    kind = McapRecording if path.suffix == ".mcap" else FolderRecording
-    recording = kind(path, facts or FACTS, attached)
+    """The path, after the frames were written to a recording there."""
+    recording = McapRecording(path, facts or FACTS, attached)
     for frame in given:
         recording.write(frame)
     recording.close()
@@ -38,11 +36,4 @@ def recorded(path, given, facts=None, attached=None):
 
 def camera(count=6, **how):
     """A function that opens a source of those frames, at their pace."""
-    return lambda: Playback(
-        lambda: frames(count, **how),
-        name="a camera",
-        rate_hz=50.0,
-        serial="S1",
-        settings={"gain": 3.0},
-        paced=True,
-    )
+    return lambda: Playback(lambda: frames(count, **how), FACTS, paced=True)

@@ -2,41 +2,36 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import socket
 from types import SimpleNamespace
 
-import cv2
 import numpy as np
 import pytest
 
+from gelform.image.frame import Frame
 from gelform.robots.send import save_bag
+from gelform.sensors.recordings.facts import RecordingFacts
 from gelform.simulate import Ball, Pose, simulate_pose
+from made.recorded import recorded
 
 START_NS, RATE_HZ = 1_700_000_000_123_456_789, 50
 
 
 @pytest.fixture(scope="session")
 def recording(sensor, made_once):
-    """A recorded folder of four frames: a gel at rest, then pressed; one of them torn."""
+    """A recording of four frames: a gel at rest, then pressed; one of them torn."""
     return made_once("bag_recording", lambda path: _recorded(path, sensor))
 
 
 def _recorded(path, sensor):
-    path.mkdir()
-    rng = np.random.default_rng(7)
-    with (path / "frames.csv").open("w", newline="") as table:
-        write = csv.writer(table, lineterminator="\n").writerow
-        write(["index", "time_s", "wall_time_ns", "image"])
-        for k, depth_mm in enumerate((0.0, 0.3, 0.5, 0.5)):
-            image = simulate_pose(sensor, Ball(3.0), Pose(depth_mm), rng=rng).image
-            if k == 3:
-                image[80:] = 0  # a torn frame: its lower part never came
-            cv2.imwrite(str(path / f"{k:08d}.png"), cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
-            write([k, k / RATE_HZ, START_NS + k * 10**9 // RATE_HZ, f"{k:08d}.png"])
-    (path / "recording.json").write_text('{"name": "a gel", "rate_hz": 50.0, "format_version": 1}')
-    return path
+    rng, given = np.random.default_rng(7), []
+    for k, depth_mm in enumerate((0.0, 0.3, 0.5, 0.5)):
+        image = simulate_pose(sensor, Ball(3.0), Pose(depth_mm), rng=rng).image
+        if k == 3:
+            image[80:] = 0  # a torn frame: its lower part never came
+        given.append(Frame(image, k / RATE_HZ, START_NS + k * 10**9 // RATE_HZ, k))
+    return recorded(path.with_suffix(".mcap"), given, RecordingFacts("a gel", rate_hz=50.0))
 
 
 @pytest.fixture(scope="session")

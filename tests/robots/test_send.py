@@ -7,6 +7,7 @@ Impossible requests are refused.
 import threading
 import time
 from dataclasses import replace
+from itertools import islice
 
 import cv2
 import numpy as np
@@ -18,6 +19,7 @@ from gelform.exchange.exporters.surface import points_from_result
 from gelform.robots.send import StampedResults, publish, save_bag
 from gelform.sensors.recordings.messages import typestore
 from made.recorded import frames
+from made.small_gel import save
 from made.sources import ImageSource
 
 START_NS, RATE_HZ, FRAMES = 1_700_000_000_123_456_789, 50, 4
@@ -37,8 +39,8 @@ def test_stamps_are_those_of_the_frames_and_seconds_end_it(recording, calibratio
 
 
 def test_frames_without_a_time_are_stamped_from_now_on(recording, calibration, tmp_path):
-    for k in range(2):
-        (tmp_path / f"{k}.png").write_bytes((recording / f"{k:08d}.png").read_bytes())
+    for frame in islice(gelform.open_source(recording), 2):
+        save(tmp_path / f"{frame.index}.png", frame.image)
     before = time.time_ns()
     with gelform.stream(tmp_path, calibration) as running:
         results = StampedResults(running, tmp_path, None)

@@ -94,7 +94,7 @@ def test_a_sealed_file_that_holds_something_else(files, kind, part):
     nested = [(name, key) for name in names if part == "meta" and isinstance(contents["meta"][name], dict)
               for key in contents["meta"][name]]  # fmt: skip
 
-    @cases(125)
+    @cases(80)
     @given(place=st.sampled_from([*names, *nested]), which=st.integers(-1, 60))
     def of_any_kind(place, which):
         arrays, meta = unsealed(file.content)

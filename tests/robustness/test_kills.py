@@ -18,7 +18,7 @@ from hostile.budget import FACTOR
 from hostile.commands import commands, make_work
 
 COMMANDS = ("calibrate", "import", "reconstruct", "simulate")
-KILLS = 3 if FACTOR < 5 else 20
+KILLS = 2 if FACTOR < 5 else 20
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(not hasattr(os, "fork"), reason="kills a forked process")]
 
 

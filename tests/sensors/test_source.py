@@ -11,17 +11,9 @@ from gelform.errors import DataError, SensorError
 from gelform.image.frame import Frame
 from gelform.sensors import playback
 from gelform.sensors.playback import Pace, Playback, folder_playback, video_playback
+from gelform.sensors.recordings.facts import RecordingFacts
 from gelform.sensors.source import open_source
 from gelform.sensors.video_files import is_video
-
-
-def test_simulated_comes_at_its_rate_and_counts():
-    with gelform.open_source("simulated", rate_hz=100.0) as source:
-        assert source.live
-        frames = [frame for _, frame in zip(range(4), source)]
-    assert [frame.index for frame in frames] == sorted({frame.index for frame in frames})
-    assert source.settings == {"width": 320, "height": 240, "fps": 100.0}
-    assert frames[0].image.shape == (240, 320, 3)
 
 
 def test_a_folder_and_what_cannot_be_set(tmp_path):
@@ -97,7 +89,7 @@ def folder(tmp_path):
 
 
 def test_as_fast_as_they_are_read_with_their_own_times():
-    source = Playback(frames(100, 0.5), name="x", rate_hz=0.5)
+    source = Playback(frames(100, 0.5), RecordingFacts("x", rate_hz=0.5))
     started = time.monotonic()
     taken = list(source)
     assert time.monotonic() - started < 100  # 200 s at their pace
@@ -107,21 +99,21 @@ def test_as_fast_as_they_are_read_with_their_own_times():
 
 
 def test_paced_frames_come_at_their_time_on_our_clock():
-    source = Playback(frames(6), name="x", rate_hz=50.0, paced=True)
+    source = Playback(frames(6), RecordingFacts("x", rate_hz=50.0), paced=True)
     assert source.live
     ages = [time.monotonic() - frame.time_s for frame in source]
     assert min(ages) >= 0
-    taken = list(Playback(frames(6), name="x", rate_hz=50.0, paced=True))
+    taken = list(Playback(frames(6), RecordingFacts("x", rate_hz=50.0), paced=True))
     assert np.diff([frame.time_s for frame in taken]) == pytest.approx(0.02, abs=1e-9)
     assert all(abs(time.time_ns() - frame.wall_time_ns) < 10e9 for frame in taken)
 
 
 def test_a_late_reader_gets_the_frame_that_is_due_and_closing_ends_the_loop():
-    reader = iter(Playback(frames(60), name="x", rate_hz=50.0, paced=True))
+    reader = iter(Playback(frames(60), RecordingFacts("x", rate_hz=50.0), paced=True))
     next(reader)
     time.sleep(0.3)
     assert next(reader).index >= 14
-    with Playback(frames(60), name="x") as source:
+    with Playback(frames(60), RecordingFacts("x")) as source:
         reader = iter(source)
         next(reader)
     assert list(reader) == []

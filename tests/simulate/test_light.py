@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from gelform.simulate import (
-    LAYOUTS,
     Ball,
     Coating,
     Led,
@@ -72,15 +71,6 @@ def test_lights_add_up():
     np.testing.assert_allclose(exact(sensor_with(*LEDS)).image, apart, rtol=1e-12, atol=1e-15)
 
 
-def test_turning_lights_and_scene_turns_the_picture():
-    turned = tuple(Led((-y, x, z), led.color) for led in LEDS for x, y, z in [led.position_mm])
-    image, again = (
-        exact(sensor_with(*leds, shape=(41, 41)), 2.0, center_mm=center).image
-        for leds, center in ((LEDS, (0.7, 0.3)), (turned, (-0.3, 0.7)))
-    )
-    np.testing.assert_allclose(again, np.rot90(image, k=-1), rtol=1e-10)
-
-
 def test_no_light_from_behind():
     sensor = sensor_with(Led((20, 0, 2), WHITE))
     x, y = sensor.grid_mm()
@@ -119,19 +109,6 @@ def test_a_beam_falls_off_with_its_power_of_the_cosine():
     x, y = PLAIN.grid_mm()
     cosine = 5 / np.sqrt(x**2 + y**2 + 25)
     np.testing.assert_allclose(narrow[..., 0], wide[..., 0] * cosine**3, rtol=1e-9)
-
-
-def test_gloss_is_brightest_where_the_surface_mirrors_the_light():
-    sensor = replace(PLAIN, leds=(Led((-20, 0, 20), (1e5, 0, 0)),), shape=(61, 81))
-    matte = exact(sensor, depth_mm=1.0)
-    press = exact(replace(sensor, coating=Coating(specular=0.5, shininess=64)), depth_mm=1.0)
-    gloss = press.image[..., 0] - matte.image[..., 0]
-    row, column = np.unravel_index(np.argmax(gloss), gloss.shape)
-    place = (column - 40) * 0.1, (row - 30) * 0.1, press.depth_mm[row, column]
-    to_light = np.array([-20, 0, 20]) - place
-    half = to_light / np.linalg.norm(to_light) + np.array([0, 0, 1])
-    assert press.normals[row, column] @ half / np.linalg.norm(half) > 0.999
-    assert gloss.min() > -1e-9
 
 
 @pytest.mark.parametrize("shininess", [1, 2, 16])
@@ -205,40 +182,6 @@ def test_a_far_low_light_casts_the_shadow_that_geometry_says():
     clear = row + 0.5 * x >= horizon
     np.testing.assert_allclose(dark.image[30][clear][:-1], free.image[30][clear][:-1], rtol=1e-6)
     assert np.all(dark.shadowed[30][hidden])
-
-
-def test_larger_lights_cast_softer_shadows():
-    grid = PLAIN.grid_mm()
-    surface = surface_from_indenter(Ball(1), *grid, center_mm=(0, 0), depth_mm=0.8, relaxation_mm=0.3)
-    small, large = (
-        visible_from_surface(surface, (Led((-15, 0, 7), (1, 1, 1), size_mm=s),))[0] for s in (0.5, 5.0)
-    )
-    partial = [np.count_nonzero((v > 0.02) & (v < 0.98)) for v in (small, large)]
-    assert partial[1] > 2 * partial[0]
-    assert min(small.min(), large.min()) == 0
-
-
-def test_shadows_take_light_and_never_give():
-    for name, sensor in LAYOUTS.items():
-        shadowed = replace(sensor, cast_shadows=True)
-        free, dark = (exact(one, 2.0, depth_mm=0.8, oversample=1).image for one in (sensor, shadowed))
-        assert np.all(dark <= free + 1e-6), name
-        background = simulate_background(shadowed, None, quantise=False)
-        np.testing.assert_array_equal(background, simulate_background(sensor, None, quantise=False))
-
-
-def test_turning_light_and_surface_turns_the_shadow():
-    sensor = replace(PLAIN, shape=(61, 61))
-    settings = {"depth_mm": 0.8, "relaxation_mm": 0.3}
-    first = surface_from_indenter(Ball(1), *sensor.grid_mm(), center_mm=(0.7, 0.3), **settings)
-    turned = surface_from_indenter(Ball(1), *sensor.grid_mm(), center_mm=(-0.3, 0.7), **settings)
-    for x, y in ((-15.0, 2.0), (15.0, 2.0), (3.0, -15.0), (3.0, 15.0)):
-        seen = visible_from_surface(first, (Led((x, y, 6.0), (1, 1, 1)),))[0]
-        again = visible_from_surface(turned, (Led((-y, x, 6.0), (1, 1, 1)),))[0]
-        np.testing.assert_allclose(again, np.rot90(seen, k=-1), atol=2e-3)
-        rows, columns = np.nonzero(seen < 0.5)
-        away = np.array([columns.mean() - 37, rows.mean() - 33]) @ np.array([x, y])
-        assert away < 0  # the shadow lies on the side that is turned from the light
 
 
 @pytest.mark.parametrize("place", [(-9.0, 2.0, 4.0), (0.5, 8.0, 4.0), (7.0, -7.0, 5.0)])

@@ -17,13 +17,11 @@ from gelform.calibration.presses.press_set import Presses
 from gelform.errors import CalibrationError
 from gelform.image.background.change import color_change_from_image
 from gelform.image.background.check import check_background_of_frames
+from gelform.image.background.orientation import orientation_if_doubtful
 from gelform.image.frame import DARK
 from gelform.sensors.profiles import light_order_of, scale_off_make
 from gelform.slopes.confidence.causes import SATURATED_FROM
 
-REVERSED_FIT = 0.6  # of the unchanged difference; reversed channels fit clearly better
-MIN_DIFFERENCE = 3.0  # gray levels, median: less is noise
-CHECKED_STEP = 4  # px between the pixels that are compared
 MIN_CHANGE = 0.08  # of color, mean over a contact in the background
 MIN_ROUGHER = 1.3  # roughness of the background over that of the presses' median
 MOST_UNUSABLE = 0.1  # of the pixels of the background image
@@ -33,14 +31,14 @@ MIN_SINE = 0.3  # sum over the lights' turns; 2.6 for equal angles; less may be 
 
 
 def check_inputs(presses: Presses) -> None:
-    """Refuse a set without presses, with gray images, with reversed channels, or with a contact in the background.
+    """Refuse a set without presses, with gray, turned, mirrored or BGR images, or with a contact in the background.
 
     The CalibrationError names the images or the place of the contact, and the remedy.
     """
     _check_any(presses)
     _check_flats(presses)
     _check_colored(presses)
-    _check_channels(presses)
+    _check_orientation(presses)
     _check_untouched(presses)
 
 
@@ -76,31 +74,23 @@ def _check_colored(presses: Presses) -> None:
         )
 
 
-def _check_channels(presses: Presses) -> None:
-    wrong = [press.name for press in presses.presses if is_reversed(press.image, presses.background)]
-    if not wrong:
-        return
-    if len(wrong) == len(presses.presses):
+def _check_orientation(presses: Presses) -> None:
+    wrong: dict[str, list[str]] = {}
+    for press in presses.presses:
+        orientation = orientation_if_doubtful(press.image, presses.background)
+        if orientation is not None and not orientation.is_upright:
+            wrong.setdefault(orientation.named, []).append(press.name)
+    for how, names in wrong.items():
+        if len(names) == len(presses.presses):
+            raise CalibrationError(
+                f"All {len(names)} presses of {presses.folder} are {how} compared with the background. Either they or the "
+                "background image were saved in another way. Save all as RGB files that lie as the camera gives them."
+            )
+        named = ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")
         raise CalibrationError(
-            f"All {len(wrong)} presses of {presses.folder} fit the background better with red and blue exchanged. Either "
-            "they or the background image are saved as BGR. Save all as RGB files, in the same way."
+            f"{len(names)} of {len(presses.presses)} presses of {presses.folder} are {how} compared with the background: "
+            f"{named}. Save all as RGB files, in the same way."
         )
-    named = ", ".join(wrong[:5]) + (f" and {len(wrong) - 5} more" if len(wrong) > 5 else "")
-    raise CalibrationError(
-        f"{len(wrong)} of {len(presses.presses)} presses of {presses.folder} look like BGR, because their channels fit "
-        f"the background better reversed: {named}. Save all as RGB files, in the same way."
-    )
-
-
-def is_reversed(image: NDArray[np.uint8], background: NDArray[np.float32]) -> bool:
-    """Whether an image fits the background clearly better with red and blue exchanged.
-
-    It compares the median difference over the pixels, because a press leaves most of them unchanged.
-    """
-    some = image[::CHECKED_STEP, ::CHECKED_STEP].astype(np.float32)
-    untouched = background[::CHECKED_STEP, ::CHECKED_STEP]
-    straight, turned = (float(np.median(np.abs(one - untouched))) for one in (some, some[..., ::-1]))
-    return straight > MIN_DIFFERENCE and turned < REVERSED_FIT * straight
 
 
 def _check_untouched(presses: Presses) -> None:

@@ -166,7 +166,7 @@ def write_report(
     content: dict[str, Any], presses: Presses, calibration: Calibration, folder: Path, *, overwrite: bool
 ) -> None:
     """Write the files of `--report`: the page, its numbers, and the circles as a table."""
-    from gelform.calibration.report.page.page import report_page
+    from gelform.calibration.report.page import report_page
 
     page = report_page(content, presses, calibration)
     files = (page.encode(), json_bytes(content), _circles_csv(calibration.report.presses))

@@ -7,9 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-
-from gelform.foundations.checks import check_image
+from numpy.typing import NDArray
 
 # Gray levels, of means of pixels: a channel below or above says nothing of slopes, at either end of a camera's range.
 DARK, BRIGHT = 8, 250
@@ -44,19 +42,6 @@ def pixels_digest(pixels: NDArray[Any]) -> str:
     The same picture in another dtype has another digest.
     """
     return hashlib.sha256(repr(pixels.shape).encode() + np.ascontiguousarray(pixels).tobytes()).hexdigest()
-
-
-def check_viewed_image(
-    shape: tuple[int, int], frame_shape: tuple[int, int] | None, image: ArrayLike, name: str = "image"
-) -> NDArray[Any]:
-    """Return an RGB image of a given shape, as `check_image` does; if it has the shape of a frame, the error says so."""
-    try:
-        return check_image(image, shape=shape, name=name)
-    except ValueError as problem:
-        if getattr(image, "shape", ())[:2] != frame_shape or frame_shape == shape:
-            raise
-        hint = "It has the size of the camera's frames: image_from_frame(frame, calibration.view) first."
-        raise ValueError(f"{problem} {hint}") from None
 
 
 def as_levels(image: NDArray[Any]) -> NDArray[np.uint8]:

@@ -110,7 +110,7 @@ class Recordings:
     Parameters
     ----------
     given : paths from the command line
-    folder : a folder with more recordings (*.mcap, videos, recorded folders), or None
+    folder : a folder with more recordings (*.mcap, videos), or None
     """
 
     def __init__(self, given: Iterable[Path] = (), folder: Path | None = None) -> None:

@@ -201,27 +201,21 @@ class Reconstruction:
         return _shown_in_notebook(self.depth, self.known, (*self._figures().items(), *findings))
 
     def _figures(self) -> dict[str, str]:
-        markers = {} if self.markers is None else {"markers": self.markers.in_words()}
         height, width = self.shape
-        known = bool(self.known.any())
+        low, high, touched = self.depth.min(), self.depth.max(), int(np.count_nonzero(self.contact))
         if self.mm_per_px is None:
-            return {
-                "height x width": f"{height}x{width} px, scale unknown",
-                "depth": f"{self.depth_px.min():.2f} to {self.depth_px.max():.2f} px" if known else "unknown",
-                "contacts": _counted(int(np.count_nonzero(self.contact)), "px", len(self.contacts))
-                if known
-                else "unknown",
-                **markers,
-                "zero": self.zero,
-                "solver": self.solver,
-            }
-        pitch = np.broadcast_to(self.mm_per_px, 2)
-        area = np.count_nonzero(self.contact) * float(pitch[0] * pitch[1])
+            size, depth = "scale unknown", f"{low:.2f} to {high:.2f} px"
+            contacts = _counted(touched, "px", len(self.contacts))
+        else:
+            x, y = check_mm_per_px(self.mm_per_px)
+            size, depth = f"{height * y:.1f}x{width * x:.1f} mm", f"{low:.3f} to {high:.3f} mm"
+            contacts = _counted(round(touched * x * y, 1), "mm^2", len(self.contacts))
+        known = bool(self.known.any())
         return {
-            "height x width": f"{height}x{width} px, {height * pitch[1]:.1f}x{width * pitch[0]:.1f} mm",
-            "depth": f"{self.depth_mm.min():.3f} to {self.peak_mm:.3f} mm" if known else "unknown",
-            "contacts": _counted(round(area, 1), "mm^2", len(self.contacts)) if known else "unknown",
-            **markers,
+            "height x width": f"{height}x{width} px, {size}",
+            "depth": depth if known else "unknown",
+            "contacts": contacts if known else "unknown",
+            **({} if self.markers is None else {"markers": self.markers.in_words()}),
             "zero": self.zero,
             "solver": self.solver,
         }

@@ -27,7 +27,7 @@ from gelform.image.view import View
 from gelform.sensors.jpeg import SIGNATURE as JPEG
 from gelform.sensors.jpeg import is_gray_jpeg, pixels_of_jpeg
 from gelform.sensors.png_bytes import SIGNATURE as PNG
-from gelform.sensors.png_bytes import pixels_of_png, png_of_pixels
+from gelform.sensors.png_bytes import pixels_of_png
 from gelform.sensors.video_files import is_video
 
 if sys.version_info >= (3, 11):
@@ -87,7 +87,7 @@ def read_image(path: str | Path) -> NDArray[np.uint8]:
     """
     path = check_path(path)
     content = _content(path)
-    rgb = pixels_of_png(content) if content.startswith(PNG) else _pixels_of_jpeg(content, path)
+    rgb = _usual_pixels(content, path)
     if rgb is not None:
         return rgb
     pixels = _decoded(content, path)
@@ -211,12 +211,12 @@ def _content(path: Path) -> bytes:
         raise DataError(f"Cannot read {path}: {problem.strerror or problem}.") from problem
 
 
-def _pixels_of_jpeg(content: bytes, path: Path) -> NDArray[np.uint8] | None:
-    """RGB pixels of a JPEG; None for other files and gray pictures."""
-    if not content.startswith(JPEG):
-        return None
+def _usual_pixels(content: bytes, path: Path) -> NDArray[np.uint8] | None:
+    """RGB pixels of a PNG or a JPEG of the usual kind; None for others, which OpenCV decodes."""
     try:
-        return None if is_gray_jpeg(content) else pixels_of_jpeg(content)
+        if content.startswith(PNG):
+            return pixels_of_png(content)
+        return pixels_of_jpeg(content) if content.startswith(JPEG) and not is_gray_jpeg(content) else None
     except ValueError as problem:
         raise DataError(
             f"{path} is truncated or damaged: {str(problem).rstrip('.')}. Copy or record it again."
@@ -227,10 +227,6 @@ def _decoded(content: bytes, path: Path) -> NDArray[Any]:
     """Pixels in OpenCV's order (BGR). Python reads the bytes, so that names outside ASCII work on every system."""
     if not content:
         raise DataError(f"{path} is empty. Copy or record it again.")
-    if content.startswith(PNG):
-        content = png_of_pixels(content) or b""
-        if not content:
-            raise DataError(f"{path} is truncated or damaged. Copy or record it again.")
     try:
         with _opencv_silent():
             pixels = cv2.imdecode(np.frombuffer(content, dtype=np.uint8), cv2.IMREAD_UNCHANGED)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,6 +11,7 @@ from gelform.errors import DataError
 from gelform.foundations.checks import check_positive
 from gelform.image.frame import Frame
 from gelform.sensors.files import IMAGE_SUFFIXES, read_image
+from gelform.sensors.recordings.facts import RecordingFacts
 from gelform.sensors.video_files import USUAL_RATE_HZ, Video
 
 
@@ -45,9 +46,7 @@ class Playback:
     Parameters
     ----------
     frames : each call returns the frames from the start
-    name : for display
-    rate_hz : frames per second, if known
-    serial, settings : of the recording camera, if known
+    facts : of the recording camera, as far as they are known
     paced : False: each frame as fast as it can be read, with the file's `time_s`. True: at the original pace, `time_s` on
         the monotonic clock; frames more than one frame period late are skipped
     """
@@ -55,15 +54,12 @@ class Playback:
     def __init__(
         self,
         frames: Callable[[], Iterable[Frame]],
+        facts: RecordingFacts,
         *,
-        name: str,
-        rate_hz: float | None = None,
-        serial: str | None = None,
-        settings: Mapping[str, float | str] | None = None,
         paced: bool = False,
     ) -> None:
-        self.name, self.serial, self.rate_hz = name, serial, rate_hz
-        self.settings = dict(settings or {})
+        self.name, self.serial, self.rate_hz = facts.name, facts.serial, facts.rate_hz
+        self.settings = dict(facts.settings)
         self.live = paced
         self._frames = frames
         self._closed = False
@@ -98,14 +94,14 @@ class Playback:
 def video_playback(path: Path, *, paced: bool = False) -> Playback:
     """The frames of a video file; DataError if it is no video (see `Video`)."""
     video = Video(path)
-    height, width = video.facts.shape
-    return Playback(
-        lambda: video,
-        name=path.name,
-        rate_hz=video.facts.frame_rate_hz or None,
-        settings={"width": width, "height": height},
-        paced=paced,
-    )
+    return Playback(lambda: video, facts_of_video(video), paced=paced)
+
+
+def facts_of_video(video: Video) -> RecordingFacts:
+    """What a video file tells of its camera."""
+    height, width = map(float, video.facts.shape)
+    rate = video.facts.frame_rate_hz or None
+    return RecordingFacts(video.path.name, settings={"width": width, "height": height}, rate_hz=rate)
 
 
 def folder_playback(path: Path, *, rate_hz: float | None = None, paced: bool = False) -> Playback:
@@ -123,7 +119,8 @@ def folder_playback(path: Path, *, rate_hz: float | None = None, paced: bool = F
     """
     rate = check_positive(rate_hz or USUAL_RATE_HZ, "rate_hz")
     frame, count = images_by_number(path, rate)
-    return Playback(lambda: map(frame, range(count)), name=path.resolve().name, rate_hz=rate, paced=paced)
+    facts = RecordingFacts(path.resolve().name, rate_hz=rate)
+    return Playback(lambda: map(frame, range(count)), facts, paced=paced)
 
 
 def images_by_number(path: Path, rate_hz: float) -> tuple[Callable[[int], Frame], int]:

@@ -85,14 +85,15 @@ class KnownCamera:
     Attributes
     ----------
     usb_id : vendor and product
-    modes : ((height, width), frames per second) that it offers, the usual one first
+    frame_shape, rate_hz : (height, width) and frames per second of its usual mode
     fourcc : the picture format to request
-    turn : rotation that makes its frames upright, as in a view
     led_levels : LED brightness steps above 0, set through the zoom control; 0 if the LEDs cannot be set
+    turn : rotation that makes its frames upright, as in a view
     """
 
     usb_id: str
-    modes: tuple[tuple[tuple[int, int], float], ...]
+    frame_shape: tuple[int, int]
+    rate_hz: float
     fourcc: str
     led_levels: int = 0
     turn: str = "none"
@@ -139,7 +140,7 @@ SENSORS = {
             light_order="clockwise",
         ),
         preset="gelsight_mini",
-        camera=KnownCamera("0c45:636d", (((2464, 3280), 25.0),), "MJPG"),
+        camera=KnownCamera("0c45:636d", (2464, 3280), 25.0, "MJPG"),
     ),
     "digit": KnownSensor(
         SensorProfile(
@@ -153,13 +154,7 @@ SENSORS = {
             light_order="counter-clockwise",
         ),
         preset="digit",
-        camera=KnownCamera(
-            "2833:0209",
-            (((240, 320), 60.0), ((240, 320), 30.0), ((480, 640), 30.0), ((480, 640), 15.0)),
-            "YUYV",
-            led_levels=15,
-            turn="left",
-        ),
+        camera=KnownCamera("2833:0209", (240, 320), 60.0, "YUYV", led_levels=15, turn="left"),
     ),
     "gelslim": KnownSensor(None, preset="gelslim"),
     "first-build": KnownSensor(None, preset="first_build"),

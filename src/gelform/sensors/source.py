@@ -15,7 +15,6 @@ from gelform.sensors.cameras.camera import camera_named
 from gelform.sensors.cameras.usb import UsbCamera
 from gelform.sensors.mjpeg import OPEN_S, MjpegUrl
 from gelform.sensors.playback import folder_playback, video_playback
-from gelform.sensors.recordings.image_folder import is_recorded_folder, recorded_folder_playback
 from gelform.sensors.recordings.mcap_reader import is_bag_folder, mcap_file_in, mcap_playback
 from gelform.sensors.simulated.settings import simulated_sensor_named
 from gelform.sensors.simulated.source import RATE_HZ, SimulatedSource
@@ -78,7 +77,7 @@ def open_source(
         - http://... or https://...: a camera that sends JPEG pictures (multipart/x-mixed-replace)
         - the serial number of a USB camera, its name (or a part of it, or "digit", "gelsight-mini"), or its path; "" for the
           only connected camera
-        - *.mcap, a rosbag2 folder, a video file, or a folder of images (those of `gelform record` have their times)
+        - *.mcap, a rosbag2 folder, a video file, or a folder of images
     paced : whether files play at their original pace, instead of as fast as they can be read
     rate_hz : frames per second of the simulated sensor (60) and of a folder of images (25)
     timeout_s : timeout of the connection to an address, s
@@ -125,8 +124,6 @@ def _of_files(path: Path, paced: bool, rate_hz: float | None) -> Source | None:
     if path.suffix.lower() == ".mcap":
         return mcap_playback(path, paced=paced)
     if path.is_dir():
-        if is_recorded_folder(path):
-            return recorded_folder_playback(path, paced=paced)
         if is_bag_folder(path):
             return mcap_playback(mcap_file_in(path), paced=paced)
         return folder_playback(path, rate_hz=rate_hz, paced=paced)

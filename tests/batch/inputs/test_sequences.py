@@ -20,7 +20,7 @@ from gelform.batch.manifest import read_manifest
 from gelform.errors import DataError
 from gelform.image.frame import Frame
 from gelform.sensors.recordings.facts import RecordingFacts
-from gelform.sensors.recordings.image_folder import FolderRecording
+from gelform.sensors.recordings.mcap_writer import McapRecording
 from made.small_gel import image_of, save
 
 NATURAL = ("frame1.png", "frame2.png", "frame10.png", "frame11.png")
@@ -39,12 +39,8 @@ def test_a_tree_in_natural_order_without_hidden_files_others_and_the_background(
 def test_videos_and_recordings_are_sequences_of_their_own(tree, film):
     (tree / "day2" / film.name).write_bytes(film.read_bytes())
     (tree / "day3.mcap").write_bytes(b"")
-    recorded = tree / "recorded"
-    recorded.mkdir()
-    (recorded / "frames.csv").write_text("")
-    (recorded / "recording.json").write_text("{}")
     names = [one.name for one in listing_of(tree).sequences]
-    assert names == ["", "day3.mcap", "day2", "day2/press.avi", "recorded"]
+    assert names == ["", "day3.mcap", "day2", "day2/press.avi"]
     assert [one.name for one in listing_of(film).sequences] == ["press.avi"]
 
 
@@ -142,11 +138,11 @@ def test_a_video_and_a_damaged_one_which_is_one_frame_with_its_error(film, image
 
 
 def test_a_recording_with_its_times(tmp_path, images):
-    recording = FolderRecording(tmp_path / "recorded", RecordingFacts("camera"))
+    recording = McapRecording(tmp_path / "a.mcap", RecordingFacts("camera"))
     for index, image in enumerate(images):
         recording.write(Frame(image, 5 + 0.1 * index, 1000 + index, 7 + index))
     recording.close()
-    found = list(frames_of_part(parts_of(tmp_path / "recorded")[0]))
+    found = list(frames_of_part(parts_of(tmp_path / "a.mcap")[0]))
     assert [one.frame.wall_time_ns for one in found] == [1000, 1001, 1002, 1003]
     assert found[3].frame.time_s == pytest.approx(0.3)
 

@@ -10,7 +10,6 @@ from gelform.calibration.circles.find import (
     _signal,
     contact_radius,
     find_contact,
-    magnitude,
     ring_mean,
     scale_of,
     why_no_contact,
@@ -88,10 +87,6 @@ def test_the_offset_is_the_vertex_of_a_parabola():
     assert _parabola_offset((at - 4.3) ** 2, 4) == pytest.approx(0.3)
     assert _parabola_offset((at - 4.3) ** 2, 0) == 0
     assert _parabola_offset(0.0 * at, 4) == 0
-
-
-def test_magnitude_is_the_length():
-    np.testing.assert_allclose(magnitude(np.array([[[3.0, 4.0, 12.0]]], dtype=np.float32)), 13)
 
 
 def test_low_resolution_real_presses(data):

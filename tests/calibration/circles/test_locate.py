@@ -6,13 +6,7 @@ from dataclasses import replace
 import pytest
 
 from gelform.calibration.circles import locate as module
-from gelform.calibration.circles.locate import (
-    BALL_FACTORS,
-    NEARLY_ALL,
-    Refined,
-    other_ball_note,
-    refine,
-)
+from gelform.calibration.circles.locate import BALL_FACTORS, NEARLY_ALL, Refined, other_ball_note, refine
 
 BALL_PX = 40.0
 

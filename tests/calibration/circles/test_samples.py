@@ -6,12 +6,7 @@ import numpy as np
 import pytest
 
 from gelform.calibration.circles.find import ContactCircle
-from gelform.calibration.circles.samples import (
-    USUAL_EDGE,
-    PreparedPress,
-    contact_samples,
-    with_rest_samples,
-)
+from gelform.calibration.circles.samples import USUAL_EDGE, PreparedPress, contact_samples, with_rest_samples
 from gelform.result.metrics.ball import followed_radius
 
 

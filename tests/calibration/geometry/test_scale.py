@@ -60,12 +60,11 @@ def test_a_profile_has_its_doubt():
 
 
 @pytest.mark.slow
-def test_depth_is_off_by_the_square_of_a_wrong_scale(folder, simulated):
+def test_depth_is_off_by_the_square_of_a_wrong_scale(presses, simulated):
     """The slopes of the balls and the steps between pixels are both off by its factor."""
-    deepest = [
-        Reconstructor(
-            calibrate(with_scale(folder, Scale(wrong * simulated.sensor.mm_per_px, 1e-4, "stated")))
-        )(simulated.presses[0].image).depth_mm.max()
-        for wrong in (1.0, 1.04)
-    ]
+    few, deepest = presses.subset(range(0, 14, 2)), []
+    for wrong in (1.0, 1.04):
+        scaled = with_scale(few, Scale(wrong * simulated.sensor.mm_per_px, 1e-4, "stated"))
+        reconstruct = Reconstructor(calibrate(scaled, color_model="polynomial"))
+        deepest.append(reconstruct(simulated.presses[0].image).depth_mm.max())
     assert deepest[1] / deepest[0] == pytest.approx(1.04**2, abs=0.01)

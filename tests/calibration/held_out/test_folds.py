@@ -9,12 +9,7 @@ from gelform.calibration.circles.find import ContactCircle
 from gelform.calibration.circles.locate import refine
 from gelform.calibration.enough import FOLDS
 from gelform.calibration.held_out import folds as module
-from gelform.calibration.held_out.folds import (
-    Fold,
-    _jackknife,
-    circle_sigmas,
-    make_folds,
-)
+from gelform.calibration.held_out.folds import Fold, _jackknife, circle_sigmas, make_folds
 from gelform.slopes.color_models import HierarchicalModel
 
 

@@ -15,13 +15,7 @@ from gelform.calibration.candidates import (
 from gelform.calibration.circles.find import ContactCircle, magnitude
 from gelform.calibration.circles.samples import TRIAL_SAMPLES, PreparedPress
 from gelform.calibration.held_out.folds import Fold
-from gelform.calibration.held_out.scores import (
-    HeldOutPresses,
-    HeldOutSlopeScore,
-    Trial,
-    score_of,
-    select,
-)
+from gelform.calibration.held_out.scores import HeldOutPresses, HeldOutSlopeScore, Trial, score_of, select
 from gelform.result.metrics.ball import ball_gradients
 from gelform.slopes.color_models.forward_response import RIDGES, Step
 

@@ -14,7 +14,6 @@ from gelform.sensors.cameras import camera as plugged_in
 from gelform.sensors.cameras.camera import Camera
 from gelform.sensors.grabber import Grabber
 from gelform.sensors.recordings.facts import RecordingFacts
-from gelform.sensors.recordings.image_folder import FolderRecording
 from gelform.sensors.recordings.mcap_writer import McapRecording
 from gelform.sensors.recordings.record import attachments_of
 from made.small_gel import Touch, calibration, image_of, save
@@ -89,19 +88,16 @@ def test_simulated_sensors_and_open_sources_say_their_serial():
         unit_of("simulated:three-edge")
 
 
-@pytest.mark.parametrize(("kind", "name"), [(McapRecording, "a.mcap"), (FolderRecording, "a")])
-def test_recordings_say_their_camera_and_the_calibration_in_use(full, tmp_path, kind, name):
-    def recorded(folder, facts, attached):
-        recording = kind(tmp_path / folder / name, facts, attached)
+def test_recordings_say_their_camera_and_the_calibration_in_use(full, tmp_path):
+    def recorded(name, facts, attached):
+        recording = McapRecording(tmp_path / name, facts, attached)
         recording.write(Frame(image_of(Touch()), 0.0, 10**18, 0))
         recording.close()
-        return tmp_path / folder / name
+        return tmp_path / name
 
-    (tmp_path / "1").mkdir()
-    (tmp_path / "2").mkdir()
-    path = recorded("1", RecordingFacts("ring", "S1", {}, 50.0, OLD.digest), None)
+    path = recorded("1.mcap", RecordingFacts("ring", "S1", {}, 50.0, OLD.digest), None)
     assert choose_calibration(unit_of(path)).calibration.digest == OLD.digest
-    path = recorded("2", RecordingFacts("ring"), attachments_of(OTHER))
+    path = recorded("2.mcap", RecordingFacts("ring"), attachments_of(OTHER))
     choice = choose_calibration(unit_of(path))
     assert choice.calibration.digest == OTHER.digest
     assert "its own, gel 1, of 2026-11-13 13:14" in choice.said

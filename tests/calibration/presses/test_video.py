@@ -20,7 +20,7 @@ from gelform.simulate import (
     slide_poses,
 )
 
-COUNT = 12
+COUNT = 9
 BALL_MM = 5.0
 HOLD, RAMP, REST = 8, 4, 5
 
@@ -61,8 +61,8 @@ def filmed(sensor, tmp_path_factory):
             at = (press.center_mm[0] + tremor[0], press.center_mm[1] + tremor[1])
             poses.append(Pose(press.press_depth_mm + rng.normal(0, 0.003), at))
         poses += [*down[::-1], *[Pose(-0.1)] * REST]
-        if k in (4, 8):
-            path = slide_poses if k == 4 else roll_poses
+        if k in (3, 6):
+            path = slide_poses if k == 3 else roll_poses
             slides.append((len(poses), len(poses) + 25))
             poses += [*path(press.press_depth_mm, (-5, -3), (5, 3), 25), *[Pose(-0.1)] * REST]
     images = [p.image for p in simulate_sequence(sensor, Ball(BALL_MM / 2), poses, rng=rng)]

@@ -53,12 +53,6 @@ def test_simulated_slopes_are_read_at_their_size(content):
     )
 
 
-@pytest.mark.slow
-def test_the_same_seed_gives_the_same_report(presses, calibration, content, learning):
-    again = report_content(presses, calibration, rng=np.random.default_rng(0), learning=learning)
-    assert json.dumps(again) == json.dumps(content)
-
-
 def test_intervals_cover_the_truth_as_often_as_they_say():
     rng = np.random.default_rng(5)
     covered = []

@@ -121,7 +121,8 @@ def test_a_start_is_part_of_the_curve(presses, calibration, monkeypatch):
 @pytest.mark.slow
 def test_a_curve_beside_an_offered_starter_shows_both(presses, calibration):
     start = Start(calibration.color_model, "digest", 0.1, "the starter of a test", offered=True)
-    beside = replace(calibration, report=replace(calibration.report, offered=start))
+    few = of_first(calibration, 12)
+    beside = replace(few, report=replace(few.report, offered=start))
     curve = learning_curve(presses, beside, rng=np.random.default_rng(0))
     assert curve["other"] == "from the starter of a test"
     assert [p["presses"] for p in curve["other_points"]] == [p["presses"] for p in curve["points"]]

@@ -63,8 +63,10 @@ def test_images_are_rgb_and_rounded_tables_have_a_header_and_names_are_any(tmp_p
     write_csv(tmp_path / "t.csv", [{"a": "1", "b": "2"}, {"a": "3", "b": "4"}])
     assert (tmp_path / "t.csv").read_text() == "a,b\n1,2\n3,4\n"
     name = 'a "quoted" \\ name\nin two lines'
-    write_sensor_toml(tmp_path / "sensor.toml", name, np.float64(0.3))
-    assert tomllib.loads((tmp_path / "sensor.toml").read_text()) == {"name": name, "mm_per_px": 0.3}
+    for serial in ({}, {"serial": "D\\20"}):
+        write_sensor_toml(tmp_path / "sensor.toml", name, np.float64(0.3), **serial)
+        said = tomllib.loads((tmp_path / "sensor.toml").read_text())
+        assert said == {"name": name, "mm_per_px": 0.3, **serial}
 
 
 QUOTED = replace(LAYOUTS["three-edges"], shape=(48, 64), mm_per_px=0.3, name='a "quoted" name')
@@ -212,13 +214,3 @@ def test_a_folder_with_content_is_refused_and_a_failure_leaves_nothing(tmp_path)
     with pytest.raises(KeyboardInterrupt):
         save_simulated_set(tmp_path / "half", SET, progress=interrupted)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["full"]
-
-
-def test_the_serial_is_in_sensor_toml(tmp_path):
-    image = np.zeros((8, 8, 3), np.uint8)
-    made = {"images": [image], "ball_diameters_mm": [6], "mm_per_px": 0.1, "name": 'a "gel"'}
-    save_press_folder(tmp_path / "a", background=image, serial="D\\20", **made)
-    settings = read_sensor_toml(tmp_path / "a/sensor.toml")
-    assert (settings.name, settings.serial) == ('a "gel"', "D\\20")
-    save_press_folder(tmp_path / "b", background=image, **made)
-    assert read_sensor_toml(tmp_path / "b/sensor.toml").serial == ""

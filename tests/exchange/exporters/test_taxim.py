@@ -8,7 +8,7 @@ import pytest
 
 import gelform
 from gelform.errors import CalibrationError, DataError
-from gelform.exchange.exporters.taxim import BINS, save_taxim
+from gelform.exchange.exporters.taxim import BINS, save_taxim, taxim_table
 from gelform.exchange.importers.tables import read_taxim_forward
 from gelform.image.background.change import image_from_color_change
 from gelform.result.metrics.ball import ball_gradients
@@ -49,8 +49,14 @@ def sphere_px(press, mm_per_px):
 
 @pytest.fixture(scope="module")
 def exported(calibration, tmp_path_factory):
-    """The folder for Taxim."""
-    return save_taxim(calibration, tmp_path_factory.mktemp("taxim") / "t")
+    """The folder by renderer; the table, which takes seconds, is made once."""
+    base, table = tmp_path_factory.mktemp("taxim"), taxim_table(calibration)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("gelform.exchange.exporters.taxim.taxim_table", lambda _: table)
+        return {
+            renderer: save_taxim(calibration, base / renderer, renderer=renderer)
+            for renderer in ("taxim", "isaaclab")
+        }
 
 
 @pytest.fixture(scope="module")
@@ -65,10 +71,9 @@ def new_presses(simulated):
 @pytest.mark.slow
 @pytest.mark.parametrize(("renderer", "order"), [("taxim", "bgr"), ("isaaclab", "rgb")])
 def test_new_presses_are_rendered_as_well_as_the_forward_response_does(
-    calibration, new_presses, tmp_path, renderer, order
+    calibration, new_presses, exported, renderer, order
 ):
-    folder = save_taxim(calibration, tmp_path / renderer, renderer=renderer)
-    ours, theirs = [], []
+    folder, ours, theirs = exported[renderer], [], []
     for press in new_presses:
         rows, cols = np.nonzero(press.contact)
         inside = (
@@ -90,6 +95,7 @@ def test_new_presses_are_rendered_as_well_as_the_forward_response_does(
 
 @pytest.mark.slow
 def test_a_level_gel_is_the_background_and_the_importer_reads_it(calibration, exported):
+    exported = exported["taxim"]
     flat = rendered(exported, np.zeros(calibration.image_shape), "bgr")
     np.testing.assert_allclose(flat, calibration.background, atol=4)  # JPEG
     real = np.load(exported / "real_bg.npy")

@@ -11,9 +11,11 @@ from gelform.image.background.check import (
     check_background,
     check_background_of_frames,
     check_own_background,
+    check_viewed_image,
 )
 from gelform.sensors.files import read_image
 from kernel_agreement import assert_kernel_agrees
+from made.halved import halved
 from made.touched_images import SHAPE, scene, touched
 
 
@@ -56,7 +58,7 @@ def test_another_scene_is_refused_and_not_as_bgr_if_it_fits_a_little_better_reve
 
 def test_reversed_channels_are_named_unless_they_fit_about_as_well_as_they_are():
     """Channels nearly alike: on untouched blocks they correlate by 0.963 as they are, by 0.960 reversed."""
-    with pytest.raises(CalibrationError, match="looks like BGR"):
+    with pytest.raises(CalibrationError, match="is BGR compared with the background"):
         check_background(touched(scene(1))[..., ::-1], scene())
     y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
     gray = 100 + 20 * np.sin(0.2 * x + 0.1 * y)[..., None]
@@ -125,6 +127,17 @@ def test_the_background_of_other_frames_is_refused_and_one_that_drifted_is_said(
     assert f"{100 * finding.figure:.1f} %" in finding.message
 
 
+def test_a_frame_in_an_images_place_is_told_the_way():
+    image = np.zeros((4, 6, 3), dtype=np.uint8)
+    rest = image.astype(np.float32)
+    assert check_viewed_image(rest, (8, 12), image) is image
+    with pytest.raises(ValueError, match=r"Expected background of 4x6.*image_from_frame"):
+        check_viewed_image(rest, (8, 12), np.zeros((8, 12, 3), dtype=np.uint8), "background")
+    with pytest.raises(ValueError, match="got 9x12") as other:
+        check_viewed_image(rest, (8, 12), np.zeros((9, 12, 3), dtype=np.uint8))
+    assert "image_from_frame" not in str(other.value)
+
+
 def test_digest_knows_its_own():
     rest = scene()
     assert background_digest(rest) == background_digest(rest.copy())
@@ -166,7 +179,7 @@ def test_real_backgrounds_of_other_sensors_are_refused(data, ours, theirs):
     if ours == theirs:
         assert check_own_background(other, background) == ()
         return
-    with pytest.raises(CalibrationError, match=r"background is not of|looks like BGR"):
+    with pytest.raises(CalibrationError, match=r"background is not of|compared with the background"):
         check_own_background(other, background)
 
 
@@ -183,7 +196,7 @@ def test_real_frames_of_another_sensor_are_refused_or_warned_of(data, ours):
         for path in paths:
             frame = lying(read_image(path))
             if theirs[:4] != ours[:4]:
-                with pytest.raises(CalibrationError, match=r"not of this image|looks like BGR"):
+                with pytest.raises(CalibrationError, match=r"not of this image|compared with the background"):
                     check_background(frame, background)
                 continue
             warned = "background_differs" in [finding.name for finding in check_background(frame, background)]
@@ -223,7 +236,7 @@ def test_another_exposure_gives_the_same_depth(calibration, simulated):
 @pytest.mark.slow
 def test_another_exposure_gives_the_same_depth_of_real_presses(data):
     """The same on a GelSight Mini, within 4 um; without compensation it is 120 um."""
-    presses = gelform.read_presses(data / "mini-ball")
+    presses = halved(gelform.read_presses(data / "mini-ball"))
     calibration = gelform.calibrate(presses.subset(range(0, 67, 11)), color_model="polynomial")
     reconstruct = gelform.Reconstructor(calibration)
     for press in presses.presses[1::20]:

@@ -6,9 +6,7 @@ import pytest
 from gelform.foundations.filters import MIN_UNTOUCHED
 from gelform.image.background import untouched as untouched_pixels
 from gelform.image.background.change import color_change_from_image
-from gelform.image.background.untouched import (
-    reference_from_color_change,
-)
+from gelform.image.background.untouched import reference_from_color_change
 from kernel_agreement import assert_kernel_agrees
 from made.touched_images import scene, touched
 

@@ -7,17 +7,10 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform.image.markers.finder import (
-    CandidateFinder,
-    MarkerFinder,
-    evenness,
-    is_grid,
-    markers_from_image,
-)
-from gelform.image.markers.patches import logs_from_image
+from gelform.image.markers.finder import MarkerFinder, is_grid, markers_from_image
 from gelform.sensors.profiles import SENSORS
 from gelform.simulate import Ball, simulate_background, simulate_press
-from made.dots import RADIUS, grid, image_of_dots
+from made.dots import grid
 
 
 def marked(name="gelsight-mini", pitch_mm=2.0, radius_mm=0.3):
@@ -179,13 +172,6 @@ def test_irregular_layouts_are_markers():
         assert matched(found.centers_px, true, own.shape, 5)[0] > 0.97
 
 
-def test_evenness_of_random_points_and_grids():
-    random = [evenness(np.random.default_rng(seed).uniform(0, 300, (60, 2))) for seed in range(50)]
-    assert max(random) < 1.3
-    y, x = np.mgrid[0:100:10, 0:150:10]
-    assert evenness(np.stack([x.ravel(), y.ravel()], axis=1)) == pytest.approx(2)
-
-
 def spots(shape, size, pitch):
     """A lit gel with dark rectangles of (height, width) px on a square grid, all of them whole."""
     image = np.full((*shape, 3), [110.0, 140.0, 125.0])
@@ -204,18 +190,3 @@ def test_dots_are_small_and_compact_whichever_way_the_image_lies(size, found):
 
 
 REST = grid()
-
-
-def test_candidates_stand_on_the_dots():
-    finder = CandidateFinder(logs_from_image(image_of_dots(REST, noise=1.0)), REST, RADIUS)
-    places = np.add(REST, [3.0, 5.0])
-    found = finder(logs_from_image(image_of_dots(places, noise=1.0, seed=1, light=0.5)))
-    apart = np.linalg.norm(found[:, None] - places, axis=-1)
-    inside = np.all((places > 4) & (places < [123, 91]), axis=1)
-    assert apart.min(axis=0)[inside].max() < 1.5
-    assert apart.min(axis=1).max() < 1.5
-
-
-def test_no_candidates_without_dots():
-    finder = CandidateFinder(logs_from_image(image_of_dots(REST)), REST, RADIUS)
-    assert finder(logs_from_image(image_of_dots(REST[:0], noise=2.0, light=0.6))).shape == (0, 2)

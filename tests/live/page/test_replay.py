@@ -5,8 +5,8 @@ import pytest
 import gelform
 from gelform.sensors.recordings import attached_calibration
 from gelform.sensors.recordings.facts import RecordingFacts
-from gelform.sensors.recordings.image_folder import FolderRecording
 from gelform.sensors.recordings.indexed import indexed
+from gelform.sensors.recordings.mcap_writer import McapRecording
 from live_waiting import until
 
 pytestmark = pytest.mark.slow
@@ -16,14 +16,14 @@ COUNT = 9
 
 @pytest.fixture
 def recording(simulated, tmp_path):
-    """A recorded folder of nine presses."""
+    """A recording of nine presses."""
     from gelform.image.frame import Frame
 
-    written = FolderRecording(tmp_path / "session", RecordingFacts("ring", "S7", {}, 10.0))
+    written = McapRecording(tmp_path / "session.mcap", RecordingFacts("ring", "S7", {}, 10.0))
     for k, press in enumerate(simulated.presses[:COUNT]):
         written.write(Frame(press.image, k / 10, 10**18 + k, k))
     written.close()
-    return tmp_path / "session"
+    return tmp_path / "session.mcap"
 
 
 @pytest.fixture
@@ -76,9 +76,10 @@ def test_it_is_scrubbed_stepped_played_and_looped(replay, hub, recording, calibr
 
 def test_one_file_is_shared_and_downloaded(replay, calibration):
     replay.click("#share")
-    until(lambda: replay.locator("#files a").count() == 1, 30)
+    shared = replay.locator("#files a[title^='Download shared']")
+    until(lambda: shared.count() == 1, 30)
     with replay.expect_download() as download:
-        replay.click("#files a")
+        shared.click()
     saved = download.value.path()
     fetched = saved.with_name("fetched.mcap")
     saved.rename(fetched)

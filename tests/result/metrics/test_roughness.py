@@ -114,7 +114,7 @@ def test_a_flat_surface_has_no_roughness():
 def test_refused():
     for wrong, said in [
         ({"form": "cubic"}, "Expected a form among none, plane, quadratic"),
-        ({"mask": np.ones((2, 2), dtype=bool)}, "Expected mask as bool"),
+        ({"mask": np.ones((2, 2), dtype=bool)}, "Expected mask of shape"),
         ({"mask": np.zeros(SHAPE, dtype=bool)}, "at least 100 pixels"),
         ({"s_filter_mm": 3.0, "l_filter_mm": 2.5}, "Expected the L-filter above"),
         ({"l_filter_mm": -1.0}, "l_filter_mm"),
@@ -123,52 +123,6 @@ def test_refused():
         arguments = {"depth_mm": wave(), "mm_per_px": PITCH, **wrong}
         with pytest.raises(ValueError, match=said):
             areal_roughness(arguments.pop("depth_mm"), **arguments)
-
-
-# -- surfaces with figures in closed form ------------------------------------------------------------------------------
-
-
-def test_a_triangle_wave():
-    """Straight flanks: Sa = A/2, Sq = A/sqrt 3, Sku = 9/5, and one slope everywhere but at the edges."""
-    amplitude, length_px, width = 0.05, 200, 1000
-    phase = (np.arange(width) + 0.5) / length_px
-    heights = amplitude * (4 * np.abs(phase - np.floor(phase + 0.5)) - 1)
-    found = areal_roughness(np.tile(heights, (60, 1)), **PLAIN)
-    assert found.Sa_um == pytest.approx(1e3 * amplitude / 2, rel=1e-3)
-    assert found.Sq_um == pytest.approx(1e3 * amplitude / np.sqrt(3), rel=1e-3)
-    assert (found.Ssk, found.Sku) == pytest.approx((0, 1.8), abs=2e-3)
-    slope = 4 * amplitude / (length_px * PITCH)
-    cells = (width - 1) - (width // length_px * 2 - 1)  # the others straddle an edge, where a cell is level
-    assert found.Sdr_percent == pytest.approx(
-        100 * (np.sqrt(1 + slope**2) - 1) * cells / (width - 1), rel=1e-3
-    )
-
-
-def test_a_parabolic_wave_is_skewed():
-    """z = A t^2, t in (-1, 1): the moments of t^2 give Sq = 2A/sqrt 45, Ssk = 16/945 / (4/45)^1.5, Sku = 15/7."""
-    t = (np.arange(400) + 0.5) / 200 - 1
-    found = areal_roughness(np.tile(0.03 * t**2, (30, 1)), **PLAIN)
-    assert found.Sq_um == pytest.approx(30 * np.sqrt(4 / 45), rel=1e-4)
-    assert found.Ssk == pytest.approx(16 / 945 / (4 / 45) ** 1.5, rel=1e-3)
-    assert found.Sku == pytest.approx(15 / 7, rel=1e-3)
-    assert found.Sz_um == pytest.approx(30, rel=1e-2)
-
-
-def test_crossed_sinusoids():
-    """A sin x + B sin y: variances add, Sku = 3/2 (A^4 + 4 A^2 B^2 + B^4) / (A^2 + B^2)^2."""
-    a, b, length = 0.01, 0.02, 50 * PITCH
-    heights = a * np.sin(2 * np.pi * X / length) + b * np.sin(2 * np.pi * Y / length)
-    found = areal_roughness(heights, **PLAIN)
-    assert found.Sq_um == pytest.approx(1e3 * np.sqrt((a**2 + b**2) / 2), rel=1e-6)
-    kurtosis = 1.5 * (a**4 + 4 * a**2 * b**2 + b**4) / (a**2 + b**2) ** 2
-    assert (found.Ssk, found.Sku) == pytest.approx((0, kurtosis), abs=1e-6)
-    slope = 2 * np.pi / length
-
-    def stretched(v, u):
-        return np.sqrt(1 + (slope * a * np.cos(u)) ** 2 + (slope * b * np.cos(v)) ** 2)
-
-    area, _ = integrate.dblquad(stretched, 0, 2 * np.pi, 0, 2 * np.pi)
-    assert found.Sdr_percent == pytest.approx(100 * (area / (2 * np.pi) ** 2 - 1), rel=1e-2)
 
 
 def gaussian_field(correlation_px, sigma_mm, seed):
@@ -196,21 +150,3 @@ def test_a_gaussian_random_field():
 
     expected, _ = integrate.quad(stretched, 0, 20 * np.sqrt(variance))
     assert found.Sdr_percent == pytest.approx(100 * expected, rel=0.03)
-
-
-def test_the_filters_keep_of_a_random_field_what_their_spectrum_says():
-    """The variance between the cut-offs is the spectrum times the transmissions of ISO 16610-61, summed over waves."""
-    sigma, correlation_px, small_px, large_px = 0.02, 8.0, 10.0, 60.0
-    heights = gaussian_field(correlation_px, sigma, seed=4)
-    frequency = np.hypot(*np.meshgrid(*map(np.fft.fftfreq, heights.shape), indexing="ij"))  # waves a pixel
-
-    def passed(cutoff_px):
-        return np.exp(-np.pi * np.log(2) / np.pi * (cutoff_px * frequency) ** 2)
-
-    band = np.fft.ifft2(np.fft.fft2(heights) * passed(small_px) * (1 - passed(large_px))).real
-    tiled, middle = np.tile(heights, (2, 2)), np.zeros((1024, 1024), dtype=bool)
-    middle[256:768, 256:768] = True  # a whole period, away from the ends
-    low = gaussian_areal_filter(tiled, small_px, np.ones_like(middle))
-    kept = low - gaussian_areal_filter(low, large_px, np.ones_like(middle))
-    assert kept[middle].std() == pytest.approx(band.std(), rel=1e-4)
-    np.testing.assert_allclose(kept[256:768, 256:768], np.roll(band, (-256, -256), (0, 1)), atol=1e-6)

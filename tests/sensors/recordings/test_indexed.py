@@ -16,7 +16,7 @@ from gelform.sensors.recordings.mcap_writer import McapRecording
 ORDER = (0, 4, 3, 6, 1, 1, 5, 2)
 
 
-@pytest.mark.parametrize("form", ["mcap", "recorded", "images", "video"])
+@pytest.mark.parametrize("form", ["mcap", "images", "video"])
 def test_any_frame_in_any_order_has_the_number_of_open_source(form, forms, frames):
     recording = indexed(forms[form])
     with gelform.open_source(forms[form]) as source:
@@ -29,11 +29,11 @@ def test_any_frame_in_any_order_has_the_number_of_open_source(form, forms, frame
         assert found.time_s == pytest.approx(recording.times_s[number])
 
 
-@pytest.mark.parametrize(("form", "rate_hz"), [("mcap", 20), ("recorded", 20), ("video", 20), ("images", 25)])
+@pytest.mark.parametrize(("form", "rate_hz"), [("mcap", 20), ("video", 20), ("images", 25)])
 def test_times_and_camera_are_those_of_the_recording(form, rate_hz, forms, frames):
     recording = indexed(forms[form])
     np.testing.assert_allclose(recording.times_s, np.arange(len(frames)) / rate_hz, atol=1e-3)
-    if form in ("mcap", "recorded"):
+    if form == "mcap":
         facts = recording.facts
         assert (facts.name, facts.serial, dict(facts.settings)) == ("ring", "S7", {"exposure": 50.0})
 
@@ -50,10 +50,10 @@ def test_what_is_no_recording_is_said(tmp_path):
 
 
 def test_an_image_that_was_removed_meanwhile_is_said(forms, tmp_path):
-    copied = shutil.copytree(forms["recorded"], tmp_path / "copy")
+    copied = shutil.copytree(forms["images"], tmp_path / "copy")
     recording = indexed(copied)
-    (copied / "00000003.png").unlink()
-    with pytest.raises(DataError, match=r"00000003\.png"):
+    (copied / "003.png").unlink()
+    with pytest.raises(DataError, match=r"003\.png"):
         recording.frame(3)
 
 

@@ -15,7 +15,7 @@ from live_waiting import until
 
 @pytest.fixture
 def recording(forms):
-    return indexed(forms["recorded"])
+    return indexed(forms["mcap"])
 
 
 class Shown:

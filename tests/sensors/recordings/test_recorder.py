@@ -16,7 +16,7 @@ from live_waiting import until
 from made.sources import ImageSource
 
 
-@pytest.mark.parametrize("form", ["mcap", "recorded", "images", "video"])
+@pytest.mark.parametrize("form", ["mcap", "images", "video"])
 def test_the_file_holds_frames_times_and_calibration(form, forms, frames, calibration, tmp_path):
     recording = indexed(forms[form])
     background = np.rint(calibration.background)
@@ -34,7 +34,7 @@ def test_the_file_holds_frames_times_and_calibration(form, forms, frames, calibr
 def test_progress_is_told_and_nothing_is_left_of_a_share_that_failed(forms, tmp_path, monkeypatch):
     monkeypatch.setattr("gelform.sensors.recordings.recorder.named_by_time", lambda _: "a")
     said = []
-    recording = indexed(forms["recorded"])
+    recording = indexed(forms["mcap"])
     path = share(recording, tmp_path, calibration=None, progress=lambda *what: said.append(what[:2]))
     assert said[-1] == (6, 7)
     with pytest.raises(DataError, match="already there"):

@@ -15,7 +15,7 @@ from gelform.foundations.findings import Finding
 from gelform.sensors.streams.background_drift import AFTER_S, MEAN_IMAGE_S, BackgroundDrift, Touched
 from gelform.sensors.streams.memory import Memory
 from gelform.sensors.streams.smooth_light import SmoothLight, block_means
-from stream.slow_gel import SlowGel, Touch
+from made.slow_gel import SlowGel, Touch
 
 
 def test_evidence_is_the_mean_of_its_frames(reconstruct, at_rest):

@@ -151,12 +151,12 @@ def test_one_sensor_for_a_stream_and_a_recorder(calibration, at_rest, tmp_path):
         lambda: ImageSource(at_rest, rate_hz=50), keep=20 * KEPT_FRAMES
     ) as grabber:  # of a busy machine too
         with gelform.stream(grabber, calibration) as stream:
-            recording = new_recording(tmp_path / "session", grabber)
+            recording = new_recording(tmp_path / "session.mcap", grabber)
             written = record_frames(grabber, recording, frames=30)
             recording.close()
             assert stream.newest(timeout_s=30).result.known.all()
         assert grabber.state == "running"
-    taken = list(gelform.open_source(tmp_path / "session"))
+    taken = list(gelform.open_source(tmp_path / "session.mcap"))
     assert written.missing == 0
     assert np.diff([frame.index for frame in taken]).tolist() == [1] * 29
 

@@ -32,15 +32,6 @@ def test_the_gel_follows_a_ball_in_the_contact_and_falls_off_beside_it():
     assert np.all(surface.depth_mm[r > a + 5 * LENGTH] < 0.005)
 
 
-def test_beside_the_contact_the_surface_obeys_its_equation():
-    surface = ball_surface(0.01)
-    u = surface.depth_mm
-    laplacian = (u[1:-1, 2:] + u[1:-1, :-2] + u[2:, 1:-1] + u[:-2, 1:-1] - 4 * u[1:-1, 1:-1]) / 0.01**2
-    r = np.hypot(surface.x_mm - 0.13, surface.y_mm + 0.21)[1:-1, 1:-1]
-    free = r > press_of_ball(2.0, 0.7, LENGTH).contact_radius_mm + 0.03
-    np.testing.assert_allclose(LENGTH**2 * laplacian[free], u[1:-1, 1:-1][free], atol=2e-4)
-
-
 def test_the_slope_is_continuous_at_the_rim():
     a = press_of_ball(2.0, 0.7, LENGTH).contact_radius_mm
     x = np.array([[a - 1e-7, a + 1e-7]])
@@ -80,13 +71,6 @@ def test_depth_and_contact_radius_of_a_ball_are_one_relation(depth_mm, radius, l
     slope = a / np.sqrt(radius**2 - a**2)
     assert 0 < a < radius
     assert depth_of_ball(radius, slope, length, **gel) == pytest.approx(depth_mm, rel=1e-5)
-
-
-def test_a_gel_that_bulges_touches_more_of_the_ball():
-    radii = [
-        press_of_ball(3.0, 0.5, LENGTH, thickness_mm=2, bulge=b).contact_radius_mm for b in (0, 0.4, 0.8)
-    ]
-    assert radii[0] < radii[1] < radii[2]
 
 
 def test_equal_lengths_are_no_pole():

@@ -7,9 +7,7 @@ import numpy as np
 import pytest
 
 from gelform.slopes.color_models import Samples, forward_response
-from gelform.slopes.color_models._shared.least_squares import (
-    node_positions,
-)
+from gelform.slopes.color_models._shared.least_squares import node_positions
 from gelform.slopes.color_models.forward_response import (
     CLIPPED_STEP_SIGMA,
     TERMS,
@@ -272,11 +270,7 @@ def test_a_clipped_channel_says_nothing_and_the_other_two_enough(channel):
     step = PreparedStep(forward)
     unclipped, found, again = (
         step(*arguments)
-        for arguments in (
-            (change, read, depth),
-            (change, read, depth, clipped),
-            (wild, read, depth, clipped),
-        )
+        for arguments in ((change, read, depth), (change, read, depth, clipped), (wild, read, depth, clipped))
     )
     for one, other in zip(found, again):
         np.testing.assert_array_equal(one, other)

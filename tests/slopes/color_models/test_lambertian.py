@@ -52,11 +52,6 @@ def test_linear_light_undoes_the_response():
     assert linear_change(change.astype(np.float32), 0.45).dtype == np.float32
 
 
-def test_calibrations_from_before_the_response_are_read():
-    model = LambertianModel.from_arrays({"lights": SCALED}, {})
-    assert model.response == 1
-
-
 def test_it_finds_its_lights_and_inverts_them():
     model = LambertianModel.fit(ball_samples(lambertian_change))
     np.testing.assert_allclose(model.lights, LIGHTS / LIGHTS[:, 2:], atol=1e-5)

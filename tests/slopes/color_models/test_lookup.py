@@ -7,12 +7,7 @@ import pytest
 
 import gelform
 from gelform.slopes.color_models import Samples
-from gelform.slopes.color_models.lookup import (
-    Lattice,
-    LookupModel,
-    corner_weights,
-    held_out_residuals,
-)
+from gelform.slopes.color_models.lookup import Lattice, LookupModel, corner_weights, held_out_residuals
 from gelform.slopes.gradients import STEEPEST_GEL
 from made.color_samples import SHAPE, ball_samples, lambertian_change, shading_change
 
@@ -117,8 +112,6 @@ def test_settings_out_of_range():
     for settings in ({"nodes": 3}, {"positions": (0, 2)}):
         with pytest.raises(ValueError, match="Expected at least 4 nodes"):
             LookupModel.fit(linear_samples(100), **settings)
-    with pytest.raises(ValueError, match="as calibrated, got 10x10"):
-        LookupModel.fit(linear_samples(500), nodes=4).prepare(np.zeros((10, 10, 3)), (10, 10))
 
 
 def test_the_table_spans_the_colors_and_one_wild_press_is_no_larger_doubt():

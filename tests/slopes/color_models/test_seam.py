@@ -62,7 +62,13 @@ def test_models_are_listed_under_their_own_names():
     assert not COLOR_MODELS.keys() & IMPORTED_MODELS.keys()
 
 
-def test_images_of_another_size_are_refused():
+@pytest.mark.parametrize(
+    "name", [name for name in COLOR_MODELS if name != "lambertian"]
+)  # one law everywhere
+def test_images_of_another_size_are_refused(name):
+    model = fitted(name, ball_samples(shading_change, count=600))
+    with pytest.raises(ValueError, match="as calibrated, got 10x10"):
+        model.prepare(np.zeros((10, 10, 3)), (10, 10))
     check_image_shape((48, 64), (48, 64))
     with pytest.raises(ValueError, match="Expected images of 48x64 px, as imported, got 64x48"):
         check_image_shape((64, 48), (48, 64), made="imported")

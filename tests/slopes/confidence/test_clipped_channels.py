@@ -5,10 +5,7 @@ import pytest
 
 from gelform.image.background.change import ChangeSettings, PreparedBackground
 from gelform.slopes.confidence import causes
-from gelform.slopes.confidence.causes import (
-    ClippedChannels,
-    ends_shown,
-)
+from gelform.slopes.confidence.causes import ClippedChannels, ends_shown
 from kernel_agreement import assert_kernel_agrees
 
 FRAME = (41, 61)

@@ -23,8 +23,7 @@ from gelform.batch.inputs.lerobot import is_lerobot_set, lerobot_sequences, loss
 from gelform.errors import DataError
 from gelform.foundations.checks import check_path
 from gelform.sensors.files import IMAGE_SUFFIXES
-from gelform.sensors.recordings.image_folder import is_recorded_folder
-from gelform.sensors.video_files import VIDEO_SUFFIXES, is_video
+from gelform.sensors.video_files import VIDEO_SUFFIXES
 
 FILM_SUFFIXES = (*VIDEO_SUFFIXES, ".mcap")
 
@@ -158,9 +157,6 @@ def _in_tree(root: Path, hidden: set[str]) -> Iterator[Sequence]:
     while folders:
         folder = folders.pop()
         name = "" if folder == root else folder.relative_to(root).as_posix()
-        if is_recorded_folder(folder):
-            yield Sequence(name, folder)
-            continue
         files, inside = _entries(folder)
         if hidden:
             files = [one for one in files if os.path.realpath(folder / one) not in hidden]
@@ -195,7 +191,7 @@ def _of_folder(name: str, folder: Path, files: Iterable[str]) -> Iterator[Sequen
 
 
 def _of_files(paths: Iterable[Path], hidden: set[str], root: Path) -> Listing:
-    """Files and folders of recordings, grouped by their parent folder."""
+    """Files of images and recordings, grouped by their parent folder."""
     wanted = [path for path in map(_absolute, paths) if os.path.realpath(path) not in hidden]
     wanted = [path for path in wanted if _is_frames(path)]
     inside: dict[Path, list[str]] = {}
@@ -205,8 +201,6 @@ def _of_files(paths: Iterable[Path], hidden: set[str], root: Path) -> Listing:
     for folder in sorted(inside, key=lambda one: natural(one.as_posix())):
         name = "" if folder == root else folder.relative_to(root).as_posix()
         sequences += _of_folder(name, folder, inside[folder])
-        recorded = [one for one in sorted(inside[folder], key=natural) if is_recorded_folder(folder / one)]
-        sequences += [Sequence(f"{name}/{one}" if name else one, folder / one) for one in recorded]
     return Listing(root, tuple(sequences))
 
 
@@ -216,6 +210,4 @@ def _absolute(path: Path) -> Path:
 
 def _is_frames(path: Path) -> bool:
     suffix = path.suffix.lower()
-    if path.is_dir():
-        return is_recorded_folder(path)
-    return suffix in IMAGE_SUFFIXES or suffix == ".mcap" or is_video(path)
+    return path.is_file() and (suffix in IMAGE_SUFFIXES or suffix in FILM_SUFFIXES)

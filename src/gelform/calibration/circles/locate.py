@@ -130,8 +130,8 @@ def refine(
     """Move each circle to agree with a color model fitted on all of them; reject presses that do not agree.
 
     The first model is fitted without the presses that the border cuts, because their circles are found too far inside. It
-    moves them, the second one is fitted on all, and presses are misfits from then on. Of a few presses, those that the
-    border cuts show slopes that no other shows: a model without them refused 1-3 of 12 good ones on two sensors.
+    moves them and does not judge them. The second one is fitted on them too. Of a few presses, those that the border cuts
+    show slopes that no other shows: a model without them refused 1-3 of 12 good ones on two sensors.
     """
     reasons = [why_impossible(press, contact) for press, contact in zip(presses, found)]
     reasons = [reason or wide for reason, wide in zip(reasons, why_too_wide(presses, found))]
@@ -148,7 +148,8 @@ def refine(
             contacts[i] = recentered(presses[i], contacts[i], found[i], model)
         misfits = why_misfits([presses[i] for i in candidates], [contacts[i] for i in candidates], model)
         late = {i: reason for i, reason in zip(candidates, misfits) if reason is not None}
-        fit_on = candidates if round_ == 0 else [i for i in candidates if i not in late] or candidates
+        unseen = set(candidates) - set(fit_on) if round_ == 0 else set()
+        fit_on = [i for i in candidates if i not in late or i in unseen] or candidates
         progress(round_ + 1, ROUNDS, "fitting circles and colors together")
     if model is not None:
         for i, reason in late.items():

@@ -13,7 +13,7 @@ from gelform.calibration.fit import calibrate
 from gelform.calibration.library.library import add_calibration
 from gelform.calibration.presses.press_set import Presses
 from gelform.calibration.report.content import report_content, report_coverage
-from gelform.calibration.report.page.page import report_page
+from gelform.calibration.report.page import report_page
 from gelform.calibration_file import Calibration
 from gelform.errors import GelformError
 from gelform.exchange.exporters.press_folder import save_press_folder

@@ -15,8 +15,6 @@ from gelform.sensors.cameras.camera import Camera, camera_named, cameras_there
 from gelform.sensors.files import read_sensor_toml
 from gelform.sensors.grabber import Grabber
 from gelform.sensors.profiles import PROFILES
-from gelform.sensors.recordings.facts import RecordingFacts
-from gelform.sensors.recordings.image_folder import FACTS, is_recorded_folder
 from gelform.sensors.recordings.mcap_reader import is_bag_folder, mcap_file_in, picture_topic_of
 from gelform.sensors.recordings.record import attached_calibration
 from gelform.sensors.simulated.source import serial_of_simulated
@@ -195,7 +193,7 @@ def _names(camera: Camera) -> tuple[str, ...]:
 
 
 def unit_of_files(path: Path) -> Unit:
-    """The unit of a recording, or of images with a `sensor.toml` or the facts of a recording in or above their folder.
+    """The unit of a recording, or of images with a `sensor.toml` in or above their folder.
 
     Raises
     ------
@@ -204,20 +202,13 @@ def unit_of_files(path: Path) -> Unit:
     """
     if path.suffix.lower() == ".mcap" or (path.is_dir() and is_bag_folder(path)):
         facts, _ = picture_topic_of(mcap_file_in(path) if path.is_dir() else path)
-        return _of_recording(path, facts)
+        return Unit(str(path), facts.serial or "", digest=facts.calibration_digest, carries=path)
     folder = path if path.is_dir() else path.parent
     for place in (folder, folder.parent):  # a press folder has its images in a subfolder
-        if is_recorded_folder(place):
-            text = (place / FACTS).read_text(encoding="utf-8")
-            return _of_recording(place, RecordingFacts.from_json(text, str(place / FACTS)))
         if (place / SENSOR_TOML).is_file():
             settings = read_sensor_toml(place / SENSOR_TOML)
             return Unit(str(place), settings.serial, gel_id=settings.gel_id)
     return Unit(str(path))
-
-
-def _of_recording(path: Path, facts: RecordingFacts) -> Unit:
-    return Unit(str(path), facts.serial or "", digest=facts.calibration_digest, carries=path)
 
 
 def unit_of_all(paths: Iterable[Path]) -> Unit:

@@ -1,15 +1,13 @@
-"""The report of a calibration run: numbers, words and a page."""
+"""The report of a calibration run: numbers, words and a page; submodules are imported on first use."""
 
-from gelform.calibration.report.content import report_content
-from gelform.calibration.report.learning import learning_curve
-from gelform.calibration.report.page.page import report_page
-from gelform.calibration.report.record import CalibrationReport, PressReport, summary
+import lazy_loader
 
-__all__ = [
-    "CalibrationReport",
-    "PressReport",
-    "learning_curve",
-    "report_content",
-    "report_page",
-    "summary",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach(
+    __name__,
+    submod_attrs={
+        "content": ["report_content"],
+        "learning": ["learning_curve"],
+        "page": ["report_page"],
+        "record": ["CalibrationReport", "PressReport", "summary"],
+    },
+)

@@ -14,6 +14,7 @@ from gelform.calibration.circles.locate import Located
 from gelform.calibration.fitted import Fitted
 from gelform.calibration.held_out.measure import HeldOutSample, Judged
 from gelform.calibration.held_out.scores import Selection
+from gelform.foundations.npz_files import DIGEST_SHOWN
 from gelform.result.metrics import PressErrors
 
 
@@ -167,6 +168,19 @@ def used_in_words(rows: Sequence[PressReport]) -> str:
     again = sum(row.repeats is not None for row in rows)
     more = f" ({again} more images show them again)" if again else ""
     return f"{sum(row.accepted for row in rows)} of {len(rows) - again} presses used{more}"
+
+
+def setting_in_words(value: Any) -> str:
+    """A setting as a person reads it: four significant digits, lists joined, the beginning of a digest; none: nothing."""
+    if isinstance(value, dict):
+        return ", ".join(f"{name}: {setting_in_words(one)}" for name, one in value.items()) or "none"
+    if isinstance(value, (list, tuple)):
+        return " / ".join(setting_in_words(one) for one in value) or "none"
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    text = "none" if value in (None, "") else str(value)
+    is_digest = len(text) == 64 and set(text) <= set("0123456789abcdef")
+    return f"{text[:DIGEST_SHOWN]}…" if is_digest else text
 
 
 def _candidate_rows(selection: Selection) -> tuple[dict[str, Any], ...]:

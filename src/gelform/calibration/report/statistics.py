@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -23,6 +23,21 @@ PRIOR_PIXELS = 200  # pixels; the error of a direction in a tile is pulled to th
 def resampled(count: int, rng: np.random.Generator) -> NDArray[np.float64]:
     """How often each of `count` presses is drawn in each bootstrap, (draws, count)."""
     return rng.multinomial(count, np.full(count, 1 / count), size=DRAWS).astype(np.float64)
+
+
+def _bins_of(slope: NDArray[Any]) -> Iterator[tuple[dict[str, float], NDArray[np.bool_]]]:
+    """The limits of each bin of slopes that holds enough pixels, and the pixels in it."""
+    for low, high in pairwise(SLOPE_EDGES):
+        member = (slope >= low) & (slope < high)
+        if np.count_nonzero(member) >= MIN_IN_BIN:
+            yield {"slope_from": low, "slope_to": high}, member
+
+
+def _tiles_of(
+    samples: Sequence[HeldOutSample], shape: tuple[int, int], grid: tuple[int, int]
+) -> NDArray[np.intp]:
+    """The number of the tile that each pixel of all samples lies in."""
+    return np.concatenate([tile_of(one.x_px, one.y_px, shape, grid) for one in samples])
 
 
 def gain_curve(samples: Sequence[HeldOutSample], rng: np.random.Generator) -> list[dict[str, Any]]:
@@ -61,7 +76,7 @@ def error_map(
     samples: Sequence[HeldOutSample], shape: tuple[int, int], grid: tuple[int, int]
 ) -> dict[str, Any]:
     """Held-out slope errors by tile: mean (dx, dy), RMS length and number of pixels, None where there are few."""
-    tile = np.concatenate([tile_of(one.x_px, one.y_px, shape, grid) for one in samples])
+    tile = _tiles_of(samples, shape, grid)
     errors = np.concatenate([one.errors for one in samples]).astype(np.float64)
     count = np.bincount(tile, minlength=grid[0] * grid[1])
     sums = [np.bincount(tile, w, count.size) for w in (errors[:, 0], errors[:, 1], (errors**2).sum(1))]
@@ -98,12 +113,8 @@ def fraction_within_sigma(
     """Fraction of held-out slopes within one stated standard deviation, by bins of slope and of place; 0.68 is right."""
     inside = np.concatenate([np.abs(one.errors) <= sigma for one, sigma in zip(samples, sigmas)]).mean(axis=1)
     slope = np.concatenate([np.linalg.norm(one.gradients, axis=1) for one in samples])
-    by_slope = []
-    for low, high in pairwise(SLOPE_EDGES):
-        member = (slope >= low) & (slope < high)
-        if np.count_nonzero(member) >= MIN_IN_BIN:
-            by_slope.append({"slope_from": low, "slope_to": high, "share": float(inside[member].mean())})
-    tile = np.concatenate([tile_of(one.x_px, one.y_px, shape, grid) for one in samples])
+    by_slope = [{**limits, "share": float(inside[member].mean())} for limits, member in _bins_of(slope)]
+    tile = _tiles_of(samples, shape, grid)
     by_place = [
         float(inside[tile == i].mean()) if np.count_nonzero(tile == i) >= MIN_IN_BIN else None
         for i in range(grid[0] * grid[1])
@@ -134,37 +145,22 @@ def errors_where(
 
 
 def _part(samples: Sequence[HeldOutSample], shape: tuple[int, int], grid: tuple[int, int]) -> dict[str, Any]:
-    true, read = (
-        np.concatenate([getattr(one, name) for one in samples]) for name in ("true_gradients", "gradients")
-    )
-    x, y = (np.concatenate([getattr(one, name) for one in samples]) for name in ("x_px", "y_px"))
-    angles = angle_deg(read, true)
+    true = np.concatenate([one.true_gradients for one in samples])
+    read = np.concatenate([one.gradients for one in samples])
+    angles, true = angle_deg(read, true), true.astype(np.float64)
     return {
         "normal_deg": float(angles.mean()) if angles.size else None,
-        "by_slope": _by_slope(true.astype(np.float64), read, angles),
-        "by_place": _by_place(tile_of(x, y, shape, grid), angles, grid),
+        "by_slope": [
+            {
+                **limits,
+                "normal_deg": float(angles[member].mean()),
+                "gain": float(np.sum(read[member] * true[member]) / np.sum(true[member] ** 2)),
+                "pixels": int(np.count_nonzero(member)),
+            }
+            for limits, member in _bins_of(np.linalg.norm(true, axis=1))
+        ],
+        "by_place": _by_place(_tiles_of(samples, shape, grid), angles, grid),
     }
-
-
-def _by_slope(
-    true: NDArray[np.float64], read: NDArray[Any], angles: NDArray[np.float64]
-) -> list[dict[str, Any]]:
-    slope = np.linalg.norm(true, axis=1)
-    bins = []
-    for low, high in pairwise(SLOPE_EDGES):
-        member = (slope >= low) & (slope < high)
-        if np.count_nonzero(member) >= MIN_IN_BIN:
-            gain = np.sum(read[member] * true[member]) / np.sum(true[member] ** 2)
-            bins.append(
-                {
-                    "slope_from": low,
-                    "slope_to": high,
-                    "normal_deg": float(angles[member].mean()),
-                    "gain": float(gain),
-                    "pixels": int(np.count_nonzero(member)),
-                }
-            )
-    return bins
 
 
 def _by_place(tile: NDArray[np.intp], angles: NDArray[np.float64], grid: tuple[int, int]) -> dict[str, Any]:

@@ -103,25 +103,17 @@ def verdict_of(checks: list[dict[str, Any]], learning_sentence: str | None = Non
     named = {check["name"]: check for check in checks}
     level = max((named[name]["level"] for name in HEADLINE), key=LEVELS.index)
     poor = [check for check in checks if check["level"] == "poor" and check["name"] not in HEADLINE]
-    level = "fair" if poor and level == "good" else level
     refuted = [check for check in poor if check["name"] in REFUTING]
+    if refuted:
+        level = "poor"
+    elif poor and level == "good":
+        level = "fair"
     first_of = refuted or [check for check in checks if check["level"] != "good"]
     first = max(first_of, key=_severity, default=None)
     done = "Use it. Calibrate again after a new gel, another light or another camera setting."
-    figures = (
-        f"held-out normals are off by {named['normal_free_deg']['value']:.1f}°, "
-        f"the ball radius by {named['radius_percent']['value']:.1f} %"
-    )
     return {
-        "level": "poor" if refuted else level,
-        "headline": _headline(
-            "poor" if refuted else level,
-            figures,
-            named["ball_sigmas"],
-            named.get("scale_off_percent"),
-            poor,
-            bool(refuted),
-        ),
+        "level": level,
+        "headline": _headline(level, named, poor, bool(refuted)),
         "next": first["action"] if first else done,
         "because": f"{first['label']}: {shown(first)}, {first['level']}" if first else None,
         "counts": {name: sum(check["level"] == name for check in checks) for name in LEVELS},
@@ -130,20 +122,22 @@ def verdict_of(checks: list[dict[str, Any]], learning_sentence: str | None = Non
 
 
 def _headline(
-    level: str,
-    figures: str,
-    ball: Mapping[str, Any],
-    scale: Mapping[str, Any] | None,
-    poor: Sequence[dict[str, Any]],
-    refuted: bool,
+    level: str, named: Mapping[str, dict[str, Any]], poor: Sequence[dict[str, Any]], refuted: bool
 ) -> str:
+    figures = (
+        f"held-out normals are off by {named['normal_free_deg']['value']:.1f}°, "
+        f"the ball radius by {named['radius_percent']['value']:.1f} %"
+    )
     if refuted:
         return f"Poor: the ball diameter or mm_per_px is wrong. With them, {figures}"
-    unchecked = ". Nothing checked the ball diameter" if ball["value"] is None else ""
-    usual = scale is None or scale["level"] == "good"
-    unusual = "" if usual else ". The mm_per_px is unusual for this sensor"
-    also = "" if level == "poor" else ", ".join(f"{check['label']} ({shown(check)})" for check in poor)
-    return f"{level.capitalize()}: {figures}{f'. Poor checks: {also}' if also else ''}{unchecked}{unusual}"
+    said = [f"{level.capitalize()}: {figures}"]
+    if poor and level != "poor":
+        said.append("Poor checks: " + ", ".join(f"{check['label']} ({shown(check)})" for check in poor))
+    if named["ball_sigmas"]["value"] is None:
+        said.append("Nothing checked the ball diameter")
+    if named.get("scale_off_percent", {"level": "good"})["level"] != "good":
+        said.append("The mm_per_px is unusual for this sensor")
+    return ". ".join(said)
 
 
 def _severity(check: Mapping[str, Any]) -> tuple[int, float]:
@@ -157,8 +151,6 @@ def _severity(check: Mapping[str, Any]) -> tuple[int, float]:
 
 def shown(check: dict[str, Any]) -> str:
     """A check's figure with its unit."""
-    return (
-        "not known"
-        if check["value"] is None
-        else f"{check['value']:.3g} {check['unit']}".replace(" °", "°").strip()
-    )
+    if check["value"] is None:
+        return "not known"
+    return f"{check['value']:.3g} {check['unit']}".replace(" °", "°").strip()

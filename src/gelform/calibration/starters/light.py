@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from gelform.errors import CalibrationError
 from gelform.foundations.findings import Finding
+from gelform.image.background.orientation import READINGS
 from gelform.slopes.color_models._shared.least_squares import node_positions
 
 DEGREE = 3  # degree of the polynomial in x and y
@@ -22,8 +23,9 @@ BLOCKS = 16  # blocks along the longer side; the surface is fitted to their mean
 OFFSET = 1.0  # gray levels, so that black has a logarithm
 # Correlation of the patterns of color: units of one make 0.94-0.99, with a touch 0.80 or more, other makes under 0.5.
 LEAST_ALIKE, SURELY_ALIKE = 0.7, 0.9
-# A BGR image's pattern correlates better by at least this with red and blue exchanged.
-REVERSED_ALIKE = 0.1
+# The pattern of a mirrored, turned or BGR image correlates better by at least this when it is read so. Left and right of a
+# Mini differ by less: 0.98 and 0.96.
+CLEARLY_ALIKE = 0.1
 # RMS of the logarithm about the surface: clean units 0.04-0.06, a Mini with the gel's rim in sight 0.11, touched ones more.
 ROUGH = 0.12
 
@@ -95,17 +97,14 @@ def check_light(background: NDArray[Any], light: NDArray[np.float64], make: str)
         Another make, a turned or mirrored image, or BGR. The message has the figure.
     """
     own, rough = light_from_background(background)
-    alike, reversed_alike = (_alike(one, light) for one in (own, own[:, ::-1]))
-    if reversed_alike > max(alike + REVERSED_ALIKE, LEAST_ALIKE):
-        raise CalibrationError(
-            f"The background looks like BGR: its colors fit a {make} better reversed (correlation {reversed_alike:.2f} "
-            f"against {alike:.2f}). Turn them: image[..., ::-1]."
-        )
+    alike = _alike(own, light)
+    if alike < SURELY_ALIKE:
+        _check_upright(background, light, make, alike)
     if alike < LEAST_ALIKE:
         raise CalibrationError(
             f"Expected the background of a {make}: the colors over its gel correlate by {alike:.2f} with those of its make "
-            f"(expected {LEAST_ALIKE} or more). Is it another sensor, or is the image turned or mirrored? Name the right "
-            "sensor, or calibrate it with presses of a ball."
+            f"(expected {LEAST_ALIKE} or more). Is it another sensor? Name the right one, or calibrate it with presses of a "
+            "ball."
         )
     findings = []
     if alike < SURELY_ALIKE:
@@ -121,6 +120,28 @@ def check_light(background: NDArray[Any], light: NDArray[np.float64], make: str)
         )
         findings.append(Finding("uneven_background", message, rough))
     return tuple(findings)
+
+
+def _check_upright(background: NDArray[Any], light: NDArray[np.float64], make: str, alike: float) -> None:
+    """Raise a CalibrationError if a background image is clearly more like the make's light when it is read otherwise.
+
+    Several readings are named where the light does not tell them apart.
+    """
+    turned = {
+        one: _alike(light_from_background(one.undone(background))[0], light)
+        for one in READINGS
+        if not one.transposed
+    }
+    best = max(turned.values())
+    if best <= max(alike + CLEARLY_ALIKE, LEAST_ALIKE):
+        return
+    likely = sorted(
+        (one for one in turned if turned[one] > best - CLEARLY_ALIKE), key=turned.__getitem__, reverse=True
+    )
+    raise CalibrationError(
+        f"The background is {', or '.join(one.named for one in likely)}: so its colors fit a {make} (correlation {best:.2f} "
+        f"against {alike:.2f}). Undo it where images are read: {', or '.join(one.remedy for one in likely)}."
+    )
 
 
 def _terms(x: NDArray[Any], y: NDArray[Any]) -> NDArray[np.float64]:

@@ -194,15 +194,12 @@ def _video(path: Path) -> dict[str, Any]:
 
 
 def _folder(path: Path) -> dict[str, Any]:
-    """The facts of a bag, a recording or presses; for any other folder, the files that would make it a press folder."""
+    """The facts of a bag or presses; for any other folder, the files that would make it a press folder."""
     from gelform.calibration.presses.folder import PLAIN, PRESS_FOLDER, kind_of_presses
-    from gelform.sensors.recordings.image_folder import folder_summary, is_recorded_folder
     from gelform.sensors.recordings.mcap_reader import is_bag_folder
 
     if is_bag_folder(path):
         return _bag(path)
-    if is_recorded_folder(path):
-        return _recording(folder_summary(path))
     layout = kind_of_presses(path)
     if layout not in (PRESS_FOLDER, PLAIN):
         return _presses(path, layout)
@@ -393,8 +390,8 @@ def _noise(sigma: Facts | None) -> str:
 
 
 def _said(value: Any) -> str:
-    from gelform.calibration.report.page.sections import (
-        setting_in_words,
-    )  # imports numpy, which --help does not wait for
+    from gelform.calibration.report.record import (
+        setting_in_words,  # imports numpy; --help does not wait for it
+    )
 
     return setting_in_words(value)

@@ -155,7 +155,8 @@ def record(
         Argument(metavar="[SOURCE]", help="Serial, name, path, URL or simulated. Default: the only camera."),
     ] = "",
     output: Annotated[
-        Path, Option("--output", "-o", metavar="FILE.mcap|DIR", help="A new file, or a new folder of images.")
+        Path,
+        Option("--output", "-o", metavar="FILE.mcap|DIR", help="A new file; a new folder with --presses."),
     ],
     seconds: Annotated[float | None, number("Duration in seconds; else until Ctrl-C.")] = None,
     frames: Annotated[int | None, Option(metavar="N", min=1, help="Number of frames.")] = None,
@@ -180,13 +181,13 @@ def record(
 
     Keeps the frames unchanged, with their times and the camera's settings.
 
-    An MCAP file (extra `mcap`) contains ROS 2 messages; a folder contains PNG or JPEG files and frames.csv. Every command
-    that takes a SOURCE plays both. With --presses, it writes a folder that `gelform calibrate` reads.
+    The MCAP file (extra `mcap`) contains ROS 2 messages, and every command that takes a SOURCE plays it. With --presses, it
+    writes a folder that `gelform calibrate` reads.
 
     \b
     Examples:
       gelform record -o session.mcap
-      gelform record simulated -o session --seconds 10
+      gelform record simulated -o session.mcap --seconds 10
       gelform record D20123 -o session.mcap --set exposure=50 --set led_level=15 -c cal.npz
       gelform record http://192.168.0.7:8080/stream -o session.mcap
       gelform record D20123 --presses -o presses --ball-diameter-mm 6.35 --sensor digit

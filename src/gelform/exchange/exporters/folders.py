@@ -61,14 +61,11 @@ def check_room(folder: Path) -> None:
 
 def write_sensor_toml(path: Path, name: str, mm_per_px: float, serial: str = "") -> None:
     """Write a minimal `sensor.toml`: a name, the width of a pixel, mm, and the serial number if there is one."""
-    unit = f"serial = {_toml_text(serial)}\n" if serial else ""
-    content = f"name = {_toml_text(name)}\nmm_per_px = {float(mm_per_px)!r}\n{unit}"
+    import tomlkit  # imported here, because most commands import this module and write no such file
+
+    unit = {"serial": serial} if serial else {}
+    content = tomlkit.dumps({"name": name, "mm_per_px": float(mm_per_px), **unit})
     path.write_text(content, encoding="utf-8")
-
-
-def _toml_text(text: str) -> str:
-    escaped = text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
-    return f'"{escaped}"'
 
 
 def write_csv(path: Path, rows: Sequence[Mapping[str, str]]) -> None:

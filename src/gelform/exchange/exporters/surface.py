@@ -20,17 +20,16 @@ from numpy.typing import NDArray
 
 from gelform.errors import DataError, needed
 from gelform.exchange.exporters.quantised import levels_from_depth
-from gelform.foundations.checks import check_is, check_path
+from gelform.foundations.checks import check_is, check_mm_per_px, check_path
 from gelform.foundations.npz_files import written_file
 from gelform.foundations.pictures import picture_bytes
 from gelform.result import Reconstruction
 
-NAMESPACE = "http://www.opengps.eu/2008/ISO5436_2"
-DATA, CHECKSUM = "bindata/data.bin", "md5checksum.hex"
 M_PER_MM = 1e-3
+BASE_SHARE = 0.1  # distance of an STL's base below the lowest point, as a fraction of the frame's width
 _MAIN = """<?xml version="1.0" encoding="UTF-8"?>
-<p:ISO5436_2 xmlns:p="{namespace}" xmlns:xsi="http://www.w3.org/2001/XMLSchema-instance" \
-xsi:schemaLocation="{namespace} {namespace}/ISO5436_2.xsd">
+<p:ISO5436_2 xmlns:p="http://www.opengps.eu/2008/ISO5436_2" xmlns:xsi="http://www.w3.org/2001/XMLSchema-instance" \
+xsi:schemaLocation="http://www.opengps.eu/2008/ISO5436_2 http://www.opengps.eu/2008/ISO5436_2/ISO5436_2.xsd">
   <Record1>
     <Revision>ISO5436 - 2000</Revision>
     <FeatureType>SUR</FeatureType>
@@ -42,9 +41,9 @@ xsi:schemaLocation="{namespace} {namespace}/ISO5436_2.xsd">
   </Record1>
   <Record3>
     <MatrixDimension><SizeX>{width}</SizeX><SizeY>{height}</SizeY><SizeZ>1</SizeZ></MatrixDimension>
-    <DataLink><PointDataLink>{data}</PointDataLink><MD5ChecksumPointData>{md5}</MD5ChecksumPointData></DataLink>
+    <DataLink><PointDataLink>bindata/data.bin</PointDataLink><MD5ChecksumPointData>{md5}</MD5ChecksumPointData></DataLink>
   </Record3>
-  <Record4><ChecksumFile>{checksum}</ChecksumFile></Record4>
+  <Record4><ChecksumFile>md5checksum.hex</ChecksumFile></Record4>
 </p:ISO5436_2>
 """
 
@@ -54,24 +53,12 @@ def x3p_bytes(result: Reconstruction) -> bytes:
     height, width = result.depth_mm.shape
     heights = np.where(result.known, result.depth_mm.astype(np.float64) * M_PER_MM, np.nan)
     data = heights[::-1].astype("<f8").tobytes()
-    pitch = np.broadcast_to(np.asarray(result.mm_per_px, dtype=np.float64), 2) * M_PER_MM
-    main = _MAIN.format(
-        namespace=NAMESPACE,
-        x=float(pitch[0]),
-        y=float(pitch[1]),
-        width=width,
-        height=height,
-        data=DATA,
-        md5=_md5(data),
-        checksum=CHECKSUM,
-    ).encode()
+    x, y = (pitch * M_PER_MM for pitch in check_mm_per_px(result.mm_per_px))
+    main = _MAIN.format(x=x, y=y, width=width, height=height, md5=_md5(data)).encode()
+    checksum = f"{_md5(main)} *main.xml\n".encode()
     content = io.BytesIO()
-    with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as file:
-        for name, member in (
-            ("main.xml", main),
-            (DATA, data),
-            (CHECKSUM, f"{_md5(main)} *main.xml\n".encode()),
-        ):
+    with zipfile.ZipFile(content, "w") as file:
+        for name, member in (("main.xml", main), ("bindata/data.bin", data), ("md5checksum.hex", checksum)):
             file.writestr(zipfile.ZipInfo(name), member, zipfile.ZIP_DEFLATED)
     return content.getvalue()
 
@@ -79,9 +66,6 @@ def x3p_bytes(result: Reconstruction) -> bytes:
 def _md5(content: bytes) -> str:
     """The checksum that the format requires; it protects no secret."""
     return hashlib.md5(content, usedforsecurity=False).hexdigest()
-
-
-BASE_SHARE = 0.1  # distance of an STL's base below the lowest point, as a fraction of the frame's width
 
 
 def save_surface(result: Reconstruction, path: str | PathLike[str], *, overwrite: bool = False) -> Path:
@@ -130,7 +114,7 @@ def save_surface(result: Reconstruction, path: str | PathLike[str], *, overwrite
 def points_from_result(result: Reconstruction) -> NDArray[np.float32]:
     """points_mm (H*W, 3), row by row: (x, y, -depth_mm), right-handed, from the middle of the image."""
     height, width = result.depth.shape
-    pitch_x, pitch_y = np.broadcast_to(np.asarray(result.mm_per_px, dtype=np.float64), 2)
+    pitch_x, pitch_y = check_mm_per_px(result.mm_per_px)
     points = np.empty((height, width, 3), dtype=np.float32)
     points[..., 0] = (np.arange(width) - (width - 1) / 2) * pitch_x
     points[..., 1] = ((np.arange(height) - (height - 1) / 2) * pitch_y)[:, None]
@@ -138,11 +122,11 @@ def points_from_result(result: Reconstruction) -> NDArray[np.float32]:
     return points.reshape(-1, 3)
 
 
-def _grid_triangles(height: int, width: int) -> NDArray[np.int64]:
-    """Triangles (n, 3) of a grid of points, counter-clockwise from the camera's side (z down)."""
+def _surface_triangles(height: int, width: int) -> NDArray[np.int64]:
+    """Triangles (n, 3) of a grid of points; their normals point towards the camera, -z."""
     index = np.arange(height * width).reshape(height, width)
-    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
-    return np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([b, d, c], -1).reshape(-1, 3)])
+    a, b, c, d = (part.ravel() for part in (index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]))
+    return np.concatenate([np.stack([c, b, a], -1), np.stack([c, d, b], -1)])
 
 
 def _mesh_bytes(points: NDArray[Any], triangles: NDArray[Any], form: str) -> bytes:
@@ -151,22 +135,14 @@ def _mesh_bytes(points: NDArray[Any], triangles: NDArray[Any], form: str) -> byt
 
 
 def _ply(result: Reconstruction) -> bytes:
-    return _mesh_bytes(points_from_result(result), _outward(_grid_triangles(*result.depth.shape)), "ply")
-
-
-def _outward(triangles: NDArray[Any]) -> NDArray[Any]:
-    """The triangles reversed: normals towards the camera, -z."""
-    return triangles[:, ::-1]
+    return _mesh_bytes(points_from_result(result), _surface_triangles(*result.depth.shape), "ply")
 
 
 def _stl(result: Reconstruction) -> bytes:
-    height, width = result.depth.shape
     top = points_from_result(result)
-    base = top.copy()
+    base, count = top.copy(), len(top)
     base[:, 2] = top[:, 2].max() + BASE_SHARE * np.ptp(top[:, 0])
-    count = height * width
-    surface = _outward(_grid_triangles(height, width))
-    index = np.arange(count).reshape(height, width)
+    surface, index = _surface_triangles(*result.depth.shape), np.arange(count).reshape(result.depth.shape)
     rim = np.concatenate([index[0, :-1], index[:-1, -1], index[-1, :0:-1], index[:0:-1, 0]])
     after = np.roll(rim, -1)
     walls = np.concatenate(

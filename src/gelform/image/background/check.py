@@ -7,12 +7,19 @@ from math import inf, log
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from gelform._native import Kernel
 from gelform.errors import CalibrationError
+from gelform.foundations.checks import check_image
 from gelform.foundations.findings import Finding
 from gelform.image.background.exposure import Exposure, block_means, exposure_from_blocks
+from gelform.image.background.orientation import (
+    UNLIKE,
+    Orientation,
+    orientation_from_blocks,
+    orientation_from_image,
+)
 from gelform.image.frame import pixels_digest
 
 # Gain of the brightness: outside the first range a new background is requested, outside the second the image is refused.
@@ -23,7 +30,7 @@ CORRELATION_REFUSE = (
 )
 # Fractions of the brightness: half of an image differs by more than the first for a warning, the second for a refusal; the
 # quarter that changed least by more than the third for a refusal.
-PATTERN_WARN, PATTERN_REFUSE, LEAST_REFUSE = 0.02, 0.06, 0.036
+PATTERN_WARN, PATTERN_REFUSE, LEAST_REFUSE = 0.02, 0.06, UNLIKE
 TOUCHED_FRACTION = 0.4  # fraction of an image that the correlation leaves out
 MIN_FRAMES = (
     8  # smallest number of frames, each touched elsewhere, whose median is nearly the background image
@@ -40,8 +47,8 @@ def check_background(image: NDArray[Any], background: NDArray[Any]) -> tuple[Fin
 
     Where nothing touches, the image should be the background times a gain near 1.
 
-    CalibrationError: the channels fit better reversed (RGB against BGR), a channel's gain is outside 0.7-1.4, or the
-    correlation is under 0.8. The message has the figure.
+    CalibrationError: the image is mirrored, turned or BGR, a channel's gain is outside 0.7-1.4, or the correlation is under
+    0.8. The message has the figure.
     """
     return compared(block_means(image), block_means(background))[1]
 
@@ -116,17 +123,42 @@ def compared(
 ) -> tuple[Exposure, tuple[Finding, ...]]:
     """Exposure and findings of an image compared with the background image, both from `block_means`."""
     exposure = exposure_from_blocks(image, untouched)
-    correlation = _correlation(image, untouched, exposure.gain)
-    turned = (
-        _correlation_reversed(image, untouched) if correlation is not None and correlation < 0.97 else None
-    )
-    if correlation is not None and turned is not None and turned > max(0.9, correlation + 0.03):
-        raise CalibrationError(
-            f"The image looks like BGR: its channels fit the background better reversed (correlation "
-            f"{turned:.2f} against {correlation:.2f}). Reverse them: image[..., ::-1]."
-        )
-    _refuse_unlike(exposure.gain, correlation)
+    if exposure.least_change > UNLIKE:
+        check_upright(orientation_from_blocks(image, untouched))
+    _refuse_unlike(exposure.gain, _correlation(image, untouched, exposure.gain))
     return exposure, (*_exposure_findings(exposure), *_pattern_findings(exposure))
+
+
+def check_viewed_image(
+    background: NDArray[np.float32],
+    frame_shape: tuple[int, int] | None,
+    image: ArrayLike,
+    name: str = "image",
+) -> NDArray[Any]:
+    """Return an RGB image of the background's size, as `check_image` does; the error says if it is a frame.
+
+    ValueError, TypeError: as `check_image`. CalibrationError: the image lies on its side.
+    """
+    shape = background.shape[:2]
+    try:
+        return check_image(image, shape=shape, name=name)
+    except ValueError as problem:
+        got = np.shape(image)[:2]
+        if got == shape[::-1] != shape:
+            check_upright(orientation_from_image(check_image(image, name=name), background))
+        if got != frame_shape or frame_shape == shape:
+            raise
+        hint = "It has the size of the camera's frames: image_from_frame(frame, calibration.view) first."
+        raise ValueError(f"{problem} {hint}") from None
+
+
+def check_upright(orientation: Orientation | None) -> None:
+    """Raise a CalibrationError that names how an image lies, if it is known and not as the background image does."""
+    if orientation is not None and not orientation.is_upright:
+        raise CalibrationError(
+            f"The image is {orientation.named} compared with the background: so it fits it best of 16 readings. Undo it "
+            f"where images are read, by {orientation.remedy} or the view's turn and flip."
+        )
 
 
 def _refuse_unlike(gain: NDArray[np.float64] | None, correlation: float | None) -> None:
@@ -184,11 +216,6 @@ def _pattern_findings(exposure: Exposure) -> tuple[Finding, ...]:
 
 def _times(gain: NDArray[np.float64] | None) -> str:
     return "unknown" if gain is None else ", ".join(f"{name} {value:.2f}" for name, value in zip("RGB", gain))
-
-
-def _correlation_reversed(image: NDArray[np.float32], untouched: NDArray[np.float32]) -> float | None:
-    turned = np.ascontiguousarray(image[..., ::-1])
-    return _correlation(turned, untouched, exposure_from_blocks(turned, untouched).gain)
 
 
 def _correlation(

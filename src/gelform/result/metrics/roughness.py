@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
-from gelform.foundations.checks import check_positive, check_values
+from gelform.foundations.checks import check_map, check_mask, check_positive
 
 FORMS = {"none": 0, "plane": 1, "quadratic": 2}  # degree of the polynomial
 ALPHA = np.sqrt(np.log(2) / np.pi)  # ISO 16610-61: a wave of the cut-off length keeps half its height
@@ -75,24 +75,36 @@ def areal_roughness(
     ValueError, TypeError
         NaN, another shape of the mask, fewer than 100 pixels, cut-offs that leave nothing between them.
     """
-    depth = np.asarray(check_values(depth_mm, "depth_mm", (), np.float64))
+    depth = check_map(depth_mm, "depth_mm", dtype=np.float64)
     if depth.ndim != 2:
         raise ValueError(f"Expected depth_mm of shape (H, W), got {depth.shape}.")
+    everywhere = np.ones(depth.shape, dtype=bool)
+    inside = check_mask(everywhere if mask is None else mask, shape=depth.shape, may_be_empty=True)
+    if np.count_nonzero(inside) < LEAST_PX:
+        raise ValueError(f"Expected at least {LEAST_PX} pixels to evaluate, got {np.count_nonzero(inside)}.")
     if form not in FORMS:
         raise ValueError(f"Expected a form among {', '.join(FORMS)}, got {form!r}.")
-    pitch, inside = check_positive(mm_per_px, "mm_per_px"), _mask(mask, depth.shape)
-    small = S_FILTER_PX * pitch if s_filter_mm == "auto" else s_filter_mm
-    small, large = _cutoff(small, "s_filter_mm"), _cutoff(l_filter_mm, "l_filter_mm")
-    if small is not None and large is not None and large <= small:
-        raise ValueError(f"Expected the L-filter above the S-filter's {small:.3f} mm, got {large:.3f} mm.")
+    pitch = check_positive(mm_per_px, "mm_per_px")
+    small, large = S_FILTER_PX * pitch if s_filter_mm == "auto" else s_filter_mm, l_filter_mm
     if small is not None:
+        small = check_positive(float(small), "s_filter_mm")
         depth = gaussian_areal_filter(depth, small / pitch, inside)
     depth = depth - _form(depth, inside, FORMS[form])
     if large is not None:
+        if check_positive(large, "l_filter_mm") <= (small or 0):
+            raise ValueError(
+                f"Expected the L-filter above the S-filter's {small:.3f} mm, got {large:.3f} mm."
+            )
         depth = depth - gaussian_areal_filter(depth, large / pitch, inside)
-    heights = depth[inside] - depth[inside].mean()
+    heights = 1e3 * (depth[inside] - depth[inside].mean())
+    root_mean_square = float(np.sqrt(np.mean(heights**2)))
+    scaled = heights / (root_mean_square or 1.0)
     return Roughness(
-        **_height_parameters(1e3 * heights),
+        Sa_um=float(np.mean(np.abs(heights))),
+        Sq_um=root_mean_square,
+        Sz_um=float(np.ptp(heights)),
+        Ssk=float(np.mean(scaled**3)),
+        Sku=float(np.mean(scaled**4)),
         Sdr_percent=_developed_area(depth, inside, pitch),
         form=form,
         s_filter_mm=small,
@@ -117,27 +129,13 @@ def gaussian_areal_filter(
     return np.divide(blurred, weight, out=np.zeros_like(blurred), where=inside)
 
 
-def _height_parameters(heights_um: NDArray[Any]) -> dict[str, float]:
-    root_mean_square = float(np.sqrt(np.mean(heights_um**2)))
-    scaled = heights_um / root_mean_square if root_mean_square > 0 else heights_um
-    return {
-        "Sa_um": float(np.mean(np.abs(heights_um))),
-        "Sq_um": root_mean_square,
-        "Sz_um": float(np.ptp(heights_um)),
-        "Ssk": float(np.mean(scaled**3)),
-        "Sku": float(np.mean(scaled**4)),
-    }
-
-
 def _developed_area(depth: NDArray[Any], inside: NDArray[np.bool_], pitch: float) -> float:
     """Sdr, per cent: the mean of sqrt(1 + slope^2) - 1 over cells of four pixels inside."""
-    corners = depth[:-1, :-1], depth[:-1, 1:], depth[1:, :-1], depth[1:, 1:]
-    whole = inside[:-1, :-1] & inside[:-1, 1:] & inside[1:, :-1] & inside[1:, 1:]
-    a, b, c, d = (one[whole] for one in corners)
+    a, b, c, d = depth[:-1, :-1], depth[:-1, 1:], depth[1:, :-1], depth[1:, 1:]
     slope_x, slope_y = (b - a + d - c) / (2 * pitch), (c - a + d - b) / (2 * pitch)
-    if not slope_x.size:
-        return 0.0
-    return float(100 * np.mean(np.sqrt(1 + slope_x**2 + slope_y**2) - 1))
+    whole = inside[:-1, :-1] & inside[:-1, 1:] & inside[1:, :-1] & inside[1:, 1:]
+    excess = (np.sqrt(1 + slope_x**2 + slope_y**2) - 1)[whole]
+    return float(100 * np.mean(excess)) if excess.size else 0.0
 
 
 def _form(depth: NDArray[Any], inside: NDArray[np.bool_], degree: int) -> NDArray[np.float64]:
@@ -147,16 +145,3 @@ def _form(depth: NDArray[Any], inside: NDArray[np.bool_], degree: int) -> NDArra
     terms = np.stack([x**i * y**j for i in range(degree + 1) for j in range(degree + 1 - i)], axis=-1)
     weights, *_ = np.linalg.lstsq(terms[inside], depth[inside], rcond=None)
     return np.asarray(terms @ weights)
-
-
-def _mask(mask: ArrayLike | None, shape: tuple[int, ...]) -> NDArray[np.bool_]:
-    inside = np.ones(shape, dtype=bool) if mask is None else np.asarray(mask)
-    if inside.dtype != np.bool_ or inside.shape != shape:
-        raise ValueError(f"Expected mask as bool of shape {shape}, got {inside.dtype} of {inside.shape}.")
-    if np.count_nonzero(inside) < LEAST_PX:
-        raise ValueError(f"Expected at least {LEAST_PX} pixels to evaluate, got {np.count_nonzero(inside)}.")
-    return inside
-
-
-def _cutoff(value: float | str | None, name: str) -> float | None:
-    return None if value is None else check_positive(value, name)  # type: ignore[arg-type]

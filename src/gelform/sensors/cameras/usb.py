@@ -230,8 +230,8 @@ def _set_mode(
     """Set picture format, size and rate: the given ones, else the usual ones of a known camera."""
     mode: dict[str, float | str] = {}
     if known is not None:
-        (height, width), rate = known.modes[0]
-        mode = {"fourcc": known.fourcc, "height": height, "width": width, "fps": rate}
+        height, width = known.frame_shape
+        mode = {"fourcc": known.fourcc, "height": height, "width": width, "fps": known.rate_hz}
     mode |= {key: value for key, value in wanted.items() if key in ("fourcc", *SIZE)}
     if "fourcc" in mode:
         capture.set(cv2.CAP_PROP_FOURCC, float(cv2.VideoWriter.fourcc(*str(mode["fourcc"]))))

@@ -1,4 +1,4 @@
-"""Frames of a camera recorded without change, and played back: MCAP files (extra `mcap`) and folders of images."""
+"""Frames of a camera recorded without change, and played back: MCAP files (extra `mcap`)."""
 
 import lazy_loader
 

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import cv2
@@ -16,7 +15,6 @@ from gelform.errors import DataError
 from gelform.foundations.pictures import FAST_PNG, picture_bytes
 from gelform.image.frame import Frame
 from gelform.sensors.jpeg import image_from_jpeg
-from gelform.sensors.playback import Playback
 
 FORMAT_VERSION = 1
 CALIBRATION, BACKGROUND = "calibration.npz", "background.png"
@@ -55,7 +53,6 @@ class RecordingFacts:
         try:
             content: dict[str, Any] = json.loads(text)
             version = content.pop("format_version")
-            content.pop("finished", None)  # describes the recording, not its camera
             if version > FORMAT_VERSION:
                 raise DataError(
                     f"{where} has format version {version}, written by gelform {content.get('library_version')}; this "
@@ -74,24 +71,6 @@ class RecordingSummary:
     frames: int
     duration_s: float
     finished: bool
-
-
-def playback_of(facts: RecordingFacts, frames: Callable[[], Iterator[Frame]], paced: bool) -> Playback:
-    """A recording as a source."""
-    camera = {
-        "name": facts.name,
-        "serial": facts.serial,
-        "settings": facts.settings,
-        "rate_hz": facts.rate_hz,
-    }
-    return Playback(frames, **camera, paced=paced)  # type: ignore[arg-type]
-
-
-def unwritable(path: Path, problem: OSError) -> DataError:
-    """The error for a recording that cannot be continued."""
-    return DataError(
-        f"Cannot write {path} any further: {problem.strerror}. What was written before can be read."
-    )
 
 
 def encoded_from_frame(frame: Frame) -> tuple[str, bytes]:

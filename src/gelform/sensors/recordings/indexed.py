@@ -1,4 +1,4 @@
-"""A recording with random access by frame number: folders, videos, MCAP files."""
+"""A recording with random access by frame number: MCAP files, videos, folders of images."""
 
 from __future__ import annotations
 
@@ -13,20 +13,17 @@ import numpy as np
 
 from gelform.errors import DataError
 from gelform.image.frame import Frame
-from gelform.sensors.playback import images_by_number
+from gelform.sensors.playback import facts_of_video, images_by_number
 from gelform.sensors.recordings.facts import RecordingFacts, reduction_in
-from gelform.sensors.recordings.image_folder import facts_of_folder, frame_of_row, is_recorded_folder, rows_of
 from gelform.sensors.recordings.mcap_reader import (
-    MAX_RECORD_BYTES,
-    faults_named,
     frame_from_message,
     is_bag_folder,
     mcap_file_in,
     picture_topic_of,
+    records_from,
 )
 from gelform.sensors.video_files import USUAL_RATE_HZ, Video, grabbed_image, is_video
 
-MAGIC_BYTES = 8  # length of the magic at the start of an MCAP file
 KEPT_CHUNKS = 2  # most recently used chunks that stay in memory
 
 
@@ -58,9 +55,9 @@ def is_recording(spec: str) -> bool:
 
 
 def recordings_in(folder: Path) -> list[Path]:
-    """The recordings in a folder: *.mcap, videos, folders that `gelform record` wrote."""
+    """The recordings in a folder: *.mcap and videos."""
     found = sorted(folder.iterdir()) if folder.is_dir() else []
-    return [one for one in found if one.suffix.lower() == ".mcap" or is_video(one) or is_recorded_folder(one)]
+    return [one for one in found if one.suffix.lower() == ".mcap" or is_video(one)]
 
 
 def indexed(path: Path) -> Indexed:
@@ -71,8 +68,6 @@ def indexed(path: Path) -> Indexed:
     if path.suffix.lower() == ".mcap" or is_bag_folder(path):
         index = McapIndex(mcap_file_in(path) if path.is_dir() else path)
         found = Indexed(path, index.facts, index.times_s, index.frame)
-    elif is_recorded_folder(path):
-        found = _of_recorded_folder(path)
     elif path.is_dir():
         found = _of_images(path)
     elif is_video(path):
@@ -84,13 +79,6 @@ def indexed(path: Path) -> Indexed:
     return found
 
 
-def _of_recorded_folder(path: Path) -> Indexed:
-    facts = facts_of_folder(path)
-    rows, reduction = sorted(rows_of(path)), reduction_in(facts.settings)
-    times_s = tuple(row[0] - rows[0][0] for row in rows)
-    return Indexed(path, facts, times_s, lambda number: frame_of_row(path, rows[number], reduction))
-
-
 def _of_images(path: Path) -> Indexed:
     frame, count = images_by_number(path, USUAL_RATE_HZ)
     times_s = tuple(number / USUAL_RATE_HZ for number in range(count))
@@ -100,10 +88,7 @@ def _of_images(path: Path) -> Indexed:
 def _of_video(path: Path) -> Indexed:
     video = Video(path)
     reel = _Reel(path, video.facts.frame_rate_hz or USUAL_RATE_HZ)
-    height, width = video.facts.shape
-    settings = {"width": float(width), "height": float(height)}
-    facts = RecordingFacts(path.name, None, settings, video.facts.frame_rate_hz or None)
-    return Indexed(path, facts, reel.times_s, reel.frame)
+    return Indexed(path, facts_of_video(video), reel.times_s, reel.frame)
 
 
 class _Reel:
@@ -208,13 +193,13 @@ class McapIndex:
 
     def _placed(self) -> Iterator[MessagePlace]:
         """Every message of the topic, in file order."""
-        for offset, inside in _records(self._path, 0):
+        for offset, inside in records_from(self._path):
             for nth, message in enumerate(self._wanted(inside)):
                 yield MessagePlace(message.log_time, offset, nth, message.sequence)
 
     def _messages_at(self, offset: int) -> list[Any]:
         if offset not in self._chunks:
-            self._chunks[offset] = list(self._wanted(next(_records(self._path, offset))[1]))
+            self._chunks[offset] = list(self._wanted(next(records_from(self._path, offset))[1]))
             while len(self._chunks) > KEPT_CHUNKS:
                 self._chunks.popitem(last=False)
         self._chunks.move_to_end(offset)
@@ -228,22 +213,3 @@ class McapIndex:
                 self._channels.add(one.id)
             elif kind == "Message" and one.channel_id in self._channels:
                 yield one
-
-
-def _records(path: Path, offset: int) -> Iterator[tuple[int, list[Any]]]:
-    """(offset, contents) of each record from an offset on; the contents are the record itself or those of a chunk.
-
-    The first offset is 0, or one that this function returned before.
-    """
-    from mcap.stream_reader import StreamReader, breakup_chunk
-
-    with path.open("rb") as file, faults_named(path):
-        file.seek(offset)
-        reader = StreamReader(
-            file, skip_magic=offset > 0, emit_chunks=True, record_size_limit=MAX_RECORD_BYTES
-        )
-        begins = offset or MAGIC_BYTES
-        for record in reader.records:
-            is_chunk = type(record).__name__ == "Chunk"
-            yield begins, breakup_chunk(record, validate_crc=True) if is_chunk else [record]
-            begins = file.tell()

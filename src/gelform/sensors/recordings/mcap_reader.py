@@ -6,17 +6,17 @@ import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from gelform.errors import DataError
+from gelform.errors import DataError, needed
 from gelform.image.frame import Frame
 from gelform.sensors.playback import Playback
 from gelform.sensors.recordings.facts import (
     RecordingFacts,
     RecordingSummary,
     image_from_encoded,
-    playback_of,
     reduction_in,
 )
 from gelform.sensors.recordings.mcap_writer import METADATA, TOPIC
@@ -31,6 +31,7 @@ from gelform.sensors.recordings.messages import (
 )
 
 METADATA_FILE, METADATA_KEY = "metadata.yaml", "rosbag2_bagfile_information"
+MAGIC_BYTES = 8  # length of the magic at the start of an MCAP file
 MAX_KEY_AT = 4096  # characters of metadata.yaml in which the key is searched
 MAX_RECORD_BYTES = 256 * 2**20  # bytes; a larger record is damaged and would fill the memory
 SAMPLED_RECORDS = 200  # records that are read to find which pictures a file contains
@@ -96,32 +97,48 @@ def mcap_records(path: Path) -> Iterator[Any]:
 
     DataError: the file is missing, no MCAP file or damaged, or the extra `mcap` is not installed.
     """
-    try:
-        from mcap.stream_reader import StreamReader
-    except ImportError as problem:
-        raise DataError("MCAP files need the extra mcap: pip install 'gelform[mcap]'.") from problem
     if not path.is_file():
         raise DataError(f"No recording {path}. Check the path.")
     schemas: dict[int, str] = {}
     topics: dict[int, str] = {}
-    with path.open("rb") as file, faults_named(path):
-        reader = StreamReader(_WholeReads(file), validate_crcs=True, record_size_limit=MAX_RECORD_BYTES)
+    for record in chain.from_iterable(records for _, records in records_from(path)):
+        kind = type(record).__name__
+        if kind == "Schema":
+            schemas[record.id] = record.name
+        elif kind == "Channel" and record.id not in topics:
+            topics[record.id] = record.topic
+            schema = schemas.get(record.schema_id, "")
+            yield Channel(record.topic, schema, record.message_encoding)
+        elif kind == "Message":
+            yield PlacedMessage(topics.get(record.channel_id, ""), record)
+        elif kind != "Channel":
+            yield record
+
+
+def records_from(path: Path, offset: int = 0) -> Iterator[tuple[int, list[Any]]]:
+    """(offset, contents) of each record from an offset on; the contents are the record itself or those of a chunk.
+
+    The first offset is 0, or one that this function returned before.
+    """
+    mcap = needed("mcap.stream_reader", "mcap", "An MCAP file")
+    with path.open("rb") as file, _faults_named(path):
+        file.seek(offset)
+        reader = mcap.StreamReader(
+            _WholeReads(file),
+            skip_magic=offset > 0,
+            emit_chunks=True,
+            validate_crcs=offset == 0,  # of all records from the first on; those of a chunk are its own
+            record_size_limit=MAX_RECORD_BYTES,
+        )
+        begins = offset or MAGIC_BYTES
         for record in reader.records:
-            kind = type(record).__name__
-            if kind == "Schema":
-                schemas[record.id] = record.name
-            elif kind == "Channel" and record.id not in topics:
-                topics[record.id] = record.topic
-                schema = schemas.get(record.schema_id, "")
-                yield Channel(record.topic, schema, record.message_encoding)
-            elif kind == "Message":
-                yield PlacedMessage(topics.get(record.channel_id, ""), record)
-            elif kind != "Channel":
-                yield record
+            is_chunk = type(record).__name__ == "Chunk"
+            yield begins, mcap.breakup_chunk(record, validate_crc=True) if is_chunk else [record]
+            begins = file.tell()
 
 
 @contextmanager
-def faults_named(path: Path) -> Iterator[None]:
+def _faults_named(path: Path) -> Iterator[None]:
     """Context for reading records: damage raises DataError; a file whose recorder was killed just ends."""
     from mcap.exceptions import EndOfFile, McapError
 
@@ -240,7 +257,7 @@ def mcap_playback(path: Path, *, paced: bool = False) -> Playback:
     the extra `mcap` is not installed; in a loop: its bytes are damaged.
     """
     facts, topic = picture_topic_of(path)
-    return playback_of(facts, lambda: _frames(path, topic, facts), paced)
+    return Playback(lambda: _frames(path, topic, facts), facts, paced=paced)
 
 
 def mcap_summary(path: Path) -> RecordingSummary:

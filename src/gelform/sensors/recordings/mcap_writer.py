@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
-from gelform.errors import DataError
+from gelform.errors import DataError, needed
 from gelform.image.frame import Frame
-from gelform.sensors.recordings.facts import ATTACHABLE, RecordingFacts, encoded_from_frame, unwritable
+from gelform.sensors.recordings.facts import ATTACHABLE, RecordingFacts, encoded_from_frame
 from gelform.sensors.recordings.messages import (
     MESSAGE_ENCODING,
     SCHEMA_ENCODING,
@@ -44,14 +46,7 @@ class McapRecording:
     def __init__(
         self, path: Path, facts: RecordingFacts, attached: Mapping[str, bytes] | None = None
     ) -> None:
-        try:
-            from mcap.writer import CompressionType, Writer
-
-            definition = schema_of_picture()
-        except ImportError as problem:
-            raise DataError(
-                "MCAP files need the extra mcap: pip install 'gelform[mcap]'. A folder of images needs none: -o DIR."
-            ) from problem
+        mcap, definition = needed("mcap.writer", "mcap", "An MCAP file"), schema_of_picture()
         self.path = path
         self._frame_id = facts.serial or facts.name
         try:
@@ -60,20 +55,33 @@ class McapRecording:
             raise DataError(f"{path} is there already. Give another name, or remove it.") from None
         except OSError as problem:
             raise DataError(f"Cannot write {path}: {problem.strerror}.") from problem
-        uncompressed = CompressionType.NONE  # pictures are already compressed
-        self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=uncompressed)
-        self._writer.start(profile="ros2", library=f"gelform {facts.library_version}")
-        self._writer.add_metadata(METADATA, {"facts": facts.to_json()})
-        for name, content in (attached or {}).items():
-            now_ns = time.time_ns()
-            self._writer.add_attachment(now_ns, now_ns, name, ATTACHABLE[name], content)
-        schema = self._writer.register_schema(SCHEMA_NAME, SCHEMA_ENCODING, definition)
-        self._channel = self._writer.register_channel(TOPIC, MESSAGE_ENCODING, schema)
+        try:
+            self._begin(mcap, definition, facts, attached or {})
+            self._flush()
+        except DataError:
+            with suppress(OSError):
+                self._file.close()  # tries to write again
+            path.unlink()
+            raise
+
+    def _begin(
+        self, mcap: Any, definition: bytes, facts: RecordingFacts, attached: Mapping[str, bytes]
+    ) -> None:
+        """Write what stands before the first frame."""
+        uncompressed = mcap.CompressionType.NONE  # pictures are already compressed
+        self._writer = mcap.Writer(self._file, chunk_size=CHUNK_BYTES, compression=uncompressed)
+        with self._faults_named():
+            self._writer.start(profile="ros2", library=f"gelform {facts.library_version}")
+            self._writer.add_metadata(METADATA, {"facts": facts.to_json()})
+            for name, content in attached.items():
+                now_ns = time.time_ns()
+                self._writer.add_attachment(now_ns, now_ns, name, ATTACHABLE[name], content)
+            schema = self._writer.register_schema(SCHEMA_NAME, SCHEMA_ENCODING, definition)
+            self._channel = self._writer.register_channel(TOPIC, MESSAGE_ENCODING, schema)
         # The library ends a chunk only by its size; the method that ends one is private (a test guards this use).
         self._end_chunk = self._writer._Writer__finalize_chunk
         self._epoch_ns: int | None = None
         self._flushed_s = time.monotonic()
-        self._flush()
 
     def write(self, frame: Frame) -> int:
         """Add a frame; return its size in bytes."""
@@ -83,10 +91,8 @@ class McapRecording:
             self._epoch_ns = frame.wall_time_ns - time_ns
         stamp = self._epoch_ns + time_ns
         message = message_from_picture(content, picture_format, frame.wall_time_ns, self._frame_id)
-        try:
+        with self._faults_named():
             self._writer.add_message(self._channel, stamp, message, stamp, frame.index % 2**32)
-        except OSError as problem:
-            raise unwritable(self.path, problem) from problem
         self.flush_if_due()
         return len(content)
 
@@ -99,16 +105,22 @@ class McapRecording:
         """Write the index, and close the file."""
         if self._file.closed:
             return
-        try:
+        with self._faults_named():
             self._writer.finish()
             self._file.close()
-        except OSError as problem:
-            raise unwritable(self.path, problem) from problem
 
     def _flush(self) -> None:
-        try:
+        with self._faults_named():
             self._end_chunk()
             self._file.flush()
-        except OSError as problem:
-            raise unwritable(self.path, problem) from problem
         self._flushed_s = time.monotonic()
+
+    @contextmanager
+    def _faults_named(self) -> Iterator[None]:
+        """Context for writing: what the disk refuses raises DataError."""
+        try:
+            yield
+        except OSError as problem:
+            raise DataError(
+                f"Cannot write {self.path} any further: {problem.strerror}. What was written before can be read."
+            ) from problem

@@ -8,7 +8,6 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +16,6 @@ from gelform import __version__
 from gelform.calibration_file import Calibration, load_calibration
 from gelform.errors import DataError
 from gelform.foundations.pictures import picture_bytes
-from gelform.image.frame import Frame
 from gelform.sensors.grabber import Grabber
 from gelform.sensors.recordings.facts import (
     ATTACHABLE,
@@ -26,10 +24,8 @@ from gelform.sensors.recordings.facts import (
     RecordingFacts,
     image_from_encoded,
 )
-from gelform.sensors.recordings.image_folder import FolderRecording, is_recorded_folder
 from gelform.sensors.recordings.mcap_reader import PlacedMessage, is_bag_folder, mcap_file_in, mcap_records
 from gelform.sensors.recordings.mcap_writer import McapRecording
-from gelform.sensors.video_files import is_video
 
 MAX_ATTACHMENT_BYTES = 64 * 2**20
 KEPT_FRAMES = 32  # held by the grabber for `record_frames`: bridges half a second in which the disk stalls
@@ -57,18 +53,15 @@ def attachments_of(
 
 
 def attached_to(path: Path) -> dict[str, bytes]:
-    """The attachments of a recording (MCAP file or recorded folder); of an MCAP file those before its first frame.
+    """The attachments of a recording that stand before its first frame.
 
     Videos and plain folders of images have none.
 
     DataError: the file cannot be read, or an attachment is larger than 64 MB.
     """
-    if is_recorded_folder(path):
-        found = {name: (path / name).read_bytes() for name in ATTACHABLE if (path / name).is_file()}
-    elif path.suffix.lower() == ".mcap" or is_bag_folder(path):
-        found = _in_mcap(mcap_file_in(path) if path.is_dir() else path)
-    else:
-        found = {}
+    if path.suffix.lower() != ".mcap" and not is_bag_folder(path):
+        return {}
+    found = _in_mcap(mcap_file_in(path) if path.is_dir() else path)
     for name, content in found.items():
         if len(content) > MAX_ATTACHMENT_BYTES:
             raise DataError(
@@ -114,21 +107,6 @@ def _in_mcap(path: Path) -> dict[str, bytes]:
     return found
 
 
-class Recording(Protocol):
-    """A file or folder that frames are written to."""
-
-    path: Path
-
-    def write(self, frame: Frame) -> int:
-        """Add a frame; return its size in bytes."""
-
-    def flush_if_due(self) -> None:
-        """Write gathered frames to the file, when it is time."""
-
-    def close(self) -> None:
-        """Finish the recording."""
-
-
 @dataclass(frozen=True)
 class RecordStats:
     """Figures of a recording: frames written, frames missing between them, bytes, seconds from first to last."""
@@ -145,12 +123,12 @@ def new_recording(
     *,
     calibration_digest: str = "",
     attached: Mapping[str, bytes] | None = None,
-) -> Recording:
-    """A new recording for a grabber: an MCAP file if the name ends so, else a folder of images.
+) -> McapRecording:
+    """A new recording for a grabber.
 
     Parameters
     ----------
-    path : a new file (*.mcap) or folder
+    path : a new file, *.mcap
     grabber : already entered
     calibration_digest : digest of the calibration in use
     attached : attached files by name: `attachments_of`
@@ -158,22 +136,20 @@ def new_recording(
     Raises
     ------
     DataError
-        The name is that of a video, the file exists, or it cannot be written.
+        The name does not end so, the file exists or cannot be written, or the extra `mcap` is not installed.
     """
-    if is_video(path):
-        raise DataError(
-            f"Expected *.mcap or a folder, got the name of a video: {path}. Videos lose what compression takes away."
-        )
+    if path.suffix.lower() != ".mcap":
+        raise DataError(f"Expected a new file *.mcap, got {path}. A recording is written as MCAP.")
     rate = grabber.source.rate_hz
     facts = RecordingFacts(
         grabber.name, grabber.serial, grabber.settings, rate, calibration_digest, __version__
     )
-    return (McapRecording if path.suffix.lower() == ".mcap" else FolderRecording)(path, facts, attached)
+    return McapRecording(path, facts, attached)
 
 
 def record_frames(
     grabber: Grabber,
-    recording: Recording,
+    recording: McapRecording,
     *,
     seconds: float | None = None,
     frames: int | None = None,

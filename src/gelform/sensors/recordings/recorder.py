@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import os
 import threading
 import time
@@ -35,7 +34,7 @@ def named_by_time(kind: str) -> str:
 
 
 class Recorder:
-    """One recording in its own thread: a file if the extra `mcap` is installed, else a folder of images.
+    """One recording in its own thread: an MCAP file, which needs the extra `mcap`.
 
     `start` starts it.
 
@@ -66,8 +65,7 @@ class Recorder:
         on_ended: Callable[[Recorder], None] = lambda _: None,
         max_bytes: int = MAX_BYTES,
     ) -> None:
-        suffix = ".mcap" if importlib.util.find_spec("mcap") else ""
-        self.path = folder / f"{named_by_time('recording')}{suffix}"
+        self.path = folder / f"{named_by_time('recording')}.mcap"
         self.stats = RecordStats(0, 0, 0, 0.0)
         self.problem = ""
         self._grabber = grabber

@@ -6,7 +6,6 @@ shows the errors of each.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -66,10 +65,3 @@ def depth_zero_border(gradients: NDArray[Any], mm_per_px: tuple[float, float]) -
     spectrum = scipy.fft.dstn(right, type=1) / (eigen_y[:, None] + eigen_x)
     depth[1:-1, 1:-1] = scipy.fft.idstn(spectrum, type=1)
     return depth
-
-
-NAIVE: dict[str, Callable[[NDArray[Any], tuple[float, float]], NDArray[np.float32]]] = {
-    "lines": depth_along_lines,
-    "periodic": depth_periodic,
-    "zero border": depth_zero_border,
-}

@@ -1,22 +1,19 @@
-"""Every press in the page: its circle in image pixels, its reason where it is rejected."""
+"""The pictures of the page: their size, their colors, and the names under them."""
 
 import base64
-import re
 
 import cv2
 import numpy as np
 import pytest
 
-from gelform.calibration.report.page.presses import (
+from gelform.calibration.report.pictures import (
     HIGH,
     LOW,
     WIDTHS_PX,
     cap_scale_um,
     cap_url,
-    caps_section,
     jpeg_url,
     press_urls,
-    presses_section,
     short_names,
 )
 
@@ -35,30 +32,6 @@ from gelform.calibration.report.page.presses import (
 )
 def test_names_lose_what_all_share(names, short):
     assert short_names(names) == short
-
-
-def test_circles_are_in_image_pixels_and_rejected_presses_come_first_with_their_reasons(content, presses):
-    images = [press.image for press in presses.presses]
-    drawn, row = presses_section(content, images), content["presses"][0]
-    circle = (row["center_x_px"], row["center_y_px"], row["contact_radius_px"])
-    assert 'cx="{:.2f}" cy="{:.2f}" r="{:.2f}"'.format(*circle) in drawn
-    assert drawn.count("<label") == len(content["presses"])
-    assert "Left out" not in drawn
-    rows = [dict(row) for row in content["presses"]]
-    rows[-1] |= {"accepted": False, "reason": "not a ball <b>", "errors": None}
-    drawn = presses_section({**content, "presses": rows}, images)
-    assert "Left out: 1" in drawn
-    assert "not a ball &lt;b&gt;" in drawn
-    assert drawn.index("not a ball") < drawn.index("Used:")
-
-
-def test_every_held_out_press_has_its_depth_picture(content, calibration):
-    drawn = caps_section(content, calibration.report.samples)
-    rows = content["presses"]
-    assert re.findall(r"<figcaption>(\d+) µm", drawn) == [
-        f"{row['errors']['cap_free_um']:.0f}" for row in rows if row["errors"]
-    ]
-    assert caps_section(content, []) == ""
 
 
 def decoded(url):

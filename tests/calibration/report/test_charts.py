@@ -4,41 +4,28 @@ import xml.etree.ElementTree as ElementTree
 
 import pytest
 
-from gelform.calibration.report.page.charts import (
-    MAP_WIDTH,
-    Axes,
-    coverage_map,
-    gain_chart,
-    learning_chart,
-    limit_bar,
-    range_bar,
-    scale_of_errors,
-    share_map,
-    sigma_chart,
-    slope_error_map,
-    svg,
-)
+from gelform.calibration.report.charts import Axes, scale_of_errors
+from gelform.calibration.report.page import templates
+
+CHARTS = templates().get_template("charts.html").module
+SHAPE = (60, 80)
 
 
 def test_axes_run_right_and_up_and_a_band_stays_in_the_plot():
-    axes = Axes((0, 10), (0, 1))
+    axes = Axes((0, 10), (0, 1), (), ())
     assert axes.x(0) < axes.x(5) < axes.x(10)
     assert axes.y(0) > axes.y(0.5) > axes.y(1)
     assert axes.x(5) - axes.x(0) == pytest.approx(axes.x(10) - axes.x(5))
-    drawn = axes.band((0, 10), (-5, -5), (9, 9), "x")
-    ys = [float(pair.split(",")[1]) for pair in drawn.split('points="')[1].split('"')[0].split()]
+    ys = [float(pair.split(",")[1]) for pair in axes.band((0, 10), (-5, -5), (9, 9)).split()]
     assert (min(ys), max(ys)) == pytest.approx((axes.y(1), axes.y(0)), abs=0.1)
 
 
-def test_titles_are_escaped():
-    drawn = svg("", 1, 1, '<script>"&')
-    assert "<script>" not in drawn
-    assert ElementTree.fromstring(drawn)[0].text == '<script>"&'
+def elements(drawn, tag, kind):
+    return [e for e in ElementTree.fromstring(drawn.strip()).iter(tag) if e.get("class") == kind]
 
 
 def circles(drawn, kind):
-    root = ElementTree.fromstring(drawn)
-    return [(float(c.get("cx")), float(c.get("cy"))) for c in root.iter("circle") if c.get("class") == kind]
+    return [(float(c.get("cx")), float(c.get("cy"))) for c in elements(drawn, "circle", kind)]
 
 
 def bins_of(name, values):
@@ -51,18 +38,20 @@ def bins_of(name, values):
 
 def test_a_gain_below_one_is_drawn_below_the_line():
     bins, beyond = bins_of("gain", (1.1, 1.0, 0.9)), bins_of("gain", (0.8, 0.7, 0.6))
-    dots = circles(gain_chart({"contact": bins, "rim": []}), "dot-first")
+    dots = circles(CHARTS.gain_chart({"contact": bins, "rim": []}), "dot-first")
     assert [x for x, _ in dots] == sorted(x for x, _ in dots)
     assert dots[0][1] < dots[1][1] < dots[2][1]
-    assert gain_chart({"contact": [], "rim": []}) == ""
-    both = gain_chart({"contact": bins, "rim": beyond})
+    assert not CHARTS.gain_chart({"contact": [], "rim": []}).strip()
+    both = CHARTS.gain_chart({"contact": bins, "rim": beyond})
     for first, second in zip(circles(both, "dot-first"), circles(both, "dot-second")):
         assert first[0] == second[0]
         assert first[1] < second[1], "up to the rim slopes are read too flat"
 
 
 def test_the_learning_chart_has_every_draw_and_what_is_expected(learning):
-    drawn = learning_chart(learning)
+    drawn = CHARTS.learning_chart({**learning, "sentence": '<script>"&'})
+    assert "<script>" not in drawn
+    assert elements(drawn, "svg", "chart")[0][0].text == 'Learning curve: <script>"&'
     assert len(circles(drawn, "draw")) == sum(len(p["draws_deg"]) for p in learning["points"])
     (now, _), (later, _) = circles(drawn, "expected")
     assert now < later
@@ -70,31 +59,27 @@ def test_the_learning_chart_has_every_draw_and_what_is_expected(learning):
 
 
 def test_shares_far_off_stand_out():
-    root = ElementTree.fromstring(sigma_chart({"by_slope": bins_of("share", (0.68, 0.5, 0.2))}))
+    root = ElementTree.fromstring(
+        CHARTS.sigma_chart({"by_slope": bins_of("share", (0.68, 0.5, 0.2))}).strip()
+    )
     assert [rect.get("class") for rect in root.iter("rect")] == ["bar", "bar off", "bar far"]
-    assert sigma_chart({"by_slope": []}) == ""
+    assert not CHARTS.sigma_chart({"by_slope": []}).strip()
 
 
 def test_markers_lie_between_their_limits():
-    (x, _), *_ = circles(limit_bar(2.0, [1.5, 2.5], 3, 5), "marker")
-    zones = ElementTree.fromstring(limit_bar(2.0, [1.5, 2.5], 3, 5)).iter("rect")
-    assert 0 < x < float(next(zones).get("width"))
-    (far, _), *_ = circles(limit_bar(50.0, None, 3, 5), "marker")
+    (x, _), *_ = circles(CHARTS.limit_bar(2.0, [1.5, 2.5], 3, 5), "marker")
+    (good,) = elements(CHARTS.limit_bar(2.0, [1.5, 2.5], 3, 5), "rect", "zone-good")
+    assert 0 < x < float(good.get("width"))
+    (far, _), *_ = circles(CHARTS.limit_bar(50.0, None, 3, 5), "marker")
     assert far <= 200
 
 
 def test_ranges_share_a_scale():
     one, two = (
-        circles(range_bar({"normal_free_deg": v, "chosen": False}, 5), "dot-first")[0][0] for v in (2.0, 4.0)
+        circles(CHARTS.range_bar({"normal_free_deg": v, "chosen": False}, 5), "dot-first")[0][0]
+        for v in (2.0, 4.0)
     )
     assert two == pytest.approx(2 * one)
-
-
-SHAPE = (60, 80)
-
-
-def elements(drawn, tag, kind):
-    return [e for e in ElementTree.fromstring(drawn).iter(tag) if e.get("class") == kind]
 
 
 def coverage(counts):
@@ -103,7 +88,7 @@ def coverage(counts):
 
 
 def test_a_petal_is_empty_where_no_press_was():
-    drawn = coverage_map(coverage([[0, 1, 2, 3, 9, 0, 0, 0], [1] * 8]), SHAPE)
+    drawn = CHARTS.coverage_map(coverage([[0, 1, 2, 3, 9, 0, 0, 0], [1] * 8]), SHAPE)
     petals = elements(drawn, "path", "petal")
     assert len(petals) == 12
     assert len(elements(drawn, "path", "petal none")) == 4
@@ -112,8 +97,8 @@ def test_a_petal_is_empty_where_no_press_was():
 
 
 def test_the_next_press_is_drawn_at_its_place_and_octant_zero_points_to_the_right():
-    drawn = coverage_map(coverage([[1] * 8] * 2), SHAPE)
-    mark, scale = elements(drawn, "circle", "next")[0], MAP_WIDTH / 80
+    drawn = CHARTS.coverage_map(coverage([[1] * 8] * 2), SHAPE)
+    mark, scale = elements(drawn, "circle", "next")[0], 560 / 80
     place = [float(mark.get(name)) for name in ("cx", "cy", "r")]
     assert place == pytest.approx([60 * scale, 15 * scale, 10 * scale], abs=0.1)
     first = elements(drawn, "path", "petal")[0].get("d")
@@ -128,7 +113,7 @@ def test_arrows_point_along_the_error_and_empty_cells_stay_blank():
         "rms": [0.1, 0.2, None, 0.05],
         "mean": [[0.1, 0], [0, 0.2], None, [0, 0]],
     }
-    drawn = slope_error_map(errors, SHAPE)
+    drawn = CHARTS.slope_error_map(errors, SHAPE)
     assert len(elements(drawn, "rect", "heat")) == 3
     right, down, still = elements(drawn, "line", "arrow")
     assert float(right.get("x2")) > float(right.get("x1"))
@@ -140,5 +125,5 @@ def test_arrows_point_along_the_error_and_empty_cells_stay_blank():
 
 def test_shares_are_written_into_their_cells():
     sigma = {"rows": 1, "columns": 3, "by_place": [0.68, None, 0.3]}
-    texts = [e.text for e in ElementTree.fromstring(share_map(sigma, SHAPE)).iter("text")]
+    texts = [e.text for e in elements(CHARTS.share_map(sigma, SHAPE), "text", "cell")]
     assert texts == ["68 %", "–", "30 %"]

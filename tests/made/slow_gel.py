@@ -7,11 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.simulate import LAYOUTS, Ball, SimulatedSensor, exposed
+from gelform.simulate import Ball, SimulatedSensor
 from gelform.simulate.gel.gel import Surface, flat_surface, surface_from_indenter
 from gelform.simulate.render import render
 
-SHAPE = 132, 176  # size of random sensors, small because minutes have many frames
 DRIFT_TIME_S = 100.0, 300.0
 RELAXED_MM, RELAXED_WIDTH_MM = (0.01, 0.03), (3.0, 8.0)
 
@@ -119,28 +118,3 @@ class SlowGel:
                     gel=self.sensor.gel,
                 )
         return flat_surface(*grid)
-
-
-def drawn_sensor(rng: np.random.Generator) -> SimulatedSensor:
-    """A layout with manually placed LEDs of unequal brightness, and its own noise, blur and vignetting."""
-    name = str(rng.choice(sorted(LAYOUTS)))
-    base = LAYOUTS[name]
-    leds = tuple(
-        replace(
-            led,
-            position_mm=tuple(np.array(led.position_mm) + rng.normal(0, 0.7, 3)),
-            color=tuple(rng.uniform(0.8, 1.2) * np.array(led.color)),
-        )
-        for led in base.leds
-    )
-    sensor = replace(
-        base,
-        leds=leds,
-        shape=SHAPE,
-        mm_per_px=base.mm_per_px * base.shape[1] / SHAPE[1],
-        vignetting=float(np.clip(base.vignetting + rng.uniform(-0.15, 0.15), 0, 0.7)),
-        blur_px=float(rng.uniform(0.4, 1.0)),
-        noise_sd=base.noise_sd * float(rng.uniform(0.7, 1.4)),
-        relaxation_mm=float(rng.uniform(0.35, 0.8)),
-    )
-    return exposed(sensor, float(rng.uniform(80, 120)))

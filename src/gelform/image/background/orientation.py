@@ -1,0 +1,175 @@
+"""How an image lies compared with the background image: mirrored, turned, or with red and blue exchanged.
+
+Sixteen readings of the image compete: eight orientations, each with both orders of the channels. In the right one the image
+is the background times a smooth light, but for what touches the gel. In a wrong one the lamps shine from elsewhere, and no
+light near the usual one explains it. So each reading is scored by its evidence (Bishop, Pattern Recognition and Machine
+Learning, 2006, section 3.4): a light is fitted, a polynomial with a prior, and blocks that it does not explain count as
+touched.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.foundations.filters import CHANGE_OFFSET
+from gelform.image.background.exposure import block_means, exposure_from_blocks
+from gelform.image.frame import BRIGHT, DARK
+
+# Standard deviation of a light's logarithm by degree, from the same unit's exposure, white balance and lamps, and from
+# those of other units of a make.
+LIGHT_SIGMAS = (0.15, 0.08, 0.05, 0.04)
+REST_SIGMA = 0.0165  # of a block's logarithm at rest, beyond the light; the largest of four sensors
+TOUCHED_SIGMA = 0.6  # of that of a touched block; half of the blocks may be touched
+ALIKE = 31  # independent blocks that an image's are worth, because neighbors share their errors
+# Nats by which a reading beats all others, and a sensor of another light. Of six sensors, 71 of 71 frames win by 13 or more;
+# of other units none wins by as much in a wrong reading.
+MARGIN = 10.0
+# Fraction of the brightness by which all but a quarter of an image differs, if it lies otherwise: 0.048 or more on six
+# sensors. Frames that lie as the background differ by up to 0.036.
+UNLIKE = 0.036
+ROUNDS = 6  # of the fit, each with the touched blocks of the last
+
+
+class Orientation(NamedTuple):
+    """A reading of an image.
+
+    Attributes
+    ----------
+    flip : "none", "x" (left and right exchanged), "y" (top and bottom), "xy"
+    transposed : whether rows and columns are exchanged, before the flip is undone
+    reversed : whether red and blue are exchanged
+    """
+
+    flip: str
+    transposed: bool
+    reversed: bool
+
+    @property
+    def is_upright(self) -> bool:
+        """Whether nothing is exchanged."""
+        return self == UPRIGHT
+
+    @property
+    def named(self) -> str:
+        """What is exchanged, in words: "BGR", "mirrored left to right", "turned by 90 degrees and BGR"."""
+        words = []
+        if self.transposed:
+            turned = {"x": "turned by 90 degrees counter-clockwise", "y": "turned by 90 degrees clockwise"}
+            words.append(turned.get(self.flip, "turned by 90 degrees and mirrored"))
+        elif self.flip != "none":
+            flipped = {"x": "mirrored left to right", "y": "mirrored top to bottom"}
+            words.append(flipped.get(self.flip, "turned by 180 degrees"))
+        return " and ".join([*words, *(["BGR"] if self.reversed else [])])
+
+    @property
+    def remedy(self) -> str:
+        """The expression that undoes it."""
+        image = "image.transpose(1, 0, 2)" if self.transposed else "image"
+        rows = "::-1" if "y" in self.flip else ":"
+        columns = "::-1" if "x" in self.flip else ":"
+        if self.flip == "none":
+            return image + ("[..., ::-1]" if self.reversed else "")
+        return f"{image}[{rows}, {columns}{', ::-1' if self.reversed else ''}]"
+
+    def undone(self, image: NDArray[Any]) -> NDArray[Any]:
+        """The image (H, W, 3) as it should be."""
+        upright = image.transpose(1, 0, 2) if self.transposed else image
+        upright = upright[:: -1 if "y" in self.flip else 1, :: -1 if "x" in self.flip else 1]
+        return np.ascontiguousarray(upright[..., ::-1] if self.reversed else upright)
+
+
+READINGS = tuple(
+    Orientation(flip, transposed, reversed_)
+    for transposed in (False, True)
+    for flip in ("none", "x", "y", "xy")
+    for reversed_ in (False, True)
+)
+UPRIGHT = READINGS[0]
+
+
+def orientation_from_image(image: NDArray[Any], background: NDArray[Any]) -> Orientation | None:
+    """How an image (H, W, 3) or (W, H, 3), 0-255, lies compared with a background image (H, W, 3).
+
+    Returns
+    -------
+    Orientation
+        None if it cannot be told: the lights are alike from all sides, or the image is of another sensor.
+    """
+    return orientation_from_blocks(block_means(image), block_means(background))
+
+
+def orientation_if_doubtful(image: NDArray[Any], background: NDArray[Any]) -> Orientation | None:
+    """`orientation_from_image` of an image of which not even a quarter is as in the background image; else None.
+
+    It is the cheap question first: no image of six sensors that lies otherwise agrees by so much.
+    """
+    blocks, untouched = block_means(image), block_means(background)
+    if exposure_from_blocks(blocks, untouched).least_change <= UNLIKE:
+        return None
+    return orientation_from_blocks(blocks, untouched)
+
+
+def orientation_from_blocks(image: NDArray[np.float32], untouched: NDArray[np.float32]) -> Orientation | None:
+    """`orientation_from_image` for images averaged by `block_means`."""
+    shape = untouched.shape[:2]
+    fitting = [
+        one for one in READINGS if shape == (image.shape[1::-1] if one.transposed else image.shape[:2])
+    ]
+    if not fitting:
+        return None
+    read = np.stack([one.undone(image) for one in fitting]).reshape(len(fitting), -1, 3)
+    background = untouched.reshape(1, -1, 3)
+    lit = np.all((background > DARK) & (background < BRIGHT) & (read > DARK) & (read < BRIGHT), axis=-1)
+    if not lit.any():
+        return None
+    change = np.log((read + CHANGE_OFFSET) / (background + CHANGE_OFFSET)).astype(np.float64)
+    evidence = _evidence(change, lit, _terms(shape))
+    order = np.argsort(evidence)[::-1]
+    first = evidence[order[0]]
+    others = max(evidence[order[1]], _touched_all_over(change, lit))
+    return fitting[order[0]] if first - others > MARGIN else None
+
+
+def _terms(shape: tuple[int, int]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Monomials (N, 10) of the place in blocks (h, w), and the weights (10,) of their prior."""
+    y, x = (np.linspace(-1, 1, n) for n in shape)
+    across, down = (part.ravel() for part in np.meshgrid(x, y))
+    powers = [(i, j) for i in range(len(LIGHT_SIGMAS)) for j in range(len(LIGHT_SIGMAS) - i)]
+    terms = np.stack([across**i * down**j for i, j in powers], axis=1)
+    return terms, np.array([LIGHT_SIGMAS[i + j] ** -2 for i, j in powers])
+
+
+def _evidence(
+    change: NDArray[np.float64],
+    lit: NDArray[np.bool_],
+    of_place: tuple[NDArray[np.float64], NDArray[np.float64]],
+) -> NDArray[np.float64]:
+    """Evidence (readings,) of the log changes (readings, N, 3) of lit blocks (readings, N), in nats."""
+    terms, prior = of_place
+    share = ALIKE / np.maximum(lit.sum(axis=1), 1)
+    products = (terms[:, :, None] * terms[:, None, :]).reshape(len(terms), -1)
+    light = np.zeros((len(change), terms.shape[1], 3))
+    light[:, 0] = [np.median(one[chosen], axis=0) if chosen.any() else 0 for one, chosen in zip(change, lit)]
+    for _ in range(ROUNDS):
+        sides = _log_likelihoods(change - terms @ light)
+        weight = lit * np.exp(sides[0] - np.logaddexp(*sides)) * share[:, None] / REST_SIGMA**2
+        normal = (weight @ products).reshape(len(change), *2 * (terms.shape[1],)) + np.diag(prior)
+        light = np.linalg.solve(normal, terms.T @ (weight[..., None] * change))
+    explained = np.where(lit, np.logaddexp(*_log_likelihoods(change - terms @ light)), 0).sum(axis=1) * share
+    apart = (prior[None, :, None] * light**2).sum(axis=(1, 2)) / 2
+    narrowed = np.linalg.slogdet(normal)[1] - np.log(prior).sum()
+    return np.asarray(explained - apart - 1.5 * narrowed)
+
+
+def _log_likelihoods(residual: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+    """Of blocks at rest and of touched ones, each half of all, from their residuals (..., 3)."""
+    square = (residual**2).sum(axis=-1)
+    return [-square / (2 * sigma**2) - 3 * np.log(sigma) for sigma in (REST_SIGMA, TOUCHED_SIGMA)]
+
+
+def _touched_all_over(change: NDArray[np.float64], lit: NDArray[np.bool_]) -> float:
+    """Evidence of an image that no reading explains at all."""
+    return float(ALIKE * _log_likelihoods(change[lit])[1].mean())

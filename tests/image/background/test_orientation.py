@@ -1,0 +1,68 @@
+"""Sixteen readings of an image: the right one is named, and none where nothing tells them apart."""
+
+import numpy as np
+import pytest
+
+import gelform
+from gelform.image.background.exposure import block_means, exposure_from_blocks
+from gelform.image.background.orientation import READINGS, UNLIKE, UPRIGHT, orientation_from_image
+
+SETS = ("mini-ball", "digit-ball", "gelslim", "mini-d", "gelslim-dots", "gelsight-ball-deep")
+
+
+def lying(image, reading):
+    """An image as it is before the reading undoes it."""
+    spoilt = image[..., ::-1] if reading.reversed else image
+    spoilt = spoilt[:: -1 if "y" in reading.flip else 1, :: -1 if "x" in reading.flip else 1]
+    return np.ascontiguousarray(spoilt.transpose(1, 0, 2) if reading.transposed else spoilt)
+
+
+@pytest.mark.parametrize("reading", READINGS)
+def test_words_and_remedy_are_those_of_the_reading(reading):
+    image = np.arange(24).reshape(2, 4, 3)
+    spoilt = lying(image, reading)
+    np.testing.assert_array_equal(reading.undone(spoilt), image)
+    np.testing.assert_array_equal(eval(reading.remedy, {"image": spoilt}), image)
+    assert ("BGR" in reading.named) == reading.reversed
+    if reading.transposed and reading.flip in ("x", "y"):
+        turns = -1 if "counter" not in reading.named else 1
+        np.testing.assert_array_equal(np.rot90(image, turns)[..., :: -1 if reading.reversed else 1], spoilt)
+
+
+@pytest.mark.parametrize("reading", READINGS)
+def test_a_simulated_press_is_named(press, simulated, reading):
+    assert orientation_from_image(lying(press.image, reading), simulated.background) == reading
+
+
+def test_another_exposure_and_a_tilted_lamp_are_no_orientation(press, simulated):
+    for light in (0.9, 1.1, np.linspace(0.95, 1.05, press.image.shape[1])[:, None]):
+        found = orientation_from_image(np.clip(press.image * light, 0, 255), simulated.background)
+        assert found == UPRIGHT
+
+
+def test_a_light_that_is_alike_from_all_sides_names_nothing():
+    gray = np.full((60, 80, 3), 120.0)
+    assert orientation_from_image(gray[:, ::-1], gray) is None
+    assert orientation_from_image(gray[:50], gray) is None  # another size
+
+
+def test_another_sensor_is_no_orientation_of_this_one(simulated):
+    y, x = np.mgrid[: simulated.background.shape[0], : simulated.background.shape[1]]
+    light = 120 + 60 * np.stack([np.sin(x / 30), np.cos(y / 25), np.sin((x + y) / 35)], axis=-1)
+    noise = np.random.default_rng(1).uniform(40, 200, light.shape)
+    for other in (light, noise):
+        assert orientation_from_image(other, simulated.background) is None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SETS)
+def test_every_reading_of_real_presses_is_named(data, name):
+    presses = gelform.read_presses(data / name)
+    blocks = block_means(presses.background)
+    for press in presses.presses[::12]:
+        for reading in READINGS:
+            image = lying(press.image, reading)
+            assert orientation_from_image(image, presses.background) == reading
+            if not reading.transposed:
+                unlike = exposure_from_blocks(block_means(image), blocks).least_change > UNLIKE
+                assert unlike == (reading != UPRIGHT), "the cheap question first loses nothing"
