@@ -14,11 +14,11 @@ from gelform.calibration.library.choose import unit_of_camera
 from gelform.depth.solvers import SOLVERS
 from gelform.errors import GelformError
 from gelform.foundations.progress import Progress
-from gelform.image.background.average import background_from_frames
+from gelform.image.background.average import USUAL_FRAMES, background_from_frames
 from gelform.live import devices
 from gelform.live.hub import Hub, starter_of_station, wait_for_frames
 from gelform.live.shown import Shown
-from gelform.live.station import BACKGROUND_FRAMES, NEVER_S, Opening, Setup, Station
+from gelform.live.station import NEVER_S, Opening, Setup, Station
 from gelform.sensors.recordings.indexed import indexed
 from gelform.sensors.recordings.player import Player
 from gelform.sensors.recordings.record import attached_background, attached_calibration
@@ -45,7 +45,7 @@ def take_background(hub: Hub, station: int) -> None:
         take_starter(hub, station, calibration.settings.starter["sensor"])
         return
     with _at_rest(chosen):
-        images = [shown.image for shown in _frames(chosen, BACKGROUND_FRAMES)]
+        images = [shown.image for shown in _frames(chosen, USUAL_FRAMES)]
     taken = background_from_frames(images)
     # Whole gray levels, so that the background in a recording is exactly the image in use.
     chosen.setup = chosen.setup.with_background(np.rint(taken.background).astype(np.float32))
@@ -66,7 +66,7 @@ def take_starter(hub: Hub, station: int, sensor: str) -> None:
         raise GelformError("No starter is known for this camera. Choose the sensor in the list.")
     try:
         with _at_rest(chosen):
-            frames = [shown.frame for shown in _frames(chosen, BACKGROUND_FRAMES)]
+            frames = [shown.frame for shown in _frames(chosen, USUAL_FRAMES)]
         serial = None if chosen.source is None else chosen.source.serial
         calibration = calibration_at_rest(name, frames, serial, chosen.setup.calibration)
         listed = f"starter {calibration.sensor_name}, sensor {station + 1}"

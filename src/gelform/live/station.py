@@ -29,7 +29,6 @@ from gelform.sensors.streams.memory import Memory, Timed, Work
 from gelform.sensors.streams.pipeline import Pipeline
 from gelform.sensors.streams.sensor_health import CameraCheck
 
-BACKGROUND_FRAMES = 15  # frames at rest that are averaged
 KEPT_NUMBERS = 18_000  # results whose numbers are kept for the curves: five minutes at 60 per second
 RETRY_S = 1.0  # s between attempts to open an unavailable source
 WAIT_S = 0.25  # s, longest wait for a result before a request to stop is checked

@@ -21,7 +21,7 @@ from gelform.calibration_file import Calibration
 from gelform.errors import GelformError
 from gelform.foundations.checks import check_sensor_pitch
 from gelform.foundations.progress import Progress, no_progress
-from gelform.image.background.average import background_from_frames
+from gelform.image.background.average import USUAL_FRAMES, background_from_frames
 from gelform.image.frame import Frame, pixels_digest
 from gelform.image.view import View, image_from_frame
 from gelform.sensors.profiles import profile_named
@@ -29,7 +29,6 @@ from gelform.sensors.simulated.source import SimulatedSource
 from gelform.sensors.source import Source
 
 WANTED, LEAST = NEEDED.guided_well.presses, NEEDED.guided.presses
-BACKGROUND_FRAMES = 15  # frames at rest that are averaged
 LOOK_EVERY_S = 0.08  # s between analyzed frames; an analysis takes some 10 ms
 STILL_LOOKS = 3  # consecutive still frames until a press counts
 NEXT_PLACES = 3  # suggested places on the page: the next one, and those after it
@@ -217,7 +216,7 @@ class Guide:
                 "wanted": WANTED,
                 "enough": len(self._circles) >= WANTED,
                 "can_fit": len(self._circles) >= LEAST,
-                "untouched": [len(self._untouched), BACKGROUND_FRAMES],
+                "untouched": [len(self._untouched), USUAL_FRAMES],
                 "places": [[place.x_px, place.y_px, radius, place.name] for place in self.places],
                 "live": None if live is None or live.circle is None else list(live.circle),
                 "still": self._still / STILL_LOOKS,
@@ -231,7 +230,7 @@ class Guide:
 
     def _add_untouched(self, image: NDArray[np.uint8]) -> None:
         self._untouched.append(image)
-        if len(self._untouched) < BACKGROUND_FRAMES:
+        if len(self._untouched) < USUAL_FRAMES:
             return
         try:
             taken = background_from_frames(self._untouched)
