@@ -22,7 +22,7 @@ from gelform.foundations.checks import (
     check_within,
 )
 from gelform.foundations.findings import Finding
-from gelform.foundations.npz_files import digest_of, read_npz, write_npz
+from gelform.foundations.npz_files import digest_of, kind_of_npz, read_npz, write_npz
 from gelform.foundations.pictures import picture_bytes, shown_in_notebook
 from gelform.image.background.change import ChangeSettings
 from gelform.image.background.check import background_digest
@@ -308,6 +308,11 @@ def load_calibration(path: str | PathLike[str]) -> Calibration:
         raise CalibrationError(f"{path} is damaged: {problem} is missing. {_REMEDY}") from problem
     except (AttributeError, IndexError, OverflowError, TypeError, ValueError) as problem:
         raise CalibrationError(f"{path} is damaged: {_own_words(problem)} {_REMEDY}") from problem
+
+
+def is_calibration(path: str | PathLike[str]) -> bool:
+    """Whether a file says that it is a calibration; nothing else of it is read."""
+    return kind_of_npz(path) == KIND
 
 
 def _own_words(problem: Exception) -> str:

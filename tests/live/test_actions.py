@@ -86,12 +86,6 @@ def test_what_is_not_listed_or_known_is_refused(hub):
             act(hub, 0)
 
 
-def test_a_snapshot_has_a_number_and_its_files(hub):
-    number = actions.snapshot(hub, 0)["number"]
-    for name in ("frame.png", "result.npz"):
-        assert hub.snapshots.file(number, name)[0].endswith(name)
-
-
 @pytest.fixture
 def replayed(hub, forms, tmp_path):
     """The hub's station on the recording, held at frame 2."""
@@ -163,11 +157,25 @@ def test_what_is_shared_plays_elsewhere_with_its_calibration(replayed, calibrati
         np.testing.assert_array_equal(station.setup.background, background)
 
 
-def test_what_the_page_recorded_is_on_the_list_and_carries_the_calibration(hub, tmp_path, calibration):
+def test_what_the_page_recorded_is_kept_as_it_came_with_the_calibration(hub, tmp_path, calibration):
     hub.folder = tmp_path
     actions.record(hub, 0, True)
-    until(lambda: hub.recorders[0].stats.frames > 3)
+    recorder = hub.recorders[0]
+    until(lambda: recorder.stats.frames >= 8)
+    assert hub.facts()["recordings"][0]["frames"] >= 8
+    actions.record(hub, 0, True)  # does no harm
+    assert hub.recorders[0] is recorder
     actions.record(hub, 0, False)
+    actions.record(hub, 0, False)
+    assert not hub.recorders
+    assert recorder.path.name in hub.notices[-1][2]
+    assert list(tmp_path.iterdir()) == [recorder.path]
+    with gelform.open_source(recorder.path) as source:
+        frames = list(source)
+    assert len(frames) == recorder.stats.frames
+    assert [frame.index for frame in frames] == sorted({frame.index for frame in frames})
+    assert frames[0].image.shape == hub.stations[0].newest.frame.image.shape
+    assert np.diff([frame.time_s for frame in frames]).min() > 0
     name = hub.recordings.facts()[0]["name"]
     assert attached_calibration(hub.recordings.path(name)).digest == calibration.digest
     actions.open_recording(hub, 0, name)
@@ -175,36 +183,8 @@ def test_what_the_page_recorded_is_on_the_list_and_carries_the_calibration(hub, 
     assert hub.stations[0].setup.name == f"{name}: calibration"
 
 
-def test_frames_are_kept_as_they_came(hub, tmp_path):
-    hub.folder = tmp_path
-    actions.record(hub, 0, True)
-    recorder = hub.recorders[0]
-    until(lambda: recorder.stats.frames >= 8)
-    assert hub.facts()["recordings"][0]["frames"] >= 8
-    actions.record(hub, 0, False)
-    assert not hub.recorders
-    assert recorder.path.name in hub.notices[-1][2]
-    with gelform.open_source(recorder.path) as source:
-        frames = list(source)
-    assert len(frames) == recorder.stats.frames
-    assert [frame.index for frame in frames] == sorted({frame.index for frame in frames})
-    assert frames[0].image.shape == hub.stations[0].newest.frame.image.shape
-    assert np.diff([frame.time_s for frame in frames]).min() > 0
-
-
-def test_twice_on_and_twice_off_do_no_harm(hub, tmp_path):
-    hub.folder = tmp_path
-    actions.record(hub, 0, True)
-    first = hub.recorders[0]
-    actions.record(hub, 0, True)
-    assert hub.recorders[0] is first
-    actions.record(hub, 0, False)
-    actions.record(hub, 0, False)
-    assert len(list(tmp_path.iterdir())) == 1
-
-
 def test_it_ends_with_the_page_that_began_it(hub, tmp_path, monkeypatch):
-    monkeypatch.setattr("gelform.live.web.pages.GRACE_S", 0.05)
+    monkeypatch.setattr("gelform.live.hub.GRACE_S", 0.05)
     hub.folder = tmp_path
     hub.pages.came("page-one")
     actions.record(hub, 0, True, "page-one")
@@ -288,7 +268,7 @@ def test_a_recording_is_calibrated_from_start_to_end(hub, filmed, sensor, tmp_pa
     ]
     assert all(min(np.hypot(x - px, y - py) for px, py in PLACES_MM) < 0.4 for x, y in mm)
     said = []
-    hub.guides[0].fit(lambda done, total, what: said.append(what))
+    guide.fit(tmp_path, lambda done, total, what: said.append(what))
     assert guide.step == "report"
     assert said
     actions.guide_use(hub, 0)

@@ -145,16 +145,19 @@ def test_a_source_without_settings_says_so(hub):
     for name in SETTABLE:
         with pytest.raises(GelformError, match="Only a USB camera"):
             actions.set_camera(hub, 0, name, 1.0)
-    assert camera_facts(hub.stations[0]) == {"settable": {}, "mismatch": ""}
+    assert camera_facts(hub.stations[0]) == {"settable": {}}
 
 
-def test_a_camera_set_otherwise_than_calibrated_is_said(adjustable, calibration):
+def test_a_camera_set_otherwise_than_calibrated_is_a_finding_of_its_results(adjustable, calibration):
     station = adjustable.stations[0]
     settings = {**calibration.settings} | {"camera": {"exposure": 50.0}}
     station.setup = station.setup.with_calibration(replace(calibration, settings=settings), "mine")
-    assert camera_facts(station)["mismatch"] == ""
+
+    def said():
+        result = station.newest.result
+        return result and [one.message for one in result.health if one.name == "settings_mismatch"]
+
+    until(lambda: said() == [])
     set_camera(station, "exposure", 60.0)
-    assert (
-        camera_facts(station)["mismatch"]
-        == "The calibration had other settings: exposure 60, calibrated at 50."
-    )
+    (message,) = until(said)
+    assert "exposure 60.0 instead of 50.0" in message

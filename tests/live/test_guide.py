@@ -28,9 +28,9 @@ def test_what_was_fitted_is_reported_and_used(hub, tmp_path, library, presses, c
         actions.guide_use(hub, 0)
     monkeypatch.setattr(session.guide, "presses", lambda: presses)
     monkeypatch.setattr("gelform.calibration.guided.fit.calibrate", lambda *_, **__: calibration)
-    session.fit(lambda *_: None)
+    session.guide.fit(hub.folder)
     assert session.guide.step == "report"
-    assert session.guide.facts()["report"]["folder"] == session.made.folder.name
+    assert session.guide.facts()["report"]["folder"] == session.guide.made.folder.name
     actions.guide_use(hub, 0)
     assert hub.stations[0].setup.calibration.digest == calibration.digest
     (kept,) = library.iterdir()
@@ -43,6 +43,6 @@ def test_a_fit_that_does_not_succeed_asks_for_more(hub, tmp_path):
     actions.guide_start(hub, 0, 5.0, "", 0.0)
     session = hub.guides[0]
     with pytest.raises(GelformError):
-        session.fit(lambda *_: None)
+        session.guide.fit(hub.folder)
     assert session.guide.step == "background"
     until(lambda: session.guide.step == "press", 30)

@@ -8,8 +8,19 @@ import cv2
 import numpy as np
 import pytest
 
+import gelform
+from gelform.errors import GelformError
 from gelform.foundations.findings import Finding
-from gelform.live.shown import CONTACT, KNOWN, PLANES, Shown, measures_of, outlines_of
+from gelform.live.shown import (
+    CONTACT,
+    KEPT_SNAPSHOTS,
+    KNOWN,
+    PLANES,
+    Shown,
+    Snapshots,
+    measures_of,
+    outlines_of,
+)
 
 
 def test_numbers_are_those_of_the_depth(result, press):
@@ -88,3 +99,40 @@ def test_where_nothing_is_known_there_is_no_map_and_no_figure_but_the_findings(s
     header = found.header()
     assert (header["problem"], "peak" in header, "outlines" in header) == (words.message, False, False)
     assert header["health"] == [["not_this_gel", "This is another gel.", 1.0]]
+
+
+@pytest.fixture
+def saved(shown, tmp_path):
+    """name -> the path of the file as a browser would save it."""
+    snapshots = Snapshots()
+    number = snapshots.add(shown)
+
+    def save(name):
+        path = tmp_path / snapshots.file(number, name)[0]
+        path.write_bytes(snapshots.file(number, name)[1])
+        return path
+
+    return save
+
+
+def test_the_result_loads_and_the_frame_is_the_cameras_in_rgb(saved, result, press):
+    np.testing.assert_array_equal(gelform.load_result(saved("result.npz")).depth_mm, result.depth_mm)
+    np.testing.assert_array_equal(gelform.read_image(saved("frame.png")), press.image)
+
+
+def test_old_ones_go_and_unknown_files_are_refused(shown):
+    snapshots = Snapshots()
+    first = snapshots.add(shown)
+    for _ in range(KEPT_SNAPSHOTS):
+        last = snapshots.add(shown)
+    for number, name in ((first, "result.npz"), (last, "../result.npz"), (99, "frame.png")):
+        with pytest.raises(GelformError, match="no longer kept"):
+            snapshots.file(number, name)
+
+
+def test_a_frame_without_a_result_has_its_image(shown):
+    snapshots = Snapshots()
+    number = snapshots.add(Shown(1, shown.frame, shown.image))
+    assert snapshots.file(number, "frame.png")[1].startswith(b"\x89PNG")
+    with pytest.raises(GelformError, match="no result"):
+        snapshots.file(number, "result.npz")

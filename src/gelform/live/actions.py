@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,12 +14,11 @@ from gelform.calibration.library.choose import unit_of_camera
 from gelform.depth.solvers import SOLVERS
 from gelform.errors import GelformError
 from gelform.foundations.progress import Progress
-from gelform.image.background.average import background_from_frames
+from gelform.image.background.average import USUAL_FRAMES, background_from_frames
 from gelform.live import devices
-from gelform.live.hub import Hub, wait_for_frames
+from gelform.live.hub import Hub, starter_of_station, wait_for_frames
 from gelform.live.shown import Shown
-from gelform.live.starter import starter_of_station
-from gelform.live.station import BACKGROUND_FRAMES, NEVER_S, Opening, Setup, Station
+from gelform.live.station import NEVER_S, Opening, Setup, Station
 from gelform.sensors.recordings.indexed import indexed
 from gelform.sensors.recordings.player import Player
 from gelform.sensors.recordings.record import attached_background, attached_calibration
@@ -28,7 +28,7 @@ from gelform.sensors.streams.memory import zero_from_results
 from gelform.sensors.streams.starting import calibration_at_rest
 
 if TYPE_CHECKING:
-    from gelform.live.guide import GuideSession
+    from gelform.calibration.guided.guide import Guide
 
 ZERO_FRAMES = 8  # frames that are averaged
 NOT_CALIBRATED = "This sensor has no calibration yet. Make one on the page Calibrate."
@@ -45,7 +45,7 @@ def take_background(hub: Hub, station: int) -> None:
         take_starter(hub, station, calibration.settings.starter["sensor"])
         return
     with _at_rest(chosen):
-        images = [shown.image for shown in _frames(chosen, BACKGROUND_FRAMES)]
+        images = [shown.image for shown in _frames(chosen, USUAL_FRAMES)]
     taken = background_from_frames(images)
     # Whole gray levels, so that the background in a recording is exactly the image in use.
     chosen.setup = chosen.setup.with_background(np.rint(taken.background).astype(np.float32))
@@ -66,7 +66,7 @@ def take_starter(hub: Hub, station: int, sensor: str) -> None:
         raise GelformError("No starter is known for this camera. Choose the sensor in the list.")
     try:
         with _at_rest(chosen):
-            frames = [shown.frame for shown in _frames(chosen, BACKGROUND_FRAMES)]
+            frames = [shown.frame for shown in _frames(chosen, USUAL_FRAMES)]
         serial = None if chosen.source is None else chosen.source.serial
         calibration = calibration_at_rest(name, frames, serial, chosen.setup.calibration)
         listed = f"starter {calibration.sensor_name}, sensor {station + 1}"
@@ -285,7 +285,7 @@ def guide_start(hub: Hub, station: int, ball_diameter_mm: float, profile: str, m
 
     The scale is the profile's, or the given one, or the simulated sensor's own.
     """
-    from gelform.calibration.guided.guide import Asked
+    from gelform.calibration.guided.guide import Asked, Guide
     from gelform.live.guide import GuideSession
 
     chosen = hub.station(station)
@@ -301,7 +301,7 @@ def guide_start(hub: Hub, station: int, ball_diameter_mm: float, profile: str, m
         begun=chosen.setup.calibration,
     )
     hub.end_guide(station)
-    hub.guides[station] = GuideSession(chosen, asked, hub.folder, hub.changed)
+    hub.guides[station] = GuideSession(chosen, Guide(asked, hub.changed))
     if chosen.player is not None:
         chosen.player.loop(False)
         chosen.player.seek(0)
@@ -311,15 +311,14 @@ def guide_start(hub: Hub, station: int, ball_diameter_mm: float, profile: str, m
 
 def guide_fit(hub: Hub, station: int) -> None:
     """Calibrate on the accepted presses."""
-    session = _session(hub, station)
-    session.guide.presses()  # too few presses are reported at once
-    hub.start(session.fit, station, "calibrating")
+    guide = _guide(hub, station)
+    guide.presses()  # too few presses are reported at once
+    hub.start(partial(guide.fit, hub.folder), station, "calibrating")
 
 
 def guide_use(hub: Hub, station: int) -> None:
     """Reconstruct with the guide's calibration; the guide ends."""
-    session = _session(hub, station)
-    made = session.made
+    made = _guide(hub, station).made
     if made is None:
         raise GelformError("There is no calibration to use yet. Press Fit now first.")
     name = hub.calibrations.add_file(made.path)
@@ -328,7 +327,7 @@ def guide_use(hub: Hub, station: int) -> None:
     hub.notice(f"The new calibration is in use, and saved as {made.folder.name}/calibration.npz. {made.kept}")
 
 
-def _session(hub: Hub, station: int) -> GuideSession:
+def _guide(hub: Hub, station: int) -> Guide:
     if station not in hub.guides:
         raise GelformError("No calibration is running. Press Start first.")
-    return hub.guides[station]
+    return hub.guides[station].guide

@@ -12,7 +12,7 @@ from typing import Any
 from gelform.errors import GelformError
 from gelform.live.station import Opening, Setup, Station
 from gelform.sensors.cameras.camera import Camera, cameras_in_sysfs
-from gelform.sensors.cameras.settings import CONTROLS, settings_mismatch
+from gelform.sensors.cameras.settings import CONTROLS
 from gelform.sensors.cameras.usb import UsbCamera
 from gelform.sensors.source import Source
 
@@ -125,21 +125,10 @@ def set_camera(station: Station, name: str, value: float) -> float:
 
 
 def camera_facts(station: Station) -> dict[str, Any]:
-    """The settings that can be changed, as read back, and those that differ from the calibration."""
+    """The settings that can be changed, as read back; a result's findings name those that differ from the calibration."""
     source: Any = station.source
-    settings = {} if source is None else dict(source.settings)
-    settable = {name: settings[name] for name in SETTABLE if name in settings}
-    calibration = station.setup.calibration
-    calibrated = {} if calibration is None else calibration.settings.camera or {}
-    other = settings_mismatch(calibrated, settings)
-    said = "; ".join(
-        f"{name.replace('_', ' ')} {_text(mine)}, calibrated at {_text(then)}"
-        for name, (then, mine) in other.items()
-    )
-    return {
-        "settable": settable if hasattr(source, "set_controls") else {},
-        "mismatch": f"The calibration had other settings: {said}." if said else "",
-    }
+    settings = dict(source.settings) if hasattr(source, "set_controls") else {}
+    return {"settable": {name: settings[name] for name in SETTABLE if name in settings}}
 
 
 def _row_of_station(station: Station) -> dict[str, Any]:
@@ -161,7 +150,3 @@ def _row(key: str, name: str, serial: str | None, state: str, **known: Any) -> d
 def _key(camera: Camera) -> str:
     """An identifier that stays with the camera's USB socket, if the system states it."""
     return camera.by_path or camera.path
-
-
-def _text(value: float | str) -> str:
-    return value if isinstance(value, str) else f"{value:g}"

@@ -1,18 +1,12 @@
-"""A guided calibration on a station: its frames, presses of the simulated sensor, and the fit in a thread."""
+"""A guided calibration on a station: its frames, and presses of the simulated sensor."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from pathlib import Path
 
-from gelform.calibration.guided.fit import GuidedCalibration, calibrate_guided
-from gelform.calibration.guided.guide import Asked, Guide
-from gelform.errors import GelformError
-from gelform.foundations.progress import Progress
+from gelform.calibration.guided.guide import Guide
 from gelform.live.shown import Shown
 from gelform.live.station import Station
-from gelform.sensors.recordings.recorder import named_by_time
 
 DEPTH_RATIO = 0.9  # of simulated presses: depth over radius x fraction^2 (0.5 for a spherical cap)
 RIM_FRACTIONS = (0.45, 0.6, 0.52)  # contact radius over ball radius of successive simulated presses
@@ -26,19 +20,12 @@ class GuideSession:
     Parameters
     ----------
     station : gives the frames
-    asked : Asked
-    folder : parent of the new folder for presses, calibration and report
-    on_changed : called when the page has something new to show
-
-    Attributes
-    ----------
-    made : the calibration, once it was fitted
+    guide : receives them
     """
 
-    def __init__(self, station: Station, asked: Asked, folder: Path, on_changed: Callable[[], None]) -> None:
-        self.guide = Guide(asked, on_changed)
-        self.made: GuidedCalibration | None = None
-        self._station, self._folder, self._on_changed = station, folder, on_changed
+    def __init__(self, station: Station, guide: Guide) -> None:
+        self.guide = guide
+        self._station = station
         self._pressed_s, self._pressed = 0.0, -1
         self._simulated = station.simulated
         if self._simulated is not None:
@@ -51,26 +38,6 @@ class GuideSession:
             self._station.taps.remove(self._tap)
         if self._simulated is not None:
             self._simulated.rest(False)
-
-    def fit(self, progress: Progress) -> None:
-        """Calibrate on the accepted presses, write the files, and report the quality.
-
-        Raises
-        ------
-        GelformError
-            There are too few presses, or they do not fit; the guide continues to ask for presses.
-        """
-        guide, before = self.guide, self.guide.step
-        guide.step, guide.hint = "fit", "gelform calibrates. This takes a moment."
-        try:
-            folder = self._folder / named_by_time("calibration")
-            made = calibrate_guided(guide.presses(), folder, progress=progress)
-        except GelformError as problem:
-            guide.step, guide.hint = before, f"The fit failed. {problem}"
-            raise
-        self.made, guide.report, guide.covered = made, made.report, made.covered
-        guide.step, guide.hint = "report", "Done. Read the report, then use the calibration."
-        self._on_changed()
 
     def _tap(self, shown: Shown) -> None:
         self.guide.look_at(shown.frame)

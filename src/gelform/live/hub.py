@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import re
 import threading
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,23 +13,73 @@ from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any
 
 from gelform import __version__
+from gelform.calibration.starters import make_name, starter_names, starter_of_source
 from gelform.depth.solvers import SOLVERS
 from gelform.errors import GelformError
 from gelform.foundations.progress import Progress
 from gelform.live.devices import Devices, camera_facts
 from gelform.live.lists import Calibrations, Recordings
-from gelform.live.shown import Shown
-from gelform.live.snapshots import Snapshots
-from gelform.live.starter import starter_facts, starters
+from gelform.live.shown import Shown, Snapshots
 from gelform.live.station import Station
-from gelform.live.web.pages import Pages
 from gelform.sensors.profiles import PROFILES
 from gelform.sensors.recordings.recorder import Recorder
 
 if TYPE_CHECKING:
     from gelform.live.guide import GuideSession
 
+# Seconds for which a page without a connection counts as open: a page that was reloaded or lost its network is back by
+# then (it gives up a silent connection after 5 s, and tries again at least every 4 s).
+GRACE_S = 10.0
+NAME = re.compile(r"[0-9a-z-]{8,64}")
 NOTICES = 20  # notices that are kept
+
+
+class Pages:
+    """Connections of pages by the page's name; methods may be called in any thread.
+
+    Parameters
+    ----------
+    clock : replaceable, to run faster or slower than real time
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._connections: Counter[str] = Counter()
+        self._left_s: dict[str, float] = {}
+
+    def came(self, name: str) -> None:
+        """Note that a page has connected."""
+        with self._lock:
+            self._connections[name] += 1
+
+    def left(self, name: str) -> None:
+        """Note that a connection of a page has ended."""
+        with self._lock:
+            now = self._clock()
+            self._left_s = {one: at_s for one, at_s in self._left_s.items() if now - at_s < GRACE_S}
+            self._connections[name] -= 1
+            if self._connections[name] <= 0:
+                del self._connections[name]
+                self._left_s[name] = now
+
+    def is_open(self, name: str) -> bool:
+        """Whether a page is connected, or was a moment ago and may be reloading."""
+        with self._lock:
+            if name in self._connections:
+                return True
+            left_s = self._left_s.get(name)
+            return left_s is not None and self._clock() - left_s < GRACE_S
+
+    @property
+    def any_connected(self) -> bool:
+        """Whether any page is connected now."""
+        return bool(self._connections)
+
+
+def page_named(given: str) -> str:
+    """The name that a page states; "" for an invalid one, and such a page has no identity."""
+    return given if NAME.fullmatch(given) else ""
 
 
 @dataclass
@@ -194,3 +245,40 @@ def wait_for_frames(station: Station, count: int, timeout_s: float = 15.0) -> li
     finally:
         station.taps.remove(got.put)
     return found
+
+
+def starters() -> list[list[str]]:
+    """[name, display name] of the makes with a starter."""
+    return [[name, make_name(name)] for name in starter_names()]
+
+
+def starter_facts(station: Station) -> dict[str, Any] | None:
+    """The starter's state for the page: `ask` for the gel at rest, or `used`; None for a calibrated unit.
+
+    `sensor` is the starter's name, empty if the make is unknown; `said` are sentences for the user.
+    """
+    calibration, problem = station.setup.calibration, station.starter_problem
+    if calibration is None:
+        sensor = starter_of_station(station)
+        return {
+            "state": "ask",
+            "sensor": sensor,
+            "make": make_name(sensor),
+            "said": [problem] if problem else [],
+        }
+    record = calibration.settings.starter
+    if record is None:
+        return None
+    said = [finding.message for finding in calibration.findings if finding.name != "starter"]
+    return {
+        "state": "used",
+        "sensor": record["sensor"],
+        "make": calibration.sensor_name,
+        "percent": 100 * calibration.unit_spread,
+        "said": [*said, *([problem] if problem else [])],
+    }
+
+
+def starter_of_station(station: Station) -> str:
+    """The starter that the station was started with, else that of its camera's make; "" if neither is known."""
+    return station.sensor or (starter_of_source(station.source) if station.source is not None else None) or ""

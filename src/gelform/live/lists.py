@@ -9,10 +9,9 @@ from typing import Any
 
 from gelform.calibration.library.choose import Unit
 from gelform.calibration.library.library import described
-from gelform.calibration_file import KIND, Calibration, load_calibration
+from gelform.calibration_file import Calibration, is_calibration, load_calibration
 from gelform.errors import GelformError
-from gelform.foundations.npz_files import kind_of_npz
-from gelform.sensors.video_files import is_video
+from gelform.sensors.recordings.indexed import recordings_in
 
 
 class Calibrations:
@@ -34,7 +33,7 @@ class Calibrations:
             self.add_file(path)
         for place in (folder, library):
             for path in sorted(place.glob("*.npz")) if place is not None else ():
-                if kind_of_npz(path) == KIND:
+                if is_calibration(path):
                     self.add_file(path)
 
     @property
@@ -119,9 +118,8 @@ class Recordings:
         self._paths: dict[str, Path] = {}
         for path in given:
             self.add(path)
-        for path in sorted(folder.iterdir()) if folder is not None and folder.is_dir() else ():
-            if path.suffix.lower() == ".mcap" or is_video(path):
-                self.add(path)
+        for path in recordings_in(folder) if folder is not None else ():
+            self.add(path)
 
     def add(self, path: Path) -> str:
         """Add a recording; return its name: the file's, with a number if that name is taken."""

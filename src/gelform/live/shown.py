@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
+import tempfile
 import threading
+from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.depth.contact import Contact
-from gelform.foundations.checks import check_mm_per_px
+from gelform.errors import GelformError
 from gelform.image.frame import Frame
-from gelform.image.markers import MarkerFlow
 from gelform.live.web.wire import Plane, bits_plane, depth_plane, image_plane, level_plane
-from gelform.result import Reconstruction
+from gelform.result import Reconstruction, save_result
 from gelform.result.maps import MAP_PLANES
 from gelform.sensors.recordings.player import ReplayedFrame
 from gelform.slopes.confidence.causes import CAUSES
@@ -25,6 +26,7 @@ from gelform.slopes.confidence.explanation import Explanation
 PLANES = ("image", "flags", "unknown", "causes", *MAP_PLANES)
 CONTACT, KNOWN = 1, 2  # bits of the plane `flags`
 MOST_CONTACTS, MOST_OUTLINES = 8, 32  # sent per frame at most
+KEPT_SNAPSHOTS = 16  # snapshots that are kept
 OUTLINE_PX = 0.6  # px, largest distance of an outline from the edge of the pixels
 
 
@@ -61,8 +63,7 @@ def measures_of(result: Reconstruction) -> Measures | None:
         return None
     known_depth = np.where(result.known, result.depth, np.float32(-np.inf))
     row, column = np.unravel_index(int(known_depth.argmax()), result.depth.shape)
-    pitch_x, pitch_y = (1.0, 1.0) if result.mm_per_px is None else check_mm_per_px(result.mm_per_px)
-    pixel = pitch_x * pitch_y
+    pixel = float(np.prod(np.broadcast_to(result.mm_per_px or 1.0, 2)))
     return Measures(
         float(result.depth[row, column]),
         int(column),
@@ -171,8 +172,8 @@ class Shown:
             **self.measures.numbers,
             "peak_px": [self.measures.x_px, self.measures.y_px],
             "outlines": outlines_of(self.result),
-            "contacts": [_contact_facts(contact) for contact in self.result.contacts[:MOST_CONTACTS]],
-            "markers": _marker_rows(self.result.markers),
+            "contacts": _contact_rows(self.result),
+            "markers": _marker_rows(self.result),
             "causes": list(CAUSES),
             "cause_colors": [cause.color for cause in CAUSES.values()],
             "solver": self.result.solver,
@@ -189,19 +190,63 @@ def _cause_bits(explanation: Explanation) -> NDArray[np.uint16]:
     return bits
 
 
-def _contact_facts(contact: Contact) -> dict[str, Any]:
-    return {
-        "deepest_px": [int(at) for at in contact.deepest_px],
-        "deepest_mm": contact.deepest_mm,
-        "area_mm2": contact.area_mm2,
-        "volume_mm3": contact.volume_mm3,
-        "cut": contact.cut_by_border,
-    }
+def _contact_rows(result: Reconstruction) -> list[dict[str, Any]]:
+    return [
+        {
+            "deepest_px": [int(at) for at in contact.deepest_px],
+            "deepest_mm": contact.deepest_mm,
+            "area_mm2": contact.area_mm2,
+            "volume_mm3": contact.volume_mm3,
+            "cut": contact.cut_by_border,
+        }
+        for contact in result.contacts[:MOST_CONTACTS]
+    ]
 
 
-def _marker_rows(flow: MarkerFlow | None) -> list[list[float]]:
+def _marker_rows(result: Reconstruction) -> list[list[float]]:
     """x and y at rest, then x and y now, of each visible marker, px."""
-    if flow is None:
+    if (flow := result.markers) is None:
         return []
     rows = np.concatenate([flow.rest_px, flow.now_px], axis=1)[flow.seen]
     return [[round(float(value), 2) for value in row] for row in rows]
+
+
+class Snapshots:
+    """The last kept frames, by number; files are made when they are downloaded."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._kept: OrderedDict[int, Shown] = OrderedDict()
+        self._count = 0
+
+    def add(self, shown: Shown) -> int:
+        """Keep a frame; return its number. Beyond 16 frames the oldest is dropped."""
+        with self._lock:
+            self._count += 1
+            self._kept[self._count] = shown
+            while len(self._kept) > KEPT_SNAPSHOTS:
+                self._kept.popitem(last=False)
+            return self._count
+
+    def file(self, number: int, name: str) -> tuple[str, bytes]:
+        """Name and content of a snapshot's frame.png, as the camera gave it, or result.npz, for `gelform.load_result`.
+
+        Raises
+        ------
+        GelformError
+            The snapshot or the file does not exist, or the frame has no result.
+        """
+        with self._lock:
+            shown = self._kept.get(number)
+        if shown is None or name not in ("frame.png", "result.npz"):
+            raise GelformError("This snapshot is no longer kept. Take another one.")
+        if name == "frame.png":
+            content = cv2.imencode(".png", shown.frame.image[..., ::-1])[1].tobytes()
+        elif shown.result is not None:
+            with tempfile.TemporaryDirectory() as folder:
+                path = Path(folder) / name
+                save_result(shown.result, path)
+                content = path.read_bytes()
+        else:
+            raise GelformError("This frame has no result, because it had no usable calibration.")
+        return f"gelform-{number:03d}-{name}", content

@@ -6,22 +6,20 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from gelform.calibration.library.choose import Unit, unit_of
+from gelform.calibration.library.choose import unit_named
 from gelform.calibration.library.library import library_folder
 from gelform.calibration.library.simulated import ready_calibration
-from gelform.errors import DataError, GelformError, SensorError
+from gelform.errors import DataError, SensorError
 from gelform.foundations.progress import Progress
 from gelform.live import actions
 from gelform.live.hub import Hub
 from gelform.live.lists import Calibrations, Recordings
 from gelform.live.station import NEVER_S, Opening, Station
-from gelform.sensors.cameras.camera import camera_named
 from gelform.sensors.grabber import STALL_S
 from gelform.sensors.recordings.indexed import Indexed, indexed, is_recording
 from gelform.sensors.recordings.player import Player
-from gelform.sensors.simulated.settings import simulated_sensor_named
 from gelform.sensors.simulated.source import RATE_HZ, SimulatedSource
-from gelform.sensors.source import ADDRESSES, DEFAULT_SENSOR, SIMULATED, Source, open_source
+from gelform.sensors.source import Source, device_of, open_source, simulated_sensor_of
 from gelform.simulate import SimulatedSensor
 
 READY = "simulated sensor"
@@ -41,7 +39,7 @@ class Options:
     sensor : the make whose starter is used for sources without a calibration; None: that of the camera
     """
 
-    sources: Sequence[str] = (SIMULATED,)
+    sources: Sequence[str] = ("simulated",)
     calibrations: Sequence[Path] = ()
     folder: Path | None = None
     rate_hz: float = RATE_HZ
@@ -77,7 +75,7 @@ def start(options: Options) -> Hub:
     for name in names:
         hub.calibrations[name]  # an unreadable one is reported before anything opens
     for number, spec in enumerate(options.sources):
-        sensor = _simulated_sensor(spec)
+        sensor = simulated_sensor_of(spec)
         recording = indexed(Path(spec)) if sensor is None and is_recording(spec) else None
         opening = _opening(hub, spec, sensor or recording, options.rate_hz, number)
         station = Station(number, spec, opening, hub.changed, hub.watched)
@@ -106,44 +104,26 @@ def _library() -> tuple[Path | None, str]:
 
 def _take_known(hub: Hub, station: Station, spec: str) -> None:
     """Use the newest listed calibration of the source's unit; without one the station shows only images."""
-    try:
-        unit = unit_of(spec)
-    except GelformError:  # not connected yet; the spec may be its serial number
-        unit = Unit(f"camera {spec}", spec)
+    unit = unit_named(spec)
     name = hub.calibrations.of_unit(unit)
     if name is not None:
         station.setup = station.setup.with_calibration(hub.calibrations[name], name)
         hub.notice(f"Calibration of {unit.said}: {hub.calibrations.described(name)}.")
 
 
-def _simulated_sensor(spec: str) -> SimulatedSensor | None:
-    kind, _, name = spec.partition(":")
-    return simulated_sensor_named(name or DEFAULT_SENSOR) if kind == SIMULATED else None
-
-
 def _check_named_once(specs: Sequence[str]) -> None:
     """Refuse a camera that is named twice, even by two names. A recording may be named twice."""
     named: dict[str, str] = {}
     for spec in specs:
-        if spec.partition(":")[0] == SIMULATED or is_recording(spec):
+        if simulated_sensor_of(spec) or is_recording(spec):
             continue
-        camera = _camera_of(spec)
+        camera = device_of(spec)
         if camera in named:
             both = f"{spec!r} twice" if named[camera] == spec else f"{named[camera]!r} and {spec!r}"
             raise DataError(
                 f"Expected each camera once, got {both}, which is one camera. Any number of pages may show it."
             )
         named[camera] = spec
-
-
-def _camera_of(spec: str) -> str:
-    """An identifier of a camera: the device that a name means; addresses and unknown names unchanged."""
-    if spec.startswith(ADDRESSES):
-        return spec
-    try:
-        return camera_named(spec).path
-    except SensorError:
-        return spec
 
 
 def _opening(

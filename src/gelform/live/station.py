@@ -27,8 +27,8 @@ from gelform.sensors.source import Source
 from gelform.sensors.streams.feed import NewestFrames
 from gelform.sensors.streams.memory import Memory, Timed, Work
 from gelform.sensors.streams.pipeline import Pipeline
+from gelform.sensors.streams.sensor_health import CameraCheck
 
-BACKGROUND_FRAMES = 15  # frames at rest that are averaged
 KEPT_NUMBERS = 18_000  # results whose numbers are kept for the curves: five minutes at 60 per second
 RETRY_S = 1.0  # s between attempts to open an unavailable source
 WAIT_S = 0.25  # s, longest wait for a result before a request to stop is checked
@@ -173,8 +173,8 @@ class Station:
 
     @setup.setter
     def setup(self, setup: Setup) -> None:
-        if setup.memory is not None and self._run_by is not None and setup.memory is not self._setup.memory:
-            setup.memory.run_by(*self._run_by)
+        if setup.memory is not None and setup.memory is not self._setup.memory:
+            self._prepare(setup.memory)
         self._setup = setup
         self.show_again()
 
@@ -345,7 +345,14 @@ class Station:
         """Run slow work of this and later setups elsewhere."""
         self._run_by = helper, examine
         if self._setup.memory is not None:
-            self._setup.memory.run_by(helper, examine)
+            self._prepare(self._setup.memory)
+
+    def _prepare(self, memory: Memory) -> None:
+        """Run a memory's slow work elsewhere, and have it compare the camera with the calibration."""
+        if self._run_by is not None:
+            memory.run_by(*self._run_by)
+        check = CameraCheck(memory.reconstruct.calibration)
+        memory.standing = lambda: check(self.grabber)
 
     def reconstructed(self, frame: Frame, timed: Timed) -> Shown:
         """The setup's result of a frame; if reconstruction fails, the frame and the reason."""

@@ -19,6 +19,7 @@ from gelform.sensors.recordings.mcap_reader import is_bag_folder, mcap_file_in, 
 from gelform.sensors.simulated.settings import simulated_sensor_named
 from gelform.sensors.simulated.source import RATE_HZ, SimulatedSource
 from gelform.sensors.video_files import is_video
+from gelform.simulate import SimulatedSensor
 
 SIMULATED, DEFAULT_SENSOR = "simulated", "three-edges"
 ADDRESSES = ("http://", "https://")
@@ -138,9 +139,28 @@ def _of_files(path: Path, paced: bool, rate_hz: float | None) -> Source | None:
 
 
 def _simulated(spec: str, rate_hz: float | None) -> Source:
-    name = spec.partition(":")[2] or DEFAULT_SENSOR
     try:
-        sensor = simulated_sensor_named(name)
+        sensor = simulated_sensor_of(spec)
     except ValueError as problem:
         raise SensorError(f'{spec!r}: {problem} "simulated" alone is {DEFAULT_SENSOR}.') from problem
+    assert sensor is not None
     return SimulatedSource(sensor, rate_hz=rate_hz or RATE_HZ)
+
+
+def simulated_sensor_of(spec: str) -> SimulatedSensor | None:
+    """The simulated sensor that a spec names, "simulated" or "simulated:NAME"; None for any other source.
+
+    ValueError: there is no such sensor; the message lists them.
+    """
+    kind, _, name = spec.partition(":")
+    return simulated_sensor_named(name or DEFAULT_SENSOR) if kind == SIMULATED else None
+
+
+def device_of(spec: str) -> str:
+    """What tells a device from others: the path of the camera that a spec means; addresses and unknown names unchanged."""
+    if spec.startswith(ADDRESSES):
+        return spec
+    try:
+        return camera_named(spec).path
+    except SensorError:
+        return spec

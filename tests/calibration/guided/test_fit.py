@@ -10,7 +10,7 @@ from gelform.calibration.guided import fit
 def made(presses, calibration, monkeypatch, tmp_path):
     """Makes the guided calibration of the shared presses; calibration itself was done once for all."""
     monkeypatch.setattr(fit, "calibrate", lambda *_, **__: calibration)
-    return lambda: fit.calibrate_guided(presses, tmp_path / "guided")
+    return lambda: fit.calibrate_guided(presses, tmp_path)
 
 
 def test_its_folder_and_the_library_have_the_calibration(made, library, presses):

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from gelform.calibration.guided import guide as module
-from gelform.calibration.guided.guide import BACKGROUND_FRAMES, LEAST, NEXT_PLACES, STILL_LOOKS, Asked, Guide
+from gelform.calibration.guided.guide import LEAST, NEXT_PLACES, STILL_LOOKS, Asked, Guide
 from gelform.errors import GelformError
+from gelform.image.background.average import USUAL_FRAMES
 from gelform.image.frame import Frame
 from gelform.simulate import simulate_background
 
@@ -30,7 +31,7 @@ def see(guide, sensor):
 
 
 def test_the_background_comes_first_then_a_place_to_press(guide, see):
-    see(times=BACKGROUND_FRAMES - 1)
+    see(times=USUAL_FRAMES - 1)
     assert guide.step == "background"
     see()
     assert guide.step == "press"
@@ -39,7 +40,7 @@ def test_the_background_comes_first_then_a_place_to_press(guide, see):
 
 
 def test_a_press_held_still_is_accepted_once(guide, see, press):
-    see(times=BACKGROUND_FRAMES)
+    see(times=USUAL_FRAMES)
     made = press(3, 2)
     see(made.image, STILL_LOOKS)
     assert guide.count == 0
@@ -52,7 +53,7 @@ def test_a_press_held_still_is_accepted_once(guide, see, press):
 
 
 def test_the_same_place_again_is_rejected_with_the_reason(guide, see, press):
-    see(times=BACKGROUND_FRAMES)
+    see(times=USUAL_FRAMES)
     for seed in (1, 2):
         see(press(3, 2, seed=seed).image, 8)
         see()
@@ -62,7 +63,7 @@ def test_the_same_place_again_is_rejected_with_the_reason(guide, see, press):
 
 
 def test_presses_fill_the_coverage_and_move_the_target_away(guide, see, press):
-    see(times=BACKGROUND_FRAMES)
+    see(times=USUAL_FRAMES)
     assert len(guide.places) == NEXT_PLACES
     shares, targets = [], set()
     for x_mm, y_mm in ((0, 0), (6, 4), (-6, -4), (6, -4), (-6, 4)):
@@ -82,15 +83,15 @@ def test_presses_fill_the_coverage_and_move_the_target_away(guide, see, press):
 
 
 def test_too_few_presses_cannot_be_fitted(guide, see):
-    see(times=BACKGROUND_FRAMES)
+    see(times=USUAL_FRAMES)
     with pytest.raises(GelformError, match="Press again"):
         guide.presses()
 
 
 def test_a_background_that_is_touched_half_the_time_is_taken_again(guide, see, press):
-    for k in range(BACKGROUND_FRAMES):
+    for k in range(USUAL_FRAMES):
         see(press(3, 2).image if k % 2 else None)
     if guide.step == "background":
         assert "again" in guide.hint
-    see(times=2 * BACKGROUND_FRAMES)
+    see(times=2 * USUAL_FRAMES)
     assert guide.step == "press"

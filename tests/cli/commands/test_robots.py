@@ -53,13 +53,13 @@ def test_info_says_what_a_bag_is(run_json, images, calibration_file, tmp_path):
 def test_a_bag_without_a_usable_frame_says_so(run, run_json, images, calibration_file, tmp_path):
     """Depth is NaN in all of them: the calibration may be of another gel."""
     for path in images.iterdir():
-        cv2.imwrite(str(path), np.ascontiguousarray(cv2.imread(str(path))[::-1, ::-1, [1, 2, 0]]))
+        cv2.imwrite(str(path), np.ascontiguousarray(cv2.imread(str(path))[::-1, ::-1]))
     said = run_json("bag", images, "-c", calibration_file, "-o", tmp_path / "a", "-q")
-    assert "The background is not of this image" in said["problem"]
+    assert "The image is turned by 180 degrees" in said["problem"]
     code, _, err = run("bag", images, "-c", calibration_file, "-o", tmp_path / "b")
     assert code == 0
     assert "warning: no frame was usable" in err
-    assert "The background is not of this image" in " ".join(err.split())
+    assert "The image is turned by 180 degrees" in " ".join(err.split())
 
 
 def test_mistakes(run, fails, images, calibration_file, tmp_path):

@@ -171,7 +171,7 @@ def test_every_view_can_be_chosen(page):
 
 
 def test_a_recording_ends_with_its_tab_but_not_when_it_is_loaded_anew(visit, hub, tmp_path, monkeypatch):
-    monkeypatch.setattr("gelform.live.web.pages.GRACE_S", 3.0)
+    monkeypatch.setattr("gelform.live.hub.GRACE_S", 3.0)
     hub.folder = tmp_path
     recording, other = visit(), visit()
     recording.click("#record")

@@ -19,6 +19,7 @@ from gelform.errors import GelformError
 from gelform.exchange.exporters.press_folder import save_press_folder
 from gelform.foundations.npz_files import written_file
 from gelform.foundations.progress import Progress, no_progress
+from gelform.sensors.recordings.recorder import named_by_time
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,12 +49,15 @@ def calibrate_guided(
 ) -> GuidedCalibration:
     """Calibrate on presses, write them with the calibration and its report to a new folder, and add it to the library.
 
+    The new folder is below `folder`, and is named by the time.
+
     Raises
     ------
     GelformError
         The presses do not fit, or the folder cannot be written. A library that cannot be written is only said.
     """
     calibration = calibrate(presses, progress=progress)
+    folder = folder / named_by_time("calibration")
     content = report_content(presses, calibration, rng=np.random.default_rng(0))
     save_press_folder(
         folder,

@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,12 +14,14 @@ from numpy.typing import NDArray
 
 from gelform.calibration.coverage import Coverage, PressPlace, press_coverage, press_next
 from gelform.calibration.enough import NEEDED
+from gelform.calibration.guided.fit import GuidedCalibration, calibrate_guided
 from gelform.calibration.guided.judge import Circle, Judge, Look
 from gelform.calibration.presses.press_set import Press, Presses, check_ball_diameter
 from gelform.calibration_file import Calibration
 from gelform.errors import GelformError
 from gelform.foundations.checks import check_sensor_pitch
-from gelform.image.background.average import background_from_frames
+from gelform.foundations.progress import Progress, no_progress
+from gelform.image.background.average import USUAL_FRAMES, background_from_frames
 from gelform.image.frame import Frame, pixels_digest
 from gelform.image.view import View, image_from_frame
 from gelform.sensors.profiles import profile_named
@@ -26,7 +29,6 @@ from gelform.sensors.simulated.source import SimulatedSource
 from gelform.sensors.source import Source
 
 WANTED, LEAST = NEEDED.guided_well.presses, NEEDED.guided.presses
-BACKGROUND_FRAMES = 15  # frames at rest that are averaged
 LOOK_EVERY_S = 0.08  # s between analyzed frames; an analysis takes some 10 ms
 STILL_LOOKS = 3  # consecutive still frames until a press counts
 NEXT_PLACES = 3  # suggested places on the page: the next one, and those after it
@@ -94,7 +96,7 @@ class Asked:
 
 
 class Guide:
-    """One guided calibration, up to the presses.
+    """One guided calibration, from the background to the files.
 
     Parameters
     ----------
@@ -107,6 +109,7 @@ class Guide:
     hint : instruction for the user
     places : suggested places for presses, the most helpful one first; later ones are chosen again after each press
     covered : Coverage of the accepted presses, None before the background exists
+    made : the calibration and its files, None before the fit
     """
 
     def __init__(self, asked: Asked, on_changed: Callable[[], None] = lambda: None) -> None:
@@ -114,7 +117,7 @@ class Guide:
         self.step, self.hint = "background", "Touch nothing while the page takes the background."
         self.places: tuple[PressPlace, ...] = ()
         self.covered: Coverage | None = None
-        self.report: dict[str, Any] | None = None
+        self.made: GuidedCalibration | None = None
         self._changed = on_changed
         self._lock = threading.Lock()
         self._untouched: list[NDArray[np.uint8]] = []
@@ -183,6 +186,25 @@ class Guide:
                 background_noise=self._noise,
             )
 
+    def fit(self, folder: Path, progress: Progress = no_progress) -> None:
+        """Calibrate on the accepted presses, and write the files to a new folder below `folder`.
+
+        Raises
+        ------
+        GelformError
+            There are too few presses, or they do not fit; the guide continues to ask for presses.
+        """
+        before = self.step
+        self.step, self.hint = "fit", "gelform calibrates. This takes a moment."
+        try:
+            self.made = calibrate_guided(self.presses(), folder, progress=progress)
+        except GelformError as problem:
+            self.step, self.hint = before, f"The fit failed. {problem}"
+            raise
+        self.covered = self.made.covered
+        self.step, self.hint = "report", "Done. Read the report, then use the calibration."
+        self._changed()
+
     def facts(self) -> dict[str, Any]:
         """The guide's state for the page."""
         with self._lock:
@@ -194,21 +216,21 @@ class Guide:
                 "wanted": WANTED,
                 "enough": len(self._circles) >= WANTED,
                 "can_fit": len(self._circles) >= LEAST,
-                "untouched": [len(self._untouched), BACKGROUND_FRAMES],
+                "untouched": [len(self._untouched), USUAL_FRAMES],
                 "places": [[place.x_px, place.y_px, radius, place.name] for place in self.places],
                 "live": None if live is None or live.circle is None else list(live.circle),
                 "still": self._still / STILL_LOOKS,
                 "accepted": [list(circle) for circle in self._circles],
                 "rejected": [[*circle, reason] for circle, reason in self._verdicts[-5:]],
                 "coverage": None if self.covered is None else _coverage_facts(self.covered),
-                "report": self.report,
+                "report": None if self.made is None else self.made.report,
             }
 
     # -- one image ----------------------------------------------------------------------------------------------------
 
     def _add_untouched(self, image: NDArray[np.uint8]) -> None:
         self._untouched.append(image)
-        if len(self._untouched) < BACKGROUND_FRAMES:
+        if len(self._untouched) < USUAL_FRAMES:
             return
         try:
             taken = background_from_frames(self._untouched)

@@ -10,16 +10,15 @@ from typing import Any
 
 from gelform.calibration.library.library import Entry, date_of, entries
 from gelform.calibration_file import Calibration, load_calibration
-from gelform.errors import CalibrationError, DataError
+from gelform.errors import CalibrationError, DataError, GelformError
 from gelform.sensors.cameras.camera import Camera, camera_named, cameras_there
 from gelform.sensors.files import read_sensor_toml
 from gelform.sensors.grabber import Grabber
 from gelform.sensors.profiles import PROFILES
 from gelform.sensors.recordings.mcap_reader import is_bag_folder, mcap_file_in, picture_topic_of
 from gelform.sensors.recordings.record import attached_calibration
-from gelform.sensors.simulated.settings import simulated_sensor_named
 from gelform.sensors.simulated.source import serial_of_simulated
-from gelform.sensors.source import ADDRESSES, DEFAULT_SENSOR, SIMULATED
+from gelform.sensors.source import ADDRESSES, simulated_sensor_of
 
 SENSOR_TOML = "sensor.toml"
 HOW_TO = (
@@ -137,11 +136,11 @@ def unit_of(source: Any) -> Unit:
     if not isinstance(source, (str, PathLike)):
         return _unit_of_open(source)
     spec = str(source)
-    if spec.partition(":")[0] == SIMULATED:
-        try:
-            sensor = simulated_sensor_named(spec.partition(":")[2] or DEFAULT_SENSOR)
-        except ValueError as problem:
-            raise DataError(str(problem)) from problem
+    try:
+        sensor = simulated_sensor_of(spec)
+    except ValueError as problem:
+        raise DataError(str(problem)) from problem
+    if sensor is not None:
         return Unit(f"the simulated sensor {sensor.name}", serial_of_simulated(sensor))
     if spec.startswith(ADDRESSES):
         return Unit(spec)
@@ -149,6 +148,14 @@ def unit_of(source: Any) -> Unit:
     if spec and path.exists() and not spec.startswith("/dev/"):
         return unit_of_files(path)
     return unit_of_camera(camera_named(spec), cameras_there())
+
+
+def unit_named(spec: str) -> Unit:
+    """As `unit_of`; a source that is not connected yet may be named by its serial number."""
+    try:
+        return unit_of(spec)
+    except GelformError:
+        return Unit(f"camera {spec}", spec)
 
 
 def _unit_of_open(source: Any) -> Unit:

@@ -13,6 +13,7 @@ from gelform.foundations.checks import check_image
 from gelform.foundations.filters import SIGMA_OF_MEDIAN
 from gelform.image.background.exposure import block_means
 
+USUAL_FRAMES = 15  # frames at rest that are averaged where they come by themselves
 # Bytes of frames that are held, and of rows that are sorted at once.
 MAX_BYTES, ROWS_BYTES = 192 * 2**20, 32 * 2**20
 TRIMMED_FRACTION = 0.2  # fraction of a pixel's values that is cut off at each end

@@ -15,10 +15,9 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket
 
 from gelform.errors import GelformError
-from gelform.live.hub import Hub
+from gelform.live.hub import Hub, page_named
 from gelform.live.web.client import TOO_MANY, Client
 from gelform.live.web.guard import OPEN_PATHS, Access, Guard
-from gelform.live.web.pages import page_named
 
 MAX_CLIENTS = 16  # pages open at once
 MAX_BODY = 1024  # bytes of a request; a token has 43

@@ -52,6 +52,12 @@ def is_recording(spec: str) -> bool:
     return path.exists() and not spec.startswith("/dev/")
 
 
+def recordings_in(folder: Path) -> list[Path]:
+    """The recordings in a folder: *.mcap and videos."""
+    found = sorted(folder.iterdir()) if folder.is_dir() else []
+    return [one for one in found if one.suffix.lower() == ".mcap" or is_video(one)]
+
+
 def indexed(path: Path) -> Indexed:
     """Scan a recording once.
 

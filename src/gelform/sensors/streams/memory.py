@@ -71,7 +71,7 @@ class Memory:
 
     Attributes
     ----------
-    reconstruct : Reconstructor for the coming frames
+    reconstruct, standing : for the coming frames
     zero : the result whose depth counts as 0, from `zero_from_results`; None: the gel at rest
     """
 
@@ -87,7 +87,7 @@ class Memory:
         self._examine: Callable[[Work], None] = lambda work: work()
         self._frozen, self._examination = Frozen(), Examination()
         self._examined: DriftEvidence | None = None
-        self._standing = standing
+        self.standing = standing
         self._light: tuple[Finding, ...] = ()
         self._examined_findings: tuple[Finding, ...] = ()
         self._markers = MarkerTracker(reconstruct.markers)
@@ -174,7 +174,7 @@ class Memory:
 
     @property
     def _findings(self) -> tuple[Finding, ...]:
-        return (*self._standing(), *self._light, *self._examined_findings)
+        return (*self.standing(), *self._light, *self._examined_findings)
 
     def _examine_evidence(self) -> None:
         if (evidence := self._examined) is not None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from gelform.calibration.starters import Starter, load_starter
 from gelform.calibration_file import Calibration
 from gelform.errors import CalibrationError, DataError, GelformError, StaleError
-from gelform.image.background.average import background_from_frames
+from gelform.image.background.average import USUAL_FRAMES, background_from_frames
 from gelform.image.frame import Frame
 from gelform.image.view import View, image_from_frame
 from gelform.reconstruct import Reconstructor
@@ -22,7 +22,7 @@ from gelform.sensors.streams.feed import Feed
 from gelform.sensors.streams.memory import Memory, StreamFrame, Timed, Work
 
 STEADY_S = 1.0  # s without motion; a hand that presses cannot keep as still
-AVERAGED, LEAST = 15, 3  # frames: number averaged of that second; fewer than LEAST cannot agree
+LEAST = 3  # frames of that second; fewer cannot agree
 # Limits of the frames, and of their bytes, that are read of a recording before the first one is given out.
 HELD, MAX_BYTES = 15, 192 * 2**20
 TOUCH_NOTHING = "Touch nothing: the starter's calibration needs the gel at rest."
@@ -60,7 +60,7 @@ class UntouchedImage:
 
     def mean(self) -> NDArray[np.float32] | None:
         """The mean (H, W, 3) of the frames; None if they disagree, and then the first half is dropped."""
-        stride = max(1, len(self._images) // AVERAGED)
+        stride = max(1, len(self._images) // USUAL_FRAMES)
         chosen = [image for _, image in list(self._images)[::-stride]]
         try:
             taken = background_from_frames(chosen)

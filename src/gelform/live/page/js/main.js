@@ -1,17 +1,14 @@
 // The page: what comes from the server is kept here and drawn once per screen refresh.
 
 import { drawChart, drawNumbers, drawProfile, NUMBERS, startNumbers, thinned } from "./maps/charts.js";
-import { drawMarkers, Pane } from "./maps/pane.js";
-import { Painting } from "./maps/painting.js";
+import { drawMarkers, Pane, Painting } from "./maps/pane.js";
 import { startRuler } from "./maps/ruler.js";
 import { VIEWS } from "./maps/views.js";
 import { byId, element, setText } from "./page/dom.js";
 import { Cadence, showKeys, startKeys, startTabs, startTheme, startWhole, toast } from "./page/page.js";
-import { drawControls, startControls } from "./panels/controls.js";
-import { drawCamera, drawDevices } from "./panels/devices.js";
+import { drawCamera, drawControls, drawDevices, drawStarter, startControls } from "./panels/controls.js";
 import { drawGuide, drawGuideCircles } from "./panels/guide.js";
 import { drawFiles, drawReplay, startReplay } from "./panels/replay.js";
-import { drawStarter } from "./panels/starter.js";
 import { drawContacts, drawEmpty, drawFacts, drawFindings, drawStatus } from "./panels/status.js";
 import { Connection, signIn } from "./server/connection.js";
 import { Frame } from "./server/frame.js";
