@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 import gelform
-from accuracy.heights import at_least, heights, heights_drawn, walls_drawn
+from accuracy.heights import at_least, heights_drawn, walls_drawn
 from accuracy.objects import anchor, deep, objects, walls
 from accuracy.real import calibrated, few, real, sigma
 from gelform.calibration.circles.find import find_contact, scale_of, why_no_contact
@@ -215,7 +215,6 @@ PARTS: dict[str, Any] = {
     "walls": walls,
     "walls_drawn": walls_drawn,
     "at_least": at_least,
-    "heights": heights,
     "heights_drawn": heights_drawn,
 }
 NEEDS_DATA = ("real", "whole", "sigma", "few", "at_least")

@@ -21,7 +21,7 @@ from real_frames.balls import balls
 from real_frames.beyond import beyond
 from real_frames.contacts import contacts, rest
 from real_frames.edges import edges
-from real_frames.faults import exposure, tears
+from real_frames.faults import exposure, orientation, tears
 from real_frames.page import fill_pages
 from real_frames.sets import SETS, Run
 from real_frames.simulated import simulated
@@ -35,6 +35,7 @@ PARTS: dict[str, Any] = {
     "edges": edges,
     "beyond": beyond,
     "exposure": exposure,
+    "orientation": orientation,
     "tears": tears,
 }
 

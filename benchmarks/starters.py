@@ -24,8 +24,8 @@ from gelform.calibration.report import report_content
 from gelform.calibration.starters import load_starter
 from gelform.calibration.starters.starter import Starter, starter_from_calibration
 from gelform.errors import CalibrationError
-from gelform.result.metrics import score_slopes
 from presses import DATA, data_is_missing, labeled, mini_ball, unlabeled
+from real_frames.beyond import slopes_inside, sure_inner
 from report import command_line, parts_asked, recorded, table, write
 from starters.make import LAYOUT, LIKELY, make, real_unit, simulated_unit, stated
 
@@ -33,7 +33,6 @@ FOLDS, DRAWS = 3, 5
 SIZES = (3, 5, 8, 12, 20)
 FACTORS = (0.5, 0.8, 1.0, 1.2, 1.25, 2.0)
 SETS = ("mini-ball", "mini-d", "digit-ball", "gelslim", "gelslim-dots", "gelsight-ball-deep")
-SURE, INNER_SHARE = 0.3, 0.6  # confidence over which a slope counts as sure; share of the circle
 SHARES = ("within_sigma_percent", "sure_inner_percent")
 SHOWN = (*KEYS, *SHARES)
 UNSEEN = 11  # number of a simulated unit outside the starter
@@ -51,19 +50,9 @@ def judged(calibration: gelform.Calibration, presses: gelform.Presses, edge: flo
     for press in presses.presses:
         result = reconstruct.from_image(press.image)
         rows.append(scored((press, result), press.label, pitch, edge))
-        within.append(_within(result, press, pitch, edge))
+        _, off, _ = slopes_inside(calibration, press, result, edge)
+        within.append(((off <= 1).mean(), sure_inner(result, press)))
     return {**summary(rows), **dict(zip(SHARES, 100 * np.mean(within, axis=0)))}
-
-
-def _within(result: Any, press: Any, pitch: float, edge: float) -> tuple[float, float]:
-    y, x = np.mgrid[: result.shape[0], : result.shape[1]]
-    column, row, radius = press.label
-    ball_px = press.ball_diameter_mm / 2 / pitch
-    away = np.hypot(x - column, y - row)
-    inside = away < min(edge * radius, 0.95 * ball_px)
-    errors = score_slopes(result.gradients[inside], x[inside], y[inside], (column, row), ball_px).errors
-    sure = result.confidence[away < INNER_SHARE * radius] > SURE
-    return float(np.mean(np.abs(errors) < result.gradients_sigma[inside])), float(sure.mean())
 
 
 def units() -> dict[str, Any]:

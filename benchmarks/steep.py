@@ -18,14 +18,13 @@ import numpy as np
 import gelform
 from accuracy.heights import DRAWN, drawn_sensor
 from accuracy.objects import OBJECTS, height_of, usual_presses
-from accuracy.real import EDGES, STEEPEST
-from gelform.result.metrics import score_slopes
+from accuracy.real import EDGES
 from gelform.simulate import LAYOUTS
 from gelform.simulate.presets import gelsight_mini
 from gelform.slopes.confidence import SteepSlopes
 from gelform.slopes.confidence.steep import SHOWN
 from presses import data_is_missing, presses_of, unlabeled
-from real_frames.beyond import CARRIED, INNER
+from real_frames.beyond import CARRIED, INNER, distance, slopes_inside
 from real_frames.edges import SURE
 from real_frames.sets import Run
 from report import command_line, parts_asked, recorded, table, write
@@ -40,19 +39,13 @@ def of_balls(
 ) -> dict[str, float]:
     """Shares (percent) of the slopes inside the edge of labeled presses, of those that are truly steeper than a limit."""
     reconstruct, rows = gelform.Reconstructor(calibration, depth_sigma=False), []
-    y, x = np.mgrid[: calibration.image_shape[0], : calibration.image_shape[1]]
     for press in presses.presses:
         result = reconstruct.from_image(press.image)
-        column, row, radius = press.label
-        ball_px = press.ball_diameter_mm / 2 / calibration.known_mm_per_px
-        away = np.hypot(x - column, y - row)
-        inside = away < min(edge * radius, STEEPEST * ball_px)
-        score = score_slopes(result.gradients[inside], x[inside], y[inside], (column, row), ball_px)
-        errors, sigma = np.abs(score.errors), result.gradients_sigma[inside]
+        true, off, inside = slopes_inside(calibration, press, result, edge)
         sure = result.confidence[inside] > SURE
-        columns = [(errors < k * sigma).mean(axis=1) for k in (1, 2)]
-        columns += [sure, np.where(away[inside] < INNER * radius, sure, np.nan)]
-        rows.append(np.stack(columns, axis=-1)[np.linalg.norm(score.true_gradients, axis=1) >= steeper])
+        inner = distance(result, press.label[:2])[inside] < INNER * press.label[2]
+        columns = [(off < k).mean(axis=1) for k in (1, 2)] + [sure, np.where(inner, sure, np.nan)]
+        rows.append(np.stack(columns, axis=-1)[np.linalg.norm(true, axis=1) >= steeper])
     columns = np.concatenate(rows).T
     known = [one[np.isfinite(one)] for one in columns]
     return {name: float(100 * one.mean()) if one.size else np.nan for name, one in zip(SHARES, known)}

@@ -1,9 +1,12 @@
 """Calibration files: the same after a round trip, refused when damaged, altered or newer."""
 
+import base64
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -118,3 +121,20 @@ def test_a_response_that_does_not_fit_together_is_damage(calibration, tmp_path):
         write_npz(tmp_path / f"{k}.npz", damaged, meta, kind=KIND, version=1, error=CalibrationError)
         with pytest.raises(CalibrationError, match=f"is damaged: {said}"):
             gelform.load_calibration(tmp_path / f"{k}.npz")
+
+
+def test_it_is_shown_in_a_line_and_in_a_notebook_with_its_background(calibration):
+    line = repr(calibration)
+    assert len(line) < 300
+    for part in ("sensor: simulated", "132x176 px", "mm per pixel", f"model: {calibration.color_model.name}"):
+        assert part in line
+    assert f"off by {calibration.held_out['normal_free_deg']:.2g} degrees" in line
+    named = replace(calibration, sensor_name="<b>mine</b>", mm_per_px=None)
+    assert "scale: unknown" in repr(named)
+    shown = named._repr_html_()
+    assert "&lt;b&gt;mine" in shown
+    picture = re.search(r"base64,([^']+)'", shown)[1]
+    pixels = cv2.imdecode(np.frombuffer(base64.b64decode(picture), np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
+    assert pixels.shape == (180, 240, 3)
+    middle = calibration.background.mean(axis=(0, 1))
+    np.testing.assert_allclose(pixels.mean(axis=(0, 1)), middle, atol=1.5)

@@ -160,6 +160,7 @@ def test_frame_times_pass_through(calibration, press):
         (lambda image: np.dstack([image, image[..., 0]]), ValueError, "alpha"),
         (lambda image: image.astype(np.uint16), TypeError, "uint16"),
         (lambda image: image[..., ::-1], gelform.CalibrationError, "is BGR compared"),
+        (lambda image: np.repeat(image[..., :1], 3, axis=2), gelform.CalibrationError, "The image is gray"),
         (lambda image: image[:, ::-1], gelform.CalibrationError, "is mirrored left to right compared"),
         (lambda image: np.rot90(image, -1), gelform.CalibrationError, "turned by 90 degrees clockwise"),
     ],

@@ -1,6 +1,6 @@
 """Parts of accuracy.py: heights of objects with calibrations from balls only, and steep walls.
 
-They use the four layouts, and sensors with random lamps, gel, coating and camera, on which no setting was chosen.
+They use sensors with random lamps, gel, coating and camera, on which no setting was chosen. `objects` has the layouts.
 `quick` takes one sensor and few objects: it checks that the parts run, and gives no figure.
 """
 
@@ -18,7 +18,6 @@ from accuracy.objects import FACE, OBJECTS, SEED, height_of, usual_presses, wall
 from gelform.result.metrics import press_errors
 from gelform.simulate import LAYOUTS, SimulatedSensor, simulate_press
 from gelform.simulate.gel.gel import Gel
-from gelform.simulate.presets import gelsight_mini
 from gelform.simulate.render import exposed
 from gelform.simulate.sensor.coating import Coating
 from gelform.simulate.sensor.sensor import led_row
@@ -61,13 +60,8 @@ def drawn_sensor(seed: int) -> SimulatedSensor:
     return exposed(sensor, (90, 95, 90))
 
 
-def heights(quick: bool) -> dict[str, Any]:
-    """Heights of the eight objects on the four layouts, calibrated on balls only."""
-    return _table(quick, {**LAYOUTS, "gelsight-mini": gelsight_mini()})
-
-
 def heights_drawn(quick: bool) -> dict[str, Any]:
-    """The same on four random sensors, on which no setting was chosen."""
+    """Heights of the eight objects on four random sensors, on which no setting was chosen; calibrated on balls only."""
     return _table(quick, {f"drawn {seed}": drawn_sensor(seed) for seed in DRAWN})
 
 

@@ -77,7 +77,7 @@ def steeper(calibration: gelform.Calibration, presses: Any, edge: float, limit: 
     reconstruct, pixels = gelform.Reconstructor(calibration, depth_sigma=False), []
     for press in presses:
         result = reconstruct.from_image(press.image)
-        true, off, inside = _inside(calibration, press, result, edge)
+        true, off, inside = slopes_inside(calibration, press, result, edge)
         above = np.linalg.norm(true, axis=1) > limit
         sure = result.confidence[inside][above] > SURE
         pixels.append(np.column_stack([(off[above] <= 2).mean(axis=1), sure]))
@@ -90,13 +90,11 @@ def on_balls(calibration: gelform.Calibration, presses: Any, edge: float) -> dic
     reconstruct, rows = gelform.Reconstructor(calibration), []
     for press in presses:
         result = reconstruct.from_image(press.image)
-        _, off, inside = _inside(calibration, press, result, edge)
-        x, y, radius = press.label
-        inner = _away(result, (x, y)) < INNER * radius
+        _, off, inside = slopes_inside(calibration, press, result, edge)
         rows.append(
             [
                 (off <= 1).mean(),
-                (result.confidence[inner] > SURE).mean(),
+                sure_inner(result, press),
                 _cap(calibration, press, result, inside),
             ]
         )
@@ -104,16 +102,22 @@ def on_balls(calibration: gelform.Calibration, presses: Any, edge: float) -> dic
     return {"presses": len(rows), **dict(zip(names, (100 * np.mean(rows, axis=0)).tolist()))}
 
 
-def _inside(
+def slopes_inside(
     calibration: Any, press: Any, result: Any, edge: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """True slopes (N, 2) inside the contact edge, errors over sigma (N, 2), and the pixels' mask (H, W)."""
     x, y, radius = press.label
     ball_px = press.ball_diameter_mm / 2 / calibration.known_mm_per_px
-    inside = _away(result, (x, y)) < min(edge * radius, STEEPEST * ball_px)
+    inside = distance(result, (x, y)) < min(edge * radius, STEEPEST * ball_px)
     rows, columns = np.nonzero(inside)
     score = score_slopes(result.gradients[inside], columns, rows, (x, y), ball_px)
     return score.true_gradients, np.abs(score.errors) / result.gradients_sigma[inside], inside
+
+
+def sure_inner(result: Any, press: Any) -> float:
+    """Share of sure pixels in the inner part of the visible circle."""
+    x, y, radius = press.label
+    return float((result.confidence[distance(result, (x, y)) < INNER * radius] > SURE).mean())
 
 
 def _cap(calibration: Any, press: Any, result: Any, inside: np.ndarray) -> bool:
@@ -122,12 +126,13 @@ def _cap(calibration: Any, press: Any, result: Any, inside: np.ndarray) -> bool:
     ball_px, radius = press.ball_diameter_mm / 2 / pitch, float(np.sqrt(inside.sum() / np.pi))
     rows, columns = np.nonzero(inside)
     center = ball_center(result.gradients[inside], columns, rows, press.label[:2], ball_px)
-    away = _away(result, center)
+    away = distance(result, center)
     off = result.depth_mm - pitch * np.sqrt(np.maximum(ball_px**2 - away**2, 0))
     top, rim = away < TOP * radius, np.abs(away - radius) < RIM_PX
     return bool(abs(off[top].mean() - off[rim].mean()) < result.depth_sigma_mm[top].mean())
 
 
-def _away(result: Any, center: Any) -> np.ndarray:
+def distance(result: Any, center: Any) -> np.ndarray:
+    """Distance of each pixel (H, W) from a place (x, y), px."""
     y, x = np.mgrid[: result.shape[0], : result.shape[1]]
     return np.hypot(x - center[0], y - center[1])

@@ -1,4 +1,4 @@
-"""Parts of real_frames.py: frames of another exposure, and torn frames."""
+"""Parts of real_frames.py: frames of another exposure, turned, mirrored and BGR ones, and torn ones."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 import gelform
+from gelform.image.background.orientation import READINGS, Orientation, orientation_from_image
 from gelform.image.health import FrameHealth
 from presses import DATA
 from real_frames.contacts import OBJECTS, UNTOUCHED
@@ -49,6 +50,34 @@ def _moved(reconstruct: gelform.Reconstructor, image: np.ndarray) -> list[tuple[
         off = 100 / peak * np.abs(reconstruct.from_image(other).depth_mm - depth)
         changes.append((float(np.median(off[depth > DEEP * peak])), float(off.max())))
     return changes
+
+
+def orientation(run: Run) -> dict[str, Any]:
+    """Presses in all sixteen readings against their set's background: named rightly, wrongly, or not at all."""
+    figures: dict[str, Any] = {}
+    for name in run.sets:
+        presses, found = run.presses(name), []
+        for press in run.some(presses.presses):
+            found += [
+                (one, orientation_from_image(lying(press.image, one), presses.background)) for one in READINGS
+            ]
+        right = [named == one for one, named in found]
+        wrong = [named not in (one, None) for one, named in found]
+        figures[name] = {"frames": len(found), "rightly, %": percent(right), "wrongly": sum(wrong)}
+    print(
+        "\n"
+        + table(
+            ["16 readings", *next(iter(figures.values()))], [[k, *v.values()] for k, v in figures.items()]
+        )
+    )
+    return figures
+
+
+def lying(image: np.ndarray, reading: Orientation) -> np.ndarray:
+    """The image that a reading turns into the given one."""
+    other = image[:: -1 if "y" in reading.flip else 1, :: -1 if "x" in reading.flip else 1]
+    other = other.transpose(1, 0, 2) if reading.transposed else other
+    return np.ascontiguousarray(other[..., ::-1] if reading.reversed else other)
 
 
 def tears(run: Run) -> dict[str, Any]:

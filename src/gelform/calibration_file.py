@@ -8,6 +8,7 @@ from functools import cached_property
 from os import PathLike
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,8 +23,10 @@ from gelform.foundations.checks import (
 )
 from gelform.foundations.findings import Finding
 from gelform.foundations.npz_files import digest_of, kind_of_npz, read_npz, write_npz
+from gelform.foundations.pictures import picture_bytes, shown_in_notebook
 from gelform.image.background.change import ChangeSettings
 from gelform.image.background.check import background_digest
+from gelform.image.frame import as_levels
 from gelform.image.view import View
 from gelform.slopes.color_models import COLOR_MODELS, IMPORTED_MODELS, ColorModel, ForwardResponse
 from gelform.slopes.confidence import SlopeSigma
@@ -31,6 +34,7 @@ from gelform.slopes.confidence import SlopeSigma
 KIND = "gelform calibration"
 FORMAT_VERSION = 1
 MAX_BYTES = 512 * 2**20
+SHOWN_PX = 240  # width of the background image in a notebook
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +98,7 @@ class CalibrationSettings(Mapping[str, Any]):
 _SETTING_NAMES = [entry.name for entry in fields(CalibrationSettings) if entry.name != "others"]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Calibration:
     """A calibration of one sensor with one gel; it fits no other.
 
@@ -138,11 +142,39 @@ class Calibration:
     settings: CalibrationSettings
     library_version: str
     created_utc: str
-    report: Any = field(default=None, repr=False)
+    report: Any = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.settings, CalibrationSettings):
             object.__setattr__(self, "settings", CalibrationSettings.from_dict(self.settings))
+
+    def __repr__(self) -> str:
+        return f"Calibration({', '.join(f'{name}: {value}' for name, value in self._figures().items())})"
+
+    def _repr_html_(self) -> str:
+        """A notebook's view of the calibration: its background image and its figures; nothing is fetched."""
+        findings = ((finding.name, finding.message) for finding in self.findings)
+        height, width = self.image_shape
+        size = SHOWN_PX, max(1, round(SHOWN_PX * height / width))
+        picture = cv2.resize(as_levels(self.background), size, interpolation=cv2.INTER_AREA)
+        return shown_in_notebook("background", picture_bytes(picture), (*self._figures().items(), *findings))
+
+    def _figures(self) -> dict[str, str]:
+        height, width = self.image_shape
+        scale = "unknown" if self.mm_per_px is None else f"{self.mm_per_px:.4g} mm per pixel"
+        figures = {
+            "sensor": " ".join(filter(None, (self.sensor_name, self.serial, self.gel_id))),
+            "size": f"{height}x{width} px",
+            "scale": scale,
+            "color model": self.color_model.name,
+        }
+        if self.settings.presses is not None:
+            figures["presses"] = str(self.settings.presses)
+        if (degrees := self.held_out.get("normal_free_deg")) is not None:
+            figures["new presses"] = f"normals off by {degrees:.2g} degrees"
+        if self.settings.starter is not None:
+            figures["starter"] = f"made on other units, slopes off by {100 * self.unit_spread:.0f} %"
+        return {**figures, "created": self.created_utc[:10]}
 
     @cached_property
     def digest(self) -> str:

@@ -50,6 +50,7 @@ def known(calibration):
 
 @pytest.mark.parametrize("factor", [1.0, 2.0, 1.25, 0.8])
 def test_a_wrong_diameter_is_read_by_another_unit_s_model(presses, known, factor):
+    presses = presses.subset(range(8))
     readings = ball_readings(locate(stated(presses, factor)), known)
     right = sorted({one.ball_diameter_mm for one in presses.presses})
     assert sorted(one.read_mm for one in readings) == pytest.approx(right, rel=0.06)
@@ -142,4 +143,4 @@ def test_a_starter_is_not_offered_to_the_presses_that_it_was_made_from(data):
 
 def test_where_no_press_fits_the_error_says_what_they_look_like(presses, calibration):
     with pytest.raises(CalibrationError, match="look like a ball of"):
-        gelform.calibrate(stated(presses, 0.3), start=calibration)
+        gelform.calibrate(stated(presses.subset(range(5)), 0.3), start=calibration)

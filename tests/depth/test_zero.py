@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gelform.depth.zero import fitted_surface, median_over, zero_depth, zero_region
+from gelform.depth.zero import fitted_surface, median_over, zero_region
 
 
 def test_regions_by_name_and_by_map():
@@ -16,19 +16,6 @@ def test_regions_by_name_and_by_map():
     np.testing.assert_array_equal(zero_region(own, (4, 4)), own)
     with pytest.raises(ValueError, match="'mean', 'border' or a boolean"):
         zero_region("middle", (4, 4))
-
-
-def test_the_zero_of_an_island():
-    depth = np.arange(20, dtype=np.float32).reshape(4, 5)
-    depth[0, 0] = 100
-    island = np.zeros((4, 5), dtype=bool)
-    island[:2] = True
-    everywhere, nowhere = np.ones_like(island), ~island
-    assert zero_depth(depth, "mean", everywhere, island) == pytest.approx(depth[:2].mean())
-    assert zero_depth(depth, "border", everywhere, island) == np.median(depth[:2]), (
-        "an outlier does not count"
-    )
-    assert zero_depth(depth, nowhere, nowhere, island) == pytest.approx(depth[:2].mean())
 
 
 def test_the_median_of_a_large_region_is_nearly_that_of_all():

@@ -32,16 +32,13 @@ def test_contacts_are_those_of_the_mask_largest_first(result):
     assert replace(result, contact=np.zeros_like(result.contact)).contacts == ()
 
 
-def test_without_a_scale_contacts_have_no_millimeters(result):
+def test_contacts_are_counted_and_without_a_scale_have_no_millimeters(result):
+    assert "contacts: 2 of 0.1 mm^2 together" in repr(result)
+    assert "contacts: none" in repr(replace(result, contact=np.zeros_like(result.contact)))
     bare = replace(result, mm_per_px=None, mm_per_px_sigma=None)
     assert bare.contacts[0].area_px == 24
     assert bare.contacts[0].area_mm2 is bare.contacts[0].deepest_mm is None
     assert "contacts: 2 of 30 px together" in repr(bare)
-
-
-def test_the_contacts_are_counted_where_it_shows_itself(result):
-    assert "contacts: 2 of 0.1 mm^2 together" in repr(result)
-    assert "contacts: none" in repr(replace(result, contact=np.zeros_like(result.contact)))
 
 
 def test_parts_of_other_shapes_are_refused(result):
@@ -55,12 +52,9 @@ def test_parts_of_other_shapes_are_refused(result):
         replace(result, depth=result.depth_mm[None])
 
 
-def test_a_loaded_result_has_no_difference_sigma_and_says_why(result):
+def test_differences_are_of_the_contact_unless_a_region_is_given(result):
     with pytest.raises(GelformError, match="is not saved"):
         result.depth_difference_sigma()
-
-
-def test_differences_are_of_the_contact_unless_a_region_is_given(result):
     asked = []
     fresh = replace(result, difference_source=asked.append)
     fresh.depth_difference_sigma()

@@ -1,6 +1,8 @@
 """Images, background images and sensor settings from files."""
 
 import shutil
+import struct
+import zlib
 
 import cv2
 import numpy as np
@@ -66,6 +68,22 @@ def test_other_images_are_refused_with_what_they_are(tmp_path, picture):
     ):
         with pytest.raises(DataError, match=said):
             read_image(write(tmp_path / "image.png", pixels))
+
+
+def test_an_opaque_alpha_channel_is_left_out_and_a_palette_refused(tmp_path, picture):
+    opaque = np.dstack([picture, np.full(picture.shape[:2], 255, np.uint8)])
+    path = write(tmp_path / "opaque.png", opaque)
+    np.testing.assert_array_equal(read_image(path), picture[..., ::-1])
+    rows = b"".join(b"\0" + bytes(range(4)) for _ in range(3))
+    parts = [(b"IHDR", struct.pack(">IIBBBBB", 4, 3, 8, 3, 0, 0, 0)), (b"PLTE", bytes(range(12)))]
+    parts += [(b"IDAT", zlib.compress(rows)), (b"IEND", b"")]
+    chunks = (
+        struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
+        for name, data in parts
+    )
+    (tmp_path / "palette.png").write_bytes(b"\x89PNG\r\n\x1a\n" + b"".join(chunks))
+    with pytest.raises(DataError, match=r"got a palette of up to 256 colors.*full color"):
+        read_image(tmp_path / "palette.png")
 
 
 def test_what_is_no_image_is_refused_and_a_recording_told_where_to_go(tmp_path):

@@ -66,11 +66,6 @@ def test_one_light_on_a_plane_is_lamberts_law(slope_x, slope_y):
     assert np.all(levels[..., 1:] == 0)
 
 
-def test_lights_add_up():
-    apart = sum(exact(sensor_with(led)).image for led in LEDS)
-    np.testing.assert_allclose(exact(sensor_with(*LEDS)).image, apart, rtol=1e-12, atol=1e-15)
-
-
 def test_no_light_from_behind():
     sensor = sensor_with(Led((20, 0, 2), WHITE))
     x, y = sensor.grid_mm()

@@ -67,6 +67,14 @@ def test_lights_need_normals_that_span_space():
         lights_from_normals(image_from_normals(flat, LIGHTS), flat)
 
 
+def test_three_normals_determine_the_lights():
+    normals = np.array([[0.0, 0.0, 1.0], [0.2, 0.1, 1.0], [-0.1, 0.3, 1.0]])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    np.testing.assert_allclose(
+        lights_from_normals(image_from_normals(normals, LIGHTS), normals), LIGHTS, atol=1e-4
+    )
+
+
 def test_slightly_curved_is_enough_but_rounding_is_not():
     """A tolerance in proportion to the length of a column: the same for few pixels and for many."""
     rng = np.random.default_rng(0)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import base64
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -16,7 +15,7 @@ from gelform.depth.contact import Contact, contacts_from_mask
 from gelform.errors import GelformError
 from gelform.foundations.checks import check_mask, check_mm_per_px
 from gelform.foundations.findings import Finding
-from gelform.foundations.pictures import picture_bytes
+from gelform.foundations.pictures import picture_bytes, shown_in_notebook
 from gelform.image.markers import MarkerFlow
 from gelform.result.maps import BESIDE_DEPTH
 from gelform.slopes.normals import normals_from_gradients
@@ -198,7 +197,8 @@ class Reconstruction:
     def _repr_html_(self) -> str:
         """A notebook's view of the result: a small picture of the depth and its figures; nothing is fetched."""
         findings = ((finding.name, finding.message) for finding in self.health)
-        return _shown_in_notebook(self.depth, self.known, (*self._figures().items(), *findings))
+        rows = (*self._figures().items(), *findings)
+        return shown_in_notebook("depth", _depth_png(self.depth, self.known), rows)
 
     def _figures(self) -> dict[str, str]:
         height, width = self.shape
@@ -223,23 +223,6 @@ class Reconstruction:
 
 def _counted(area: float, unit: str, count: int) -> str:
     return f"{count} of {area} {unit}" + (" together" if count > 1 else "") if count else "none"
-
-
-def _shown_in_notebook(
-    depth: NDArray[np.float32], known: NDArray[np.bool_], rows: Iterable[tuple[str, str]]
-) -> str:
-    """HTML of a depth map (H, W), its known pixels, and a table of (name, text); it fetches nothing from outside."""
-    import html  # importing its table of characters takes longer than a frame
-
-    picture = base64.b64encode(_depth_png(depth, known)).decode("ascii")
-    cells = "".join(
-        f"<tr><th style='text-align:left'>{html.escape(name)}</th><td>{html.escape(text)}</td></tr>"
-        for name, text in rows
-    )
-    return (
-        "<div style='display:flex;gap:1em;align-items:flex-start'>"
-        f"<img alt='depth' src='data:image/png;base64,{picture}'/><table>{cells}</table></div>"
-    )
 
 
 def _depth_png(depth: NDArray[np.float32], known: NDArray[np.bool_]) -> bytes:

@@ -35,6 +35,10 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
+PNG_KIND, PNG_PALETTE = (
+    25,
+    3,
+)  # place of the kind of color in a PNG, and the kind of a palette (PNG specification, IHDR)
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm")
 
 
@@ -82,7 +86,7 @@ def read_image(path: str | Path) -> NDArray[np.uint8]:
     Raises
     ------
     DataError
-        The file is missing, unreadable, truncated or damaged, gray, 16-bit, or has an alpha channel; the
+        The file is missing, unreadable, truncated or damaged, gray, 16-bit, of a palette, or transparent; the
         message says which and what to do.
     """
     path = check_path(path)
@@ -101,10 +105,17 @@ def read_image(path: str | Path) -> NDArray[np.uint8]:
             f"Expected a color image, got a gray one: {path}. Three lights need three channels: save the "
             "camera's color frames."
         )
+    if pixels.shape[2] == 4 and (pixels[..., 3] == 255).all():
+        pixels = pixels[..., :3]
     if pixels.shape[2] != 3:
         raise DataError(
             f"Expected an image of three channels, got {pixels.shape[2]} (an alpha channel?): {path}. "
             "Save it without transparency."
+        )
+    if content.startswith(PNG) and content[PNG_KIND] == PNG_PALETTE:
+        raise DataError(
+            f"Expected 8 bits for each of red, green and blue, got a palette of up to 256 colors: {path}. Slopes are read "
+            "from small differences of color, which a palette rounds away. Save the camera's frames in full color."
         )
     return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB), dtype=np.uint8)
 

@@ -16,10 +16,6 @@ from gelform.image.frame import Frame
 from gelform.sensors.source import Source, open_source
 
 STALL_S = 0.5  # s without a frame until "reconnecting"; robots' recorders give up after as long
-FIRST_WAIT_S, WAIT_GROWTH, LONGEST_WAIT_S = 0.02, 1.5, 0.12  # s: waits between attempts to reopen
-AGAIN_S = 0.25  # s, timeout of reconnecting to a host that answered before; one that is off does not refuse
-MAX_KEPT = 1_000_000  # frames that are held at most
-RATE_FRAMES = 60  # frames over which the rate is measured
 
 
 @dataclass(frozen=True)
@@ -70,14 +66,15 @@ class Grabber:
         keep: int = 1,
         stall_s: float = STALL_S,
     ) -> None:
-        check_within(keep, "keep", 1, MAX_KEPT)
+        check_within(keep, "keep", 1, 1_000_000)
         self._open = source if callable(source) else partial(open_source, source)
-        self._open_again = source if callable(source) else partial(open_source, source, timeout_s=AGAIN_S)
+        # A host that answered before does so in a quarter of a second; one that is off does not refuse.
+        self._open_again = source if callable(source) else partial(open_source, source, timeout_s=0.25)
         self._finds_serials = not callable(source)
         self._stall_s = stall_s
         self._changed = threading.Condition()
         self._held: deque[Frame] = deque(maxlen=int(keep))
-        self._times_s: deque[float] = deque(maxlen=RATE_FRAMES)
+        self._times_s: deque[float] = deque(maxlen=60)
         self._state, self._reason = "starting", ""
         self._stats = GrabberStats()
         self._asked = -1  # index of the last frame that a consumer received
@@ -236,9 +233,9 @@ class Grabber:
 
     def _reopen(self) -> None:
         """Reopen the source as soon as it is available."""
-        wait_s, lost = FIRST_WAIT_S, self.source
+        wait_s, lost = 0.02, self.source
         while not self._stop.wait(wait_s):
-            wait_s = min(wait_s * WAIT_GROWTH, LONGEST_WAIT_S)
+            wait_s = min(1.5 * wait_s, 0.12)
             source = self._found_again(lost)
             if source is None:
                 continue

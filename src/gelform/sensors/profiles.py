@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from gelform.image.view import View
     from gelform.simulate.sensor.sensor import SimulatedSensor
 
-MAX_ASPECT_ERROR = 0.01  # relative error of the pixels' aspect ratio: 1 % from square
-
 
 @dataclass(frozen=True)
 class SensorProfile:
@@ -64,7 +62,7 @@ class SensorProfile:
         if frame_shape == image_shape:
             return View()
         aspect = (width / image_shape[1]) / (height / image_shape[0])
-        if abs(aspect - 1) > MAX_ASPECT_ERROR:
+        if abs(aspect - 1) > 0.01:
             raise SensorError(
                 f"Expected frames of a {self.name} with the aspect of {image_shape[0]}x{image_shape[1]} px "
                 f"(height x width), got {height}x{width}. Choose another camera mode, or give a crop: "

@@ -17,7 +17,6 @@ from gelform.image.frame import Frame
 
 VIDEO_SUFFIXES = (".avi", ".mp4", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv")
 USUAL_RATE_HZ = 25.0  # usual rate of videos and images without time stamps
-COMPLETE_FRACTION = 0.9  # of the declared frames: containers may declare a few too many
 
 
 @dataclass(frozen=True)
@@ -78,7 +77,7 @@ class Video:
             capture.release()
         if index == 0:
             raise DataError(f"{self.path} has no frame that can be decoded. Record it again, as AVI or MP4.")
-        if index < COMPLETE_FRACTION * self.facts.count:
+        if index < 0.9 * self.facts.count:  # containers may declare a few too many
             raise DataError(
                 f"{self.path} ends after {index} of {self.facts.count} frames: truncated or damaged. "
                 "Copy or record it again."

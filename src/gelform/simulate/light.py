@@ -14,14 +14,11 @@ from gelform.simulate.gel.gel import Surface
 from gelform.simulate.sensor.coating import Coating
 from gelform.simulate.sensor.sensor import Led
 
-BLOCK_SAMPLES = 1 << 14  # samples of the surface at once in numpy; they fit the processor's cache
-
 _irradiance = Kernel(
     "irradiance",
     "f64[w] x, f64[h] y, f64[h,w] z, f64[h,w,2] gradients, f32[h,w,2]? texture, f32[lights,10] leds, "
     "f32[lights,rows,columns]? visible, out f32[rows,columns,3] out, f32 specular, i32 doublings, i32 oversample",
 )
-SHARPEST = 1e-4  # samples, the penumbra of a light without size
 
 _visible_lights = Kernel(
     "visible_lights",
@@ -73,7 +70,7 @@ def irradiance_from_surface(
         _irradiance(x, y, z, gradients, texture, table, visible, out, specular, doublings, oversample)
         return out
     out = np.empty((height, width, 3), dtype=dtype)
-    rows = max(1, BLOCK_SAMPLES // (surface.depth_mm.shape[1] * oversample))
+    rows = max(1, 2**14 // (surface.depth_mm.shape[1] * oversample))  # samples that fit the processor's cache
     for first in range(0, height, rows):
         at = slice(first, first + rows)
         fine = slice(first * oversample, (first + rows) * oversample)
@@ -140,7 +137,7 @@ def visible_from_surface(surface: Surface, leds: tuple[Led, ...]) -> NDArray[np.
     table[:, 0] = (table[:, 0] - surface.x_mm[0, 0]) / pitch
     table[:, 1] = (table[:, 1] - surface.y_mm[0, 0]) / pitch
     visible = np.ones((len(leds), *depth.shape), dtype=np.float32)
-    hidden = _visible_lights(depth, table, _reach(table, depth.shape, top), visible, top, SHARPEST * pitch)
+    hidden = _visible_lights(depth, table, _reach(table, depth.shape, top), visible, top, 1e-4 * pitch)
     return visible if hidden else None
 
 

@@ -19,9 +19,6 @@ from gelform.simulate.render import simulate_background
 from gelform.simulate.sensor.sensor import SimulatedSensor
 
 RIM_SLOPES = (0.5, 0.95)  # mm/mm at the contact's rim, as when a hand presses a GelSight
-SMALLEST_BALL_PX = 4.0  # px, diameter; the contact of its flattest press is 1.8 px wide
-# mm, and halvings of the interval in the search for the largest ball, to 1e-9 mm.
-MAX_BALL_MM, HALVINGS = 1000.0, 40
 
 
 @dataclass(frozen=True)
@@ -62,7 +59,7 @@ def simulate_ball_presses(
 
 def check_balls(sensor: SimulatedSensor, ball_diameters_mm: Sequence[float]) -> None:
     """Refuse (ValueError) balls whose contact is no pixel wide, or that go through the gel; the message has the range."""
-    smallest, largest = SMALLEST_BALL_PX * sensor.mm_per_px, largest_ball_mm(sensor)
+    smallest, largest = 4 * sensor.mm_per_px, largest_ball_mm(sensor)  # the flattest contact is 1.8 px wide
     for diameter in ball_diameters_mm:
         if not smallest <= diameter <= largest:
             raise ValueError(
@@ -74,8 +71,8 @@ def check_balls(sensor: SimulatedSensor, ball_diameters_mm: Sequence[float]) -> 
 
 def largest_ball_mm(sensor: SimulatedSensor) -> float:
     """Diameter, mm, of the largest ball whose deepest press in a set stays within the gel; at most 1000."""
-    low, high = 0.0, MAX_BALL_MM
-    for _ in range(HALVINGS):
+    low, high = 0.0, 1000.0
+    for _ in range(40):  # halvings of the interval, to 1e-9 mm
         middle = (low + high) / 2
         deep = _depth(sensor, middle / 2, RIM_SLOPES[1]) >= sensor.gel.thickness_mm
         low, high = (low, middle) if deep else (middle, high)

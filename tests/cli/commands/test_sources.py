@@ -16,7 +16,6 @@ from gelform.calibration_file import load_calibration
 from gelform.cli.commands.sources import single_keys
 from gelform.errors import DataError
 from gelform.sensors.cameras import camera, usb
-from gelform.sensors.cameras import survey as surveyed
 from gelform.sensors.cameras.camera import Camera
 from gelform.sensors.files import read_image, read_sensor_toml
 from gelform.sensors.recordings.mcap_reader import mcap_summary
@@ -24,6 +23,7 @@ from gelform.sensors.source import open_source
 from live_waiting import until
 from made.capture import Capture
 from made.mjpeg_server import MjpegServer, jpeg, part
+from made.recorded import camera as frames_of
 
 termios = pytest.importorskip("termios", reason="no POSIX terminal here")
 
@@ -80,7 +80,7 @@ def test_a_camera_with_its_measured_rate(run, run_json, plugged_in, monkeypatch,
     path.write_text("")
     plugged_in(Camera("DIGIT", str(path), "D1", "2833:0209", "/dev/v4l/by-path/p4", "digit"))
     monkeypatch.setattr(usb, "_opened", lambda _: Capture([IMAGE] * 1000))
-    monkeypatch.setattr(surveyed, "MEASURED_S", 0.02)
+    monkeypatch.setattr("gelform.cli.commands.sources.MEASURED_S", 0.02)
     (found,) = run_json("cameras")["cameras"]
     assert (found["serial"], found["sensor"], found["problem"]) == ("D1", "digit", None)
     assert found["rate_hz"] > 0
@@ -90,6 +90,17 @@ def test_a_camera_with_its_measured_rate(run, run_json, plugged_in, monkeypatch,
         assert said in out
 
 
+def test_a_camera_that_gives_nothing(run_json, plugged_in, monkeypatch):
+    plugged_in(Camera("a camera", "/dev/none", "S1"))
+    monkeypatch.setattr(usb, "UsbCamera", lambda _: frames_of(0)())
+    monkeypatch.setattr("gelform.cli.commands.sources.FIRST_S", 0.05)
+    (found,) = run_json("cameras")["cameras"]
+    assert (found["problem"], found["settings"]) == ("it opens, but gives no frame", {"gain": 3.0})
+    monkeypatch.setattr(usb, "UsbCamera", lambda _: pytest.fail("opened"))
+    (found,) = run_json("cameras", "--no-measure")["cameras"]
+    assert (found["rate_hz"], found["problem"]) == (None, None)
+
+
 def test_what_cannot_be_opened_says_why_and_the_others_are_listed(run, run_json, plugged_in, tmp_path):
     gone = Camera("DIGIT", str(tmp_path / "video0"), "D1")
     plugged_in(gone, Camera("GelSight", str(tmp_path / "video2"), "S1"))
@@ -97,7 +108,6 @@ def test_what_cannot_be_opened_says_why_and_the_others_are_listed(run, run_json,
     assert code == 0
     assert "GelSight" in out
     assert err.count("unplugged") == 2
-    assert run_json("cameras", "--no-measure")["cameras"][0]["problem"] is None
 
 
 def jpeg_of(image):

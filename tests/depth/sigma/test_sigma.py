@@ -167,7 +167,7 @@ def test_threads_share_a_prepared_one():
 def test_default_probes_meet_monte_carlo():
     """What the frame of a Reconstructor gets: anchored off a contact, correlated errors, 32 probes."""
     sigma, weights, anchor = uneven()
-    expected = monte_carlo(sigma, 10, 0.5, weights=weights, anchor=anchor)
+    expected = monte_carlo(sigma, 10, 0.5, count=250, weights=weights, anchor=anchor)
     prepared = DepthSigma(SHAPE, mm_per_px=PITCH, correlation_px=10)
     off = deviation(prepared(sigma, weights=weights, anchor=anchor), expected)
     assert np.median(off) < 0.1

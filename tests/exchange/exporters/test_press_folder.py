@@ -173,6 +173,24 @@ def test_a_set_is_what_simulate_ball_presses_makes_and_is_read_like_a_real_one(t
         assert read.label == pytest.approx((*press.center_px, press.contact_radius_px), abs=1e-3)
 
 
+def test_sets_that_cannot_be_are_refused_and_an_interrupted_one_leaves_nothing(tmp_path):
+    for change, message in (
+        ({"count": 0}, "count >= 1"),
+        ({"ball_diameters_mm": ()}, "a ball"),
+        ({"seed": -1}, "seed >= 0"),
+        ({"ball_diameters_mm": (60.0,)}, r"to 18\.5 mm, got 60"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            replace(SET, **change)
+
+    def interrupted(done, total, what):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        save_simulated_set(tmp_path / "half", SET, progress=interrupted)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_the_parameters_make_the_set_again(tmp_path):
     folder = save_simulated_set(tmp_path / "set", SET)
     said = json.loads((folder / "parameters.json").read_text())
@@ -190,27 +208,3 @@ def test_the_parameters_make_the_set_again(tmp_path):
     assert meta["depth_mm"] == press.press_depth_mm
     assert (meta["number"], meta["seed"]) == (3, 11)
     assert meta["tilt_deg"] == [0, 0]
-
-
-def test_a_folder_with_content_is_refused_and_a_failure_leaves_nothing(tmp_path):
-    (tmp_path / "full").mkdir()
-    (tmp_path / "full/mine.txt").write_text("mine")
-    with pytest.raises(DataError, match="holds something"):
-        save_simulated_set(tmp_path / "full", SET)
-    for change, message in (
-        ({"count": 0}, "count >= 1"),
-        ({"ball_diameters_mm": ()}, "a ball"),
-        ({"seed": -1}, "seed >= 0"),
-        ({"ball_diameters_mm": (60.0,)}, r"to 18\.5 mm, got 60"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            replace(SET, **change)
-    with pytest.raises(DataError, match="holds something"):
-        save_simulated_press(tmp_path / "full", SENSOR, Coin(), depth_mm=0.3)
-
-    def interrupted(done, total, what):
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        save_simulated_set(tmp_path / "half", SET, progress=interrupted)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["full"]

@@ -97,13 +97,6 @@ def test_the_image_shows_what_the_points_say(view):
     assert np.abs(image[rows.ravel(), columns.ravel(), 0][inside] - expected).max() < 1.2
 
 
-def test_settings_come_back():
-    view = VIEWS[2]
-    assert View.from_dict(view.to_dict()) == view
-    assert hash(View.from_dict(view.to_dict())) == hash(view)
-    assert not view.is_identity
-
-
 @pytest.mark.parametrize(
     ("given", "text"),
     [

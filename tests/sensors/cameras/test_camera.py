@@ -1,4 +1,4 @@
-"""Cameras as Linux lists them, the choice among several, their measured rate, their settings."""
+"""Cameras as Linux lists them, the choice among several, their settings."""
 
 import os
 import shutil
@@ -9,7 +9,6 @@ import cv2
 import pytest
 
 from gelform.errors import SensorError
-from gelform.sensors.cameras import survey as surveyed
 from gelform.sensors.cameras.camera import (
     Camera,
     camera_named,
@@ -25,9 +24,7 @@ from gelform.sensors.cameras.settings import (
     set_controls,
     settings_mismatch,
 )
-from gelform.sensors.cameras.survey import survey_of
 from made.capture import Capture
-from made.recorded import camera as frames_of
 from made.sysfs import DIGIT, MINI, plug_in
 
 linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs Linux's files")
@@ -138,27 +135,6 @@ def test_a_camera_that_is_not_listed_opens_by_its_path():
         assert camera_named(path, []).path == path
     finally:
         os.unlink(path)
-
-
-CAMERA = Camera("a camera", "/dev/none", "S1")
-
-
-def test_the_rate_is_measured(monkeypatch):
-    monkeypatch.setattr(surveyed, "UsbCamera", lambda _: frames_of(200)())
-    monkeypatch.setattr(surveyed, "MEASURED_S", 0.2)
-    found = survey_of(CAMERA)
-    assert 20 < found.rate_hz < 60  # 50, less where the machine has no time
-    assert (found.settings, found.problem) == ({"gain": 3.0}, "")
-    monkeypatch.setattr(surveyed, "UsbCamera", lambda _: pytest.fail("opened"))
-    found = survey_of(CAMERA, measure=False)
-    assert (found.rate_hz, found.problem) == (None, "")
-
-
-def test_why_it_does_not_open_or_gives_nothing(monkeypatch):
-    assert "not there any more" in survey_of(CAMERA).problem
-    monkeypatch.setattr(surveyed, "FIRST_S", 0.05)
-    monkeypatch.setattr(surveyed, "UsbCamera", lambda _: frames_of(0)())
-    assert "no frame" in survey_of(CAMERA).problem
 
 
 def test_what_is_set_is_read_back_automatics_go_off_and_the_rest_stays():

@@ -73,6 +73,13 @@ def test_what_a_killed_recorder_wrote_is_read_up_to_the_last_second(tmp_path):
     assert seconds < 1.0
 
 
+def test_without_the_extra_it_is_named_and_nothing_is_written(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "mcap.writer", None)
+    with pytest.raises(DataError, match=r'An MCAP file needs the extra mcap: pip install "gelform\[mcap\]"'):
+        McapRecording(tmp_path / "a.mcap", RecordingFacts("camera"))
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_file_that_is_there_is_kept(tmp_path):
     (tmp_path / "a.mcap").write_text("mine")
     with pytest.raises(DataError, match="there already"):

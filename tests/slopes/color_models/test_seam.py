@@ -1,11 +1,13 @@
 """The seam, asked of every model in COLOR_MODELS: no change no slope, frames equal pixels, saved arrays, variants."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
 from gelform.slopes.color_models import COLOR_MODELS, IMPORTED_MODELS
 from gelform.slopes.color_models.seam import check_image_shape
-from made.color_samples import SHAPE, ball_samples, lambertian_change, shading_change
+from made.color_samples import SHAPE, ball_samples, shading_change
 
 
 def fitted(name, samples, **settings):
@@ -16,9 +18,15 @@ def fitted(name, samples, **settings):
     return COLOR_MODELS[name].fit(samples, **settings)
 
 
+@cache
+def model_of(name):
+    """Fitted to lights that turn over the image; once for all tests."""
+    return fitted(name, ball_samples(shading_change))
+
+
 @pytest.mark.parametrize("name", COLOR_MODELS)
 def test_no_color_change_means_no_slope(name):
-    model = fitted(name, ball_samples(lambertian_change))
+    model = model_of(name)
     prepared = model.prepare(np.full((*SHAPE, 3), 100, np.float32), SHAPE)
     gradients, _ = prepared.gradients_from_color(np.zeros((*SHAPE, 3), dtype=np.float32))
     np.testing.assert_allclose(gradients, 0, atol=1e-6)
@@ -26,7 +34,7 @@ def test_no_color_change_means_no_slope(name):
 
 @pytest.mark.parametrize("name", COLOR_MODELS)
 def test_a_frame_equals_its_pixels_one_by_one(name):
-    model = fitted(name, ball_samples(shading_change))
+    model = model_of(name)
     change = np.random.default_rng(1).uniform(-0.3, 0.3, (*SHAPE, 3)).astype(np.float32)
     frame, _ = model.prepare(np.full((*SHAPE, 3), 100, np.float32), SHAPE).gradients_from_color(change)
     y, x = (axis.ravel() for axis in np.mgrid[: SHAPE[0], : SHAPE[1]])
@@ -36,7 +44,7 @@ def test_a_frame_equals_its_pixels_one_by_one(name):
 
 @pytest.mark.parametrize("name", COLOR_MODELS)
 def test_saved_arrays_give_the_same_model(name):
-    model = fitted(name, ball_samples(shading_change))
+    model = model_of(name)
     again = COLOR_MODELS[name].from_arrays(*model.to_arrays())
     samples = ball_samples(shading_change, seed=2)
     for a, b in zip(
@@ -66,9 +74,8 @@ def test_models_are_listed_under_their_own_names():
     "name", [name for name in COLOR_MODELS if name != "lambertian"]
 )  # one law everywhere
 def test_images_of_another_size_are_refused(name):
-    model = fitted(name, ball_samples(shading_change, count=600))
     with pytest.raises(ValueError, match="as calibrated, got 10x10"):
-        model.prepare(np.zeros((10, 10, 3)), (10, 10))
+        model_of(name).prepare(np.zeros((10, 10, 3)), (10, 10))
     check_image_shape((48, 64), (48, 64))
     with pytest.raises(ValueError, match="Expected images of 48x64 px, as imported, got 64x48"):
         check_image_shape((64, 48), (48, 64), made="imported")

@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-LONGEST_ARROW = 50.0  # px
 SHARE_RIGHT, SHARE_FAIR = (60, 76), (45, 90)  # % within one sigma; 68 is right
 Ticks = Sequence[float] | NDArray[Any]
 
@@ -139,5 +138,5 @@ def scale_of_errors(errors: dict[str, Any]) -> float:
 def arrow(cell: Cell, mean: Sequence[float], limit: float) -> tuple[float, float]:
     """The end (x, y) of the arrow of a mean error, from the cell's middle."""
     scale = 0.9 * min(cell.width, cell.height) / limit
-    scale *= min(1.0, LONGEST_ARROW / max(math.hypot(*mean) * scale, 1e-9))
+    scale *= min(1.0, 50 / max(math.hypot(*mean) * scale, 1e-9))  # at most 50 px long
     return cell.middle[0] + mean[0] * scale, cell.middle[1] + mean[1] * scale

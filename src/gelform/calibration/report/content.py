@@ -28,9 +28,6 @@ from gelform.reconstruct import Reconstructor
 from gelform.sensors.profiles import scale_off_make
 
 FORMAT, FORMAT_VERSION = "gelform calibration report", 1
-ERROR_COLUMNS, PLACE_COLUMNS = 16, 4  # tiles along the longer side, of errors and of fractions within sigma
-SUGGESTIONS = 3  # places to press at next
-GAIN_TO_SLOPE, GAIN_PIXELS = 0.8, 500  # mm/mm and pixels, limits of the bins that count for the verdict
 FIGURES: tuple[tuple[str, Callable[..., NDArray[np.float64]]], ...] = (
     ("normal_deg", np.mean),
     ("normal_free_deg", np.mean),
@@ -99,8 +96,8 @@ def report_content(
             "rim": gain_curve(samples, rng),
         },
         "where": errors_where(samples, shape, ratio),
-        "error_map": error_map(samples, shape, square_tiles(shape, ERROR_COLUMNS)),
-        "sigma": fraction_within_sigma(inner, sigmas, shape, square_tiles(shape, PLACE_COLUMNS)),
+        "error_map": error_map(samples, shape, square_tiles(shape, 16)),
+        "sigma": fraction_within_sigma(inner, sigmas, shape, square_tiles(shape, 4)),
         "learning": learning,
     }
     checks = checks_of(_checked_figures(content))
@@ -180,7 +177,7 @@ def _coverage(report: CalibrationReport, shape: tuple[int, int], mm_per_px: floa
         "covered": coverage.fraction,
         "next": [
             {**asdict(place), "contact_radius_px": coverage.contact_radius_px}
-            for place in press_next(coverage, SUGGESTIONS, errors)
+            for place in press_next(coverage, 3, errors)
         ],
     }
 
@@ -211,5 +208,5 @@ def _checked_figures(content: dict[str, Any]) -> dict[str, float | None]:
 
 def _counts(gain: dict[str, Any]) -> bool:
     """Whether a bin of the gain curve is judged; few pixels of a few presses are too uncertain."""
-    known = NEEDED.judged_gain.met(gain["presses"]) and gain["pixels"] >= GAIN_PIXELS
-    return bool(known and gain["slope_to"] <= GAIN_TO_SLOPE)
+    known = NEEDED.judged_gain.met(gain["presses"]) and gain["pixels"] >= 500
+    return bool(known and gain["slope_to"] <= 0.8)

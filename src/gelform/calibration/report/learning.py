@@ -33,7 +33,6 @@ from gelform.slopes.color_models import COLOR_MODELS
 
 SIZES = (5, 10, 15, 20, 30, 45, 70, 100, 150)  # numbers of training presses
 DRAWS = 3  # draws of presses for each size
-HELD_OUT = 0.25  # fraction of the accepted presses
 MORE = 10  # presses, whose gain is predicted
 LEAST_HELP = 0.03  # smallest relative gain of ten more presses that counts as help
 
@@ -103,7 +102,7 @@ def learning_curve(
 
 def held_out_count(accepted: int) -> int:
     """Number of accepted presses that a draw holds out."""
-    return max(3, round(HELD_OUT * accepted))
+    return max(3, round(accepted / 4))
 
 
 def sizes_for(accepted: int) -> list[int]:

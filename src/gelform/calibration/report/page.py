@@ -24,10 +24,6 @@ from gelform.calibration.report.record import FIGURES, setting_in_words, used_in
 from gelform.calibration.report.verdict import shown
 from gelform.calibration_file import Calibration
 
-SUPPORT_OPACITY = (0, 0.3, 0.55, 0.85)  # opacity of a petal that no, one, two, three or more presses show
-WORSE = 2.0  # times the median error; worse presses are highlighted
-BACKGROUND_WIDTH_PX = 320  # px, of the picture of the gel at rest
-
 
 @cache
 def templates() -> jinja2.Environment:
@@ -39,7 +35,8 @@ def templates() -> jinja2.Environment:
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )
-    environment.globals |= {"charts": charts, "support_opacity": SUPPORT_OPACITY}
+    opacity = (0, 0.3, 0.55, 0.85)  # of a petal that no, one, two, three or more presses show
+    environment.globals |= {"charts": charts, "support_opacity": opacity}
     filters: dict[str, Any] = {
         "deg": lambda value: "–" if value is None else f"{value:.2f}°",
         "digits": digits,
@@ -82,9 +79,9 @@ def report_page(content: dict[str, Any], presses: Presses, calibration: Calibrat
             checks={check["name"]: check for check in content["checks"]},
             labels={name: figure.replace("(um)", "(µm)") for name, figure in FIGURES.items()},
             tiles=[{"row": row, "name": name, "url": url} for row, name, url in zip(rows, names, urls)],
-            worse_deg=WORSE * float(np.median(errors)) if errors else np.inf,
+            worse_deg=2 * float(np.median(errors)) if errors else np.inf,
             caps=_caps(rows, names, calibration.report.samples),
-            background_url=jpeg_url(background, BACKGROUND_WIDTH_PX),
+            background_url=jpeg_url(background, width_px=320),
         )
     )
 

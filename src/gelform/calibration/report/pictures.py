@@ -10,10 +10,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-BUDGET_BYTES = 1_300_000  # bytes of all pictures of presses; the page stays under 3 MB
 # px, widths of a press's picture; the first that the budget allows is used.
 WIDTHS_PX = (320, 240, 160, 112, 80, 56)
-QUALITY = 82  # %, quality of JPEG
 TILE_PX = 56  # px of a picture of depth minus cap
 HIGH, LOW = (214, 69, 65), (40, 110, 200)  # RGB of depth above and below the ball
 
@@ -36,13 +34,13 @@ def jpeg_url(image: NDArray[np.uint8], width_px: int) -> str:
     if width > width_px:
         size = (width_px, max(1, round(height * width_px / width)))
         image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
-    settings = [int(cv2.IMWRITE_JPEG_QUALITY), QUALITY]
+    settings = [int(cv2.IMWRITE_JPEG_QUALITY), 82]
     _, data = cv2.imencode(".jpg", np.ascontiguousarray(image[..., ::-1]), settings)
     return "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode()
 
 
-def press_urls(images: Sequence[NDArray[np.uint8]], budget_bytes: int = BUDGET_BYTES) -> list[str]:
-    """All presses as wide as the page's budget allows; hundreds become small."""
+def press_urls(images: Sequence[NDArray[np.uint8]], budget_bytes: int = 1_300_000) -> list[str]:
+    """All presses as wide as the page's budget allows, which keeps it under 3 MB; hundreds become small."""
     for width in WIDTHS_PX:
         each = len(jpeg_url(images[len(images) // 2], width))
         if each * len(images) <= budget_bytes:

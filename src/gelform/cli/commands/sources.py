@@ -16,14 +16,15 @@ from typer import Argument, BadParameter, Option
 
 from gelform.cli.console import figure, print_json, say
 from gelform.cli.options import MmPerPx, Sensor, ShownOption, ball_diameter, number, usage_errors
-from gelform.errors import DataError
+from gelform.errors import DataError, GelformError
 
 if TYPE_CHECKING:
-    from gelform.sensors.cameras.survey import Survey
+    from gelform.sensors.cameras.camera import Camera
     from gelform.sensors.grabber import Grabber
     from gelform.sensors.recordings.record import RecordStats
 
 
+MEASURED_S, FIRST_S = 1.0, 3.0  # s: time in which frames are counted; longest wait for the first frame
 POLL_S = 0.05  # s between checks of the keyboard on Windows
 BACKGROUND_FRAMES, FRESH_S = 10, 5.0  # frames to average; s within which a frame must arrive
 
@@ -96,44 +97,53 @@ def cameras(
       gelform cameras --json
     """
     from gelform.sensors.cameras.camera import NOTHING_THERE, cameras_there
-    from gelform.sensors.cameras.survey import survey_of
 
-    found = [survey_of(camera, measure=measure) for camera in cameras_there()]
+    found = [_camera_facts(camera, measure) for camera in cameras_there()]
     if shown.as_json:
-        print_json({"cameras": [_camera_content(one) for one in found]})
+        print_json({"cameras": found})
         return
     if not found:
         shown.say(NOTHING_THERE)
         return
     rows = [
-        (
-            one.camera.name,
-            one.camera.serial or "-",
-            one.camera.path,
-            one.camera.kind or "-",
-            figure(one.rate_hz),
-        )
+        (one["name"], one["serial"] or "-", one["path"], one["sensor"] or "-", figure(one["rate_hz"]))
         for one in found
     ]
     shown.table("Cameras", ("name", "serial", "path", "sensor", "measured Hz"), rows)
     for one in found:
-        if one.problem:
-            shown.say(f"{one.camera.path}: {one.problem}")
+        if one["problem"]:
+            shown.say(f"{one['path']}: {one['problem']}")
 
 
-def _camera_content(one: Survey) -> dict[str, Any]:
-    camera = one.camera
-    return {
+def _camera_facts(camera: Camera, measure: bool) -> dict[str, Any]:
+    """A camera as it is listed; if measured, its settings and its rate over a second, or why it gives no frames."""
+    facts: dict[str, Any] = {
         "name": camera.name,
         "serial": camera.serial,
         "path": camera.path,
         "by_path": camera.by_path,
         "usb_id": camera.usb_id,
         "sensor": camera.kind,
-        "rate_hz": one.rate_hz,
-        "settings": one.settings,
-        "problem": one.problem or None,
+        "rate_hz": None,
+        "settings": {},
+        "problem": None,
     }
+    if not measure:
+        return facts
+    from gelform.sensors.cameras.usb import UsbCamera
+    from gelform.sensors.grabber import Grabber
+
+    try:
+        with Grabber(lambda: UsbCamera(camera)) as grabber:
+            facts["settings"] = grabber.settings
+            if grabber.newest(-1, FIRST_S) is None:
+                facts["problem"] = "it opens, but gives no frame"
+            else:
+                time.sleep(MEASURED_S)
+                facts["rate_hz"] = grabber.stats.rate_hz
+    except GelformError as problem:
+        facts["problem"] = str(problem)
+    return facts
 
 
 @dataclass(frozen=True)

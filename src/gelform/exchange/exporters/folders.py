@@ -19,8 +19,6 @@ from gelform.foundations.checks import check_image
 from gelform.foundations.npz_files import locked_folder, sweep
 from gelform.foundations.pictures import picture_bytes
 
-PROBE_BYTES = 16_384  # several blocks of any file system
-
 
 @contextmanager
 def written_whole(target: Path) -> Iterator[Path]:
@@ -56,7 +54,7 @@ def written_whole(target: Path) -> Iterator[Path]:
 def check_room(folder: Path) -> None:
     """Write a few kilobytes into a folder and delete them: a full disk raises OSError before the work, not after."""
     with tempfile.TemporaryFile(dir=folder) as probe:
-        probe.write(bytes(PROBE_BYTES))
+        probe.write(bytes(16_384))  # several blocks of any file system
 
 
 def write_sensor_toml(path: Path, name: str, mm_per_px: float, serial: str = "") -> None:

@@ -28,14 +28,12 @@ RENDERERS = {  # channel (of R, G, B) that each renderer reads from grad_r, grad
     "isaaclab": (0, 1, 2),
 }
 BINS = 125  # as in Taxim
-PLACES = 9, 12  # rows and columns of the pixels to which a bin's polynomial is fitted
 JPEG = [  # best quality, with color at every pixel
     cv2.IMWRITE_JPEG_QUALITY,
     100,
     cv2.IMWRITE_JPEG_SAMPLING_FACTOR,
     cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444,
 ]
-BACKGROUND_BLUR_PX = 4.0  # a quadratic polynomial of the place contains no dust
 
 
 def save_taxim(
@@ -93,7 +91,7 @@ def taxim_table(calibration: Calibration) -> NDArray[np.float64]:
     calibration.color_from_gradients(np.zeros((*calibration.image_shape, 2)))  # raises without a response
     response: Any = calibration.forward
     y_px, x_px = _places(calibration.image_shape)
-    blurred = cv2.GaussianBlur(calibration.background, (0, 0), BACKGROUND_BLUR_PX)
+    blurred = cv2.GaussianBlur(calibration.background, (0, 0), 4)  # a quadratic polynomial contains no dust
     untouched = blurred[y_px.astype(int), x_px.astype(int)]
     terms = np.stack([x_px**2, y_px**2, x_px * y_px, x_px, y_px, np.ones(x_px.size)], axis=1)
     fit = np.linalg.pinv(terms)
@@ -114,8 +112,8 @@ def taxim_table(calibration: Calibration) -> NDArray[np.float64]:
 
 
 def _places(shape: tuple[int, int]) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Rows and columns of pixels spread over an image."""
-    rows, columns = (np.round(np.linspace(0, n - 1, k)) for n, k in zip(shape, PLACES))
+    """Rows and columns of 9 x 12 pixels spread over an image, to which the polynomials are fitted."""
+    rows, columns = (np.round(np.linspace(0, n - 1, k)) for n, k in zip(shape, (9, 12)))
     grid = np.meshgrid(rows, columns, indexing="ij")
     return grid[0].ravel(), grid[1].ravel()
 

@@ -23,7 +23,6 @@ from gelform.slopes.color_models import ColorModel
 
 # Gray levels / 255. Pixels of a Mini at rest differ from its background by up to this, from noise and drift together.
 UNTOUCHED_CHANGE = 8 / 255
-LUT_BLUR_PX = 0.5**0.5  # as wide as the 3x3 blur of these tables, weights 1/4, 1/2, 1/4
 
 PACKAGES: dict[str, Callable[..., ColorModel]] = {
     "gs_sdk": read_gs_sdk,
@@ -75,7 +74,10 @@ def import_calibration(
     if mm_per_px is not None:
         mm_per_px = check_sensor_pitch(mm_per_px)
     model = PACKAGES[package](path, image, **options)
-    change = ChangeSettings("subtract", 0.0, LUT_BLUR_PX if package == "lut" else 0.0)
+    blur_px = (
+        0.5**0.5 if package == "lut" else 0.0
+    )  # as wide as the 3x3 blur of tables, weights 1/4, 1/2, 1/4
+    change = ChangeSettings("subtract", 0.0, blur_px)
     return Calibration(
         sensor_name=sensor_name or Path(path).stem,
         serial=None,

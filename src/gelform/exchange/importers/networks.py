@@ -22,7 +22,6 @@ WEB_SIZES = (5, 64, 64, 64, 2)  # of the layers of gsrobotics' browser port
 LAYERS = 4  # of each package's network
 UNITS = {"gs_sdk": (32, 128), "gsrobotics": (64,)}  # of the first layer; 128 in gs_sdk's older networks
 MAX_BYTES = 4 * 2**20  # of all members of a file: 100 times these networks
-BATCH_NORM_EPS = 1e-5  # beside a variance: torch's BatchNorm as gs_sdk uses it
 
 
 def read_gs_sdk(path: str | PathLike[str], background: NDArray[np.float32]) -> NetworkModel:
@@ -108,7 +107,7 @@ def _folded(tensors: Mapping[str, Any], kind: str, k: int, path: str | PathLike[
         gain, shift, mean, variance = (_array(tensors, f"bn{k}.{name}", path) for name in names)
         if any(one.shape != bias.shape for one in (gain, shift, mean, variance)) or not (variance >= 0).all():
             raise DataError(f"Expected a BatchNorm of {bias.shape} units after layer {k} in {path}.")
-        gain = gain / np.sqrt(variance + BATCH_NORM_EPS)
+        gain = gain / np.sqrt(variance + 1e-5)  # torch's BatchNorm, as gs_sdk uses it
         weight, bias = weight * gain[:, None], (bias - mean) * gain + shift
     return weight.astype(np.float32), bias.astype(np.float32)
 

@@ -20,12 +20,9 @@ from gelform.foundations.checks import check_positive
 from gelform.foundations.npz_files import DAMAGED_ARCHIVE, MAX_ARRAY_BYTES, present_file, read_npy
 from gelform.slopes.color_models.lookup import LookupModel
 
-MAX_LUT_BINS, MAX_TAXIM_BINS = 200, 2000  # limits along each axis: the originals have 90 and 125
 RANGE_LEVELS = 180.0  # gray levels: a look-up table spans differences of -90 to 90 per channel
 HEIGHT, WIDTH = 480, 640  # px, size of the images whose pixels Taxim's polynomials use
 MEMBERS = ("bins", "grad_b", "grad_g", "grad_r")  # "r" is channel 0 of an OpenCV image, which is blue
-FADED_IN_MM = 0.1  # mm of depth over which the color of level contacts replaces that of the gel at rest
-ASPECT_TOLERANCE = 0.02  # relative difference of the aspect ratios of an image and the tables
 _DAMAGED = (OSError, *DAMAGED_ARCHIVE, ValueError, AttributeError, TypeError)
 
 
@@ -62,7 +59,7 @@ def read_lut(
 def _lut(path: str | PathLike[str]) -> NDArray[np.float64]:
     array = read_npy(path, "a look-up table")
     shape = array.shape
-    if len(shape) != 4 or shape[3] != 2 or len(set(shape[:3])) != 1 or not 4 <= shape[0] <= MAX_LUT_BINS:
+    if len(shape) != 4 or shape[3] != 2 or len(set(shape[:3])) != 1 or not 4 <= shape[0] <= 200:
         raise DataError(f"Expected a table of shape (bins, bins, bins, 2) in {path}, got {shape}.")
     if not np.issubdtype(array.dtype, np.floating) or not np.isfinite(array).all():
         raise DataError(f"Expected finite floats in {path}, got {array.dtype} or NaN.")
@@ -139,13 +136,13 @@ class TaximLook:
     def levels(self, gradients: NDArray[Any], depth_mm: NDArray[Any]) -> NDArray[np.float32]:
         """Gray levels (H, W, 3), 0-255, of slopes (H, W, 2) and depths (H, W)."""
         level = self.tables.level_change(gradients, as_level=True)
-        untouched = 1 - np.clip(depth_mm / FADED_IN_MM, 0, 1)[..., None]
+        untouched = 1 - np.clip(depth_mm / 0.1, 0, 1)[..., None]
         levels = self.background + self.tables.level_change(gradients) - untouched * level
         return np.asarray(np.clip(levels, 0, 255), dtype=np.float32)
 
 
 def _is_of_tables_aspect(height: int, width: int) -> bool:
-    return abs(width / height * HEIGHT / WIDTH - 1) <= ASPECT_TOLERANCE
+    return abs(width / height * HEIGHT / WIDTH - 1) <= 0.02
 
 
 def is_taxim_forward(path: str | PathLike[str]) -> bool:
@@ -179,7 +176,7 @@ def read_taxim_forward(path: str | PathLike[str]) -> TaximTables:
     except _DAMAGED as problem:
         raise DataError(f"{path} is damaged, or no archive (.npz) of numbers: {said(problem)}.") from problem
     count = int(bins) if bins.ndim == 0 and np.isfinite(bins) else 0
-    if not 2 <= count <= MAX_TAXIM_BINS or any(one.shape != (count, count, 6) for one in channels):
+    if not 2 <= count <= 2000 or any(one.shape != (count, count, 6) for one in channels):
         shapes = ", ".join(str(one.shape) for one in channels)
         raise DataError(f"{path}: expected three tables of shape (bins, bins, 6), got {shapes}, bins {bins}.")
     table = np.stack(channels, axis=2)

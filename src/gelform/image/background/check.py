@@ -124,6 +124,7 @@ def compared(
     """Exposure and findings of an image compared with the background image, both from `block_means`."""
     exposure = exposure_from_blocks(image, untouched)
     if exposure.least_change > UNLIKE:
+        _refuse_gray(image, untouched)
         check_upright(orientation_from_blocks(image, untouched))
     _refuse_unlike(exposure.gain, _correlation(image, untouched, exposure.gain))
     return exposure, (*_exposure_findings(exposure), *_pattern_findings(exposure))
@@ -158,6 +159,14 @@ def check_upright(orientation: Orientation | None) -> None:
         raise CalibrationError(
             f"The image is {orientation.named} compared with the background: so it fits it best of 16 readings. Undo it "
             f"where images are read, by {orientation.remedy} or the view's turn and flip."
+        )
+
+
+def _refuse_gray(image: NDArray[np.float32], untouched: NDArray[np.float32]) -> None:
+    if np.ptp(image, axis=-1).max() == 0 < np.ptp(untouched, axis=-1).max():
+        raise CalibrationError(
+            "The image is gray: red, green and blue are equal everywhere, and in the background they are not. Slopes are "
+            "read from colors, so read the camera's frames in color."
         )
 
 

@@ -19,10 +19,6 @@ _ball_center = Kernel(
 )
 # Fraction of the radius: farther out the slopes of a ball are held constant; the same in native/result/metrics/center.c.
 STEEPEST_FRACTION = 0.97
-# Fraction of the radius, if the visible circle is as wide as the ball: 0.8 of it has slopes up to 0.75.
-FOLLOWED_FRACTION = 0.75
-HUBER_NORMAL = 0.05  # about the usual error of a component of a normal; pixels with larger errors count less
-RADIUS_ROUNDS = 8  # rounds of weights; later ones move the radius by less than 0.1 %
 
 
 def followed_radius(contact_radius_px: float, ball_radius_px: float) -> float:
@@ -33,7 +29,7 @@ def followed_radius(contact_radius_px: float, ball_radius_px: float) -> float:
     """
     if contact_radius_px < STEEPEST_FRACTION * ball_radius_px:
         return contact_radius_px
-    return FOLLOWED_FRACTION * ball_radius_px
+    return 0.75 * ball_radius_px  # 0.8 of it has slopes up to 0.75
 
 
 def ball_gradients(
@@ -88,11 +84,11 @@ def radius_from_gradients(gradients: NDArray[Any], x_px: NDArray[Any], y_px: NDA
     normals = -slopes / np.sqrt(1 + np.sum(slopes**2, axis=1, keepdims=True))
     place = np.stack([x_px, y_px], axis=1).astype(np.float64)
     weight = np.ones(len(place))
-    for _ in range(RADIUS_ROUNDS):
+    for _ in range(8):  # later rounds move the radius by less than 0.1 %
         away, turned = (v - np.average(v, axis=0, weights=weight) for v in (place, normals))
         curvature = np.sum(weight[:, None] * away * turned) / np.sum(weight[:, None] * away**2)
         error = np.linalg.norm(turned - curvature * away, axis=1)
-        weight = np.minimum(1, HUBER_NORMAL / np.maximum(error, 1e-12))
+        weight = np.minimum(1, 0.05 / np.maximum(error, 1e-12))  # about the usual error of a component
     return float(1 / curvature) if curvature else float("inf")
 
 

@@ -13,9 +13,6 @@ from gelform.foundations.checks import check_map, check_mask, check_positive
 
 FORMS = {"none": 0, "plane": 1, "quadratic": 2}  # degree of the polynomial
 ALPHA = np.sqrt(np.log(2) / np.pi)  # ISO 16610-61: a wave of the cut-off length keeps half its height
-# px, mm: noise is shorter than the first, waviness longer than the second (ISO 25178-3).
-S_FILTER_PX, L_FILTER_MM = 3.0, 2.5
-REACH = 5.0  # standard deviations at which the Gaussian ends: 4e-6 of its peak
 LEAST_PX = 100  # pixels, the smallest region whose roughness can be computed
 
 
@@ -53,7 +50,7 @@ def areal_roughness(
     mask: ArrayLike | None = None,
     form: str = "quadratic",
     s_filter_mm: float | str | None = "auto",
-    l_filter_mm: float | None = L_FILTER_MM,
+    l_filter_mm: float | None = 2.5,
 ) -> Roughness:
     """Roughness of a height map.
 
@@ -85,7 +82,7 @@ def areal_roughness(
     if form not in FORMS:
         raise ValueError(f"Expected a form among {', '.join(FORMS)}, got {form!r}.")
     pitch = check_positive(mm_per_px, "mm_per_px")
-    small, large = S_FILTER_PX * pitch if s_filter_mm == "auto" else s_filter_mm, l_filter_mm
+    small, large = 3 * pitch if s_filter_mm == "auto" else s_filter_mm, l_filter_mm
     if small is not None:
         small = check_positive(float(small), "s_filter_mm")
         depth = gaussian_areal_filter(depth, small / pitch, inside)
@@ -119,11 +116,11 @@ def gaussian_areal_filter(
     """The large scales of heights (H, W): their mean with the weights of ISO 16610-61 around each pixel.
 
     The weights are exp(-pi r^2 / (alpha cutoff)^2) with alpha = sqrt(ln 2 / pi), over the pixels `inside`, normalized to 1.
-    A wave of the cut-off length keeps half of its height. Pixels outside are 0.
+    A wave of the cut-off length keeps half of its height. Pixels outside are 0. The Gaussian ends at 4e-6 of its peak.
     """
     sigma = ALPHA * cutoff_px / np.sqrt(2 * np.pi)
     blurred, weight = (
-        ndimage.gaussian_filter(values, sigma, mode="constant", truncate=REACH)
+        ndimage.gaussian_filter(values, sigma, mode="constant", truncate=5)
         for values in (np.where(inside, heights, 0.0), inside.astype(np.float64))
     )
     return np.divide(blurred, weight, out=np.zeros_like(blurred), where=inside)

@@ -20,8 +20,6 @@ NOTHING_THERE = (
     "machine is reached by its address (http://...)."
 )
 CLASS, BY_PATH = "sys/class/video4linux", "dev/v4l/by-path"
-VIDEO4LINUX = 81  # major number of the kernel's video devices (Documentation/admin-guide/devices.txt)
-TRIED_NUMBERS = 4  # how many camera numbers are tried where the system has no list
 
 
 @dataclass(frozen=True)
@@ -164,11 +162,11 @@ def cameras_there(root: Path = Path("/")) -> list[Camera]:
     """The cameras of this machine.
 
     Linux lists them with serial, name and path. On macOS and Windows OpenCV only knows whether camera number n opens. There
-    each number is opened for a moment; the cameras are named "camera 0", "camera 1" ..., and their path is the number.
+    numbers up to 3 are opened for a moment; the cameras are named "camera 0", "camera 1" ..., and their path is the number.
     """
     if sys.platform.startswith("linux"):
         return cameras_in_sysfs(root)
-    return [Camera(f"camera {number}", str(number)) for number in range(TRIED_NUMBERS) if _opens(number)]
+    return [Camera(f"camera {number}", str(number)) for number in range(4) if _opens(number)]
 
 
 def _opens(number: int) -> bool:
@@ -197,4 +195,5 @@ def _is_video_device(path: Path) -> bool:
     if not sys.platform.startswith("linux"):
         return True
     status = path.stat()
-    return stat.S_ISCHR(status.st_mode) and os.major(status.st_rdev) == VIDEO4LINUX
+    # 81 is the major number of video devices (Documentation/admin-guide/devices.txt of the kernel).
+    return stat.S_ISCHR(status.st_mode) and os.major(status.st_rdev) == 81

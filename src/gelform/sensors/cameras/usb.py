@@ -31,7 +31,6 @@ SIZE = {  # OpenCV applies a size only when both sides are set
     "height": cv2.CAP_PROP_FRAME_HEIGHT,
     "fps": cv2.CAP_PROP_FPS,
 }
-LONGEST_AGE_S = 5.0  # s; an older time stamp of the driver belongs to another clock
 
 
 def udev_rule(usb_id: str | None) -> str:
@@ -190,10 +189,10 @@ class UsbCamera:
         return None if image is None else Frame(image, time_s, wall_time_ns, index, content)
 
     def _captured_s(self) -> float:
-        """The driver's time stamp; the current time if that stamp is on another clock."""
+        """The driver's time stamp; the current time if it is more than 5 s old, of another clock."""
         now = time.monotonic()
         stamp = float(self._capture.get(cv2.CAP_PROP_POS_MSEC)) / 1000
-        return stamp if 0 <= now - stamp < LONGEST_AGE_S else now
+        return stamp if 0 <= now - stamp < 5 else now
 
     def _read_back(self, known: KnownCamera | None) -> dict[str, float | str]:
         """The camera's current settings, once the way of decoding is chosen."""

@@ -24,8 +24,6 @@ from gelform.sensors.recordings.mcap_reader import (
 )
 from gelform.sensors.video_files import USUAL_RATE_HZ, Video, grabbed_image, is_video
 
-KEPT_CHUNKS = 2  # most recently used chunks that stay in memory
-
 
 @dataclass(frozen=True)
 class Indexed:
@@ -200,7 +198,7 @@ class McapIndex:
     def _messages_at(self, offset: int) -> list[Any]:
         if offset not in self._chunks:
             self._chunks[offset] = list(self._wanted(next(records_from(self._path, offset))[1]))
-            while len(self._chunks) > KEPT_CHUNKS:
+            while len(self._chunks) > 2:
                 self._chunks.popitem(last=False)
         self._chunks.move_to_end(offset)
         return self._chunks[offset]

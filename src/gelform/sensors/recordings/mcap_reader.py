@@ -31,9 +31,6 @@ from gelform.sensors.recordings.messages import (
 )
 
 METADATA_FILE, METADATA_KEY = "metadata.yaml", "rosbag2_bagfile_information"
-MAGIC_BYTES = 8  # length of the magic at the start of an MCAP file
-MAX_KEY_AT = 4096  # characters of metadata.yaml in which the key is searched
-MAX_RECORD_BYTES = 256 * 2**20  # bytes; a larger record is damaged and would fill the memory
 SAMPLED_RECORDS = 200  # records that are read to find which pictures a file contains
 DEPTH_SUFFIX = "/compressedDepth"  # of image_transport: the message type is a picture's, the content is not a plain picture
 
@@ -44,7 +41,7 @@ def is_bag_folder(path: Path) -> bool:
     if not file.is_file():
         return False
     with file.open(encoding="utf-8", errors="replace") as text:
-        return METADATA_KEY in text.read(MAX_KEY_AT)
+        return METADATA_KEY in text.read(4096)
 
 
 def mcap_file_in(path: Path) -> Path:
@@ -128,9 +125,9 @@ def records_from(path: Path, offset: int = 0) -> Iterator[tuple[int, list[Any]]]
             skip_magic=offset > 0,
             emit_chunks=True,
             validate_crcs=offset == 0,  # of all records from the first on; those of a chunk are its own
-            record_size_limit=MAX_RECORD_BYTES,
+            record_size_limit=256 * 2**20,  # a larger record is damaged and would fill the memory
         )
-        begins = offset or MAGIC_BYTES
+        begins = offset or 8  # after the magic at the start
         for record in reader.records:
             is_chunk = type(record).__name__ == "Chunk"
             yield begins, mcap.breakup_chunk(record, validate_crc=True) if is_chunk else [record]

@@ -21,7 +21,6 @@ from gelform.sensors.recordings.messages import (
 
 TOPIC, METADATA = "/gelform/image/compressed", "gelform"
 FLUSH_S = 0.5  # s of frames that a killed recorder loses
-CHUNK_BYTES = 16 * 2**20  # bytes at most between two flushes
 
 
 class McapRecording:
@@ -69,7 +68,7 @@ class McapRecording:
     ) -> None:
         """Write what stands before the first frame."""
         uncompressed = mcap.CompressionType.NONE  # pictures are already compressed
-        self._writer = mcap.Writer(self._file, chunk_size=CHUNK_BYTES, compression=uncompressed)
+        self._writer = mcap.Writer(self._file, chunk_size=2**24, compression=uncompressed)
         with self._faults_named():
             self._writer.start(profile="ros2", library=f"gelform {facts.library_version}")
             self._writer.add_metadata(METADATA, {"facts": facts.to_json()})

@@ -29,7 +29,6 @@ from gelform.sensors.recordings.mcap_writer import McapRecording
 
 MAX_ATTACHMENT_BYTES = 64 * 2**20
 KEPT_FRAMES = 32  # held by the grabber for `record_frames`: bridges half a second in which the disk stalls
-WAIT_S = 0.25  # s, wait for a frame before `going_on` is asked again
 
 
 def attachments_of(
@@ -167,7 +166,7 @@ def record_frames(
     stats, after, first_s, began_s = RecordStats(0, 0, 0, 0.0), -1, 0.0, time.monotonic()
     limit_s = math.inf if seconds is None else seconds
     while going_on(stats) and (frames is None or stats.frames < frames):
-        frame = grabber.following(after, WAIT_S)
+        frame = grabber.following(after, timeout_s=0.25)
         if frame is None:
             if grabber.state == "ended" or time.monotonic() - began_s > limit_s:
                 break

@@ -25,7 +25,6 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-MAX_BYTES = 1 << 20  # largest size of a settings file, bytes
 SECTIONS = {"gel": Gel, "coating": Coating, "optics": Optics, "timing": Timing}
 OWN_KEYS = ("base", "exposed_levels")
 LED_KEYS = ("peak_nm", "width_nm", "power")
@@ -56,7 +55,7 @@ def read_simulated_sensor(path: str | PathLike[str]) -> SimulatedSensor:
     path = Path(path)
     if not path.is_file():
         raise SensorError(f"No file {path}: expected a simulated sensor as TOML.")
-    if path.stat().st_size > MAX_BYTES:
+    if path.stat().st_size > 2**20:
         raise SensorError(f"Expected a simulated sensor of at most 1 MB in {path}. Is it another file?")
     try:
         settings = tomllib.loads(path.read_text(encoding="utf-8"))

@@ -35,9 +35,6 @@ BALL = Ball(2.5)
 ROLL = 0.3  # distance of the rolling ball from the middle, as a fraction of the image's width and height
 STEP_MM = 0.025  # depths of requested presses are rounded to this, so that computed images can be reused
 PRESS_S, HOLD_S = 0.35, 1.6  # s of a requested press: time of going in or out, and of staying
-KEPT_PRESSES = 64  # cached images of requested presses
-PAUSE_S = 0.03  # s between images computed in advance: current frames come first
-SEED_APART_S = 0.7  # s between the start times of consecutive seeds in the program
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +96,7 @@ class SimulatedSource:
         self._objects = program(sensor)
         self._images = self._objects[0]
         self._levels: dict[Touch, NDArray[Any]] = {}
-        self._pressed_levels = lru_cache(maxsize=KEPT_PRESSES)(self._levels_of_press)
+        self._pressed_levels = lru_cache(maxsize=64)(self._levels_of_press)
         self._untouched = self._pressed_levels(BALL, 0.0, 0.0, 0.0)
         self._asked: AskedPress | None = None
         self.resting = False
@@ -165,7 +162,7 @@ class SimulatedSource:
             if depth_mm > 0:
                 return self._pressed_levels(asked.ball, depth_mm, asked.x_px, asked.y_px)
             return self._untouched
-        images, at = self._images, int((time_s + SEED_APART_S * self._seed) * IMAGE_RATE_HZ)
+        images, at = self._images, int((time_s + 0.7 * self._seed) * IMAGE_RATE_HZ)  # seeds start 0.7 s apart
         touch = None if self.resting else images[at % len(images)]
         return self._untouched if touch is None else self._levels_of_touch(touch)
 
@@ -190,7 +187,7 @@ class SimulatedSource:
         for images in self._objects[1:]:
             touches = [touch for touch in dict.fromkeys(images) if touch is not None]
             while touches:
-                if self._closed.wait(PAUSE_S):
+                if self._closed.wait(0.03):  # current frames come first
                     return
                 if not self.resting:
                     self._levels_of_touch(touches.pop(0))

@@ -16,7 +16,6 @@ from gelform.foundations.pictures import picture_bytes
 from gelform.simulate.sensor.sensor import SHADING_DEGREES, SimulatedSensor
 
 Maps = tuple[NDArray[np.float32], NDArray[np.float32]]
-RESPONSE_STEPS = 4096  # points of the table of the response curve; measured error 5e-5 gray levels
 
 _gray_levels = Kernel(
     "gray_levels",
@@ -162,8 +161,8 @@ def normal_table() -> NDArray[np.float32]:
 
 @lru_cache(maxsize=8)
 def response_table(gamma: float) -> NDArray[np.float32]:
-    """Gray levels of the response curve at evenly spaced square roots of the linear level, 0 to 1."""
-    return np.asarray(255 * np.linspace(0, 1, RESPONSE_STEPS + 1) ** (2 / gamma), dtype=np.float32)
+    """Gray levels of the response curve at evenly spaced square roots of the linear level, 0 to 1; measured error 5e-5."""
+    return np.asarray(255 * np.linspace(0, 1, 4097) ** (2 / gamma), dtype=np.float32)
 
 
 def saturated_from_levels(levels: NDArray[Any]) -> NDArray[np.bool_]:

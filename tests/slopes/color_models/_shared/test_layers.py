@@ -2,8 +2,10 @@
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from gelform.slopes.color_models._shared.layers import Layers, RestedNetwork
+from gelform.slopes.color_models._shared.layers import BLOCK_PX, Layers, RestedNetwork, blocks_of
 from made.networks import in_numpy, layers_of
 
 
@@ -33,3 +35,18 @@ def test_layers_that_do_not_fit_are_refused():
     ):
         with pytest.raises(ValueError, match="Expected"):
             Layers(weights, biases)
+
+
+def test_saved_arrays_give_the_same_layers():
+    layers = layers_of((5, 7, 6, 2))
+    again = Layers.from_arrays({**layers.to_arrays(), "background": np.zeros(3)})
+    for mine, theirs in zip((*layers.weights, *layers.biases), (*again.weights, *again.biases)):
+        np.testing.assert_array_equal(mine, theirs)
+
+
+@settings(deadline=None)
+@given(st.integers(0, 50_000), st.integers(1, 20_000))
+def test_they_cover_all_rows_once(count, each_px):
+    blocks = list(blocks_of(count, each_px))
+    assert [row for block in blocks for row in range(block.start, block.stop)] == list(range(count))
+    assert all(each_px * (b.stop - b.start) <= max(BLOCK_PX, each_px) for b in blocks)
