@@ -246,5 +246,6 @@ def test_a_gel_that_is_another_one_has_no_surface_and_no_figures(page, hub, cali
     until(lambda: "This frame cannot be reconstructed" in page.inner_text(".empty"), 30)
     until(lambda: page.inner_text("#number-peak .value") == "–")
     until(lambda: page.inner_text("#profile-at") == "–")
-    assert "The background is not of this image" in page.inner_text(".empty")
+    (reason,) = [one.message for one in station.newest.result.health if one.name == "not_this_gel"]
+    assert reason in page.inner_text(".empty")
     until(lambda: not page.evaluate("gelform.frame.has('depth')"))
