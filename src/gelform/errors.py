@@ -40,7 +40,9 @@ def needed(module: str, extra: str, what: str) -> Any:
     try:
         return import_module(module)
     except ImportError as missing:
-        raise DataError(f'{what} needs the extra {extra}: pip install "gelform[{extra}]".') from missing
+        raise DataError(
+            f'{what} needs the extra {extra}: pip install "gelform[{extra}]", or ".[{extra}]" in a checkout.'
+        ) from missing
 
 
 def said(problem: BaseException) -> str:

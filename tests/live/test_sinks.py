@@ -99,7 +99,7 @@ def test_none_is_fine_and_an_unknown_one_is_named(hub):
 def test_without_its_extra_it_is_named(hub, name):
     if importlib.util.find_spec(name) is not None:
         pytest.skip(f"{name} is installed")
-    with pytest.raises(DataError, match=r"extra sinks: pip install 'gelform\[sinks\]'"):
+    with pytest.raises(DataError, match=r'needs the extra sinks: pip install "gelform\[sinks\]"'):
         feed(hub, [name])
 
 

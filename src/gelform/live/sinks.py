@@ -14,7 +14,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from gelform.errors import DataError, GelformError
+from gelform.errors import GelformError, needed
 from gelform.live.hub import Hub
 from gelform.live.shown import Shown
 
@@ -99,10 +99,7 @@ class RerunSink:
     """
 
     def __init__(self, port: int = RERUN_PORT) -> None:
-        try:
-            import rerun
-        except ImportError as problem:
-            raise DataError("This needs the extra sinks: pip install 'gelform[sinks]'.") from problem
+        rerun = needed("rerun", "sinks", "Sending to Rerun")
         try:
             socket.create_connection((HOST, port), timeout=2).close()
         except OSError as problem:
@@ -147,10 +144,7 @@ class FoxgloveSink:
     """
 
     def __init__(self, port: int = FOXGLOVE_PORT) -> None:
-        try:
-            import foxglove
-        except ImportError as problem:
-            raise DataError("This needs the extra sinks: pip install 'gelform[sinks]'.") from problem
+        foxglove = needed("foxglove", "sinks", "Sending to Foxglove")
         self._context = foxglove.Context()
         try:
             self._server = foxglove.start_server(

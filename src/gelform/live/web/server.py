@@ -9,7 +9,7 @@ import socket
 from dataclasses import dataclass
 from typing import Any
 
-from gelform.errors import GelformError
+from gelform.errors import GelformError, needed
 from gelform.live.hub import Hub
 
 PORT, PORTS_TRIED = 8765, 20  # first port, and number of ports that are tried
@@ -103,15 +103,9 @@ def listen(host: str = "127.0.0.1", port: int | None = None, *, token: bool = Fa
 
 
 def check_extra() -> None:
-    """Raise GelformError, naming the extra, if the server's packages are not installed."""
-    try:
-        import starlette  # noqa: F401
-        import uvicorn  # noqa: F401
-        import websockets  # noqa: F401
-    except ImportError as problem:
-        raise GelformError(
-            f"The live page needs {problem.name}. Install it: pip install 'gelform[live]'."
-        ) from problem
+    """Raise DataError, naming the extra, if the server's packages are not installed."""
+    for package in ("starlette", "uvicorn", "websockets"):
+        needed(package, "live", "The live page")
 
 
 def is_loopback(host: str) -> bool:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.errors import GelformError
+from gelform.errors import needed
 from gelform.slopes.color_models._shared.layers import Layers
 from gelform.slopes.color_models._shared.least_squares import HUBER_SLOPE
 
@@ -34,7 +34,7 @@ def train(
     `seed`. The N samples have a color change (N, 3) about 1 in size, a place (N, 2) of -1 to 1, gradients (N, 2) and
     weights (N,) >= 0.
     """
-    torch = _torch()
+    torch = needed("torch", "torch", "Training the color model mlp")
     if not hidden or steps < 1 or len(change) < 2:
         raise ValueError(f"Expected hidden layers, steps and samples, got {hidden}, {steps}, {len(change)}.")
     with _one_thread(torch):
@@ -56,17 +56,6 @@ def train(
             schedule.step()
         weights, biases = zip(*[[p.detach().numpy().copy() for p in pair] for pair in layers])
     return Layers(weights, biases)
-
-
-def _torch() -> Any:
-    try:
-        import torch
-    except ImportError as problem:
-        raise GelformError(
-            "Training the color model mlp needs torch. Install it: pip install 'gelform[torch]'. "
-            "A calibration that holds one is used without."
-        ) from problem
-    return torch
 
 
 @contextmanager
