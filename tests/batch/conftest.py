@@ -83,3 +83,13 @@ def lerobot(tmp_path, images):
 def encode():
     """Writes a video of frames."""
     return encoded
+
+
+@pytest.fixture
+def h5py():
+    return pytest.importorskip("h5py", reason="the extra data is not installed")
+
+
+@pytest.fixture
+def zarr():
+    return pytest.importorskip("zarr", minversion="3", reason="the extra data is not installed")

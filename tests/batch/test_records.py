@@ -272,7 +272,7 @@ def test_no_sheet_where_no_depth_was_kept_and_unknown_pixels_are_dark(tree, cal,
     assert not (tmp_path / "out/sheet.png").exists()
     depth = np.full((64, 80), np.nan, np.float32)
     row = {"sequence": "ä", "frame": "0", "deepest_mm": 0.0, "health": ""}
-    monkeypatch.setattr("gelform.batch.finish._chosen", lambda *_: [(depth, row)])
+    monkeypatch.setattr("gelform.batch.finish._choose_frames", lambda *_: [(depth, row)])
     sheet = cv2.imdecode(np.frombuffer(sheet_bytes(tmp_path, None), np.uint8), cv2.IMREAD_COLOR)
     assert sheet[:100, :TILE_PX].max() < 90
 

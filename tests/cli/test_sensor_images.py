@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from gelform.calibration_file import load_calibration
-from gelform.cli.sensor_images import background_in, image_in, reconstruction_of
-from gelform.errors import CalibrationError, DataError
+from gelform.cli.sensor_images import background_in, image_in
+from gelform.errors import DataError
 from gelform.exchange.plots.canvas import save_picture
-from gelform.reconstruct import Reconstructor
 
 
 @pytest.fixture
@@ -27,9 +26,3 @@ def test_another_size_names_the_file(calibration, tmp_path):
     for read in (image_in, background_in):
         with pytest.raises(DataError, match=r"small\.png: .*120x160.*60x80"):
             read(tmp_path / "small.png", calibration)
-
-
-def test_an_image_of_another_sensor_names_the_file(calibration, tmp_path):
-    noise = np.random.default_rng(0).integers(0, 256, (120, 160, 3), dtype=np.uint8)
-    with pytest.raises(CalibrationError, match=r"noise\.png: The background is not of this image"):
-        reconstruction_of(Reconstructor(calibration), noise, tmp_path / "noise.png")

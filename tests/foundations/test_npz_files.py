@@ -16,6 +16,7 @@ from gelform import __version__
 from gelform.errors import CalibrationError, DataError
 from gelform.foundations.npz_files import (
     kind_of_npz,
+    locked_folder,
     npz_bytes,
     read_npz,
     sweep,
@@ -251,12 +252,13 @@ def test_bytes_are_those_of_a_file_but_for_the_digest(tmp_path):
 
 
 def aged(path):
-    """A path as it was left two days ago."""
-    os.utime(path, (time.time() - 2 * 86_400,) * 2)
+    """A path as it was left an hour ago."""
+    os.utime(path, (time.time() - 3600,) * 2)
     return path
 
 
 def test_what_killed_runs_left_is_swept_and_nothing_else(tmp_path):
+    pytest.importorskip("fcntl")
     names = (
         ".gelform-0123456789ab.tmp",
         ".gelform-mine.tmp",
@@ -277,16 +279,17 @@ def test_what_killed_runs_left_is_swept_and_nothing_else(tmp_path):
     ]
     for folder in folders:
         (folder / "images").mkdir(parents=True)
-        aged(folder / "images")
         aged(folder)
-    sweep(tmp_path)
+    with written_file(tmp_path / "new.npz") as handle:
+        (held,) = set(tmp_path.glob(".gelform-*.tmp")) - {left, first, young}
+        handle.flush()
+        aged(held)
+        sweep(tmp_path)
+        assert held.exists()
     assert not left.exists()
     assert all(path.exists() for path in (first, second, young, *folders))
-    written_to = folders[1] / "images" / "0.png"
-    written_to.write_bytes(b"a moment ago, far below")
-    aged(written_to.parent)
-    sweep(tmp_path, "out")
-    assert [folder.exists() for folder in folders] == [False, True, True, True]
-    aged(written_to)
+    with locked_folder(folders[1]):
+        sweep(tmp_path, "out")
+        assert [folder.exists() for folder in folders] == [False, True, True, True]
     sweep(tmp_path, "out")
     assert [folder.exists() for folder in folders] == [False, False, True, True]

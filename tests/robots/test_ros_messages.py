@@ -90,7 +90,9 @@ def test_levels_of_findings(made, result):
     lost = status(replace(result, health=found, known=np.zeros((2, 3), bool)))
     assert [one.level for one in (fine, warned, lost)] == [0, 1, 2]
     assert (fine.message, warned.message, fine.hardware_id) == ("OK", "dust, drift", "S1")
-    assert (warned.values[0].key, warned.values[0].value) == ("dust", "0.25: Clean it.")
+    assert fine.name == "gelform: left"
+    said = [(pair.key, pair.value) for pair in warned.values]
+    assert said == [("dust", "0.25: Clean it."), ("drift", "2: Take a background.")]
 
 
 def test_without_the_extra_the_error_names_it():

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform.errors import CalibrationError, DataError, GelformError
+from gelform.errors import CalibrationError, DataError
 from gelform.exchange.exporters.surface import points_from_result
 from gelform.robots.send import StampedResults, publish, save_bag
 from gelform.sensors.recordings.messages import typestore
@@ -121,18 +121,6 @@ def test_points_are_in_the_optical_frame(messages, truth):
     assert np.nanmin(pressed[..., 2]) < -3e-4  # toward the camera, which is at -z
 
 
-def test_findings_are_diagnostics(messages, truth):
-    first, torn = of_topic(messages, "/diagnostics")
-    assert truth[3][1].health
-    for message, result in ((first, truth[0][1]), (torn, truth[3][1])):
-        (status,) = message.status
-        assert status.name == "gelform: left_finger"
-        assert [pair.key for pair in status.values] == [finding.name for finding in result.health]
-        for pair, finding in zip(status.values, result.health, strict=True):
-            assert pair.value == f"{finding.figure:g}: {finding.message}"
-    assert (first.status[0].level, torn.status[0].level) == (0, 1)  # OK, WARN
-
-
 def test_a_bag_is_a_source_that_gives_the_same_results(bag, truth, calibration):
     with gelform.stream(bag, calibration) as running:
         again = list(running.pairs())
@@ -183,7 +171,3 @@ def test_what_cannot_be_published_is_said(router, recording, calibration, tmp_pa
         publish(recording, replace(calibration, mm_per_px=None), router=router.address)
     with pytest.raises(DataError, match="No video file"):
         publish(tmp_path / "missing.mp4", calibration, router=router.address)
-    with pytest.raises(GelformError, match=r"No zenoh router answers at tcp/127\.0\.0\.1:1\."):
-        publish(recording, calibration, router="tcp/127.0.0.1:1")
-    with pytest.raises(ValueError, match="topics among"):
-        publish(recording, calibration, topics=["depth"], router=router.address)

@@ -52,7 +52,7 @@ def sheet_bytes(output: Path, manifest: Manifest) -> bytes:
 
     The choice depends only on the list of inputs, so that the same data set gives the same sheet.
     """
-    tiles = [_tile(depth, row) for depth, row in _chosen(output, manifest)]
+    tiles = [_tile(depth, row) for depth, row in _choose_frames(output, manifest)]
     if not tiles:
         return b""
     blank = np.zeros_like(tiles[0])
@@ -61,7 +61,7 @@ def sheet_bytes(output: Path, manifest: Manifest) -> bytes:
     return picture_bytes(np.vstack(lines)[..., ::-1])  # OpenCV colors tiles in BGR
 
 
-def _chosen(output: Path, manifest: Manifest) -> list[tuple[NDArray[Any], dict[str, Any]]]:
+def _choose_frames(output: Path, manifest: Manifest) -> list[tuple[NDArray[Any], dict[str, Any]]]:
     """Depth and row of random frames; parts are drawn first, so that at most one record is read per frame."""
     rng = np.random.default_rng(int(manifest.listing_digest[:16], 16))
     wanted, form = COLUMNS * ROWS, manifest.settings["form"]

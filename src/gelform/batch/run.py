@@ -127,7 +127,7 @@ def run_batch(
     backgrounds = backgrounds_of(None if background is None else check_path(background))
     listing = listing_of(source, leave_out=backgrounds.files, dataset=dataset)
     check_apart(listing, output)
-    calibration = given or _with_scale(_chosen(listing, output, options.overwrite, chosen))
+    calibration = given or _with_scale(_choose_calibration(listing, output, options.overwrite, chosen))
     check_names([sequence.name for sequence in listing.sequences], settings)
     if settings.form == "lerobot":
         check_lerobot_source(listing.root, {sequence.dataset for sequence in listing.sequences})
@@ -138,7 +138,7 @@ def run_batch(
     images = sum(len(sequence.images) for sequence in listing.sequences)
     digests = calibration.digest, digest, listing.digest
     manifest = Manifest(settings.facts(), *digests, parts=len(plan), images=images)
-    _made(output)
+    _make_folder(output)
     with only_run(output, options.shard) as alone:
         begin(output, manifest, overwrite=options.overwrite)
         summary = BatchSummary(parts=len(parts), table=TABLES[table], warnings=listing.warnings)
@@ -163,7 +163,9 @@ def _with_scale(calibration: Calibration) -> Calibration:
     return calibration
 
 
-def _chosen(listing: Listing, output: Path, anew: bool, said: Callable[[str], Any]) -> Calibration:
+def _choose_calibration(
+    listing: Listing, output: Path, anew: bool, said: Callable[[str], Any]
+) -> Calibration:
     """The library's calibration of the unit that the input names; a continued run keeps the one that it started with."""
     unit = unit_of_all(sequence.path for sequence in listing.sequences)
     begun = None if anew else read_manifest(output)
@@ -205,7 +207,7 @@ def _check_size(plan: Sequence[Part], calibration: Calibration) -> None:
         )
 
 
-def _made(output: Path) -> None:
+def _make_folder(output: Path) -> None:
     """Make the output folder and check that the disk has room, before the work."""
     try:
         output.mkdir(parents=True, exist_ok=True)

@@ -26,9 +26,14 @@ from numpy.typing import NDArray
 from gelform.errors import DataError, GelformError, said
 from gelform.foundations.checks import check_path
 
+try:
+    import fcntl
+except ImportError:  # Windows: partial files of killed processes stay
+    fcntl = None  # type: ignore[assignment]
+
 LEFT_FILE = re.compile(r"\.gelform-[0-9a-f]{12}\.tmp")
 DIGEST_SHOWN = 10  # characters of a digest in names and lists: a million calibrations share one with a chance of one half
-LEFT_AFTER_S = 86_400.0  # seconds; nobody writes a file for a day without a single byte
+LEFT_AFTER_S = 60.0  # seconds; a younger file may not be locked yet
 MAX_BYTES, MAX_META_BYTES = 2**30, 2**26  # bytes of all members of an archive, and of its settings
 MAX_ARRAY_BYTES = 2**28  # bytes of an array in another program's file
 _RESERVED = ("format", "format_version", "gelform_version", "digest")
@@ -68,10 +73,13 @@ def written_file(
     temporary = path.parent / f".gelform-{os.urandom(6).hex()}.tmp"
     try:
         with open(temporary, "x+b") as handle:
+            locked(handle.fileno())
             yield handle
             handle.flush()
             if flushed:
                 os.fsync(handle.fileno())
+            with suppress(OSError):  # a file system without times
+                os.utime(temporary)  # the file has no lock from now on; `sweep` leaves it alone for a minute
         if not overwrite:  # another process may have been faster
             check_free(path, overwrite=False, error=error)
         os.replace(temporary, path)
@@ -83,10 +91,33 @@ def written_file(
         raise error(why) from problem
 
 
+def locked(descriptor: int) -> bool:
+    """Lock an open file or folder until it is closed or its process ends; False if that is impossible."""
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except (OSError, AttributeError):
+        return False
+    return True
+
+
+@contextmanager
+def locked_folder(folder: Path) -> Iterator[None]:
+    """Lock a partial folder while it is filled, if the system can; `sweep` leaves it alone."""
+    if fcntl is None:
+        yield
+        return
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        locked(descriptor)
+        yield
+    finally:
+        os.close(descriptor)
+
+
 def sweep(folder: Path, target: str = "") -> None:
     """Delete the partial files that killed processes left in a folder, or the partial folders of a target's name.
 
-    Those that were written to within the last day may still have an owner, and stay.
+    Files that a running process has locked stay, and so do files that changed within the last minute.
     """
     names = re.compile(re.escape(f".{target}.partial-") + "([a-z0-9_]{8}|[0-9]+)") if target else LEFT_FILE
     try:
@@ -94,14 +125,25 @@ def sweep(folder: Path, target: str = "") -> None:
     except OSError:  # a folder that can be written to, but not listed
         return
     for left in found:
-        with suppress(OSError):  # another process has just removed it, or it belongs to another user
-            newest = max(one.lstat().st_mtime for one in (left, *left.rglob("*")))
-            if time.time() - newest < LEFT_AFTER_S:
-                continue
-            if target and left.is_dir():
-                shutil.rmtree(left, ignore_errors=True)
-            elif not target and left.is_file():
-                left.unlink()
+        if not (left.is_dir() if target else left.is_file()):
+            continue
+        try:
+            descriptor = os.open(left, os.O_RDONLY)
+        except OSError:  # another process has just removed it, or it belongs to another user
+            continue
+        try:
+            # Check the age before and after: the lock must not hinder an owner that is still writing or about to rename.
+            if _is_old(descriptor) and locked(descriptor) and _is_old(descriptor):
+                if target:
+                    shutil.rmtree(left, ignore_errors=True)
+                else:
+                    left.unlink(missing_ok=True)
+        finally:
+            os.close(descriptor)
+
+
+def _is_old(descriptor: int) -> bool:
+    return time.time() - os.fstat(descriptor).st_mtime > LEFT_AFTER_S
 
 
 def check_free(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+from contextlib import ExitStack
 from os import PathLike
 from pathlib import Path
 from types import TracebackType
@@ -11,7 +12,7 @@ from typing import Any
 
 from gelform.errors import DataError
 from gelform.foundations.checks import check_path
-from gelform.foundations.npz_files import sweep
+from gelform.foundations.npz_files import locked_folder, sweep
 from gelform.image.frame import Frame
 from gelform.result import Reconstruction
 from gelform.robots.ros_messages import RosMessages
@@ -56,10 +57,12 @@ class BagFile:
         if os.path.lexists(self.path):
             raise DataError(f"{self.path} is there already. Choose another name, or remove it.")
         self._unfinished = self.path.with_name(f".{self.path.name}.partial-{os.getpid()}")
+        self._lock = ExitStack()
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             sweep(self.path.parent, self.path.name)
             self._unfinished.mkdir()
+            self._lock.enter_context(locked_folder(self._unfinished))
             self._writer = _writer(self._unfinished / self.path.name)
             self._connections = {name: self._connection(name) for name in self._topics}
         except OSError as problem:
@@ -91,6 +94,7 @@ class BagFile:
             self._writer.close()
             (self._unfinished / self.path.name).rename(self.path)
             self._unfinished.rmdir()
+            self._lock.close()
         except OSError as problem:
             raise self._unwritable(problem) from problem
 
@@ -98,6 +102,7 @@ class BagFile:
         """Leave nothing."""
         self._writer.abort()
         shutil.rmtree(self._unfinished, ignore_errors=True)
+        self._lock.close()
 
     def __enter__(self) -> BagFile:
         return self
@@ -121,6 +126,7 @@ class BagFile:
 
     def _unwritable(self, problem: OSError) -> DataError:
         shutil.rmtree(self._unfinished, ignore_errors=True)
+        self._lock.close()
         return DataError(f"Cannot write {self.path}: {problem.strerror or problem}. Nothing was kept.")
 
 

@@ -91,11 +91,6 @@ def test_numbers_count():
 
 
 @pytest.fixture
-def h5py():
-    return pytest.importorskip("h5py", reason="the extra data is not installed")
-
-
-@pytest.fixture
 def demos(h5py, tmp_path, images):
     """As robomimic writes them: ten demonstrations and one more, with images of 3 and 4 frames."""
     path = tmp_path / "demos.hdf5"
@@ -165,11 +160,6 @@ def test_among_others_a_damaged_file_is_a_row(demos, cal, tmp_path):
     summary = run_batch(tmp_path / "in", cal, tmp_path / "out", dataset="data/*/obs/gelsight", table="csv")
     assert (summary.complete, summary.frames, summary.errors) == (True, 11, 1)
     assert "b.hdf5 as HDF5" in (tmp_path / "out/frames.csv").read_text().splitlines()[-1]
-
-
-@pytest.fixture
-def zarr():
-    return pytest.importorskip("zarr", minversion="3", reason="the extra data is not installed")
 
 
 @pytest.fixture(params=[2, 3])

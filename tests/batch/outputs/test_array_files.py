@@ -20,16 +20,6 @@ LOSSLESS = Codec("ffv1", "gray16le", "matroska", {"level": "3", "slices": "4", "
 
 
 @pytest.fixture
-def h5py():
-    return pytest.importorskip("h5py", reason="the extra data is not installed")
-
-
-@pytest.fixture
-def zarr():
-    return pytest.importorskip("zarr", minversion="3", reason="the extra data is not installed")
-
-
-@pytest.fixture
 def av():
     return pytest.importorskip("av", reason="the extra data is not installed")
 

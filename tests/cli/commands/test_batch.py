@@ -77,9 +77,7 @@ def test_progress_says_rate_and_time_left():
 
 
 @pytest.fixture
-def output(run, tmp_path):
-    work = make_work(tmp_path)
-    images = str(work / "image*.png")
+def output(run, work, images, tmp_path):
     assert run("batch", images, "-c", work / "cal.npz", "-o", tmp_path / "out", "--quiet") == (0, "", "")
     return tmp_path / "out"
 

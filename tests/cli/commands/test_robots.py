@@ -64,20 +64,13 @@ def test_a_bag_without_a_usable_frame_says_so(run, run_json, images, calibration
 
 def test_mistakes(run, fails, images, calibration_file, tmp_path):
     given = ("-c", calibration_file, "-o", tmp_path / "bag")
-    assert run("bag", images, *given, "--topics", "depth")[0] == 2
-    assert run("bag", images, *given, "--name", "Left Finger")[0] == 2
+    for wrong in (("--topics", "depth"), ("--name", "Left Finger")):
+        assert run("bag", images, *given, *wrong)[0] == 2
+        assert run("ros", *given[:2], *wrong)[0] == 2
+    assert run("ros", *given[:2], "--domain", "233")[0] == 2
     assert "No recording" in fails("bag", tmp_path / "missing.mcap", *given)
     tmp_path.joinpath("bag").mkdir()
     assert "is there already" in fails("bag", images, *given)
-
-
-pytest.importorskip("rosbags", reason="the extra ros is not installed")
-
-
-def test_mistakes_in_usage(run, calibration_file):
-    assert run("ros", "-c", calibration_file, "--topics", "depth")[0] == 2
-    assert run("ros", "-c", calibration_file, "--name", "Left Finger")[0] == 2
-    assert run("ros", "-c", calibration_file, "--domain", "233")[0] == 2
 
 
 def test_no_router_is_one_sentence_that_says_what_to_do(fails, calibration_file):

@@ -100,35 +100,15 @@ def test_what_a_starter_needs_is_said_before_any_work(fails, unit, tmp_path, com
 
 def test_the_library_comes_before_the_starter(run, unit, tmp_path, monkeypatch):
     from gelform.calibration.library import add_calibration
-    from gelform.calibration_file import load_calibration
 
     monkeypatch.setenv("GELFORM_CALIBRATIONS", str(tmp_path / "library"))
     rest = unit / "rest.png"
-    run(
-        "starter",
-        SIMULATED,
-        "--background",
-        rest,
-        "-o",
-        tmp_path / "mine.npz",
-        "--serial",
-        "S9",
-        "--gel",
-        "mine",
-    )
+    how = (SIMULATED, "--background", rest)
+    run("starter", *how, "-o", tmp_path / "mine.npz", "--serial", "S9", "--gel", "mine")
     add_calibration(load_calibration(tmp_path / "mine.npz"))
     folder = tmp_path / "frames"
     folder.mkdir()
     (folder / "frame.png").write_bytes((unit / "frame.png").read_bytes())
     (folder / "sensor.toml").write_text(f'name = "{SIMULATED}"\nmm_per_px = 0.0634\nserial = "S9"\n')
-    code, _, err = run(
-        "reconstruct",
-        folder / "frame.png",
-        "--sensor",
-        SIMULATED,
-        "--background",
-        rest,
-        "-o",
-        tmp_path / "out",
-    )
+    code, _, err = run("reconstruct", folder / "frame.png", "--sensor", *how, "-o", tmp_path / "out")
     assert (code, "gel mine" in err) == (0, True), err

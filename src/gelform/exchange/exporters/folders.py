@@ -7,7 +7,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from gelform.errors import DataError
 from gelform.foundations.checks import check_image
-from gelform.foundations.npz_files import sweep
+from gelform.foundations.npz_files import locked_folder, sweep
 from gelform.foundations.pictures import picture_bytes
 
 
@@ -34,8 +34,11 @@ def written_whole(target: Path) -> Iterator[Path]:
     except OSError as error:
         raise DataError(f"Cannot write into {target.parent}: {error.strerror or error}.") from error
     try:
-        check_room(partial)
-        yield partial
+        with locked_folder(partial):
+            check_room(partial)
+            yield partial
+            with suppress(OSError):  # a file system without times
+                os.utime(partial)  # it has no lock from now on; `sweep` spares it for a minute
         partial.chmod(0o777 & ~_umask())
         if target.exists():
             target.rmdir()
