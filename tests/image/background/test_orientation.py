@@ -4,8 +4,16 @@ import numpy as np
 import pytest
 
 import gelform
+from gelform.errors import CalibrationError
+from gelform.image.background.check import check_own_background
 from gelform.image.background.exposure import block_means, exposure_from_blocks
-from gelform.image.background.orientation import READINGS, UNLIKE, UPRIGHT, orientation_from_image
+from gelform.image.background.orientation import (
+    READINGS,
+    UNLIKE,
+    UPRIGHT,
+    largest_touch,
+    orientation_from_image,
+)
 
 SETS = ("mini-ball", "digit-ball", "gelslim", "mini-d", "gelslim-dots", "gelsight-ball-deep")
 
@@ -66,3 +74,30 @@ def test_every_reading_of_real_presses_is_named(data, name):
             if not reading.transposed:
                 unlike = exposure_from_blocks(block_means(image), blocks).least_change > UNLIKE
                 assert unlike == (reading != UPRIGHT), "the cheap question first loses nothing"
+
+
+def test_a_touch_is_found_at_its_place_under_any_light(press, simulated):
+    height, width = press.image.shape[:2]
+    for light in (1, 1.08, np.linspace(0.96, 1.04, width)[:, None]):
+        touch = largest_touch(np.clip(press.image * light, 0, 255), simulated.background)
+        assert 1 < touch.share / press.contact.mean() < 4  # with the gel that it draws down
+        off = np.multiply(touch.center, (width, height)) - press.center_px
+        assert np.hypot(*off) < press.contact_radius_px
+        untouched = largest_touch(np.clip(simulated.background * light, 0, 255), simulated.background)
+        assert untouched.share < 0.002
+
+
+def test_a_pressed_background_is_refused_with_its_place(press, simulated):
+    with pytest.raises(
+        CalibrationError, match=r"Something touches the gel .* about \(\d+, \d+\) px: \d+ % of it"
+    ):
+        check_own_background(press.image.astype(np.float32), simulated.background)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["mini-ball", "mini-d", "digit-ball", "gelsight-ball-deep"])
+def test_real_presses_are_no_background(data, name):
+    presses = gelform.read_presses(data / name)
+    for press in presses.presses[::5]:
+        with pytest.raises(CalibrationError, match=r"Something touches the gel|is not of"):
+            check_own_background(press.image.astype(np.float32), presses.background)

@@ -17,6 +17,7 @@ from gelform.image.background.exposure import Exposure, block_means, exposure_fr
 from gelform.image.background.orientation import (
     UNLIKE,
     Orientation,
+    largest_touch,
     orientation_from_blocks,
     orientation_from_image,
 )
@@ -31,6 +32,9 @@ CORRELATION_REFUSE = (
 # Fractions of the brightness: half of an image differs by more than the first for a warning, the second for a refusal; the
 # quarter that changed least by more than the third for a refusal.
 PATTERN_WARN, PATTERN_REFUSE, LEAST_REFUSE = 0.02, 0.06, UNLIKE
+# Fraction of a background image in one region that no light explains: two moments at rest 0.015 or less (223 pairs of a
+# Mini, a wedge and a DIGIT), presses 0.033 or more on six sensors and 0.014-0.05 on a GelSlim.
+TOUCHED_SHARE = 0.025
 TOUCHED_FRACTION = 0.4  # fraction of an image that the correlation leaves out
 MIN_FRAMES = (
     8  # smallest number of frames, each touched elsewhere, whose median is nearly the background image
@@ -59,10 +63,19 @@ def check_own_background(background: NDArray[Any], calibrated: NDArray[Any]) -> 
     It goes beyond `check_background`: both images show the gel at rest, so that they should be equal everywhere, up to
     a gain for each channel. Another unit of the same model passes every other check.
 
-    CalibrationError: as `check_background`, or half of the image differs by more than 6 %. The message has the figure.
+    CalibrationError: as `check_background`, half of the image differs by more than 6 %, or something touches the gel. The
+    message has the figure.
     """
     exposure, _ = compared(block_means(background), block_means(calibrated))
     differs = exposure.middle_change
+    touch = largest_touch(background, calibrated)
+    if touch.share > TOUCHED_SHARE and not differs > PATTERN_REFUSE:
+        x, y = (round(part * size) for part, size in zip(touch.center, background.shape[1::-1]))
+        raise CalibrationError(
+            f"Something touches the gel in this background image, about ({x}, {y}) px: {100 * touch.share:.0f} % of it "
+            "differ from the calibration's as no light does. Take it again, with nothing touching the gel. If the gel is "
+            "damaged there, calibrate again."
+        )
     if np.isfinite(differs) and differs > PATTERN_REFUSE:
         raise CalibrationError(
             f"This background is not of the calibrated sensor. After a common gain ({_times(exposure.gain)}), half of it "

@@ -1,4 +1,4 @@
-"""How an image lies compared with the background image: mirrored, turned, or with red and blue exchanged.
+"""How an image lies compared with the background image (mirrored, turned, BGR), and the part that is touched.
 
 Sixteen readings of the image compete: eight orientations, each with both orders of the channels. In the right one the image
 is the background times a smooth light, but for what touches the gel. In a wrong one the lamps shine from elsewhere, and no
@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -30,6 +31,9 @@ MARGIN = 10.0
 # Fraction of the brightness by which all but a quarter of an image differs, if it lies otherwise: 0.048 or more on six
 # sensors. Frames that lie as the background differ by up to 0.036.
 UNLIKE = 0.036
+TOUCHED_CHANGE = (
+    0.06  # of a block's logarithm, root mean square of the channels; light that drifted leaves less
+)
 ROUNDS = 6  # of the fit, each with the touched blocks of the last
 
 
@@ -133,6 +137,39 @@ def orientation_from_blocks(image: NDArray[np.float32], untouched: NDArray[np.fl
     return fitting[order[0]] if first - others > MARGIN else None
 
 
+class Touched(NamedTuple):
+    """The largest connected region of an image that no light explains.
+
+    Attributes
+    ----------
+    share : of the image, 0-1
+    center : x and y over width and height, 0-1
+    """
+
+    share: float
+    center: tuple[float, float]
+
+
+def largest_touch(image: NDArray[Any], background: NDArray[Any]) -> Touched:
+    """The largest touched region of an image (H, W, 3), 0-255, compared with a background image of the same size."""
+    blocks, untouched = block_means(image), block_means(background)
+    shape = untouched.shape[:2]
+    lit = np.all((untouched > DARK) & (untouched < BRIGHT) & (blocks > DARK) & (blocks < BRIGHT), axis=-1)
+    change = (
+        np.log((blocks + CHANGE_OFFSET) / (untouched + CHANGE_OFFSET)).astype(np.float64).reshape(1, -1, 3)
+    )
+    terms = _terms(shape)
+    light, _ = _fitted_light(change, lit.reshape(1, -1), terms)
+    size = np.sqrt(np.mean((change[0] - terms[0] @ light[0]) ** 2, axis=-1)).reshape(shape)
+    touched = ((size > TOUCHED_CHANGE) & lit).view(np.uint8)
+    _, _, regions, centers = cv2.connectedComponentsWithStats(touched, connectivity=4)
+    areas = regions[1:, cv2.CC_STAT_AREA]
+    if not len(areas):
+        return Touched(0.0, (0.5, 0.5))
+    x, y = (centers[1 + areas.argmax()] + 0.5) / shape[::-1]
+    return Touched(float(areas.max() / size.size), (float(x), float(y)))
+
+
 def _terms(shape: tuple[int, int]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Monomials (N, 10) of the place in blocks (h, w), and the weights (10,) of their prior."""
     y, x = (np.linspace(-1, 1, n) for n in shape)
@@ -150,6 +187,21 @@ def _evidence(
     """Evidence (readings,) of the log changes (readings, N, 3) of lit blocks (readings, N), in nats."""
     terms, prior = of_place
     share = ALIKE / np.maximum(lit.sum(axis=1), 1)
+    light, normal = _fitted_light(change, lit, of_place)
+    explained = np.where(lit, np.logaddexp(*_log_likelihoods(change - terms @ light)), 0).sum(axis=1) * share
+    apart = (prior[None, :, None] * light**2).sum(axis=(1, 2)) / 2
+    narrowed = np.linalg.slogdet(normal)[1] - np.log(prior).sum()
+    return np.asarray(explained - apart - 1.5 * narrowed)
+
+
+def _fitted_light(
+    change: NDArray[np.float64],
+    lit: NDArray[np.bool_],
+    of_place: tuple[NDArray[np.float64], NDArray[np.float64]],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Coefficients (readings, 10, 3) of the light that explains most blocks, and their inverse covariance."""
+    terms, prior = of_place
+    share = ALIKE / np.maximum(lit.sum(axis=1), 1)
     products = (terms[:, :, None] * terms[:, None, :]).reshape(len(terms), -1)
     light = np.zeros((len(change), terms.shape[1], 3))
     light[:, 0] = [np.median(one[chosen], axis=0) if chosen.any() else 0 for one, chosen in zip(change, lit)]
@@ -158,10 +210,7 @@ def _evidence(
         weight = lit * np.exp(sides[0] - np.logaddexp(*sides)) * share[:, None] / REST_SIGMA**2
         normal = (weight @ products).reshape(len(change), *2 * (terms.shape[1],)) + np.diag(prior)
         light = np.linalg.solve(normal, terms.T @ (weight[..., None] * change))
-    explained = np.where(lit, np.logaddexp(*_log_likelihoods(change - terms @ light)), 0).sum(axis=1) * share
-    apart = (prior[None, :, None] * light**2).sum(axis=(1, 2)) / 2
-    narrowed = np.linalg.slogdet(normal)[1] - np.log(prior).sum()
-    return np.asarray(explained - apart - 1.5 * narrowed)
+    return light, normal
 
 
 def _log_likelihoods(residual: NDArray[np.float64]) -> list[NDArray[np.float64]]:
