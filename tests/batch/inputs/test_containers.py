@@ -158,6 +158,32 @@ def test_a_path_inside_that_leads_out_is_refused(h5py, tmp_path):
         listing_of(tmp_path / "demos.h5", dataset="data/*/*/*/gel")
 
 
+def test_frames_that_were_never_written_are_refused_before_they_are_counted(h5py, tmp_path):
+    with h5py.File(tmp_path / "bomb.h5", "w") as file:
+        file.create_dataset("a", (10**9, 240, 320, 3), "u1", chunks=(1, 240, 320, 3), compression="gzip")
+        file.create_dataset("b", (10**9, 64, 64, 3), "u1")
+        file.create_dataset(
+            "c", (3, 20_000, 20_000, 3), "u1", chunks=(1, 20_000, 20_000, 3), compression="gzip"
+        )
+        file["c"].id.write_direct_chunk((0, 0, 0, 0), bytes(3 * 10**6))
+        file.create_virtual_dataset("v", h5py.VirtualLayout((10**9, 8, 8, 3), "u1"))
+    for name, said in (
+        ("a", "states 1000000000 frames and stores 0 bytes"),
+        ("b", "states 1000000000 frames and stores 0 bytes"),
+        ("c", r"chunks of 1\.2 GB"),
+        ("v", r"states 1000000000 frames of bomb\.h5/v; at most 1e\+07"),
+    ):
+        with pytest.raises(DataError, match=said):
+            listing_of(tmp_path / "bomb.h5", dataset=name)
+
+
+def test_zarr_frames_that_were_never_written_are_refused(zarr, tmp_path):
+    group = zarr.open_group(str(tmp_path / "bomb.zarr"), mode="w")
+    group.create_array("a", shape=(10**9, 240, 320, 3), chunks=(1, 240, 320, 3), dtype="u1")
+    with pytest.raises(DataError, match="states 1000000000 frames"):
+        listing_of(tmp_path / "bomb.zarr", dataset="a")
+
+
 def test_among_others_a_damaged_file_is_a_row(demos, cal, tmp_path):
     (tmp_path / "in").mkdir()
     demos.rename(tmp_path / "in/a.hdf5")
