@@ -9,7 +9,7 @@ import pytest
 
 from gelform.errors import SensorError, SourceLostError
 from gelform.sensors.grabber import Grabber
-from gelform.sensors.mjpeg import MAX_PART_BYTES, Dechunker, HttpBody, MjpegUrl, PartSplitter
+from gelform.sensors.mjpeg import MAX_PART_BYTES, Dechunker, HttpBody, MjpegUrl, PartSplitter, shown_address
 from live_waiting import until
 from made.mjpeg_server import HEADER, SEEN, MjpegServer, jpeg, part
 from stream.ffmpeg_camera import FfmpegCamera, why_absent
@@ -207,3 +207,37 @@ def test_parts_come_out_whole_however_they_arrive_or_torn_where_they_lie():
     found = PartSplitter("frame").feed(lying + part(BODIES[0]))
     assert [len(one) for one in found] == [1000, len(BODIES[0])]
     assert found[1] == BODIES[0]
+
+
+def test_an_address_is_shown_without_its_secrets():
+    for given, shown in (
+        ("http://eve:p%40ss@cam:8080/a?b=1", "http://cam:8080/a?b=1"),
+        ("https://eve:p@ss@cam/a@2", "https://cam/a@2"),
+        ("http://eve:p/ss@cam/a", "http://cam/a"),
+        ("HTTP://eve@[::1]:80/", "HTTP://[::1]:80/"),
+        ("http://[::1]/a@2", "http://[::1]/a@2"),
+        ("http://cam/a@2?action=stream", "http://cam/a@2?action=stream"),
+        ("http://cam/?user=eve&Password=hidden&x=1", "http://cam/?user=eve&Password=...&x=1"),
+        ("2BKRXXXX", "2BKRXXXX"),
+        ("simulated:digit", "simulated:digit"),
+    ):
+        assert shown_address(given) == shown
+
+
+def test_no_message_has_the_password():
+    answers = [[part(RED), 0.1, None], [None], [b"<html>", None]]
+    for pieces in answers:
+        with MjpegServer(pieces) as server:
+            with pytest.raises(SensorError) as refused:
+                list(MjpegUrl(server.url.replace("//", "//eve:hidden@")))
+            assert server.url in str(refused.value)
+            assert "hidden" not in str(refused.value)
+    for url in (
+        server.url,
+        "http://eve:hidden@/x",
+        "http://eve:hidden@host:port/",
+        "http://eve:hidden@[::1/",
+    ):
+        with pytest.raises(SensorError) as refused:
+            MjpegUrl(url.replace("//127", "//eve:hidden@127"))
+        assert "hidden" not in str(refused.value)

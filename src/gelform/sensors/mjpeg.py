@@ -23,7 +23,19 @@ STALL_S = 1.0  # s without data until the camera counts as lost
 RECEIVE_BYTES, MAX_WAITING_BYTES = 2**20, 2**26  # bytes of one call; bytes read at once at most
 MAX_PART_BYTES, MAX_PART_HEADER_BYTES = 2**26, 2**14  # limits of a picture and its header
 MAX_DASHES = 16  # bytes before a boundary's own two dashes: the line end, and dashes that servers add
+_SECRET = re.compile(r"([?&][^=&]*(?:pass|pwd|token|key|secret)[^=&]*=)[^&#]*", re.IGNORECASE)
 _LENGTH = re.compile(rb"content-length:\s*(\d+)", re.IGNORECASE)
+
+
+def shown_address(spec: str) -> str:
+    """A source as it may be shown: an address without its user, its password and the secrets in its query."""
+    scheme, mark, rest = spec.partition("://")
+    if scheme.lower() not in ("http", "https") or not mark:
+        return spec
+    place = re.split(r"[/?#]", rest, maxsplit=1)[0]
+    is_whole = "@" in place or re.fullmatch(r"[^:]*|.*:\d*|\[.*\]", place)
+    secret = place.rfind("@") if is_whole else rest.rfind("@")  # a password with a / that was not quoted
+    return f"{scheme}://" + _SECRET.sub(r"\1...", rest[secret + 1 :])
 
 
 class MjpegUrl:
@@ -49,10 +61,10 @@ class MjpegUrl:
     rate_hz: float | None = None
 
     def __init__(self, url: str, *, timeout_s: float = OPEN_S) -> None:
-        place = urlsplit(url)
-        self.url = url
-        self.name = f"{place.hostname}{f':{place.port}' if place.port else ''}{place.path}"
+        self.url = shown_address(url)
         self._body = HttpBody(url, timeout_s)
+        place = urlsplit(url)
+        self.name = f"{place.hostname}{f':{place.port}' if place.port else ''}{place.path}"
         self._closed = False
         self._arrived: list[bytes] = []
         with ExitStack() as undone:
@@ -143,12 +155,15 @@ class HttpBody:
     """
 
     def __init__(self, url: str, timeout_s: float) -> None:
-        self.url = url
-        place = urlsplit(url)
-        self._socket = _connected(place, url, timeout_s)
+        self.url = shown_address(url)
+        try:
+            place = urlsplit(url)
+        except ValueError:
+            raise SensorError(f"Expected an address like http://host:8080/stream, got {self.url}.") from None
+        self._socket = _connected(place, self.url, timeout_s)
         with ExitStack() as undone:
             undone.callback(self._socket.close)
-            self._response = _answer_to(place, self._socket, url)
+            self._response = _answer_to(place, self._socket, self.url)
             undone.pop_all()  # it answers; the connection stays open
         self.headers = self._response.headers
         self._dechunk = Dechunker() if self._response.chunked else None
@@ -286,7 +301,7 @@ def _answer_to(place: SplitResult, connected: socket.socket, url: str) -> HTTPRe
 def _remedy(response: HTTPResponse) -> str:
     if response.status == 401:
         return " Put the camera's user and password before the host: http://user:password@host/..."
-    moved = response.headers.get("Location")
+    moved = shown_address(response.headers.get("Location") or "")
     return f" It has moved to {moved}: give that address." if moved else " Check the path of the address."
 
 
