@@ -33,13 +33,21 @@ THERE = {
 
 def test_kinds_of_frames_and_what_is_refused():
     png = cv2.imencode(".png", IMAGE[..., ::-1])[1].reshape(-1)
-    for values in (IMAGE, IMAGE.astype(np.float32), np.concatenate([png, np.zeros(9, np.uint8)])):
+    for values in (
+        IMAGE,
+        IMAGE.astype(np.float32),
+        np.concatenate([png, np.zeros(9, np.uint8)]),
+        np.moveaxis(IMAGE, 2, 0),
+        *((IMAGE / 255).astype(dtype) for dtype in (np.float16, np.float32, np.float64)),
+        np.moveaxis(IMAGE / 255, 2, 0),
+    ):
         np.testing.assert_array_equal(image_from_values(values), IMAGE)
     for values, said in (
-        (IMAGE / 255, "Expected whole numbers from 0 to 255"),
+        (IMAGE / 300, r"Expected whole numbers from 0 to 255, or .* float64 \(6, 8, 3\)"),
         (IMAGE.astype(np.float32) * 2, "Expected whole numbers from 0 to 255"),
         (np.full((6, 8, 3), np.nan), "Expected whole numbers"),
-        (np.moveaxis(IMAGE, 2, 0), "Move the channels last"),
+        (IMAGE[..., :2], r"got \(6, 8, 2\)"),
+        (IMAGE / 255 - 0.5, "Expected whole numbers"),
         (np.zeros(0, np.uint8), "bytes that are no image"),
         (np.arange(90, dtype=np.uint8), "bytes that are no image"),
         (DataError("chunk 3 is damaged"), "chunk 3 is damaged"),
@@ -79,7 +87,7 @@ def test_one_frame_that_cannot_be_read_is_one():
 
 
 def test_what_may_be_frames():
-    yes = (((9, 6, 8, 3), "u1"), ((9, 6, 8, 3), "f4"), ((9, 700), "u1"), ((9,), "O"))
+    yes = (((9, 6, 8, 3), "u1"), ((9, 3, 6, 8), "f4"), ((9, 6, 8, 3), "f4"), ((9, 700), "u1"), ((9,), "O"))
     no = (((9, 6, 8, 1), "u1"), ((9, 7), "f4"), ((9,), "f8"))
     assert all(is_frames(shape, np.dtype(dtype)) for shape, dtype in yes)
     assert not any(is_frames(shape, np.dtype(dtype)) for shape, dtype in no)

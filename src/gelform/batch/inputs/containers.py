@@ -23,6 +23,7 @@ MAX_CHUNK_BYTES = 2**30  # decompressed
 MAX_FRAMES = 10**7  # of a sequence: two days at 60 per second; more is a damaged number
 # Bytes of frames per stored byte: deflate reaches 1032, and a camera's frames never come near it.
 MAX_PACKING = 2000
+SAME_LEVEL = 0.13  # gray levels by which a level over 255 is off in float16
 DAMAGED = (OSError, ValueError, RuntimeError)  # errors of h5py and zarr for a chunk that cannot be decoded
 HDF5_SUFFIXES = (
     ".h5",
@@ -94,7 +95,8 @@ def matching(path: Path, there: Shapes, wanted: str) -> list[str]:
 def image_from_values(values: NDArray[Any] | DataError, most_pixels: float = MAX_PIXELS) -> NDArray[np.uint8]:
     """An RGB image (H, W, 3) uint8 from a dataset's values for one frame; DataError if they are no image.
 
-    The values are (H, W, 3) uint8, whole numbers 0-255 as floats, or (L,) uint8: a JPEG or PNG, padded with zeros.
+    The values are (H, W, 3) or (3, H, W): uint8, whole numbers 0-255 as floats, or 0-1 as floats of such levels. Or (L,)
+    uint8: a JPEG or PNG, padded with zeros.
     """
     if isinstance(values, DataError):
         raise values
@@ -107,20 +109,23 @@ def image_from_values(values: NDArray[Any] | DataError, most_pixels: float = MAX
         if decoded is None:
             raise DataError("Expected a JPEG or PNG in the dataset, got bytes that are no image.")
         return np.ascontiguousarray(decoded[..., ::-1], dtype=np.uint8)
+    if values.ndim == 3 and values.shape[2] != 3 and values.shape[0] == 3:
+        values = np.ascontiguousarray(np.moveaxis(values, 0, 2))
     if values.ndim != 3 or values.shape[2] != 3:
-        raise DataError(
-            f"Expected frames (H, W, 3) in the dataset, got {values.shape}. Move the channels last."
-        )
+        raise DataError(f"Expected frames (H, W, 3) or (3, H, W) in the dataset, got {values.shape}.")
     if values.dtype == np.uint8:
         return values
     with np.errstate(invalid="ignore"):
         whole = values.astype(np.uint8)
-    if not np.array_equal(whole, values):
-        raise DataError(
-            f"Expected whole numbers from 0 to 255 in the dataset, got {values.dtype} from {values.min()} to "
-            f"{values.max()}. Write it as uint8."
-        )
-    return whole
+    if np.array_equal(whole, values):
+        return whole
+    levels = np.rint(255 * values.astype(np.float64))
+    if values.min() >= 0 and values.max() <= 1 and np.abs(levels - 255.0 * values).max() <= SAME_LEVEL:
+        return levels.astype(np.uint8)
+    raise DataError(
+        f"Expected whole numbers from 0 to 255, or such levels over 255, in the dataset, got {values.dtype} "
+        f"{values.shape} from {values.min()} to {values.max()}. Write it as uint8."
+    )
 
 
 def blocks(dataset: Any, start: int, count: int, chunk: int) -> Iterator[NDArray[Any] | DataError]:
@@ -146,12 +151,12 @@ def _one(dataset: Any, index: int) -> NDArray[Any] | DataError:
 
 
 def is_frames(shape: tuple[int, ...], dtype: Any) -> bool:
-    """Whether a dataset may hold frames: (N, H, W, 3), or compressed frames as (N, L) or of variable length."""
+    """Whether a dataset may hold frames: (N, H, W, 3), (N, 3, H, W), or compressed ones, (N, L) or of variable length."""
     kind = np.dtype(dtype)
     if kind == np.dtype(object):
         return len(shape) == 1
     if len(shape) == 4:
-        return shape[3] == 3 and kind.kind in "uf"
+        return 3 in (shape[1], shape[3]) and kind.kind in "uf"
     return len(shape) == 2 and kind == np.uint8
 
 
