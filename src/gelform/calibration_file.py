@@ -28,12 +28,14 @@ from gelform.image.background.change import ChangeSettings
 from gelform.image.background.check import background_digest
 from gelform.image.frame import as_levels
 from gelform.image.view import View
+from gelform.image.view.view import MAX_PIXELS
 from gelform.slopes.color_models import COLOR_MODELS, IMPORTED_MODELS, ColorModel, ForwardResponse
 from gelform.slopes.confidence import SlopeSigma
 
 KIND = "gelform calibration"
 FORMAT_VERSION = 1
 MAX_BYTES = 512 * 2**20
+FULL_FRAME_PIXELS = 25e6  # of a whole camera frame, whose refusal says more than that of its size
 SHOWN_PX = 240  # width of the background image in a notebook
 
 
@@ -204,6 +206,12 @@ class Calibration:
         )
         found = [Finding(str(name), str(said), float(figure)) for name, said, figure in starter["findings"]]
         return (Finding("starter", message, self.unit_spread), *found)
+
+    @property
+    def most_pixels(self) -> float:
+        """Pixels of a picture that can be meant for this sensor; a file that states more is refused before decoding."""
+        height, width = self.view.frame_shape or self.image_shape
+        return min(MAX_PIXELS, max(4 * height * width, FULL_FRAME_PIXELS))
 
     @property
     def known_mm_per_px(self) -> float:

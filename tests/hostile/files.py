@@ -7,7 +7,6 @@ import json
 import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -169,12 +168,9 @@ def _of_other_packages(folder: Path) -> dict[str, RealFile]:
     )
     rest = np.ascontiguousarray(background()[:60, :80])
     read = lambda path, name, **more: lambda: gelform.import_calibration(path, name, background=rest, **more)  # noqa: E731
-    of_torch = {}
-    if find_spec("torch"):
-        saved = torch_file(folder / "nnmodel.pth", network_arrays((5, 32, 32, 32, 2)))
-        of_torch = {"torch weights": _real(saved, read(saved, "gs_sdk"), _all_finite)}
+    saved = torch_file(folder / "nnmodel.pth", network_arrays((5, 32, 32, 32, 2)))
     return {
-        **of_torch,
+        "torch weights": _real(saved, read(saved, "gs_sdk"), _all_finite),
         "browser weights": _real(weights, read(weights, "gsrobotics-web", position="true"), _all_finite),
         "Taxim table": _real(
             table, lambda: read_taxim_forward(table), lambda got: bool(np.isfinite(got.table).all())

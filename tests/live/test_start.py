@@ -20,6 +20,7 @@ from gelform.live.start import Options, start
 from gelform.sensors.cameras import camera as plugged_in
 from gelform.sensors.cameras.camera import Camera
 from live_waiting import until
+from made.mjpeg_server import MjpegServer, jpeg, part
 
 
 def test_without_arguments_the_simulated_sensor_is_shown_calibrated():
@@ -48,6 +49,25 @@ def test_a_camera_that_is_not_there_is_said_and_waited_for():
         assert "tries again" in hub.notices[0][2]
         until(lambda: hub.stations[0].facts()["reason"])
         assert hub.stations[0].facts()["state"] == "missing"
+
+
+def test_the_password_of_a_camera_is_shown_nowhere():
+    with MjpegServer([part(jpeg()), 0.1] * 40) as server:
+        spec = server.url.replace("//", "//eve:hidden@")
+        with closing(start(Options([spec]))) as hub:
+            until(lambda: hub.stations[0].newest)
+            facts = [hub.facts()]
+        until(lambda: server.requests)
+        assert b"Basic" in server.requests[0]
+    with closing(start(Options([spec]))) as hub:  # nothing answers any more
+        until(lambda: hub.stations[0].facts()["reason"])
+        facts.append(hub.facts())
+    for one in facts:
+        assert one["stations"][0]["spec"] == server.url
+        assert "hidden" not in json.dumps(one)
+    with pytest.raises(DataError, match="twice") as refused:
+        start(Options([spec, spec]))
+    assert "hidden" not in str(refused.value)
 
 
 @pytest.mark.parametrize(

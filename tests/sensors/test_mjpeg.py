@@ -3,13 +3,14 @@
 import re
 import socket
 import time
+import tracemalloc
 
 import numpy as np
 import pytest
 
 from gelform.errors import SensorError, SourceLostError
 from gelform.sensors.grabber import Grabber
-from gelform.sensors.mjpeg import MAX_PART_BYTES, Dechunker, HttpBody, MjpegUrl, PartSplitter
+from gelform.sensors.mjpeg import MAX_PART_BYTES, Dechunker, HttpBody, MjpegUrl, PartSplitter, shown_address
 from live_waiting import until
 from made.mjpeg_server import HEADER, SEEN, MjpegServer, jpeg, part
 from stream.ffmpeg_camera import FfmpegCamera, why_absent
@@ -207,3 +208,110 @@ def test_parts_come_out_whole_however_they_arrive_or_torn_where_they_lie():
     found = PartSplitter("frame").feed(lying + part(BODIES[0]))
     assert [len(one) for one in found] == [1000, len(BODIES[0])]
     assert found[1] == BODIES[0]
+
+
+def test_an_address_is_shown_without_its_secrets():
+    for given, shown in (
+        ("http://eve:p%40ss@cam:8080/a?b=1", "http://cam:8080/a?b=1"),
+        ("https://eve:p@ss@cam/a@2", "https://cam/a@2"),
+        ("http://eve:p/ss@cam/a", "http://cam/a"),
+        ("HTTP://eve@[::1]:80/", "HTTP://[::1]:80/"),
+        ("http://[::1]/a@2", "http://[::1]/a@2"),
+        ("http://cam/a@2?action=stream", "http://cam/a@2?action=stream"),
+        ("http://cam/?user=eve&Password=hidden&x=1", "http://cam/?user=eve&Password=...&x=1"),
+        ("2BKRXXXX", "2BKRXXXX"),
+        ("simulated:digit", "simulated:digit"),
+    ):
+        assert shown_address(given) == shown
+
+
+def test_no_message_has_the_password():
+    answers = [[part(RED), 0.1, None], [None], [b"<html>", None]]
+    for pieces in answers:
+        with MjpegServer(pieces) as server:
+            with pytest.raises(SensorError) as refused:
+                list(MjpegUrl(server.url.replace("//", "//eve:hidden@")))
+            assert server.url in str(refused.value)
+            assert "hidden" not in str(refused.value)
+    for url in (
+        server.url,
+        "http://eve:hidden@/x",
+        "http://eve:hidden@host:port/",
+        "http://eve:hidden@[::1/",
+    ):
+        with pytest.raises(SensorError) as refused:
+            MjpegUrl(url.replace("//127", "//eve:hidden@127"))
+        assert "hidden" not in str(refused.value)
+
+
+FAULTS = {
+    "a length beyond reason": part(RED).replace(f": {len(RED)}".encode(), b": 67000000"),
+    "the same, and no line's end after it": part(RED).replace(f": {len(RED)}".encode(), b": 67000000")[:-2],
+    "a length of thousands of digits": part(RED).replace(f": {len(RED)}".encode(), b": " + b"9" * 5000),
+    "a length of nothing": part(RED).replace(f": {len(RED)}".encode(), b": 0"),
+    "a header without its end": b"--frame\r\nContent-Type: image/jpeg\r\n",
+    "a header that goes on": b"--frame\r\n" + b"X-Filler: a\r\n" * 100,
+    "a boundary alone": b"--frame\r\n" * 3,
+}
+
+
+@pytest.mark.parametrize("line_end", [b"\r\n", b"\n", b""], ids=["lines", "short lines", "no lines"])
+@pytest.mark.parametrize("fault", FAULTS.values(), ids=FAULTS)
+def test_a_fault_costs_one_picture(fault, line_end):
+    """The one after it arrives, whatever the server writes between its pictures."""
+    splitter, green = PartSplitter("frame"), part(GREEN)[:-2] + line_end
+    found = splitter.feed(part(BLUE)[:-2] + line_end) + splitter.feed(fault)
+    for _ in range(3):
+        found += splitter.feed(green)
+    assert found[0] == BLUE
+    assert found[-2:] == [GREEN, GREEN]
+
+
+def test_a_wrong_length_on_the_way_keeps_the_connection():
+    fault, greens = FAULTS["a length beyond reason"][:-2], [part(GREEN)[:-2], 0.01] * 40
+    with MjpegServer([part(BLUE)[:-2], SEEN, fault, *greens]) as server, Grabber(server.url) as grabber:
+        assert channel(grabber.newest(-1, WAIT_S)) == 2
+        server.seen.release()
+        assert server.sent.wait(WAIT_S)
+        until(lambda: grabber.stats.frames + grabber.stats.drops >= 40)
+        assert channel(grabber.newest(-1, 0)) == 1
+        assert (len(server.requests), grabber.stats.reopened) == (1, 0)
+
+
+CHUNK = b"%x\r\n"
+STALLS = {
+    "bytes that are no pictures": (HEADER, [part(RED), 0.1, *[b"x" * 100, 0.02] * 200]),
+    "one picture that never ends": (
+        HEADER,
+        [part(RED), 0.1, part(RED, False)[:-40], *[b"x" * 100, 0.02] * 200],
+    ),
+    "a size line that never ends": (
+        CHUNKED,
+        [CHUNK % len(part(RED)) + part(RED), 0.1, *[b"0" * 9, 0.02] * 200],
+    ),
+}
+
+
+@pytest.mark.parametrize("name", STALLS)
+def test_a_camera_that_sends_no_pictures_is_lost_though_it_sends(monkeypatch, name):
+    monkeypatch.setattr("gelform.sensors.mjpeg.PICTURE_S", 0.3)
+    monkeypatch.setattr("gelform.sensors.mjpeg.STALL_S", 0.3)
+    header, pieces = STALLS[name]
+    with pytest.raises(SourceLostError, match=r"no whole picture|torn data|sizes of chunks"):
+        taken(pieces, 2, header)
+
+
+def test_what_is_endless_takes_no_memory():
+    tracemalloc.start()
+    with pytest.raises(SourceLostError, match="torn data"):
+        Dechunker().feed(b"0" * 2000)
+    with pytest.raises(ValueError, match="header"):
+        PartSplitter("frame").feed(b"--frame\r\n" + b"X-Filler: a\r\n" * 2000)
+    assert tracemalloc.get_traced_memory()[1] < 1e6
+    tracemalloc.stop()
+
+
+def test_an_answer_that_comes_byte_by_byte_ends():
+    drip = [piece for one in b"HTTP/1.1 200 OK\r\nX: " + b"a" * 400 for piece in (bytes([one]), 0.02)]
+    with MjpegServer(drip, b"") as server, pytest.raises(SensorError, match="did not finish its answer"):
+        HttpBody(server.url, 0.15)

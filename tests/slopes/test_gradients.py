@@ -55,6 +55,37 @@ def test_normals_that_face_away_are_refused():
         gradients_from_normals(np.array([0.0, 0.1, -1.0]))
 
 
+def ball_normals(radius_px, noise=0.0, edge=0.8):
+    """Normals of a pressed ball within the flat gel, and the slopes."""
+    y, x = np.mgrid[-40:41, -50:51].astype(float)
+    inside = x**2 + y**2 < (edge * radius_px) ** 2
+    z = np.sqrt(np.where(inside, radius_px**2 - x**2 - y**2, 1.0))
+    slopes = np.where(inside[..., None], np.stack([-x, -y], -1) / z[..., None], 0.0)
+    slopes = (slopes + np.random.default_rng(0).normal(0, noise, slopes.shape)).astype(np.float32)
+    return normals_from_gradients(slopes), slopes
+
+
+@pytest.mark.parametrize("radius_px", [15, 40])
+@pytest.mark.parametrize("noise", [0.0, 0.01, 0.1])
+def test_normals_of_other_conventions_and_their_wrong_sign_of_y(radius_px, noise):
+    normals, slopes = ball_normals(radius_px, noise)
+    for convention, signs in (("directx", (1, 1, 1)), ("opengl", (1, -1, 1)), ("opencv", (1, 1, -1))):
+        found = gradients_from_normals(normals * np.float32(signs), convention=convention)
+        np.testing.assert_allclose(found, slopes, atol=1e-5)
+    if noise < 0.1:  # more noise hides the curl: nothing is said
+        for given, convention, said in (
+            ("opengl", "directx", "point up"),
+            ("directx", "opengl", "point down"),
+        ):
+            theirs = normals * np.float32([1, -1 if given == "opengl" else 1, 1])
+            with pytest.raises(ValueError, match=rf"{said}.*convention='{given}'"):
+                gradients_from_normals(theirs, convention=convention)
+    with pytest.raises(ValueError, match="directx, opengl, opencv, got 'z up'"):
+        gradients_from_normals(normals, convention="z up")
+    with pytest.raises(ValueError, match="face the camera"):
+        gradients_from_normals(normals, convention="opencv")
+
+
 @pytest.mark.parametrize("pitch", PITCHES)
 def test_curl_of_a_surface_is_zero_and_of_a_rotation_is_not(pitch):
     truth, gradients, _ = scene(QUADRATIC, (12, 17), pitch)

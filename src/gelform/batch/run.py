@@ -192,7 +192,7 @@ def _check_size(plan: Sequence[Part], calibration: Calibration) -> None:
     first = {part.sequence: part for part in reversed(plan)}
     problems = []
     for part in islice(reversed(first.values()), LOOKED_AT):
-        named = next(frames_of_part(part), None)
+        named = next(frames_of_part(part, calibration.most_pixels), None)
         if named is None or named.frame is None:
             continue
         try:

@@ -54,7 +54,7 @@ class Worker:
         """Write the outputs of a part, then its record, with the same bytes each time; Stopped if `stop()` returns True."""
         digest, rows = part.input_digest(), []
         with WRITERS[self.job.settings.form].writer(self._target(part)) as writer:
-            for named in frames_of_part(part):
+            for named in frames_of_part(part, self.job.calibration.most_pixels):
                 if stop():
                     raise Stopped
                 rows.append(self._row(part, named, writer))

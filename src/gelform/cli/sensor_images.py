@@ -26,7 +26,7 @@ def image_in(path: Path, calibration: Calibration) -> NDArray[np.uint8]:
     """The image (H, W, 3) of a camera frame in a file."""
     from gelform.sensors.files import read_image
 
-    return _viewed(read_image(path), path, calibration)
+    return _viewed(read_image(path, most_pixels=calibration.most_pixels), path, calibration)
 
 
 def background_in(path: Path | None, calibration: Calibration) -> NDArray[np.float32] | None:

@@ -16,6 +16,7 @@ from gelform.live.hub import Hub
 from gelform.live.lists import Calibrations, Recordings
 from gelform.live.station import NEVER_S, Opening, Station
 from gelform.sensors.grabber import STALL_S
+from gelform.sensors.mjpeg import shown_address
 from gelform.sensors.recordings.indexed import Indexed, indexed, is_recording
 from gelform.sensors.recordings.player import Player
 from gelform.sensors.simulated.source import RATE_HZ, SimulatedSource
@@ -78,7 +79,7 @@ def start(options: Options) -> Hub:
         sensor = simulated_sensor_of(spec)
         recording = indexed(Path(spec)) if sensor is None and is_recording(spec) else None
         opening = _opening(hub, spec, sensor or recording, options.rate_hz, number)
-        station = Station(number, spec, opening, hub.changed, hub.watched)
+        station = Station(number, shown_address(spec), opening, hub.changed, hub.watched)
         station.sensor = options.sensor or ""
         hub.stations.append(station)
         if names:
@@ -119,11 +120,12 @@ def _check_named_once(specs: Sequence[str]) -> None:
             continue
         camera = device_of(spec)
         if camera in named:
-            both = f"{spec!r} twice" if named[camera] == spec else f"{named[camera]!r} and {spec!r}"
+            shown = shown_address(spec)
+            both = f"{shown!r} twice" if named[camera] == shown else f"{named[camera]!r} and {shown!r}"
             raise DataError(
                 f"Expected each camera once, got {both}, which is one camera. Any number of pages may show it."
             )
-        named[camera] = spec
+        named[camera] = shown_address(spec)
 
 
 def _opening(

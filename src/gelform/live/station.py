@@ -114,7 +114,7 @@ class Station:
     Parameters
     ----------
     number : the page's name for it
-    spec : the user's spec: "simulated", a serial number, a path
+    spec : the user's spec as it is shown: "simulated", a serial number, a path, an address without its password
     opening : how to open its source, or the function that opens it
     on_shown : called in the station's thread when there is something new to show
     watched : whether every frame is needed, as for a tap; else eight per second are reconstructed, for the memory

@@ -24,6 +24,8 @@ from gelform.foundations.checks import (
 )
 from gelform.image.background.average import Background, background_from_frames
 from gelform.image.view import View
+from gelform.image.view.view import MAX_PIXELS
+from gelform.sensors.declared import check_declared
 from gelform.sensors.jpeg import SIGNATURE as JPEG
 from gelform.sensors.jpeg import is_gray_jpeg, pixels_of_jpeg
 from gelform.sensors.png_bytes import SIGNATURE as PNG
@@ -72,12 +74,13 @@ class SensorSettings:
     camera: Mapping[str, float | str] = field(default_factory=dict)
 
 
-def read_image(path: str | Path) -> NDArray[np.uint8]:
+def read_image(path: str | Path, *, most_pixels: float = MAX_PIXELS) -> NDArray[np.uint8]:
     """Read an image file as RGB.
 
     Parameters
     ----------
     path : a PNG, JPEG, BMP, TIFF, WebP or PPM file of 8-bit color
+    most_pixels : a file that declares more is refused before its pixels take memory
 
     Returns
     -------
@@ -86,11 +89,15 @@ def read_image(path: str | Path) -> NDArray[np.uint8]:
     Raises
     ------
     DataError
-        The file is missing, unreadable, truncated or damaged, gray, 16-bit, of a palette, or transparent; the
-        message says which and what to do.
+        The file is missing, unreadable, truncated or damaged, too large, gray, 16-bit, of a palette, or
+        transparent; the message says which and what to do.
     """
     path = check_path(path)
     content = _content(path)
+    try:
+        check_declared(content, most_pixels)
+    except ValueError as problem:
+        raise DataError(f"{path}: {problem}. It is damaged, or no frame of this sensor.") from problem
     rgb = _usual_pixels(content, path)
     if rgb is not None:
         return rgb

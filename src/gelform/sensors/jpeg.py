@@ -6,6 +6,8 @@ import numpy as np
 import simplejpeg
 from numpy.typing import NDArray
 
+from gelform.image.view.view import MAX_PIXELS
+
 SIGNATURE = b"\xff\xd8\xff"
 _START, _END = b"\xff\xd8", b"\xff\xd9"
 # Bytes. For larger pictures only start and end are checked: drivers of cameras with megapixels leave stray bytes in them.
@@ -24,6 +26,8 @@ def pixels_of_jpeg(content: bytes, reduction: int = 1, *, strict: bool = True) -
     ValueError: the picture is damaged or truncated; the message is the decoder's.
     """
     height, width = simplejpeg.decode_jpeg_header(content)[:2]
+    if height * width > MAX_PIXELS:
+        raise ValueError(f"its header states {height}x{width} px")
     least = {"min_height": -(-height // reduction), "min_width": -(-width // reduction)}
     decoded = simplejpeg.decode_jpeg(content, min_factor=reduction, strict=strict, **least)
     return np.asarray(decoded, dtype=np.uint8)

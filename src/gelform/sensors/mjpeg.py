@@ -8,6 +8,7 @@ import re
 import select
 import socket
 import ssl
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack
@@ -20,10 +21,26 @@ from gelform.sensors.jpeg import MAX_TORN, image_from_jpeg, jpeg_shape, reductio
 
 OPEN_S = 2.0  # s, timeout for the connection and the first picture
 STALL_S = 1.0  # s without data until the camera counts as lost
-RECEIVE_BYTES, MAX_WAITING_BYTES = 2**20, 2**26  # bytes of one call; bytes read at once at most
+PICTURE_S = (
+    5.0  # s without a whole picture, whatever else arrives: a large one over a slow network takes three
+)
+RECEIVE_BYTES, MAX_WAITING_BYTES = 2**20, 2**23  # bytes of one call; bytes read at once at most
+MAX_SIZE_LINE = 1024  # bytes of the line with the size of a chunk
 MAX_PART_BYTES, MAX_PART_HEADER_BYTES = 2**26, 2**14  # limits of a picture and its header
 MAX_DASHES = 16  # bytes before a boundary's own two dashes: the line end, and dashes that servers add
-_LENGTH = re.compile(rb"content-length:\s*(\d+)", re.IGNORECASE)
+_SECRET = re.compile(r"([?&][^=&]*(?:pass|pwd|token|key|secret)[^=&]*=)[^&#]*", re.IGNORECASE)
+_LENGTH = re.compile(rb"content-length:\s*(\d{1,12})", re.IGNORECASE)
+
+
+def shown_address(spec: str) -> str:
+    """A source as it may be shown: an address without its user, its password and the secrets in its query."""
+    scheme, mark, rest = spec.partition("://")
+    if scheme.lower() not in ("http", "https") or not mark:
+        return spec
+    place = re.split(r"[/?#]", rest, maxsplit=1)[0]
+    is_whole = "@" in place or re.fullmatch(r"[^:]*|.*:\d*|\[.*\]", place)
+    secret = place.rfind("@") if is_whole else rest.rfind("@")  # a password with a / that was not quoted
+    return f"{scheme}://" + _SECRET.sub(r"\1...", rest[secret + 1 :])
 
 
 class MjpegUrl:
@@ -49,10 +66,10 @@ class MjpegUrl:
     rate_hz: float | None = None
 
     def __init__(self, url: str, *, timeout_s: float = OPEN_S) -> None:
-        place = urlsplit(url)
-        self.url = url
-        self.name = f"{place.hostname}{f':{place.port}' if place.port else ''}{place.path}"
+        self.url = shown_address(url)
         self._body = HttpBody(url, timeout_s)
+        place = urlsplit(url)
+        self.name = f"{place.hostname}{f':{place.port}' if place.port else ''}{place.path}"
         self._closed = False
         self._arrived: list[bytes] = []
         with ExitStack() as undone:
@@ -65,7 +82,7 @@ class MjpegUrl:
         self._reduction = int(self.settings["reduced"])
 
     def __iter__(self) -> Iterator[Frame]:
-        index, torn = -1, 0
+        index, torn, picture_s = -1, 0, time.monotonic()
         while not self._closed:
             parts, self._arrived = self._arrived or self._read(STALL_S), []
             time_s, wall_time_ns = time.monotonic(), time.time_ns()
@@ -74,8 +91,11 @@ class MjpegUrl:
             if image is not None:
                 torn = 0
                 yield Frame(image, time_s, wall_time_ns, index, parts[-1])
+                picture_s = time.monotonic()
             elif parts:
                 torn += 1
+            if time.monotonic() - picture_s > PICTURE_S:
+                raise SourceLostError(f"{self.url} sent no whole picture for {PICTURE_S:g} s.")
             if torn > MAX_TORN:
                 raise SourceLostError(f"{self.url} sent {torn} torn pictures in a row.")
 
@@ -112,7 +132,7 @@ class MjpegUrl:
                 return {"width": shape[1], "height": shape[0], "reduced": reduction_of(shape)}
             if (left := until - time.monotonic()) <= 0:
                 break
-            self._arrived += self._read(left)
+            self._arrived = self._read(left)
         raise SensorError(f"{self.url} answers, but sent no JPEG picture within {OPEN_S:g} s.")
 
     def _read(self, timeout_s: float) -> list[bytes]:
@@ -143,12 +163,25 @@ class HttpBody:
     """
 
     def __init__(self, url: str, timeout_s: float) -> None:
-        self.url = url
-        place = urlsplit(url)
-        self._socket = _connected(place, url, timeout_s)
+        self.url = shown_address(url)
+        try:
+            place = urlsplit(url)
+        except ValueError:
+            raise SensorError(f"Expected an address like http://host:8080/stream, got {self.url}.") from None
+        self._socket = _connected(place, self.url, timeout_s)
         with ExitStack() as undone:
             undone.callback(self._socket.close)
-            self._response = _answer_to(place, self._socket, url)
+            # A header that arrives byte by byte never reaches the timeout of a byte.
+            until = time.monotonic() + 2 * timeout_s
+            ending = threading.Timer(2 * timeout_s, _shut, [self._socket])
+            ending.start()
+            undone.callback(ending.cancel)
+            self._response = _answer_to(place, self._socket, self.url)
+            ending.cancel()
+            if time.monotonic() >= until:
+                raise SensorError(
+                    f"{self.url} did not finish its answer's header within {2 * timeout_s:g} s."
+                )
             undone.pop_all()  # it answers; the connection stays open
         self.headers = self._response.headers
         self._dechunk = Dechunker() if self._response.chunked else None
@@ -161,9 +194,12 @@ class HttpBody:
         Raises
         ------
         SourceLostError
-            The connection is lost, or nothing arrived for `timeout_s`.
+            The connection is lost, or no content arrived for `timeout_s`.
         """
+        until = time.monotonic() + timeout_s
         while self._dechunk is None or not self._dechunk.ended:
+            if time.monotonic() > until:
+                raise SourceLostError(f"{self.url} sent sizes of chunks and no content for {timeout_s:g} s.")
             received = self._received(timeout_s)
             content = received if self._dechunk is None else self._dechunk.feed(received)
             if content or not received:
@@ -189,8 +225,7 @@ class HttpBody:
 
     def close(self) -> None:
         """Close the connection; this wakes a reading thread."""
-        with contextlib.suppress(OSError):  # already closed
-            self._socket.shutdown(socket.SHUT_RDWR)
+        _shut(self._socket)
         self._socket.close()
         self._response.close()  # it also holds the socket
 
@@ -198,6 +233,12 @@ class HttpBody:
         if isinstance(self._socket, ssl.SSLSocket) and self._socket.pending():
             return True
         return bool(select.select([self._socket], [], [], 0)[0])
+
+
+def _shut(connected: socket.socket) -> None:
+    """End a connection in both directions, which wakes its readers."""
+    with contextlib.suppress(OSError):  # already closed
+        connected.shutdown(socket.SHUT_RDWR)
 
 
 class Dechunker:
@@ -225,6 +266,10 @@ class Dechunker:
         """Read a size line, and the line end of the previous chunk; False if it is incomplete."""
         start = 2 if self._bytes.startswith(b"\r\n") else 0
         end = self._bytes.find(b"\r\n", start)
+        if end < 0 and len(self._bytes) > MAX_SIZE_LINE:
+            raise SourceLostError(
+                f"Expected the size of a chunk, got {len(self._bytes)} bytes without one: torn data."
+            )
         if end < 0:
             return False
         text = bytes(self._bytes[start:end]).split(b";")[0].strip()
@@ -286,7 +331,7 @@ def _answer_to(place: SplitResult, connected: socket.socket, url: str) -> HTTPRe
 def _remedy(response: HTTPResponse) -> str:
     if response.status == 401:
         return " Put the camera's user and password before the host: http://user:password@host/..."
-    moved = response.headers.get("Location")
+    moved = shown_address(response.headers.get("Location") or "")
     return f" It has moved to {moved}: give that address." if moved else " Check the path of the address."
 
 
@@ -310,7 +355,8 @@ class PartSplitter:
 
     def __init__(self, boundary: str) -> None:
         self._boundary = b"--" + boundary.strip().strip('"').lstrip("-").encode("latin-1")
-        self._after = re.compile(rb"\r\n-*" + re.escape(self._boundary))
+        # After a line's end, or after the end of a JPEG: servers that state lengths may leave out the line's end.
+        self._after = re.compile(rb"(?:\r?\n|(?<=\xff\xd9))-*" + re.escape(self._boundary))
         self._bytes = bytearray()
         self._searched = 0  # bytes of the buffer known to hold no boundary
 
@@ -341,6 +387,10 @@ class PartSplitter:
                     f"Expected a part's header of at most {MAX_PART_HEADER_BYTES} bytes, got more."
                 )
             return None
+        later = self._bytes.rfind(self._boundary, start + 1, head_end)
+        if later >= 0:  # the header of an earlier part has no end
+            del self._bytes[:later]
+            return self._next()
         body = head_end + 4
         stated = _LENGTH.search(self._bytes, start, head_end)
         whole = len(self._bytes) if stated is None else body + int(stated.group(1))

@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform._native import Kernel
+from gelform.image.view.view import MAX_PIXELS
 
 # The extra `png`: Intel's ISA-L decompresses to the same bytes in a quarter of the time.
 inflate: Any = import_module("isal.isal_zlib") if find_spec("isal") else zlib
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
-MAX_PIXELS = 2**29  # of any kind, so that a small file cannot fill the memory
 USUAL = (8, 2, 0, 0, 0)  # bits, RGB, compression, filters, no interlace
 _png_rows = Kernel("png_rows", "u8[h,r] rows, u8[n] zeros, out u8[h,n] pixels")
 

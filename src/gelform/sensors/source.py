@@ -13,7 +13,7 @@ from gelform.foundations.checks import check_path
 from gelform.image.frame import Frame
 from gelform.sensors.cameras.camera import camera_named
 from gelform.sensors.cameras.usb import UsbCamera
-from gelform.sensors.mjpeg import OPEN_S, MjpegUrl
+from gelform.sensors.mjpeg import OPEN_S, MjpegUrl, shown_address
 from gelform.sensors.playback import folder_playback, video_playback
 from gelform.sensors.recordings.mcap_reader import is_bag_folder, mcap_file_in, mcap_playback
 from gelform.sensors.simulated.settings import simulated_sensor_named
@@ -104,7 +104,9 @@ def open_source(
         return UsbCamera(camera_named(str(spec)), settings)
     if settings:
         opened.close()
-        raise SensorError(f"{spec} is no USB camera: {', '.join(settings)} cannot be set. Leave it out.")
+        raise SensorError(
+            f"{shown_address(str(spec))} is no USB camera: {', '.join(settings)} cannot be set. Leave it out."
+        )
     return opened
 
 

@@ -94,13 +94,22 @@ class Video:
             raise DataError(f"No video file {self.path}. Check the path.")
         if self.path.stat().st_size == 0:
             raise DataError(f"{self.path} is empty. Copy or record it again.")
-        capture = cv2.VideoCapture(str(self.path))
+        capture = opened_video(self.path)
         if not capture.isOpened():
             raise DataError(
                 f"{self.path} cannot be decoded as a video: damaged, or a codec that OpenCV lacks here. "
                 "Record it as AVI (MJPG) or MP4."
             )
         return capture
+
+
+def opened_video(path: Path) -> cv2.VideoCapture:
+    """OpenCV's reader of a file, opened or not; DataError for a name that is no UTF-8, on which OpenCV crashes."""
+    try:
+        str(path).encode()
+    except UnicodeEncodeError:
+        raise DataError(f"The name of the video {str(path)!a} is no UTF-8. Rename it.") from None
+    return cv2.VideoCapture(str(path))
 
 
 def grabbed_image(capture: cv2.VideoCapture, where: str) -> NDArray[Any]:

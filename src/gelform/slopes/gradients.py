@@ -15,9 +15,17 @@ from gelform.foundations.checks import (
     check_map,
     check_mm_per_px,
     check_normals,
+    check_values,
     check_within,
 )
 
+CONVENTIONS = {
+    "directx": (1, 1, 1),
+    "opengl": (1, -1, 1),
+    "opencv": (1, 1, -1),
+}  # signs of normals to gelform's
+# A map's size and curl from which the sign of y shows: steps and noise leave half as much curl in the right one at most.
+LEAST_MAP_PX, MUCH_CURL, CURL_OF_ROUNDING = 16, 2.0, 1e-4
 STEEPEST_GEL = 1.0  # mm/mm, the steepest slope of a gel: where nothing is known, a slope is off by that
 COARSE_PX, AGREED_PX = 3.0, 2.5  # px at 240 rows, standard deviations of G3 and G2.5 in `smoothed_gradients`
 
@@ -25,12 +33,14 @@ _slopes_of_depth = Kernel("slopes_of_depth", "f32[h,w] depth, out f32[h,w,2] gra
 _curl_squares = Kernel("curl_squares", "f32[n,h,w,2] gradients, bool[n,h,w]? known, out f64[2] result")
 
 
-def gradients_from_normals(normals: ArrayLike) -> NDArray[np.float32]:
+def gradients_from_normals(normals: ArrayLike, *, convention: str = "directx") -> NDArray[np.float32]:
     """Slopes of a surface from its normals: `p = -n_x/n_z`, `q = -n_y/n_z`.
 
     Parameters
     ----------
     normals : (..., 3), n_z > 0; need not have unit length
+    convention : axes of the normals: "directx" as everywhere in gelform (y down, z toward the camera), "opengl" (y up, z
+        toward the camera), or "opencv" (y down, z away from the camera, so n_z < 0)
 
     Returns
     -------
@@ -39,10 +49,32 @@ def gradients_from_normals(normals: ArrayLike) -> NDArray[np.float32]:
     Raises
     ------
     ValueError
-        A normal that faces away from the camera (n_z <= 0), NaN, or a wrong shape.
+        A normal that faces away from the camera, NaN, a wrong shape, an unknown convention, or a map (H, W, 3) of at least
+        16x16 that is a surface only with the other sign of y.
     """
+    if convention not in CONVENTIONS:
+        raise ValueError(f"Expected a convention among {', '.join(CONVENTIONS)}, got {convention!r}.")
+    if convention != "directx":
+        normals = check_values(normals, "normals", (3,)) * np.array(CONVENTIONS[convention], np.float32)
     n = check_normals(normals)
-    return -n[..., :2] / n[..., 2:]
+    gradients = -n[..., :2] / n[..., 2:]
+    _check_sign_of_y(gradients, convention)
+    return gradients
+
+
+def _check_sign_of_y(gradients: NDArray[np.float32], convention: str) -> None:
+    """Refuse a map whose curl vanishes only with the other sign of y; noise leaves as much with either."""
+    if gradients.ndim < 3 or min(gradients.shape[-3:-1]) < LEAST_MAP_PX:
+        return
+    q_x, p_y = np.gradient(gradients[..., 1], axis=-1), np.gradient(gradients[..., 0], axis=-2)
+    here, other = (float(np.sqrt(np.mean(np.square(q_x + sign * p_y)))) for sign in (-1, 1))
+    if here > MUCH_CURL * other and here > CURL_OF_ROUNDING:
+        right = "directx" if convention == "opengl" else "opengl"
+        raise ValueError(
+            f"Expected normals of a surface, got ones that turn (RMS curl {here:.2g} per pixel, {other:.2g} with the other "
+            f"sign of y). Does y point {'down' if convention == 'opengl' else 'up'}? Then give convention={right!r}, or "
+            "change the sign of n_y."
+        )
 
 
 def smoothed_gradients(gradients: ArrayLike, *, texture: float = 0.02) -> NDArray[np.float32]:

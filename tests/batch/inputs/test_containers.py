@@ -33,13 +33,21 @@ THERE = {
 
 def test_kinds_of_frames_and_what_is_refused():
     png = cv2.imencode(".png", IMAGE[..., ::-1])[1].reshape(-1)
-    for values in (IMAGE, IMAGE.astype(np.float32), np.concatenate([png, np.zeros(9, np.uint8)])):
+    for values in (
+        IMAGE,
+        IMAGE.astype(np.float32),
+        np.concatenate([png, np.zeros(9, np.uint8)]),
+        np.moveaxis(IMAGE, 2, 0),
+        *((IMAGE / 255).astype(dtype) for dtype in (np.float16, np.float32, np.float64)),
+        np.moveaxis(IMAGE / 255, 2, 0),
+    ):
         np.testing.assert_array_equal(image_from_values(values), IMAGE)
     for values, said in (
-        (IMAGE / 255, "Expected whole numbers from 0 to 255"),
+        (IMAGE / 300, r"Expected whole numbers from 0 to 255, or .* float64 \(6, 8, 3\)"),
         (IMAGE.astype(np.float32) * 2, "Expected whole numbers from 0 to 255"),
         (np.full((6, 8, 3), np.nan), "Expected whole numbers"),
-        (np.moveaxis(IMAGE, 2, 0), "Move the channels last"),
+        (IMAGE[..., :2], r"got \(6, 8, 2\)"),
+        (IMAGE / 255 - 0.5, "Expected whole numbers"),
         (np.zeros(0, np.uint8), "bytes that are no image"),
         (np.arange(90, dtype=np.uint8), "bytes that are no image"),
         (DataError("chunk 3 is damaged"), "chunk 3 is damaged"),
@@ -79,7 +87,7 @@ def test_one_frame_that_cannot_be_read_is_one():
 
 
 def test_what_may_be_frames():
-    yes = (((9, 6, 8, 3), "u1"), ((9, 6, 8, 3), "f4"), ((9, 700), "u1"), ((9,), "O"))
+    yes = (((9, 6, 8, 3), "u1"), ((9, 3, 6, 8), "f4"), ((9, 6, 8, 3), "f4"), ((9, 700), "u1"), ((9,), "O"))
     no = (((9, 6, 8, 1), "u1"), ((9, 7), "f4"), ((9,), "f8"))
     assert all(is_frames(shape, np.dtype(dtype)) for shape, dtype in yes)
     assert not any(is_frames(shape, np.dtype(dtype)) for shape, dtype in no)
@@ -151,6 +159,32 @@ def test_a_path_inside_that_leads_out_is_refused(h5py, tmp_path):
         file["data/../../../gel"] = np.zeros((2, 4, 4, 3), dtype=np.uint8)
     with pytest.raises(DataError, match="leads out of any folder"):
         listing_of(tmp_path / "demos.h5", dataset="data/*/*/*/gel")
+
+
+def test_frames_that_were_never_written_are_refused_before_they_are_counted(h5py, tmp_path):
+    with h5py.File(tmp_path / "bomb.h5", "w") as file:
+        file.create_dataset("a", (10**9, 240, 320, 3), "u1", chunks=(1, 240, 320, 3), compression="gzip")
+        file.create_dataset("b", (10**9, 64, 64, 3), "u1")
+        file.create_dataset(
+            "c", (3, 20_000, 20_000, 3), "u1", chunks=(1, 20_000, 20_000, 3), compression="gzip"
+        )
+        file["c"].id.write_direct_chunk((0, 0, 0, 0), bytes(3 * 10**6))
+        file.create_virtual_dataset("v", h5py.VirtualLayout((10**9, 8, 8, 3), "u1"))
+    for name, said in (
+        ("a", "states 1000000000 frames and stores 0 bytes"),
+        ("b", "states 1000000000 frames and stores 0 bytes"),
+        ("c", r"chunks of 1\.2 GB"),
+        ("v", r"states 1000000000 frames of bomb\.h5/v; at most 1e\+07"),
+    ):
+        with pytest.raises(DataError, match=said):
+            listing_of(tmp_path / "bomb.h5", dataset=name)
+
+
+def test_zarr_frames_that_were_never_written_are_refused(zarr, tmp_path):
+    group = zarr.open_group(str(tmp_path / "bomb.zarr"), mode="w")
+    group.create_array("a", shape=(10**9, 240, 320, 3), chunks=(1, 240, 320, 3), dtype="u1")
+    with pytest.raises(DataError, match="states 1000000000 frames"):
+        listing_of(tmp_path / "bomb.zarr", dataset="a")
 
 
 def test_among_others_a_damaged_file_is_a_row(demos, cal, tmp_path):

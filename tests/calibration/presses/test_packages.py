@@ -61,6 +61,18 @@ def test_py3dcal_folder(py3dcal, simulated):
     np.testing.assert_array_equal(read.background, simulated.background)
 
 
+def test_py3dcal_before_its_annotation_says_what_is_missing(py3dcal):
+    (py3dcal / "annotations" / "annotations.csv").rename(py3dcal / "annotations" / "probe_data.csv")
+    with pytest.raises(
+        gelform.DataError, match=r"annotations\.csv.* is missing\. probe_data\.csv .*Run py3DCal's annotate"
+    ):
+        gelform.read_presses(py3dcal)
+    shutil.move(py3dcal / "annotations" / "probe_data.csv", py3dcal / "probe_data.csv")
+    shutil.rmtree(py3dcal / "annotations")
+    with pytest.raises(gelform.DataError, match=r"is missing\. probe_data\.csv .*Run py3DCal's annotate"):
+        gelform.read_presses(py3dcal)
+
+
 def test_py3dcal_metadata_beside_the_folders_and_what_is_given_goes_first(py3dcal):
     shutil.move(py3dcal / "annotations" / "metadata.json", py3dcal / "metadata.json")
     read = gelform.read_presses(py3dcal, mm_per_px=0.2, ball_diameter_mm=4)

@@ -1,9 +1,12 @@
 """MCAP files: records, topics of pictures, ROS 2 bags, damage."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
 import made.recorded
+from gelform.cli import main
 from gelform.errors import DataError
 from gelform.sensors.recordings.mcap_reader import (
     SAMPLED_RECORDS,
@@ -157,6 +160,52 @@ def test_a_bag_of_raw_pictures_is_read_and_counted(tmp_path):
     changing = [raw_message(given[0]), raw_message(given[0], "8UC3")]
     with pytest.raises(DataError, match=r"Frame 1 of .*got 8UC3"):
         list(mcap_playback(image_file(tmp_path / "b.mcap", {"/a": changing})))
+
+
+def chunk_file(path, compression, data, size):
+    """An MCAP file of one compressed chunk that states a size."""
+    from mcap.data_stream import RecordBuilder
+    from mcap.opcode import Opcode
+
+    made = RecordBuilder()
+    made.start_record(Opcode.CHUNK)
+    for number, write in ((0, made.write8), (0, made.write8), (size, made.write8), (0, made.write4)):
+        write(number)
+    made.write_prefixed_string(compression)
+    made.write8(len(data))
+    made.write(data)
+    made.finish_record()
+    path.write_bytes(b"\x89MCAP0\r\n" + made.end())
+    return path
+
+
+@pytest.mark.parametrize("compression", ["zstd", "lz4"])
+def test_a_chunk_of_few_bytes_cannot_fill_the_memory(tmp_path, compression):
+    packed = {
+        "zstd": lambda data: pytest.importorskip("zstandard").compress(data),
+        "lz4": lambda data: pytest.importorskip("lz4.frame").compress(data),
+    }[compression]
+    right = (
+        b"\x80" + (100).to_bytes(8, "little") + bytes(100)
+    )  # a record of another program, which is skipped
+    assert len(list(mcap_records(chunk_file(tmp_path / "right.mcap", compression, packed(right), 109)))) == 0
+    bomb = packed(bytes(2**26))
+    for size, said in (
+        (2**32, "states 4.29e[+]03 MB, more than 256 MB"),
+        (1000, "states 1000 bytes and holds more"),
+        (2**27, f"states {2**27} bytes and holds {2**26}"),
+    ):
+        path = chunk_file(tmp_path / f"{size}.mcap", compression, bomb, size)
+        tracemalloc.start()
+        with pytest.raises(DataError, match=said):
+            list(mcap_records(path))
+        assert tracemalloc.get_traced_memory()[1] < 3 * 2**27
+        tracemalloc.stop()
+        with pytest.raises(SystemExit, match=r"^1$"):
+            main(["info", str(path)])
+    torn = chunk_file(tmp_path / "torn.mcap", compression, bomb[:20] + b"\xff" * 20 + bomb[40:], 2**26)
+    with pytest.raises(DataError, match=r"a chunk (cannot be decompressed|states)"):
+        list(mcap_records(torn))
 
 
 def test_another_tools_compressed_file_is_read(tmp_path):

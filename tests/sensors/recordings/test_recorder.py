@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 
 import gelform
-from gelform.errors import DataError
 from gelform.sensors.grabber import Grabber
 from gelform.sensors.recordings import attached_background, attached_calibration
 from gelform.sensors.recordings.indexed import indexed
@@ -37,8 +38,8 @@ def test_progress_is_told_and_nothing_is_left_of_a_share_that_failed(forms, tmp_
     recording = indexed(forms["mcap"])
     path = share(recording, tmp_path, calibration=None, progress=lambda *what: said.append(what[:2]))
     assert said[-1] == (6, 7)
-    with pytest.raises(DataError, match="already there"):
-        share(recording, tmp_path, calibration=None)
+    again = share(recording, tmp_path, calibration=None)  # in the same second
+    assert (again.name, len(indexed(again))) == ("a-2.mcap", 7)
     assert attached_calibration(path) is None
     monkeypatch.setattr("gelform.sensors.recordings.recorder.named_by_time", lambda _: "b")
 
@@ -48,7 +49,7 @@ def test_progress_is_told_and_nothing_is_left_of_a_share_that_failed(forms, tmp_
 
     with pytest.raises(KeyboardInterrupt):
         share(recording, tmp_path, calibration=None, progress=stop)
-    assert [path.name for path in tmp_path.glob("*.mcap*")] == ["a.mcap"]
+    assert {path.name for path in tmp_path.glob("*.mcap*")} == {"a.mcap", "a-2.mcap"}
     assert not list(tmp_path.glob(".*"))
 
 
@@ -71,3 +72,21 @@ def test_it_ends_when_it_is_large_enough_or_no_longer_wanted(frames, calibration
             if folder == "large":
                 frame_bytes = recorder.stats.written_bytes / recorder.stats.frames
                 assert limit <= recorder.stats.written_bytes < limit + 2 * frame_bytes
+
+
+def test_two_sensors_in_one_second_are_both_kept(forms, frames, calibration, tmp_path, monkeypatch):
+    """Recorded and shared at the same time, by two stations' threads."""
+    monkeypatch.setattr("gelform.sensors.recordings.recorder.named_by_time", lambda kind: kind)
+    images, recording = [frame.image for frame in frames], indexed(forms["mcap"])
+    with Grabber(lambda: ImageSource(images), keep=KEPT_FRAMES) as grabber:
+        recorders = [Recorder(grabber, tmp_path, calibration=calibration, max_bytes=1) for _ in range(2)]
+        for one in recorders:
+            one.start()
+        with ThreadPoolExecutor(4) as pool:
+            shared = list(pool.map(lambda _: share(recording, tmp_path, calibration=None), range(4)))
+        until(lambda: all(one.problem for one in recorders))
+        for one in recorders:
+            one.close()
+    assert len({*shared, *(one.path for one in recorders)}) == 6
+    assert [len(indexed(path)) for path in shared] == [7] * 4
+    assert all(len(indexed(one.path)) >= 1 for one in recorders)

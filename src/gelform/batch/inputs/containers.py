@@ -15,8 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.errors import DataError, needed
+from gelform.image.view.view import MAX_PIXELS
+from gelform.sensors.declared import check_declared
 
 BLOCK_BYTES, BLOCK_FRAMES = 1 << 26, 64  # limits of one read: bytes and frames
+MAX_CHUNK_BYTES = 2**30  # decompressed
+MAX_FRAMES = 10**7  # of a sequence: two days at 60 per second; more is a damaged number
+# Bytes of frames per stored byte: deflate reaches 1032, and a camera's frames never come near it.
+MAX_PACKING = 2000
+SAME_LEVEL = 0.13  # gray levels by which a level over 255 is off in float16
 DAMAGED = (OSError, ValueError, RuntimeError)  # errors of h5py and zarr for a chunk that cannot be decoded
 HDF5_SUFFIXES = (
     ".h5",
@@ -50,6 +57,10 @@ class Sequence:
     rate_hz: int = 0
 
     def __post_init__(self) -> None:
+        if self.count > MAX_FRAMES:
+            raise DataError(
+                f"{self.path} states {self.count} frames of {self.name}; at most {MAX_FRAMES:g} are read."
+            )
         # Anyone may have chosen the names inside a file, and outputs are named after their inputs.
         if leads_out(self.name):
             raise DataError(
@@ -81,32 +92,40 @@ def matching(path: Path, there: Shapes, wanted: str) -> list[str]:
     raise DataError(f"{said}. Give one with --dataset; there {_listed(there)}.")
 
 
-def image_from_values(values: NDArray[Any] | DataError) -> NDArray[np.uint8]:
+def image_from_values(values: NDArray[Any] | DataError, most_pixels: float = MAX_PIXELS) -> NDArray[np.uint8]:
     """An RGB image (H, W, 3) uint8 from a dataset's values for one frame; DataError if they are no image.
 
-    The values are (H, W, 3) uint8, whole numbers 0-255 as floats, or (L,) uint8: a JPEG or PNG, padded with zeros.
+    The values are (H, W, 3) or (3, H, W): uint8, whole numbers 0-255 as floats, or 0-1 as floats of such levels. Or (L,)
+    uint8: a JPEG or PNG, padded with zeros.
     """
     if isinstance(values, DataError):
         raise values
     if values.ndim == 1 and values.dtype == np.uint8:
+        try:
+            check_declared(values.tobytes(), most_pixels)
+        except ValueError as problem:
+            raise DataError(f"{problem}.") from problem
         decoded = cv2.imdecode(values, cv2.IMREAD_COLOR) if len(values) else None
         if decoded is None:
             raise DataError("Expected a JPEG or PNG in the dataset, got bytes that are no image.")
         return np.ascontiguousarray(decoded[..., ::-1], dtype=np.uint8)
+    if values.ndim == 3 and values.shape[2] != 3 and values.shape[0] == 3:
+        values = np.ascontiguousarray(np.moveaxis(values, 0, 2))
     if values.ndim != 3 or values.shape[2] != 3:
-        raise DataError(
-            f"Expected frames (H, W, 3) in the dataset, got {values.shape}. Move the channels last."
-        )
+        raise DataError(f"Expected frames (H, W, 3) or (3, H, W) in the dataset, got {values.shape}.")
     if values.dtype == np.uint8:
         return values
     with np.errstate(invalid="ignore"):
         whole = values.astype(np.uint8)
-    if not np.array_equal(whole, values):
-        raise DataError(
-            f"Expected whole numbers from 0 to 255 in the dataset, got {values.dtype} from {values.min()} to "
-            f"{values.max()}. Write it as uint8."
-        )
-    return whole
+    if np.array_equal(whole, values):
+        return whole
+    levels = np.rint(255 * values.astype(np.float64))
+    if values.min() >= 0 and values.max() <= 1 and np.abs(levels - 255.0 * values).max() <= SAME_LEVEL:
+        return levels.astype(np.uint8)
+    raise DataError(
+        f"Expected whole numbers from 0 to 255, or such levels over 255, in the dataset, got {values.dtype} "
+        f"{values.shape} from {values.min()} to {values.max()}. Write it as uint8."
+    )
 
 
 def blocks(dataset: Any, start: int, count: int, chunk: int) -> Iterator[NDArray[Any] | DataError]:
@@ -132,12 +151,12 @@ def _one(dataset: Any, index: int) -> NDArray[Any] | DataError:
 
 
 def is_frames(shape: tuple[int, ...], dtype: Any) -> bool:
-    """Whether a dataset may hold frames: (N, H, W, 3), or compressed frames as (N, L) or of variable length."""
+    """Whether a dataset may hold frames: (N, H, W, 3), (N, 3, H, W), or compressed ones, (N, L) or of variable length."""
     kind = np.dtype(dtype)
     if kind == np.dtype(object):
         return len(shape) == 1
     if len(shape) == 4:
-        return shape[3] == 3 and kind.kind in "uf"
+        return 3 in (shape[1], shape[3]) and kind.kind in "uf"
     return len(shape) == 2 and kind == np.uint8
 
 
@@ -173,7 +192,10 @@ def hdf5_sequences(path: Path, name: str, wanted: str) -> list[Sequence]:
                 there[inside] = (one.shape, str(one.dtype))
 
         file.visititems(look)
-    found = sorted(matching(path, there, wanted), key=natural)
+        found = sorted(matching(path, there, wanted), key=natural)
+        for one in found:
+            if not file[one].is_virtual:  # whose frames are in other files
+                _check_stored(path, file[one], file[one].id.get_storage_size())
     return [Sequence(f"{name}/{one}", path, dataset=one, count=there[one][0][0]) for one in found]
 
 
@@ -184,6 +206,22 @@ def hdf5_values(path: Path, dataset: str, start: int, count: int) -> Iterator[ND
             raise DataError(f"Expected {dataset} in {path}, got none.")
         values = file[dataset]
         yield from blocks(values, start, count, (values.chunks or (BLOCK_FRAMES,))[0])
+
+
+def _check_stored(path: Path, dataset: Any, stored: int) -> None:
+    """Refuse a dataset that states more than its stored bytes can hold, or chunks that fill the memory; DataError."""
+    count, shape = dataset.shape[0], dataset.shape[1:]
+    if dataset.nbytes > MAX_PACKING * stored:
+        raise DataError(
+            f"{dataset.name} in {path} states {count} frames and stores {stored} bytes: they were never written. Cut it to "
+            "the frames that are there."
+        )
+    chunk = int(np.prod(dataset.chunks or (1, *shape), dtype=object)) * dataset.dtype.itemsize
+    if chunk > MAX_CHUNK_BYTES:
+        raise DataError(
+            f"{dataset.name} in {path} has chunks of {chunk / 1e9:.3g} GB, each of which is decompressed as a whole. Write "
+            "it again in chunks of a few frames."
+        )
 
 
 def _opened_hdf5(path: Path) -> Any:
@@ -208,6 +246,7 @@ def zarr_sequences(path: Path, name: str, wanted: str) -> list[Sequence]:
     there = {one: (a.shape, str(a.dtype)) for one, a in arrays.items() if is_frames(a.shape, a.dtype)}
     sequences: list[Sequence] = []
     for one in sorted(matching(path, there, wanted), key=natural):
+        _check_stored(path, arrays[one], arrays[one].nbytes_stored())
         length = there[one][0][0]
         if ENDS not in arrays:
             sequences.append(Sequence(f"{name}/{one}", path, dataset=one, count=length))

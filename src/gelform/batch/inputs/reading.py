@@ -22,6 +22,7 @@ from gelform.image.background.average import background_from_frames
 from gelform.image.background.check import background_digest
 from gelform.image.frame import Frame
 from gelform.image.view import image_from_frame
+from gelform.image.view.view import MAX_PIXELS
 from gelform.sensors.files import read_background, read_image
 from gelform.sensors.source import open_source
 
@@ -49,12 +50,12 @@ class NamedFrame:
     timed: bool = False
 
 
-def frames_of_part(part: Part) -> Iterator[NamedFrame]:
-    """The frames of a part in order; a video ends at its first unreadable frame."""
+def frames_of_part(part: Part, most_pixels: float = MAX_PIXELS) -> Iterator[NamedFrame]:
+    """The frames of a part in order; a video ends at its first unreadable frame, and larger pictures are not decoded."""
     if part.images:
-        yield from _images(part.path, part.images, part.names, part.start)
+        yield from _images(part.path, part.images, part.names, part.start, most_pixels)
     elif part.dataset:
-        yield from _dataset(part, part.start, part.count)
+        yield from _dataset(part, part.start, part.count, most_pixels)
     else:
         yield from _film(part.path)
 
@@ -73,7 +74,7 @@ def background_of_sequence(part: Part, count: int, calibration: Calibration) -> 
 
     DataError if none is readable, one has another size, or they differ because something touches the gel.
     """
-    first = list(islice(_from_the_first(part, count), count))
+    first = list(islice(_from_the_first(part, count, calibration.most_pixels), count))
     images = [image_of_calibration(one.frame, calibration) for one in first if one.frame is not None]
     if not images:
         why = first[0].error if first else "there is none."
@@ -84,20 +85,22 @@ def background_of_sequence(part: Part, count: int, calibration: Calibration) -> 
         raise DataError(f"No background from the first {count} frames: {problem}") from problem
 
 
-def _from_the_first(part: Part, count: int) -> Iterator[NamedFrame]:
+def _from_the_first(part: Part, count: int, most_pixels: float) -> Iterator[NamedFrame]:
     """Frames of a part's sequence from its start."""
     if part.images:
-        return _images(part.path, part.first, part.first, 0)
-    return _dataset(part, 0, min(count, part.total)) if part.dataset else _film(part.path)
+        return _images(part.path, part.first, part.first, 0, most_pixels)
+    if part.dataset:
+        return _dataset(part, 0, min(count, part.total), most_pixels)
+    return _film(part.path)
 
 
-def _dataset(part: Part, start: int, count: int) -> Iterator[NamedFrame]:
+def _dataset(part: Part, start: int, count: int, most_pixels: float) -> Iterator[NamedFrame]:
     """Frames of a sequence in a larger file, each with its image or its error."""
     index, timed = start, part.rate_hz > 0
     try:
         for seconds, values in _values(part, start, count):
             try:
-                frame = Frame(image_from_values(values), seconds, 0, index)
+                frame = Frame(image_from_values(values, most_pixels), seconds, 0, index)
                 yield NamedFrame(f"{index:06d}", index, frame, timed=timed)
             except DataError as problem:
                 yield NamedFrame(f"{index:06d}", index, None, str(problem))
@@ -116,10 +119,12 @@ def _values(part: Part, start: int, count: int) -> Iterator[tuple[float, NDArray
     return ((0.0, one) for one in values(part.path, part.dataset, part.offset + start, count))
 
 
-def _images(folder: Path, images: Sequence[str], names: Sequence[str], start: int) -> Iterator[NamedFrame]:
+def _images(
+    folder: Path, images: Sequence[str], names: Sequence[str], start: int, most_pixels: float
+) -> Iterator[NamedFrame]:
     for index, (image, name) in enumerate(zip(images, names), start):
         try:
-            frame = Frame(read_image(folder / image), 0.0, 0, index)
+            frame = Frame(read_image(folder / image, most_pixels=most_pixels), 0.0, 0, index)
         except GelformError as problem:
             yield NamedFrame(name, index, None, str(problem))
         else:

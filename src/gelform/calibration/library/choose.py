@@ -14,6 +14,7 @@ from gelform.errors import CalibrationError, DataError, GelformError
 from gelform.sensors.cameras.camera import Camera, camera_named, cameras_there
 from gelform.sensors.files import read_sensor_toml
 from gelform.sensors.grabber import Grabber
+from gelform.sensors.mjpeg import shown_address
 from gelform.sensors.profiles import PROFILES
 from gelform.sensors.recordings.mcap_reader import is_bag_folder, mcap_file_in, picture_topic_of
 from gelform.sensors.recordings.record import attached_calibration
@@ -143,7 +144,7 @@ def unit_of(source: Any) -> Unit:
     if sensor is not None:
         return Unit(f"the simulated sensor {sensor.name}", serial_of_simulated(sensor))
     if spec.startswith(ADDRESSES):
-        return Unit(spec)
+        return Unit(shown_address(spec))
     path = Path(source)
     if spec and path.exists() and not spec.startswith("/dev/"):
         return unit_of_files(path)
@@ -155,7 +156,7 @@ def unit_named(spec: str) -> Unit:
     try:
         return unit_of(spec)
     except GelformError:
-        return Unit(f"camera {spec}", spec)
+        return Unit(f"camera {shown_address(spec)}", spec)
 
 
 def _unit_of_open(source: Any) -> Unit:

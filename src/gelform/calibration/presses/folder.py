@@ -15,6 +15,7 @@ from gelform.calibration.geometry.crosstalk import Crosstalk
 from gelform.calibration.geometry.scale import Scale
 from gelform.calibration.presses.packages import (
     gs_sdk_source,
+    is_py3dcal,
     py3dcal_source,
     taxim_pack_in,
     taxim_source,
@@ -127,7 +128,7 @@ def kind_of_presses(place: Path) -> str | None:
         return PRESS_FOLDER
     if (place / "catalog.csv").is_file():
         return GS_SDK
-    if (place / "annotations").is_dir() and (place / "probe_images").is_dir():
+    if (place / "probe_images").is_dir() and is_py3dcal(place):
         return PY3DCAL
     if taxim_pack_in(place) is not None:
         return TAXIM

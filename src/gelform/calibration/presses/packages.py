@@ -62,12 +62,30 @@ def _gs_sdk_label(path: Path) -> tuple[float, float, float]:
         ) from problem
 
 
+def is_py3dcal(folder: Path) -> bool:
+    """Whether a folder with probe images is py3DCal's, annotated or not."""
+    return (folder / "annotations").is_dir() or any(map(Path.is_file, _probe_data(folder)))
+
+
+def _probe_data(folder: Path) -> list[Path]:
+    """Places where py3DCal lists the positions of its stage."""
+    return [folder / "annotations" / "probe_data.csv", folder / "probe_data.csv"]
+
+
 def py3dcal_source(folder: Path, options: ReadOptions) -> PressSource:
     """py3DCal's folder: a printer pressed one probe at the positions of a stage.
 
     `annotations/annotations.csv` (img_name, x_px, y_px), `annotations/metadata.json` (px_per_mm,
     probe_radius_mm), `blank_images/blank.png`, `probe_images/`.
     """
+    if not (folder / "annotations" / "annotations.csv").is_file():
+        positions = [path.name for path in _probe_data(folder) if path.is_file()]
+        there = f" {positions[0]} has the positions of the stage only." if positions else ""
+        raise DataError(
+            f"{folder} is a py3DCal folder before its annotation: annotations/annotations.csv, the centers of the "
+            f"presses in pixels, is missing.{there} Run py3DCal's annotate on the folder first; it writes metadata.json "
+            "too."
+        )
     rest = read_background(options.background or _blank_in(folder / "blank_images"))
     facts = _py3dcal_facts(folder)
     asked = options.ball_diameter_mm

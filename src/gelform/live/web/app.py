@@ -20,7 +20,9 @@ from gelform.live.web.client import TOO_MANY, Client
 from gelform.live.web.guard import OPEN_PATHS, Access, Guard
 
 MAX_CLIENTS = 16  # pages open at once
+MAX_DIGITS = 9  # of a number in a path
 MAX_BODY = 1024  # bytes of a request; a token has 43
+BODY_S = 5.0  # s until a body has arrived
 TICK_S = 0.25  # s between checks for news while no frames arrive
 TYPES = {
     ".html": "text/html; charset=utf-8",
@@ -59,9 +61,11 @@ def make_app(hub: Hub, access: Access) -> Any:
     async def session(request: Request) -> Response:
         """Exchange the token for a cookie that scripts cannot read."""
         try:
-            given = await _body(request)
+            given = await asyncio.wait_for(_body(request), BODY_S)
         except ClientDisconnect:
             return Response(status_code=400)
+        except asyncio.TimeoutError:  # an alias of TimeoutError since Python 3.11
+            return Response(status_code=408, headers={"connection": "close"})
         if given is None or not access.token_allowed(given):
             return Response("Wrong token. Open the address that the terminal shows.", 401)
         answer = Response(status_code=204, headers={"cache-control": "no-store"})
@@ -70,7 +74,7 @@ def make_app(hub: Hub, access: Access) -> Any:
         return answer
 
     async def snapshot(request: Request) -> Response:
-        number, name = request.path_params["number"], request.path_params["name"]
+        number, name = _number(request), request.path_params["name"]
         try:
             saved_as, content = await asyncio.to_thread(hub.snapshots.file, number, name)
         except GelformError as problem:
@@ -80,7 +84,7 @@ def make_app(hub: Hub, access: Access) -> Any:
 
     async def recording(request: Request) -> Response:
         try:
-            path = hub.recordings.file(request.path_params["number"])
+            path = hub.recordings.file(_number(request))
         except GelformError as problem:
             return Response(str(problem), 404, media_type="text/plain")
         headers = {"cache-control": "no-store"}
@@ -116,11 +120,17 @@ def make_app(hub: Hub, access: Access) -> Any:
     routes = [
         *[Route(path, page, methods=["GET"]) for path in files],
         Route("/session", session, methods=["POST"]),
-        Route("/snapshots/{number:int}/{name}", snapshot, methods=["GET"]),
-        Route("/recordings/{number:int}", recording, methods=["GET"]),
+        Route("/snapshots/{number}/{name}", snapshot, methods=["GET"]),
+        Route("/recordings/{number}", recording, methods=["GET"]),
         WebSocketRoute("/ws", socket),
     ]
     return Guard(Starlette(routes=routes, lifespan=lifespan), access, (*OPEN_PATHS, *files))
+
+
+def _number(request: Request) -> int:
+    """The number in a path; -1, which nothing has, for any other text."""
+    text = request.path_params["number"]
+    return int(text) if text.isascii() and text.isdigit() and len(text) <= MAX_DIGITS else -1
 
 
 async def _body(request: Request) -> str | None:

@@ -21,7 +21,7 @@ from gelform.errors import GelformError
 from gelform.live.hub import Hub
 from gelform.live.shown import PLANES, Shown
 from gelform.live.station import Station
-from gelform.live.web.commands import MessageError, done, parsed, station
+from gelform.live.web.commands import MessageError, done, parsed, station, time_ms
 from gelform.live.web.wire import ENCODINGS, message
 
 MAX_CREDIT = 4  # per station
@@ -146,7 +146,9 @@ class Client:
             self._watched = watched_from(content)
             self._sent.clear()
         elif what == "ping":
-            self._replies.append({"kind": "pong", "sent": _ping(content), "now_s": time.monotonic()})
+            self._replies.append(
+                {"kind": "pong", "sent": time_ms(content.get("sent")), "now_s": time.monotonic()}
+            )
         else:
             asyncio.get_running_loop().create_task(self._act(content))
             await asyncio.sleep(0)
@@ -181,13 +183,6 @@ def watched_from(content: dict[str, Any]) -> Watched:
         raise MessageError("Expected few as a list.")
     numbers = list(dict.fromkeys(station(one) for one in stations))
     return Watched(numbers, list(dict.fromkeys(planes)), encoding, [station(one) for one in few])
-
-
-def _ping(content: dict[str, Any]) -> float:
-    sent = content.get("sent")
-    if type(sent) not in (int, float):
-        raise MessageError("Expected sent as a number.")
-    return float(sent)  # type: ignore[arg-type]
 
 
 def _encoded(station: Station, shown: Shown, before: int, watched: Watched) -> bytes:

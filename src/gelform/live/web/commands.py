@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -38,9 +37,12 @@ def text(value: Any) -> str:
 
 def number(value: Any) -> float:
     """Check a finite number."""
-    if type(value) not in (int, float) or not math.isfinite(value) or abs(value) > 1e6:
-        raise MessageError("Expected a finite number.")
-    return float(value)
+    return _within(value, 1e6)
+
+
+def time_ms(value: Any) -> float:
+    """Check a time of the page's clock."""
+    return _within(value, 1e15)
 
 
 def yes_no(value: Any) -> bool:
@@ -124,6 +126,12 @@ def done(hub: Hub, content: dict[str, Any]) -> dict[str, Any] | None:
     if given.keys() != command.fields.keys():
         raise MessageError(f"Expected the fields {', '.join(command.fields)}.")
     return command.act(hub, **{name: check(given[name]) for name, check in command.fields.items()})
+
+
+def _within(value: Any, most: float) -> float:
+    if type(value) not in (int, float) or not abs(value) <= most:
+        raise MessageError("Expected a finite number.")
+    return float(value)
 
 
 def _small(value: Any, name: str) -> int:

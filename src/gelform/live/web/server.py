@@ -56,6 +56,7 @@ class Server:
         import uvicorn
 
         from gelform.live.web.app import make_app
+        from gelform.live.web.connections import HttpConnection, WebsocketConnection
         from gelform.live.web.guard import Access
 
         port = self._socket.getsockname()[1]
@@ -67,7 +68,8 @@ class Server:
             log_level="warning",
             access_log=False,
             server_header=False,
-            ws="websockets-sansio",
+            http=HttpConnection,
+            ws=WebsocketConnection,
             ws_max_size=MAX_MESSAGE,
             ws_ping_interval=10.0,
             ws_ping_timeout=20.0,

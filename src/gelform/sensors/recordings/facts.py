@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from gelform.errors import DataError
 from gelform.foundations.pictures import FAST_PNG, picture_bytes
 from gelform.image.frame import Frame
+from gelform.sensors.declared import check_declared
 from gelform.sensors.jpeg import image_from_jpeg
 
 FORMAT_VERSION = 1
@@ -85,6 +86,10 @@ def image_from_encoded(content: bytes, reduction: int, where: str) -> NDArray[np
 
     DataError: the bytes are damaged.
     """
+    try:
+        check_declared(content)
+    except ValueError as problem:
+        raise DataError(f"{where}: {problem}. It is damaged.") from problem
     if content.startswith(b"\xff\xd8"):
         image = image_from_jpeg(content, reduction)
     else:

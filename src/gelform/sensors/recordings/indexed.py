@@ -22,7 +22,7 @@ from gelform.sensors.recordings.mcap_reader import (
     picture_topic_of,
     records_from,
 )
-from gelform.sensors.video_files import USUAL_RATE_HZ, Video, grabbed_image, is_video
+from gelform.sensors.video_files import USUAL_RATE_HZ, Video, grabbed_image, is_video, opened_video
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ class _Reel:
 
     def __init__(self, path: Path, rate_hz: float) -> None:
         self._path, self._rate_hz = path, rate_hz
-        self._capture = cv2.VideoCapture(str(path))
+        self._capture = opened_video(path)
         self._stamps: list[float] = []
         while self._capture.grab():
             self._stamps.append(self._capture.get(cv2.CAP_PROP_POS_MSEC))
@@ -123,7 +123,7 @@ class _Reel:
         if self._is_now(number):
             return True
         self._capture.release()
-        self._capture = cv2.VideoCapture(str(self._path))
+        self._capture = opened_video(self._path)
         for _ in range(number):
             self._capture.grab()
         return self._is_now(number)

@@ -5,12 +5,12 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from gelform.errors import DataError, needed
+from gelform.errors import DataError, needed, said
 from gelform.image.frame import Frame
 from gelform.sensors.playback import Playback
 from gelform.sensors.recordings.facts import (
@@ -31,6 +31,9 @@ from gelform.sensors.recordings.messages import (
 )
 
 METADATA_FILE, METADATA_KEY = "metadata.yaml", "rosbag2_bagfile_information"
+MAX_RECORD_BYTES = (
+    256 * 2**20
+)  # of a record or a decompressed chunk; a larger one is damaged and would fill the memory
 SAMPLED_RECORDS = 200  # records that are read to find which pictures a file contains
 DEPTH_SUFFIX = "/compressedDepth"  # of image_transport: the message type is a picture's, the content is not a plain picture
 
@@ -125,13 +128,41 @@ def records_from(path: Path, offset: int = 0) -> Iterator[tuple[int, list[Any]]]
             skip_magic=offset > 0,
             emit_chunks=True,
             validate_crcs=offset == 0,  # of all records from the first on; those of a chunk are its own
-            record_size_limit=256 * 2**20,  # a larger record is damaged and would fill the memory
+            record_size_limit=MAX_RECORD_BYTES,
         )
         begins = offset or 8  # after the magic at the start
         for record in reader.records:
             is_chunk = type(record).__name__ == "Chunk"
-            yield begins, mcap.breakup_chunk(record, validate_crc=True) if is_chunk else [record]
+            yield (
+                begins,
+                mcap.breakup_chunk(_decompressed(record), validate_crc=True) if is_chunk else [record],
+            )
             begins = file.tell()
+
+
+def _decompressed(chunk: Any) -> Any:
+    """A chunk without compression; ValueError if it states a size beyond reason, or another one than it has.
+
+    The library trusts a compressed chunk, whose few bytes can become gigabytes.
+    """
+    size = chunk.uncompressed_size
+    if size > MAX_RECORD_BYTES:
+        raise ValueError(f"a chunk states {size / 1e6:.3g} MB, more than {MAX_RECORD_BYTES >> 20} MB.")
+    if chunk.compression not in ("zstd", "lz4"):
+        return chunk
+    compressed = needed("zstandard" if chunk.compression == "zstd" else "lz4.frame", "mcap", "An MCAP file")
+    try:
+        if chunk.compression == "zstd":
+            data = compressed.ZstdDecompressor().stream_reader(chunk.data).read(size + 1)
+        else:
+            data = compressed.LZ4FrameDecompressor().decompress(chunk.data, max_length=size + 1)
+    except (RuntimeError, getattr(compressed, "ZstdError", RuntimeError)) as problem:
+        raise ValueError(f"a chunk cannot be decompressed: {said(problem)}.") from problem
+    if len(data) != size:
+        raise ValueError(
+            f"a chunk states {size} bytes and holds {'more' if len(data) > size else len(data)}."
+        )
+    return replace(chunk, compression="", data=data)
 
 
 @contextmanager

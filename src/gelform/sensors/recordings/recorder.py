@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -26,11 +27,24 @@ from gelform.sensors.recordings.record import RecordStats, attachments_of, new_r
 
 # bytes of pictures in one recording: six minutes at 60 frames per second, 320x240 px, as PNG
 MAX_BYTES = 2 * 10**9
+_naming, _named = threading.Lock(), set[Path]()  # paths of this process, some of which are not written yet
 
 
 def named_by_time(kind: str) -> str:
     """A name for a new file: its kind and the time in UTC, to the second."""
     return f"{kind}-{time.strftime('%Y%m%d-%H%M%S', time.gmtime())}"
+
+
+def new_file(folder: Path, kind: str) -> Path:
+    """A path for a new MCAP file, named by the time, which no file and no other call in this process has."""
+    name = named_by_time(kind)
+    with _naming:
+        for number in count(1):
+            path = folder / f"{name}{'' if number == 1 else f'-{number}'}.mcap"
+            if path not in _named and not path.exists():
+                break
+        _named.add(path)
+    return path
 
 
 class Recorder:
@@ -65,7 +79,7 @@ class Recorder:
         on_ended: Callable[[Recorder], None] = lambda _: None,
         max_bytes: int = MAX_BYTES,
     ) -> None:
-        self.path = folder / f"{named_by_time('recording')}.mcap"
+        self.path = new_file(folder, "recording")
         self.stats = RecordStats(0, 0, 0, 0.0)
         self.problem = ""
         self._grabber = grabber
@@ -129,10 +143,10 @@ def share(
     Raises
     ------
     DataError
-        The file exists or cannot be written, a frame is damaged, or the extra `mcap` is missing.
+        The file cannot be written, a frame is damaged, or the extra `mcap` is missing.
     """
     facts = replace(recording.facts, calibration_digest=_digest_of(calibration), library_version=__version__)
-    path = folder / f"{named_by_time('shared')}.mcap"
+    path = new_file(folder, "shared")
     check_free(path, overwrite=False)
     now_ns, attached = time.time_ns(), attachments_of(calibration, background)
     unfinished = path.with_name(f".{path.name}.part")  # not listed: half a recording is not offered
