@@ -7,6 +7,7 @@ import json
 import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -168,9 +169,12 @@ def _of_other_packages(folder: Path) -> dict[str, RealFile]:
     )
     rest = np.ascontiguousarray(background()[:60, :80])
     read = lambda path, name, **more: lambda: gelform.import_calibration(path, name, background=rest, **more)  # noqa: E731
-    saved = torch_file(folder / "nnmodel.pth", network_arrays((5, 32, 32, 32, 2)))
+    of_torch = {}
+    if find_spec("torch"):
+        saved = torch_file(folder / "nnmodel.pth", network_arrays((5, 32, 32, 32, 2)))
+        of_torch = {"torch weights": _real(saved, read(saved, "gs_sdk"), _all_finite)}
     return {
-        "torch weights": _real(saved, read(saved, "gs_sdk"), _all_finite),
+        **of_torch,
         "browser weights": _real(weights, read(weights, "gsrobotics-web", position="true"), _all_finite),
         "Taxim table": _real(
             table, lambda: read_taxim_forward(table), lambda got: bool(np.isfinite(got.table).all())

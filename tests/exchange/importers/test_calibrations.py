@@ -75,6 +75,7 @@ def test_untouched_pixels_of_a_real_sensor_are_called_untouched(data):
 
 @pytest.mark.parametrize("package", ["gs_sdk", "gsrobotics"])
 def test_a_real_press_stands_up(data, package):
+    pytest.importorskip("torch", reason="torch, the extra `torch`, is not installed")
     peers = data / "peer-calibrations"
     file = peers / ("gs_sdk-mini-c-nnmodel.pth" if package == "gs_sdk" else "gsrobotics-nnmini.pt")
     calibration = gelform.import_calibration(

@@ -62,7 +62,7 @@ def import_calibration(
     Raises
     ------
     DataError
-        The file is not of that package or damaged, or holds more than weights.
+        The file is not of that package or damaged, holds more than weights, or needs torch, which is not installed.
     ValueError
         The package is unknown, or an option is missing or not accepted.
     """

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Mapping
 from itertools import pairwise
 from os import PathLike
@@ -14,8 +13,7 @@ from zipfile import ZipFile
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.errors import DataError, said
-from gelform.exchange.importers.tensors import TensorReader
+from gelform.errors import DataError, needed, said
 from gelform.foundations.npz_files import DAMAGED_ARCHIVE, present_file
 from gelform.slopes.color_models import NetworkModel
 from gelform.slopes.color_models._shared.layers import Layers
@@ -117,14 +115,16 @@ def _folded(tensors: Mapping[str, Any], kind: str, k: int, path: str | PathLike[
 def _array(tensors: Mapping[str, Any], name: str, path: str | PathLike[str]) -> NDArray[np.float64]:
     if name not in tensors or tensors[name].nbytes > MAX_BYTES:  # a view may repeat its numbers
         raise DataError(f"{path} lacks {name}, or it is of another size.")
-    return tensors[name].astype(np.float64)
+    return np.asarray(tensors[name].double().numpy())
 
 
-def _state_dict(path: Path) -> dict[str, NDArray[Any]]:
-    """The arrays of a file of `torch.save`, by name; no code in it runs, and no torch is needed.
+def _state_dict(path: Path) -> dict[str, Any]:
+    """The tensors of a file of `torch.save`, by name; no code in it runs.
 
-    Only what `torch.save` has written since version 1.6, a zip. Programs of TorchScript have the member `constants.pkl`.
+    Only what `torch.save` has written since version 1.6, a zip: for older files the guard `weights_only` has a hole
+    before torch 2.6 (CVE-2025-32434). Programs of TorchScript have the member `constants.pkl`.
     """
+    torch = needed("torch", "torch", "A network saved by torch")
     with open(path, "rb") as file:
         start = file.read(4)
     if start[:1] == b"\x80":
@@ -135,45 +135,37 @@ def _state_dict(path: Path) -> dict[str, NDArray[Any]]:
         )
     try:
         with ZipFile(path) as archive:
-            content = _content(archive, start, path)
+            members = {name.split("/")[-1] for name in archive.namelist()}
+            declared = sum(member.file_size for member in archive.infolist())
     except (OSError, *DAMAGED_ARCHIVE) as problem:
         raise DataError(f"{path} is truncated or damaged: {said(problem)}. Copy it again.") from problem
-    content = content.get("state_dict", content) if isinstance(content, dict) else None
-    kept = content.items() if isinstance(content, dict) else ()
-    return {str(name): one for name, one in kept if isinstance(one, np.ndarray) and one.dtype.kind == "f"}
-
-
-def _content(archive: ZipFile, start: bytes, path: Path) -> Any:
-    """What was saved, with arrays in place of tensors; DataError for anything but arrays in dicts."""
-    names = {name.split("/")[-1]: name for name in archive.namelist()}
-    if start != b"PK\x03\x04" or "data.pkl" not in names or "constants.pkl" in names:
+    if start != b"PK\x03\x04" or "data.pkl" not in members or "constants.pkl" in members:
         raise DataError(f"Expected weights of torch.save, a zip with data.pkl in it, got {path}.")
-    declared = sum(member.file_size for member in archive.infolist())
     if declared > MAX_BYTES:
         raise DataError(
             f"{path} declares {declared / 1e6:.3g} MB; networks that gelform reads have at most "
             f"{MAX_BYTES >> 20} MB. It is damaged or another network."
         )
-    root = names["data.pkl"].removesuffix("data.pkl")
-    stored = {
-        name.removeprefix(f"{root}data/"): archive.read(name)
-        for name in archive.namelist()
-        if name.startswith(f"{root}data/")
-    }
-    if "byteorder" in names and archive.read(names["byteorder"]) != b"little":
-        raise DataError(
-            f"Expected numbers with the low byte first in {path}. Save it again on a usual computer."
-        )
     try:
-        return TensorReader(archive.read(names["data.pkl"]), stored).load()
+        content = torch.load(path, map_location="cpu", weights_only=True)
     except UnpicklingError as problem:
         raise DataError(
-            f"{path} holds more than tensors in dicts, such as a pickled module, or is damaged ({problem}). Reading it "
-            "could run code. If you trust it, load it with its own package and save its weights alone: "
+            f"{path} holds more than tensors in dicts, such as a pickled module, or is damaged. Reading it could run "
+            "code. If you trust it, load it with its own package and save its weights alone: "
             "torch.save(model.state_dict(), new)."
         ) from problem
-    except (ValueError, TypeError, LookupError, AttributeError, OverflowError, struct.error) as problem:
+    except Exception as problem:  # torch names no classes for what is damaged
         raise DataError(f"{path} is truncated or damaged: {said(problem)}. Copy it again.") from problem
+    content = content.get("state_dict", content) if isinstance(content, dict) else None
+    kept = content.items() if isinstance(content, dict) else ()
+    return {str(name): one.detach() for name, one in kept if isinstance(one, torch.Tensor) and _is_plain(one)}
+
+
+def _is_plain(tensor: Any) -> bool:
+    """Whether it holds floats one by one: not sparse, and not a mere shape."""
+    return bool(
+        tensor.is_floating_point() and str(tensor.layout) == "torch.strided" and tensor.device.type == "cpu"
+    )
 
 
 def _of_file(path: str | PathLike[str], weights: tuple[Any, ...], biases: tuple[Any, ...]) -> Layers:
