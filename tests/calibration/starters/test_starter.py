@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -206,3 +207,12 @@ def test_the_starter_of_a_source_is_known_by_its_camera_or_its_name():
     assert starter_of_source(source("simulated three-edges")) is None, "it moves all the time: name it"
     assert starter_of_source(source("press.mp4")) is None
     assert starter_of_source(source("DIGIT", "gelslim")) is None
+
+
+@pytest.mark.parametrize(("name", "expected"), [("view", "View"), ("serial", "str"), ("gel_id", "str")])
+def test_a_number_for_a_view_or_a_name_is_named(name: str, expected: str) -> None:
+    starter = load_starter("gelsight-mini")
+    background = starter.calibration.background
+    wrong: dict[str, Any] = {name: 3}
+    with pytest.raises(TypeError, match=f"{name} must be a {expected}"):
+        starter.for_unit(background, **wrong)

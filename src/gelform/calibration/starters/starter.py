@@ -108,8 +108,13 @@ class Starter:
         CalibrationError
             The image is of another make, dark or saturated in parts; see `check_light`.
         ValueError, TypeError
-            No RGB image, or of another size.
+            No RGB image, or of another size; a view that is no `View`; a serial or gel that is no text.
         """
+        for name, value, expected in (("view", view, View), ("serial", serial, str), ("gel_id", gel_id, str)):
+            if value is not None and not isinstance(value, expected):
+                raise TypeError(
+                    f"{name} must be a {expected.__name__} or None, not {type(value).__name__} {value!r}."
+                )
         made = self.calibration
         image = check_image(background, shape=made.image_shape, name="background").astype(np.float32)
         findings = check_light(image, self.light, self.make)
