@@ -54,6 +54,20 @@ def test_a_mistake_and_an_interrupt_are_one_line(broken, run):
     assert run("info", broken(KeyboardInterrupt())) == (130, "", "gelform: interrupted.\n")
 
 
+def test_a_name_that_no_file_can_have_is_a_mistake_in_every_command(run, tmp_path):
+    long, there = "a" * 5000, ("-c", tmp_path / "cal.npz")
+    for command in (
+        ("info", long), ("verify", long), ("evaluate", long, *there), ("explain", long, *there),
+        ("batch", long, *there, "-o", tmp_path / "out"), ("bag", long, *there, "-o", tmp_path / "bag"),
+        ("calibrate", long, "-o", tmp_path / "new.npz"), ("reconstruct", long, *there, "-o", tmp_path / "out"),
+        ("starter", "gelsight-mini", "--background", long, "-o", tmp_path / "new.npz"),
+    ):  # fmt: skip
+        code, _, err = run(*command)
+        assert code == 1, command[0]
+        assert err.startswith("gelform: error: ")
+        assert err.count("\n") == 1
+
+
 def test_the_traceback_comes_when_it_is_asked_for(broken, run, monkeypatch):
     path = broken(IndexError("out"))
     assert "Traceback" not in run("info", path)[2]

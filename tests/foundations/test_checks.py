@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from gelform.errors import DataError
 from gelform.foundations import checks
 from gelform.foundations.checks import (
     HIGHEST_SLOPE,
@@ -137,7 +138,7 @@ def test_the_range_is_that_of_numpy(shape):
 
 def test_what_is_no_path():
     for path in ("", "a\0b", "x" * 300, "a/" * 3000):
-        with pytest.raises(ValueError, match="which no file can be called"):
+        with pytest.raises(DataError, match="which no file can be called"):
             check_path(path)
     for path in (None, 3, b"x", ["x"]):
         with pytest.raises(TypeError, match="as text or a Path"):

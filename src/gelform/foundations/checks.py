@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gelform._native import Kernel
+from gelform.errors import DataError
 
 _range = Kernel("range_f32", "f32[...] values, out f32[2] range")
 
@@ -221,7 +222,7 @@ def check_list(values: Any, name: str, kind: type[Any] | None = None) -> list[An
 
 
 def check_path(path: Any, what: str = "a path") -> Path:
-    """Return a path that a file system can have: not empty, not too long, without a zero byte."""
+    """Return a path that a file system can have; DataError: it is empty or too long, or has a zero byte."""
     if not isinstance(path, (str, PathLike)):
         raise TypeError(f"Expected {what} as text or a Path, got {type(path).__name__}.")
     text = os.fspath(path)
@@ -229,7 +230,7 @@ def check_path(path: Any, what: str = "a path") -> Path:
         raise TypeError(f"Expected {what} as text or a Path, got {type(text).__name__}.")
     longest = max(map(len, text.split(os.sep)))
     if not text or "\0" in text or len(text) > MAX_PATH or longest > MAX_NAME:
-        raise ValueError(f"Expected {what}, got {text[:60]!r}, which no file can be called.")
+        raise DataError(f"Expected {what}, got {text[:60]!r}, which no file can be called.")
     return Path(text)
 
 

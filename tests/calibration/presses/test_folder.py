@@ -106,6 +106,16 @@ def test_crop_and_view_of_the_settings(copy):
     np.testing.assert_allclose(turned.background, whole.background[:, ::-1])
 
 
+def test_a_view_of_other_frames_and_a_name_that_no_file_has_are_named(copy):
+    (copy / "sensor.toml").write_text('name = "s"\nmm_per_px = 0.1\n[view]\nframe_shape = [1, 1]\n')
+    with pytest.raises(DataError, match=r"is of frames of 1x1 px, and its background is 132x176 px"):
+        gelform.read_presses(copy)
+    (copy / "sensor.toml").write_text('name = "s"\nmm_per_px = 0.1\n')
+    (copy / "presses.csv").write_bytes(b"image,ball_diameter_mm\nimages/a\0.png,5\n")
+    with pytest.raises(DataError, match="which no file can be called"):
+        gelform.read_presses(copy)
+
+
 def test_labels_are_read_and_rows_of_other_indenters_are_named(copy):
     """Nothing is left out silently: Flat is not flat."""
 

@@ -146,6 +146,11 @@ def _read(place: Path, source: PressSource, options: ReadOptions, progress: Prog
         )
     frame_shape = (source.background.shape[0], source.background.shape[1])
     view = options.view(settings, frame_shape)
+    if view.frame_shape not in (None, frame_shape):
+        raise DataError(
+            f"The view of {place} is of frames of {_px(view.frame_shape)}, and its background is {_px(frame_shape)}. "
+            "Correct the view in sensor.toml, or leave it out where the images need none."
+        )
     presses: list[Press] = []
     flats: list[FlatPress] = []
     sizes = {}
