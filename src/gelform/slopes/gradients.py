@@ -52,7 +52,7 @@ def gradients_from_normals(normals: ArrayLike, *, convention: str = "directx") -
         A normal that faces away from the camera, NaN, a wrong shape, an unknown convention, or a map (H, W, 3) of at least
         16x16 that is a surface only with the other sign of y.
     """
-    if convention not in CONVENTIONS:
+    if not isinstance(convention, str) or convention not in CONVENTIONS:
         raise ValueError(f"Expected a convention among {', '.join(CONVENTIONS)}, got {convention!r}.")
     if convention != "directx":
         normals = check_values(normals, "normals", (3,)) * np.array(CONVENTIONS[convention], np.float32)
@@ -66,7 +66,8 @@ def _check_sign_of_y(gradients: NDArray[np.float32], convention: str) -> None:
     """Refuse a map whose curl vanishes only with the other sign of y; noise leaves as much with either."""
     if gradients.ndim < 3 or min(gradients.shape[-3:-1]) < LEAST_MAP_PX:
         return
-    q_x, p_y = np.gradient(gradients[..., 1], axis=-1), np.gradient(gradients[..., 0], axis=-2)
+    p, q = np.moveaxis(gradients.astype(np.float64), -1, 0)
+    q_x, p_y = np.gradient(q, axis=-1), np.gradient(p, axis=-2)
     here, other = (float(np.sqrt(np.mean(np.square(q_x + sign * p_y)))) for sign in (-1, 1))
     if here > MUCH_CURL * other and here > CURL_OF_ROUNDING:
         right = "directx" if convention == "opengl" else "opengl"
