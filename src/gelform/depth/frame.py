@@ -64,11 +64,8 @@ class FrameDepth:
         if self._anchor is not None:
             solve_args = {"weights": confidence, "anchor": self._anchor(slopes, at_rest)}
         if self.sigma is None or slopes_sigma is None:
-            return (
-                integrate_unchecked(slopes, mm_per_px=self._pitch, solver=self.solver, **solve_args),
-                None,
-                None,
-            )
+            solution = integrate_unchecked(slopes, mm_per_px=self._pitch, solver=self.solver, **solve_args)
+            return solution, None, None
         sigma_args = {**solve_args, "at_rest": at_rest}
         sigma_of = start(partial(self.sigma.unchecked, checked_sigma(slopes_sigma), **sigma_args))
         solution = integrate_unchecked(slopes, mm_per_px=self._pitch, solver=self.solver, **solve_args)

@@ -79,11 +79,13 @@ def test_every_reading_of_real_presses_is_named(data, name):
 def test_a_touch_is_found_at_its_place_under_any_light(press, simulated):
     height, width = press.image.shape[:2]
     for light in (1, 1.08, np.linspace(0.96, 1.04, width)[:, None]):
-        touch = largest_touch(np.clip(press.image * light, 0, 255), simulated.background)
+        touch = largest_touch(*map(block_means, (np.clip(press.image * light, 0, 255), simulated.background)))
         assert 1 < touch.share / press.contact.mean() < 4  # with the gel that it draws down
         off = np.multiply(touch.center, (width, height)) - press.center_px
         assert np.hypot(*off) < press.contact_radius_px
-        untouched = largest_touch(np.clip(simulated.background * light, 0, 255), simulated.background)
+        untouched = largest_touch(
+            *map(block_means, (np.clip(simulated.background * light, 0, 255), simulated.background))
+        )
         assert untouched.share < 0.002
 
 

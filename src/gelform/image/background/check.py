@@ -29,9 +29,8 @@ GAIN_REPORTED = 0.02  # fraction of the brightness; a smaller difference is comp
 CORRELATION_REFUSE = (
     0.8  # smallest correlation over pixels at rest; with less, an image is another sensor's, or shifted
 )
-# Fractions of the brightness: half of an image differs by more than the first for a warning, the second for a refusal; the
-# quarter that changed least by more than the third for a refusal.
-PATTERN_WARN, PATTERN_REFUSE, LEAST_REFUSE = 0.02, 0.06, UNLIKE
+# Fractions of the brightness: half of an image differs by more than the first for a warning, the second for a refusal.
+PATTERN_WARN, PATTERN_REFUSE = 0.02, 0.06
 # Fraction of a background image in one region that no light explains: two moments at rest 0.015 or less (223 pairs of a
 # Mini, a wedge and a DIGIT), presses 0.033 or more on six sensors and 0.014-0.05 on a GelSlim.
 TOUCHED_SHARE = 0.025
@@ -66,21 +65,22 @@ def check_own_background(background: NDArray[Any], calibrated: NDArray[Any]) -> 
     CalibrationError: as `check_background`, half of the image differs by more than 6 %, or something touches the gel. The
     message has the figure.
     """
-    exposure, _ = compared(block_means(background), block_means(calibrated))
+    today, untouched = block_means(background), block_means(calibrated)
+    exposure, _ = compared(today, untouched)
     differs = exposure.middle_change
-    touch = largest_touch(background, calibrated)
-    if touch.share > TOUCHED_SHARE and not differs > PATTERN_REFUSE:
-        x, y = (round(part * size) for part, size in zip(touch.center, background.shape[1::-1]))
-        raise CalibrationError(
-            f"Something touches the gel in this background image, about ({x}, {y}) px: {100 * touch.share:.0f} % of it "
-            "differ from the calibration's as no light does. Take it again, with nothing touching the gel. If the gel is "
-            "damaged there, calibrate again."
-        )
     if np.isfinite(differs) and differs > PATTERN_REFUSE:
         raise CalibrationError(
             f"This background is not of the calibrated sensor. After a common gain ({_times(exposure.gain)}), half of it "
             f"differs by {100 * differs:.1f} % or more (expected under {100 * PATTERN_REFUSE:g} %). Use this sensor's own "
             "calibration. If it is the same unit, its gel or lights have moved, so calibrate again."
+        )
+    touch = largest_touch(today, untouched)
+    if touch.share > TOUCHED_SHARE:
+        x, y = (round(part * size) for part, size in zip(touch.center, background.shape[1::-1]))
+        raise CalibrationError(
+            f"Something touches the gel in this background image, about ({x}, {y}) px: {100 * touch.share:.0f} % of it "
+            "differ from the calibration's as no light does. Take it again, with nothing touching the gel. If the gel is "
+            "damaged there, calibrate again."
         )
     findings = list(_exposure_findings(exposure))
     if np.isfinite(differs) and differs > PATTERN_WARN:
@@ -107,12 +107,12 @@ def check_background_of_frames(
     middle = np.median([block_means(frame) for frame in frames], axis=0).astype(np.float32)
     exposure = exposure_from_blocks(middle, block_means(background))
     if np.isfinite(exposure.least_change) and (
-        exposure.least_change > LEAST_REFUSE and exposure.middle_change > PATTERN_REFUSE
+        exposure.least_change > UNLIKE and exposure.middle_change > PATTERN_REFUSE
     ):
         raise CalibrationError(
             f"The background is not of these images. After a common gain ({_times(exposure.gain)}), a quarter of "
             f"their median differs by {100 * exposure.least_change:.1f} % or more, and half by "
-            f"{100 * exposure.middle_change:.1f} % (expected under {100 * LEAST_REFUSE:g} and "
+            f"{100 * exposure.middle_change:.1f} % (expected under {100 * UNLIKE:g} and "
             f"{100 * PATTERN_REFUSE:g} %). Take a background with the same sensor, just before the presses."
         )
     if not PATTERN_WARN < exposure.middle_change < inf:
@@ -227,7 +227,7 @@ def _exposure_findings(exposure: Exposure) -> tuple[Finding, ...]:
 
 def _pattern_findings(exposure: Exposure) -> tuple[Finding, ...]:
     least = exposure.least_change
-    if not LEAST_REFUSE < least < inf:
+    if not UNLIKE < least < inf:
         return ()
     message = (
         f"Even the quarter of the image that changed least differs from the background by {100 * least:.1f} %. Either a "

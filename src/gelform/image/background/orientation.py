@@ -124,12 +124,9 @@ def orientation_from_blocks(image: NDArray[np.float32], untouched: NDArray[np.fl
     ]
     if not fitting:
         return None
-    read = np.stack([one.undone(image) for one in fitting]).reshape(len(fitting), -1, 3)
-    background = untouched.reshape(1, -1, 3)
-    lit = np.all((background > DARK) & (background < BRIGHT) & (read > DARK) & (read < BRIGHT), axis=-1)
+    change, lit = _log_change(np.stack([one.undone(image) for one in fitting]), untouched)
     if not lit.any():
         return None
-    change = np.log((read + CHANGE_OFFSET) / (background + CHANGE_OFFSET)).astype(np.float64)
     evidence = _evidence(change, lit, _terms(shape))
     order = np.argsort(evidence)[::-1]
     first = evidence[order[0]]
@@ -150,24 +147,29 @@ class Touched(NamedTuple):
     center: tuple[float, float]
 
 
-def largest_touch(image: NDArray[Any], background: NDArray[Any]) -> Touched:
-    """The largest touched region of an image (H, W, 3), 0-255, compared with a background image of the same size."""
-    blocks, untouched = block_means(image), block_means(background)
+def largest_touch(image: NDArray[np.float32], untouched: NDArray[np.float32]) -> Touched:
+    """The largest touched region of an image compared with a background image, both from `block_means`, of one size."""
     shape = untouched.shape[:2]
-    lit = np.all((untouched > DARK) & (untouched < BRIGHT) & (blocks > DARK) & (blocks < BRIGHT), axis=-1)
-    change = (
-        np.log((blocks + CHANGE_OFFSET) / (untouched + CHANGE_OFFSET)).astype(np.float64).reshape(1, -1, 3)
-    )
+    change, lit = _log_change(image[None], untouched)
     terms = _terms(shape)
-    light, _ = _fitted_light(change, lit.reshape(1, -1), terms)
-    size = np.sqrt(np.mean((change[0] - terms[0] @ light[0]) ** 2, axis=-1)).reshape(shape)
-    touched = ((size > TOUCHED_CHANGE) & lit).view(np.uint8)
+    light, _ = _fitted_light(change, lit, terms)
+    size = np.sqrt(np.mean((change[0] - terms[0] @ light[0]) ** 2, axis=-1))
+    touched = ((size > TOUCHED_CHANGE) & lit[0]).reshape(shape).view(np.uint8)
     _, _, regions, centers = cv2.connectedComponentsWithStats(touched, connectivity=4)
     areas = regions[1:, cv2.CC_STAT_AREA]
     if not len(areas):
         return Touched(0.0, (0.5, 0.5))
     x, y = (centers[1 + areas.argmax()] + 0.5) / shape[::-1]
     return Touched(float(areas.max() / size.size), (float(x), float(y)))
+
+
+def _log_change(
+    images: NDArray[np.float32], untouched: NDArray[np.float32]
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Log ratios (n, N, 3) of images (n, h, w, 3) to the background (h, w, 3), and the blocks (n, N) lit in both."""
+    read, background = images.reshape(len(images), -1, 3), untouched.reshape(1, -1, 3)
+    lit = np.all((background > DARK) & (background < BRIGHT) & (read > DARK) & (read < BRIGHT), axis=-1)
+    return np.log((read + CHANGE_OFFSET) / (background + CHANGE_OFFSET)).astype(np.float64), lit
 
 
 def _terms(shape: tuple[int, int]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
