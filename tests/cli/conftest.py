@@ -10,8 +10,9 @@ from gelform.calibration.fit import calibrate
 from gelform.calibration.presses.folder import read_presses
 from gelform.cli import main
 from gelform.exchange.exporters.press_folder import save_simulated_presses
-from gelform.simulate import LAYOUTS, simulate_ball_presses
+from gelform.simulate import LAYOUTS, Ball, simulate_ball_presses, simulate_press
 from made.networks import web_file
+from made.small_gel import save
 
 SMALL = replace(LAYOUTS["three-edges"], shape=(120, 160), mm_per_px=0.1268, name="small")
 
@@ -42,6 +43,23 @@ def calibration_file(press_folder, made_once):
 def _calibrated(folder, path):
     calibrate(read_presses(folder), color_model="polynomial").save(path)
     return path
+
+
+@pytest.fixture(scope="session")
+def foreign_images(made_once):
+    """Four presses of another make, of the calibrated size and white balance: 0.4 mm deep, and read as over 3 mm."""
+    return made_once("foreign_images", _pressed_elsewhere)
+
+
+def _pressed_elsewhere(folder):
+    other = replace(LAYOUTS["homemade"], shape=SMALL.shape, mm_per_px=SMALL.mm_per_px)
+    rng = np.random.default_rng(6)
+    folder.mkdir()
+    for k, x_mm in enumerate((-1.5, -0.5, 0.5, 1.5)):
+        where = {"depth_mm": 0.4, "center_mm": (x_mm, 0.5)}
+        image = simulate_press(other, Ball(3.0), **where, rng=rng, oversample=1).image
+        save(folder / f"{k}.png", np.minimum(image * np.array([1.0, 1.1, 1.3]), 255).astype(np.uint8))
+    return folder
 
 
 @pytest.fixture

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -26,6 +26,7 @@ from gelform.calibration_file import Calibration, as_calibration
 from gelform.errors import DataError
 from gelform.exchange.exporters.folders import check_room
 from gelform.foundations.checks import check_path
+from gelform.foundations.findings import FrameTally
 
 LOOKED_AT = 5  # sequences that are checked for frames of the calibrated size
 LEFTOVERS = ".gelform-*.tmp"
@@ -63,6 +64,7 @@ class BatchSummary:
     table : name of the table
     warnings : messages about the input for the user
     complete : whether all parts of all shards are done and the table is written
+    tally : findings and errors of this shard's frames, also of earlier runs; empty until the run ends
     """
 
     parts: int = 0
@@ -74,6 +76,7 @@ class BatchSummary:
     table: str = ""
     warnings: tuple[str, ...] = ()
     complete: bool = False
+    tally: FrameTally = field(default_factory=FrameTally)
 
 
 def run_batch(
@@ -149,6 +152,7 @@ def run_batch(
             _clean(output, todo, settings.form)
         job = Job(calibration, untouched, output, settings, backgrounds.by_sequence)
         _do(job, todo, engine, options.max_errors, summary, progress)
+        _count(output, parts, summary.tally)
         if not summary.stopped and all(record_path(output, part.number).exists() for part in plan):
             finish(output, manifest, table, listing.root)
             summary.complete = True
@@ -248,6 +252,16 @@ def _clean(output: Path, todo: Sequence[Part], form: str) -> None:
     for folders, pattern in ((deep, f"**/{LEFTOVERS}"), (shallow, LEFTOVERS)):
         for left in (one for folder in folders for one in folder.glob(pattern)):
             left.unlink(missing_ok=True)
+
+
+def _count(output: Path, parts: Sequence[Part], tally: FrameTally) -> None:
+    """Count the frames of the finished parts."""
+    for record in filter(None, (read_record(output, part.number) for part in parts)):
+        for row in record.rows:
+            if row["error"]:
+                tally.add_failed(row["error"])
+            else:
+                tally.add(row["health"].split(), known=row["deepest_mm"] != "")
 
 
 def _do(

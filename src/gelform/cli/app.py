@@ -119,7 +119,7 @@ def options(
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run the command line and exit: 0, 1 (a mistake in the input), 2 (wrong usage), 70 (a bug), 130 (interrupted)."""
+    """Run the command line and exit: 0, 1 (a mistake in the input), 2 (wrong usage), 3 (doubtful depth), 70 (a bug), 130."""
     for name, value in ENVIRONMENT.items():
         os.environ.setdefault(name, value)
     with as_process():

@@ -117,6 +117,9 @@ def one_of(name: str, names: tuple[str, ...], option: str) -> str:
 
 Quiet = Annotated[bool, Option("--quiet", "-q", help="Show neither progress nor tables.")]
 Json = Annotated[bool, Option("--json", help="Print the numbers as JSON on standard output.")]
+AcceptDoubtful = Annotated[
+    bool, Option("--accept-doubtful", help="Exit with status 0 though the depth of most frames is doubtful.")
+]
 Overwrite = Annotated[bool, Option("--overwrite", help="Replace results that are already there.")]
 Images = Annotated[list[Path], Argument(metavar="IMAGE...", help="Image files of the sensor.")]
 PictureFolder = Annotated[

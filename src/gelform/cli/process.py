@@ -1,6 +1,7 @@
 """The command as a process: failures, signals, streams of any encoding or none, one writer per file.
 
-A mistake in the user's input prints one line and exits with status 1, a bug of gelform with status 70. A mistake is a
+A mistake in the user's input prints one line and exits with status 1, a bug of gelform with status 70. Results that are
+doubtful in most frames are kept, and end with status 3. A mistake is a
 GelformError, an OSError about a file, or a ValueError that a command converts with `mistakes_in`. Any other exception is a
 bug.
 """
@@ -23,7 +24,7 @@ from typer.core import TyperGroup
 
 from gelform.errors import DataError, GelformError
 
-MISTAKE, BUG, INTERRUPTED = 1, 70, 130
+MISTAKE, DOUBT, BUG, INTERRUPTED = 1, 3, 70, 130
 DEBUG = "--debug"
 _USAGE: Any = typer.BadParameter.__bases__[0]  # click's UsageError, from the click that typer uses
 

@@ -1,8 +1,17 @@
-"""Finding: a fact about an image, a background or a stream that a user should know, in words and with a figure."""
+"""Finding: a fact about an image, a background or a stream that a user should know. FrameTally: those of many frames."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+# Findings after which the depth of the whole frame is doubtful: the calibration, the background or the light is not this
+# frame's. Other findings are about a part of it, or are covered by its standard deviation.
+DOUBTFUL = frozenset(
+    {"background_differs", "background_ratio", "beyond_gel", "camera_moved", "frozen", "not_this_gel"}
+    | {"other_camera", "other_gel", "room_light"}
+)
 
 
 @dataclass(frozen=True)
@@ -12,3 +21,52 @@ class Finding:
     name: str
     message: str
     figure: float
+
+
+@dataclass
+class FrameTally:
+    """Counts of the frames of a data set or a stream.
+
+    Attributes
+    ----------
+    frames, failed : frames with a result, and without one
+    unknown : of `frames`, those whose depth is known in no pixel
+    doubtful : of `frames`, the unknown ones and those with a finding of `DOUBTFUL`
+    findings : frames with each finding, by name
+    reasons : failed frames by reason, without its numbers and paths
+    examples : the first text in full of each reason
+    """
+
+    frames: int = 0
+    failed: int = 0
+    unknown: int = 0
+    doubtful: int = 0
+    findings: dict[str, int] = field(default_factory=dict)
+    reasons: dict[str, int] = field(default_factory=dict)
+    examples: dict[str, str] = field(default_factory=dict)
+
+    def add(self, names: Iterable[str], *, known: bool) -> None:
+        """Count a frame with a result: the names of its findings, and whether its depth is known anywhere."""
+        own = set(names)
+        self.frames += 1
+        self.unknown += not known
+        self.doubtful += not known or not own.isdisjoint(DOUBTFUL)
+        for name in own:
+            self.findings[name] = self.findings.get(name, 0) + 1
+
+    def add_failed(self, reason: str) -> None:
+        """Count a frame without a result."""
+        kind = re.sub(r"\S*[/\\]\S*|\d+", "#", reason)
+        self.failed += 1
+        self.reasons[kind] = self.reasons.get(kind, 0) + 1
+        self.examples.setdefault(kind, reason)
+
+    @property
+    def is_doubtful(self) -> bool:
+        """Whether most frames with a result are doubtful."""
+        return 2 * self.doubtful > self.frames
+
+    @property
+    def is_useless(self) -> bool:
+        """Whether depth is known in no pixel of any frame."""
+        return self.unknown == self.frames

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from gelform.calibration_file import Calibration, as_calibration
 from gelform.errors import DataError
 from gelform.foundations.checks import check_positive
+from gelform.foundations.findings import FrameTally
 from gelform.foundations.progress import Progress, no_progress
 from gelform.image.frame import Frame
 from gelform.result import Reconstruction
@@ -33,6 +34,7 @@ class SentStats:
     frames, duration_s : number of frames, and s from the first to the last
     drops : frames of the source without a result
     stamped : whether frames had capture times; else stamps start at the time of sending the first frame
+    tally : findings of the frames
     problem : the findings of the last frame as text, if depth was known in no pixel of any frame; else ""
     """
 
@@ -41,6 +43,7 @@ class SentStats:
     duration_s: float
     drops: int
     stamped: bool
+    tally: FrameTally
     problem: str = ""
 
 
@@ -57,8 +60,7 @@ class StampedResults:
     def __init__(self, running: Stream, source: object, seconds: float | None) -> None:
         self._running, self._source, self._seconds = running, source, seconds
         self._stamps = _Stamps()
-        self._count, self._last_s, self._problem = 0, 0.0, ""
-        self._known = False
+        self._tally, self._last_s, self._problem = FrameTally(), 0.0, ""
 
     def __iter__(self) -> Iterator[tuple[StreamFrame, int]]:
         """Each result with its frame, and its stamp, ns.
@@ -70,15 +72,15 @@ class StampedResults:
                 stamp_ns = self._stamps(one.frame)
                 if self._seconds is not None and one.time_s - self._stamps.first_s >= self._seconds:
                     break
-                self._count, self._last_s = self._count + 1, one.time_s
-                self._known = self._known or bool(one.result.known.any())
-                self._problem = " ".join(finding.message for finding in one.result.health)
+                health, self._last_s = one.result.health, one.time_s
+                self._tally.add((finding.name for finding in health), known=bool(one.result.known.any()))
+                self._problem = " ".join(finding.message for finding in health)
                 yield one, stamp_ns
         except (ValueError, TypeError) as problem:
-            if self._count:
+            if self._tally.frames:
                 raise
             raise DataError(f"{self._source}: {problem}") from problem
-        if not self._count:
+        if not self._tally.frames:
             raise DataError(f"No frame arrived from {self._source}: there is nothing to send.")
 
     def send(
@@ -94,9 +96,10 @@ class StampedResults:
 
     def stats(self, sensor: str) -> SentStats:
         """The figures of the loop."""
-        duration_s = self._last_s - self._stamps.first_s if self._count else 0.0
-        drops, problem = self._running.stats.drops, "" if self._known else self._problem
-        return SentStats(sensor, self._count, duration_s, drops, self._stamps.known, problem)
+        tally, drops = self._tally, self._running.stats.drops
+        duration_s = self._last_s - self._stamps.first_s if tally.frames else 0.0
+        problem = self._problem if tally.is_useless else ""
+        return SentStats(sensor, tally.frames, duration_s, drops, self._stamps.known, tally, problem)
 
 
 class _Stamps:

@@ -1,7 +1,10 @@
 """gelform batch and gelform verify: figures, exit status, refusals in one line."""
 
+import csv
 import json
 
+import cv2
+import numpy as np
 import pytest
 
 from gelform.cli.commands.batch import _line
@@ -38,6 +41,43 @@ def test_frames_with_errors_end_with_status_1(run, work, images, tmp_path):
     code, _, err = run(*command, "--max-errors", "0", "--retry-errors")
     assert code == 1
     assert "more than --max-errors 0 allows" in err
+
+
+def test_every_frame_failed_for_a_reason_that_is_said(run, work, tmp_path):
+    (tmp_path / "in").mkdir()
+    for k in range(3):
+        image = cv2.imread(str(work / f"image{k}.png"))
+        cv2.imwrite(str(tmp_path / "in" / f"{k}.png"), np.ascontiguousarray(image[:, ::-1]))
+    (tmp_path / "in" / "empty.png").write_bytes(b"")
+    code, out, err = run("batch", tmp_path / "in", "-c", work / "cal.npz", "-o", tmp_path / "out", "--json")
+    assert code == 1
+    tally = json.loads(out)["tally"]
+    assert (tally["frames"], tally["failed"], sorted(tally["reasons"].values())) == (0, 4, [1, 3])
+    assert "4 of 4 frames failed. The commonest reason (3 frames): The image is mirrored" in err
+
+
+def test_frames_of_another_sensor_are_no_success(run, foreign_images, calibration_file, tmp_path):
+    command = ("batch", foreign_images, "-c", calibration_file, "-o", tmp_path / "out", "--table", "csv")
+    code, out, err = run(*command, "--json")
+    tally = json.loads(out)["tally"]
+    assert (code, tally["frames"], tally["doubtful"], tally["failed"]) == (3, 4, 4, 0)
+    assert "the depth of 4 of 4 frames is doubtful (background_differs in 4)" in err
+    with (tmp_path / "out" / "frames.csv").open() as file:
+        assert min(float(row["deepest_mm"]) for row in csv.DictReader(file)) > 3, "and it is 0.4"
+    code, _, err = run(*command, "--accept-doubtful")
+    assert code == 0, "frames of earlier runs count too"
+    assert "Findings in 4 frames: background_differs 100 %" in err
+
+
+def test_half_of_the_frames_in_doubt_are_not_most(run, work, tmp_path):
+    """A brightness 15 % off asks for a new background; one of two such frames does not end with status 3."""
+    (tmp_path / "in").mkdir()
+    image = cv2.imread(str(work / "image0.png"))
+    cv2.imwrite(str(tmp_path / "in" / "same.png"), image)
+    for name, code in (("dark.png", 0), ("darker.png", 3)):
+        cv2.imwrite(str(tmp_path / "in" / name), (0.85 * image).astype(np.uint8))
+        how = ("-c", work / "cal.npz", "-o", tmp_path / name)
+        assert run("batch", tmp_path / "in", *how)[0] == code
 
 
 def test_a_shard_says_that_others_are_to_come(run, work, images, tmp_path):

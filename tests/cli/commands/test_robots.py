@@ -1,5 +1,7 @@
 """gelform bag and gelform ros: their outputs and messages; mistakes in one line."""
 
+import json
+
 import cv2
 import numpy as np
 import pytest
@@ -50,16 +52,26 @@ def test_info_says_what_a_bag_is(run_json, images, calibration_file, tmp_path):
     assert "is a bag of sqlite3. Convert it" in said["missing"][0]
 
 
-def test_a_bag_without_a_usable_frame_says_so(run, run_json, images, calibration_file, tmp_path):
+def test_a_bag_without_a_usable_frame_is_no_success(run, images, calibration_file, tmp_path):
     """Depth is NaN in all of them: the calibration may be of another gel."""
     for path in images.iterdir():
         cv2.imwrite(str(path), np.ascontiguousarray(cv2.imread(str(path))[::-1, ::-1]))
-    said = run_json("bag", images, "-c", calibration_file, "-o", tmp_path / "a", "-q")
-    assert "The image is turned by 180 degrees" in said["problem"]
-    code, _, err = run("bag", images, "-c", calibration_file, "-o", tmp_path / "b")
-    assert code == 0
-    assert "warning: no frame was usable" in err
+    code, out, err = run("bag", images, "-c", calibration_file, "-o", tmp_path / "b", "--json")
+    assert code == 1
+    assert "The image is turned by 180 degrees" in json.loads(out)["problem"]
+    assert "error: no frame was usable: depth is known in none of 3" in err
     assert "The image is turned by 180 degrees" in " ".join(err.split())
+    assert run("bag", images, "-c", calibration_file, "-o", tmp_path / "c", "--accept-doubtful")[0] == 1
+
+
+def test_a_bag_of_another_sensor_is_doubtful(run, foreign_images, calibration_file, tmp_path):
+    code, out, err = run("bag", foreign_images, "-c", calibration_file, "-o", tmp_path / "a", "--json")
+    tally = json.loads(out)["tally"]
+    assert (code, tally["frames"], tally["doubtful"], tally["unknown"]) == (3, 4, 4, 0)
+    assert "the depth of 4 of 4 frames is doubtful (background_differs in 4)" in err
+    accepted = run("bag", foreign_images, "-c", calibration_file, "-o", tmp_path / "b", "--accept-doubtful")
+    assert accepted[0] == 0
+    assert "Findings in 4 frames: background_differs 100 %" in accepted[2]
 
 
 def test_mistakes(run, fails, images, calibration_file, tmp_path):

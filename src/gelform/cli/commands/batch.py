@@ -15,7 +15,7 @@ import typer
 from typer import Argument, BadParameter, Option
 
 from gelform.cli.console import progress_shown, say
-from gelform.cli.options import CalibrationOptions, ShownOption, one_of, usage_errors
+from gelform.cli.options import AcceptDoubtful, CalibrationOptions, ShownOption, one_of, usage_errors
 from gelform.cli.process import MISTAKE
 from gelform.result.maps import KEPT_MAPS
 
@@ -135,6 +135,7 @@ def batch(
     results: Results,
     machines: Machines,
     run: Run,
+    accept_doubtful: AcceptDoubtful = False,
     shown: ShownOption,
 ) -> None:
     """Reconstruct every frame of a data set.
@@ -144,7 +145,8 @@ def batch(
     INPUT is a folder (with all folders below it), a video, a recording (MCAP or a folder), an HDF5 file, a Zarr store, a
     LeRobot data set, or a pattern. DIR gets frames/<sequence>/<frame>.npz, a table with one row per frame, and
     manifest.json. A frame that cannot be read or has another size gets a row with its error; the other frames are still
-    done, and the exit status is 1.
+    done, and the exit status is 1. The run ends with a summary of the frames' findings. If the depth of most frames is
+    doubtful, the exit status is 3.
 
     Without -c, the serial number in a sensor.toml or in the recordings selects the newest calibration of that sensor; there
     must be only one serial. For a sensor without a calibration, give --sensor and an image of its gel at rest. The starter
@@ -163,6 +165,7 @@ def batch(
     from gelform.batch import RunOptions, run_batch
     from gelform.calibration.library.choose import NoCalibration
     from gelform.cli.sensor_images import starter_given
+    from gelform.cli.tally import status_of
 
     settings = results.settings(frames.background_frames)
     table = one_of(results.table, ("auto", "parquet", "csv"), "--table")
@@ -187,8 +190,7 @@ def batch(
             summary = work(calibration=starter)
     shown.json({"output": output, **asdict(summary)})
     _report(summary, output, run.max_errors, shown.silent)
-    if summary.errors:
-        raise typer.Exit(MISTAKE)
+    raise typer.Exit(status_of(summary.tally, accept_doubtful=accept_doubtful, quiet=shown.silent))
 
 
 @contextmanager

@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
+import typer
 from typer import Argument, Option
 
 from gelform.cli.console import say
-from gelform.cli.options import ALL_TOPICS, Background, CalibrationOptions, ShownOption, number, usage_errors
+from gelform.cli.options import (
+    ALL_TOPICS,
+    AcceptDoubtful,
+    Background,
+    CalibrationOptions,
+    ShownOption,
+    number,
+    usage_errors,
+)
 from gelform.cli.process import mistakes_in
 from gelform.cli.sensor_images import background_in, calibration_given
 from gelform.robots.topics import MAX_DOMAIN, ROUTER, TOPICS, check_sensor_name, check_topics
@@ -30,6 +39,7 @@ class Sent:
     ] = None
     seconds: Annotated[float | None, number("Duration in seconds; else to the end or Ctrl-C.")] = None
     background: Background = None
+    accept_doubtful: AcceptDoubtful = False
 
     def wanted(self) -> tuple[str, ...]:
         """The topics by name; raises a usage error for an unknown topic or an invalid name."""
@@ -80,10 +90,10 @@ def bag(
     with shown.progress() as progress:
         stats = save_bag(source, loaded, output, **sent.settings(loaded), progress=progress)
     shown.say(f"Wrote {output}: {stats.frames} frames in {stats.duration_s:.1f} s, {stats.drops} dropped.")
-    _warn_of(stats)
     if not stats.stamped:
         shown.say("The frames have no capture time, so their stamps begin now.")
-    shown.json({"bag": output, **vars(stats), "topics": [TOPICS[one].of(stats.sensor) for one in wanted]})
+    shown.json({"bag": output, **asdict(stats), "topics": [TOPICS[one].of(stats.sensor) for one in wanted]})
+    _end(stats, sent, shown)
 
 
 def ros(
@@ -121,10 +131,14 @@ def ros(
         settings = {**sent.settings(loaded), "router": router, "domain": domain}
         stats = publish(source, loaded, **settings, progress=progress)
     shown.say(f"Published {stats.frames} frames in {stats.duration_s:.1f} s, {stats.drops} dropped.")
-    _warn_of(stats)
-    shown.json({**vars(stats), "topics": [TOPICS[one].of(stats.sensor) for one in wanted]})
+    shown.json({**asdict(stats), "topics": [TOPICS[one].of(stats.sensor) for one in wanted]})
+    _end(stats, sent, shown)
 
 
-def _warn_of(stats: SentStats) -> None:
+def _end(stats: SentStats, sent: Sent, shown: ShownOption) -> NoReturn:
+    from gelform.cli.tally import status_of
+
+    status = status_of(stats.tally, accept_doubtful=sent.accept_doubtful, quiet=shown.silent)
     if stats.problem:
-        say(f"warning: no frame was usable, so no message has depth. {stats.problem}")
+        say(f"The last frame: {stats.problem}")
+    raise typer.Exit(status)
