@@ -2,7 +2,9 @@
 
 import csv
 import json
+import re
 import shutil
+import time
 from dataclasses import replace
 
 import cv2
@@ -41,7 +43,13 @@ def test_a_calibration_and_its_report_whose_circles_can_be_labels(run, folder, t
     verdict = content["verdict"]
     assert said["verdict"] == verdict
     assert f"gelform calibrations add {output} --serial SERIAL\n" in err
-    assert err.splitlines()[-2:] == [f"{verdict['headline']}.", f"Next: {verdict['next']}"]
+    lines = err.splitlines()
+    assert lines[:2] == [f"{verdict['headline']}.", f"Next: {verdict['next']}"]
+    held_out = said["held_out"]
+    assert lines[2].startswith("small: 10 of 10 presses used; depth on new presses is off by ")
+    for name in ("cap_free_um", "off_contact_um"):
+        assert f"{held_out[name]:.3g} um" in lines[2]
+    assert re.fullmatch(rf"Wrote {output} and {report}/report.html in \d+ s\.", lines[3])
     truth = [press.label for press in read_presses(folder).presses]
     with (report / "circles.csv").open() as file:
         rows = list(csv.DictReader(file))
@@ -49,6 +57,38 @@ def test_a_calibration_and_its_report_whose_circles_can_be_labels(run, folder, t
     assert np.median(np.hypot(*(np.array(found) - np.array(truth)[:, :2]).T)) < 1.5
     shutil.copy(report / "circles.csv", folder / "presses.csv")
     assert all(press.label is not None for press in read_presses(folder).presses)
+
+
+def test_tables_are_shown_only_if_asked_for(run, folder, tmp_path):
+    (folder / "images" / "0003.png").write_bytes((folder / "background.png").read_bytes())
+    how = ("--model", "polynomial", "--overwrite", "-o", tmp_path / "cal.npz")
+    code, out, err = run("calibrate", folder, *how)
+    assert (code, out, len(err.splitlines())) == (0, "", 5)
+    assert "9 of 10 presses used" in err
+    _, out, err = run("calibrate", folder, *how, "--verbose")
+    for table in ("Rejected presses", "images/0003.png", "Color models tried", "Errors on held-out presses"):
+        assert table in out
+    assert "note: " in err
+    assert run("calibrate", folder, *how, "--verbose", "--quiet")[1:] == ("", "")
+
+
+def test_the_time_is_that_of_the_whole_command(run, folder, tmp_path, monkeypatch):
+    """Of the report too, which takes as long as the calibration."""
+    from gelform.calibration.report import page
+
+    now, later = time.monotonic, 0.0
+    made = page.report_page
+
+    def slow_page(*given):
+        nonlocal later
+        later = 1000.0
+        return made(*given)
+
+    monkeypatch.setattr(page, "report_page", slow_page)
+    monkeypatch.setattr(time, "monotonic", lambda: now() + later)
+    how = ("--model", "polynomial", "-o", tmp_path / "cal.npz", "--report", tmp_path / "report")
+    _, _, err = run("calibrate", folder, *how)
+    assert 1000 <= int(re.search(r" in (\d+) s\.", err)[1]) < 2000
 
 
 def test_what_is_there_stays(fails, folder, tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -53,6 +54,10 @@ def calibrate(
         bool,
         Option("--compare", help="Also try every color model on the same presses, for the report's table."),
     ] = False,
+    verbose: Annotated[
+        bool,
+        Option("--verbose", "-v", help="Also show rejected presses, models, all held-out errors and notes."),
+    ] = False,
     overwrite: Overwrite = False,
     shown: ShownOption,
 ) -> None:
@@ -75,6 +80,7 @@ def calibrate(
       gelform calibrate five_presses/ -o second.npz --start first.npz
       gelform calibrate presses/ -o alone.npz --start none
     """
+    began = time.monotonic()
     one_of(model, MODELS, "--model")
     box = None if crop is None else numbers(crop, "LEFT,TOP,WIDTH,HEIGHT", "--crop")
     check_output(output, overwrite=overwrite)
@@ -105,24 +111,37 @@ def calibrate(
             except DataError as problem:
                 raise DataError(f"Wrote {output}, but not its report. {problem}") from problem
     verdict = content["verdict"]
-    _show(calibration, shown)
-    shown.say(f"Wrote {output}{f' and {report / REPORT_FILES[0]}' if report else ''}.")
+    if verbose and not shown.silent:
+        _show(calibration)
+    shown.say(f"{verdict['headline']}.")
+    marks = " (--report DIR shows these places.)" if report is None and "1, 2, 3" in verdict["next"] else ""
+    shown.say(f"Next: {verdict['next']}{marks}")
+    shown.say(_figures(calibration, verbose))
+    wrote = f"{output}{f' and {report / REPORT_FILES[0]}' if report else ''}"
+    shown.say(f"Wrote {wrote} in {time.monotonic() - began:.0f} s.")
     serial = "" if calibration.serial else " --serial SERIAL"
     shown.say(f"To let commands find it without -c: gelform calibrations add {output}{serial}")
-    shown.say(f"{verdict['headline']}.")
-    marks = " (--report DIR shows these places.)" if report is None and "marked" in verdict["next"] else ""
-    shown.say(f"Next: {verdict['next']}{marks}")
     shown.json({"calibration": str(output), **calibration.report.to_dict(), "verdict": verdict})
 
 
-def _show(calibration: Calibration, shown: ShownOption) -> None:
-    if shown.silent:
-        return
-    from gelform.calibration.report.record import FIGURES, used_in_words
+def _figures(calibration: Calibration, verbose: bool) -> str:
+    """Three figures in a line: presses, and the depth errors on held-out ones; the verdict has the angle."""
+    from gelform.calibration.report.record import used_in_words
+
+    presses, held_out = calibration.report.presses, calibration.report.held_out
+    in_contact, off_contact = (figure(held_out.get(name)) for name in ("cap_free_um", "off_contact_um"))
+    more = "" if verbose else " (all tables: --verbose)"
+    return (
+        f"{calibration.sensor_name}: {used_in_words(presses)}; depth on new presses is off by {in_contact} um in the "
+        f"contact, {off_contact} um off it{more}."
+    )
+
+
+def _show(calibration: Calibration) -> None:
+    from gelform.calibration.report.record import FIGURES
 
     report = calibration.report
     rejected = [(row.name, row.reason) for row in report.presses if row.reason and not row.repeats]
-    say(f"{calibration.sensor_name}: {used_in_words(report.presses)}, {report.seconds:.0f} s.")
     if rejected:
         show_table("Rejected presses", ("press", "reason"), rejected)
     tried = [
