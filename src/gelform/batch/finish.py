@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -48,11 +49,26 @@ def finish(output: Path, manifest: Manifest, table: str, source: Path) -> None:
 
 
 def sheet_bytes(output: Path, manifest: Manifest) -> bytes:
-    """A PNG of up to 24 frames, each from 0 (dark) to its own deepest point; empty if depth was not kept.
+    """The contact sheet of up to 24 frames; empty if depth was not kept.
 
     The choice depends only on the list of inputs, so that the same data set gives the same sheet.
     """
-    tiles = [_tile(depth, row) for depth, row in _choose_frames(output, manifest)]
+    return contact_sheet(
+        [
+            (depth, f"{row['sequence']}/{row['frame']}", f"{_deepest(row)} {row['health']}")
+            for depth, row in _choose_frames(output, manifest)
+        ]
+    )
+
+
+def contact_sheet(frames: Sequence[tuple[NDArray[Any], str, str]]) -> bytes:
+    """A PNG of frames, each from 0 (dark) to its own deepest point; empty without frames.
+
+    Parameters
+    ----------
+    frames : depth (H, W), name and note of each
+    """
+    tiles = [_tile(*frame) for frame in frames]
     if not tiles:
         return b""
     blank = np.zeros_like(tiles[0])
@@ -78,8 +94,8 @@ def _choose_frames(output: Path, manifest: Manifest) -> list[tuple[NDArray[Any],
     return chosen[:wanted]
 
 
-def _tile(depth: NDArray[Any], row: dict[str, Any]) -> NDArray[np.uint8]:
-    """Depth as colors with two lines of text below: the frame's name and its deepest point."""
+def _tile(depth: NDArray[Any], name: str, note: str) -> NDArray[np.uint8]:
+    """Depth as colors with two lines of text below: the frame's name, and its deepest point and findings."""
     depth = np.nan_to_num(depth, nan=0.0)
     levels = np.clip(255 * depth / max(float(depth.max()), LEAST_RANGE_MM), 0, 255).astype(np.uint8)
     height = round(TILE_PX * depth.shape[0] / depth.shape[1])
@@ -87,8 +103,8 @@ def _tile(depth: NDArray[Any], row: dict[str, Any]) -> NDArray[np.uint8]:
     tile = np.vstack(
         [cv2.applyColorMap(small, cv2.COLORMAP_VIRIDIS), np.zeros((LABEL_PX, TILE_PX, 3), np.uint8)]
     )
-    name = f"{row['sequence']}/{row['frame']}".encode("ascii", "replace").decode()
-    for text, y in ((name[-32:], 14), (f"{_deepest(row)} {row['health']}"[:32], 28)):
+    name = name.encode("ascii", "replace").decode()
+    for text, y in ((name[-32:], 14), (note[:32], 28)):
         cv2.putText(
             tile, text, (4, height + y), cv2.FONT_HERSHEY_SIMPLEX, 0.36, (255, 255, 255), 1, cv2.LINE_AA
         )

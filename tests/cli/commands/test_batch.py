@@ -80,6 +80,16 @@ def test_half_of_the_frames_in_doubt_are_not_most(run, work, tmp_path):
         assert run("batch", tmp_path / "in", *how)[0] == code
 
 
+def test_the_table_is_csv_where_parquet_cannot_be_written(run, work, images, tmp_path, monkeypatch):
+    monkeypatch.setattr("gelform.batch.records.find_spec", lambda name: None)
+    for more, said in (((), True), (("--table", "csv"), False)):
+        out = tmp_path / f"out{said}"
+        code, _, err = run("batch", images, "-c", work / "cal.npz", "-o", out, *more)
+        assert code == 0
+        assert ("The table is CSV, because pyarrow (the extra data) is not installed." in err) is said
+        assert (out / "frames.csv").exists()
+
+
 def test_a_shard_says_that_others_are_to_come(run, work, images, tmp_path):
     code, _, err = run("batch", images, "-c", work / "cal.npz", "-o", tmp_path / "out", "--shard", "2/2")
     assert code == 0

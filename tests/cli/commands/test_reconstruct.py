@@ -2,10 +2,13 @@
 
 import json
 import shutil
+import webbrowser
 
+import cv2
 import numpy as np
 import pytest
 
+import gelform
 from gelform.exchange.plots.canvas import save_picture
 from gelform.result import load_result
 from gelform.sensors.files import read_image
@@ -35,6 +38,74 @@ def test_23_images_of_one_name_give_23_results(run, images, calibration_file, pr
     result = load_result(tmp_path / "out" / "0" / "gelsight.npz")
     truth = np.load(press_folder / "truth" / "0000.npz")
     assert np.corrcoef(result.depth_mm.ravel(), truth["depth_mm"].ravel())[0, 1] > 0.97
+
+
+@pytest.fixture
+def opened(monkeypatch):
+    """What was opened to look at."""
+    paths = []
+    monkeypatch.setattr(webbrowser, "open", paths.append)
+    return paths
+
+
+def test_a_folder_and_a_pattern_become_depth_to_look_at(
+    run, images, calibration_file, press_folder, tmp_path, opened
+):
+    shutil.copy(press_folder / "background.png", tmp_path / "in" / "rest.png")
+    rest = ("--background", tmp_path / "in" / "rest.png")
+    given = (tmp_path / "in", "-c", calibration_file, "-o", tmp_path / "a", *rest, "--view")
+    code, _, err = run("reconstruct", *given)
+    assert code == 0, err
+    run(
+        "reconstruct",
+        tmp_path / "in" / "*" / "gelsight.png",
+        "-c",
+        calibration_file,
+        "-o",
+        tmp_path / "b",
+        *rest,
+    )
+    names = [
+        sorted(str(p.relative_to(out)) for p in out.rglob("*.npz"))
+        for out in (tmp_path / "a", tmp_path / "b")
+    ]
+    assert names[0] == names[1] == sorted(f"{k}/gelsight.npz" for k in range(23))
+    sheet = tmp_path / "a" / "sheet.png"
+    assert opened == [sheet.as_uri()]
+    height = 150 + 34  # of a tile of 200 px, with its text
+    pixels = read_image(sheet)
+    assert pixels.shape == (4 * height, 6 * 200, 3)
+    assert pixels[3 * height :, 5 * 200 :].max() == 0, "23 of 24 places"
+    assert pixels[3 * height : 3 * height + 150, 4 * 200 : 5 * 200].max() > 200
+    assert "already there" in run("reconstruct", *given)[2]
+
+
+def test_a_video_becomes_whole_results_to_look_at(run, calibration_file, press_folder, tmp_path, opened):
+    frames = [read_image(press_folder / "images" / f"{k:04d}.png") for k in range(3)]
+    path = tmp_path / "press.avi"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"FFV1"), 25.0, frames[0].shape[1::-1])
+    for frame in frames:
+        writer.write(np.ascontiguousarray(frame[..., ::-1]))
+    writer.release()
+    given = ("reconstruct", path, "-c", calibration_file, "-o", tmp_path / "out")
+    code, _, err = run(*given, "--view")
+    assert code == 0, err
+    result = load_result(tmp_path / "out" / "frames" / "press.avi" / "000002.npz")
+    expected = gelform.Reconstructor(calibration_file)(frames[2])
+    np.testing.assert_array_equal(result.depth_mm, expected.depth_mm)
+    assert opened == [(tmp_path / "out" / "sheet.png").as_uri()]
+    assert run(*given, "--format", "npz,png")[0] == 2
+    assert run(*given, "--strict")[0] == 2
+    code, _, err = run("reconstruct", path, press_folder / "background.png", *given[2:])
+    assert code == 1
+    assert "press.avi is no image. Give it alone" in err
+
+
+def test_one_image_is_opened_as_its_picture(run, calibration_file, press_folder, tmp_path, opened):
+    image = press_folder / "images" / "0003.png"
+    assert run("reconstruct", image, "-c", calibration_file, "-o", tmp_path / "out", "--view")[0] == 0
+    assert opened == [(tmp_path / "out" / "0003.png").as_uri()]
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["0003.npz", "0003.png"]
 
 
 def test_a_lone_image_keeps_its_name_and_gets_a_picture(run_json, calibration_file, press_folder, tmp_path):

@@ -190,6 +190,8 @@ def batch(
             summary = work(calibration=starter)
     shown.json({"output": output, **asdict(summary)})
     _report(summary, output, run.max_errors, shown.silent)
+    if table == "auto" and summary.complete and summary.table.endswith(".csv"):
+        shown.say("The table is CSV, because pyarrow (the extra data) is not installed.")
     raise typer.Exit(status_of(summary.tally, accept_doubtful=accept_doubtful, quiet=shown.silent))
 
 

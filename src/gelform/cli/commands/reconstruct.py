@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
+import glob
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
-from typer import BadParameter, Option
+from typer import Argument, BadParameter, Option
 
 from gelform.cli.console import check_pictures, figure, say
-from gelform.cli.options import Background, CalibrationOptions, Images, Overwrite, ShownOption, one_of
+from gelform.cli.options import Background, CalibrationOptions, Overwrite, ShownOption, one_of
 from gelform.cli.outputs import check_results, make_folder, result_paths
 from gelform.cli.process import MISTAKE, one_line
 from gelform.cli.sensor_images import calibration_given, image_in, prepared, reconstruction_of
-from gelform.errors import GelformError
+from gelform.errors import DataError, GelformError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 
 SURFACES = ("ply", "stl", "tiff", "x3p")  # of exporters.surface; png is a picture here, not depth
 FORMATS = ("npz", "png", *SURFACES)
+SHEET, TILES = "sheet.png", 24  # the contact sheet of --view, and its frames at most
 
 
 def _formats(text: str) -> list[str]:
@@ -40,7 +42,10 @@ def _formats(text: str) -> list[str]:
 
 def reconstruct(
     *,
-    images: Images,
+    inputs: Annotated[
+        list[Path],
+        Argument(metavar="INPUT...", help="Images, folders, patterns in quotes; or one video or recording."),
+    ],
     given: CalibrationOptions,
     output: Annotated[Path, Option("--output", "-o", metavar="DIR", help="Folder for the results.")],
     background: Background = None,
@@ -54,6 +59,9 @@ def reconstruct(
     skip_existing: Annotated[
         bool, Option("--skip-existing", help="Skip images that have results, to continue a run.")
     ] = False,
+    view: Annotated[
+        bool, Option("--view", help="Open a picture of the result, or a contact sheet of several.")
+    ] = False,
     strict: Annotated[bool, Option("--strict", help="Exit with status 1 if a result has a warning.")] = False,
     overwrite: Overwrite = False,
     shown: ShownOption,
@@ -62,7 +70,8 @@ def reconstruct(
 
     An image a/b/c.png becomes DIR/<path below the images' common folder>.npz with depth_mm, gradients,
     confidence, contact, known and mm_per_px. With --format npz,png a picture is added. An image that cannot be read or
-    belongs to another sensor is reported. The other images are still done, and the exit status is 1.
+    belongs to another sensor is reported. The other images are still done, and the exit status is 1. Of a folder, every
+    image in it and below it is done. A video or a recording is done as by gelform batch --keep all.
 
     Without -c, the serial number in the images' sensor.toml or recording selects the newest calibration of that
     sensor. For a sensor without a calibration, give --sensor and an image of its gel at rest. The starter of its make
@@ -71,18 +80,30 @@ def reconstruct(
     \b
     Examples:
       gelform reconstruct frame.png -c cal.npz -o out
+      gelform reconstruct session/ -c cal.npz -o out --view
+      gelform reconstruct press.mp4 -c cal.npz -o out --view
       gelform reconstruct session/*/gelsight.png -c cal.npz -o out --format npz,png
       gelform reconstruct frame.png --sensor gelsight-mini --background rest.png -o out
       gelform reconstruct today/*.png -c cal.npz --background today_rest.png -o out --json
     """
     wanted = _formats(formats)
     given.check(background)
+    images, film = _listed(inputs, background)
+    if film:
+        if wanted != ["npz"] or strict or skip_existing:
+            only = "of a video or a recording, results are npz, and a run continues by itself."
+            raise BadParameter(only, param_hint="--format, --strict, --skip-existing")
+        _film(inputs[0], given, output, background, solver, overwrite, view, shown)
+    if view and len(images) == 1 and "png" not in wanted:
+        wanted.append("png")
     paths = result_paths(images, output, wanted)
     protected = [*images, *(one for one in (given.calibration, background) if one)]
     todo = list(zip(images, paths))
     if skip_existing:
         todo = [pair for pair in todo if not all(path.exists() for path in pair[1].values())]
-    check_results([results for _, results in todo], overwrite=overwrite or skip_existing, protected=protected)
+    checked = [results for _, results in todo]
+    sheet = {"png": output / SHEET} if view and len(images) > 1 else {}
+    check_results([*checked, sheet], overwrite=overwrite or skip_existing, protected=protected)
     if "png" in wanted:
         check_pictures()
     from gelform.calibration.library.choose import unit_of_all
@@ -92,7 +113,7 @@ def reconstruct(
     used = calibration_given(given, background, lambda: unit_of_all(images), shown.quiet)
     with shown.progress() as progress:
         run = prepared(used, background, solver=solver)
-        rows, failed = [], []
+        rows, failed, tiles = [], [], []
         for done, (path, results) in enumerate(todo):
             try:
                 image = image_in(path, run.calibration)
@@ -102,6 +123,8 @@ def reconstruct(
             else:
                 _write(result, image, results, overwrite or skip_existing)
                 rows.append(_row(result, path, results))
+                if sheet and done % -(-len(todo) // TILES) == 0:
+                    tiles.append((result.depth, f"{path.parent.name}/{path.stem}", _note(rows[-1])))
             progress(done + 1, len(todo), "reconstructing")
     for one in failed:
         say(f"gelform: error: {one['error']}")
@@ -109,9 +132,80 @@ def reconstruct(
     if len(images) > len(rows) and len(images) > 1:
         skipped = len(images) - len(todo)
         shown.say(f"{len(rows)} of {len(images)} images done, {skipped} skipped, {len(failed)} failed.")
+    if tiles:
+        from gelform.batch.finish import contact_sheet
+        from gelform.foundations.npz_files import written_file
+
+        with written_file(sheet["png"], overwrite=overwrite or skip_existing) as file:
+            file.write(contact_sheet(tiles))
+    if view and rows:
+        _open(sheet["png"] if sheet else paths[0]["png"], shown)
     shown.json({"results": rows, "failed": failed})
     if failed or (strict and any(row["findings"] for row in rows)):
         raise typer.Exit(MISTAKE)
+
+
+def _listed(inputs: Sequence[Path], background: Path | None) -> tuple[list[Path], bool]:
+    """The images that the inputs mean, and whether they are frames of a video or a recording instead."""
+    from gelform.batch.inputs.listing import FILM_SUFFIXES, is_container, listing_of
+
+    images: list[Path] = []
+    leave_out = [] if background is None else [background]
+    for one in inputs:
+        is_pattern = glob.has_magic(str(one)) and not one.exists()
+        is_film = one.suffix.lower() in FILM_SUFFIXES or is_container(one)
+        if not (one.is_dir() or is_pattern or is_film):
+            images.append(one)
+            continue
+        for sequence in listing_of(one, leave_out=leave_out).sequences:
+            if not sequence.images:
+                if len(inputs) > 1:
+                    raise DataError(f"{sequence.path} is no image. Give it alone, or use gelform batch.")
+                return [], True
+            images += [sequence.path / name for name in sequence.images]
+    return images, False
+
+
+def _film(
+    source: Path,
+    given: CalibrationOptions,
+    output: Path,
+    background: Path | None,
+    solver: str,
+    overwrite: bool,
+    view: bool,
+    shown: ShownOption,
+) -> NoReturn:
+    """Do as gelform batch does, and end."""
+    from gelform.cli.commands.batch import Frames, Machines, Results, Run, batch
+
+    try:
+        batch(
+            source=str(source),
+            given=given,
+            output=output,
+            frames=Frames(background=background),
+            results=Results(keep="all", solver=solver),
+            machines=Machines(shard=(1, 1)),
+            run=Run(overwrite=overwrite),
+            shown=shown,
+        )
+    finally:
+        if view and (output / SHEET).exists():
+            _open(output / SHEET, shown)
+    raise typer.Exit
+
+
+def _open(picture: Path, shown: ShownOption) -> None:
+    import webbrowser
+
+    shown.say(f"Look at {picture}.")
+    webbrowser.open(picture.resolve().as_uri())
+
+
+def _note(row: dict[str, Any]) -> str:
+    peak = f"{figure(row['peak_mm'])} mm" if "peak_mm" in row else f"{figure(row['peak_px'])} px"
+    return f"{peak} {' '.join(finding['name'] for finding in row['findings'])}"
 
 
 def _write(
