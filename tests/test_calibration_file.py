@@ -138,3 +138,31 @@ def test_it_is_shown_in_a_line_and_in_a_notebook_with_its_background(calibration
     assert pixels.shape == (180, 240, 3)
     middle = calibration.background.mean(axis=(0, 1))
     np.testing.assert_allclose(pixels.mean(axis=(0, 1)), middle, atol=1.5)
+
+
+@pytest.mark.parametrize("ending", [".png", ".jpg", ".bmp", ".tif", ".webp"])
+def test_a_picture_in_the_place_of_a_calibration_names_its_reader(ending, tmp_path):
+    path = tmp_path / f"frame{ending}"
+    cv2.imwrite(str(path), np.full((8, 8, 3), 100, np.uint8))
+    for call in (gelform.Reconstructor, gelform.load_calibration):
+        with pytest.raises(CalibrationError, match=r"got the picture .*gelform\.read_image\(path\)"):
+            call(path)
+
+
+def test_a_picture_s_path_in_the_place_of_an_image_names_its_reader(polynomial_calibration):
+    reconstruct = gelform.Reconstructor(polynomial_calibration)
+    for call in (
+        reconstruct,
+        reconstruct.from_image,
+        lambda p: gelform.Reconstructor(polynomial_calibration, p),
+    ):
+        with pytest.raises(TypeError, match=r"gelform\.read_image\(path\)"):
+            call("frame.png")
+
+
+def test_the_digest_is_of_the_content_not_of_the_names_of_unit_and_gel(polynomial_calibration, tmp_path):
+    named = replace(polynomial_calibration, serial="S7", gel_id="g")
+    assert named.digest == polynomial_calibration.digest
+    named.save(tmp_path / "named.npz")
+    assert gelform.load_calibration(tmp_path / "named.npz").digest == polynomial_calibration.digest
+    assert replace(polynomial_calibration, mm_per_px=0.5).digest != polynomial_calibration.digest

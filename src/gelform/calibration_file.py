@@ -180,9 +180,9 @@ class Calibration:
 
     @cached_property
     def digest(self) -> str:
-        """Identity of this calibration: a digest of its arrays and settings."""
+        """Identity of the content: a digest of arrays and settings. The serial and the gel may be named later."""
         arrays, meta = self.contents()
-        return digest_of(arrays, meta)
+        return digest_of(arrays, {**meta, "serial": None, "gel_id": None})
 
     @property
     def unit_spread(self) -> float:

@@ -1,5 +1,7 @@
 """The one door: what is let in, as what, and what is said to the rest."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -245,3 +247,10 @@ def test_slopes_that_float32_cannot_square_are_refused():
     slopes[1, 2, 0] *= 2
     with pytest.raises(ValueError, match=r"slopes up to 1e\+15 mm/mm, got 2\.0e\+15"):
         check_slopes(slopes)
+
+
+@pytest.mark.parametrize("path", ["frame.png", Path("a") / "frame.png"])
+def test_a_path_is_no_array(path):
+    for check in (check_image, check_gradients, lambda path: check_values(path, "lights", (3,))):
+        with pytest.raises(TypeError, match=r"got the path '.*frame\.png'.* gelform\.read_image\(path\)"):
+            check(path)

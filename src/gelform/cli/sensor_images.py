@@ -48,7 +48,7 @@ def calibration_given(
         return load_calibration(given.calibration)
     of = unit()
     try:
-        chosen = choose_calibration(of)
+        chosen = choose_calibration(of, ready=given.sensor is None)
     except NoCalibration as problem:
         return starter_given(given, background, of.serial, problem, quiet)
     say(chosen.said, quiet)

@@ -25,8 +25,13 @@ LARGEST = 1e18  # its squares, and sums of those, fit into float32
 def as_array(values: ArrayLike, name: str) -> NDArray[Any]:
     """The values as an array, whatever its type; refused if they are no rectangle of values, or partly masked.
 
-    ValueError: rows of different lengths, or masked values; a separate mask marks unknown values.
+    ValueError: rows of different lengths, or masked values; a separate mask marks unknown values. TypeError: a path.
     """
+    if isinstance(values, (str, PathLike)):
+        raise TypeError(
+            f"Expected {name} as an array, got the path {os.fspath(values)!r:.80}. Read it first: a picture by "
+            "gelform.read_image(path)."
+        )
     # numpy.ma takes 20 ms to import; nothing is masked before someone imports it
     if type(values) is not np.ndarray and "numpy.ma" in sys.modules and np.ma.is_masked(values):
         raise ValueError(

@@ -50,6 +50,14 @@ DAMAGED_ARCHIVE = (
     UnicodeDecodeError,
 )
 _UNREADABLE = (*DAMAGED_ARCHIVE, ValueError, KeyError)
+PICTURE_STARTS = (
+    b"\x89PNG",
+    b"\xff\xd8\xff",
+    b"BM",
+    b"II*\0",
+    b"MM\0*",
+    b"RIFF",
+)  # PNG, JPEG, BMP, TIFF, WebP
 
 
 @contextmanager
@@ -259,6 +267,11 @@ def read_npz(
     except OSError as problem:
         raise error(f"Cannot read {path}: {problem.strerror or problem}.") from problem
     except _UNREADABLE as problem:
+        with path.open("rb") as file:
+            if file.read(4).startswith(PICTURE_STARTS):
+                raise error(
+                    f"Expected a {kind}, got the picture {path}. gelform.read_image(path) reads pictures."
+                ) from problem
         raise error(
             f"{path} is truncated or damaged, or no {kind} at all ({said(problem)}). "
             "Copy it again from where it was made, or make it anew."

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from gelform.calibration.library.choose import Unit
-from gelform.calibration.library.library import described
+from gelform.calibration.library.library import described, is_same
 from gelform.calibration_file import Calibration, is_calibration, load_calibration
 from gelform.errors import GelformError
 from gelform.sensors.recordings.indexed import recordings_in
@@ -57,7 +57,7 @@ class Calibrations:
         """Add a calibration without a file; return its name. The same calibration is added once."""
         with self._lock:
             known = self._loaded.get(name)
-            if known is None or known.digest != calibration.digest:
+            if known is None or not is_same(known, calibration):
                 name = _free(name, self._paths)
                 self._loaded[name], self._paths[name] = calibration, None
             return name

@@ -188,6 +188,13 @@ def test_each_sequence_has_the_background_that_the_table_names(two_lights, cal, 
         run_batch(two_lights, cal, tmp_path / "own", background=swapped)
 
 
+def test_a_table_of_windows_names_the_same_files(two_lights, cal):
+    written = table(two_lights, "a,a/rest.png", "b,b/rest.png")
+    own = backgrounds_of(written)
+    written.write_text("sequence;background\r\na;a\\rest.png\r\nb;b\\rest.png\r\n")
+    assert backgrounds_of(written) == own
+
+
 def test_a_table_that_names_one_file_for_all_is_that_file(two_lights, cal, tmp_path):
     same = table(two_lights, "a,a/rest.png", "b,a/rest.png")
     run_batch(two_lights, cal, tmp_path / "one", background=two_lights / "a/rest.png")
@@ -203,11 +210,11 @@ def test_refused_before_anything_is_written(two_lights, cal, tmp_path):
         (["a,a/rest.png", "b,b/rest.png", "c,a/rest.png"], "the input lacks, 'c'"),
         (["a,a/rest.png", "b,b/none.png"], "The background .*none.png"),
         (["a,a/rest.png", "a,b/rest.png"], "each sequence once"),
-        (["a"], "columns sequence and background"),
+        (["a"], "Expected 2 fields, got 1"),
         ([], "columns sequence and background"),
     ]:
         with pytest.raises(DataError, match=said):
             run_batch(two_lights, cal, tmp_path / "out", background=table(two_lights, *rows))
         assert not (tmp_path / "out").exists()
-    with pytest.raises(DataError, match="Cannot read the table"):
+    with pytest.raises(DataError, match=r"Cannot read .*rest\.csv"):
         backgrounds_of(tmp_path / "rest.csv")

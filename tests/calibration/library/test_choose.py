@@ -6,8 +6,16 @@ import pytest
 
 import gelform
 from gelform.calibration.library import choose
-from gelform.calibration.library.choose import Unit, choose_calibration, unit_of, unit_of_all, unit_of_camera
+from gelform.calibration.library.choose import (
+    NoCalibration,
+    Unit,
+    choose_calibration,
+    unit_of,
+    unit_of_all,
+    unit_of_camera,
+)
 from gelform.calibration.library.library import add_calibration
+from gelform.calibration.library.simulated import ready_calibration
 from gelform.errors import CalibrationError, DataError, SensorError
 from gelform.image.frame import Frame
 from gelform.sensors.cameras import camera as plugged_in
@@ -124,5 +132,17 @@ def test_a_stream_takes_it_where_none_is_given(full):
     with gelform.stream(source) as stream:
         assert stream.calibration.digest == NEW.digest
         assert next(iter(stream)).calibration_digest == NEW.digest
-    with pytest.raises(CalibrationError, match="serial simulated-three-edges"):
-        gelform.stream("simulated")
+    source.serial = "S9"
+    with pytest.raises(CalibrationError, match="serial S9"):
+        gelform.stream(source)
+
+
+def test_the_simulated_sensor_has_its_own_unless_the_library_has_one_or_a_starter_is_wanted(full):
+    own = ready_calibration(gelform.open_source("simulated").sensor)
+    with gelform.stream("simulated") as stream:
+        assert stream.calibration.digest == own.digest
+    unit = unit_of("simulated")
+    with pytest.raises(NoCalibration, match="serial simulated-three-edges"):
+        choose_calibration(unit, ready=False)
+    add_calibration(replace(OLD, serial=unit.serial))
+    assert choose_calibration(unit).calibration.digest == OLD.digest

@@ -36,6 +36,22 @@ def test_a_variable_names_another_folder(monkeypatch, tmp_path):
     assert library_folder().parts[-2:] == ("gelform", "calibrations")
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="a home of Linux")
+def test_a_home_that_is_no_absolute_path_is_none(monkeypatch):
+    for given, said in (
+        ("~/here", "an absolute path"),
+        ("~nobody-of-that-name/here", "an absolute path"),
+        ("", "a home"),
+    ):
+        monkeypatch.setenv("GELFORM_CALIBRATIONS", given)
+        monkeypatch.setenv("HOME", "relative")
+        monkeypatch.setattr(
+            "gelform.calibration.library.library.user_data_path", lambda *_, **__: Path("relative")
+        )
+        with pytest.raises(DataError, match=f"Expected {said}"):
+            library_folder()
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="a user without an entry")
 def test_a_user_without_a_home_must_name_a_folder(monkeypatch):
     for name in ("GELFORM_CALIBRATIONS", "XDG_DATA_HOME", "HOME"):

@@ -179,6 +179,29 @@ SPOILT = {
 }
 
 
+def test_a_table_as_a_spreadsheet_on_windows_writes_it(copy):
+    """With semicolons, decimal commas and backslashes; the values are those of the table with commas."""
+    (copy / "presses.csv").write_text("image,ball_diameter_mm\nimages/0000.png,6.35\nimages/0001.png,9\n")
+    own = gelform.read_presses(copy)
+    table = "\ufeffimage;ball_diameter_mm;center_x_px\r\nimages\\0000.png;6,35;\r\nimages\\0001.png;9;\r\n"
+    (copy / "presses.csv").write_text(table, newline="")
+    read = gelform.read_presses(copy)
+    assert [one.name for one in read.presses] == ["images/0000.png", "images/0001.png"]
+    assert [one.ball_diameter_mm for one in read.presses] == [6.35, 9.0]
+    assert [one.digest for one in read.presses] == [one.digest for one in own.presses]
+
+
+def test_a_name_with_a_backslash_is_a_name_where_such_a_file_is(copy):
+    (copy / "images" / "0000.png").rename(copy / "images\\0000.png")
+    (copy / "presses.csv").write_text("image,ball_diameter_mm\nimages\\0000.png,6.35\n")
+    assert [one.name for one in gelform.read_presses(copy).presses] == ["images\\0000.png"]
+
+
+def test_a_picture_is_no_set_of_presses(copy):
+    with pytest.raises(DataError, match=r"background\.png, which is one picture: give the folder of all"):
+        gelform.calibrate(copy / "background.png")
+
+
 @pytest.mark.parametrize("name", SPOILT)
 def test_spoilt_table(copy, name):
     change, message = SPOILT[name]

@@ -120,9 +120,37 @@ def test_a_batch_takes_it_too_and_goes_on_with_the_same(run, fails, full, presse
 
 
 @pytest.mark.parametrize("command", ["bag", "ros"])
-def test_what_sends_to_robots_asks_the_library_too(fails, library, command):
-    where = ["-o", library / "bag"] if command == "bag" else []
-    assert "serial simulated-three-edges" in fails(command, "simulated", *where)
+def test_what_sends_to_robots_asks_the_library_too(fails, full, presses, command):
+    (presses / "sensor.toml").write_text('name = "known gel"\nmm_per_px = 0.1\nserial = "S9"\n')
+    where = ["-o", full / "bag"] if command == "bag" else []
+    assert "none with serial S9: it has calibrations of S1" in fails(command, presses / "images", *where)
+
+
+def test_the_simulated_sensor_needs_no_calibration(run, library, tmp_path):
+    pytest.importorskip("rosbags", reason="the extra ros is not installed")
+    pytest.importorskip("mcap", reason="the extra mcap is not installed")
+    how = ("-o", tmp_path / "bag", "--seconds", "0.2", "--topics", "indentation")
+    code, _, err = run("bag", "simulated", *how)
+    assert code == 0, err
+    assert "Calibration of the simulated sensor three-edges: gelform's own." in err
+
+
+def test_a_serial_given_later_keeps_the_digest(run_json, library, tmp_path):
+    """So that recordings and results, which name it, still find their calibration."""
+    calibration().save(tmp_path / "mine.npz")
+    run_json("calibrations", "add", tmp_path / "mine.npz")
+    (added,) = run_json("calibrations", "add", tmp_path / "mine.npz", "--serial", "S7")["added"]
+    assert added["new"]
+    listed = run_json("calibrations", "list")["calibrations"]
+    assert {one["digest"] for one in listed} == {calibration().digest}
+    assert sorted(one["serial"] or "" for one in listed) == ["", "S7"]
+
+
+def test_a_file_is_no_library(fails, monkeypatch, tmp_path):
+    calibration().save(tmp_path / "cal.npz")
+    monkeypatch.setenv("GELFORM_CALIBRATIONS", str(tmp_path / "cal.npz"))
+    assert f"got the file {tmp_path / 'cal.npz'}. Name a folder" in fails("calibrations", "list")
+    assert "got the file" in fails("calibrations", "add", tmp_path / "cal.npz")
 
 
 def test_a_folder_that_is_no_absolute_path_is_one_line(fails, monkeypatch):

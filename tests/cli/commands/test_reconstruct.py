@@ -158,7 +158,7 @@ def test_mistakes_are_one_line(fails, calibration_file, press_folder, tmp_path):
         ((tmp_path / "small.png", *ours), "small.png: Expected image of 120x160 px"),
         ((tmp_path / "other.png", *ours), "other.png: The background is not of this image"),
         ((image, "-c", tmp_path / "missing.npz", "-o", out), "No file"),
-        ((image, "-c", image, "-o", out), "no gelform calibration at all"),
+        ((image, "-c", image, "-o", out), "Expected a gelform calibration, got the picture"),
         ((image, "-c", calibration_file, "-o", tmp_path / "file"), "got the file"),
         ((image, image, *ours), "given twice"),
         (

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 from gelform.batch.inputs.containers import hdf5_values, image_from_values, is_zarr, zarr_values
 from gelform.batch.inputs.lerobot import stored_images, video_frames
 from gelform.batch.inputs.plan import Part
+from gelform.calibration.presses.press_set import file_of, table_rows
 from gelform.calibration_file import Calibration
 from gelform.errors import DataError, GelformError
 from gelform.foundations.checks import check_image
@@ -185,17 +185,13 @@ def backgrounds_of(path: Path | None) -> Backgrounds:
     """
     if path is None or path.suffix.lower() != ".csv":
         return Backgrounds(path)
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = list(csv.DictReader(file))
-    except (OSError, ValueError, csv.Error) as problem:
-        raise DataError(f"Cannot read the table of backgrounds {path}: {problem}.") from problem
-    if not rows or not all(row.get(one) is not None for row in rows for one in BACKGROUND_COLUMNS):
+    rows = [row for _, row in table_rows(path, BACKGROUND_COLUMNS)]
+    if not rows:
         raise DataError(
             f"Expected rows with the columns {' and '.join(BACKGROUND_COLUMNS)} in {path}. Name an image of the untouched "
             "gel for each sequence."
         )
-    found = {row["sequence"]: path.parent / row["background"] for row in rows}
+    found = {row["sequence"]: path.parent / file_of(path.parent, row["background"]) for row in rows}
     if len(found) < len(rows):
         raise DataError(f"Expected each sequence once in {path}, got {len(rows)} rows of {len(found)}.")
     return Backgrounds(by_sequence=found)

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from gelform.calibration.library.library import Entry, date_of, entries
+from gelform.calibration.library.simulated import ready_calibration
 from gelform.calibration_file import Calibration, load_calibration
 from gelform.errors import CalibrationError, DataError, GelformError
 from gelform.sensors.cameras.camera import Camera, camera_named, cameras_there
@@ -20,6 +21,7 @@ from gelform.sensors.recordings.mcap_reader import is_bag_folder, mcap_file_in, 
 from gelform.sensors.recordings.record import attached_calibration
 from gelform.sensors.simulated.source import serial_of_simulated
 from gelform.sensors.source import ADDRESSES, simulated_sensor_of
+from gelform.simulate import SimulatedSensor
 
 SENSOR_TOML = "sensor.toml"
 HOW_TO = (
@@ -40,6 +42,7 @@ class Unit:
     digest : digest of the calibration that was in use; empty if unknown
     gel_id : gel that was on it; empty if unknown
     carries : the recording that contains a calibration, or None
+    simulated : the simulated sensor that it is, or None
     """
 
     said: str
@@ -48,6 +51,7 @@ class Unit:
     digest: str = ""
     gel_id: str = ""
     carries: Path | None = None
+    simulated: SimulatedSensor | None = None
 
     def is_calibrated_by(self, entry: Entry | Calibration) -> bool:
         """Whether the calibration belongs to this unit and to no other gel."""
@@ -71,15 +75,17 @@ class Choice:
     path: Path | None = None
 
 
-def choose_calibration(unit: Unit, folder: Path | None = None) -> Choice:
+def choose_calibration(unit: Unit, folder: Path | None = None, *, ready: bool = True) -> Choice:
     """The calibration in the recording, else the one that was in use, else the newest one of the unit.
 
-    A unit without a serial uses calibrations without a serial that have its sensor's name.
+    A unit without a serial uses calibrations without a serial that have its sensor's name. A simulated sensor without any
+    uses the one that gelform has ready, or makes in about ten seconds.
 
     Parameters
     ----------
     unit : see `unit_of`
     folder : folder of the library; the user's by default
+    ready : whether a simulated sensor may use the one that gelform has ready
 
     Raises
     ------
@@ -96,6 +102,8 @@ def choose_calibration(unit: Unit, folder: Path | None = None) -> Choice:
     there = entries(folder)
     of_unit = [one for one in there if unit.is_calibrated_by(one)]
     in_use = [one for one in of_unit if unit.digest and one.digest == unit.digest]
+    if not of_unit and ready and unit.simulated is not None:
+        return Choice(ready_calibration(unit.simulated), f"Calibration of {unit.said}: gelform's own.")
     if not of_unit:
         raise NoCalibration(f"No calibration of {unit.said} {_missing(unit, there)} {HOW_TO}")
     entry = (in_use or of_unit)[0]
@@ -142,7 +150,7 @@ def unit_of(source: Any) -> Unit:
     except ValueError as problem:
         raise DataError(str(problem)) from problem
     if sensor is not None:
-        return Unit(f"the simulated sensor {sensor.name}", serial_of_simulated(sensor))
+        return Unit(f"the simulated sensor {sensor.name}", serial_of_simulated(sensor), simulated=sensor)
     if spec.startswith(ADDRESSES):
         return Unit(shown_address(spec))
     path = Path(source)

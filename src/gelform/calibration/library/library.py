@@ -26,25 +26,29 @@ def library_folder() -> Path:
     Raises
     ------
     DataError
-        The variable does not name an absolute path, or the user has no home folder.
+        The variable does not name an absolute path, the user has no home folder, or a file is there.
     """
     given = os.environ.get(FOLDER_VARIABLE)
-    if given:
-        folder = Path(given).expanduser()
-        if not folder.is_absolute():
+    try:
+        folder = (
+            Path(given).expanduser() if given else user_data_path("gelform", appauthor=False) / "calibrations"
+        )
+    except (RuntimeError, OSError):  # neither HOME nor an entry for the user
+        folder = Path(given or "")
+    if not folder.is_absolute():
+        if given:
             raise DataError(
                 f"Expected an absolute path in {FOLDER_VARIABLE}, got {folder}. Begin it at the root."
             )
-        return folder
-    try:
-        folder = user_data_path("gelform", appauthor=False)
-    except (RuntimeError, OSError):
-        folder = Path()
-    if not folder.is_absolute():  # neither HOME nor an entry for the user
         raise DataError(
-            f"Expected a home folder for the library of calibrations, got none. Name a folder in {FOLDER_VARIABLE}."
+            "Expected a home folder for the library of calibrations, got none that begins at the root. "
+            f"Name a folder in {FOLDER_VARIABLE}."
         )
-    return folder / "calibrations"
+    if folder.is_file():
+        raise DataError(
+            f"Expected a folder for the library of calibrations, got the file {folder}. Name a folder in {FOLDER_VARIABLE}."
+        )
+    return folder
 
 
 @dataclass(frozen=True)
@@ -147,7 +151,7 @@ def listed(there: Sequence[Entry]) -> str:
 
 
 def add_calibration(calibration: Calibration, folder: Path | None = None) -> tuple[Path, bool]:
-    """Add a calibration to the library; one that is already there (by its digest) is not written again.
+    """Add a calibration to the library; one that is already there (`is_same`) is not written again.
 
     The file appears completely or not at all, and no file is replaced, so any number of processes can add at once.
 
@@ -168,7 +172,7 @@ def add_calibration(calibration: Calibration, folder: Path | None = None) -> tup
         raise DataError(f"Cannot make the folder {folder}: {problem.strerror or problem}.") from problem
     sweep(folder)
     for entry in entries(folder):
-        if entry.digest == calibration.digest:
+        if is_same(entry, calibration):
             return entry.path, False
     number = 1
     while True:
@@ -178,11 +182,16 @@ def add_calibration(calibration: Calibration, folder: Path | None = None) -> tup
         except CalibrationError:
             if not os.path.lexists(path):
                 raise
-            if entry_of(path).digest == calibration.digest:  # another process was faster
+            if is_same(entry_of(path), calibration):  # another process was faster
                 return path, False
             number += 1  # the file with this name is damaged; it stays
         else:
             return path, True
+
+
+def is_same(one: Entry | Calibration, other: Entry | Calibration) -> bool:
+    """Whether two calibrations have the same content, for the same camera and gel."""
+    return (one.digest, one.serial, one.gel_id) == (other.digest, other.serial, other.gel_id)
 
 
 def file_name(calibration: Calibration, number: int = 1) -> str:

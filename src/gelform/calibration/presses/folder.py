@@ -30,6 +30,7 @@ from gelform.calibration.presses.press_set import (
     ReadOptions,
     check_ball_diameter,
     diameter,
+    file_of,
     flat_from_frame,
     height,
     number,
@@ -91,7 +92,9 @@ def read_presses(
     if kind == VIDEO:
         return presses_from_video(place, options, progress)
     if kind is None:
-        is_what = "a file of another kind" if place.exists() else "not there"
+        is_picture = place.suffix.lower() in IMAGE_SUFFIXES
+        is_file = "one picture: give the folder of all" if is_picture else "a file of another kind"
+        is_what = is_file if place.exists() else "not there"
         raise DataError(
             f"Expected a folder of presses, a video or a Taxim dataPack.npz, got {place}, which is {is_what}."
         )
@@ -200,7 +203,7 @@ def press_folder_source(folder: Path, options: ReadOptions) -> PressSource:
     flats: list[ListedFlat] = []
     left_out: Counter[str] = Counter()
     for where, row in table_rows(folder / "presses.csv", ("image", "ball_diameter_mm")):
-        indenter = row.get("indenter", "")
+        row["image"], indenter = file_of(folder, row["image"]), row.get("indenter", "")
         if indenter in ("", BALL):
             balls.append(_listed_ball(row, where))
         elif indenter == FLAT and row.get("height_mm"):

@@ -17,6 +17,7 @@ from gelform.calibration.presses.press_set import (
     ReadOptions,
     check_ball_diameter,
     diameter,
+    file_of,
     number,
     table_rows,
 )
@@ -39,9 +40,10 @@ def gs_sdk_source(folder: Path, options: ReadOptions) -> PressSource:
 
 def _gs_sdk_rows(folder: Path) -> Iterator[Listed]:
     for where, row in table_rows(folder / "catalog.csv", ("experiment_reldir", "diameter(mm)")):
-        directory = folder / row["experiment_reldir"]
+        name = file_of(folder, row["experiment_reldir"])
+        directory = folder / name
         label = _gs_sdk_label(directory / "label.npz") if (directory / "label.npz").is_file() else None
-        yield Listed(f"{row['experiment_reldir']}/gelsight.png", diameter(row["diameter(mm)"], where), label)
+        yield Listed(f"{name}/gelsight.png", diameter(row["diameter(mm)"], where), label)
 
 
 def _gs_sdk_label(path: Path) -> tuple[float, float, float]:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+import os
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -279,10 +281,17 @@ def flat_from_frame(listed: ListedFlat, frame: NDArray[Any], view: View) -> Flat
 
 
 def table_rows(path: Path, columns: tuple[str, ...]) -> Iterator[tuple[str, dict[str, str]]]:
-    """Rows of a CSV with their line numbers; DataError for missing columns, too many or few fields, or no text."""
+    """Rows of a CSV with their line numbers; DataError for missing columns, too many or few fields, or no text.
+
+    After a header with semicolons, semicolons separate and numbers may have a decimal comma: so spreadsheets write where
+    the comma is the decimal sign.
+    """
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
-            reader = csv.DictReader(file)
+            header = file.readline()
+            file.seek(0)
+            semicolons = header.count(";") > header.count(",")
+            reader = csv.DictReader(file, delimiter=";" if semicolons else ",")
             missing = [c for c in columns if c not in (reader.fieldnames or [])]
             if missing:
                 there = ", ".join(reader.fieldnames or []) or "none"
@@ -299,7 +308,8 @@ def table_rows(path: Path, columns: tuple[str, ...]) -> Iterator[tuple[str, dict
                         f"Expected {len(reader.fieldnames or [])} fields, got {len(fields)} ({where}). Was a decimal comma "
                         "meant? Write 6.35, quote texts that have commas, and keep the commas of empty fields."
                     )
-                yield where, {name: value.strip() for name, value in row.items()}
+                cells = {name: value.strip() for name, value in row.items()}
+                yield where, {name: _pointed(cell) for name, cell in cells.items()} if semicolons else cells
     except UnicodeDecodeError as problem:
         raise DataError(
             f"{path} is no table of text in UTF-8: byte {problem.start} is none. Save it as UTF-8."
@@ -308,6 +318,16 @@ def table_rows(path: Path, columns: tuple[str, ...]) -> Iterator[tuple[str, dict
         raise DataError(f"{path} is no table of comma-separated text: {problem}.") from problem
     except OSError as problem:
         raise DataError(f"Cannot read {path}: {problem.strerror or problem}.") from problem
+
+
+def _pointed(cell: str) -> str:
+    """A number with a decimal comma, with a point; any other text unchanged."""
+    return cell.replace(",", ".") if re.fullmatch(r"[+-]?\d+,\d+", cell) else cell
+
+
+def file_of(folder: Path, name: str) -> str:
+    """A file's name from a table, also where Windows wrote its folders."""
+    return name if os.path.exists(folder / name) else name.replace("\\", "/")
 
 
 def diameter(text: str, where: str) -> float:

@@ -123,7 +123,7 @@ def reconstruct(
             else:
                 _write(result, image, results, overwrite or skip_existing)
                 rows.append(_row(result, path, results))
-                if sheet and done % -(-len(todo) // TILES) == 0:
+                if sheet and (len(rows) - 1) % -(-len(todo) // TILES) == 0:
                     tiles.append((result.depth, f"{path.parent.name}/{path.stem}", _note(rows[-1])))
             progress(done + 1, len(todo), "reconstructing")
     for one in failed:

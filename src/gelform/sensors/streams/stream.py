@@ -52,7 +52,7 @@ def stream(
     source : argument of `open_source`: "simulated", a serial number, a name, a device path, a video, a folder, an
         address; or an open Source, a function that opens one, or a running Grabber that several streams share
     calibration : the sensor's calibration, or the path of its file. None: the newest one in the user's library with the
-        camera's serial number, or the one attached to a recording; without either, a starter's
+        camera's serial number, or the one attached to a recording, or the simulated sensor's own; without any, a starter's
     sensor : without a calibration, the make whose starter is used, such as "gelsight-mini"; by default the make of the
         camera or of the recording. Results begin after a second in which nothing touches the gel. Until then the
         stream's state is "starting", and `stats.reason` says what it waits for
@@ -83,7 +83,7 @@ def stream(
     missing: NoCalibration | None = None
     if calibration is None:
         try:
-            calibration = choose_calibration(unit_of(source)).calibration
+            calibration = choose_calibration(unit_of(source), ready=sensor is None).calibration
         except NoCalibration as problem:
             missing = problem
     reconstruct = None if calibration is None else Reconstructor(calibration, background)
