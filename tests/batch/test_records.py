@@ -279,7 +279,8 @@ def test_no_sheet_where_no_depth_was_kept_and_unknown_pixels_are_dark(tree, cal,
 
 def test_a_frame_of_which_nothing_is_known_has_no_figures(tree, cal, tmp_path, monkeypatch):
     save(tree / "frame1.png", np.full((64, 80, 3), 255, np.uint8))
-    run_batch(tree, cal, tmp_path / "out", table="csv")
+    tally = run_batch(tree, cal, tmp_path / "out", table="csv").tally
+    assert (tally.frames, tally.unknown, tally.doubtful, tally.findings["saturated"]) == (8, 1, 1, 1)
     with (tmp_path / "out/frames.csv").open(newline="") as file:
         first, second = list(csv.DictReader(file))[:2]
     assert (first["frame"], first["deepest_mm"], first["contact_mm2"], first["error"]) == (

@@ -16,7 +16,7 @@ from gelform.calibration.library.choose import (
 )
 from gelform.calibration.library.library import add_calibration
 from gelform.calibration.library.simulated import ready_calibration
-from gelform.errors import CalibrationError, DataError, SensorError
+from gelform.errors import CalibrationError, DataError, SensorError, StaleError
 from gelform.image.frame import Frame
 from gelform.sensors.cameras import camera as plugged_in
 from gelform.sensors.cameras.camera import Camera
@@ -141,6 +141,8 @@ def test_the_simulated_sensor_has_its_own_unless_the_library_has_one_or_a_starte
     own = ready_calibration(gelform.open_source("simulated").sensor)
     with gelform.stream("simulated") as stream:
         assert stream.calibration.digest == own.digest
+    with gelform.stream("simulated", sensor="simulated-three-edges") as stream, pytest.raises(StaleError):
+        assert stream.calibration, "a starter waits for the gel at rest"
     unit = unit_of("simulated")
     with pytest.raises(NoCalibration, match="serial simulated-three-edges"):
         choose_calibration(unit, ready=False)

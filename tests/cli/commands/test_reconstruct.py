@@ -101,6 +101,17 @@ def test_a_video_becomes_whole_results_to_look_at(run, calibration_file, press_f
     assert "press.avi is no image. Give it alone" in err
 
 
+def test_images_of_another_sensor_are_no_success(run, foreign_images, calibration_file, tmp_path):
+    given = ("reconstruct", foreign_images, "-c", calibration_file, "-o", tmp_path / "out")
+    code, _, err = run(*given)
+    assert code == 3
+    assert "the depth of 4 of 4 frames is doubtful (background_differs in 4)" in err
+    assert run(*given, "--overwrite", "--accept-doubtful")[0] == 0
+    assert run("reconstruct", foreign_images / "0.png", *given[2:], "--overwrite")[0] == 0, (
+        "its warning says it"
+    )
+
+
 def test_one_image_is_opened_as_its_picture(run, calibration_file, press_folder, tmp_path, opened):
     image = press_folder / "images" / "0003.png"
     assert run("reconstruct", image, "-c", calibration_file, "-o", tmp_path / "out", "--view")[0] == 0

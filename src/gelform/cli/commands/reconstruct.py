@@ -13,11 +13,19 @@ import typer
 from typer import Argument, BadParameter, Option
 
 from gelform.cli.console import check_pictures, figure, say
-from gelform.cli.options import Background, CalibrationOptions, Overwrite, ShownOption, one_of
+from gelform.cli.options import (
+    AcceptDoubtful,
+    Background,
+    CalibrationOptions,
+    Overwrite,
+    ShownOption,
+    one_of,
+)
 from gelform.cli.outputs import check_results, make_folder, result_paths
 from gelform.cli.process import MISTAKE, one_line
 from gelform.cli.sensor_images import calibration_given, image_in, prepared, reconstruction_of
 from gelform.errors import DataError, GelformError
+from gelform.foundations.findings import FrameTally
 
 if TYPE_CHECKING:
     import numpy as np
@@ -63,6 +71,7 @@ def reconstruct(
         bool, Option("--view", help="Open a picture of the result, or a contact sheet of several.")
     ] = False,
     strict: Annotated[bool, Option("--strict", help="Exit with status 1 if a result has a warning.")] = False,
+    accept_doubtful: AcceptDoubtful = False,
     overwrite: Overwrite = False,
     shown: ShownOption,
 ) -> None:
@@ -71,7 +80,8 @@ def reconstruct(
     An image a/b/c.png becomes DIR/<path below the images' common folder>.npz with depth_mm, gradients,
     confidence, contact, known and mm_per_px. With --format npz,png a picture is added. An image that cannot be read or
     belongs to another sensor is reported. The other images are still done, and the exit status is 1. Of a folder, every
-    image in it and below it is done. A video or a recording is done as by gelform batch --keep all.
+    image in it and below it is done. A video or a recording is done as by gelform batch --keep all. If the depth of most of
+    several images is doubtful, the exit status is 3.
 
     Without -c, the serial number in the images' sensor.toml or recording selects the newest calibration of that
     sensor. For a sensor without a calibration, give --sensor and an image of its gel at rest. The starter of its make
@@ -93,7 +103,8 @@ def reconstruct(
         if wanted != ["npz"] or strict or skip_existing:
             only = "of a video or a recording, results are npz, and a run continues by itself."
             raise BadParameter(only, param_hint="--format, --strict, --skip-existing")
-        _film(inputs[0], given, output, background, solver, overwrite, view, shown)
+        how = {"overwrite": overwrite, "accept_doubtful": accept_doubtful, "view": view}
+        _film(inputs[0], given, output, background, solver, shown, **how)
     if view and len(images) == 1 and "png" not in wanted:
         wanted.append("png")
     paths = result_paths(images, output, wanted)
@@ -113,7 +124,7 @@ def reconstruct(
     used = calibration_given(given, background, lambda: unit_of_all(images), shown.quiet)
     with shown.progress() as progress:
         run = prepared(used, background, solver=solver)
-        rows, failed, tiles = [], [], []
+        rows, failed, tiles, tally = [], [], [], FrameTally()
         for done, (path, results) in enumerate(todo):
             try:
                 image = image_in(path, run.calibration)
@@ -123,6 +134,7 @@ def reconstruct(
             else:
                 _write(result, image, results, overwrite or skip_existing)
                 rows.append(_row(result, path, results))
+                tally.add((one.name for one in result.health), known=bool(result.known.any()))
                 if sheet and (len(rows) - 1) % -(-len(todo) // TILES) == 0:
                     tiles.append((result.depth, f"{path.parent.name}/{path.stem}", _note(rows[-1])))
             progress(done + 1, len(todo), "reconstructing")
@@ -143,6 +155,10 @@ def reconstruct(
     shown.json({"results": rows, "failed": failed})
     if failed or (strict and any(row["findings"] for row in rows)):
         raise typer.Exit(MISTAKE)
+    if len(images) > 1:
+        from gelform.cli.tally import status_of
+
+        raise typer.Exit(status_of(tally, accept_doubtful=accept_doubtful, quiet=True))
 
 
 def _listed(inputs: Sequence[Path], background: Path | None) -> tuple[list[Path], bool]:
@@ -172,9 +188,11 @@ def _film(
     output: Path,
     background: Path | None,
     solver: str,
-    overwrite: bool,
-    view: bool,
     shown: ShownOption,
+    *,
+    overwrite: bool,
+    accept_doubtful: bool,
+    view: bool,
 ) -> NoReturn:
     """Do as gelform batch does, and end."""
     from gelform.cli.commands.batch import Frames, Machines, Results, Run, batch
@@ -188,6 +206,7 @@ def _film(
             results=Results(keep="all", solver=solver),
             machines=Machines(shard=(1, 1)),
             run=Run(overwrite=overwrite),
+            accept_doubtful=accept_doubtful,
             shown=shown,
         )
     finally:
