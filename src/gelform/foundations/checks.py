@@ -277,6 +277,16 @@ def check_sensor_pitch(mm_per_px: float) -> float:
     return pitch
 
 
+def check_sensor_pitches(mm_per_px: float | Sequence[float]) -> float | tuple[float, float]:
+    """Return the pixel pitch of a sensor as `check_sensor_pitch` does, or a pair (x, y) of them if they differ."""
+    if not isinstance(mm_per_px, (list, tuple)):
+        return check_sensor_pitch(mm_per_px)  # type: ignore[arg-type]
+    if len(mm_per_px) != 2:
+        raise ValueError(f"Expected mm_per_px as one number or as two, [x, y], got {len(mm_per_px)}.")
+    x, y = map(check_sensor_pitch, mm_per_px)
+    return x if x == y else (x, y)
+
+
 def check_gel_thickness(thickness_mm: float) -> float:
     """Return the thickness of a gel, mm, if a finger-sized sensor can have it."""
     return check_within(thickness_mm, "gel_thickness_mm", *GEL_THICKNESS_MM)

@@ -19,7 +19,7 @@ from gelform.foundations.checks import (
     check_gel_thickness,
     check_path,
     check_positive,
-    check_sensor_pitch,
+    check_sensor_pitches,
     check_within,
 )
 from gelform.image.background.average import Background, background_from_frames
@@ -51,7 +51,8 @@ class SensorSettings:
     Attributes
     ----------
     name : str
-    mm_per_px : mm per image pixel, after the view
+    mm_per_px : mm per image pixel, after the view; a pair (x, y) if pixels are not square, which are then resampled to
+        square ones
     mm_per_px_sigma : its standard deviation, mm; None if unknown
     response : exponent of the camera's response, I = light^response; 1 if linear or unknown
     serial, gel_id : the unit and the gel; empty if unknown
@@ -63,7 +64,7 @@ class SensorSettings:
     """
 
     name: str
-    mm_per_px: float
+    mm_per_px: float | tuple[float, float]
     mm_per_px_sigma: float | None = None
     response: float = 1.0
     serial: str = ""
@@ -72,6 +73,17 @@ class SensorSettings:
     view: View = field(default_factory=View)
     measured: Mapping[str, Any] = field(default_factory=dict)
     camera: Mapping[str, float | str] = field(default_factory=dict)
+
+    @property
+    def square_mm_per_px(self) -> float:
+        """The pitch of square pixels: the wider side where `mm_per_px` is a pair."""
+        return max(self.mm_per_px) if isinstance(self.mm_per_px, tuple) else self.mm_per_px
+
+    def squared(self, view: View, frame_shape: tuple[int, int]) -> View:
+        """A view of frames (H, W) to images of this sensor, with square pixels."""
+        if not isinstance(self.mm_per_px, tuple):
+            return view
+        return view.of_frames(frame_shape).squared(self.mm_per_px)
 
 
 def read_image(path: str | Path, *, most_pixels: float = MAX_PIXELS) -> NDArray[np.uint8]:
@@ -174,7 +186,7 @@ def _sensor_settings(settings: dict[str, Any]) -> SensorSettings:
     sigma, thickness = settings.get("mm_per_px_sigma"), settings.get("gel_thickness_mm")
     return SensorSettings(
         **texts,
-        mm_per_px=check_sensor_pitch(settings["mm_per_px"]),
+        mm_per_px=check_sensor_pitches(settings["mm_per_px"]),
         mm_per_px_sigma=None if sigma is None else check_positive(sigma, "mm_per_px_sigma"),
         gel_thickness_mm=None if thickness is None else check_gel_thickness(thickness),
         response=check_within(settings.get("response", 1.0), "response", 0.05, 20),

@@ -92,6 +92,51 @@ def test_profile_gives_scale_and_view(copy, presses):
     assert read.view.frame_shape == (252, 336)
 
 
+@pytest.fixture
+def wide(copy):
+    """The same folder from a camera whose pixels are 1.25 times as high as wide."""
+    for path in [copy / "background.png", *(copy / "images").iterdir()]:
+        height, width = (image := cv2.imread(str(path))).shape[:2]
+        cv2.imwrite(str(path), cv2.resize(image, (5 * width // 4, height), interpolation=cv2.INTER_CUBIC))
+    return copy
+
+
+def settle(folder, mm_per_px):
+    (folder / "sensor.toml").write_text(f'name = "simulated"\nmm_per_px = {mm_per_px}\n')
+    return gelform.read_presses(folder)
+
+
+def test_pixels_that_are_not_square_become_square(wide, presses):
+    pitch = presses.mm_per_px
+    read = settle(wide, [pitch / 1.25, pitch])
+    assert read.mm_per_px == pytest.approx(pitch)
+    assert read.image_shape == presses.image_shape
+    assert np.abs(read.background - presses.background).mean() < 1
+    given = gelform.read_presses(wide, mm_per_px=(pitch / 1.25, pitch), crop=(20, 10, 150, 110))
+    assert given.image_shape == (110, 120)
+
+
+@pytest.mark.slow
+def test_a_calibration_in_pixels_that_are_not_square_is_that_in_square_ones(
+    wide, presses, calibration, press
+):
+    """Frames as the camera gives them: depth and slopes are those of square pixels, and of the truth."""
+    pitch = presses.mm_per_px
+    made = gelform.calibrate(settle(wide, [pitch / 1.25, pitch]))
+    assert made.mm_per_px == pytest.approx(pitch)
+    frame = cv2.resize(press.image, (220, 132), interpolation=cv2.INTER_CUBIC)
+    found, square = gelform.Reconstructor(made)(frame), gelform.Reconstructor(calibration)(press.image)
+    for result in (found, square):
+        assert np.sqrt(np.mean((result.depth_mm - press.depth_mm)[press.contact] ** 2)) < 0.02
+        wrong = np.abs(result.gradients - press.gradients)[press.contact]
+        assert np.median(wrong) < 0.04
+    assert np.sqrt(np.mean((found.depth_mm - square.depth_mm)[press.contact] ** 2)) < 0.012
+    (note,) = [note for note in gelform.calibrate(settle(wide, pitch)).report.notes if "not square" in note]
+    assert "times wider than high" in note
+    assert "mm_per_px = [x, y]" in note
+    assert not [note for note in made.report.notes if "not square" in note]
+
+
 def test_crop_and_view_of_the_settings(copy):
     cropped = gelform.read_presses(copy, crop=(10, 20, 100, 80))
     assert cropped.image_shape == (80, 100)

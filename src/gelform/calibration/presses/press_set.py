@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from gelform.calibration.geometry.measured import Geometry
 from gelform.errors import DataError
-from gelform.foundations.checks import check_positive, check_sensor_pitch
+from gelform.foundations.checks import check_positive, check_sensor_pitch, check_sensor_pitches
 from gelform.image.frame import pixels_digest
 from gelform.image.view import View, image_from_frame
 from gelform.sensors.files import SensorSettings, read_sensor_toml
@@ -135,20 +135,21 @@ class ReadOptions:
     Attributes
     ----------
     sensor : name of a profile
-    mm_per_px, ball_diameter_mm : float
+    mm_per_px : float, or (x, y)
+    ball_diameter_mm : float
     background : path of the background image
     crop : (left, top, width, height) in pixels of the frame
     """
 
     sensor: str | None = None
-    mm_per_px: float | None = None
+    mm_per_px: float | tuple[float, float] | None = None
     ball_diameter_mm: float | None = None
     background: Path | None = None
     crop: tuple[float, float, float, float] | None = None
 
     def __post_init__(self) -> None:
         if self.mm_per_px is not None:
-            check_sensor_pitch(self.mm_per_px)
+            check_sensor_pitches(self.mm_per_px)
         if self.ball_diameter_mm is not None:
             check_ball_diameter(self.ball_diameter_mm)
 
@@ -167,7 +168,7 @@ class ReadOptions:
                 gel_thickness_mm=profile.gel_thickness_mm,
             )
         if self.mm_per_px is not None:
-            pitch = check_sensor_pitch(self.mm_per_px)
+            pitch = check_sensor_pitches(self.mm_per_px)
             if settings is None:
                 return SensorSettings(place.resolve().stem, pitch)
             others = {name: value for name, value in settings.measured.items() if name != "scale"}
@@ -181,12 +182,14 @@ class ReadOptions:
         return settings
 
     def view(self, settings: SensorSettings, frame_shape: tuple[int, int]) -> View:
-        """The requested crop, else sensor.toml's view, else the profile's if the images are frames of it."""
+        """The requested crop, else sensor.toml's view, else the profile's if the images are frames of it; square pixels."""
         if self.crop is not None:
-            return View(frame_shape=frame_shape, crop=self.crop)
-        if not settings.view.is_identity or self.sensor is None:
-            return settings.view
-        return profile_named(self.sensor).view(frame_shape)
+            view = View(frame_shape=frame_shape, crop=self.crop)
+        elif not settings.view.is_identity or self.sensor is None:
+            view = settings.view
+        else:
+            view = profile_named(self.sensor).view(frame_shape)
+        return settings.squared(view, frame_shape)
 
     def ball(self, what: str) -> float:
         """The ball's diameter, for data without it."""
@@ -211,7 +214,7 @@ def presses_from_settings(
         folder=folder,
         presses=tuple(presses),
         background=background,
-        mm_per_px=settings.mm_per_px,
+        mm_per_px=settings.square_mm_per_px,
         mm_per_px_sigma=settings.mm_per_px_sigma,
         sensor_name=settings.name,
         serial=settings.serial or None,

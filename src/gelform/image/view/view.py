@@ -110,6 +110,24 @@ class View:
         """This view for frames (H, W), if it does not have their size itself."""
         return self if self.frame_shape is not None else replace(self, frame_shape=frame_shape)
 
+    def squared(self, mm_per_px: tuple[float, float]) -> View:
+        """This view with square pixels, as wide as the wider side (x, y) of those that it has now.
+
+        The crop loses less than one of the new pixels, so that their sides are exactly equal.
+        """
+        if self.turn != "none":  # the crop counts in the frame, before the turn
+            upright = self.unturned.squared((mm_per_px[1], mm_per_px[0]))
+            return replace(upright, turn=self.turn, image_shape=upright._sizes[1][::-1])
+        (left, top, width, height), (rows, columns) = self._box, self._sizes[1]
+        wider = mm_per_px[0] / max(mm_per_px), mm_per_px[1] / max(mm_per_px)
+        shape = max(1, int(rows * wider[1] + 1e-6)), max(1, int(columns * wider[0] + 1e-6))
+        kept = (
+            width * min(1.0, shape[1] / (columns * wider[0])),
+            height * min(1.0, shape[0] / (rows * wider[1])),
+        )
+        crop = left + (width - kept[0]) / 2, top + (height - kept[1]) / 2, *kept
+        return replace(self, crop=crop, image_shape=shape)
+
     @property
     def _sizes(self) -> tuple[tuple[int, int], tuple[int, int]]:
         """(H, W) of frames and of images, for a view that needs both."""
