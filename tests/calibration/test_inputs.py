@@ -319,6 +319,7 @@ def imprints(presses, wide=1.0, high=1.0):
     return shape_notes(*refined.of_accepted(prepared))
 
 
+@pytest.mark.slow
 def test_imprints_of_a_ball_are_round_in_square_pixels(presses):
     assert imprints(presses) == ()
     for wide, high, how in ((1.25, 1, "wider than high"), (1, 1.25, "higher than wide")):

@@ -28,7 +28,7 @@ from gelform.image.background.check import check_background_of_frames
 from gelform.image.background.orientation import orientation_if_doubtful
 from gelform.image.background.surround import crop_inside, surround_of
 from gelform.image.frame import DARK
-from gelform.sensors.profiles import light_order_of, scale_off_make
+from gelform.sensors.profiles import PROFILES, SAME_SCALE, light_order_of, scale_off_make
 from gelform.slopes.confidence.causes import SATURATED_FROM
 
 MIN_CHANGE = 0.08  # of color, mean over a contact in the background
@@ -38,7 +38,6 @@ EARLY_EDGE = 0.75  # of the visible radius; a contact edge further in is worth a
 # |log| of the median imprint's width over its height, and its standard errors. Six real sets have 0.10 or less, and 0.19 or
 # more where one side of their pixels is made 1.25 times as long.
 ELLIPTIC, ELLIPTIC_SIGMAS = 0.15, 3.0
-UNUSUAL_SCALE = 0.1  # |logarithm| of mm_per_px over the make's: units of a make differ by under 7 %
 MIN_SINE = 0.3  # sum over the lights' turns; 2.6 for equal angles; less may be noise
 
 
@@ -228,9 +227,9 @@ def shape_notes(prepared: Sequence[PreparedPress], contacts: Sequence[ContactCir
 
 
 def _scale_notes(presses: Presses) -> tuple[str, ...]:
-    """A note if mm_per_px differs much from that of the make that the sensor's name starts with."""
-    off = scale_off_make(presses.sensor_name, presses.image_shape, presses.mm_per_px)
-    if off is None or off < UNUSUAL_SCALE:
+    """A note if mm_per_px differs much from that of the sensor's make."""
+    off = scale_off_make(presses.make, presses.image_shape, presses.mm_per_px)
+    if off is None or off < SAME_SCALE:
         return ()
     return (
         f"The stated {presses.mm_per_px:g} mm/px differs by {100 * off:.0f} % from that of the make's images. Check it, or "
@@ -246,8 +245,8 @@ def light_order_note(
     If presses and background were both saved as BGR, they agree with each other, and only the lights show it. The direction
     of each light is the slope direction that brightens its channel most.
     """
-    expected = light_order_of(presses.sensor_name)
-    if expected is None or not contacts:
+    expected = light_order_of(presses.make)
+    if expected is None or presses.make is None or not contacts:
         return None
     turn = light_turn(prepared, contacts)
     if abs(turn) < MIN_SINE:
@@ -256,9 +255,9 @@ def light_order_note(
     if turned == expected:
         return None
     return (
-        f"Red, green and blue lights follow each other {turned} around the gel. In a {presses.sensor_name} the order is "
-        f"{expected}. Either all images and the background are saved as BGR, or they are mirrored. A calibration fits only "
-        "images of the same kind, so read new ones in the same way."
+        f"Red, green and blue lights follow each other {turned} around the gel. In a {PROFILES[presses.make].name} the "
+        f"order is {expected}. Either all images and the background are saved as BGR, or they are mirrored. A "
+        "calibration fits only images of the same kind, so read new ones in the same way."
     )
 
 

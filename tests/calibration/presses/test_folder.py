@@ -13,8 +13,9 @@ from gelform.calibration.geometry.crosstalk import Crosstalk
 from gelform.calibration.geometry.scale import Scale
 from gelform.calibration.presses.folder import with_crosstalk, with_scale, with_view
 from gelform.errors import DataError
-from gelform.image.view import Lens, View, image_px_from_frame_px
+from gelform.image.view import Lens, View, frame_from_image, image_px_from_frame_px
 from gelform.result.metrics import press_errors
+from gelform.sensors.profiles import SENSORS
 from gelform.simulate import LAYOUTS, Optics, exposed, simulate_ball_presses
 
 
@@ -90,6 +91,32 @@ def test_profile_gives_scale_and_view(copy, presses):
     assert read.image_shape == (240, 320)
     assert read.presses[0].image.shape == (240, 320, 3)
     assert read.view.frame_shape == (252, 336)
+
+
+@pytest.mark.slow
+def test_a_folder_of_a_make_s_images_calibrates_its_camera(tmp_path):
+    """gs_sdk's folder holds 240x320 px; the camera gives 2464x3280, of which the make knows the way to them."""
+    mini = SENSORS["gelsight-mini"]
+    made = simulate_ball_presses(
+        mini.simulated(), ball_diameters_mm=[5.0, 8.0], count=13, rng=np.random.default_rng(2)
+    )
+    rows = ["experiment_reldir,diameter(mm)"]
+    cv2.imwrite(str(tmp_path / "background.png"), made.background[..., ::-1])
+    for k, press in enumerate(made.presses[:-1]):
+        (tmp_path / str(k)).mkdir()
+        cv2.imwrite(str(tmp_path / f"{k}/gelsight.png"), press.image[..., ::-1])
+        rows.append(f"{k},{press.ball_diameter_mm}")
+    (tmp_path / "catalog.csv").write_text("\n".join(rows))
+    (tmp_path / "sensor.toml").write_text('name = "mine"\nmm_per_px = 0.0634\nmake = "gelsight-mini"\n')
+    calibration = gelform.calibrate(tmp_path)
+    assert calibration.view == mini.profile.view(mini.camera.frame_shape)
+    assert calibration.image_shape == (240, 320)
+    reconstruct, image = gelform.Reconstructor(calibration), made.presses[-1].image
+    by_image, by_frame = reconstruct(image), reconstruct(frame_from_image(image, calibration.view))
+    assert np.abs(by_image.depth_mm - by_frame.depth_mm).max() < 0.02
+    assert by_image.peak_mm > 0.2
+    with pytest.raises(ValueError, match=r"2464x3280 px .*got 480x640"):
+        reconstruct(np.zeros((480, 640, 3), np.uint8))
 
 
 @pytest.fixture

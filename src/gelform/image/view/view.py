@@ -172,8 +172,8 @@ def image_from_frame(frame: ArrayLike, view: View) -> NDArray[Any]:
     Parameters
     ----------
     frame : (H, W, 3) RGB, uint8 or float (0-255)
-        Of `view.frame_shape`, or of any size if the view has none. An image must not go through
-        the view again.
+        Of `view.frame_shape`, or of any size if the view has none. If frames and images differ in size, an image passes
+        unchanged.
     view : View
 
     Returns
@@ -189,13 +189,11 @@ def image_from_frame(frame: ArrayLike, view: View) -> NDArray[Any]:
     pixels = check_image(frame, name="frame")
     shape = (pixels.shape[0], pixels.shape[1])
     if view.frame_shape not in (None, shape):
-        hint = "Give the view that belongs to this camera."
         if shape == view.shape:
-            hint = (
-                "It has the size of an image already: those go to Reconstructor.from_image, without the view."
-            )
+            return pixels
         raise ValueError(
-            f"Expected a frame of {_text(view.frame_shape)} px (height x width), got {_text(shape)}. {hint}"
+            f"Expected a frame of {_text(view.frame_shape)} px (height x width), got {_text(shape)}. "
+            "Give the view that belongs to this camera."
         )
     if view.is_identity:
         return pixels
