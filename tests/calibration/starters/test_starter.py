@@ -20,6 +20,7 @@ from gelform.calibration.starters.starter import FOLDER, read_starter, starter_f
 from gelform.calibration_file import load_calibration
 from gelform.errors import CalibrationError, SensorError
 from gelform.result.metrics import press_errors
+from gelform.sensors.profiles import SENSORS
 from gelform.simulate import LAYOUTS, Ball, Punch, simulate_background, simulate_press
 
 SIMULATED = "simulated-three-edges"
@@ -133,6 +134,14 @@ def test_a_frame_of_the_camera_goes_through_the_make_s_view():
     assert calibration.view.frame_shape == (336, 448)
     assert calibration.image_shape == light.shape[:2]
     np.testing.assert_allclose(calibration.background, light, atol=1.5)
+
+
+def test_an_image_of_the_make_begins_a_calibration_of_its_camera_too():
+    light = load_starter("gelsight-mini").calibration.background
+    mini = SENSORS["gelsight-mini"]
+    by_image = calibration_from_background(light, "gelsight-mini")
+    assert by_image.view == mini.profile.view(mini.camera.frame_shape)
+    assert calibration_from_background(light, "gelsight-mini", mm_per_px=0.05).view.is_identity
 
 
 def test_frames_of_a_digit_s_camera_lie_and_are_turned_upright():
