@@ -20,7 +20,8 @@ LEVELS = [
     {"depth"},
     {"calibration_file", "result"},
     {"reconstruct", "simulate"},
-    {"sensors", "exchange"},
+    {"sensors"},
+    {"exchange"},
     {"calibration"},
     {"sensors/streams"},  # begins with a starter, or with a calibration of the library
     {"robots", "torch"},

@@ -272,12 +272,12 @@ class Reconstructor:
 
         Parameters
         ----------
-        frame : (H, W, 3) uint8 or float 0-255, RGB, as the camera gave it; or a Frame
+        frame : (H, W, 3) uint8 or float 0-255, RGB, as the camera gave it, or an image that has another size; or a Frame
 
         Raises
         ------
         ValueError, TypeError
-            No RGB image, or of another size than the view's frames.
+            No RGB image, or of another size than the view's frames and images.
         CalibrationError
             As `from_image`.
         """

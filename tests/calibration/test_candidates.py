@@ -18,11 +18,13 @@ from gelform.calibration.candidates import (
     color_model_names,
     fitted_responses,
     start_from,
+    starter_start,
     step_sigma_of,
     training_samples,
     translated,
 )
 from gelform.calibration.circles.samples import ZONE, PreparedPress
+from gelform.calibration.starters.starter import load_starter
 from gelform.errors import CalibrationError
 from gelform.reconstruct import Reconstructor
 from gelform.simulate import Ball, simulate_press
@@ -300,3 +302,11 @@ def test_a_start_without_a_forward_response_or_of_another_size_is_refused(lamber
         start_from(replace(lambertian_calibration, forward=None), presses, "auto")
     with pytest.raises(ValueError, match="132x176 px, got one for 10x20 px"):
         start_from(replace(lambertian_calibration, image_shape=(10, 20)), presses, "auto")
+
+
+def test_the_make_brings_the_starter_whatever_the_sensor_is_called(presses):
+    light = load_starter("gelsight-mini").calibration.background
+    mine = replace(presses, background=light, mm_per_px=0.0634, sensor_name="my Mini")
+    assert starter_start(mine, "auto") is None
+    assert "GelSight Mini" in starter_start(replace(mine, make="gelsight-mini"), "auto").by
+    assert starter_start(replace(mine, make="digit"), "auto") is None

@@ -3,12 +3,13 @@
 import re
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
 import gelform
 from gelform.calibration.circles.find import find_contact
-from gelform.calibration.circles.locate import Located, Refined
+from gelform.calibration.circles.locate import Located, Refined, refine
 from gelform.calibration.circles.prepare import prepare
 from gelform.calibration.inputs import (
     check_inputs,
@@ -17,11 +18,14 @@ from gelform.calibration.inputs import (
     light_notes,
     light_order_note,
     light_turn,
+    shape_notes,
+    surround_notes,
 )
 from gelform.calibration.presses.press_set import FlatPress, presses_from_simulated
 from gelform.calibration.report.content import report_content
 from gelform.calibration.report.learning import learning_curve
 from gelform.calibration.report.record import used_in_words
+from gelform.image.view import View
 from gelform.simulate import Led, exposed, simulate_ball_presses
 from made.halved import halved
 
@@ -300,3 +304,79 @@ def test_no_press_at_all_is_said(presses):
         gelform.CalibrationError, match=r"Expected presses of a ball in .*, got none\. Press a ball at 20"
     ):
         gelform.calibrate(replace(presses, presses=()))
+
+
+def imprints(presses, wide=1.0, high=1.0):
+    """What `shape_notes` says of presses in images that are resized by two factors."""
+
+    def resized(image):
+        return cv2.resize(image, None, fx=wide, fy=high, interpolation=cv2.INTER_LINEAR)
+
+    images = [replace(press, image=resized(press.image)) for press in presses.presses]
+    presses = replace(presses, presses=tuple(images), background=resized(presses.background))
+    prepared = prepare(presses)
+    refined = refine(prepared, [find_contact(press.color_change) for press in prepared])
+    return shape_notes(*refined.of_accepted(prepared))
+
+
+@pytest.mark.slow
+def test_imprints_of_a_ball_are_round_in_square_pixels(presses):
+    assert imprints(presses) == ()
+    for wide, high, how in ((1.25, 1, "wider than high"), (1, 1.25, "higher than wide")):
+        (note,) = imprints(presses, wide, high)
+        times = float(re.search(r"Imprints are ([\d.]+) times " + how, note)[1])
+        assert times == pytest.approx(1.25, abs=0.08)
+    assert imprints(presses.subset(range(11)), 1.25) == (), "fewer do not tell"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "name", ["mini-ball", "digit-ball", "gelslim", "gelslim-dots", "mini-d", "gelsight-ball-deep"]
+)
+def test_real_imprints_are_round_and_fill_the_image(data, name):
+    presses = gelform.read_presses(data / name)
+    presses = presses.subset(range(0, len(presses.presses), 2))
+    assert imprints(presses) == ()
+    assert surround_notes(presses) == ()
+    if name in ("mini-ball", "gelslim", "gelslim-dots"):
+        assert "1.2" in imprints(presses, 1.25)[0] or "1.3" in imprints(presses, 1.25)[0]
+
+
+def surrounded(presses):
+    """The presses seen as a smaller trapezoid in a dark frame with the camera's noise."""
+    height, width = presses.image_shape
+    corners = np.float32([(0, 0), (width, 0), (width, height), (0, height)])
+    seen = np.float32([(60, 40), (width + 50, 40), (width + 60, height + 40), (50, height + 40)])
+    noise, change = np.random.default_rng(0), cv2.getPerspectiveTransform(corners, seen)
+
+    def framed(image):
+        inside = cv2.warpPerspective(image, change, (width + 110, height + 90))
+        return np.clip(inside + noise.normal(3, 1, inside.shape).round(), 0, 255).astype(image.dtype)
+
+    images = tuple(replace(press, image=framed(press.image)) for press in presses.presses)
+    return replace(presses, presses=images, background=framed(presses.background))
+
+
+def test_a_dark_surround_is_named_with_the_crop_that_fits(presses):
+    assert surround_notes(presses) == ()
+    framed = surrounded(presses)
+    assert light_notes(framed.background) == (), "the light is not to blame"
+    (note,) = surround_notes(framed)
+    left, top, width, height = map(int, re.search(r"--crop (\d+),(\d+),(\d+),(\d+)\.", note).groups())
+    assert 58 <= left <= 68
+    assert 40 <= top <= 50
+    assert width > 0.85 * (presses.image_shape[1] - 10)
+    assert height > 0.85 * presses.image_shape[0]
+    inside = framed.background[top : top + height, left : left + width]
+    assert inside.max(axis=-1).min() > 40, "no pixel of the surround"
+    viewed = replace(framed, view=View(framed.image_shape, (0, 0, 100, 100)))
+    assert "a smaller crop in the [view]" in surround_notes(viewed)[0]
+
+
+@pytest.mark.slow
+def test_a_calibration_with_a_dark_surround_says_so(presses):
+    report = gelform.calibrate(surrounded(presses)).report
+    assert [note for note in report.notes if "outside the gel" in note]
+    assert not [note for note in report.notes if "Raise its light" in note]
+    with pytest.raises(gelform.CalibrationError, match=r"--crop \d+"):
+        gelform.calibrate(surrounded(presses.subset([0, 1])))

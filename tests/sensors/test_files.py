@@ -109,6 +109,12 @@ def test_sensor_toml(tmp_path):
     assert read_sensor_toml(path) == wanted
     path.write_text('name = "G"\nmm_per_px = 0.1\n[camera]\nexposure = 50\nfourcc = "MJPG"\n')
     assert read_sensor_toml(path).camera == {"exposure": 50, "fourcc": "MJPG"}
+    path.write_text('name = "G"\nmm_per_px = 0.05\nmake = "digit"\n')
+    assert read_sensor_toml(path) == SensorSettings("G", 0.05, make="digit")
+    path.write_text('name = "G"\nmm_per_px = [0.05, 0.04]\n')
+    assert read_sensor_toml(path) == SensorSettings("G", (0.05, 0.04))
+    path.write_text('name = "G"\nmm_per_px = [0.05, 0.05]\n')
+    assert read_sensor_toml(path) == SensorSettings("G", 0.05)
     path.write_text('name = "G"\nmm_per_px = 1\nmm_per_px_sigma = 0.01\n')
     assert read_sensor_toml(path) == SensorSettings("G", 1.0, mm_per_px_sigma=0.01)
 
@@ -122,6 +128,10 @@ def test_wrong_sensor_toml(tmp_path):
         ('name = "G"\nmm_per_px = "0.1"', "mm_per_px as a number, got '0.1'"),
         ('name = "G"\nmm_per_px = true', "mm_per_px as a number, got True"),
         ('name = "G"\nmm_per_px = 1e300', "got 1e[+]300"),
+        ('name = "G"\nmm_per_px = 0.05\nmake = "Mini"', "make as one of gelsight-mini, digit, got 'Mini'"),
+        ('name = "G"\nmm_per_px = 0.05\nmake = 3', "make as text"),
+        ('name = "G"\nmm_per_px = [0.05]', "as two, .x, y., got 1"),
+        ('name = "G"\nmm_per_px = [0.05, 15.8]', "If these are pixels per mm"),
         ('name = "G"\nmm_per_px = 15.8', r"If these are pixels per mm, give 1/15.8 = 0.06329"),
         ('name = "G"\nmm_per_px = 0.05\nmm_per_px_sigma = "1"', "mm_per_px_sigma as a number"),
         ('name = "G"\nmm_per_px = 0.05\ngel_thickness_mm = 0', "gel_thickness_mm between 0.05 and 50, got 0"),

@@ -8,7 +8,15 @@ import pytest
 
 from gelform.errors import SensorError
 from gelform.image.view import View, image_from_frame
-from gelform.sensors.profiles import PROFILES, SENSORS, KnownSensor, light_order_of, profile_named
+from gelform.sensors.profiles import (
+    PROFILES,
+    SENSORS,
+    KnownSensor,
+    light_order_of,
+    make_of,
+    profile_named,
+    view_from_camera,
+)
 from gelform.simulate import LAYOUTS
 
 
@@ -59,10 +67,29 @@ def test_sensors_are_simulated_under_their_name_and_scale():
     assert all(sensor.name == name for name, sensor in LAYOUTS.items())
 
 
-def test_light_orders_are_known_by_the_start_of_a_name():
-    assert light_order_of("GelSight Mini, unit A") == "clockwise"
-    assert light_order_of("DIGIT 7") == "counter-clockwise"
-    assert light_order_of("digit") is None
+def test_makes_are_known_by_the_start_of_a_name_and_have_an_order_of_lights():
+    assert light_order_of(make_of("GelSight Mini, unit A")) == "clockwise"
+    assert light_order_of(make_of("DIGIT 7")) == "counter-clockwise"
+    assert light_order_of(make_of("digit")) is None
+
+
+def test_a_make_s_images_know_the_way_from_its_camera():
+    """The scale tells images of the usual crop from those of the whole frame; a camera that lies is turned."""
+    mini = PROFILES["gelsight-mini"]
+    assert view_from_camera("gelsight-mini", (240, 320), 0.0634) == mini.view((2464, 3280))
+    assert view_from_camera("gelsight-mini", (240, 320), 0.0634 * 7 / 5) == View(
+        (2464, 3280), image_shape=(240, 320)
+    )
+    lying = view_from_camera("digit", (320, 240), 0.05107)
+    assert (lying.frame_shape, lying.shape, lying.turn) == ((240, 320), (320, 240), "left")
+    for make, shape, scale in (
+        ("gelsight-mini", (240, 320), 0.078),
+        ("gelsight-mini", (240, 320), None),
+        ("gelsight-mini", (480, 640), 0.0634),
+        (None, (240, 320), 0.0634),
+        ("gelslim", (240, 320), 0.0634),
+    ):
+        assert view_from_camera(make, shape, scale) == View()
 
 
 def test_the_names_of_sensors_cost_no_numpy():

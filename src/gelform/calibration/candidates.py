@@ -216,17 +216,17 @@ def step_sigma_of(model: ColorModel, samples: Samples) -> tuple[float, float]:
 
 
 def starter_start(presses: Presses, color_model: str) -> Start | None:
-    """The starter of the make that the sensor's name begins with; None if there is none, or its light differs.
+    """The starter of the sensor's make; None if there is none, or its light differs.
 
     It is offered to fits of the default color model, except for the presses that it was made from.
     """
-    starter = starter_for(presses.sensor_name, presses.image_shape)
+    starter = starter_for(presses.make, presses.image_shape)
     if starter is None:
         return None
     try:
         check_light(presses.background, starter.light, starter.make)
     except CalibrationError:
-        return None  # a name alone does not make it that sensor; a start given by name raises the error
+        return None  # a make that is named wrongly does not make it that sensor; a start given by name raises the error
     model, _ = starter.models_for(light_from_background(presses.background)[0], presses.mm_per_px)
     made = starter.calibration
     unseen = set(made.training_digests).isdisjoint(press.digest for press in presses.presses)

@@ -12,7 +12,7 @@ from gelform.calibration.circles.locate import check_places, locate
 from gelform.calibration.fitted import fit
 from gelform.calibration.held_out.folds import make_folds
 from gelform.calibration.held_out.measure import measure_held_out
-from gelform.calibration.inputs import check_inputs, input_notes
+from gelform.calibration.inputs import check_inputs, input_notes, surround_notes
 from gelform.calibration.presses.folder import Presses, as_presses
 from gelform.calibration.report.record import report_of_run
 from gelform.calibration_file import Calibration
@@ -67,7 +67,7 @@ def calibrate(
 
     located = locate(presses, first_unit, progress=progress)
     balls = ball_readings(located, known)
-    located = replace(located, notes=(*notes_of(balls), *located.notes))
+    located = replace(located, notes=(*surround_notes(presses), *notes_of(balls), *located.notes))
     check_places(located)
     folds = make_folds(
         located.prepared, located.found, located.refined.accepted, start=located.refined_by, progress=progress

@@ -151,7 +151,7 @@ def fit_all(
         sensor_name=presses.sensor_name,
         serial=presses.serial,
         gel_id=presses.gel_id,
-        view=presses.view,
+        view=presses.camera_view,
         image_shape=presses.image_shape,
         mm_per_px=presses.mm_per_px,
         mm_per_px_sigma=presses.mm_per_px_sigma,

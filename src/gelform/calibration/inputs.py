@@ -8,8 +8,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.calibration.circles.find import ContactCircle, find_contact, magnitude, scale_of, why_no_contact
+from gelform.calibration.circles.find import (
+    ContactCircle,
+    find_contact,
+    imprint_aspect,
+    magnitude,
+    scale_of,
+    why_no_contact,
+)
 from gelform.calibration.circles.locate import Located
+from gelform.calibration.circles.refine import is_deep
 from gelform.calibration.circles.samples import TRIAL_SAMPLES, PreparedPress, contact_samples
 from gelform.calibration.coverage import coverage_notes
 from gelform.calibration.enough import NEEDED, SAMPLED
@@ -18,15 +26,18 @@ from gelform.errors import CalibrationError
 from gelform.image.background.change import color_change_from_image
 from gelform.image.background.check import check_background_of_frames
 from gelform.image.background.orientation import orientation_if_doubtful
+from gelform.image.background.surround import crop_inside, surround_of
 from gelform.image.frame import DARK
-from gelform.sensors.profiles import light_order_of, scale_off_make
+from gelform.sensors.profiles import PROFILES, SAME_SCALE, light_order_of, scale_off_make
 from gelform.slopes.confidence.causes import SATURATED_FROM
 
 MIN_CHANGE = 0.08  # of color, mean over a contact in the background
 MIN_ROUGHER = 1.3  # roughness of the background over that of the presses' median
 MOST_UNUSABLE = 0.1  # of the pixels of the background image
 EARLY_EDGE = 0.75  # of the visible radius; a contact edge further in is worth a note
-UNUSUAL_SCALE = 0.1  # |logarithm| of mm_per_px over the make's: units of a make differ by under 7 %
+# |log| of the median imprint's width over its height, and its standard errors. Six real sets have 0.10 or less, and 0.19 or
+# more where one side of their pixels is made 1.25 times as long.
+ELLIPTIC, ELLIPTIC_SIGMAS = 0.15, 3.0
 MIN_SINE = 0.3  # sum over the lights' turns; 2.6 for equal angles; less may be noise
 
 
@@ -142,15 +153,17 @@ def input_notes(located: Located) -> tuple[str, ...]:
         *drift,
         *light_notes(presses.background),
         *_edge_notes(prepared),
+        *shape_notes(prepared, contacts),
         *_scale_notes(presses),
         *(() if order is None else (order,)),
     )
 
 
 def light_notes(background: NDArray[np.float32]) -> tuple[str, ...]:
-    """Channels of the background image that are too dark, or saturated, in more than a tenth of it; () if there are none."""
-    notes = []
-    for name, channel in zip(("Red", "Green", "Blue"), np.moveaxis(background, -1, 0)):
+    """Channels of the background image that are too dark, or saturated, in more than a tenth of the gel; () without any."""
+    notes, outside = [], surround_of(background)
+    gel = background if outside is None else background[~outside]
+    for name, channel in zip(("Red", "Green", "Blue"), np.moveaxis(gel, -1, 0)):
         for where, said in (
             (
                 channel < DARK,
@@ -167,6 +180,20 @@ def light_notes(background: NDArray[np.float32]) -> tuple[str, ...]:
     return tuple(notes)
 
 
+def surround_notes(presses: Presses) -> tuple[str, ...]:
+    """A note if the gel does not fill the image, with the crop that leaves the rest out."""
+    outside = surround_of(presses.background)
+    if outside is None:
+        return ()
+    crop = "a smaller crop in the [view] of sensor.toml"
+    if presses.view.is_identity:
+        crop = f"--crop {','.join(map(str, crop_inside(outside)))}"
+    return (
+        f"{100 * outside.mean():.0f} % of the image are outside the gel: dark, and joined to its border. Leave them out: "
+        f"{crop}. If the camera sees the gel at an angle, undo that too: gelform lens.",
+    )
+
+
 def _edge_notes(prepared: Sequence[PreparedPress]) -> tuple[str, ...]:
     """A note if the contact edge lies far inside the visible rim."""
     if not prepared or prepared[0].contact_radius_ratio >= EARLY_EDGE:
@@ -179,10 +206,30 @@ def _edge_notes(prepared: Sequence[PreparedPress]) -> tuple[str, ...]:
     )
 
 
+def shape_notes(prepared: Sequence[PreparedPress], contacts: Sequence[ContactCircle]) -> tuple[str, ...]:
+    """A note if imprints of a ball are elliptic, as in pixels that are not square; deep ones are no ellipses."""
+    shallow = [(press, contact) for press, contact in zip(prepared, contacts) if not is_deep(press, contact)]
+    if not NEEDED.edge.met(len(shallow)):
+        return ()
+    chosen = np.unique(np.linspace(0, len(shallow) - 1, min(len(shallow), SAMPLED)).round().astype(int))
+    logs = np.log([imprint_aspect(shallow[k][0].size, shallow[k][1]) for k in chosen])
+    middle = float(np.median(logs))
+    error = (
+        1.86 * float(np.median(np.abs(logs - middle))) / len(logs) ** 0.5
+    )  # of a median, from absolute deviations
+    if abs(middle) < max(ELLIPTIC, ELLIPTIC_SIGMAS * error):
+        return ()
+    how = "wider than high" if middle > 0 else "higher than wide"
+    return (
+        f"Imprints are {np.exp(abs(middle)):.2f} times {how}: pixels are not square? Then give mm_per_px = [x, y] in "
+        "sensor.toml. Or the camera looks at an angle: gelform lens.",
+    )
+
+
 def _scale_notes(presses: Presses) -> tuple[str, ...]:
-    """A note if mm_per_px differs much from that of the make that the sensor's name starts with."""
-    off = scale_off_make(presses.sensor_name, presses.image_shape, presses.mm_per_px)
-    if off is None or off < UNUSUAL_SCALE:
+    """A note if mm_per_px differs much from that of the sensor's make."""
+    off = scale_off_make(presses.make, presses.image_shape, presses.mm_per_px)
+    if off is None or off < SAME_SCALE:
         return ()
     return (
         f"The stated {presses.mm_per_px:g} mm/px differs by {100 * off:.0f} % from that of the make's images. Check it, or "
@@ -198,8 +245,8 @@ def light_order_note(
     If presses and background were both saved as BGR, they agree with each other, and only the lights show it. The direction
     of each light is the slope direction that brightens its channel most.
     """
-    expected = light_order_of(presses.sensor_name)
-    if expected is None or not contacts:
+    expected = light_order_of(presses.make)
+    if expected is None or presses.make is None or not contacts:
         return None
     turn = light_turn(prepared, contacts)
     if abs(turn) < MIN_SINE:
@@ -208,9 +255,9 @@ def light_order_note(
     if turned == expected:
         return None
     return (
-        f"Red, green and blue lights follow each other {turned} around the gel. In a {presses.sensor_name} the order is "
-        f"{expected}. Either all images and the background are saved as BGR, or they are mirrored. A calibration fits only "
-        "images of the same kind, so read new ones in the same way."
+        f"Red, green and blue lights follow each other {turned} around the gel. In a {PROFILES[presses.make].name} the "
+        f"order is {expected}. Either all images and the background are saved as BGR, or they are mirrored. A "
+        "calibration fits only images of the same kind, so read new ones in the same way."
     )
 
 

@@ -19,7 +19,7 @@ from gelform.foundations.checks import (
     check_gel_thickness,
     check_path,
     check_positive,
-    check_sensor_pitch,
+    check_sensor_pitches,
     check_within,
 )
 from gelform.image.background.average import Background, background_from_frames
@@ -30,6 +30,7 @@ from gelform.sensors.jpeg import SIGNATURE as JPEG
 from gelform.sensors.jpeg import is_gray_jpeg, pixels_of_jpeg
 from gelform.sensors.png_bytes import SIGNATURE as PNG
 from gelform.sensors.png_bytes import pixels_of_png
+from gelform.sensors.profiles import PROFILES
 from gelform.sensors.video_files import is_video
 
 if sys.version_info >= (3, 11):
@@ -51,10 +52,12 @@ class SensorSettings:
     Attributes
     ----------
     name : str
-    mm_per_px : mm per image pixel, after the view
+    mm_per_px : mm per image pixel, after the view; a pair (x, y) if pixels are not square, which are then resampled to
+        square ones
     mm_per_px_sigma : its standard deviation, mm; None if unknown
     response : exponent of the camera's response, I = light^response; 1 if linear or unknown
     serial, gel_id : the unit and the gel; empty if unknown
+    make : name of the make's profile; empty if unknown
     gel_thickness_mm : thickness of the gel at rest, the upper limit of depth; None if unknown
     view : maps the camera's frames to images; identity by default
     measured : results of `gelform scale` and `gelform lens`: the origin of scale and lens (texts under `scale` and `lens`),
@@ -63,15 +66,27 @@ class SensorSettings:
     """
 
     name: str
-    mm_per_px: float
+    mm_per_px: float | tuple[float, float]
     mm_per_px_sigma: float | None = None
     response: float = 1.0
     serial: str = ""
     gel_id: str = ""
+    make: str = ""
     gel_thickness_mm: float | None = None
     view: View = field(default_factory=View)
     measured: Mapping[str, Any] = field(default_factory=dict)
     camera: Mapping[str, float | str] = field(default_factory=dict)
+
+    @property
+    def square_mm_per_px(self) -> float:
+        """The pitch of square pixels: the wider side where `mm_per_px` is a pair."""
+        return max(self.mm_per_px) if isinstance(self.mm_per_px, tuple) else self.mm_per_px
+
+    def squared(self, view: View, frame_shape: tuple[int, int]) -> View:
+        """A view of frames (H, W) to images of this sensor, with square pixels."""
+        if not isinstance(self.mm_per_px, tuple):
+            return view
+        return view.of_frames(frame_shape).squared(self.mm_per_px)
 
 
 def read_image(path: str | Path, *, most_pixels: float = MAX_PIXELS) -> NDArray[np.uint8]:
@@ -130,8 +145,8 @@ def read_image(path: str | Path, *, most_pixels: float = MAX_PIXELS) -> NDArray[
 def read_sensor_toml(path: str | Path) -> SensorSettings:
     """Read a `sensor.toml`.
 
-    It has `name` and `mm_per_px`, and may have `mm_per_px_sigma`, `response`, `serial`, `gel_id`, `gel_thickness_mm`,
-    `[view]`, `[measured]`, `[camera]`.
+    It has `name` and `mm_per_px`, and may have `make`, `mm_per_px_sigma`, `response`, `serial`, `gel_id`,
+    `gel_thickness_mm`, `[view]`, `[measured]`, `[camera]`.
 
     Raises
     ------
@@ -164,17 +179,22 @@ def _sensor_settings(settings: dict[str, Any]) -> SensorSettings:
     missing = [key for key in known[:2] if key not in settings]
     if missing:
         raise ValueError(f"Expected the keys name and mm_per_px, {' and '.join(missing)} missing.")
-    texts = {key: settings[key] for key in ("name", "serial", "gel_id") if key in settings}
+    texts = {key: settings[key] for key in ("name", "serial", "gel_id", "make") if key in settings}
     wrong = [key for key, value in texts.items() if not isinstance(value, str)]
     if wrong:
         raise ValueError(f"Expected {wrong[0]} as text in quotes.")
+    if texts.get("make", "") not in ("", *PROFILES):
+        raise ValueError(
+            f"Expected make as one of {', '.join(PROFILES)}, got {texts['make']!r}. Leave it out for another make; the name "
+            "is free."
+        )
     for table in ("view", "measured", "camera"):
         if not isinstance(settings.get(table, {}), dict):
             raise ValueError(f"Expected a table [{table}], got {settings[table]!r}.")
     sigma, thickness = settings.get("mm_per_px_sigma"), settings.get("gel_thickness_mm")
     return SensorSettings(
         **texts,
-        mm_per_px=check_sensor_pitch(settings["mm_per_px"]),
+        mm_per_px=check_sensor_pitches(settings["mm_per_px"]),
         mm_per_px_sigma=None if sigma is None else check_positive(sigma, "mm_per_px_sigma"),
         gel_thickness_mm=None if thickness is None else check_gel_thickness(thickness),
         response=check_within(settings.get("response", 1.0), "response", 0.05, 20),

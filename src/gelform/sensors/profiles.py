@@ -6,7 +6,7 @@ names.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import log
 from typing import TYPE_CHECKING
 
@@ -15,6 +15,9 @@ from gelform.errors import SensorError
 if TYPE_CHECKING:
     from gelform.image.view import View
     from gelform.simulate.sensor.sensor import SimulatedSensor
+
+
+SAME_SCALE = 0.1  # |logarithm| of mm_per_px over the make's: units of a make differ by under 7 %
 
 
 @dataclass(frozen=True)
@@ -58,11 +61,10 @@ class SensorProfile:
         from gelform.image.view import View
 
         height, width = frame_shape
-        image_shape = self.image_shape if self._is_upright(frame_shape) else self.image_shape[::-1]
+        image_shape = self._shape_like(frame_shape)
         if frame_shape == image_shape:
             return View()
-        aspect = (width / image_shape[1]) / (height / image_shape[0])
-        if abs(aspect - 1) > 0.01:
+        if not self.has_aspect(frame_shape):
             raise SensorError(
                 f"Expected frames of a {self.name} with the aspect of {image_shape[0]}x{image_shape[1]} px "
                 f"(height x width), got {height}x{width}. Choose another camera mode, or give a crop: "
@@ -72,8 +74,28 @@ class SensorProfile:
         crop = (width * self.border, height * self.border, width * kept, height * kept)
         return View(frame_shape, crop if self.border else None, image_shape=image_shape)
 
-    def _is_upright(self, frame_shape: tuple[int, int]) -> bool:
-        return (frame_shape[0] <= frame_shape[1]) == (self.image_shape[0] <= self.image_shape[1])
+    def has_aspect(self, frame_shape: tuple[int, int]) -> bool:
+        """Whether frames (H, W) have the aspect of its images, upright or turned by 90 degrees."""
+        rows, columns = self._shape_like(frame_shape)
+        return abs((frame_shape[1] / columns) / (frame_shape[0] / rows) - 1) <= 0.01
+
+    def scale_off(self, mm_per_px: float) -> tuple[float, float]:
+        """Distance |log ratio| of a scale from that of its images, and the border that they are cropped by.
+
+        The nearer of two scales counts: that of the usual crop and that of the whole frame.
+        """
+        kept = 1 - 2 * self.border
+        usual = ((self.mm_per_px, self.border), (self.mm_per_px / kept, 0.0))
+        return min((abs(log(mm_per_px / one)), border) for one, border in usual)
+
+    def is_cropped_scale(self, mm_per_px: float | None) -> bool:
+        """Whether a scale is that of its images after the usual crop."""
+        return mm_per_px is not None and abs(log(mm_per_px / self.mm_per_px)) < SAME_SCALE
+
+    def _shape_like(self, frame_shape: tuple[int, int]) -> tuple[int, int]:
+        """(H, W) of its images, lying as frames (H, W) do."""
+        upright = (frame_shape[0] <= frame_shape[1]) == (self.image_shape[0] <= self.image_shape[1])
+        return self.image_shape if upright else (self.image_shape[1], self.image_shape[0])
 
 
 @dataclass(frozen=True)
@@ -95,6 +117,15 @@ class KnownCamera:
     fourcc: str
     led_levels: int = 0
     turn: str = "none"
+
+    def turned(self, view: View, frame_shape: tuple[int, int], image_shape: tuple[int, int]) -> View | None:
+        """A view of its frames (H, W) whose images are (H, W), turned as the camera lies; None if there is none."""
+        shape = view.shape or frame_shape
+        if shape == image_shape:
+            return view
+        if self.turn == "none" or shape != image_shape[::-1]:
+            return None
+        return replace(view, frame_shape=frame_shape, turn=self.turn, image_shape=image_shape)
 
 
 @dataclass(frozen=True)
@@ -175,20 +206,32 @@ def make_of(sensor_name: str) -> str | None:
     return next((name for name, one in PROFILES.items() if sensor_name.startswith(one.name)), None)
 
 
-def scale_off_make(sensor_name: str, image_shape: tuple[int, int], mm_per_px: float) -> float | None:
-    """Distance |log ratio| of mm_per_px from the scale of the make that a name starts with, for images (H, W).
+def scale_off_make(make: str | None, image_shape: tuple[int, int], mm_per_px: float) -> float | None:
+    """Distance |log ratio| of mm_per_px from the scale of a make's images (H, W), as `SensorProfile.scale_off` has it.
 
-    The nearer of two scales counts: that of the profile's crop and that of the whole frame. None for an unknown make or for
-    another image size.
+    None for an unknown make or for another image size.
     """
-    profile = PROFILES.get(make_of(sensor_name) or "")
+    profile = PROFILES.get(make or "")
     if profile is None or tuple(image_shape) != profile.image_shape:
         return None
-    usual = profile.mm_per_px, profile.mm_per_px / (1 - 2 * profile.border)
-    return min(abs(log(mm_per_px / one)) for one in usual)
+    return profile.scale_off(mm_per_px)[0]
 
 
-def light_order_of(sensor_name: str) -> str | None:
-    """The order of the lights of the make that a name starts with; None for an unknown make."""
-    make = make_of(sensor_name)
+def view_from_camera(make: str | None, image_shape: tuple[int, int], mm_per_px: float | None) -> View:
+    """The view from the frames of a make's camera to images (H, W) of a scale; identity if they are not the make's."""
+    from gelform.image.view import View
+
+    known = SENSORS.get(make or "")
+    if known is None or known.profile is None or known.camera is None or mm_per_px is None:
+        return View()
+    off, border = known.profile.scale_off(mm_per_px)
+    if off >= SAME_SCALE:
+        return View()
+    frame_shape = known.camera.frame_shape
+    view = replace(known.profile, border=border).view(frame_shape)
+    return known.camera.turned(view, frame_shape, image_shape) or View()
+
+
+def light_order_of(make: str | None) -> str | None:
+    """The order of the lights of a make; None for an unknown one."""
     return None if make is None else PROFILES[make].light_order

@@ -151,3 +151,11 @@ def test_what_is_missing_is_said(tmp_path):
         read_setup(tmp_path / "nowhere")
     with pytest.raises(DataError, match="No background"):
         read_setup(tmp_path)
+
+
+def test_one_scale_does_not_replace_a_pair(place):
+    (place / "sensor.toml").write_text('name = "mine"\nmm_per_px = [0.1, 0.08]\n')
+    with pytest.raises(DataError, match="pixels that are not square"):
+        save_scale(SCALE, place)
+    save_grid_view(GRID, place)
+    assert read_sensor_toml(place / "sensor.toml").mm_per_px == SCALE.mm_per_px, "a lens makes square pixels"

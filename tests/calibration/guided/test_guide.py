@@ -14,7 +14,7 @@ from gelform.simulate import simulate_background
 @pytest.fixture
 def guide(sensor, monkeypatch):
     monkeypatch.setattr(module, "LOOK_EVERY_S", 0.0)
-    return Guide(Asked(5.0, sensor.mm_per_px, sensor_name="small"))
+    return Guide(Asked(5.0, sensor.mm_per_px, sensor_name="small", make="gelsight-mini"))
 
 
 @pytest.fixture
@@ -79,7 +79,7 @@ def test_presses_fill_the_coverage_and_move_the_target_away(guide, see, press):
     assert len(targets) > 3
     made = guide.presses()
     assert len(made.presses) == LEAST
-    assert made.mm_per_px == guide.asked.mm_per_px
+    assert (made.mm_per_px, made.make) == (guide.asked.mm_per_px, "gelsight-mini")
 
 
 def test_too_few_presses_cannot_be_fitted(guide, see):

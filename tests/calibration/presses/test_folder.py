@@ -13,8 +13,9 @@ from gelform.calibration.geometry.crosstalk import Crosstalk
 from gelform.calibration.geometry.scale import Scale
 from gelform.calibration.presses.folder import with_crosstalk, with_scale, with_view
 from gelform.errors import DataError
-from gelform.image.view import Lens, View, image_px_from_frame_px
+from gelform.image.view import Lens, View, frame_from_image, image_px_from_frame_px
 from gelform.result.metrics import press_errors
+from gelform.sensors.profiles import SENSORS
 from gelform.simulate import LAYOUTS, Optics, exposed, simulate_ball_presses
 
 
@@ -90,6 +91,77 @@ def test_profile_gives_scale_and_view(copy, presses):
     assert read.image_shape == (240, 320)
     assert read.presses[0].image.shape == (240, 320, 3)
     assert read.view.frame_shape == (252, 336)
+
+
+@pytest.mark.slow
+def test_a_folder_of_a_make_s_images_calibrates_its_camera(tmp_path):
+    """gs_sdk's folder holds 240x320 px; the camera gives 2464x3280, of which the make knows the way to them."""
+    mini = SENSORS["gelsight-mini"]
+    made = simulate_ball_presses(
+        mini.simulated(), ball_diameters_mm=[5.0, 8.0], count=13, rng=np.random.default_rng(2)
+    )
+    rows = ["experiment_reldir,diameter(mm)"]
+    cv2.imwrite(str(tmp_path / "background.png"), made.background[..., ::-1])
+    for k, press in enumerate(made.presses[:-1]):
+        (tmp_path / str(k)).mkdir()
+        cv2.imwrite(str(tmp_path / f"{k}/gelsight.png"), press.image[..., ::-1])
+        rows.append(f"{k},{press.ball_diameter_mm}")
+    (tmp_path / "catalog.csv").write_text("\n".join(rows))
+    (tmp_path / "sensor.toml").write_text('name = "mine"\nmm_per_px = 0.0634\nmake = "gelsight-mini"\n')
+    calibration = gelform.calibrate(tmp_path)
+    assert calibration.view == mini.profile.view(mini.camera.frame_shape)
+    assert calibration.image_shape == (240, 320)
+    reconstruct, image = gelform.Reconstructor(calibration), made.presses[-1].image
+    by_image, by_frame = reconstruct(image), reconstruct(frame_from_image(image, calibration.view))
+    assert np.abs(by_image.depth_mm - by_frame.depth_mm).max() < 0.02
+    assert by_image.peak_mm > 0.2
+    with pytest.raises(ValueError, match=r"2464x3280 px .*got 480x640"):
+        reconstruct(np.zeros((480, 640, 3), np.uint8))
+
+
+@pytest.fixture
+def wide(copy):
+    """The same folder from a camera whose pixels are 1.25 times as high as wide."""
+    for path in [copy / "background.png", *(copy / "images").iterdir()]:
+        height, width = (image := cv2.imread(str(path))).shape[:2]
+        cv2.imwrite(str(path), cv2.resize(image, (5 * width // 4, height), interpolation=cv2.INTER_CUBIC))
+    return copy
+
+
+def settle(folder, mm_per_px):
+    (folder / "sensor.toml").write_text(f'name = "simulated"\nmm_per_px = {mm_per_px}\n')
+    return gelform.read_presses(folder)
+
+
+def test_pixels_that_are_not_square_become_square(wide, presses):
+    pitch = presses.mm_per_px
+    read = settle(wide, [pitch / 1.25, pitch])
+    assert read.mm_per_px == pytest.approx(pitch)
+    assert read.image_shape == presses.image_shape
+    assert np.abs(read.background - presses.background).mean() < 1
+    given = gelform.read_presses(wide, mm_per_px=(pitch / 1.25, pitch), crop=(20, 10, 150, 110))
+    assert given.image_shape == (110, 120)
+
+
+@pytest.mark.slow
+def test_a_calibration_in_pixels_that_are_not_square_is_that_in_square_ones(
+    wide, presses, calibration, press
+):
+    """Frames as the camera gives them: depth and slopes are those of square pixels, and of the truth."""
+    pitch = presses.mm_per_px
+    made = gelform.calibrate(settle(wide, [pitch / 1.25, pitch]))
+    assert made.mm_per_px == pytest.approx(pitch)
+    frame = cv2.resize(press.image, (220, 132), interpolation=cv2.INTER_CUBIC)
+    found, square = gelform.Reconstructor(made)(frame), gelform.Reconstructor(calibration)(press.image)
+    for result in (found, square):
+        assert np.sqrt(np.mean((result.depth_mm - press.depth_mm)[press.contact] ** 2)) < 0.02
+        wrong = np.abs(result.gradients - press.gradients)[press.contact]
+        assert np.median(wrong) < 0.04
+    assert np.sqrt(np.mean((found.depth_mm - square.depth_mm)[press.contact] ** 2)) < 0.012
+    (note,) = [note for note in gelform.calibrate(settle(wide, pitch)).report.notes if "not square" in note]
+    assert "times wider than high" in note
+    assert "mm_per_px = [x, y]" in note
+    assert not [note for note in made.report.notes if "not square" in note]
 
 
 def test_crop_and_view_of_the_settings(copy):

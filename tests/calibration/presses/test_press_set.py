@@ -13,7 +13,7 @@ from gelform.calibration.presses.press_set import (
     press_from_frame,
     table_rows,
 )
-from gelform.errors import DataError
+from gelform.errors import DataError, SensorError
 from gelform.image.view import View
 from gelform.sensors.files import SensorSettings
 from gelform.sensors.profiles import PROFILES
@@ -39,7 +39,9 @@ def test_then_what_lies_beside_the_data_then_what_they_know_then_the_profile(bes
     known = SensorSettings("known", 0.06)
     assert ReadOptions(sensor="gelsight-mini").settings(beside, known).mm_per_px == 0.07
     (tmp_path / "other").mkdir()
-    assert ReadOptions(sensor="gelsight-mini").settings(tmp_path / "other", known) == known
+    assert ReadOptions(sensor="gelsight-mini").settings(tmp_path / "other", known) == replace(
+        known, make="gelsight-mini"
+    )
     by_profile = ReadOptions(sensor="gelsight-mini").settings(tmp_path / "other")
     assert (by_profile.name, by_profile.mm_per_px) == (MINI.name, MINI.mm_per_px)
 
@@ -124,3 +126,39 @@ def test_numbers_are_finite_and_balls_have_a_size():
         with pytest.raises(DataError, match="line 3"):
             diameter(text, "line 3")
     assert diameter("6.35", "line 3") == 6.35
+
+
+def test_a_make_is_named_beside_the_data_asked_for_or_the_start_of_a_name(beside, presses):
+    named = beside / "sensor.toml"
+    assert ReadOptions().settings(beside).make == ""
+    assert ReadOptions(sensor="gelsight-mini").settings(beside).make == "gelsight-mini"
+    named.write_text('name = "my Mini"\nmm_per_px = 0.06\nmake = "digit"\n')
+    assert ReadOptions().settings(beside).make == "digit"
+    assert ReadOptions(sensor="gelsight-mini").settings(beside).make == "gelsight-mini"
+    with pytest.raises(SensorError, match="gelsight-mini, digit, got 'mini'"):
+        ReadOptions(sensor="mini").settings(beside)
+    assert replace(presses, sensor_name="my Mini", make="digit").make == "digit"
+    assert replace(presses, sensor_name="GelSight Mini 3", make=None).make == "gelsight-mini"
+    assert replace(presses, sensor_name="my Mini", make=None).make is None
+
+
+def test_a_make_beside_the_data_has_its_view_where_the_scale_is_its_own():
+    frame = (480, 640)
+    mini = SensorSettings("my Mini", 0.0634, make="gelsight-mini")
+    assert ReadOptions().view(mini, frame) == MINI.view(frame)
+    cut_by_the_user = replace(mini, mm_per_px=0.0317)
+    assert ReadOptions().view(cut_by_the_user, frame).is_identity
+
+
+def test_images_of_a_make_carry_the_view_of_its_camera(presses):
+    images = replace(presses, presses=(), background=np.zeros((240, 320, 3), np.float32), mm_per_px=0.0634)
+    assert images.camera_view.is_identity
+    mini = replace(images, make="gelsight-mini")
+    assert mini.camera_view == MINI.view((2464, 3280))
+    own = View((300, 400), image_shape=(240, 320))
+    assert replace(mini, view=own).camera_view == own
+
+
+def test_a_gel_wider_than_any_is_refused(presses):
+    with pytest.raises(ValueError, match=r"at most 150 mm, got 176 px of 0.9 mm: 158 mm"):
+        replace(presses, mm_per_px=0.9)

@@ -14,6 +14,7 @@ SETTINGS = SensorSettings(
     0.05,
     0.001,
     serial="S1",
+    make="digit",
     view=View((48, 64), crop=(2, 2, 60, 44)),
     camera={"exposure": 50, "fourcc": "MJPG"},
 )

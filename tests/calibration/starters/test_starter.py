@@ -20,6 +20,7 @@ from gelform.calibration.starters.starter import FOLDER, read_starter, starter_f
 from gelform.calibration_file import load_calibration
 from gelform.errors import CalibrationError, SensorError
 from gelform.result.metrics import press_errors
+from gelform.sensors.profiles import SENSORS
 from gelform.simulate import LAYOUTS, Ball, Punch, simulate_background, simulate_press
 
 SIMULATED = "simulated-three-edges"
@@ -135,6 +136,14 @@ def test_a_frame_of_the_camera_goes_through_the_make_s_view():
     np.testing.assert_allclose(calibration.background, light, atol=1.5)
 
 
+def test_an_image_of_the_make_begins_a_calibration_of_its_camera_too():
+    light = load_starter("gelsight-mini").calibration.background
+    mini = SENSORS["gelsight-mini"]
+    by_image = calibration_from_background(light, "gelsight-mini")
+    assert by_image.view == mini.profile.view(mini.camera.frame_shape)
+    assert calibration_from_background(light, "gelsight-mini", mm_per_px=0.05).view.is_identity
+
+
 def test_frames_of_a_digit_s_camera_lie_and_are_turned_upright():
     """Its camera gives 240 rows of 320 pixels; the other way round the colors are of no DIGIT."""
     light = load_starter("digit").calibration.background
@@ -173,12 +182,12 @@ def test_another_make_a_mirrored_image_and_bgr_are_refused():
 
 
 def test_which_starter_a_sensor_has():
-    assert starter_for("GelSight Mini, unit 7", (240, 320)).sensor == "gelsight-mini"
-    assert starter_for("GelSight Mini", (480, 640)) is None
+    assert starter_for("gelsight-mini", (240, 320)).sensor == "gelsight-mini"
+    assert starter_for("gelsight-mini", (480, 640)) is None
     assert starter_for(SIMULATED, (240, 320)) is None, (
         "simulated sensors are calibrated by their own presses alone"
     )
-    assert starter_for("home-made", (240, 320)) is None
+    assert starter_for(None, (240, 320)) is None
 
 
 def test_a_starter_of_a_unit_comes_back_from_its_file(calibration, tmp_path):

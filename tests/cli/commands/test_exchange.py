@@ -1,5 +1,6 @@
 """gelform import and gelform export."""
 
+import cv2
 import numpy as np
 import pytest
 
@@ -40,6 +41,18 @@ def test_with_a_scale_in_mm(run_json, network, press_folder, tmp_path):
     )  # fmt: skip
     assert (said["mm_per_px"], said["sensor_name"], said["color_model"]) == (0.1, "mine", "network")
     assert gelform.load_calibration(tmp_path / "new" / "cal.npz").digest == said["digest"]
+
+
+def test_the_crop_of_a_frame_is_said(run, network, tmp_path):
+    y, x = np.mgrid[:480, :640]
+    cv2.imwrite(
+        str(tmp_path / "rest.png"), np.stack([x / 6 + 60, y / 6 + 60, 200 - x / 6], -1).astype(np.uint8)
+    )
+    how = ("--from", "gsrobotics-web", "--position", "zeros", "--background", tmp_path / "rest.png")
+    code, _, err = run("import", network, *how, "--mm-per-px", "0.0634", "-o", tmp_path / "cal.npz")
+    assert code == 0
+    assert "Frames of 480x640 px are cropped and resized as gsrobotics-web does" in " ".join(err.split())
+    assert gelform.load_calibration(tmp_path / "cal.npz").image_shape == (240, 320)
 
 
 def test_nothing_is_guessed(fails, network, press_folder, tmp_path):

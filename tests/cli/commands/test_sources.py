@@ -15,6 +15,7 @@ from gelform.calibration.presses.folder import read_presses
 from gelform.calibration_file import load_calibration
 from gelform.cli.commands.sources import single_keys
 from gelform.errors import DataError
+from gelform.image.view import image_from_frame
 from gelform.sensors.cameras import camera, usb
 from gelform.sensors.cameras.camera import Camera
 from gelform.sensors.files import read_image, read_sensor_toml
@@ -185,7 +186,7 @@ def test_presses_with_the_space_bar(run, tmp_path, press_folder, monkeypatch):
     with MjpegServer(sent(picture_now)) as server, os.fdopen(terminal) as stdin:
         monkeypatch.setattr(sys, "stdin", stdin)
         hands.start()
-        how = ("--presses", "--ball-diameter-mm", "6", "--mm-per-px", "0.1268")
+        how = ("--presses", "--ball-diameter-mm", "6", "--mm-per-px", "0.1268", "--sensor", "gelsight-mini")
         code, _, err = run("record", server.url, "-o", folder, *how)
         hands.join()
     os.close(keyboard)
@@ -194,10 +195,12 @@ def test_presses_with_the_space_bar(run, tmp_path, press_folder, monkeypatch):
     taken = read_presses(folder)
     assert [press.ball_diameter_mm for press in taken.presses] == [6.0, 6.0]
     for mine, theirs in zip(taken.presses, given.presses):
-        assert np.abs(mine.image.astype(float) - theirs.image).mean() < 2
-    assert np.abs(taken.background - rest).mean() < 2
+        assert np.abs(mine.image.astype(float) - image_from_frame(theirs.image, taken.view)).mean() < 2
+    assert np.abs(taken.background - image_from_frame(rest, taken.view)).mean() < 2
+    assert taken.view.frame_shape == rest.shape[:2]
     assert taken.camera == {"width": 160, "height": 120, "reduced": 1}
-    assert read_sensor_toml(folder / "sensor.toml").mm_per_px == 0.1268
+    settings = read_sensor_toml(folder / "sensor.toml")
+    assert (settings.mm_per_px, settings.make) == (0.1268, "gelsight-mini")
 
 
 def test_what_it_needs_is_said_and_no_file_is_left(fails, monkeypatch, tmp_path):

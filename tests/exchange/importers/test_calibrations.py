@@ -5,6 +5,8 @@ import pytest
 
 import gelform
 from gelform.exchange.importers.calibrations import UNTOUCHED_CHANGE
+from gelform.image.view import image_from_frame
+from gelform.sensors.profiles import PROFILES
 from made.networks import web_file
 
 SHAPE = (48, 64)
@@ -89,3 +91,44 @@ def test_a_real_press_stands_up(data, package):
     assert 0.8 < result.peak_mm < 2.5
     assert result.contact[130:140, 205:225].mean() > 0.6  # its relief is hollow in places
     assert not result.contact[:, :100].any()
+
+
+def smooth(shape):
+    """A background without texture, equal at equal places of the gel whatever its size."""
+    y, x = ((np.arange(count) + 0.5) / count for count in shape)
+    ramp = 80 + 60 * x[None] + 40 * y[:, None]
+    return np.stack([ramp, 230 - ramp, ramp / 2 + 60], axis=-1)
+
+
+def test_a_frame_of_the_camera_is_cropped_as_the_package_crops(network):
+    """One gel, given as the camera's frame and as the package's image: one calibration, and one answer to both."""
+    how = {"package": "gsrobotics-web", "position": "true", "mm_per_px": 0.0634}
+    frame = smooth((2464, 3280))
+    image = image_from_frame(frame, PROFILES["gelsight-mini"].view((2464, 3280)))
+    by_frame = gelform.import_calibration(network, background=frame, **how)
+    by_image = gelform.import_calibration(network, background=image, **how)
+    assert by_frame.image_shape == by_image.image_shape == (240, 320)
+    assert by_frame.view == by_image.view
+    np.testing.assert_allclose(by_frame.background, by_image.background, atol=1e-3)
+    frame[1200:1300, 1600:1750] += [20, -10, 5]
+    seen = image_from_frame(frame, by_frame.view)
+    a, b = gelform.Reconstructor(by_image)(frame), gelform.Reconstructor(by_frame)(seen)
+    assert a.peak_mm == pytest.approx(b.peak_mm, rel=1e-3)
+    halved = gelform.import_calibration(network, background=smooth((480, 640)), **how)
+    assert (halved.view.frame_shape, halved.image_shape) == ((480, 640), (240, 320))
+
+
+def test_a_frame_of_another_sensor_stays_as_it_is(network):
+    how = {"package": "gsrobotics-web", "position": "true"}
+    for shape, pitch in (((480, 640), 0.03), ((480, 640), None), ((240, 320), None), ((300, 427), 0.0634)):
+        made = gelform.import_calibration(network, background=smooth(shape), mm_per_px=pitch, **how)
+        assert made.view.is_identity
+        assert made.image_shape == shape
+
+
+def test_a_gel_that_no_sensor_has_and_the_scale_of_a_frame_are_refused(network):
+    how = {"package": "gsrobotics-web", "position": "true"}
+    with pytest.raises(ValueError, match=r"at most 150 mm, got 3282 px of 0.0634 mm: 208 mm"):
+        gelform.import_calibration(network, background=smooth((2000, 3282)), mm_per_px=0.0634, **how)
+    with pytest.raises(ValueError, match=r"images of 240x320 px, .*about 0.0634, got 0.009"):
+        gelform.import_calibration(network, background=smooth((2464, 3280)), mm_per_px=0.009, **how)

@@ -138,12 +138,10 @@ def test_identity_passes_the_frame_itself():
     assert View((12, 16), crop=(0, 0, 16, 12), image_shape=(12, 16)).is_identity
 
 
-def test_frames_of_another_size_are_refused():
+def test_images_pass_and_frames_of_another_size_are_refused():
     view = View((48, 64), image_shape=(24, 32))
-    with pytest.raises(
-        ValueError, match=r"frame of 48x64 px .*, got 24x32. It has the size of an image already"
-    ):
-        image_from_frame(np.zeros((24, 32, 3), dtype=np.uint8), view)
+    image = np.zeros((24, 32, 3), dtype=np.uint8)
+    assert image_from_frame(image, view) is image, "an image already"
     with pytest.raises(ValueError, match=r"frame of 48x64 px .*, got 20x30. Give the view"):
         image_from_frame(np.zeros((20, 30, 3), dtype=np.uint8), view)
     with pytest.raises(ValueError, match="gray"):
@@ -202,3 +200,20 @@ def test_a_quarter_turn_is_exact_and_undone():
         np.testing.assert_array_equal(frame_from_image(image_from_frame(frame, alone), alone), frame)
     with pytest.raises(ValueError, match="turn as one of none, left, right, got 'up'"):
         View(turn="up")
+
+
+@pytest.mark.parametrize("turn", ["none", "left", "right"])
+@pytest.mark.parametrize("flip", FLIPS)
+@pytest.mark.parametrize("pitch", [(0.04, 0.05), (0.05, 0.04), (0.03, 0.0537)])
+def test_squared_pixels_are_as_wide_as_high(pitch, flip, turn):
+    """A step of one image pixel along x and along y is as long on the gel, and the whole view stays in sight."""
+    view = View((97, 141), (3.5, 2.0, 130.0, 91.0), flip, turn=turn)
+    squared = view.squared(pitch)
+    at = frame_px_from_image_px([(0, 0), (1, 0), (0, 1), squared.shape[::-1]], squared)
+    in_frame = pitch if turn == "none" else pitch[::-1]
+    steps = np.linalg.norm((at[1:3] - at[0]) * in_frame, axis=1)
+    np.testing.assert_allclose(steps, max(pitch), rtol=1e-9)
+    _, _, width, height = squared.crop
+    lost = (130 - width) * in_frame[0], (91 - height) * in_frame[1]
+    assert 0 <= min(lost) <= max(lost) < max(pitch)
+    assert image_from_frame(np.zeros((97, 141, 3), np.uint8), squared).shape[:2] == squared.shape

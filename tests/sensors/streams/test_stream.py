@@ -4,6 +4,7 @@ import gc
 import os
 import threading
 import time
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 
 import gelform
 from gelform.errors import DataError, SensorError, StaleError
+from gelform.image.view import View
 from gelform.sensors import new_recording, record_frames
 from gelform.sensors.grabber import Grabber
 from gelform.sensors.recordings.record import KEPT_FRAMES
@@ -97,6 +99,15 @@ def test_an_error_in_a_stage_reaches_every_consumer(calibration, at_rest):
             stream.latest(0.0)
         assert stream.stats.state == "failed"
         assert "132" in stream.stats.reason
+
+
+def test_images_of_the_calibrated_size_pass_beside_frames_of_the_view(calibration, at_rest):
+    height, width = calibration.image_shape
+    wide = View((2 * height, 2 * width), image_shape=(height, width))
+    frame = cv2.resize(at_rest[0], (2 * width, 2 * height), interpolation=cv2.INTER_NEAREST)
+    for given in (at_rest[0], frame):
+        with gelform.stream(ImageSource([given]), replace(calibration, view=wide)) as stream:
+            assert next(iter(stream)).depth_mm.shape == calibration.image_shape
 
 
 def test_latest_is_never_older_than_asked(calibration, at_rest):

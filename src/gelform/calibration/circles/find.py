@@ -15,6 +15,7 @@ from scipy.fft import irfft2, next_fast_len, rfft2
 from scipy.ndimage import gaussian_filter1d
 
 MIN_ANTISYMMETRY = 0.2  # 0-1, for a ball with more than half inside the border
+LOG_ASPECTS = np.linspace(-0.4, 0.4, 9)  # of imprints that are tried, log of width over height
 MIN_SIGNAL = 2.0  # change inside over that outside; 1 if nothing is pressed
 
 
@@ -104,12 +105,28 @@ def moved(contact: ContactCircle, size: NDArray[np.float32], x_px: float, y_px: 
     return replace(contact, x_px=x_px, y_px=y_px, radius_px=radius)
 
 
-def ring_mean(values: NDArray[np.float32], x_px: float, y_px: float) -> NDArray[np.float64]:
-    """Mean of a map on rings of 1 px about a center, out to 0.6 of the shorter side."""
+def imprint_aspect(size: NDArray[np.float32], contact: ContactCircle) -> float:
+    """Width of an imprint over its height, from |change|: that of the ellipses at which the ring mean falls most steeply."""
+    scale, falls = scale_of(size.shape), []
+    low, high = int(0.6 * contact.radius_px), int(1.4 * contact.radius_px + 2 * scale)
+    for aspect in np.exp(LOG_ASPECTS):
+        slope = gaussian_filter1d(
+            ring_mean(size, contact.x_px, contact.y_px, float(aspect)), 2 * scale, order=1
+        )
+        falls.append(-float(slope[low : min(high, len(slope) - int(5 * scale))].min(initial=0.0)))
+    best = int(np.argmax(falls))
+    step = float(LOG_ASPECTS[1] - LOG_ASPECTS[0])
+    return float(np.exp(LOG_ASPECTS[best] + step * _parabola_offset(np.array(falls), best)))
+
+
+def ring_mean(
+    values: NDArray[np.float32], x_px: float, y_px: float, aspect: float = 1.0
+) -> NDArray[np.float64]:
+    """Mean of a map on rings of 1 px about a center, out to 0.6 of the shorter side; of a width over height."""
     height, width = values.shape
     count = int(0.6 * min(values.shape))
-    columns = (np.arange(width, dtype=np.float32) - np.float32(x_px)) ** 2
-    rows = (np.arange(height, dtype=np.float32) - np.float32(y_px)) ** 2
+    columns = (np.arange(width, dtype=np.float32) - np.float32(x_px)) ** 2 / np.float32(aspect)
+    rows = (np.arange(height, dtype=np.float32) - np.float32(y_px)) ** 2 * np.float32(aspect)
     ring = np.minimum(np.sqrt(rows[:, None] + columns) + 0.5, count).astype(np.intp).ravel()
     total = np.bincount(ring, values.ravel(), minlength=count + 1)[:count]
     pixels = np.bincount(ring, minlength=count + 1)[:count]

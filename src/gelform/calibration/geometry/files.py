@@ -38,6 +38,12 @@ def save_scale(scale: Scale, place: str | PathLike[str], *, sensor_name: str | N
     place = Path(place)
     if place.suffix == ".npz":
         return _save_in_calibration(scale, place)
+    file = _toml_in(place)
+    if file.is_file() and isinstance(read_sensor_toml(file).mm_per_px, tuple):
+        raise DataError(
+            f"Expected one mm_per_px in {file}, got a pair for pixels that are not square, which one scale does not give. "
+            "Measure x and y and write both, or take gelform lens."
+        )
     return _save_in_toml(place, _scale_values(scale), sensor_name)
 
 

@@ -45,6 +45,7 @@ class Asked:
     mm_per_px, mm_per_px_sigma : scale of the images
     view : from frames to images
     sensor_name, serial : of the sensor
+    make : name of its profile; None if unknown
     """
 
     ball_diameter_mm: float
@@ -53,6 +54,7 @@ class Asked:
     view: View = field(default_factory=View)
     sensor_name: str = "sensor"
     serial: str | None = None
+    make: str | None = None
 
     @classmethod
     def of(
@@ -85,11 +87,12 @@ class Asked:
                 return cls(diameter, source.sensor.mm_per_px, None, View(), source.sensor.name, source.serial)
             if begun is not None and begun.settings.starter and begun.settings.starter["sensor"] == profile:
                 known_scale = begun.known_mm_per_px, begun.mm_per_px_sigma, begun.view
-                return cls(diameter, *known_scale, begun.sensor_name, source.serial)
+                return cls(diameter, *known_scale, begun.sensor_name, source.serial, profile)
             if profile:
                 known = profile_named(profile)
                 view = known.view(frame_shape)
-                return cls(diameter, known.mm_per_px, known.mm_per_px_sigma, view, known.name, source.serial)
+                scale = known.mm_per_px, known.mm_per_px_sigma
+                return cls(diameter, *scale, view, known.name, source.serial, profile)
             return cls(diameter, check_sensor_pitch(mm_per_px), None, View(), source.name, source.serial)
         except (ValueError, TypeError) as problem:
             raise GelformError(str(problem)) from problem
@@ -184,6 +187,7 @@ class Guide:
                 gel_id=None,
                 view=self.asked.view,
                 background_noise=self._noise,
+                make=self.asked.make,
             )
 
     def fit(self, folder: Path, progress: Progress = no_progress) -> None:

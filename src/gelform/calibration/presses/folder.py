@@ -58,7 +58,7 @@ def read_presses(
     path: str | PathLike[str],
     *,
     sensor: str | None = None,
-    mm_per_px: float | None = None,
+    mm_per_px: float | tuple[float, float] | None = None,
     ball_diameter_mm: float | None = None,
     background: str | PathLike[str] | None = None,
     crop: tuple[float, float, float, float] | None = None,
@@ -71,7 +71,7 @@ def read_presses(
     path : a press folder (`presses.csv` with the columns image, ball_diameter_mm), gs_sdk's (`catalog.csv`) or
         py3DCal's folder, Taxim's `dataPack.npz`, or a folder of plain images or a video with `ball_diameter_mm`
     sensor : name of a profile, which has the view and mm_per_px
-    mm_per_px : pixel pitch, mm; overrides sensor.toml and the profile
+    mm_per_px : pixel pitch, mm, or (x, y) of pixels that are not square; overrides sensor.toml and the profile
     ball_diameter_mm : for data without it
     background : the background image, or a folder of several; the press folder's `background.png` or `background/`
         by default

@@ -15,11 +15,16 @@ from numpy.typing import NDArray
 
 from gelform.calibration.geometry.measured import Geometry
 from gelform.errors import DataError
-from gelform.foundations.checks import check_positive, check_sensor_pitch
+from gelform.foundations.checks import (
+    check_gel_width,
+    check_positive,
+    check_sensor_pitch,
+    check_sensor_pitches,
+)
 from gelform.image.frame import pixels_digest
 from gelform.image.view import View, image_from_frame
 from gelform.sensors.files import SensorSettings, read_sensor_toml
-from gelform.sensors.profiles import profile_named
+from gelform.sensors.profiles import PROFILES, make_of, profile_named, view_from_camera
 
 if TYPE_CHECKING:
     from gelform.simulate import SimulatedPresses
@@ -79,6 +84,7 @@ class Presses:
     background : (H, W, 3) float32, the background image, after the view
     mm_per_px, mm_per_px_sigma : pixel pitch of the images, mm, and its standard deviation if known
     sensor_name, serial, gel_id : from sensor.toml or the profile
+    make : name of the make's profile, from there too or from the start of the sensor's name; None if unknown
     view : conversion of frames to images
     response : exponent of the camera's response, from sensor.toml; removed if it is not 1
     geometry : separate measurements: scale, crosstalk, lens
@@ -104,14 +110,24 @@ class Presses:
     camera: Mapping[str, float | str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     flats: tuple[FlatPress, ...] = ()
+    make: str | None = None
 
     def __post_init__(self) -> None:
-        check_sensor_pitch(self.mm_per_px)
+        check_gel_width(self.image_shape, check_sensor_pitch(self.mm_per_px))
+        if self.make is None:
+            object.__setattr__(self, "make", make_of(self.sensor_name))
 
     @property
     def image_shape(self) -> tuple[int, int]:
         """(H, W) of the images."""
         return self.background.shape[0], self.background.shape[1]
+
+    @property
+    def camera_view(self) -> View:
+        """The view, or that of the make's camera where these are the make's images already."""
+        if not self.view.is_identity:
+            return self.view
+        return view_from_camera(self.make, self.image_shape, self.mm_per_px)
 
     def subset(self, indices: Sequence[int]) -> Presses:
         """The same sensor with some of the presses of a ball, and all flat punches."""
@@ -137,39 +153,44 @@ class ReadOptions:
     Attributes
     ----------
     sensor : name of a profile
-    mm_per_px, ball_diameter_mm : float
+    mm_per_px : float, or (x, y)
+    ball_diameter_mm : float
     background : path of the background image
     crop : (left, top, width, height) in pixels of the frame
     """
 
     sensor: str | None = None
-    mm_per_px: float | None = None
+    mm_per_px: float | tuple[float, float] | None = None
     ball_diameter_mm: float | None = None
     background: Path | None = None
     crop: tuple[float, float, float, float] | None = None
 
     def __post_init__(self) -> None:
         if self.mm_per_px is not None:
-            check_sensor_pitch(self.mm_per_px)
+            check_sensor_pitches(self.mm_per_px)
         if self.ball_diameter_mm is not None:
             check_ball_diameter(self.ball_diameter_mm)
 
     def settings(self, place: Path, known: SensorSettings | None = None) -> SensorSettings:
-        """sensor.toml next to the data, else the data's own settings, else the profile; a given scale overrides them."""
-        settings = known
+        """sensor.toml next to the data, else the data's own settings, else the profile.
+
+        A given scale and the name of a profile override them.
+        """
+        settings, profile = known, None if self.sensor is None else profile_named(self.sensor)
         toml = place / "sensor.toml" if place.is_dir() else place.parent / "sensor.toml"
         if toml.is_file():
             settings = read_sensor_toml(toml)
-        elif self.sensor is not None:
-            profile = profile_named(self.sensor)
+        elif profile is not None:
             settings = known or SensorSettings(
                 profile.name,
                 profile.mm_per_px,
                 profile.mm_per_px_sigma,
                 gel_thickness_mm=profile.gel_thickness_mm,
             )
+        if self.sensor is not None and settings is not None:
+            settings = replace(settings, make=self.sensor)
         if self.mm_per_px is not None:
-            pitch = check_sensor_pitch(self.mm_per_px)
+            pitch = check_sensor_pitches(self.mm_per_px)
             if settings is None:
                 return SensorSettings(place.resolve().stem, pitch)
             others = {name: value for name, value in settings.measured.items() if name != "scale"}
@@ -183,12 +204,20 @@ class ReadOptions:
         return settings
 
     def view(self, settings: SensorSettings, frame_shape: tuple[int, int]) -> View:
-        """The requested crop, else sensor.toml's view, else the profile's if the images are frames of it."""
+        """The requested crop, else sensor.toml's view, else the profile's if the images are frames of it; square pixels."""
         if self.crop is not None:
-            return View(frame_shape=frame_shape, crop=self.crop)
-        if not settings.view.is_identity or self.sensor is None:
-            return settings.view
-        return profile_named(self.sensor).view(frame_shape)
+            view = View(frame_shape=frame_shape, crop=self.crop)
+        elif settings.view.is_identity and self._is_profile_s(settings):
+            view = profile_named(self.sensor or settings.make).view(frame_shape)
+        else:
+            view = settings.view
+        return settings.squared(view, frame_shape)
+
+    def _is_profile_s(self, settings: SensorSettings) -> bool:
+        """Whether images are those of the make's profile: so the user says, or their scale."""
+        return self.sensor is not None or (
+            settings.make != "" and PROFILES[settings.make].is_cropped_scale(settings.square_mm_per_px)
+        )
 
     def ball(self, what: str) -> float:
         """The ball's diameter, for data without it."""
@@ -213,11 +242,12 @@ def presses_from_settings(
         folder=folder,
         presses=tuple(presses),
         background=background,
-        mm_per_px=settings.mm_per_px,
+        mm_per_px=settings.square_mm_per_px,
         mm_per_px_sigma=settings.mm_per_px_sigma,
         sensor_name=settings.name,
         serial=settings.serial or None,
         gel_id=settings.gel_id or None,
+        make=settings.make or None,
         view=view,
         response=settings.response,
         camera=settings.camera,

@@ -106,7 +106,7 @@ def toml_of_settings(settings: SensorSettings) -> str:
     top: dict[str, Any] = {"name": settings.name, "mm_per_px": settings.mm_per_px}
     if settings.mm_per_px_sigma is not None:
         top["mm_per_px_sigma"] = settings.mm_per_px_sigma
-    top |= {name: text for name in ("serial", "gel_id") if (text := getattr(settings, name))}
+    top |= {name: text for name in ("make", "serial", "gel_id") if (text := getattr(settings, name))}
     tables: dict[tuple[str, ...], Mapping[str, Any]] = {(): top}
     for name, table in (("view", settings.view.to_dict()), ("camera", settings.camera)):
         if table:

@@ -48,7 +48,7 @@ def presses_from_frames(
     frames: Iterable[Frame],
     *,
     ball_diameter_mm: float,
-    mm_per_px: float | None = None,
+    mm_per_px: float | tuple[float, float] | None = None,
     sensor: str | None = None,
     background: NDArray[Any] | None = None,
     crop: tuple[float, float, float, float] | None = None,

@@ -132,6 +132,7 @@ def interval_of(
 def _facts(presses: Presses, calibration: Calibration) -> dict[str, Any]:
     return {
         "sensor_name": calibration.sensor_name,
+        "make": presses.make,
         "serial": calibration.serial,
         "gel_id": calibration.gel_id,
         "image_shape": list(calibration.image_shape),
@@ -190,7 +191,7 @@ def _checked_figures(content: dict[str, Any]) -> dict[str, float | None]:
     fractions = [b["share"] for b in content["sigma"]["by_slope"]]
     fractions += [one for one in content["sigma"]["by_place"] if one is not None]
     sigma = facts["mm_per_px_sigma"]
-    off = scale_off_make(facts["sensor_name"], tuple(facts["image_shape"]), facts["mm_per_px"])
+    off = scale_off_make(facts["make"], tuple(facts["image_shape"]), facts["mm_per_px"])
     figures = {name: one["value"] for name, one in content["figures"].items()}
     return {
         **figures,

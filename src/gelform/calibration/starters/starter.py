@@ -29,7 +29,7 @@ from gelform.foundations.checks import check_image, check_mm_per_px, check_posit
 from gelform.foundations.npz_files import read_npz, write_npz
 from gelform.image.background.average import noise_from_image
 from gelform.image.view import View, image_from_frame
-from gelform.sensors.profiles import PROFILES, SENSORS, make_of
+from gelform.sensors.profiles import PROFILES, SENSORS, make_of, view_from_camera
 from gelform.slopes.color_models import StartableModel
 
 KIND, FORMAT_VERSION, MAX_BYTES = "gelform starter", 1, 4 * 2**20
@@ -76,12 +76,13 @@ class Starter:
         if (view.shape or frame_shape) == wanted or wanted[0] == wanted[1]:
             return view
         camera = SENSORS[self.sensor].camera if self.sensor in SENSORS else None
-        if (view.shape or frame_shape) != wanted[::-1] or camera is None or camera.turn == "none":
+        turned = None if camera is None else camera.turned(view, frame_shape, wanted)
+        if turned is None:
             raise SensorError(
                 f"Expected frames of a {self.make} of the aspect of {wanted[0]}x{wanted[1]} px (height x width), "
                 f"got {frame_shape[0]}x{frame_shape[1]}. Turn them (numpy.rot90), or choose another camera mode."
             )
-        return replace(view, frame_shape=frame_shape, turn=camera.turn, image_shape=wanted)
+        return turned
 
     def for_unit(
         self,
@@ -146,11 +147,14 @@ class Starter:
         )
 
     def for_frame(self, background: ArrayLike, **known: Any) -> Calibration:
-        """`for_unit` of a background frame as the camera gives it; see `calibration_from_background`."""
+        """`for_unit` of a background frame as the camera gives it, or an image; see `calibration_from_background`."""
         frame = check_image(background, name="background")
         view = self.view((int(frame.shape[0]), int(frame.shape[1])))
         image = frame if view.is_identity else image_from_frame(frame, view)
-        return self.for_unit(image, view=view, **known)
+        made = self.for_unit(image, view=view, **known)
+        if view.is_identity:
+            made = replace(made, view=view_from_camera(self.sensor, made.image_shape, made.mm_per_px))
+        return made
 
     def models_for(self, light: NDArray[np.float64], mm_per_px: float) -> tuple[Any, Any]:
         """Color model and forward response of a unit with another light (10, 3) and scale, for its color changes.
@@ -260,10 +264,9 @@ def load_starter(sensor: str) -> Starter:
     return read_starter(str(FOLDER / f"{sensor}.npz"))
 
 
-def starter_for(sensor_name: str, image_shape: tuple[int, int]) -> Starter | None:
-    """The starter of the real make that a sensor's name begins with, for images (H, W); None if there is none."""
-    make = make_of(sensor_name)
-    if make is None or make not in starter_names():
+def starter_for(make: str | None, image_shape: tuple[int, int]) -> Starter | None:
+    """The starter of a real make, for images (H, W); None if there is none."""
+    if make not in PROFILES or make not in starter_names():
         return None
     starter = load_starter(make)
     return starter if starter.calibration.image_shape == tuple(image_shape) else None

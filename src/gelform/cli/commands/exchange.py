@@ -83,6 +83,11 @@ def import_(
     calibration.save(output, overwrite=overwrite)
     if calibration.mm_per_px is None:
         shown.say("note: without --mm-per-px the scale is unknown, so results are in pixels, not mm.")
+    if not calibration.view.is_identity:
+        height, width = calibration.view.frame_shape or (0, 0)
+        shown.say(
+            f"Frames of {height}x{width} px are cropped and resized as {package} does, images are taken as they are."
+        )
     shown.say(f"Wrote {output}.")
     described = calibration.describe()
     kept = ("sensor_name", "image_shape", "mm_per_px", "color_model", "settings", "digest")

@@ -336,6 +336,7 @@ def _sensor_settings(grabber: Grabber, wanted: PressesTaken) -> Any:
         profile.name if profile is not None else grabber.name,
         mm_per_px if mm_per_px is not None else profile.mm_per_px,  # type: ignore[union-attr]
         sigma,
+        make=sensor or "",
         serial=grabber.serial or "",
         view=view,
         camera=grabber.settings,

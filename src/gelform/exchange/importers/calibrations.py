@@ -15,10 +15,17 @@ from gelform import __version__
 from gelform.calibration_file import Calibration, CalibrationSettings
 from gelform.exchange.importers.networks import read_gs_sdk, read_gsrobotics, read_gsrobotics_web
 from gelform.exchange.importers.tables import read_lut
-from gelform.foundations.checks import check_image, check_is, check_path, check_sensor_pitch
+from gelform.foundations.checks import (
+    check_gel_width,
+    check_image,
+    check_is,
+    check_path,
+    check_sensor_pitch,
+)
 from gelform.image.background.average import noise_from_image
 from gelform.image.background.change import ChangeSettings
-from gelform.image.view import View
+from gelform.image.view import View, image_from_frame
+from gelform.sensors.profiles import SENSORS, view_from_camera
 from gelform.slopes.color_models import ColorModel
 
 # Gray levels / 255. Pixels of a Mini at rest differ from its background by up to this, from noise and drift together.
@@ -31,6 +38,8 @@ PACKAGES: dict[str, Callable[..., ColorModel]] = {
     "lut": read_lut,
 }
 POSITIONED = ("gsrobotics", "gsrobotics-web")
+# Makes whose frames a package's own programs crop and resize, as their profiles do.
+MAKES = dict.fromkeys(("gs_sdk", *POSITIONED), "gelsight-mini")
 
 
 def import_calibration(
@@ -52,8 +61,9 @@ def import_calibration(
     ----------
     path : the package's file
     package : a name in `PACKAGES`: gs_sdk, gsrobotics, gsrobotics-web or lut
-    background : (H, W, 3) RGB, 0-255, the background image, cropped and sized as that package's images
-    mm_per_px : width of a pixel on the gel, mm, if known
+    background : (H, W, 3) RGB, 0-255, the background image, cropped and sized as that package's images; or a whole frame of
+        the camera whose crop that package knows, which becomes the calibration's view
+    mm_per_px : width of an image's pixel on the gel, mm, if known
     position : required for gsrobotics and gsrobotics-web, and only there: "zeros", the input of its program, or "true", the
         input of its network's training
     flip_depth : only for lut: the table's surface falls where pressed
@@ -64,15 +74,19 @@ def import_calibration(
     DataError
         The file is not of that package or damaged, holds more than weights, or needs torch, which is not installed.
     ValueError
-        The package is unknown, or an option is missing or not accepted.
+        The package is unknown, an option is missing or not accepted, or the scale is none of these images.
     """
     path = check_path(path)
     options = _options(check_is(package, str, "package"), position, flip_depth)
     if sensor_name is not None:
         check_is(sensor_name, str, "sensor_name")
-    image = check_image(background, name="background").astype(np.float32)
+    frame = check_image(background, name="background").astype(np.float32)
     if mm_per_px is not None:
         mm_per_px = check_sensor_pitch(mm_per_px)
+    view = _view(MAKES.get(package), (frame.shape[0], frame.shape[1]), mm_per_px)
+    image = image_from_frame(frame, view)
+    if mm_per_px is not None:
+        check_gel_width((image.shape[0], image.shape[1]), mm_per_px)
     model = PACKAGES[package](path, image, **options)
     blur_px = (
         0.5**0.5 if package == "lut" else 0.0
@@ -82,7 +96,7 @@ def import_calibration(
         sensor_name=sensor_name or Path(path).stem,
         serial=None,
         gel_id=None,
-        view=View(),
+        view=view,
         image_shape=(image.shape[0], image.shape[1]),
         mm_per_px=mm_per_px,
         mm_per_px_sigma=None,
@@ -99,6 +113,31 @@ def import_calibration(
         library_version=__version__,
         created_utc=datetime.now(timezone.utc).isoformat(timespec="seconds"),
     )
+
+
+def _view(make: str | None, frame_shape: tuple[int, int], mm_per_px: float | None) -> View:
+    """The view of a background (H, W): of a make's frame that crop, of its image that of its camera, else identity.
+
+    ValueError: it is a frame of the make's camera, and the scale is not that of its images.
+    """
+    known = SENSORS[make] if make is not None else None
+    if known is None or known.profile is None or known.camera is None:
+        return View()
+    profile = known.profile
+    if frame_shape == profile.image_shape:
+        return view_from_camera(make, frame_shape, mm_per_px)
+    if (
+        frame_shape != known.camera.frame_shape
+    ):  # of another sensor, unless the scale says that it is this one
+        cropped = profile.has_aspect(frame_shape) and profile.is_cropped_scale(mm_per_px)
+        return profile.view(frame_shape) if cropped else View()
+    if mm_per_px is not None and not profile.is_cropped_scale(mm_per_px):
+        height, width = profile.image_shape
+        raise ValueError(
+            f"Expected mm_per_px of images of {height}x{width} px, to which frames of a {profile.name} are cropped and "
+            f"resized, about {profile.mm_per_px:g}, got {mm_per_px:g}."
+        )
+    return profile.view(frame_shape)
 
 
 def _options(package: str, position: str | None, flip_depth: bool) -> dict[str, Any]:

@@ -110,6 +110,24 @@ class View:
         """This view for frames (H, W), if it does not have their size itself."""
         return self if self.frame_shape is not None else replace(self, frame_shape=frame_shape)
 
+    def squared(self, mm_per_px: tuple[float, float]) -> View:
+        """This view with square pixels, as wide as the wider side (x, y) of those that it has now.
+
+        The crop loses less than one of the new pixels, so that their sides are exactly equal.
+        """
+        if self.turn != "none":  # the crop counts in the frame, before the turn
+            upright = self.unturned.squared((mm_per_px[1], mm_per_px[0]))
+            return replace(upright, turn=self.turn, image_shape=upright._sizes[1][::-1])
+        (left, top, width, height), (rows, columns) = self._box, self._sizes[1]
+        wider = mm_per_px[0] / max(mm_per_px), mm_per_px[1] / max(mm_per_px)
+        shape = max(1, int(rows * wider[1] + 1e-6)), max(1, int(columns * wider[0] + 1e-6))
+        kept = (
+            width * min(1.0, shape[1] / (columns * wider[0])),
+            height * min(1.0, shape[0] / (rows * wider[1])),
+        )
+        crop = left + (width - kept[0]) / 2, top + (height - kept[1]) / 2, *kept
+        return replace(self, crop=crop, image_shape=shape)
+
     @property
     def _sizes(self) -> tuple[tuple[int, int], tuple[int, int]]:
         """(H, W) of frames and of images, for a view that needs both."""
@@ -154,8 +172,8 @@ def image_from_frame(frame: ArrayLike, view: View) -> NDArray[Any]:
     Parameters
     ----------
     frame : (H, W, 3) RGB, uint8 or float (0-255)
-        Of `view.frame_shape`, or of any size if the view has none. An image must not go through
-        the view again.
+        Of `view.frame_shape`, or of any size if the view has none. If frames and images differ in size, an image passes
+        unchanged.
     view : View
 
     Returns
@@ -171,13 +189,11 @@ def image_from_frame(frame: ArrayLike, view: View) -> NDArray[Any]:
     pixels = check_image(frame, name="frame")
     shape = (pixels.shape[0], pixels.shape[1])
     if view.frame_shape not in (None, shape):
-        hint = "Give the view that belongs to this camera."
         if shape == view.shape:
-            hint = (
-                "It has the size of an image already: those go to Reconstructor.from_image, without the view."
-            )
+            return pixels
         raise ValueError(
-            f"Expected a frame of {_text(view.frame_shape)} px (height x width), got {_text(shape)}. {hint}"
+            f"Expected a frame of {_text(view.frame_shape)} px (height x width), got {_text(shape)}. "
+            "Give the view that belongs to this camera."
         )
     if view.is_identity:
         return pixels

@@ -107,7 +107,7 @@ class Memory:
         """The calibration's view of a frame; ValueError if the frame has another size."""
         calibration = self.reconstruct.calibration
         expected, given = calibration.view.frame_shape or calibration.image_shape, frame.image.shape[:2]
-        if given != expected:
+        if given not in (expected, calibration.image_shape):
             raise ValueError(
                 f"Expected frames of {expected[0]}x{expected[1]} px (height x width) as at the calibration, got "
                 f"{given[0]}x{given[1]}. "
