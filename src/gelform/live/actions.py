@@ -321,10 +321,25 @@ def guide_use(hub: Hub, station: int) -> None:
     made = _guide(hub, station).made
     if made is None:
         raise GelformError("There is no calibration to use yet. Press Fit now first.")
-    name = hub.calibrations.add_file(made.path)
-    use_calibration(hub, station, name)
+    path, kept = made.keep()
+    use_calibration(hub, station, hub.calibrations.add_file(path))
     hub.end_guide(station)
-    hub.notice(f"The new calibration is in use, and saved as {made.folder.name}/calibration.npz. {made.kept}")
+    hub.notice(f"The new calibration is in use, and saved as {made.folder.name}/calibration.npz. {kept}")
+
+
+def guide_more(hub: Hub, station: int) -> None:
+    """Go back from the report to the presses."""
+    _guide(hub, station).press_more()
+
+
+def guide_stop(hub: Hub, station: int) -> None:
+    """End the guide; a calibration that it made stays in its folder, and nothing uses it."""
+    made = hub.guides[station].guide.made if station in hub.guides else None
+    hub.end_guide(station)
+    if made is not None:
+        hub.notice(
+            f"The new calibration is not used, here or later. Its presses stay in {made.folder.name}/."
+        )
 
 
 def _guide(hub: Hub, station: int) -> Guide:

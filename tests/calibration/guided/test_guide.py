@@ -1,5 +1,7 @@
 """The guide's steps, with simulated images at a camera's pace, faster than real time."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -80,6 +82,21 @@ def test_presses_fill_the_coverage_and_move_the_target_away(guide, see, press):
     made = guide.presses()
     assert len(made.presses) == LEAST
     assert made.mm_per_px == guide.asked.mm_per_px
+
+
+def test_presses_that_show_little_are_never_enough(guide, see, press, monkeypatch):
+    see(times=USUAL_FRAMES)
+    guide.wanted = 3
+    for x_mm in (-2, 0, 2):
+        see(press(x_mm, 0).image, 8)
+        see()
+    facts = guide.facts()
+    assert (facts["count"], facts["enough"], facts["coverage"]["level"]) == (3, False, "poor")
+    assert "can fit" not in guide.hint
+    monkeypatch.setattr(module, "COVERED", replace(module.COVERED, fair=100 * facts["coverage"]["share"]))
+    see()
+    assert guide.facts()["enough"]
+    assert "can fit" in guide.hint
 
 
 def test_too_few_presses_cannot_be_fitted(guide, see):
