@@ -63,7 +63,7 @@ class Command:
 COMMANDS = {
     "background": Command(actions.take_background, {"station": station}),
     "starter": Command(actions.take_starter, {"station": station, "sensor": text}),
-    "own_background": Command(actions.own_background, {"station": station}),
+    "undo_background": Command(actions.undo_background, {"station": station}),
     "zero": Command(actions.set_zero, {"station": station}),
     "calibration": Command(actions.use_calibration, {"station": station, "name": text}),
     "solver": Command(actions.use_solver, {"station": station, "name": text}),
