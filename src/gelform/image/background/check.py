@@ -189,9 +189,14 @@ def check_viewed_image(
 def check_upright(orientation: Orientation | None) -> None:
     """Raise a CalibrationError that names how an image lies, if it is known and not as the background image does."""
     if orientation is not None and not orientation.is_upright:
+        way = (
+            "the view's turn and flip"
+            if orientation.flip != "none" or orientation.transposed
+            else "batch's --bgr"
+        )
         raise CalibrationError(
             f"The image is {orientation.named} compared with the background: so it fits it best of 16 readings. Undo it "
-            f"where images are read, by {orientation.remedy} or the view's turn and flip."
+            f"where images are read, by {orientation.remedy} or {way}."
         )
 
 
