@@ -1,5 +1,6 @@
 """Recording from a grabber, and the attachments of a recording."""
 
+import threading
 import time
 
 import numpy as np
@@ -118,23 +119,24 @@ def test_the_time_is_that_of_the_frames_however_fast_they_are_read(tmp_path):
     assert stats.duration_s == pytest.approx(0.1)
 
 
-class SlowRecording(Playback):
-    """Frames of a recording that a busy machine reads slower than at their pace."""
-
-    def __iter__(self):
-        for frame in super().__iter__():
-            time.sleep(0.3 if frame.index == 1 else 0)
-            yield frame
-
-
 def test_a_recording_that_is_read_slowly_is_not_cut_by_our_clock(tmp_path):
-    def frames():
-        return (Frame(np.full((8, 10, 3), k, np.uint8), k / 100, 10**18 + k, k) for k in range(6))
+    written = threading.Event()
 
-    with Grabber(
-        lambda: SlowRecording(frames, RecordingFacts("x", rate_hz=100.0)), keep=KEPT_FRAMES
-    ) as grabber:
-        stats = record_frames(grabber, new_recording(tmp_path / "r.mcap", grabber), seconds=0.045)
+    def frames():
+        for k in range(6):
+            if k == 1:
+                written.wait(10)
+                time.sleep(0.3)  # longer than one wait for a frame, and than what is to be recorded
+            yield Frame(np.full((8, 10, 3), k, np.uint8), k / 100, 10**18 + k, k)
+
+    def going_on(stats):
+        if stats.frames:
+            written.set()
+        return True
+
+    with Grabber(lambda: Playback(frames, RecordingFacts("x", rate_hz=100.0)), keep=KEPT_FRAMES) as grabber:
+        recording = new_recording(tmp_path / "r.mcap", grabber)
+        stats = record_frames(grabber, recording, seconds=0.045, going_on=going_on)
     assert stats.frames == 5
 
 
