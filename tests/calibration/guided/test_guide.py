@@ -7,10 +7,11 @@ import pytest
 
 from gelform.calibration.guided import guide as module
 from gelform.calibration.guided.guide import LEAST, NEXT_PLACES, STILL_LOOKS, Asked, Guide
+from gelform.calibration.starters import load_starter
 from gelform.errors import GelformError
 from gelform.image.background.average import USUAL_FRAMES
 from gelform.image.frame import Frame
-from gelform.simulate import simulate_background
+from gelform.simulate import LAYOUTS, Ball, simulate_background, simulate_press
 
 
 @pytest.fixture
@@ -112,3 +113,18 @@ def test_a_background_that_is_touched_half_the_time_is_taken_again(guide, see, p
         assert "again" in guide.hint
     see(times=2 * USUAL_FRAMES)
     assert guide.step == "press"
+
+
+def test_a_background_that_something_touches_is_refused_while_it_does(guide, monkeypatch):
+    """As far as the make's starter tells; a gel that always looks so is damaged, and can be calibrated."""
+    layout, rng = LAYOUTS["three-edges"], np.random.default_rng(4)
+    monkeypatch.setattr(module, "starter_for", lambda *_: load_starter("simulated-three-edges"))
+    touched = np.asarray(simulate_press(layout, Ball(2.5), depth_mm=0.5, rng=rng).image)
+    rest = np.asarray(simulate_background(layout, rng))
+    for images, step in (([touched], "background"), ([touched, rest], "press"), ([touched] * 6, "press")):
+        one = Guide(guide.asked)
+        for k, image in enumerate(images):
+            for _ in range(USUAL_FRAMES):
+                one.look_at(Frame(image, 0.0, 0, k))
+            assert one.step == ("background" if k < len(images) - 1 else step)
+            assert one.step == "press" or "Something touches the gel" in one.hint

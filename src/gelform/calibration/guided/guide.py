@@ -18,6 +18,7 @@ from gelform.calibration.guided.fit import GuidedCalibration, calibrate_guided
 from gelform.calibration.guided.judge import Circle, Judge, Look
 from gelform.calibration.presses.press_set import Press, Presses, check_ball_diameter
 from gelform.calibration.report.verdict import LIMITS, level_of
+from gelform.calibration.starters import starter_for
 from gelform.calibration_file import Calibration
 from gelform.errors import GelformError
 from gelform.foundations.checks import check_sensor_pitch
@@ -34,6 +35,9 @@ LOOK_EVERY_S = 0.08  # s between analyzed frames; an analysis takes some 10 ms
 STILL_LOOKS = 3  # consecutive still frames until a press counts
 NEXT_PLACES = 3  # suggested places on the page: the next one, and those after it
 FIRST_RADIUS = 0.55  # radius of the target over the ball's radius, before the first press
+MOST_REFUSALS = (
+    5  # of backgrounds that something seems to touch, some seconds; then it is taken as damage of the gel
+)
 COVERED = next(limit for limit in LIMITS if limit.name == "covered_percent")
 
 
@@ -125,6 +129,7 @@ class Guide:
         self._changed = on_changed
         self._lock = threading.Lock()
         self._untouched: list[NDArray[np.uint8]] = []
+        self._refusals = 0
         self._background: NDArray[np.float32] | None = None
         self._noise: NDArray[np.float64] | None = None
         self._judge: Judge | None = None
@@ -258,6 +263,10 @@ class Guide:
             return
         try:
             taken = background_from_frames(self._untouched)
+            starter = starter_for(self.asked.sensor_name, taken.background.shape[:2])
+            if starter is not None and self._refusals < MOST_REFUSALS:
+                self._refusals += 1
+                starter.check_untouched(taken.background)
         except GelformError as problem:
             self._untouched, self.hint = [], f"{problem} Touch nothing: the page tries again."
             return
