@@ -35,8 +35,8 @@ from gelform.sensors.profiles import PROFILES, SENSORS, make_of
 from gelform.slopes.color_models import StartableModel
 
 KIND, FORMAT_VERSION, MAX_BYTES = "gelform starter", 1, 4 * 2**20
-# Depth in the inner part of a background image, read against its own smooth light. Five units at rest 0.10-0.21 mm, a
-# hundred presses of a ball on two of them 0.42 mm or more, an edge 0.29 mm or more.
+# Depth in the inner part of a background image, read against its own smooth light. Four units at rest 0.10-0.21 mm,
+# 109 presses of a ball on two of them 0.42 mm or more, a cube's edge 0.29 mm or more.
 TOUCHED_MM = 0.3
 BORDER = 8  # an eighth of the image at each side, where a smooth light fits worst
 FOLDER = files("gelform") / "calibration" / "starters"
