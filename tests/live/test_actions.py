@@ -27,9 +27,18 @@ def test_the_background_is_the_sensors(hub, sensor):
     assert (
         np.abs(taken - simulate_background(sensor, None)).mean() < 0.6
     )  # noise of 2 levels, averaged over 15
-    assert "Background taken" in hub.notices[-1][2]
-    actions.own_background(hub, 0)
+    assert "Background taken: the average of 15 frames" in hub.notices[-1][2]
+    actions.take_background(hub, 0)
+    assert hub.stations[0].facts()["can_undo"]
+    actions.use_solver(hub, 0, "dct")
+    actions.undo_background(hub, 0)
+    assert hub.stations[0].setup.background is taken
+    assert hub.stations[0].setup.solver == "dct"
+    actions.undo_background(hub, 0)
     assert hub.stations[0].setup.background is None
+    assert not hub.stations[0].facts()["can_undo"]
+    with pytest.raises(GelformError, match="no background to undo"):
+        actions.undo_background(hub, 0)
 
 
 def test_a_simulated_sensor_rests_while_the_background_is_taken(hub):
@@ -126,6 +135,22 @@ def test_zero_is_of_the_held_frame_and_a_pressed_one_is_no_background(replayed):
     with pytest.raises(GelformError, match="Something touches the gel in this background image"):
         actions.take_background(replayed, 0)
     assert station.setup.background is before
+
+
+def test_a_background_from_a_held_frame_is_said_to_be_of_one(replayed, sensor, tmp_path):
+    station, rng = replayed.stations[0], np.random.default_rng(2)
+    rest = McapRecording(tmp_path / "rest.mcap", RecordingFacts("ring", None, {}, 25.0))
+    for k in range(3):
+        rest.write(Frame(np.asarray(simulate_background(sensor, rng)), k / 25, 10**18 + k, k))
+    rest.close()
+    actions.open_recording(replayed, 0, replayed.recordings.add(tmp_path / "rest.mcap"))
+    until(lambda: (facts := station.facts()["replay"]) and facts["count"] == 3)
+    actions.play(replayed, 0, False)
+    actions.seek(replayed, 0, 1)  # the other recording was held at frame 2
+    until(lambda: number_shown(station) == 1)
+    actions.take_background(replayed, 0)
+    assert "Background taken from one frame" in replayed.notices[-1][2]
+    assert station.setup.background is not None
 
 
 def test_play_speed_loop_and_back_to_the_sensor(replayed):

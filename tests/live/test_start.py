@@ -202,6 +202,7 @@ def test_what_the_guide_saves_is_in_use_after_a_restart_without_a_flag(library, 
         words_until(socket, lambda facts: (facts.get("guides") or {}).get("0", {}).get("can_fit"))
         socket.send(json.dumps({"do": "guide_fit", "station": 0}))
         words_until(socket, lambda facts: (facts.get("guides") or {}).get("0", {}).get("step") == "report")
+        assert not list(library.glob("*")), "only when it is used"
         socket.send(json.dumps({"do": "guide_use", "station": 0}))
         kept = words_until(socket, lambda facts: (name := used(facts)) and name.endswith(".npz") and name)
     assert [path.name for path in library.iterdir()] == [kept]

@@ -1,6 +1,7 @@
 """The newest frame, gaps, and a source that is lost and reopened."""
 
 import queue
+import re
 import threading
 import time
 
@@ -159,11 +160,11 @@ def test_cameras_that_changed_places_are_found_by_serial(monkeypatch):
 
 
 def test_a_source_that_stands_still_is_said_to_be_reconnecting(device):
-    with Grabber(device.open, stall_s=0.05) as grabber:
+    with Grabber(device.open, stall_s=0.4) as grabber:
         device.give(0)
         grabber.newest(-1, WAIT_S)
         awaited(lambda: grabber.state == "reconnecting")
-        assert grabber.reason.startswith("no frame for 0.")
+        assert re.match(r"no frame for \d", grabber.reason)
         device.give(1)
         grabber.newest(0, WAIT_S)
         assert grabber.state == "running"
@@ -192,7 +193,8 @@ def test_age_and_rate_are_of_the_capture(device):
             device.frames.put(Frame(IMAGE, started + k / 50, 0, k))
         awaited(lambda: grabber.stats.frames == 11)
         assert grabber.stats.rate_hz == pytest.approx(50)
-        assert 0.8 <= grabber.stats.age_s < 2
+        least_s = time.monotonic() - started - 10 / 50
+        assert least_s <= grabber.stats.age_s <= time.monotonic() - started - 10 / 50
 
 
 def test_takes_what_open_source_takes():

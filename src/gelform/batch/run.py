@@ -134,7 +134,7 @@ def run_batch(
     check_names([sequence.name for sequence in listing.sequences], settings)
     if settings.form == "lerobot":
         check_lerobot_source(listing.root, {sequence.dataset for sequence in listing.sequences})
-    plan = plan_of(listing, settings.frames_in_a_part, settings.background_frames)
+    plan = plan_of(listing, settings.frames_in_a_part, settings.background_frames, settings.bgr)
     parts = shard_of(plan, options.shard)
     untouched, digest = backgrounds.read([sequence.name for sequence in listing.sequences], calibration)
     _check_size(plan, calibration)

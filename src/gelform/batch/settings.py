@@ -33,6 +33,7 @@ class BatchSettings:
     depth_sigma : whether to compute the standard deviation of depth, which also improves the contact; without it a
         frame takes a quarter less time
     background_frames : number of frames at the start of each sequence that are averaged as its background; 0: none
+    bgr : whether the input's channels are in the order blue, green, red, as OpenCV writes an array
     part_frames : images in one part; a video or a recording is one part
 
     Raises
@@ -48,6 +49,7 @@ class BatchSettings:
     background_frames: int = 0
     part_frames: int = 256
     dtype: str = ""
+    bgr: bool = False
 
     def __post_init__(self) -> None:
         if self.form not in FORMATS:

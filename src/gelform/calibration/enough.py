@@ -71,7 +71,7 @@ class _Needed(NamedTuple):
     )
     guided_well: Need = Need(
         12,
-        "the live page's message that there are enough presses (images)",
+        "the live page's message that you can fit well (images)",
         "the contact edge is measured from here on",
     )
     advised: Need = Need(

@@ -15,6 +15,7 @@ from gelform.depth.solvers import SOLVERS
 from gelform.errors import GelformError
 from gelform.foundations.progress import Progress
 from gelform.image.background.average import USUAL_FRAMES, background_from_frames
+from gelform.image.background.check import check_untouched
 from gelform.live import devices
 from gelform.live.hub import Hub, starter_of_station, wait_for_frames
 from gelform.live.shown import Shown
@@ -45,11 +46,20 @@ def take_background(hub: Hub, station: int) -> None:
         take_starter(hub, station, calibration.settings.starter["sensor"])
         return
     with _at_rest(chosen):
-        images = [shown.image for shown in _frames(chosen, USUAL_FRAMES)]
-    taken = background_from_frames(images)
+        shown = _frames(chosen, USUAL_FRAMES)
+    taken = background_from_frames([one.image for one in shown])
+    contacts = [one.result.contact for one in shown if one.result is not None]
+    check_untouched(taken.background, calibration.background, np.any(contacts, axis=0) if contacts else None)
     # Whole gray levels, so that the background in a recording is exactly the image in use.
-    chosen.setup = chosen.setup.with_background(np.rint(taken.background).astype(np.float32))
-    hub.notice(f"Background taken: the average of {len(images) - len(taken.left_out)} frames.")
+    rest = np.rint(taken.background).astype(np.float32)
+    chosen.setup = chosen.setup.taking(calibration, chosen.setup.name, rest)
+    hub.notice(_taken_from(len(shown) - len(taken.left_out)))
+
+
+def _taken_from(frames: int) -> str:
+    if frames == 1:
+        return "Background taken from one frame, whose noise it keeps. Play the recording to average several."
+    return f"Background taken: the average of {frames} frames."
 
 
 def take_starter(hub: Hub, station: int, sensor: str) -> None:
@@ -70,12 +80,14 @@ def take_starter(hub: Hub, station: int, sensor: str) -> None:
         serial = None if chosen.source is None else chosen.source.serial
         calibration = calibration_at_rest(name, frames, serial, chosen.setup.calibration)
         listed = f"starter {calibration.sensor_name}, sensor {station + 1}"
-        chosen.setup = chosen.setup.with_calibration(calibration, listed, calibration.background)
+        chosen.setup = chosen.setup.taking(calibration, listed, calibration.background)
     except GelformError as problem:
         chosen.starter_problem = str(problem)  # the page shows it until the action succeeds
     else:
         chosen.starter_problem = ""
         hub.calibrations.put(listed, calibration)
+        if len(frames) == 1:
+            hub.notice(_taken_from(1))
     hub.changed()
 
 
@@ -95,10 +107,15 @@ def _at_rest(station: Station) -> Iterator[None]:
         source.rest(before)
 
 
-def own_background(hub: Hub, station: int) -> None:
-    """Use the calibration's own background again."""
+def undo_background(hub: Hub, station: int) -> None:
+    """Use the background before the last one that was taken."""
     chosen = hub.station(station)
-    chosen.setup = chosen.setup.with_background(None)
+    if not chosen.setup.earlier:
+        raise GelformError("There is no background to undo. Take one first.")
+    setup = chosen.setup = chosen.setup.undone()
+    if setup.calibration is not None and setup.calibration.settings.starter is not None:
+        hub.calibrations.put(setup.name, setup.calibration)
+    hub.notice("Background undone: the one before it is in use again.")
 
 
 def set_zero(hub: Hub, station: int) -> None:
@@ -321,10 +338,25 @@ def guide_use(hub: Hub, station: int) -> None:
     made = _guide(hub, station).made
     if made is None:
         raise GelformError("There is no calibration to use yet. Press Fit now first.")
-    name = hub.calibrations.add_file(made.path)
-    use_calibration(hub, station, name)
+    path, kept = made.keep()
+    use_calibration(hub, station, hub.calibrations.add_file(path))
     hub.end_guide(station)
-    hub.notice(f"The new calibration is in use, and saved as {made.folder.name}/calibration.npz. {made.kept}")
+    hub.notice(f"The new calibration is in use, and saved as {made.folder.name}/calibration.npz. {kept}")
+
+
+def guide_more(hub: Hub, station: int) -> None:
+    """Go back from the report to the presses."""
+    _guide(hub, station).press_more()
+
+
+def guide_stop(hub: Hub, station: int) -> None:
+    """End the guide; a calibration that it made stays in its folder, and nothing uses it."""
+    made = hub.guides[station].guide.made if station in hub.guides else None
+    hub.end_guide(station)
+    if made is not None:
+        hub.notice(
+            f"The new calibration is not used, here or later. Its presses stay in {made.folder.name}/."
+        )
 
 
 def _guide(hub: Hub, station: int) -> Guide:

@@ -48,7 +48,7 @@ class GuideSession:
         """Press the simulated sensor at the suggested place, once for each target."""
         guide, target, now = self.guide, self.guide.target, time.monotonic()
         waiting = now - self._pressed_s < HELD_S and self._pressed == guide.count
-        if self._simulated is None or target is None or waiting or guide.facts()["enough"]:
+        if self._simulated is None or target is None or waiting or guide.enough:
             return
         if self._pressed != guide.count:
             self._pressed, self._pressed_s = guide.count, now - HELD_S + GAP_S

@@ -36,6 +36,7 @@ CLOSE_S = 10.0  # s for the threads of the pipeline and of the device, 2 s each
 # s between reconstructed frames while no page is open. The memory learns means over a second and more, and its
 # findings take at least a quarter of a second, so eight frames per second are enough.
 UNWATCHED_S = 0.125
+KEPT_BACKGROUNDS = 8  # that can be undone
 NEVER_S = float("inf")  # a held recording has not stalled
 STAGES = ("view", "reconstruct")  # stages whose times add up to the displayed time of reconstruction
 
@@ -50,12 +51,14 @@ class Setup:
     name : of the calibration, in the page's list
     solver : the chosen one, "auto" by default
     background : (H, W, 3) float32 taken live, or None: the calibration's own
+    earlier : (calibration, name, background) before each background that was taken and can be undone
     """
 
     memory: Memory | None = None
     name: str = ""
     solver: str = "auto"
     background: NDArray[np.float32] | None = None
+    earlier: tuple[tuple[Calibration, str, NDArray[np.float32] | None], ...] = ()
 
     @property
     def calibration(self) -> Calibration | None:
@@ -79,6 +82,17 @@ class Setup:
         """
         return replace(self, background=background).anew()
 
+    def taking(self, calibration: Calibration, name: str, background: NDArray[np.float32]) -> Setup:
+        """As `with_calibration`, for a background that was taken now; `undone` undoes it."""
+        undo = () if self.calibration is None else ((self.calibration, self.name, self.background),)
+        made = self.with_calibration(calibration, name, background)
+        return replace(made, earlier=(*self.earlier, *undo)[-KEPT_BACKGROUNDS:])
+
+    def undone(self) -> Setup:
+        """The setup before the last background that was taken."""
+        *earlier, before = self.earlier
+        return replace(self.with_calibration(*before), earlier=tuple(earlier))
+
     def with_solver(self, solver: str) -> Setup:
         """A setup with another solver."""
         return replace(self, solver=solver).anew()
@@ -87,7 +101,9 @@ class Setup:
         """A setup for another sequence of frames, without memory."""
         if self.calibration is None:
             return self
-        return self.with_calibration(self.calibration, self.name, self.background)
+        return replace(
+            self.with_calibration(self.calibration, self.name, self.background), earlier=self.earlier
+        )
 
 
 @dataclass(frozen=True)
@@ -264,6 +280,7 @@ class Station:
             "calibration": setup.name,
             "image_shape": None if calibration is None else list(calibration.image_shape),
             "background": "taken on this page" if setup.background is not None else "from the calibration",
+            "can_undo": bool(setup.earlier),
             "zero": memory is not None and memory.zero is not None,
             "solver": setup.solver,
             "paused": self.paused,

@@ -139,6 +139,40 @@ def test_compressed_images_and_one_that_is_torn(h5py, tmp_path, cal, images):
     assert run_batch(tmp_path / "episode_0.hdf5", cal, tmp_path / "b", background, dataset=gel).frames == 4
 
 
+@pytest.mark.parametrize("compressed", [False, True])
+def test_channels_in_the_order_of_opencv(h5py, tmp_path, cal, images, compressed):
+    """Depth of every frame is that of the same frame in RGB; without the option, each is refused by its name."""
+    bgr = [np.ascontiguousarray(image[..., ::-1]) for image in images]
+    with h5py.File(tmp_path / "bgr.h5", "w") as file:
+        if compressed:
+            pngs = [cv2.imencode(".png", image[..., ::-1])[1].reshape(-1) for image in bgr]
+            file.create_dataset("gel", (len(bgr),), h5py.vlen_dtype(np.uint8))[:] = pngs
+        else:
+            file["gel"] = np.stack(bgr)
+    given = {"dataset": "gel", "table": "csv"}
+    settings = BatchSettings(bgr=True)
+    summary = run_batch(tmp_path / "bgr.h5", cal, tmp_path / "out", settings, **given)
+    assert (summary.frames, summary.errors) == (len(images), 0)
+    for k, image in enumerate(images):
+        with np.load(tmp_path / f"out/frames/bgr.h5/gel/{k:06d}.npz") as found:
+            np.testing.assert_array_equal(
+                found["depth_mm"], gelform.Reconstructor(cal).from_image(image).depth_mm
+            )
+    assert run_batch(tmp_path / "bgr.h5", cal, tmp_path / "wrong", **given).errors == len(images)
+    assert "--bgr" in (tmp_path / "wrong" / "frames.csv").read_text()
+    with pytest.raises(DataError, match="bgr"):
+        run_batch(tmp_path / "bgr.h5", cal, tmp_path / "out", BatchSettings(), **given)
+
+
+def test_the_background_of_such_frames_is_in_the_same_order(h5py, tmp_path, cal, images):
+    rest = np.rint(cal.background).astype(np.uint8)
+    with h5py.File(tmp_path / "bgr.h5", "w") as file:
+        file["gel"] = np.stack([image[..., ::-1] for image in (rest, rest, rest, *images)])
+    settings = BatchSettings(bgr=True, background_frames=3)
+    summary = run_batch(tmp_path / "bgr.h5", cal, tmp_path / "out", settings, dataset="gel", table="csv")
+    assert (summary.frames, summary.errors) == (3 + len(images), 0)
+
+
 def test_hdf5_that_cannot_be_is_said(demos, tmp_path):
     for source in (demos, tmp_path):
         with pytest.raises(DataError, match=r"there are data/demo_\*/obs/gelsight \(3 of uint8 3x64x80x3\)"):

@@ -1,14 +1,17 @@
 """The guide's steps, with simulated images at a camera's pace, faster than real time."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from gelform.calibration.guided import guide as module
 from gelform.calibration.guided.guide import LEAST, NEXT_PLACES, STILL_LOOKS, Asked, Guide
+from gelform.calibration.starters import load_starter
 from gelform.errors import GelformError
 from gelform.image.background.average import USUAL_FRAMES
 from gelform.image.frame import Frame
-from gelform.simulate import simulate_background
+from gelform.simulate import LAYOUTS, Ball, simulate_background, simulate_press
 
 
 @pytest.fixture
@@ -82,6 +85,21 @@ def test_presses_fill_the_coverage_and_move_the_target_away(guide, see, press):
     assert (made.mm_per_px, made.make) == (guide.asked.mm_per_px, "gelsight-mini")
 
 
+def test_presses_that_show_little_are_never_enough(guide, see, press, monkeypatch):
+    see(times=USUAL_FRAMES)
+    guide.wanted = 3
+    for x_mm in (-2, 0, 2):
+        see(press(x_mm, 0).image, 8)
+        see()
+    facts = guide.facts()
+    assert (facts["count"], facts["enough"], facts["coverage"]["level"]) == (3, False, "poor")
+    assert "can fit" not in guide.hint
+    monkeypatch.setattr(module, "COVERED", replace(module.COVERED, fair=100 * facts["coverage"]["share"]))
+    see()
+    assert guide.facts()["enough"]
+    assert "can fit" in guide.hint
+
+
 def test_too_few_presses_cannot_be_fitted(guide, see):
     see(times=USUAL_FRAMES)
     with pytest.raises(GelformError, match="Press again"):
@@ -95,3 +113,18 @@ def test_a_background_that_is_touched_half_the_time_is_taken_again(guide, see, p
         assert "again" in guide.hint
     see(times=2 * USUAL_FRAMES)
     assert guide.step == "press"
+
+
+def test_a_background_that_something_touches_is_refused_while_it_does(guide, monkeypatch):
+    """As far as the make's starter tells; a gel that always looks so is damaged, and can be calibrated."""
+    layout, rng = LAYOUTS["three-edges"], np.random.default_rng(4)
+    monkeypatch.setattr(module, "starter_for", lambda *_: load_starter("simulated-three-edges"))
+    touched = np.asarray(simulate_press(layout, Ball(2.5), depth_mm=0.5, rng=rng).image)
+    rest = np.asarray(simulate_background(layout, rng))
+    for images, step in (([touched], "background"), ([touched, rest], "press"), ([touched] * 6, "press")):
+        one = Guide(guide.asked)
+        for k, image in enumerate(images):
+            for _ in range(USUAL_FRAMES):
+                one.look_at(Frame(image, 0.0, 0, k))
+            assert one.step == ("background" if k < len(images) - 1 else step)
+            assert one.step == "press" or "Something touches the gel" in one.hint

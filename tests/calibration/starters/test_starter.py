@@ -1,9 +1,11 @@
 """Starters: depth of a unit that was never pressed, from its untouched image and what other units have shown."""
 
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
@@ -225,3 +227,33 @@ def test_a_number_for_a_view_or_a_name_is_named(name: str, expected: str) -> Non
     wrong: dict[str, Any] = {name: 3}
     with pytest.raises(TypeError, match=f"{name} must be a {expected}"):
         starter.for_unit(background, **wrong)
+
+
+def test_a_pressed_gel_makes_no_calibration(layout):
+    press = simulate_press(layout, Ball(2.5), depth_mm=0.4, center_mm=(2, 1), rng=np.random.default_rng(3))
+    with pytest.raises(CalibrationError, match=r"Something touches the gel .* stands out 0\.4 mm") as refused:
+        calibration_from_background(press.image, SIMULATED)
+    place = [int(n) for n in re.search(r"\((\d+), (\d+)\) px", str(refused.value)).groups()]
+    assert np.hypot(*np.subtract(place, press.center_px)) < 8
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "make"), [("mini-ball", "gelsight-mini"), ("digit-ball", "digit")])
+def test_real_presses_make_no_calibration_and_real_gels_at_rest_do(data, name, make):
+    presses, starter = gelform.read_presses(data / name), load_starter(make)
+    starter.check_untouched(presses.background.astype(np.float32))
+    for press in presses.presses[::4]:
+        with pytest.raises(CalibrationError, match="Something touches the gel"):
+            starter.check_untouched(press.image.astype(np.float32))
+
+
+@pytest.mark.slow
+def test_dots_dust_and_a_rim_in_sight_are_no_touch(data):
+    starter = load_starter("gelsight-mini")
+    rest = [
+        gelform.read_image(data / one / "background.png") for one in ("mini-edge", "mini-d", "mini-objects")
+    ]
+    with gelform.open_source(data / "mini-markers-video" / "mini_example.avi") as video:
+        dots = next(iter(video)).image
+    for image in (*rest, cv2.resize(dots, (320, 240), interpolation=cv2.INTER_AREA)):
+        starter.check_untouched(image.astype(np.float32))

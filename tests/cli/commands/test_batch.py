@@ -90,6 +90,23 @@ def test_the_table_is_csv_where_parquet_cannot_be_written(run, work, images, tmp
         assert (out / "frames.csv").exists()
 
 
+def test_images_in_the_order_of_opencv(run_json, fails, work, images, tmp_path):
+    (tmp_path / "in").mkdir()
+    for path in work.glob("image*.png"):
+        image = cv2.imread(str(path))
+        cv2.imwrite(str(tmp_path / "in" / path.name), image[..., ::-1])
+    command = ("batch", tmp_path / "in", "-c", work / "cal.npz", "-o", tmp_path / "out")
+    assert run_json(*command, "--bgr")["errors"] == 0
+    straight = run_json("batch", images, "-c", work / "cal.npz", "-o", tmp_path / "rgb")
+    assert straight["errors"] == 0
+    ours, theirs = (sorted((tmp_path / one / "frames").rglob("*.npz")) for one in ("out", "rgb"))
+    assert len(ours) == len(theirs) == 3
+    for one, other in zip(ours, theirs):
+        with np.load(one) as mine, np.load(other) as wanted:
+            np.testing.assert_array_equal(mine["depth_mm"], wanted["depth_mm"])
+    assert "bgr" in fails(*command)
+
+
 def test_a_shard_says_that_others_are_to_come(run, work, images, tmp_path):
     code, _, err = run("batch", images, "-c", work / "cal.npz", "-o", tmp_path / "out", "--shard", "2/2")
     assert code == 0

@@ -6,25 +6,30 @@ import signal
 import subprocess
 import sys
 import threading
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 
 from gelform.calibration.presses.folder import read_presses
+from gelform.calibration.starters import load_starter
 from gelform.calibration_file import load_calibration
-from gelform.cli.commands.sources import single_keys
+from gelform.cli.commands.sources import _at_rest, single_keys
 from gelform.errors import DataError
 from gelform.image.view import image_from_frame
 from gelform.sensors.cameras import camera, usb
 from gelform.sensors.cameras.camera import Camera
-from gelform.sensors.files import read_image, read_sensor_toml
+from gelform.sensors.files import SensorSettings, read_image, read_sensor_toml
+from gelform.sensors.grabber import Grabber
 from gelform.sensors.recordings.mcap_reader import mcap_summary
 from gelform.sensors.source import open_source
+from gelform.simulate import LAYOUTS, Ball, simulate_background, simulate_press
 from live_waiting import until
 from made.capture import Capture
 from made.mjpeg_server import MjpegServer, jpeg, part
 from made.recorded import camera as frames_of
+from made.sources import ImageSource
 
 termios = pytest.importorskip("termios", reason="no POSIX terminal here")
 
@@ -217,3 +222,26 @@ def test_what_it_needs_is_said_and_no_file_is_left(fails, monkeypatch, tmp_path)
     assert "standard input is none" in fails(*record, "--presses", "--ball-diameter-mm", "6")
     assert "Nothing answers" in fails("record", "http://127.0.0.1:9/x", "-o", tmp_path / "r")
     assert not (tmp_path / "r").exists()
+
+
+def test_a_background_that_something_touches_is_refused_once(capsys, monkeypatch):
+    """Of a make with a starter; the second space bar takes what is there."""
+    known = {"simulated-three-edges": load_starter("simulated-three-edges")}
+    monkeypatch.setattr("gelform.calibration.starters.starter_for", lambda name, _: known.get(name))
+    layout, rng = LAYOUTS["three-edges"], np.random.default_rng(2)
+    touched = np.asarray(simulate_press(layout, Ball(2.5), depth_mm=0.5, rng=rng).image)
+    rest = np.asarray(simulate_background(layout, rng))
+    settings = SensorSettings("simulated-three-edges", layout.mm_per_px)
+    for name, first, keys, taken, said in (
+        ("simulated-three-edges", touched, " ", touched, True),
+        ("simulated-three-edges", touched, "q", None, True),
+        ("simulated-three-edges", rest, "", rest, False),
+        ("another", touched, "", touched, False),
+    ):
+        source = ImageSource([first], rate_hz=100)
+        with Grabber(lambda source=source: source) as grabber:
+            keyboard = iter(keys)
+            images = _at_rest(grabber, lambda keyboard=keyboard: next(keyboard), replace(settings, name=name))
+        assert len(images) == (0 if taken is None else 10)
+        assert all((image == taken).all() for image in images)
+        assert ("Something touches the gel" in capsys.readouterr().err) == said

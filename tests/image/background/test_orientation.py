@@ -5,7 +5,7 @@ import pytest
 
 import gelform
 from gelform.errors import CalibrationError
-from gelform.image.background.check import check_own_background
+from gelform.image.background.check import TOUCHED_SHARE, check_own_background, check_untouched
 from gelform.image.background.exposure import block_means, exposure_from_blocks
 from gelform.image.background.orientation import (
     READINGS,
@@ -91,7 +91,7 @@ def test_a_touch_is_found_at_its_place_under_any_light(press, simulated):
 
 def test_a_pressed_background_is_refused_with_its_place(press, simulated):
     with pytest.raises(
-        CalibrationError, match=r"Something touches the gel .* about \(\d+, \d+\) px: \d+ % of it"
+        CalibrationError, match=r"Something touches the gel .* about \(\d+, \d+\) px: \d+\.\d % of it"
     ):
         check_own_background(press.image.astype(np.float32), simulated.background)
 
@@ -103,3 +103,20 @@ def test_real_presses_are_no_background(data, name):
     for press in presses.presses[::5]:
         with pytest.raises(CalibrationError, match=r"Something touches the gel|is not of"):
             check_own_background(press.image.astype(np.float32), presses.background)
+
+
+@pytest.mark.slow
+def test_less_is_a_touch_where_the_calibration_shows_contact(data):
+    presses = gelform.read_presses(data / "gelslim")
+    shown = np.ones(presses.background.shape[:2], dtype=bool)
+    light = [
+        image
+        for image in (press.image.astype(np.float32) for press in presses.presses[::4])
+        if largest_touch(block_means(image), block_means(presses.background)).share <= TOUCHED_SHARE
+    ]
+    assert len(light) >= 4
+    for image in light:
+        check_untouched(image, presses.background)
+        check_untouched(image, presses.background, ~shown)
+        with pytest.raises(CalibrationError, match="Something touches the gel"):
+            check_untouched(image, presses.background, shown)

@@ -1,5 +1,7 @@
 """The whole guided calibration in a real browser: from the ball to a calibration in use, with suggested presses."""
 
+import contextlib
+
 import numpy as np
 import pytest
 
@@ -39,11 +41,30 @@ def test_the_guide_leads_from_the_ball_to_a_calibration_in_use(visit, hub, tmp_p
     until(lambda: page.inner_text("#steps .now") == "Fit")
     until(lambda: page.is_visible("#verdict"), 90)
     until(lambda: page.locator(".checks tr").count() > 3)
+    until(lambda: yellow_pixels(picture(page, "#guide-pane .shown")) > 50)  # the places that the report names
+    assert not list(library.glob("*"))
+    with page.expect_popup() as opened:
+        page.click("#guide-report")
+    with contextlib.closing(opened.value) as report:
+        report.wait_for_load_state()
+        assert page.inner_text("#verdict") in report.inner_text("body")
+        assert report.evaluate("document.styleSheets.length") == 1, "its own style is not refused"
+        assert report.evaluate("[...document.images].every((image) => image.naturalWidth > 0)")
+    page.click("#guide-more")
+    until(lambda: page.inner_text("#steps .now") == "Press")
+    before = count(page)
+    until(
+        lambda: page.inner_text("#coverage-level") == page.evaluate("gelform.facts.guides[0].coverage.level")
+    )
+    until(lambda: count(page) > before, 90)
+    until(lambda: page.evaluate(fit))
+    page.click("#guide-fit")
+    until(lambda: page.is_visible("#verdict"), 90)
     page.click("#guide-use")
     until(lambda: page.is_visible("#page-live"), 20)
     (kept,) = library.iterdir()
     until(lambda: page.evaluate("gelform.facts.stations[0].calibration") == kept.name)
-    saved = next(tmp_path.glob("calibration-*/calibration.npz"))
+    saved = max(tmp_path.glob("calibration-*/calibration.npz"))
     assert station.setup.calibration.digest == gelform.load_calibration(saved).digest
     until(lambda: not hub.guides)
     pressed = held(station, 100, 70, 0.45)

@@ -40,6 +40,12 @@ def replay(page, hub, recording, tmp_path):
     return page
 
 
+def test_a_pressed_frame_is_no_background(replay, hub):
+    replay.click("#background")
+    until(lambda: "Something touches the gel" in replay.inner_text("#toasts"))
+    assert hub.stations[0].setup.background is None
+
+
 def number(page):
     return page.evaluate("gelform.frame?.header.replay?.[0]")
 

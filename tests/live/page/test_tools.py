@@ -58,6 +58,24 @@ def test_the_ruler_measures_between_two_points(page, still):
     until(lambda: page.is_hidden("#ruler"))
 
 
+def test_a_background_is_refused_while_something_touches_and_can_be_undone(page, hub, picture):
+    station = hub.stations[0]
+    page.click("#background")
+    until(lambda: "Something touches the gel" in page.inner_text("#toasts"))
+    assert station.setup.background is None
+    assert not page.is_visible("#undo-background")
+    station.source.lift()
+    until(lambda: station.newest.measures.peak < 0.05)
+    page.click("#background")
+    until(lambda: page.is_visible("#undo-background"))
+    until(lambda: "the average of 15 frames" in page.inner_text("#toasts"))
+    taken = station.setup.background
+    page.click("#undo-background")
+    until(lambda: not page.is_visible("#undo-background"))
+    assert taken is not None
+    assert station.setup.background is None
+
+
 def test_curves_reach_back_for_minutes_and_keep_their_peaks(page, hub):
     """Numbers of five minutes come at once, and what is drawn of them has each part's largest and least."""
     station = hub.stations[0]

@@ -8,6 +8,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from gelform.calibration.guided.fit import GuidedCalibration
+from gelform.live import actions
 from gelform.live.web.app import MAX_BODY, page_files
 from gelform.live.web.guard import HEADERS
 
@@ -42,6 +44,22 @@ def test_files_come_with_their_type_and_the_headers(serving):
                 assert answer.headers[name.decode()] == value.decode()
             assert "server" not in answer.headers
         assert client.get("/js/main.js").headers["content-type"].startswith("text/javascript")
+
+
+def test_the_report_of_a_guide_comes_with_a_policy_of_its_own(serving, hub, tmp_path):
+    with httpx.Client(base_url=serving().url) as client:
+        assert client.get("/reports/0").status_code == 404
+        actions.guide_start(hub, 0, 5.0, "", 0.0)
+        assert client.get("/reports/0").status_code == 404
+        (tmp_path / "report.html").write_text("<html>the report")
+        hub.guides[0].guide.made = GuidedCalibration(None, tmp_path, {}, None, ())
+        answer = client.get("/reports/0")
+        assert (answer.status_code, answer.text) == (200, "<html>the report")
+        (policy,) = answer.headers.get_list("content-security-policy")
+        assert "default-src 'none'; style-src 'unsafe-inline'; img-src data:" in policy
+        assert answer.headers["x-frame-options"] == "DENY"
+        for path in ("/reports/1", "/reports/-1", "/reports/0/report.html", "/reports/" + "0" * 40):
+            assert client.get(path).status_code == 404
 
 
 def test_other_pages_and_names_are_refused(serving):

@@ -1,13 +1,18 @@
 """Recording from a grabber, and the attachments of a recording."""
 
+import threading
+import time
+
 import numpy as np
 import pytest
 
 from gelform.errors import CalibrationError, DataError
 from gelform.image.frame import Frame
 from gelform.sensors.grabber import Grabber
+from gelform.sensors.playback import Playback
 from gelform.sensors.recordings.facts import RecordingFacts
 from gelform.sensors.recordings.mcap_reader import mcap_summary
+from gelform.sensors.recordings.mcap_writer import McapRecording
 from gelform.sensors.recordings.record import (
     KEPT_FRAMES,
     attached_background,
@@ -104,13 +109,35 @@ def test_stops_after_so_many_frames_or_when_told(tmp_path):
 
 
 def test_the_time_is_that_of_the_frames_however_fast_they_are_read(tmp_path):
-    with Grabber(camera(40, rate_hz=100.0), keep=KEPT_FRAMES) as grabber:
-        first = new_recording(tmp_path / "first.mcap", grabber)
-        record_frames(grabber, first, frames=30)
-        first.close()
+    first = McapRecording(tmp_path / "first.mcap", RecordingFacts("x", None, {}, 100.0))
+    for k in range(30):
+        first.write(Frame(np.full((8, 10, 3), k, np.uint8), k / 100, 10**18 + k, k))
+    first.close()
     with Grabber(lambda: open_source(tmp_path / "first.mcap"), keep=KEPT_FRAMES) as grabber:  # not paced
-        stats = record_frames(grabber, new_recording(tmp_path / "again.mcap", grabber), seconds=0.1)
-    assert 0.05 < stats.duration_s <= 0.1
+        stats = record_frames(grabber, new_recording(tmp_path / "again.mcap", grabber), seconds=0.105)
+    assert (stats.frames, stats.missing) == (11, 0)
+    assert stats.duration_s == pytest.approx(0.1)
+
+
+def test_a_recording_that_is_read_slowly_is_not_cut_by_our_clock(tmp_path):
+    written = threading.Event()
+
+    def frames():
+        for k in range(6):
+            if k == 1:
+                written.wait(10)
+                time.sleep(0.3)  # longer than one wait for a frame, and than what is to be recorded
+            yield Frame(np.full((8, 10, 3), k, np.uint8), k / 100, 10**18 + k, k)
+
+    def going_on(stats):
+        if stats.frames:
+            written.set()
+        return True
+
+    with Grabber(lambda: Playback(frames, RecordingFacts("x", rate_hz=100.0)), keep=KEPT_FRAMES) as grabber:
+        recording = new_recording(tmp_path / "r.mcap", grabber)
+        stats = record_frames(grabber, recording, seconds=0.045, going_on=going_on)
+    assert stats.frames == 5
 
 
 def test_the_name_is_that_of_an_mcap_file(tmp_path):

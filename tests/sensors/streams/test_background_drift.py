@@ -178,16 +178,30 @@ def test_light_that_would_be_beyond_white_is_white(reconstruct, at_rest):
     np.testing.assert_allclose(found[60:, 60:], 1.25 * rest[60:, 60:], rtol=0.01)
 
 
-def test_a_background_can_be_taken(reconstruct, sensor, at_rest, pressed):
-    """Also where something rests on the gel for ever; and in any light."""
-    dimmed = [(0.9 * image).astype(np.uint8) for image in pressed]
+def remembered(memory, images, first=0):
+    """The last of 30 results of images at ten a second."""
+    for index in range(first, first + 30):
+        image = images[index % len(images)]
+        last = memory(image, replace(memory.result_from_image(image), index=index, time_s=index / 10))
+    return last
+
+
+def test_a_background_can_be_taken_in_any_light_but_not_of_a_pressed_gel(reconstruct, at_rest, pressed):
+    x = np.linspace(0.85, 0.95, at_rest[0].shape[1])[:, None]
+    dimmed, touched = (
+        [(x * image).astype(np.uint8) for image in images[:10]] for images in (at_rest, pressed)
+    )
     memory = Memory(reconstruct)
     memory.take_background()
-    for index in range(30):
-        image = dimmed[index % 10]
-        memory(image, replace(memory.result_from_image(image), index=index, time_s=index / 10))
-    assert memory.result_from_image(dimmed[0]).peak_mm < 0.05
-    assert reconstruct.from_image(dimmed[0]).peak_mm > 0.3
+    refused = remembered(memory, touched).health[-1]
+    assert refused.name == "background_refused"
+    assert "Something touches the gel" in refused.message
+    np.testing.assert_array_equal(memory.reconstruct.background.mean(), reconstruct.background.mean())
+    memory.take_background()
+    last = remembered(memory, dimmed, 30)
+    assert "background_refused" not in [finding.name for finding in last.health]
+    assert memory.result_from_image(touched[0]).peak_mm == pytest.approx(0.4, abs=0.15)
+    assert abs(memory.result_from_image(dimmed[0]).depth).max() < 0.02
 
 
 def noisy(seed=0, levels=0.02):

@@ -33,6 +33,7 @@ class Part:
     dataset, offset : place of the sequence in a larger file (see `Sequence`); empty for images, videos and recordings
     count : frames of such a part
     rate_hz : frames per second of a LeRobot data set; else 0
+    bgr : whether its channels are in the order blue, green, red
     """
 
     number: int
@@ -47,6 +48,7 @@ class Part:
     offset: int = 0
     count: int = 0
     rate_hz: int = 0
+    bgr: bool = False
 
     @property
     def frames(self) -> int:
@@ -77,7 +79,7 @@ class Part:
         return sorted(f"{folder}/{one}" for one in os.listdir(folder)) if self.path.is_dir() else [folder]
 
 
-def plan_of(listing: Listing, part_frames: int, background_frames: int = 0) -> list[Part]:
+def plan_of(listing: Listing, part_frames: int, background_frames: int = 0, bgr: bool = False) -> list[Part]:
     """All parts with at most `part_frames` images, in the order of the listing, with the first frames for a background."""
     parts: list[Part] = []
     for sequence in listing.sequences:
@@ -86,7 +88,7 @@ def plan_of(listing: Listing, part_frames: int, background_frames: int = 0) -> l
             where: dict[str, Any] = {"number": len(parts), "sequence": sequence.name, "path": sequence.path}
             first = sequence.images[:background_frames]
             total = len(sequence.images) or sequence.count
-            parts.append(Part(**where, **piece, first=first, total=total))
+            parts.append(Part(**where, **piece, first=first, total=total, bgr=bgr))
     return parts
 
 

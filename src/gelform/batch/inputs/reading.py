@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from gelform.batch.inputs.containers import hdf5_values, image_from_values, is_zarr, zarr_values
@@ -53,11 +54,12 @@ class NamedFrame:
 def frames_of_part(part: Part, most_pixels: float = MAX_PIXELS) -> Iterator[NamedFrame]:
     """The frames of a part in order; a video ends at its first unreadable frame, and larger pictures are not decoded."""
     if part.images:
-        yield from _images(part.path, part.images, part.names, part.start, most_pixels)
+        frames = _images(part.path, part.images, part.names, part.start, most_pixels)
     elif part.dataset:
-        yield from _dataset(part, part.start, part.count, most_pixels)
+        frames = _dataset(part, part.start, part.count, most_pixels)
     else:
-        yield from _film(part.path)
+        frames = _film(part.path)
+    yield from _in_rgb(frames, part.bgr)
 
 
 def image_of_calibration(frame: Frame, calibration: Calibration) -> NDArray[Any]:
@@ -74,7 +76,7 @@ def background_of_sequence(part: Part, count: int, calibration: Calibration) -> 
 
     DataError if none is readable, one has another size, or they differ because something touches the gel.
     """
-    first = list(islice(_from_the_first(part, count, calibration.most_pixels), count))
+    first = list(islice(_in_rgb(_from_the_first(part, count, calibration.most_pixels), part.bgr), count))
     images = [image_of_calibration(one.frame, calibration) for one in first if one.frame is not None]
     if not images:
         why = first[0].error if first else "there is none."
@@ -83,6 +85,15 @@ def background_of_sequence(part: Part, count: int, calibration: Calibration) -> 
         return background_from_frames(images).background
     except DataError as problem:
         raise DataError(f"No background from the first {count} frames: {problem}") from problem
+
+
+def _in_rgb(frames: Iterator[NamedFrame], bgr: bool) -> Iterator[NamedFrame]:
+    """The frames with red first, for files whose channels are blue, green, red."""
+    for named in frames:
+        if bgr and named.frame is not None:
+            image = np.ascontiguousarray(named.frame.image[..., ::-1])
+            named = replace(named, frame=replace(named.frame, image=image, encoded=None))
+        yield named
 
 
 def _from_the_first(part: Part, count: int, most_pixels: float) -> Iterator[NamedFrame]:

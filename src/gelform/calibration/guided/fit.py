@@ -1,4 +1,4 @@
-"""The calibration of guided presses, and its files: presses, calibration, report, and a copy in the library."""
+"""The calibration of guided presses, and its files: presses, calibration, report; in the library once it is wanted."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from gelform.calibration.coverage import Coverage
+from gelform.calibration.coverage import Coverage, PressPlace
 from gelform.calibration.fit import calibrate
 from gelform.calibration.library.library import add_calibration
 from gelform.calibration.presses.press_set import Presses
@@ -30,31 +30,45 @@ class GuidedCalibration:
     ----------
     calibration : Calibration
     folder : has the presses, calibration.npz and report.html
-    path : of the calibration: in the library, else in the folder
-    kept : whether the library has it, as a sentence
     report : the figures that the live page shows; the full report is a file
     covered : the coverage of the presses that it was fitted on
+    places : the next places to press, which the report marks 1, 2, 3
     """
 
     calibration: Calibration
     folder: Path
-    path: Path
-    kept: str
     report: dict[str, Any]
     covered: Coverage
+    places: tuple[PressPlace, ...]
+
+    @property
+    def report_file(self) -> Path:
+        """The report's page."""
+        return self.folder / "report.html"
+
+    def keep(self) -> tuple[Path, str]:
+        """Add it to the library; return its path, and a sentence. If that fails, it still is in the folder."""
+        try:
+            path, _ = add_calibration(self.calibration)
+        except GelformError as problem:
+            return (
+                self.folder / "calibration.npz",
+                f"The library does not have it: {problem} Name it with -c.",
+            )
+        return path, "The library has it too, so this sensor uses it from now on."
 
 
 def calibrate_guided(
     presses: Presses, folder: Path, *, progress: Progress = no_progress
 ) -> GuidedCalibration:
-    """Calibrate on presses, write them with the calibration and its report to a new folder, and add it to the library.
+    """Calibrate on presses, and write them with the calibration and its report to a new folder.
 
     The new folder is below `folder`, and is named by the time.
 
     Raises
     ------
     GelformError
-        The presses do not fit, or the folder cannot be written. A library that cannot be written is only said.
+        The presses do not fit, or the folder cannot be written.
     """
     calibration = calibrate(presses, progress=progress)
     folder = folder / named_by_time("calibration")
@@ -71,20 +85,13 @@ def calibrate_guided(
     calibration.save(folder / "calibration.npz")
     with written_file(folder / "report.html") as handle:
         handle.write(report_page(content, presses, calibration).encode())
-    path, kept = _kept(calibration, folder)
     covered = report_coverage(calibration.report, calibration.image_shape, calibration.known_mm_per_px)
-    return GuidedCalibration(
-        calibration, folder, path, kept, _report_facts(calibration, content, folder.name), covered
+    places = tuple(
+        PressPlace(place["name"], place["x_px"], place["y_px"]) for place in content["coverage"]["next"]
     )
-
-
-def _kept(calibration: Calibration, folder: Path) -> tuple[Path, str]:
-    """Add the calibration to the library; if that fails, it still is in the folder."""
-    try:
-        path, _ = add_calibration(calibration)
-    except GelformError as problem:
-        return folder / "calibration.npz", f"The library does not have it: {problem} Name it with -c."
-    return path, "The library has it too, so this sensor uses it from now on."
+    return GuidedCalibration(
+        calibration, folder, _report_facts(calibration, content, folder.name), covered, places
+    )
 
 
 def _report_facts(calibration: Calibration, content: dict[str, Any], name: str) -> dict[str, Any]:

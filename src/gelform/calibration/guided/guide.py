@@ -17,6 +17,8 @@ from gelform.calibration.enough import NEEDED
 from gelform.calibration.guided.fit import GuidedCalibration, calibrate_guided
 from gelform.calibration.guided.judge import Circle, Judge, Look
 from gelform.calibration.presses.press_set import Press, Presses, check_ball_diameter
+from gelform.calibration.report.verdict import LIMITS, level_of
+from gelform.calibration.starters import starter_for
 from gelform.calibration_file import Calibration
 from gelform.errors import GelformError
 from gelform.foundations.checks import check_sensor_pitch
@@ -33,6 +35,10 @@ LOOK_EVERY_S = 0.08  # s between analyzed frames; an analysis takes some 10 ms
 STILL_LOOKS = 3  # consecutive still frames until a press counts
 NEXT_PLACES = 3  # suggested places on the page: the next one, and those after it
 FIRST_RADIUS = 0.55  # radius of the target over the ball's radius, before the first press
+MOST_REFUSALS = (
+    5  # of backgrounds that something seems to touch, some seconds; then it is taken as damage of the gel
+)
+COVERED = next(limit for limit in LIMITS if limit.name == "covered_percent")
 
 
 @dataclass(frozen=True)
@@ -112,6 +118,7 @@ class Guide:
     hint : instruction for the user
     places : suggested places for presses, the most helpful one first; later ones are chosen again after each press
     covered : Coverage of the accepted presses, None before the background exists
+    wanted : number of presses to fit well; `press_more` raises it
     made : the calibration and its files, None before the fit
     """
 
@@ -120,10 +127,12 @@ class Guide:
         self.step, self.hint = "background", "Touch nothing while the page takes the background."
         self.places: tuple[PressPlace, ...] = ()
         self.covered: Coverage | None = None
+        self.wanted = WANTED
         self.made: GuidedCalibration | None = None
         self._changed = on_changed
         self._lock = threading.Lock()
         self._untouched: list[NDArray[np.uint8]] = []
+        self._refusals = 0
         self._background: NDArray[np.float32] | None = None
         self._noise: NDArray[np.float64] | None = None
         self._judge: Judge | None = None
@@ -144,6 +153,11 @@ class Guide:
     def count(self) -> int:
         """Number of accepted presses."""
         return len(self._circles)
+
+    @property
+    def enough(self) -> bool:
+        """Whether there are enough presses, and their coverage is not poor."""
+        return self.count >= self.wanted and self._coverage_level != "poor"
 
     def look_at(self, frame: Frame) -> None:
         """Process a frame; frames too soon after the last one are skipped."""
@@ -205,8 +219,23 @@ class Guide:
         except GelformError as problem:
             self.step, self.hint = before, f"The fit failed. {problem}"
             raise
-        self.covered = self.made.covered
-        self.step, self.hint = "report", "Done. Read the report, then use the calibration."
+        self.covered, self.places = self.made.covered, self.made.places
+        self.step, self.hint = "report", "Read the report. Then use the calibration, press more, or leave it."
+        self._changed()
+
+    def press_more(self) -> None:
+        """Ask for presses at the report's places, in addition to the accepted ones, and for another fit.
+
+        Raises
+        ------
+        GelformError
+            There is no report yet.
+        """
+        if self.made is None:
+            raise GelformError("There is no report yet. Press Fit now first.")
+        with self._lock:
+            self.made, self.wanted = None, max(self.wanted, self.count + len(self.places))
+            self.step, self.hint = "press", self._asking()
         self._changed()
 
     def facts(self) -> dict[str, Any]:
@@ -217,8 +246,8 @@ class Guide:
                 "step": self.step,
                 "hint": self.hint,
                 "count": len(self._circles),
-                "wanted": WANTED,
-                "enough": len(self._circles) >= WANTED,
+                "wanted": self.wanted,
+                "enough": self.enough,
                 "can_fit": len(self._circles) >= LEAST,
                 "untouched": [len(self._untouched), USUAL_FRAMES],
                 "places": [[place.x_px, place.y_px, radius, place.name] for place in self.places],
@@ -226,7 +255,7 @@ class Guide:
                 "still": self._still / STILL_LOOKS,
                 "accepted": [list(circle) for circle in self._circles],
                 "rejected": [[*circle, reason] for circle, reason in self._verdicts[-5:]],
-                "coverage": None if self.covered is None else _coverage_facts(self.covered),
+                "coverage": None if self.covered is None else self._coverage_facts(self.covered),
                 "report": None if self.made is None else self.made.report,
             }
 
@@ -238,6 +267,10 @@ class Guide:
             return
         try:
             taken = background_from_frames(self._untouched)
+            starter = starter_for(self.asked.sensor_name, taken.background.shape[:2])
+            if starter is not None and self._refusals < MOST_REFUSALS:
+                self._refusals += 1
+                starter.check_untouched(taken.background)
         except GelformError as problem:
             self._untouched, self.hint = [], f"{problem} Touch nothing: the page tries again."
             return
@@ -286,9 +319,13 @@ class Guide:
         self.hint = self._asking()
 
     def _asking(self) -> str:
-        if len(self._circles) >= WANTED:
+        if self.enough:
             return "You can fit now. More presses show more of the gel: press at circle 1."
         return f"Press the ball at 1: {self.target.name}." if self.target else "Press at any other place."
+
+    @property
+    def _coverage_level(self) -> str:
+        return level_of(COVERED, None if self.covered is None else 100 * self.covered.fraction)
 
     @property
     def _ball_radius_px(self) -> float:
@@ -299,12 +336,13 @@ class Guide:
             return float(np.median([radius for _, _, radius in self._circles]))
         return FIRST_RADIUS * self._ball_radius_px
 
-
-def _coverage_facts(covered: Coverage) -> dict[str, Any]:
-    """Number of the eight slope directions in each tile, and the share of all."""
-    directions = (covered.counts > 0).sum(axis=-1)
-    return {
-        "tiles": list(directions.shape),
-        "directions": directions.ravel().tolist(),
-        "share": covered.fraction,
-    }
+    def _coverage_facts(self, covered: Coverage) -> dict[str, Any]:
+        """Number of the eight slope directions in each tile, the share of all, and how good it is."""
+        directions = (covered.counts > 0).sum(axis=-1)
+        return {
+            "tiles": list(directions.shape),
+            "directions": directions.ravel().tolist(),
+            "share": covered.fraction,
+            "level": self._coverage_level,
+            "wanted": COVERED.fair,
+        }

@@ -28,11 +28,17 @@ from gelform.errors import CalibrationError, SensorError
 from gelform.foundations.checks import check_image, check_mm_per_px, check_positive
 from gelform.foundations.npz_files import read_npz, write_npz
 from gelform.image.background.average import noise_from_image
+from gelform.image.markers import MarkerFollower
 from gelform.image.view import View, image_from_frame
+from gelform.reconstruct import Reconstructor
 from gelform.sensors.profiles import PROFILES, SENSORS, make_of, view_from_camera
 from gelform.slopes.color_models import StartableModel
 
 KIND, FORMAT_VERSION, MAX_BYTES = "gelform starter", 1, 4 * 2**20
+# Depth in the inner part of a background image, read against its own smooth light. Four units at rest 0.10-0.21 mm,
+# 109 presses of a ball on two of them 0.42 mm or more, a cube's edge 0.29 mm or more.
+TOUCHED_MM = 0.3
+BORDER = 8  # an eighth of the image at each side, where a smooth light fits worst
 FOLDER = files("gelform") / "calibration" / "starters"
 
 
@@ -107,7 +113,7 @@ class Starter:
         Raises
         ------
         CalibrationError
-            The image is of another make, dark or saturated in parts; see `check_light`.
+            The image is of another make, dark or saturated in parts; see `check_light`. Or something touches the gel.
         ValueError, TypeError
             No RGB image, or of another size; a view that is no `View`; a serial or gel that is no text.
         """
@@ -119,6 +125,7 @@ class Starter:
         made = self.calibration
         image = check_image(background, shape=made.image_shape, name="background").astype(np.float32)
         findings = check_light(image, self.light, self.make)
+        self.check_untouched(image)
         pitch = made.known_mm_per_px if mm_per_px is None else float(check_mm_per_px(mm_per_px)[0])
         model, forward = self.models_for(light_from_background(image)[0], pitch)
         sigma = made.slope_sigma
@@ -155,6 +162,42 @@ class Starter:
         if view.is_identity:
             made = replace(made, view=view_from_camera(self.sensor, made.image_shape, made.mm_per_px))
         return made
+
+    def check_untouched(self, background: NDArray[np.float32]) -> None:
+        """Refuse a background image (H, W, 3) in which something touches the gel, as far as one image shows it.
+
+        It is read against its own smooth light, from which an object stands out. Markers, or the gel's rim in sight, stand
+        out as well, and nothing is refused then.
+
+        Raises
+        ------
+        CalibrationError
+            The message has the place and the depth.
+        """
+        made = self.calibration
+        if len(MarkerFollower(background, made.known_mm_per_px)):
+            return
+        light, _ = light_from_background(background)
+        smooth = levels_from_light(light, *_all_places(made.image_shape))
+        model, forward = self.models_for(light, made.known_mm_per_px)
+        unit = replace(made, background=smooth, color_model=model, forward=forward)
+        try:
+            result = Reconstructor(unit, depth_sigma=False).from_image(
+                np.clip(np.rint(background), 0, 255).astype(np.uint8)
+            )
+        except CalibrationError:
+            return  # too uneven to be read so; `uneven_background` says it
+        if any(finding.name == "few_untouched" for finding in result.health):
+            return
+        top, left = (n // BORDER for n in made.image_shape)
+        over = np.where(result.known, result.depth_mm - np.median(result.depth_mm), 0)[top:-top, left:-left]
+        row, column = np.unravel_index(int(over.argmax()), over.shape)
+        if over[row, column] > TOUCHED_MM:
+            raise CalibrationError(
+                f"Something touches the gel in this background image, about ({column + left}, {row + top}) px: it "
+                f"stands out {over[row, column]:.1f} mm from the image's own smooth light. Take it again, with nothing "
+                "touching the gel. If the gel is damaged there, calibrate with presses of a ball."
+            )
 
     def models_for(self, light: NDArray[np.float64], mm_per_px: float) -> tuple[Any, Any]:
         """Color model and forward response of a unit with another light (10, 3) and scale, for its color changes.

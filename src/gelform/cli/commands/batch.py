@@ -41,6 +41,9 @@ class Frames:
     dataset: Annotated[
         str, Option(metavar="PATH", help="Where frames are in HDF5, Zarr, LeRobot; * stands for one name.")
     ] = ""
+    bgr: Annotated[
+        bool, Option("--bgr", help="The frames are blue, green, red, as OpenCV writes an array.")
+    ] = False
     background: Annotated[
         Path | None,
         Option(
@@ -74,14 +77,20 @@ class Results:
         Option("--sigma/--no-sigma", help="Compute the standard deviation of depth, which contact uses."),
     ] = True
 
-    def settings(self, background_frames: int) -> BatchSettings:
+    def settings(self, frames: Frames) -> BatchSettings:
         """The settings of the batch; raises a usage error for invalid ones."""
         from gelform.batch import BatchSettings
 
         maps = tuple(dict.fromkeys(one.strip() for one in self.keep.split(",") if one.strip()))
         with usage_errors():
             return BatchSettings(
-                self.form, maps, self.solver, self.sigma, background_frames, dtype=self.dtype or ""
+                self.form,
+                maps,
+                self.solver,
+                self.sigma,
+                frames.background_frames,
+                dtype=self.dtype or "",
+                bgr=frames.bgr,
             )
 
 
@@ -167,7 +176,7 @@ def batch(
     from gelform.cli.sensor_images import starter_given
     from gelform.cli.tally import status_of
 
-    settings = results.settings(frames.background_frames)
+    settings = results.settings(frames)
     table = one_of(results.table, ("auto", "parquet", "csv"), "--table")
     with _progress(shown.silent) as progress:
         work = partial(

@@ -16,7 +16,7 @@ from typer import Argument, BadParameter, Option
 
 from gelform.cli.console import figure, print_json, say
 from gelform.cli.options import MmPerPx, Sensor, ShownOption, ball_diameter, number, usage_errors
-from gelform.errors import DataError, GelformError
+from gelform.errors import CalibrationError, DataError, GelformError
 
 if TYPE_CHECKING:
     from gelform.sensors.cameras.camera import Camera
@@ -270,12 +270,13 @@ def _presses(opened: Any, output: Path, wanted: PressesTaken, shown: ShownOption
     from gelform.sensors.grabber import Grabber
 
     with single_keys("record --presses") as key, Grabber(opened) as grabber:
-        taken = TakenPresses(output, _sensor_settings(grabber, wanted), wanted.ball_diameter_mm)
+        settings = _sensor_settings(grabber, wanted)
+        taken = TakenPresses(output, settings, wanted.ball_diameter_mm)
         shown.say("Touch nothing and press the space bar to take the background image. q ends.")
         while (pressed := key()) not in (" ", "q", ""):
             pass
-        if pressed == " ":
-            taken.take_background(_fresh(grabber, BACKGROUND_FRAMES))
+        if pressed == " " and (rest := _at_rest(grabber, key, settings)):
+            taken.take_background(rest)
             say(
                 "Press the ball, hold it still and press the space bar. Repeat elsewhere. u removes the last press, q ends."
             )
@@ -286,6 +287,26 @@ def _presses(opened: Any, output: Path, wanted: PressesTaken, shown: ShownOption
         )
     shown.say(f"Wrote {output}: {taken.count} presses. Next: gelform calibrate {output} -o cal.npz")
     shown.json({"folder": output, "presses": taken.count, "ball_diameter_mm": wanted.ball_diameter_mm})
+
+
+def _at_rest(grabber: Grabber, key: Any, settings: Any) -> list[Any]:
+    """Frames of the gel at rest; if something seems to touch it, those of the next space bar, [] without one."""
+    from gelform.calibration.starters import starter_for
+    from gelform.image.background.average import background_from_frames
+    from gelform.image.view import image_from_frame
+
+    images = _fresh(grabber, BACKGROUND_FRAMES)
+    image = image_from_frame(background_from_frames(images).background, settings.view)
+    starter = starter_for(settings.name, image.shape[:2])
+    try:
+        if starter is not None:
+            starter.check_untouched(image)
+    except CalibrationError as touched:
+        say(f"Not taken. {touched} Press the space bar again; it is taken then.")
+        while (pressed := key()) not in (" ", "q", ""):
+            pass
+        return _fresh(grabber, BACKGROUND_FRAMES) if pressed == " " else []
+    return images
 
 
 def _take(taken: Any, grabber: Grabber, key: Any, shown: ShownOption) -> None:

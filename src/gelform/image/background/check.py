@@ -34,6 +34,7 @@ PATTERN_WARN, PATTERN_REFUSE = 0.02, 0.06
 # Fraction of a background image in one region that no light explains: two moments at rest 0.015 or less (223 pairs of a
 # Mini, a wedge and a DIGIT), presses 0.033 or more on six sensors and 0.014-0.05 on a GelSlim.
 TOUCHED_SHARE = 0.025
+TOUCHED_IN_CONTACT = 0.015  # the same where the calibration shows contact
 TOUCHED_FRACTION = 0.4  # fraction of an image that the correlation leaves out
 MIN_FRAMES = (
     8  # smallest number of frames, each touched elsewhere, whose median is nearly the background image
@@ -74,14 +75,7 @@ def check_own_background(background: NDArray[Any], calibrated: NDArray[Any]) -> 
             f"differs by {100 * differs:.1f} % or more (expected under {100 * PATTERN_REFUSE:g} %). Use this sensor's own "
             "calibration. If it is the same unit, its gel or lights have moved, so calibrate again."
         )
-    touch = largest_touch(today, untouched)
-    if touch.share > TOUCHED_SHARE:
-        x, y = (round(part * size) for part, size in zip(touch.center, background.shape[1::-1]))
-        raise CalibrationError(
-            f"Something touches the gel in this background image, about ({x}, {y}) px: {100 * touch.share:.0f} % of it "
-            "differ from the calibration's as no light does. Take it again, with nothing touching the gel. If the gel is "
-            "damaged there, calibrate again."
-        )
+    check_untouched(background, calibrated)
     findings = list(_exposure_findings(exposure))
     if np.isfinite(differs) and differs > PATTERN_WARN:
         message = (
@@ -90,6 +84,32 @@ def check_own_background(background: NDArray[Any], calibrated: NDArray[Any]) -> 
         )
         findings.append(Finding("background_pattern", message, differs))
     return tuple(findings)
+
+
+def check_untouched(
+    background: NDArray[Any], calibrated: NDArray[Any], contact: NDArray[np.bool_] | None = None
+) -> None:
+    """Refuse a background image in which something touches the gel, compared with the calibration's.
+
+    Parameters
+    ----------
+    background, calibrated : (H, W, 3), 0-255
+    contact : (H, W), where the calibration shows contact in it; a smaller difference there is enough
+
+    Raises
+    ------
+    CalibrationError
+        The message has the place and the share.
+    """
+    touch = largest_touch(block_means(background), block_means(calibrated))
+    x, y = (int(part * size) for part, size in zip(touch.center, background.shape[1::-1]))
+    least = TOUCHED_SHARE if contact is None or not contact[y, x] else TOUCHED_IN_CONTACT
+    if touch.share > least:
+        raise CalibrationError(
+            f"Something touches the gel in this background image, about ({x}, {y}) px: {100 * touch.share:.1f} % of it "
+            "differ from the calibration's as no light does. Take it again, with nothing touching the gel. If the gel is "
+            "damaged there, calibrate again."
+        )
 
 
 def check_background_of_frames(
@@ -169,9 +189,14 @@ def check_viewed_image(
 def check_upright(orientation: Orientation | None) -> None:
     """Raise a CalibrationError that names how an image lies, if it is known and not as the background image does."""
     if orientation is not None and not orientation.is_upright:
+        way = (
+            "the view's turn and flip"
+            if orientation.flip != "none" or orientation.transposed
+            else "batch's --bgr"
+        )
         raise CalibrationError(
             f"The image is {orientation.named} compared with the background: so it fits it best of 16 readings. Undo it "
-            f"where images are read, by {orientation.remedy} or the view's turn and flip."
+            f"where images are read, by {orientation.remedy} or {way}."
         )
 
 

@@ -24,6 +24,11 @@ MAX_DIGITS = 9  # of a number in a path
 MAX_BODY = 1024  # bytes of a request; a token has 43
 BODY_S = 5.0  # s until a body has arrived
 TICK_S = 0.25  # s between checks for news while no frames arrive
+# A calibration's report holds its style and its pictures itself, and no script.
+REPORT_POLICY = (
+    "default-src 'none'; style-src 'unsafe-inline'; img-src data:; base-uri 'none'; form-action 'none'; "
+    "frame-ancestors 'none'"
+)
 TYPES = {
     ".html": "text/html; charset=utf-8",
     ".css": "text/css; charset=utf-8",
@@ -90,6 +95,13 @@ def make_app(hub: Hub, access: Access) -> Any:
         headers = {"cache-control": "no-store"}
         return FileResponse(path, media_type="application/octet-stream", filename=path.name, headers=headers)
 
+    async def report(request: Request) -> Response:
+        session = hub.guides.get(_number(request))
+        if session is None or (made := session.guide.made) is None:
+            return Response("There is no such report. It ends with the guide.", 404, media_type="text/plain")
+        headers = {"content-security-policy": REPORT_POLICY, "cache-control": "no-store"}
+        return FileResponse(made.report_file, media_type=TYPES[".html"], headers=headers)
+
     async def socket(websocket: WebSocket) -> None:
         await websocket.accept()
         if len(clients) >= MAX_CLIENTS:
@@ -122,6 +134,7 @@ def make_app(hub: Hub, access: Access) -> Any:
         Route("/session", session, methods=["POST"]),
         Route("/snapshots/{number}/{name}", snapshot, methods=["GET"]),
         Route("/recordings/{number}", recording, methods=["GET"]),
+        Route("/reports/{number}", report, methods=["GET"]),
         WebSocketRoute("/ws", socket),
     ]
     return Guard(Starlette(routes=routes, lifespan=lifespan), access, (*OPEN_PATHS, *files))

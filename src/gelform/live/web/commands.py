@@ -63,7 +63,7 @@ class Command:
 COMMANDS = {
     "background": Command(actions.take_background, {"station": station}),
     "starter": Command(actions.take_starter, {"station": station, "sensor": text}),
-    "own_background": Command(actions.own_background, {"station": station}),
+    "undo_background": Command(actions.undo_background, {"station": station}),
     "zero": Command(actions.set_zero, {"station": station}),
     "calibration": Command(actions.use_calibration, {"station": station, "name": text}),
     "solver": Command(actions.use_solver, {"station": station, "name": text}),
@@ -73,7 +73,8 @@ COMMANDS = {
     ),
     "guide_fit": Command(actions.guide_fit, {"station": station}),
     "guide_use": Command(actions.guide_use, {"station": station}),
-    "guide_stop": Command(Hub.end_guide, {"station": station}),
+    "guide_more": Command(actions.guide_more, {"station": station}),
+    "guide_stop": Command(actions.guide_stop, {"station": station}),
     "record": Command(actions.record, {"station": station, "on": yes_no, "page": text}),
     "snapshot": Command(actions.snapshot, {"station": station}),
     "pause": Command(actions.pause, {"station": station, "paused": yes_no}),

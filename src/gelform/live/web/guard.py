@@ -78,7 +78,7 @@ class Access:
 
 
 class Guard:
-    """Refuses requests that `Access` does not allow, before the application; adds the headers to every answer."""
+    """Refuses requests that `Access` does not allow, before the application; adds the headers that an answer lacks."""
 
     def __init__(self, app: Any, access: Access, open_paths: Iterable[str] = OPEN_PATHS) -> None:
         self._app, self._access, self._open_paths = app, access, frozenset(open_paths)
@@ -146,7 +146,9 @@ def _is_address(name: str) -> bool:
 def _with_headers(send: Any) -> Any:
     async def sent(event: Any) -> None:
         if event["type"] == "http.response.start":
-            event = {**event, "headers": [*event.get("headers", []), *HEADERS.items()]}
+            own = list(event.get("headers", []))
+            named = {name for name, _ in own}
+            event = {**event, "headers": own + [one for one in HEADERS.items() if one[0] not in named]}
         await send(event)
 
     return sent

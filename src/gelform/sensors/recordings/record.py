@@ -168,7 +168,8 @@ def record_frames(
     while going_on(stats) and (frames is None or stats.frames < frames):
         frame = grabber.following(after, timeout_s=0.25)
         if frame is None:
-            if grabber.state == "ended" or time.monotonic() - began_s > limit_s:
+            late = grabber.source.live and time.monotonic() - began_s > limit_s
+            if grabber.state == "ended" or late:
                 break
             recording.flush_if_due()
             continue

@@ -20,6 +20,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from gelform.errors import CalibrationError
+from gelform.foundations.findings import Finding
+from gelform.image.background.check import check_untouched
 from gelform.result import Reconstruction
 from gelform.sensors.streams.smooth_light import SmoothLight, block_means, robust_sigma
 
@@ -79,14 +82,20 @@ class BackgroundDrift:
     Parameters
     ----------
     background : (H, W, 3) float32, 0-255, the background at the start of the sequence
+    calibrated : that of the calibration, with which one that is taken is compared; by default the same
 
     Attributes
     ----------
+    refused : a finding if the background that was asked for last was not taken, because something touches the gel
     evidence : mean of the last complete ten seconds, or None
     """
 
-    def __init__(self, background: NDArray[np.float32]) -> None:
+    def __init__(
+        self, background: NDArray[np.float32], calibrated: NDArray[np.float32] | None = None
+    ) -> None:
         self.start = background
+        self._calibrated = background if calibrated is None else calibrated
+        self.refused: tuple[Finding, ...] = ()
         self._local = background.astype(np.float32)
         self._local_blocks = block_means(self._local, BLOCK_PX)
         shape = self._local_blocks.shape[:2]
@@ -111,7 +120,7 @@ class BackgroundDrift:
             self._lose_track(time_s)
         self._last_s = time_s
         if self._asked:
-            self._asked, self._taking = False, True
+            self._asked, self._taking, self.refused = False, True, ()
             self._start_anew(time_s)
         names = {finding.name for finding in result.health}
         if names & NO_MEASURE:
@@ -125,10 +134,18 @@ class BackgroundDrift:
             return None
         return self._taken(time_s) if self._taking else self._step(time_s)
 
-    def _taken(self, time_s: float) -> NDArray[np.float32]:
-        """Start again from the mean of the frames since the request."""
+    def _taken(self, time_s: float) -> NDArray[np.float32] | None:
+        """Start again from the mean of the frames since the request; None if something touches the gel in it."""
         self._taking = False
-        self.start = self._local = self._sum / np.float32(self._sum_count)
+        mean = self._sum / np.float32(self._sum_count)
+        try:
+            check_untouched(mean, self._calibrated, self._contact)
+        except CalibrationError as touched:
+            message = f"The background was not taken. {touched}"
+            self.refused = (Finding("background_refused", message, 1.0),)
+            self._start_anew(time_s)
+            return None
+        self.start = self._local = mean
         self._local_blocks = block_means(self._local, BLOCK_PX)
         self.light.coefficients[:] = 0
         self.touched.nowhere()

@@ -91,7 +91,7 @@ class Memory:
         self._light: tuple[Finding, ...] = ()
         self._examined_findings: tuple[Finding, ...] = ()
         self._markers = MarkerTracker(reconstruct.markers)
-        self._drift = BackgroundDrift(reconstruct.background)
+        self._drift = BackgroundDrift(reconstruct.background, reconstruct.calibration.background)
         self._smoothing = None if smoothing is None else Smoothing(smoothing)
 
     def run_by(self, helper: Callable[[Work], Work], examine: Callable[[Work], None] | None) -> None:
@@ -100,7 +100,10 @@ class Memory:
         self._examine = examine or self._examine
 
     def take_background(self) -> None:
-        """Take the mean of the next second as background, because nothing touches now. May be called from any thread."""
+        """Take the mean of the next second as background, because nothing touches now. May be called from any thread.
+
+        If something touches the gel, the background stays, and results have the finding `background_refused`.
+        """
         self._drift.take()
 
     def image_from_frame(self, frame: Frame) -> NDArray[Any]:
@@ -174,7 +177,7 @@ class Memory:
 
     @property
     def _findings(self) -> tuple[Finding, ...]:
-        return (*self.standing(), *self._light, *self._examined_findings)
+        return (*self.standing(), *self._light, *self._drift.refused, *self._examined_findings)
 
     def _examine_evidence(self) -> None:
         if (evidence := self._examined) is not None:

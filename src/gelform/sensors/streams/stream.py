@@ -236,7 +236,10 @@ class Stream:
         return self._memory.reconstruct.calibration
 
     def take_background(self) -> None:
-        """Take the mean of the next second as background image, because nothing touches the gel."""
+        """Take the mean of the next second as background image, because nothing touches the gel.
+
+        If something does, the background stays, and results have the finding `background_refused`.
+        """
         self._memory.take_background()
 
     @property

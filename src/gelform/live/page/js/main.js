@@ -72,7 +72,7 @@ function draw() {
 
 function drawPage(frame) {
   if (stale.panels) drawPanels();
-  if (frame && page === "calibrate" && stale.pictures) guidePane.draw(frame, { ...settings, plain: facts?.guides[number]?.step === "press", outlines: false, cursor: null, ruler: null, extra: (context, _, px) => drawGuideCircles(context, facts?.guides[number], px) });
+  if (frame && page === "calibrate" && stale.pictures) guidePane.draw(frame, { ...settings, guide: facts?.guides[number]?.step, outlines: false, cursor: null, ruler: null, extra: (context, _, px) => drawGuideCircles(context, facts?.guides[number], px) });
   if (page === "live") {
     if (frame && stale.pictures) drawPictures(frame);
     if (frame && stale.curves && (!inSoftware() || curves.due(drawnAt))) drawNumbersAndCurves(frame);

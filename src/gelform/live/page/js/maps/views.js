@@ -81,9 +81,11 @@ function paintCauses(frame, pixels, settings) {
   }
 }
 
+const GUIDE_LEGENDS = { press: "Yellow: press at 1, then at 2 and 3. White: contact now.", report: "Yellow: the places 1, 2 and 3 of the report, to press next. Gray: the presses so far." };
+
 export const VIEWS = {
   depth: { title: "Depth", planes: ["depth"], from: "depth", paint: ramped("depth", () => 0, (s) => s.range), unknown: true, legend: (s, f) => ({ colors: s.colors, low: "0", high: `${s.range.toPrecision(2)} ${f.unit}` }) },
-  image: { title: "Camera", planes: ["image"], from: "image", paint: paintImage, legend: (s, f) => ({ text: s.plain ? "Yellow: press at 1, then at 2 and 3. White: contact now." : f.header.simulated ? "Click to press here." : "The image, after crop, flip and resizing." }) },
+  image: { title: "Camera", planes: ["image"], from: "image", paint: paintImage, legend: (s, f) => ({ text: GUIDE_LEGENDS[s.guide] ?? (f.header.simulated ? "Click to press here." : "The image, after crop, flip and resizing.") }) },
   normals: { title: "Normals", planes: ["depth"], from: "depth", paint: paintNormals, unknown: true, legend: () => ({ text: "Red: x to the right. Green: y down. Blue: toward the camera." }) },
   confidence: { title: "Confidence", planes: ["confidence"], from: "confidence", paint: ramped("confidence", () => 0, () => 1), legend: (s) => ({ colors: s.colors, low: "0", high: "1" }) },
   sigma: { title: "Uncertainty", planes: ["sigma"], from: "sigma", paint: ramped("sigma", () => 0, () => 0.1), unknown: true, legend: (s) => ({ colors: s.colors, low: "0", high: "0.1 mm" }) },

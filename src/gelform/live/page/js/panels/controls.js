@@ -11,6 +11,7 @@ export function startControls(does) {
   byId("actions").append(
     element("div", { class: "row" },
       button("background", "Take background", "Average the next frames as the background image. Touch nothing. (B)", () => send("background"), true),
+      button("undo-background", "Undo background", "Use the background before the one that was taken", () => send("undo_background")),
       button("zero", "Set zero", "Show depth relative to the present state (Z)", () => send("zero")),
       button("snapshot", "Snapshot", "Save this frame and its result (S)", () => send("snapshot")),
       button("record", "Record", "Save the frames as the camera gives them, in the folder of gelform live. It ends when this page is closed. (R)", () => send("record", { on: !does.recording(), page: does.page })),
@@ -36,6 +37,7 @@ export function drawControls(station, facts) {
   const recording = facts.recordings[station.number];
   byId("record").textContent = recording ? `Stop, ${recording.frames} frames, ${Math.round(recording.bytes / 1e6)} MB` : "Record";
   byId("record").setAttribute("aria-pressed", String(Boolean(recording)));
+  byId("undo-background").hidden = !station.can_undo;
   byId("zero").textContent = station.zero ? "Undo zero" : "Set zero";
   byId("zero").setAttribute("aria-pressed", String(station.zero));
   for (const id of ["background", "zero", "snapshot"]) byId(id).disabled = !station.calibration;

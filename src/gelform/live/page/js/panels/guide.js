@@ -5,17 +5,17 @@ import { byId, element, setText } from "../page/dom.js";
 
 const STEPS = [["start", "Ball"], ["background", "Background"], ["press", "Press"], ["fit", "Fit"], ["report", "Report"]];
 const HELP = {
-  start: "Press a ball of known size about twelve times. The page shows where to press. It takes a few minutes.",
+  start: "Press a ball of known size twelve times or more, all over the gel. The page shows where to press. It takes a few minutes.",
   fit: "gelform finds the circles, and compares color models on held-out presses.",
 };
 let shownKey = "";
 
-/** Circles over the camera image: the next places, the present contact, the accepted presses. */
+/** Circles over the camera image: the next places, the present contact, the accepted presses; also beside the report, which names the places. */
 export function drawGuideCircles(context, guide, px) {
-  if (!guide || guide.step !== "press") return;
+  if (!["press", "report"].includes(guide?.step)) return;
   for (const circle of guide.accepted) drawRing(context, circle, { width: px, color: "rgb(255 255 255 / 65%)", fill: "rgb(255 255 255 / 10%)" });
   guide.places.forEach((place, k) => drawPlace(context, place, k, px));
-  if (guide.live) drawRing(context, guide.live, { width: 2.5 * px, color: "#fff" });
+  if (guide.live && guide.step === "press") drawRing(context, guide.live, { width: 2.5 * px, color: "#fff" });
 }
 
 const YELLOW = "#ffd166", LATER = "rgb(255 209 102 / 85%)", DARK = "rgb(0 0 0 / 70%)";
@@ -58,7 +58,7 @@ function startForm(_, station, facts, does) {
   show();
   const begin = (event) => { event.preventDefault(); does.send("guide_start", { ball_diameter_mm: Number(ball.value), profile: begun ? begun.sensor : station.simulated ? "" : profile.value, mm_per_px: Number(pitch.value) }); };
   const begun = station.starter?.state === "used" ? station.starter : null;
-  const sensor = begun ? [element("p", { text: `The starter knows the scale of a ${begun.make}. Five presses are enough to begin with, and twelve are good.` })] : station.simulated ? [element("p", { text: "The simulated sensor knows its scale. It presses itself where the guide asks." })] : [element("label", {}, "Sensor", profile), scale];
+  const sensor = begun ? [element("p", { text: `The starter knows the scale of a ${begun.make}. Five presses can be fitted, and twelve or more fit better.` })] : station.simulated ? [element("p", { text: "The simulated sensor knows its scale. It presses itself where the guide asks." })] : [element("label", {}, "Sensor", profile), scale];
   return [element("form", { onsubmit: begin }, element("p", { text: HELP.start }), element("label", {}, "Ball diameter (mm)", ball), ...sensor, element("button", { class: "main", id: "guide-start", text: "Start" }))];
 }
 
@@ -67,14 +67,14 @@ function background(guide, _, __, does) {
 }
 
 function press(guide, _, __, does) {
-  const { tiles: [rows, columns], directions, share } = guide.coverage ?? { tiles: [1, 1], directions: [0], share: 0 };
+  const { tiles: [rows, columns], directions, share, level, wanted } = guide.coverage ?? { tiles: [1, 1], directions: [0], share: 0, level: "poor", wanted: 0 };
   const map = element("div", { class: "tiles", role: "img", "aria-label": `Presses show ${Math.round(100 * share)} % of the places and slope directions` }, ...directions.map((seen) => element("i", { "data-seen": seen })));
   map.style.gridTemplateColumns = `repeat(${columns}, 1fr)`;
   const fitButton = element("button", { class: guide.enough ? "main" : "", id: "guide-fit", text: "Fit now", onclick: () => does.send("guide_fit") });
   fitButton.disabled = !guide.can_fit;
   return [
-    element("div", { class: "part" }, element("div", {}, element("span", { class: "count", text: guide.count }), ` of ${guide.wanted} presses`), element("progress", { max: guide.wanted, value: Math.min(guide.count, guide.wanted), "aria-label": "presses" }), element("label", {}, "Ball held still", element("progress", { max: 1, value: guide.still }))),
-    element("div", { class: "part" }, element("p", { text: `Coverage: presses show ${Math.round(100 * share)} % of the places and slope directions.` }), map, element("div", { class: "row" }, fitButton, " ", stopButton(does))),
+    element("div", { class: "part" }, element("div", {}, element("span", { class: "count", text: guide.count }), ` presses, of at least ${guide.wanted}`), element("progress", { max: guide.wanted, value: Math.min(guide.count, guide.wanted), "aria-label": "presses" }), element("label", {}, "Ball held still", element("progress", { max: 1, value: guide.still }))),
+    element("div", { class: "part" }, element("p", {}, `Coverage: presses show ${Math.round(100 * share)} % of the places and slope directions. It is `, element("b", { class: `level-${level}`, id: "coverage-level", text: level }), level === "poor" ? `: press on, until it is ${wanted} %.` : "."), map, element("div", { class: "row" }, fitButton, " ", stopButton(does))),
   ];
 }
 
@@ -83,12 +83,16 @@ function fit(_, __, ___, ____, work) {
   return [element("div", { class: "part" }, element("p", { text: HELP.fit }), element("progress", { max: Math.max(1, total), value: done, "aria-label": what }), element("p", { text: what }))];
 }
 
-function report(guide, _, __, does) {
+function report(guide, station, _, does) {
   const { headline, level, next, checks, model, accepted, rejected, folder } = guide.report;
   const rows = checks.map((check) => element("tr", {}, element("td", { text: check.label }), element("td", { text: check.value === null ? "not known" : `${Number(check.value.toPrecision(3))} ${check.unit}`.replace(" °", "°") }), element("td", { class: `level-${check.level}`, text: check.level })));
   return [
     element("div", { class: "part" }, element("h3", { class: `level-${level}`, id: "verdict", text: headline }), element("p", {}, element("strong", { text: "Next: " }), next), element("table", { class: "checks" }, ...rows)),
-    element("div", { class: "part" }, element("p", { text: `The calibration uses ${accepted} presses and rejects ${rejected.length}. Its color model is ${model}. The presses, the calibration and the full report are in ${folder}/.` }), element("div", {}, element("button", { class: "main", id: "guide-use", text: "Use this calibration", onclick: () => does.send("guide_use") }), " ", stopButton(does, "Do not use it"))),
+    element("div", { class: "part" }, element("p", { text: `The calibration uses ${accepted} presses and rejects ${rejected.length}. Its color model is ${model}. The presses, the calibration and the full report are in ${folder}/. Nothing uses it until you say so.` }), element("div", { class: "row" },
+      element("button", { class: level === "poor" ? "" : "main", id: "guide-use", text: "Use this calibration", onclick: () => does.send("guide_use") }), " ",
+      element("button", { class: level === "poor" ? "main" : "", id: "guide-more", text: "Press more", onclick: () => does.send("guide_more") }), " ",
+      element("a", { class: "button", id: "guide-report", text: "Open report", href: `/reports/${station.number}`, target: "_blank", rel: "noopener" }), " ",
+      stopButton(does, "Do not use it"))),
   ];
 }
 
