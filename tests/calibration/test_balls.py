@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform.calibration.balls import MOST_SIGMAS, SIZE_SIGMA, UNCHECKED, BallReading, ball_readings, notes_of
+from gelform.calibration.balls import (
+    MOST_SIGMAS,
+    REMEDY,
+    SIZE_SIGMA,
+    UNCHECKED,
+    BallReading,
+    ball_readings,
+    notes_of,
+)
 from gelform.calibration.candidates import Start, starter_start
 from gelform.calibration.circles.locate import locate
 from gelform.calibration.presses.press_set import presses_from_simulated
@@ -57,7 +65,7 @@ def test_a_wrong_diameter_is_read_by_another_unit_s_model(presses, known, factor
     assert all((one.sigmas > MOST_SIGMAS) == (factor != 1) for one in readings)
     assert all(one.sigma_mm >= SPREAD * one.read_mm for one in readings)
     words = notes_of(readings)[0]
-    assert ("Check the diameter and mm_per_px" in words) == (factor != 1)
+    assert (REMEDY in words) == (factor != 1)
     assert f"{readings[0].stated_mm:g} mm" in words
 
 
