@@ -18,6 +18,7 @@ from gelform.batch.inputs.plan import Part
 from gelform.calibration_file import Calibration
 from gelform.errors import DataError, GelformError
 from gelform.foundations.checks import check_image
+from gelform.foundations.tables import plain_cell
 from gelform.image.background.average import background_from_frames
 from gelform.image.background.check import background_digest
 from gelform.image.frame import Frame
@@ -195,7 +196,7 @@ def backgrounds_of(path: Path | None) -> Backgrounds:
             f"Expected rows with the columns {' and '.join(BACKGROUND_COLUMNS)} in {path}. Name an image of the untouched "
             "gel for each sequence."
         )
-    found = {row["sequence"]: path.parent / row["background"] for row in rows}
+    found = {plain_cell(row["sequence"]): path.parent / plain_cell(row["background"]) for row in rows}
     if len(found) < len(rows):
         raise DataError(f"Expected each sequence once in {path}, got {len(rows)} rows of {len(found)}.")
     return Backgrounds(by_sequence=found)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from gelform.calibration.geometry.measured import Geometry
 from gelform.errors import DataError
 from gelform.foundations.checks import check_positive, check_sensor_pitch
+from gelform.foundations.tables import plain_cell
 from gelform.image.frame import pixels_digest
 from gelform.image.view import View, image_from_frame
 from gelform.sensors.files import SensorSettings, read_sensor_toml
@@ -299,7 +300,7 @@ def table_rows(path: Path, columns: tuple[str, ...]) -> Iterator[tuple[str, dict
                         f"Expected {len(reader.fieldnames or [])} fields, got {len(fields)} ({where}). Was a decimal comma "
                         "meant? Write 6.35, quote texts that have commas, and keep the commas of empty fields."
                     )
-                yield where, {name: value.strip() for name, value in row.items()}
+                yield where, {name: plain_cell(value.strip()) for name, value in row.items()}
     except UnicodeDecodeError as problem:
         raise DataError(
             f"{path} is no table of text in UTF-8: byte {problem.start} is none. Save it as UTF-8."
