@@ -216,3 +216,13 @@ def test_a_number_for_a_view_or_a_name_is_named(name: str, expected: str) -> Non
     wrong: dict[str, Any] = {name: 3}
     with pytest.raises(TypeError, match=f"{name} must be a {expected}"):
         starter.for_unit(background, **wrong)
+
+
+def test_a_pitch_that_no_unit_has_is_named():
+    starter = load_starter("gelsight-mini")
+    for pitch in (0.634, 0.00634):
+        with pytest.raises(
+            ValueError, match=rf"Expected mm_per_px near the 0.0634 .* got {pitch:g}: its gel would be"
+        ):
+            starter.for_unit(starter.calibration.background, mm_per_px=pitch)
+    assert starter.for_unit(starter.calibration.background, mm_per_px=0.08).mm_per_px == 0.08
