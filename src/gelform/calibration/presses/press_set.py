@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from gelform.simulate import SimulatedPresses
 
 MIN_BALL_MM, MAX_BALL_MM = 0.1, 200.0  # mm; other diameters are in another unit
+MIN_IMAGE_PX = 24  # of an image's height and width; a contact has no room in less
 MIN_HEIGHT_MM, MAX_HEIGHT_MM = 0.01, 20.0  # mm over the gel, of flat punches
 
 
@@ -184,7 +185,10 @@ class ReadOptions:
     def view(self, settings: SensorSettings, frame_shape: tuple[int, int]) -> View:
         """The requested crop, else sensor.toml's view, else the profile's if the images are frames of it."""
         if self.crop is not None:
-            return View(frame_shape=frame_shape, crop=self.crop)
+            try:
+                return View(frame_shape=frame_shape, crop=self.crop)
+            except ValueError as problem:  # the frame shows it, not the option alone
+                raise DataError(f"{problem} It is crop= (--crop).") from problem
         if not settings.view.is_identity or self.sensor is None:
             return settings.view
         return profile_named(self.sensor).view(frame_shape)
@@ -207,7 +211,13 @@ def presses_from_settings(
     view: View,
     **more: Any,
 ) -> Presses:
-    """The press set of a sensor, with the given other fields of `Presses`."""
+    """The press set of a sensor, with the given other fields of `Presses`; DataError for images that hold no contact."""
+    height, width = background.shape[:2]
+    if min(height, width) < MIN_IMAGE_PX:
+        raise DataError(
+            f"Expected images of at least {MIN_IMAGE_PX} px in height and width, got {height}x{width} px. Look at the "
+            "crop and the view."
+        )
     return Presses(
         folder=folder,
         presses=tuple(presses),
