@@ -23,6 +23,7 @@ import sys
 import tempfile
 from collections import Counter
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -154,21 +155,12 @@ def orientation() -> dict[str, Any]:
         ended: Counter[str] = Counter()
         for reading in READINGS[1:]:
             for press in presses.presses[1::8]:
-                ended[
-                    answer(
-                        reading,
-                        lambda reading=reading, image=press.image: reconstruct.from_image(
-                            lying(image, reading)
-                        ),
-                    )
-                ] += 1
+                ended[answer(reading, reconstruct.from_image, lying(press.image, reading))] += 1
             other = lying(presses.background, reading)
-            ended[
-                answer(reading, lambda other=other: gelform.Reconstructor(calibration, background=other))
-            ] += 1
+            ended[answer(reading, partial(gelform.Reconstructor, calibration), other)] += 1
         total = sum(ended.values())
         figures[name] = {"images": total, "named rightly, %": 100 * ended["named"] / total, **ended}
-    outcomes = (
+    shown = (
         "images",
         "named rightly, %",
         "named",
@@ -176,20 +168,15 @@ def orientation() -> dict[str, Any]:
         "with a finding",
         "accepted silently",
     )
-    print(
-        "\n"
-        + table(
-            ["15 wrong readings", *outcomes],
-            [[k, *(v.get(o, 0) for o in outcomes)] for k, v in figures.items()],
-        )
-    )
+    rows = [[name, *(found.get(one, 0) for one in shown)] for name, found in figures.items()]
+    print("\n" + table(["15 wrong readings", *shown], rows))
     return figures
 
 
-def answer(reading: Orientation, call: Callable[[], Any]) -> str:
-    """How a call ends whose image lies so."""
+def answer(reading: Orientation, call: Callable[[Any], Any], image: Any) -> str:
+    """How a call ends with an image that lies so."""
     try:
-        result = call()
+        result = call(image)
     except (CalibrationError, ValueError) as problem:
         return "named" if f"is {reading.named} compared" in str(problem) else "refused otherwise"
     return "with a finding" if getattr(result, "health", ()) else "accepted silently"
