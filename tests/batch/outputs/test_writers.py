@@ -6,7 +6,6 @@ Records agree with the files, and damage is found.
 import errno
 import hashlib
 import io
-import shutil
 
 import cv2
 import numpy as np
@@ -217,10 +216,10 @@ def test_the_same_bytes_twice_and_none_of_a_part_that_ended_early(written, tmp_p
 
 @pytest.fixture
 def nested(tree):
-    """The images in folders of folders."""
-    (tree / "day2").rename(tree / "month")
-    shutil.copytree(tree / "month", tree / "months" / "may" / "day2")
-    return tree
+    """Images in a folder of a folder, with none above it."""
+    (tree / "years" / "2026").mkdir(parents=True)
+    (tree / "day2").rename(tree / "years" / "2026" / "day2")
+    return tree / "years"
 
 
 @pytest.mark.parametrize("form", WRITERS)
