@@ -33,6 +33,19 @@ from gelform.errors import DataError
 from made.small_gel import save
 
 
+def test_no_cell_of_the_table_is_a_formula(tmp_path):
+    row = dict.fromkeys(COLUMNS, "") | {
+        "sequence": "=cmd|' /C calc'!A0",
+        "frame": "@x",
+        "index": 0,
+        "deepest_mm": -0.5,
+    }
+    write_record(tmp_path, 0, PartRecord("digest", (row,)))
+    write_table(tmp_path, 1, "csv")
+    (line,) = csv.DictReader((tmp_path / "frames.csv").read_text().splitlines())
+    assert (line["sequence"], line["frame"], line["deepest_mm"]) == ("'=cmd|' /C calc'!A0", "'@x", "-0.5")
+
+
 def test_refused():
     for wrong, said in [
         ({"form": "jpg"}, "Expected a format among npz, png, zarr, hdf5, lerobot, got 'jpg'"),

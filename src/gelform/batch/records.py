@@ -5,9 +5,7 @@ The table has one row per frame: as Parquet if pyarrow is installed, else as CSV
 
 from __future__ import annotations
 
-import csv
 import hashlib
-import io
 import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
@@ -19,6 +17,7 @@ from typing import Any
 from gelform.batch.outputs.files import PARTS, OutputFile
 from gelform.errors import DataError
 from gelform.foundations.npz_files import written_file
+from gelform.foundations.tables import table_text
 
 PARTS_IN_A_FOLDER = 1000  # records in one folder: folders with millions of files are slow
 COLUMNS: dict[str, str] = {  # name -> type in Parquet
@@ -171,9 +170,7 @@ def _lines(output: Path, parts: int) -> Iterator[bytes]:
 
 
 def _csv(rows: Sequence[Sequence[Any]]) -> bytes:
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows(rows)
-    return text.getvalue().encode("utf-8", "backslashreplace")  # file names may not be valid text
+    return table_text(rows).encode("utf-8", "backslashreplace")  # file names may not be valid text
 
 
 def _groups(output: Path, parts: int) -> Iterator[Any]:

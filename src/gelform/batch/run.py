@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from itertools import islice
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 from gelform.batch.engines import Engine
@@ -246,8 +246,9 @@ def _clean(output: Path, todo: Sequence[Part], form: str) -> None:
     """Delete the temporary files of a killed run."""
     deep = {output / FRAMES} if form == "lerobot" else set()  # it copies more than the parts write
     shallow = {output / FRAMES / part.sequence for part in todo} - deep
-    if form == "zarr":  # its shards are in folders of their own
-        deep, shallow = shallow, deep
+    if form == "zarr":  # its shards are in folders of their own, and the groups above have files too
+        above = {output / FRAMES / one for part in todo for one in PurePosixPath(part.sequence).parents}
+        deep, shallow = shallow, above
     shallow |= {record_path(output, part.number).parent for part in todo} | {output, output / PARTS}
     for folders, pattern in ((deep, f"**/{LEFTOVERS}"), (shallow, LEFTOVERS)):
         for left in (one for folder in folders for one in folder.glob(pattern)):

@@ -24,7 +24,10 @@ from gelform.slopes.color_models import COLOR_MODELS, DEFAULT_MODEL, ColorModel
 INNER = 0.6  # fraction of the visible circle; the gel follows the ball inside it on every sensor
 # Relative error of the ratio of two sizes, each read by the other's presses: 0.034 on a real GelSight Mini.
 SIZE_SIGMA = 0.05
-MOST_SIGMAS = 2.0  # largest difference of a stated diameter from the one read, in standard deviations
+# Largest difference of a stated diameter from the one read, in standard deviations: the only limit, also of the report's
+# check. And what to do beyond it.
+MOST_SIGMAS = 2.0
+REMEDY = "Check the ball's diameter and mm_per_px."
 
 
 @dataclass(frozen=True)
@@ -42,16 +45,19 @@ class BallReading:
 
     @property
     def sigmas(self) -> float:
-        """Standard deviations between the two diameters; of their logarithm, so that twice and half are alike."""
-        return float(abs(np.log(self.read_mm / self.stated_mm)) / (self.sigma_mm / self.read_mm))
+        """Standard deviations between the two diameters; of their logarithm, so that twice and half are alike.
+
+        Of three digits, as printed, so that every judgment is of the same number.
+        """
+        return float(f"{abs(np.log(self.read_mm / self.stated_mm)) / (self.sigma_mm / self.read_mm):.3g}")
 
     def sentence(self) -> str:
         """The comparison in words."""
         read = f"{self.read_mm:.3g} ± {self.sigma_mm:.2g} mm"
         if self.sigmas > MOST_SIGMAS:
             return (
-                f"The presses look like a ball of {read}, but the stated diameter is {self.stated_mm:g} mm. Check "
-                f"the diameter and mm_per_px. The measurement uses {self.by}."
+                f"The presses look like a ball of {read}, but the stated diameter is {self.stated_mm:g} mm. {REMEDY} "
+                f"The measurement uses {self.by}."
             )
         return f"The stated diameter of {self.stated_mm:g} mm agrees with {read}, as measured by {self.by}."
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -188,15 +186,15 @@ def _write_all(files: Mapping[Path, bytes], overwrite: bool) -> None:
 
 def _circles_csv(rows: Any) -> bytes:
     """The table of presses with the fitted circles, in the form of labels in presses.csv."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
+    from gelform.foundations.tables import table_text
+
     named = ["image", "ball_diameter_mm", "center_x_px", "center_y_px", "contact_radius_px"]
-    writer.writerow([*named, "center_sigma_px", "contact_radius_sigma_px", "accepted", "reason"])
+    lines = [[*named, "center_sigma_px", "contact_radius_sigma_px", "accepted", "reason"]]
     for row in rows:
         circle = [f"{value:.2f}" for value in (row.center_x_px, row.center_y_px, row.contact_radius_px)]
         sigma = (row.center_sigma_px, row.contact_radius_sigma_px)
         known = ["" if value is None else f"{value:.2f}" for value in sigma]
-        writer.writerow(
-            [row.name, f"{row.ball_diameter_mm:g}", *circle, *known, int(row.accepted), row.reason or ""]
+        lines.append(
+            [row.name, f"{row.ball_diameter_mm:g}", *circle, *known, f"{row.accepted:d}", row.reason or ""]
         )
-    return text.getvalue().encode()
+    return table_text(lines).encode()

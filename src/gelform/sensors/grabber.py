@@ -13,7 +13,7 @@ from os import PathLike
 from gelform.errors import SensorError, SourceLostError
 from gelform.foundations.checks import check_within
 from gelform.image.frame import Frame
-from gelform.sensors.source import Source, open_source
+from gelform.sensors.source import Source, checked_frame, open_source
 
 STALL_S = 0.5  # s without a frame until "reconnecting"; robots' recorders give up after as long
 
@@ -209,10 +209,12 @@ class Grabber:
     def _read(self, source: Source) -> None:
         """Read frames until the source ends, is lost, or the grabber is closed."""
         base = self._held[-1].index + 1 if self._held else 0
+        last = -1
         for frame in source:
             if self._stop.is_set():
                 return
-            self._keep(replace(frame, index=base + frame.index))
+            last = checked_frame(frame, last, source.name).index
+            self._keep(replace(frame, index=base + last))
 
     def _keep(self, frame: Frame) -> None:
         with self._changed:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from math import isfinite
 from os import PathLike
 from pathlib import Path
 from types import TracebackType
-from typing import Protocol
+from typing import Any, Protocol
 
 from gelform.errors import DataError, SensorError
 from gelform.foundations.checks import check_path
@@ -57,6 +58,24 @@ class Source(Protocol):
     def __exit__(
         self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None, /
     ) -> None: ...
+
+
+def checked_frame(frame: Frame, after_index: int, name: str) -> Frame:
+    """A frame of the source of that name; its number must be above `after_index`.
+
+    SensorError: it is no frame, or its time or number is none. Readers would wait for ever, or read NaN.
+    """
+    image: Any = getattr(frame, "image", None)
+    time_s: Any = getattr(frame, "time_s", None)
+    if getattr(image, "ndim", 0) != 3 or image.shape[2] != 3:
+        raise SensorError(f"Expected frames with an image (H, W, 3) from {name}, got {type(image).__name__}.")
+    if not isinstance(time_s, (int, float)) or not isfinite(time_s):
+        raise SensorError(f"Expected time_s in seconds in frame {frame.index} of {name}, got {time_s!r}.")
+    if frame.index <= after_index:
+        raise SensorError(
+            f"Expected frames of {name} whose index grows, got {frame.index} after {after_index}."
+        )
+    return frame
 
 
 def open_source(

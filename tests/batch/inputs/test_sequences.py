@@ -204,6 +204,14 @@ def test_a_table_that_names_one_file_for_all_is_that_file(two_lights, cal, tmp_p
     assert all(read_manifest(tmp_path / name).background_digest for name in ("one", "both"))
 
 
+def test_a_table_of_backgrounds_reads_names_as_the_batch_writes_them(two_lights):
+    path = table(two_lights, "'=a,'-b/rest.png", "plain,rest.png")
+    assert backgrounds_of(path).by_sequence == {
+        "=a": path.parent / "-b/rest.png",
+        "plain": path.parent / "rest.png",
+    }
+
+
 def test_refused_before_anything_is_written(two_lights, cal, tmp_path):
     for rows, said in [
         (["a,a/rest.png"], "has no row for 'b'"),

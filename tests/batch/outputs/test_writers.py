@@ -212,3 +212,29 @@ def test_the_same_bytes_twice_and_none_of_a_part_that_ended_early(written, tmp_p
         written(form, sequence=EPISODE, folder=tmp_path / "c", interrupted=True)
     if form in ("hdf5", "lerobot"):  # the others have files of their own that are done
         assert not [path for path in (tmp_path / "c").rglob("*") if path.is_file()]
+
+
+@pytest.fixture
+def nested(tree):
+    """Images in a folder of a folder, with none above it."""
+    (tree / "years" / "2026").mkdir(parents=True)
+    (tree / "day2").rename(tree / "years" / "2026" / "day2")
+    return tree / "years"
+
+
+@pytest.mark.parametrize("form", WRITERS)
+def test_temporary_files_go_wherever_a_killed_run_leaves_them(form, request, cal, tmp_path):
+    source = request.getfixturevalue("lerobot")[0] if form == "lerobot" else request.getfixturevalue("nested")
+    for module in {"zarr": ("numcodecs", "google_crc32c"), "hdf5": ("h5py",)}.get(form, ()):
+        pytest.importorskip(module, reason="the extra data is not installed")
+    settings, output = BatchSettings(form, keep=("depth",), part_frames=2), tmp_path / "out"
+    chosen = {"dataset": "*"} if form == "lerobot" else {}
+    run_batch(source, cal, output, settings, table="csv", **chosen)
+    files = [path for path in output.rglob("*") if path.is_file() and path.suffix != ".lock"]
+    left = [folder / ".gelform-0123456789ab.tmp" for folder in {path.parent for path in files}]
+    for path in left:
+        path.write_bytes(b"half")
+    for record in output.glob("parts/**/*.json"):
+        record.unlink()
+    assert run_batch(source, cal, output, settings, table="csv", **chosen).complete
+    assert [path for path in left if path.exists()] == []

@@ -164,6 +164,18 @@ def test_a_calibration_in_pixels_that_are_not_square_is_that_in_square_ones(
     assert not [note for note in made.report.notes if "not square" in note]
 
 
+@pytest.mark.parametrize("crop", [(150, 100, 60, 60), (-1, 0, 50, 50), (0, 0, 1, 1), (0, 0, 100, 23)])
+def test_a_crop_beyond_the_frame_or_without_room_is_refused(copy, crop):
+    with pytest.raises(gelform.DataError, match=r"[cC]rop"):
+        gelform.read_presses(copy, crop=crop)
+
+
+def test_a_name_that_no_file_has_is_refused(copy):
+    rewrite(copy, lambda header, rows: (header, [["images/0\0.png", *rows[0][1:]]]))
+    with pytest.raises(gelform.DataError):
+        gelform.read_presses(copy)
+
+
 def test_crop_and_view_of_the_settings(copy):
     cropped = gelform.read_presses(copy, crop=(10, 20, 100, 80))
     assert cropped.image_shape == (80, 100)

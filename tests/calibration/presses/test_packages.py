@@ -1,7 +1,9 @@
 """Other packages' folders give the same presses as a press folder of the same images."""
 
+import io
 import json
 import shutil
+import zipfile
 
 import cv2
 import numpy as np
@@ -154,3 +156,18 @@ def test_real_taxim_pack(data):
     assert len(read.presses) == 49
     assert read.image_shape == (120, 160)
     assert all(press.label is not None for press in read.presses)
+
+
+@pytest.mark.parametrize("name", ["f0", "imgs", "touch_center", "touch_radius"])
+def test_a_member_of_a_taxim_pack_that_is_no_array_of_numbers_is_refused(pack, name):
+    arrays, path = pack
+    with zipfile.ZipFile(path, "w") as archive:
+        for other, array in arrays.items():
+            stream = io.BytesIO()
+            np.save(stream, array)
+            archive.writestr(*((other, b"raw") if other == name else (f"{other}.npy", stream.getvalue())))
+    with pytest.raises(gelform.DataError, match=f"Expected {name} as an array of numbers"):
+        gelform.read_presses(path, mm_per_px=0.1, ball_diameter_mm=5.0)
+    np.savez(path, **{**arrays, name: np.array(["a", "b"])})
+    with pytest.raises(gelform.DataError, match=f"Expected {name} as an array of numbers"):
+        gelform.read_presses(path, mm_per_px=0.1, ball_diameter_mm=5.0)

@@ -4,7 +4,7 @@ import xml.etree.ElementTree as ElementTree
 
 import pytest
 
-from gelform.calibration.report.charts import Axes, scale_of_errors
+from gelform.calibration.report.charts import Axes, bar_of, scale_of_errors
 from gelform.calibration.report.page import templates
 
 CHARTS = templates().get_template("charts.html").module
@@ -64,6 +64,18 @@ def test_shares_far_off_stand_out():
     )
     assert [rect.get("class") for rect in root.iter("rect")] == ["bar", "bar off", "bar far"]
     assert not CHARTS.sigma_chart({"by_slope": []}).strip()
+
+
+def test_a_share_has_the_color_of_the_percents_that_are_printed():
+    for percent, kind in [
+        (59.4, "bar off"),
+        (59.6, "bar"),
+        (60, "bar"),
+        (76.4, "bar"),
+        (76.6, "bar off"),
+        (44.4, "bar far"),
+    ]:
+        assert bar_of(percent) == kind
 
 
 def test_markers_lie_between_their_limits():

@@ -3,12 +3,14 @@
 import numpy as np
 import pytest
 
+from gelform.calibration.balls import MOST_SIGMAS, REMEDY, BallReading
 from gelform.calibration.report.verdict import (
     HEADLINE,
     LIMITS,
     REFUTING,
     checks_of,
     level_of,
+    limit_in_words,
     verdict_of,
 )
 
@@ -18,12 +20,33 @@ GOOD = {limit.name: limit.good for limit in LIMITS}
 @pytest.mark.parametrize("limit", LIMITS, ids=lambda limit: limit.name)
 def test_levels_change_at_their_limits(limit):
     worse = -1 if limit.rising else 1
-    assert level_of(limit, limit.good) == "good"
-    assert level_of(limit, limit.good + 0.01 * worse) == "fair"
+    assert level_of(limit, limit.good) == level_of(limit, limit.good + 1e-4 * worse) == "good", "as printed"
+    assert level_of(limit, limit.good + 0.1 * worse) == ("fair" if limit.fair != limit.good else "poor")
     if np.isfinite(limit.fair):
-        assert level_of(limit, limit.fair) == "fair"
-        assert level_of(limit, limit.fair + 0.01 * worse) == "poor"
+        assert level_of(limit, limit.fair) == ("fair" if limit.fair != limit.good else "good")
+        assert level_of(limit, limit.fair + 0.1 * worse) == "poor"
     assert level_of(limit, None) == level_of(limit, float("nan")) == "fair"
+
+
+def test_the_report_contradicts_a_diameter_where_the_notes_do():
+    """At 1.88 standard deviations, the console had said that they agree, and the report that they do not."""
+    for sigmas in (1.88, MOST_SIGMAS, MOST_SIGMAS + 0.1):
+        reading = BallReading(
+            6.0, 6.0 * np.exp(sigmas * 0.05), 0.05 * 6.0 * np.exp(sigmas * 0.05), "another unit"
+        )
+        assert reading.sigmas == pytest.approx(sigmas)
+        verdict = verdict_of(checks_of({**GOOD, "ball_sigmas": sigmas}))
+        assert ("agrees" in reading.sentence()) == (verdict["level"] == "good")
+        assert (REMEDY in reading.sentence()) == (REMEDY in verdict["next"]) == (sigmas > MOST_SIGMAS)
+
+
+def test_limits_in_words():
+    said = {
+        one["name"]: [limit_in_words(one, level) for level in ("good", "fair")] for one in checks_of(GOOD)
+    }
+    assert said["normal_free_deg"] == ["≤ 3", "≤ 5"]
+    assert said["covered_percent"] == ["≥ 80", "≥ 60"]
+    assert said["scale_off_percent"] == ["≤ 10", "any"]
 
 
 def test_all_good_is_to_be_used_and_what_is_not_known_is_said():

@@ -257,3 +257,13 @@ def test_dots_dust_and_a_rim_in_sight_are_no_touch(data):
         dots = next(iter(video)).image
     for image in (*rest, cv2.resize(dots, (320, 240), interpolation=cv2.INTER_AREA)):
         starter.check_untouched(image.astype(np.float32))
+
+
+def test_a_pitch_that_no_unit_has_is_named():
+    starter = load_starter("gelsight-mini")
+    for pitch in (0.634, 0.00634):
+        with pytest.raises(
+            ValueError, match=rf"Expected mm_per_px near the 0.0634 .* got {pitch:g}: its gel would be"
+        ):
+            starter.for_unit(starter.calibration.background, mm_per_px=pitch)
+    assert starter.for_unit(starter.calibration.background, mm_per_px=0.08).mm_per_px == 0.08

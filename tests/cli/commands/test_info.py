@@ -30,7 +30,11 @@ def test_a_calibration(run, run_json, calibration_file):
     assert said["made from"] == "10 presses"
     assert "normals" in said["held out"]
     assert "\N{DEGREE SIGN}" in said["held out"]
-    assert "at rest" in said["slope noise"]
+    sigma = load_calibration(calibration_file).slope_sigma
+    assert said["slope noise"].startswith(f"{sigma.rest:.2g} mm/mm at rest")
+    assert said["slope noise"].endswith(
+        f"at most {sigma.full_confidence_sigma:.2g} mm/mm in 95 % of a contact"
+    )
     assert max(len(text) for text in said.values()) < 140
 
 

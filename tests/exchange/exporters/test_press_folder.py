@@ -36,6 +36,17 @@ def test_a_folder_that_holds_something_or_cannot_be_written_is_refused(tmp_path)
     assert [p.name for p in tmp_path.iterdir()] == ["mine.txt"]
 
 
+def test_names_like_formulas_come_back_from_the_table(tmp_path):
+    names = ["=1+1.png", "-3.png", "'=x.png", "plain.png"]
+    write_csv(tmp_path / "presses.csv", [{"image": name, "ball_diameter_mm": "4"} for name in names])
+    text = (tmp_path / "presses.csv").read_text()
+    assert text.splitlines()[1:4] == ["'=1+1.png,4", "'-3.png,4", "''=x.png,4"]
+    for name in ("background.png", *names):
+        write_png(tmp_path / name, np.full((30, 40, 3), 90 + len(name), np.uint8))
+    write_sensor_toml(tmp_path / "sensor.toml", "s", 0.1)
+    assert [press.name for press in read_presses(tmp_path).presses] == names
+
+
 def test_a_failure_leaves_nothing_and_success_the_whole(tmp_path):
     def fail_halfway():
         with written_whole(tmp_path / "out") as partial:

@@ -3,6 +3,7 @@
 import pickle
 import sys
 import zipfile
+from importlib.util import find_spec
 from itertools import pairwise
 
 import cv2
@@ -214,7 +215,7 @@ def test_truncated_files_are_refused(tmp_path, keep):
 
 def test_without_torch_the_extra_is_named(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "torch", None)
-    (tmp_path / "net.pth").write_bytes(b"PK\x03\x04")
+    in_zip(tmp_path / "net.pth", stored(b"K\x04"))
     with pytest.raises(gelform.DataError, match=r"needs the extra torch: pip install \"gelform\[torch\]\""):
         read_gs_sdk(tmp_path / "net.pth", BACKGROUND)
 
@@ -251,3 +252,52 @@ def test_real_gsrobotics_answers_as_published(data, position):
     )
     theirs = -normals / np.sqrt(1 - np.sum(normals**2, axis=-1, keepdims=True))
     np.testing.assert_allclose(found, theirs, atol=1e-4, rtol=1e-4)
+
+
+def stored(count, key=b"0"):
+    """A tensor of a storage that says so many numbers, as torch pickles it."""
+    storage = (
+        b"(X\x07\0\0\0storagectorch\nFloatStorage\nX\x01\0\0\0" + key + b"X\x03\0\0\0cpu" + count + b"tQ"
+    )
+    rest = b"K\x00K\x04\x85K\x01\x85\x89ccollections\nOrderedDict\n)RtR"
+    return b"ctorch._utils\n_rebuild_tensor_v2\n(" + storage + rest
+
+
+def in_zip(path, pickled):
+    """A file of the form of `torch.save` around a dict whose only value is pickled so."""
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("net/data.pkl", b"\x80\x02}X\x01\0\0\0a" + pickled + b"s.")
+        archive.writestr("net/data/0", bytes(16))
+    return path
+
+
+LARGE = b"J\xff\xff\xff\x7f"
+BOMBS = {
+    "a storage of 8 GB": stored(LARGE),
+    "its size from the memory": LARGE + b"q\x050" + stored(b"h\x05"),
+    "its size before another": stored(LARGE + b"0K\x04" + b"0" + LARGE),
+    "a negative one beside it": b"(" + stored(b"J\0\0\0\x80") + stored(LARGE) + b"t",
+    "a thousand large ones": b"("
+    + b"".join(stored(b"J\0\0\x10\0", b"%d" % (k % 10)) for k in range(1000))
+    + b"t",
+    "doubled tuples": b"K\x01\x85" + b"q\x00h\x00\x86" * 40,
+    "an array of bytes": b"cbuiltins\nbytearray\n" + LARGE + b"\x85R",
+}
+
+
+@pytest.mark.parametrize("name", BOMBS)
+def test_a_small_file_cannot_take_the_memory_or_for_ever(tmp_path, name):
+    with pytest.raises(gelform.DataError, match="holds more than tensors in dicts"):
+        read_gs_sdk(in_zip(tmp_path / "net.pth", BOMBS[name]), BACKGROUND)
+
+
+def test_what_torch_writes_is_no_bomb(tmp_path, data):
+    """It is read as far as torch, which may be missing, or to the layers that it lacks."""
+    with pytest.raises(gelform.DataError, match=r"needs the extra torch|Expected the layers"):
+        read_gs_sdk(in_zip(tmp_path / "net.pth", stored(b"K\x04")), BACKGROUND)
+    for path in (data / "peer-calibrations").glob("gs_sdk*.pth"):
+        if find_spec("torch"):
+            assert read_gs_sdk(path, BACKGROUND).layers.inputs == 5
+        else:
+            with pytest.raises(gelform.DataError, match="needs the extra torch"):
+                read_gs_sdk(path, BACKGROUND)

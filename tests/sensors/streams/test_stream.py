@@ -251,3 +251,37 @@ def test_what_is_no_source():
         feed_from_source(7)
     with pytest.raises(DataError, match="nowhere"):
         feed_from_source("nowhere.mp4")
+
+
+class OddSource(ImageSource):
+    """Its third frame is none."""
+
+    def __init__(self, images, odd, **settings):
+        super().__init__(images, **settings)
+        self.odd = odd
+
+    def __iter__(self):
+        for frame in super().__iter__():
+            yield replace(frame, **self.odd(frame)) if frame.index == 2 else frame
+
+
+@pytest.mark.parametrize("live", [False, True])
+@pytest.mark.parametrize(
+    ("odd", "said"),
+    [
+        (lambda _: {"time_s": float("nan")}, "Expected time_s in seconds in frame 2 of images, got nan"),
+        (lambda _: {"time_s": None}, "Expected time_s in seconds in frame 2"),
+        (lambda _: {"index": 1}, "whose index grows, got 1 after 1"),
+        (lambda _: {"image": None}, r"an image \(H, W, 3\) from images, got NoneType"),
+        (lambda frame: {"image": frame.image[:, :-8]}, "Expected frames of"),
+    ],
+)
+def test_a_frame_that_is_none_is_named_and_those_before_it_are_there(calibration, at_rest, odd, said, live):
+    results, source = [], OddSource(at_rest, odd, live=live, rate_hz=20, count=6)
+    with (
+        pytest.raises((SensorError, ValueError), match=said),
+        gelform.stream(source, calibration, smoothing=0.1) as stream,
+    ):
+        results.extend(stream)
+    assert all(np.isfinite(result.depth).all() for result in results)
+    assert live or [result.index for result in results] == [0, 1]

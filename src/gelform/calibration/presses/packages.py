@@ -183,7 +183,7 @@ def _plain_arrays(pack: Path) -> dict[str, NDArray[Any]]:
                 raise DataError(
                     f"Expected the arrays {', '.join(TAXIM_ARRAYS)} in {pack}, {', '.join(missing)} missing."
                 )
-            return {name: data[name] for name in (*TAXIM_ARRAYS, "names") if name in data.files}
+            arrays = {name: data[name] for name in (*TAXIM_ARRAYS, "names") if name in data.files}
     except _DAMAGED as problem:
         raise DataError(f"{pack} is truncated or damaged: {said(problem)}.") from problem
     except ValueError as problem:
@@ -191,6 +191,12 @@ def _plain_arrays(pack: Path) -> dict[str, NDArray[Any]]:
             f"{pack} holds Python objects, which could run code when read: refused. Save it again with plain "
             f"arrays (numpy.asarray(imgs, dtype=numpy.uint8) ...). ({problem})"
         ) from problem
+    for name in TAXIM_ARRAYS:  # numpy gives the bytes of a member that is no array
+        if not isinstance(arrays[name], np.ndarray) or arrays[name].dtype.kind not in "uif":
+            raise DataError(
+                f"Expected {name} as an array of numbers in {pack}. Save it again with numpy.savez."
+            )
+    return arrays
 
 
 def _rgb(bgr: NDArray[Any]) -> NDArray[np.uint8]:

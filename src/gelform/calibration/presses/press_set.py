@@ -21,6 +21,7 @@ from gelform.foundations.checks import (
     check_sensor_pitch,
     check_sensor_pitches,
 )
+from gelform.foundations.tables import plain_cell
 from gelform.image.frame import pixels_digest
 from gelform.image.view import View, image_from_frame
 from gelform.sensors.files import SensorSettings, read_sensor_toml
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from gelform.simulate import SimulatedPresses
 
 MIN_BALL_MM, MAX_BALL_MM = 0.1, 200.0  # mm; other diameters are in another unit
+MIN_IMAGE_PX = 24  # of an image's height and width; a contact has no room in less
 MIN_HEIGHT_MM, MAX_HEIGHT_MM = 0.01, 20.0  # mm over the gel, of flat punches
 
 
@@ -206,7 +208,10 @@ class ReadOptions:
     def view(self, settings: SensorSettings, frame_shape: tuple[int, int]) -> View:
         """The requested crop, else sensor.toml's view, else the profile's if the images are frames of it; square pixels."""
         if self.crop is not None:
-            view = View(frame_shape=frame_shape, crop=self.crop)
+            try:
+                view = View(frame_shape=frame_shape, crop=self.crop)
+            except ValueError as problem:  # the frame shows it, not the option alone
+                raise DataError(f"{problem} It is crop= (--crop).") from problem
         elif settings.view.is_identity and self._is_profile_s(settings):
             view = profile_named(self.sensor or settings.make).view(frame_shape)
         else:
@@ -237,7 +242,13 @@ def presses_from_settings(
     view: View,
     **more: Any,
 ) -> Presses:
-    """The press set of a sensor, with the given other fields of `Presses`."""
+    """The press set of a sensor, with the given other fields of `Presses`; DataError for images that hold no contact."""
+    height, width = background.shape[:2]
+    if min(height, width) < MIN_IMAGE_PX:
+        raise DataError(
+            f"Expected images of at least {MIN_IMAGE_PX} px in height and width, got {height}x{width} px. Look at the "
+            "crop and the view."
+        )
     return Presses(
         folder=folder,
         presses=tuple(presses),
@@ -338,7 +349,7 @@ def table_rows(path: Path, columns: tuple[str, ...]) -> Iterator[tuple[str, dict
                         f"Expected {len(reader.fieldnames or [])} fields, got {len(fields)} ({where}). Was a decimal comma "
                         "meant? Write 6.35, quote texts that have commas, and keep the commas of empty fields."
                     )
-                cells = {name: value.strip() for name, value in row.items()}
+                cells = {name: plain_cell(value.strip()) for name, value in row.items()}
                 yield where, {name: _pointed(cell) for name, cell in cells.items()} if semicolons else cells
     except UnicodeDecodeError as problem:
         raise DataError(

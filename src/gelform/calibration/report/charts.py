@@ -94,7 +94,8 @@ def learning_law(learning: dict[str, Any], axes: Axes) -> str:
 
 
 def bar_of(percent: float) -> str:
-    """CSS class of a fraction within one sigma."""
+    """CSS class of a fraction within one sigma, of the whole percents that are printed."""
+    percent = float(f"{percent:.0f}")
     if SHARE_RIGHT[0] <= percent <= SHARE_RIGHT[1]:
         return "bar"
     return "bar off" if SHARE_FAIR[0] <= percent <= SHARE_FAIR[1] else "bar far"

@@ -21,7 +21,7 @@ from gelform.calibration.report.pictures import (
     short_names,
 )
 from gelform.calibration.report.record import FIGURES, setting_in_words, used_in_words
-from gelform.calibration.report.verdict import shown
+from gelform.calibration.report.verdict import limit_in_words, shown
 from gelform.calibration_file import Calibration
 
 
@@ -41,6 +41,7 @@ def templates() -> jinja2.Environment:
         "deg": lambda value: "–" if value is None else f"{value:.2f}°",
         "digits": digits,
         "g": lambda value: f"{value:g}",
+        "limit": limit_in_words,
         "minute": lambda time_utc: time_utc[:16].replace("T", " "),
         "px": lambda value: f"{value:.1f}",
         "setting": setting_in_words,

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from gelform.calibration.balls import MOST_SIGMAS, REMEDY
 from gelform.calibration.enough import NEEDED
 
 LEVELS = ("good", "fair", "poor")
@@ -40,8 +41,8 @@ LIMITS = (
           f"Press the ball at more places: {NEEDED.good.presses} presses or more. Begin at the places marked 1, 2, 3."),
     Limit("normal_free_deg", "angle error of the normals, held out", "°", 3, 5, False,
           "Press at the places marked 1, 2, 3. Check that exposure and light did not change. Look for cast shadows."),
-    Limit("ball_sigmas", "stated ball diameter against the measured one", "σ", 1.5, 2, False,
-          "Check the ball's diameter and mm_per_px. Presses of another unit or of another ball contradict them."),
+    Limit("ball_sigmas", "stated ball diameter against the measured one", "σ", MOST_SIGMAS, MOST_SIGMAS, False,
+          REMEDY + " Presses of another unit or of another ball contradict them."),
     Limit("scale_off_percent", "mm_per_px against the make's", "%", 10, math.inf, False,
           "Check mm_per_px. Images of this make have another value, unless you crop them differently."),
     Limit("radius_percent", "error of the ball's radius, held out", "%", 3, 6, False,
@@ -67,10 +68,10 @@ REFUTING = ("ball_sigmas",)
 
 
 def level_of(limit: Limit, value: float | None) -> str:
-    """good, fair or poor; an unknown figure is fair."""
+    """good, fair or poor, of the figure as it is printed; an unknown one is fair."""
     if value is None or not math.isfinite(value):
         return "fair"
-    sign = -1 if limit.rising else 1
+    value, sign = float(_printed(value)), -1 if limit.rising else 1
     if sign * value <= sign * limit.good:
         return "good"
     return "fair" if sign * value <= sign * limit.fair else "poor"
@@ -153,4 +154,14 @@ def shown(check: dict[str, Any]) -> str:
     """A check's figure with its unit."""
     if check["value"] is None:
         return "not known"
-    return f"{check['value']:.3g} {check['unit']}".replace(" °", "°").strip()
+    return f"{_printed(check['value'])} {check['unit']}".replace(" °", "°").strip()
+
+
+def _printed(value: float) -> str:
+    return f"{value:.3g}"
+
+
+def limit_in_words(check: Mapping[str, Any], level: str) -> str:
+    """A check's limit of good or fair, such as "≤ 5"; any figure is within an endless one."""
+    side = "≥" if check["rising"] else "≤"
+    return f"{side} {check[level]:g}" if math.isfinite(check[level]) else "any"

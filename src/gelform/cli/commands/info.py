@@ -385,8 +385,10 @@ def _scale(facts: Facts) -> str:
 def _noise(sigma: Facts | None) -> str:
     if not sigma:
         return "not known"
-    steepest = f"{sigma['sigmas'][-1]:.3f} at a slope of {sigma['slopes'][-1]:.2f}"
-    return f"{sigma['rest']:.3f} at rest, {sigma['sigmas'][0]:.3f} at a slope of {sigma['slopes'][0]:.2f}, {steepest}"
+    # The figures by slope, which --json has, are factors where the color model has a step.
+    camera = " without the camera's noise" if sigma["rest_per_noise"] else ""
+    rest, contact = sigma["rest"], sigma["full_confidence_sigma"]
+    return f"{rest:.2g} mm/mm at rest{camera}, at most {contact:.2g} mm/mm in 95 % of a contact"
 
 
 def _said(value: Any) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import os
 import shutil
 import tempfile
@@ -18,6 +17,7 @@ from gelform.errors import DataError
 from gelform.foundations.checks import check_image
 from gelform.foundations.npz_files import locked_folder, sweep
 from gelform.foundations.pictures import picture_bytes
+from gelform.foundations.tables import table_text
 
 
 @contextmanager
@@ -68,10 +68,8 @@ def write_sensor_toml(path: Path, name: str, mm_per_px: float, serial: str = "")
 
 def write_csv(path: Path, rows: Sequence[Mapping[str, str]]) -> None:
     """Write rows with equal keys, which become the header."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, fieldnames=list(rows[0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
+    text = table_text([list(rows[0]), *(row.values() for row in rows)])
+    path.write_text(text, encoding="utf-8", newline="")
 
 
 def write_png(path: Path, image: ArrayLike, shape: tuple[int, int] | None = None) -> None:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import pickletools
+import re
+from collections import Counter
 from collections.abc import Mapping
 from itertools import pairwise
 from os import PathLike
@@ -21,6 +24,11 @@ from gelform.slopes.color_models._shared.layers import Layers
 WEB_SIZES = (5, 64, 64, 64, 2)  # of the layers of gsrobotics' browser port
 LAYERS = 4  # of each package's network
 UNITS = {"gs_sdk": (32, 128), "gsrobotics": (64,)}  # of the first layer; 128 in gs_sdk's older networks
+# All that a pickle of weights names; and how it writes the size of a storage.
+_NAMES = re.compile(
+    r"collections OrderedDict|torch\._utils _rebuild_(tensor_v2|parameter)|torch [A-Z][A-Za-z0-9]*Storage"
+)
+_NUMBERS = ("BININT", "BININT1", "BININT2", "LONG1")
 MAX_BYTES = 4 * 2**20  # of all members of a file: 100 times these networks
 
 
@@ -124,7 +132,6 @@ def _state_dict(path: Path) -> dict[str, Any]:
     Only what `torch.save` has written since version 1.6, a zip: for older files the guard `weights_only` has a hole
     before torch 2.6 (CVE-2025-32434). Programs of TorchScript have the member `constants.pkl`.
     """
-    torch = needed("torch", "torch", "A network saved by torch")
     with open(path, "rb") as file:
         start = file.read(4)
     if start[:1] == b"\x80":
@@ -135,11 +142,13 @@ def _state_dict(path: Path) -> dict[str, Any]:
         )
     try:
         with ZipFile(path) as archive:
-            members = {name.split("/")[-1] for name in archive.namelist()}
+            members = Counter(name.split("/")[-1] for name in archive.namelist())
             declared = sum(member.file_size for member in archive.infolist())
+            pickles = [name for name in archive.namelist() if name.split("/")[-1] == "data.pkl"]
+            pickled = archive.read(pickles[0]) if len(pickles) == 1 and declared <= MAX_BYTES else b""
     except (OSError, *DAMAGED_ARCHIVE) as problem:
         raise DataError(f"{path} is truncated or damaged: {said(problem)}. Copy it again.") from problem
-    if start != b"PK\x03\x04" or "data.pkl" not in members or "constants.pkl" in members:
+    if start != b"PK\x03\x04" or members["data.pkl"] != 1 or members["constants.pkl"]:
         raise DataError(f"Expected weights of torch.save, a zip with data.pkl in it, got {path}.")
     if declared > MAX_BYTES:
         raise DataError(
@@ -147,6 +156,8 @@ def _state_dict(path: Path) -> dict[str, Any]:
             f"{MAX_BYTES >> 20} MB. It is damaged or another network."
         )
     try:
+        _check_pickle(pickled)
+        torch = needed("torch", "torch", "A network saved by torch")
         content = torch.load(path, map_location="cpu", weights_only=True)
     except UnpicklingError as problem:
         raise DataError(
@@ -154,11 +165,39 @@ def _state_dict(path: Path) -> dict[str, Any]:
             "code. If you trust it, load it with its own package and save its weights alone: "
             "torch.save(model.state_dict(), new)."
         ) from problem
+    except DataError:
+        raise
     except Exception as problem:  # torch names no classes for what is damaged
         raise DataError(f"{path} is truncated or damaged: {said(problem)}. Copy it again.") from problem
     content = content.get("state_dict", content) if isinstance(content, dict) else None
     kept = content.items() if isinstance(content, dict) else ()
     return {str(name): one.detach() for name, one in kept if isinstance(one, torch.Tensor) and _is_plain(one)}
+
+
+def _check_pickle(content: bytes) -> None:
+    """Refuse (UnpicklingError) what takes more time or memory than its length; ValueError if it is no pickle.
+
+    torch makes storages as large as they say, and `weights_only` lets a pickle repeat what it holds, which doubles it with
+    each line.
+    """
+    said: list[tuple[str, Any]] = []  # the operations so far, without those that only remember
+    kinds: dict[Any, str] = {}  # of what is remembered
+    numbers = 0
+    for operation, argument, _ in pickletools.genops(content):
+        name = operation.name
+        if name.endswith("BINPUT"):
+            kinds[argument] = said[-1][0]
+            continue
+        if name.endswith("BINGET") and kinds.get(argument, "") not in ("GLOBAL", "BINUNICODE"):
+            raise UnpicklingError("something repeated")
+        if name == "GLOBAL" and not _NAMES.fullmatch(str(argument)):
+            raise UnpicklingError(f"the name {argument}")
+        if name == "BINPERSID":
+            (of_count, count), (of_storage, _) = said[-2:]
+            numbers += count if of_count in _NUMBERS and of_storage == "TUPLE" else MAX_BYTES + 1
+        if not 0 <= numbers <= MAX_BYTES:
+            raise UnpicklingError("a storage larger than the file")
+        said.append((name, argument))
 
 
 def _is_plain(tensor: Any) -> bool:

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 from gelform.image.frame import Frame
 from gelform.sensors.grabber import Grabber
-from gelform.sensors.source import Source, open_source
+from gelform.sensors.source import Source, checked_frame, open_source
 
 WAKE_S = 0.2  # s, longest wait for a frame before a request to stop is checked
 PAUSED_S = 0.05  # s between checks whether the pause is over
@@ -109,7 +109,8 @@ class EveryFrame:
         frame = next(self._frames, None)
         if frame is None:
             self.state, self.reason = "ended", "the source has no more frames"
-        return frame
+            return None
+        return checked_frame(frame, after_index, self.camera.name)
 
     def close(self) -> None:
         self.camera.close()
