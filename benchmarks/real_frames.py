@@ -5,7 +5,7 @@
     python benchmarks/real_frames.py --pages               # writes the recorded figures into README and docs
     python benchmarks/real_frames.py --sets mini-ball,mini-d --cache /tmp/calibrations exposure
 
-`contacts`, `rest`, `exposure` and `light` use each set's own calibration on all its presses; `balls` judges held-out presses.
+`contacts`, `rest`, `exposure` and `light` use each set's own calibration on all its presses; `balls` judges held-out ones.
 The data are read from GELFORM_DATA (default ../shared/data); without it only `simulated` runs. A cached calibration is used
 again while the sources that calibrations follow from stay the same. Figures of some sets alone are not written.
 """
