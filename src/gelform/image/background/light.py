@@ -35,6 +35,7 @@ WIDENED = np.array([8.0, 4, 2, 1, 1, 1, 1, 1])  # of the deviation at rest in ea
 LEAST_REST = 0.004  # a block's logarithm at rest never agrees better
 STAYS = np.ones(2)  # rounds of the screen, which only learns the deviation at rest
 SCREEN = 8.0  # nats that a tilt and room light have to promise before they are fitted
+LEAST_OF_ROOM = 0.2  # of the channel that a room lights most; on a GelSlim, a shadow in red alone looks like room light
 # Standard deviations of the prior that a tilt or room light may have: a mirrored image of four sensors needs 2.4 or more.
 MOST = 2.0
 PRIOR = np.array([LIGHT_SIGMAS[0], LIGHT_SIGMAS[1], LIGHT_SIGMAS[1], ROOM_SIGMA]) ** -2.0
@@ -102,6 +103,12 @@ class _Fit(NamedTuple):
     evidence: float
     rest_sigma: float
 
+    @property
+    def has_room(self) -> bool:
+        """Whether the light that is added can be a room's: it reaches all channels, with one sign."""
+        room = self.values[:, 3] * np.sign(self.values[:, 3].sum())
+        return bool(room.min() > LEAST_OF_ROOM * room.max())
+
 
 GAIN, WITH_ROOM, TILTED, BOTH = (
     np.array([True, tilted, tilted, room]) for tilted in (False, True) for room in (False, True)
@@ -122,10 +129,8 @@ def light_from_blocks(blocks: NDArray[np.float32], untouched: NDArray[np.float32
     plain, lit = _start(exposure), _start(at_room, room)
     sigma = seen.fit(BOTH, lit, None).rest_sigma
     gain = seen.fit(GAIN, plain, sigma)
-    best = max(
-        (seen.fit(*one, sigma) for one in ((WITH_ROOM, lit), (TILTED, plain), (BOTH, lit))),
-        key=lambda one: one.evidence,
-    )
+    fits = [seen.fit(*one, sigma) for one in ((TILTED, plain), (WITH_ROOM, lit), (BOTH, lit))]
+    best = max(fits[:1] + [one for one in fits[1:] if one.has_room], key=lambda one: one.evidence)
     usual = (np.abs(best.values[:, 1:]) <= MOST * PRIOR[1:] ** -0.5).all()
     if best.evidence - gain.evidence <= MARGIN or not usual:
         return FrameLight(exposure)
