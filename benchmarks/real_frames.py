@@ -1,11 +1,11 @@
-"""Real frames that are not the ball of the calibration, beside the balls: contacts, edges, exposure, torn frames.
+"""Real frames that are not the ball of the calibration, beside the balls: contacts, edges, light, torn frames.
 
     python benchmarks/real_frames.py                       # all; writes results/real_frames.json after each part
     python benchmarks/real_frames.py contacts rest --quick # every sixth frame, and nothing is written
     python benchmarks/real_frames.py --pages               # writes the recorded figures into README and docs
     python benchmarks/real_frames.py --sets mini-ball,mini-d --cache /tmp/calibrations exposure
 
-`contacts`, `rest` and `exposure` use each set's own calibration on all its presses; `balls` judges held-out presses.
+`contacts`, `rest`, `exposure` and `light` use each set's own calibration on all its presses; `balls` judges held-out ones.
 The data are read from GELFORM_DATA (default ../shared/data); without it only `simulated` runs. A cached calibration is used
 again while the sources that calibrations follow from stay the same. Figures of some sets alone are not written.
 """
@@ -22,6 +22,7 @@ from real_frames.beyond import beyond
 from real_frames.contacts import contacts, rest
 from real_frames.edges import edges
 from real_frames.faults import exposure, orientation, tears
+from real_frames.light import light
 from real_frames.page import fill_pages
 from real_frames.sets import SETS, Run
 from real_frames.simulated import simulated
@@ -35,6 +36,7 @@ PARTS: dict[str, Any] = {
     "edges": edges,
     "beyond": beyond,
     "exposure": exposure,
+    "light": light,
     "orientation": orientation,
     "tears": tears,
 }

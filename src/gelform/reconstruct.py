@@ -25,7 +25,7 @@ from gelform.foundations.findings import Finding
 from gelform.foundations.pool import Pool, keep_freed_memory
 from gelform.image.background.change import PreparedBackground
 from gelform.image.background.check import background_digest, check_own_background, check_viewed_image
-from gelform.image.background.exposure import Exposure
+from gelform.image.background.light import FrameLight
 from gelform.image.background.untouched import reference_from_color_change
 from gelform.image.frame import Frame, as_levels, whole_levels
 from gelform.image.health import DepthLimit, FrameFaults, FrameHealth, check_untouched_image
@@ -72,7 +72,7 @@ class SeenImage(NamedTuple):
     hidden: NDArray[np.bool_] | None
     clipped: Clipped
     unseen: NDArray[np.bool_] | None
-    exposure: Exposure
+    light: FrameLight
     drifted: tuple[Finding, ...]
 
 
@@ -387,16 +387,16 @@ class Reconstructor:
         markers = self.markers.hidden(image, flow)
         if markers is not None:
             image = today.untouched_image.bridged(image, markers)
-        exposure, drifted = today.untouched_image.compare(image)
+        light, drifted = today.untouched_image.compare(image)
         hidden = faults.hidden(markers)
         clipped = today.clipped(as_levels(image), hidden)
         unseen = either(hidden, clipped.unseen)
-        return SeenImage(raw, image, faults, flow, markers, hidden, clipped, unseen, exposure, drifted)
+        return SeenImage(raw, image, faults, flow, markers, hidden, clipped, unseen, light, drifted)
 
     def _observed(self, seen: SeenImage, change: NDArray[np.float32]) -> ObservedSlopes:
         """The slopes that an image's colors mean; writes its color change to `change`."""
         fixed, today = self._calibrated, self._today
-        pending = today.untouched_image.pending(seen.image, seen.exposure)
+        pending = today.untouched_image.pending(seen.image, seen.light)
         direct, model_sigma = gradients_from_pending(today.model, pending, out=change)
         step = fixed.stepped(change, direct, seen.unseen, seen.clipped.channels)
         gradients, variance = (direct, None) if step is None else (step.gradients, step.variance)
@@ -404,8 +404,9 @@ class Reconstructor:
             change, gradients, self.calibration.untouched_change, seen.hidden
         )
         at_rest, sigma = today.sigma(change, gradients, reference, seen.hidden, variance)
-        if seen.exposure.gain_sigma:  # an unknown gain changes all colors alike, by nearly as much as itself
-            np.hypot(sigma, np.float32(seen.exposure.gain_sigma * fixed.slope_per_change), out=sigma)
+        for unsure in (seen.light.exposure.gain_sigma, today.untouched_image.light_sigma(seen.light)):
+            if unsure is not None and np.any(unsure):
+                np.hypot(sigma, np.float32(fixed.slope_per_change) * np.float32(unsure), out=sigma)
         return ObservedSlopes(gradients, sigma, model_sigma, at_rest, step, reference.findings)
 
     def _believed(

@@ -100,3 +100,15 @@ def test_what_is_not_known_is_no_zero_in_a_notebook(result):
 def thumbnail(html):
     content = base64.b64decode(html.partition("base64,")[2].partition("'")[0])
     return cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
+
+
+def test_an_unknown_pixel_is_no_peak(result):
+    """Room light at the border can make the deepest pixel one that nobody knows."""
+    depth = result.depth.copy()
+    depth[0, 0] = 3.77
+    known = np.ones(result.shape, dtype=bool)
+    known[0, 0] = False
+    hidden = replace(result, depth=depth, known=known)
+    assert hidden.peak_mm == result.depth_mm.ravel()[1:].max()
+    assert "3.77" not in repr(hidden)
+    assert np.isnan(replace(hidden, known=np.zeros_like(known)).peak_mm)

@@ -187,8 +187,10 @@ class Reconstruction:
 
     @property
     def peak_mm(self) -> float:
-        """The largest depth, mm."""
-        return float(self.depth_mm.max())
+        """The largest depth of the known pixels, mm; NaN if none is known."""
+        return (
+            float(self.depth_mm.max(where=self.known, initial=-np.inf)) if self.known.any() else float("nan")
+        )
 
     def __repr__(self) -> str:
         figures = ", ".join(f"{name}: {value}" for name, value in self._figures().items())
@@ -202,7 +204,8 @@ class Reconstruction:
 
     def _figures(self) -> dict[str, str]:
         height, width = self.shape
-        low, high, touched = self.depth.min(), self.depth.max(), int(np.count_nonzero(self.contact))
+        known = self.depth[self.known] if self.known.any() else self.depth
+        low, high, touched = known.min(), known.max(), int(np.count_nonzero(self.contact))
         if self.mm_per_px is None:
             size, depth = "scale unknown", f"{low:.2f} to {high:.2f} px"
             contacts = _counted(touched, "px", len(self.contacts))
@@ -210,11 +213,10 @@ class Reconstruction:
             x, y = check_mm_per_px(self.mm_per_px)
             size, depth = f"{height * y:.1f}x{width * x:.1f} mm", f"{low:.3f} to {high:.3f} mm"
             contacts = _counted(round(touched * x * y, 1), "mm^2", len(self.contacts))
-        known = bool(self.known.any())
         return {
             "height x width": f"{height}x{width} px, {size}",
-            "depth": depth if known else "unknown",
-            "contacts": contacts if known else "unknown",
+            "depth": depth if self.known.any() else "unknown",
+            "contacts": contacts if self.known.any() else "unknown",
             **({} if self.markers is None else {"markers": self.markers.in_words()}),
             "zero": self.zero,
             "solver": self.solver,

@@ -9,7 +9,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from gelform.foundations.filters import blur_taps
-from gelform.image.background.change import ChangeSettings, gain_from_background, light_from_image
+from gelform.image.background.change import ChangeSettings, gain_from_background, linear_light
 from gelform.image.background.exposure import FULL_SHARE, HALF_WIDTHS_LOG, MIN_SHARE, block_means
 from gelform.image.frame import BRIGHT, DARK
 from gelform.torch.maps import block_shares, planes
@@ -32,7 +32,7 @@ class ColorChange(nn.Module):
         taps = blur_taps(settings.blur_px)
         self.settings = settings
         self.shape = background.shape[:2]
-        self.register_buffer("untouched", planes(light_from_image(background, settings)))
+        self.register_buffer("untouched", planes(linear_light(background, settings)))
         self.register_buffer("gain", planes(gain_from_background(background, settings)))
         self.taps = taps.tolist()  # from the middle outwards
         self.register_buffer("blocks", planes(block_means(background)))

@@ -267,8 +267,10 @@ def test_slopes_are_less_sure_where_too_few_pixels_tell_the_exposure(calibration
     """Light that changes everywhere: 5 % of exposure are not known, and each slope may be wrong by what they do."""
     press = simulated.presses[0].image
     y, x = (np.linspace(-1, 1, n) for n in press.shape[:2])
-    tilt = x[None, :, None] * np.array([1, -0.7, 0.8]) + y[:, None, None] * np.array([-0.6, 1, -0.9])
-    uneven = np.clip(np.rint(press * (1 + 0.15 * tilt)), 0, 255).astype(np.uint8)
+    waves = np.sin(
+        5 * x[None, :, None] * np.array([1, -0.7, 0.8]) + 6 * y[:, None, None] * np.array([-0.6, 1, -0.9])
+    )
+    uneven = np.clip(np.rint(press * (1 + 0.2 * waves)), 0, 255).astype(np.uint8)
     reconstruct = gelform.Reconstructor(calibration)
     plain, unsure = (reconstruct(image) for image in (press, uneven))
     expected = 0.05 * calibration.forward.slope_per_change

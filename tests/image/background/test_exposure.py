@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from gelform.image.background import exposure
 from gelform.image.background.change import ChangeSettings, PreparedBackground
 from gelform.image.background.exposure import Exposure, exposure_from_image
+from gelform.image.background.light import FrameLight
 from gelform.sensors.files import read_image
 from gelform.simulate import Ball, simulate_background, simulate_press
 from kernel_agreement import assert_kernel_agrees
@@ -65,7 +66,7 @@ def test_too_little_untouched_is_said_and_compensates_nothing(rest):
     np.testing.assert_array_equal(seen.believed_gain, 1)
     assert seen.gain_sigma == 0.05
     bare = PreparedBackground(rest, ChangeSettings())
-    np.testing.assert_array_equal(bare.change(rest, seen), bare.change(rest))
+    np.testing.assert_array_equal(bare.change(rest, FrameLight(seen)), bare.change(rest))
 
 
 def test_belief_grows_without_a_jump_and_doubt_falls_with_it():

@@ -16,7 +16,7 @@ from gelform.errors import CalibrationError
 from gelform.foundations.progress import Progress, no_progress
 from gelform.image.background.change import ChangeSettings, PreparedBackground
 from gelform.image.background.check import check_background_of_frames
-from gelform.image.background.exposure import Exposure
+from gelform.image.background.light import FrameLight
 from gelform.image.markers import MarkerFinder
 from gelform.slopes.color_models import COLOR_MODELS, PLAIN_MODEL
 
@@ -39,8 +39,8 @@ class ColorChanges:
         CalibrationError
             The background is not of this image.
         """
-        exposure, _ = self._rest.compare(image)
-        return change_without_markers(image, self._rest, exposure, self._finder)
+        light, _ = self._rest.compare(image)
+        return change_without_markers(image, self._rest, light, self._finder)
 
 
 def change_settings(presses: Presses, offset: float = USUAL_OFFSET) -> ChangeSettings:
@@ -107,14 +107,14 @@ def find_contacts(prepared: list[PreparedPress], *, progress: Progress = no_prog
 
 
 def change_without_markers(
-    image: NDArray[Any], rest: PreparedBackground, exposure: Exposure | None, finder: MarkerFinder
+    image: NDArray[Any], rest: PreparedBackground, light: FrameLight | None, finder: MarkerFinder
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_] | None]:
     """The color change (H, W, 3) of an image, smooth across markers, and the pixels on no marker of either image.
 
-    The second is None on a gel without markers. `exposure` is the one from `rest.compare(image)`, to be compensated, or
+    The second is None on a gel without markers. `light` is the one from `rest.compare(image)`, to be compensated, or
     None.
     """
     if not len(finder.untouched):
-        return rest.change(image, exposure), None
+        return rest.change(image, light), None
     hidden = finder.untouched.mask | finder(image).mask
-    return rest.change(rest.bridged(image, hidden), exposure), ~hidden
+    return rest.change(rest.bridged(image, hidden), light), ~hidden

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gelform.errors import DataError
 from gelform.foundations.checks import check_image, check_list
-from gelform.image.background.change import ChangeSettings, light_from_image
+from gelform.image.background.change import ChangeSettings, linear_light
 from gelform.image.frame import BRIGHT
 
 NAMES = ("red", "green", "blue")
@@ -76,9 +76,9 @@ def crosstalk_from_frames(
     linear = ChangeSettings(response=response)
     first = check_image(frames[0], name="LED frame")
     images = [check_image(frame, shape=first.shape[:2], name="LED frame") for frame in frames]
-    light = [light_from_image(image, linear).astype(np.float64) for image in images]
+    light = [linear_light(image, linear).astype(np.float64) for image in images]
     if dark is not None:
-        unlit = light_from_image(check_image(dark, shape=first.shape[:2], name="dark frame"), linear)
+        unlit = linear_light(check_image(dark, shape=first.shape[:2], name="dark frame"), linear)
         light = [one - unlit for one in light]
     columns = [_column(light[k], images[k], k) for k in range(3)]
     matrix, spread = (np.stack([column[i] for column in columns], axis=1) for i in (0, 1))

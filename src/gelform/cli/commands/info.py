@@ -141,13 +141,13 @@ def _result(path: Path) -> dict[str, Any]:
 
     result = load_result(path)
     unit = "depth_mm" if result.mm_per_px is not None else "depth_px"
-    depth = getattr(result, unit)
+    depth = getattr(result, unit)[result.known]
     return {
         "kind": "result",
         "size_px": list(result.shape),
         "mm_per_px": result.mm_per_px,
         "mm_per_px_sigma": result.mm_per_px_sigma,
-        unit: [round(float(depth.min()), 4), round(float(depth.max()), 4)],
+        unit: [round(float(depth.min()), 4), round(float(depth.max()), 4)] if depth.size else None,
         "contact_px": int(result.contact.sum()),
         "contacts": [asdict(contact) for contact in result.contacts],
         "roughness": _roughness(result),

@@ -265,7 +265,7 @@ def _peak(result: Reconstruction) -> dict[str, Any]:
     """Deepest point and contact area, in mm, or in pixels if the scale is unknown; None if no depth is known."""
     known = bool(result.known.any())
     if result.mm_per_px is None:
-        return {"peak_px": float(result.depth_px.max()) if known else None}
+        return {"peak_px": float(result.depth_px[result.known].max()) if known else None}
     if not known:
         return {"peak_mm": None, "contact_mm2": None}
     from gelform.foundations.checks import check_mm_per_px

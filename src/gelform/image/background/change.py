@@ -15,7 +15,8 @@ from gelform.foundations.fill import fill_unknown
 from gelform.foundations.filters import CHANGE_OFFSET, LANES, blur_taps
 from gelform.foundations.findings import Finding
 from gelform.image.background.check import compared
-from gelform.image.background.exposure import Exposure, block_means
+from gelform.image.background.exposure import block_means
+from gelform.image.background.light import FrameLight
 
 MAX_CONDITION = 30.0  # of a crosstalk matrix; with a larger one, two channels count as one
 MAX_OFFSET, MAX_BLUR_PX = 1e4, 100.0  # gray levels and px, the largest values that a file may have
@@ -75,7 +76,7 @@ def _checked_crosstalk(crosstalk: Any) -> Matrix:
     return tuple(tuple(float(value) for value in row) for row in matrix)
 
 
-def light_from_image(image: NDArray[Any], settings: ChangeSettings) -> NDArray[Any]:
+def linear_light(image: NDArray[Any], settings: ChangeSettings) -> NDArray[Any]:
     """The image without response curve and crosstalk, (H, W, 3) float32; the image itself if it has neither.
 
     Linear light keeps the scale of 0-255; the inverse of a crosstalk matrix can make it a little negative.
@@ -100,7 +101,7 @@ def gain_from_background(background: ArrayLike, settings: ChangeSettings) -> NDA
     reference = check_image(background, name="background").astype(np.float32)
     if settings.method == "subtract":
         return np.full(reference.shape, 1 / 255, dtype=np.float32)
-    divisor = light_from_image(reference, settings) + np.float32(settings.offset)
+    divisor = linear_light(reference, settings) + np.float32(settings.offset)
     return np.divide(1, divisor, out=np.zeros_like(divisor), where=divisor > 0)
 
 
@@ -141,13 +142,13 @@ class PreparedBackground:
     def __init__(self, background: ArrayLike, settings: ChangeSettings) -> None:
         self.settings = settings
         self.background = check_image(background, name="background").astype(np.float32)
-        self._light = light_from_image(self.background, settings)
+        self._light = linear_light(self.background, settings)
         self._gain = gain_from_background(self.background, settings)
         self._taps = blur_taps(settings.blur_px)
         self._blocks = block_means(self.background)
 
-    def compare(self, image: NDArray[Any]) -> tuple[Exposure, tuple[Finding, ...]]:
-        """Compare the frame's brightness with the background's; return the exposure and findings.
+    def compare(self, image: NDArray[Any]) -> tuple[FrameLight, tuple[Finding, ...]]:
+        """Compare the frame's light with the background's; return it and findings.
 
         CalibrationError: as `check_background`.
         """
@@ -167,17 +168,28 @@ class PreparedBackground:
         bridged[hidden] = np.rint(levels) if np.issubdtype(image.dtype, np.integer) else levels
         return bridged
 
-    def change(self, image: NDArray[Any], exposure: Exposure | None = None) -> NDArray[np.float32]:
-        """Color change (H, W, 3) float32; with `exposure`, of the image under today's exposure.
+    def change(self, image: NDArray[Any], light: FrameLight | None = None) -> NDArray[np.float32]:
+        """Color change (H, W, 3) float32; with `light`, of the image under the background's light.
 
-        It compensates the exposure's `believed_gain`.
+        It removes room light and tilt, and compensates the exposure's `believed_gain`.
         """
-        return self.pending(image, exposure).write(np.empty(self._light.shape, dtype=np.float32))
+        return self.pending(image, light).write(np.empty(self._light.shape, dtype=np.float32))
 
-    def pending(self, image: NDArray[Any], exposure: Exposure | None = None) -> PendingChange:
+    def light_sigma(self, light: FrameLight) -> NDArray[np.float32] | None:
+        """Standard deviation (H, W) of the color change from what is unsure of a frame's light; None if that is nothing."""
+        sigma = light.change_sigma(self._blocks)
+        if sigma is None:
+            return None
+        size = self._light.shape[1::-1]
+        return np.asarray(cv2.resize(sigma, size, interpolation=cv2.INTER_LINEAR), dtype=np.float32)
+
+    def pending(self, image: NDArray[Any], of_frame: FrameLight | None = None) -> PendingChange:
         """The work of `change` that precedes the pass over the pixels."""
-        light = light_from_image(image, self.settings)
-        gain = np.ones(3) if exposure is None else exposure.believed_gain ** (-1 / self.settings.response)
+        gain = np.ones(3)
+        if of_frame is not None:
+            image = image if of_frame.is_plain else of_frame.undone(image)
+            gain = of_frame.exposure.believed_gain ** (-1 / self.settings.response)
+        light = linear_light(image, self.settings)
         if self.settings.crosstalk is not None and np.ptp(gain) > 0:
             # gains belong to the camera's channels, so they act before the crosstalk is removed
             matrix = np.asarray(self.settings.crosstalk)
@@ -242,7 +254,7 @@ def image_from_color_change(
             f"Expected color_change of the background's shape {untouched.shape}, got {change.shape}."
         )
     gain = gain_from_background(untouched, settings)
-    light = light_from_image(untouched, settings) + change / gain
+    light = linear_light(untouched, settings) + change / gain
     if settings.crosstalk is not None:
         light = cv2.transform(light, np.asarray(settings.crosstalk))
     light = np.clip(light, 0, 255)

@@ -14,6 +14,7 @@ from gelform.errors import CalibrationError
 from gelform.foundations.checks import check_image
 from gelform.foundations.findings import Finding
 from gelform.image.background.exposure import Exposure, block_means, exposure_from_blocks
+from gelform.image.background.light import FrameLight, light_from_blocks
 from gelform.image.background.orientation import (
     UNLIKE,
     Orientation,
@@ -67,7 +68,8 @@ def check_own_background(background: NDArray[Any], calibrated: NDArray[Any]) -> 
     message has the figure.
     """
     today, untouched = block_means(background), block_means(calibrated)
-    exposure, _ = compared(today, untouched)
+    compared(today, untouched)
+    exposure = exposure_from_blocks(today, untouched)
     differs = exposure.middle_change
     if np.isfinite(differs) and differs > PATTERN_REFUSE:
         raise CalibrationError(
@@ -153,14 +155,19 @@ def background_digest(background: NDArray[Any]) -> str:
 
 def compared(
     image: NDArray[np.float32], untouched: NDArray[np.float32]
-) -> tuple[Exposure, tuple[Finding, ...]]:
-    """Exposure and findings of an image compared with the background image, both from `block_means`."""
-    exposure = exposure_from_blocks(image, untouched)
+) -> tuple[FrameLight, tuple[Finding, ...]]:
+    """Light and findings of an image compared with the background image, both from `block_means`."""
+    light = light_from_blocks(image, untouched)
+    exposure = light.exposure
     if exposure.least_change > UNLIKE:
         _refuse_gray(image, untouched)
         check_upright(orientation_from_blocks(image, untouched))
-    _refuse_unlike(exposure.gain, _correlation(image, untouched, exposure.gain))
-    return exposure, (*_exposure_findings(exposure), *_pattern_findings(exposure))
+    _refuse_unlike(exposure.gain, _correlation(light.undone(image), untouched, exposure.gain))
+    if (
+        light.tilt is not None and light.tilt.any()
+    ):  # the light of another unit of the make is not far from a tilt
+        exposure = exposure_from_blocks(image, untouched)
+    return light, (*_light_findings(light), *_pattern_findings(exposure))
 
 
 def check_viewed_image(
@@ -221,6 +228,23 @@ def _refuse_unlike(gain: NDArray[np.float64] | None, correlation: float | None) 
             f"The background is not of this image: the two correlate by {correlation:.2f} on pixels at rest "
             f"(expected {CORRELATION_REFUSE} or more). Is it of another sensor, or shifted?"
         )
+
+
+def _light_findings(light: FrameLight) -> tuple[Finding, ...]:
+    findings = _exposure_findings(light.exposure)
+    room, tilt = (
+        0.0 if of is None else float(of.flat[np.abs(of).argmax()]) for of in (light.room, light.tilt)
+    )
+    if room:
+        message = f"Room light changes the colors by up to {room:+.0f} gray levels. gelform removes it."
+        findings += (Finding("room_light", message, room),)
+    if tilt:
+        message = (
+            f"The light is tilted by up to {100 * abs(tilt):.0f} % between the middle and a border, as if a lamp had moved. "
+            "gelform compensates it."
+        )
+        findings += (Finding("tilted_light", message, abs(tilt)),)
+    return findings
 
 
 def _exposure_findings(exposure: Exposure) -> tuple[Finding, ...]:

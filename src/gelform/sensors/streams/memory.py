@@ -155,7 +155,9 @@ class Memory:
     def remembered(self, image: NDArray[Any], result: Reconstruction) -> Reconstruction:
         """The result with the findings and the smoothing of the sequence."""
         frozen = self._frozen(image, result.time_s or 0.0)
-        result = replace(result, health=(*result.health, *frozen, *self._findings))
+        own = {finding.name for finding in result.health}
+        standing = [finding for finding in self._findings if finding.name not in own]
+        result = replace(result, health=(*result.health, *frozen, *standing))
         if frozen:
             return _unknown_by_now(self.reconstruct, result)
         return result if self._smoothing is None else self._smoothing(result)

@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 
 from gelform.calibration_file import Calibration
 from gelform.foundations.findings import Finding
+from gelform.image.background.exposure import block_means
+from gelform.image.background.light import light_from_blocks
 from gelform.sensors import settings_mismatch
 from gelform.sensors.grabber import Grabber
 from gelform.sensors.source import Source
 from gelform.sensors.streams.background_drift import DriftEvidence
 from gelform.sensors.streams.marks import Marks
 from gelform.sensors.streams.same_gel import SameGel
-from gelform.sensors.streams.smooth_light import FIT_ROUNDS, tukey_weights
 
 FROZEN = "frozen"
 FROZEN_S, FROZEN_FRAMES = 0.25, 3  # s and frames: videos repeat some frames; noise makes all others differ
@@ -24,9 +25,6 @@ ROWS_APART = 16  # px between the rows of a first check for equal images
 BRIGHTER = 0.08  # log of the gain of all channels: slopes stay good, but something changed
 COLORED = 0.03  # log of one channel's gain relative to the others
 OUTSIDE_LEVELS = 3.0  # gray levels added to all channels
-LEAST_PIXELS = 2_000  # pixels without contact that the search for light from outside needs
-STEP_PX = 3  # px: every third row and column is used
-LEAST_NOISE = 1e-3  # gray levels
 
 
 class CameraCheck:
@@ -117,43 +115,23 @@ def light_findings(gains: NDArray[np.float64]) -> tuple[Finding, ...]:
 def room_light_finding(evidence: DriftEvidence) -> tuple[Finding, ...]:
     """Find `room_light`: light added to all channels; figure: gray levels.
 
-    The sensor's own light multiplies the background image. Light from outside is added to it, in dark places too. Both are
-    fitted robustly to the pixels at rest, channel by channel: now = gain start + added.
+    The sensor's own light multiplies the background image. Light from outside is added to it, in dark places too.
     """
-    every = np.s_[::STEP_PX, ::STEP_PX]
-    free = ~evidence.contact[every]
-    if np.count_nonzero(free) * STEP_PX**2 < LEAST_PIXELS:
+    now, start = (
+        block_means(np.where(evidence.contact[..., None], np.float32(0), image))
+        for image in (evidence.image, evidence.start)
+    )
+    light = light_from_blocks(now, start)
+    if light.room is None or light.covariance is None:
         return ()
-    now, start = evidence.image[every][free], evidence.start[every][free]
-    added = np.array([_added(now[:, c], start[:, c]) for c in range(3)])
-    least = float(added.min())
+    least = float(np.min(light.room - 3 * np.sqrt(light.covariance[:, 3, 3])))
     if least < OUTSIDE_LEVELS:
         return ()
     message = (
-        f"Light from outside adds {least:.0f} gray levels in every channel. Slopes are too flat by about "
-        f"{100 * least / float(evidence.start.mean()):.0f} %. Shade the gel."
+        f"Light from outside adds at least {least:.0f} gray levels in every channel. gelform removes most of it. Shade the "
+        "gel."
     )
     return (Finding("room_light", message, least),)
-
-
-def _added(now: NDArray[np.float32], start: NDArray[np.float32]) -> float:
-    """The constant of the robust line through (start, now), minus three standard deviations; 0 if unknown."""
-    x = start.astype(np.float64) - float(start.mean())
-    weights = np.ones_like(x)
-    for _ in range(FIT_ROUNDS + 1):
-        total = float(weights.sum())
-        middle = float((weights * x).sum()) / total
-        spread = float((weights * np.square(x - middle)).sum())
-        if spread < 1e-6 * len(x):
-            return 0.0
-        level = float((weights * now).sum()) / total
-        slope = float((weights * (x - middle) * (now - level)).sum()) / spread
-        off = now - level - slope * (x - middle)
-        noise, weights = tukey_weights(off, LEAST_NOISE)
-    at_zero = -float(start.mean()) - middle
-    independent = max(total / 50, 1.0)  # the errors of neighbors are correlated
-    sigma = noise * np.sqrt(1 / independent + at_zero**2 / (spread / total * independent))
-    return float(level + slope * at_zero - 3 * sigma)
 
 
 class Examination:
