@@ -18,7 +18,7 @@ from real_frames.simulated import FRAMES, PAIRS
 from report import table
 
 ROOT = Path(__file__).parents[2]
-PAGES = ("README.md", "docs/accuracy.md", "docs/background.md", "docs/limits.md")
+PAGES = ("README.md", "docs/accuracy.md", "docs/limits.md")
 BLOCK = re.compile(r"(<!-- real_frames: (\w+) -->\n)(.*?)(?=<!-- real_frames end -->)", re.DOTALL)
 WIDTH = 150  # characters of a line of a page
 NAMES = {
@@ -83,22 +83,6 @@ def sensors(figures: Figures) -> str:
 
 def _mean(of_splits: Sequence[Figures], key: str, form: str) -> str:
     return form.format(sum(one[key] for one in of_splits) / len(of_splits))
-
-
-def light(figures: Figures) -> str:
-    """How far presses in another light move the depth: median and 90 % of the frames, percent of the peak."""
-    scenes = [scene for scene in next(iter(figures["light"].values())) if scene != "unchanged"]
-    header = [
-        "depth moves by, % of the peak (median, 90 %)",
-        *scenes,
-        "unchanged frames called tilted, room light",
-    ]
-    rows = []
-    for name, of in figures["light"].items():
-        moved = [f"{of[scene]['moved, median']:.2f}, {of[scene]['90 %']:.1f}" for scene in scenes]
-        called = [f"{of['unchanged'][f'{what}, %']:.0f} %" for what in ("tilted_light", "room_light")]
-        rows.append([NAMES.get(name, name), *moved, ", ".join(called)])
-    return table(header, rows)
 
 
 def cube(figures: Figures) -> str:
@@ -226,7 +210,6 @@ def limits(figures: Figures) -> str:
 
 BLOCKS = {
     "sensors": sensors,
-    "light": light,
     "cube": cube,
     "balls": balls,
     "steeper": steeper,
