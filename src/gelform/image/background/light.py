@@ -35,7 +35,9 @@ WIDENED = np.array([8.0, 4, 2, 1, 1, 1, 1, 1])  # of the deviation at rest in ea
 LEAST_REST = 0.004  # a block's logarithm at rest never agrees better
 STAYS = np.ones(2)  # rounds of the screen, which only learns the deviation at rest
 SCREEN = 8.0  # nats that a tilt and room light have to promise before they are fitted
-LEAST_OF_ROOM = 0.2  # of the channel that a room lights most; on a GelSlim, a shadow in red alone looks like room light
+LEAST_OF_ROOM = (
+    0.2  # of the channel that a room lights most; on a GelSlim, a shadow in red alone looks like room light
+)
 # Standard deviations of the prior that a tilt or room light may have: a mirrored image of four sensors needs 2.4 or more.
 MOST = 2.0
 PRIOR = np.array([LIGHT_SIGMAS[0], LIGHT_SIGMAS[1], LIGHT_SIGMAS[1], ROOM_SIGMA]) ** -2.0
