@@ -42,4 +42,4 @@ def test_a_library_that_cannot_be_written_is_said(made, library):
     found = made()
     path, said = found.keep()
     assert path == found.folder / "calibration.npz"
-    assert "The library does not have it: Cannot make the folder" in said
+    assert "The library does not have it: Expected a folder for the library" in said
