@@ -114,7 +114,7 @@ def test_real_presses_of_a_wrong_diameter_are_never_good_in_silence(data, name, 
     verdict = report_content(presses, calibration, rng=np.random.default_rng(0))["verdict"]
     assert verdict["level"] == "poor"
     assert "diameter" in verdict["headline"]
-    assert any("Check the diameter and mm_per_px" in note for note in calibration.report.notes)
+    assert any("Check the ball's diameter and mm_per_px" in note for note in calibration.report.notes)
 
 
 @pytest.mark.slow

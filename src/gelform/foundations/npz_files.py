@@ -260,6 +260,8 @@ def read_npz(
     if not path.is_file():
         raise error(f"No file {path}: expected a {kind}.")
     try:
+        with path.open("rb") as file:
+            is_picture = file.read(4).startswith(PICTURE_STARTS)
         with zipfile.ZipFile(path) as archive:
             arrays = _members(archive, path, kind, max_bytes, error)
         meta = json.loads(str(arrays.pop("meta")[()]))
@@ -267,11 +269,10 @@ def read_npz(
     except OSError as problem:
         raise error(f"Cannot read {path}: {problem.strerror or problem}.") from problem
     except _UNREADABLE as problem:
-        with path.open("rb") as file:
-            if file.read(4).startswith(PICTURE_STARTS):
-                raise error(
-                    f"Expected a {kind}, got the picture {path}. gelform.read_image(path) reads pictures."
-                ) from problem
+        if is_picture:
+            raise error(
+                f"Expected a {kind}, got the picture {path}. gelform.read_image(path) reads pictures."
+            ) from problem
         raise error(
             f"{path} is truncated or damaged, or no {kind} at all ({said(problem)}). "
             "Copy it again from where it was made, or make it anew."
