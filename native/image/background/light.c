@@ -101,10 +101,10 @@ static void solve(const double a[TERMS][TERMS], const double side[TERMS], double
 
 // `values` (3, 4), the light to begin with, are moved by a step in every round but the last, whose normal matrices and right sides
 // are given back. `prior` holds each term's inverse variance, 0 of a term that is not fitted; `alike` is the number of independent
-// blocks; `widened` the deviation at rest in each round, in units of `sigma`, or of the last round's if `learns`. `sums` receives
-// the share of the blocks at rest, the deviation at rest, and the number of lit blocks. Without `moves` the light stays.
+// blocks; `widened` the deviation at rest in each round, in units of `sigma`, or of the last round's if `learns`. `rest` receives
+// the deviation at rest. Without `moves` the light stays.
 EXPORT int fit_light(const float *image, const float *untouched, const double *prior, const double *widened, double *values,
-                     double *normal, double *side, double *square, double *sums, double *work, double sigma, double least,
+                     double *normal, double *side, double *square, double *rest, double *work, double sigma, double least,
                      double wide, double alike, double offset, float dark, float bright, int32_t learns, int32_t moves,
                      ptrdiff_t h, ptrdiff_t w, ptrdiff_t rounds, ptrdiff_t n, ptrdiff_t m) {
   const struct lit_blocks b = {image, untouched, work, work + 3 * w, square, wide, offset, dark, bright, h, w};
@@ -128,7 +128,7 @@ EXPORT int fit_light(const float *image, const float *untouched, const double *p
       for (int i = 0; i < TERMS && moves && round + 1 < rounds; i++) light[c][i] += step[i];
     }
     if (learns) sigma = learnt > least ? learnt : least;
-    sums[0] = found.at_rest / (found.lit > 0 ? found.lit : 1), sums[1] = sigma, sums[2] = found.lit;
+    rest[0] = sigma;
   }
   return OK;
 }

@@ -45,7 +45,7 @@ PRIOR = np.array([LIGHT_SIGMAS[0], LIGHT_SIGMAS[1], LIGHT_SIGMAS[1], ROOM_SIGMA]
 _fit_light = Kernel(
     "fit_light",
     "f32[h,w,3] image, f32[h,w,3] untouched, f64[4] prior, f64[rounds] widened, out f64[3,4] values, out f64[3,4,4] normal, "
-    "out f64[3,4] side, out f64[n] square, out f64[3] sums, out f64[m] work, f64 sigma, f64 least, f64 wide, f64 alike, "
+    "out f64[3,4] side, out f64[n] square, out f64[1] rest, out f64[m] work, f64 sigma, f64 least, f64 wide, f64 alike, "
     "f64 offset, f32 dark, f32 bright, i32 learns, i32 moves",
 )
 
@@ -98,12 +98,18 @@ class FrameLight:
 
 
 class _Fit(NamedTuple):
-    """A fitted light: values (3, 4) of gain, tilt and room, their covariance (3, 4, 4), evidence, and the blocks' sigma."""
+    """A fitted light: values (3, 4), free terms (4,), normal matrices (3, 4, 4), evidence, and the sigma of blocks at rest."""
 
     values: NDArray[np.float64]
-    covariance: NDArray[np.float64]
+    free: NDArray[np.bool_]
+    normal: NDArray[np.float64]
     evidence: float
     rest_sigma: float
+
+    @property
+    def covariance(self) -> NDArray[np.float64]:
+        """Of the values, (3, 4, 4)."""
+        return np.asarray(np.linalg.inv(self.normal) * np.outer(self.free, self.free), dtype=np.float64)
 
     @property
     def has_room(self) -> bool:
@@ -154,7 +160,7 @@ class _Seen:
 
     def __init__(self, blocks: NDArray[np.float32], untouched: NDArray[np.float32]) -> None:
         self._both, (height, width) = (blocks, untouched), blocks.shape[:2]
-        self._square, self._sums = np.empty(height * width), np.empty(3)
+        self._square, self._rest = np.empty(height * width), np.empty(1)
         self._work = np.empty(3 * (height + width))
 
     def is_plain(self, exposure: Exposure) -> bool:
@@ -174,7 +180,7 @@ class _Seen:
         """The light with these terms (4,) from a start (3, 4); it learns the sigma of the blocks at rest if it is None."""
         values = np.where(free, start, 0.0)
         normal, _ = self._fitted(values, free, WIDENED, sigma)
-        square, learnt = self._square[self._square >= 0], float(self._sums[1])
+        square, learnt = self._square[self._square >= 0], float(self._rest[0])
         rest, touched = (-square / (2 * one**2) - 3 * np.log(one) for one in (learnt, TOUCHED_SIGMA))
         evidence = (
             ALIKE * np.logaddexp(rest, touched).mean()
@@ -182,8 +188,7 @@ class _Seen:
             - np.linalg.slogdet(normal)[1].sum() / 2
             + 1.5 * np.log(PRIOR[free]).sum()
         )
-        covariance = np.asarray(np.linalg.inv(normal) * np.outer(free, free), dtype=np.float64)
-        return _Fit(values, covariance, float(evidence), learnt)
+        return _Fit(values, free, normal, float(evidence), learnt)
 
     def _fitted(
         self,
@@ -195,7 +200,7 @@ class _Seen:
         """Normal matrices (3, 4, 4) and right sides (3, 4) at the light, which moves in place from `values` (3, 4)."""
         normal, side = np.empty((3, 4, 4)), np.empty((3, 4))
         _fit_light(
-            *self._both, PRIOR * free, widened, values, normal, side, self._square, self._sums, self._work,
+            *self._both, PRIOR * free, widened, values, normal, side, self._square, self._rest, self._work,
             sigma=sigma or REST_SIGMA, least=LEAST_REST, wide=TOUCHED_SIGMA, alike=ALIKE, offset=CHANGE_OFFSET, dark=DARK,
             bright=BRIGHT, learns=sigma is None, moves=widened is not STAYS,
         )  # fmt: skip
