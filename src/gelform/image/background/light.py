@@ -98,7 +98,7 @@ class FrameLight:
 
 
 class _Fit(NamedTuple):
-    """A fitted light: values (3, 4), free terms (4,), normal matrices (3, 4, 4), evidence, and the sigma of blocks at rest."""
+    """A fitted light: values (3, 4), free terms (4,), normal matrices (3, 4, 4), evidence, and sigma of blocks at rest."""
 
     values: NDArray[np.float64]
     free: NDArray[np.bool_]
