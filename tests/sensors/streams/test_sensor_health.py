@@ -66,7 +66,7 @@ def test_light_that_changes_is_brightness_or_color():
 def evidence(now, contact=None):
     nowhere, start = np.zeros(SHAPE, bool), start_levels()
     touched = nowhere if contact is None else contact
-    return DriftEvidence(now.astype(np.float32), start, np.ones_like(start), nowhere, touched)
+    return DriftEvidence(now.astype(np.float32), start, start, nowhere, touched)
 
 
 def start_levels():
@@ -184,13 +184,13 @@ REST = np.full((*MARKED_SHAPE, 3), 100.0)
 
 
 def marks_in(images, contact=None):
-    marks, rng, ones = Marks(), np.random.default_rng(0), np.ones((*MARKED_SHAPE, 3), np.float32)
+    marks, rng = Marks(), np.random.default_rng(0)
     nowhere = np.zeros(MARKED_SHAPE, bool)
     found = ()
     for image in images:
         noisy = (image + rng.normal(0, 0.2, image.shape)).astype(np.float32)
         start = REST.astype(np.float32)
-        found = marks(DriftEvidence(noisy, start, ones, nowhere, nowhere if contact is None else contact))
+        found = marks(DriftEvidence(noisy, start, start, nowhere, nowhere if contact is None else contact))
     return [finding.name for finding in found]
 
 
@@ -238,9 +238,9 @@ def looks(start, images, *, touched=0.0, different=0.0):
     same_gel, shape = SameGel(start.astype(np.float32)), start.shape[:2]
     somewhere = np.zeros(shape, bool)
     somewhere[: int(touched * shape[0])] = True
-    light, nowhere = np.ones((*shape, 3), np.float32), np.zeros(shape, bool)
+    nowhere, start = np.zeros(shape, bool), start.astype(np.float32)
     return [
-        same_gel(DriftEvidence(image.astype(np.float32), start, light, somewhere, nowhere, different))
+        same_gel(DriftEvidence(image.astype(np.float32), start, start, somewhere, nowhere, different))
         for image in images
     ]
 

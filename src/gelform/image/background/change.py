@@ -137,10 +137,13 @@ class PreparedBackground:
     ----------
     background : (H, W, 3), RGB, 0-255
     settings : of the conversion from an image to a color change
+    usual : the light of the frames before, or None
     """
 
-    def __init__(self, background: ArrayLike, settings: ChangeSettings) -> None:
-        self.settings = settings
+    def __init__(
+        self, background: ArrayLike, settings: ChangeSettings, usual: FrameLight | None = None
+    ) -> None:
+        self.settings, self._usual = settings, usual
         self.background = check_image(background, name="background").astype(np.float32)
         self._light = linear_light(self.background, settings)
         self._gain = gain_from_background(self.background, settings)
@@ -152,7 +155,7 @@ class PreparedBackground:
 
         CalibrationError: as `check_background`.
         """
-        return compared(block_means(image), self._blocks)
+        return compared(block_means(image), self._blocks, self._usual)
 
     def bridged(self, image: NDArray[Any], hidden: NDArray[np.bool_]) -> NDArray[Any]:
         """The image (H, W, 3) with hidden pixels (H, W), such as markers, filled by the color change around them.

@@ -154,18 +154,16 @@ def background_digest(background: NDArray[Any]) -> str:
 
 
 def compared(
-    image: NDArray[np.float32], untouched: NDArray[np.float32]
+    image: NDArray[np.float32], untouched: NDArray[np.float32], usual: FrameLight | None = None
 ) -> tuple[FrameLight, tuple[Finding, ...]]:
-    """Light and findings of an image compared with the background image, both from `block_means`."""
-    light = light_from_blocks(image, untouched)
+    """Light and findings of an image compared with the background image, as in `light_from_blocks`."""
+    light = light_from_blocks(image, untouched, usual)
     exposure = light.exposure
     if exposure.least_change > UNLIKE:
         _refuse_gray(image, untouched)
         check_upright(orientation_from_blocks(image, untouched))
     _refuse_unlike(exposure.gain, _correlation(light.undone(image), untouched, exposure.gain))
-    if (
-        light.tilt is not None and light.tilt.any()
-    ):  # the light of another unit of the make is not far from a tilt
+    if light.tilt.any():  # the light of another unit of the make is not far from a tilt
         exposure = exposure_from_blocks(image, untouched)
     return light, (*_light_findings(light), *_pattern_findings(exposure))
 
@@ -232,9 +230,7 @@ def _refuse_unlike(gain: NDArray[np.float64] | None, correlation: float | None) 
 
 def _light_findings(light: FrameLight) -> tuple[Finding, ...]:
     findings = _exposure_findings(light.exposure)
-    room, tilt = (
-        0.0 if of is None else float(of.flat[np.abs(of).argmax()]) for of in (light.room, light.tilt)
-    )
+    room, tilt = (float(of.flat[np.abs(of).argmax()]) for of in (light.room, light.tilt))
     if room:
         message = f"Room light changes the colors by up to {room:+.0f} gray levels. gelform removes it."
         findings += (Finding("room_light", message, room),)

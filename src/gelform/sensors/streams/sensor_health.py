@@ -122,7 +122,7 @@ def room_light_finding(evidence: DriftEvidence) -> tuple[Finding, ...]:
         for image in (evidence.image, evidence.start)
     )
     light = light_from_blocks(now, start)
-    if light.room is None or light.covariance is None:
+    if light.covariance is None:
         return ()
     least = float(np.min(light.room - 3 * np.sqrt(light.covariance[:, 3, 3])))
     if least < OUTSIDE_LEVELS:
