@@ -244,10 +244,7 @@ class Reconstructor:
         return self._with(background=background, own_background=False, _today=today)
 
     def with_helper(self, start: Callable[[Work], Work]) -> Reconstructor:
-        """The same one whose `depth_sigma_mm` a helper computes beside the depth.
-
-        `start(work)` begins the work; the function that it returns ends it.
-        """
+        """The same one with a helper for `depth_sigma_mm`: `start(work)` begins the work, and what it returns ends it."""
         return self._with(_start=start)
 
     def _with(self, **attributes: Any) -> Reconstructor:
