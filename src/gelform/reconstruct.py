@@ -323,7 +323,8 @@ class Reconstructor:
         depth_sigma, difference, at_least = fixed.missing_depth(
             observed, read.steep, at_rest, depth_mm, depth_sigma, difference
         )
-        unsure = unknown_contact(contact, at_rest, known)
+        touched = partial(self._today.untouched_image.touched, read.seen.image)
+        unsure = unknown_contact(contact, at_rest, known, touched)
         findings = *read.slopes.findings, *too_deep, *at_least, *unsure
         return Reconstruction(
             depth=depth_mm if self.calibration.mm_per_px else depth_mm / np.float32(fixed.pitch),

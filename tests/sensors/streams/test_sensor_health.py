@@ -18,7 +18,7 @@ from gelform.sensors import SensorSettings
 from gelform.sensors.streams.background_drift import DriftEvidence
 from gelform.sensors.streams.marks import Marks
 from gelform.sensors.streams.same_gel import SameGel
-from gelform.sensors.streams.sensor_health import CameraCheck, Frozen, light_findings, room_light_finding
+from gelform.sensors.streams.sensor_health import CameraCheck, Frozen, light_findings, light_from_outside
 from gelform.simulate import simulate_background
 from gelform.simulate.sensor.coating import Coating
 from live_waiting import until
@@ -79,21 +79,24 @@ def noise(seed=0):
 
 
 def test_light_from_outside_is_added_in_every_channel():
-    (found,) = room_light_finding(evidence(0.97 * start_levels() + 10 + noise()))
+    (found,) = light_from_outside(evidence(0.97 * start_levels() + 10 + noise()))
     assert found.name == "room_light"
-    assert 6 < found.figure <= 10.5  # at least so much: three standard deviations are taken off
+    assert found.figure == pytest.approx(10, abs=1.5)
+    assert (
+        light_from_outside(evidence(start_levels() + 2 + noise())) == ()
+    )  # it is removed, and not worth a word
 
 
 def test_the_sensors_own_light_one_channel_and_what_touches_are_none():
     start, contact = start_levels(), np.zeros(SHAPE, bool)
     for gain in (0.75, 1.0, 1.3):
-        assert room_light_finding(evidence(gain * start + noise())) == ()
-    assert room_light_finding(evidence(start + np.array([15, 0, 0]) + noise())) == ()
+        assert light_from_outside(evidence(gain * start + noise())) == ()
+    assert light_from_outside(evidence(start + np.array([15, 0, 0]) + noise())) == ()
     now = start + noise()
     now[:, 40:] += 30
     contact[:, 40:] = True
-    assert room_light_finding(evidence(now, contact)) == ()
-    assert room_light_finding(evidence(now, np.ones(SHAPE, bool))) == ()
+    assert light_from_outside(evidence(now, contact)) == ()
+    assert light_from_outside(evidence(now, np.ones(SHAPE, bool))) == ()
 
 
 def camera(serial=None, **settings):

@@ -17,6 +17,7 @@ from gelform.foundations.findings import Finding
 from gelform.image.background.check import compared
 from gelform.image.background.exposure import block_means
 from gelform.image.background.light import FrameLight
+from gelform.image.background.orientation import largest_touch
 
 MAX_CONDITION = 30.0  # of a crosstalk matrix; with a larger one, two channels count as one
 MAX_OFFSET, MAX_BLUR_PX = 1e4, 100.0  # gray levels and px, the largest values that a file may have
@@ -156,6 +157,10 @@ class PreparedBackground:
         CalibrationError: as `check_background`.
         """
         return compared(block_means(image), self._blocks, self._usual)
+
+    def touched(self, image: NDArray[Any]) -> float:
+        """Share of an image (H, W, 3) in its largest region that no light explains."""
+        return largest_touch(block_means(image), self._blocks).share
 
     def bridged(self, image: NDArray[Any], hidden: NDArray[np.bool_]) -> NDArray[Any]:
         """The image (H, W, 3) with hidden pixels (H, W), such as markers, filled by the color change around them.

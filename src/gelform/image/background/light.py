@@ -71,6 +71,12 @@ class FrameLight:
         return self.covariance is None
 
     @property
+    def whole(self) -> NDArray[np.float64]:
+        """The values with the exposure's gain, as those of `lit`; without it if the gain is unknown."""
+        gain = self.exposure.gain
+        return self.values if gain is None else np.c_[np.log(gain), self.values[:, 1:]]
+
+    @property
     def tilt(self) -> NDArray[np.float64]:
         """Logarithm (3, 2) by which red, green and blue grow from the middle to the right and to the lower border."""
         return self.values[:, 1:3]
@@ -132,21 +138,25 @@ def light_from_blocks(
 
     Parameters
     ----------
-    usual : of the moments before: it stays, but for the exposure, as long as no other light fits clearly better
+    usual : of the moments before: it stays, but for the exposure, if it fits better than a gain and no light clearly better
     """
     few, rest = (np.ascontiguousarray(one[::EVERY, ::EVERY]) for one in (blocks, untouched))
-    if usual is not None and not usual.is_plain:
-        exposure = exposure_from_blocks(usual.undone(blocks), untouched)
-        if exposure.is_known and _Seen(usual.undone(few), rest).is_plain(exposure):
-            return replace(usual, exposure=exposure)
     exposure, seen = exposure_from_blocks(blocks, untouched), _Seen(few, rest)
-    if seen.is_plain(exposure):
+    if usual is not None and not usual.is_plain:
+        again = replace(usual, exposure=exposure_from_blocks(usual.undone(blocks), untouched))
+        if again.exposure.is_known and seen.promised(again) <= SCREEN:
+            sigma, likelihood = seen.rest_sigma, seen.likelihood()
+            seen.promised(FrameLight(exposure), sigma)
+            if likelihood > seen.likelihood():
+                return again
+    if exposure.gain is None or (exposure.is_known and seen.promised(FrameLight(exposure)) <= SCREEN):
         return FrameLight(exposure)
     room, at_room = max(
         ((room, exposure_from_blocks(few - np.float32(room), rest)) for room in ROOMS),
         key=lambda one: one[1].share,
     )
-    plain, lit = _start(exposure), _start(at_room, room)
+    plain, lit = FrameLight(exposure).whole, FrameLight(at_room).whole
+    lit[:, 3] = room
     sigma = seen.fit(BOTH, lit, None).rest_sigma
     gain = seen.fit(GAIN, plain, sigma)
     fits = [seen.fit(*one, sigma) for one in ((TILTED, plain), (WITH_ROOM, lit), (BOTH, lit))]
@@ -197,14 +207,6 @@ def _factor(shape: tuple[int, ...], light: NDArray[np.float64]) -> NDArray[np.fl
     return np.asarray(columns * np.exp(y[:, None, None] * light[:, 2]).astype(np.float32))
 
 
-def _start(exposure: Exposure, room: float = 0.0) -> NDArray[np.float64]:
-    values = np.zeros((3, 4))
-    values[:, 3] = room
-    if exposure.gain is not None:
-        values[:, 0] = np.log(exposure.gain)
-    return values
-
-
 class _Seen:
     """The blocks (h, w, 3) of an image and of a background image."""
 
@@ -213,18 +215,25 @@ class _Seen:
         self._square, self._rest = np.empty(height * width), np.empty(1)
         self._work = np.empty(3 * (height + width))
 
-    def is_plain(self, exposure: Exposure) -> bool:
-        """Whether no tilt and no room light would fit clearly better than the gain: a score test (Rao, 1948)."""
-        if exposure.gain is None:
-            return True
-        if not exposure.is_known:
-            return False
-        normal, side = self._fitted(_start(exposure), BOTH, STAYS, None)
+    @property
+    def rest_sigma(self) -> float:
+        """Standard deviation of a block's logarithm at rest, in the last light."""
+        return float(self._rest[0])
+
+    def likelihood(self) -> float:
+        """Logarithm of the likelihood of the last light, in nats."""
+        square = self._square[self._square >= 0]
+        rest, touched = (-square / (2 * one**2) - 3 * np.log(one) for one in (self.rest_sigma, TOUCHED_SIGMA))
+        return float(ALIKE * np.logaddexp(rest, touched).mean())
+
+    def promised(self, light: FrameLight, sigma: float | None = None) -> float:
+        """Nats by which another tilt and room light would fit better than this light: a score test (Rao, 1948)."""
+        normal, side = self._fitted(light.whole, BOTH, STAYS, sigma)
         gained = [
             float((side[:, :n] * np.linalg.solve(normal[:, :n, :n], side[:, :n, None])[..., 0]).sum())
             for n in (4, 1)
         ]
-        return (gained[0] - gained[1]) / 2 <= SCREEN
+        return (gained[0] - gained[1]) / 2
 
     def move(self, light: NDArray[np.float64]) -> None:
         """Move a light (3, 4) to the one that fits best."""
@@ -234,15 +243,13 @@ class _Seen:
         """The light with these terms (4,) from a start (3, 4); it learns the sigma of the blocks at rest if it is None."""
         values = np.where(free, start, 0.0)
         normal, _ = self._fitted(values, free, WIDENED, sigma)
-        square, learnt = self._square[self._square >= 0], float(self._rest[0])
-        rest, touched = (-square / (2 * one**2) - 3 * np.log(one) for one in (learnt, TOUCHED_SIGMA))
         evidence = (
-            ALIKE * np.logaddexp(rest, touched).mean()
+            self.likelihood()
             - (PRIOR * values**2).sum() / 2
             - np.linalg.slogdet(normal)[1].sum() / 2
             + 1.5 * np.log(PRIOR[free]).sum()
         )
-        return _Fit(values, free, normal, float(evidence), learnt)
+        return _Fit(values, free, normal, float(evidence), self.rest_sigma)
 
     def _fitted(
         self,

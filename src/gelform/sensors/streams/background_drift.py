@@ -60,7 +60,7 @@ class DriftEvidence:
     ----------
     image : (H, W, 3) float32, mean of the frames, 0-255
     start : (H, W, 3) float32, the background at the start of the sequence
-    lit : (H, W, 3) float32, the background at the start in the light that the sequence has followed
+    lit : (H, W, 3) float32, the background at the start in the light of now
     touched : (H, W) bool, True where something may have touched meanwhile, with a margin
     contact : (H, W) bool, True where a frame showed contact
     different : float, 0-1, fraction of the frames that differ from the background nearly everywhere
@@ -198,7 +198,7 @@ class BackgroundDrift:
         contact = self._contact_blocks()
         free = self.touched.not_since(time_s - MEAN_S) & ~contact
         self._follow(np.where(free[..., None], self._averaged(blocks, step_s), np.float32(0)), free.mean())
-        now = lit(self._local_blocks, self.light)
+        now = lit(self._local_blocks, self._now)
         self.touched.mark(time_s, step_s, contact, blocks / now - 1, now)
         if time_s - self._mean_image_s >= MEAN_IMAGE_S:
             self._keep_mean_image(time_s)
@@ -211,11 +211,15 @@ class BackgroundDrift:
     def _follow(self, blocks: NDArray[np.float32], free: float) -> None:
         """Follow the light of blocks (h, w, 3), of which this part is free of contact and the others are 0."""
         untouched = self._local_blocks
-        self.usual = light_from_blocks(blocks, lit(untouched, self.light), self.usual)
+        usual = light_from_blocks(blocks, lit(untouched, self.light), self.usual)
+        self.usual = usual if usual.exposure.is_known else None
         if free >= LEAST_FREE:
-            start = self.light + self.usual.values
-            start[:, 0] += np.log(self.usual.exposure.believed_gain)
-            self.light, self.usual = light_at_rest(blocks, untouched, start), None
+            self.light, self.usual = light_at_rest(blocks, untouched, self._now), None
+
+    @property
+    def _now(self) -> NDArray[np.float64]:
+        """The light relative to the start, in parts followed, in parts only known."""
+        return self.light if self.usual is None else self.light + self.usual.whole
 
     def _averaged(self, blocks: NDArray[np.float32], step_s: float) -> NDArray[np.float32]:
         if self._mean is None:
@@ -243,7 +247,7 @@ class BackgroundDrift:
         return DriftEvidence(
             image=mean,
             start=self.start,
-            lit=lit(self.start, self.light),
+            lit=lit(self.start, self._now),
             touched=_as_pixels(touched, self._local.shape[:2]),
             contact=self._contact_long.copy(),
             different=self._different / self._sum_count,
