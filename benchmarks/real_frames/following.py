@@ -28,6 +28,7 @@ DRIFT_S, DRIFT, DRIFTING = 600.0, 0.05, 3  # s; change of the LEDs' light, as a 
 PRESSES = 3  # of a set
 DEEP = 0.3  # of the peak: pixels of the press itself
 BALLS = {"small ball": (2.0, 0.2), "large ball": (4.0, 0.5)}  # radius and depth, mm
+FOLLOWING = ("slow presses, um", "slow real presses, % of peak", "light after ten minutes of drift, %")
 
 
 def following(run: Run) -> dict[str, Any]:
@@ -36,15 +37,12 @@ def following(run: Run) -> dict[str, Any]:
     A simulated press is judged by its truth. A real one is a press blended in over a minute, judged by the same frames read
     without memory: root mean square over pixels deeper than 0.3 of the peak, and percent of the peak.
     """
-    figures: dict[str, Any] = {"slow presses, um": {}, "slow real presses, % of peak": {}}
-    layout = run.layout(LAYOUT)
-    for what, (radius_mm, depth_mm) in BALLS.items():
-        figures["slow presses, um"][what] = _simulated(layout, radius_mm, depth_mm)
+    layout, real = run.layout(LAYOUT), {}
     for name in run.sets:
         images = [press.image for press in run.presses(name).presses]
-        chosen = images[:: len(images) // PRESSES][:PRESSES]
-        figures["slow real presses, % of peak"][name] = _real(run.calibration(name), chosen)
-    figures[f"light after {DRIFT_S:.0f} s of drift, %"] = _drift(layout)
+        real[name] = _real(run.calibration(name), images[:: len(images) // PRESSES][:PRESSES])
+    pressed = {what: _simulated(layout, *ball) for what, ball in BALLS.items()}
+    figures = dict(zip(FOLLOWING, (pressed, real, _drift(layout))))
     for what, rows in figures.items():
         header = [what, *next(iter(rows.values()))]
         print("\n" + table(header, [[name, *row.values()] for name, row in rows.items()]), flush=True)

@@ -213,7 +213,7 @@ class BackgroundDrift:
         untouched = self._local_blocks
         usual = light_from_blocks(blocks, lit(untouched, self.light), self.usual)
         self.usual = usual if usual.exposure.is_known else None
-        if free >= LEAST_FREE:
+        if free >= LEAST_FREE and self.usual is not None:
             self.light, self.usual = light_at_rest(blocks, untouched, self._now), None
 
     @property
