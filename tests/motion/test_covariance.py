@@ -1,0 +1,43 @@
+"""The covariance of a pose: its parts, and that it lies in the seen directions alone."""
+
+import numpy as np
+import pytest
+
+from gelform.motion.covariance import pose_covariance
+from gelform.motion.surface import TouchedSurface
+from made.rigid_contacts import contact_of, pose, texture
+
+
+@pytest.fixture(scope="module")
+def fitted():
+    first, second = (
+        TouchedSurface(contact_of(texture(), one, seed=k)) for k, one in enumerate((None, pose(0.2)))
+    )
+    return first, first.equations(second, pose(0.2), first.center(pose(0.2)))
+
+
+def test_the_place_adds_to_x_and_y_alone(fitted):
+    plain, placed = (pose_covariance(*fitted, np.eye(6), mm) for mm in (0.0, 0.1))
+    np.testing.assert_allclose(placed - plain, np.diag([0.01, 0.01, 0, 0, 0, 0]), atol=1e-12)
+    assert (np.linalg.eigvalsh(plain) > 0).all()
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("error", ["offset", "gain"])
+def test_what_all_slopes_have_in_common_is_covered(fitted, axis, error):
+    """Slopes of the second frame off by 0.003, or too steep by 2 %: the pose moves by less than its sigma."""
+    first, at = fitted
+    wrong = np.zeros_like(at.residual)
+    wrong[:, axis] = 0.003 if error == "offset" else 0.02 * first.slopes[:, axis]
+    right = np.einsum("nki,nk,nk->i", at.jacobian, at.weight, wrong)
+    moved = np.linalg.solve(at.information, right)
+    sigma = np.sqrt(np.diag(pose_covariance(first, at, np.eye(6), 0.0)))
+    assert (np.abs(moved) <= sigma).all()
+    assert np.abs(moved).max() > 1e-5
+
+
+def test_unseen_directions_have_no_variance(fitted):
+    seen = np.eye(6)[:, :5]
+    covariance = pose_covariance(*fitted, seen, 0.0)
+    assert np.abs(covariance[5]).max() < 1e-12
+    assert covariance[0, 0] > 0
