@@ -74,8 +74,8 @@ def mosaic(
             seen.append((surface, pose, motion if isinstance(motion, Motion) else None))
     if not seen:
         raise GelformError("No result has both a contact and a pose, so there is no surface.")
-    shape, pitch = _shape_of(seen), seen[0][0].pitch
-    layers = [_layer(*one, shape) for one in seen]
+    shape, pitch = shape_of(seen), seen[0][0].pitch
+    layers = [layer_of(*one, shape) for one in seen]
     # Variances add up in the layers, and their inverses over the layers.
     of_slope, of_depth = (np.stack([1 / layer.variances[..., k] for layer in layers]) for k in (0, 1))
     known_px = np.asarray(of_depth.sum(axis=0) > 0)
@@ -103,7 +103,7 @@ def mosaic(
     )  # fmt: skip
 
 
-def _shape_of(seen: Sequence[tuple[TouchedSurface, Array, Motion | None]]) -> tuple[int, int]:
+def shape_of(seen: Sequence[tuple[TouchedSurface, Array, Motion | None]]) -> tuple[int, int]:
     """The size (H, W) about the first frame's middle that holds all contacts, odd or even as the first frame's."""
     reach = [
         np.abs(moved(inverse_of(pose), one.points)[:, :2] / one.pitch).max(axis=0) for one, pose, _ in seen
@@ -118,7 +118,7 @@ def _shape_of(seen: Sequence[tuple[TouchedSurface, Array, Motion | None]]) -> tu
     return height, width
 
 
-def _layer(surface: TouchedSurface, pose: Array, motion: Motion | None, shape: tuple[int, int]) -> Layer:
+def layer_of(surface: TouchedSurface, pose: Array, motion: Motion | None, shape: tuple[int, int]) -> Layer:
     """A contact in the frame of the first: for each pixel, the place in the contact that was there."""
     height, width = shape
     back, turn, pitch = inverse_of(pose), pose[:3, :3], surface.pitch
