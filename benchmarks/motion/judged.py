@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from gelform.motion.between import Motion
-from gelform.motion.rigid import about_other_center, moved
+from gelform.motion.rigid import about_other_center
 
 
 def sigma_at(motion: Motion, point: np.ndarray) -> np.ndarray:
@@ -27,7 +27,7 @@ def pose_at(x: float, y: float, z: float, yaw: float, point: np.ndarray) -> np.n
     c, s = np.cos(yaw), np.sin(yaw)
     pose = np.eye(4)
     pose[:2, :2] = [[c, -s], [s, c]]
-    pose[:3, 3] = point + (x, y, z) - pose[:3, :3] @ point
+    pose[:3, 3] = point + np.array([x, y, z]) - pose[:3, :3] @ point
     return pose
 
 
@@ -49,8 +49,3 @@ def timed(call: Callable[[], Any], clock: Callable[[], float], times: int) -> fl
         call()
         found.append(1e3 * (clock() - began))
     return float(np.median(found))
-
-
-def place_in_first(pose: np.ndarray, point: np.ndarray) -> np.ndarray:
-    """Where a point of the first frame is in the second."""
-    return moved(pose, point)

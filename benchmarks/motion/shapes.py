@@ -104,9 +104,10 @@ def edges(quick: bool) -> dict[str, Any]:
                 continue
             middle = (np.array(a.shape[::-1]) - 1) / 2
             places = [(edge.middle - middle) * MINI_MM_PER_PX for edge in (one, other)]
-            crest = np.array([*places[0], float(a.depth_mm[one.crest].mean())])
+            heights = [float(result.depth_mm[edge.crest].mean()) for result, edge in ((a, one), (b, other))]
+            crest = np.array([*places[0], heights[0]])
             x, y = places[1] - places[0] + rng.normal(0, OFF_START_MM, 2)
-            start = pose_at(x, y, 0, yaw + rng.normal(0, OFF_START_RAD), crest)
+            start = pose_at(x, y, heights[1] - heights[0], yaw + rng.normal(0, OFF_START_RAD), crest)
             motion, pose = gelform.motion_between(a, b, start=start), published_pose(a, b, start)
             across = sign * other.across
             if motion.pose is None:

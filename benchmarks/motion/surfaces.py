@@ -14,7 +14,7 @@ from gelform.simulate import HeightMap, Pose, simulate_pose
 from motion.judged import pose_at, two, within
 from motion.shapes import simulated_sensor
 
-PRESSES, APART_MM = 8, 1.0
+PRESSES, APART_MM = 8, 1.5
 RELIEF_MM_PER_PX = 0.05
 SEAM_PX = 2  # px on each side of a seam
 
@@ -30,16 +30,10 @@ def surface(quick: bool) -> dict[str, Any]:
         for place in places[: 3 if quick else PRESSES]
     ]
     results = [reconstruct.from_image(press.image) for press in presses]
-    origin, motions, travelled = places[0], [], np.eye(4)
-    key = results[0]
-    motions = [gelform.motion_between(key, key)]
-    for k in range(1, len(results)):
-        travelled = pose_at(places[k][0] - origin[0], places[k][1] - origin[1], 0, 0, np.zeros(3))
-        step = pose_at(*np.subtract(places[k], places[k - 1]) + rng.normal(0, 0.1, 2), 0, 0, np.zeros(3))
-        motion = gelform.motion_between(
-            results[k - 1], results[k], start=step, place_error=calibration.settings.place_error
-        )
-        motions.append(motion)
+    f, motions = calibration.settings.place_error, [gelform.motion_between(results[0], results[0])]
+    for a, b, one, other in zip(results, results[1:], places, places[1:]):
+        start = pose_at(*np.subtract(other, one) + rng.normal(0, 0.1, 2), 0, 0, np.zeros(3))
+        motions.append(gelform.motion_between(a, b, start=start, place_error=f))
     path = chained(motions)
     whole = gelform.mosaic(results, path)
     usable = [(r, m) for r, m in zip(results, path) if m.pose is not None]
@@ -50,7 +44,7 @@ def surface(quick: bool) -> dict[str, Any]:
     mean = np.nansum(weights * np.stack([layer.depth for layer in layers]), axis=0) / np.maximum(
         weights.sum(axis=0), 1e-12
     )
-    true = true_depth(relief, whole, origin, presses[0])
+    true = true_depth(relief, whole, places[0], presses[0])
     figures = {"presses": len(usable), "pixels": int(whole.known.sum())}
     for name, depth in (("mosaic", whole.depth_mm), ("mean", mean)):
         error = depth - true
@@ -73,9 +67,9 @@ def chained(motions: list[Any]) -> list[Any]:
 
 
 def plate() -> HeightMap:
-    """A wide plate with bumps some tens of micrometers high."""
+    """A long bar, 8 mm wide, with bumps some tens of micrometers high: beside it the gel is at rest."""
     rng = np.random.default_rng(7)
-    y, x = (np.mgrid[:321, :481] - np.array([160, 240])[:, None, None]) * RELIEF_MM_PER_PX
+    y, x = (np.mgrid[:161, :961] - np.array([80, 480])[:, None, None]) * RELIEF_MM_PER_PX
     waves = rng.uniform(0.8, 2.5, (12, 2)) * rng.choice([-1, 1], (12, 2))
     bumps = sum(
         h * np.sin(a * x + b * y + p)

@@ -67,7 +67,7 @@ def motion_between(
     *,
     start: ArrayLike | None = None,
     prior: Sequence[float] | None = None,
-    place_error: float = PLACE_ERROR,
+    place_error: float | None = None,
 ) -> Motion:
     """Where the object that touched in result `a` is in result `b`, of the same sensor and later.
 
@@ -77,7 +77,7 @@ def motion_between(
     start : (4, 4), about where it moved, within 0.5 mm; where it was by default
     prior : (mm, rad), standard deviations of the start's shift and turn. The result is the best of both; blind directions
         take the prior alone. By default nothing is known: 10 mm and 10 degrees
-    place_error : error of a place over the displacement; a calibration has it as `settings.place_error`
+    place_error : error of a place over the displacement, a calibration's `settings.place_error`; None: that of a bad sensor
 
     Returns
     -------
@@ -94,9 +94,7 @@ def motion_between(
     if why := not_comparable(a, b):
         return lost(why)
     begin = np.eye(4) if start is None else checked_pose(start, "start")
-    return motion_of(
-        first, second, begin, checked_prior(prior), check_within(place_error, "place_error", 0, 1)
-    )
+    return motion_of(first, second, begin, checked_prior(prior), checked_place_error(place_error))
 
 
 def checked_prior(prior: Sequence[float] | None) -> tuple[float, float]:
@@ -105,6 +103,11 @@ def checked_prior(prior: Sequence[float] | None) -> tuple[float, float]:
         return NO_PRIOR
     shift, turn = check_numbers(prior, "prior", 2)
     return check_positive(shift, "prior's mm"), check_positive(turn, "prior's rad")
+
+
+def checked_place_error(share: float | None) -> float:
+    """The error of a place over the displacement; None: the largest of four sensors."""
+    return PLACE_ERROR if share is None else check_within(share, "place_error", 0, 1)
 
 
 def sensor_of(result: Reconstruction) -> tuple[object, ...]:

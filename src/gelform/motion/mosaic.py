@@ -93,7 +93,9 @@ def mosaic(
         anchor=np.where(known_px, DEPTH_SHARE * depth_weight * pitch.prod() / slope_weight.max(), 0),
     )  # fmt: skip
     depth = np.where(known_px, mean + solution.depth_mm, 0).astype(np.float32)
-    sigma = np.where(known_px, 1 / np.sqrt(depth_weight), LARGEST_SIGMA).astype(np.float32)
+    # Errors of depth are much alike in all contacts, so several are no surer than one.
+    count = np.count_nonzero(of_depth, axis=0)
+    sigma = np.where(known_px, np.sqrt(count / depth_weight), LARGEST_SIGMA).astype(np.float32)
     slope_sigma = np.where(known_px, 1 / np.sqrt(slope_weight), LARGEST_SIGMA).astype(np.float32)
     return Reconstruction(
         depth=depth, depth_sigma_mm=sigma, gradients=slopes_of_solution(depth, (pitch[0], pitch[1])),

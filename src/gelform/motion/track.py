@@ -7,14 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gelform.foundations.checks import check_within
 from gelform.motion.between import (
     FOUND,
     LEAST_PX,
     LOST,
     MOST_TURN_DEG,
-    PLACE_ERROR,
     Motion,
+    checked_place_error,
     checked_prior,
     lost,
     motion_of,
@@ -50,7 +49,7 @@ def track(
     results: Iterable[Reconstruction],
     *,
     prior: Sequence[float] | None = None,
-    place_error: float = PLACE_ERROR,
+    place_error: float | None = None,
 ) -> Iterator[Tracked]:
     """Follow an object through results in the order of their frames; one `Tracked` for each of them.
 
@@ -68,8 +67,7 @@ def track(
     ValueError, TypeError, GelformError
         As `motion_between`.
     """
-    checked_prior(prior)
-    follower = Follower(prior, check_within(place_error, "place_error", 0, 1))
+    follower = Follower(prior, place_error)
     if not isinstance(results, Iterable):
         raise TypeError(f"Expected results one after the other, got {type(results).__name__}.")
     for result in results:
@@ -79,8 +77,9 @@ def track(
 class Follower:
     """What `track` remembers: the keyframe and its pose, the last pose from it, and the last frame that was usable."""
 
-    def __init__(self, prior: Sequence[float] | None, place_error: float) -> None:
-        self._prior, self._place_error = prior, place_error
+    def __init__(self, prior: Sequence[float] | None, place_error: float | None) -> None:
+        checked_prior(prior)
+        self._prior, self._place_error = prior, checked_place_error(place_error)
         self._key: TouchedSurface | None = None
         self._origin: Motion  # from the first contact to the keyframe
         self._pose: Array  # from the keyframe to the last frame
