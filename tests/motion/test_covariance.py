@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from gelform.motion.covariance import pose_covariance
+from gelform.motion.rigid import moved
 from gelform.motion.surface import TouchedSurface
 from made.rigid_contacts import contact_of, pose, texture
 
@@ -13,7 +14,7 @@ def fitted():
     first, second = (
         TouchedSurface(contact_of(texture(), one, seed=k)) for k, one in enumerate((None, pose(0.2)))
     )
-    return first, first.equations(second, pose(0.2), first.center(pose(0.2)))
+    return first, first.equations(second, pose(0.2), moved(pose(0.2), first.middle))
 
 
 def test_the_place_adds_to_x_and_y_alone(fitted):
@@ -30,10 +31,10 @@ def test_what_all_slopes_have_in_common_is_covered(fitted, axis, error):
     wrong = np.zeros_like(at.residual)
     wrong[:, axis] = 0.003 if error == "offset" else 0.02 * first.slopes[:, axis]
     right = np.einsum("nki,nk,nk->i", at.jacobian, at.weight, wrong)
-    moved = np.linalg.solve(at.information, right)
+    by = np.linalg.solve(at.information, right)
     sigma = np.sqrt(np.diag(pose_covariance(first, at, np.eye(6), 0.0)))
-    assert (np.abs(moved) <= sigma).all()
-    assert np.abs(moved).max() > 1e-5
+    assert (np.abs(by) <= sigma).all()
+    assert np.abs(by).max() > 1e-5
 
 
 def test_unseen_directions_have_no_variance(fitted):

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from gelform.motion.sight import Blind, blind_directions, has_moved, scale_of, seen_directions
+from gelform.motion.rigid import moved
+from gelform.motion.sight import Blind, blind_directions, has_moved, seen_directions
 from gelform.motion.surface import TouchedSurface
 from made.rigid_contacts import ball, contact_of, pose, texture
 
@@ -14,8 +15,8 @@ def blind_of(face, seeds=(1, 2)):
     first, second = (
         TouchedSurface(contact_of(face, one, seed=k)) for k, one in zip(seeds, (None, pose(0.3, 0.1)))
     )
-    at = first.equations(second, pose(0.3, 0.1), first.center(pose(0.3, 0.1)))
-    return blind_directions(first, second, at, scale_of(first.points))
+    at = first.equations(second, pose(0.3, 0.1), moved(pose(0.3, 0.1), first.middle))
+    return blind_directions(first, second, at)
 
 
 @pytest.mark.slow
@@ -28,8 +29,8 @@ def test_all_turns_of_a_ball_are_blind_and_no_texture_is():
 def test_the_same_errors_in_both_frames_look_like_shape():
     """That is why an object has to move: the test could not tell otherwise."""
     first = TouchedSurface(contact_of(ball, seed=1))
-    at = first.equations(first, np.eye(4), first.center(np.eye(4)))
-    assert blind_directions(first, first, at, scale_of(first.points)) == ()
+    at = first.equations(first, np.eye(4), first.middle)
+    assert blind_directions(first, first, at) == ()
     assert not has_moved(first, np.eye(4))
     assert has_moved(first, pose(0.3))
     assert has_moved(first, pose(yaw=-16)), "a turn moves what is away from its center"

@@ -82,7 +82,7 @@ def test_the_jacobian_is_the_change_of_the_residuals():
     """For each of the six steps, on a surface without errors."""
     first = TouchedSurface(contact_of(texture()))
     second = TouchedSurface(contact_of(texture(), pose(0.1, 0.05)))
-    center, begin = first.center(np.eye(4)), pose(0.1, 0.05)
+    center, begin = first.middle, pose(0.1, 0.05)
     at = first.equations(second, begin, center)
     for k in range(6):
         step = np.zeros(6)

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from gelform.foundations.checks import check_numbers, check_positive, check_within
 from gelform.motion.covariance import pose_covariance
 from gelform.motion.rigid import Array, checked_pose, inverse_of, moved, pose_of_step, step_of_pose, turn_deg
-from gelform.motion.sight import Blind, blind_depth, blind_directions, has_moved, scale_of, seen_directions
+from gelform.motion.sight import Blind, blind_depth, blind_directions, has_moved, seen_directions
 from gelform.motion.surface import NOTHING, Equations, TouchedSurface
 from gelform.result import Reconstruction
 
@@ -45,7 +45,7 @@ class Motion:
         toward the camera, from the image's middle on the gel at rest; None if the state is "lost"
     covariance : (6, 6), of a small shift (mm) and turn (rad) about `center_mm` after the pose; None if lost. In blind
         directions it is the prior's
-    center_mm : (3,), middle of the shared contact in the second frame
+    center_mm : (3,), where the middle of the first contact is in the second frame
     blind : directions that these contacts cannot show; there the pose is that of the start
     shared : share of the first contact that the second touches too, 0-1
     state : "found"; "cannot tell yet" (the object has hardly moved: what is blind is not known); "lost"
@@ -144,8 +144,7 @@ def motion_of(
     found = _fitted(first, second, start, alike * _information(REACH), np.eye(6), start)
     if isinstance(found, Motion):
         return found
-    scale = scale_of(first.points)
-    blind = blind_directions(first, second, found, scale)
+    blind, scale = blind_directions(first, second, found), first.scale
     seen = seen_directions(blind, scale)
     freely = seen * scale[:, None]
     if blind:
@@ -153,7 +152,7 @@ def motion_of(
         if isinstance(found, Motion):
             return found
     found = replace(found, pose=pose_of_step(found.step(freely), found.center) @ found.pose)
-    pose, center, shared = found.pose, found.center, float(np.mean(found.shared))
+    pose, center, shared = found.pose, moved(found.pose, first.middle), found.count / len(first.points)
     travel = float(np.linalg.norm((center - moved(inverse_of(pose), center))[:2]))
     if (misfit := found.misfit) > MOST_MISFIT:
         return lost(f"the surfaces differ by {misfit:.1f} times their errors: is it another object?", shared)
@@ -181,21 +180,21 @@ def _fitted(
     first: TouchedSurface, second: TouchedSurface, start: Array, held: Array, seen: Array, pose: Array
 ) -> Equations | Motion:
     """The pose that fits best, from `pose` on, in the directions (6, k) alone, held to the start by an information."""
-    center = first.center(pose)
     for _ in range(MOST_STEPS):
+        center = moved(pose, first.middle)
         equations = first.equations(second, pose, center)
-        shared = equations.shared
-        count = int(np.count_nonzero(shared)) * first.every**2
-        if count < LEAST_PX or np.mean(shared) < LEAST_SHARE:
-            share, wanted = float(np.mean(shared)), f"{LEAST_PX} px and {100 * LEAST_SHARE:.0f} % are needed"
-            return lost(f"both frames touch {count} px of the contact, {100 * share:.0f} %: {wanted}", share)
+        share, seen_px = equations.count / len(first.points), equations.count * first.every**2
+        if seen_px < LEAST_PX or share < LEAST_SHARE:
+            wanted = f"{LEAST_PX} px and {100 * LEAST_SHARE:.0f} % are needed"
+            return lost(
+                f"both frames touch {seen_px} px of the contact, {100 * share:.0f} %: {wanted}", share
+            )
         step = equations.step(seen, held, step_of_pose(pose @ inverse_of(start), center))
-        shift, turn = np.linalg.norm(step[:3]), np.linalg.norm(step[3:])
+        shift, turn = float(np.linalg.norm(step[:3])), float(np.linalg.norm(step[3:]))
         if shift < LAST_MM and turn < LAST_RAD:
             break
-        step *= min(1.0, LONGEST_MM / shift, LONGEST_RAD / turn)
+        step *= min(1.0, LONGEST_MM / max(shift, LAST_MM), LONGEST_RAD / max(turn, LAST_RAD))
         pose = pose_of_step(step, center) @ pose
-        center = first.center(pose, shared)
     return equations
 
 

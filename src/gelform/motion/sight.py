@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gelform.motion.rigid import Array, about_other_center, inverse_of, moved
 from gelform.motion.surface import Equations, TouchedSurface
@@ -41,10 +40,9 @@ class Blind:
     words: str
 
 
-def blind_directions(
-    first: TouchedSurface, second: TouchedSurface, at: Equations, scale: Array
-) -> tuple[Blind, ...]:
-    """The directions that the equations at the best pose of two contacts cannot tell; `scale` (6,) as of `scale_of`."""
+def blind_directions(first: TouchedSurface, second: TouchedSurface, at: Equations) -> tuple[Blind, ...]:
+    """The directions that the equations at the best pose of two contacts cannot tell."""
+    scale = first.scale
     directions = scale[:, None] * np.linalg.eigh(scale[:, None] * at.information * scale)[1]
     alike = _correlations(first, second, at, directions)
     chosen = alike < LEAST_CORRELATION
@@ -68,14 +66,10 @@ def seen_directions(blind: Sequence[Blind], scale: Array) -> Array:
 
 def has_moved(surface: TouchedSurface, pose: Array) -> bool:
     """Whether a surface moved far enough on the sensor that what belongs to a place there is not taken for its shape."""
-    away = (moved(pose, surface.points) - surface.points)[:, :2] / surface.pitch
-    return float(np.sqrt(np.mean(np.sum(np.square(away), axis=1)))) > MOVED_PX
-
-
-def scale_of(points: NDArray[np.float32]) -> Array:
-    """Units (6,) of a step in which a shift and a turn move the points by alike: 1 mm, and 1 mm at their mean distance."""
-    distance = float(np.sqrt(np.mean(np.sum(np.square(points - points.mean(axis=0)), axis=1))))
-    return np.array([1.0, 1.0, 1.0, *3 * (1 / distance,)])
+    change = (pose[:3, :3] - np.eye(3))[:2]
+    shift = moved(pose, surface.middle)[:2] - surface.middle[:2]
+    squares = np.square(shift) + np.diag(change @ surface.spread @ change.T)
+    return float(np.sqrt(np.sum(squares / np.square(surface.pitch)))) > MOVED_PX
 
 
 def _correlations(first: TouchedSurface, second: TouchedSurface, at: Equations, directions: Array) -> Array:
@@ -84,7 +78,8 @@ def _correlations(first: TouchedSurface, second: TouchedSurface, at: Equations, 
     inner = at.shared & first.inside & second.holds(moved(at.pose, first.points))
     weight = (at.weight * inner[:, None]).reshape(-1, 1)
     ours = own.jacobian.copy()
-    ours[:, :2] = turn[:2, :2].astype(np.float32) @ own.jacobian[:, :2]  # slopes turn as the object
+    for k in (0, 1):  # slopes turn as the object
+        ours[:, k] = np.float32(turn[k, 0]) * own.jacobian[:, 0] + np.float32(turn[k, 1]) * own.jacobian[:, 1]
     theirs, ours = at.jacobian.reshape(-1, 6), ours.reshape(-1, 6)
     # The same steps, of the first frame and about the center of its equations.
     back = np.kron(np.eye(2), turn.T) @ directions

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from gelform._native import Kernel
 from gelform.errors import GelformError
 from gelform.foundations.checks import check_is, check_mm_per_px
-from gelform.motion.rigid import Array, moved
+from gelform.motion.rigid import Array
 from gelform.result import Reconstruction
 
 # What the stated sigma lacks, added to it: of a slope, mm/mm, and of a depth, mm.
@@ -45,7 +45,7 @@ class Equations:
     jacobian : (N, 3, 6) their change with the step
     weight : (N, 3), 0 where the other surface was not touched
     information : (6, 6), right : (6,), of the normal equations
-    shared : (N,) bool, points that the other surface has too
+    count : number of points that the other surface has too; shared : (N,) bool, which
     """
 
     pose: Array
@@ -55,6 +55,7 @@ class Equations:
     weight: NDArray[np.float32]
     information: Array
     right: Array
+    count: int
 
     @property
     def shared(self) -> NDArray[np.bool_]:
@@ -63,8 +64,7 @@ class Equations:
     @property
     def misfit(self) -> float:
         """Root mean square of the residuals over their stated errors."""
-        count = max(1, 3 * int(np.count_nonzero(self.shared)))
-        return float(np.sqrt(np.sum(self.weight * np.square(self.residual)) / count))
+        return float(np.sqrt(np.sum(self.weight * np.square(self.residual)) / max(1, 3 * self.count)))
 
     def step(self, seen: Array, held: Array = NOTHING, off: Array = NOTHING[0]) -> Array:
         """The best step (6,) in some directions (6, k), held by an information (6, 6) to where it is `off` (6,) from."""
@@ -113,17 +113,33 @@ class TouchedSurface:
         n = len(self.points)
         residual, weight = np.empty((n, 3), np.float32), np.empty((n, 3), np.float32)
         jacobian, normal = np.empty((n, 3, 6), np.float32), np.empty((6, 7))
-        _motion_rows(
+        count = _motion_rows(
             self.points, self.slopes, self.point_variances, other.gradients, other.depth, other.derivatives,
             other.variances, other.contact, np.ascontiguousarray(pose[:3]), center, self.pitch, other.origin, huber,
             residual, jacobian, weight, normal,
         )  # fmt: skip
-        return Equations(pose, center, residual, jacobian, weight, normal[:, :6], normal[:, 6])
+        return Equations(pose, center, residual, jacobian, weight, normal[:, :6], normal[:, 6], count)
+
+    @cached_property
+    def middle(self) -> Array:
+        """The mean (3,) of the points."""
+        return np.asarray(self.points.mean(axis=0, dtype=np.float64))
+
+    @cached_property
+    def spread(self) -> Array:
+        """The covariance (3, 3) of the points, mm^2."""
+        away = self.points - self.middle
+        return np.asarray(away.T @ away / len(away))
+
+    @cached_property
+    def scale(self) -> Array:
+        """Units (6,) of a step in which shifts and turns move the points by alike: 1 mm, and 1 mm at their distance."""
+        return np.repeat([1.0, 1 / float(np.sqrt(np.trace(self.spread)))], 3)
 
     @cached_property
     def own(self) -> Equations:
-        """The equations of this surface onto itself, about the middle of its points."""
-        return self.equations(self, np.eye(4), self.center(np.eye(4)))
+        """The equations of this surface onto itself, about its middle."""
+        return self.equations(self, np.eye(4), self.middle)
 
     @cached_property
     def inside(self) -> NDArray[np.bool_]:
@@ -147,10 +163,6 @@ class TouchedSurface:
         col, row = np.rint(self.pixels_at(points)).astype(np.intp).T
         there = (row >= 0) & (row < height) & (col >= 0) & (col < width)
         return there & self.inner[np.where(there, row, 0), np.where(there, col, 0)]
-
-    def center(self, pose: Array, chosen: NDArray[np.bool_] | slice = slice(None)) -> Array:
-        """The middle (3,) of points, after a motion."""
-        return moved(pose, self.points[chosen].mean(axis=0, dtype=np.float64))
 
 
 def _closed(contact: NDArray[np.bool_], pitch: Array) -> NDArray[np.bool_]:

@@ -96,7 +96,7 @@ class Follower:
         if self._key is None:
             if surface.count < LEAST_PX:
                 return lost(f"no contact: {surface.count} px touch, {LEAST_PX} are needed")
-            found = Motion(np.eye(4), np.zeros((6, 6)), surface.center(np.eye(4)), (), 1.0, FOUND)
+            found = Motion(np.eye(4), np.zeros((6, 6)), surface.middle, (), 1.0, FOUND)
             self._begin(surface, found, result)
             return found
         if why := not_comparable(self._last, result):
