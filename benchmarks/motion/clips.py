@@ -89,8 +89,8 @@ def results_of(name: str, firsts: dict[str, np.ndarray], every: int = EVERY) -> 
     return results
 
 
-def dots_motion(a: Any, b: Any) -> tuple[np.ndarray, np.ndarray, float, float, int] | None:
-    """The rigid motion of the dots in the contact: middle before and after (mm), yaw, RMS left, number."""
+def dots_motion(a: Any, b: Any) -> tuple[np.ndarray, np.ndarray, float, float, np.ndarray] | None:
+    """The rigid motion of the dots in the contact: middle before and after (mm), yaw, RMS left, variances of x, y, yaw."""
     surface = TouchedSurface(a)
     height, width = a.shape
     middle = np.array([width - 1, height - 1]) / 2
@@ -105,7 +105,10 @@ def dots_motion(a: Any, b: Any) -> tuple[np.ndarray, np.ndarray, float, float, i
     yaw = float(np.arctan2(np.sum(one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]), np.sum(one * other)))
     turn = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
     left = float(np.sqrt(np.mean(np.sum((one @ turn.T - other) ** 2, axis=1))))
-    return before.mean(axis=0), after.mean(axis=0), yaw, left, int(inside.sum())
+    count = int(inside.sum())
+    single = count * left**2 / (2 * count - 3)  # of one dot along an axis; the fit has three unknowns
+    variances = np.array([single / count, single / count, single / np.sum(one**2)])
+    return before.mean(axis=0), after.mean(axis=0), yaw, left, variances
 
 
 def pairs_of(
@@ -122,18 +125,16 @@ def pairs_of(
         dots = dots_motion(a, b) if motion.pose is not None else None
         if dots is None or dots[3] > STICKS_MM:
             continue
-        before, after, yaw, left, count = dots
+        before, after, yaw, _, own = dots
         point = np.array([*before, motion.center_mm[2]])
         there = moved(motion.pose, point)
         off, turned = there[:2] - after, yaw_of(motion.pose) - yaw
-        variances = np.diag(sigma_at(motion, there))
-        noise = left**2 / 2 / count  # of the dots' middle along an axis
-        lever = np.sqrt(count) * 2.0  # mm; of dots over some 4 mm, for the noise of their yaw
+        sigma = np.sqrt(np.diag(sigma_at(motion, there))[[0, 1, 5]] + own)
         found["off_mm"].append(np.linalg.norm(off))
         found["yaw"].append(turned)
-        found["ratio_x"].append(off[0] / np.sqrt(variances[0] + noise))
-        found["ratio_y"].append(off[1] / np.sqrt(variances[1] + noise))
-        found["ratio_yaw"].append(turned / np.sqrt(variances[5] + (left / lever) ** 2))
+        found["ratio_x"].append(off[0] / sigma[0])
+        found["ratio_y"].append(off[1] / sigma[1])
+        found["ratio_yaw"].append(turned / sigma[2])
         found["state"].append(motion.state)
         pose = published_pose(a, b, np.eye(4)) if baseline else None
         if pose is not None:

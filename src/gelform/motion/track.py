@@ -77,7 +77,7 @@ def track(
 class Follower:
     """What `track` remembers: the keyframe and its pose, the last pose from it, and the last frame that was usable."""
 
-    def __init__(self, prior: Sequence[float] | None, place_error: float | None) -> None:
+    def __init__(self, prior: Sequence[float] | None = None, place_error: float | None = None) -> None:
         checked_prior(prior)
         self._prior, self._place_error = prior, checked_place_error(place_error)
         self._key: TouchedSurface | None = None

@@ -14,6 +14,7 @@ from typer import Argument, Option
 from gelform.cli.console import say
 from gelform.cli.options import (
     ALL_TOPICS,
+    USUAL_TOPICS,
     AcceptDoubtful,
     Background,
     CalibrationOptions,
@@ -41,7 +42,7 @@ PRIOR = "MM,DEG"
 class Sent:
     """Topics of a source, their prefix, the duration, and the background image."""
 
-    topics: Annotated[str, Option(metavar="A,B", help=f"Topics, of {ALL_TOPICS}.")] = ALL_TOPICS
+    topics: Annotated[str, Option(metavar="A,B", help=f"Topics, of {ALL_TOPICS}.")] = USUAL_TOPICS
     name: Annotated[
         str | None,
         Option(metavar="NAME", help="Prefix of topics and frames; else the calibration's sensor."),
@@ -81,8 +82,8 @@ def bag(
     Writes images, indentation, points and findings as rosbag2 (MCAP).
 
     It takes every frame of a recording, and the newest frames of a camera. Topics: /NAME/image_raw (rgb8), /NAME/indentation
-    (32FC1, meters, positive where pressed), /NAME/points (meters, in NAME_gel_optical_frame), /diagnostics. Needs the extra
-    `ros`.
+    (32FC1, meters, positive where pressed), /NAME/points (meters, in NAME_gel_optical_frame), /diagnostics; and
+    /NAME/object_pose, if --topics names it. Needs the extra `ros`.
 
     \b
     Examples:
