@@ -152,7 +152,8 @@ def simulated(quick: bool) -> dict[str, Any]:
             reconstruct.from_image(simulate_pose(sensor, indenter, one, rng=rng, oversample=1).image)
             for one in poses
         )
-        motion = gelform.motion_between(a, b, start=pose_at(*(shift * 0.8), 0, 0, np.zeros(3)))
+        start = pose_at(*(shift * 0.8), 0, 0, np.zeros(3))
+        motion = gelform.motion_between(a, b, start=start, place_error=calibration.settings.place_error)
         return motion, np.array([*first, 0.3]), shift
 
     for name, (indenter, directions) in blind.items():

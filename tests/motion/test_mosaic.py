@@ -1,5 +1,7 @@
 """Several contacts of one body as one surface."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -46,6 +48,8 @@ def test_sigma_has_the_poses_covariance(parts):
     seen = sure.known & unsure.known
     assert (unsure.depth_sigma_mm[seen] >= sure.depth_sigma_mm[seen]).all()
     assert np.median(unsure.depth_sigma_mm[seen]) < 0.02
+    vague = [replace(one, covariance=np.diag([0, 0, 0.1**2, 0, 0, 0])) for one in motions]
+    np.testing.assert_allclose(gelform.mosaic(parts, vague).depth_sigma_mm[seen], 0.1, rtol=0.1)
 
 
 def test_it_is_a_result_with_its_files(parts, tmp_path):

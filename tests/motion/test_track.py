@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform.motion.between import FOUND, LOST
+from gelform.motion.between import FOUND, LOST, Motion
 from gelform.motion.rigid import inverse_of, step_of_pose
+from gelform.motion.track import after
 from made.rigid_contacts import ball, contact_of, pose, texture
 
 PATH = [pose(0.35 * k, -0.1 * k, 0.0, 0, 0, 1.5 * k) for k in range(10)]
@@ -56,3 +57,15 @@ def test_what_is_blind_grows_with_the_frames():
     path = [contact_of(ball, pose(0.28 * k), seed=k) for k in range(4)]
     sigmas = [np.sqrt(one.motion.covariance[5, 5]) for one in gelform.track(path, prior=(0.5, 0.02))]
     np.testing.assert_allclose(sigmas[1:], 0.02 * np.sqrt([1, 2, 3]), rtol=0.05)
+
+
+def test_one_motion_after_another():
+    """Points go through the first, then the second; an unsure turn of the first shifts what the second moves on."""
+    a, b = pose(1.0, yaw=5), pose(0.0, 2.0, tilt_x=3)
+    sure, unsure = np.zeros((6, 6)), np.diag([0, 0, 0, 0, 0, 0.01**2])
+    first = Motion(a, unsure, np.array([1.0, 0, 0]), (), 1.0, FOUND)
+    then = Motion(b, sure, np.array([4.0, 2.0, 0]), (), 0.5, FOUND)
+    both = after(first, then)
+    np.testing.assert_allclose(both.pose, b @ a)
+    assert np.sqrt(both.covariance[1, 1]) == pytest.approx(0.03, rel=0.01), "3 mm from the unsure turn"
+    assert (both.shared, both.state) == (0.5, FOUND)
