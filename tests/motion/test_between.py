@@ -1,6 +1,7 @@
 """Known motions of known bodies: found within their covariance, blind directions named, nothing invented."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -111,6 +112,24 @@ def test_what_fills_the_view_has_no_depth():
     ]
     assert np.sqrt(found.covariance[2, 2]) > 9
     assert found.pose[0, 3] == pytest.approx(0.3, abs=0.01)
+
+
+def test_a_plate_without_any_error_shows_no_more():
+    """The equations are singular then, exactly."""
+    found = gelform.motion_between(contact_of(plate), contact_of(plate, pose(0.3)))
+    assert len(found.blind) >= 3
+    assert np.isfinite(found.pose).all()
+    np.testing.assert_allclose(found.pose[:2, 3], 0, atol=1e-6)
+
+
+def test_unknown_sigmas_count_little():
+    """NaN, infinity, or none at all."""
+    first, second = contact_of(texture(), seed=1), contact_of(texture(), pose(0.3), seed=2)
+    slopes, depth = first.gradients_sigma.copy(), first.depth_sigma_mm.copy()
+    slopes[50:55], depth[60:65] = np.nan, np.inf
+    for sigmas in ((slopes, depth), (None, None)):
+        unsure = replace(first, gradients_sigma=sigmas[0], depth_sigma_mm=sigmas[1])
+        assert gelform.motion_between(unsure, second).pose[0, 3] == pytest.approx(0.3, abs=0.01)
 
 
 def test_an_object_that_hardly_moved_cannot_be_told_from_a_blind_one():

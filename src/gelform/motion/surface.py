@@ -17,7 +17,7 @@ from gelform.result import Reconstruction
 
 # What the stated sigma lacks, added to it: of a slope, mm/mm, and of a depth, mm.
 SLOPE_FLOOR, DEPTH_FLOOR_MM = 0.03, 0.005
-LARGEST_SIGMA = 3.0  # mm/mm and mm; what is said to be less certain counts as this
+LARGEST_SIGMA = 3.0  # mm/mm and mm; what is less certain, or NaN, counts as this
 SMOOTHED_PX = 0.8  # px, standard deviation of the filter before slopes are differentiated
 MOST_POINTS = 1500  # of a contact's pixels; errors of neighbors are alike, so more of them tell little more
 GAP_MM = 1.0  # mm; a narrower gap of a contact lies between tops of one texture
@@ -177,7 +177,7 @@ def _closed(contact: NDArray[np.bool_], pitch: Array) -> NDArray[np.bool_]:
 def _variances(result: Reconstruction, rows: slice, cols: slice) -> NDArray[np.float32]:
     """Variances (h, w, 2) of a pixel's slopes, the mean of both, and of its depth."""
     of_slope, of_depth = (
-        0.0 if sigma is None else np.square(np.minimum(sigma[rows, cols], np.float32(LARGEST_SIGMA)))
+        0.0 if sigma is None else np.square(np.fmin(sigma[rows, cols], np.float32(LARGEST_SIGMA)))
         for sigma in (result.gradients_sigma, result.depth_sigma_mm)
     )
     mean = (of_slope[..., 0] + of_slope[..., 1]) / 2 if isinstance(of_slope, np.ndarray) else 0.0
