@@ -17,7 +17,7 @@ from gelform.cli.commands.info import info
 from gelform.cli.commands.inspection import compare, evaluate, explain
 from gelform.cli.commands.live import live
 from gelform.cli.commands.reconstruct import reconstruct
-from gelform.cli.commands.robots import bag, ros
+from gelform.cli.commands.robots import bag, ros, track
 from gelform.cli.commands.simulate import design, simulate
 from gelform.cli.commands.sources import cameras, record
 from gelform.cli.commands.starter import starter
@@ -35,7 +35,7 @@ GROUPS: dict[str, tuple[Any, ...]] = {
     "Start": (demo, live, simulate, info),
     "Sensor": (cameras, record, scale, lens, crosstalk, calibrate, starter, evaluate, LIBRARY, design),
     "Frames": (reconstruct, explain, compare, batch, verify),
-    "Robots": (bag, ros),
+    "Robots": (bag, ros, track),
     "Files": (import_, export),
 }
 
