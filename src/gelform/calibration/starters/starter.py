@@ -13,6 +13,7 @@ from importlib.resources import files
 from os import PathLike
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -38,9 +39,9 @@ MOST_APART = (
     2.0  # largest factor between mm_per_px of a unit and of its make; lenses and crops differ by a tenth
 )
 KIND, FORMAT_VERSION, MAX_BYTES = "gelform starter", 1, 4 * 2**20
-# Depth in the inner part of a background image, read against its own smooth light. Four units at rest 0.10-0.21 mm,
-# 109 presses of a ball on two of them 0.42 mm or more, a cube's edge 0.29 mm or more.
-TOUCHED_MM = 0.3
+# Depth over its mean around it in the inner part of a background image, read against its own smooth light. Five units at
+# rest 0.05-0.18 mm, presses of a ball on three of them 0.34 mm or more, a cube's edge 0.27 mm or more.
+TOUCHED_MM = 0.2
 BORDER = 8  # an eighth of the image at each side, where a smooth light fits worst
 FOLDER = files("gelform") / "calibration" / "starters"
 
@@ -198,7 +199,8 @@ class Starter:
         if any(finding.name == "few_untouched" for finding in result.health):
             return
         top, left = (n // BORDER for n in made.image_shape)
-        over = np.where(result.known, result.depth_mm - np.median(result.depth_mm), 0)[top:-top, left:-left]
+        depth, around = np.where(result.known, result.depth_mm, np.float32(0)), made.image_shape[0] // 2
+        over = (depth - cv2.blur(depth, (around, around)))[top:-top, left:-left]
         row, column = np.unravel_index(int(over.argmax()), over.shape)
         if over[row, column] > TOUCHED_MM:
             raise CalibrationError(
