@@ -25,7 +25,7 @@ from gelform.calibration.loads import LoadedPresses
 from gelform.calibration.presses.press_set import table_rows
 from gelform.depth.contact import Surround
 from gelform.depth.force.fit import Load
-from gelform.depth.force.model import force_from_result, force_from_touch, why_no_normal
+from gelform.depth.force.model import force_from_result, why_no_normal
 from presses import DATA, data_is_missing
 from report import RESULTS, command_line, machine, median_ms, parts_asked, table
 
@@ -84,7 +84,7 @@ def _left_out(found: LoadedPresses, groups: np.ndarray) -> Iterator[dict[str, An
         others = np.flatnonzero(groups != name)
         model = gelform.calibrate_force([found.touches[i] for i in others], [found.loads[i] for i in others])
         for i in np.flatnonzero(groups == name):
-            force, load = force_from_touch(found.touches[i], model), found.loads[i]
+            force, load = force_from_result(found.touches[i], model), found.loads[i]
             if force.normal_n is not None and load.normal_n > LEAST_N:
                 known = {"force": force.normal_n, "sigma": force.normal_sigma_n, "load": load.normal_n}
                 yield {"object": load.object, **known}
@@ -168,7 +168,7 @@ def shear() -> dict[str, Any]:
             [t for one in others for t in one[0]], [x for one in others for x in one[1]]
         )
         found = gelform.evaluate_force(model, *recording(k))
-        for part, rows in (("shear", found.shear), ("torsion", found.torsion)):
+        for part, rows in (("shear", found["shear"]), ("torsion", found["torsion"])):
             row = rows[-1]
             kept = {name: row[name] for name in ("presses", "refused", "mae", "within_1", "within_2")}
             figures[f"{part}, recording {k}"] = {**kept, "constant_mae": row["constant"]["mae"]}

@@ -66,7 +66,7 @@ def test_single_presses(table, calibration, volumes):
     assert found.lag_frames is None
     assert [load.normal_n for load in found.loads] == pytest.approx([row[2] for row in rows])
     model = calibrate_force(found.touches, found.loads)
-    assert model.normal.k_n_per_mm3 == pytest.approx(K)
+    assert model.normal.weights[0][0] == pytest.approx(K)
     assert model.calibration_digest == calibration.digest
 
 
@@ -78,7 +78,7 @@ def test_the_lag_of_a_gauge_is_found_and_removed(table, calibration, volumes, la
     assert found.lag_frames == lag
     assert len(found.loads) == len(volumes) - abs(lag)
     model = calibrate_force(found.touches, found.loads)
-    assert model.normal.k_n_per_mm3 == pytest.approx(K)
+    assert model.normal.weights[0][0] == pytest.approx(K)
 
 
 def test_a_log_with_times(table, calibration, volumes):
@@ -101,12 +101,12 @@ def test_sideways_loads_and_empty_cells(table, calibration):
     assert [(load.normal_n, load.shear_n, load.torsion_n_mm) for load in found.loads] == [
         (None, (0.5, -0.2), 3), (1.5, None, None),
     ]  # fmt: skip
-    assert found.names == ("1.png", "2.png")
+    assert found.names == ["1.png", "2.png"]
 
 
 BAD = {
     "no table": (None, "loads.csv"),
-    "no rows": (("image,object,force_n", []), "a row for each press"),
+    "no rows": (("image,object,force_n", []), "Expected loads"),
     "no column": (("image,object,weight", [("1.png", "ball", 3)]), "force_n"),
     "no number": (("image,object,force_n", [("1.png", "ball", "much")]), "a number"),
     "no image": (("image,object,force_n", [("gone.png", "ball", 3)]), "gone.png"),
@@ -176,6 +176,6 @@ def test_real_objects_of_which_one_is_left_out(data, tmp_path):
     own = [i for i, load in enumerate(found.loads) if load.object == "golf_ball"]
     others = [i for i in range(len(found.loads)) if i not in own]
     model = calibrate_force([found.touches[i] for i in others], [found.loads[i] for i in others])
-    row = evaluate_force(model, [found.touches[i] for i in own], [found.loads[i] for i in own]).normal[-1]
+    row = evaluate_force(model, [found.touches[i] for i in own], [found.loads[i] for i in own])["normal"][-1]
     assert row["median"] < 0.3
     assert row["within_2"] > 0.8

@@ -7,6 +7,7 @@ from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
 from sensor_msgs.msg import Image, PointCloud2
 
@@ -18,6 +19,7 @@ from gelform.robots.topics import TOPICS, check_sensor_name, check_topics, senso
 TYPES = {
     "sensor_msgs/msg/Image": Image,
     "sensor_msgs/msg/PointCloud2": PointCloud2,
+    "geometry_msgs/msg/WrenchStamped": WrenchStamped,
     "diagnostic_msgs/msg/DiagnosticArray": DiagnosticArray,
 }
 QUEUE = 10

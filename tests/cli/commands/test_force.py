@@ -34,7 +34,7 @@ def loads(small, calibration_file, tmp_path_factory):
 def test_loads_are_added_to_the_calibration_and_measured(run, run_json, loads, calibration_file, tmp_path):
     own = shutil.copy(calibration_file, tmp_path / "cal.npz")
     said = run_json("force", "calibrate", loads, "-c", own)
-    assert said["normal"]["k_n_per_mm3"] == pytest.approx(K)
+    assert said["normal"]["weights"] == [[pytest.approx(K)]]
     assert said["unit"] == "N"
     assert gelform.load_calibration(own).force.normal.loads == said["normal"]["loads"]
     errors = run_json("force", "evaluate", loads, "-c", own)

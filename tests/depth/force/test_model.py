@@ -8,18 +8,15 @@ import pytest
 
 from depth.force.test_touch import GRID, dotted, pressed
 from gelform.depth.force.model import (
-    DotForce,
     ForceModel,
-    NormalForce,
-    Spread,
+    ForcePart,
     force_from_result,
-    force_from_touch,
 )
 from gelform.depth.force.touch import Touch, touch_from_dots, touch_from_result
 
-NORMAL = NormalForce(2.0, (0.5, 10.0), Spread(0.3, 0.4), 12)
-SHEAR = DotForce(((-1.5, 0, 0, 0, 0, 0.1), (0, -1.5, 2.0, 0, 0, 0)), 2.0, Spread(0.1, 0.2), 40)
-TORSION = DotForce(((0, 0, 50, 0, 0, 0),), 5.0, Spread(0, 1), 40)
+NORMAL = ForcePart(((2.0,),), (0.5, 10.0), 0.3, 0.4, 12)
+SHEAR = ForcePart(((-1.5, 0, 0, 0, 0, 0.1), (0, -1.5, 2.0, 0, 0, 0)), (0.1, 2.0), 0.1, 0.2, 40)
+TORSION = ForcePart(((0, 0, 50, 0, 0, 0),), (0.1, 5.0), 0.0, 1.0, 40)
 MODEL = ForceModel(NORMAL, SHEAR, TORSION, tuple(map(tuple, GRID.tolist())), ("ball",), "a", "2026-11-26")
 
 
@@ -69,7 +66,7 @@ def test_just_within_the_limits_it_is_stated():
     ("result", "reason"),
     [
         (pressed(), "no dots"),
-        (dotted((0.1, 0), np.arange(len(GRID)) < 5), "half of the dots"),
+        (dotted((0.1, 0), np.arange(len(GRID)) < 5), "few dots"),
         (dotted((2.0, 0)), "range"),
         (replace(dotted((0.1, 0)), calibration_digest="b"), "another gel"),
     ],
@@ -83,20 +80,20 @@ def test_where_no_shear_is_stated(result, reason):
 def test_the_dots_of_another_gel():
     touch = touch_from_result(dotted((0.1, 0)))
     other = replace(MODEL, rest_mm=tuple(map(tuple, (GRID + 0.5).tolist())))
-    assert force_from_touch(touch, MODEL).shear_n is not None
-    assert "another gel" in force_from_touch(touch, other).torsion_reason
+    assert force_from_result(touch, MODEL).shear_n is not None
+    assert "another gel" in force_from_result(touch, other).torsion_reason
 
 
 def test_dots_alone_tell_no_normal_force():
     touch = touch_from_dots(GRID, np.zeros((len(GRID), 3)))
-    force = force_from_touch(replace(touch, calibration_digest="a"), MODEL)
+    force = force_from_result(replace(touch, calibration_digest="a"), MODEL)
     assert force.normal_n is None
     assert force.shear_n == pytest.approx((0.1, 0))
 
 
 @pytest.mark.parametrize("model", [None, replace(MODEL, normal=None, shear=None, torsion=None)])
 def test_without_loads_nothing_is_stated(model):
-    force = force_from_touch(Touch(1.0, 0.9, 0.1, calibration_digest="a"), model)
+    force = force_from_result(Touch(1.0, 0.9, 0.1, calibration_digest="a"), model)
     assert (force.normal_n, force.shear_n, force.torsion_n_mm) == (None, None, None)
     assert "gelform force calibrate" in force.reason
     assert force.reason.count("no loads") == 1
@@ -113,8 +110,8 @@ def test_a_model_comes_back_from_json():
 @pytest.mark.parametrize(
     ("name", "value"),
     [
-        ("unit", "g"), ("normal", {}), ("normal", {**NORMAL.__dict__, "k_n_per_mm3": -1}), ("rest_mm", [[0, float("nan")]]),
-        ("shear", {**TORSION.__dict__, "spread": {"relative": 0, "floor": 1}}), ("objects", [3]), ("created_utc", None),
+        ("unit", "g"), ("normal", {}), ("normal", {**NORMAL.__dict__, "range": [0, -1]}), ("rest_mm", [[0, float("nan")]]),
+        ("shear", TORSION.__dict__), ("normal", {**NORMAL.__dict__, "floor": -1}), ("objects", [3]), ("created_utc", None),
     ],
 )  # fmt: skip
 def test_an_altered_model_is_refused(name, value):

@@ -1,15 +1,19 @@
 """The numbers of a touch: its volume, its place, and the motion of the dots, on maps and motions that are written out."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import gelform
-from gelform.depth.force.touch import motion_of_dots, same_dots, touch_from_dots, touch_from_result
+from gelform.depth.force.model import why_no_dots
+from gelform.depth.force.touch import DotMotion, Touch, touch_from_dots, touch_from_result
 from gelform.image.markers import MarkerFlow
 from gelform.result import Reconstruction
 
 SHAPE, PITCH = (60, 80), 0.1
 GRID = np.stack(np.meshgrid(np.arange(6.0), np.arange(5.0)), axis=-1).reshape(-1, 2) * 1.2 + 0.8
+STILL = DotMotion(0, 0, 0, 0, 0)
 
 
 def pressed(where=np.s_[20:30, 30:50], depth_mm=0.5, **known):
@@ -63,9 +67,8 @@ def test_dots_that_turn_slide_and_tilt():
     at = GRID - middle
     turned = at @ np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]]) - at
     moved = np.column_stack([turned + np.array([0.3, -0.2]), 0.1 + at @ (0.05, -0.04)])
-    motion = motion_of_dots(GRID, moved)
+    motion = touch_from_dots(GRID, moved).dots
     assert motion == pytest.approx((0.3, -0.2, np.sin(angle), 0.05, -0.04), abs=1e-12)
-    assert touch_from_dots(GRID, moved).dots == motion
     assert touch_from_dots(GRID, moved[:, :2]).dots == pytest.approx(
         (0.3, -0.2, np.sin(angle), 0, 0), abs=1e-12
     )
@@ -88,12 +91,12 @@ def test_unseen_dots_do_not_count_and_too_few_say_nothing():
     assert few.rest_mm.shape == GRID.shape
 
 
-def test_the_same_dots_and_others():
-    assert same_dots(GRID + 0.05, GRID, 0.15)
-    assert same_dots(GRID[3:], GRID, 0.15)
-    assert not same_dots(GRID + 0.5, GRID, 0.15)
-    assert not same_dots(GRID * 1.4, GRID, 0.15)
-    assert not same_dots(GRID[:10], GRID, 0.15)
+@pytest.mark.parametrize(
+    ("rest", "same"),
+    [(GRID + 0.05, True), (GRID[3:], True), (GRID + 0.5, False), (GRID * 1.4, False), (GRID[:10], False)],
+)
+def test_the_same_dots_and_others(rest, same):
+    assert (why_no_dots(replace(Touch(), rest_mm=rest, dots=STILL), GRID) == "") is same
 
 
 @pytest.mark.parametrize(

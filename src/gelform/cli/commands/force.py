@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 SUMMARY = "Calibrate force in newtons, and measure its errors."
 Loads = Annotated[Path, Argument(metavar="LOADS", help="Folder of images with loads.csv.")]
-PARTS = {"normal": "N", "shear": "N", "torsion": "N mm"}
+UNITS = {"normal": "N", "shear": "N", "torsion": "N mm"}
 
 
 def calibrate(
@@ -67,13 +67,10 @@ def calibrate(
         model = calibrate_force(found.touches, found.loads, sure_of_unit=sure_of_unit)
         replace(loaded, force=model).save(output or calibration, overwrite=overwrite or output is None)
     described = model.to_dict()
-    for part, unit in PARTS.items():
-        if fitted := described[part]:
-            spread = fitted["spread"]
-            shown.say(
-                f"{part}: {fitted['loads']} loads, one standard deviation {100 * spread['relative']:.0f} % and "
-                f"{spread['floor']:.2g} {unit}."
-            )
+    for kind, unit in UNITS.items():
+        if part := described[kind]:
+            off = f"{100 * part['relative']:.0f} % and {part['floor']:.2g} {unit}"
+            shown.say(f"{kind}: {part['loads']} loads, one standard deviation {off}.")
     if len(model.objects) == 1:
         shown.say("Only one object was pressed, so at least 30 % are stated. Press two more of other shapes.")
     shown.say(f"Wrote {output or calibration}.")
@@ -101,28 +98,16 @@ def evaluate(
     if loaded.force is None:
         raise CalibrationError(f"{calibration} states no forces: {NO_LOADS}.")
     found = _read(loads, loaded, background, shown)
-    evaluation = evaluate_force(loaded.force, found.touches, found.loads)
-    content = evaluation.to_dict()
-    for part, unit in PARTS.items():
-        if rows := content[part]:
-            columns = (
-                "object",
-                "presses",
-                "refused %",
-                f"MAE {unit}",
-                "median %",
-                "90 %",
-                "in 1 sigma %",
-                "constant's MAE",
-            )
-            shown.table(f"Errors of the {part} force", columns, [_row(row) for row in rows])
-    if evaluation.reasons:
+    errors = evaluate_force(loaded.force, found.touches, found.loads)
+    for kind, unit in UNITS.items():
+        columns = ("object", "presses", "refused %", f"MAE {unit}", "median %", "90 %", "in 1 sigma %")
+        if errors[kind]:
+            shown.table(f"Errors: {kind}", (*columns, "constant's MAE"), [_row(row) for row in errors[kind]])
+    if reasons := errors["reasons"]:
         shown.table(
-            "Without a normal force",
-            ("reason", "presses"),
-            [(k, str(n)) for k, n in evaluation.reasons.items()],
+            "Without a normal force", ("reason", "presses"), [(k, str(n)) for k, n in reasons.items()]
         )
-    shown.json({"lag_frames": found.lag_frames, **content})
+    shown.json({"lag_frames": found.lag_frames, **errors})
 
 
 def _read(

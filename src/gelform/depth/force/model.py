@@ -10,9 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.depth.force.touch import Pressed, Touch, same_dots, touch_from_result
+from gelform.depth.force.touch import Touch, touch_from_result
 from gelform.foundations.checks import check_numbers, check_positive, check_values, check_within
 
+KINDS = {"normal": "n", "shear": "n", "torsion": "n_mm"}  # of force, with their units
+SHAPES = {"normal": (1, 1), "shear": (2, 6), "torsion": (1, 6)}  # of their weights: components, terms
+UNIT = "N"
 # Where no normal force is stated. Of the first, hard objects have .08 to .34 and soft ones .40 to 1.09; docs/force.md has
 # the rates of errors.
 MOST_OUTSIDE_CHANGE = 0.4  # color change outside the contact, over that inside
@@ -22,70 +25,42 @@ BEYOND_RANGE = 1.2  # of the largest calibrated load
 DOT_TOLERANCE = (
     0.15  # of the dots' spacing; a shifted grid of the same pitch passes by chance in 7 % (pi 0.15^2)
 )
-UNIT = "N"
-NO_LOADS = "no loads were calibrated. Press with known loads: gelform force calibrate"
+NO_LOADS = "no loads were calibrated (gelform force calibrate)"
 
 
 @dataclass(frozen=True)
-class Spread:
-    """The standard deviation of a force: a relative part and a floor, learnt by leaving objects out.
+class ForcePart:
+    """One kind of force, which is linear in the terms of a touch.
 
     Attributes
     ----------
-    relative : standard deviation over the force
-    floor : standard deviation at no force, in the unit of the force
-    """
-
-    relative: float
-    floor: float
-
-    def __post_init__(self) -> None:
-        check_within(self.relative, "relative", 0, 1e3)
-        check_within(self.floor, "floor", 0, 1e6)
-
-    def of(self, force: float) -> float:
-        """The standard deviation of a force."""
-        return float(np.hypot(self.relative * force, self.floor))
-
-
-@dataclass(frozen=True)
-class NormalForce:
-    """F = K V.
-
-    Attributes
-    ----------
-    k_n_per_mm3 : K; it is empirical, no constant of the material
-    range_n : smallest and largest load
-    spread : of the force
-    loads : number of loads that were used
-    """
-
-    k_n_per_mm3: float
-    range_n: tuple[float, float]
-    spread: Spread
-    loads: int
-
-
-@dataclass(frozen=True)
-class DotForce:
-    """A force that is linear in the motion of the dots.
-
-    Attributes
-    ----------
-    weights : one row for each component of the force: of x, y, turn, tilt along x and y, and the constant of the gauge
-    range : the largest magnitude of the loads
-    spread : of each component
+    weights : one row for each component. Of a normal force, K in N/mm^3, which is empirical, no constant of the material; of
+        shear and torsion, those of x, y, turn, tilt along x and y, and the constant of the gauge
+    range : smallest and largest magnitude of the loads
+    relative, floor : standard deviation over the force, and at no force, learnt by leaving objects out
     loads : number of loads that were used
     """
 
     weights: tuple[tuple[float, ...], ...]
-    range: float
-    spread: Spread
+    range: tuple[float, float]
+    relative: float
+    floor: float
     loads: int
 
-    def __call__(self, motion: tuple[float, ...]) -> NDArray[np.float64]:
-        """The components of the force."""
-        return np.asarray(self.weights) @ np.array([*motion, 1.0])
+    @classmethod
+    def from_dict(cls, stored: Mapping[str, Any], shape: tuple[int, int]) -> ForcePart:
+        """The part from its fields; KeyError, TypeError or ValueError: these are none."""
+        weights = np.asarray(check_values(stored["weights"], "weights", (), np.float64))
+        if weights.shape != shape:
+            raise ValueError(f"Expected weights of shape {shape}, got {weights.shape}.")
+        low, high = check_numbers(stored["range"], "range", 2)
+        relative, floor = (check_within(stored[name], name, 0, 1e6) for name in ("relative", "floor"))
+        high, loads = check_positive(high, "range"), int(check_positive(stored["loads"], "loads"))
+        return cls(tuple(map(tuple, weights.tolist())), (low, high), relative, floor, loads)
+
+    def sigma(self, force: NDArray[np.float64]) -> float:
+        """The standard deviation of each component of a force."""
+        return float(np.hypot(self.relative * np.linalg.norm(force), self.floor))
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,10 +76,10 @@ class ForceModel:
     created_utc : time
     """
 
-    normal: NormalForce | None
-    shear: DotForce | None
-    torsion: DotForce | None
-    rest_mm: tuple[tuple[float, float], ...]
+    normal: ForcePart | None
+    shear: ForcePart | None
+    torsion: ForcePart | None
+    rest_mm: tuple[tuple[float, ...], ...]
     objects: tuple[str, ...]
     calibration_digest: str
     created_utc: str
@@ -121,39 +96,20 @@ class ForceModel:
     @classmethod
     def from_dict(cls, stored: Mapping[str, Any]) -> ForceModel:
         """The model from `to_dict`; KeyError, TypeError or ValueError: it is no model."""
-        if stored["unit"] != UNIT:
-            raise ValueError(f"Expected a force in {UNIT}, got {stored['unit']!r}.")
-        normal, shear, torsion = (stored[name] for name in ("normal", "shear", "torsion"))
-        texts = [stored["calibration_digest"], stored["created_utc"], *stored["objects"]]
-        if not all(isinstance(text, str) for text in texts):
-            raise TypeError("Expected objects, a digest and a date as texts.")
-        return cls(
-            None if normal is None else _normal_from(normal),
-            None if shear is None else _dots_from(shear, 2),
-            None if torsion is None else _dots_from(torsion, 1),
-            tuple((x, y) for x, y in (check_numbers(place, "rest_mm", 2) for place in stored["rest_mm"])),
+        texts = [stored["unit"], stored["calibration_digest"], stored["created_utc"], *stored["objects"]]
+        if not all(isinstance(text, str) for text in texts) or stored["unit"] != UNIT:
+            raise TypeError(f"Expected a force in {UNIT}, with a digest, a date and objects as texts.")
+        normal, shear, torsion = (
+            None if stored[kind] is None else ForcePart.from_dict(stored[kind], SHAPES[kind])
+            for kind in KINDS
+        )
+        rest = tuple(check_numbers(place, "rest_mm", 2) for place in stored["rest_mm"])
+        objects, digest, created = (
             tuple(stored["objects"]),
             stored["calibration_digest"],
             stored["created_utc"],
         )
-
-
-def _normal_from(stored: Mapping[str, Any]) -> NormalForce:
-    low, high = check_numbers(stored["range_n"], "range_n", 2)
-    k = check_positive(stored["k_n_per_mm3"], "k_n_per_mm3")
-    return NormalForce(
-        k, (low, check_positive(high, "range_n")), Spread(**stored["spread"]), int(stored["loads"])
-    )
-
-
-def _dots_from(stored: Mapping[str, Any], rows: int) -> DotForce:
-    weights = np.asarray(check_values(stored["weights"], "weights", (), np.float64))
-    if weights.shape != (rows, 6):
-        raise ValueError(f"Expected weights of shape ({rows}, 6), got {weights.shape}.")
-    reach = check_positive(stored["range"], "range")
-    return DotForce(
-        tuple(map(tuple, weights.tolist())), reach, Spread(**stored["spread"]), int(stored["loads"])
-    )
+        return cls(normal, shear, torsion, rest, objects, digest, created)
 
 
 @dataclass(frozen=True)
@@ -170,13 +126,13 @@ class Force:
 
     normal_n: float | None = None
     normal_sigma_n: float | None = None
+    normal_reason: str = NO_LOADS
     shear_n: tuple[float, float] | None = None
     shear_sigma_n: float | None = None
+    shear_reason: str = NO_LOADS
     torsion_n_mm: float | None = None
     torsion_sigma_n_mm: float | None = None
-    normal_reason: str = ""
-    shear_reason: str = ""
-    torsion_reason: str = ""
+    torsion_reason: str = NO_LOADS
 
     @property
     def reason(self) -> str:
@@ -185,13 +141,19 @@ class Force:
             dict.fromkeys(filter(None, (self.normal_reason, self.shear_reason, self.torsion_reason)))
         )
 
+    def columns(self) -> dict[str, float | str | None]:
+        """The cells of a table, by name: None where a force is not known, and `force_reason`."""
+        cells = {name: value for name, value in vars(self).items() if not name.endswith("_reason")}
+        x, y = cells.pop("shear_n") or (None, None)
+        return {"shear_x_n": x, "shear_y_n": y, **cells, "force_reason": self.reason}
 
-def force_from_result(result: Pressed, model: ForceModel | None) -> Force:
+
+def force_from_result(result: Any, model: ForceModel | None) -> Force:
     """The force of one result.
 
     Parameters
     ----------
-    result : a `Reconstruction`
+    result : a `Reconstruction`, or its touch
     model : of the result's calibration, `calibration.force`; None if no loads were calibrated
 
     Returns
@@ -200,33 +162,36 @@ def force_from_result(result: Pressed, model: ForceModel | None) -> Force:
         With a standard deviation for each part, or None and the reason: a soft object or a contact beyond the view, low
         confidence, a contact at the border, a force beyond the calibrated range, another gel, no dots.
     """
-    return force_from_touch(touch_from_result(result), model)
+    touch = result if isinstance(result, Touch) else touch_from_result(result)
+    found: dict[str, Any] = {}
+    for kind, unit in KINDS.items():
+        part: ForcePart | None = getattr(model, kind, None)
+        if model is None or part is None:
+            continue
+        reason = _why_other(touch, model) or (
+            why_no_normal(touch) if kind == "normal" else why_no_dots(touch, model.dots)
+        )
+        if reason == "":
+            force = np.asarray(part.weights) @ terms_of(touch, kind)
+            if np.linalg.norm(force) <= BEYOND_RANGE * part.range[1]:
+                value = force.tolist()
+                found[f"{kind}_{unit}"] = value[0] if len(value) == 1 else tuple(value)
+                found[f"{kind}_sigma_{unit}"] = part.sigma(force)
+            else:
+                reason = f"beyond the calibrated range: loads were up to {part.range[1]:.3g}"
+        found[f"{kind}_reason"] = reason
+    return Force(**found)
 
 
-def force_from_touch(touch: Touch, model: ForceModel | None) -> Force:
-    """As `force_from_result`, of a touch."""
-    if model is None:
-        return Force(normal_reason=NO_LOADS, shear_reason=NO_LOADS, torsion_reason=NO_LOADS)
-    normal, normal_reason = _normal(touch, model)
-    shear, shear_reason = _of_dots(touch, model, model.shear)
-    torsion, torsion_reason = _of_dots(touch, model, model.torsion)
-    return Force(
-        normal_n=normal,
-        normal_sigma_n=None if normal is None or model.normal is None else model.normal.spread.of(normal),
-        shear_n=None if shear is None else (float(shear[0]), float(shear[1])),
-        shear_sigma_n=_sigma(shear, model.shear),
-        torsion_n_mm=None if torsion is None else float(torsion[0]),
-        torsion_sigma_n_mm=_sigma(torsion, model.torsion),
-        normal_reason=normal_reason,
-        shear_reason=shear_reason,
-        torsion_reason=torsion_reason,
-    )
+def terms_of(touch: Touch, kind: str) -> NDArray[np.float64]:
+    """The terms that the weights of a kind of force multiply."""
+    return np.array([touch.volume_mm3] if kind == "normal" else [*(touch.dots or ()), 1.0], dtype=np.float64)
 
 
 def why_no_normal(touch: Touch) -> str:
     """Why a touch tells no normal force, whatever the model; "" if it does."""
     if touch.volume_mm3 is None:
-        return "the scale is unknown"
+        return "no scale"
     if touch.volume_mm3 <= 0 or touch.outside_change is None:
         return "no contact: nothing touches, or something too soft or too flat to be seen"
     if touch.outside_change >= MOST_OUTSIDE_CHANGE:
@@ -243,50 +208,30 @@ def why_no_normal(touch: Touch) -> str:
     return ""
 
 
-def _normal(touch: Touch, model: ForceModel) -> tuple[float | None, str]:
-    if model.normal is None:
-        return None, NO_LOADS
-    if reason := _other_gel(touch, model) or why_no_normal(touch):
-        return None, reason
-    force = model.normal.k_n_per_mm3 * float(touch.volume_mm3 or 0)
-    most = BEYOND_RANGE * model.normal.range_n[1]
-    if force > most:
-        return (
-            None,
-            f"beyond the calibrated range: {force:.3g} N, and loads were up to {model.normal.range_n[1]:.3g} N",
-        )
-    return force, ""
+def why_no_dots(touch: Touch, known_mm: NDArray[np.float64]) -> str:
+    """Why a touch tells no motion of the known dots (M, 2); "" if it does."""
+    rest = touch.rest_mm
+    if rest is None:
+        return "no dots, or no scale"
+    if not _same_dots(rest, known_mm):
+        return f"dots of another gel: {len(rest)} at other places than the calibrated {len(known_mm)}"
+    return "few dots: more than half are not seen" if touch.dots is None else ""
 
 
-def _of_dots(
-    touch: Touch, model: ForceModel, part: DotForce | None
-) -> tuple[NDArray[np.float64] | None, str]:
-    if part is None:
-        return None, NO_LOADS
-    if touch.rest_mm is None:
-        return None, "the gel has no dots, or no scale"
-    if reason := _other_gel(touch, model) or why_other_dots(touch.rest_mm, model.dots):
-        return None, reason
-    if touch.dots is None:
-        return None, "fewer than half of the dots are seen"
-    force = part(touch.dots)
-    if np.linalg.norm(force) > BEYOND_RANGE * part.range:
-        return None, f"beyond the calibrated range: loads were up to {part.range:.3g}"
-    return force, ""
+def _same_dots(rest: NDArray[np.float64], known: NDArray[np.float64]) -> bool:
+    """Whether most dots (N, 2) stand where known ones (M, 2) do."""
+    if 2 * min(len(rest), len(known)) <= max(len(rest), len(known)):
+        return False
+    spacing = np.median(
+        np.partition(_distances(known, known), 1, axis=1)[:, 1]
+    )  # the nearest is the dot itself
+    return bool(np.median(_distances(rest, known).min(axis=1)) <= DOT_TOLERANCE * spacing)
 
 
-def _other_gel(touch: Touch, model: ForceModel) -> str:
-    if touch.calibration_digest == model.calibration_digest:
-        return ""
-    return "another gel, or another calibration, than the one of the loads"
+def _distances(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.asarray(np.linalg.norm(first[:, None] - second, axis=2))
 
 
-def why_other_dots(rest_mm: NDArray[np.float64], known_mm: NDArray[np.float64]) -> str:
-    """Why dots (N, 2) are not the known ones (M, 2); "" if they are."""
-    if same_dots(rest_mm, known_mm, DOT_TOLERANCE):
-        return ""
-    return f"dots of another gel: {len(rest_mm)} at other places than the calibrated {len(known_mm)}"
-
-
-def _sigma(force: NDArray[np.float64] | None, part: DotForce | None) -> float | None:
-    return None if force is None or part is None else part.spread.of(float(np.linalg.norm(force)))
+def _why_other(touch: Touch, model: ForceModel) -> str:
+    same = touch.calibration_digest == model.calibration_digest
+    return "" if same else "another gel, or another calibration, than the one of the loads"
