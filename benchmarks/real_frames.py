@@ -5,7 +5,8 @@
     python benchmarks/real_frames.py --pages               # writes the recorded figures into README and docs
     python benchmarks/real_frames.py --sets mini-ball,mini-d --cache /tmp/calibrations exposure
 
-`contacts`, `rest`, `exposure` and `light` use each set's own calibration on all its presses; `balls` judges held-out ones.
+`contacts`, `rest`, `exposure`, `light` and `following` use each set's own calibration on all its presses; `balls` judges
+held-out ones.
 The data are read from GELFORM_DATA (default ../shared/data); without it only `simulated` runs. A cached calibration is used
 again while the sources that calibrations follow from stay the same. Figures of some sets alone are not written.
 """
@@ -22,6 +23,7 @@ from real_frames.beyond import beyond
 from real_frames.contacts import contacts, rest
 from real_frames.edges import edges
 from real_frames.faults import exposure, orientation, tears
+from real_frames.following import following
 from real_frames.light import light
 from real_frames.page import fill_pages
 from real_frames.sets import SETS, Run
@@ -37,6 +39,7 @@ PARTS: dict[str, Any] = {
     "beyond": beyond,
     "exposure": exposure,
     "light": light,
+    "following": following,
     "orientation": orientation,
     "tears": tears,
 }

@@ -119,7 +119,7 @@ def rest(run: Run) -> dict[str, Any]:
         )
     figures["mini-markers-video, frames 20-58"] = _video(run)
     rows = [[name, *row.values()] for name, row in figures.items()]
-    print("\n" + table(["without contact", "frames", "with a contact", "%"], rows), flush=True)
+    print("\n" + table(["without contact", *REST_COUNTS, "%"], rows), flush=True)
     return figures
 
 
@@ -136,15 +136,20 @@ def _video(run: Run) -> dict[str, float]:
     for k in (0, 1):
         background = np.median(images[k::2], axis=0).astype(np.float32)
         figures.append(frames_with_contact(run.carried("starter", background), run.some(images[1 - k :: 2])))
-    return _of_counts(*(int(sum(one[key] for one in figures)) for key in ("frames", "with a contact")))
+    return _of_counts(*(int(sum(one[key] for one in figures)) for key in REST_COUNTS))
 
 
 def frames_with_contact(calibration: gelform.Calibration, images: Sequence[np.ndarray]) -> dict[str, float]:
-    """The number of frames, and of those in which a contact is found."""
+    """The number of frames, and of those in which a contact is found, or about which anything is said (but the starter)."""
     reconstruct = gelform.Reconstructor(calibration)
-    found = sum(bool(reconstruct.from_image(image).contacts) for image in images)
-    return _of_counts(len(images), found)
+    results = [reconstruct.from_image(image) for image in images]
+    found = sum(bool(one.contacts) for one in results)
+    said = sum(bool(set(one.health) - set(reconstruct.findings)) for one in results)
+    return _of_counts(len(images), found, said)
 
 
-def _of_counts(frames: int, found: int) -> dict[str, float]:
-    return {"frames": frames, "with a contact": found, "percent": 100 * found / frames}
+REST_COUNTS = ("frames", "with a contact", "with a finding")
+
+
+def _of_counts(frames: int, found: int, said: int) -> dict[str, float]:
+    return dict(zip(REST_COUNTS, (frames, found, said))) | {"percent": 100 * found / frames}

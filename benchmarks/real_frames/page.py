@@ -13,12 +13,13 @@ from pathlib import Path
 from typing import Any
 
 from real_frames.contacts import OBJECTS
+from real_frames.following import FOLLOWING
 from real_frames.sets import SETS
 from real_frames.simulated import FRAMES, PAIRS
 from report import table
 
 ROOT = Path(__file__).parents[2]
-PAGES = ("README.md", "docs/accuracy.md", "docs/limits.md")
+PAGES = ("README.md", "docs/accuracy.md", "docs/background.md", "docs/limits.md", "docs/streams.md")
 BLOCK = re.compile(r"(<!-- real_frames: (\w+) -->\n)(.*?)(?=<!-- real_frames end -->)", re.DOTALL)
 WIDTH = 150  # characters of a line of a page
 NAMES = {
@@ -208,7 +209,72 @@ def limits(figures: Figures) -> str:
     return "\n".join(textwrap.fill(one, WIDTH, subsequent_indent="  ") for one in (steep, contacts))
 
 
+def exposure(figures: Figures) -> str:
+    """How far 5 % of exposure move the depth of real presses."""
+    header = ["sensor", "frames", "median", "90 % of the frames", "maximum"]
+    found = figures["exposure"]
+    rows = [
+        [NAMES[name], found[name]["frames"], *(f"{found[name][key]:.2f} %" for key in MOVED)] for name in SETS
+    ]
+    return table(header, rows)
+
+
+MOVED = ("moved, median", "moved, 90 %", "moved, max")
+
+
+def light(figures: Figures) -> str:
+    """How far another light moves the depth of real and simulated presses."""
+    header = ["sensor", "gain of 0.9 to 1.1", "tilted by 5 %", "20 levels of room light", "both"]
+    rows = [
+        [NAMES.get(name, name), *(_moved(row, scene) for scene in list(row)[1:])]
+        for name, row in figures["light"].items()
+    ]
+    return table(header, rows)
+
+
+def _moved(row: Figures, scene: str) -> str:
+    return f"{row[scene]['moved, median']:.2f}, {row[scene]['90 %']:.2f}, {row[scene]['off, median']:.2f} %"
+
+
+def following(figures: Figures) -> str:
+    """What a stream learns of slow presses and drifting light."""
+    pressed, real, drift = (figures["following"][key] for key in FOLLOWING)
+    header = ["measured", "without memory", "with memory"]
+    rows = [
+        [
+            f"simulated, {what}, {stage}: error of depth in contact",
+            *(f"{row[f'{stage}, {by}']:.1f} um" for by in BY),
+        ]
+        for what, row in pressed.items()
+        for stage in STAGES
+    ]
+    rows += [
+        [
+            f"{NAMES[name]}, {stage}: change of depth by the memory",
+            "",
+            f"{row[f'{stage}, memory']:.1f} % of the peak",
+        ]
+        for name, row in real.items()
+        for stage in STAGES
+    ]
+    rows += [
+        [
+            f"simulated drift of {what}, after ten minutes: error of the background image",
+            f"{row['not followed']:.1f} %",
+            f"{row['followed']:.2f} %",
+        ]
+        for what, row in drift.items()
+    ]
+    return table(header, rows)
+
+
+STAGES, BY = ("pressing", "held"), ("no memory", "memory")
+
+
 BLOCKS = {
+    "exposure": exposure,
+    "light": light,
+    "following": following,
     "sensors": sensors,
     "cube": cube,
     "balls": balls,

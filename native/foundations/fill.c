@@ -1,18 +1,36 @@
-// Unknown pixels from a pyramid of averages of known ones.
+// Unknown pixels from a pyramid of averages of known ones. A flipped map is filled as the map is, but for rounding.
 #include "../common.h"
 
-// Mean of the known among 2x2 pixels of c channels, at row i and column j of the coarser level; whether any is.
+// The pixels of a line of n that make the pixel `i` of its coarser line, and their weights: two, or three about every
+// second one where n is odd, so that the coarser line of a flipped line is the flipped coarser line. The second one lies at
+// the coarser pixel's very place.
+struct taps {
+  ptrdiff_t first;
+  int count;
+  float weight[3];
+};
+
+static inline struct taps taps_of(ptrdiff_t i, ptrdiff_t n) {
+  if (n % 2 == 0) return (struct taps){2 * i, 2, {1, 1}};
+  if (i == 0) return (struct taps){0, n > 1 ? 2 : 1, {4, 1}};
+  return (struct taps){2 * i - 1, 2 * i + 1 < n ? 3 : 2, {1, 4, 1}};
+}
+
+// Mean of the known pixels of c channels for row i and column j of the coarser level; whether any is known.
 static bool mean_of_known(const float *values, const bool *known, float *mean, ptrdiff_t i, ptrdiff_t j, ptrdiff_t h,
                           ptrdiff_t w, ptrdiff_t c) {
-  float count = 0;
-  for (ptrdiff_t y = 2 * i; y < h && y < 2 * i + 2; y++)
-    for (ptrdiff_t x = 2 * j; x < w && x < 2 * j + 2; x++) count += known[y * w + x];
+  const struct taps down = taps_of(i, h), across = taps_of(j, w);
+  float whole = 0;
   for (ptrdiff_t k = 0; k < c; k++) mean[k] = 0;
-  if (count == 0) return false;
-  for (ptrdiff_t y = 2 * i; y < h && y < 2 * i + 2; y++)
-    for (ptrdiff_t x = 2 * j; x < w && x < 2 * j + 2; x++)
-      for (ptrdiff_t k = 0; k < c; k++) mean[k] += (float)known[y * w + x] / count * values[(y * w + x) * c + k];
-  return true;
+  for (int y = 0; y < down.count; y++)
+    for (int x = 0; x < across.count; x++) {
+      const ptrdiff_t pixel = (down.first + y) * w + across.first + x;
+      const float weight = (float)known[pixel] * down.weight[y] * across.weight[x];
+      whole += weight;
+      for (ptrdiff_t k = 0; k < c; k++) mean[k] += weight * values[pixel * c + k];
+    }
+  for (ptrdiff_t k = 0; k < c && whole > 0; k++) mean[k] /= whole;
+  return whole > 0;
 }
 
 EXPORT int coarser_known(const float *values, const bool *known, float *coarse, bool *coarse_known, ptrdiff_t h,
@@ -25,48 +43,86 @@ EXPORT int coarser_known(const float *values, const bool *known, float *coarse, 
   return OK;
 }
 
-// The nearest coarse row or column of a pixel, and the next nearest.
-static inline ptrdiff_t next_nearest(ptrdiff_t pixel, ptrdiff_t count) {
+// The coarse pixels on both sides of a pixel of a line of n, and the share of the nearer one.
+struct sides {
+  ptrdiff_t near, far;
+  float share;
+};
+
+static inline struct sides sides_of(ptrdiff_t pixel, ptrdiff_t n) {
+  if (n % 2 == 1) return (struct sides){pixel / 2, (pixel + 1) / 2, 0.5f};
   const ptrdiff_t next = pixel / 2 + 2 * (pixel % 2) - 1;
-  return next < 0 ? 0 : next > count - 1 ? count - 1 : next;
+  return (struct sides){pixel / 2, next < 0 ? 0 : next > n / 2 - 1 ? n / 2 - 1 : next, 0.75f};
 }
 
-static void interpolate(const float *coarse, float *values, ptrdiff_t i, ptrdiff_t j, ptrdiff_t rows,
-                        ptrdiff_t columns, ptrdiff_t c) {
-  const float *near = coarse + i / 2 * columns * c, *far = coarse + next_nearest(i, rows) * columns * c;
-  const ptrdiff_t left = j / 2 * c, right = next_nearest(j, columns) * c;
+static void interpolate(const float *coarse, float *value, ptrdiff_t i, ptrdiff_t j, ptrdiff_t h, ptrdiff_t w,
+                        ptrdiff_t c) {
+  const struct sides down = sides_of(i, h), across = sides_of(j, w);
+  const ptrdiff_t columns = (w + 1) / 2, left = across.near * c, right = across.far * c;
+  const float *near = coarse + down.near * columns * c, *far = coarse + down.far * columns * c;
   for (ptrdiff_t k = 0; k < c; k++) {
-    const float on_near = 0.75f * near[left + k] + 0.25f * near[right + k];
-    const float on_far = 0.75f * far[left + k] + 0.25f * far[right + k];
-    values[k] = 0.75f * on_near + 0.25f * on_far;
+    const float on_near = across.share * near[left + k] + (1 - across.share) * near[right + k];
+    const float on_far = across.share * far[left + k] + (1 - across.share) * far[right + k];
+    value[k] = down.share * on_near + (1 - down.share) * on_far;
   }
 }
 
-// A pixel becomes the mean of its neighbors, of those that the frame has.
-static void relax(float *values, ptrdiff_t i, ptrdiff_t j, ptrdiff_t h, ptrdiff_t w, ptrdiff_t c) {
-  const float neighbors = (float)((i > 0) + (i < h - 1) + (j > 0) + (j < w - 1));
-  if (neighbors == 0) return;
-  for (ptrdiff_t k = 0; k < c; k++) {
-    const float *here = values + (i * w + j) * c + k;
-    float total = 0;
-    if (i > 0) total += here[-w * c];
-    if (i < h - 1) total += here[w * c];
-    if (j > 0) total += here[-c];
-    if (j < w - 1) total += here[c];
-    values[(i * w + j) * c + k] = total / neighbors;
-  }
-}
+// Unknown pixels side by side in one row.
+struct run {
+  int32_t row, first, last;
+};
 
-// Unknown pixels from the coarser level, bilinearly; then relaxed `sweeps` times, forwards and backwards in turn.
-EXPORT int fill_from_coarser(const float *coarse, float *values, const bool *known, int32_t sweeps, ptrdiff_t rows,
-                             ptrdiff_t columns, ptrdiff_t c, ptrdiff_t h, ptrdiff_t w) {
-  if (rows != (h + 1) / 2 || columns != (w + 1) / 2) return WRONG_SIZE;
-  for (ptrdiff_t n = 0; n < h * w; n++)
-    if (!known[n]) interpolate(coarse, values + n * c, n / w, n % w, rows, columns, c);
-  for (int32_t sweep = 0; sweep < sweeps; sweep++)
-    for (ptrdiff_t step = 0; step < h * w; step++) {
-      const ptrdiff_t n = sweep % 2 == 0 ? step : h * w - 1 - step;
-      if (!known[n]) relax(values, n / w, n % w, h, w, c);
+static ptrdiff_t runs_of_unknown(const bool *known, struct run *runs, ptrdiff_t h, ptrdiff_t w) {
+  ptrdiff_t count = 0;
+  for (ptrdiff_t i = 0; i < h; i++)
+    for (ptrdiff_t j = 0; j < w; j++) {
+      if (known[i * w + j]) continue;
+      if (j == 0 || known[i * w + j - 1]) runs[count++] = (struct run){(int32_t)i, (int32_t)j, 0};
+      runs[count - 1].last = (int32_t)j;
     }
+  return count;
+}
+
+// n values become the mean of their neighbors, of which those beside them are `left` and `right` values away.
+static inline void relax(const float *above, const float *here, const float *below, float *relaxed, ptrdiff_t left,
+                         ptrdiff_t right, ptrdiff_t n) {
+  INDEPENDENT
+  for (ptrdiff_t x = 0; x < n; x++)
+    relaxed[x] = 0.25f * ((above[x] + below[x]) + (here[x - left] + here[x + right]));
+}
+
+// At the border of the map, a pixel is its own neighbor.
+static inline void relax_run(const float *values, float *relaxed, struct run run, ptrdiff_t h, ptrdiff_t w, ptrdiff_t c) {
+  const ptrdiff_t up = run.row > 0 ? w * c : 0, down = run.row < h - 1 ? w * c : 0, row = run.row * w * c;
+  const float *here = values + row;
+  relaxed += row;
+  ptrdiff_t first = run.first * c, end = (run.last + 1) * c;
+  if (run.first == 0) {
+    relax(here - up, here, here + down, relaxed, 0, w > 1 ? c : 0, c);
+    first = c;
+  }
+  if (run.last == w - 1 && first < end) {
+    end -= c;
+    relax(here + end - up, here + end, here + end + down, relaxed + end, c, 0, c);
+  }
+  relax(here + first - up, here + first, here + first + down, relaxed + first, c, c, end - first);
+}
+
+// Unknown pixels from the coarser level, bilinearly; then relaxed `pairs` times there and back between two maps, all at
+// once: no direction comes first.
+EXPORT int fill_from_coarser(const float *coarse, float *values, float *work, int32_t *runs, const bool *known,
+                             int32_t pairs, ptrdiff_t rows, ptrdiff_t columns, ptrdiff_t c, ptrdiff_t h, ptrdiff_t w,
+                             ptrdiff_t of_run) {
+  if (rows != (h + 1) / 2 || columns != (w + 1) / 2 || of_run * sizeof *runs != sizeof(struct run)) return WRONG_SIZE;
+  struct run *all = (struct run *)runs;
+  const ptrdiff_t count = runs_of_unknown(known, all, h, w);
+  for (struct run *run = all; run < all + count; run++)
+    for (ptrdiff_t j = run->first; j <= run->last; j++)
+      interpolate(coarse, values + (run->row * w + j) * c, run->row, j, h, w, c);
+  memcpy(work, values, h * w * c * sizeof *values);
+  for (int32_t k = 0; k < pairs; k++) {
+    for (struct run *run = all; run < all + count; run++) relax_run(values, work, *run, h, w, c);
+    for (struct run *run = all; run < all + count; run++) relax_run(work, values, *run, h, w, c);
+  }
   return OK;
 }

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from copy import copy
 from dataclasses import replace
 from functools import partial
 from os import PathLike
@@ -130,12 +129,14 @@ class FromCalibration:
 
 
 class FromBackground:
-    """The parts that follow from today's background image (H, W, 3), 0-255. They are immutable; threads share them."""
+    """What follows from today's background image (H, W, 3) and the usual light. It is immutable; threads share it."""
 
-    def __init__(self, fixed: FromCalibration, background: NDArray[np.float32]) -> None:
+    def __init__(
+        self, fixed: FromCalibration, background: NDArray[np.float32], usual: FrameLight | None = None
+    ) -> None:
         calibration, forward = fixed.calibration, fixed.calibration.forward
         change, noise = calibration.change, calibration.settings.image_noise
-        self.untouched_image = PreparedBackground(background, change)
+        self.untouched_image = PreparedBackground(background, change, usual)
         self.model = calibration.color_model.prepare(background, calibration.image_shape)
         self.health = FrameHealth(background)
         # If crosstalk is removed, a clipped channel affects all three.
@@ -230,30 +231,27 @@ class Reconstructor:
         self._pool = Pool(lambda: np.empty((*calibration.image_shape, 3), dtype=np.float32))
         keep_freed_memory(BYTES_PER_PX * int(np.prod(calibration.image_shape)))
 
-    def with_background(self, background: NDArray[np.float32]) -> Reconstructor:
+    def with_background(
+        self, background: NDArray[np.float32], usual: FrameLight | None = None
+    ) -> Reconstructor:
         """The same Reconstructor for a newer background (H, W, 3), 0-255, of the same gel; nothing is checked.
 
-        The markers keep their places; everything else is as if the Reconstructor had been made with this background.
-        It takes about as long as a frame.
+        The markers keep their places; the rest is as if it had been made with this background, and takes as long as a
+        frame. `usual` is the light of the frames before, relative to this background.
         """
-        other = copy(self)
-        other.background, other.own_background = background, False
-        other._today = FromBackground(self._calibrated, background)
-        return other
+        today = FromBackground(self._calibrated, background, usual)
+        return self._with(background=background, own_background=False, _today=today)
 
     def with_helper(self, start: Callable[[Work], Work]) -> Reconstructor:
-        """The same Reconstructor with `depth_sigma_mm` computed beside the depth by a helper.
+        """The same one with a helper for `depth_sigma_mm`: `start(work)` begins the work, and what it returns ends it."""
+        return self._with(_start=start)
 
-        `start(work)` begins the work; the function that it returns ends it.
-        """
-        other = copy(self)
-        other._start = start
-        return other
-
-    def __copy__(self) -> Reconstructor:
+    def _with(self, **attributes: Any) -> Reconstructor:
         other = object.__new__(type(self))
-        other.__dict__.update(self.__dict__)
+        vars(other).update(vars(self), **attributes)
         return other
+
+    __copy__ = _with
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the arguments; unpickling prepares the Reconstructor again, which takes as long as making it.
@@ -324,7 +322,9 @@ class Reconstructor:
         depth_sigma, difference, at_least = fixed.missing_depth(
             observed, read.steep, at_rest, depth_mm, depth_sigma, difference
         )
-        findings = *read.slopes.findings, *too_deep, *at_least, *unknown_contact(contact, at_rest, known)
+        touched = partial(self._today.untouched_image.touched, read.seen.image)
+        unsure = unknown_contact(contact, at_rest, known, touched)
+        findings = *read.slopes.findings, *too_deep, *at_least, *unsure
         return Reconstruction(
             depth=depth_mm if self.calibration.mm_per_px else depth_mm / np.float32(fixed.pitch),
             depth_sigma_mm=depth_sigma,

@@ -13,7 +13,7 @@ from edges_of_cube import Edge
 from gelform.depth.contact import contacts_from_mask
 from gelform.simulate import LAYOUTS, simulate_press
 from presses import unlabeled
-from real_frames import page
+from real_frames import following, page
 from real_frames.beyond import below, on_balls, steeper
 from real_frames.contacts import contacts, counted, rest
 from real_frames.edges import judged, summary
@@ -215,3 +215,18 @@ def test_slopes_beyond_the_training_are_judged_alone(simulated, presses, calibra
     wrong = on_balls(calibration, doubled, 0.9)
     assert wrong["slopes within 1 sigma, %"] < 50
     assert wrong["caps within 1 depth sigma, %"] < 30
+
+
+@pytest.mark.slow
+def test_a_stream_s_memory_is_judged_against_the_truth_and_against_none(data, monkeypatch):
+    for name, value in (("STEP_S", 5.0), ("PRESSES", 1), ("DRIFTING", 1), ("DRIFT_S", 30.0)):
+        monkeypatch.setattr(following, name, value)
+    run = Run(("mini-ball",), quick=True)
+    twelve = run.presses("mini-ball").subset(range(0, 67, 6))
+    run.kept("mini-ball", lambda: gelform.calibrate(unlabeled(twelve)))
+    pressed, real, drift = following.following(run).values()
+    for row in pressed.values():
+        assert row["held, memory"] == pytest.approx(row["held, no memory"], rel=0.5)
+        assert 0 < row["held, no memory"] < 10
+    assert 0 < real["mini-ball"]["held, memory"] < 2
+    assert drift["LEDs"]["followed"] < 0.3 * drift["LEDs"]["not followed"]

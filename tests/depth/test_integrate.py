@@ -133,6 +133,23 @@ def test_edge_residuals_name_the_edges_that_contradict():
     assert np.unravel_index(np.argmax(np.abs(ry)), ry.shape) in [(11, 20), (12, 20)]
 
 
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("shape", [(60, 80), (61, 83)])
+def test_flipped_slopes_give_the_flipped_depth(shape, axis):
+    """Also where nothing is known, whose slopes are filled."""
+    _, gradients, pitch = scene(BALL, shape, 0.25)
+    rng = np.random.default_rng(0)
+    noisy = gradients + rng.normal(0, 0.05, gradients.shape).astype(np.float32)
+    weights = np.where(rng.uniform(size=shape) < 0.2, 1e-9, 1.0)
+    weights[20:40, 33:58] = 1e-9
+    depth = depth_from_gradients(noisy, mm_per_px=pitch, weights=weights)
+    signs = np.array([-1, 1] if axis else [1, -1], dtype=np.float32)
+    flipped = depth_from_gradients(
+        np.flip(noisy, axis) * signs, mm_per_px=pitch, weights=np.flip(weights, axis)
+    )
+    np.testing.assert_allclose(np.flip(flipped, axis), depth, atol=2e-4)  # mm
+
+
 def test_float64_and_float32_slopes_give_the_same():
     _, gradients, pitch = scene(BUMP, (30, 40), 0.3)
     single = depth_from_gradients(gradients.astype(np.float32), mm_per_px=pitch)

@@ -13,6 +13,7 @@ from gelform.foundations import checks
 from gelform.foundations.checks import (
     HIGHEST_SLOPE,
     as_array,
+    check_choice,
     check_gradients,
     check_image,
     check_is,
@@ -33,6 +34,13 @@ from gelform.image.view import View
 from kernel_agreement import assert_kernel_agrees
 
 IMAGE = np.full((4, 5, 3), 100, dtype=np.uint8)
+
+
+def test_a_choice_is_a_name_whatever_else_is_given():
+    assert check_choice("b", ("a", "b"), "a letter") == "b"
+    for other in ("c", [], {}, np.array(["a", "b"]), None, 1):
+        with pytest.raises(ValueError, match="Expected a letter among a, b, got"):
+            check_choice(other, {"a": 1, "b": 2}, "a letter")
 
 
 def test_images_come_out_as_uint8_or_float32():

@@ -81,6 +81,9 @@ def test_rows_that_repeat_a_good_one_or_a_band_are_torn_and_the_copy_is_lost(hea
     assert_torn(faults, np.s_[80:])
     assert not faults.lost[:48].any()
     frame = gel(7)
+    frame[64:80] = frame[64]  # as many equal rows as a block of JPEG has
+    assert_torn(health(frame), np.s_[65:80], 15 / 96)
+    frame = gel(7)
     frame[64:80] = frame[8:24]
     assert_torn(health(frame), np.s_[64:80], 16 / 96)
     faults = health(with_part(pressed(), np.s_[:7], 0))

@@ -30,7 +30,8 @@ static double exponential(double z) {
   return power * scale;
 }
 
-static double place(ptrdiff_t k, ptrdiff_t n) { return n > 1 ? 2.0 * k / (n - 1) - 1 : 0; }
+// Of the middle of a block, from -1 to 1 between the borders.
+static double place(ptrdiff_t k, ptrdiff_t n) { return (2.0 * k + 1) / n - 1; }
 
 static bool is_lit(const struct lit_blocks *b, ptrdiff_t at) {
   for (int c = 0; c < CHANNELS; c++) {

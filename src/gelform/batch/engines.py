@@ -22,6 +22,7 @@ from gelform.batch.inputs.plan import Part
 from gelform.batch.records import PartRecord
 from gelform.batch.work import Job, Stopped, Worker
 from gelform.errors import GelformError, needed
+from gelform.foundations.checks import check_choice
 from gelform.foundations.processes import WorkerLostError, interrupt_held, worker_processes
 
 NOTHING_LOST = "What is done is kept, and not done again."
@@ -119,8 +120,7 @@ class Engine:
     address: str | None = None
 
     def __post_init__(self) -> None:
-        if self.name not in ENGINES:
-            raise ValueError(f"Expected an engine among {', '.join(ENGINES)}, got {self.name!r}.")
+        check_choice(self.name, ENGINES, "an engine")
         if self.workers < 1:
             raise ValueError(f"Expected at least one worker, got {self.workers}.")
         if self.address is not None and self.name != "ray":

@@ -6,8 +6,8 @@ import sys
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from gelform.depth.solvers import SOLVERS
-from gelform.depth.solvers.inputs import takes_weights
+from gelform.depth.solvers.inputs import checked_solver, takes_weights
+from gelform.foundations.checks import check_choice
 from gelform.result.maps import KEPT_MAPS
 
 KEPT = tuple(KEPT_MAPS)
@@ -52,14 +52,12 @@ class BatchSettings:
     bgr: bool = False
 
     def __post_init__(self) -> None:
-        if self.form not in FORMATS:
-            raise ValueError(f"Expected a format among {', '.join(FORMATS)}, got {self.form!r}.")
+        check_choice(self.form, FORMATS, "a format")
         self._check_keep()
         self._check_dtype()
         if "depth_sigma" in self.keep and not self.depth_sigma:
             raise ValueError("Expected depth_sigma to be computed if it is kept. Leave out --no-sigma.")
-        if self.solver not in ("auto", *SOLVERS):
-            raise ValueError(f"Expected a solver among auto, {', '.join(SOLVERS)}, got {self.solver!r}.")
+        checked_solver(self.solver)
         if not 0 <= self.background_frames <= MOST_BACKGROUND_FRAMES:
             raise ValueError(
                 f"Expected 0 to {MOST_BACKGROUND_FRAMES} frames for a background, got {self.background_frames}."
@@ -79,8 +77,7 @@ class BatchSettings:
     def _check_dtype(self) -> None:
         usual = "uint16" if self.form in LEVELS_ALONE else "float32"
         object.__setattr__(self, "dtype", self.dtype or usual)
-        if self.dtype not in DTYPES:
-            raise ValueError(f"Expected a dtype among {', '.join(DTYPES)}, got {self.dtype!r}.")
+        check_choice(self.dtype, DTYPES, "a dtype")
         if self.dtype != usual and self.form in (*LEVELS_ALONE, "npz"):
             raise ValueError(f"Expected {usual} in {self.form}, got {self.dtype}. Zarr and HDF5 hold either.")
         if self.dtype == "uint16" and set(self.keep) - {"depth", "known"}:

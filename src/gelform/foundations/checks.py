@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from numbers import Real
 from os import PathLike
 from pathlib import Path
@@ -215,6 +215,13 @@ def check_is(value: Any, kind: type[T], name: str) -> T:
     """Return a value if it is of a kind, such as a View or a Reconstruction."""
     if not isinstance(value, kind):
         raise TypeError(f"Expected {name} as {kind.__name__}, got {type(value).__name__}.")
+    return value
+
+
+def check_choice(value: Any, choices: Iterable[str], what: str) -> str:
+    """Return a value if it is among the choices; anything else, of any kind, is a ValueError."""
+    if not isinstance(value, str) or value not in choices:
+        raise ValueError(f"Expected {what} among {', '.join(choices)}, got {value!r}.")
     return value
 
 

@@ -36,6 +36,11 @@ def medians_where(
     return medians, _medians_where(values, chosen, step, work, medians)
 
 
+def robust_sigma(off: NDArray[Any], axis: Any = None) -> Any:
+    """Standard deviation of noise about 0, from the median magnitude: robust to outliers."""
+    return SIGMA_OF_MEDIAN * np.median(np.abs(off), axis=axis)
+
+
 def lattice_step(pixels: int) -> int:
     """The step between sampled rows and columns that leaves about `MEDIAN_SAMPLES` of a number of pixels."""
     return max(1, round((pixels / MEDIAN_SAMPLES) ** 0.5))

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 # frame's. Other findings are about a part of it, or are covered by its standard deviation.
 DOUBTFUL = frozenset(
     {"background_differs", "background_ratio", "beyond_gel", "camera_moved", "frozen", "not_this_gel"}
-    | {"other_camera", "other_gel", "room_light"}
+    | {"other_camera", "other_gel"}
 )
 
 

@@ -194,7 +194,7 @@ class Torn:
         repeated = np.zeros(len(order), dtype=bool)
         for digest in np.unique(order[1:][order[1:] == order[:-1]]):
             rows = np.flatnonzero((blocks.row_digests == digest) & self._own_rows)
-            if len(rows) > 1 and rows[-1] - rows[0] >= BLOCK_PX:
+            if len(rows) > 1 and rows[-1] - rows[0] >= BLOCK_PX - 1:
                 away = np.abs(image[rows].astype(np.float32) - self._background[rows]).mean(axis=(1, 2))
                 repeated[np.delete(rows, int(np.argmin(away)))] = True
         return repeated if np.count_nonzero(repeated) > least else None

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gelform._native import Kernel
 from gelform.foundations.checks import (
+    check_choice,
     check_gradients,
     check_map,
     check_mm_per_px,
@@ -52,9 +53,7 @@ def gradients_from_normals(normals: ArrayLike, *, convention: str = "directx") -
         A normal that faces away from the camera, NaN, a wrong shape, an unknown convention, or a map (H, W, 3) of at least
         16x16 that is a surface only with the other sign of y.
     """
-    if not isinstance(convention, str) or convention not in CONVENTIONS:
-        raise ValueError(f"Expected a convention among {', '.join(CONVENTIONS)}, got {convention!r}.")
-    if convention != "directx":
+    if check_choice(convention, CONVENTIONS, "a convention") != "directx":
         normals = check_values(normals, "normals", (3,)) * np.array(CONVENTIONS[convention], np.float32)
     n = check_normals(normals)
     gradients = -n[..., :2] / n[..., 2:]

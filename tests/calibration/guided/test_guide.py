@@ -1,5 +1,6 @@
 """The guide's steps, with simulated images at a camera's pace, faster than real time."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -113,6 +114,16 @@ def test_a_background_that_is_touched_half_the_time_is_taken_again(guide, see, p
         assert "again" in guide.hint
     see(times=2 * USUAL_FRAMES)
     assert guide.step == "press"
+
+
+def test_a_dark_surround_is_named_with_the_crop_that_fits(guide, see, sensor):
+    rest = np.asarray(simulate_background(sensor, np.random.default_rng(1)), np.uint8)
+    rest[:, :30] = 2
+    see(rest, USUAL_FRAMES)
+    assert guide.step == "press"
+    see(rest)
+    assert "outside the gel" in guide.hint
+    assert re.search(r"--crop 3\d,0,\d+,\d+ of gelform calibrate.* Press the ball at 1", guide.hint)
 
 
 def test_a_background_that_something_touches_is_refused_while_it_does(guide, monkeypatch):

@@ -79,8 +79,9 @@ def test_cameras_are_asked_without_being_opened(full, monkeypatch):
     for module in (plugged_in, choose):
         monkeypatch.setattr(module, "cameras_there", lambda: [replace(DIGIT, serial="S1")])
     assert unit_of("digit").serial == unit_of("S1").serial == unit_of("").serial == "S1"
-    with pytest.raises(SensorError, match="No camera 'S7'"):
-        unit_of("S7")
+    for nowhere in ("S7", "S" * 5000, "/dev/" + "S" * 5000):
+        with pytest.raises(SensorError, match=f"No camera '{nowhere[:6]}"):
+            unit_of(nowhere)
 
 
 def test_simulated_sensors_and_open_sources_say_their_serial():

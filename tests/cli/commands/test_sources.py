@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -245,3 +246,14 @@ def test_a_background_that_something_touches_is_refused_once(capsys, monkeypatch
         assert len(images) == (0 if taken is None else 10)
         assert all((image == taken).all() for image in images)
         assert ("Something touches the gel" in capsys.readouterr().err) == said
+
+
+def test_a_dark_surround_is_named_with_the_crop_that_fits(capsys):
+    rest = np.asarray(simulate_background(LAYOUTS["three-edges"], np.random.default_rng(2)))
+    framed = np.pad(rest, ((0, 0), (40, 0), (0, 0)), constant_values=2)
+    for image, said in ((rest, False), (framed, True)):
+        source = ImageSource([image], rate_hz=100)
+        with Grabber(lambda source=source: source) as grabber:
+            assert len(_at_rest(grabber, str, SensorSettings("another", 0.05))) == 10
+        assert ("outside the gel" in (note := capsys.readouterr().err)) == said
+    assert re.search(r"--crop 4\d,0,\d+,\d+", " ".join(note.split()))

@@ -198,8 +198,9 @@ def test_a_quarter_turn_is_exact_and_undone():
         assert View.from_dict(view.to_dict()) == view
         alone = View(turn=turn)
         np.testing.assert_array_equal(frame_from_image(image_from_frame(frame, alone), alone), frame)
-    with pytest.raises(ValueError, match="turn as one of none, left, right, got 'up'"):
-        View(turn="up")
+    for wrong in ("up", [], np.zeros(2), None):
+        with pytest.raises(ValueError, match="turn among none, left, right, got"):
+            View(turn=wrong)
 
 
 @pytest.mark.parametrize("turn", ["none", "left", "right"])

@@ -47,6 +47,7 @@ def test_what_is_no_recording_is_said(tmp_path):
     assert is_recording(str(tmp_path / "empty"))
     assert not is_recording("/dev/null")
     assert not is_recording("2BKRXXXX")
+    assert not is_recording("http://a/?" + "9" * 5000)
 
 
 def test_an_image_that_was_removed_meanwhile_is_said(forms, tmp_path):

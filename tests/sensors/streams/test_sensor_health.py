@@ -18,7 +18,7 @@ from gelform.sensors import SensorSettings
 from gelform.sensors.streams.background_drift import DriftEvidence
 from gelform.sensors.streams.marks import Marks
 from gelform.sensors.streams.same_gel import SameGel
-from gelform.sensors.streams.sensor_health import CameraCheck, Frozen, light_findings, room_light_finding
+from gelform.sensors.streams.sensor_health import CameraCheck, Frozen, light_findings, light_from_outside
 from gelform.simulate import simulate_background
 from gelform.simulate.sensor.coating import Coating
 from live_waiting import until
@@ -66,7 +66,7 @@ def test_light_that_changes_is_brightness_or_color():
 def evidence(now, contact=None):
     nowhere, start = np.zeros(SHAPE, bool), start_levels()
     touched = nowhere if contact is None else contact
-    return DriftEvidence(now.astype(np.float32), start, np.ones_like(start), nowhere, touched)
+    return DriftEvidence(now.astype(np.float32), start, start, nowhere, touched)
 
 
 def start_levels():
@@ -79,21 +79,24 @@ def noise(seed=0):
 
 
 def test_light_from_outside_is_added_in_every_channel():
-    (found,) = room_light_finding(evidence(0.97 * start_levels() + 10 + noise()))
+    (found,) = light_from_outside(evidence(0.97 * start_levels() + 10 + noise()))
     assert found.name == "room_light"
-    assert 6 < found.figure <= 10.5  # at least so much: three standard deviations are taken off
+    assert found.figure == pytest.approx(10, abs=1.5)
+    assert (
+        light_from_outside(evidence(start_levels() + 2 + noise())) == ()
+    )  # it is removed, and not worth a word
 
 
 def test_the_sensors_own_light_one_channel_and_what_touches_are_none():
     start, contact = start_levels(), np.zeros(SHAPE, bool)
     for gain in (0.75, 1.0, 1.3):
-        assert room_light_finding(evidence(gain * start + noise())) == ()
-    assert room_light_finding(evidence(start + np.array([15, 0, 0]) + noise())) == ()
+        assert light_from_outside(evidence(gain * start + noise())) == ()
+    assert light_from_outside(evidence(start + np.array([15, 0, 0]) + noise())) == ()
     now = start + noise()
     now[:, 40:] += 30
     contact[:, 40:] = True
-    assert room_light_finding(evidence(now, contact)) == ()
-    assert room_light_finding(evidence(now, np.ones(SHAPE, bool))) == ()
+    assert light_from_outside(evidence(now, contact)) == ()
+    assert light_from_outside(evidence(now, np.ones(SHAPE, bool))) == ()
 
 
 def camera(serial=None, **settings):
@@ -184,13 +187,13 @@ REST = np.full((*MARKED_SHAPE, 3), 100.0)
 
 
 def marks_in(images, contact=None):
-    marks, rng, ones = Marks(), np.random.default_rng(0), np.ones((*MARKED_SHAPE, 3), np.float32)
+    marks, rng = Marks(), np.random.default_rng(0)
     nowhere = np.zeros(MARKED_SHAPE, bool)
     found = ()
     for image in images:
         noisy = (image + rng.normal(0, 0.2, image.shape)).astype(np.float32)
         start = REST.astype(np.float32)
-        found = marks(DriftEvidence(noisy, start, ones, nowhere, nowhere if contact is None else contact))
+        found = marks(DriftEvidence(noisy, start, start, nowhere, nowhere if contact is None else contact))
     return [finding.name for finding in found]
 
 
@@ -238,9 +241,9 @@ def looks(start, images, *, touched=0.0, different=0.0):
     same_gel, shape = SameGel(start.astype(np.float32)), start.shape[:2]
     somewhere = np.zeros(shape, bool)
     somewhere[: int(touched * shape[0])] = True
-    light, nowhere = np.ones((*shape, 3), np.float32), np.zeros(shape, bool)
+    nowhere, start = np.zeros(shape, bool), start.astype(np.float32)
     return [
-        same_gel(DriftEvidence(image.astype(np.float32), start, light, somewhere, nowhere, different))
+        same_gel(DriftEvidence(image.astype(np.float32), start, start, somewhere, nowhere, different))
         for image in images
     ]
 

@@ -22,8 +22,10 @@ from gelform.calibration.starters import starter_for
 from gelform.calibration_file import Calibration
 from gelform.errors import GelformError
 from gelform.foundations.checks import check_sensor_pitch
+from gelform.foundations.findings import Finding
 from gelform.foundations.progress import Progress, no_progress
 from gelform.image.background.average import USUAL_FRAMES, background_from_frames
+from gelform.image.background.surround import SMALLER_CROP, surround_finding
 from gelform.image.frame import Frame, pixels_digest
 from gelform.image.view import View, image_from_frame
 from gelform.sensors.profiles import profile_named
@@ -135,6 +137,7 @@ class Guide:
         self._refusals = 0
         self._background: NDArray[np.float32] | None = None
         self._noise: NDArray[np.float64] | None = None
+        self._surround: Finding | None = None
         self._judge: Judge | None = None
         self._images: list[NDArray[np.uint8]] = []
         self._circles: list[Circle] = []
@@ -275,6 +278,12 @@ class Guide:
             self._untouched, self.hint = [], f"{problem} Touch nothing: the page tries again."
             return
         self._background, self._noise = np.rint(taken.background).astype(np.float32), taken.noise
+        self._surround = surround_finding(
+            self._background,
+            "--crop {} of gelform calibrate, with presses from gelform record --presses"
+            if self.asked.view.is_identity
+            else SMALLER_CROP,
+        )
         self._judge = Judge(self._background, image, float(taken.noise.max()), self._ball_radius_px)
         self.step = "press"
         self._ask_next()
@@ -321,7 +330,8 @@ class Guide:
     def _asking(self) -> str:
         if self.enough:
             return "You can fit now. More presses show more of the gel: press at circle 1."
-        return f"Press the ball at 1: {self.target.name}." if self.target else "Press at any other place."
+        asking = f"Press the ball at 1: {self.target.name}." if self.target else "Press at any other place."
+        return asking if self._surround is None or self._circles else f"{self._surround.message} {asking}"
 
     @property
     def _coverage_level(self) -> str:

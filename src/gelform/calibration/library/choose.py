@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from os import PathLike
@@ -153,9 +154,8 @@ def unit_of(source: Any) -> Unit:
         return Unit(f"the simulated sensor {sensor.name}", serial_of_simulated(sensor), simulated=sensor)
     if spec.startswith(ADDRESSES):
         return Unit(shown_address(spec))
-    path = Path(source)
-    if spec and path.exists() and not spec.startswith("/dev/"):
-        return unit_of_files(path)
+    if os.path.exists(spec) and not spec.startswith("/dev/"):
+        return unit_of_files(Path(source))
     return unit_of_camera(camera_named(spec), cameras_there())
 
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from gelform.errors import CalibrationError
 from gelform.foundations.findings import Finding
 from gelform.image.background.orientation import READINGS
+from gelform.image.background.surround import surround_finding
 from gelform.slopes.color_models._shared.least_squares import node_positions
 
 DEGREE = 3  # degree of the polynomial in x and y
@@ -100,13 +101,14 @@ def check_light(background: NDArray[Any], light: NDArray[np.float64], make: str)
     alike = _alike(own, light)
     if alike < SURELY_ALIKE:
         _check_upright(background, light, make, alike)
+    surround = surround_finding(background, "crop the frames to {} (left, top, width, height)")
     if alike < LEAST_ALIKE:
         raise CalibrationError(
             f"Expected the background of a {make}: the colors over its gel correlate by {alike:.2f} with those of its make "
             f"(expected {LEAST_ALIKE} or more). Is it another sensor? Name the right one, or calibrate it with presses of a "
-            "ball."
+            f"ball.{'' if surround is None else f' {surround.message}'}"
         )
-    findings = []
+    findings = [] if surround is None else [surround]
     if alike < SURELY_ALIKE:
         message = (
             f"The colors over this gel correlate by {alike:.2f} with those of a {make} (usual: {SURELY_ALIKE} or more). It "

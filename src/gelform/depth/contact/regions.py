@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from gelform._native import Kernel
 from gelform.foundations.checks import as_array, check_map, check_mm_per_px
 from gelform.foundations.findings import Finding
+from gelform.image.background.check import TOUCHED_SHARE
 
 MOST_CONTACTS = 65_535  # labels are uint16
 TOUCHED = 0.05  # fraction of the known pixels; noise leaves the color of rest at 0.1 % of them
@@ -93,13 +94,20 @@ def contacts_from_mask(
 
 
 def unknown_contact(
-    contact: NDArray[np.bool_], at_rest: NDArray[np.bool_], known: NDArray[np.bool_]
+    contact: NDArray[np.bool_],
+    at_rest: NDArray[np.bool_],
+    known: NDArray[np.bool_],
+    touched_share: Callable[[], float],
 ) -> tuple[Finding, ...]:
-    """One finding if no contact (H, W) was found, but many known pixels do not have the color of rest."""
+    """One finding if no contact (H, W) was found, but many known pixels do not have the color of rest.
+
+    `touched_share` gives the share of the largest region that no light explains: compressed video changes many colors a
+    little, a touch those of a region a lot.
+    """
     if contact.any():
         return ()
     touched = float(np.count_nonzero(known & ~at_rest)) / max(float(np.count_nonzero(known)), 1.0)
-    if touched < TOUCHED:
+    if touched < TOUCHED or touched_share() < TOUCHED_SHARE:
         return ()
     message = (
         f"Something touches the gel: {100 * touched:.0f} % of it changed. Where it presses and how deep is not known, "

@@ -9,14 +9,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from gelform.depth.solvers import SOLVERS
 from gelform.depth.solvers.seam import Weights
-from gelform.foundations.checks import as_array, check_map
+from gelform.foundations.checks import as_array, check_choice, check_map
 
 
 def checked_solver(solver: str) -> str:
     """The solver's name, if it is "auto" or in `SOLVERS`; else ValueError."""
-    if solver != "auto" and (not isinstance(solver, str) or solver not in SOLVERS):
-        raise ValueError(f"Expected a solver among auto, {', '.join(SOLVERS)}, got {solver!r}.")
-    return solver
+    return check_choice(solver, ("auto", *SOLVERS), "a solver")
 
 
 def takes_weights(solver: str) -> bool:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from gelform.calibration_file import Calibration, as_calibration
 from gelform.errors import CalibrationError
 from gelform.exchange.exporters.folders import written_whole
-from gelform.foundations.checks import check_path
+from gelform.foundations.checks import check_choice, check_path
 from gelform.foundations.pictures import picture_bytes
 from gelform.image.background.change import image_from_color_change
 from gelform.simulate.twin import STEEPEST_RENDERED
@@ -61,8 +61,7 @@ def save_taxim(
         The renderer is unknown.
     """
     calibration, folder = as_calibration(calibration), check_path(folder)
-    if renderer not in RENDERERS:
-        raise ValueError(f"Expected renderer among {', '.join(RENDERERS)}, got {renderer!r}.")
+    check_choice(renderer, RENDERERS, "renderer")
     if calibration.mm_per_px is None:
         raise CalibrationError(
             "Expected a calibration with mm_per_px, which a renderer needs. Measure it with gelform scale."

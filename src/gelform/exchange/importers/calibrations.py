@@ -16,6 +16,7 @@ from gelform.calibration_file import Calibration, CalibrationSettings
 from gelform.exchange.importers.networks import read_gs_sdk, read_gsrobotics, read_gsrobotics_web
 from gelform.exchange.importers.tables import read_lut
 from gelform.foundations.checks import (
+    check_choice,
     check_gel_width,
     check_image,
     check_is,
@@ -142,8 +143,7 @@ def _view(make: str | None, frame_shape: tuple[int, int], mm_per_px: float | Non
 
 def _options(package: str, position: str | None, flip_depth: bool) -> dict[str, Any]:
     """Keywords of the package's reader."""
-    if package not in PACKAGES:
-        raise ValueError(f"Expected a package among {', '.join(PACKAGES)}, got {package!r}.")
+    check_choice(package, PACKAGES, "a package")
     if position is not None:
         check_is(position, str, "position")
     if position not in (("zeros", "true") if package in POSITIONED else (None,)):

@@ -17,6 +17,7 @@ from gelform.foundations.findings import Finding
 from gelform.image.background.check import compared
 from gelform.image.background.exposure import block_means
 from gelform.image.background.light import FrameLight
+from gelform.image.background.orientation import largest_touch
 
 MAX_CONDITION = 30.0  # of a crosstalk matrix; with a larger one, two channels count as one
 MAX_OFFSET, MAX_BLUR_PX = 1e4, 100.0  # gray levels and px, the largest values that a file may have
@@ -137,10 +138,13 @@ class PreparedBackground:
     ----------
     background : (H, W, 3), RGB, 0-255
     settings : of the conversion from an image to a color change
+    usual : the light of the frames before, or None
     """
 
-    def __init__(self, background: ArrayLike, settings: ChangeSettings) -> None:
-        self.settings = settings
+    def __init__(
+        self, background: ArrayLike, settings: ChangeSettings, usual: FrameLight | None = None
+    ) -> None:
+        self.settings, self._usual = settings, usual
         self.background = check_image(background, name="background").astype(np.float32)
         self._light = linear_light(self.background, settings)
         self._gain = gain_from_background(self.background, settings)
@@ -152,7 +156,11 @@ class PreparedBackground:
 
         CalibrationError: as `check_background`.
         """
-        return compared(block_means(image), self._blocks)
+        return compared(block_means(image), self._blocks, self._usual)
+
+    def touched(self, image: NDArray[Any]) -> float:
+        """Share of an image (H, W, 3) in its largest region that no light explains."""
+        return largest_touch(block_means(image), self._blocks).share
 
     def bridged(self, image: NDArray[Any], hidden: NDArray[np.bool_]) -> NDArray[Any]:
         """The image (H, W, 3) with hidden pixels (H, W), such as markers, filled by the color change around them.

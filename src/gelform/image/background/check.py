@@ -26,7 +26,9 @@ from gelform.image.frame import pixels_digest
 
 # Gain of the brightness: outside the first range a new background is requested, outside the second the image is refused.
 RATIO_WARN, RATIO_REFUSE = (0.9, 1.1), (0.7, 1.4)
-GAIN_REPORTED = 0.02  # fraction of the brightness; a smaller difference is compensated without a finding
+# Fraction of the brightness, and gray levels of room light; a smaller difference is compensated without a finding.
+GAIN_REPORTED, ROOM_REPORTED = 0.02, 3.0
+SURE_SIGMAS = 3.0  # standard deviations by which tilt and room light exceed these: 0.1 % of false alarms
 CORRELATION_REFUSE = (
     0.8  # smallest correlation over pixels at rest; with less, an image is another sensor's, or shifted
 )
@@ -154,18 +156,16 @@ def background_digest(background: NDArray[Any]) -> str:
 
 
 def compared(
-    image: NDArray[np.float32], untouched: NDArray[np.float32]
+    image: NDArray[np.float32], untouched: NDArray[np.float32], usual: FrameLight | None = None
 ) -> tuple[FrameLight, tuple[Finding, ...]]:
-    """Light and findings of an image compared with the background image, both from `block_means`."""
-    light = light_from_blocks(image, untouched)
+    """Light and findings of an image compared with the background image, as in `light_from_blocks`."""
+    light = light_from_blocks(image, untouched, usual)
     exposure = light.exposure
     if exposure.least_change > UNLIKE:
         _refuse_gray(image, untouched)
         check_upright(orientation_from_blocks(image, untouched))
     _refuse_unlike(exposure.gain, _correlation(light.undone(image), untouched, exposure.gain))
-    if (
-        light.tilt is not None and light.tilt.any()
-    ):  # the light of another unit of the make is not far from a tilt
+    if light.tilt.any():  # the light of another unit of the make is not far from a tilt
         exposure = exposure_from_blocks(image, untouched)
     return light, (*_light_findings(light), *_pattern_findings(exposure))
 
@@ -231,20 +231,38 @@ def _refuse_unlike(gain: NDArray[np.float64] | None, correlation: float | None) 
 
 
 def _light_findings(light: FrameLight) -> tuple[Finding, ...]:
-    findings = _exposure_findings(light.exposure)
-    room, tilt = (
-        0.0 if of is None else float(of.flat[np.abs(of).argmax()]) for of in (light.room, light.tilt)
+    findings = (*_exposure_findings(light.exposure), *room_light_finding(light))
+    if light.covariance is None:
+        return findings
+    tilt = abs(_sure(light.tilt, light.covariance[:, [1, 2], [1, 2]], GAIN_REPORTED))
+    if not tilt:
+        return findings
+    message = (
+        f"The light is tilted by up to {100 * tilt:.0f} % between the middle and a border, as if a lamp had moved. gelform "
+        "compensates it."
     )
-    if room:
-        message = f"Room light changes the colors by up to {room:+.0f} gray levels. gelform removes it."
-        findings += (Finding("room_light", message, room),)
-    if tilt:
-        message = (
-            f"The light is tilted by up to {100 * abs(tilt):.0f} % between the middle and a border, as if a lamp had moved. "
-            "gelform compensates it."
-        )
-        findings += (Finding("tilted_light", message, abs(tilt)),)
-    return findings
+    return (*findings, Finding("tilted_light", message, tilt))
+
+
+def room_light_finding(light: FrameLight) -> tuple[Finding, ...]:
+    """Find `room_light`: light added to all channels; figure: gray levels, of the channel that changed most.
+
+    The sensor's own light multiplies the background image. Light from outside is added to it, in dark places too.
+    """
+    if light.covariance is None:
+        return ()
+    room = _sure(light.room, light.covariance[:, 3, 3], ROOM_REPORTED)
+    message = (
+        f"Room light changes the colors by up to {room:+.0f} gray levels. gelform removes it. Shade the gel."
+    )
+    return (Finding("room_light", message, room),) if room else ()
+
+
+def _sure(values: NDArray[np.float64], variances: NDArray[np.float64], least: float) -> float:
+    """The value that exceeds `least` most clearly; 0 if none does by `SURE_SIGMAS`."""
+    over = np.abs(values) - SURE_SIGMAS * np.sqrt(variances)
+    at = np.unravel_index(over.argmax(), over.shape)
+    return float(values[at]) if over[at] > least else 0.0
 
 
 def _exposure_findings(exposure: Exposure) -> tuple[Finding, ...]:

@@ -9,8 +9,8 @@ beats it clearly. A richer light (cubic) would take the gel's sinking around a c
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import NamedTuple
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,15 +57,12 @@ class FrameLight:
     Attributes
     ----------
     exposure : of the frame without `room` and `tilt`
-    tilt : (2, 3), logarithm by which red, green and blue grow from the middle to the right and to the lower border
-    room : (3,), gray levels that the room's light adds to red, green and blue
-    covariance : (3, 4, 4), of each channel's logarithm in the middle, its tilt to the right and down, and its room light;
-        None: only a gain was fitted
+    values : (3, 4), as those of `lit`, but with the exposure in the place of the logarithm in the middle, which is 0
+    covariance : (3, 4, 4), of each channel's values; None: only a gain was fitted
     """
 
     exposure: Exposure
-    tilt: NDArray[np.float64] | None = None
-    room: NDArray[np.float64] | None = None
+    values: NDArray[np.float64] = field(default_factory=lambda: np.zeros((3, 4)))
     covariance: NDArray[np.float64] | None = None
 
     @property
@@ -73,15 +70,25 @@ class FrameLight:
         """Whether the frame differs by a gain at most."""
         return self.covariance is None
 
+    @property
+    def whole(self) -> NDArray[np.float64]:
+        """The values with the exposure's gain, as those of `lit`; without it if the gain is unknown."""
+        gain = self.exposure.gain
+        return self.values if gain is None else np.c_[np.log(gain), self.values[:, 1:]]
+
+    @property
+    def tilt(self) -> NDArray[np.float64]:
+        """Logarithm (3, 2) by which red, green and blue grow from the middle to the right and to the lower border."""
+        return self.values[:, 1:3]
+
+    @property
+    def room(self) -> NDArray[np.float64]:
+        """Gray levels (3,) that the room's light adds to red, green and blue."""
+        return self.values[:, 3]
+
     def undone(self, levels: NDArray[np.float32] | NDArray[np.uint8]) -> NDArray[np.float32]:
         """An image or its blocks (H, W, 3) without tilt and room light; the gain stays."""
-        if self.tilt is None or self.room is None:
-            return np.asarray(levels, dtype=np.float32)
-        (across, down), (x, y) = self.tilt, (np.linspace(-1, 1, n) for n in levels.shape[1::-1])
-        left = np.maximum(levels - self.room.astype(np.float32), np.float32(0))
-        left *= np.exp(-x[:, None] * across).astype(np.float32)
-        left *= np.exp(-y[:, None, None] * down).astype(np.float32)
-        return np.asarray(left, dtype=np.float32)
+        return np.asarray(levels, dtype=np.float32) if self.is_plain else without_light(levels, self.values)
 
     def change_sigma(self, untouched: NDArray[np.float32]) -> NDArray[np.float32] | None:
         """Standard deviation (h, w) of the color change from an unsure tilt and room light, over background blocks.
@@ -121,38 +128,83 @@ class _Fit(NamedTuple):
 GAIN, WITH_ROOM, TILTED, BOTH = (
     np.array([True, tilted, tilted, room]) for tilted in (False, True) for room in (False, True)
 )
+ALL_BUT_GAIN = np.array([False, True, True, True])
 
 
-def light_from_blocks(blocks: NDArray[np.float32], untouched: NDArray[np.float32]) -> FrameLight:
-    """The light of an image relative to a background image, both from `block_means`."""
-    exposure = exposure_from_blocks(blocks, untouched)
+def light_from_blocks(
+    blocks: NDArray[np.float32], untouched: NDArray[np.float32], usual: FrameLight | None = None
+) -> FrameLight:
+    """The light of an image relative to a background image, both from `block_means`.
+
+    Parameters
+    ----------
+    usual : of the moments before: it stays, but for the exposure, if it fits better than a gain and no light clearly better
+    """
     few, rest = (np.ascontiguousarray(one[::EVERY, ::EVERY]) for one in (blocks, untouched))
-    seen = _Seen(few, rest)
-    if seen.is_plain(exposure):
+    exposure, seen = exposure_from_blocks(blocks, untouched), _Seen(few, rest)
+    if usual is not None and not usual.is_plain:
+        again = replace(usual, exposure=exposure_from_blocks(usual.undone(blocks), untouched))
+        if again.exposure.is_known and seen.promised(again) <= SCREEN:
+            sigma, likelihood = seen.rest_sigma, seen.likelihood()
+            seen.promised(FrameLight(exposure), sigma)
+            if likelihood > seen.likelihood():
+                return again
+    if exposure.gain is None or (exposure.is_known and seen.promised(FrameLight(exposure)) <= SCREEN):
         return FrameLight(exposure)
     room, at_room = max(
         ((room, exposure_from_blocks(few - np.float32(room), rest)) for room in ROOMS),
         key=lambda one: one[1].share,
     )
-    plain, lit = _start(exposure), _start(at_room, room)
+    plain, lit = FrameLight(exposure).whole, FrameLight(at_room).whole
+    lit[:, 3] = room
     sigma = seen.fit(BOTH, lit, None).rest_sigma
     gain = seen.fit(GAIN, plain, sigma)
     fits = [seen.fit(*one, sigma) for one in ((TILTED, plain), (WITH_ROOM, lit), (BOTH, lit))]
     best = max(fits[:1] + [one for one in fits[1:] if one.has_room], key=lambda one: one.evidence)
-    usual = (np.abs(best.values[:, 1:]) <= MOST * PRIOR[1:] ** -0.5).all()
-    if best.evidence - gain.evidence <= MARGIN or not usual:
+    likely = (np.abs(best.values[:, 1:]) <= MOST * PRIOR[1:] ** -0.5).all()
+    if best.evidence - gain.evidence <= MARGIN or not likely:
         return FrameLight(exposure)
-    light = FrameLight(exposure, best.values[:, 1:3].T, best.values[:, 3], best.covariance)
+    light = FrameLight(exposure, np.where(ALL_BUT_GAIN, best.values, 0), best.covariance)
     alike = exposure_from_blocks(light.undone(blocks), untouched)
     return replace(light, exposure=alike) if alike.is_known else FrameLight(exposure)
 
 
-def _start(exposure: Exposure, room: float = 0.0) -> NDArray[np.float64]:
-    values = np.zeros((3, 4))
-    values[:, 3] = room
-    if exposure.gain is not None:
-        values[:, 0] = np.log(exposure.gain)
-    return values
+def light_at_rest(
+    blocks: NDArray[np.float32], untouched: NDArray[np.float32], start: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """The light (3, 4) of an untouched gel's blocks (h, w, 3), fitted from one near it; blocks of 0 do not count.
+
+    All terms are fitted: where nothing touches, a term too many costs nothing.
+    """
+    light = start.copy()
+    _Seen(blocks, untouched).move(light)
+    return light
+
+
+def lit(levels: NDArray[np.float32], light: NDArray[np.float64]) -> NDArray[np.float32]:
+    """An image or its blocks (H, W, 3) in another light.
+
+    Parameters
+    ----------
+    light : (3, 4), of each channel: the logarithm by which it is brighter in the middle, what is added to this to the right
+        border and to the lower border, and the gray levels that a room's light adds
+    """
+    return np.asarray(
+        levels * _factor(levels.shape, light) + light[:, 3].astype(np.float32), dtype=np.float32
+    )
+
+
+def without_light(levels: NDArray[Any], light: NDArray[np.float64]) -> NDArray[np.float32]:
+    """The image or the blocks (H, W, 3) that `lit` makes of: its inverse, but 0 for what is darker than the room's light."""
+    left = np.maximum(levels - light[:, 3].astype(np.float32), np.float32(0))
+    return np.asarray(left / _factor(levels.shape, light), dtype=np.float32)
+
+
+def _factor(shape: tuple[int, ...], light: NDArray[np.float64]) -> NDArray[np.float32]:
+    """What a light multiplies pixels or blocks by, (H, W, 3)."""
+    y, x = map(_centers, shape[:2])
+    columns = np.exp(light[:, 0] + x[:, None] * light[:, 1]).astype(np.float32)
+    return np.asarray(columns * np.exp(y[:, None, None] * light[:, 2]).astype(np.float32))
 
 
 class _Seen:
@@ -163,32 +215,41 @@ class _Seen:
         self._square, self._rest = np.empty(height * width), np.empty(1)
         self._work = np.empty(3 * (height + width))
 
-    def is_plain(self, exposure: Exposure) -> bool:
-        """Whether no tilt and no room light would fit clearly better than the gain: a score test (Rao, 1948)."""
-        if exposure.gain is None:
-            return True
-        if not exposure.is_known:
-            return False
-        normal, side = self._fitted(_start(exposure), BOTH, STAYS, None)
+    @property
+    def rest_sigma(self) -> float:
+        """Standard deviation of a block's logarithm at rest, in the last light."""
+        return float(self._rest[0])
+
+    def likelihood(self) -> float:
+        """Logarithm of the likelihood of the last light, in nats."""
+        square = self._square[self._square >= 0]
+        rest, touched = (-square / (2 * one**2) - 3 * np.log(one) for one in (self.rest_sigma, TOUCHED_SIGMA))
+        return float(ALIKE * np.logaddexp(rest, touched).mean())
+
+    def promised(self, light: FrameLight, sigma: float | None = None) -> float:
+        """Nats by which another tilt and room light would fit better than this light: a score test (Rao, 1948)."""
+        normal, side = self._fitted(light.whole, BOTH, STAYS, sigma)
         gained = [
             float((side[:, :n] * np.linalg.solve(normal[:, :n, :n], side[:, :n, None])[..., 0]).sum())
             for n in (4, 1)
         ]
-        return (gained[0] - gained[1]) / 2 <= SCREEN
+        return (gained[0] - gained[1]) / 2
+
+    def move(self, light: NDArray[np.float64]) -> None:
+        """Move a light (3, 4) to the one that fits best."""
+        self._fitted(light, BOTH, WIDENED, None)
 
     def fit(self, free: NDArray[np.bool_], start: NDArray[np.float64], sigma: float | None) -> _Fit:
         """The light with these terms (4,) from a start (3, 4); it learns the sigma of the blocks at rest if it is None."""
         values = np.where(free, start, 0.0)
         normal, _ = self._fitted(values, free, WIDENED, sigma)
-        square, learnt = self._square[self._square >= 0], float(self._rest[0])
-        rest, touched = (-square / (2 * one**2) - 3 * np.log(one) for one in (learnt, TOUCHED_SIGMA))
         evidence = (
-            ALIKE * np.logaddexp(rest, touched).mean()
+            self.likelihood()
             - (PRIOR * values**2).sum() / 2
             - np.linalg.slogdet(normal)[1].sum() / 2
             + 1.5 * np.log(PRIOR[free]).sum()
         )
-        return _Fit(values, free, normal, float(evidence), learnt)
+        return _Fit(values, free, normal, float(evidence), self.rest_sigma)
 
     def _fitted(
         self,
@@ -209,5 +270,10 @@ class _Seen:
 
 def _places(shape: tuple[int, int]) -> NDArray[np.float64]:
     """1, x and y (3, h w) of blocks (h, w), from -1 to 1."""
-    y, x = (np.linspace(-1, 1, n) for n in shape)
+    y, x = map(_centers, shape)
     return np.stack([np.ones(len(x) * len(y)), np.tile(x, len(y)), np.repeat(y, len(x))])
+
+
+def _centers(count: int) -> NDArray[np.float64]:
+    """The middles of `count` equal parts of -1 to 1."""
+    return (2 * np.arange(count) + 1) / count - 1

@@ -8,11 +8,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from gelform.foundations.findings import Finding
 from gelform.image.frame import DARK
 
 DARK_PART = 0.15  # of the image's light; the darkest corners of six real sensors have over 0.25 of it
 LEAST_SHARE = 0.03  # of the image; a smaller surround costs no press
 EDGE_PX = 5  # px; a gel's edge is blurred
+SMALLER_CROP = "a smaller crop in the [view] of sensor.toml"
 BLOCKS = 48  # along the shorter side, whole blocks of which make up a crop
 
 
@@ -24,6 +26,19 @@ def surround_of(background: NDArray[Any]) -> NDArray[np.bool_] | None:
     at_border = np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
     outside = np.isin(labels, np.setdiff1d(at_border, 0))
     return outside if outside.mean() > LEAST_SHARE else None
+
+
+def surround_finding(background: NDArray[Any], remedy: str) -> Finding | None:
+    """The finding that a background image (H, W, 3) shows more than the gel; `{}` in the remedy is the crop that fits."""
+    outside = surround_of(background)
+    if outside is None:
+        return None
+    crop = remedy.format(",".join(map(str, crop_inside(outside))))
+    message = (
+        f"{100 * outside.mean():.0f} % of the image are outside the gel: dark, and joined to its border. Leave them out: "
+        f"{crop}. If the camera sees the gel at an angle, undo that too: gelform lens."
+    )
+    return Finding("dark_surround", message, float(outside.mean()))
 
 
 def crop_inside(outside: NDArray[np.bool_]) -> tuple[int, int, int, int]:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gelform.foundations.checks import check_image, check_is
+from gelform.foundations.checks import check_choice, check_image, check_is
 from gelform.image.view.lens import Lens
 from gelform.image.view.resample import (
     averaged,
@@ -69,10 +69,8 @@ class View:
         for name in ("frame_shape", "image_shape"):
             object.__setattr__(self, name, _size_of(getattr(self, name), name))
         object.__setattr__(self, "crop", _crop_of(self.crop, self.frame_shape))
-        if self.flip not in FLIPS:
-            raise ValueError(f"Expected the view's flip as one of {', '.join(FLIPS)}, got {self.flip!r}.")
-        if self.turn not in TURNS:
-            raise ValueError(f"Expected the view's turn as one of {', '.join(TURNS)}, got {self.turn!r}.")
+        check_choice(self.flip, FLIPS, "the view's flip")
+        check_choice(self.turn, TURNS, "the view's turn")
         if self.frame_shape is None and (self.crop or self.image_shape or self.lens):
             raise ValueError(
                 "Expected frame_shape, (height, width) of the frames, in a view that crops, resizes or undoes a lens."

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
-from gelform.foundations.checks import check_map, check_mask, check_positive
+from gelform.foundations.checks import check_choice, check_map, check_mask, check_positive
 
 FORMS = {"none": 0, "plane": 1, "quadratic": 2}  # degree of the polynomial
 ALPHA = np.sqrt(np.log(2) / np.pi)  # ISO 16610-61: a wave of the cut-off length keeps half its height
@@ -79,8 +79,7 @@ def areal_roughness(
     inside = check_mask(everywhere if mask is None else mask, shape=depth.shape, may_be_empty=True)
     if np.count_nonzero(inside) < LEAST_PX:
         raise ValueError(f"Expected at least {LEAST_PX} pixels to evaluate, got {np.count_nonzero(inside)}.")
-    if form not in FORMS:
-        raise ValueError(f"Expected a form among {', '.join(FORMS)}, got {form!r}.")
+    check_choice(form, FORMS, "a form")
     pitch = check_positive(mm_per_px, "mm_per_px")
     small, large = 3 * pitch if s_filter_mm == "auto" else s_filter_mm, l_filter_mm
     if small is not None:

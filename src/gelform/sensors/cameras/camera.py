@@ -181,7 +181,7 @@ def camera_named(spec: str, cameras: list[Camera] | None = None) -> Camera:
     """The camera with this serial, name or path (see `chosen_camera`); a path may also lie outside the list."""
     there = cameras_there() if cameras is None else cameras
     path = Path(spec)
-    if spec.startswith("/dev/") and path.exists():
+    if spec.startswith("/dev/") and os.path.exists(path):
         real = str(path.resolve())
         listed = next((camera for camera in there if camera.path == real), None)
         if listed is None and not _is_video_device(path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections import OrderedDict
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -48,8 +49,7 @@ class Indexed:
 
 def is_recording(spec: str) -> bool:
     """Whether a spec is a file or a folder of frames, not a device."""
-    path = Path(spec)
-    return path.exists() and not spec.startswith("/dev/")
+    return os.path.exists(spec) and not spec.startswith("/dev/")
 
 
 def recordings_in(folder: Path) -> list[Path]:

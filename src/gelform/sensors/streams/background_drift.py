@@ -3,8 +3,8 @@
 A slow change comes either from the sensor (LEDs that warm up, a gel that relaxes) or from a slow press. The two look alike
 for a while. Shape and time tell them apart:
 
-- Light that changes smoothly over the whole image (`SmoothLight`) is followed within seconds. No contact is that wide when
-  it begins.
+- The light, its tilt over the image and the room's light (`light_at_rest`) are followed within seconds. No contact is that
+  wide when it begins.
 - Everything else waits in quarantine: an average over 10 s becomes part of the background only where nothing touched for
   30 s before it *and* for 60 s after it (`Touched`, with a margin). By then even a slight slow press is detected, so that
   none of it enters the background.
@@ -21,12 +21,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.errors import CalibrationError
+from gelform.foundations.filters import robust_sigma
 from gelform.foundations.findings import Finding
 from gelform.image.background.check import check_untouched
+from gelform.image.background.exposure import block_means
+from gelform.image.background.light import (
+    FrameLight,
+    light_at_rest,
+    light_from_blocks,
+    lit,
+    without_light,
+)
 from gelform.result import Reconstruction
-from gelform.sensors.streams.smooth_light import SmoothLight, block_means, robust_sigma
 
-BLOCK_PX = 8  # px, width of a block: its mean removes noise and texture
 STEP_S, MEAN_S = 1.0, 3.0  # s: interval of the light's fits, and averaging time of the blocks for them
 MEAN_IMAGE_S = 10.0  # s over which frames are averaged before they wait
 BEFORE_S, AFTER_S = 30.0, 60.0  # s before and after a mean image in which nothing may touch
@@ -53,7 +60,7 @@ class DriftEvidence:
     ----------
     image : (H, W, 3) float32, mean of the frames, 0-255
     start : (H, W, 3) float32, the background at the start of the sequence
-    light : (H, W, 3) float32, brightness of the smooth light relative to the start
+    lit : (H, W, 3) float32, the background at the start in the light of now
     touched : (H, W) bool, True where something may have touched meanwhile, with a margin
     contact : (H, W) bool, True where a frame showed contact
     different : float, 0-1, fraction of the frames that differ from the background nearly everywhere
@@ -61,7 +68,7 @@ class DriftEvidence:
 
     image: NDArray[np.float32]
     start: NDArray[np.float32]
-    light: NDArray[np.float32]
+    lit: NDArray[np.float32]
     touched: NDArray[np.bool_]
     contact: NDArray[np.bool_]
     different: float = 0.0
@@ -86,6 +93,8 @@ class BackgroundDrift:
 
     Attributes
     ----------
+    light : (3, 4), the followed light relative to the start, as in `lit`
+    usual : light of the last second relative to the current background, which can follow it only where nothing touches
     refused : a finding if the background that was asked for last was not taken, because something touches the gel
     evidence : mean of the last complete ten seconds, or None
     """
@@ -97,9 +106,10 @@ class BackgroundDrift:
         self._calibrated = background if calibrated is None else calibrated
         self.refused: tuple[Finding, ...] = ()
         self._local = background.astype(np.float32)
-        self._local_blocks = block_means(self._local, BLOCK_PX)
+        self._local_blocks = block_means(self._local)
         shape = self._local_blocks.shape[:2]
-        self.light = SmoothLight((shape[0], shape[1]))
+        self.light = np.zeros((3, 4))
+        self.usual: FrameLight | None = None
         self.touched = Touched((shape[0], shape[1]))
         self._mean: NDArray[np.float32] | None = None
         self._waiting: deque[MeanImage] = deque()
@@ -108,6 +118,12 @@ class BackgroundDrift:
         self._contact_long = np.zeros(background.shape[:2], dtype=bool)
         self.evidence: DriftEvidence | None = None
         self._start_anew(0.0)
+
+    @property
+    def gains(self) -> NDArray[np.float64]:
+        """The mean light of each channel (3,) relative to the start."""
+        rest = self._local_blocks
+        return np.asarray(lit(rest, self.light).mean(axis=(0, 1)) / rest.mean(axis=(0, 1)), dtype=np.float64)
 
     def take(self) -> None:
         """Take the mean of the next second as background, because nothing touches now. May be called from any thread."""
@@ -146,8 +162,8 @@ class BackgroundDrift:
             self._start_anew(time_s)
             return None
         self.start = self._local = mean
-        self._local_blocks = block_means(self._local, BLOCK_PX)
-        self.light.coefficients[:] = 0
+        self._local_blocks = block_means(self._local)
+        self.light, self.usual = np.zeros((3, 4)), None
         self.touched.nowhere()
         self._waiting.clear()
         self._mean = None
@@ -169,7 +185,7 @@ class BackgroundDrift:
         self._count = self._sum_count = self._different = 0
 
     def _add(self, image: NDArray[Any], contact: NDArray[np.bool_]) -> None:
-        self._blocks += block_means(image, BLOCK_PX)
+        self._blocks += block_means(image)
         self._count += 1
         cv2.accumulate(image, self._sum)
         self._sum_count += 1
@@ -179,21 +195,31 @@ class BackgroundDrift:
     def _step(self, time_s: float) -> NDArray[np.float32] | None:
         """Fit the light, mark touched blocks, and add the mean images that have waited long enough."""
         step_s, blocks = time_s - self._step_s, self._blocks * np.float32(1 / self._count)
-        averaged, untouched = self._averaged(blocks, step_s), self._local_blocks
         contact = self._contact_blocks()
         free = self.touched.not_since(time_s - MEAN_S) & ~contact
-        if free.mean() >= LEAST_FREE:
-            self.light.fit(averaged, untouched, free)
-        lit = untouched * self.light.at(untouched.shape[:2])
-        self.touched.mark(time_s, step_s, contact, blocks / lit - 1, lit)
+        self._follow(np.where(free[..., None], self._averaged(blocks, step_s), np.float32(0)), free.mean())
+        now = lit(self._local_blocks, self._now)
+        self.touched.mark(time_s, step_s, contact, blocks / now - 1, now)
         if time_s - self._mean_image_s >= MEAN_IMAGE_S:
             self._keep_mean_image(time_s)
         self._take_in(time_s)
         self._step_s = time_s
         self._blocks[:], self._count = 0, 0
         self._contact[:] = False
-        lit = self._local * self.light.at(self._local.shape[:2])
-        return np.asarray(np.minimum(lit, WHITE), dtype=np.float32)
+        return np.asarray(np.clip(lit(self._local, self.light), 0, WHITE), dtype=np.float32)
+
+    def _follow(self, blocks: NDArray[np.float32], free: float) -> None:
+        """Follow the light of blocks (h, w, 3), of which this part is free of contact and the others are 0."""
+        untouched = self._local_blocks
+        usual = light_from_blocks(blocks, lit(untouched, self.light), self.usual)
+        self.usual = usual if usual.exposure.is_known else None
+        if free >= LEAST_FREE and self.usual is not None:
+            self.light, self.usual = light_at_rest(blocks, untouched, self._now), None
+
+    @property
+    def _now(self) -> NDArray[np.float64]:
+        """The light relative to the start, in parts followed, in parts only known."""
+        return self.light if self.usual is None else self.light + self.usual.whole
 
     def _averaged(self, blocks: NDArray[np.float32], step_s: float) -> NDArray[np.float32]:
         if self._mean is None:
@@ -207,22 +233,21 @@ class BackgroundDrift:
         return np.asarray(cv2.resize(contact, size, interpolation=cv2.INTER_AREA) > 0)
 
     def _keep_mean_image(self, time_s: float) -> None:
-        light = self.light.at(self._local.shape[:2])
         mean = self._sum * np.float32(1 / self._sum_count)
-        self.evidence = self._evidence(mean, light)
-        image = mean * np.float32(PER_GRAY_LEVEL) / light
+        self.evidence = self._evidence(mean)
+        image = without_light(mean, self.light) * np.float32(PER_GRAY_LEVEL)
         levels = np.clip(np.rint(image), 0, 255 * PER_GRAY_LEVEL).astype(np.uint16)
         self._waiting.append(MeanImage(self._mean_image_s, time_s, levels))
         self._mean_image_s = time_s
         self._sum[:], self._sum_count, self._different = 0, 0, 0
         self._contact_long[:] = False
 
-    def _evidence(self, mean: NDArray[np.float32], light: NDArray[np.float32]) -> DriftEvidence:
+    def _evidence(self, mean: NDArray[np.float32]) -> DriftEvidence:
         touched = ~self.touched.not_since(self._mean_image_s)
         return DriftEvidence(
             image=mean,
             start=self.start,
-            light=light,
+            lit=lit(self.start, self._now),
             touched=_as_pixels(touched, self._local.shape[:2]),
             contact=self._contact_long.copy(),
             different=self._different / self._sum_count,
@@ -238,7 +263,7 @@ class BackgroundDrift:
             fraction *= np.float32(-np.expm1(-span_s / FOLLOW_S))
             image = waited.image.astype(np.float32) * np.float32(1 / PER_GRAY_LEVEL)
             self._local += fraction[..., None] * (image - self._local)
-            self._local_blocks = block_means(self._local, BLOCK_PX)
+            self._local_blocks = block_means(self._local)
 
 
 def _as_pixels(blocks: NDArray[np.bool_], shape: tuple[int, int]) -> NDArray[np.bool_]:

@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from gelform.foundations.filters import robust_sigma
 from gelform.foundations.findings import Finding
 from gelform.sensors.streams.background_drift import DriftEvidence
-from gelform.sensors.streams.smooth_light import robust_sigma
 
 SMOOTH_PX, WIDE_PX = 1.0, 8.0  # px, widths of the blur of the image and of its surroundings
 MARK_SIGMAS, LEAST_MARK_CHANGE = 6.0, 0.04  # standard deviations of noise; least fraction of the brightness
@@ -54,7 +54,7 @@ class Marks:
 
         Their figures are the largest one's length or diameter, px, and image fraction.
         """
-        change = evidence.image / np.maximum(evidence.start * evidence.light, 1) - 1
+        change = np.asarray(evidence.image / np.maximum(evidence.lit, 1) - 1, dtype=np.float32)
         odd = _stands_out(change, _near_a_body(evidence.contact))
         if self._stays is None:
             self._stays = np.zeros(odd.shape, np.uint8)

@@ -171,8 +171,8 @@ class Memory:
             return
         background = self._drift(image, result)
         if background is not None:
-            self.reconstruct = self.reconstruct.with_background(background)
-            self._light = light_findings(self._drift.light.gains)
+            self.reconstruct = self.reconstruct.with_background(background, self._drift.usual)
+            self._light = light_findings(self._drift.gains)
         if self._drift.evidence is not self._examined:
             self._examined = self._drift.evidence
             self._examine(self._examine_evidence)

@@ -6,10 +6,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from gelform.foundations.filters import robust_sigma
 from gelform.foundations.findings import Finding
 from gelform.image.background.registration import PreparedRegistration
 from gelform.sensors.streams.background_drift import DriftEvidence
-from gelform.sensors.streams.smooth_light import robust_sigma
 
 MOVED_PX, TURNED_DEG = 0.5, 0.2  # least motion of a camera that moved
 MOVED_SIGMAS = 4.0  # standard deviations of the registration that the motion must exceed
@@ -60,9 +60,8 @@ class SameGel:
         return other if self._others >= OTHER_STAYS else ()
 
     def _moved(self, evidence: DriftEvidence) -> tuple[Finding, ...]:
-        gains = evidence.light.mean(
-            axis=(0, 1)
-        )  # the slopes of this image must stay: those of a moved image look like light
+        # The slopes of this image must stay: those of a moved image look like light.
+        gains = evidence.lit.mean(axis=(0, 1)) / evidence.start.mean(axis=(0, 1))
         found = self._registration(np.clip(evidence.image / gains, 0, 255), evidence.touched)
         by_px = found.moved_px(MOVED_SIGMAS)
         turned = abs(found.turn_deg) - MOVED_SIGMAS * found.turn_sigma_deg
@@ -79,7 +78,7 @@ class SameGel:
         """A change of brightness nearly everywhere that smooth light does not explain."""
         height, width = evidence.touched.shape
         size = max(1, width // PATTERN_PX), max(1, height // PATTERN_PX)
-        ratio = (evidence.image + 1) / (evidence.start * evidence.light + 1) - 1
+        ratio = (evidence.image + 1) / (evidence.lit + 1) - 1
         blocks = cv2.resize(ratio, size, interpolation=cv2.INTER_AREA)
         free = cv2.resize(evidence.touched.astype(np.float32), size, interpolation=cv2.INTER_AREA) < 0.5
         off = float(np.median(np.abs(blocks[free]).max(axis=-1))) if free.any() else 0.0

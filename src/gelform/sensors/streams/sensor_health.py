@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from gelform.calibration_file import Calibration
 from gelform.foundations.findings import Finding
+from gelform.image.background.check import room_light_finding
 from gelform.image.background.exposure import block_means
 from gelform.image.background.light import light_from_blocks
 from gelform.sensors import settings_mismatch
@@ -24,7 +25,6 @@ FROZEN_S, FROZEN_FRAMES = 0.25, 3  # s and frames: videos repeat some frames; no
 ROWS_APART = 16  # px between the rows of a first check for equal images
 BRIGHTER = 0.08  # log of the gain of all channels: slopes stay good, but something changed
 COLORED = 0.03  # log of one channel's gain relative to the others
-OUTSIDE_LEVELS = 3.0  # gray levels added to all channels
 
 
 class CameraCheck:
@@ -112,26 +112,13 @@ def light_findings(gains: NDArray[np.float64]) -> tuple[Finding, ...]:
     return tuple(findings)
 
 
-def room_light_finding(evidence: DriftEvidence) -> tuple[Finding, ...]:
-    """Find `room_light`: light added to all channels; figure: gray levels.
-
-    The sensor's own light multiplies the background image. Light from outside is added to it, in dark places too.
-    """
+def light_from_outside(evidence: DriftEvidence) -> tuple[Finding, ...]:
+    """Find `room_light` against the start, off contact."""
     now, start = (
         block_means(np.where(evidence.contact[..., None], np.float32(0), image))
         for image in (evidence.image, evidence.start)
     )
-    light = light_from_blocks(now, start)
-    if light.room is None or light.covariance is None:
-        return ()
-    least = float(np.min(light.room - 3 * np.sqrt(light.covariance[:, 3, 3])))
-    if least < OUTSIDE_LEVELS:
-        return ()
-    message = (
-        f"Light from outside adds at least {least:.0f} gray levels in every channel. gelform removes most of it. Shade the "
-        "gel."
-    )
-    return (Finding("room_light", message, least),)
+    return room_light_finding(light_from_blocks(now, start))
 
 
 class Examination:
@@ -150,4 +137,4 @@ class Examination:
         """
         if self._same_gel is None or evidence.start is not self._start:
             self._same_gel, self._marks, self._start = SameGel(evidence.start), Marks(), evidence.start
-        return room_light_finding(evidence) or self._same_gel(evidence) or self._marks(evidence)
+        return light_from_outside(evidence) or self._same_gel(evidence) or self._marks(evidence)

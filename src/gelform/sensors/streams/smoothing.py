@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.foundations.checks import check_within
+from gelform.foundations.filters import robust_sigma
 from gelform.result import Reconstruction
-from gelform.sensors.streams.smooth_light import robust_sigma
 from gelform.slopes.gradients import slopes_of_solution
 
 LONGEST_S = 60.0  # s, largest time constant
