@@ -61,8 +61,13 @@ def volumes(film, calibration):
 
 def test_single_presses(table, calibration, volumes):
     rows = [(f"{k}.png", "ball", K * v) for k, v in enumerate(volumes)]
-    found = read_loads(table("image,object,force_n", rows), calibration)
-    assert [touch.volume_mm3 for touch in found.touches] == volumes
+    folder = table("image,object,force_n", rows)
+    dim = (0.9 * cv2.imread(str(folder / "rest.png"))).astype(np.uint8)
+    cv2.imwrite(str(folder / "background.png"), dim)
+    found = read_loads(folder, calibration)
+    assert [touch.volume_mm3 for touch in found.touches] == volumes, "rest.png comes before background.png"
+    given = read_loads(folder, calibration, background=folder / "background.png")
+    assert given.touches[-1].volume_mm3 != volumes[-1]
     assert found.lag_frames is None
     assert [load.normal_n for load in found.loads] == pytest.approx([row[2] for row in rows])
     model = calibrate_force(found.touches, found.loads)
@@ -172,7 +177,7 @@ def test_real_objects_of_which_one_is_left_out(data, tmp_path):
         for touch, load in zip(found.touches, found.loads)
         if load.normal_n > 10 and load.object not in ("golf_ball", "rigid_strawberry")
     ]
-    assert np.mean(soft) >= 0.95
+    assert np.mean(soft) >= 0.9
     own = [i for i, load in enumerate(found.loads) if load.object == "golf_ball"]
     others = [i for i in range(len(found.loads)) if i not in own]
     model = calibrate_force([found.touches[i] for i in others], [found.loads[i] for i in others])

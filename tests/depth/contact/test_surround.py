@@ -27,6 +27,14 @@ def test_the_part_of_the_change_that_is_outside(inside, outside, wanted):
     assert Surround(background)(whole, contact) == pytest.approx(wanted, rel=0.05)
 
 
+def test_a_contact_over_most_of_the_image():
+    background, image, _ = images(0, 0)
+    contact = np.zeros(SHAPE, dtype=bool)
+    contact[6:114, 6:154] = True
+    image = background + np.where(contact, 40, 20)[..., None].astype(np.float32)
+    assert Surround(background)(image, contact) == pytest.approx(0.5, rel=0.05)
+
+
 def test_dark_gel_counts_as_much_as_bright():
     background, _, contact = images(0, 0)
     background[:, 80:] = 20

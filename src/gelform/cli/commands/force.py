@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 SUMMARY = "Calibrate force in newtons, and measure its errors."
 Loads = Annotated[Path, Argument(metavar="LOADS", help="Folder of images with loads.csv.")]
 UNITS = {"normal": "N", "shear": "N", "torsion": "N mm"}
+SHARES = {"median": "median", "q90": "90 %", "within_1": "in 1 sigma", "within_2": "in 2"}  # parts of 1
 
 
 def calibrate(
@@ -100,13 +101,11 @@ def evaluate(
     found = _read(loads, loaded, background, shown)
     errors = evaluate_force(loaded.force, found.touches, found.loads)
     for kind, unit in UNITS.items():
-        columns = ("object", "presses", "refused %", f"MAE {unit}", "median %", "90 %", "in 1 sigma %")
+        columns = ("object", "presses", "refused", f"MAE ({unit})", "constant's MAE", *SHARES.values())
         if errors[kind]:
-            shown.table(f"Errors: {kind}", (*columns, "constant's MAE"), [_row(row) for row in errors[kind]])
-    if reasons := errors["reasons"]:
-        shown.table(
-            "Without a normal force", ("reason", "presses"), [(k, str(n)) for k, n in reasons.items()]
-        )
+            shown.table(f"Errors of the force: {kind}", columns, [_row(row) for row in errors[kind]])
+    reasons = [(reason, str(count)) for reason, count in errors["reasons"].items()]
+    shown.table("Without a normal force", ("reason", "presses"), reasons)
     shown.json({"lag_frames": found.lag_frames, **errors})
 
 
@@ -123,17 +122,8 @@ def _read(
 
 
 def _row(row: Mapping[str, Any]) -> Sequence[str]:
-    shares = [None if row.get(name) is None else 100 * row[name] for name in ("median", "q90", "within_1")]
-    constant = row.get("constant", {}).get("mae")
-    refused = f"{100 * row['refused']:.0f}"
-    return (
-        row["object"],
-        str(row["presses"]),
-        refused,
-        figure(row.get("mae")),
-        *map(figure, shares),
-        figure(constant),
-    )
+    figures = row.get("mae"), row.get("constant", {}).get("mae"), *(row.get(name) for name in SHARES)
+    return row["object"], str(row["presses"]), figure(row["refused"]), *map(figure, figures)
 
 
 COMMANDS = (calibrate, evaluate)
