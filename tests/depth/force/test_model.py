@@ -44,6 +44,7 @@ REFUSED = {
     "beyond the range": (pressed(depth_mm=3.1), "range"),
     "no contact": (pressed(depth_mm=0), "no contact"),
     "no scale": (pressed(mm_per_px=None), "scale"),
+    "a zero that was set": (pressed(zero="set"), "zero"),
     "another gel": (replace(pressed(), calibration_digest="b"), "another gel"),
 }
 

@@ -191,7 +191,7 @@ def terms_of(touch: Touch, kind: str) -> NDArray[np.float64]:
 def why_no_normal(touch: Touch) -> str:
     """Why a touch tells no normal force, whatever the model; "" if it does."""
     if touch.volume_mm3 is None:
-        return "no scale"
+        return "no scale, or a depth from a zero that was set"
     if touch.volume_mm3 <= 0 or touch.outside_change is None:
         return "no contact: nothing touches, or something too soft or too flat to be seen"
     if touch.outside_change >= MOST_OUTSIDE_CHANGE:

@@ -29,7 +29,7 @@ class Touch:
 
     Attributes
     ----------
-    volume_mm3 : volume of the depth in the contact; 0 without a contact, None without a scale
+    volume_mm3 : volume of the depth in the contact; 0 without a contact; None without a scale, or from a zero that was set
     confidence : mean in the contact
     outside_change : median color change outside the contact, over its mean inside; None without a contact
     border_share : the part of the volume that lies in the band along the border
@@ -52,8 +52,10 @@ def touch_from_result(result: Any) -> Touch:
     contact, pitch = result.contact, result.mm_per_px
     motion, rest = _dots_of(result)
     known: dict[str, Any] = {"dots": motion, "rest_mm": rest, "calibration_digest": result.calibration_digest}
-    if pitch is None or not contact.any():
-        return Touch(volume_mm3=None if pitch is None else 0.0, **known)
+    if pitch is None or result.zero == "set":
+        return Touch(**known)
+    if not contact.any():
+        return Touch(volume_mm3=0.0, **known)
     band = max(1, round(BORDER_FRACTION * len(contact)))
     inside = slice(band, -band), slice(band, -band)
     # A dot product is three times faster than a sum in a mask.
