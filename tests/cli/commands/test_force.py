@@ -1,5 +1,6 @@
 """gelform force calibrate and evaluate: what they write and print, and what they refuse."""
 
+import re
 import shutil
 
 import cv2
@@ -38,6 +39,7 @@ def test_loads_are_added_to_the_calibration_and_measured(run, run_json, loads, c
     assert said["unit"] == "N"
     assert gelform.load_calibration(own).force.normal.loads == said["normal"]["loads"]
     errors = run_json("force", "evaluate", loads, "-c", own)
+    assert re.search(r"^force +\d loads up to", run("info", own)[1], re.M)
     assert errors["normal"][-1]["mae"] < 0.01 < errors["normal"][-1]["constant"]["mae"]
     code, out, err = run("force", "evaluate", loads, "-c", own)
     assert code == 0

@@ -1,12 +1,10 @@
 """The numbers of a touch: its volume, its place, and the motion of the dots, on maps and motions that are written out."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 import gelform
-from gelform.depth.force.model import why_no_dots
+from gelform.depth.force.model import Dots
 from gelform.depth.force.touch import DotMotion, Touch, touch_from_dots, touch_from_result
 from gelform.image.markers import MarkerFlow
 from gelform.result import Reconstruction
@@ -96,7 +94,7 @@ def test_unseen_dots_do_not_count_and_too_few_say_nothing():
     [(GRID + 0.05, True), (GRID[3:], True), (GRID + 0.5, False), (GRID * 1.4, False), (GRID[:10], False)],
 )
 def test_the_same_dots_and_others(rest, same):
-    assert (why_no_dots(replace(Touch(), rest_mm=rest, dots=STILL), GRID) == "") is same
+    assert (Dots(GRID).why_none(Touch(rest_mm=rest, dots=STILL)) == "") is same
 
 
 @pytest.mark.parametrize(

@@ -13,14 +13,9 @@ REACH = 1  # coarse pixels that the contact is widened by
 
 
 class Surround:
-    """Compares the color around a contact with that inside it, for the images of one background.
+    """Compares the color around a contact with that inside it, for the images of one background (H, W, 3), 0-255.
 
-    The change of color is that of the image as it is: a correction of the exposure would take the dim light around a large
-    soft contact for another exposure.
-
-    Parameters
-    ----------
-    background : (H, W, 3), 0-255
+    The images are as they came: correcting the exposure would hide the change of light around a large soft contact.
     """
 
     def __init__(self, background: NDArray[np.float32]) -> None:

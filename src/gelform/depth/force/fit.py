@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 from gelform.depth.force.model import (
     KINDS,
+    Dots,
     Force,
     ForceModel,
     ForcePart,
     force_from_result,
     terms_of,
-    why_no_dots,
     why_no_normal,
 )
 from gelform.depth.force.touch import Touch, touch_from_result
@@ -144,7 +144,10 @@ def _fit(kind: str, touches: list[Touch], loads: list[Load]) -> ForcePart | None
     target = np.array([_value(loads[i], kind) for i in measured], dtype=np.float64).reshape(len(measured), -1)
     if not np.isfinite(target).all():
         raise DataError("Expected every load as a finite number.")
-    reasons = [_why_not(kind, touches[i], touches) for i in measured]
+    if kind == "normal":
+        reasons = [why_no_normal(touches[i]) for i in measured]
+    else:
+        reasons = _why_no_dots([touches[i] for i in measured])
     usable = np.array([reason == "" for reason in reasons])
     if kind == "normal":
         _check_signs(target)
@@ -173,17 +176,14 @@ def _fit(kind: str, touches: list[Touch], loads: list[Load]) -> ForcePart | None
     return ForcePart(weights, (float(size.min()), float(size.max())), *spread, len(target))
 
 
-def _why_not(kind: str, touch: Touch, touches: list[Touch]) -> str:
-    """Why a touch cannot be fitted; DataError for dots of several gels."""
-    if kind == "normal":
-        return why_no_normal(touch)
-    first = next((one.rest_mm for one in touches if one.rest_mm is not None), None)
-    if touch.rest_mm is None or first is None:
-        return "no dots: shear is read from the dots of the gel"
-    reason = "" if touch.rest_mm is first and touch.dots else why_no_dots(touch, first)
-    if "another gel" in reason:
-        raise DataError(f"Expected presses of one gel, got {reason}.")
-    return reason
+def _why_no_dots(touches: list[Touch]) -> list[str]:
+    """Why each touch tells no motion of the first one's dots; DataError for dots of several gels."""
+    first = next((touch.rest_mm for touch in touches if touch.rest_mm is not None), np.empty((0, 2)))
+    dots = Dots(first)
+    reasons = [dots.why_none(touch) for touch in touches]
+    if other := next((reason for reason in reasons if "another gel" in reason), ""):
+        raise DataError(f"Expected presses of one gel, got {other}.")
+    return reasons
 
 
 def _check_signs(force: Numbers) -> None:
@@ -256,22 +256,21 @@ def _rows(kind: str, forces: list[Force], loads: list[Load]) -> list[dict[str, A
 
 
 def _row(kind: str, name: str, parts: list[tuple[Force, Load]], center: Numbers) -> dict[str, Any]:
-    known = [(f, load) for f, load in parts if _value(f, kind) is not None]
+    known = [part for part in parts if _value(part[0], kind) is not None]
     row: dict[str, Any] = {"object": name, "presses": len(parts), "refused": 1 - len(known) / len(parts)}
     if not known:
         return row
     force, truth = (
-        np.array([_value(part[k], kind) for part in known], dtype=np.float64).reshape(len(known), -1)
-        for k in (0, 1)
+        np.array([_value(part[k], kind) for part in known]).reshape(len(known), -1) for k in (0, 1)
     )
     sigma = np.array([getattr(f, f"{kind}_sigma_{KINDS[kind]}") for f, _ in known])[:, None]
-    off = np.abs(force - truth) / np.maximum(sigma, 1e-12)
-    least = LEAST_RELATIVE_N if kind == "normal" else 0.0
-    shares = {f"within_{n}": float(np.mean(off <= n)) for n in (1, 2)}
-    return {
-        **row, **_errors(force, truth, least), **shares,
-        "constant": _errors(np.broadcast_to(center, truth.shape), truth, least),
-    }  # fmt: skip
+    off, least = (
+        np.abs(force - truth) / np.maximum(sigma, 1e-12),
+        LEAST_RELATIVE_N if kind == "normal" else 0.0,
+    )
+    within = {f"within_{n}": float(np.mean(off <= n)) for n in (1, 2)}
+    constant = _errors(np.broadcast_to(center, truth.shape), truth, least)
+    return row | _errors(force, truth, least) | within | {"constant": constant}
 
 
 def _errors(force: Numbers, truth: Numbers, least: float) -> dict[str, float | None]:

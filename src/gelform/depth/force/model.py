@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from gelform.depth.force.touch import Touch, touch_from_result
 from gelform.foundations.checks import check_numbers, check_positive, check_values, check_within
@@ -63,6 +64,25 @@ class ForcePart:
         return float(np.hypot(self.relative * np.linalg.norm(force), self.floor))
 
 
+class Dots:
+    """The dots of a gel, by whose places (N, 2) at rest, mm, it is told from another one."""
+
+    def __init__(self, places: NDArray[np.float64]) -> None:
+        self._tree, self._count = cKDTree(places), len(places)
+        self._near = (
+            DOT_TOLERANCE * float(np.median(self._tree.query(places, k=2)[0][:, 1:])) if len(places) else 0.0
+        )
+
+    def why_none(self, touch: Touch) -> str:
+        """Why a touch tells no motion of these dots; "" if it does."""
+        if (rest := touch.rest_mm) is None:
+            return "no dots, or no scale"
+        alike = 2 * min(len(rest), self._count) > max(len(rest), self._count)
+        if not alike or np.median(self._tree.query(rest)[0]) > self._near:
+            return f"dots of another gel: {len(rest)} at other places than the calibrated {self._count}"
+        return "few dots: more than half are not seen" if touch.dots is None else ""
+
+
 @dataclass(frozen=True, eq=False)
 class ForceModel:
     """Converts touches to newtons; it belongs to one calibration and its gel.
@@ -85,9 +105,9 @@ class ForceModel:
     created_utc: str
 
     @cached_property
-    def dots(self) -> NDArray[np.float64]:
-        """`rest_mm` as an array (N, 2)."""
-        return np.array(self.rest_mm, dtype=np.float64).reshape(-1, 2)
+    def dots(self) -> Dots:
+        """The dots at rest."""
+        return Dots(np.array(self.rest_mm, dtype=np.float64).reshape(-1, 2))
 
     def to_dict(self) -> dict[str, Any]:
         """The model, as values that JSON can hold."""
@@ -169,7 +189,7 @@ def force_from_result(result: Any, model: ForceModel | None) -> Force:
         if model is None or part is None:
             continue
         reason = _why_other(touch, model) or (
-            why_no_normal(touch) if kind == "normal" else why_no_dots(touch, model.dots)
+            why_no_normal(touch) if kind == "normal" else model.dots.why_none(touch)
         )
         if reason == "":
             force = np.asarray(part.weights) @ terms_of(touch, kind)
@@ -206,30 +226,6 @@ def why_no_normal(touch: Touch) -> str:
     if touch.border_share > MOST_IN_BORDER:
         return f"a contact at the border: {100 * touch.border_share:.0f} % of it, so part of it may be out of view"
     return ""
-
-
-def why_no_dots(touch: Touch, known_mm: NDArray[np.float64]) -> str:
-    """Why a touch tells no motion of the known dots (M, 2); "" if it does."""
-    rest = touch.rest_mm
-    if rest is None:
-        return "no dots, or no scale"
-    if not _same_dots(rest, known_mm):
-        return f"dots of another gel: {len(rest)} at other places than the calibrated {len(known_mm)}"
-    return "few dots: more than half are not seen" if touch.dots is None else ""
-
-
-def _same_dots(rest: NDArray[np.float64], known: NDArray[np.float64]) -> bool:
-    """Whether most dots (N, 2) stand where known ones (M, 2) do."""
-    if 2 * min(len(rest), len(known)) <= max(len(rest), len(known)):
-        return False
-    spacing = np.median(
-        np.partition(_distances(known, known), 1, axis=1)[:, 1]
-    )  # the nearest is the dot itself
-    return bool(np.median(_distances(rest, known).min(axis=1)) <= DOT_TOLERANCE * spacing)
-
-
-def _distances(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.asarray(np.linalg.norm(first[:, None] - second, axis=2))
 
 
 def _why_other(touch: Touch, model: ForceModel) -> str:
