@@ -19,7 +19,7 @@ LEVELS = [
     {"slopes"},
     {"depth"},
     {"calibration_file", "result"},
-    {"reconstruct", "simulate"},
+    {"reconstruct", "simulate", "motion"},
     {"sensors"},
     {"exchange"},
     {"calibration"},

@@ -57,6 +57,11 @@ from .reconstruct import Reconstructor as Reconstructor
 from .result.record import Reconstruction as Reconstruction
 from .result.file import save_result as save_result
 from .result.file import load_result as load_result
+from .motion.between import motion_between as motion_between
+from .motion.between import Motion as Motion
+from .motion.track import track as track
+from .motion.track import Tracked as Tracked
+from .motion.mosaic import mosaic as mosaic
 from .sensors.streams.stream import stream as stream
 from .sensors.streams.stream import Stream as Stream
 from .exchange.plots.result import picture as picture

@@ -56,6 +56,7 @@ class CalibrationSettings(Mapping[str, Any]):
     gel_thickness_mm : thickness of the gel at rest, mm
     crosstalk : description of the crosstalk that is removed before the color model
     relaxation_mm : length over which the gel falls off around a contact, mm
+    place_error : error of a ball's center over its displacement, for the covariance of motions
     image_noise : (3,) standard deviation of a pixel of an image, gray levels
     starter : only if other units of the make were calibrated and this one was not: the make (`sensor`), the relative
         standard
@@ -74,6 +75,7 @@ class CalibrationSettings(Mapping[str, Any]):
     gel_thickness_mm: float | None = None
     crosstalk: str | None = None
     relaxation_mm: float | None = None
+    place_error: float | None = None
     image_noise: Sequence[float] | None = None
     starter: Mapping[str, Any] | None = None
     others: Mapping[str, Any] = field(default_factory=dict)
@@ -348,6 +350,8 @@ def _check_contents(arrays: dict[str, NDArray[Any]], meta: dict[str, Any]) -> No
     check_within(meta["untouched_change"], "untouched_change", 0, 1e3)
     if "starter" in meta["settings"]:
         check_within(meta["settings"]["starter"]["spread"], "spread", 0, 1)
+    if "place_error" in meta["settings"]:
+        check_within(meta["settings"]["place_error"], "place_error", 0, 1)
     if "gel_thickness_mm" in meta["settings"]:
         check_gel_thickness(meta["settings"]["gel_thickness_mm"])
     shape = tuple(meta["image_shape"])

@@ -105,6 +105,7 @@ def commands(work: Path, out: Path) -> dict[str, list[Any]]:
         "export": ["export", work / "result.npz", "--to", "tiff", "-o", out / "depth.tiff"],
         "record": ["record", work / "frames", "-o", out / "recorded.mcap", "--frames", "3"],
         "bag": ["bag", work / "frames", "-c", work / "cal.npz", "-o", out / "bag"],
+        "track": ["track", work / "frames", "-c", work / "cal.npz", "-o", out / "track.csv"],
     }
 
 

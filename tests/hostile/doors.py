@@ -161,6 +161,9 @@ DOORS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
     "with_crosstalk": (with_crosstalk, {"presses": PRESSES, "crosstalk": None}),
     "evaluate": (gelform.evaluate, {"calibration": calibration(), "presses": PRESSES}),
     "calibrate": (gelform.calibrate, {"presses": PRESSES, "color_model": "lambertian", "start": None}),
+    "motion_between": (gelform.motion_between, {"a": RESULT, "b": RESULT, "start": np.eye(4), "prior": (0.1, 0.1)}),
+    "track": (lambda **s: list(gelform.track(**s)), {"results": [RESULT, RESULT], "prior": (0.1, 0.1)}),
+    "mosaic": (gelform.mosaic, {"results": [RESULT, RESULT], "poses": [np.eye(4), np.eye(4)]}),
     "picture": (gelform.picture, {"result": RESULT, "image": IMAGE}),
     "save_picture": (saved_picture, {"picture": IMAGE}),
     "save_result": (saved_result, {"result": RESULT}),
@@ -237,8 +240,10 @@ RECORDS = (
     "Contact",
     "Frame",
     "Integration",
+    "Motion",
     "Reconstruction",
     "Stream",
+    "Tracked",
 )
 # Tried with nothing right at all: what is right is long to make, or a thread.
 ALL_ODD = ("save_simulated_presses", "Grabber", "stream")

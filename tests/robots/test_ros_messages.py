@@ -13,8 +13,9 @@ from gelform.foundations.findings import Finding
 from gelform.image.frame import Frame
 from gelform.image.markers import MarkerFlow
 from gelform.result import Reconstruction
-from gelform.robots.ros_messages import RosMessages
+from gelform.robots.ros_messages import RosMessages, optical_pose
 from gelform.robots.topics import TOPICS, check_sensor_name, check_topics, sensor_name_from
+from made.rigid_contacts import contact_of, pose, texture
 
 
 def test_a_name_is_made_of_any_text_and_what_ros_refuses_is_refused():
@@ -35,7 +36,14 @@ def test_a_name_is_made_of_any_text_and_what_ros_refuses_is_refused():
 
 def test_topics_have_whole_names_and_come_in_the_tables_order():
     names = [topic.of("left") for topic in TOPICS.values()]
-    assert names == ["/left/image_raw", "/left/indentation", "/left/points", "/left/wrench", "/diagnostics"]
+    assert names == [
+        "/left/image_raw",
+        "/left/indentation",
+        "/left/points",
+        "/left/wrench",
+        "/diagnostics",
+        "/left/object_pose",
+    ]
     assert all(re.fullmatch(r"\w+_msgs/msg/\w+", topic.type) for topic in TOPICS.values())
     assert check_topics(["points", "image", "points"]) == ("image", "points")
     assert check_topics("points") == ("points",)
@@ -138,6 +146,42 @@ def test_a_wrench_by_hand(made, result):
     assert alone.force.z == pytest.approx(-2 * 0.4), "1 mm^2 and 0.4 mm deep, at 2 N/mm^3"
     assert np.isnan([alone.force.x, alone.torque.z]).all()
     assert list(made.due(["wrench"], FRAME, pressed, STAMP_NS)) == []
+
+
+def test_the_pose_of_the_object_in_the_optical_frame(made):
+    """Meters; z away from the camera, so a deeper object has a smaller z, and turns about x and y change their sign."""
+    true, kind = pose(0.3, -0.2, 0.05, 2.0, 0.0, 4.0), "geometry_msgs/msg/PoseWithCovarianceStamped"
+    fresh = RosMessages("left")
+    contacts = [
+        contact_of(texture(), one, radius_mm=mm) for one, mm in ((None, 3.2), (None, 0.1), (true, 3.2))
+    ]
+    first, none, second = (fresh.pose(FRAME, one, STAMP_NS) for one in contacts)
+    assert none is None, "a lost frame has no message"
+    at = decoded(made, first, kind).pose
+    assert (at.pose.position.x, at.pose.orientation.w) == (0, 1)
+    message = decoded(made, second, kind)
+    assert message.header.frame_id == "left_gel_optical_frame"
+    at = message.pose.pose
+    place = [at.position.x, at.position.y, at.position.z]
+    np.testing.assert_allclose(place, true[:3, 3] * [1e-3, 1e-3, -1e-3], atol=1e-5)
+    half = np.array([at.orientation.x, at.orientation.y, at.orientation.z]) * 2
+    np.testing.assert_allclose(half, np.radians([-2.0, 0.0, 4.0]), atol=3e-3)
+    covariance = message.pose.covariance.reshape(6, 6)
+    np.testing.assert_allclose(covariance, covariance.T)
+    assert (np.linalg.eigvalsh(covariance) > 0).all()
+    assert 1e-6 < np.sqrt(covariance[0, 0]) < 1e-4
+
+
+def test_the_covariance_is_moved_to_the_position():
+    """A turn that is not sure shifts the position of an object that turns about a contact 10 mm away."""
+    unsure = np.diag([0, 0, 0, 0, 0, 0.01**2])
+    place, turn, covariance = optical_pose(np.eye(4), unsure, np.array([10.0, 0, 0]))
+    np.testing.assert_allclose(np.sqrt(covariance[1, 1]), 10e-3 * 0.01)
+    assert covariance[5, 5] == pytest.approx(1e-4)
+    assert covariance[1, 5] < 0, (
+        "x is 10 mm to the left of the contact: a turn from x to y moves it up, to smaller y"
+    )
+    np.testing.assert_allclose([*place, *turn], [0, 0, 0, 0, 0, 0, 1])
 
 
 def test_without_the_extra_the_error_names_it():

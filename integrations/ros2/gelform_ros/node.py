@@ -7,20 +7,21 @@ from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import WrenchStamped
+from geometry_msgs.msg import PoseWithCovarianceStamped, WrenchStamped
 from rclpy.node import Node
 from sensor_msgs.msg import Image, PointCloud2
 
 import gelform
 from gelform.robots.ros_messages import RosMessages
 from gelform.robots.send import StampedResults
-from gelform.robots.topics import TOPICS, check_sensor_name, check_topics, sensor_name_from
+from gelform.robots.topics import TOPICS, USUAL, check_sensor_name, check_topics, sensor_name_from
 
 TYPES = {
     "sensor_msgs/msg/Image": Image,
     "sensor_msgs/msg/PointCloud2": PointCloud2,
     "geometry_msgs/msg/WrenchStamped": WrenchStamped,
     "diagnostic_msgs/msg/DiagnosticArray": DiagnosticArray,
+    "geometry_msgs/msg/PoseWithCovarianceStamped": PoseWithCovarianceStamped,
 }
 QUEUE = 10
 
@@ -33,7 +34,7 @@ class GelformNode(Node):
         calibration = gelform.load_calibration(self._parameter("calibration", ""))
         self._source = self._parameter("source", "simulated")
         name = self._parameter("name", "") or sensor_name_from(calibration.sensor_name)
-        self._topics = check_topics(self._parameter("topics", ",".join(TOPICS)).split(","))
+        self._topics = check_topics(self._parameter("topics", ",".join(USUAL)).split(","))
         self._messages = RosMessages(check_sensor_name(name), calibration.serial or "")
         self._to = {
             topic: self.create_publisher(TYPES[TOPICS[topic].type], TOPICS[topic].of(name), QUEUE)

@@ -13,6 +13,7 @@ from gelform.calibration.fitted import fit
 from gelform.calibration.held_out.folds import make_folds
 from gelform.calibration.held_out.measure import measure_held_out
 from gelform.calibration.inputs import check_inputs, input_notes, surround_notes
+from gelform.calibration.place import place_error_from_presses
 from gelform.calibration.presses.folder import Presses, as_presses
 from gelform.calibration.report.record import report_of_run
 from gelform.calibration_file import Calibration
@@ -75,11 +76,14 @@ def calibrate(
     fitted = fit(located, folds, color_model, compare=compare, progress=progress)
     judged = measure_held_out(fitted, progress=progress)
     notes = input_notes(located)
+    made = replace(fitted.calibration, slope_sigma=judged.slope_sigma, forward=judged.forward)
+    own = [presses.presses[i] for i in located.refined.accepted]
+    circles = [located.refined.contacts[i] for i in located.refined.accepted]
+    place_error = place_error_from_presses(made, own, circles)
     report = report_of_run(fitted, judged, balls, notes=notes, seconds=time.monotonic() - began)
     return replace(
-        fitted.calibration,
-        slope_sigma=judged.slope_sigma,
-        forward=judged.forward,
+        made,
+        settings=replace(made.settings, place_error=place_error),
         held_out=report.held_out,
         report=report,
     )

@@ -17,7 +17,7 @@ from gelform.cli.commands.info import info
 from gelform.cli.commands.inspection import compare, evaluate, explain
 from gelform.cli.commands.live import live
 from gelform.cli.commands.reconstruct import reconstruct
-from gelform.cli.commands.robots import bag, ros
+from gelform.cli.commands.robots import bag, ros, track
 from gelform.cli.commands.simulate import design, simulate
 from gelform.cli.commands.sources import cameras, record
 from gelform.cli.commands.starter import starter
@@ -30,24 +30,12 @@ ONE_THREAD = dict.fromkeys(
     ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENCV_FOR_THREADS_NUM"), "1"
 )
 ENVIRONMENT = {**ONE_THREAD, "OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT": "1"}
-SUBCOMMANDS = {"calibrations": calibrations, "force": force}  # commands with commands of their own
+SUBCOMMANDS = {"force": force, "calibrations": calibrations}  # commands with commands of their own
 GROUPS: dict[str, tuple[Any, ...]] = {
     "Start": (demo, live, simulate, info),
-    "Sensor": (
-        cameras,
-        record,
-        scale,
-        lens,
-        crosstalk,
-        calibrate,
-        starter,
-        evaluate,
-        "force",
-        "calibrations",
-        design,
-    ),
+    "Sensor": (cameras, record, scale, lens, crosstalk, calibrate, starter, evaluate, *SUBCOMMANDS, design),
     "Frames": (reconstruct, explain, compare, batch, verify),
-    "Robots": (bag, ros),
+    "Robots": (bag, ros, track),
     "Files": (import_, export),
 }
 

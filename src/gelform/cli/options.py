@@ -16,11 +16,11 @@ from typer import Argument, BadParameter, Option
 
 from gelform.cli.console import print_json, progress_shown, say, show_table
 from gelform.foundations.progress import Progress
-from gelform.robots.topics import TOPICS
+from gelform.robots.topics import TOPICS, USUAL
 from gelform.sensors.profiles import PROFILES
 
 PACKAGE = Path(__file__).parents[1]
-ALL_TOPICS = ",".join(TOPICS)
+ALL_TOPICS, USUAL_TOPICS = ",".join(TOPICS), ",".join(USUAL)
 
 
 def names_in(file: str, table: str) -> tuple[str, ...]:

@@ -16,7 +16,7 @@ from gelform.foundations.npz_files import locked_folder, sweep
 from gelform.image.frame import Frame
 from gelform.result import Reconstruction
 from gelform.robots.ros_messages import RosMessages
-from gelform.robots.topics import TOPICS, check_sensor_name, check_topics
+from gelform.robots.topics import TOPICS, USUAL, check_sensor_name, check_topics
 
 METADATA_VERSION = 9  # of rosbag2 in Jazzy and later; Humble plays the .mcap inside
 QUEUE = 10  # queue of the publishers of `ros2 bag play`: ROS's default
@@ -48,7 +48,7 @@ class BagFile:
         path: str | PathLike[str],
         sensor: str,
         *,
-        topics: tuple[str, ...] = tuple(TOPICS),
+        topics: tuple[str, ...] = USUAL,
         hardware_id: str = "",
     ) -> None:
         self.path = check_path(path)

@@ -10,10 +10,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from gelform.errors import needed
 from gelform.exchange.exporters.surface import M_PER_MM, points_from_result
 from gelform.image.frame import Frame
+from gelform.motion.rigid import about_other_center
+from gelform.motion.track import Follower
 from gelform.result import Reconstruction
 from gelform.robots.topics import TOPICS
 from gelform.sensors.recordings.messages import header_of, typestore
@@ -43,19 +46,17 @@ class RosMessages:
         self.sensor, self.hardware_id = sensor, hardware_id
         self.camera_frame, self.gel_frame = f"{sensor}_camera_optical_frame", f"{sensor}_gel_optical_frame"
         self._said: tuple[tuple[str, ...], int] | None = None
+        self._follow = Follower()
 
     def due(
         self, topics: Iterable[str], frame: Frame, result: Reconstruction, stamp_ns: int
     ) -> Iterator[tuple[str, memoryview]]:
-        """(topic, message) pairs of a frame taken at UTC ns; diagnostics once a second, and when findings change.
-
-        A wrench comes only from a calibration with known loads.
-        """
+        """(topic, message) pairs of a frame taken at UTC ns; diagnostics once a second, and when findings change."""
         for name in topics:
-            if name == "wrench" and result.force_model is None:
-                continue
             if name != "diagnostics" or self._diagnostics_are_due(result, stamp_ns):
-                yield name, getattr(self, name)(frame, result, stamp_ns)
+                message = getattr(self, name)(frame, result, stamp_ns)
+                if message is not None:
+                    yield name, message
 
     def image(self, frame: Frame, result: Reconstruction, stamp_ns: int) -> memoryview:
         """The frame from the camera: sensor_msgs/Image, rgb8."""
@@ -87,11 +88,14 @@ class RosMessages:
         )
         return self._encoded(message)
 
-    def wrench(self, frame: Frame, result: Reconstruction, stamp_ns: int) -> memoryview:
+    def wrench(self, frame: Frame, result: Reconstruction, stamp_ns: int) -> memoryview | None:
         """The force on the gel, N, and its torsion, N m; NaN where unknown: geometry_msgs/WrenchStamped.
 
-        What presses into the gel pushes toward the camera, which is -z. Torques about x and y are not known.
+        What presses into the gel pushes toward the camera, which is -z. Torques about x and y are not known. None without
+        known loads.
         """
+        if result.force_model is None:
+            return None
         force, vector = result.force, self._type("geometry_msgs/msg/Vector3")
         x, y, normal, torsion = (
             np.nan if value is None else float(value)
@@ -125,6 +129,23 @@ class RosMessages:
             ],
         )
         message = self._type(TOPICS["diagnostics"].type)(header=self._header(stamp_ns, ""), status=[status])
+        return self._encoded(message)
+
+    def pose(self, frame: Frame, result: Reconstruction, stamp_ns: int) -> memoryview | None:
+        """Where the object is that touched first, in the frame of the gel: geometry_msgs/PoseWithCovarianceStamped.
+
+        Its own frame is that of the gel at the first contact. None where it is lost.
+        """
+        motion = self._follow(result).motion
+        if motion.pose is None or motion.covariance is None or motion.center_mm is None:
+            return None
+        place, turn, covariance = optical_pose(motion.pose, motion.covariance, motion.center_mm)
+        point, quaternion = (self._type(f"geometry_msgs/msg/{name}") for name in ("Point", "Quaternion"))
+        at = self._type("geometry_msgs/msg/Pose")(
+            position=point(*place.tolist()), orientation=quaternion(*turn.tolist())
+        )
+        known = self._type("geometry_msgs/msg/PoseWithCovariance")(pose=at, covariance=covariance.ravel())
+        message = self._type(TOPICS["pose"].type)(header=self._header(stamp_ns, self.gel_frame), pose=known)
         return self._encoded(message)
 
     def _diagnostics_are_due(self, result: Reconstruction, stamp_ns: int) -> bool:
@@ -165,3 +186,22 @@ class RosMessages:
     def _encoded(self, message: Any) -> memoryview:
         encoded: memoryview = self.store.serialize_cdr(message, message.__msgtype__)
         return encoded
+
+
+def optical_pose(
+    pose: NDArray[np.float64], covariance: NDArray[np.float64], center_mm: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Position (m), quaternion (x, y, z, w) and covariance (6, 6) (m, rad) of a motion, with z away from the camera.
+
+    The covariance is moved from the contact's middle to the position, where ROS has it. With z turned round, the frame is
+    right-handed, and turns change their sign about x and y.
+    """
+    away = np.diag([1.0, 1.0, -1.0])
+    moved_there = (
+        about_other_center(pose[:3, 3] - center_mm)
+        @ covariance
+        @ about_other_center(pose[:3, 3] - center_mm).T
+    )
+    change = np.diag([M_PER_MM, M_PER_MM, -M_PER_MM, -1.0, -1.0, 1.0])
+    turn = Rotation.from_matrix(away @ pose[:3, :3] @ away).as_quat()
+    return away @ pose[:3, 3] * M_PER_MM, turn, change @ moved_there @ change.T

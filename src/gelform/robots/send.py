@@ -17,7 +17,7 @@ from gelform.foundations.progress import Progress, no_progress
 from gelform.image.frame import Frame
 from gelform.result import Reconstruction
 from gelform.robots.bag_file import BagFile
-from gelform.robots.topics import NEEDS_SCALE, ROUTER, TOPICS, check_topics, sensor_name_from
+from gelform.robots.topics import NEEDS_SCALE, ROUTER, USUAL, check_topics, sensor_name_from
 from gelform.robots.zenoh_node import ZenohNode
 from gelform.sensors.source import open_source
 from gelform.sensors.streams.memory import StreamFrame
@@ -122,7 +122,7 @@ def save_bag(
     calibration: Calibration | str | PathLike[str],
     path: str | PathLike[str],
     *,
-    topics: Iterable[str] = tuple(TOPICS),
+    topics: Iterable[str] = USUAL,
     sensor: str | None = None,
     seconds: float | None = None,
     background: ArrayLike | None = None,
@@ -138,7 +138,7 @@ def save_bag(
     source : argument of `open_source`
     calibration : of the sensor, or the path of its file
     path : a new folder
-    topics : names of TOPICS
+    topics : names of TOPICS; `pose` only if it is named
     sensor : a ROS name, the prefix of topics and frames; by default made from the calibration's sensor name
     seconds : duration; None: no limit
     background : (H, W, 3), 0-255, a current background image; by default the calibration's own
@@ -168,7 +168,7 @@ def publish(
     source: str | PathLike[str],
     calibration: Calibration | str | PathLike[str],
     *,
-    topics: Iterable[str] = tuple(TOPICS),
+    topics: Iterable[str] = USUAL,
     sensor: str | None = None,
     router: str = ROUTER,
     domain: int = 0,
@@ -185,7 +185,7 @@ def publish(
     ----------
     source : argument of `open_source`
     calibration : of the sensor, or the path of its file
-    topics : names of TOPICS
+    topics : names of TOPICS; `pose` only if it is named
     sensor : a ROS name, the prefix of topics and frames; by default made from the calibration's sensor name
     router : address of the zenoh router
     domain : the subscribers' ROS_DOMAIN_ID

@@ -12,10 +12,11 @@ MAX_DOMAIN = 232  # largest ROS_DOMAIN_ID of ROS 2
 
 @dataclass(frozen=True)
 class Topic:
-    """A topic: its name below the sensor's (absolute if it starts with /), and the type of its messages."""
+    """A topic: its name below the sensor's (absolute if it starts with /), the type of its messages, and if it is usual."""
 
     name: str
     type: str
+    usual: bool = True
 
     def of(self, sensor: str) -> str:
         """Its full name for a sensor."""
@@ -28,8 +29,10 @@ TOPICS = {
     "points": Topic("points", "sensor_msgs/msg/PointCloud2"),
     "wrench": Topic("wrench", "geometry_msgs/msg/WrenchStamped"),
     "diagnostics": Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray"),
+    "pose": Topic("object_pose", "geometry_msgs/msg/PoseWithCovarianceStamped", usual=False),
 }
-NEEDS_SCALE = ("indentation", "points")
+USUAL = tuple(name for name, topic in TOPICS.items() if topic.usual)
+NEEDS_SCALE = ("indentation", "points", "pose")
 _NAME = re.compile(r"[a-z][a-z0-9]*(_[a-z0-9]+)*")
 
 

@@ -18,7 +18,7 @@ from gelform.errors import GelformError, needed
 from gelform.image.frame import Frame
 from gelform.result import Reconstruction
 from gelform.robots.ros_messages import RosMessages
-from gelform.robots.topics import MAX_DOMAIN, ROUTER, TOPICS, check_sensor_name, check_topics
+from gelform.robots.topics import MAX_DOMAIN, ROUTER, TOPICS, USUAL, check_sensor_name, check_topics
 
 GRAPH = "@ros2_lv"  # prefix of the tokens that announce nodes and publishers
 NO_NAMESPACE = NO_ENCLAVE = "%"  # a slash, which separates levels in zenoh
@@ -101,7 +101,7 @@ class ZenohNode:
         self,
         sensor: str,
         *,
-        topics: tuple[str, ...] = tuple(TOPICS),
+        topics: tuple[str, ...] = USUAL,
         router: str = ROUTER,
         domain: int = 0,
         hardware_id: str = "",

@@ -1,7 +1,9 @@
-"""gelform bag and gelform ros: results of a source as a ROS 2 bag, or live over zenoh."""
+"""gelform bag, ros and track: results of a source as a ROS 2 bag, live over zenoh, or as the path of the object."""
 
 from __future__ import annotations
 
+import math
+from collections import Counter
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
@@ -12,27 +14,35 @@ from typer import Argument, Option
 from gelform.cli.console import say
 from gelform.cli.options import (
     ALL_TOPICS,
+    USUAL_TOPICS,
     AcceptDoubtful,
     Background,
     CalibrationOptions,
+    Overwrite,
     ShownOption,
     number,
+    numbers,
     usage_errors,
 )
 from gelform.cli.process import mistakes_in
 from gelform.cli.sensor_images import background_in, calibration_given
+from gelform.errors import DataError
 from gelform.robots.topics import MAX_DOMAIN, ROUTER, TOPICS, check_sensor_name, check_topics
 
 if TYPE_CHECKING:
     from gelform.calibration_file import Calibration
+    from gelform.motion.track import Tracked
+    from gelform.result import Reconstruction
     from gelform.robots.send import SentStats
+
+PRIOR = "MM,DEG"
 
 
 @dataclass(frozen=True)
 class Sent:
     """Topics of a source, their prefix, the duration, and the background image."""
 
-    topics: Annotated[str, Option(metavar="A,B", help=f"Topics, of {ALL_TOPICS}.")] = ALL_TOPICS
+    topics: Annotated[str, Option(metavar="A,B", help=f"Topics, of {ALL_TOPICS}.")] = USUAL_TOPICS
     name: Annotated[
         str | None,
         Option(metavar="NAME", help="Prefix of topics and frames; else the calibration's sensor."),
@@ -72,8 +82,8 @@ def bag(
     Writes images, indentation, points and findings as rosbag2 (MCAP).
 
     It takes every frame of a recording, and the newest frames of a camera. Topics: /NAME/image_raw (rgb8), /NAME/indentation
-    (32FC1, meters, positive where pressed), /NAME/points (meters, in NAME_gel_optical_frame), /diagnostics. Needs the extra
-    `ros`.
+    (32FC1, meters, positive where pressed), /NAME/points (meters, in NAME_gel_optical_frame), /diagnostics; and
+    /NAME/object_pose, if --topics names it. Needs the extra `ros`.
 
     \b
     Examples:
@@ -133,6 +143,121 @@ def ros(
     shown.say(f"Published {stats.frames} frames in {stats.duration_s:.1f} s, {stats.drops} dropped.")
     shown.json({**asdict(stats), "topics": [TOPICS[one].of(stats.sensor) for one in wanted]})
     _end(stats, sent, shown)
+
+
+def track(
+    *,
+    source: Annotated[str, Argument(metavar="INPUT", help="Recording, video, folder, serial, name or URL.")],
+    given: CalibrationOptions,
+    output: Annotated[Path, Option("--output", "-o", metavar="CSV", help="Table of the poses.")],
+    surface: Annotated[
+        Path | None,
+        Option(metavar="FILE", help="Also one surface of all keyframes: .npz, .ply, .stl, .tiff or .x3p."),
+    ] = None,
+    prior: Annotated[
+        str | None,
+        Option(metavar=PRIOR, help="Motion from a frame to the next, standard deviations in mm and degrees."),
+    ] = None,
+    background: Background = None,
+    overwrite: Overwrite = False,
+    shown: ShownOption,
+) -> None:
+    """Follow the object that touches: a pose for each frame.
+
+    The table has the pose of each frame from the first contact: x_mm, y_mm, z_mm and the turn vector in degrees, their
+    standard deviations about the contact's middle, what these contacts cannot show (blind), and the state: found, cannot
+    tell yet, or lost, with the reason. A lost frame has no pose. Axes: x to the right, y down, z toward the camera.
+
+    \b
+    Examples:
+      gelform track session.mcap -c cal.npz -o track.csv
+      gelform track video.mp4 -c cal.npz -o track.csv --prior 0.1,0.5
+      gelform track session.mcap -c cal.npz -o track.csv --surface plate.ply
+    """
+    from gelform.calibration.library.choose import unit_of
+    from gelform.cli.outputs import check_output
+    from gelform.motion.between import checked_prior
+    from gelform.motion.track import Follower
+    from gelform.sensors.streams.stream import stream
+
+    spread = None if prior is None else numbers(prior, PRIOR, "--prior")
+    in_rad = None if spread is None else (spread[0], math.radians(spread[1]))
+    with usage_errors("--prior"):
+        checked_prior(in_rad)
+    for path in filter(None, (output, surface)):
+        check_output(path, overwrite=overwrite)
+    loaded = calibration_given(given, background, lambda: unit_of(source), shown.quiet)
+    known, follow = background_in(background, loaded), Follower(in_rad, loaded.settings.place_error)
+    poses: list[Tracked] = []
+    results: dict[int, Reconstruction] = {}  # of the keyframes, and the last two frames
+    with shown.progress() as progress, stream(source, loaded, background=known) as running:
+        for number, one in enumerate(running.pairs()):
+            poses.append(follow(one.result))
+            kept = {pose.keyframe for pose in poses}
+            results = {k: v for k, v in results.items() if k in kept or k == number - 1} | {
+                number: one.result
+            }
+            progress(number + 1, number + 1, "following")
+    if not poses:
+        raise DataError(f"No frame arrived from {source}: there is nothing to follow.")
+    _write_poses(poses, output, overwrite)
+    states = Counter(pose.motion.state for pose in poses)
+    shown.say(f"Wrote {output}: {', '.join(f'{count} {state}' for state, count in states.items())}.")
+    if surface is not None:
+        from gelform.motion.mosaic import mosaic
+
+        chosen = [k for k in results if poses[k].motion.pose is not None]
+        whole = mosaic([results[k] for k in chosen], [poses[k] for k in chosen])
+        _write_surface(whole, surface, overwrite)
+        shown.say(f"Wrote {surface}: {len(chosen)} contacts as one surface.")
+    shown.json({"track": output, "frames": len(poses), "states": dict(states)})
+
+
+def _write_poses(poses: list[Tracked], path: Path, overwrite: bool) -> None:
+    import numpy as np
+
+    from gelform.foundations.npz_files import written_file
+    from gelform.foundations.tables import table_text
+    from gelform.motion.rigid import step_of_pose
+
+    axes = ("x_mm", "y_mm", "z_mm", "turn_x_deg", "turn_y_deg", "turn_z_deg")
+    rows: list[list[Any]] = [
+        [
+            "frame",
+            "time_s",
+            "state",
+            *axes,
+            *(f"sigma_{one}" for one in axes),
+            "shared",
+            "keyframe",
+            "blind",
+            "why",
+        ]
+    ]
+    units = np.repeat([1.0, 180 / np.pi], 3)
+    for count, pose in enumerate(poses):
+        motion, figures = pose.motion, [""] * 12
+        if motion.pose is not None and motion.covariance is not None:
+            values = (step_of_pose(motion.pose, np.zeros(3)), np.sqrt(np.diag(motion.covariance)))
+            figures = [f"{value:.6g}" for of in values for value in of * units]
+        time_s = "" if pose.time_s is None else f"{pose.time_s:.6f}"
+        words = "; ".join(one.words for one in motion.blind)
+        rows.append(
+            [count, time_s, motion.state, *figures, f"{motion.shared:.3f}", pose.keyframe, words, motion.why]
+        )
+    with written_file(path, overwrite=overwrite) as file:
+        file.write(table_text(rows).encode())
+
+
+def _write_surface(whole: Reconstruction, path: Path, overwrite: bool) -> None:
+    if path.suffix == ".npz":
+        from gelform.result import save_result
+
+        save_result(whole, path, overwrite=overwrite)
+    else:
+        from gelform.exchange.exporters.surface import save_surface
+
+        save_surface(whole, path, overwrite=overwrite)
 
 
 def _end(stats: SentStats, sent: Sent, shown: ShownOption) -> NoReturn:

@@ -1,0 +1,1 @@
+"""Where the object moved: its pose between contacts, along a recording, and one surface of several contacts."""

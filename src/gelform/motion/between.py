@@ -1,0 +1,208 @@
+"""Where an object moved between two contacts: its pose, the pose's covariance, and what the contacts cannot show.
+
+The touched surface of one frame is moved rigidly onto that of the other, so that its slopes and its depth agree
+(Gauss-Newton, weighted by both frames' standard deviations, Huber's loss). docs/motion.md has the formulas.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gelform.foundations.checks import check_numbers, check_positive, check_within
+from gelform.motion.covariance import pose_covariance
+from gelform.motion.rigid import Array, checked_pose, inverse_of, moved, pose_of_step, step_of_pose, turn_deg
+from gelform.motion.sight import Blind, blind_depth, blind_directions, has_moved, seen_directions
+from gelform.motion.surface import NOTHING, Equations, TouchedSurface
+from gelform.result import Reconstruction
+
+FOUND, LOST, UNSURE = "found", "lost", "cannot tell yet"
+LEAST_SHARE, LEAST_PX = 0.25, 300  # of the contact, and pixels, that both frames touch
+# Mm and degrees: farther from the start there are other minima; farther turned, every method drifts by .1-.3 mm, 2-5 deg.
+MOST_FROM_START_MM, MOST_TURN_DEG = 0.5, 10.0
+# Mm and rad: the range of the method, and what is known where nothing is seen and no prior given.
+REACH = (MOST_FROM_START_MM, float(np.radians(MOST_TURN_DEG)))
+NO_PRIOR = (10.0, float(np.radians(MOST_TURN_DEG)))
+PLACE_ERROR = 0.014  # error of a ball's place over its displacement, the largest of four sensors (.004-.014)
+MOST_MISFIT = 1.0  # of the surfaces after the motion, in their stated errors; .84 at most on real contacts
+UNKNOWN_MM = 1e3  # mm, standard deviation of what is not known at all
+MOST_STEPS = 30
+LONGEST_MM, LONGEST_RAD = 0.5, 0.15  # of a step
+LAST_MM, LAST_RAD = 5e-4, 1e-4  # a smaller step is the last
+ALIKE_PX = 16.0  # px; errors of slopes are taken as independent beyond
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Where an object moved from one contact to another.
+
+    Attributes
+    ----------
+    pose : (4, 4), moves a point (x, y, z) of the first frame to where it is in the second, mm. x to the right, y down, z
+        toward the camera, from the image's middle on the gel at rest; None if the state is "lost"
+    covariance : (6, 6), of a small shift (mm) and turn (rad) about `center_mm` after the pose; None if lost. In blind
+        directions it is the prior's
+    center_mm : (3,), where the middle of the first contact is in the second frame
+    blind : directions that these contacts cannot show; there the pose is that of the start
+    shared : share of the first contact that the second touches too, 0-1
+    state : "found"; "cannot tell yet" (the object has hardly moved: what is blind is not known); "lost"
+    why : why nothing was found, in words; "" otherwise
+    """
+
+    pose: Array | None
+    covariance: Array | None
+    center_mm: Array | None
+    blind: tuple[Blind, ...]
+    shared: float
+    state: str
+    why: str = ""
+
+
+def motion_between(
+    a: Reconstruction,
+    b: Reconstruction,
+    *,
+    start: ArrayLike | None = None,
+    prior: Sequence[float] | None = None,
+    place_error: float | None = None,
+) -> Motion:
+    """Where the object that touched in result `a` is in result `b`, of the same sensor and later.
+
+    Parameters
+    ----------
+    a, b : results (H, W) of one calibration, with a scale
+    start : (4, 4), about where it moved, within 0.5 mm; where it was by default
+    prior : (mm, rad), standard deviations of the start's shift and turn. The result is the best of both; blind directions
+        take the prior alone. By default nothing is known: 10 mm and 10 degrees
+    place_error : error of a place over the displacement, a calibration's `settings.place_error`; None: that of a bad sensor
+
+    Returns
+    -------
+    Motion
+        With the state "lost" and the reason, but no pose, if the frames are of different sensors or not in order, nothing
+        or too little touches in both, or the object moved farther from the start, or turned more, than the method finds.
+
+    Raises
+    ------
+    ValueError, TypeError, GelformError
+        No results, no rigid start, a prior that is not positive; a result without a scale.
+    """
+    first, second = TouchedSurface(a), TouchedSurface(b)
+    if why := not_comparable(a, b):
+        return lost(why)
+    begin = np.eye(4) if start is None else checked_pose(start, "start")
+    return motion_of(first, second, begin, checked_prior(prior), checked_place_error(place_error))
+
+
+def checked_prior(prior: Sequence[float] | None) -> tuple[float, float]:
+    """Standard deviations of a start, mm and rad; by default those that leave nothing known."""
+    if prior is None:
+        return NO_PRIOR
+    shift, turn = check_numbers(prior, "prior", 2)
+    return check_positive(shift, "prior's mm"), check_positive(turn, "prior's rad")
+
+
+def checked_place_error(share: float | None) -> float:
+    """The error of a place over the displacement; None: the largest of four sensors."""
+    return PLACE_ERROR if share is None else check_within(share, "place_error", 0, 1)
+
+
+def sensor_of(result: Reconstruction) -> tuple[object, ...]:
+    """What results of one sensor and calibration have in common."""
+    return result.calibration_digest, result.shape, result.mm_per_px
+
+
+def not_comparable(a: Reconstruction, b: Reconstruction) -> str:
+    """Why there is no motion from one frame to the other, whatever they show; "" if there may be."""
+    if sensor_of(a) != sensor_of(b):
+        return "the frame is of another sensor or calibration"
+    if a.time_s is not None and b.time_s is not None and b.time_s < a.time_s:
+        return f"the frames are out of order: {b.time_s:.3f} s after {a.time_s:.3f} s"
+    return ""
+
+
+def lost(why: str, shared: float = 0.0) -> Motion:
+    """No motion, and why."""
+    return Motion(None, None, None, (), shared, LOST, why)
+
+
+def motion_of(
+    first: TouchedSurface,
+    second: TouchedSurface,
+    start: Array,
+    prior: tuple[float, float],
+    place_error: float,
+) -> Motion:
+    """`motion_between` of prepared surfaces."""
+    if min(first.count, second.count) < LEAST_PX:
+        return lost(f"no contact: {min(first.count, second.count)} px touch, {LEAST_PX} are needed")
+    # Errors of neighbors are alike, but the equations count each as news: so must what holds them at the start.
+    alike = (ALIKE_PX / first.every) ** 2
+    found = _fitted(first, second, start, alike * _information(REACH), np.eye(6), start)
+    if isinstance(found, Motion):
+        return found
+    blind, scale = blind_directions(first, second, found), first.scale
+    seen = seen_directions(blind, scale)
+    freely = seen * scale[:, None]
+    if blind:
+        found = _fitted(first, second, start, NOTHING, freely, start)
+        if isinstance(found, Motion):
+            return found
+    found = replace(found, pose=pose_of_step(found.step(freely), found.center) @ found.pose)
+    pose, center, shared = found.pose, moved(found.pose, first.middle), found.count / len(first.points)
+    travel = float(np.linalg.norm((center - moved(inverse_of(pose), center))[:2]))
+    if (misfit := found.misfit) > MOST_MISFIT:
+        return lost(f"the surfaces differ by {misfit:.1f} times their errors: is it another object?", shared)
+    own = pose_covariance(first, found, freely, travel * place_error)
+    if filled := blind_depth(first, second):
+        own[2, 2] += UNKNOWN_MM**2
+    # The best of what was seen and of the prior: information adds up.
+    along = seen.T / scale
+    information = along.T @ np.linalg.inv(along @ own @ along.T) @ along
+    covariance = np.linalg.inv(information + _information(prior))
+    step = step_of_pose(pose @ inverse_of(start), center)
+    pose = pose_of_step(covariance @ information @ step, center) @ start
+    if why := _too_far(pose, start, center):
+        return lost(why, shared)
+    state = FOUND if has_moved(first, pose) else UNSURE
+    return Motion(pose, covariance, center, (*blind, *filled), shared, state)
+
+
+def _information(prior: tuple[float, float]) -> Array:
+    """The information (6, 6) of standard deviations, mm and rad."""
+    return np.diag(1 / np.square(np.repeat(prior, 3)))
+
+
+def _fitted(
+    first: TouchedSurface, second: TouchedSurface, start: Array, held: Array, seen: Array, pose: Array
+) -> Equations | Motion:
+    """The pose that fits best, from `pose` on, in the directions (6, k) alone, held to the start by an information."""
+    for _ in range(MOST_STEPS):
+        center = moved(pose, first.middle)
+        equations = first.equations(second, pose, center)
+        share, seen_px = equations.count / len(first.points), equations.count * first.every**2
+        if seen_px < LEAST_PX or share < LEAST_SHARE:
+            wanted = f"{LEAST_PX} px and {100 * LEAST_SHARE:.0f} % are needed"
+            return lost(
+                f"both frames touch {seen_px} px of the contact, {100 * share:.0f} %: {wanted}", share
+            )
+        step = equations.step(seen, held, step_of_pose(pose @ inverse_of(start), center))
+        shift, turn = float(np.linalg.norm(step[:3])), float(np.linalg.norm(step[3:]))
+        if shift < LAST_MM and turn < LAST_RAD:
+            break
+        step *= min(1.0, LONGEST_MM / max(shift, LAST_MM), LONGEST_RAD / max(turn, LAST_RAD))
+        pose = pose_of_step(step, center) @ pose
+    return equations
+
+
+def _too_far(pose: Array, start: Array, center: Array) -> str:
+    """Why a pose is beyond the reach of the method; "" if it is not."""
+    step = step_of_pose(pose @ inverse_of(start), center)
+    if (shift := float(np.linalg.norm(step[:3]))) > MOST_FROM_START_MM:
+        return f"the best fit is {shift:.2f} mm from the start, more than {MOST_FROM_START_MM:g} mm: start nearer"
+    if (turn := turn_deg(pose)) > MOST_TURN_DEG:
+        return f"the object turned by {turn:.1f} degrees, more than {MOST_TURN_DEG:g}: take a later frame as the first"
+    return ""

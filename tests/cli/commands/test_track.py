@@ -1,0 +1,61 @@
+"""gelform track: the table of poses, one surface of the keyframes, and mistakes in one line."""
+
+import csv
+
+import numpy as np
+import pytest
+
+import gelform
+from gelform.simulate import HeightMap, Pose, simulate_pose
+from made.rigid_contacts import texture
+from made.small_gel import save
+
+STEP_MM = 0.4
+
+
+@pytest.fixture(scope="module")
+def slide(small, made_once):
+    """A folder of images: the gel at rest, then a bar with a texture that slides to the right, one frame each."""
+    return made_once("slide", lambda folder: _slid(folder, small))
+
+
+def _slid(folder, sensor):
+    rng = np.random.default_rng(5)
+    y, x = (np.mgrid[:121, :401] - np.array([60, 200])[:, None, None]) * 0.05
+    bar = HeightMap(1.5 * texture(2)(0.6 * x, 0.6 * y), 0.05)
+    poses = [Pose(0.0), *(Pose(0.45, (STEP_MM * k, 0.0)) for k in range(6))]
+    for k, pose in enumerate(poses):
+        save(folder / f"{k:03d}.png", simulate_pose(sensor, bar, pose, rng=rng, oversample=1).image)
+    return folder
+
+
+def test_a_slide_becomes_a_table_and_a_surface(run, slide, calibration_file, tmp_path):
+    table, surface = tmp_path / "out" / "track.csv", tmp_path / "bar.npz"
+    code, _, err = run("track", slide, "-c", calibration_file, "-o", table, "--surface", surface)
+    assert code == 0, err
+    assert f"Wrote {table}: " in err
+    with table.open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["state"] for row in rows] == ["lost", *["found"] * 6]
+    assert "no contact" in rows[0]["why"]
+    assert rows[0]["x_mm"] == ""
+    found = np.array([float(row["x_mm"]) for row in rows[1:]])
+    np.testing.assert_allclose(found, STEP_MM * np.arange(6), atol=0.08)
+    assert all(0 < float(row["sigma_x_mm"]) < 0.2 for row in rows[2:])
+    whole = gelform.load_result(surface)
+    assert whole.known.any()
+
+
+def test_the_numbers_as_json(run_json, slide, calibration_file, tmp_path):
+    said = run_json("track", slide, "-c", calibration_file, "-o", tmp_path / "t.csv", "--prior", "0.5,2")
+    assert (said["frames"], said["states"]) == (7, {"lost": 1, "found": 6})
+
+
+def test_mistakes(fails, slide, calibration_file, tmp_path):
+    given = ("-c", calibration_file, "-o", tmp_path / "t.csv")
+    assert "--prior" in fails("track", slide, *given, "--prior", "0.1,-2", status=2)
+    assert "--prior" in fails("track", slide, *given, "--prior", "0.1", status=2)
+    assert "No recording" in fails("track", tmp_path / "missing.mcap", *given)
+    (tmp_path / "t.csv").write_text("mine")
+    assert "is already there" in fails("track", slide, *given)
+    assert (tmp_path / "t.csv").read_text() == "mine"

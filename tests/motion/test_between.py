@@ -1,0 +1,190 @@
+"""Known motions of known bodies: found within their covariance, blind directions named, nothing invented."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import gelform
+from gelform.motion.between import FOUND, LOST, UNSURE
+from gelform.motion.rigid import inverse_of, moved, pose_of_step, step_of_pose
+from made.rigid_contacts import BALL_MM, CENTER, DEPTH_MM, ball, contact_of, cylinder, plate, pose, texture
+
+# Shift in mm and turns in degrees: one direction each, and all together.
+MOTIONS = {
+    "x": {"x": 0.3}, "y": {"y": -0.3}, "deeper": {"x": 0.3, "z": 0.05}, "tilt about x": {"x": 0.3, "tilt_x": 2.0},
+    "tilt about y": {"y": 0.3, "tilt_y": 2.0}, "yaw": {"x": 0.3, "yaw": 6.0},
+    "all": {"x": -0.2, "y": 0.25, "z": -0.03, "tilt_x": -1.0, "tilt_y": 1.5, "yaw": -5.0},
+}  # fmt: skip
+
+
+def off_by(motion, true):
+    """The step from the true motion to the found one, about the contact's middle."""
+    return step_of_pose(motion.pose @ inverse_of(true), motion.center_mm)
+
+
+@pytest.mark.parametrize("name", MOTIONS)
+def test_a_textured_plate_without_errors(name):
+    true = pose(**MOTIONS[name])
+    found = gelform.motion_between(contact_of(texture()), contact_of(texture(), true))
+    assert found.state == FOUND, found.why
+    assert found.blind == ()
+    assert np.abs(off_by(found, true)[:3]).max() < 0.004
+    assert np.degrees(np.abs(off_by(found, true)[3:]).max()) < 0.15
+
+
+@pytest.mark.slow
+def test_the_covariance_is_honest():
+    within = []
+    rng = np.random.default_rng(0)
+    for seed in range(40):
+        face = texture(seed)
+        true = pose(*rng.uniform(-0.25, 0.25, 2), *rng.uniform(-1, 1, 4) * (0.03, 1, 1, 5))
+        found = gelform.motion_between(
+            contact_of(face, seed=2 * seed), contact_of(face, true, seed=2 * seed + 1), place_error=0.0
+        )
+        if found.state != LOST and not found.blind:
+            within.append(np.abs(off_by(found, true)) / np.sqrt(np.diag(found.covariance)))
+    assert len(within) > 30
+    assert 0.5 < np.mean(np.array(within) < 1) < 0.97
+    assert np.mean(np.array(within) < 2) > 0.85
+
+
+def test_turns_of_a_ball_are_blind_and_named():
+    """The ball moves and turns; its center is found, its turn is not, and nobody claims it."""
+    true = pose_of_step(np.array([0.3, 0.15, 0, 0.05, -0.05, 0.15]), CENTER - (0, 0, BALL_MM))
+    found = gelform.motion_between(contact_of(ball, seed=1), contact_of(ball, true, seed=2))
+    assert found.state == FOUND
+    center = np.array([0, 0, DEPTH_MM - BALL_MM])
+    assert len(found.blind) == 3
+    for one in found.blind:
+        assert one.words.startswith("turns about the ball's center")
+        assert one.correlation < 0.71
+        named = np.array([float(v) for v in one.words.split("(")[1].split(")")[0].split(",")])
+        assert np.abs(named - moved(true, center)).max() < 0.25
+    assert np.abs(moved(found.pose, center) - moved(true, center))[:2].max() < 0.03
+    sigma = np.sqrt(np.diag(found.covariance))
+    assert np.degrees(sigma[3:].min()) > 9, "nothing is known about turns"
+    assert np.degrees(np.linalg.norm(step_of_pose(found.pose, found.center_mm)[3:])) < 0.5
+
+
+def test_blind_directions_take_the_prior_alone():
+    true = pose_of_step(np.array([0.3, 0.15, 0, 0, 0, 0.1]), CENTER - (0, 0, BALL_MM))
+    start = pose_of_step(np.array([0.2, 0.1, 0, 0, 0, 0.1]), CENTER - (0, 0, BALL_MM))
+    a, b = contact_of(ball, seed=1), contact_of(ball, true, seed=2)
+    found = gelform.motion_between(a, b, start=start, prior=(1.0, 0.02))
+    assert np.sqrt(found.covariance[5, 5]) == pytest.approx(0.02, rel=0.05)
+    assert step_of_pose(found.pose, found.center_mm)[5] == pytest.approx(0.1, abs=0.005)
+
+
+def test_a_sure_prior_is_kept():
+    a, b = contact_of(texture(), seed=1), contact_of(texture(), pose(0.3), seed=2)
+    found = gelform.motion_between(a, b, start=pose(0.2), prior=(1e-5, 1e-5))
+    np.testing.assert_allclose(found.pose, pose(0.2), atol=1e-3)
+
+
+def test_a_cylinder_shifts_and_turns_along_its_axis_unseen():
+    true = pose(0.1, 0.3)
+    found = gelform.motion_between(contact_of(cylinder, seed=1), contact_of(cylinder, true, seed=2))
+    words = sorted(one.words for one in found.blind)
+    assert words[0] == "shifts along x"
+    assert words[1].startswith("turns about x through")
+    assert len(words) == 2
+    assert off_by(found, true)[1] == pytest.approx(0, abs=0.01)
+    assert found.pose[0, 3] == pytest.approx(0, abs=0.05), "no motion along the axis is claimed"
+
+
+def test_a_plate_shows_depth_and_tilts_alone():
+    true = pose(0.3, 0.2, 0.05, 1.0, -0.5)
+    found = gelform.motion_between(contact_of(plate, seed=1), contact_of(plate, true, seed=2))
+    assert len(found.blind) == 3
+    step = step_of_pose(found.pose, np.array([0.3, 0.2, DEPTH_MM + 0.05]))
+    np.testing.assert_allclose(step[2:5], [0.05, *np.radians([1.0, -0.5])], atol=0.01)
+
+
+def test_what_fills_the_view_has_no_depth():
+    a, b = (contact_of(texture(), one, radius_mm=20, seed=3) for one in (None, pose(0.3, z=0.05)))
+    found = gelform.motion_between(a, b)
+    assert found.state == FOUND, found.why
+    assert [one.words for one in found.blind] == [
+        "shifts along z: the contact fills the view, nothing is at rest"
+    ]
+    assert np.sqrt(found.covariance[2, 2]) > 9
+    assert found.pose[0, 3] == pytest.approx(0.3, abs=0.01)
+
+
+def test_a_plate_without_any_error_shows_no_more():
+    """The equations are singular then, exactly."""
+    found = gelform.motion_between(contact_of(plate), contact_of(plate, pose(0.3)))
+    assert len(found.blind) >= 3
+    assert np.isfinite(found.pose).all()
+    np.testing.assert_allclose(found.pose[:2, 3], 0, atol=1e-6)
+
+
+def test_unknown_sigmas_count_little():
+    """NaN, infinity, or none at all."""
+    first, second = contact_of(texture(), seed=1), contact_of(texture(), pose(0.3), seed=2)
+    slopes, depth = first.gradients_sigma.copy(), first.depth_sigma_mm.copy()
+    slopes[50:55], depth[60:65] = np.nan, np.inf
+    for sigmas in ((slopes, depth), (None, None)):
+        unsure = replace(first, gradients_sigma=sigmas[0], depth_sigma_mm=sigmas[1])
+        assert gelform.motion_between(unsure, second).pose[0, 3] == pytest.approx(0.3, abs=0.01)
+
+
+def test_an_object_that_hardly_moved_cannot_be_told_from_a_blind_one():
+    found = gelform.motion_between(contact_of(texture(), seed=1), contact_of(texture(), pose(0.05), seed=2))
+    assert found.state == UNSURE
+    assert found.pose[0, 3] == pytest.approx(0.05, abs=0.01)
+
+
+def touch(motion=None, face=None, **how):
+    """A contact of the sensor "a"."""
+    return contact_of(face or texture(), motion, **{"calibration_digest": "a", **how})
+
+
+# What came second, and about where it was expected.
+REFUSED = {
+    "another sensor": (touch(calibration_digest="b"), None),
+    "out of order": (touch(time_s=0.5), None),
+    "no contact": (touch(radius_mm=0.2), None),
+    "25 % are needed": (touch(pose(4.6), stays=True), pose(4.5)),
+    "from the start": (touch(pose(0.7)), None),
+    "turned by 1[123]": (touch(pose(yaw=12)), pose(yaw=11)),
+    "another object": (touch(face=lambda x, y: 0.6 * texture(5)(3 * x, 3 * y)), None),
+}
+
+
+@pytest.mark.parametrize("why", REFUSED)
+def test_no_motion_is_invented(why):
+    second, start = REFUSED[why]
+    found = gelform.motion_between(touch(time_s=1.0, seed=1), second, start=start)
+    assert found.state == LOST
+    assert found.pose is found.covariance is found.center_mm is None
+    assert re.search(why, found.why), found.why
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"prior": (0.1,)}, {"prior": (0.1, 0)}, {"start": np.zeros((4, 4))}, {"place_error": -1}]
+)
+def test_wrong_arguments_are_errors(wrong):
+    with pytest.raises(ValueError, match="Expected"):
+        gelform.motion_between(touch(), touch(), **wrong)
+
+
+def test_the_pose_is_that_of_the_simulator(sensor, calibration):
+    """Axes and signs, through images: x to the right, y down, yaw clockwise in the image."""
+    from gelform.simulate import HeightMap, Pose, simulate_pose
+
+    rng = np.random.default_rng(0)
+    y, x = (np.mgrid[:121, :121] - 60) * 0.05
+    relief = HeightMap(texture(3)(0.6 * x, 0.6 * y) - 5 * (np.hypot(x, y) >= 2.6), 0.05)
+    at = [Pose(0.5, (-0.3, 0.2)), Pose(0.5, (0.1, 0.0), spin_deg=4.0)]
+    reconstruct = gelform.Reconstructor(calibration)
+    a, b = (
+        reconstruct.from_image(simulate_pose(sensor, relief, one, rng=rng, oversample=1).image) for one in at
+    )
+    found = gelform.motion_between(a, b, start=pose(0.3, -0.1))
+    assert found.state == FOUND, found.why
+    np.testing.assert_allclose(moved(found.pose, [-0.3, 0.2, 0.4])[:2], (0.1, 0.0), atol=0.04)
+    assert np.degrees(np.arctan2(found.pose[1, 0], found.pose[0, 0])) == pytest.approx(4.0, abs=0.8)

@@ -1,0 +1,47 @@
+"""The covariance of a pose: its parts, and that it lies in the seen directions alone."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gelform.motion.covariance import pose_covariance
+from gelform.motion.rigid import moved
+from gelform.motion.surface import TouchedSurface
+from made.rigid_contacts import contact_of, pose, texture
+
+
+@pytest.fixture(scope="module")
+def fitted():
+    first, second = (
+        TouchedSurface(contact_of(texture(), one, seed=k)) for k, one in enumerate((None, pose(0.2)))
+    )
+    return first, first.equations(second, pose(0.2), moved(pose(0.2), first.middle))
+
+
+def test_the_place_adds_to_x_and_y_alone(fitted):
+    plain, placed = (pose_covariance(*fitted, np.eye(6), mm) for mm in (0.0, 0.1))
+    np.testing.assert_allclose(placed - plain, np.diag([0.01, 0.01, 0, 0, 0, 0]), atol=1e-12)
+    assert (np.linalg.eigvalsh(plain) > 0).all()
+
+
+def test_what_all_slopes_have_in_common(fitted):
+    """Without other errors the covariance is that of slopes off by 0.003, and too steep by 2 %, along each axis."""
+    first, at = fitted
+    wanted = np.zeros((6, 6))
+    for axis in (0, 1):
+        for error in (0.003, 0.02 * first.slopes[:, axis]):
+            wrong = np.zeros_like(at.residual)
+            wrong[:, axis] = error
+            right = np.einsum("nki,nk,nk->i", at.jacobian, at.weight, wrong)
+            by = np.linalg.solve(at.information, right)
+            wanted += np.outer(by, by)
+    sure = replace(at, residual=np.zeros_like(at.residual))
+    np.testing.assert_allclose(pose_covariance(first, sure, np.eye(6), 0.0), wanted, rtol=1e-3, atol=1e-12)
+
+
+def test_unseen_directions_have_no_variance(fitted):
+    seen = np.eye(6)[:, :5]
+    covariance = pose_covariance(*fitted, seen, 0.0)
+    assert np.abs(covariance[5]).max() < 1e-12
+    assert covariance[0, 0] > 0

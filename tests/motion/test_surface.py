@@ -1,0 +1,121 @@
+"""The equations of a small motion: the kernel against numpy, and the derivatives against differences."""
+
+import numpy as np
+import pytest
+
+import gelform
+from gelform.motion import surface
+from gelform.motion.rigid import pose_of_step
+from gelform.motion.surface import TouchedSurface
+from kernel_agreement import assert_kernel_agrees
+from made.rigid_contacts import MM_PER_PX, contact_of, pose, texture
+
+
+@pytest.fixture(scope="module")
+def surfaces():
+    return TouchedSurface(contact_of(texture(), seed=1)), TouchedSurface(
+        contact_of(texture(), pose(0.2, -0.1, 0.02, 1, -1, 3), seed=2)
+    )
+
+
+def between(values, x, y):
+    """Bilinear interpolation at places inside the map."""
+    col, row = (
+        np.minimum(v.astype(int), size - 2) for v, size in ((x, values.shape[1]), (y, values.shape[0]))
+    )
+    a, b = (v.reshape(-1, *(1,) * (values.ndim - 2)) for v in (x - col, y - row))
+    top = values[row, col] * (1 - a) + values[row, col + 1] * a
+    return top * (1 - b) + b * (values[row + 1, col] * (1 - a) + values[row + 1, col + 1] * a)
+
+
+def reference(
+    points, slopes, variance, gradients, depth, derivatives, variances, contact, pose, center, pitch, origin, huber,
+    residual, jacobian, weight, normal,
+):  # fmt: skip
+    """The rows in double precision, one formula for all points."""
+    turn, shift = pose[:, :3], pose[:, 3]
+    q = points.astype(float) @ turn.T + shift
+    n = np.column_stack([-slopes, np.ones(len(points))]).astype(float) @ turn.T
+    x, y = (q[:, :2] / pitch + origin).T
+    height, width = depth.shape
+    there = (x >= 0) & (y >= 0) & (x <= width - 1) & (y <= height - 1)
+    x, y = np.where(there, x, 0), np.where(there, y, 0)
+    there &= (between(contact.astype(float), x, y) > 0.5) & (n[:, 2] > 0.2 * np.linalg.norm(n, axis=1))
+    g, z = between(gradients.astype(float), x, y), between(depth.astype(float), x, y)
+    change = between(derivatives.astype(float), x, y).reshape(-1, 2, 2)
+    basis = np.eye(3)
+    moves = np.stack(
+        [*(np.broadcast_to(e, q.shape) for e in basis), *(np.cross(e, q - center) for e in basis)], 2
+    )
+    turns = np.stack([np.zeros_like(n)] * 3 + [np.cross(e, n) for e in basis], 2)
+    slope = -n[:, :2] / n[:, 2:]
+    of_normal = -(turns[:, :2] + slope[..., None] * turns[:, 2:]) / n[:, 2, None, None]
+    of_depth = np.einsum("ni,nij->nj", g, moves[:, :2])[:, None] - moves[:, 2:]
+    rows = np.concatenate([change @ moves[:, :2] - of_normal, of_depth], 1)
+    residual = np.column_stack([g - slope, z - q[:, 2]])
+    both = variance + between(variances.astype(float), x, y)
+    weight = 1 / both[:, [0, 0, 1]]
+    rows, residual, weight = (
+        np.where(there.reshape(-1, *(1,) * (v.ndim - 1)), v, 0) for v in (rows, residual, weight)
+    )
+    off = np.sqrt(weight) * np.abs(residual)
+    most = huber * np.sqrt(np.sum(off**2) / (3 * there.sum()))
+    weight = weight * np.where(off > most, most / np.maximum(off, 1e-12), 1)
+    information = np.einsum("nki,nk,nkj->ij", rows, weight, rows)
+    right = -np.einsum("nki,nk,nk->i", rows, weight, residual)
+    return residual, rows, weight, np.column_stack([information, right])
+
+
+def test_the_kernel_is_the_written_method(surfaces):
+    first, second = surfaces
+    motion = pose(0.25, -0.05, 0.02, 1, -2, 2)[:3]
+    n = len(first.points)
+    assert_kernel_agrees(
+        surface._motion_rows, reference, first.points, first.slopes, first.point_variances, second.gradients,
+        second.depth, second.derivatives, second.variances, second.contact, motion.copy(), np.array([0.2, 0.1, 0.5]),
+        second.pitch, second.origin, 2.0, np.zeros((n, 3), np.float32), np.zeros((n, 3, 6), np.float32),
+        np.zeros((n, 3), np.float32), np.zeros((6, 7)), tolerance=2e-4,
+    )  # fmt: skip
+
+
+def test_the_jacobian_is_the_change_of_the_residuals():
+    """For each of the six steps, on a surface without errors."""
+    first = TouchedSurface(contact_of(texture()))
+    second = TouchedSurface(contact_of(texture(), pose(0.1, 0.05)))
+    center, begin = first.middle, pose(0.1, 0.05)
+    at = first.equations(second, begin, center)
+    for k in range(6):
+        step = np.zeros(6)
+        step[k] = 0.02
+        after, before = (
+            first.equations(second, pose_of_step(s * step, center) @ begin, center) for s in (1, -1)
+        )
+        inner = at.shared & after.shared & before.shared & first.inside
+        change = (after.residual - before.residual)[inner] / (2 * step[k])
+        wanted = at.jacobian[inner, :, k]
+        left = np.sqrt(np.mean(np.square(change - wanted), axis=0)) / np.sqrt(np.mean(np.square(change)))
+        assert left.max() < 0.12, f"{k}: {left}"
+
+
+def test_points_are_in_millimeters_from_the_middle(surfaces):
+    first, _ = surfaces
+    row, col = first.pixels[7]
+    x, y = (np.array([col, row]) - first.origin) * MM_PER_PX
+    np.testing.assert_allclose(first.points[7, :2], (x, y), atol=1e-6)
+    np.testing.assert_allclose(first.points[:, :2].mean(axis=0), 0, atol=0.02)  # the contact is in the middle
+    assert first.points[7, 2] == first.depth[row, col]
+
+
+def test_gaps_between_the_tops_of_a_texture_belong_to_the_contact():
+    result = contact_of(texture())
+    holes = result.contact.copy()
+    holes[::5, ::5] = False
+    assert TouchedSurface(contact_of(texture(), contact=holes)).count > TouchedSurface(result).count - 10
+    assert holes.sum() < result.contact.sum() - 150
+    unknown = ~((np.indices(result.shape) % 5 == 0).all(axis=0))
+    assert TouchedSurface(contact_of(texture(), known=unknown)).count < TouchedSurface(result).count
+
+
+def test_a_result_without_a_scale_has_no_motion():
+    with pytest.raises(gelform.GelformError, match="no scale"):
+        TouchedSurface(contact_of(texture(), mm_per_px=None))
