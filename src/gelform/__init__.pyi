@@ -29,6 +29,13 @@ from .depth.sigma.sigma import depth_sigma_from_gradients_sigma as depth_sigma_f
 from .depth.sigma.sigma import DepthSigma as DepthSigma
 from .depth.contact import contact_from_depth as contact_from_depth
 from .depth.contact import Contact as Contact
+from .depth.force.touch import touch_from_result as touch_from_result
+from .depth.force.touch import touch_from_dots as touch_from_dots
+from .depth.force.fit import Load as Load
+from .depth.force.fit import calibrate_force as calibrate_force
+from .depth.force.fit import evaluate_force as evaluate_force
+from .depth.force.model import ForceModel as ForceModel
+from .depth.force.model import force_from_result as force_from_result
 from .calibration.presses.folder import read_presses as read_presses
 from .calibration.presses.video import presses_from_frames as presses_from_frames
 from .calibration.geometry.scale import Scale as Scale
@@ -39,6 +46,7 @@ from .calibration.geometry.scale_images import scale_from_stage as scale_from_st
 from .calibration.geometry.crosstalk import crosstalk_from_frames as crosstalk_from_frames
 from .calibration.geometry.lens import view_from_grid as view_from_grid
 from .calibration.presses.folder import with_scale as with_scale
+from .calibration.loads import read_loads as read_loads
 from .calibration.fit import calibrate as calibrate
 from .calibration.evaluate import evaluate as evaluate
 from .calibration.starters.starter import calibration_from_background as calibration_from_background

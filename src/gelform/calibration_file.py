@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from gelform.depth.force.model import ForceModel
 from gelform.errors import CalibrationError
 from gelform.foundations.checks import (
     check_gel_thickness,
@@ -124,6 +125,7 @@ class Calibration:
     training_digests : SHA-256 of the images that were used, and of those that show the same presses again
     settings : inputs and choices of the calibration; a dict becomes a `CalibrationSettings`
     library_version, created_utc : version of gelform that made it, and the time
+    force : converts touches to newtons; None if no loads were calibrated
     report : the CalibrationReport of the run that made it; not saved
     """
 
@@ -146,6 +148,7 @@ class Calibration:
     settings: CalibrationSettings
     library_version: str
     created_utc: str
+    force: ForceModel | None = None
     report: Any = None
 
     def __post_init__(self) -> None:
@@ -182,8 +185,9 @@ class Calibration:
 
     @cached_property
     def digest(self) -> str:
-        """Identity of the content: a digest of arrays and settings. The serial and the gel may be named later."""
+        """Identity of the content: a digest of arrays and settings. The serial, the gel and loads may come later."""
         arrays, meta = self.contents()
+        meta.pop("force", None)
         return digest_of(arrays, {**meta, "serial": None, "gel_id": None})
 
     @property
@@ -298,6 +302,8 @@ class Calibration:
             "training_digests": list(self.training_digests),
             "settings": dict(self.settings),
         }
+        if self.force is not None:
+            meta["force"] = self.force.to_dict()
         return arrays, meta
 
 
@@ -404,6 +410,7 @@ def calibration_from_contents(arrays: dict[str, NDArray[Any]], meta: dict[str, A
         slope_sigma=None if meta["slope_sigma"] is None else SlopeSigma.from_dict(meta["slope_sigma"]),
         training_digests=tuple(meta["training_digests"]),
         settings=CalibrationSettings.from_dict(meta["settings"]),
+        force=ForceModel.from_dict(meta["force"]) if "force" in meta else None,
     )
 
 

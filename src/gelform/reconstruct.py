@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gelform.calibration_file import Calibration, as_calibration
-from gelform.depth.contact import PreparedContact, SlopeDeviations, unknown_contact
+from gelform.depth.contact import PreparedContact, SlopeDeviations, Surround, unknown_contact
 from gelform.depth.frame import FrameDepth, Work
 from gelform.depth.sigma.missing import MissingDepth
 from gelform.depth.sigma.sigma import add_in_proportion
@@ -153,11 +153,11 @@ class FromBackground:
         rest_variance = noise_at_rest(self.model, self.untouched_image, noise)
         known = calibration.slope_sigma
         self.sigma: PreparedSigma | UnknownSigma = UnknownSigma(fixed.full_confidence_sigma)
-        if known is not None and fixed.slope_sigma:
-            self.sigma = PreparedSigma(known, rest_variance)
         correlation = None
-        if isinstance(self.sigma, PreparedSigma) and known is not None:
-            rest_variance, correlation = self.sigma.rest_variance, known.correlation
+        if known is not None and fixed.slope_sigma:
+            self.sigma = prepared = PreparedSigma(known, rest_variance)
+            rest_variance, correlation = prepared.rest_variance, known.correlation
+        self.surround = Surround(background)
         self.contact = PreparedContact(
             (fixed.pitch,) * 2, calibration.settings.relaxation_mm, rest_variance, correlation
         )
@@ -228,9 +228,8 @@ class Reconstructor:
         self.solved_sigma, self.steep_slopes = self._calibrated.solved_sigma, self._calibrated.steep_slopes
         self.markers = MarkerFollower(self.background, calibration.mm_per_px)
         self._start: Callable[[Work], Work] = lambda work: work
-        height, width = shape = calibration.image_shape
-        self._pool = Pool(lambda: np.empty((*shape, 3), dtype=np.float32))
-        keep_freed_memory(BYTES_PER_PX * height * width)
+        self._pool = Pool(lambda: np.empty((*calibration.image_shape, 3), dtype=np.float32))
+        keep_freed_memory(BYTES_PER_PX * int(np.prod(calibration.image_shape)))
 
     def with_background(
         self, background: NDArray[np.float32], usual: FrameLight | None = None
@@ -341,7 +340,9 @@ class Reconstructor:
             curl_rms=solution.curl_rms,
             health=(*self.findings, *faults.findings, *read.seen.drifted, *findings),
             markers=read.seen.flow,
+            outside_change=self._today.surround(read.seen.image, contact),
             calibration_digest=self.calibration.digest,
+            force_model=self.calibration.force,
             albedo_source=albedo,
             difference_source=difference,
         )

@@ -8,10 +8,12 @@ import pytest
 
 from gelform import __version__
 from gelform.cli import command_names
-from gelform.cli.app import GROUPS, LIBRARY
+from gelform.cli.app import GROUPS
+from gelform.cli.app import SUBCOMMANDS as WITH_OWN
 
 COMMANDS = command_names()
-SUBCOMMANDS = (*(f"{LIBRARY} {name}" for name in ("list", "add", "remove", "export")), "batch verify")
+BELOW = {"calibrations": ("list", "add", "remove", "export"), "force": ("calibrate", "evaluate")}
+SUBCOMMANDS = (*(f"{group} {name}" for group, names in BELOW.items() for name in names), "batch verify")
 HEAVY = ("numpy", "scipy", "cv2", "matplotlib", "rich")
 
 
@@ -53,7 +55,7 @@ print(cv2.getNumThreads())
 
 
 def test_help_has_worked_examples_that_name_real_options_and_few_of_them(run):
-    for name in (*(name for name in COMMANDS if name != LIBRARY), *SUBCOMMANDS[:-1]):
+    for name in (*(name for name in COMMANDS if name not in BELOW), *SUBCOMMANDS[:-1]):
         code, out, _ = run(*name.split(), "--help")
         assert code == 0
         examples = [line.split() for line in out.splitlines() if line.strip().startswith(f"gelform {name}")]
@@ -74,7 +76,8 @@ def test_every_command_is_listed_in_its_group_and_the_version_said(run, monkeypa
     assert re.findall(r"^([A-Z]\w+):$", said, re.M) == ["Options", *GROUPS]
     below = said.partition("Start:")[2].splitlines()
     assert len([line for line in below if line.strip()]) == len(COMMANDS) + len(GROUPS) - 1
-    lines = re.findall(r"^  [a-z]+  +[A-Z].+$", run(LIBRARY, "--help")[1].partition("Commands:")[2], re.M)
+    helps = [run(group, "--help")[1].partition("Commands:")[2] for group in WITH_OWN]
+    lines = [line for said in helps for line in re.findall(r"^  [a-z]+  +[A-Z].+$", said, re.M)]
     assert len(lines) == len(SUBCOMMANDS) - 1
     assert not [line for line in (*below, *lines) if "..." in line]
     assert run("--version")[1].strip() == f"gelform {__version__}"

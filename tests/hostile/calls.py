@@ -58,6 +58,7 @@ def bases(work: Path, out: Path) -> list[list[str]]:
         *(["info", path, "--json"] for path in read[:6]),
         *(["calibrate", other / name, *ball, "-o", out / "new.npz"] for name in LAYOUTS),
         ["evaluate", work / "presses", "-c", work / "cal.npz"],
+        ["force", "evaluate", work / "loads", "-c", work / "cal.npz"],
         ["verify", work / "done"],
         ["calibrations", "add", work / "cal.npz", "--serial", "a1"],
         ["calibrations", "list"],

@@ -46,7 +46,20 @@ def make_work(folder: Path) -> Path:
         mm_per_px=MM_PER_PX,
         name="known gel",
     )
+    _loads(folder / "loads")
     return folder
+
+
+def _loads(folder: Path) -> None:
+    """Presses with loads of 0.05 N for each mm^3."""
+    folder.mkdir()
+    reconstruct, lines = gelform.Reconstructor(calibration()), ["image,object,force_n"]
+    for k, depth in enumerate((0.15, 0.2, 0.25, 0.3, 0.35, 0.4)):
+        image = image_of(Touch(depth_mm=depth, seed=k))
+        save(folder / f"{k}.png", image)
+        volume = gelform.touch_from_result(reconstruct.from_image(image)).volume_mm3
+        lines.append(f"{k}.png,ball,{0.05 * (volume or 0)}")
+    (folder / "loads.csv").write_text("\n".join([*lines, ""]))
 
 
 def commands(work: Path, out: Path) -> dict[str, list[Any]]:
@@ -68,6 +81,7 @@ def commands(work: Path, out: Path) -> dict[str, list[Any]]:
     return {
         "demo": ["demo", "-o", out / "demo"],
         "calibrate": ["calibrate", work / "presses", *fitted, "-o", out / "cal.npz"],
+        "force": ["force", "calibrate", work / "loads", "-c", work / "cal.npz", "-o", out / "force.npz"],
         "starter": ["starter", "digit", "--background", work / "digit.png", "-o", out / "unit.npz"],
         "reconstruct": ["reconstruct", *images, "-c", work / "cal.npz", "-o", out / "results"],
         "scale": ["scale", out / "sensor.toml", "--points", "20,30,60,30,4"],

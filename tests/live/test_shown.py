@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import cv2
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 
 import gelform
+from gelform.depth.force.model import ForceModel, ForcePart
 from gelform.errors import GelformError
 from gelform.foundations.findings import Finding
 from gelform.live.shown import (
@@ -32,6 +34,19 @@ def test_numbers_are_those_of_the_depth(result, press):
     volume = result.depth_mm[result.contact].sum() * result.mm_per_px**2
     assert found.volume == pytest.approx(volume, rel=1e-5)
     assert measures_of(replace(result, mm_per_px=None)).area == result.contact.sum(), "in pixels"
+
+
+def test_the_force_is_there_with_its_sigma_or_the_reason(shown, result):
+    """Nothing without known loads."""
+    assert shown.header()["force"] is None
+    part = ForcePart(((3.0,),), (0.1, 1e4), 0.2, 0.1, 9)
+    model = ForceModel(part, None, None, (), ("ball",), result.calibration_digest, "")
+    force = replace(shown, result=replace(result, force_model=model), _made={}).header()["force"]
+    assert force["normal_n"] == pytest.approx(3 * measures_of(result).volume, rel=1e-5)
+    assert force["normal_sigma_n"] == pytest.approx(np.hypot(0.2 * force["normal_n"], 0.1))
+    assert force["shear_x_n"] is None is force["torsion_n_mm"]
+    assert "no loads" in force["force_reason"]
+    json.dumps(force)
 
 
 def test_an_outline_goes_round_the_contact(result):

@@ -41,7 +41,7 @@ def test_every_optional_part_comes_back(tmp_path, result):
     bare = replace(
         result, gradients_sigma=None, observed_gradients=None, mm_per_px=(0.06, 0.05), health=(), index=None
     )
-    full = replace(result, depth_sigma_mm=result.confidence * 0.1)
+    full = replace(result, depth_sigma_mm=result.confidence * 0.1, outside_change=0.25)
     dots = np.arange(8, dtype=np.float32).reshape(4, 2)
     flow = MarkerFlow(dots, dots + 1, np.arange(4) > 1, dots[:, 0] / 10, result.mm_per_px)
     marked = replace(result, markers=flow)

@@ -48,6 +48,7 @@ def test_rosbags_reads_metadata_counts_and_qos(tmp_path):
     with Reader(tmp_path / "bag") as reader:
         counts = {one.topic: one.msgcount for one in reader.connections}
         assert counts.pop("/diagnostics") == 2
+        assert counts.pop("/left/wrench") == 0  # no known loads
         assert counts == {f"/left/{name}": 12 for name in ("image_raw", "indentation", "points")}
         for one in reader.connections:
             (qos,) = one.ext.offered_qos_profiles

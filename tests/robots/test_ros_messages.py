@@ -8,8 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gelform.depth.force.model import ForceModel, ForcePart
 from gelform.foundations.findings import Finding
 from gelform.image.frame import Frame
+from gelform.image.markers import MarkerFlow
 from gelform.result import Reconstruction
 from gelform.robots.ros_messages import RosMessages, optical_pose
 from gelform.robots.topics import TOPICS, check_sensor_name, check_topics, sensor_name_from
@@ -38,6 +40,7 @@ def test_topics_have_whole_names_and_come_in_the_tables_order():
         "/left/image_raw",
         "/left/indentation",
         "/left/points",
+        "/left/wrench",
         "/diagnostics",
         "/left/object_pose",
     ]
@@ -100,6 +103,49 @@ def test_levels_of_findings(made, result):
     assert fine.name == "gelform: left"
     said = [(pair.key, pair.value) for pair in warned.values]
     assert said == [("dust", "0.25: Clean it."), ("drift", "2: Take a background.")]
+
+
+MODEL = ForceModel(
+    ForcePart(((2.0,),), (0.1, 9.0), 0.2, 0.1, 9),
+    ForcePart(((1.0, *[0.0] * 5), (0, 1.0, *[0.0] * 4)), (0.1, 2.0), 0, 0.1, 9),
+    ForcePart(((*[0.0] * 5, 30.0),), (1.0, 40.0), 0, 1.0, 9), ((0.0, 0.0), (0.2, 0.0), (0.0, 0.2)), ("ball",), "", "",
+)  # fmt: skip
+
+
+def test_a_wrench_by_hand(made, result):
+    """What presses into the gel pushes toward the camera; what is not known is NaN, and the diagnostics say why."""
+    rest = (np.array(MODEL.rest_mm) / (0.5, 0.25)).astype(np.float32)
+    moved = rest + np.array([0.6, -0.4], np.float32) / np.array([0.5, 0.25], np.float32)
+    flow = MarkerFlow(rest, moved, np.ones(3, bool), np.ones(3, np.float32), (0.5, 0.25))
+    inside = np.array([[False, False, False], [False, True, False]])
+    touched = replace(result, contact=inside, outside_change=0.1, force_model=MODEL, markers=flow)
+
+    def sent(of):
+        kind = "geometry_msgs/msg/WrenchStamped"
+        ((_, message),) = made.due(["wrench"], FRAME, of, STAMP_NS)
+        return decoded(made, message, kind)
+
+    message = sent(touched)
+    assert message.header.frame_id == "left_gel_optical_frame"
+    force, torque = message.wrench.force, message.wrench.torque
+    assert np.isnan(force.z), "the contact lies in the border band of so small an image"
+    assert (force.x, force.y, torque.z) == pytest.approx((0.6, -0.4, 0.03), abs=1e-5)
+    assert np.isnan([torque.x, torque.y]).all()
+    kind = "diagnostic_msgs/msg/DiagnosticArray"
+    status = decoded(made, made.diagnostics(FRAME, touched, STAMP_NS), kind).status[0]
+    assert [(pair.key, "border" in pair.value) for pair in status.values] == [("no_force", True)]
+    shape = (60, 80)
+    known, slopes = np.ones(shape, bool), np.zeros((*shape, 2), np.float32)
+    contact = np.zeros(shape, bool)
+    contact[20:30, 20:30] = True
+    depth = np.where(contact, np.float32(0.4), np.float32(0))
+    pressed = Reconstruction(
+        depth, None, slopes, None, np.ones(shape, np.float32), contact, known, 0.1, outside_change=0.1
+    )
+    alone = sent(replace(pressed, force_model=MODEL)).wrench
+    assert alone.force.z == pytest.approx(-2 * 0.4), "1 mm^2 and 0.4 mm deep, at 2 N/mm^3"
+    assert np.isnan([alone.force.x, alone.torque.z]).all()
+    assert list(made.due(["wrench"], FRAME, pressed, STAMP_NS)) == []
 
 
 def test_the_pose_of_the_object_in_the_optical_frame(made):

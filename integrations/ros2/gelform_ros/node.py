@@ -7,7 +7,7 @@ from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseWithCovarianceStamped
+from geometry_msgs.msg import PoseWithCovarianceStamped, WrenchStamped
 from rclpy.node import Node
 from sensor_msgs.msg import Image, PointCloud2
 
@@ -19,6 +19,7 @@ from gelform.robots.topics import TOPICS, USUAL, check_sensor_name, check_topics
 TYPES = {
     "sensor_msgs/msg/Image": Image,
     "sensor_msgs/msg/PointCloud2": PointCloud2,
+    "geometry_msgs/msg/WrenchStamped": WrenchStamped,
     "diagnostic_msgs/msg/DiagnosticArray": DiagnosticArray,
     "geometry_msgs/msg/PoseWithCovarianceStamped": PoseWithCovarianceStamped,
 }

@@ -33,6 +33,9 @@ COLUMNS: dict[str, str] = {  # name -> type in Parquet
     "contact_mm2": "float64",
     "volume_mm3": "float64",
     "contacts": "int32",
+    **dict.fromkeys(("normal_n", "normal_sigma_n", "shear_x_n", "shear_y_n", "shear_sigma_n"), "float64"),
+    **dict.fromkeys(("torsion_n_mm", "torsion_sigma_n_mm"), "float64"),
+    "force_reason": "string",
     "health": "string",
     "error": "string",
 }

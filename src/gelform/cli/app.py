@@ -7,7 +7,7 @@ from typing import Any
 
 import typer
 
-from gelform.cli.commands import calibrations
+from gelform.cli.commands import calibrations, force
 from gelform.cli.commands.batch import batch, verify
 from gelform.cli.commands.calibrate import calibrate
 from gelform.cli.commands.demo import demo
@@ -30,10 +30,10 @@ ONE_THREAD = dict.fromkeys(
     ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENCV_FOR_THREADS_NUM"), "1"
 )
 ENVIRONMENT = {**ONE_THREAD, "OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT": "1"}
-LIBRARY = "calibrations"  # the only command with commands of its own
+SUBCOMMANDS = {"force": force, "calibrations": calibrations}  # commands with commands of their own
 GROUPS: dict[str, tuple[Any, ...]] = {
     "Start": (demo, live, simulate, info),
-    "Sensor": (cameras, record, scale, lens, crosstalk, calibrate, starter, evaluate, LIBRARY, design),
+    "Sensor": (cameras, record, scale, lens, crosstalk, calibrate, starter, evaluate, *SUBCOMMANDS, design),
     "Frames": (reconstruct, explain, compare, batch, verify),
     "Robots": (bag, ros, track),
     "Files": (import_, export),
@@ -75,18 +75,20 @@ def _typer(name: str, **settings: Any) -> typer.Typer:
     )
 
 
-def _library() -> typer.Typer:
-    """The commands below `gelform calibrations`."""
-    made = _typer(LIBRARY, help=calibrations.__doc__, short_help=calibrations.SUMMARY)
-    for command in calibrations.COMMANDS:
+def _below(name: str) -> typer.Typer:
+    """The commands below a command, such as `gelform calibrations`."""
+    module = SUBCOMMANDS[name]
+    made = _typer(name, help=module.__doc__, short_help=module.SUMMARY)
+    for command in module.COMMANDS:
         made.command(_name(command))(flat(command))
     return made
 
 
 app = _typer("gelform", cls=Commands, add_completion=False, pretty_exceptions_enable=False)
-for command in (one for commands in GROUPS.values() for one in commands if one != LIBRARY):
+for command in (one for commands in GROUPS.values() for one in commands if not isinstance(one, str)):
     app.command(_name(command))(flat(command))
-app.add_typer(_library())
+for name in SUBCOMMANDS:
+    app.add_typer(_below(name))
 
 
 def command_names() -> tuple[str, ...]:

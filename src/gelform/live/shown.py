@@ -174,6 +174,7 @@ class Shown:
             "outlines": outlines_of(self.result),
             "contacts": _contact_rows(self.result),
             "markers": _marker_rows(self.result),
+            "force": None if self.result.force_model is None else self.result.force.columns(),
             "causes": list(CAUSES),
             "cause_colors": [cause.color for cause in CAUSES.values()],
             "solver": self.result.solver,

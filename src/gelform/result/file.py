@@ -27,12 +27,14 @@ from gelform.result.record import Reconstruction
 KIND = "gelform result"
 FORMAT_VERSION = 1
 MAX_BYTES = 4 * 2**30  # bytes that a file may declare: far beyond any frame's result
+OPTIONAL = "outside_change"  # that earlier files lack
 _META = (
     "mm_per_px_sigma",
     "zero",
     "solver",
     "curl_rms",
     "health",
+    "outside_change",
     "index",
     "time_s",
     "wall_time_ns",
@@ -80,7 +82,7 @@ def load_result(path: str | PathLike[str]) -> Reconstruction:
         dots = {name: arrays.pop(name) for name in list(arrays) if name.startswith("markers_")}
         _check_contents(arrays, meta)
         mm_per_px = _pitch(arrays["mm_per_px"]) if "depth_px" not in arrays else None
-        settings = {name: meta[name] for name in _META}
+        settings = {name: meta[name] for name in _META if name != OPTIONAL or name in meta}
         settings["health"] = tuple(Finding(**finding) for finding in meta["health"])
         maps: dict[str, Any] = {one.name: arrays.get(one.name) for one in BESIDE_DEPTH}
         return Reconstruction(
@@ -110,8 +112,8 @@ def _check_contents(arrays: dict[str, NDArray[Any]], meta: dict[str, Any]) -> No
         if not isinstance(meta[name], str):
             raise TypeError(f"Expected {name} as text, got {type(meta[name]).__name__}.")
     check_within(meta["curl_rms"], "curl_rms", 0, np.inf)
-    for name in ("mm_per_px_sigma", "index", "time_s", "wall_time_ns"):
-        if meta[name] is not None:
+    for name in ("mm_per_px_sigma", "index", "time_s", "wall_time_ns", OPTIONAL):
+        if meta.get(name) is not None:
             check_number(meta[name], name)
     for finding in meta["health"]:
         if not isinstance(finding["name"], str) or not isinstance(finding["message"], str):

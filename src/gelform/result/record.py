@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gelform.depth.contact import Contact, contacts_from_mask
+from gelform.depth.force.model import Force, ForceModel, force_from_result
 from gelform.errors import GelformError
 from gelform.foundations.checks import check_mask, check_mm_per_px
 from gelform.foundations.findings import Finding
@@ -47,8 +48,11 @@ class Reconstruction:
     curl_rms : RMS of `dp/dy - dq/dx` of the observed slopes, per pixel; 0 for the slopes of a surface
     health : findings, each with its figure
     markers : displacements of the gel's markers; None if the gel has none
+    outside_change : median color change outside the contact over its mean inside, which is large for soft objects; None
+        without a contact
     index, time_s, wall_time_ns : of the frame, or None
     calibration_digest : digest of the calibration that was used
+    force_model : converts the result to `force`; None if no loads were calibrated. Not saved
     albedo_source, difference_source : functions that compute `albedo` and `depth_difference_sigma` on demand; not saved
     """
 
@@ -67,10 +71,12 @@ class Reconstruction:
     curl_rms: float = 0.0
     health: tuple[Finding, ...] = ()
     markers: MarkerFlow | None = None
+    outside_change: float | None = None
     index: int | None = None
     time_s: float | None = None
     wall_time_ns: int | None = None
     calibration_digest: str = ""
+    force_model: ForceModel | None = field(default=None, repr=False)
     albedo_source: Callable[[], NDArray[np.float32]] | None = field(default=None, repr=False)
     difference_source: Callable[[NDArray[np.bool_]], NDArray[np.float32]] | None = field(
         default=None, repr=False
@@ -110,6 +116,11 @@ class Reconstruction:
     @cached_property
     def _labeled(self) -> tuple[tuple[Contact, ...], NDArray[np.uint16]]:
         return contacts_from_mask(self.contact, self.depth, mm_per_px=self.mm_per_px)
+
+    @cached_property
+    def force(self) -> Force:
+        """The force on the gel, N, each part with its standard deviation, or None and the reason."""
+        return force_from_result(self, self.force_model)
 
     @cached_property
     def albedo(self) -> NDArray[np.float32] | None:

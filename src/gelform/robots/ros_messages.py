@@ -88,20 +88,45 @@ class RosMessages:
         )
         return self._encoded(message)
 
+    def wrench(self, frame: Frame, result: Reconstruction, stamp_ns: int) -> memoryview | None:
+        """The force on the gel, N, and its torsion, N m; NaN where unknown: geometry_msgs/WrenchStamped.
+
+        What presses into the gel pushes toward the camera, which is -z. Torques about x and y are not known. None without
+        known loads.
+        """
+        if result.force_model is None:
+            return None
+        force, vector = result.force, self._type("geometry_msgs/msg/Vector3")
+        x, y, normal, torsion = (
+            np.nan if value is None else float(value)
+            for value in (*(force.shear_n or (None, None)), force.normal_n, force.torsion_n_mm)
+        )
+        wrench = self._type("geometry_msgs/msg/Wrench")(
+            force=vector(x=x, y=y, z=-normal), torque=vector(x=np.nan, y=np.nan, z=torsion * M_PER_MM)
+        )
+        message = self._type(TOPICS["wrench"].type)(
+            header=self._header(stamp_ns, self.gel_frame), wrench=wrench
+        )
+        return self._encoded(message)
+
     def diagnostics(self, frame: Frame, result: Reconstruction, stamp_ns: int) -> memoryview:
-        """The findings of `health`, each as a value: diagnostic_msgs/DiagnosticArray with one status.
+        """The findings of `health`, each as a value, and why a force is unknown: diagnostic_msgs/DiagnosticArray.
 
         The status is OK without findings, WARN with findings, ERROR if depth is known in no pixel.
         """
         pair = self._type("diagnostic_msgs/msg/KeyValue")
         findings = result.health
+        why = "" if result.force_model is None else result.force.reason
         level = (WARN if result.known.any() else ERROR) if findings else OK
         status = self._type("diagnostic_msgs/msg/DiagnosticStatus")(
             level=level,
             name=f"gelform: {self.sensor}",
             message=", ".join(finding.name for finding in findings) or "OK",
             hardware_id=self.hardware_id,
-            values=[pair(key=one.name, value=f"{one.figure:g}: {one.message}") for one in findings],
+            values=[
+                *(pair(key=one.name, value=f"{one.figure:g}: {one.message}") for one in findings),
+                *([pair(key="no_force", value=why)] if why else []),
+            ],
         )
         message = self._type(TOPICS["diagnostics"].type)(header=self._header(stamp_ns, ""), status=[status])
         return self._encoded(message)

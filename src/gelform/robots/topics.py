@@ -27,6 +27,7 @@ TOPICS = {
     "image": Topic("image_raw", "sensor_msgs/msg/Image"),
     "indentation": Topic("indentation", "sensor_msgs/msg/Image"),
     "points": Topic("points", "sensor_msgs/msg/PointCloud2"),
+    "wrench": Topic("wrench", "geometry_msgs/msg/WrenchStamped"),
     "diagnostics": Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray"),
     "pose": Topic("object_pose", "geometry_msgs/msg/PoseWithCovarianceStamped", usual=False),
 }

@@ -6,6 +6,7 @@ Records agree with the files, and damage is found.
 import errno
 import hashlib
 import io
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -28,7 +29,9 @@ from gelform.batch.outputs.files import (
     output_file,
 )
 from gelform.batch.outputs.writers import WRITERS, depth_of_row
+from gelform.batch.records import COLUMNS
 from gelform.batch.settings import FORMATS, KEPT, BatchSettings
+from gelform.depth.force.model import ForceModel, ForcePart
 from gelform.errors import DataError
 from gelform.exchange.exporters.quantised import depth_from_levels
 from made.small_gel import MM_PER_PX, SHAPE, Touch, depth_of
@@ -108,6 +111,13 @@ def test_figures_of_a_ball(result):
     assert (facts["deepest_x_px"], facts["deepest_y_px"]) == pytest.approx((touch.x_px, touch.y_px), abs=4)
     assert facts["volume_mm3"] == pytest.approx(truth[result.contact].sum() * MM_PER_PX**2, rel=0.03)
     assert facts["contact_mm2"] == pytest.approx(result.contact.sum() * MM_PER_PX**2)
+    assert facts["normal_n"] is None
+    assert "no loads" in facts["force_reason"]
+    part = ForcePart(((0.5,),), (0.1, 1e4), 0.2, 0.1, 9)
+    model = ForceModel(part, None, None, (), ("ball",), result.calibration_digest, "")
+    pressed = facts_of(replace(result, force_model=model, outside_change=0.1))
+    assert pressed["normal_n"] == pytest.approx(0.5 * facts["volume_mm3"], rel=1e-5)
+    assert set(pressed) <= set(COLUMNS)
 
 
 def test_a_folder_called_like_an_array_is_refused():

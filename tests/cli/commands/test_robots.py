@@ -27,7 +27,13 @@ def test_a_folder_becomes_a_bag_that_is_a_source(run_json, images, calibration_f
     said = run_json("bag", images, "-c", calibration_file, "-o", tmp_path / "bag", "--name", "left", "-q")
     assert (said["frames"], said["sensor"], said["drops"]) == (3, "left", 0)
     assert said["problem"] == ""
-    assert said["topics"] == ["/left/image_raw", "/left/indentation", "/left/points", "/diagnostics"]
+    assert said["topics"] == [
+        "/left/image_raw",
+        "/left/indentation",
+        "/left/points",
+        "/left/wrench",
+        "/diagnostics",
+    ]
     assert len(list(open_source(tmp_path / "bag"))) == 3
 
 

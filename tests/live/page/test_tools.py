@@ -1,5 +1,7 @@
 """The page's tools: the ruler, curves of minutes, the surface in full screen."""
 
+import re
+
 import cv2
 import numpy as np
 import pytest
@@ -7,6 +9,22 @@ import pytest
 from live_waiting import until
 
 pytestmark = pytest.mark.slow
+
+
+FORCE = {"normal_n": 4.2, "normal_sigma_n": 1.1, "shear_x_n": None, "shear_y_n": None, "shear_sigma_n": None}
+
+
+def test_the_force_has_its_sigma_or_the_reason(page):
+    """Hidden until loads are known."""
+    assert page.locator("#force-card").is_hidden()
+    force = {**FORCE, "torsion_n_mm": None, "torsion_sigma_n_mm": None, "force_reason": "no dots"}
+    draw = "async (force) => (await import('/js/panels/status.js')).drawForce({ header: { force } })"
+    page.click("#pause")
+    page.evaluate(draw, force)
+    said = page.inner_text("#force-card")
+    assert re.search(r"into the gel\s+4\.20 ± 1\.10 N", said)
+    assert re.search(r"shear x\s+–", said)
+    assert "no dots" in said
 
 
 @pytest.fixture

@@ -239,7 +239,7 @@ def attributes_of(name: str, settings: BatchSettings) -> dict[str, Any]:
 
 
 def facts_of(result: Reconstruction) -> dict[str, Any]:
-    """Deepest point (mm, and its pixel), area (mm^2) and volume (mm^3) of all contacts, their number, names of findings.
+    """Deepest point (mm, and its pixel), area (mm^2) and volume (mm^3) of all contacts, their number, force, findings.
 
     If depth is known in no pixel, only the names are given.
     """
@@ -255,6 +255,7 @@ def facts_of(result: Reconstruction) -> dict[str, Any]:
         "contact_mm2": float(sum(one.area_mm2 or 0.0 for one in result.contacts)),
         "volume_mm3": float(sum(one.volume_mm3 or 0.0 for one in result.contacts)),
         "contacts": len(result.contacts),
+        **result.force.columns(),
         "health": health,
     }
 

@@ -273,6 +273,8 @@ def _calibration_lines(facts: Facts) -> Lines:
     )
     held_out = facts.get("held_out") or {}
     known = [form.format(held_out[name]) for name, form in HELD_OUT.items() if name in held_out]
+    force = (facts.get("force") or {}).get("normal")
+    loads = f"{force['loads']} loads up to {force['range'][1]:.3g} N" if force else ""
     named = [("serial", facts.get("serial")), ("gel", facts.get("gel_id"))]
     return [
         ("sensor", str(facts["sensor_name"])),
@@ -283,6 +285,7 @@ def _calibration_lines(facts: Facts) -> Lines:
         *_made_from(facts),
         ("held out", ", ".join(known) or "no errors on held-out presses are known"),
         ("slope noise", _noise(facts.get("slope_sigma"))),
+        *([("force", loads)] if loads else []),
         ("made", f"{facts['created_utc']}, by gelform {facts['library_version']}"),
         ("digest", str(facts["digest"])),
     ]

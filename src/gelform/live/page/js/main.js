@@ -9,7 +9,7 @@ import { Cadence, showKeys, startKeys, startTabs, startTheme, startWhole, toast 
 import { drawCamera, drawControls, drawDevices, drawStarter, startControls } from "./panels/controls.js";
 import { drawGuide, drawGuideCircles } from "./panels/guide.js";
 import { drawFiles, drawReplay, startReplay } from "./panels/replay.js";
-import { drawContacts, drawEmpty, drawFacts, drawFindings, drawStatus } from "./panels/status.js";
+import { drawContacts, drawEmpty, drawFacts, drawFindings, drawForce, drawStatus } from "./panels/status.js";
 import { Connection, signIn } from "./server/connection.js";
 import { Frame } from "./server/frame.js";
 import { Stage } from "./surface/stage.js";
@@ -121,6 +121,7 @@ function drawNumbersAndCurves(frame) {
   drawNumbers(frame, stage().series);
   drawFindings(frame);
   drawContacts(frame);
+  drawForce(frame);
 }
 
 function drawStages() {

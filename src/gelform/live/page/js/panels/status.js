@@ -82,3 +82,14 @@ export function drawContacts({ header }) {
   const rows = contacts.map(({ deepest_mm, area_mm2, deepest_px, cut }) => element("tr", {}, ...[`${deepest_px[0]}, ${deepest_px[1]}`, deepest_mm?.toFixed(3) ?? "–", area_mm2?.toFixed(1) ?? "–", cut ? "cut by the border" : ""].map((text) => element("td", { text }))));
   byId("contacts").replaceChildren(...rows);
 }
+
+const FORCES = [["into the gel", "normal_n", "normal_sigma_n", "N"], ["shear x", "shear_x_n", "shear_sigma_n", "N"], ["shear y", "shear_y_n", "shear_sigma_n", "N"], ["torsion", "torsion_n_mm", "torsion_sigma_n_mm", "N mm"]];
+
+/** The known forces with one standard deviation, and the reason for the others; hidden without known loads. */
+export function drawForce({ header: { force } }) {
+  byId("force-card").hidden = !force;
+  if (!force) return;
+  const said = ([name, value, sigma, unit]) => [element("dt", { text: name }), element("dd", { text: force[value] === null ? "–" : `${force[value].toFixed(2)} ± ${force[sigma].toFixed(2)} ${unit}` })];
+  byId("force").replaceChildren(...FORCES.flatMap(said));
+  setText(byId("force-reason"), force.force_reason && `– ${force.force_reason}`);
+}

@@ -1,0 +1,129 @@
+"""Calibrate force in newtons, and measure its errors.
+
+Press objects with known loads, on a kitchen scale or with a gauge, and list the loads in loads.csv.
+
+\b
+Examples:
+  gelform force calibrate loads/ -c cal.npz
+  gelform force evaluate more_loads/ -c cal.npz
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from typer import Argument, Option
+
+from gelform.cli.console import figure
+from gelform.cli.options import Background, CalibrationFile, Overwrite, ShownOption
+from gelform.cli.outputs import check_output
+from gelform.cli.process import only_writer
+
+if TYPE_CHECKING:
+    from gelform.calibration.loads import LoadedPresses
+    from gelform.calibration_file import Calibration
+
+SUMMARY = "Calibrate force in newtons, and measure its errors."
+Loads = Annotated[Path, Argument(metavar="LOADS", help="Folder of images with loads.csv.")]
+UNITS = {"normal": "N", "shear": "N", "torsion": "N mm"}
+SHARES = {"median": "median", "q90": "90 %", "within_1": "in 1 sigma", "within_2": "in 2"}  # parts of 1
+
+
+def calibrate(
+    *,
+    loads: Loads,
+    calibration: CalibrationFile,
+    output: Annotated[
+        Path | None,
+        Option("--output", "-o", metavar="CAL.npz", help="The calibration to write. Default: -c itself."),
+    ] = None,
+    background: Background = None,
+    sure_of_unit: Annotated[
+        bool, Option("--sure-of-unit", help="The loads are newtons, though the gel seems too hard or soft.")
+    ] = False,
+    overwrite: Overwrite = False,
+    shown: ShownOption,
+) -> None:
+    """Add force in newtons to a calibration.
+
+    LOADS has images and loads.csv with the columns image,object,force_n; for shear also force_x_n,force_y_n. Three hard
+    objects, three or four loads each from 1 to 10, are good. Loads are in newtons: grams times 0.00981.
+
+    \b
+    Examples:
+      gelform force calibrate loads/ -c cal.npz
+      gelform force calibrate loads/ -c cal.npz -o with_force.npz
+    """
+    if output is not None:
+        check_output(output, overwrite=overwrite)
+    from gelform.calibration_file import load_calibration
+    from gelform.depth.force.fit import calibrate_force
+
+    loaded = load_calibration(calibration)
+    with only_writer(output or calibration):
+        found = _read(loads, loaded, background, shown)
+        model = calibrate_force(found.touches, found.loads, sure_of_unit=sure_of_unit)
+        replace(loaded, force=model).save(output or calibration, overwrite=overwrite or output is None)
+    described = model.to_dict()
+    for kind, unit in UNITS.items():
+        if part := described[kind]:
+            off = f"{100 * part['relative']:.0f} % and {part['floor']:.2g} {unit}"
+            shown.say(f"{kind}: {part['loads']} loads, one standard deviation {off}.")
+    if len(model.objects) == 1:
+        shown.say("Only one object was pressed, so at least 30 % are stated. Press two more of other shapes.")
+    shown.say(f"Wrote {output or calibration}.")
+    shown.json({"calibration": output or calibration, "lag_frames": found.lag_frames, **described})
+
+
+def evaluate(
+    *, loads: Loads, calibration: CalibrationFile, background: Background = None, shown: ShownOption
+) -> None:
+    """Measure the errors of a calibration's forces.
+
+    The errors of the best constant stand beside them: a gripper that always stops at one force makes any constant look good.
+
+    \b
+    Examples:
+      gelform force evaluate more_loads/ -c cal.npz
+      gelform force evaluate more_loads/ -c cal.npz --json > errors.json
+    """
+    from gelform.calibration_file import load_calibration
+    from gelform.depth.force.fit import evaluate_force
+    from gelform.depth.force.model import NO_LOADS
+    from gelform.errors import CalibrationError
+
+    loaded = load_calibration(calibration)
+    if loaded.force is None:
+        raise CalibrationError(f"{calibration} states no forces: {NO_LOADS}.")
+    found = _read(loads, loaded, background, shown)
+    errors = evaluate_force(loaded.force, found.touches, found.loads)
+    for kind, unit in UNITS.items():
+        columns = ("object", "presses", "refused", f"MAE ({unit})", "constant's MAE", *SHARES.values())
+        if errors[kind]:
+            shown.table(f"Errors of the force: {kind}", columns, [_row(row) for row in errors[kind]])
+    reasons = [(reason, str(count)) for reason, count in errors["reasons"].items()]
+    shown.table("Without a normal force", ("reason", "presses"), reasons)
+    shown.json({"lag_frames": found.lag_frames, **errors})
+
+
+def _read(
+    folder: Path, calibration: Calibration, background: Path | None, shown: ShownOption
+) -> LoadedPresses:
+    from gelform.calibration.loads import read_loads
+
+    with shown.progress() as progress:
+        found = read_loads(folder, calibration, background=background, progress=progress)
+    if found.lag_frames is not None:
+        shown.say(f"The gauge lags behind the images by {found.lag_frames} frames; this is removed.")
+    return found
+
+
+def _row(row: Mapping[str, Any]) -> Sequence[str]:
+    figures = row.get("mae"), row.get("constant", {}).get("mae"), *(row.get(name) for name in SHARES)
+    return row["object"], str(row["presses"]), figure(row["refused"]), *map(figure, figures)
+
+
+COMMANDS = (calibrate, evaluate)

@@ -1,0 +1,118 @@
+"""Touch: the few numbers of a result from which a force is read."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gelform.foundations.checks import check_mm_per_px, check_values
+
+BORDER_FRACTION = 1 / 30  # of the image's height: the width of the band along its border, 8 px of 240
+
+
+class DotMotion(NamedTuple):
+    """The motion of all dots together: mean displacement, mm, turn about the view, rad, and tilt, mm/mm."""
+
+    x_mm: float
+    y_mm: float
+    turn_rad: float
+    tilt_x: float
+    tilt_y: float
+
+
+@dataclass(frozen=True, eq=False)
+class Touch:
+    """The numbers of one result from which a force is read.
+
+    Attributes
+    ----------
+    volume_mm3 : volume of the depth in the contact; 0 without a contact; None without a scale, or from a zero that was set
+    confidence : mean in the contact
+    outside_change : median color change outside the contact, over its mean inside; None without a contact
+    border_share : the part of the volume that lies in the band along the border
+    dots : their motion; None if the gel has none, or fewer than half are seen
+    rest_mm : (N, 2), positions of all dots at rest; None without dots
+    calibration_digest : of the calibration behind the result
+    """
+
+    volume_mm3: float | None = None
+    confidence: float = 0.0
+    outside_change: float | None = None
+    border_share: float = 0.0
+    dots: DotMotion | None = None
+    rest_mm: NDArray[np.float64] | None = None
+    calibration_digest: str = ""
+
+
+def touch_from_result(result: Any) -> Touch:
+    """The touch of a result, which is a `Reconstruction`."""
+    contact, pitch = result.contact, result.mm_per_px
+    motion, rest = _dots_of(result)
+    known: dict[str, Any] = {"dots": motion, "rest_mm": rest, "calibration_digest": result.calibration_digest}
+    if pitch is None or result.zero == "set":
+        return Touch(**known)
+    if not contact.any():
+        return Touch(volume_mm3=0.0, **known)
+    band = max(1, round(BORDER_FRACTION * len(contact)))
+    inside = slice(band, -band), slice(band, -band)
+    # A dot product is three times faster than a sum in a mask.
+    whole, inner = (float(np.vdot(result.depth[part], contact[part])) for part in (..., inside))
+    return Touch(
+        volume_mm3=whole * float(np.prod(check_mm_per_px(pitch))),
+        confidence=float(np.vdot(result.confidence, contact)) / int(np.count_nonzero(contact)),
+        outside_change=result.outside_change,
+        border_share=min(max(1 - inner / whole, 0.0), 1.0) if whole > 0 else 0.0,
+        **known,
+    )
+
+
+def touch_from_dots(rest_mm: ArrayLike, displacement_mm: ArrayLike) -> Touch:
+    """The touch that dots alone show.
+
+    Parameters
+    ----------
+    rest_mm : (N, 2) or (N, 3), positions of the dots at rest
+    displacement_mm : (N, 3), x, y, and z toward the camera; or (N, 2), which shows no tilt
+
+    Raises
+    ------
+    ValueError, TypeError
+        Wrong shapes, NaN, or fewer than three dots, or all in a line.
+    """
+    rest = np.asarray(check_values(rest_mm, "rest_mm", (), np.float64))
+    moved = np.asarray(check_values(displacement_mm, "displacement_mm", (), np.float64))
+    if rest.shape[-1:] not in ((2,), (3,)) or moved.shape not in ((len(rest), 2), (len(rest), 3)):
+        raise ValueError(f"Expected dots of shape (N, 2) or (N, 3), got {rest.shape} and {moved.shape}.")
+    if (motion := _motion(rest, moved)) is None:
+        raise ValueError("Expected three dots or more that are not in a line.")
+    return Touch(dots=motion, rest_mm=rest[:, :2])
+
+
+def _motion(rest: NDArray[np.float64], moved: NDArray[np.float64]) -> DotMotion | None:
+    """The motion of dots (N, 2 or 3) from rest (N, 2 or more), mm; None for fewer than three, or a line."""
+    if len(rest) < 3:
+        return None
+    places = np.column_stack([rest[:, :2] - rest[:, :2].mean(axis=0), np.ones(len(rest))])
+    along, _, rank, _ = np.linalg.lstsq(places, moved, rcond=None)
+    if rank < 3:
+        return None
+    tilt = along[:2, 2] if moved.shape[1] == 3 else np.zeros(2)
+    return DotMotion(*map(float, (*along[2, :2], (along[0, 1] - along[1, 0]) / 2, *tilt)))
+
+
+def _dots_of(result: Any) -> tuple[DotMotion | None, NDArray[np.float64] | None]:
+    """Motion and rest of a result's dots; the depth at a dot is its displacement toward the camera."""
+    flow, scale = result.markers, result.mm_per_px
+    if flow is None or scale is None:
+        return None, None
+    pitch = np.array(check_mm_per_px(scale))
+    rest = flow.rest_px * pitch
+    if 2 * np.count_nonzero(flow.seen) < len(flow):
+        return None, rest
+    height, width = result.depth.shape
+    x, y = np.clip(np.rint(flow.now_px).astype(int), 0, (width - 1, height - 1)).T
+    moved = np.column_stack([flow.displacement_px * pitch, result.depth[y, x]])
+    return _motion(rest[flow.seen], moved[flow.seen]), rest
