@@ -62,6 +62,24 @@ def test_zero_is_set_and_taken_back(hub):
     until(lambda: station.newest.measures.peak > 0.3)
 
 
+def test_the_motion_is_followed_while_it_is_asked_for_and_seen(hub, monkeypatch):
+    station = hub.stations[0]
+    station.source.press_at(88, 66, 0.7, held_s=600)
+    until(lambda: station.newest.measures.peak > 0.5)
+    assert station.newest.header()["motion"] is None
+    actions.follow_motion(hub, 0, True)
+    until(lambda: station.newest.motion and station.newest.motion["path"])
+    assert station.newest.header()["motion"]["path"]
+    assert station.facts()["motion"]
+    monkeypatch.setattr(station, "_watched", lambda: False)
+    until(lambda: station.newest.motion is None)
+    monkeypatch.undo()
+    until(lambda: station.newest.motion)
+    actions.follow_motion(hub, 0, False)
+    until(lambda: station.newest.motion is None)
+    assert not station.facts()["motion"]
+
+
 def test_a_press_is_where_it_was_asked_for(hub, result):
     station = hub.stations[0]
     actions.press(hub, 0, 120.0, 40.0)

@@ -18,6 +18,7 @@ from gelform.image.background.average import USUAL_FRAMES, background_from_frame
 from gelform.image.background.check import check_untouched
 from gelform.live import devices
 from gelform.live.hub import Hub, starter_of_station, wait_for_frames
+from gelform.live.moved import MovedSince
 from gelform.live.shown import Shown
 from gelform.live.station import NEVER_S, Opening, Setup, Station
 from gelform.sensors.recordings.indexed import indexed
@@ -155,6 +156,14 @@ def use_solver(hub: Hub, station: int, name: str) -> None:
         raise GelformError(f"Expected a solver among auto, {', '.join(SOLVERS)}, got {name!r}.")
     chosen = hub.station(station)
     chosen.setup = chosen.setup.with_solver(name)
+    hub.changed()
+
+
+def follow_motion(hub: Hub, station: int, on: bool) -> None:
+    """Follow the touching object from now on, or no more."""
+    chosen = hub.station(station)
+    chosen.moved = MovedSince() if on else None
+    chosen.show_again()
     hub.changed()
 
 

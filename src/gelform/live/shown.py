@@ -95,6 +95,7 @@ class Shown:
     explain : computes the explanation of the image on request, because it takes longer than a frame
     problem : why there is no result; "" if there is one
     learn : learns from the result for the coming frames; None if there is nothing to learn
+    motion : where the object moved since it touched, as `MovedSince` gives it; None if nobody asks
     """
 
     serial: int
@@ -105,6 +106,7 @@ class Shown:
     explain: Callable[[], Explanation] | None = None
     problem: str = ""
     learn: Callable[[], None] | None = None
+    motion: dict[str, Any] | None = None
     _made: dict[Any, Any] = field(default_factory=dict, repr=False)
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
@@ -175,6 +177,7 @@ class Shown:
             "contacts": _contact_rows(self.result),
             "markers": _marker_rows(self.result),
             "force": None if self.result.force_model is None else self.result.force.columns(),
+            "motion": self.motion,
             "causes": list(CAUSES),
             "cause_colors": [cause.color for cause in CAUSES.values()],
             "solver": self.result.solver,

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from gelform.calibration_file import Calibration
 from gelform.errors import GelformError
 from gelform.image.frame import Frame
+from gelform.live.moved import MovedSince
 from gelform.live.shown import Shown, measures_of
 from gelform.reconstruct import Reconstructor
 from gelform.sensors.cameras.camera import Camera
@@ -141,6 +142,7 @@ class Station:
     newest : Shown or None
     taps : called with each shown frame, in the station's thread: guides
     paused : whether a sensor's picture is held
+    moved : follows the touching object from frame to frame; None if nobody asks
     sensor : the requested starter; "" for that of the camera's make
     starter_problem : why there is no starter's calibration; "" if there is nothing to report
     """
@@ -158,6 +160,7 @@ class Station:
         self.newest: Shown | None = None
         self.taps: list[Callable[[Shown], None]] = []
         self.paused = False
+        self.moved: MovedSince | None = None
         self.sensor = self.starter_problem = ""
         self._given = self._opening = opening if isinstance(opening, Opening) else Opening(opening)
         self._given_setup = self._setup
@@ -283,6 +286,7 @@ class Station:
             "can_undo": bool(setup.earlier),
             "zero": memory is not None and memory.zero is not None,
             "solver": setup.solver,
+            "motion": self.moved is not None,
             "paused": self.paused,
             "replay": None if player is None else player.facts(),
             "opened": self.opened,
@@ -353,6 +357,9 @@ class Station:
         return self.paused or (unwatched and time.monotonic() - self._begun_s < UNWATCHED_S)
 
     def _show(self, shown: Shown) -> None:
+        moved, calibration = self.moved, self.setup.calibration
+        if moved is not None and shown.result is not None and calibration is not None and self._watched():
+            shown.motion = moved(shown.result, calibration.settings.place_error)
         self.newest = shown
         for tap in tuple(self.taps):
             tap(shown)

@@ -77,6 +77,7 @@ COMMANDS = {
     "guide_stop": Command(actions.guide_stop, {"station": station}),
     "record": Command(actions.record, {"station": station, "on": yes_no, "page": text}),
     "snapshot": Command(actions.snapshot, {"station": station}),
+    "motion": Command(actions.follow_motion, {"station": station, "on": yes_no}),
     "pause": Command(actions.pause, {"station": station, "paused": yes_no}),
     "camera": Command(actions.set_camera, {"station": station, "name": text, "value": number}),
     "show": Command(actions.show_camera, {"station": station, "camera": camera}),

@@ -1,6 +1,7 @@
 // The page: what comes from the server is kept here and drawn once per screen refresh.
 
 import { drawChart, drawNumbers, drawProfile, NUMBERS, startNumbers, thinned } from "./maps/charts.js";
+import { drawMotion, drawMotionLine } from "./maps/motion.js";
 import { drawMarkers, Pane, Painting } from "./maps/pane.js";
 import { startRuler } from "./maps/ruler.js";
 import { VIEWS } from "./maps/views.js";
@@ -15,7 +16,7 @@ import { Frame } from "./server/frame.js";
 import { Stage } from "./surface/stage.js";
 
 const LOOPBACK = ["127.0.0.1", "localhost", "[::1]"];
-const settings = { colors: "viridis", outlines: true, range: 0.3, cursor: null, ruler: null, missing: (view) => missing(view), extra: drawMarkers };
+const settings = { colors: "viridis", outlines: true, range: 0.3, cursor: null, ruler: null, missing: (view) => missing(view), extra: (...over) => { drawMarkers(...over); drawMotion(...over); } };
 const look = { ageMs: 0, drawnHz: 0, surfaces: 0, bytesPerS: 0, renderer: "", encoding: LOOPBACK.includes(location.hostname) ? "raw" : "small" };
 const connection = new Connection();
 const stages = [], draped = new Painting();
@@ -122,6 +123,7 @@ function drawNumbersAndCurves(frame) {
   drawFindings(frame);
   drawContacts(frame);
   drawForce(frame);
+  drawMotionLine(frame);
 }
 
 function drawStages() {

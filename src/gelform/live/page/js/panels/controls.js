@@ -21,7 +21,8 @@ export function startControls(does) {
     element("div", { class: "row" },
       choice("solver", "Solver", (name) => send("solver", { name })),
       choice("colors", "Colors", (name) => { does.settings.colors = name; does.redraw(); })),
-    element("label", { class: "check" }, element("span", {}, element("input", { id: "outlines", type: "checkbox", checked: true, onchange: (event) => { does.settings.outlines = event.target.checked; does.redraw(); } }), " Outlines and deepest point")));
+    element("label", { class: "check" }, element("span", {}, element("input", { id: "outlines", type: "checkbox", checked: true, onchange: (event) => { does.settings.outlines = event.target.checked; does.redraw(); } }), " Outlines and deepest point")),
+    element("label", { class: "check", title: "Follow the touching object: its path since it touched, and its turn. Off and on again begins anew." }, element("span", {}, element("input", { id: "motion-on", type: "checkbox", onchange: (event) => send("motion", { on: event.target.checked }) }), " Motion since the touch")));
   setOptions(byId("colors"), MAP_NAMES.map((name) => [name, name]), does.settings.colors);
 }
 
@@ -34,6 +35,7 @@ export function drawControls(station, facts) {
   setOptions(byId("solver"), facts.solvers.map((name) => [name, name]), station.solver);
   byId("pause").textContent = holds(station) ? "Continue" : "Pause";
   byId("pause").setAttribute("aria-pressed", String(holds(station)));
+  byId("motion-on").checked = station.motion;
   const recording = facts.recordings[station.number];
   byId("record").textContent = recording ? `Stop, ${recording.frames} frames, ${Math.round(recording.bytes / 1e6)} MB` : "Record";
   byId("record").setAttribute("aria-pressed", String(Boolean(recording)));
