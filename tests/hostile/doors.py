@@ -46,6 +46,11 @@ FOLDER_OF_PRESSES = {
 }  # fmt: skip
 PRESSES = gelform.read_presses(save_press_folder(FOLDER / "presses", **FOLDER_OF_PRESSES))
 
+DOTS = np.array([[0.0, 0], [2, 0], [0, 2], [2, 2]])
+TOUCHES = [gelform.touch_from_dots(DOTS, k * np.ones((4, 2))) for k in (0.1, 0.2, 0.5)]
+LOADS = [gelform.Load("ball", shear_n=(k, k)) for k in (0.1, 0.2, 0.5)]
+FORCE = gelform.calibrate_force(TOUCHES, LOADS)
+
 
 def gain(image: Any, background: Any) -> np.ndarray:
     return exposure_from_image(image, background).believed_gain
@@ -164,6 +169,12 @@ DOORS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
     "motion_between": (gelform.motion_between, {"a": RESULT, "b": RESULT, "start": np.eye(4), "prior": (0.1, 0.1)}),
     "track": (lambda **s: list(gelform.track(**s)), {"results": [RESULT, RESULT], "prior": (0.1, 0.1)}),
     "mosaic": (gelform.mosaic, {"results": [RESULT, RESULT], "poses": [np.eye(4), np.eye(4)]}),
+    "touch_from_result": (gelform.touch_from_result, {"result": RESULT}),
+    "touch_from_dots": (gelform.touch_from_dots, {"rest_mm": DOTS, "displacement_mm": 0.1 * DOTS}),
+    "force_from_result": (gelform.force_from_result, {"result": TOUCHES[0], "model": FORCE}),
+    "calibrate_force": (gelform.calibrate_force, {"presses": TOUCHES, "loads": LOADS, "sure_of_unit": True}),
+    "evaluate_force": (gelform.evaluate_force, {"model": FORCE, "presses": TOUCHES, "loads": LOADS}),
+    "read_loads": (gelform.read_loads, {"path": "nowhere", "calibration": calibration(), "background": None}),
     "picture": (gelform.picture, {"result": RESULT, "image": IMAGE}),
     "save_picture": (saved_picture, {"picture": IMAGE}),
     "save_result": (saved_result, {"result": RESULT}),
@@ -238,8 +249,10 @@ DEEPER = {
 RECORDS = (
     "Calibration",
     "Contact",
+    "ForceModel",
     "Frame",
     "Integration",
+    "Load",
     "Motion",
     "Reconstruction",
     "Stream",

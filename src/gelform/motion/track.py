@@ -89,7 +89,8 @@ class Follower:
     def __call__(self, result: Reconstruction) -> Tracked:
         """Where the object is in the next frame."""
         self._number += 1
-        return Tracked(result.index, result.time_s, self._keyframe, self._motion(result))
+        keyframe, motion = self._keyframe, self._motion(result)
+        return Tracked(result.index, result.time_s, keyframe, motion)
 
     def _motion(self, result: Reconstruction) -> Motion:
         surface = TouchedSurface(result)

@@ -39,8 +39,8 @@ MOST_APART = (
     2.0  # largest factor between mm_per_px of a unit and of its make; lenses and crops differ by a tenth
 )
 KIND, FORMAT_VERSION, MAX_BYTES = "gelform starter", 1, 4 * 2**20
-# Depth over its mean around it in the inner part of a background image, read against its own smooth light. Five units at
-# rest 0.05-0.18 mm, presses of a ball on three of them 0.34 mm or more, a cube's edge 0.27 mm or more.
+# Depth over its mean around it, and over its median, in the inner part of a background image that is read against its own
+# smooth light. Five units at rest 0.05-0.18 mm, presses of a ball on three of them 0.34 mm or more, a cube's edge 0.25 mm.
 TOUCHED_MM = 0.2
 BORDER = 8  # an eighth of the image at each side, where a smooth light fits worst
 FOLDER = files("gelform") / "calibration" / "starters"
@@ -200,7 +200,10 @@ class Starter:
             return
         top, left = (n // BORDER for n in made.image_shape)
         depth, around = np.where(result.known, result.depth_mm, np.float32(0)), made.image_shape[0] // 2
-        over = (depth - cv2.blur(depth, (around, around)))[top:-top, left:-left]
+        level = np.maximum(
+            cv2.blur(depth, (around, around)), np.median(depth)
+        )  # a scratch lowers what is around it
+        over = (depth - level)[top:-top, left:-left]
         row, column = np.unravel_index(int(over.argmax()), over.shape)
         if over[row, column] > TOUCHED_MM:
             raise CalibrationError(

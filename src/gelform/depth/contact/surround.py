@@ -22,7 +22,7 @@ class Surround:
         height, width = background.shape[:2]
         step = max(1, height // ROWS)
         self._size = width // step, height // step
-        self._rest = self._coarse(background)
+        self._rest = self._coarse(np.asarray(background, dtype=np.float32))
         self._widened = np.ones((2 * REACH + 1,) * 2, dtype=np.uint8)
 
     def __call__(self, image: NDArray[np.number], contact: NDArray[np.bool_]) -> float | None:

@@ -181,7 +181,14 @@ def force_from_result(result: Any, model: ForceModel | None) -> Force:
     Force
         With a standard deviation for each part, or None and the reason: a soft object or a contact beyond the view, low
         confidence, a contact at the border, a force beyond the calibrated range, another gel, no dots.
+
+    Raises
+    ------
+    TypeError
+        No result, or no model.
     """
+    if model is not None and not isinstance(model, ForceModel):
+        raise TypeError(f"Expected a ForceModel or None as model, got {type(model).__name__}.")
     touch = result if isinstance(result, Touch) else touch_from_result(result)
     found: dict[str, Any] = {}
     for kind, unit in KINDS.items():

@@ -48,7 +48,9 @@ class Touch:
 
 
 def touch_from_result(result: Any) -> Touch:
-    """The touch of a result, which is a `Reconstruction`."""
+    """The touch of a result, which is a `Reconstruction`; TypeError: it is none."""
+    if not all(hasattr(result, name) for name in ("contact", "mm_per_px", "zero", "confidence", "depth")):
+        raise TypeError(f"Expected a Reconstruction, got {type(result).__name__}.")
     contact, pitch = result.contact, result.mm_per_px
     motion, rest = _dots_of(result)
     known: dict[str, Any] = {"dots": motion, "rest_mm": rest, "calibration_digest": result.calibration_digest}
