@@ -31,7 +31,8 @@ def test_the_path_and_the_turn_of_letters(visit, hub):
     until(lambda: page.evaluate("gelform.frame?.header.peak > 0.2"), 30)
     assert page.evaluate("gelform.frame.header.motion") is None
     assert page.is_hidden("#motion-card")
-    page.check("#motion-on")
+    page.click("#motion-on")
+    until(lambda: hub.stations[0].moved is not None)
     until(lambda: "cannot tell yet" in page.inner_text("#motion"), 20)
     assert page.evaluate("gelform.frame.header.motion.shift_mm") is None
     for step in range(1, STEPS):
@@ -56,5 +57,6 @@ def test_the_path_and_the_turn_of_letters(visit, hub):
     np.testing.assert_allclose((min(columns), min(rows)), path.min(axis=0), atol=4)
     np.testing.assert_allclose((max(columns), max(rows)), path.max(axis=0), atol=4)
     page.click("#pause")
-    page.uncheck("#motion-on")
+    page.click("#motion-on")
+    until(lambda: hub.stations[0].moved is None)
     until(lambda: page.is_hidden("#motion-card"), 20)

@@ -18,10 +18,12 @@ def test_the_force_has_its_sigma_or_the_reason(page):
     """Hidden until loads are known."""
     assert page.locator("#force-card").is_hidden()
     force = {**FORCE, "torsion_n_mm": None, "torsion_sigma_n_mm": None, "force_reason": "no dots"}
-    draw = "async (force) => (await import('/js/panels/status.js')).drawForce({ header: { force } })"
-    page.click("#pause")
-    page.evaluate(draw, force)
-    said = page.inner_text("#force-card")
+    # Read at once: the next frame, which has no force, hides the card again.
+    script = """async (force) => {
+        (await import('/js/panels/status.js')).drawForce({ header: { force } });
+        return document.getElementById('force-card').innerText;
+    }"""
+    said = page.evaluate(script, force)
     assert re.search(r"into the gel\s+4\.20 ± 1\.10 N", said)
     assert re.search(r"shear x\s+–", said)
     assert "no dots" in said
