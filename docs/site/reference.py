@@ -18,7 +18,7 @@ PAGES = {
     "color": ("Background and color change", "image.background image.markers"),
     "path": ("Normals, gradients, depth", "slopes depth"),
     "calibration": ("Calibration", "calibration exchange.importers calibration_file"),
-    "results": ("Results", "reconstruct result exchange"),
+    "results": ("Results", "reconstruct result exchange motion"),
     "streams": ("Streams", "sensors.streams"),
     "errors": ("Errors", "errors"),
 }
