@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gelform.foundations.checks import check_numbers, check_positive, check_within
-from gelform.motion.covariance import pose_covariance
+from gelform.motion.covariance import BLOCK_PX, pose_covariance
 from gelform.motion.rigid import Array, checked_pose, inverse_of, moved, pose_of_step, step_of_pose, turn_deg
 from gelform.motion.sight import Blind, blind_depth, blind_directions, has_moved, seen_directions
 from gelform.motion.surface import NOTHING, Equations, TouchedSurface
@@ -32,7 +32,6 @@ UNKNOWN_MM = 1e3  # mm, standard deviation of what is not known at all
 MOST_STEPS = 30
 LONGEST_MM, LONGEST_RAD = 0.5, 0.15  # of a step
 LAST_MM, LAST_RAD = 5e-4, 1e-4  # a smaller step is the last
-ALIKE_PX = 16.0  # px; errors of slopes are taken as independent beyond
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +139,7 @@ def motion_of(
     if min(first.count, second.count) < LEAST_PX:
         return lost(f"no contact: {min(first.count, second.count)} px touch, {LEAST_PX} are needed")
     # Errors of neighbors are alike, but the equations count each as news: so must what holds them at the start.
-    alike = (ALIKE_PX / first.every) ** 2
+    alike = (BLOCK_PX / first.every) ** 2
     found = _fitted(first, second, start, alike * _information(REACH), np.eye(6), start)
     if isinstance(found, Motion):
         return found

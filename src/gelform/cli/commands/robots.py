@@ -189,14 +189,14 @@ def track(
     loaded = calibration_given(given, background, lambda: unit_of(source), shown.quiet)
     known, follow = background_in(background, loaded), Follower(in_rad, loaded.settings.place_error)
     poses: list[Tracked] = []
-    results: dict[int, Reconstruction] = {}  # of the keyframes, and the last two frames
+    results: dict[int, Reconstruction] = {}  # for a surface: of the keyframes, and the last two frames
     with shown.progress() as progress, stream(source, loaded, background=known) as running:
         for number, one in enumerate(running.pairs()):
             poses.append(follow(one.result))
-            kept = {pose.keyframe for pose in poses}
-            results = {k: v for k, v in results.items() if k in kept or k == number - 1} | {
-                number: one.result
-            }
+            if surface is not None:
+                results[number] = one.result
+                if number > 1 and poses[number - 1].keyframe != number - 2:  # it did not become the keyframe
+                    del results[number - 2]
             progress(number + 1, number + 1, "following")
     if not poses:
         raise DataError(f"No frame arrived from {source}: there is nothing to follow.")
