@@ -13,7 +13,7 @@ from gelform.image.background.change import ChangeSettings, PreparedBackground
 from gelform.image.background.exposure import Exposure, exposure_from_image
 from gelform.image.background.light import FrameLight
 from gelform.sensors.files import read_image
-from gelform.simulate import Ball, simulate_background, simulate_press
+from gelform.simulate import Ball, simulate_press
 from kernel_agreement import assert_kernel_agrees
 
 GAINS = st.tuples(*[st.floats(0.85, 1.2)] * 3)
@@ -21,18 +21,6 @@ GAINS = st.tuples(*[st.floats(0.85, 1.2)] * 3)
 
 def times(image, gain):
     return np.clip(np.rint(image.astype(float) * gain), 0, 255).astype(np.uint8)
-
-
-@pytest.fixture(scope="module")
-def rest(sensor):
-    return simulate_background(sensor, np.random.default_rng(0))
-
-
-@pytest.fixture(scope="module")
-def pressed(sensor):
-    return simulate_press(
-        sensor, Ball(3.0), depth_mm=0.6, center_mm=(1.5, 1), rng=np.random.default_rng(1)
-    ).image
 
 
 @settings(max_examples=30, deadline=None)

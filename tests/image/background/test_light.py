@@ -12,7 +12,7 @@ from gelform.image.background.check import check_background
 from gelform.image.background.exposure import block_means
 from gelform.image.background.light import light_from_blocks
 from gelform.sensors.files import read_image
-from gelform.simulate import Ball, simulate_background, simulate_press
+from gelform.simulate import Ball, simulate_press
 from kernel_agreement import assert_kernel_agrees
 
 TILTS = st.tuples(*[st.floats(-0.08, 0.08)] * 6)
@@ -33,18 +33,6 @@ def lit(image, tilt=((0, 0, 0), (0, 0, 0)), room=(0, 0, 0), gain=1.0):
 
 def light_of(image, rest):
     return light_from_blocks(block_means(image), block_means(rest))
-
-
-@pytest.fixture(scope="module")
-def rest(sensor):
-    return simulate_background(sensor, np.random.default_rng(0)).astype(np.float32)
-
-
-@pytest.fixture(scope="module")
-def pressed(sensor):
-    return simulate_press(
-        sensor, Ball(3.0), depth_mm=0.6, center_mm=(1.5, 1), rng=np.random.default_rng(1)
-    ).image
 
 
 @settings(max_examples=25, deadline=None)
