@@ -26,7 +26,7 @@ from gelform.errors import CalibrationError
 from gelform.image.background.change import color_change_from_image
 from gelform.image.background.check import check_background_of_frames
 from gelform.image.background.orientation import orientation_if_doubtful
-from gelform.image.background.surround import SMALLER_CROP, surround_finding, surround_of
+from gelform.image.background.surround import surround_finding, surround_of
 from gelform.image.frame import DARK
 from gelform.sensors.profiles import PROFILES, SAME_SCALE, light_order_of, scale_off_make
 from gelform.slopes.confidence.causes import SATURATED_FROM
@@ -182,7 +182,7 @@ def light_notes(background: NDArray[np.float32]) -> tuple[str, ...]:
 
 def surround_notes(presses: Presses) -> tuple[str, ...]:
     """A note if the gel does not fill the image, with the crop that leaves the rest out."""
-    found = surround_finding(presses.background, "--crop {}" if presses.view.is_identity else SMALLER_CROP)
+    found = surround_finding(presses.background, "--crop {}", viewed=not presses.view.is_identity)
     return () if found is None else (found.message,)
 
 

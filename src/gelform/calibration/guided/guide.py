@@ -25,7 +25,7 @@ from gelform.foundations.checks import check_sensor_pitch
 from gelform.foundations.findings import Finding
 from gelform.foundations.progress import Progress, no_progress
 from gelform.image.background.average import USUAL_FRAMES, background_from_frames
-from gelform.image.background.surround import SMALLER_CROP, surround_finding
+from gelform.image.background.surround import surround_finding
 from gelform.image.frame import Frame, pixels_digest
 from gelform.image.view import View, image_from_frame
 from gelform.sensors.profiles import profile_named
@@ -280,9 +280,8 @@ class Guide:
         self._background, self._noise = np.rint(taken.background).astype(np.float32), taken.noise
         self._surround = surround_finding(
             self._background,
-            "--crop {} of gelform calibrate, with presses from gelform record --presses"
-            if self.asked.view.is_identity
-            else SMALLER_CROP,
+            "--crop {} of gelform calibrate, with presses from gelform record --presses",
+            viewed=not self.asked.view.is_identity,
         )
         self._judge = Judge(self._background, image, float(taken.noise.max()), self._ball_radius_px)
         self.step = "press"

@@ -293,12 +293,12 @@ def _at_rest(grabber: Grabber, key: Any, settings: Any) -> list[Any]:
     """Frames of the gel at rest; if something seems to touch it, those of the next space bar, [] without one."""
     from gelform.calibration.starters import starter_for
     from gelform.image.background.average import background_from_frames
-    from gelform.image.background.surround import SMALLER_CROP, surround_finding
+    from gelform.image.background.surround import surround_finding
     from gelform.image.view import image_from_frame
 
     images = _fresh(grabber, BACKGROUND_FRAMES)
     image = image_from_frame(background_from_frames(images).background, settings.view)
-    if found := surround_finding(image, "--crop {}" if settings.view.is_identity else SMALLER_CROP):
+    if found := surround_finding(image, "--crop {}", viewed=not settings.view.is_identity):
         say(f"note: {found.message}")
     starter = starter_for(settings.name, image.shape[:2])
     try:

@@ -28,12 +28,15 @@ def surround_of(background: NDArray[Any]) -> NDArray[np.bool_] | None:
     return outside if outside.mean() > LEAST_SHARE else None
 
 
-def surround_finding(background: NDArray[Any], remedy: str) -> Finding | None:
-    """The finding that a background image (H, W, 3) shows more than the gel; `{}` in the remedy is the crop that fits."""
+def surround_finding(background: NDArray[Any], remedy: str, *, viewed: bool = False) -> Finding | None:
+    """The finding that a background image (H, W, 3) shows more than the gel; `{}` in the remedy is the crop that fits.
+
+    Of an image that is already a view of the frame (`viewed`), the crop is not one of the frame, and the view is named.
+    """
     outside = surround_of(background)
     if outside is None:
         return None
-    crop = remedy.format(",".join(map(str, crop_inside(outside))))
+    crop = SMALLER_CROP if viewed else remedy.format(",".join(map(str, crop_inside(outside))))
     message = (
         f"{100 * outside.mean():.0f} % of the image are outside the gel: dark, and joined to its border. Leave them out: "
         f"{crop}. If the camera sees the gel at an angle, undo that too: gelform lens."
