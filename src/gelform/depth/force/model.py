@@ -161,6 +161,12 @@ class Force:
             dict.fromkeys(filter(None, (self.normal_reason, self.shear_reason, self.torsion_reason)))
         )
 
+    @property
+    def vector_n(self) -> NDArray[np.float64]:
+        """(3,), N: x and y along the gel, and z; what presses into the gel pushes toward the camera, -z. NaN: not known."""
+        x, y = self.shear_n or (None, None)
+        return np.array([x, y, self.normal_n], dtype=np.float64) * (1, 1, -1)
+
     def columns(self) -> dict[str, float | str | None]:
         """The cells of a table, by name: None where a force is not known, and `force_reason`."""
         cells = {name: value for name, value in vars(self).items() if not name.endswith("_reason")}
