@@ -15,7 +15,9 @@ from real_frames.sets import MINI_MM_PER_PX, MINIS, Run, background_of, percent
 from report import table
 
 OBJECTS = ("bead", "key", "seed")
-UNTOUCHED = range(20, 59)  # frames of mini-markers-video in which nothing touches the gel
+UNTOUCHED = range(
+    20, 55
+)  # frames of mini-markers-video in which nothing touches the gel; a finger does from 55 on
 NOISY = 20  # frames with noise for each background image
 SEED = 20261125
 
@@ -117,7 +119,7 @@ def rest(run: Run) -> dict[str, Any]:
         figures[f"{name}, background and noise"] = frames_with_contact(
             calibration, [with_noise(calibration, rng) for _ in range(count)]
         )
-    figures["mini-markers-video, frames 20-58"] = _video(run)
+    figures[f"mini-markers-video, frames {UNTOUCHED[0]}-{UNTOUCHED[-1]}"] = _video(run)
     rows = [[name, *row.values()] for name, row in figures.items()]
     print("\n" + table(["without contact", *REST_COUNTS, "%"], rows), flush=True)
     return figures
