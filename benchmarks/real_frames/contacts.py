@@ -15,6 +15,7 @@ from real_frames.sets import MINI_MM_PER_PX, MINIS, Run, background_of, percent
 from report import table
 
 OBJECTS = ("bead", "key", "seed")
+TWO_EDGES = "12.png"  # the frame of mini-edge that a second edge is in
 UNTOUCHED = range(
     20, 55
 )  # frames of mini-markers-video in which nothing touches the gel; a finger does from 55 on
@@ -36,7 +37,8 @@ def contacts(run: Run) -> dict[str, Any]:
                 reconstruct.from_image(gelform.read_image(path)) for path in paths
             )
     reconstruct = gelform.Reconstructor(run.carried("starter", background_of("mini-edge")))
-    paths = run.some(sorted((DATA / "mini-edge" / "images").glob("*.png")))
+    paths = sorted((DATA / "mini-edge" / "images").glob("*.png"))
+    paths = run.some([path for path in paths if path.name != TWO_EDGES])
     images = [gelform.read_image(path) for path in paths]
     same_light = [one for one in images if not another_light(one, reconstruct.background)]
     for what, chosen in (("all frames", images), ("those in its light", same_light)):

@@ -57,7 +57,7 @@ EXPORT int region_moments(const uint16_t *labels, const float *depth, double *mo
   return OK;
 }
 
-enum { AREA, DEPTH, X, Y, SURE, EVIDENCE, OWN, MEASURES };
+enum { AREA, DEPTH, X, Y, DEVIATION, EVIDENCE, OWN, MEASURES };
 
 struct maps {
   const float *depth, *sigma, *variance, *coarse, *fine, *smooth, *bent, *influence;
@@ -78,9 +78,8 @@ static inline double evidence_of(const struct maps *m, ptrdiff_t at) {
 // A run of a region's pixels in row y; `row` is that row's first pixel in the maps.
 static void take_evidence(double *of, const struct maps *m, ptrdiff_t first, ptrdiff_t end, ptrdiff_t y, ptrdiff_t row) {
   for (ptrdiff_t x = first; x < end; x++) {
-    const double z = m->depth[row + x], sure = z / larger(m->sigma[row + x], 1e-9f), evidence = evidence_of(m, row + x);
-    if (of[AREA] == 0 || z > of[DEPTH]) of[DEPTH] = z, of[X] = (double)x, of[Y] = (double)y;
-    of[SURE] = of[AREA] == 0 || sure > of[SURE] ? sure : of[SURE];
+    const double z = m->depth[row + x], evidence = evidence_of(m, row + x);
+    if (of[AREA] == 0 || z > of[DEPTH]) of[DEPTH] = z, of[X] = (double)x, of[Y] = (double)y, of[DEVIATION] = m->sigma[row + x];
     of[EVIDENCE] = evidence > of[EVIDENCE] ? evidence : of[EVIDENCE];
     of[AREA]++;
   }
@@ -95,7 +94,7 @@ static void take_own_depth(double *of, const struct maps *m, ptrdiff_t first, pt
   }
 }
 
-// Of each region 1 ... n: its pixels, depth and place of the deepest one, the most sigmas that a depth is above 0, the most
+// Of each region 1 ... n: its pixels, depth and place of the deepest one, the depth's deviation there, the most
 // evidence, and the depth that the region's own pressure makes at its deepest pixel. `coarse`, `fine`: pressures; `smooth`, `bent`:
 // the surface by the finer smoothing. `influence`: depth for a unit of pressure at a pixel whose squared distance is the index;
 // `per_x` and `per_y` are those of a step.

@@ -110,17 +110,17 @@ EXPORT int variance_of_known(const float *restrict total, const float *restrict 
   return OK;
 }
 
-// Root mean square of every `step`-th depth, over its deviation, that is below 0; 0 where none is.
-EXPORT int excess_below(const float *depth, const float *sigma, float *excess, int64_t step, ptrdiff_t count) {
-  double squares = 0;
-  ptrdiff_t below = 0;
+// How much larger the variance of the depths below 0 is than their deviations say: of every `step`-th one, surer ones count for
+// more. 0 where it is not larger.
+EXPORT int variance_below(const float *depth, const float *sigma, double *excess, int64_t step, ptrdiff_t count) {
+  double total = 0, weights = 0;
   if (step < 1) return WRONG_SIZE;
   for (ptrdiff_t i = 0; i < count; i += step) {
     if (!(depth[i] < 0)) continue;
-    const double found = depth[i] / larger(sigma[i], 1e-9f);
-    squares += found * found, below++;
+    const double z = depth[i], s = larger(sigma[i], 1e-6f);
+    total += (z - s) * (z + s) / (s * s), weights += 1 / (s * s);
   }
-  *excess = below ? (float)sqrt(squares / (double)below) : 0;
+  *excess = total > 0 ? total / weights : 0;
   return OK;
 }
 

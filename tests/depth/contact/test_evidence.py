@@ -152,9 +152,16 @@ def test_evidence_agrees_with_numpy(shape):
             top = np.argmax(np.where(here, depth, -9))
             at = (per_x * (x - x.flat[top]) ** 2 + per_y * (y - y.flat[top]) ** 2).astype(int)
             own = np.where(here & (at < 60), influence[np.minimum(at, 59)] * (bent + stiffness * smooth), 0)
-            sure = (depth / sigma)[here].max()
             rows.append(
-                [here.sum(), depth.flat[top], x.flat[top], y.flat[top], sure, square[here].max(), own.sum()]
+                [
+                    here.sum(),
+                    depth.flat[top],
+                    x.flat[top],
+                    y.flat[top],
+                    sigma.flat[top],
+                    square[here].max(),
+                    own.sum(),
+                ]
             )
         return np.array(rows)
 
@@ -163,18 +170,18 @@ def test_evidence_agrees_with_numpy(shape):
 
 
 @pytest.mark.parametrize("step", [1, 3])
-def test_excess_agrees_with_numpy(step):
+@pytest.mark.parametrize("scale", [0.05, 1.0, 3.0])
+def test_what_negative_depths_have_more_agrees_with_numpy(step, scale):
     rng = np.random.default_rng(0)
     depth, sigma = (
-        rng.normal(0, 1, (9, 13)).astype(np.float32),
-        rng.uniform(0.1, 1, (9, 13)).astype(np.float32),
+        rng.normal(0, scale, (9, 13)).astype(np.float32),
+        rng.uniform(0.5, 1, (9, 13)).astype(np.float32),
     )
 
     def by_numpy(depth, sigma, excess, step):
-        below = (depth / sigma).ravel()[::step][depth.ravel()[::step] < 0]
-        return np.array([np.sqrt(np.mean(below**2)) if below.size else 0])
+        z, s = (one.ravel()[::step].astype(float) for one in (depth, sigma))
+        more, weight = (z**2 - s**2)[z < 0], s[z < 0] ** -2
+        return np.array([max(np.average(more, weights=weight), 0) if more.size else 0])
 
     for one in (depth, np.abs(depth)):
-        assert_kernel_agrees(
-            evidence_module._excess_below, by_numpy, one, sigma, np.empty(1, np.float32), step
-        )
+        assert_kernel_agrees(evidence_module._variance_below, by_numpy, one, sigma, np.empty(1), step)

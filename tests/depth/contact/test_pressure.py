@@ -113,7 +113,7 @@ def test_a_noisy_place_is_no_contact_and_hides_none_elsewhere():
     touched, *_ = cap(center=(80, 120), depth_mm=0.06)
     noise = np.ones(touched.shape, np.float32)
     noise[:, 270:] = 4.0
-    sigma, taken = 0.001 * noise, 0
+    sigma, taken = 0.0005 * noise, 0
     for seed in range(4):
         rest = slopes_noise(noise.shape, 0.02 * noise[..., None], seed)
         knows, does_not = (PreparedContact((PITCH, PITCH), 0.5, n) for n in (noise**2, np.ones_like(noise)))

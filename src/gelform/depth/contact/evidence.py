@@ -27,7 +27,7 @@ _region_evidence = Kernel(
     "f32[h,w] smooth, f32[h,w] bent, f32[t] influence, out f64[n,7] measures, f32 stiffness, f32 coarse_at_rest, "
     "f32 coarse_elsewhere, f32 fine_at_rest, f32 fine_elsewhere, f32 per_x, f32 per_y",
 )
-_excess_below = Kernel("excess_below", "f32[...] depth, f32[...] sigma, out f32[1] excess, i64 step")
+_variance_below = Kernel("variance_below", "f32[...] depth, f32[...] sigma, out f64[1] excess, i64 step")
 
 
 class Regions(NamedTuple):
@@ -53,8 +53,8 @@ class _Measures(NamedTuple):
     area_px: NDArray[np.float64]
     depth_mm: NDArray[np.float64]
     deepest_yx: NDArray[np.int32]  # (n, 2)
-    depth_sigmas: NDArray[np.float64]  # the most standard deviations that a depth is above 0
-    sigmas: NDArray[np.float64]  # the most that a pressure is
+    deviation_mm: NDArray[np.float64]  # standard deviation of that depth
+    sigmas: NDArray[np.float64]  # the most standard deviations that a pressure is above 0
     own_mm: NDArray[np.float64]  # the depth that its own pressure makes at its deepest pixel
 
 
@@ -66,8 +66,8 @@ class Evidence:
     overwhelming, or the depth that the region's own pressure makes is sure: gel that another object draws down has depth
     without pressure of its own. The depth that a pressure makes at the distance r is `K0(r/L) / (2 pi)`.
 
-    What no contact makes is the frame's own noise: a frame whose negative depths are larger than their standard deviations
-    say, as of dust or of another light, has to show own depths that are larger in proportion.
+    No contact makes a negative depth. What negative depths have more than their standard deviations say, as of dust or of
+    another light, is the frame's own noise, and counts as one more error of the depth that a region makes.
 
     Attributes
     ----------
@@ -85,19 +85,19 @@ class Evidence:
         """Whether each label (labels + 1,) is a contact, and the (y, x) of its deepest pixel (labels + 1, 2)."""
         found = self._measured(regions)
         least_px = self.min_area_mm2 / (self.pitch[0] * self.pitch[1])
-        deep = (found.area_px >= least_px) & (found.depth_sigmas > self.noise_factor)
-        part = np.minimum(found.own_mm / np.maximum(found.depth_mm, 1e-9), 1)
-        own = part * found.depth_sigmas / self._excess(regions)
+        deep = (found.area_px >= least_px) & (found.depth_mm > self.noise_factor * found.deviation_mm)
+        noise = np.sqrt(found.deviation_mm**2 + self._variance_of_frame(regions))
+        own = np.minimum(found.own_mm, found.depth_mm) / np.maximum(noise, 1e-9)
         both = np.hypot(own, found.sigmas) > TOGETHER * self.noise_factor
         sure = both & (np.minimum(own, found.sigmas) > self.noise_factor)
         stands = deep & (sure | (found.sigmas > ALONE * self.noise_factor))
         return np.append(False, stands), np.vstack([np.zeros((1, 2), np.int32), found.deepest_yx])
 
-    def _excess(self, regions: Regions) -> float:
-        """Root mean square of the negative depths over their standard deviations; at least 1."""
-        depth, excess = regions.maps["depth"], np.empty(1, dtype=np.float32)
-        _excess_below(depth, regions.maps["sigma"], excess, step=max(1, depth.size // MEDIAN_SAMPLES))
-        return max(1.0, float(excess[0]))
+    def _variance_of_frame(self, regions: Regions) -> float:
+        """What the negative depths have more than their own variance, mm^2."""
+        depth, excess = regions.maps["depth"], np.empty(1)
+        _variance_below(depth, regions.maps["sigma"], excess, step=max(1, depth.size // MEDIAN_SAMPLES))
+        return float(excess[0])
 
     def _measured(self, regions: Regions) -> _Measures:
         measures, area = np.empty((regions.number, 7)), self.pitch[0] * self.pitch[1]
@@ -106,9 +106,9 @@ class Evidence:
             regions.labels, **regions.maps, influence=self._influence, measures=measures, stiffness=self.length_mm**-2,
             **regions.gains, per_x=per_x, per_y=per_y,
         )  # fmt: skip
-        pixels, depth, x, y, sigmas_of_depth, square, own = measures.T
+        pixels, depth, x, y, deviation, square, own = measures.T
         deepest = np.column_stack([y, x]).astype(np.int32)
-        return _Measures(pixels, depth, deepest, sigmas_of_depth, np.sqrt(square), own)
+        return _Measures(pixels, depth, deepest, deviation, np.sqrt(square), own)
 
     @cached_property
     def _influence(self) -> NDArray[np.float32]:
