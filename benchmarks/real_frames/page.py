@@ -204,8 +204,7 @@ def limits(figures: Figures) -> str:
     )
     contacts = (
         f"- **Number of contacts.** One ball gives exactly one contact in {one['mini-ball']:.0f} % of the frames of a "
-        f"GelSight Mini. On five other sensors it is {rest[0]:.0f} to {rest[-1]:.0f} %. A crease of the gel that opens "
-        "under load counts as a contact of its own."
+        f"GelSight Mini. On five other sensors it is {rest[0]:.0f} to {rest[-1]:.0f} %."
     )
     return "\n".join(textwrap.fill(one, WIDTH, subsequent_indent="  ") for one in (steep, contacts))
 
