@@ -12,6 +12,7 @@ from gelform.calibration.fitted import Fitted
 from gelform.calibration.held_out import measure as module
 from gelform.calibration.held_out.measure import (
     errors_of,
+    gain_of_heights,
     measure_held_out,
     sample_of,
     solved_by_place,
@@ -189,6 +190,33 @@ def test_fewer_presses_seen_by_the_folds_make_them_better_witnesses_of_worse_mod
         for seen in (0.5, 1.0)
     )
     assert half == pytest.approx(np.sqrt(0.5) * all_, rel=0.15)
+
+
+@pytest.mark.parametrize(("gain", "by_slopes"), [(0.08, 0.01), (0.03, 0.02), (0.0, 0.02)])
+def test_what_slopes_explain_of_the_errors_of_heights_is_no_gain(gain, by_slopes):
+    """Counted once: what is left of them has 68 % within one sigma, and so have both parts together."""
+    rng = np.random.default_rng(0)
+    height = rng.uniform(0.2, 0.8, 4000)
+    error = rng.standard_normal(4000) * np.hypot(gain * height, by_slopes)
+    heights = np.stack([height, error, np.full(4000, by_slopes)], axis=1)
+    found = gain_of_heights(heights, 1.0)
+    assert found == pytest.approx(gain, abs=0.012)
+    assert np.mean(np.abs(error) < np.hypot(found * height, by_slopes)) == pytest.approx(ONE_SIGMA, abs=0.02)
+    heights[::7] = np.nan  # not in the frame
+    assert gain_of_heights(heights, 1.0) == pytest.approx(found, abs=0.01)
+    assert gain_of_heights(heights * [1, 2**0.5, 1], 0.5) == pytest.approx(gain_of_heights(heights, 1.0))
+    assert gain_of_heights(heights[::7], 1.0) == 0
+
+
+def test_heights_that_are_off_alike_are_the_gain_of_the_depth(calibration, presses):
+    samples = calibration.report.samples
+    off = [replace(one, height_mm=(one.height_mm[0], 0.3 * one.height_mm[0])) for one in samples]
+    sigma = solved_by_place(calibration, calibration.slope_sigma, presses, off, 1.0)
+    assert sigma.gain_sigma == pytest.approx(0.3, rel=0.1)
+    assert 0 <= calibration.slope_sigma.gain_sigma < 0.15
+    heights = np.array([one.height_mm for one in samples])
+    assert np.all(heights[:, 0] > 0.05)
+    assert np.sqrt(np.mean(np.square(heights[:, 1] / heights[:, 0]))) < 0.15
 
 
 def test_what_blur_takes_is_not_learnt_from_balls(calibration, presses, monkeypatch):
