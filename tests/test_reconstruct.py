@@ -2,9 +2,9 @@
 
 import pickle
 import shutil
-from copy import copy
 import time
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from copy import copy
 from dataclasses import replace
 from multiprocessing import get_context
 

@@ -17,7 +17,7 @@ from accuracy.real import EDGES, STEEPEST
 from gelform.calibration.circles.samples import PreparedPress
 from gelform.calibration.held_out.measure import HeldOutSample
 from gelform.result.metrics import score_slopes
-from gelform.result.metrics.ball import ball_center, height_and_error, top_and_edge
+from gelform.result.metrics.ball import ball_center
 from presses import unlabeled
 from real_frames.edges import SURE
 from real_frames.sets import Run, percent
@@ -27,6 +27,7 @@ OWN = ("mini-ball", "mini-d", "digit-ball")
 CARRIED = (("mini-ball", "mini-d"), ("mini-d", "mini-ball"))  # whose calibration, whose presses
 GENTLE = (0.4, 0.5)  # mm/mm, steepest slope of the training
 INNER = 0.6  # of the visible circle: where a sure pixel is expected
+TOP, RIM_PX = 0.2, 1.5  # of the edge's radius; half the width of the ring at the edge
 # A height over the edge is a difference of two depths. A depth's own sigma, against gel at rest, is wider, because the gel
 # around the contact has slopes too.
 CAPS = (
@@ -131,10 +132,15 @@ def _cap(calibration: Any, press: Any, result: Any, inside: np.ndarray) -> list[
     ball_px, radius = press.ball_diameter_mm / 2 / pitch, float(np.sqrt(inside.sum() / np.pi))
     rows, columns = np.nonzero(inside)
     center = ball_center(result.gradients[inside], columns, rows, press.label[:2], ball_px)
-    top, edge = top_and_edge(result.shape, center, radius)
-    _, error = height_and_error(result.depth_mm, center, radius, ball_px, pitch)
-    maps = result.depth_difference_sigma(edge), result.depth_sigma_mm
-    return [abs(error) < n * stated[top].mean() for stated in maps for n in (1, 2)]
+    away = distance(result, center)
+    off = result.depth_mm - pitch * np.sqrt(np.maximum(ball_px**2 - away**2, 0))
+    top, rim = away < TOP * radius, np.abs(away - radius) < RIM_PX
+    error = abs(off[top].mean() - off[rim].mean())
+    return [
+        bool(error < n * stated[top].mean())
+        for stated in (result.depth_difference_sigma(rim), result.depth_sigma_mm)
+        for n in (1, 2)
+    ]
 
 
 def distance(result: Any, center: Any) -> np.ndarray:

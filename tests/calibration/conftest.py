@@ -66,7 +66,5 @@ def _sample(index=0, *, gain=1.0, noise=0.0, bias=(0.0, 0.0), circle=(40.0, 30.0
     seen = gain * true + np.asarray(bias)
     if noise:
         seen = seen + noise * rng.standard_normal(true.shape)
-    empty, unseen = np.zeros((3, 3), dtype=np.float32), (circle[2], (np.nan, np.nan))
-    return HeldOutSample(
-        index, circle, x, y, true.astype(np.float32), seen.astype(np.float32), empty, *unseen
-    )
+    empty = np.zeros((3, 3), dtype=np.float32)
+    return HeldOutSample(index, circle, x, y, true.astype(np.float32), seen.astype(np.float32), empty)

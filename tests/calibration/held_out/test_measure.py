@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 import gelform
 from gelform.calibration.candidates import Candidate
@@ -11,8 +12,8 @@ from gelform.calibration.circles.locate import Located, Refined
 from gelform.calibration.fitted import Fitted
 from gelform.calibration.held_out import measure as module
 from gelform.calibration.held_out.measure import (
+    common_error,
     errors_of,
-    gain_of_heights,
     measure_held_out,
     sample_of,
     solved_by_place,
@@ -24,7 +25,7 @@ from gelform.reconstruct import Reconstructor
 from gelform.result.metrics import angle_deg
 from gelform.slopes.color_models.forward_response import RIDGES
 from gelform.slopes.confidence import all_shown
-from gelform.slopes.confidence.slope_sigma import ONE_SIGMA
+from gelform.slopes.confidence.slope_sigma import ONE_SIGMA, SlopeSigma
 
 
 def off_deg(sample):
@@ -192,31 +193,48 @@ def test_fewer_presses_seen_by_the_folds_make_them_better_witnesses_of_worse_mod
     assert half == pytest.approx(np.sqrt(0.5) * all_, rel=0.15)
 
 
-@pytest.mark.parametrize(("gain", "by_slopes"), [(0.08, 0.01), (0.03, 0.02), (0.0, 0.02)])
-def test_what_slopes_explain_of_the_errors_of_heights_is_no_gain(gain, by_slopes):
-    """Counted once: what is left of them has 68 % within one sigma, and so have both parts together."""
+WHITE = SlopeSigma(0.01, (0.0, 1.0), (0.05, 0.05), 0.05, 8.0, correlated_share=0.0)
+
+
+def test_what_slopes_of_one_size_share_is_common_and_their_noise_is_not(sample):
     rng = np.random.default_rng(0)
-    height = rng.uniform(0.2, 0.8, 4000)
-    error = rng.standard_normal(4000) * np.hypot(gain * height, by_slopes)
-    heights = np.stack([height, error, np.full(4000, by_slopes)], axis=1)
-    found = gain_of_heights(heights, 1.0)
-    assert found == pytest.approx(gain, abs=0.012)
-    assert np.mean(np.abs(error) < np.hypot(found * height, by_slopes)) == pytest.approx(ONE_SIGMA, abs=0.02)
-    heights[::7] = np.nan  # not in the frame
-    assert gain_of_heights(heights, 1.0) == pytest.approx(found, abs=0.01)
-    assert gain_of_heights(heights * [1, 2**0.5, 1], 0.5) == pytest.approx(gain_of_heights(heights, 1.0))
-    assert gain_of_heights(heights[::7], 1.0) == 0
+    noisy = [sample(k, gain=1 + 0.1 * (-1) ** k, noise=0.1, rng=rng) for k in range(8)]
+    assert common_error(noisy, WHITE) == pytest.approx(0.1, rel=0.1)
+    clean = [sample(k, noise=0.1, rng=rng) for k in range(8)]
+    assert common_error(clean, WHITE) < 0.03
+    assert common_error([sample().within(0)], WHITE) == 0
 
 
-def test_heights_that_are_off_alike_are_the_gain_of_the_depth(calibration, presses):
+def test_errors_that_cancel_in_the_height_of_a_ball_are_common_to_slopes_of_one_size(sample):
+    """Gentle slopes are read too steep, and steep ones too gentle."""
+    one = sample()
+    size = np.linalg.norm(one.true_gradients, axis=1)[:, None]
+    turned = replace(one, gradients=one.true_gradients * (1 + 0.1 * np.where(size < 0.4, 1, -1)))
+    assert common_error([turned], WHITE) == pytest.approx(0.1, rel=0.2)
+
+
+def test_correlated_errors_count_once(sample):
+    """Fields of errors that are alike over several pixels leave a mean in each ring, which is no common error."""
+    rng = np.random.default_rng(0)
+    fields = np.float32(rng.standard_normal((30, 60, 80, 2)))
+    fields = gaussian_filter(fields, (0, 5 / 2**0.5, 5 / 2**0.5, 0))
+    fields *= 0.1 / fields.std()
+    samples = []
+    for field in fields:
+        one = sample()
+        there = field[one.y_px.astype(int), one.x_px.astype(int)]
+        samples.append(replace(one, gradients=one.true_gradients + there))
+    alike = replace(WHITE, correlation_px=5.0, correlated_share=1.0)
+    assert common_error(samples, alike) < 0.5 * common_error(samples, WHITE)
+
+
+def test_the_common_error_of_the_folds_is_that_of_the_depth(calibration, presses):
     samples = calibration.report.samples
-    off = [replace(one, height_mm=(one.height_mm[0], 0.3 * one.height_mm[0])) for one in samples]
-    sigma = solved_by_place(calibration, calibration.slope_sigma, presses, off, 1.0)
-    assert sigma.gain_sigma == pytest.approx(0.3, rel=0.1)
-    assert 0 <= calibration.slope_sigma.gain_sigma < 0.15
-    heights = np.array([one.height_mm for one in samples])
-    assert np.all(heights[:, 0] > 0.05)
-    assert np.sqrt(np.mean(np.square(heights[:, 1] / heights[:, 0]))) < 0.15
+    off = [replace(one, gradients=0.7 * one.true_gradients) for one in samples]
+    for trained in (1.0, 0.5):
+        sigma = solved_by_place(calibration, calibration.slope_sigma, presses, off, trained)
+        assert sigma.gain_sigma == pytest.approx(0.3 * np.sqrt(trained), rel=0.2)
+    assert 0 < calibration.slope_sigma.gain_sigma < 0.12
 
 
 def test_what_blur_takes_is_not_learnt_from_balls(calibration, presses, monkeypatch):

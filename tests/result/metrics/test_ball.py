@@ -12,7 +12,6 @@ from gelform.result.metrics.ball import (
     center_jacobian,
     fit_sphere,
     followed_radius,
-    height_and_error,
 )
 from kernel_agreement import assert_kernel_agrees
 
@@ -67,16 +66,6 @@ def test_sphere_fit_recovers_the_ball():
     fit = fit_sphere(depth, inside, mm_per_px=MM_PER_PX, radius_mm=2.0)
     assert fit.radius_mm == pytest.approx(BALL_MM, rel=1e-3)
     np.testing.assert_allclose(fit.center_mm[:2], (80.3 * MM_PER_PX, 59.6 * MM_PER_PX), atol=1e-3)
-
-
-@pytest.mark.parametrize("gain", [1.0, 0.9])
-def test_height_of_the_top_over_the_edge(gain):
-    y, x = np.mgrid[:60, :80]
-    depth = 0.1 * np.sqrt(np.maximum(40.0**2 - (x - 38) ** 2 - (y - 31) ** 2, 0)) + 0.5
-    height, error = height_and_error(gain * depth, (38, 31), 20.0, 40.0, 0.1)
-    assert height == pytest.approx(0.1 * (40 - np.sqrt(40.0**2 - 20**2)), rel=0.05)
-    assert error == pytest.approx((gain - 1) * height, abs=1e-9)
-    assert np.isnan(height_and_error(depth, (138, 31), 20.0, 40.0, 0.1)).all(), "not in the frame"
 
 
 def test_the_gel_follows_the_visible_circle_unless_that_is_as_wide_as_the_ball():

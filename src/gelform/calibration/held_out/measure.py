@@ -28,14 +28,7 @@ from gelform.image.background.change import PreparedBackground
 from gelform.reconstruct import Reconstructor
 from gelform.result import Reconstruction
 from gelform.result.metrics import PressErrors, press_errors
-from gelform.result.metrics.ball import (
-    STEEPEST_FRACTION,
-    ball_center,
-    ball_gradients,
-    followed_radius,
-    height_and_error,
-    top_and_edge,
-)
+from gelform.result.metrics.ball import STEEPEST_FRACTION, ball_center, ball_gradients, followed_radius
 from gelform.slopes.color_models import ForwardResponse
 from gelform.slopes.confidence import (
     SlopeSigma,
@@ -46,6 +39,10 @@ from gelform.slopes.confidence import (
     with_solved_factors,
 )
 from gelform.slopes.confidence.slope_sigma import ONE_SIGMA
+
+# Rings of equal steps of slope in a contact: for each of their sizes an object of its own. Pixels, least for a mean, most
+# for pairs of them.
+RINGS, RING_PIXELS = 6, (10, 200)
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,8 +57,6 @@ class HeldOutSample:
     true_gradients, gradients : (N, 2) float32, the ball's slopes there and the reconstructed ones
     cap_error_um : (h, w) float32, depth minus the ball's cap in the contact's box, mean 0, NaN outside it;
         empty if the fitted ball lies outside the frame
-    edge_px : radius of the contact's edge, px
-    height_mm : height of the ball's top over that edge, and its error; NaN if one is outside the frame
     """
 
     index: int
@@ -71,8 +66,6 @@ class HeldOutSample:
     true_gradients: NDArray[np.float32]
     gradients: NDArray[np.float32]
     cap_error_um: NDArray[np.float32]
-    edge_px: float
-    height_mm: tuple[float, float]
 
     @property
     def errors(self) -> NDArray[np.float32]:
@@ -219,8 +212,7 @@ def sample_of(
     reach = min(followed - 3 * min(height, width) / 240, STEEPEST_FRACTION * ball_px)
     y, x = np.mgrid[:height, :width]
     start = circle_px[:2]
-    edge = min(contact_radius_ratio * followed, reach)
-    inside = np.hypot(x - start[0], y - start[1]) < edge
+    inside = np.hypot(x - start[0], y - start[1]) < min(contact_radius_ratio * followed, reach)
     center = ball_center(result.gradients[inside], x[inside], y[inside], start, ball_px)
     rows, cols = _thinned(np.hypot(x - center[0], y - center[1]) < reach, max_pixels)
     return HeldOutSample(
@@ -231,8 +223,6 @@ def sample_of(
         ball_gradients(cols, rows, center, ball_px).astype(np.float32),
         result.gradients[rows, cols],
         _cap_error_um(result.depth_mm, inside, start, reach, ball_px, mm_per_px),
-        edge,
-        height_and_error(result.depth_mm, center, edge, ball_px, mm_per_px),
     )
 
 
@@ -271,58 +261,73 @@ def _cap_error_um(
 def solved_by_place(
     draft: Calibration, sigma: SlopeSigma, presses: Presses, samples: Sequence[HeldOutSample], trained: float
 ) -> SlopeSigma:
-    """The deviation of slopes, with factors by slope and place for those of the solved depth, and that of heights.
+    """The deviation of slopes, with factors by slope and place for those of the solved depth.
 
     As in `slope_sigma_from_folds`, errors are multiplied by the root of the fraction of presses that a fold has seen. If
     too few pixels were held out for factors, the slopes of the solved depth have the deviation of those that were read.
+    Their common error, `gain_sigma`, is that of `common_error`.
     """
-    reconstruct = Reconstructor(replace(draft, slope_sigma=replace(sigma, gain_sigma=0.0)))
+    reconstruct = Reconstructor(replace(draft, slope_sigma=sigma), depth_sigma=False)
     reconstruct.steep_slopes = all_shown  # the factors are those of slopes that presses show
     no_walls = copy(reconstruct)
     no_walls.solved_sigma = SolvedSigma(sigma, draft.image_shape, None)
     height, width = draft.image_shape
-    parts, heights = [], []
+    parts = []
     ratio = draft.settings["contact_radius_ratio"]
-    for one in (sample.within(ratio) for sample in samples):
-        results = [each.from_image(presses.presses[one.index].image) for each in (reconstruct, no_walls)]
-        stated, by_reading = (_at_pixels(one, result)[:, 0] for result in results)
+    inner = [sample.within(ratio) for sample in samples]
+    sigma = replace(sigma, gain_sigma=float(np.sqrt(trained)) * common_error(inner, sigma))
+    for one in inner:
+        stated, by_reading = (
+            stated_sigma(each, presses.presses[one.index].image, one)[:, 0]
+            for each in (reconstruct, no_walls)
+        )
         extra = np.sqrt(np.maximum(stated**2 - by_reading**2, 0))
         place = (one.x_px + 0.5) / width, (one.y_px + 0.5) / height
         slopes, press = np.linalg.norm(one.gradients, axis=1), np.full(len(stated), one.index)
         parts.append((slopes, np.sqrt(trained) * one.errors, stated, extra, *place, press))
-        heights.append((*one.height_mm, _height_sigma(one, results[0])))
-    sigma = replace(sigma, gain_sigma=gain_of_heights(np.array(heights), trained))
     return with_solved_factors(sigma, SolvedErrors(*(np.concatenate(column) for column in zip(*parts))))
 
 
-def gain_of_heights(heights_mm: NDArray[np.float64], trained: float) -> float:
-    """The relative error that heights have beyond those of their slopes, so that 68 % of them lie within one sigma.
+def common_error(samples: Sequence[HeldOutSample], sigma: SlopeSigma) -> float:
+    """Relative error that slopes of one size share around a press, RMS, beyond what errors of single slopes explain.
 
-    `heights_mm` (presses, 3) are heights, their errors and the standard deviations of these by the slopes alone; NaN is
-    unknown. The errors are those of models that have seen a fraction of the presses.
+    A ball has slopes of all sizes, whose errors partly cancel in its height. Another object may stand on slopes of one size.
     """
-    height, error, by_slopes = heights_mm[np.isfinite(heights_mm).all(axis=1)].T
-    if not height.size:
+    errors = [np.abs(one.errors) for one in samples if len(one.x_px)]
+    if not errors:
         return 0.0
-    square = (trained * error**2 - by_slopes**2) / height**2
-    return float(np.sqrt(max(np.quantile(square, ONE_SIGMA), 0.0)))
+    single = float(np.quantile(np.concatenate(errors), ONE_SIGMA)) ** 2
+    squares = [square for one in samples if len(one.x_px) for square in _ring_squares(one, sigma, single)]
+    return max(sum(squares) / max(len(squares), 1), 0.0) ** 0.5
 
 
-def _height_sigma(sample: HeldOutSample, result: Reconstruction) -> float:
-    """Standard deviation, mm, that a result states for the height of the top over the edge; NaN if unseen."""
-    top, edge = top_and_edge(result.shape, sample.circle_px[:2], sample.edge_px)
-    return float(result.depth_difference_sigma(edge)[top].mean()) if top.any() and edge.any() else np.nan
+def _ring_squares(sample: HeldOutSample, sigma: SlopeSigma, single: float) -> Iterator[float]:
+    """Square of each ring's mean error along the slope, less that of errors of variance `single`, over its slope's square.
+
+    In the innermost ring slopes are too gentle for a relative error.
+    """
+    slopes = np.linalg.norm(sample.true_gradients.astype(np.float64), axis=1)
+    rings = np.digitize(slopes, np.linspace(0, slopes.max(), RINGS + 1)[1:-1])
+    for ring in range(1, RINGS):
+        pixels = np.flatnonzero(rings == ring)
+        if len(pixels) < RING_PIXELS[0]:
+            continue
+        along = sample.true_gradients[pixels] / slopes[pixels, None]
+        error = float(np.sum(sample.errors[pixels] * along, axis=1).mean())
+        some = slice(None, None, -(-len(pixels) // RING_PIXELS[1]))
+        x, y = sample.x_px[pixels][some], sample.y_px[pixels][some]
+        square_px = (x[:, None] - x) ** 2 + (y[:, None] - y) ** 2
+        alike = np.exp(-square_px / (2 * sigma.correlation_px**2)) * (along[some] @ along[some].T)
+        share = sigma.correlated_share
+        explained = single * (share * float(alike.mean()) + (1 - share) / len(pixels))
+        yield (error**2 - explained) / float(slopes[pixels].mean()) ** 2
 
 
 def stated_sigma(
     reconstruct: Reconstructor, image: NDArray[Any], sample: HeldOutSample
 ) -> NDArray[np.float32]:
     """Standard deviation (N, 2) that a Reconstructor states for the slopes at the pixels of a sample."""
-    return _at_pixels(sample, reconstruct.from_image(image))
-
-
-def _at_pixels(sample: HeldOutSample, result: Reconstruction) -> NDArray[np.float32]:
-    sigma = result.gradients_sigma
+    sigma = reconstruct.from_image(image).gradients_sigma
     if sigma is None:
         raise ValueError("Expected a calibration that states a standard deviation of its slopes, got none.")
     rows, cols = sample.y_px.astype(np.intp), sample.x_px.astype(np.intp)

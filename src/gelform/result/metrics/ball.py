@@ -19,7 +19,6 @@ _ball_center = Kernel(
 )
 # Fraction of the radius: farther out the slopes of a ball are held constant; the same in native/result/metrics/center.c.
 STEEPEST_FRACTION = 0.97
-TOP, EDGE_PX = 0.2, 1.5  # of the contact's radius; half the width of the ring at its edge
 
 
 def followed_radius(contact_radius_px: float, ball_radius_px: float) -> float:
@@ -31,32 +30,6 @@ def followed_radius(contact_radius_px: float, ball_radius_px: float) -> float:
     if contact_radius_px < STEEPEST_FRACTION * ball_radius_px:
         return contact_radius_px
     return 0.75 * ball_radius_px  # 0.8 of it has slopes up to 0.75
-
-
-def top_and_edge(
-    shape: tuple[int, ...], center_px: tuple[float, float], edge_px: float
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """The pixels (H, W) at the top of a ball, and those at the edge of its contact, whose radius is `edge_px`."""
-    y, x = np.ogrid[: shape[0], : shape[1]]
-    away = np.hypot(x - center_px[0], y - center_px[1])
-    return away < TOP * edge_px, np.abs(away - edge_px) < EDGE_PX
-
-
-def height_and_error(
-    depth_mm: NDArray[Any], center_px: tuple[float, float], edge_px: float, ball_px: float, mm_per_px: float
-) -> tuple[float, float]:
-    """Height, mm, of a ball's top over the edge of its contact, and its error in a depth (H, W).
-
-    Both are NaN if the frame does not show the top or the edge.
-    """
-    top, edge = top_and_edge(depth_mm.shape, center_px, edge_px)
-    if not (top.any() and edge.any()):
-        return np.nan, np.nan
-    y, x = np.ogrid[: depth_mm.shape[0], : depth_mm.shape[1]]
-    square = (x - center_px[0]) ** 2 + (y - center_px[1]) ** 2
-    cap = mm_per_px * np.sqrt(np.maximum(ball_px**2 - square, 0))
-    height, read = (float(one[top].mean() - one[edge].mean()) for one in (cap, depth_mm))
-    return height, read - height
 
 
 def ball_gradients(

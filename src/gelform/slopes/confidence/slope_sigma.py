@@ -94,8 +94,8 @@ class SlopeSigma:
     rest, rest_per_noise : deviation of gel at rest: the root of `rest^2 + rest_per_noise^2 noise`, with the variance of
         the place by `noise_at_rest`. The first part is the model's and alike everywhere, the second is the camera's
     slopes, sigmas : factors in contact, linear between these |gradient| and proportional beyond the last
-    gain_sigma : relative error of the height of a press, beyond what the errors of its slopes explain one by one; all
-        depths of a frame are off in proportion
+    gain_sigma : relative error that slopes of one size share around a press, RMS over sizes and presses, beyond what errors
+        of single slopes explain; depth is off in proportion
     solved_slopes, solved_places : (gentle, steep) and (2, rows, columns): deviation of the solved depth's slopes in contact
         over the one that a slope's reading and its neighbors predict, by slope and place; linear between the slopes,
         constant beyond. None: 1
