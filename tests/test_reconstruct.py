@@ -4,6 +4,7 @@ import pickle
 import shutil
 import time
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from copy import copy
 from dataclasses import replace
 from multiprocessing import get_context
 
@@ -16,6 +17,7 @@ from gelform.image.frame import Frame
 from gelform.image.view import View
 from gelform.result.maps import MAPS
 from gelform.simulate import Ball, Punch, simulate_press
+from gelform.slopes.confidence import SolvedSigma
 from made.dots import grid, image_of_dots
 
 FLIP_TOML = 'name = "turned"\nmm_per_px = {:.6f}\n[view]\nflip = "x"\n'
@@ -216,6 +218,18 @@ def test_the_shape_of_a_contact_is_within_the_sigma_of_differences(calibration, 
     one, two = np.mean(shares, axis=0)
     assert 0.45 < one < 0.99
     assert two > 0.85
+
+
+def test_a_plateau_between_walls_is_less_known_by_what_blur_takes_there(calibration, sensor):
+    """The error of its walls adds up to that of its height, and leaves depth and contact as they are."""
+    made = simulate_press(sensor, Punch(3.0), depth_mm=0.3, rng=np.random.default_rng(5))
+    reconstruct = gelform.Reconstructor(calibration)
+    without = copy(reconstruct)
+    without.solved_sigma = SolvedSigma(calibration.slope_sigma, calibration.image_shape, None)
+    one, other = (each(made.image) for each in (reconstruct, without))
+    face = made.depth_mm > 0.97 * made.depth_mm.max()
+    assert one.depth_sigma_mm[face].mean() > 1.1 * other.depth_sigma_mm[face].mean()
+    np.testing.assert_array_equal(one.depth_mm, other.depth_mm)
 
 
 def test_depth_sigma_can_be_left_out(calibration, press):

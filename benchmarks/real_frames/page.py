@@ -118,7 +118,7 @@ def balls(figures: Figures) -> str:
         "caps within one sigma",
     ]
     rows = [
-        [*_whose(what), *map(_share, list(row.values())[1:])]
+        [*_whose(what), *map(_share, list(row.values())[1:4])]
         for what, row in figures["beyond"]["balls"].items()
     ]
     return table(header, rows)

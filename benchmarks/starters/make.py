@@ -20,7 +20,6 @@ from gelform.calibration.circles.find import ContactCircle
 from gelform.calibration.circles.locate import locate
 from gelform.calibration.circles.prepare import ColorChanges, prepared_by_offset
 from gelform.calibration.circles.samples import PreparedPress, contact_samples, joined, with_rest_samples
-from gelform.calibration.held_out.sigma import gain_of
 from gelform.calibration.starters.light import (
     gain_between,
     levels_from_light,
@@ -171,8 +170,8 @@ def gains_on(starter: Starter, presses: gelform.Presses) -> list[float]:
         ball_px = press.ball_diameter_mm / 2 / presses.mm_per_px
         inside = np.hypot(x - column, y - row) < min(INNER * radius, 0.9 * ball_px)
         slopes = reconstruct.from_image(press.image).gradients[inside]
-        score = score_slopes(slopes, x[inside], y[inside], (column, row), ball_px)
-        gains.append(gain_of(slopes.astype(float), score.true_gradients))
+        true = score_slopes(slopes, x[inside], y[inside], (column, row), ball_px).true_gradients
+        gains.append(float((slopes * true).sum() / np.square(true).sum()))
     return gains
 
 

@@ -308,19 +308,19 @@ class Reconstructor:
             read.slopes.gradients, read.sigma, read.confidence, read.slopes.at_rest, self._start
         )
         depth_mm, too_deep = fixed.limit.bound(solution.depth_mm)
-        faults.widen(depth_sigma, fixed.limit.ignorance_mm)
+        most_mm = fixed.limit.ignorance_mm
+        faults.widen(depth_sigma, most_mm)
         gradients = slopes_of_solution(depth_mm, (fixed.pitch, fixed.pitch))
-        known, solved_sigma = faults.without_lost(solution.known), self.solved_sigma(read.sigma, gradients)
+        known = faults.without_lost(solution.known)
+        solved_sigma, wall = self.solved_sigma.with_walls(read.sigma, gradients)
         observed, at_rest = read.slopes.gradients, read.slopes.at_rest
         deviations = SlopeDeviations.of(read.sigma, solved_sigma, at_rest)
         contact = self._today.contact(depth_mm, depth_sigma, deviations, known)
         # What follows makes no contact less certain: an error of all depths in proportion, and depth that is missing.
         if depth_sigma is not None:
-            add_in_proportion(
-                depth_sigma, solution.depth_mm, fixed.depth.gain_sigma, fixed.limit.ignorance_mm
-            )
+            add_in_proportion(depth_sigma, solution.depth_mm, fixed.depth.gain_sigma, most_mm)
         depth_sigma, difference, at_least = fixed.missing_depth(
-            observed, read.steep, at_rest, depth_mm, depth_sigma, difference
+            observed, read.steep, wall, at_rest, depth_mm, depth_sigma, difference
         )
         touched = partial(self._today.untouched_image.touched, read.seen.image)
         unsure = unknown_contact(contact, at_rest, known, touched)

@@ -211,10 +211,12 @@ def test_slopes_beyond_the_training_are_judged_alone(simulated, presses, calibra
     assert 60 < own["slopes within 1 sigma, %"] < 95
     assert own["sure inside 0.6, %"] > 80
     assert own["caps within 1 depth sigma, %"] > 50
+    assert own["caps within 2 sigma of the difference, %"] > 50
     doubled = [SimpleNamespace(**vars(one) | {"ball_diameter_mm": 2 * one.ball_diameter_mm}) for one in known]
     wrong = on_balls(calibration, doubled, 0.9)
     assert wrong["slopes within 1 sigma, %"] < 50
     assert wrong["caps within 1 depth sigma, %"] < 30
+    assert wrong["caps within 2 sigma of the difference, %"] < 30
 
 
 @pytest.mark.slow

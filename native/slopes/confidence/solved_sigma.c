@@ -47,7 +47,8 @@ static inline void compare_row(const float *row, ptrdiff_t reach, ptrdiff_t y, f
 }
 
 static inline void solve_row(const struct numbers *restrict n, const struct maps *restrict m, ptrdiff_t at,
-                             const float *restrict column, const float *restrict second, float *restrict solved, ptrdiff_t w) {
+                             const float *restrict column, const float *restrict second, float *restrict solved,
+                             float *restrict wall, ptrdiff_t w) {
   const float *restrict sigma = m->sigma + at, *restrict row = m->gradients + 2 * at;
   const float *restrict gentle = m->gentle + at, *restrict steep = m->steep + at;
   const float curvature = square_of(n->curvature);
@@ -58,13 +59,15 @@ static inline void solve_row(const struct numbers *restrict n, const struct maps
     const float along = clamp((sqrtf(square_of(row[2 * x]) + square_of(row[2 * x + 1])) - n->from_slope) * n->per_slope, 0, 1);
     const float known = smaller(read * (gentle[x] + along * (steep[x] - gentle[x])), n->limit);
     const float bend = square_of(second[2 * x]) + square_of(second[2 * x + 1]);
-    solved[x] = sqrtf(known * known + curvature * larger(bend - OF_NOISE * known * known, 0));
+    const float blurred = curvature * larger(bend - OF_NOISE * known * known, 0);
+    wall[x] = sqrtf(blurred);
+    solved[x] = sqrtf(known * known + blurred);
   }
 }
 
 EXPORT int solved_sigma(const float *sigma, const float *gradients, const float *gentle, const float *steep, float *work,
-                        float *solved, float curvature, float unlimited, float from_slope, float per_slope, float limit,
-                        int32_t reach, ptrdiff_t h, ptrdiff_t w, ptrdiff_t n) {
+                        float *solved, float *wall, float curvature, float unlimited, float from_slope, float per_slope,
+                        float limit, int32_t reach, ptrdiff_t h, ptrdiff_t w, ptrdiff_t n) {
   if (reach < 1 || n < 3 * w + 2) return WRONG_SIZE;
   const struct numbers values = {curvature, unlimited, from_slope, per_slope, limit};
   const struct maps m = {sigma, gentle, steep, gradients};
@@ -75,7 +78,7 @@ EXPORT int solved_sigma(const float *sigma, const float *gradients, const float 
     const float *here = sigma + at, *above = y > 0 ? here - w : here, *below = y < h - 1 ? here + w : here;
     sum_of_three_rows(above, here, below, unlimited, column, w);
     if (curvature > 0) compare_row(gradients + 2 * at, reach, y, second, h, w);
-    solve_row(&values, &m, at, column, second, solved + at, w);
+    solve_row(&values, &m, at, column, second, solved + at, wall + at, w);
   }
   return OK;
 }

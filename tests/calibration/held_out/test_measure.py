@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 import gelform
 from gelform.calibration.candidates import Candidate
@@ -11,6 +12,7 @@ from gelform.calibration.circles.locate import Located, Refined
 from gelform.calibration.fitted import Fitted
 from gelform.calibration.held_out import measure as module
 from gelform.calibration.held_out.measure import (
+    common_error,
     errors_of,
     measure_held_out,
     sample_of,
@@ -23,7 +25,7 @@ from gelform.reconstruct import Reconstructor
 from gelform.result.metrics import angle_deg
 from gelform.slopes.color_models.forward_response import RIDGES
 from gelform.slopes.confidence import all_shown
-from gelform.slopes.confidence.slope_sigma import ONE_SIGMA
+from gelform.slopes.confidence.slope_sigma import ONE_SIGMA, SlopeSigma
 
 
 def off_deg(sample):
@@ -189,6 +191,50 @@ def test_fewer_presses_seen_by_the_folds_make_them_better_witnesses_of_worse_mod
         for seen in (0.5, 1.0)
     )
     assert half == pytest.approx(np.sqrt(0.5) * all_, rel=0.15)
+
+
+WHITE = SlopeSigma(0.01, (0.0, 1.0), (0.05, 0.05), 0.05, 8.0, correlated_share=0.0)
+
+
+def test_what_slopes_of_one_size_share_is_common_and_their_noise_is_not(sample):
+    rng = np.random.default_rng(0)
+    noisy = [sample(k, gain=1 + 0.1 * (-1) ** k, noise=0.1, rng=rng) for k in range(8)]
+    assert common_error(noisy, WHITE) == pytest.approx(0.1, rel=0.1)
+    clean = [sample(k, noise=0.1, rng=rng) for k in range(8)]
+    assert common_error(clean, WHITE) < 0.03
+    assert common_error([sample().within(0)], WHITE) == 0
+
+
+def test_errors_that_cancel_in_the_height_of_a_ball_are_common_to_slopes_of_one_size(sample):
+    """Gentle slopes are read too steep, and steep ones too gentle."""
+    one = sample()
+    size = np.linalg.norm(one.true_gradients, axis=1)[:, None]
+    turned = replace(one, gradients=one.true_gradients * (1 + 0.1 * np.where(size < 0.4, 1, -1)))
+    assert common_error([turned], WHITE) == pytest.approx(0.1, rel=0.2)
+
+
+def test_correlated_errors_count_once(sample):
+    """Fields of errors that are alike over several pixels leave a mean in each ring, which is no common error."""
+    rng = np.random.default_rng(0)
+    fields = np.float32(rng.standard_normal((30, 60, 80, 2)))
+    fields = gaussian_filter(fields, (0, 5 / 2**0.5, 5 / 2**0.5, 0))
+    fields *= 0.1 / fields.std()
+    samples = []
+    for field in fields:
+        one = sample()
+        there = field[one.y_px.astype(int), one.x_px.astype(int)]
+        samples.append(replace(one, gradients=one.true_gradients + there))
+    alike = replace(WHITE, correlation_px=5.0, correlated_share=1.0)
+    assert common_error(samples, alike) < 0.5 * common_error(samples, WHITE)
+
+
+def test_the_common_error_of_the_folds_is_that_of_the_depth(calibration, presses):
+    samples = calibration.report.samples
+    off = [replace(one, gradients=0.7 * one.true_gradients) for one in samples]
+    for trained in (1.0, 0.5):
+        sigma = solved_by_place(calibration, calibration.slope_sigma, presses, off, trained)
+        assert sigma.gain_sigma == pytest.approx(0.3 * np.sqrt(trained), rel=0.2)
+    assert 0 < calibration.slope_sigma.gain_sigma < 0.12
 
 
 def test_what_blur_takes_is_not_learnt_from_balls(calibration, presses, monkeypatch):

@@ -39,7 +39,7 @@ def test_the_stated_deviations_contain_it():
     depth = np.where(rest, 0, 1).astype(np.float32)
     depth[SHAPE[0] // 2] = 1.5
     known = DepthDifference(Prepared(), np.ones((*SHAPE, 2)), {}, depth, 0.0)
-    frame = gradients, steep, rest, depth, np.full(SHAPE, 0.03, np.float32)
+    frame = gradients, steep, None, rest, depth, np.full(SHAPE, 0.03, np.float32)
     sigma, difference, findings = MissingDepth(SHAPE, PITCH)(*frame, known)
     missing = MissingDepth(SHAPE, PITCH).of_slopes(gradients, steep, rest)
     np.testing.assert_allclose(sigma, np.hypot(0.03, missing), rtol=1e-5)
@@ -56,11 +56,30 @@ def test_the_stated_deviations_contain_it():
 def test_nothing_changes_where_slopes_are_hardly_doubted(share):
     gradients, steep, rest = roof(0.5)
     sigma = np.full(SHAPE, 0.03, np.float32)
-    frame = gradients, np.float32(share) * steep, rest, np.zeros(SHAPE, np.float32), sigma
-    known = DepthDifference(Prepared(), np.ones((*SHAPE, 2)), {}, frame[3], 0.0)
+    frame = (
+        gradients,
+        np.float32(share) * steep,
+        np.zeros_like(steep),
+        rest,
+        np.zeros(SHAPE, np.float32),
+        sigma,
+    )
+    known = DepthDifference(Prepared(), np.ones((*SHAPE, 2)), {}, frame[4], 0.0)
     stated = MissingDepth(SHAPE, PITCH)(*frame, known)
     assert [one is same for one, same in zip(stated, (sigma, known, ()))] == [True] * 3
-    assert MissingDepth(SHAPE, PITCH)(*frame[:4], None, None) == (None, None, ())
+    assert MissingDepth(SHAPE, PITCH)(*frame[:5], None, None) == (None, None, ())
+
+
+def test_what_blur_may_take_from_walls_adds_up_however_small():
+    gradients, steep, rest = roof(0.5)
+    wall, depth = steep / 10, np.zeros(SHAPE, np.float32)
+    known = DepthDifference(Prepared(), np.ones((*SHAPE, 2)), {}, depth, 0.0)
+    stated = MissingDepth(SHAPE, PITCH)
+    alone, _, _ = stated(gradients, 0 * steep, wall, rest, depth, np.full(SHAPE, 0.03, np.float32), known)
+    np.testing.assert_allclose(alone, np.hypot(0.03, stated.of_slopes(gradients, wall, rest)), rtol=1e-5)
+    both, _, _ = stated(gradients, steep, wall, rest, depth, np.full(SHAPE, 0.03, np.float32), known)
+    of_both = stated.of_slopes(gradients, np.hypot(steep, wall), rest)
+    np.testing.assert_allclose(both, np.hypot(0.03, of_both), rtol=1e-5)
 
 
 def test_only_a_missing_depth_beyond_the_other_errors_is_said():

@@ -45,9 +45,21 @@ def numpy_own(sigma, limit):
 
 
 def numpy_solved_sigma(
-    sigma, gradients, gentle, steep, work, result, curvature, unlimited, from_slope, per_slope, limit, reach
+    sigma,
+    gradients,
+    gentle,
+    steep,
+    work,
+    result,
+    wall,
+    curvature,
+    unlimited,
+    from_slope,
+    per_slope,
+    limit,
+    reach,
 ):
-    """What the kernel should give, in float64."""
+    """What the kernel should give, in float64: the whole deviation and its part at walls."""
     g, second = gradients.astype(float), np.zeros(gradients.shape)
     for axis in (0, 1):
         for y, x in np.ndindex(sigma.shape):
@@ -59,7 +71,8 @@ def numpy_solved_sigma(
     along = np.clip((np.linalg.norm(g, axis=-1) - from_slope) * per_slope, 0, 1)
     own = np.minimum(numpy_own(sigma, unlimited) * (gentle + along * (steep - gentle)), limit)
     bend = (second**2).sum(-1) - OF_NOISE * own**2
-    return np.sqrt(own**2 + curvature**2 * np.maximum(bend, 0))
+    blurred = curvature**2 * np.maximum(bend, 0)
+    return np.sqrt(own**2 + blurred), np.sqrt(blurred)
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 5), (11, 2), (7, 40), (3, 17)])
@@ -71,8 +84,8 @@ def test_the_kernel_agrees_with_numpy(shape, curvature, reach):
     sigma = rng.uniform(0.01, 1.5, shape).astype(np.float32)
     assert_kernel_agrees(
         solved._solved_sigma, numpy_solved_sigma, sigma, rng.normal(0, 0.4, (*shape, 2)).astype(np.float32),
-        gentle, steep, np.empty(3 * shape[1] + 2, np.float32), np.empty(shape, np.float32), curvature, 1.1, 0.2, 3.0,
-        0.5, reach,
+        gentle, steep, np.empty(3 * shape[1] + 2, np.float32), *np.empty((2, *shape), np.float32), curvature, 1.1, 0.2,
+        3.0, 0.5, reach,
     )  # fmt: skip
 
 
@@ -117,8 +130,15 @@ def test_a_wall_is_doubted_beside_its_edges_alone(axis, slope, sigma, own):
     np.testing.assert_allclose(found[18:22], np.hypot(own, bend * error_per_difference(1.25)), rtol=1e-4)
     np.testing.assert_allclose(found[:18], own, rtol=1e-4)
     np.testing.assert_allclose(found[22:], own, rtol=1e-4)
-    unknown = SolvedSigma(LAW, (40, 40), None)(sigmas, gradients)  # imported: no slope is a wall's
+    whole, wall = SolvedSigma(LAW, (40, 40), 1.25).with_walls(sigmas, gradients)
+    np.testing.assert_allclose(np.hypot(own, wall), whole[..., 0], rtol=1e-4)
+    apart = SolvedSigma(LAW, (40, 40), 1.25).with_walls(sigmas.copy(), gradients)  # a model with two maps
+    np.testing.assert_array_equal(apart[1], wall)
+    unknown, wall = SolvedSigma(LAW, (40, 40), None).with_walls(
+        sigmas, gradients
+    )  # imported: no slope is a wall's
     np.testing.assert_allclose(unknown, own, rtol=1e-4)
+    assert not wall.any()
 
 
 @pytest.mark.parametrize("blur_px", [0.7, 1.25, 2.5])

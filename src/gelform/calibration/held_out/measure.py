@@ -38,6 +38,11 @@ from gelform.slopes.confidence import (
     noise_at_rest,
     with_solved_factors,
 )
+from gelform.slopes.confidence.slope_sigma import ONE_SIGMA
+
+# Rings of equal steps of slope in a contact: for each of their sizes an object of its own. Pixels, least for a mean, most
+# for pairs of them.
+RINGS, RING_PIXELS = 6, (10, 200)
 
 
 @dataclass(frozen=True, eq=False)
@@ -260,6 +265,7 @@ def solved_by_place(
 
     As in `slope_sigma_from_folds`, errors are multiplied by the root of the fraction of presses that a fold has seen. If
     too few pixels were held out for factors, the slopes of the solved depth have the deviation of those that were read.
+    Their common error, `gain_sigma`, is that of `common_error`.
     """
     reconstruct = Reconstructor(replace(draft, slope_sigma=sigma), depth_sigma=False)
     reconstruct.steep_slopes = all_shown  # the factors are those of slopes that presses show
@@ -268,7 +274,9 @@ def solved_by_place(
     height, width = draft.image_shape
     parts = []
     ratio = draft.settings["contact_radius_ratio"]
-    for one in (sample.within(ratio) for sample in samples):
+    inner = [sample.within(ratio) for sample in samples]
+    sigma = replace(sigma, gain_sigma=float(np.sqrt(trained)) * common_error(inner, sigma))
+    for one in inner:
         stated, by_reading = (
             stated_sigma(each, presses.presses[one.index].image, one)[:, 0]
             for each in (reconstruct, no_walls)
@@ -278,6 +286,41 @@ def solved_by_place(
         slopes, press = np.linalg.norm(one.gradients, axis=1), np.full(len(stated), one.index)
         parts.append((slopes, np.sqrt(trained) * one.errors, stated, extra, *place, press))
     return with_solved_factors(sigma, SolvedErrors(*(np.concatenate(column) for column in zip(*parts))))
+
+
+def common_error(samples: Sequence[HeldOutSample], sigma: SlopeSigma) -> float:
+    """Relative error that slopes of one size share around a press, RMS, beyond what errors of single slopes explain.
+
+    A ball has slopes of all sizes, whose errors partly cancel in its height. Another object may stand on slopes of one size.
+    """
+    errors = [np.abs(one.errors) for one in samples if len(one.x_px)]
+    if not errors:
+        return 0.0
+    single = float(np.quantile(np.concatenate(errors), ONE_SIGMA)) ** 2
+    squares = [square for one in samples if len(one.x_px) for square in _ring_squares(one, sigma, single)]
+    return max(sum(squares) / max(len(squares), 1), 0.0) ** 0.5
+
+
+def _ring_squares(sample: HeldOutSample, sigma: SlopeSigma, single: float) -> Iterator[float]:
+    """Square of each ring's mean error along the slope, less that of errors of variance `single`, over its slope's square.
+
+    In the innermost ring slopes are too gentle for a relative error.
+    """
+    slopes = np.linalg.norm(sample.true_gradients.astype(np.float64), axis=1)
+    rings = np.digitize(slopes, np.linspace(0, slopes.max(), RINGS + 1)[1:-1])
+    for ring in range(1, RINGS):
+        pixels = np.flatnonzero(rings == ring)
+        if len(pixels) < RING_PIXELS[0]:
+            continue
+        along = sample.true_gradients[pixels] / slopes[pixels, None]
+        error = float(np.sum(sample.errors[pixels] * along, axis=1).mean())
+        some = slice(None, None, -(-len(pixels) // RING_PIXELS[1]))
+        x, y = sample.x_px[pixels][some], sample.y_px[pixels][some]
+        square_px = (x[:, None] - x) ** 2 + (y[:, None] - y) ** 2
+        alike = np.exp(-square_px / (2 * sigma.correlation_px**2)) * (along[some] @ along[some].T)
+        share = sigma.correlated_share
+        explained = single * (share * float(alike.mean()) + (1 - share) / len(pixels))
+        yield (error**2 - explained) / float(slopes[pixels].mean()) ** 2
 
 
 def stated_sigma(

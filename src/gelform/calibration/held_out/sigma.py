@@ -1,4 +1,4 @@
-"""Errors of held-out slopes: their standard deviation by slope and place, their correlation, their gain."""
+"""Errors of held-out slopes: their standard deviation by slope and place, and their correlation."""
 
 from __future__ import annotations
 
@@ -87,16 +87,14 @@ def slope_sigma_from_folds(
         for fit, fold in zip(fits, folds)
         for i in fold.held_out
     }
-    gains = [gain_of(one.slopes, one.slopes - one.errors) for one in residuals.values()]
     products = [_lag_products(one.errors, step) for one in residuals.values()]
     parts = [one.columns(shape, i) for i, one in residuals.items()]
     slopes, errors, x, y, press, stated, residual = (np.concatenate(column) for column in zip(*parts))
     untouched = np.concatenate([one.untouched for one in residuals.values()])
     there = np.concatenate([one.untouched_noise for one in residuals.values()])
     held_out = SlopeErrors(slopes, np.sqrt(trained) * errors, x, y, press, untouched, there, stated)
-    gain_sigma = float(np.sqrt(trained * np.mean((np.array(gains) - 1) ** 2)))
     length, fraction = correlation_from_products(np.mean(products, axis=0), step)
-    fitted = SlopeSigma.fit(held_out, length, fraction, gain_sigma)
+    fitted = SlopeSigma.fit(held_out, length, fraction)
     at_rest = np.mean([_lag_products(one.untouched_rows, 1) for one in residuals.values()], axis=0)
     rest_length, rest_fraction = rest_correlation(at_rest, length)
     fitted = replace(fitted, rest_correlation_px=rest_length, rest_correlated_share=rest_fraction)
@@ -106,12 +104,6 @@ def slope_sigma_from_folds(
 def fraction_trained(folds: Sequence[Fold]) -> float:
     """Mean fraction of the presses that train a fold's model."""
     return float(np.mean([len(f.training) / (len(f.training) + len(f.held_out)) for f in folds]))
-
-
-def gain_of(read: NDArray[np.float64], truth: NDArray[np.float64]) -> float:
-    """Slopes over true ones, by least squares; both (..., 2), NaN where unknown."""
-    known = np.isfinite(truth)
-    return float((read[known] @ truth[known]) / max(float(truth[known] @ truth[known]), 1e-12))
 
 
 def correlation_from_products(products: NDArray[np.float64], step: float) -> tuple[float, float]:

@@ -1,7 +1,7 @@
-"""Depth that may be missing: what the slopes add up to if all steep ones were read too small by their deviation.
+"""Depth that may be missing: what the slopes add up to if all doubted ones were read too small by their deviation.
 
 A face is read too small everywhere or nowhere. So the errors of its slopes add up over the whole face, unlike those that
-random draws stand for.
+random draws stand for. Doubted are steep slopes, and walls, which blur mixes with the gel beside them.
 """
 
 from __future__ import annotations
@@ -34,6 +34,7 @@ class MissingDepth:
         self,
         gradients: NDArray[np.float32],
         steep: NDArray[np.float32],
+        wall: NDArray[np.float32] | None,
         at_rest: NDArray[np.bool_],
         depth_mm: NDArray[np.float32],
         sigma_mm: NDArray[np.float32] | None,
@@ -41,29 +42,32 @@ class MissingDepth:
     ) -> tuple[NDArray[np.float32] | None, DepthDifference | None, tuple[Finding, ...]]:
         """The standard deviations (H, W) of a depth (H, W) and of its differences with what is missing, and a finding.
 
-        The slopes (H, W, 2) are those that were read, `steep` (H, W) is the deviation of steep ones.
+        The slopes (H, W, 2) are those that were read, `steep` (H, W) is the deviation of steep ones, `wall` (H, W) that from
+        the blur at walls.
         """
-        steep = np.where(steep > DOUBTED, steep, np.float32(0))
-        if sigma_mm is None or difference is None or not steep.any():
+        doubt = np.where(steep > DOUBTED, steep, np.float32(0))
+        if wall is not None:
+            doubt = np.hypot(doubt, wall)
+        if sigma_mm is None or difference is None or not doubt.any():
             return sigma_mm, difference, ()
-        missing = self.of_slopes(gradients, steep, at_rest)
+        missing = self.of_slopes(gradients, doubt, at_rest)
         deepest = np.unravel_index(np.argmax(depth_mm), depth_mm.shape)
         findings = at_least(*(float(one[deepest]) for one in (depth_mm, sigma_mm, missing)))
         stated = np.asarray(np.sqrt(np.square(sigma_mm) + np.square(missing)))
         return stated, replace(difference, missing_mm=missing), findings
 
     def of_slopes(
-        self, gradients: NDArray[np.float32], steep: NDArray[np.float32], at_rest: NDArray[np.bool_]
+        self, gradients: NDArray[np.float32], doubt: NDArray[np.float32], at_rest: NDArray[np.bool_]
     ) -> NDArray[np.float32]:
         """The missing depth (H, W), mm, one standard deviation; its median over pixels at rest (H, W) is 0."""
         slopes, sizes, fraction = (
             cv2.resize(values, self._coarse[::-1], interpolation=cv2.INTER_AREA)
-            for values in (gradients, steep, at_rest.astype(np.float32))
+            for values in (gradients, doubt, at_rest.astype(np.float32))
         )
         length = np.maximum(np.sqrt(np.square(slopes).sum(axis=-1)), np.float32(1e-6))
         depth = self._solver(slopes * (sizes / length)[..., None]).depth_mm
         depth -= medians_where(depth[..., None], fraction > 0.5)[0]
-        return np.asarray(cv2.resize(depth, steep.shape[::-1], interpolation=cv2.INTER_LINEAR))
+        return np.asarray(cv2.resize(depth, doubt.shape[::-1], interpolation=cv2.INTER_LINEAR))
 
 
 def at_least(height_mm: float, sigma_mm: float, missing_mm: float) -> tuple[Finding, ...]:

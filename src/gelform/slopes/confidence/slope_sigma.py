@@ -94,7 +94,8 @@ class SlopeSigma:
     rest, rest_per_noise : deviation of gel at rest: the root of `rest^2 + rest_per_noise^2 noise`, with the variance of
         the place by `noise_at_rest`. The first part is the model's and alike everywhere, the second is the camera's
     slopes, sigmas : factors in contact, linear between these |gradient| and proportional beyond the last
-    gain_sigma : relative error common to all slopes of a press, RMS over presses; depth is off in proportion
+    gain_sigma : relative error that slopes of one size share around a press, RMS over sizes and presses, beyond what errors
+        of single slopes explain; depth is off in proportion
     solved_slopes, solved_places : (gentle, steep) and (2, rows, columns): deviation of the solved depth's slopes in contact
         over the one that a slope's reading and its neighbors predict, by slope and place; linear between the slopes,
         constant beyond. None: 1
@@ -149,9 +150,7 @@ class SlopeSigma:
             raise ValueError("Expected solved_places as two grids of factors > 0, got others.")
 
     @classmethod
-    def fit(
-        cls, held_out: SlopeErrors, correlation_px: float, correlated_share: float, gain_sigma: float = 0.0
-    ) -> SlopeSigma:
+    def fit(cls, held_out: SlopeErrors, correlation_px: float, correlated_share: float) -> SlopeSigma:
         """Fit the law and the factors, so that 68 % of the held-out errors lie within one sigma everywhere."""
         stated = np.broadcast_to(np.float64(held_out.stated), held_out.slopes.shape)[:, None]
         slopes, error = held_out.slopes, np.abs(held_out.errors) / stated
@@ -178,7 +177,6 @@ class SlopeSigma:
             full_confidence_sigma=max(full_confidence_sigma, 1e-5),
             correlation_px=float(correlation_px),
             correlated_share=float(correlated_share),
-            gain_sigma=float(gain_sigma),
             place=tuple(tuple(float(v) for v in row) for row in place),
             rest_per_noise=per_noise,
         )

@@ -38,7 +38,7 @@ REACH_BLURS = 1.6
 _solved_sigma = Kernel(
     "solved_sigma",
     "f32[h,w] sigma, f32[h,w,2] gradients, f32[h,w] gentle, f32[h,w] steep, out f32[n] work, out f32[h,w] solved, "
-    "f32 curvature, f32 unlimited, f32 from_slope, f32 per_slope, f32 limit, i32 reach",
+    "out f32[h,w] wall, f32 curvature, f32 unlimited, f32 from_slope, f32 per_slope, f32 limit, i32 reach",
 )
 
 
@@ -77,7 +77,13 @@ class SolvedSigma:
     def __call__(
         self, sigma: NDArray[np.float32] | None, gradients: NDArray[np.float32]
     ) -> NDArray[np.float32] | None:
-        """Standard deviation (H, W, 2) of the slopes of the solved depth.
+        """Standard deviation (H, W, 2) of the slopes of the solved depth, as `with_walls` gives it."""
+        return self.with_walls(sigma, gradients)[0]
+
+    def with_walls(
+        self, sigma: NDArray[np.float32] | None, gradients: NDArray[np.float32]
+    ) -> tuple[NDArray[np.float32] | None, NDArray[np.float32] | None]:
+        """Standard deviation (H, W, 2) of the slopes of the solved depth, and its part (H, W) from the blur at walls.
 
         A badly read slope follows from its neighbors: besides its own reading, the two loops of four edges that it closes
         determine it. Sharply bending slopes have the error of the blur. No deviation exceeds `STEEPEST_GEL` except that of
@@ -89,15 +95,20 @@ class SolvedSigma:
         gradients : (H, W, 2) of the solved depth
         """
         if sigma is None:
-            return None
+            return None, None
         alike = sigma.strides[-1] == 0  # one map for both components, broadcast
-        maps = [self._map(np.ascontiguousarray(sigma[..., c]), gradients) for c in range(1 if alike else 2)]
-        return for_both(maps[0]) if alike else np.stack(maps, axis=-1)
+        wall = np.empty(sigma.shape[:2], dtype=np.float32)  # nearly alike by p and by q; the last is kept
+        maps = [
+            self._map(np.ascontiguousarray(sigma[..., c]), gradients, wall) for c in range(1 if alike else 2)
+        ]
+        return for_both(maps[0]) if alike else np.stack(maps, axis=-1), wall
 
-    def _map(self, sigma: NDArray[np.float32], gradients: NDArray[np.float32]) -> NDArray[np.float32]:
+    def _map(
+        self, sigma: NDArray[np.float32], gradients: NDArray[np.float32], wall: NDArray[np.float32]
+    ) -> NDArray[np.float32]:
         solved, work = np.empty_like(sigma), np.empty(3 * sigma.shape[1] + 2, dtype=np.float32)
         gentle, steep = self._factors
-        _solved_sigma(sigma, gradients, gentle, steep, work, solved, **self._numbers)
+        _solved_sigma(sigma, gradients, gentle, steep, work, solved, wall, **self._numbers)
         if self._spread:
             solved = np.hypot(solved, self._spread * np.hypot(gradients[..., 0], gradients[..., 1]))
         return solved
