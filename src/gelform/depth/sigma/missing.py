@@ -47,7 +47,7 @@ class MissingDepth:
         """
         doubt = np.where(steep > DOUBTED, steep, np.float32(0))
         if wall is not None:
-            doubt = np.hypot(doubt, wall)
+            doubt = np.sqrt(np.square(doubt) + np.square(wall))
         if sigma_mm is None or difference is None or not doubt.any():
             return sigma_mm, difference, ()
         missing = self.of_slopes(gradients, doubt, at_rest)
@@ -75,7 +75,7 @@ def at_least(height_mm: float, sigma_mm: float, missing_mm: float) -> tuple[Find
     if missing_mm <= 2 * sigma_mm:
         return ()
     message = (
-        f"The object stands on faces steeper than the presses have shown. Its height is at least {height_mm:.2f} mm; "
-        f"{missing_mm:.2f} mm (one standard deviation) may be missing. Press balls deeper on this unit to calibrate it."
+        f"The object stands on walls or on faces steeper than the presses have shown. Its height is at least {height_mm:.2f} "
+        f"mm; {missing_mm:.2f} mm (one standard deviation) may be missing. Press balls deeper on this unit to calibrate it."
     )
     return (Finding("steep", message, missing_mm),)
