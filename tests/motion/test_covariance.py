@@ -2,13 +2,15 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
+import gelform
 from gelform.motion.covariance import pose_covariance
-from gelform.motion.rigid import moved
+from gelform.motion.rigid import inverse_of, moved, step_of_pose
 from gelform.motion.surface import TouchedSurface
-from made.rigid_contacts import contact_of, pose, texture
+from made.rigid_contacts import SHAPE, contact_of, pose, texture
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +38,7 @@ def test_what_all_slopes_have_in_common(fitted):
             right = np.einsum("nki,nk,nk->i", at.jacobian, at.weight, wrong)
             by = np.linalg.solve(at.information, right)
             wanted += np.outer(by, by)
-    sure = replace(at, residual=np.zeros_like(at.residual))
+    sure = replace(at, residual=np.zeros_like(at.residual), pose=np.eye(4))
     np.testing.assert_allclose(pose_covariance(first, sure, np.eye(6), 0.0), wanted, rtol=1e-3, atol=1e-12)
 
 
@@ -45,3 +47,17 @@ def test_unseen_directions_have_no_variance(fitted):
     covariance = pose_covariance(*fitted, seen, 0.0)
     assert np.abs(covariance[5]).max() < 1e-12
     assert covariance[0, 0] > 0
+
+
+@pytest.mark.parametrize("shift", [(0.08, 0), (0, -0.12), (0.06, 0.06)])
+def test_what_stays_at_its_place_pulls_the_object_back(shift):
+    """The same errors in both frames match best without a motion, so residuals do not show them; the covariance does."""
+    noise = cv2.GaussianBlur(np.random.default_rng(3).normal(size=(*SHAPE, 2)), (0, 0), 3)
+    staying = (0.011 * noise / noise.std()).astype(np.float32)
+    contacts = [contact_of(lambda x, y: 0.1 * texture(1)(x, y), one) for one in (None, pose(*shift))]
+    first, second = (replace(one, gradients=one.gradients + staying) for one in contacts)
+    found = gelform.motion_between(first, second, place_error=0.0)
+    direction = np.array(shift) / np.linalg.norm(shift)
+    off = step_of_pose(found.pose @ inverse_of(pose(*shift)), found.center_mm)[:2] @ direction
+    assert off < -0.005, "drawn back"
+    assert 0.5 < -off / np.sqrt(direction @ found.covariance[:2, :2] @ direction) < 2

@@ -1,21 +1,23 @@
-"""The covariance of a pose: of errors that neighbors share, of slopes wrong everywhere alike, and of the place.
+"""The covariance of a pose: of errors that neighbors share, and of those that residuals cannot show.
 
 No plain estimator is honest here, because errors of slopes are alike over many pixels and partly the same in both frames.
-C = F S F + R D R' + (f d)^2 on x and y: S from the sums of 16 px blocks (a sandwich), F and D factors that were chosen on
-simulated and real contacts (docs/motion.md), R the pose's response to slopes that are off everywhere, f d the error of a
-place on the sensor, in proportion to the displacement.
+C = F S F + R D R' + p p' + (f d)^2 on x and y: S from the sums of 16 px blocks (a sandwich), F and D factors that were
+chosen on simulated and real contacts (docs/motion.md), R the pose's response to slopes that are off everywhere, p the pull
+of errors that stay at their place while the object moves a little, f d the error of a place on the sensor, in proportion to
+the displacement.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from gelform.motion.rigid import Array
-from gelform.motion.surface import Equations, TouchedSurface
+from gelform.motion.rigid import Array, moved
+from gelform.motion.surface import MOVED_PX, Equations, TouchedSurface
 
 BLOCK_PX = 16  # px, side of the blocks whose errors count as independent
 FACTORS = np.array([1, 1, 5.5, 2.8, 2.8, 1])  # of the sandwich's standard deviations: x, y, z, tilts, yaw
 OFFSET, GAIN = 0.003, 0.02  # mm/mm, and of a slope: standard deviations of what all slopes have in common
+STAYING = 0.011  # mm/mm, of slope errors that stay at a place on the sensor; chosen on half of the real clips
 
 
 def pose_covariance(surface: TouchedSurface, equations: Equations, seen: Array, place_mm: float) -> Array:
@@ -35,5 +37,20 @@ def pose_covariance(surface: TouchedSurface, equations: Equations, seen: Array, 
     response = inverse @ np.concatenate(common).T
     covariance = sandwich * np.outer(FACTORS, FACTORS)
     covariance += (response * np.square([OFFSET, GAIN, OFFSET, GAIN])) @ response.T
+    pull = inverse @ _pull(surface, equations)
+    covariance += np.outer(pull, pull)
     covariance[[0, 1], [0, 1]] += place_mm**2
     return np.asarray(covariance, dtype=np.float64)
+
+
+def _pull(surface: TouchedSurface, equations: Equations) -> Array:
+    """The right side (6,) that draws the object back to where it was: errors that stay match best without a motion.
+
+    With errors alike as exp(-d^2 / 2 l^2), l = 3 px, a point that moved by d is drawn back by d exp(-d^2 / 2 l^2) / l^2.
+    """
+    there = moved(equations.pose, surface.points)
+    shift, alike_mm = (there - surface.points)[:, :2], MOVED_PX * surface.pitch
+    share = np.exp(-np.sum(np.square(shift / alike_mm), axis=1) / 2)
+    drawn = (share * equations.weight[:, :2].sum(axis=1))[:, None] * shift * np.square(STAYING / alike_mm)
+    (x, y), (away_x, away_y, away_z) = drawn.T, (there - equations.center).T
+    return np.array([x.sum(), y.sum(), 0, -y @ away_z, x @ away_z, y @ away_x - x @ away_y])

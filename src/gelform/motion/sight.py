@@ -12,10 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from gelform.motion.rigid import Array, about_other_center, inverse_of, moved
-from gelform.motion.surface import Equations, TouchedSurface
+from gelform.motion.surface import MOVED_PX, Equations, TouchedSurface
 
 LEAST_CORRELATION = 0.71  # of the predicted changes; blind directions lie below, 97 % of the others above
-MOVED_PX = 3.0  # px; errors that belong to a place on the sensor are alike so far, and look like shape
 FILLED = 0.9  # share of the frame; beyond it no gel at rest is left that depth could be measured from
 CENTERED = 0.3  # share of the motion that turns leave at the point they turn about
 SHIFTS = 0.3  # of a shift, beside which a smaller turn is not named

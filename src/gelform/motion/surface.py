@@ -23,6 +23,7 @@ MOST_POINTS = 1500  # of a contact's pixels; errors of neighbors are alike, so m
 GAP_MM = 1.0  # mm; a narrower gap of a contact lies between tops of one texture
 BORDER_PX = 3  # px inside the contact's border, where slopes change because the contact ends
 HUBER = 3.0  # root mean squares; larger residuals count less
+MOVED_PX = 3.0  # px; errors that belong to a place on the sensor are alike so far, and look like shape
 MARGIN_PX = 4  # px around a contact, for the filters
 NOTHING: Array = np.zeros((6, 6))  # no information
 
