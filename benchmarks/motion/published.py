@@ -43,7 +43,7 @@ def published_pose(a: Reconstruction, b: Reconstruction, start: np.ndarray) -> n
             [np.broadcast_to(e, q.shape) for e in basis] + [np.cross(e, q - center) for e in basis], 2
         )
         turns = np.stack([np.zeros_like(n)] * 3 + [np.cross(e, n) for e in basis], 2)
-        rows = (of_slopes @ (change.reshape(-1, 2, 2) @ places[:, :2]) - turns).reshape(-1, 6)[
+        rows = (of_slopes @ (change.reshape(-1, 2, 2).swapaxes(1, 2) @ places[:, :2]) - turns).reshape(-1, 6)[
             :, [0, 1, 3, 4, 5]
         ]
         step = np.zeros(6)

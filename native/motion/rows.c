@@ -3,7 +3,7 @@
 
 enum { UNKNOWNS = 6, ROWS = 3, PADDED = 8 };
 
-// The maps of the frame that the points moved into: slopes, depth, the slopes' derivatives (d/dx, d/dy of each), variances.
+// The maps of the frame that the points moved into: slopes, depth, the slopes' derivatives (along x, along y), variances.
 struct maps {
   const float *gradients, *depth, *derivatives, *variances;
   const bool *contact;
@@ -11,7 +11,7 @@ struct maps {
 };
 
 struct sample {
-  float gradients[2], depth, derivatives[4], variances[2];
+  float gradients[2], depth, derivatives[4], variances[3];
 };
 
 static inline float mixed(const float *map, ptrdiff_t stride, ptrdiff_t at, ptrdiff_t w, const float share[4]) {
@@ -30,7 +30,7 @@ static bool sampled(const struct maps *m, float x, float y, struct sample *out) 
                         share[3] * m->contact[at + m->w + 1];
   if (touched <= 0.5f) return false;
   for (int k = 0; k < 2; k++) out->gradients[k] = mixed(m->gradients + k, 2, at, m->w, share);
-  for (int k = 0; k < 2; k++) out->variances[k] = mixed(m->variances + k, 2, at, m->w, share);
+  for (int k = 0; k < 3; k++) out->variances[k] = mixed(m->variances + k, 3, at, m->w, share);
   for (int k = 0; k < 4; k++) out->derivatives[k] = mixed(m->derivatives + k, 4, at, m->w, share);
   out->depth = mixed(m->depth, 1, at, m->w, share);
   return true;
@@ -46,7 +46,7 @@ static void rows_of(const struct sample *s, const float q[3], const float n[3], 
   for (int i = 0; i < 2; i++) {
     const float slope = -n[i] / n[2];
     residual[i] = g[i] - slope;
-    for (int k = 0; k < UNKNOWNS; k++) jacobian[i * UNKNOWNS + k] = change[2 * i] * moved[0][k] + change[2 * i + 1] * moved[1][k];
+    for (int k = 0; k < UNKNOWNS; k++) jacobian[i * UNKNOWNS + k] = change[i] * moved[0][k] + change[2 + i] * moved[1][k];
     for (int k = 0; k < 3; k++) jacobian[i * UNKNOWNS + 3 + k] += (turned[i][k] + slope * turned[2][k]) / n[2];
   }
   residual[2] = s->depth - q[2];
@@ -68,7 +68,7 @@ static void add_up(const float *residual, const float *jacobian, const float *we
   for (int j = 0; j < UNKNOWNS; j++) memcpy(normal + j * (UNKNOWNS + 1), total[j], (UNKNOWNS + 1) * sizeof(double));
 }
 
-// `points` (x, y, z) mm from the image's middle, with their slopes and variances (of a slope, of the depth); `pose`: rows of the
+// `points` (x, y, z) mm from the image's middle, with their slopes and variances (of the slopes, of the depth); `pose`: rows of the
 // matrix (3, 4) that moves them. `origin` (x, y): px in the maps that is 0 mm. A point outside the other contact, or turned away, has weight 0. `huber`: in root mean squares
 // of all weighted residuals; larger ones weigh less. Returns the number of points with a weight.
 EXPORT int motion_rows(const float *points, const float *slopes, const float *variance, const float *gradients, const float *depth,
@@ -98,7 +98,7 @@ EXPORT int motion_rows(const float *points, const float *slopes, const float *va
     shared++;
     rows_of(&s, q, normal_of, away, residual + ROWS * i, jacobian + ROWS * UNKNOWNS * i);
     for (int k = 0; k < ROWS; k++) {
-      const float r = residual[ROWS * i + k], both = 1 / (variance[2 * i + k / 2] + s.variances[k / 2]);
+      const float r = residual[ROWS * i + k], both = 1 / (variance[3 * i + k] + s.variances[k]);
       weight[ROWS * i + k] = both;
       squares += (double)both * r * r;
     }

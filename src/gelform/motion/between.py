@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike
 
 from gelform.foundations.checks import check_numbers, check_positive, check_within
 from gelform.motion.covariance import BLOCK_PX, pose_covariance
-from gelform.motion.rigid import Array, checked_pose, inverse_of, moved, pose_of_step, step_of_pose, turn_deg
-from gelform.motion.sight import Blind, blind_depth, blind_directions, has_moved, seen_directions
+from gelform.motion.rigid import Array, checked_pose, moved, pose_of_step, step_of_pose, turn_deg
+from gelform.motion.sight import Blind, blind_depth, blind_directions, has_moved
 from gelform.motion.surface import NOTHING, Equations, TouchedSurface
 from gelform.result import Reconstruction
 
@@ -143,26 +143,24 @@ def motion_of(
     found = _fitted(first, second, start, alike * _information(REACH), np.eye(6), start)
     if isinstance(found, Motion):
         return found
-    blind, scale = blind_directions(first, second, found), first.scale
-    seen = seen_directions(blind, scale)
-    freely = seen * scale[:, None]
+    blind, freely = blind_directions(first, second, found)
     if blind:
         found = _fitted(first, second, start, NOTHING, freely, start)
         if isinstance(found, Motion):
             return found
     found = replace(found, pose=pose_of_step(found.step(freely), found.center) @ found.pose)
     pose, center, shared = found.pose, moved(found.pose, first.middle), found.count / len(first.points)
-    travel = float(np.linalg.norm((center - moved(inverse_of(pose), center))[:2]))
+    travel = float(np.linalg.norm((center - first.middle)[:2]))
     if (misfit := found.misfit) > MOST_MISFIT:
         return lost(f"the surfaces differ by {misfit:.1f} times their errors: is it another object?", shared)
     own = pose_covariance(first, found, freely, travel * place_error)
     if filled := blind_depth(first, second):
         own[2, 2] += UNKNOWN_MM**2
     # The best of what was seen and of the prior: information adds up.
-    along = seen.T / scale
+    along = (freely / np.square(first.scale)[:, None]).T  # of a step, its parts in these directions
     information = along.T @ np.linalg.inv(along @ own @ along.T) @ along
     covariance = np.linalg.inv(information + _information(prior))
-    step = step_of_pose(pose @ inverse_of(start), center)
+    step = step_of_pose(pose @ np.linalg.inv(start), center)
     pose = pose_of_step(covariance @ information @ step, center) @ start
     if why := _too_far(pose, start, center):
         return lost(why, shared)
@@ -188,7 +186,7 @@ def _fitted(
             return lost(
                 f"both frames touch {seen_px} px of the contact, {100 * share:.0f} %: {wanted}", share
             )
-        step = equations.step(seen, held, step_of_pose(pose @ inverse_of(start), center))
+        step = equations.step(seen, held, step_of_pose(pose @ np.linalg.inv(start), center))
         shift, turn = float(np.linalg.norm(step[:3])), float(np.linalg.norm(step[3:]))
         if shift < LAST_MM and turn < LAST_RAD:
             break
@@ -199,7 +197,7 @@ def _fitted(
 
 def _too_far(pose: Array, start: Array, center: Array) -> str:
     """Why a pose is beyond the reach of the method; "" if it is not."""
-    step = step_of_pose(pose @ inverse_of(start), center)
+    step = step_of_pose(pose @ np.linalg.inv(start), center)
     if (shift := float(np.linalg.norm(step[:3]))) > MOST_FROM_START_MM:
         return f"the best fit is {shift:.2f} mm from the start, more than {MOST_FROM_START_MM:g} mm: start nearer"
     if (turn := turn_deg(pose)) > MOST_TURN_DEG:

@@ -31,9 +31,7 @@ def pose_covariance(surface: TouchedSurface, equations: Equations, seen: Array, 
     count = int(np.count_nonzero(np.bincount(block, equations.shared)))
     sandwich = inverse @ (sums.T @ sums) @ inverse * count / max(count - 6, 1)
     # Slopes off by a constant, and too steep by a factor, along x and along y.
-    common = [
-        np.stack([np.ones_like(slope), slope]) @ weighted[:, k] for k, slope in enumerate(surface.slopes.T)
-    ]
+    common = [np.stack([np.ones_like(of), of]) @ weighted[:, k] for k, of in enumerate(surface.slopes.T)]
     response = inverse @ np.concatenate(common).T
     covariance = sandwich * np.outer(FACTORS, FACTORS)
     covariance += (response * np.square([OFFSET, GAIN, OFFSET, GAIN])) @ response.T
@@ -49,8 +47,10 @@ def _pull(surface: TouchedSurface, equations: Equations) -> Array:
     With errors alike as exp(-d^2 / 2 l^2), l = 3 px, a point that moved by d is drawn back by d exp(-d^2 / 2 l^2) / l^2.
     """
     there = moved(equations.pose, surface.points)
-    shift, alike_mm = (there - surface.points)[:, :2], MOVED_PX * surface.pitch
-    share = np.exp(-np.sum(np.square(shift / alike_mm), axis=1) / 2)
-    drawn = (share * equations.weight[:, :2].sum(axis=1))[:, None] * shift * np.square(STAYING / alike_mm)
-    (x, y), (away_x, away_y, away_z) = drawn.T, (there - equations.center).T
-    return np.array([x.sum(), y.sum(), 0, -y @ away_z, x @ away_z, y @ away_x - x @ away_y])
+    shift = (there - surface.points)[:, :2] / (MOVED_PX * surface.pitch)
+    weight = equations.weight[:, 0] + equations.weight[:, 1]
+    share = weight * np.exp(-np.einsum("nk,nk->n", shift, shift) / 2)
+    drawn = share[:, None] * shift * (STAYING**2 / (MOVED_PX * surface.pitch))
+    x, y = np.ones(len(drawn)) @ drawn
+    lever = (there - equations.center).T @ drawn
+    return np.array([x, y, 0, -lever[2, 1], lever[2, 0], lever[0, 1] - lever[1, 0]])

@@ -29,8 +29,8 @@ NOTHING: Array = np.zeros((6, 6))  # no information
 
 _motion_rows = Kernel(
     "motion_rows",
-    "f32[n,3] points, f32[n,2] slopes, f32[n,2] variance, f32[h,w,2] gradients, f32[h,w] depth, "
-    "f32[h,w,4] derivatives, f32[h,w,2] variances, bool[h,w] contact, f64[3,4] pose, f64[3] center, f64[2] pitch, "
+    "f32[n,3] points, f32[n,2] slopes, f32[n,3] variance, f32[h,w,2] gradients, f32[h,w] depth, "
+    "f32[h,w,4] derivatives, f32[h,w,3] variances, bool[h,w] contact, f64[3,4] pose, f64[3] center, f64[2] pitch, "
     "f64[2] origin, f32 huber, out f32[n,3] residual, out f32[n,3,6] jacobian, out f32[n,3] weight, out f64[6,7] normal",
 )
 
@@ -105,8 +105,9 @@ class TouchedSurface:
         self.every = max(1, int(np.ceil(np.sqrt(self.count / MOST_POINTS))))
         self.pixels = self.every * np.argwhere(self.contact[:: self.every, :: self.every])
         row, col = self.pixels.T
-        place = (self.pixels[:, ::-1] - self.origin) * self.pitch
-        self.points = np.column_stack([place, self.depth[row, col]]).astype(np.float32, order="C")
+        self.points = np.empty((len(row), 3), np.float32)
+        self.points[:, :2] = (self.pixels[:, ::-1] - self.origin) * self.pitch
+        self.points[:, 2] = self.depth[row, col]
         self.slopes, self.point_variances = self.gradients[row, col], self.variances[row, col]
 
     def equations(self, other: TouchedSurface, pose: Array, center: Array, huber: float = HUBER) -> Equations:
@@ -127,15 +128,10 @@ class TouchedSurface:
         return np.asarray(self.points.mean(axis=0, dtype=np.float64))
 
     @cached_property
-    def spread(self) -> Array:
-        """The covariance (3, 3) of the points, mm^2."""
-        away = self.points - self.middle
-        return np.asarray(away.T @ away / len(away))
-
-    @cached_property
     def scale(self) -> Array:
         """Units (6,) of a step in which shifts and turns move the points by alike: 1 mm, and 1 mm at their distance."""
-        return np.repeat([1.0, 1 / float(np.sqrt(np.trace(self.spread)))], 3)
+        away = self.points - self.middle
+        return np.repeat([1.0, np.sqrt(len(away) / np.sum(np.square(away)))], 3)
 
     @cached_property
     def own(self) -> Equations:
@@ -151,7 +147,7 @@ class TouchedSurface:
     def inner(self) -> NDArray[np.bool_]:
         """The touched pixels (h, w) that are not next to the border of the contact."""
         disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * BORDER_PX + 1,) * 2)
-        inner = cv2.erode(self.closed.astype(np.uint8), disc, borderValue=0)
+        inner = cv2.erode(self.closed.view(np.uint8), disc, borderValue=0)
         return self.contact & inner.view(np.bool_)
 
     def pixels_at(self, points: Array) -> NDArray[np.float32]:
@@ -160,10 +156,10 @@ class TouchedSurface:
 
     def holds(self, points: Array) -> NDArray[np.bool_]:
         """Whether points (N, 3) lie in the inner part of the contact."""
+        column, row = np.rint(self.pixels_at(points)).astype(np.intp).T
         height, width = self.inner.shape
-        col, row = np.rint(self.pixels_at(points)).astype(np.intp).T
-        there = (row >= 0) & (row < height) & (col >= 0) & (col < width)
-        return there & self.inner[np.where(there, row, 0), np.where(there, col, 0)]
+        there = (row >= 0) & (row < height) & (column >= 0) & (column < width)
+        return there & self.inner[np.where(there, row, 0), np.where(there, column, 0)]
 
 
 def _closed(contact: NDArray[np.bool_], pitch: Array) -> NDArray[np.bool_]:
@@ -176,21 +172,22 @@ def _closed(contact: NDArray[np.bool_], pitch: Array) -> NDArray[np.bool_]:
 
 
 def _variances(result: Reconstruction, rows: slice, cols: slice) -> NDArray[np.float32]:
-    """Variances (h, w, 2) of a pixel's slopes, the mean of both, and of its depth."""
-    of_slope, of_depth = (
-        0.0 if sigma is None else np.square(np.fmin(sigma[rows, cols], np.float32(LARGEST_SIGMA)))
-        for sigma in (result.gradients_sigma, result.depth_sigma_mm)
+    """Variances (h, w, 3) of a pixel's slopes and of its depth; a sigma that is not stated counts as 0."""
+    sigmas = (result.gradients_sigma, result.depth_sigma_mm)
+    maps = (
+        np.zeros_like(of) if sigma is None else sigma
+        for sigma, of in zip(sigmas, (result.gradients, result.depth_mm))
     )
-    mean = (of_slope[..., 0] + of_slope[..., 1]) / 2 if isinstance(of_slope, np.ndarray) else 0.0
-    found = np.empty((*result.contact[rows, cols].shape, 2), dtype=np.float32)
-    found[..., 0], found[..., 1] = mean + SLOPE_FLOOR**2, of_depth + DEPTH_FLOOR_MM**2
-    return found
+    known = cv2.merge([one[rows, cols] for one in maps])
+    cv2.patchNaNs(known, LARGEST_SIGMA)
+    squares = np.square(np.minimum(known, np.float32(LARGEST_SIGMA)))
+    return cv2.add(squares, (SLOPE_FLOOR**2, SLOPE_FLOOR**2, DEPTH_FLOOR_MM**2, 0))
 
 
 def _derivatives(gradients: NDArray[np.float32], pitch: Array) -> NDArray[np.float32]:
-    """Derivatives (H, W, 4) of smoothed slopes: of dz/dx along x and y, then of dz/dy."""
+    """Derivatives (H, W, 4) of smoothed slopes: along x of dz/dx and dz/dy, then along y."""
     smooth = cv2.getGaussianKernel(7, SMOOTHED_PX)
     difference = np.convolve(smooth.ravel(), [-0.5, 0, 0.5])
     along_x = cv2.sepFilter2D(gradients, -1, difference / pitch[0], smooth)
     along_y = cv2.sepFilter2D(gradients, -1, smooth, difference / pitch[1])
-    return np.stack([along_x[..., 0], along_y[..., 0], along_x[..., 1], along_y[..., 1]], axis=-1)
+    return cv2.merge([along_x, along_y])
