@@ -17,7 +17,7 @@ from lerobot_camera_gelform.config_gelform import GelformCameraConfig
 from lerobot_camera_gelform.encoders import warn_if_lossy
 
 READ_MS, FIRST_MS = 10_000.0, 15_000.0
-COLOR, DEPTH = "color", "depth"
+COLOR, DEPTH, FORCE = "color", "depth", "force"
 
 
 class GelformCamera(Camera):
@@ -135,6 +135,20 @@ class GelformCamera(Camera):
         """The newest depth, at once; TimeoutError if it is too old, RuntimeError before the first one."""
         return _levels(self._latest(DEPTH, max_age_ms))
 
+    # -- force --------------------------------------------------------------------------------------------------------
+
+    def read_latest_force(self, max_age_ms: int = 500) -> NDArray[np.float32]:
+        """The newest force on the gel (3,), N, at once; NaN where it is not known, of which the result has the reason.
+
+        What presses into the gel pushes toward the camera, which is -z. TimeoutError if it is too old, RuntimeError before
+        the first one, or if no loads were calibrated.
+        """
+        if self.calibration.force is None:
+            raise RuntimeError(
+                f"Expected a calibration of {self} with loads (gelform force calibrate), got none."
+            )
+        return self._latest(FORCE, max_age_ms).result.force.vector_n.astype(np.float32)
+
     # -- results ------------------------------------------------------------------------------------------------------
 
     def _read(self, what: str) -> Any:
@@ -164,7 +178,7 @@ class GelformCamera(Camera):
 
     def _check_used(self, what: str) -> None:
         used, name = (self.use_rgb, "use_rgb") if what == COLOR else (self.use_depth, "use_depth")
-        if not used:
+        if not used and what != FORCE:
             raise RuntimeError(
                 f"Expected {name}=True in the configuration of {self} to read {what}, got False."
             )

@@ -2,6 +2,7 @@
 
 import logging
 import time
+from dataclasses import replace
 from importlib.metadata import distributions
 from itertools import pairwise
 
@@ -14,6 +15,7 @@ from lerobot_camera_gelform import GelformCamera, GelformCameraConfig, is_lossle
 from record import camera_of
 
 import gelform
+from gelform.depth.force.model import ForceModel, ForcePart
 from gelform.robots import depth_from_lerobot_levels
 
 
@@ -47,6 +49,18 @@ def test_shapes_and_types(connected):
         connected.read_latest_depth(2000),
     ):
         assert (depth.shape, depth.dtype) == ((*size, 1), np.uint16)
+
+
+def test_the_force_needs_loads(connected, tmp_path):
+    with pytest.raises(RuntimeError, match="gelform force calibrate"):
+        connected.read_latest_force(2000)
+    bare, normal = connected.calibration, ForcePart(((0.05,),), (0.001, 100.0), 0.2, 0.0, 9)
+    force = ForceModel(normal, None, None, (), ("ball",), bare.digest, "2026-01-01T00:00:00Z")
+    replace(bare, force=force).save(tmp_path / "cal.npz")
+    with camera_of({"calibration": str(tmp_path / "cal.npz")}) as camera:
+        seen = [camera.read_latest_force(2000) for _ in range(60) if camera.read_depth() is not None]
+    assert {(one.shape, one.dtype) for one in seen} == {((3,), np.dtype(np.float32))}
+    assert np.nanmin(np.array(seen)[:, 2]) < 0  # it pushes toward the camera
 
 
 def test_depth_is_that_of_the_result_in_whole_micrometers(connected):

@@ -1,6 +1,7 @@
-"""Depth added to a data set that LeRobot wrote, as LeRobot reads it: from videos, and from images in its tables."""
+"""Depth and force added to a data set that LeRobot wrote, as LeRobot reads it: from videos, and from images in tables."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,16 +11,20 @@ from record import camera_of
 
 import gelform
 from gelform.batch import BatchSettings, run_batch, verify_output
+from gelform.depth.force.model import ForceModel, ForcePart
 from gelform.robots import depth_from_lerobot_levels
 
 KEY, RATE_HZ, EPISODES = "observation.images.finger", 30, (7, 5)
-DEPTH = f"{KEY}_depth"
+DEPTH, FORCE, KNOWN = f"{KEY}_depth", "observation.force.finger", "observation.force.finger_known"
 PRESSED_MM = 0.1
 
 
 @pytest.fixture(scope="module")
 def calibration():
-    return camera_of({}).calibration
+    """With a normal force of 0.05 N/mm^3."""
+    bare, normal = camera_of({}).calibration, ForcePart(((0.05,),), (0.001, 100.0), 0.2, 0.0, 9)
+    force = ForceModel(normal, None, None, (), ("ball",), bare.digest, "2026-01-01T00:00:00Z")
+    return replace(bare, force=force)
 
 
 @pytest.fixture(scope="module")
@@ -92,7 +97,7 @@ def test_the_rest_is_as_it_was(recorded, added):
     for index in (0, 6, 7, 11):
         old, new = before[index], after[index]
         assert old["task"] == new["task"]
-        assert set(new) == {*old, DEPTH}
+        assert set(new) == {*old, DEPTH, FORCE, KNOWN}
         for key in (KEY, "action", "timestamp", "frame_index"):
             np.testing.assert_array_equal(old[key].numpy(), new[key].numpy())
 
@@ -105,6 +110,19 @@ def test_statistics_are_what_lerobot_itself_would_see(added):
     assert stats["mean"].item() == pytest.approx(levels.mean(), rel=1e-6)
     assert stats["std"].item() == pytest.approx(levels.std(), rel=1e-6)
     assert (stats["min"].item(), stats["max"].item()) == (levels.min(), levels.max())
+    assert stats["count"].item() == len(data)
+
+
+def test_the_force_is_three_numbers(added, frames, calibration):
+    data = LeRobotDataset("tactile/press", root=added)
+    reconstruct = gelform.Reconstructor(calibration)
+    true = np.array([reconstruct.from_image(frame).force.vector_n for frame in frames])
+    found, known = (np.array([data[k][key].numpy() for k in range(len(data))]) for key in (FORCE, KNOWN))
+    assert np.isfinite(true[:, 2]).any()
+    np.testing.assert_allclose(found, np.nan_to_num(true), rtol=1e-5)
+    np.testing.assert_array_equal(known, np.isfinite(true))
+    stats = data.meta.stats[FORCE]
+    np.testing.assert_allclose(stats["mean"], np.nan_to_num(true).mean(axis=0), rtol=1e-5)
     assert stats["count"].item() == len(data)
 
 
@@ -128,6 +146,7 @@ def test_lerobot_can_merge_it(added, tmp_path):
     first = LeRobotDataset("tactile/press", root=added)
     assert len(both) == 2 * len(first)
     for index in (0, len(first) - 1, len(first), 2 * len(first) - 1):
-        np.testing.assert_array_equal(both[index][DEPTH].numpy(), first[index % len(first)][DEPTH].numpy())
+        for key in (DEPTH, FORCE, KNOWN):
+            np.testing.assert_array_equal(both[index][key].numpy(), first[index % len(first)][key].numpy())
     info = json.loads((tmp_path / "both/meta/info.json").read_text())["features"][DEPTH]["info"]
     assert info["video.use_log"] is False

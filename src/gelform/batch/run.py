@@ -17,7 +17,7 @@ from gelform.batch.inputs.plan import Part, plan_of, shard_of
 from gelform.batch.inputs.reading import backgrounds_of, frames_of_part, image_of_calibration
 from gelform.batch.manifest import Manifest, begin, only_run, read_manifest
 from gelform.batch.outputs.files import FRAMES, PARTS, check_names
-from gelform.batch.outputs.lerobot import check_lerobot_source
+from gelform.batch.outputs.lerobot import EPISODES, check_lerobot_source
 from gelform.batch.records import TABLES, outputs_there, read_record, record_path, table_form
 from gelform.batch.settings import BatchSettings
 from gelform.batch.work import Job
@@ -244,7 +244,8 @@ def _not_done(
 
 def _clean(output: Path, todo: Sequence[Part], form: str) -> None:
     """Delete the temporary files of a killed run."""
-    deep = {output / FRAMES} if form == "lerobot" else set()  # it copies more than the parts write
+    # LeRobot's copies more than the parts write, and keeps what they say of each episode in folders of its own.
+    deep = {output / FRAMES, output / PARTS / EPISODES} if form == "lerobot" else set()
     shallow = {output / FRAMES / part.sequence for part in todo} - deep
     if form == "zarr":  # its shards are in folders of their own, and the groups above have files too
         above = {output / FRAMES / one for part in todo for one in PurePosixPath(part.sequence).parents}

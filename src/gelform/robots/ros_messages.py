@@ -96,13 +96,11 @@ class RosMessages:
         """
         if result.force_model is None:
             return None
-        force, vector = result.force, self._type("geometry_msgs/msg/Vector3")
-        x, y, normal, torsion = (
-            np.nan if value is None else float(value)
-            for value in (*(force.shear_n or (None, None)), force.normal_n, force.torsion_n_mm)
-        )
+        vector, nan = self._type("geometry_msgs/msg/Vector3"), float("nan")
+        torsion = nan if (about_z := result.force.torsion_n_mm) is None else about_z * M_PER_MM
         wrench = self._type("geometry_msgs/msg/Wrench")(
-            force=vector(x=x, y=y, z=-normal), torque=vector(x=np.nan, y=np.nan, z=torsion * M_PER_MM)
+            force=vector(**dict(zip("xyz", result.force.vector_n.tolist()))),
+            torque=vector(x=nan, y=nan, z=torsion),
         )
         message = self._type(TOPICS["wrench"].type)(
             header=self._header(stamp_ns, self.gel_frame), wrench=wrench

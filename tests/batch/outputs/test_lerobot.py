@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import gelform
 from gelform.batch import BatchSettings, run_batch, verify_output
 from gelform.batch.outputs.lerobot import (
     MAX_CODE,
@@ -19,11 +20,13 @@ from gelform.batch.outputs.lerobot import (
     video_path,
     write_lerobot_set,
 )
+from gelform.depth.force.model import ForceModel, ForcePart
 from gelform.errors import DataError
 from gelform.robots import depth_from_lerobot_levels
 
 av = pytest.importorskip("av", reason="the extra data is not installed")
 KEY, STORED, EPISODE = "observation.images.gel", "observation.images.still", 1002
+FORCE = "observation.force.gel"
 SEQUENCE = f"{KEY}/episode_{EPISODE:06d}"
 VIDEO = f"frames/videos/{KEY}_depth/chunk-001/file-002.mp4"
 
@@ -145,6 +148,51 @@ def test_statistics_of_all_episodes(done):
     squares = np.average(np.square(of["std"]) + np.square(of["mean"]), weights=weights)
     assert (found["mean"], found["std"]) == pytest.approx((mean, np.sqrt(squares - mean**2)))
     assert found["max"] > 1100  # something was pressed
+
+
+@pytest.fixture
+def with_force(cal):
+    """The calibration with a normal force of 0.05 N/mm^3; there are no dots for shear."""
+    normal = ForcePart(((0.05,),), (0.001, 100.0), 0.2, 0.0, 9)
+    return replace(
+        cal, force=ForceModel(normal, None, None, (), ("ball",), cal.digest, "2026-01-01T00:00:00Z")
+    )
+
+
+def test_the_force_on_each_frame_is_in_the_tables(lerobot, with_force, tmp_path, visible):
+    root, frames = lerobot
+    before = visible(root)
+    assert run_batch(root, with_force, tmp_path / "out", SETTINGS, dataset=KEY, table="csv").complete
+    assert visible(root) == before
+    assert verify_output(tmp_path / "out") == (9, 0, [])
+    output = tmp_path / "out/frames"
+    how = {name: getattr(SETTINGS, name) for name in ("solver", "depth_sigma", "slope_sigma")}
+    reconstruct = gelform.Reconstructor(with_force, **how)
+    true = np.array([reconstruct.from_image(frame).force.vector_n for frame in frames])
+    assert np.isnan(true[:, :2]).all()
+    assert np.nanmax(true[:, 2]) < 0  # it pushes toward the camera
+    found = []
+    for path in sorted(output.glob("data/*/*.parquet")):
+        rows, old = rows_of(path), rows_of(root / path.relative_to(output))
+        found += [(row.pop(FORCE), row.pop(f"{FORCE}_known")) for row in rows]
+        assert rows == old
+    np.testing.assert_allclose(np.array(found)[:, 0], np.nan_to_num(true), rtol=1e-6)
+    np.testing.assert_array_equal(np.array(found)[:, 1], np.isfinite(true))
+    told, stats = (json.loads((output / f"meta/{name}.json").read_text()) for name in ("info", "stats"))
+    assert told["features"][FORCE] == {"dtype": "float32", "shape": [3], "names": ["x_n", "y_n", "z_n"]}
+    assert stats[FORCE]["mean"] == pytest.approx([0, 0, np.nan_to_num(true[:, 2]).mean()])
+    assert (stats[FORCE]["count"], stats[FORCE]["min"][2]) == ([9], pytest.approx(np.nanmin(true[:, 2])))
+    assert stats[f"{FORCE}_known"]["max"] == [0, 0, 1]
+    for row in rows_of(output / "meta/episodes/chunk-000/file-000.parquet"):
+        assert row[f"stats/{FORCE}/count"] == [row["length"]]
+
+
+def test_a_frame_with_an_error_has_no_force(lerobot, with_force, tmp_path, encode):
+    root, frames = lerobot
+    encode(root / f"videos/{KEY}/chunk-000/file-000.mp4", frames[:-1])
+    assert run_batch(root, with_force, tmp_path / "out", SETTINGS, dataset=KEY, table="csv").errors == 1
+    last = rows_of(tmp_path / "out/frames/data/chunk-000/file-001.parquet")[-1]
+    assert last[FORCE] == last[f"{FORCE}_known"] == [0, 0, 0]
 
 
 def test_two_cameras_at_once(lerobot, cal, tmp_path):

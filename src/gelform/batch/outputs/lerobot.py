@@ -1,5 +1,8 @@
 """A LeRobot data set (version 3.0) with depth: copies of the input's files, and a depth video for each episode.
 
+If loads were calibrated, the tables of frames gain the force on the gel, (3,) float32, N, and whether it is known (1 or 0).
+LeRobot's tools fail on NaN, so a force that is not known is 0 there.
+
 The videos are lossless 12-bit HEVC. The data set is in `frames/` of the output. `meta/info.json` is written last, because
 LeRobot finds no data set without it. LeRobot reads 12-bit codes as `depth_min + code / 4095 x (depth_max - depth_min)`
 meters and rounds to whole mm. With 0 and 4.095 m a code equals its number of "mm", which are um here: v = 1000 + depth
@@ -36,12 +39,20 @@ from gelform.robots.lerobot_depth import (
 )
 
 SUFFIX = "_depth"  # the depth feature's name ends so, after the camera's
+CAMERAS, FORCES = (
+    "observation.images.",
+    "observation.force.",
+)  # a camera's name begins so, and that of its force
+KNOWN = "_known"  # a force's name, then this: 1 or 0 for each axis
+AXES = ("x_n", "y_n", "z_n")  # of a force, along the image's axes and away from the camera
+DATA = "data"  # folder of the tables of frames
 MAX_CODE = 4095  # largest 12-bit code
 FILES_IN_A_CHUNK = 1000  # LeRobot's own default
 EPISODES = "lerobot"  # folder next to the records of parts: entries of each episode for the tables
 VIDEO_PATH = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
 QUANTILES = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
 Episodes = dict[str, dict[int, dict[str, Any]]]  # camera -> episode -> entries of its part
+Vectors = dict[str, dict[int, NDArray[np.float64]]]  # feature -> episode -> (frames, 3)
 X265 = "lossless=1"
 KEY_FRAMES = 2  # distance of key frames, as in LeRobot's own videos, for quick access to any frame
 CODEC = Codec(
@@ -64,24 +75,27 @@ class LerobotVideo(VideoWriter):
         path = target.output / FRAMES / video_path(self._key + SUFFIX, self._episode)
         super().__init__(target, path, CODEC, target.part.rate_hz, needed("av", "data", "LeRobot"))
         self._counts = np.zeros(MAX_CODE + 1, dtype=np.int64)
+        self._forces: list[NDArray[np.float64] | None] = []
 
-    def prepared(self, result: Reconstruction) -> NDArray[np.uint16]:
-        """The levels, 1000 + depth in um."""
+    def prepared(self, result: Reconstruction) -> tuple[NDArray[np.uint16], NDArray[np.float64] | None]:
+        """The levels, 1000 + depth in um, and the force (3,), N; None if no loads were calibrated."""
         levels = lerobot_levels_from_depth(result.depth_mm)
         if levels.max() > MAX_CODE:
             raise DataError(
                 f"Expected depth up to {(MAX_CODE - ZERO_LEVEL) / UM_PER_MM:.3f} mm, which LeRobot's 12 bits hold in steps "
                 f"of 1 um, got {result.depth_mm.max():.3f} mm. Look at the frame: gels are not pressed so deep."
             )
-        return levels
+        return levels, None if result.force_model is None else result.force.vector_n
 
-    def add(self, name: str, index: int, prepared: NDArray[np.uint16] | None) -> dict[str, Any]:
-        """Encode the next frame; level 0 (unknown) for a frame with an error."""
-        if prepared is None:
+    def add(self, name: str, index: int, prepared: Any | None) -> dict[str, Any]:
+        """Encode the next frame; level 0 (unknown) and no force for a frame with an error."""
+        levels, force = prepared or (None, None)
+        if levels is None:
             self._counts[0] += np.prod(self._target.shape)
         else:
-            self._counts += np.bincount(prepared.ravel(), minlength=MAX_CODE + 1)
-        return super().add(name, index, prepared)
+            self._counts += np.bincount(levels.ravel(), minlength=MAX_CODE + 1)
+        self._forces.append(force)
+        return super().add(name, index, levels)
 
     def __exit__(self, *error: Any) -> None:
         super().__exit__(*error)
@@ -92,9 +106,18 @@ class LerobotVideo(VideoWriter):
                 "length": self._count,
                 "feature": self._feature(),
                 "stats": statistics(self._counts, self._count),
+                "forces": self._known_forces(),
             }
             path = self._target.output / PARTS / EPISODES / f"{self._target.part.sequence}.json"
             self.files.append(self._target.write(path, json.dumps(facts).encode()))
+
+    def _known_forces(self) -> list[list[float | None]]:
+        """The force (3,) of each frame, None where it is not known; empty if no loads were calibrated."""
+        if all(force is None for force in self._forces):
+            return []
+        unknown = np.full(len(AXES), np.nan)
+        rows = (unknown if force is None else force for force in self._forces)
+        return [[value if np.isfinite(value) else None for value in row.tolist()] for row in rows]
 
     def _feature(self) -> dict[str, Any]:
         """The entry of the depth in `meta/info.json`: LeRobot's keys, and the origin of the depth."""
@@ -124,6 +147,11 @@ def episode_of(sequence: str) -> tuple[str, int]:
             f"Expected an episode of a LeRobot data set, got {sequence or 'a folder of images'}. Write another format."
         )
     return key, int(number)
+
+
+def force_key(key: str) -> str:
+    """The name of the force on the gel of a camera."""
+    return FORCES + key.removeprefix(CAMERAS)
 
 
 def place_of_video(episode: int) -> tuple[int, int]:
@@ -167,23 +195,33 @@ def check_lerobot_source(source: Path, keys: set[str]) -> None:
     if info.get("video_path") not in (None, VIDEO_PATH):
         raise DataError(f"Expected videos at {VIDEO_PATH} in {source}, got {info['video_path']}.")
     for key in sorted(keys):
-        if key + SUFFIX in info["features"]:
-            raise DataError(f"{source} has {key}{SUFFIX} already. Write another format, or remove it there.")
+        for name in (key + SUFFIX, force_key(key)):
+            if name in info["features"]:
+                raise DataError(f"{source} has {name} already. Write another format, or remove it there.")
 
 
 def write_lerobot_set(output: Path, files: list[str], source: Path) -> list[OutputFile]:
     """Write all of the data set except the depth videos, which the parts wrote; the source stays unchanged."""
     episodes, root, done = _episodes(output, files), output / FRAMES, []
+    forces = _forces(episodes)
     for path in _to_copy(source):
-        done.append(_copied(source / path, root / path, output))
+        if forces and path.parts[0] == DATA and path.suffix == ".parquet":
+            done.append(_with_forces(source / path, root / path, output, forces))
+        else:
+            done.append(_copied(source / path, root / path, output))
     for path in sorted((source / EPISODE_TABLES).glob("*/*.parquet")):
-        done.append(write_output(output, root / path.relative_to(source), _table(path, episodes)))
+        done.append(write_output(output, root / path.relative_to(source), _table(path, episodes, forces)))
     if (source / STATS).is_file():
         stats = json.loads((source / STATS).read_bytes())
-        more = {key + SUFFIX: _in_lists(_together(list(of.values()))) for key, of in episodes.items()}
+        more = {
+            key + SUFFIX: _in_lists(_together([one["stats"] for one in of.values()]))
+            for key, of in episodes.items()
+        }
+        more |= {key: _of_vectors(np.concatenate(list(of.values()))) for key, of in forces.items()}
         done.append(write_output(output, root / STATS, _json({**stats, **more})))
     info = lerobot_info(source)
     features = {key + SUFFIX: next(iter(of.values()))["feature"] for key, of in episodes.items()}
+    features |= {key: {"dtype": "float32", "shape": [len(AXES)], "names": [*AXES]} for key in forces}
     info |= {"features": {**info["features"], **features}, "video_path": VIDEO_PATH}
     done.append(write_output(output, root / INFO, _json(info)))
     return done
@@ -228,14 +266,66 @@ def _sha256(path: Path) -> str:
     return output_file(path.parent, path).sha256
 
 
-def _table(path: Path, episodes: Episodes) -> bytes:
-    """A table of episodes with the places, times and statistics of their depth."""
+def _forces(episodes: Episodes) -> Vectors:
+    """The force on each camera's gel, 0 where it is not known, and whether it is; empty if no loads were calibrated."""
+    found: Vectors = {}
+    for key, of in episodes.items():
+        if any(one["forces"] for one in of.values()):
+            unknown = [[None] * len(AXES)]
+            force = {
+                number: np.array(one["forces"] or unknown * one["length"], dtype=np.float64)
+                for number, one in of.items()
+            }
+            found[force_key(key)] = {number: np.nan_to_num(rows) for number, rows in force.items()}
+            found[force_key(key) + KNOWN] = {
+                number: np.isfinite(rows).astype(float) for number, rows in force.items()
+            }
+    return found
+
+
+def _with_forces(path: Path, target: Path, output: Path, forces: Vectors) -> OutputFile:
+    """A table of frames with the force on each camera's gel; one row group is in memory at a time."""
+    parquet = needed("pyarrow.parquet", "data", "LeRobot")
+    pyarrow = needed("pyarrow", "data", "LeRobot")
+    vector = pyarrow.list_(pyarrow.float32(), len(AXES))
+    target.parent.mkdir(parents=True, exist_ok=True)
+    with parquet.ParquetFile(path) as file:
+        # The metadata repeat the features for Hugging Face's reader, which takes them from the schema without.
+        kept = {k: v for k, v in (file.schema_arrow.metadata or {}).items() if k != b"huggingface"}
+        schema = pyarrow.schema([*file.schema_arrow, *(pyarrow.field(key, vector) for key in forces)], kept)
+        with (
+            written_file(target, overwrite=True) as copy,
+            parquet.ParquetWriter(copy, schema) as writer,
+        ):
+            for group in range(file.num_row_groups):
+                table = file.read_row_group(group)
+                rows = list(zip(table["episode_index"].to_pylist(), table["frame_index"].to_pylist()))
+                for key, of in forces.items():
+                    column = [of[episode][frame].tolist() for episode, frame in rows]
+                    table = table.append_column(key, pyarrow.array(column, vector))
+                writer.write_table(table.cast(schema))
+    return output_file(output, target)
+
+
+def _of_vectors(rows: NDArray[np.float64]) -> dict[str, Any]:
+    """Statistics of vectors (frames, 3), in LeRobot's shapes."""
+    measures: dict[str, Any] = {"min": np.min, "max": np.max, "mean": np.mean, "std": np.std}
+    found: dict[str, Any] = {name: measure(rows, axis=0).tolist() for name, measure in measures.items()}
+    quantiles = np.quantile(rows, list(QUANTILES.values()), axis=0).tolist()
+    return {**found, "count": [len(rows)], **dict(zip(QUANTILES, quantiles))}
+
+
+def _table(path: Path, episodes: Episodes, forces: Vectors) -> bytes:
+    """A table of episodes with the places, times and statistics of their depth, and those of their forces."""
     parquet = needed("pyarrow.parquet", "data", "LeRobot")
     pyarrow = needed("pyarrow", "data", "LeRobot")
     table, content = parquet.read_table(path), io.BytesIO()
     numbers = table["episode_index"].to_pylist()
     for key, of in episodes.items():
         rows = [_columns(key + SUFFIX, of[number]) for number in numbers]
+        for force in (name for name in (force_key(key), force_key(key) + KNOWN) if name in forces):
+            stats = [_stats(force, _of_vectors(forces[force][number])) for number in numbers]
+            rows = [row | own for row, own in zip(rows, stats)]
         for name in rows[0] if rows else ():
             table = table.append_column(name, pyarrow.array([row[name] for row in rows]))
     parquet.write_table(table, content)
@@ -251,13 +341,19 @@ def _columns(key: str, said: dict[str, Any]) -> dict[str, Any]:
         "from_timestamp": 0.0,
         "to_timestamp": said["length"] / rate_hz,
     }
-    stats = {f"stats/{key}/{name}": value for name, value in _in_lists(said["stats"]).items()}
-    return {**{f"videos/{key}/{name}": value for name, value in where.items()}, **stats}
+    return {
+        **{f"videos/{key}/{name}": value for name, value in where.items()},
+        **_stats(key, _in_lists(said["stats"])),
+    }
 
 
-def _together(episodes: list[dict[str, Any]]) -> dict[str, float]:
+def _stats(key: str, stats: dict[str, Any]) -> dict[str, Any]:
+    return {f"stats/{key}/{name}": value for name, value in stats.items()}
+
+
+def _together(episodes: list[dict[str, float]]) -> dict[str, float]:
     """Statistics of all episodes by LeRobot's rules: quantiles are means of the episodes' quantiles."""
-    stats = [one["stats"] for one in episodes if one["stats"]["count"]]
+    stats = [one for one in episodes if one["count"]]
     count = sum(one["count"] for one in stats)
 
     def mean(values: list[float]) -> float:

@@ -22,7 +22,9 @@ class Surround:
         height, width = background.shape[:2]
         step = max(1, height // ROWS)
         self._size = width // step, height // step
-        self._rest = self._coarse(np.asarray(background, dtype=np.float32))
+        rest = self._coarse(np.asarray(background, dtype=np.float32))
+        self._gain = 1 / (rest + np.float32(CHANGE_OFFSET))
+        self._at_rest = rest * self._gain
         self._widened = np.ones((2 * REACH + 1,) * 2, dtype=np.uint8)
 
     def __call__(self, image: NDArray[np.number], contact: NDArray[np.bool_]) -> float | None:
@@ -31,10 +33,15 @@ class Surround:
         outside = cv2.dilate(inside, self._widened) == 0
         if not inside.any() or not outside.any():
             return None
-        change = (self._coarse(image) - self._rest) / (self._rest + np.float32(CHANGE_OFFSET))
-        size = np.sqrt(np.einsum("hwc,hwc->hw", change, change))
-        within = float(size[inside > 0].mean())
-        return float(np.median(size[outside])) / within if within > 0 else None
+        change = self._coarse(image)
+        change *= self._gain
+        change -= self._at_rest
+        change *= change
+        square = change @ np.ones(change.shape[-1], dtype=np.float32)
+        within = float(np.sqrt(square[inside > 0]).mean())
+        around = square[outside]
+        middle = len(around) // 2
+        return float(np.sqrt(np.partition(around, middle)[middle])) / within if within > 0 else None
 
     def _coarse(self, image: NDArray[np.number]) -> NDArray[np.float32]:
         # Means of four pixels: a mean of all would take thirty times as long, and the measures are of large areas.

@@ -26,15 +26,11 @@ from gelform.errors import DataError
 from gelform.foundations.checks import check_list
 
 LEAST_LOADS, LEAST_RANGE = 3, 3.0  # loads, and the largest over the smallest
-LEAST_SHARE = (
-    0.05  # of the largest normal load; smaller ones, also below 0, are the gauge's zero and do not count
-)
+LEAST_SHARE = 0.05  # of the largest normal load; smaller ones, also below 0, are the gauge's zero
 KNOWN_K = 0.045  # N/mm^3, middle of hard objects on the studied gel (.036 to .051)
 PER_NEWTON = {"grams": 1000 / 9.80665, "kilograms": 1 / 9.80665}
 LOADS_PER_TERM = 3  # loads for each weight of a dot force; with fewer, only its first term is fitted
-LONE_SPREAD = (
-    0.30  # relative standard deviation, at least, if one object was pressed: it does not show that of objects
-)
+LONE_SPREAD = 0.30  # least relative standard deviation with one object, which does not show that of objects
 ONE_SIGMA = 0.683  # of a normal distribution within one standard deviation
 SMALL = 0.25  # of the forces, that tell the floor
 FOLDS = 5  # parts in time of a lone object

@@ -23,9 +23,7 @@ MOST_OUTSIDE_CHANGE = 0.4  # color change outside the contact, over that inside
 LEAST_CONFIDENCE = 0.5  # mean in the contact
 MOST_IN_BORDER = 0.05  # of the volume, in the band along the border
 BEYOND_RANGE = 1.2  # of the largest calibrated load
-DOT_TOLERANCE = (
-    0.15  # of the dots' spacing; a shifted grid of the same pitch passes by chance in 7 % (pi 0.15^2)
-)
+DOT_TOLERANCE = 0.15  # of the dots' spacing; a shifted grid of that pitch passes in 7 % (pi 0.15^2)
 NO_LOADS = "no loads were calibrated (gelform force calibrate)"
 
 
@@ -69,9 +67,8 @@ class Dots:
 
     def __init__(self, places: NDArray[np.float64]) -> None:
         self._tree, self._count = cKDTree(places), len(places)
-        self._near = (
-            DOT_TOLERANCE * float(np.median(self._tree.query(places, k=2)[0][:, 1:])) if len(places) else 0.0
-        )
+        spacing = np.median(self._tree.query(places, k=2)[0][:, 1]) if len(places) else 0.0
+        self._near = DOT_TOLERANCE * float(spacing)
 
     def why_none(self, touch: Touch) -> str:
         """Why a touch tells no motion of these dots; "" if it does."""
@@ -124,12 +121,8 @@ class ForceModel:
             for kind in KINDS
         )
         rest = tuple(check_numbers(place, "rest_mm", 2) for place in stored["rest_mm"])
-        objects, digest, created = (
-            tuple(stored["objects"]),
-            stored["calibration_digest"],
-            stored["created_utc"],
-        )
-        return cls(normal, shear, torsion, rest, objects, digest, created)
+        _, digest, created, *objects = texts
+        return cls(normal, shear, torsion, rest, tuple(objects), digest, created)
 
 
 @dataclass(frozen=True)
@@ -160,6 +153,12 @@ class Force:
         return "; ".join(
             dict.fromkeys(filter(None, (self.normal_reason, self.shear_reason, self.torsion_reason)))
         )
+
+    @property
+    def vector_n(self) -> NDArray[np.float64]:
+        """(3,), N: x and y along the gel, and z; what presses into the gel pushes toward the camera, -z. NaN: not known."""
+        x, y = self.shear_n or (None, None)
+        return np.array([x, y, self.normal_n], dtype=np.float64) * (1, 1, -1)
 
     def columns(self) -> dict[str, float | str | None]:
         """The cells of a table, by name: None where a force is not known, and `force_reason`."""

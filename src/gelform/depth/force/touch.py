@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -58,13 +59,17 @@ def touch_from_result(result: Any) -> Touch:
         return Touch(**known)
     if not contact.any():
         return Touch(volume_mm3=0.0, **known)
-    band = max(1, round(BORDER_FRACTION * len(contact)))
-    inside = slice(band, -band), slice(band, -band)
-    # A dot product is three times faster than a sum in a mask.
-    whole, inner = (float(np.vdot(result.depth[part], contact[part])) for part in (..., inside))
+    x, y, width, height = cv2.boundingRect(contact.view(np.uint8))
+    box = slice(y, y + height), slice(x, x + width)
+    touched, pressed = contact[box], result.depth[box] * contact[box]
+    band, (rows, columns) = max(1, round(BORDER_FRACTION * len(contact))), contact.shape
+    inside = pressed[
+        max(band - y, 0) : max(rows - band - y, 0), max(band - x, 0) : max(columns - band - x, 0)
+    ]
+    whole, inner = float(pressed.sum(dtype=np.float64)), float(inside.sum(dtype=np.float64))
     return Touch(
         volume_mm3=whole * float(np.prod(check_mm_per_px(pitch))),
-        confidence=float(np.vdot(result.confidence, contact)) / int(np.count_nonzero(contact)),
+        confidence=float(result.confidence[box][touched].mean()),
         outside_change=result.outside_change,
         border_share=min(max(1 - inner / whole, 0.0), 1.0) if whole > 0 else 0.0,
         **known,
