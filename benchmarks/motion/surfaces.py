@@ -9,7 +9,6 @@ from scipy.ndimage import map_coordinates
 
 import gelform
 from gelform.motion.mosaic import layer_of, placed, shape_of
-from gelform.motion.surface import TouchedSurface
 from gelform.simulate import HeightMap, Pose, simulate_pose
 from motion.judged import pose_at, two, within
 from motion.shapes import simulated_sensor
@@ -36,15 +35,15 @@ def surface(quick: bool) -> dict[str, Any]:
         motions.append(gelform.motion_between(a, b, start=start, place_error=f))
     path = chained(motions)
     whole = gelform.mosaic(results, path)
-    seen = placed(map(TouchedSurface, results), path)
-    layers = [layer_of(*one, shape_of(seen)) for one in seen]
-    there = np.stack([layer.share > 0 for layer in layers])
+    seen = placed(results, path)
+    layers = np.stack([layer_of(*one, shape_of(seen)) for one in seen])
+    share = layers[:, 5]
+    there = share > 0
     # The baseline: the weighted mean, which does not know where a contact ends.
-    weights = [
-        np.where(layer.share > 0, layer.depth_weight / np.maximum(layer.share, 1e-12), 0) for layer in layers
-    ]
-    total = sum(weight * layer.depth for weight, layer in zip(weights, layers))
-    mean = total / np.maximum(sum(weights), 1e-12)
+    depths, weights = (
+        np.sum(np.where(there, layers[:, k] / np.maximum(share, 1e-12), 0), axis=0) for k in (2, 4)
+    )
+    mean = depths / np.maximum(weights, 1e-12)
     true = true_depth(relief, whole, places[0], presses[0])
     figures = {"presses": len(seen), "pixels": int(whole.known.sum())}
     for name, depth in (("mosaic", whole.depth_mm), ("mean", mean)):

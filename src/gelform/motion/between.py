@@ -7,7 +7,7 @@ The touched surface of one frame is moved rigidly onto that of the other, so tha
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -140,16 +140,19 @@ def motion_of(
         return lost(f"no contact: {min(first.count, second.count)} px touch, {LEAST_PX} are needed")
     # Errors of neighbors are alike, but the equations count each as news: so must what holds them at the start.
     alike = (BLOCK_PX / first.every) ** 2
-    found = _fitted(first, second, start, alike * _information(REACH), np.eye(6), start)
+    found = _fitted(first, second, start, alike * _information(REACH), np.eye(6))
     if isinstance(found, Motion):
         return found
     blind, freely = blind_directions(first, second, found)
     if blind:
-        found = _fitted(first, second, start, NOTHING, freely, start)
+        found = _fitted(first, second, start, NOTHING, freely)
         if isinstance(found, Motion):
             return found
-    found = replace(found, pose=pose_of_step(found.step(freely), found.center) @ found.pose)
-    pose, center, shared = found.pose, moved(found.pose, first.middle), found.count / len(first.points)
+    pose, shared = (
+        pose_of_step(found.step(freely), found.center) @ found.pose,
+        found.count / len(first.points),
+    )
+    center = moved(pose, first.middle)
     travel = float(np.linalg.norm((center - first.middle)[:2]))
     if (misfit := found.misfit) > MOST_MISFIT:
         return lost(f"the surfaces differ by {misfit:.1f} times their errors: is it another object?", shared)
@@ -174,24 +177,24 @@ def _information(prior: tuple[float, float]) -> Array:
 
 
 def _fitted(
-    first: TouchedSurface, second: TouchedSurface, start: Array, held: Array, seen: Array, pose: Array
+    first: TouchedSurface, second: TouchedSurface, start: Array, held: Array, seen: Array
 ) -> Equations | Motion:
-    """The pose that fits best, from `pose` on, in the directions (6, k) alone, held to the start by an information."""
+    """The pose that fits best, from the start on, in the directions (6, k) alone, held to it by an information."""
+    pose, back = start, np.linalg.inv(start)
     for _ in range(MOST_STEPS):
-        center = moved(pose, first.middle)
-        equations = first.equations(second, pose, center)
+        equations = first.equations(second, pose)
         share, seen_px = equations.count / len(first.points), equations.count * first.every**2
         if seen_px < LEAST_PX or share < LEAST_SHARE:
             wanted = f"{LEAST_PX} px and {100 * LEAST_SHARE:.0f} % are needed"
             return lost(
                 f"both frames touch {seen_px} px of the contact, {100 * share:.0f} %: {wanted}", share
             )
-        step = equations.step(seen, held, step_of_pose(pose @ np.linalg.inv(start), center))
+        step = equations.step(seen, held, step_of_pose(pose @ back, equations.center))
         shift, turn = float(np.linalg.norm(step[:3])), float(np.linalg.norm(step[3:]))
         if shift < LAST_MM and turn < LAST_RAD:
             break
         step *= min(1.0, LONGEST_MM / max(shift, LAST_MM), LONGEST_RAD / max(turn, LAST_RAD))
-        pose = pose_of_step(step, center) @ pose
+        pose = pose_of_step(step, equations.center) @ pose
     return equations
 
 

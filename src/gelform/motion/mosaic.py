@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from typing import NamedTuple
+from collections.abc import Sequence
 
 import cv2
 import numpy as np
@@ -13,7 +12,7 @@ from gelform.depth.integrate import integrate
 from gelform.errors import GelformError
 from gelform.foundations.checks import check_list
 from gelform.foundations.fill import fill_unknown
-from gelform.motion.between import FOUND, Motion, sensor_of
+from gelform.motion.between import Motion, sensor_of
 from gelform.motion.rigid import Array, checked_pose, moved
 from gelform.motion.surface import LARGEST_SIGMA, TouchedSurface
 from gelform.motion.track import Tracked
@@ -27,16 +26,6 @@ STEPS = 5  # until the place in a contact that a pixel shows is known to a fract
 SURE = 0.5  # share of a pixel that must be touched
 TINY = 1e-12  # weight where nothing is known
 Placed = tuple[TouchedSurface, Array, Array, Array]  # with its pose, covariance and center
-
-
-class Layer(NamedTuple):
-    """What one result shows of the surface (H, W): slopes and depth, how much they weigh, and its share, 0-1."""
-
-    gradients: Array
-    depth: Array
-    slope_weight: Array
-    depth_weight: Array
-    share: Array
 
 
 def mosaic(
@@ -65,25 +54,24 @@ def mosaic(
         surface wider than 4000 px.
     """
     check_list(results, "results", Reconstruction)
-    motions = [_motion_of(one) for one in check_list(poses, "poses")]
-    if len(results) != len(motions):
-        raise ValueError(f"Expected one pose for each result, got {len(results)} and {len(motions)}.")
+    check_list(poses, "poses")
+    if len(results) != len(poses):
+        raise ValueError(f"Expected one pose for each result, got {len(results)} and {len(poses)}.")
     if len({sensor_of(one) for one in results}) > 1:
         raise ValueError("Expected results of one sensor and calibration, got several.")
-    seen = placed(map(TouchedSurface, results), motions)
+    seen = placed(results, poses)
     if not seen:
         raise GelformError("No result has both a contact and a pose, so there is no surface.")
     shape, pitch = shape_of(seen), seen[0][0].pitch
-    layers = [layer_of(*one, shape) for one in seen]
-    share = np.sum([layer.share for layer in layers], axis=0)
+    totals = sum((layer_of(*one, shape) for one in seen), np.zeros((6, *shape)))
+    *slopes_and_depth, slope_weight, depth_weight, share = totals
     known_px = np.asarray(share > 0)
-    slope_weight = np.maximum(np.sum([layer.slope_weight for layer in layers], axis=0), TINY)
-    depth_weight = np.maximum(np.sum([layer.depth_weight for layer in layers], axis=0), TINY)
-    slopes = np.sum([layer.slope_weight[..., None] * layer.gradients for layer in layers], axis=0)
-    slopes /= slope_weight[..., None]
-    total = np.sum([layer.depth_weight * layer.depth for layer in layers], axis=0)
+    slope_weight, depth_weight = np.maximum(slope_weight, TINY), np.maximum(depth_weight, TINY)
+    slopes = np.dstack(slopes_and_depth[:2]) / slope_weight[..., None]
     # Filled beyond the border, or its slopes there would be of a step down to 0.
-    mean = fill_unknown(np.asarray(total / depth_weight, np.float32)[..., None], known_px)[..., 0]
+    mean = fill_unknown(np.asarray(slopes_and_depth[2] / depth_weight, np.float32)[..., None], known_px)[
+        ..., 0
+    ]
     weight = slope_weight / slope_weight.max()
     # The anchor holds at 0: what is solved for is the difference from the mean depth.
     solution = integrate(
@@ -102,21 +90,16 @@ def mosaic(
     )  # fmt: skip
 
 
-def _motion_of(pose: Motion | Tracked | ArrayLike) -> Motion:
-    """A motion; of a matrix alone, one that is sure."""
-    if isinstance(pose, (Motion, Tracked)):
-        return pose.motion if isinstance(pose, Tracked) else pose
-    return Motion(checked_pose(pose, "a pose"), np.zeros((6, 6)), np.zeros(3), (), 1.0, FOUND)
-
-
-def placed(surfaces: Iterable[TouchedSurface], motions: Iterable[Motion]) -> list[Placed]:
-    """The surfaces with a contact and a pose."""
-    return [
-        (surface, motion.pose, motion.covariance, motion.center_mm)
-        for surface, motion in zip(surfaces, motions)
-        if surface.count
-        and not (motion.pose is None or motion.covariance is None or motion.center_mm is None)
-    ]
+def placed(results: Sequence[Reconstruction], poses: Sequence[Motion | Tracked | ArrayLike]) -> list[Placed]:
+    """The surfaces of the results with a contact and a pose; a matrix alone is sure."""
+    found = []
+    for surface, one in zip(map(TouchedSurface, results), poses):
+        motion = one.motion if isinstance(one, Tracked) else one
+        if not isinstance(motion, Motion):
+            found.append((surface, checked_pose(motion, "a pose"), np.zeros((6, 6)), surface.middle))
+        elif motion.pose is not None and motion.covariance is not None and motion.center_mm is not None:
+            found.append((surface, motion.pose, motion.covariance, motion.center_mm))
+    return [one for one in found if one[0].count]
 
 
 def shape_of(seen: Sequence[Placed]) -> tuple[int, int]:
@@ -137,8 +120,11 @@ def shape_of(seen: Sequence[Placed]) -> tuple[int, int]:
 
 def layer_of(
     surface: TouchedSurface, pose: Array, covariance: Array, center: Array, shape: tuple[int, int]
-) -> Layer:
-    """A contact in the frame of the first: for each pixel, the place in the contact that was there."""
+) -> Array:
+    """A contact in the frame of the first: what each pixel (H, W) adds to sums, from the place that was there.
+
+    Both slopes and the depth, weighted; their weights; the share (0-1) of what the contact weighs in its middle.
+    """
     height, width = shape
     back, turn = np.linalg.inv(pose), pose[:3, :3]
     row, col = np.mgrid[:height, :width]
@@ -157,10 +143,11 @@ def layer_of(
     share = np.where(inward_px > SURE, np.minimum(inward_px / BLENDED_PX, 1), 0)
     of_depth = variances[..., 2] + _pose_variance(there - center, slopes, covariance)
     normal = np.dstack([-slopes, np.ones(shape)]) @ turn  # turned back
-    return Layer(
-        -normal[..., :2] / normal[..., 2:], moved(back, there)[..., 2],
-        2 * share / np.maximum(variances[..., 0] + variances[..., 1], TINY), share / np.maximum(of_depth, TINY), share,
-    )  # fmt: skip
+    slope_weight = 2 * share / np.maximum(variances[..., 0] + variances[..., 1], TINY)
+    depth_weight = share / np.maximum(of_depth, TINY)
+    values = np.dstack([-normal[..., :2] / normal[..., 2:], moved(back, there)[..., 2]])
+    weighted = values * np.dstack([slope_weight, slope_weight, depth_weight])
+    return np.stack([*np.moveaxis(weighted, -1, 0), slope_weight, depth_weight, share])
 
 
 def _pose_variance(away: Array, slopes: NDArray[np.float32], covariance: Array) -> Array:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from gelform._native import Kernel
 from gelform.errors import GelformError
 from gelform.foundations.checks import check_is, check_mm_per_px
-from gelform.motion.rigid import Array
+from gelform.motion.rigid import Array, moved
 from gelform.result import Reconstruction
 
 # What the stated sigma lacks, added to it: of a slope, mm/mm, and of a depth, mm.
@@ -30,8 +30,9 @@ NOTHING: Array = np.zeros((6, 6))  # no information
 _motion_rows = Kernel(
     "motion_rows",
     "f32[n,3] points, f32[n,2] slopes, f32[n,3] variance, f32[h,w,2] gradients, f32[h,w] depth, "
-    "f32[h,w,4] derivatives, f32[h,w,3] variances, bool[h,w] contact, f64[3,4] pose, f64[3] center, f64[2] pitch, "
-    "f64[2] origin, f32 huber, out f32[n,3] residual, out f32[n,3,6] jacobian, out f32[n,3] weight, out f64[6,7] normal",
+    "f32[h,w,2] along_x, f32[h,w,2] along_y, f32[h,w,3] variances, bool[h,w] contact, bool[h,w] inner, f64[3,4] pose, "
+    "f64[3] center, f64[2] pitch, f64[2] origin, f32 huber, out f32[n,3] residual, out f32[n,3,6] jacobian, "
+    "out f32[n,3] weight, out bool[n] inside, out f64[6,7] normal",
 )
 
 
@@ -45,6 +46,7 @@ class Equations:
     residual : (N, 3) slope along x and y, depth: the other surface minus the moved one
     jacobian : (N, 3, 6) their change with the step
     weight : (N, 3), 0 where the other surface was not touched
+    inside : (N,) bool, whether a point is in the inner part of the other contact
     information : (6, 6), right : (6,), of the normal equations
     count : number of points that the other surface has too; shared : (N,) bool, which
     """
@@ -54,6 +56,7 @@ class Equations:
     residual: NDArray[np.float32]
     jacobian: NDArray[np.float32]
     weight: NDArray[np.float32]
+    inside: NDArray[np.bool_]
     information: Array
     right: Array
     count: int
@@ -110,17 +113,17 @@ class TouchedSurface:
         self.points[:, 2] = self.depth[row, col]
         self.slopes, self.point_variances = self.gradients[row, col], self.variances[row, col]
 
-    def equations(self, other: TouchedSurface, pose: Array, center: Array, huber: float = HUBER) -> Equations:
-        """The equations of a step about a center that follows the motion `pose` of this surface onto another."""
-        n = len(self.points)
+    def equations(self, other: TouchedSurface, pose: Array) -> Equations:
+        """The equations of a step that follows the motion `pose` of this surface onto another, about its moved middle."""
+        n, center = len(self.points), moved(pose, self.middle)
         residual, weight = np.empty((n, 3), np.float32), np.empty((n, 3), np.float32)
-        jacobian, normal = np.empty((n, 3, 6), np.float32), np.empty((6, 7))
+        jacobian, normal, inside = np.empty((n, 3, 6), np.float32), np.empty((6, 7)), np.empty(n, np.bool_)
         count = _motion_rows(
-            self.points, self.slopes, self.point_variances, other.gradients, other.depth, other.derivatives,
-            other.variances, other.contact, np.ascontiguousarray(pose[:3]), center, self.pitch, other.origin, huber,
-            residual, jacobian, weight, normal,
+            self.points, self.slopes, self.point_variances, other.gradients, other.depth, *other.derivatives,
+            other.variances, other.contact, other.inner, np.ascontiguousarray(pose[:3]), center, self.pitch, other.origin,
+            HUBER, residual, jacobian, weight, inside, normal,
         )  # fmt: skip
-        return Equations(pose, center, residual, jacobian, weight, normal[:, :6], normal[:, 6], count)
+        return Equations(pose, center, residual, jacobian, weight, inside, normal[:, :6], normal[:, 6], count)
 
     @cached_property
     def middle(self) -> Array:
@@ -135,13 +138,8 @@ class TouchedSurface:
 
     @cached_property
     def own(self) -> Equations:
-        """The equations of this surface onto itself, about its middle."""
-        return self.equations(self, np.eye(4), self.middle)
-
-    @cached_property
-    def inside(self) -> NDArray[np.bool_]:
-        """Whether the points (N,) lie in the inner part of the contact."""
-        return self.holds(self.points)
+        """The equations of this surface onto itself."""
+        return self.equations(self, np.eye(4))
 
     @cached_property
     def inner(self) -> NDArray[np.bool_]:
@@ -153,13 +151,6 @@ class TouchedSurface:
     def pixels_at(self, points: Array) -> NDArray[np.float32]:
         """Columns and rows (..., 2) in the rectangle at points (..., 3)."""
         return np.asarray(points[..., :2] / self.pitch + self.origin, dtype=np.float32)
-
-    def holds(self, points: Array) -> NDArray[np.bool_]:
-        """Whether points (N, 3) lie in the inner part of the contact."""
-        column, row = np.rint(self.pixels_at(points)).astype(np.intp).T
-        height, width = self.inner.shape
-        there = (row >= 0) & (row < height) & (column >= 0) & (column < width)
-        return there & self.inner[np.where(there, row, 0), np.where(there, column, 0)]
 
 
 def _closed(contact: NDArray[np.bool_], pitch: Array) -> NDArray[np.bool_]:
@@ -184,10 +175,9 @@ def _variances(result: Reconstruction, rows: slice, cols: slice) -> NDArray[np.f
     return cv2.add(squares, (SLOPE_FLOOR**2, SLOPE_FLOOR**2, DEPTH_FLOOR_MM**2, 0))
 
 
-def _derivatives(gradients: NDArray[np.float32], pitch: Array) -> NDArray[np.float32]:
-    """Derivatives (H, W, 4) of smoothed slopes: along x of dz/dx and dz/dy, then along y."""
+def _derivatives(gradients: NDArray[np.float32], pitch: Array) -> tuple[Array, Array]:
+    """Derivatives (H, W, 2) of smoothed slopes along x, and along y."""
     smooth = cv2.getGaussianKernel(7, SMOOTHED_PX)
     difference = np.convolve(smooth.ravel(), [-0.5, 0, 0.5])
     along_x = cv2.sepFilter2D(gradients, -1, difference / pitch[0], smooth)
-    along_y = cv2.sepFilter2D(gradients, -1, smooth, difference / pitch[1])
-    return cv2.merge([along_x, along_y])
+    return along_x, cv2.sepFilter2D(gradients, -1, smooth, difference / pitch[1])
