@@ -16,7 +16,7 @@ from gelform.foundations.checks import check_numbers, check_positive, check_with
 from gelform.motion.covariance import BLOCK_PX, pose_covariance
 from gelform.motion.rigid import Array, checked_pose, moved, pose_of_step, step_of_pose, turn_deg
 from gelform.motion.sight import Blind, blind_depth, blind_directions, has_moved
-from gelform.motion.surface import NOTHING, Equations, TouchedSurface
+from gelform.motion.surface import Equations, TouchedSurface
 from gelform.result import Reconstruction
 
 FOUND, LOST, UNSURE = "found", "lost", "cannot tell yet"
@@ -31,7 +31,7 @@ MOST_MISFIT = 1.0  # of the surfaces after the motion, in their stated errors; .
 UNKNOWN_MM = 1e3  # mm, standard deviation of what is not known at all
 MOST_STEPS = 30
 LONGEST_MM, LONGEST_RAD = 0.5, 0.15  # of a step
-LAST_MM, LAST_RAD = 5e-4, 1e-4  # a smaller step is the last
+LAST_MM, LAST_RAD = 2e-3, 5e-4  # a smaller step is the last
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,14 +138,12 @@ def motion_of(
     """`motion_between` of prepared surfaces."""
     if min(first.count, second.count) < LEAST_PX:
         return lost(f"no contact: {min(first.count, second.count)} px touch, {LEAST_PX} are needed")
-    # Errors of neighbors are alike, but the equations count each as news: so must what holds them at the start.
-    alike = (BLOCK_PX / first.every) ** 2
-    found = _fitted(first, second, start, alike * _information(REACH), np.eye(6))
+    found = _fitted(first, second, start, np.eye(6))
     if isinstance(found, Motion):
         return found
     blind, freely = blind_directions(first, second, found)
     if blind:
-        found = _fitted(first, second, start, NOTHING, freely)
+        found = _fitted(first, second, start, freely)
         if isinstance(found, Motion):
             return found
     pose, shared = (
@@ -162,7 +160,7 @@ def motion_of(
     # The best of what was seen and of the prior: information adds up.
     along = (freely / np.square(first.scale)[:, None]).T  # of a step, its parts in these directions
     information = along.T @ np.linalg.inv(along @ own @ along.T) @ along
-    covariance = np.linalg.inv(information + _information(prior))
+    covariance = np.linalg.inv(information + np.diag(_information(prior)))
     step = step_of_pose(pose @ np.linalg.inv(start), center)
     pose = pose_of_step(covariance @ information @ step, center) @ start
     if why := _too_far(pose, start, center):
@@ -172,14 +170,14 @@ def motion_of(
 
 
 def _information(prior: tuple[float, float]) -> Array:
-    """The information (6, 6) of standard deviations, mm and rad."""
-    return np.diag(1 / np.square(np.repeat(prior, 3)))
+    """The information (6,) of standard deviations, mm and rad."""
+    return np.asarray(1 / np.square(np.repeat(prior, 3)))
 
 
-def _fitted(
-    first: TouchedSurface, second: TouchedSurface, start: Array, held: Array, seen: Array
-) -> Equations | Motion:
-    """The pose that fits best, from the start on, in the directions (6, k) alone, held to it by an information."""
+def _fitted(first: TouchedSurface, second: TouchedSurface, start: Array, seen: Array) -> Equations | Motion:
+    """The equations about one step from the best pose, in the directions (6, k) alone, held to the start by REACH."""
+    # Errors of neighbors are alike, but the equations count each as news: so must what holds them at the start.
+    held = (BLOCK_PX / first.every) ** 2 * _information(REACH)
     pose, back = start, np.linalg.inv(start)
     for _ in range(MOST_STEPS):
         equations = first.equations(second, pose)

@@ -25,7 +25,6 @@ BORDER_PX = 3  # px inside the contact's border, where slopes change because the
 HUBER = 3.0  # root mean squares; larger residuals count less
 MOVED_PX = 3.0  # px; errors that belong to a place on the sensor are alike so far, and look like shape
 MARGIN_PX = 4  # px around a contact, for the filters
-NOTHING: Array = np.zeros((6, 6))  # no information
 
 _motion_rows = Kernel(
     "motion_rows",
@@ -70,9 +69,12 @@ class Equations:
         """Root mean square of the residuals over their stated errors."""
         return float(np.sqrt(np.sum(self.weight * np.square(self.residual)) / max(1, 3 * self.count)))
 
-    def step(self, seen: Array, held: Array = NOTHING, off: Array = NOTHING[0]) -> Array:
-        """The best step (6,) in some directions (6, k), held by an information (6, 6) to where it is `off` (6,) from."""
-        along, right = seen.T @ (self.information + held) @ seen, seen.T @ (self.right - held @ off)
+    def step(self, seen: Array, held: Array | float = 0.0, off: Array | float = 0.0) -> Array:
+        """The best step (6,) in some directions (6, k), held by an information (6,) to where it is `off` (6,) from."""
+        along, right = (
+            seen.T @ (self.information + np.diag(np.zeros(6) + held)) @ seen,
+            seen.T @ (self.right - held * off),
+        )
         return np.asarray(seen @ np.linalg.solve(along, right), dtype=np.float64)
 
 
