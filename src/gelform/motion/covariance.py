@@ -30,13 +30,11 @@ def pose_covariance(surface: TouchedSurface, equations: Equations, seen: Array, 
     sums = np.stack([np.bincount(block, of) for of in scores.T], axis=1)
     count = int(np.count_nonzero(np.bincount(block, equations.shared)))
     sandwich = inverse @ (sums.T @ sums) @ inverse * count / max(count - 6, 1)
-    # Slopes off by a constant, and too steep by a factor, along x and along y.
+    # Slopes off by a constant, and too steep by a factor, along x and along y; and the pull of what stays.
     common = [np.stack([np.ones_like(of), of]) @ weighted[:, k] for k, of in enumerate(surface.slopes.T)]
-    response = inverse @ np.concatenate(common).T
+    response = inverse @ np.vstack([*common, _pull(surface, equations)]).T
     covariance = sandwich * np.outer(FACTORS, FACTORS)
-    covariance += (response * np.square([OFFSET, GAIN, OFFSET, GAIN])) @ response.T
-    pull = inverse @ _pull(surface, equations)
-    covariance += np.outer(pull, pull)
+    covariance += (response * np.square([OFFSET, GAIN, OFFSET, GAIN, 1])) @ response.T
     covariance[[0, 1], [0, 1]] += place_mm**2
     return np.asarray(covariance, dtype=np.float64)
 
