@@ -17,7 +17,6 @@ from gelform.motion.surface import MOVED_PX, Equations, TouchedSurface
 BLOCK_PX = 16  # px, side of the blocks whose errors count as independent
 FACTORS = np.array([1, 1, 5.5, 2.8, 2.8, 1])  # of the sandwich's standard deviations: x, y, z, tilts, yaw
 OFFSET, GAIN = 0.003, 0.02  # mm/mm, and of a slope: standard deviations of what all slopes have in common
-STAYING = 0.011  # mm/mm, of slope errors that stay at a place on the sensor; chosen on half of the real clips
 
 
 def pose_covariance(surface: TouchedSurface, equations: Equations, seen: Array, place_mm: float) -> Array:
@@ -42,13 +41,15 @@ def pose_covariance(surface: TouchedSurface, equations: Equations, seen: Array, 
 def _pull(surface: TouchedSurface, equations: Equations) -> Array:
     """The right side (6,) that draws the object back to where it was: errors that stay match best without a motion.
 
-    With errors alike as exp(-d^2 / 2 l^2), l = 3 px, a point that moved by d is drawn back by d exp(-d^2 / 2 l^2) / l^2.
+    They are taken to be as large as those that changed: s, the RMS of the slopes' residuals. With errors alike as
+    exp(-d^2 / 2 l^2), l = 3 px, a point that moved by d is drawn back by d exp(-d^2 / 2 l^2) (s / l)^2.
     """
+    weights, alike_mm = equations.weight[:, :2], MOVED_PX * surface.pitch
+    variance = np.sum(weights * np.square(equations.residual[:, :2])) / np.sum(weights)
     there = moved(equations.pose, surface.points)
-    shift = (there - surface.points)[:, :2] / (MOVED_PX * surface.pitch)
-    weight = equations.weight[:, 0] + equations.weight[:, 1]
-    share = weight * np.exp(-np.einsum("nk,nk->n", shift, shift) / 2)
-    drawn = share[:, None] * shift * (STAYING**2 / (MOVED_PX * surface.pitch))
+    shift = (there - surface.points)[:, :2] / alike_mm
+    share = (weights[:, 0] + weights[:, 1]) * np.exp(-np.einsum("nk,nk->n", shift, shift) / 2)
+    drawn = share[:, None] * shift * (variance / alike_mm)
     x, y = np.ones(len(drawn)) @ drawn
     lever = (there - equations.center).T @ drawn
     return np.array([x, y, 0, -lever[2, 1], lever[2, 0], lever[0, 1] - lever[1, 0]])
