@@ -20,26 +20,23 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import cv2
 import numpy as np
 
 import gelform
+import gelform.depth.frame
+import gelform.reconstruct
 from gelform.calibration.presses.folder import Press, Presses
-from gelform.depth.anchor import RestAnchor
-from gelform.depth.contact import contact_from_depth, contacts_from_mask
-from gelform.depth.sigma.sigma import DepthSigma
-from gelform.depth.stepped import SteppedSlopes
-from gelform.image.background.change import PreparedBackground
-from gelform.image.background.untouched import reference_from_color_change
+from gelform.depth.contact import contacts_from_mask
 from gelform.image.view import View
 from gelform.simulate import LAYOUTS, Ball, simulate_ball_presses, simulate_press
-from gelform.slopes.color_models.seam import gradients_from_pending
-from gelform.slopes.confidence import PreparedCauses, PreparedSigma, SolvedSigma
-from gelform.slopes.gradients import slopes_of_solution
 from presses import DATA
 from report import dct_pair, median_ms, table, write
 
@@ -72,69 +69,51 @@ def calibration_at(shape: tuple[int, int]) -> tuple[gelform.Calibration, np.ndar
 
 
 def stages(calibration: gelform.Calibration, image: np.ndarray) -> dict[str, Callable[[], Any]]:
-    """Each stage of a frame separately; the whole frame without sigma and weights, and with everything."""
+    """Each part of a frame with the arguments that it had in one; then whole frames, with less and with everything."""
     reconstruct = gelform.Reconstructor(calibration)
+    today, fixed = reconstruct._today, reconstruct._calibrated
+    parts = {
+        "faults of the image": (today, "health"),
+        "exposure and light": (today.untouched_image, "compare"),
+        "clipped channels": (today, "clipped"),
+        "color change, blur and color model": (gelform.reconstruct, "gradients_from_pending"),
+        "depth of the frame, step of the forward response": (fixed, "stepped"),
+        "what untouched pixels have in common": (gelform.reconstruct, "reference_from_color_change"),
+        "untouched pixels, sigma": (today, "sigma"),
+        "causes, confidence": (today, "causes"),
+        "steep slopes": (reconstruct, "steep_slopes"),
+        "anchor at rest": (fixed.depth, "_anchor"),
+        "depth (weighted, anchored), curl": (gelform.depth.frame, "integrate_unchecked"),
+        "sigma of depth": (fixed.depth.sigma, "unchecked"),
+        "sigma of the depth's slopes": (reconstruct, "solved_sigma"),
+        "contact": (today, "contact"),
+        "depth that is missing": (fixed, "missing_depth"),
+        "color around the contact": (today, "surround"),
+    }
+    calls: dict[str, Callable[[], Any]] = {}
+    with ExitStack() as patched:
+        for name, (holder, attribute) in parts.items():
+            noted = noting(calls, name, getattr(holder, attribute))
+            patched.enter_context(patch.object(holder, attribute, noted))
+        result = reconstruct.from_image(image)
     plain = gelform.Reconstructor(calibration, solver="dct", depth_sigma=False)
     depths = gelform.Reconstructor(calibration, solver="dct", depth_sigma=False, slope_sigma=False)
-    prepared = PreparedBackground(calibration.background, calibration.change)
-    model = calibration.color_model.prepare(calibration.background, calibration.image_shape)
-    exposure, _ = prepared.compare(image)
-    change = np.empty((*calibration.image_shape, 3), dtype=np.float32)
-    gradients, _ = gradients_from_pending(model, prepared.pending(image, exposure), change)
-    threshold, pitch = calibration.untouched_change, calibration.known_mm_per_px
-    reference = reference_from_color_change(change, gradients, threshold)
-    sigma = PreparedSigma(calibration.slope_sigma, calibration.image_shape)
-    stepped = SteppedSlopes(calibration.forward, calibration.image_shape, threshold)
-    step = stepped(change, gradients)
-    solved = SolvedSigma(calibration.slope_sigma, calibration.image_shape, calibration.change.blur_px)
-    causes = PreparedCauses(
-        calibration.background,
-        calibration.change,
-        full_confidence_sigma=calibration.slope_sigma.full_confidence_sigma,
-        levels=calibration.settings.image_noise,
-    )
-
-    def trusted(reference: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        untouched, deviation = sigma(change, gradients, reference, None, step.variance)
-        return untouched, deviation, causes(gradients, deviation, None, image, (step.residual, step.variance))
-
-    untouched, deviation, confidence = trusted(reference)
-    unbiased = reference._replace(bias=np.zeros(2, dtype=np.float32))  # removed from the gradients above
-    anchor = RestAnchor(calibration.image_shape, pitch, calibration.slope_sigma.full_confidence_sigma)
-    hold = anchor(gradients, untouched)
-    arguments = {"weights": confidence, "anchor": hold}
-    depth = gelform.depth_from_gradients(gradients, mm_per_px=pitch, **arguments)
-    both = np.broadcast_to(deviation[..., None], gradients.shape)
-    depth_sigma = DepthSigma(calibration.image_shape, mm_per_px=pitch, **calibration.slope_sigma.correlation)
-    known = depth_sigma(both, **arguments, at_rest=untouched)
-    touched = contact_from_depth(depth, mm_per_px=pitch, depth_sigma_mm=known)
-    return {
-        "exposure, background check": lambda: prepared.compare(image),
-        "color change, blur and color model": lambda: gradients_from_pending(
-            model, prepared.pending(image, exposure), change
-        ),
-        "what untouched pixels have in common": lambda: reference_from_color_change(
-            change, gradients, threshold
-        ),
-        "depth of the frame, step of the forward response": lambda: stepped(change, gradients),
-        "untouched, sigma, confidence": lambda: trusted(unbiased),
-        "anchor at rest": lambda: anchor(gradients, untouched),
-        "depth (dct), curl": lambda: (
-            gelform.integrate(gradients, mm_per_px=pitch, zero=untouched, solver="dct").curl_rms
-        ),
-        "depth (weighted, anchored), curl": lambda: (
-            gelform.integrate(gradients, mm_per_px=pitch, **arguments).curl_rms
-        ),
-        "sigma of depth": lambda: depth_sigma(both, **arguments, at_rest=untouched),
-        "slopes of the depth and their sigma": lambda: solved(
-            both, slopes_of_solution(depth, (pitch, pitch))
-        ),
-        "contact": lambda: contact_from_depth(depth, mm_per_px=pitch, depth_sigma_mm=known),
-        "contacts": lambda: contacts_from_mask(touched, depth, mm_per_px=pitch),
+    return calls | {
+        "contacts": lambda: contacts_from_mask(result.contact, result.depth_mm, mm_per_px=result.mm_per_px),
         DEPTHS: lambda: depths.from_image(image),
         PLAIN: lambda: plain.from_image(image),
         EVERYTHING: lambda: reconstruct.from_image(image),
     }
+
+
+def noting(calls: dict[str, Callable[[], Any]], name: str, part: Callable[..., Any]) -> Callable[..., Any]:
+    """The part, which also notes a call of itself with the same arguments."""
+
+    def noted(*args: Any, **kwargs: Any) -> Any:
+        calls[name] = partial(part, *args, **kwargs)
+        return part(*args, **kwargs)
+
+    return noted
 
 
 def first_frame_s(calibration: gelform.Calibration, image: np.ndarray, bytecode: bool) -> float:

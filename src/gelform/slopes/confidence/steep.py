@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from gelform._native import Kernel
 from gelform.slopes.confidence.slope_sigma import SlopeSigma
+from gelform.slopes.confidence.solved import for_both
 from gelform.slopes.gradients import STEEPEST_GEL
 
 # Quantiles of the slopes that presses have shown. From the first on, a model of other units is doubted, beginning one clean
@@ -73,5 +74,7 @@ def with_steep(sigma: NDArray[np.float32] | None, steep: NDArray[np.float32]) ->
     """A standard deviation (H, W) or (H, W, 2), with that of steep slopes (H, W) added in squares; None stays None."""
     if sigma is None:
         return None
-    square = np.square(steep)
-    return np.asarray(np.sqrt(np.square(sigma) + (square if sigma.ndim == 2 else square[..., None])))
+    alike = sigma.strides[-1] == 0  # one map for both components, broadcast
+    own = sigma[..., 0] if alike else sigma
+    added = np.sqrt(np.square(own) + np.square(steep if own.ndim == 2 else steep[..., None]))
+    return for_both(added) if alike else np.asarray(added)
