@@ -87,6 +87,8 @@ class TouchedSurface:
     contact : (h, w) bool, the rectangle around them; origin : (x, y) in px of the rectangle that is 0 mm
     points : (N, 3) float32, mm; pixels : (N, 2) their rows and columns in the rectangle; slopes : (N, 2)
     every : one of so many rows and columns is a point
+
+    The points are those of a frame that others are compared with; of the other frames, nobody asks for them.
     """
 
     def __init__(self, result: Reconstruction) -> None:
@@ -108,12 +110,25 @@ class TouchedSurface:
         self.count = int(np.count_nonzero(self.contact))
         self.share = self.count / result.contact.size
         self.every = max(1, int(np.ceil(np.sqrt(self.count / MOST_POINTS))))
-        self.pixels = self.every * np.argwhere(self.contact[:: self.every, :: self.every])
-        row, col = self.pixels.T
-        self.points = np.empty((len(row), 3), np.float32)
-        self.points[:, :2] = (self.pixels[:, ::-1] - self.origin) * self.pitch
-        self.points[:, 2] = self.depth[row, col]
-        self.slopes, self.point_variances = self.gradients[row, col], self.variances[row, col]
+
+    @cached_property
+    def pixels(self) -> NDArray[np.intp]:
+        return self.every * np.argwhere(self.contact[:: self.every, :: self.every])
+
+    @cached_property
+    def points(self) -> NDArray[np.float32]:
+        points = np.empty((len(self.pixels), 3), np.float32)
+        points[:, :2] = (self.pixels[:, ::-1] - self.origin) * self.pitch
+        points[:, 2] = self.depth[tuple(self.pixels.T)]
+        return points
+
+    @cached_property
+    def slopes(self) -> NDArray[np.float32]:
+        return self.gradients[tuple(self.pixels.T)]
+
+    @cached_property
+    def point_variances(self) -> NDArray[np.float32]:
+        return self.variances[tuple(self.pixels.T)]
 
     def equations(self, other: TouchedSurface, pose: Array) -> Equations:
         """The equations of a step that follows the motion `pose` of this surface onto another, about its moved middle."""
@@ -173,8 +188,8 @@ def _variances(result: Reconstruction, rows: slice, cols: slice) -> NDArray[np.f
     )
     known = cv2.merge([one[rows, cols] for one in maps])
     cv2.patchNaNs(known, LARGEST_SIGMA)
-    squares = np.square(np.minimum(known, np.float32(LARGEST_SIGMA)))
-    return cv2.add(squares, (SLOPE_FLOOR**2, SLOPE_FLOOR**2, DEPTH_FLOOR_MM**2, 0))
+    np.square(np.minimum(known, np.float32(LARGEST_SIGMA), out=known), out=known)
+    return cv2.add(known, (SLOPE_FLOOR**2, SLOPE_FLOOR**2, DEPTH_FLOOR_MM**2, 0), dst=known)
 
 
 def _derivatives(gradients: NDArray[np.float32], pitch: Array) -> tuple[Array, Array]:
