@@ -15,7 +15,10 @@ from real_frames.sets import MINI_MM_PER_PX, MINIS, Run, background_of, percent
 from report import table
 
 OBJECTS = ("bead", "key", "seed")
-UNTOUCHED = range(20, 59)  # frames of mini-markers-video in which nothing touches the gel
+TWO_EDGES = "12.png"  # the frame of mini-edge that a second edge is in
+UNTOUCHED = range(
+    20, 55
+)  # frames of mini-markers-video in which nothing touches the gel; a finger does from 55 on
 NOISY = 20  # frames with noise for each background image
 SEED = 20261125
 
@@ -34,7 +37,8 @@ def contacts(run: Run) -> dict[str, Any]:
                 reconstruct.from_image(gelform.read_image(path)) for path in paths
             )
     reconstruct = gelform.Reconstructor(run.carried("starter", background_of("mini-edge")))
-    paths = run.some(sorted((DATA / "mini-edge" / "images").glob("*.png")))
+    paths = sorted((DATA / "mini-edge" / "images").glob("*.png"))
+    paths = run.some([path for path in paths if path.name != TWO_EDGES])
     images = [gelform.read_image(path) for path in paths]
     same_light = [one for one in images if not another_light(one, reconstruct.background)]
     for what, chosen in (("all frames", images), ("those in its light", same_light)):
@@ -117,7 +121,7 @@ def rest(run: Run) -> dict[str, Any]:
         figures[f"{name}, background and noise"] = frames_with_contact(
             calibration, [with_noise(calibration, rng) for _ in range(count)]
         )
-    figures["mini-markers-video, frames 20-58"] = _video(run)
+    figures[f"mini-markers-video, frames {UNTOUCHED[0]}-{UNTOUCHED[-1]}"] = _video(run)
     rows = [[name, *row.values()] for name, row in figures.items()]
     print("\n" + table(["without contact", *REST_COUNTS, "%"], rows), flush=True)
     return figures

@@ -57,7 +57,7 @@ EXPORT int region_moments(const uint16_t *labels, const float *depth, double *mo
   return OK;
 }
 
-enum { AREA, DEPTH, X, Y, SURE, EVIDENCE, OWN, MEASURES };
+enum { AREA, DEPTH, X, Y, DEVIATION, EVIDENCE, OWN, MEASURES };
 
 struct maps {
   const float *depth, *sigma, *variance, *coarse, *fine, *smooth, *bent, *influence;
@@ -78,9 +78,8 @@ static inline double evidence_of(const struct maps *m, ptrdiff_t at) {
 // A run of a region's pixels in row y; `row` is that row's first pixel in the maps.
 static void take_evidence(double *of, const struct maps *m, ptrdiff_t first, ptrdiff_t end, ptrdiff_t y, ptrdiff_t row) {
   for (ptrdiff_t x = first; x < end; x++) {
-    const double z = m->depth[row + x], sure = z / larger(m->sigma[row + x], 1e-9f), evidence = evidence_of(m, row + x);
-    if (of[AREA] == 0 || z > of[DEPTH]) of[DEPTH] = z, of[X] = (double)x, of[Y] = (double)y;
-    of[SURE] = of[AREA] == 0 || sure > of[SURE] ? sure : of[SURE];
+    const double z = m->depth[row + x], evidence = evidence_of(m, row + x);
+    if (of[AREA] == 0 || z > of[DEPTH]) of[DEPTH] = z, of[X] = (double)x, of[Y] = (double)y, of[DEVIATION] = m->sigma[row + x];
     of[EVIDENCE] = evidence > of[EVIDENCE] ? evidence : of[EVIDENCE];
     of[AREA]++;
   }
@@ -95,7 +94,7 @@ static void take_own_depth(double *of, const struct maps *m, ptrdiff_t first, pt
   }
 }
 
-// Of each region 1 ... n: its pixels, depth and place of the deepest one, the most sigmas that a depth is above 0, the most
+// Of each region 1 ... n: its pixels, depth and place of the deepest one, the depth's deviation there, the most
 // evidence, and the depth that the region's own pressure makes at its deepest pixel. `coarse`, `fine`: pressures; `smooth`, `bent`:
 // the surface by the finer smoothing. `influence`: depth for a unit of pressure at a pixel whose squared distance is the index;
 // `per_x` and `per_y` are those of a step.
@@ -119,8 +118,28 @@ EXPORT int region_evidence(const uint16_t *labels, const float *depth, const flo
   return OK;
 }
 
-// The pixels of the regions that stand, of labels 0 ... n - 1.
-EXPORT int standing_regions(const uint16_t *labels, const bool *stands, bool *contact, ptrdiff_t h, ptrdiff_t w, ptrdiff_t n) {
+// The highest of a pixel and its eight neighbors, of equal ones the first.
+static ptrdiff_t way_up(const float *surface, ptrdiff_t at, ptrdiff_t h, ptrdiff_t w) {
+  const ptrdiff_t y = at / w, x = at % w;
+  ptrdiff_t highest = at;
+  for (ptrdiff_t i = y - (y > 0); i <= y + (y < h - 1); i++)
+    for (ptrdiff_t j = x - (x > 0); j <= x + (x < w - 1); j++)
+      if (surface[i * w + j] > surface[highest]) highest = i * w + j;
+  return highest;
+}
+
+// Climbs from a pixel of a region to the top of its hill. Where another region that stands is on the way, the way to it joins both.
+static void join_uphill(const uint16_t *labels, const bool *stands, ptrdiff_t from, const float *surface, uint8_t *contact,
+                        ptrdiff_t h, ptrdiff_t w) {
+  ptrdiff_t at = from, before = -1;
+  while (at != before && (labels[at] == labels[from] || !stands[labels[at]])) before = at, at = way_up(surface, at, h, w);
+  if (at == before) return;
+  for (ptrdiff_t step = from; step != at; step = way_up(surface, step, h, w)) contact[step] = 1;
+}
+
+// The pixels of the regions that stand, of labels 0 ... n - 1, joined up the hills of a surface from their `deepest` pixels, (y, x).
+EXPORT int standing_regions(const uint16_t *labels, const bool *stands, const int32_t *deepest, const float *surface, bool *contact,
+                            ptrdiff_t h, ptrdiff_t w, ptrdiff_t n) {
   memset(contact, 0, (size_t)(h * w));
   for (ptrdiff_t y = 0; y < h; y++) {
     const uint16_t *row = labels + y * w;
@@ -129,6 +148,11 @@ EXPORT int standing_regions(const uint16_t *labels, const bool *stands, bool *co
       for (end = x + 1; end < w && row[end] == row[x];) end++;
       memset(contact + y * w + x, stands[row[x]], (size_t)(end - x));
     }
+  }
+  for (ptrdiff_t k = 1; k < n; k++) {
+    const ptrdiff_t y = deepest[2 * k], x = deepest[2 * k + 1];
+    if (y < 0 || y >= h || x < 0 || x >= w) return WRONG_SIZE;
+    if (stands[k]) join_uphill(labels, stands, y * w + x, surface, (uint8_t *)contact, h, w);
   }
   return OK;
 }

@@ -86,13 +86,41 @@ EXPORT int median_below(const float *values, float *work, float *magnitude, int6
 enum { CHUNK = 4 * LANES };
 static const float MOST_VARIANCE = 0.3f;  // (mm/mm)^2; a slope of such variance is not known at all
 
-// Variance of slopes, from their deviation as they were read where the gel is at rest, elsewhere of the solved depth's slopes.
+// Variance of slopes, from their deviation as they were read where the gel is at rest, elsewhere of the solved depth's slopes;
+// 0 where they are unknown. `share`: 1 where they are known.
 EXPORT int slope_variance(const float *restrict read, const float *restrict solved, const bool *restrict at_rest,
-                          float *restrict variance, ptrdiff_t count) {
+                          const bool *restrict known, float *restrict variance, float *restrict share, ptrdiff_t count) {
   for (ptrdiff_t i = 0; i < count; i++) {
     const float r = read[i], s = solved[i], deviation = at_rest[i] ? r : s;
-    variance[i] = smaller(deviation * deviation, MOST_VARIANCE);
+    share[i] = known[i] ? 1.0f : 0.0f;
+    variance[i] = share[i] * smaller(deviation * deviation, MOST_VARIANCE);
   }
+  return OK;
+}
+
+static const float LEAST_SHARE = 1e-3f;  // of the pixels around; fewer known ones tell nothing
+
+// Both maps of `slope_variance`, smoothed, make the mean variance of the known slopes around a pixel. The variance of a Laplacian
+// falls with the square of the area that is smoothed over, here the known pixels.
+EXPORT int variance_of_known(const float *restrict total, const float *restrict share, float *restrict variance, ptrdiff_t count) {
+  for (ptrdiff_t i = 0; i < count; i++) {
+    const float part = larger(share[i], LEAST_SHARE);
+    variance[i] = total[i] / (part * part * part);
+  }
+  return OK;
+}
+
+// How much larger the variance of the depths below 0 is than their deviations say: of every `step`-th one, surer ones count for
+// more. 0 where it is not larger.
+EXPORT int variance_below(const float *depth, const float *sigma, double *excess, int64_t step, ptrdiff_t count) {
+  double total = 0, weights = 0;
+  if (step < 1) return WRONG_SIZE;
+  for (ptrdiff_t i = 0; i < count; i += step) {
+    if (!(depth[i] < 0)) continue;
+    const double z = depth[i], s = larger(sigma[i], 1e-6f);
+    total += (z - s) * (z + s) / (s * s), weights += 1 / (s * s);
+  }
+  *excess = total > 0 ? total / weights : 0;
   return OK;
 }
 

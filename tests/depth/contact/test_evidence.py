@@ -53,6 +53,10 @@ def regions_of(mask, depth, sigma, whole, noise=0.02):
     return Regions(number, labels, {**maps, "at_rest": everywhere > 0}, gains)
 
 
+def standing(regions, **how):
+    return judge(**how)(regions)[0].tolist()
+
+
 def test_the_depth_of_a_pressed_disc_is_that_of_the_analytic_one():
     """A uniform pressure p on a disc makes p L^2 (1 - R/L K1(R/L)) at its center."""
     radius, measures = 1.0, np.empty((1, 7))
@@ -79,10 +83,11 @@ def test_a_contact_stands_and_gel_that_it_draws_down_does_not():
     disc, speck = distance(50, 60) < 1.0, distance(84, 60) < 0.25
     whole = 0.8 * disc + 0.12 * speck
     depth = depth_of(whole)
-    stands = judge()(regions_of(disc | speck, depth, 0.01, whole, 0.02))
+    stands, deepest = judge()(regions_of(disc | speck, depth, 0.01, whole, 0.02))
     assert stands.tolist() == [False, True, False]
+    assert deepest[1].tolist() == [60, 50]
     alone = depth_of(0.12 * speck)
-    assert judge()(regions_of(speck, alone, 0.0005, 0.12 * speck, 0.015)).tolist() == [False, True]
+    assert standing(regions_of(speck, alone, 0.0005, 0.12 * speck, 0.015)) == [False, True]
 
 
 @pytest.mark.parametrize(
@@ -91,28 +96,37 @@ def test_a_contact_stands_and_gel_that_it_draws_down_does_not():
 def test_depth_and_area_have_to_be_enough(sigma, area, stands):
     disc = distance(50, 60) < 1.0
     regions = regions_of(disc, depth_of(0.8 * disc), sigma, 0.8 * disc)
-    assert judge(min_area_mm2=area)(regions).tolist() == [False, stands]
+    assert standing(regions, min_area_mm2=area) == [False, stands]
 
 
 def test_a_depth_of_zero_or_less_is_no_contact():
     disc = distance(50, 60) < 1.0
     for depth in (0 * depth_of(disc), -depth_of(disc)):
-        assert not judge()(regions_of(disc, depth, 0.01, 0.8 * disc)).any()
+        assert standing(regions_of(disc, depth, 0.01, 0.8 * disc)) == [False, False]
 
 
-def test_tops_of_a_texture_stand_together_and_specks_do_not():
-    """Each top makes a fifth of its depth; nine of them make it together, two of them do not."""
+def test_tops_of_a_texture_stand_each_by_its_own_depth():
+    """Each top makes a fifth of its depth: enough where that part is sure, though the neighbors make the rest."""
     tops = [distance(x, y) < 0.2 for x in (50, 60, 70) for y in (50, 60, 70)]
     every = np.any(tops, axis=0)
     depth = depth_of(0.18 * every)
-    assert judge()(regions_of(every, depth, 0.002, 0.18 * every)).tolist() == [False] + 9 * [True]
-    two = tops[0] | tops[8]
-    assert not judge()(regions_of(two, depth, 0.002, 0.18 * every)).any()
+    for sigma, stand in ((0.0005, True), (0.02, False)):
+        assert standing(regions_of(every, depth, sigma, 0.18 * every)) == [False] + 9 * [stand]
+
+
+def test_a_frame_noisier_than_it_says_shows_contacts_of_more_depth():
+    """A quarter of the gel lies below 0 by more than sigma explains; an overwhelming pressure is sure in spite of it."""
+    speck = distance(50, 60) < 0.25
+    depth = depth_of(0.12 * speck)
+    for lowered, noise, stands in ((0.0005, 0.02, True), (0.004, 0.02, False), (0.004, 0.004, True)):
+        uneven = depth.copy()
+        uneven[:30] -= lowered
+        assert standing(regions_of(speck, uneven, 0.0005, 0.12 * speck, noise)) == [False, stands]
 
 
 def test_nothing_is_judged_where_nothing_is():
     none = np.zeros((12, 14), bool)
-    assert judge()(regions_of(none, np.zeros(none.shape), 0.01, np.zeros(none.shape))).tolist() == [False]
+    assert standing(regions_of(none, np.zeros(none.shape), 0.01, np.zeros(none.shape))) == [False]
 
 
 @pytest.mark.parametrize("shape", [(1, 9), (23, 31)])
@@ -138,11 +152,36 @@ def test_evidence_agrees_with_numpy(shape):
             top = np.argmax(np.where(here, depth, -9))
             at = (per_x * (x - x.flat[top]) ** 2 + per_y * (y - y.flat[top]) ** 2).astype(int)
             own = np.where(here & (at < 60), influence[np.minimum(at, 59)] * (bent + stiffness * smooth), 0)
-            sure = (depth / sigma)[here].max()
             rows.append(
-                [here.sum(), depth.flat[top], x.flat[top], y.flat[top], sure, square[here].max(), own.sum()]
+                [
+                    here.sum(),
+                    depth.flat[top],
+                    x.flat[top],
+                    y.flat[top],
+                    sigma.flat[top],
+                    square[here].max(),
+                    own.sum(),
+                ]
             )
         return np.array(rows)
 
     maps = labels, depth, sigma, variance, rest, coarse, fine, smooth, bent, influence, np.empty((3, 7))
     assert_kernel_agrees(evidence_module._region_evidence, by_numpy, *maps, *numbers)
+
+
+@pytest.mark.parametrize("step", [1, 3])
+@pytest.mark.parametrize("scale", [0.05, 1.0, 3.0])
+def test_what_negative_depths_have_more_agrees_with_numpy(step, scale):
+    rng = np.random.default_rng(0)
+    depth, sigma = (
+        rng.normal(0, scale, (9, 13)).astype(np.float32),
+        rng.uniform(0.5, 1, (9, 13)).astype(np.float32),
+    )
+
+    def by_numpy(depth, sigma, excess, step):
+        z, s = (one.ravel()[::step].astype(float) for one in (depth, sigma))
+        more, weight = (z**2 - s**2)[z < 0], s[z < 0] ** -2
+        return np.array([max(np.average(more, weights=weight), 0) if more.size else 0])
+
+    for one in (depth, np.abs(depth)):
+        assert_kernel_agrees(evidence_module._variance_below, by_numpy, one, sigma, np.empty(1), step)

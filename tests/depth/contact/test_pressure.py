@@ -11,6 +11,12 @@ from gelform.depth.contact import pressure as pressure_module
 from kernel_agreement import assert_kernel_agrees
 
 PITCH = 0.0634
+CORRELATION = {
+    "correlation_px": 6.0,
+    "correlated_share": 0.5,
+    "rest_correlation_px": 1.0,
+    "rest_correlated_share": 0.1,
+}
 
 
 def cap(*, center=(160, 120), ball_mm=4.0, depth_mm=0.8):
@@ -107,7 +113,7 @@ def test_a_noisy_place_is_no_contact_and_hides_none_elsewhere():
     touched, *_ = cap(center=(80, 120), depth_mm=0.06)
     noise = np.ones(touched.shape, np.float32)
     noise[:, 270:] = 4.0
-    sigma, taken = 0.001 * noise, 0
+    sigma, taken = 0.0005 * noise, 0
     for seed in range(4):
         rest = slopes_noise(noise.shape, 0.02 * noise[..., None], seed)
         knows, does_not = (PreparedContact((PITCH, PITCH), 0.5, n) for n in (noise**2, np.ones_like(noise)))
@@ -127,17 +133,25 @@ def test_unknown_pixels_are_no_contact():
     assert not contact[~known].any()
 
 
+def test_dots_are_contact_within_one_and_nowhere_else():
+    """Their slopes are unknown; they hide neither the pressed pixels between them nor the outline."""
+    depth, r, radius = cap(ball_mm=4.0, depth_mm=0.8)
+    y, x = np.mgrid[: depth.shape[0], : depth.shape[1]]
+    known = np.hypot((x - 7) % 16 - 7.5, (y - 5) % 16 - 7.5) > 4
+    sigma = np.where(known, 0.02, 10.0).astype(np.float32)
+    slopes = SlopeDeviations(sigma, sigma, depth == 0)
+    sensor = PreparedContact((PITCH, PITCH), 0.6, np.full(depth.shape, 0.02**2, np.float32), CORRELATION)
+    contact = sensor(depth.astype(np.float32), np.full(depth.shape, 0.02, np.float32), slopes, known)
+    assert contact[r < radius - 8].mean() > 0.98
+    assert contact[r < radius - 4].mean() > 0.9
+    assert not contact[r > radius + 2].any()
+
+
 def test_a_depth_that_is_not_sure_is_no_contact():
     """The same press with a depth that exceeds its own deviation by far, and hardly."""
     depth, *_ = cap(depth_mm=0.3)
     slopes = SlopeDeviations(*np.full((2, *depth.shape), 0.005, np.float32), np.ones(depth.shape, bool))
-    correlation = {
-        "correlation_px": 6.0,
-        "correlated_share": 0.5,
-        "rest_correlation_px": 1.0,
-        "rest_correlated_share": 0.1,
-    }
-    sensor = PreparedContact((PITCH, PITCH), 0.6, np.full(depth.shape, 0.005**2, np.float32), correlation)
+    sensor = PreparedContact((PITCH, PITCH), 0.6, np.full(depth.shape, 0.005**2, np.float32), CORRELATION)
     for sigma, found in ((0.02, True), (0.12, False)):
         contact = sensor(depth.astype(np.float32), np.full(depth.shape, sigma, np.float32), slopes)
         assert contact.any() == found
@@ -257,17 +271,46 @@ def test_pressure_agrees_with_numpy(shape):
     assert counted == np.count_nonzero(by_numpy(*arguments))
 
 
-def test_slope_variance_agrees_with_numpy():
+@pytest.mark.parametrize("output", [0, 1])
+def test_slope_variance_agrees_with_numpy(output):
     """As read at rest, as solved elsewhere; a slope that is not known at all has a variance of 0.3."""
     rng = np.random.default_rng(0)
     read, solved = rng.uniform(0, 1.5, (2, 9, 13)).astype(np.float32)
-    rest = rng.random(read.shape) < 0.5
+    rest, known = rng.random((2, *read.shape)) < 0.5
+    wanted = known * np.minimum(np.where(rest, read, solved).astype(float) ** 2, 0.3), known.astype(float)
+    found = np.empty((2, *read.shape), np.float32)
+    pressure_module._slope_variance(read, solved, rest, known, *found)
+    np.testing.assert_allclose(found[output], wanted[output], rtol=1e-6)
 
-    def by_numpy(read, solved, rest, variance):
-        return np.minimum(np.where(rest, read, solved).astype(float) ** 2, 0.3)
 
-    blank = np.empty_like(read)
-    assert_kernel_agrees(pressure_module._slope_variance, by_numpy, read, solved, rest, blank)
+def test_the_variance_of_known_slopes_agrees_with_numpy():
+    rng = np.random.default_rng(0)
+    total, share = rng.uniform(0, 1, (2, 9, 13)).astype(np.float32)
+    share[0] = 0
+
+    def by_numpy(total, share, variance):
+        return total / np.maximum(share.astype(float), 1e-3) ** 3
+
+    assert_kernel_agrees(pressure_module._variance_of_known, by_numpy, total, share, np.empty_like(total))
+
+
+@pytest.mark.parametrize("shape", [(1, 7), (14, 1), (40, 53)])
+def test_unknown_pixels_are_added_as_by_numpy(shape):
+    rng = np.random.default_rng(1)
+    known = ndimage.gaussian_filter(rng.normal(size=shape), 0.7) > -0.25
+    pressed = (ndimage.gaussian_filter(rng.normal(size=shape), 2) > 0) & known
+
+    def by_numpy(known, pressed, contact, work):
+        labels, count = ndimage.label(~known)
+        found, side = pressed.copy(), np.where(known, np.where(pressed, 1, -1), 0)
+        for k in range(1, count + 1):
+            here = np.pad(labels == k, 1)
+            edges = sum(np.roll(here, by, axis) for by in (-1, 1) for axis in (0, 1))[1:-1, 1:-1]
+            found |= (labels == k) & ((edges * side).sum() > 0)
+        return found
+
+    work = np.empty(5 * shape[0] * ((shape[1] + 1) // 2), np.int32)
+    assert_kernel_agrees(pressure_module._add_unknown, by_numpy, known, pressed, np.empty(shape, bool), work)
 
 
 @pytest.mark.parametrize("shape", [(1, 7), (9, 16), (61, 83)])
@@ -297,13 +340,39 @@ def test_outlines_agree_with_numpy(shape, limit):
     assert_kernel_agrees(pressure_module._contact_outline, by_numpy, *maps, 4, 0.7, 0.6, limit)
 
 
-def test_standing_regions_agree_with_numpy():
-    labels = np.random.default_rng(0).integers(0, 5, (13, 17)).astype(np.uint16)
-    stands = np.array([False, True, False, True, False])
-    blank = np.empty(labels.shape, bool)
-    assert_kernel_agrees(
-        pressure_module._standing_regions, lambda labels, stands, out: stands[labels], labels, stands, blank
+def standing_regions(labels, stands, deepest, surface):
+    contact = np.empty(labels.shape, bool)
+    pressure_module._standing_regions(
+        labels.astype(np.uint16),
+        np.array(stands),
+        np.array(deepest, np.int32),
+        surface.astype(np.float32),
+        contact,
     )
+    return contact
+
+
+def test_the_mask_is_that_of_the_regions_that_stand():
+    labels, stands = (
+        np.random.default_rng(0).integers(0, 5, (13, 17)),
+        np.array([False, True, False, True, False]),
+    )
+    contact = standing_regions(labels, stands, 5 * [(0, 0)], np.zeros(labels.shape))
+    assert (contact == stands[labels]).all()
+
+
+@pytest.mark.parametrize(("valley", "stands", "count"), [(0.0, True, 1), (0.5, True, 2), (0.0, False, 1)])
+def test_regions_of_one_hill_are_joined_up_its_slope(valley, stands, count):
+    """Two regions with a gap between; the lower one's way up leads into the higher one, or to a summit of its own."""
+    y, x = np.mgrid[:40, :80]
+    surface = np.exp(-((x - 50.0) ** 2 + (y - 20) ** 2) / 500) - valley * (np.abs(x - 35) < 3)
+    labels = 1 * (np.abs(y - 20) + np.abs(x - 55) < 12) + 2 * (np.hypot(y - 20, x - 25) < 5)
+    lower = np.unravel_index(np.argmax(np.where(labels == 2, surface, -9)), labels.shape)
+    contact = standing_regions(labels, [False, True, stands], [(0, 0), (20, 50), lower], surface)
+    assert contact[labels == 1].all()
+    assert contact[labels == 2].all() == stands
+    assert ndimage.label(contact, np.ones((3, 3)))[1] == count
+    assert np.count_nonzero(contact & (labels == 0)) <= 20
 
 
 def test_the_pressure_s_variance_is_that_of_noisy_slopes():

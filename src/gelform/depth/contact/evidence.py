@@ -6,21 +6,19 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
 
-import cv2
 import numpy as np
 import scipy  # its parts load at first use
 from numpy.typing import NDArray
 
 from gelform._native import Kernel
+from gelform.foundations.filters import MEDIAN_SAMPLES
 
 # Chosen on every second or third press of six real sensors and on three simulated ones, so that one ball is one contact and
 # frames at rest have none; docs/contacts.md shows the other frames.
 NOISE_FACTOR = 3.5  # standard deviations: pressures over the noise at rest, depths of regions over their own
-# Noise factors: what the surer of depth and pressure exceeds, of a region that makes most of its depth itself; and what the
-# pressure of any other exceeds.
-SEED, ALONE = 2.0, 3.0
-MOST = 0.5  # fraction of a region's depth that its own pressure makes; the rest is drawn down by what is beside it
-TOPS = 3  # regions of a texture, the fewest, of which none makes most of its depth alone
+# Noise factors: what a region's own depth and its pressure exceed together, as the root of the sum of their squares; and
+# what its pressure exceeds where its own depth is not sure.
+TOGETHER, ALONE = 2.0, 4.0
 INFLUENCE = 6.0  # relaxation lengths, reach of a pressure; beyond, its depth is a thousandth
 
 _region_evidence = Kernel(
@@ -29,6 +27,7 @@ _region_evidence = Kernel(
     "f32[h,w] smooth, f32[h,w] bent, f32[t] influence, out f64[n,7] measures, f32 stiffness, f32 coarse_at_rest, "
     "f32 coarse_elsewhere, f32 fine_at_rest, f32 fine_elsewhere, f32 per_x, f32 per_y",
 )
+_variance_below = Kernel("variance_below", "f32[...] depth, f32[...] sigma, out f64[1] excess, i64 step")
 
 
 class Regions(NamedTuple):
@@ -53,9 +52,9 @@ class _Measures(NamedTuple):
 
     area_px: NDArray[np.float64]
     depth_mm: NDArray[np.float64]
-    deepest_yx: tuple[NDArray[np.int64], NDArray[np.int64]]
-    depth_sigmas: NDArray[np.float64]  # the most standard deviations that a depth is above 0
-    sigmas: NDArray[np.float64]  # the most that a pressure is
+    deepest_yx: NDArray[np.int32]  # (n, 2)
+    deviation_mm: NDArray[np.float64]  # standard deviation of that depth
+    sigmas: NDArray[np.float64]  # the most standard deviations that a pressure is above 0
     own_mm: NDArray[np.float64]  # the depth that its own pressure makes at its deepest pixel
 
 
@@ -64,8 +63,11 @@ class Evidence:
     """Which regions stand, by their own uncertainty.
 
     A region's deepest depth has to exceed `noise_factor` of its own standard deviations. Then either a pixel's pressure is
-    overwhelming, or the region's own pressure makes most of its depth, and that part is sure: gel that another object draws
-    down has depth without pressure of its own. The depth that a pressure makes at the distance r is `K0(r/L) / (2 pi)`.
+    overwhelming, or the depth that the region's own pressure makes is sure: gel that another object draws down has depth
+    without pressure of its own. The depth that a pressure makes at the distance r is `K0(r/L) / (2 pi)`.
+
+    No contact makes a negative depth. What negative depths have more than their standard deviations say, as of dust or of
+    another light, is the frame's own noise, and counts as one more error of the depth that a region makes.
 
     Attributes
     ----------
@@ -79,42 +81,23 @@ class Evidence:
     noise_factor: float
     min_area_mm2: float
 
-    def __call__(self, regions: Regions) -> NDArray[np.bool_]:
-        """Whether each label (labels + 1,) is a contact: sure at a pixel, or by its own depth, or with its neighbors."""
-        stands = np.zeros(regions.number + 1, dtype=bool)
-        if regions.number == 0:
-            return stands
+    def __call__(self, regions: Regions) -> tuple[NDArray[np.bool_], NDArray[np.int32]]:
+        """Whether each label (labels + 1,) is a contact, and the (y, x) of its deepest pixel (labels + 1, 2)."""
         found = self._measured(regions)
         least_px = self.min_area_mm2 / (self.pitch[0] * self.pitch[1])
-        deep = (found.area_px >= least_px) & (found.depth_sigmas > self.noise_factor)
-        stands[1:] = deep & ((found.sigmas > ALONE * self.noise_factor) | self._makes_its_depth(found))
-        waits = np.append(False, deep & (found.sigmas > self.noise_factor)) & ~stands
-        if np.count_nonzero(waits) >= TOPS:
-            self._judge_together(regions, found, waits, stands)
-        return stands
+        deep = (found.area_px >= least_px) & (found.depth_mm > self.noise_factor * found.deviation_mm)
+        noise = np.sqrt(found.deviation_mm**2 + self._variance_of_frame(regions))
+        own = np.minimum(found.own_mm, found.depth_mm) / np.maximum(noise, 1e-9)
+        both = np.hypot(own, found.sigmas) > TOGETHER * self.noise_factor
+        sure = both & (np.minimum(own, found.sigmas) > self.noise_factor)
+        stands = deep & (sure | (found.sigmas > ALONE * self.noise_factor))
+        return np.append(False, stands), np.vstack([np.zeros((1, 2), np.int32), found.deepest_yx])
 
-    def _makes_its_depth(self, found: _Measures) -> NDArray[np.bool_]:
-        part = found.own_mm / np.maximum(found.depth_mm, 1e-9)
-        sure = np.minimum(part, 1) * found.depth_sigmas
-        weaker, stronger = np.minimum(sure, found.sigmas), np.maximum(sure, found.sigmas)
-        evident = (weaker > self.noise_factor) & (stronger > SEED * self.noise_factor)
-        return np.asarray((part > MOST) & evident)
-
-    def _judge_together(
-        self, regions: Regions, found: _Measures, waits: NDArray[np.bool_], stands: NDArray[np.bool_]
-    ) -> None:
-        """Let the tops of a texture stand: less than L apart, beside no contact, and together they make their depth."""
-        wide = np.ones([2 * round(self.length_mm / step) + 1 for step in self.pitch[::-1]], np.uint8)
-        reached, beside = (cv2.dilate(one[regions.labels].view(np.uint8), wide) for one in (waits, stands))
-        count, groups = cv2.connectedComponents(reached)
-        group_of = np.append(0, groups[found.deepest_yx])
-        for group in range(1, count):
-            members = waits & (group_of == group)
-            if np.count_nonzero(members) < TOPS or beside[groups == group].any():
-                continue
-            joined = regions._replace(number=1, labels=members[regions.labels].astype(np.uint16))
-            if self._makes_its_depth(self._measured(joined))[0]:
-                stands |= members
+    def _variance_of_frame(self, regions: Regions) -> float:
+        """What the negative depths have more than their own variance, mm^2."""
+        depth, excess = regions.maps["depth"], np.empty(1)
+        _variance_below(depth, regions.maps["sigma"], excess, step=max(1, depth.size // MEDIAN_SAMPLES))
+        return float(excess[0])
 
     def _measured(self, regions: Regions) -> _Measures:
         measures, area = np.empty((regions.number, 7)), self.pitch[0] * self.pitch[1]
@@ -123,9 +106,9 @@ class Evidence:
             regions.labels, **regions.maps, influence=self._influence, measures=measures, stiffness=self.length_mm**-2,
             **regions.gains, per_x=per_x, per_y=per_y,
         )  # fmt: skip
-        pixels, depth, x, y, sigmas_of_depth, square, own = measures.T
-        deepest = y.astype(np.intp), x.astype(np.intp)
-        return _Measures(pixels, depth, deepest, sigmas_of_depth, np.sqrt(square), own)
+        pixels, depth, x, y, deviation, square, own = measures.T
+        deepest = np.column_stack([y, x]).astype(np.int32)
+        return _Measures(pixels, depth, deepest, deviation, np.sqrt(square), own)
 
     @cached_property
     def _influence(self) -> NDArray[np.float32]:

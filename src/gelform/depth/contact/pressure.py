@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gelform._native import Kernel
 from gelform.depth.contact.evidence import NOISE_FACTOR, Evidence, Regions
-from gelform.depth.contact.regions import labeled
+from gelform.depth.contact.regions import labeled, runs_work
 from gelform.foundations.checks import (
     check_map,
     check_mm_per_px,
@@ -50,8 +50,10 @@ _magnitude_of_share = Kernel(
 )
 _median_below = Kernel("median_below", "f32[...] values, out f32[n] work, out f32[1] magnitude, i64 step")
 _slope_variance = Kernel(
-    "slope_variance", "f32[...] read, f32[...] solved, bool[...] at_rest, out f32[...] variance"
+    "slope_variance",
+    "f32[...] read, f32[...] solved, bool[...] at_rest, bool[...] known, out f32[...] variance, out f32[...] share",
 )
+_variance_of_known = Kernel("variance_of_known", "f32[...] total, f32[...] share, out f32[...] variance")
 _contact_pressure = Kernel(
     "contact_pressure",
     "f32[...] smooth, f32[...] bent, f32[...] sigma, f32[...] variance, f32[...] noise, bool[...] at_rest, bool[...] known, "
@@ -62,7 +64,13 @@ _contact_outline = Kernel(
     "f32[h,w] coarse, f32[h,w] finer, f32[h,w] noise, out bool[h,w] contact, out f32[n] work, i64 reach, f32 coarse_share, "
     "f32 finer_share, f32 limit",
 )
-_standing_regions = Kernel("standing_regions", "u16[h,w] labels, bool[n] stands, out bool[h,w] contact")
+_add_unknown = Kernel(
+    "add_unknown", "bool[h,w] known, bool[h,w] pressed, out bool[h,w] contact, out i32[n] work"
+)
+_standing_regions = Kernel(
+    "standing_regions",
+    "u16[h,w] labels, bool[n] stands, i32[n,2] deepest, f32[h,w] surface, out bool[h,w] contact",
+)
 
 
 class SlopeDeviations(NamedTuple):
@@ -105,9 +113,9 @@ def contact_from_depth(
     thirds of its mean around the pixel. So gel that an object draws down is no contact, and hollow contacts stay hollow.
 
     A connected region of such pixels stands if its deepest depth exceeds `noise_factor` of its own standard deviations, and
-    either the evidence `p/sd(p)` of a pixel is overwhelming, or the region's own pressure makes most of its depth
-    and that part is sure. The depth that a pressure makes at the distance r is `K0(r/L)/(2 pi)`. Tops of a texture that
-    draw each other down are judged together.
+    either the evidence `p/sd(p)` of a pixel is overwhelming, or the depth that the region's own pressure makes is sure.
+    A pressure makes the depth `K0(r/L)/(2 pi)` at the distance r. Negative depths tell how much noisier a frame is than
+    `depth_sigma_mm` says. Regions on the slope of one hill are joined along the way up; they are one contact.
 
     Parameters
     ----------
@@ -188,12 +196,13 @@ class PreparedContact:
         """The contact mask (H, W) of a depth, mm, its standard deviation >= 0, that of its slopes, and its known pixels."""
         sigma = np.full_like(depth, _noise_mm(depth)) if sigma is None else sigma
         known = self._everywhere if known is None else known
+        everywhere = bool(known.all())
         variance, at_rest, given = self._noise, self._everywhere, None
         if slopes is not None and self._gains is not None:
-            variance, at_rest, given = np.empty_like(depth), slopes.at_rest, self._gains
-            _slope_variance(slopes.read, slopes.solved, at_rest, variance)
-            variance, _ = self._smoothed(variance, SMOOTHINGS_PX[0])
+            at_rest, given = slopes.at_rest, self._gains
+            variance = self._variance(slopes, known, everywhere)
         pressures: list[NDArray[np.float32]] = []
+        surfaces: list[NDArray[np.float32]] = []
         gains: dict[str, float] = {}
         for k, (name, smoothing) in enumerate(zip(("coarse", "fine"), SMOOTHINGS_PX)):
             smooth, bent = self._smoothed(depth, smoothing)
@@ -207,14 +216,30 @@ class PreparedContact:
             if not some and k == 0:
                 return np.zeros(depth.shape, dtype=np.bool_)
             pressures.append(pressure)
+            surfaces.append(smooth)
         coarse, fine = pressures
         contact = self._outlined(coarse, fine, gains["fine_at_rest"])
+        if not everywhere:
+            _add_unknown(known, contact.copy(), contact, np.empty(runs_work(depth.shape), dtype=np.int32))
         count, labels = labeled(contact)
         maps = {"depth": depth, "sigma": sigma, "variance": variance, "at_rest": at_rest}
         maps |= {"coarse": coarse, "fine": fine, "smooth": smooth, "bent": bent}
-        stands = self._stands(Regions(count, labels, maps, gains))
-        _standing_regions(labels, stands, contact)
+        stands, deepest = self._stands(Regions(count, labels, maps, gains))
+        _standing_regions(labels, stands, deepest, surfaces[0], contact)
         return contact
+
+    def _variance(
+        self, slopes: SlopeDeviations, known: NDArray[np.bool_], everywhere: bool
+    ) -> NDArray[np.float32]:
+        """Variance (H, W) of the slopes that a pixel's pressure follows from: the known ones around it."""
+        total, share, variance = (np.empty(known.shape, dtype=np.float32) for _ in range(3))
+        _slope_variance(slopes.read, slopes.solved, slopes.at_rest, known, total, share)
+        total, _ = self._smoothed(total, SMOOTHINGS_PX[0])
+        if everywhere:
+            return total
+        share, _ = self._smoothed(share, SMOOTHINGS_PX[0])
+        _variance_of_known(total, share, variance)
+        return variance
 
     def _outlined(
         self, coarse: NDArray[np.float32], fine: NDArray[np.float32], fine_at_rest: float
