@@ -31,7 +31,9 @@ def published_pose(a: Reconstruction, b: Reconstruction, start: np.ndarray) -> n
         center = q[shared].mean(axis=0)
         q, n, pixel = q[shared], n[shared], pixel[:, shared]
         slopes = np.stack([sampled(second.gradients[..., k], pixel) for k in (0, 1)], axis=1)
-        change = np.stack([sampled(second.derivatives[..., k], pixel) for k in range(4)], axis=1)
+        change = np.stack(
+            [[sampled(along[..., k], pixel) for along in second.derivatives] for k in (0, 1)]
+        ).transpose(2, 0, 1)
         length = np.sqrt(1 + np.sum(slopes**2, axis=1))[:, None, None]
         theirs = normals_of(slopes)
         # The change of a unit normal with the slopes, then with the place, then with the step.
@@ -43,9 +45,7 @@ def published_pose(a: Reconstruction, b: Reconstruction, start: np.ndarray) -> n
             [np.broadcast_to(e, q.shape) for e in basis] + [np.cross(e, q - center) for e in basis], 2
         )
         turns = np.stack([np.zeros_like(n)] * 3 + [np.cross(e, n) for e in basis], 2)
-        rows = (of_slopes @ (change.reshape(-1, 2, 2) @ places[:, :2]) - turns).reshape(-1, 6)[
-            :, [0, 1, 3, 4, 5]
-        ]
+        rows = (of_slopes @ (change @ places[:, :2]) - turns).reshape(-1, 6)[:, [0, 1, 3, 4, 5]]
         step = np.zeros(6)
         step[[0, 1, 3, 4, 5]] = np.linalg.lstsq(rows, (n - theirs).ravel(), rcond=None)[0]
         step *= min(1, 0.5 / np.linalg.norm(step[:3]), 0.15 / max(np.linalg.norm(step[3:]), 1e-9))

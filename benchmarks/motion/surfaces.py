@@ -8,8 +8,7 @@ import numpy as np
 from scipy.ndimage import map_coordinates
 
 import gelform
-from gelform.motion.mosaic import layer_of, shape_of
-from gelform.motion.surface import TouchedSurface
+from gelform.motion.mosaic import layer_of, placed, shape_of
 from gelform.simulate import HeightMap, Pose, simulate_pose
 from motion.judged import pose_at, two, within
 from motion.shapes import simulated_sensor
@@ -36,16 +35,17 @@ def surface(quick: bool) -> dict[str, Any]:
         motions.append(gelform.motion_between(a, b, start=start, place_error=f))
     path = chained(motions)
     whole = gelform.mosaic(results, path)
-    usable = [(r, m) for r, m in zip(results, path) if m.pose is not None]
-    seen = [(TouchedSurface(r), m.pose, m) for r, m in usable]
-    layers = [layer_of(*one, shape_of(seen)) for one in seen]
-    there = np.stack([np.isfinite(layer.variances[..., 1]) for layer in layers])
-    weights = np.stack([1 / layer.variances[..., 1] for layer in layers])
-    mean = np.nansum(weights * np.stack([layer.depth for layer in layers]), axis=0) / np.maximum(
-        weights.sum(axis=0), 1e-12
+    seen = placed(results, path)
+    layers = np.stack([layer_of(*one, shape_of(seen)) for one in seen])
+    share = layers[:, 5]
+    there = share > 0
+    # The baseline: the weighted mean, which does not know where a contact ends.
+    depths, weights = (
+        np.sum(np.where(there, layers[:, k] / np.maximum(share, 1e-12), 0), axis=0) for k in (2, 4)
     )
+    mean = depths / np.maximum(weights, 1e-12)
     true = true_depth(relief, whole, places[0], presses[0])
-    figures = {"presses": len(usable), "pixels": int(whole.known.sum())}
+    figures = {"presses": len(seen), "pixels": int(whole.known.sum())}
     for name, depth in (("mosaic", whole.depth_mm), ("mean", mean)):
         error = depth - true
         error = error - np.median(error[whole.known])

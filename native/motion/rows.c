@@ -3,15 +3,16 @@
 
 enum { UNKNOWNS = 6, ROWS = 3, PADDED = 8 };
 
-// The maps of the frame that the points moved into: slopes, depth, the slopes' derivatives (d/dx, d/dy of each), variances.
+// The maps of the frame that the points moved into: slopes, depth, the slopes' derivatives, variances; touched, and not at its border.
 struct maps {
-  const float *gradients, *depth, *derivatives, *variances;
-  const bool *contact;
+  const float *gradients, *depth, *along_x, *along_y, *variances;
+  const bool *contact, *inner;
   ptrdiff_t h, w;
 };
 
 struct sample {
-  float gradients[2], depth, derivatives[4], variances[2];
+  float gradients[2], depth, derivatives[4], variances[3];
+  bool inner;
 };
 
 static inline float mixed(const float *map, ptrdiff_t stride, ptrdiff_t at, ptrdiff_t w, const float share[4]) {
@@ -30,8 +31,12 @@ static bool sampled(const struct maps *m, float x, float y, struct sample *out) 
                         share[3] * m->contact[at + m->w + 1];
   if (touched <= 0.5f) return false;
   for (int k = 0; k < 2; k++) out->gradients[k] = mixed(m->gradients + k, 2, at, m->w, share);
-  for (int k = 0; k < 2; k++) out->variances[k] = mixed(m->variances + k, 2, at, m->w, share);
-  for (int k = 0; k < 4; k++) out->derivatives[k] = mixed(m->derivatives + k, 4, at, m->w, share);
+  for (int k = 0; k < 3; k++) out->variances[k] = mixed(m->variances + k, 3, at, m->w, share);
+  for (int k = 0; k < 2; k++) {
+    out->derivatives[k] = mixed(m->along_x + k, 2, at, m->w, share);
+    out->derivatives[2 + k] = mixed(m->along_y + k, 2, at, m->w, share);
+  }
+  out->inner = m->inner[(row + (b >= 0.5f)) * m->w + column + (a >= 0.5f)];
   out->depth = mixed(m->depth, 1, at, m->w, share);
   return true;
 }
@@ -46,7 +51,7 @@ static void rows_of(const struct sample *s, const float q[3], const float n[3], 
   for (int i = 0; i < 2; i++) {
     const float slope = -n[i] / n[2];
     residual[i] = g[i] - slope;
-    for (int k = 0; k < UNKNOWNS; k++) jacobian[i * UNKNOWNS + k] = change[2 * i] * moved[0][k] + change[2 * i + 1] * moved[1][k];
+    for (int k = 0; k < UNKNOWNS; k++) jacobian[i * UNKNOWNS + k] = change[i] * moved[0][k] + change[2 + i] * moved[1][k];
     for (int k = 0; k < 3; k++) jacobian[i * UNKNOWNS + 3 + k] += (turned[i][k] + slope * turned[2][k]) / n[2];
   }
   residual[2] = s->depth - q[2];
@@ -68,17 +73,19 @@ static void add_up(const float *residual, const float *jacobian, const float *we
   for (int j = 0; j < UNKNOWNS; j++) memcpy(normal + j * (UNKNOWNS + 1), total[j], (UNKNOWNS + 1) * sizeof(double));
 }
 
-// `points` (x, y, z) mm from the image's middle, with their slopes and variances (of a slope, of the depth); `pose`: rows of the
-// matrix (3, 4) that moves them. `origin` (x, y): px in the maps that is 0 mm. A point outside the other contact, or turned away, has weight 0. `huber`: in root mean squares
-// of all weighted residuals; larger ones weigh less. Returns the number of points with a weight.
+// `points` (x, y, z) mm from the image's middle, with their slopes and variances (of the slopes, of the depth); `pose`: rows of the
+// matrix (3, 4) that moves them. `origin` (x, y): px in the maps that is 0 mm. A point outside the other contact, or turned away,
+// has weight 0. `huber`: in root mean squares of all weighted residuals; larger ones weigh less. `inside`: whether a point lies in
+// the inner part. Returns the number of points with a weight.
 EXPORT int motion_rows(const float *points, const float *slopes, const float *variance, const float *gradients, const float *depth,
-                       const float *derivatives, const float *variances, const bool *contact, const double *pose,
-                       const double *center, const double *pitch, const double *origin, float huber, float *residual, float *jacobian, float *weight,
-                       double *normal, ptrdiff_t n, ptrdiff_t h, ptrdiff_t w) {
+                       const float *along_x, const float *along_y, const float *variances, const bool *contact,
+                       const bool *inner, const double *pose, const double *center, const double *pitch, const double *origin, float huber,
+                       float *residual, float *jacobian, float *weight, bool *inside, double *normal, ptrdiff_t n, ptrdiff_t h, ptrdiff_t w) {
   if (h < 2 || w < 2) return WRONG_SIZE;
-  const struct maps maps = {gradients, depth, derivatives, variances, contact, h, w};
+  const struct maps maps = {gradients, depth, along_x, along_y, variances, contact, inner, h, w};
   memset(residual, 0, n * ROWS * sizeof(float)), memset(weight, 0, n * ROWS * sizeof(float));
   memset(jacobian, 0, n * ROWS * UNKNOWNS * sizeof(float));
+  memset(inside, 0, n * sizeof(bool));
   double squares = 0;
   int shared = 0;
   for (ptrdiff_t i = 0; i < n; i++) {
@@ -96,9 +103,10 @@ EXPORT int motion_rows(const float *points, const float *slopes, const float *va
     struct sample s;
     if (!sampled(&maps, x, y, &s)) continue;
     shared++;
+    inside[i] = s.inner;
     rows_of(&s, q, normal_of, away, residual + ROWS * i, jacobian + ROWS * UNKNOWNS * i);
     for (int k = 0; k < ROWS; k++) {
-      const float r = residual[ROWS * i + k], both = 1 / (variance[2 * i + k / 2] + s.variances[k / 2]);
+      const float r = residual[ROWS * i + k], both = 1 / (variance[3 * i + k] + s.variances[k]);
       weight[ROWS * i + k] = both;
       squares += (double)both * r * r;
     }

@@ -7,6 +7,7 @@ import pytest
 
 from gelform.live.moved import MovedSince
 from gelform.motion.between import FOUND, LOST, UNSURE
+from gelform.motion.rigid import pose_of_step
 from made.rigid_contacts import MM_PER_PX, SHAPE, ball, contact_of, cylinder, pose, texture
 
 STEPS = [(0.3 * k - 1.5, -0.1 * k, 1.5 * k) for k in range(4)]  # mm, mm, degrees
@@ -33,6 +34,16 @@ def test_the_path_and_the_turn_are_those_of_the_object():
     middle = (np.array(SHAPE[::-1]) - 1) / 2
     wanted = middle + np.array(STEPS)[:, :2] / MM_PER_PX
     np.testing.assert_allclose(last["path"], wanted, atol=1)
+
+
+def test_the_shift_is_that_of_the_contacts_middle():
+    """A turn about a point 2 mm beside it shifts it across."""
+    x, y, yaw = 0.3, -0.2, 4.0
+    turn, beside = np.radians(yaw), np.array([2.0, 0])
+    about = pose_of_step(np.array([x, y, 0, 0, 0, turn]), np.array([*beside, 0]))
+    last = followed([contact_of(texture(), seed=1), contact_of(texture(), about, seed=2)])[-1]
+    wanted = (x + 2 * (1 - np.cos(turn)), y - 2 * np.sin(turn))
+    np.testing.assert_allclose(last["shift_mm"], wanted, atol=0.01)
 
 
 def test_a_turn_that_nothing_shows_is_not_given():

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 
-from gelform.motion.rigid import inverse_of, moved, pose_of_step
+from gelform.motion.rigid import moved, pose_of_step
 from gelform.result import Reconstruction
 
 SHAPE, MM_PER_PX = (120, 150), 0.08
@@ -60,7 +60,7 @@ def contact_of(
     motion = np.eye(4) if motion is None else motion
     height, width = SHAPE
     y, x = (np.mgrid[:height, :width] - np.array(SHAPE)[:, None, None] / 2 + 0.5) * MM_PER_PX
-    depth, back = np.full(SHAPE, DEPTH_MM), inverse_of(motion)
+    depth, back = np.full(SHAPE, DEPTH_MM), np.linalg.inv(motion)
     for _ in range(15):
         body = moved(back, np.dstack([x, y, depth]))
         depth += 0.7 * (face(body[..., 0], body[..., 1]) + DEPTH_MM - body[..., 2])

@@ -8,7 +8,7 @@ import pytest
 
 import gelform
 from gelform.motion.between import FOUND, LOST, UNSURE
-from gelform.motion.rigid import inverse_of, moved, pose_of_step, step_of_pose
+from gelform.motion.rigid import moved, pose_of_step, step_of_pose
 from made.rigid_contacts import BALL_MM, CENTER, DEPTH_MM, ball, contact_of, cylinder, plate, pose, texture
 
 # Shift in mm and turns in degrees: one direction each, and all together.
@@ -21,7 +21,7 @@ MOTIONS = {
 
 def off_by(motion, true):
     """The step from the true motion to the found one, about the contact's middle."""
-    return step_of_pose(motion.pose @ inverse_of(true), motion.center_mm)
+    return step_of_pose(motion.pose @ np.linalg.inv(true), motion.center_mm)
 
 
 @pytest.mark.parametrize("name", MOTIONS)

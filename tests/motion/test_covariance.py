@@ -2,13 +2,15 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
+import gelform
 from gelform.motion.covariance import pose_covariance
-from gelform.motion.rigid import moved
+from gelform.motion.rigid import step_of_pose
 from gelform.motion.surface import TouchedSurface
-from made.rigid_contacts import contact_of, pose, texture
+from made.rigid_contacts import SHAPE, contact_of, pose, texture
 
 
 @pytest.fixture(scope="module")
@@ -16,7 +18,7 @@ def fitted():
     first, second = (
         TouchedSurface(contact_of(texture(), one, seed=k)) for k, one in enumerate((None, pose(0.2)))
     )
-    return first, first.equations(second, pose(0.2), moved(pose(0.2), first.middle))
+    return first, first.equations(second, pose(0.2))
 
 
 def test_the_place_adds_to_x_and_y_alone(fitted):
@@ -45,3 +47,21 @@ def test_unseen_directions_have_no_variance(fitted):
     covariance = pose_covariance(*fitted, seen, 0.0)
     assert np.abs(covariance[5]).max() < 1e-12
     assert covariance[0, 0] > 0
+
+
+@pytest.mark.parametrize("shift", [(0.08, 0), (0, -0.12), (0.06, 0.06)])
+def test_what_stays_at_its_place_pulls_the_object_back(shift):
+    """The same errors in both frames match best without a motion, so residuals do not show them; the covariance does."""
+    rng = np.random.default_rng(3)
+    noise = [cv2.GaussianBlur(rng.normal(size=(*SHAPE, 2)), (0, 0), 3) for _ in range(3)]
+    staying, *changing = (0.01 * one / one.std() for one in noise)
+    contacts = [contact_of(lambda x, y: 0.1 * texture(1)(x, y), one) for one in (None, pose(*shift))]
+    first, second = (
+        replace(one, gradients=(one.gradients + staying + 0.7 * errors).astype(np.float32))
+        for one, errors in zip(contacts, changing)
+    )
+    found = gelform.motion_between(first, second, place_error=0.0)
+    direction = np.array(shift) / np.linalg.norm(shift)
+    off = step_of_pose(found.pose @ np.linalg.inv(pose(*shift)), found.center_mm)[:2] @ direction
+    assert off < -0.005, "drawn back"
+    assert 0.5 < -off / np.sqrt(direction @ found.covariance[:2, :2] @ direction) < 2

@@ -7,7 +7,7 @@ import pytest
 
 import gelform
 from gelform.exchange.exporters.surface import save_surface
-from made.rigid_contacts import DEPTH_MM, MM_PER_PX, contact_of, pose, texture
+from made.rigid_contacts import DEPTH_MM, MM_PER_PX, contact_of, plate, pose, texture
 
 PATH = [pose(0.5 * k, 0.1 * k, 0.02 * k, 0.5 * k, 0, k) for k in (-2, -1, 0, 1, 2)]
 
@@ -50,6 +50,16 @@ def test_sigma_has_the_poses_covariance(parts):
     assert np.median(unsure.depth_sigma_mm[seen]) < 0.02
     vague = [replace(one, covariance=np.diag([0, 0, 0.1**2, 0, 0, 0])) for one in motions]
     np.testing.assert_allclose(gelform.mosaic(parts, vague).depth_sigma_mm[seen], 0.1, rtol=0.1)
+
+
+def test_where_a_contact_ends_there_is_no_step():
+    """A contact within a wider one that is wrong by 0.05 mm, and ends 2 mm from the middle: ramps, no steps."""
+    wide, within = (contact_of(plate, radius_mm=radius, stays=True) for radius in (3.2, 2.0))
+    deeper = replace(within, depth=(within.depth_mm + 0.05).astype(np.float32))
+    depth = gelform.mosaic([wide, deeper], [np.eye(4)] * 2).depth_mm
+    row = depth[depth.shape[0] // 2]
+    assert row.max() - DEPTH_MM > 0.008
+    assert np.abs(np.diff(row[row > 0])).max() < 0.002
 
 
 def test_it_is_a_result_with_its_files(parts, tmp_path):

@@ -29,8 +29,8 @@ def between(values, x, y):
 
 
 def reference(
-    points, slopes, variance, gradients, depth, derivatives, variances, contact, pose, center, pitch, origin, huber,
-    residual, jacobian, weight, normal,
+    points, slopes, variance, gradients, depth, along_x, along_y, variances, contact, inner, pose, center, pitch,
+    origin, huber, residual, jacobian, weight, inside, normal,
 ):  # fmt: skip
     """The rows in double precision, one formula for all points."""
     turn, shift = pose[:, :3], pose[:, 3]
@@ -42,7 +42,7 @@ def reference(
     x, y = np.where(there, x, 0), np.where(there, y, 0)
     there &= (between(contact.astype(float), x, y) > 0.5) & (n[:, 2] > 0.2 * np.linalg.norm(n, axis=1))
     g, z = between(gradients.astype(float), x, y), between(depth.astype(float), x, y)
-    change = between(derivatives.astype(float), x, y).reshape(-1, 2, 2)
+    change = np.stack([between(one.astype(float), x, y) for one in (along_x, along_y)], axis=2)
     basis = np.eye(3)
     moves = np.stack(
         [*(np.broadcast_to(e, q.shape) for e in basis), *(np.cross(e, q - center) for e in basis)], 2
@@ -54,7 +54,7 @@ def reference(
     rows = np.concatenate([change @ moves[:, :2] - of_normal, of_depth], 1)
     residual = np.column_stack([g - slope, z - q[:, 2]])
     both = variance + between(variances.astype(float), x, y)
-    weight = 1 / both[:, [0, 0, 1]]
+    weight = 1 / both
     rows, residual, weight = (
         np.where(there.reshape(-1, *(1,) * (v.ndim - 1)), v, 0) for v in (rows, residual, weight)
     )
@@ -63,7 +63,8 @@ def reference(
     weight = weight * np.where(off > most, most / np.maximum(off, 1e-12), 1)
     information = np.einsum("nki,nk,nkj->ij", rows, weight, rows)
     right = -np.einsum("nki,nk,nk->i", rows, weight, residual)
-    return residual, rows, weight, np.column_stack([information, right])
+    inside = there & inner[np.floor(y + 0.5).astype(int), np.floor(x + 0.5).astype(int)]
+    return residual, rows, weight, inside, np.column_stack([information, right])
 
 
 def test_the_kernel_is_the_written_method(surfaces):
@@ -72,9 +73,9 @@ def test_the_kernel_is_the_written_method(surfaces):
     n = len(first.points)
     assert_kernel_agrees(
         surface._motion_rows, reference, first.points, first.slopes, first.point_variances, second.gradients,
-        second.depth, second.derivatives, second.variances, second.contact, motion.copy(), np.array([0.2, 0.1, 0.5]),
-        second.pitch, second.origin, 2.0, np.zeros((n, 3), np.float32), np.zeros((n, 3, 6), np.float32),
-        np.zeros((n, 3), np.float32), np.zeros((6, 7)), tolerance=2e-4,
+        second.depth, *second.derivatives, second.variances, second.contact, second.inner, motion.copy(),
+        np.array([0.2, 0.1, 0.5]), second.pitch, second.origin, 2.0, np.zeros((n, 3), np.float32),
+        np.zeros((n, 3, 6), np.float32), np.zeros((n, 3), np.float32), np.zeros(n, bool), np.zeros((6, 7)), tolerance=2e-4,
     )  # fmt: skip
 
 
@@ -82,15 +83,13 @@ def test_the_jacobian_is_the_change_of_the_residuals():
     """For each of the six steps, on a surface without errors."""
     first = TouchedSurface(contact_of(texture()))
     second = TouchedSurface(contact_of(texture(), pose(0.1, 0.05)))
-    center, begin = first.middle, pose(0.1, 0.05)
-    at = first.equations(second, begin, center)
+    begin = pose(0.1, 0.05)
+    at = first.equations(second, begin)
     for k in range(6):
         step = np.zeros(6)
         step[k] = 0.02
-        after, before = (
-            first.equations(second, pose_of_step(s * step, center) @ begin, center) for s in (1, -1)
-        )
-        inner = at.shared & after.shared & before.shared & first.inside
+        after, before = (first.equations(second, pose_of_step(s * step, at.center) @ begin) for s in (1, -1))
+        inner = at.shared & after.shared & before.shared & first.own.inside
         change = (after.residual - before.residual)[inner] / (2 * step[k])
         wanted = at.jacobian[inner, :, k]
         left = np.sqrt(np.mean(np.square(change - wanted), axis=0)) / np.sqrt(np.mean(np.square(change)))

@@ -5,7 +5,7 @@ import pytest
 
 import gelform
 from gelform.motion.between import FOUND, LOST, Motion
-from gelform.motion.rigid import inverse_of, step_of_pose
+from gelform.motion.rigid import step_of_pose
 from gelform.motion.track import after
 from made.rigid_contacts import ball, contact_of, pose, texture
 
@@ -27,7 +27,7 @@ def test_a_path_is_followed_over_keyframes(frames):
     assert [one.motion.state for one in found].count(LOST) == 0
     assert len({one.keyframe for one in found}) > 1
     for one, true in zip(found, PATH):
-        off = step_of_pose(one.motion.pose @ inverse_of(true), one.motion.center_mm)
+        off = step_of_pose(one.motion.pose @ np.linalg.inv(true), one.motion.center_mm)
         assert np.linalg.norm(off[:2]) < 0.03
         assert (np.abs(off) < 4 * np.sqrt(np.diag(one.motion.covariance)) + 1e-9).all()
     first = next(k for k, one in enumerate(found) if one.keyframe)

@@ -7,16 +7,16 @@ The touched surface of one frame is moved rigidly onto that of the other, so tha
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from gelform.foundations.checks import check_numbers, check_positive, check_within
 from gelform.motion.covariance import BLOCK_PX, pose_covariance
-from gelform.motion.rigid import Array, checked_pose, inverse_of, moved, pose_of_step, step_of_pose, turn_deg
-from gelform.motion.sight import Blind, blind_depth, blind_directions, has_moved, seen_directions
-from gelform.motion.surface import NOTHING, Equations, TouchedSurface
+from gelform.motion.rigid import Array, checked_pose, moved, pose_of_step, step_of_pose, turn_deg
+from gelform.motion.sight import Blind, blind_depth, blind_directions, has_moved
+from gelform.motion.surface import Equations, TouchedSurface
 from gelform.result import Reconstruction
 
 FOUND, LOST, UNSURE = "found", "lost", "cannot tell yet"
@@ -31,7 +31,7 @@ MOST_MISFIT = 1.0  # of the surfaces after the motion, in their stated errors; .
 UNKNOWN_MM = 1e3  # mm, standard deviation of what is not known at all
 MOST_STEPS = 30
 LONGEST_MM, LONGEST_RAD = 0.5, 0.15  # of a step
-LAST_MM, LAST_RAD = 5e-4, 1e-4  # a smaller step is the last
+LAST_MM, LAST_RAD = 2e-3, 5e-4  # a smaller step is the last
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,31 +138,30 @@ def motion_of(
     """`motion_between` of prepared surfaces."""
     if min(first.count, second.count) < LEAST_PX:
         return lost(f"no contact: {min(first.count, second.count)} px touch, {LEAST_PX} are needed")
-    # Errors of neighbors are alike, but the equations count each as news: so must what holds them at the start.
-    alike = (BLOCK_PX / first.every) ** 2
-    found = _fitted(first, second, start, alike * _information(REACH), np.eye(6), start)
+    found = _fitted(first, second, start, np.eye(6))
     if isinstance(found, Motion):
         return found
-    blind, scale = blind_directions(first, second, found), first.scale
-    seen = seen_directions(blind, scale)
-    freely = seen * scale[:, None]
+    blind, freely = blind_directions(first, second, found)
     if blind:
-        found = _fitted(first, second, start, NOTHING, freely, start)
+        found = _fitted(first, second, start, freely)
         if isinstance(found, Motion):
             return found
-    found = replace(found, pose=pose_of_step(found.step(freely), found.center) @ found.pose)
-    pose, center, shared = found.pose, moved(found.pose, first.middle), found.count / len(first.points)
-    travel = float(np.linalg.norm((center - moved(inverse_of(pose), center))[:2]))
+    pose, shared = (
+        pose_of_step(found.step(freely), found.center) @ found.pose,
+        found.count / len(first.points),
+    )
+    center = moved(pose, first.middle)
+    travel = float(np.linalg.norm((center - first.middle)[:2]))
     if (misfit := found.misfit) > MOST_MISFIT:
         return lost(f"the surfaces differ by {misfit:.1f} times their errors: is it another object?", shared)
     own = pose_covariance(first, found, freely, travel * place_error)
     if filled := blind_depth(first, second):
         own[2, 2] += UNKNOWN_MM**2
     # The best of what was seen and of the prior: information adds up.
-    along = seen.T / scale
+    along = (freely / np.square(first.scale)[:, None]).T  # of a step, its parts in these directions
     information = along.T @ np.linalg.inv(along @ own @ along.T) @ along
-    covariance = np.linalg.inv(information + _information(prior))
-    step = step_of_pose(pose @ inverse_of(start), center)
+    covariance = np.linalg.inv(information + np.diag(_information(prior)))
+    step = step_of_pose(pose @ np.linalg.inv(start), center)
     pose = pose_of_step(covariance @ information @ step, center) @ start
     if why := _too_far(pose, start, center):
         return lost(why, shared)
@@ -171,35 +170,35 @@ def motion_of(
 
 
 def _information(prior: tuple[float, float]) -> Array:
-    """The information (6, 6) of standard deviations, mm and rad."""
-    return np.diag(1 / np.square(np.repeat(prior, 3)))
+    """The information (6,) of standard deviations, mm and rad."""
+    return np.asarray(1 / np.square(np.repeat(prior, 3)))
 
 
-def _fitted(
-    first: TouchedSurface, second: TouchedSurface, start: Array, held: Array, seen: Array, pose: Array
-) -> Equations | Motion:
-    """The pose that fits best, from `pose` on, in the directions (6, k) alone, held to the start by an information."""
+def _fitted(first: TouchedSurface, second: TouchedSurface, start: Array, seen: Array) -> Equations | Motion:
+    """The equations about one step from the best pose, in the directions (6, k) alone, held to the start by REACH."""
+    # Errors of neighbors are alike, but the equations count each as news: so must what holds them at the start.
+    held = (BLOCK_PX / first.every) ** 2 * _information(REACH)
+    pose, back = start, np.linalg.inv(start)
     for _ in range(MOST_STEPS):
-        center = moved(pose, first.middle)
-        equations = first.equations(second, pose, center)
+        equations = first.equations(second, pose)
         share, seen_px = equations.count / len(first.points), equations.count * first.every**2
         if seen_px < LEAST_PX or share < LEAST_SHARE:
             wanted = f"{LEAST_PX} px and {100 * LEAST_SHARE:.0f} % are needed"
             return lost(
                 f"both frames touch {seen_px} px of the contact, {100 * share:.0f} %: {wanted}", share
             )
-        step = equations.step(seen, held, step_of_pose(pose @ inverse_of(start), center))
+        step = equations.step(seen, held, step_of_pose(pose @ back, equations.center))
         shift, turn = float(np.linalg.norm(step[:3])), float(np.linalg.norm(step[3:]))
         if shift < LAST_MM and turn < LAST_RAD:
             break
         step *= min(1.0, LONGEST_MM / max(shift, LAST_MM), LONGEST_RAD / max(turn, LAST_RAD))
-        pose = pose_of_step(step, center) @ pose
+        pose = pose_of_step(step, equations.center) @ pose
     return equations
 
 
 def _too_far(pose: Array, start: Array, center: Array) -> str:
     """Why a pose is beyond the reach of the method; "" if it is not."""
-    step = step_of_pose(pose @ inverse_of(start), center)
+    step = step_of_pose(pose @ np.linalg.inv(start), center)
     if (shift := float(np.linalg.norm(step[:3]))) > MOST_FROM_START_MM:
         return f"the best fit is {shift:.2f} mm from the start, more than {MOST_FROM_START_MM:g} mm: start nearer"
     if (turn := turn_deg(pose)) > MOST_TURN_DEG:

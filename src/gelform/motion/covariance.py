@@ -1,17 +1,18 @@
-"""The covariance of a pose: of errors that neighbors share, of slopes wrong everywhere alike, and of the place.
+"""The covariance of a pose: of errors that neighbors share, and of those that residuals cannot show.
 
 No plain estimator is honest here, because errors of slopes are alike over many pixels and partly the same in both frames.
-C = F S F + R D R' + (f d)^2 on x and y: S from the sums of 16 px blocks (a sandwich), F and D factors that were chosen on
-simulated and real contacts (docs/motion.md), R the pose's response to slopes that are off everywhere, f d the error of a
-place on the sensor, in proportion to the displacement.
+C = F S F + R D R' + p p' + (f d)^2 on x and y: S from the sums of 16 px blocks (a sandwich), F and D factors that were
+chosen on simulated and real contacts (docs/motion.md), R the pose's response to slopes that are off everywhere, p the pull
+of errors that stay at their place while the object moves a little, f d the error of a place on the sensor, in proportion to
+the displacement.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from gelform.motion.rigid import Array
-from gelform.motion.surface import Equations, TouchedSurface
+from gelform.motion.rigid import Array, moved
+from gelform.motion.surface import MOVED_PX, Equations, TouchedSurface
 
 BLOCK_PX = 16  # px, side of the blocks whose errors count as independent
 FACTORS = np.array([1, 1, 5.5, 2.8, 2.8, 1])  # of the sandwich's standard deviations: x, y, z, tilts, yaw
@@ -28,12 +29,27 @@ def pose_covariance(surface: TouchedSurface, equations: Equations, seen: Array, 
     sums = np.stack([np.bincount(block, of) for of in scores.T], axis=1)
     count = int(np.count_nonzero(np.bincount(block, equations.shared)))
     sandwich = inverse @ (sums.T @ sums) @ inverse * count / max(count - 6, 1)
-    # Slopes off by a constant, and too steep by a factor, along x and along y.
-    common = [
-        np.stack([np.ones_like(slope), slope]) @ weighted[:, k] for k, slope in enumerate(surface.slopes.T)
-    ]
-    response = inverse @ np.concatenate(common).T
+    # Slopes off by a constant, and too steep by a factor, along x and along y; and the pull of what stays.
+    common = [np.stack([np.ones_like(of), of]) @ weighted[:, k] for k, of in enumerate(surface.slopes.T)]
+    response = inverse @ np.vstack([*common, _pull(surface, equations)]).T
     covariance = sandwich * np.outer(FACTORS, FACTORS)
-    covariance += (response * np.square([OFFSET, GAIN, OFFSET, GAIN])) @ response.T
+    covariance += (response * np.square([OFFSET, GAIN, OFFSET, GAIN, 1])) @ response.T
     covariance[[0, 1], [0, 1]] += place_mm**2
     return np.asarray(covariance, dtype=np.float64)
+
+
+def _pull(surface: TouchedSurface, equations: Equations) -> Array:
+    """The right side (6,) that draws the object back to where it was: errors that stay match best without a motion.
+
+    They are taken to be as large as those that changed: s, the RMS of the slopes' residuals. With errors alike as
+    exp(-d^2 / 2 l^2), l = 3 px, a point that moved by d is drawn back by d exp(-d^2 / 2 l^2) (s / l)^2.
+    """
+    weights, alike_mm = equations.weight[:, :2], MOVED_PX * surface.pitch
+    variance = np.sum(weights * np.square(equations.residual[:, :2])) / np.sum(weights)
+    there = moved(equations.pose, surface.points)
+    shift = (there - surface.points)[:, :2] / alike_mm
+    share = (weights[:, 0] + weights[:, 1]) * np.exp(-np.einsum("nk,nk->n", shift, shift) / 2)
+    drawn = share[:, None] * shift * (variance / alike_mm)
+    x, y = np.ones(len(drawn)) @ drawn
+    lever = (there - equations.center).T @ drawn
+    return np.array([x, y, 0, -lever[2, 1], lever[2, 0], lever[0, 1] - lever[1, 0]])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -14,25 +13,19 @@ from gelform.errors import GelformError
 from gelform.foundations.checks import check_list
 from gelform.foundations.fill import fill_unknown
 from gelform.motion.between import Motion, sensor_of
-from gelform.motion.rigid import Array, checked_pose, inverse_of, moved
+from gelform.motion.rigid import Array, checked_pose, moved
 from gelform.motion.surface import LARGEST_SIGMA, TouchedSurface
 from gelform.motion.track import Tracked
 from gelform.result import Reconstruction
 from gelform.slopes.gradients import slopes_of_solution
 
 DEPTH_SHARE = 1e-3  # weight of the mean depth beside the slopes, which know the shape better
+BLENDED_PX = 20.0  # px from its border, over which a contact gains its weight
 MOST_SIDE = 4000  # px, of a mosaic
-STEPS = 4  # until the place in a contact that a pixel shows is known to a fraction of a pixel
+STEPS = 5  # until the place in a contact that a pixel shows is known to a fraction of a pixel
 SURE = 0.5  # share of a pixel that must be touched
 TINY = 1e-12  # weight where nothing is known
-
-
-class Layer(NamedTuple):
-    """What one result shows of the surface (H, W): slopes, depth, and the variances of both, infinite where nothing."""
-
-    gradients: Array
-    depth: Array
-    variances: Array
+Placed = tuple[TouchedSurface, Array, Array, Array]  # with its pose, covariance and center
 
 
 def mosaic(
@@ -41,7 +34,7 @@ def mosaic(
     """The surface that several results of one object show together, as a result of its own.
 
     Minimizes `sum W |grad z - g|^2 + 1e-3 sum w (z - mean z)^2` over what all contacts show: g are their slopes and z their
-    depths, moved back to the first frame, W and w the inverse variances.
+    depths, moved back to the first frame, W and w the inverse variances, less toward the border of a contact.
 
     Parameters
     ----------
@@ -61,31 +54,24 @@ def mosaic(
         surface wider than 4000 px.
     """
     check_list(results, "results", Reconstruction)
-    motions = [one.motion if isinstance(one, Tracked) else one for one in check_list(poses, "poses")]
-    if len(results) != len(motions):
-        raise ValueError(f"Expected one pose for each result, got {len(results)} and {len(motions)}.")
+    check_list(poses, "poses")
+    if len(results) != len(poses):
+        raise ValueError(f"Expected one pose for each result, got {len(results)} and {len(poses)}.")
     if len({sensor_of(one) for one in results}) > 1:
         raise ValueError("Expected results of one sensor and calibration, got several.")
-    seen: list[tuple[TouchedSurface, Array, Motion | None]] = []
-    for result, motion in zip(results, motions):
-        surface = TouchedSurface(result)
-        pose = checked_pose(motion, "a pose") if not isinstance(motion, Motion) else motion.pose
-        if pose is not None and surface.count:
-            seen.append((surface, pose, motion if isinstance(motion, Motion) else None))
+    seen = placed(results, poses)
     if not seen:
         raise GelformError("No result has both a contact and a pose, so there is no surface.")
     shape, pitch = shape_of(seen), seen[0][0].pitch
-    layers = [layer_of(*one, shape) for one in seen]
-    # Variances add up in the layers, and their inverses over the layers.
-    of_slope, of_depth = (np.stack([1 / layer.variances[..., k] for layer in layers]) for k in (0, 1))
-    known_px = np.asarray(of_depth.sum(axis=0) > 0)
-    slope_weight, depth_weight = (np.maximum(of.sum(axis=0), TINY) for of in (of_slope, of_depth))
-    slopes = (
-        sum(w[..., None] * layer.gradients for w, layer in zip(of_slope, layers)) / slope_weight[..., None]
-    )
-    total = sum(w * layer.depth for w, layer in zip(of_depth, layers))
+    totals = sum((layer_of(*one, shape) for one in seen), np.zeros((6, *shape)))
+    *slopes_and_depth, slope_weight, depth_weight, share = totals
+    known_px = np.asarray(share > 0)
+    slope_weight, depth_weight = np.maximum(slope_weight, TINY), np.maximum(depth_weight, TINY)
+    slopes = np.dstack(slopes_and_depth[:2]) / slope_weight[..., None]
     # Filled beyond the border, or its slopes there would be of a step down to 0.
-    mean = fill_unknown(np.asarray(total / depth_weight, np.float32)[..., None], known_px)[..., 0]
+    mean = fill_unknown(np.asarray(slopes_and_depth[2] / depth_weight, np.float32)[..., None], known_px)[
+        ..., 0
+    ]
     weight = slope_weight / slope_weight.max()
     # The anchor holds at 0: what is solved for is the difference from the mean depth.
     solution = integrate(
@@ -94,8 +80,7 @@ def mosaic(
     )  # fmt: skip
     depth = np.where(known_px, mean + solution.depth_mm, 0).astype(np.float32)
     # Errors of depth are much alike in all contacts, so several are no surer than one.
-    count = np.count_nonzero(of_depth, axis=0)
-    sigma = np.where(known_px, np.sqrt(count / depth_weight), LARGEST_SIGMA).astype(np.float32)
+    sigma = np.where(known_px, np.sqrt(share / depth_weight), LARGEST_SIGMA).astype(np.float32)
     slope_sigma = np.where(known_px, 1 / np.sqrt(slope_weight), LARGEST_SIGMA).astype(np.float32)
     return Reconstruction(
         depth=depth, depth_sigma_mm=sigma, gradients=slopes_of_solution(depth, (pitch[0], pitch[1])),
@@ -105,10 +90,23 @@ def mosaic(
     )  # fmt: skip
 
 
-def shape_of(seen: Sequence[tuple[TouchedSurface, Array, Motion | None]]) -> tuple[int, int]:
+def placed(results: Sequence[Reconstruction], poses: Sequence[Motion | Tracked | ArrayLike]) -> list[Placed]:
+    """The surfaces of the results with a contact and a pose; a matrix alone is sure."""
+    found = []
+    for surface, one in zip(map(TouchedSurface, results), poses):
+        motion = one.motion if isinstance(one, Tracked) else one
+        if not isinstance(motion, Motion):
+            found.append((surface, checked_pose(motion, "a pose"), np.zeros((6, 6)), surface.middle))
+        elif motion.pose is not None and motion.covariance is not None and motion.center_mm is not None:
+            found.append((surface, motion.pose, motion.covariance, motion.center_mm))
+    return [one for one in found if one[0].count]
+
+
+def shape_of(seen: Sequence[Placed]) -> tuple[int, int]:
     """The size (H, W) about the first frame's middle that holds all contacts, odd or even as the first frame's."""
     reach = [
-        np.abs(moved(inverse_of(pose), one.points)[:, :2] / one.pitch).max(axis=0) for one, pose, _ in seen
+        np.abs(moved(np.linalg.inv(pose), one.points)[:, :2] / one.pitch).max(axis=0)
+        for one, pose, *_ in seen
     ]
     across, down = np.ceil(np.max(reach, axis=0)).astype(int).tolist()
     first = seen[0][0].shape
@@ -120,31 +118,36 @@ def shape_of(seen: Sequence[tuple[TouchedSurface, Array, Motion | None]]) -> tup
     return height, width
 
 
-def layer_of(surface: TouchedSurface, pose: Array, motion: Motion | None, shape: tuple[int, int]) -> Layer:
-    """A contact in the frame of the first: for each pixel, the place in the contact that was there."""
+def layer_of(
+    surface: TouchedSurface, pose: Array, covariance: Array, center: Array, shape: tuple[int, int]
+) -> Array:
+    """A contact in the frame of the first: what each pixel (H, W) adds to sums, from the place that was there.
+
+    Both slopes and the depth, weighted; their weights; the share (0-1) of what the contact weighs in its middle.
+    """
     height, width = shape
-    back, turn, pitch = inverse_of(pose), pose[:3, :3], surface.pitch
+    back, turn = np.linalg.inv(pose), pose[:3, :3]
     row, col = np.mgrid[:height, :width]
-    place = np.stack([col - (width - 1) / 2, row - (height - 1) / 2], axis=-1) * pitch
-    depth = np.full(shape, float(surface.points[:, 2].mean()))
-    there = moved(pose, np.dstack([place, depth]))  # in the contact's frame
+    place = np.stack([col - (width - 1) / 2, row - (height - 1) / 2], axis=-1) * surface.pitch
+    there = moved(pose, np.dstack([place, np.full(shape, surface.middle[2])]))  # in the contact's frame
     for _ in range(STEPS):
         pixel = surface.pixels_at(there)
         there[..., 2] = _sampled(surface.depth, pixel)
-        off = place - moved(back, there)[..., :2]
-        there[..., :2] += off @ turn[:2, :2].T
-    pixel = surface.pixels_at(there)
-    there[..., 2] = _sampled(surface.depth, pixel)
+        there[..., :2] += (place - moved(back, there)[..., :2]) @ turn[:2, :2].T
     slopes, variances = (
         _sampled(surface.gradients, pixel),
         _sampled(surface.variances, pixel).astype(np.float64),
     )
-    missing = _sampled(surface.contact.astype(np.float32), pixel) <= SURE
-    if motion is not None and motion.covariance is not None and motion.center_mm is not None:
-        variances[..., 1] += _pose_variance(there - motion.center_mm, slopes, motion.covariance)
+    touched = cv2.copyMakeBorder(surface.contact.view(np.uint8), 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
+    inward_px = _sampled(cv2.distanceTransform(touched, cv2.DIST_L2, 3)[1:-1, 1:-1], pixel)
+    share = np.where(inward_px > SURE, np.minimum(inward_px / BLENDED_PX, 1), 0)
+    of_depth = variances[..., 2] + _pose_variance(there - center, slopes, covariance)
     normal = np.dstack([-slopes, np.ones(shape)]) @ turn  # turned back
-    variances[missing] = np.inf
-    return Layer(-normal[..., :2] / normal[..., 2:], moved(back, there)[..., 2], variances)
+    slope_weight = 2 * share / np.maximum(variances[..., 0] + variances[..., 1], TINY)
+    depth_weight = share / np.maximum(of_depth, TINY)
+    values = np.dstack([-normal[..., :2] / normal[..., 2:], moved(back, there)[..., 2]])
+    weighted = values * np.dstack([slope_weight, slope_weight, depth_weight])
+    return np.stack([*np.moveaxis(weighted, -1, 0), slope_weight, depth_weight, share])
 
 
 def _pose_variance(away: Array, slopes: NDArray[np.float32], covariance: Array) -> Array:
@@ -155,5 +158,5 @@ def _pose_variance(away: Array, slopes: NDArray[np.float32], covariance: Array) 
 
 
 def _sampled(values: NDArray[np.float32], pixel: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Values (h, w) or (h, w, 2) at places (H, W, 2), px, between pixels; 0 outside."""
+    """Values (h, w) or (h, w, n) at places (H, W, 2), px, between pixels; 0 outside."""
     return np.asarray(cv2.remap(values, pixel, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT))

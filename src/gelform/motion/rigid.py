@@ -36,14 +36,6 @@ def moved(pose: Array, points: Array) -> Array:
     return np.asarray(points @ pose[:3, :3].T + pose[:3, 3], dtype=np.float64)
 
 
-def inverse_of(pose: Array) -> Array:
-    """The motion back."""
-    back = np.eye(4)
-    back[:3, :3] = pose[:3, :3].T
-    back[:3, 3] = -pose[:3, :3].T @ pose[:3, 3]
-    return back
-
-
 def about_other_center(offset: Array) -> Array:
     """The matrix (6, 6) that makes a step about a center one about another, which is `offset` (3,) away."""
     x, y, z = offset
@@ -60,11 +52,10 @@ def turn_deg(pose: Array) -> float:
 def checked_pose(pose: ArrayLike, name: str) -> Array:
     """A rigid motion (4, 4); ValueError or TypeError for anything else."""
     matrix: Array = np.asarray(check_values(pose, name), dtype=np.float64)
-    wrong: Any = matrix.shape != (4, 4) or np.abs(matrix[3] - (0, 0, 0, 1)).max() > ORTHONORMAL
-    if not wrong:
-        turn = matrix[:3, :3]
-        wrong = np.abs(turn.T @ turn - np.eye(3)).max() > ORTHONORMAL or np.linalg.det(turn) < 0
-    if wrong:
+    turn = (
+        matrix[:3, :3] if matrix.shape == (4, 4) and (matrix[3] == (0, 0, 0, 1)).all() else np.zeros((3, 3))
+    )
+    if np.abs(turn.T @ turn - np.eye(3)).max() > ORTHONORMAL or np.linalg.det(turn) < 0:
         raise ValueError(
             f"Expected {name} as a rigid motion (4, 4): a rotation, a shift in mm and 0, 0, 0, 1."
         )

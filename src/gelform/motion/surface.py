@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from gelform._native import Kernel
 from gelform.errors import GelformError
 from gelform.foundations.checks import check_is, check_mm_per_px
-from gelform.motion.rigid import Array
+from gelform.motion.rigid import Array, moved
 from gelform.result import Reconstruction
 
 # What the stated sigma lacks, added to it: of a slope, mm/mm, and of a depth, mm.
@@ -23,14 +23,15 @@ MOST_POINTS = 1500  # of a contact's pixels; errors of neighbors are alike, so m
 GAP_MM = 1.0  # mm; a narrower gap of a contact lies between tops of one texture
 BORDER_PX = 3  # px inside the contact's border, where slopes change because the contact ends
 HUBER = 3.0  # root mean squares; larger residuals count less
+MOVED_PX = 3.0  # px; errors that belong to a place on the sensor are alike so far, and look like shape
 MARGIN_PX = 4  # px around a contact, for the filters
-NOTHING: Array = np.zeros((6, 6))  # no information
 
 _motion_rows = Kernel(
     "motion_rows",
-    "f32[n,3] points, f32[n,2] slopes, f32[n,2] variance, f32[h,w,2] gradients, f32[h,w] depth, "
-    "f32[h,w,4] derivatives, f32[h,w,2] variances, bool[h,w] contact, f64[3,4] pose, f64[3] center, f64[2] pitch, "
-    "f64[2] origin, f32 huber, out f32[n,3] residual, out f32[n,3,6] jacobian, out f32[n,3] weight, out f64[6,7] normal",
+    "f32[n,3] points, f32[n,2] slopes, f32[n,3] variance, f32[h,w,2] gradients, f32[h,w] depth, "
+    "f32[h,w,2] along_x, f32[h,w,2] along_y, f32[h,w,3] variances, bool[h,w] contact, bool[h,w] inner, f64[3,4] pose, "
+    "f64[3] center, f64[2] pitch, f64[2] origin, f32 huber, out f32[n,3] residual, out f32[n,3,6] jacobian, "
+    "out f32[n,3] weight, out bool[n] inside, out f64[6,7] normal",
 )
 
 
@@ -44,6 +45,7 @@ class Equations:
     residual : (N, 3) slope along x and y, depth: the other surface minus the moved one
     jacobian : (N, 3, 6) their change with the step
     weight : (N, 3), 0 where the other surface was not touched
+    inside : (N,) bool, whether a point is in the inner part of the other contact
     information : (6, 6), right : (6,), of the normal equations
     count : number of points that the other surface has too; shared : (N,) bool, which
     """
@@ -53,6 +55,7 @@ class Equations:
     residual: NDArray[np.float32]
     jacobian: NDArray[np.float32]
     weight: NDArray[np.float32]
+    inside: NDArray[np.bool_]
     information: Array
     right: Array
     count: int
@@ -66,9 +69,12 @@ class Equations:
         """Root mean square of the residuals over their stated errors."""
         return float(np.sqrt(np.sum(self.weight * np.square(self.residual)) / max(1, 3 * self.count)))
 
-    def step(self, seen: Array, held: Array = NOTHING, off: Array = NOTHING[0]) -> Array:
-        """The best step (6,) in some directions (6, k), held by an information (6, 6) to where it is `off` (6,) from."""
-        along, right = seen.T @ (self.information + held) @ seen, seen.T @ (self.right - held @ off)
+    def step(self, seen: Array, held: Array | float = 0.0, off: Array | float = 0.0) -> Array:
+        """The best step (6,) in some directions (6, k), held by an information (6,) to where it is `off` (6,) from."""
+        along, right = (
+            seen.T @ (self.information + np.diag(np.zeros(6) + held)) @ seen,
+            seen.T @ (self.right - held * off),
+        )
         return np.asarray(seen @ np.linalg.solve(along, right), dtype=np.float64)
 
 
@@ -81,6 +87,8 @@ class TouchedSurface:
     contact : (h, w) bool, the rectangle around them; origin : (x, y) in px of the rectangle that is 0 mm
     points : (N, 3) float32, mm; pixels : (N, 2) their rows and columns in the rectangle; slopes : (N, 2)
     every : one of so many rows and columns is a point
+
+    The points are those of a frame that others are compared with; of the other frames, nobody asks for them.
     """
 
     def __init__(self, result: Reconstruction) -> None:
@@ -102,23 +110,37 @@ class TouchedSurface:
         self.count = int(np.count_nonzero(self.contact))
         self.share = self.count / result.contact.size
         self.every = max(1, int(np.ceil(np.sqrt(self.count / MOST_POINTS))))
-        self.pixels = self.every * np.argwhere(self.contact[:: self.every, :: self.every])
-        row, col = self.pixels.T
-        place = (self.pixels[:, ::-1] - self.origin) * self.pitch
-        self.points = np.column_stack([place, self.depth[row, col]]).astype(np.float32, order="C")
-        self.slopes, self.point_variances = self.gradients[row, col], self.variances[row, col]
 
-    def equations(self, other: TouchedSurface, pose: Array, center: Array, huber: float = HUBER) -> Equations:
-        """The equations of a step about a center that follows the motion `pose` of this surface onto another."""
-        n = len(self.points)
+    @cached_property
+    def pixels(self) -> NDArray[np.intp]:
+        return self.every * np.argwhere(self.contact[:: self.every, :: self.every])
+
+    @cached_property
+    def points(self) -> NDArray[np.float32]:
+        points = np.empty((len(self.pixels), 3), np.float32)
+        points[:, :2] = (self.pixels[:, ::-1] - self.origin) * self.pitch
+        points[:, 2] = self.depth[tuple(self.pixels.T)]
+        return points
+
+    @cached_property
+    def slopes(self) -> NDArray[np.float32]:
+        return self.gradients[tuple(self.pixels.T)]
+
+    @cached_property
+    def point_variances(self) -> NDArray[np.float32]:
+        return self.variances[tuple(self.pixels.T)]
+
+    def equations(self, other: TouchedSurface, pose: Array) -> Equations:
+        """The equations of a step that follows the motion `pose` of this surface onto another, about its moved middle."""
+        n, center = len(self.points), moved(pose, self.middle)
         residual, weight = np.empty((n, 3), np.float32), np.empty((n, 3), np.float32)
-        jacobian, normal = np.empty((n, 3, 6), np.float32), np.empty((6, 7))
+        jacobian, normal, inside = np.empty((n, 3, 6), np.float32), np.empty((6, 7)), np.empty(n, np.bool_)
         count = _motion_rows(
-            self.points, self.slopes, self.point_variances, other.gradients, other.depth, other.derivatives,
-            other.variances, other.contact, np.ascontiguousarray(pose[:3]), center, self.pitch, other.origin, huber,
-            residual, jacobian, weight, normal,
+            self.points, self.slopes, self.point_variances, other.gradients, other.depth, *other.derivatives,
+            other.variances, other.contact, other.inner, np.ascontiguousarray(pose[:3]), center, self.pitch, other.origin,
+            HUBER, residual, jacobian, weight, inside, normal,
         )  # fmt: skip
-        return Equations(pose, center, residual, jacobian, weight, normal[:, :6], normal[:, 6], count)
+        return Equations(pose, center, residual, jacobian, weight, inside, normal[:, :6], normal[:, 6], count)
 
     @cached_property
     def middle(self) -> Array:
@@ -126,43 +148,26 @@ class TouchedSurface:
         return np.asarray(self.points.mean(axis=0, dtype=np.float64))
 
     @cached_property
-    def spread(self) -> Array:
-        """The covariance (3, 3) of the points, mm^2."""
-        away = self.points - self.middle
-        return np.asarray(away.T @ away / len(away))
-
-    @cached_property
     def scale(self) -> Array:
         """Units (6,) of a step in which shifts and turns move the points by alike: 1 mm, and 1 mm at their distance."""
-        return np.repeat([1.0, 1 / float(np.sqrt(np.trace(self.spread)))], 3)
+        away = self.points - self.middle
+        return np.repeat([1.0, np.sqrt(len(away) / np.sum(np.square(away)))], 3)
 
     @cached_property
     def own(self) -> Equations:
-        """The equations of this surface onto itself, about its middle."""
-        return self.equations(self, np.eye(4), self.middle)
-
-    @cached_property
-    def inside(self) -> NDArray[np.bool_]:
-        """Whether the points (N,) lie in the inner part of the contact."""
-        return self.holds(self.points)
+        """The equations of this surface onto itself."""
+        return self.equations(self, np.eye(4))
 
     @cached_property
     def inner(self) -> NDArray[np.bool_]:
         """The touched pixels (h, w) that are not next to the border of the contact."""
         disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * BORDER_PX + 1,) * 2)
-        inner = cv2.erode(self.closed.astype(np.uint8), disc, borderValue=0)
+        inner = cv2.erode(self.closed.view(np.uint8), disc, borderValue=0)
         return self.contact & inner.view(np.bool_)
 
     def pixels_at(self, points: Array) -> NDArray[np.float32]:
         """Columns and rows (..., 2) in the rectangle at points (..., 3)."""
         return np.asarray(points[..., :2] / self.pitch + self.origin, dtype=np.float32)
-
-    def holds(self, points: Array) -> NDArray[np.bool_]:
-        """Whether points (N, 3) lie in the inner part of the contact."""
-        height, width = self.inner.shape
-        col, row = np.rint(self.pixels_at(points)).astype(np.intp).T
-        there = (row >= 0) & (row < height) & (col >= 0) & (col < width)
-        return there & self.inner[np.where(there, row, 0), np.where(there, col, 0)]
 
 
 def _closed(contact: NDArray[np.bool_], pitch: Array) -> NDArray[np.bool_]:
@@ -175,21 +180,21 @@ def _closed(contact: NDArray[np.bool_], pitch: Array) -> NDArray[np.bool_]:
 
 
 def _variances(result: Reconstruction, rows: slice, cols: slice) -> NDArray[np.float32]:
-    """Variances (h, w, 2) of a pixel's slopes, the mean of both, and of its depth."""
-    of_slope, of_depth = (
-        0.0 if sigma is None else np.square(np.fmin(sigma[rows, cols], np.float32(LARGEST_SIGMA)))
-        for sigma in (result.gradients_sigma, result.depth_sigma_mm)
+    """Variances (h, w, 3) of a pixel's slopes and of its depth; a sigma that is not stated counts as 0."""
+    sigmas = (result.gradients_sigma, result.depth_sigma_mm)
+    maps = (
+        np.zeros_like(of) if sigma is None else sigma
+        for sigma, of in zip(sigmas, (result.gradients, result.depth_mm))
     )
-    mean = (of_slope[..., 0] + of_slope[..., 1]) / 2 if isinstance(of_slope, np.ndarray) else 0.0
-    found = np.empty((*result.contact[rows, cols].shape, 2), dtype=np.float32)
-    found[..., 0], found[..., 1] = mean + SLOPE_FLOOR**2, of_depth + DEPTH_FLOOR_MM**2
-    return found
+    known = cv2.merge([one[rows, cols] for one in maps])
+    cv2.patchNaNs(known, LARGEST_SIGMA)
+    np.square(np.minimum(known, np.float32(LARGEST_SIGMA), out=known), out=known)
+    return cv2.add(known, (SLOPE_FLOOR**2, SLOPE_FLOOR**2, DEPTH_FLOOR_MM**2, 0), dst=known)
 
 
-def _derivatives(gradients: NDArray[np.float32], pitch: Array) -> NDArray[np.float32]:
-    """Derivatives (H, W, 4) of smoothed slopes: of dz/dx along x and y, then of dz/dy."""
+def _derivatives(gradients: NDArray[np.float32], pitch: Array) -> tuple[Array, Array]:
+    """Derivatives (H, W, 2) of smoothed slopes along x, and along y."""
     smooth = cv2.getGaussianKernel(7, SMOOTHED_PX)
     difference = np.convolve(smooth.ravel(), [-0.5, 0, 0.5])
     along_x = cv2.sepFilter2D(gradients, -1, difference / pitch[0], smooth)
-    along_y = cv2.sepFilter2D(gradients, -1, smooth, difference / pitch[1])
-    return np.stack([along_x[..., 0], along_y[..., 0], along_x[..., 1], along_y[..., 1]], axis=-1)
+    return along_x, cv2.sepFilter2D(gradients, -1, smooth, difference / pitch[1])

@@ -122,7 +122,7 @@ class Follower:
 def after(first: Motion, then: Motion) -> Motion:
     """Two motions, one after the other, neither lost; the covariances add up about the center of the second."""
     poses, centers, covariances = zip(*((one.pose, one.center_mm, one.covariance) for one in (first, then)))
-    offset = centers[1] - moved(poses[1], centers[0])
-    carried = about_other_center(offset) @ np.kron(np.eye(2), poses[1][:3, :3])
+    carried = about_other_center(centers[1] - moved(poses[1], centers[0]))
+    carried[:, :3], carried[:, 3:] = carried[:, :3] @ poses[1][:3, :3], carried[:, 3:] @ poses[1][:3, :3]
     covariance = covariances[1] + carried @ covariances[0] @ carried.T
     return replace(then, pose=poses[1] @ poses[0], covariance=covariance)

@@ -195,11 +195,8 @@ def optical_pose(
     right-handed, and turns change their sign about x and y.
     """
     away = np.diag([1.0, 1.0, -1.0])
-    moved_there = (
-        about_other_center(pose[:3, 3] - center_mm)
-        @ covariance
-        @ about_other_center(pose[:3, 3] - center_mm).T
+    change = np.diag([M_PER_MM, M_PER_MM, -M_PER_MM, -1.0, -1.0, 1.0]) @ about_other_center(
+        pose[:3, 3] - center_mm
     )
-    change = np.diag([M_PER_MM, M_PER_MM, -M_PER_MM, -1.0, -1.0, 1.0])
     turn = Rotation.from_matrix(away @ pose[:3, :3] @ away).as_quat()
-    return away @ pose[:3, 3] * M_PER_MM, turn, change @ moved_there @ change.T
+    return away @ pose[:3, 3] * M_PER_MM, turn, change @ covariance @ change.T

@@ -221,18 +221,9 @@ def _write_poses(poses: list[Tracked], path: Path, overwrite: bool) -> None:
     from gelform.motion.rigid import step_of_pose
 
     axes = ("x_mm", "y_mm", "z_mm", "turn_x_deg", "turn_y_deg", "turn_z_deg")
+    sigmas = [f"sigma_{one}" for one in axes]
     rows: list[list[Any]] = [
-        [
-            "frame",
-            "time_s",
-            "state",
-            *axes,
-            *(f"sigma_{one}" for one in axes),
-            "shared",
-            "keyframe",
-            "blind",
-            "why",
-        ]
+        ["frame", "time_s", "state", *axes, *sigmas, "shared", "keyframe", "blind", "why"]
     ]
     units = np.repeat([1.0, 180 / np.pi], 3)
     for count, pose in enumerate(poses):

@@ -44,5 +44,5 @@ export function drawMotionLine({ header: { motion } }) {
 function motionText({ state, why, shift_mm, shift_sigma_mm, turn_deg, turn_sigma_deg }) {
   if (state !== "found") return why ? `${state}: ${why}` : `${state}: it has hardly moved`;
   const shift = shift_mm ? ["x", "y"].map((name, k) => `${name} ${shift_mm[k].toFixed(2)} ± ${shift_sigma_mm[k].toFixed(2)} mm`).join(", ") : "shift not known";
-  return `${shift}, ${turn_deg === null ? "turn not known" : `turn ${turn_deg.toFixed(2)} ± ${turn_sigma_deg.toFixed(2)}°`}`;
+  return `Middle of the contact: ${shift}, ${turn_deg === null ? "turn not known" : `turn ${turn_deg.toFixed(2)} ± ${turn_sigma_deg.toFixed(2)}°`}`;
 }
