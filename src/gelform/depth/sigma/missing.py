@@ -45,14 +45,17 @@ class MissingDepth:
         The slopes (H, W, 2) are those that were read, `steep` (H, W) is the deviation of steep ones, `wall` (H, W) that from
         the blur at walls.
         """
-        doubt = np.where(steep > DOUBTED, steep, np.float32(0))
+        doubt = steep = np.where(steep > DOUBTED, steep, np.float32(0))
         if wall is not None:
-            doubt = np.sqrt(np.square(doubt) + np.square(wall))
+            doubt = np.sqrt(np.square(steep) + np.square(wall))
         if sigma_mm is None or difference is None or not doubt.any():
             return sigma_mm, difference, ()
         missing = self.of_slopes(gradients, doubt, at_rest)
-        deepest = np.unravel_index(np.argmax(depth_mm), depth_mm.shape)
-        findings = at_least(*(float(one[deepest]) for one in (depth_mm, sigma_mm, missing)))
+        findings: tuple[Finding, ...] = ()
+        if steep.any():
+            deepest = np.unravel_index(np.argmax(depth_mm), depth_mm.shape)
+            by_steep = self.of_slopes(gradients, steep, at_rest)
+            findings = at_least(*(float(one[deepest]) for one in (depth_mm, sigma_mm, by_steep)))
         stated = np.asarray(np.sqrt(np.square(sigma_mm) + np.square(missing)))
         return stated, replace(difference, missing_mm=missing), findings
 
@@ -71,11 +74,11 @@ class MissingDepth:
 
 
 def at_least(height_mm: float, sigma_mm: float, missing_mm: float) -> tuple[Finding, ...]:
-    """A finding if an object's missing depth exceeds two standard deviations of the rest of its error."""
-    if missing_mm <= 2 * sigma_mm:
+    """A finding if an object's missing depth exceeds three standard deviations of the rest of its error."""
+    if missing_mm <= 3 * sigma_mm:
         return ()
     message = (
-        f"The object stands on walls or on faces steeper than the presses have shown. Its height is at least {height_mm:.2f} "
-        f"mm; {missing_mm:.2f} mm (one standard deviation) may be missing. Press balls deeper on this unit to calibrate it."
+        f"The object stands on faces steeper than the presses have shown. Its height is at least {height_mm:.2f} mm; "
+        f"{missing_mm:.2f} mm (one standard deviation) may be missing. Press balls deeper on this unit to calibrate it."
     )
     return (Finding("steep", message, missing_mm),)
