@@ -36,7 +36,7 @@ def quotes() -> list[str]:
         for name in ("screw", "ball cut by the border")
     )
     frame = speed["sizes"]["240x320"]["whole frame, everything on"]
-    unit = starters["units"]["mini-d, starter"]
+    unit = starters["units"]["mini-d, the starter made of mini-ball"]
     return [
         *_integrators(peers["recovered_peak_percent"], accuracy["integrators"]["recovered_peak_percent"]),
         *_presses(real, peers["real_presses"]),
