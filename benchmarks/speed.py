@@ -85,7 +85,7 @@ def stages(calibration: gelform.Calibration, image: np.ndarray) -> dict[str, Cal
         "anchor at rest": (fixed.depth, "_anchor"),
         "depth (weighted, anchored), curl": (gelform.depth.frame, "integrate_unchecked"),
         "sigma of depth": (fixed.depth.sigma, "unchecked"),
-        "sigma of the depth's slopes": (reconstruct, "solved_sigma"),
+        "sigma of the depth's slopes": (reconstruct.solved_sigma, "with_walls"),
         "contact": (today, "contact"),
         "depth that is missing": (fixed, "missing_depth"),
         "color around the contact": (today, "surround"),

@@ -45,15 +45,18 @@ class MissingDepth:
         The slopes (H, W, 2) are those that were read, `steep` (H, W) is the deviation of steep ones, `wall` (H, W) that from
         the blur at walls.
         """
-        doubt = steep = np.where(steep > DOUBTED, steep, np.float32(0))
-        if wall is not None:
-            doubt = np.sqrt(np.square(steep) + np.square(wall))
+        if steep.max() > DOUBTED or wall is None:
+            doubt = steep = np.where(steep > DOUBTED, steep, np.float32(0))
+            if wall is not None:
+                doubt = np.sqrt(np.square(steep) + np.square(wall))
+        else:
+            doubt, steep = wall, np.zeros_like(steep)
         if sigma_mm is None or difference is None or not doubt.any():
             return sigma_mm, difference, ()
         missing = self.of_slopes(gradients, doubt, at_rest)
-        findings: tuple[Finding, ...] = ()
-        if steep.any():
-            deepest = np.unravel_index(np.argmax(depth_mm), depth_mm.shape)
+        deepest = np.unravel_index(np.argmax(depth_mm), depth_mm.shape)
+        findings = at_least(*(float(one[deepest]) for one in (depth_mm, sigma_mm, missing)))
+        if findings and wall is not None:  # of steep slopes alone; with walls it is more
             by_steep = self.of_slopes(gradients, steep, at_rest)
             findings = at_least(*(float(one[deepest]) for one in (depth_mm, sigma_mm, by_steep)))
         stated = np.asarray(np.sqrt(np.square(sigma_mm) + np.square(missing)))
