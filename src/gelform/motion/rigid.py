@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from gelform.foundations.checks import check_values
 
 Array = NDArray[Any]  # of numbers, whatever their precision
-ORTHONORMAL = 1e-6  # largest entry of R'R - 1 of a rotation
+ORTHONORMAL = 1e-6  # largest entry of R'R - 1 of a rotation, and error of the last row
 
 
 def pose_of_step(step: Array, center: Array) -> Array:
@@ -52,9 +52,8 @@ def turn_deg(pose: Array) -> float:
 def checked_pose(pose: ArrayLike, name: str) -> Array:
     """A rigid motion (4, 4); ValueError or TypeError for anything else."""
     matrix: Array = np.asarray(check_values(pose, name), dtype=np.float64)
-    turn = (
-        matrix[:3, :3] if matrix.shape == (4, 4) and (matrix[3] == (0, 0, 0, 1)).all() else np.zeros((3, 3))
-    )
+    wrong = matrix.shape != (4, 4) or np.abs(matrix[3] - (0, 0, 0, 1)).max() > ORTHONORMAL
+    turn = np.zeros((3, 3)) if wrong else matrix[:3, :3]
     if np.abs(turn.T @ turn - np.eye(3)).max() > ORTHONORMAL or np.linalg.det(turn) < 0:
         raise ValueError(
             f"Expected {name} as a rigid motion (4, 4): a rotation, a shift in mm and 0, 0, 0, 1."

@@ -320,12 +320,12 @@ def _table(path: Path, episodes: Episodes, forces: Vectors) -> bytes:
     parquet = needed("pyarrow.parquet", "data", "LeRobot")
     pyarrow = needed("pyarrow", "data", "LeRobot")
     table, content = parquet.read_table(path), io.BytesIO()
-    numbers = table["episode_index"].to_pylist()
+    numbers, columns = table["episode_index"].to_pylist(), []
     for key, of in episodes.items():
-        rows = [_columns(key + SUFFIX, of[number]) for number in numbers]
-        for force in (name for name in (force_key(key), force_key(key) + KNOWN) if name in forces):
-            stats = [_stats(force, _of_vectors(forces[force][number])) for number in numbers]
-            rows = [row | own for row, own in zip(rows, stats)]
+        columns.append([_columns(key + SUFFIX, of[number]) for number in numbers])
+    for key, vectors in forces.items():
+        columns.append([_stats(key, _of_vectors(vectors[number])) for number in numbers])
+    for rows in columns:
         for name in rows[0] if rows else ():
             table = table.append_column(name, pyarrow.array([row[name] for row in rows]))
     parquet.write_table(table, content)

@@ -45,12 +45,8 @@ class MissingDepth:
         The slopes (H, W, 2) are those that were read, `steep` (H, W) is the deviation of steep ones, `wall` (H, W) that from
         the blur at walls.
         """
-        if steep.max() > DOUBTED or wall is None:
-            doubt = steep = np.where(steep > DOUBTED, steep, np.float32(0))
-            if wall is not None:
-                doubt = np.sqrt(np.square(steep) + np.square(wall))
-        else:
-            doubt, steep = wall, np.zeros_like(steep)
+        steep = steep * (steep > DOUBTED)
+        doubt = steep if wall is None else np.sqrt(np.square(steep) + np.square(wall))
         if sigma_mm is None or difference is None or not doubt.any():
             return sigma_mm, difference, ()
         missing = self.of_slopes(gradients, doubt, at_rest)
