@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -90,10 +90,8 @@ class Worker:
         assert frame is not None
         image = image_of_calibration(frame, self.job.calibration)
         result = self._prepared(part).from_image(image)
-        result = replace(result, index=frame.index)
-        return (
-            replace(result, time_s=frame.time_s, wall_time_ns=frame.wall_time_ns) if named.timed else result
-        )
+        times = {"time_s": frame.time_s, "wall_time_ns": frame.wall_time_ns} if named.timed else {}
+        return result.changed(index=frame.index, **times)
 
     def _prepared(self, part: Part) -> Reconstructor:
         """The Reconstructor of a part's sequence; a refused background raises its error again."""
@@ -119,6 +117,4 @@ class Worker:
             self.job.calibration,
             background=background,
             solver=settings.solver,
-            depth_sigma=settings.depth_sigma,
-            slope_sigma=settings.slope_sigma,
         )

@@ -278,7 +278,7 @@ def translated(first: Calibration) -> StartableModel:
         )
     rng, shape, kind = np.random.default_rng(0), first.image_shape, COLOR_MODELS[DEFAULT_MODEL]
     x, y = (rng.integers(0, n, TRANSLATED_SAMPLES) for n in (shape[1], shape[0]))
-    steepest = TRANSLATED_SLOPE if first.slope_sigma is None else first.slope_sigma.slopes[-1]
+    steepest = TRANSLATED_SLOPE if first.slope_sigma is None else first.slope_sigma.shown[1]
     size = steepest * np.sqrt(rng.uniform(size=TRANSLATED_SAMPLES))
     turn = rng.uniform(0, 2 * np.pi, TRANSLATED_SAMPLES)
     slopes = size[:, None] * np.stack([np.cos(turn), np.sin(turn)], axis=1)

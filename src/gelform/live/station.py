@@ -167,7 +167,7 @@ class Station:
         self._on_shown, self._watched = on_shown, watched
         self._grabber: Grabber | None = None
         self._pipeline: Pipeline[Shown] | None = None
-        self._run_by: tuple[Any, Any] | None = None
+        self._examine: Callable[[Work], None] | None = None
         self._missing = ""
         self._stop, self._switched = threading.Event(), threading.Event()
         self._serial, self._begun_s = 0, -NEVER_S
@@ -349,7 +349,7 @@ class Station:
                     self._switched.wait(WAIT_S)
         finally:
             pipeline.close()
-            self._pipeline = self._run_by = None
+            self._pipeline = self._examine = None
 
     def _waits(self) -> bool:
         """Whether to skip frames now: the picture is held, or no page is open and a result is recent."""
@@ -365,16 +365,16 @@ class Station:
             tap(shown)
         self._on_shown()
 
-    def run_by(self, helper: Callable[[Work], Work], examine: Callable[[Work], None] | None) -> None:
+    def run_by(self, examine: Callable[[Work], None]) -> None:
         """Run slow work of this and later setups elsewhere."""
-        self._run_by = helper, examine
+        self._examine = examine
         if self._setup.memory is not None:
             self._prepare(self._setup.memory)
 
     def _prepare(self, memory: Memory) -> None:
         """Run a memory's slow work elsewhere, and have it compare the camera with the calibration."""
-        if self._run_by is not None:
-            memory.run_by(*self._run_by)
+        if self._examine is not None:
+            memory.run_by(self._examine)
         check = CameraCheck(memory.reconstruct.calibration)
         memory.standing = lambda: check(self.grabber)
 

@@ -191,9 +191,7 @@ class Starter:
         model, forward = self.models_for(light, made.known_mm_per_px)
         unit = replace(made, background=smooth, color_model=model, forward=forward)
         try:
-            result = Reconstructor(unit, depth_sigma=False).from_image(
-                np.clip(np.rint(background), 0, 255).astype(np.uint8)
-            )
+            result = Reconstructor(unit).from_image(np.clip(np.rint(background), 0, 255).astype(np.uint8))
         except CalibrationError:
             return  # too uneven to be read so; `uneven_background` says it
         if any(finding.name == "few_untouched" for finding in result.health):

@@ -72,10 +72,6 @@ class Results:
         "depth,known"
     )
     solver: Annotated[str, Option(help="Solver from slopes to depth; auto chooses.")] = "auto"
-    sigma: Annotated[
-        bool,
-        Option("--sigma/--no-sigma", help="Compute the standard deviation of depth, which contact uses."),
-    ] = True
 
     def settings(self, frames: Frames) -> BatchSettings:
         """The settings of the batch; raises a usage error for invalid ones."""
@@ -87,7 +83,6 @@ class Results:
                 self.form,
                 maps,
                 self.solver,
-                self.sigma,
                 frames.background_frames,
                 dtype=self.dtype or "",
                 bgr=frames.bgr,

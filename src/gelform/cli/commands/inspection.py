@@ -241,7 +241,7 @@ def explain(
     from gelform.calibration.library.choose import unit_of_all
 
     used = calibration_given(given, background, lambda: unit_of_all(images), shown.silent)
-    run = prepared(used, background, depth_sigma=False)
+    run = prepared(used, background)
     rows = [_explain_one(run, path, picture) for path, picture in zip(images, pictures)]
     for row in rows:
         for finding in row["findings"]:
