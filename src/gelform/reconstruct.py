@@ -214,8 +214,8 @@ class FrameRecord:
     def health(self) -> tuple[Finding, ...]:
         """All findings."""
         steep: tuple[Finding, ...] = ()
-        if self.depth_errors is not None and self.depth_sigma_mm is not None:
-            steep = steep_finding(self.depth_mm, self.depth_sigma_mm, self.depth_errors)
+        if self.depth_errors is not None:
+            steep = steep_finding(self.depth_mm, self.contact, self.budget.steep, self.depth_errors)
         touched = partial(self.today.untouched_image.touched, self.seen.image)
         return (
             *self.findings,

@@ -15,7 +15,7 @@ from gelform._native import Kernel
 from gelform.depth.coarse import coarse_of
 from gelform.foundations.pool import Pool
 
-REST_SIGMA_MM = 0.08  # mm, sigma of depth at pixels with the color of rest, far from contacts
+REST_SIGMA_MM = 0.057  # mm, sigma of depth at pixels with the color of rest, far from contacts
 FACE_MM = (
     0.02  # mm; an enclosed region farther off rest is a face; slope errors tilt a face of a few mm by less
 )

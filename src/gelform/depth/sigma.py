@@ -110,7 +110,9 @@ class DepthSigma:
         anywhere, of_contact, below, free = self._filter(cells[:4])
         own = below / np.maximum(free, np.float32(LEAST_FREE))
         anywhere, of_contact = (np.maximum(one, LEAST_MM2) for one in (anywhere, of_contact))
-        return DepthErrors(self.coarse, anywhere, of_contact, own, cells[4:], self._mm_per_px)
+        return DepthErrors(
+            self.coarse, anywhere, of_contact, own, cells[4:], self._mm_per_px, self.numbers["gain"]
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,6 +133,7 @@ class DepthErrors:
     own: NDArray[np.float32]
     slopes_off: NDArray[np.float32] = field(repr=False)
     mm_per_px: np.float32
+    gain_sigma: float
 
     @cached_property
     def common_mm(self) -> NDArray[np.float32]:
@@ -179,22 +182,25 @@ class DepthErrors:
 
 
 def steep_finding(
-    depth_mm: NDArray[np.float32], sigma_mm: NDArray[np.float32], errors: DepthErrors
+    depth_mm: NDArray[np.float32], contact: NDArray[np.bool_], steep: NDArray[np.float32], errors: DepthErrors
 ) -> tuple[Finding, ...]:
-    """A finding if what may be missing below an object's deepest pixel exceeds three standard deviations of the rest.
+    """A finding if what steep faces may miss of an object's height exceeds three standard deviations of the rest.
 
-    `sigma_mm` (H, W) is the standard deviation of the depth (H, W) with what may be missing.
+    `steep` (H, W) is the deviation of steep slopes, in the depth (H, W) and its contact (H, W).
     """
     if not errors.steep_mm.any():
         return ()
     deepest = np.unravel_index(np.argmax(depth_mm), depth_mm.shape)
     missing_mm = float(errors.coarse.at_pixels(errors.steep_mm)[deepest])
-    height_mm, rest = float(depth_mm[deepest]), float(sigma_mm[deepest]) ** 2 - missing_mm**2
-    if missing_mm**2 <= 9 * max(rest, 0.0):
+    rest = float(errors.local_variance[deepest]) + (errors.gain_sigma * float(depth_mm[deepest])) ** 2
+    if missing_mm**2 <= 9 * rest:
         return ()
+    doubted = contact & (steep > np.float32(DOUBTED / 2**0.5))
+    share = np.count_nonzero(doubted) / max(np.count_nonzero(contact), 1)
     message = (
-        f"The object stands on faces steeper than the presses have shown. Its height is at least {height_mm:.2f} mm; "
-        f"{missing_mm:.2f} mm (one standard deviation) may be missing. Press balls deeper on this unit to calibrate it."
+        f"{100 * share:.0f} % of the contact are faces steeper than the presses have shown. If they are read too small, "
+        f"{missing_mm:.2f} mm (one standard deviation) of the height above them are missing. "
+        "Press balls deeper on this unit to calibrate it."
     )
     return (Finding("steep", message, missing_mm),)
 

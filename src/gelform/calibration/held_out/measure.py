@@ -274,15 +274,15 @@ def with_factors(
 ) -> SlopeSigma:
     """The deviation of slopes with the factors of the solved depth's slopes and of depth, and the common error of slopes.
 
-    As in `slope_sigma_from_folds`, errors are multiplied by the root of the fraction of presses that a fold has seen.
-    `stated` are the deviations of the slopes as read at the samples' pixels, `far` those of `_depth_over_spread`.
+    As in `slope_sigma_from_folds`, the common error is multiplied by the root of the fraction of presses that a fold has
+    seen; the factors are those of the folds, because little of the other errors falls with more presses. `stated` are the deviations of the slopes as read at the samples' pixels, `far` those of `_depth_over_spread`.
     """
-    ratio, shrunk = contact_radius_ratio or 1.0, float(np.sqrt(trained))
+    ratio = contact_radius_ratio or 1.0
     kept = [one.inside(ratio) for one in samples]
     inner = [one.within(ratio) for one in samples]
-    sigma = replace(sigma, gain_sigma=shrunk * common_error(inner, sigma))
+    sigma = replace(sigma, gain_sigma=float(np.sqrt(trained)) * common_error(inner, sigma))
     errors = np.concatenate([one.errors for one in inner])
-    sigma = sigma.with_solved(shrunk * errors, np.concatenate([one[k] for one, k in zip(stated, kept)]))
+    sigma = sigma.with_solved(errors, np.concatenate([one[k] for one, k in zip(stated, kept)]))
     return replace(sigma, depth_factor=depth_factor(far, sigma.depth_factor))
 
 

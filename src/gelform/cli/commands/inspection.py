@@ -225,9 +225,9 @@ def explain(
 ) -> None:
     """Explain the confidence of each pixel of an image.
 
-    Lists the share of the slopes' variance from the usual noise at each slope and place, and from each cause: saturated,
-    dark, shadow, specular, wall, off_gamut, steep, inconsistent, marker, outside, compression. With -o, DIR/<image>.png
-    shows the confidence, and the share of each cause, pixel by pixel.
+    Lists the share of the slopes' variance from the usual noise of each slope, and from each cause: saturated,
+    dark, shadow, specular, wall, off_gamut, steep, inconsistent, marker, outside, light, unit, compression. With -o,
+    DIR/<image>.png shows the confidence, and the share of each cause, pixel by pixel.
 
     \b
     Examples:
