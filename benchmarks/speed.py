@@ -96,8 +96,8 @@ def stages(calibration: gelform.Calibration, image: np.ndarray) -> dict[str, Cal
             noted = noting(calls, name, getattr(holder, attribute))
             patched.enter_context(patch.object(holder, attribute, noted))
         result = reconstruct.from_image(image)
-    plain = gelform.Reconstructor(calibration, solver="dct", depth_sigma=False)
-    depths = gelform.Reconstructor(calibration, solver="dct", depth_sigma=False, slope_sigma=False)
+    plain = gelform.Reconstructor(calibration, solver="dct")
+    depths = gelform.Reconstructor(calibration, solver="dct")
     return calls | {
         "contacts": lambda: contacts_from_mask(result.contact, result.depth_mm, mm_per_px=result.mm_per_px),
         DEPTHS: lambda: depths.from_image(image),

@@ -43,7 +43,7 @@ from gelform.slopes.confidence import (
     noise_at_rest,
     without_bias,
 )
-from gelform.slopes.confidence.budget import OUTLIER
+from gelform.slopes.confidence.budget import OUTLIER, for_both
 from gelform.slopes.confidence.causes import Clipped, either, excess_noise, outside_of_gel
 from gelform.slopes.confidence.explanation import Shown
 from gelform.slopes.gradients import slopes_of_solution
@@ -176,9 +176,10 @@ class FrameRecord:
 
     @once
     def gradients_sigma(self) -> NDArray[np.float32] | None:
-        """Standard deviation (H, W, 2) of the solved slopes; None if the calibration does not know that of any."""
-        known = self.fixed.known is not None or self.slopes.model_sigma is not None
-        return self.budget.gradients_sigma if known else None
+        """Standard deviation (H, W, 2) of the solved slopes; None if nobody knows that of any."""
+        if self.fixed.known is not None:
+            return self.budget.gradients_sigma
+        return None if self.slopes.model_sigma is None else for_both(self.slopes.model_sigma)
 
     @once
     def depth_errors(self) -> DepthErrors | None:

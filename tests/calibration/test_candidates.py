@@ -201,7 +201,7 @@ def reader(calibration, prepared):
 def test_slopes_are_those_that_a_reconstructor_reads(calibration, presses, prepared, reader, step):
     """Of whole images, with and without the step; but for the bias, which it takes away from all slopes alike."""
     forward = calibration.forward if step else replace(calibration.forward, step_sigma=None)
-    reconstruct = Reconstructor(replace(calibration, forward=forward), solver="dct", depth_sigma=False)
+    reconstruct = Reconstructor(replace(calibration, forward=forward), solver="dct")
     for press, image in zip(prepared[:3], presses.presses):
         read = reader(forward).frame(press)
         apart = reconstruct.from_image(image.image).observed_gradients - read.gradients
@@ -284,7 +284,7 @@ def test_the_noise_of_colors_is_that_of_the_response(lambertian_calibration, mon
     drawn = []
     covariance = 1e-4 * np.array([[1.0, 0.9, 0.0], [0.9, 1.0, 0.0], [0.0, 0.0, 0.25]])
     forward = replace(lambertian_calibration.forward, step_sigma=None, covariance=covariance)
-    hardly = replace(lambertian_calibration.slope_sigma, slopes=(0.0, 1e-6), sigmas=(0.01, 0.01))
+    hardly = replace(lambertian_calibration.slope_sigma, shown=(0.0, 1e-6))
     first = replace(lambertian_calibration, forward=forward, slope_sigma=hardly)
     plain = type(first.color_model).gradients_at
 

@@ -152,7 +152,9 @@ def test_a_grid_of_any_size(shape):
         assert np.isfinite(made(slopes_of_solution(depth, (PITCH, PITCH)), depth, *maps).sigma(1.0)).all()
 
 
-def numpy_errors(slopes, depth, at_rest, read, steep, rows, columns, work, cells, full, spill, rest_share, of_contact, gain, doubted):  # fmt: skip
+def numpy_errors(
+    slopes, depth, at_rest, read, steep, rows, columns, work, cells, full, spill, rest_share, of_contact, gain, doubted
+):  # fmt: skip
     """What the kernel should give, in float64."""
     g = slopes.astype(float)
     square = (g**2).sum(-1)

@@ -56,10 +56,6 @@ def gain(image: Any, background: Any) -> np.ndarray:
     return exposure_from_image(image, background).believed_gain
 
 
-def depth_sigma(shape: Any, gradients_sigma: Any, **settings: Any) -> np.ndarray:
-    return gelform.DepthSigma(shape, **settings)(gradients_sigma)
-
-
 def registered(image: Any, background: Any, touched: Any) -> np.ndarray:
     return gelform.registration_from_image(image, background, touched).shift_px
 
@@ -111,14 +107,6 @@ DOORS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
     "curl_from_gradients": (gelform.curl_from_gradients, {"gradients": GRADIENTS, **PITCH}),
     "fill_unknown": (fill_unknown, {"values": GRADIENTS, "known": MASK}),
     "frame_from_image": (frame_from_image, {"image": IMAGE, "view": gelform.View(SHAPE, flip="x")}),
-    "depth_sigma_from_gradients_sigma": (
-        gelform.depth_sigma_from_gradients_sigma,
-        {"gradients_sigma": SIGMA, **PITCH, "weights": WEIGHTS, "mask": MASK, "anchor": WEIGHTS, "zero": MASK, "probes": 8},
-    ),
-    "DepthSigma": (
-        depth_sigma,
-        {"shape": SHAPE, "gradients_sigma": SIGMA, **PITCH, "correlation_px": 1.0, "correlated_share": 0.5, "probes": 8},
-    ),
     "contacts_from_mask": (contacts_from_mask, {"contact": MASK, "depth": DEPTH, **PITCH}),
     "press_errors": (
         press_errors,
@@ -200,10 +188,6 @@ SETTINGS = {
         lambda **s: gelform.contact_from_depth(DEPTH, mm_per_px=MM_PER_PX, **s),
         ("depth_sigma_mm", "relaxation_mm", "noise_factor", "min_area_mm2"),
     ),
-    "depth_sigma_from_gradients_sigma": (
-        lambda **s: gelform.depth_sigma_from_gradients_sigma(SIGMA, mm_per_px=MM_PER_PX, **s),
-        ("zero", "level", "probes", "rng", "correlation_px", "correlated_share"),
-    ),
     "MarkerFollower": (lambda **s: MarkerFollower(REST, **s), ("mm_per_px",)),
     "read_presses": (
         lambda **s: gelform.read_presses(FOLDER / "presses", **s), ("mm_per_px", "ball_diameter_mm")
@@ -219,7 +203,7 @@ SETTINGS = {
     ),
     "Reconstructor": (
         lambda **s: gelform.Reconstructor(**{"calibration": calibration(), **s})(IMAGE),
-        ("calibration", "background", "solver", "depth_sigma"),
+        ("calibration", "background", "solver"),
     ),
 }  # fmt: skip
 

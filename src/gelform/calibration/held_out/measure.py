@@ -275,7 +275,8 @@ def with_factors(
     """The deviation of slopes with the factors of the solved depth's slopes and of depth, and the common error of slopes.
 
     As in `slope_sigma_from_folds`, the common error is multiplied by the root of the fraction of presses that a fold has
-    seen; the factors are those of the folds, because little of the other errors falls with more presses. `stated` are the deviations of the slopes as read at the samples' pixels, `far` those of `_depth_over_spread`.
+    seen; the factors are those of the folds, because little of the other errors falls with more presses. `stated` are the
+    deviations of the slopes as read at the samples' pixels, `far` those of `_depth_over_spread`.
     """
     ratio = contact_radius_ratio or 1.0
     kept = [one.inside(ratio) for one in samples]
