@@ -1,6 +1,7 @@
 """The standard deviation of depth: its kernel, its parts one by one, and what it says of simulated frames."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -168,10 +169,7 @@ def numpy_errors(
         2 * low**2, at_rest | (low < 0), *np.moveaxis(common, -1, 0), *np.moveaxis(alone, -1, 0), at_rest,
     ]  # fmt: skip
     return np.array(
-        [
-            [[one[a:b, c:d].mean() for c, d in zip(columns, columns[1:])] for a, b in zip(rows, rows[1:])]
-            for one in maps
-        ]
+        [[[one[a:b, c:d].mean() for c, d in pairwise(columns)] for a, b in pairwise(rows)] for one in maps]
     )
 
 

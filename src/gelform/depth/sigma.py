@@ -196,7 +196,7 @@ def steep_finding(
     if missing_mm**2 <= 9 * rest:
         return ()
     doubted = contact & (steep > np.float32(DOUBTED / 2**0.5))
-    share = np.count_nonzero(doubted) / max(np.count_nonzero(contact), 1)
+    share = float(doubted.mean()) / max(float(contact.mean()), 1e-9)
     message = (
         f"{100 * share:.0f} % of the contact are faces steeper than the presses have shown. If they are read too small, "
         f"{missing_mm:.2f} mm (one standard deviation) of the height above them are missing. "

@@ -35,8 +35,10 @@ class CoarseDepth:
             shown = (~hidden).astype(np.float32)
             part = means(shown)
             known = part > 0
-            weight = np.where(known, part, np.float32(1))[..., None]
-            change, slopes = (means(m * shown[..., None]) / weight for m in (color_change, gradients))
+            part[~known] = 1
+            change, slopes = (
+                means(m * shown[..., None]) / part[..., None] for m in (color_change, gradients)
+            )
             if known.any():
                 change, slopes = fill_unknown(change, known), fill_unknown(slopes, known)
         change = change - medians_where(change)[0]
