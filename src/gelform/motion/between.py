@@ -27,10 +27,8 @@ MOST_FROM_START_MM, MOST_TURN_DEG = 0.5, 10.0
 # Mm and rad: the range of the method, and what is known where nothing is seen and no prior given.
 REACH = (MOST_FROM_START_MM, float(np.radians(MOST_TURN_DEG)))
 NO_PRIOR = (10.0, float(np.radians(MOST_TURN_DEG)))
-PRIORS = (
-    1e-6,
-    1e6,
-)  # mm and rad: beyond, the squares of a prior and of what was seen have no common precision
+# Mm and rad: beyond, the squares of a prior and of what was seen have no common precision.
+PRIORS = (1e-6, 1e6)
 PLACE_ERROR = 0.014  # error of a ball's place over its displacement, the largest of four sensors (.004-.014)
 MOST_MISFIT = 1.0  # of the surfaces after the motion, in their stated errors; .84 at most on real contacts
 UNKNOWN_MM = 1e3  # mm, standard deviation of what is not known at all
@@ -198,7 +196,7 @@ def _fitted(first: TouchedSurface, second: TouchedSurface, start: Array, seen: A
     """The equations about one step from the best pose, in the directions (6, k) alone, held to the start by REACH."""
     # Errors of neighbors are alike, but the equations count each as news: so must what holds them at the start.
     held = (BLOCK_PX / first.every) ** 2 * _information(REACH)
-    pose, back = start, np.linalg.inv(start)
+    pose, back = start, np.linalg.inv(start)  # rigid, as every pose: never singular
     for _ in range(MOST_STEPS):
         equations = first.equations(second, pose)
         share, seen_px = equations.count / len(first.points), equations.count * first.every**2
