@@ -5,6 +5,8 @@ import pytest
 
 from gelform.foundations.information import determined_by
 
+pytestmark = pytest.mark.linear_algebra
+
 UNITS = np.array([1.0, 1e3, 1e-4, 1.0, 10.0])
 
 
