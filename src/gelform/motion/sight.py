@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gelform.foundations.information import determined_by
 from gelform.motion.rigid import Array, about_other_center, moved
 from gelform.motion.surface import MOVED_PX, Equations, TouchedSurface
 
@@ -41,8 +42,8 @@ def blind_directions(
 ) -> tuple[tuple[Blind, ...], Array]:
     """The directions that the equations at the best pose of two contacts cannot tell, and the others (6, k)."""
     scale = first.scale
-    directions = scale[:, None] * np.linalg.eigh(scale[:, None] * at.information * scale)[1]
-    alike = _correlations(first, second, at, directions)
+    _, directions, undetermined = determined_by(at.information, scale)
+    alike = np.where(undetermined, 0.0, _correlations(first, second, at, directions))
     chosen = alike < LEAST_CORRELATION
     return _in_words(directions[:, chosen].T, alike[chosen], at.center, scale), directions[:, ~chosen]
 

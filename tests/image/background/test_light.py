@@ -15,6 +15,8 @@ from gelform.sensors.files import read_image
 from gelform.simulate import Ball, simulate_press
 from kernel_agreement import assert_kernel_agrees
 
+pytestmark = pytest.mark.linear_algebra
+
 TILTS = st.tuples(*[st.floats(-0.08, 0.08)] * 6)
 ROOMS = st.builds(np.multiply, st.floats(0, 25), st.tuples(*[st.floats(0.8, 1.2)] * 3))
 

@@ -234,6 +234,15 @@ class ReadOptions:
         return check_ball_diameter(self.ball_diameter_mm)
 
 
+def check_room(shape: tuple[int, ...]) -> None:
+    """DataError: images of this shape (H, W, ...) are too small to hold a contact."""
+    if min(shape[:2]) < MIN_IMAGE_PX:
+        raise DataError(
+            f"Expected images of at least {MIN_IMAGE_PX} px in height and width, got {shape[0]}x{shape[1]} px. Look at "
+            "the crop and the view."
+        )
+
+
 def presses_from_settings(
     settings: SensorSettings,
     folder: str,
@@ -243,12 +252,7 @@ def presses_from_settings(
     **more: Any,
 ) -> Presses:
     """The press set of a sensor, with the given other fields of `Presses`; DataError for images that hold no contact."""
-    height, width = background.shape[:2]
-    if min(height, width) < MIN_IMAGE_PX:
-        raise DataError(
-            f"Expected images of at least {MIN_IMAGE_PX} px in height and width, got {height}x{width} px. Look at the "
-            "crop and the view."
-        )
+    check_room(background.shape)
     return Presses(
         folder=folder,
         presses=tuple(presses),

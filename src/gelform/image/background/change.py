@@ -89,6 +89,7 @@ def linear_light(image: NDArray[Any], settings: ChangeSettings) -> NDArray[Any]:
         else:
             light = _linear(image, settings.response)
     if settings.crosstalk is not None:
+        # The settings refuse a crosstalk that is nearly singular.
         light = cv2.transform(light.astype(np.float32, copy=False), np.linalg.inv(settings.crosstalk))
     return light
 
@@ -145,7 +146,7 @@ class PreparedBackground:
         self, background: ArrayLike, settings: ChangeSettings, usual: FrameLight | None = None
     ) -> None:
         self.settings, self._usual = settings, usual
-        self.background = check_image(background, name="background").astype(np.float32)
+        self.background = check_image(background, name="background").astype(np.float32, order="C")
         self._light = linear_light(self.background, settings)
         self._gain = gain_from_background(self.background, settings)
         self._taps = blur_taps(settings.blur_px)

@@ -105,7 +105,10 @@ class FrameLight:
 
 
 class _Fit(NamedTuple):
-    """A fitted light: values (3, 4), free terms (4,), normal matrices (3, 4, 4), evidence, and sigma of blocks at rest."""
+    """A fitted light: values (3, 4), free terms (4,), normal matrices (3, 4, 4), evidence, and sigma of blocks at rest.
+
+    PRIOR makes the matrices definite; a term that is not free has 1 on the diagonal alone.
+    """
 
     values: NDArray[np.float64]
     free: NDArray[np.bool_]

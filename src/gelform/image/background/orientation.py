@@ -211,6 +211,7 @@ def _fitted_light(
         sides = _log_likelihoods(change - terms @ light)
         weight = lit * np.exp(sides[0] - np.logaddexp(*sides)) * share[:, None] / REST_SIGMA**2
         normal = (weight @ products).reshape(len(change), *2 * (terms.shape[1],)) + np.diag(prior)
+        # definite by the prior
         light = np.linalg.solve(normal, terms.T @ (weight[..., None] * change))
     return light, normal
 
