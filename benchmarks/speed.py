@@ -15,8 +15,6 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import argparse
 import json
-import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -33,12 +31,12 @@ import numpy as np
 import gelform
 import gelform.depth.frame
 import gelform.reconstruct
-from gelform.calibration.presses.folder import Press, Presses
 from gelform.depth.contact import contacts_from_mask
-from gelform.image.view import View
+from gelform.exchange.exporters.press_folder import save_press_folder
 from gelform.simulate import LAYOUTS, Ball, simulate_ball_presses, simulate_press
-from presses import DATA
+from presses import DATA, by_name, unlabeled
 from report import dct_pair, median_ms, table, write
+from speed.against import compare, first_frame_s
 
 SIZES = ((240, 320), (480, 640), (960, 1280))
 PLAIN, EVERYTHING = "whole frame, dct, no sigma of depth", "whole frame, everything on"
@@ -49,23 +47,30 @@ PEERS = json.loads((Path(__file__).parent / "peers.json").read_text())
 
 def calibration_at(shape: tuple[int, int]) -> tuple[gelform.Calibration, np.ndarray]:
     """A calibrated simulated sensor of that size, and an image of a press."""
-    scale = shape[0] / 120
+    with tempfile.TemporaryDirectory() as folder:
+        image = write_presses(Path(folder) / "presses", shape)
+        presses = unlabeled(gelform.read_presses(Path(folder) / "presses"))
+        return gelform.calibrate(presses, color_model="hierarchical"), image
+
+
+def write_presses(folder: Path, shape: tuple[int, int]) -> np.ndarray:
+    """Write presses of a simulated sensor of that size to a folder; the image of one more press."""
     small = replace(LAYOUTS["three-edges"], shape=(120, 160), mm_per_px=0.1268)
-    simulated = simulate_ball_presses(
+    made = simulate_ball_presses(
         small, ball_diameters_mm=[5.0, 8.0], count=24, rng=np.random.default_rng(0), oversample=1
     )
-    size = (shape[1], shape[0])
-    presses = tuple(
-        Press(
-            str(i), cv2.resize(p.image, size, interpolation=cv2.INTER_CUBIC), p.ball_diameter_mm, None, str(i)
-        )
-        for i, p in enumerate(simulated.presses)
+    more = simulate_press(small, Ball(3.0), depth_mm=0.6, rng=np.random.default_rng(1))
+    images = [made.background, more.image, *(press.image for press in made.presses)]
+    background, shown, *images = (cv2.resize(i, shape[::-1], interpolation=cv2.INTER_CUBIC) for i in images)
+    save_press_folder(
+        folder,
+        background=background,
+        images=images,
+        ball_diameters_mm=[press.ball_diameter_mm for press in made.presses],
+        mm_per_px=small.mm_per_px * small.shape[0] / shape[0],
+        name="simulated",
     )
-    background = cv2.resize(simulated.background, size, interpolation=cv2.INTER_CUBIC).astype(np.float32)
-    folder = Presses("simulated", presses, background, small.mm_per_px / scale, None, "s", None, None, View())
-    calibration = gelform.calibrate(folder, color_model="hierarchical")
-    press = simulate_press(small, Ball(3.0), depth_mm=0.6, rng=np.random.default_rng(1))
-    return calibration, cv2.resize(press.image, size, interpolation=cv2.INTER_CUBIC)
+    return shown
 
 
 def stages(calibration: gelform.Calibration, image: np.ndarray) -> dict[str, Callable[[], Any]]:
@@ -116,40 +121,60 @@ def noting(calls: dict[str, Callable[[], Any]], name: str, part: Callable[..., A
     return noted
 
 
-def first_frame_s(calibration: gelform.Calibration, image: np.ndarray, bytecode: bool) -> float:
-    """Seconds from the start of a new Python process to its first result; the minimum of several.
+def first_frames_s(calibration: gelform.Calibration, image: np.ndarray, bytecode: bool) -> float:
+    """Seconds of CPU from the start of a new Python process to its first result; the minimum of several.
 
     With bytecode, as in a package that pip installed; without it, each process compiles gelform's sources again.
     """
     with tempfile.TemporaryDirectory() as folder:
         calibration.save(Path(folder) / "cal.npz")
         np.save(Path(folder) / "image.npy", image)
-        code = "import gelform, numpy; gelform.Reconstructor('cal.npz').from_image(numpy.load('image.npy'))"
         environment = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
         environment["PYTHONPYCACHEPREFIX" if bytecode else "PYTHONDONTWRITEBYTECODE"] = f"{folder}/bytecode"
-        seconds = []
-        for _ in range(FIRST_FRAMES):
-            started = time.perf_counter()
-            subprocess.run([sys.executable, "-c", code], cwd=folder, env=environment, check=True)
-            seconds.append(time.perf_counter() - started)
-    return min(seconds)
+        files = Path(folder) / "cal.npz", Path(folder) / "image.npy"
+        return min(first_frame_s(*files, environment) for _ in range(FIRST_FRAMES))
 
 
-def calibration_cpu_s() -> float | None:
-    """CPU seconds to calibrate on the 67 presses of mini-ball; None without them."""
+def calibration_cpu_s() -> tuple[float, gelform.Calibration, np.ndarray] | None:
+    """CPU seconds to calibrate on the 67 presses of mini-ball, the calibration, and a press; None without them."""
     if not (DATA / "mini-ball").is_dir():
         return None
     presses = gelform.read_presses(DATA / "mini-ball")
     started = time.process_time()
-    gelform.calibrate(presses)
-    return time.process_time() - started
+    calibration = gelform.calibrate(presses)
+    return time.process_time() - started, calibration, shown_press(presses)
+
+
+def shown_press(presses: gelform.Presses) -> np.ndarray:
+    """The press that is timed: the second by name, which a calibration on every third does not see."""
+    return presses.presses[by_name(presses)[1]].image
+
+
+def against(ref: str, quick: bool) -> None:
+    """Compare this checkout with a commit on the simulated frame and, where it is there, on one of mini-ball."""
+    with tempfile.TemporaryDirectory() as folder:
+        frames = {"simulated": Path(folder) / "simulated", "mini-ball": DATA / "mini-ball"}
+        images = {"simulated": write_presses(frames["simulated"], SIZES[0])}
+        if frames["mini-ball"].is_dir():
+            images["mini-ball"] = shown_press(gelform.read_presses(frames["mini-ball"]))
+        for name in images:
+            np.save(Path(folder) / f"{name}.npy", images[name])
+        shown = [(frames[name], Path(folder) / f"{name}.npy") for name in list(images)[-1 if quick else 0 :]]
+        compare(ref, shown, quick=quick)
 
 
 def main() -> None:
     """Measure every size and print the table."""
     parser = argparse.ArgumentParser(description="How fast every stage of a frame is.")
     parser.add_argument("--quick", action="store_true", help="240x320 alone; writes no results")
-    quick = parser.parse_args().quick
+    parser.add_argument(
+        "--against", metavar="REF", help="compare a frame with that commit's; with --quick on one frame"
+    )
+    asked = parser.parse_args()
+    quick = asked.quick
+    if asked.against:
+        against(asked.against, quick)
+        return
     figures: dict[str, Any] = {}
     for shape in SIZES[:1] if quick else SIZES:
         calibration, image = calibration_at(shape)
@@ -160,7 +185,7 @@ def main() -> None:
             **{name: {"ms": ms, "D": ms / pair} for name, ms in zip(calls, times)},
         }
         if shape == SIZES[0]:
-            first, uncompiled = (first_frame_s(calibration, image, bytecode) for bytecode in (True, False))
+            first, uncompiled = (first_frames_s(calibration, image, bytecode) for bytecode in (True, False))
     names = list(next(iter(figures.values())))[1:]
     rows: list[list[Any]] = [["bare DCT pair D", *(f"{f['D']:.2f} ms" for f in figures.values())]]
     rows += [[n, *(f"{f[n]['D']:.1f} D ({f[n]['ms']:.2f} ms)" for f in figures.values())] for n in names]
