@@ -1,9 +1,10 @@
-"""Speed: every stage of a frame, and the whole frame, one thread, at three sizes; and a calibration.
+"""Speed: every stage of a frame, and the whole frame, one thread, at three sizes and of mini-ball; and a calibration.
 
     OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python benchmarks/speed.py    # three minutes; --quick: only 240x320, one
+    python benchmarks/speed.py --against REF     # the same frames by a commit and by this checkout, in turn; two minutes
 
-Machines are shared and noisy: trust the ratios to D, a bare float32 scipy dctn + idctn pair of the same size, measured
-alternately with the stages in the same run. Writes results/speed.json.
+Machines are shared and noisy: times are of the processor, and ratios to D, a bare float32 scipy dctn + idctn pair of the
+same size that is measured alternately with the stages in the same run, are to be trusted. Writes results/speed.json.
 """
 
 from __future__ import annotations
@@ -36,7 +37,8 @@ from gelform.exchange.exporters.press_folder import save_press_folder
 from gelform.simulate import LAYOUTS, Ball, simulate_ball_presses, simulate_press
 from presses import DATA, by_name, unlabeled
 from report import dct_pair, median_ms, table, write
-from speed.against import compare, first_frame_s
+from speed.against import compare
+from speed.turns import first_frame_ms
 
 SIZES = ((240, 320), (480, 640), (960, 1280))
 PLAIN, EVERYTHING = "whole frame, dct, no sigma of depth", "whole frame, everything on"
@@ -121,28 +123,17 @@ def noting(calls: dict[str, Callable[[], Any]], name: str, part: Callable[..., A
     return noted
 
 
-def first_frames_s(calibration: gelform.Calibration, image: np.ndarray, bytecode: bool) -> float:
-    """Seconds of CPU from the start of a new Python process to its first result; the minimum of several.
-
-    With bytecode, as in a package that pip installed; without it, each process compiles gelform's sources again.
-    """
+def against(ref: str, quick: bool) -> None:
+    """Compare this checkout with a commit on the simulated frame and a real one, with quick on one of them."""
     with tempfile.TemporaryDirectory() as folder:
-        calibration.save(Path(folder) / "cal.npz")
-        np.save(Path(folder) / "image.npy", image)
-        environment = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
-        environment["PYTHONPYCACHEPREFIX" if bytecode else "PYTHONDONTWRITEBYTECODE"] = f"{folder}/bytecode"
-        files = Path(folder) / "cal.npz", Path(folder) / "image.npy"
-        return min(first_frame_s(*files, environment) for _ in range(FIRST_FRAMES))
-
-
-def calibration_cpu_s() -> tuple[float, gelform.Calibration, np.ndarray] | None:
-    """CPU seconds to calibrate on the 67 presses of mini-ball, the calibration, and a press; None without them."""
-    if not (DATA / "mini-ball").is_dir():
-        return None
-    presses = gelform.read_presses(DATA / "mini-ball")
-    started = time.process_time()
-    calibration = gelform.calibrate(presses)
-    return time.process_time() - started, calibration, shown_press(presses)
+        presses = Path(folder) / "simulated"
+        images = {presses: write_presses(presses, SIZES[0])}
+        if (DATA / "mini-ball").is_dir():
+            images[DATA / "mini-ball"] = shown_press(gelform.read_presses(DATA / "mini-ball"))
+        for presses, image in images.items():
+            np.save(Path(folder) / f"{presses.name}.npy", image)
+        frames = [(presses, Path(folder) / f"{presses.name}.npy") for presses in images]
+        compare(ref, frames[-1:] if quick else frames, quick=quick)
 
 
 def shown_press(presses: gelform.Presses) -> np.ndarray:
@@ -150,61 +141,53 @@ def shown_press(presses: gelform.Presses) -> np.ndarray:
     return presses.presses[by_name(presses)[1]].image
 
 
-def against(ref: str, quick: bool) -> None:
-    """Compare this checkout with a commit on the simulated frame and, where it is there, on one of mini-ball."""
-    with tempfile.TemporaryDirectory() as folder:
-        frames = {"simulated": Path(folder) / "simulated", "mini-ball": DATA / "mini-ball"}
-        images = {"simulated": write_presses(frames["simulated"], SIZES[0])}
-        if frames["mini-ball"].is_dir():
-            images["mini-ball"] = shown_press(gelform.read_presses(frames["mini-ball"]))
-        for name in images:
-            np.save(Path(folder) / f"{name}.npy", images[name])
-        shown = [(frames[name], Path(folder) / f"{name}.npy") for name in list(images)[-1 if quick else 0 :]]
-        compare(ref, shown, quick=quick)
-
-
 def main() -> None:
-    """Measure every size and print the table."""
+    """Measure every size, and a real frame, and print the table."""
     parser = argparse.ArgumentParser(description="How fast every stage of a frame is.")
-    parser.add_argument("--quick", action="store_true", help="240x320 alone; writes no results")
+    parser.add_argument("--quick", action="store_true", help="simulated 240x320 alone; writes no results")
     parser.add_argument(
-        "--against", metavar="REF", help="compare a frame with that commit's; with --quick on one frame"
+        "--against", metavar="REF", help="compare with a commit; --quick: whole frames alone, one"
     )
     asked = parser.parse_args()
-    quick = asked.quick
     if asked.against:
-        against(asked.against, quick)
+        against(asked.against, asked.quick)
         return
     figures: dict[str, Any] = {}
-    for shape in SIZES[:1] if quick else SIZES:
+    others: dict[str, Any] = {}
+    for shape in SIZES[:1] if asked.quick else SIZES:
         calibration, image = calibration_at(shape)
-        calls = stages(calibration, image)
-        pair, *times = median_ms([dct_pair(shape), *calls.values()], rounds=101, seconds=15)
-        figures[f"{shape[0]}x{shape[1]}"] = {
-            "D": pair,
-            **{name: {"ms": ms, "D": ms / pair} for name, ms in zip(calls, times)},
-        }
+        figures[f"{shape[0]}x{shape[1]}"] = timed_stages(calibration, image)
         if shape == SIZES[0]:
-            first, uncompiled = (first_frames_s(calibration, image, bytecode) for bytecode in (True, False))
+            with tempfile.TemporaryDirectory() as folder:
+                calibration.save(file := Path(folder) / "cal.npz")
+                np.save(shown := Path(folder) / "image.npy", image)
+                others["first_frame_s"] = min(
+                    first_frame_ms(file, shown)[0] / 1e3 for _ in range(FIRST_FRAMES)
+                )
+    if (DATA / "mini-ball").is_dir() and not asked.quick:
+        presses = gelform.read_presses(DATA / "mini-ball")
+        started = time.process_time()
+        calibration = gelform.calibrate(presses)
+        others["calibration_of_67_presses_cpu_s"] = time.process_time() - started
+        figures["mini-ball"] = timed_stages(calibration, shown_press(presses))
     names = list(next(iter(figures.values())))[1:]
     rows: list[list[Any]] = [["bare DCT pair D", *(f"{f['D']:.2f} ms" for f in figures.values())]]
     rows += [[n, *(f"{f[n]['D']:.1f} D ({f[n]['ms']:.2f} ms)" for f in figures.values())] for n in names]
     print(table(["stage", *figures], rows))
     peer = next(iter(PEERS["frame_speed"].values()))["D"]
-    small = figures["240x320"]
-    over = {name: peer / small[name]["D"] for name in (PLAIN, EVERYTHING)}
-    print(
-        f"gs_sdk's get_surface_info: {peer} D; "
-        + ", ".join(f"{k}: {v:.1f} times faster" for k, v in over.items())
-    )
-    print(f"first frame of a new process: {first:.2f} s; without bytecode: {uncompiled:.2f} s")
-    if not quick:
-        calibration_s = calibration_cpu_s()
-        if calibration_s is not None:
-            print(f"calibrating 67 presses: {calibration_s:.0f} s of CPU")
-        others = {"first_frame_s": first, "first_frame_without_bytecode_s": uncompiled}
-        others["calibration_of_67_presses_cpu_s"] = calibration_s
+    over = {name: peer / figures["240x320"][name]["D"] for name in (PLAIN, EVERYTHING)}
+    faster = (f"{name}: {times:.1f} times faster" for name, times in over.items())
+    print(f"gs_sdk's get_surface_info: {peer} D; {', '.join(faster)}\n{others}")
+    if not asked.quick:
         write("speed", {"sizes": figures, "times_faster_than_gs_sdk": over, **others})
+
+
+def timed_stages(calibration: gelform.Calibration, image: np.ndarray) -> dict[str, Any]:
+    """D, ms, and every stage in ms and D."""
+    calls = stages(calibration, image)
+    pair = dct_pair(calibration.image_shape)
+    unit, *times = median_ms([pair, *calls.values()], rounds=101, seconds=15, clock=time.process_time)
+    return {"D": unit, **{name: {"ms": ms, "D": ms / unit} for name, ms in zip(calls, times)}}
 
 
 if __name__ == "__main__":
