@@ -5,7 +5,10 @@ import time
 from gelform.sensors.simulated.source import PRESS_S
 
 
-def until(true, timeout_s=30.0):
+HANGS_S = 120.0  # s, after which nothing will come: a busy machine may take twenty times as long as an idle one
+
+
+def until(true, timeout_s=HANGS_S):
     """Wait until something is true; what it gave."""
     stop = time.monotonic() + timeout_s
     while not (given := true()):
