@@ -2,6 +2,8 @@
 
 import pickle
 import shutil
+import subprocess
+import sys
 import time
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from copy import copy
@@ -41,6 +43,19 @@ def test_depth_in_millimeters(calibration, press):
     assert result.contact[round(press.center_px[1]), round(press.center_px[0])]
     assert not result.contact[:10].any()
     assert result.known.all()
+
+
+def test_a_first_frame_loads_no_part_of_scipy(calibration, press, tmp_path):
+    """Importing scipy.spatial or scipy.special would take longer than all else of it."""
+    calibration.save(tmp_path / "cal.npz")
+    np.save(tmp_path / "image.npy", press.image)
+    code = (
+        "import sys, gelform, numpy; gelform.Reconstructor(sys.argv[1]).from_image(numpy.load(sys.argv[2])).contacts;"
+        "print(*(name for name in sys.modules if name.startswith('scipy.') and name.count('.') == 1 and name[6] != '_'))"
+    )
+    command = [sys.executable, "-c", code, tmp_path / "cal.npz", tmp_path / "image.npy"]
+    said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    assert set(said.split()) <= {"scipy.version"}
 
 
 def test_without_the_slopes_sigma_the_depth_is_the_same(calibration, press):

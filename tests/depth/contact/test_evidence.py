@@ -5,7 +5,7 @@ import pytest
 from scipy.special import k0, k1
 
 from gelform.depth.contact import evidence as evidence_module
-from gelform.depth.contact.evidence import Evidence, Regions
+from gelform.depth.contact.evidence import INFLUENCE, Evidence, Regions
 from gelform.depth.contact.regions import labeled
 from kernel_agreement import assert_kernel_agrees
 
@@ -76,6 +76,8 @@ def test_the_depth_beside_a_pressed_pixel_is_bessel_s():
     for n in (1, 4, 100, 400):
         wanted = k0(np.sqrt(n) * PITCH / LENGTH) * PITCH**2 / (2 * np.pi)
         assert influence[n] == pytest.approx(wanted, rel=1e-5)
+    x = np.geomspace(1e-4, INFLUENCE, 1000)
+    np.testing.assert_allclose(evidence_module.bessel_k0(x), k0(x), rtol=1e-13)
 
 
 def test_a_contact_stands_and_gel_that_it_draws_down_does_not():

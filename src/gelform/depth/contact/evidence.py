@@ -7,7 +7,6 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-import scipy  # its parts load at first use
 from numpy.typing import NDArray
 
 from gelform._native import Kernel
@@ -121,5 +120,18 @@ class Evidence:
         squares[0] = 1 / (
             np.pi * np.e
         )  # where the logarithm is that of the mean over a disc of a pixel's area
-        depth = scipy.special.k0(np.sqrt(squares * area) / self.length_mm) * area / (2 * np.pi)
+        depth = bessel_k0(np.sqrt(squares * area) / self.length_mm) * area / (2 * np.pi)
         return np.asarray(depth, dtype=np.float32)
+
+
+def bessel_k0(x: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The modified Bessel function K0, to 1e-13 for x from 1e-4 to `INFLUENCE`.
+
+    It is the integral of exp(-x cosh t) from 0 on by the trapezoidal rule, which converges geometrically here (Trefethen and
+    Weideman, SIAM Review 2014). To import scipy.special would take a third of a first frame's time.
+    """
+    nodes, step = np.linspace(0, np.arccosh(1 + 40 / np.min(x)), 64, endpoint=False, retstep=True)
+    total = np.exp(-x) / 2
+    for node in nodes[1:]:
+        total += np.exp(-x * np.cosh(node))
+    return np.asarray(step * total)
