@@ -25,7 +25,7 @@ import gelform
 # All that can be asked of a result, so that what a version computes on demand is computed.
 OF_STREAM = ("depth_mm", "depth_sigma_mm", "contact", "health")
 EVERYTHING = (*OF_STREAM, "gradients_sigma", "confidence", "contacts", "outside_change", "curl_rms")
-IMAGES = 24  # in a stream
+IMAGES = 24  # in a sequence
 FIRST = "import sys, gelform, numpy; gelform.Reconstructor(sys.argv[1]).from_image(numpy.load(sys.argv[2]))"
 Calls = dict[str, Callable[[], list[float]]]
 
@@ -55,40 +55,42 @@ def whole_frames(calibration: gelform.Calibration, image: np.ndarray, images: Im
             except (TypeError, ValueError):  # a switch or a solver that this version does not have
                 continue
 
-    def loop() -> None:
-        read(map(whole, images), OF_STREAM)
-
-    def stream() -> None:
-        read(gelform.stream(images, calibration), OF_STREAM)
-
+    sequences = {"loop": lambda: map(whole, images), "stream": lambda: gelform.stream(images, calibration)}
+    clocks = {"": time.process_time, ", wall": time.perf_counter}
     return {
         "everything": timed(lambda: read([whole.from_image(image)], EVERYTHING)),
         **{f"depth alone, {k}": timed(lambda r=r: r.from_image(image).depth_mm) for k, r in depths.items()},
-        **{f"{call.__name__} of {IMAGES}": timed(call, 1) for call in (loop, stream)},
         **{
-            f"{call.__name__} of {IMAGES}, wall": timed(call, 1, time.perf_counter) for call in (loop, stream)
+            f"{k} of frames{c}": partial(after_first, of, clocks[c])
+            for c in clocks
+            for k, of in sequences.items()
         },
     }
 
 
-def read(results: Any, names: tuple[str, ...]) -> None:
-    """Read these of every result, as far as this version has them."""
-    for result in results:
-        for name in names:
-            getattr(result, name, None)
+def after_first(results_of: Callable[[], Any], clock: Callable[[], float]) -> list[float]:
+    """Milliseconds for each result after the first, which waits until all is prepared."""
+    results = iter(results_of())
+    read([next(results)], OF_STREAM)
+    started = clock()
+    count = read(results, OF_STREAM)
+    return [1e3 * (clock() - started) / count]
 
 
-def timed(
-    call: Callable[[], Any], times: int = 3, clock: Callable[[], float] = time.process_time
-) -> Callable[[], list[float]]:
-    """Milliseconds of a few calls, by default of this process: other processes take none of them."""
+def read(results: Any, names: tuple[str, ...]) -> int:
+    """Read these of every result, as far as this version has them; the number of results."""
+    return sum(1 for result in results if [getattr(result, name, None) for name in names])
+
+
+def timed(call: Callable[[], Any]) -> Callable[[], list[float]]:
+    """Milliseconds of this process for each of three calls: other processes take none of them."""
 
     def once() -> float:
-        started = clock()
+        started = time.process_time()
         call()
-        return 1e3 * (clock() - started)
+        return 1e3 * (time.process_time() - started)
 
-    return lambda: [once() for _ in range(times)]
+    return lambda: [once() for _ in range(3)]
 
 
 def first_frame_ms(file: Path, shown: Path) -> list[float]:
