@@ -5,7 +5,9 @@ import time
 from gelform.sensors.simulated.source import PRESS_S
 
 
-HANGS_S = 120.0  # s, after which nothing will come: a busy machine may take twenty times as long as an idle one
+HANGS_S = (
+    120.0  # s, after which nothing will come: a busy machine may take twenty times as long as an idle one
+)
 
 
 def until(true, timeout_s=HANGS_S):
