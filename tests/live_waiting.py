@@ -4,10 +4,7 @@ import time
 
 from gelform.sensors.simulated.source import PRESS_S
 
-
-HANGS_S = (
-    120.0  # s, after which nothing will come: a busy machine may take twenty times as long as an idle one
-)
+HANGS_S = 120.0  # what has not come by then, in seconds, never will: a busy machine is twenty times slower
 
 
 def until(true, timeout_s=HANGS_S):
