@@ -2,6 +2,8 @@
 
 import pickle
 import shutil
+import subprocess
+import sys
 import time
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import replace
@@ -80,6 +82,19 @@ def test_the_order_of_questions_and_what_the_caller_writes_change_nothing(calibr
         np.testing.assert_array_equal(getattr(backward, name), wanted[name], err_msg=name)
     with pytest.raises(ValueError, match="read-only"):
         backward.observed_gradients[:] = 0
+
+
+def test_a_first_frame_loads_no_part_of_scipy(calibration, press, tmp_path):
+    """Importing scipy.spatial or scipy.special would take longer than all else of it."""
+    calibration.save(tmp_path / "cal.npz")
+    np.save(tmp_path / "image.npy", press.image)
+    code = (
+        "import sys, gelform, numpy; gelform.Reconstructor(sys.argv[1]).from_image(numpy.load(sys.argv[2])).contacts;"
+        "print(*(name for name in sys.modules if name.startswith('scipy.') and name.count('.') == 1 and name[6] != '_'))"
+    )
+    command = [sys.executable, "-c", code, tmp_path / "cal.npz", tmp_path / "image.npy"]
+    said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    assert set(said.split()) <= {"scipy.version"}
 
 
 def test_pure_function_of_the_image(calibration, press, simulated):

@@ -25,9 +25,9 @@ from made.mjpeg_server import MjpegServer, jpeg, part
 
 def test_without_arguments_the_simulated_sensor_is_shown_calibrated():
     with closing(start(Options(rate_hz=30))) as hub:
-        shown = until(lambda: hub.stations[0].newest, 20)
+        shown = until(lambda: hub.stations[0].newest)
         assert shown.image.shape == (240, 320, 3)
-        until(lambda: hub.stations[0].newest.result is not None, 20)
+        until(lambda: hub.stations[0].newest.result is not None)
 
 
 @pytest.mark.parametrize(
@@ -91,7 +91,7 @@ def test_a_folder_plays_once_and_stays_at_its_end(tmp_path, simulated, calibrati
     calibration.save(tmp_path / "mine.npz")
     with closing(start(Options([str(tmp_path)], [tmp_path / "mine.npz"]))) as hub:
         station = hub.stations[0]
-        until(lambda: (r := station.facts()["replay"]) and not r["playing"] and r["number"] == 3, 60)
+        until(lambda: (r := station.facts()["replay"]) and not r["playing"] and r["number"] == 3)
         until(lambda: (one := station.newest) and one.frame.number == 3 and one.result)
         assert station.facts()["state"] == "running"  # held, not lost
         assert hub.recordings.facts()[0]["name"] == tmp_path.name
@@ -100,7 +100,7 @@ def test_a_folder_plays_once_and_stays_at_its_end(tmp_path, simulated, calibrati
 @pytest.mark.slow
 def test_two_simulated_sensors_are_touched_apart_from_each_other():
     with closing(start(Options(["simulated", "simulated"], rate_hz=20))) as hub:
-        until(lambda: all(station.newest and station.newest.result for station in hub.stations), 20)
+        until(lambda: all(station.newest and station.newest.result for station in hub.stations))
         first, second = (station.source for station in hub.stations)
         assert (first.image_at(7) != second.image_at(7)).mean() > 0.2
         assert hub.calibrations.names == ["simulated sensor three-edges"]

@@ -142,7 +142,7 @@ def test_one_of_a_pool_killed_at_random_moments(work, tmp_path, who):
                 os.kill(number, signal.SIGKILL)
         process.wait(60)
         for number in workers:  # none outlives its driver
-            until(lambda number=number: not Path(f"/proc/{number}/cmdline").exists(), 20)
+            until(lambda number=number: not Path(f"/proc/{number}/cmdline").exists())
         assert_only_whole_files(work, output)
         assert_goes_on(work, output)
 
@@ -154,7 +154,7 @@ def test_a_worker_killed_while_it_starts(work, tmp_path):
     driver = tmp_path / "driver.py"
     driver.write_text((work / "driver.py").read_text().replace("engine=", rest))
     process = started(work, tmp_path / "out", 2, driver)
-    workers = until(lambda: workers_of(process), 60)
+    workers = until(lambda: workers_of(process))
     os.kill(workers[0], signal.SIGKILL)
     assert process.wait(60) != 0
     assert started(work, tmp_path / "out", 2, driver).wait(60) == 0

@@ -32,10 +32,13 @@ def test_the_force_has_its_sigma_or_the_reason(page):
 @pytest.fixture
 def still(page, hub):
     """The page with the picture held, and the result that it shows."""
+    station = hub.stations[0]
     page.click("#pause")
-    until(lambda: hub.stations[0].paused)
-    until(lambda: page.evaluate("gelform.frame.header.serial") == hub.stations[0].newest.serial)
-    return hub.stations[0].newest.result
+    until(lambda: station.paused)
+    # The one that was compared: where the picture was held while a frame came, that one is shown last.
+    shows = "gelform.frame.header.serial"
+    shown = until(lambda: one if (one := station.newest).serial == page.evaluate(shows) else None)
+    return shown.result
 
 
 def click_at(page, view, x, y):
@@ -106,13 +109,13 @@ def test_curves_reach_back_for_minutes_and_keep_their_peaks(page, hub):
         ((k + 1) / 10_000, now_s - 300 + k / 30, 0.9 if k == 4000 else 0.1, 1.0, 1.0) for k in range(8900)
     ]
     station.paused = True
-    until(lambda: page.evaluate("gelform.frame.header.serial") == station.newest.serial, 20)
+    until(lambda: page.evaluate("gelform.frame.header.serial") == station.newest.serial)
     kept = list(station._numbers)
     station._numbers.clear()
     station._numbers.extend(before + kept)
     station.paused = False
     page.reload()
-    until(lambda: page.evaluate("window.gelform?.series?.time.length > 1000"), 30)
+    until(lambda: page.evaluate("window.gelform?.series?.time.length > 1000"))
     spans = page.evaluate(
         "[10, 300].map((s) => { const { time } = gelform.series.recent('peak', s); return time.at(-1) - time[0]; })"
     )
@@ -147,14 +150,14 @@ def test_the_surface_fills_its_stage_the_screen_and_has_smooth_edges(page, still
     page.evaluate("scrollTo(0, 0)")
     assert page.evaluate("gelform.surface.gl.getContextAttributes().antialias")
     assert page.evaluate("gelform.surface.gl.getParameter(gelform.surface.gl.SAMPLES)") > 1
-    until(lambda: max(drawn(picture, page)) > 0.7, 20)
+    until(lambda: max(drawn(picture, page)) > 0.7)
     page.set_viewport_size({"width": 390, "height": 844})
     until(lambda: page.evaluate("document.getElementById('surface').clientWidth") < 390)
-    until(lambda: max(drawn(picture, page)) > 0.8, 20)
+    until(lambda: max(drawn(picture, page)) > 0.8)
     page.set_viewport_size({"width": 1100, "height": 900})
     page.click("#whole")
     until(lambda: page.locator("#stage").bounding_box() == {"x": 0, "y": 0, **page.viewport_size})
-    until(lambda: max(drawn(picture, page)) > 0.7, 20)
+    until(lambda: max(drawn(picture, page)) > 0.7)
     assert page.is_visible("#reset-view")
     page.evaluate("document.fullscreenElement ? document.exitFullscreen() : null")
     page.keyboard.press("Escape")

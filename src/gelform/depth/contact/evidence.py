@@ -7,10 +7,10 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-import scipy  # its parts load at first use
 from numpy.typing import NDArray
 
 from gelform._native import Kernel
+from gelform.foundations.bessel import bessel_k
 from gelform.foundations.filters import MEDIAN_SAMPLES
 
 # Chosen on every second or third press of six real sensors and on three simulated ones, so that one ball is one contact and
@@ -121,5 +121,5 @@ class Evidence:
         squares[0] = 1 / (
             np.pi * np.e
         )  # where the logarithm is that of the mean over a disc of a pixel's area
-        depth = scipy.special.k0(np.sqrt(squares * area) / self.length_mm) * area / (2 * np.pi)
+        depth = bessel_k(0, np.sqrt(squares * area) / self.length_mm) * area / (2 * np.pi)
         return np.asarray(depth, dtype=np.float32)

@@ -8,8 +8,8 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import scipy  # its parts load at first use
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from gelform.depth.force.touch import Touch, touch_from_result
 from gelform.foundations.checks import check_numbers, check_positive, check_values, check_within
@@ -66,7 +66,7 @@ class Dots:
     """The dots of a gel, by whose places (N, 2) at rest, mm, it is told from another one."""
 
     def __init__(self, places: NDArray[np.float64]) -> None:
-        self._tree, self._count = cKDTree(places), len(places)
+        self._tree, self._count = scipy.spatial.cKDTree(places), len(places)
         spacing = np.median(self._tree.query(places, k=2)[0][:, 1]) if len(places) else 0.0
         self._near = DOT_TOLERANCE * float(spacing)
 
