@@ -314,8 +314,8 @@ class Reconstructor:
         known = faults.without_lost(solution.known)
         solved_sigma, wall = self.solved_sigma.with_walls(read.sigma, gradients)
         observed, at_rest = read.slopes.gradients, read.slopes.at_rest
-        deviations = SlopeDeviations.of(read.sigma, solved_sigma, at_rest)
-        contact = self._today.contact(depth_mm, depth_sigma, deviations, known)
+        touch = depth_mm, depth_sigma, SlopeDeviations.of(read.sigma, solved_sigma, at_rest), known
+        contact, pressed = self._today.contact(*touch), self._today.contact.pressed_background(*touch)
         # What follows makes no contact less certain: an error of all depths in proportion, and depth that is missing.
         if depth_sigma is not None:
             add_in_proportion(depth_sigma, solution.depth_mm, fixed.depth.gain_sigma, most_mm)
@@ -324,7 +324,7 @@ class Reconstructor:
         )
         touched = partial(self._today.untouched_image.touched, read.seen.image)
         unsure = unknown_contact(contact, at_rest, known, touched)
-        findings = *read.slopes.findings, *too_deep, *at_least, *unsure
+        findings = *read.slopes.findings, *too_deep, *at_least, *unsure, *pressed
         return Reconstruction(
             depth=depth_mm if self.calibration.mm_per_px else depth_mm / np.float32(fixed.pitch),
             depth_sigma_mm=depth_sigma,

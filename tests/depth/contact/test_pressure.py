@@ -175,6 +175,30 @@ def test_a_depth_that_is_not_sure_is_no_contact():
         assert not sensor(-depth.astype(np.float32), np.full(depth.shape, sigma, np.float32), slopes).any()
 
 
+@pytest.mark.parametrize("dots", [False, True])
+def test_a_contact_of_the_background_is_told_by_its_valley(dots):
+    """Not beside a deeper contact, not where sigma covers it, and not of the depth's errors."""
+    depth, *_ = cap(depth_mm=0.3)
+    y, x = np.mgrid[: depth.shape[0], : depth.shape[1]]
+    known = np.hypot((x - 7) % 16 - 7.5, (y - 5) % 16 - 7.5) > 4 if dots else np.ones(depth.shape, bool)
+    sensor = PreparedContact((PITCH, PITCH), 0.6, np.full(depth.shape, 0.02**2, np.float32), CORRELATION)
+
+    def findings(depth, sigma_mm):
+        sigma = np.where(known, 0.02, 10.0).astype(np.float32)
+        slopes = SlopeDeviations(sigma, sigma, depth == 0)
+        depth_sigma = np.full(depth.shape, sigma_mm, np.float32)
+        return sensor.pressed_background(depth.astype(np.float32), depth_sigma, slopes, known)
+
+    (found,) = findings(-depth, 0.01)
+    assert found.name == "background_pressed"
+    assert found.figure == pytest.approx(0.3, abs=0.01)
+    assert not findings(depth, 0.01)
+    assert not findings(-depth, 0.07)  # 4.3 sigma
+    deeper, *_ = cap(center=(40, 40), depth_mm=0.4)
+    assert not findings(deeper - depth, 0.01)
+    assert not findings(-0.05 - slopes_noise(depth.shape, 0.02), 0.02)
+
+
 def test_specks_go():
     """A cap of 5 pixels across."""
     depth, _, radius = cap(depth_mm=0.003)

@@ -18,8 +18,10 @@ from gelform.foundations.checks import (
     check_number,
     check_positive,
     check_within,
+    value_range,
 )
 from gelform.foundations.filters import LANES, MEDIAN_SAMPLES, SIGMA_OF_MEDIAN, blur_taps
+from gelform.foundations.findings import Finding
 
 MIN_AREA_MM2 = 0.05  # mm^2, area of the smallest contact
 SMOOTHING_PX = 0.7  # px, standard deviation of the Gaussian that smooths before the Laplacian
@@ -30,6 +32,9 @@ NEIGHBORHOOD_PX = 4  # px, half the width of the square around a pixel that mean
 # px, half the width of the square that closes an outline, half the gap beside a cube's crest; and the share of the bed's
 # pressure that holds what is closed: half way between the membrane alone, 0, and a plane face, 1.
 CLOSING_PX, HELD_SHARE = 2, 0.5
+VALLEY_SIGMAS = (
+    5.0  # standard deviations, by which gel lies over its rest where the background image was pressed
+)
 SIGMAS_OF_DEPTH = 2.0  # standard deviations; only the part of a depth beyond them presses on the bed
 # mm, relaxation length of a gel that no press showed: the longest of six sensors (0.41 to 0.86). A shorter one than the
 # gel's takes gel that is drawn down for contact.
@@ -211,7 +216,8 @@ class PreparedContact:
         sigma = np.full_like(depth, _noise_mm(depth)) if sigma is None else sigma
         hidden = known is not None and not known.all()
         known = known if hidden and known is not None else self._everywhere
-        variance, at_rest, gains = self._noise, self._everywhere, (None, None)
+        variance, at_rest = self._noise, self._everywhere
+        gains: Sequence[list[float] | None] = (None, None)
         if slopes is not None and self._gains is not None:
             variance, at_rest, gains = np.empty_like(depth), slopes.at_rest, self._gains
             _slope_variance(slopes.read, slopes.solved, at_rest, variance)
@@ -239,6 +245,33 @@ class PreparedContact:
         stands, deepest = self._stands(Regions(count, labels, depth, sigma, evidence, smooth, bent))
         _standing_regions(labels, stands, deepest, depth, contact, reach=NEIGHBORHOOD_PX)
         return contact
+
+    def pressed_background(
+        self,
+        depth: NDArray[np.float32],
+        sigma: NDArray[np.float32] | None,
+        slopes: SlopeDeviations | None = None,
+        known: NDArray[np.bool_] | None = None,
+    ) -> tuple[Finding, ...]:
+        """One finding if a valley is deeper than any hill and looks like a contact turned over; arguments of `__call__`.
+
+        Such a valley is a contact of the background image. Beside a contact, the depth's errors are negative, too.
+        """
+        low, high = value_range(depth)
+        if -low <= high:
+            return ()
+        turned = -depth
+        valley = self(turned, sigma, slopes, known)
+        if sigma is not None:
+            valley &= turned > VALLEY_SIGMAS * sigma
+        if not valley.any():
+            return ()
+        deepest = float(turned[valley].max())
+        message = (
+            f"Something touches the gel in the background image: here the gel rises up to {deepest:.2g} mm over it, with a "
+            "contact's outline. Take the background again, with nothing touching the gel."
+        )
+        return (Finding("background_pressed", message, deepest),)
 
     def _work(self, maps: int) -> NDArray[np.float32]:
         """Memory for sums of some maps over squares."""
