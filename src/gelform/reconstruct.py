@@ -205,11 +205,15 @@ class FrameRecord:
     @once
     def contact(self) -> NDArray[np.bool_]:
         """Where something touches (H, W)."""
-        errors, at_rest, deviations = self.depth_errors, self.slopes.at_rest, None
+        return self.today.contact(*self._touch(DepthErrors.contact_sigma))
+
+    def _touch(self, sigma_of: Callable[[DepthErrors, float], NDArray[np.float32]]) -> tuple[Any, ...]:
+        """Depth, its deviation by `sigma_of`, those of the slopes, and known pixels (H, W)."""
+        errors, deviations = self.depth_errors, None
         if self.fixed.known is not None:
-            deviations = SlopeDeviations(self.budget.read, self.budget.solved, at_rest)
-        sigma = None if errors is None else errors.contact_sigma(self.fixed.limit.ignorance_mm)
-        return self.today.contact(self.depth_mm, self._widened(sigma), deviations, self.known)
+            deviations = SlopeDeviations(self.budget.read, self.budget.solved, self.slopes.at_rest)
+        sigma = None if errors is None else sigma_of(errors, self.fixed.limit.ignorance_mm)
+        return self.depth_mm, self._widened(sigma), deviations, self.known
 
     @once
     def health(self) -> tuple[Finding, ...]:
@@ -222,6 +226,7 @@ class FrameRecord:
             *self.findings,
             *steep,
             *unknown_contact(self.contact, self.slopes.at_rest, self.known, touched),
+            *self.today.contact.pressed_background(*self._touch(DepthErrors.slope_sigma)),
         )
 
     @property

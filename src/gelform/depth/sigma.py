@@ -162,6 +162,10 @@ class DepthErrors:
         """The one that makes no contact less certain for what all depths have in common."""
         return self._root(self._with_own(self.contact_spread), most_mm)
 
+    def slope_sigma(self, most_mm: float) -> NDArray[np.float32]:
+        """The one by the slopes alone, as of a frame whose negative depths are no error."""
+        return self._root(self.spread, most_mm)
+
     def difference_sigma(self, region: NDArray[np.bool_]) -> NDArray[np.float32]:
         """Standard deviation (H, W), mm, of the depth minus its mean over a region (H, W) of some pixels."""
         own, common = self.local_variance, self.coarse.at_pixels(self.common_mm)

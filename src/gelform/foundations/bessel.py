@@ -9,7 +9,7 @@ NODES = 64  # of the trapezoidal rule; half as many leave errors of 1e-7
 
 
 def bessel_k(order: int, x: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The modified Bessel function K0 or K1, to 1e-12 for x from 1e-4 to 30.
+    """The modified Bessel function K0 or K1, to 1e-9 for x from 1e-4 to 15.
 
     It is the integral of exp(-x cosh t) cosh(order t) from 0 on by the trapezoidal rule, which converges geometrically here
     (Trefethen and Weideman, SIAM Review 2014).
