@@ -404,9 +404,9 @@ class Reconstructor:
             change, gradients, self.calibration.untouched_change, seen.hidden
         )
         at_rest, sigma = today.sigma(change, gradients, reference, seen.hidden, variance)
-        for unsure in (seen.light.exposure.gain_sigma, today.untouched_image.light_sigma(seen.light)):
-            if unsure is not None and np.any(unsure):
-                np.hypot(sigma, np.float32(fixed.slope_per_change) * np.float32(unsure), out=sigma)
+        unsure = today.untouched_image.light_sigma(seen.light)
+        if unsure is not None:
+            np.hypot(sigma, np.float32(fixed.slope_per_change) * unsure, out=sigma)
         return ObservedSlopes(gradients, sigma, model_sigma, at_rest, step, reference.findings)
 
     def _believed(
