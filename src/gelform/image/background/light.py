@@ -31,11 +31,11 @@ REST_SIGMA = 0.0165  # of a block's logarithm at rest, beyond the light; the lar
 LEAST_REST = 0.004  # a block's logarithm at rest never agrees better
 TOUCHED_SIGMA = 0.6  # of that of a touched block; half of the blocks may be touched
 ALIKE = 31  # independent blocks that an image's are worth, because neighbors share their errors
-WIDENED = np.array([8.0, 3, 1, 1, 1, 1])  # of the deviation at rest in each round of the fit
-REFINED = np.ones(4)  # the same for a light that starts near its end
-SCREEN = 8.0  # nats that a tilt and room light have to promise before they are fitted
-# Nats by which a light beats the gain, a reading all others, and a sensor of another light. Of six sensors, 71 of 71 frames
-# win by 13 or more; of other units none wins by as much in a wrong reading.
+# Of the deviation at rest in each round of the fit; a light that starts near its end needs the last four.
+WIDENED = np.array([8.0, 3, 1, 1, 1, 1])
+# Nats that a tilt and room light promise before they are fitted, and by which a light beats the gain, a reading all others,
+# and a sensor of another light. Of six sensors, 71 of 71 frames win by 13 or more; of other units none wins by as much in a
+# wrong reading.
 MARGIN = 10.0
 LEAST_OF_ROOM = (
     0.2  # of the channel that a room lights most; on a GelSlim, a shadow in red alone looks like room light
@@ -259,14 +259,14 @@ def light_from_blocks(
     gain = seen.fit(GAIN, _start(seen), most=REST_SIGMA)
     if usual is not None and not usual.is_plain:
         again = seen.fit(GAIN, usual.values, most=REST_SIGMA)
-        alone = seen.fit(GAIN, gain.values, again.rest_sigma, REFINED)
-        if again.promised <= SCREEN and again.likelihood > alone.likelihood:
+        alone = seen.fit(GAIN, gain.values, again.rest_sigma, WIDENED[2:])
+        if again.promised <= MARGIN and again.likelihood > alone.likelihood:
             return replace(seen.light(again, gain), covariance=usual.covariance)
-    if gain.promised <= SCREEN:
+    if gain.promised <= MARGIN:
         return seen.light(gain, gain)
     both = seen.fit(BOTH, gain.values)
     alone, *others = (
-        seen.fit(free, np.where(free, start.values, 0), both.rest_sigma, REFINED)
+        seen.fit(free, np.where(free, start.values, 0), both.rest_sigma, WIDENED[2:])
         for free, start in ((GAIN, gain), (TILTED, both), (WITH_ROOM, both), (BOTH, both))
     )
     best = max((one for one in others if one.has_room or not one.free[3]), key=lambda one: one.evidence)
