@@ -172,7 +172,14 @@ class FrameRecord:
     @once
     def budget(self) -> Budget:
         """Standard deviations of the slopes."""
-        return self.today.budget(self.slopes, self.today.noise_levels(self.seen.raw))
+        return self.today.budget(self.slopes, *self.fixed_rows)
+
+    @property
+    def fixed_rows(self) -> tuple[float, NDArray[np.float32] | None]:
+        """The image's noise beyond the usual, gray levels, and the slopes' deviation (H, W) from its light, or None."""
+        light = self.today.untouched_image.light_sigma(self.seen.light)
+        light = None if light is None else np.float32(self.fixed.slope_per_change) * light
+        return self.today.noise_levels(self.seen.raw), light
 
     @once
     def gradients_sigma(self) -> NDArray[np.float32] | None:
@@ -426,13 +433,8 @@ class Reconstructor:
             change, gradients, self.calibration.untouched_change, seen.hidden
         )
         at_rest = without_bias(change, gradients, reference, seen.hidden)
-        light_map = today.untouched_image.light_sigma(seen.light)
-        per_change = fixed.slope_per_change
-        slopes = ReadSlopes(
-            gradients, at_rest, seen.unseen, variance, residual, _larger(model_sigma), fixed.outlier,
-            light_sigma=per_change * seen.light.exposure.gain_sigma,
-            light_map=None if light_map is None else np.float32(per_change) * light_map,
-        )  # fmt: skip
+        of_model = None if model_sigma is None else np.ascontiguousarray(model_sigma.max(axis=-1))
+        slopes = ReadSlopes(gradients, at_rest, seen.unseen, variance, residual, of_model, fixed.outlier)
         return slopes, reference.findings
 
     def result(self, record: FrameRecord, albedo: Callable[[], NDArray[np.float32]] | None) -> Reconstruction:
@@ -461,20 +463,18 @@ class Reconstructor:
 
         It is of the slopes as read, and takes longer than a frame. Image and errors are those of `from_image`.
         """
-        change = np.empty((*self.calibration.image_shape, 3), dtype=np.float32)
-        seen, today = self._seen(whole_levels(self._checked(image)), None), self._today
-        slopes, _ = self._read(seen, change)
-        noise, full = today.noise_levels(seen.raw), today.budget.full_confidence_sigma
+        record, _ = self.record(image)
+        seen, slopes, today = record.seen, record.slopes, self._today
+        change = today.untouched_image.change(seen.image, seen.light)
         shown = Shown(
             as_levels(seen.raw), change, seen.clipped.channels, seen.markers, seen.faults.lost, today.outside,
             self.calibration.change.blur_px,
         )  # fmt: skip
-        budget, rows = today.budget(slopes, noise, rows=True), today.budget.frame_rows(slopes, noise)
-        return explanation_of(budget, rows, shown, full)
-
-
-def _larger(sigma: NDArray[np.float32] | None) -> NDArray[np.float32] | None:
-    return None if sigma is None else np.ascontiguousarray(sigma.max(axis=-1))
+        noise, light = record.fixed_rows
+        rows = today.budget.frame_rows(slopes, noise, light)
+        return explanation_of(
+            today.budget(slopes, noise, light, rows=True), rows, shown, today.budget.full_confidence_sigma
+        )
 
 
 def _prepared_again(

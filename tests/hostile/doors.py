@@ -18,7 +18,7 @@ from gelform.exchange.exporters.press_folder import save_press_folder
 from gelform.exchange.plots.canvas import save_picture
 from gelform.foundations.fill import fill_unknown
 from gelform.image.background.change import ChangeSettings, image_from_color_change
-from gelform.image.background.exposure import exposure_from_image
+from gelform.image.background.light import light_from_image
 from gelform.image.markers.follower import MarkerFollower
 from gelform.image.view import Lens, frame_from_image
 from gelform.result.metrics import press_errors
@@ -53,7 +53,7 @@ FORCE = gelform.calibrate_force(TOUCHES, LOADS)
 
 
 def gain(image: Any, background: Any) -> np.ndarray:
-    return exposure_from_image(image, background).believed_gain
+    return light_from_image(image, background).gain
 
 
 def registered(image: Any, background: Any, touched: Any) -> np.ndarray:
@@ -81,7 +81,7 @@ DOORS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
     "image_from_frame": (gelform.image_from_frame, {"frame": IMAGE, "view": gelform.View()}),
     "color_change_from_image": (gelform.color_change_from_image, {"image": IMAGE, "background": REST}),
     "image_from_color_change": (image_from_color_change, {"color_change": CHANGE, "background": REST}),
-    "exposure_from_image": (gain, {"image": IMAGE, "background": REST}),
+    "light_from_image": (gain, {"image": IMAGE, "background": REST}),
     "background_from_frames": (gelform.background_from_frames, {"frames": [IMAGE, IMAGE, IMAGE]}),
     "markers_from_image": (gelform.markers_from_image, {"image": IMAGE, "background": REST}),
     "MarkerFollower": (MarkerFollower, {"background": REST}),
@@ -214,7 +214,7 @@ DEEPER = {
         ChangeSettings,
         contacts_from_mask,
         edge_residuals,
-        exposure_from_image,
+        light_from_image,
         fill_unknown,
         frame_from_image,
         image_from_color_change,

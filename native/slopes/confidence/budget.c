@@ -5,7 +5,7 @@
 enum { PIECE = 64 };  // pixels of a row at a time
 
 struct budget {
-  float per_step, per_size, solved, highest, outlier, unknown, unseen, full, light, noise, per_bend, bend_from, spread, shown,
+  float per_step, per_size, solved, highest, outlier, unknown, unseen, full, noise, per_bend, bend_from, spread, shown,
       per_excess, doubted, steepest, carried;
   int32_t reach;
 };
@@ -66,11 +66,11 @@ static inline void variance_by_law(const struct budget *restrict c, struct lines
 // Adds the rows that a frame brings. What clips, is hidden or is not lit is no color, so it has no outlier.
 static inline void add_rows(const struct budget *restrict c, struct lines *restrict l, const float *restrict gain,
                             const float *restrict light, const bool *restrict unseen, int n) {
-  const float everywhere = square_of(c->light), nothing = square_of(c->unseen);
+  const float nothing = square_of(c->unseen);
   for (int k = 0; k < n; k++) l->outlier[k] = smaller(l->outlier[k], nothing);
   if (unseen != NULL)
     for (int k = 0; k < n; k++) l->outlier[k] = unseen[k] ? 0 : l->outlier[k];
-  for (int k = 0; k < n; k++) l->read[k] += square_of(c->noise * gain[k]) + everywhere + l->wall[k] + l->outlier[k];
+  for (int k = 0; k < n; k++) l->read[k] += square_of(c->noise * gain[k]) + l->wall[k] + l->outlier[k];
   if (light != NULL)
     for (int k = 0; k < n; k++) l->read[k] += square_of(light[k]);
   if (unseen != NULL)
@@ -108,9 +108,9 @@ EXPORT int slope_budget(const float *gradients, const bool *at_rest, const float
                         const float *residual, const bool *unseen, const float *gain, const float *light, float *read,
                         float *solved, float *steep, float *confidence, float *walls, float *outliers, float per_step,
                         float per_size, float solved_factor, float highest, float outlier, float unknown, float unseen_sigma,
-                        float full, float light_sigma, float noise, float per_bend, float bend_from, float spread, float shown,
+                        float full, float noise, float per_bend, float bend_from, float spread, float shown,
                         float per_excess, float doubted, float steepest, float carried, int32_t reach, ptrdiff_t h, ptrdiff_t w) {
-  const struct budget c = {per_step, per_size,  solved_factor, highest, outlier,    unknown, unseen_sigma, full,    light_sigma, noise,
+  const struct budget c = {per_step, per_size,  solved_factor, highest, outlier,    unknown, unseen_sigma, full,    noise,
                            per_bend, bend_from, spread,        shown,   per_excess, doubted, steepest,     carried, reach};
   if (reach < 1 || !(outlier > 0) || !(full > 0)) return WRONG_SIZE;
   struct lines l = {0};

@@ -84,14 +84,12 @@ def test_rows_add_up_in_squares():
     rng = np.random.default_rng(1)
     slopes = slopes_of(
         rng.uniform(-0.4, 0.4, (*SHAPE, 2)), residual=rng.exponential(6, SHAPE).astype(np.float32),
-        variance=rng.uniform(0.5, 2, SHAPE).astype(np.float32), unseen=patch(), light_sigma=0.02,
-        light_map=rng.uniform(0, 0.02, SHAPE).astype(np.float32),
+        variance=rng.uniform(0.5, 2, SHAPE).astype(np.float32), unseen=patch(),
     )  # fmt: skip
     made = prepared(spread=0.1, carried=0.5, slope_per_change=1.5)
-    found, rows = made(slopes, 3.0, rows=True), made.frame_rows(slopes, 3.0)
-    law = prepared(walls=False)(
-        replace(slopes, residual=None, unseen=None, light_sigma=0.0, light_map=None)
-    ).read
+    light = rng.uniform(0, 0.02, SHAPE).astype(np.float32)
+    found, rows = made(slopes, 3.0, light, rows=True), made.frame_rows(slopes, 3.0, light)
+    law = prepared(walls=False)(replace(slopes, residual=None, unseen=None)).read
     unseen = np.where(patch(), CLEAN**2 / LEAST_WEIGHT, 0)
     parts = [law, found.walls, found.outliers, rows["light"], rows["compression"]]
     read = np.sqrt(sum(np.square(one.astype(float)) for one in parts) + unseen)
@@ -105,13 +103,13 @@ def test_rows_add_up_in_squares():
     )
     np.testing.assert_allclose(found.gradients_sigma[..., 1], np.hypot(found.solved, found.steep), rtol=1e-5)
     assert all(one.any() for one in (*parts, found.steep, rows["unit"]))
-    plain = made(slopes, 3.0)  # asking why changes nothing
+    plain = made(slopes, 3.0, light)  # asking why changes nothing
     np.testing.assert_array_equal(plain.confidence, found.confidence)
 
 
 def test_a_weight_says_no_slope_here_and_nothing_else():
     residual = np.tile(np.linspace(0, 4 * OUTLIER, SHAPE[1], dtype=np.float32), (SHAPE[0], 1))
-    slopes = slopes_of(0.9, residual=residual, unseen=patch(), light_sigma=9.0)
+    slopes = slopes_of(0.9, residual=residual, unseen=patch())
     weight = slopes.weights(CLEAN)
     off = STEEPEST_GEL * np.maximum(2 * residual / OUTLIER - 1, 0)
     wanted = np.where(patch(), LEAST_WEIGHT, CLEAN**2 / (CLEAN**2 + off**2))
@@ -164,7 +162,7 @@ def test_noise_becomes_slope_by_gain_and_worth():
     background[:, 36:] = 50
     made = prepared(background=background, slope_per_change=1.5)
     gain = gain_from_background(background, CHANGE).mean(axis=-1)
-    np.testing.assert_allclose(made.frame_rows(slopes_of(), 4.0)["compression"], 6 * gain, rtol=1e-5)
+    np.testing.assert_allclose(made.frame_rows(slopes_of(), 4.0, None)["compression"], 6 * gain, rtol=1e-5)
 
 
 def steep_at(slopes, **unit):
@@ -228,7 +226,7 @@ def numpy_weights(residual, of_model, unseen, weight, outlier, unknown, full, le
 
 def numpy_budget(
     gradients, at_rest, rest, of_step, of_model, residual, unseen, gain, light, read, solved, steep, confidence, walls,
-    outliers, per_step, per_size, factor, highest, outlier, unknown, unseen_sigma, full, light_sigma, noise, per_bend,
+    outliers, per_step, per_size, factor, highest, outlier, unknown, unseen_sigma, full, noise, per_bend,
     bend_from, spread, shown, per_excess, doubted, steepest, carried, reach,
 ):  # fmt: skip
     """What the kernel should give, in float64."""
@@ -246,7 +244,7 @@ def numpy_budget(
         off[nothing] = 0
     law = np.where(at_rest, rest, (per_step + per_size * size**2) * (1 if of_step is None else of_step))
     law = law if of_model is None else np.maximum(law, of_model.astype(float) ** 2)
-    total = law + bend + off + light_sigma**2 + (noise * gain) ** 2 + nothing * unseen_sigma**2
+    total = law + bend + off + (noise * gain) ** 2 + nothing * unseen_sigma**2
     total = total if light is None else total + light.astype(float) ** 2
     own = per_excess * np.maximum(size - shown, 0)
     other = carried * np.clip((size - doubted) / full + 1, 0, 1) * np.maximum(steepest - size, 0)
@@ -276,7 +274,7 @@ def test_the_kernels_agree_with_numpy(optional, shape):
     assert_kernel_agrees(
         budget._slope_budget, numpy_budget, gradients, chosen(), uniform(1e-5, 1e-3), some(uniform(0.3, 3)),
         some(uniform(0.01, 0.06)), some(uniform(0, 30)), some(chosen()), uniform(0.005, 0.02), some(uniform(0, 0.05)),
-        *out, 9e-4, 4e-3, 0.8, 1.0, 9.0, 1.0, 50.0, 0.05, 0.01, 2.0, 1.75 if optional else 0.0, 0.1, 0.1, 0.5, 1.25, 0.3,
+        *out, 9e-4, 4e-3, 0.8, 1.0, 9.0, 1.0, 50.0, 0.05, 2.0, 1.75 if optional else 0.0, 0.1, 0.1, 0.5, 1.25, 0.3,
         1.4, 0.3, 2,
     )  # fmt: skip
     assert_kernel_agrees(

@@ -56,7 +56,7 @@ _slope_budget = Kernel(
     "f32[h,w,2] gradients, bool[h,w] at_rest, f32[h,w] rest, f32[h,w]? of_step, f32[h,w]? of_model, f32[h,w]? residual, "
     "bool[h,w]? unseen, f32[h,w] gain, f32[h,w]? light, out f32[h,w] read, out f32[h,w] solved, out f32[h,w] steep, "
     "out f32[h,w] confidence, out f32[h,w]? walls, out f32[h,w]? outliers, f32 per_step, f32 per_size, f32 solved_factor, "
-    "f32 highest, f32 outlier, f32 unknown, f32 unseen_sigma, f32 full, f32 light_sigma, f32 noise, f32 per_bend, "
+    "f32 highest, f32 outlier, f32 unknown, f32 unseen_sigma, f32 full, f32 noise, f32 per_bend, "
     "f32 bend_from, f32 spread, f32 shown, f32 per_excess, f32 doubted, f32 steepest, f32 carried, i32 reach",
 )
 
@@ -73,8 +73,6 @@ class ReadSlopes:
     variance, residual : (H, W), of the forward response's step, or None; the residual is squared, over its covariance
     model_sigma : (H, W), a color model's own deviation, or None
     outlier : squared residual from which no slope is left
-    light_sigma, light_map : standard deviation of slopes from what is unsure of a frame's light: everywhere, and (H, W) or
-        None
     """
 
     gradients: NDArray[np.float32]
@@ -84,8 +82,6 @@ class ReadSlopes:
     residual: NDArray[np.float32] | None = None
     model_sigma: NDArray[np.float32] | None = None
     outlier: float = OUTLIER
-    light_sigma: float = 0.0
-    light_map: NDArray[np.float32] | None = None
 
     def weights(self, full_confidence_sigma: float) -> NDArray[np.float32]:
         """The solver's weight (H, W) of each slope: full^2 / (full^2 + outlier^2), 1e-6 where nothing was seen."""
@@ -169,24 +165,43 @@ class PreparedBudget:
             "steepest": STEEPEST_FACE, "carried": carried / 2, "reach": max(1, round(REACH_BLURS * change.blur_px)),
         }  # fmt: skip
 
-    def __call__(self, slopes: ReadSlopes, noise_levels: float = 0.0, *, rows: bool = False) -> Budget:
-        """The budget of a frame; its noise beyond the usual, gray levels, is from `excess_noise`."""
+    def __call__(
+        self,
+        slopes: ReadSlopes,
+        noise_levels: float = 0.0,
+        light: NDArray[np.float32] | None = None,
+        *,
+        rows: bool = False,
+    ) -> Budget:
+        """The budget of a frame.
+
+        Parameters
+        ----------
+        slopes : as read
+        noise_levels : its noise beyond the usual, gray levels, from `excess_noise`
+        light : (H, W), standard deviation of slopes from what is unsure of the frame's light; None: nothing
+        rows : whether to keep the rows of walls and outliers
+        """
         read, solved, steep, confidence = (np.empty(slopes.at_rest.shape, np.float32) for _ in range(4))
         walls, outliers = (np.zeros_like(read), np.zeros_like(read)) if rows else (None, None)
         _slope_budget(
             slopes.gradients, slopes.at_rest, self.rest_variance, slopes.variance, slopes.model_sigma, slopes.residual,
-            slopes.unseen, self._gain, slopes.light_map, read, solved, steep, confidence, walls, outliers,
-            outlier=slopes.outlier, light_sigma=slopes.light_sigma, noise=noise_levels, **self._numbers,
+            slopes.unseen, self._gain, light, read, solved, steep, confidence, walls, outliers,
+            outlier=slopes.outlier, noise=noise_levels, **self._numbers,
         )  # fmt: skip
         return Budget(read, solved, steep, confidence, walls, outliers)
 
-    def frame_rows(self, slopes: ReadSlopes, noise_levels: float) -> dict[str, NDArray[np.float32]]:
+    def frame_rows(
+        self, slopes: ReadSlopes, noise_levels: float, light: NDArray[np.float32] | None
+    ) -> dict[str, NDArray[np.float32]]:
         """The rows (H, W) that follow from a frame's light, its noise and the spread between units, mm/mm."""
-        light = np.full(slopes.at_rest.shape, slopes.light_sigma, dtype=np.float32)
-        if slopes.light_map is not None:
-            light = np.hypot(light, slopes.light_map)
+        nothing = np.zeros(slopes.at_rest.shape, dtype=np.float32)
         of_unit = np.float32(self._numbers["spread"] / 2**0.5) * np.linalg.norm(slopes.gradients, axis=-1)
-        return {"light": light, "compression": np.float32(noise_levels) * self._gain, "unit": of_unit}
+        return {
+            "light": nothing if light is None else light,
+            "compression": np.float32(noise_levels) * self._gain,
+            "unit": of_unit,
+        }
 
 
 def without_bias(
