@@ -141,6 +141,8 @@ class once:
 
     def __get__(self, owner: Any, kind: type | None = None) -> Any:
         """The value, which hides this descriptor from then on."""
+        if owner is None:
+            return self
         value = vars(owner)[self._make.__name__] = self._make(owner)
         return value
 

@@ -8,6 +8,7 @@ import pytest
 import scipy.fft
 from scipy.special import k1
 
+from gelform.depth import coarse as coarse_module
 from gelform.depth import sigma
 from gelform.depth.coarse import Coarse, coarse_of
 from gelform.depth.sigma import LENGTH, MAPS, PULL, WINDOW, DepthSigma, steep_finding
@@ -138,6 +139,24 @@ def test_it_is_bounded_and_the_contact_s_is_without_what_is_common():
 def test_what_no_float_holds_is_refused():
     with pytest.raises(ConvergenceError, match="Expected a finite standard deviation of depth"):
         errors_of(1e25 * bump(-1.0))
+
+
+@pytest.mark.parametrize("shape", [(8, 12), (120, 160)])
+@pytest.mark.parametrize("channels", [0, 1, 2, 3])
+def test_means_over_cells_agree_with_numpy(shape, channels):
+    values = (
+        np.random.default_rng(0).normal(size=(*shape, *([channels] if channels else []))).astype(np.float32)
+    )
+    blocks = values.reshape(shape[0] // 4, 4, shape[1] // 4, 4, *values.shape[2:])
+    np.testing.assert_allclose(Coarse(shape).means(values), blocks.mean(axis=(1, 3)), atol=1e-6)
+    if not channels:
+        np.testing.assert_allclose(Coarse(shape).means(values > 0), (blocks > 0).mean(axis=(1, 3)))
+    else:
+        by_numpy = lambda values, work, cells: blocks.mean(axis=(1, 3))  # noqa: E731
+        cells = np.empty((shape[0] // 4, shape[1] // 4, channels), np.float32)
+        assert_kernel_agrees(
+            coarse_module._cell_means, by_numpy, values, np.empty(shape[1] * channels, np.float32), cells
+        )
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (3, 5), (17, 29), (120, 160)])

@@ -68,7 +68,7 @@ class RestAnchor:
         fraction at rest are taken instead.
         """
         coarse = self._coarse
-        slopes, fraction = coarse.means(gradients), coarse.means(at_rest.astype(np.float32))
+        slopes, fraction = coarse.means(gradients), coarse.means(at_rest)
         depth = coarse.depth_px(slopes) * self._mm_per_px
         weight, anchor = np.empty(coarse.shape, np.float32), np.empty(self.shape, np.float32)
         with self._pool.one() as work:

@@ -71,7 +71,8 @@ class DepthSigma:
         self.coarse = coarse = coarse_of(shape)
         self.factor, self._mm_per_px = factor, np.float32(mm_per_px)
         self._rows, self._columns = (
-            np.linspace(0, size, cells + 1).astype(np.int32) for size, cells in zip(shape, coarse.shape)
+            np.rint(np.linspace(0, size, cells + 1)).astype(np.int32)
+            for size, cells in zip(shape, coarse.shape)
         )
         self.numbers = {
             "full": full_confidence_sigma, "spill": SPILL, "rest_share": REST_OF_CONTACT,

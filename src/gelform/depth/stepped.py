@@ -32,7 +32,7 @@ class CoarseDepth:
         means = self._coarse.means
         change, slopes = means(color_change), means(gradients)
         if hidden is not None and hidden.any():
-            shown = (~hidden).astype(np.float32)
+            shown = ~hidden
             part = means(shown)
             known = part > 0
             part[~known] = 1
