@@ -132,6 +132,7 @@ def test_a_tilt_comes_back_on_a_pressed_frame(rest, pressed, tilt):
 def test_room_light_comes_back_on_a_pressed_frame(rest, pressed, room, gain):
     seen = light_of(lit(pressed, room=room, gain=gain), rest)
     assert np.abs(seen.room - room).max() < (2 if max(room) > 12 else 12)
+    assert seen.is_known  # though a gain and room light are much alike
 
 
 def test_its_deviation_is_that_of_its_errors(sensor, rest):

@@ -86,6 +86,7 @@ class FrameLight:
     ----------
     values : (3, 4), as those of `lit`
     covariance : (3, 4, 4), of each channel's values; 0 for a tilt and room light that were not fitted
+    is_known : whether the gain's standard deviation in this tilt and room light is 1 % or less
     share : of the image that is at rest in this light, 0-1; 0 if each block is dark or saturated in one of the images
     least_change : of the quarter of the image that changed least, after this light; 0.01 is one per cent of its brightness
         It is noise and small drift for a frame of this sensor, whatever touches it; it is more for another sensor.
@@ -94,6 +95,7 @@ class FrameLight:
 
     values: NDArray[np.float64] = field(default_factory=lambda: np.zeros((3, 4)))
     covariance: NDArray[np.float64] = field(default_factory=lambda: np.tile(np.diag(GAIN / PRIOR), (3, 1, 1)))
+    is_known: bool = False
     share: float = 0.0
     least_change: float = np.inf
     least_pattern: float = np.inf
@@ -103,11 +105,6 @@ class FrameLight:
     def is_plain(self) -> bool:
         """Whether the frame differs by a gain at most."""
         return not self.values[:, 1:].any()
-
-    @property
-    def is_known(self) -> bool:
-        """Whether the gain's standard deviation is 1 % or less."""
-        return bool(self.share > 0 and self.covariance[:, 0, 0].max() <= KNOWN_SIGMA**2)
 
     @property
     def gain(self) -> NDArray[np.float64]:
@@ -211,7 +208,10 @@ class _Seen:
         changes = np.partition(gain.far, (quarter, half))
         least = changes[quarter] if fit is gain else np.partition(fit.far, quarter)[quarter]
         pattern = float(changes[quarter]), float(changes[half])
-        return FrameLight(fit.values, fit.covariance, fit.at_rest / self.total, float(least), *pattern)
+        is_known = bool(fit.normal[:, 0, 0].min() >= KNOWN_SIGMA**-2)
+        return FrameLight(
+            fit.values, fit.covariance, is_known, fit.at_rest / self.total, float(least), *pattern
+        )
 
 
 def light_from_image(image: ArrayLike, background: ArrayLike) -> FrameLight:
