@@ -117,6 +117,8 @@ EXPORT int pressure_means(const float *smooth, const float *bent, const float *s
   return OK;
 }
 
+static const float NOISES = 2;  // mean square of noise; the variance of noise alone over a square hardly exceeds it
+
 // The pressure by its local statistics (Lee, IEEE Trans. PAMI 2, 1980): its own value where values vary more around than noise does,
 // else their mean. It is kept where it and the mean exceed their own deviation and `factor` times the noise of gel at rest, at known
 // pixels; 0 elsewhere. `evidence`: square of the mean over its variance. `mean_gain_at_rest`, ...: variance of the mean's and of the
@@ -136,13 +138,14 @@ EXPORT int sure_pressure(const float *restrict pressure, const float *restrict m
     for (ptrdiff_t k = 0; k < n; k++) {
       const ptrdiff_t i = start + k;
       const float of_mean = still[k] ? mean_gain_at_rest : mean_gain_elsewhere, of_one = still[k] ? gain_at_rest : gain_elsewhere;
-      const float bed = sigma[i] * stiffness, bed2 = bed * bed, m = larger(mean[i], 0), own = gain_at_rest * noise[i];
+      const float bed = sigma[i] * stiffness, bed2 = bed * bed, m = larger(mean[i], 0), own = NOISES * gain_at_rest * noise[i];
       const float share = 1 - smaller(own / larger(spread[i], 1e-30f), 1), rest = 1 - share;
       const float q = larger(m + share * (pressure[i] - m), 0);
       const float of_q = share * share * of_one + rest * rest * of_mean,
                   of_noise = many * noise[i] * (share * share * gain_at_rest + rest * rest * mean_gain_at_rest);
       const float variance = slopes[i] * of_mean + bed2;
-      counts[k] &= (m * m > larger(variance, many * noise[i] * mean_gain_at_rest)) & (q * q > larger(slopes[i] * of_q + bed2, of_noise));
+      counts[k] &= m * m > larger(variance, many * noise[i] * mean_gain_at_rest);
+      counts[k] &= q * q > larger(slopes[i] * of_q + bed2, of_noise);
       sure[i] = counts[k] ? q : 0;
       evidence[i] = m * m / larger(variance, 1e-30f);
     }

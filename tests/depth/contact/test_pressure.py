@@ -322,7 +322,7 @@ def test_the_sure_pressure_agrees_with_numpy(shape):
     def by_numpy(pressure, mean, spread, sigma, slopes, noise, rest, known, sure, evidence, *numbers):
         stiffness, factor, mean_rest, mean_else, one_rest, one_else = numbers
         bed, mean = (stiffness * sigma.astype(float)) ** 2, np.maximum(mean, 0)
-        own = np.maximum(1 - noise * one_rest / np.maximum(spread, 1e-30), 0)
+        own = np.maximum(1 - 2 * noise * one_rest / np.maximum(spread, 1e-30), 0)
         q = np.maximum(mean + own * (pressure - mean), 0)
         of_mean, of_one = np.where(rest, mean_rest, mean_else), np.where(rest, one_rest, one_else)
         variance = slopes * of_mean + bed
