@@ -52,7 +52,8 @@ EXPORT int depth_errors(const float *slopes, const float *depth, const bool *at_
       for (ptrdiff_t j = 0; j < c; j++) {
         float total = 0;
         for (ptrdiff_t x = columns[j]; x < columns[j + 1]; x++) total += work[map * w + x];
-        cells[(map * r + i) * c + j] = total / (float)((rows[i + 1] - rows[i]) * (columns[j + 1] - columns[j]));
+        const ptrdiff_t count = (rows[i + 1] - rows[i]) * (columns[j + 1] - columns[j]);  // none in images of a row
+        cells[(map * r + i) * c + j] = total / (float)(count > 0 ? count : 1);
       }
   }
   return OK;

@@ -151,6 +151,13 @@ def test_means_over_cells_agree_with_numpy(shape, channels):
     np.testing.assert_allclose(Coarse(shape).means(values), blocks.mean(axis=(1, 3)), atol=1e-6)
     if not channels:
         np.testing.assert_allclose(Coarse(shape).means(values > 0), (blocks > 0).mean(axis=(1, 3)))
+        shares = lambda mask, cells: (blocks > 0).mean(axis=(1, 3))  # noqa: E731
+        assert_kernel_agrees(
+            coarse_module._cell_shares,
+            shares,
+            values > 0,
+            np.empty((shape[0] // 4, shape[1] // 4), np.float32),
+        )
     else:
         by_numpy = lambda values, work, cells: blocks.mean(axis=(1, 3))  # noqa: E731
         cells = np.empty((shape[0] // 4, shape[1] // 4, channels), np.float32)

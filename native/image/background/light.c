@@ -51,6 +51,22 @@ EXPORT int lit_blocks(const float *blocks, const float *untouched, int64_t step,
   return (int)count;
 }
 
+// The natural logarithm of x > 0 to 1e-15: x = 2^e m with m within a root of 2 of 1, and the series of atanh. The C library's
+// has other bits on other processors.
+static double logarithm_of(double x) {
+  uint64_t bits;
+  memcpy(&bits, &x, sizeof bits);
+  int32_t exponent = (int32_t)(bits >> 52 & 0x7ff) - 1022;
+  bits = (bits & 0x000fffffffffffffu) | 0x3fe0000000000000u;
+  double m;
+  memcpy(&m, &bits, sizeof m);
+  if (m < 0.70710678118654752) m *= 2, exponent--;
+  const double s = (m - 1) / (m + 1), square = s * s;
+  double series = 0;
+  for (int k = 21; k >= 1; k -= 2) series = series * square + 1.0 / k;
+  return 2 * s * series + exponent * 0.69314718055994531;
+}
+
 // The same bits on every platform; a value below e^-80 counts as that.
 static inline float exponential(float z) {
   const float limited = clamp(z, -80.0f, 80.0f), nearest = limited * 1.44269504f + (limited < 0 ? -0.5f : 0.5f);
@@ -142,7 +158,7 @@ static double solve(const double a[TERMS][TERMS], const double side[TERMS], cons
     step[i] = is_free[i] ? side[i] : 0;
     for (int k = 0; k < i; k++) step[i] -= factor[i][k] * step[k];
     step[i] /= factor[i][i];
-    logarithm += 2 * log(factor[i][i]);
+    logarithm += 2 * logarithm_of(factor[i][i]);
   }
   for (int i = TERMS - 1; i >= 0; i--) {
     for (int k = i + 1; k < TERMS; k++) step[i] -= factor[k][i] * step[k];
@@ -154,13 +170,13 @@ static double solve(const double a[TERMS][TERMS], const double side[TERMS], cons
 // Mean logarithm of the likelihood of blocks that are at rest or touched, each half of all.
 static double log_likelihood(const struct lit_blocks *b, double sigma, double wide) {
   const double ratio = sigma / wide, odds = ratio * ratio * ratio, apart = 0.5 / (sigma * sigma) - 0.5 / (wide * wide);
-  double total = -3 * log(sigma) * b->count, product = 1;
+  double total = -3 * logarithm_of(sigma) * b->count, product = 1;
   for (ptrdiff_t k = 0; k < b->count; k++) {
     total -= b->square[k] / (2 * wide * wide);
     product *= exponential((float)(-b->square[k] * apart)) + odds;
-    if (product < 1e-200) total += log(product), product = 1;
+    if (product < 1e-200) total += logarithm_of(product), product = 1;
   }
-  return (total + log(product)) / (b->count > 0 ? b->count : 1);
+  return (total + logarithm_of(product)) / (b->count > 0 ? b->count : 1);
 }
 
 // `values` (3, 4), the light to begin with, are moved by a step in every round but the last; terms that are not `is_free` stay.
@@ -193,7 +209,7 @@ EXPORT int fit_light(const float *lit, int64_t count, const double *prior, const
       }
       const double logarithm = solve((const double(*)[TERMS])matrices[c], side, is_free, step);
       for (int i = 0; i < TERMS; i++) {
-        evidence -= is_free[i] ? prior[i] * light[c][i] * light[c][i] / 2 - log(prior[i]) / 2 : 0;
+        evidence -= is_free[i] ? prior[i] * light[c][i] * light[c][i] / 2 - logarithm_of(prior[i]) / 2 : 0;
         promised -= side[i] * step[i] / 2;
         if (!is_last) light[c][i] += step[i];
       }

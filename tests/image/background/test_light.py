@@ -305,3 +305,33 @@ def test_the_means_of_bytes_are_those_of_opencv(shape, step):
 
     work, means = np.zeros(3 * shape[1], np.uint16), np.zeros((size[1], size[0], 3), np.float32)
     assert_kernel_agrees(light._means_of_bytes, by_opencv, image, step, work, means)
+
+
+@pytest.mark.parametrize(("shape", "step"), [((5, 7), 1), ((12, 17), 2), ((1, 1), 1)])
+def test_lit_blocks_agree_with_numpy(shape, step):
+    rng = np.random.default_rng(3)
+    blocks, untouched = rng.uniform(0, 260, (2, *shape, 3)).astype(np.float32)
+    both = np.concatenate([blocks, untouched], axis=-1)[::step, ::step]
+    kept = ((both > 8) & (both < 250)).all(axis=-1)
+    y, x = np.meshgrid(*((2 * np.arange(n) + 1) / n - 1 for n in shape), indexing="ij")
+    columns = np.concatenate([both[kept].T, x[::step, ::step][kept][None], y[::step, ::step][kept][None]])
+    size = kept.size + 1
+    lit = np.zeros((8, size), np.float32)
+
+    def by_numpy(blocks, untouched, step, dark, bright, lit, medians, work):
+        found = np.zeros_like(lit)
+        found[:, : columns.shape[1]] = columns
+        return found, np.median(columns[:3] / columns[3:6], axis=1)
+
+    count = light._lit_blocks(
+        blocks, untouched, step, 8.0, 250.0, lit, np.empty(3, np.float32), np.empty(2 * size, np.float32)
+    )
+    assert count == kept.sum()
+    # What a block leaves behind the last lit one counts no more: of one that is lit to the end there is none.
+    whole = np.clip(blocks, 20, 200), np.clip(untouched, 20, 200)
+    both, kept = np.concatenate(whole, axis=-1)[::step, ::step], np.ones(kept.shape, bool)
+    columns = np.concatenate([both[kept].T, x[::step, ::step][kept][None], y[::step, ::step][kept][None]])
+    assert_kernel_agrees(
+        light._lit_blocks, by_numpy, *whole, step, 8.0, 250.0, np.zeros((8, size), np.float32),
+        np.empty(3, np.float32), np.empty(2 * size, np.float32),
+    )  # fmt: skip
