@@ -1,7 +1,8 @@
 """The tests on each of OpenBLAS's kernels that this processor runs, with one and two threads.
 
     python benchmarks/kernels_of_blas.py                        # all fast tests, a table: ten minutes a kernel on two cores
-    python benchmarks/kernels_of_blas.py -m linear_algebra      # those that rest on LAPACK, as .ci/run does: a minute or two
+    python benchmarks/kernels_of_blas.py -m linear_algebra      # those that rest on LAPACK
+    python benchmarks/kernels_of_blas.py -m linear_algebra --quick   # two threads on one kernel alone: .ci/run, a minute
 
 numpy and scipy round differently from kernel to kernel, so a matrix that is singular on one is nearly so on another. Where
 OpenBLAS is not used, or on another kind of processor, only the default is tried. Ends with 1 if a run fails.
@@ -47,6 +48,9 @@ def main() -> int:
         "--kernels", nargs="+", default=usable_kernels(), help="default: all that run here"
     )
     arguments.add_argument("--threads", nargs="+", type=int, default=[1, 2])
+    arguments.add_argument(
+        "--quick", action="store_true", help="more than one thread on the last kernel only"
+    )
     asked = arguments.parse_args()
     chosen = f"not slow and {asked.marked}" if asked.marked else "not slow"
     # Only files that name the mark are imported, which takes a while for all of them.
@@ -66,12 +70,13 @@ def main() -> int:
 
     print(f"{'kernel':8} threads     time  {chosen}")
     status = 0
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        for code, row in pool.map(
-            run, [(kernel, count) for count in asked.threads for kernel in asked.kernels]
-        ):
-            print(row, flush=True)
-            status = max(status, int(code != 0))
+    for threads in asked.threads:
+        kernels = asked.kernels[-1:] if asked.quick and threads > 1 else asked.kernels
+        # Threads of OpenBLAS that wait for a processor keep another one busy.
+        with ThreadPoolExecutor(max(1, (os.cpu_count() or 1) // threads)) as pool:
+            for code, row in pool.map(run, [(kernel, threads) for kernel in kernels]):
+                print(row, flush=True)
+                status = max(status, int(code != 0))
     return status
 
 
