@@ -43,6 +43,16 @@ def test_with_a_scale_in_mm(run_json, network, press_folder, tmp_path):
     assert gelform.load_calibration(tmp_path / "new" / "cal.npz").digest == said["digest"]
 
 
+def test_an_unusual_width_of_the_gel_is_noted(run, fails, network, press_folder, tmp_path):
+    how = ("--from", "gsrobotics-web", "--position", "zeros", "--background", press_folder / "background.png")
+    code, _, err = run("import", network, *how, "--mm-per-px", "0.025", "-o", tmp_path / "cal.npz")
+    assert code == 0
+    assert "this one would be 160 px of 0.025 mm: 4 mm" in " ".join(err.split())
+    assert "160 px of 0.01 mm: 1.6 mm" in fails(
+        "import", network, *how, "--mm-per-px", "0.01", "-o", tmp_path / "b.npz"
+    )
+
+
 def test_the_crop_of_a_frame_is_said(run, network, tmp_path):
     y, x = np.mgrid[:480, :640]
     cv2.imwrite(

@@ -68,6 +68,7 @@ def import_(
         )
     from gelform.exchange.importers.calibrations import import_calibration
     from gelform.sensors.files import read_image
+    from gelform.sensors.profiles import check_gel_width
 
     check_output(output, overwrite=overwrite)
     with mistakes_in(file):
@@ -83,6 +84,8 @@ def import_(
     calibration.save(output, overwrite=overwrite)
     if calibration.mm_per_px is None:
         shown.say("note: without --mm-per-px the scale is unknown, so results are in pixels, not mm.")
+    elif doubt := check_gel_width(calibration.image_shape, calibration.known_mm_per_px):
+        shown.say(f"note: {doubt}")
     if not calibration.view.is_identity:
         height, width = calibration.view.frame_shape or (0, 0)
         shown.say(

@@ -56,10 +56,12 @@ def scale(
         from gelform.calibration.geometry.files import read_setup
 
         scales.append(_scale_of_images(read_setup(place, background=background, sensor=sensor), *pressed))
-    from gelform.calibration.geometry.files import save_scale
+    from gelform.calibration.geometry.files import save_scale, width_note
 
     found = combined_scale(scales)
     written = save_scale(found, place)
+    if doubt := width_note(found.mm_per_px, place):
+        shown.say(f"note: {doubt}")
     shown.say(f"{found.mm_per_px:.5g} +- {found.sigma:.2g} mm per pixel, from {found.source}.")
     shown.say(f"Wrote {written}.")
     described = {"mm_per_px": found.mm_per_px, "mm_per_px_sigma": found.sigma, "source": found.source}

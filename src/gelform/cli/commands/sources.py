@@ -344,7 +344,7 @@ def _sensor_settings(grabber: Grabber, wanted: PressesTaken) -> Any:
     """The content of sensor.toml: the known sensor's scale and view, the serial number, the camera's settings."""
     from gelform.image.view import View
     from gelform.sensors.files import SensorSettings
-    from gelform.sensors.profiles import profile_named
+    from gelform.sensors.profiles import check_gel_width, profile_named
 
     sensor, mm_per_px = wanted.sensor, wanted.mm_per_px
     if sensor is None and mm_per_px is None:
@@ -355,6 +355,11 @@ def _sensor_settings(grabber: Grabber, wanted: PressesTaken) -> Any:
     frame = _fresh(grabber, 1)[0]
     profile = profile_named(sensor) if sensor is not None else None
     view = View() if profile is None else profile.view((frame.shape[0], frame.shape[1]))
+    if mm_per_px is not None:
+        with usage_errors("--mm-per-px"):
+            doubt = check_gel_width(view.shape or (frame.shape[0], frame.shape[1]), mm_per_px, sensor)
+        if doubt:
+            say(f"note: {doubt}")
     sigma = profile.mm_per_px_sigma if profile is not None and mm_per_px is None else None
     return SensorSettings(
         profile.name if profile is not None else grabber.name,

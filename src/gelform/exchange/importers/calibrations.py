@@ -17,7 +17,6 @@ from gelform.exchange.importers.networks import read_gs_sdk, read_gsrobotics, re
 from gelform.exchange.importers.tables import read_lut
 from gelform.foundations.checks import (
     check_choice,
-    check_gel_width,
     check_image,
     check_is,
     check_path,
@@ -26,7 +25,7 @@ from gelform.foundations.checks import (
 from gelform.image.background.average import noise_from_image
 from gelform.image.background.change import ChangeSettings
 from gelform.image.view import View, image_from_frame
-from gelform.sensors.profiles import SENSORS, view_from_camera
+from gelform.sensors.profiles import SENSORS, check_gel_width, make_of, view_from_camera
 from gelform.slopes.color_models import ColorModel
 
 # Gray levels / 255. Pixels of a Mini at rest differ from its background by up to this, from noise and drift together.
@@ -87,7 +86,8 @@ def import_calibration(
     view = _view(MAKES.get(package), (frame.shape[0], frame.shape[1]), mm_per_px)
     image = image_from_frame(frame, view)
     if mm_per_px is not None:
-        check_gel_width((image.shape[0], image.shape[1]), mm_per_px)
+        make = MAKES.get(package) if not view.is_identity else make_of(sensor_name or "")
+        check_gel_width((image.shape[0], image.shape[1]), mm_per_px, make)
     model = PACKAGES[package](path, image, **options)
     blur_px = (
         0.5**0.5 if package == "lut" else 0.0
