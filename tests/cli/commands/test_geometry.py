@@ -50,6 +50,15 @@ def test_marked_points(run, folder):
     assert "0.12 +- " in err
 
 
+def test_points_given_twice_are_averaged_or_compared(run, fails, folder):
+    code, _, err = run("scale", folder, "--points", "20,10,100,10,9.6", "--points", "20,10,20,90,9.7")
+    assert code == 0
+    assert read_sensor_toml(folder / "sensor.toml").mm_per_px == pytest.approx(0.1206, abs=1e-4)
+    assert err.count("two points") == 2
+    block = ("--points", "20,10,101.9,10,7", "--points", "20,10,20,64,5")
+    assert "pixels are not square: mm_per_px = [0.08547, 0.092593]" in fails("scale", folder, *block)
+
+
 def test_a_scale_that_no_gel_has_is_not_written(run, fails, folder, imported):
     """Ten times too small: 160 px would be 2 mm."""
     for place in (folder, imported):
