@@ -45,6 +45,17 @@ def test_press_folder_is_read_as_it_was_written(presses, simulated):
     assert len({press.digest for press in presses.presses}) == len(presses.presses)
 
 
+def test_presses_in_one_file_are_read_as_their_images(copy, presses, tmp_path):
+    np.save(tmp_path / "stack.npy", [press.image for press in presses.presses])
+    shutil.copy(copy / "background.png", tmp_path)
+    how = {"mm_per_px": presses.mm_per_px, "ball_diameter_mm": 4}
+    read = gelform.read_presses(tmp_path / "stack.npy", **how)
+    assert [press.digest for press in read.presses] == [press.digest for press in presses.presses]
+    np.testing.assert_array_equal(read.background, presses.background)
+    with pytest.raises(DataError, match=r"has images but no presses\.csv"):
+        gelform.read_presses(tmp_path / "stack.npy", mm_per_px=presses.mm_per_px)
+
+
 def test_gs_sdk_folder_is_read_as_it_is(copy, presses, tmp_path):
     target = tmp_path / "gs_sdk"
     target.mkdir()

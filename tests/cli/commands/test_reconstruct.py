@@ -221,3 +221,27 @@ def test_a_frame_of_which_nothing_is_known_has_dashes(run, run_json, tmp_path):
     assert (row["peak_mm"], row["contact_mm2"], row["contact_px"]) == (None, None, None)
     line = run(*command, tmp_path / "out")[1].splitlines()[2]
     assert line.split()[1:3] == ["-", "-"]
+
+
+@pytest.mark.parametrize("suffix", [".npy", ".tiff"])
+def test_every_image_of_one_file_is_done(run, run_json, press_folder, calibration_file, tmp_path, suffix):
+    images = [gelform.read_image(path) for path in sorted((press_folder / "images").iterdir())[:3]]
+    path = tmp_path / f"stack{suffix}"
+    if suffix == ".npy":
+        np.save(path, images)
+    else:
+        cv2.imwritemulti(str(path), [image[..., ::-1] for image in images])
+    code, _, err = run("reconstruct", path, "-c", calibration_file, "-o", tmp_path / "out")
+    assert code == 0, err
+    done = sorted((tmp_path / "out").rglob("*.npz"))
+    wanted = gelform.Reconstructor(gelform.load_calibration(calibration_file))
+    assert len(done) == 3
+    for file, image in zip(done, images):
+        np.testing.assert_array_equal(gelform.load_result(file).depth_mm, wanted(image).depth_mm)
+    assert run_json("info", path)["frames"] == 3
+    (tmp_path / "in").mkdir()
+    if suffix == ".tiff":  # arrays in a folder may be anything
+        path.rename(tmp_path / "in" / path.name)
+        how = ("-c", calibration_file, "-o", tmp_path / "all")
+        assert run("batch", tmp_path / "in", *how, "--keep", "all")[0] == 0
+        assert len(list((tmp_path / "all").rglob("*.npz"))) == 3

@@ -102,9 +102,16 @@ def _file(path: Path) -> dict[str, Any]:
 
         return _recording(mcap_summary(path))
     if path.suffix == ".npz":
-        raise DataError(f"{path} is neither a calibration nor a result of gelform's, or it is damaged.")
-    from gelform.sensors.files import read_image
+        from gelform.foundations.foreign_files import way_for
 
+        raise DataError(
+            f"{path} is neither a calibration nor a result of gelform's, or it is damaged.{way_for(path)}"
+        )
+    from gelform.sensors.files import images_of_stack, is_stack, read_image
+
+    if is_stack(path):
+        one, count = images_of_stack(path)
+        return {"kind": "file of several images", "size_px": list(one(0).shape[:2]), "frames": count}
     image = read_image(path)
     levels = [round(float(level), 1) for level in image.mean(axis=(0, 1))]
     return {"kind": "image", "size_px": list(image.shape[:2]), "mean_rgb": levels}

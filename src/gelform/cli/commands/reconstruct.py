@@ -52,7 +52,9 @@ def reconstruct(
     *,
     inputs: Annotated[
         list[Path],
-        Argument(metavar="INPUT...", help="Images, folders, patterns in quotes; or one video or recording."),
+        Argument(
+            metavar="INPUT...", help="Images, folders, patterns in quotes; or one video, stack or recording."
+        ),
     ],
     given: CalibrationOptions,
     output: Annotated[Path, Option("--output", "-o", metavar="DIR", help="Folder for the results.")],
@@ -80,7 +82,8 @@ def reconstruct(
     An image a/b/c.png becomes DIR/<path below the images' common folder>.npz with depth_mm, gradients,
     confidence, contact, known and mm_per_px. With --format npz,png a picture is added. An image that cannot be read or
     belongs to another sensor is reported. The other images are still done, and the exit status is 1. Of a folder, every
-    image in it and below it is done. A video or a recording is done as by gelform batch --keep all. If the depth of most of
+    image in it and below it is done. A video, a recording, a TIFF of several pages or an array of frames (.npy, RGB) is done
+    as by gelform batch --keep all. If the depth of most of
     several images is doubtful, the exit status is 3.
 
     Without -c, the serial number in the images' sensor.toml or recording selects the newest calibration of that
@@ -164,12 +167,13 @@ def reconstruct(
 def _listed(inputs: Sequence[Path], background: Path | None) -> tuple[list[Path], bool]:
     """The images that the inputs mean, and whether they are frames of a video or a recording instead."""
     from gelform.batch.inputs.listing import FILM_SUFFIXES, is_container, listing_of
+    from gelform.sensors.files import is_stack
 
     images: list[Path] = []
     leave_out = [] if background is None else [background]
     for one in inputs:
         is_pattern = glob.has_magic(str(one)) and not one.exists()
-        is_film = one.suffix.lower() in FILM_SUFFIXES or is_container(one)
+        is_film = one.suffix.lower() in FILM_SUFFIXES or is_container(one) or is_stack(one)
         if not (one.is_dir() or is_pattern or is_film):
             images.append(one)
             continue
