@@ -121,7 +121,7 @@ AcceptDoubtful = Annotated[
     bool, Option("--accept-doubtful", help="Exit with status 0 though the depth of most frames is doubtful.")
 ]
 Overwrite = Annotated[bool, Option("--overwrite", help="Replace results that are already there.")]
-Images = Annotated[list[Path], Argument(metavar="IMAGE...", help="Image files of the sensor.")]
+Images = Annotated[list[Path], Argument(metavar="IMAGE...", help="Images of the sensor, or folders of them.")]
 PictureFolder = Annotated[
     Path | None, Option("--output", "-o", metavar="DIR", help="Folder for a picture of each image.")
 ]

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gelform.cli.console import say
 from gelform.cli.options import STARTERS
 from gelform.cli.process import mistakes_in
-from gelform.errors import CalibrationError, GelformError
+from gelform.errors import CalibrationError, DataError, GelformError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -20,6 +20,38 @@ if TYPE_CHECKING:
     from gelform.cli.options import CalibrationOptions
     from gelform.reconstruct import Reconstructor
     from gelform.result import Reconstruction
+
+
+def images_of(inputs: Sequence[Path], background: Path | None) -> list[Path]:
+    """The images of files and folders, without the background; DataError for a video or another file of several."""
+    images, film = images_or_film(inputs, background)
+    if film is not None:
+        raise DataError(f"Expected images, got {film}. Its frames: gelform batch, or gelform reconstruct.")
+    return images
+
+
+def images_or_film(inputs: Sequence[Path], background: Path | None) -> tuple[list[Path], Path | None]:
+    """The images of files, folders and patterns; or the one video, recording or file of several images among them."""
+    import glob
+
+    from gelform.batch.inputs.listing import FILM_SUFFIXES, is_container, listing_of
+    from gelform.sensors.files import is_stack
+
+    images: list[Path] = []
+    leave_out = [] if background is None else [background]
+    for one in inputs:
+        is_pattern = glob.has_magic(str(one)) and not one.exists()
+        is_film = one.suffix.lower() in FILM_SUFFIXES or is_container(one) or is_stack(one)
+        if not (one.is_dir() or is_pattern or is_film):
+            images.append(one)
+            continue
+        for sequence in listing_of(one, leave_out=leave_out).sequences:
+            if not sequence.images:
+                if len(inputs) > 1:
+                    raise DataError(f"{sequence.path} is no image. Give it alone, or use gelform batch.")
+                return [], sequence.path
+            images += [sequence.path / name for name in sequence.images]
+    return images, None
 
 
 def image_in(path: Path, calibration: Calibration) -> NDArray[np.uint8]:

@@ -10,6 +10,7 @@ import gelform
 from gelform.calibration.evaluate import evaluate
 from gelform.calibration.presses.folder import read_presses
 from gelform.calibration_file import load_calibration
+from gelform.cli.commands import inspection
 from gelform.exchange.plots.canvas import save_picture
 
 
@@ -32,6 +33,33 @@ def test_errors_and_what_was_seen(run, run_json, press_folder, calibration_file)
     )
     assert "up to the rim" in " ".join(out.split())
     assert max(len(line.rstrip()) for line in out.splitlines()) <= 80
+
+
+def test_evaluate_ends_with_what_the_errors_mean(run, press_folder, calibration_file):
+    degrees = load_calibration(calibration_file).held_out["normal_free_deg"]
+    code, _, err = run("evaluate", press_folder, "-c", calibration_file)
+    assert code == 0
+    assert f"at calibration ({degrees:.2g}°)." in " ".join(err.split())
+    then = {"normal_free_deg": 2.3}
+    for now, said in (
+        (2.3, "off by 2.3°: as at calibration (2.3°)."),
+        (1.2, "off by 1.2°: less than at calibration (2.3°)."),
+        (4.6, "off by 4.6°: 2 times as much as at calibration (2.3°). Check that"),
+    ):
+        assert said in inspection.verdict_of({"normal_free_deg": now}, then)
+    assert "states no errors of its own" in inspection.verdict_of(then, {})
+
+
+def test_folders_are_their_images(run_json, fails, press_folder, calibration_file, tmp_path):
+    folder, mine = press_folder / "images", ("-c", calibration_file)
+    background = ("--background", press_folder / "background.png")
+    compared = run_json("compare", folder, *mine, *mine)["images"]
+    assert [row["image"] for row in compared] == [str(path) for path in sorted(folder.iterdir())]
+    explained = run_json("explain", folder, *mine, *background)["images"]
+    assert len(explained) == len(compared)
+    np.save(tmp_path / "stack.npy", np.zeros((2, 120, 160, 3), np.uint8))
+    for command in (("compare", *mine, *mine), ("explain", *mine)):
+        assert "Its frames: gelform batch" in fails(command[0], tmp_path / "stack.npy", *command[1:])
 
 
 def test_mistakes_are_one_line(fails, press_folder, calibration_file, tmp_path):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -21,7 +21,7 @@ from gelform.cli.options import (
     ShownOption,
 )
 from gelform.cli.outputs import make_folder, picture_paths
-from gelform.cli.sensor_images import calibration_given, image_in, prepared, reconstruction_of
+from gelform.cli.sensor_images import calibration_given, image_in, images_of, prepared, reconstruction_of
 from gelform.errors import CalibrationError, DataError
 
 if TYPE_CHECKING:
@@ -39,6 +39,7 @@ COLUMNS = {  # of the table, which fits into 80 columns
     "off_contact_um": "off contact um",
 }
 PRESSES = "Errors of each press: normals, depth in contact, ball radius, depth off contact"
+WORSE = 1.5  # times the errors at calibration; folds of the real sets differ by up to a third
 SEEN = (
     "Their errors say little about new presses. They may even be larger than the held-out errors of `calibrate`, which "
     "fits all circles together; here each circle is found in its own image."
@@ -104,9 +105,24 @@ def evaluate(
     summary = [(FIGURES[name], figure(value)) for name, value in evaluation.summary.items()]
     shown.table("Over all presses", ("error", "value"), summary)
     _show_where(evaluation.where, shown)
+    shown.say(verdict_of(evaluation.summary, loaded.held_out))
     if evaluation.flats:
         heights = [_height_row(**flat) for flat in evaluation.flats]
         shown.table("Flat punches", ("press", "height (mm)", "measured (mm)", "measured/height (%)"), heights)
+
+
+def verdict_of(found: Mapping[str, float], held_out: Mapping[str, Any]) -> str:
+    """What the errors on presses mean beside those at calibration, and what to do."""
+    now, then = found["normal_free_deg"], held_out.get("normal_free_deg")
+    if not then:
+        return f"Normals are off by {now:.2g}°. The calibration states no errors of its own to compare them with."
+    times = now / then
+    if times < WORSE:
+        return f"Normals are off by {now:.2g}°: {'as' if times > 1 / WORSE else 'less than'} at calibration ({then:.2g}°)."
+    return (
+        f"Normals are off by {now:.2g}°: {times:.2g} times as much as at calibration ({then:.2g}°). Check that gel, "
+        "light and ball are the same, and calibrate again."
+    )
 
 
 def _height_row(name: str, height_mm: float, read_mm: float | None) -> tuple[str, str, str, str]:
@@ -181,10 +197,11 @@ def compare(
     \b
     Examples:
       gelform compare frame.png -c mine.npz -c imported.npz -o side-by-side
-      gelform compare session/*.png -c before.npz -c after.npz --json
+      gelform compare session/ -c before.npz -c after.npz --json
     """
     if len(calibrations) != 2:
         raise BadParameter(f"expected two, got {len(calibrations)}.", param_hint="--calibration")
+    images = images_of(images, background)
     pictures = _pictures(images, output, [*calibrations, background], overwrite)
     with shown.progress() as progress:
         progress(0, len(images), "starting")
@@ -237,6 +254,7 @@ def explain(
       gelform explain frame.png -c cal.npz --background today_rest.png -o why --overwrite
     """
     given.check(background)
+    images = images_of(images, background)
     pictures = _pictures(images, output, [given.calibration, background], overwrite)
     from gelform.calibration.library.choose import unit_of_all
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import glob
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -23,8 +22,8 @@ from gelform.cli.options import (
 )
 from gelform.cli.outputs import check_results, make_folder, result_paths
 from gelform.cli.process import MISTAKE, one_line
-from gelform.cli.sensor_images import calibration_given, image_in, prepared, reconstruction_of
-from gelform.errors import DataError, GelformError
+from gelform.cli.sensor_images import calibration_given, image_in, images_or_film, prepared, reconstruction_of
+from gelform.errors import GelformError
 from gelform.foundations.findings import FrameTally
 
 if TYPE_CHECKING:
@@ -83,8 +82,8 @@ def reconstruct(
     confidence, contact, known and mm_per_px. With --format npz,png a picture is added. An image that cannot be read or
     belongs to another sensor is reported. The other images are still done, and the exit status is 1. Of a folder, every
     image in it and below it is done. A video, a recording, a TIFF of several pages or an array of frames (.npy, RGB) is done
-    as by gelform batch --keep all. If the depth of most of
-    several images is doubtful, the exit status is 3.
+    as by gelform batch --keep all. If the depth of most
+    images is doubtful, the exit status is 3.
 
     Without -c, the serial number in the images' sensor.toml or recording selects the newest calibration of that
     sensor. For a sensor without a calibration, give --sensor and an image of its gel at rest. The starter of its make
@@ -101,8 +100,8 @@ def reconstruct(
     """
     wanted = _formats(formats)
     given.check(background)
-    images, film = _listed(inputs, background)
-    if film:
+    images, film = images_or_film(inputs, background)
+    if film is not None:
         if wanted != ["npz"] or strict or skip_existing:
             only = "of a video or a recording, results are npz, and a run continues by itself."
             raise BadParameter(only, param_hint="--format, --strict, --skip-existing")
@@ -158,32 +157,9 @@ def reconstruct(
     shown.json({"results": rows, "failed": failed})
     if failed or (strict and any(row["findings"] for row in rows)):
         raise typer.Exit(MISTAKE)
-    if len(images) > 1:
-        from gelform.cli.tally import status_of
+    from gelform.cli.tally import status_of
 
-        raise typer.Exit(status_of(tally, accept_doubtful=accept_doubtful, quiet=True))
-
-
-def _listed(inputs: Sequence[Path], background: Path | None) -> tuple[list[Path], bool]:
-    """The images that the inputs mean, and whether they are frames of a video or a recording instead."""
-    from gelform.batch.inputs.listing import FILM_SUFFIXES, is_container, listing_of
-    from gelform.sensors.files import is_stack
-
-    images: list[Path] = []
-    leave_out = [] if background is None else [background]
-    for one in inputs:
-        is_pattern = glob.has_magic(str(one)) and not one.exists()
-        is_film = one.suffix.lower() in FILM_SUFFIXES or is_container(one) or is_stack(one)
-        if not (one.is_dir() or is_pattern or is_film):
-            images.append(one)
-            continue
-        for sequence in listing_of(one, leave_out=leave_out).sequences:
-            if not sequence.images:
-                if len(inputs) > 1:
-                    raise DataError(f"{sequence.path} is no image. Give it alone, or use gelform batch.")
-                return [], True
-            images += [sequence.path / name for name in sequence.images]
-    return images, False
+    raise typer.Exit(status_of(tally, accept_doubtful=accept_doubtful, quiet=True))
 
 
 def _film(
