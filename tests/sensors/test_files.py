@@ -262,3 +262,23 @@ def test_a_press_folder_may_hold_a_folder_of_backgrounds(folder, rests, tmp_path
     assert len(presses.presses) == len(gelform.read_presses(folder).presses)
     named = gelform.read_presses(folder, background=rests)
     np.testing.assert_array_equal(named.background, presses.background)
+
+
+@pytest.mark.parametrize(
+    "name", ["frame0.jpg", "ref.png", "my_bg.png", "Blank.bmp", "rest", "ambient.npy", "no-contact.png"]
+)
+def test_the_likely_background_is_named(tmp_path, name):
+    folder = tmp_path / "presses"
+    folder.mkdir()
+    for other in ("restaurant.png", "0001.png", "reference.txt", "preflight.jpg"):
+        (folder / other).write_bytes(b"")
+    with pytest.raises(DataError, match=r"expected background\.png, .* Take one, or name it"):
+        background_in(folder)
+    for place in (folder, tmp_path):  # beside the presses, or above them
+        path = place / name
+        path.write_bytes(b"") if path.suffix else path.mkdir()
+        with pytest.raises(
+            DataError, match=rf"By its name it is \S*{path.name}\. .* \(--background \S*{path.name}\)"
+        ):
+            background_in(folder)
+        path.unlink() if path.suffix else path.rmdir()

@@ -140,5 +140,5 @@ def _viewed(frame: NDArray[Any], path: Path, calibration: Calibration) -> NDArra
     from gelform.foundations.checks import check_image
     from gelform.image.view import image_from_frame
 
-    with mistakes_in(path):
+    with mistakes_in(f"{path}, for the calibration of {calibration.sensor_name}"):
         return check_image(image_from_frame(frame, calibration.view), shape=calibration.image_shape)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -45,6 +46,24 @@ PNG_KIND, PNG_PALETTE = (
     25,
     3,
 )  # place of the kind of color in a PNG, and the kind of a palette (PNG specification, IHDR)
+# Words in names of images of the gel at rest, as people call them.
+AT_REST = frozenset(
+    {
+        "ambient",
+        "background",
+        "base",
+        "baseline",
+        "bg",
+        "blank",
+        "bkg",
+        "empty",
+        "f0",
+        "flat",
+        "frame0",
+        "init",
+    }
+    | {"initial", "nocontact", "notouch", "rest", "ref", "reference", "undeformed", "untouched", "zero"}
+)
 STACK_READERS = "gelform reconstruct, batch or live"
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm")
 
@@ -391,9 +410,26 @@ def background_in(folder: Path, stem: str = "background") -> Path:
     if not found:
         raise DataError(
             f"No background in {folder}: expected {stem}.png, an image of the gel at rest. "
-            "Take one, or name it with background= (--background)."
+            f"{likely_background(folder) or 'Take one, or name it with background= (--background).'}"
         )
     return found[0]
+
+
+def likely_background(folder: Path) -> str:
+    """A sentence that names the images of a folder, or above it, that are the gel at rest by their names; "" without any."""
+    places = (folder, folder.resolve().parent)
+    found = [p for one in places for p in sorted(one.iterdir()) if is_likely_background(p)]
+    if not found:
+        return ""
+    named = " or ".join(str(path) for path in found[:3])
+    return f"By its name it is {named}. Name it with background= (--background {found[0]})."
+
+
+def is_likely_background(path: Path) -> bool:
+    """Whether a file or a folder is of the gel at rest, by its name."""
+    words = re.split(r"[^a-z0-9]+", path.stem.lower())
+    is_images = path.suffix.lower() in (*IMAGE_SUFFIXES, ".npy") or path.is_dir()
+    return is_images and not AT_REST.isdisjoint((*words, "".join(words)))
 
 
 def background_files(paths: str | Path | Sequence[str | Path]) -> list[Path]:

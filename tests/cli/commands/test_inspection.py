@@ -71,7 +71,8 @@ def test_mistakes_are_one_line(fails, press_folder, calibration_file, tmp_path):
     scale = ("--ball-diameter-mm", "6", "--mm-per-px", "0.1")
     said = fails("evaluate", tmp_path, *mine, *scale)
     assert "Expected images of 120x160 px (height x width), got 60x80" in said
-    assert "other.png" in fails("explain", tmp_path / "other.png", *mine)
+    said = fails("explain", tmp_path / "other.png", *mine)
+    assert "other.png, for the calibration of small: Expected image of 120x160 px" in said
     assert "No file" in fails("evaluate", press_folder, *none)
     assert "No file" in fails("compare", image, *mine, *none)
     assert "expected two, got 1" in fails("compare", image, *mine, status=2)

@@ -186,7 +186,10 @@ def test_mistakes_are_one_line(fails, calibration_file, press_folder, tmp_path):
     for arguments, text in (
         ((tmp_path / "missing.png", *ours), "No file"),
         ((tmp_path / "text.png", *ours), "no image that can be read"),
-        ((tmp_path / "small.png", *ours), "small.png: Expected image of 120x160 px"),
+        (
+            (tmp_path / "small.png", *ours),
+            "small.png, for the calibration of small: Expected image of 120x160 px",
+        ),
         ((tmp_path / "other.png", *ours), "other.png: The background is not of this image"),
         ((image, "-c", tmp_path / "missing.npz", "-o", out), "No file"),
         ((image, "-c", image, "-o", out), "Expected a gelform calibration, got the picture"),

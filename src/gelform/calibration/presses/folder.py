@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -49,6 +50,7 @@ from gelform.sensors.files import (
     IMAGE_SUFFIXES,
     background_in,
     images_of_stack,
+    is_likely_background,
     is_stack,
     read_background,
     read_image,
@@ -58,6 +60,7 @@ from gelform.sensors.video_files import is_video
 
 LABEL_COLUMNS = ("center_x_px", "center_y_px", "contact_radius_px")
 BALL, FLAT = "ball", "flat"  # indenters
+DIAMETER = re.compile(r"(?<![\d.,])(\d+(?:[.,]\d+)?)[ _-]?mm(?![a-z])", re.IGNORECASE)  # in a folder's name
 NAMED_ODD = 5  # images of another size that a message lists
 PRESS_FOLDER, GS_SDK, PY3DCAL = "press folder", "gs_sdk folder", "py3DCal folder"
 TAXIM, PLAIN, STACK, VIDEO = "Taxim dataPack", "folder of images", "file of several images", "video"
@@ -243,12 +246,28 @@ def _listed_ball(row: Mapping[str, str], where: str) -> Listed:
 
 def plain_source(folder: Path, options: ReadOptions) -> PressSource:
     """A folder of images of one ball, one press each, and `background.png`."""
+    if rows := rows_by_folder(folder):
+        raise DataError(
+            f"{folder} has folders whose names are diameters, and no presses.csv. Write the lines that they suggest: "
+            f"{'; '.join(rows[: 1 + NAMED_ODD])} ... (gelform info {folder} prints all {len(rows)}), if they are right."
+        )
     rest_path = options.background or background_in(folder)
     images = [p for p in sorted(folder.iterdir()) if p.suffix.lower() in IMAGE_SUFFIXES]
     images = [p for p in images if p.stem != "background" and p.resolve() != rest_path.resolve()]
     ball = options.ball(f"{folder} has images but no presses.csv") if images else 0.0
     listed = [Listed(path.name, ball) for path in images]
     return PressSource(read_background(rest_path), listed, lambda k: read_image(images[k]))
+
+
+def rows_by_folder(folder: Path) -> list[str]:
+    """The lines of a presses.csv that folders such as `5mm/` suggest, its header first; [] without such folders."""
+    rows = []
+    for below in sorted(folder.iterdir()):
+        words = DIAMETER.search(below.name)
+        images = sorted(below.iterdir()) if words and below.is_dir() else []
+        named = [p for p in images if p.suffix.lower() in IMAGE_SUFFIXES and not is_likely_background(p)]
+        rows += [f"{below.name}/{p.name},{words[1].replace(',', '.')}" for p in named if words]
+    return rows and ["image,ball_diameter_mm", *rows]
 
 
 def stack_source(file: Path, options: ReadOptions) -> PressSource:

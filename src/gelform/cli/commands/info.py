@@ -202,7 +202,9 @@ def _video(path: Path) -> dict[str, Any]:
 
 def _folder(path: Path) -> dict[str, Any]:
     """The facts of a bag or presses; for any other folder, the files that would make it a press folder."""
-    from gelform.calibration.presses.folder import PLAIN, PRESS_FOLDER, kind_of_presses
+    from gelform.calibration.presses.folder import PLAIN, PRESS_FOLDER, kind_of_presses, rows_by_folder
+    from gelform.cli.process import in_options
+    from gelform.sensors.files import likely_background
     from gelform.sensors.recordings.mcap_reader import is_bag_folder
 
     if is_bag_folder(path):
@@ -213,13 +215,18 @@ def _folder(path: Path) -> dict[str, Any]:
     here = {entry.name for entry in path.iterdir()}
     missing = []
     if not any(Path(name).stem == "background" for name in here):
-        missing.append("background.png, an image of the gel at rest (or --background)")
-    if layout == PLAIN:
+        likely = in_options(likely_background(path))
+        missing.append(f"background.png, an image of the gel at rest (or --background). {likely}".strip())
+    suggested = rows_by_folder(path) if layout == PLAIN else []
+    if suggested:
+        missing.append("presses.csv with these lines, if the names of the folders are the balls' diameters")
+    elif layout == PLAIN:
         missing.append("presses.csv with the columns image,ball_diameter_mm (or --ball-diameter-mm)")
     if "sensor.toml" not in here:
         missing.append("sensor.toml with name and mm_per_px (or --sensor, --mm-per-px)")
     if missing:
-        return {"kind": layout, "images_here": _images(here), "missing": missing}
+        lines = {"presses.csv": suggested} if suggested else {}
+        return {"kind": layout, "images_here": _images(here), "missing": missing, **lines}
     return _presses(path, layout)
 
 
@@ -359,8 +366,8 @@ def _contact(contact: Facts) -> str:
 def _plain_lines(facts: Facts) -> Lines:
     lines: Lines = []
     for name, value in facts.items():
-        if name == "missing":
-            lines += [("missing", str(one)) for one in value]
+        if name in ("missing", "presses.csv"):
+            lines += [(name, str(one)) for one in value]
         elif name.endswith("size_px"):
             lines.append(("size", _size(value)))
         elif name != "kind":
