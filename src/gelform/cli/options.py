@@ -156,6 +156,10 @@ MmPerPx = Annotated[float | None, number("Width of an image pixel on the gel, mm
 Background = Annotated[
     Path | None, Option(metavar="IMG|DIR", help="Gel at rest: an image, or a folder of several to average.")
 ]
+Bgr = Annotated[bool, Option("--bgr", help="The frames are blue, green, red, as OpenCV writes an array.")]
+Dataset = Annotated[
+    str, Option(metavar="PATH", help="Where frames are in HDF5, Zarr, LeRobot; * stands for one name.")
+]
 Seed = Annotated[int, Option(min=0, help="Seed of the random numbers.")]
 
 

@@ -30,7 +30,9 @@ def images_of(inputs: Sequence[Path], background: Path | None) -> list[Path]:
     return images
 
 
-def images_or_film(inputs: Sequence[Path], background: Path | None) -> tuple[list[Path], Path | None]:
+def images_or_film(
+    inputs: Sequence[Path], background: Path | None, dataset: str = ""
+) -> tuple[list[Path], Path | None]:
     """The images of files, folders and patterns; or the one video, recording or file of several images among them."""
     import glob
 
@@ -45,20 +47,21 @@ def images_or_film(inputs: Sequence[Path], background: Path | None) -> tuple[lis
         if not (one.is_dir() or is_pattern or is_film):
             images.append(one)
             continue
-        for sequence in listing_of(one, leave_out=leave_out).sequences:
+        for sequence in listing_of(one, leave_out=leave_out, dataset=dataset).sequences:
             if not sequence.images:
                 if len(inputs) > 1:
                     raise DataError(f"{sequence.path} is no image. Give it alone, or use gelform batch.")
-                return [], sequence.path
+                return [], one
             images += [sequence.path / name for name in sequence.images]
     return images, None
 
 
-def image_in(path: Path, calibration: Calibration) -> NDArray[np.uint8]:
-    """The image (H, W, 3) of a camera frame in a file."""
+def image_in(path: Path, calibration: Calibration, *, bgr: bool = False) -> NDArray[np.uint8]:
+    """The image (H, W, 3), RGB, of a camera frame in a file; `bgr`: its channels are blue, green, red."""
     from gelform.sensors.files import read_image
 
-    return _viewed(read_image(path, most_pixels=calibration.most_pixels), path, calibration)
+    frame = read_image(path, most_pixels=calibration.most_pixels)
+    return _viewed(frame[..., ::-1].copy() if bgr else frame, path, calibration)
 
 
 def background_in(path: Path | None, calibration: Calibration) -> NDArray[np.float32] | None:

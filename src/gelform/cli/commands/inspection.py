@@ -12,6 +12,7 @@ from typer import Argument, BadParameter, Option
 from gelform.cli.console import figure, say
 from gelform.cli.options import (
     Background,
+    Bgr,
     CalibrationFile,
     CalibrationOptions,
     Images,
@@ -183,6 +184,7 @@ def compare(
     ],
     output: PictureFolder = None,
     background: Background = None,
+    bgr: Bgr = False,
     overwrite: Overwrite = False,
     shown: ShownOption,
 ) -> None:
@@ -209,7 +211,7 @@ def compare(
         names = (calibrations[0].stem, calibrations[1].stem)
         rows = []
         for done, (image, picture) in enumerate(zip(images, pictures)):
-            rows.append(_compare_one(pair, image, picture, names))
+            rows.append(_compare_one(pair, image, picture, names, bgr))
             progress(done + 1, len(images), "comparing")
     table = [(row["image"], *(figure(row[key]) for key in COMPARED)) for row in rows]
     columns = [column.format(u=rows[0]["unit"]) for column in COMPARED.values()]
@@ -219,11 +221,15 @@ def compare(
 
 
 def _compare_one(
-    pair: Sequence[Reconstructor], path: Path, picture: NewPicture | None, names: tuple[str, str]
+    pair: Sequence[Reconstructor],
+    path: Path,
+    picture: NewPicture | None,
+    names: tuple[str, str],
+    bgr: bool,
 ) -> dict[str, Any]:
     from gelform.exchange.plots.comparison import compare_results, comparison_picture
 
-    images = [image_in(path, run.calibration) for run in pair]
+    images = [image_in(path, run.calibration, bgr=bgr) for run in pair]
     a, b = (reconstruction_of(run, image, path) for run, image in zip(pair, images))
     compared = compare_results(a, b)
     if picture is not None:
@@ -237,6 +243,7 @@ def explain(
     given: CalibrationOptions,
     output: PictureFolder = None,
     background: Background = None,
+    bgr: Bgr = False,
     overwrite: Overwrite = False,
     shown: ShownOption,
 ) -> None:
@@ -260,7 +267,7 @@ def explain(
 
     used = calibration_given(given, background, lambda: unit_of_all(images), shown.silent)
     run = prepared(used, background, depth_sigma=False)
-    rows = [_explain_one(run, path, picture) for path, picture in zip(images, pictures)]
+    rows = [_explain_one(run, path, picture, bgr) for path, picture in zip(images, pictures)]
     for row in rows:
         for finding in row["findings"]:
             if not shown.silent:
@@ -282,8 +289,8 @@ def explain(
     shown.json({"calibration": given.calibration and str(given.calibration), "images": rows})
 
 
-def _explain_one(run: Reconstructor, path: Path, picture: NewPicture | None) -> dict[str, Any]:
-    image = image_in(path, run.calibration)
+def _explain_one(run: Reconstructor, path: Path, picture: NewPicture | None, bgr: bool) -> dict[str, Any]:
+    image = image_in(path, run.calibration, bgr=bgr)
     try:
         found = run.explain(image)
     except CalibrationError as problem:

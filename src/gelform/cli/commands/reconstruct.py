@@ -15,7 +15,9 @@ from gelform.cli.console import check_pictures, figure, say
 from gelform.cli.options import (
     AcceptDoubtful,
     Background,
+    Bgr,
     CalibrationOptions,
+    Dataset,
     Overwrite,
     ShownOption,
     one_of,
@@ -65,6 +67,8 @@ def reconstruct(
             "--format", help="What to write: npz, png (a picture), ply, stl, tiff, x3p; several: npz,png."
         ),
     ] = "npz",
+    dataset: Dataset = "",
+    bgr: Bgr = False,
     skip_existing: Annotated[
         bool, Option("--skip-existing", help="Skip images that have results, to continue a run.")
     ] = False,
@@ -100,13 +104,18 @@ def reconstruct(
     """
     wanted = _formats(formats)
     given.check(background)
-    images, film = images_or_film(inputs, background)
+    images, film = images_or_film(inputs, background, dataset)
     if film is not None:
         if wanted != ["npz"] or strict or skip_existing:
             only = "of a video or a recording, results are npz, and a run continues by itself."
             raise BadParameter(only, param_hint="--format, --strict, --skip-existing")
+        from gelform.cli.commands.batch import Frames
+
+        frames = Frames(dataset=dataset, background=background, bgr=bgr)
         how = {"overwrite": overwrite, "accept_doubtful": accept_doubtful, "view": view}
-        _film(inputs[0], given, output, background, solver, shown, **how)
+        _film(inputs[0], given, output, frames, solver, shown, **how)
+    if dataset:
+        raise BadParameter("is for an HDF5 file, a Zarr store or a LeRobot data set.", param_hint="--dataset")
     if view and len(images) == 1 and "png" not in wanted:
         wanted.append("png")
     paths = result_paths(images, output, wanted)
@@ -129,7 +138,7 @@ def reconstruct(
         rows, failed, tiles, tally = [], [], [], FrameTally()
         for done, (path, results) in enumerate(todo):
             try:
-                image = image_in(path, run.calibration)
+                image = image_in(path, run.calibration, bgr=bgr)
                 result = reconstruction_of(run, image, path)
             except GelformError as problem:
                 failed.append({"image": str(path), "error": one_line(problem)})
@@ -166,7 +175,7 @@ def _film(
     source: Path,
     given: CalibrationOptions,
     output: Path,
-    background: Path | None,
+    frames: Any,
     solver: str,
     shown: ShownOption,
     *,
@@ -175,14 +184,14 @@ def _film(
     view: bool,
 ) -> NoReturn:
     """Do as gelform batch does, and end."""
-    from gelform.cli.commands.batch import Frames, Machines, Results, Run, batch
+    from gelform.cli.commands.batch import Machines, Results, Run, batch
 
     try:
         batch(
             source=str(source),
             given=given,
             output=output,
-            frames=Frames(background=background),
+            frames=frames,
             results=Results(keep="all", solver=solver),
             machines=Machines(shard=(1, 1)),
             run=Run(overwrite=overwrite),
