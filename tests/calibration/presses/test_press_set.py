@@ -166,3 +166,13 @@ def test_a_gel_wider_or_narrower_than_any_is_refused(presses):
             replace(presses, mm_per_px=pitch)
     with pytest.raises(ValueError, match=r"gel of a GelSight Mini between 10.1 and 40.6 mm wide, got 176 px"):
         replace(presses, mm_per_px=0.0126, make="gelsight-mini")
+
+
+def test_presses_show_themselves_in_a_line(presses):
+    shown = repr(presses)
+    assert shown.startswith(f"Presses({presses.folder}: {len(presses.presses)} of balls of ")
+    assert f"{presses.mm_per_px:g} mm per pixel)" in shown
+    assert len(shown) < 150 + len(presses.folder)
+    press = presses.presses[0]
+    assert repr(press) == f"Press({press.name}, ball {press.ball_diameter_mm:g} mm)"
+    assert repr(replace(press, label=(1, 2, 3))).endswith(" mm, labeled)")

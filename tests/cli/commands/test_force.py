@@ -49,7 +49,11 @@ def test_loads_are_added_to_the_calibration_and_measured(
     assert errors["normal"][-1]["mae"] < 0.01 < errors["normal"][-1]["constant"]["mae"]
     code, out, err = run("force", "evaluate", loads, "-c", own)
     assert code == 0
-    assert "constant" in out
+    assert "constant's (N)" in " ".join(out.split())
+    assert out.count("(%)") == 5
+    whole = next(line.split() for line in out.splitlines() if line.split()[:1] == ["all"])
+    assert float(whole[2]) == 100 * errors["normal"][-1]["refused"]
+    assert float(whole[-1]) == 100 * errors["normal"][-1]["within_2"]
     assert re.search(
         r"Errors of the normal force are [\d.e-]+ times the stated sigma\.", " ".join(err.split())
     )

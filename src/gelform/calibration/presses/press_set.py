@@ -55,6 +55,9 @@ class Press:
     digest: str
     center_px: tuple[float, float] | None = None
 
+    def __repr__(self) -> str:
+        return f"Press({self.name}, ball {self.ball_diameter_mm:g} mm{', labeled' if self.label else ''})"
+
 
 @dataclass(frozen=True)
 class FlatPress:
@@ -117,6 +120,15 @@ class Presses:
         if self.make is None:
             object.__setattr__(self, "make", make_of(self.sensor_name))
         check_gel_width(self.image_shape, check_sensor_pitch(self.mm_per_px), self.make)
+
+    def __repr__(self) -> str:
+        height, width = self.image_shape
+        balls = ", ".join(f"{ball:g}" for ball in sorted({press.ball_diameter_mm for press in self.presses}))
+        flats = f", {len(self.flats)} of flat punches" if self.flats else ""
+        return (
+            f"Presses({self.folder}: {len(self.presses)} of balls of {balls or 'no'} mm{flats}, {self.sensor_name}, "
+            f"{height}x{width} px, {self.mm_per_px:g} mm per pixel)"
+        )
 
     @property
     def image_shape(self) -> tuple[int, int]:

@@ -30,7 +30,12 @@ SUMMARY = "Calibrate force in newtons, and measure its errors."
 Loads = Annotated[Path, Argument(metavar="LOADS", help="Folder of images with loads.csv.")]
 UNITS = {"normal": "N", "shear": "N", "torsion": "N mm"}
 DOUBTED_RATIO = 1.5  # of errors over sigma; above, they are larger than stated
-SHARES = {"median": "median", "q90": "90 %", "within_1": "in 1 sigma", "within_2": "in 2"}  # parts of 1
+SHARES = {  # parts of 1, shown as %
+    "median": "median error (%)",
+    "q90": "90 % below (%)",
+    "within_1": "in 1 sigma (%)",
+    "within_2": "in 2 (%)",
+}
 
 
 def calibrate(
@@ -114,7 +119,14 @@ def evaluate(
     found = _read(loads, loaded, background, shown, lag_frames=loaded.force.lag_frames or 0)
     errors = evaluate_force(loaded.force, found.touches, found.loads)
     for kind, unit in UNITS.items():
-        columns = ("object", "presses", "refused", f"MAE ({unit})", "constant's MAE", *SHARES.values())
+        columns = (
+            "object",
+            "presses",
+            "refused (%)",
+            f"mean error ({unit})",
+            f"a constant's ({unit})",
+            *SHARES.values(),
+        )
         if errors[kind]:
             shown.table(f"Errors of the force: {kind}", columns, [_row(row) for row in errors[kind]])
     reasons = [(reason, str(count)) for reason, count in errors["reasons"].items()]
@@ -145,8 +157,10 @@ def _read(
 
 
 def _row(row: Mapping[str, Any]) -> Sequence[str]:
-    figures = row.get("mae"), row.get("constant", {}).get("mae"), *(row.get(name) for name in SHARES)
-    return row["object"], str(row["presses"]), figure(row["refused"]), *map(figure, figures)
+    errors = row.get("mae"), row.get("constant", {}).get("mae")
+    shares = [None if row.get(name) is None else 100 * row[name] for name in ("refused", *SHARES)]
+    refused, *others = map(figure, shares)
+    return row["object"], str(row["presses"]), refused, *map(figure, errors), *others
 
 
 COMMANDS = (calibrate, evaluate)

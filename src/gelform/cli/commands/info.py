@@ -337,7 +337,7 @@ def _result_lines(facts: Facts) -> Lines:
         *([("roughness", _roughness_line(facts["roughness"]))] if facts.get("roughness") else []),
         *([("markers", facts["markers"]["in_words"])] if facts["markers"] else []),
         ("known", f"{100 * facts['known_px'] / pixels:.0f} % of the pixels; the others are filled"),
-        ("solver", f"{facts['solver']}, curl of the slopes {facts['curl_rms']:.3g} RMS"),
+        ("solver", f"{facts['solver']}, curl of the slopes {facts['curl_rms']:.3g} per px (RMS)"),
         *[("warning", message) for message in facts["findings"]],
         ("calibration", str(facts["calibration"])),
     ]

@@ -50,8 +50,8 @@ COMPARED = {  # {u}: the unit of depth
     "peak_b": "peak B ({u})",
     "difference_rms": "RMS of B - A ({u})",
     "angle_deg": "angle of A and B (°)",
-    "curl_rms_a": "curl A",
-    "curl_rms_b": "curl B",
+    "curl_rms_a": "curl A (1/px)",
+    "curl_rms_b": "curl B (1/px)",
 }
 
 
@@ -283,7 +283,7 @@ def explain(
         for row in rows
     ]
     causes = ["usual noise" if name == "law" else name for name in names]
-    columns = ("trusted pixels (%)", "median slope sigma", *(f"{cause} (%)" for cause in causes))
+    columns = ("trusted pixels (%)", "median slope sigma (mm/mm)", *(f"{cause} (%)" for cause in causes))
     shown.table("Share of the slopes' variance", ("image", *columns), table)
     _say_pictures(rows, output, shown)
     shown.json({"calibration": given.calibration and str(given.calibration), "images": rows})

@@ -274,6 +274,6 @@ def _report(rows: Sequence[dict[str, Any]], shown: ShownOption) -> None:
     keys = ("peak_mm", "contact_mm2") if scaled else ("peak_px", "contact_px")
     table = [(row["outputs"][0], *(figure(row[key]) for key in (*keys, "curl_rms"))) for row in rows]
     columns = ("peak (mm)", "contact (mm²)") if scaled else ("peak (px)", "contact (px)")
-    shown.table("Results", ("file", *columns, "curl (RMS)"), table)
+    shown.table("Results", ("file", *columns, "curl (1/px)"), table)
     if not (scaled or shown.silent):
         say("The scale of this calibration is unknown, so results hold depth_px, not depth_mm.")
