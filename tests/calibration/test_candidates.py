@@ -18,6 +18,7 @@ from gelform.calibration.candidates import (
     color_model_names,
     fitted_responses,
     start_from,
+    starter_note,
     starter_start,
     step_sigma_of,
     training_samples,
@@ -310,3 +311,14 @@ def test_the_make_brings_the_starter_whatever_the_sensor_is_called(presses):
     assert starter_start(mine, "auto") is None
     assert "GelSight Mini" in starter_start(replace(mine, make="gelsight-mini"), "auto").by
     assert starter_start(replace(mine, make="digit"), "auto") is None
+    mini = replace(mine, make="gelsight-mini")
+    assert starter_note(mine, "auto") == starter_note(mini, "auto") == ()
+    (other,) = starter_note(replace(mine, make="digit"), "auto")
+    assert (
+        "The starter of a DIGIT was not tried, because it is for images of 320x240 px, and these are 240x320"
+        in other
+    )
+    (lookup,) = starter_note(mini, "lookup")
+    assert "it is of the color model hierarchical, and lookup was asked for." in lookup
+    (strange,) = starter_note(replace(mini, background=mini.background[..., ::-1].copy()), "auto")
+    assert strange.startswith("The starter of a GelSight Mini was not tried, because ")

@@ -9,6 +9,7 @@ from contextlib import closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from websockets.sync.client import connect
 
@@ -37,6 +38,7 @@ def test_without_arguments_the_simulated_sensor_is_shown_calibrated():
         (["simulated"], ["missing.npz"], CalibrationError, r"missing\.npz"),
         (["simulated:three-edge"], [], ValueError, "three-edges"),
         (["nowhere/none.mp4"], [], DataError, r"none\.mp4"),
+        (["seq"], [], DataError, r"No camera, file or folder seq\. Check the path"),
     ],
 )
 def test_mistakes_are_said_at_once(tmp_path, sources, calibrations, error, said):
@@ -209,3 +211,14 @@ def test_what_the_guide_saves_is_in_use_after_a_restart_without_a_flag(library, 
     with live_running(tmp_path / "second") as socket:
         assert words_until(socket, used) == kept
     assert load_calibration(library / kept).serial == "simulated-three-edges"
+
+
+def test_a_folder_waits_for_the_first_page(tmp_path):
+    for k in range(40):
+        save_picture(tmp_path / f"{k:02d}.png", np.full((48, 64, 3), 90, np.uint8))
+    with closing(start(Options([str(tmp_path)]))) as hub:
+        until(lambda: hub.stations[0].newest)
+        time.sleep(0.4)  # ten frames
+        assert hub.stations[0].player.facts()["number"] == 0
+        hub.sinks += 1  # as a page
+        until(lambda: hub.stations[0].player.facts()["number"] > 2)

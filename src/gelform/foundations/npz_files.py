@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from gelform.errors import DataError, GelformError, said
 from gelform.foundations.checks import check_path
+from gelform.foundations.foreign_files import way_for
 
 try:
     import fcntl
@@ -273,6 +274,8 @@ def read_npz(
             raise error(
                 f"Expected a {kind}, got the picture {path}. gelform.read_image(path) reads pictures."
             ) from problem
+        if path.suffix != ".npz" and (way := way_for(path)):
+            raise error(f"Expected a {kind}, got {path}.{way}") from problem
         raise error(
             f"{path} is truncated or damaged, or no {kind} at all ({said(problem)}). "
             "Copy it again from where it was made, or make it anew."

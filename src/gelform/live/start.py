@@ -17,6 +17,7 @@ from gelform.live.lists import Calibrations, Recordings
 from gelform.live.station import NEVER_S, Opening, Station
 from gelform.sensors.grabber import STALL_S
 from gelform.sensors.mjpeg import shown_address
+from gelform.sensors.profiles import PROFILES
 from gelform.sensors.recordings.indexed import Indexed, indexed, is_recording
 from gelform.sensors.recordings.player import Player
 from gelform.sensors.simulated.source import RATE_HZ, SimulatedSource
@@ -133,7 +134,7 @@ def _opening(
 ) -> Opening:
     """How to open the source. It is opened once now, so that a mistake is also reported in the terminal."""
     if isinstance(known, Indexed):
-        return Opening(lambda: Player(known), NEVER_S)
+        return Opening(lambda: Player(known, may_begin=hub.watched), NEVER_S)
     if known is not None:
         return Opening(lambda: SimulatedSource(known, rate_hz=rate_hz, seed=number), SIMULATED_STALL_S)
     wanted: dict[str, float | str] = {}
@@ -141,6 +142,11 @@ def _opening(
     try:
         opened.append(open_source(spec, paced=True))
     except SensorError as problem:
+        if not _may_be_camera(hub, spec):
+            raise DataError(
+                f"No camera, file or folder {shown_address(spec)}. Check the path, or plug the camera in. Only a serial "
+                "number, an address or a device is waited for."
+            ) from problem
         hub.notice(f"{problem} gelform tries again every second.", "warning")
     return Opening(
         lambda: opened.pop() if opened else open_source(spec, paced=True, settings=wanted),
@@ -148,6 +154,14 @@ def _opening(
         None,
         wanted,
     )
+
+
+def _may_be_camera(hub: Hub, spec: str) -> bool:
+    """Whether a source that is not there may come: an address, a device, a make, a serial number, or a known unit's name."""
+    is_serial = spec == spec.upper() and any(one.isdigit() for one in spec)
+    if is_serial or "://" in spec or spec.startswith("/dev/") or spec in ("", *PROFILES):
+        return True
+    return hub.calibrations.of_unit(unit_named(spec)) is not None
 
 
 def _made_ready(hub: Hub, number: int, sensor: SimulatedSensor) -> Callable[[Progress], None]:

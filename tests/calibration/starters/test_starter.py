@@ -263,8 +263,7 @@ def test_dots_dust_and_a_rim_in_sight_are_no_touch(data):
 def test_a_pitch_that_no_unit_has_is_named():
     starter = load_starter("gelsight-mini")
     for pitch in (0.634, 0.00634):
-        with pytest.raises(
-            ValueError, match=rf"Expected mm_per_px near the 0.0634 .* got {pitch:g}: its gel would be"
-        ):
+        named = rf"gel of a GelSight Mini between 10.1 and 40.6 mm wide, got 320 px of {pitch:g} mm"
+        with pytest.raises(ValueError, match=named):
             starter.for_unit(starter.calibration.background, mm_per_px=pitch)
     assert starter.for_unit(starter.calibration.background, mm_per_px=0.08).mm_per_px == 0.08

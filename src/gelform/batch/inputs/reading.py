@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.batch.inputs.containers import hdf5_values, image_from_values, is_zarr, zarr_values
+from gelform.batch.inputs.containers import hdf5_values, is_zarr, zarr_values
 from gelform.batch.inputs.lerobot import stored_images, video_frames
 from gelform.batch.inputs.plan import Part
 from gelform.calibration.presses.press_set import file_of, table_rows
@@ -26,6 +26,7 @@ from gelform.image.view import image_from_frame
 from gelform.image.view.view import MAX_PIXELS
 from gelform.sensors.files import read_background, read_image
 from gelform.sensors.source import open_source
+from gelform.sensors.values import image_from_values
 
 BACKGROUND_COLUMNS = ("sequence", "background")
 MOST_NAMED = 3  # sequences that a message names at most

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from gelform.calibration.geometry.measured import Geometry
 from gelform.errors import DataError
 from gelform.foundations.checks import (
-    check_gel_width,
     check_positive,
     check_sensor_pitch,
     check_sensor_pitches,
@@ -25,7 +24,7 @@ from gelform.foundations.tables import plain_cell
 from gelform.image.frame import pixels_digest
 from gelform.image.view import View, image_from_frame
 from gelform.sensors.files import SensorSettings, read_sensor_toml
-from gelform.sensors.profiles import PROFILES, make_of, profile_named, view_from_camera
+from gelform.sensors.profiles import PROFILES, check_gel_width, make_of, profile_named, view_from_camera
 
 if TYPE_CHECKING:
     from gelform.simulate import SimulatedPresses
@@ -55,6 +54,9 @@ class Press:
     label: tuple[float, float, float] | None
     digest: str
     center_px: tuple[float, float] | None = None
+
+    def __repr__(self) -> str:
+        return f"Press({self.name}, ball {self.ball_diameter_mm:g} mm{', labeled' if self.label else ''})"
 
 
 @dataclass(frozen=True)
@@ -115,9 +117,18 @@ class Presses:
     make: str | None = None
 
     def __post_init__(self) -> None:
-        check_gel_width(self.image_shape, check_sensor_pitch(self.mm_per_px))
         if self.make is None:
             object.__setattr__(self, "make", make_of(self.sensor_name))
+        check_gel_width(self.image_shape, check_sensor_pitch(self.mm_per_px), self.make)
+
+    def __repr__(self) -> str:
+        height, width = self.image_shape
+        balls = ", ".join(f"{ball:g}" for ball in sorted({press.ball_diameter_mm for press in self.presses}))
+        flats = f", {len(self.flats)} of flat punches" if self.flats else ""
+        return (
+            f"Presses({self.folder}: {len(self.presses)} of balls of {balls or 'no'} mm{flats}, {self.sensor_name}, "
+            f"{height}x{width} px, {self.mm_per_px:g} mm per pixel)"
+        )
 
     @property
     def image_shape(self) -> tuple[int, int]:

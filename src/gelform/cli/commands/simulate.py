@@ -37,8 +37,8 @@ DESIGN_COLUMNS = (
     "depth RMSE (um)",
     "its standard error (um)",
     "normal error (°)",
-    "slope noise",
-    "condition number",
+    "slope noise (mm/mm)",
+    "condition number (1 is best)",
 )
 
 

@@ -122,6 +122,18 @@ def evaluate_force(model: ForceModel, presses: Sequence[Any], loads: Sequence[Lo
     return {kind: _rows(kind, forces, loads) for kind in KINDS} | {"reasons": dict(reasons)}
 
 
+def sigma_ratio(model: ForceModel, presses: Sequence[Any], loads: Sequence[Load]) -> float | None:
+    """Errors of the normal force over their stated sigma: the ratio that 68.3 % stay below; 1 is right. None without any."""
+    touches, loads = _matched(presses, loads)
+    found = [(force_from_result(touch, model), load.normal_n) for touch, load in zip(touches, loads)]
+    ratios = [
+        abs(force.normal_n - truth) / force.normal_sigma_n
+        for force, truth in found
+        if force.normal_n is not None and force.normal_sigma_n and truth is not None
+    ]
+    return float(np.quantile(ratios, ONE_SIGMA)) if ratios else None
+
+
 def _matched(presses: Sequence[Any], loads: Sequence[Load]) -> tuple[list[Touch], list[Load]]:
     known, given = check_list(loads, "loads", Load), check_list(presses, "presses")
     for load in known:

@@ -91,6 +91,7 @@ class ForceModel:
     objects : what was pressed
     calibration_digest : of the calibration; results of another one are refused. "" for dots without images
     created_utc : time
+    lag_frames : that the gauge lagged behind the images of its recordings; None if unknown
     """
 
     normal: ForcePart | None
@@ -100,6 +101,7 @@ class ForceModel:
     objects: tuple[str, ...]
     calibration_digest: str
     created_utc: str
+    lag_frames: int | None = None
 
     @cached_property
     def dots(self) -> Dots:
@@ -122,7 +124,9 @@ class ForceModel:
         )
         rest = tuple(check_numbers(place, "rest_mm", 2) for place in stored["rest_mm"])
         _, digest, created, *objects = texts
-        return cls(normal, shear, torsion, rest, tuple(objects), digest, created)
+        lag = stored.get("lag_frames")
+        lag = None if lag is None else int(check_within(lag, "lag_frames", -1e6, 1e6))
+        return cls(normal, shear, torsion, rest, tuple(objects), digest, created, lag)
 
 
 @dataclass(frozen=True)
