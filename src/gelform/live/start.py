@@ -24,6 +24,7 @@ from gelform.sensors.source import Source, device_of, open_source, simulated_sen
 from gelform.simulate import SimulatedSensor
 
 READY = "simulated sensor"
+LONGEST_TURN_S = 60.0  # s that the finished calibration waits for an action of a page
 SIMULATED_STALL_S = 10.0  # s; a busy machine simulates late although nothing was unplugged
 
 
@@ -153,6 +154,8 @@ def _opening(
 def _made_ready(hub: Hub, number: int, sensor: SimulatedSensor) -> Callable[[Progress], None]:
     def work(progress: Progress) -> None:
         calibration = ready_calibration(sensor, progress=progress)
-        actions.use_calibration(hub, number, hub.calibrations.add(f"{READY} {sensor.name}", calibration))
+        name = hub.calibrations.add(f"{READY} {sensor.name}", calibration)
+        with hub.turn(number, LONGEST_TURN_S):
+            actions.use_calibration(hub, number, name)
 
     return work
