@@ -22,6 +22,7 @@ from typing import Any, NoReturn
 import typer
 from typer.core import TyperGroup
 
+from gelform.cli.console import printable, say
 from gelform.errors import DataError, GelformError
 
 MISTAKE, DOUBT, BUG, INTERRUPTED = 1, 3, 70, 130
@@ -44,16 +45,32 @@ def mistakes_in(what: object) -> Iterator[None]:
 class ReportedFailures(TyperGroup):
     """The group of all commands; reports their exceptions, without a traceback unless `--debug` is given."""
 
+    def make_context(self, *given: Any, **extra: Any) -> Any:
+        """Parse the options before the command."""
+        with _usage_printable():
+            return super().make_context(*given, **extra)
+
     def invoke(self, ctx: Any) -> Any:
         """Run the requested command."""
         try:
-            return super().invoke(ctx)
+            with _usage_printable():
+                return super().invoke(ctx)
         except (typer.Exit, typer.Abort, _USAGE, BrokenPipeError):
             raise
         except (Exception, KeyboardInterrupt) as problem:
             if ctx.params.get("debug"):
                 traceback.print_exc()
             sys.exit(_report(problem))
+
+
+@contextmanager
+def _usage_printable() -> Iterator[None]:
+    """Write codes that steer a terminal as text where a usage error repeats an argument."""
+    try:
+        yield
+    except _USAGE as problem:
+        problem.message = printable(problem.message)
+        raise
 
 
 def _report(problem: BaseException) -> int:
@@ -75,7 +92,7 @@ def _report(problem: BaseException) -> int:
 
 
 def _said(text: str, status: int) -> int:
-    typer.echo(f"gelform: {in_options(one_line(text))}", err=True)
+    say(f"gelform: {in_options(one_line(text))}")
     return status
 
 

@@ -8,10 +8,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
 from typer import Argument, BadParameter, Option
 
-from gelform.cli.console import print_json
+from gelform.cli.console import print_json, show
 from gelform.cli.options import Json
 from gelform.errors import DataError, GelformError
 
@@ -65,7 +64,7 @@ def info(
     lines = lines_of(facts)
     width = max(len(label) for label, _ in lines)
     for label, text in lines:
-        typer.echo(f"{label:<{width}}  {text}")
+        show(f"{label:<{width}}  {text}")
 
 
 def _system() -> dict[str, Any]:
