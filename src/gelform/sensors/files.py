@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields
@@ -22,6 +21,7 @@ from gelform.foundations.checks import (
     check_sensor_pitches,
     check_within,
 )
+from gelform.foundations.whole_files import bytes_of
 from gelform.image.background.average import Background, background_from_frames
 from gelform.image.view import View
 from gelform.image.view.view import MAX_PIXELS
@@ -31,17 +31,15 @@ from gelform.sensors.jpeg import is_gray_jpeg, pixels_of_jpeg
 from gelform.sensors.png_bytes import SIGNATURE as PNG
 from gelform.sensors.png_bytes import pixels_of_png
 from gelform.sensors.profiles import PROFILES
+from gelform.sensors.toml_files import read_toml
 from gelform.sensors.video_files import is_video
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 PNG_KIND, PNG_PALETTE = (
     25,
     3,
 )  # place of the kind of color in a PNG, and the kind of a palette (PNG specification, IHDR)
+# Bytes that a picture's file needs at most: of a pixel with transparency, not compressed, and of all else in it.
+BYTES_PER_PIXEL, OTHER_BYTES = 4, 2**26
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm")
 
 
@@ -108,7 +106,7 @@ def read_image(path: str | Path, *, most_pixels: float = MAX_PIXELS) -> NDArray[
         transparent; the message says which and what to do.
     """
     path = check_path(path)
-    content = _content(path)
+    content = bytes_of(path, "an image", BYTES_PER_PIXEL * most_pixels + OTHER_BYTES)
     try:
         check_declared(content, most_pixels)
     except ValueError as problem:
@@ -154,19 +152,9 @@ def read_sensor_toml(path: str | Path) -> SensorSettings:
         The file is missing or no TOML, lacks a key, has an unknown key, or a value out of range.
     """
     path = check_path(path)
+    settings = read_toml(path, "the settings of a sensor")
     try:
-        settings = tomllib.loads(_content(path).decode("utf-8"))
         return _sensor_settings(settings)
-    except UnicodeDecodeError as problem:
-        raise DataError(
-            f"{path} is no text in UTF-8: byte {problem.start} is none. Save it as UTF-8."
-        ) from problem
-    except tomllib.TOMLDecodeError as problem:
-        raise DataError(f"{path} is no TOML file: {problem}.") from problem
-    except RecursionError:
-        raise DataError(
-            f"{path} holds tables inside tables beyond reason: no settings of a sensor."
-        ) from None
     except (ValueError, TypeError) as problem:
         raise DataError(f"{path}: {problem}") from problem
 
@@ -232,21 +220,6 @@ def _is_matrix(value: Any) -> bool:
     except (TypeError, ValueError):
         return False
     return numbers.shape == (3, 3) and bool(np.isfinite(numbers).all())
-
-
-def _content(path: Path) -> bytes:
-    if path.is_dir():
-        raise DataError(f"Expected a file, got the folder {path}.")
-    if path.exists() and not path.is_file():  # reading a pipe or a device could block forever
-        raise DataError(
-            f"Expected a file, got a pipe or a device: {path}. Save what it gives as a file first."
-        )
-    try:
-        return path.read_bytes()
-    except FileNotFoundError:
-        raise DataError(f"No file {path}. Check the path.") from None
-    except OSError as problem:
-        raise DataError(f"Cannot read {path}: {problem.strerror or problem}.") from problem
 
 
 def _usual_pixels(content: bytes, path: Path) -> NDArray[np.uint8] | None:

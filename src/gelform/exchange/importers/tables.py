@@ -10,14 +10,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from os import PathLike
 from typing import Any
-from zipfile import ZipFile
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gelform.errors import DataError, said
-from gelform.foundations.checks import check_positive
-from gelform.foundations.npz_files import DAMAGED_ARCHIVE, MAX_ARRAY_BYTES, present_file, read_npy
+from gelform.foundations.checks import check_path, check_positive
+from gelform.foundations.npz_files import DAMAGED_ARCHIVE, checked_archive, read_npy
+from gelform.foundations.whole_files import MAX_ARRAY_BYTES
 from gelform.slopes.color_models.lookup import LookupModel
 
 RANGE_LEVELS = 180.0  # gray levels: a look-up table spans differences of -90 to 90 per channel
@@ -148,9 +148,8 @@ def _is_of_tables_aspect(height: int, width: int) -> bool:
 def is_taxim_forward(path: str | PathLike[str]) -> bool:
     """Whether a file is an archive with Taxim's members; `load_calibration` reports other kinds."""
     try:
-        with open(path, "rb") as handle, np.load(handle, allow_pickle=False) as file:
-            return set(MEMBERS) <= set(file.files)
-    except _DAMAGED:  # no archive: an array, or another file
+        return {f"{name}.npy" for name in MEMBERS} <= set(checked_archive(path, "Taxim's tables"))
+    except (DataError, *_DAMAGED):  # no archive: an array, or another file
         return False
 
 
@@ -162,12 +161,9 @@ def read_taxim_forward(path: str | PathLike[str]) -> TaximTables:
     DataError
         The file is missing, lacks these tables, is damaged, too large, or of another form.
     """
-    path = present_file(path, "Taxim's tables (polycalib.npz)")
+    path = check_path(path)
     try:
-        with ZipFile(path) as archive:
-            declared = sum(member.file_size for member in archive.infolist())
-        if declared > MAX_ARRAY_BYTES:
-            raise DataError(f"{path} declares {declared / 1e6:.3g} MB; Taxim's tables have a few.")
+        checked_archive(path, "Taxim's tables (polycalib.npz)", MAX_ARRAY_BYTES)
         with open(path, "rb") as handle, np.load(handle, allow_pickle=False) as file:
             missing = [name for name in MEMBERS if name not in file.files]
             if missing:
