@@ -18,6 +18,7 @@ from gelform.image.background.average import USUAL_FRAMES, background_from_frame
 from gelform.image.background.check import check_untouched
 from gelform.live import devices
 from gelform.live.hub import Hub, starter_of_station, wait_for_frames
+from gelform.live.lists import shown_name
 from gelform.live.moved import MovedSince
 from gelform.live.shown import Shown
 from gelform.live.station import NEVER_S, Opening, Setup, Station
@@ -261,7 +262,7 @@ def attached_setup(hub: Hub, setup: Setup, path: Path) -> Setup:
     calibration = attached_calibration(path)
     if calibration is None:
         return setup.with_background(None)  # it belonged to the sensor
-    name = hub.calibrations.add(f"{path.resolve().name}: calibration", calibration)
+    name = hub.calibrations.add(f"{shown_name(path.resolve().name)}: calibration", calibration)
     setup = setup.with_calibration(calibration, name)
     background = attached_background(path)
     return setup if background is None else setup.with_background(background)

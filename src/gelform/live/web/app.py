@@ -17,6 +17,7 @@ from starlette.websockets import WebSocket
 
 from gelform.errors import GelformError
 from gelform.live.hub import Hub, page_named
+from gelform.live.lists import shown_name
 from gelform.live.web.client import TOO_MANY, Client
 from gelform.live.web.guard import OPEN_PATHS, Access, Guard
 
@@ -96,7 +97,8 @@ def make_app(hub: Hub, access: Access) -> Any:
         except GelformError as problem:
             return Response(str(problem), 404, media_type="text/plain")
         headers = {"cache-control": "no-store"}
-        return FileResponse(path, media_type="application/octet-stream", filename=path.name, headers=headers)
+        name = shown_name(path.name)
+        return FileResponse(path, media_type="application/octet-stream", filename=name, headers=headers)
 
     async def report(request: Request) -> Response:
         session = hub.guides.get(_number(request))
