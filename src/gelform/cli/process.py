@@ -122,12 +122,19 @@ def _place(problem: BaseException) -> str:
 
 @contextmanager
 def as_process() -> Iterator[None]:
-    """Set up the process: streams take any text, SIGTERM ends it as Ctrl-C does, lost output is reported."""
+    """Set up the process: streams take any text, SIGTERM and SIGHUP end it as Ctrl-C does, lost output is reported.
+
+    SIGHUP comes when the terminal closes, such as an ssh session; a process under `nohup` ignores it, and still does.
+    """
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):  # None if the stream is closed
             stream.reconfigure(errors="backslashreplace")
     on_main = threading.current_thread() is threading.main_thread()
-    before = signal.signal(signal.SIGTERM, _interrupt) if on_main else None
+    ending = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if on_main and hasattr(signal, name)]
+    before = {one: signal.getsignal(one) for one in ending}
+    for one, handler in before.items():
+        if handler is not signal.SIG_IGN:
+            signal.signal(one, _interrupt)
     try:
         yield
         _flush()
@@ -137,11 +144,15 @@ def as_process() -> Iterator[None]:
     except OSError as problem:  # about the output itself; commands report their own
         _lose_output(problem)
     finally:
-        if on_main:
-            signal.signal(signal.SIGTERM, before)
+        for one, handler in before.items():
+            signal.signal(one, handler)
 
 
-def _interrupt(*_: Any) -> NoReturn:
+def _interrupt(number: int, _: Any) -> NoReturn:
+    if (
+        number != signal.SIGTERM
+    ):  # both the system and the shell send SIGHUP; the second one must not end what the first began
+        signal.signal(number, signal.SIG_IGN)
     raise KeyboardInterrupt
 
 
@@ -159,7 +170,8 @@ def _lose_output(problem: OSError) -> None:
     """Report why the output is lost, unless its reader is gone; Python would try again at exit."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     if not isinstance(problem, BrokenPipeError):
-        sys.stderr.write(f"gelform: error: cannot write the output: {problem.strerror}.\n")
+        with suppress(OSError):  # the terminal itself may be gone
+            sys.stderr.write(f"gelform: error: cannot write the output: {problem.strerror}.\n")
         sys.exit(1)
 
 

@@ -23,6 +23,7 @@ from gelform.live.moved import MovedSince
 from gelform.live.shown import Shown
 from gelform.live.station import NEVER_S, Opening, Setup, Station
 from gelform.sensors.recordings.indexed import indexed
+from gelform.sensors.recordings.mcap_reader import end_missing
 from gelform.sensors.recordings.player import Player
 from gelform.sensors.recordings.record import attached_background, attached_calibration
 from gelform.sensors.recordings.recorder import Recorder
@@ -248,6 +249,8 @@ def open_recording(hub: Hub, station: int, name: str) -> None:
     hub.check_idle(station)
     if name:
         recording = indexed(hub.recordings.path(name))
+        if said := end_missing(recording.path):
+            hub.notice(said, "warning")
         setup = attached_setup(hub, chosen.setup, recording.path)
         hub.end_guide(station)
         chosen.show(Opening(lambda: Player(recording), NEVER_S), setup)

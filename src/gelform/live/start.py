@@ -18,6 +18,7 @@ from gelform.live.station import NEVER_S, Opening, Station
 from gelform.sensors.grabber import STALL_S
 from gelform.sensors.mjpeg import shown_address
 from gelform.sensors.recordings.indexed import Indexed, indexed, is_recording
+from gelform.sensors.recordings.mcap_reader import end_missing
 from gelform.sensors.recordings.player import Player
 from gelform.sensors.simulated.source import RATE_HZ, SimulatedSource
 from gelform.sensors.source import Source, device_of, open_source, simulated_sensor_of
@@ -82,6 +83,8 @@ def start(options: Options) -> Hub:
         opening = _opening(hub, spec, sensor or recording, options.rate_hz, number)
         station = Station(number, shown_address(spec), opening, hub.changed, hub.watched)
         station.sensor = options.sensor or ""
+        if recording is not None and (said := end_missing(recording.path)):
+            hub.notice(said, "warning")
         hub.stations.append(station)
         if names:
             name = names[number % len(names)]

@@ -14,7 +14,7 @@ from gelform.calibration.library.choose import (
     unit_of_all,
     unit_of_camera,
 )
-from gelform.calibration.library.library import add_calibration
+from gelform.calibration.library.library import add_calibration, matching
 from gelform.calibration.library.simulated import ready_calibration
 from gelform.errors import CalibrationError, DataError, SensorError, StaleError
 from gelform.image.frame import Frame
@@ -61,6 +61,13 @@ def test_no_match_says_what_to_do(full):
         with pytest.raises(CalibrationError, match="gelform calibrations add") as problem:
             choose_calibration(unit)
         assert said in str(problem.value)
+
+
+def test_a_serial_that_only_looks_alike_is_named(full):
+    with pytest.raises(CalibrationError, match=r"The serial 'S1' differs from 's1' in capitals"):
+        choose_calibration(Unit("camera", "s1"))
+    with pytest.raises(DataError, match=r"The serial 'S1' differs from 's1' in capitals"):
+        matching("s1")
 
 
 def test_a_camera_without_a_serial_is_known_by_its_name_where_it_is_alone(full):

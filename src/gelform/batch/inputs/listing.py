@@ -23,6 +23,7 @@ from gelform.batch.inputs.lerobot import is_lerobot_set, lerobot_sequences, loss
 from gelform.errors import DataError
 from gelform.foundations.checks import check_path
 from gelform.sensors.files import IMAGE_SUFFIXES
+from gelform.sensors.recordings.mcap_reader import end_missing
 from gelform.sensors.video_files import VIDEO_SUFFIXES
 
 FILM_SUFFIXES = (*VIDEO_SUFFIXES, ".mcap")
@@ -103,7 +104,8 @@ def listing_of(
             f"Expected images, videos or recordings ({suffixes}) in {what}, got none. Of HDF5 files and Zarr stores, "
             "say with --dataset which dataset."
         )
-    return listing
+    recordings = [one.path for one in listing.sequences if one.path.suffix.lower() == ".mcap"]
+    return replace(listing, warnings=tuple(filter(None, map(end_missing, recordings))))
 
 
 def is_container(path: Path) -> bool:

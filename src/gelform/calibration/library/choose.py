@@ -13,7 +13,7 @@ from gelform.calibration.library.library import Entry, date_of, entries
 from gelform.calibration.library.simulated import ready_calibration
 from gelform.calibration_file import Calibration, load_calibration
 from gelform.errors import CalibrationError, DataError, GelformError
-from gelform.sensors.cameras.camera import Camera, camera_named, cameras_there
+from gelform.sensors.cameras.camera import Camera, almost, camera_named, cameras_there
 from gelform.sensors.files import read_sensor_toml
 from gelform.sensors.grabber import Grabber
 from gelform.sensors.mjpeg import shown_address
@@ -127,7 +127,7 @@ def _missing(unit: Unit, there: Sequence[Entry]) -> str:
     by = f"serial {unit.serial}{gel}" if unit.serial else f"no serial, of a sensor {' or '.join(unit.names)}"
     listed = f"it has calibrations of {', '.join(known)}" if known else "it has none with a serial"
     unread = f"; {damaged} cannot be read (gelform calibrations list)" if damaged else ""
-    return f"was given, and the library has none with {by}: {listed}{unread}."
+    return f"was given, and the library has none with {by}: {listed}{unread}.{almost(unit.serial, known)}"
 
 
 def unit_of(source: Any) -> Unit:

@@ -111,6 +111,8 @@ def _file(path: Path) -> dict[str, Any]:
 
 def _recording(summary: RecordingSummary) -> dict[str, Any]:
     """The facts of a recording; its frames are counted, but not decoded."""
+    from gelform.sensors.recordings.mcap_reader import CUT
+
     facts = summary.facts
     return {
         "kind": "recording",
@@ -120,7 +122,7 @@ def _recording(summary: RecordingSummary) -> dict[str, Any]:
         "duration_s": summary.duration_s,
         "finished": "yes"
         if summary.finished
-        else "no: the recorder was stopped; the frames until then can be read",
+        else f"no: its recorder was killed, or it was copied in part. {CUT}",
         "settings": dict(facts.settings),
         "calibration": facts.calibration_digest,
         "gelform": facts.library_version,
