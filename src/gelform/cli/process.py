@@ -151,7 +151,7 @@ def as_process() -> Iterator[None]:
 def _interrupt(number: int, _: Any) -> NoReturn:
     if (
         number != signal.SIGTERM
-    ):  # both the system and the shell send SIGHUP; the second one must not end what the first began
+    ):  # the system and the shell both send SIGHUP, and the second must not end the cleaning up
         signal.signal(number, signal.SIG_IGN)
     raise KeyboardInterrupt
 

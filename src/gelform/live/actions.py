@@ -227,11 +227,11 @@ def record(hub: Hub, station: int, on: bool, page: str = "") -> None:
 
 
 def snapshot(hub: Hub, station: int) -> dict[str, Any]:
-    """Keep the current frame; the answer has its number."""
+    """Keep the current frame; the answer has its number and the names of its files."""
     shown = hub.station(station).newest
     if shown is None:
         raise GelformError("There is no frame yet. Wait for the first one.")
-    return {"kind": "snapshot", "number": hub.snapshots.add(shown)}
+    return {"kind": "snapshot", "number": hub.snapshots.add(shown), "files": hub.snapshots.names(shown)}
 
 
 def _frames(station: Station, count: int) -> Sequence[Shown]:
