@@ -111,6 +111,12 @@ def test_recordings_say_their_camera_and_the_calibration_in_use(full, tmp_path):
         recording.close()
         return tmp_path / name
 
+    simulated = recorded("s.mcap", RecordingFacts("sim", "simulated-three-edges", {}, 50.0, ""), None)
+    assert unit_of(simulated).simulated.name == "three-edges"
+    assert choose_calibration(unit_of(simulated)).calibration.sensor_name == "three-edges"
+    for serial in ("simulated-none", "simulated", "S1"):
+        other = recorded(f"{serial}.mcap", RecordingFacts("sim", serial, {}, 50.0, ""), None)
+        assert unit_of(other).simulated is None
     path = recorded("1.mcap", RecordingFacts("ring", "S1", {}, 50.0, OLD.digest), None)
     assert choose_calibration(unit_of(path)).calibration.digest == OLD.digest
     path = recorded("2.mcap", RecordingFacts("ring"), attachments_of(OTHER))
