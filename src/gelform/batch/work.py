@@ -22,7 +22,7 @@ from gelform.batch.outputs.writers import WRITERS
 from gelform.batch.records import COLUMNS, PartRecord, write_record
 from gelform.batch.settings import BatchSettings
 from gelform.calibration_file import Calibration
-from gelform.errors import GelformError
+from gelform.errors import GelformError, reason
 from gelform.reconstruct import Reconstructor
 from gelform.result import Reconstruction
 
@@ -78,8 +78,8 @@ class Worker:
             try:
                 result = self._result(part, named)
                 prepared, facts = writer.prepared(result), facts_of(result)
-            except GelformError as problem:
-                error = str(problem)
+            except (GelformError, MemoryError) as problem:
+                error = reason(problem)
             except Exception as problem:  # a bug with one frame must not end a run of a million
                 error = f"bug of gelform: {type(problem).__name__}: {problem}"
         row |= {**facts, "error": " ".join(error.split())} if prepared is None else facts

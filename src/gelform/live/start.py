@@ -19,12 +19,14 @@ from gelform.sensors.grabber import STALL_S
 from gelform.sensors.mjpeg import shown_address
 from gelform.sensors.profiles import PROFILES
 from gelform.sensors.recordings.indexed import Indexed, indexed, is_recording
+from gelform.sensors.recordings.mcap_reader import end_missing
 from gelform.sensors.recordings.player import Player
 from gelform.sensors.simulated.source import RATE_HZ, SimulatedSource
 from gelform.sensors.source import Source, device_of, open_source, simulated_sensor_of
 from gelform.simulate import SimulatedSensor
 
 READY = "simulated sensor"
+LONGEST_TURN_S = 60.0  # s that the finished calibration waits for an action of a page
 SIMULATED_STALL_S = 10.0  # s; a busy machine simulates late although nothing was unplugged
 
 
@@ -82,6 +84,8 @@ def start(options: Options) -> Hub:
         opening = _opening(hub, spec, sensor or recording, options.rate_hz, number)
         station = Station(number, shown_address(spec), opening, hub.changed, hub.watched)
         station.sensor = options.sensor or ""
+        if recording is not None and (said := end_missing(recording.path)):
+            hub.notice(said, "warning")
         hub.stations.append(station)
         if names:
             name = names[number % len(names)]
@@ -167,6 +171,8 @@ def _may_be_camera(hub: Hub, spec: str) -> bool:
 def _made_ready(hub: Hub, number: int, sensor: SimulatedSensor) -> Callable[[Progress], None]:
     def work(progress: Progress) -> None:
         calibration = ready_calibration(sensor, progress=progress)
-        actions.use_calibration(hub, number, hub.calibrations.add(f"{READY} {sensor.name}", calibration))
+        name = hub.calibrations.add(f"{READY} {sensor.name}", calibration)
+        with hub.turn(number, LONGEST_TURN_S):
+            actions.use_calibration(hub, number, name)
 
     return work

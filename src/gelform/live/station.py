@@ -141,6 +141,7 @@ class Station:
     setup : Setup; assign another one to change it: a held recording is then reconstructed again
     newest : Shown or None
     taps : called with each shown frame, in the station's thread: guides
+    turn : held by the one action that changes the station
     paused : whether a sensor's picture is held
     moved : follows the touching object from frame to frame; None if nobody asks
     sensor : the requested starter; "" for that of the camera's make
@@ -159,6 +160,7 @@ class Station:
         self._setup = Setup()
         self.newest: Shown | None = None
         self.taps: list[Callable[[Shown], None]] = []
+        self.turn = threading.Lock()
         self.paused = False
         self.moved: MovedSince | None = None
         self.sensor = self.starter_problem = ""
@@ -258,6 +260,19 @@ class Station:
             self.paused = paused
         else:
             self.player.play(not paused)
+
+    @property
+    def silence(self) -> str:
+        """Why no frame is shown now, with the remedy; "" while frames come."""
+        if self._stop.is_set():
+            return "The server is stopping."
+        if self.paused or (self.player is not None and not self.player.playing):
+            return "The picture is held. Press Continue first."
+        if self._grabber is None:
+            return f"The sensor is not connected. {self._missing or 'Plug it in.'}"
+        if self._grabber.state in ("reconnecting", "ended"):
+            return f"The sensor gives no frames: {self._grabber.reason}."
+        return ""
 
     def numbers_since(self, serial: int) -> list[tuple[float, ...]]:
         """(serial, time_s, peak, area, volume) of all kept results after the one with that serial."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields
@@ -25,6 +24,7 @@ from gelform.foundations.checks import (
     check_within,
 )
 from gelform.foundations.foreign_files import way_for
+from gelform.foundations.whole_files import bytes_of
 from gelform.image.background.average import Background, background_from_frames
 from gelform.image.view import View
 from gelform.image.view.view import MAX_PIXELS
@@ -34,13 +34,9 @@ from gelform.sensors.jpeg import is_gray_jpeg, pixels_of_jpeg
 from gelform.sensors.png_bytes import SIGNATURE as PNG
 from gelform.sensors.png_bytes import pixels_of_png
 from gelform.sensors.profiles import PROFILES
+from gelform.sensors.toml_files import read_toml
 from gelform.sensors.values import image_of_npy, is_npy, npy_values
 from gelform.sensors.video_files import is_video
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 PNG_KIND, PNG_PALETTE = (
     25,
@@ -65,6 +61,8 @@ AT_REST = frozenset(
     | {"initial", "nocontact", "notouch", "rest", "ref", "reference", "undeformed", "untouched", "zero"}
 )
 STACK_READERS = "gelform reconstruct, batch or live"
+# Bytes that a picture's file needs at most: of a pixel with transparency, not compressed, and of all else in it.
+BYTES_PER_PIXEL, OTHER_BYTES = 4, 2**26
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm")
 
 
@@ -135,7 +133,11 @@ def read_image(path: str | Path, *, most_pixels: float = MAX_PIXELS) -> NDArray[
         raise DataError(f"{path} holds several images. Give it to {STACK_READERS}, which read all of them.")
     if is_npy(path):
         return image_of_npy(npy_values(path, most_pixels), str(path))
-    return _image_in(_content(path), path, most_pixels)
+    return _image_in(_picture_bytes(path, most_pixels), path, most_pixels)
+
+
+def _picture_bytes(path: Path, most_pixels: float) -> bytes:
+    return bytes_of(path, "an image", BYTES_PER_PIXEL * most_pixels + OTHER_BYTES)
 
 
 def is_stack(path: Path) -> bool:
@@ -158,7 +160,7 @@ def images_of_stack(
     if is_npy(path):
         values = npy_values(path, most_pixels)
         return lambda number: image_of_npy(values[number], f"Image {number} of {path}"), len(values)
-    content = _content(path)
+    content = _picture_bytes(path, most_pixels)
     pages = tiff_pages(BytesIO(content))
     return lambda number: _image_in(tiff_of_page(content, pages[number]), path, most_pixels), len(pages)
 
@@ -225,19 +227,9 @@ def read_sensor_toml(path: str | Path) -> SensorSettings:
         The file is missing or no TOML, lacks a key, has an unknown key, or a value out of range.
     """
     path = check_path(path)
+    settings = read_toml(path, "the settings of a sensor")
     try:
-        settings = tomllib.loads(_content(path).decode("utf-8"))
         return _sensor_settings(settings)
-    except UnicodeDecodeError as problem:
-        raise DataError(
-            f"{path} is no text in UTF-8: byte {problem.start} is none. Save it as UTF-8."
-        ) from problem
-    except tomllib.TOMLDecodeError as problem:
-        raise DataError(f"{path} is no TOML file: {problem}.") from problem
-    except RecursionError:
-        raise DataError(
-            f"{path} holds tables inside tables beyond reason: no settings of a sensor."
-        ) from None
     except (ValueError, TypeError) as problem:
         raise DataError(f"{path}: {problem}") from problem
 
@@ -303,21 +295,6 @@ def _is_matrix(value: Any) -> bool:
     except (TypeError, ValueError):
         return False
     return numbers.shape == (3, 3) and bool(np.isfinite(numbers).all())
-
-
-def _content(path: Path) -> bytes:
-    if path.is_dir():
-        raise DataError(f"Expected a file, got the folder {path}.")
-    if path.exists() and not path.is_file():  # reading a pipe or a device could block forever
-        raise DataError(
-            f"Expected a file, got a pipe or a device: {path}. Save what it gives as a file first."
-        )
-    try:
-        return path.read_bytes()
-    except FileNotFoundError:
-        raise DataError(f"No file {path}. Check the path.") from None
-    except OSError as problem:
-        raise DataError(f"Cannot read {path}: {problem.strerror or problem}.") from problem
 
 
 def _usual_pixels(content: bytes, path: Path) -> NDArray[np.uint8] | None:

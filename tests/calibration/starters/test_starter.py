@@ -230,6 +230,12 @@ def test_a_number_for_a_view_or_a_name_is_named(name: str, expected: str) -> Non
         starter.for_unit(background, **wrong)
 
 
+def test_exchanged_arguments_are_named(background):
+    for sensor in (background, ["digit"], None):
+        with pytest.raises(TypeError, match=r"Expected sensor as a name.* the background comes first"):
+            gelform.calibration_from_background("digit", sensor)
+
+
 def test_a_pressed_gel_makes_no_calibration(layout):
     press = simulate_press(layout, Ball(2.5), depth_mm=0.4, center_mm=(2, 1), rng=np.random.default_rng(3))
     with pytest.raises(CalibrationError, match=r"Something touches the gel .* stands out 0\.4 mm") as refused:

@@ -165,7 +165,7 @@ def test_a_recording_says_its_camera_and_whether_it_was_finished(run, run_json, 
     assert [facts[key] for key in ("kind", "camera", "serial", "frames")] == ["recording", "DIGIT", "D1", 4]
     assert facts["finished"] == "yes"
     path.write_bytes(path.read_bytes()[:-20])
-    assert "no: the recorder was stopped" in run("info", path)[1]
+    assert "no: its recorder was killed, or it was copied in part" in run("info", path)[1]
 
 
 def test_a_folder_as_people_have_it_gets_its_lines(run, run_json, press_folder, tmp_path):

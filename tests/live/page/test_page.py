@@ -153,7 +153,10 @@ def test_buttons_do_what_they_say(page, hub):
     page.select_option("#colors", "cividis")
     assert page.evaluate("gelform.settings.colors") == "cividis"
     page.click("#snapshot")
-    until(lambda: page.locator(".toast a").count() == 2)
+    until(lambda: page.locator(".toast a").count() == 4)
+    with page.expect_download() as surface:
+        page.click(".toast a >> nth=2")
+    assert surface.value.path().read_bytes().startswith(b"ply")
     with page.expect_download() as download:
         page.click(".toast a >> nth=0")
     assert cv2.imread(str(download.value.path())).shape == (*station.newest.result.shape, 3)
@@ -161,6 +164,32 @@ def test_buttons_do_what_they_say(page, hub):
     until(lambda: station.newest.measures.peak < 0.05)
     page.keyboard.press("b")
     until(lambda: station.setup.background is not None)
+
+
+def test_details_are_folded_until_they_are_asked_for(page):
+    assert not page.is_visible("#facts")
+    page.click("#facts-card summary")
+    until(lambda: "capture to screen" in page.inner_text("#facts"))
+
+
+def test_the_numbers_are_of_the_frame_that_the_maps_show(visit, hub):
+    """While the ball goes in and out, at every drawing."""
+    page = visit()
+    until(lambda: page.evaluate("gelform.frame?.header.peak !== undefined"), 30)
+    script = """() => new Promise((found) => {
+        const apart = [];
+        const look = () => {
+            const { frame } = gelform.panes[0];
+            const peak = frame.header.peak.toFixed(3).replace("-0.000", "0.000");
+            apart.push([frame.header.serial, peak, document.querySelector("#number-peak .value").textContent]);
+            if (apart.length < 60) requestAnimationFrame(look); else found(apart);
+        };
+        look();
+    })"""
+    hub.stations[0].source.press_at(88, 66, 0.5)
+    seen = page.evaluate(script)
+    assert len({serial for serial, *_ in seen}) > 5
+    assert [said.startswith(peak) for _, peak, said in seen] == [True] * len(seen)
 
 
 def test_every_view_can_be_chosen(page):

@@ -68,8 +68,11 @@ def test_the_ruler_measures_between_two_points(page, still):
     assert measured["rise"] == pytest.approx(rise, abs=1e-4)
     said = f"A and B are {measured['distance']:.2f} mm apart, B is {measured['rise']:.3f} mm deeper."
     until(lambda: page.inner_text("#ruler output") == said)
-    page.fill("#ruler input >> nth=2", "35")
-    page.fill("#ruler input >> nth=3", "101")
+    shown = [float(page.input_value(f"#ruler input >> nth={k}")) for k in range(4)]
+    np.testing.assert_allclose(shown, np.array([ax, ay, bx, by]) * still.mm_per_px, atol=0.006)
+    assert page.get_attribute("#ruler input >> nth=3", "aria-label") == "B, y in mm"
+    page.fill("#ruler input >> nth=2", f"{35 * still.mm_per_px:.3f}")
+    page.fill("#ruler input >> nth=3", f"{101 * still.mm_per_px:.3f}")
     until(lambda: page.inner_text("#ruler output") != said)
     assert page.evaluate("gelform.stages[0].ruler.ends[1]") == [35, 101]
     page.evaluate(

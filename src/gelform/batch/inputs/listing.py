@@ -24,7 +24,7 @@ from gelform.errors import DataError
 from gelform.foundations.checks import check_path
 from gelform.foundations.foreign_files import way_for
 from gelform.sensors.files import IMAGE_SUFFIXES, is_stack
-from gelform.sensors.recordings.mcap_reader import refuse_bag
+from gelform.sensors.recordings.mcap_reader import end_missing, refuse_bag
 from gelform.sensors.values import is_npy
 from gelform.sensors.video_files import VIDEO_SUFFIXES
 
@@ -110,7 +110,8 @@ def listing_of(
             f"Expected images, videos or recordings ({suffixes}) in {what}, got none. Of HDF5 files and Zarr stores, "
             "say with --dataset which dataset."
         )
-    return listing
+    recordings = [one.path for one in listing.sequences if one.path.suffix.lower() == ".mcap"]
+    return replace(listing, warnings=tuple(filter(None, map(end_missing, recordings))))
 
 
 def is_container(path: Path) -> bool:

@@ -17,7 +17,7 @@ from gelform.batch.inputs.lerobot import stored_images, video_frames
 from gelform.batch.inputs.plan import Part
 from gelform.calibration.presses.press_set import file_of, table_rows
 from gelform.calibration_file import Calibration
-from gelform.errors import DataError, GelformError
+from gelform.errors import DataError, GelformError, reason
 from gelform.foundations.checks import check_image
 from gelform.image.background.average import background_from_frames
 from gelform.image.background.check import background_digest
@@ -114,12 +114,12 @@ def _dataset(part: Part, start: int, count: int, most_pixels: float) -> Iterator
             try:
                 frame = Frame(image_from_values(values, most_pixels), seconds, 0, index)
                 yield NamedFrame(f"{index:06d}", index, frame, timed=timed)
-            except DataError as problem:
-                yield NamedFrame(f"{index:06d}", index, None, str(problem))
+            except (DataError, MemoryError) as problem:
+                yield NamedFrame(f"{index:06d}", index, None, reason(problem))
             index += 1
-    except (GelformError, OSError) as problem:
+    except (GelformError, OSError, MemoryError) as problem:
         for missed in range(index, max(start + count, index + 1)):
-            yield NamedFrame(f"{missed:06d}", missed, None, str(problem))
+            yield NamedFrame(f"{missed:06d}", missed, None, reason(problem))
 
 
 def _values(part: Part, start: int, count: int) -> Iterator[tuple[float, NDArray[Any] | DataError]]:
@@ -137,8 +137,8 @@ def _images(
     for index, (image, name) in enumerate(zip(images, names), start):
         try:
             frame = Frame(read_image(folder / image, most_pixels=most_pixels), 0.0, 0, index)
-        except GelformError as problem:
-            yield NamedFrame(name, index, None, str(problem))
+        except (GelformError, MemoryError) as problem:
+            yield NamedFrame(name, index, None, reason(problem))
         else:
             yield NamedFrame(name, index, frame)
 
@@ -150,8 +150,8 @@ def _film(path: Path) -> Iterator[NamedFrame]:
             for frame in source:
                 yield NamedFrame(f"{count:06d}", count, frame, timed=True)
                 count += 1
-    except (GelformError, OSError) as problem:
-        yield NamedFrame(f"{count:06d}", count, None, str(problem))
+    except (GelformError, OSError, MemoryError) as problem:
+        yield NamedFrame(f"{count:06d}", count, None, reason(problem))
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,7 @@ from gelform.foundations.checks import (
     check_sensor_pitches,
 )
 from gelform.foundations.tables import plain_cell
+from gelform.foundations.whole_files import present_file
 from gelform.image.frame import pixels_digest
 from gelform.image.view import View, image_from_frame
 from gelform.sensors.files import SensorSettings, read_sensor_toml
@@ -343,7 +344,7 @@ def table_rows(path: Path, columns: tuple[str, ...]) -> Iterator[tuple[str, dict
     the comma is the decimal sign.
     """
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
+        with present_file(path, "a table").open(newline="", encoding="utf-8-sig") as file:
             header = file.readline()
             file.seek(0)
             semicolons = header.count(";") > header.count(",")

@@ -302,7 +302,14 @@ def load_starter(sensor: str) -> Starter:
     ------
     SensorError
         There is none; the message lists the sensors that have one.
+    TypeError
+        No name.
     """
+    if not isinstance(sensor, str):
+        raise TypeError(
+            f"Expected sensor as a name, such as {starter_names()[0]!r}, got a {type(sensor).__name__}. In "
+            "calibration_from_background, the background comes first."
+        )
     if sensor not in starter_names():
         raise SensorError(
             f"Expected a sensor with a starter, {', '.join(starter_names())}, got {sensor!r}. "

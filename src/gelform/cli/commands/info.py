@@ -8,10 +8,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
 from typer import Argument, BadParameter, Option
 
-from gelform.cli.console import print_json
+from gelform.cli.console import print_json, show
 from gelform.cli.options import Json
 from gelform.errors import DataError, GelformError
 
@@ -65,7 +64,7 @@ def info(
     lines = lines_of(facts)
     width = max(len(label) for label, _ in lines)
     for label, text in lines:
-        typer.echo(f"{label:<{width}}  {text}")
+        show(f"{label:<{width}}  {text}")
 
 
 def _system() -> dict[str, Any]:
@@ -119,6 +118,8 @@ def _file(path: Path) -> dict[str, Any]:
 
 def _recording(summary: RecordingSummary) -> dict[str, Any]:
     """The facts of a recording; its frames are counted, but not decoded."""
+    from gelform.sensors.recordings.mcap_reader import CUT
+
     facts = summary.facts
     return {
         "kind": "recording",
@@ -128,7 +129,7 @@ def _recording(summary: RecordingSummary) -> dict[str, Any]:
         "duration_s": summary.duration_s,
         "finished": "yes"
         if summary.finished
-        else "no: the recorder was stopped; the frames until then can be read",
+        else f"no: its recorder was killed, or it was copied in part. {CUT}",
         "settings": dict(facts.settings),
         "calibration": facts.calibration_digest,
         "gelform": facts.library_version,

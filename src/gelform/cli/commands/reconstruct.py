@@ -25,7 +25,7 @@ from gelform.cli.options import (
 from gelform.cli.outputs import check_results, make_folder, result_paths
 from gelform.cli.process import MISTAKE, one_line
 from gelform.cli.sensor_images import calibration_given, image_in, images_or_film, prepared, reconstruction_of
-from gelform.errors import GelformError
+from gelform.errors import GelformError, reason
 from gelform.foundations.findings import FrameTally
 
 if TYPE_CHECKING:
@@ -140,8 +140,8 @@ def reconstruct(
             try:
                 image = image_in(path, run.calibration, bgr=bgr)
                 result = reconstruction_of(run, image, path)
-            except GelformError as problem:
-                failed.append({"image": str(path), "error": one_line(problem)})
+            except (GelformError, MemoryError) as problem:
+                failed.append({"image": str(path), "error": one_line(reason(problem))})
             else:
                 _write(result, image, results, overwrite or skip_existing)
                 rows.append(_row(result, path, results))

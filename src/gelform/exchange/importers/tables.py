@@ -16,15 +16,15 @@ from io import BytesIO
 from os import PathLike
 from pathlib import Path
 from typing import Any
-from zipfile import ZipFile
 
 import numpy as np
 import scipy  # its parts load at first use
 from numpy.typing import NDArray
 
 from gelform.errors import DataError, said
-from gelform.foundations.checks import check_numbers, check_positive
-from gelform.foundations.npz_files import DAMAGED_ARCHIVE, MAX_ARRAY_BYTES, present_file, read_npy
+from gelform.foundations.checks import check_numbers, check_path, check_positive
+from gelform.foundations.npz_files import DAMAGED_ARCHIVE, checked_archive, read_npy
+from gelform.foundations.whole_files import MAX_ARRAY_BYTES, bytes_of
 from gelform.slopes.color_models.lookup import LookupModel
 
 RANGE_LEVELS = (-90.0, 90.0)  # gray levels, the usual range of differences in a look-up table without one
@@ -124,7 +124,7 @@ def mm_per_px_of_lut(path: str | PathLike[str], image_shape: tuple[int, int]) ->
 
 def _matlab(path: str | PathLike[str]) -> dict[str, Any]:
     """The fields of the struct LookupTable in a file of MATLAB: arrays, and one number each as float."""
-    content = present_file(path, "a look-up table (.mat)").read_bytes()
+    content = bytes_of(Path(path), "a look-up table (.mat)", MAX_ARRAY_BYTES)
     if content[:10] == b"MATLAB 7.3":
         raise DataError(
             f"{path} is of MATLAB's format 7.3. Save it in MATLAB with: save file.mat LookupTable -v7"
@@ -275,9 +275,8 @@ def _is_of_tables_aspect(height: int, width: int) -> bool:
 def is_taxim_forward(path: str | PathLike[str]) -> bool:
     """Whether a file is an archive with Taxim's members; `load_calibration` reports other kinds."""
     try:
-        with open(path, "rb") as handle, np.load(handle, allow_pickle=False) as file:
-            return set(MEMBERS) <= set(file.files)
-    except _DAMAGED:  # no archive: an array, or another file
+        return {f"{name}.npy" for name in MEMBERS} <= set(checked_archive(path, "Taxim's tables"))
+    except (DataError, *_DAMAGED):  # no archive: an array, or another file
         return False
 
 
@@ -289,12 +288,9 @@ def read_taxim_forward(path: str | PathLike[str]) -> TaximTables:
     DataError
         The file is missing, lacks these tables, is damaged, too large, or of another form.
     """
-    path = present_file(path, "Taxim's tables (polycalib.npz)")
+    path = check_path(path)
     try:
-        with ZipFile(path) as archive:
-            declared = sum(member.file_size for member in archive.infolist())
-        if declared > MAX_ARRAY_BYTES:
-            raise DataError(f"{path} declares {declared / 1e6:.3g} MB; Taxim's tables have a few.")
+        checked_archive(path, "Taxim's tables (polycalib.npz)", MAX_ARRAY_BYTES)
         with open(path, "rb") as handle, np.load(handle, allow_pickle=False) as file:
             missing = [name for name in MEMBERS if name not in file.files]
             if missing:

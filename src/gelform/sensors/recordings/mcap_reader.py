@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -32,6 +33,8 @@ from gelform.sensors.recordings.messages import (
     way_for_encoding,
 )
 
+MAGIC = b"\x89MCAP0\r\n"  # at the start and the end of a file (MCAP specification)
+CUT = "The frames before that are read; how many follow is not known."
 METADATA_FILE, METADATA_KEY = "metadata.yaml", "rosbag2_bagfile_information"
 MAX_RECORD_BYTES = (
     256 * 2**20
@@ -85,6 +88,17 @@ def mcap_file_in(path: Path) -> Path:
     raise DataError(
         f"Expected a file *.mcap beside {METADATA_FILE} in {path}, got none. Copy the whole folder."
     )
+
+
+def end_missing(path: Path) -> str:
+    """A sentence about a recording (*.mcap) without its end, which may lack any number of frames; "" for a whole one."""
+    try:
+        with path.open("rb") as file:
+            file.seek(-len(MAGIC), os.SEEK_END)
+            whole = file.read() == MAGIC
+    except OSError:
+        return ""  # reading it gives the error
+    return "" if whole else f"{path} has no end: its recorder was killed, or it was copied in part. {CUT}"
 
 
 @dataclass(frozen=True)
