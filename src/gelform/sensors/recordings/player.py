@@ -193,11 +193,11 @@ class Player:
         """The newest frame that is due; waits for the next one if none is."""
         times = self.recording.times_s
         if self._waits and self._number == 0:
-            self._waits = not self._may_begin()
-            if self._waits:
+            if not self._may_begin():
                 self._changed.wait(BEGIN_POLL_S)
-            self._since_s = self._clock()
-            return self._number
+                self._since_s = self._clock()
+                return self._number
+            self._waits = False
         at_s = self._from_s + self._speed * (self._clock() - self._since_s)
         wait_s = (times[self._number + 1] - at_s) / self._speed
         if wait_s > 0:
