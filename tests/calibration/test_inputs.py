@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import gelform
+from gelform.calibration.circles.clipped import light_notes
 from gelform.calibration.circles.find import find_contact
 from gelform.calibration.circles.locate import Located, Refined, refine
 from gelform.calibration.circles.prepare import prepare
@@ -15,7 +16,6 @@ from gelform.calibration.inputs import (
     check_inputs,
     contact_in_background,
     input_notes,
-    light_notes,
     light_order_note,
     light_turn,
     shape_notes,
@@ -197,8 +197,8 @@ def test_light_that_drifted_since_the_background_is_noted(presses):
 @pytest.mark.parametrize(
     ("channel", "gain", "said"),
     [
-        (2, 0.04, "In 100 % of the background image, blue is below 8"),
-        (0, 50, "In 100 % of the background image, red is saturated"),
+        (2, 0.04, r"100 % of the background image .* \(blue in 100 % below 8 gray levels\).*raise the light"),
+        (0, 50, r"100 % of the background image .* \(red in 100 % saturated\).*lower"),
     ],
 )
 def test_a_channel_that_says_little_is_noted(presses, channel, gain, said):
