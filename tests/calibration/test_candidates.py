@@ -295,6 +295,15 @@ def test_a_second_unit_starts_from_any_color_model(lambertian_calibration, calib
     )
 
 
+def test_a_start_of_another_make_is_refused_and_of_another_gel_is_noted(calibration, presses):
+    mini, digit = replace(presses, make="gelsight-mini"), replace(calibration, sensor_name="DIGIT 7")
+    with pytest.raises(CalibrationError, match="a GelSight Mini, got a calibration of a DIGIT"):
+        start_from(digit, mini, "auto")
+    old, new = replace(calibration, gel_id="old"), replace(presses, gel_id="new")
+    assert start_from(old, new, "auto").note == "The start is of gel old, the presses are of new."
+    assert start_from(old, presses, "auto").note == ""
+
+
 def test_another_unit_s_model_is_read_at_the_same_places_in_mm(calibration, presses):
     """The first unit's pixels are half as wide, so that the whole second image lies in its middle half."""
     first = replace(calibration, mm_per_px=presses.mm_per_px / 2)

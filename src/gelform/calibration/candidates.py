@@ -24,10 +24,12 @@ from gelform.calibration.circles.samples import (
 from gelform.calibration.enough import NEEDED
 from gelform.calibration.presses.press_set import Presses
 from gelform.calibration.starters import check_light, light_from_background, starter_for
+from gelform.calibration.starters.starter import make_name
 from gelform.calibration_file import Calibration, as_calibration
 from gelform.depth.stepped import CoarseDepth
 from gelform.errors import CalibrationError
 from gelform.image.background.change import ChangeSettings, gain_from_background
+from gelform.sensors.profiles import make_of
 from gelform.slopes.color_models import (
     COLOR_MODELS,
     DEFAULT_MODEL,
@@ -64,6 +66,7 @@ class Start:
     spread : relative standard deviation of slopes between units
     by : description of its origin
     offered : whether a fit without it is tried too, and kept if it reads held-out presses better
+    note : for the user, if it is of another gel
     """
 
     model: StartableModel
@@ -72,6 +75,7 @@ class Start:
     spread: float
     by: str
     offered: bool = False
+    note: str = ""
 
 
 @dataclass(frozen=True)
@@ -265,7 +269,7 @@ def start_from(start: Calibration | str | PathLike[str], presses: Presses, color
     ValueError
         The second unit uses another color model than the default one, or its images are of another size.
     CalibrationError
-        The first unit's calibration was imported and has no forward response.
+        The first unit is of another make, or its calibration was imported and has no forward response.
     """
     first = as_calibration(start)
     if color_model not in (AUTO, DEFAULT_MODEL):
@@ -273,21 +277,29 @@ def start_from(start: Calibration | str | PathLike[str], presses: Presses, color
             f"Expected the color model {DEFAULT_MODEL}, which can be drawn to another unit's, got {color_model}. "
             f"Leave it out, or give --model {DEFAULT_MODEL}."
         )
+    make = make_of(first.sensor_name)
+    if None not in (make, presses.make) and make != presses.make:
+        raise CalibrationError(
+            f"Expected a start of the make of these presses, a {make_name(str(presses.make))}, got a calibration of a "
+            f"{make_name(str(make))}, whose lamps stand elsewhere. Leave the start out, or give one of the same make."
+        )
     model, by = first.color_model, f"a calibration of {first.sensor_name}"
     spread = first.unit_spread or UNIT_SPREAD
+    other_gel = first.gel_id and presses.gel_id and first.gel_id != presses.gel_id
+    note = f"The start is of gel {first.gel_id}, the presses are of {presses.gel_id}." if other_gel else ""
     if isinstance(model, StartableModel) and first.forward is not None:
         model.check_like(model.degree, presses.image_shape)
         forward = first.forward
         if first.mm_per_px is not None:
             alike = np.ones((1, 1, 3)), presses.mm_per_px / first.mm_per_px
             model, forward = model.of_other_unit(*alike), forward.of_other_unit(*alike)
-        return Start(model, forward, first.digest, spread, by)
+        return Start(model, forward, first.digest, spread, by, note=note)
     if tuple(first.image_shape) != tuple(presses.image_shape):
         (height, width), (rows, columns) = presses.image_shape, first.image_shape
         raise ValueError(
             f"Expected to start from a calibration for images of {height}x{width} px, got one for {rows}x{columns} px."
         )
-    return Start(*translated(first), first.digest, spread, by)
+    return Start(*translated(first), first.digest, spread, by, note=note)
 
 
 def translated(first: Calibration) -> tuple[StartableModel, ForwardResponse]:

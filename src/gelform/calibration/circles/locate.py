@@ -103,6 +103,8 @@ def locate(presses: Presses, start: Start | None = None, *, progress: Progress =
     prepared = prepare(presses, progress=progress)
     found = find_contacts(prepared, progress=progress)
     notes = mark_notes(prepared, found)
+    if start is not None and start.note:
+        notes += (f"{start.note} Colors of another gel differ; with few presses the start's count.",)
     repeated, model = repeated_presses(presses, prepared, found), None if start is None else start.model
     excluded = {i: f"the same press as {presses.presses[kept].name}" for i, kept in repeated.items()}
     if start is not None and start.offered and NEEDED.edge.met(len(found) - len(repeated)):

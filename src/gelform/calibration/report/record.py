@@ -204,9 +204,11 @@ def _candidate_rows(selection: Selection) -> tuple[dict[str, Any], ...]:
 def _how_held_out(presses: int, selection: Selection) -> str:
     agree = sum(candidate == selection.chosen for candidate in selection.by_fold)
     folds = len(selection.by_fold)
+    split = "that are each left out in turn" if folds == presses else f"in {folds} folds"
     return (
-        f"Held-out errors are of {presses} presses in {folds} folds. gelform finds circles and model without the "
-        f"presses of the fold that it judges. {agree} of {folds} folds chose the model that all presses together chose."
+        f"Held-out errors are of {presses} presses {split}, and hold where presses are. gelform finds circles and model "
+        f"without the presses of the fold that it judges. {agree} of {folds} folds chose the model that all presses "
+        "together chose."
     )
 
 

@@ -132,7 +132,7 @@ def _figures(calibration: Calibration, verbose: bool) -> str:
     in_contact, off_contact = (figure(held_out.get(name)) for name in ("cap_free_um", "off_contact_um"))
     more = "" if verbose else " (all tables: --verbose)"
     return (
-        f"{calibration.sensor_name}: {used_in_words(presses)}; depth on new presses is off by {in_contact} um in the "
+        f"{calibration.sensor_name}: {used_in_words(presses)}; depth on held-out presses is off by {in_contact} um in the "
         f"contact, {off_contact} um off it{more}."
     )
 
