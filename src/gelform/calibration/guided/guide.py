@@ -141,6 +141,8 @@ class Guide:
         self._judge: Judge | None = None
         self._images: list[NDArray[np.uint8]] = []
         self._circles: list[Circle] = []
+        self._clicks: list[tuple[float, float] | None] = []
+        self._click: tuple[float, float] | None = None
         self._verdicts: list[tuple[Circle, str]] = []
         self._live: Look | None = None
         self._still = 0
@@ -193,8 +195,8 @@ class Guide:
             return Presses(
                 folder="guided presses",
                 presses=tuple(
-                    Press(f"images/{k:04d}.png", image, diameter, None, pixels_digest(image))
-                    for k, image in enumerate(self._images)
+                    Press(f"images/{k:04d}.png", image, diameter, None, pixels_digest(image), click)
+                    for k, (image, click) in enumerate(zip(self._images, self._clicks))
                 ),
                 background=self._background,
                 mm_per_px=self.asked.mm_per_px,
@@ -225,6 +227,11 @@ class Guide:
         self.covered, self.places = self.made.covered, self.made.places
         self.step, self.hint = "report", "Read the report. Then use the calibration, press more, or leave it."
         self._changed()
+
+    def click(self, x_px: float, y_px: float) -> None:
+        """Take a place of the image as the middle of the present press, where gelform does not see a ball."""
+        with self._lock:
+            self._click, self._still = (x_px, y_px), 0
 
     def press_more(self) -> None:
         """Ask for presses at the report's places, in addition to the accepted ones, and for another fit.
@@ -289,9 +296,9 @@ class Guide:
 
     def _judge_press(self, image: NDArray[np.uint8]) -> None:
         assert self._judge is not None
-        look = self._live = self._judge.look(image, self._circles)
+        look = self._live = self._judge.look(image, self._circles, self._click)
         if not look.touched:
-            self._lifted, self._still = True, 0
+            self._lifted, self._still, self._click = True, 0, None
             self.hint = self._asking()
         elif not self._lifted:
             self._still = 0
@@ -315,6 +322,7 @@ class Guide:
             return
         self._images.append(image)
         self._circles.append(look.circle)
+        self._clicks.append(self._click if look.marked else None)
         self._lifted = False
         self._ask_next()
         self.hint = "Accepted. Lift the ball."
