@@ -116,11 +116,12 @@ def contact_radius(
     size: NDArray[np.float32], x_px: float, y_px: float, near_px: float | None = None
 ) -> float:
     """Radius of the steepest descent of the ring mean of |change| about a center; near a given one if any."""
-    scale = scale_of(size.shape)
-    slope = gaussian_filter1d(ring_mean(size, x_px, y_px), 2 * scale, order=1)
-    low, high = 6 * scale, len(slope) - 5 * scale
+    scale, last = scale_of(size.shape), int(0.6 * min(size.shape))
+    low, high = 6 * scale, last - 5 * scale
     if near_px is not None:
         low, high = max(low, 0.6 * near_px), min(high, 1.4 * near_px + 2 * scale)
+        last = min(last, int(max(low, high) + 9 * scale) + 3)  # the blur reaches 8 px at 240 rows
+    slope = gaussian_filter1d(ring_mean(size, x_px, y_px, count=last), 2 * scale, order=1)
     start, stop = int(low), max(int(low) + 1, int(high))
     peak = start + int(np.argmin(slope[start:stop]))
     return peak + parabola_offset(slope, peak)
@@ -153,13 +154,16 @@ def imprint_aspect(size: NDArray[np.float32], contact: ContactCircle) -> float:
 
 
 def ring_mean(
-    values: NDArray[np.float32], x_px: float, y_px: float, aspect: float = 1.0
+    values: NDArray[np.float32], x_px: float, y_px: float, aspect: float = 1.0, count: int | None = None
 ) -> NDArray[np.float64]:
-    """Mean of a map on rings of 1 px about a center, out to 0.6 of the shorter side; of a width over height."""
+    """Mean of a map on rings of 1 px about a center, `count` or out to 0.6 of the shorter side; of a width over height."""
+    count = int(0.6 * min(values.shape)) if count is None else count
+    reach = count * max(aspect, 1 / aspect) ** 0.5 + 1
+    top, left = (int(np.clip(at - reach, 0, n)) for at, n in zip((y_px, x_px), values.shape))
+    values = values[top : max(0, int(y_px + reach) + 2), left : max(0, int(x_px + reach) + 2)]
     height, width = values.shape
-    count = int(0.6 * min(values.shape))
-    columns = (np.arange(width, dtype=np.float32) - np.float32(x_px)) ** 2 / np.float32(aspect)
-    rows = (np.arange(height, dtype=np.float32) - np.float32(y_px)) ** 2 * np.float32(aspect)
+    columns = (np.arange(left, left + width, dtype=np.float32) - np.float32(x_px)) ** 2 / np.float32(aspect)
+    rows = (np.arange(top, top + height, dtype=np.float32) - np.float32(y_px)) ** 2 * np.float32(aspect)
     ring = np.minimum(np.sqrt(rows[:, None] + columns) + 0.5, count).astype(np.intp).ravel()
     total = np.bincount(ring, values.ravel(), minlength=count + 1)[:count]
     pixels = np.bincount(ring, minlength=count + 1)[:count]
