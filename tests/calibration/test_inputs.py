@@ -194,22 +194,6 @@ def test_light_that_drifted_since_the_background_is_noted(presses):
     assert drift_notes(replace(presses, background=presses.background * shade))
 
 
-@pytest.mark.parametrize(
-    ("channel", "gain", "said"),
-    [
-        (2, 0.04, r"100 % of the background image .* \(blue in 100 % below 8 gray levels\).*raise the light"),
-        (0, 50, r"100 % of the background image .* \(red in 100 % saturated\).*lower"),
-    ],
-)
-def test_a_channel_that_says_little_is_noted(presses, channel, gain, said):
-    assert light_notes(presses.background) == ()
-    gains = np.ones(3, np.float32)
-    gains[channel] = gain
-    (note,) = light_notes(np.minimum(presses.background * gains, 255))
-    assert re.match(said, note)
-    assert "exposure" in note
-
-
 @pytest.mark.slow
 def test_a_calibration_of_presses_listed_twice_is_that_of_the_presses(presses):
     six = presses.subset(range(6))
