@@ -254,11 +254,13 @@ def starter_start(presses: Presses, color_model: str) -> Start | None:
         check_light(presses.background, starter.light, starter.make)
     except CalibrationError:
         return None  # a make that is named wrongly does not make it that sensor; a start given by name raises the error
-    models = starter.models_for(light_from_background(presses.background)[0], presses.mm_per_px)
+    light, _ = light_from_background(presses.background)
+    model, forward = starter.models_for(light, presses.mm_per_px)
     made = starter.calibration
     unseen = set(made.training_digests).isdisjoint(press.digest for press in presses.presses)
     offered = unseen and color_model in (AUTO, DEFAULT_MODEL)
-    return Start(*models, made.digest, starter.spread, f"the starter of a {starter.make}", offered)
+    by = f"the starter of a {starter.make}"
+    return Start(model, forward, made.digest, starter.spread, by, offered)
 
 
 def start_from(start: Calibration | str | PathLike[str], presses: Presses, color_model: str) -> Start:

@@ -138,9 +138,10 @@ def fit_all(
     """The calibration of presses by the selected candidate; its errors and its slope sigma are filled in later."""
     noise = presses.background_noise
     model = chosen.fit(training_samples(prepared, contacts))
-    ridge = chosen.with_steps(len(prepared))[0].step_ridge if chosen.step_ridge is None else chosen.step_ridge
+    step = chosen if chosen.step_ridge is not None else chosen.with_steps(len(prepared))[0]
+    assert step.step_ridge is not None
     reader = SlopeReader(model, prepared[0], untouched)
-    (forward,) = fitted_responses(reader, prepared, contacts, [ridge], start=chosen.start)
+    (forward,) = fitted_responses(reader, prepared, contacts, [step.step_ridge], start=chosen.start)
     images = [press.image for press in presses.presses]
     forward = replace(
         forward,

@@ -140,7 +140,8 @@ def input_notes(located: Located) -> tuple[str, ...]:
     """Notes on the presses for the user: reading, missing places, drift, light, order of the lights."""
     presses = located.presses
     prepared, contacts = located.refined.of_accepted(located.prepared)
-    covered = coverage_notes([contact.circle_px for contact in contacts], presses.image_shape)
+    circles = [contact.circle_px for contact in contacts]
+    covered = coverage_notes(circles, presses.image_shape, started=located.start is not None)
     order = light_order_note(presses, prepared, contacts)
     found = check_background_of_frames([press.image for press in presses.presses], presses.background)
     drift = [finding.message for finding in found]

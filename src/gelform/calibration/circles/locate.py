@@ -265,9 +265,10 @@ def check_places(located: Located) -> None:
     listed = "; ".join(f"{len(one)} like {one[0]}" for one in most)
     circles = [refined.contacts[i].circle_px for i in refined.accepted]
     remedy = "".join(f"{note} " for note in located.notes)
+    notes = coverage_notes(circles, presses.image_shape, started=located.start is not None)
     raise CalibrationError(
         f"Expected at least {least} presses of a ball that fit, got {len(refined.accepted)} of "
         f"{len(presses.presses)} in {presses.folder}. Rejected: {listed or 'none'}. "
         f"{remedy}Press a ball of known diameter firmly at many places, one image each, best not deeper than half its "
-        f"radius. {' '.join(coverage_notes(circles, presses.image_shape))}"
+        f"radius. {' '.join(notes)}"
     )

@@ -136,9 +136,11 @@ def why_misfits(
     presses: Sequence[PreparedPress], contacts: Sequence[ContactCircle], model: ColorModel
 ) -> list[str | None]:
     """For each press the reason that it does not agree with the model of all, or None."""
-    clipped = () if presses[0].background is None else light_notes(presses[0].background)
     agreements = [agreement(press, contact, model) for press, contact in zip(presses, contacts)]
-    return misfit_reasons(agreements, "".join(clipped).rstrip("."))
+    reasons, background = misfit_reasons(agreements), presses[0].background
+    if not any(reasons) or background is None:
+        return reasons
+    return misfit_reasons(agreements, "".join(light_notes(background)).rstrip("."))
 
 
 def misfit_reasons(agreements: Sequence[tuple[float, float]], clipped: str = "") -> list[str | None]:

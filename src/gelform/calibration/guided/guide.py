@@ -18,7 +18,7 @@ from gelform.calibration.guided.fit import GuidedCalibration, calibrate_guided
 from gelform.calibration.guided.judge import Circle, Judge, Look
 from gelform.calibration.presses.press_set import Press, Presses, check_ball_diameter
 from gelform.calibration.report.verdict import LIMITS, level_of
-from gelform.calibration.starters import starter_for
+from gelform.calibration.starters import starter_for, starter_names
 from gelform.calibration_file import Calibration
 from gelform.errors import GelformError
 from gelform.foundations.checks import check_sensor_pitch
@@ -32,7 +32,7 @@ from gelform.sensors.profiles import profile_named
 from gelform.sensors.simulated.source import SimulatedSource
 from gelform.sensors.source import Source
 
-WANTED, LEAST = NEEDED.guided_well.presses, NEEDED.guided.presses
+WANTED, LEAST = NEEDED.advised.presses, NEEDED.guided.presses
 LOOK_EVERY_S = 0.08  # s between analyzed frames; an analysis takes some 10 ms
 STILL_LOOKS = 3  # consecutive still frames until a press counts
 NEXT_PLACES = 3  # suggested places on the page: the next one, and those after it
@@ -129,7 +129,7 @@ class Guide:
         self.step, self.hint = "background", "Touch nothing while the page takes the background."
         self.places: tuple[PressPlace, ...] = ()
         self.covered: Coverage | None = None
-        self.wanted = WANTED
+        self.wanted = WANTED if asked.make not in starter_names() else NEEDED.started.presses
         self.made: GuidedCalibration | None = None
         self._changed = on_changed
         self._lock = threading.Lock()

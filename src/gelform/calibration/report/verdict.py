@@ -37,8 +37,8 @@ class Limit:
 LIMITS = (
     Limit("rejected_percent", "presses rejected", "%", 10, 20, False,
           "Look at the rejected presses. Each reason says what to press or to write down differently."),
-    Limit("presses_used", "presses used", "", NEEDED.good.presses, NEEDED.fair.presses, True,
-          f"Press the ball at more places: {NEEDED.good.presses} presses or more. Begin at the places marked 1, 2, 3."),
+    Limit("presses_used", "presses used", "", NEEDED.advised.presses, NEEDED.fair.presses, True,
+          f"Press the ball at more places: {NEEDED.advised.presses} presses or more. Begin at the places marked 1, 2, 3."),
     Limit("normal_free_deg", "angle error of the normals, held out", "°", 3, 5, False,
           "Press at the places marked 1, 2, 3. Check that exposure and light did not change. Look for cast shadows."),
     Limit("ball_sigmas", "stated ball diameter against the measured one", "σ", MOST_SIGMAS, MOST_SIGMAS, False,
