@@ -75,6 +75,20 @@ def test_what_most_frames_show_is_no_ball(monkeypatch):
     assert not places()[3], "without the noise of the place, the light press is taken for the disc"
 
 
+def test_a_stage_s_center_stays_and_templates_give_its_radius(even):
+    """About the center alone, another press's edge would be taken for the rim."""
+    x, y = CIRCLES[0]
+    rows, cols = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    ring = (np.hypot(cols - x, rows - y) < 45)[..., None] * np.float32([0.0, 0.35, 0.0])
+    first = even[0].color_change + ring.astype(np.float32)
+    size = np.linalg.norm(first - np.median(first, axis=(0, 1)), axis=-1).astype(np.float32)
+    staged = replace(even[0], color_change=first, size=size, mark=(x + 1, y - 1, None))
+    contact = find_contacts([staged, *even[1:]])[0]
+    assert contact.marked
+    assert (contact.x_px, contact.y_px) == (x + 1, y - 1)
+    assert contact.radius_px == pytest.approx(RADIUS, rel=0.25)
+
+
 @pytest.mark.parametrize(
     ("antisymmetry", "apart", "taken"), [(0.1, 40.0, True), (0.6, 3.0, True), (0.6, 40.0, False)]
 )

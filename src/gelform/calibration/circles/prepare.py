@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.calibration.circles.find import (
+    AGREES,
     MIN_EVIDENCE,
     ContactCircle,
     find_contact,
@@ -127,14 +128,21 @@ def find_contacts(prepared: list[PreparedPress], *, progress: Progress = no_prog
         found.append(contact)
         progress(done + 1, len(prepared), "finding contact circles")
     known = [
-        None if contact.is_weak and not contact.marked and press.refused is None else contact.circle_px
+        None if contact.is_weak and press.refused is None and not _has_radius(press) else contact.circle_px
         for press, contact in zip(prepared, found)
     ]
     for k, (circle, evidence) in find_by_templates(prepared, known).items():
-        if evidence >= MIN_EVIDENCE:
-            x, y, radius = circle
+        x, y, radius = circle
+        apart = np.hypot(x - found[k].x_px, y - found[k].y_px)
+        if found[k].marked and apart < AGREES * radius:
+            found[k] = replace(found[k], radius_px=radius)  # a stage knows the center alone
+        elif evidence >= MIN_EVIDENCE and not found[k].marked:
             found[k] = replace(found[k], x_px=x, y_px=y, radius_px=radius, evidence=evidence)
     return found
+
+
+def _has_radius(press: PreparedPress) -> bool:
+    return press.mark is not None and press.mark[2] is not None
 
 
 def change_without_markers(
