@@ -78,7 +78,7 @@ class _Needed(NamedTuple):
         20,
         "what gelform advises without a start: no advice to add presses, the verdict good, the guide's message that you can "
         "fit well (images)",
-        "the angle error in the contact is 5 degrees with 5 presses, 2.4 with 10, 2 with 20, 1.6 with 33",
+        "the angle error in the contact is 4 degrees with 5 presses, 2.4 with 10, 2 with 20, 1.6 with 33",
     )
     settings: Need = Need(
         30,
