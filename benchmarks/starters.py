@@ -1,7 +1,8 @@
 """Starters: depth of a unit without presses, few presses with a starter, and detection of a wrong ball diameter.
 
-    python benchmarks/starters.py             # about 20 minutes; writes results/starters.json
+    python benchmarks/starters.py             # about an hour; writes results/starters.json
     python benchmarks/starters.py units       # one part: units, presses, balls, simulated
+    python benchmarks/starters.py presses --draws 3
     python benchmarks/starters.py --make      # makes the starters that the package ships, from the data
 
 The tested unit had no part in the starter. Real presses are read from GELFORM_DATA (default ../shared/data). The stated
@@ -29,8 +30,8 @@ from real_frames.beyond import slopes_inside, sure_inner
 from report import command_line, parts_asked, recorded, table, write
 from starters.make import LAYOUT, LIKELY, make, real_unit, simulated_unit, stated, unit_of
 
-FOLDS, DRAWS = 3, 5
-SIZES = (3, 5, 8, 12, 20)
+FOLDS, DRAWS = 3, 10
+SIZES = (3, 5, 8, 12, 20, 33)
 FACTORS = (0.5, 0.8, 1.0, 1.2, 1.25, 2.0)
 SETS = ("mini-ball", "mini-d", "digit-ball", "gelslim", "gelslim-dots", "gelsight-ball-deep")
 SHARES = ("within_sigma_percent", "sure_inner_percent")
@@ -93,24 +94,41 @@ def _folds(presses: gelform.Presses, edge: float) -> dict[str, float]:
     return {key: float(np.mean([part[key] for part in parts])) for key in parts[0]}
 
 
-def presses() -> dict[str, Any]:
-    """Few presses of another unit, without and with a start: the same draws, judged on presses new to both."""
-    known, rng, found = mini_d(), np.random.default_rng(0), {}
-    start = of_one(gelform.calibrate(unlabeled(mini_ball()[0]), start=None))
-    unit = unit_of(start, known.background, known.mm_per_px)
+def presses(draws: int = DRAWS) -> dict[str, Any]:
+    """The learning curve of a second Mini, without and with the other one as a start, on presses new to both."""
+    found: dict[str, Any] = {}
+    units = {"mini-d": mini_d(), "mini-ball": mini_ball()[0]}
+    starts = {name: of_one(gelform.calibrate(unlabeled(one), start=None)) for name, one in units.items()}
+    for (name, known), other in zip(units.items(), reversed(units)):
+        unit, rng = unit_of(starts[other], known.background, known.mm_per_px), np.random.default_rng(0)
+        for size in SIZES:
+            found[f"{name}, {size} presses"] = row = _drawn(name, known, unit, size, draws, rng)
+            print(f"{name}, {size} presses, {draws} draws", *(f"{kind}: {one['edge_deg']:.2f} deg (between draws "
+                  f"{one['between_draws_deg']:.2f}), {one['radius_percent']:.1f} %, within sigma "
+                  f"{one['within_sigma_percent']:.0f} %" for kind, one in row.items()), sep="; ", flush=True)  # fmt: skip
+    return {**found, "draws": draws}
+
+
+def _drawn(
+    name: str,
+    known: gelform.Presses,
+    unit: gelform.Calibration,
+    size: int,
+    draws: int,
+    rng: np.random.Generator,
+) -> dict[str, dict[str, float]]:
+    """Mean errors of calibrations on some presses of a unit, without and with a start, on a third of the others."""
+    rows: dict[str, list[dict[str, float]]] = {"alone": [], "started": []}
     count = len(known.presses)
-    for size in (*SIZES, 2 * count // 3):
-        both: dict[str, list[dict[str, float]]] = {"alone": [], "started": []}
-        for _ in range(DRAWS):
-            order = rng.permutation(count)
-            training, test = order[:size].tolist(), order[-count // 3 :].tolist()
-            for name, begun in (("alone", None), ("started", unit)):
-                calibration = gelform.calibrate(unlabeled(known, training), start=begun)
-                both[name].append(judged(calibration, known.subset(test), EDGES["mini-d"]))
-        means = {n: {k: float(np.mean([one[k] for one in rows])) for k in SHOWN} for n, rows in both.items()}
-        found[str(size)] = {**means, "draws": DRAWS}
-        print(f"{size} presses", *(f"{n}: {v['edge_deg']:.2f} deg, {v['radius_percent']:.1f} %, within sigma "
-              f"{v['within_sigma_percent']:.0f} %" for n, v in means.items()), sep="; ", flush=True)  # fmt: skip
+    for _ in range(draws):
+        order = rng.permutation(count)
+        training, test = order[:size].tolist(), known.subset(order[-count // 3 :].tolist())
+        for kind, begun in (("alone", None), ("started", unit)):
+            calibration = gelform.calibrate(unlabeled(known, training), start=begun)
+            rows[kind].append(judged(calibration, test, EDGES[name]))
+    found = {kind: {k: float(np.mean([one[k] for one in own])) for k in SHOWN} for kind, own in rows.items()}
+    for kind, own in rows.items():
+        found[kind]["between_draws_deg"] = float(np.std([one["edge_deg"] for one in own]))
     return found
 
 
@@ -191,6 +209,7 @@ def main() -> None:
     """Make the starters, or measure the named parts, or all."""
     command = command_line(__doc__)
     command.add_argument("--make", action="store_true", help="make the starters, and measure nothing")
+    command.add_argument("--draws", type=int, default=DRAWS, help="draws of presses for each size")
     asked = parts_asked(command, PARTS)
     if asked.make:
         make()
@@ -199,7 +218,7 @@ def main() -> None:
     for name in asked.parts:
         if name != "simulated" and data_is_missing(name):
             continue
-        results[name] = PARTS[name]()
+        results[name] = presses(asked.draws) if name == "presses" else PARTS[name]()
         write("starters", results)
 
 

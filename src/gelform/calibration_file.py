@@ -179,7 +179,7 @@ class Calibration:
         if self.settings.presses is not None:
             figures["presses"] = str(self.settings.presses)
         if (degrees := self.held_out.get("normal_free_deg")) is not None:
-            figures["new presses"] = f"normals off by {degrees:.2g} degrees"
+            figures["held-out presses"] = f"normals off by {degrees:.2g} degrees"
         if self.settings.starter is not None:
             figures["starter"] = f"made on other units, slopes off by {100 * self.unit_spread:.0f} %"
         return {**figures, "created": self.created_utc[:10]}

@@ -53,7 +53,7 @@ def stated(presses, factor, of=lambda diameter: True):
 @pytest.fixture(scope="module")
 def known(calibration):
     """A model that has learned from the right diameters, as another unit's has."""
-    return Start(calibration.color_model, "digest", SPREAD, "another unit")
+    return Start(calibration.color_model, calibration.forward, "digest", SPREAD, "another unit")
 
 
 @pytest.mark.parametrize("factor", [1.0, 2.0, 1.25, 0.8])

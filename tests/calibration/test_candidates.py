@@ -27,10 +27,12 @@ from gelform.calibration.candidates import (
 from gelform.calibration.circles.samples import ZONE, PreparedPress
 from gelform.calibration.starters.starter import load_starter
 from gelform.errors import CalibrationError
+from gelform.image.background.change import gain_from_background
 from gelform.reconstruct import Reconstructor
 from gelform.simulate import Ball, simulate_press
-from gelform.slopes.color_models import COLOR_MODELS, HierarchicalModel, hierarchical
-from gelform.slopes.color_models.forward_response import RIDGES
+from gelform.slopes.color_models import COLOR_MODELS, ForwardResponse, HierarchicalModel, hierarchical
+from gelform.slopes.color_models._shared.least_squares import node_positions
+from gelform.slopes.color_models.forward_response import RIDGES, TERMS
 from made.color_samples import ball_samples, lambertian_change
 
 
@@ -72,20 +74,35 @@ def test_the_class_says_what_is_tried(monkeypatch):
     assert "mine" not in {c.model for c in candidates_for("auto", 40)}
 
 
+def no_response(shape):
+    """A forward response without color: of every slope."""
+    rows, columns = (len(at) for at in node_positions(shape))
+    return ForwardResponse(np.zeros((rows, columns, TERMS, 3)), np.eye(3), shape)
+
+
 def test_another_units_model_is_followed_less_and_less():
-    start = Start(HierarchicalModel.fit(ball_samples(lambertian_change)), "digest", 0.1, "another")
-    ridges = [dict(c.settings)["ridge"] for c in candidates_from(start)]
+    """More presses outweigh the other unit; under 12 they do not choose by how much."""
+    model = HierarchicalModel.fit(ball_samples(lambertian_change))
+    start = Start(model, no_response(model.shape), "digest", 0.1, "another")
+    ridges = [dict(c.settings)["ridge"] for c in candidates_from(start, 12)]
     assert ridges == sorted(ridges, reverse=True)
-    assert {c.start for c in candidates_from(start)} == {start}
-    assert {c.model for c in candidates_from(start)} == {"hierarchical"}
+    assert len(ridges) == 3
+    assert {c.start for c in candidates_from(start, 12)} == {start}
+    assert {c.model for c in candidates_from(start, 12)} == {"hierarchical"}
+    (few,) = candidates_from(start, 4)
+    assert dict(few.settings)["ridge"] == pytest.approx(3 * ridges[0])
+    assert [one.step_ridge for one in few.with_steps(4)] == [pytest.approx(3 * ridges[0])]
+    assert not few.may_not_step(4)
+    assert few.may_not_step(12)
 
 
 def test_a_fit_begins_at_the_other_units_model_where_there_is_one():
     """Slopes of which the other unit's model reads half: followed closely, and not at all."""
     samples = ball_samples(lambertian_change)
     whole = HierarchicalModel.fit(samples)
-    start = Start(replace(whole, nodes=0.5 * whole.nodes), "digest", 0.1, "another")
-    held = replace(candidates_from(start)[0], settings=(("ridge", 1e6),)).fit(samples)
+    half = replace(whole, nodes=0.5 * whole.nodes)
+    start = Start(half, no_response(whole.shape), "digest", 0.1, "another")
+    held = replace(candidates_from(start, 6)[0], settings=(("ridge", 1e6),)).fit(samples)
     np.testing.assert_allclose(held.nodes, start.model.nodes, atol=1e-3)
     alone = candidates_for("hierarchical", 6)[-1].fit(samples)
     ratio = np.vdot(alone.nodes, whole.nodes) / np.vdot(whole.nodes, whole.nodes)
@@ -248,8 +265,18 @@ def test_a_translated_model_reads_the_slopes_that_the_first_one_reads(lambertian
     """On the image of a ball that neither has seen: as far from the truth, and near to each other."""
     rng = np.random.default_rng(2)
     press = simulate_press(simulated.sensor, Ball(3.2), depth_mm=0.5, center_mm=(1.0, -1.0), rng=rng)
-    model = translated(lambertian_calibration)
+    model, forward = translated(lambertian_calibration)
     assert isinstance(model, HierarchicalModel)
+    x, y, slopes = np.array([40, 100]), np.array([50, 90]), np.array([[0.2, -0.1], [-0.3, 0.2]])
+    colors = [one.color_from_gradients(slopes, x, y) for one in (lambertian_calibration.forward, forward)]
+    gains = [
+        gain_from_background(lambertian_calibration.background, one)[y, x]
+        for one in (
+            lambertian_calibration.change,
+            replace(lambertian_calibration.change, offset=model.change_offset),
+        )
+    ]
+    np.testing.assert_allclose(colors[1], colors[0] * gains[1] / gains[0], rtol=0.02)
     change = replace(lambertian_calibration.change, offset=HierarchicalModel.change_offset)
     own = replace(lambertian_calibration, forward=replace(lambertian_calibration.forward, step_sigma=None))
     other = replace(own, color_model=model, change=change)
@@ -267,6 +294,15 @@ def test_a_second_unit_starts_from_any_color_model(lambertian_calibration, calib
     np.testing.assert_allclose(
         start_from(calibration, presses, "hierarchical").model.nodes, calibration.color_model.nodes
     )
+
+
+def test_a_start_of_another_make_is_refused_and_of_another_gel_is_noted(calibration, presses):
+    mini, digit = replace(presses, make="gelsight-mini"), replace(calibration, sensor_name="DIGIT 7")
+    with pytest.raises(CalibrationError, match="a GelSight Mini, got a calibration of a DIGIT"):
+        start_from(digit, mini, "auto")
+    old, new = replace(calibration, gel_id="old"), replace(presses, gel_id="new")
+    assert start_from(old, new, "auto").note == "The start is of gel old, the presses are of new."
+    assert start_from(old, presses, "auto").note == ""
 
 
 def test_another_unit_s_model_is_read_at_the_same_places_in_mm(calibration, presses):

@@ -21,6 +21,7 @@ from gelform.calibration.circles.samples import (
     contact_samples,
     with_rest_samples,
 )
+from gelform.calibration.enough import NEEDED
 from gelform.calibration.presses.press_set import Presses
 from gelform.calibration.starters import (
     check_light,
@@ -29,10 +30,12 @@ from gelform.calibration.starters import (
     starter_for,
     starter_names,
 )
+from gelform.calibration.starters.starter import make_name
 from gelform.calibration_file import Calibration, as_calibration
 from gelform.depth.stepped import CoarseDepth
 from gelform.errors import CalibrationError
 from gelform.image.background.change import ChangeSettings, gain_from_background
+from gelform.sensors.profiles import make_of
 from gelform.slopes.color_models import (
     COLOR_MODELS,
     DEFAULT_MODEL,
@@ -41,11 +44,13 @@ from gelform.slopes.color_models import (
     Samples,
     StartableModel,
 )
-from gelform.slopes.color_models.forward_response import PreparedStep, Step
+from gelform.slopes.color_models._shared.least_squares import node_positions
+from gelform.slopes.color_models.forward_response import RIDGES, PreparedStep, Step
 
 AUTO = "auto"
-# Ridges of a model that is pulled toward another unit's, the stiffest first.
-START_RIDGES = (1e-1, 1e-2, 1e-3)
+# Ridges of a fit that is pulled toward another unit's, times its number of presses: the other unit counts as much as this
+# part of a press. The stiffest is first; under 12 presses it is the only one.
+START_RIDGES = (0.6, 0.06, 0.006)
 STEP_SIGMAS = 1.25  # times the color model's residual on its training slopes; 1.0-1.5 give the same errors on nine sensors
 LEAST_STEP_SIGMA = 1e-4  # mm/mm, for images without noise
 TRANSLATED_SAMPLES = 20_000  # number of colors that a first unit's model reads
@@ -62,17 +67,21 @@ class Start:
     Attributes
     ----------
     model : color model for this unit's color changes
+    forward : forward response for them
     digest : digest of its calibration
     spread : relative standard deviation of slopes between units
     by : description of its origin
     offered : whether a fit without it is tried too, and kept if it reads held-out presses better
+    note : for the user, if it is of another gel
     """
 
     model: StartableModel
+    forward: ForwardResponse
     digest: str
     spread: float
     by: str
     offered: bool = False
+    note: str = ""
 
 
 @dataclass(frozen=True)
@@ -101,6 +110,15 @@ class Candidate:
     def change_offset(self) -> float:
         """Gray levels added to the background in the divisor of its color changes."""
         return float(COLOR_MODELS[self.model].change_offset)
+
+    def with_steps(self, presses: int) -> list[Candidate]:
+        """The same candidate with each step to try for a number of presses, the stiffest first."""
+        ridges = RIDGES if self.start is None else start_ridges(presses)
+        return [replace(self, step_ridge=ridge) for ridge in ridges]
+
+    def may_not_step(self, presses: int) -> bool:
+        """Whether the candidate is also tried without a step; folds of few presses cannot decide it."""
+        return self.start is None or NEEDED.edge.met(presses)
 
     def fit(self, samples: Samples) -> ColorModel:
         """The color model, fitted on samples."""
@@ -138,9 +156,15 @@ def candidates_for(color_model: str, presses: int) -> list[Candidate]:
     ]
 
 
-def candidates_from(start: Start) -> list[Candidate]:
+def candidates_from(start: Start, presses: int) -> list[Candidate]:
     """The candidates for a second unit, stiffest first: the first unit's model, changed more and more freely."""
-    return [Candidate(start.model.name, (("ridge", ridge),), start) for ridge in START_RIDGES]
+    return [Candidate(start.model.name, (("ridge", ridge),), start) for ridge in start_ridges(presses)]
+
+
+def start_ridges(presses: int) -> list[float]:
+    """Ridges of a fit that begins with another unit's, for a number of presses; folds of few presses cannot choose one."""
+    chosen = START_RIDGES if NEEDED.edge.met(presses) else START_RIDGES[:1]
+    return [ridge / presses for ridge in chosen]
 
 
 def training_samples(
@@ -200,16 +224,19 @@ def fitted_responses(
     contacts: Sequence[ContactCircle],
     ridges: Sequence[float],
     *,
+    start: Start | None = None,
     total: int = TOTAL_SAMPLES,
 ) -> list[ForwardResponse]:
     """Forward responses of presses, one for each ridge, with the depths from the reader's color model.
 
-    The model was fitted on the same presses; about `total` pixels are used.
+    The model was fitted on the same presses, from the same start; about `total` pixels are used.
     """
     depths = [reader.depth_px(press) for press in presses]
     inside = contact_samples(presses, contacts, total=total, depths_px=depths)
     samples = with_rest_samples(inside, presses, contacts, depths)
-    return ForwardResponse.fit_each(samples, ridges, step_sigma=step_sigma_of(reader.model, samples))
+    sigma = step_sigma_of(reader.model, samples)
+    forward = None if start is None else start.forward
+    return ForwardResponse.fit_each(samples, ridges, step_sigma=sigma, start=forward)
 
 
 def step_sigma_of(model: ColorModel, samples: Samples) -> tuple[float, float]:
@@ -233,11 +260,13 @@ def starter_start(presses: Presses, color_model: str) -> Start | None:
         check_light(presses.background, starter.light, starter.make)
     except CalibrationError:
         return None  # a make that is named wrongly does not make it that sensor; a start given by name raises the error
-    model, _ = starter.models_for(light_from_background(presses.background)[0], presses.mm_per_px)
+    light, _ = light_from_background(presses.background)
+    model, forward = starter.models_for(light, presses.mm_per_px)
     made = starter.calibration
     unseen = set(made.training_digests).isdisjoint(press.digest for press in presses.presses)
     offered = unseen and color_model in (AUTO, DEFAULT_MODEL)
-    return Start(model, made.digest, starter.spread, f"the starter of a {starter.make}", offered)
+    by = f"the starter of a {starter.make}"
+    return Start(model, forward, made.digest, starter.spread, by, offered)
 
 
 def starter_note(presses: Presses, color_model: str) -> tuple[str, ...]:
@@ -269,7 +298,7 @@ def start_from(start: Calibration | str | PathLike[str], presses: Presses, color
     ValueError
         The second unit uses another color model than the default one, or its images are of another size.
     CalibrationError
-        The first unit's calibration was imported and has no forward response.
+        The first unit is of another make, or its calibration was imported and has no forward response.
     """
     first = as_calibration(start)
     if color_model not in (AUTO, DEFAULT_MODEL):
@@ -277,26 +306,37 @@ def start_from(start: Calibration | str | PathLike[str], presses: Presses, color
             f"Expected the color model {DEFAULT_MODEL}, which can be drawn to another unit's, got {color_model}. "
             f"Leave it out, or give --model {DEFAULT_MODEL}."
         )
+    make = make_of(first.sensor_name)
+    if None not in (make, presses.make) and make != presses.make:
+        raise CalibrationError(
+            f"Expected a start of the make of these presses, a {make_name(str(presses.make))}, got a calibration of a "
+            f"{make_name(str(make))}, whose lamps stand elsewhere. Leave the start out, or give one of the same make."
+        )
     model, by = first.color_model, f"a calibration of {first.sensor_name}"
     spread = first.unit_spread or UNIT_SPREAD
-    if isinstance(model, StartableModel):
+    other_gel = first.gel_id and presses.gel_id and first.gel_id != presses.gel_id
+    note = f"The start is of gel {first.gel_id}, the presses are of {presses.gel_id}." if other_gel else ""
+    if isinstance(model, StartableModel) and first.forward is not None:
         model.check_like(model.degree, presses.image_shape)
+        forward = first.forward
         if first.mm_per_px is not None:
-            model = model.of_other_unit(np.ones((1, 1, 3)), presses.mm_per_px / first.mm_per_px)
-        return Start(model, first.digest, spread, by)
+            alike = np.ones((1, 1, 3)), presses.mm_per_px / first.mm_per_px
+            model, forward = model.of_other_unit(*alike), forward.of_other_unit(*alike)
+        return Start(model, forward, first.digest, spread, by, note=note)
     if tuple(first.image_shape) != tuple(presses.image_shape):
         (height, width), (rows, columns) = presses.image_shape, first.image_shape
         raise ValueError(
             f"Expected to start from a calibration for images of {height}x{width} px, got one for {rows}x{columns} px."
         )
-    return Start(translated(first), first.digest, spread, by)
+    return Start(*translated(first), first.digest, spread, by, note=note)
 
 
-def translated(first: Calibration) -> StartableModel:
+def translated(first: Calibration) -> tuple[StartableModel, ForwardResponse]:
     """A model of the default kind that reads the same slopes as a calibration's model, for the colors of its gel.
 
-    Places and slopes are drawn at random, always the same ones. The forward response gives their colors, its noise
-    is added, and the model reads their slopes. A CalibrationError is raised if there is no forward response.
+    It is followed by the forward response for the color changes of that kind. Places and slopes are drawn at random, always
+    the same ones. The forward response gives their colors, its noise is added, and the model reads their slopes. A
+    CalibrationError is raised if there is no forward response.
     """
     if first.forward is None:
         raise CalibrationError(
@@ -314,9 +354,13 @@ def translated(first: Calibration) -> StartableModel:
     usual = ChangeSettings(
         offset=kind.change_offset, crosstalk=first.change.crosstalk, response=first.change.response
     )
-    gains = (gain_from_background(first.background, settings)[y, x] for settings in (usual, first.change))
-    usual_change = (change * (next(gains) / next(gains))).astype(np.float32)
+    usual_gain, own_gain = (
+        gain_from_background(first.background, settings) for settings in (usual, first.change)
+    )
+    divisor = own_gain / usual_gain
+    usual_change = (change / divisor[y, x]).astype(np.float32)
     read = first.color_model.gradients_at(change.astype(np.float32), x, y)
     model = kind.fit(Samples(usual_change, x, y, read, np.ones(len(x)), shape, first.background))
     assert isinstance(model, StartableModel)
-    return model
+    rows, columns = (np.minimum(at, n - 1) for at, n in zip(node_positions(shape), shape))
+    return model, first.forward.of_other_unit(divisor[np.ix_(rows, columns)].astype(np.float64), 1.0)

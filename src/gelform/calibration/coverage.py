@@ -185,8 +185,10 @@ def name_of_place(x_px: float, y_px: float, shape: tuple[int, int]) -> str:
     return " ".join(word for word in (("top", "", "bottom")[row], ("left", "", "right")[col]) if word)
 
 
-def coverage_notes(circles: Sequence[Circle], shape: tuple[int, int]) -> tuple[str, ...]:
-    """Notes on missing presses: too few, or all in one part; () if nothing is missing."""
+def coverage_notes(
+    circles: Sequence[Circle], shape: tuple[int, int], *, started: bool = False
+) -> tuple[str, ...]:
+    """Notes on missing presses: too few, for a fit with a start or without, or all in one part; () if nothing is missing."""
     coverage = coverage_from_circles(circles, shape)
     part = one_part(circles, shape)
     if part is not None:
@@ -194,7 +196,7 @@ def coverage_notes(circles: Sequence[Circle], shape: tuple[int, int]) -> tuple[s
             f"All {len(circles)} presses lie in the {part} of the image. Elsewhere the same colors mean other "
             f"slopes, so depth there is a guess. Press all over the gel{_at('next', press_next(coverage))}.",
         )
-    advised = NEEDED.advised.presses
+    advised = (NEEDED.started if started else NEEDED.advised).presses
     missing = advised - len(circles)
     if missing > 0:
         places = press_next(coverage, min(missing, NAMED_PLACES))

@@ -8,9 +8,10 @@ from os import PathLike
 
 from gelform.calibration.balls import ball_readings, notes_of
 from gelform.calibration.candidates import AUTO, candidates_for, start_from, starter_note, starter_start
+from gelform.calibration.circles.clipped import light_notes
 from gelform.calibration.circles.locate import check_places, locate
 from gelform.calibration.fitted import fit
-from gelform.calibration.held_out.folds import make_folds
+from gelform.calibration.held_out.folds import check_folds, make_folds
 from gelform.calibration.held_out.measure import measure_held_out
 from gelform.calibration.inputs import check_inputs, input_notes, surround_notes
 from gelform.calibration.place import place_error_from_presses
@@ -70,11 +71,13 @@ def calibrate(
 
     located = locate(presses, first_unit, progress=progress)
     balls = ball_readings(located, known)
-    located = replace(located, notes=(*surround_notes(presses), *notes_of(balls), *untried, *located.notes))
+    of_image = *surround_notes(presses), *light_notes(presses.background)
+    located = replace(located, notes=(*of_image, *notes_of(balls), *untried, *located.notes))
     check_places(located)
     folds = make_folds(
         located.prepared, located.found, located.refined.accepted, start=located.refined_by, progress=progress
     )
+    check_folds(located, folds)
     fitted = fit(located, folds, color_model, compare=compare, progress=progress)
     judged = measure_held_out(fitted, progress=progress)
     notes = input_notes(located)

@@ -24,7 +24,7 @@ from gelform.calibration.circles.find import ContactCircle
 from gelform.calibration.circles.locate import Located
 from gelform.calibration.circles.prepare import change_settings, prepared_by_offset
 from gelform.calibration.circles.samples import ZONE, PreparedPress
-from gelform.calibration.enough import SAMPLED
+from gelform.calibration.enough import NEEDED, SAMPLED
 from gelform.calibration.held_out.folds import Fold
 from gelform.calibration.held_out.scores import HeldOutPresses, Selection, select
 from gelform.calibration.presses.press_set import Presses
@@ -33,7 +33,6 @@ from gelform.errors import GelformError
 from gelform.foundations.progress import Progress, no_progress
 from gelform.image.background.average import noise_from_image
 from gelform.slopes.color_models import COLOR_MODELS, ColorModel, ForwardResponse
-from gelform.slopes.color_models.forward_response import RIDGES
 from gelform.slopes.confidence import SlopeSigma
 from gelform.slopes.confidence.causes import ends_shown
 
@@ -80,12 +79,13 @@ def fit(
 ) -> Fitted:
     """Select the stiffness of the color model and its forward response on held-out presses, and fit both on all.
 
-    The color model is ignored if `located` has another unit's that was not just offered. `compare` tries all models and does
-    not change the selection.
+    The color model is ignored if `located` has another unit's, unless it was just offered and 12 presses or more can choose.
+    `compare` tries all models and does not change the selection.
     """
     accepted, start = len(located.refined.accepted), located.start
-    begun = [] if start is None else [candidates_from(start)]
-    alone = [candidates_for(color_model, accepted)] if start is None or start.offered else []
+    begun = [] if start is None else [candidates_from(start, accepted)]
+    choice = start is None or (start.offered and NEEDED.edge.met(accepted))
+    alone = [candidates_for(color_model, accepted)] if choice else []
     offsets = {one.change_offset for group in (*begun, *alone) for one in group}
     if compare:
         offsets |= {float(one.change_offset) for one in COLOR_MODELS.values()}
@@ -136,8 +136,10 @@ def fit_all(
     """The calibration of presses by the selected candidate; its errors and its slope sigma are filled in later."""
     noise = presses.background_noise
     model = chosen.fit(training_samples(prepared, contacts))
-    ridge = RIDGES[0] if chosen.step_ridge is None else chosen.step_ridge
-    (forward,) = fitted_responses(SlopeReader(model, prepared[0], untouched), prepared, contacts, [ridge])
+    step = chosen if chosen.step_ridge is not None else chosen.with_steps(len(prepared))[0]
+    assert step.step_ridge is not None
+    reader = SlopeReader(model, prepared[0], untouched)
+    (forward,) = fitted_responses(reader, prepared, contacts, [step.step_ridge], start=chosen.start)
     images = [press.image for press in presses.presses]
     forward = replace(
         forward,

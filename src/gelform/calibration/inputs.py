@@ -26,14 +26,11 @@ from gelform.errors import CalibrationError
 from gelform.image.background.change import color_change_from_image
 from gelform.image.background.check import check_background_of_frames
 from gelform.image.background.orientation import orientation_if_doubtful
-from gelform.image.background.surround import surround_finding, surround_of
-from gelform.image.frame import DARK
+from gelform.image.background.surround import surround_finding
 from gelform.sensors.profiles import PROFILES, SAME_SCALE, check_gel_width, light_order_of, scale_off_make
-from gelform.slopes.confidence.causes import SATURATED_FROM
 
 MIN_CHANGE = 0.08  # of color, mean over a contact in the background
 MIN_ROUGHER = 1.3  # roughness of the background over that of the presses' median
-MOST_UNUSABLE = 0.1  # of the pixels of the background image
 EARLY_EDGE = 0.75  # of the visible radius; a contact edge further in is worth a note
 # |log| of the median imprint's width over its height, and its standard errors. Six real sets have 0.10 or less, and 0.19 or
 # more where one side of their pixels is made 1.25 times as long.
@@ -145,7 +142,8 @@ def input_notes(located: Located) -> tuple[str, ...]:
     """Notes on the presses for the user: reading, missing places, drift, light, order of the lights."""
     presses = located.presses
     prepared, contacts = located.refined.of_accepted(located.prepared)
-    covered = coverage_notes([contact.circle_px for contact in contacts], presses.image_shape)
+    circles = [contact.circle_px for contact in contacts]
+    covered = coverage_notes(circles, presses.image_shape, started=located.start is not None)
     order = light_order_note(presses, prepared, contacts)
     found = check_background_of_frames([press.image for press in presses.presses], presses.background)
     drift = [finding.message for finding in found]
@@ -153,34 +151,12 @@ def input_notes(located: Located) -> tuple[str, ...]:
         *presses.notes,
         *covered,
         *drift,
-        *light_notes(presses.background),
         *_edge_notes(prepared),
         *shape_notes(prepared, contacts),
         *_scale_notes(presses),
         *imprint_notes(prepared, contacts),
         *(() if order is None else (order,)),
     )
-
-
-def light_notes(background: NDArray[np.float32]) -> tuple[str, ...]:
-    """Channels of the background image that are too dark, or saturated, in more than a tenth of the gel; () without any."""
-    notes, outside = [], surround_of(background)
-    gel = background if outside is None else background[~outside]
-    for name, channel in zip(("Red", "Green", "Blue"), np.moveaxis(gel, -1, 0)):
-        for where, said in (
-            (
-                channel < DARK,
-                f"below {DARK} gray levels. Noise hides slopes there. Raise its light or exposure.",
-            ),
-            (
-                channel >= SATURATED_FROM,
-                "saturated. Brighter slopes look the same there. Lower its light or exposure.",
-            ),
-        ):
-            fraction = float(where.mean())
-            if fraction > MOST_UNUSABLE:
-                notes.append(f"In {100 * fraction:.0f} % of the background image, {name.lower()} is {said}")
-    return tuple(notes)
 
 
 def surround_notes(presses: Presses) -> tuple[str, ...]:

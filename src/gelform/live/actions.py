@@ -339,6 +339,11 @@ def guide_start(hub: Hub, station: int, ball_diameter_mm: float, profile: str, m
     hub.changed()
 
 
+def guide_click(hub: Hub, station: int, x_px: float, y_px: float) -> None:
+    """Take the clicked place of the picture as the middle of the press."""
+    _guide(hub, station).click(x_px, y_px)
+
+
 def guide_fit(hub: Hub, station: int) -> None:
     """Calibrate on the accepted presses."""
     guide = _guide(hub, station)

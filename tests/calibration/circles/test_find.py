@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from gelform.calibration.circles.find import (
-    _parabola_offset,
     _signal,
     contact_radius,
     find_contact,
+    parabola_offset,
     ring_mean,
     scale_of,
     why_no_contact,
@@ -84,9 +84,9 @@ def test_the_signal_of_a_circle_that_leaves_nothing_beside_it():
 
 def test_the_offset_is_the_vertex_of_a_parabola():
     at = np.arange(9)
-    assert _parabola_offset((at - 4.3) ** 2, 4) == pytest.approx(0.3)
-    assert _parabola_offset((at - 4.3) ** 2, 0) == 0
-    assert _parabola_offset(0.0 * at, 4) == 0
+    assert parabola_offset((at - 4.3) ** 2, 4) == pytest.approx(0.3)
+    assert parabola_offset((at - 4.3) ** 2, 0) == 0
+    assert parabola_offset(0.0 * at, 4) == 0
 
 
 def test_low_resolution_real_presses(data):

@@ -6,7 +6,16 @@ from dataclasses import replace
 import pytest
 
 from gelform.calibration.circles import locate as module
-from gelform.calibration.circles.locate import BALL_FACTORS, NEARLY_ALL, Refined, other_ball_note, refine
+from gelform.calibration.circles.locate import (
+    BALL_FACTORS,
+    NEARLY_ALL,
+    Refined,
+    mark_notes,
+    other_ball_note,
+    refine,
+)
+from gelform.calibration.circles.prepare import find_contacts
+from gelform.calibration.circles.refine import why_impossible
 
 BALL_PX = 40.0
 
@@ -36,6 +45,24 @@ def test_of_the_right_ball_nothing_is_said(prepared, found, monkeypatch):
     refined = refine(prepared, found)
     monkeypatch.setattr(module, "refine", None)
     assert other_ball_note(prepared, found, refined) is None
+
+
+def test_circles_by_hand_of_other_places_and_sizes_are_named(prepared, found):
+    circles = [contact.circle_px for contact in found[:6]]
+    right = [replace(press, mark=circle) for press, circle in zip(prepared, circles)]
+    assert mark_notes(right, find_contacts(right)) == ()
+    swapped = [replace(right[0], mark=circles[1]), replace(right[1], mark=circles[0]), *right[2:]]
+    (note,) = mark_notes(swapped, contacts := find_contacts(swapped))
+    assert note.count("radii)") == 2
+    assert prepared[0].name in note
+    assert contacts[0].circle_px == pytest.approx(circles[0]), "as without"
+    wide = [replace(press, mark=(x, y, 2 * radius)) for press, (x, y, radius) in zip(prepared, circles)]
+    (note,) = mark_notes(wide, find_contacts(wide))
+    assert "was the diameter given?" in note
+    x, y, radius = circles[0]
+    beyond = replace(prepared[0], mark=(x + 500, y, radius))
+    assert "lies outside the image of 176 px by 132 px" in why_impossible(beyond, found[0])
+    assert why_impossible(right[0], found[0]) is None
 
 
 class Judged:

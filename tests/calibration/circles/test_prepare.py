@@ -8,6 +8,7 @@ import pytest
 
 import gelform
 from gelform.calibration.circles.find import ContactCircle
+from gelform.calibration.circles.locate import locate
 from gelform.calibration.circles.prepare import (
     USUAL_OFFSET,
     ColorChanges,
@@ -93,8 +94,19 @@ def test_nothing_is_learnt_where_a_background_of_0_divides(few, marked, monkeypa
 
 def test_the_press_that_is_of_another_sensor_is_named(few):
     turned = replace(few.presses[1], image=np.ascontiguousarray(few.presses[1].image[::-1, ::-1]))
-    with pytest.raises(gelform.CalibrationError, match=few.presses[1].name):
+    with pytest.raises(gelform.CalibrationError, match=f"1 of 2 presses do not fit .* {few.presses[1].name}"):
         prepare(replace(few, presses=(few.presses[0], turned)))
+
+
+def test_one_frame_of_another_light_is_one_rejected_press(presses):
+    """It had ended the calibration of all others."""
+    dark = replace(presses.presses[1], image=(presses.presses[1].image * 0.4).astype(np.uint8))
+    some = replace(presses, presses=(presses.presses[0], dark, *presses.presses[2:6]))
+    prepared = prepare(some)
+    assert [one.refused is None for one in prepared] == [True, False, True, True, True, True]
+    located = locate(some)
+    assert "times as bright as in the background" in located.refined.reasons[1]
+    assert located.refined.accepted == [0, 2, 3, 4, 5]
 
 
 SETTINGS = ChangeSettings("divide", 10, 0.7)

@@ -101,13 +101,17 @@ class BallElsewhere:
 
 
 def test_a_circle_moves_to_the_ball_but_not_far(prepared, found):
-    """By 12 px at most where the frame is 240 px high."""
+    """By 12 px at most where the frame is 240 px high, and by a quarter of its radius."""
     press, start = prepared[0], replace(found[0], x_px=60.0, y_px=60.0)
-    most = 12 * min(press.size.shape) / 240
-    near = recentered(press, start, start, BallElsewhere(press, (62.0, 57.5)))
-    assert (near.x_px, near.y_px) == pytest.approx((62.0, 57.5), abs=0.05)
+    most = min(12 * min(press.size.shape) / 240, start.radius_px / 4)
+    assert most == start.radius_px / 4
+    near = recentered(press, start, start, BallElsewhere(press, (61.2, 58.5)))
+    assert (near.x_px, near.y_px) == pytest.approx((61.2, 58.5), abs=0.05)
     far = recentered(press, start, start, BallElsewhere(press, (60 + 1.2 * most, 60 + 1.6 * most)))
     assert (far.x_px, far.y_px) == pytest.approx((60 + 0.6 * most, 60 + 0.8 * most), abs=0.3)
+    wide = replace(start, radius_px=3 * start.radius_px)
+    far = recentered(press, wide, wide, BallElsewhere(press, (60 + 12, 60 + 16)))
+    assert np.hypot(far.x_px - 60, far.y_px - 60) == pytest.approx(12 * min(press.size.shape) / 240, abs=0.3)
 
 
 def test_what_does_not_fit_is_three_times_as_far_off_as_usual():

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from gelform.calibration.guided import guide as module
+from gelform.calibration.guided import judge
 from gelform.calibration.guided.guide import LEAST, NEXT_PLACES, STILL_LOOKS, Asked, Guide
 from gelform.calibration.starters import load_starter
 from gelform.errors import GelformError
@@ -54,6 +55,32 @@ def test_a_press_held_still_is_accepted_once(guide, see, press):
     assert "Lift" in guide.hint
     see()
     assert guide.target.name in guide.hint
+
+
+def test_a_click_takes_a_press_where_no_ball_is_seen_and_gives_its_circle(guide, see, press, monkeypatch):
+    """As if its colors were as bright all around; the click is forgotten with the press."""
+    see(times=USUAL_FRAMES)
+    see(press(3, 2).image, STILL_LOOKS + 1)
+    seen, find = guide.facts()["accepted"][0], judge.find_contact
+    see()
+    monkeypatch.setattr(
+        judge, "find_contact", lambda change: replace(find(change), x_px=9.0, antisymmetry=0.1)
+    )
+    other = press(-3, 2)
+    see(other.image, STILL_LOOKS + 1)
+    assert guide.count == 1
+    assert "click the middle" in guide.hint
+    guide.click(*other.center_px)
+    see(other.image, STILL_LOOKS + 1)
+    assert guide.count == 2
+    circle = guide.facts()["accepted"][1]
+    assert circle[:2] == pytest.approx(other.center_px)
+    assert circle[2] == pytest.approx(seen[2], rel=0.15)
+    see()
+    see(press(0, -3).image, STILL_LOOKS + 1)
+    assert guide.count == 2
+    monkeypatch.setattr(module, "LEAST", 2)
+    assert [one.center_px for one in guide.presses().presses] == [None, other.center_px]
 
 
 def test_the_same_place_again_is_rejected_with_the_reason(guide, see, press):

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from gelform.calibration.circles.find import ContactCircle
-from gelform.calibration.circles.locate import refine
+from gelform.calibration.circles.locate import Located, Refined, refine
 from gelform.calibration.enough import FOLDS
 from gelform.calibration.held_out import folds as module
-from gelform.calibration.held_out.folds import Fold, _jackknife, circle_sigmas, make_folds
+from gelform.calibration.held_out.folds import Fold, _jackknife, check_folds, circle_sigmas, make_folds
+from gelform.errors import CalibrationError
 from gelform.slopes.color_models import HierarchicalModel
 
 
@@ -50,6 +51,20 @@ def test_presses_that_were_rejected_are_in_no_fold(prepared, found):
     assert sorted(i for fold in folds for i in fold.held_out) == usable
     assert not any(4 in fold.training for fold in folds)
     assert done == [(k, FOLDS) for k in range(1, FOLDS + 1)]
+
+
+def test_few_presses_are_left_out_one_by_one_and_have_to_fit_without_each_other(presses, prepared, found):
+    usable = list(range(0, len(prepared), 2))
+    folds = make_folds(prepared, found, usable)
+    assert sorted(fold.held_out for fold in folds) == [(i,) for i in usable]
+    assert len(folds) == 7 > FOLDS
+    refined = Refined(tuple(found), (None,) * len(found), None)
+    located = Located(presses, prepared, found, refined, notes=("The light is clipped.",))
+    check_folds(located, folds)
+    alone = [Fold((usable[0],), (usable[1],), (found[usable[1]],)), *folds[1:]]
+    expected = f"without {presses.presses[0].name} only 1 of the other .* The light is clipped"
+    with pytest.raises(CalibrationError, match=expected):
+        check_folds(located, alone)
 
 
 def test_jackknife_of_a_mean_is_its_standard_error():

@@ -58,8 +58,8 @@ def test_each_press_is_reconstructed_once(presses, monkeypatch):
     monkeypatch.setattr(Reconstructor, "record", counted)
     report = gelform.calibrate(presses.subset(range(8)), color_model="polynomial").report
     assert len(set(seen)) == sum(row.accepted for row in report.presses)
-    # By its fold and by all, once more where the fold chose otherwise, and once for the error of its place.
-    assert all(seen.count(one) <= 4 for one in seen)
+    # By its fold, by all with walls and without, where its fold chose otherwise, and for the error of its place.
+    assert all(seen.count(one) <= 5 for one in seen)
 
 
 @pytest.fixture(scope="module")

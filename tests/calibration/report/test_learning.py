@@ -101,10 +101,11 @@ def test_progress_is_told_and_too_few_presses_have_no_curve(presses, calibration
 @pytest.mark.slow
 def test_a_start_is_part_of_the_curve(presses, calibration, monkeypatch):
     """A curve of models that began with another unit's says nothing if its own begin with nothing."""
-    start = Start(calibration.color_model, "digest", 0.1, "another")
-    few = of_first(calibration, 8, ridge=START_RIDGES[1])
+    start = Start(calibration.color_model, calibration.forward, "digest", 0.1, "another")
+    few = of_first(calibration, 8)
     started = replace(few, report=replace(few.report, start=start))
-    assert [c.start for c in candidates_of(started, 5, start)] == [start, start]
+    assert [c.start for c in candidates_of(started, 5, start)] == [start]
+    assert [c.start for c in candidates_of(started, 12, start)] == [start] * len(START_RIDGES)
     began = []
 
     def refined(*args, start=None):
@@ -120,7 +121,9 @@ def test_a_start_is_part_of_the_curve(presses, calibration, monkeypatch):
 
 @pytest.mark.slow
 def test_a_curve_beside_an_offered_starter_shows_both(presses, calibration):
-    start = Start(calibration.color_model, "digest", 0.1, "the starter of a test", offered=True)
+    start = Start(
+        calibration.color_model, calibration.forward, "digest", 0.1, "the starter of a test", offered=True
+    )
     few = of_first(calibration, 12)
     beside = replace(few, report=replace(few.report, offered=start))
     curve = learning_curve(presses, beside, rng=np.random.default_rng(0))

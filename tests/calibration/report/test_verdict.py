@@ -84,11 +84,21 @@ def test_all_poor_checks_are_said_and_a_poor_headline_stays_poor():
     figures = {"presses_used": 5.0, "covered_percent": 17.2, "normal_free_deg": 2.0}
     verdict = verdict_of(checks_of({**GOOD, **figures}))
     assert verdict["headline"] == (
-        "Fair: held-out normals are off by 2.0°, the ball radius by 3.0 %. Poor checks: presses used (5), "
-        "places and slope directions that presses show (17.2 %)"
+        "Fair: where presses are (17.2 % of places and slope directions), held-out normals are off by 2.0°, "
+        "the ball radius by 3.0 %. Elsewhere errors are not known. Poor checks: presses used (5), places and "
+        "slope directions that presses show (17.2 %)"
     )
     poor = verdict_of(checks_of({**GOOD, **figures, "normal_free_deg": 6.0}))
-    assert poor["headline"] == "Poor: held-out normals are off by 6.0°, the ball radius by 3.0 %"
+    assert poor["headline"].startswith("Poor: where presses are (17.2 %")
+    assert "Poor checks" not in poor["headline"]
+
+
+def test_the_error_of_few_presses_is_said_with_its_own():
+    """From 12 presses on it is small beside the error."""
+    errors = {"normal_free_deg": 0.62}
+    few, more = (verdict_of(checks_of({**GOOD, "presses_used": n}, errors))["headline"] for n in (11.0, 12.0))
+    assert "off by 3.0 ± 0.6°" in few
+    assert "off by 3.0°" in more
 
 
 @pytest.mark.parametrize(
@@ -100,7 +110,7 @@ def test_all_poor_checks_are_said_and_a_poor_headline_stays_poor():
         ),  # poor before fair
         ({"presses_used": 6.0, "normal_free_deg": 9.0}, "presses used: 6, poor"),  # 5 times, not 3
         ({"presses_used": 9.0, "radius_percent": 30.0}, "error of the ball's radius, held out: 30 %, poor"),
-        ({"presses_used": 15.0, "cap_free_um": 40.0}, "presses used: 15, fair"),  # alike: the cause
+        ({"presses_used": 10.0, "cap_free_um": 40.0}, "presses used: 10, fair"),  # alike: the cause
         ({"presses_used": 29.0, "off_contact_um": 79.0}, "depth error off contact, held out: 79 µm, fair"),
         (
             {"scale_percent": None, "ball_sizes": 1.0},

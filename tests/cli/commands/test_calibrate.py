@@ -46,7 +46,7 @@ def test_a_calibration_and_its_report_whose_circles_can_be_labels(run, folder, t
     lines = err.splitlines()
     assert lines[:2] == [f"{verdict['headline']}.", f"Next: {verdict['next']}"]
     held_out = said["held_out"]
-    assert lines[2].startswith("small: 10 of 10 presses used; depth on new presses is off by ")
+    assert lines[2].startswith("small: 10 of 10 presses used; depth on held-out presses is off by ")
     for name in ("cap_free_um", "off_contact_um"):
         assert f"{held_out[name]:.3g} um" in lines[2]
     assert re.fullmatch(rf"Wrote {output} and {report}/report.html in \d+ s\.", lines[3])

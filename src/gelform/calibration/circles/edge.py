@@ -29,14 +29,14 @@ from gelform.slopes.color_models import COLOR_MODELS, DEFAULT_MODEL, ColorModel
 INNER = 0.5  # fraction of the visible radius that trains
 RINGS = np.arange(0.05, 1.001, 0.05)
 REFERENCE = (0.1, 0.4)  # fractions of the visible radius; slopes read between them count as right
-# of that reading; with less, the gel has left the ball; best of 0.70-0.80 on six real sensors
-LEAST_GAIN = 0.7
+# of that reading; with less, the gel has left the ball; .75 of .70-.80: slopes of one size by the other, and on three sets
+LEAST_GAIN = 0.75
 
 
 def contact_radius_ratio(presses: Sequence[PreparedPress], contacts: Sequence[ContactCircle]) -> float:
-    """Radius, over the visible one, from which the median press reads less than 0.7 times its ball's slope.
+    """Radius, over the visible one, from which the median press reads less than 0.75 times its ball's slope.
 
-    The reading further in counts as 1. Rings are 0.05 visible radii wide, and two of them have to be below 0.7. It is
+    The reading further in counts as 1. Rings are 0.05 visible radii wide, and two of them have to be below 0.75. It is
     `USUAL_EDGE` for fewer than 12 presses.
     """
     if not NEEDED.edge.met(len(presses)):

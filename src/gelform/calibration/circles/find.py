@@ -19,6 +19,10 @@ from gelform.calibration.presses.press_set import check_room
 MIN_ANTISYMMETRY = 0.2  # 0-1, for a ball with more than half inside the border
 LOG_ASPECTS = np.linspace(-0.4, 0.4, 9)  # of imprints that are tried, log of width over height
 MIN_SIGNAL = 2.0  # change inside over that outside; 1 if nothing is pressed
+WEAK = 0.3  # antisymmetry under which other finders are asked; the lowest of 280 good presses on six sensors has 0.36
+# Evidence of templates for a ball: 7-27 on home-made gels, up to 14 in frames without a press, 43 or more on other sensors.
+MIN_EVIDENCE = 10.0
+AGREES = 0.5  # radii; a circle by hand or a stage's center this near to a clear ball is of the same press
 
 
 @dataclass(frozen=True)
@@ -35,6 +39,10 @@ class ContactCircle:
         Share of the color change's energy that is odd about the center; a ball cut by the border keeps less.
     signal : float
         Color change inside the circle over that outside; about 1 if nothing is pressed.
+    evidence : float or None
+        Of templates for a ball there, if they found it (`circles.templates`).
+    marked : bool
+        Whether its center is a person's or a stage's.
     """
 
     x_px: float
@@ -42,6 +50,13 @@ class ContactCircle:
     radius_px: float
     antisymmetry: float
     signal: float
+    evidence: float | None = None
+    marked: bool = False
+
+    @property
+    def is_weak(self) -> bool:
+        """Whether the color change is hardly odd about the center, or hardly larger than around the circle."""
+        return self.antisymmetry < WEAK or self.signal < MIN_SIGNAL
 
     @property
     def circle_px(self) -> tuple[float, float, float]:
@@ -67,8 +82,26 @@ def find_contact(color_change: NDArray[np.float32]) -> ContactCircle:
     return ContactCircle(x, y, radius, antisymmetry, _signal(size, x, y, radius))
 
 
+def marked_contact(
+    found: ContactCircle, size: NDArray[np.float32], x_px: float, y_px: float, radius_px: float | None
+) -> ContactCircle:
+    """The contact about a center that a person or a stage gives, if the found one is weak or agrees; else the found one.
+
+    The radius is measured about that center, near the given one if any.
+    """
+    apart = np.hypot(found.x_px - x_px, found.y_px - y_px)
+    if not found.is_weak and apart > AGREES * (radius_px or found.radius_px):
+        return found
+    radius = contact_radius(size, x_px, y_px, radius_px)
+    return replace(
+        found, x_px=x_px, y_px=y_px, radius_px=radius, signal=_signal(size, x_px, y_px, radius), marked=True
+    )
+
+
 def why_no_contact(contact: ContactCircle) -> str | None:
     """The reason that a found circle is not a ball press, or None."""
+    if contact.marked or (contact.evidence is not None and contact.evidence >= MIN_EVIDENCE):
+        return None
     if contact.antisymmetry < MIN_ANTISYMMETRY:
         return (
             f"no ball found: too light, cut by the border, or no ball (antisymmetry {contact.antisymmetry:.2f}, expected "
@@ -89,14 +122,15 @@ def contact_radius(
     size: NDArray[np.float32], x_px: float, y_px: float, near_px: float | None = None
 ) -> float:
     """Radius of the steepest descent of the ring mean of |change| about a center; near a given one if any."""
-    scale = scale_of(size.shape)
-    slope = gaussian_filter1d(ring_mean(size, x_px, y_px), 2 * scale, order=1)
-    low, high = 6 * scale, len(slope) - 5 * scale
+    scale, last = scale_of(size.shape), int(0.6 * min(size.shape))
+    low, high = 6 * scale, last - 5 * scale
     if near_px is not None:
         low, high = max(low, 0.6 * near_px), min(high, 1.4 * near_px + 2 * scale)
+        last = min(last, int(max(low, high) + 9 * scale) + 3)  # the blur reaches 8 px at 240 rows
+    slope = gaussian_filter1d(ring_mean(size, x_px, y_px, count=last), 2 * scale, order=1)
     start, stop = int(low), max(int(low) + 1, int(high))
     peak = start + int(np.argmin(slope[start:stop]))
-    return peak + _parabola_offset(slope, peak)
+    return peak + parabola_offset(slope, peak)
 
 
 def steepest_radius(size: NDArray[np.float32], contact: ContactCircle) -> float:
@@ -122,17 +156,20 @@ def imprint_aspect(size: NDArray[np.float32], contact: ContactCircle) -> float:
         falls.append(-float(slope[low : min(high, len(slope) - int(5 * scale))].min(initial=0.0)))
     best = int(np.argmax(falls))
     step = float(LOG_ASPECTS[1] - LOG_ASPECTS[0])
-    return float(np.exp(LOG_ASPECTS[best] + step * _parabola_offset(np.array(falls), best)))
+    return float(np.exp(LOG_ASPECTS[best] + step * parabola_offset(np.array(falls), best)))
 
 
 def ring_mean(
-    values: NDArray[np.float32], x_px: float, y_px: float, aspect: float = 1.0
+    values: NDArray[np.float32], x_px: float, y_px: float, aspect: float = 1.0, count: int | None = None
 ) -> NDArray[np.float64]:
-    """Mean of a map on rings of 1 px about a center, out to 0.6 of the shorter side; of a width over height."""
+    """Mean of a map on rings of 1 px about a center, `count` or out to 0.6 of the shorter side; of a width over height."""
+    count = int(0.6 * min(values.shape)) if count is None else count
+    reach = count * max(aspect, 1 / aspect) ** 0.5 + 1
+    top, left = (int(np.clip(at - reach, 0, n)) for at, n in zip((y_px, x_px), values.shape))
+    values = values[top : max(0, int(y_px + reach) + 2), left : max(0, int(x_px + reach) + 2)]
     height, width = values.shape
-    count = int(0.6 * min(values.shape))
-    columns = (np.arange(width, dtype=np.float32) - np.float32(x_px)) ** 2 / np.float32(aspect)
-    rows = (np.arange(height, dtype=np.float32) - np.float32(y_px)) ** 2 * np.float32(aspect)
+    columns = (np.arange(left, left + width, dtype=np.float32) - np.float32(x_px)) ** 2 / np.float32(aspect)
+    rows = (np.arange(top, top + height, dtype=np.float32) - np.float32(y_px)) ** 2 * np.float32(aspect)
     ring = np.minimum(np.sqrt(rows[:, None] + columns) + 0.5, count).astype(np.intp).ravel()
     total = np.bincount(ring, values.ravel(), minlength=count + 1)[:count]
     pixels = np.bincount(ring, minlength=count + 1)[:count]
@@ -146,8 +183,8 @@ def _antisymmetry_center(change: NDArray[np.float32]) -> tuple[float, float, flo
     spectrum = rfft2(change, s=padded, axes=(0, 1))
     odd = -irfft2(spectrum**2, s=padded, axes=(0, 1)).sum(axis=-1)[: 2 * height - 1, : 2 * width - 1]
     row, col = (int(i) for i in np.unravel_index(int(odd.argmax()), odd.shape))
-    y = (row + _parabola_offset(odd[:, col], row)) / 2
-    x = (col + _parabola_offset(odd[row], col)) / 2
+    y = (row + parabola_offset(odd[:, col], row)) / 2
+    x = (col + parabola_offset(odd[row], col)) / 2
     energy = float(np.square(change, dtype=np.float64).sum())
     return x, y, float(odd[row, col]) / max(energy, 1e-12)
 
@@ -162,7 +199,7 @@ def _signal(size: NDArray[np.float32], x: float, y: float, radius: float) -> flo
     return float(inside.mean() / max(float(np.percentile(outside, 80)), 1e-6))
 
 
-def _parabola_offset(values: NDArray[np.floating], index: int) -> float:
+def parabola_offset(values: NDArray[np.floating], index: int) -> float:
     """Sub-sample offset of an extremum from its two neighbors, within half a sample."""
     if not 0 < index < len(values) - 1:
         return 0.0

@@ -10,7 +10,7 @@ import numpy as np
 
 from gelform.calibration.candidates import Start
 from gelform.calibration.circles.edge import contact_radius_ratio
-from gelform.calibration.circles.find import ContactCircle, moved
+from gelform.calibration.circles.find import ContactCircle, contact_radius, moved
 from gelform.calibration.circles.prepare import find_contacts, prepare
 from gelform.calibration.circles.refine import (
     agreement,
@@ -38,6 +38,7 @@ JOINT_DEGREES = (1,)  # degree of position of the model that moves the circles o
 BALL_FACTORS = np.geomspace(0.5, 2.0, 21)  # factors of the stated ball
 MANY_REFUSED = 0.3  # of the presses; if more are refused, another ball is tried
 NEARLY_ALL = 0.9  # of the presses that have to fit the other ball
+WIDE_MARK = 1.6  # median circle by hand over imprint; 1.1-1.2 on home-made sensors, 2 if diameters were given
 STATED_SIZE = 0.07  # |log| of a factor; one step of the sweep either way still is the stated ball
 
 
@@ -101,6 +102,9 @@ def locate(presses: Presses, start: Start | None = None, *, progress: Progress =
     """
     prepared = prepare(presses, progress=progress)
     found = find_contacts(prepared, progress=progress)
+    notes = mark_notes(prepared, found)
+    if start is not None and start.note:
+        notes += (f"{start.note} Colors of another gel differ; with few presses the start's count.",)
     repeated, model = repeated_presses(presses, prepared, found), None if start is None else start.model
     excluded = {i: f"the same press as {presses.presses[kept].name}" for i, kept in repeated.items()}
     if start is not None and start.offered and NEEDED.edge.met(len(found) - len(repeated)):
@@ -109,14 +113,44 @@ def locate(presses: Presses, start: Start | None = None, *, progress: Progress =
     if start is not None and start.offered and model is not None:
         alone = refine(prepared, found, excluded=excluded)
         if len(alone.accepted) > len(refined.accepted):
-            refined, model = alone, None
+            notes += (
+                f"{start.by[0].upper()}{start.by[1:]} was not used: {len(refined.accepted)} presses fit with it, "
+                f"{len(alone.accepted)} without it.",
+            )
+            refined, model, start = alone, None, None
     other_ball = other_ball_note(prepared, found, refined, excluded)
     ratio = contact_radius_ratio(*refined.of_accepted(prepared))
     if ratio != prepared[0].contact_radius_ratio:
         prepared = [replace(press, contact_radius_ratio=ratio) for press in prepared]
         refined = refine(prepared, found, excluded=excluded, start=model, progress=progress)
-    notes = () if other_ball is None else (other_ball,)
+    notes += () if other_ball is None else (other_ball,)
     return Located(presses, prepared, found, refined, repeated, start, model, notes)
+
+
+def mark_notes(presses: Sequence[PreparedPress], found: Sequence[ContactCircle]) -> tuple[str, ...]:
+    """Notes on circles by hand, or stage's centers, that are of another place or size than what the images show."""
+    notes, ratios = [], []
+    for press, contact in zip(presses, found):
+        if press.mark is None or press.refused is not None:
+            continue
+        x, y, radius = press.mark
+        apart = float(np.hypot(contact.x_px - x, contact.y_px - y)) / (radius or contact.radius_px)
+        if not contact.marked:
+            notes.append(f"{press.name} ({apart:.1f} radii)")
+        elif radius:
+            ratios.append(radius / contact_radius(press.size, x, y))
+    said = []
+    if notes:
+        said.append(
+            "Circles by hand or stage's centers are not used where a ball is clearly seen at another place: "
+            f"{', '.join(notes)}. Check these rows of the table."
+        )
+    if ratios and np.median(ratios) > WIDE_MARK:
+        said.append(
+            f"The circles by hand are {np.median(ratios):.1f} times as wide as the imprints about their centers. "
+            "contact_radius_px is a radius: was the diameter given?"
+        )
+    return tuple(said)
 
 
 def refine(
@@ -231,9 +265,10 @@ def check_places(located: Located) -> None:
     listed = "; ".join(f"{len(one)} like {one[0]}" for one in most)
     circles = [refined.contacts[i].circle_px for i in refined.accepted]
     remedy = "".join(f"{note} " for note in located.notes)
+    notes = coverage_notes(circles, presses.image_shape, started=located.start is not None)
     raise CalibrationError(
         f"Expected at least {least} presses of a ball that fit, got {len(refined.accepted)} of "
         f"{len(presses.presses)} in {presses.folder}. Rejected: {listed or 'none'}. "
         f"{remedy}Press a ball of known diameter firmly at many places, one image each, best not deeper than half its "
-        f"radius. {' '.join(coverage_notes(circles, presses.image_shape))}"
+        f"radius. {' '.join(notes)}"
     )

@@ -9,8 +9,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.calibration.circles.find import ContactCircle, find_contact, magnitude, scale_of
+from gelform.calibration.circles.find import (
+    AGREES,
+    MIN_EVIDENCE,
+    ContactCircle,
+    find_contact,
+    magnitude,
+    marked_contact,
+    scale_of,
+)
 from gelform.calibration.circles.samples import PreparedPress
+from gelform.calibration.circles.templates import find_by_templates
 from gelform.calibration.presses.press_set import Presses
 from gelform.errors import CalibrationError
 from gelform.foundations.progress import Progress, no_progress
@@ -54,23 +63,35 @@ def prepare(
 ) -> list[PreparedPress]:
     """The presses with their color changes, each checked against the background, to which `offset` gray levels are added.
 
+    A press that is of another light is refused, with the reason, and has no color change.
+
     Raises
     ------
     CalibrationError
-        The background does not belong to a press, which is named, or not to all presses together.
+        The background does not belong to half of the presses or more, of which one is named, or not to all together.
     """
     changes = ColorChanges(presses.background, change_settings(presses, offset))
     prepared = []
     for done, press in enumerate(presses.presses):
+        refused = None
         try:
             change, usable = changes(press.image)
         except CalibrationError as problem:
-            raise CalibrationError(f"{press.name}: {problem}") from None
+            change, usable, refused = np.zeros((*presses.image_shape, 3), np.float32), None, str(problem)
         size = magnitude(change - np.median(change, axis=(0, 1)).astype(np.float32))
         radius_px = press.ball_diameter_mm / 2 / presses.mm_per_px
         prepared.append(PreparedPress(press.name, change, size, radius_px, usable, presses.background))
+        mark = press.label if press.center_px is None else (*press.center_px, None)
+        prepared[-1] = replace(prepared[-1], mark=mark, refused=refused)
         progress(done + 1, len(presses.presses), "preparing")
-    check_background_of_frames([press.image for press in presses.presses], presses.background)
+    others = [(one.name, one.refused) for one in prepared if one.refused is not None]
+    if 2 * len(others) >= len(prepared):
+        name, reason = others[0]
+        raise CalibrationError(
+            f"{len(others)} of {len(prepared)} presses do not fit the background. {name}: {reason}"
+        )
+    kept = [press.image for press, one in zip(presses.presses, prepared) if one.refused is None]
+    check_background_of_frames(kept, presses.background)
     return prepared
 
 
@@ -98,12 +119,30 @@ def prepared_by_offset(
 
 
 def find_contacts(prepared: list[PreparedPress], *, progress: Progress = no_progress) -> list[ContactCircle]:
-    """The contact circle of each image by itself."""
+    """The contact circle of each image: where its color change is odd, else as marked, else by templates of a ball."""
     found = []
     for done, press in enumerate(prepared):
-        found.append(find_contact(press.color_change))
+        contact = find_contact(press.color_change)
+        if press.mark is not None:
+            contact = marked_contact(contact, press.size, *press.mark)
+        found.append(contact)
         progress(done + 1, len(prepared), "finding contact circles")
+    known = [
+        None if contact.is_weak and press.refused is None and not _has_radius(press) else contact.circle_px
+        for press, contact in zip(prepared, found)
+    ]
+    for k, (circle, evidence) in find_by_templates(prepared, known).items():
+        x, y, radius = circle
+        apart = np.hypot(x - found[k].x_px, y - found[k].y_px)
+        if found[k].marked and apart < AGREES * radius:
+            found[k] = replace(found[k], radius_px=radius)  # a stage knows the center alone
+        elif evidence >= MIN_EVIDENCE and not found[k].marked:
+            found[k] = replace(found[k], x_px=x, y_px=y, radius_px=radius, evidence=evidence)
     return found
+
+
+def _has_radius(press: PreparedPress) -> bool:
+    return press.mark is not None and press.mark[2] is not None
 
 
 def change_without_markers(

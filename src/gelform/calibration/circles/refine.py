@@ -17,6 +17,7 @@ import numpy as np
 import scipy  # its parts load at first use
 from numpy.typing import NDArray
 
+from gelform.calibration.circles.clipped import light_notes
 from gelform.calibration.circles.find import ContactCircle, moved, scale_of, steepest_radius, why_no_contact
 from gelform.calibration.circles.samples import (
     PRESS_PIXELS,
@@ -38,6 +39,7 @@ from gelform.slopes.color_models._shared.least_squares import (
 )
 
 MAX_MOVE_PX = 8.0  # px at 240 rows; usual presses are found within 2, deep ones within 10
+MAX_MOVE_RADII = 0.25  # of the found circle; more is another place than that of a small press
 MAX_RESIDUAL = 0.25  # mm/mm, largest median slope error of a press that fits
 RESIDUAL_OVER_MEDIAN = 3.0  # times the other presses' median slope error
 START_RIDGE = 1e-2  # ridge of the model that follows another unit's
@@ -70,7 +72,7 @@ def fit_model(
 
 def why_impossible(press: PreparedPress, contact: ContactCircle) -> str | None:
     """The reason that a circle found in one image cannot be a press of this ball, or None."""
-    reason = why_no_contact(contact)
+    reason = press.refused or _why_outside(press) or why_no_contact(contact)
     if reason is None and len(press.pixels(contact, ZONE)[0]) < 30:
         reason = "contact lies outside the frame"
         if contact.radius_px > MANY_BALLS * press.ball_radius_px:
@@ -79,6 +81,20 @@ def why_impossible(press: PreparedPress, contact: ContactCircle) -> str | None:
                 "in inches (25.4 mm each) or mm_per_px is wrong"
             )
     return reason
+
+
+def _why_outside(press: PreparedPress) -> str | None:
+    """The reason that a circle by hand or a stage's center lies outside the image, or None."""
+    if press.mark is None:
+        return None
+    (x, y, radius), (height, width) = press.mark, press.size.shape
+    beyond = radius or press.ball_radius_px
+    if -beyond < x < width + beyond and -beyond < y < height + beyond:
+        return None
+    return (
+        f"its circle by hand or stage's center ({x:.0f}, {y:.0f}) lies outside the image of {width} px by {height} px: give "
+        "px of the image, after crop and view"
+    )
 
 
 def why_too_wide(presses: Sequence[PreparedPress], found: Sequence[ContactCircle]) -> list[str | None]:
@@ -110,21 +126,25 @@ def recentered(
     gradients = press.gradients(model, rows, cols)
     x, y = ball_center(gradients, cols, rows, (contact.x_px, contact.y_px), press.ball_radius_px, rounds=8)
     far = np.hypot(x - found.x_px, y - found.y_px)
-    limit = 1.5 * MAX_MOVE_PX * scale_of(press.size.shape)
+    limit = min(1.5 * MAX_MOVE_PX * scale_of(press.size.shape), MAX_MOVE_RADII * found.radius_px)
     if far > limit:
         x, y = found.x_px + (x - found.x_px) * limit / far, found.y_px + (y - found.y_px) * limit / far
-    return moved(contact, press.size, x, y)
+    return moved(found, press.size, x, y)
 
 
 def why_misfits(
     presses: Sequence[PreparedPress], contacts: Sequence[ContactCircle], model: ColorModel
 ) -> list[str | None]:
     """For each press the reason that it does not agree with the model of all, or None."""
-    return misfit_reasons([agreement(press, contact, model) for press, contact in zip(presses, contacts)])
+    agreements = [agreement(press, contact, model) for press, contact in zip(presses, contacts)]
+    reasons, background = misfit_reasons(agreements), presses[0].background
+    if not any(reasons) or background is None:
+        return reasons
+    return misfit_reasons(agreements, "".join(light_notes(background)).rstrip("."))
 
 
-def misfit_reasons(agreements: Sequence[tuple[float, float]]) -> list[str | None]:
-    """For each (slope error, gain) the reason that such a press does not fit, or None."""
+def misfit_reasons(agreements: Sequence[tuple[float, float]], clipped: str = "") -> list[str | None]:
+    """For each (slope error, gain) the reason that such a press does not fit, or None; `clipped` is a likelier one."""
     typical = float(np.median([residual for residual, _ in agreements]))
     limit = min(MAX_RESIDUAL, max(RESIDUAL_OVER_MEDIAN * typical, 0.1))
     reasons: list[str | None] = []
@@ -132,12 +152,12 @@ def misfit_reasons(agreements: Sequence[tuple[float, float]]) -> list[str | None
         if not GAIN_RANGE[0] <= gain <= GAIN_RANGE[1]:
             reasons.append(
                 f"its slopes are {gain:.2f} times those of a ball of this diameter, by the other presses: "
-                "it is no ball, or its ball_diameter_mm is wrong"
+                + (clipped or "it is no ball, or its ball_diameter_mm is wrong")
             )
         elif residual > limit:
             reasons.append(
                 f"slopes differ from the ball's by {residual:.2f} (the other presses: {typical:.2f}, limit {limit:.2f}): "
-                "it is no ball, it slipped, or it is a double contact"
+                + (clipped or "it is no ball, it slipped, or it is a double contact")
             )
         else:
             reasons.append(None)

@@ -40,6 +40,8 @@ class PreparedPress:
     usable : (H, W) bool, False on markers; None if all pixels are
     background : (H, W, 3) float32, the background image of all presses; or None
     contact_radius_ratio : radius of the contact edge over that of the visible circle; the same for all presses
+    mark : (x, y, radius) px of the circle by a person; (x, y, None) of a stage's center; or None
+    refused : the reason that the image is not of this background, or None
     """
 
     name: str
@@ -49,6 +51,8 @@ class PreparedPress:
     usable: NDArray[np.bool_] | None = None
     background: NDArray[np.float32] | None = None
     contact_radius_ratio: float = USUAL_EDGE
+    mark: tuple[float, float, float | None] | None = None
+    refused: str | None = None
 
     def contact_radius(self, contact: ContactCircle) -> float:
         """Radius, px, up to which the gel follows the ball."""

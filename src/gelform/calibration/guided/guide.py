@@ -18,7 +18,7 @@ from gelform.calibration.guided.fit import GuidedCalibration, calibrate_guided
 from gelform.calibration.guided.judge import Circle, Judge, Look
 from gelform.calibration.presses.press_set import Press, Presses, check_ball_diameter
 from gelform.calibration.report.verdict import LIMITS, level_of
-from gelform.calibration.starters import starter_for
+from gelform.calibration.starters import starter_for, starter_names
 from gelform.calibration_file import Calibration
 from gelform.errors import GelformError
 from gelform.foundations.checks import check_sensor_pitch
@@ -32,7 +32,7 @@ from gelform.sensors.profiles import check_gel_width, make_of, profile_named
 from gelform.sensors.simulated.source import SimulatedSource
 from gelform.sensors.source import Source
 
-WANTED, LEAST = NEEDED.guided_well.presses, NEEDED.guided.presses
+WANTED, LEAST = NEEDED.advised.presses, NEEDED.guided.presses
 LOOK_EVERY_S = 0.08  # s between analyzed frames; an analysis takes some 10 ms
 STILL_LOOKS = 3  # consecutive still frames until a press counts
 NEXT_PLACES = 3  # suggested places on the page: the next one, and those after it
@@ -130,7 +130,7 @@ class Guide:
         self.step, self.hint = "background", "Touch nothing while the page takes the background."
         self.places: tuple[PressPlace, ...] = ()
         self.covered: Coverage | None = None
-        self.wanted = WANTED
+        self.wanted = WANTED if asked.make not in starter_names() else NEEDED.started.presses
         self.made: GuidedCalibration | None = None
         self._changed = on_changed
         self._lock = threading.Lock()
@@ -142,6 +142,8 @@ class Guide:
         self._judge: Judge | None = None
         self._images: list[NDArray[np.uint8]] = []
         self._circles: list[Circle] = []
+        self._clicks: list[tuple[float, float] | None] = []
+        self._click: tuple[float, float] | None = None
         self._verdicts: list[tuple[Circle, str]] = []
         self._live: Look | None = None
         self._still = 0
@@ -194,8 +196,8 @@ class Guide:
             return Presses(
                 folder="guided presses",
                 presses=tuple(
-                    Press(f"images/{k:04d}.png", image, diameter, None, pixels_digest(image))
-                    for k, image in enumerate(self._images)
+                    Press(f"images/{k:04d}.png", image, diameter, None, pixels_digest(image), click)
+                    for k, (image, click) in enumerate(zip(self._images, self._clicks))
                 ),
                 background=self._background,
                 mm_per_px=self.asked.mm_per_px,
@@ -226,6 +228,11 @@ class Guide:
         self.covered, self.places = self.made.covered, self.made.places
         self.step, self.hint = "report", "Read the report. Then use the calibration, press more, or leave it."
         self._changed()
+
+    def click(self, x_px: float, y_px: float) -> None:
+        """Take a place of the image as the middle of the present press, where gelform does not see a ball."""
+        with self._lock:
+            self._click, self._still = (x_px, y_px), 0
 
     def press_more(self) -> None:
         """Ask for presses at the report's places, in addition to the accepted ones, and for another fit.
@@ -290,9 +297,9 @@ class Guide:
 
     def _judge_press(self, image: NDArray[np.uint8]) -> None:
         assert self._judge is not None
-        look = self._live = self._judge.look(image, self._circles)
+        look = self._live = self._judge.look(image, self._circles, self._click)
         if not look.touched:
-            self._lifted, self._still = True, 0
+            self._lifted, self._still, self._click = True, 0, None
             self.hint = self._asking()
         elif not self._lifted:
             self._still = 0
@@ -316,6 +323,7 @@ class Guide:
             return
         self._images.append(image)
         self._circles.append(look.circle)
+        self._clicks.append(self._click if look.marked else None)
         self._lifted = False
         self._ask_next()
         self.hint = "Accepted. Lift the ball."

@@ -10,7 +10,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.calibration.circles.find import ContactCircle, find_contact, scale_of, why_no_contact
+from gelform.calibration.circles.find import (
+    ContactCircle,
+    find_contact,
+    magnitude,
+    marked_contact,
+    scale_of,
+    why_no_contact,
+)
 from gelform.calibration.circles.prepare import BLUR_PX, USUAL_OFFSET, ColorChanges
 from gelform.errors import CalibrationError
 from gelform.image.background.change import ChangeSettings
@@ -35,6 +42,7 @@ class Look:
     ----------
     circle : the contact (x, y, radius) in px, or None
     touched : whether anything touches the gel
+    marked : whether the circle's center is the one that was clicked
     moving : whether it differs from the previous image
     reason : why this press is not accepted; "" if it is
     """
@@ -43,6 +51,7 @@ class Look:
     touched: bool
     moving: bool
     reason: str
+    marked: bool = False
 
 
 class Judge:
@@ -72,8 +81,13 @@ class Judge:
         self._before: NDArray[np.float32] | None = None
         self._touched = max(TOUCHED, NOISE_FACTOR * _largest(self._changes(untouched)[0]))
 
-    def look(self, image: NDArray[Any], accepted: Sequence[Circle] = ()) -> Look:
-        """Judge an image (H, W, 3), given the accepted presses."""
+    def look(
+        self,
+        image: NDArray[Any],
+        accepted: Sequence[Circle] = (),
+        clicked: tuple[float, float] | None = None,
+    ) -> Look:
+        """Judge an image (H, W, 3), given the accepted presses, and the center (x, y) that was clicked or None."""
         moving = self._moves(image)
         try:
             change, _ = self._changes(image)
@@ -82,11 +96,17 @@ class Judge:
         if _largest(change) < self._touched:
             return Look(None, False, moving, "")
         contact = find_contact(change)
+        if clicked is not None:
+            size = magnitude(change - np.median(change, axis=(0, 1)).astype(np.float32))
+            contact = marked_contact(contact, size, *clicked, None)
         if why_no_contact(contact) is not None:
             return Look(
-                None, True, moving, "No ball is clearly visible. Press it a little harder, straight down."
+                None,
+                True,
+                moving,
+                "No ball is clearly visible. Press it a little harder, straight down. Or click the middle of its imprint.",
             )
-        return Look(contact.circle_px, True, moving, self._reason(contact, accepted))
+        return Look(contact.circle_px, True, moving, self._reason(contact, accepted), contact.marked)
 
     def _moves(self, image: NDArray[Any]) -> bool:
         height, width = self._shape

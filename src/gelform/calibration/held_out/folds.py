@@ -12,10 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from gelform.calibration.circles.find import ContactCircle
-from gelform.calibration.circles.locate import ROUNDS, refine
+from gelform.calibration.circles.locate import ROUNDS, Located, refine
 from gelform.calibration.circles.refine import fit_model, recentered
 from gelform.calibration.circles.samples import PreparedPress
-from gelform.calibration.enough import FOLDS
+from gelform.calibration.enough import FOLDS, NEEDED
+from gelform.errors import CalibrationError
 from gelform.foundations.progress import Progress, no_progress
 from gelform.slopes.color_models import StartableModel
 
@@ -39,10 +40,11 @@ def make_folds(
 ) -> list[Fold]:
     """Split the usable presses into folds, each size of ball evenly, and refine each fold's training circles.
 
-    No two usable presses show the same contact (`circles.repeated`). `start` is another unit's model.
+    Of under 12 presses each is a fold by itself, because a fold of two would leave too few to train. No two usable presses
+    show the same contact (`circles.repeated`). `start` is another unit's model.
     """
     ordered = sorted(usable, key=lambda i: presses[i].ball_radius_px)
-    count = min(FOLDS, len(ordered))
+    count = FOLDS if NEEDED.edge.met(len(ordered)) else len(ordered)
     folds = []
     for f in range(count):
         held_out = tuple(ordered[f::count])
@@ -65,6 +67,18 @@ def _fold(
         training=tuple(training[k] for k in kept),
         contacts=tuple(refined.contacts[k] for k in kept),
     )
+
+
+def check_folds(located: Located, folds: Sequence[Fold]) -> None:
+    """Raise a CalibrationError if the presses agree with each other only because of a few of them."""
+    for fold in folds:
+        if not NEEDED.model.met(len(fold.training)):
+            names = ", ".join(located.presses.presses[i].name for i in fold.held_out)
+            raise CalibrationError(
+                f"Expected presses of a ball that fit each other, but without {names} only {len(fold.training)} of the "
+                f"other {len(located.refined.accepted) - len(fold.held_out)} do. {' '.join(located.notes)} Press a ball of "
+                "known diameter firmly at more places."
+            )
 
 
 def circle_sigmas(

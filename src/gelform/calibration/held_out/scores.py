@@ -10,7 +10,7 @@ other folds' presses select.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -26,7 +26,7 @@ from gelform.calibration.circles.samples import PRESS_PIXELS, TRIAL_SAMPLES, Pre
 from gelform.calibration.held_out.folds import Fold
 from gelform.foundations.progress import Progress, no_progress
 from gelform.result.metrics import score_slopes
-from gelform.slopes.color_models.forward_response import RIDGES, Step
+from gelform.slopes.color_models.forward_response import Step
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,12 @@ class HeldOutPresses:
                 }
                 if ridges:
                     responses = fitted_responses(
-                        reader, training, fold.contacts, list(ridges), total=TRIAL_SAMPLES
+                        reader,
+                        training,
+                        fold.contacts,
+                        list(ridges),
+                        start=plain.start,
+                        total=TRIAL_SAMPLES,
                     )
                     for one, forward in zip(ridges.values(), responses):
                         self._fits[fold, one] = FittedSlopes(reader, forward)
@@ -142,20 +147,21 @@ def select(
 
     If groups read held-out presses equally well, the first one is selected.
     """
+    presses = sum(len(fold.held_out) for fold in held_out.folds)
     plain = [held_out.try_candidates(group) for group in groups]
     progress(1, 2, f"tried {groups[0][0].model}")
     stepped: dict[Candidate, list[Trial]] = {}
     for trials in plain:
         for leader in dict.fromkeys(_best(trials, without) for without in _left_out(held_out)):
-            steps = [replace(leader, step_ridge=ridge) for ridge in RIDGES]
-            stepped[leader] = held_out.try_candidates(steps)
+            stepped[leader] = held_out.try_candidates(leader.with_steps(presses))
     progress(2, 2, "tried the forward response")
 
     def chosen(without: Sequence[int] = ()) -> Candidate:
         finalists = []
         for trials in plain:
             leader = _best(trials, without)
-            finalists += [next(t for t in trials if t.candidate == leader), *stepped[leader]]
+            without_step = [t for t in trials if t.candidate == leader and leader.may_not_step(presses)]
+            finalists += [*without_step, *stepped[leader]]
         return _best(finalists, without)
 
     by_fold = tuple(chosen(fold.held_out) for fold in held_out.folds)

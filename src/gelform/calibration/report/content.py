@@ -104,7 +104,8 @@ def report_content(
         "sigma": fraction_within_sigma(inner, sigmas, shape, square_tiles(shape, 4)),
         "learning": learning,
     }
-    checks = checks_of(_checked_figures(content))
+    errors = {name: one["standard_error"] for name, one in content["figures"].items()}
+    checks = checks_of(_checked_figures(content), errors)
     return {**content, "checks": checks, "verdict": verdict_of(checks, (learning or {}).get("sentence"))}
 
 
@@ -119,6 +120,7 @@ def _figures(rows: Sequence[PressReport], rng: np.random.Generator) -> dict[str,
             figures[name] = {
                 "value": float(middle(values)),
                 "interval": interval_of(values, middle, rng) if NEEDED.interval.met(values.size) else None,
+                "standard_error": float(values.std(ddof=1) / values.size**0.5) if values.size > 1 else None,
                 "presses": int(values.size),
                 "statistic": middle.__name__,
             }

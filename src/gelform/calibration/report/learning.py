@@ -113,15 +113,16 @@ def sizes_for(accepted: int) -> list[int]:
 
 def candidates_of(calibration: Calibration, presses: int, start: Start | None) -> list[Candidate]:
     """The selected color model with settings that a number of presses can support, and the selected step."""
+    if start is not None:  # one strength of the prior for model and step
+        options = candidates_from(start, presses)
+        return [replace(one, step_ridge=dict(one.settings)["ridge"]) for one in options]
     step = calibration.settings.step_ridge
-    options = (
-        candidates_for(calibration.color_model.name, presses) if start is None else candidates_from(start)
-    )
-    if start is not calibration.report.start:  # its settings are of the other kind of fit
-        return [replace(candidate, step_ridge=step) for candidate in options]
+    options = candidates_for(calibration.color_model.name, presses)
+    if calibration.report.start is not None:  # its settings are of the other kind of fit
+        return [one.with_steps(presses)[0] for one in options]
     options = [replace(candidate, step_ridge=step) for candidate in options]
     own = tuple((key, calibration.settings.others[key]) for key, _ in options[0].settings)
-    chosen = Candidate(calibration.color_model.name, own, start, step)
+    chosen = Candidate(calibration.color_model.name, own, None, step)
     if NEEDED.settings.met(presses):
         return [chosen]
     return options[: options.index(chosen) + 1] if chosen in options else [*options, chosen]
@@ -148,7 +149,9 @@ def _one_draw(
         fit = FittedSlopes(SlopeReader(candidate.fit(samples), used[0], untouched), None)
         if candidate.step_ridge is not None:
             ridges = [candidate.step_ridge]
-            responses = fitted_responses(fit.reader, used, contacts, ridges, total=TRIAL_SAMPLES)
+            responses = fitted_responses(
+                fit.reader, used, contacts, ridges, start=candidate.start, total=TRIAL_SAMPLES
+            )
             fit = FittedSlopes(fit.reader, responses[0])
         scores = [score_of(to_fit[i], found[i], fit.frame(to_fit[i])) for i in tested]
         degrees.append(float(np.mean([score.normal_deg for score in scores])))

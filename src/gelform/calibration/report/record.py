@@ -11,6 +11,7 @@ import numpy as np
 from gelform.calibration.balls import BallReading
 from gelform.calibration.candidates import Start
 from gelform.calibration.circles.locate import Located
+from gelform.calibration.enough import NEEDED
 from gelform.calibration.fitted import Fitted
 from gelform.calibration.held_out.measure import HeldOutSample, Judged
 from gelform.calibration.held_out.scores import Selection
@@ -130,12 +131,15 @@ def _of_starter(fitted: Fitted, offered: Start | None) -> tuple[str, ...]:
     if offered is None:
         return ()
     selection, errors = fitted.selection, {}
+    by = f"{offered.by[0].upper()}{offered.by[1:]}"
+    if all(one.candidate.start is not None for one in selection.trials):
+        return (f"{by} was used. With under {NEEDED.edge.presses} presses no fit without it is tried.",)
     for begun in (True, False):
         own = [one.mean_log() for one in selection.trials if (one.candidate.start is not None) == begun]
         errors[begun] = float(np.exp(min(own))) if own else float("nan")
     used = "was used" if selection.chosen.start is not None else "was not used"
     return (
-        f"{offered.by[0].upper()}{offered.by[1:]} {used}. Held-out slopes are off by {errors[True]:.3f} with it and by "
+        f"{by} {used}. Held-out slopes are off by {errors[True]:.3f} with it and by "
         f"{errors[False]:.3f} without it.",
     )
 
@@ -200,9 +204,11 @@ def _candidate_rows(selection: Selection) -> tuple[dict[str, Any], ...]:
 def _how_held_out(presses: int, selection: Selection) -> str:
     agree = sum(candidate == selection.chosen for candidate in selection.by_fold)
     folds = len(selection.by_fold)
+    split = "that are each left out in turn" if folds == presses else f"in {folds} folds"
     return (
-        f"Held-out errors are of {presses} presses in {folds} folds. gelform finds circles and model without the "
-        f"presses of the fold that it judges. {agree} of {folds} folds chose the model that all presses together chose."
+        f"Held-out errors are of {presses} presses {split}, and hold where presses are. gelform finds circles and model "
+        f"without the presses of the fold that it judges. {agree} of {folds} folds chose the model that all presses "
+        "together chose."
     )
 
 

@@ -37,8 +37,8 @@ class Limit:
 LIMITS = (
     Limit("rejected_percent", "presses rejected", "%", 10, 20, False,
           "Look at the rejected presses. Each reason says what to press or to write down differently."),
-    Limit("presses_used", "presses used", "", NEEDED.good.presses, NEEDED.fair.presses, True,
-          f"Press the ball at more places: {NEEDED.good.presses} presses or more. Begin at the places marked 1, 2, 3."),
+    Limit("presses_used", "presses used", "", NEEDED.advised.presses, NEEDED.fair.presses, True,
+          f"Press the ball at more places: {NEEDED.advised.presses} presses or more. Begin at the places marked 1, 2, 3."),
     Limit("normal_free_deg", "angle error of the normals, held out", "°", 3, 5, False,
           "Press at the places marked 1, 2, 3. Check that exposure and light did not change. Look for cast shadows."),
     Limit("ball_sigmas", "stated ball diameter against the measured one", "σ", MOST_SIGMAS, MOST_SIGMAS, False,
@@ -77,16 +77,19 @@ def level_of(limit: Limit, value: float | None) -> str:
     return "fair" if sign * value <= sign * limit.fair else "poor"
 
 
-def checks_of(figures: Mapping[str, float | None]) -> list[dict[str, Any]]:
+def checks_of(
+    figures: Mapping[str, float | None], standard_errors: Mapping[str, float] | None = None
+) -> list[dict[str, Any]]:
     """Every check with its figure (None if unknown), its level and its limits, causes before their effects.
 
-    A check that the sensor does not need, and that has no figure, is left out.
+    A check that the sensor does not need, and that has no figure, is left out. Some figures have a standard error.
     """
     return [
         {
             **asdict(limit),
             "value": figures[limit.name],
             "level": level_of(limit, figures[limit.name]),
+            "standard_error": (standard_errors or {}).get(limit.name),
         }
         for limit in LIMITS
         if limit.name in figures
@@ -125,9 +128,18 @@ def verdict_of(checks: list[dict[str, Any]], learning_sentence: str | None = Non
 def _headline(
     level: str, named: Mapping[str, dict[str, Any]], poor: Sequence[dict[str, Any]], refuted: bool
 ) -> str:
+    error, covered = named["normal_free_deg"]["standard_error"], named["covered_percent"]
+    few = error is not None and not NEEDED.edge.met(int(named["presses_used"]["value"]))
+    # What presses do not cover was not held out either.
+    where = (
+        f"where presses are ({shown(covered)} of places and slope directions), "
+        if covered["level"] == "poor"
+        else ""
+    )
     figures = (
-        f"held-out normals are off by {named['normal_free_deg']['value']:.1f}°, "
-        f"the ball radius by {named['radius_percent']['value']:.1f} %"
+        f"{where}held-out normals are off by {named['normal_free_deg']['value']:.1f}"
+        f"{f' ± {error:.1f}' if few else ''}°, the ball radius by {named['radius_percent']['value']:.1f} %"
+        f"{'. Elsewhere errors are not known' if where else ''}"
     )
     if refuted:
         return f"Poor: the ball diameter or mm_per_px is wrong. With them, {figures}"

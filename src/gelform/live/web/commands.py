@@ -71,6 +71,7 @@ COMMANDS = {
         actions.guide_start,
         {"station": station, "ball_diameter_mm": number, "profile": text, "mm_per_px": number},
     ),
+    "guide_click": Command(actions.guide_click, {"station": station, "x_px": number, "y_px": number}),
     "guide_fit": Command(actions.guide_fit, {"station": station}),
     "guide_use": Command(actions.guide_use, {"station": station}),
     "guide_more": Command(actions.guide_more, {"station": station}),

@@ -119,24 +119,30 @@ class ForwardResponse:
         ridges: Sequence[float] = RIDGES,
         *,
         step_sigma: tuple[float, float] | None = None,
+        start: ForwardResponse | None = None,
     ) -> list[ForwardResponse]:
         """One response for each ridge, by penalized least squares of the color change.
 
         The samples need `depth_px`, the depth of the frame from the color model. The ridge belongs to a coefficient that is
-        the
-        same everywhere, relative to the samples' weight.
+        the same everywhere, relative to the samples' weight. With the `start` of another unit, coefficients are pulled to
+        its own instead of to 0.
         """
         assert samples.depth_px is not None
-        regression = VaryingRegression.of(
-            _terms(samples.gradients, samples.depth_px), samples.color_change, samples
-        )
+        target, from_nodes = samples.color_change, 0 if start is None else start.nodes
+        if start is not None:
+            places = samples.x_px, samples.y_px
+            target = target - start.color_from_gradients(
+                samples.gradients, *places, depth_px=samples.depth_px
+            )
+        regression = VaryingRegression.of(_terms(samples.gradients, samples.depth_px), target, samples)
         pressed = np.any(samples.gradients != 0, axis=1)[:: round(len(samples.x_px) / len(regression.target))]
         found = []
         for ridge in ridges:
             coefficients = regression.coefficients(ridge)
             left = regression.residual(coefficients)[pressed]
             covariance = np.cov(left.T) + 1e-12 * np.eye(3)
-            found.append(cls(regression.nodes(coefficients), covariance, samples.shape, step_sigma))
+            nodes = from_nodes + regression.nodes(coefficients)
+            found.append(cls(nodes, covariance, samples.shape, step_sigma))
         return found
 
     def color_from_gradients(

@@ -222,6 +222,7 @@ function choose(chosen) {
 
 function pointed(x, y, kind, view) {
   if (kind === "click" && page === "live" && stage().ruler.on) return stage().ruler.click(x, y);
+  if (kind === "click" && page === "calibrate" && !station()?.simulated) return facts?.guides[number]?.step === "press" && send("guide_click", { x_px: x, y_px: y });
   if (kind === "click" && view === "image" && station()?.simulated) return send("press", { x_px: x, y_px: y });
   stage().pointer.pointed(x, y, kind);
   sayFollowing();
