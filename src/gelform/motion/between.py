@@ -26,7 +26,7 @@ MOST_FROM_START_MM, MOST_TURN_DEG = 0.5, 10.0
 # Mm and rad: the range of the method, and what is known where nothing is seen and no prior given.
 REACH = (MOST_FROM_START_MM, float(np.radians(MOST_TURN_DEG)))
 NO_PRIOR = (10.0, float(np.radians(MOST_TURN_DEG)))
-PLACE_ERROR = 0.014  # error of a ball's place over its displacement, the largest of four sensors (.004-.014)
+PLACE_ERROR = 0.006  # error of a ball's place over its displacement, the largest of three Minis (two GelSlims .010, .015)
 MOST_MISFIT = 1.0  # of the surfaces after the motion, in their stated errors; .84 at most on real contacts
 UNKNOWN_MM = 1e3  # mm, standard deviation of what is not known at all
 MOST_STEPS = 30
@@ -73,10 +73,11 @@ def motion_between(
     Parameters
     ----------
     a, b : results (H, W) of one calibration, with a scale
-    start : (4, 4), about where it moved, within 0.5 mm; where it was by default
+    start : (4, 4), about where it moved, within 0.5 mm. By default where it was, and if that is lost, where the middle of
+        the touched pixels is
     prior : (mm, rad), standard deviations of the start's shift and turn. The result is the best of both; blind directions
         take the prior alone. By default nothing is known: 10 mm and 10 degrees
-    place_error : error of a place over the displacement, a calibration's `settings.place_error`; None: that of a bad sensor
+    place_error : error of a place over the displacement, a calibration's `settings.place_error`; None: that of a Mini
 
     Returns
     -------
@@ -93,7 +94,12 @@ def motion_between(
     if why := not_comparable(a, b):
         return lost(why)
     begin = np.eye(4) if start is None else checked_pose(start, "start")
-    return motion_of(first, second, begin, checked_prior(prior), checked_place_error(place_error))
+    known = checked_prior(prior), checked_place_error(place_error)
+    motion = motion_of(first, second, begin, *known)
+    if motion.state == LOST and start is None and min(first.count, second.count) >= LEAST_PX:
+        begin[:2, 3] = second.centroid - first.centroid
+        motion = motion_of(first, second, begin, *known)
+    return motion
 
 
 def checked_prior(prior: Sequence[float] | None) -> tuple[float, float]:
@@ -105,7 +111,7 @@ def checked_prior(prior: Sequence[float] | None) -> tuple[float, float]:
 
 
 def checked_place_error(share: float | None) -> float:
-    """The error of a place over the displacement; None: the largest of four sensors."""
+    """The error of a place over the displacement; None: the largest of three Minis."""
     return PLACE_ERROR if share is None else check_within(share, "place_error", 0, 1)
 
 
@@ -157,12 +163,12 @@ def motion_of(
     own = pose_covariance(first, found, freely, travel * place_error)
     if filled := blind_depth(first, second):
         own[2, 2] += UNKNOWN_MM**2
-    # The best of what was seen and of the prior: information adds up.
-    along = (freely / np.square(first.scale)[:, None]).T  # of a step, its parts in these directions
-    information = along.T @ np.linalg.inv(along @ own @ along.T) @ along
-    covariance = np.linalg.inv(information + np.diag(_information(prior)))
-    step = step_of_pose(pose @ np.linalg.inv(start), center)
-    pose = pose_of_step(covariance @ information @ step, center) @ start
+    # The best of what was seen and of the prior: information adds up. Where nothing was seen, the start stays.
+    along = np.linalg.inv(np.column_stack([freely, *(one.direction for one in blind)]))[: freely.shape[1]]
+    seen, known = along @ own @ along.T, along * np.square(np.repeat(prior, 3)) @ along.T
+    step = along @ step_of_pose(pose @ np.linalg.inv(start), center)
+    pose = pose_of_step(freely @ known @ np.linalg.solve(seen + known, step), center) @ start
+    covariance = np.linalg.inv(along.T @ np.linalg.inv(seen) @ along + np.diag(_information(prior)))
     if why := _too_far(pose, start, center):
         return lost(why, shared)
     state = FOUND if has_moved(first, pose) else UNSURE
