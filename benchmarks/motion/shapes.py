@@ -90,7 +90,11 @@ def edges(quick: bool) -> dict[str, Any]:
     reconstruct = gelform.Reconstructor(starter)
     lines = [(image, line_in(image, background, MINI_MM_PER_PX)) for image in images.values()]
     seen = [(reconstruct.from_image(image), line) for image, line in lines if line is not None]
-    return {"edges": len(seen), **_of_lines([line for _, line in seen]), **edge_pairs(seen[:8] if quick else seen)}
+    return {
+        "edges": len(seen),
+        **_of_lines([line for _, line in seen]),
+        **edge_pairs(seen[:8] if quick else seen),
+    }
 
 
 def _of_lines(lines: list[Line]) -> dict[str, Any]:

@@ -116,9 +116,7 @@ def _ball(first: TouchedSurface, at: Equations) -> tuple[Array, float] | None:
     turned = np.stack([[x * y, -(1 + x**2), -y], [1 + y**2, -x * y, x]]).transpose(2, 0, 1).reshape(-1, 3)
     both = [one.jacobian[:, :2].reshape(-1, 6) @ turns for one in (at, first.own)]
     each = weight.reshape(-1, 1)
-    shape, change = (
-        (each * (both[0] + own)).T @ (both[1] + own) for own in (np.zeros_like(turned), turned)
-    )
+    shape, change = ((each * (both[0] + own)).T @ (both[1] + own) for own in (np.zeros_like(turned), turned))
     change += (each * turned).T @ turned
     change += np.eye(3) * (1e-9 * np.trace(change) + 1e-30)
     left = float(np.linalg.eigvals(np.linalg.solve(change + change.T, shape + shape.T)).real.max())

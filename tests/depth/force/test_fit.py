@@ -60,6 +60,23 @@ def test_one_object_states_thirty_percent():
     assert calibrate_force(*weighed({"ball": 0.04})).normal.relative == 0.3
 
 
+def test_sigma_is_that_of_left_out_grasps():
+    """Two objects of the same stiffness on average, each with a stiff and a soft grasp."""
+    touches, loads = weighed({"ball": 0.04, "cube": 0.04})
+    grasps = [replace(load, grasp=str(k % 2)) for k, load in enumerate(loads)]
+    unlike = [replace(load, normal_n=load.normal_n * (0.8, 1.25)[k % 2]) for k, load in enumerate(grasps)]
+    model = calibrate_force([touches[k // 2 * 2] for k in range(8)], unlike)
+    assert model.normal.relative > 0.3
+    assert calibrate_force(touches, loads).normal.relative < 0.01
+
+
+def test_falling_forces_do_not_count():
+    touches, loads = weighed()
+    touches += [pressed(100, falling=True)] * 9
+    loads += [Load("ball", 12.0)] * 9
+    assert calibrate_force(touches, loads).normal == calibrate_force(*weighed()).normal
+
+
 def test_refused_touches_and_the_gauge_s_zero_do_not_count():
     touches, loads = weighed()
     touches += [
