@@ -31,6 +31,7 @@ KNOWN_K = 0.045  # N/mm^3, middle of hard objects on the studied gel (.036 to .0
 PER_NEWTON = {"grams": 1000 / 9.80665, "kilograms": 1 / 9.80665}
 LOADS_PER_TERM = 3  # loads for each weight of a dot force; with fewer, only its first term is fitted
 LONE_SPREAD = 0.30  # least relative standard deviation with one object, which does not show what others do
+EARLIER_OBJECTS = 2  # as which LONE_SPREAD counts beside the spread of several: unseen hard objects of one gel have .25-.3
 ONE_SIGMA = 0.683  # of a normal distribution within one standard deviation
 SMALL = 0.25  # of the forces, that tell the floor
 FOLDS = 5  # parts in time of a lone grasp
@@ -171,9 +172,14 @@ def _fit(kind: str, touches: list[Touch], loads: list[Load]) -> ForcePart | None
     predicted = np.empty_like(target)
     for out in _folds(grasps):
         predicted[out] = terms[out] @ solve(terms[~out], target[~out])
-    spread = _spread(predicted, target, lone=len(set(grasps[:, 0])) == 1)
+    relative, floor = _spread(predicted, target)
+    if (count := len(set(grasps[:, 0]))) == 1:
+        relative = max(relative, LONE_SPREAD)
+    elif kind == "normal":
+        squares = count * relative**2 + EARLIER_OBJECTS * LONE_SPREAD**2
+        relative = float(np.sqrt(squares / (count + EARLIER_OBJECTS)))
     weights = tuple(map(tuple, solve(terms, target).T.tolist()))
-    return ForcePart(weights, (float(size.min()), float(size.max())), *spread, len(target))
+    return ForcePart(weights, (float(size.min()), float(size.max())), relative, floor, len(target))
 
 
 def _why_no_dots(touches: list[Touch]) -> list[str]:
@@ -230,7 +236,7 @@ def _folds(grasps: NDArray[np.str_]) -> list[NDArray[np.bool_]]:
     return [part.ravel() == k for k in np.unique(part)]
 
 
-def _spread(force: Numbers, truth: Numbers, *, lone: bool) -> tuple[float, float]:
+def _spread(force: Numbers, truth: Numbers) -> tuple[float, float]:
     """Standard deviations of forces (N, components): the relative one of all, then the floor from the smallest quarter.
 
     Both are such that 68 % of the errors are within one standard deviation.
@@ -238,7 +244,6 @@ def _spread(force: Numbers, truth: Numbers, *, lone: bool) -> tuple[float, float
     error, size = np.abs(force - truth), np.linalg.norm(force, axis=1)[:, None]
     larger = np.maximum(size, np.linalg.norm(truth, axis=1)[:, None])
     relative = float(np.quantile(error / np.maximum(larger, 1e-12), ONE_SIGMA))
-    relative = max(relative, LONE_SPREAD) if lone else relative
     small = (larger <= np.quantile(larger, SMALL))[:, 0]
     left = np.maximum(error[small] ** 2 - (relative * size[small]) ** 2, 0)
     return relative, float(np.sqrt(np.quantile(left, ONE_SIGMA)))
