@@ -51,8 +51,8 @@ def blind_directions(
     if chosen.any() and (ball := _ball(first, at)) is not None:
         pivot, shape = ball
         turns = np.concatenate([about_other_center(-pivot)[:3, 3:], np.eye(3)]).T
-        words = f"turns about the ball's center at {_place(at.center + pivot)}"
-        return tuple(Blind(turn, shape, words) for turn in turns), np.eye(6)[:, :3]
+        center = f"turns about the ball's center at {_place(at.center + pivot)}"
+        return tuple(Blind(turn, shape, center) for turn in turns), np.eye(6)[:, :3]
     unseen = directions[:, chosen].T
     turning = _sizes(unseen[:, 3:] / scale[3:]) > SHIFTS * _sizes(unseen[:, :3])
     held = np.where(turning[:, None], unseen * (0, 0, 0, 1, 1, 1), unseen / scale**2) * scale

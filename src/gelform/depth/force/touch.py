@@ -79,7 +79,7 @@ def touch_from_result(result: Any) -> Touch:
     wide = slice(max(y - beside, 0), y + height + beside), slice(max(x - beside, 0), x + width + beside)
     below = np.minimum(result.depth[wide], 0, where=~contact[wide], out=np.zeros_like(result.depth[wide]))
     # Neighbors err alike, so the volume is as uncertain as the depth. Depth cannot be below 0, and errs as often above.
-    variance = 2 * float(np.square(below).sum()) / max(np.count_nonzero(~contact[wide]), 1)
+    variance = 2 * float(np.square(below).sum()) / max(int(np.count_nonzero(~contact[wide])), 1)
     if result.depth_sigma_mm is not None:
         variance += float(np.square(result.depth_sigma_mm[box][touched], dtype=np.float64).mean())
     area = float(np.prod(check_mm_per_px(pitch)))
