@@ -169,7 +169,7 @@ def simulated() -> dict[str, Any]:
         )
         calibration = gelform.calibrate(unlabeled(presses_of(presses)))
         reconstruct = gelform.Reconstructor(calibration)
-        without = gelform.Reconstructor(calibration, solver="dct", depth_sigma=False)
+        without = gelform.Reconstructor(calibration, solver="dct")
         objects = {
             "ball": (Ball(3.0), 0.6, (0.0, 0.0)),
             "coin": (Coin(), 0.35, (0.0, 0.0)),

@@ -95,8 +95,8 @@ def weights(run: Run) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for name in REPORTED:
         calibration, rng = run.calibration(name), np.random.default_rng(SEED + 1)
-        with_weights = gelform.Reconstructor(calibration, depth_sigma=False)
-        without = gelform.Reconstructor(calibration, solver="dct", depth_sigma=False)
+        with_weights = gelform.Reconstructor(calibration)
+        without = gelform.Reconstructor(calibration, solver="dct")
         errors = []
         for _ in range(run.frames(20)):
             truth = press(name, rng)
@@ -116,7 +116,7 @@ def weights(run: Run) -> dict[str, Any]:
 def digit(run: Run) -> dict[str, Any]:
     """Distance to the sphere fitted in the contact, and depth off it, over those of the solver without weights."""
     calibration, (_, test) = run.calibration("digit-ball"), _real_presses("digit-ball")
-    runs = [gelform.Reconstructor(calibration, solver=s, depth_sigma=False) for s in ("auto", "dct")]
+    runs = [gelform.Reconstructor(calibration, solver=s) for s in ("auto", "dct")]
     changes = ColorChanges(runs[0].background, calibration.change)
     rows = []
     for one in test.presses[:: 10 if run.quick else 1]:
@@ -151,7 +151,7 @@ def causes(run: Run) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for name in REPORTED:
         calibration, rng = run.calibration(name), np.random.default_rng(SEED + 4)
-        reconstruct, row = gelform.Reconstructor(calibration, depth_sigma=False), {}
+        reconstruct, row = gelform.Reconstructor(calibration), {}
         for cause in (*faults.FAULTS, "marker", "outside"):
             named = []
             for _ in range(run.frames(20)):
@@ -160,7 +160,7 @@ def causes(run: Run) -> dict[str, Any]:
                     image = faults.FAULTS[cause](image, rng)
                 else:
                     own, image = faults.printed(calibration, image, cause, rng)
-                    used = gelform.Reconstructor(own, depth_sigma=False)
+                    used = gelform.Reconstructor(own)
                 named.append(cause in {finding.name for finding in used.explain(image).findings})
             row[cause] = float(np.mean(named))
         found[name] = row
@@ -194,7 +194,7 @@ def alarms(run: Run) -> dict[str, Any]:
 
 
 def _named(calibration: gelform.Calibration, images: list[np.ndarray]) -> dict[str, Any]:
-    reconstruct = gelform.Reconstructor(calibration, depth_sigma=False)
+    reconstruct = gelform.Reconstructor(calibration)
     counts: dict[str, Any] = {"frames": len(images)}
     for image in images:
         for finding in reconstruct.explain(image).findings:

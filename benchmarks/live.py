@@ -4,6 +4,7 @@
     python benchmarks/live.py --quick    # about one and a half: shorter spans, six presses; writes nothing
     python benchmarks/live.py --rates    # one: only the rates in the browser; writes nothing
     python benchmarks/live.py --starter  # one: time to depth for an uncalibrated sensor; writes only that part
+    python benchmarks/live.py --clicks   # one: pictures of a page while others click on Background; writes only that part
     python benchmarks/live.py --pictures docs/images/live    # two: takes the pictures of docs/live.md instead
     python benchmarks/live.py --moving docs/images/live      # two: takes the README's moving picture instead
     python benchmarks/live.py --calibration                  # makes the shipped calibration of the simulated sensor
@@ -22,64 +23,24 @@ import argparse
 import json
 import os
 import statistics
-import threading
 import time
 from pathlib import Path
 from typing import Any
 
-from websockets.sync.client import connect
-
 from gelform.live.web.app import page_files
-from gelform.live.web.wire import read_message
 from live.calibration import make_calibration
+from live.clicks import while_clicked
 from live.guided import WANTED, guided
 from live.moving import take_moving
 from live.pictures import take_pictures
 from live.server import CHROMIUM, COMPUTED_S, FLAGS, Live, running
 from live.starter import to_depth
+from live.viewer import Viewer
 from report import recorded, table, write, write_part
 
 AXE = Path(os.environ.get("GELFORM_AXE", "node_modules/axe-core/axe.min.js"))
-WATCH = {"do": "watch", "stations": [0], "planes": ["depth", "flags", "image"], "encoding": "raw"}
 STARTS, SETTLE_S = 3, 5.0
-
-
-class Viewer(threading.Thread):
-    """A client that gives a credit for each picture, at most `most_hz` per second; a stalled one stops reading."""
-
-    def __init__(self, live: Live, *, most_hz: float = 1e9, stalled: bool = False) -> None:
-        super().__init__(daemon=True)
-        self.live, self.most_hz, self.stalled = live, most_hz, stalled
-        self.pictures, self.ages_ms, self.state = 0, [], {}
-        self.results: list[float] = []  # times of all results that the server announced, displayed or not
-        self.first_s: float | None = None
-        self.stop = threading.Event()
-
-    def run(self) -> None:
-        origin = f"http://{self.live.address}"
-        with connect(f"ws://{self.live.address}/ws", origin=origin, max_size=None, proxy=None) as socket:
-            socket.send(json.dumps(WATCH))
-            for _ in range(2):
-                socket.send(json.dumps({"do": "credit"}))
-            while not self.stop.is_set():
-                if self.stalled:
-                    time.sleep(0.1)
-                    continue
-                self._take(socket.recv(timeout=20), socket)
-
-    def _take(self, data: Any, socket: Any) -> None:
-        if isinstance(data, str):
-            content = json.loads(data)
-            self.state = content if content["kind"] == "state" else self.state
-            return
-        header, planes = read_message(data)
-        self.pictures += 1
-        self.results += [row[0] for row in header["numbers"]]
-        self.ages_ms.append(1e3 * (time.monotonic() - header["time_s"]))
-        if "depth" in planes and self.first_s is None:
-            self.first_s = time.monotonic() - self.live.started
-        self.stop.wait(1 / self.most_hz)
-        socket.send(json.dumps({"do": "credit"}))
+PARTS = ("starter", "clicks")  # parts of results/live.json with a switch of their own
 
 
 def first_pictures() -> list[float]:
@@ -209,7 +170,13 @@ def main() -> None:
     parser.add_argument(
         "--starter", action="store_true", help="to depth of a sensor that was never calibrated"
     )
+    parser.add_argument("--clicks", action="store_true", help="pictures of a page while others click")
     asked = parser.parse_args()
+    if asked.clicks:
+        clicked = while_clicked()
+        write_part("live", "clicks", clicked)
+        print(json.dumps(clicked, indent=1))
+        return
     if asked.starter:
         starter = to_depth()
         write_part("live", "starter", starter)
@@ -242,7 +209,7 @@ def main() -> None:
     with running() as (live, _):
         figures["clients"] = clients(live, seconds)
     if not asked.quick:
-        write("live", {**figures, **{k: v for k, v in recorded("live").items() if k == "starter"}})
+        write("live", {**figures, **{k: v for k, v in recorded("live").items() if k in PARTS}})
     print(json.dumps(figures, indent=1))
     print(table(["", "reach", "reached"], rows(figures)))
 

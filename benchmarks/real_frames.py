@@ -22,6 +22,7 @@ from real_frames.balls import balls
 from real_frames.beyond import beyond
 from real_frames.contacts import contacts, rest
 from real_frames.edges import edges
+from real_frames.faces import faces
 from real_frames.faults import exposure, orientation, tears
 from real_frames.following import following
 from real_frames.light import light
@@ -36,6 +37,7 @@ PARTS: dict[str, Any] = {
     "simulated": simulated,
     "balls": balls,
     "edges": edges,
+    "faces": faces,
     "beyond": beyond,
     "exposure": exposure,
     "light": light,

@@ -151,7 +151,7 @@ def orientation() -> dict[str, Any]:
         presses = gelform.read_presses(DATA / name)
         some = presses.subset(range(0, len(presses.presses), 2))
         calibration = gelform.calibrate(some, color_model="polynomial", start=None)
-        reconstruct = gelform.Reconstructor(calibration, depth_sigma=False)
+        reconstruct = gelform.Reconstructor(calibration)
         ended: Counter[str] = Counter()
         for reading in READINGS[1:]:
             for press in presses.presses[1::8]:

@@ -1,9 +1,10 @@
-"""Speed: every stage of a frame, and the whole frame, one thread, at three sizes; and a calibration.
+"""Speed: every stage of a frame, and the whole frame, one thread, at three sizes and of mini-ball; and a calibration.
 
     OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python benchmarks/speed.py    # three minutes; --quick: only 240x320, one
+    python benchmarks/speed.py --against REF     # the same frames by a commit and by this checkout, in turn; two minutes
 
-Machines are shared and noisy: trust the ratios to D, a bare float32 scipy dctn + idctn pair of the same size, measured
-alternately with the stages in the same run. Writes results/speed.json.
+Machines are shared and noisy: times are of the processor, and ratios to D, a bare float32 scipy dctn + idctn pair of the
+same size that is measured alternately with the stages in the same run, are to be trusted. Writes results/speed.json.
 """
 
 from __future__ import annotations
@@ -15,8 +16,6 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import argparse
 import json
-import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -33,12 +32,13 @@ import numpy as np
 import gelform
 import gelform.depth.frame
 import gelform.reconstruct
-from gelform.calibration.presses.folder import Press, Presses
 from gelform.depth.contact import contacts_from_mask
-from gelform.image.view import View
+from gelform.exchange.exporters.press_folder import save_press_folder
 from gelform.simulate import LAYOUTS, Ball, simulate_ball_presses, simulate_press
-from presses import DATA
+from presses import DATA, by_name, unlabeled
 from report import dct_pair, median_ms, table, write
+from speed.against import compare
+from speed.turns import first_frame_ms
 
 SIZES = ((240, 320), (480, 640), (960, 1280))
 PLAIN, EVERYTHING = "whole frame, dct, no sigma of depth", "whole frame, everything on"
@@ -49,23 +49,30 @@ PEERS = json.loads((Path(__file__).parent / "peers.json").read_text())
 
 def calibration_at(shape: tuple[int, int]) -> tuple[gelform.Calibration, np.ndarray]:
     """A calibrated simulated sensor of that size, and an image of a press."""
-    scale = shape[0] / 120
+    with tempfile.TemporaryDirectory() as folder:
+        image = write_presses(Path(folder) / "presses", shape)
+        presses = unlabeled(gelform.read_presses(Path(folder) / "presses"))
+        return gelform.calibrate(presses, color_model="hierarchical"), image
+
+
+def write_presses(folder: Path, shape: tuple[int, int]) -> np.ndarray:
+    """Write presses of a simulated sensor of that size to a folder; the image of one more press."""
     small = replace(LAYOUTS["three-edges"], shape=(120, 160), mm_per_px=0.1268)
-    simulated = simulate_ball_presses(
+    made = simulate_ball_presses(
         small, ball_diameters_mm=[5.0, 8.0], count=24, rng=np.random.default_rng(0), oversample=1
     )
-    size = (shape[1], shape[0])
-    presses = tuple(
-        Press(
-            str(i), cv2.resize(p.image, size, interpolation=cv2.INTER_CUBIC), p.ball_diameter_mm, None, str(i)
-        )
-        for i, p in enumerate(simulated.presses)
+    more = simulate_press(small, Ball(3.0), depth_mm=0.6, rng=np.random.default_rng(1))
+    images = [made.background, more.image, *(press.image for press in made.presses)]
+    background, shown, *images = (cv2.resize(i, shape[::-1], interpolation=cv2.INTER_CUBIC) for i in images)
+    save_press_folder(
+        folder,
+        background=background,
+        images=images,
+        ball_diameters_mm=[press.ball_diameter_mm for press in made.presses],
+        mm_per_px=small.mm_per_px * small.shape[0] / shape[0],
+        name="simulated",
     )
-    background = cv2.resize(simulated.background, size, interpolation=cv2.INTER_CUBIC).astype(np.float32)
-    folder = Presses("simulated", presses, background, small.mm_per_px / scale, None, "s", None, None, View())
-    calibration = gelform.calibrate(folder, color_model="hierarchical")
-    press = simulate_press(small, Ball(3.0), depth_mm=0.6, rng=np.random.default_rng(1))
-    return calibration, cv2.resize(press.image, size, interpolation=cv2.INTER_CUBIC)
+    return shown
 
 
 def stages(calibration: gelform.Calibration, image: np.ndarray) -> dict[str, Callable[[], Any]]:
@@ -96,8 +103,8 @@ def stages(calibration: gelform.Calibration, image: np.ndarray) -> dict[str, Cal
             noted = noting(calls, name, getattr(holder, attribute))
             patched.enter_context(patch.object(holder, attribute, noted))
         result = reconstruct.from_image(image)
-    plain = gelform.Reconstructor(calibration, solver="dct", depth_sigma=False)
-    depths = gelform.Reconstructor(calibration, solver="dct", depth_sigma=False, slope_sigma=False)
+    plain = gelform.Reconstructor(calibration, solver="dct")
+    depths = gelform.Reconstructor(calibration, solver="dct")
     return calls | {
         "contacts": lambda: contacts_from_mask(result.contact, result.depth_mm, mm_per_px=result.mm_per_px),
         DEPTHS: lambda: depths.from_image(image),
@@ -116,70 +123,71 @@ def noting(calls: dict[str, Callable[[], Any]], name: str, part: Callable[..., A
     return noted
 
 
-def first_frame_s(calibration: gelform.Calibration, image: np.ndarray, bytecode: bool) -> float:
-    """Seconds from the start of a new Python process to its first result; the minimum of several.
-
-    With bytecode, as in a package that pip installed; without it, each process compiles gelform's sources again.
-    """
+def against(ref: str, quick: bool) -> None:
+    """Compare this checkout with a commit on the simulated frame and a real one, with quick on one of them."""
     with tempfile.TemporaryDirectory() as folder:
-        calibration.save(Path(folder) / "cal.npz")
-        np.save(Path(folder) / "image.npy", image)
-        code = "import gelform, numpy; gelform.Reconstructor('cal.npz').from_image(numpy.load('image.npy'))"
-        environment = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
-        environment["PYTHONPYCACHEPREFIX" if bytecode else "PYTHONDONTWRITEBYTECODE"] = f"{folder}/bytecode"
-        seconds = []
-        for _ in range(FIRST_FRAMES):
-            started = time.perf_counter()
-            subprocess.run([sys.executable, "-c", code], cwd=folder, env=environment, check=True)
-            seconds.append(time.perf_counter() - started)
-    return min(seconds)
+        presses = Path(folder) / "simulated"
+        images = {presses: write_presses(presses, SIZES[0])}
+        if (DATA / "mini-ball").is_dir():
+            images[DATA / "mini-ball"] = shown_press(gelform.read_presses(DATA / "mini-ball"))
+        for presses, image in images.items():
+            np.save(Path(folder) / f"{presses.name}.npy", image)
+        frames = [(presses, Path(folder) / f"{presses.name}.npy") for presses in images]
+        compare(ref, frames[-1:] if quick else frames, quick=quick)
 
 
-def calibration_cpu_s() -> float | None:
-    """CPU seconds to calibrate on the 67 presses of mini-ball; None without them."""
-    if not (DATA / "mini-ball").is_dir():
-        return None
-    presses = gelform.read_presses(DATA / "mini-ball")
-    started = time.process_time()
-    gelform.calibrate(presses)
-    return time.process_time() - started
+def shown_press(presses: gelform.Presses) -> np.ndarray:
+    """The press that is timed: the second by name, which a calibration on every third does not see."""
+    return presses.presses[by_name(presses)[1]].image
 
 
 def main() -> None:
-    """Measure every size and print the table."""
+    """Measure every size, and a real frame, and print the table."""
     parser = argparse.ArgumentParser(description="How fast every stage of a frame is.")
-    parser.add_argument("--quick", action="store_true", help="240x320 alone; writes no results")
-    quick = parser.parse_args().quick
+    parser.add_argument("--quick", action="store_true", help="simulated 240x320 alone; writes no results")
+    parser.add_argument(
+        "--against", metavar="REF", help="compare with a commit; --quick: whole frames alone, one"
+    )
+    asked = parser.parse_args()
+    if asked.against:
+        against(asked.against, asked.quick)
+        return
     figures: dict[str, Any] = {}
-    for shape in SIZES[:1] if quick else SIZES:
+    others: dict[str, Any] = {}
+    for shape in SIZES[:1] if asked.quick else SIZES:
         calibration, image = calibration_at(shape)
-        calls = stages(calibration, image)
-        pair, *times = median_ms([dct_pair(shape), *calls.values()], rounds=101, seconds=15)
-        figures[f"{shape[0]}x{shape[1]}"] = {
-            "D": pair,
-            **{name: {"ms": ms, "D": ms / pair} for name, ms in zip(calls, times)},
-        }
+        figures[f"{shape[0]}x{shape[1]}"] = timed_stages(calibration, image)
         if shape == SIZES[0]:
-            first, uncompiled = (first_frame_s(calibration, image, bytecode) for bytecode in (True, False))
+            with tempfile.TemporaryDirectory() as folder:
+                calibration.save(file := Path(folder) / "cal.npz")
+                np.save(shown := Path(folder) / "image.npy", image)
+                others["first_frame_s"] = min(
+                    first_frame_ms(file, shown)[0] / 1e3 for _ in range(FIRST_FRAMES)
+                )
+    if (DATA / "mini-ball").is_dir() and not asked.quick:
+        presses = gelform.read_presses(DATA / "mini-ball")
+        started = time.process_time()
+        calibration = gelform.calibrate(presses)
+        others["calibration_of_67_presses_cpu_s"] = time.process_time() - started
+        figures["mini-ball"] = timed_stages(calibration, shown_press(presses))
     names = list(next(iter(figures.values())))[1:]
     rows: list[list[Any]] = [["bare DCT pair D", *(f"{f['D']:.2f} ms" for f in figures.values())]]
     rows += [[n, *(f"{f[n]['D']:.1f} D ({f[n]['ms']:.2f} ms)" for f in figures.values())] for n in names]
     print(table(["stage", *figures], rows))
     peer = next(iter(PEERS["frame_speed"].values()))["D"]
-    small = figures["240x320"]
-    over = {name: peer / small[name]["D"] for name in (PLAIN, EVERYTHING)}
-    print(
-        f"gs_sdk's get_surface_info: {peer} D; "
-        + ", ".join(f"{k}: {v:.1f} times faster" for k, v in over.items())
-    )
-    print(f"first frame of a new process: {first:.2f} s; without bytecode: {uncompiled:.2f} s")
-    if not quick:
-        calibration_s = calibration_cpu_s()
-        if calibration_s is not None:
-            print(f"calibrating 67 presses: {calibration_s:.0f} s of CPU")
-        others = {"first_frame_s": first, "first_frame_without_bytecode_s": uncompiled}
-        others["calibration_of_67_presses_cpu_s"] = calibration_s
+    over = {name: peer / figures["240x320"][name]["D"] for name in (PLAIN, EVERYTHING)}
+    faster = (f"{name}: {times:.1f} times faster" for name, times in over.items())
+    print(f"gs_sdk's get_surface_info: {peer} D; {', '.join(faster)}\n{others}")
+    if not asked.quick:
         write("speed", {"sizes": figures, "times_faster_than_gs_sdk": over, **others})
+
+
+def timed_stages(calibration: gelform.Calibration, image: np.ndarray) -> dict[str, Any]:
+    """D, ms, and every stage in ms and D."""
+    calls = stages(calibration, image)
+    pair = dct_pair(calibration.image_shape)
+    unit, *times = median_ms([pair, *calls.values()], rounds=101, seconds=15, clock=time.process_time)
+    return {"D": unit, **{name: {"ms": ms, "D": ms / unit} for name, ms in zip(calls, times)}}
 
 
 if __name__ == "__main__":

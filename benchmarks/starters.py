@@ -45,7 +45,7 @@ def mini_d() -> gelform.Presses:
 
 def judged(calibration: gelform.Calibration, presses: gelform.Presses, edge: float) -> dict[str, float]:
     """Errors on labeled presses; shares of slopes inside the edge within one sigma, and of sure pixels in 0.6 of it."""
-    reconstruct, rows, within = gelform.Reconstructor(calibration, depth_sigma=False), [], []
+    reconstruct, rows, within = gelform.Reconstructor(calibration), [], []
     pitch = calibration.known_mm_per_px
     for press in presses.presses:
         result = reconstruct.from_image(press.image)

@@ -14,6 +14,7 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
+from gelform.slopes.confidence.steep import SHOWN
 
 import gelform
 from accuracy.heights import DRAWN, drawn_sensor
@@ -22,7 +23,6 @@ from accuracy.real import EDGES
 from gelform.simulate import LAYOUTS
 from gelform.simulate.presets import gelsight_mini
 from gelform.slopes.confidence import SteepSlopes
-from gelform.slopes.confidence.steep import SHOWN
 from presses import data_is_missing, presses_of, unlabeled
 from real_frames.beyond import CARRIED, INNER, distance, slopes_inside
 from real_frames.edges import SURE
@@ -38,7 +38,7 @@ def of_balls(
     calibration: gelform.Calibration, presses: gelform.Presses, edge: float, steeper: float = 0.0
 ) -> dict[str, float]:
     """Shares (percent) of the slopes inside the edge of labeled presses, of those that are truly steeper than a limit."""
-    reconstruct, rows = gelform.Reconstructor(calibration, depth_sigma=False), []
+    reconstruct, rows = gelform.Reconstructor(calibration), []
     for press in presses.presses:
         result = reconstruct.from_image(press.image)
         true, off, inside = slopes_inside(calibration, press, result, edge)

@@ -185,7 +185,7 @@ def use_rerun() -> None:
         [sys.executable, "-m", "rerun", "--save", "seen.rrd", "--port", str(port), "--bind", HOST]
     )
     try:
-        until(lambda: answers(port), 60)
+        until(lambda: answers(port))
         sink = RerunSink(port)
         check_extra()
         sink.show("sensor_0", shown_frame())

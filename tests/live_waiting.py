@@ -4,8 +4,10 @@ import time
 
 from gelform.sensors.simulated.source import PRESS_S
 
+HANGS_S = 120.0  # what has not come by then, in seconds, never will: a busy machine is twenty times slower
 
-def until(true, timeout_s=30.0):
+
+def until(true, timeout_s=HANGS_S):
     """Wait until something is true; what it gave."""
     stop = time.monotonic() + timeout_s
     while not (given := true()):

@@ -69,6 +69,15 @@ def test_a_background_that_is_none_is_refused():
             gelform.Reconstructor(calibration(), background=np.full((*SHAPE, 3), level, dtype=np.uint8))
 
 
+def test_a_stream_that_starts_pressed_says_so(reconstruct):
+    """Its background image has a contact, which lies in the depth turned over once the object is gone."""
+    pressed = reconstruct.with_background(image_of(TOUCH).astype(np.float32))
+    result = pressed(background().astype(np.uint8))
+    found = {finding.name: finding.figure for finding in result.health}
+    assert found["background_pressed"] == pytest.approx(0.4, abs=0.1)
+    assert "background_pressed" not in names(reconstruct(image_of(TOUCH)))
+
+
 def test_depth_ends_where_the_gel_does(reconstruct):
     """A color change that means slopes of 5 all over: no gel does that, and the result says so."""
     ramp = np.clip(background() * np.array([0.75, 1.3, 1.0]), 0, 255)

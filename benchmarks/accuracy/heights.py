@@ -116,9 +116,7 @@ def at_least(quick: bool) -> dict[str, Any]:
         sensor = drawn_sensor(seed)
         calibration = gelform.calibrate(presses_of(usual_presses(sensor, 12 if quick else 30)))
         figures[sensor.name] = {
-            solver: _heights_at_least(
-                sensor, gelform.Reconstructor(calibration, solver=solver, depth_sigma=False), quick
-            )
+            solver: _heights_at_least(sensor, gelform.Reconstructor(calibration, solver=solver), quick)
             for solver in ("multigrid", "at_least")
         }
     for name, one in figures.items():
@@ -133,7 +131,7 @@ def _balls(quick: bool) -> dict[str, dict[str, float]]:
     calibration = gelform.calibrate(unlabeled(presses, order[0 : 24 if quick else None : 2]))
     figures = {}
     for solver in ("multigrid", "at_least"):
-        reconstruct, rows = gelform.Reconstructor(calibration, solver=solver, depth_sigma=False), []
+        reconstruct, rows = gelform.Reconstructor(calibration, solver=solver), []
         for i in order[1 :: 10 if quick else 2]:
             press = presses.presses[i]
             result = reconstruct.from_image(press.image)

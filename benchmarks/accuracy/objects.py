@@ -146,7 +146,7 @@ def anchor(quick: bool) -> dict[str, Any]:
     figures: dict[str, Any] = {}
     for name, sensor in list(LAYOUTS.items())[: 1 if quick else None]:
         calibration = gelform.calibrate(presses_of(usual_presses(sensor, 12 if quick else 30)))
-        reconstruct = gelform.Reconstructor(calibration, depth_sigma=False)
+        reconstruct = gelform.Reconstructor(calibration)
         for width_mm, depth_mm in ((2.0, 0.05), (2.0, 0.1), (2.0, 0.3), (6.0, 0.1), (6.0, 0.3)):
             rng = np.random.default_rng(SEED)
             press = simulate_press(sensor, Punch(width_mm), depth_mm=depth_mm, rng=rng)

@@ -78,7 +78,7 @@ def calibrated(presses: gelform.Presses) -> tuple[gelform.Calibration, float]:
 
 def with_results(calibration: gelform.Calibration, presses: gelform.Presses) -> Iterator[Any]:
     """Each press and its result."""
-    reconstruct = gelform.Reconstructor(calibration, depth_sigma=False)
+    reconstruct = gelform.Reconstructor(calibration)
     for press in presses.presses:
         yield press, reconstruct.from_image(press.image)
 

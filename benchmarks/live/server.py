@@ -36,14 +36,14 @@ class Live:
     def close(self) -> None:
         """End it as Ctrl-C does."""
         self.process.terminate()
-        self.process.wait(10)
+        self.process.wait(30)
 
 
 @contextmanager
-def running() -> Iterator[tuple[Live, Path]]:
-    """The server and its folder."""
+def running(*words: str) -> Iterator[tuple[Live, Path]]:
+    """The server and its folder; `words` are further arguments."""
     with tempfile.TemporaryDirectory() as folder:
-        live = Live(folder)
+        live = Live(folder, *words)
         try:
             yield live, Path(folder)
         finally:

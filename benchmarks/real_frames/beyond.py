@@ -80,7 +80,7 @@ def below(presses: Any, limit: float) -> gelform.Calibration:
 
 def steeper(calibration: gelform.Calibration, presses: Any, edge: float, limit: float) -> dict[str, float]:
     """Held-out pixels whose true slope exceeds the limit: share within two sigma, and share that counts as sure."""
-    reconstruct, pixels = gelform.Reconstructor(calibration, depth_sigma=False), []
+    reconstruct, pixels = gelform.Reconstructor(calibration), []
     for press in presses:
         result = reconstruct.from_image(press.image)
         true, off, inside = slopes_inside(calibration, press, result, edge)

@@ -20,17 +20,24 @@ UNTOUCHED = range(
     20, 55
 )  # frames of mini-markers-video in which nothing touches the gel; a finger does from 55 on
 NOISY = 20  # frames with noise for each background image
+FAINT = (0.06, 0.12)  # shares of a press that is blended with the background image
+PHANTOM_RADII = 2.0  # of a ball's circle; contact beyond is none of the ball
 SEED = 20261125
 
 
 def contacts(run: Run) -> dict[str, Any]:
     """Contacts found in frames of one ball, by each set's own calibration on all presses; of one edge; of objects."""
-    figures: dict[str, Any] = {"balls": {}, "objects": {}}
+    figures: dict[str, Any] = {"balls": {}, "faint": {}, "objects": {}}
+    rng = np.random.default_rng(SEED)
     for name in run.sets:
         reconstruct = gelform.Reconstructor(run.calibration(name))
         chosen = run.some(list(zip(run.presses(name).presses, run.circles(name))))
         results = (reconstruct.from_image(press.image) for press, _ in chosen)
         figures["balls"][name] = counted(results, [circle for _, circle in chosen])
+        for share in FAINT:
+            faint = (blended(reconstruct.calibration, press.image, share, rng) for press, _ in chosen)
+            found = counted(map(reconstruct.from_image, faint), [circle for _, circle in chosen])
+            figures["faint"][f"{name}, {100 * share:.0f} %"] = found
         if name == "digit-ball":
             paths = sorted((DATA / name / "deeper").glob("*.png"))
             figures["balls"][f"{name}/deeper"] = counted(
@@ -44,6 +51,8 @@ def contacts(run: Run) -> dict[str, Any]:
     for what, chosen in (("all frames", images), ("those in its light", same_light)):
         figures["balls"][f"mini-edge by the starter, {what}"] = counted(map(reconstruct.from_image, chosen))
     print("\n" + table(["contacts", *HEADER], [[k, *v.values()] for k, v in figures["balls"].items()]))
+    rows = [[k, *v.values()] for k, v in figures["faint"].items()]
+    print("\n" + table(["presses blended with the background", *HEADER], rows))
     for by, calibration in _for_objects(run).items():
         reconstruct = gelform.Reconstructor(calibration)
         images = [gelform.read_image(DATA / "mini-objects" / f"{one}.png") for one in OBJECTS]
@@ -63,6 +72,7 @@ HEADER = (
     "deepest <= 0",
     "one, on the ball %",
     "radius over circle",
+    "beyond two radii %",
 )
 
 
@@ -71,9 +81,9 @@ def counted(results: Iterable[Any], circles: Sequence[Any] = ()) -> dict[str, An
 
     `one, on the ball` are the frames whose only contact has the center of the ball's circle in it. `radius over circle` is
     the median radius of the largest contact's area over that of the visible circle: the gel leaves a ball inside of it.
-    Both are None without circles.
+    `beyond two radii` is the part of all contact further from the ball's center. They are None without circles.
     """
-    counts, negative, on_ball, ratios = [], 0, [], []
+    counts, negative, on_ball, ratios, areas = [], 0, [], [], []
     for k, result in enumerate(results):
         found = result.contacts
         counts.append(len(found))
@@ -82,6 +92,9 @@ def counted(results: Iterable[Any], circles: Sequence[Any] = ()) -> dict[str, An
         if circle is not None and all(0 <= c < n - 0.5 for c, n in zip(circle[1::-1], result.shape)):
             at = result.contact_labels[round(circle[1]), round(circle[0])]
             on_ball.append(len(found) == 1 and at == found[0].label)
+            y, x = np.nonzero(result.contact_labels)
+            beyond = np.hypot(x - circle[0], y - circle[1]) > PHANTOM_RADII * circle[2]
+            areas.append((np.count_nonzero(beyond), len(beyond)))
             if found and not found[0].cut_by_border:
                 ratios.append(np.sqrt(found[0].area_px / np.pi) / circle[2])
     number = np.array(counts)
@@ -93,6 +106,7 @@ def counted(results: Iterable[Any], circles: Sequence[Any] = ()) -> dict[str, An
         negative,
         percent(on_ball) if on_ball else None,
         float(np.median(ratios)) if ratios else None,
+        float(100 * np.sum(areas, axis=0)[0] / max(np.sum(areas, axis=0)[1], 1)) if areas else None,
     ]
     return dict(zip(HEADER, figures))
 
@@ -125,6 +139,15 @@ def rest(run: Run) -> dict[str, Any]:
     rows = [[name, *row.values()] for name, row in figures.items()]
     print("\n" + table(["without contact", *REST_COUNTS, "%"], rows), flush=True)
     return figures
+
+
+def blended(
+    calibration: gelform.Calibration, image: np.ndarray, share: float, rng: np.random.Generator
+) -> np.ndarray:
+    """A press that is as faint as that share of it, with as much of the camera's noise as an image has."""
+    rest = calibration.background
+    noise = rng.normal(size=rest.shape) * np.array(calibration.settings.image_noise) * np.sqrt(1 - share**2)
+    return np.clip(np.rint(rest + share * (image - rest) + noise), 0, 255).astype(np.uint8)
 
 
 def with_noise(calibration: gelform.Calibration, rng: np.random.Generator) -> np.ndarray:

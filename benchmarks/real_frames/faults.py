@@ -29,7 +29,7 @@ def exposure(run: Run) -> dict[str, Any]:
     """
     figures: dict[str, Any] = {}
     for name in run.sets:
-        reconstruct = gelform.Reconstructor(run.calibration(name), depth_sigma=False)
+        reconstruct = gelform.Reconstructor(run.calibration(name))
         moved = [_moved(reconstruct, press.image) for press in run.some(run.presses(name).presses)]
         both = zip(("moved", "largest"), np.array(moved).reshape(-1, 2).T)
         found = {

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from real_frames.contacts import OBJECTS
+from real_frames.contacts import FAINT, OBJECTS
 from real_frames.following import FOLLOWING
 from real_frames.sets import SETS
 from real_frames.simulated import FRAMES, PAIRS
@@ -153,9 +153,24 @@ def others(figures: Figures) -> str:
     ridge, older = tears["sound: cheese_tube_3, in contact"], tears["torn: mini-ball, older lower half"]
     sound = [row for name, row in tears.items() if name.startswith("sound") and row is not ridge]
     video = next(row for name, row in still.items() if name.startswith(VIDEO))
+    faces, faint = figures["faces"], figures["contacts"]["faint"]
+    on_cube = faces["cube by the starter"]
+    flat = [row for name, row in faces.items() if row is not on_cube]
     rows = [
         ["a cube's edge has exactly one contact", edge[0]["frames"], _share(edge[0]["exactly one %"])],
         ["the same, in the light of the background", edge[1]["frames"], _share(edge[1]["exactly one %"])],
+        [
+            "share of its touched faces that the contact covers: median, least",
+            on_cube["frames"],
+            f"{on_cube['covered, median']:.2f}, {on_cube['covered, least']:.2f}",
+        ],
+        ["holes of that contact, a frame", on_cube["frames"], f"{on_cube['holes a frame']:.1f}"],
+        [
+            "holes in the contact of a simulated flat punch, a frame, by sensor",
+            sum(row["frames"] for row in flat),
+            ", ".join(f"{row['holes a frame']:.1f}" for row in flat),
+        ],
+        *(_faint(faint, f"{100 * share:.0f} %") for share in FAINT),
         [f"contacts of a {', a '.join(OBJECTS)}", 3, ", ".join(str(objects[one]) for one in OBJECTS)],
         [
             "a deeper, larger ball on the DIGIT has exactly one contact",
@@ -177,6 +192,13 @@ def others(figures: Figures) -> str:
         name = f"outline of a simulated {kind}: median intersection over union"
         rows.append([name, made["objects"][kind], f"{score:.2f}"])
     return table(["measured", "frames", "figure"], rows)
+
+
+def _faint(faint: Figures, share: str) -> list[Any]:
+    rows = [faint[f"{name}, {share}"] for name in SETS]
+    found = ", ".join(_share(row["one, on the ball %"]) for row in rows)
+    what = f"presses blended to {share} have one contact, on the ball, by sensor as above"
+    return [what, sum(row["frames"] for row in rows), found]
 
 
 def _share(percent: float) -> str:

@@ -173,7 +173,7 @@ def color_variance(starter: Starter, presses: gelform.Presses) -> float:
 def gains_on(starter: Starter, presses: gelform.Presses) -> list[float]:
     """Slopes that a starter gives on each labeled press of another unit, over the ball's, inside the contact."""
     unit = unit_of(starter, presses.background, presses.mm_per_px)
-    reconstruct, gains = gelform.Reconstructor(unit, depth_sigma=False), []
+    reconstruct, gains = gelform.Reconstructor(unit), []
     y, x = np.mgrid[: unit.image_shape[0], : unit.image_shape[1]]
     for press in presses.presses:
         column, row, radius = press.label

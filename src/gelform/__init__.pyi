@@ -25,8 +25,6 @@ from .slopes.gradients import curl_from_gradients as curl_from_gradients
 from .depth.integrate import depth_from_gradients as depth_from_gradients
 from .depth.integrate import integrate as integrate
 from .depth.integrate import Integration as Integration
-from .depth.sigma.sigma import depth_sigma_from_gradients_sigma as depth_sigma_from_gradients_sigma
-from .depth.sigma.sigma import DepthSigma as DepthSigma
 from .depth.contact import contact_from_depth as contact_from_depth
 from .depth.contact import Contact as Contact
 from .depth.force.touch import touch_from_result as touch_from_result

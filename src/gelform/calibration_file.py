@@ -37,6 +37,7 @@ KIND = "gelform calibration"
 FORMAT_VERSION = 1
 MAX_BYTES = 512 * 2**20
 FULL_FRAME_PIXELS = 25e6  # of a whole camera frame, whose refusal says more than that of its size
+CARRIED_PRESSES = 2.0  # presses of a unit that halve the share of a model that began on other units
 SHOWN_PX = 240  # width of the background image in a notebook
 
 
@@ -197,8 +198,11 @@ class Calibration:
 
     @property
     def carried(self) -> float:
-        """The share of the color model that comes from other units: 1 for a starter, 0 for a calibration of this unit."""
-        return float(self.settings.starter is not None)
+        """Share of the color model that comes from other units: 1 for a starter, less with presses of this unit, or 0."""
+        if self.settings.starter is None and self.settings.start is None:
+            return 0.0
+        own = self.settings.presses if self.settings.starter is None else 0
+        return 1 / (1 + (own or 0) / CARRIED_PRESSES)
 
     @property
     def findings(self) -> tuple[Finding, ...]:

@@ -45,6 +45,11 @@ def needed(module: str, extra: str, what: str) -> Any:
         ) from missing
 
 
+def reason(problem: BaseException) -> str:
+    """Why one frame of many gives no result; its lack of memory has no message of its own."""
+    return "Not enough memory for this frame." if isinstance(problem, MemoryError) else str(problem)
+
+
 def said(problem: BaseException) -> str:
     """The message of another library's error about a file, in one line."""
     if isinstance(problem, UnicodeDecodeError):

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from os import PathLike
+from threading import RLock
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,12 +14,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from gelform.calibration_file import Calibration, as_calibration
 from gelform.depth.contact import PreparedContact, SlopeDeviations, Surround, unknown_contact
-from gelform.depth.frame import FrameDepth, Work
-from gelform.depth.sigma.missing import MissingDepth
-from gelform.depth.sigma.sigma import add_in_proportion
-from gelform.depth.solvers.inputs import checked_solver, takes_weights
+from gelform.depth.frame import FrameDepth
+from gelform.depth.integrate import Integration
+from gelform.depth.sigma import DepthErrors, DepthSigma, steep_finding
+from gelform.depth.solvers.inputs import checked_solver
 from gelform.depth.stepped import SteppedSlopes
-from gelform.errors import GelformError
 from gelform.foundations.checks import check_image
 from gelform.foundations.findings import Finding
 from gelform.foundations.pool import Pool, keep_freed_memory
@@ -30,31 +30,92 @@ from gelform.image.frame import Frame, as_levels, whole_levels
 from gelform.image.health import DepthLimit, FrameFaults, FrameHealth, check_untouched_image
 from gelform.image.markers import MarkerFlow, MarkerFollower
 from gelform.image.view import image_from_frame
-from gelform.result import Reconstruction
-from gelform.slopes.color_models.forward_response import Step
+from gelform.result import Later, Reconstruction
 from gelform.slopes.color_models.seam import AlbedoModel, gradients_from_pending
 from gelform.slopes.confidence import (
-    AllAlike,
+    Budget,
     ClippedChannels,
     Explanation,
-    PreparedCauses,
-    PreparedSigma,
-    SolvedSigma,
-    SteepSlopes,
-    UnknownSigma,
-    all_shown,
+    PreparedBudget,
+    ReadSlopes,
+    SlopeSigma,
     explanation_of,
     noise_at_rest,
-    with_model_sigma,
-    with_steep,
+    without_bias,
 )
-from gelform.slopes.confidence.causes import Clipped, either, outside_of_gel
+from gelform.slopes.confidence.budget import OUTLIER, for_both
+from gelform.slopes.confidence.causes import Clipped, either, excess_noise, outside_of_gel
+from gelform.slopes.confidence.explanation import Shown
 from gelform.slopes.gradients import slopes_of_solution
 
 # Values for an imported calibration without its own; they affect the contact mask and the anchor, but no slope.
 USUAL_WIDTH_MM = 20.0  # mm, width of the frame on the gel; about that of a GelSight Mini
 USUAL_SIGMA = 0.05  # mm/mm, standard deviation of a slope
 BYTES_PER_PX = 80  # bytes that one frame allocates in all
+ON_DEMAND = (  # what a result computes on first use
+    "gradients", "gradients_sigma", "confidence", "depth_sigma_mm", "contact", "health", "outside_change", "curl_rms",
+)  # fmt: skip
+
+
+def _usual_sigma() -> SlopeSigma:
+    one = USUAL_SIGMA
+    return SlopeSigma(rest=one, per_step=one, full_confidence_sigma=one, correlation_px=1.0, shown=(1e3, 1e3))
+
+
+class FromCalibration:
+    """The parts that follow from a calibration alone. They are immutable; threads and all background images share them."""
+
+    def __init__(self, calibration: Calibration, solver: str) -> None:
+        self.calibration, self.known = calibration, calibration.slope_sigma
+        shape, forward, sigma = calibration.image_shape, calibration.forward, self.known or _usual_sigma()
+        self.slope_sigma = sigma
+        self.pitch = calibration.mm_per_px or USUAL_WIDTH_MM / shape[1]
+        self.stepped = SteppedSlopes(forward, shape, calibration.untouched_change)
+        self.outlier = OUTLIER if forward is None else OUTLIER * forward.residual_scale
+        self.slope_per_change = 1.0 if forward is None else forward.slope_per_change
+        self.depth = FrameDepth(shape, self.pitch, checked_solver(solver), sigma.full_confidence_sigma)
+        self.limit = DepthLimit.of(shape, self.pitch, calibration.settings.gel_thickness_mm)
+        self.depth_sigma = None
+        if self.known is not None and calibration.mm_per_px is not None:
+            self.depth_sigma = DepthSigma(
+                shape, self.pitch, full_confidence_sigma=sigma.full_confidence_sigma,
+                factor=sigma.depth_factor, gain_sigma=sigma.gain_sigma,
+            )  # fmt: skip
+
+
+class FromBackground:
+    """What follows from today's background image (H, W, 3) and the usual light. It is immutable; threads share it."""
+
+    def __init__(
+        self, fixed: FromCalibration, background: NDArray[np.float32], usual: FrameLight | None = None
+    ) -> None:
+        calibration, forward = fixed.calibration, fixed.calibration.forward
+        change, noise = calibration.change, calibration.settings.image_noise
+        self.untouched_image = PreparedBackground(background, change, usual)
+        self.model = calibration.color_model.prepare(background, calibration.image_shape)
+        self.health = FrameHealth(background)
+        # If crosstalk is removed, a clipped channel affects all three.
+        spare = int(fixed.stepped.steps and change.crosstalk is None)
+        learnt = None if forward is None else forward.clipped
+        self.outside = outside_of_gel(background)
+        self.clipped = ClippedChannels(change.blur_px, learnt, spare, self.outside)
+        self._levels = np.inf if noise is None else float(np.sqrt(np.mean(np.square(noise))))
+        self._pixels = as_levels(background)
+        sigma = fixed.slope_sigma
+        self.budget = PreparedBudget(
+            sigma, noise_at_rest(self.model, self.untouched_image, noise), background, change,
+            walls=fixed.known is not None, slope_per_change=fixed.slope_per_change, spread=calibration.unit_spread,
+            carried=calibration.carried,
+        )  # fmt: skip
+        self.surround = Surround(background)
+        correlation = None if fixed.known is None else sigma.correlation
+        self.contact = PreparedContact(
+            (fixed.pitch,) * 2, calibration.settings.relaxation_mm, self.budget.rest_variance, correlation
+        )
+
+    def noise_levels(self, image: NDArray[Any]) -> float:
+        """The noise of an image (H, W, 3) beyond the calibrated images', gray levels."""
+        return excess_noise(as_levels(image), self._pixels, self._levels)
 
 
 class SeenImage(NamedTuple):
@@ -72,95 +133,138 @@ class SeenImage(NamedTuple):
     clipped: Clipped
     unseen: NDArray[np.bool_] | None
     light: FrameLight
-    drifted: tuple[Finding, ...]
-
-
-class ObservedSlopes(NamedTuple):
-    """Slopes (H, W, 2) without the bias that the pixels at rest show, and their standard deviation by size and place."""
-
-    gradients: NDArray[np.float32]
-    sigma: NDArray[np.float32]
-    model_sigma: NDArray[np.float32] | None
-    at_rest: NDArray[np.bool_]
-    step: Step | None
     findings: tuple[Finding, ...]
 
 
-class ReadSlopes(NamedTuple):
-    """The slopes of an image with their final sigma and confidence; see `Reconstructor._read`."""
+class once:
+    """A property that is computed on first use. Before Python 3.12, `functools.cached_property` locks all objects."""
 
+    def __init__(self, make: Callable[[Any], Any]) -> None:
+        self._make, self.__doc__ = make, make.__doc__
+
+    def __get__(self, owner: Any, kind: type | None = None) -> Any:
+        """The value, which hides this descriptor from then on."""
+        if owner is None:
+            return self
+        value = vars(owner)[self._make.__name__] = self._make(owner)
+        return value
+
+
+@dataclass(frozen=True, eq=False)
+class FrameRecord:
+    """What the depth of a frame was solved from. The rest of its result follows from it, on first use; threads can share it.
+
+    Attributes
+    ----------
+    depth_mm : (H, W), within the limit
+    findings : those that are known with the depth
+    """
+
+    fixed: FromCalibration
+    today: FromBackground
     seen: SeenImage
-    slopes: ObservedSlopes
-    sigma: NDArray[np.float32] | None
-    confidence: NDArray[np.float32]
-    steep: NDArray[np.float32]
-    stated_confidence: NDArray[np.float32]
-    maps: dict[str, NDArray[np.float32]] | None
+    slopes: ReadSlopes
+    solution: Integration
+    depth_mm: NDArray[np.float32]
+    known: NDArray[np.bool_]
+    findings: tuple[Finding, ...]
 
+    @once
+    def gradients(self) -> NDArray[np.float32]:
+        """Slopes (H, W, 2) of the solved depth."""
+        return slopes_of_solution(self.depth_mm, (self.fixed.pitch, self.fixed.pitch))
 
-class FromCalibration:
-    """The parts that follow from a calibration alone. They are immutable; threads and all background images share them."""
+    @once
+    def budget(self) -> Budget:
+        """Standard deviations of the slopes."""
+        return self.today.budget(self.slopes, *self.fixed_rows)
 
-    def __init__(
-        self, calibration: Calibration, solver: str, *, depth_sigma: bool, slope_sigma: bool
-    ) -> None:
-        self.calibration, self.slope_sigma, solver = calibration, slope_sigma, checked_solver(solver)
-        if not slope_sigma and (depth_sigma or takes_weights(solver)):
-            raise ValueError("Expected slope_sigma=True for a solver with weights and for depth_sigma=True.")
-        shape, forward, known = calibration.image_shape, calibration.forward, calibration.slope_sigma
-        self.pitch = calibration.mm_per_px or USUAL_WIDTH_MM / shape[1]
-        self.full_confidence_sigma = known.full_confidence_sigma if known else USUAL_SIGMA
-        self.stepped = SteppedSlopes(forward, shape, calibration.untouched_change)
-        self.per_residual = np.float32(1 if forward is None else 1 / forward.residual_scale)
-        self.slope_per_change = 1.0 if forward is None else forward.slope_per_change
-        self.states_sigma = slope_sigma and known is not None
-        self.steep_slopes: Callable[..., tuple[NDArray[np.float32], NDArray[np.float32]]] = all_shown
-        if known is not None and slope_sigma:
-            self.steep_slopes = SteepSlopes(known, calibration.carried)
-        stated = depth_sigma and known is not None and calibration.mm_per_px is not None
-        self.depth = FrameDepth(
-            shape, self.pitch, solver, self.full_confidence_sigma,
-            correlation=known.correlation if stated and known else None, gain_sigma=known.gain_sigma if known else 0.0,
-        )  # fmt: skip
-        self.missing_depth = MissingDepth(shape, self.pitch)
-        self.limit = DepthLimit.of(shape, self.pitch, calibration.settings.gel_thickness_mm)
-        blur_px = calibration.change.blur_px if known else None
-        self.solved_sigma = SolvedSigma(known, shape, blur_px, calibration.unit_spread)
+    @property
+    def fixed_rows(self) -> tuple[float, NDArray[np.float32] | None]:
+        """The image's noise beyond the usual, gray levels, and the slopes' deviation (H, W) from its light, or None."""
+        light = self.today.untouched_image.light_sigma(self.seen.light)
+        light = None if light is None else np.float32(self.fixed.slope_per_change) * light
+        return self.today.noise_levels(self.seen.raw), light
 
+    @once
+    def gradients_sigma(self) -> NDArray[np.float32] | None:
+        """Standard deviation (H, W, 2) of the solved slopes; None if nobody knows that of any."""
+        if self.fixed.known is not None:
+            return self.budget.gradients_sigma
+        return None if self.slopes.model_sigma is None else for_both(self.slopes.model_sigma)
 
-class FromBackground:
-    """What follows from today's background image (H, W, 3) and the usual light. It is immutable; threads share it."""
-
-    def __init__(
-        self, fixed: FromCalibration, background: NDArray[np.float32], usual: FrameLight | None = None
-    ) -> None:
-        calibration, forward = fixed.calibration, fixed.calibration.forward
-        change, noise = calibration.change, calibration.settings.image_noise
-        self.untouched_image = PreparedBackground(background, change, usual)
-        self.model = calibration.color_model.prepare(background, calibration.image_shape)
-        self.health = FrameHealth(background)
-        # If crosstalk is removed, a clipped channel affects all three.
-        spare = int(fixed.stepped.steps and change.crosstalk is None)
-        learnt = None if forward is None else forward.clipped
-        outside = outside_of_gel(background)
-        self.clipped = ClippedChannels(change.blur_px, learnt, spare, outside)
-        self.causes: PreparedCauses | AllAlike = AllAlike()
-        if fixed.slope_sigma:
-            self.causes = PreparedCauses(
-                background, change, full_confidence_sigma=fixed.full_confidence_sigma, levels=noise,
-                walls=calibration.slope_sigma is not None, outside=outside, slope_per_change=fixed.slope_per_change,
-            )  # fmt: skip
-        rest_variance = noise_at_rest(self.model, self.untouched_image, noise)
-        known = calibration.slope_sigma
-        self.sigma: PreparedSigma | UnknownSigma = UnknownSigma(fixed.full_confidence_sigma)
-        correlation = None
-        if known is not None and fixed.slope_sigma:
-            self.sigma = prepared = PreparedSigma(known, rest_variance)
-            rest_variance, correlation = prepared.rest_variance, known.correlation
-        self.surround = Surround(background)
-        self.contact = PreparedContact(
-            (fixed.pitch,) * 2, calibration.settings.relaxation_mm, rest_variance, correlation
+    @once
+    def depth_errors(self) -> DepthErrors | None:
+        """The errors of the depth; None if the calibration does not know those of slopes, or has no scale."""
+        if self.fixed.depth_sigma is None:
+            return None
+        budget = self.budget
+        return self.fixed.depth_sigma(
+            self.gradients, self.depth_mm, self.slopes.at_rest, budget.read, budget.steep
         )
+
+    @property
+    def depth_factor(self) -> float:
+        """The calibration's factor of the depth's deviation."""
+        return self.fixed.slope_sigma.depth_factor
+
+    @once
+    def depth_sigma_mm(self) -> NDArray[np.float32] | None:
+        """Standard deviation (H, W) of the depth, mm."""
+        errors = self.depth_errors
+        return None if errors is None else self._widened(errors.sigma(self.fixed.limit.ignorance_mm))
+
+    @once
+    def contact(self) -> NDArray[np.bool_]:
+        """Where something touches (H, W)."""
+        return self.today.contact(*self._touch(DepthErrors.contact_sigma))
+
+    def _touch(self, sigma_of: Callable[[DepthErrors, float], NDArray[np.float32]]) -> tuple[Any, ...]:
+        """Depth, its deviation by `sigma_of`, those of the slopes, and known pixels (H, W)."""
+        errors, deviations = self.depth_errors, None
+        if self.fixed.known is not None:
+            deviations = SlopeDeviations(self.budget.read, self.budget.solved, self.slopes.at_rest)
+        sigma = None if errors is None else sigma_of(errors, self.fixed.limit.ignorance_mm)
+        return self.depth_mm, self._widened(sigma), deviations, self.known
+
+    @once
+    def health(self) -> tuple[Finding, ...]:
+        """All findings."""
+        steep: tuple[Finding, ...] = ()
+        if self.depth_errors is not None:
+            steep = steep_finding(self.depth_mm, self.contact, self.budget.steep, self.depth_errors)
+        touched = partial(self.today.untouched_image.touched, self.seen.image)
+        return (
+            *self.findings,
+            *steep,
+            *unknown_contact(self.contact, self.slopes.at_rest, self.known, touched),
+            *self.today.contact.pressed_background(*self._touch(DepthErrors.slope_sigma)),
+        )
+
+    @property
+    def confidence(self) -> NDArray[np.float32]:
+        """Confidence (H, W) of the slopes as read."""
+        return self.budget.confidence
+
+    @property
+    def curl_rms(self) -> float:
+        """RMS of the curl of the slopes as read."""
+        return self.solution.curl_rms
+
+    @once
+    def outside_change(self) -> float | None:
+        """Median color change outside the contact over its mean inside."""
+        return self.today.surround(self.seen.image, self.contact)
+
+    def difference_sigma(self, region: NDArray[np.bool_]) -> NDArray[np.float32]:
+        """Standard deviation (H, W), mm, of the depth minus its mean over a region (H, W)."""
+        assert self.depth_errors is not None
+        return self._widened(self.depth_errors.difference_sigma(region))
+
+    def _widened(self, sigma: Any) -> Any:
+        """A standard deviation of depth (H, W), or None, that knows nothing of lost pixels."""
+        self.seen.faults.widen(sigma, self.fixed.limit.ignorance_mm)
+        return sigma
 
 
 class Reconstructor:
@@ -181,16 +285,11 @@ class Reconstructor:
         `image_from_frame(frame, calibration.view)` makes one of a frame.
     solver : "auto" or a name in `gelform.depth.solvers.SOLVERS`
         "auto" is `multigrid`. Solvers that treat all slopes alike (`dct`, `dct4`) use neither weights nor anchor.
-    depth_sigma : whether results have `depth_sigma_mm`; without it a frame takes a quarter less time
-    slope_sigma : whether results have `gradients_sigma` and the confidence that follows from it. False needs a solver that
-        treats all slopes alike, and `depth_sigma` False; confidence is 1 then, and depth and contact stay the same
 
     Attributes
     ----------
     own_background : whether the background in use is the calibration's own, pixel for pixel
     findings : findings about a starter calibration, and about a background that is not the calibration's own
-    solved_sigma : function from the standard deviation of the read slopes to that of the solved depth's slopes
-    steep_slopes : function to the standard deviation of slopes that presses have not shown, and to the stated confidence
     markers : finds the gel's markers in an image; its length is 0 if there are none. A `MarkerTracker` of it has memory
 
     Raises
@@ -198,7 +297,7 @@ class Reconstructor:
     CalibrationError
         The background given is clearly not of the calibrated sensor, or the file cannot be read.
     ValueError, TypeError
-        A background of another size than the calibrated images, an unknown solver, or one that needs slope_sigma.
+        A background of another size than the calibrated images, or an unknown solver.
     """
 
     def __init__(
@@ -207,13 +306,9 @@ class Reconstructor:
         background: ArrayLike | None = None,
         *,
         solver: str = "auto",
-        depth_sigma: bool = True,
-        slope_sigma: bool = True,
     ) -> None:
         self.calibration = calibration = as_calibration(calibration)
-        self._calibrated = FromCalibration(
-            calibration, solver, depth_sigma=depth_sigma, slope_sigma=slope_sigma
-        )
+        self._calibrated = FromCalibration(calibration, solver)
         self.solver = self._calibrated.depth.solver
         self.findings: tuple[Finding, ...] = calibration.findings
         self.background = calibration.background
@@ -225,9 +320,7 @@ class Reconstructor:
             self.background = today.astype(np.float32)
         self.own_background = background_digest(self.background) == calibration.background_digest
         self._today = FromBackground(self._calibrated, self.background)
-        self.solved_sigma, self.steep_slopes = self._calibrated.solved_sigma, self._calibrated.steep_slopes
         self.markers = MarkerFollower(self.background, calibration.mm_per_px)
-        self._start: Callable[[Work], Work] = lambda work: work
         self._pool = Pool(lambda: np.empty((*calibration.image_shape, 3), dtype=np.float32))
         keep_freed_memory(BYTES_PER_PX * int(np.prod(calibration.image_shape)))
 
@@ -242,10 +335,6 @@ class Reconstructor:
         today = FromBackground(self._calibrated, background, usual)
         return self._with(background=background, own_background=False, _today=today)
 
-    def with_helper(self, start: Callable[[Work], Work]) -> Reconstructor:
-        """The same one with a helper for `depth_sigma_mm`: `start(work)` begins the work, and what it returns ends it."""
-        return self._with(_start=start)
-
     def _with(self, **attributes: Any) -> Reconstructor:
         other = object.__new__(type(self))
         vars(other).update(vars(self), **attributes)
@@ -256,13 +345,12 @@ class Reconstructor:
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the arguments; unpickling prepares the Reconstructor again, which takes as long as making it.
 
-        The calibration's report and a helper are left out; neither changes a byte of a result.
+        The calibration's report is left out; it does not change a byte of a result.
         """
-        fixed, calibration = self._calibrated, replace(self.calibration, report=None)
-        depth_sigma, slope_sigma = fixed.depth.sigma is not None, fixed.slope_sigma
+        calibration = replace(self.calibration, report=None)
         today = None if self.own_background else self.background
         state = {"findings": self.findings, "markers": self.markers}
-        return _prepared_again, (type(self), calibration, self.solver, depth_sigma, slope_sigma, today), state
+        return _prepared_again, (type(self), calibration, self.solver, today), state
 
     def __call__(self, frame: ArrayLike | Frame) -> Reconstruction:
         """Reconstruct one frame: apply the calibration's view, then `from_image`.
@@ -280,7 +368,7 @@ class Reconstructor:
         """
         if isinstance(frame, Frame):
             result = self(frame.image)
-            return replace(result, index=frame.index, time_s=frame.time_s, wall_time_ns=frame.wall_time_ns)
+            return result.changed(index=frame.index, time_s=frame.time_s, wall_time_ns=frame.wall_time_ns)
         pixels = whole_levels(check_image(frame, name="frame"))
         return self.from_image(image_from_frame(pixels, self.calibration.view))
 
@@ -300,86 +388,30 @@ class Reconstructor:
         CalibrationError
             The background is clearly not of this image, or the image is mirrored, turned or BGR.
         """
+        return self.result(*self.record(image, markers))
+
+    def record(
+        self, image: ArrayLike, markers: MarkerFlow | None = None
+    ) -> tuple[FrameRecord, Callable[[], NDArray[np.float32]] | None]:
+        """The solved depth of an image and all that the rest of its result follows from, with a function for its albedo.
+
+        Arguments and errors are those of `from_image`.
+        """
+        fixed, today = self._calibrated, self._today
         with self._pool.one() as change:
-            read = self._read(self._checked(image), change, markers)
-            albedo = self._albedo_source(change)
-        faults, fixed = read.seen.faults, self._calibrated
-        solution, depth_sigma, difference = fixed.depth(
-            read.slopes.gradients, read.sigma, read.confidence, read.slopes.at_rest, self._start
-        )
+            seen = self._seen(whole_levels(self._checked(image)).copy(), markers)
+            slopes, at_bias = self._read(seen, change)
+            albedo = None
+            if isinstance(today.model, AlbedoModel):
+                albedo = partial(today.model.albedo_from_color, change.copy())
+        solution = fixed.depth(slopes)
         depth_mm, too_deep = fixed.limit.bound(solution.depth_mm)
-        most_mm = fixed.limit.ignorance_mm
-        faults.widen(depth_sigma, most_mm)
-        gradients = slopes_of_solution(depth_mm, (fixed.pitch, fixed.pitch))
-        known = faults.without_lost(solution.known)
-        solved_sigma, wall = self.solved_sigma.with_walls(read.sigma, gradients)
-        observed, at_rest = read.slopes.gradients, read.slopes.at_rest
-        deviations = SlopeDeviations.of(read.sigma, solved_sigma, at_rest)
-        contact = self._today.contact(depth_mm, depth_sigma, deviations, known)
-        # What follows makes no contact less certain: an error of all depths in proportion, and depth that is missing.
-        if depth_sigma is not None:
-            add_in_proportion(depth_sigma, solution.depth_mm, fixed.depth.gain_sigma, most_mm)
-        depth_sigma, difference, at_least = fixed.missing_depth(
-            observed, read.steep, wall, at_rest, depth_mm, depth_sigma, difference
-        )
-        touched = partial(self._today.untouched_image.touched, read.seen.image)
-        unsure = unknown_contact(contact, at_rest, known, touched)
-        findings = *read.slopes.findings, *too_deep, *at_least, *unsure
-        return Reconstruction(
-            depth=depth_mm if self.calibration.mm_per_px else depth_mm / np.float32(fixed.pitch),
-            depth_sigma_mm=depth_sigma,
-            gradients=gradients,
-            gradients_sigma=with_steep(solved_sigma, read.steep),
-            observed_gradients=observed,
-            confidence=read.stated_confidence,
-            contact=contact,
-            known=known,
-            mm_per_px=self.calibration.mm_per_px,
-            mm_per_px_sigma=self.calibration.mm_per_px_sigma,
-            solver=solution.solver,
-            curl_rms=solution.curl_rms,
-            health=(*self.findings, *faults.findings, *read.seen.drifted, *findings),
-            markers=read.seen.flow,
-            outside_change=self._today.surround(read.seen.image, contact),
-            calibration_digest=self.calibration.digest,
-            force_model=self.calibration.force,
-            albedo_source=albedo,
-            difference_source=difference,
-        )
-
-    def explain(self, image: ArrayLike) -> Explanation:
-        """The reasons for each pixel's confidence: the sigma that each cause adds, and its share.
-
-        It is of the slopes as read; the solver's weights are without the cause `steep`. It takes longer than a frame.
-        Image and errors are those of `from_image`.
-        """
-        if isinstance(self._today.causes, AllAlike):
-            raise GelformError("Expected a Reconstructor with slope_sigma=True, which alone knows of causes.")
-        image, change = self._checked(image), np.empty((*self.calibration.image_shape, 3), dtype=np.float32)
-        read = self._read(image, change, explains=True)
-        assert read.maps is not None
-        read.maps["steep"], sigma = read.steep, np.asarray(with_steep(read.slopes.sigma, read.steep))
-        return explanation_of(
-            read.maps, sigma, read.stated_confidence, self._calibrated.full_confidence_sigma
-        )
-
-    def _read(
-        self,
-        image: NDArray[Any],
-        change: NDArray[np.float32],
-        flow: MarkerFlow | None = None,
-        *,
-        explains: bool = False,
-    ) -> ReadSlopes:
-        """The slopes of an image and their sigma and confidence; writes the image's color change to `change`.
-
-        It has three stages: what the image shows, which slopes its colors mean, and how far they are to be believed.
-        """
-        seen = self._seen(whole_levels(image), flow)
-        return self._believed(seen, self._observed(seen, change), change if explains else None)
+        known = seen.faults.without_lost(solution.known)
+        findings = (*self.findings, *seen.findings, *at_bias, *too_deep)
+        return FrameRecord(fixed, today, seen, slopes, solution, depth_mm, known, findings), albedo
 
     def _seen(self, raw: NDArray[Any], flow: MarkerFlow | None) -> SeenImage:
-        """An image with its faults, markers, exposure and unusable channels."""
+        """An image with its faults, markers, light and unusable channels."""
         today = self._today
         faults = today.health(raw)
         image = faults.image  # lost pixels show the background image and have no weight
@@ -390,61 +422,69 @@ class Reconstructor:
         light, drifted = today.untouched_image.compare(image)
         hidden = faults.hidden(markers)
         clipped = today.clipped(as_levels(image), hidden)
-        unseen = either(hidden, clipped.unseen)
-        return SeenImage(raw, image, faults, flow, markers, hidden, clipped, unseen, light, drifted)
+        unseen = either(either(hidden, clipped.unseen), today.outside)
+        findings = *faults.findings, *drifted
+        return SeenImage(raw, image, faults, flow, markers, hidden, clipped, unseen, light, findings)
 
-    def _observed(self, seen: SeenImage, change: NDArray[np.float32]) -> ObservedSlopes:
-        """The slopes that an image's colors mean; writes its color change to `change`."""
+    def _read(self, seen: SeenImage, change: NDArray[np.float32]) -> tuple[ReadSlopes, tuple[Finding, ...]]:
+        """The slopes that an image's colors mean, without their bias, and findings; the color change goes to `change`."""
         fixed, today = self._calibrated, self._today
         pending = today.untouched_image.pending(seen.image, seen.light)
         direct, model_sigma = gradients_from_pending(today.model, pending, out=change)
-        step = fixed.stepped(change, direct, seen.unseen, seen.clipped.channels)
-        gradients, variance = (direct, None) if step is None else (step.gradients, step.variance)
+        hidden = either(seen.hidden, seen.clipped.unseen)
+        step = fixed.stepped(change, direct, hidden, seen.clipped.channels)
+        gradients, variance, residual = (direct, None, None) if step is None else step
         reference = reference_from_color_change(
             change, gradients, self.calibration.untouched_change, seen.hidden
         )
-        at_rest, sigma = today.sigma(change, gradients, reference, seen.hidden, variance)
-        for unsure in (seen.light.exposure.gain_sigma, today.untouched_image.light_sigma(seen.light)):
-            if unsure is not None and np.any(unsure):
-                np.hypot(sigma, np.float32(fixed.slope_per_change) * np.float32(unsure), out=sigma)
-        return ObservedSlopes(gradients, sigma, model_sigma, at_rest, step, reference.findings)
+        at_rest = without_bias(change, gradients, reference, seen.hidden)
+        of_model = None if model_sigma is None else np.ascontiguousarray(model_sigma.max(axis=-1))
+        slopes = ReadSlopes(gradients, at_rest, seen.unseen, variance, residual, of_model, fixed.outlier)
+        return slopes, reference.findings
 
-    def _believed(
-        self, seen: SeenImage, slopes: ObservedSlopes, explained: NDArray[np.float32] | None
-    ) -> ReadSlopes:
-        """The slopes with the sigma that each cause adds, and their confidence; maps of causes if a change is given."""
-        fixed, causes = self._calibrated, self._today.causes
-        sigma, step = slopes.sigma, slopes.step
-        maps: dict[str, NDArray[np.float32]] | None = None if explained is None else {}
-        own = sigma if explained is None else sigma.copy()
-        residual = None if step is None else (step.residual * fixed.per_residual, step.variance)
-        confidence = causes(slopes.gradients, sigma, seen.unseen, seen.raw, residual, maps)
-        if maps is not None and explained is not None and isinstance(causes, PreparedCauses):
-            maps = causes.maps_of(
-                maps, own, seen.raw, clipped=seen.clipped.channels, markers=seen.markers, lost=seen.faults.lost,
-                color_change=explained,
-            )  # fmt: skip
-        stated = sigma if fixed.states_sigma else None
-        observed_sigma, confidence = with_model_sigma(
-            stated, confidence, slopes.model_sigma, fixed.full_confidence_sigma
+    def result(self, record: FrameRecord, albedo: Callable[[], NDArray[np.float32]] | None) -> Reconstruction:
+        """The result of a record: its depth, and the rest on first use."""
+        lock, calibration, slopes = RLock(), self.calibration, record.slopes
+        later: dict[str, Any] = {name: Later(partial(getattr, record, name), lock) for name in ON_DEMAND}
+        own = record.depth_mm.copy()  # the caller's to write to; the record's stays
+        slopes.gradients.flags.writeable = False
+        return Reconstruction(
+            depth=own if calibration.mm_per_px else own / np.float32(record.fixed.pitch),
+            observed_gradients=slopes.gradients,
+            known=record.known,
+            mm_per_px=calibration.mm_per_px,
+            mm_per_px_sigma=calibration.mm_per_px_sigma,
+            solver=record.solution.solver,
+            markers=record.seen.flow,
+            calibration_digest=calibration.digest,
+            force_model=calibration.force,
+            albedo_source=albedo,
+            difference_source=None if record.fixed.depth_sigma is None else record.difference_sigma,
+            **later,
         )
-        steep, stated_confidence = self.steep_slopes(slopes.gradients, sigma, confidence)
-        return ReadSlopes(seen, slopes, observed_sigma, confidence, steep, stated_confidence, maps)
 
-    def _albedo_source(self, change: NDArray[np.float32]) -> Callable[[], NDArray[np.float32]] | None:
-        """A function that computes the albedo on demand; None if the color model has no albedo."""
-        model = self._today.model
-        return partial(model.albedo_from_color, change.copy()) if isinstance(model, AlbedoModel) else None
+    def explain(self, image: ArrayLike) -> Explanation:
+        """The reasons for each pixel's confidence: the sigma that each cause adds, and its share.
+
+        It is of the slopes as read, and takes longer than a frame. Image and errors are those of `from_image`.
+        """
+        record, _ = self.record(image)
+        seen, slopes, today = record.seen, record.slopes, self._today
+        change = today.untouched_image.change(seen.image, seen.light)
+        shown = Shown(
+            as_levels(seen.raw), change, seen.clipped.channels, seen.markers, seen.faults.lost, today.outside,
+            self.calibration.change.blur_px,
+        )  # fmt: skip
+        noise, light = record.fixed_rows
+        rows = today.budget.frame_rows(slopes, noise, light)
+        return explanation_of(
+            today.budget(slopes, noise, light, rows=True), rows, shown, today.budget.full_confidence_sigma
+        )
 
 
 def _prepared_again(
-    kind: type[Reconstructor],
-    calibration: Calibration,
-    solver: str,
-    depth_sigma: bool,
-    slope_sigma: bool,
-    background: NDArray[np.float32] | None,
+    kind: type[Reconstructor], calibration: Calibration, solver: str, background: NDArray[np.float32] | None
 ) -> Reconstructor:
     """The unpickled Reconstructor, without its findings and markers, which follow as its state."""
-    made = kind(calibration, solver=solver, depth_sigma=depth_sigma, slope_sigma=slope_sigma)
+    made = kind(calibration, solver=solver)
     return made if background is None else made.with_background(background)

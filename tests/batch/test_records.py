@@ -53,7 +53,6 @@ def test_refused():
         ({"keep": ()}, "Expected maps to keep"),
         ({"keep": ("all", "depth")}, "Expected maps to keep"),
         ({"form": "png", "keep": ("depth", "contact")}, "Expected depth alone in 16 bits"),
-        ({"keep": ("depth_sigma",), "depth_sigma": False}, "Leave out --no-sigma"),
         ({"solver": "fast"}, "Expected a solver among auto, dct"),
         ({"background_frames": -1}, "Expected 0 to 200 frames"),
         ({"part_frames": 0}, "at least one frame"),
@@ -62,19 +61,10 @@ def test_refused():
             BatchSettings(**wrong)
 
 
-def test_every_map_can_be_kept_and_sigma_of_slopes_comes_where_it_is_used():
+def test_every_map_can_be_kept():
     facts = BatchSettings(keep=KEPT).facts()
     assert json.loads(json.dumps(facts)) == facts
     assert facts["keep"] == list(KEPT)
-    for asked, needed in [
-        ({}, True),
-        ({"solver": "dct"}, True),
-        ({"depth_sigma": False}, True),
-        ({"solver": "dct", "depth_sigma": False}, False),
-        ({"solver": "dct", "depth_sigma": False, "keep": ("depth", "confidence")}, True),
-        ({"solver": "dct", "depth_sigma": False, "keep": ("all",)}, True),
-    ]:
-        assert BatchSettings(**asked).slope_sigma is needed
 
 
 THERE = Manifest(BatchSettings().facts(), "c", "b", "l", 3, 700)

@@ -18,6 +18,8 @@ from gelform.batch.records import read_record, record_path
 from gelform.batch.verify import verify_output
 from gelform.batch.work import Job, Stopped, Worker
 from gelform.errors import DataError
+from gelform.image.frame import Frame
+from made.recorded import recorded
 from made.small_gel import image_of, save
 
 PARTS = BatchSettings(part_frames=2)
@@ -217,6 +219,28 @@ def test_one_thing_is_wrong(output, tmp_path):
         _, _, problems = verify_output(damaged)
         assert said in problems[0].what
         shutil.rmtree(damaged)
+
+
+def test_a_run_that_was_killed_before_its_first_frame_is_to_be_run_again(tmp_path):
+    (tmp_path / ".lock").touch()
+    with pytest.raises(
+        DataError, match=r"has no frame: its batch ended before the first one\. Run the batch again"
+    ):
+        verify_output(tmp_path)
+    (tmp_path / "mine.txt").touch()
+    for folder in (tmp_path, tmp_path / "none"):
+        with pytest.raises(DataError, match=r"has no manifest\.json"):
+            verify_output(folder)
+
+
+def test_a_recording_that_was_copied_in_part_is_a_warning(tmp_path, cal):
+    pytest.importorskip("mcap")
+    whole = recorded(tmp_path / "a.mcap", [Frame(image_of(None), k / 25, k, k) for k in range(40)])
+    content = whole.read_bytes()
+    assert run_batch(whole, cal, tmp_path / "out").warnings == ()
+    (tmp_path / "b.mcap").write_bytes(content[:-100])
+    (said,) = run_batch(tmp_path / "b.mcap", cal, tmp_path / "out2").warnings
+    assert "b.mcap has no end: its recorder was killed, or it was copied in part" in said
 
 
 def test_a_whole_output_and_a_part_that_is_not_done(output, tmp_path):

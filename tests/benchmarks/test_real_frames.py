@@ -15,8 +15,9 @@ from gelform.simulate import LAYOUTS, simulate_press
 from presses import unlabeled
 from real_frames import following, page
 from real_frames.beyond import below, on_balls, steeper
-from real_frames.contacts import contacts, counted, rest
+from real_frames.contacts import blended, contacts, counted, rest
 from real_frames.edges import judged, summary
+from real_frames.faces import outlined
 from real_frames.faults import exposure, older_halves, tears, torn
 from real_frames.sets import MINI_MM_PER_PX, Run
 from real_frames.simulated import TwoBalls, label_over
@@ -46,7 +47,10 @@ def test_contacts_are_counted():
     ball, speck, hollow = (40, 30, 10, 0.5), (5, 5, 3, 0.1), (70, 50, 3, -0.1)
     results = [Found(one) for one in ([], [ball], [speck], [ball, speck, hollow])]
     found = counted(results, [(40, 30, 12)] * 4)
-    ratio = found.pop("radius over circle")
+    ratio, beyond = found.pop("radius over circle"), found.pop("beyond two radii %")
+    area = {one: np.count_nonzero(Found([one]).contact_labels) for one in (ball, speck, hollow)}
+    far = 2 * area[speck] + area[hollow]
+    assert beyond == pytest.approx(100 * far / (far + 2 * area[ball]))
     assert list(found.values()) == [
         4,
         50,
@@ -57,6 +61,26 @@ def test_contacts_are_counted():
     ]  # the speck alone is one contact, but not on the ball
     assert ratio == pytest.approx(10 / 12, abs=0.02)
     assert counted(results)["one, on the ball %"] is None
+
+
+def test_faint_presses_are_as_noisy_as_others():
+    rng, rest = np.random.default_rng(0), np.full((60, 80, 3), 100.0)
+    calibration = SimpleNamespace(background=rest, settings=SimpleNamespace(image_noise=(2.0, 2.0, 2.0)))
+    found = blended(calibration, rest + 50 + rng.normal(0, 2, rest.shape), 0.12, rng)
+    assert found.mean() == pytest.approx(106, abs=0.1)
+    assert found.std() == pytest.approx(2, rel=0.05)
+
+
+def test_outlines_of_faces_are_compared():
+    truth = np.zeros((40, 50), bool)
+    truth[10:30, 10:30] = True
+    contact = truth.copy()
+    contact[15:20, 15:25] = contact[10:30, 10:12] = False  # a hole, and a strip that is open at the rim
+    contact[12:14, 40:45] = True
+    covered, outside, overlap, holes = outlined(contact, truth, 4)
+    assert (covered, holes) == (pytest.approx(310 / 400), 1)
+    assert (outside, overlap) == (pytest.approx(10 / 320), pytest.approx(310 / 410))
+    assert outlined(contact, truth, 4, inner=truth)[3] == 2
 
 
 def test_a_circle_that_is_unsure_or_outside_is_not_judged():
@@ -192,7 +216,7 @@ def test_another_figure_is_noticed():
 def test_slopes_beyond_the_training_are_judged_alone(simulated, presses, calibration):
     limit = 0.25
     gentle = below(presses, limit)
-    shown = [float(np.max(one.slope_sigma.slopes)) for one in (gentle, calibration)]
+    shown = [one.slope_sigma.shown[1] for one in (gentle, calibration)]
     assert shown[0] < 1.2 * limit < 0.4 < shown[1]
     whole = [
         one for one in simulated.presses if all(40 < c < n - 40 for c, n in zip(one.center_px, (176, 132)))

@@ -18,6 +18,7 @@ from gelform.calibration.candidates import (
     color_model_names,
     fitted_responses,
     start_from,
+    starter_note,
     starter_start,
     step_sigma_of,
     training_samples,
@@ -201,7 +202,7 @@ def reader(calibration, prepared):
 def test_slopes_are_those_that_a_reconstructor_reads(calibration, presses, prepared, reader, step):
     """Of whole images, with and without the step; but for the bias, which it takes away from all slopes alike."""
     forward = calibration.forward if step else replace(calibration.forward, step_sigma=None)
-    reconstruct = Reconstructor(replace(calibration, forward=forward), solver="dct", depth_sigma=False)
+    reconstruct = Reconstructor(replace(calibration, forward=forward), solver="dct")
     for press, image in zip(prepared[:3], presses.presses):
         read = reader(forward).frame(press)
         apart = reconstruct.from_image(image.image).observed_gradients - read.gradients
@@ -284,7 +285,7 @@ def test_the_noise_of_colors_is_that_of_the_response(lambertian_calibration, mon
     drawn = []
     covariance = 1e-4 * np.array([[1.0, 0.9, 0.0], [0.9, 1.0, 0.0], [0.0, 0.0, 0.25]])
     forward = replace(lambertian_calibration.forward, step_sigma=None, covariance=covariance)
-    hardly = replace(lambertian_calibration.slope_sigma, slopes=(0.0, 1e-6), sigmas=(0.01, 0.01))
+    hardly = replace(lambertian_calibration.slope_sigma, shown=(0.0, 1e-6))
     first = replace(lambertian_calibration, forward=forward, slope_sigma=hardly)
     plain = type(first.color_model).gradients_at
 
@@ -310,3 +311,14 @@ def test_the_make_brings_the_starter_whatever_the_sensor_is_called(presses):
     assert starter_start(mine, "auto") is None
     assert "GelSight Mini" in starter_start(replace(mine, make="gelsight-mini"), "auto").by
     assert starter_start(replace(mine, make="digit"), "auto") is None
+    mini = replace(mine, make="gelsight-mini")
+    assert starter_note(mine, "auto") == starter_note(mini, "auto") == ()
+    (other,) = starter_note(replace(mine, make="digit"), "auto")
+    assert (
+        "The starter of a DIGIT was not tried, because it is for images of 320x240 px, and these are 240x320"
+        in other
+    )
+    (lookup,) = starter_note(mini, "lookup")
+    assert "it is of the color model hierarchical, and lookup was asked for." in lookup
+    (strange,) = starter_note(replace(mini, background=mini.background[..., ::-1].copy()), "auto")
+    assert strange.startswith("The starter of a GelSight Mini was not tried, because ")

@@ -105,7 +105,7 @@ def test_a_step_is_in_the_draft_where_one_was_chosen(drafted):
     assert 0.001 < at_rest < per_slope < 0.5
     np.testing.assert_array_equal(plain.forward.nodes, stepped.forward.nodes)
     assert plain.slope_sigma == FIRST_GUESS
-    assert set(stepped.slope_sigma.sigmas) == {1.0}, "what the step states, as it states it"
+    assert stepped.slope_sigma.per_step == 1.0, "what the step states, as it states it"
 
 
 def test_channels_that_presses_clip_are_kept(drafted, prepared, found):

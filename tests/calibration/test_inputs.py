@@ -14,6 +14,7 @@ from gelform.calibration.circles.prepare import prepare
 from gelform.calibration.inputs import (
     check_inputs,
     contact_in_background,
+    imprint_notes,
     input_notes,
     light_notes,
     light_order_note,
@@ -340,6 +341,25 @@ def test_real_imprints_are_round_and_fill_the_image(data, name):
     assert surround_notes(presses) == ()
     if name in ("mini-ball", "gelslim", "gelslim-dots"):
         assert "1.2" in imprints(presses, 1.25)[0] or "1.3" in imprints(presses, 1.25)[0]
+
+
+def test_a_ball_ten_times_too_large_changes_color_too_much(prepared, found):
+    """So does a scale ten times too small: only their ratio is in the image."""
+    assert imprint_notes(prepared, found) == ()
+    larger = [replace(press, ball_radius_px=10 * press.ball_radius_px) for press in prepared]
+    (note,) = imprint_notes(larger, found)
+    assert "ball's diameter is too large or mm_per_px too small" in note
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["mini-ball", "digit-ball", "gelslim", "gelslim-dots", "gelsight-ball-deep"])
+def test_real_imprints_change_color_as_on_their_ball_and_no_ten_times_larger_one(data, name):
+    presses = gelform.read_presses(data / name)
+    prepared = prepare(presses.subset(range(0, len(presses.presses), 5)), 10.0)
+    contacts = [find_contact(press.color_change) for press in prepared]
+    assert imprint_notes(prepared, contacts) == ()
+    larger = [replace(press, ball_radius_px=10 * press.ball_radius_px) for press in prepared]
+    assert len(imprint_notes(larger, contacts)) == 1
 
 
 def surrounded(presses):

@@ -9,7 +9,7 @@ import pytest
 
 import gelform
 from gelform.calibration.loads import read_loads
-from gelform.depth.force.fit import calibrate_force, evaluate_force
+from gelform.depth.force.fit import calibrate_force, evaluate_force, sigma_ratio
 from gelform.depth.force.model import force_from_result, why_no_normal
 from gelform.errors import DataError
 from gelform.simulate import Ball, simulate_press
@@ -88,6 +88,32 @@ def test_the_lag_of_a_gauge_is_found_and_removed(table, calibration, volumes, la
     assert np.any(read < 0.9 * read.max())
     model = calibrate_force(found.touches, found.loads)
     assert model.normal.weights[0][0] == pytest.approx(K)
+
+
+def test_a_lag_that_is_known_is_not_fitted_to_the_loads(table, calibration, volumes):
+    """Given for all recordings, or stated by the table for one; loads fitted to any lag would look right."""
+    force = np.interp(np.arange(len(volumes)) - 3, np.arange(len(volumes)), volumes) * K
+    rows = [(f"{k}.png", "ball", 0, k, f) for k, f in enumerate(force)]
+    folder = table("image,object,grasp,frame,force_n", rows)
+    right, wrong = (read_loads(folder, calibration, lag_frames=lag) for lag in (3, -3))
+    assert (right.lag_frames, wrong.lag_frames) == (3, -3)
+    model = calibrate_force(right.touches, right.loads)
+    own, others = (
+        evaluate_force(model, one.touches, one.loads)["normal"][-1]["mae"] for one in (right, wrong)
+    )
+    assert own < 0.01 < others
+    assert sigma_ratio(model, wrong.touches, wrong.loads) > 3 * sigma_ratio(model, right.touches, right.loads)
+    stated = table(
+        "image,object,grasp,frame,force_n,lag_frames", [(*row, 3 if row[3] == 0 else "") for row in rows]
+    )
+    assert read_loads(stated, calibration, lag_frames=-3).lag_frames == 3
+    for lags, said in (
+        ((3, 2), r"one whole lag_frames for each recording, got \[2\.0, 3\.0\]"),
+        ((2.5, 2.5), "whole"),
+    ):
+        folder = table("image,object,grasp,frame,force_n,lag_frames", [(*r, lags[r[3] % 2]) for r in rows])
+        with pytest.raises(DataError, match=said):
+            read_loads(folder, calibration)
 
 
 def test_a_log_with_times(table, calibration, volumes):

@@ -94,3 +94,12 @@ def test_python_m_gelform_is_gelform():
 def test_wrong_usage_is_status_2(fails):
     for arguments in ("nonsense", "calibrate", "reconstruct --nonsense", "simulate -o x --count 0"):
         fails(*arguments.split(), status=2)
+
+
+def test_an_option_given_twice_is_refused_where_it_would_drop_a_value(fails, run, press_folder, tmp_path):
+    rest = press_folder / "background.png"
+    twice = ("--background", rest, "--background", rest)
+    said = " ".join(fails("calibrate", press_folder, "-o", tmp_path / "a.npz", *twice, status=2).split())
+    assert "'--background': expected once, got 2 times." in said
+    assert run("info", rest, "--json", "--json")[0] == 0, "a flag drops nothing"
+    assert run("force", "calibrate", "a", "-c", "b", "-c", "d")[0] == 2, "commands of a command too"

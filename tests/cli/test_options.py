@@ -1,12 +1,19 @@
 """Option values are checked when parsed, groups are flat on the command line, names are those of the tables."""
 
+import ast
+import re
+from pathlib import Path
 from typing import Annotated, Optional
 
 import pytest
 import typer
 
+import gelform
 from gelform.cli import options
+from gelform.cli.app import app
 from gelform.cli.options import as_written, numbers, one_of, positive
+
+SOURCE = Path(gelform.__file__).parent
 
 
 def test_numbers_are_read_and_others_refused():
@@ -78,3 +85,68 @@ def test_an_options_names_are_found_on_python_3_10():
     assert as_written(written) == written
     assert as_written(Optional[written]) == written  # noqa: UP045 (as Python 3.10 does)
     assert as_written(int | None) == int | None
+
+
+def options_of(command):
+    return {name for parameter in command.params for name in (*parameter.opts, *parameter.secondary_opts)}
+
+
+def all_commands():
+    main = typer.main.get_command(app)
+    for name, command in main.commands.items():
+        below = getattr(command, "commands", {})
+        yield from ((f"{name} {inner}", one) for inner, one in below.items()) if below else [(name, command)]
+
+
+def texts_of(path):
+    """Texts of a module that are no docstrings."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    kinds = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
+    docs = {ast.get_docstring(node, clean=False) for node in ast.walk(tree) if isinstance(node, kinds)}
+    found = [
+        node.value
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Constant) and isinstance(node.value, str)
+    ]
+    return [text for text in found if text not in docs]
+
+
+# Options of other programs, and of gelform itself, that messages name.
+FOREIGN = {
+    "--src",
+    "--dst",
+    "--dst-storage",
+    "--list-formats-ext",
+    "--list-ctrls",
+    "--reload-rules",
+    "--debug",
+    "--help",
+}
+FOREIGN |= {"--force-reinstall", "--no-deps", "--version"}
+
+
+def test_options_that_messages_name_exist():
+    known = set().union(*(options_of(command) for _, command in all_commands())) | FOREIGN
+    for path in SOURCE.rglob("*.py"):
+        named = {name for text in texts_of(path) for name in re.findall(r"(?<![\w-])--[a-z][a-z-]+", text)}
+        assert named <= known, (path, named - known)
+
+
+def test_options_that_readers_of_frames_name_exist_where_frames_are_read():
+    """A message of the reader of data sets reaches every command that lists frames."""
+    commands = dict(all_commands())
+    named = (
+        {
+            name
+            for path in (SOURCE / "batch" / "inputs").glob("*.py")
+            for text in texts_of(path)
+            for name in re.findall(r"(?<![\w-])--[a-z][a-z-]+", text)
+        }
+        - FOREIGN
+        - {"--keep"}
+    )
+    assert "--dataset" in named
+    for command in ("batch", "reconstruct"):
+        assert named <= options_of(commands[command]), (command, named - options_of(commands[command]))
+    for command in ("batch", "reconstruct", "explain", "compare"):
+        assert "--bgr" in options_of(commands[command])

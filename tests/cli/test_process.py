@@ -9,8 +9,9 @@ import time
 
 import pytest
 
-from gelform.cli.process import mistakes_in, only_writer
+from gelform.cli.process import as_process, mistakes_in, only_writer
 from gelform.errors import DataError
+from gelform.sensors.recordings.mcap_reader import end_missing, mcap_summary
 
 BUGS = [ValueError("NaN"), TypeError("no"), IndexError("out"), ZeroDivisionError(), RecursionError("deep")]
 
@@ -147,7 +148,9 @@ def test_a_pipe_is_no_file(tmp_path, fails, calibration_file):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("kind", "workers"), [(signal.SIGINT, 1), (signal.SIGINT, 2), (signal.SIGTERM, 2)])
+@pytest.mark.parametrize(
+    ("kind", "workers"), [(signal.SIGINT, 1), (signal.SIGINT, 2), (signal.SIGTERM, 2), (signal.SIGHUP, 2)]
+)
 def test_an_interrupt_is_one_line_and_leaves_nothing(kind, workers, tmp_path):
     command = f"{GELFORM} simulate -o {tmp_path}/out --count 4000 --workers {workers} --sensor digit".split()
     ran = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True)
@@ -160,6 +163,42 @@ def test_an_interrupt_is_one_line_and_leaves_nothing(kind, workers, tmp_path):
     _, said = ran.communicate(timeout=60)
     assert (ran.returncode, said) == (130, "gelform: interrupted.\n")
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not hasattr(os, "openpty"), reason="no terminals here")
+def test_a_terminal_that_closes_ends_a_recording_with_its_index(tmp_path):
+    """As an ssh session that is cut: the terminal is gone, and SIGHUP comes from the system, and again from the shell."""
+    pytest.importorskip("mcap")
+    path, (here, there) = tmp_path / "a.mcap", os.openpty()
+    command = [*GELFORM.split(), "record", "simulated", "-o", str(path)]
+    ran = subprocess.Popen(command, stdin=there, stdout=there, stderr=there, start_new_session=True)
+    os.close(there)
+    deadline = time.monotonic() + 60
+    while not path.exists() or path.stat().st_size < 200_000:
+        assert time.monotonic() < deadline
+        assert ran.poll() is None
+        time.sleep(0.05)
+    os.close(here)
+    for _ in range(3):
+        os.kill(ran.pid, signal.SIGHUP)
+    assert ran.wait(60) in (0, 1, 130)
+    assert mcap_summary(path).finished
+    assert end_missing(path) == ""
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="no SIGHUP here")
+def test_nohup_stays_so_and_handlers_come_back():
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with as_process():
+            assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)
+        with pytest.raises(KeyboardInterrupt), as_process():
+            signal.raise_signal(signal.SIGHUP)
+        assert signal.getsignal(signal.SIGHUP) is signal.SIG_DFL
+    finally:
+        signal.signal(signal.SIGHUP, before)
 
 
 def test_the_second_writer_of_one_file_is_refused(tmp_path, fails, press_folder):

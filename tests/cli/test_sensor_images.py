@@ -24,5 +24,5 @@ def test_images_go_through_the_view(calibration, press_folder):
 def test_another_size_names_the_file(calibration, tmp_path):
     save_picture(tmp_path / "small.png", np.zeros((60, 80, 3), dtype=np.uint8))
     for read in (image_in, background_in):
-        with pytest.raises(DataError, match=r"small\.png: .*120x160.*60x80"):
+        with pytest.raises(DataError, match=r"small\.png, for .*120x160.*60x80"):
             read(tmp_path / "small.png", calibration)

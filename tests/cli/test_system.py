@@ -57,3 +57,16 @@ def test_kernels_that_cannot_be_loaded_are_said(monkeypatch):
 @pytest.mark.parametrize("arguments", [["info"], ["info", "--system", "presses"]])
 def test_a_file_or_the_system_is_asked_for(fails, arguments):
     assert "--system" in fails(*arguments, status=2)
+
+
+def test_all_distributions_that_share_cv2_are_named(monkeypatch):
+    there = {"opencv-python": "4.10.0", "opencv-python-headless": "5.0.0"}
+    monkeypatch.setattr(system, "_version", there.get)
+    said = system_facts()["opencv"]
+    assert said.startswith(
+        "opencv-python 4.10.0, opencv-python-headless 5.0.0: they overwrite each other's cv2"
+    )
+    del there["opencv-python"]
+    assert system_facts()["opencv"] == "opencv-python-headless 5.0.0"
+    there.clear()
+    assert system_facts()["opencv"] == "none that pip knows"

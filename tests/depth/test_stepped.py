@@ -6,7 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from gelform.depth.stepped import COARSER, CoarseDepth, SteppedSlopes, coarse_grid
+from gelform.depth.coarse import COARSER, coarse_of
+from gelform.depth.stepped import CoarseDepth, SteppedSlopes
 from gelform.slopes.color_models._shared.least_squares import node_positions
 from gelform.slopes.color_models.forward_response import TERMS, ForwardResponse, PreparedStep
 
@@ -93,15 +94,15 @@ def bump(shape=ODD, height_px=4.0, width_px=10.0, center=(70, 40)):
 
 def coarse(values):
     """Means over the coarser grid."""
-    return cv2.resize(values, coarse_grid(values.shape[:2])[0][::-1], interpolation=cv2.INTER_AREA)
+    return cv2.resize(values, coarse_of(values.shape[:2]).shape[::-1], interpolation=cv2.INTER_AREA)
 
 
 @pytest.mark.parametrize("shape", [(90, 120), (90, 121), (89, 122)])
 def test_the_grid_covers_the_frame(shape):
-    (rows, columns), (x_px, y_px) = coarse_grid(shape)
+    (rows, columns), (x_px, y_px) = coarse_of(shape).shape, coarse_of(shape).pitch_px
     assert (rows * y_px, columns * x_px) == pytest.approx(shape)
     assert COARSER <= min(x_px, y_px) <= max(x_px, y_px) < 1.1 * COARSER
-    assert coarse_grid((1, 5)) == ((2, 2), (2.5, 0.5)), "the smallest"
+    assert (coarse_of((1, 5)).shape, coarse_of((1, 5)).pitch_px) == ((2, 2), (2.5, 0.5)), "the smallest"
 
 
 @pytest.mark.parametrize("shape", [(90, 120), ODD])
@@ -109,7 +110,7 @@ def test_the_grid_covers_the_frame(shape):
 def test_depth_is_that_of_the_slopes_and_0_where_the_gel_is_untouched(shape, offset):
     depth, slopes, change = bump(shape)
     found = CoarseDepth(shape, 0.01)(change + np.float32(offset), slopes + np.float32(offset))
-    assert found.shape == coarse_grid(shape)[0]
+    assert found.shape == coarse_of(shape).shape
     assert found.min() == 0
     np.testing.assert_allclose(found, coarse(depth), atol=0.15)
     assert found.max() == pytest.approx(coarse(depth).max(), rel=0.04)

@@ -5,6 +5,8 @@ import pytest
 
 from gelform.depth.zero import fitted_surface, median_over, zero_region
 
+pytestmark = pytest.mark.linear_algebra
+
 
 def test_regions_by_name_and_by_map():
     assert zero_region("mean", (4, 5)).all()

@@ -18,7 +18,7 @@ from gelform.exchange.exporters.press_folder import save_press_folder
 from gelform.exchange.plots.canvas import save_picture
 from gelform.foundations.fill import fill_unknown
 from gelform.image.background.change import ChangeSettings, image_from_color_change
-from gelform.image.background.exposure import exposure_from_image
+from gelform.image.background.light import light_from_image
 from gelform.image.markers.follower import MarkerFollower
 from gelform.image.view import Lens, frame_from_image
 from gelform.result.metrics import press_errors
@@ -53,11 +53,7 @@ FORCE = gelform.calibrate_force(TOUCHES, LOADS)
 
 
 def gain(image: Any, background: Any) -> np.ndarray:
-    return exposure_from_image(image, background).believed_gain
-
-
-def depth_sigma(shape: Any, gradients_sigma: Any, **settings: Any) -> np.ndarray:
-    return gelform.DepthSigma(shape, **settings)(gradients_sigma)
+    return light_from_image(image, background).gain
 
 
 def registered(image: Any, background: Any, touched: Any) -> np.ndarray:
@@ -85,7 +81,7 @@ DOORS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
     "image_from_frame": (gelform.image_from_frame, {"frame": IMAGE, "view": gelform.View()}),
     "color_change_from_image": (gelform.color_change_from_image, {"image": IMAGE, "background": REST}),
     "image_from_color_change": (image_from_color_change, {"color_change": CHANGE, "background": REST}),
-    "exposure_from_image": (gain, {"image": IMAGE, "background": REST}),
+    "light_from_image": (gain, {"image": IMAGE, "background": REST}),
     "background_from_frames": (gelform.background_from_frames, {"frames": [IMAGE, IMAGE, IMAGE]}),
     "markers_from_image": (gelform.markers_from_image, {"image": IMAGE, "background": REST}),
     "MarkerFollower": (MarkerFollower, {"background": REST}),
@@ -111,14 +107,6 @@ DOORS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
     "curl_from_gradients": (gelform.curl_from_gradients, {"gradients": GRADIENTS, **PITCH}),
     "fill_unknown": (fill_unknown, {"values": GRADIENTS, "known": MASK}),
     "frame_from_image": (frame_from_image, {"image": IMAGE, "view": gelform.View(SHAPE, flip="x")}),
-    "depth_sigma_from_gradients_sigma": (
-        gelform.depth_sigma_from_gradients_sigma,
-        {"gradients_sigma": SIGMA, **PITCH, "weights": WEIGHTS, "mask": MASK, "anchor": WEIGHTS, "zero": MASK, "probes": 8},
-    ),
-    "DepthSigma": (
-        depth_sigma,
-        {"shape": SHAPE, "gradients_sigma": SIGMA, **PITCH, "correlation_px": 1.0, "correlated_share": 0.5, "probes": 8},
-    ),
     "contacts_from_mask": (contacts_from_mask, {"contact": MASK, "depth": DEPTH, **PITCH}),
     "press_errors": (
         press_errors,
@@ -200,10 +188,6 @@ SETTINGS = {
         lambda **s: gelform.contact_from_depth(DEPTH, mm_per_px=MM_PER_PX, **s),
         ("depth_sigma_mm", "relaxation_mm", "noise_factor", "min_area_mm2"),
     ),
-    "depth_sigma_from_gradients_sigma": (
-        lambda **s: gelform.depth_sigma_from_gradients_sigma(SIGMA, mm_per_px=MM_PER_PX, **s),
-        ("zero", "level", "probes", "rng", "correlation_px", "correlated_share"),
-    ),
     "MarkerFollower": (lambda **s: MarkerFollower(REST, **s), ("mm_per_px",)),
     "read_presses": (
         lambda **s: gelform.read_presses(FOLDER / "presses", **s), ("mm_per_px", "ball_diameter_mm")
@@ -219,7 +203,7 @@ SETTINGS = {
     ),
     "Reconstructor": (
         lambda **s: gelform.Reconstructor(**{"calibration": calibration(), **s})(IMAGE),
-        ("calibration", "background", "solver", "depth_sigma"),
+        ("calibration", "background", "solver"),
     ),
 }  # fmt: skip
 
@@ -230,7 +214,7 @@ DEEPER = {
         ChangeSettings,
         contacts_from_mask,
         edge_residuals,
-        exposure_from_image,
+        light_from_image,
         fill_unknown,
         frame_from_image,
         image_from_color_change,

@@ -319,5 +319,5 @@ def test_a_recording_is_calibrated_from_start_to_end(hub, filmed, sensor, tmp_pa
     actions.guide_use(hub, 0)
     assert station.setup.name.startswith("ring_no-serial_")
     actions.seek(hub, 0, UNTOUCHED + HELD // 2)
-    deep = until(lambda: (s := station.newest) and s.measures and s.measures.peak > 0.3 and s.measures, 20)
+    deep = until(lambda: (s := station.newest) and s.measures and s.measures.peak > 0.3 and s.measures)
     assert deep.peak == pytest.approx(0.45, abs=0.12)

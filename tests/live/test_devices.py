@@ -82,13 +82,13 @@ def test_a_camera_of_the_list_is_shown_with_its_calibration_and_left_again(choic
     hub, station = choice, choice.stations[0]
     name = hub.calibrations.add("of D2", replace(calibration, serial="D2"))
     actions.show_camera(hub, 0, numbers_of(hub)["D2"])
-    until(lambda: not station.facts()["simulated"] and station.facts()["state"] == "running", 20)
+    until(lambda: not station.facts()["simulated"] and station.facts()["state"] == "running")
     assert station.setup.name == name
     assert station.facts()["opened"]
     assert list(numbers_of(hub)) == ["D1"]  # the other one is not offered twice
     assert hub.notices[-1][2].endswith("shows DIGIT, with its calibration of D2.")
     actions.open_recording(hub, 0, "")
-    until(lambda: station.facts()["simulated"], 20)
+    until(lambda: station.facts()["simulated"])
     assert station.setup.name == "mine"
     assert set(numbers_of(hub)) == {"D1", "D2"}
 

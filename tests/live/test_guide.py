@@ -12,9 +12,9 @@ def test_a_press_is_made_where_the_guide_asks_and_counts(hub, tmp_path):
     hub.folder = tmp_path
     actions.guide_start(hub, 0, 5.0, "", 0.0)
     guide = hub.guides[0].guide
-    until(lambda: guide.target, 30)
+    until(lambda: guide.target)
     x, y = guide.target.x_px, guide.target.y_px
-    until(lambda: guide.count >= 1, 30)
+    until(lambda: guide.count >= 1)
     assert guide.facts()["accepted"][0][:2] == pytest.approx((x, y), abs=4)
     hub.end_guide(0)
     assert not hub.guides
@@ -67,7 +67,7 @@ def test_after_the_report_more_presses_are_made_at_its_places(
     monkeypatch.setattr("gelform.calibration.guided.fit.calibrate", lambda *_, **__: calibration)
     actions.guide_start(hub, 0, 5.0, "", 0.0)
     guide = hub.guides[0].guide
-    until(lambda: guide.step == "press", 30)
+    until(lambda: guide.step == "press")
     with pytest.raises(GelformError, match="no report yet"):
         actions.guide_more(hub, 0)
     guide.wanted = 0
@@ -84,7 +84,7 @@ def test_after_the_report_more_presses_are_made_at_its_places(
     )
     with pytest.raises(GelformError, match="Press Fit now first"):
         actions.guide_use(hub, 0)
-    until(lambda: guide.count > count, 30)
+    until(lambda: guide.count > count)
     assert guide.facts()["accepted"][count][:2] == pytest.approx((marked[0].x_px, marked[0].y_px), abs=4)
 
 
@@ -95,4 +95,4 @@ def test_a_fit_that_does_not_succeed_asks_for_more(hub, tmp_path):
     with pytest.raises(GelformError):
         session.guide.fit(hub.folder)
     assert session.guide.step == "background"
-    until(lambda: session.guide.step == "press", 30)
+    until(lambda: session.guide.step == "press")

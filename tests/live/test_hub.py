@@ -2,12 +2,16 @@
 
 import json
 import threading
+import time
 
+import numpy as np
 import pytest
 
-from gelform.errors import DataError, GelformError
-from gelform.live.hub import GRACE_S, Hub, Pages, page_named, wait_for_frames
+from gelform.errors import DataError, GelformError, SensorError, SourceLostError
+from gelform.live.hub import GRACE_S, Hub, Pages, page_named, sentence_for_page, wait_for_frames
+from gelform.live.station import Station
 from live_waiting import until
+from made.sources import ImageSource
 
 
 def test_facts_can_be_sent_as_json(hub):
@@ -49,11 +53,65 @@ def test_work_shows_its_progress_and_its_failure(hub):
     assert hub.notices[-1][1:] == ("error", "The disk is full.")
 
 
+def test_work_that_fails_as_nobody_expected_ends_too(hub, caplog):
+    hub.start(lambda _: {}["there is none"], 0, "starting")
+    until(lambda: not hub.facts()["work"])
+    assert hub.notices[-1][1] == "error"
+    assert "mistake in gelform, not yours: KeyError: 'there is none'" in hub.notices[-1][2]
+    assert caplog.records[-1].exc_info[0] is KeyError
+
+
+def test_a_sentence_about_a_file_names_it(tmp_path, caplog):
+    with pytest.raises(OSError) as problem:
+        (tmp_path / "none").read_text()
+    assert sentence_for_page(problem.value) == f"No such file or directory: {tmp_path / 'none'}."
+    assert not caplog.records
+
+
 def test_frames_that_do_not_come_are_an_error(hub):
-    hub.stations[0].paused = True
-    with pytest.raises(GelformError, match="Is the camera connected"):
-        wait_for_frames(hub.stations[0], 500, timeout_s=0.2)
-    assert not hub.stations[0].taps
+    station, began_s = hub.stations[0], time.monotonic()
+    with pytest.raises(GelformError, match=r"Expected 5000 frames within 0\.2 s"):
+        wait_for_frames(station, 5000, timeout_s=0.2)
+    station.pause(True)
+    with pytest.raises(GelformError, match=r"picture is held\. Press Continue first"):
+        wait_for_frames(station, 1)
+    station.pause(False)
+    until(lambda: not station.silence)
+    station.close()
+    with pytest.raises(GelformError, match="server is stopping"):
+        wait_for_frames(station, 1)
+    assert not station.taps
+    assert time.monotonic() - began_s < 15
+
+
+def test_a_sensor_that_was_unplugged_is_named_at_once(hub):
+    """Also while its frames are awaited."""
+    images = [np.full((48, 64, 3), 90, np.uint8)]
+    gone = threading.Event()
+
+    def opened():
+        if gone.is_set():
+            raise SensorError("No camera.")
+        return ImageSource(images, count=20, fails=SourceLostError("It was unplugged."))
+
+    station = Station(1, "camera", opened, hub.changed)
+    hub.stations.append(station)
+    station.start()
+    try:
+        until(lambda: station.newest)
+        gone.set()
+        for _ in range(2):
+            with pytest.raises(GelformError, match=r"gives no frames: (It was unplugged|No camera)"):
+                wait_for_frames(station, 5000)
+    finally:
+        station.close()
+
+
+def test_one_action_at_a_time_changes_a_sensor(hub):
+    with hub.turn(0), pytest.raises(GelformError, match="This sensor is busy"), hub.turn(0):
+        pass
+    with hub.turn(0), pytest.raises(GelformError, match="no sensor 1"), hub.turn(1):
+        pass
 
 
 def test_there_is_no_station_of_another_number(hub):

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
@@ -10,6 +13,7 @@ from hypothesis import strategies as st
 
 from gelform.errors import CalibrationError, GelformError
 from gelform.live.lists import Calibrations, Recordings
+from gelform.live.web.commands import text
 
 
 @pytest.fixture
@@ -73,6 +77,61 @@ def test_folders_are_not_fetched_and_what_is_gone_is_said(forms, tmp_path):
         with pytest.raises(GelformError, match="Share"):
             listed.file(number)
     assert listed.facts()[1]["bytes"] is None
+
+
+@pytest.fixture
+def odd_folder(forms, tmp_path, calibration):
+    """Names that are no text or steer; links to itself, out of the folder and inside it; a pipe; a folder."""
+    folder = tmp_path / "folder"
+    (folder / "inner.mcap").mkdir(parents=True)
+    recording = forms["mcap"].read_bytes()
+    for name in (
+        b"a\nb.mcap",
+        b"no\xfftext.mcap",
+        b"\xe2\x80\xaeb.mcap",
+        b"x" * 240 + b".mcap",
+        b"plain.mcap",
+    ):
+        Path(os.fsdecode(os.fsencode(folder) + b"/" + name)).write_bytes(recording)
+    (tmp_path / "secret.mcap").write_bytes(recording)
+    calibration.save(tmp_path / "secret.npz")
+    calibration.save(folder / "own.npz")
+    for name, target in (
+        ("out.mcap", tmp_path / "secret.mcap"),
+        ("out.npz", tmp_path / "secret.npz"),
+        ("self.mcap", folder / "self.mcap"),
+        ("self.npz", folder / "self.npz"),
+        ("gone.mcap", folder / "none.mcap"),
+        ("device.mcap", Path("/dev/zero")),
+    ):
+        (folder / name).symlink_to(target)
+    os.mkfifo(folder / "pipe.mcap")
+    return folder
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="names of bytes, pipes and links")
+def test_only_a_folders_own_files_are_listed_by_names_that_can_be_shown(odd_folder):
+    names = [one["name"] for one in Recordings((), odd_folder).facts()]
+    assert "plain.mcap" in names
+    assert {r"a\nb.mcap", r"no\udcfftext.mcap", r"\u202eb.mcap"} < set(names)
+    assert len(names) == 5
+    for name in names:
+        assert text(name) == name
+        assert name.encode()
+    assert Calibrations(folder=odd_folder).names == ["own.npz"]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="names of bytes, pipes and links")
+def test_a_file_that_became_a_link_out_of_the_folder_is_not_opened(odd_folder, tmp_path):
+    listed = Recordings((), odd_folder)
+    number = [one["name"] for one in listed.facts()].index("plain.mcap")
+    assert listed.path("plain.mcap") == listed.file(number) == odd_folder / "plain.mcap"
+    (odd_folder / "plain.mcap").unlink()
+    (odd_folder / "plain.mcap").symlink_to(tmp_path / "secret.mcap")
+    with pytest.raises(GelformError, match="no recording"):
+        listed.path("plain.mcap")
+    with pytest.raises(GelformError, match="no such file"):
+        listed.file(number)
 
 
 @pytest.mark.slow

@@ -135,6 +135,36 @@ def test_the_result_loads_and_the_frame_is_the_cameras_in_rgb(saved, result, pre
     np.testing.assert_array_equal(gelform.read_image(saved("frame.png")), press.image)
 
 
+def test_the_surface_is_in_mm_and_the_picture_is_a_picture(saved, result):
+    trimesh = pytest.importorskip("trimesh")
+    surface = trimesh.load(saved("surface.ply"), process=False)
+    height, width = result.shape
+    assert surface.vertices.shape == (height * width, 3)
+    np.testing.assert_allclose(surface.vertices[:, 2], -result.depth_mm.ravel(), atol=1e-6)
+    np.testing.assert_allclose(np.ptp(surface.vertices[:, 0]), (width - 1) * result.mm_per_px, rtol=1e-6)
+    assert gelform.read_image(saved("picture.png")).std() > 10
+
+
+def test_only_files_that_can_be_made_are_offered(shown, result, monkeypatch):
+    assert Snapshots.names(shown) == ["frame.png", "result.npz", "surface.ply", "picture.png"]
+    in_pixels = Shown(1, shown.frame, shown.image, replace(result, mm_per_px=None))
+    assert Snapshots.names(in_pixels) == ["frame.png", "result.npz", "picture.png"]
+    assert Snapshots.names(Shown(1, shown.frame, shown.image)) == ["frame.png"]
+    monkeypatch.setattr("gelform.live.shown.find_spec", lambda _: None)
+    assert Snapshots.names(shown) == ["frame.png", "result.npz", "surface.ply"]
+
+
+def test_a_contact_inside_a_ring_has_its_outline_too(result):
+    y, x = np.indices(result.shape)
+    radius = np.hypot(x - 88, y - 66)
+    contact = ((radius > 40) & (radius < 55)) | (radius < 15)
+    ringed = replace(result, contact=contact, known=np.ones_like(contact))
+    outlines = [np.array(one).reshape(-1, 2) for one in outlines_of(ringed)]
+    assert len(outlines) == len(ringed.contacts) == 2
+    reach = sorted(np.hypot(*(one - (88, 66)).T).max() for one in outlines)
+    np.testing.assert_allclose(reach, (15, 55), atol=1.5)
+
+
 def test_old_ones_go_and_unknown_files_are_refused(shown):
     snapshots = Snapshots()
     first = snapshots.add(shown)

@@ -179,7 +179,7 @@ def test_a_viewer_gets_images_depth_and_numbers(shown, tmp_path):
     command = [sys.executable, "-m", "rerun", "--save", str(saved), "--port", str(port), "--bind", HOST]
     with subprocess.Popen(command, start_new_session=True) as receiver:  # it starts another program
         try:
-            until(lambda: answers(port), 60)
+            until(lambda: answers(port))
             sink = RerunSink(port)
             sink.show("sensor_0", shown)
             sink.close()

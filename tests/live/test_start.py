@@ -9,6 +9,7 @@ from contextlib import closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from websockets.sync.client import connect
 
@@ -25,9 +26,9 @@ from made.mjpeg_server import MjpegServer, jpeg, part
 
 def test_without_arguments_the_simulated_sensor_is_shown_calibrated():
     with closing(start(Options(rate_hz=30))) as hub:
-        shown = until(lambda: hub.stations[0].newest, 20)
+        shown = until(lambda: hub.stations[0].newest)
         assert shown.image.shape == (240, 320, 3)
-        until(lambda: hub.stations[0].newest.result is not None, 20)
+        until(lambda: hub.stations[0].newest.result is not None)
 
 
 @pytest.mark.parametrize(
@@ -37,6 +38,7 @@ def test_without_arguments_the_simulated_sensor_is_shown_calibrated():
         (["simulated"], ["missing.npz"], CalibrationError, r"missing\.npz"),
         (["simulated:three-edge"], [], ValueError, "three-edges"),
         (["nowhere/none.mp4"], [], DataError, r"none\.mp4"),
+        (["seq"], [], DataError, r"No camera, file or folder seq\. Check the path"),
     ],
 )
 def test_mistakes_are_said_at_once(tmp_path, sources, calibrations, error, said):
@@ -91,7 +93,7 @@ def test_a_folder_plays_once_and_stays_at_its_end(tmp_path, simulated, calibrati
     calibration.save(tmp_path / "mine.npz")
     with closing(start(Options([str(tmp_path)], [tmp_path / "mine.npz"]))) as hub:
         station = hub.stations[0]
-        until(lambda: (r := station.facts()["replay"]) and not r["playing"] and r["number"] == 3, 60)
+        until(lambda: (r := station.facts()["replay"]) and not r["playing"] and r["number"] == 3)
         until(lambda: (one := station.newest) and one.frame.number == 3 and one.result)
         assert station.facts()["state"] == "running"  # held, not lost
         assert hub.recordings.facts()[0]["name"] == tmp_path.name
@@ -100,7 +102,7 @@ def test_a_folder_plays_once_and_stays_at_its_end(tmp_path, simulated, calibrati
 @pytest.mark.slow
 def test_two_simulated_sensors_are_touched_apart_from_each_other():
     with closing(start(Options(["simulated", "simulated"], rate_hz=20))) as hub:
-        until(lambda: all(station.newest and station.newest.result for station in hub.stations), 20)
+        until(lambda: all(station.newest and station.newest.result for station in hub.stations))
         first, second = (station.source for station in hub.stations)
         assert (first.image_at(7) != second.image_at(7)).mean() > 0.2
         assert hub.calibrations.names == ["simulated sensor three-edges"]
@@ -209,3 +211,14 @@ def test_what_the_guide_saves_is_in_use_after_a_restart_without_a_flag(library, 
     with live_running(tmp_path / "second") as socket:
         assert words_until(socket, used) == kept
     assert load_calibration(library / kept).serial == "simulated-three-edges"
+
+
+def test_a_folder_waits_for_the_first_page(tmp_path):
+    for k in range(40):
+        save_picture(tmp_path / f"{k:02d}.png", np.full((48, 64, 3), 90, np.uint8))
+    with closing(start(Options([str(tmp_path)]))) as hub:
+        until(lambda: hub.stations[0].newest)
+        time.sleep(0.4)  # ten frames
+        assert hub.stations[0].player.facts()["number"] == 0
+        hub.sinks += 1  # as a page
+        until(lambda: hub.stations[0].player.facts()["number"] > 2)

@@ -117,7 +117,7 @@ def test_a_make_that_was_named_is_asked_for_instead_of_calibrated():
     try:
         assert not hub.work
         assert said(hub)["sensor"] == MAKE
-        until(lambda: hub.stations[0].newest, 30)
+        until(lambda: hub.stations[0].newest)
         actions.take_starter(hub, 0, "")  # the simulated sensor rests meanwhile
         assert said(hub)["state"] == "used"
         until(lambda: hub.stations[0].newest.result)

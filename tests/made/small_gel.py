@@ -85,7 +85,12 @@ def calibration() -> Calibration:
         color_model=LambertianModel(LIGHTS),
         forward=None,
         slope_sigma=SlopeSigma(
-            rest=0.02, slopes=(0.1, 1.0), sigmas=(0.03, 0.06), full_confidence_sigma=0.06, correlation_px=1.0
+            rest=0.02,
+            per_step=0.03,
+            per_slope=1.7,
+            shown=(0.5, 0.9),
+            full_confidence_sigma=0.06,
+            correlation_px=1.0,
         ),
         untouched_change=0.05,
         held_out={},
@@ -107,7 +112,7 @@ def stepping() -> Calibration:
     nodes[:, :, : of_normal.shape[1]] = np.linalg.lstsq(of_normal, change, rcond=None)[0]
     forward = ForwardResponse(nodes, 0.012**2 * np.eye(3), SHAPE, (0.02, 0.05))
     known = SlopeSigma(
-        rest=0.01, slopes=(0.1, 1.0), sigmas=(1.2, 1.2), full_confidence_sigma=0.04, correlation_px=1.0
+        rest=0.01, per_step=1.2, shown=(0.5, 0.9), full_confidence_sigma=0.04, correlation_px=1.0
     )
     return replace(calibration(), forward=forward, slope_sigma=known)
 

@@ -11,6 +11,8 @@ from gelform.motion.between import FOUND, LOST, UNSURE
 from gelform.motion.rigid import moved, pose_of_step, step_of_pose
 from made.rigid_contacts import BALL_MM, CENTER, DEPTH_MM, ball, contact_of, cylinder, plate, pose, texture
 
+pytestmark = pytest.mark.linear_algebra
+
 # Shift in mm and turns in degrees: one direction each, and all together.
 MOTIONS = {
     "x": {"x": 0.3}, "y": {"y": -0.3}, "deeper": {"x": 0.3, "z": 0.05}, "tilt about x": {"x": 0.3, "tilt_x": 2.0},
@@ -122,6 +124,49 @@ def test_a_plate_without_any_error_shows_no_more():
     np.testing.assert_allclose(found.pose[:2, 3], 0, atol=1e-6)
 
 
+def column(x, y):
+    """A ball whose contact is nearly one column."""
+    return np.sqrt(np.maximum(BALL_MM**2 - x**2 - (y / 40) ** 2, 1e-9)) - BALL_MM - 3 * np.abs(x)
+
+
+def touching(face, where):
+    one = contact_of(face)
+    contact = np.zeros(one.shape, bool)
+    contact[where] = True
+    return replace(one, contact=contact)
+
+
+DOTS, FOUR_ROWS = np.s_[::4, ::4], np.s_[60:64]
+DEGENERATE = {
+    "a plate": lambda: (contact_of(plate), contact_of(plate, pose(0.3))),
+    "a plate twice": lambda: [contact_of(plate)] * 2,
+    "a texture twice": lambda: [contact_of(texture(), seed=1)] * 2,
+    "a ball twice": lambda: [contact_of(ball)] * 2,
+    "a cylinder": lambda: (contact_of(cylinder), contact_of(cylinder, pose(0.3))),
+    "dots of one pixel": lambda: [touching(texture(), DOTS)] * 2,
+    "dots on a plate": lambda: [touching(plate, DOTS)] * 2,
+    "nearly one column": lambda: (contact_of(column), contact_of(column, pose(0.05))),
+    "a line of a plate": lambda: [touching(plate, FOUR_ROWS)] * 2,
+}
+
+
+@pytest.mark.parametrize("name", DEGENERATE)
+def test_the_covariance_is_definite_where_residuals_say_nothing(name):
+    """So nobody who inverts it meets a singular matrix; rounding may not decide that."""
+    found = gelform.motion_between(*DEGENERATE[name]())
+    assert found.state == UNSURE, found.why
+    np.testing.assert_allclose(found.covariance, found.covariance.T, rtol=1e-6, atol=1e-12)
+    unit = 1 / np.sqrt(np.diag(found.covariance))
+    assert np.linalg.eigvalsh(unit[:, None] * found.covariance * unit).min() > 1e-10
+
+
+@pytest.mark.parametrize("kind", ["depth", "gradients"])
+def test_what_no_gel_shows_is_refused(kind):
+    one = contact_of(plate)
+    with pytest.raises(gelform.GelformError, match=r"up to 1e\+06, got 1\.0e\+18 mm"):
+        gelform.motion_between(replace(one, **{kind: getattr(one, kind) + np.float32(1e18)}), one)
+
+
 def test_unknown_sigmas_count_little():
     """NaN, infinity, or none at all."""
     first, second = contact_of(texture(), seed=1), contact_of(texture(), pose(0.3), seed=2)
@@ -182,7 +227,12 @@ def test_no_motion_is_invented(why):
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"prior": (0.1,)}, {"prior": (0.1, 0)}, {"start": np.zeros((4, 4))}, {"place_error": -1}]
+    "wrong",
+    [
+        *({"prior": prior} for prior in [(0.1,), (0.1, 0), (1e-300, 0.1), (0.1, 1e9)]),
+        {"start": np.zeros((4, 4))},
+        {"place_error": -1},
+    ],
 )
 def test_wrong_arguments_are_errors(wrong):
     with pytest.raises(ValueError, match="Expected"):

@@ -12,6 +12,8 @@ from gelform.motion.rigid import step_of_pose
 from gelform.motion.surface import TouchedSurface
 from made.rigid_contacts import SHAPE, contact_of, pose, texture
 
+pytestmark = pytest.mark.linear_algebra
+
 
 @pytest.fixture(scope="module")
 def fitted():

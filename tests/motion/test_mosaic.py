@@ -9,6 +9,8 @@ import gelform
 from gelform.exchange.exporters.surface import save_surface
 from made.rigid_contacts import DEPTH_MM, MM_PER_PX, contact_of, plate, pose, texture
 
+pytestmark = pytest.mark.linear_algebra
+
 PATH = [pose(0.5 * k, 0.1 * k, 0.02 * k, 0.5 * k, 0, k) for k in (-2, -1, 0, 1, 2)]
 
 

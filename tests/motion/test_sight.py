@@ -7,6 +7,8 @@ from gelform.motion.sight import blind_directions, has_moved
 from gelform.motion.surface import TouchedSurface
 from made.rigid_contacts import SHAPE, ball, contact_of, cylinder, pose, texture
 
+pytestmark = pytest.mark.linear_algebra
+
 
 def blind_of(face, seeds=(1, 2), **fields):
     first, second = (

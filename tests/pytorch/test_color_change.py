@@ -31,9 +31,10 @@ def test_it_is_the_numpy_paths(settings, dtype, shape):
     image[20:40, 30:50] += rng.uniform(-30, 30, (20, 20, 3))
     image = image.round().astype(dtype)
     prepared = PreparedBackground(background, settings)
-    exposure, _ = prepared.compare(image)
-    assert exposure.is_known
-    expected = prepared.change(image, exposure)
+    light, _ = prepared.compare(image)
+    assert light.is_known
+    assert light.is_plain
+    expected = prepared.change(image, light)
     found = ColorChange(background, settings, True)(torch.from_numpy(image).permute(2, 0, 1)[None])[0]
     np.testing.assert_allclose(found.permute(1, 2, 0), expected, atol=2e-5)
     plain = ColorChange(background, settings, False)(torch.from_numpy(image).permute(2, 0, 1)[None])[0]

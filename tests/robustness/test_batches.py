@@ -19,6 +19,7 @@ from gelform.batch import BatchSettings, run_batch, verify_output
 from gelform.errors import DataError
 from hostile.budget import FACTOR
 from live_waiting import until
+from made.small_disk import small_disk
 from made.small_gel import Touch, calibration, image_of, save
 
 IMAGES, PART_FRAMES = 24, 3
@@ -142,7 +143,7 @@ def test_one_of_a_pool_killed_at_random_moments(work, tmp_path, who):
                 os.kill(number, signal.SIGKILL)
         process.wait(60)
         for number in workers:  # none outlives its driver
-            until(lambda number=number: not Path(f"/proc/{number}/cmdline").exists(), 20)
+            until(lambda number=number: not Path(f"/proc/{number}/cmdline").exists())
         assert_only_whole_files(work, output)
         assert_goes_on(work, output)
 
@@ -154,7 +155,7 @@ def test_a_worker_killed_while_it_starts(work, tmp_path):
     driver = tmp_path / "driver.py"
     driver.write_text((work / "driver.py").read_text().replace("engine=", rest))
     process = started(work, tmp_path / "out", 2, driver)
-    workers = until(lambda: workers_of(process), 60)
+    workers = until(lambda: workers_of(process))
     os.kill(workers[0], signal.SIGKILL)
     assert process.wait(60) != 0
     assert started(work, tmp_path / "out", 2, driver).wait(60) == 0
@@ -162,12 +163,7 @@ def test_a_worker_killed_while_it_starts(work, tmp_path):
 
 
 def test_a_disk_that_fills_up_is_said_and_the_run_goes_on_when_there_is_room(work, tmp_path):
-    disk = tmp_path / "disk"
-    disk.mkdir()
-    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=2m", "tmpfs", disk], capture_output=True)
-    if mounted.returncode:
-        pytest.skip(f"cannot mount a small file system here: {mounted.stderr.decode().strip()}")
-    try:
+    with small_disk(tmp_path / "disk", 2048) as disk:
         (disk / "filler").write_bytes(bytes(1_800_000))
         with pytest.raises(DataError, match="No space left on device"):
             go_on(work, disk / "out")
@@ -175,5 +171,3 @@ def test_a_disk_that_fills_up_is_said_and_the_run_goes_on_when_there_is_room(wor
         assert any((disk / "out" / "frames").rglob("*.npz"))
         (disk / "filler").unlink()
         assert_goes_on(work, disk / "out")
-    finally:
-        subprocess.run(["umount", "-l", disk], check=True)

@@ -12,6 +12,7 @@ import pytest
 from gelform.cli import main
 from gelform.cli.app import command_names
 from hostile.commands import LIBRARY, SERVERS, WRITE_NOTHING, commands, make_work, prepare
+from made.small_disk import small_disk
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform != "linux", reason="mounts a tmpfs")]
 WRITERS = tuple(name for name in command_names() if name not in (*WRITE_NOTHING, *LIBRARY, *SERVERS))
@@ -30,16 +31,10 @@ def test_every_command_that_writes_is_tried(work):
 @contextmanager
 def disk(folder, kilobytes):
     """A file system of 1 MB with something to edit, filled but for so many kilobytes."""
-    folder.mkdir()
-    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=1m", "tmpfs", folder], capture_output=True)
-    if mounted.returncode:
-        pytest.skip(f"cannot mount a small file system here: {mounted.stderr.decode().strip()}")
-    try:
+    with small_disk(folder, 1024):
         prepare(folder)
         (folder / "filler").write_bytes(bytes((1024 - kilobytes) * 1024 - 4096))
         yield folder
-    finally:
-        subprocess.run(["umount", "-l", folder], check=True)
 
 
 def contents(folder):

@@ -10,13 +10,13 @@ import pytest
 
 import gelform
 from gelform.batch import run_batch
-from gelform.batch.inputs.containers import image_from_values
 from gelform.errors import DataError
 from gelform.foundations.pictures import picture_bytes
 from gelform.image.frame import as_levels
 from gelform.sensors.declared import check_declared, declared_shape
 from gelform.sensors.jpeg import image_from_jpeg
 from gelform.sensors.recordings.facts import image_from_encoded
+from gelform.sensors.values import image_from_values
 
 PICTURE = np.random.default_rng(0).integers(0, 256, (37, 91, 3), dtype=np.uint8)
 

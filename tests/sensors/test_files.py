@@ -3,6 +3,7 @@
 import shutil
 import struct
 import zlib
+from io import BytesIO
 
 import cv2
 import numpy as np
@@ -12,13 +13,17 @@ import gelform
 from gelform.errors import DataError
 from gelform.exchange.plots.canvas import save_picture
 from gelform.image.view import View
+from gelform.sensors.declared import tiff_of_page, tiff_pages
 from gelform.sensors.files import (
     SensorSettings,
     averaged_background,
+    background_in,
+    is_stack,
     read_background,
     read_image,
     read_sensor_toml,
 )
+from gelform.sensors.recordings.indexed import indexed
 from gelform.simulate import simulate_background
 
 
@@ -45,6 +50,70 @@ def test_red_is_the_first_channel_of_every_format(tmp_path, picture):
         image = read_image(str(write(folder / f"прижим é{suffix}", picture, suffix)))
         exact = suffix not in (".jpg", ".webp")
         assert np.abs(image.astype(int) - picture[..., ::-1]).max() <= (0 if exact else 25)
+
+
+@pytest.fixture
+def stack(picture):
+    """Four images that differ, RGB."""
+    return np.stack([np.roll(picture, 7 * k, axis=1)[..., ::-1] for k in range(4)])
+
+
+def stack_file(path, images):
+    """The images as a TIFF of pages, or an array of numpy."""
+    if path.suffix == ".npy":
+        np.save(path, images)
+    else:
+        assert cv2.imwritemulti(str(path), [image[..., ::-1] for image in images])
+    return path
+
+
+@pytest.mark.parametrize("suffix", [".npy", ".tiff", ".tif"])
+def test_all_images_of_a_file_are_frames(tmp_path, stack, suffix):
+    path = stack_file(tmp_path / f"stack{suffix}", stack)
+    with gelform.open_source(path) as source:
+        frames = list(source)
+    np.testing.assert_array_equal([frame.image for frame in frames], stack)
+    assert [frame.time_s for frame in frames] == [k / 25 for k in range(4)]
+    np.testing.assert_array_equal(indexed(path).frame(2).image, stack[2])
+    with pytest.raises(
+        DataError, match=r"holds several images\. Give it to gelform reconstruct, batch or live"
+    ):
+        read_image(path)
+    one = stack_file(tmp_path / f"one{suffix}", stack[:1] if suffix != ".npy" else stack[0])
+    np.testing.assert_array_equal(read_image(one), stack[0])
+    assert not is_stack(one)
+
+
+def test_pages_are_counted_in_either_order_of_bytes_and_up_to_damage(tmp_path, stack):
+    content = stack_file(tmp_path / "stack.tiff", stack).read_bytes()
+    assert len(tiff_pages(BytesIO(content))) == 4
+    last = max(tiff_pages(BytesIO(content)))
+    assert len(tiff_pages(BytesIO(content[: last + 1]))) == 3
+    empty = struct.pack(">HI", 0, 8 + 6)
+    assert tiff_pages(BytesIO(b"MM\0*" + struct.pack(">I", 8) + empty + struct.pack(">HI", 0, 0))) == (8, 14)
+    big = b"II+\0" + struct.pack("<HHQ", 8, 0, 16) + struct.pack("<QQ", 0, 32) + struct.pack("<QQ", 0, 0)
+    assert tiff_pages(BytesIO(big)) == (16, 32)
+    assert tiff_of_page(big, 32)[8:16] == struct.pack("<Q", 32)
+    loop = b"II*\0" + struct.pack("<I", 8) + struct.pack("<HI", 0, 8)
+    assert tiff_pages(BytesIO(loop)) == (8,)
+    assert tiff_pages(BytesIO(b"\x89PNG" + bytes(30))) == ()
+
+
+def test_the_gel_at_rest_may_be_an_array_or_several_pages(tmp_path, sensor):
+    rest = simulate_background(sensor, np.random.default_rng(0)).astype(np.uint8)
+    noisy = np.stack(
+        [np.clip(rest + np.random.default_rng(k).normal(0, 1, rest.shape), 0, 255) for k in range(4)]
+    )
+    for suffix in (".npy", ".tiff"):
+        path = stack_file(tmp_path / f"background{suffix}", noisy.astype(np.uint8))
+        assert np.abs(read_background(path) - rest).mean() < 0.8
+        assert background_in(tmp_path) == path
+        path.unlink()
+    average = stack_file(tmp_path / "background.npy", noisy.mean(axis=0))
+    np.testing.assert_allclose(read_background(average), noisy.mean(axis=0), atol=1e-4)
+    stack_file(average, noisy[0] / 300)
+    with pytest.raises(DataError, match=r"gray levels from 0 to 255 in .*background.npy, got "):
+        read_background(average)
 
 
 def test_truncated_files_are_refused_in_silence(tmp_path, capfd, picture):
@@ -193,3 +262,23 @@ def test_a_press_folder_may_hold_a_folder_of_backgrounds(folder, rests, tmp_path
     assert len(presses.presses) == len(gelform.read_presses(folder).presses)
     named = gelform.read_presses(folder, background=rests)
     np.testing.assert_array_equal(named.background, presses.background)
+
+
+@pytest.mark.parametrize(
+    "name", ["frame0.jpg", "ref.png", "my_bg.png", "Blank.bmp", "rest", "ambient.npy", "no-contact.png"]
+)
+def test_the_likely_background_is_named(tmp_path, name):
+    folder = tmp_path / "presses"
+    folder.mkdir()
+    for other in ("restaurant.png", "0001.png", "reference.txt", "preflight.jpg"):
+        (folder / other).write_bytes(b"")
+    with pytest.raises(DataError, match=r"expected background\.png, .* Take one, or name it"):
+        background_in(folder)
+    for place in (folder, tmp_path):  # beside the presses, or above them
+        path = place / name
+        path.write_bytes(b"") if path.suffix else path.mkdir()
+        with pytest.raises(
+            DataError, match=rf"By its name it is \S*{path.name}\. .* \(--background \S*{path.name}\)"
+        ):
+            background_in(folder)
+        path.unlink() if path.suffix else path.rmdir()

@@ -12,6 +12,7 @@ from gelform.sensors.profiles import (
     PROFILES,
     SENSORS,
     KnownSensor,
+    check_gel_width,
     light_order_of,
     make_of,
     profile_named,
@@ -90,6 +91,19 @@ def test_a_make_s_images_know_the_way_from_its_camera():
         ("gelslim", (240, 320), 0.0634),
     ):
         assert view_from_camera(make, shape, scale) == View()
+
+
+def test_a_scale_that_no_gel_has_is_refused_and_an_unusual_one_noted():
+    assert check_gel_width((240, 320), 0.0634) is None
+    assert check_gel_width((240, 320), 0.0634, "gelsight-mini") is None
+    assert "this one would be 640 px of 0.00634 mm: 4.06 mm" in check_gel_width((480, 640), 0.00634)
+    assert "80 mm" in check_gel_width((480, 640), 0.125)
+    with pytest.raises(ValueError, match=r"between 3 and 150 mm wide, got 320 px of 0.00634 mm: 2.03 mm"):
+        check_gel_width((240, 320), 0.00634)
+    for make, width in (("gelsight-mini", "between 10.1 and 40.6"), ("digit", "between 8.17 and 32.7")):
+        for pitch in (0.02, 0.14):
+            with pytest.raises(ValueError, match=f"the gel of a {PROFILES[make].name} {width} mm wide"):
+                check_gel_width((320, 240), pitch, make)
 
 
 def test_the_names_of_sensors_cost_no_numpy():

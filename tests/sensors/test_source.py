@@ -183,3 +183,9 @@ def test_no_file_empty_file_no_video_and_a_truncated_one(tmp_path, smooth):
             (tmp_path / "a.avi").write_bytes(content)
         with pytest.raises(gelform.DataError, match=said):
             list(gelform.Video(tmp_path / "a.avi"))
+
+
+def test_an_address_of_another_kind_says_what_is_read_instead():
+    for address in ("rtsp://10.0.0.7/stream", "udp://@:5000", "file:///tmp/a.mp4"):
+        with pytest.raises(SensorError, match=r"begins with http:// or https:// .*got \w+://.*ffmpeg"):
+            gelform.open_source(address)

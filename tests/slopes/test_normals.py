@@ -12,6 +12,8 @@ from gelform.slopes.normals import (
     normals_from_image,
 )
 
+pytestmark = pytest.mark.linear_algebra
+
 LIGHTS = np.array([[0.8, 0.1, 0.9], [-0.5, 0.6, 0.8], [-0.2, -0.9, 1.1]])
 
 

@@ -60,25 +60,15 @@ EXPORT int region_moments(const uint16_t *labels, const float *depth, double *mo
 enum { AREA, DEPTH, X, Y, DEVIATION, EVIDENCE, OWN, MEASURES };
 
 struct maps {
-  const float *depth, *sigma, *variance, *coarse, *fine, *smooth, *bent, *influence;
-  const bool *at_rest;
-  float stiffness, coarse_at_rest, coarse_elsewhere, fine_at_rest, fine_elsewhere, per_x, per_y;
+  const float *depth, *sigma, *evidence, *smooth, *bent, *influence;
+  float stiffness, per_x, per_y;
   ptrdiff_t reach;  // of the influence, its number of values
 };
-
-// The square of a pixel's pressure over its variance, the larger of the two smoothings'.
-static inline double evidence_of(const struct maps *m, ptrdiff_t at) {
-  const double bed = m->sigma[at] * m->stiffness, slopes = m->variance[at];
-  const double coarse = m->coarse[at], of_coarse = slopes * (m->at_rest[at] ? m->coarse_at_rest : m->coarse_elsewhere) + bed * bed;
-  const double fine = m->fine[at], of_fine = slopes * (m->at_rest[at] ? m->fine_at_rest : m->fine_elsewhere) + bed * bed;
-  const double one = coarse * coarse / (of_coarse + 1e-30), other = fine * fine / (of_fine + 1e-30);
-  return one > other ? one : other;
-}
 
 // A run of a region's pixels in row y; `row` is that row's first pixel in the maps.
 static void take_evidence(double *of, const struct maps *m, ptrdiff_t first, ptrdiff_t end, ptrdiff_t y, ptrdiff_t row) {
   for (ptrdiff_t x = first; x < end; x++) {
-    const double z = m->depth[row + x], evidence = evidence_of(m, row + x);
+    const double z = m->depth[row + x], evidence = m->evidence[row + x];
     if (of[AREA] == 0 || z > of[DEPTH]) of[DEPTH] = z, of[X] = (double)x, of[Y] = (double)y, of[DEVIATION] = m->sigma[row + x];
     of[EVIDENCE] = evidence > of[EVIDENCE] ? evidence : of[EVIDENCE];
     of[AREA]++;
@@ -95,16 +85,13 @@ static void take_own_depth(double *of, const struct maps *m, ptrdiff_t first, pt
 }
 
 // Of each region 1 ... n: its pixels, depth and place of the deepest one, the depth's deviation there, the most
-// evidence, and the depth that the region's own pressure makes at its deepest pixel. `coarse`, `fine`: pressures; `smooth`, `bent`:
-// the surface by the finer smoothing. `influence`: depth for a unit of pressure at a pixel whose squared distance is the index;
-// `per_x` and `per_y` are those of a step.
-EXPORT int region_evidence(const uint16_t *labels, const float *depth, const float *sigma, const float *variance,
-                           const bool *at_rest, const float *coarse, const float *fine, const float *smooth, const float *bent,
-                           const float *influence, double *measures, float stiffness, float coarse_at_rest,
-                           float coarse_elsewhere, float fine_at_rest, float fine_elsewhere, float per_x, float per_y, ptrdiff_t h,
-                           ptrdiff_t w, ptrdiff_t t, ptrdiff_t n) {
-  const struct maps m = {depth, sigma, variance, coarse, fine, smooth, bent, influence, at_rest, stiffness, coarse_at_rest,
-                         coarse_elsewhere, fine_at_rest, fine_elsewhere, per_x, per_y, t};
+// evidence, and the depth that the region's own pressure makes at its deepest pixel. `smooth`, `bent`: the surface and minus its
+// Laplacian. `influence`: depth for a unit of pressure at a pixel whose squared distance is the index; `per_x` and `per_y` are those
+// of a step.
+EXPORT int region_evidence(const uint16_t *labels, const float *depth, const float *sigma, const float *evidence, const float *smooth,
+                           const float *bent, const float *influence, double *measures, float stiffness, float per_x, float per_y,
+                           ptrdiff_t h, ptrdiff_t w, ptrdiff_t t, ptrdiff_t n) {
+  const struct maps m = {depth, sigma, evidence, smooth, bent, influence, stiffness, per_x, per_y, t};
   memset(measures, 0, (size_t)(n * MEASURES) * sizeof *measures);
   for (int own = 0; own < 2; own++)
     for (ptrdiff_t y = 0; y < h; y++) {
@@ -118,28 +105,47 @@ EXPORT int region_evidence(const uint16_t *labels, const float *depth, const flo
   return OK;
 }
 
+struct hill {
+  const float *surface;
+  ptrdiff_t reach, h, w;
+};
+
+// Mean of the surface over a square around a pixel.
+static double height_at(const struct hill *o, ptrdiff_t y, ptrdiff_t x) {
+  const ptrdiff_t top = y < o->reach ? 0 : y - o->reach, bottom = y + o->reach < o->h ? y + o->reach : o->h - 1;
+  const ptrdiff_t left = x < o->reach ? 0 : x - o->reach, right = x + o->reach < o->w ? x + o->reach : o->w - 1;
+  double total = 0;
+  for (ptrdiff_t i = top; i <= bottom; i++)
+    for (ptrdiff_t j = left; j <= right; j++) total += o->surface[i * o->w + j];
+  return total / (double)((bottom - top + 1) * (right - left + 1));
+}
+
 // The highest of a pixel and its eight neighbors, of equal ones the first.
-static ptrdiff_t way_up(const float *surface, ptrdiff_t at, ptrdiff_t h, ptrdiff_t w) {
-  const ptrdiff_t y = at / w, x = at % w;
+static ptrdiff_t way_up(const struct hill *o, ptrdiff_t at) {
+  const ptrdiff_t y = at / o->w, x = at % o->w;
   ptrdiff_t highest = at;
-  for (ptrdiff_t i = y - (y > 0); i <= y + (y < h - 1); i++)
-    for (ptrdiff_t j = x - (x > 0); j <= x + (x < w - 1); j++)
-      if (surface[i * w + j] > surface[highest]) highest = i * w + j;
+  double most = height_at(o, y, x);
+  for (ptrdiff_t i = y - (y > 0); i <= y + (y < o->h - 1); i++)
+    for (ptrdiff_t j = x - (x > 0); j <= x + (x < o->w - 1); j++) {
+      const double height = height_at(o, i, j);
+      if (height > most) most = height, highest = i * o->w + j;
+    }
   return highest;
 }
 
 // Climbs from a pixel of a region to the top of its hill. Where another region that stands is on the way, the way to it joins both.
-static void join_uphill(const uint16_t *labels, const bool *stands, ptrdiff_t from, const float *surface, uint8_t *contact,
-                        ptrdiff_t h, ptrdiff_t w) {
+static void join_uphill(const uint16_t *labels, const bool *stands, ptrdiff_t from, const struct hill *o, uint8_t *contact) {
   ptrdiff_t at = from, before = -1;
-  while (at != before && (labels[at] == labels[from] || !stands[labels[at]])) before = at, at = way_up(surface, at, h, w);
+  while (at != before && (labels[at] == labels[from] || !stands[labels[at]])) before = at, at = way_up(o, at);
   if (at == before) return;
-  for (ptrdiff_t step = from; step != at; step = way_up(surface, step, h, w)) contact[step] = 1;
+  for (ptrdiff_t step = from; step != at; step = way_up(o, step)) contact[step] = 1;
 }
 
-// The pixels of the regions that stand, of labels 0 ... n - 1, joined up the hills of a surface from their `deepest` pixels, (y, x).
+// The pixels of the regions that stand, of labels 0 ... n - 1, joined up the hills of a surface, averaged over squares, from their
+// `deepest` pixels, (y, x).
 EXPORT int standing_regions(const uint16_t *labels, const bool *stands, const int32_t *deepest, const float *surface, bool *contact,
-                            ptrdiff_t h, ptrdiff_t w, ptrdiff_t n) {
+                            int64_t reach, ptrdiff_t h, ptrdiff_t w, ptrdiff_t n) {
+  const struct hill o = {surface, reach, h, w};
   memset(contact, 0, (size_t)(h * w));
   for (ptrdiff_t y = 0; y < h; y++) {
     const uint16_t *row = labels + y * w;
@@ -152,7 +158,7 @@ EXPORT int standing_regions(const uint16_t *labels, const bool *stands, const in
   for (ptrdiff_t k = 1; k < n; k++) {
     const ptrdiff_t y = deepest[2 * k], x = deepest[2 * k + 1];
     if (y < 0 || y >= h || x < 0 || x >= w) return WRONG_SIZE;
-    if (stands[k]) join_uphill(labels, stands, y * w + x, surface, (uint8_t *)contact, h, w);
+    if (stands[k]) join_uphill(labels, stands, y * w + x, &o, (uint8_t *)contact);
   }
   return OK;
 }

@@ -1,4 +1,4 @@
-// depth -> how its surface bends, and the pressure that holds it up.
+// depth -> how its surface bends, and how noisy it is.
 #include "../../image/background/blurred_change.h"
 #include "../../select.h"
 
@@ -71,41 +71,14 @@ EXPORT int magnitude_of_share(const float *values, const float *units, const boo
   return OK;
 }
 
-// The median magnitude of every `step`-th value that is below 0; 0 where none is.
-EXPORT int median_below(const float *values, float *work, float *magnitude, int64_t step, ptrdiff_t count, ptrdiff_t n) {
-  ptrdiff_t taken = 0;
-  if (step < 1 || n < 2 * ((count + step - 1) / step)) return WRONG_SIZE;
-  for (ptrdiff_t i = 0; i < count; i += step) {
-    work[taken] = -values[i];
-    taken += values[i] < 0;
-  }
-  *magnitude = taken ? median(work, taken, (uint32_t *)(work + taken)) : 0;
-  return OK;
-}
-
-enum { CHUNK = 4 * LANES };
 static const float MOST_VARIANCE = 0.3f;  // (mm/mm)^2; a slope of such variance is not known at all
 
-// Variance of slopes, from their deviation as they were read where the gel is at rest, elsewhere of the solved depth's slopes;
-// 0 where they are unknown. `share`: 1 where they are known.
+// Variance of slopes, from their deviation as they were read where the gel is at rest, elsewhere of the solved depth's slopes.
 EXPORT int slope_variance(const float *restrict read, const float *restrict solved, const bool *restrict at_rest,
-                          const bool *restrict known, float *restrict variance, float *restrict share, ptrdiff_t count) {
+                          float *restrict variance, ptrdiff_t count) {
   for (ptrdiff_t i = 0; i < count; i++) {
     const float r = read[i], s = solved[i], deviation = at_rest[i] ? r : s;
-    share[i] = known[i] ? 1.0f : 0.0f;
-    variance[i] = share[i] * smaller(deviation * deviation, MOST_VARIANCE);
-  }
-  return OK;
-}
-
-static const float LEAST_SHARE = 1e-3f;  // of the pixels around; fewer known ones tell nothing
-
-// Both maps of `slope_variance`, smoothed, make the mean variance of the known slopes around a pixel. The variance of a Laplacian
-// falls with the square of the area that is smoothed over, here the known pixels.
-EXPORT int variance_of_known(const float *restrict total, const float *restrict share, float *restrict variance, ptrdiff_t count) {
-  for (ptrdiff_t i = 0; i < count; i++) {
-    const float part = larger(share[i], LEAST_SHARE);
-    variance[i] = total[i] / (part * part * part);
+    variance[i] = smaller(deviation * deviation, MOST_VARIANCE);
   }
   return OK;
 }
@@ -122,29 +95,4 @@ EXPORT int variance_below(const float *depth, const float *sigma, double *excess
   }
   *excess = total > 0 ? total / weights : 0;
   return OK;
-}
-
-// The bed's part of what holds the surface up is added to its bending: the pressure, where it is more than its own deviation and
-// more than `factor` times that of gel at rest, at known pixels; 0 elsewhere. `gain_at_rest`, `gain_elsewhere`: variance of the bending for a
-// variance of slopes of 1. Returns how many pixels have a pressure.
-EXPORT int contact_pressure(const float *restrict smooth, const float *restrict bent, const float *restrict sigma,
-                            const float *restrict variance, const float *restrict noise, const bool *restrict at_rest,
-                            const bool *restrict known, float *restrict pressure, float stiffness, float sigmas, float gain_at_rest,
-                            float gain_elsewhere, float factor, ptrdiff_t count) {
-  const float limit = factor * factor * gain_at_rest;
-  int pixels = 0;
-  for (ptrdiff_t start = 0; start < count; start += CHUNK) {
-    const ptrdiff_t n = count - start < CHUNK ? count - start : CHUNK;
-    int32_t still[CHUNK], counts[CHUNK];
-    for (ptrdiff_t k = 0; k < n; k++) still[k] = at_rest[start + k], counts[k] = known[start + k];
-    for (ptrdiff_t k = 0; k < n; k++) {
-      const ptrdiff_t i = start + k;
-      const float s = sigma[i], bed = s * stiffness, gain = still[k] ? gain_at_rest : gain_elsewhere;
-      const float p = larger(bent[i] + stiffness * larger(smooth[i] - sigmas * s, 0), 0);
-      counts[k] &= p * p > larger(variance[i] * gain + bed * bed, limit * noise[i]);
-      pressure[i] = counts[k] ? p : 0;
-    }
-    for (ptrdiff_t k = 0; k < n; k++) pixels += counts[k];
-  }
-  return pixels;
 }

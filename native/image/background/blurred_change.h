@@ -8,7 +8,9 @@
 struct blurred_change {
   const uint8_t *bytes;     // the image (h, 3 w), or NULL where it is
   const float *light;       // (h, 3 w)
-  const float *scale;       // (3 w), by which the image is multiplied: the exposure
+  const float *scale;       // (3 w), by which the image is multiplied: the light of each column; in a tilted or a room's light also
+                            // (3 h), of each row, and (3), gray levels that are subtracted before
+  ptrdiff_t scale_size;
   const float *untouched;   // (h, 3 w)
   const float *gain;        // (h, 3 w)
   const float *taps;        // (radius + 1) of a symmetric blur, the middle first
@@ -56,16 +58,37 @@ static inline ptrdiff_t mirrored(ptrdiff_t i, ptrdiff_t n) {
   return i;
 }
 
+enum { PATTERN = 3 * LANES };  // values after which channels and lanes begin again
+
+// Whether a light of so many values is a gain of each channel, or tilted and a room's too.
+static inline bool is_light(ptrdiff_t size, ptrdiff_t h, ptrdiff_t w) { return size == 3 * w || size == 3 * (w + h + 1); }
+
+// Color change of n values, at most as many as the pattern's, in another light.
+static inline void lit_change(const float *restrict image, const float *restrict room, const float *restrict scale,
+                              const float *restrict of_row, const float *restrict untouched, const float *restrict gain,
+                              float *restrict change, ptrdiff_t n) {
+  for (ptrdiff_t k = 0; k < n; k++) change[k] = ((image[k] - room[k]) * (scale[k] * of_row[k]) - untouched[k]) * gain[k];
+}
+
 // Color change, before the blur, of the pixels from ... to - 1 of row y.
 static inline void change_row(const struct blurred_change *c, ptrdiff_t y, ptrdiff_t from, ptrdiff_t to, float *restrict change) {
   const ptrdiff_t at = 3 * (y * c->w + from), n = 3 * (to - from);
   const float *restrict scale = c->scale + 3 * from, *restrict untouched = c->untouched + at, *restrict gain = c->gain + at;
-  if (c->bytes != NULL) {
-    const uint8_t *restrict image = c->bytes + at;
-    for (ptrdiff_t x = 0; x < n; x++) change[x] = ((float)image[x] * scale[x] - untouched[x]) * gain[x];
+  const uint8_t *restrict bytes = c->bytes != NULL ? c->bytes + at : NULL;
+  const float *restrict light = c->bytes != NULL ? NULL : c->light + at;
+  if (c->scale_size > 3 * c->w) {
+    const float *rows = c->scale + 3 * (c->w + y), *rooms = c->scale + 3 * (c->w + c->h);
+    float image[PATTERN], of_row[PATTERN], room[PATTERN];
+    for (int k = 0; k < PATTERN; k++) of_row[k] = rows[k % 3], room[k] = rooms[k % 3];
+    for (ptrdiff_t x = 0; x < n; x += PATTERN) {
+      const ptrdiff_t most = n - x < PATTERN ? n - x : PATTERN;
+      for (ptrdiff_t k = 0; k < most; k++) image[k] = bytes != NULL ? (float)bytes[x + k] : light[x + k];
+      lit_change(image, room, scale + x, of_row, untouched + x, gain + x, change + x, most);
+    }
+  } else if (bytes != NULL) {
+    for (ptrdiff_t x = 0; x < n; x++) change[x] = ((float)bytes[x] * scale[x] - untouched[x]) * gain[x];
   } else {
-    const float *restrict image = c->light + at;
-    for (ptrdiff_t x = 0; x < n; x++) change[x] = (image[x] * scale[x] - untouched[x]) * gain[x];
+    for (ptrdiff_t x = 0; x < n; x++) change[x] = (light[x] * scale[x] - untouched[x]) * gain[x];
   }
 }
 

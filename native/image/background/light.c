@@ -1,135 +1,226 @@
 // A light, exp(L(x, y)) B + r, fitted to blocks of an image by Gauss-Newton, with touched blocks as outliers.
-#include "../../common.h"
+#include "../../select.h"
 
 enum { CHANNELS = 3, TERMS = 4 };  // a channel's gain, its tilts along x and y, its room light
 
-struct lit_blocks {
-  const float *image, *untouched;  // (h, w, 3)
-  double *columns, *rows;          // (w, 3), (h, 3): factors of the light
-  double *square;                  // (h, w): squared residuals, -1 of unlit blocks
-  double wide, offset;             // deviation of a touched block; gray levels
-  float dark, bright;
-  ptrdiff_t h, w;
-};
-
-// What a light leaves: the normal matrices and right sides of the next step, unscaled; blocks at rest, their squares, lit blocks.
-struct fit_sums {
-  double normal[CHANNELS][TERMS][TERMS], side[CHANNELS][TERMS], at_rest, squares;
-  int lit;
-};
-
-// The same bits on every platform.
-static double exponential(double z) {
-  static const double shares[] = {1, 1 / 2.0, 1 / 3.0, 1 / 4.0, 1 / 5.0, 1 / 6.0, 1 / 7.0, 1 / 8.0, 1 / 9.0, 1 / 10.0};
-  const double limited = z < -700 ? -700 : z > 700 ? 700 : z, doublings = floor(limited / 0.6931471805599453 + 0.5);
-  const double x = limited - doublings * 0.6931471805599453;
-  const uint64_t bits = (uint64_t)((int64_t)doublings + 1023) << 52;
-  double power = 1, scale;
-  for (int k = 9; k >= 0; k--) power = 1 + x * power * shares[k];
-  memcpy(&scale, &bits, sizeof scale);
-  return power * scale;
+// Means over blocks of `step` x `step` pixels, in whole gray levels, half to even, as a camera's image would have them.
+EXPORT int means_of_bytes(const uint8_t *image, int64_t step, uint16_t *work, float *means, ptrdiff_t h, ptrdiff_t w, ptrdiff_t n,
+                          ptrdiff_t bh, ptrdiff_t bw) {
+  if (step < 1 || step > 256 || bh * step != h || bw * step != w || n != 3 * w) return WRONG_SIZE;
+  const float share = 1.0f / (float)(step * step);
+  for (ptrdiff_t i = 0; i < bh; i++) {
+    memset(work, 0, (size_t)n * sizeof *work);
+    for (ptrdiff_t y = i * step; y < (i + 1) * step; y++) {
+      const uint8_t *restrict row = image + 3 * w * y;
+      for (ptrdiff_t x = 0; x < n; x++) work[x] += row[x];
+    }
+    for (ptrdiff_t j = 0; j < bw; j++)
+      for (int c = 0; c < 3; c++) {
+        int32_t total = 0;
+        for (ptrdiff_t x = j * step; x < (j + 1) * step; x++) total += work[3 * x + c];
+        means[3 * (i * bw + j) + c] = rintf((float)total * share);
+      }
+  }
+  return OK;
 }
 
 // Of the middle of a block, from -1 to 1 between the borders.
-static double place(ptrdiff_t k, ptrdiff_t n) { return (2.0 * k + 1) / n - 1; }
+static float place(ptrdiff_t k, ptrdiff_t n) { return (float)(2 * k + 1) / (float)n - 1; }
 
-static bool is_lit(const struct lit_blocks *b, ptrdiff_t at) {
-  for (int c = 0; c < CHANNELS; c++) {
-    const float image = b->image[at + c], untouched = b->untouched[at + c];
-    if (!(smaller(image, untouched) > b->dark && larger(image, untouched) < b->bright)) return false;
-  }
-  return true;
-}
-
-static inline void add_block(const struct lit_blocks *b, ptrdiff_t x, ptrdiff_t y, const double values[CHANNELS][TERMS],
-                             double sigma, struct fit_sums *sums) {
-  const double ratio = sigma / b->wide, odds = ratio * ratio * ratio, apart = 0.5 / (sigma * sigma) - 0.5 / (b->wide * b->wide);
-  const double across = place(x, b->w), down = place(y, b->h);
-  const ptrdiff_t at = 3 * (y * b->w + x);
-  double residual[CHANNELS], terms[CHANNELS][TERMS], total = 0;
-  for (int c = 0; c < CHANNELS; c++) {
-    const double light = b->columns[3 * x + c] * b->rows[3 * y + c] * b->untouched[at + c];
-    const double seen = light + values[c][3] + b->offset, per_level = 1 / (seen > 1 ? seen : 1), per_log = light * per_level;
-    const double of_channel[TERMS] = {per_log, per_log * across, per_log * down, per_level};
-    memcpy(terms[c], of_channel, sizeof of_channel);
-    residual[c] = (b->image[at + c] + b->offset) * per_level - 1;
-    total += residual[c] * residual[c];
-  }
-  const double odd = exponential(-total * apart), at_rest = odd / (odd + odds);
-  b->square[y * b->w + x] = total;
-  sums->at_rest += at_rest, sums->squares += at_rest * total, sums->lit++;
-  for (int c = 0; c < CHANNELS; c++)
-    for (int i = 0; i < TERMS; i++) {
-      const double weighted = at_rest * terms[c][i];
-      sums->side[c][i] += weighted * residual[c];
-      for (int j = 0; j <= i; j++) sums->normal[c][i][j] += weighted * terms[c][j];
+// Blocks of every `step`-th row and column that are neither dark nor saturated in any channel. `lit` receives their red, green and
+// blue, those of the untouched ones, and their places along x and y; `medians` the median ratio of each channel. Returns how many.
+EXPORT int lit_blocks(const float *blocks, const float *untouched, int64_t step, float dark, float bright, float *lit,
+                      float *medians, float *work, ptrdiff_t h, ptrdiff_t w, ptrdiff_t n, ptrdiff_t m) {
+  ptrdiff_t count = 0;
+  if (step < 1 || n <= ((h + step - 1) / step) * ((w + step - 1) / step) || m < 2 * n) return WRONG_SIZE;
+  for (ptrdiff_t y = 0; y < h; y += step)
+    for (ptrdiff_t x = 0; x < w; x += step) {  // what a block leaves is overwritten unless it is lit
+      const float *image = blocks + 3 * (y * w + x), *rest = untouched + 3 * (y * w + x);
+      bool is_lit = true;
+      for (int c = 0; c < CHANNELS; c++) {
+        is_lit = is_lit && smaller(image[c], rest[c]) > dark && larger(image[c], rest[c]) < bright;
+        lit[c * n + count] = image[c], lit[(CHANNELS + c) * n + count] = rest[c];
+      }
+      lit[2 * CHANNELS * n + count] = place(x, w), lit[(2 * CHANNELS + 1) * n + count] = place(y, h);
+      count += is_lit;
     }
+  for (int c = 0; c < CHANNELS; c++) {
+    for (ptrdiff_t k = 0; k < count; k++) work[k] = lit[c * n + k] / lit[(CHANNELS + c) * n + k];
+    medians[c] = count > 0 ? median(work, count, (uint32_t *)(work + n)) : 1;
+  }
+  return (int)count;
 }
 
-static struct fit_sums sums_of(const struct lit_blocks *b, const double values[CHANNELS][TERMS], double sigma) {
+// The natural logarithm of x > 0 to 1e-15: x = 2^e m with m within a root of 2 of 1, and the series of atanh. The C library's
+// has other bits on other processors.
+static double logarithm_of(double x) {
+  uint64_t bits;
+  memcpy(&bits, &x, sizeof bits);
+  int32_t exponent = (int32_t)(bits >> 52 & 0x7ff) - 1022;
+  bits = (bits & 0x000fffffffffffffu) | 0x3fe0000000000000u;
+  double m;
+  memcpy(&m, &bits, sizeof m);
+  if (m < 0.70710678118654752) m *= 2, exponent--;
+  const double s = (m - 1) / (m + 1), square = s * s;
+  double series = 0;
+  for (int k = 21; k >= 1; k -= 2) series = series * square + 1.0 / k;
+  return 2 * s * series + exponent * 0.69314718055994531;
+}
+
+// The same bits on every platform; a value below e^-80 counts as that.
+static inline float exponential(float z) {
+  const float limited = clamp(z, -80.0f, 80.0f), nearest = limited * 1.44269504f + (limited < 0 ? -0.5f : 0.5f);
+  const int32_t doublings = (int32_t)nearest;
+  const float x = (limited - (float)doublings * 0.693145752f) - (float)doublings * 1.42860677e-6f;
+  const uint32_t bits = (uint32_t)(doublings + 127) << 23;
+  float scale;
+  memcpy(&scale, &bits, sizeof scale);
+  const float high = 1 / 6.0f + x * (1 / 24.0f + x * (1 / 120.0f + x * (1 / 720.0f)));
+  return scale * (1 + x * (1 + x * (0.5f + x * high)));
+}
+
+struct lit_blocks {
+  const float *image, *untouched, *across, *down;  // (3, n), (3, n), (n,), (n,)
+  float *residual, *per_log, *per_level;           // work: (3, n) each
+  float *terms, *weighted;                         // (2, n), (n,)
+  float *square, *farthest, *at_rest;              // (n,): squared residual, largest change of a channel, share at rest
+  float offset;                                    // gray levels
+  ptrdiff_t n, count;
+};
+
+// What a light leaves: the normal matrices and right sides of the next step, unscaled.
+struct fit_sums {
+  double normal[CHANNELS][TERMS][TERMS], side[CHANNELS][TERMS], at_rest, squares;
+};
+
+// Relative residuals of a channel, and their derivatives by the logarithm of the light and by its gray levels.
+static void leave(const struct lit_blocks *b, int c, const double values[TERMS]) {
+  const float gain = (float)values[0], tilt_x = (float)values[1], tilt_y = (float)values[2], room = (float)values[3];
+  const float *restrict image = b->image + c * b->n, *restrict untouched = b->untouched + c * b->n;
+  const float *restrict across = b->across, *restrict down = b->down, offset = b->offset;
+  float *restrict residual = b->residual + c * b->n, *restrict per_log = b->per_log + c * b->n;
+  float *restrict per_level = b->per_level + c * b->n, *restrict square = b->square, *restrict farthest = b->farthest;
+  INDEPENDENT
+  for (ptrdiff_t k = 0; k < b->count; k++) {
+    const float light = exponential(gain + across[k] * tilt_x + down[k] * tilt_y) * untouched[k];
+    per_level[k] = 1 / larger(light + room + offset, 1.0f);
+    per_log[k] = light * per_level[k];
+    residual[k] = (image[k] + offset) * per_level[k] - 1;
+    const float own = residual[k] * residual[k], size = fabsf(image[k] / larger(light + room, 1.0f) - 1);
+    square[k] = c == 0 ? own : square[k] + own;
+    farthest[k] = c == 0 ? size : larger(farthest[k], size);
+  }
+}
+
+static struct fit_sums sums_of(const struct lit_blocks *b, const double values[CHANNELS][TERMS], const bool *wanted, double sigma,
+                               double wide) {
+  const double ratio = sigma / wide;
+  const float odds = (float)(ratio * ratio * ratio), apart = (float)(0.5 / (sigma * sigma) - 0.5 / (wide * wide));
+  float *restrict at_rest = b->at_rest, *restrict weighted = b->weighted;
+  const float *restrict square = b->square;
   struct fit_sums sums = {0};
-  for (int c = 0; c < CHANNELS; c++) {
-    for (ptrdiff_t x = 0; x < b->w; x++) b->columns[3 * x + c] = exponential(values[c][0] + place(x, b->w) * values[c][1]);
-    for (ptrdiff_t y = 0; y < b->h; y++) b->rows[3 * y + c] = exponential(place(y, b->h) * values[c][2]);
+  for (int c = 0; c < CHANNELS; c++) leave(b, c, values[c]);
+  INDEPENDENT
+  for (ptrdiff_t k = 0; k < b->count; k++) {
+    const float odd = exponential(-square[k] * apart);
+    at_rest[k] = odd / (odd + odds);
   }
-  for (ptrdiff_t y = 0; y < b->h; y++)
-    for (ptrdiff_t x = 0; x < b->w; x++) {
-      b->square[y * b->w + x] = -1;
-      if (is_lit(b, 3 * (y * b->w + x))) add_block(b, x, y, values, sigma, &sums);
+  sums.at_rest = sum(at_rest, b->count), sums.squares = dot(at_rest, square, b->count);
+  for (int c = 0; c < CHANNELS; c++) {
+    const float *per_log = b->per_log + c * b->n, *per_level = b->per_level + c * b->n;
+    const float *factors[TERMS] = {NULL, b->across, b->down, NULL}, *terms[TERMS] = {per_log, b->terms, b->terms + b->n, per_level};
+    for (int i = 1; i < 3; i++) {
+      float *restrict term = b->terms + (i - 1) * b->n;
+      for (ptrdiff_t k = 0; k < b->count && wanted[i]; k++) term[k] = per_log[k] * factors[i][k];
     }
+    for (int i = 0; i < TERMS; i++) {
+      if (!wanted[i]) continue;
+      const float *restrict term = terms[i];
+      for (ptrdiff_t k = 0; k < b->count; k++) weighted[k] = at_rest[k] * term[k];
+      sums.side[c][i] = dot(weighted, b->residual + c * b->n, b->count);
+      for (int j = 0; j <= i; j++) sums.normal[c][i][j] = wanted[j] ? dot(weighted, terms[j], b->count) : 0;
+    }
+  }
   return sums;
 }
 
-// Solves for one channel's step by Cholesky's factors; the prior makes the matrix positive definite.
-static void solve(const double a[TERMS][TERMS], const double side[TERMS], double step[TERMS]) {
-  double factor[TERMS][TERMS];
+// Solves for one channel's step by Cholesky's factors; the prior makes the matrix positive definite. Terms that are not free stay.
+// Returns the logarithm of the determinant.
+static double solve(const double a[TERMS][TERMS], const double side[TERMS], const bool *is_free, double step[TERMS]) {
+  double factor[TERMS][TERMS], logarithm = 0;
   for (int i = 0; i < TERMS; i++)
     for (int j = 0; j <= i; j++) {
-      double left = a[i][j];
+      double left = is_free[i] && is_free[j] ? a[i][j] : i == j;
       for (int k = 0; k < j; k++) left -= factor[i][k] * factor[j][k];
       factor[i][j] = i == j ? sqrt(left) : left / factor[j][j];
     }
   for (int i = 0; i < TERMS; i++) {
-    step[i] = side[i];
+    step[i] = is_free[i] ? side[i] : 0;
     for (int k = 0; k < i; k++) step[i] -= factor[i][k] * step[k];
     step[i] /= factor[i][i];
+    logarithm += 2 * logarithm_of(factor[i][i]);
   }
   for (int i = TERMS - 1; i >= 0; i--) {
     for (int k = i + 1; k < TERMS; k++) step[i] -= factor[k][i] * step[k];
     step[i] /= factor[i][i];
   }
+  return logarithm;
 }
 
-// `values` (3, 4), the light to begin with, are moved by a step in every round but the last, whose normal matrices and right sides
-// are given back. `prior` holds each term's inverse variance, 0 of a term that is not fitted; `alike` is the number of independent
-// blocks; `widened` the deviation at rest in each round, in units of `sigma`, or of the last round's if `learns`. `rest` receives
-// the deviation at rest. Without `moves` the light stays.
-EXPORT int fit_light(const float *image, const float *untouched, const double *prior, const double *widened, double *values,
-                     double *normal, double *side, double *square, double *rest, double *work, double sigma, double least,
-                     double wide, double alike, double offset, float dark, float bright, int32_t learns, int32_t moves,
-                     ptrdiff_t h, ptrdiff_t w, ptrdiff_t rounds, ptrdiff_t n, ptrdiff_t m) {
-  const struct lit_blocks b = {image, untouched, work, work + 3 * w, square, wide, offset, dark, bright, h, w};
+// Mean logarithm of the likelihood of blocks that are at rest or touched, each half of all.
+static double log_likelihood(const struct lit_blocks *b, double sigma, double wide) {
+  const double ratio = sigma / wide, odds = ratio * ratio * ratio, apart = 0.5 / (sigma * sigma) - 0.5 / (wide * wide);
+  double total = -3 * logarithm_of(sigma) * b->count, product = 1;
+  for (ptrdiff_t k = 0; k < b->count; k++) {
+    total -= b->square[k] / (2 * wide * wide);
+    product *= exponential((float)(-b->square[k] * apart)) + odds;
+    if (product < 1e-200) total += logarithm_of(product), product = 1;
+  }
+  return (total + logarithm_of(product)) / (b->count > 0 ? b->count : 1);
+}
+
+// `values` (3, 4), the light to begin with, are moved by a step in every round but the last; terms that are not `is_free` stay.
+// `prior` holds each term's inverse variance; `alike` is the number of independent blocks; `widened` the deviation at rest in each
+// round, in units of `sigma`, or of the last round's, from `least` to `most`, unless `most` is 0. Of the last round come: `normal`, the inverse covariance of all
+// terms; of each block the `square` of the residual and the `farthest` channel's change; and the `figures`: deviation at rest, blocks at
+// rest, log likelihood, evidence, and the nats by which all terms promise to fit better than the free ones (a score test).
+EXPORT int fit_light(const float *lit, int64_t count, const double *prior, const bool *is_free, const double *widened,
+                     double *values, double *normal, float *farthest, double *figures, float *work, double sigma, double least,
+                     double most, double wide, double alike, float offset, ptrdiff_t n, ptrdiff_t rounds, ptrdiff_t m) {
+  static const bool all[TERMS] = {true, true, true, true};
+  struct lit_blocks b = {lit, lit + CHANNELS * n, lit + 2 * CHANNELS * n, lit + (2 * CHANNELS + 1) * n, work, work + 3 * n,
+                         work + 6 * n, work + 9 * n, work + 11 * n, work + 12 * n, farthest, work + 13 * n, offset, n, count};
   double(*light)[TERMS] = (double(*)[TERMS])values, (*matrices)[TERMS][TERMS] = (double(*)[TERMS][TERMS])normal;
-  double(*sides)[TERMS] = (double(*)[TERMS])side;
-  if (n != h * w || m < 3 * (h + w)) return WRONG_SIZE;
+  if (count < 0 || count > n || m < 14 * n) return WRONG_SIZE;
   for (ptrdiff_t round = 0; round < rounds; round++) {
+    const bool is_last = round + 1 == rounds;
     const double deviation = sigma * widened[round];
-    const struct fit_sums found = sums_of(&b, (const double(*)[TERMS])light, deviation);
-    const double weight = alike / ((found.lit > 0 ? found.lit : 1) * deviation * deviation);
+    const struct fit_sums found = sums_of(&b, (const double(*)[TERMS])light, is_last ? all : is_free, deviation, wide);
+    const double weight = alike / ((count > 0 ? count : 1) * deviation * deviation);
     const double learnt = sqrt(found.squares / (CHANNELS * found.at_rest + 1e-9));
+    double evidence = is_last ? alike * log_likelihood(&b, deviation, wide) : 0, promised = 0;
+    figures[1] = found.at_rest, figures[2] = evidence;
     for (int c = 0; c < CHANNELS; c++) {
-      double step[TERMS];
+      double side[TERMS], step[TERMS];
       for (int i = 0; i < TERMS; i++) {
         for (int j = 0; j <= i; j++)
-          matrices[c][i][j] = matrices[c][j][i] =
-              (prior[i] > 0 && prior[j] > 0 ? weight * found.normal[c][i][j] : 0) + (i == j ? prior[i] > 0 ? prior[i] : 1 : 0);
-        sides[c][i] = prior[i] > 0 ? weight * found.side[c][i] - prior[i] * light[c][i] : 0;
+          matrices[c][i][j] = matrices[c][j][i] = weight * found.normal[c][i][j] + (i == j ? prior[i] : 0);
+        side[i] = weight * found.side[c][i] - prior[i] * light[c][i];
       }
-      solve((const double(*)[TERMS])matrices[c], sides[c], step);
-      for (int i = 0; i < TERMS && moves && round + 1 < rounds; i++) light[c][i] += step[i];
+      const double logarithm = solve((const double(*)[TERMS])matrices[c], side, is_free, step);
+      for (int i = 0; i < TERMS; i++) {
+        evidence -= is_free[i] ? prior[i] * light[c][i] * light[c][i] / 2 - logarithm_of(prior[i]) / 2 : 0;
+        promised -= side[i] * step[i] / 2;
+        if (!is_last) light[c][i] += step[i];
+      }
+      evidence -= logarithm / 2;
+      if (!is_last) continue;
+      solve((const double(*)[TERMS])matrices[c], side, all, step);
+      for (int i = 0; i < TERMS; i++) promised += side[i] * step[i] / 2;
     }
-    if (learns) sigma = learnt > least ? learnt : least;
-    rest[0] = sigma;
+    figures[3] = evidence, figures[4] = promised;
+    if (most > 0) sigma = learnt > most ? most : learnt > least ? learnt : least;
+    figures[0] = sigma;
   }
   return OK;
 }

@@ -59,10 +59,10 @@ EXPORT int hierarchical_from_image(const uint8_t *image, const float *light, con
                                    const int32_t *parents, float *work, float *change, float *gradients, ptrdiff_t h,
                                    ptrdiff_t w, ptrdiff_t s, ptrdiff_t k, ptrdiff_t r, ptrdiff_t c, ptrdiff_t t,
                                    ptrdiff_t n) {
-  struct blurred_change rows = {image, light, scale, untouched, gain, taps, h, w, k - 1, 0, 0, 0, NULL, NULL, 0};
+  struct blurred_change rows = {image, light, scale, s, untouched, gain, taps, h, w, k - 1, 0, 0, 0, NULL, NULL, 0};
   struct hierarchical model = {{nodes, r, c, 2 * t, NULL, NULL}, parents, t, w, NULL};
   const ptrdiff_t own = blurred_change_work(w, rows.radius);
-  if (s != 3 * w || !nodes_fit(r, c, h, w) || !monomials_are_ordered(parents, t) ||
+  if (!is_light(s, h, w) || !nodes_fit(r, c, h, w) || !monomials_are_ordered(parents, t) ||
       !place_ring(&rows, work, n) || n < own + hierarchical_work(c, t, w))
     return WRONG_SIZE;
   place_work(&model, work + own);

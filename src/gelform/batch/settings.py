@@ -6,7 +6,7 @@ import sys
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from gelform.depth.solvers.inputs import checked_solver, takes_weights
+from gelform.depth.solvers.inputs import checked_solver
 from gelform.foundations.checks import check_choice
 from gelform.result.maps import KEPT_MAPS
 
@@ -30,8 +30,6 @@ class BatchSettings:
     dtype : of the kept maps; "uint16" is depth only, (v - 32768) x 1e-4 mm, 0 where unknown: always so in png, never in
         npz; in lerobot 1000 + depth in um
     solver : as of a `Reconstructor`
-    depth_sigma : whether to compute the standard deviation of depth, which also improves the contact; without it a
-        frame takes a quarter less time
     background_frames : number of frames at the start of each sequence that are averaged as its background; 0: none
     bgr : whether the input's channels are in the order blue, green, red, as OpenCV writes an array
     part_frames : images in one part; a video or a recording is one part
@@ -45,7 +43,6 @@ class BatchSettings:
     form: str = "npz"
     keep: tuple[str, ...] = ("depth", "known")
     solver: str = "auto"
-    depth_sigma: bool = True
     background_frames: int = 0
     part_frames: int = 256
     dtype: str = ""
@@ -55,8 +52,6 @@ class BatchSettings:
         check_choice(self.form, FORMATS, "a format")
         self._check_keep()
         self._check_dtype()
-        if "depth_sigma" in self.keep and not self.depth_sigma:
-            raise ValueError("Expected depth_sigma to be computed if it is kept. Leave out --no-sigma.")
         checked_solver(self.solver)
         if not 0 <= self.background_frames <= MOST_BACKGROUND_FRAMES:
             raise ValueError(
@@ -89,12 +84,6 @@ class BatchSettings:
     def frames_in_a_part(self) -> int:
         """The largest number of images in a part; all of a sequence if that is one file."""
         return sys.maxsize if self.form in WHOLE_SEQUENCES else self.part_frames
-
-    @property
-    def slope_sigma(self) -> bool:
-        """Whether the slopes' standard deviation is needed: kept, for weights, or for the depth's."""
-        kept = "confidence" in self.keep or self.keep == ("all",)
-        return kept or self.depth_sigma or takes_weights(self.solver)
 
     def facts(self) -> dict[str, Any]:
         """The settings for JSON."""

@@ -43,6 +43,8 @@ def verify_output(
     """
     output = check_path(output)
     manifest = read_manifest(output)
+    if manifest is None and output.is_dir() and all(one.name.startswith(".") for one in output.iterdir()):
+        raise DataError(f"{output} has no frame: its batch ended before the first one. Run the batch again.")
     if manifest is None:
         raise DataError(f"{output} has no manifest.json. Expected the output folder of gelform batch.")
     problems: list[Problem] = []

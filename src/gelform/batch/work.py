@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,7 @@ from gelform.batch.outputs.writers import WRITERS
 from gelform.batch.records import COLUMNS, PartRecord, write_record
 from gelform.batch.settings import BatchSettings
 from gelform.calibration_file import Calibration
-from gelform.errors import GelformError
+from gelform.errors import GelformError, reason
 from gelform.reconstruct import Reconstructor
 from gelform.result import Reconstruction
 
@@ -78,8 +78,8 @@ class Worker:
             try:
                 result = self._result(part, named)
                 prepared, facts = writer.prepared(result), facts_of(result)
-            except GelformError as problem:
-                error = str(problem)
+            except (GelformError, MemoryError) as problem:
+                error = reason(problem)
             except Exception as problem:  # a bug with one frame must not end a run of a million
                 error = f"bug of gelform: {type(problem).__name__}: {problem}"
         row |= {**facts, "error": " ".join(error.split())} if prepared is None else facts
@@ -90,10 +90,8 @@ class Worker:
         assert frame is not None
         image = image_of_calibration(frame, self.job.calibration)
         result = self._prepared(part).from_image(image)
-        result = replace(result, index=frame.index)
-        return (
-            replace(result, time_s=frame.time_s, wall_time_ns=frame.wall_time_ns) if named.timed else result
-        )
+        times = {"time_s": frame.time_s, "wall_time_ns": frame.wall_time_ns} if named.timed else {}
+        return result.changed(index=frame.index, **times)
 
     def _prepared(self, part: Part) -> Reconstructor:
         """The Reconstructor of a part's sequence; a refused background raises its error again."""
@@ -119,6 +117,4 @@ class Worker:
             self.job.calibration,
             background=background,
             solver=settings.solver,
-            depth_sigma=settings.depth_sigma,
-            slope_sigma=settings.slope_sigma,
         )

@@ -22,7 +22,13 @@ from gelform.calibration.circles.samples import (
     with_rest_samples,
 )
 from gelform.calibration.presses.press_set import Presses
-from gelform.calibration.starters import check_light, light_from_background, starter_for
+from gelform.calibration.starters import (
+    check_light,
+    light_from_background,
+    load_starter,
+    starter_for,
+    starter_names,
+)
 from gelform.calibration_file import Calibration, as_calibration
 from gelform.depth.stepped import CoarseDepth
 from gelform.errors import CalibrationError
@@ -234,6 +240,27 @@ def starter_start(presses: Presses, color_model: str) -> Start | None:
     return Start(model, made.digest, starter.spread, f"the starter of a {starter.make}", offered)
 
 
+def starter_note(presses: Presses, color_model: str) -> tuple[str, ...]:
+    """A note why the starter of a known make was not tried; () if it was, or if the make has none."""
+    if presses.make not in starter_names():
+        return ()
+    starter, why = load_starter(presses.make), ""
+    made = starter.calibration
+    if made.image_shape != presses.image_shape:
+        (high, wide), (own_high, own_wide) = made.image_shape, presses.image_shape
+        why = f"it is for images of {high}x{wide} px, and these are {own_high}x{own_wide} px"
+    elif color_model not in (AUTO, DEFAULT_MODEL):
+        why = f"it is of the color model {DEFAULT_MODEL}, and {color_model} was asked for"
+    elif not set(made.training_digests).isdisjoint(press.digest for press in presses.presses):
+        why = "it was made from these presses"
+    else:
+        try:
+            check_light(presses.background, starter.light, starter.make)
+        except CalibrationError as problem:
+            why = str(problem)
+    return (f"The starter of a {starter.make} was not tried, because {why.rstrip('.')}.",) if why else ()
+
+
 def start_from(start: Calibration | str | PathLike[str], presses: Presses, color_model: str) -> Start:
     """The start for a second unit from a first unit's calibration or its file: its color model, or a translation of it.
 
@@ -278,7 +305,7 @@ def translated(first: Calibration) -> StartableModel:
         )
     rng, shape, kind = np.random.default_rng(0), first.image_shape, COLOR_MODELS[DEFAULT_MODEL]
     x, y = (rng.integers(0, n, TRANSLATED_SAMPLES) for n in (shape[1], shape[0]))
-    steepest = TRANSLATED_SLOPE if first.slope_sigma is None else first.slope_sigma.slopes[-1]
+    steepest = TRANSLATED_SLOPE if first.slope_sigma is None else first.slope_sigma.shown[1]
     size = steepest * np.sqrt(rng.uniform(size=TRANSLATED_SAMPLES))
     turn = rng.uniform(0, 2 * np.pi, TRANSLATED_SAMPLES)
     slopes = size[:, None] * np.stack([np.cos(turn), np.sin(turn)], axis=1)

@@ -81,7 +81,7 @@ def evaluate(
     calibration = as_calibration(calibration)
     presses = _through_view_of(calibration, as_presses(presses, progress=progress))
     mm_per_px = calibration.known_mm_per_px
-    reconstruct = Reconstructor(calibration, presses.background, depth_sigma=False)
+    reconstruct = Reconstructor(calibration, presses.background)
     changes = ColorChanges(reconstruct.background, calibration.change)
     ratio = calibration.settings.contact_radius_ratio or 1.0
     rows, errors, samples = [], [], []

@@ -7,7 +7,7 @@ from dataclasses import replace
 from os import PathLike
 
 from gelform.calibration.balls import ball_readings, notes_of
-from gelform.calibration.candidates import AUTO, candidates_for, start_from, starter_start
+from gelform.calibration.candidates import AUTO, candidates_for, start_from, starter_note, starter_start
 from gelform.calibration.circles.locate import check_places, locate
 from gelform.calibration.fitted import fit
 from gelform.calibration.held_out.folds import make_folds
@@ -60,15 +60,17 @@ def calibrate(
     presses = as_presses(presses, progress=progress)
     candidates_for(color_model, len(presses.presses))  # an unknown name fails before any work
     check_inputs(presses)
+    untried: tuple[str, ...] = ()
     if start is None or start == AUTO:
         known = starter_start(presses, color_model)
         first_unit = known if start == AUTO and known is not None and known.offered else None
+        untried = starter_note(presses, color_model) if start == AUTO else ()
     else:
         first_unit = known = start_from(start, presses, color_model)
 
     located = locate(presses, first_unit, progress=progress)
     balls = ball_readings(located, known)
-    located = replace(located, notes=(*surround_notes(presses), *notes_of(balls), *located.notes))
+    located = replace(located, notes=(*surround_notes(presses), *notes_of(balls), *untried, *located.notes))
     check_places(located)
     folds = make_folds(
         located.prepared, located.found, located.refined.accepted, start=located.refined_by, progress=progress

@@ -42,9 +42,7 @@ UNTOUCHED_DISTANCE = 3  # contact radii
 USUAL_UNTOUCHED_CHANGE = 0.03  # if no press leaves room for the measurement
 CLIPPED_SHARE = 0.01  # of the training pixels; fewer do not teach the effect of a clipped channel
 # Weights of slopes before held-out presses are measured; roughly those of any sensor.
-FIRST_GUESS = SlopeSigma(
-    rest=0.02, slopes=(0.0, 0.5), sigmas=(0.02, 0.06), full_confidence_sigma=0.04, correlation_px=10.0
-)
+FIRST_GUESS = SlopeSigma(rest=0.02, per_step=0.04, full_confidence_sigma=0.04, correlation_px=10.0)
 LENGTHS_MM = np.geomspace(0.15, 2.0, 53)
 BLURRED_PX = 4.0  # px around a contact where the blurred image still shows the ball
 REACH_MM = 3.0  # mm around a contact; the gel is level beyond
@@ -174,7 +172,7 @@ def _first_guess(forward: ForwardResponse) -> SlopeSigma:
     """Weights of slopes before held-out presses are measured: the step's own deviation, or a usual one."""
     if forward.step_sigma is None:
         return FIRST_GUESS
-    return replace(FIRST_GUESS, sigmas=(1.0, 1.0))
+    return replace(FIRST_GUESS, per_step=1.0)
 
 
 def _clipped(

@@ -28,7 +28,7 @@ from gelform.image.background.check import check_background_of_frames
 from gelform.image.background.orientation import orientation_if_doubtful
 from gelform.image.background.surround import surround_finding, surround_of
 from gelform.image.frame import DARK
-from gelform.sensors.profiles import PROFILES, SAME_SCALE, light_order_of, scale_off_make
+from gelform.sensors.profiles import PROFILES, SAME_SCALE, check_gel_width, light_order_of, scale_off_make
 from gelform.slopes.confidence.causes import SATURATED_FROM
 
 MIN_CHANGE = 0.08  # of color, mean over a contact in the background
@@ -38,6 +38,8 @@ EARLY_EDGE = 0.75  # of the visible radius; a contact edge further in is worth a
 # |log| of the median imprint's width over its height, and its standard errors. Six real sets have 0.10 or less, and 0.19 or
 # more where one side of their pixels is made 1.25 times as long.
 ELLIPTIC, ELLIPTIC_SIGMAS = 0.15, 3.0
+# Change of color per slope, of the middle channel. Nine real sets have 0.4 to 1.3; a ball ten times too large 4 or more.
+MAX_RESPONSE = 3.0
 MIN_SINE = 0.3  # sum over the lights' turns; 2.6 for equal angles; less may be noise
 
 
@@ -155,6 +157,7 @@ def input_notes(located: Located) -> tuple[str, ...]:
         *_edge_notes(prepared),
         *shape_notes(prepared, contacts),
         *_scale_notes(presses),
+        *imprint_notes(prepared, contacts),
         *(() if order is None else (order,)),
     )
 
@@ -220,12 +223,27 @@ def shape_notes(prepared: Sequence[PreparedPress], contacts: Sequence[ContactCir
 
 def _scale_notes(presses: Presses) -> tuple[str, ...]:
     """A note if mm_per_px differs much from that of the sensor's make."""
+    if doubt := check_gel_width(presses.image_shape, presses.mm_per_px, presses.make):
+        return (doubt,)
     off = scale_off_make(presses.make, presses.image_shape, presses.mm_per_px)
     if off is None or off < SAME_SCALE:
         return ()
     return (
         f"The stated {presses.mm_per_px:g} mm/px differs by {100 * off:.0f} % from that of the make's images. Check it, or "
         "measure it with gelform scale. If it is 1 % off, depth is 2 % off.",
+    )
+
+
+def imprint_notes(prepared: Sequence[PreparedPress], contacts: Sequence[ContactCircle]) -> tuple[str, ...]:
+    """A note if imprints change color more than such slopes can: the stated ball is too large for them."""
+    if not contacts:
+        return ()
+    response = float(np.median(np.linalg.norm(light_response(prepared, contacts), axis=0)))
+    if response < MAX_RESPONSE:
+        return ()
+    return (
+        f"The imprints change color {response:.2g} times as much as their slopes on this ball; on known sensors it "
+        "is 0.4 to 1.3 times. The ball's diameter is too large or mm_per_px too small. Measure both: gelform scale.",
     )
 
 
@@ -258,10 +276,17 @@ def light_turn(prepared: Sequence[PreparedPress], contacts: Sequence[ContactCirc
 
     It is the sum of the sines of the turns from one light to the next, up to 2.6 for lights at equal angles.
     """
-    samples = contact_samples(prepared, contacts, total=TRIAL_SAMPLES)
-    response = np.linalg.lstsq(samples.gradients, samples.color_change, rcond=None)[0]
+    response = light_response(prepared, contacts)
     towards = np.arctan2(response[1], response[0])  # y is down: a growing angle turns clockwise
     return float(np.sin(np.roll(towards, -1) - towards).sum())
+
+
+def light_response(
+    prepared: Sequence[PreparedPress], contacts: Sequence[ContactCircle]
+) -> NDArray[np.float64]:
+    """Change of color of each channel per slope (2, 3), by least squares over the balls."""
+    samples = contact_samples(prepared, contacts, total=TRIAL_SAMPLES)
+    return np.asarray(np.linalg.lstsq(samples.gradients, samples.color_change, rcond=None)[0])
 
 
 def _disc(shape: tuple[int, int], contact: ContactCircle, fraction: float) -> NDArray[np.bool_]:

@@ -35,7 +35,7 @@ class LoadedPresses(NamedTuple):
     Attributes
     ----------
     touches, loads, names : of the presses, their loads, and the names of their images
-    lag_frames : that the gauge lags behind the images, already removed; None if no film tells it
+    lag_frames : that the gauge lags behind the images, already removed; None if no film tells it, or each states its own
     """
 
     touches: list[Touch]
@@ -66,6 +66,7 @@ def read_loads(
     calibration: Calibration | str | PathLike[str],
     *,
     background: str | PathLike[str] | None = None,
+    lag_frames: int | None = None,
     progress: Progress = no_progress,
 ) -> LoadedPresses:
     """Read presses with known loads, and reconstruct their images.
@@ -74,10 +75,12 @@ def read_loads(
     ----------
     path : a folder with `loads.csv`: the columns `image`, `object` and `force_n`, or `force_x_n` and `force_y_n`, or
         both, and optionally `torque_n_mm`. Rows of a film also have `grasp` and `frame`, or `time_s`, whose loads are
-        in `log.csv` (`time_s`, `force_n`): then the gauge's lag is estimated and removed
+        in `log.csv` (`time_s`, `force_n`). A recording's known lag is a column `lag_frames` of whole numbers
     calibration : of the sensor, or its file
     background : the gel at rest; by default `rest.png` beside an image, else the folder's `background.png`, else the
         calibration's own
+    lag_frames : that the gauge lags behind the images, where the table does not state it, such as a force model's. By
+        default it is estimated from the loads, which only a calibration may do
     progress : called with (done, total, what)
 
     Raises
@@ -98,9 +101,13 @@ def read_loads(
     for touch in _touches(folder, [row["image"] for _, row in rows], calibration, rest):
         touches.append(touch)
         progress(len(touches), len(rows), "reconstructing presses")
-    lag = _lag(films, touches)
-    for film in films:
-        known[film.rows] = film.loads(lag or 0)
+    stated = [_stated_lag(rows, film) for film in films]
+    if lag_frames is None and None in stated:
+        lag_frames = _lag([film for film, one in zip(films, stated) if one is None], touches)
+    lags = [lag_frames if one is None else one for one in stated]
+    lag = lags[0] if len(set(lags)) == 1 else None
+    for film, own in zip(films, lags):
+        known[film.rows] = film.loads(own or 0)
         order = film.rows[np.argsort(film.times)].tolist()
         for i, touch in zip(order, touches_in_order([touches[i] for i in order])):
             touches[i] = touch
@@ -165,6 +172,16 @@ def _films(folder: Path, rows: list[Row]) -> Iterator[_Film]:
     for film in films.values():
         frames, own = (np.array(column) for column in zip(*sorted(film)))
         yield _Film(own, frames, frames, np.array([_loads_of(rows[i]) for i in own]))
+
+
+def _stated_lag(rows: list[Row], film: _Film) -> int | None:
+    """The lag that the table states for a recording; None without one."""
+    cells = {(rows[i][1].get("lag_frames") or "", rows[i][0]) for i in film.rows.tolist()}
+    stated = {number(cell, "lag_frames", where) for cell, where in cells if cell}
+    if len(stated) > 1 or any(one != int(one) for one in stated):
+        where = min(where for _, where in cells)
+        raise DataError(f"Expected one whole lag_frames for each recording, got {sorted(stated)} ({where}).")
+    return int(stated.pop()) if stated else None
 
 
 def _lag(films: list[_Film], touches: list[Touch]) -> int | None:

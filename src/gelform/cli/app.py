@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from typing import Any
 
 import typer
+from typer.core import TyperCommand
 
 from gelform.cli.commands import calibrations, force
 from gelform.cli.commands.batch import batch, verify
@@ -65,6 +67,19 @@ class Commands(ReportedFailures):
         return super().resolve_command(ctx, args)
 
 
+class GivenOnce(TyperCommand):
+    """A command whose options are given once, unless they take several values: the last one would replace the others."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse the arguments; refuse an option that would drop a value."""
+        given = Counter(self.make_parser(ctx).parse_args(args=list(args))[2]) if "--help" not in args else {}
+        for option, count in given.items():
+            if count > 1 and not (option.multiple or getattr(option, "is_flag", False) or option.nargs == -1):
+                name = f"'{max(option.opts, key=len)}'"
+                raise typer.BadParameter(f"expected once, got {count} times.", param_hint=name)
+        return list(super().parse_args(ctx, args))
+
+
 def _typer(name: str, **settings: Any) -> typer.Typer:
     return typer.Typer(
         name=name,
@@ -80,13 +95,13 @@ def _below(name: str) -> typer.Typer:
     module = SUBCOMMANDS[name]
     made = _typer(name, help=module.__doc__, short_help=module.SUMMARY)
     for command in module.COMMANDS:
-        made.command(_name(command))(flat(command))
+        made.command(_name(command), cls=GivenOnce)(flat(command))
     return made
 
 
 app = _typer("gelform", cls=Commands, add_completion=False, pretty_exceptions_enable=False)
 for command in (one for commands in GROUPS.values() for one in commands if not isinstance(one, str)):
-    app.command(_name(command))(flat(command))
+    app.command(_name(command), cls=GivenOnce)(flat(command))
 for name in SUBCOMMANDS:
     app.add_typer(_below(name))
 

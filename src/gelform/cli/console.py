@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -13,6 +14,14 @@ from typing import Any
 import typer
 
 from gelform.foundations.progress import Progress, no_progress
+
+# What steers a terminal: control codes (C0, DEL, C1), line separators, and marks that turn the direction of writing.
+_STEERING = re.compile("[\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]")
+
+
+def printable(text: object) -> str:
+    """A line for a terminal: a code that would steer it is written as \\xNN. Names in files may hold any."""
+    return _STEERING.sub(lambda code: code[0].encode("unicode_escape").decode("ascii"), str(text))
 
 
 @contextmanager
@@ -25,13 +34,18 @@ def progress_shown(quiet: bool) -> Iterator[Progress]:
     from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
     from rich.progress import Progress as Bars
 
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    columns = (
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+    )
     with Bars(*columns, console=Console(stderr=True)) as bars:
         tasks: dict[str, Any] = {}
 
         def report(done: int, total: int, what: str) -> None:
             if what not in tasks:
-                tasks[what] = bars.add_task(what, total=total)
+                tasks[what] = bars.add_task(printable(what), total=total)
             bars.update(tasks[what], completed=done, total=total)
 
         yield report
@@ -40,7 +54,12 @@ def progress_shown(quiet: bool) -> Iterator[Progress]:
 def say(text: str, quiet: bool = False) -> None:
     """Print a line for the user on standard error, apart from the results."""
     if not quiet:
-        typer.echo(text, err=True)
+        typer.echo(printable(text), err=True)
+
+
+def show(text: str) -> None:
+    """Print a line of the results on standard output."""
+    typer.echo(printable(text))
 
 
 def show_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
@@ -49,12 +68,17 @@ def show_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]
     from rich.table import Table
 
     table = Table(
-        title=title, title_justify="left", box=None, header_style="bold", pad_edge=False, padding=(0, 2, 0, 0)
+        title=printable(title),
+        title_justify="left",
+        box=None,
+        header_style="bold",
+        pad_edge=False,
+        padding=(0, 2, 0, 0),
     )
     for k, column in enumerate(columns):
         table.add_column(column, justify="left" if k == 0 else "right", overflow="fold")
     for row in rows:
-        table.add_row(*row)
+        table.add_row(*map(printable, row))
     on_screen = sys.stdout is not None and sys.stdout.isatty()
     wide = None if on_screen else 400  # in a file or a pipe no name is wrapped
     console = Console(highlight=False, markup=False, width=wide)
@@ -81,7 +105,10 @@ def check_pictures() -> None:
 def print_json(content: Mapping[str, Any]) -> None:
     """Print one JSON object on standard output; NaN and infinity become null."""
     utf8 = "utf" in (getattr(sys.stdout, "encoding", None) or "").lower()
-    typer.echo(json.dumps(_plain(content), indent=2, ensure_ascii=not utf8))
+    text = json.dumps(_plain(content), indent=2, ensure_ascii=not utf8)
+    typer.echo(
+        "\n".join(_STEERING.sub(lambda code: f"\\u{ord(code[0]):04x}", line) for line in text.split("\n"))
+    )
 
 
 def json_bytes(content: Mapping[str, Any]) -> bytes:

@@ -121,7 +121,7 @@ AcceptDoubtful = Annotated[
     bool, Option("--accept-doubtful", help="Exit with status 0 though the depth of most frames is doubtful.")
 ]
 Overwrite = Annotated[bool, Option("--overwrite", help="Replace results that are already there.")]
-Images = Annotated[list[Path], Argument(metavar="IMAGE...", help="Image files of the sensor.")]
+Images = Annotated[list[Path], Argument(metavar="IMAGE...", help="Images of the sensor, or folders of them.")]
 PictureFolder = Annotated[
     Path | None, Option("--output", "-o", metavar="DIR", help="Folder for a picture of each image.")
 ]
@@ -155,6 +155,10 @@ Sensor = Annotated[
 MmPerPx = Annotated[float | None, number("Width of an image pixel on the gel, mm.", pitch)]
 Background = Annotated[
     Path | None, Option(metavar="IMG|DIR", help="Gel at rest: an image, or a folder of several to average.")
+]
+Bgr = Annotated[bool, Option("--bgr", help="The frames are blue, green, red, as OpenCV writes an array.")]
+Dataset = Annotated[
+    str, Option(metavar="PATH", help="Where frames are in HDF5, Zarr, LeRobot; * stands for one name.")
 ]
 Seed = Annotated[int, Option(min=0, help="Seed of the random numbers.")]
 

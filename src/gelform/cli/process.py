@@ -22,6 +22,7 @@ from typing import Any, NoReturn
 import typer
 from typer.core import TyperGroup
 
+from gelform.cli.console import printable, say
 from gelform.errors import DataError, GelformError
 
 MISTAKE, DOUBT, BUG, INTERRUPTED = 1, 3, 70, 130
@@ -44,16 +45,32 @@ def mistakes_in(what: object) -> Iterator[None]:
 class ReportedFailures(TyperGroup):
     """The group of all commands; reports their exceptions, without a traceback unless `--debug` is given."""
 
+    def make_context(self, *given: Any, **extra: Any) -> Any:
+        """Parse the options before the command."""
+        with _usage_printable():
+            return super().make_context(*given, **extra)
+
     def invoke(self, ctx: Any) -> Any:
         """Run the requested command."""
         try:
-            return super().invoke(ctx)
+            with _usage_printable():
+                return super().invoke(ctx)
         except (typer.Exit, typer.Abort, _USAGE, BrokenPipeError):
             raise
         except (Exception, KeyboardInterrupt) as problem:
             if ctx.params.get("debug"):
                 traceback.print_exc()
             sys.exit(_report(problem))
+
+
+@contextmanager
+def _usage_printable() -> Iterator[None]:
+    """Write codes that steer a terminal as text where a usage error repeats an argument."""
+    try:
+        yield
+    except _USAGE as problem:
+        problem.message = printable(problem.message)
+        raise
 
 
 def _report(problem: BaseException) -> int:
@@ -75,7 +92,7 @@ def _report(problem: BaseException) -> int:
 
 
 def _said(text: str, status: int) -> int:
-    typer.echo(f"gelform: {in_options(one_line(text))}", err=True)
+    say(f"gelform: {in_options(one_line(text))}")
     return status
 
 
@@ -105,12 +122,19 @@ def _place(problem: BaseException) -> str:
 
 @contextmanager
 def as_process() -> Iterator[None]:
-    """Set up the process: streams take any text, SIGTERM ends it as Ctrl-C does, lost output is reported."""
+    """Set up the process: streams take any text, SIGTERM and SIGHUP end it as Ctrl-C does, lost output is reported.
+
+    SIGHUP comes when the terminal closes, such as an ssh session; a process under `nohup` ignores it, and still does.
+    """
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):  # None if the stream is closed
             stream.reconfigure(errors="backslashreplace")
     on_main = threading.current_thread() is threading.main_thread()
-    before = signal.signal(signal.SIGTERM, _interrupt) if on_main else None
+    ending = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if on_main and hasattr(signal, name)]
+    before = {one: signal.getsignal(one) for one in ending}
+    for one, handler in before.items():
+        if handler is not signal.SIG_IGN:
+            signal.signal(one, _interrupt)
     try:
         yield
         _flush()
@@ -120,11 +144,15 @@ def as_process() -> Iterator[None]:
     except OSError as problem:  # about the output itself; commands report their own
         _lose_output(problem)
     finally:
-        if on_main:
-            signal.signal(signal.SIGTERM, before)
+        for one, handler in before.items():
+            signal.signal(one, handler)
 
 
-def _interrupt(*_: Any) -> NoReturn:
+def _interrupt(number: int, _: Any) -> NoReturn:
+    if (
+        number != signal.SIGTERM
+    ):  # the system and the shell both send SIGHUP, and the second must not end the cleaning up
+        signal.signal(number, signal.SIG_IGN)
     raise KeyboardInterrupt
 
 
@@ -142,7 +170,8 @@ def _lose_output(problem: OSError) -> None:
     """Report why the output is lost, unless its reader is gone; Python would try again at exit."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     if not isinstance(problem, BrokenPipeError):
-        sys.stderr.write(f"gelform: error: cannot write the output: {problem.strerror}.\n")
+        with suppress(OSError):  # the terminal itself may be gone
+            sys.stderr.write(f"gelform: error: cannot write the output: {problem.strerror}.\n")
         sys.exit(1)
 
 

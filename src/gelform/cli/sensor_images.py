@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gelform.cli.console import say
 from gelform.cli.options import STARTERS
 from gelform.cli.process import mistakes_in
-from gelform.errors import CalibrationError, GelformError
+from gelform.errors import CalibrationError, DataError, GelformError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -22,11 +22,46 @@ if TYPE_CHECKING:
     from gelform.result import Reconstruction
 
 
-def image_in(path: Path, calibration: Calibration) -> NDArray[np.uint8]:
-    """The image (H, W, 3) of a camera frame in a file."""
+def images_of(inputs: Sequence[Path], background: Path | None) -> list[Path]:
+    """The images of files and folders, without the background; DataError for a video or another file of several."""
+    images, film = images_or_film(inputs, background)
+    if film is not None:
+        raise DataError(f"Expected images, got {film}. Its frames: gelform batch, or gelform reconstruct.")
+    return images
+
+
+def images_or_film(
+    inputs: Sequence[Path], background: Path | None, dataset: str = ""
+) -> tuple[list[Path], Path | None]:
+    """The images of files, folders and patterns; or the one video, recording or file of several images among them."""
+    import glob
+
+    from gelform.batch.inputs.listing import FILM_SUFFIXES, is_container, listing_of
+    from gelform.sensors.files import is_stack
+
+    images: list[Path] = []
+    leave_out = [] if background is None else [background]
+    for one in inputs:
+        is_pattern = glob.has_magic(str(one)) and not one.exists()
+        is_film = one.suffix.lower() in FILM_SUFFIXES or is_container(one) or is_stack(one)
+        if not (one.is_dir() or is_pattern or is_film):
+            images.append(one)
+            continue
+        for sequence in listing_of(one, leave_out=leave_out, dataset=dataset).sequences:
+            if not sequence.images:
+                if len(inputs) > 1:
+                    raise DataError(f"{sequence.path} is no image. Give it alone, or use gelform batch.")
+                return [], one
+            images += [sequence.path / name for name in sequence.images]
+    return images, None
+
+
+def image_in(path: Path, calibration: Calibration, *, bgr: bool = False) -> NDArray[np.uint8]:
+    """The image (H, W, 3), RGB, of a camera frame in a file; `bgr`: its channels are blue, green, red."""
     from gelform.sensors.files import read_image
 
-    return _viewed(read_image(path, most_pixels=calibration.most_pixels), path, calibration)
+    frame = read_image(path, most_pixels=calibration.most_pixels)
+    return _viewed(frame[..., ::-1].copy() if bgr else frame, path, calibration)
 
 
 def background_in(path: Path | None, calibration: Calibration) -> NDArray[np.float32] | None:
@@ -108,5 +143,5 @@ def _viewed(frame: NDArray[Any], path: Path, calibration: Calibration) -> NDArra
     from gelform.foundations.checks import check_image
     from gelform.image.view import image_from_frame
 
-    with mistakes_in(path):
+    with mistakes_in(f"{path}, for the calibration of {calibration.sensor_name}"):
         return check_image(image_from_frame(frame, calibration.view), shape=calibration.image_shape)

@@ -13,6 +13,12 @@ from typing import Any
 from gelform.errors import GelformError
 
 VARIABLES = ("GELFORM_ISA", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")  # they change speed or kernels
+OPENCV = (
+    "opencv-python",
+    "opencv-contrib-python",
+    "opencv-python-headless",
+    "opencv-contrib-python-headless",
+)
 OF_DEVELOPERS = {"dev", "docs"}  # extras that only developers need
 _REQUIREMENT = re.compile(r"(?P<name>[\w.-]+)[^;]*(?:;(?P<marker>.*))?")
 
@@ -31,6 +37,7 @@ def system_facts() -> dict[str, Any]:
         "kernels": _kernels(),
         "variables": {name: os.environ[name] for name in VARIABLES if name in os.environ},
         "packages": {name: _version(name) or "missing" for name in core},
+        "opencv": _opencv(),
         "extras": {extra: _extra(names) for extra, names in extras.items()},
         "cameras": _cameras(),
     }
@@ -80,6 +87,14 @@ def _for_this_python(marker: str) -> bool:
         if below != (compared == "<"):
             return False
     return True
+
+
+def _opencv() -> str:
+    """Every installed distribution of OpenCV: all of them write the one folder cv2, and the last one installed wins."""
+    found = [f"{name} {known}" for name in OPENCV if (known := _version(name)) is not None]
+    if len(found) < 2:
+        return ", ".join(found) or "none that pip knows"
+    return f"{', '.join(found)}: they overwrite each other's cv2, so cv2.imshow may be missing (docs/installing.md)"
 
 
 def _version(package: str) -> str | None:

@@ -8,16 +8,14 @@ by less than its color can show.
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from gelform._native import Kernel
-from gelform.depth.solvers.dct import DctSolver
-from gelform.depth.stepped import COARSER
+from gelform.depth.coarse import coarse_of
 from gelform.foundations.pool import Pool
 
-REST_SIGMA_MM = 0.08  # mm, sigma of depth at pixels with the color of rest, far from contacts
+REST_SIGMA_MM = 0.057  # mm, sigma of depth at pixels with the color of rest, far from contacts
 FACE_MM = (
     0.02  # mm; an enclosed region farther off rest is a face; slope errors tilt a face of a few mm by less
 )
@@ -48,12 +46,11 @@ class RestAnchor:
     """
 
     def __init__(self, shape: tuple[int, int], mm_per_px: float, full_confidence_sigma: float) -> None:
-        self.shape = shape
+        self.shape, self._mm_per_px = shape, np.float32(mm_per_px)
         self.hold = (full_confidence_sigma * mm_per_px / REST_SIGMA_MM) ** 2
-        self._coarse = max(1, shape[0] // COARSER), max(1, shape[1] // COARSER)
-        rows, columns = self._coarse
-        self._coarse_mm = mm_per_px * (shape[0] / rows + shape[1] / columns) / 2
-        self._solver = DctSolver(self._coarse, (mm_per_px * shape[1] / columns, mm_per_px * shape[0] / rows))
+        self._coarse = coarse_of(shape)
+        rows, columns = self._coarse.shape
+        self._coarse_mm = mm_per_px * sum(self._coarse.pitch_px) / 2
         runs = rows * ((columns + 1) // 2)
         of_coarse = runs * (WORDS_OF_RUN + WORDS_OF_REGION) + 4 * rows * columns
         size = max(4 * shape[1], of_coarse, (rows + 2) * (columns + 2))
@@ -70,12 +67,10 @@ class RestAnchor:
         distance d from touched gel; in a face it gets 0. If no coarse pixel is at rest, the coarse pixels with the largest
         fraction at rest are taken instead.
         """
-        slopes, fraction = (
-            np.asarray(cv2.resize(values, self._coarse[::-1], interpolation=cv2.INTER_AREA), np.float32)
-            for values in (gradients, at_rest.astype(np.float32))
-        )
-        depth = self._solver(slopes).depth_mm
-        weight, anchor = np.empty(self._coarse, np.float32), np.empty(self.shape, np.float32)
+        coarse = self._coarse
+        slopes, fraction = coarse.means(gradients), coarse.means(at_rest)
+        depth = coarse.depth_px(slopes) * self._mm_per_px
+        weight, anchor = np.empty(coarse.shape, np.float32), np.empty(self.shape, np.float32)
         with self._pool.one() as work:
             far = self._far_from(fraction < min(UNTOUCHED_FRACTION, float(fraction.max())), work)
             _rest_hold(depth, fraction, far, work, weight, self.hold, UNTOUCHED_FRACTION, FACE_MM)
@@ -86,7 +81,7 @@ class RestAnchor:
         """Distance factor (h, w) on the coarse grid: 0 at touched gel, 1 far from it; None if nothing is touched."""
         if not touched.any():
             return None
-        distance = np.empty(self._coarse, np.float32)
+        distance = np.empty(self._coarse.shape, np.float32)
         _distance_to_chosen(touched, work, distance)
         far: NDArray[np.float32] = 1 - np.exp(-np.square(distance * np.float32(self._coarse_mm / REACH_MM)))
         return far

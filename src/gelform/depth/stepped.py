@@ -2,24 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.depth.solvers.dct import DctSolver
+from gelform.depth.coarse import coarse_of
 from gelform.foundations.fill import fill_unknown
 from gelform.foundations.filters import MIN_UNTOUCHED, medians_where
 from gelform.slopes.color_models.forward_response import ForwardResponse, PreparedStep, Step
-
-COARSER = 4  # times fewer rows and columns; depth is smooth, so a sixteenth of the pixels is enough
-
-
-def coarse_grid(shape: tuple[int, int]) -> tuple[tuple[int, int], tuple[float, float]]:
-    """Rows and columns of the grid that is four times coarser than frames (H, W), and its pitch (x, y), px."""
-    rows, columns = (max(2, size // COARSER) for size in shape)
-    return (rows, columns), (shape[1] / columns, shape[0] / rows)
 
 
 class CoarseDepth:
@@ -27,8 +16,7 @@ class CoarseDepth:
 
     def __init__(self, shape: tuple[int, int], untouched: float) -> None:
         self._square = np.float32(untouched**2)
-        self._coarse, pitch_px = coarse_grid(shape)
-        self._solver = DctSolver(self._coarse, pitch_px)
+        self._coarse = coarse_of(shape)
 
     def __call__(
         self,
@@ -41,14 +29,15 @@ class CoarseDepth:
         It comes from a color change (H, W, 3) and the gradients (H, W, 2) of a color model. The slopes around hidden pixels
         (H, W) are continued across them.
         """
-        change, slopes = self._made_coarse(color_change), self._made_coarse(gradients)
+        means = self._coarse.means
+        change, slopes = means(color_change), means(gradients)
         if hidden is not None and hidden.any():
-            shown = (~hidden).astype(np.float32)
-            part = self._made_coarse(shown)
+            shown = ~hidden
+            part = means(shown)
             known = part > 0
-            weight = np.where(known, part, 1)[..., None]
+            part[~known] = 1
             change, slopes = (
-                self._made_coarse(m * shown[..., None]) / weight for m in (color_change, gradients)
+                means(m * shown[..., None]) / part[..., None] for m in (color_change, gradients)
             )
             if known.any():
                 change, slopes = fill_unknown(change, known), fill_unknown(slopes, known)
@@ -57,7 +46,7 @@ class CoarseDepth:
         rest = square <= self._square
         if np.count_nonzero(rest) < MIN_UNTOUCHED * rest.size:
             rest = square <= np.quantile(square, MIN_UNTOUCHED)
-        depth = self._solver(slopes - medians_where(slopes, rest)[0]).depth_mm
+        depth = self._coarse.depth_px(slopes - medians_where(slopes, rest)[0])
         depth -= medians_where(depth[..., None], rest)[0]
         np.maximum(depth, 0, out=depth)
         return depth
@@ -69,12 +58,7 @@ class CoarseDepth:
         hidden: NDArray[np.bool_] | None = None,
     ) -> NDArray[np.float32]:
         """The depth at every pixel (H, W)."""
-        depth = self(color_change, gradients, hidden)
-        return np.asarray(cv2.resize(depth, gradients.shape[1::-1], interpolation=cv2.INTER_LINEAR))
-
-    def _made_coarse(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Values (H, W, ...) on the coarser grid, as means."""
-        return np.asarray(cv2.resize(values, self._coarse[::-1], interpolation=cv2.INTER_AREA))
+        return self._coarse.at_pixels(self(color_change, gradients, hidden))
 
 
 class SteppedSlopes:

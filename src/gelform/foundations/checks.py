@@ -248,7 +248,6 @@ def check_path(path: Any, what: str = "a path") -> Path:
 
 # mm, smallest and largest values of sensors; a number outside is in another unit.
 GEL_THICKNESS_MM, PITCH_MM = (0.05, 50.0), (1e-4, 1.0)
-GEL_WIDTH_MM = 150.0  # mm, of the widest gel
 MM_PER_PX = 1e-6, 1e3  # mm; float32 holds sums of such squares, and no sensor comes near
 
 
@@ -298,16 +297,6 @@ def check_sensor_pitches(mm_per_px: float | Sequence[float]) -> float | tuple[fl
         raise ValueError(f"Expected mm_per_px as one number or as two, [x, y], got {len(mm_per_px)}.")
     x, y = map(check_sensor_pitch, mm_per_px)
     return x if x == y else (x, y)
-
-
-def check_gel_width(image_shape: tuple[int, int], mm_per_px: float) -> None:
-    """Refuse a scale (mm) with which the gel in images (H, W) would be wider than that of any sensor: over 150 mm."""
-    width = max(image_shape)
-    if (width_mm := width * mm_per_px) > GEL_WIDTH_MM:
-        raise ValueError(
-            f"Expected a gel of at most {GEL_WIDTH_MM:g} mm, got {width} px of {mm_per_px:g} mm: {width_mm:.0f} mm. "
-            "A scale belongs to images of one size. Crop and resize these to that size, or give their own mm_per_px."
-        )
 
 
 def check_gel_thickness(thickness_mm: float) -> float:

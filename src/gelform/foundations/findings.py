@@ -9,8 +9,16 @@ from dataclasses import dataclass, field
 # Findings after which the depth of the whole frame is doubtful: the calibration, the background or the light is not this
 # frame's. Other findings are about a part of it, or are covered by its standard deviation.
 DOUBTFUL = frozenset(
-    {"background_differs", "background_ratio", "beyond_gel", "camera_moved", "frozen", "not_this_gel"}
-    | {"other_camera", "other_gel"}
+    {
+        "background_differs",
+        "background_pressed",
+        "background_ratio",
+        "beyond_gel",
+        "camera_moved",
+        "contact_unknown",
+    }
+    | {"frozen"}
+    | {"not_this_gel", "other_camera", "other_gel"}
 )
 
 

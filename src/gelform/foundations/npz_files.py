@@ -25,6 +25,8 @@ from numpy.typing import NDArray
 
 from gelform.errors import DataError, GelformError, said
 from gelform.foundations.checks import check_path
+from gelform.foundations.foreign_files import way_for
+from gelform.foundations.whole_files import MAX_ARRAY_BYTES, bytes_of, present_file
 
 try:
     import fcntl
@@ -35,7 +37,6 @@ LEFT_FILE = re.compile(r"\.gelform-[0-9a-f]{12}\.tmp")
 DIGEST_SHOWN = 10  # characters of a digest in names and lists: a million calibrations share one with a chance of one half
 LEFT_AFTER_S = 60.0  # seconds; a younger file may not be locked yet
 MAX_BYTES, MAX_META_BYTES = 2**30, 2**26  # bytes of all members of an archive, and of its settings
-MAX_ARRAY_BYTES = 2**28  # bytes of an array in another program's file
 _RESERVED = ("format", "format_version", "gelform_version", "digest")
 # Errors that zipfile, zlib and numpy's reader of arrays raise for a damaged archive.
 DAMAGED_ARCHIVE = (
@@ -273,6 +274,8 @@ def read_npz(
             raise error(
                 f"Expected a {kind}, got the picture {path}. gelform.read_image(path) reads pictures."
             ) from problem
+        if path.suffix != ".npz" and (way := way_for(path)):
+            raise error(f"Expected a {kind}, got {path}.{way}") from problem
         raise error(
             f"{path} is truncated or damaged, or no {kind} at all ({said(problem)}). "
             "Copy it again from where it was made, or make it anew."
@@ -291,7 +294,7 @@ def read_npy(path: str | os.PathLike[str], what: str) -> NDArray[Any]:
 
     DataError: the file is missing, larger than 256 MB, damaged, an archive, or holds no numbers.
     """
-    content = present_file(path, f"{what} (.npy)").read_bytes()
+    content = bytes_of(path, f"{what} (.npy)", MAX_ARRAY_BYTES)
     if content.startswith(b"PK"):
         raise DataError(f"Expected one array (.npy) in {path}, got an archive. Save {what} alone.")
     try:
@@ -302,14 +305,18 @@ def read_npy(path: str | os.PathLike[str], what: str) -> NDArray[Any]:
         ) from problem
 
 
-def present_file(path: str | os.PathLike[str], what: str, max_bytes: int = MAX_ARRAY_BYTES) -> Path:
-    """The path of a file that exists and is not too large; otherwise a DataError names `what` was expected."""
-    path = check_path(path)
-    if not path.is_file():
-        raise DataError(f"No file {path}: expected {what}.")
-    if path.stat().st_size > max_bytes:
-        raise DataError(f"Expected {what} of at most {max_bytes >> 20} MB, got {path}. Reduce it first.")
-    return path
+def checked_archive(path: str | os.PathLike[str], what: str, max_bytes: int = MAX_ARRAY_BYTES) -> list[str]:
+    """The names of an archive's members, which declare at most `max_bytes` together; nothing is read yet.
+
+    DataError: the file is missing, too large, or declares more. The errors of zipfile: it is no archive.
+    """
+    with zipfile.ZipFile(present_file(path, what, max_bytes)) as archive:
+        members = archive.infolist()
+    if (declared := sum(member.file_size for member in members)) > max_bytes:
+        raise DataError(
+            f"{path} declares {declared / 1e6:.4g} MB; {what} has at most {max_bytes / 1e6:.4g} MB."
+        )
+    return [member.filename for member in members]
 
 
 def kind_of_npz(path: str | os.PathLike[str]) -> str | None:

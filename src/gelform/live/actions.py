@@ -18,10 +18,12 @@ from gelform.image.background.average import USUAL_FRAMES, background_from_frame
 from gelform.image.background.check import check_untouched
 from gelform.live import devices
 from gelform.live.hub import Hub, starter_of_station, wait_for_frames
+from gelform.live.lists import shown_name
 from gelform.live.moved import MovedSince
 from gelform.live.shown import Shown
 from gelform.live.station import NEVER_S, Opening, Setup, Station
 from gelform.sensors.recordings.indexed import indexed
+from gelform.sensors.recordings.mcap_reader import end_missing
 from gelform.sensors.recordings.player import Player
 from gelform.sensors.recordings.record import attached_background, attached_calibration
 from gelform.sensors.recordings.recorder import Recorder
@@ -225,11 +227,11 @@ def record(hub: Hub, station: int, on: bool, page: str = "") -> None:
 
 
 def snapshot(hub: Hub, station: int) -> dict[str, Any]:
-    """Keep the current frame; the answer has its number."""
+    """Keep the current frame; the answer has its number and the names of its files."""
     shown = hub.station(station).newest
     if shown is None:
         raise GelformError("There is no frame yet. Wait for the first one.")
-    return {"kind": "snapshot", "number": hub.snapshots.add(shown)}
+    return {"kind": "snapshot", "number": hub.snapshots.add(shown), "files": hub.snapshots.names(shown)}
 
 
 def _frames(station: Station, count: int) -> Sequence[Shown]:
@@ -247,6 +249,8 @@ def open_recording(hub: Hub, station: int, name: str) -> None:
     hub.check_idle(station)
     if name:
         recording = indexed(hub.recordings.path(name))
+        if said := end_missing(recording.path):
+            hub.notice(said, "warning")
         setup = attached_setup(hub, chosen.setup, recording.path)
         hub.end_guide(station)
         chosen.show(Opening(lambda: Player(recording), NEVER_S), setup)
@@ -261,7 +265,7 @@ def attached_setup(hub: Hub, setup: Setup, path: Path) -> Setup:
     calibration = attached_calibration(path)
     if calibration is None:
         return setup.with_background(None)  # it belonged to the sensor
-    name = hub.calibrations.add(f"{path.resolve().name}: calibration", calibration)
+    name = hub.calibrations.add(f"{shown_name(path.resolve().name)}: calibration", calibration)
     setup = setup.with_calibration(calibration, name)
     background = attached_background(path)
     return setup if background is None else setup.with_background(background)

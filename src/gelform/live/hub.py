@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import logging
 import re
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from queue import Empty, SimpleQueue
@@ -32,6 +34,9 @@ if TYPE_CHECKING:
 GRACE_S = 10.0
 NAME = re.compile(r"[0-9a-z-]{8,64}")
 NOTICES = 20  # notices that are kept
+TURN_S = 0.25  # s that an action waits for another one of its sensor; those that only set something take milliseconds
+LOOK_S = 0.25  # s between looks at a sensor whose frames are awaited
+BUSY = "This sensor is busy. Wait until it is done."
 
 
 class Pages:
@@ -145,6 +150,17 @@ class Hub:
             raise GelformError(f"There is no sensor {number}.")
         return self.stations[number]
 
+    @contextmanager
+    def turn(self, number: int, wait_s: float = TURN_S) -> Iterator[None]:
+        """Context for a change of a station: one at a time, whichever page asks; GelformError if another one lasts."""
+        lock = self.station(number).turn
+        if not lock.acquire(timeout=wait_s):
+            raise GelformError(BUSY)
+        try:
+            yield
+        finally:
+            lock.release()
+
     def start(self, work: Callable[[Progress], None], station: int, what: str) -> None:
         """Do long work in a new thread and show its progress; errors become notices."""
 
@@ -155,8 +171,8 @@ class Hub:
         def run() -> None:
             try:
                 work(report)
-            except GelformError as problem:
-                self.notice(str(problem), "error")
+            except Exception as problem:  # nobody waits for this thread
+                self.notice(sentence_for_page(problem), "error")
             finally:
                 self.work.pop(station, None)
                 self.changed()
@@ -178,15 +194,17 @@ class Hub:
             if self.recorders.get(station) is not ended:
                 return
             del self.recorders[station]
+        said = f"Recorded {ended.stats.frames} frames: {ended.path.name}"
         if ended.stats.frames:
             self.recordings.add(ended.path)
-        said = f"Recorded {ended.stats.frames} frames: {ended.path.name}"
+        elif ended.problem:
+            said = ""
         self.notice(f"{ended.problem} {said}".strip(), "warning" if ended.problem else "info")
 
     def check_idle(self, station: int) -> None:
         """Raise GelformError during long work of a station."""
         if station in self.work:
-            raise GelformError("This sensor is busy. Wait until it is done.")
+            raise GelformError(BUSY)
 
     def facts(self, notices_after: int = 0) -> dict[str, Any]:
         """The state for the page, besides frames."""
@@ -230,21 +248,37 @@ def wait_for_frames(station: Station, count: int, timeout_s: float = 15.0) -> li
     Raises
     ------
     GelformError
-        They do not arrive in time.
+        They do not arrive in time, or the station shows no frames now; the message says why.
     """
     got: SimpleQueue[Shown] = SimpleQueue()
-    found, until_s = [], time.monotonic() + timeout_s
+    found: list[Shown] = []
+    until_s = time.monotonic() + timeout_s
     station.taps.append(got.put)
     try:
-        for _ in range(count):
-            found.append(got.get(timeout=max(0.0, until_s - time.monotonic())))
-    except Empty:
-        raise GelformError(
-            f"Expected {count} frames within {timeout_s:g} s, got {len(found)}. Is the camera connected?"
-        ) from None
+        while len(found) < count:
+            if why := station.silence:
+                raise GelformError(why)
+            if (left_s := until_s - time.monotonic()) <= 0:
+                raise GelformError(
+                    f"Expected {count} frames within {timeout_s:g} s, got {len(found)}. Is the camera connected?"
+                )
+            with suppress(Empty):
+                found.append(got.get(timeout=min(LOOK_S, left_s)))
     finally:
         station.taps.remove(got.put)
     return found
+
+
+def sentence_for_page(problem: Exception) -> str:
+    """What a page says about the exception of an action, on one line; one that nobody expected is logged too."""
+    if isinstance(problem, (GelformError, ValueError)):
+        said = str(problem)
+    elif isinstance(problem, OSError) and problem.strerror:
+        said = f"{problem.strerror}: {problem.filename}." if problem.filename else f"{problem.strerror}."
+    else:
+        logging.getLogger("gelform.live").error("An action of the page failed.", exc_info=problem)
+        said = f"This is a mistake in gelform, not yours: {type(problem).__name__}: {problem}. The terminal has more."
+    return " ".join(said.split())
 
 
 def starters() -> list[list[str]]:

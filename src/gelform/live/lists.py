@@ -13,6 +13,8 @@ from gelform.calibration_file import Calibration, is_calibration, load_calibrati
 from gelform.errors import GelformError
 from gelform.sensors.recordings.indexed import recordings_in
 
+LONGEST_NAME = 150  # letters of a listed name; a page's message holds 200
+
 
 class Calibrations:
     """Calibrations by name: given ones, those of a folder, those made while the page is open.
@@ -32,8 +34,8 @@ class Calibrations:
         for path in given:
             self.add_file(path)
         for place in (folder, library):
-            for path in sorted(place.glob("*.npz")) if place is not None else ():
-                if is_calibration(path):
+            for path in files_of(place):
+                if path.suffix == ".npz" and is_calibration(path):
                     self.add_file(path)
 
     @property
@@ -49,7 +51,7 @@ class Calibrations:
             if (known := _name_of(path, listed)) is not None:
                 return known
             name = path.name if path.name not in listed else f"{path.parent.name}/{path.name}"
-            name = _free(name, self._paths)
+            name = _free(shown_name(name), self._paths)
             self._paths[name] = path
             return name
 
@@ -114,34 +116,41 @@ class Recordings:
     """
 
     def __init__(self, given: Iterable[Path] = (), folder: Path | None = None) -> None:
-        self._lock = threading.Lock()
+        self._lock, self._folder = threading.Lock(), folder
         self._paths: dict[str, Path] = {}
         for path in given:
             self.add(path)
+        own = set(files_of(folder))
         for path in recordings_in(folder) if folder is not None else ():
-            self.add(path)
+            if path in own:
+                self.add(path)
 
     def add(self, path: Path) -> str:
         """Add a recording; return its name: the file's, with a number if that name is taken."""
         with self._lock:
-            name = _name_of(path, self._paths) or _free(path.resolve().name, self._paths)
+            name = _name_of(path, self._paths) or _free(shown_name(_resolved(path).name), self._paths)
             self._paths.setdefault(name, path)
             return name
 
     def path(self, name: str) -> Path:
         """The file or folder with a name; GelformError if there is none."""
         with self._lock:
-            if name not in self._paths:
-                raise GelformError(f"There is no recording {name!r}. Choose one in the list.")
-            return self._paths[name]
+            path = self._paths.get(name)
+        if path is None or self._left(path):
+            raise GelformError(f"There is no recording {name!r}. Choose one in the list.")
+        return path
 
     def file(self, number: int) -> Path:
         """The file with a number of the list, for download; GelformError if there is none, or it is a folder."""
         with self._lock:
             paths = list(self._paths.values())
-        if not 0 <= number < len(paths) or not paths[number].is_file():
+        if not 0 <= number < len(paths) or not paths[number].is_file() or self._left(paths[number]):
             raise GelformError("There is no such file. Press Share first to make one file of the recording.")
         return paths[number]
+
+    def _left(self, path: Path) -> bool:
+        """Whether a path in the folder is a link out of it by now."""
+        return path.parent == self._folder and path.is_symlink() and not _is_below(path, self._folder)
 
     def facts(self) -> list[dict[str, Any]]:
         """The list for the page: names, and sizes in bytes of single files, which are downloaded by their position."""
@@ -150,8 +159,36 @@ class Recordings:
         return [{"name": name, "bytes": _bytes(path)} for name, path in listed]
 
 
+def files_of(folder: Path | None) -> list[Path]:
+    """The regular files of a folder, sorted: no pipes, no links to themselves or out of the folder; [] without a folder."""
+    if folder is None or not folder.is_dir():
+        return []
+    return sorted(path for path in folder.iterdir() if path.is_file() and _is_below(path, folder))
+
+
+def shown_name(name: str) -> str:
+    """A name that every page can show and send back: no control codes, no bytes that are no text, not too long."""
+    shown = "".join(one if one.isprintable() else ascii(one)[1:-1] for one in name)
+    return (
+        shown
+        if len(shown) <= LONGEST_NAME
+        else f"{shown[: LONGEST_NAME // 2]}...{shown[-LONGEST_NAME // 2 :]}"
+    )
+
+
+def _is_below(path: Path, folder: Path) -> bool:
+    return _resolved(folder) in _resolved(path).parents
+
+
+def _resolved(path: Path) -> Path:
+    try:
+        return path.resolve()
+    except (OSError, RuntimeError):  # a link to itself, before Python 3.13
+        return path
+
+
 def _name_of(path: Path, listed: dict[str, Path]) -> str | None:
-    return next((name for name, known in listed.items() if known.resolve() == path.resolve()), None)
+    return next((name for name, known in listed.items() if _resolved(known) == _resolved(path)), None)
 
 
 def _free(name: str, taken: Container[str]) -> str:

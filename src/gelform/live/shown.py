@@ -7,6 +7,7 @@ import threading
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.errors import GelformError
+from gelform.exchange.exporters.surface import save_surface
+from gelform.exchange.plots.result import picture
+from gelform.foundations.pictures import picture_bytes
 from gelform.image.frame import Frame
 from gelform.live.web.wire import Plane, bits_plane, depth_plane, image_plane, level_plane
 from gelform.result import Reconstruction, save_result
@@ -26,6 +30,7 @@ from gelform.slopes.confidence.explanation import Explanation
 PLANES = ("image", "flags", "unknown", "causes", *MAP_PLANES)
 CONTACT, KNOWN = 1, 2  # bits of the plane `flags`
 MOST_CONTACTS, MOST_OUTLINES = 8, 32  # sent per frame at most
+SNAPSHOT_FILES = ("frame.png", "result.npz", "surface.ply", "picture.png")
 KEPT_SNAPSHOTS = 16  # snapshots that are kept
 OUTLINE_PX = 0.6  # px, largest distance of an outline from the edge of the pixels
 
@@ -74,9 +79,12 @@ def measures_of(result: Reconstruction) -> Measures | None:
 
 
 def outlines_of(result: Reconstruction) -> list[list[int]]:
-    """Outlines of the contact, each as x, y, x, y ... in px of the image; only the largest if there are many."""
-    found, _ = cv2.findContours(result.contact.view(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    largest = sorted(found, key=len, reverse=True)[:MOST_OUTLINES]
+    """An outline of each contact, also of one inside a ring: x, y, x, y ... in px of the image; only the largest of many."""
+    found, inside = cv2.findContours(result.contact.view(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+    outer = [
+        one for one, (*_, parent) in zip(found, inside[0] if found else ()) if parent < 0
+    ]  # no edges of holes
+    largest = sorted(outer, key=len, reverse=True)[:MOST_OUTLINES]
     simple: list[Any] = [cv2.approxPolyDP(outline, OUTLINE_PX, True) for outline in largest]
     return [outline.ravel().tolist() for outline in simple]
 
@@ -223,6 +231,18 @@ class Snapshots:
         self._kept: OrderedDict[int, Shown] = OrderedDict()
         self._count = 0
 
+    @staticmethod
+    def names(shown: Shown) -> list[str]:
+        """The files that a snapshot of a frame has here; the picture needs matplotlib, the surface a scale."""
+        result = shown.result
+        there = (
+            True,
+            result is not None,
+            result is not None and result.mm_per_px is not None,
+            result is not None and find_spec("matplotlib") is not None,
+        )
+        return [name for name, is_there in zip(SNAPSHOT_FILES, there) if is_there]
+
     def add(self, shown: Shown) -> int:
         """Keep a frame; return its number. Beyond 16 frames the oldest is dropped."""
         with self._lock:
@@ -233,7 +253,9 @@ class Snapshots:
             return self._count
 
     def file(self, number: int, name: str) -> tuple[str, bytes]:
-        """Name and content of a snapshot's frame.png, as the camera gave it, or result.npz, for `gelform.load_result`.
+        """Name and content of a file of a snapshot.
+
+        These are frame.png, as the camera gave it; result.npz, for `gelform.load_result`; surface.ply, in mm; picture.png.
 
         Raises
         ------
@@ -242,15 +264,17 @@ class Snapshots:
         """
         with self._lock:
             shown = self._kept.get(number)
-        if shown is None or name not in ("frame.png", "result.npz"):
+        if shown is None or name not in SNAPSHOT_FILES:
             raise GelformError("This snapshot is no longer kept. Take another one.")
         if name == "frame.png":
-            content = cv2.imencode(".png", shown.frame.image[..., ::-1])[1].tobytes()
-        elif shown.result is not None:
+            content = picture_bytes(shown.frame.image)
+        elif shown.result is None:
+            raise GelformError("This frame has no result, because it had no usable calibration.")
+        elif name == "picture.png":
+            content = picture_bytes(picture(shown.result, shown.image))
+        else:
             with tempfile.TemporaryDirectory() as folder:
                 path = Path(folder) / name
-                save_result(shown.result, path)
+                (save_result if name == "result.npz" else save_surface)(shown.result, path)
                 content = path.read_bytes()
-        else:
-            raise GelformError("This frame has no result, because it had no usable calibration.")
         return f"gelform-{number:03d}-{name}", content

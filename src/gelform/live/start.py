@@ -17,13 +17,16 @@ from gelform.live.lists import Calibrations, Recordings
 from gelform.live.station import NEVER_S, Opening, Station
 from gelform.sensors.grabber import STALL_S
 from gelform.sensors.mjpeg import shown_address
+from gelform.sensors.profiles import PROFILES
 from gelform.sensors.recordings.indexed import Indexed, indexed, is_recording
+from gelform.sensors.recordings.mcap_reader import end_missing
 from gelform.sensors.recordings.player import Player
 from gelform.sensors.simulated.source import RATE_HZ, SimulatedSource
 from gelform.sensors.source import Source, device_of, open_source, simulated_sensor_of
 from gelform.simulate import SimulatedSensor
 
 READY = "simulated sensor"
+LONGEST_TURN_S = 60.0  # s that the finished calibration waits for an action of a page
 SIMULATED_STALL_S = 10.0  # s; a busy machine simulates late although nothing was unplugged
 
 
@@ -81,6 +84,8 @@ def start(options: Options) -> Hub:
         opening = _opening(hub, spec, sensor or recording, options.rate_hz, number)
         station = Station(number, shown_address(spec), opening, hub.changed, hub.watched)
         station.sensor = options.sensor or ""
+        if recording is not None and (said := end_missing(recording.path)):
+            hub.notice(said, "warning")
         hub.stations.append(station)
         if names:
             name = names[number % len(names)]
@@ -133,7 +138,7 @@ def _opening(
 ) -> Opening:
     """How to open the source. It is opened once now, so that a mistake is also reported in the terminal."""
     if isinstance(known, Indexed):
-        return Opening(lambda: Player(known), NEVER_S)
+        return Opening(lambda: Player(known, may_begin=hub.watched), NEVER_S)
     if known is not None:
         return Opening(lambda: SimulatedSource(known, rate_hz=rate_hz, seed=number), SIMULATED_STALL_S)
     wanted: dict[str, float | str] = {}
@@ -141,6 +146,11 @@ def _opening(
     try:
         opened.append(open_source(spec, paced=True))
     except SensorError as problem:
+        if not _may_be_camera(hub, spec):
+            raise DataError(
+                f"No camera, file or folder {shown_address(spec)}. Check the path, or plug the camera in. Only a serial "
+                "number, an address or a device is waited for."
+            ) from problem
         hub.notice(f"{problem} gelform tries again every second.", "warning")
     return Opening(
         lambda: opened.pop() if opened else open_source(spec, paced=True, settings=wanted),
@@ -150,9 +160,19 @@ def _opening(
     )
 
 
+def _may_be_camera(hub: Hub, spec: str) -> bool:
+    """Whether a source that is not there may come: an address, a device, a make, a serial number, or a known unit's name."""
+    is_serial = spec == spec.upper() and any(one.isdigit() for one in spec)
+    if is_serial or "://" in spec or spec.startswith("/dev/") or spec in ("", *PROFILES):
+        return True
+    return hub.calibrations.of_unit(unit_named(spec)) is not None
+
+
 def _made_ready(hub: Hub, number: int, sensor: SimulatedSensor) -> Callable[[Progress], None]:
     def work(progress: Progress) -> None:
         calibration = ready_calibration(sensor, progress=progress)
-        actions.use_calibration(hub, number, hub.calibrations.add(f"{READY} {sensor.name}", calibration))
+        name = hub.calibrations.add(f"{READY} {sensor.name}", calibration)
+        with hub.turn(number, LONGEST_TURN_S):
+            actions.use_calibration(hub, number, name)
 
     return work

@@ -141,6 +141,7 @@ class Station:
     setup : Setup; assign another one to change it: a held recording is then reconstructed again
     newest : Shown or None
     taps : called with each shown frame, in the station's thread: guides
+    turn : held by the one action that changes the station
     paused : whether a sensor's picture is held
     moved : follows the touching object from frame to frame; None if nobody asks
     sensor : the requested starter; "" for that of the camera's make
@@ -159,6 +160,7 @@ class Station:
         self._setup = Setup()
         self.newest: Shown | None = None
         self.taps: list[Callable[[Shown], None]] = []
+        self.turn = threading.Lock()
         self.paused = False
         self.moved: MovedSince | None = None
         self.sensor = self.starter_problem = ""
@@ -167,7 +169,7 @@ class Station:
         self._on_shown, self._watched = on_shown, watched
         self._grabber: Grabber | None = None
         self._pipeline: Pipeline[Shown] | None = None
-        self._run_by: tuple[Any, Any] | None = None
+        self._examine: Callable[[Work], None] | None = None
         self._missing = ""
         self._stop, self._switched = threading.Event(), threading.Event()
         self._serial, self._begun_s = 0, -NEVER_S
@@ -259,6 +261,19 @@ class Station:
         else:
             self.player.play(not paused)
 
+    @property
+    def silence(self) -> str:
+        """Why no frame is shown now, with the remedy; "" while frames come."""
+        if self._stop.is_set():
+            return "The server is stopping."
+        if self.paused or (self.player is not None and not self.player.playing):
+            return "The picture is held. Press Continue first."
+        if self._grabber is None:
+            return f"The sensor is not connected. {self._missing or 'Plug it in.'}"
+        if self._grabber.state in ("reconnecting", "ended"):
+            return f"The sensor gives no frames: {self._grabber.reason}."
+        return ""
+
     def numbers_since(self, serial: int) -> list[tuple[float, ...]]:
         """(serial, time_s, peak, area, volume) of all kept results after the one with that serial."""
         newest_first = takewhile(lambda row: row[0] > serial, reversed(self._numbers.copy()))
@@ -349,7 +364,7 @@ class Station:
                     self._switched.wait(WAIT_S)
         finally:
             pipeline.close()
-            self._pipeline = self._run_by = None
+            self._pipeline = self._examine = None
 
     def _waits(self) -> bool:
         """Whether to skip frames now: the picture is held, or no page is open and a result is recent."""
@@ -365,16 +380,16 @@ class Station:
             tap(shown)
         self._on_shown()
 
-    def run_by(self, helper: Callable[[Work], Work], examine: Callable[[Work], None] | None) -> None:
+    def run_by(self, examine: Callable[[Work], None]) -> None:
         """Run slow work of this and later setups elsewhere."""
-        self._run_by = helper, examine
+        self._examine = examine
         if self._setup.memory is not None:
             self._prepare(self._setup.memory)
 
     def _prepare(self, memory: Memory) -> None:
         """Run a memory's slow work elsewhere, and have it compare the camera with the calibration."""
-        if self._run_by is not None:
-            memory.run_by(*self._run_by)
+        if self._examine is not None:
+            memory.run_by(self._examine)
         check = CameraCheck(memory.reconstruct.calibration)
         memory.standing = lambda: check(self.grabber)
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from gelform.foundations.information import determined_by
 from gelform.motion.rigid import Array, moved
 from gelform.motion.surface import MOVED_PX, Equations, TouchedSurface
 
@@ -23,7 +24,7 @@ PLACE_TURN = 0.25  # of the error of a place, by which the ends of a contact err
 
 def pose_covariance(surface: TouchedSurface, equations: Equations, seen: Array, place_mm: float) -> Array:
     """Covariance (6, 6) of a step, from the equations at the best pose; `seen` (6, k): where it was fitted."""
-    inverse = seen @ np.linalg.inv(seen.T @ equations.information @ seen) @ seen.T
+    inverse = seen @ determined_by(seen.T @ equations.information @ seen).covariance @ seen.T
     weighted = equations.jacobian * equations.weight[..., None]
     scores = np.einsum("nki,nk->ni", weighted, equations.residual)
     row, col = surface.pixels.T // BLOCK_PX

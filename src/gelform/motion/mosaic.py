@@ -94,12 +94,14 @@ def placed(results: Sequence[Reconstruction], poses: Sequence[Motion | Tracked |
     """The surfaces of the results with a contact and a pose; a matrix alone is sure."""
     found = []
     for surface, one in zip(map(TouchedSurface, results), poses):
+        if not surface.count:
+            continue
         motion = one.motion if isinstance(one, Tracked) else one
         if not isinstance(motion, Motion):
             found.append((surface, checked_pose(motion, "a pose"), np.zeros((6, 6)), surface.middle))
         elif motion.pose is not None and motion.covariance is not None and motion.center_mm is not None:
             found.append((surface, motion.pose, motion.covariance, motion.center_mm))
-    return [one for one in found if one[0].count]
+    return found
 
 
 def shape_of(seen: Sequence[Placed]) -> tuple[int, int]:

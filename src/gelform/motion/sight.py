@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gelform.foundations.information import determined_by
 from gelform.motion.rigid import Array, about_other_center, moved
 from gelform.motion.surface import MOVED_PX, Equations, TouchedSurface
 
@@ -45,8 +46,8 @@ def blind_directions(
     The others do not turn about the axes of blind turns, and do not shift along blind shifts.
     """
     scale = first.scale
-    directions = scale[:, None] * np.linalg.eigh(scale[:, None] * at.information * scale)[1]
-    alike = _correlations(first, second, at, directions)
+    _, directions, undetermined = determined_by(at.information, scale)
+    alike = np.where(undetermined, 0.0, _correlations(first, second, at, directions))
     chosen = alike < LEAST_CORRELATION
     if chosen.any() and (ball := _ball(first, at)) is not None:
         pivot, shape = ball

@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 
 from gelform._native import Kernel
 from gelform.errors import GelformError
-from gelform.foundations.checks import check_is, check_mm_per_px
+from gelform.foundations.checks import check_is, check_mm_per_px, value_range
 from gelform.motion.rigid import Array, moved
 from gelform.result import Reconstruction
 
 # What the stated sigma lacks, added to it: of a slope, mm/mm, and of a depth, mm.
 SLOPE_FLOOR, DEPTH_FLOOR_MM = 0.03, 0.005
+LARGEST = 1e6  # mm and mm/mm; sums of squares of larger ones are beyond float32
 LARGEST_SIGMA = 3.0  # mm/mm and mm; what is less certain, or NaN, counts as this
 SMOOTHED_PX = 0.8  # px, standard deviation of the filter before slopes are differentiated
 MOST_POINTS = 1500  # of a contact's pixels; errors of neighbors are alike, so more of them tell little more
@@ -69,12 +70,10 @@ class Equations:
         """Root mean square of the residuals over their stated errors."""
         return float(np.sqrt(np.sum(self.weight * np.square(self.residual)) / max(1, 3 * self.count)))
 
-    def step(self, seen: Array, held: Array | float = 0.0, off: Array | float = 0.0) -> Array:
+    def step(self, seen: Array, held: Array, off: Array) -> Array:
         """The best step (6,) in some directions (6, k), held by an information (6,) to where it is `off` (6,) from."""
-        along, right = (
-            seen.T @ (self.information + np.diag(np.zeros(6) + held)) @ seen,
-            seen.T @ (self.right - held * off),
-        )
+        along = seen.T @ (self.information + np.diag(held)) @ seen  # definite by what holds it
+        right = seen.T @ (self.right - held * off)
         return np.asarray(seen @ np.linalg.solve(along, right), dtype=np.float64)
 
 
@@ -108,6 +107,11 @@ class TouchedSurface:
         self.gradients = np.ascontiguousarray(slopes[rows, cols])
         self.origin: Array = np.array([(width - 1) / 2 - cols.start, (height - 1) / 2 - rows.start])
         self.variances = _variances(result, rows, cols)
+        for size, unit in ((self.depth, "mm"), (self.gradients, "mm/mm")):
+            if (largest := max(map(abs, value_range(size)))) > LARGEST:
+                raise GelformError(
+                    f"Motion needs depth and slopes up to {LARGEST:.0e}, got {largest:.1e} {unit}: are the units right?"
+                )
         self.derivatives = _derivatives(self.gradients, self.pitch)
         self.count = int(np.count_nonzero(self.contact))
         self.share = self.count / result.contact.size

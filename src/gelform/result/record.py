@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
+from threading import RLock
 from typing import Any
 
 import cv2
@@ -25,9 +26,31 @@ from gelform.slopes.normals import normals_from_gradients
 THUMBNAIL_PX, HATCH_PX = 240, 8
 
 
+class Later:
+    """A value of a result that is computed on first use. Copies of the result share it; threads can ask for it at once.
+
+    Parameters
+    ----------
+    make : computes it
+    lock : held meanwhile; values that follow from the same things have one lock
+    """
+
+    def __init__(self, make: Callable[[], Any], lock: RLock | None = None) -> None:
+        self._make: Callable[[], Any] | None = make
+        self._lock, self._value = lock or RLock(), None
+
+    def __call__(self) -> Any:
+        """The value."""
+        with self._lock:
+            if self._make is not None:
+                self._value = self._make()
+                self._make = None
+            return self._value
+
+
 @dataclass(frozen=True, eq=False)
 class Reconstruction:
-    """The result of one frame.
+    """The result of one frame. What is not its depth is computed on first use, if a Reconstructor made it.
 
     Attributes
     ----------
@@ -68,10 +91,11 @@ class Reconstruction:
     observed_gradients: NDArray[np.float32] | None = None
     zero: str = "untouched"
     solver: str = ""
-    curl_rms: float = 0.0
-    health: tuple[Finding, ...] = ()
+    # Without an attribute of the class, which would hide that a value is still to be computed.
+    curl_rms: float = field(default_factory=float)
+    health: tuple[Finding, ...] = field(default_factory=tuple)
     markers: MarkerFlow | None = None
-    outside_change: float | None = None
+    outside_change: float | None = field(default_factory=lambda: None)
     index: int | None = None
     time_s: float | None = None
     wall_time_ns: int | None = None
@@ -86,14 +110,35 @@ class Reconstruction:
         shape = np.shape(self.depth)
         if len(shape) != 2:
             raise ValueError(f"Expected depth of shape (H, W), got {shape}.")
+        own = vars(self)
+        own["_later"] = later = {name: value for name, value in own.items() if isinstance(value, Later)}
+        for name in later:
+            del own[name]
         for one in BESIDE_DEPTH:
+            if one.name in later:
+                continue
             values, wanted = getattr(self, one.name), (*shape, *one.axes)
             if np.shape(values) != wanted and not (values is None and one.optional):
                 raise ValueError(f"Expected {one.name} of shape {wanted}, as depth, got {np.shape(values)}.")
 
+    def __getattr__(self, name: str) -> Any:
+        """Compute what is not there yet."""
+        later = vars(self).get("_later", {}).get(name)
+        if later is None:
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+        vars(self)[name] = value = later()
+        return value
+
     def __getstate__(self) -> dict[str, Any]:
         """Pickle the content of a file: everything but the sources."""
-        return {**self.__dict__, "albedo_source": None, "difference_source": None}
+        values = {one.name: getattr(self, one.name) for one in fields(self)}
+        return {**values, "_later": {}, "albedo_source": None, "difference_source": None}
+
+    def changed(self, **changes: Any) -> Reconstruction:
+        """A copy with other values, which may be `Later`; what nobody has asked for stays to be computed, once for both."""
+        own, later = vars(self), vars(self)["_later"]
+        values = {one.name: later.get(one.name, own.get(one.name)) for one in fields(self)}
+        return type(self)(**{**values, **changes})
 
     @cached_property
     def normals(self) -> NDArray[np.float32]:
@@ -150,7 +195,7 @@ class Reconstruction:
         if self.difference_source is None:
             raise GelformError(
                 "Expected a result fresh from a Reconstructor that states depth_sigma_mm: how errors of depth hang "
-                "together is not saved. Reconstruct the frame again, with depth_sigma=True and a calibration of balls."
+                "together is not saved. Reconstruct the frame again, with a calibration of balls."
             )
         pixels = check_mask(self.contact if region is None else region, shape=self.shape, name="region")
         return self.difference_source(pixels)

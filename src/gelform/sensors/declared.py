@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import re
 import struct
+from typing import BinaryIO
 
 from gelform.image.view.view import MAX_PIXELS
 from gelform.sensors.jpeg import SIGNATURE as JPEG
 from gelform.sensors.jpeg import jpeg_shape
 from gelform.sensors.png_bytes import SIGNATURE as PNG
 
+MAX_PAGES = 10**6  # of a TIFF; 11 hours at 25 per second
 _PPM = re.compile(rb"P[36](?:\s+|#[^\n]*\n)+(\d{1,9})(?:\s+|#[^\n]*\n)+(\d{1,9})\s")
 _TIFF_WIDTH, _TIFF_HEIGHT = 256, 257  # tags of the first directory (TIFF 6.0, section 8)
 
@@ -70,3 +72,31 @@ def _of_webp(content: bytes) -> tuple[int, int]:
         (bits,) = struct.unpack_from("<I", content, 21)
         return (bits >> 14 & 0x3FFF) + 1, (bits & 0x3FFF) + 1
     return int.from_bytes(content[27:30], "little") + 1, int.from_bytes(content[24:27], "little") + 1
+
+
+def tiff_pages(file: BinaryIO) -> tuple[int, ...]:
+    """Places of the directories of a TIFF's pages, classic or BigTIFF; () for another file, and up to damage."""
+    start = file.read(16)
+    order = {b"II": "<", b"MM": ">"}.get(start[:2], "")
+    big = start[2:4] in (b"+\0", b"\0+")
+    if not order or not (big or start[2:4] in (b"*\0", b"\0*")):
+        return ()
+    pages: list[int] = []
+    try:
+        (at,) = struct.unpack_from(f"{order}{'Q' if big else 'I'}", start, 8 if big else 4)
+        while at and at not in pages and len(pages) < MAX_PAGES:
+            pages.append(at)
+            file.seek(at)
+            (count,) = struct.unpack(f"{order}{'Q' if big else 'H'}", file.read(8 if big else 2))
+            file.seek(at + (8 + 20 * count if big else 2 + 12 * count))
+            (at,) = struct.unpack(f"{order}{'Q' if big else 'I'}", file.read(8 if big else 4))
+    except (struct.error, OSError, OverflowError, ValueError):
+        pages = pages[:-1] or pages  # the last one is cut; the decoder says so of a lone one
+    return tuple(pages)
+
+
+def tiff_of_page(content: bytes, place: int) -> bytes:
+    """The same TIFF, beginning with the page at a place: readers of one picture take the first."""
+    order, big = "<" if content[:2] == b"II" else ">", content[2:4] in (b"+\0", b"\0+")
+    at, first = (8, struct.pack(f"{order}Q", place)) if big else (4, struct.pack(f"{order}I", place))
+    return content[:at] + first + content[at + len(first) :]

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Iterator, Mapping, Sequence
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields
+from io import BytesIO
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -22,26 +23,46 @@ from gelform.foundations.checks import (
     check_sensor_pitches,
     check_within,
 )
+from gelform.foundations.foreign_files import way_for
+from gelform.foundations.whole_files import bytes_of
 from gelform.image.background.average import Background, background_from_frames
 from gelform.image.view import View
 from gelform.image.view.view import MAX_PIXELS
-from gelform.sensors.declared import check_declared
+from gelform.sensors.declared import check_declared, tiff_of_page, tiff_pages
 from gelform.sensors.jpeg import SIGNATURE as JPEG
 from gelform.sensors.jpeg import is_gray_jpeg, pixels_of_jpeg
 from gelform.sensors.png_bytes import SIGNATURE as PNG
 from gelform.sensors.png_bytes import pixels_of_png
 from gelform.sensors.profiles import PROFILES
+from gelform.sensors.toml_files import read_toml
+from gelform.sensors.values import image_of_npy, is_npy, npy_values
 from gelform.sensors.video_files import is_video
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 PNG_KIND, PNG_PALETTE = (
     25,
     3,
 )  # place of the kind of color in a PNG, and the kind of a palette (PNG specification, IHDR)
+# Words in names of images of the gel at rest, as people call them.
+AT_REST = frozenset(
+    {
+        "ambient",
+        "background",
+        "base",
+        "baseline",
+        "bg",
+        "blank",
+        "bkg",
+        "empty",
+        "f0",
+        "flat",
+        "frame0",
+        "init",
+    }
+    | {"initial", "nocontact", "notouch", "rest", "ref", "reference", "undeformed", "untouched", "zero"}
+)
+STACK_READERS = "gelform reconstruct, batch or live"
+# Bytes that a picture's file needs at most: of a pixel with transparency, not compressed, and of all else in it.
+BYTES_PER_PIXEL, OTHER_BYTES = 4, 2**26
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm")
 
 
@@ -94,7 +115,7 @@ def read_image(path: str | Path, *, most_pixels: float = MAX_PIXELS) -> NDArray[
 
     Parameters
     ----------
-    path : a PNG, JPEG, BMP, TIFF, WebP or PPM file of 8-bit color
+    path : a PNG, JPEG, BMP, TIFF, WebP or PPM file of 8-bit color, or an array (H, W, 3) of numpy (`.npy`), RGB
     most_pixels : a file that declares more is refused before its pixels take memory
 
     Returns
@@ -105,10 +126,62 @@ def read_image(path: str | Path, *, most_pixels: float = MAX_PIXELS) -> NDArray[
     ------
     DataError
         The file is missing, unreadable, truncated or damaged, too large, gray, 16-bit, of a palette, or
-        transparent; the message says which and what to do.
+        transparent, or holds several images; the message says which and what to do.
     """
     path = check_path(path)
-    content = _content(path)
+    if is_stack(path):
+        raise DataError(f"{path} holds several images. Give it to {STACK_READERS}, which read all of them.")
+    if is_npy(path):
+        return image_of_npy(npy_values(path, most_pixels), str(path))
+    return _image_in(_picture_bytes(path, most_pixels), path, most_pixels)
+
+
+def _picture_bytes(path: Path, most_pixels: float) -> bytes:
+    return bytes_of(path, "an image", BYTES_PER_PIXEL * most_pixels + OTHER_BYTES)
+
+
+def is_stack(path: Path) -> bool:
+    """Whether a file holds several images: a TIFF of several pages, or an array (N, H, W, 3) of numpy."""
+    if path.suffix.lower() not in (".tif", ".tiff", ".npy") or not path.is_file():
+        return False
+    if is_npy(path):
+        return npy_values(path).ndim == 4
+    try:
+        with path.open("rb") as file:
+            return len(tiff_pages(file)) > 1
+    except OSError:
+        return False  # reading it says why
+
+
+def images_of_stack(
+    path: Path, most_pixels: float = MAX_PIXELS
+) -> tuple[Callable[[int], NDArray[np.uint8]], int]:
+    """(number -> image, number of images) of a file as in `is_stack`; errors as in `read_image`."""
+    if is_npy(path):
+        values = npy_values(path, most_pixels)
+        return lambda number: image_of_npy(values[number], f"Image {number} of {path}"), len(values)
+    content = _picture_bytes(path, most_pixels)
+    pages = tiff_pages(BytesIO(content))
+    return lambda number: _image_in(tiff_of_page(content, pages[number]), path, most_pixels), len(pages)
+
+
+def _images_in(path: Path) -> Iterator[NDArray[Any]]:
+    """The image of a file, or all of them; a `.npy` of the gel at rest may hold an average, in floats."""
+    if is_stack(path):
+        image, count = images_of_stack(path)
+        yield from map(image, range(count))
+    elif is_npy(path) and (values := npy_values(path)).dtype.kind == "f":
+        levels = np.asarray(values, dtype=np.float32)
+        if not (np.isfinite(levels).all() and levels.min() >= 0 and 2 < levels.max() <= 255):
+            raise DataError(
+                f"Expected gray levels from 0 to 255 in {path}, got {levels.min():.3g} to {levels.max():.3g}."
+            )
+        yield levels
+    else:
+        yield read_image(path)
+
+
+def _image_in(content: bytes, path: Path, most_pixels: float) -> NDArray[np.uint8]:
     try:
         check_declared(content, most_pixels)
     except ValueError as problem:
@@ -154,19 +227,9 @@ def read_sensor_toml(path: str | Path) -> SensorSettings:
         The file is missing or no TOML, lacks a key, has an unknown key, or a value out of range.
     """
     path = check_path(path)
+    settings = read_toml(path, "the settings of a sensor")
     try:
-        settings = tomllib.loads(_content(path).decode("utf-8"))
         return _sensor_settings(settings)
-    except UnicodeDecodeError as problem:
-        raise DataError(
-            f"{path} is no text in UTF-8: byte {problem.start} is none. Save it as UTF-8."
-        ) from problem
-    except tomllib.TOMLDecodeError as problem:
-        raise DataError(f"{path} is no TOML file: {problem}.") from problem
-    except RecursionError:
-        raise DataError(
-            f"{path} holds tables inside tables beyond reason: no settings of a sensor."
-        ) from None
     except (ValueError, TypeError) as problem:
         raise DataError(f"{path}: {problem}") from problem
 
@@ -234,21 +297,6 @@ def _is_matrix(value: Any) -> bool:
     return numbers.shape == (3, 3) and bool(np.isfinite(numbers).all())
 
 
-def _content(path: Path) -> bytes:
-    if path.is_dir():
-        raise DataError(f"Expected a file, got the folder {path}.")
-    if path.exists() and not path.is_file():  # reading a pipe or a device could block forever
-        raise DataError(
-            f"Expected a file, got a pipe or a device: {path}. Save what it gives as a file first."
-        )
-    try:
-        return path.read_bytes()
-    except FileNotFoundError:
-        raise DataError(f"No file {path}. Check the path.") from None
-    except OSError as problem:
-        raise DataError(f"Cannot read {path}: {problem.strerror or problem}.") from problem
-
-
 def _usual_pixels(content: bytes, path: Path) -> NDArray[np.uint8] | None:
     """RGB pixels of a PNG or a JPEG of the usual kind; None for others, which OpenCV decodes."""
     try:
@@ -277,7 +325,7 @@ def _decoded(content: bytes, path: Path) -> NDArray[Any]:
             )
         raise DataError(
             f"{path} is no image that can be read, or a damaged one. Expected one of "
-            f"{', '.join(suffix[1:].upper() for suffix in IMAGE_SUFFIXES)}."
+            f"{', '.join(suffix[1:].upper() for suffix in IMAGE_SUFFIXES)}.{way_for(path)}"
         )
     return np.asarray(pixels)
 
@@ -302,7 +350,7 @@ def read_background(paths: str | Path | Sequence[str | Path]) -> NDArray[Any]:
 
     Parameters
     ----------
-    paths : an image, a folder of images, or several of either
+    paths : an image, a folder of images, a file of several images, or several of either; also `.npy`, RGB
 
     Raises
     ------
@@ -311,14 +359,20 @@ def read_background(paths: str | Path | Sequence[str | Path]) -> NDArray[Any]:
         `background_from_frames`).
     """
     files = background_files(paths)
-    return read_image(files[0]) if len(files) == 1 else averaged_background(paths).background
+    if len(files) == 1 and not is_stack(files[0]):
+        return next(_images_in(files[0]))
+    return averaged_background(paths).background
 
 
 def averaged_background(paths: str | Path | Sequence[str | Path]) -> Background:
     """As `read_background`, with the noise of one frame and the names of rejected images with their reasons."""
     files = background_files(paths)
+    counts = [images_of_stack(file)[1] if is_stack(file) else 1 for file in files]
+    names = [
+        f"{file} {k}" if count > 1 else str(file) for file, count in zip(files, counts) for k in range(count)
+    ]
     try:
-        return background_from_frames(map(read_image, files), names=[str(file) for file in files])
+        return background_from_frames((one for file in files for one in _images_in(file)), names=names)
     except ValueError as problem:  # an image of another size
         raise DataError(f"Images of the gel at rest in {files[0].parent}: {problem}") from problem
 
@@ -328,14 +382,31 @@ def background_in(folder: Path, stem: str = "background") -> Path:
     found = sorted(
         p
         for p in folder.glob(f"{stem}*")
-        if p.stem == stem and (p.suffix.lower() in IMAGE_SUFFIXES or p.is_dir())
+        if p.stem == stem and (p.suffix.lower() in IMAGE_SUFFIXES or is_npy(p) or p.is_dir())
     )
     if not found:
         raise DataError(
             f"No background in {folder}: expected {stem}.png, an image of the gel at rest. "
-            "Take one, or name it with background= (--background)."
+            f"{likely_background(folder) or 'Take one, or name it with background= (--background).'}"
         )
     return found[0]
+
+
+def likely_background(folder: Path) -> str:
+    """A sentence that names the images of a folder, or above it, that are the gel at rest by their names; "" without any."""
+    places = (folder, folder.resolve().parent)
+    found = [p for one in places for p in sorted(one.iterdir()) if is_likely_background(p)]
+    if not found:
+        return ""
+    named = " or ".join(str(path) for path in found[:3])
+    return f"By its name it is {named}. Name it with background= (--background {found[0]})."
+
+
+def is_likely_background(path: Path) -> bool:
+    """Whether a file or a folder is of the gel at rest, by its name."""
+    words = re.split(r"[^a-z0-9]+", path.stem.lower())
+    is_images = path.suffix.lower() in (*IMAGE_SUFFIXES, ".npy") or path.is_dir()
+    return is_images and not AT_REST.isdisjoint((*words, "".join(words)))
 
 
 def background_files(paths: str | Path | Sequence[str | Path]) -> list[Path]:

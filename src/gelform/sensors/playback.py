@@ -10,7 +10,7 @@ from pathlib import Path
 from gelform.errors import DataError
 from gelform.foundations.checks import check_positive
 from gelform.image.frame import Frame
-from gelform.sensors.files import IMAGE_SUFFIXES, read_image
+from gelform.sensors.files import IMAGE_SUFFIXES, images_of_stack, read_image
 from gelform.sensors.recordings.facts import RecordingFacts
 from gelform.sensors.video_files import USUAL_RATE_HZ, Video
 
@@ -105,11 +105,11 @@ def facts_of_video(video: Video) -> RecordingFacts:
 
 
 def folder_playback(path: Path, *, rate_hz: float | None = None, paced: bool = False) -> Playback:
-    """The images of a folder, ordered by name and evenly spaced in time.
+    """The images of a folder, ordered by name, or of a file of several images, evenly spaced in time.
 
     Parameters
     ----------
-    path : a folder of images
+    path : a folder of images, a TIFF of several pages, or an array (N, H, W, 3) of numpy (`.npy`)
     rate_hz : images per second; 25 by default
 
     Raises
@@ -124,7 +124,10 @@ def folder_playback(path: Path, *, rate_hz: float | None = None, paced: bool = F
 
 
 def images_by_number(path: Path, rate_hz: float) -> tuple[Callable[[int], Frame], int]:
-    """(number -> frame, number of frames) of a folder's images, ordered by name; DataError if there are none."""
+    """(number -> frame, number of frames) of a folder's images, ordered by name, or of a file's; DataError for none."""
+    if path.is_file():
+        image, count = images_of_stack(path)
+        return lambda number: Frame(image(number), number / rate_hz, 0, number), count
     files = sorted(file for file in path.iterdir() if file.suffix.lower() in IMAGE_SUFFIXES)
     if not files:
         raise DataError(f"Expected images ({', '.join(IMAGE_SUFFIXES)}) in the folder {path}, got none.")

@@ -17,6 +17,9 @@ if TYPE_CHECKING:
     from gelform.simulate.sensor.sensor import SimulatedSensor
 
 
+# mm, widths of sensors' gels: usual ones, and the limits of what is believed. Of a known make half to twice is believed:
+# units and crops differ by less.
+USUAL_GEL_MM, GEL_MM, MAKE_FACTOR = (5.0, 60.0), (3.0, 150.0), 2.0
 SAME_SCALE = 0.1  # |logarithm| of mm_per_px over the make's: units of a make differ by under 7 %
 
 
@@ -215,6 +218,36 @@ def scale_off_make(make: str | None, image_shape: tuple[int, int], mm_per_px: fl
     if profile is None or tuple(image_shape) != profile.image_shape:
         return None
     return profile.scale_off(mm_per_px)[0]
+
+
+def check_gel_width(image_shape: tuple[int, int], mm_per_px: float, make: str | None = None) -> str | None:
+    """Refuse a scale, mm/px, with which the gel in images (H, W) would have a width that no sensor has.
+
+    A known make's gel is half to twice as wide as stated; another one 3 to 150 mm. Returns a note if an unknown one is
+    narrower than 5 mm or wider than 60 mm, else None.
+
+    Raises
+    ------
+    ValueError
+        No sensor is that narrow or wide.
+    """
+    profile, width = PROFILES.get(make or ""), max(image_shape)
+    low, high = GEL_MM
+    if profile is not None:
+        known = max(profile.image_shape) * profile.mm_per_px
+        low, high = known / MAKE_FACTOR, MAKE_FACTOR * known
+    of = "a gel" if profile is None else f"the gel of a {profile.name}"
+    got = f"{width} px of {mm_per_px:g} mm: {width * mm_per_px:.3g} mm"
+    remedy = (
+        "A scale belongs to images of one size. Crop and resize these to that size, or give their own mm_per_px; gelform "
+        "scale measures it."
+    )
+    if not low <= width * mm_per_px <= high:
+        raise ValueError(f"Expected {of} between {low:.3g} and {high:.3g} mm wide, got {got}. {remedy}")
+    if profile is None and not USUAL_GEL_MM[0] <= width * mm_per_px <= USUAL_GEL_MM[1]:
+        usual = "{:g} to {:g} mm".format(*USUAL_GEL_MM)
+        return f"Gels of sensors are {usual} wide; this one would be {got}. {remedy}"
+    return None
 
 
 def view_from_camera(make: str | None, image_shape: tuple[int, int], mm_per_px: float | None) -> View:

@@ -11,9 +11,11 @@ from typing import Any, Protocol
 
 from gelform.errors import DataError, SensorError
 from gelform.foundations.checks import check_path
+from gelform.foundations.foreign_files import way_for
 from gelform.image.frame import Frame
 from gelform.sensors.cameras.camera import camera_named
 from gelform.sensors.cameras.usb import UsbCamera
+from gelform.sensors.files import is_stack
 from gelform.sensors.mjpeg import OPEN_S, MjpegUrl, shown_address
 from gelform.sensors.playback import folder_playback, video_playback
 from gelform.sensors.recordings.mcap_reader import is_bag_folder, mcap_file_in, mcap_playback
@@ -96,7 +98,7 @@ def open_source(
         - http://... or https://...: a camera that sends JPEG pictures (multipart/x-mixed-replace)
         - the serial number of a USB camera, its name (or a part of it, or "digit", "gelsight-mini"), or its path; "" for the
           only connected camera
-        - *.mcap, a rosbag2 folder, a video file, or a folder of images
+        - *.mcap, a rosbag2 folder, a video file, a folder of images, a TIFF of several pages, or frames of numpy (*.npy)
     paced : whether files play at their original pace, instead of as fast as they can be read
     rate_hz : frames per second of the simulated sensor (60) and of a folder of images (25)
     timeout_s : timeout of the connection to an address, s
@@ -135,6 +137,12 @@ def _without_settings(
     """The simulated sensor, an address, or files; None if the spec can only be a USB camera's."""
     if isinstance(spec, str) and spec.partition(":")[0] == SIMULATED:
         return _simulated(spec, rate_hz)
+    if isinstance(spec, str) and "://" in spec and not spec.startswith(ADDRESSES):
+        raise SensorError(
+            f"Expected an address that begins with {' or '.join(ADDRESSES)} (a camera that sends JPEG pictures), a USB "
+            f"camera, a video, a folder or a recording, got {shown_address(spec)}. Record it as a file first, such as with "
+            "ffmpeg -i ADDRESS -c copy press.mkv; its compression costs accuracy."
+        )
     if isinstance(spec, str) and spec.startswith(ADDRESSES):
         return MjpegUrl(spec, timeout_s=timeout_s)
     return _of_files(check_path(spec, "a source"), paced, rate_hz) if str(spec) else None
@@ -148,12 +156,14 @@ def _of_files(path: Path, paced: bool, rate_hz: float | None) -> Source | None:
         if is_bag_folder(path):
             return mcap_playback(mcap_file_in(path), paced=paced)
         return folder_playback(path, rate_hz=rate_hz, paced=paced)
+    if is_stack(path):
+        return folder_playback(path, rate_hz=rate_hz, paced=paced)
     if is_video(path):
         return video_playback(path, paced=paced)
     if str(path).startswith("/dev/"):
         return None
     if path.exists():
-        raise DataError(f"{path} is no video, no folder of images and no recording (*.mcap).")
+        raise DataError(f"{path} is no video, no folder of images and no recording (*.mcap).{way_for(path)}")
     if path.parent != Path():
         raise DataError(f"No file or folder {path}. Check the path.")
     return None

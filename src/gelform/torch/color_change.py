@@ -8,13 +8,20 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
-from gelform.foundations.filters import blur_taps
+from gelform.foundations.filters import CHANGE_OFFSET, blur_taps
 from gelform.image.background.change import ChangeSettings, gain_from_background, linear_light
-from gelform.image.background.exposure import FULL_SHARE, HALF_WIDTHS_LOG, MIN_SHARE, block_means
+from gelform.image.background.light import (
+    ALIKE,
+    EVERY,
+    LEAST_REST,
+    PRIOR,
+    REST_SIGMA,
+    TOUCHED_SIGMA,
+    WIDENED,
+    block_means,
+)
 from gelform.image.frame import BRIGHT, DARK
-from gelform.torch.maps import block_shares, planes
-
-BINS, WINDOW, SPAN = 240, 6, 1.2  # of the histogram of log ratios, as in the kernel `crowd_of_ratios`
+from gelform.torch.maps import block_shares, medians_where, planes
 
 
 class ColorChange(nn.Module):
@@ -47,7 +54,7 @@ class ColorChange(nn.Module):
         """The color change; a response exponent is differentiable only for images above 0."""
         levels = images.to(self.untouched.dtype)
         if self.compensate_exposure:
-            levels = levels / self._believed_gain(images)[:, :, None, None]
+            levels = levels / self._gain(images)
         light = levels if self.settings.response == 1 else self._linear(levels)
         if self.settings.crosstalk is not None:
             light = torch.einsum("cd,ndhw->nchw", torch.linalg.inv(self.crosstalk), light)
@@ -64,24 +71,40 @@ class ColorChange(nn.Module):
         return _weighted_sum(_weighted_sum(padded, self.taps, 3), self.taps, 2)
 
     @torch.no_grad()
-    def _believed_gain(self, images: Tensor) -> Tensor:
-        """Brightness of each channel relative to the background, (N, 3); see `Exposure.believed_gain`."""
+    def _gain(self, images: Tensor) -> Tensor:
+        """Brightness of each channel relative to the background, (N, 3, 1, 1); see `gain_from_blocks`."""
         levels = images.to(self.untouched.dtype)
         blocks = self.rows @ levels @ self.columns.T
         if not images.is_floating_point():
             blocks = (blocks + 0.5).floor() if self.halves_up else blocks.round()
-        either = torch.stack([blocks, self.blocks.expand_as(blocks)])
-        lit = ((either.amin(0) > DARK) & (either.amax(0) < BRIGHT)).all(1).flatten(1)
-        ratio = (blocks / self.blocks).clamp(1e-6, 1e6)
-        logs = torch.where(lit[:, None], ratio.flatten(2).log(), 0)
-        center = _fullest(logs, lit)
-        for half_width in HALF_WIDTHS_LOG:
-            away = logs - center[..., None]
-            near = lit & (away.abs().amax(1) < float(half_width))
-            count = near.sum(1)
-            center = center + (away * near[:, None]).sum(2) / count.clamp(min=1)[:, None]
-        part = ((count / lit.shape[1] - MIN_SHARE) / (FULL_SHARE - MIN_SHARE)).clamp(0, 1)
-        return (center * part[:, None]).exp()
+        blocks, rest = blocks[..., ::EVERY, ::EVERY], self.blocks[..., ::EVERY, ::EVERY]
+        either = torch.stack([blocks, rest.expand_as(blocks)])
+        lit = ((either.amin(0) > DARK) & (either.amax(0) < BRIGHT)).all(1, keepdim=True)
+        start = medians_where(blocks / rest.clamp(min=1e-6), lit)
+        return _fitted_gain(torch.where(start > 0, start, 1).log(), blocks, rest, lit).exp()
+
+
+def _fitted_gain(logarithm: Tensor, blocks: Tensor, rest: Tensor, lit: Tensor) -> Tensor:
+    """The gain's logarithm (N, 3, 1, 1) from a start, as the kernel `fit_light` fits a gain alone."""
+    places = (1, 2, 3)
+    sigma = torch.full_like(logarithm[:, :1], REST_SIGMA)
+    count = lit.sum(places, keepdim=True).clamp(min=1)
+    for widened in WIDENED[:-1].tolist():  # the last round moves nothing
+        deviation = sigma * widened
+        light = logarithm.exp() * rest
+        per_level = 1 / (light + CHANGE_OFFSET)
+        residual, per_log = (blocks + CHANGE_OFFSET) * per_level - 1, light * per_level
+        square = residual.square().sum(1, keepdim=True)
+        apart = 0.5 / deviation**2 - 0.5 / TOUCHED_SIGMA**2
+        odd = (-square * apart).clamp(min=-80).exp()
+        at_rest = lit * odd / (odd + (deviation / TOUCHED_SIGMA) ** 3)
+        weight, prior = ALIKE / (count * deviation**2), PRIOR[0]
+        side = weight * (at_rest * per_log * residual).sum((2, 3), keepdim=True) - prior * logarithm
+        normal = weight * (at_rest * per_log.square()).sum((2, 3), keepdim=True) + prior
+        logarithm = logarithm + side / normal
+        sums = (at_rest * square).sum(places, keepdim=True), at_rest.sum(places, keepdim=True)
+        sigma = (sums[0] / (3 * sums[1] + 1e-9)).sqrt().clamp(LEAST_REST, REST_SIGMA)
+    return logarithm
 
 
 def _weighted_sum(values: Tensor, taps: list[float], dim: int) -> Tensor:
@@ -93,13 +116,3 @@ def _weighted_sum(values: Tensor, taps: list[float], dim: int) -> Tensor:
         sides = values.narrow(dim, reach - k, kept) + values.narrow(dim, reach + k, kept)
         total = total.add(sides, alpha=tap)
     return total
-
-
-def _fullest(logs: Tensor, lit: Tensor) -> Tensor:
-    """Middle (N, 3) of the window of bins with the most log ratios (N, 3, blocks)."""
-    bins = ((logs + SPAN) * (BINS / (2 * SPAN))).clamp(0, BINS - 1).long()
-    counts = torch.zeros(*logs.shape[:2], BINS, dtype=logs.dtype, device=logs.device)
-    counts.scatter_add_(2, bins, lit[:, None].to(logs.dtype).expand_as(logs))
-    held = counts.unfold(2, WINDOW, 1).sum(-1)
-    first = (held == held.amax(2, keepdim=True)).to(torch.uint8).argmax(2)
-    return (first.to(logs.dtype) + WINDOW / 2) * (2 * SPAN / BINS) - SPAN

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from gelform.depth.stepped import coarse_grid
+from gelform.depth.coarse import coarse_of
 from gelform.foundations.filters import MIN_UNTOUCHED
 from gelform.image.view.resample import pixel_positions
 from gelform.slopes.color_models import ForwardResponse
@@ -29,7 +29,7 @@ class TorchFrameDepth(nn.Module):
     def __init__(self, shape: tuple[int, int], untouched: float) -> None:
         super().__init__()
         self.square = untouched**2
-        grid, pitch_px = coarse_grid(shape)
+        grid, pitch_px = coarse_of(shape).shape, coarse_of(shape).pitch_px
         for name, size, few in zip(("rows", "columns"), shape, grid):
             self.register_buffer(f"{name}_coarse", block_shares(size, few))
             self.register_buffer(f"{name}_full", bilinear_shares(few, size))

@@ -20,6 +20,7 @@ from gelform.slopes.color_models import (
 )
 from gelform.slopes.color_models._shared.least_squares import monomial_parents, monomials
 from gelform.slopes.color_models.lambertian import MAX_SLOPE, inverse_lights
+from gelform.slopes.color_models.near_light import inverted_lights
 
 LEAST_NORMAL_Z = 1e-6  # as in `gradients_from_scaled`
 
@@ -35,7 +36,7 @@ def gradients_module(model: ColorModel, background: NDArray[Any]) -> nn.Module:
     if isinstance(model, LambertianModel):
         return LitGradients(inverse_lights(model.lights)[None, None], model.response)
     if isinstance(model, NearLightModel):
-        inverse = np.linalg.inv(model.lights_at(*pixel_positions(shape).T)).reshape(*shape, 3, 3)
+        inverse = inverted_lights(model.lights_at(*pixel_positions(shape).T)).reshape(*shape, 3, 3)
         return LitGradients(inverse, model.response)
     raise CalibrationError(
         "Expected a calibration with the color model hierarchical, polynomial, lambertian or near_light, "

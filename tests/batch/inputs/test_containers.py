@@ -14,7 +14,6 @@ from gelform.batch.inputs.containers import (
     blocks,
     hdf5_sequences,
     hdf5_values,
-    image_from_values,
     is_frames,
     matching,
     natural,
@@ -29,31 +28,6 @@ THERE = {
     "data/demo_1/obs/gelsight": ((7, 6, 8, 3), "uint8"),
     "data/demo_0/obs/wrist": ((9, 6, 8, 3), "uint8"),
 }
-
-
-def test_kinds_of_frames_and_what_is_refused():
-    png = cv2.imencode(".png", IMAGE[..., ::-1])[1].reshape(-1)
-    for values in (
-        IMAGE,
-        IMAGE.astype(np.float32),
-        np.concatenate([png, np.zeros(9, np.uint8)]),
-        np.moveaxis(IMAGE, 2, 0),
-        *((IMAGE / 255).astype(dtype) for dtype in (np.float16, np.float32, np.float64)),
-        np.moveaxis(IMAGE / 255, 2, 0),
-    ):
-        np.testing.assert_array_equal(image_from_values(values), IMAGE)
-    for values, said in (
-        (IMAGE / 300, r"Expected whole numbers from 0 to 255, or .* float64 \(6, 8, 3\)"),
-        (IMAGE.astype(np.float32) * 2, "Expected whole numbers from 0 to 255"),
-        (np.full((6, 8, 3), np.nan), "Expected whole numbers"),
-        (IMAGE[..., :2], r"got \(6, 8, 2\)"),
-        (IMAGE / 255 - 0.5, "Expected whole numbers"),
-        (np.zeros(0, np.uint8), "bytes that are no image"),
-        (np.arange(90, dtype=np.uint8), "bytes that are no image"),
-        (DataError("chunk 3 is damaged"), "chunk 3 is damaged"),
-    ):
-        with pytest.raises(DataError, match=said):
-            image_from_values(values)
 
 
 def test_a_star_stands_for_one_name_and_what_is_there_is_listed(tmp_path):

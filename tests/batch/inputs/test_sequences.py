@@ -224,5 +224,5 @@ def test_refused_before_anything_is_written(two_lights, cal, tmp_path):
         with pytest.raises(DataError, match=said):
             run_batch(two_lights, cal, tmp_path / "out", background=table(two_lights, *rows))
         assert not (tmp_path / "out").exists()
-    with pytest.raises(DataError, match=r"Cannot read .*rest\.csv"):
+    with pytest.raises(DataError, match=r"No file .*rest\.csv"):
         backgrounds_of(tmp_path / "rest.csv")

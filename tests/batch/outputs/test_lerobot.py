@@ -89,7 +89,7 @@ def test_names():
             episode_of(other)
 
 
-SETTINGS = BatchSettings("lerobot", keep=("depth",), solver="dct", depth_sigma=False)
+SETTINGS = BatchSettings("lerobot", keep=("depth",), solver="dct")
 DEPTH = f"{KEY}_depth"
 
 
@@ -166,7 +166,7 @@ def test_the_force_on_each_frame_is_in_the_tables(lerobot, with_force, tmp_path,
     assert visible(root) == before
     assert verify_output(tmp_path / "out") == (9, 0, [])
     output = tmp_path / "out/frames"
-    how = {name: getattr(SETTINGS, name) for name in ("solver", "depth_sigma", "slope_sigma")}
+    how = {name: getattr(SETTINGS, name) for name in ("solver",)}
     reconstruct = gelform.Reconstructor(with_force, **how)
     true = np.array([reconstruct.from_image(frame).force.vector_n for frame in frames])
     assert np.isnan(true[:, :2]).all()

@@ -89,7 +89,7 @@ def test_blank_maps_are_of_the_same_kind_and_one_that_is_not_there_is_said(resul
         maps, blank = maps_of(result, settings), blank_maps(settings, SHAPE)
         kinds, blank_kinds = ([(n, m.shape, m.dtype) for n, m in one.items()] for one in (maps, blank))
         assert kinds == blank_kinds
-    without = gelform.Reconstructor(cal, depth_sigma=False).from_image(images[0])
+    without = result.changed(depth_sigma_mm=None)
     with pytest.raises(DataError, match="gives no depth_sigma_mm"):
         maps_of(without, BatchSettings(keep=("depth_sigma",)))
 

@@ -23,6 +23,8 @@ from gelform.result.metrics.ball import ball_gradients
 from gelform.simulate import LAYOUTS, Ball, simulate_press
 from gelform.simulate.render import simulate_background
 
+pytestmark = pytest.mark.linear_algebra
+
 
 def errors_px(contacts, simulated):
     return off_px(contacts, [p.center_px for p in simulated.presses])

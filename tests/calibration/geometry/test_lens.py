@@ -10,6 +10,8 @@ from gelform.calibration.geometry.lens import view_from_grid
 from gelform.errors import DataError
 from gelform.image.view import Lens, image_from_frame, image_px_from_frame_px
 
+pytestmark = pytest.mark.linear_algebra
+
 SHAPE = (240, 320)
 MM_PER_PX = 0.0634
 LENS = Lens((320.0, 320.0, 163.0, 117.0), (-0.25, 0.08))

@@ -51,6 +51,21 @@ def test_scales_that_disagree_are_refused():
         combined_scale([])
 
 
+def test_lengths_along_both_axes_show_pixels_that_are_not_square():
+    """A block of 7 x 5 mm at 11.7 and 10.8 px/mm, and its diagonal."""
+    x = scale_from_points((10, 20), (10 + 7 * 11.7, 20), 7.0)
+    y = scale_from_points((10, 20), (10, 20 + 5 * 10.8), 5.0)
+    diagonal = scale_from_points((10, 20), (10 + 7 * 11.7, 20 + 5 * 10.8), np.hypot(7, 5))
+    for scales in ((x, y), (y, diagonal, x)):
+        with pytest.raises(DataError, match=r"not square: mm_per_px = \[0\.08547, 0\.092593\] fits"):
+            combined_scale(scales)
+    wrong = scale_from_points((10, 20), (10 + 7 * 11.7, 20 + 5 * 10.8), 7.0)
+    longer = scale_from_points((10, 20), (10 + 7 * 11.7, 20), 8.0)
+    for scales in ((x, y, wrong), (x, longer), (x, y, Scale(0.2, 0.001, "a grid"))):
+        with pytest.raises(DataError, match="Leave the wrong one out"):
+            combined_scale(scales)
+
+
 def test_a_profile_has_its_doubt():
     scale = scale_from_profile("gelsight-mini")
     assert (scale.mm_per_px, scale.sigma) == (0.0634, 0.0009)

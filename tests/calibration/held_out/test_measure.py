@@ -9,22 +9,21 @@ from scipy.ndimage import gaussian_filter
 import gelform
 from gelform.calibration.candidates import Candidate
 from gelform.calibration.circles.locate import Located, Refined
-from gelform.calibration.fitted import Fitted
+from gelform.calibration.fitted import FIRST_GUESS, Fitted
 from gelform.calibration.held_out import measure as module
 from gelform.calibration.held_out.measure import (
+    at_sample,
     common_error,
+    depth_factor,
     errors_of,
     measure_held_out,
     sample_of,
-    solved_by_place,
-    stated_sigma,
+    with_factors,
 )
 from gelform.calibration.held_out.scores import Selection
-from gelform.calibration.report.statistics import fraction_within_sigma
 from gelform.reconstruct import Reconstructor
 from gelform.result.metrics import angle_deg
 from gelform.slopes.color_models.forward_response import RIDGES
-from gelform.slopes.confidence import all_shown
 from gelform.slopes.confidence.slope_sigma import ONE_SIGMA, SlopeSigma
 
 
@@ -50,13 +49,13 @@ def test_samples_carry_the_errors_of_the_report(calibration):
 @pytest.mark.slow
 def test_each_press_is_reconstructed_once(presses, monkeypatch):
     seen = []
-    plain = Reconstructor.from_image
+    plain = Reconstructor.record
 
     def counted(self, image):
         seen.append(id(image))
         return plain(self, image)
 
-    monkeypatch.setattr(Reconstructor, "from_image", counted)
+    monkeypatch.setattr(Reconstructor, "record", counted)
     report = gelform.calibrate(presses.subset(range(8)), color_model="polynomial").report
     assert len(set(seen)) == sum(row.accepted for row in report.presses)
     # By its fold and by all, once more where the fold chose otherwise, and once for the error of its place.
@@ -89,7 +88,7 @@ def test_the_saved_models_errors_are_those_of_its_settings_in_every_fold(
     assert always.saved_errors == always.errors == once.saved_errors
     differing = {i for i in once.errors if once.errors[i] != once.saved_errors[i]}
     assert differing == set(held_out.folds[0].held_out)
-    assert always.slope_sigma.sigmas == once.slope_sigma.sigmas
+    assert always.slope_sigma.per_step == once.slope_sigma.per_step
     assert always.forward.residual_scale == once.forward.residual_scale
 
 
@@ -156,44 +155,60 @@ def test_within_keeps_the_middle(sample):
     assert np.hypot(half.x_px - 40, half.y_px - 30).max() < 12.5
 
 
-@pytest.fixture
-def readings_alone(calibration, monkeypatch):
-    """Without what blur takes at walls, which is stated whatever presses of balls say."""
-    monkeypatch.setattr("gelform.slopes.confidence.solved.BLURRED", 0.0)
-    return calibration
+@pytest.mark.parametrize("factor", [0.5, 2.0])
+def test_the_factor_of_solved_slopes_leaves_68_percent_within(sample, factor):
+    rng = np.random.default_rng(0)
+    samples = [sample(k, noise=0.05 * factor, rng=rng) for k in range(8)]
+    stated = [np.full(len(one.x_px), 0.05, np.float32) for one in samples]
+    found = with_factors(WHITE, samples, stated, [], 1.0, None)
+    within = [np.mean(np.abs(one.errors) < 0.05 * found.solved_factor) for one in samples]
+    assert np.mean(within) == pytest.approx(ONE_SIGMA, abs=0.02)
+    assert found.depth_factor == WHITE.depth_factor, "no press left room for it"
 
 
-def share_of(calibration, presses, sigma):
-    reconstruct = Reconstructor(replace(calibration, slope_sigma=sigma), depth_sigma=False)
-    reconstruct.steep_slopes = all_shown
-    samples = [one.within(0.85) for one in calibration.report.samples]
-    sigmas = [stated_sigma(reconstruct, presses.presses[one.index].image, one) for one in samples]
-    return fraction_within_sigma(samples, sigmas, calibration.image_shape, (1, 1))["all"]
+def test_pixels_beyond_the_edge_say_nothing(sample):
+    """There the gel has left the ball: errors as large as one likes leave the factor as it is."""
+    rng, ratio = np.random.default_rng(0), 0.7
+    plain = [sample(k, noise=0.05, rng=rng) for k in range(4)]
+    stated = [np.full(len(one.x_px), 0.05, np.float32) for one in plain]
+    spoilt = [
+        replace(one, gradients=one.gradients + np.float32(~one.inside(ratio))[:, None]) for one in plain
+    ]
+    one, other = (with_factors(WHITE, samples, stated, [], 1.0, ratio) for samples in (plain, spoilt))
+    assert one == other
+    assert one != with_factors(WHITE, spoilt, stated, [], 1.0, None)
 
 
-@pytest.mark.parametrize("factor", [0.4, 2.5])
-def test_a_deviation_that_is_off_is_put_right(readings_alone, presses, factor):
-    calibration = readings_alone
-    right = calibration.slope_sigma
-    off = replace(
-        right, sigmas=tuple(factor * s for s in right.sigmas), solved_places=None, solved_slopes=None
-    )
-    again = solved_by_place(calibration, off, presses, calibration.report.samples, 1.0)
-    assert share_of(calibration, presses, again) == pytest.approx(ONE_SIGMA, abs=0.06)
-    assert abs(share_of(calibration, presses, off) - ONE_SIGMA) > 0.12
+def test_the_factor_of_depth_is_that_of_two_thirds_of_it_and_presses_count_alike():
+    rng = np.random.default_rng(0)
+    far = [np.square(7 * rng.standard_normal(n)).astype(np.float32) for n in (5000, 50_000)]
+    assert depth_factor(far, 1.0) == pytest.approx(7, rel=0.02)
+    halves = [np.full(n, size**2, np.float32) for n, size in ((100, 2.0), (10_000, 4.0), (100, 3.0))]
+    assert depth_factor(halves, 1.0) == 4
+    spoilt = [*far, np.full(900, 7e4, np.float32)]  # something else lay on the gel
+    assert depth_factor(spoilt, 1.0) == pytest.approx(7, rel=0.02)
+    assert depth_factor([], 11.0) == depth_factor([np.empty(0, np.float32)], 11.0) == 11
 
 
-def test_fewer_presses_seen_by_the_folds_make_them_better_witnesses_of_worse_models(readings_alone, presses):
-    sigma = replace(readings_alone.slope_sigma, solved_places=None, solved_slopes=None)
-    samples = readings_alone.report.samples
-    half, all_ = (
-        np.mean(solved_by_place(readings_alone, sigma, presses, samples, seen).solved_places)
-        for seen in (0.5, 1.0)
-    )
-    assert half == pytest.approx(np.sqrt(0.5) * all_, rel=0.15)
+def test_the_errors_of_a_calibration_are_within_what_it_states(calibration, presses):
+    """Of slopes and of depth far from contacts, on the presses that it was made of."""
+    reconstruct = Reconstructor(calibration)
+    shares, far = [], []
+    for one in calibration.report.samples:
+        result, inner = reconstruct.from_image(presses.presses[one.index].image), one.within(0.85)
+        shares.append(np.mean(np.abs(inner.errors) < at_sample(result.gradients_sigma, inner)))
+        y, x = np.ogrid[: result.shape[0], : result.shape[1]]
+        away = np.hypot(x - one.circle_px[0], y - one.circle_px[1]) > 2.5 * one.circle_px[2]
+        if away.any():
+            far.append(np.mean(np.abs(result.depth_mm[away]) < result.depth_sigma_mm[away]))
+    assert 0.64 < np.mean(shares) < 0.84  # the presses are those of the fit
+    assert 0.6 < np.mean(far) < 0.95
+    assert calibration.slope_sigma.depth_factor != FIRST_GUESS.depth_factor
 
 
-WHITE = SlopeSigma(0.01, (0.0, 1.0), (0.05, 0.05), 0.05, 8.0, correlated_share=0.0)
+WHITE = SlopeSigma(
+    rest=0.01, per_step=0.05, full_confidence_sigma=0.05, correlation_px=8.0, correlated_share=0.0
+)
 
 
 def test_what_slopes_of_one_size_share_is_common_and_their_noise_is_not(sample):
@@ -228,40 +243,11 @@ def test_correlated_errors_count_once(sample):
     assert common_error(samples, alike) < 0.5 * common_error(samples, WHITE)
 
 
-def test_the_common_error_of_the_folds_is_that_of_the_depth(calibration, presses):
+def test_the_common_error_of_the_folds_is_that_of_the_depth(calibration):
     samples = calibration.report.samples
     off = [replace(one, gradients=0.7 * one.true_gradients) for one in samples]
+    stated = [np.full(len(one.x_px), 0.05, np.float32) for one in samples]
     for trained in (1.0, 0.5):
-        sigma = solved_by_place(calibration, calibration.slope_sigma, presses, off, trained)
+        sigma = with_factors(calibration.slope_sigma, off, stated, [], trained, 0.85)
         assert sigma.gain_sigma == pytest.approx(0.3 * np.sqrt(trained), rel=0.2)
     assert 0 < calibration.slope_sigma.gain_sigma < 0.12
-
-
-def test_what_blur_takes_is_not_learnt_from_balls(calibration, presses, monkeypatch):
-    """A large part of the error is foretold by it: the readings' factors have less left to explain."""
-    samples, known = calibration.report.samples, calibration.slope_sigma
-    sharp = replace(
-        known, sigmas=tuple(s / 4 for s in known.sigmas)
-    )  # else a ball's bends are within their noise
-    found = []
-    for blurred in (0.0, 0.6):
-        monkeypatch.setattr("gelform.slopes.confidence.solved.BLURRED", blurred)
-        found.append(solved_by_place(calibration, sharp, presses, samples, 1.0))
-    assert np.mean(found[1].solved_places) < 0.9 * np.mean(found[0].solved_places)
-
-
-def test_pixels_beyond_the_edge_say_nothing(readings_alone, presses):
-    """There the gel has left the ball: errors as large as one likes leave the factors as they are."""
-    ratio = readings_alone.settings["contact_radius_ratio"]
-    plain = readings_alone.report.samples
-    spoilt = []
-    for one in plain:
-        x, y, radius = one.circle_px
-        beyond = np.hypot(one.x_px - x, one.y_px - y) >= ratio * radius
-        spoilt.append(replace(one, gradients=one.gradients + np.float32(beyond[:, None])))
-    assert any(np.any(one.gradients != other.gradients) for one, other in zip(plain, spoilt))
-    known = [
-        solved_by_place(readings_alone, readings_alone.slope_sigma, presses, samples, 1.0).solved_places
-        for samples in (plain, spoilt)
-    ]
-    assert known[0] == known[1]

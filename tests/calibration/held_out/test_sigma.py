@@ -6,7 +6,7 @@ from scipy.ndimage import gaussian_filter
 
 import gelform
 from gelform.calibration.circles.find import ContactCircle, magnitude
-from gelform.calibration.circles.samples import PreparedPress
+from gelform.calibration.circles.samples import PRESS_PIXELS, PreparedPress
 from gelform.calibration.held_out.folds import Fold
 from gelform.calibration.held_out.sigma import (
     LAGS,
@@ -67,7 +67,7 @@ def test_sigma_holds_on_presses_never_seen(calibration, sensor):
         rest.append(within[rho > 3.5 * press.contact_radius_px].mean())
     # On a noisy sensor of few rows what blur takes from slopes is stated too widely: docs/decisions/0009-stated-slopes.md
     assert 0.45 < np.mean(inside) < 0.95
-    assert 0.45 < np.nanmean(rest) < 0.9
+    assert 0.45 < np.nanmean(rest) < 0.95  # solved slopes at rest are better than the factor of contacts says
 
 
 class Reader:
@@ -123,7 +123,7 @@ def test_the_law_is_that_of_the_errors_that_were_made(six, stated):
     presses, found, folds = six
     sigma, _ = slope_sigma_from_folds([Reader(stated)] * 2, folds, presses, found, NOISE)
     assert sigma.rest == pytest.approx(0.03, rel=0.1)
-    gentle = np.interp(0.1, sigma.slopes, sigma.sigmas) * 0.03 * stated
+    gentle = sigma.per_step * np.hypot(1, 0.1 * sigma.per_slope) * 0.03 * stated
     assert gentle == pytest.approx(0.03 / np.sqrt(2), rel=0.25)
     assert sigma.correlated_share < 0.5
     assert 0.02 < sigma.full_confidence_sigma < 0.06
@@ -148,20 +148,20 @@ def test_the_residuals_scale_is_that_of_the_95_percent(six):
     )
 
 
-def test_columns_are_thinned_and_stay_in_place():
+def test_columns_are_thinned_pixels_of_the_contact():
     press, contact = press_at(60, 70)
     reader = Reader()
     residuals = press_residuals(press, contact, reader.frame(press), NOISE)
-    slopes, errors, x, y, number, stated, residual = residuals.columns((120, 160), 4)
+    slopes, errors, stated, residual = residuals.columns()
     assert 600 < len(slopes) <= 2 * 2000
-    pixels = np.rint(y * 120 - 0.5).astype(int), np.rint(x * 160 - 0.5).astype(int)
+    thin = slice(None, None, max(1, len(residuals.rows) // PRESS_PIXELS))
+    pixels = residuals.rows[thin], residuals.cols[thin]
     np.testing.assert_array_equal(residual, reader.frame(press).residual[pixels])
     np.testing.assert_allclose(stated, 0.03)
-    assert set(number) == {4}
     true = np.linalg.norm(press.color_change[pixels], axis=1)
     assert np.abs(slopes - 0.93 * true).mean() < 0.05
     assert errors.shape == (len(slopes), 2)
-    away = np.hypot(x * 160 - 60.5, y * 120 - 70.5)
+    away = np.hypot(pixels[1] - 60, pixels[0] - 70)
     assert 17 < away.max() < 18, "up to the edge of the contact"
     assert np.abs(np.median(residuals.untouched, axis=0)).max() < 1e-9
     assert len(residuals.untouched) > 500

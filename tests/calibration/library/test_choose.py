@@ -14,7 +14,7 @@ from gelform.calibration.library.choose import (
     unit_of_all,
     unit_of_camera,
 )
-from gelform.calibration.library.library import add_calibration
+from gelform.calibration.library.library import add_calibration, matching
 from gelform.calibration.library.simulated import ready_calibration
 from gelform.errors import CalibrationError, DataError, SensorError, StaleError
 from gelform.image.frame import Frame
@@ -63,6 +63,13 @@ def test_no_match_says_what_to_do(full):
         assert said in str(problem.value)
 
 
+def test_a_serial_that_only_looks_alike_is_named(full):
+    with pytest.raises(CalibrationError, match=r"The serial 'S1' differs from 's1' in capitals"):
+        choose_calibration(Unit("camera", "s1"))
+    with pytest.raises(DataError, match=r"The serial 'S1' differs from 's1' in capitals"):
+        matching("s1")
+
+
 def test_a_camera_without_a_serial_is_known_by_its_name_where_it_is_alone(full):
     add_calibration(
         replace(NAMELESS, serial="D9", created_utc="2026-12-01T00:00:00+00:00")
@@ -104,6 +111,12 @@ def test_recordings_say_their_camera_and_the_calibration_in_use(full, tmp_path):
         recording.close()
         return tmp_path / name
 
+    simulated = recorded("s.mcap", RecordingFacts("sim", "simulated-three-edges", {}, 50.0, ""), None)
+    assert unit_of(simulated).simulated.name == "three-edges"
+    assert choose_calibration(unit_of(simulated)).calibration.sensor_name == "three-edges"
+    for serial in ("simulated-none", "simulated", "S1"):
+        other = recorded(f"{serial}.mcap", RecordingFacts("sim", serial, {}, 50.0, ""), None)
+        assert unit_of(other).simulated is None
     path = recorded("1.mcap", RecordingFacts("ring", "S1", {}, 50.0, OLD.digest), None)
     assert choose_calibration(unit_of(path)).calibration.digest == OLD.digest
     path = recorded("2.mcap", RecordingFacts("ring"), attachments_of(OTHER))

@@ -11,7 +11,7 @@ import pytest
 import gelform
 from gelform.calibration.geometry.crosstalk import Crosstalk
 from gelform.calibration.geometry.scale import Scale
-from gelform.calibration.presses.folder import with_crosstalk, with_scale, with_view
+from gelform.calibration.presses.folder import rows_by_folder, with_crosstalk, with_scale, with_view
 from gelform.errors import DataError
 from gelform.image.view import Lens, View, frame_from_image, image_px_from_frame_px
 from gelform.result.metrics import press_errors
@@ -43,6 +43,17 @@ def test_press_folder_is_read_as_it_was_written(presses, simulated):
     assert presses.mm_per_px == simulated.sensor.mm_per_px
     assert presses.background.dtype == np.float32
     assert len({press.digest for press in presses.presses}) == len(presses.presses)
+
+
+def test_presses_in_one_file_are_read_as_their_images(copy, presses, tmp_path):
+    np.save(tmp_path / "stack.npy", [press.image for press in presses.presses])
+    shutil.copy(copy / "background.png", tmp_path)
+    how = {"mm_per_px": presses.mm_per_px, "ball_diameter_mm": 4}
+    read = gelform.read_presses(tmp_path / "stack.npy", **how)
+    assert [press.digest for press in read.presses] == [press.digest for press in presses.presses]
+    np.testing.assert_array_equal(read.background, presses.background)
+    with pytest.raises(DataError, match=r"has images but no presses\.csv"):
+        gelform.read_presses(tmp_path / "stack.npy", mm_per_px=presses.mm_per_px)
 
 
 def test_gs_sdk_folder_is_read_as_it_is(copy, presses, tmp_path):
@@ -436,3 +447,22 @@ def test_a_path_is_read_and_nothing_else_is_taken(folder):
             change()
     with pytest.raises(TypeError, match="Expected presses"):
         with_view(3, View(), "x")
+
+
+def test_folders_that_are_named_by_diameters_get_their_lines(copy, presses, tmp_path):
+    target = tmp_path / "mine"
+    for k, press in enumerate(presses.presses[:4]):
+        folder = target / ("ball 6.35mm" if k % 2 else "4,5 mm_ball")
+        folder.mkdir(parents=True, exist_ok=True)
+        shutil.copy(copy / press.name, folder / f"{k}.png")
+    shutil.copy(copy / "background.png", target / "4,5 mm_ball" / "ref.png")
+    (target / "0.05mm_steps.txt").write_text("no folder")
+    lines = [
+        "image,ball_diameter_mm",
+        *(f"4,5 mm_ball/{k}.png,4.5" for k in (0, 2)),
+        *(f"ball 6.35mm/{k}.png,6.35" for k in (1, 3)),
+    ]
+    with pytest.raises(DataError, match=r"names are diameters.*ball 6\.35mm/1\.png,6\.35.*prints all 5"):
+        gelform.read_presses(target, mm_per_px=0.1, ball_diameter_mm=5)
+    assert rows_by_folder(target) == lines
+    assert rows_by_folder(copy) == []

@@ -159,6 +159,20 @@ def test_images_of_a_make_carry_the_view_of_its_camera(presses):
     assert replace(mini, view=own).camera_view == own
 
 
-def test_a_gel_wider_than_any_is_refused(presses):
-    with pytest.raises(ValueError, match=r"at most 150 mm, got 176 px of 0.9 mm: 158 mm"):
-        replace(presses, mm_per_px=0.9)
+def test_a_gel_wider_or_narrower_than_any_is_refused(presses):
+    for pitch, width in ((0.9, 158), (0.0126, 2.22)):
+        named = rf"a gel between 3 and 150 mm wide, got 176 px of {pitch} mm: {width} mm"
+        with pytest.raises(ValueError, match=named):
+            replace(presses, mm_per_px=pitch)
+    with pytest.raises(ValueError, match=r"gel of a GelSight Mini between 10.1 and 40.6 mm wide, got 176 px"):
+        replace(presses, mm_per_px=0.0126, make="gelsight-mini")
+
+
+def test_presses_show_themselves_in_a_line(presses):
+    shown = repr(presses)
+    assert shown.startswith(f"Presses({presses.folder}: {len(presses.presses)} of balls of ")
+    assert f"{presses.mm_per_px:g} mm per pixel)" in shown
+    assert len(shown) < 150 + len(presses.folder)
+    press = presses.presses[0]
+    assert repr(press) == f"Press({press.name}, ball {press.ball_diameter_mm:g} mm)"
+    assert repr(replace(press, label=(1, 2, 3))).endswith(" mm, labeled)")

@@ -11,7 +11,7 @@ from gelform.sensors.files import SensorSettings, read_sensor_toml
 
 SETTINGS = SensorSettings(
     'A "gel"',
-    0.05,
+    0.2,
     0.001,
     serial="S1",
     make="digit",

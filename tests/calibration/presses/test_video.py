@@ -9,7 +9,9 @@ import pytest
 
 import gelform
 from gelform.calibration.circles.find import find_contact
+from gelform.calibration.presses.video import presses_from_frames
 from gelform.image.background.change import ChangeSettings, color_change_from_image
+from gelform.image.frame import Frame
 from gelform.simulate import (
     Ball,
     Pose,
@@ -198,6 +200,15 @@ def test_frames_that_change_their_size_none_and_too_many(filmed, how, monkeypatc
     monkeypatch.setattr("gelform.calibration.presses.video.MAX_KEPT_BYTES", 20 * frames[0].image.nbytes)
     with pytest.raises(gelform.DataError, match=r"more after 20 frames\. Record a video"):
         gelform.presses_from_frames(iter(frames), **how)
+
+
+@pytest.mark.parametrize("time_s", [None, float("nan"), "0"])
+def test_frames_without_a_time_are_named(time_s, how):
+    images = [np.full((60, 80, 3), 90, np.uint8)] * 3
+    frames = [Frame(image, time_s if k == 1 else k / 25, 0, k) for k, image in enumerate(images)]
+    for given in (frames, iter(frames)):
+        with pytest.raises(TypeError, match="Expected time_s of frame 1 in seconds"):
+            presses_from_frames(given, **how)
 
 
 def test_light_that_drifts_is_noted(filmed, how):

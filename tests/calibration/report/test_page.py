@@ -70,6 +70,17 @@ def test_it_says_the_figures_of_the_json_and_whose_they_are(page, content, calib
         assert f"<td>{saved:.3g}</td><td>{report.held_out[name]:.3g}</td>" in page
 
 
+def test_the_headline_is_a_verdict_and_statistics_are_below(page, content):
+    verdict = content["verdict"]
+    words = {"good": "Good: use it", "fair": "Fair: usable, ", "poor": "Poor: do not rely on it yet"}
+    top = page.index(f"<h2>{words[verdict['level']]}")
+    next_step = page.index("<strong>Next:</strong>")
+    assert top < next_step < page.index('<section id="figures">')
+    for section in ("models", "saved"):
+        inside = page[page.index(f'<section id="{section}">') :].partition("</section>")[0]
+        assert re.search(r"</h2>\s*<details><summary>.*</details>$", inside, re.DOTALL), "folded"
+
+
 def test_the_same_report_is_the_same_page(page, presses, calibration, learning):
     content = report_content(presses, calibration, rng=np.random.default_rng(0), learning=learning)
     assert report_page(content, presses, calibration) == page

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gelform.calibration.held_out.measure import stated_sigma
+from gelform.calibration.held_out.measure import at_sample
 from gelform.calibration.report.statistics import (
     SLOPE_EDGES,
     error_map,
@@ -79,13 +79,13 @@ def test_a_right_sigma_holds_68_percent_everywhere(sample):
 def test_sigma_is_what_users_are_told_and_wide_where_clipped(calibration, presses):
     one, reconstruct = calibration.report.samples[0], Reconstructor(calibration)
     image = presses.presses[one.index].image
-    sigma = stated_sigma(reconstruct, image, one)
+    sigma = at_sample(reconstruct(image).gradients_sigma, one)
     assert sigma.shape == one.gradients.shape
     row, column = int(one.y_px[0]), int(one.x_px[0])
     np.testing.assert_array_equal(sigma[0], reconstruct(image).gradients_sigma[row, column])
     clipped = image.copy()
     clipped[row, column] = 255
-    assert stated_sigma(reconstruct, clipped, one)[0, 0] > 2 * sigma[0, 0]
+    assert at_sample(reconstruct(clipped).gradients_sigma, one)[0, 0] > 2 * sigma[0, 0]
 
 
 CIRCLE = (40.0, 30.0, 25.0)

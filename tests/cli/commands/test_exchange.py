@@ -43,6 +43,37 @@ def test_with_a_scale_in_mm(run_json, network, press_folder, tmp_path):
     assert gelform.load_calibration(tmp_path / "new" / "cal.npz").digest == said["digest"]
 
 
+def test_an_unusual_width_of_the_gel_is_noted(run, fails, network, press_folder, tmp_path):
+    how = ("--from", "gsrobotics-web", "--position", "zeros", "--background", press_folder / "background.png")
+    code, _, err = run("import", network, *how, "--mm-per-px", "0.025", "-o", tmp_path / "cal.npz")
+    assert code == 0
+    assert "this one would be 160 px of 0.025 mm: 4 mm" in " ".join(err.split())
+    assert "160 px of 0.01 mm: 1.6 mm" in fails(
+        "import", network, *how, "--mm-per-px", "0.01", "-o", tmp_path / "b.npz"
+    )
+
+
+def test_the_assumed_range_of_a_table_is_said_and_another_one_is_read(run, press_folder, tmp_path):
+    """A table over +-256 that is read as one over +-90 reads slopes 2.8 times too large."""
+    at = (np.arange(64) + 0.5) * 8 - 256
+    _, _, red = np.meshgrid(at, at, at, indexing="ij")
+    np.save(tmp_path / "table.npy", np.stack([0.004 * red, 0 * red], axis=-1))
+    rest = press_folder / "background.png"
+    how = ("import", tmp_path / "table.npy", "--from", "lut", "--background", rest, "--mm-per-px", "0.1268")
+    assumed, given = tmp_path / "assumed.npz", tmp_path / "given.npz"
+    code, _, err = run(*how, "-o", assumed)
+    assert (code, "so -90 to 90 gray levels are assumed" in " ".join(err.split())) == (0, True)
+    code, _, err = run(*how, "-o", given, "--range", "-256", "256")
+    assert (code, "levels are assumed" in " ".join(err.split())) == (0, False)
+    image = gelform.read_image(images_of(press_folder)[0])
+    wrong, right = (
+        gelform.Reconstructor(gelform.load_calibration(path)).from_image(image) for path in (assumed, given)
+    )
+    steep = (abs(right.observed_gradients[..., 0]) > 0.02) & (abs(right.observed_gradients[..., 0]) < 0.1)
+    ratio = np.median(wrong.observed_gradients[steep, 0] / right.observed_gradients[steep, 0])
+    assert ratio == pytest.approx(256 / 90, rel=0.02)
+
+
 def test_the_crop_of_a_frame_is_said(run, network, tmp_path):
     y, x = np.mgrid[:480, :640]
     cv2.imwrite(

@@ -2,6 +2,7 @@
 
 import re
 import shutil
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -32,9 +33,14 @@ def loads(small, calibration_file, tmp_path_factory):
     return folder
 
 
-def test_loads_are_added_to_the_calibration_and_measured(run, run_json, loads, calibration_file, tmp_path):
-    own = shutil.copy(calibration_file, tmp_path / "cal.npz")
-    said = run_json("force", "calibrate", loads, "-c", own)
+def test_loads_are_added_to_the_calibration_and_measured(
+    run, run_json, fails, loads, calibration_file, tmp_path
+):
+    own = Path(shutil.copy(calibration_file, tmp_path / "cal.npz"))
+    before = own.read_bytes()
+    assert "is already there" in fails("force", "calibrate", loads, "-c", own)
+    assert own.read_bytes() == before
+    said = run_json("force", "calibrate", loads, "-c", own, "--overwrite")
     assert said["normal"]["weights"] == [[pytest.approx(K)]]
     assert said["unit"] == "N"
     assert gelform.load_calibration(own).force.normal.loads == said["normal"]["loads"]
@@ -43,7 +49,14 @@ def test_loads_are_added_to_the_calibration_and_measured(run, run_json, loads, c
     assert errors["normal"][-1]["mae"] < 0.01 < errors["normal"][-1]["constant"]["mae"]
     code, out, err = run("force", "evaluate", loads, "-c", own)
     assert code == 0
-    assert "constant" in out
+    assert "constant's (N)" in " ".join(out.split())
+    assert out.count("(%)") == 5
+    whole = next(line.split() for line in out.splitlines() if line.split()[:1] == ["all"])
+    assert float(whole[2]) == 100 * errors["normal"][-1]["refused"]
+    assert float(whole[-1]) == 100 * errors["normal"][-1]["within_2"]
+    assert re.search(
+        r"Errors of the normal force are [\d.e-]+ times the stated sigma\.", " ".join(err.split())
+    )
     code, _, err = run("force", "calibrate", loads, "-c", own, "-o", tmp_path / "other.npz")
     assert code == 0
     assert f"normal: {said['normal']['loads']} loads" in err
@@ -64,5 +77,30 @@ def test_what_is_refused_leaves_the_calibration(fails, loads, calibration_file, 
         for image, name, force in (r.split(",") for r in rows)
     ]
     (light / "loads.csv").write_text("\n".join([head, *rows, ""]))
-    assert "grams" in fails("force", "calibrate", light, "-c", calibration_file)
+    assert "grams" in fails("force", "calibrate", light, "-c", calibration_file, "--overwrite")
     assert calibration_file.read_bytes() == before
+
+
+def test_the_lag_is_stored_and_its_range_s_end_is_a_warning(run, run_json, loads, calibration_file, tmp_path):
+    """Loads that come four frames too early, which is beyond the range; evaluate takes the stored lag as it is."""
+    rows = [line.split(",") for line in (loads / "loads.csv").read_text().splitlines()[1:]]
+    names, force = [row[0] for row in rows], [float(row[2]) for row in rows]
+    order = sorted(range(len(rows)), key=lambda k: force[k])
+    ramp = [*order, *order[::-1]]
+    film = tmp_path / "film"
+    shutil.copytree(loads, film)
+    lines = ["image,object,grasp,frame,force_n"]
+    for frame, k in enumerate(ramp):
+        early = force[ramp[min(frame + 4, len(ramp) - 1)]]
+        lines.append(f"{names[k]},ball,0,{frame},{early}")
+    (film / "loads.csv").write_text("\n".join([*lines, ""]))
+    own = tmp_path / "cal.npz"
+    code, _, err = run("force", "calibrate", film, "-c", calibration_file, "-o", own)
+    assert code == 0
+    assert "a lag of -3 frames is at the end of the range" in " ".join(err.split())
+    assert gelform.load_calibration(own).force.lag_frames == -3
+    still = film / "loads.csv"
+    still.write_text(
+        "\n".join([lines[0], *(f"{names[k]},ball,0,{f},{force[k]}" for f, k in enumerate(ramp)), ""])
+    )
+    assert run_json("force", "evaluate", film, "-c", own)["lag_frames"] == -3

@@ -50,6 +50,27 @@ def test_marked_points(run, folder):
     assert "0.12 +- " in err
 
 
+def test_points_given_twice_are_averaged_or_compared(run, fails, folder):
+    code, _, err = run("scale", folder, "--points", "20,10,100,10,9.6", "--points", "20,10,20,90,9.7")
+    assert code == 0
+    assert read_sensor_toml(folder / "sensor.toml").mm_per_px == pytest.approx(0.1206, abs=1e-4)
+    assert err.count("two points") == 2
+    block = ("--points", "20,10,101.9,10,7", "--points", "20,10,20,64,5")
+    assert "pixels are not square: mm_per_px = [0.08547, 0.092593]" in fails("scale", folder, *block)
+
+
+def test_a_scale_that_no_gel_has_is_not_written(run, fails, folder, imported):
+    """Ten times too small: 160 px would be 2 mm."""
+    for place in (folder, imported):
+        before = (folder / "sensor.toml" if place == folder else place).read_bytes()
+        named = fails("scale", place, "--points", "20,10,100,70,1.25")
+        assert "between 3 and 150 mm wide, got 160 px of 0.0125 mm: 2 mm" in named
+        assert (folder / "sensor.toml" if place == folder else place).read_bytes() == before
+        code, _, err = run("scale", place, "--points", "20,10,100,70,2.5")
+        assert code == 0
+        assert "this one would be 160 px of 0.025 mm: 4 mm" in " ".join(err.split())
+
+
 def test_what_cannot_be_is_refused_and_nothing_changes(fails, folder, images, calibration_file):
     before = [path.read_bytes() for path in (folder / "sensor.toml", calibration_file)]
     assert "sensor.toml" in fails("scale", calibration_file, "--points", "20,10,100,70,12")

@@ -165,4 +165,17 @@ def test_a_recording_says_its_camera_and_whether_it_was_finished(run, run_json, 
     assert [facts[key] for key in ("kind", "camera", "serial", "frames")] == ["recording", "DIGIT", "D1", 4]
     assert facts["finished"] == "yes"
     path.write_bytes(path.read_bytes()[:-20])
-    assert "no: the recorder was stopped" in run("info", path)[1]
+    assert "no: its recorder was killed, or it was copied in part" in run("info", path)[1]
+
+
+def test_a_folder_as_people_have_it_gets_its_lines(run, run_json, press_folder, tmp_path):
+    (tmp_path / "5mm").mkdir()
+    shutil.copy(press_folder / "images" / "0000.png", tmp_path / "5mm" / "0.png")
+    shutil.copy(press_folder / "background.png", tmp_path / "frame0.png")
+    said = run_json("info", tmp_path)
+    assert said["presses.csv"] == ["image,ball_diameter_mm", "5mm/0.png,5"]
+    assert f"--background {tmp_path / 'frame0.png'}" in said["missing"][0]
+    out = run("info", tmp_path)[1]
+    assert [line.split()[-1] for line in out.splitlines() if line.startswith("presses.csv")] == said[
+        "presses.csv"
+    ]

@@ -10,6 +10,7 @@ import gelform
 from gelform.calibration.evaluate import evaluate
 from gelform.calibration.presses.folder import read_presses
 from gelform.calibration_file import load_calibration
+from gelform.cli.commands import inspection
 from gelform.exchange.plots.canvas import save_picture
 
 
@@ -34,6 +35,49 @@ def test_errors_and_what_was_seen(run, run_json, press_folder, calibration_file)
     assert max(len(line.rstrip()) for line in out.splitlines()) <= 80
 
 
+def test_evaluate_ends_with_what_the_errors_mean(run, press_folder, calibration_file):
+    degrees = load_calibration(calibration_file).held_out["normal_free_deg"]
+    code, _, err = run("evaluate", press_folder, "-c", calibration_file)
+    assert code == 0
+    assert f"at calibration ({degrees:.2g}°)." in " ".join(err.split())
+    then = {"normal_free_deg": 2.3}
+    for now, said in (
+        (2.3, "off by 2.3°: as at calibration (2.3°)."),
+        (1.2, "off by 1.2°: less than at calibration (2.3°)."),
+        (4.6, "off by 4.6°: 2 times as much as at calibration (2.3°). Check that"),
+    ):
+        assert said in inspection.verdict_of({"normal_free_deg": now}, then)
+    assert "states no errors of its own" in inspection.verdict_of(then, {})
+
+
+def test_folders_are_their_images(run_json, fails, press_folder, calibration_file, tmp_path):
+    folder, mine = press_folder / "images", ("-c", calibration_file)
+    background = ("--background", press_folder / "background.png")
+    compared = run_json("compare", folder, *mine, *mine)["images"]
+    assert [row["image"] for row in compared] == [str(path) for path in sorted(folder.iterdir())]
+    explained = run_json("explain", folder, *mine, *background)["images"]
+    assert len(explained) == len(compared)
+    np.save(tmp_path / "stack.npy", np.zeros((2, 120, 160, 3), np.uint8))
+    for command in (("compare", *mine, *mine), ("explain", *mine)):
+        assert "Its frames: gelform batch" in fails(command[0], tmp_path / "stack.npy", *command[1:])
+
+
+def test_frames_as_opencv_writes_them(run_json, press_folder, calibration_file, tmp_path):
+    """An array of blue, green, red gives the same depth with --bgr."""
+    image = images_of(press_folder)[0]
+    np.save(tmp_path / "bgr.npy", cv2.imread(str(image)))
+    mine = ("-c", calibration_file)
+    right = run_json("compare", image, *mine, *mine)["images"][0]["peak_a"]
+    assert run_json("compare", tmp_path / "bgr.npy", *mine, *mine, "--bgr")["images"][0]["peak_a"] == right
+    given = ("reconstruct", tmp_path / "bgr.npy", *mine, "-o", tmp_path / "out", "--bgr")
+    assert run_json(*given)["results"][0]["peak_mm"] == right
+    shares = [
+        run_json("explain", *one)["images"][0]["trusted_share"]
+        for one in ((image, *mine), (tmp_path / "bgr.npy", *mine, "--bgr"))
+    ]
+    assert shares[0] == shares[1]
+
+
 def test_mistakes_are_one_line(fails, press_folder, calibration_file, tmp_path):
     """Presses of another size, an image of another sensor, no calibration, one in place of two."""
     gray = np.full((60, 80, 3), 90, dtype=np.uint8)
@@ -43,7 +87,8 @@ def test_mistakes_are_one_line(fails, press_folder, calibration_file, tmp_path):
     scale = ("--ball-diameter-mm", "6", "--mm-per-px", "0.1")
     said = fails("evaluate", tmp_path, *mine, *scale)
     assert "Expected images of 120x160 px (height x width), got 60x80" in said
-    assert "other.png" in fails("explain", tmp_path / "other.png", *mine)
+    said = fails("explain", tmp_path / "other.png", *mine)
+    assert "other.png, for the calibration of small: Expected image of 120x160 px" in said
     assert "No file" in fails("evaluate", press_folder, *none)
     assert "No file" in fails("compare", image, *mine, *none)
     assert "expected two, got 1" in fails("compare", image, *mine, status=2)

@@ -1,5 +1,6 @@
 """gelform reconstruct: images with the same name give as many results, and no result is partial."""
 
+import csv
 import json
 import shutil
 import webbrowser
@@ -107,8 +108,26 @@ def test_images_of_another_sensor_are_no_success(run, foreign_images, calibratio
     assert code == 3
     assert "the depth of 4 of 4 frames is doubtful (background_differs in 4)" in err
     assert run(*given, "--overwrite", "--accept-doubtful")[0] == 0
-    assert run("reconstruct", foreign_images / "0.png", *given[2:], "--overwrite")[0] == 0, (
-        "its warning says it"
+    assert run("reconstruct", foreign_images / "0.png", *given[2:], "--overwrite")[0] == 3
+
+
+def test_filled_depth_is_no_peak(run, run_json, calibration_file, press_folder, tmp_path):
+    """A quarter of the gel has colors that no slope has, and is filled to 0.8 mm; nothing known is as deep."""
+    rest = read_image(press_folder / "background.png")
+    odd = np.where((np.arange(rest.shape[1]) < rest.shape[1] // 4)[None, :, None], 255 - rest, rest)
+    cv2.imwrite(str(tmp_path / "odd.png"), odd[..., ::-1])
+    given = (tmp_path / "odd.png", "-c", calibration_file, "-o")
+    (row,) = run_json("reconstruct", *given, tmp_path / "a")["results"]
+    result = load_result(tmp_path / "a" / "odd.npz")
+    assert row["peak_mm"] == pytest.approx(result.depth_mm[result.known].max(), abs=1e-6)
+    assert result.depth_mm.max() > 2 * result.peak_mm
+    assert run("batch", *given, tmp_path / "b", "--keep", "all", "--table", "csv")[0] == 0
+    (row,) = csv.DictReader((tmp_path / "b" / "frames.csv").open())
+    assert float(row["deepest_mm"]) == pytest.approx(result.peak_mm, abs=1e-6)
+    assert result.known[int(row["deepest_y_px"]), int(row["deepest_x_px"])]
+    both = ("-c", calibration_file, "-c", calibration_file)
+    assert run_json("compare", tmp_path / "odd.png", *both)["images"][0]["peak_a"] == pytest.approx(
+        result.peak_mm
     )
 
 
@@ -138,7 +157,8 @@ def test_another_background_is_a_warning_and_an_error_where_strict(
     own = ("reconstruct", press_folder / "images" / "0000.png", "-c", calibration_file)
     other = (*own, "--background", tmp_path / "brighter.png")
     assert run_json(*own, "-o", tmp_path / "a", "--strict")["results"][0]["findings"] == []
-    found = run_json(*other, "-o", tmp_path / "b")["results"][0]["findings"]
+    assert run(*other, "-o", tmp_path / "d")[0] == 3
+    found = run_json(*other, "-o", tmp_path / "b", "--accept-doubtful")["results"][0]["findings"]
     assert {finding["name"] for finding in found} == {"background_ratio"}
     assert run(*other, "-o", tmp_path / "c", "--strict")[0] == 1
     assert load_result(tmp_path / "c" / "0000.npz")
@@ -166,7 +186,10 @@ def test_mistakes_are_one_line(fails, calibration_file, press_folder, tmp_path):
     for arguments, text in (
         ((tmp_path / "missing.png", *ours), "No file"),
         ((tmp_path / "text.png", *ours), "no image that can be read"),
-        ((tmp_path / "small.png", *ours), "small.png: Expected image of 120x160 px"),
+        (
+            (tmp_path / "small.png", *ours),
+            "small.png, for the calibration of small: Expected image of 120x160 px",
+        ),
         ((tmp_path / "other.png", *ours), "other.png: The background is not of this image"),
         ((image, "-c", tmp_path / "missing.npz", "-o", out), "No file"),
         ((image, "-c", image, "-o", out), "Expected a gelform calibration, got the picture"),
@@ -217,7 +240,33 @@ def test_a_frame_of_which_nothing_is_known_has_dashes(run, run_json, tmp_path):
     calibration().save(tmp_path / "cal.npz")
     save(tmp_path / "white.png", np.full((64, 80, 3), 255, np.uint8))
     command = ("reconstruct", tmp_path / "white.png", "-c", tmp_path / "cal.npz", "--overwrite", "-o")
-    (row,) = run_json(*command, tmp_path / "out")["results"]
+    code, out, err = run(*command, tmp_path / "out", "--json")
+    assert (code, "no frame was usable" in err) == (1, True)
+    (row,) = json.loads(out)["results"]
     assert (row["peak_mm"], row["contact_mm2"], row["contact_px"]) == (None, None, None)
     line = run(*command, tmp_path / "out")[1].splitlines()[2]
     assert line.split()[1:3] == ["-", "-"]
+
+
+@pytest.mark.parametrize("suffix", [".npy", ".tiff"])
+def test_every_image_of_one_file_is_done(run, run_json, press_folder, calibration_file, tmp_path, suffix):
+    images = [gelform.read_image(path) for path in sorted((press_folder / "images").iterdir())[:3]]
+    path = tmp_path / f"stack{suffix}"
+    if suffix == ".npy":
+        np.save(path, images)
+    else:
+        cv2.imwritemulti(str(path), [image[..., ::-1] for image in images])
+    code, _, err = run("reconstruct", path, "-c", calibration_file, "-o", tmp_path / "out")
+    assert code == 0, err
+    done = sorted((tmp_path / "out").rglob("*.npz"))
+    wanted = gelform.Reconstructor(gelform.load_calibration(calibration_file))
+    assert len(done) == 3
+    for file, image in zip(done, images):
+        np.testing.assert_array_equal(gelform.load_result(file).depth_mm, wanted(image).depth_mm)
+    assert run_json("info", path)["frames"] == 3
+    (tmp_path / "in").mkdir()
+    if suffix == ".tiff":  # arrays in a folder may be anything
+        path.rename(tmp_path / "in" / path.name)
+        how = ("-c", calibration_file, "-o", tmp_path / "all")
+        assert run("batch", tmp_path / "in", *how, "--keep", "all")[0] == 0
+        assert len(list((tmp_path / "all").rglob("*.npz"))) == 3

@@ -1,5 +1,6 @@
 """gelform simulate and gelform design: their outputs and refusals."""
 
+import csv
 import json
 
 import numpy as np
@@ -40,6 +41,23 @@ def roof(tmp_path):
     np.save(tmp_path / "roof.npy", ROOF_MM)
     pitch = ("--height-map-mm-per-px", "0.1", "--depth-mm", "0.4")
     return ("-o", tmp_path / "out", "--height-map", tmp_path / "roof.npy", *pitch)
+
+
+def test_loads_are_those_of_the_true_volumes_and_calibrate_forces(run, tmp_path, calibration_file):
+    out = tmp_path / "loads"
+    code, _, err = run("simulate", "-o", out, "--sensor", "small", "--count", "8", "--loads", "--seed", "3")
+    assert code == 0, err
+    with (out / "loads.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert {row["object"] for row in rows} == {"ball 6 mm", "ball 9 mm"}
+    for row in rows:
+        with np.load(out / row["image"].replace("images", "truth").replace("png", "npz")) as truth:
+            volume_mm3 = truth["depth_mm"][truth["contact"]].sum() * 0.1268**2
+        assert float(row["force_n"]) == pytest.approx(0.1 * volume_mm3, rel=1e-4)
+    with (out / "presses.csv").open(newline="") as file:
+        assert "force_n" not in next(csv.DictReader(file))
+    code, _, err = run("force", "calibrate", out, "-c", calibration_file, "-o", tmp_path / "force.npz")
+    assert code == 0, err
 
 
 def test_all_truth_of_a_height_map_is_written(run, tmp_path):

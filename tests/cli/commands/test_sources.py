@@ -16,14 +16,16 @@ import pytest
 from gelform.calibration.presses.folder import read_presses
 from gelform.calibration.starters import load_starter
 from gelform.calibration_file import load_calibration
+from gelform.cli.commands import sources
 from gelform.cli.commands.sources import _at_rest, single_keys
 from gelform.errors import DataError
 from gelform.image.view import image_from_frame
 from gelform.sensors.cameras import camera, usb
 from gelform.sensors.cameras.camera import Camera
 from gelform.sensors.files import SensorSettings, read_image, read_sensor_toml
-from gelform.sensors.grabber import Grabber
+from gelform.sensors.grabber import Grabber, GrabberStats
 from gelform.sensors.recordings.mcap_reader import mcap_summary
+from gelform.sensors.recordings.record import RecordStats
 from gelform.sensors.source import open_source
 from gelform.simulate import LAYOUTS, Ball, simulate_background, simulate_press
 from live_waiting import until
@@ -257,3 +259,13 @@ def test_a_dark_surround_is_named_with_the_crop_that_fits(capsys):
             assert len(_at_rest(grabber, str, SensorSettings("another", 0.05))) == 10
         assert ("outside the gel" in (note := capsys.readouterr().err)) == said
     assert re.search(r"--crop 4\d,0,\d+,\d+", " ".join(note.split()))
+
+
+def test_why_frames_are_missing_is_said_and_is_a_warning_over_5_percent():
+    stats = RecordStats(frames=91, missing=9, written_bytes=1, duration_s=3.0)
+    said = sources.why_missing(stats, GrabberStats(drops=4))
+    assert said.startswith("warning: 9 of 100 frames (9 %) are missing: 4 lost on the way from the camera")
+    assert " and 5 not written, because this machine or its disk was too slow. 30 frames a second" in said
+    few = sources.why_missing(RecordStats(99, 1, 1, 3.0), GrabberStats(drops=7))
+    assert few.startswith("1 of 100 frames (1 %) are missing: 1 lost on the way")
+    assert "too slow" not in few

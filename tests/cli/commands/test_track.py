@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import gelform
+from gelform.cli.commands import robots
 from gelform.simulate import HeightMap, Pose, simulate_pose
 from made.rigid_contacts import texture
 from made.small_gel import save
@@ -49,6 +50,18 @@ def test_a_slide_becomes_a_table_and_a_surface(run, slide, calibration_file, tmp
 def test_the_numbers_as_json(run_json, slide, calibration_file, tmp_path):
     said = run_json("track", slide, "-c", calibration_file, "-o", tmp_path / "t.csv", "--prior", "0.5,2")
     assert (said["frames"], said["states"]) == (7, {"lost": 1, "found": 6})
+    assert said["lost_by_reason"] == {"no contact": 1}
+
+
+def test_an_object_that_is_mostly_lost_is_no_success(run, slide, calibration_file, tmp_path):
+    for k in range(5):
+        (tmp_path / f"{k}.png").write_bytes((slide / f"{0 if k < 4 else 2:03d}.png").read_bytes())
+    assert robots.frames_stated(str(tmp_path)) == 5
+    assert robots.frames_stated("simulated") == 0
+    code, out, err = run("track", tmp_path, "-c", calibration_file, "-o", tmp_path / "t.csv")
+    assert code == 3
+    assert "the object was lost in 4 of 5 frames" in " ".join(err.split())
+    assert ["no", "contact", "4"] in [line.split() for line in out.splitlines()]
 
 
 def test_mistakes(fails, slide, calibration_file, tmp_path):

@@ -14,6 +14,8 @@ from gelform.depth.force.model import force_from_result
 from gelform.depth.force.touch import DotMotion, Touch, touch_from_dots
 from gelform.errors import DataError
 
+pytestmark = pytest.mark.linear_algebra
+
 K = {"ball": 0.04, "cube": 0.05, "pen": 0.045}
 VOLUMES = np.array([20.0, 60, 120, 250])
 

@@ -11,6 +11,8 @@ from gelform.depth.force.touch import DotMotion, Touch, touch_from_dots, touch_f
 from gelform.image.markers import MarkerFlow
 from gelform.result import Reconstruction
 
+pytestmark = pytest.mark.linear_algebra
+
 SHAPE, PITCH = (60, 80), 0.1
 GRID = np.stack(np.meshgrid(np.arange(6.0), np.arange(5.0)), axis=-1).reshape(-1, 2) * 1.2 + 0.8
 STILL = DotMotion(0, 0, 0, 0, 0)

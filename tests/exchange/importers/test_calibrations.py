@@ -128,7 +128,9 @@ def test_a_frame_of_another_sensor_stays_as_it_is(network):
 
 def test_a_gel_that_no_sensor_has_and_the_scale_of_a_frame_are_refused(network):
     how = {"package": "gsrobotics-web", "position": "true"}
-    with pytest.raises(ValueError, match=r"at most 150 mm, got 3282 px of 0.0634 mm: 208 mm"):
+    with pytest.raises(ValueError, match=r"between 3 and 150 mm wide, got 3282 px of 0.0634 mm: 208 mm"):
         gelform.import_calibration(network, background=smooth((2000, 3282)), mm_per_px=0.0634, **how)
+    with pytest.raises(ValueError, match=r"got 320 px of 0.00634 mm: 2.03 mm"):
+        gelform.import_calibration(network, background=smooth((240, 320)), mm_per_px=0.00634, **how)
     with pytest.raises(ValueError, match=r"images of 240x320 px, .*about 0.0634, got 0.009"):
         gelform.import_calibration(network, background=smooth((2464, 3280)), mm_per_px=0.009, **how)

@@ -5,6 +5,7 @@ import io
 import cv2
 import numpy as np
 import pytest
+import scipy
 
 import gelform
 from gelform.errors import DataError
@@ -25,10 +26,10 @@ from made.taxim_tables import taxim_arrays
 FLAT = np.full((*SHAPE, 3), 100, dtype=np.float32)
 
 
-def lut_file(path, bins=90):
+def lut_file(path, bins=90, ranges=((-90, 90),) * 3):
     """A table as its package writes it: linear in the differences, at the bins' centers, indexed b, g, r."""
-    at = (np.arange(bins) + 0.5) * 180 / bins - 90
-    blue, green, red = np.meshgrid(at, at, at, indexing="ij")
+    at = [low + (np.arange(bins) + 0.5) * (high - low) / bins for low, high in ranges]
+    blue, green, red = np.meshgrid(*at, indexing="ij")
     table = np.stack([0.004 * red - 0.002 * blue + 0.1, 0.003 * green + 0.001 * blue - 0.2], axis=-1)
     np.save(path, table)
     return path
@@ -55,6 +56,85 @@ def test_an_imported_table_answers_with_its_own_gain(tmp_path):
     np.testing.assert_allclose(scattered, found[rows, columns], atol=1e-5)
     again = LookupModel.from_arrays(*model.to_arrays())
     np.testing.assert_array_equal(again.prepare(background, SHAPE).gradients_from_color(change)[0], found)
+
+
+def answer(model, red=20.0, green=10.0, blue=-15.0):
+    """Gradients (2,) for a difference of color in gray levels on a uniform background."""
+    change = np.broadcast_to(np.array([red, green, blue]) / 255, FLAT.shape).astype(np.float32)
+    return model.prepare(FLAT, SHAPE).gradients_from_color(change)[0][5, 5]
+
+
+@pytest.mark.parametrize(
+    "given", [(-256.0, 256.0), (-55.0, 65.0, -30.0, 30.0, -80.0, 40.0)], ids=["wide", "of each channel"]
+)
+def test_a_table_over_another_range_reads_the_same_slopes(tmp_path, given):
+    ranges = np.broadcast_to(np.reshape(given, (-1, 2)), (3, 2))
+    model = read_lut(lut_file(tmp_path / "t.npy", 60, ranges), FLAT, range_levels=given)
+    np.testing.assert_allclose(answer(model), [0.004 * 20 + 0.002 * 15, 0.003 * 10 - 0.001 * 15], atol=1e-4)
+    for wrong in ((0.0, 90.0), (90.0, -90.0), (-1.0, 2.0, 3.0), (-1e9, 1e9), (-90.0, float("nan"))):
+        with pytest.raises(ValueError, match="range_levels"):
+            read_lut(tmp_path / "t.npy", FLAT, range_levels=wrong)
+
+
+def matlab_file(path, bins=40, zero=-128.0, scale=256.0, **changed):
+    """MATLAB's table of slopes that are linear in the differences, indexed r, g, b; bin k begins at k/(bins - 1)."""
+    at = zero + (np.arange(bins) + 0.5) * scale / (bins - 1)
+    red, green, blue = np.meshgrid(at, at, at, indexing="ij")
+    x, y = 0.004 * red - 0.002 * blue, 0.003 * green + 0.001 * blue
+    fields = {"bins": bins, "GradMag": np.arctan(np.hypot(x, y)), "GradDir": np.arctan2(y, x)}
+    fields |= {
+        "Zeropoint": zero,
+        "Scale": scale,
+        "Pixmm": 0.05,
+        "FrameSize": [SHAPE[0] + 60, SHAPE[1] + 60, 3],
+    }
+    fields = {name: value for name, value in (fields | changed).items() if value is not None}
+    scipy.io.savemat(path, {"LookupTable": fields}, do_compression=True)
+    return path
+
+
+def test_matlab_s_table_states_its_range_and_scale(tmp_path):
+    path = matlab_file(tmp_path / "table.mat")
+    wanted = [0.004 * 20 + 0.002 * 15, 0.003 * 10 - 0.001 * 15]
+    np.testing.assert_allclose(answer(read_lut(path, FLAT)), wanted, atol=2e-3)
+    np.testing.assert_allclose(answer(read_lut(path, FLAT, depth_sign=-1)), np.negative(wanted), atol=2e-3)
+    made = gelform.import_calibration(path, "lut", background=FLAT)
+    assert made.mm_per_px == 0.05
+    assert gelform.import_calibration(path, "lut", background=FLAT, mm_per_px=0.06).mm_per_px == 0.06
+    with pytest.raises(ValueError, match="states its own"):
+        read_lut(path, FLAT, range_levels=(-90, 90))
+    other = matlab_file(tmp_path / "other.mat", FrameSize=[480, 640, 3])
+    with pytest.raises(DataError, match=r"0.05 mm per pixel of frames of 480x640 px, and the background is"):
+        gelform.import_calibration(other, "lut", background=FLAT)
+
+
+def test_other_files_of_matlab_are_refused(tmp_path):
+    path = tmp_path / "table.mat"
+    for changed, why in (
+        ({"Zeropoint": -1e-3, "Scale": 5e-3}, "in gray levels, such as -90 and 180"),
+        ({"GradDir": None}, "got no GradDir"),
+        ({"GradMag": np.zeros((40, 40, 39))}, "shape"),
+        ({"GradMag": np.full((40, 40, 40), np.nan)}, "shape"),
+        ({"GradMag": np.full((40, 40, 40), 2.0)}, "angles under pi/2"),
+    ):
+        with pytest.raises(DataError, match=why):
+            read_lut(matlab_file(path, **changed), FLAT)
+    scipy.io.savemat(path, {"other": 1})
+    with pytest.raises(DataError, match="Expected a struct LookupTable"):
+        read_lut(path, FLAT)
+    whole = matlab_file(path).read_bytes()
+    for content, why in (
+        (b"MATLAB 7.3 MAT-file" + bytes(600), "-v7"),
+        (whole[:5000], "damaged"),
+        (b"", "damaged"),
+    ):
+        path.write_bytes(content)
+        with pytest.raises(DataError, match=why):
+            read_lut(path, FLAT)
+    scipy.io.savemat(path, {"LookupTable": {"bins": np.zeros(40_000_000)}}, do_compression=True)
+    assert path.stat().st_size < 2e6
+    with pytest.raises(DataError, match="more than 256 MB"):
+        read_lut(path, FLAT)
 
 
 def test_the_blur_of_imported_tables_is_as_wide_as_theirs(tmp_path):
@@ -169,7 +249,7 @@ def test_what_is_no_table_is_said(tmp_path, monkeypatch):
             read_taxim_forward(tmp_path / name)
     monkeypatch.setattr("gelform.exchange.importers.tables.MAX_ARRAY_BYTES", 5_000)
     (tmp_path / "whole.npz").write_bytes(whole.getvalue())
-    with pytest.raises(DataError, match=r"declares 0\.0\d+ MB"):
+    with pytest.raises(DataError, match=r"of at most 0\.005 MB, got .*whole\.npz of 0\.0\d+ MB"):
         read_taxim_forward(tmp_path / "whole.npz")
 
 

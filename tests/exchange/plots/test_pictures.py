@@ -15,7 +15,7 @@ from gelform.exchange.plots.result import _unit as unit_of
 from gelform.image.markers import MarkerFlow
 from gelform.result import Reconstruction
 from gelform.slopes.confidence.causes import CAUSES
-from gelform.slopes.confidence.explanation import explanation_of
+from gelform.slopes.confidence.explanation import Explanation
 
 pytest.importorskip("matplotlib", reason="pictures need the extra 'plots'")
 
@@ -180,7 +180,9 @@ def explained(*causes):
     patch[10:20, 30:44] = 40
     maps = {name: patch if name in causes else 0 * patch for name in CAUSES}
     sigma = np.hypot(sigma, patch if causes else 0)
-    return explanation_of(maps, sigma, np.minimum(1, (0.04 / sigma) ** 2), 0.04)
+    return Explanation(
+        maps, np.full(shape, 0.03, np.float32), sigma, np.minimum(1, (0.04 / sigma) ** 2), 0.04
+    )
 
 
 def test_each_cause_that_is_there_has_a_panel_and_a_color():

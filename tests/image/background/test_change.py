@@ -11,6 +11,7 @@ from gelform.image.background.change import (
     color_change_from_image,
     image_from_color_change,
 )
+from gelform.image.background.light import FrameLight
 from kernel_agreement import assert_kernel_agrees
 from made.touched_images import SHAPE, scene, touched
 
@@ -32,17 +33,19 @@ def test_pixels_that_nothing_can_be_divided_by_say_nothing():
 
 
 GAIN = np.array([1.08, 0.94, 1.03])
+TILTED = np.array([[0.05, 0.04, -0.03, 8], [-0.02, 0.03, 0.03, 5], [0.01, 0, 0.05, 6]])
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 40), (3, 5), (40, 300)])
 @pytest.mark.parametrize("blur_px", [0.0, 0.4, 1.25, 3.0])
 @pytest.mark.parametrize("dtype", [np.uint8, np.float32])
-def test_the_kernel_agrees_with_numpy(shape, blur_px, dtype):
+@pytest.mark.parametrize("light", [None, FrameLight(TILTED), FrameLight(np.where([1, 1, 1, 0], TILTED, 0))])
+def test_the_kernel_agrees_with_numpy(shape, blur_px, dtype, light):
     """Mirrored borders included, also where the blur is wider than the image."""
     rng = np.random.default_rng(0)
     image = rng.integers(0, 256, (*shape, 3)).astype(dtype)
     rest = rng.uniform(20, 200, (*shape, 3)).astype(np.float32)
-    pending = PreparedBackground(rest, ChangeSettings(blur_px=blur_px)).pending(image, None)
+    pending = PreparedBackground(rest, ChangeSettings(blur_px=blur_px)).pending(image, light)
     work, out = np.empty(pending.work_size, np.float32), np.empty((*shape, 3), np.float32)
     assert_kernel_agrees(change._color_change, changed_and_blurred, *pending.arguments, work, out)
 
@@ -50,7 +53,11 @@ def test_the_kernel_agrees_with_numpy(shape, blur_px, dtype):
 def changed_and_blurred(image, light, scale, untouched, gain, taps, work, out):
     """What the kernel should give, in float64."""
     pixels = (light if image is None else image).astype(np.float64)
-    found = (pixels * scale.reshape(-1, 3) - untouched) * gain
+    height, width = pixels.shape[:2]
+    columns, rows, room = np.split(scale.reshape(-1, 3), [width, width + height])
+    if len(rows):
+        pixels = (pixels - room[0]) * rows[:, None]
+    found = (pixels * columns - untouched) * gain
     radius = len(taps) - 1
     for axis in (0, 1):
         ends = [(radius, radius) if k == axis else (0, 0) for k in range(3)]

@@ -75,17 +75,13 @@ def test_exposure_is_a_finding_with_its_figures(gain):
     assert finding.figure == pytest.approx(gain[1], abs=0.005)
 
 
-@pytest.mark.parametrize(
-    ("at_rest", "name", "said"),
-    [(0.6, "exposure", "gelform compensates it."), (0.1, "exposure", "gelform compensates it partly, because only 1"),
-     (0.02, "exposure_unknown", "of the image agrees on it")],
-)  # fmt: skip
-def test_an_exposure_that_few_pixels_tell_is_not_said_to_be_compensated(at_rest, name, said):
+@pytest.mark.parametrize("at_rest", [0.6, 0.1])
+def test_an_exposure_that_few_pixels_tell_is_compensated(at_rest):
     rest = scene()
     change = np.random.default_rng(2).uniform(-0.3, 0.3, rest.shape)
     change[:, : round(at_rest * SHAPE[1])] = 0
     findings = {one.name: one for one in check_background(rest * 1.05 * (1 + change), rest)}
-    assert said in findings[name].message
+    assert findings["exposure"].figure == pytest.approx(1.05, abs=0.006)
 
 
 def tilted(background, amount):
@@ -99,7 +95,7 @@ def test_own_background_of_another_moment_passes_and_another_units_is_refused():
     (finding,) = check_own_background(tilted(scene(1), 0.07), scene())
     assert finding.name == "background_pattern"
     assert 0.02 < finding.figure < 0.06
-    expected = r"half of it differs by \d\d\.\d % or more \(expected under 6 %\)"
+    expected = r"half of it differs by \d\d\.\d % or more \(expected under 5.3 %\)"
     with pytest.raises(CalibrationError, match=expected):
         check_own_background(tilted(scene(1), 0.3), scene())
 
@@ -264,7 +260,7 @@ def test_sums_over_the_least_changed_blocks_are_those_of_numpy(last):
 
 
 def test_slopes_are_less_sure_where_too_few_pixels_tell_the_exposure(calibration, simulated):
-    """Light that changes everywhere: 5 % of exposure are not known, and each slope may be wrong by what they do."""
+    """Light that changes everywhere: 1 % of exposure is not known, and each slope may be wrong by what it does."""
     press = simulated.presses[0].image
     y, x = (np.linspace(-1, 1, n) for n in press.shape[:2])
     waves = np.sin(
@@ -273,6 +269,10 @@ def test_slopes_are_less_sure_where_too_few_pixels_tell_the_exposure(calibration
     uneven = np.clip(np.rint(press * (1 + 0.2 * waves)), 0, 255).astype(np.uint8)
     reconstruct = gelform.Reconstructor(calibration)
     plain, unsure = (reconstruct(image) for image in (press, uneven))
-    expected = 0.05 * calibration.forward.slope_per_change
-    assert plain.gradients_sigma.min() < 0.2 * expected
-    assert unsure.gradients_sigma.min() > 0.5 * expected
+    expected = 0.01 * calibration.forward.slope_per_change
+    assert plain.gradients_sigma.min() < expected < unsure.gradients_sigma.min()
+    found, sure = (
+        next((f for f in one.health if f.name == "exposure_unknown"), None) for one in (unsure, plain)
+    )
+    assert "cannot tell the exposure well" in found.message
+    assert sure is None

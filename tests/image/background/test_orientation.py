@@ -6,7 +6,7 @@ import pytest
 import gelform
 from gelform.errors import CalibrationError
 from gelform.image.background.check import TOUCHED_SHARE, check_own_background, check_untouched
-from gelform.image.background.exposure import block_means, exposure_from_blocks
+from gelform.image.background.light import block_means, gain_from_blocks
 from gelform.image.background.orientation import (
     READINGS,
     UNLIKE,
@@ -72,7 +72,7 @@ def test_every_reading_of_real_presses_is_named(data, name):
             image = lying(press.image, reading)
             assert orientation_from_image(image, presses.background) == reading
             if not reading.transposed:
-                unlike = exposure_from_blocks(block_means(image), blocks).least_change > UNLIKE
+                unlike = gain_from_blocks(block_means(image), blocks).least_change > UNLIKE
                 assert unlike == (reading != UPRIGHT), "the cheap question first loses nothing"
 
 

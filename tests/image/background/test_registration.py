@@ -8,6 +8,8 @@ from scipy.ndimage import map_coordinates
 from gelform.foundations.filters import log_levels
 from gelform.image.background.registration import PreparedRegistration, registration_from_image
 
+pytestmark = pytest.mark.linear_algebra
+
 SHAPE = (144, 192)
 
 

@@ -8,6 +8,8 @@ from gelform.image.markers.patches import MarkerPatches, StretchedPatches, level
 from kernel_agreement import assert_kernel_agrees
 from made.dots import RADIUS, grid, image_of_dots
 
+pytestmark = pytest.mark.linear_algebra
+
 REST = grid()
 
 

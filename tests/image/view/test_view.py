@@ -142,7 +142,9 @@ def test_images_pass_and_frames_of_another_size_are_refused():
     view = View((48, 64), image_shape=(24, 32))
     image = np.zeros((24, 32, 3), dtype=np.uint8)
     assert image_from_frame(image, view) is image, "an image already"
-    with pytest.raises(ValueError, match=r"frame of 48x64 px .*, got 20x30. Give the view"):
+    with pytest.raises(
+        ValueError, match=r"frame of 48x64 px .*, or an image of .* px made of it, got 20x30\. Set the"
+    ):
         image_from_frame(np.zeros((20, 30, 3), dtype=np.uint8), view)
     with pytest.raises(ValueError, match="gray"):
         image_from_frame(np.zeros((48, 64), dtype=np.uint8), view)

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from live_waiting import until
+from live_waiting import HANGS_S, until
 
 PLACES = [os.environ.get("GELFORM_CHROMIUM", ""), "chromium", "chromium-browser", "google-chrome"]
 CHROMIUM = next((found for name in PLACES if name and (found := shutil.which(name))), None)
@@ -40,6 +40,7 @@ def visit(browser, serving):
         url = url or serving().url
         servers.add(re.sub(r"^\w+://([^/]*).*", r"\1", url))
         page = browser.new_page()
+        page.set_default_timeout(1e3 * HANGS_S)
         opened.append(page)
         page.on("pageerror", lambda error: troubles.append(str(error)))
         page.on("console", lambda said: troubles.append(said.text) if is_trouble(said) else None)
@@ -47,7 +48,7 @@ def visit(browser, serving):
         if before:
             page.add_init_script(before)
         page.goto(url)
-        until(lambda: page.evaluate("Boolean(window.gelform?.facts)"), 30)
+        until(lambda: page.evaluate("Boolean(window.gelform?.facts)"))
         return page
 
     yield go
@@ -67,7 +68,7 @@ def page(visit, hub):
     """The page, with the ball pressed and held."""
     hub.stations[0].source.press_at(120, 60, 0.5, held_s=600)
     opened = visit()
-    until(lambda: opened.evaluate("window.gelform?.frame?.header.peak > 0.4"), 30)
+    until(lambda: opened.evaluate("window.gelform?.frame?.header.peak > 0.4"))
     return opened
 
 

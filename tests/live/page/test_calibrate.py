@@ -30,16 +30,16 @@ def test_the_guide_leads_from_the_ball_to_a_calibration_in_use(visit, hub, tmp_p
     page.click("#tab-calibrate")
     page.fill("#ball", "5")
     page.click("#guide-start")
-    until(lambda: page.evaluate("Boolean(gelform.facts.guides[0]?.places.length)"), 60)
+    until(lambda: page.evaluate("Boolean(gelform.facts.guides[0]?.places.length)"))
     until(lambda: yellow_pixels(picture(page, "#guide-pane .shown")) > 50)
     until(lambda: page.inner_text("#steps .now") == "Press")
     fit = "document.getElementById('guide-fit').disabled === !gelform.facts.guides[0].can_fit"
     until(lambda: page.evaluate(fit))  # facts come before they are drawn
-    until(lambda: count(page) >= LEAST, 90)
+    until(lambda: count(page) >= LEAST)
     until(lambda: page.evaluate(fit))
     page.click("#guide-fit")
     until(lambda: page.inner_text("#steps .now") == "Fit")
-    until(lambda: page.is_visible("#verdict"), 90)
+    until(lambda: page.is_visible("#verdict"))
     until(lambda: page.locator(".checks tr").count() > 3)
     until(lambda: yellow_pixels(picture(page, "#guide-pane .shown")) > 50)  # the places that the report names
     assert not list(library.glob("*"))
@@ -56,12 +56,12 @@ def test_the_guide_leads_from_the_ball_to_a_calibration_in_use(visit, hub, tmp_p
     until(
         lambda: page.inner_text("#coverage-level") == page.evaluate("gelform.facts.guides[0].coverage.level")
     )
-    until(lambda: count(page) > before, 90)
+    until(lambda: count(page) > before)
     until(lambda: page.evaluate(fit))
     page.click("#guide-fit")
-    until(lambda: page.is_visible("#verdict"), 90)
+    until(lambda: page.is_visible("#verdict"))
     page.click("#guide-use")
-    until(lambda: page.is_visible("#page-live"), 20)
+    until(lambda: page.is_visible("#page-live"))
     (kept,) = library.iterdir()
     until(lambda: page.evaluate("gelform.facts.stations[0].calibration") == kept.name)
     saved = max(tmp_path.glob("calibration-*/calibration.npz"))
@@ -70,5 +70,5 @@ def test_the_guide_leads_from_the_ball_to_a_calibration_in_use(visit, hub, tmp_p
     pressed = held(station, 100, 70, 0.45)
     # By the fewest presses that can be fitted.
     assert pressed.measures.peak == pytest.approx(0.45, abs=0.2)
-    until(lambda: page.evaluate("gelform.frame.header.serial") >= pressed.serial, 20)
+    until(lambda: page.evaluate("gelform.frame.header.serial") >= pressed.serial)
     assert page.evaluate("gelform.frame.header.peak") == pytest.approx(pressed.measures.peak, abs=0.1)

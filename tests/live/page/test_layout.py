@@ -41,7 +41,7 @@ def is_inside(inner, outer):
 def test_the_legend_of_why_pixels_are_not_trusted_stays_in_its_pane(sized):
     sized.select_option(".pane select >> nth=0", "causes")
     swatches = sized.locator(".pane >> nth=0 >> .legend .named")
-    until(lambda: swatches.count() > 5, 20)
+    until(lambda: swatches.count() > 5)
     legend = box(sized, ".pane >> nth=0 >> .legend")
     assert is_inside(legend, box(sized, ".pane"))
     boxes = [swatches.nth(k).bounding_box() for k in range(swatches.count())]
@@ -99,13 +99,13 @@ def test_figures_are_dimmed_while_there_are_no_new_ones(page, hub):
     opacity = "getComputedStyle(document.querySelector('#number-peak .value')).opacity"
     until(lambda: page.evaluate(opacity) == "1")
     lost.set()
-    until(lambda: page.inner_text("#status").startswith("reconnecting"), 20)
+    until(lambda: page.inner_text("#status").startswith("reconnecting"))
     until(lambda: float(page.evaluate(opacity)) < 0.5)
     for place in (".pane .map", "#surface"):
         script = opacity.replace("#number-peak .value", place)
         until(lambda script=script: float(page.evaluate(script)) < 0.5)
     back.set()  # the next source is another one: whole again
-    until(lambda: page.inner_text("#status").startswith("live"), 30)
+    until(lambda: page.inner_text("#status").startswith("live"))
     until(lambda: page.evaluate(opacity) == "1")
     page.evaluate("gelform.connection.socket.onclose = null; gelform.connection.lost('')")
     until(lambda: float(page.evaluate(opacity)) < 0.5)  # the server does not answer

@@ -24,8 +24,8 @@ def held(page, hub):
     """The picture held still: page and server show the same frame, which is given."""
     page.click("#pause")
     until(lambda: hub.stations[0].paused)
-    until(lambda: page.evaluate("gelform.frame.header.serial") == hub.stations[0].newest.serial, 20)
-    until(lambda: page.evaluate("gelform.panes.every((one) => one.frame === gelform.frame && one.said)"), 20)
+    until(lambda: page.evaluate("gelform.frame.header.serial") == hub.stations[0].newest.serial)
+    until(lambda: page.evaluate("gelform.panes.every((one) => one.frame === gelform.frame && one.said)"))
     return hub.stations[0].newest.result
 
 
@@ -77,7 +77,7 @@ BLIND = np.s_[80:110, 20:60]
 
 def test_what_is_not_known_is_hatched_and_never_a_depth(page, hub, blinded, picture):
     """On maps, in the profile and on the surface, though the solver filled it in."""
-    until(lambda: page.evaluate("gelform.frame.has('unknown')"), 20)
+    until(lambda: page.evaluate("gelform.frame.has('unknown')"))
     known = held(page, hub).known
     assert not known[90:100, 30:50].any()
     script = "() => [...gelform.panes[0].painting.canvas.getContext('2d').getImageData(30, 90, 20, 10).data]"
@@ -88,9 +88,9 @@ def test_what_is_not_known_is_hatched_and_never_a_depth(page, hub, blinded, pict
 
     for view, unknown in (("depth", True), ("image", False), ("normals", True)):  # each unlike the one before
         page.select_option(".pane select >> nth=0", view)
-        until(lambda unknown=unknown: is_hatched() is unknown, 20)
+        until(lambda unknown=unknown: is_hatched() is unknown)
         swatches = page.locator(".pane >> nth=0 >> .swatch")
-        until(lambda count=int(unknown), swatches=swatches: swatches.count() == count, 20)
+        until(lambda count=int(unknown), swatches=swatches: swatches.count() == count)
     script = """() => import('/js/maps/charts.js').then(({ profilesThrough }) => {
         const { alongX, depth } = profilesThrough(gelform.frame, [40, 95]);
         return [alongX.map(Number.isNaN), Number.isNaN(depth)];
@@ -106,7 +106,7 @@ def test_what_is_not_known_is_hatched_and_never_a_depth(page, hub, blinded, pict
     def changed_pixels():
         return np.abs(shown - picture(page, "#surface").astype(int)).max(axis=-1) > 20
 
-    until(lambda: changed_pixels().sum() > 500, 20)
+    until(lambda: changed_pixels().sum() > 500)
     filled = picture(page, "#surface").astype(int)
     changed = np.abs(shown - filled).max(axis=-1) > 20
     spread = np.ptp(shown[changed], axis=-1)  # gray: channels alike
@@ -114,11 +114,11 @@ def test_what_is_not_known_is_hatched_and_never_a_depth(page, hub, blinded, pict
 
 
 def test_the_surface_wears_the_confidence_whatever_the_panes_show(page, hub, blinded, picture):
-    until(lambda: page.evaluate("gelform.frame.has('unknown')"), 20)
+    until(lambda: page.evaluate("gelform.frame.has('unknown')"))
     assert "confidence" not in page.evaluate("gelform.panes.map((one) => one.view)")
     page.select_option("#drape", "confidence")
-    until(lambda: page.evaluate("gelform.frame.has('confidence')"), 20)
-    until(lambda: "colors: confidence" in page.inner_text("#stage .corner"), 20)
+    until(lambda: page.evaluate("gelform.frame.has('confidence')"))
+    until(lambda: "colors: confidence" in page.inner_text("#stage .corner"))
     yellow = np.array([37, 231, 253])  # BGR of 1, of which the most part is; lit, it keeps its hue
 
     def yellow_pixels():
@@ -126,14 +126,14 @@ def test_the_surface_wears_the_confidence_whatever_the_panes_show(page, hub, bli
         bright = pixels / np.maximum(pixels.max(axis=-1, keepdims=True), 1)
         return int((np.abs(bright - yellow / 253).max(axis=-1) < 0.15).sum())
 
-    until(lambda: yellow_pixels() > 10_000, 20)
+    until(lambda: yellow_pixels() > 10_000)
     page.select_option("#drape", "depth")
-    until(lambda: yellow_pixels() < 1_000, 20)
+    until(lambda: yellow_pixels() < 1_000)
 
 
 def test_the_surface_is_drawn_and_turns(page, hub, picture):
     held(page, hub)
-    until(lambda: len(np.unique(picture(page, "#surface").reshape(-1, 3) // 16, axis=0)) > 20, 20)
+    until(lambda: len(np.unique(picture(page, "#surface").reshape(-1, 3) // 16, axis=0)) > 20)
     before = picture(page, "#surface")
     page.focus("#surface")
     for _ in range(4):
@@ -153,7 +153,10 @@ def test_buttons_do_what_they_say(page, hub):
     page.select_option("#colors", "cividis")
     assert page.evaluate("gelform.settings.colors") == "cividis"
     page.click("#snapshot")
-    until(lambda: page.locator(".toast a").count() == 2)
+    until(lambda: page.locator(".toast a").count() == 4)
+    with page.expect_download() as surface:
+        page.click(".toast a >> nth=2")
+    assert surface.value.path().read_bytes().startswith(b"ply")
     with page.expect_download() as download:
         page.click(".toast a >> nth=0")
     assert cv2.imread(str(download.value.path())).shape == (*station.newest.result.shape, 3)
@@ -163,10 +166,36 @@ def test_buttons_do_what_they_say(page, hub):
     until(lambda: station.setup.background is not None)
 
 
+def test_details_are_folded_until_they_are_asked_for(page):
+    assert not page.is_visible("#facts")
+    page.click("#facts-card summary")
+    until(lambda: "capture to screen" in page.inner_text("#facts"))
+
+
+def test_the_numbers_are_of_the_frame_that_the_maps_show(visit, hub):
+    """While the ball goes in and out, at every drawing."""
+    page = visit()
+    until(lambda: page.evaluate("gelform.frame?.header.peak !== undefined"), 30)
+    script = """() => new Promise((found) => {
+        const apart = [];
+        const look = () => {
+            const { frame } = gelform.panes[0];
+            const peak = frame.header.peak.toFixed(3).replace("-0.000", "0.000");
+            apart.push([frame.header.serial, peak, document.querySelector("#number-peak .value").textContent]);
+            if (apart.length < 60) requestAnimationFrame(look); else found(apart);
+        };
+        look();
+    })"""
+    hub.stations[0].source.press_at(88, 66, 0.5)
+    seen = page.evaluate(script)
+    assert len({serial for serial, *_ in seen}) > 5
+    assert [said.startswith(peak) for _, peak, said in seen] == [True] * len(seen)
+
+
 def test_every_view_can_be_chosen(page):
     for view in page.evaluate("Object.keys(gelform.views)"):
         page.select_option(".pane select >> nth=0", view)
-        until(lambda: page.evaluate("gelform.panes[0].painting.image !== null"), 20)
+        until(lambda: page.evaluate("gelform.panes[0].painting.image !== null"))
         until(lambda view=view: page.locator(f".pane[data-view={view}]").count() >= 1)
 
 
@@ -177,12 +206,12 @@ def test_a_recording_ends_with_its_tab_but_not_when_it_is_loaded_anew(visit, hub
     recording.click("#record")
     until(lambda: hub.recorders)
     recording.reload()
-    until(lambda: recording.evaluate("Boolean(window.gelform?.facts)"), 30)
+    until(lambda: recording.evaluate("Boolean(window.gelform?.facts)"))
     until(lambda: recording.inner_text("#record").startswith("Stop, "))
     assert hub.recorders
     other.click("#pause")  # another page is in use meanwhile
     recording.close()
-    until(lambda: not hub.recorders, 20)
+    until(lambda: not hub.recorders)
     until(lambda: "was closed" in other.inner_text("#toasts"))
     assert len(list(tmp_path.glob("recording-*"))) == 1
 
@@ -198,8 +227,8 @@ def test_on_a_phone_nothing_is_wider_than_the_screen(page):
 def test_a_lost_connection_is_said_and_comes_back(page):
     page.evaluate("gelform.connection.socket.close()")
     serial = page.evaluate("gelform.frame.header.serial")
-    until(lambda: page.evaluate("gelform.connection.open"), 20)
-    until(lambda: page.evaluate("gelform.frame.header.serial") > serial + 3, 20)
+    until(lambda: page.evaluate("gelform.connection.open"))
+    until(lambda: page.evaluate("gelform.frame.header.serial") > serial + 3)
     until(lambda: page.is_hidden("#banner"))
 
 
@@ -218,7 +247,7 @@ def test_nothing_serious_for_those_who_see_or_point_badly(page, hub, theme, simu
     hub.recordings.add(tmp_path / "session.mcap")
     until(lambda: page.locator(".chooser").count() == 2)
     page.click(".chooser >> nth=1")
-    until(lambda: page.is_visible("#replay"), 20)
+    until(lambda: page.is_visible("#replay"))
     page.click("#measure")
     hub.notice("The camera is set otherwise than it was calibrated.", "warning")
     page.evaluate(AXE.read_text(encoding="utf-8"))
@@ -243,7 +272,7 @@ def test_a_gel_that_is_another_one_has_no_surface_and_no_figures(page, hub, cali
     )
     station = hub.stations[0]
     station.setup = station.setup.with_calibration(other, "mine")
-    until(lambda: "This frame cannot be reconstructed" in page.inner_text(".empty"), 30)
+    until(lambda: "This frame cannot be reconstructed" in page.inner_text(".empty"))
     until(lambda: page.inner_text("#number-peak .value") == "–")
     until(lambda: page.inner_text("#profile-at") == "–")
     (reason,) = [one.message for one in station.newest.result.health if one.name == "not_this_gel"]

@@ -53,17 +53,17 @@ def number(page):
 def test_it_is_scrubbed_stepped_played_and_looped(replay, hub, recording, calibration):
     seek = "(() => { const s = document.getElementById('scrub'); s.value = 4; s.dispatchEvent(new Event('input')) })()"
     replay.evaluate(seek)
-    until(lambda: number(replay) == 4, 20)
+    until(lambda: number(replay) == 4)
     until(lambda: replay.inner_text("#replay-at").startswith("5 / 9, 0:00.40"))
     wanted = gelform.Reconstructor(calibration)(indexed(recording).frame(4)).depth_mm
     peak = pytest.approx(wanted.max(), abs=1e-5)
-    until(lambda: replay.evaluate("gelform.frame.header.peak") == peak, 20)
+    until(lambda: replay.evaluate("gelform.frame.header.peak") == peak)
     shown = f"{wanted.max():.3f}"  # no later frame draws it
     until(lambda: replay.inner_text("#number-peak .value").startswith(shown))
     replay.click("#step-back")
-    until(lambda: number(replay) == 3, 20)
+    until(lambda: number(replay) == 3)
     replay.keyboard.press(".")
-    until(lambda: number(replay) == 4, 20)
+    until(lambda: number(replay) == 4)
     replay.select_option("#speed", "8")
     replay.click("#loop")
     until(lambda: hub.stations[0].source.facts()["loop"])
@@ -83,7 +83,7 @@ def test_it_is_scrubbed_stepped_played_and_looped(replay, hub, recording, calibr
 def test_one_file_is_shared_and_downloaded(replay, calibration):
     replay.click("#share")
     shared = replay.locator("#files a[title^='Download shared']")
-    until(lambda: shared.count() == 1, 30)
+    until(lambda: shared.count() == 1)
     with replay.expect_download() as download:
         shared.click()
     saved = download.value.path()
@@ -92,4 +92,4 @@ def test_one_file_is_shared_and_downloaded(replay, calibration):
     assert attached_calibration(fetched).digest == calibration.digest
     assert len(indexed(fetched)) == COUNT
     replay.click("#files-back")
-    until(lambda: replay.is_hidden("#replay"), 20)
+    until(lambda: replay.is_hidden("#replay"))

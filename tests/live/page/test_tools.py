@@ -32,10 +32,13 @@ def test_the_force_has_its_sigma_or_the_reason(page):
 @pytest.fixture
 def still(page, hub):
     """The page with the picture held, and the result that it shows."""
+    station = hub.stations[0]
     page.click("#pause")
-    until(lambda: hub.stations[0].paused)
-    until(lambda: page.evaluate("gelform.frame.header.serial") == hub.stations[0].newest.serial)
-    return hub.stations[0].newest.result
+    until(lambda: station.paused)
+    # The one that was compared: where the picture was held while a frame came, that one is shown last.
+    shows = "gelform.frame.header.serial"
+    shown = until(lambda: one if (one := station.newest).serial == page.evaluate(shows) else None)
+    return shown.result
 
 
 def click_at(page, view, x, y):
@@ -65,8 +68,11 @@ def test_the_ruler_measures_between_two_points(page, still):
     assert measured["rise"] == pytest.approx(rise, abs=1e-4)
     said = f"A and B are {measured['distance']:.2f} mm apart, B is {measured['rise']:.3f} mm deeper."
     until(lambda: page.inner_text("#ruler output") == said)
-    page.fill("#ruler input >> nth=2", "35")
-    page.fill("#ruler input >> nth=3", "101")
+    shown = [float(page.input_value(f"#ruler input >> nth={k}")) for k in range(4)]
+    np.testing.assert_allclose(shown, np.array([ax, ay, bx, by]) * still.mm_per_px, atol=0.006)
+    assert page.get_attribute("#ruler input >> nth=3", "aria-label") == "B, y in mm"
+    page.fill("#ruler input >> nth=2", f"{35 * still.mm_per_px:.3f}")
+    page.fill("#ruler input >> nth=3", f"{101 * still.mm_per_px:.3f}")
     until(lambda: page.inner_text("#ruler output") != said)
     assert page.evaluate("gelform.stages[0].ruler.ends[1]") == [35, 101]
     page.evaluate(
@@ -106,13 +112,13 @@ def test_curves_reach_back_for_minutes_and_keep_their_peaks(page, hub):
         ((k + 1) / 10_000, now_s - 300 + k / 30, 0.9 if k == 4000 else 0.1, 1.0, 1.0) for k in range(8900)
     ]
     station.paused = True
-    until(lambda: page.evaluate("gelform.frame.header.serial") == station.newest.serial, 20)
+    until(lambda: page.evaluate("gelform.frame.header.serial") == station.newest.serial)
     kept = list(station._numbers)
     station._numbers.clear()
     station._numbers.extend(before + kept)
     station.paused = False
     page.reload()
-    until(lambda: page.evaluate("window.gelform?.series?.time.length > 1000"), 30)
+    until(lambda: page.evaluate("window.gelform?.series?.time.length > 1000"))
     spans = page.evaluate(
         "[10, 300].map((s) => { const { time } = gelform.series.recent('peak', s); return time.at(-1) - time[0]; })"
     )
@@ -147,14 +153,14 @@ def test_the_surface_fills_its_stage_the_screen_and_has_smooth_edges(page, still
     page.evaluate("scrollTo(0, 0)")
     assert page.evaluate("gelform.surface.gl.getContextAttributes().antialias")
     assert page.evaluate("gelform.surface.gl.getParameter(gelform.surface.gl.SAMPLES)") > 1
-    until(lambda: max(drawn(picture, page)) > 0.7, 20)
+    until(lambda: max(drawn(picture, page)) > 0.7)
     page.set_viewport_size({"width": 390, "height": 844})
     until(lambda: page.evaluate("document.getElementById('surface').clientWidth") < 390)
-    until(lambda: max(drawn(picture, page)) > 0.8, 20)
+    until(lambda: max(drawn(picture, page)) > 0.8)
     page.set_viewport_size({"width": 1100, "height": 900})
     page.click("#whole")
     until(lambda: page.locator("#stage").bounding_box() == {"x": 0, "y": 0, **page.viewport_size})
-    until(lambda: max(drawn(picture, page)) > 0.7, 20)
+    until(lambda: max(drawn(picture, page)) > 0.7)
     assert page.is_visible("#reset-view")
     page.evaluate("document.fullscreenElement ? document.exitFullscreen() : null")
     page.keyboard.press("Escape")

@@ -1,7 +1,10 @@
 """Requests to the running server: the page's files, headers, hosts, origins, the token, floods of bytes."""
 
+import os
 import re
 import socket
+import sys
+from pathlib import Path
 
 import httpx
 import pytest
@@ -10,6 +13,7 @@ from hypothesis import strategies as st
 
 from gelform.calibration.guided.fit import GuidedCalibration
 from gelform.live import actions
+from gelform.live.lists import Recordings
 from gelform.live.web.app import MAX_BODY, page_files
 from gelform.live.web.guard import HEADERS
 
@@ -44,6 +48,19 @@ def test_files_come_with_their_type_and_the_headers(serving):
                 assert answer.headers[name.decode()] == value.decode()
             assert "server" not in answer.headers
         assert client.get("/js/main.js").headers["content-type"].startswith("text/javascript")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="names of bytes")
+def test_a_recording_with_an_odd_name_is_downloaded(serving, hub, tmp_path):
+    for name in (b"a\nb.mcap", b"no\xfftext.mcap"):
+        Path(os.fsdecode(os.fsencode(tmp_path) + b"/" + name)).write_bytes(b"content")
+    (tmp_path / "self.mcap").symlink_to(tmp_path / "self.mcap")
+    hub.recordings = Recordings((), tmp_path)
+    with httpx.Client(base_url=serving().url) as client:
+        for number in (0, 1):
+            answer = client.get(f"/recordings/{number}")
+            assert (answer.status_code, answer.content) == (200, b"content")
+        assert client.get("/recordings/2").status_code == 404
 
 
 def test_the_report_of_a_guide_comes_with_a_policy_of_its_own(serving, hub, tmp_path):

@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import sys
 import time
 
 import numpy as np
@@ -11,12 +12,17 @@ from hypothesis import strategies as st
 from websockets.exceptions import ConnectionClosed, InvalidHandshake
 from websockets.sync.client import connect
 
+from gelform.live.hub import BUSY
 from gelform.live.station import Station
 from gelform.live.web.app import MAX_CLIENTS
 from gelform.live.web.client import MAX_NUMBERS, MAX_OLDER, thinned
+from gelform.live.web.commands import COMMANDS, Command
+from gelform.live.web.commands import station as number_of_station
 from gelform.live.web.wire import read_message
+from gelform.sensors.recordings.mcap_reader import mcap_playback
 from gelform.sensors.simulated.source import SimulatedSource
 from live_waiting import until
+from made.small_disk import small_disk
 
 FIELDS = st.sampled_from(["do", "station", "planes"])
 WATCH = {"do": "watch", "stations": [0], "planes": ["depth", "flags"], "encoding": "raw"}
@@ -143,6 +149,74 @@ def test_a_stalled_client_costs_the_others_nothing(running, hub):
         assert serials == sorted(set(serials))
         assert hub.stations[0].rate_hz > 0
         assert hub.stations[0].facts()["state"] == "running"
+
+
+def test_clicks_at_a_held_sensor_cost_other_pages_nothing(running, hub, sensor):
+    """Three pages click eight times on Background, where no frame will come; a fourth one looks at another sensor."""
+    hub.stations.append(Station(1, "second", lambda: SimulatedSource(sensor, seed=1), hub.changed))
+    hub.stations[1].start()
+    until(lambda: hub.stations[1].newest)
+    with opened(running) as onlooker, contextlib.ExitStack() as pages:
+        clicking = [pages.enter_context(opened(running)) for _ in range(3)]
+        say(clicking[0], do="pause", station=0, paused=True)
+        assert next_words(clicking[0], "done")["problem"] == ""
+        say(onlooker, **{**WATCH, "stations": [1], "planes": ["image"]})
+        for socket in clicking:
+            for _ in range(8):
+                say(socket, do="background", station=0)
+        began_s = time.monotonic()
+        for _ in range(20):
+            say(onlooker, do="credit")
+            next_frame(onlooker, 8)
+        for socket in clicking:
+            problems = {next_words(socket, "done")["problem"] for _ in range(8)}
+            assert problems <= {"The picture is held. Press Continue first.", BUSY}
+        assert time.monotonic() - began_s < 10  # one click that waits for frames takes 15 s
+    hub.stations[1].close()
+
+
+def test_an_action_that_fails_as_nobody_expected_is_answered_and_logged(running, monkeypatch, caplog):
+    broken = Command(lambda hub, station: [][station], {"station": number_of_station})
+    monkeypatch.setitem(COMMANDS, "zero", broken)
+    with opened(running) as socket:
+        say(socket, do="zero", station=0)
+        assert "mistake in gelform, not yours: IndexError" in next_words(socket, "done")["problem"]
+    assert caplog.records[-1].exc_info[0] is IndexError
+
+
+def test_pages_that_press_record_at_once_begin_one_file(running, hub, tmp_path):
+    hub.folder = tmp_path
+    with contextlib.ExitStack() as pages:
+        sockets = [pages.enter_context(opened(running)) for _ in range(6)]
+        for socket in sockets:
+            say(socket, do="record", station=0, on=True, page="")
+        for socket in sockets:
+            assert next_words(socket, "done")["problem"] == ""
+        until(lambda: hub.recorders[0].stats.frames)
+        say(sockets[-1], do="record", station=0, on=False, page="")
+        next_words(sockets[-1], "done")
+    assert len(list(tmp_path.iterdir())) == 1
+    assert not hub.recorders
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="mounts a tmpfs")
+def test_a_disk_that_fills_up_ends_the_recording_on_the_page_too(running, hub, tmp_path):
+    with small_disk(tmp_path / "disk", 2048) as hub.folder, opened(running) as socket:
+        say(socket, do="record", station=0, on=True, page="")
+        until(lambda: 0 in hub.recorders)
+        until(lambda: 0 not in hub.recorders)
+        state = next_of(socket, _notices, 8)
+        assert "No space left on device. Its first" in state["notices"][-1][2]
+        assert state["recordings"] == {}
+        (name,) = hub.recordings.facts()
+        kept = len(list(mcap_playback(hub.recordings.path(name["name"]))))
+        assert f"Recorded {kept} frames: {name['name']}" in state["notices"][-1][2]
+
+
+def _notices(data):
+    found = json.loads(data) if isinstance(data, str) else {}
+    return found if found.get("notices") else None
 
 
 FOREIGN = (

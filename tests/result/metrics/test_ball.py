@@ -15,6 +15,8 @@ from gelform.result.metrics.ball import (
 )
 from kernel_agreement import assert_kernel_agrees
 
+pytestmark = pytest.mark.linear_algebra
+
 MM_PER_PX = 0.06
 BALL_MM = 3.0
 SHAPE = (120, 160)

@@ -57,6 +57,21 @@ def test_by_serial_first_name_second_path_last_shared_serials_by_the_socket():
     assert chosen_camera("/dev/v4l/by-path/p4", twins) is twins[1]
 
 
+def test_a_serial_that_only_looks_alike_is_named():
+    cameras = [Camera("cam", "/dev/video0", serial=serial) for serial in ("D20123", "Pru\u0308fling")]
+    for word, said in (
+        ("d20123", "'D20123' differs from 'd20123'"),
+        ("Pr\u00fcfling", r"'Pru\u0308fling' differs"),
+    ):
+        with pytest.raises(SensorError) as problem:
+            chosen_camera(word, cameras)
+        assert said in str(problem.value)
+        assert "compared letter by letter" in str(problem.value)
+    with pytest.raises(SensorError) as problem:
+        chosen_camera("D20124", cameras)
+    assert "letter by letter" not in str(problem.value)
+
+
 def test_the_only_one_needs_no_name_and_others_are_listed():
     assert chosen_camera("", [DIGIT_CAMERA]) is DIGIT_CAMERA
     nothing = r"No camera is plugged in.*simulated"

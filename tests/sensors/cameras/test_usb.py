@@ -76,6 +76,15 @@ def test_a_wish_that_is_not_met_is_an_error_and_gives_the_camera_back(camera, mo
     with pytest.raises(SensorError, match="expected height 960, but it has 480"):
         camera(capture, monkeypatch, {"width": 1280, "height": 960})
     assert capture.released == 1
+    stubborn = Capture([], limits={cv2.CAP_PROP_FOURCC: (cv2.VideoWriter.fourcc(*"YUYV"),) * 2})
+    with pytest.raises(SensorError, match="expected fourcc MJPG, but it has YUYV afterwards"):
+        camera(stubborn, monkeypatch, {"fourcc": "MJPG"})
+    with pytest.raises(SensorError, match="expected fourcc mjpg, but it has YUYV afterwards"):
+        camera(stubborn, monkeypatch, {"fourcc": "mjpg"})
+    assert camera(stubborn, monkeypatch, {"fourcc": "YUYV"}).settings["fourcc"] == "YUYV"
+    for wrong in ("MJ", "MJPEG", "MJP\u00c9"):
+        with pytest.raises(ValueError, match="fourcc as four letters"):
+            camera(Capture([]), monkeypatch, {"fourcc": wrong})
     with pytest.raises(SensorError, match="gain"):
         camera(capture, monkeypatch, {"gain": 3})
 

@@ -13,6 +13,7 @@ from gelform.sensors.recordings.mcap_reader import (
     Channel,
     PictureTopic,
     PlacedMessage,
+    end_missing,
     is_bag_folder,
     mcap_file_in,
     mcap_playback,
@@ -114,6 +115,15 @@ def recorded(monkeypatch):
     """Recordings with a chunk per frame."""
     monkeypatch.setattr("gelform.sensors.recordings.mcap_writer.FLUSH_S", 0.0)
     return made.recorded.recorded
+
+
+def test_a_copy_in_part_is_named(tmp_path, recorded):
+    path = recorded(tmp_path / "whole.mcap", frames(40))
+    assert end_missing(path) == ""
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    assert "cut.mcap has no end: its recorder was killed, or it was copied in part" in end_missing(cut)
+    assert end_missing(tmp_path / "none.mcap") == ""
 
 
 def test_a_paced_replay_keeps_the_timing(tmp_path, recorded):

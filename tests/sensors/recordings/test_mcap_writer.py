@@ -14,6 +14,7 @@ from gelform.sensors.recordings.facts import RecordingFacts
 from gelform.sensors.recordings.mcap_reader import mcap_playback, mcap_summary
 from gelform.sensors.recordings.mcap_writer import McapRecording
 from made.recorded import START_NS, frames, recorded
+from made.small_disk import small_disk
 
 reader = pytest.importorskip("mcap.reader", reason="the extra mcap is not installed")
 
@@ -89,12 +90,31 @@ def test_a_file_that_is_there_is_kept(tmp_path):
         McapRecording(tmp_path / "none" / "a.mcap", RecordingFacts("camera"))
 
 
-@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full here")
-def test_a_full_disk_says_so(tmp_path):
-    recording = McapRecording(tmp_path / "a.mcap", RecordingFacts("camera"))
-    full = os.open("/dev/full", os.O_WRONLY)
-    os.dup2(full, recording._file.fileno())
-    os.close(full)
-    recording.write(frames(1, shape=(240, 320))[0])
-    with pytest.raises(DataError, match="No space left"):
-        recording._flush()
+def write_in_chunks(begun, path):
+    """80 frames, flushed after nine each; the recording is put into the list."""
+    begun.append(McapRecording(path, RecordingFacts("camera")))
+    for number, frame in enumerate(frames(80)):
+        begun[0].write(frame)
+        if number % 9 == 8:
+            begun[0]._flush()
+    begun[0].close()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="mounts a tmpfs")
+@pytest.mark.parametrize("kilobytes", [4, 8, 40, 250, 640])
+def test_a_full_disk_says_so_and_leaves_what_it_says(tmp_path, kilobytes):
+    """Frames of 9 kB, flushed by time or at the end; what is full at once is not there at all."""
+    with small_disk(tmp_path / "disk", kilobytes) as disk:
+        path = disk / "a.mcap"
+        with pytest.raises(DataError, match="No space left") as full:
+            write_in_chunks(recordings := [], path)
+        if path.exists():
+            (recording,) = recordings
+            assert f"Its first {recording.frames} frames can be read." in str(full.value)
+            assert len(list(mcap_playback(path))) == recording.frames > 0
+            assert recording.frames % 9 == 0
+            recording.close()
+        else:
+            assert kilobytes < 100
+            assert "No frame of it is kept." in str(full.value)

@@ -103,7 +103,7 @@ def test_raw_pictures_that_are_none_are_refused():
     for end in range(len(message)):
         with pytest.raises(ValueError, match="Expected"):
             raw_image_from_message(message[:end])
-    with pytest.raises(ValueError, match="rgb8 or bgr8, got 8UC3"):
+    with pytest.raises(ValueError, match=r"rgb8 or bgr8 .*got 8UC3"):
         pixels_from_raw(raw_image_from_message(raw_message(PIXELS, "8UC3")))
     image = raw_image_from_message(message)
     for wrong in ({"step": 8}, {"shape": (3, 3)}, {"shape": (0, 3)}, {"data": np.empty(0, np.uint8)}):
@@ -111,3 +111,29 @@ def test_raw_pictures_that_are_none_are_refused():
             pixels_from_raw(image._replace(**wrong))
     with pytest.raises(ValueError, match="ros2 bag convert"):
         raw_image_from_message(b"\x28\xb5\x2f\xfd" + bytes(40))
+
+
+def test_encodings_of_other_drivers_become_rgb():
+    """YUY2 and UYVY of a uniform color, by BT.601 with its limited range: 235 - 16 levels of luma."""
+    alpha = np.full((*PIXELS.shape[:2], 1), 9, np.uint8)
+    for encoding, stored in (
+        ("rgba8", np.concatenate([PIXELS, alpha], axis=2)),
+        ("bgra8", np.concatenate([PIXELS[..., ::-1], alpha], axis=2)),
+    ):
+        message = raw_message(stored, encoding, padding=3)
+        np.testing.assert_array_equal(pixels_from_raw(raw_image_from_message(message)), PIXELS)
+    luma, u, v = 120, 100, 170
+    scaled = 1.164 * (luma - 16)
+    wanted = scaled + np.array([1.596 * (v - 128), -0.392 * (u - 128) - 0.813 * (v - 128), 2.017 * (u - 128)])
+    for encoding, pair in (("yuv422_yuy2", (luma, u, luma, v)), ("yuv422", (u, luma, v, luma))):
+        rows = np.tile(np.array(pair, np.uint8).reshape(1, 2, 2), (4, 3, 1))
+        image = pixels_from_raw(raw_image_from_message(raw_message(rows, encoding)))
+        assert image.shape == (4, 6, 3)
+        assert np.abs(image - wanted).max() < 2
+    for encoding, said in (
+        ("bayer_rggb8", "image_proc"),
+        ("mono8", "in color"),
+        ("8UC3", "which channel is red"),
+    ):
+        with pytest.raises(ValueError, match=f"Expected pictures in rgb8 or .*{said}"):
+            pixels_from_raw(raw_image_from_message(raw_message(PIXELS, encoding)))

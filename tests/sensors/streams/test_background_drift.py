@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 
 from gelform.foundations.findings import Finding
-from gelform.image.background.exposure import block_means
-from gelform.image.background.light import light_at_rest, lit, without_light
+from gelform.image.background.light import block_means, light_at_rest, lit, without_light
 from gelform.sensors.streams.background_drift import AFTER_S, MEAN_IMAGE_S, BackgroundDrift, Touched
 from gelform.sensors.streams.memory import Memory
 from stream.slow_gel import SlowGel, Touch

@@ -36,7 +36,7 @@ class TouchedFirst(ImageSource):
 def test_it_waits_while_something_moves_says_so_and_begins_then(unpressed):
     source = TouchedFirst(unpressed[0.0], unpressed[0.4])
     with gelform.stream(source, sensor=MAKE) as stream:
-        until(lambda: "Something moves" in stream.stats.reason, 20)
+        until(lambda: "Something moves" in stream.stats.reason)
         assert stream.stats.state == "starting"
         with pytest.raises(StaleError, match="is starting: Something moves on the gel"):
             stream.latest(max_age_s=0.05)
@@ -47,7 +47,7 @@ def test_it_waits_while_something_moves_says_so_and_begins_then(unpressed):
         assert "starter" in [finding.name for finding in result.health]
         assert abs(result.peak_mm) < 0.05
         source.images = unpressed[0.4]
-        until(lambda: stream.latest(max_age_s=5).peak_mm > 0.3, 20)
+        until(lambda: stream.latest(max_age_s=5).peak_mm > 0.3)
         assert stream.calibration.settings.starter["sensor"] == MAKE
         assert stream.stats.state == "running"
 

@@ -16,6 +16,8 @@ from gelform.slopes.color_models.forward_response import (
 )
 from kernel_agreement import assert_kernel_agrees
 
+pytestmark = pytest.mark.linear_algebra
+
 SHAPE = (45, 70)
 SHAPES = [(1, 1), (2, 3), (5, 16), (17, 17), (33, 50), (40, 321)]  # the last pixel on the last node included
 # From three sides: no slope changes all channels alike.

@@ -20,6 +20,8 @@ from gelform.slopes.color_models._shared.least_squares import (
 from kernel_agreement import assert_kernel_agrees
 from made.color_samples import SHAPE, ball_samples, lambertian_change, shading_change
 
+pytestmark = pytest.mark.linear_algebra
+
 
 def rms(model, samples):
     found = model.gradients_at(samples.color_change, samples.x_px, samples.y_px)

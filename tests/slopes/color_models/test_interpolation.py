@@ -8,6 +8,8 @@ import pytest
 from gelform.slopes.color_models import InterpolationModel
 from made.color_samples import ball_samples, shading_change
 
+pytestmark = pytest.mark.linear_algebra
+
 MATRIX = np.array([[1.0, 0.2, -0.7], [0.1, 0.9, 0.8]])
 
 

@@ -10,6 +10,8 @@ from gelform.slopes.color_models import LambertianModel, NearLightModel, Samples
 from gelform.slopes.color_models.lambertian import inverse_lights, linear_change
 from made.color_samples import LIGHTS, SHAPE, ball_samples, lambertian_change
 
+pytestmark = pytest.mark.linear_algebra
+
 SCALED = LIGHTS / LIGHTS[:, 2:]
 
 

@@ -12,6 +12,8 @@ from gelform.slopes.color_models.lambertian import gradients_from_scaled
 from gelform.slopes.color_models.near_light import OFF_DIAGONAL, Toward, light_ratio, light_ratio_derivatives
 from kernel_agreement import assert_kernel_agrees
 
+pytestmark = pytest.mark.linear_algebra
+
 MM_PER_PX = 0.1
 LEDS = np.array([[9.0, 1.0, 4.0], [-6.0, 7.5, 5.0], [-4.0, -8.0, 4.5]])
 SHAPE = (96, 128)

@@ -8,6 +8,8 @@ from gelform.slopes.color_models._shared.least_squares import monomial_products,
 from kernel_agreement import assert_kernel_agrees
 from made.color_samples import SHAPE, ball_samples, lambertian_change, shading_change
 
+pytestmark = pytest.mark.linear_algebra
+
 
 def test_it_follows_lights_that_turn_over_the_image():
     unseen = ball_samples(shading_change, seed=4)

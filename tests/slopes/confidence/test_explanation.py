@@ -8,8 +8,9 @@ import pytest
 import gelform
 from confidence import faults
 from gelform.simulate import Ball, Punch, simulate_press
+from gelform.slopes.confidence.budget import LEAST_WEIGHT, Budget
 from gelform.slopes.confidence.causes import CAUSES
-from gelform.slopes.confidence.explanation import LAW, explanation_of
+from gelform.slopes.confidence.explanation import Explanation, Shown, explanation_of
 
 SHAPE = (40, 72)
 
@@ -26,7 +27,7 @@ def explained(**causes):
     maps = {name: np.asarray(causes.get(name, 0) * np.ones(SHAPE), np.float32) for name in CAUSES}
     sigma = np.sqrt(0.03**2 + sum(np.square(one.astype(float)) for one in maps.values())).astype(np.float32)
     confidence = np.minimum(1, (0.04 / sigma) ** 2).astype(np.float32)
-    return explanation_of(maps, sigma, confidence, full_confidence_sigma=0.04)
+    return Explanation(maps, np.full(SHAPE, 0.03, np.float32), sigma, confidence, 0.04)
 
 
 def test_shares_add_up_and_the_law_is_what_is_left():
@@ -42,11 +43,101 @@ def test_shares_add_up_and_the_law_is_what_is_left():
     assert (finding.name, finding.figure) == ("marker", pytest.approx(patch().mean()))
 
 
-def test_the_law_is_no_less_than_nothing():
-    maps = {"shadow": np.full(SHAPE, 0.5, np.float32)}
-    found = explanation_of(maps, np.full(SHAPE, 0.4, np.float32), np.ones(SHAPE, np.float32), 0.04)
-    assert (found.law == 0).all()
-    assert found.shares == {LAW: 0, "shadow": 1}
+GRAY = np.full((*SHAPE, 3), 100, np.uint8)
+UNSEEN_SIGMA = 0.04 / LEAST_WEIGHT**0.5
+
+
+def shown_as(image=GRAY, color=(0.0, 0.0, 0.0), outliers=0.0, **frame):
+    """The maps of a frame whose law says 0.03, with other rows as given."""
+    rows = {name: np.zeros(SHAPE, np.float32) for name in ("light", "compression", "unit")}
+    outliers = np.asarray(outliers * np.ones(SHAPE), np.float32)
+    hidden = [
+        one for one in (frame.get("markers"), frame.get("lost"), frame.get("outside")) if one is not None
+    ]
+    clipped = frame.get("clipped")
+    if clipped is not None:
+        hidden.append(clipped.sum(axis=-1) > 1)
+    unseen = np.any(hidden, axis=0) if hidden else np.zeros(SHAPE, bool)
+    read = np.sqrt(0.03**2 + outliers**2 + np.where(unseen, UNSEEN_SIGMA**2, 0)).astype(np.float32)
+    zero = np.zeros(SHAPE, np.float32)
+    budget = Budget(read, read, zero, np.ones(SHAPE, np.float32), zero, outliers)
+    usual = dict.fromkeys(("clipped", "markers", "lost", "outside"))
+    change = np.broadcast_to(np.float32(color), GRAY.shape)
+    shown = Shown(pixels=image, color_change=change, blur_px=1.25, **{**usual, **frame})
+    return explanation_of(budget, rows, shown, 0.04)
+
+
+def there(found):
+    return {name for name, one in found.maps.items() if one.any()}
+
+
+def test_every_cause_has_its_map_in_the_order_that_pictures_color_them():
+    found = shown_as()
+    assert list(found.maps) == list(CAUSES)
+    assert there(found) == set()
+    np.testing.assert_allclose(found.law, 0.03, rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("color", "kind"),
+    [
+        ((-0.4, -0.3, -0.35), "shadow"),
+        ((-0.5, 0.0, 0.0), "shadow"),  # of one light
+        ((0.9, 0.7, 0.8), "specular"),
+        ((0.8, -0.6, -0.5), "off_gamut"),
+        ((0.4, -0.4, 0.1), "off_gamut"),
+    ],
+)
+def test_what_the_color_change_has_in_common_names_an_outlier(color, kind):
+    found = shown_as(color=color, outliers=5.0 * patch())
+    assert there(found) == {kind}
+    np.testing.assert_allclose(found.maps[kind], 5.0 * patch())
+
+
+def test_what_markers_hide_and_what_is_not_lit():
+    found = shown_as(markers=patch(), outside=patch(np.s_[:12, :9]))
+    assert there(found) == {"marker", "outside"}
+    np.testing.assert_allclose(found.maps["marker"], UNSEEN_SIGMA * patch(), rtol=1e-6)
+    np.testing.assert_array_equal(found.maps["outside"] > 0, patch(np.s_[:12, :9]))
+    assert (found.law[~patch()] < 0.04).all()
+
+
+@pytest.mark.parametrize(
+    ("level", "name"), [(254, "saturated"), (255, "saturated"), (0, "dark"), (2, "dark")]
+)
+def test_a_channel_that_is_left_out_costs_what_the_others_do_not_say(level, name):
+    image, clipped = GRAY.copy(), np.zeros((*SHAPE, 3), np.uint8)
+    image[patch(), 1], clipped[patch(), 1] = level, 1
+    clipped[patch(np.s_[10:20, 30:34])] = 1
+    found = shown_as(image, clipped=clipped)
+    assert there(found) == {name}
+    np.testing.assert_allclose(found.maps[name][10:20, 30:34], UNSEEN_SIGMA, rtol=1e-6)
+    np.testing.assert_allclose(found.maps[name][10:20, 34:44], 0.03, rtol=1e-4)
+    assert not found.maps[name][~patch()].any()
+
+
+def test_a_pixel_is_saturated_or_dark_not_both():
+    image, clipped = GRAY.copy(), np.zeros((*SHAPE, 3), np.uint8)
+    image[20, 30], image[20, 60] = (0, 100, 255), (0, 0, 0)
+    saturated, dark = patch(np.s_[18:23, 28:33]), patch(np.s_[18:23, 58:63])
+    clipped[saturated | dark] = 1
+    found = shown_as(image, clipped=clipped)
+    np.testing.assert_array_equal(found.maps["saturated"] > 0, saturated)
+    np.testing.assert_array_equal(found.maps["dark"] > 0, dark)
+
+
+@pytest.mark.parametrize(
+    ("level", "name"),
+    [(255, "saturated"), (240, "saturated"), (239, "inconsistent"), (128, "inconsistent"), (17, "inconsistent"),
+     (16, "dark"), (0, "dark")],
+)  # fmt: skip
+def test_a_lost_part_is_named_by_how_bright_it_was(level, name):
+    came = GRAY.copy()
+    came[:, 30:] = level
+    lost = patch(np.s_[:, 48:])
+    found = shown_as(came, lost=lost)
+    assert there(found) == {name}
+    np.testing.assert_allclose(found.maps[name], UNSEEN_SIGMA * lost, rtol=1e-6)
 
 
 def test_a_speck_is_not_named():
@@ -63,7 +154,7 @@ def test_what_adds_enough_is_named(name):
     limit = CAUSES[name].named_from
     assert explained(**{name: limit * patch()}).findings == ()
     findings = explained(**{name: (1.01 * limit + 1e-6) * patch()}).findings
-    assert [finding.name for finding in findings] == [name] * (name != "wall")
+    assert [finding.name for finding in findings] == [name] * (CAUSES[name].sentence != "")
     assert all(CAUSES[name].sentence in finding.message for finding in findings)
 
 
@@ -147,11 +238,5 @@ def test_without_a_step_no_color_is_that_of_no_slope(calibration, image, step):
 
 def test_its_figures_are_plain(reconstruct, image):
     figures = reconstruct.explain(faults.shadow(image, np.random.default_rng(0))).to_dict()
-    assert set(figures["variance_shares"]) == {LAW, *CAUSES}
+    assert set(figures["variance_shares"]) == {"law", *CAUSES}
     assert 0 < figures["trusted_share"] <= 1
-
-
-def test_without_sigma_nothing_is_explained(calibration, image):
-    plain = gelform.Reconstructor(calibration, solver="dct", depth_sigma=False, slope_sigma=False)
-    with pytest.raises(gelform.GelformError, match="slope_sigma=True"):
-        plain.explain(image)

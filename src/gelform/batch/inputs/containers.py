@@ -10,20 +10,16 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from gelform.errors import DataError, needed
-from gelform.image.view.view import MAX_PIXELS
-from gelform.sensors.declared import check_declared
 
 BLOCK_BYTES, BLOCK_FRAMES = 1 << 26, 64  # limits of one read: bytes and frames
 MAX_CHUNK_BYTES = 2**30  # decompressed
 MAX_FRAMES = 10**7  # of a sequence: two days at 60 per second; more is a damaged number
 # Bytes of frames per stored byte: deflate reaches 1032, and a camera's frames never come near it.
 MAX_PACKING = 2000
-SAME_LEVEL = 0.13  # gray levels by which a level over 255 is off in float16
 DAMAGED = (OSError, ValueError, RuntimeError)  # errors of h5py and zarr for a chunk that cannot be decoded
 HDF5_SUFFIXES = (
     ".h5",
@@ -90,42 +86,6 @@ def matching(path: Path, there: Shapes, wanted: str) -> list[str]:
         return found
     said = f"Expected {wanted} in {path}, got none" if wanted else f"{path} may hold several datasets"
     raise DataError(f"{said}. Give one with --dataset; there {_listed(there)}.")
-
-
-def image_from_values(values: NDArray[Any] | DataError, most_pixels: float = MAX_PIXELS) -> NDArray[np.uint8]:
-    """An RGB image (H, W, 3) uint8 from a dataset's values for one frame; DataError if they are no image.
-
-    The values are (H, W, 3) or (3, H, W): uint8, whole numbers 0-255 as floats, or 0-1 as floats of such levels. Or (L,)
-    uint8: a JPEG or PNG, padded with zeros.
-    """
-    if isinstance(values, DataError):
-        raise values
-    if values.ndim == 1 and values.dtype == np.uint8:
-        try:
-            check_declared(values.tobytes(), most_pixels)
-        except ValueError as problem:
-            raise DataError(f"{problem}.") from problem
-        decoded = cv2.imdecode(values, cv2.IMREAD_COLOR) if len(values) else None
-        if decoded is None:
-            raise DataError("Expected a JPEG or PNG in the dataset, got bytes that are no image.")
-        return np.ascontiguousarray(decoded[..., ::-1], dtype=np.uint8)
-    if values.ndim == 3 and values.shape[2] != 3 and values.shape[0] == 3:
-        values = np.ascontiguousarray(np.moveaxis(values, 0, 2))
-    if values.ndim != 3 or values.shape[2] != 3:
-        raise DataError(f"Expected frames (H, W, 3) or (3, H, W) in the dataset, got {values.shape}.")
-    if values.dtype == np.uint8:
-        return values
-    with np.errstate(invalid="ignore"):
-        whole = values.astype(np.uint8)
-    if np.array_equal(whole, values):
-        return whole
-    levels = np.rint(255 * values.astype(np.float64))
-    if values.min() >= 0 and values.max() <= 1 and np.abs(levels - 255.0 * values).max() <= SAME_LEVEL:
-        return levels.astype(np.uint8)
-    raise DataError(
-        f"Expected whole numbers from 0 to 255, or such levels over 255, in the dataset, got {values.dtype} "
-        f"{values.shape} from {values.min()} to {values.max()}. Write it as uint8."
-    )
 
 
 def blocks(dataset: Any, start: int, count: int, chunk: int) -> Iterator[NDArray[Any] | DataError]:

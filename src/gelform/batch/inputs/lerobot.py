@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from gelform.batch.inputs.containers import Sequence, leads_out, matching
 from gelform.errors import DataError, needed
+from gelform.foundations.whole_files import MAX_TEXT_BYTES, bytes_of
 
 PENALTY = "av1 yuv420p crf 30 moves depth in contact by 27 um, h264 yuv420p crf 23 by 38 um, h264 yuv444p crf 10 by 7 um"
 ROWS_AT_ONCE = 32  # rows of a table with images that are read at once
@@ -27,7 +28,7 @@ def is_lerobot_set(path: Path) -> bool:
 def lerobot_info(root: Path) -> dict[str, Any]:
     """The content of `meta/info.json`; DataError if it is unreadable or of another version."""
     try:
-        info: dict[str, Any] = json.loads((root / INFO).read_bytes())
+        info: dict[str, Any] = json.loads(bytes_of(root / INFO, "facts of a data set", MAX_TEXT_BYTES))
         version, _ = info["codebase_version"], (info["features"], info["fps"])
     except (OSError, ValueError, KeyError, TypeError) as problem:
         raise DataError(f"{root / INFO} cannot be read as LeRobot's: {problem!r}.") from problem

@@ -1,4 +1,4 @@
-"""The list of frames: folders of images, videos and recordings, in natural order; no file is opened."""
+"""The list of frames: folders of images, videos and recordings, in natural order; only TIFFs are opened, to count pages."""
 
 from __future__ import annotations
 
@@ -22,7 +22,10 @@ from gelform.batch.inputs.containers import (
 from gelform.batch.inputs.lerobot import is_lerobot_set, lerobot_sequences, lossy_warnings
 from gelform.errors import DataError
 from gelform.foundations.checks import check_path
-from gelform.sensors.files import IMAGE_SUFFIXES
+from gelform.foundations.foreign_files import way_for
+from gelform.sensors.files import IMAGE_SUFFIXES, is_stack
+from gelform.sensors.recordings.mcap_reader import end_missing, refuse_bag
+from gelform.sensors.values import is_npy
 from gelform.sensors.video_files import VIDEO_SUFFIXES
 
 FILM_SUFFIXES = (*VIDEO_SUFFIXES, ".mcap")
@@ -63,7 +66,8 @@ def listing_of(
     Parameters
     ----------
     source : a folder (with all folders below it), a video, a recording, an image, or a pattern such as "day*/*.png",
-        where ** stands for any number of folders; an HDF5 file, a Zarr store, a LeRobot data set (version 3.0)
+        where ** stands for any number of folders; an HDF5 file, a Zarr store, a LeRobot data set (version 3.0); a TIFF of
+        several pages, or frames of numpy (*.npy), the latter not in folders
     leave_out : files to exclude, such as the background
     dataset : datasets of HDF5 or Zarr, or cameras of LeRobot; * matches one name ("data/*/obs/gelsight"). With it, only the
         HDF5 files and Zarr stores of a folder are read
@@ -94,7 +98,10 @@ def listing_of(
     else:
         raise DataError(f"No file or folder {path}. Check the path; put a pattern in quotes.")
     if not listing.sequences:
+        refuse_bag(path)
         suffixes = ", ".join((*IMAGE_SUFFIXES, *FILM_SUFFIXES))
+        if way := way_for(path):
+            raise DataError(f"Expected images, videos or recordings ({suffixes}), got {what}.{way}")
         if dataset:
             raise DataError(
                 f"Expected HDF5 files or Zarr stores in {what} for --dataset {dataset}, got none."
@@ -103,7 +110,8 @@ def listing_of(
             f"Expected images, videos or recordings ({suffixes}) in {what}, got none. Of HDF5 files and Zarr stores, "
             "say with --dataset which dataset."
         )
-    return listing
+    recordings = [one.path for one in listing.sequences if one.path.suffix.lower() == ".mcap"]
+    return replace(listing, warnings=tuple(filter(None, map(end_missing, recordings))))
 
 
 def is_container(path: Path) -> bool:
@@ -180,13 +188,16 @@ def _entries(folder: Path) -> tuple[list[str], list[str]]:
     return files, folders
 
 
-def _of_folder(name: str, folder: Path, files: Iterable[str]) -> Iterator[Sequence]:
+def _of_folder(name: str, folder: Path, files: Iterable[str], *, named: bool = False) -> Iterator[Sequence]:
+    """The sequences of files in a folder; arrays of numpy only if each is named, because others may hold anything."""
     kinds = [(os.path.splitext(one)[1].lower(), one) for one in sorted(files, key=natural)]
-    images = tuple(one for suffix, one in kinds if suffix in IMAGE_SUFFIXES)
+    image_suffixes = (*IMAGE_SUFFIXES, ".npy") if named else IMAGE_SUFFIXES
+    stacks = {one for suffix, one in kinds if suffix in image_suffixes and is_stack(folder / one)}
+    images = tuple(one for suffix, one in kinds if suffix in image_suffixes and one not in stacks)
     if images:
         yield Sequence(name, folder, images)
     for suffix, one in kinds:
-        if suffix in FILM_SUFFIXES:
+        if suffix in FILM_SUFFIXES or one in stacks:
             yield Sequence(f"{name}/{one}" if name else one, folder / one)
 
 
@@ -200,7 +211,7 @@ def _of_files(paths: Iterable[Path], hidden: set[str], root: Path) -> Listing:
     sequences: list[Sequence] = []
     for folder in sorted(inside, key=lambda one: natural(one.as_posix())):
         name = "" if folder == root else folder.relative_to(root).as_posix()
-        sequences += _of_folder(name, folder, inside[folder])
+        sequences += _of_folder(name, folder, inside[folder], named=True)
     return Listing(root, tuple(sequences))
 
 
@@ -210,4 +221,4 @@ def _absolute(path: Path) -> Path:
 
 def _is_frames(path: Path) -> bool:
     suffix = path.suffix.lower()
-    return path.is_file() and (suffix in IMAGE_SUFFIXES or suffix in FILM_SUFFIXES)
+    return path.is_file() and (suffix in (*IMAGE_SUFFIXES, *FILM_SUFFIXES) or is_npy(path))

@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.batch.inputs.containers import hdf5_values, image_from_values, is_zarr, zarr_values
+from gelform.batch.inputs.containers import hdf5_values, is_zarr, zarr_values
 from gelform.batch.inputs.lerobot import stored_images, video_frames
 from gelform.batch.inputs.plan import Part
 from gelform.calibration.presses.press_set import file_of, table_rows
 from gelform.calibration_file import Calibration
-from gelform.errors import DataError, GelformError
+from gelform.errors import DataError, GelformError, reason
 from gelform.foundations.checks import check_image
 from gelform.image.background.average import background_from_frames
 from gelform.image.background.check import background_digest
@@ -26,6 +26,7 @@ from gelform.image.view import image_from_frame
 from gelform.image.view.view import MAX_PIXELS
 from gelform.sensors.files import read_background, read_image
 from gelform.sensors.source import open_source
+from gelform.sensors.values import image_from_values
 
 BACKGROUND_COLUMNS = ("sequence", "background")
 MOST_NAMED = 3  # sequences that a message names at most
@@ -113,12 +114,12 @@ def _dataset(part: Part, start: int, count: int, most_pixels: float) -> Iterator
             try:
                 frame = Frame(image_from_values(values, most_pixels), seconds, 0, index)
                 yield NamedFrame(f"{index:06d}", index, frame, timed=timed)
-            except DataError as problem:
-                yield NamedFrame(f"{index:06d}", index, None, str(problem))
+            except (DataError, MemoryError) as problem:
+                yield NamedFrame(f"{index:06d}", index, None, reason(problem))
             index += 1
-    except (GelformError, OSError) as problem:
+    except (GelformError, OSError, MemoryError) as problem:
         for missed in range(index, max(start + count, index + 1)):
-            yield NamedFrame(f"{missed:06d}", missed, None, str(problem))
+            yield NamedFrame(f"{missed:06d}", missed, None, reason(problem))
 
 
 def _values(part: Part, start: int, count: int) -> Iterator[tuple[float, NDArray[Any] | DataError]]:
@@ -136,8 +137,8 @@ def _images(
     for index, (image, name) in enumerate(zip(images, names), start):
         try:
             frame = Frame(read_image(folder / image, most_pixels=most_pixels), 0.0, 0, index)
-        except GelformError as problem:
-            yield NamedFrame(name, index, None, str(problem))
+        except (GelformError, MemoryError) as problem:
+            yield NamedFrame(name, index, None, reason(problem))
         else:
             yield NamedFrame(name, index, frame)
 
@@ -149,8 +150,8 @@ def _film(path: Path) -> Iterator[NamedFrame]:
             for frame in source:
                 yield NamedFrame(f"{count:06d}", count, frame, timed=True)
                 count += 1
-    except (GelformError, OSError) as problem:
-        yield NamedFrame(f"{count:06d}", count, None, str(problem))
+    except (GelformError, OSError, MemoryError) as problem:
+        yield NamedFrame(f"{count:06d}", count, None, reason(problem))
 
 
 @dataclass(frozen=True)

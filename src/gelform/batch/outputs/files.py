@@ -239,7 +239,7 @@ def attributes_of(name: str, settings: BatchSettings) -> dict[str, Any]:
 
 
 def facts_of(result: Reconstruction) -> dict[str, Any]:
-    """Deepest point (mm, and its pixel), area (mm^2) and volume (mm^3) of all contacts, their number, force, findings.
+    """Deepest known point (mm, and its pixel), area (mm^2) and volume (mm^3) of all contacts, their number, force, findings.
 
     If depth is known in no pixel, only the names are given.
     """
@@ -247,7 +247,8 @@ def facts_of(result: Reconstruction) -> dict[str, Any]:
     if not result.known.any():
         return {"health": health}
     depth_mm = result.depth_mm
-    deepest_y, deepest_x = divmod(int(depth_mm.argmax()), depth_mm.shape[1])
+    deepest = int(np.where(result.known, depth_mm, -np.inf).argmax())  # others are filled
+    deepest_y, deepest_x = divmod(deepest, depth_mm.shape[1])
     return {
         "deepest_mm": float(depth_mm[deepest_y, deepest_x]),
         "deepest_x_px": deepest_x,

@@ -30,6 +30,7 @@ from gelform.batch.outputs.files import FRAMES, PARTS, OutputFile, PartTarget, o
 from gelform.batch.outputs.video import Codec, VideoWriter
 from gelform.errors import DataError, needed
 from gelform.foundations.npz_files import written_file
+from gelform.foundations.whole_files import MAX_TEXT_BYTES, bytes_of
 from gelform.result import Reconstruction
 from gelform.robots.lerobot_depth import (
     UM_PER_MM,
@@ -212,7 +213,7 @@ def write_lerobot_set(output: Path, files: list[str], source: Path) -> list[Outp
     for path in sorted((source / EPISODE_TABLES).glob("*/*.parquet")):
         done.append(write_output(output, root / path.relative_to(source), _table(path, episodes, forces)))
     if (source / STATS).is_file():
-        stats = json.loads((source / STATS).read_bytes())
+        stats = json.loads(bytes_of(source / STATS, "statistics of a data set", MAX_TEXT_BYTES))
         more = {
             key + SUFFIX: _in_lists(_together([one["stats"] for one in of.values()]))
             for key, of in episodes.items()

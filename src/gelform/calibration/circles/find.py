@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 from scipy.fft import irfft2, next_fast_len, rfft2
 from scipy.ndimage import gaussian_filter1d
 
+from gelform.calibration.presses.press_set import check_room
+
 MIN_ANTISYMMETRY = 0.2  # 0-1, for a ball with more than half inside the border
 LOG_ASPECTS = np.linspace(-0.4, 0.4, 9)  # of imprints that are tried, log of width over height
 MIN_SIGNAL = 2.0  # change inside over that outside; 1 if nothing is pressed
@@ -53,7 +55,11 @@ def scale_of(shape: tuple[int, int]) -> float:
 
 
 def find_contact(color_change: NDArray[np.float32]) -> ContactCircle:
-    """Contact circle of one ball press, in a color change (H, W, 3) that is blurred by about 1.25 px at 240 rows."""
+    """Contact circle of one ball press, in a color change (H, W, 3) that is blurred by about 1.25 px at 240 rows.
+
+    DataError: it is too small to hold a contact.
+    """
+    check_room(color_change.shape)
     change = color_change - np.median(color_change, axis=(0, 1)).astype(np.float32)
     x, y, antisymmetry = _antisymmetry_center(change)
     size = magnitude(change)

@@ -208,6 +208,7 @@ def _solved(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Coefficients (terms, 2) and moves (N, 2) that minimize `sum weight |design w - target - jacobian move|^2`."""
     normal, right = normal_equations(design, target, weight)
+    # Definite by the ridge, and so is what it leaves of the moves, but for rounding: far below 1e-9.
     factor = scipy.linalg.cho_factor(normal + np.diag(JOINT_RIDGE * np.diag(normal) + 1e-12))
     schur, rest = np.zeros((2 * count, 2 * count)), np.zeros(2 * count)
     cross = np.empty((2, design.shape[1], 2 * count))

@@ -20,7 +20,7 @@ from gelform.errors import CalibrationError, DataError
 from gelform.foundations.npz_files import written_file
 from gelform.image.view import View, image_from_frame
 from gelform.sensors.files import background_in, read_background, read_image, read_sensor_toml
-from gelform.sensors.profiles import profile_named
+from gelform.sensors.profiles import check_gel_width, make_of, profile_named
 
 
 def save_scale(scale: Scale, place: str | PathLike[str], *, sensor_name: str | None = None) -> Path:
@@ -33,9 +33,10 @@ def save_scale(scale: Scale, place: str | PathLike[str], *, sensor_name: str | N
     CalibrationError
         The calibration was fitted on presses, and its slopes hold only at their scale.
     DataError
-        The file cannot be read, edited or written.
+        The file cannot be read, edited or written, or the gel would have a width that no sensor has.
     """
     place = Path(place)
+    width_note(scale.mm_per_px, place)
     if place.suffix == ".npz":
         return _save_in_calibration(scale, place)
     file = _toml_in(place)
@@ -45,6 +46,32 @@ def save_scale(scale: Scale, place: str | PathLike[str], *, sensor_name: str | N
             "Measure x and y and write both, or take gelform lens."
         )
     return _save_in_toml(place, _scale_values(scale), sensor_name)
+
+
+def width_note(mm_per_px: float, place: str | PathLike[str]) -> str | None:
+    """The note of `check_gel_width` on a scale of the images at a place as in `save_scale`; None where none is seen.
+
+    DataError: no sensor's gel is that wide.
+    """
+    place = Path(place)
+    if place.suffix == ".npz":
+        calibration = load_calibration(place)
+        shape, make = calibration.image_shape, make_of(calibration.sensor_name)
+    else:
+        file = _toml_in(place)
+        settings = read_sensor_toml(file) if file.is_file() else None
+        try:
+            rest = read_background(background_in(file.parent))
+        except DataError:  # no background yet: calibrate looks again
+            return None
+        shape = (rest.shape[0], rest.shape[1])
+        make = None
+        if settings is not None:
+            shape, make = settings.view.shape or shape, settings.make or make_of(settings.name)
+    try:
+        return check_gel_width(shape, mm_per_px, make)
+    except ValueError as problem:
+        raise DataError(f"{place}: {problem}") from problem
 
 
 def save_grid_view(found: GridView, place: str | PathLike[str], *, sensor_name: str | None = None) -> Path:

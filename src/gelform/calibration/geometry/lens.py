@@ -145,7 +145,7 @@ def _refined_corners(
 def _dot_detector(pixels: int) -> Any:
     blobs: Any = cv2  # OpenCV's stubs lack its blob detector
     settings = blobs.SimpleBlobDetector_Params()
-    settings.minArea, settings.maxArea = 8.0, pixels / 40
+    settings.minArea, settings.maxArea = 8.0, max(pixels / 40, 9.0)
     settings.minDistBetweenBlobs = 3.0
     settings.thresholdStep = 5.0
     return blobs.SimpleBlobDetector_create(settings)
@@ -210,7 +210,7 @@ def _rectifying(model: _Model, shape: tuple[int, int]) -> tuple[Lens, float]:
     """The lens whose rectified frame keeps size and direction in the middle of the frame, and its mm per px."""
     middle = np.array([(shape[1] - 1) / 2, (shape[0] - 1) / 2])
     bare = Lens((model.focal, model.focal, *model.center), model.distortion)
-    to_grid = np.linalg.inv(model.homographies[0])
+    to_grid = np.linalg.inv(model.homographies[0])  # of a whole grid of points, so never singular
 
     def grid_mm(frame_px: NDArray[np.float64]) -> NDArray[np.float64]:
         return _projected(to_grid, bare.rectified_px_from_frame_px(frame_px))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,6 +13,9 @@ from gelform.sensors.profiles import profile_named
 
 SOURCES = "two marked points, a step of a stage, or a grid"
 MARK_SIGMA_PX = 0.5  # px, of a point marked by hand
+ACROSS = (
+    0.5  # difference of cos^2 between two lengths, that shows x and y apart; 1 for lengths along both axes
+)
 MAX_DISAGREEMENT = 4.0  # standard deviations between two scales
 
 
@@ -25,11 +28,13 @@ class Scale:
     mm_per_px : mm per image pixel (square pixels)
     sigma : its standard deviation, mm
     source : target that it was measured on, with the figures
+    along_x : square of the cosine between the measured length and the image's x axis; None if both axes were measured
     """
 
     mm_per_px: float
     sigma: float
     source: str
+    along_x: float | None = None
 
     def __post_init__(self) -> None:
         check_positive(self.mm_per_px, "mm_per_px")
@@ -74,7 +79,8 @@ def scale_from_points(
             "Mark two that are far apart: the scale is as good as their distance is long."
         )
     source = f"two points {distance_px:.1f} px and {distance_mm:g} mm apart"
-    return scale_from_lengths(distance_mm, distance_px, sigma_mm, np.sqrt(2) * sigma_px, source)
+    scale = scale_from_lengths(distance_mm, distance_px, sigma_mm, np.sqrt(2) * sigma_px, source)
+    return replace(scale, along_x=((a[0] - b[0]) / distance_px) ** 2)
 
 
 def scale_from_lengths(mm: float, px: float, sigma_mm: float, sigma_px: float, source: str) -> Scale:
@@ -90,7 +96,8 @@ def combined_scale(scales: Sequence[Scale]) -> Scale:
     Raises
     ------
     DataError
-        Two of them are more than four standard deviations apart; one is wrong, and a mean would hide it.
+        Two of them are more than four standard deviations apart; one is wrong, and a mean would hide it. Or pixels are not
+        square: if lengths along both axes show that, the message has the pair to write.
     """
     scales = check_list(scales, "scales", Scale)
     if not scales:
@@ -102,8 +109,27 @@ def combined_scale(scales: Sequence[Scale]) -> Scale:
                 raise DataError(
                     f"Expected scales that agree, got {a.mm_per_px:.5g} +- {a.sigma:.2g} mm/px ({a.source}) and "
                     f"{b.mm_per_px:.5g} +- {b.sigma:.2g} mm/px ({b.source}): {apart:.1f} standard deviations apart. "
-                    "Leave the wrong one out."
+                    f"{_not_square(scales) or 'Leave the wrong one out.'}"
                 )
     weight = np.array([1 / scale.sigma**2 for scale in scales])
     mean = float(weight @ [scale.mm_per_px for scale in scales] / weight.sum())
     return Scale(mean, float(weight.sum() ** -0.5), "; ".join(scale.source for scale in scales))
+
+
+def _not_square(scales: Sequence[Scale]) -> str:
+    """What to write if lengths in several directions agree on pixels that are not square; empty if they do not."""
+    along = np.array([scale.along_x for scale in scales if scale.along_x is not None])
+    if len(along) < len(scales) or np.ptp(along) < ACROSS:
+        return ""
+    pitch, sigma = (np.array([getattr(scale, name) for scale in scales]) for name in ("mm_per_px", "sigma"))
+    design = np.stack([along, 1 - along], axis=1)  # pitch^2 = x^2 cos^2 + y^2 sin^2
+    weight = 1 / (2 * pitch * sigma)
+    squares = np.linalg.lstsq(design * weight[:, None], pitch**2 * weight, rcond=None)[0]
+    residual = np.abs(design @ squares - pitch**2) * weight
+    if squares.min() <= 0 or residual.max() > MAX_DISAGREEMENT:
+        return ""
+    x, y = np.sqrt(squares)
+    return (
+        f"The pixels are not square: mm_per_px = [{x:.5g}, {y:.5g}] fits all of them. Write that into sensor.toml. "
+        "Or leave the wrong one out."
+    )

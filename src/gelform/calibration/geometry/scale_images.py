@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import cv2
@@ -60,7 +61,8 @@ def scale_from_stage(
             "Move the stage further: a third of the image is good."
         )
     source = f"a stage step of {distance_mm:g} mm, ({dx:.2f}, {dy:.2f}) px"
-    return scale_from_lengths(distance_mm, length, sigma_mm, sigma_px, source)
+    scale = scale_from_lengths(distance_mm, length, sigma_mm, sigma_px, source)
+    return replace(scale, along_x=float((dx / length) ** 2))
 
 
 def _change_of(image: NDArray[Any], background: NDArray[Any]) -> NDArray[np.float32]:

@@ -28,7 +28,7 @@ from gelform.image.background.average import USUAL_FRAMES, background_from_frame
 from gelform.image.background.surround import surround_finding
 from gelform.image.frame import Frame, pixels_digest
 from gelform.image.view import View, image_from_frame
-from gelform.sensors.profiles import profile_named
+from gelform.sensors.profiles import check_gel_width, make_of, profile_named
 from gelform.sensors.simulated.source import SimulatedSource
 from gelform.sensors.source import Source
 
@@ -101,7 +101,8 @@ class Asked:
                 view = known.view(frame_shape)
                 scale = known.mm_per_px, known.mm_per_px_sigma
                 return cls(diameter, *scale, view, known.name, source.serial, profile)
-            return cls(diameter, check_sensor_pitch(mm_per_px), None, View(), source.name, source.serial)
+            check_gel_width(frame_shape, check_sensor_pitch(mm_per_px), make_of(source.name))
+            return cls(diameter, float(mm_per_px), None, View(), source.name, source.serial)
         except (ValueError, TypeError) as problem:
             raise GelformError(str(problem)) from problem
 

@@ -7,7 +7,6 @@ of the run, unsaved; the report's statistics are binned from them.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -21,28 +20,25 @@ from gelform.calibration.circles.samples import PRESS_PIXELS, ZONE, PreparedPres
 from gelform.calibration.fitted import Fitted
 from gelform.calibration.held_out.folds import Fold, circle_sigmas
 from gelform.calibration.held_out.sigma import fraction_trained, slope_sigma_from_folds
-from gelform.calibration.presses.press_set import Press, Presses
+from gelform.calibration.presses.press_set import Press
 from gelform.calibration_file import Calibration
 from gelform.foundations.progress import Progress, no_progress
 from gelform.image.background.change import PreparedBackground
-from gelform.reconstruct import Reconstructor
+from gelform.reconstruct import FrameRecord, Reconstructor
 from gelform.result import Reconstruction
 from gelform.result.metrics import PressErrors, press_errors
 from gelform.result.metrics.ball import STEEPEST_FRACTION, ball_center, ball_gradients, followed_radius
 from gelform.slopes.color_models import ForwardResponse
-from gelform.slopes.confidence import (
-    SlopeSigma,
-    SolvedErrors,
-    SolvedSigma,
-    all_shown,
-    noise_at_rest,
-    with_solved_factors,
-)
+from gelform.slopes.confidence import SlopeSigma, noise_at_rest
 from gelform.slopes.confidence.slope_sigma import ONE_SIGMA
 
 # Rings of equal steps of slope in a contact: for each of their sizes an object of its own. Pixels, least for a mean, most
 # for pairs of them.
 RINGS, RING_PIXELS = 6, (10, 200)
+ANY_SLOPE = 1e3, 1e3  # mm/mm, beyond any
+# Contact radii from which on depth is judged at rest, pixels of it that are enough for a press, every one of so many of
+# them, and times the usual RMS of a press above which something else lay on the gel.
+FAR_RADII, LEAST_FAR_PX, EVERY_FAR, MOST_FAR = 2.5, 200, 7, 5.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,10 +68,14 @@ class HeldOutSample:
         """(N, 2) reconstructed minus true slopes."""
         return self.gradients - self.true_gradients
 
+    def inside(self, zone: float) -> NDArray[np.bool_]:
+        """Which pixels (N,) are inside a fraction of the contact radius."""
+        x, y, radius = self.circle_px
+        return np.hypot(self.x_px - x, self.y_px - y) < zone * radius
+
     def within(self, zone: float) -> HeldOutSample:
         """The pixels inside a fraction of the contact radius."""
-        x, y, radius = self.circle_px
-        keep = np.hypot(self.x_px - x, self.y_px - y) < zone * radius
+        keep = self.inside(zone)
         kept = {name: getattr(self, name)[keep] for name in ("x_px", "y_px", "true_gradients", "gradients")}
         return replace(self, **kept)
 
@@ -120,18 +120,23 @@ def measure_held_out(fitted: Fitted, *, progress: Progress = no_progress) -> Jud
     sigma, residual_scale = slope_sigma_from_folds(fits, folds, prepared, held_out.found, noise)
     assert draft.forward is not None
     forward = replace(draft.forward, residual_scale=residual_scale)
-    draft = replace(draft, forward=forward)
+    unlimited = replace(sigma, shown=ANY_SLOPE)  # held-out presses show what slopes there are
+    draft = replace(draft, forward=forward, slope_sigma=unlimited)
+    stated: list[NDArray[np.float32]] = []
+    far: list[NDArray[np.float32]] = []
     for done, (fold, candidate) in enumerate(zip(folds, fitted.selection.by_fold)):
         runs = [(candidate, errors)]
         if candidate != chosen:
             runs.append((chosen, saved_errors))
         for one, into in runs:
-            for i, circle, result in _reconstructed(draft, fitted, one, fold):
+            for i, circle, record, result in _reconstructed(draft, fitted, one, fold):
                 press = fitted.located.presses.presses[i]
                 measured = press, circle, result, draft.known_mm_per_px, prepared[i].contact_radius_ratio
                 into[i] = errors_of(*measured)
                 if into is errors:
                     samples.append(sample_of(i, *measured))
+                    stated.append(at_sample(record.budget.read, samples[-1]))
+                    far.append(_depth_over_spread(record, circle))
         if candidate == chosen:
             saved_errors |= {i: errors[i] for i in fold.held_out if i in errors}
         progress(done + 1, len(folds), "measuring on held-out presses")
@@ -139,7 +144,9 @@ def measure_held_out(fitted: Fitted, *, progress: Progress = no_progress) -> Jud
         errors,
         saved_errors,
         tuple(samples),
-        solved_by_place(draft, sigma, fitted.located.presses, samples, fraction_trained(folds)),
+        with_factors(
+            sigma, samples, stated, far, fraction_trained(folds), draft.settings.contact_radius_ratio
+        ),
         forward,
         circle_sigmas(fitted.located.prepared, held_out.found, folds, fitted.located.refined_by),
     )
@@ -147,21 +154,20 @@ def measure_held_out(fitted: Fitted, *, progress: Progress = no_progress) -> Jud
 
 def _reconstructed(
     draft: Calibration, fitted: Fitted, candidate: Candidate, fold: Fold
-) -> Iterator[tuple[int, tuple[float, float, float], Reconstruction]]:
-    """Index, circle and result of each press of a fold, by a calibration that was fitted without the fold."""
+) -> Iterator[tuple[int, tuple[float, float, float], FrameRecord, Reconstruction]]:
+    """Index, circle, record and result of each press of a fold, by a calibration that was fitted without the fold."""
     held_out, presses, known = fitted.held_out, fitted.located.presses, draft.forward
     ((reader, forward),) = held_out.fit(fold, [candidate])
     change = change_settings(presses, candidate.change_offset)
     assert known is not None
     own = replace(known, step_sigma=None) if forward is None else forward
     own = replace(own, clipped=known.clipped, residual_scale=known.residual_scale)
-    reconstruct = Reconstructor(
-        replace(draft, color_model=reader.model, forward=own, change=change), depth_sigma=False
-    )
+    reconstruct = Reconstructor(replace(draft, color_model=reader.model, forward=own, change=change))
     for i in fold.held_out:
-        result = reconstruct.from_image(presses.presses[i].image)
+        record, albedo = reconstruct.record(presses.presses[i].image)
+        result = reconstruct.result(record, albedo)
         circle = _free_circle(held_out.presses[candidate.change_offset][i], held_out.found[i], result)
-        yield i, circle, result
+        yield i, circle, record, result
 
 
 def _free_circle(
@@ -258,34 +264,59 @@ def _cap_error_um(
     return box
 
 
-def solved_by_place(
-    draft: Calibration, sigma: SlopeSigma, presses: Presses, samples: Sequence[HeldOutSample], trained: float
+def with_factors(
+    sigma: SlopeSigma,
+    samples: Sequence[HeldOutSample],
+    stated: Sequence[NDArray[np.float32]],
+    far: Sequence[NDArray[np.float32]],
+    trained: float,
+    contact_radius_ratio: float | None,
 ) -> SlopeSigma:
-    """The deviation of slopes, with factors by slope and place for those of the solved depth.
+    """The deviation of slopes with the factors of the solved depth's slopes and of depth, and the common error of slopes.
 
-    As in `slope_sigma_from_folds`, errors are multiplied by the root of the fraction of presses that a fold has seen. If
-    too few pixels were held out for factors, the slopes of the solved depth have the deviation of those that were read.
-    Their common error, `gain_sigma`, is that of `common_error`.
+    As in `slope_sigma_from_folds`, the common error is multiplied by the root of the fraction of presses that a fold has
+    seen; the factors are those of the folds, because little of the other errors falls with more presses. `stated` are the
+    deviations of the slopes as read at the samples' pixels, `far` those of `_depth_over_spread`.
     """
-    reconstruct = Reconstructor(replace(draft, slope_sigma=sigma), depth_sigma=False)
-    reconstruct.steep_slopes = all_shown  # the factors are those of slopes that presses show
-    no_walls = copy(reconstruct)
-    no_walls.solved_sigma = SolvedSigma(sigma, draft.image_shape, None)
-    height, width = draft.image_shape
-    parts = []
-    ratio = draft.settings["contact_radius_ratio"]
-    inner = [sample.within(ratio) for sample in samples]
+    ratio = contact_radius_ratio or 1.0
+    kept = [one.inside(ratio) for one in samples]
+    inner = [one.within(ratio) for one in samples]
     sigma = replace(sigma, gain_sigma=float(np.sqrt(trained)) * common_error(inner, sigma))
-    for one in inner:
-        stated, by_reading = (
-            stated_sigma(each, presses.presses[one.index].image, one)[:, 0]
-            for each in (reconstruct, no_walls)
-        )
-        extra = np.sqrt(np.maximum(stated**2 - by_reading**2, 0))
-        place = (one.x_px + 0.5) / width, (one.y_px + 0.5) / height
-        slopes, press = np.linalg.norm(one.gradients, axis=1), np.full(len(stated), one.index)
-        parts.append((slopes, np.sqrt(trained) * one.errors, stated, extra, *place, press))
-    return with_solved_factors(sigma, SolvedErrors(*(np.concatenate(column) for column in zip(*parts))))
+    errors = np.concatenate([one.errors for one in inner])
+    sigma = sigma.with_solved(errors, np.concatenate([one[k] for one, k in zip(stated, kept)]))
+    return replace(sigma, depth_factor=depth_factor(far, sigma.depth_factor))
+
+
+def depth_factor(far: Sequence[NDArray[np.float32]], usual: float) -> float:
+    """The factor that leaves 68 % of depth far from contacts within one sigma; presses count alike."""
+    far = [one for one in far if one.size]
+    if not far:
+        return usual
+    sizes = np.array([np.mean(one) for one in far])
+    some = [one for one, size in zip(far, sizes) if size <= MOST_FAR**2 * np.median(sizes)]
+    squares = np.concatenate(some)
+    share = np.concatenate([np.full(one.size, 1 / one.size) for one in some])
+    order = np.argsort(squares)
+    enough = int(np.searchsorted(np.cumsum(share[order]), ONE_SIGMA * len(some)))
+    return max(float(np.sqrt(squares[order[min(enough, len(order) - 1)]])), 1.0)
+
+
+def _depth_over_spread(record: FrameRecord, circle_px: tuple[float, float, float]) -> NDArray[np.float32]:
+    """Squared depth at rest far from a contact, over the variance by its slopes and a factor of 1; pixels (N,)."""
+    errors = record.depth_errors
+    assert errors is not None
+    height, width = record.depth_mm.shape
+    y, x = np.ogrid[:height, :width]
+    far = record.known & (np.hypot(x - circle_px[0], y - circle_px[1]) > FAR_RADII * circle_px[2])
+    if np.count_nonzero(far) < LEAST_FAR_PX:
+        return np.empty(0, dtype=np.float32)
+    per_unit = errors.coarse.at_pixels(errors.spread)[far][::EVERY_FAR] / record.depth_factor**2
+    return np.asarray(np.square(record.depth_mm[far][::EVERY_FAR]) / per_unit, dtype=np.float32)
+
+
+def at_sample(values: NDArray[np.float32], sample: HeldOutSample) -> NDArray[np.float32]:
+    """A map (H, W) at the pixels of a sample."""
+    return values[sample.y_px.astype(np.intp), sample.x_px.astype(np.intp)]
 
 
 def common_error(samples: Sequence[HeldOutSample], sigma: SlopeSigma) -> float:
@@ -321,15 +352,3 @@ def _ring_squares(sample: HeldOutSample, sigma: SlopeSigma, single: float) -> It
         share = sigma.correlated_share
         explained = single * (share * float(alike.mean()) + (1 - share) / len(pixels))
         yield (error**2 - explained) / float(slopes[pixels].mean()) ** 2
-
-
-def stated_sigma(
-    reconstruct: Reconstructor, image: NDArray[Any], sample: HeldOutSample
-) -> NDArray[np.float32]:
-    """Standard deviation (N, 2) that a Reconstructor states for the slopes at the pixels of a sample."""
-    sigma = reconstruct.from_image(image).gradients_sigma
-    if sigma is None:
-        raise ValueError("Expected a calibration that states a standard deviation of its slopes, got none.")
-    rows, cols = sample.y_px.astype(np.intp), sample.x_px.astype(np.intp)
-    stated: NDArray[np.float32] = sigma[rows, cols]
-    return stated

@@ -1,4 +1,4 @@
-"""Errors of held-out slopes: their standard deviation by slope and place, and their correlation."""
+"""Errors of held-out slopes: their standard deviation by step and slope, and their correlation."""
 
 from __future__ import annotations
 
@@ -48,22 +48,12 @@ class PressResiduals:
     untouched_noise: NDArray[np.float32]
     untouched_rows: NDArray[np.float64]
 
-    def columns(self, shape: tuple[int, int], press: int) -> tuple[NDArray[np.float64], ...]:
-        """Slope, errors, x and y in parts of the image, and the press's index, of some pixels."""
+    def columns(self) -> tuple[NDArray[np.float64], ...]:
+        """Slope, errors, stated deviation and residual of some pixels."""
         thin = slice(None, None, max(1, len(self.rows) // PRESS_PIXELS))
-        rows, cols = self.rows[thin], self.cols[thin]
-        at = rows - self.rows.min(), cols - self.cols.min()
-        x, y = (cols + 0.5) / shape[1], (rows + 0.5) / shape[0]
+        at = self.rows[thin] - self.rows.min(), self.cols[thin] - self.cols.min()
         slopes = np.linalg.norm(self.slopes[at], axis=-1)
-        return (
-            slopes,
-            self.errors[at],
-            x,
-            y,
-            np.full(len(rows), press),
-            self.stated[thin],
-            self.residual[thin],
-        )
+        return slopes, self.errors[at], self.stated[thin], self.residual[thin]
 
 
 def slope_sigma_from_folds(
@@ -88,11 +78,11 @@ def slope_sigma_from_folds(
         for i in fold.held_out
     }
     products = [_lag_products(one.errors, step) for one in residuals.values()]
-    parts = [one.columns(shape, i) for i, one in residuals.items()]
-    slopes, errors, x, y, press, stated, residual = (np.concatenate(column) for column in zip(*parts))
+    parts = [one.columns() for one in residuals.values()]
+    slopes, errors, stated, residual = (np.concatenate(column) for column in zip(*parts))
     untouched = np.concatenate([one.untouched for one in residuals.values()])
     there = np.concatenate([one.untouched_noise for one in residuals.values()])
-    held_out = SlopeErrors(slopes, np.sqrt(trained) * errors, x, y, press, untouched, there, stated)
+    held_out = SlopeErrors(slopes, np.sqrt(trained) * errors, untouched, there, stated)
     length, fraction = correlation_from_products(np.mean(products, axis=0), step)
     fitted = SlopeSigma.fit(held_out, length, fraction)
     at_rest = np.mean([_lag_products(one.untouched_rows, 1) for one in residuals.values()], axis=0)

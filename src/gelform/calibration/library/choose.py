@@ -13,7 +13,7 @@ from gelform.calibration.library.library import Entry, date_of, entries
 from gelform.calibration.library.simulated import ready_calibration
 from gelform.calibration_file import Calibration, load_calibration
 from gelform.errors import CalibrationError, DataError, GelformError
-from gelform.sensors.cameras.camera import Camera, camera_named, cameras_there
+from gelform.sensors.cameras.camera import Camera, almost, camera_named, cameras_there
 from gelform.sensors.files import read_sensor_toml
 from gelform.sensors.grabber import Grabber
 from gelform.sensors.mjpeg import shown_address
@@ -127,7 +127,7 @@ def _missing(unit: Unit, there: Sequence[Entry]) -> str:
     by = f"serial {unit.serial}{gel}" if unit.serial else f"no serial, of a sensor {' or '.join(unit.names)}"
     listed = f"it has calibrations of {', '.join(known)}" if known else "it has none with a serial"
     unread = f"; {damaged} cannot be read (gelform calibrations list)" if damaged else ""
-    return f"was given, and the library has none with {by}: {listed}{unread}."
+    return f"was given, and the library has none with {by}: {listed}{unread}.{almost(unit.serial, known)}"
 
 
 def unit_of(source: Any) -> Unit:
@@ -211,13 +211,23 @@ def unit_of_files(path: Path) -> Unit:
     """
     if path.suffix.lower() == ".mcap" or (path.is_dir() and is_bag_folder(path)):
         facts, _ = picture_topic_of(mcap_file_in(path) if path.is_dir() else path)
-        return Unit(str(path), facts.serial or "", digest=facts.calibration_digest, carries=path)
+        serial, digest = facts.serial or "", facts.calibration_digest
+        return Unit(str(path), serial, digest=digest, carries=path, simulated=_simulated(serial))
     folder = path if path.is_dir() else path.parent
     for place in (folder, folder.parent):  # a press folder has its images in a subfolder
         if (place / SENSOR_TOML).is_file():
             settings = read_sensor_toml(place / SENSOR_TOML)
             return Unit(str(place), settings.serial, gel_id=settings.gel_id)
     return Unit(str(path))
+
+
+def _simulated(serial: str) -> SimulatedSensor | None:
+    """The ready-made simulated sensor whose frames have this serial number; None for a camera."""
+    try:
+        sensor = simulated_sensor_of(serial.replace("-", ":", 1))
+    except ValueError:
+        return None
+    return sensor if sensor is not None and serial_of_simulated(sensor) == serial else None
 
 
 def unit_of_all(paths: Iterable[Path]) -> Unit:

@@ -14,6 +14,7 @@ from platformdirs import user_data_path
 from gelform.calibration_file import Calibration, load_calibration
 from gelform.errors import CalibrationError, DataError, GelformError
 from gelform.foundations.npz_files import DIGEST_SHOWN, sweep
+from gelform.sensors.cameras.camera import almost
 
 FOLDER_VARIABLE = "GELFORM_CALIBRATIONS"
 # Characters of a sensor's name, a serial or a gel in a file name; file systems allow 255 in all.
@@ -141,6 +142,7 @@ def matching(word: str, gel_id: str | None = None, folder: Path | None = None) -
         gel = "" if gel_id is None else f" and gel {gel_id!r}"
         raise DataError(
             f"No calibration in the library with serial, file name or digest {word!r}{gel}. There: {listed(there)}."
+            f"{almost(word, (one.serial for one in there))}"
         )
     return found
 

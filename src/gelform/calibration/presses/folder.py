@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -41,17 +42,28 @@ from gelform.calibration.presses.press_set import (
 from gelform.calibration.presses.video import presses_from_video
 from gelform.errors import DataError
 from gelform.foundations.checks import check_is, check_path
+from gelform.foundations.foreign_files import way_for
 from gelform.foundations.progress import Progress, no_progress
 from gelform.image.frame import pixels_digest
 from gelform.image.view import View, image_from_frame, image_px_from_frame_px
-from gelform.sensors.files import IMAGE_SUFFIXES, background_in, read_background, read_image
+from gelform.sensors.files import (
+    IMAGE_SUFFIXES,
+    background_in,
+    images_of_stack,
+    is_likely_background,
+    is_stack,
+    read_background,
+    read_image,
+)
+from gelform.sensors.recordings.mcap_reader import refuse_bag
 from gelform.sensors.video_files import is_video
 
 LABEL_COLUMNS = ("center_x_px", "center_y_px", "contact_radius_px")
 BALL, FLAT = "ball", "flat"  # indenters
+DIAMETER = re.compile(r"(?<![\d.,])(\d+(?:[.,]\d+)?)[ _-]?mm(?![a-z])", re.IGNORECASE)  # in a folder's name
 NAMED_ODD = 5  # images of another size that a message lists
 PRESS_FOLDER, GS_SDK, PY3DCAL = "press folder", "gs_sdk folder", "py3DCal folder"
-TAXIM, PLAIN, VIDEO = "Taxim dataPack", "folder of images", "video"
+TAXIM, PLAIN, STACK, VIDEO = "Taxim dataPack", "folder of images", "file of several images", "video"
 
 
 def read_presses(
@@ -69,7 +81,8 @@ def read_presses(
     Parameters
     ----------
     path : a press folder (`presses.csv` with the columns image, ball_diameter_mm), gs_sdk's (`catalog.csv`) or
-        py3DCal's folder, Taxim's `dataPack.npz`, or a folder of plain images or a video with `ball_diameter_mm`
+        py3DCal's folder, Taxim's `dataPack.npz`, or a folder of plain images, a TIFF of several pages, frames of numpy
+        (`.npy`) or a video with `ball_diameter_mm`
     sensor : name of a profile, which has the view and mm_per_px
     mm_per_px : pixel pitch, mm, or (x, y) of pixels that are not square; overrides sensor.toml and the profile
     ball_diameter_mm : for data without it
@@ -97,7 +110,9 @@ def read_presses(
         is_what = is_file if place.exists() else "not there"
         raise DataError(
             f"Expected a folder of presses, a video or a Taxim dataPack.npz, got {place}, which is {is_what}."
+            f"{way_for(place) if place.exists() else ''}"
         )
+    refuse_bag(place)
     return _read(place, SOURCES[kind](place, options), options, progress)
 
 
@@ -127,6 +142,8 @@ def kind_of_presses(place: Path) -> str | None:
     """The layout of presses at a path: VIDEO, a name in `SOURCES`, or None."""
     if place.is_file() and is_video(place):
         return VIDEO
+    if is_stack(place):
+        return STACK
     if (place / "presses.csv").is_file():
         return PRESS_FOLDER
     if (place / "catalog.csv").is_file():
@@ -229,6 +246,11 @@ def _listed_ball(row: Mapping[str, str], where: str) -> Listed:
 
 def plain_source(folder: Path, options: ReadOptions) -> PressSource:
     """A folder of images of one ball, one press each, and `background.png`."""
+    if rows := rows_by_folder(folder):
+        raise DataError(
+            f"{folder} has folders whose names are diameters, and no presses.csv. Write the lines that they suggest: "
+            f"{'; '.join(rows[: 1 + NAMED_ODD])} ... (gelform info {folder} prints all {len(rows)}), if they are right."
+        )
     rest_path = options.background or background_in(folder)
     images = [p for p in sorted(folder.iterdir()) if p.suffix.lower() in IMAGE_SUFFIXES]
     images = [p for p in images if p.stem != "background" and p.resolve() != rest_path.resolve()]
@@ -237,12 +259,31 @@ def plain_source(folder: Path, options: ReadOptions) -> PressSource:
     return PressSource(read_background(rest_path), listed, lambda k: read_image(images[k]))
 
 
+def rows_by_folder(folder: Path) -> list[str]:
+    """The lines of a presses.csv that folders such as `5mm/` suggest, its header first; [] without such folders."""
+    rows = []
+    for below in sorted(folder.iterdir()):
+        words = DIAMETER.search(below.name)
+        images = sorted(below.iterdir()) if words and below.is_dir() else []
+        named = [p for p in images if p.suffix.lower() in IMAGE_SUFFIXES and not is_likely_background(p)]
+        rows += [f"{below.name}/{p.name},{words[1].replace(',', '.')}" for p in named if words]
+    return rows and ["image,ball_diameter_mm", *rows]
+
+
+def stack_source(file: Path, options: ReadOptions) -> PressSource:
+    """A TIFF of several pages, or an array of frames (`.npy`), of one ball, one press each."""
+    rest, (image, count) = options.background or background_in(file.parent), images_of_stack(file)
+    ball = options.ball(f"{file} has images but no presses.csv")
+    return PressSource(read_background(rest), [Listed(f"image {k}", ball) for k in range(count)], image)
+
+
 SOURCES: Mapping[str, Callable[[Path, ReadOptions], PressSource]] = {
     PRESS_FOLDER: press_folder_source,
     GS_SDK: gs_sdk_source,
     PY3DCAL: py3dcal_source,
     TAXIM: taxim_source,
     PLAIN: plain_source,
+    STACK: stack_source,
 }
 
 __all__ = ["Press", "Presses", "as_presses", "kind_of_presses", "read_presses"]

@@ -23,7 +23,8 @@ from gelform.calibration.presses.press_set import (
 )
 from gelform.errors import DataError, said
 from gelform.foundations.checks import check_positive, check_sensor_pitch
-from gelform.foundations.npz_files import DAMAGED_ARCHIVE
+from gelform.foundations.npz_files import DAMAGED_ARCHIVE, checked_archive
+from gelform.foundations.whole_files import MAX_TEXT_BYTES, bytes_of
 from gelform.sensors.files import IMAGE_SUFFIXES, SensorSettings, background_in, read_background, read_image
 
 MAX_PACK_BYTES = 4 << 30  # bytes of an unpacked dataPack
@@ -48,6 +49,7 @@ def _gs_sdk_rows(folder: Path) -> Iterator[Listed]:
 
 def _gs_sdk_label(path: Path) -> tuple[float, float, float]:
     try:
+        checked_archive(path, "the label of a press")
         with path.open("rb") as handle, np.load(handle, allow_pickle=False) as label:
             x, y = (float(v) for v in np.ravel(label["center"]))
             circle = x, y, float(label["radius"])
@@ -117,10 +119,8 @@ def _py3dcal_facts(folder: Path) -> dict[str, float]:
     places = [folder / "annotations" / "metadata.json", folder / "metadata.json"]
     path = next((place for place in places if place.is_file()), places[0])
     try:
-        facts = json.loads(path.read_text(encoding="utf-8"))
+        facts = json.loads(bytes_of(path, "metadata of py3DCal", MAX_TEXT_BYTES))
         return {name: check_positive(float(facts[name]), name) for name in ("px_per_mm", "probe_radius_mm")}
-    except OSError as problem:
-        raise DataError(f"Cannot read {path}: {problem.strerror or problem}.") from problem
     except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as problem:
         raise DataError(
             f"Expected px_per_mm and probe_radius_mm > 0 in {path}, got: {said(problem)}."
@@ -171,12 +171,7 @@ def taxim_source(path: Path, options: ReadOptions) -> PressSource:
 
 def _plain_arrays(pack: Path) -> dict[str, NDArray[Any]]:
     try:
-        with zipfile.ZipFile(pack) as archive:
-            size = sum(member.file_size for member in archive.infolist())
-        if size > MAX_PACK_BYTES:
-            raise DataError(
-                f"{pack} says that it holds {size / 2**30:.1f} GiB (at most {MAX_PACK_BYTES >> 30})."
-            )
+        checked_archive(pack, "a dataPack", MAX_PACK_BYTES)
         with pack.open("rb") as handle, np.load(handle, allow_pickle=False) as data:
             missing = [name for name in TAXIM_ARRAYS if name not in data.files]
             if missing:

@@ -16,16 +16,16 @@ from numpy.typing import NDArray
 from gelform.calibration.geometry.measured import Geometry
 from gelform.errors import DataError
 from gelform.foundations.checks import (
-    check_gel_width,
     check_positive,
     check_sensor_pitch,
     check_sensor_pitches,
 )
 from gelform.foundations.tables import plain_cell
+from gelform.foundations.whole_files import present_file
 from gelform.image.frame import pixels_digest
 from gelform.image.view import View, image_from_frame
 from gelform.sensors.files import SensorSettings, read_sensor_toml
-from gelform.sensors.profiles import PROFILES, make_of, profile_named, view_from_camera
+from gelform.sensors.profiles import PROFILES, check_gel_width, make_of, profile_named, view_from_camera
 
 if TYPE_CHECKING:
     from gelform.simulate import SimulatedPresses
@@ -55,6 +55,9 @@ class Press:
     label: tuple[float, float, float] | None
     digest: str
     center_px: tuple[float, float] | None = None
+
+    def __repr__(self) -> str:
+        return f"Press({self.name}, ball {self.ball_diameter_mm:g} mm{', labeled' if self.label else ''})"
 
 
 @dataclass(frozen=True)
@@ -115,9 +118,18 @@ class Presses:
     make: str | None = None
 
     def __post_init__(self) -> None:
-        check_gel_width(self.image_shape, check_sensor_pitch(self.mm_per_px))
         if self.make is None:
             object.__setattr__(self, "make", make_of(self.sensor_name))
+        check_gel_width(self.image_shape, check_sensor_pitch(self.mm_per_px), self.make)
+
+    def __repr__(self) -> str:
+        height, width = self.image_shape
+        balls = ", ".join(f"{ball:g}" for ball in sorted({press.ball_diameter_mm for press in self.presses}))
+        flats = f", {len(self.flats)} of flat punches" if self.flats else ""
+        return (
+            f"Presses({self.folder}: {len(self.presses)} of balls of {balls or 'no'} mm{flats}, {self.sensor_name}, "
+            f"{height}x{width} px, {self.mm_per_px:g} mm per pixel)"
+        )
 
     @property
     def image_shape(self) -> tuple[int, int]:
@@ -234,6 +246,15 @@ class ReadOptions:
         return check_ball_diameter(self.ball_diameter_mm)
 
 
+def check_room(shape: tuple[int, ...]) -> None:
+    """DataError: images of this shape (H, W, ...) are too small to hold a contact."""
+    if min(shape[:2]) < MIN_IMAGE_PX:
+        raise DataError(
+            f"Expected images of at least {MIN_IMAGE_PX} px in height and width, got {shape[0]}x{shape[1]} px. Look at "
+            "the crop and the view."
+        )
+
+
 def presses_from_settings(
     settings: SensorSettings,
     folder: str,
@@ -243,12 +264,7 @@ def presses_from_settings(
     **more: Any,
 ) -> Presses:
     """The press set of a sensor, with the given other fields of `Presses`; DataError for images that hold no contact."""
-    height, width = background.shape[:2]
-    if min(height, width) < MIN_IMAGE_PX:
-        raise DataError(
-            f"Expected images of at least {MIN_IMAGE_PX} px in height and width, got {height}x{width} px. Look at the "
-            "crop and the view."
-        )
+    check_room(background.shape)
     return Presses(
         folder=folder,
         presses=tuple(presses),
@@ -328,7 +344,7 @@ def table_rows(path: Path, columns: tuple[str, ...]) -> Iterator[tuple[str, dict
     the comma is the decimal sign.
     """
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
+        with present_file(path, "a table").open(newline="", encoding="utf-8-sig") as file:
             header = file.readline()
             file.seek(0)
             semicolons = header.count(";") > header.count(",")

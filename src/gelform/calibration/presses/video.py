@@ -140,6 +140,11 @@ def _kept(frames: Iterable[Frame], view: _ViewOfFrames) -> list[Frame]:
 def _selected(frames: Iterable[Frame], only: Container[int] | None) -> Iterator[Frame]:
     for position, frame in enumerate(frames):
         check_is(frame, Frame, "each frame")
+        if not isinstance(frame.time_s, (int, float)) or not np.isfinite(frame.time_s):
+            raise TypeError(
+                f"Expected time_s of frame {position} in seconds, got {frame.time_s!r}. Without a clock, divide the frame's "
+                "number by the rate of the camera."
+            )
         if only is None or position in only:
             yield Frame(frame.image, frame.time_s, frame.wall_time_ns, position)
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from gelform.calibration.coverage import DIRECTIONS, Coverage, press_coverage, press_next, square_tiles
 from gelform.calibration.enough import NEEDED
-from gelform.calibration.held_out.measure import HeldOutSample, stated_sigma
+from gelform.calibration.held_out.measure import HeldOutSample, at_sample
 from gelform.calibration.presses.press_set import Presses
 from gelform.calibration.report.record import CalibrationReport, PressReport
 from gelform.calibration.report.statistics import (
@@ -79,8 +79,12 @@ def report_content(
     samples: tuple[HeldOutSample, ...] = report.samples
     ratio = float(calibration.settings["contact_radius_ratio"])
     inner = [one.within(ratio) for one in samples]
-    reconstruct = Reconstructor(calibration, depth_sigma=False)
-    sigmas = [stated_sigma(reconstruct, presses.presses[one.index].image, one) for one in inner]
+    reconstruct = Reconstructor(calibration)
+    sigmas = []
+    for one in inner:
+        sigma = reconstruct.from_image(presses.presses[one.index].image).gradients_sigma
+        assert sigma is not None  # presses were measured
+        sigmas.append(at_sample(sigma, one))
     shape = calibration.image_shape
     content = {
         "format": FORMAT,

@@ -32,12 +32,9 @@ from gelform.image.background.average import noise_from_image
 from gelform.image.markers import MarkerFollower
 from gelform.image.view import View, image_from_frame
 from gelform.reconstruct import Reconstructor
-from gelform.sensors.profiles import PROFILES, SENSORS, make_of, view_from_camera
+from gelform.sensors.profiles import PROFILES, SENSORS, check_gel_width, make_of, view_from_camera
 from gelform.slopes.color_models import StartableModel
 
-MOST_APART = (
-    2.0  # largest factor between mm_per_px of a unit and of its make; lenses and crops differ by a tenth
-)
 KIND, FORMAT_VERSION, MAX_BYTES = "gelform starter", 1, 4 * 2**20
 # Depth over its mean around it, and over its median, in the inner part of a background image that is read against its own
 # smooth light. Five units at rest 0.05-0.18 mm, presses of a ball on three of them 0.34 mm or more, a cube's edge 0.25 mm.
@@ -131,11 +128,7 @@ class Starter:
         findings = check_light(image, self.light, self.make)
         self.check_untouched(image)
         pitch = made.known_mm_per_px if mm_per_px is None else float(check_mm_per_px(mm_per_px)[0])
-        if not 1 / MOST_APART < pitch / made.known_mm_per_px < MOST_APART:
-            raise ValueError(
-                f"Expected mm_per_px near the {made.known_mm_per_px:.3g} of a {self.make}, got {pitch:.3g}: its gel "
-                f"would be {pitch * image.shape[1]:.0f} mm wide."
-            )
+        check_gel_width(made.image_shape, pitch, self.sensor)
         model, forward = self.models_for(light_from_background(image)[0], pitch)
         sigma = made.slope_sigma
         assert sigma is not None
@@ -191,9 +184,7 @@ class Starter:
         model, forward = self.models_for(light, made.known_mm_per_px)
         unit = replace(made, background=smooth, color_model=model, forward=forward)
         try:
-            result = Reconstructor(unit, depth_sigma=False).from_image(
-                np.clip(np.rint(background), 0, 255).astype(np.uint8)
-            )
+            result = Reconstructor(unit).from_image(np.clip(np.rint(background), 0, 255).astype(np.uint8))
         except CalibrationError:
             return  # too uneven to be read so; `uneven_background` says it
         if any(finding.name == "few_untouched" for finding in result.health):
@@ -311,7 +302,14 @@ def load_starter(sensor: str) -> Starter:
     ------
     SensorError
         There is none; the message lists the sensors that have one.
+    TypeError
+        No name.
     """
+    if not isinstance(sensor, str):
+        raise TypeError(
+            f"Expected sensor as a name, such as {starter_names()[0]!r}, got a {type(sensor).__name__}. In "
+            "calibration_from_background, the background comes first."
+        )
     if sensor not in starter_names():
         raise SensorError(
             f"Expected a sensor with a starter, {', '.join(starter_names())}, got {sensor!r}. "

@@ -15,7 +15,15 @@ import typer
 from typer import Argument, BadParameter, Option
 
 from gelform.cli.console import progress_shown, say
-from gelform.cli.options import AcceptDoubtful, CalibrationOptions, ShownOption, one_of, usage_errors
+from gelform.cli.options import (
+    AcceptDoubtful,
+    Bgr,
+    CalibrationOptions,
+    Dataset,
+    ShownOption,
+    one_of,
+    usage_errors,
+)
 from gelform.cli.process import MISTAKE
 from gelform.result.maps import KEPT_MAPS
 
@@ -38,12 +46,8 @@ def _shard(text: str) -> tuple[int, int]:
 class Frames:
     """The places of frames and background images in the input."""
 
-    dataset: Annotated[
-        str, Option(metavar="PATH", help="Where frames are in HDF5, Zarr, LeRobot; * stands for one name.")
-    ] = ""
-    bgr: Annotated[
-        bool, Option("--bgr", help="The frames are blue, green, red, as OpenCV writes an array.")
-    ] = False
+    dataset: Dataset = ""
+    bgr: Bgr = False
     background: Annotated[
         Path | None,
         Option(
@@ -72,10 +76,6 @@ class Results:
         "depth,known"
     )
     solver: Annotated[str, Option(help="Solver from slopes to depth; auto chooses.")] = "auto"
-    sigma: Annotated[
-        bool,
-        Option("--sigma/--no-sigma", help="Compute the standard deviation of depth, which contact uses."),
-    ] = True
 
     def settings(self, frames: Frames) -> BatchSettings:
         """The settings of the batch; raises a usage error for invalid ones."""
@@ -87,7 +87,6 @@ class Results:
                 self.form,
                 maps,
                 self.solver,
-                self.sigma,
                 frames.background_frames,
                 dtype=self.dtype or "",
                 bgr=frames.bgr,

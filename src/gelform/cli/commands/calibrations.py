@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer import Argument, BadParameter, Option
 
-from gelform.cli.console import figure, print_json
+from gelform.cli.console import figure, print_json, printable
 from gelform.cli.options import NewCalibration, Overwrite, ShownOption
 from gelform.errors import DataError
 
@@ -160,7 +160,7 @@ def remove(
     if not yes:
         if sys.stdin is None:
             raise DataError("Expected a terminal to ask in. Use --yes to delete without a question.")
-        typer.confirm(f"Delete {listed(found)}?", abort=True, err=True)
+        typer.confirm(printable(f"Delete {listed(found)}?"), abort=True, err=True)
     for entry in found:
         remove_calibration(entry)
         shown.say(f"Deleted {entry.path}.")

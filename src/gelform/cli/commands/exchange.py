@@ -44,22 +44,26 @@ def import_(
     flip_depth: Annotated[
         bool, Option("--flip-depth", help="For lut: reverse depth that falls where pressed.")
     ] = False,
+    range_: Annotated[
+        tuple[float, float] | None,
+        Option("--range", metavar="LOW HIGH", help="For lut: differences that the table spans, gray levels."),
+    ] = None,
     name: Annotated[str | None, Option(metavar="NAME", help="Name of the sensor.")] = None,
     overwrite: Overwrite = False,
     shown: ShownOption,
 ) -> None:
     """Import a calibration that another package made.
 
-    Networks of gs_sdk (nnmodel.pth), gsrobotics (nnmini.pt) and its browser port, and
-    look-up tables (table_smooth.npy). Nothing in FILE is executed. The background is an image of the gel at
-    rest, cropped and sized as that package's images are. Without --mm-per-px, results are gradients and depth in
-    pixels.
+    Networks of gs_sdk (nnmodel.pth), gsrobotics (nnmini.pt) and its browser port, and look-up tables (table_smooth.npy,
+    MATLAB's LookupTable in a .mat). Nothing in FILE is executed. The background is an image of the gel at rest, cropped and
+    sized as that package's images are. Without --mm-per-px, results are gradients and depth in pixels.
 
     \b
     Examples:
       gelform import nnmodel.pth --from gs_sdk --background rest.png --mm-per-px 0.0634 -o cal.npz
       gelform import nnmini.pt --from gsrobotics --position zeros --background rest.png -o cal.npz
-      gelform import table_smooth.npy --from lut --flip-depth --background rest.png -o cal.npz
+      gelform import table_smooth.npy --from lut --flip-depth --range -256 256 --background rest.png -o cal.npz
+      gelform import table.mat --from lut --background rest.png -o cal.npz
     """
     one_of(package, PACKAGES, "--from")
     if background is None:
@@ -67,7 +71,9 @@ def import_(
             "needed: an image of the gel at rest; these files hold none.", param_hint="--background"
         )
     from gelform.exchange.importers.calibrations import import_calibration
+    from gelform.exchange.importers.tables import RANGE_LEVELS, is_matlab
     from gelform.sensors.files import read_image
+    from gelform.sensors.profiles import check_gel_width
 
     check_output(output, overwrite=overwrite)
     with mistakes_in(file):
@@ -78,11 +84,22 @@ def import_(
             mm_per_px=mm_per_px,
             position=position,
             flip_depth=flip_depth,
+            range_levels=range_,
             sensor_name=name,
         )
     calibration.save(output, overwrite=overwrite)
+    if package == "lut" and range_ is None and not is_matlab(file):
+        low, high = RANGE_LEVELS
+        shown.say(
+            f"note: {file} does not state its range, so {low:g} to {high:g} gray levels are assumed. With another "
+            "one, every depth is wrong. Look into the program that wrote it (zeropoint, lookscale); give --range LOW HIGH."
+        )
+    if mm_per_px is None and calibration.mm_per_px is not None:
+        shown.say(f"{file} states {calibration.mm_per_px:g} mm per pixel.")
     if calibration.mm_per_px is None:
         shown.say("note: without --mm-per-px the scale is unknown, so results are in pixels, not mm.")
+    elif doubt := check_gel_width(calibration.image_shape, calibration.known_mm_per_px):
+        shown.say(f"note: {doubt}")
     if not calibration.view.is_identity:
         height, width = calibration.view.frame_shape or (0, 0)
         shown.say(

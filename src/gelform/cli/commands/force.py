@@ -4,7 +4,7 @@ Press objects with known loads, on a kitchen scale or with a gauge, and list the
 
 \b
 Examples:
-  gelform force calibrate loads/ -c cal.npz
+  gelform force calibrate loads/ -c cal.npz --overwrite
   gelform force evaluate more_loads/ -c cal.npz
 """
 
@@ -29,7 +29,13 @@ if TYPE_CHECKING:
 SUMMARY = "Calibrate force in newtons, and measure its errors."
 Loads = Annotated[Path, Argument(metavar="LOADS", help="Folder of images with loads.csv.")]
 UNITS = {"normal": "N", "shear": "N", "torsion": "N mm"}
-SHARES = {"median": "median", "q90": "90 %", "within_1": "in 1 sigma", "within_2": "in 2"}  # parts of 1
+DOUBTED_RATIO = 1.5  # of errors over sigma; above, they are larger than stated
+SHARES = {  # parts of 1, shown as %
+    "median": "median error (%)",
+    "q90": "90 % below (%)",
+    "within_1": "in 1 sigma (%)",
+    "within_2": "in 2 (%)",
+}
 
 
 def calibrate(
@@ -38,7 +44,12 @@ def calibrate(
     calibration: CalibrationFile,
     output: Annotated[
         Path | None,
-        Option("--output", "-o", metavar="CAL.npz", help="The calibration to write. Default: -c itself."),
+        Option(
+            "--output",
+            "-o",
+            metavar="CAL.npz",
+            help="The calibration to write. Default: -c, with --overwrite.",
+        ),
     ] = None,
     background: Background = None,
     sure_of_unit: Annotated[
@@ -54,19 +65,25 @@ def calibrate(
 
     \b
     Examples:
-      gelform force calibrate loads/ -c cal.npz
+      gelform force calibrate loads/ -c cal.npz --overwrite
       gelform force calibrate loads/ -c cal.npz -o with_force.npz
     """
-    if output is not None:
-        check_output(output, overwrite=overwrite)
+    check_output(output or calibration, overwrite=overwrite)
+    from gelform.calibration.loads import LAGS
     from gelform.calibration_file import load_calibration
     from gelform.depth.force.fit import calibrate_force
 
     loaded = load_calibration(calibration)
     with only_writer(output or calibration):
         found = _read(loads, loaded, background, shown)
+        if found.lag_frames in (LAGS[0], LAGS[-1]):
+            shown.say(
+                f"warning: a lag of {found.lag_frames} frames is at the end of the range that was tried, so it is doubtful. "
+                "Check the times, or write the lag into a column lag_frames of loads.csv."
+            )
         model = calibrate_force(found.touches, found.loads, sure_of_unit=sure_of_unit)
-        replace(loaded, force=model).save(output or calibration, overwrite=overwrite or output is None)
+        model = replace(model, lag_frames=found.lag_frames)
+        replace(loaded, force=model).save(output or calibration, overwrite=overwrite)
     described = model.to_dict()
     for kind, unit in UNITS.items():
         if part := described[kind]:
@@ -75,7 +92,7 @@ def calibrate(
     if len(model.objects) == 1:
         shown.say("Only one object was pressed, so at least 30 % are stated. Press two more of other shapes.")
     shown.say(f"Wrote {output or calibration}.")
-    shown.json({"calibration": output or calibration, "lag_frames": found.lag_frames, **described})
+    shown.json({"calibration": output or calibration, **described, "lag_frames": found.lag_frames})
 
 
 def evaluate(
@@ -83,7 +100,8 @@ def evaluate(
 ) -> None:
     """Measure the errors of a calibration's forces.
 
-    The errors of the best constant stand beside them: a gripper that always stops at one force makes any constant look good.
+    A film's lag is that of its table, else of the calibration's recordings; it is not fitted to these loads. The errors of
+    the best constant stand beside them: a gripper that always stops at one force makes any constant look good.
 
     \b
     Examples:
@@ -91,39 +109,58 @@ def evaluate(
       gelform force evaluate more_loads/ -c cal.npz --json > errors.json
     """
     from gelform.calibration_file import load_calibration
-    from gelform.depth.force.fit import evaluate_force
+    from gelform.depth.force.fit import evaluate_force, sigma_ratio
     from gelform.depth.force.model import NO_LOADS
     from gelform.errors import CalibrationError
 
     loaded = load_calibration(calibration)
     if loaded.force is None:
         raise CalibrationError(f"{calibration} states no forces: {NO_LOADS}.")
-    found = _read(loads, loaded, background, shown)
+    found = _read(loads, loaded, background, shown, lag_frames=loaded.force.lag_frames or 0)
     errors = evaluate_force(loaded.force, found.touches, found.loads)
     for kind, unit in UNITS.items():
-        columns = ("object", "presses", "refused", f"MAE ({unit})", "constant's MAE", *SHARES.values())
+        columns = (
+            "object",
+            "presses",
+            "refused (%)",
+            f"mean error ({unit})",
+            f"a constant's ({unit})",
+            *SHARES.values(),
+        )
         if errors[kind]:
             shown.table(f"Errors of the force: {kind}", columns, [_row(row) for row in errors[kind]])
     reasons = [(reason, str(count)) for reason, count in errors["reasons"].items()]
     shown.table("Without a normal force", ("reason", "presses"), reasons)
-    shown.json({"lag_frames": found.lag_frames, **errors})
+    ratio = sigma_ratio(loaded.force, found.touches, found.loads)
+    if ratio is not None:
+        remedy = "" if ratio < DOUBTED_RATIO else " Calibrate again, with these objects too."
+        shown.say(f"Errors of the normal force are {ratio:.2g} times the stated sigma.{remedy}")
+    shown.json({"lag_frames": found.lag_frames, "errors_over_sigma": ratio, **errors})
 
 
 def _read(
-    folder: Path, calibration: Calibration, background: Path | None, shown: ShownOption
+    folder: Path,
+    calibration: Calibration,
+    background: Path | None,
+    shown: ShownOption,
+    lag_frames: int | None = None,
 ) -> LoadedPresses:
     from gelform.calibration.loads import read_loads
 
     with shown.progress() as progress:
-        found = read_loads(folder, calibration, background=background, progress=progress)
+        found = read_loads(
+            folder, calibration, background=background, lag_frames=lag_frames, progress=progress
+        )
     if found.lag_frames is not None:
         shown.say(f"The gauge lags behind the images by {found.lag_frames} frames; this is removed.")
     return found
 
 
 def _row(row: Mapping[str, Any]) -> Sequence[str]:
-    figures = row.get("mae"), row.get("constant", {}).get("mae"), *(row.get(name) for name in SHARES)
-    return row["object"], str(row["presses"]), figure(row["refused"]), *map(figure, figures)
+    errors = row.get("mae"), row.get("constant", {}).get("mae")
+    shares = [None if row.get(name) is None else 100 * row[name] for name in ("refused", *SHARES)]
+    refused, *others = map(figure, shares)
+    return row["object"], str(row["presses"]), refused, *map(figure, errors), *others
 
 
 COMMANDS = (calibrate, evaluate)

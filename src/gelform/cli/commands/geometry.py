@@ -21,12 +21,18 @@ def scale(
         Path, Argument(metavar="PLACE", help="Press folder, its sensor.toml, or an imported calibration.")
     ],
     points: Annotated[
-        str | None,
-        Option(metavar="X1,Y1,X2,Y2,MM", help="Two marked points of the image, px, and their distance."),
+        list[str] | None,
+        Option(
+            metavar="X1,Y1,X2,Y2,MM",
+            help="Two marked points of the image, px, and their distance; may be repeated.",
+        ),
     ] = None,
     stage: Annotated[
-        str | None,
-        Option(metavar="A,B,MM", help="Two images of one object, and the stage's step between them."),
+        list[str] | None,
+        Option(
+            metavar="A,B,MM",
+            help="Two images of one object, and the stage's step between them; may be repeated.",
+        ),
     ] = None,
     sensor: Sensor = None,
     background: Background = None,
@@ -37,29 +43,34 @@ def scale(
     Writes the scale into the folder's sensor.toml, where `calibrate` reads it.
 
     The images are camera frames, read through the existing [view]. Several measurements are averaged, weighted by their
-    uncertainty. If they contradict each other, nothing is written.
+    uncertainty. If they contradict each other, nothing is written. Measure along x and along y: they show pixels that are
+    not square.
 
     \b
     Examples:
       gelform scale presses/ --points 20,31.5,290,28,17.1
+      gelform scale presses/ --points 20,31,290,31,17.1 --points 100,20,100,210,12
       gelform scale presses/ --stage left.png,right.png,4 --background rest.png
       gelform scale imported.npz --points 20,31.5,290,28,17.1
     """
-    if points is None and stage is None:
+    if not points and not stage:
         raise BadParameter("expected --points, --stage or both.", param_hint="scale")
-    marked = None if points is None else numbers(points, "X1,Y1,X2,Y2,MM", "--points")
-    pressed = None if stage is None else _images_and_mm(stage)
+    marked = [numbers(text, "X1,Y1,X2,Y2,MM", "--points") for text in points or ()]
+    pressed = [_images_and_mm(text) for text in stage or ()]
     from gelform.calibration.geometry.scale import combined_scale
 
-    scales = [] if marked is None else [_scale_of_points(marked)]
-    if pressed is not None:
+    scales = [_scale_of_points(one) for one in marked]
+    if pressed:
         from gelform.calibration.geometry.files import read_setup
 
-        scales.append(_scale_of_images(read_setup(place, background=background, sensor=sensor), *pressed))
-    from gelform.calibration.geometry.files import save_scale
+        setup = read_setup(place, background=background, sensor=sensor)
+        scales += [_scale_of_images(setup, *one) for one in pressed]
+    from gelform.calibration.geometry.files import save_scale, width_note
 
     found = combined_scale(scales)
     written = save_scale(found, place)
+    if doubt := width_note(found.mm_per_px, place):
+        shown.say(f"note: {doubt}")
     shown.say(f"{found.mm_per_px:.5g} +- {found.sigma:.2g} mm per pixel, from {found.source}.")
     shown.say(f"Wrote {written}.")
     described = {"mm_per_px": found.mm_per_px, "mm_per_px_sigma": found.sigma, "source": found.source}

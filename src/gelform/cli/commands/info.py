@@ -8,10 +8,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
 from typer import Argument, BadParameter, Option
 
-from gelform.cli.console import print_json
+from gelform.cli.console import print_json, show
 from gelform.cli.options import Json
 from gelform.errors import DataError, GelformError
 
@@ -65,7 +64,7 @@ def info(
     lines = lines_of(facts)
     width = max(len(label) for label, _ in lines)
     for label, text in lines:
-        typer.echo(f"{label:<{width}}  {text}")
+        show(f"{label:<{width}}  {text}")
 
 
 def _system() -> dict[str, Any]:
@@ -102,9 +101,16 @@ def _file(path: Path) -> dict[str, Any]:
 
         return _recording(mcap_summary(path))
     if path.suffix == ".npz":
-        raise DataError(f"{path} is neither a calibration nor a result of gelform's, or it is damaged.")
-    from gelform.sensors.files import read_image
+        from gelform.foundations.foreign_files import way_for
 
+        raise DataError(
+            f"{path} is neither a calibration nor a result of gelform's, or it is damaged.{way_for(path)}"
+        )
+    from gelform.sensors.files import images_of_stack, is_stack, read_image
+
+    if is_stack(path):
+        one, count = images_of_stack(path)
+        return {"kind": "file of several images", "size_px": list(one(0).shape[:2]), "frames": count}
     image = read_image(path)
     levels = [round(float(level), 1) for level in image.mean(axis=(0, 1))]
     return {"kind": "image", "size_px": list(image.shape[:2]), "mean_rgb": levels}
@@ -112,6 +118,8 @@ def _file(path: Path) -> dict[str, Any]:
 
 def _recording(summary: RecordingSummary) -> dict[str, Any]:
     """The facts of a recording; its frames are counted, but not decoded."""
+    from gelform.sensors.recordings.mcap_reader import CUT
+
     facts = summary.facts
     return {
         "kind": "recording",
@@ -121,7 +129,7 @@ def _recording(summary: RecordingSummary) -> dict[str, Any]:
         "duration_s": summary.duration_s,
         "finished": "yes"
         if summary.finished
-        else "no: the recorder was stopped; the frames until then can be read",
+        else f"no: its recorder was killed, or it was copied in part. {CUT}",
         "settings": dict(facts.settings),
         "calibration": facts.calibration_digest,
         "gelform": facts.library_version,
@@ -195,7 +203,9 @@ def _video(path: Path) -> dict[str, Any]:
 
 def _folder(path: Path) -> dict[str, Any]:
     """The facts of a bag or presses; for any other folder, the files that would make it a press folder."""
-    from gelform.calibration.presses.folder import PLAIN, PRESS_FOLDER, kind_of_presses
+    from gelform.calibration.presses.folder import PLAIN, PRESS_FOLDER, kind_of_presses, rows_by_folder
+    from gelform.cli.process import in_options
+    from gelform.sensors.files import likely_background
     from gelform.sensors.recordings.mcap_reader import is_bag_folder
 
     if is_bag_folder(path):
@@ -206,13 +216,18 @@ def _folder(path: Path) -> dict[str, Any]:
     here = {entry.name for entry in path.iterdir()}
     missing = []
     if not any(Path(name).stem == "background" for name in here):
-        missing.append("background.png, an image of the gel at rest (or --background)")
-    if layout == PLAIN:
+        likely = in_options(likely_background(path))
+        missing.append(f"background.png, an image of the gel at rest (or --background). {likely}".strip())
+    suggested = rows_by_folder(path) if layout == PLAIN else []
+    if suggested:
+        missing.append("presses.csv with these lines, if the names of the folders are the balls' diameters")
+    elif layout == PLAIN:
         missing.append("presses.csv with the columns image,ball_diameter_mm (or --ball-diameter-mm)")
     if "sensor.toml" not in here:
         missing.append("sensor.toml with name and mm_per_px (or --sensor, --mm-per-px)")
     if missing:
-        return {"kind": layout, "images_here": _images(here), "missing": missing}
+        lines = {"presses.csv": suggested} if suggested else {}
+        return {"kind": layout, "images_here": _images(here), "missing": missing, **lines}
     return _presses(path, layout)
 
 
@@ -323,7 +338,7 @@ def _result_lines(facts: Facts) -> Lines:
         *([("roughness", _roughness_line(facts["roughness"]))] if facts.get("roughness") else []),
         *([("markers", facts["markers"]["in_words"])] if facts["markers"] else []),
         ("known", f"{100 * facts['known_px'] / pixels:.0f} % of the pixels; the others are filled"),
-        ("solver", f"{facts['solver']}, curl of the slopes {facts['curl_rms']:.3g} RMS"),
+        ("solver", f"{facts['solver']}, curl of the slopes {facts['curl_rms']:.3g} per px (RMS)"),
         *[("warning", message) for message in facts["findings"]],
         ("calibration", str(facts["calibration"])),
     ]
@@ -352,8 +367,8 @@ def _contact(contact: Facts) -> str:
 def _plain_lines(facts: Facts) -> Lines:
     lines: Lines = []
     for name, value in facts.items():
-        if name == "missing":
-            lines += [("missing", str(one)) for one in value]
+        if name in ("missing", "presses.csv"):
+            lines += [(name, str(one)) for one in value]
         elif name.endswith("size_px"):
             lines.append(("size", _size(value)))
         elif name != "kind":

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -12,6 +12,7 @@ from typer import Argument, BadParameter, Option
 from gelform.cli.console import figure, say
 from gelform.cli.options import (
     Background,
+    Bgr,
     CalibrationFile,
     CalibrationOptions,
     Images,
@@ -21,7 +22,7 @@ from gelform.cli.options import (
     ShownOption,
 )
 from gelform.cli.outputs import make_folder, picture_paths
-from gelform.cli.sensor_images import calibration_given, image_in, prepared, reconstruction_of
+from gelform.cli.sensor_images import calibration_given, image_in, images_of, prepared, reconstruction_of
 from gelform.errors import CalibrationError, DataError
 
 if TYPE_CHECKING:
@@ -39,6 +40,7 @@ COLUMNS = {  # of the table, which fits into 80 columns
     "off_contact_um": "off contact um",
 }
 PRESSES = "Errors of each press: normals, depth in contact, ball radius, depth off contact"
+WORSE = 1.5  # times the errors at calibration; folds of the real sets differ by up to a third
 SEEN = (
     "Their errors say little about new presses. They may even be larger than the held-out errors of `calibrate`, which "
     "fits all circles together; here each circle is found in its own image."
@@ -48,8 +50,8 @@ COMPARED = {  # {u}: the unit of depth
     "peak_b": "peak B ({u})",
     "difference_rms": "RMS of B - A ({u})",
     "angle_deg": "angle of A and B (°)",
-    "curl_rms_a": "curl A",
-    "curl_rms_b": "curl B",
+    "curl_rms_a": "curl A (1/px)",
+    "curl_rms_b": "curl B (1/px)",
 }
 
 
@@ -104,9 +106,24 @@ def evaluate(
     summary = [(FIGURES[name], figure(value)) for name, value in evaluation.summary.items()]
     shown.table("Over all presses", ("error", "value"), summary)
     _show_where(evaluation.where, shown)
+    shown.say(verdict_of(evaluation.summary, loaded.held_out))
     if evaluation.flats:
         heights = [_height_row(**flat) for flat in evaluation.flats]
         shown.table("Flat punches", ("press", "height (mm)", "measured (mm)", "measured/height (%)"), heights)
+
+
+def verdict_of(found: Mapping[str, float], held_out: Mapping[str, Any]) -> str:
+    """What the errors on presses mean beside those at calibration, and what to do."""
+    now, then = found["normal_free_deg"], held_out.get("normal_free_deg")
+    if not then:
+        return f"Normals are off by {now:.2g}°. The calibration states no errors of its own to compare them with."
+    times = now / then
+    if times < WORSE:
+        return f"Normals are off by {now:.2g}°: {'as' if times > 1 / WORSE else 'less than'} at calibration ({then:.2g}°)."
+    return (
+        f"Normals are off by {now:.2g}°: {times:.2g} times as much as at calibration ({then:.2g}°). Check that gel, "
+        "light and ball are the same, and calibrate again."
+    )
 
 
 def _height_row(name: str, height_mm: float, read_mm: float | None) -> tuple[str, str, str, str]:
@@ -167,6 +184,7 @@ def compare(
     ],
     output: PictureFolder = None,
     background: Background = None,
+    bgr: Bgr = False,
     overwrite: Overwrite = False,
     shown: ShownOption,
 ) -> None:
@@ -181,10 +199,11 @@ def compare(
     \b
     Examples:
       gelform compare frame.png -c mine.npz -c imported.npz -o side-by-side
-      gelform compare session/*.png -c before.npz -c after.npz --json
+      gelform compare session/ -c before.npz -c after.npz --json
     """
     if len(calibrations) != 2:
         raise BadParameter(f"expected two, got {len(calibrations)}.", param_hint="--calibration")
+    images = images_of(images, background)
     pictures = _pictures(images, output, [*calibrations, background], overwrite)
     with shown.progress() as progress:
         progress(0, len(images), "starting")
@@ -192,7 +211,7 @@ def compare(
         names = (calibrations[0].stem, calibrations[1].stem)
         rows = []
         for done, (image, picture) in enumerate(zip(images, pictures)):
-            rows.append(_compare_one(pair, image, picture, names))
+            rows.append(_compare_one(pair, image, picture, names, bgr))
             progress(done + 1, len(images), "comparing")
     table = [(row["image"], *(figure(row[key]) for key in COMPARED)) for row in rows]
     columns = [column.format(u=rows[0]["unit"]) for column in COMPARED.values()]
@@ -202,11 +221,15 @@ def compare(
 
 
 def _compare_one(
-    pair: Sequence[Reconstructor], path: Path, picture: NewPicture | None, names: tuple[str, str]
+    pair: Sequence[Reconstructor],
+    path: Path,
+    picture: NewPicture | None,
+    names: tuple[str, str],
+    bgr: bool,
 ) -> dict[str, Any]:
     from gelform.exchange.plots.comparison import compare_results, comparison_picture
 
-    images = [image_in(path, run.calibration) for run in pair]
+    images = [image_in(path, run.calibration, bgr=bgr) for run in pair]
     a, b = (reconstruction_of(run, image, path) for run, image in zip(pair, images))
     compared = compare_results(a, b)
     if picture is not None:
@@ -220,14 +243,15 @@ def explain(
     given: CalibrationOptions,
     output: PictureFolder = None,
     background: Background = None,
+    bgr: Bgr = False,
     overwrite: Overwrite = False,
     shown: ShownOption,
 ) -> None:
     """Explain the confidence of each pixel of an image.
 
-    Lists the share of the slopes' variance from the usual noise at each slope and place, and from each cause: saturated,
-    dark, shadow, specular, wall, off_gamut, steep, inconsistent, marker, outside, compression. With -o, DIR/<image>.png
-    shows the confidence, and the share of each cause, pixel by pixel.
+    Lists the share of the slopes' variance from the usual noise of each slope, and from each cause: saturated,
+    dark, shadow, specular, wall, off_gamut, steep, inconsistent, marker, outside, light, unit, compression. With -o,
+    DIR/<image>.png shows the confidence, and the share of each cause, pixel by pixel.
 
     \b
     Examples:
@@ -237,12 +261,13 @@ def explain(
       gelform explain frame.png -c cal.npz --background today_rest.png -o why --overwrite
     """
     given.check(background)
+    images = images_of(images, background)
     pictures = _pictures(images, output, [given.calibration, background], overwrite)
     from gelform.calibration.library.choose import unit_of_all
 
     used = calibration_given(given, background, lambda: unit_of_all(images), shown.silent)
-    run = prepared(used, background, depth_sigma=False)
-    rows = [_explain_one(run, path, picture) for path, picture in zip(images, pictures)]
+    run = prepared(used, background)
+    rows = [_explain_one(run, path, picture, bgr) for path, picture in zip(images, pictures)]
     for row in rows:
         for finding in row["findings"]:
             if not shown.silent:
@@ -258,14 +283,14 @@ def explain(
         for row in rows
     ]
     causes = ["usual noise" if name == "law" else name for name in names]
-    columns = ("trusted pixels (%)", "median slope sigma", *(f"{cause} (%)" for cause in causes))
+    columns = ("trusted pixels (%)", "median slope sigma (mm/mm)", *(f"{cause} (%)" for cause in causes))
     shown.table("Share of the slopes' variance", ("image", *columns), table)
     _say_pictures(rows, output, shown)
     shown.json({"calibration": given.calibration and str(given.calibration), "images": rows})
 
 
-def _explain_one(run: Reconstructor, path: Path, picture: NewPicture | None) -> dict[str, Any]:
-    image = image_in(path, run.calibration)
+def _explain_one(run: Reconstructor, path: Path, picture: NewPicture | None, bgr: bool) -> dict[str, Any]:
+    image = image_in(path, run.calibration, bgr=bgr)
     try:
         found = run.explain(image)
     except CalibrationError as problem:

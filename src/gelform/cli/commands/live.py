@@ -5,10 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
 from typer import Argument, Option
 
-from gelform.cli.console import say
+from gelform.cli.console import say, show
 from gelform.cli.options import STARTERS, Quiet, StarterSensor, one_of, positive
 from gelform.cli.process import mistakes_in
 from gelform.errors import GelformError
@@ -83,7 +82,7 @@ def live(
         raise
     for _, level, text in hub.notices:
         say(f"warning: {text}" if level != "info" else text, quiet and level == "info")
-    typer.echo(server.url)
+    show(server.url)
     say("Open this address. Ctrl-C ends it.", quiet)
     for one in said:
         say(one, quiet)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import glob
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -16,15 +15,17 @@ from gelform.cli.console import check_pictures, figure, say
 from gelform.cli.options import (
     AcceptDoubtful,
     Background,
+    Bgr,
     CalibrationOptions,
+    Dataset,
     Overwrite,
     ShownOption,
     one_of,
 )
 from gelform.cli.outputs import check_results, make_folder, result_paths
 from gelform.cli.process import MISTAKE, one_line
-from gelform.cli.sensor_images import calibration_given, image_in, prepared, reconstruction_of
-from gelform.errors import DataError, GelformError
+from gelform.cli.sensor_images import calibration_given, image_in, images_or_film, prepared, reconstruction_of
+from gelform.errors import GelformError, reason
 from gelform.foundations.findings import FrameTally
 
 if TYPE_CHECKING:
@@ -52,7 +53,9 @@ def reconstruct(
     *,
     inputs: Annotated[
         list[Path],
-        Argument(metavar="INPUT...", help="Images, folders, patterns in quotes; or one video or recording."),
+        Argument(
+            metavar="INPUT...", help="Images, folders, patterns in quotes; or one video, stack or recording."
+        ),
     ],
     given: CalibrationOptions,
     output: Annotated[Path, Option("--output", "-o", metavar="DIR", help="Folder for the results.")],
@@ -64,6 +67,8 @@ def reconstruct(
             "--format", help="What to write: npz, png (a picture), ply, stl, tiff, x3p; several: npz,png."
         ),
     ] = "npz",
+    dataset: Dataset = "",
+    bgr: Bgr = False,
     skip_existing: Annotated[
         bool, Option("--skip-existing", help="Skip images that have results, to continue a run.")
     ] = False,
@@ -80,8 +85,9 @@ def reconstruct(
     An image a/b/c.png becomes DIR/<path below the images' common folder>.npz with depth_mm, gradients,
     confidence, contact, known and mm_per_px. With --format npz,png a picture is added. An image that cannot be read or
     belongs to another sensor is reported. The other images are still done, and the exit status is 1. Of a folder, every
-    image in it and below it is done. A video or a recording is done as by gelform batch --keep all. If the depth of most of
-    several images is doubtful, the exit status is 3.
+    image in it and below it is done. A video, a recording, a TIFF of several pages or an array of frames (.npy, RGB) is done
+    as by gelform batch --keep all. If the depth of most
+    images is doubtful, the exit status is 3.
 
     Without -c, the serial number in the images' sensor.toml or recording selects the newest calibration of that
     sensor. For a sensor without a calibration, give --sensor and an image of its gel at rest. The starter of its make
@@ -98,13 +104,18 @@ def reconstruct(
     """
     wanted = _formats(formats)
     given.check(background)
-    images, film = _listed(inputs, background)
-    if film:
+    images, film = images_or_film(inputs, background, dataset)
+    if film is not None:
         if wanted != ["npz"] or strict or skip_existing:
             only = "of a video or a recording, results are npz, and a run continues by itself."
             raise BadParameter(only, param_hint="--format, --strict, --skip-existing")
+        from gelform.cli.commands.batch import Frames
+
+        frames = Frames(dataset=dataset, background=background, bgr=bgr)
         how = {"overwrite": overwrite, "accept_doubtful": accept_doubtful, "view": view}
-        _film(inputs[0], given, output, background, solver, shown, **how)
+        _film(inputs[0], given, output, frames, solver, shown, **how)
+    if dataset:
+        raise BadParameter("is for an HDF5 file, a Zarr store or a LeRobot data set.", param_hint="--dataset")
     if view and len(images) == 1 and "png" not in wanted:
         wanted.append("png")
     paths = result_paths(images, output, wanted)
@@ -127,10 +138,10 @@ def reconstruct(
         rows, failed, tiles, tally = [], [], [], FrameTally()
         for done, (path, results) in enumerate(todo):
             try:
-                image = image_in(path, run.calibration)
+                image = image_in(path, run.calibration, bgr=bgr)
                 result = reconstruction_of(run, image, path)
-            except GelformError as problem:
-                failed.append({"image": str(path), "error": one_line(problem)})
+            except (GelformError, MemoryError) as problem:
+                failed.append({"image": str(path), "error": one_line(reason(problem))})
             else:
                 _write(result, image, results, overwrite or skip_existing)
                 rows.append(_row(result, path, results))
@@ -155,38 +166,16 @@ def reconstruct(
     shown.json({"results": rows, "failed": failed})
     if failed or (strict and any(row["findings"] for row in rows)):
         raise typer.Exit(MISTAKE)
-    if len(images) > 1:
-        from gelform.cli.tally import status_of
+    from gelform.cli.tally import status_of
 
-        raise typer.Exit(status_of(tally, accept_doubtful=accept_doubtful, quiet=True))
-
-
-def _listed(inputs: Sequence[Path], background: Path | None) -> tuple[list[Path], bool]:
-    """The images that the inputs mean, and whether they are frames of a video or a recording instead."""
-    from gelform.batch.inputs.listing import FILM_SUFFIXES, is_container, listing_of
-
-    images: list[Path] = []
-    leave_out = [] if background is None else [background]
-    for one in inputs:
-        is_pattern = glob.has_magic(str(one)) and not one.exists()
-        is_film = one.suffix.lower() in FILM_SUFFIXES or is_container(one)
-        if not (one.is_dir() or is_pattern or is_film):
-            images.append(one)
-            continue
-        for sequence in listing_of(one, leave_out=leave_out).sequences:
-            if not sequence.images:
-                if len(inputs) > 1:
-                    raise DataError(f"{sequence.path} is no image. Give it alone, or use gelform batch.")
-                return [], True
-            images += [sequence.path / name for name in sequence.images]
-    return images, False
+    raise typer.Exit(status_of(tally, accept_doubtful=accept_doubtful, quiet=True))
 
 
 def _film(
     source: Path,
     given: CalibrationOptions,
     output: Path,
-    background: Path | None,
+    frames: Any,
     solver: str,
     shown: ShownOption,
     *,
@@ -195,14 +184,14 @@ def _film(
     view: bool,
 ) -> NoReturn:
     """Do as gelform batch does, and end."""
-    from gelform.cli.commands.batch import Frames, Machines, Results, Run, batch
+    from gelform.cli.commands.batch import Machines, Results, Run, batch
 
     try:
         batch(
             source=str(source),
             given=given,
             output=output,
-            frames=Frames(background=background),
+            frames=frames,
             results=Results(keep="all", solver=solver),
             machines=Machines(shard=(1, 1)),
             run=Run(overwrite=overwrite),
@@ -285,6 +274,6 @@ def _report(rows: Sequence[dict[str, Any]], shown: ShownOption) -> None:
     keys = ("peak_mm", "contact_mm2") if scaled else ("peak_px", "contact_px")
     table = [(row["outputs"][0], *(figure(row[key]) for key in (*keys, "curl_rms"))) for row in rows]
     columns = ("peak (mm)", "contact (mm²)") if scaled else ("peak (px)", "contact (px)")
-    shown.table("Results", ("file", *columns, "curl (RMS)"), table)
+    shown.table("Results", ("file", *columns, "curl (1/px)"), table)
     if not (scaled or shown.silent):
         say("The scale of this calibration is unknown, so results hold depth_px, not depth_mm.")

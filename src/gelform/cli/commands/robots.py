@@ -24,7 +24,7 @@ from gelform.cli.options import (
     numbers,
     usage_errors,
 )
-from gelform.cli.process import mistakes_in
+from gelform.cli.process import DOUBT, mistakes_in
 from gelform.cli.sensor_images import background_in, calibration_given
 from gelform.errors import DataError
 from gelform.robots.topics import MAX_DOMAIN, ROUTER, TOPICS, check_sensor_name, check_topics
@@ -176,7 +176,7 @@ def track(
     """
     from gelform.calibration.library.choose import unit_of
     from gelform.cli.outputs import check_output
-    from gelform.motion.between import checked_prior
+    from gelform.motion.between import LOST, checked_prior
     from gelform.motion.track import Follower
     from gelform.sensors.streams.stream import stream
 
@@ -189,6 +189,7 @@ def track(
     loaded = calibration_given(given, background, lambda: unit_of(source), shown.quiet)
     known, follow = background_in(background, loaded), Follower(in_rad, loaded.settings.place_error)
     poses: list[Tracked] = []
+    total = frames_stated(source)
     results: dict[int, Reconstruction] = {}  # for a surface: of the keyframes, and the last two frames
     with shown.progress() as progress, stream(source, loaded, background=known) as running:
         for number, one in enumerate(running.pairs()):
@@ -197,12 +198,16 @@ def track(
                 results[number] = one.result
                 if number > 1 and poses[number - 1].keyframe != number - 2:  # it did not become the keyframe
                     del results[number - 2]
-            progress(number + 1, number + 1, "following")
+            progress(number + 1, max(total, number + 1), "following")
     if not poses:
         raise DataError(f"No frame arrived from {source}: there is nothing to follow.")
     _write_poses(poses, output, overwrite)
     states = Counter(pose.motion.state for pose in poses)
     shown.say(f"Wrote {output}: {', '.join(f'{count} {state}' for state, count in states.items())}.")
+    reasons = Counter(pose.motion.why.partition(":")[0] for pose in poses if pose.motion.state == LOST)
+    if reasons:
+        rows = [(reason, str(count)) for reason, count in reasons.most_common()]
+        shown.table("Frames without a pose", ("reason", "frames"), rows)
     if surface is not None:
         from gelform.motion.mosaic import mosaic
 
@@ -210,7 +215,30 @@ def track(
         whole = mosaic([results[k] for k in chosen], [poses[k] for k in chosen])
         _write_surface(whole, surface, overwrite)
         shown.say(f"Wrote {surface}: {len(chosen)} contacts as one surface.")
-    shown.json({"track": output, "frames": len(poses), "states": dict(states)})
+    shown.json(
+        {"track": output, "frames": len(poses), "states": dict(states), "lost_by_reason": dict(reasons)}
+    )
+    if 2 * states[LOST] > len(poses):
+        say(
+            f"gelform: error: the object was lost in {states[LOST]} of {len(poses)} frames. See the reasons above, and the "
+            "column why of the table."
+        )
+        raise typer.Exit(DOUBT)
+
+
+def frames_stated(source: str) -> int:
+    """The number of frames that a video, a folder or a file of several images has; 0 for other sources."""
+    from gelform.sensors.files import is_stack
+    from gelform.sensors.playback import images_by_number
+    from gelform.sensors.recordings.mcap_reader import is_bag_folder
+    from gelform.sensors.video_files import USUAL_RATE_HZ, Video, is_video
+
+    path = Path(source)
+    if path.is_file() and is_video(path):
+        return Video(path).facts.count
+    if is_stack(path) or (path.is_dir() and not is_bag_folder(path)):
+        return images_by_number(path, USUAL_RATE_HZ)[1]
+    return 0
 
 
 def _write_poses(poses: list[Tracked], path: Path, overwrite: bool) -> None:

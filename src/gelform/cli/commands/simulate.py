@@ -37,8 +37,8 @@ DESIGN_COLUMNS = (
     "depth RMSE (um)",
     "its standard error (um)",
     "normal error (°)",
-    "slope noise",
-    "condition number",
+    "slope noise (mm/mm)",
+    "condition number (1 is best)",
 )
 
 
@@ -66,6 +66,9 @@ class Balls:
     """A set of ball presses."""
 
     count: Annotated[int, Option(min=1, help="Number of ball presses.")] = 40
+    loads: Annotated[
+        bool, Option("--loads", help="Write loads.csv for gelform force: 0.1 N per mm^3 of displaced gel.")
+    ] = False
     ball_diameter_mm: Annotated[list[float], number("Diameter of a ball, mm; several alternate.")] = (
         6.0,
         9.0,
@@ -120,6 +123,7 @@ def simulate(
       gelform simulate -o presses --sensor mine.toml
       gelform simulate -o twin --like cal.npz --count 1000 --workers 4
       gelform simulate -o taxim --like polycalib.npz --background rest.png --mm-per-px 0.03
+      gelform simulate -o loads --loads --count 12
       gelform simulate -o key --height-map key.npy --height-map-mm-per-px 0.02 --depth-mm 0.6
     """
     if None not in (sensor, look.like):
@@ -142,7 +146,7 @@ def simulate(
             diameters = tuple(balls.ball_diameter_mm)
             with usage_errors("--ball-diameter-mm"):
                 wanted = SetOfPresses(made, diameters, balls.count, seed, oversample, twin)
-            save_simulated_set(output, wanted, workers=workers, progress=progress)
+            save_simulated_set(output, wanted, workers=workers, loads=balls.loads, progress=progress)
     say(f"Wrote {output}.", shown.silent)
     presses = balls.count if pressed is None else 1
     name = made.name if look.like is None else f"like {look.like}"

@@ -20,11 +20,12 @@ from gelform.errors import CalibrationError, DataError, GelformError
 
 if TYPE_CHECKING:
     from gelform.sensors.cameras.camera import Camera
-    from gelform.sensors.grabber import Grabber
+    from gelform.sensors.grabber import Grabber, GrabberStats
     from gelform.sensors.recordings.record import RecordStats
 
 
 MEASURED_S, FIRST_S = 1.0, 3.0  # s: time in which frames are counted; longest wait for the first frame
+MOST_MISSING = 0.05  # of a recording's frames; more is a warning
 POLL_S = 0.05  # s between checks of the keyboard on Windows
 BACKGROUND_FRAMES, FRESH_S = 10, 5.0  # frames to average; s within which a frame must arrive
 
@@ -216,7 +217,8 @@ def record(
         if given is not None:
             raise BadParameter("is for --presses only.", param_hint=option)
     wanted = {"seconds": seconds, "frames": frames}
-    stats, reopened = _recorded(opened, output, wanted, _digest(calibration), shown)
+    stats, grabbed = _recorded(opened, output, wanted, _digest(calibration), shown)
+    reopened = grabbed.reopened
     if stats.frames == 0:
         raise DataError(f"No frame arrived, so {output} holds none. Check the camera with gelform cameras.")
     missing = f", {stats.missing} missing" if stats.missing else ""
@@ -225,13 +227,32 @@ def record(
         f"Wrote {output}: {stats.frames} frames in {stats.duration_s:.1f} s{missing}{again}, "
         f"{stats.written_bytes / 1e6:.1f} MB."
     )
-    shown.json({"recording": output, **vars(stats), "reopened": reopened})
+    if stats.missing:
+        shown.say(why_missing(stats, grabbed))
+    shown.json({"recording": output, **vars(stats), "reopened": reopened, "lost_on_the_way": grabbed.drops})
+
+
+def why_missing(stats: RecordStats, grabbed: GrabberStats) -> str:
+    """Why frames of a recording are missing, and the rate that was kept; a warning over 5 %."""
+    all_of, rate_hz = stats.frames + stats.missing, (stats.frames - 1) / max(stats.duration_s, 1e-9)
+    lost = min(grabbed.drops, stats.missing)
+    reasons = {
+        "lost on the way from the camera (cable or hub)": lost,
+        "not written, because this machine or its disk was too slow": stats.missing - lost,
+    }
+    said = " and ".join(f"{count} {why}" for why, count in reasons.items() if count)
+    share = stats.missing / all_of
+    level = "warning: " if share > MOST_MISSING else ""
+    return (
+        f"{level}{stats.missing} of {all_of} frames ({100 * share:.2g} %) are missing: {said}. {rate_hz:.3g} frames a "
+        "second were kept; a lower rate or a smaller picture loses fewer: --set fps=..., --set width=..."
+    )
 
 
 def _recorded(
     opened: Any, output: Path, wanted: dict[str, Any], digest: str, shown: ShownOption
-) -> tuple[RecordStats, int]:
-    """The figures of a recording until its end or Ctrl-C, and how often the source was reopened."""
+) -> tuple[RecordStats, GrabberStats]:
+    """The figures of a recording until its end or Ctrl-C, and those of the source."""
     from gelform.sensors.grabber import Grabber
     from gelform.sensors.recordings.record import KEPT_FRAMES, RecordStats, new_recording, record_frames
 
@@ -257,7 +278,7 @@ def _recorded(
             pass
         finally:
             recording.close()
-        return stats, grabber.stats.reopened
+        return stats, grabber.stats
 
 
 def _presses(opened: Any, output: Path, wanted: PressesTaken, shown: ShownOption) -> None:
@@ -344,7 +365,7 @@ def _sensor_settings(grabber: Grabber, wanted: PressesTaken) -> Any:
     """The content of sensor.toml: the known sensor's scale and view, the serial number, the camera's settings."""
     from gelform.image.view import View
     from gelform.sensors.files import SensorSettings
-    from gelform.sensors.profiles import profile_named
+    from gelform.sensors.profiles import check_gel_width, profile_named
 
     sensor, mm_per_px = wanted.sensor, wanted.mm_per_px
     if sensor is None and mm_per_px is None:
@@ -355,6 +376,11 @@ def _sensor_settings(grabber: Grabber, wanted: PressesTaken) -> Any:
     frame = _fresh(grabber, 1)[0]
     profile = profile_named(sensor) if sensor is not None else None
     view = View() if profile is None else profile.view((frame.shape[0], frame.shape[1]))
+    if mm_per_px is not None:
+        with usage_errors("--mm-per-px"):
+            doubt = check_gel_width(view.shape or (frame.shape[0], frame.shape[1]), mm_per_px, sensor)
+        if doubt:
+            say(f"note: {doubt}")
     sigma = profile.mm_per_px_sigma if profile is not None and mm_per_px is None else None
     return SensorSettings(
         profile.name if profile is not None else grabber.name,

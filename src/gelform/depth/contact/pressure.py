@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -17,15 +18,23 @@ from gelform.foundations.checks import (
     check_number,
     check_positive,
     check_within,
+    value_range,
 )
 from gelform.foundations.filters import LANES, MEDIAN_SAMPLES, SIGMA_OF_MEDIAN, blur_taps
+from gelform.foundations.findings import Finding
 
 MIN_AREA_MM2 = 0.05  # mm^2, area of the smallest contact
-# px, standard deviations of the Gaussians that smooth before the Laplacian, the coarse one first, and the fractions of the
-# mean pressure around a pixel at which a contact ends. A wider blur widens narrow contacts, so its fraction is larger.
-SMOOTHINGS_PX, SHARES = (2.5, 0.7), (0.8, 0.65)
-FINER = 2.3  # noise factors, mean pressure around pixels whose outline the finer smoothing draws
-NEIGHBORHOOD_PX = 4  # px, half the width of the surroundings of a pixel
+SMOOTHING_PX = 0.7  # px, standard deviation of the Gaussian that smooths before the Laplacian
+SHARE = (
+    2 / 3
+)  # of the mean pressure around a pixel, at which a contact ends; three simulated and six real sensors
+NEIGHBORHOOD_PX = 4  # px, half the width of the square around a pixel that means are taken over
+# px, half the width of the square that closes an outline, half the gap beside a cube's crest; and the share of the bed's
+# pressure that holds what is closed: half way between the membrane alone, 0, and a plane face, 1.
+CLOSING_PX, HELD_SHARE = 2, 0.5
+VALLEY_SIGMAS = (
+    5.0  # standard deviations, by which gel lies over its rest where the background image was pressed
+)
 SIGMAS_OF_DEPTH = 2.0  # standard deviations; only the part of a depth beyond them presses on the bed
 # mm, relaxation length of a gel that no press showed: the longest of six sensors (0.41 to 0.86). A shorter one than the
 # gel's takes gel that is drawn down for contact.
@@ -48,28 +57,34 @@ _magnitude_of_share = Kernel(
     "magnitude_of_share",
     "f32[...] values, f32[...] units, bool[...]? chosen, out f32[n] work, out f32[1] magnitude, i64 step, f64 share",
 )
-_median_below = Kernel("median_below", "f32[...] values, out f32[n] work, out f32[1] magnitude, i64 step")
 _slope_variance = Kernel(
-    "slope_variance",
-    "f32[...] read, f32[...] solved, bool[...] at_rest, bool[...] known, out f32[...] variance, out f32[...] share",
+    "slope_variance", "f32[...] read, f32[...] solved, bool[...] at_rest, out f32[...] variance"
 )
-_variance_of_known = Kernel("variance_of_known", "f32[...] total, f32[...] share, out f32[...] variance")
-_contact_pressure = Kernel(
-    "contact_pressure",
-    "f32[...] smooth, f32[...] bent, f32[...] sigma, f32[...] variance, f32[...] noise, bool[...] at_rest, bool[...] known, "
-    "out f32[...] pressure, f32 stiffness, f32 sigmas, f32 gain_at_rest, f32 gain_elsewhere, f32 factor",
+_pressure_means = Kernel(
+    "pressure_means",
+    "f32[h,w] smooth, f32[h,w] bent, f32[h,w] sigma, f32[h,w] slopes, bool[h,w]? known, out f32[h,w] pressure, "
+    "out f32[h,w] mean, out f32[h,w] spread, out f32[h,w] variance, out f32[h,w] mean_bent, out f32[n] work, f32 stiffness, "
+    "f32 sigmas",
+)
+_sure_pressure = Kernel(
+    "sure_pressure",
+    "f32[...] pressure, f32[...] mean, f32[...] spread, f32[...] sigma, f32[...] slopes, f32[...] noise, bool[...] at_rest, "
+    "bool[...] known, out f32[...] sure, out f32[...] evidence, f32 stiffness, f32 factor, f32 mean_gain_at_rest, "
+    "f32 mean_gain_elsewhere, f32 gain_at_rest, f32 gain_elsewhere",
 )
 _contact_outline = Kernel(
-    "contact_outline",
-    "f32[h,w] coarse, f32[h,w] finer, f32[h,w] noise, out bool[h,w] contact, out f32[n] work, i64 reach, f32 coarse_share, "
-    "f32 finer_share, f32 limit",
+    "contact_outline", "f32[h,w] pressure, out bool[h,w] contact, out f32[n] work, f32 share"
+)
+_held_gaps = Kernel(
+    "held_gaps",
+    "bool[...] outline, bool[...] closed, bool[...] known, f32[...] mean, f32[...] smooth, out bool[...] contact, f32 least",
 )
 _add_unknown = Kernel(
     "add_unknown", "bool[h,w] known, bool[h,w] pressed, out bool[h,w] contact, out i32[n] work"
 )
 _standing_regions = Kernel(
     "standing_regions",
-    "u16[h,w] labels, bool[n] stands, i32[n,2] deepest, f32[h,w] surface, out bool[h,w] contact",
+    "u16[h,w] labels, bool[n] stands, i32[n,2] deepest, f32[h,w] surface, out bool[h,w] contact, i64 reach",
 )
 
 
@@ -109,13 +124,15 @@ def contact_from_depth(
     Beside an object only the gel holds its surface: a membrane under tension on an elastic bed, whose depth z
     falls off as `laplace(z) = z/L^2` (Kerr, J. Appl. Mech. 31, 1964). The pressure over the membrane's tension,
     `p = z/L^2 - laplace(z)`, is 0 there and positive in the contact, for a ball as for a flat face. A pixel counts where p
-    exceeds its own standard deviation and `noise_factor` times the noise at rest. A contact ends where p is about two
-    thirds of its mean around the pixel. So gel that an object draws down is no contact, and hollow contacts stay hollow.
+    exceeds its own standard deviation and `noise_factor` times the noise at rest; of a pressure that varies around the pixel
+    no more than noise does, the mean counts (Lee, IEEE Trans. PAMI 2, 1980). A contact ends where p is two thirds of its
+    mean around the pixel. So gel that an object draws down is no contact, and hollow contacts stay hollow. Narrow gaps
+    where p is more than half of a plane face's, `z/L^2`, belong to the contact.
 
     A connected region of such pixels stands if its deepest depth exceeds `noise_factor` of its own standard deviations, and
-    either the evidence `p/sd(p)` of a pixel is overwhelming, or the depth that the region's own pressure makes is sure.
-    A pressure makes the depth `K0(r/L)/(2 pi)` at the distance r. Negative depths tell how much noisier a frame is than
-    `depth_sigma_mm` says. Regions on the slope of one hill are joined along the way up; they are one contact.
+    so do the evidence `p/sd(p)` of a pixel and the depth that the region's own pressure makes. A pressure makes the depth
+    `K0(r/L)/(2 pi)` at the distance r. Negative depths tell how much noisier a frame is than `depth_sigma_mm` says. Regions
+    on the slope of one hill are joined along the way up; they are one contact.
 
     Parameters
     ----------
@@ -181,10 +198,11 @@ class PreparedContact:
         length = relaxation_mm or USUAL_RELAXATION_MM
         self._pitch, self._noise, self._factor = pitch, noise, noise_factor
         self._stiffness, self._stands = length**-2, Evidence(pitch, length, noise_factor, min_area_mm2)
-        self._gains = (
-            None if correlation is None else [_gains(pitch, s, **correlation) for s in SMOOTHINGS_PX]
-        )
+        # The square that means are taken over smooths once more, by its own standard deviation.
+        smoothings = np.hypot(SMOOTHING_PX, [np.sqrt(((2 * NEIGHBORHOOD_PX + 1) ** 2 - 1) / 12), 0])
+        self._gains = None if correlation is None else [_gains(pitch, s, **correlation) for s in smoothings]
         self._everywhere = np.ones(noise.shape, dtype=np.bool_)
+        self._square = np.ones((2 * CLOSING_PX + 1,) * 2, dtype=np.uint8)
 
     def __call__(
         self,
@@ -195,78 +213,80 @@ class PreparedContact:
     ) -> NDArray[np.bool_]:
         """The contact mask (H, W) of a depth, mm, its standard deviation >= 0, that of its slopes, and its known pixels."""
         sigma = np.full_like(depth, _noise_mm(depth)) if sigma is None else sigma
-        known = self._everywhere if known is None else known
-        everywhere = bool(known.all())
-        variance, at_rest, given = self._noise, self._everywhere, None
+        hidden = known is not None and not known.all()
+        known = known if hidden and known is not None else self._everywhere
+        variance, at_rest = self._noise, self._everywhere
+        gains: Sequence[list[float] | None] = (None, None)
         if slopes is not None and self._gains is not None:
-            at_rest, given = slopes.at_rest, self._gains
-            variance = self._variance(slopes, known, everywhere)
-        pressures: list[NDArray[np.float32]] = []
-        surfaces: list[NDArray[np.float32]] = []
-        gains: dict[str, float] = {}
-        for k, (name, smoothing) in enumerate(zip(("coarse", "fine"), SMOOTHINGS_PX)):
-            smooth, bent = self._smoothed(depth, smoothing)
-            resting, elsewhere = self._gains_of_frame(bent, at_rest, None if given is None else given[k])
-            gains |= {f"{name}_at_rest": resting, f"{name}_elsewhere": elsewhere}
-            pressure = np.empty_like(depth)
-            some = _contact_pressure(
-                smooth, bent, sigma, variance, self._noise, at_rest, known, pressure, stiffness=self._stiffness,
-                sigmas=SIGMAS_OF_DEPTH, gain_at_rest=resting, gain_elsewhere=elsewhere, factor=self._factor,
-            )  # fmt: skip
-            if not some and k == 0:
-                return np.zeros(depth.shape, dtype=np.bool_)
-            pressures.append(pressure)
-            surfaces.append(smooth)
-        coarse, fine = pressures
-        contact = self._outlined(coarse, fine, gains["fine_at_rest"])
-        if not everywhere:
+            variance, at_rest, gains = np.empty_like(depth), slopes.at_rest, self._gains
+            _slope_variance(slopes.read, slopes.solved, at_rest, variance)
+        smooth, bent = self._smoothed(depth)
+        pressure, mean, spread, variance_around, mean_bent, sure, evidence = np.empty(
+            (7, *depth.shape), np.float32
+        )
+        _pressure_means(
+            smooth, bent, sigma, variance, known if hidden else None, pressure, mean, spread, variance_around, mean_bent,
+            self._work(5), stiffness=self._stiffness, sigmas=SIGMAS_OF_DEPTH,
+        )  # fmt: skip
+        of_mean, of_pixel = (self._gains_of_frame(b, at_rest, k) for b, k in zip((mean_bent, bent), gains))
+        if not _sure_pressure(
+            pressure, mean, spread, sigma, variance_around, self._noise, at_rest, known, sure, evidence,
+            self._stiffness, self._factor, *of_mean, *of_pixel,
+        ):  # fmt: skip
+            return np.zeros(depth.shape, dtype=np.bool_)
+        outline, contact = np.empty((2, *depth.shape), dtype=np.bool_)
+        _contact_outline(sure, outline, self._work(2), share=SHARE)
+        closed = cv2.morphologyEx(outline.view(np.uint8), cv2.MORPH_CLOSE, self._square).view(np.bool_)
+        _held_gaps(outline, closed, known, mean, smooth, contact, least=HELD_SHARE * self._stiffness)
+        if hidden:
             _add_unknown(known, contact.copy(), contact, np.empty(runs_work(depth.shape), dtype=np.int32))
         count, labels = labeled(contact)
-        maps = {"depth": depth, "sigma": sigma, "variance": variance, "at_rest": at_rest}
-        maps |= {"coarse": coarse, "fine": fine, "smooth": smooth, "bent": bent}
-        stands, deepest = self._stands(Regions(count, labels, maps, gains))
-        _standing_regions(labels, stands, deepest, surfaces[0], contact)
+        stands, deepest = self._stands(Regions(count, labels, depth, sigma, evidence, smooth, bent))
+        _standing_regions(labels, stands, deepest, depth, contact, reach=NEIGHBORHOOD_PX)
         return contact
 
-    def _variance(
-        self, slopes: SlopeDeviations, known: NDArray[np.bool_], everywhere: bool
-    ) -> NDArray[np.float32]:
-        """Variance (H, W) of the slopes that a pixel's pressure follows from: the known ones around it."""
-        total, share, variance = (np.empty(known.shape, dtype=np.float32) for _ in range(3))
-        _slope_variance(slopes.read, slopes.solved, slopes.at_rest, known, total, share)
-        total, _ = self._smoothed(total, SMOOTHINGS_PX[0])
-        if everywhere:
-            return total
-        share, _ = self._smoothed(share, SMOOTHINGS_PX[0])
-        _variance_of_known(total, share, variance)
-        return variance
+    def pressed_background(
+        self,
+        depth: NDArray[np.float32],
+        sigma: NDArray[np.float32] | None,
+        slopes: SlopeDeviations | None = None,
+        known: NDArray[np.bool_] | None = None,
+    ) -> tuple[Finding, ...]:
+        """One finding if a valley is deeper than any hill and looks like a contact turned over; arguments of `__call__`.
 
-    def _outlined(
-        self, coarse: NDArray[np.float32], fine: NDArray[np.float32], fine_at_rest: float
-    ) -> NDArray[np.bool_]:
-        """Pixels (H, W) above a share of the mean pressure around: by the fine pressure where it is far above its noise."""
-        contact, side = np.empty(coarse.shape, dtype=np.bool_), 2 * NEIGHBORHOOD_PX + 1
-        work = np.empty((2 * side + 6) * (coarse.shape[1] + side + LANES), dtype=np.float32)
-        limit = (FINER * self._factor) ** 2 * fine_at_rest
-        _contact_outline(
-            coarse, fine, self._noise, contact, work, reach=NEIGHBORHOOD_PX, coarse_share=SHARES[0],
-            finer_share=SHARES[1], limit=limit,
-        )  # fmt: skip
-        return contact
+        Such a valley is a contact of the background image. Beside a contact, the depth's errors are negative, too.
+        """
+        low, high = value_range(depth)
+        if -low <= high:
+            return ()
+        turned = -depth
+        valley = self(turned, sigma, slopes, known)
+        if sigma is not None:
+            valley &= turned > VALLEY_SIGMAS * sigma
+        if not valley.any():
+            return ()
+        deepest = float(turned[valley].max())
+        message = (
+            f"Something touches the gel in the background image: here the gel rises up to {deepest:.2g} mm over it, with a "
+            "contact's outline. Take the background again, with nothing touching the gel."
+        )
+        return (Finding("background_pressed", message, deepest),)
 
-    def _smoothed(
-        self, values: NDArray[np.float32], smoothing: float
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """A smoothed map (H, W), and minus its Laplacian, 1/mm^2; pixels near borders get that of the next pixel inside."""
-        taps = blur_taps(smoothing)
-        margin = int(np.ceil(2 * smoothing))
-        if min(values.shape) <= 2 * margin:
+    def _work(self, maps: int) -> NDArray[np.float32]:
+        """Memory for sums of some maps over squares."""
+        width, rows = self._noise.shape[1] + 2 * LANES, 2 * NEIGHBORHOOD_PX + 4
+        return np.empty((maps * rows + 2) * width, dtype=np.float32)
+
+    def _smoothed(self, depth: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """A smoothed depth (H, W), and minus its Laplacian, 1/mm; pixels near borders get that of the next pixel inside."""
+        taps, margin = blur_taps(SMOOTHING_PX), int(np.ceil(2 * SMOOTHING_PX))
+        if min(depth.shape) <= 2 * margin:
             margin = 0
-        smooth, bent = np.empty_like(values), np.empty_like(values)
-        rows, width = 2 * taps.size - 1, values.shape[1] + LANES
+        smooth, bent = np.empty_like(depth), np.empty_like(depth)
+        rows, width = 2 * taps.size - 1, depth.shape[1] + LANES
         work = np.empty((rows + 1) * width + rows, dtype=np.float32)
         along_x, along_y = (step**-2 for step in self._pitch)
-        _bent_surface(values, taps, smooth, bent, work, along_x=along_x, along_y=along_y, margin=margin)
+        _bent_surface(depth, taps, smooth, bent, work, along_x=along_x, along_y=along_y, margin=margin)
         return smooth, bent
 
     def _gains_of_frame(
@@ -326,8 +346,6 @@ def _larger(sigma: NDArray[np.float32]) -> NDArray[np.float32]:
 
 def _noise_mm(depth: NDArray[np.float32]) -> float:
     """Standard deviation of gel at rest, mm: from the median of its negative depths, as of half a Gaussian."""
-    step = max(1, depth.size // MEDIAN_SAMPLES)
-    work = np.empty(2 * -(-depth.size // step), dtype=np.float32)
-    found = np.empty(1, dtype=np.float32)
-    _median_below(depth, work, found, step)
-    return SIGMA_OF_MEDIAN * float(found[0])
+    sample = depth.ravel()[:: max(1, depth.size // MEDIAN_SAMPLES)]
+    below = sample[sample < 0]
+    return -SIGMA_OF_MEDIAN * float(np.median(below)) if below.size else 0.0

@@ -23,10 +23,11 @@ from gelform.depth.force.model import (
 )
 from gelform.depth.force.touch import Touch, touch_from_result
 from gelform.errors import DataError
-from gelform.foundations.checks import check_list
+from gelform.foundations.checks import check_list, check_number
 
 LEAST_LOADS, LEAST_RANGE = 3, 3.0  # loads, and the largest over the smallest
 LEAST_SHARE = 0.05  # of the largest normal load; smaller ones, also below 0, are the gauge's zero
+LARGEST_LOAD = 1e9  # N and N mm; no press has more, and its square is far from the end of numbers
 KNOWN_K = 0.045  # N/mm^3, middle of hard objects on the studied gel (.036 to .051)
 PER_NEWTON = {"grams": 1000 / 9.80665, "kilograms": 1 / 9.80665}
 LOADS_PER_TERM = 3  # loads for each weight of a dot force; with fewer, only its first term is fitted
@@ -77,7 +78,7 @@ def calibrate_force(
     Raises
     ------
     DataError
-        Fewer than three usable loads, a range under 1 to 3, negative loads, loads that are not in newtons, no contact,
+        Fewer than three usable loads, a range under 1 to 3, negative loads, loads not in newtons or no numbers, no contact,
         dots of several gels, or results of several calibrations.
     ValueError, TypeError
         Another number of loads than of presses, or no loads.
@@ -125,11 +126,39 @@ def evaluate_force(model: ForceModel, presses: Sequence[Any], loads: Sequence[Lo
     return {kind: _rows(kind, forces, loads) for kind in KINDS} | {"reasons": dict(reasons)}
 
 
+def sigma_ratio(model: ForceModel, presses: Sequence[Any], loads: Sequence[Load]) -> float | None:
+    """Errors of the normal force over their stated sigma: the ratio that 68.3 % stay below; 1 is right. None without any."""
+    touches, loads = _matched(presses, loads)
+    found = [(force_from_result(touch, model), load.normal_n) for touch, load in zip(touches, loads)]
+    ratios = [
+        abs(force.normal_n - truth) / force.normal_sigma_n
+        for force, truth in found
+        if force.normal_n is not None and force.normal_sigma_n and truth is not None
+    ]
+    return float(np.quantile(ratios, ONE_SIGMA)) if ratios else None
+
+
 def _matched(presses: Sequence[Any], loads: Sequence[Load]) -> tuple[list[Touch], list[Load]]:
     known, given = check_list(loads, "loads", Load), check_list(presses, "presses")
+    for load in known:
+        _check_load(load)
     if len(given) != len(known):
         raise ValueError(f"Expected one load for each press, got {len(known)} for {len(given)} presses.")
     return [one if isinstance(one, Touch) else touch_from_result(one) for one in given], known
+
+
+def _check_load(load: Load) -> None:
+    if not isinstance(load.object, str):
+        raise TypeError(f"Expected each load's object as a name, got {load.object!r:.60}.")
+    for name, count in (("normal_n", 1), ("shear_n", 2), ("torsion_n_mm", 1)):
+        if (value := getattr(load, name)) is None:
+            continue
+        numbers = [check_number(one, name) for one in (check_list(value, name) if count == 2 else [value])]
+        if len(numbers) != count or not all(abs(one) <= LARGEST_LOAD for one in numbers):
+            raise DataError(
+                f"Expected a load's {name} as {count} finite number{'s' * (count > 1)} of at most {LARGEST_LOAD:g}, got "
+                f"{value!r:.60}. Leave it out if it was not measured."
+            )
 
 
 def _value(one: Load | Force, kind: str) -> Any:
@@ -142,8 +171,6 @@ def _fit(kind: str, touches: list[Touch], loads: list[Load]) -> ForcePart | None
     if not measured:
         return None
     target = np.array([_value(loads[i], kind) for i in measured], dtype=np.float64).reshape(len(measured), -1)
-    if not np.isfinite(target).all():
-        raise DataError("Expected every load as a finite number.")
     if kind == "normal":
         own = [touches[i] for i in measured]
         reasons = [why_no_normal(touch) or ("the force falls" if touch.falling else "") for touch in own]

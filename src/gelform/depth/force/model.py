@@ -8,8 +8,8 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import scipy  # its parts load at first use
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from gelform.depth.force.touch import Touch, touch_from_result
 from gelform.foundations.checks import check_numbers, check_positive, check_values, check_within
@@ -72,7 +72,7 @@ class Dots:
     """The dots of a gel, by whose places (N, 2) at rest, mm, it is told from another one."""
 
     def __init__(self, places: NDArray[np.float64]) -> None:
-        self._tree, self._count = cKDTree(places), len(places)
+        self._tree, self._count = scipy.spatial.cKDTree(places), len(places)
         spacing = np.median(self._tree.query(places, k=2)[0][:, 1]) if len(places) else 0.0
         self._near = DOT_TOLERANCE * float(spacing)
 
@@ -97,6 +97,7 @@ class ForceModel:
     objects : what was pressed
     calibration_digest : of the calibration; results of another one are refused. "" for dots without images
     created_utc : time
+    lag_frames : that the gauge lagged behind the images of its recordings; None if unknown
     """
 
     normal: ForcePart | None
@@ -106,6 +107,7 @@ class ForceModel:
     objects: tuple[str, ...]
     calibration_digest: str
     created_utc: str
+    lag_frames: int | None = None
 
     @cached_property
     def dots(self) -> Dots:
@@ -128,7 +130,9 @@ class ForceModel:
         )
         rest = tuple(check_numbers(place, "rest_mm", 2) for place in stored["rest_mm"])
         _, digest, created, *objects = texts
-        return cls(normal, shear, torsion, rest, tuple(objects), digest, created)
+        lag = stored.get("lag_frames")
+        lag = None if lag is None else int(check_within(lag, "lag_frames", -1e6, 1e6))
+        return cls(normal, shear, torsion, rest, tuple(objects), digest, created, lag)
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gelform.foundations.checks import check_mm_per_px, check_values
 
+IN_LINE = 1e-6  # width over length; dots within it lie in a line, however their places were rounded
 BORDER_FRACTION = 1 / 30  # of the image's height: the width of the band along its border, 8 px of 240
 BESIDE_FRACTION = (
     1 / 12
@@ -134,7 +135,7 @@ def _motion(rest: NDArray[np.float64], moved: NDArray[np.float64]) -> DotMotion 
     if len(rest) < 3:
         return None
     places = np.column_stack([rest[:, :2] - rest[:, :2].mean(axis=0), np.ones(len(rest))])
-    along, _, rank, _ = np.linalg.lstsq(places, moved, rcond=None)
+    along, _, rank, _ = np.linalg.lstsq(places, moved, rcond=IN_LINE)
     if rank < 3:
         return None
     tilt = along[:2, 2] if moved.shape[1] == 3 else np.zeros(2)

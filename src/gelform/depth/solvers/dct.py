@@ -57,10 +57,8 @@ class DctSolver:
         self.mm_per_px = mm_per_px
         self._pivots, self._splits, self._last = _elimination(shape, mm_per_px)
         self._stride = _row_stride(shape[1])
-        self._turns = _turns(shape[1]) if _is_smooth(shape[1]) else None
-        self._tables = _cosines(shape[1]) if self._turns is None and shape[1] <= PRODUCT_WIDTH else None
+        self._transform = CosineRows(shape[1])
         self._pool = Pool(lambda: np.empty((shape[0], self._stride), dtype=np.float32))
-        self._work = Pool(lambda: np.empty((3 * shape[1] + 1) * ROWS, dtype=np.float32))
 
     def __call__(
         self,
@@ -99,20 +97,6 @@ class DctSolver:
         _sweep(work, self._pivots, self._splits, self._last)
         self._transform(work, 1)
 
-    def _transform(self, work: NDArray[np.float32], inverse: int) -> None:
-        """Transform the rows of a work array in place; `inverse` is 0 or 1."""
-        if self._turns is not None:
-            with self._work.one() as scratch:
-                _cosine_rows(work, *self._turns, scratch, inverse)
-            return
-        if self._tables is not None:
-            _product(work, self._tables[inverse])
-            return
-        rows = work[:, : self.shape[1]]
-        done = (scipy.fft.idct if inverse else scipy.fft.dct)(rows, axis=-1, overwrite_x=True)
-        if not np.may_share_memory(done, rows):
-            rows[...] = done
-
     def _write_right_side(self, frame: NDArray[np.float32], work: NDArray[np.float32]) -> None:
         hx, hy = self.mm_per_px
         _right_side(frame, work, 0.5 * hy * hy / hx, 0.5 * hy)
@@ -129,6 +113,56 @@ class Dct4Solver(DctSolver):
         work[:, : self.shape[1]] = divergence(
             edges_from_gradients(frame, order=4), self.mm_per_px
         ) * np.float32(hy * hy)
+
+
+class CosineRows:
+    """The DCT-II of rows of one width, not normalized, and its inverse; immutable, threads can share it."""
+
+    def __init__(self, width: int) -> None:
+        self.width = width
+        self._turns = _turns(width) if _is_smooth(width) else None
+        self._tables = _cosines(width) if self._turns is None and width <= PRODUCT_WIDTH else None
+        self._work = Pool(lambda: np.empty((3 * width + 1) * ROWS, dtype=np.float32))
+
+    def __call__(self, rows: NDArray[np.float32], inverse: int) -> None:
+        """Transform the first columns of rows (N, >= width) in place; `inverse` is 0 or 1."""
+        if self._turns is not None:
+            with self._work.one() as scratch:
+                _cosine_rows(rows, *self._turns, scratch, inverse)
+            return
+        if self._tables is not None:
+            _product(rows, self._tables[inverse])
+            return
+        part = rows[:, : self.width]
+        done = (scipy.fft.idct if inverse else scipy.fft.dct)(part, axis=-1, overwrite_x=True)
+        if not np.may_share_memory(done, part):
+            part[...] = done
+
+
+class CosineFilter:
+    """Multiplies the cosine modes of maps (N, h, w), as a convolution with mirrored borders does; threads can share it.
+
+    Parameters
+    ----------
+    gains : (N, h, w) float32, of the modes of each map, the lowest first
+    """
+
+    def __init__(self, gains: NDArray[np.float32]) -> None:
+        self._gains = np.ascontiguousarray(np.swapaxes(gains, 1, 2), dtype=np.float32)
+        self._along, self._across = CosineRows(gains.shape[2]), CosineRows(gains.shape[1])
+
+    def __call__(self, maps: NDArray[np.float32]) -> NDArray[np.float32]:
+        """The filtered maps (N, h, w)."""
+        modes = np.array(maps, dtype=np.float32, order="C")
+        self._along(modes.reshape(-1, modes.shape[2]), 0)
+        turned = np.ascontiguousarray(np.swapaxes(modes, 1, 2))
+        rows = turned.reshape(-1, turned.shape[2])
+        self._across(rows, 0)
+        turned *= self._gains
+        self._across(rows, 1)
+        filtered = np.ascontiguousarray(np.swapaxes(turned, 1, 2))
+        self._along(filtered.reshape(-1, filtered.shape[2]), 1)
+        return filtered
 
 
 @lru_cache(maxsize=16)

@@ -39,6 +39,7 @@ class SparseSolver:
         free[first[~anchored]] = False
         depth = np.zeros(right.size)
         if free.any():
+            # Definite: each island has an anchor or a pixel that is held.
             depth[free] = scipy.sparse.linalg.spsolve(matrix[free][:, free].tocsc(), right[free])
         return Solution(depth.reshape(self.shape).astype(np.float32), problem.known, 0, 0.0)
 

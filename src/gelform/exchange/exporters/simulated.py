@@ -36,6 +36,10 @@ from gelform.simulate import (
 from gelform.simulate.sensor.sensor import settings_from_sensor
 from gelform.simulate.sets import ball_press_of_set, check_balls
 
+N_PER_MM3 = (
+    0.1  # N per mm^3 of displaced gel: 0.4 MPa over 4 mm of thickness, as springs side by side (Winkler)
+)
+
 
 def save_simulated_press(
     folder: str | os.PathLike[str],
@@ -178,9 +182,12 @@ def save_simulated_set(
     presses: SetOfPresses,
     *,
     workers: int = 1,
+    loads: bool = False,
     progress: Progress = no_progress,
 ) -> Path:
     """Write ball presses as a press folder with labels, truth and all parameters.
+
+    With `loads` also loads.csv: the load of each press on a gel of springs side by side, 0.1 N for each mm^3.
 
     Writes background.png, presses.csv, sensor.toml, parameters.json, images/0000.png and truth/0000.npz, ... (depth_mm,
     gradients, contact, albedo, shadowed, saturated, markers_px, markers_shift_mm, and `meta`: pose, seed, number).
@@ -199,11 +206,15 @@ def save_simulated_set(
         for name in ("images", "truth"):
             (partial / name).mkdir()
         write_png(partial / "background.png", presses.background())
-        rows = []
+        rows, known = [], []
         for row in _rows_of_simulated(presses, partial, workers):
+            load = row.pop("force_n")
+            known.append({"image": row["image"], "object": f"ball {row[COLUMNS[1]]} mm", "force_n": load})
             rows.append(row)
             progress(len(rows), presses.count, "simulating")
         write_csv(partial / "presses.csv", rows)
+        if loads:
+            write_csv(partial / "loads.csv", known)
         text = json.dumps(presses.parameters(), indent=1, sort_keys=True)
         (partial / "parameters.json").write_text(text + "\n", encoding="utf-8")
         write_sensor_toml(partial / "sensor.toml", presses.sensor.name, presses.sensor.mm_per_px)
@@ -230,4 +241,6 @@ def _write_press(presses: SetOfPresses, folder: Path, k: int) -> dict[str, str]:
     write_truth(folder / f"truth/{k:04d}.npz", press, {"number": k, "seed": presses.seed})
     x, y = press.center_px
     numbers = (f"{press.ball_diameter_mm:.6g}", f"{x:.4f}", f"{y:.4f}", f"{press.contact_radius_px:.4f}")
-    return dict(zip(COLUMNS, (f"images/{k:04d}.png", *numbers)))
+    volume_mm3 = float(press.depth_mm[press.contact].sum(dtype=np.float64)) * presses.sensor.mm_per_px**2
+    load = {"force_n": f"{N_PER_MM3 * volume_mm3:.6g}"}
+    return dict(zip(COLUMNS, (f"images/{k:04d}.png", *numbers))) | load

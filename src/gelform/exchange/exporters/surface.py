@@ -13,7 +13,6 @@ import zipfile
 from collections.abc import Callable
 from os import PathLike
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -129,13 +128,15 @@ def _surface_triangles(height: int, width: int) -> NDArray[np.int64]:
     return np.concatenate([np.stack([c, b, a], -1), np.stack([c, d, b], -1)])
 
 
-def _mesh_bytes(points: NDArray[Any], triangles: NDArray[Any], form: str) -> bytes:
-    trimesh = needed("trimesh", "mesh", "Writing meshes")
-    return bytes(trimesh.Trimesh(points, triangles, process=False).export(file_type=form))
-
-
 def _ply(result: Reconstruction) -> bytes:
-    return _mesh_bytes(points_from_result(result), _surface_triangles(*result.depth.shape), "ply")
+    points, corners = points_from_result(result), _surface_triangles(*result.depth.shape)
+    triangles = np.empty(len(corners), dtype=[("count", "u1"), ("corners", "<i4", 3)])
+    triangles["count"], triangles["corners"] = 3, corners
+    header = (
+        f"ply\nformat binary_little_endian 1.0\nelement vertex {len(points)}\nproperty float x\nproperty float y\n"
+        f"property float z\nelement face {len(corners)}\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    return header.encode("ascii") + points.astype("<f4").tobytes() + triangles.tobytes()
 
 
 def _stl(result: Reconstruction) -> bytes:
@@ -149,7 +150,10 @@ def _stl(result: Reconstruction) -> bytes:
         [np.stack([rim, after, rim + count], -1), np.stack([after, after + count, rim + count], -1)]
     )
     triangles = np.concatenate([surface, surface[:, ::-1] + count, walls])
-    return _mesh_bytes(np.concatenate([top, base]), triangles, "stl")
+    trimesh = needed("trimesh", "mesh", "Writing STL")
+    return bytes(
+        trimesh.Trimesh(np.concatenate([top, base]), triangles, process=False).export(file_type="stl")
+    )
 
 
 def _tiff(result: Reconstruction) -> bytes:

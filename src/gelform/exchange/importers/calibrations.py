@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from datetime import datetime, timezone
 from os import PathLike
 from pathlib import Path
@@ -14,10 +14,9 @@ from numpy.typing import ArrayLike
 from gelform import __version__
 from gelform.calibration_file import Calibration, CalibrationSettings
 from gelform.exchange.importers.networks import read_gs_sdk, read_gsrobotics, read_gsrobotics_web
-from gelform.exchange.importers.tables import read_lut
+from gelform.exchange.importers.tables import mm_per_px_of_lut, read_lut
 from gelform.foundations.checks import (
     check_choice,
-    check_gel_width,
     check_image,
     check_is,
     check_path,
@@ -26,7 +25,7 @@ from gelform.foundations.checks import (
 from gelform.image.background.average import noise_from_image
 from gelform.image.background.change import ChangeSettings
 from gelform.image.view import View, image_from_frame
-from gelform.sensors.profiles import SENSORS, view_from_camera
+from gelform.sensors.profiles import SENSORS, check_gel_width, make_of, view_from_camera
 from gelform.slopes.color_models import ColorModel
 
 # Gray levels / 255. Pixels of a Mini at rest differ from its background by up to this, from noise and drift together.
@@ -51,6 +50,7 @@ def import_calibration(
     mm_per_px: float | None = None,
     position: str | None = None,
     flip_depth: bool = False,
+    range_levels: Sequence[float] | None = None,
     sensor_name: str | None = None,
 ) -> Calibration:
     """A calibration from another package's file, with gelform's signs and a current background image.
@@ -64,10 +64,11 @@ def import_calibration(
     package : a name in `PACKAGES`: gs_sdk, gsrobotics, gsrobotics-web or lut
     background : (H, W, 3) RGB, 0-255, the background image, cropped and sized as that package's images; or a whole frame of
         the camera whose crop that package knows, which becomes the calibration's view
-    mm_per_px : width of an image's pixel on the gel, mm, if known
+    mm_per_px : width of an image's pixel on the gel, mm, if known; by default what a `.mat` states
     position : required for gsrobotics and gsrobotics-web, and only there: "zeros", the input of its program, or "true", the
         input of its network's training
     flip_depth : only for lut: the table's surface falls where pressed
+    range_levels : only for lut (`.npy`): (low, high) of the differences that it spans, gray levels; (-90, 90) by default
     sensor_name : name of the calibration's sensor; by default the file's name
 
     Raises
@@ -78,16 +79,19 @@ def import_calibration(
         The package is unknown, an option is missing or not accepted, or the scale is none of these images.
     """
     path = check_path(path)
-    options = _options(check_is(package, str, "package"), position, flip_depth)
+    options = _options(check_is(package, str, "package"), position, flip_depth, range_levels)
     if sensor_name is not None:
         check_is(sensor_name, str, "sensor_name")
     frame = check_image(background, name="background").astype(np.float32)
+    if package == "lut" and mm_per_px is None:
+        mm_per_px = mm_per_px_of_lut(path, (frame.shape[0], frame.shape[1]))
     if mm_per_px is not None:
         mm_per_px = check_sensor_pitch(mm_per_px)
     view = _view(MAKES.get(package), (frame.shape[0], frame.shape[1]), mm_per_px)
     image = image_from_frame(frame, view)
     if mm_per_px is not None:
-        check_gel_width((image.shape[0], image.shape[1]), mm_per_px)
+        make = MAKES.get(package) if not view.is_identity else make_of(sensor_name or "")
+        check_gel_width((image.shape[0], image.shape[1]), mm_per_px, make)
     model = PACKAGES[package](path, image, **options)
     blur_px = (
         0.5**0.5 if package == "lut" else 0.0
@@ -141,7 +145,9 @@ def _view(make: str | None, frame_shape: tuple[int, int], mm_per_px: float | Non
     return profile.view(frame_shape)
 
 
-def _options(package: str, position: str | None, flip_depth: bool) -> dict[str, Any]:
+def _options(
+    package: str, position: str | None, flip_depth: bool, range_levels: Sequence[float] | None
+) -> dict[str, Any]:
     """Keywords of the package's reader."""
     check_choice(package, PACKAGES, "a package")
     if position is not None:
@@ -156,5 +162,7 @@ def _options(package: str, position: str | None, flip_depth: bool) -> dict[str, 
             f"Expected flip_depth for lut only, whose tables differ in sign, got it for {package}."
         )
     if package == "lut":
-        return {"depth_sign": -1 if flip_depth else 1}
+        return {"depth_sign": -1 if flip_depth else 1, "range_levels": range_levels}
+    if range_levels is not None:
+        raise ValueError(f"Expected range_levels for lut only, got it for {package}.")
     return {} if position is None else {"position": position}

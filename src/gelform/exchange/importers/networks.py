@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.errors import DataError, needed, said
-from gelform.foundations.npz_files import DAMAGED_ARCHIVE, present_file
+from gelform.foundations.npz_files import DAMAGED_ARCHIVE
+from gelform.foundations.whole_files import present_file
 from gelform.slopes.color_models import NetworkModel
 from gelform.slopes.color_models._shared.layers import Layers
 

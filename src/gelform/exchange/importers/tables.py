@@ -1,33 +1,49 @@
 """Tables of other packages: look-up tables from color difference to gradients, and Taxim's forward model.
 
-The look-up tables (`table_smooth.npy`) are in the tradition of Dong and Yuan. Taxim's tables (`polycalib.npz`) bin slopes by
-angle and direction. Each bin has a quadratic polynomial of the pixel's place for each channel's change in gray levels
-(Z. Si and W. Yuan, Taxim: an example-based simulation model for GelSight tactile sensors, RA-L 2022).
+The look-up tables (`table_smooth.npy`, and MATLAB's `LookupTable` in a `.mat`) are in the tradition of Dong and Yuan
+(W. Yuan, S. Dong, E. H. Adelson, GelSight: high-resolution robot tactile sensors, Sensors 17(12), 2017). Taxim's tables
+(`polycalib.npz`) bin slopes by angle and direction. Each bin has a quadratic polynomial of the pixel's place for each
+channel's change in gray levels (Z. Si and W. Yuan, Taxim: an example-based simulation model for GelSight tactile sensors,
+RA-L 2022).
 """
 
 from __future__ import annotations
 
+import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass
+from io import BytesIO
 from os import PathLike
+from pathlib import Path
 from typing import Any
-from zipfile import ZipFile
 
 import numpy as np
+import scipy  # its parts load at first use
 from numpy.typing import NDArray
 
 from gelform.errors import DataError, said
-from gelform.foundations.checks import check_positive
-from gelform.foundations.npz_files import DAMAGED_ARCHIVE, MAX_ARRAY_BYTES, present_file, read_npy
+from gelform.foundations.checks import check_numbers, check_path, check_positive
+from gelform.foundations.npz_files import DAMAGED_ARCHIVE, checked_archive, read_npy
+from gelform.foundations.whole_files import MAX_ARRAY_BYTES, bytes_of
 from gelform.slopes.color_models.lookup import LookupModel
 
-RANGE_LEVELS = 180.0  # gray levels: a look-up table spans differences of -90 to 90 per channel
+RANGE_LEVELS = (-90.0, 90.0)  # gray levels, the usual range of differences in a look-up table without one
+MATLAB_LEVELS = (
+    10.0,
+    1024.0,
+)  # Scale, gray levels; older programs divide by the background first, and have 0.005
+LUT_FIELDS = ("bins", "GradMag", "GradDir", "Zeropoint", "Scale")
 HEIGHT, WIDTH = 480, 640  # px, size of the images whose pixels Taxim's polynomials use
 MEMBERS = ("bins", "grad_b", "grad_g", "grad_r")  # "r" is channel 0 of an OpenCV image, which is blue
 _DAMAGED = (OSError, *DAMAGED_ARCHIVE, ValueError, AttributeError, TypeError)
 
 
 def read_lut(
-    path: str | PathLike[str], background: NDArray[np.float32], *, depth_sign: int = 1
+    path: str | PathLike[str],
+    background: NDArray[np.float32],
+    *,
+    depth_sign: int = 1,
+    range_levels: Sequence[float] | None = None,
 ) -> LookupModel:
     """A table (bins, bins, bins, 2) of gradients (gx, gy), indexed by the blue, green and red difference.
 
@@ -37,23 +53,134 @@ def read_lut(
 
     Parameters
     ----------
+    path : a `.npy`; or a `.mat` with MATLAB's struct LookupTable, whose slope angles GradMag and directions GradDir become
+        gradients, and which states its range
     depth_sign : 1 if the table's surface rises where pressed, -1 if it falls
+    range_levels : (low, high), gray levels, of the differences that a `.npy` spans in each channel, or three such pairs in a
+        row, for blue, green and red; -90 to 90 by default
 
     Raises
     ------
     DataError
         The file is missing, no such table, or damaged.
+    ValueError
+        The range is none, or is given for a `.mat`.
     """
     if depth_sign not in (1, -1):
         raise ValueError(f"Expected depth_sign 1 or -1, got {depth_sign}.")
-    slopes = depth_sign * _lut(path).transpose(2, 1, 0, 3)  # to red, green, blue
+    if is_matlab(path):
+        if range_levels is not None:
+            raise ValueError(f"Expected no range for {path}, which states its own: leave --range out.")
+        fields = _matlab(path)
+        magnitude, direction = fields["GradMag"], fields["GradDir"]
+        slopes = np.tan(magnitude)[..., None] * np.stack([np.cos(direction), np.sin(direction)], axis=-1)
+        step = np.full(3, fields["Scale"] / (len(slopes) - 1))
+        low = np.full(3, fields["Zeropoint"])
+    else:
+        slopes = _lut(path).transpose(2, 1, 0, 3)  # to red, green, blue
+        low, high = _ranges(range_levels)
+        step = (high - low) / len(slopes)
     unknown = np.zeros((*slopes.shape[:3], 1))
-    bins = slopes.shape[0]
-    step = np.full(3, RANGE_LEVELS / bins)
-    table = np.concatenate([slopes, unknown], axis=-1)[None, None].astype(np.float32)
+    table = np.concatenate([depth_sign * slopes, unknown], axis=-1)[None, None].astype(np.float32)
     height, width = background.shape[:2]
-    low = step / 2 - RANGE_LEVELS / 2
-    return LookupModel(table, low, step, (height, width), "mean_over_background", background)
+    return LookupModel(table, low + step / 2, step, (height, width), "mean_over_background", background)
+
+
+def _ranges(given: Sequence[float] | None) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Lowest and highest difference (3,) of red, green and blue."""
+    given = RANGE_LEVELS if given is None else given
+    numbers = check_numbers(given, "range_levels", 6 if len(given) > 2 else 2)
+    pairs = np.broadcast_to(np.reshape(numbers, (-1, 2)), (3, 2))[
+        ::-1
+    ]  # blue, green, red to red, green, blue
+    if not ((pairs[:, 0] < 0) & (pairs[:, 1] > 0) & (abs(pairs) <= MATLAB_LEVELS[1]).all(axis=1)).all():
+        raise ValueError(
+            f"Expected range_levels (--range) as a low difference below 0 and a high one above, gray levels, got {given}."
+        )
+    return pairs[:, 0].copy(), pairs[:, 1].copy()
+
+
+def is_matlab(path: str | PathLike[str]) -> bool:
+    """Whether a look-up table is a file of MATLAB, by its name."""
+    return Path(path).suffix.lower() == ".mat"
+
+
+def mm_per_px_of_lut(path: str | PathLike[str], image_shape: tuple[int, int]) -> float | None:
+    """The scale that MATLAB's table states for images (H, W) of its frames, or of their middle; None if it states none.
+
+    DataError: it is of frames of another size.
+    """
+    if not is_matlab(path) or "Pixmm" not in (fields := _matlab(path)):
+        return None
+    frame = np.atleast_1d(fields.get("FrameSize", image_shape)).ravel()[:2]
+    cut = frame - np.array(image_shape)
+    if len(frame) != 2 or cut[0] != cut[1] or cut[0] < 0:
+        raise DataError(
+            f"{path} states {fields['Pixmm']:g} mm per pixel of frames of {'x'.join(f'{size:g}' for size in frame)} px, and "
+            f"the background is {image_shape[0]}x{image_shape[1]} px. Give the scale of these images: --mm-per-px."
+        )
+    return check_positive(fields["Pixmm"], f"Pixmm of {path}")
+
+
+def _matlab(path: str | PathLike[str]) -> dict[str, Any]:
+    """The fields of the struct LookupTable in a file of MATLAB: arrays, and one number each as float."""
+    content = bytes_of(Path(path), "a look-up table (.mat)", MAX_ARRAY_BYTES)
+    if content[:10] == b"MATLAB 7.3":
+        raise DataError(
+            f"{path} is of MATLAB's format 7.3. Save it in MATLAB with: save file.mat LookupTable -v7"
+        )
+    try:
+        _check_inflated(content)
+        table = scipy.io.loadmat(BytesIO(content), variable_names=["LookupTable"])["LookupTable"][0, 0]
+        arrays = {name: np.asarray(table[name], dtype=np.float64) for name in table.dtype.names}
+    except KeyError:
+        raise DataError(f"Expected a struct LookupTable in {path}, got none.") from None
+    except (Exception, MemoryError) as problem:  # scipy's reader raises many kinds on damaged bytes
+        raise DataError(
+            f"{path} is no file of MATLAB with a LookupTable, or a damaged one: {said(problem)}."
+        ) from problem
+    fields: dict[str, Any] = {name: one.item() if one.size == 1 else one for name, one in arrays.items()}
+    missing = [name for name in LUT_FIELDS if name not in fields]
+    if missing:
+        raise DataError(
+            f"Expected the fields {', '.join(LUT_FIELDS)} in LookupTable of {path}, got no {', '.join(missing)}."
+        )
+    shape, bins = np.shape(fields["GradMag"]), fields["bins"]
+    cubes = (
+        shape == np.shape(fields["GradDir"]) == (shape[:1] * 3) and 4 <= shape[0] <= 200 and bins == shape[0]
+    )
+    if (
+        not cubes
+        or not np.isfinite([fields["GradMag"], fields["GradDir"]]).all()
+        or abs(fields["GradMag"]).max() >= np.pi / 2
+    ):
+        raise DataError(
+            f"Expected GradMag (angles under pi/2) and GradDir of shape (bins, bins, bins) in {path}, got {shape}."
+        )
+    zero, scale = fields["Zeropoint"], fields["Scale"]
+    if (
+        np.ndim(zero)
+        or np.ndim(scale)
+        or not (MATLAB_LEVELS[0] <= scale <= MATLAB_LEVELS[1] and -scale < zero < 0)
+    ):
+        raise DataError(
+            f"Expected Zeropoint and Scale of {path} in gray levels, such as -90 and 180, got {zero} and {scale}. gelform "
+            "reads tables of gray-level differences (matchGrad_Bnz), none of differences over the background (matchGrad)."
+        )
+    return fields
+
+
+def _check_inflated(content: bytes) -> None:
+    """ValueError: a variable in a file of MATLAB takes more memory than a table can need."""
+    at, left = 128, MAX_ARRAY_BYTES
+    while at + 8 <= len(content):
+        kind, size = np.frombuffer(content, "<u4", 2, at)
+        if kind == 15:  # compressed (MAT-file format, level 5)
+            inflate = zlib.decompressobj()
+            left -= len(inflate.decompress(content[at + 8 : at + 8 + int(size)], left + 1))
+            if left < 0:
+                raise ValueError(f"it takes more than {MAX_ARRAY_BYTES >> 20} MB")
+        at += 8 + int(size)
 
 
 def _lut(path: str | PathLike[str]) -> NDArray[np.float64]:
@@ -148,9 +275,8 @@ def _is_of_tables_aspect(height: int, width: int) -> bool:
 def is_taxim_forward(path: str | PathLike[str]) -> bool:
     """Whether a file is an archive with Taxim's members; `load_calibration` reports other kinds."""
     try:
-        with open(path, "rb") as handle, np.load(handle, allow_pickle=False) as file:
-            return set(MEMBERS) <= set(file.files)
-    except _DAMAGED:  # no archive: an array, or another file
+        return {f"{name}.npy" for name in MEMBERS} <= set(checked_archive(path, "Taxim's tables"))
+    except (DataError, *_DAMAGED):  # no archive: an array, or another file
         return False
 
 
@@ -162,12 +288,9 @@ def read_taxim_forward(path: str | PathLike[str]) -> TaximTables:
     DataError
         The file is missing, lacks these tables, is damaged, too large, or of another form.
     """
-    path = present_file(path, "Taxim's tables (polycalib.npz)")
+    path = check_path(path)
     try:
-        with ZipFile(path) as archive:
-            declared = sum(member.file_size for member in archive.infolist())
-        if declared > MAX_ARRAY_BYTES:
-            raise DataError(f"{path} declares {declared / 1e6:.3g} MB; Taxim's tables have a few.")
+        checked_archive(path, "Taxim's tables (polycalib.npz)", MAX_ARRAY_BYTES)
         with open(path, "rb") as handle, np.load(handle, allow_pickle=False) as file:
             missing = [name for name in MEMBERS if name not in file.files]
             if missing:

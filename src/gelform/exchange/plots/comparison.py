@@ -68,14 +68,17 @@ def compare_results(a: Reconstruction, b: Reconstruction) -> Comparison:
         )
     unit = "mm" if a.mm_per_px is not None and b.mm_per_px is not None else "px"
     depths = (a.depth_mm, b.depth_mm) if unit == "mm" else (a.depth_px, b.depth_px)
-    touched = a.contact | b.contact
+    touched, known = a.contact | b.contact, a.known & b.known
+    peaks = (float(d[one.known].max()) if one.known.any() else float("nan") for d, one in zip(depths, (a, b)))
+    peak_a, peak_b = peaks
+    squares = (depths[1] - depths[0])[known].astype(np.float64) ** 2
     angle = angle_deg(b.gradients[touched], a.gradients[touched])
     return Comparison(
         unit=unit,
         depths=depths,
-        peak_a=float(depths[0].max()),
-        peak_b=float(depths[1].max()),
-        difference_rms=float(np.sqrt(np.mean((depths[1] - depths[0]) ** 2, dtype=np.float64))),
+        peak_a=peak_a,
+        peak_b=peak_b,
+        difference_rms=float(np.sqrt(squares.mean())) if squares.size else float("nan"),
         angle_deg=float(angle.mean()) if angle.size else None,
         curl_rms_a=a.curl_rms,
         curl_rms_b=b.curl_rms,

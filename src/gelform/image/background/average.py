@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from gelform.errors import DataError
 from gelform.foundations.checks import check_image
 from gelform.foundations.filters import SIGMA_OF_MEDIAN
-from gelform.image.background.exposure import block_means
+from gelform.image.background.light import block_means
 
 USUAL_FRAMES = 15  # frames at rest that are averaged where they come by themselves
 # Bytes of frames that are held, and of rows that are sorted at once.

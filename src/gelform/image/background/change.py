@@ -15,8 +15,7 @@ from gelform.foundations.fill import fill_unknown
 from gelform.foundations.filters import CHANGE_OFFSET, LANES, blur_taps
 from gelform.foundations.findings import Finding
 from gelform.image.background.check import compared
-from gelform.image.background.exposure import block_means
-from gelform.image.background.light import FrameLight
+from gelform.image.background.light import FrameLight, block_means, scale_of_light, without_light
 from gelform.image.background.orientation import largest_touch
 
 MAX_CONDITION = 30.0  # of a crosstalk matrix; with a larger one, two channels count as one
@@ -89,6 +88,7 @@ def linear_light(image: NDArray[Any], settings: ChangeSettings) -> NDArray[Any]:
         else:
             light = _linear(image, settings.response)
     if settings.crosstalk is not None:
+        # The settings refuse a crosstalk that is nearly singular.
         light = cv2.transform(light.astype(np.float32, copy=False), np.linalg.inv(settings.crosstalk))
     return light
 
@@ -145,7 +145,7 @@ class PreparedBackground:
         self, background: ArrayLike, settings: ChangeSettings, usual: FrameLight | None = None
     ) -> None:
         self.settings, self._usual = settings, usual
-        self.background = check_image(background, name="background").astype(np.float32)
+        self.background = check_image(background, name="background").astype(np.float32, order="C")
         self._light = linear_light(self.background, settings)
         self._gain = gain_from_background(self.background, settings)
         self._taps = blur_taps(settings.blur_px)
@@ -179,36 +179,31 @@ class PreparedBackground:
     def change(self, image: NDArray[Any], light: FrameLight | None = None) -> NDArray[np.float32]:
         """Color change (H, W, 3) float32; with `light`, of the image under the background's light.
 
-        It removes room light and tilt, and compensates the exposure's `believed_gain`.
+        It removes room light and tilt, and divides by the gain.
         """
         return self.pending(image, light).write(np.empty(self._light.shape, dtype=np.float32))
 
     def light_sigma(self, light: FrameLight) -> NDArray[np.float32] | None:
-        """Standard deviation (H, W) of the color change from what is unsure of a frame's light; None if that is nothing."""
-        sigma = light.change_sigma(self._blocks)
-        if sigma is None:
+        """Standard deviation (H, W) of the color change from an unsure light; None for a gain that is known."""
+        if light.is_plain and light.is_known:
             return None
-        size = self._light.shape[1::-1]
+        sigma, size = light.change_sigma(self._blocks), self._light.shape[1::-1]
         return np.asarray(cv2.resize(sigma, size, interpolation=cv2.INTER_LINEAR), dtype=np.float32)
 
     def pending(self, image: NDArray[Any], of_frame: FrameLight | None = None) -> PendingChange:
         """The work of `change` that precedes the pass over the pixels."""
-        gain = np.ones(3)
-        if of_frame is not None:
-            image = image if of_frame.is_plain else of_frame.undone(image)
-            gain = of_frame.exposure.believed_gain ** (-1 / self.settings.response)
-        light = linear_light(image, self.settings)
-        if self.settings.crosstalk is not None and np.ptp(gain) > 0:
-            # gains belong to the camera's channels, so they act before the crosstalk is removed
-            matrix = np.asarray(self.settings.crosstalk)
-            light = cv2.transform(light, np.linalg.inv(matrix) @ np.diag(gain) @ matrix)
-            gain = np.ones(3)
-        scale = np.empty((light.shape[1], 3), dtype=np.float32)
-        scale[:] = gain
-        is_bytes = light.dtype == np.uint8
-        light = np.ascontiguousarray(light, dtype=np.uint8 if is_bytes else np.float32)
-        either = (light, None) if is_bytes else (None, light)
-        return PendingChange((*either, scale.reshape(-1), self._light, self._gain, self._taps))
+        values, response = np.zeros((3, 4)) if of_frame is None else of_frame.values, self.settings.response
+        # The light belongs to the camera's channels, so it acts before response and crosstalk are removed. Factors may wait.
+        waits = self.settings.crosstalk is None and (response == 1 or not values[:, 3].any())
+        if values.any() and not waits:
+            image, values = without_light(image, values), np.zeros((3, 4))
+        image = linear_light(image, self.settings)
+        is_bytes = image.dtype == np.uint8
+        image = np.ascontiguousarray(image, dtype=np.uint8 if is_bytes else np.float32)
+        either = (image, None) if is_bytes else (None, image)
+        return PendingChange(
+            (*either, scale_of_light(image.shape, values / response), self._light, self._gain, self._taps)
+        )
 
 
 @dataclass(frozen=True)
@@ -225,10 +220,9 @@ class PendingChange:
     @property
     def work_size(self) -> int:
         """Floats of work memory that the kernel needs: a row with its border, and the rows within a blur's reach."""
-        scale, taps = self.arguments[2], self.arguments[5]
-        radius = len(taps) - 1
-        whole = -(-len(scale) // LANES) * LANES
-        return len(scale) + 6 * radius + LANES + (2 * radius + 1) * whole
+        row, radius = 3 * self.arguments[3].shape[1], len(self.arguments[5]) - 1
+        whole = -(-row // LANES) * LANES
+        return row + 6 * radius + LANES + (2 * radius + 1) * whole
 
     def write(self, out: NDArray[np.float32]) -> NDArray[np.float32]:
         """Compute the color change into `out` (H, W, 3), and return it."""

@@ -13,8 +13,13 @@ from gelform._native import Kernel
 from gelform.errors import CalibrationError
 from gelform.foundations.checks import check_image
 from gelform.foundations.findings import Finding
-from gelform.image.background.exposure import Exposure, block_means, exposure_from_blocks
-from gelform.image.background.light import FrameLight, light_from_blocks
+from gelform.image.background.light import (
+    FrameLight,
+    block_means,
+    gain_from_blocks,
+    light_from_blocks,
+    without_light,
+)
 from gelform.image.background.orientation import (
     UNLIKE,
     Orientation,
@@ -33,7 +38,7 @@ CORRELATION_REFUSE = (
     0.8  # smallest correlation over pixels at rest; with less, an image is another sensor's, or shifted
 )
 # Fractions of the brightness: half of an image differs by more than the first for a warning, the second for a refusal.
-PATTERN_WARN, PATTERN_REFUSE = 0.02, 0.06
+PATTERN_WARN, PATTERN_REFUSE = 0.02, 0.053
 # Fraction of a background image in one region that no light explains: two moments at rest 0.015 or less (223 pairs of a
 # Mini, a wedge and a DIGIT), presses 0.033 or more on six sensors and 0.014-0.05 on a GelSlim.
 TOUCHED_SHARE = 0.025
@@ -66,21 +71,21 @@ def check_own_background(background: NDArray[Any], calibrated: NDArray[Any]) -> 
     It goes beyond `check_background`: both images show the gel at rest, so that they should be equal everywhere, up to
     a gain for each channel. Another unit of the same model passes every other check.
 
-    CalibrationError: as `check_background`, half of the image differs by more than 6 %, or something touches the gel. The
+    CalibrationError: as `check_background`, half of the image differs by more than 5.3 %, or something touches the gel. The
     message has the figure.
     """
     today, untouched = block_means(background), block_means(calibrated)
     compared(today, untouched)
-    exposure = exposure_from_blocks(today, untouched)
-    differs = exposure.middle_change
+    gain = gain_from_blocks(today, untouched)
+    differs = gain.middle_pattern
     if np.isfinite(differs) and differs > PATTERN_REFUSE:
         raise CalibrationError(
-            f"This background is not of the calibrated sensor. After a common gain ({_times(exposure.gain)}), half of it "
+            f"This background is not of the calibrated sensor. After a common gain ({_times(gain.gain)}), half of it "
             f"differs by {100 * differs:.1f} % or more (expected under {100 * PATTERN_REFUSE:g} %). Use this sensor's own "
             "calibration. If it is the same unit, its gel or lights have moved, so calibrate again."
         )
     check_untouched(background, calibrated)
-    findings = list(_exposure_findings(exposure))
+    findings = list(_exposure_findings(gain))
     if np.isfinite(differs) and differs > PATTERN_WARN:
         message = (
             f"Today's background differs from the calibration's by {100 * differs:.1f} % after a common gain. "
@@ -124,30 +129,28 @@ def check_background_of_frames(
     Each frame is touched, at another place. Therefore the blocks' median over eight frames or more is nearly the background
     image; fewer frames are not checked.
 
-    CalibrationError: the quarter that changed least differs by more than 3.6 %, and half by more than 6 %.
+    CalibrationError: the quarter that changed least differs by more than 3.6 %, and half by more than 5.3 %.
     """
     if len(frames) < MIN_FRAMES:
         return ()
     middle = np.median([block_means(frame) for frame in frames], axis=0).astype(np.float32)
-    exposure = exposure_from_blocks(middle, block_means(background))
-    if np.isfinite(exposure.least_change) and (
-        exposure.least_change > UNLIKE and exposure.middle_change > PATTERN_REFUSE
-    ):
+    light = gain_from_blocks(middle, block_means(background))
+    if light.share and light.least_pattern > UNLIKE and light.middle_pattern > PATTERN_REFUSE:
         raise CalibrationError(
-            f"The background is not of these images. After a common gain ({_times(exposure.gain)}), a quarter of "
-            f"their median differs by {100 * exposure.least_change:.1f} % or more, and half by "
-            f"{100 * exposure.middle_change:.1f} % (expected under {100 * UNLIKE:g} and "
+            f"The background is not of these images. After a common gain ({_times(light.gain)}), a quarter of "
+            f"their median differs by {100 * light.least_pattern:.1f} % or more, and half by "
+            f"{100 * light.middle_pattern:.1f} % (expected under {100 * UNLIKE:g} and "
             f"{100 * PATTERN_REFUSE:g} %). Take a background with the same sensor, just before the presses."
         )
-    if not PATTERN_WARN < exposure.middle_change < inf:
+    if not PATTERN_WARN < light.middle_pattern < inf:
         return ()
     message = (
-        f"After a common gain ({_times(exposure.gain)}), half of the presses' median differs from the background by "
-        f"{100 * exposure.middle_change:.1f} % or more (usual: under {100 * PATTERN_WARN:g} %). Light or gel have "
+        f"After a common gain ({_times(light.gain)}), half of the presses' median differs from the background by "
+        f"{100 * light.middle_pattern:.1f} % or more (usual: under {100 * PATTERN_WARN:g} %). Light or gel have "
         "drifted, or most presses touch the same place. Depth off contact is wrong by as much. Take a background just "
         "before the presses."
     )
-    return (Finding("background_drift", message, exposure.middle_change),)
+    return (Finding("background_drift", message, light.middle_pattern),)
 
 
 def background_digest(background: NDArray[Any]) -> str:
@@ -160,14 +163,13 @@ def compared(
 ) -> tuple[FrameLight, tuple[Finding, ...]]:
     """Light and findings of an image compared with the background image, as in `light_from_blocks`."""
     light = light_from_blocks(image, untouched, usual)
-    exposure = light.exposure
-    if exposure.least_change > UNLIKE:
+    if light.least_change > UNLIKE:
         _refuse_gray(image, untouched)
         check_upright(orientation_from_blocks(image, untouched))
-    _refuse_unlike(exposure.gain, _correlation(light.undone(image), untouched, exposure.gain))
-    if light.tilt.any():  # the light of another unit of the make is not far from a tilt
-        exposure = exposure_from_blocks(image, untouched)
-    return light, (*_light_findings(light), *_pattern_findings(exposure))
+    _refuse_unlike(light, _correlation(image, untouched, light))
+    # The light of another unit of the make is not far from a tilt.
+    pattern = light.least_pattern if light.tilt.any() else light.least_change
+    return light, (*_light_findings(light), *_pattern_findings(pattern))
 
 
 def check_viewed_image(
@@ -215,11 +217,11 @@ def _refuse_gray(image: NDArray[np.float32], untouched: NDArray[np.float32]) -> 
         )
 
 
-def _refuse_unlike(gain: NDArray[np.float64] | None, correlation: float | None) -> None:
-    gains = [1.0] if gain is None else gain.tolist()
+def _refuse_unlike(light: FrameLight, correlation: float | None) -> None:
+    gains = light.gain.tolist()
     if min(gains) < RATIO_REFUSE[0] or max(gains) > RATIO_REFUSE[1]:
         raise CalibrationError(
-            f"The background is not of this image: pixels at rest are {_times(gain)} times as bright as in "
+            f"The background is not of this image: pixels at rest are {_times(light.gain)} times as bright as in "
             f"the background (expected {RATIO_REFUSE[0]}-{RATIO_REFUSE[1]}). Take a new background with the "
             "same exposure, white balance and lights."
         )
@@ -231,9 +233,7 @@ def _refuse_unlike(gain: NDArray[np.float64] | None, correlation: float | None) 
 
 
 def _light_findings(light: FrameLight) -> tuple[Finding, ...]:
-    findings = (*_exposure_findings(light.exposure), *room_light_finding(light))
-    if light.covariance is None:
-        return findings
+    findings = (*_exposure_findings(light), *room_light_finding(light))
     tilt = abs(_sure(light.tilt, light.covariance[:, [1, 2], [1, 2]], GAIN_REPORTED))
     if not tilt:
         return findings
@@ -249,8 +249,6 @@ def room_light_finding(light: FrameLight) -> tuple[Finding, ...]:
 
     The sensor's own light multiplies the background image. Light from outside is added to it, in dark places too.
     """
-    if light.covariance is None:
-        return ()
     room = _sure(light.room, light.covariance[:, 3, 3], ROOM_REPORTED)
     message = (
         f"Room light changes the colors by up to {room:+.0f} gray levels. gelform removes it. Shade the gel."
@@ -265,35 +263,29 @@ def _sure(values: NDArray[np.float64], variances: NDArray[np.float64], least: fl
     return float(values[at]) if over[at] > least else 0.0
 
 
-def _exposure_findings(exposure: Exposure) -> tuple[Finding, ...]:
-    gain = exposure.gain
-    if gain is None:
+def _exposure_findings(light: FrameLight) -> tuple[Finding, ...]:
+    if not light.share:
         message = "gelform cannot compare the exposure: every part of the image is too dark in some channel, or saturated."
         return (Finding("exposure_unknown", message, 0.0),)
-    if not exposure.is_known:
+    if not light.is_known:
         message = (
-            f"gelform cannot tell the exposure, because only {100 * exposure.share:.0f} % of the image agrees on it. "
+            f"gelform cannot tell the exposure well, because {100 * light.share:.0f} % of the image is at rest. "
             "The slopes' sigma contains what an unknown exposure does."
         )
-        return (Finding("exposure_unknown", message, exposure.share),)
-    gains = gain.tolist()
+        return (Finding("exposure_unknown", message, light.share),)
+    gains = light.gain.tolist()
     largest = max(gains, key=lambda one: abs(log(one)))
     if min(gains) < RATIO_WARN[0] or max(gains) > RATIO_WARN[1]:
-        message = (
-            f"Pixels at rest are {_times(gain)} times as bright as in the background. Take a new background."
-        )
+        message = f"Pixels at rest are {_times(light.gain)} times as bright as in the background. Take a new background."
         return (Finding("background_ratio", message, largest),)
     if abs(largest - 1) > GAIN_REPORTED:
-        percents = ", ".join(f"{name} {100 * (one - 1):+.0f} %" for name, one in zip("RGB", gain))
-        partly = f"partly, because only {100 * exposure.share:.0f} % of the image is at rest"
-        how = "it" if exposure.believed_part == 1 else f"it {partly}"
-        message = f"The exposure differs from the background's by {percents}. gelform compensates {how}."
+        percents = ", ".join(f"{name} {100 * (one - 1):+.0f} %" for name, one in zip("RGB", gains))
+        message = f"The exposure differs from the background's by {percents}. gelform compensates it."
         return (Finding("exposure", message, largest),)
     return ()
 
 
-def _pattern_findings(exposure: Exposure) -> tuple[Finding, ...]:
-    least = exposure.least_change
+def _pattern_findings(least: float) -> tuple[Finding, ...]:
     if not UNLIKE < least < inf:
         return ()
     message = (
@@ -303,19 +295,22 @@ def _pattern_findings(exposure: Exposure) -> tuple[Finding, ...]:
     return (Finding("background_differs", message, least),)
 
 
-def _times(gain: NDArray[np.float64] | None) -> str:
-    return "unknown" if gain is None else ", ".join(f"{name} {value:.2f}" for name, value in zip("RGB", gain))
+def _times(gain: NDArray[np.float64]) -> str:
+    return ", ".join(f"{name} {value:.2f}" for name, value in zip("RGB", gain))
 
 
 def _correlation(
-    image: NDArray[np.float32], untouched: NDArray[np.float32], gain: NDArray[Any] | None
+    image: NDArray[np.float32], untouched: NDArray[np.float32], light: FrameLight
 ) -> float | None:
-    """Correlation over all blocks but the `TOUCHED_FRACTION` that changed most, channels together.
+    """Correlation, without the light, over all blocks but the `TOUCHED_FRACTION` that changed most, channels together.
 
     None if the background image is featureless, so that nothing can correlate with it. 0 if only the image is featureless.
     """
     blocks = image.size // 3
-    scale = np.ones(3, dtype=np.float32) if gain is None else (1 / gain).astype(np.float32)
+    if light.is_plain:
+        scale = (1 / light.gain).astype(np.float32)
+    else:
+        image, scale = without_light(image, light.values), np.ones(3, dtype=np.float32)
     last = min(int((1 - TOUCHED_FRACTION) * blocks), blocks - 1)
     sums, work = np.empty(3), np.empty(2 * blocks, dtype=np.float32)
     count = _least_changed_sums(image.reshape(-1, 3), untouched.reshape(-1, 3), scale, last, work, sums)

@@ -1,10 +1,10 @@
 """The light of a frame relative to the background's: a gain, and where the frame shows it, a tilt and the room's light.
 
-The exposure is a gain of each channel (`exposure.py`). A lamp that has moved makes the light tilt over the image, and a lit
-room adds to all pixels alike. Four lights compete: the gain alone, with room light, tilted, and both. Each is fitted to the
-blocks by Gauss-Newton, as I = exp(L(x, y)) B + r, with a prior and with touched blocks as outliers. The one with the most
-evidence is chosen (Bishop, Pattern Recognition and Machine Learning, 2006, section 3.4), and the gain alone unless another
-beats it clearly. A richer light (cubic) would take the gel's sinking around a contact for light.
+Exposure and white balance multiply each channel by a gain. A lamp that has moved makes the light tilt over the image, and a
+lit room adds to all pixels alike. Four lights compete: the gain alone, with a tilt, with room light, and with both. Each is
+fitted to about 300 blocks by Gauss-Newton, as I = exp(L(x, y)) B + r, with a prior and with touched blocks as outliers. The
+one with the most evidence is chosen (Bishop, Pattern Recognition and Machine Learning, 2006, section 3.4), and the gain
+alone unless another beats it clearly. A richer light (cubic) would take the gel's sinking around a contact for light.
 """
 
 from __future__ import annotations
@@ -12,42 +12,70 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
+import cv2
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from gelform._native import Kernel
+from gelform.foundations.checks import check_image
 from gelform.foundations.filters import CHANGE_OFFSET
-from gelform.image.background.exposure import Exposure, exposure_from_blocks
-from gelform.image.background.orientation import (
-    ALIKE,
-    LIGHT_SIGMAS,
-    MARGIN,
-    REST_SIGMA,
-    TOUCHED_SIGMA,
-)
 from gelform.image.frame import BRIGHT, DARK
 
+BLOCKS = 1200  # blocks of an image: each averages out the noise and is smaller than a contact
 EVERY = 2  # one of so many rows and columns of blocks is used; neighbors share their errors
+# Standard deviation of a light's logarithm by degree, from the same unit's exposure, white balance and lamps, and from
+# those of other units of a make.
+LIGHT_SIGMAS = (0.15, 0.08, 0.05, 0.04)
 ROOM_SIGMA = 20.0  # gray levels, standard deviation of a room's light
-# Gray levels, the fit's starts; without the nearest one's room light, most blocks agree on a gain.
-ROOMS = (-20.0, 0.0, 10.0, 20.0, 40.0)
-WIDENED = np.array([8.0, 4, 2, 1, 1, 1, 1, 1])  # of the deviation at rest in each round of the fit
+REST_SIGMA = 0.0165  # of a block's logarithm at rest, beyond the light; the largest of four sensors
 LEAST_REST = 0.004  # a block's logarithm at rest never agrees better
-STAYS = np.ones(2)  # rounds of the screen, which only learns the deviation at rest
-SCREEN = 8.0  # nats that a tilt and room light have to promise before they are fitted
+TOUCHED_SIGMA = 0.6  # of that of a touched block; half of the blocks may be touched
+ALIKE = 31  # independent blocks that an image's are worth, because neighbors share their errors
+# Of the deviation at rest in each round of the fit; a light that starts near its end needs the last four.
+WIDENED = np.array([8.0, 3, 1, 1, 1, 1])
+# Nats that a tilt and room light promise before they are fitted, and by which a light beats the gain, a reading all others,
+# and a sensor of another light. Of six sensors, 71 of 71 frames win by 13 or more; of other units none wins by as much in a
+# wrong reading.
+MARGIN = 10.0
 LEAST_OF_ROOM = (
     0.2  # of the channel that a room lights most; on a GelSlim, a shadow in red alone looks like room light
 )
 # Standard deviations of the prior that a tilt or room light may have: a mirrored image of four sensors needs 2.4 or more.
 MOST = 2.0
+# Standard deviation of a gain's logarithm above which the exposure is called unknown: less than a tenth of the image agrees.
+KNOWN_SIGMA = 0.01
 PRIOR = np.array([LIGHT_SIGMAS[0], LIGHT_SIGMAS[1], LIGHT_SIGMAS[1], ROOM_SIGMA]) ** -2.0
+GAIN, WITH_ROOM, TILTED, BOTH = (
+    np.array([True, tilted, tilted, room]) for tilted in (False, True) for room in (False, True)
+)
 
+_means_of_bytes = Kernel(
+    "means_of_bytes", "u8[h,w,3] image, i64 step, out u16[n] work, out f32[bh,bw,3] means"
+)
+_lit_blocks = Kernel(
+    "lit_blocks",
+    "f32[h,w,3] blocks, f32[h,w,3] untouched, i64 step, f32 dark, f32 bright, out f32[8,n] lit, out f32[3] medians, "
+    "out f32[m] work",
+)
 _fit_light = Kernel(
     "fit_light",
-    "f32[h,w,3] image, f32[h,w,3] untouched, f64[4] prior, f64[rounds] widened, out f64[3,4] values, out f64[3,4,4] normal, "
-    "out f64[3,4] side, out f64[n] square, out f64[1] rest, out f64[m] work, f64 sigma, f64 least, f64 wide, f64 alike, "
-    "f64 offset, f32 dark, f32 bright, i32 learns, i32 moves",
+    "f32[8,n] lit, i64 count, f64[4] prior, bool[4] is_free, f64[rounds] widened, out f64[3,4] values, "
+    "out f64[3,4,4] normal, out f32[n] farthest, out f64[5] figures, out f32[m] work, f64 sigma, f64 least, f64 most, "
+    "f64 wide, f64 alike, f32 offset",
 )
+
+
+def block_means(image: NDArray[Any]) -> NDArray[np.float32]:
+    """Means over about 1200 square blocks, (h, w, 3) float32."""
+    height, width = image.shape[:2]
+    step = max(1.0, (height * width / BLOCKS) ** 0.5)
+    size = (max(1, round(width / step)), max(1, round(height / step)))
+    block = width // size[0]  # OpenCV rounds halves up for 2x2 pixels, to even for more
+    if image.dtype == np.uint8 and (height, width) == (block * size[1], block * size[0]) and 2 < block <= 256:
+        means = np.empty((size[1], size[0], 3), dtype=np.float32)
+        _means_of_bytes(np.ascontiguousarray(image), block, np.empty(3 * width, dtype=np.uint16), means)
+        return means
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.float32)
 
 
 @dataclass(frozen=True)
@@ -56,25 +84,32 @@ class FrameLight:
 
     Attributes
     ----------
-    exposure : of the frame without `room` and `tilt`
-    values : (3, 4), as those of `lit`, but with the exposure in the place of the logarithm in the middle, which is 0
-    covariance : (3, 4, 4), of each channel's values; None: only a gain was fitted
+    values : (3, 4), as those of `lit`
+    covariance : (3, 4, 4), of each channel's values; 0 for a tilt and room light that were not fitted
+    is_known : whether the gain's standard deviation in this tilt and room light is 1 % or less
+    share : of the image that is at rest in this light, 0-1; 0 if each block is dark or saturated in one of the images
+    least_change : of the quarter of the image that changed least, after this light; 0.01 is one per cent of its brightness
+        It is noise and small drift for a frame of this sensor, whatever touches it; it is more for another sensor.
+    least_pattern, middle_pattern : that of the quarter and of the half that changed least, after a gain alone
     """
 
-    exposure: Exposure
     values: NDArray[np.float64] = field(default_factory=lambda: np.zeros((3, 4)))
-    covariance: NDArray[np.float64] | None = None
+    covariance: NDArray[np.float64] = field(default_factory=lambda: np.tile(np.diag(GAIN / PRIOR), (3, 1, 1)))
+    is_known: bool = False
+    share: float = 0.0
+    least_change: float = np.inf
+    least_pattern: float = np.inf
+    middle_pattern: float = np.inf
 
     @property
     def is_plain(self) -> bool:
         """Whether the frame differs by a gain at most."""
-        return self.covariance is None
+        return not self.values[:, 1:].any()
 
     @property
-    def whole(self) -> NDArray[np.float64]:
-        """The values with the exposure's gain, as those of `lit`; without it if the gain is unknown."""
-        gain = self.exposure.gain
-        return self.values if gain is None else np.c_[np.log(gain), self.values[:, 1:]]
+    def gain(self) -> NDArray[np.float64]:
+        """Brightness (3,) in the middle over the background's, without the room's light."""
+        return np.asarray(np.exp(self.values[:, 0]), dtype=np.float64)
 
     @property
     def tilt(self) -> NDArray[np.float64]:
@@ -86,37 +121,42 @@ class FrameLight:
         """Gray levels (3,) that the room's light adds to red, green and blue."""
         return self.values[:, 3]
 
-    def undone(self, levels: NDArray[np.float32] | NDArray[np.uint8]) -> NDArray[np.float32]:
-        """An image or its blocks (H, W, 3) without tilt and room light; the gain stays."""
-        return np.asarray(levels, dtype=np.float32) if self.is_plain else without_light(levels, self.values)
+    def change_sigma(self, untouched: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Standard deviation (h, w) of the color change from an unsure light, over background blocks (h, w, 3).
 
-    def change_sigma(self, untouched: NDArray[np.float32]) -> NDArray[np.float32] | None:
-        """Standard deviation (h, w) of the color change from an unsure tilt and room light, over background blocks.
-
-        It is the root mean square of the channels; None if only a gain was fitted.
+        It is the root mean square of the channels.
         """
-        if self.covariance is None:
-            return None
         per_level = 1 / (untouched.reshape(-1, 3).T[:, None] + CHANGE_OFFSET)
         places = np.broadcast_to(_places(untouched.shape[:2]), (3, 3, per_level.shape[-1]))
         terms = np.concatenate([places, per_level], axis=1)
-        square = np.einsum("cin,cij,cjn->n", terms, self.covariance, terms) / 3
+        square = ((self.covariance @ terms) * terms).sum(axis=(0, 1)) / 3
         return np.sqrt(square).reshape(untouched.shape[:2]).astype(np.float32)
 
 
 class _Fit(NamedTuple):
-    """A fitted light: values (3, 4), free terms (4,), normal matrices (3, 4, 4), evidence, and sigma of blocks at rest."""
+    """A fitted light: values (3, 4), free terms (4,), normal matrices (3, 4, 4), and what the kernel says of it.
+
+    `far` (n,) are the blocks' changes beyond it, as fractions, of the channel that changed most; `promised` the nats by
+    which a tilt and room light would fit better.
+
+    PRIOR makes the matrices definite; a term that is not free has 1 on the diagonal alone.
+    """
 
     values: NDArray[np.float64]
     free: NDArray[np.bool_]
     normal: NDArray[np.float64]
-    evidence: float
+    far: NDArray[np.float32]
     rest_sigma: float
+    at_rest: float
+    likelihood: float
+    evidence: float
+    promised: float
 
     @property
     def covariance(self) -> NDArray[np.float64]:
         """Of the values, (3, 4, 4)."""
-        return np.asarray(np.linalg.inv(self.normal) * np.outer(self.free, self.free), dtype=np.float64)
+        both = np.outer(self.free, self.free)
+        return np.asarray(np.linalg.inv(np.where(both, self.normal, np.eye(4))) * both, dtype=np.float64)
 
     @property
     def has_room(self) -> bool:
@@ -124,11 +164,86 @@ class _Fit(NamedTuple):
         room = self.values[:, 3] * np.sign(self.values[:, 3].sum())
         return bool(room.min() > LEAST_OF_ROOM * room.max())
 
+    @property
+    def is_likely(self) -> bool:
+        """Whether tilt and room light are as large as they occur."""
+        return bool((np.abs(self.values[:, 1:]) <= MOST * PRIOR[1:] ** -0.5).all())
 
-GAIN, WITH_ROOM, TILTED, BOTH = (
-    np.array([True, tilted, tilted, room]) for tilted in (False, True) for room in (False, True)
-)
-ALL_BUT_GAIN = np.array([False, True, True, True])
+
+class _Seen:
+    """The blocks (h, w, 3) of an image that are neither dark nor saturated in it and in a background image."""
+
+    def __init__(
+        self, blocks: NDArray[np.float32], untouched: NDArray[np.float32], every: int = EVERY
+    ) -> None:
+        height, width = (-(-size // every) for size in blocks.shape[:2])
+        self.total, size = height * width, height * width + 1
+        self._lit, self._work = np.empty((8, size), np.float32), np.empty(14 * size, np.float32)
+        self.medians = np.empty(3, np.float32)
+        self.count = _lit_blocks(blocks, untouched, every, DARK, BRIGHT, self._lit, self.medians, self._work)
+
+    def fit(
+        self,
+        free: NDArray[np.bool_],
+        start: NDArray[np.float64],
+        sigma: float | None = None,
+        widened: NDArray[np.float64] = WIDENED,
+        most: float = np.inf,
+    ) -> _Fit:
+        """The light with these terms (4,) from a start (3, 4).
+
+        It learns the sigma of the blocks at rest, up to `most`, if it is None.
+        """
+        values, normal, figures = start.copy(), np.empty((3, 4, 4)), np.empty(5)
+        far = np.empty(self._lit.shape[1], np.float32)
+        _fit_light(
+            self._lit, self.count, PRIOR, free, widened, values, normal, far, figures, self._work, sigma=sigma or REST_SIGMA,
+            least=LEAST_REST, most=0.0 if sigma else most, wide=TOUCHED_SIGMA, alike=ALIKE, offset=CHANGE_OFFSET,
+        )  # fmt: skip
+        return _Fit(values, free, normal, far[: self.count], *figures.tolist())
+
+    def light(self, fit: _Fit, gain: _Fit) -> FrameLight:
+        """The light of a fit beside that of a gain alone."""
+        quarter, half = self.count // 4, self.count // 2
+        changes = np.partition(gain.far, (quarter, half))
+        least = changes[quarter] if fit is gain else np.partition(fit.far, quarter)[quarter]
+        pattern = float(changes[quarter]), float(changes[half])
+        is_known = bool(fit.normal[:, 0, 0].min() >= KNOWN_SIGMA**-2)
+        return FrameLight(
+            fit.values, fit.covariance, is_known, fit.at_rest / self.total, float(least), *pattern
+        )
+
+
+def light_from_image(image: ArrayLike, background: ArrayLike) -> FrameLight:
+    """The light of an image relative to that of a background image, from the blocks at rest.
+
+    Parameters
+    ----------
+    image, background : (H, W, 3), RGB, 0-255
+
+    Returns
+    -------
+    FrameLight
+        A large contact does not bias the gain, but can leave too few pixels at rest to measure it. Then `is_known` is
+        False, and the covariance says how little is known.
+
+    Raises
+    ------
+    ValueError, TypeError
+        The image or the background is no (H, W, 3) of numbers in 0-255, or they differ in size.
+    """
+    untouched = check_image(background, name="background")
+    pressed = check_image(image, shape=untouched.shape[:2])
+    return light_from_blocks(block_means(pressed), block_means(untouched))
+
+
+def gain_from_blocks(blocks: NDArray[np.float32], untouched: NDArray[np.float32]) -> FrameLight:
+    """The light of an image as a gain alone, both from `block_means`."""
+    seen = _Seen(blocks, untouched)
+    if not seen.count:
+        return FrameLight()
+    gain = seen.fit(GAIN, _start(seen), most=REST_SIGMA)
+    return seen.light(gain, gain)
 
 
 def light_from_blocks(
@@ -138,35 +253,27 @@ def light_from_blocks(
 
     Parameters
     ----------
-    usual : of the moments before: it stays, but for the exposure, if it fits better than a gain and no light clearly better
+    usual : of the moments before: it stays, but for the gain, if it fits better than a gain and no light clearly better
     """
-    few, rest = (np.ascontiguousarray(one[::EVERY, ::EVERY]) for one in (blocks, untouched))
-    exposure, seen = exposure_from_blocks(blocks, untouched), _Seen(few, rest)
+    seen = _Seen(blocks, untouched)
+    if not seen.count:
+        return FrameLight()
+    gain = seen.fit(GAIN, _start(seen), most=REST_SIGMA)
     if usual is not None and not usual.is_plain:
-        again = replace(usual, exposure=exposure_from_blocks(usual.undone(blocks), untouched))
-        if again.exposure.is_known and seen.promised(again) <= SCREEN:
-            sigma, likelihood = seen.rest_sigma, seen.likelihood()
-            seen.promised(FrameLight(exposure), sigma)
-            if likelihood > seen.likelihood():
-                return again
-    if exposure.gain is None or (exposure.is_known and seen.promised(FrameLight(exposure)) <= SCREEN):
-        return FrameLight(exposure)
-    room, at_room = max(
-        ((room, exposure_from_blocks(few - np.float32(room), rest)) for room in ROOMS),
-        key=lambda one: one[1].share,
+        again = seen.fit(GAIN, usual.values, most=REST_SIGMA)
+        alone = seen.fit(GAIN, gain.values, again.rest_sigma, WIDENED[2:])
+        if again.promised <= MARGIN and again.likelihood > alone.likelihood:
+            return replace(seen.light(again, gain), covariance=usual.covariance)
+    if gain.promised <= MARGIN:
+        return seen.light(gain, gain)
+    both = seen.fit(BOTH, gain.values)
+    alone, *others = (
+        seen.fit(free, np.where(free, start.values, 0), both.rest_sigma, WIDENED[2:])
+        for free, start in ((GAIN, gain), (TILTED, both), (WITH_ROOM, both), (BOTH, both))
     )
-    plain, lit = FrameLight(exposure).whole, FrameLight(at_room).whole
-    lit[:, 3] = room
-    sigma = seen.fit(BOTH, lit, None).rest_sigma
-    gain = seen.fit(GAIN, plain, sigma)
-    fits = [seen.fit(*one, sigma) for one in ((TILTED, plain), (WITH_ROOM, lit), (BOTH, lit))]
-    best = max(fits[:1] + [one for one in fits[1:] if one.has_room], key=lambda one: one.evidence)
-    likely = (np.abs(best.values[:, 1:]) <= MOST * PRIOR[1:] ** -0.5).all()
-    if best.evidence - gain.evidence <= MARGIN or not likely:
-        return FrameLight(exposure)
-    light = FrameLight(exposure, np.where(ALL_BUT_GAIN, best.values, 0), best.covariance)
-    alike = exposure_from_blocks(light.undone(blocks), untouched)
-    return replace(light, exposure=alike) if alike.is_known else FrameLight(exposure)
+    best = max((one for one in others if one.has_room or not one.free[3]), key=lambda one: one.evidence)
+    is_better = best.evidence - alone.evidence > MARGIN and best.is_likely
+    return seen.light(best if is_better else gain, gain)
 
 
 def light_at_rest(
@@ -176,9 +283,7 @@ def light_at_rest(
 
     All terms are fitted: where nothing touches, a term too many costs nothing.
     """
-    light = start.copy()
-    _Seen(blocks, untouched).move(light)
-    return light
+    return _Seen(blocks, untouched, every=1).fit(BOTH, start).values
 
 
 def lit(levels: NDArray[np.float32], light: NDArray[np.float64]) -> NDArray[np.float32]:
@@ -200,72 +305,30 @@ def without_light(levels: NDArray[Any], light: NDArray[np.float64]) -> NDArray[n
     return np.asarray(left / _factor(levels.shape, light), dtype=np.float32)
 
 
+def scale_of_light(shape: tuple[int, ...], light: NDArray[np.float64]) -> NDArray[np.float32]:
+    """What undoes a light of an image (H, W, 3): factors of its columns (3 W,).
+
+    After them come, unless the light is a gain, factors of its rows (3 H,), and gray levels (3,) to subtract before.
+    """
+    if not light[:, 1:].any():
+        return np.tile(np.exp(-light[:, 0]).astype(np.float32), shape[1])
+    y, x = map(_centers, shape[:2])
+    columns, rows = np.exp(-light[:, 0] - x[:, None] * light[:, 1]), np.exp(-y[:, None] * light[:, 2])
+    return np.concatenate([columns, rows, light[None, :, 3]]).ravel().astype(np.float32)
+
+
+def _start(seen: _Seen) -> NDArray[np.float64]:
+    """The light (3, 4) of the blocks' median ratio."""
+    start = np.zeros((3, 4))
+    start[:, 0] = np.log(seen.medians)
+    return start
+
+
 def _factor(shape: tuple[int, ...], light: NDArray[np.float64]) -> NDArray[np.float32]:
     """What a light multiplies pixels or blocks by, (H, W, 3)."""
     y, x = map(_centers, shape[:2])
     columns = np.exp(light[:, 0] + x[:, None] * light[:, 1]).astype(np.float32)
     return np.asarray(columns * np.exp(y[:, None, None] * light[:, 2]).astype(np.float32))
-
-
-class _Seen:
-    """The blocks (h, w, 3) of an image and of a background image."""
-
-    def __init__(self, blocks: NDArray[np.float32], untouched: NDArray[np.float32]) -> None:
-        self._both, (height, width) = (blocks, untouched), blocks.shape[:2]
-        self._square, self._rest = np.empty(height * width), np.empty(1)
-        self._work = np.empty(3 * (height + width))
-
-    @property
-    def rest_sigma(self) -> float:
-        """Standard deviation of a block's logarithm at rest, in the last light."""
-        return float(self._rest[0])
-
-    def likelihood(self) -> float:
-        """Logarithm of the likelihood of the last light, in nats."""
-        square = self._square[self._square >= 0]
-        rest, touched = (-square / (2 * one**2) - 3 * np.log(one) for one in (self.rest_sigma, TOUCHED_SIGMA))
-        return float(ALIKE * np.logaddexp(rest, touched).mean())
-
-    def promised(self, light: FrameLight, sigma: float | None = None) -> float:
-        """Nats by which another tilt and room light would fit better than this light: a score test (Rao, 1948)."""
-        normal, side = self._fitted(light.whole, BOTH, STAYS, sigma)
-        gained = [
-            float((side[:, :n] * np.linalg.solve(normal[:, :n, :n], side[:, :n, None])[..., 0]).sum())
-            for n in (4, 1)
-        ]
-        return (gained[0] - gained[1]) / 2
-
-    def move(self, light: NDArray[np.float64]) -> None:
-        """Move a light (3, 4) to the one that fits best."""
-        self._fitted(light, BOTH, WIDENED, None)
-
-    def fit(self, free: NDArray[np.bool_], start: NDArray[np.float64], sigma: float | None) -> _Fit:
-        """The light with these terms (4,) from a start (3, 4); it learns the sigma of the blocks at rest if it is None."""
-        values = np.where(free, start, 0.0)
-        normal, _ = self._fitted(values, free, WIDENED, sigma)
-        evidence = (
-            self.likelihood()
-            - (PRIOR * values**2).sum() / 2
-            - np.linalg.slogdet(normal)[1].sum() / 2
-            + 1.5 * np.log(PRIOR[free]).sum()
-        )
-        return _Fit(values, free, normal, float(evidence), self.rest_sigma)
-
-    def _fitted(
-        self,
-        values: NDArray[np.float64],
-        free: NDArray[np.bool_],
-        widened: NDArray[np.float64],
-        sigma: float | None,
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Normal matrices (3, 4, 4) and right sides (3, 4) at the light, which moves in place from `values` (3, 4)."""
-        normal, side = np.empty((3, 4, 4)), np.empty((3, 4))
-        _fit_light(
-            *self._both, PRIOR * free, widened, values, normal, side, self._square, self._rest, self._work,
-            sigma=sigma or REST_SIGMA, least=LEAST_REST, wide=TOUCHED_SIGMA, alike=ALIKE, offset=CHANGE_OFFSET, dark=DARK,
-            bright=BRIGHT, learns=sigma is None, moves=widened is not STAYS,
-        )  # fmt: skip
-        return normal, side
 
 
 def _places(shape: tuple[int, int]) -> NDArray[np.float64]:

@@ -16,18 +16,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.foundations.filters import CHANGE_OFFSET
-from gelform.image.background.exposure import block_means, exposure_from_blocks
+from gelform.image.background.light import (
+    ALIKE,
+    LIGHT_SIGMAS,
+    MARGIN,
+    REST_SIGMA,
+    TOUCHED_SIGMA,
+    block_means,
+    gain_from_blocks,
+)
 from gelform.image.frame import BRIGHT, DARK
 
-# Standard deviation of a light's logarithm by degree, from the same unit's exposure, white balance and lamps, and from
-# those of other units of a make.
-LIGHT_SIGMAS = (0.15, 0.08, 0.05, 0.04)
-REST_SIGMA = 0.0165  # of a block's logarithm at rest, beyond the light; the largest of four sensors
-TOUCHED_SIGMA = 0.6  # of that of a touched block; half of the blocks may be touched
-ALIKE = 31  # independent blocks that an image's are worth, because neighbors share their errors
-# Nats by which a reading beats all others, and a sensor of another light. Of six sensors, 71 of 71 frames win by 13 or more;
-# of other units none wins by as much in a wrong reading.
-MARGIN = 10.0
 # Fraction of the brightness by which all but a quarter of an image differs, if it lies otherwise: 0.048 or more on six
 # sensors. Frames that lie as the background differ by up to 0.036.
 UNLIKE = 0.036
@@ -111,7 +110,7 @@ def orientation_if_doubtful(image: NDArray[Any], background: NDArray[Any]) -> Or
     It is the cheap question first: no image of six sensors that lies otherwise agrees by so much.
     """
     blocks, untouched = block_means(image), block_means(background)
-    if exposure_from_blocks(blocks, untouched).least_change <= UNLIKE:
+    if gain_from_blocks(blocks, untouched).least_change <= UNLIKE:
         return None
     return orientation_from_blocks(blocks, untouched)
 
@@ -211,6 +210,7 @@ def _fitted_light(
         sides = _log_likelihoods(change - terms @ light)
         weight = lit * np.exp(sides[0] - np.logaddexp(*sides)) * share[:, None] / REST_SIGMA**2
         normal = (weight @ products).reshape(len(change), *2 * (terms.shape[1],)) + np.diag(prior)
+        # definite by the prior
         light = np.linalg.solve(normal, terms.T @ (weight[..., None] * change))
     return light, normal
 

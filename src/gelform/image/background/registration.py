@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gelform.foundations.checks import check_image, check_mask
 from gelform.foundations.filters import log_levels
+from gelform.foundations.information import determined_by
 
 # Standard deviations of the blurs, px, coarse to fine; the first still finds a shift of about 8 px.
 BLURS_PX = (6.0, 3.0, 1.5, 1.5)
@@ -96,6 +97,8 @@ class PreparedRegistration:
     def __init__(self, background: NDArray[Any]) -> None:
         self._logs = log_levels(background)
         height, width = self._logs.shape
+        if min(height, width) < 2:
+            raise ValueError(f"Expected images of at least 2x2 px to register, got {height}x{width} px.")
         self._half = np.hypot(height, width) / 2
         self._y, self._x = np.mgrid[:height, :width].astype(np.float32)
         self._u = (self._x - (width - 1) / 2) / np.float32(self._half)
@@ -159,8 +162,9 @@ class PreparedRegistration:
         columns = regressors[of].astype(np.float64)
         change = (now - rest).ravel()[of].astype(np.float64)
         square = columns.T @ columns
-        moved = columns[:, 6:] - columns[:, :6] @ np.linalg.solve(square[:6, :6], square[:6, 6:])
-        residual = change - columns @ np.linalg.lstsq(square, columns.T @ change, rcond=None)[0]
+        # Pixels in one row do not determine all terms of light; those that they leave open explain nothing.
+        moved = columns[:, 6:] - columns[:, :6] @ determined_by(square[:6, :6]).covariance @ square[:6, 6:]
+        residual = change - columns @ determined_by(square).covariance @ (columns.T @ change)
         noise = self._noise(float(residual @ residual) / len(residual), blur, of)
         return _solved(moved, change, residual, noise, self._block[of])
 

@@ -74,7 +74,7 @@ class Neighbors:
         spread = np.einsum("mk,mkc,mkd->mcd", weight, offset, offset)
         spread += FIT_PRIOR * self.spacing_px**2 * np.eye(2)
         lean = np.einsum("mk,mkc,mkd->mcd", weight, offset, shift_px[sure] - mean[:, None])
-        slope = np.linalg.solve(spread, lean)
+        slope = np.linalg.solve(spread, lean)  # definite by FIT_PRIOR
         predicted: NDArray[np.float64] = mean - np.einsum("mc,mcd->md", place, slope)
         return predicted
 

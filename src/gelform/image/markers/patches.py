@@ -141,6 +141,7 @@ class MarkerPatches:
             noise = (
                 basis * taper[:, None] ** 2
             ).T @ basis  # of the coordinates, where the noise is tapered too
+            # A dot is round and dark, as the finder made sure: quadratic light gives neither it nor its derivatives.
             inverse = np.asarray(np.linalg.inv(triangle))[7:]
             self._spread[i] = np.sqrt(np.trace(inverse @ noise @ inverse.T) / 2)
             self._freedom[i] = max(float(np.sum(taper**2) - np.trace(noise)), 1.0)
@@ -178,14 +179,14 @@ class StretchedPatches:
         u, weight, columns = self._columns(i)
         normal = columns.T @ columns
         normal[np.diag_indices(len(normal))] += [1e-9] * (SHIFT + 2) + [DAMPING * np.sum(weight**2)] * 4
-        inverse = np.linalg.inv(normal)
+        inverse = np.linalg.inv(normal)  # definite by what the diagonal got
         shift, warp, radius = np.array(start, dtype=np.float64), np.eye(2), self._patches.radius_px
         for _ in range(STRETCHED_STEPS):
             places = (self._patches.centers_px[i] + shift + u @ warp.T).astype(np.float32)
             evidence = weight * _sampled(logs, places)
             fit = inverse @ (columns.T @ evidence)
             step, change = _limited(fit[SHIFT:] / max(fit[LIGHT], STRENGTH[0]), 0.6 * radius)
-            warp = warp @ np.linalg.inv(np.eye(2) + change)
+            warp = warp @ np.linalg.inv(np.eye(2) + change)  # changes are below MOST_CHANGE
             shift = shift - warp @ step
             last = float(np.linalg.norm(step) + radius * np.abs(change).max())
             if last < ENOUGH_PX or not _is_of_rubber(warp):

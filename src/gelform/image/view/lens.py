@@ -49,7 +49,9 @@ class Lens:
             object.__setattr__(self, name, values)
         if min(self.camera[:2]) <= 0:
             raise ValueError(f"Expected focal lengths > 0 px, got {self.camera[:2]}.")
-        if abs(np.linalg.det(self._homography)) < 1e-12:
+        # Of rows of any length: a homography in px has rows of 1, 1000 and 1e-6.
+        lengths = np.prod(np.linalg.norm(self._homography, axis=1))
+        if not abs(np.linalg.det(self._homography)) > 1e-12 * lengths:
             raise ValueError(
                 f"Expected a perspective that can be undone, got a singular one: {self.perspective}."
             )

@@ -190,8 +190,8 @@ def image_from_frame(frame: ArrayLike, view: View) -> NDArray[Any]:
         if shape == view.shape:
             return pixels
         raise ValueError(
-            f"Expected a frame of {_text(view.frame_shape)} px (height x width), got {_text(shape)}. "
-            "Give the view that belongs to this camera."
+            f"Expected a frame of {_text(view.frame_shape)} px (height x width), or an image of {_text(view.shape)} px made "
+            f"of it, got {_text(shape)}. Set the camera to that size, or calibrate with frames of this one."
         )
     if view.is_identity:
         return pixels

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections.abc import AsyncIterator
+from concurrent.futures import ThreadPoolExecutor
 from importlib import resources
 from typing import Any
 
@@ -16,10 +17,12 @@ from starlette.websockets import WebSocket
 
 from gelform.errors import GelformError
 from gelform.live.hub import Hub, page_named
+from gelform.live.lists import shown_name
 from gelform.live.web.client import TOO_MANY, Client
 from gelform.live.web.guard import OPEN_PATHS, Access, Guard
 
 MAX_CLIENTS = 16  # pages open at once
+ACTING = 16  # threads that do the pages' actions
 MAX_DIGITS = 9  # of a number in a path
 MAX_BODY = 1024  # bytes of a request; a token has 43
 BODY_S = 5.0  # s until a body has arrived
@@ -56,6 +59,7 @@ def make_app(hub: Hub, access: Access) -> Any:
     """The application, behind the guard."""
     files = page_files()
     clients: set[Client] = set()
+    threads = ThreadPoolExecutor(ACTING, "action")
 
     async def page(request: Request) -> Response:
         name = request.url.path
@@ -93,7 +97,8 @@ def make_app(hub: Hub, access: Access) -> Any:
         except GelformError as problem:
             return Response(str(problem), 404, media_type="text/plain")
         headers = {"cache-control": "no-store"}
-        return FileResponse(path, media_type="application/octet-stream", filename=path.name, headers=headers)
+        name = shown_name(path.name)
+        return FileResponse(path, media_type="application/octet-stream", filename=name, headers=headers)
 
     async def report(request: Request) -> Response:
         session = hub.guides.get(_number(request))
@@ -107,7 +112,7 @@ def make_app(hub: Hub, access: Access) -> Any:
         if len(clients) >= MAX_CLIENTS:
             await websocket.close(TOO_MANY, "too many pages are open")
             return
-        client, name = Client(websocket, hub), page_named(websocket.query_params.get("page", ""))
+        client, name = Client(websocket, hub, threads), page_named(websocket.query_params.get("page", ""))
         clients.add(client)
         hub.pages.came(name)
         try:
@@ -124,6 +129,7 @@ def make_app(hub: Hub, access: Access) -> Any:
         yield
         ticking.cancel()
         hub.close()
+        threads.shutdown(wait=False, cancel_futures=True)
 
     def wake() -> None:
         for client in tuple(clients):

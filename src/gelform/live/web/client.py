@@ -11,14 +11,14 @@ import json
 import time
 from collections import deque
 from collections.abc import Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from operator import itemgetter
 from typing import Any
 
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from gelform.errors import GelformError
-from gelform.live.hub import Hub
+from gelform.live.hub import Hub, sentence_for_page
 from gelform.live.shown import PLANES, Shown
 from gelform.live.station import Station
 from gelform.live.web.commands import MessageError, done, parsed, station, time_ms
@@ -26,6 +26,7 @@ from gelform.live.web.wire import ENCODINGS, message
 
 MAX_CREDIT = 4  # per station
 SURFACE = ("depth", "unknown")  # planes of the stations that a client shows small
+MAX_ACTIONS = 8  # of a client at once; its further messages wait
 MAX_REPLIES = 32  # replies that wait for a client at most
 STATE_EVERY_S = 0.25  # s between messages about the state
 MESSAGES_PER_S, MESSAGES_AT_ONCE = 200.0, 400.0  # limits per client; a page at 60 frames/s sends 70
@@ -53,10 +54,12 @@ class Client:
     ----------
     socket : accepted
     hub : the hub that it shows
+    threads : do the actions, apart from those that encode frames: an action may wait for frames
     """
 
-    def __init__(self, socket: WebSocket, hub: Hub) -> None:
-        self._socket, self._hub = socket, hub
+    def __init__(self, socket: WebSocket, hub: Hub, threads: Executor) -> None:
+        self._socket, self._hub, self._threads = socket, hub, threads
+        self._may_act = asyncio.Semaphore(MAX_ACTIONS)
         self._wake = asyncio.Event()
         self._watched = Watched()
         self._credit = 0
@@ -150,7 +153,9 @@ class Client:
                 {"kind": "pong", "sent": time_ms(content.get("sent")), "now_s": time.monotonic()}
             )
         else:
-            asyncio.get_running_loop().create_task(self._act(content))
+            await self._may_act.acquire()
+            acting = asyncio.get_running_loop().create_task(self._act(content))
+            acting.add_done_callback(lambda _: self._may_act.release())
             await asyncio.sleep(0)
         self.wake()
 
@@ -158,14 +163,15 @@ class Client:
         """Do a button's action; the answer reports its success or error."""
         reply = {"kind": "done", "do": content["do"], "problem": ""}
         try:
-            answer = await asyncio.to_thread(done, self._hub, content)
+            loop = asyncio.get_running_loop()
+            answer = await loop.run_in_executor(self._threads, done, self._hub, content)
             if answer is not None:
                 self._replies.append(answer)
         except MessageError as problem:
             await self._socket.close(POLICY, str(problem)[:120])
             return
-        except (GelformError, ValueError) as problem:
-            reply["problem"] = " ".join(str(problem).split())
+        except Exception as problem:  # each click gets its answer
+            reply["problem"] = sentence_for_page(problem)
         self._replies.append(reply)
         self._state_at = 0.0
         self.wake()

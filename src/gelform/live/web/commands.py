@@ -54,7 +54,7 @@ def yes_no(value: Any) -> bool:
 
 @dataclass(frozen=True)
 class Command:
-    """An action, which may return an answer, and the check of each of its fields."""
+    """An action on a station, which may return an answer, and the check of each of its fields."""
 
     act: Callable[..., dict[str, Any] | None]
     fields: dict[str, Callable[[Any], Any]]
@@ -119,7 +119,7 @@ def done(hub: Hub, content: dict[str, Any]) -> dict[str, Any] | None:
     MessageError
         The command is unknown, or fields are missing, unknown or of the wrong type.
     GelformError
-        The action failed; the text is for the user.
+        The action failed, or another one of the same station lasts; the text is for the user.
     """
     command = COMMANDS.get(content["do"])
     if command is None:
@@ -127,7 +127,9 @@ def done(hub: Hub, content: dict[str, Any]) -> dict[str, Any] | None:
     given = {name: value for name, value in content.items() if name != "do"}
     if given.keys() != command.fields.keys():
         raise MessageError(f"Expected the fields {', '.join(command.fields)}.")
-    return command.act(hub, **{name: check(given[name]) for name, check in command.fields.items()})
+    checked = {name: check(given[name]) for name, check in command.fields.items()}
+    with hub.turn(checked["station"]):
+        return command.act(hub, **checked)
 
 
 def _within(value: Any, most: float) -> float:

@@ -6,7 +6,8 @@ import os
 import re
 import stat
 import sys
-from collections.abc import Sequence
+import unicodedata
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -76,7 +77,23 @@ def chosen_camera(spec: str, cameras: Sequence[Camera]) -> Camera:
     ):
         if matches:
             return _only(matches, f"Several cameras answer to {spec!r}", cameras)
-    raise SensorError(f"{_none_named(spec)} Plugged in: {listed_cameras(cameras)}.")
+    said = almost(spec, (camera.serial for camera in cameras))
+    raise SensorError(f"{_none_named(spec)}{said} Plugged in: {listed_cameras(cameras)}.")
+
+
+def almost(word: str, serials: Iterable[str | None]) -> str:
+    """A sentence about a serial that differs from a word only in what the eye does not see or takes for equal, or ""."""
+    for serial in serials:
+        if serial and serial != word and _folded(serial) == _folded(word):
+            return (
+                f" The serial {serial!a} differs from {word!a} in capitals, or in how its letters are coded, and "
+                "serials are compared letter by letter."
+            )
+    return ""
+
+
+def _folded(serial: str) -> str:
+    return unicodedata.normalize("NFKC", serial).casefold().strip()
 
 
 def listed_cameras(cameras: Sequence[Camera]) -> str:

@@ -28,12 +28,15 @@ UNKNOWN = -1.0  # OpenCV's value of a control that the camera lacks
 
 
 def check_settings(settings: Settings) -> dict[str, float | str]:
-    """Check that settings can be applied; ValueError for an unknown name or a value that is no number."""
+    """Check that settings can be applied; ValueError for an unknown name or a value that is no number or format."""
     unknown = [name for name in settings if name not in SETTABLE]
     if unknown:
         raise ValueError(
             f"Expected settings of a camera among {', '.join(SETTABLE)}, got {', '.join(unknown)}."
         )
+    fourcc = str(settings.get("fourcc", "MJPG"))
+    if len(fourcc) != 4 or not fourcc.isascii():
+        raise ValueError(f"Expected fourcc as four letters, such as MJPG or YUYV, got {fourcc!r}.")
     return {
         name: str(value) if name == "fourcc" else check_number(float(value), name)
         for name, value in settings.items()

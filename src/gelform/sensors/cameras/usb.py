@@ -237,10 +237,16 @@ def _set_mode(
     for key, which in SIZE.items():
         if key in mode:
             capture.set(which, float(mode[key]))
-    for key, which in SIZE.items():
-        found = float(capture.get(which))
-        if key in wanted and abs(found - float(wanted[key])) > 0.5:
+    found: dict[str, float | str] = {key: float(capture.get(which)) for key, which in SIZE.items()}
+    found["fourcc"] = fourcc_text(capture.get(cv2.CAP_PROP_FOURCC))
+    for key, value in found.items():
+        asked = wanted.get(key, value)
+        if asked != value if key == "fourcc" else abs(float(value) - float(asked)) > 0.5:
             raise SensorError(
-                f"{name}: expected {key} {float(wanted[key]):g}, but it has {found:g} afterwards. Choose a mode that "
+                f"{name}: expected {key} {_shown(asked)}, but it has {_shown(value)} afterwards. Choose a mode that "
                 "it offers (v4l2-ctl -d PATH --list-formats-ext shows them on Linux)."
             )
+
+
+def _shown(value: float | str) -> str:
+    return value if isinstance(value, str) else f"{value:g}"

@@ -13,7 +13,9 @@ import cv2
 import numpy as np
 
 from gelform.errors import DataError
+from gelform.foundations.foreign_files import way_for
 from gelform.image.frame import Frame
+from gelform.sensors.files import is_stack
 from gelform.sensors.playback import facts_of_video, images_by_number
 from gelform.sensors.recordings.facts import RecordingFacts, reduction_in
 from gelform.sensors.recordings.mcap_reader import (
@@ -53,9 +55,9 @@ def is_recording(spec: str) -> bool:
 
 
 def recordings_in(folder: Path) -> list[Path]:
-    """The recordings in a folder: *.mcap and videos."""
+    """The recordings in a folder: *.mcap, videos and files of several images."""
     found = sorted(folder.iterdir()) if folder.is_dir() else []
-    return [one for one in found if one.suffix.lower() == ".mcap" or is_video(one)]
+    return [one for one in found if one.suffix.lower() == ".mcap" or is_video(one) or is_stack(one)]
 
 
 def indexed(path: Path) -> Indexed:
@@ -66,12 +68,12 @@ def indexed(path: Path) -> Indexed:
     if path.suffix.lower() == ".mcap" or is_bag_folder(path):
         index = McapIndex(mcap_file_in(path) if path.is_dir() else path)
         found = Indexed(path, index.facts, index.times_s, index.frame)
-    elif path.is_dir():
+    elif path.is_dir() or is_stack(path):
         found = _of_images(path)
     elif is_video(path):
         found = _of_video(path)
     else:
-        raise DataError(f"{path} is no video, no folder of images and no recording (*.mcap).")
+        raise DataError(f"{path} is no video, no folder of images and no recording (*.mcap).{way_for(path)}")
     if not found.times_s:
         raise DataError(f"{path} holds no frame.")
     return found

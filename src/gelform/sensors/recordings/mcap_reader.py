@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -11,6 +12,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from gelform.errors import DataError, needed, said
+from gelform.foundations.foreign_files import conversion_of_bag
 from gelform.image.frame import Frame
 from gelform.sensors.playback import Playback
 from gelform.sensors.recordings.facts import (
@@ -28,8 +30,11 @@ from gelform.sensors.recordings.messages import (
     picture_from_message,
     pixels_from_raw,
     raw_image_from_message,
+    way_for_encoding,
 )
 
+MAGIC = b"\x89MCAP0\r\n"  # at the start and the end of a file (MCAP specification)
+CUT = "The frames before that are read; how many follow is not known."
 METADATA_FILE, METADATA_KEY = "metadata.yaml", "rosbag2_bagfile_information"
 MAX_RECORD_BYTES = (
     256 * 2**20
@@ -47,6 +52,16 @@ def is_bag_folder(path: Path) -> bool:
         return METADATA_KEY in text.read(4096)
 
 
+def refuse_bag(path: Path) -> None:
+    """Refuse a rosbag2 folder where images are expected; DataError with the way to them."""
+    if is_bag_folder(path):
+        file = mcap_file_in(path)
+        raise DataError(
+            f"Expected images, got the bag {path}. Its frames: gelform batch {file} -c CAL.npz -o out --keep all, "
+            f"or gelform live {path}."
+        )
+
+
 def mcap_file_in(path: Path) -> Path:
     """The only MCAP file of a rosbag2 folder.
 
@@ -62,8 +77,8 @@ def mcap_file_in(path: Path) -> Path:
         )
     if any(file.suffix == ".db3" for file in files):
         raise DataError(
-            f"{path} is a bag of sqlite3. Convert it: ros2 bag convert with storage_id mcap, or rosbags-convert "
-            f"--src {path.name} --dst {path.name}_mcap --dst-storage mcap."
+            f"{path} is a bag of sqlite3. {conversion_of_bag(path.name, path.name)} Or ros2 bag convert with "
+            "storage_id mcap."
         )
     compressed = [file for file in files if file.name.endswith((".mcap.zstd", ".mcap.lz4"))]
     if compressed:
@@ -73,6 +88,17 @@ def mcap_file_in(path: Path) -> Path:
     raise DataError(
         f"Expected a file *.mcap beside {METADATA_FILE} in {path}, got none. Copy the whole folder."
     )
+
+
+def end_missing(path: Path) -> str:
+    """A sentence about a recording (*.mcap) without its end, which may lack any number of frames; "" for a whole one."""
+    try:
+        with path.open("rb") as file:
+            file.seek(-len(MAGIC), os.SEEK_END)
+            whole = file.read() == MAGIC
+    except OSError:
+        return ""  # reading it gives the error
+    return "" if whole else f"{path} has no end: its recorder was killed, or it was copied in part. {CUT}"
 
 
 @dataclass(frozen=True)
@@ -264,8 +290,8 @@ def _refusal(path: Path, found: _Found, topics: list[str]) -> str:
     wrong = [f"{topic} ({encoding})" for topic, encoding in found.encodings.items() if encoding]
     if wrong:
         return (
-            f"Expected pictures of encoding {' or '.join(COLOR_ENCODINGS)} in {path}, got {', '.join(wrong)}. 8UC3 does not "
-            "say which channel is red: set the camera driver's encoding to rgb8 or bgr8 and record again."
+            f"Expected pictures of encoding {' or '.join(COLOR_ENCODINGS)} in {path}, got {', '.join(wrong)}."
+            + way_for_encoding(next(filter(None, found.encodings.values())))
         )
     beside = ", ".join([*found.encodings, *found.others])
     return (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -36,6 +37,10 @@ class McapRecording:
     facts : of the camera
     attached : attached files by name: `attachments_of`
 
+    Attributes
+    ----------
+    frames : number of frames written; of those that can be read, once the disk has refused more
+
     Raises
     ------
     DataError
@@ -47,6 +52,7 @@ class McapRecording:
     ) -> None:
         mcap, definition = needed("mcap.writer", "mcap", "An MCAP file"), schema_of_picture()
         self.path = path
+        self.frames, self._kept, self._kept_bytes = 0, 0, 0
         self._frame_id = facts.serial or facts.name
         try:
             self._file = path.open("xb")
@@ -58,9 +64,7 @@ class McapRecording:
             self._begin(mcap, definition, facts, attached or {})
             self._flush()
         except DataError:
-            with suppress(OSError):
-                self._file.close()  # tries to write again
-            path.unlink()
+            path.unlink(missing_ok=True)
             raise
 
     def _begin(
@@ -92,6 +96,7 @@ class McapRecording:
         message = message_from_picture(content, picture_format, frame.wall_time_ns, self._frame_id)
         with self._faults_named():
             self._writer.add_message(self._channel, stamp, message, stamp, frame.index % 2**32)
+        self.frames += 1
         self.flush_if_due()
         return len(content)
 
@@ -104,6 +109,7 @@ class McapRecording:
         """Write the index, and close the file."""
         if self._file.closed:
             return
+        self._flush()
         with self._faults_named():
             self._writer.finish()
             self._file.close()
@@ -112,14 +118,28 @@ class McapRecording:
         with self._faults_named():
             self._end_chunk()
             self._file.flush()
+        self._kept, self._kept_bytes = self.frames, self._file.tell()
         self._flushed_s = time.monotonic()
 
     @contextmanager
     def _faults_named(self) -> Iterator[None]:
-        """Context for writing: what the disk refuses raises DataError."""
+        """Context for writing: what the disk refuses raises DataError, and the file keeps what can be read."""
         try:
             yield
         except OSError as problem:
-            raise DataError(
-                f"Cannot write {self.path} any further: {problem.strerror}. What was written before can be read."
-            ) from problem
+            self._give_up()
+            kept = (
+                f"Its first {self.frames} frames can be read." if self.frames else "No frame of it is kept."
+            )
+            raise DataError(f"Cannot write {self.path} any further: {problem.strerror}. {kept}") from problem
+
+    def _give_up(self) -> None:
+        """Close the file as a killed recorder leaves it, at the end of its last whole chunk; delete it without a frame."""
+        self.frames = self._kept
+        with suppress(OSError):
+            self._file.close()  # tries to write again
+        with suppress(OSError):
+            if self.frames:
+                os.truncate(self.path, self._kept_bytes)
+            else:
+                self.path.unlink()

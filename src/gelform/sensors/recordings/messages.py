@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import cache
 from typing import Any, NamedTuple
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,7 +13,15 @@ from gelform.errors import needed
 
 SCHEMA_NAME, SCHEMA_ENCODING, MESSAGE_ENCODING = "sensor_msgs/msg/CompressedImage", "ros2msg", "cdr"
 RAW_SCHEMA_NAME = "sensor_msgs/msg/Image"
-COLOR_ENCODINGS = ("rgb8", "bgr8")
+# Bytes of a pixel, and OpenCV's code for its conversion to RGB. The names are ROS's (image_encodings.hpp).
+COLOR_ENCODINGS = {
+    "rgb8": (3, None),
+    "bgr8": (3, cv2.COLOR_BGR2RGB),
+    "rgba8": (4, cv2.COLOR_RGBA2RGB),
+    "bgra8": (4, cv2.COLOR_BGRA2RGB),
+    "yuv422_yuy2": (2, cv2.COLOR_YUV2RGB_YUY2),
+    "yuv422": (2, cv2.COLOR_YUV2RGB_UYVY),
+}
 _ZSTD = b"\x28\xb5\x2f\xfd"
 
 
@@ -76,14 +85,28 @@ def raw_image_from_message(message: bytes) -> RawImage:
 def pixels_from_raw(image: RawImage) -> NDArray[np.uint8]:
     """The pixels (H, W, 3) uint8, RGB; ValueError for an encoding outside COLOR_ENCODINGS or inconsistent sizes."""
     if image.encoding not in COLOR_ENCODINGS:
-        raise ValueError(f"Expected pictures in {' or '.join(COLOR_ENCODINGS)}, got {image.encoding}.")
+        raise ValueError(
+            f"Expected pictures in {' or '.join(COLOR_ENCODINGS)}, got {image.encoding}.{way_for_encoding(image.encoding)}"
+        )
     height, width = image.shape
-    if not (height and width) or image.step < 3 * width or len(image.data) != height * image.step:
+    size, code = COLOR_ENCODINGS[image.encoding]
+    fits = image.step >= size * width and len(image.data) == height * image.step
+    if not (height and width and fits) or (size == 2 and width % 2):
         raise ValueError(
             f"Expected {height} rows of {width} pixels, got {len(image.data)} bytes in rows of {image.step}."
         )
-    pixels = image.data.reshape(height, image.step)[:, : 3 * width].reshape(height, width, 3)
-    return np.ascontiguousarray(pixels if image.encoding == "rgb8" else pixels[..., ::-1])
+    rows = image.data.reshape(height, image.step)[:, : size * width]
+    pixels = np.ascontiguousarray(rows.reshape(height, width, size))
+    return pixels if code is None else np.asarray(cv2.cvtColor(pixels, code), dtype=np.uint8)
+
+
+def way_for_encoding(encoding: str) -> str:
+    """What to do with pictures of an encoding that is not read, after a space."""
+    if encoding.startswith("bayer"):
+        return " Each pixel has one color. Let image_proc make the others, and record its topic image_color."
+    if encoding.startswith("mono"):
+        return " Three lights need three channels: record the camera's topic in color."
+    return " It does not say which channel is red: set the camera driver's encoding to rgb8 or bgr8 and record again."
 
 
 def _decoded(message: bytes, kind: str) -> Any:

@@ -13,6 +13,7 @@ from gelform.errors import DataError, GelformError
 from gelform.image.frame import Frame
 from gelform.sensors.recordings.indexed import Indexed
 
+BEGIN_POLL_S = 0.1  # s between two looks whether it may begin
 SLOWEST, FASTEST = 1 / 16, 16.0  # times the original pace
 
 
@@ -40,19 +41,26 @@ class Player:
     ----------
     recording : Indexed
     clock : replaceable, to run faster or slower than real time
+    may_begin : it shows its first frame until this is true, such as once somebody looks
     """
 
     live = True
 
-    def __init__(self, recording: Indexed, *, clock: Callable[[], float] = time.monotonic) -> None:
-        self.recording = recording
+    def __init__(
+        self,
+        recording: Indexed,
+        *,
+        clock: Callable[[], float] = time.monotonic,
+        may_begin: Callable[[], bool] = lambda: True,
+    ) -> None:
+        self.recording, self._may_begin = recording, may_begin
         facts = recording.facts
         self.name, self.serial, self.rate_hz = facts.name, facts.serial, facts.rate_hz
         self.settings = dict(facts.settings)
         self.problem = ""
         self._clock = clock
         self._changed = threading.Condition()
-        self._closed = False
+        self._closed, self._waits = False, True
         self._playing, self._loops, self._speed = True, False, 1.0
         self._number, self._asked = -1, 0
         self._from_s, self._since_s = 0.0, clock()
@@ -184,6 +192,12 @@ class Player:
     def _due(self) -> int:
         """The newest frame that is due; waits for the next one if none is."""
         times = self.recording.times_s
+        if self._waits and self._number == 0:
+            self._waits = not self._may_begin()
+            if self._waits:
+                self._changed.wait(BEGIN_POLL_S)
+            self._since_s = self._clock()
+            return self._number
         at_s = self._from_s + self._speed * (self._clock() - self._since_s)
         wait_s = (times[self._number + 1] - at_s) / self._speed
         if wait_s > 0:

@@ -101,11 +101,17 @@ class Recorder:
 
     def _run(self) -> None:
         try:
-            self.stats = record_frames(self._grabber, self._recording, going_on=self._going_on)
+            with closing(self._recording):
+                self.stats = record_frames(self._grabber, self._recording, going_on=self._going_on)
         except GelformError as problem:
             self.problem = str(problem)
+            self.stats = replace(self.stats, frames=self._recording.frames)
+        except Exception as problem:
+            self.problem = (
+                f"The recording has ended by a mistake in gelform: {type(problem).__name__}: {problem}."
+            )
+            raise
         finally:
-            self._recording.close()
             self._on_ended(self)
 
     def _going_on(self, stats: RecordStats) -> bool:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from difflib import get_close_matches
@@ -14,16 +13,12 @@ import numpy as np
 
 from gelform.errors import SensorError
 from gelform.sensors.profiles import SENSORS
+from gelform.sensors.toml_files import read_toml
 from gelform.simulate.gel.gel import Gel
 from gelform.simulate.presets import LAYOUTS
 from gelform.simulate.render import exposed
 from gelform.simulate.sensor.coating import Coating
 from gelform.simulate.sensor.sensor import Led, Optics, SimulatedSensor, Timing, led_color
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 SECTIONS = {"gel": Gel, "coating": Coating, "optics": Optics, "timing": Timing}
 OWN_KEYS = ("base", "exposed_levels")
@@ -52,15 +47,7 @@ def read_simulated_sensor(path: str | PathLike[str]) -> SimulatedSensor:
     SensorError
         The file is missing or no TOML, has unknown or misspelled keys (the nearest is suggested), or values out of range.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise SensorError(f"No file {path}: expected a simulated sensor as TOML.")
-    if path.stat().st_size > 2**20:
-        raise SensorError(f"Expected a simulated sensor of at most 1 MB in {path}. Is it another file?")
-    try:
-        settings = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as problem:
-        raise SensorError(f"{path} is no TOML: {problem}.") from problem
+    settings = read_toml(Path(path), "a simulated sensor as TOML", SensorError)
     try:
         return sensor_from_settings(settings)
     except (ValueError, TypeError) as problem:

@@ -24,9 +24,9 @@ from gelform.errors import CalibrationError
 from gelform.foundations.filters import robust_sigma
 from gelform.foundations.findings import Finding
 from gelform.image.background.check import check_untouched
-from gelform.image.background.exposure import block_means
 from gelform.image.background.light import (
     FrameLight,
+    block_means,
     light_at_rest,
     light_from_blocks,
     lit,
@@ -212,14 +212,14 @@ class BackgroundDrift:
         """Follow the light of blocks (h, w, 3), of which this part is free of contact and the others are 0."""
         untouched = self._local_blocks
         usual = light_from_blocks(blocks, lit(untouched, self.light), self.usual)
-        self.usual = usual if usual.exposure.is_known else None
+        self.usual = usual if usual.is_known else None
         if free >= LEAST_FREE and self.usual is not None:
             self.light, self.usual = light_at_rest(blocks, untouched, self._now), None
 
     @property
     def _now(self) -> NDArray[np.float64]:
         """The light relative to the start, in parts followed, in parts only known."""
-        return self.light if self.usual is None else self.light + self.usual.whole
+        return self.light if self.usual is None else self.light + self.usual.values
 
     def _averaged(self, blocks: NDArray[np.float32], step_s: float) -> NDArray[np.float32]:
         if self._mean is None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -19,7 +19,7 @@ from gelform.image.frame import Frame
 from gelform.image.health import DepthLimit
 from gelform.image.markers import MarkerFlow, MarkerTracker
 from gelform.reconstruct import Reconstructor
-from gelform.result import Reconstruction
+from gelform.result import Later, Reconstruction
 from gelform.result.maps import BESIDE_DEPTH
 from gelform.sensors.streams.background_drift import BackgroundDrift, DriftEvidence
 from gelform.sensors.streams.sensor_health import FROZEN, Examination, Frozen, light_findings
@@ -94,10 +94,9 @@ class Memory:
         self._drift = BackgroundDrift(reconstruct.background, reconstruct.calibration.background)
         self._smoothing = None if smoothing is None else Smoothing(smoothing)
 
-    def run_by(self, helper: Callable[[Work], Work], examine: Callable[[Work], None] | None) -> None:
-        """Run slow work elsewhere: `helper` as in `Reconstructor.with_helper`; `examine` receives the rest, or is None."""
-        self.reconstruct = self.reconstruct.with_helper(helper)
-        self._examine = examine or self._examine
+    def run_by(self, examine: Callable[[Work], None]) -> None:
+        """Run slow work elsewhere: `examine` receives it."""
+        self._examine = examine
 
     def take_background(self) -> None:
         """Take the mean of the next second as background, because nothing touches now. May be called from any thread.
@@ -155,9 +154,8 @@ class Memory:
     def remembered(self, image: NDArray[Any], result: Reconstruction) -> Reconstruction:
         """The result with the findings and the smoothing of the sequence."""
         frozen = self._frozen(image, result.time_s or 0.0)
-        own = {finding.name for finding in result.health}
-        standing = [finding for finding in self._findings if finding.name not in own]
-        result = replace(result, health=(*result.health, *frozen, *standing))
+        health = Later(partial(_with_findings, result, frozen, self._findings))
+        result = result.changed(health=health)
         if frozen:
             return _unknown_by_now(self.reconstruct, result)
         return result if self._smoothing is None else self._smoothing(result)
@@ -186,6 +184,14 @@ class Memory:
             self._examined_findings = self._examination(evidence)
 
 
+def _with_findings(
+    result: Reconstruction, frozen: tuple[Finding, ...], standing: tuple[Finding, ...]
+) -> tuple[Finding, ...]:
+    """A result's findings, with those of its sequence that it does not have itself."""
+    own = {finding.name for finding in result.health}
+    return (*result.health, *frozen, *(finding for finding in standing if finding.name not in own))
+
+
 def zero_from_results(results: Sequence[Reconstruction]) -> Reconstruction:
     """A zero for depth: the mean of results. It is as uncertain as the last one, because most of its error is common."""
     last = results[-1]
@@ -194,7 +200,7 @@ def zero_from_results(results: Sequence[Reconstruction]) -> Reconstruction:
         for name in ("depth", "gradients", "observed_gradients")
         if getattr(last, name) is not None
     }
-    return replace(last, known=np.all([one.known for one in results], axis=0), **means)
+    return last.changed(known=np.all([one.known for one in results], axis=0), **means)
 
 
 def against_zero(
@@ -208,21 +214,25 @@ def against_zero(
     relaxation_mm : of the gel, as in `contact_from_depth`
     """
     depth, known = result.depth - zero.depth, result.known & zero.known
-    sigma = _both(result.depth_sigma_mm, zero.depth_sigma_mm)
+    sigma = Later(lambda: _both(result.depth_sigma_mm, zero.depth_sigma_mm))
     pitch = 1.0 if result.mm_per_px is None else result.mm_per_px
-    contact = contact_from_depth(depth, mm_per_px=pitch, depth_sigma_mm=sigma, relaxation_mm=relaxation_mm)
+    solved = depth.copy()  # the caller may write to the result's
+
+    def contact() -> NDArray[np.bool_]:
+        how = {"mm_per_px": pitch, "depth_sigma_mm": sigma(), "relaxation_mm": relaxation_mm}
+        return contact_from_depth(solved, **how) & known
+
     observed = result.observed_gradients
     if observed is not None and zero.observed_gradients is not None:
         observed = observed - zero.observed_gradients
     sources = result.difference_source, zero.difference_source
-    return replace(
-        result,
+    return result.changed(
         depth=depth,
         depth_sigma_mm=sigma,
-        gradients=result.gradients - zero.gradients,
-        gradients_sigma=_both(result.gradients_sigma, zero.gradients_sigma),
+        gradients=Later(lambda: result.gradients - zero.gradients),
+        gradients_sigma=Later(lambda: _both(result.gradients_sigma, zero.gradients_sigma)),
         observed_gradients=observed,
-        contact=contact & known,
+        contact=Later(contact),
         known=known,
         zero=ZERO_SET,
         difference_source=None if None in sources else partial(_difference_sigma, *sources),
@@ -240,7 +250,7 @@ def _difference_sigma(one: Any, other: Any, region: NDArray[np.bool_]) -> NDArra
 
 def of_frame(result: Reconstruction, frame: Frame) -> Reconstruction:
     """The result with the number and the times of its frame."""
-    return replace(result, index=frame.index, time_s=frame.time_s, wall_time_ns=frame.wall_time_ns)
+    return result.changed(index=frame.index, time_s=frame.time_s, wall_time_ns=frame.wall_time_ns)
 
 
 def result_from_image(
@@ -282,8 +292,7 @@ def _unusable(reconstruct: Reconstructor, finding: Finding) -> Reconstruction:
 def _unknown_by_now(reconstruct: Reconstructor, result: Reconstruction) -> Reconstruction:
     """The result of an image that a hanging camera repeats: unchanged, but known nowhere."""
     nothing = _unusable(reconstruct, result.health[-1])
-    return replace(
-        result,
+    return result.changed(
         depth_sigma_mm=nothing.depth_sigma_mm if result.depth_sigma_mm is not None else None,
         gradients_sigma=nothing.gradients_sigma,
         confidence=nothing.confidence,

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from statistics import median
@@ -189,7 +188,7 @@ class RunningSequence(Protocol[Value]):
     def learn_from(self, given: Value) -> None:
         """Learn for the coming frames, after the result was given out."""
 
-    def run_by(self, helper: Callable[[Work], Work], examine: Callable[[Work], None] | None) -> None:
+    def run_by(self, examine: Callable[[Work], None]) -> None:
         """Run slow work elsewhere."""
 
 
@@ -217,10 +216,9 @@ class Pipeline(Generic[Value]):
         self._checks: HandOver[Work] = HandOver()
         self._checks_asked = 0
         self._stop = Event()
-        self._helper = ThreadPoolExecutor(1, "gelform sigma")
-        sequence.run_by(lambda work: self._helper.submit(work).result, None if feed.every else self._ask)
         stages = {"reconstruct": self._reconstruct}
         if not feed.every:
+            sequence.run_by(self._ask)
             stages |= {"learn": self._learn, "examine": self._examine}
         self._threads = [
             Thread(target=self._stage, args=(work,), name=f"gelform {name}", daemon=True)
@@ -251,7 +249,6 @@ class Pipeline(Generic[Value]):
         for thread in self._threads:
             if thread.ident is not None:
                 thread.join(JOIN_S)
-        self._helper.shutdown()
 
     def _end(self, error: BaseException | None = None) -> None:
         self.results.end(error)

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from gelform.calibration_file import Calibration
 from gelform.foundations.findings import Finding
 from gelform.image.background.check import room_light_finding
-from gelform.image.background.exposure import block_means
-from gelform.image.background.light import light_from_blocks
+from gelform.image.background.light import block_means, light_from_blocks
 from gelform.sensors import settings_mismatch
 from gelform.sensors.grabber import Grabber
 from gelform.sensors.source import Source

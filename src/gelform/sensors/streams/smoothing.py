@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from functools import partial
 
 import cv2
 import numpy as np
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from gelform.foundations.checks import check_within
 from gelform.foundations.filters import robust_sigma
-from gelform.result import Reconstruction
+from gelform.result import Later, Reconstruction
 from gelform.slopes.gradients import slopes_of_solution
 
 LONGEST_S = 60.0  # s, largest time constant
@@ -76,10 +76,19 @@ class Smoothing:
         depth = self._mean.copy()
         pitch = result.mm_per_px or 1.0
         pitches = (pitch, pitch) if isinstance(pitch, float) else pitch
-        sigma = result.depth_sigma_mm
-        if sigma is not None:
-            averaged_away = np.float32(self._noise**2) * (1 - self._left)
-            least = self._left * np.square(sigma)  # if all of sigma is noise of frames
-            sigma = np.sqrt(np.maximum(np.square(sigma) - averaged_away, least))
-        slopes = slopes_of_solution(depth, pitches)
-        return replace(result, depth=depth, depth_sigma_mm=sigma, gradients=slopes)
+        solved = depth.copy()  # the caller may write to the result's
+        sigma = Later(partial(_less_noise, result, self._left, self._noise))
+        slopes = Later(partial(slopes_of_solution, solved, pitches))
+        return result.changed(depth=depth, depth_sigma_mm=sigma, gradients=slopes)
+
+
+def _less_noise(
+    result: Reconstruction, left: NDArray[np.float32], noise: float
+) -> NDArray[np.float32] | None:
+    """The standard deviation of a result's depth without the noise that is averaged away."""
+    sigma = result.depth_sigma_mm
+    if sigma is None:
+        return None
+    averaged_away = np.float32(noise**2) * (1 - left)
+    least = left * np.square(sigma)  # if all of sigma is noise of frames
+    return np.asarray(np.sqrt(np.maximum(np.square(sigma) - averaged_away, least)))

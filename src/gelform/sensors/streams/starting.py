@@ -200,13 +200,13 @@ class LaterMemory:
     def __init__(self, made: Callable[[Reconstructor], Memory]) -> None:
         self._made = made
         self._memory: Memory | None = None
-        self._run_by: tuple[Any, Any] | None = None
+        self._examine: Callable[[Work], None] | None = None
 
     def begin(self, calibration: Calibration) -> None:
         """Reconstruct the sequence with this calibration from now on."""
         memory = self._made(Reconstructor(calibration))
-        if self._run_by is not None:
-            memory.run_by(*self._run_by)
+        if self._examine is not None:
+            memory.run_by(self._examine)
         self._memory = memory
 
     @property
@@ -227,9 +227,9 @@ class LaterMemory:
         """The memory's Reconstructor."""
         return self.memory.reconstruct
 
-    def run_by(self, helper: Callable[[Work], Work], examine: Callable[[Work], None] | None) -> None:
+    def run_by(self, examine: Callable[[Work], None]) -> None:
         """As `Memory.run_by`."""
-        self._run_by = helper, examine
+        self._examine = examine
 
     def reconstructed(self, frame: Frame, timed: Timed) -> StreamFrame:
         """As `Memory.reconstructed`."""

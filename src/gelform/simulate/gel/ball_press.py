@@ -148,6 +148,7 @@ def _bulge_inside(
     diagonal[-1] -= ghost * 2 * step * (coupling + kh)
     right[-1] += ghost * 2 * step * coupling * face[-1]
     bands = np.stack([np.roll(upper, 1), diagonal, np.roll(lower, -1)])
+    # Never singular: with a bulge below 1 the diagonal outweighs the rest of each row.
     b = float(scipy.linalg.solve_banded((1, 1), bands, right, check_finite=False)[-1])
     return b, -coupling * (float(face[-1]) + b) - kh * b
 

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from gelform._native import Kernel
 from gelform.foundations.checks import check_values, check_within
+from gelform.foundations.information import determined_by
 from gelform.slopes.color_models._shared.least_squares import (
     ORDER_GROWTH,
     Term,
@@ -101,7 +102,7 @@ class ForwardResponse:
         if (
             np.shape(self.nodes)[2:] != (TERMS, 3)
             or covariance.shape != (3, 3)
-            or np.linalg.eigvalsh(covariance)[0] <= 0
+            or determined_by(covariance).undetermined.any()
         ):
             raise ValueError(
                 f"Expected forward nodes (rows, columns, {TERMS}, 3) and a covariance (3, 3), got others."
@@ -183,14 +184,15 @@ class ForwardResponse:
     def slope_per_change(self) -> float:
         """Error of a slope at rest, mm/mm, for an error of 1 of the color change: the median over the image."""
         along = np.moveaxis(self.nodes[:, :, :2], 2, 3) / NORMAL_UNIT
-        information = np.einsum("rcka,rckb->rcab", along, along) + 1e-12 * np.eye(2)
-        variance = np.trace(np.linalg.inv(information), axis1=2, axis2=3) / 2
+        information = np.linalg.eigvalsh(np.einsum("rcka,rckb->rcab", along, along))
+        variance = np.sum(1 / np.maximum(information, 1e-12), axis=2) / 2
         return float(np.sqrt(np.median(variance)))
 
     @cached_property
     def roots(self) -> NDArray[np.float32]:
         """(4, 3, 3): lower factors L of the inverse covariance L L^T of all channels, and without red, green, blue."""
         found = np.zeros((4, 3, 3))
+        # Definite: the record refuses any other covariance, and so are its parts.
         found[0] = np.linalg.cholesky(np.linalg.inv(self.covariance))
         for channel in range(3):
             kept = [c for c in range(3) if c != channel]

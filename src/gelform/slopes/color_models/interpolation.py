@@ -135,6 +135,7 @@ class InterpolationModel(Untuned):
         c, rest = self.color[near], self.gradients[near] - self.color[near] @ self.line
         weighted = c * weight[..., None]
         normal = weighted.transpose(0, 2, 1) @ c + (PRIOR * self.color_scale) ** 2 * np.eye(3)
+        # definite by PRIOR
         change = np.linalg.solve(normal, weighted.transpose(0, 2, 1) @ rest)
         gradients = color @ self.line + np.einsum("nc,nck->nk", color, change)
         spread = np.einsum("nm,nmk->nk", weight, (rest - c @ change) ** 2)

@@ -188,12 +188,14 @@ class NearLightModel(Untuned):
     ) -> NDArray[np.float64]:
         """Gradients (N, 2) of scattered pixels."""
         change = linear_change(np.asarray(color_change, dtype=np.float64), self.response)
-        return gradients_from_scaled(change, _inverted(self.lights_at(x_px, y_px)))
+        return gradients_from_scaled(change, inverted_lights(self.lights_at(x_px, y_px)))
 
     def prepare(self, background: NDArray[Any], shape: tuple[int, int]) -> PreparedNearLight:
         """Prepare the inverse light matrix of every pixel."""
         check_image_shape(shape, self.shape)
-        inverse = _inverted(self.lights_at(*pixel_positions(shape).T)).reshape(-1, 9).T.reshape(3, 3, *shape)
+        inverse = (
+            inverted_lights(self.lights_at(*pixel_positions(shape).T)).reshape(-1, 9).T.reshape(3, 3, *shape)
+        )
         return PreparedNearLight(np.ascontiguousarray(inverse, dtype=np.float32), self.response)
 
     def to_arrays(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
@@ -287,7 +289,8 @@ def _unpacked(
     return values[:9].reshape(3, 3), mixture, response or float(values[-1])
 
 
-def _inverted(lights: NDArray[np.float64]) -> NDArray[np.float64]:
+def inverted_lights(lights: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Inverses of light matrices (N, 3, 3); ValueError: one is nearly singular."""
     worst = float(np.linalg.cond(lights).max())
     if not worst < MAX_CONDITION:
         raise ValueError(

@@ -1,28 +1,19 @@
-"""The standard deviation of each slope of a frame, the causes that raise it, and the confidence."""
+"""The standard deviation of each slope of a frame: a budget of named variances, and the confidence that follows."""
 
-from gelform.slopes.confidence.causes import AllAlike, ClippedChannels, PreparedCauses
+from gelform.slopes.confidence.budget import Budget, PreparedBudget, ReadSlopes, noise_at_rest, without_bias
+from gelform.slopes.confidence.causes import ClippedChannels
 from gelform.slopes.confidence.explanation import Explanation, explanation_of
-from gelform.slopes.confidence.frame_sigma import PreparedSigma, UnknownSigma, noise_at_rest, with_model_sigma
-from gelform.slopes.confidence.slope_sigma import SlopeErrors, SlopeSigma, SolvedErrors
-from gelform.slopes.confidence.solved import SolvedSigma, with_solved_factors
-from gelform.slopes.confidence.steep import SteepSlopes, all_shown, with_steep
+from gelform.slopes.confidence.slope_sigma import SlopeErrors, SlopeSigma
 
 __all__ = [
-    "AllAlike",
+    "Budget",
     "ClippedChannels",
     "Explanation",
-    "PreparedCauses",
-    "PreparedSigma",
+    "PreparedBudget",
+    "ReadSlopes",
     "SlopeErrors",
     "SlopeSigma",
-    "SolvedErrors",
-    "SolvedSigma",
-    "SteepSlopes",
-    "UnknownSigma",
-    "all_shown",
     "explanation_of",
     "noise_at_rest",
-    "with_model_sigma",
-    "with_solved_factors",
-    "with_steep",
+    "without_bias",
 ]

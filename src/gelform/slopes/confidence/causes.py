@@ -10,11 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform._native import Kernel
-from gelform.image.background.change import ChangeSettings, gain_from_background
-from gelform.image.frame import DARK, as_levels
-from gelform.image.health import BELOW, BLOCK_PX, LIT
-from gelform.slopes.confidence.solved import reach_px
-from gelform.slopes.gradients import STEEPEST_GEL
+from gelform.image.frame import DARK
 
 
 class Cause(NamedTuple):
@@ -58,6 +54,8 @@ CAUSES = {
     "marker": Cause("hidden by markers.", LEAVES_NOTHING, "#999999"),
     "outside": Cause("not lit, or not gel.", LEAVES_NOTHING, "#009e73"),
     "wall": Cause("", LEAVES_NOTHING, "#000000"),  # an object's edge is no fault
+    "light": Cause("", LEAVES_NOTHING, "#ffd8a8"),  # findings of the light name it
+    "unit": Cause("", LEAVES_NOTHING, "#7f7f00"),  # the finding of a starter names it
     "compression": Cause(
         "noisier than the calibrated images. Raise the JPEG quality, or lower the camera's gain.",
         0.0,
@@ -65,154 +63,7 @@ CAUSES = {
     ),
 }
 
-# Squared residual over its covariance on held-out presses from which no slope is left: three sigma.
-OUTLIER = 9.0
-# Smallest |mean| of a color change's channels over their RMS for which all are darker (a shadow) or all brighter (a mirror).
-ALIKE = 0.5
-# mm/mm: slopes that differ by more from those `reach_px` away are blurred; a small ball's slopes differ by less. Then the
-# error of blurred slopes over the excess of that difference.
-DIFFERENCE_FROM, ERROR_OF_DIFFERENCE = 0.1, 1.75
-UNSEEN = 1000.0  # clean sigmas of a pixel without information: a weight of 1e-6, which solvers treat as none
-# Least confidence of a wall: below 0.001 it is filled from its neighbors, and the object is lost.
-WALL_CONFIDENCE = 0.01
 LEAST_OUTSIDE_PX = 25  # smallest number of connected pixels; a smaller region is dust
-
-_raise_sigma = Kernel(
-    "raise_sigma",
-    "f32[h,w,2] gradients, f32[h,w]? residual, f32[h,w]? of_step, bool[h,w]? unseen_at, f32[h,w] gain, out f32[h,w] sigma, "
-    "out f32[h,w] confidence, out f32[h,w]? walls, out f32[h,w]? outliers, f32 outlier, f32 unseen, "
-    "f32 full_confidence_sigma, f32 added, f32 per_bend, f32 bend_from, f32 unknown, f32 least, i32 reach",
-)
-
-
-class PreparedCauses:
-    """All causes for one calibration and background. It is immutable; threads can share it.
-
-    Parameters
-    ----------
-    rest : (H, W, 3), 0-255, the background image in use
-    change : settings of the conversion of images to color changes
-    full_confidence_sigma : standard deviation of a slope of confidence 1, mm/mm
-    levels : standard deviation of the calibrated images' pixels, gray levels, of each channel; None if unknown
-    slope_per_change : slope for a color change of 1, mm/mm
-    walls : whether sharply bending slopes get low confidence; False for imported color models, whose blur is unknown
-    outside : (H, W) bool, pixels without light at rest, from `outside_of_gel`; None: none
-    """
-
-    def __init__(
-        self,
-        rest: NDArray[np.float32],
-        change: ChangeSettings,
-        *,
-        full_confidence_sigma: float,
-        levels: Any | None,
-        slope_per_change: float = 1.0,
-        walls: bool = True,
-        outside: NDArray[np.bool_] | None = None,
-    ) -> None:
-        self._rest, self._per_change = as_levels(rest), slope_per_change
-        self._levels = np.inf if levels is None else float(np.sqrt(np.mean(np.square(levels))))
-        self._gain = np.ascontiguousarray(gain_from_background(rest, change).mean(axis=-1))
-        self._outside, self._disc = outside, bloom_disc(change.blur_px)
-        error = ERROR_OF_DIFFERENCE if walls else 0.0
-        self._numbers = {
-            "outlier": OUTLIER, "unseen": UNSEEN * full_confidence_sigma, "full_confidence_sigma": full_confidence_sigma,
-            "per_bend": error, "bend_from": DIFFERENCE_FROM, "unknown": STEEPEST_GEL, "least": WALL_CONFIDENCE,
-            "reach": reach_px(change.blur_px),
-        }  # fmt: skip
-
-    def __call__(
-        self,
-        gradients: NDArray[np.float32],
-        sigma: NDArray[np.float32],
-        unseen: NDArray[np.bool_] | None,
-        image: NDArray[Any],
-        step: tuple[NDArray[Any], NDArray[Any]] | None = None,
-        maps: dict[str, NDArray[np.float32]] | None = None,
-    ) -> NDArray[np.float32]:
-        """Raise the sigma (H, W) of a frame's slopes in place, and return the confidence (H, W) that follows.
-
-        Confidence is min(1, (full_confidence_sigma / sigma)^2) for every cause; a wall keeps at least 0.01.
-
-        Parameters
-        ----------
-        gradients : (H, W, 2)
-        sigma : (H, W)
-        unseen : (H, W) bool, pixels without gel, or with too few usable channels; None: none
-        image : (H, W, 3), 0-255, the raw image, for its noise
-        step : residual and variance (H, W) of the forward response's step; the residual's unit is that of held-out presses
-        maps : receives the contributions of walls, outliers and compression, by name, if given
-        """
-        added = excess_noise(as_levels(image), self._rest, self._levels)
-        unseen_at = either(unseen, self._outside)
-        confidence = np.empty_like(sigma)
-        walls = outliers = None
-        if maps is not None:
-            walls, outliers = maps["wall"], maps["outlier"] = np.empty_like(sigma), np.empty_like(sigma)
-            maps["compression"] = np.float32(self._per_change * added) * self._gain
-        residual, of_step = step or (None, None)
-        _raise_sigma(
-            gradients, residual, of_step, unseen_at, self._gain, sigma, confidence, walls, outliers,
-            added=self._per_change * added, **self._numbers,
-        )  # fmt: skip
-        return confidence
-
-    def maps_of(
-        self,
-        maps: dict[str, NDArray[np.float32]],
-        sigma: NDArray[np.float32],
-        image: NDArray[Any],
-        *,
-        clipped: NDArray[np.uint8] | None,
-        markers: NDArray[np.bool_] | None,
-        lost: NDArray[np.bool_] | None,
-        color_change: NDArray[np.float32],
-    ) -> dict[str, NDArray[np.float32]]:
-        """The contribution of each cause of `CAUSES` (H, W), as a standard deviation, to the sigma of slopes, mm/mm.
-
-        Its arguments are the maps from the call, the sigma (H, W) before it was raised, and the raw image. Further ones are
-        the
-        unusable channels, the pixels that markers hide, the lost parts, and the color change (H, W, 3), which tells the
-        kinds
-        of outliers apart.
-        """
-        nothing, unseen = np.zeros(sigma.shape, np.float32), np.float32(self._numbers["unseen"])
-        found = {name: maps.get(name, nothing) for name in CAUSES}
-        for name, where in (("marker", markers), ("outside", self._outside)):
-            if where is not None:
-                found[name] = np.where(where, unseen, nothing)
-        pixels = as_levels(image)
-        if clipped is not None:
-            cost = np.where(clipped.sum(axis=-1) > 1, unseen, sigma) * clipped.any(axis=-1)
-            bright = cv2.dilate((pixels >= SATURATED_FROM).any(axis=-1).view(np.uint8), self._disc) > 0
-            found["saturated"], found["dark"] = (
-                np.where(bright, cost, nothing),
-                np.where(bright, nothing, cost),
-            )
-        if lost is not None:
-            level = cv2.blur(pixels, (BLOCK_PX, BLOCK_PX))
-            bright = lost & (level.max(axis=-1) >= BELOW)
-            dark = lost & ~bright & (level.min(axis=-1) <= LIT)
-            for name, where in (
-                ("saturated", bright),
-                ("dark", dark),
-                ("inconsistent", lost & ~bright & ~dark),
-            ):
-                found[name] = np.where(where, unseen, found[name])
-        size = np.sqrt(np.mean(np.square(color_change), axis=-1))
-        common = color_change.mean(axis=-1) / np.maximum(size, 1e-12)
-        darker, brighter = common < -ALIKE, common > ALIKE
-        for name, where in (("shadow", darker), ("specular", brighter), ("off_gamut", ~darker & ~brighter)):
-            found[name] = np.where(where, maps["outlier"], nothing)
-        return found
-
-
-class AllAlike:
-    """Causes for results without standard deviations of slopes: each slope has a confidence of 1."""
-
-    def __call__(self, gradients: NDArray[np.float32], *frame: Any) -> NDArray[np.float32]:
-        """Confidence (H, W), with the arguments of `PreparedCauses`; the sigma stays as it is."""
-        return np.ones(gradients.shape[:2], dtype=np.float32)
 
 
 def outside_of_gel(background: NDArray[Any]) -> NDArray[np.bool_] | None:

@@ -1,9 +1,8 @@
-"""Standard deviation of a slope by its size and place, fitted to errors on held-out presses."""
+"""Standard deviation of a slope, fitted to errors on held-out presses: two numbers as read, one after the solve."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,20 +11,24 @@ from numpy.typing import NDArray
 
 from gelform.foundations.checks import check_values, check_within
 
-SLOPE_BINS = 10  # bins of equal counts; the law is linear between them
-PLACES = (3, 4)  # rows and columns of the factors by place
+SLOPE_BINS = 10  # bins of equal counts
 ONE_SIGMA = 0.6827  # fraction of a normal distribution within one standard deviation
 MIN_IN_BIN = 50  # pixels; fewer do not determine a quantile
 CLEAN_FRACTION = 0.95  # fraction of the pixels in contact whose confidence is 1
-PRIOR_PRESSES = 2.0  # presses; a place's own factor counts by its number of presses over this
-LAW_ROUNDS = 3  # rounds of law and factors, each computed from the other
-LEAST_FACTOR = 0.3  # smallest factor of a place, over the law or the predicted deviation
-# mm/mm between the slopes of neighboring solved factors; largest such factor.
-LEAST_APART, MOST_FACTOR = 1e-6, 1e3
+# Quantiles of the slopes that presses have shown: beyond the first a model of other units is doubted, beyond the second
+# every model. With 0.5 the faces of a cube's edge escape the doubt of a model whose own presses are deep, with 0.3 balls are
+# doubted too; from 0.75 on, balls of the own unit were doubted in every second frame.
+SHOWN = 0.4, 0.86
+LEAST_SIGMA = 1e-5  # mm/mm, least deviation: float32 rounds slopes to less
+LEAST_FACTOR = 0.3  # smallest factor of solved slopes; errors that have no curl stay
 
 _RANGES = (
     ("rest", 1e-9, 1e3),
     ("rest_per_noise", 0, 1e3),
+    ("per_step", 1e-9, 1e3),
+    ("per_slope", 0, 1e4),
+    ("solved_factor", 1e-3, 1e3),
+    ("depth_factor", 1e-3, 1e4),
     ("full_confidence_sigma", 1e-9, 1e3),
     ("correlation_px", 1e-6, 1e4),
     ("correlated_share", 0, 1),
@@ -42,8 +45,6 @@ class SlopeErrors:
     ----------
     slopes : (N,) measured |gradient| in contact
     errors : (N, 2) of its components
-    x, y : (N,) position in the frame, 0-1
-    press : (N,) index of the press, because pixels of one press are not independent
     rest : (M, 2) slopes read at rest, without their bias; they are all error
     rest_noise : (M,) variance there from the image's noise, by `noise_at_rest`
     stated : (N,) standard deviation by the step of the forward response; 1 without a step
@@ -51,57 +52,30 @@ class SlopeErrors:
 
     slopes: NDArray[Any]
     errors: NDArray[Any]
-    x: NDArray[Any]
-    y: NDArray[Any]
-    press: NDArray[Any]
     rest: NDArray[Any]
     rest_noise: NDArray[Any]
     stated: NDArray[Any] | float = 1.0
 
 
 @dataclass(frozen=True)
-class SolvedErrors:
-    """Errors of solved slopes on presses that the model has not seen.
-
-    Attributes
-    ----------
-    slopes : (N,) |gradient| of the solved depth
-    errors : (N, 2) of its components
-    predicted : (N,) standard deviation by a `SolvedSigma` without factors
-    extra : (N,) the part of it that does not come from the slopes as read
-    x, y : (N,) position in the frame, 0-1
-    press : (N,) index of the press
-    """
-
-    slopes: NDArray[Any]
-    errors: NDArray[Any]
-    predicted: NDArray[Any]
-    extra: NDArray[Any]
-    x: NDArray[Any]
-    y: NDArray[Any]
-    press: NDArray[Any]
-
-
-@dataclass(frozen=True)
 class SlopeSigma:
-    """Standard deviation of a slope component: that of its step, times factors of slope and place.
+    """Standard deviation of a slope component: that of its step, times a factor that grows with the slope.
 
-    Without a step, its deviation counts as 1 mm/mm and the factors are the deviation. 68 % of the errors on held-out
-    presses are within it: it is fitted to that fraction, because a few bad pixels would dominate the variance.
+    Without a step, its deviation counts as 1 mm/mm. 68 % of the errors on held-out presses are within the stated deviations:
+    they are fitted to that fraction, because a few bad pixels would dominate the variance.
 
     Attributes
     ----------
     rest, rest_per_noise : deviation of gel at rest: the root of `rest^2 + rest_per_noise^2 noise`, with the variance of
         the place by `noise_at_rest`. The first part is the model's and alike everywhere, the second is the camera's
-    slopes, sigmas : factors in contact, linear between these |gradient| and proportional beyond the last
+    per_step, per_slope : deviation in contact: `per_step step sqrt(1 + (per_slope |gradient|)^2)`, with the step's own
+    solved_factor : deviation of the solved depth's slopes over that of the slopes as read; a surface cannot follow errors
+        that have curl
+    depth_factor : deviation of depth far from contacts over the one that the slopes there make; see `gelform.depth.sigma`
+    shown : (mm/mm, mm/mm) quantiles 0.4 and 0.86 of the slopes that presses have shown
     gain_sigma : relative error that slopes of one size share around a press, RMS over sizes and presses, beyond what errors
         of single slopes explain; depth is off in proportion
-    solved_slopes, solved_places : (gentle, steep) and (2, rows, columns): deviation of the solved depth's slopes in contact
-        over the one that a slope's reading and its neighbors predict, by slope and place; linear between the slopes,
-        constant beyond. None: 1
-    place : factors on a grid of 3 rows and 4 columns over the frame, interpolated between its cells' centers
-    full_confidence_sigma : deviation that 95 % of the pixels in contact stay under; confidence is 1 up to it. Weighting the
-        pixels of a contact against each other does not average out errors that many pixels share
+    full_confidence_sigma : deviation that 95 % of the pixels in contact stay under; confidence is 1 up to it
     correlation_px : over this distance the correlated part falls to exp(-1/2) (a Gaussian)
     correlated_share : fraction of the variance that is correlated; the rest is white
     rest_correlation_px, rest_correlated_share : the same for gel at rest, where the color change's blur correlates the
@@ -110,17 +84,17 @@ class SlopeSigma:
     """
 
     rest: float
-    slopes: tuple[float, ...]
-    sigmas: tuple[float, ...]
+    per_step: float
     full_confidence_sigma: float
     correlation_px: float
+    per_slope: float = 0.0
+    solved_factor: float = 1.0
+    depth_factor: float = 10.0
+    shown: tuple[float, float] = (0.4, 0.6)
     correlated_share: float = 1.0
     gain_sigma: float = 0.0
-    place: tuple[tuple[float, ...], ...] = ((1.0,),)
     rest_correlation_px: float = 0.0
     rest_correlated_share: float | None = None
-    solved_slopes: tuple[float, float] | None = None
-    solved_places: tuple[tuple[tuple[float, ...], ...], ...] | None = None
     rest_per_noise: float = 0.0
 
     def __post_init__(self) -> None:
@@ -128,56 +102,34 @@ class SlopeSigma:
             check_within(getattr(self, name), name, low, high)
         if self.rest_correlated_share is not None:
             check_within(self.rest_correlated_share, "rest_correlated_share", 0, 1)
-        slopes, sigmas, place = (check_values(getattr(self, n), n) for n in ("slopes", "sigmas", "place"))
-        if not (
-            slopes.ndim == 1
-            and slopes.shape == sigmas.shape
-            and sigmas.min() > 0
-            and np.all(np.diff(slopes) >= 0)
-        ):
-            raise ValueError("Expected slopes that grow and as many sigmas > 0, got others.")
-        if not (place.ndim == 2 and place.min() > 0):
-            raise ValueError("Expected place as rows of factors > 0, got others.")
-        self._check_solved()
-
-    def _check_solved(self) -> None:
-        if self.solved_slopes is None and self.solved_places is None:
-            return
-        slopes, places = (check_values(getattr(self, n), n) for n in ("solved_slopes", "solved_places"))
-        if not (slopes.shape == (2,) and 0 <= slopes[0] < slopes[1] and slopes[1] - slopes[0] >= LEAST_APART):
-            raise ValueError("Expected solved_slopes as two slopes >= 0 that grow, got others.")
-        if not (places.ndim == 3 and len(places) == 2 and places.min() > 0 and places.max() < MOST_FACTOR):
-            raise ValueError("Expected solved_places as two grids of factors > 0, got others.")
+        shown = check_values(self.shown, "shown")
+        if not (shown.shape == (2,) and 0 <= shown[0] <= shown[1]):
+            raise ValueError("Expected shown as two slopes >= 0 that grow, got others.")
 
     @classmethod
     def fit(cls, held_out: SlopeErrors, correlation_px: float, correlated_share: float) -> SlopeSigma:
-        """Fit the law and the factors, so that 68 % of the held-out errors lie within one sigma everywhere."""
-        stated = np.broadcast_to(np.float64(held_out.stated), held_out.slopes.shape)[:, None]
-        slopes, error = held_out.slopes, np.abs(held_out.errors) / stated
-        edges = np.unique(np.quantile(slopes, np.linspace(0, 1, SLOPE_BINS + 1)))
-        bins = np.clip(np.digitize(slopes, edges[1:-1]), 0, len(edges) - 2)
-        place = np.ones(PLACES)
-        for _ in range(LAW_ROUNDS):
-            factor = factor_at(place, held_out.x, held_out.y)[:, None]
-            knots = [
-                (float(slopes[bins == b].mean()), float(np.quantile((error / factor)[bins == b], ONE_SIGMA)))
-                for b in range(len(edges) - 1)
-                if np.count_nonzero(bins == b) >= MIN_IN_BIN
-            ] or [(float(slopes.mean()), float(np.quantile(error, ONE_SIGMA)))]
-            law = law_at(slopes, *np.array(knots).T)[:, None]
-            place = place_factors(held_out, error / law, _size, PRIOR_PRESSES)
-        rest, per_noise = knots[0][1] * float(np.median(stated)), 0.0
+        """Fit the law, so that 68 % of the held-out errors of slopes of any size lie within one sigma."""
+        stated = np.broadcast_to(np.float64(held_out.stated), held_out.slopes.shape)
+        slopes, error = held_out.slopes, np.abs(held_out.errors) / stated[:, None]
+        order = np.array_split(np.argsort(slopes, kind="stable"), SLOPE_BINS)
+        bins = [part for part in order if len(part) >= MIN_IN_BIN] or [np.arange(len(slopes))]
+        squares = np.array([max(np.quantile(error[part], ONE_SIGMA), 1e-9) ** 2 for part in bins])
+        sizes = np.array([np.mean(np.square(slopes[part])) for part in bins])
+        constant, growing = _law(squares, sizes)
+        per_step = max(constant**0.5, LEAST_SIGMA)
+        law = np.sqrt(constant + growing * slopes**2) * stated
+        rest, per_noise = per_step * float(np.median(stated)), 0.0
         if held_out.rest.size:
             rest, per_noise = _rest_law(held_out.rest, held_out.rest_noise)
-        full_confidence_sigma = float(np.quantile(law * factor * stated, CLEAN_FRACTION))
+        low, high = np.quantile(slopes, SHOWN)
         return cls(
-            rest=max(rest, 1e-5),
-            slopes=tuple(k[0] for k in knots),
-            sigmas=tuple(max(k[1], 1e-5) for k in knots),
-            full_confidence_sigma=max(full_confidence_sigma, 1e-5),
+            rest=max(rest, LEAST_SIGMA),
+            per_step=per_step,
+            per_slope=growing**0.5 / per_step,
+            shown=(float(low), float(high)),
+            full_confidence_sigma=max(float(np.quantile(law, CLEAN_FRACTION)), LEAST_SIGMA),
             correlation_px=float(correlation_px),
             correlated_share=float(correlated_share),
-            place=tuple(tuple(float(v) for v in row) for row in place),
             rest_per_noise=per_noise,
         )
 
@@ -185,83 +137,39 @@ class SlopeSigma:
     def from_dict(cls, values: dict[str, Any]) -> SlopeSigma:
         """Make it from `dataclasses.asdict`."""
         kept = {name: value for name, value in values.items() if value is not None}
-        for name in ("slopes", "sigmas", "solved_slopes"):
-            if name in kept:
-                kept[name] = tuple(kept[name])
-        if "place" in kept:
-            kept["place"] = tuple(map(tuple, kept["place"]))
-        if "solved_places" in kept:
-            kept["solved_places"] = tuple(tuple(map(tuple, grid)) for grid in kept["solved_places"])
-        return cls(**kept)
+        return cls(**{**kept, "shown": tuple(kept["shown"])})
+
+    def with_solved(self, errors: NDArray[Any], stated: NDArray[Any]) -> SlopeSigma:
+        """With the factor that leaves 68 % of held-out errors (N, 2) of solved slopes within one sigma.
+
+        `stated` (N,) are the deviations of the slopes as read at the same pixels. Too few pixels change nothing.
+        """
+        if len(stated) < MIN_IN_BIN:
+            return self
+        factor = float(np.quantile(np.abs(errors) / stated[:, None], ONE_SIGMA))
+        return replace(self, solved_factor=max(factor, LEAST_FACTOR))
 
     @property
     def correlation(self) -> dict[str, Any]:
-        """The correlation of the errors, as arguments of `DepthSigma`."""
+        """The correlation of the errors, as arguments of `PreparedContact`."""
         names = ("correlation_px", "correlated_share", "rest_correlation_px", "rest_correlated_share")
         return {name: getattr(self, name) for name in names}
 
 
-def _rest_law(errors: NDArray[Any], noise: NDArray[Any]) -> tuple[float, float]:
-    """The parts of the deviation at rest, from errors (M, 2) at pixels of that variance by noise (M,).
+def _law(squares: NDArray[Any], variable: NDArray[Any]) -> tuple[float, float]:
+    """Constant and growing part of squared deviations, by nonnegative least squares, each relative to itself."""
+    unit = max(float(variable.mean()), 1e-30)
+    parts, _ = scipy.optimize.nnls(
+        np.stack([1 / squares, variable / unit / squares], axis=1), np.ones(len(squares))
+    )
+    return float(parts[0]), float(parts[1] / unit)
 
-    Nonnegative least squares of the squared 68 % quantiles in bins of equal noise, each relative to itself.
-    """
+
+def _rest_law(errors: NDArray[Any], noise: NDArray[Any]) -> tuple[float, float]:
+    """The parts of the deviation at rest, from errors (M, 2) at pixels of that variance by noise (M,)."""
     order = np.array_split(np.argsort(noise, kind="stable"), SLOPE_BINS)
     bins = [part for part in order if len(part) >= MIN_IN_BIN] or [np.arange(len(noise))]
     squares = np.array([max(np.quantile(np.abs(errors[part]), ONE_SIGMA), 1e-9) ** 2 for part in bins])
     from_noise = np.array([np.mean(noise[part], dtype=np.float64) for part in bins])
-    unit = max(float(from_noise.mean()), 1e-30)
-    parts, _ = scipy.optimize.nnls(
-        np.stack([1 / squares, from_noise / unit / squares], axis=1), np.ones(len(bins))
-    )
-    return float(np.sqrt(parts[0])), float(np.sqrt(parts[1] / unit))
-
-
-def law_at(slopes: NDArray[Any], knots: NDArray[Any], sigmas: NDArray[Any]) -> NDArray[np.float64]:
-    """Linear between the knots of the law, constant before the first, proportional to the slope beyond the last."""
-    within = np.interp(slopes, knots, sigmas)
-    return within * np.maximum(1.0, slopes / knots[-1] if knots[-1] > 0 else 1.0)
-
-
-def factor_at(grid: NDArray[Any], x: NDArray[Any], y: NDArray[Any]) -> NDArray[np.float64]:
-    """Factors at positions 0-1, bilinear between the cells' centers; x and y are broadcast against each other."""
-    rows, columns = grid.shape
-    column = np.clip(np.asarray(x) * columns - 0.5, 0, columns - 1).astype(np.float32)
-    row = np.clip(np.asarray(y) * rows - 0.5, 0, rows - 1).astype(np.float32)
-    left, top = (np.minimum(v.astype(int), max(n - 2, 0)) for v, n in ((column, columns), (row, rows)))
-    right, bottom = np.minimum(left + 1, columns - 1), np.minimum(top + 1, rows - 1)
-    u, v = column - left, row - top
-    upper = (1 - u) * grid[top, left] + u * grid[top, right]
-    lower = (1 - u) * grid[bottom, left] + u * grid[bottom, right]
-    value: NDArray[np.float64] = np.asarray((1 - v) * upper + v * lower)
-    return value
-
-
-def place_factors(
-    held_out: SlopeErrors | SolvedErrors,
-    ratio: NDArray[Any],
-    size_of: Callable[[NDArray[Any]], float],
-    prior: float,
-    among: NDArray[np.bool_] | bool = True,
-    whole: float = 1.0,
-) -> NDArray[np.float64]:
-    """Factors of `PLACES`, each pulled toward that of the whole frame if few presses touched the place.
-
-    `ratio` (N, 2) are errors over predicted deviations; `size_of` computes the factor of some of them; `prior` presses count
-    for the whole frame.
-    """
-    rows, columns = PLACES
-    row = np.clip((held_out.y * rows).astype(int), 0, rows - 1)
-    column = np.clip((held_out.x * columns).astype(int), 0, columns - 1)
-    factors = np.full(PLACES, whole)
-    for r, c in np.ndindex(PLACES):
-        here = among & (row == r) & (column == c)
-        if np.count_nonzero(here) >= MIN_IN_BIN:
-            presses = len(np.unique(held_out.press[here]))
-            trust = presses / (presses + prior)
-            factors[r, c] = whole ** (1 - trust) * size_of(ratio[here]) ** trust
-    return factors
-
-
-def _size(ratio: NDArray[Any]) -> float:
-    return max(float(np.quantile(ratio, ONE_SIGMA)), LEAST_FACTOR)
+    constant, growing = _law(squares, from_noise)
+    return constant**0.5, growing**0.5

@@ -1,6 +1,6 @@
 // The page: what comes from the server is kept here and drawn once per screen refresh.
 
-import { drawChart, drawNumbers, drawProfile, NUMBERS, startNumbers, thinned } from "./maps/charts.js";
+import { drawChart, drawNumbers, drawProfile, drawSparks, NUMBERS, startNumbers, thinned } from "./maps/charts.js";
 import { drawMotion, drawMotionLine } from "./maps/motion.js";
 import { drawMarkers, Pane, Painting } from "./maps/pane.js";
 import { startRuler } from "./maps/ruler.js";
@@ -75,8 +75,8 @@ function drawPage(frame) {
   if (stale.panels) drawPanels();
   if (frame && page === "calibrate" && stale.pictures) guidePane.draw(frame, { ...settings, guide: facts?.guides[number]?.step, outlines: false, cursor: null, ruler: null, extra: (context, _, px) => drawGuideCircles(context, facts?.guides[number], px) });
   if (page === "live") {
-    if (frame && stale.pictures) drawPictures(frame);
-    if (frame && stale.curves && (!inSoftware() || curves.due(drawnAt))) drawNumbersAndCurves(frame);
+    if (frame && stale.pictures) { drawPictures(frame); drawNumbersOf(frame); }
+    if (frame && stale.curves && (!inSoftware() || curves.due(drawnAt))) drawCurves(frame);
     if (stale.surfaces && (!inSoftware() || surfaces.due(drawnAt))) drawStages();
   }
   stale.pictures = false;
@@ -113,17 +113,22 @@ function drawPictures(frame) {
   for (const pane of panes) pane.draw(frame, settings);
 }
 
-function drawNumbersAndCurves(frame) {
-  stale.curves = false;
-  for (const label of document.querySelectorAll(".whose")) setText(label, stages.length > 1 ? `of sensor ${number + 1}` : "");
+/** The numbers are those of the maps beside them. */
+function drawNumbersOf(frame) {
   drawRulerLine(frame);
-  drawProfile(byId("profile"), byId("profile-at"), frame, settings.cursor);
-  drawTime(frame, stage().series);
-  drawNumbers(frame, stage().series);
+  drawNumbers(frame);
   drawFindings(frame);
   drawContacts(frame);
   drawForce(frame);
   drawMotionLine(frame);
+}
+
+function drawCurves(frame) {
+  stale.curves = false;
+  for (const label of document.querySelectorAll(".whose")) setText(label, stages.length > 1 ? `of sensor ${number + 1}` : "");
+  drawProfile(byId("profile"), byId("profile-at"), frame, settings.cursor);
+  drawTime(frame, stage().series);
+  drawSparks(frame, stage().series);
 }
 
 function drawStages() {
@@ -184,7 +189,7 @@ connection.addEventListener("state", ({ detail }) => {
 });
 
 connection.addEventListener("done", ({ detail }) => { if (detail.problem) toast(detail.problem, "error"); });
-connection.addEventListener("snapshot", ({ detail }) => toast(element("span", {}, `Snapshot ${detail.number}: `, ...["frame.png", "result.npz"].flatMap((name) => [element("a", { href: `/snapshots/${detail.number}/${name}`, download: "", text: name }), " "])), "kept"));
+connection.addEventListener("snapshot", ({ detail }) => toast(element("span", {}, `Snapshot ${detail.number}: `, ...detail.files.flatMap((name) => [element("a", { href: `/snapshots/${detail.number}/${name}`, download: "", text: name }), " "])), "kept"));
 connection.addEventListener("trouble", ({ detail }) => toast(detail, "error"));
 connection.addEventListener("open", () => { for (const one of stages) one.series.clear(); drawStatus(station(), true, look); sayOld(); });
 connection.addEventListener("closed", () => { owed = 0; drawStatus(station(), false, look); sayOld(); });

@@ -129,7 +129,7 @@ def _reweighted(
     """
     normal, right = whole
     for done in range(1, rounds + 1):
-        coefficients = np.linalg.solve(normal + prior, right)
+        coefficients = np.linalg.solve(normal + prior, right)  # definite by the ridge
         if done == rounds:
             break
         residual = np.linalg.norm(design @ coefficients.astype(design.dtype) - target, axis=1)
@@ -244,7 +244,7 @@ class VaryingRegression:
         """Coefficients (columns, K) for a ridge, which is relative to the samples' weight."""
         normal, right = self._normal
         prior = np.diag(ridge * float(self.weight.sum()) * self.penalties)
-        return np.asarray(np.linalg.solve(normal + prior, right), dtype=np.float64)
+        return np.asarray(np.linalg.solve(normal + prior, right), dtype=np.float64)  # definite by the ridge
 
     def nodes(self, coefficients: NDArray[np.float64]) -> NDArray[np.float64]:
         """The terms' coefficients at the nodes, (rows, columns, terms, K)."""

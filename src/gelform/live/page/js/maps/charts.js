@@ -1,6 +1,6 @@
 // Line charts on canvases: profiles, a number against time, a line behind a number.
 
-import { byId, element, fit, setText, sizeOf } from "../page/dom.js";
+import { byId, element, fit, fixed, setText, sizeOf } from "../page/dom.js";
 
 const LEFT = 58, BOTTOM = 24, TOP = 10, RIGHT = 12, LEGEND = 18; // px around the plot; height of the legend
 
@@ -172,11 +172,14 @@ export function startNumbers() {
   }
 }
 
-export function drawNumbers(frame, series) {
-  for (const [key, { power, digits, least }] of Object.entries(NUMBERS)) {
+export function drawNumbers(frame) {
+  for (const [key, { power, digits }] of Object.entries(NUMBERS)) {
     const number = frame?.header[key], tile = tiles[key];
-    setText(tile.value, number === undefined ? "–" : number.toFixed(digits));
+    setText(tile.value, number === undefined ? "–" : fixed(number, digits));
     setText(tile.unit, number === undefined ? "" : `${frame.unit}${power}`);
-    if (number !== undefined) drawSpark(tile.line, series.recent(key).values, least);
   }
+}
+
+export function drawSparks(frame, series) {
+  for (const [key, { least }] of Object.entries(NUMBERS)) if (frame.header[key] !== undefined) drawSpark(tiles[key].line, series.recent(key).values, least);
 }

@@ -19,17 +19,17 @@ export class Ruler {
     this.changed();
   }
 
-  /** An end's coordinates, typed. */
-  set(nth, axis, value) {
+  /** An end's coordinates, typed in the frame's unit from the top left corner. */
+  set(nth, axis, value, frame) {
     while (this.ends.length <= nth) this.ends.push([0, 0]);
-    this.ends[nth][axis] = value;
+    this.ends[nth][axis] = Math.round(value / pitchOf(frame)[axis]);
     this.changed();
   }
 
   /** {distance, rise} in the frame's unit; rise is how much deeper B is, NaN where either is not known. null without two ends or a depth. */
   measured(frame) {
     if (this.ends.length < 2 || !frame?.has("depth")) return null;
-    const [a, b] = this.ends, [x, y] = frame.header.mm_per_px ?? [1, 1];
+    const [a, b] = this.ends, [x, y] = pitchOf(frame);
     return { distance: Math.hypot((b[0] - a[0]) * x, (b[1] - a[1]) * y), rise: frame.depthAt(...b) - frame.depthAt(...a) };
   }
 
@@ -41,6 +41,8 @@ export class Ruler {
     return `A and B are ${distance.toFixed(2)} ${frame.unit} apart, ${height}.`;
   }
 }
+
+const pitchOf = (frame) => frame?.header.mm_per_px ?? [1, 1];
 
 /** Over a map; `px` is the width of a pixel of the style sheet in pixels of the image. */
 export function drawRuler(context, ruler, px) {
@@ -62,18 +64,22 @@ export function drawRuler(context, ruler, px) {
 
 /** The line below the profile: the ends as numbers, which can be typed, and what is measured. `chosen` gives the ruler. */
 export function startRuler(box, chosen) {
-  const inputs = NAMES.map((name, nth) => ["x", "y"].map((axis, k) => element("input", { type: "number", min: 0, step: 1, "aria-label": `${name}, ${axis} in pixels`, oninput: ({ target }) => target.value !== "" && chosen().set(nth, k, Math.round(Number(target.value))) })));
-  const said = element("output", {});
-  box.append(...NAMES.flatMap((name, nth) => [element("b", { text: name }), ...inputs[nth]]), said);
+  let shown = null;
+  const inputs = NAMES.map((name, nth) => ["x", "y"].map((axis, k) => element("input", { type: "number", min: 0, step: "any", oninput: ({ target }) => target.value !== "" && chosen().set(nth, k, Number(target.value), shown) })));
+  const said = element("output", {}), unit = element("small", {});
+  box.append(...NAMES.flatMap((name, nth) => [element("b", { text: name }), ...inputs[nth]]), unit, said);
   return (frame) => {
     const ruler = chosen();
+    shown = frame;
     box.hidden = !ruler.on;
     if (!ruler.on) return;
     inputs.forEach((pair, nth) => pair.forEach((input, k) => {
-      const value = String(ruler.ends[nth]?.[k] ?? "");
+      const pitch = pitchOf(frame)[k], at = ruler.ends[nth]?.[k], value = at === undefined ? "" : pitch === 1 ? String(at) : (at * pitch).toFixed(2);
       if (document.activeElement !== input && input.value !== value) input.value = value;
-      input.max = frame ? [frame.width, frame.height][k] - 1 : "";
+      input.max = frame ? ([frame.width, frame.height][k] - 1) * pitch : "";
+      input.setAttribute("aria-label", `${NAMES[nth]}, ${"xy"[k]} in ${frame?.unit ?? "mm"}`);
     }));
+    setText(unit, frame?.unit ?? "");
     setText(said, ruler.said(frame));
   };
 }

@@ -30,6 +30,9 @@ export function setText(node, text) {
   if (node.textContent !== text) node.textContent = text;
 }
 
+/** A number with so many digits; what rounds to zero has no minus sign. */
+export const fixed = (value, digits) => value.toFixed(digits).replace(/^-(?=[0.]*$)/, "");
+
 // Sizes as they were laid out last: asking an element itself makes the browser lay the page out again at once.
 const known = new WeakMap();
 const watcher = new ResizeObserver((entries) => {

@@ -1,6 +1,6 @@
 // The state of the sensor: the line at the top, the banner, the text in place of the surface, the details, findings and contacts.
 
-import { byId, element, setText } from "../page/dom.js";
+import { byId, element, fixed, setText } from "../page/dom.js";
 
 const WORDS = { running: "live", starting: "starting", reconnecting: "reconnecting", missing: "not connected", ended: "ended", offline: "server offline", paused: "paused" };
 const ADVICE = {
@@ -79,7 +79,7 @@ export function drawContacts({ header }) {
   const contacts = (header.contacts ?? []).slice(0, MOST_CONTACTS), card = byId("contacts-card");
   card.hidden = contacts.length < 2; // the numbers above already show a single contact
   if (card.hidden) return;
-  const rows = contacts.map(({ deepest_mm, area_mm2, deepest_px, cut }) => element("tr", {}, ...[`${deepest_px[0]}, ${deepest_px[1]}`, deepest_mm?.toFixed(3) ?? "–", area_mm2?.toFixed(1) ?? "–", cut ? "cut by the border" : ""].map((text) => element("td", { text }))));
+  const rows = contacts.map(({ deepest_mm, area_mm2, deepest_px, cut }) => element("tr", {}, ...[`${deepest_px[0]}, ${deepest_px[1]}`, deepest_mm === null ? "–" : fixed(deepest_mm, 3), area_mm2?.toFixed(1) ?? "–", cut ? "cut by the border" : ""].map((text) => element("td", { text }))));
   byId("contacts").replaceChildren(...rows);
 }
 
@@ -89,7 +89,7 @@ const FORCES = [["into the gel", "normal_n", "normal_sigma_n", "N"], ["shear x",
 export function drawForce({ header: { force } }) {
   byId("force-card").hidden = !force;
   if (!force) return;
-  const said = ([name, value, sigma, unit]) => [element("dt", { text: name }), element("dd", { text: force[value] === null ? "–" : `${force[value].toFixed(2)} ± ${force[sigma].toFixed(2)} ${unit}` })];
+  const said = ([name, value, sigma, unit]) => [element("dt", { text: name }), element("dd", { text: force[value] === null ? "–" : `${fixed(force[value], 2)} ± ${force[sigma].toFixed(2)} ${unit}` })];
   byId("force").replaceChildren(...FORCES.flatMap(said));
   setText(byId("force-reason"), force.force_reason && `– ${force.force_reason}`);
 }

@@ -1,0 +1,39 @@
+// Means of maps over square cells: the coarse grid of a frame.
+#include "../common.h"
+
+enum { SIDE = 4, CHANNELS = 3 };  // of a cell, px; the most channels of a map
+
+static inline void add_row(const float *restrict row, float *restrict sums, ptrdiff_t n) {
+  for (ptrdiff_t i = 0; i < n; i++) sums[i] += row[i];
+}
+
+// A map of `c` channels whose height and width are SIDE times `r` and `k`.
+EXPORT int cell_means(const float *values, float *work, float *cells, ptrdiff_t h, ptrdiff_t w, ptrdiff_t c, ptrdiff_t n, ptrdiff_t r,
+                      ptrdiff_t k) {
+  if (h != SIDE * r || w != SIDE * k || n < w * c || c > CHANNELS) return WRONG_SIZE;
+  const float share = 1.0f / (SIDE * SIDE);
+  for (ptrdiff_t i = 0; i < r; i++) {
+    memset(work, 0, (size_t)(w * c) * sizeof *work);
+    for (ptrdiff_t y = 0; y < SIDE; y++) add_row(values + (SIDE * i + y) * w * c, work, w * c);
+    float *out = cells + i * k * c;
+    for (ptrdiff_t j = 0; j < k; j++)
+      for (ptrdiff_t channel = 0; channel < c; channel++) {
+        const float *at = work + SIDE * j * c + channel;
+        out[j * c + channel] = share * ((at[0] + at[c]) + (at[2 * c] + at[3 * c]));
+      }
+  }
+  return OK;
+}
+
+// The share of a mask in each cell.
+EXPORT int cell_shares(const bool *mask, float *cells, ptrdiff_t h, ptrdiff_t w, ptrdiff_t r, ptrdiff_t k) {
+  if (h != SIDE * r || w != SIDE * k) return WRONG_SIZE;
+  for (ptrdiff_t i = 0; i < r; i++)
+    for (ptrdiff_t j = 0; j < k; j++) {
+      int count = 0;
+      for (ptrdiff_t y = 0; y < SIDE; y++)
+        for (ptrdiff_t x = 0; x < SIDE; x++) count += mask[(SIDE * i + y) * w + SIDE * j + x];
+      cells[i * k + j] = (float)count / (SIDE * SIDE);
+    }
+  return OK;
+}

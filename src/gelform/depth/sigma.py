@@ -1,0 +1,244 @@
+"""The standard deviation of a frame's depth: from its slopes at rest, its contact, its negative depths and common errors.
+
+Errors of single slopes average out; what moves depth is shared by many of them. Far from a contact, the solved slopes
+themselves are such errors, because the gel is flat there. A contact causes more of them: lobes that fall off beside it. A
+squared slope error at a distance r moves depth by K(r) = |grad G|^2, with the influence G = K0(r/L) / (2 pi) of a membrane
+of the length L. Depth cannot be negative, so what negative depths have beyond that is one more error of the frame.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform._native import Kernel, is_finite
+from gelform.depth.coarse import Coarse, coarse_of
+from gelform.depth.solvers.dct import CosineFilter
+from gelform.errors import ConvergenceError
+from gelform.foundations.bessel import bessel_k
+from gelform.foundations.filters import medians_where
+from gelform.foundations.findings import Finding
+
+# Parts of the image's height: the influence's length L, and the standard deviation of the window for negative depths. Depth
+# off contact is covered alike with half and twice of either, on twelve real sets.
+LENGTH, WINDOW = 1 / 8, 1 / 12
+SPILL = 0.3  # share of a slope that is an error elsewhere than at rest; on real Minis, beside contacts
+# For contacts, whose own noise is judged at their place: the share of the variance at rest that counts, and the spill.
+REST_OF_CONTACT, SPILL_OF_CONTACT = 0.2, 0.6
+PULL = 0.5  # share of what negative depths have beyond the variance; half of all errors are positive
+LEAST_FREE = 0.05  # share of pixels around a cell that may be negative; fewer do not tell an error
+# mm/mm, deviation of a steep slope from which on depth may be missing: nearly none on balls of the own unit, whose depth is
+# right, but on faces that another unit's model reads.
+DOUBTED = 0.2
+LEAST_MM2 = np.float32(1e-14)  # mm^2, least variance; the filter rounds
+SUBCELLS = 8  # points along a cell's side, over which the kernel is averaged
+LEAST_PX = 0.6  # px, distance below which the kernel is cut: a pixel's own slopes do not move it further
+
+_depth_errors = Kernel(
+    "depth_errors",
+    "f32[h,w,2] slopes, f32[h,w] depth, bool[h,w] at_rest, f32[h,w] read, f32[h,w] steep, i32[row_ends] rows, "
+    "i32[column_ends] columns, out f32[n] work, out f32[maps,r,c] cells, f32 full, f32 spill, f32 rest_share, "
+    "f32 spill_of_contact, f32 gain, f32 doubted",
+)
+MAPS = 9  # that `depth_errors` sums; the same as in native/depth/errors.c
+
+
+class DepthSigma:
+    """Standard deviations of depth for the frames of one calibration. It is immutable; threads can share it.
+
+    Parameters
+    ----------
+    shape : (H, W)
+    mm_per_px : mm
+    full_confidence_sigma : standard deviation of a slope of confidence 1, mm/mm
+    factor : k of the calibration: `depth_factor` of its `SlopeSigma`
+    gain_sigma : relative error that slopes share
+    """
+
+    def __init__(
+        self,
+        shape: tuple[int, int],
+        mm_per_px: float,
+        *,
+        full_confidence_sigma: float,
+        factor: float,
+        gain_sigma: float,
+    ) -> None:
+        self.coarse = coarse = coarse_of(shape)
+        self.factor, self._mm_per_px = factor, np.float32(mm_per_px)
+        self._rows, self._columns = (
+            np.rint(np.linspace(0, size, cells + 1)).astype(np.int32)
+            for size, cells in zip(shape, coarse.shape)
+        )
+        self.numbers = {
+            "full": full_confidence_sigma, "spill": SPILL, "rest_share": REST_OF_CONTACT,
+            "spill_of_contact": SPILL_OF_CONTACT, "gain": gain_sigma, "doubted": DOUBTED,
+        }  # fmt: skip
+        spread = _spread(coarse, shape) * np.float32((factor * mm_per_px) ** 2)
+        window = _window(coarse, shape)
+        self._filter = CosineFilter(np.stack([spread, spread, window, window]))
+
+    def __call__(
+        self,
+        slopes: NDArray[np.float32],
+        depth: NDArray[np.float32],
+        at_rest: NDArray[np.bool_],
+        read: NDArray[np.float32],
+        steep: NDArray[np.float32],
+    ) -> DepthErrors:
+        """The errors of a depth (H, W), mm.
+
+        Parameters
+        ----------
+        slopes : (H, W, 2), of the depth
+        at_rest : (H, W) bool, pixels at rest
+        read, steep : (H, W), deviation of the slopes as read, and the one of steep slopes
+        """
+        cells = np.empty((MAPS, *self.coarse.shape), dtype=np.float32)
+        work = np.empty(MAPS * depth.shape[1], dtype=np.float32)
+        _depth_errors(
+            slopes, depth, at_rest, read, steep, self._rows, self._columns, work, cells, **self.numbers
+        )
+        if not is_finite(cells):
+            raise ConvergenceError(
+                "Expected a finite standard deviation of depth, got infinity or NaN. Slopes, their deviation or "
+                "mm_per_px differ by more than float32 holds: check the calibration's scales."
+            )
+        anywhere, of_contact, below, free = self._filter(cells[:4])
+        own = below / np.maximum(free, np.float32(LEAST_FREE))
+        anywhere, of_contact = (np.maximum(one, LEAST_MM2) for one in (anywhere, of_contact))
+        return DepthErrors(
+            self.coarse, anywhere, of_contact, own, cells[4:], self._mm_per_px, self.numbers["gain"]
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class DepthErrors:
+    """The errors of one frame's depth on the coarser grid (r, c).
+
+    Attributes
+    ----------
+    spread, contact_spread : variance by the slopes, mm^2, for depth and for the judgment of contacts
+    own : twice the mean square of negative depths around, mm^2
+    slopes_off : (5, r, c), the slopes that may be common errors in all (p, q), of steep faces alone (p, q), and the share of
+        pixels at rest
+    """
+
+    coarse: Coarse
+    spread: NDArray[np.float32]
+    contact_spread: NDArray[np.float32]
+    own: NDArray[np.float32]
+    slopes_off: NDArray[np.float32] = field(repr=False)
+    mm_per_px: np.float32
+    gain_sigma: float
+
+    @cached_property
+    def common_mm(self) -> NDArray[np.float32]:
+        """Depth that all slopes in proportion and steep ones may be off by together, one standard deviation; 0 at rest."""
+        return self._integrated(self.slopes_off[:2])
+
+    @cached_property
+    def steep_mm(self) -> NDArray[np.float32]:
+        """The same of steep slopes alone."""
+        return (
+            self._integrated(self.slopes_off[2:4])
+            if self.slopes_off[2:4].any()
+            else np.zeros_like(self.spread)
+        )
+
+    @cached_property
+    def local_variance(self) -> NDArray[np.float32]:
+        """Variance at every pixel (H, W), without what is common."""
+        return self.coarse.at_pixels(self._with_own(self.spread))
+
+    def sigma(self, most_mm: float) -> NDArray[np.float32]:
+        """Standard deviation (H, W) of the depth, mm, `most_mm` at most."""
+        return self._root(self._with_own(self.spread) + np.square(self.common_mm), most_mm)
+
+    def contact_sigma(self, most_mm: float) -> NDArray[np.float32]:
+        """The one that makes no contact less certain for what all depths have in common."""
+        return self._root(self._with_own(self.contact_spread), most_mm)
+
+    def slope_sigma(self, most_mm: float) -> NDArray[np.float32]:
+        """The one by the slopes alone, as of a frame whose negative depths are no error."""
+        return self._root(self.spread, most_mm)
+
+    def difference_sigma(self, region: NDArray[np.bool_]) -> NDArray[np.float32]:
+        """Standard deviation (H, W), mm, of the depth minus its mean over a region (H, W) of some pixels."""
+        own, common = self.local_variance, self.coarse.at_pixels(self.common_mm)
+        apart = np.abs(own - own[region].mean()) + np.square(common - common[region].mean())
+        return np.asarray(np.sqrt(apart))
+
+    def _with_own(self, variance: NDArray[np.float32]) -> NDArray[np.float32]:
+        return variance + np.float32(PULL) * np.maximum(self.own - variance, 0)
+
+    def _root(self, variance: NDArray[np.float32], most_mm: float) -> NDArray[np.float32]:
+        found = self.coarse.at_pixels(variance)
+        return np.sqrt(np.minimum(found, np.float32(most_mm**2), out=found), out=found)
+
+    def _integrated(self, slopes: NDArray[np.float32]) -> NDArray[np.float32]:
+        depth = self.coarse.depth_px(np.ascontiguousarray(np.moveaxis(slopes, 0, -1)))
+        depth -= medians_where(depth[..., None], self.slopes_off[4] > 0.5)[0]
+        return depth * self.mm_per_px
+
+
+def steep_finding(
+    depth_mm: NDArray[np.float32], contact: NDArray[np.bool_], steep: NDArray[np.float32], errors: DepthErrors
+) -> tuple[Finding, ...]:
+    """A finding if what steep faces may miss of an object's height exceeds three standard deviations of the rest.
+
+    `steep` (H, W) is the deviation of steep slopes, in the depth (H, W) and its contact (H, W).
+    """
+    if not errors.steep_mm.any():
+        return ()
+    deepest = np.unravel_index(np.argmax(depth_mm), depth_mm.shape)
+    missing_mm = float(errors.coarse.at_pixels(errors.steep_mm)[deepest])
+    rest = float(errors.local_variance[deepest]) + (errors.gain_sigma * float(depth_mm[deepest])) ** 2
+    if missing_mm**2 <= 9 * rest:
+        return ()
+    doubted = contact & (steep > np.float32(DOUBTED))
+    share = float(doubted.mean()) / max(float(contact.mean()), 1e-9)
+    message = (
+        f"{100 * share:.0f} % of the contact are faces steeper than the presses have shown. If they are read too small, "
+        f"{missing_mm:.2f} mm (one standard deviation) of the height above them are missing. "
+        "Press balls deeper on this unit to calibrate it."
+    )
+    return (Finding("steep", message, missing_mm),)
+
+
+def _spread(coarse: Coarse, shape: tuple[int, int]) -> NDArray[np.float32]:
+    """Gains of the grid's cosine modes for the mirrored kernel |grad G|^2, averaged over cells, for slopes^2 -> px^2."""
+    length, (x_px, y_px) = shape[0] * LENGTH, coarse.pitch_px
+    points = (np.arange(SUBCELLS) + 0.5) / SUBCELLS - 0.5
+    y, x = np.arange(coarse.shape[0]) * y_px, np.arange(coarse.shape[1]) * x_px
+    # K1 is smooth in a logarithmic table, and falls to nothing within 15 lengths.
+    table = np.geomspace(LEAST_PX / length, 15.0, 400)
+    squares = np.square(bessel_k(1, table) / (2 * np.pi * length))
+    kernel = np.zeros(coarse.shape)
+    for below in points * y_px:
+        for right in points * x_px:
+            distance = np.maximum(np.hypot(y[:, None] + below, x + right), LEAST_PX) / length
+            kernel += np.exp(np.interp(np.log(distance), np.log(table), np.log(squares)))
+    return _mode_gains(kernel * x_px * y_px / SUBCELLS**2)
+
+
+def _window(coarse: Coarse, shape: tuple[int, int]) -> NDArray[np.float32]:
+    """Gains of the grid's cosine modes for a mirrored Gaussian window."""
+    y, x = (np.arange(n) * pitch for n, pitch in zip(coarse.shape, coarse.pitch_px[::-1]))
+    bells = [np.exp(-np.square(along / (shape[0] * WINDOW)) / 2) for along in (y, x)]
+    gains = _mode_gains(np.outer(*bells))
+    return gains / gains[0, 0]
+
+
+def _mode_gains(kernel: NDArray[Any]) -> NDArray[np.float32]:
+    """Gains of cosine modes for the convolution with an even kernel, given from its center on."""
+    tables = []
+    for n in kernel.shape:
+        places = np.arange(n)
+        tables.append(np.cos(np.pi * np.outer(places, places) / n) * np.where(places == 0, 1, 2))
+    half = np.einsum("kn,nm->km", tables[0], kernel)  # no matrix product: its bits depend on the processor
+    return np.asarray(np.einsum("km,lm->kl", half, tables[1]), dtype=np.float32)

@@ -1,1 +1,0 @@
-"""The standard deviation of depth for each pixel."""

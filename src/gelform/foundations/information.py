@@ -1,0 +1,43 @@
+"""Symmetric information matrices: their inverses, and the directions that nothing determines."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+# Eigenvalue over the largest, of a matrix in units that make its entries alike. Sums of float32 products are right to
+# 1e-7 of the largest; singular ones leave 1e-16 on one kind of processor and exactly 0 on the next.
+LEAST_INFORMATION = 1e-10
+
+
+class Determined(NamedTuple):
+    """What an information matrix (n, n) determines, from the least to the most determined direction.
+
+    Attributes
+    ----------
+    covariance : (n, n) in the determined directions, 0 in the others
+    directions : (n, n), a column each
+    undetermined : (n,) bool, the directions with less than `LEAST_INFORMATION` of the largest information
+    """
+
+    covariance: Array
+    directions: Array
+    undetermined: NDArray[np.bool_]
+
+
+def determined_by(information: NDArray[Any], scale: NDArray[Any] | None = None) -> Determined:
+    """The covariance of an information matrix (n, n), and its directions in units (n,), by default its own.
+
+    The own unit of a parameter is its standard deviation if all the others are known.
+    """
+    if scale is None:
+        own = np.diag(information)
+        scale = 1 / np.sqrt(np.where(own > 0, own, 1.0))
+    values, directions = np.linalg.eigh(scale[:, None] * information * scale)
+    undetermined = ~(values > LEAST_INFORMATION * np.max(values, initial=0.0))
+    directions = scale[:, None] * directions
+    known = directions[:, ~undetermined]
+    return Determined(known / values[~undetermined] @ known.T, directions, undetermined)

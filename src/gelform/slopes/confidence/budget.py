@@ -1,0 +1,258 @@
+"""The budget of a frame's slopes: named variances that add up to the standard deviation of each slope.
+
+The rows are the law of the step (or of rest), what a frame brings (light, compression, walls, outliers, unseen pixels), and
+what no residual shows: steep slopes and the spread between units. A color saturates, so slopes beyond those that trained a
+model are read as about the steepest of those. The model of another unit reads a steep face as a usual slope if this unit's
+colors change less. Both are stated, but they are no reason to fill steep slopes from gentle ones: the solver's weights say
+"no slope here", and nothing else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform._native import Kernel
+from gelform.foundations.checks import HIGHEST_SLOPE, check_slopes
+from gelform.image.background.change import ChangeSettings, PreparedBackground, gain_from_background
+from gelform.image.background.untouched import Reference
+from gelform.slopes.color_models.seam import PreparedColorModel
+from gelform.slopes.confidence.slope_sigma import SlopeSigma
+from gelform.slopes.gradients import STEEPEST_GEL
+
+USUAL_LEVELS = 2.0  # gray levels, a pixel's noise if the calibration does not know that of its images
+NOISE_BLUR_PX = 8.0  # px, standard deviation of the blur of the map of noise; light and model are smooth
+# Squared residual over its covariance on held-out presses from which no slope is left: three sigma.
+OUTLIER = 9.0
+LEAST_WEIGHT = 1e-6  # of a pixel without information, which solvers treat as none
+# mm/mm: slopes that differ by more from those `reach_px` away are blurred; a small ball's slopes differ by less. Then the
+# error of blurred slopes over the excess of that difference.
+DIFFERENCE_FROM, ERROR_OF_DIFFERENCE = 0.1, 1.75
+REACH_BLURS = 1.6  # blurs, distance of the slopes that a slope is compared with
+# Deviation of a slope over its excess over the shown ones. Measured on three sensors: calibrations trained below slopes of
+# 0.4 and 0.5 have 97 % of the steeper pixels within two sigma.
+PER_EXCESS = 1.25
+# mm/mm, slope of a face of 54 degrees; two sigma of a slope that another unit's model read reach it. The faces of a cube's
+# edge, which stand at some 45 degrees, are read at 0.2-0.7.
+STEEPEST_FACE = 1.4
+
+_slopes_at_rest = Kernel(
+    "slopes_at_rest",
+    "f32[h,w,3] change, bool[h,w]? hidden, bool[h,w]? given, f32[3] common, f32[2] bias, out f32[h,w,2] gradients, "
+    "out bool[h,w] at_rest, f32 square, f32 highest",
+)
+_slope_weights = Kernel(
+    "slope_weights",
+    "f32[...]? residual, f32[...]? of_model, bool[...]? unseen, out f32[...] weight, f32 outlier, f32 unknown, f32 full, "
+    "f32 least",
+)
+_slope_budget = Kernel(
+    "slope_budget",
+    "f32[h,w,2] gradients, bool[h,w] at_rest, f32[h,w] rest, f32[h,w]? of_step, f32[h,w]? of_model, f32[h,w]? residual, "
+    "bool[h,w]? unseen, f32[h,w] gain, f32[h,w]? light, out f32[h,w] read, out f32[h,w] solved, out f32[h,w] steep, "
+    "out f32[h,w] confidence, out f32[h,w]? walls, out f32[h,w]? outliers, f32 per_step, f32 per_size, f32 solved_factor, "
+    "f32 highest, f32 outlier, f32 unknown, f32 unseen_sigma, f32 full, f32 noise, f32 per_bend, "
+    "f32 bend_from, f32 spread, f32 shown, f32 per_excess, f32 doubted, f32 steepest, f32 carried, i32 reach",
+)
+
+
+@dataclass(frozen=True, eq=False)
+class ReadSlopes:
+    """The slopes of a frame without the bias that the pixels at rest show, and what their uncertainty follows from.
+
+    Attributes
+    ----------
+    gradients : (H, W, 2), mm/mm
+    at_rest : (H, W) bool, pixels at rest
+    unseen : (H, W) bool, pixels without gel, or with too few usable channels; None: none
+    variance, residual : (H, W), of the forward response's step, or None; the residual is squared, over its covariance
+    model_sigma : (H, W), a color model's own deviation, or None
+    outlier : squared residual from which no slope is left
+    """
+
+    gradients: NDArray[np.float32]
+    at_rest: NDArray[np.bool_]
+    unseen: NDArray[np.bool_] | None = None
+    variance: NDArray[np.float32] | None = None
+    residual: NDArray[np.float32] | None = None
+    model_sigma: NDArray[np.float32] | None = None
+    outlier: float = OUTLIER
+
+    def weights(self, full_confidence_sigma: float) -> NDArray[np.float32]:
+        """The solver's weight (H, W) of each slope: full^2 / (full^2 + outlier^2), 1e-6 where nothing was seen."""
+        weight = np.empty(self.at_rest.shape, dtype=np.float32)
+        _slope_weights(
+            self.residual, self.model_sigma, self.unseen, weight, outlier=self.outlier, unknown=STEEPEST_GEL,
+            full=full_confidence_sigma, least=LEAST_WEIGHT,
+        )  # fmt: skip
+        return weight
+
+
+@dataclass(frozen=True, eq=False)
+class Budget:
+    """Standard deviations (H, W) of the slopes of a frame, mm/mm, equal for both components.
+
+    Attributes
+    ----------
+    read : of the slopes as they were read, without what no residual shows
+    solved : of the solved depth's slopes, with the spread between units
+    steep : what steep slopes may be read too small
+    confidence : min(1, full_confidence_sigma^2 / (all rows of the slopes as read))
+    walls, outliers : these rows, if they were asked for
+    """
+
+    read: NDArray[np.float32]
+    solved: NDArray[np.float32]
+    steep: NDArray[np.float32]
+    confidence: NDArray[np.float32]
+    walls: NDArray[np.float32] | None = None
+    outliers: NDArray[np.float32] | None = None
+
+    @property
+    def gradients_sigma(self) -> NDArray[np.float32]:
+        """Standard deviation (H, W, 2) of the solved depth's slopes, all rows included; read-only."""
+        return for_both(np.sqrt(np.square(self.solved) + np.square(self.steep)))
+
+
+class PreparedBudget:
+    """Budgets for one calibration and background. It is immutable; threads can share it.
+
+    Parameters
+    ----------
+    sigma : of the calibration
+    noise : (H, W), variance of a slope at rest from the image's noise alone, as `noise_at_rest` gives it
+    background : (H, W, 3), 0-255, in use
+    change : settings of the conversion of images to color changes
+    walls : whether sharply bending slopes are blurred; False for imported color models, whose blur is unknown
+    slope_per_change : slope for a color change of 1, mm/mm
+    spread : relative standard deviation of slopes between units, of a starter
+    carried : share of the model that comes from other units, 0-1
+
+    Attributes
+    ----------
+    rest_variance : (H, W), variance of a slope at rest
+    full_confidence_sigma : standard deviation of a slope of confidence 1, mm/mm
+    """
+
+    def __init__(
+        self,
+        sigma: SlopeSigma,
+        noise: NDArray[np.float32],
+        background: NDArray[np.float32],
+        change: ChangeSettings,
+        *,
+        walls: bool = True,
+        slope_per_change: float = 1.0,
+        spread: float = 0.0,
+        carried: float = 0.0,
+    ) -> None:
+        self.full_confidence_sigma = sigma.full_confidence_sigma
+        self.rest_variance = np.float32(sigma.rest**2) + np.float32(sigma.rest_per_noise**2) * noise
+        gain = gain_from_background(background, change).mean(axis=-1) * np.float32(slope_per_change)
+        self._gain = np.ascontiguousarray(gain, dtype=np.float32)
+        doubted, shown = sigma.shown
+        self._numbers = {
+            "per_step": sigma.per_step**2, "per_size": (sigma.per_step * sigma.per_slope) ** 2,
+            "solved_factor": sigma.solved_factor, "highest": STEEPEST_GEL, "unknown": STEEPEST_GEL,
+            "unseen_sigma": sigma.full_confidence_sigma / LEAST_WEIGHT**0.5, "full": sigma.full_confidence_sigma,
+            "per_bend": ERROR_OF_DIFFERENCE if walls else 0.0, "bend_from": DIFFERENCE_FROM,
+            "spread": spread, "shown": shown, "per_excess": PER_EXCESS, "doubted": doubted,
+            "steepest": STEEPEST_FACE, "carried": carried / 2, "reach": max(1, round(REACH_BLURS * change.blur_px)),
+        }  # fmt: skip
+
+    def __call__(
+        self,
+        slopes: ReadSlopes,
+        noise_levels: float = 0.0,
+        light: NDArray[np.float32] | None = None,
+        *,
+        rows: bool = False,
+    ) -> Budget:
+        """The budget of a frame.
+
+        Parameters
+        ----------
+        slopes : as read
+        noise_levels : its noise beyond the usual, gray levels, from `excess_noise`
+        light : (H, W), standard deviation of slopes from what is unsure of the frame's light; None: nothing
+        rows : whether to keep the rows of walls and outliers
+        """
+        read, solved, steep, confidence = (np.empty(slopes.at_rest.shape, np.float32) for _ in range(4))
+        walls, outliers = (np.zeros_like(read), np.zeros_like(read)) if rows else (None, None)
+        _slope_budget(
+            slopes.gradients, slopes.at_rest, self.rest_variance, slopes.variance, slopes.model_sigma, slopes.residual,
+            slopes.unseen, self._gain, light, read, solved, steep, confidence, walls, outliers,
+            outlier=slopes.outlier, noise=noise_levels, **self._numbers,
+        )  # fmt: skip
+        return Budget(read, solved, steep, confidence, walls, outliers)
+
+    def frame_rows(
+        self, slopes: ReadSlopes, noise_levels: float, light: NDArray[np.float32] | None
+    ) -> dict[str, NDArray[np.float32]]:
+        """The rows (H, W) that follow from a frame's light, its noise and the spread between units, mm/mm."""
+        nothing = np.zeros(slopes.at_rest.shape, dtype=np.float32)
+        of_unit = np.float32(self._numbers["spread"]) * np.linalg.norm(slopes.gradients, axis=-1)
+        return {
+            "light": nothing if light is None else light,
+            "compression": np.float32(noise_levels) * self._gain,
+            "unit": of_unit,
+        }
+
+
+def without_bias(
+    color_change: NDArray[np.float32],
+    gradients: NDArray[np.float32],
+    reference: Reference,
+    hidden: NDArray[np.bool_] | None = None,
+) -> NDArray[np.bool_]:
+    """The pixels (H, W) at rest; the reference's bias is subtracted from the gradients (H, W, 2) in place.
+
+    Hidden pixels are not at rest.
+
+    ValueError: as `check_slopes` of the gradients.
+    """
+    at_rest = np.empty(gradients.shape[:2], dtype=bool)
+    refused = _slopes_at_rest(
+        color_change, hidden, reference.given, reference.common_change, reference.bias, gradients, at_rest,
+        square=reference.threshold**2, highest=HIGHEST_SLOPE,
+    )  # fmt: skip
+    if refused:
+        check_slopes(gradients)
+    return at_rest
+
+
+def noise_at_rest(
+    model: PreparedColorModel, background: PreparedBackground, levels: Sequence[float] | None
+) -> NDArray[np.float32]:
+    """Variance (H, W) of the slopes at rest, if the image's noise were their only error.
+
+    It is larger where light is weak, or where a slope changes the colors little. Noise makes a channel brighter, and the
+    color model's derivative says by how much the slopes change; it is one difference for each channel. The noise counts as
+    alike over the color change's blur, so only the ratio of two places is meant.
+
+    Parameters
+    ----------
+    model : color model, ready for frames over this background
+    background : in use
+    levels : standard deviation of a pixel's red, green and blue, gray levels; None if unknown
+    """
+    rest = model.gradients_from_color(np.zeros_like(background.background))[0].copy()
+    variance = np.zeros(rest.shape[:2], dtype=np.float32)
+    for channel, level in enumerate(levels or (USUAL_LEVELS,) * 3):
+        brighter = background.background.copy()
+        brighter[..., channel] += np.float32(level)
+        off = model.gradients_from_color(background.change(brighter))[0] - rest
+        variance += off[..., 0] ** 2 + off[..., 1] ** 2
+    return np.asarray(cv2.GaussianBlur(variance / 2, (0, 0), NOISE_BLUR_PX, borderType=cv2.BORDER_REPLICATE))
+
+
+def for_both(sigma: NDArray[Any]) -> NDArray[Any]:
+    """One map (H, W) for both components (H, W, 2), read-only: as `np.broadcast_to`, in a tenth of its time."""
+    both: NDArray[Any] = np.ndarray((*sigma.shape, 2), sigma.dtype, sigma, 0, (*sigma.strides, 0))
+    both.flags.writeable = False
+    return both

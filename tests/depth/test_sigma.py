@@ -1,0 +1,214 @@
+"""The standard deviation of depth: its kernel, its parts one by one, and what it says of simulated frames."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import scipy.fft
+from scipy.special import k1
+
+from gelform.depth import coarse as coarse_module
+from gelform.depth import sigma
+from gelform.depth.coarse import Coarse, coarse_of
+from gelform.depth.sigma import LENGTH, MAPS, PULL, WINDOW, DepthSigma, steep_finding
+from gelform.depth.solvers.dct import CosineFilter
+from gelform.errors import ConvergenceError
+from gelform.slopes.gradients import slopes_of_solution
+from kernel_agreement import assert_kernel_agrees
+
+SHAPE, PITCH, FULL = (120, 160), 0.1, 0.05
+ALL = np.ones(SHAPE, bool)
+
+
+def errors_of(depth, at_rest=ALL, read=0.02, steep=0.0, factor=1.0, gain=0.0):
+    depth = np.asarray(depth, np.float32)
+    read, steep = (np.broadcast_to(np.float32(one), depth.shape).copy() for one in (read, steep))
+    made = DepthSigma(depth.shape, PITCH, full_confidence_sigma=FULL, factor=factor, gain_sigma=gain)
+    return made(slopes_of_solution(depth, (PITCH, PITCH)), depth, at_rest, read, steep)
+
+
+def bump(height, center=(60, 80), width=12.0):
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    return height * np.exp(-((y - center[0]) ** 2 + (x - center[1]) ** 2) / (2 * width**2))
+
+
+def test_one_error_moves_depth_by_the_squared_influence_of_a_membrane():
+    """Far from its cell, where a mean over cells is a point; the borders mirror it."""
+    coarse = coarse_of(SHAPE)
+    cells = np.zeros((1, *coarse.shape), np.float32)
+    cells[0, 15, 20] = 1
+    found = CosineFilter(sigma._spread(coarse, SHAPE)[None])(cells)[0]
+    length = SHAPE[0] * LENGTH
+    for row, column in ((15, 26), (21, 20), (10, 15)):
+        y, x = 4 * (row - 15), 4 * (column - 20)
+        mirrored = [(y, x), (-(4 * (row + 15 + 1)), x), (4 * (59 - row - 15), x)]
+        wanted = 16 * sum((k1(np.hypot(*one) / length) / (2 * np.pi * length)) ** 2 for one in mirrored)
+        assert found[row, column] == pytest.approx(wanted, rel=0.06)
+
+
+@pytest.mark.parametrize("shape", [(30, 40), (7, 13), (2, 2), (5, 131)])
+def test_the_filter_multiplies_cosine_modes(shape):
+    rng = np.random.default_rng(0)
+    maps, gains = (rng.normal(size=(3, *shape)).astype(np.float32) for _ in range(2))
+    modes = scipy.fft.dctn(maps.astype(float), axes=(1, 2), norm="ortho")
+    wanted = scipy.fft.idctn(modes * gains, axes=(1, 2), norm="ortho")
+    np.testing.assert_allclose(CosineFilter(gains)(maps), wanted, atol=1e-4)
+
+
+def test_the_window_is_a_mean():
+    coarse = coarse_of(SHAPE)
+    gains = sigma._window(coarse, SHAPE)
+    level = CosineFilter(gains[None])(np.full((1, *coarse.shape), 3.0, np.float32))
+    np.testing.assert_allclose(level, 3.0, rtol=1e-4)
+    spot = np.zeros((1, *coarse.shape), np.float32)
+    spot[0, 15, 20] = 1
+    found = CosineFilter(gains[None])(spot)[0]
+    steps = SHAPE[0] * WINDOW / 4
+    assert found[15, 20 + 5] / found[15, 20] == pytest.approx(np.exp(-((5 / steps) ** 2) / 2), rel=0.03)
+
+
+def test_it_grows_with_the_factor_and_with_the_slopes_at_rest():
+    rough = 2e-4 * np.random.default_rng(0).normal(size=SHAPE)
+    rough -= rough.min()  # no negative depth
+    one, twice = (errors_of(rough, read=1.0, factor=f).sigma(9.0) for f in (1.0, 2.0))
+    np.testing.assert_allclose(twice, 2 * one, rtol=1e-3)
+    np.testing.assert_allclose(errors_of(2 * rough, read=1.0).sigma(9.0), 2 * one, rtol=1e-3)
+
+
+def test_at_rest_a_slope_counts_up_to_what_it_may_be_off_and_elsewhere_in_part():
+    ramp = np.tile(PITCH * 0.2 * np.arange(SHAPE[1]), (SHAPE[0], 1))
+    rest, moved = errors_of(ramp), errors_of(ramp, ~ALL)
+    np.testing.assert_allclose(rest.spread, rest.spread[0, 0], rtol=1e-3)
+    np.testing.assert_allclose(moved.spread / rest.spread, 2 * FULL**2 * 0.72 / (2 * 0.02**2), rtol=1e-3)
+
+
+def test_negative_depth_is_an_error_of_the_frame():
+    valley = errors_of(bump(-0.1), factor=1e-3)
+    flat = errors_of(0 * bump(1), factor=1e-3)
+    low = valley.sigma(9.0)
+    assert flat.sigma(9.0).max() < 1e-6
+    assert 0.02 < low[60, 80] < 0.1
+    assert low[5, 5] < 1e-3
+    np.testing.assert_allclose(valley.local_variance[60, 80], PULL * valley.own[15, 20], rtol=0.05)
+
+
+def test_an_error_in_proportion_is_that_share_of_the_depth():
+    depth, at_rest = bump(0.5), bump(1.0) < 0.01
+    found = errors_of(depth, at_rest, gain=0.08, factor=1e-3)
+    common = found.coarse.at_pixels(found.common_mm)
+    assert common[60, 80] == pytest.approx(0.08 * 0.5, rel=0.06)
+    np.testing.assert_allclose(np.median(common[at_rest]), 0, atol=1e-4)
+    assert not found.steep_mm.any()
+
+
+def test_steep_slopes_may_miss_depth_and_are_named_where_that_is_most():
+    depth, at_rest = bump(2.0), bump(1.0) < 0.01
+    size = np.linalg.norm(slopes_of_solution(np.float32(depth), (PITCH, PITCH)), axis=-1)
+    found = errors_of(depth, at_rest, steep=(0.5 * size) * (size > 0.05), factor=1e-3)
+    gentle = errors_of(depth, at_rest, steep=0.15, factor=1e-3)  # not doubted
+    assert not gentle.steep_mm.any()
+    np.testing.assert_allclose(found.common_mm, found.steep_mm, atol=1e-6)
+    assert found.steep_mm.max() > 0.05
+    rows = np.float32(depth), depth > 0.2, np.full(SHAPE, 0.3, np.float32)
+    (finding,) = steep_finding(*rows, found)
+    assert finding.name == "steep"
+    assert finding.figure == pytest.approx(found.coarse.at_pixels(found.steep_mm)[60, 80])
+    assert finding.message.startswith("100 % of the contact are faces")
+    assert steep_finding(*rows, gentle) == ()
+    assert steep_finding(*rows, replace(found, gain_sigma=1.0)) == (), "the rest is as uncertain"
+
+
+def test_what_all_depths_share_is_no_error_of_their_difference():
+    rough = 1e-3 * np.random.default_rng(0).normal(size=SHAPE)
+    depth, at_rest = bump(0.5) + rough, bump(1.0) < 0.01
+    region = bump(1.0) > 0.7
+    found = errors_of(depth, at_rest, gain=0.08, factor=5.0)
+    difference, whole = found.difference_sigma(region), found.sigma(9.0)
+    assert difference[region].mean() < 0.5 * whole[region].mean()
+    assert (difference[region].min() >= 0) & np.isfinite(difference).all()
+
+
+def test_it_is_bounded_and_the_contact_s_is_without_what_is_common():
+    depth, at_rest = bump(0.5), bump(1.0) < 0.01
+    found = errors_of(depth, at_rest, gain=0.5)
+    assert found.sigma(0.01).max() == pytest.approx(0.01)
+    assert found.contact_sigma(9.0)[60, 80] < 0.5 * found.sigma(9.0)[60, 80]
+
+
+def test_what_no_float_holds_is_refused():
+    with pytest.raises(ConvergenceError, match="Expected a finite standard deviation of depth"):
+        errors_of(1e25 * bump(-1.0))
+
+
+@pytest.mark.parametrize("shape", [(8, 12), (120, 160)])
+@pytest.mark.parametrize("channels", [0, 1, 2, 3])
+def test_means_over_cells_agree_with_numpy(shape, channels):
+    values = (
+        np.random.default_rng(0).normal(size=(*shape, *([channels] if channels else []))).astype(np.float32)
+    )
+    blocks = values.reshape(shape[0] // 4, 4, shape[1] // 4, 4, *values.shape[2:])
+    np.testing.assert_allclose(Coarse(shape).means(values), blocks.mean(axis=(1, 3)), atol=1e-6)
+    if not channels:
+        np.testing.assert_allclose(Coarse(shape).means(values > 0), (blocks > 0).mean(axis=(1, 3)))
+        shares = lambda mask, cells: (blocks > 0).mean(axis=(1, 3))  # noqa: E731
+        assert_kernel_agrees(
+            coarse_module._cell_shares,
+            shares,
+            values > 0,
+            np.empty((shape[0] // 4, shape[1] // 4), np.float32),
+        )
+    else:
+        by_numpy = lambda values, work, cells: blocks.mean(axis=(1, 3))  # noqa: E731
+        cells = np.empty((shape[0] // 4, shape[1] // 4, channels), np.float32)
+        assert_kernel_agrees(
+            coarse_module._cell_means, by_numpy, values, np.empty(shape[1] * channels, np.float32), cells
+        )
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (3, 5), (17, 29), (120, 160)])
+def test_a_grid_of_any_size(shape):
+    found = Coarse(shape)
+    assert min(found.shape) >= 2
+    level = found.at_pixels(found.means(np.full(shape, 2.0, np.float32)))
+    np.testing.assert_array_equal(level, 2)
+    if min(shape) > 1:
+        made = DepthSigma(shape, PITCH, full_confidence_sigma=FULL, factor=1.0, gain_sigma=0.1)
+        depth = np.ones(shape, np.float32)
+        maps = depth > 0, 0.01 * depth, 0 * depth
+        assert np.isfinite(made(slopes_of_solution(depth, (PITCH, PITCH)), depth, *maps).sigma(1.0)).all()
+
+
+def numpy_errors(
+    slopes, depth, at_rest, read, steep, rows, columns, work, cells, full, spill, rest_share, of_contact, gain, doubted
+):  # fmt: skip
+    """What the kernel should give, in float64."""
+    g = slopes.astype(float)
+    square = (g**2).sum(-1)
+    noise = np.minimum(square, 2 * np.minimum(read, full) ** 2)
+    low, doubt = np.minimum(depth, 0), np.where(steep > doubted, steep.astype(float) ** 2, 0)
+    unit = g / np.sqrt(np.maximum(square, 1e-12))[..., None]
+    common, alone = np.sqrt(gain**2 * square + doubt)[..., None] * unit, np.sqrt(doubt)[..., None] * unit
+    maps = [
+        np.where(at_rest, noise, np.minimum(spill**2 * square, 2 * full**2)),
+        np.where(at_rest, rest_share * noise, np.minimum(of_contact**2 * square, 2 * full**2)),
+        2 * low**2, at_rest | (low < 0), *np.moveaxis(common, -1, 0), *np.moveaxis(alone, -1, 0), at_rest,
+    ]  # fmt: skip
+    return np.array(
+        [[[one[a:b, c:d].mean() for c, d in pairwise(columns)] for a, b in pairwise(rows)] for one in maps]
+    )
+
+
+@pytest.mark.parametrize(("shape", "grid"), [((8, 8), (2, 2)), ((17, 45), (4, 11)), ((9, 70), (3, 17))])
+def test_the_kernel_agrees_with_numpy(shape, grid):
+    rng = np.random.default_rng(0)
+    rows, columns = (np.linspace(0, n, cells + 1).astype(np.int32) for n, cells in zip(shape, grid))
+
+    def uniform(low, high, *more):
+        return rng.uniform(low, high, (*shape, *more)).astype(np.float32)
+
+    assert_kernel_agrees(
+        sigma._depth_errors, numpy_errors, uniform(-0.5, 0.5, 2), uniform(-0.01, 0.02), uniform(0, 1) > 0.5,
+        uniform(0.01, 0.1), uniform(0, 0.3), rows, columns, np.empty(MAPS * shape[1], np.float32),
+        np.empty((MAPS, *grid), np.float32), 0.05, 0.3, 0.2, 0.6, 0.08, 0.2,
+    )  # fmt: skip
