@@ -6,7 +6,8 @@ the four angles of the two faces are known, whatever a calibration reads: the ed
 faces are perpendicular, and the edge is nearly level, so that its slope can be read. The fourth is the roll of the cube
 about its edge. It is unknown, and the ratio of both slopes as they were read decides it: the least change of what was read.
 
-Everything here is a pure function of a frame's slopes.
+`edge_in` and what judges depth are pure functions of a frame's slopes; `line_in` sees the image alone, so it can judge what
+was made of slopes.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from scipy.ndimage import gaussian_filter1d, map_coordinates
 
 import gelform
 from presses import DATA
@@ -30,6 +32,8 @@ PLATEAU, STRIP_PX = 0.85, 10
 FROM_EDGE_PX = 4.0  # the blur of a color change and of the camera mixes both faces nearer to the edge
 STEEP = 0.18  # mm/mm, least slope of a face as it was read; other units' models read .2-.7
 LEAST_PX = 300  # pixels of a face; a smaller one is cut
+LIT = 15.0  # gray levels, least change of the colors' difference on a face
+PROFILE_PX, SAMPLE_PX = 6.0, 0.25  # half length, and step, of the profiles across a line in the image
 ANOTHER_LIGHT = 0.08  # |median of image over background - 1|: under .07 in the same light, .09-.15 in another
 
 
@@ -64,8 +68,7 @@ class Edge:
     @property
     def crest(self) -> np.ndarray:
         """Pixels (H, W) within 1 px of the edge, between its ends."""
-        away, along = _from_edge(self.faces.shape[1:], self.across, self.middle)
-        return (np.abs(away) <= 1) & (np.abs(along) < 0.45 * self.length_px)
+        return on_line(self.faces.shape[1:], self)
 
 
 def edge_in(gradients: np.ndarray, mm_per_px: float) -> Edge | None:
@@ -101,6 +104,82 @@ def edge_in(gradients: np.ndarray, mm_per_px: float) -> Edge | None:
     both, ratio = np.sqrt(1 + pitch**2), np.sqrt(slopes[0] / slopes[1])
     true = np.stack([both * ratio * across, -both / ratio * across]) + pitch * direction
     return Edge(across, middle, length_px, np.stack(faces), np.array(slopes), pitch, true)
+
+
+@dataclass(frozen=True, eq=False)
+class Line:
+    """The line between two faces in an image: `across`, `middle`, `length_px` as of an `Edge`.
+
+    `error_px` and `error_rad` are standard errors of the place across it and of its direction; `apart_px` and `apart_rad`:
+    how far two ways of seeing it differ, where the colors pass the mean of both faces, and where they change most.
+    """
+
+    across: np.ndarray
+    middle: np.ndarray
+    length_px: float
+    error_px: float
+    error_rad: float
+    apart_px: float
+    apart_rad: float
+
+
+def on_line(shape: Any, line: Edge | Line) -> np.ndarray:
+    """Pixels (H, W) within 1 px of a line, between its ends."""
+    away, along = _from_edge(shape, line.across, line.middle)
+    return (np.abs(away) <= 1) & (np.abs(along) < 0.45 * line.length_px)
+
+
+def line_in(image: np.ndarray, background: np.ndarray, mm_per_px: float) -> Line | None:
+    """The line between the faces of a cube in an image (H, W, 3), of its gray levels alone; None if it is cut.
+
+    The lights of a Mini color two faces red and blue, so the difference of both channels changes its sign at the edge.
+    """
+    change = image.astype(np.float64) - background
+    signal = cv2.GaussianBlur(change[..., 0] - change[..., 2], (0, 0), 0.5)
+    signal -= np.median(signal)
+    smooth = cv2.GaussianBlur(signal, (0, 0), 1.0)
+    sides = _largest(smooth > LIT), _largest(smooth < -LIT)
+    if not all(side.any() for side in sides):
+        return None
+    before, after = (np.argwhere(side).mean(axis=0)[::-1] for side in sides)
+    found = _line_between(*sides, after - before)
+    if found is None or found[2] * mm_per_px < SHORTEST * EDGE_MM:
+        return None
+    lines = [_at_gray_levels(signal, *found, steepest=steepest) for steepest in (False, True)]
+    (across, middle, *errors), (other, its_middle, *_) = lines
+    turn = float(across[0] * other[1] - across[1] * other[0])
+    return Line(across, middle, found[2], *errors, abs(float((its_middle - middle) @ across)), abs(turn))
+
+
+def _at_gray_levels(
+    signal: np.ndarray, across: np.ndarray, middle: np.ndarray, length_px: float, *, steepest: bool
+) -> tuple[np.ndarray, np.ndarray, float, float]:
+    """A line moved to where the profiles across it step: across, middle, standard errors of its place and direction."""
+    along = np.arange(-0.45 * length_px, 0.45 * length_px)
+    away = np.arange(-PROFILE_PX, PROFILE_PX + SAMPLE_PX, SAMPLE_PX)
+    for _ in range(4):  # until the profiles are perpendicular to it
+        direction = np.array([-across[1], across[0]])
+        x, y = np.moveaxis(middle + along[:, None, None] * direction + away[:, None] * across, -1, 0)
+        profile = map_coordinates(signal, [y, x], order=1)
+        steps = -np.gradient(gaussian_filter1d(profile, 1 / SAMPLE_PX, axis=1), axis=1)
+        if steepest:
+            size = np.maximum(steps - 0.5 * steps.max(axis=1, keepdims=True), 0)
+            place = size @ away / size.sum(axis=1)
+        else:
+            ends = [np.median(profile[:, part], axis=1) for part in (slice(8), slice(-8, None))]
+            share = (profile - ends[1][:, None]) / (ends[0] - ends[1])[:, None]
+            place = away[0] + SAMPLE_PX * (np.clip(share, 0, 1).sum(axis=1) - 0.5)
+        terms, weight = np.stack([np.ones_like(along), along], axis=1), np.ones_like(along)
+        for _ in range(20):
+            inverse = np.linalg.inv((terms * weight[:, None]).T @ terms)
+            offset, slope = inverse @ (terms.T @ (weight * place))
+            left = place - offset - slope * along
+            scale = 1.48 * float(np.median(np.abs(left))) + 1e-3
+            weight = (1 + np.square(left / (2 * scale))) ** -2.0
+        turned = direction + slope * across
+        middle, across = middle + offset * across, np.array([turned[1], -turned[0]]) / np.linalg.norm(turned)
+    place_px, turn_rad = scale * np.sqrt(np.diag(inverse))
+    return across, middle, float(place_px), float(turn_rad)
 
 
 def crest_error_mm(

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 import gelform
-from edges_of_cube import edge_in, frames
+from edges_of_cube import Line, frames, line_in, on_line
 from gelform.calibration.starters import load_starter
 from gelform.motion.rigid import moved, step_of_pose
 from gelform.simulate import (
@@ -84,51 +84,72 @@ def balls(quick: bool) -> dict[str, Any]:
 
 
 def edges(quick: bool) -> dict[str, Any]:
-    """mini-edge: the crest of a cube's edge, across it, and its yaw; by the starter."""
-    rng = np.random.default_rng(0)
+    """mini-edge by the starter, against the edge's line in the image: its crest, across it, and its yaw."""
     background, images = frames()
     starter = load_starter("gelsight-mini").for_unit(background.astype(np.float32), mm_per_px=MINI_MM_PER_PX)
     reconstruct = gelform.Reconstructor(starter)
-    results = map(reconstruct.from_image, images.values())
-    seen = [(one, edge) for one in results if (edge := edge_in(one.gradients, MINI_MM_PER_PX)) is not None]
+    lines = [(image, line_in(image, background, MINI_MM_PER_PX)) for image in images.values()]
+    seen = [(reconstruct.from_image(image), line) for image, line in lines if line is not None]
+    return {
+        "edges": len(seen),
+        **_of_lines([line for _, line in seen]),
+        **edge_pairs(seen[:8] if quick else seen),
+    }
+
+
+def _of_lines(lines: list[Line]) -> dict[str, Any]:
+    """The truth's own error: RMS of what two ways differ by, and standard errors."""
+    um = 1e3 * MINI_MM_PER_PX
+    values = np.array([(one.apart_px, one.apart_rad, one.error_px, one.error_rad) for one in lines])
+    size = np.sqrt(np.mean(np.square(values), axis=0)) * (um, np.degrees(1), um, np.degrees(1))
+    return dict(zip(("line_apart_um", "line_apart_deg", "line_error_um", "line_error_deg"), size.tolist()))
+
+
+def edge_pairs(seen: list[tuple[Any, Line]]) -> dict[str, Any]:
+    """Errors of the motion between frames of an edge, by both methods."""
+    rng = np.random.default_rng(0)
     found: dict[str, list[Any]] = {
         key: [] for key in ("off", "yaw", "ratio", "ratio_yaw", "base", "base_yaw")
     }
-    lost = {"ours": 0, "published": 0}
-    for i, (a, one) in enumerate(seen[:8] if quick else seen):
+    why: list[str] = []
+    published_lost = 0
+    for i, (a, one) in enumerate(seen):
         for b, other in seen[:i]:
-            sign = np.sign(one.across @ other.across)
-            angles = [np.arctan2(across[1], across[0]) for across in (one.across, sign * other.across)]
+            angles = [np.arctan2(across[1], across[0]) for across in (one.across, other.across)]
             yaw = float((angles[1] - angles[0] + np.pi) % (2 * np.pi) - np.pi)
             if abs(np.degrees(yaw)) > MOST_YAW_DEG:
                 continue
             middle = (np.array(a.shape[::-1]) - 1) / 2
-            places = [(edge.middle - middle) * MINI_MM_PER_PX for edge in (one, other)]
-            heights = [float(result.depth_mm[edge.crest].mean()) for result, edge in ((a, one), (b, other))]
+            places = [(line.middle - middle) * MINI_MM_PER_PX for line in (one, other)]
+            heights = [
+                float(result.depth_mm[on_line(result.shape, line)].mean())
+                for result, line in ((a, one), (b, other))
+            ]
             crest = np.array([*places[0], heights[0]])
             x, y = places[1] - places[0] + rng.normal(0, OFF_START_MM, 2)
             start = pose_at(x, y, heights[1] - heights[0], yaw + rng.normal(0, OFF_START_RAD), crest)
             motion, pose = gelform.motion_between(a, b, start=start), published_pose(a, b, start)
-            across = sign * other.across
             if motion.pose is None:
-                lost["ours"] += 1
+                why.append(motion.why)
             else:
                 there = moved(motion.pose, crest)
                 covariance = sigma_at(motion, there)
-                found["off"].append(float((there[:2] - places[1]) @ across))
+                found["off"].append(float((there[:2] - places[1]) @ other.across))
                 found["yaw"].append(yaw_of(motion.pose) - yaw)
-                found["ratio"].append(found["off"][-1] / np.sqrt(across @ covariance[:2, :2] @ across))
+                found["ratio"].append(
+                    found["off"][-1] / np.sqrt(other.across @ covariance[:2, :2] @ other.across)
+                )
                 found["ratio_yaw"].append(found["yaw"][-1] / np.sqrt(covariance[5, 5]))
             if pose is None or np.linalg.norm(moved(pose, crest) - moved(start, crest)) > 1:
-                lost["published"] += 1
+                published_lost += 1
             else:
-                found["base"].append(float((moved(pose, crest)[:2] - places[1]) @ across))
+                found["base"].append(float((moved(pose, crest)[:2] - places[1]) @ other.across))
                 found["base_yaw"].append(yaw_of(pose) - yaw)
     return {
-        "pairs": len(found["off"]) + lost["ours"], "lost": lost, "crest_um": two(found["off"], 1e3),
-        "yaw_deg": two(np.degrees(found["yaw"])), "within_crest": within(found["ratio"]),
-        "within_yaw": within(found["ratio_yaw"]), "published_crest_um": two(found["base"], 1e3),
-        "published_yaw_deg": two(np.degrees(found["base_yaw"])),
+        "pairs": len(found["off"]) + len(why), "lost": {"ours": len(why), "published": published_lost},
+        "why_lost": why, "crest_um": two(found["off"], 1e3), "yaw_deg": two(np.degrees(found["yaw"])),
+        "within_crest": within(found["ratio"]), "within_yaw": within(found["ratio_yaw"]),
+        "published_crest_um": two(found["base"], 1e3), "published_yaw_deg": two(np.degrees(found["base_yaw"])),
     }  # fmt: skip
 
 

@@ -46,3 +46,24 @@ def test_half_the_rise_is_missing_where_slopes_are_read_at_half():
 def test_a_shorter_edge_is_cut():
     assert edges_of_cube.edge_in(roof(0, 0, length_px=120)[1], MM_PER_PX) is None
     assert edges_of_cube.edge_in(np.zeros((*SHAPE, 2)), MM_PER_PX) is None
+
+
+@pytest.mark.parametrize("turn_deg", [-7, 4])
+def test_the_line_in_the_image_is_where_its_colors_change(turn_deg):
+    """Faces 40 gray levels redder or bluer, of unequal shade, their border blurred over a pixel, in noise."""
+    rng, turn, beside = np.random.default_rng(3), np.radians(turn_deg), (0.3, -0.4)
+    u = np.array([-np.sin(turn), np.cos(turn)])
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)
+    x, y = x - SHAPE[1] / 2 - beside[0], y - SHAPE[0] / 2 - beside[1]
+    away, along = x * u[0] + y * u[1], x * u[1] - y * u[0]
+    on = (np.abs(along) < 80) & (np.abs(away) < 20)
+    face = np.where(on, -np.tanh(away) * (30 + along / 8) - 0.2 * away, 0)
+    background = np.full((*SHAPE, 3), 120.0)
+    image = background + face[..., None] * (1, 0.2, -1) + rng.normal(0, 2, (*SHAPE, 3))
+    line = edges_of_cube.line_in(image, background, MM_PER_PX)
+    assert np.degrees(np.arcsin(line.across[0] * u[1] - line.across[1] * u[0])) == pytest.approx(0, abs=0.05)
+    off = (line.middle - np.array(SHAPE[::-1]) / 2 - beside) @ u
+    assert off == pytest.approx(0, abs=0.08)
+    assert line.apart_px < 0.1
+    assert np.degrees(line.apart_rad) < 0.05
+    assert edges_of_cube.line_in(background, background, MM_PER_PX) is None

@@ -82,6 +82,10 @@ def test_the_lag_of_a_gauge_is_found_and_removed(table, calibration, volumes, la
     found = read_loads(table("image,object,grasp,frame,force_n", rows), calibration)
     assert found.lag_frames == lag
     assert len(found.loads) == len(volumes) - abs(lag)
+    assert {load.grasp for load in found.loads} == {"0"}
+    read = np.array([touch.volume_mm3 for touch in found.touches])
+    assert [touch.falling for touch in found.touches] == list(read < 0.9 * np.maximum.accumulate(read))
+    assert np.any(read < 0.9 * read.max())
     model = calibrate_force(found.touches, found.loads)
     assert model.normal.weights[0][0] == pytest.approx(K)
 

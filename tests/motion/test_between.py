@@ -177,6 +177,23 @@ def test_unknown_sigmas_count_little():
         assert gelform.motion_between(unsure, second).pose[0, 3] == pytest.approx(0.3, abs=0.01)
 
 
+def test_without_a_start_the_middle_of_the_contact_leads():
+    true = pose(1.3, -0.9, yaw=3.0)
+    found = gelform.motion_between(contact_of(texture(), seed=1), contact_of(texture(), true, seed=2))
+    assert found.state == FOUND, found.why
+    assert np.abs(off_by(found, true)).max() < 0.02
+
+
+def test_slopes_count_as_they_were_read():
+    """The solved ones may have a crest at another place."""
+    first, second = contact_of(texture(), seed=1), contact_of(texture(), pose(0.3), seed=2)
+    solved = np.roll(second.gradients, 2, axis=1)
+    found = gelform.motion_between(
+        first, replace(second, gradients=solved, observed_gradients=second.gradients)
+    )
+    assert found.pose[0, 3] == pytest.approx(0.3, abs=0.01)
+
+
 def test_an_object_that_hardly_moved_cannot_be_told_from_a_blind_one():
     found = gelform.motion_between(contact_of(texture(), seed=1), contact_of(texture(), pose(0.05), seed=2))
     assert found.state == UNSURE
@@ -194,7 +211,7 @@ REFUSED = {
     "out of order": (touch(time_s=0.5), None),
     "no contact": (touch(radius_mm=0.2), None),
     "25 % are needed": (touch(pose(4.6), stays=True), pose(4.5)),
-    "from the start": (touch(pose(0.7)), None),
+    "from the start": (touch(pose(0.7)), np.eye(4)),
     "turned by 1[123]": (touch(pose(yaw=12)), pose(yaw=11)),
     "another object": (touch(face=lambda x, y: 0.6 * texture(5)(3 * x, 3 * y)), None),
 }

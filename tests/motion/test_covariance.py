@@ -23,9 +23,11 @@ def fitted():
     return first, first.equations(second, pose(0.2))
 
 
-def test_the_place_adds_to_x_and_y_alone(fitted):
+def test_the_place_adds_to_x_and_y_and_to_turns_over_the_contact(fitted):
     plain, placed = (pose_covariance(*fitted, np.eye(6), mm) for mm in (0.0, 0.1))
-    np.testing.assert_allclose(placed - plain, np.diag([0.01, 0.01, 0, 0, 0, 0]), atol=1e-12)
+    away = fitted[0].points - fitted[0].middle
+    turn = 0.01 * 0.25**2 / np.mean(np.sum(np.square(away), axis=1))
+    np.testing.assert_allclose(placed - plain, np.diag([0.01, 0.01, 0, *[turn] * 3]), rtol=1e-5, atol=1e-12)
     assert (np.linalg.eigvalsh(plain) > 0).all()
 
 

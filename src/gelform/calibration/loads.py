@@ -14,7 +14,7 @@ from gelform.calibration.presses.press_set import file_of, number, table_rows
 from gelform.calibration_file import Calibration, as_calibration
 from gelform.depth.force.fit import LEAST_RANGE, LEAST_SHARE, Load
 from gelform.depth.force.model import why_no_normal
-from gelform.depth.force.touch import Touch, touch_from_result
+from gelform.depth.force.touch import Touch, touch_from_result, touches_in_order
 from gelform.errors import DataError
 from gelform.foundations.checks import check_path
 from gelform.foundations.progress import Progress, no_progress
@@ -108,10 +108,13 @@ def read_loads(
     lag = lags[0] if len(set(lags)) == 1 else None
     for film, own in zip(films, lags):
         known[film.rows] = film.loads(own or 0)
+        order = film.rows[np.argsort(film.times)].tolist()
+        for i, touch in zip(order, touches_in_order([touches[i] for i in order])):
+            touches[i] = touch
     kept = np.flatnonzero(np.isfinite(known).any(axis=1))
     if not kept.size:
         raise DataError(f"Expected loads in {folder / TABLE}: a column force_n, or force_x_n and force_y_n.")
-    loads = [_load(rows[i][1]["object"], known[i]) for i in kept]
+    loads = [_load(rows[i][1], known[i]) for i in kept]
     return LoadedPresses([touches[i] for i in kept], loads, [rows[i][1]["image"] for i in kept], lag)
 
 
@@ -141,9 +144,10 @@ def _loads_of(row: Row) -> list[float]:
     return [number(cells[name], name, where) if cells.get(name) else np.nan for name in COLUMNS]
 
 
-def _load(name: str, values: NDArray[np.float64]) -> Load:
+def _load(cells: dict[str, str], values: NDArray[np.float64]) -> Load:
     normal, x, y, torsion = (value if np.isfinite(value) else None for value in values.tolist())
-    return Load(name, normal, None if x is None or y is None else (x, y), torsion)
+    shear = None if x is None or y is None else (x, y)
+    return Load(cells["object"], normal, shear, torsion, cells.get("grasp") or "")
 
 
 def _films(folder: Path, rows: list[Row]) -> Iterator[_Film]:

@@ -29,7 +29,7 @@ REACH = (MOST_FROM_START_MM, float(np.radians(MOST_TURN_DEG)))
 NO_PRIOR = (10.0, float(np.radians(MOST_TURN_DEG)))
 # Mm and rad: beyond, the squares of a prior and of what was seen have no common precision.
 PRIORS = (1e-6, 1e6)
-PLACE_ERROR = 0.014  # error of a ball's place over its displacement, the largest of four sensors (.004-.014)
+PLACE_ERROR = 0.006  # error of a ball's place over its displacement, the largest of three Minis (two GelSlims .010, .015)
 MOST_MISFIT = 1.0  # of the surfaces after the motion, in their stated errors; .84 at most on real contacts
 UNKNOWN_MM = 1e3  # mm, standard deviation of what is not known at all
 # Share of the covariance by the stated sigmas alone that remains where residuals are 0 or come from one block, which
@@ -79,10 +79,11 @@ def motion_between(
     Parameters
     ----------
     a, b : results (H, W) of one calibration, with a scale
-    start : (4, 4), about where it moved, within 0.5 mm; where it was by default
+    start : (4, 4), about where it moved, within 0.5 mm. By default where it was, and if that is lost, where the middle of
+        the touched pixels is
     prior : (mm, rad), standard deviations of the start's shift and turn. The result is the best of both; blind directions
         take the prior alone. By default nothing is known: 10 mm and 10 degrees
-    place_error : error of a place over the displacement, a calibration's `settings.place_error`; None: that of a bad sensor
+    place_error : error of a place over the displacement, a calibration's `settings.place_error`; None: that of a Mini
 
     Returns
     -------
@@ -99,7 +100,12 @@ def motion_between(
     if why := not_comparable(a, b):
         return lost(why)
     begin = np.eye(4) if start is None else checked_pose(start, "start")
-    return motion_of(first, second, begin, checked_prior(prior), checked_place_error(place_error))
+    known = checked_prior(prior), checked_place_error(place_error)
+    motion = motion_of(first, second, begin, *known)
+    if motion.state == LOST and start is None and min(first.count, second.count) >= LEAST_PX:
+        begin[:2, 3] = second.centroid - first.centroid
+        motion = motion_of(first, second, begin, *known)
+    return motion
 
 
 def checked_prior(prior: Sequence[float] | None) -> tuple[float, float]:
@@ -111,7 +117,7 @@ def checked_prior(prior: Sequence[float] | None) -> tuple[float, float]:
 
 
 def checked_place_error(share: float | None) -> float:
-    """The error of a place over the displacement; None: the largest of four sensors."""
+    """The error of a place over the displacement; None: the largest of three Minis."""
     return PLACE_ERROR if share is None else check_within(share, "place_error", 0, 1)
 
 
@@ -164,8 +170,9 @@ def motion_of(
     own = pose_covariance(first, found, freely, travel * place_error)
     if filled := blind_depth(first, second):
         own[2, 2] += UNKNOWN_MM**2
-    along = (freely / np.square(first.scale)[:, None]).T  # of a step, its parts in these directions
-    pose, covariance = _with_prior(pose, start, center, along, along @ own @ along.T + LUCK * stated, prior)
+    along = np.linalg.inv(np.column_stack([freely, *(one.direction for one in blind)]))[: freely.shape[1]]
+    seen = along @ own @ along.T + LUCK * stated
+    pose, covariance = _with_prior(pose, start, center, freely, along, seen, prior)
     if why := _too_far(pose, start, center):
         return lost(why, shared)
     state = FOUND if has_moved(first, pose) else UNSURE
@@ -173,17 +180,24 @@ def motion_of(
 
 
 def _with_prior(
-    pose: Array, start: Array, center: Array, along: Array, own: Array, prior: tuple[float, float]
+    pose: Array,
+    start: Array,
+    center: Array,
+    freely: Array,
+    along: Array,
+    own: Array,
+    prior: tuple[float, float],
 ) -> tuple[Array, Array]:
     """The best pose by what was seen along (k, 6), with its covariance (k, k), and by the prior; and its covariance.
 
+    The step from the start is one of the free motions (6, k): where nothing was seen, the start stays.
     Kalman's update in Joseph's form: the sum that is inverted is definite, because both parts are.
     """
     held = np.diag(np.square(np.repeat(prior, 3)))
     gain = np.linalg.solve(along @ held @ along.T + own, along @ held).T
     left = np.eye(6) - gain @ along
     step = step_of_pose(pose @ np.linalg.inv(start), center)
-    found = pose_of_step(gain @ along @ step, center) @ start
+    found = pose_of_step(freely @ along @ gain @ along @ step, center) @ start
     return found, left @ held @ left.T + gain @ own @ gain.T
 
 

@@ -1,10 +1,10 @@
 """The covariance of a pose: of errors that neighbors share, and of those that residuals cannot show.
 
 No plain estimator is honest here, because errors of slopes are alike over many pixels and partly the same in both frames.
-C = F S F + R D R' + p p' + (f d)^2 on x and y: S from the sums of 16 px blocks (a sandwich), F and D factors that were
+C = F S F + R D R' + p p' + (f d)^2 E: S from the sums of 16 px blocks (a sandwich), F and D factors that were
 chosen on simulated and real contacts (docs/motion.md), R the pose's response to slopes that are off everywhere, p the pull
 of errors that stay at their place while the object moves a little, f d the error of a place on the sensor, in proportion to
-the displacement.
+the displacement; E = 1 for x and y, and for turns less, over the contact's radius, because the error changes along it.
 """
 
 from __future__ import annotations
@@ -18,6 +18,8 @@ from gelform.motion.surface import MOVED_PX, Equations, TouchedSurface
 BLOCK_PX = 16  # px, side of the blocks whose errors count as independent
 FACTORS = np.array([1, 1, 5.5, 2.8, 2.8, 1])  # of the sandwich's standard deviations: x, y, z, tilts, yaw
 OFFSET, GAIN = 0.003, 0.02  # mm/mm, and of a slope: standard deviations of what all slopes have in common
+
+PLACE_TURN = 0.25  # of the error of a place, by which the ends of a contact err against each other
 
 
 def pose_covariance(surface: TouchedSurface, equations: Equations, seen: Array, place_mm: float) -> Array:
@@ -35,7 +37,7 @@ def pose_covariance(surface: TouchedSurface, equations: Equations, seen: Array, 
     response = inverse @ np.vstack([*common, _pull(surface, equations)]).T
     covariance = sandwich * np.outer(FACTORS, FACTORS)
     covariance += (response * np.square([OFFSET, GAIN, OFFSET, GAIN, 1])) @ response.T
-    covariance[[0, 1], [0, 1]] += place_mm**2
+    covariance += np.diag(np.square(place_mm * surface.scale * (1, 1, 0, PLACE_TURN, PLACE_TURN, PLACE_TURN)))
     return np.asarray(covariance, dtype=np.float64)
 
 

@@ -102,7 +102,9 @@ class TouchedSurface:
         self.closed = _closed(result.contact[rows, cols], self.pitch)
         self.contact = self.closed & result.known[rows, cols]
         self.depth = np.ascontiguousarray(result.depth_mm[rows, cols])
-        self.gradients = np.ascontiguousarray(result.gradients[rows, cols])
+        # As read: a solution that smooths a crest moves it.
+        slopes = result.gradients if result.observed_gradients is None else result.observed_gradients
+        self.gradients = np.ascontiguousarray(slopes[rows, cols])
         self.origin: Array = np.array([(width - 1) / 2 - cols.start, (height - 1) / 2 - rows.start])
         self.variances = _variances(result, rows, cols)
         for size, unit in ((self.depth, "mm"), (self.gradients, "mm/mm")):
@@ -150,6 +152,11 @@ class TouchedSurface:
     def middle(self) -> Array:
         """The mean (3,) of the points."""
         return np.asarray(self.points.mean(axis=0, dtype=np.float64))
+
+    @property
+    def centroid(self) -> Array:
+        """The mean place (2,) of the touched pixels, mm."""
+        return np.asarray((np.argwhere(self.contact).mean(axis=0)[::-1] - self.origin) * self.pitch)
 
     @cached_property
     def scale(self) -> Array:

@@ -31,6 +31,14 @@ def test_the_forces_of_a_block_and_its_dots():
     assert force.reason == ""
 
 
+def test_sigma_has_that_of_the_volume_and_half_of_a_falling_force():
+    touch = touch_from_result(pressed())
+    unsure = force_from_result(replace(touch, volume_sigma_mm3=0.2), MODEL)
+    assert unsure.normal_sigma_n == pytest.approx(np.sqrt(0.6**2 + 0.4**2 + 0.4**2))
+    falling = force_from_result(replace(touch, falling=True), MODEL)
+    assert falling.normal_sigma_n == pytest.approx(np.hypot(1.0, 0.4))
+
+
 def test_torsion_has_the_sign_of_the_turn():
     at = GRID - GRID.mean(axis=0)
     force = force_from_result(dotted(0.05 * at[:, ::-1] * (-1, 1)), MODEL)
@@ -40,6 +48,10 @@ def test_torsion_has_the_sign_of_the_turn():
 REFUSED = {
     "soft": (pressed(outside_change=0.4), "soft"),
     "low confidence": (pressed(confidence=np.full((60, 80), 0.49, np.float32)), "confidence"),
+    "an uncertain volume": (
+        replace(pressed(), depth_sigma_mm=np.full((60, 80), 0.21, np.float32)),
+        "uncertain",
+    ),
     "at the border": (pressed(np.s_[0:10, 30:50]), "border"),
     "beyond the range": (pressed(depth_mm=3.1), "range"),
     "no contact": (pressed(depth_mm=0), "no contact"),

@@ -1,11 +1,13 @@
 """The numbers of a touch: its volume, its place, and the motion of the dots, on maps and motions that are written out."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import gelform
 from gelform.depth.force.model import Dots
-from gelform.depth.force.touch import DotMotion, Touch, touch_from_dots, touch_from_result
+from gelform.depth.force.touch import DotMotion, Touch, touch_from_dots, touch_from_result, touches_in_order
 from gelform.image.markers import MarkerFlow
 from gelform.result import Reconstruction
 
@@ -49,6 +51,26 @@ def test_uneven_pixels_and_depth_outside_the_contact():
     result = pressed(mm_per_px=(0.1, 0.2))
     result.depth[:10] = -0.3
     assert touch_from_result(result).volume_mm3 == pytest.approx(2.0, rel=1e-6)
+
+
+def test_a_volume_is_as_uncertain_as_its_depth_and_the_depth_beside_it():
+    sigma = np.full(SHAPE, 0.03, np.float32)
+    sigma[20:30, 30:50] = 0.1
+    stated = replace(pressed(), depth_sigma_mm=sigma)
+    assert touch_from_result(stated).volume_sigma_mm3 == pytest.approx(0.1 * 2, rel=1e-5)
+    sunken = pressed()
+    sunken.depth[~sunken.contact] = -0.2
+    sunken.depth[:10] = -9
+    assert touch_from_result(sunken).volume_sigma_mm3 == pytest.approx(np.sqrt(2) * 0.2 * 2, rel=1e-5)
+    risen = pressed()
+    risen.depth[~risen.contact] = 0.2
+    assert touch_from_result(risen).volume_sigma_mm3 == 0
+
+
+def test_a_force_falls_from_a_tenth_below_the_largest_volume_of_a_contact():
+    touches = [Touch(volume_mm3=volume) for volume in (0, 1, 2, 1.9, 1.7, 0, 1, None, 0.5)]
+    falling = [touch.falling for touch in touches_in_order(touches)]
+    assert falling == [False, False, False, False, True, False, False, False, False]
 
 
 def test_the_part_of_a_contact_at_the_border():

@@ -31,10 +31,11 @@ LARGEST_LOAD = 1e9  # N and N mm; no press has more, and its square is far from 
 KNOWN_K = 0.045  # N/mm^3, middle of hard objects on the studied gel (.036 to .051)
 PER_NEWTON = {"grams": 1000 / 9.80665, "kilograms": 1 / 9.80665}
 LOADS_PER_TERM = 3  # loads for each weight of a dot force; with fewer, only its first term is fitted
-LONE_SPREAD = 0.30  # least relative standard deviation with one object, which does not show that of objects
+LONE_SPREAD = 0.30  # least relative standard deviation with one object, which does not show what others do
+EARLIER_OBJECTS = 2  # with LONE_SPREAD, beside the spread of several: unseen hard objects have .25-.3
 ONE_SIGMA = 0.683  # of a normal distribution within one standard deviation
 SMALL = 0.25  # of the forces, that tell the floor
-FOLDS = 5  # parts in time of a lone object
+FOLDS = 5  # parts in time of a lone grasp
 LEAST_RELATIVE_N = 2.0  # N; of smaller normal loads no relative error is stated
 Numbers = NDArray[np.float64]
 
@@ -49,12 +50,14 @@ class Load:
     normal_n : into the gel, N
     shear_n : (x, y) along the gel, N
     torsion_n_mm : about the view, N mm
+    grasp : of the object, by name: its presses err alike
     """
 
     object: str
     normal_n: float | None = None
     shear_n: tuple[float, float] | None = None
     torsion_n_mm: float | None = None
+    grasp: str = ""
 
 
 def calibrate_force(
@@ -63,7 +66,8 @@ def calibrate_force(
     """Fit a force model to presses with known loads.
 
     The normal force is K times the volume of the depth in the contact, with the median of log F - log V. Shear and torsion
-    are linear in the motion of the dots. Standard deviations come from leaving out one object after the other.
+    are linear in the motion of the dots. Standard deviations come from leaving out one grasp after the other, or object
+    without grasps. Falling forces are left out.
 
     Parameters
     ----------
@@ -168,7 +172,8 @@ def _fit(kind: str, touches: list[Touch], loads: list[Load]) -> ForcePart | None
         return None
     target = np.array([_value(loads[i], kind) for i in measured], dtype=np.float64).reshape(len(measured), -1)
     if kind == "normal":
-        reasons = [why_no_normal(touches[i]) for i in measured]
+        own = [touches[i] for i in measured]
+        reasons = [why_no_normal(touch) or ("the force falls" if touch.falling else "") for touch in own]
     else:
         reasons = _why_no_dots([touches[i] for i in measured])
     usable = np.array([reason == "" for reason in reasons])
@@ -183,7 +188,7 @@ def _fit(kind: str, touches: list[Touch], loads: list[Load]) -> ForcePart | None
             f"{len(measured)}.{why}"
         )
     terms = np.array([terms_of(touches[i], kind) for i, use in zip(measured, usable) if use])
-    objects = np.array([loads[i].object for i, use in zip(measured, usable) if use])
+    grasps = np.array([(loads[i].object, loads[i].grasp) for i, use in zip(measured, usable) if use])
     target, solve = target[usable], _stiffness if kind == "normal" else _weights
     size = np.linalg.norm(target, axis=1)
     if size.max() < LEAST_RANGE * size.min() or size.max() <= 0:
@@ -192,11 +197,16 @@ def _fit(kind: str, touches: list[Touch], loads: list[Load]) -> ForcePart | None
             f"{size.max():.3g}. Press lightly and firmly."
         )
     predicted = np.empty_like(target)
-    for out in _folds(objects):
+    for out in _folds(grasps):
         predicted[out] = terms[out] @ solve(terms[~out], target[~out])
-    spread = _spread(predicted, target, lone=len(set(objects)) == 1)
+    relative, floor = _spread(predicted, target)
+    if (count := len(set(grasps[:, 0]))) == 1:
+        relative = max(relative, LONE_SPREAD)
+    elif kind == "normal":
+        squares = count * relative**2 + EARLIER_OBJECTS * LONE_SPREAD**2
+        relative = float(np.sqrt(squares / (count + EARLIER_OBJECTS)))
     weights = tuple(map(tuple, solve(terms, target).T.tolist()))
-    return ForcePart(weights, (float(size.min()), float(size.max())), *spread, len(target))
+    return ForcePart(weights, (float(size.min()), float(size.max())), relative, floor, len(target))
 
 
 def _why_no_dots(touches: list[Touch]) -> list[str]:
@@ -245,15 +255,15 @@ def _weights(terms: Numbers, target: Numbers) -> Numbers:
     return weights
 
 
-def _folds(objects: NDArray[np.str_]) -> list[NDArray[np.bool_]]:
-    """The presses of each object; of a lone object, its parts in the order of the presses."""
-    if len(names := np.unique(objects)) > 1:
-        return [objects == name for name in names]
-    part = np.arange(len(objects)) * min(FOLDS, len(objects)) // len(objects)
-    return [part == k for k in np.unique(part)]
+def _folds(grasps: NDArray[np.str_]) -> list[NDArray[np.bool_]]:
+    """The presses of each object and grasp (N, 2); of a lone one, its parts in the order of the presses."""
+    names, part = np.unique(grasps, axis=0, return_inverse=True)
+    if len(names) == 1:
+        part = np.arange(len(grasps)) * min(FOLDS, len(grasps)) // len(grasps)
+    return [part.ravel() == k for k in np.unique(part)]
 
 
-def _spread(force: Numbers, truth: Numbers, *, lone: bool) -> tuple[float, float]:
+def _spread(force: Numbers, truth: Numbers) -> tuple[float, float]:
     """Standard deviations of forces (N, components): the relative one of all, then the floor from the smallest quarter.
 
     Both are such that 68 % of the errors are within one standard deviation.
@@ -261,7 +271,6 @@ def _spread(force: Numbers, truth: Numbers, *, lone: bool) -> tuple[float, float
     error, size = np.abs(force - truth), np.linalg.norm(force, axis=1)[:, None]
     larger = np.maximum(size, np.linalg.norm(truth, axis=1)[:, None])
     relative = float(np.quantile(error / np.maximum(larger, 1e-12), ONE_SIGMA))
-    relative = max(relative, LONE_SPREAD) if lone else relative
     small = (larger <= np.quantile(larger, SMALL))[:, 0]
     left = np.maximum(error[small] ** 2 - (relative * size[small]) ** 2, 0)
     return relative, float(np.sqrt(np.quantile(left, ONE_SIGMA)))

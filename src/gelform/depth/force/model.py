@@ -22,6 +22,8 @@ UNIT = "N"
 MOST_OUTSIDE_CHANGE = 0.4  # color change outside the contact, over that inside
 LEAST_CONFIDENCE = 0.5  # mean in the contact
 MOST_IN_BORDER = 0.05  # of the volume, in the band along the border
+MOST_VOLUME_SIGMA = 0.4  # of the volume
+FALLING_SIGMA = 0.5  # of a falling normal force
 BEYOND_RANGE = 1.2  # of the largest calibrated load
 DOT_TOLERANCE = 0.15  # of the dots' spacing; a shifted grid of that pitch passes in 7 % (pi 0.15^2)
 NO_LOADS = "no loads were calibrated (gelform force calibrate)"
@@ -36,7 +38,7 @@ class ForcePart:
     weights : one row for each component. Of a normal force, K in N/mm^3, which is empirical, no constant of the material; of
         shear and torsion, those of x, y, turn, tilt along x and y, and the constant of the gauge
     range : smallest and largest magnitude of the loads
-    relative, floor : standard deviation over the force, and at no force, learnt by leaving objects out
+    relative, floor : standard deviation over the force, and at no force, learnt by leaving grasps out
     loads : number of loads that were used
     """
 
@@ -57,9 +59,13 @@ class ForcePart:
         high, loads = check_positive(high, "range"), int(check_positive(stored["loads"], "loads"))
         return cls(tuple(map(tuple, weights.tolist())), (low, high), relative, floor, loads)
 
-    def sigma(self, force: NDArray[np.float64]) -> float:
-        """The standard deviation of each component of a force."""
-        return float(np.hypot(self.relative * np.linalg.norm(force), self.floor))
+    def sigma(self, force: NDArray[np.float64], touch: Touch) -> float:
+        """The standard deviation of each component of a force; a normal one has that of the touch's volume too."""
+        size, relative = np.linalg.norm(force), self.relative
+        if len(force) == 1 and touch.volume_mm3:
+            relative = max(self.relative, FALLING_SIGMA) if touch.falling else self.relative
+            relative = np.hypot(relative, touch.volume_sigma_mm3 / touch.volume_mm3)
+        return float(np.hypot(relative * size, self.floor))
 
 
 class Dots:
@@ -183,7 +189,7 @@ def force_from_result(result: Any, model: ForceModel | None) -> Force:
     -------
     Force
         With a standard deviation for each part, or None and the reason: a soft object or a contact beyond the view, low
-        confidence, a contact at the border, a force beyond the calibrated range, another gel, no dots.
+        confidence, an uncertain volume, a contact at the border, a force beyond the calibrated range, another gel, no dots.
 
     Raises
     ------
@@ -206,7 +212,7 @@ def force_from_result(result: Any, model: ForceModel | None) -> Force:
             if np.linalg.norm(force) <= BEYOND_RANGE * part.range[1]:
                 value = force.tolist()
                 found[f"{kind}_{unit}"] = value[0] if len(value) == 1 else tuple(value)
-                found[f"{kind}_sigma_{unit}"] = part.sigma(force)
+                found[f"{kind}_sigma_{unit}"] = part.sigma(force, touch)
             else:
                 reason = f"beyond the calibrated range: loads were up to {part.range[1]:.3g}"
         found[f"{kind}_reason"] = reason
@@ -233,6 +239,8 @@ def why_no_normal(touch: Touch) -> str:
         return (
             f"low confidence: its mean in the contact is {touch.confidence:.2f}, below {LEAST_CONFIDENCE:g}"
         )
+    if (share := touch.volume_sigma_mm3 / touch.volume_mm3) > MOST_VOLUME_SIGMA:
+        return f"an uncertain volume: its standard deviation is {100 * share:.0f} % of it"
     if touch.border_share > MOST_IN_BORDER:
         return f"a contact at the border: {100 * touch.border_share:.0f} % of it, so part of it may be out of view"
     return ""

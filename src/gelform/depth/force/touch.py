@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import cv2
@@ -13,6 +14,10 @@ from gelform.foundations.checks import check_mm_per_px, check_values
 
 IN_LINE = 1e-6  # width over length; dots within it lie in a line, however their places were rounded
 BORDER_FRACTION = 1 / 30  # of the image's height: the width of the band along its border, 8 px of 240
+BESIDE_FRACTION = (
+    1 / 12
+)  # of the image's height, around a contact, where depth below 0 shows the error of depth
+HELD = 0.9  # of the largest volume of a contact; with less, its force falls
 
 
 class DotMotion(NamedTuple):
@@ -38,6 +43,8 @@ class Touch:
     dots : their motion; None if the gel has none, or fewer than half are seen
     rest_mm : (N, 2), positions of all dots at rest; None without dots
     calibration_digest : of the calibration behind the result
+    volume_sigma_mm3 : standard deviation of the volume
+    falling : whether the contact had more volume before, as `touches_in_order` tells; a lone result does not
     """
 
     volume_mm3: float | None = None
@@ -47,6 +54,8 @@ class Touch:
     dots: DotMotion | None = None
     rest_mm: NDArray[np.float64] | None = None
     calibration_digest: str = ""
+    volume_sigma_mm3: float = 0.0
+    falling: bool = False
 
 
 def touch_from_result(result: Any) -> Touch:
@@ -67,14 +76,36 @@ def touch_from_result(result: Any) -> Touch:
     inside = pressed[
         max(band - y, 0) : max(rows - band - y, 0), max(band - x, 0) : max(columns - band - x, 0)
     ]
+    beside = max(1, round(BESIDE_FRACTION * rows))
+    wide = slice(max(y - beside, 0), y + height + beside), slice(max(x - beside, 0), x + width + beside)
+    below = np.minimum(result.depth[wide], 0, where=~contact[wide], out=np.zeros_like(result.depth[wide]))
+    # Neighbors err alike, so the volume is as uncertain as the depth. Depth cannot be below 0, and errs as often above.
+    variance = 2 * float(np.square(below).sum()) / max(int(np.count_nonzero(~contact[wide])), 1)
+    if result.depth_sigma_mm is not None:
+        variance += float(np.square(result.depth_sigma_mm[box][touched], dtype=np.float64).mean())
+    area = float(np.prod(check_mm_per_px(pitch)))
     whole, inner = float(pressed.sum(dtype=np.float64)), float(inside.sum(dtype=np.float64))
     return Touch(
-        volume_mm3=whole * float(np.prod(check_mm_per_px(pitch))),
+        volume_mm3=whole * area,
+        volume_sigma_mm3=float(np.sqrt(variance)) * np.count_nonzero(touched) * area,
         confidence=float(result.confidence[box][touched].mean()),
         outside_change=result.outside_change,
         border_share=min(max(1 - inner / whole, 0.0), 1.0) if whole > 0 else 0.0,
         **known,
     )
+
+
+def touches_in_order(results: Iterable[Any]) -> Iterator[Touch]:
+    """The touches of results, or of touches, in the order of their frames: they know whether the force falls.
+
+    A gel that is released keeps its force longer than its contact, so a volume says less about a falling force.
+    """
+    largest = 0.0
+    for one in results:
+        touch = one if isinstance(one, Touch) else touch_from_result(one)
+        volume = touch.volume_mm3 or 0.0
+        largest = max(largest, volume) if volume > 0 else 0.0
+        yield replace(touch, falling=volume < HELD * largest)
 
 
 def touch_from_dots(rest_mm: ArrayLike, displacement_mm: ArrayLike) -> Touch:
