@@ -230,15 +230,17 @@ class FrameRecord:
     @once
     def health(self) -> tuple[Finding, ...]:
         """All findings."""
-        steep: tuple[Finding, ...] = ()
+        of_depth: tuple[Finding, ...] = ()
         if self.depth_errors is not None:
-            steep = steep_finding(self.depth_mm, self.contact, self.budget.steep, self.depth_errors)
+            of_depth = (
+                *steep_finding(self.depth_mm, self.contact, self.budget.steep, self.depth_errors),
+                *self.today.contact.pressed_background(*self._touch(DepthErrors.slope_sigma)),
+            )
         touched = partial(self.today.untouched_image.touched, self.seen.image)
         return (
             *self.findings,
-            *steep,
+            *of_depth,
             *unknown_contact(self.contact, self.slopes.at_rest, self.known, touched),
-            *self.today.contact.pressed_background(*self._touch(DepthErrors.slope_sigma)),
         )
 
     @property

@@ -43,7 +43,8 @@ def test_the_force_is_there_with_its_sigma_or_the_reason(shown, result):
     model = ForceModel(part, None, None, (), ("ball",), result.calibration_digest, "")
     force = replace(shown, result=replace(result, force_model=model), _made={}).header()["force"]
     assert force["normal_n"] == pytest.approx(3 * measures_of(result).volume, rel=1e-5)
-    assert force["normal_sigma_n"] == pytest.approx(np.hypot(0.2 * force["normal_n"], 0.1))
+    of_model = np.hypot(0.2 * force["normal_n"], 0.1)
+    assert of_model < force["normal_sigma_n"] < 1.2 * of_model, "the volume's own is in it"
     assert force["shear_x_n"] is None is force["torsion_n_mm"]
     assert "no loads" in force["force_reason"]
     json.dumps(force)

@@ -93,6 +93,7 @@ def test_a_folder_plays_once_and_stays_at_its_end(tmp_path, simulated, calibrati
     calibration.save(tmp_path / "mine.npz")
     with closing(start(Options([str(tmp_path)], [tmp_path / "mine.npz"]))) as hub:
         station = hub.stations[0]
+        hub.sinks += 1  # as a page, for which it waits
         until(lambda: (r := station.facts()["replay"]) and not r["playing"] and r["number"] == 3)
         until(lambda: (one := station.newest) and one.frame.number == 3 and one.result)
         assert station.facts()["state"] == "running"  # held, not lost

@@ -134,6 +134,9 @@ def test_presses_that_determine_no_calibration(what):
         for name, places in PLACES.items()
     }
     rest = constant[0] if what == "constant" else UNTOUCHED
+    if what == "the border":  # half of each ball is enough, around the whole frame
+        assert calibrated(images[what], rest).held_out["normal_free_deg"] < 1.5
+        return
     assert judge(what, lambda: calibrated(images[what], rest)) == "error"
 
 
