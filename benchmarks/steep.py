@@ -39,7 +39,7 @@ def of_balls(
     reconstruct, rows = gelform.Reconstructor(calibration), []
     for press in presses.presses:
         result = reconstruct.from_image(press.image)
-        true, off, inside = slopes_inside(calibration, press, result, edge)
+        true, off, inside = slopes_inside(press, result, edge)
         sure = result.confidence[inside] > SURE
         inner = distance(result, press.label[:2])[inside] < INNER * press.label[2]
         columns = [(off < k).mean(axis=1) for k in (1, 2)] + [sure, np.where(inner, sure, np.nan)]
