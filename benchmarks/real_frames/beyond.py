@@ -6,7 +6,6 @@ held-out pixels that are steeper. A carried calibration is of another unit of th
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 from unittest.mock import patch
 
@@ -64,18 +63,15 @@ def beyond(run: Run) -> dict[str, Any]:
 
 def below(presses: Any, limit: float) -> gelform.Calibration:
     """A calibration that has seen, and judged itself by, the slopes below a limit alone."""
-    radius, within = PreparedPress.contact_radius, HeldOutSample.within
+    radius, inside = PreparedPress.contact_radius, HeldOutSample.inside
 
     def near(self: PreparedPress, contact: Any) -> float:
         return min(radius(self, contact), float(np.sin(np.arctan(limit))) * self.ball_radius_px)
 
-    def gentle(self: HeldOutSample, zone: float) -> HeldOutSample:
-        one = within(self, zone)
-        keep = np.linalg.norm(one.true_gradients, axis=1) < limit
-        names = ("x_px", "y_px", "true_gradients", "gradients")
-        return replace(one, **{name: getattr(one, name)[keep] for name in names})
+    def gentle(self: HeldOutSample, zone: float) -> np.ndarray:
+        return inside(self, zone) & (np.linalg.norm(self.true_gradients, axis=1) < limit)
 
-    with patch.object(PreparedPress, "contact_radius", near), patch.object(HeldOutSample, "within", gentle):
+    with patch.object(PreparedPress, "contact_radius", near), patch.object(HeldOutSample, "inside", gentle):
         return gelform.calibrate(unlabeled(presses), start=None)
 
 
