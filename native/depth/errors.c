@@ -14,7 +14,7 @@ static inline float square_of(float x) { return x * x; }
 static inline void add_row(const struct numbers *restrict n, const float *restrict slopes, const float *restrict depth,
                            const bool *restrict at_rest, const float *restrict read, const float *restrict steep,
                            float *restrict sums, ptrdiff_t w) {
-  const float most = 2 * square_of(n->full), gain = square_of(n->gain), doubted = 0.5f * square_of(n->doubted);
+  const float most = 2 * square_of(n->full), gain = square_of(n->gain), doubted = square_of(n->doubted);
   float *errors = sums, *of_contact = sums + w, *below = sums + 2 * w, *free = sums + 3 * w, *common_p = sums + 4 * w,
         *common_q = sums + 5 * w, *steep_p = sums + 6 * w, *steep_q = sums + 7 * w, *rest = sums + 8 * w;
   INDEPENDENT
@@ -28,8 +28,7 @@ static inline void add_row(const struct numbers *restrict n, const float *restri
     below[x] += 2 * low * low;
     free[x] += larger(resting, low < 0 ? 1 : 0);
     rest[x] += resting;
-    // one deviation of |slope| is shared by both components, so its square is twice that of each
-    const float each = steep[x] * steep[x], doubt = each > doubted ? 2 * each : 0;
+    const float each = steep[x] * steep[x], doubt = each > doubted ? each : 0;
     const float per_slope = 1 / sqrtf(larger(square, 1e-12f));
     const float common = sqrtf(gain * square + doubt) * per_slope, alone = sqrtf(doubt) * per_slope;
     common_p[x] += common * p, common_q[x] += common * q;

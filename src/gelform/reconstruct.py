@@ -50,13 +50,16 @@ from gelform.slopes.gradients import slopes_of_solution
 
 # Values for an imported calibration without its own; they affect the contact mask and the anchor, but no slope.
 USUAL_WIDTH_MM = 20.0  # mm, width of the frame on the gel; about that of a GelSight Mini
-USUAL_SIGMA = SlopeSigma(
-    rest=0.05, per_step=0.05, full_confidence_sigma=0.05, correlation_px=1.0, shown=(10.0, 10.0)
-)
+USUAL_SIGMA = 0.05  # mm/mm, standard deviation of a slope
 BYTES_PER_PX = 80  # bytes that one frame allocates in all
 ON_DEMAND = (  # what a result computes on first use
     "gradients", "gradients_sigma", "confidence", "depth_sigma_mm", "contact", "health", "outside_change", "curl_rms",
 )  # fmt: skip
+
+
+def _usual_sigma() -> SlopeSigma:
+    one = USUAL_SIGMA
+    return SlopeSigma(rest=one, per_step=one, full_confidence_sigma=one, correlation_px=1.0, shown=(1e3, 1e3))
 
 
 class FromCalibration:
@@ -64,7 +67,7 @@ class FromCalibration:
 
     def __init__(self, calibration: Calibration, solver: str) -> None:
         self.calibration, self.known = calibration, calibration.slope_sigma
-        shape, forward, sigma = calibration.image_shape, calibration.forward, self.known or USUAL_SIGMA
+        shape, forward, sigma = calibration.image_shape, calibration.forward, self.known or _usual_sigma()
         self.slope_sigma = sigma
         self.pitch = calibration.mm_per_px or USUAL_WIDTH_MM / shape[1]
         self.stepped = SteppedSlopes(forward, shape, calibration.untouched_change)

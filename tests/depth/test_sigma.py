@@ -105,8 +105,8 @@ def test_an_error_in_proportion_is_that_share_of_the_depth():
 def test_steep_slopes_may_miss_depth_and_are_named_where_that_is_most():
     depth, at_rest = bump(2.0), bump(1.0) < 0.01
     size = np.linalg.norm(slopes_of_solution(np.float32(depth), (PITCH, PITCH)), axis=-1)
-    found = errors_of(depth, at_rest, steep=(0.5 * size / 2**0.5) * (size > 0.05), factor=1e-3)
-    gentle = errors_of(depth, at_rest, steep=0.1, factor=1e-3)  # of a size of .14: not doubted
+    found = errors_of(depth, at_rest, steep=(0.5 * size) * (size > 0.05), factor=1e-3)
+    gentle = errors_of(depth, at_rest, steep=0.15, factor=1e-3)  # not doubted
     assert not gentle.steep_mm.any()
     np.testing.assert_allclose(found.common_mm, found.steep_mm, atol=1e-6)
     assert found.steep_mm.max() > 0.05
@@ -186,7 +186,7 @@ def numpy_errors(
     g = slopes.astype(float)
     square = (g**2).sum(-1)
     noise = np.minimum(square, 2 * np.minimum(read, full) ** 2)
-    low, doubt = np.minimum(depth, 0), np.where(steep**2 > doubted**2 / 2, 2 * steep.astype(float) ** 2, 0)
+    low, doubt = np.minimum(depth, 0), np.where(steep > doubted, steep.astype(float) ** 2, 0)
     unit = g / np.sqrt(np.maximum(square, 1e-12))[..., None]
     common, alone = np.sqrt(gain**2 * square + doubt)[..., None] * unit, np.sqrt(doubt)[..., None] * unit
     maps = [

@@ -71,18 +71,6 @@ EXPORT int magnitude_of_share(const float *values, const float *units, const boo
   return OK;
 }
 
-// The median magnitude of every `step`-th value that is below 0; 0 where none is.
-EXPORT int median_below(const float *values, float *work, float *magnitude, int64_t step, ptrdiff_t count, ptrdiff_t n) {
-  ptrdiff_t taken = 0;
-  if (step < 1 || n < 2 * ((count + step - 1) / step)) return WRONG_SIZE;
-  for (ptrdiff_t i = 0; i < count; i += step) {
-    work[taken] = -values[i];
-    taken += values[i] < 0;
-  }
-  *magnitude = taken ? median(work, taken, (uint32_t *)(work + taken)) : 0;
-  return OK;
-}
-
 static const float MOST_VARIANCE = 0.3f;  // (mm/mm)^2; a slope of such variance is not known at all
 
 // Variance of slopes, from their deviation as they were read where the gel is at rest, elsewhere of the solved depth's slopes.

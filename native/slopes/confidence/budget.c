@@ -78,15 +78,15 @@ static inline void add_rows(const struct budget *restrict c, struct lines *restr
 }
 
 // Steep slopes may be read too small, which no residual shows: those beyond the slopes that presses have shown, and all where the
-// model is another unit's. An error of the slope's size is shared by both components.
+// model is another unit's. An error of the slope's size is stated of both components: a face may lean either way.
 static inline void finish(const struct budget *restrict c, const struct lines *restrict l, float *restrict read,
                           float *restrict solved, float *restrict steep, float *restrict confidence, int n) {
   const float full = square_of(c->full), most = square_of(c->highest), per_fade = 1 / c->full;
-  const float spread = 0.5f * square_of(c->spread), factor = square_of(c->solved);
+  const float spread = square_of(c->spread), factor = square_of(c->solved);
   for (int k = 0; k < n; k++) {
     const float size = sqrtf(l->slope[k]), beyond = larger(size - c->shown, 0) * c->per_excess;
     const float other = c->carried * clamp((size - c->doubted) * per_fade + 1, 0, 1) * larger(c->steepest - size, 0);
-    const float seen = l->read[k] < most ? 1 : 0, missing = 0.5f * seen * smaller(square_of(beyond) + square_of(other), most);
+    const float seen = l->read[k] < most ? 1 : 0, missing = seen * smaller(square_of(beyond) + square_of(other), most);
     const float of_unit = spread * l->slope[k];
     read[k] = sqrtf(l->read[k]);
     solved[k] = sqrtf(smaller(factor * l->read[k], most) + of_unit);

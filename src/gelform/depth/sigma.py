@@ -200,7 +200,7 @@ def steep_finding(
     rest = float(errors.local_variance[deepest]) + (errors.gain_sigma * float(depth_mm[deepest])) ** 2
     if missing_mm**2 <= 9 * rest:
         return ()
-    doubted = contact & (steep > np.float32(DOUBTED / 2**0.5))
+    doubted = contact & (steep > np.float32(DOUBTED))
     share = float(doubted.mean()) / max(float(contact.mean()), 1e-9)
     message = (
         f"{100 * share:.0f} % of the contact are faces steeper than the presses have shown. If they are read too small, "

@@ -85,8 +85,8 @@ def test_the_spread_between_units_is_in_the_stated_deviations(layout, background
     wide, narrow = (gelform.Reconstructor(one)(image) for one in (calibration, known))
     np.testing.assert_array_equal(wide.depth_mm, narrow.depth_mm)
     slope = np.linalg.norm(narrow.gradients, axis=-1)
-    expected = np.hypot(narrow.gradients_sigma[..., 0], calibration.unit_spread / np.sqrt(2) * slope)
-    np.testing.assert_allclose(wide.gradients_sigma[..., 0], expected, rtol=0.05)  # by slopes as read
+    expected = np.hypot(narrow.gradients_sigma[..., 0], calibration.unit_spread * slope)
+    np.testing.assert_allclose(wide.gradients_sigma[..., 0], expected, rtol=0.08)  # by slopes as read
     deep = narrow.depth_mm > 0.2
     added = np.sqrt(np.maximum(wide.depth_sigma_mm**2 - narrow.depth_sigma_mm**2, 0))[deep]
     ratio = added / (calibration.unit_spread * np.abs(narrow.depth_mm[deep]))

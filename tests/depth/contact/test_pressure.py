@@ -257,7 +257,7 @@ def test_bending_agrees_with_numpy(margin, shape):
 @pytest.mark.parametrize("shift", [0.0, -3.0, 5.0])
 @pytest.mark.parametrize("step", [1, 3])
 def test_noise_agrees_with_numpy(shift, step):
-    """Of all magnitudes or chosen ones, and of the depths below 0: where there are none it is 0."""
+    """Of all magnitudes or chosen ones: where there are none it is 0."""
     rng = np.random.default_rng(0)
     values = rng.normal(shift, 1, (31, 17)).astype(np.float32)
     units = np.linspace(0.5, 3, values.size, dtype=np.float32).reshape(values.shape)
@@ -268,14 +268,9 @@ def test_noise_agrees_with_numpy(shift, step):
         sample = np.sort((np.abs(values) / np.sqrt(units)).ravel()[::step][taken])
         return sample[[int(share * (sample.size - 1))]] if sample.size else np.zeros(1)
 
-    def below(values, work, magnitude, step):
-        sample = values.ravel()[::step]
-        return np.array([-np.median(sample[sample < 0]) if (sample < 0).any() else 0.0])
-
     for chosen in (None, rng.random(values.shape) < 0.4, np.zeros(values.shape, bool)):
         arguments = values, units, chosen, work, magnitude, step, 0.3
         assert_kernel_agrees(pressure_module._magnitude_of_share, of_share, *arguments)
-    assert_kernel_agrees(pressure_module._median_below, below, values, work, magnitude, step)
 
 
 def around(values):

@@ -172,16 +172,16 @@ def steep_at(slopes, **unit):
 
 
 def test_a_unit_s_own_slopes_are_known_as_far_as_presses_showed_them():
-    """An error of a slope's size is shared by its two components."""
+    """An error of a slope's size is stated of both components."""
     found = steep_at([0.0, 0.3, 0.5, 0.6, 0.7])
-    np.testing.assert_allclose(found * 2**0.5, PER_EXCESS * np.array([0, 0, 0, 0.1, 0.2]), atol=1e-6)
-    assert steep_at([50.0])[0] == pytest.approx(STEEPEST_GEL / 2**0.5)
+    np.testing.assert_allclose(found, PER_EXCESS * np.array([0, 0, 0, 0.1, 0.2]), atol=1e-6)
+    assert steep_at([50.0])[0] == pytest.approx(STEEPEST_GEL)
 
 
 def test_two_sigma_of_another_unit_s_slopes_reach_the_steepest_face():
     slopes = np.array([0.3, 0.35, 0.45])
     found = steep_at(slopes, carried=1.0)
-    np.testing.assert_allclose(slopes + 2 * 2**0.5 * found, STEEPEST_FACE, rtol=1e-5)
+    np.testing.assert_allclose(slopes + 2 * found, STEEPEST_FACE, rtol=1e-5)
     np.testing.assert_allclose(steep_at([0.0, 0.1, 0.3 - CLEAN], carried=1.0), 0, atol=1e-6)
     np.testing.assert_allclose(steep_at(slopes, carried=0.25), found / 4, rtol=1e-5)
 
@@ -248,8 +248,8 @@ def numpy_budget(
     total = total if light is None else total + light.astype(float) ** 2
     own = per_excess * np.maximum(size - shown, 0)
     other = carried * np.clip((size - doubted) / full + 1, 0, 1) * np.maximum(steepest - size, 0)
-    missing = np.where(total < highest**2, np.minimum(own**2 + other**2, highest**2) / 2, 0)
-    unit = spread**2 * size**2 / 2
+    missing = np.where(total < highest**2, np.minimum(own**2 + other**2, highest**2), 0)
+    unit = spread**2 * size**2
     maps = [
         np.sqrt(total), np.sqrt(np.minimum(factor**2 * total, highest**2) + unit), np.sqrt(missing),
         np.minimum(full**2 / (total + unit + missing), 1),

@@ -21,7 +21,7 @@ def test_a_cause_is_said_in_a_sentence_and_not_of_less_than_a_press_shows_itself
     assert re.fullmatch(
         r"[a-z].*[.?]" if name not in ("wall", "light", "unit") else "", CAUSES[name].sentence
     )
-    assert name == "compression" or CAUSES[name].named_from > 0.2
+    assert name == "compression" or CAUSES[name].named_from > 0.3
     assert [cause.color for cause in CAUSES.values()].count(CAUSES[name].color) == 1
 
 

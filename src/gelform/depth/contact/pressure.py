@@ -57,7 +57,6 @@ _magnitude_of_share = Kernel(
     "magnitude_of_share",
     "f32[...] values, f32[...] units, bool[...]? chosen, out f32[n] work, out f32[1] magnitude, i64 step, f64 share",
 )
-_median_below = Kernel("median_below", "f32[...] values, out f32[n] work, out f32[1] magnitude, i64 step")
 _slope_variance = Kernel(
     "slope_variance", "f32[...] read, f32[...] solved, bool[...] at_rest, out f32[...] variance"
 )
@@ -347,8 +346,6 @@ def _larger(sigma: NDArray[np.float32]) -> NDArray[np.float32]:
 
 def _noise_mm(depth: NDArray[np.float32]) -> float:
     """Standard deviation of gel at rest, mm: from the median of its negative depths, as of half a Gaussian."""
-    step = max(1, depth.size // MEDIAN_SAMPLES)
-    work = np.empty(2 * -(-depth.size // step), dtype=np.float32)
-    found = np.empty(1, dtype=np.float32)
-    _median_below(depth, work, found, step)
-    return SIGMA_OF_MEDIAN * float(found[0])
+    sample = depth.ravel()[:: max(1, depth.size // MEDIAN_SAMPLES)]
+    below = sample[sample < 0]
+    return -SIGMA_OF_MEDIAN * float(np.median(below)) if below.size else 0.0

@@ -196,7 +196,7 @@ class PreparedBudget:
     ) -> dict[str, NDArray[np.float32]]:
         """The rows (H, W) that follow from a frame's light, its noise and the spread between units, mm/mm."""
         nothing = np.zeros(slopes.at_rest.shape, dtype=np.float32)
-        of_unit = np.float32(self._numbers["spread"] / 2**0.5) * np.linalg.norm(slopes.gradients, axis=-1)
+        of_unit = np.float32(self._numbers["spread"]) * np.linalg.norm(slopes.gradients, axis=-1)
         return {
             "light": nothing if light is None else light,
             "compression": np.float32(noise_levels) * self._gain,
