@@ -11,7 +11,7 @@ from scipy import ndimage
 import gelform
 from edges_of_cube import Edge
 from gelform.depth.contact import contacts_from_mask
-from gelform.simulate import LAYOUTS, simulate_press
+from gelform.simulate import LAYOUTS, simulate_ball_presses, simulate_press
 from presses import unlabeled
 from real_frames import following, page
 from real_frames.balls import stated
@@ -263,14 +263,13 @@ def test_another_figure_is_noticed():
 
 
 @pytest.mark.slow
-def test_slopes_beyond_the_training_are_judged_alone(simulated, presses, calibration):
-    limit = 0.25
+def test_slopes_beyond_the_training_are_judged_alone(sensor, presses, calibration):
+    limit, rng = 0.25, np.random.default_rng(4)
     gentle = below(presses, limit)
     shown = [one.slope_sigma.shown[1] for one in (gentle, calibration)]
     assert shown[0] < 1.2 * limit < 0.4 < shown[1]
-    whole = [
-        one for one in simulated.presses if all(40 < c < n - 40 for c, n in zip(one.center_px, (176, 132)))
-    ]
+    new = simulate_ball_presses(sensor, ball_diameters_mm=[5.0, 8.0], count=12, rng=rng, oversample=1)
+    whole = [one for one in new.presses if all(40 < c < n - 40 for c, n in zip(one.center_px, (176, 132)))]
     known = [
         SimpleNamespace(
             image=one.image,
@@ -282,7 +281,7 @@ def test_slopes_beyond_the_training_are_judged_alone(simulated, presses, calibra
     counts = [steeper(calibration, known, 0.9, least)["pixels"] for least in (0, limit, 2)]
     assert counts[0] > counts[1] > counts[2] == 0
     own = on_balls(calibration, known, 0.9)
-    assert 60 < own["slopes within 1 sigma, %"] < 95
+    assert 60 < own["slopes within 1 sigma, %"] < 98  # more than at the border, where one law holds too
     assert own["sure inside 0.6, %"] > 80
     assert own["caps within 1 depth sigma, %"] > 50
     assert own["caps within 2 sigma of the difference, %"] > 50
