@@ -136,8 +136,10 @@ def test_depth_at_the_border_is_judged_far_from_the_faces():
     known = np.ones(shape, bool)
     known[:10] = False
     result = SimpleNamespace(depth_mm=depth, depth_sigma_mm=np.full(shape, 0.5), known=known)
-    off = border_off(touched, result)
-    assert np.array_equal(np.unique(off, return_counts=True), [[1, 3], [30 * 7, 30 * 4]])
+    for end, columns in ((50, 7), (30, 8)):
+        touched[:, end:] = False
+        off = border_off(touched, result)
+        assert np.array_equal(np.unique(off, return_counts=True), [[1, 3], [30 * columns, 30 * 4]])
 
 
 def test_deviations_are_judged_off_the_contact_beside_it_and_in_it():
