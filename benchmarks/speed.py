@@ -32,17 +32,20 @@ import numpy as np
 import gelform
 import gelform.depth.frame
 import gelform.reconstruct
-from gelform.depth.contact import contacts_from_mask
+from gelform.depth.contact import PreparedContact, contacts_from_mask
+from gelform.depth.sigma import DepthErrors
 from gelform.exchange.exporters.press_folder import save_press_folder
 from gelform.simulate import LAYOUTS, Ball, simulate_ball_presses, simulate_press
+from gelform.slopes.confidence import ReadSlopes
 from presses import DATA, by_name, unlabeled
 from report import dct_pair, median_ms, table, write
 from speed.against import compare
-from speed.turns import first_frame_ms
+from speed.turns import EVERYTHING as WHOLE
+from speed.turns import first_frame_ms, read
 
 SIZES = ((240, 320), (480, 640), (960, 1280))
-PLAIN, EVERYTHING = "whole frame, dct, no sigma of depth", "whole frame, everything on"
-DEPTHS = "whole frame, dct, no sigma at all"  # as `gelform batch` runs if only depth is kept
+EVERYTHING = "whole frame, everything on"  # all that a result can be asked for
+ALONE = {solver: f"whole frame, depth alone, {solver}" for solver in ("dct", "multigrid")}
 FIRST_FRAMES = 5
 PEERS = json.loads((Path(__file__).parent / "peers.json").read_text())
 
@@ -76,25 +79,27 @@ def write_presses(folder: Path, shape: tuple[int, int]) -> np.ndarray:
 
 
 def stages(calibration: gelform.Calibration, image: np.ndarray) -> dict[str, Callable[[], Any]]:
-    """Each part of a frame with the arguments that it had in one; then whole frames, with less and with everything."""
+    """Each part of a frame with the arguments that it had in one; then whole frames, depth alone and with everything."""
     reconstruct = gelform.Reconstructor(calibration)
     today, fixed = reconstruct._today, reconstruct._calibrated
     parts = {
         "faults of the image": (today, "health"),
-        "exposure and light": (today.untouched_image, "compare"),
+        "light": (today.untouched_image, "compare"),
         "clipped channels": (today, "clipped"),
         "color change, blur and color model": (gelform.reconstruct, "gradients_from_pending"),
         "depth of the frame, step of the forward response": (fixed, "stepped"),
         "what untouched pixels have in common": (gelform.reconstruct, "reference_from_color_change"),
-        "untouched pixels, sigma": (today, "sigma"),
-        "causes, confidence": (today, "causes"),
-        "steep slopes": (reconstruct, "steep_slopes"),
+        "untouched pixels": (gelform.reconstruct, "without_bias"),
+        "weights": (ReadSlopes, "weights"),
         "anchor at rest": (fixed.depth, "_anchor"),
         "depth (weighted, anchored), curl": (gelform.depth.frame, "integrate_unchecked"),
-        "sigma of depth": (fixed.depth.sigma, "unchecked"),
-        "sigma of the depth's slopes": (reconstruct.solved_sigma, "with_walls"),
-        "contact": (today, "contact"),
-        "depth that is missing": (fixed, "missing_depth"),
+        "slopes of the depth": (gelform.reconstruct, "slopes_of_solution"),
+        "noise beyond the usual": (today, "noise_levels"),
+        "budget of slopes, confidence": (today, "budget"),
+        "errors of depth": (fixed, "depth_sigma"),
+        "sigma of depth": (DepthErrors, "sigma"),
+        "contact": (PreparedContact, "__call__"),
+        "pressed background": (PreparedContact, "pressed_background"),
         "color around the contact": (today, "surround"),
     }
     calls: dict[str, Callable[[], Any]] = {}
@@ -103,21 +108,26 @@ def stages(calibration: gelform.Calibration, image: np.ndarray) -> dict[str, Cal
             noted = noting(calls, name, getattr(holder, attribute))
             patched.enter_context(patch.object(holder, attribute, noted))
         result = reconstruct.from_image(image)
-    plain = gelform.Reconstructor(calibration, solver="dct")
-    depths = gelform.Reconstructor(calibration, solver="dct")
-    return calls | {
-        "contacts": lambda: contacts_from_mask(result.contact, result.depth_mm, mm_per_px=result.mm_per_px),
-        DEPTHS: lambda: depths.from_image(image),
-        PLAIN: lambda: plain.from_image(image),
-        EVERYTHING: lambda: reconstruct.from_image(image),
-    }
+        read([result], WHOLE)
+    by_solver = {solver: gelform.Reconstructor(calibration, solver=solver) for solver in ALONE}
+    return (
+        {name: calls[name] for name in parts}
+        | {
+            "contacts": lambda: contacts_from_mask(
+                result.contact, result.depth_mm, mm_per_px=result.mm_per_px
+            )
+        }
+        | {ALONE[k]: lambda one=one: one.from_image(image).depth_mm for k, one in by_solver.items()}
+        | {EVERYTHING: lambda: read([reconstruct.from_image(image)], WHOLE)}
+    )
 
 
 def noting(calls: dict[str, Callable[[], Any]], name: str, part: Callable[..., Any]) -> Callable[..., Any]:
-    """The part, which also notes a call of itself with the same arguments."""
+    """The part, which also notes a call of itself with the same arguments; a result makes some of them read-only."""
 
     def noted(*args: Any, **kwargs: Any) -> Any:
-        calls[name] = partial(part, *args, **kwargs)
+        own = (one.copy() if isinstance(one, np.ndarray) else one for one in args)
+        calls[name] = partial(part, *own, **kwargs)
         return part(*args, **kwargs)
 
     return noted
@@ -175,7 +185,7 @@ def main() -> None:
     rows += [[n, *(f"{f[n]['D']:.1f} D ({f[n]['ms']:.2f} ms)" for f in figures.values())] for n in names]
     print(table(["stage", *figures], rows))
     peer = next(iter(PEERS["frame_speed"].values()))["D"]
-    over = {name: peer / figures["240x320"][name]["D"] for name in (PLAIN, EVERYTHING)}
+    over = {name: peer / figures["240x320"][name]["D"] for name in (*ALONE.values(), EVERYTHING)}
     faster = (f"{name}: {times:.1f} times faster" for name, times in over.items())
     print(f"gs_sdk's get_surface_info: {peer} D; {', '.join(faster)}\n{others}")
     if not asked.quick:

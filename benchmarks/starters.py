@@ -51,7 +51,7 @@ def judged(calibration: gelform.Calibration, presses: gelform.Presses, edge: flo
     for press in presses.presses:
         result = reconstruct.from_image(press.image)
         rows.append(scored((press, result), press.label, pitch, edge))
-        _, off, _ = slopes_inside(calibration, press, result, edge)
+        _, off, _ = slopes_inside(press, result, edge)
         within.append(((off <= 1).mean(), sure_inner(result, press)))
     return {**summary(rows), **dict(zip(SHARES, 100 * np.mean(within, axis=0)))}
 

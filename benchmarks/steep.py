@@ -4,17 +4,16 @@
     python benchmarks/steep.py walls       # one part: walls, few
 
 `walls`: heights of simulated objects with walls. `few`: another unit's model after no, 3, 5 and 12 presses of real data
-(GELFORM_DATA, default ../shared/data), without and with the doubt of carried models. The faces of a cube's edge, slopes
-beyond those of the training, and the depth of balls are in real_frames.py.
+(GELFORM_DATA, default ../shared/data), without the doubt of carried models, with its share, and with all of it. The faces
+of a cube's edge, slopes beyond those of the training, and the depth of balls are in real_frames.py.
 """
 
 from __future__ import annotations
 
 from typing import Any
-from unittest.mock import patch
+from unittest.mock import PropertyMock, patch
 
 import numpy as np
-from gelform.slopes.confidence.steep import SHOWN
 
 import gelform
 from accuracy.heights import DRAWN, drawn_sensor
@@ -22,7 +21,6 @@ from accuracy.objects import OBJECTS, height_of, usual_presses
 from accuracy.real import EDGES
 from gelform.simulate import LAYOUTS
 from gelform.simulate.presets import gelsight_mini
-from gelform.slopes.confidence import SteepSlopes
 from presses import data_is_missing, presses_of, unlabeled
 from real_frames.beyond import CARRIED, INNER, distance, slopes_inside
 from real_frames.edges import SURE
@@ -41,7 +39,7 @@ def of_balls(
     reconstruct, rows = gelform.Reconstructor(calibration), []
     for press in presses.presses:
         result = reconstruct.from_image(press.image)
-        true, off, inside = slopes_inside(calibration, press, result, edge)
+        true, off, inside = slopes_inside(press, result, edge)
         sure = result.confidence[inside] > SURE
         inner = distance(result, press.label[:2])[inside] < INNER * press.label[2]
         columns = [(off < k).mean(axis=1) for k in (1, 2)] + [sure, np.where(inner, sure, np.nan)]
@@ -69,7 +67,7 @@ def walls() -> dict[str, Any]:
 
 
 def few() -> dict[str, Any]:
-    """Slopes that a carried model doubts, after few presses of this unit: without the doubt, and with all of it."""
+    """Slopes that a carried model doubts, after few presses of this unit: with none of the doubt, its share, all of it."""
     run, found = Run(), {}
     for source, name in CARRIED:
         presses, rng = run.labeled(name), np.random.default_rng(0)
@@ -80,13 +78,10 @@ def few() -> dict[str, Any]:
             for size in (0, *SIZES):
                 begun = unit if not size else gelform.calibrate(unlabeled(presses, order[:size]), start=unit)
                 assert begun.slope_sigma is not None
-                doubted = float(np.quantile(begun.slope_sigma.slopes, SHOWN[0]))
-                for share in (0.0, 1.0):
-                    with patch(
-                        "gelform.reconstruct.SteepSlopes", lambda sigma, own, s=share: SteepSlopes(sigma, s)
-                    ):
-                        row = of_balls(begun, judging, EDGES[name], doubted)
-                    found.setdefault(f"{name}, {size} presses, share {share:g}", []).append(row)
+                for share in dict.fromkeys((0.0, begun.carried, 1.0)):
+                    with patch.object(gelform.Calibration, "carried", PropertyMock(return_value=share)):
+                        row = of_balls(begun, judging, EDGES[name], begun.slope_sigma.shown[0])
+                    found.setdefault(f"{name}, {size} presses, share {share:.2g}", []).append(row)
     return {
         name: {key: float(np.mean([one[key] for one in rows])) for key in rows[0]}
         for name, rows in found.items()

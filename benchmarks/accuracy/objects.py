@@ -160,18 +160,16 @@ def anchor(quick: bool) -> dict[str, Any]:
 
 def _anchored(reconstruct: gelform.Reconstructor, press: Any) -> dict[str, float]:
     """The face's depth over the true one, from true slopes and recovered ones, without and with the anchor."""
-    result = reconstruct.from_image(press.image)
-    change = np.empty((*press.depth_mm.shape, 3), dtype=np.float32)
-    at_rest = reconstruct._read(press.image, change).slopes.at_rest
-    calibration = reconstruct.calibration
+    read, calibration = reconstruct.record(press.image)[0].slopes, reconstruct.calibration
+    at_rest, full = read.at_rest, calibration.slope_sigma.full_confidence_sigma
     pitch = calibration.known_mm_per_px
-    anchor = RestAnchor(calibration.image_shape, pitch, calibration.slope_sigma.full_confidence_sigma)
+    anchor = RestAnchor(calibration.image_shape, pitch, full)
     true = gelform.gradients_from_depth(press.depth_mm, mm_per_px=pitch).astype(np.float32)
     face = press.depth_mm > FACE * press.depth_mm.max()
     found = {}
     for what, slopes, weights in (
         ("true slopes", true, None),
-        ("read slopes", result.observed_gradients, result.confidence),
+        ("read slopes", read.gradients, read.weights(full)),
     ):
         hold = anchor(slopes, at_rest)
         free = integrate(slopes, mm_per_px=pitch, weights=weights, zero=at_rest, solver="multigrid")

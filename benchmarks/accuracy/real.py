@@ -11,7 +11,7 @@ circle is the same for every compared package (EDGES). "rim" is up to 3 px insid
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from itertools import chain
 from typing import Any
 
@@ -40,6 +40,7 @@ SCORED_ZONE = 0.8  # fraction of the contact radius, for slopes: beyond it the g
 MIN_PIXELS = 500  # least pixels of a bin
 DRAWS = 10
 Split = tuple[str, Any, Any]  # name, presses for calibration, presses for the test
+Score = Callable[[tuple[Any, Any], Any, float, float], dict[str, float]]  # as `scored`
 KEYS = ("read_edge_deg", "edge_deg", "inner_deg", "rim_deg", "radius_percent", "cap_um", "off_contact_um")
 
 
@@ -48,15 +49,15 @@ def real(quick: bool) -> dict[str, Any]:
     return held_out(chain(of_mini_ball(), *map(of_folds, list(EDGES)[1:])), quick)
 
 
-def held_out(splits: Iterable[Split], quick: bool) -> dict[str, Any]:
-    """Errors of the presses that each calibration has not seen, by the names of the splits."""
+def held_out(splits: Iterable[Split], quick: bool, score: Score | None = None) -> dict[str, Any]:
+    """Errors of the presses that each calibration has not seen, by the names of the splits; by `scored`, or by `score`."""
     parts: dict[str, list[Any]] = {}
     for name, training, test in splits:
         if quick:
             training, test = (one.subset(range(0, len(one.presses), 3)) for one in (training, test))
         calibration, seconds = calibrated(training)
         edge, pitch = EDGES[name.split(",")[0]], calibration.known_mm_per_px
-        rows = [scored(one, one[0].label, pitch, edge) for one in with_results(calibration, test)]
+        rows = [(score or scored)(one, one[0].label, pitch, edge) for one in with_results(calibration, test)]
         parts.setdefault(name, []).append((rows, seconds, dict(calibration.settings)))
     figures = {}
     for name, folds in parts.items():
@@ -109,7 +110,7 @@ def scored(press_and_result: tuple[Any, Any], circle: Any, mm_per_px: float, edg
 
 def summary(rows: list[dict[str, float]]) -> dict[str, float]:
     """Means over presses; the median of radii, whose errors have a long tail."""
-    found = {key: float(np.nanmean([row[key] for row in rows])) for key in KEYS}
+    found = {key: float(np.nanmean([row[key] for row in rows])) for key in rows[0]}
     median = float(np.median([row["radius_percent"] for row in rows]))
     return {"presses": float(len(rows)), **found, "radius_percent": median}
 

@@ -32,7 +32,7 @@ from gelform.simulate import LAYOUTS, simulate_ball_presses
 SHAPE, DIFFERENT = (240, 320), 40
 PER_FOLDER = 2000
 WORKERS = os.cpu_count() or 1
-FAST: dict[str, Any] = {"solver": "dct", "depth_sigma": False, "keep": ("depth",)}
+FAST: dict[str, Any] = {"solver": "dct", "keep": ("depth",)}
 SETTINGS = {
     "dct, depth only, npz": BatchSettings(**FAST),
     "dct, depth only, Zarr uint16": BatchSettings("zarr", dtype="uint16", **FAST),

@@ -6,7 +6,6 @@ held-out pixels that are steeper. A carried calibration is of another unit of th
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 from unittest.mock import patch
 
@@ -26,6 +25,7 @@ from report import table
 OWN = ("mini-ball", "mini-d", "digit-ball")
 CARRIED = (("mini-ball", "mini-d"), ("mini-d", "mini-ball"))  # whose calibration, whose presses
 GENTLE = (0.4, 0.5)  # mm/mm, steepest slope of the training
+FAR_RADII = 2.5  # of the visible circle; beyond it nothing touches
 INNER = 0.6  # of the visible circle: where a sure pixel is expected
 TOP, RIM_PX = 0.2, 1.5  # of the edge's radius; half the width of the ring at the edge
 # A height over the edge is a difference of two depths. A depth's own sigma, against gel at rest, is wider, because the gel
@@ -63,18 +63,15 @@ def beyond(run: Run) -> dict[str, Any]:
 
 def below(presses: Any, limit: float) -> gelform.Calibration:
     """A calibration that has seen, and judged itself by, the slopes below a limit alone."""
-    radius, within = PreparedPress.contact_radius, HeldOutSample.within
+    radius, inside = PreparedPress.contact_radius, HeldOutSample.inside
 
     def near(self: PreparedPress, contact: Any) -> float:
         return min(radius(self, contact), float(np.sin(np.arctan(limit))) * self.ball_radius_px)
 
-    def gentle(self: HeldOutSample, zone: float) -> HeldOutSample:
-        one = within(self, zone)
-        keep = np.linalg.norm(one.true_gradients, axis=1) < limit
-        names = ("x_px", "y_px", "true_gradients", "gradients")
-        return replace(one, **{name: getattr(one, name)[keep] for name in names})
+    def gentle(self: HeldOutSample, zone: float) -> np.ndarray:
+        return inside(self, zone) & (np.linalg.norm(self.true_gradients, axis=1) < limit)
 
-    with patch.object(PreparedPress, "contact_radius", near), patch.object(HeldOutSample, "within", gentle):
+    with patch.object(PreparedPress, "contact_radius", near), patch.object(HeldOutSample, "inside", gentle):
         return gelform.calibrate(unlabeled(presses), start=None)
 
 
@@ -83,7 +80,7 @@ def steeper(calibration: gelform.Calibration, presses: Any, edge: float, limit: 
     reconstruct, pixels = gelform.Reconstructor(calibration), []
     for press in presses:
         result = reconstruct.from_image(press.image)
-        true, off, inside = slopes_inside(calibration, press, result, edge)
+        true, off, inside = slopes_inside(press, result, edge)
         above = np.linalg.norm(true, axis=1) > limit
         sure = result.confidence[inside][above] > SURE
         pixels.append(np.column_stack([(off[above] <= 2).mean(axis=1), sure]))
@@ -96,24 +93,22 @@ def on_balls(calibration: gelform.Calibration, presses: Any, edge: float) -> dic
     reconstruct, rows = gelform.Reconstructor(calibration), []
     for press in presses:
         result = reconstruct.from_image(press.image)
-        _, off, inside = slopes_inside(calibration, press, result, edge)
+        _, off, inside = slopes_inside(press, result, edge)
         rows.append(
             [
                 (off <= 1).mean(),
                 sure_inner(result, press),
-                *_cap(calibration, press, result, inside),
+                *_cap(press, result, inside),
             ]
         )
     names = ("slopes within 1 sigma, %", "sure inside 0.6, %", *CAPS)
     return {"presses": len(rows), **dict(zip(names, (100 * np.mean(rows, axis=0)).tolist()))}
 
 
-def slopes_inside(
-    calibration: Any, press: Any, result: Any, edge: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def slopes_inside(press: Any, result: Any, edge: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """True slopes (N, 2) inside the contact edge, errors over sigma (N, 2), and the pixels' mask (H, W)."""
     x, y, radius = press.label
-    ball_px = press.ball_diameter_mm / 2 / calibration.known_mm_per_px
+    ball_px = press.ball_diameter_mm / 2 / result.mm_per_px
     inside = distance(result, (x, y)) < min(edge * radius, STEEPEST * ball_px)
     rows, columns = np.nonzero(inside)
     score = score_slopes(result.gradients[inside], columns, rows, (x, y), ball_px)
@@ -126,9 +121,9 @@ def sure_inner(result: Any, press: Any) -> float:
     return float((result.confidence[distance(result, (x, y)) < INNER * radius] > SURE).mean())
 
 
-def _cap(calibration: Any, press: Any, result: Any, inside: np.ndarray) -> list[bool]:
+def _cap(press: Any, result: Any, inside: np.ndarray) -> list[bool]:
     """Whether the height of the ball's top over the contact edge is right, by `CAPS`."""
-    pitch = calibration.known_mm_per_px
+    pitch = result.mm_per_px
     ball_px, radius = press.ball_diameter_mm / 2 / pitch, float(np.sqrt(inside.sum() / np.pi))
     rows, columns = np.nonzero(inside)
     center = ball_center(result.gradients[inside], columns, rows, press.label[:2], ball_px)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import cv2
 import numpy as np
 
 import gelform
@@ -13,6 +14,10 @@ from report import table
 
 CARRIED = ("starter", "mini-ball", "mini-d")  # what reads the frames: of other units
 SURE = 0.3  # confidence; pixels above count as sure
+COLUMNS, APART_MM = (
+    12,
+    2.5,
+)  # the last of a frame, where the light drifted; distance from the faces where gel is at rest
 
 
 def edges(run: Run) -> dict[str, Any]:
@@ -38,6 +43,7 @@ def judged(edge: Edge, result: Any) -> dict[str, Any]:
         sure.append(result.confidence[face] > SURE)
     missing = crest_error_mm(edge, result.depth_mm, MINI_MM_PER_PX)
     return {
+        "border": border_off(edge.faces.any(axis=0), result),
         "angle": 180 - edge.angle_deg,
         "slopes": np.sort(edge.slopes),
         "off": np.concatenate(off),
@@ -47,11 +53,19 @@ def judged(edge: Edge, result: Any) -> dict[str, Any]:
     }
 
 
+def border_off(touched: np.ndarray, result: Any) -> np.ndarray:
+    """|depth| over its sigma at the known pixels (N,) of the last columns that are far from what is touched (H, W)."""
+    away = cv2.distanceTransform((~touched).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    last = result.known & (away > APART_MM / MINI_MM_PER_PX)
+    last[:, :-COLUMNS] = False
+    return np.abs(result.depth_mm[last]) / result.depth_sigma_mm[last]
+
+
 def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
     """Figures of all frames; pixels of all frames count alike."""
     if not rows:
         return {"frames": 0}
-    off, sure = (np.concatenate([row[key] for row in rows]) for key in ("off", "sure"))
+    off, sure, border = (np.concatenate([row[key] for row in rows]) for key in ("off", "sure", "border"))
     missing, sigma = (np.array([row[key] for row in rows]) for key in ("missing", "sigma"))
     flat, steep = np.median([row["slopes"] for row in rows], axis=0).tolist()
     return {
@@ -64,4 +78,5 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
         "confidence > 0.3, %": percent(sure),
         "crest too low by, um": float(1e3 * np.mean(missing)),
         "crest within 2 depth sigma, %": percent(np.abs(missing) <= 2 * sigma),
+        f"last {COLUMNS} columns beyond 2 depth sigma, %": percent(border > 2),
     }

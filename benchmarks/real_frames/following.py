@@ -64,7 +64,7 @@ def _both(
     alone = gelform.Reconstructor(calibration)
     memory, results = Memory(alone), []
     for index, (image, time_s) in enumerate(zip(images, times)):
-        found = replace(memory.result_from_image(image), index=index, time_s=float(time_s))
+        found = memory.result_from_image(image).changed(index=index, time_s=float(time_s))
         results.append((alone.from_image(image), memory(image, found)))
     return results
 
@@ -135,7 +135,7 @@ def _drift(calibration: gelform.Calibration) -> dict[str, Any]:
             depths = []
             for index, time_s in enumerate(times):
                 image = gel.image_at(time_s, rng)
-                found = replace(memory.result_from_image(image), index=index, time_s=float(time_s))
+                found = memory.result_from_image(image).changed(index=index, time_s=float(time_s))
                 depths.append(1e3 * _rms(memory(image, found).depth_mm))
             truth = block_means(gel.image_at(times[-1], None).astype(np.float32))
             now, start = (block_means(one) for one in (memory.reconstruct.background, own.background))

@@ -276,8 +276,8 @@ class Reconstructor:
     it. It can be pickled, so that process pools and data loaders accept it; each of them prepares it again.
 
     First it removes the bias of the slopes, which it reads from the pixels at rest. Then depth is the weighted
-    least-squares surface: every slope counts by its confidence, and pixels at rest are softly anchored at 0. The order
-    matters, because an anchor alone would bend the surface to hide the bias.
+    least-squares surface: slopes whose color no slope gives count less, and pixels at rest are softly anchored at 0. The
+    order matters, because an anchor alone would bend the surface to hide the bias. A result computes the rest on first use.
 
     Parameters
     ----------

@@ -1,14 +1,19 @@
 """What a result works out when asked, and which parts it refuses."""
 
 import base64
+import copy
+import pickle
 import re
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 
-from gelform.errors import GelformError
+from gelform.errors import ConvergenceError, GelformError
+from gelform.result import Later
 
 
 def test_normals_are_computed_when_asked_for(result):
@@ -112,3 +117,88 @@ def test_an_unknown_pixel_is_no_peak(result):
     assert hidden.peak_mm == result.depth_mm.ravel()[1:].max()
     assert "3.77" not in repr(hidden)
     assert np.isnan(replace(hidden, known=np.zeros_like(known)).peak_mm)
+
+
+@pytest.fixture
+def asked(result):
+    """A result whose confidence and curl are computed on first use, and what was computed."""
+    made = []
+
+    def make(name):
+        made.append(name)
+        return getattr(result, name)
+
+    later = {name: Later(lambda name=name: make(name)) for name in ("confidence", "curl_rms")}
+    return result.changed(**later), made
+
+
+def test_a_value_is_computed_on_first_use_and_shared_by_copies(result, asked):
+    fresh, made = asked
+    other = fresh.changed(index=9)
+    assert fresh.depth_mm.max() == other.depth_mm.max()
+    assert not made
+    assert other.confidence is result.confidence is fresh.confidence
+    assert made == ["confidence"]
+    assert fresh.changed().curl_rms == result.curl_rms
+    assert fresh.changed(index=1).curl_rms == fresh.curl_rms == result.curl_rms
+    assert made == ["confidence", "curl_rms"]
+    assert (other.index, fresh.index) == (9, result.index)
+
+
+def test_a_value_that_is_replaced_is_never_computed(result, asked):
+    fresh, made = asked
+    assert fresh.changed(confidence=result.confidence / 2).confidence.max() < 0.5
+    assert fresh.changed(curl_rms=Later(lambda: 3.0)).curl_rms == 3.0
+    assert not made
+    with pytest.raises(ValueError, match="confidence of shape"):
+        fresh.changed(confidence=result.confidence[1:])
+
+
+def test_threads_that_ask_at_once_get_one_value():
+    entered, release, made = threading.Event(), threading.Event(), []
+
+    def make():
+        entered.set()
+        assert release.wait(30)
+        made.append(1)
+        return np.zeros(3)
+
+    later = Later(make)
+    with ThreadPoolExecutor(4) as pool:
+        values = [pool.submit(later) for _ in range(4)]
+        assert entered.wait(30)
+        assert not any(value.done() for value in values)
+        release.set()
+        values = [value.result(30) for value in values]
+    assert len(made) == 1
+    assert all(value is values[0] for value in values)
+
+
+def test_values_of_one_lock_may_need_each_other(result):
+    """As the contact needs the sigma of depth, in a thread that holds the lock of both."""
+    lock = threading.RLock()
+    first = Later(lambda: 2.0, lock)
+    assert result.changed(curl_rms=Later(lambda: first() + 1, lock)).curl_rms == 3.0
+
+
+@pytest.mark.parametrize("of", [lambda one: pickle.loads(pickle.dumps(one)), copy.copy, copy.deepcopy])
+def test_a_pickle_and_a_copy_hold_every_value(result, asked, of):
+    fresh, made = asked
+    again = of(fresh)
+    assert sorted(made) == ["confidence", "curl_rms"]
+    assert np.array_equal(again.confidence, result.confidence)
+    assert again.curl_rms == result.curl_rms
+    assert again.contacts == result.contacts
+    assert np.array_equal(again.changed(index=4).gradients, result.gradients)
+
+
+def test_a_value_that_cannot_be_computed_says_so_each_time(result):
+    def fail():
+        raise ConvergenceError("no")
+
+    bad = result.changed(confidence=Later(fail))
+    for _ in range(2):
+        with pytest.raises(ConvergenceError, match="no"):
+            bad.confidence  # noqa: B018 - computed when asked for
+    with pytest.raises(AttributeError, match="'Reconstruction' object has no attribute 'nothing'"):
+        bad.nothing  # noqa: B018

@@ -51,7 +51,7 @@ MAPS: dict[str, ResultMap] = {
         ResultMap("observed_gradients", "float32", "mm/mm", "slopes read from color", (2,), optional=True),
         ResultMap("normals", "float32", "", "unit normals", (3,), derived=True, kept_as="normals"),
         ResultMap(
-            "confidence", "float32", "", "the solver's weight, 0-1",
+            "confidence", "float32", "", "how far a slope can be trusted, 0-1",
             kept_as="confidence", plane="confidence", plane_step=1 / 255, colors="gray",
         ),
         ResultMap("contact", "bool", "", "where something touches", kept_as="contact"),

@@ -182,7 +182,7 @@ class PreparedContact:
     pitch : (x, y), mm
     relaxation_mm : of the gel; None if unknown
     noise : (H, W) float32, variance of a slope at rest; without `correlation` only its ratios count
-    correlation : of the slopes' errors, as in `DepthSigma`; None: noise is measured in each frame
+    correlation : of the slopes' errors, as `SlopeSigma.correlation`; None: noise is measured in each frame
     noise_factor, min_area_mm2 : as in `contact_from_depth`
     """
 
