@@ -79,7 +79,11 @@ def test_it_grows_with_the_factor_and_with_the_slopes_at_rest():
 def test_at_rest_a_slope_counts_up_to_what_it_may_be_off_and_elsewhere_in_part():
     ramp = np.tile(PITCH * 0.2 * np.arange(SHAPE[1]), (SHAPE[0], 1))
     rest, moved = errors_of(ramp), errors_of(ramp, ~ALL)
-    np.testing.assert_allclose(rest.spread, rest.spread[0, 0], rtol=1e-3)
+    alike = rest.spread / sigma._beside_border(coarse_of(SHAPE), SHAPE)
+    np.testing.assert_allclose(alike, alike[0, 0], rtol=1e-3)
+    assert rest.spread[15, 0] == pytest.approx(2 * rest.spread[15, 20], rel=0.15), (
+        "a border doubles the variance"
+    )
     np.testing.assert_allclose(moved.spread / rest.spread, 2 * FULL**2 * 0.72 / (2 * 0.02**2), rtol=1e-3)
 
 
@@ -191,7 +195,7 @@ def numpy_errors(
     common, alone = np.sqrt(gain**2 * square + doubt)[..., None] * unit, np.sqrt(doubt)[..., None] * unit
     maps = [
         np.where(at_rest, noise, np.minimum(spill**2 * square, 2 * full**2)),
-        np.where(at_rest, rest_share * noise, np.minimum(of_contact**2 * square, 2 * full**2)),
+        np.where(at_rest, rest_share * noise, np.minimum(of_contact**2 * square, 2 * np.minimum(read, full) ** 2)),
         2 * low**2, at_rest | (low < 0), *np.moveaxis(common, -1, 0), *np.moveaxis(alone, -1, 0), at_rest,
     ]  # fmt: skip
     return np.array(

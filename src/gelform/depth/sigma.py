@@ -79,6 +79,7 @@ class DepthSigma:
             "spill_of_contact": SPILL_OF_CONTACT, "gain": gain_sigma, "doubted": DOUBTED,
         }  # fmt: skip
         spread = _spread(coarse, shape) * np.float32((factor * mm_per_px) ** 2)
+        self._beside_border = _beside_border(coarse, shape)
         window = _window(coarse, shape)
         self._filter = CosineFilter(np.stack([spread, spread, window, window]))
 
@@ -110,7 +111,9 @@ class DepthSigma:
             )
         anywhere, of_contact, below, free = self._filter(cells[:4])
         own = below / np.maximum(free, np.float32(LEAST_FREE))
-        anywhere, of_contact = (np.maximum(one, LEAST_MM2) for one in (anywhere, of_contact))
+        anywhere, of_contact = (
+            np.maximum(one * self._beside_border, LEAST_MM2) for one in (anywhere, of_contact)
+        )
         return DepthErrors(
             self.coarse, anywhere, of_contact, own, cells[4:], self._mm_per_px, self.numbers["gain"]
         )
@@ -224,6 +227,20 @@ def _spread(coarse: Coarse, shape: tuple[int, int]) -> NDArray[np.float32]:
             distance = np.maximum(np.hypot(y[:, None] + below, x + right), LEAST_PX) / length
             kernel += np.exp(np.interp(np.log(distance), np.log(table), np.log(squares)))
     return _mode_gains(kernel * x_px * y_px / SUBCELLS**2)
+
+
+def _beside_border(coarse: Coarse, shape: tuple[int, int]) -> NDArray[np.float32]:
+    """How much more an error moves depth beside a free border: its mirror image moves it the same way.
+
+    At the border both are one, so the variance of their sum is twice the sum of their variances; it falls off over half L.
+    """
+    rows, columns = (
+        1 + np.exp(-np.minimum(at, at[::-1]) * pitch * 2 / (shape[0] * LENGTH))
+        for at, pitch in (
+            (np.arange(n) + 0.5, pitch) for n, pitch in zip(coarse.shape, coarse.pitch_px[::-1])
+        )
+    )
+    return np.outer(rows, columns).astype(np.float32)
 
 
 def _window(coarse: Coarse, shape: tuple[int, int]) -> NDArray[np.float32]:
