@@ -23,7 +23,7 @@ static inline void add_row(const struct numbers *restrict n, const float *restri
     const float resting = at_rest[x] ? 1 : 0, moved = 1 - resting;
     const float noise = smaller(square, 2 * square_of(smaller(read[x], n->full)));
     errors[x] += resting * noise + moved * smaller(n->spill * square, most);
-    const float doubted_noise = smaller(n->spill_of_contact * square, 2 * square_of(smaller(read[x], n->full)));
+    const float doubted_noise = smaller(n->spill_of_contact * square, 2 * square_of(smaller(2 * read[x], n->full)));
     of_contact[x] += resting * n->rest_share * noise + moved * doubted_noise;
     const float low = smaller(depth[x], 0);
     below[x] += 2 * low * low;

@@ -195,7 +195,7 @@ def numpy_errors(
     common, alone = np.sqrt(gain**2 * square + doubt)[..., None] * unit, np.sqrt(doubt)[..., None] * unit
     maps = [
         np.where(at_rest, noise, np.minimum(spill**2 * square, 2 * full**2)),
-        np.where(at_rest, rest_share * noise, np.minimum(of_contact**2 * square, 2 * np.minimum(read, full) ** 2)),
+        np.where(at_rest, rest_share * noise, np.minimum(of_contact**2 * square, 2 * np.minimum(2 * read, full) ** 2)),
         2 * low**2, at_rest | (low < 0), *np.moveaxis(common, -1, 0), *np.moveaxis(alone, -1, 0), at_rest,
     ]  # fmt: skip
     return np.array(

@@ -111,11 +111,12 @@ class DepthSigma:
             )
         anywhere, of_contact, below, free = self._filter(cells[:4])
         own = below / np.maximum(free, np.float32(LEAST_FREE))
+        of_frame = float(cells[2].mean()) / max(float(cells[3].mean()), LEAST_FREE)
         anywhere, of_contact = (
             np.maximum(one * self._beside_border, LEAST_MM2) for one in (anywhere, of_contact)
         )
         return DepthErrors(
-            self.coarse, anywhere, of_contact, own, cells[4:], self._mm_per_px, self.numbers["gain"]
+            self.coarse, anywhere, of_contact, own, of_frame, cells[4:], self._mm_per_px, self.numbers["gain"]
         )
 
 
@@ -126,7 +127,7 @@ class DepthErrors:
     Attributes
     ----------
     spread, contact_spread : variance by the slopes, mm^2, for depth and for the judgment of contacts
-    own : twice the mean square of negative depths around, mm^2
+    own, own_of_frame : twice the mean square of negative depths, around and in the whole frame, mm^2
     slopes_off : (5, r, c), the slopes that may be common errors in all (p, q), of steep faces alone (p, q), and the share of
         pixels at rest
     """
@@ -135,6 +136,7 @@ class DepthErrors:
     spread: NDArray[np.float32]
     contact_spread: NDArray[np.float32]
     own: NDArray[np.float32]
+    own_of_frame: float
     slopes_off: NDArray[np.float32] = field(repr=False)
     mm_per_px: np.float32
     gain_sigma: float
@@ -163,8 +165,11 @@ class DepthErrors:
         return self._root(self._with_own(self.spread) + np.square(self.common_mm), most_mm)
 
     def contact_sigma(self, most_mm: float) -> NDArray[np.float32]:
-        """The one that makes no contact less certain for what all depths have in common."""
-        return self._root(self._with_own(self.contact_spread), most_mm)
+        """The one that makes no contact less certain for what all depths have in common.
+
+        A hill that another light makes may lie far from the valleys that it makes, so the whole frame's error counts.
+        """
+        return self._root(self._with_own(self.contact_spread, self.own_of_frame), most_mm)
 
     def slope_sigma(self, most_mm: float) -> NDArray[np.float32]:
         """The one by the slopes alone, as of a frame whose negative depths are no error."""
@@ -176,8 +181,9 @@ class DepthErrors:
         apart = np.abs(own - own[region].mean()) + np.square(common - common[region].mean())
         return np.asarray(np.sqrt(apart))
 
-    def _with_own(self, variance: NDArray[np.float32]) -> NDArray[np.float32]:
-        return variance + np.float32(PULL) * np.maximum(self.own - variance, 0)
+    def _with_own(self, variance: NDArray[np.float32], at_least: float = 0.0) -> NDArray[np.float32]:
+        own = np.maximum(self.own, np.float32(at_least))
+        return variance + np.float32(PULL) * np.maximum(own - variance, 0)
 
     def _root(self, variance: NDArray[np.float32], most_mm: float) -> NDArray[np.float32]:
         found = self.coarse.at_pixels(variance)
