@@ -200,7 +200,7 @@ class FrameRecord:
             return None
         budget = self.budget
         return self.fixed.depth_sigma(
-            self.gradients, self.depth_mm, self.slopes.at_rest, budget.read, budget.steep
+            self.gradients, self.depth_mm, self.slopes.at_rest, self.known, budget.read, budget.steep
         )
 
     @property

@@ -40,7 +40,7 @@ LEAST_PX = 0.6  # px, distance below which the kernel is cut: a pixel's own slop
 
 _depth_errors = Kernel(
     "depth_errors",
-    "f32[h,w,2] slopes, f32[h,w] depth, bool[h,w] at_rest, f32[h,w] read, f32[h,w] steep, i32[row_ends] rows, "
+    "f32[h,w,2] slopes, f32[h,w] depth, bool[h,w] at_rest, bool[h,w] known, f32[h,w] read, f32[h,w] steep, i32[row_ends] rows, "
     "i32[column_ends] columns, out f32[n] work, out f32[maps,r,c] cells, f32 full, f32 spill, f32 rest_share, "
     "f32 spill_of_contact, f32 gain, f32 doubted",
 )
@@ -88,6 +88,7 @@ class DepthSigma:
         slopes: NDArray[np.float32],
         depth: NDArray[np.float32],
         at_rest: NDArray[np.bool_],
+        known: NDArray[np.bool_],
         read: NDArray[np.float32],
         steep: NDArray[np.float32],
     ) -> DepthErrors:
@@ -96,13 +97,13 @@ class DepthSigma:
         Parameters
         ----------
         slopes : (H, W, 2), of the depth
-        at_rest : (H, W) bool, pixels at rest
+        at_rest, known : (H, W) bool, pixels at rest, and those whose depth was not filled in
         read, steep : (H, W), deviation of the slopes as read, and the one of steep slopes
         """
         cells = np.empty((MAPS, *self.coarse.shape), dtype=np.float32)
         work = np.empty(MAPS * depth.shape[1], dtype=np.float32)
         _depth_errors(
-            slopes, depth, at_rest, read, steep, self._rows, self._columns, work, cells, **self.numbers
+            slopes, depth, at_rest, known, read, steep, self._rows, self._columns, work, cells, **self.numbers
         )
         if not is_finite(cells):
             raise ConvergenceError(
