@@ -158,5 +158,5 @@ def test_options_that_readers_of_frames_name_exist_where_frames_are_read():
     assert "--dataset" in named
     for command in ("batch", "reconstruct"):
         assert named <= options_of(commands[command]), (command, named - options_of(commands[command]))
-    for command in ("batch", "reconstruct", "explain", "compare"):
+    for command in ("batch", "reconstruct", "explain", "compare", "track", "bag", "ros", "live"):
         assert "--bgr" in options_of(commands[command])

@@ -16,6 +16,7 @@ from gelform.image.background.orientation import (
     largest_touch,
     orientation_from_image,
 )
+from gelform.image.view import View, image_from_frame
 
 SETS = ("mini-ball", "digit-ball", "gelslim", "mini-d", "gelslim-dots", "gelsight-ball-deep")
 
