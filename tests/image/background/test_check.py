@@ -166,6 +166,7 @@ def test_digest_knows_its_own():
 
 
 def test_reconstructor_says_whose_background(calibration, simulated):
+    assert repr(gelform.Reconstructor(calibration)).endswith(", 132x176 px, the calibration's background)")
     assert gelform.Reconstructor(calibration).own_background
     assert gelform.Reconstructor(calibration, simulated.background).own_background
     today = np.clip(simulated.background.astype(np.float32) * 0.95, 0, 255)
