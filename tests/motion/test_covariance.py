@@ -26,8 +26,8 @@ def fitted():
 def test_the_place_adds_to_x_and_y_and_to_turns_over_the_contact(fitted):
     plain, placed = (pose_covariance(*fitted, np.eye(6), mm) for mm in (0.0, 0.1))
     away = fitted[0].points - fitted[0].middle
-    turn = 0.01 * 0.25**2 / np.mean(np.sum(np.square(away), axis=1))
-    np.testing.assert_allclose(placed - plain, np.diag([0.01, 0.01, 0, *[turn] * 3]), rtol=1e-5, atol=1e-12)
+    turns = 0.01 * np.square([0.25, 0.25, 0.7]) / np.mean(np.sum(np.square(away), axis=1))
+    np.testing.assert_allclose(placed - plain, np.diag([0.01, 0.01, 0, *turns]), rtol=1e-5, atol=1e-12)
     assert (np.linalg.eigvalsh(plain) > 0).all()
 
 

@@ -50,6 +50,22 @@ def test_shape_counts_from_the_error_that_slopes_may_carry():
     assert all(words.startswith("turns about the ball's center") for words in found)
 
 
+def edge(x, y):
+    """A roof whose ridge lies along (1, 0.1)."""
+    return -0.4 * np.abs(y - 0.1 * x)
+
+
+def test_a_blind_shift_turns_nothing():
+    """Its least turn, times a prior of 10 mm, would make a yaw look uncertain that is seen."""
+    for seeds in ((1, 2), (3, 4), (5, 6)):
+        (blind,), seen = blind_of(edge, seeds)
+        assert blind.words.startswith("shifts along"), blind.words
+        np.testing.assert_array_equal(blind.direction[3:], 0)
+        along = blind.direction[:3] / np.sign(blind.direction[0])
+        np.testing.assert_allclose(along, np.array([1, 0.1, 0]) / np.hypot(1, 0.1), atol=0.01)
+        assert np.linalg.matrix_rank(seen[3:]) == 3, "all turns are seen"
+
+
 def test_the_other_directions_are_seen():
     """Free motions of a ball are shifts; those of a cylinder do not roll, and do not shift along it."""
     blind, seen = blind_of(ball)

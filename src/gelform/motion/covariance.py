@@ -18,8 +18,9 @@ from gelform.motion.surface import MOVED_PX, Equations, TouchedSurface
 BLOCK_PX = 16  # px, side of the blocks whose errors count as independent
 FACTORS = np.array([1, 1, 5.5, 2.8, 2.8, 1])  # of the sandwich's standard deviations: x, y, z, tilts, yaw
 OFFSET, GAIN = 0.003, 0.02  # mm/mm, and of a slope: standard deviations of what all slopes have in common
-
-PLACE_TURN = 0.25  # of the error of a place, by which the ends of a contact err against each other
+# Of the error of a place, by which the ends of a contact err against each other, along it (tilts) and across it (yaw): the
+# latter on pairs of a cube's edge.
+PLACE_TILT, PLACE_YAW = 0.25, 0.7
 
 
 def pose_covariance(surface: TouchedSurface, equations: Equations, seen: Array, place_mm: float) -> Array:
@@ -37,7 +38,7 @@ def pose_covariance(surface: TouchedSurface, equations: Equations, seen: Array, 
     response = inverse @ np.vstack([*common, _pull(surface, equations)]).T
     covariance = sandwich * np.outer(FACTORS, FACTORS)
     covariance += (response * np.square([OFFSET, GAIN, OFFSET, GAIN, 1])) @ response.T
-    covariance += np.diag(np.square(place_mm * surface.scale * (1, 1, 0, PLACE_TURN, PLACE_TURN, PLACE_TURN)))
+    covariance += np.diag(np.square(place_mm * surface.scale * (1, 1, 0, PLACE_TILT, PLACE_TILT, PLACE_YAW)))
     return np.asarray(covariance, dtype=np.float64)
 
 

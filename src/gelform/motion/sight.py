@@ -56,6 +56,9 @@ def blind_directions(
         return tuple(Blind(turn, shape, center) for turn in turns), np.eye(6)[:, :3]
     unseen = directions[:, chosen].T
     turning = _sizes(unseen[:, 3:] / scale[3:]) > SHIFTS * _sizes(unseen[:, :3])
+    # A small turn beside a shift is noise: times a prior of millimeters, it would make turns uncertain that are seen.
+    shifts = np.linalg.eigh(at.information[:3, :3])[1].T
+    unseen[~turning] = np.pad(shifts[: np.count_nonzero(~turning)], ((0, 0), (0, 3)))
     held = np.where(turning[:, None], unseen * (0, 0, 0, 1, 1, 1), unseen / scale**2) * scale
     others = np.linalg.svd(held)[2][len(held) :]
     words = [_in_words(one, turns_too, at.center) for one, turns_too in zip(unseen, turning)]

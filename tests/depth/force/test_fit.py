@@ -51,8 +51,7 @@ def test_the_stiffness_is_the_median_and_sigma_that_of_left_out_objects():
     assert model.normal.range == pytest.approx((0.8, 12.5))
     assert model.objects == ("ball", "cube", "pen")
     # Left out, the ball is predicted by 0.0475 and the cube by 0.0425 N/mm^3.
-    own = np.sqrt((5 * model.normal.relative**2 - 2 * 0.3**2) / 3)
-    assert 0.14 < own < 0.16, "beside two objects of 30 %"
+    assert 0.14 < model.normal.relative < 0.16
     force = force_from_result(pressed(100), model)
     assert force.normal_n == pytest.approx(4.5)
     assert force.normal_sigma_n >= 4.5 * model.normal.relative
@@ -70,7 +69,7 @@ def test_sigma_is_that_of_left_out_grasps():
     unlike = [replace(load, normal_n=load.normal_n * (0.8, 1.25)[k % 2]) for k, load in enumerate(grasps)]
     model = calibrate_force([touches[k // 2 * 2] for k in range(8)], unlike)
     assert model.normal.relative > 0.3
-    assert calibrate_force(touches, loads).normal.relative < 0.22
+    assert calibrate_force(touches, loads).normal.relative < 0.01
 
 
 def test_falling_forces_do_not_count():

@@ -53,18 +53,14 @@ def test_uneven_pixels_and_depth_outside_the_contact():
     assert touch_from_result(result).volume_mm3 == pytest.approx(2.0, rel=1e-6)
 
 
-def test_a_volume_is_as_uncertain_as_its_depth_and_the_depth_beside_it():
+def test_a_volume_is_as_uncertain_as_its_depth():
+    """Whose deviation has what depth below 0 shows beside the contact."""
     sigma = np.full(SHAPE, 0.03, np.float32)
     sigma[20:30, 30:50] = 0.1
     stated = replace(pressed(), depth_sigma_mm=sigma)
+    stated.depth[~stated.contact] = -0.2
     assert touch_from_result(stated).volume_sigma_mm3 == pytest.approx(0.1 * 2, rel=1e-5)
-    sunken = pressed()
-    sunken.depth[~sunken.contact] = -0.2
-    sunken.depth[:10] = -9
-    assert touch_from_result(sunken).volume_sigma_mm3 == pytest.approx(np.sqrt(2) * 0.2 * 2, rel=1e-5)
-    risen = pressed()
-    risen.depth[~risen.contact] = 0.2
-    assert touch_from_result(risen).volume_sigma_mm3 == 0
+    assert touch_from_result(pressed()).volume_sigma_mm3 == 0, "nothing is stated of the depth"
 
 
 def test_a_force_falls_from_a_tenth_below_the_largest_volume_of_a_contact():

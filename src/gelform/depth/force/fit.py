@@ -32,7 +32,6 @@ KNOWN_K = 0.045  # N/mm^3, middle of hard objects on the studied gel (.036 to .0
 PER_NEWTON = {"grams": 1000 / 9.80665, "kilograms": 1 / 9.80665}
 LOADS_PER_TERM = 3  # loads for each weight of a dot force; with fewer, only its first term is fitted
 LONE_SPREAD = 0.30  # least relative standard deviation with one object, which does not show what others do
-EARLIER_OBJECTS = 2  # with LONE_SPREAD, beside the spread of several: unseen hard objects have .25-.3
 ONE_SIGMA = 0.683  # of a normal distribution within one standard deviation
 SMALL = 0.25  # of the forces, that tell the floor
 FOLDS = 5  # parts in time of a lone grasp
@@ -200,11 +199,8 @@ def _fit(kind: str, touches: list[Touch], loads: list[Load]) -> ForcePart | None
     for out in _folds(grasps):
         predicted[out] = terms[out] @ solve(terms[~out], target[~out])
     relative, floor = _spread(predicted, target)
-    if (count := len(set(grasps[:, 0]))) == 1:
+    if len(set(grasps[:, 0])) == 1:
         relative = max(relative, LONE_SPREAD)
-    elif kind == "normal":
-        squares = count * relative**2 + EARLIER_OBJECTS * LONE_SPREAD**2
-        relative = float(np.sqrt(squares / (count + EARLIER_OBJECTS)))
     weights = tuple(map(tuple, solve(terms, target).T.tolist()))
     return ForcePart(weights, (float(size.min()), float(size.max())), relative, floor, len(target))
 

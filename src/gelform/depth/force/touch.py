@@ -14,9 +14,6 @@ from gelform.foundations.checks import check_mm_per_px, check_values
 
 IN_LINE = 1e-6  # width over length; dots within it lie in a line, however their places were rounded
 BORDER_FRACTION = 1 / 30  # of the image's height: the width of the band along its border, 8 px of 240
-BESIDE_FRACTION = (
-    1 / 12
-)  # of the image's height, around a contact, where depth below 0 shows the error of depth
 HELD = 0.9  # of the largest volume of a contact; with less, its force falls
 
 
@@ -76,18 +73,14 @@ def touch_from_result(result: Any) -> Touch:
     inside = pressed[
         max(band - y, 0) : max(rows - band - y, 0), max(band - x, 0) : max(columns - band - x, 0)
     ]
-    beside = max(1, round(BESIDE_FRACTION * rows))
-    wide = slice(max(y - beside, 0), y + height + beside), slice(max(x - beside, 0), x + width + beside)
-    below = np.minimum(result.depth[wide], 0, where=~contact[wide], out=np.zeros_like(result.depth[wide]))
-    # Neighbors err alike, so the volume is as uncertain as the depth. Depth cannot be below 0, and errs as often above.
-    variance = 2 * float(np.square(below).sum()) / max(int(np.count_nonzero(~contact[wide])), 1)
-    if result.depth_sigma_mm is not None:
-        variance += float(np.square(result.depth_sigma_mm[box][touched], dtype=np.float64).mean())
+    # Neighbors err alike, so the volume is as uncertain as the depth.
+    deviation = result.depth_sigma_mm
+    sigma = 0.0 if deviation is None else float(deviation[box][touched].sum(dtype=np.float64))
     area = float(np.prod(check_mm_per_px(pitch)))
     whole, inner = float(pressed.sum(dtype=np.float64)), float(inside.sum(dtype=np.float64))
     return Touch(
         volume_mm3=whole * area,
-        volume_sigma_mm3=float(np.sqrt(variance)) * np.count_nonzero(touched) * area,
+        volume_sigma_mm3=sigma * area,
         confidence=float(result.confidence[box][touched].mean()),
         outside_change=result.outside_change,
         border_share=min(max(1 - inner / whole, 0.0), 1.0) if whole > 0 else 0.0,
