@@ -185,7 +185,8 @@ def test_a_grid_of_any_size(shape):
 
 
 def numpy_errors(
-    slopes, depth, at_rest, known, read, steep, rows, columns, work, cells, full, spill, rest_share, of_contact, gain, doubted
+    slopes, depth, at_rest, known, read, steep, rows, columns, work, cells, full, spill, rest_share, of_contact, gain,
+    doubted,
 ):  # fmt: skip
     """What the kernel should give, in float64."""
     g = slopes.astype(float)

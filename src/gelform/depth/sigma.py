@@ -40,8 +40,8 @@ LEAST_PX = 0.6  # px, distance below which the kernel is cut: a pixel's own slop
 
 _depth_errors = Kernel(
     "depth_errors",
-    "f32[h,w,2] slopes, f32[h,w] depth, bool[h,w] at_rest, bool[h,w] known, f32[h,w] read, f32[h,w] steep, i32[row_ends] rows, "
-    "i32[column_ends] columns, out f32[n] work, out f32[maps,r,c] cells, f32 full, f32 spill, f32 rest_share, "
+    "f32[h,w,2] slopes, f32[h,w] depth, bool[h,w] at_rest, bool[h,w] known, f32[h,w] read, f32[h,w] steep, "
+    "i32[row_ends] rows, i32[column_ends] columns, out f32[n] work, out f32[maps,r,c] cells, f32 full, f32 spill, f32 rest_share, "
     "f32 spill_of_contact, f32 gain, f32 doubted",
 )
 MAPS = 9  # that `depth_errors` sums; the same as in native/depth/errors.c
@@ -183,8 +183,8 @@ class DepthErrors:
         return np.asarray(np.sqrt(apart))
 
     def _with_own(self, variance: NDArray[np.float32], at_least: float = 0.0) -> NDArray[np.float32]:
-        own = np.maximum(self.own, np.float32(at_least))
-        return variance + np.float32(PULL) * np.maximum(own - variance, 0)
+        own: NDArray[np.float32] = np.maximum(self.own, np.float32(at_least))
+        return np.asarray(variance + np.float32(PULL) * np.maximum(own - variance, 0), dtype=np.float32)
 
     def _root(self, variance: NDArray[np.float32], most_mm: float) -> NDArray[np.float32]:
         found = self.coarse.at_pixels(variance)
