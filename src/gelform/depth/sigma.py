@@ -41,8 +41,8 @@ LEAST_PX = 0.6  # px, distance below which the kernel is cut: a pixel's own slop
 _depth_errors = Kernel(
     "depth_errors",
     "f32[h,w,2] slopes, f32[h,w] depth, bool[h,w] at_rest, bool[h,w] known, f32[h,w] read, f32[h,w] steep, "
-    "i32[row_ends] rows, i32[column_ends] columns, out f32[n] work, out f32[maps,r,c] cells, f32 full, f32 spill, f32 rest_share, "
-    "f32 spill_of_contact, f32 gain, f32 doubted",
+    "i32[row_ends] rows, i32[column_ends] columns, out f32[n] work, out f32[maps,r,c] cells, f32 full, f32 spill, "
+    "f32 rest_share, f32 spill_of_contact, f32 gain, f32 doubted",
 )
 MAPS = 9  # that `depth_errors` sums; the same as in native/depth/errors.c
 
