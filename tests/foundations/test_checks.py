@@ -72,7 +72,7 @@ def test_what_is_no_image(image, error, message):
 
 def test_gradients_say_where_the_components_belong():
     with pytest.raises(
-        ValueError, match=r"\(240, 320, 2\), got \(2, 240, 320\)\. Move the component axis last"
+        ValueError, match=r"\(240, 320, 2\), got \(2, 240, 320\)\. Move the axis of the components last"
     ):
         check_gradients(np.zeros((2, 240, 320)))
     with pytest.raises(ValueError, match=r"Expected gradients of shape \(3, 4, 2\), got \(4, 3, 2\)"):

@@ -46,7 +46,7 @@ def test_arrays_of_numpy_are_images(tmp_path):
             IMAGE[..., 0],
             r"array \(N, H, W, 3\) or one image \(H, W, 3\) of at most 200 megapixels, got \(6, 8\)",
         ),
-        (np.moveaxis(IMAGE, 2, 0), "Move the axis of the color last"),
+        (np.moveaxis(IMAGE, 2, 0), "Move the axis of the colors last"),
         (np.zeros((0, 6, 8, 3), np.uint8), r"got \(0, 6, 8, 3\)"),
         (IMAGE.astype(np.int32) * 300, "one.npy: Expected whole numbers from 0 to 255"),
         (np.array([{"image": IMAGE}]), "no array file"),

@@ -33,7 +33,7 @@ PULL = 0.5  # share of what negative depths have beyond the variance; half of al
 LEAST_FREE = 0.05  # share of pixels around a cell that may be negative; fewer do not tell an error
 # mm/mm, deviation of a steep slope from which on depth may be missing: nearly none on balls of the own unit, whose depth is
 # right, but on faces that another unit's model reads.
-DOUBTED = 0.2
+DOUBTED = 0.28
 LEAST_MM2 = np.float32(1e-14)  # mm^2, least variance; the filter rounds
 SUBCELLS = 8  # points along a cell's side, over which the kernel is averaged
 LEAST_PX = 0.6  # px, distance below which the kernel is cut: a pixel's own slopes do not move it further

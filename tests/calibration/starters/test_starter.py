@@ -170,9 +170,9 @@ def test_another_make_a_mirrored_image_and_bgr_are_refused():
         (
             mini[..., ::-1],
             "gelsight-mini",
-            r"is BGR, or mirrored left to right and BGR: .*image\[\.\.\., ::-1\]",
+            r"is BGR, or mirrored left to right and BGR: .*red and blue exchanged \(--bgr",
         ),
-        (digit[:, ::-1], "digit", r"is mirrored left to right: .*image\[:, ::-1\]"),
+        (digit[:, ::-1], "digit", r"is mirrored left to right: .*the view.s flip"),
         (digit[:, ::-1, ::-1], "digit", "is mirrored left to right and BGR: "),
         (digit[::-1, ::-1], "digit", "is turned by 180 degrees: "),
     ):

@@ -228,7 +228,10 @@ def test_an_untouched_look_is_its_background_and_a_pressed_one_is_the_tables(tmp
     far = np.zeros_like(deep)
     far[:4, :4] = True
     assert np.abs(press.image.astype(float) - background)[far].mean() < 2.5
-    for shape, mm_per_px, said in (((64, 48), 0.1, r"np\.rot90\(image, -1\)"), ((48, 64), 0.0, "mm_per_px")):
+    for shape, mm_per_px, said in (
+        ((64, 48), 0.1, "Turn an upright one by 90 degrees clockwise"),
+        ((48, 64), 0.0, "mm_per_px"),
+    ):
         with pytest.raises(ValueError, match=said):
             TaximLook(TaximTables(tables()), np.zeros((*shape, 3), np.float32), mm_per_px, np.zeros(3))
 

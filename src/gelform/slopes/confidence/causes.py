@@ -29,6 +29,7 @@ class Cause(NamedTuple):
 
 
 LEAVES_NOTHING = 0.35  # mm/mm, standard deviation that leaves no information; about the slope of a ball's rim
+STEEP = 0.4  # mm/mm, of a slope 0.23 beyond those that presses have shown
 SIX_SIGMA = 7.0  # mm/mm, standard deviation that a residual of 6 sigma adds; rims of real presses reach 5
 # The colors are those of Okabe and Ito, distinct for every kind of color blindness; the last is not theirs.
 CAUSES = {
@@ -45,9 +46,7 @@ CAUSES = {
         SIX_SIGMA,
         "#cc79a7",
     ),
-    "steep": Cause(
-        "steeper than the presses have shown: at least about this slope.", LEAVES_NOTHING, "#882255"
-    ),
+    "steep": Cause("steeper than the presses have shown: at least about this slope.", STEEP, "#882255"),
     "inconsistent": Cause(
         "torn or from another moment: data of the frame were lost.", LEAVES_NOTHING, "#d55e00"
     ),
