@@ -192,7 +192,7 @@ def test_frame_times_pass_through(calibration, press):
         (lambda image: image / 255, ValueError, "0-1 range"),
         (lambda image: image.astype(float) * 2, ValueError, "within 0-255"),
         (lambda image: np.where(image > 90, np.nan, image), ValueError, "within 0-255"),
-        (lambda image: np.moveaxis(image, -1, 0), ValueError, "channel axis last"),
+        (lambda image: np.moveaxis(image, -1, 0), ValueError, "axis of the channels last"),
         (lambda image: np.dstack([image, image[..., 0]]), ValueError, "alpha"),
         (lambda image: image.astype(np.uint16), TypeError, "uint16"),
         (lambda image: image[..., ::-1], gelform.CalibrationError, "is BGR compared"),

@@ -12,8 +12,8 @@ struct numbers {
 static inline float square_of(float x) { return x * x; }
 
 static inline void add_row(const struct numbers *restrict n, const float *restrict slopes, const float *restrict depth,
-                           const bool *restrict at_rest, const float *restrict read, const float *restrict steep,
-                           float *restrict sums, ptrdiff_t w) {
+                           const bool *restrict at_rest, const bool *restrict known, const float *restrict read,
+                           const float *restrict steep, float *restrict sums, ptrdiff_t w) {
   const float most = 2 * square_of(n->full), gain = square_of(n->gain), doubted = square_of(n->doubted);
   float *errors = sums, *of_contact = sums + w, *below = sums + 2 * w, *free = sums + 3 * w, *common_p = sums + 4 * w,
         *common_q = sums + 5 * w, *steep_p = sums + 6 * w, *steep_q = sums + 7 * w, *rest = sums + 8 * w;
@@ -23,10 +23,11 @@ static inline void add_row(const struct numbers *restrict n, const float *restri
     const float resting = at_rest[x] ? 1 : 0, moved = 1 - resting;
     const float noise = smaller(square, 2 * square_of(smaller(read[x], n->full)));
     errors[x] += resting * noise + moved * smaller(n->spill * square, most);
-    of_contact[x] += resting * n->rest_share * noise + moved * smaller(n->spill_of_contact * square, most);
-    const float low = smaller(depth[x], 0);
-    below[x] += 2 * low * low;
-    free[x] += larger(resting, low < 0 ? 1 : 0);
+    const float doubted_noise = smaller(n->spill_of_contact * square, 2 * square_of(smaller(2 * read[x], n->full)));
+    of_contact[x] += resting * n->rest_share * noise + moved * doubted_noise;
+    const float low = smaller(depth[x], 0), counts = known[x] ? 1 : 0;  // what was filled in is no error of the frame
+    below[x] += counts * 2 * low * low;
+    free[x] += counts * larger(resting, low < 0 ? 1 : 0);
     rest[x] += resting;
     const float each = steep[x] * steep[x], doubt = each > doubted ? each : 0;
     const float per_slope = 1 / sqrtf(larger(square, 1e-12f));
@@ -37,7 +38,7 @@ static inline void add_row(const struct numbers *restrict n, const float *restri
 }
 
 // Cell (r, c) holds the rows from rows[r] to rows[r + 1] and the columns from columns[c] to columns[c + 1].
-EXPORT int depth_errors(const float *slopes, const float *depth, const bool *at_rest, const float *read, const float *steep,
+EXPORT int depth_errors(const float *slopes, const float *depth, const bool *at_rest, const bool *known, const float *read, const float *steep,
                         const int32_t *rows, const int32_t *columns, float *work, float *cells, float full, float spill,
                         float rest_share, float spill_of_contact, float gain, float doubted, ptrdiff_t h, ptrdiff_t w,
                         ptrdiff_t row_ends, ptrdiff_t column_ends, ptrdiff_t n, ptrdiff_t maps, ptrdiff_t r, ptrdiff_t c) {
@@ -46,7 +47,7 @@ EXPORT int depth_errors(const float *slopes, const float *depth, const bool *at_
   for (ptrdiff_t i = 0; i < r; i++) {
     memset(work, 0, (size_t)(MAPS * w) * sizeof *work);
     for (ptrdiff_t y = rows[i]; y < rows[i + 1]; y++)
-      add_row(&values, slopes + 2 * y * w, depth + y * w, at_rest + y * w, read + y * w, steep + y * w, work, w);
+      add_row(&values, slopes + 2 * y * w, depth + y * w, at_rest + y * w, known + y * w, read + y * w, steep + y * w, work, w);
     for (ptrdiff_t map = 0; map < MAPS; map++)
       for (ptrdiff_t j = 0; j < c; j++) {
         float total = 0;

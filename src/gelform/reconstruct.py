@@ -200,7 +200,7 @@ class FrameRecord:
             return None
         budget = self.budget
         return self.fixed.depth_sigma(
-            self.gradients, self.depth_mm, self.slopes.at_rest, budget.read, budget.steep
+            self.gradients, self.depth_mm, self.slopes.at_rest, self.known, budget.read, budget.steep
         )
 
     @property
@@ -325,6 +325,11 @@ class Reconstructor:
         self.markers = MarkerFollower(self.background, calibration.mm_per_px)
         self._pool = Pool(lambda: np.empty((*calibration.image_shape, 3), dtype=np.float32))
         keep_freed_memory(BYTES_PER_PX * int(np.prod(calibration.image_shape)))
+
+    def __repr__(self) -> str:
+        height, width = self.calibration.image_shape
+        whose = "the calibration's" if self.own_background else "a newer"
+        return f"Reconstructor({self.calibration.sensor_name}, {height}x{width} px, {whose} background)"
 
     def with_background(
         self, background: NDArray[np.float32], usual: FrameLight | None = None

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from gelform.batch import KEPT, run_batch, verify_output
-from gelform.batch.finish import LABEL_PX, TILE_PX, sheet_bytes
+from gelform.batch.finish import GAP_PX, LABEL_PX, TILE_PX, contact_sheet, sheet_bytes
 from gelform.batch.manifest import Manifest, begin, only_run, read_manifest
 from gelform.batch.outputs.files import OutputFile
 from gelform.batch.records import (
@@ -263,11 +263,28 @@ def test_where_the_touch_is_it_is_bright(tree, cal, tmp_path):
     run_batch(tree, cal, tmp_path / "out", BatchSettings(part_frames=2))
     sheet = cv2.imread(str(tmp_path / "out/sheet.png"))
     height = TILE_PX * 64 // 80
-    assert sheet.shape == (2 * (height + LABEL_PX), 6 * TILE_PX, 3)  # eight frames
+    assert sheet.shape == (2 * (height + LABEL_PX + GAP_PX), 6 * (TILE_PX + GAP_PX), 3)  # eight frames
     tile = sheet[:height, :TILE_PX].sum(axis=2)
     assert tile[height * 30 // 64, TILE_PX // 2] > 2 * tile[5, 5]
     before = (tmp_path / "out/sheet.png").read_bytes()
-    assert sheet_bytes(tmp_path / "out", read_manifest(tmp_path / "out")) == before
+    assert sheet_bytes(tmp_path / "out", read_manifest(tmp_path / "out"), cal.mm_per_px) == before
+
+
+def test_a_sheet_has_gaps_a_color_bar_and_a_scale():
+    """A map of 20 mm, drawn 200 px wide: the longest round length that fits is 2 mm, of 20 px."""
+    depth = np.linspace(0, 0.8, 100 * 40).reshape(40, 100)
+    sheet = cv2.imdecode(
+        np.frombuffer(contact_sheet([(depth, "a", "b")] * 2, 0.2), np.uint8), cv2.IMREAD_COLOR
+    )
+    assert (sheet[:, TILE_PX : TILE_PX + GAP_PX] == 90).all()
+    assert (sheet[-GAP_PX:] == 90).all()
+    bar = sheet[80 + 10, 14 : 14 + 60].astype(int)
+    assert np.abs(bar[0] - sheet[0, 0]).max() <= 3
+    assert np.abs(bar[-1] - sheet[79, TILE_PX - 1]).max() <= 12
+    scale = (sheet[80 + 9, 140:TILE_PX] == 255).all(axis=1)
+    assert scale.sum() == 20
+    none = cv2.imdecode(np.frombuffer(contact_sheet([(depth, "a", "b")]), np.uint8), cv2.IMREAD_COLOR)
+    assert not (none[80 + 9, 140:TILE_PX] == 255).all(axis=1).any()
 
 
 def test_no_sheet_where_no_depth_was_kept_and_unknown_pixels_are_dark(tree, cal, tmp_path, monkeypatch):

@@ -32,7 +32,9 @@ def test_flat_punches_are_read_beside_the_balls(calibration, presses, sensor):
     def pressed(center_mm):
         rng = np.random.default_rng(0)
         image = simulate_press(sensor, Punch(4.0), depth_mm=0.25, center_mm=center_mm, rng=rng).image
-        return FlatPress("flat", image, 0.25, "digest")
+        flat = FlatPress("flat", image, 0.25, "digest")
+        assert repr(flat) == "FlatPress(flat, 0.25 mm high)"
+        return flat
 
     flats = pressed((0.0, 0.0)), pressed((9.0, 0.0))
     evaluation = gelform.evaluate(calibration, replace(presses.subset([0]), flats=flats))

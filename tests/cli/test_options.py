@@ -132,6 +132,16 @@ def test_options_that_messages_name_exist():
         assert named <= known, (path, named - known)
 
 
+def test_messages_advise_no_python():
+    """They reach the command line. Only what reads files that Python wrote says how to write them anew."""
+    code = re.compile(
+        r"\bnp\.\w|\bnumpy\.(?:moveaxis|rot90|\w*contiguous)|\b(?:image|array|frame)\[|\.astype\("
+    )
+    for path in SOURCE.rglob("*.py"):
+        if "_native" not in path.parts:
+            assert [text for text in texts_of(path) if code.search(text)] == [], path
+
+
 def test_options_that_readers_of_frames_name_exist_where_frames_are_read():
     """A message of the reader of data sets reaches every command that lists frames."""
     commands = dict(all_commands())
@@ -148,5 +158,5 @@ def test_options_that_readers_of_frames_name_exist_where_frames_are_read():
     assert "--dataset" in named
     for command in ("batch", "reconstruct"):
         assert named <= options_of(commands[command]), (command, named - options_of(commands[command]))
-    for command in ("batch", "reconstruct", "explain", "compare"):
+    for command in ("batch", "reconstruct", "explain", "compare", "track", "bag", "ros", "live"):
         assert "--bgr" in options_of(commands[command])

@@ -174,7 +174,7 @@ def test_a_terminal_that_closes_ends_a_recording_with_its_index(tmp_path):
     command = [*GELFORM.split(), "record", "simulated", "-o", str(path)]
     ran = subprocess.Popen(command, stdin=there, stdout=there, stderr=there, start_new_session=True)
     os.close(there)
-    deadline = time.monotonic() + 60
+    deadline = time.monotonic() + 240
     while not path.exists() or path.stat().st_size < 200_000:
         assert time.monotonic() < deadline
         assert ran.poll() is None

@@ -21,11 +21,11 @@ SHAPE, PITCH, FULL = (120, 160), 0.1, 0.05
 ALL = np.ones(SHAPE, bool)
 
 
-def errors_of(depth, at_rest=ALL, read=0.02, steep=0.0, factor=1.0, gain=0.0):
+def errors_of(depth, at_rest=ALL, read=0.02, steep=0.0, factor=1.0, gain=0.0, known=ALL):
     depth = np.asarray(depth, np.float32)
     read, steep = (np.broadcast_to(np.float32(one), depth.shape).copy() for one in (read, steep))
     made = DepthSigma(depth.shape, PITCH, full_confidence_sigma=FULL, factor=factor, gain_sigma=gain)
-    return made(slopes_of_solution(depth, (PITCH, PITCH)), depth, at_rest, read, steep)
+    return made(slopes_of_solution(depth, (PITCH, PITCH)), depth, at_rest, known, read, steep)
 
 
 def bump(height, center=(60, 80), width=12.0):
@@ -79,7 +79,11 @@ def test_it_grows_with_the_factor_and_with_the_slopes_at_rest():
 def test_at_rest_a_slope_counts_up_to_what_it_may_be_off_and_elsewhere_in_part():
     ramp = np.tile(PITCH * 0.2 * np.arange(SHAPE[1]), (SHAPE[0], 1))
     rest, moved = errors_of(ramp), errors_of(ramp, ~ALL)
-    np.testing.assert_allclose(rest.spread, rest.spread[0, 0], rtol=1e-3)
+    alike = rest.spread / sigma._beside_border(coarse_of(SHAPE), SHAPE)
+    np.testing.assert_allclose(alike, alike[0, 0], rtol=1e-3)
+    assert rest.spread[15, 0] == pytest.approx(2 * rest.spread[15, 20], rel=0.15), (
+        "a border doubles the variance"
+    )
     np.testing.assert_allclose(moved.spread / rest.spread, 2 * FULL**2 * 0.72 / (2 * 0.02**2), rtol=1e-3)
 
 
@@ -90,6 +94,7 @@ def test_negative_depth_is_an_error_of_the_frame():
     assert flat.sigma(9.0).max() < 1e-6
     assert 0.02 < low[60, 80] < 0.1
     assert low[5, 5] < 1e-3
+    assert errors_of(bump(-0.1), factor=1e-3, known=~ALL).sigma(9.0).max() < 1e-3, "filled in"
     np.testing.assert_allclose(valley.local_variance[60, 80], PULL * valley.own[15, 20], rtol=0.05)
 
 
@@ -175,12 +180,13 @@ def test_a_grid_of_any_size(shape):
     if min(shape) > 1:
         made = DepthSigma(shape, PITCH, full_confidence_sigma=FULL, factor=1.0, gain_sigma=0.1)
         depth = np.ones(shape, np.float32)
-        maps = depth > 0, 0.01 * depth, 0 * depth
+        maps = depth > 0, depth > 0, 0.01 * depth, 0 * depth
         assert np.isfinite(made(slopes_of_solution(depth, (PITCH, PITCH)), depth, *maps).sigma(1.0)).all()
 
 
 def numpy_errors(
-    slopes, depth, at_rest, read, steep, rows, columns, work, cells, full, spill, rest_share, of_contact, gain, doubted
+    slopes, depth, at_rest, known, read, steep, rows, columns, work, cells, full, spill, rest_share, of_contact, gain,
+    doubted,
 ):  # fmt: skip
     """What the kernel should give, in float64."""
     g = slopes.astype(float)
@@ -191,8 +197,8 @@ def numpy_errors(
     common, alone = np.sqrt(gain**2 * square + doubt)[..., None] * unit, np.sqrt(doubt)[..., None] * unit
     maps = [
         np.where(at_rest, noise, np.minimum(spill**2 * square, 2 * full**2)),
-        np.where(at_rest, rest_share * noise, np.minimum(of_contact**2 * square, 2 * full**2)),
-        2 * low**2, at_rest | (low < 0), *np.moveaxis(common, -1, 0), *np.moveaxis(alone, -1, 0), at_rest,
+        np.where(at_rest, rest_share * noise, np.minimum(of_contact**2 * square, 2 * np.minimum(2 * read, full) ** 2)),
+        2 * low**2 * known, (at_rest | (low < 0)) & known, *np.moveaxis(common, -1, 0), *np.moveaxis(alone, -1, 0), at_rest,
     ]  # fmt: skip
     return np.array(
         [[[one[a:b, c:d].mean() for c, d in pairwise(columns)] for a, b in pairwise(rows)] for one in maps]
@@ -209,6 +215,7 @@ def test_the_kernel_agrees_with_numpy(shape, grid):
 
     assert_kernel_agrees(
         sigma._depth_errors, numpy_errors, uniform(-0.5, 0.5, 2), uniform(-0.01, 0.02), uniform(0, 1) > 0.5,
+        uniform(0, 1) > 0.2,
         uniform(0.01, 0.1), uniform(0, 0.3), rows, columns, np.empty(MAPS * shape[1], np.float32),
         np.empty((MAPS, *grid), np.float32), 0.05, 0.3, 0.2, 0.6, 0.08, 0.2,
     )  # fmt: skip

@@ -100,6 +100,20 @@ def test_a_folder_plays_once_and_stays_at_its_end(tmp_path, simulated, calibrati
         assert hub.recordings.facts()[0]["name"] == tmp_path.name
 
 
+def test_a_folder_of_blue_green_red_frames_is_shown_in_rgb_and_has_its_controls(tmp_path, simulated):
+    image = simulated.presses[0].image
+    for k in range(2):
+        save_picture(tmp_path / f"{k}.png", image[..., ::-1])
+    with closing(start(Options([str(tmp_path)], bgr=True))) as hub:
+        station = hub.stations[0]
+        until(lambda: station.player)
+        station.pause(True)
+        assert not station.player.playing
+        station.player.seek(1)
+        until(lambda: (one := station.newest) and one.frame.number == 1)
+        np.testing.assert_array_equal(station.newest.frame.image, image)
+
+
 @pytest.mark.slow
 def test_two_simulated_sensors_are_touched_apart_from_each_other():
     with closing(start(Options(["simulated", "simulated"], rate_hz=20))) as hub:

@@ -26,6 +26,15 @@ def test_a_folder_and_what_cannot_be_set(tmp_path):
         open_source(spec, settings={}).close()
 
 
+def test_frames_of_blue_green_red_are_given_as_rgb(tmp_path):
+    image = np.arange(48, dtype=np.uint8).reshape(4, 4, 3)
+    cv2.imwrite(str(tmp_path / "0.png"), image)  # it takes the array as blue, green, red
+    with open_source(tmp_path, bgr=True) as source:
+        (frame,) = source
+    np.testing.assert_array_equal(frame.image, image)
+    assert (source.name, source.live, frame.encoded) == (open_source(tmp_path).name, False, None)
+
+
 def test_what_is_no_source_says_what_is(tmp_path, monkeypatch):
     monkeypatch.setattr("gelform.sensors.cameras.camera.cameras_there", lambda: [])
     (tmp_path / "notes.txt").write_text("x")

@@ -24,19 +24,30 @@ from gelform.batch.records import (
 )
 from gelform.foundations.pictures import picture_bytes
 
+Pitch = float | Sequence[float]
 SHEET = "sheet.png"
-COLUMNS, ROWS, TILE_PX, LABEL_PX = 6, 4, 200, 34  # of the contact sheet: tiles per row, rows, px
+COLUMNS, ROWS = 6, 4  # of the contact sheet: tiles per row, rows
+TILE_PX, LABEL_PX, GAP_PX = (
+    200,
+    50,
+    8,
+)  # px: width of a tile, height of the text below it, gap right of it and below
+GAP_LEVEL = 90  # gray level of gaps
+BAR = np.linspace(0, 255, 60).astype(np.uint8)  # the color bar of a tile, gray levels of its px
+ROUND_MM = (0.5, 1, 2, 5, 10)  # mm, lengths of a scale
 LEAST_RANGE_MM = 0.1  # mm, smallest range of a tile's colors, so that a gel at rest stays dark
 
 
-def finish(output: Path, manifest: Manifest, table: str, source: Path) -> None:
+def finish(
+    output: Path, manifest: Manifest, table: str, source: Path, mm_per_px: Pitch | None = None
+) -> None:
     """Write the files and their record, unless they are there; of the table, the form that was asked for."""
     done = read_record(output, None)
     if done is None or not outputs_there(output, done):
         for name in TABLES.values():  # of an earlier state of the parts
             (output / name).unlink(missing_ok=True)
         files = WRITERS[manifest.settings["form"]].finish(output, files_of(output, manifest.parts), source)
-        sheet = sheet_bytes(output, manifest)
+        sheet = sheet_bytes(output, manifest, mm_per_px)
         if sheet:
             files.append(write_output(output, output / SHEET, sheet))
     else:
@@ -48,7 +59,7 @@ def finish(output: Path, manifest: Manifest, table: str, source: Path) -> None:
         write_record(output, None, PartRecord("", (), tuple(files)))
 
 
-def sheet_bytes(output: Path, manifest: Manifest) -> bytes:
+def sheet_bytes(output: Path, manifest: Manifest, mm_per_px: Pitch | None = None) -> bytes:
     """The contact sheet of up to 24 frames; empty if depth was not kept.
 
     The choice depends only on the list of inputs, so that the same data set gives the same sheet.
@@ -57,21 +68,28 @@ def sheet_bytes(output: Path, manifest: Manifest) -> bytes:
         [
             (depth, f"{row['sequence']}/{row['frame']}", f"{_deepest(row)} {row['health']}")
             for depth, row in _choose_frames(output, manifest)
-        ]
+        ],
+        mm_per_px,
     )
 
 
-def contact_sheet(frames: Sequence[tuple[NDArray[Any], str, str]]) -> bytes:
-    """A PNG of frames, each from 0 (dark) to its own deepest point; empty without frames.
+def contact_sheet(
+    frames: Sequence[tuple[NDArray[Any], str, str]], mm_per_px: Pitch | None = None, unit: str = "mm"
+) -> bytes:
+    """A PNG of frames, each from 0 (dark) to its own deepest point, with a color bar and a scale; empty without frames.
 
     Parameters
     ----------
     frames : depth (H, W), name and note of each
+    mm_per_px : of the images, mm, or (x, y); None leaves out the scale
+    unit : of the depths
     """
-    tiles = [_tile(*frame) for frame in frames]
+    pitch = None if mm_per_px is None else float(np.ravel(mm_per_px)[0])
+    tiles = [_tile(*frame, pitch, unit) for frame in frames]
     if not tiles:
         return b""
     blank = np.zeros_like(tiles[0])
+    blank[-GAP_PX:] = blank[:, -GAP_PX:] = GAP_LEVEL
     tiles += [blank] * (-len(tiles) % COLUMNS)
     lines = [np.hstack(tiles[k : k + COLUMNS]) for k in range(0, len(tiles), COLUMNS)]
     return picture_bytes(np.vstack(lines)[..., ::-1])  # OpenCV colors tiles in BGR
@@ -94,21 +112,29 @@ def _choose_frames(output: Path, manifest: Manifest) -> list[tuple[NDArray[Any],
     return chosen[:wanted]
 
 
-def _tile(depth: NDArray[Any], name: str, note: str) -> NDArray[np.uint8]:
-    """Depth as colors with two lines of text below: the frame's name, and its deepest point and findings."""
+def _tile(depth: NDArray[Any], name: str, note: str, pitch: float | None, unit: str) -> NDArray[np.uint8]:
+    """Depth as colors with three lines below: color bar and scale, the frame's name, its deepest point and findings."""
     depth = np.nan_to_num(depth, nan=0.0)
-    levels = np.clip(255 * depth / max(float(depth.max()), LEAST_RANGE_MM), 0, 255).astype(np.uint8)
+    deepest = max(float(depth.max()), LEAST_RANGE_MM)
+    levels = np.clip(255 * depth / deepest, 0, 255).astype(np.uint8)
     height = round(TILE_PX * depth.shape[0] / depth.shape[1])
     small = cv2.resize(levels, (TILE_PX, height), interpolation=cv2.INTER_AREA)
     tile = np.vstack(
         [cv2.applyColorMap(small, cv2.COLORMAP_VIRIDIS), np.zeros((LABEL_PX, TILE_PX, 3), np.uint8)]
     )
+    tile[height + 6 : height + 14, 14 : 14 + len(BAR)] = cv2.applyColorMap(BAR[None], cv2.COLORMAP_VIRIDIS)
     name = name.encode("ascii", "replace").decode()
-    for text, y in ((name[-32:], 14), (note[:32], 28)):
+    texts = [("0", 4, 14), (f"{deepest:.2f} {unit}", 78, 14), (name[-32:], 4, 30), (note[:32], 4, 44)]
+    if pitch is not None:
+        px_per_mm = TILE_PX / (depth.shape[1] * pitch)
+        length_mm = max((one for one in ROUND_MM if one * px_per_mm <= 40), default=ROUND_MM[0])
+        tile[height + 9 : height + 11, TILE_PX - round(length_mm * px_per_mm) - 2 : TILE_PX - 2] = 255
+        texts.append((f"{length_mm:g} mm", TILE_PX - 42, 24))
+    for text, x, y in texts:
         cv2.putText(
-            tile, text, (4, height + y), cv2.FONT_HERSHEY_SIMPLEX, 0.36, (255, 255, 255), 1, cv2.LINE_AA
+            tile, text, (x, height + y), cv2.FONT_HERSHEY_SIMPLEX, 0.36, (255, 255, 255), 1, cv2.LINE_AA
         )
-    return np.asarray(tile)
+    return cv2.copyMakeBorder(tile, 0, GAP_PX, 0, GAP_PX, cv2.BORDER_CONSTANT, value=[GAP_LEVEL] * 3)
 
 
 def _deepest(row: dict[str, Any]) -> str:

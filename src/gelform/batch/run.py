@@ -154,7 +154,7 @@ def run_batch(
         _do(job, todo, engine, options.max_errors, summary, progress)
         _count(output, parts, summary.tally)
         if not summary.stopped and all(record_path(output, part.number).exists() for part in plan):
-            finish(output, manifest, table, listing.root)
+            finish(output, manifest, table, listing.root, calibration.mm_per_px)
             summary.complete = True
     return summary
 

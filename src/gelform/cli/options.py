@@ -46,6 +46,7 @@ COLOR_MODELS = names_in("slopes/color_models/__init__.py", "COLOR_MODELS")
 PACKAGES = names_in("exchange/importers/calibrations.py", "PACKAGES")
 LAYOUTS = names_in("simulate/presets.py", "LAYOUTS")
 SENSORS = names_in("sensors/profiles.py", "SENSORS")
+FORMS = names_in("exchange/exporters/moving.py", "FORMS")
 STARTERS = tuple(sorted(path.stem for path in (PACKAGE / "calibration" / "starters").glob("*.npz")))
 
 

@@ -40,9 +40,9 @@ LEAST_PX = 0.6  # px, distance below which the kernel is cut: a pixel's own slop
 
 _depth_errors = Kernel(
     "depth_errors",
-    "f32[h,w,2] slopes, f32[h,w] depth, bool[h,w] at_rest, f32[h,w] read, f32[h,w] steep, i32[row_ends] rows, "
-    "i32[column_ends] columns, out f32[n] work, out f32[maps,r,c] cells, f32 full, f32 spill, f32 rest_share, "
-    "f32 spill_of_contact, f32 gain, f32 doubted",
+    "f32[h,w,2] slopes, f32[h,w] depth, bool[h,w] at_rest, bool[h,w] known, f32[h,w] read, f32[h,w] steep, "
+    "i32[row_ends] rows, i32[column_ends] columns, out f32[n] work, out f32[maps,r,c] cells, f32 full, f32 spill, "
+    "f32 rest_share, f32 spill_of_contact, f32 gain, f32 doubted",
 )
 MAPS = 9  # that `depth_errors` sums; the same as in native/depth/errors.c
 
@@ -79,6 +79,7 @@ class DepthSigma:
             "spill_of_contact": SPILL_OF_CONTACT, "gain": gain_sigma, "doubted": DOUBTED,
         }  # fmt: skip
         spread = _spread(coarse, shape) * np.float32((factor * mm_per_px) ** 2)
+        self._beside_border = _beside_border(coarse, shape)
         window = _window(coarse, shape)
         self._filter = CosineFilter(np.stack([spread, spread, window, window]))
 
@@ -87,6 +88,7 @@ class DepthSigma:
         slopes: NDArray[np.float32],
         depth: NDArray[np.float32],
         at_rest: NDArray[np.bool_],
+        known: NDArray[np.bool_],
         read: NDArray[np.float32],
         steep: NDArray[np.float32],
     ) -> DepthErrors:
@@ -95,13 +97,13 @@ class DepthSigma:
         Parameters
         ----------
         slopes : (H, W, 2), of the depth
-        at_rest : (H, W) bool, pixels at rest
+        at_rest, known : (H, W) bool, pixels at rest, and those whose depth was not filled in
         read, steep : (H, W), deviation of the slopes as read, and the one of steep slopes
         """
         cells = np.empty((MAPS, *self.coarse.shape), dtype=np.float32)
         work = np.empty(MAPS * depth.shape[1], dtype=np.float32)
         _depth_errors(
-            slopes, depth, at_rest, read, steep, self._rows, self._columns, work, cells, **self.numbers
+            slopes, depth, at_rest, known, read, steep, self._rows, self._columns, work, cells, **self.numbers
         )
         if not is_finite(cells):
             raise ConvergenceError(
@@ -110,9 +112,12 @@ class DepthSigma:
             )
         anywhere, of_contact, below, free = self._filter(cells[:4])
         own = below / np.maximum(free, np.float32(LEAST_FREE))
-        anywhere, of_contact = (np.maximum(one, LEAST_MM2) for one in (anywhere, of_contact))
+        of_frame = float(cells[2].mean()) / max(float(cells[3].mean()), LEAST_FREE)
+        anywhere, of_contact = (
+            np.maximum(one * self._beside_border, LEAST_MM2) for one in (anywhere, of_contact)
+        )
         return DepthErrors(
-            self.coarse, anywhere, of_contact, own, cells[4:], self._mm_per_px, self.numbers["gain"]
+            self.coarse, anywhere, of_contact, own, of_frame, cells[4:], self._mm_per_px, self.numbers["gain"]
         )
 
 
@@ -123,7 +128,7 @@ class DepthErrors:
     Attributes
     ----------
     spread, contact_spread : variance by the slopes, mm^2, for depth and for the judgment of contacts
-    own : twice the mean square of negative depths around, mm^2
+    own, own_of_frame : twice the mean square of negative depths, around and in the whole frame, mm^2
     slopes_off : (5, r, c), the slopes that may be common errors in all (p, q), of steep faces alone (p, q), and the share of
         pixels at rest
     """
@@ -132,6 +137,7 @@ class DepthErrors:
     spread: NDArray[np.float32]
     contact_spread: NDArray[np.float32]
     own: NDArray[np.float32]
+    own_of_frame: float
     slopes_off: NDArray[np.float32] = field(repr=False)
     mm_per_px: np.float32
     gain_sigma: float
@@ -160,8 +166,11 @@ class DepthErrors:
         return self._root(self._with_own(self.spread) + np.square(self.common_mm), most_mm)
 
     def contact_sigma(self, most_mm: float) -> NDArray[np.float32]:
-        """The one that makes no contact less certain for what all depths have in common."""
-        return self._root(self._with_own(self.contact_spread), most_mm)
+        """The one that makes no contact less certain for what all depths have in common.
+
+        A hill that another light makes may lie far from the valleys that it makes, so the whole frame's error counts.
+        """
+        return self._root(self._with_own(self.contact_spread, self.own_of_frame), most_mm)
 
     def slope_sigma(self, most_mm: float) -> NDArray[np.float32]:
         """The one by the slopes alone, as of a frame whose negative depths are no error."""
@@ -173,8 +182,9 @@ class DepthErrors:
         apart = np.abs(own - own[region].mean()) + np.square(common - common[region].mean())
         return np.asarray(np.sqrt(apart))
 
-    def _with_own(self, variance: NDArray[np.float32]) -> NDArray[np.float32]:
-        return variance + np.float32(PULL) * np.maximum(self.own - variance, 0)
+    def _with_own(self, variance: NDArray[np.float32], at_least: float = 0.0) -> NDArray[np.float32]:
+        own: NDArray[np.float32] = np.maximum(self.own, np.float32(at_least))
+        return np.asarray(variance + np.float32(PULL) * np.maximum(own - variance, 0), dtype=np.float32)
 
     def _root(self, variance: NDArray[np.float32], most_mm: float) -> NDArray[np.float32]:
         found = self.coarse.at_pixels(variance)
@@ -224,6 +234,20 @@ def _spread(coarse: Coarse, shape: tuple[int, int]) -> NDArray[np.float32]:
             distance = np.maximum(np.hypot(y[:, None] + below, x + right), LEAST_PX) / length
             kernel += np.exp(np.interp(np.log(distance), np.log(table), np.log(squares)))
     return _mode_gains(kernel * x_px * y_px / SUBCELLS**2)
+
+
+def _beside_border(coarse: Coarse, shape: tuple[int, int]) -> NDArray[np.float32]:
+    """How much more an error moves depth beside a free border: its mirror image moves it the same way.
+
+    At the border both are one, so the variance of their sum is twice the sum of their variances; it falls off over half L.
+    """
+    rows, columns = (
+        1 + np.exp(-np.minimum(at, at[::-1]) * pitch * 2 / (shape[0] * LENGTH))
+        for at, pitch in (
+            (np.arange(n) + 0.5, pitch) for n, pitch in zip(coarse.shape, coarse.pitch_px[::-1])
+        )
+    )
+    return np.outer(rows, columns).astype(np.float32)
 
 
 def _window(coarse: Coarse, shape: tuple[int, int]) -> NDArray[np.float32]:

@@ -72,12 +72,12 @@ def check_image(
     if array.ndim == 2:
         raise ValueError(
             f"Expected {name} of shape (H, W, 3) in RGB, got a gray image of shape {array.shape}. "
-            "Three lights need three channels: read the file in color (gelform.read_image)."
+            "Three lights need three channels: take or read it in color."
         )
     if array.ndim != 3 or array.shape[2] != 3 or 0 in array.shape:
-        hint = " Drop the alpha channel: image[..., :3]." if array.ndim == 3 and array.shape[2] == 4 else ""
+        hint = " Drop the alpha channel." if array.ndim == 3 and array.shape[2] == 4 else ""
         if array.ndim == 3 and array.shape[0] == 3:
-            hint = " Move the channel axis last: np.moveaxis(image, 0, -1)."
+            hint = " Move the axis of the channels last."
         raise ValueError(f"Expected {name} of shape (H, W, 3) in RGB, got {array.shape}.{hint}")
     if shape is not None and array.shape[:2] != tuple(shape):
         raise ValueError(f"Expected {name} of {shape[0]}x{shape[1]} px (height x width), got {_size(array)}.")
@@ -86,7 +86,7 @@ def check_image(
     if not np.issubdtype(array.dtype, np.floating):
         raise TypeError(
             f"Expected {name} as uint8 or float (0-255), got {array.dtype}. "
-            "Scale it to 0-255 and convert: image.astype(np.uint8)."
+            "Scale it to 0-255 and convert it to uint8."
         )
     low, high = float(array.min()), float(array.max())
     if not (np.isfinite(low) and np.isfinite(high)) or low < 0 or high > 255:
@@ -110,7 +110,7 @@ def check_gradients(
         moved = array.ndim >= 3 and array.shape[-3] == 2 and array.shape[-1] != 2
         if moved and shape is None:
             wanted = f"({array.shape[-2]}, {array.shape[-1]}, 2)"
-        hint = " Move the component axis last: np.moveaxis(g, 0, -1)." if moved else ""
+        hint = " Move the axis of the components last." if moved else ""
         raise ValueError(f"Expected gradients of shape {wanted}, got {array.shape}.{hint}")
     return check_finite(_as_float(array, "gradients", dtype), "gradients")
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from gelform.calibration.library.choose import unit_named
@@ -22,7 +23,7 @@ from gelform.sensors.recordings.indexed import Indexed, indexed, is_recording
 from gelform.sensors.recordings.mcap_reader import end_missing
 from gelform.sensors.recordings.player import Player
 from gelform.sensors.simulated.source import RATE_HZ, SimulatedSource
-from gelform.sensors.source import Source, device_of, open_source, simulated_sensor_of
+from gelform.sensors.source import FromBgr, Source, device_of, open_source, simulated_sensor_of
 from gelform.simulate import SimulatedSensor
 
 READY = "simulated sensor"
@@ -41,6 +42,7 @@ class Options:
     folder : its calibrations are offered too
     rate_hz : frames per second of simulated sensors
     sensor : the make whose starter is used for sources without a calibration; None: that of the camera
+    bgr : whether frames of cameras and files are blue, green, red
     """
 
     sources: Sequence[str] = ("simulated",)
@@ -48,6 +50,7 @@ class Options:
     folder: Path | None = None
     rate_hz: float = RATE_HZ
     sensor: str | None = None
+    bgr: bool = False
 
 
 def start(options: Options) -> Hub:
@@ -81,7 +84,7 @@ def start(options: Options) -> Hub:
     for number, spec in enumerate(options.sources):
         sensor = simulated_sensor_of(spec)
         recording = indexed(Path(spec)) if sensor is None and is_recording(spec) else None
-        opening = _opening(hub, spec, sensor or recording, options.rate_hz, number)
+        opening = _opening(hub, spec, sensor or recording, options, number)
         station = Station(number, shown_address(spec), opening, hub.changed, hub.watched)
         station.sensor = options.sensor or ""
         if recording is not None and (said := end_missing(recording.path)):
@@ -134,17 +137,20 @@ def _check_named_once(specs: Sequence[str]) -> None:
 
 
 def _opening(
-    hub: Hub, spec: str, known: SimulatedSensor | Indexed | None, rate_hz: float, number: int
+    hub: Hub, spec: str, known: SimulatedSensor | Indexed | None, options: Options, number: int
 ) -> Opening:
     """How to open the source. It is opened once now, so that a mistake is also reported in the terminal."""
     if isinstance(known, Indexed):
-        return Opening(lambda: Player(known, may_begin=hub.watched), NEVER_S)
+        player = partial(Player, known, may_begin=hub.watched)
+        return Opening((lambda: FromBgr(player())) if options.bgr else player, NEVER_S)
     if known is not None:
-        return Opening(lambda: SimulatedSource(known, rate_hz=rate_hz, seed=number), SIMULATED_STALL_S)
+        return Opening(
+            lambda: SimulatedSource(known, rate_hz=options.rate_hz, seed=number), SIMULATED_STALL_S
+        )
     wanted: dict[str, float | str] = {}
     opened: list[Source] = []
     try:
-        opened.append(open_source(spec, paced=True))
+        opened.append(open_source(spec, paced=True, bgr=options.bgr))
     except SensorError as problem:
         if not _may_be_camera(hub, spec):
             raise DataError(
@@ -153,7 +159,7 @@ def _opening(
             ) from problem
         hub.notice(f"{problem} gelform tries again every second.", "warning")
     return Opening(
-        lambda: opened.pop() if opened else open_source(spec, paced=True, settings=wanted),
+        lambda: opened.pop() if opened else open_source(spec, paced=True, settings=wanted, bgr=options.bgr),
         STALL_S,
         None,
         wanted,

@@ -1,7 +1,7 @@
 """Where an object moved between two contacts: its pose, the pose's covariance, and what the contacts cannot show.
 
 The touched surface of one frame is moved rigidly onto that of the other, so that its slopes and its depth agree
-(Gauss-Newton, weighted by both frames' standard deviations, Huber's loss). docs/motion.md has the formulas.
+(Gauss-Newton, weighted by both frames' standard deviations, Huber's loss). docs/motion-derivation.md has the formulas.
 """
 
 from __future__ import annotations

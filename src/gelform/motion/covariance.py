@@ -2,7 +2,7 @@
 
 No plain estimator is honest here, because errors of slopes are alike over many pixels and partly the same in both frames.
 C = F S F + R D R' + p p' + (f d)^2 E: S from the sums of 16 px blocks (a sandwich), F and D factors that were
-chosen on simulated and real contacts (docs/motion.md), R the pose's response to slopes that are off everywhere, p the pull
+chosen on measured contacts (docs/motion-derivation.md), R the pose's response to slopes that are off everywhere, p the pull
 of errors that stay at their place while the object moves a little, f d the error of a place on the sensor, in proportion to
 the displacement; E = 1 for x and y, and for turns less, over the contact's radius, because the error changes along it.
 """

@@ -126,6 +126,7 @@ def save_bag(
     sensor: str | None = None,
     seconds: float | None = None,
     background: ArrayLike | None = None,
+    bgr: bool = False,
     progress: Progress = no_progress,
 ) -> SentStats:
     """Reconstruct the frames of a source, and write frames and results as a rosbag2 folder.
@@ -142,6 +143,7 @@ def save_bag(
     sensor : a ROS name, the prefix of topics and frames; by default made from the calibration's sensor name
     seconds : duration; None: no limit
     background : (H, W, 3), 0-255, a current background image; by default the calibration's own
+    bgr : whether the frames are blue, green, red
     progress : called with the number of frames so far
 
     Raises
@@ -157,7 +159,7 @@ def save_bag(
     calibration, topics, name = _checked(calibration, topics, sensor, seconds)
     with (
         BagFile(path, name, topics=topics, hardware_id=calibration.serial or "") as bag,
-        stream(source, calibration, background=background) as running,
+        stream(lambda: open_source(source, bgr=bgr), calibration, background=background) as running,
     ):
         results = StampedResults(running, source, seconds)
         results.send(bag.write, lambda count: progress(count, count, "writing frames"))
@@ -174,6 +176,7 @@ def publish(
     domain: int = 0,
     seconds: float | None = None,
     background: ArrayLike | None = None,
+    bgr: bool = False,
     progress: Progress = no_progress,
 ) -> SentStats:
     """Reconstruct the frames of a source, and publish the newest results as ROS 2 topics until it ends.
@@ -191,6 +194,7 @@ def publish(
     domain : the subscribers' ROS_DOMAIN_ID
     seconds : duration; None: no limit
     background : (H, W, 3), 0-255, a current background image; by default the calibration's own
+    bgr : whether the frames are blue, green, red
     progress : called with the number of frames so far
 
     Raises
@@ -208,7 +212,9 @@ def publish(
     hardware_id = calibration.serial or ""
     with (
         ZenohNode(name, topics=topics, router=router, domain=domain, hardware_id=hardware_id) as node,
-        stream(lambda: open_source(source, paced=True), calibration, background=background) as running,
+        stream(
+            lambda: open_source(source, paced=True, bgr=bgr), calibration, background=background
+        ) as running,
     ):
         results = StampedResults(running, source, seconds)
         results.send(node.publish, lambda count: progress(count, count, "publishing frames"))

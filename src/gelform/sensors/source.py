@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from math import isfinite
 from os import PathLike
 from pathlib import Path
@@ -62,6 +63,30 @@ class Source(Protocol):
     ) -> None: ...
 
 
+class FromBgr:
+    """A source whose frames come as blue, green, red, in RGB; everything else is the source's own.
+
+    The camera's JPEG is left out, because its colors are the wrong ones. `source` is the source as it is.
+    """
+
+    def __init__(self, source: Source) -> None:
+        self.source = source
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.source, name)
+
+    def __iter__(self) -> Iterator[Frame]:
+        for frame in self.source:
+            yield replace(frame, image=frame.image[..., ::-1].copy(), encoded=None)
+
+    def __enter__(self) -> FromBgr:
+        self.source.__enter__()
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        self.source.__exit__(*error)
+
+
 def checked_frame(frame: Frame, after_index: int, name: str) -> Frame:
     """A frame of the source of that name; its number must be above `after_index`.
 
@@ -87,6 +112,7 @@ def open_source(
     rate_hz: float | None = None,
     timeout_s: float = OPEN_S,
     settings: Mapping[str, float | str] | None = None,
+    bgr: bool = False,
 ) -> Source:
     """Open a camera, a file, a folder or the simulated sensor.
 
@@ -104,6 +130,7 @@ def open_source(
     timeout_s : timeout of the connection to an address, s
     settings : values to set on a USB camera: width, height, fps, fourcc, exposure, gain, white_balance, led_level; they are
         read back. Other sources accept no settings
+    bgr : whether the frames are blue, green, red, as OpenCV writes an array
 
     Returns
     -------
@@ -120,6 +147,10 @@ def open_source(
     """
     if not isinstance(spec, (str, PathLike)):
         raise TypeError(f"Expected a source as text or a path, got {type(spec).__name__}.")
+    if bgr:
+        return FromBgr(
+            open_source(spec, paced=paced, rate_hz=rate_hz, timeout_s=timeout_s, settings=settings)
+        )
     opened = _without_settings(spec, paced, rate_hz, timeout_s)
     if opened is None:
         return UsbCamera(camera_named(str(spec)), settings)

@@ -74,7 +74,7 @@ def npy_values(path: Path, most_pixels: float = MAX_PIXELS) -> NDArray[Any]:
     if len(shape) not in (3, 4) or shape[-1] != 3 or 0 in shape or shape[-3] * shape[-2] > most_pixels:
         raise DataError(
             f"Expected RGB frames in {path}, an array (N, H, W, 3) or one image (H, W, 3) of at most "
-            f"{most_pixels / 1e6:.4g} megapixels, got {shape}. Move the axis of the color last: numpy.moveaxis."
+            f"{most_pixels / 1e6:.4g} megapixels, got {shape}. Move the axis of the colors last."
         )
     return values
 

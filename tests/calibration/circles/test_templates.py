@@ -112,4 +112,4 @@ def test_presses_of_home_made_sensors_are_found_without_their_circles(data):
     bare = tuple(replace(press, label=None) for press in presses.presses)
     for press, contact in zip(bare, find_contacts(prepare(replace(presses, presses=bare)))):
         x, y, radius = circles[press.name]
-        assert np.hypot(contact.x_px - x, contact.y_px - y) < 0.15 * radius
+        assert np.hypot(contact.x_px - x, contact.y_px - y) < 0.2 * radius  # the circles are by eye

@@ -73,11 +73,11 @@ def test_a_folder_and_a_pattern_become_depth_to_look_at(
     assert names[0] == names[1] == sorted(f"{k}/gelsight.npz" for k in range(23))
     sheet = tmp_path / "a" / "sheet.png"
     assert opened == [sheet.as_uri()]
-    height = 150 + 34  # of a tile of 200 px, with its text
+    width, height = 200 + 8, 150 + 50 + 8  # of a tile with its gap and its text
     pixels = read_image(sheet)
-    assert pixels.shape == (4 * height, 6 * 200, 3)
-    assert pixels[3 * height :, 5 * 200 :].max() == 0, "23 of 24 places"
-    assert pixels[3 * height : 3 * height + 150, 4 * 200 : 5 * 200].max() > 200
+    assert pixels.shape == (4 * height, 6 * width, 3)
+    assert pixels[3 * height : -8, 5 * width : -8].max() == 0, "23 of 24 places"
+    assert pixels[3 * height : 3 * height + 150, 4 * width : 4 * width + 200].max() > 200
     assert "already there" in run("reconstruct", *given)[2]
 
 

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
+from gelform.sensors.files import read_image
 from gelform.sensors.source import open_source
 
 pytest.importorskip("rosbags", reason="the extra ros is not installed")
@@ -68,6 +69,17 @@ def test_a_bag_without_a_usable_frame_is_no_success(run, images, calibration_fil
     assert "error: no frame was usable: depth is known in none of 3" in err
     assert "The image is turned by 180 degrees" in " ".join(err.split())
     assert run("bag", images, "-c", calibration_file, "-o", tmp_path / "c", "--accept-doubtful")[0] == 1
+
+
+def test_a_bag_of_blue_green_red_frames_holds_rgb(run, run_json, images, calibration_file, tmp_path):
+    first = sorted(images.iterdir())[0]
+    image = read_image(first)
+    for path in images.iterdir():
+        cv2.imwrite(str(path), np.ascontiguousarray(cv2.imread(str(path))[..., ::-1]))
+    given = ("bag", images, "-c", calibration_file, "-o")
+    assert run_json(*given, tmp_path / "a", "--bgr")["tally"]["unknown"] == 0
+    np.testing.assert_array_equal(next(iter(open_source(tmp_path / "a"))).image, image)
+    assert "exchanged (--bgr" in " ".join(run(*given, tmp_path / "b")[2].split())
 
 
 def test_a_bag_of_another_sensor_is_doubtful(run, foreign_images, calibration_file, tmp_path):

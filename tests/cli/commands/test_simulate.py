@@ -60,6 +60,24 @@ def test_loads_are_those_of_the_true_volumes_and_calibrate_forces(run, tmp_path,
     assert code == 0, err
 
 
+def test_a_press_that_moves_is_tracked(run, run_json, fails, tmp_path, calibration_file):
+    out, table = tmp_path / "out", tmp_path / "track.csv"
+    arguments = ("simulate", "--sensor", "small", "--count", "1", "--depth-mm", "0.4")
+    assert run_json(*arguments, "--as", "video", "-o", out)["as"] == ["video"]
+    code, _, err = run("track", out / "moving/moving.avi", "-c", calibration_file, "-o", table)
+    assert code == 0, err
+    with table.open(newline="") as file, (out / "moving/motion.csv").open(newline="") as truth:
+        pairs = list(zip(csv.DictReader(file), csv.DictReader(truth), strict=True))
+    found = [(row, true) for row, true in pairs if row["state"] != "lost"]
+    assert [true["index"] for _, true in found] == [str(k) for k in range(6, 31)]
+    for row, true in found:
+        assert float(row["x_mm"]) == pytest.approx(float(true["x_mm"]), abs=0.02)
+        assert float(row["y_mm"]) == pytest.approx(float(true["y_mm"]), abs=0.02)
+    assert "--as" in fails(*arguments, "--as", "video,avi", "-o", tmp_path / "no", status=2)
+    assert "--depth-mm" in fails(*arguments[:-1], "9", "--as", "video", "-o", tmp_path / "no", status=2)
+    assert not (tmp_path / "no").exists()
+
+
 def test_all_truth_of_a_height_map_is_written(run, tmp_path):
     block = np.zeros((60, 60))
     block[20:40, 20:40] = 0.5

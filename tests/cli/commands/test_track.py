@@ -2,6 +2,7 @@
 
 import csv
 
+import cv2
 import numpy as np
 import pytest
 
@@ -51,6 +52,17 @@ def test_the_numbers_as_json(run_json, slide, calibration_file, tmp_path):
     said = run_json("track", slide, "-c", calibration_file, "-o", tmp_path / "t.csv", "--prior", "0.5,2")
     assert (said["frames"], said["states"]) == (7, {"lost": 1, "found": 6})
     assert said["lost_by_reason"] == {"no contact": 1}
+
+
+def test_frames_of_blue_green_red_give_the_same_track(run, slide, calibration_file, tmp_path):
+    (tmp_path / "bgr").mkdir()
+    for k in range(3):
+        frame = gelform.read_image(slide / f"{k:03d}.png")
+        cv2.imwrite(str(tmp_path / "bgr" / f"{k}.png"), frame)
+        cv2.imwrite(str(tmp_path / f"{k}.png"), frame[..., ::-1])
+    for folder, more in ((tmp_path, ()), (tmp_path / "bgr", ("--bgr",))):
+        assert run("track", folder, "-c", calibration_file, "-o", folder / "t.csv", *more)[0] == 0
+    assert (tmp_path / "bgr" / "t.csv").read_text() == (tmp_path / "t.csv").read_text()
 
 
 def test_an_object_that_is_mostly_lost_is_no_success(run, slide, calibration_file, tmp_path):

@@ -140,3 +140,12 @@ def test_more_regions_than_labels_are_told():
     mask[::2, ::2] = True
     with pytest.raises(ValueError, match="at most 65535 separate contacts, got 90000"):
         regions_module.labeled(mask)
+
+
+def test_a_contact_is_one_short_line():
+    mask = np.zeros((20, 30), bool)
+    mask[5:10, 0:8] = True
+    ((found,), _) = contacts_from_mask(mask, np.full(mask.shape, 0.5), mm_per_px=0.1)
+    assert repr(found) == "Contact(1: 0.4 mm^2, 0.500 mm deep, around (4, 7) px, cut by the border)"
+    ((found,), _) = contacts_from_mask(mask, np.full(mask.shape, 5.0), mm_per_px=None)
+    assert repr(found) == "Contact(1: 40 px, around (4, 7) px, cut by the border)"

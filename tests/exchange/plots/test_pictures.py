@@ -191,6 +191,9 @@ def test_each_cause_that_is_there_has_a_panel_and_a_color():
     one = explanation_picture(explained("marker"), image)
     assert one.shape[0] > without.shape[0]
     assert one.shape[1] == without.shape[1]
+    two = explanation_picture(explained("marker", "saturated"), image)
+    right = two[two.shape[0] // 2 + 40 :, round(0.62 * two.shape[1]) :]  # the bar stands beside the last map
+    assert right.min() == 255
     assert len(COLORS) == len(set(COLORS)) == 1 + len(CAUSES)
     with pytest.raises(ValueError, match="40x72"):
         explanation_picture(explained(), image[:8, :8])

@@ -1,5 +1,7 @@
 """Backgrounds that do not belong to an image, to a set of frames or to the sensor are refused with the figure."""
 
+from itertools import permutations
+
 import numpy as np
 import pytest
 
@@ -95,9 +97,28 @@ def test_own_background_of_another_moment_passes_and_another_units_is_refused():
     (finding,) = check_own_background(tilted(scene(1), 0.07), scene())
     assert finding.name == "background_pattern"
     assert 0.02 < finding.figure < 0.06
-    expected = r"half of it differs by \d\d\.\d % or more \(expected under 5.3 %\)"
+    expected = r"calibration is not of the sensor .* by \d\d\.\d % or more \(expected under 5.3 %\)"
     with pytest.raises(CalibrationError, match=expected):
         check_own_background(tilted(scene(1), 0.3), scene())
+
+
+@pytest.mark.parametrize("gain", [0.6, 1.5])
+def test_a_calibration_of_another_light_is_blamed_and_not_the_background(gain):
+    """A new background would be refused again, for ever."""
+    with pytest.raises(
+        CalibrationError, match=rf"R {gain:.1f}\d, .* as bright as in the calibration's"
+    ) as refused:
+        check_own_background(np.clip(scene(1) * gain, 0, 255).astype(np.float32), scene())
+    assert str(refused.value).startswith("The calibration is not of the sensor that took this background")
+    assert "Take a new background" not in str(refused.value)
+
+
+def test_the_calibration_of_another_real_unit_is_blamed(data):
+    units = ("mini-ball", "mini-d", "mini-edge", "mini-objects")
+    rests = [read_image(data / name / "background.png") for name in units]
+    for ours, theirs in permutations(rests, 2):
+        with pytest.raises(CalibrationError, match="no new one helps: use this sensor's own calibration"):
+            check_own_background(ours, theirs)
 
 
 def presses_of(background, count):
@@ -145,6 +166,7 @@ def test_digest_knows_its_own():
 
 
 def test_reconstructor_says_whose_background(calibration, simulated):
+    assert repr(gelform.Reconstructor(calibration)).endswith(", 132x176 px, the calibration's background)")
     assert gelform.Reconstructor(calibration).own_background
     assert gelform.Reconstructor(calibration, simulated.background).own_background
     today = np.clip(simulated.background.astype(np.float32) * 0.95, 0, 255)
@@ -175,7 +197,7 @@ def test_real_backgrounds_of_other_sensors_are_refused(data, ours, theirs):
     if ours == theirs:
         assert check_own_background(other, background) == ()
         return
-    with pytest.raises(CalibrationError, match=r"background is not of|compared with the background"):
+    with pytest.raises(CalibrationError, match=r"is not of the sensor|compared with the background"):
         check_own_background(other, background)
 
 

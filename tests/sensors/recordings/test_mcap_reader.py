@@ -124,6 +124,8 @@ def test_a_copy_in_part_is_named(tmp_path, recorded):
     cut.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
     assert "cut.mcap has no end: its recorder was killed, or it was copied in part" in end_missing(cut)
     assert end_missing(tmp_path / "none.mcap") == ""
+    (tmp_path / "whole.avi").write_bytes(b"RIFF" + bytes(100))
+    assert end_missing(tmp_path / "whole.avi") == ""
 
 
 def test_a_paced_replay_keeps_the_timing(tmp_path, recorded):

@@ -77,6 +77,9 @@ class FlatPress:
     height_mm: float
     digest: str
 
+    def __repr__(self) -> str:
+        return f"FlatPress({self.name}, {self.height_mm:g} mm high)"
+
 
 @dataclass(frozen=True)
 class Presses:

@@ -45,13 +45,13 @@ class Axes:
 
 
 def gain_axes(gain: dict[str, Any]) -> Axes | None:
-    """The axes of the gain curves; None if there are none."""
-    both = gain["contact"] + gain["rim"]
-    if not both:
+    """The axes of the gain curve; None if there is none."""
+    bins = gain["contact"]
+    if not bins:
         return None
-    low = np.floor(min([b["gain"] for b in both] + [0.8]) * 10) / 10
-    high = np.ceil(max([b["gain"] for b in both] + [1.2]) * 10) / 10
-    end = max(b["slope_to"] for b in both)
+    low = np.floor(min([b["gain"] for b in bins] + [0.8]) * 10) / 10
+    high = np.ceil(max([b["gain"] for b in bins] + [1.2]) * 10) / 10
+    end = max(b["slope_to"] for b in bins)
     return Axes((0, end), (low, high), _slope_ticks(end), np.round(np.arange(low, high + 0.01, 0.1), 1))
 
 

@@ -87,7 +87,7 @@ class Starter:
         if turned is None:
             raise SensorError(
                 f"Expected frames of a {self.make} of the aspect of {wanted[0]}x{wanted[1]} px (height x width), "
-                f"got {frame_shape[0]}x{frame_shape[1]}. Turn them (numpy.rot90), or choose another camera mode."
+                f"got {frame_shape[0]}x{frame_shape[1]}. Turn them by 90 degrees, or choose another camera mode."
             )
         return turned
 

@@ -8,7 +8,7 @@ from typing import Annotated
 from typer import Argument, Option
 
 from gelform.cli.console import say, show
-from gelform.cli.options import STARTERS, Quiet, StarterSensor, one_of, positive
+from gelform.cli.options import STARTERS, Bgr, Quiet, StarterSensor, one_of, positive
 from gelform.cli.process import mistakes_in
 from gelform.errors import GelformError
 
@@ -31,6 +31,7 @@ def live(
         ),
     ] = None,
     sensor: StarterSensor = None,
+    bgr: Bgr = False,
     folder: Annotated[
         Path, Option(metavar="DIR", help="Folder of the offered calibrations and of new recordings.")
     ] = Path("."),
@@ -73,7 +74,7 @@ def live(
 
     server = listen(host, port, token=token)
     with mistakes_in("live"):
-        hub = start(Options(sources or ["simulated"], calibration or [], folder, rate, sensor))
+        hub = start(Options(sources or ["simulated"], calibration or [], folder, rate, sensor, bgr))
     try:
         with mistakes_in("--sink"):
             feeders, said = feed(hub, sink or [])

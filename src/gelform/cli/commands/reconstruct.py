@@ -160,7 +160,8 @@ def reconstruct(
         from gelform.foundations.npz_files import written_file
 
         with written_file(sheet["png"], overwrite=overwrite or skip_existing) as file:
-            file.write(contact_sheet(tiles))
+            pitch = run.calibration.mm_per_px
+            file.write(contact_sheet(tiles, pitch, "px" if pitch is None else "mm"))
     if view and rows:
         _open(sheet["png"] if sheet else paths[0]["png"], shown)
     shown.json({"results": rows, "failed": failed})

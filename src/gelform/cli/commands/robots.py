@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
@@ -17,6 +18,7 @@ from gelform.cli.options import (
     USUAL_TOPICS,
     AcceptDoubtful,
     Background,
+    Bgr,
     CalibrationOptions,
     Overwrite,
     ShownOption,
@@ -40,7 +42,7 @@ PRIOR = "MM,DEG"
 
 @dataclass(frozen=True)
 class Sent:
-    """Topics of a source, their prefix, the duration, and the background image."""
+    """Topics of a source, their prefix, the duration, the background image, and the order of the channels."""
 
     topics: Annotated[str, Option(metavar="A,B", help=f"Topics, of {ALL_TOPICS}.")] = USUAL_TOPICS
     name: Annotated[
@@ -49,6 +51,7 @@ class Sent:
     ] = None
     seconds: Annotated[float | None, number("Duration in seconds; else to the end or Ctrl-C.")] = None
     background: Background = None
+    bgr: Bgr = False
     accept_doubtful: AcceptDoubtful = False
 
     def wanted(self) -> tuple[str, ...]:
@@ -64,7 +67,7 @@ class Sent:
         """Keywords of `save_bag` and `publish`."""
         background = background_in(self.background, calibration)
         named = {"topics": self.wanted(), "sensor": self.name, "seconds": self.seconds}
-        return {**named, "background": background}
+        return {**named, "background": background, "bgr": self.bgr}
 
 
 def bag(
@@ -159,6 +162,7 @@ def track(
         Option(metavar=PRIOR, help="Motion from a frame to the next, standard deviations in mm and degrees."),
     ] = None,
     background: Background = None,
+    bgr: Bgr = False,
     overwrite: Overwrite = False,
     shown: ShownOption,
 ) -> None:
@@ -178,6 +182,7 @@ def track(
     from gelform.cli.outputs import check_output
     from gelform.motion.between import LOST, checked_prior
     from gelform.motion.track import Follower
+    from gelform.sensors.source import open_source
     from gelform.sensors.streams.stream import stream
 
     spread = None if prior is None else numbers(prior, PRIOR, "--prior")
@@ -191,7 +196,8 @@ def track(
     poses: list[Tracked] = []
     total = frames_stated(source)
     results: dict[int, Reconstruction] = {}  # for a surface: of the keyframes, and the last two frames
-    with shown.progress() as progress, stream(source, loaded, background=known) as running:
+    opened = partial(open_source, source, bgr=bgr)
+    with shown.progress() as progress, stream(opened, loaded, background=known) as running:
         for number, one in enumerate(running.pairs()):
             poses.append(follow(one.result))
             if surface is not None:

@@ -10,6 +10,7 @@ from typer import Argument, BadParameter, Option
 
 from gelform.cli.console import check_pictures, figure, say
 from gelform.cli.options import (
+    FORMS,
     LAYOUTS,
     SENSORS,
     Overwrite,
@@ -17,6 +18,7 @@ from gelform.cli.options import (
     ShownOption,
     listed,
     number,
+    one_of,
     pitch,
     usage_errors,
 )
@@ -83,7 +85,7 @@ class Face:
         Path | None, Option(metavar="FILE.npy", help="Press this height map: heights in mm.")
     ] = None
     height_map_mm_per_px: Annotated[float | None, number("Sample pitch of the height map, mm.")] = None
-    depth_mm: Annotated[float, number("Depth of the pressed height map, mm.")] = 0.5
+    depth_mm: Annotated[float, number("Depth of the height map, or of the coin of --as, mm.")] = 0.5
 
     def read(self) -> HeightMap | None:
         """The object to press; None for balls."""
@@ -103,6 +105,9 @@ def simulate(
     look: LookOptions,
     balls: Balls,
     face: Face,
+    forms: Annotated[
+        str, Option("--as", metavar="FORM,...", help=f"Also write a moving press: {', '.join(FORMS)}.")
+    ] = "",
     seed: Seed = 0,
     workers: Annotated[int, Option(min=1, help="Number of processes; any number gives the same bytes.")] = 1,
     shown: ShownOption,
@@ -115,9 +120,13 @@ def simulate(
     and truth/ with depth_mm, gradients, contact and more for each image. A height map makes background.png,
     image.png, truth.npz.
 
+    With --as, moving/ has frames of the height map, or of a coin, that is pressed in, slides and turns: files for track,
+    batch and live. Its true poses are in motion.csv.
+
     \b
     Examples:
       gelform simulate -o presses
+      gelform simulate -o presses --as video,mcap,hdf5,lerobot
       gelform simulate -o presses --sensor homemade --count 60 --ball-diameter-mm 5 --ball-diameter-mm 8
       gelform simulate -o presses --sensor digit --count 10000 --workers 8
       gelform simulate -o presses --sensor mine.toml
@@ -126,18 +135,24 @@ def simulate(
       gelform simulate -o loads --loads --count 12
       gelform simulate -o key --height-map key.npy --height-map-mm-per-px 0.02 --depth-mm 0.6
     """
+    from gelform.exchange.exporters.moving import check_forms, save_moving_press
+    from gelform.simulate import Coin
+    from gelform.simulate.press import check_press_depth
+
     if None not in (sensor, look.like):
         raise BadParameter("give one sensor.", param_hint="--sensor, --like")
     twin = _twin_of(look)
     made = twin.sensor if twin is not None else sensor_of(sensor or LAYOUTS[0])
     pressed = face.read()
+    moving = [one_of(name.strip(), FORMS, "--as") for name in forms.split(",")] if forms else []
+    check_forms(moving)
+    if pressed or moving:
+        with usage_errors("--depth-mm"):
+            check_press_depth(made, face.depth_mm)
     with shown.progress() as progress:
         if pressed is not None:
             from gelform.exchange.exporters.simulated import save_simulated_press
-            from gelform.simulate.press import check_press_depth
 
-            with usage_errors("--depth-mm"):
-                check_press_depth(made, face.depth_mm)
             save_simulated_press(output, made, pressed, depth_mm=face.depth_mm, seed=seed, twin=twin)
         else:
             from gelform.exchange.exporters.simulated import SetOfPresses, save_simulated_set
@@ -147,10 +162,13 @@ def simulate(
             with usage_errors("--ball-diameter-mm"):
                 wanted = SetOfPresses(made, diameters, balls.count, seed, oversample, twin)
             save_simulated_set(output, wanted, workers=workers, loads=balls.loads, progress=progress)
+        if moving:
+            what = (twin or made, pressed or Coin(), moving, face.depth_mm, seed)
+            save_moving_press(output / "moving", *what)
     say(f"Wrote {output}.", shown.silent)
     presses = balls.count if pressed is None else 1
     name = made.name if look.like is None else f"like {look.like}"
-    shown.json({"folder": output, "sensor": name, "presses": presses, "seed": seed})
+    shown.json({"folder": output, "sensor": name, "presses": presses, "seed": seed, "as": moving})
 
 
 def sensor_of(name_or_file: str) -> SimulatedSensor:

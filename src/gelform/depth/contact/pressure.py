@@ -198,6 +198,12 @@ class PreparedContact:
         length = relaxation_mm or USUAL_RELAXATION_MM
         self._pitch, self._noise, self._factor = pitch, noise, noise_factor
         self._stiffness, self._stands = length**-2, Evidence(pitch, length, noise_factor, min_area_mm2)
+        # Beside a border, means are taken over fewer pixels that have a pressure of their own.
+        side, inner = 2 * NEIGHBORHOOD_PX + 1, np.zeros_like(noise)
+        margin = _margin(noise.shape)
+        inner[margin : noise.shape[0] - margin, margin : noise.shape[1] - margin] = 1
+        count = cv2.boxFilter(inner, -1, (side, side), normalize=False, borderType=cv2.BORDER_CONSTANT)
+        self._noise = noise * (np.float32(side**2) / np.maximum(count, 1))
         # The square that means are taken over smooths once more, by its own standard deviation.
         smoothings = np.hypot(SMOOTHING_PX, [np.sqrt(((2 * NEIGHBORHOOD_PX + 1) ** 2 - 1) / 12), 0])
         self._gains = None if correlation is None else [_gains(pitch, s, **correlation) for s in smoothings]
@@ -279,9 +285,7 @@ class PreparedContact:
 
     def _smoothed(self, depth: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """A smoothed depth (H, W), and minus its Laplacian, 1/mm; pixels near borders get that of the next pixel inside."""
-        taps, margin = blur_taps(SMOOTHING_PX), int(np.ceil(2 * SMOOTHING_PX))
-        if min(depth.shape) <= 2 * margin:
-            margin = 0
+        taps, margin = blur_taps(SMOOTHING_PX), _margin(depth.shape)
         smooth, bent = np.empty_like(depth), np.empty_like(depth)
         rows, width = 2 * taps.size - 1, depth.shape[1] + LANES
         work = np.empty((rows + 1) * width + rows, dtype=np.float32)
@@ -309,6 +313,12 @@ class PreparedContact:
         magnitude = np.empty(1, dtype=np.float32)
         _magnitude_of_share(bent, self._noise, chosen, work, magnitude, step=step, share=share)
         return float(magnitude[0])
+
+
+def _margin(shape: tuple[int, ...]) -> int:
+    """Width of the border, px, where the smoothed depth has no bend of its own."""
+    margin = int(np.ceil(2 * SMOOTHING_PX))
+    return margin if min(shape) > 2 * margin else 0
 
 
 def _gains(

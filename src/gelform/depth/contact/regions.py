@@ -52,6 +52,13 @@ class Contact:
     deepest_mm: float | None = None
     axes_mm: tuple[float, float] | None = None
 
+    def __repr__(self) -> str:
+        area = f"{self.area_px} px" if self.area_mm2 is None else f"{self.area_mm2:.3g} mm^2"
+        deepest = "" if self.deepest_mm is None else f", {self.deepest_mm:.3f} mm deep"
+        x, y = self.centroid_px
+        cut = ", cut by the border" if self.cut_by_border else ""
+        return f"Contact({self.label}: {area}{deepest}, around ({x:.0f}, {y:.0f}) px{cut})"
+
 
 def contacts_from_mask(
     contact: ArrayLike, depth: ArrayLike, *, mm_per_px: float | Sequence[float] | None

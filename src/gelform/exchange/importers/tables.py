@@ -252,7 +252,7 @@ class TaximLook:
         if len(shape) != 3 or shape[2] != 3 or not _is_of_tables_aspect(*shape[:2]):
             raise ValueError(
                 f"Expected a background of shape (H, W, 3) with W/H = 4/3 as the tables', got {shape}. "
-                "Turn an upright one by 90 degrees, as Taxim's images of that sensor are: np.rot90(image, -1)."
+                "Turn an upright one by 90 degrees clockwise, as Taxim's images of that sensor are."
             )
 
     @property

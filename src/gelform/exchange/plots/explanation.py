@@ -14,6 +14,7 @@ from gelform.slopes.confidence import Explanation
 from gelform.slopes.confidence.causes import CAUSES
 
 COLUMNS = 4  # panels per row
+USUAL = "usual noise"  # what no cause explains
 LEAST_SHARE = 5e-4  # fraction of the frame that a cause affects; a smaller one gets no panel
 COLORS = ("#e8e8e8", *(cause.color for cause in CAUSES.values()))
 """Colors of the usual noise and of each cause, in the order of `CAUSES`."""
@@ -51,9 +52,11 @@ def explanation_picture(explanation: Explanation, image: ArrayLike) -> NDArray[n
         drawn = draw_map(
             axes, one, f"{name}: {100 * explanation.shares[name]:.1f} % of the variance", **_style()
         )
-    if there:
-        figure.colorbar(drawn, ax=list(panels), shrink=0.9, pad=0.01, aspect=30, label="adds (mm/mm)")
-    for axes in panels[len(there) :]:
+    free = panels[len(there) :]
+    if there:  # the bar stands in the first free place, beside the last map
+        where = {"cax": free[0].inset_axes((0.02, 0.04, 0.06, 0.92))} if len(free) else {"ax": list(panels)}
+        figure.colorbar(drawn, **where, label="sigma (mm/mm)")
+    for axes in free:
         axes.set_axis_off()
     return pixels_of(figure)
 
@@ -69,7 +72,7 @@ def _headline(explanation: Explanation) -> str:
     trusted = float((explanation.confidence >= 0.5).mean())
     law = explanation.shares["law"]
     lines = [
-        f"{100 * trusted:.1f} % of the pixels have a confidence of 0.5 or more   |   law of slope and place: "
+        f"{100 * trusted:.1f} % of the pixels have a confidence of 0.5 or more   |   {USUAL}: "
         f"{100 * law:.1f} % of the variance   |   confidence 1 up to sigma {explanation.full_confidence_sigma:.3g} mm/mm"
     ]
     return "\n".join([*lines, *(f"! {finding.message}" for finding in explanation.findings)])
@@ -90,9 +93,9 @@ def _draw_dominant(axes: Any, explanation: Explanation) -> None:
     from matplotlib.colors import ListedColormap
     from matplotlib.patches import Patch
 
-    names = ("law", *explanation.maps)
+    names = (USUAL, *explanation.maps)
     style = {"cmap": ListedColormap(COLORS), "vmin": -0.5, "vmax": len(COLORS) - 0.5}
-    draw_map(axes, explanation.dominant, "most of it is due to", **style)
+    draw_map(axes, explanation.dominant, "largest cause", **style)
     there = [k for k in np.unique(explanation.dominant) if (explanation.dominant == k).mean() >= LEAST_SHARE]
     patches = [Patch(facecolor=COLORS[k], edgecolor=INK, linewidth=0.5, label=names[k]) for k in there]
     axes.legend(handles=patches, fontsize=8, loc="lower left", framealpha=0.9)

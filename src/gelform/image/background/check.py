@@ -44,6 +44,11 @@ PATTERN_WARN, PATTERN_REFUSE = 0.02, 0.053
 TOUCHED_SHARE = 0.025
 TOUCHED_IN_CONTACT = 0.015  # the same where the calibration shows contact
 TOUCHED_FRACTION = 0.4  # fraction of an image that the correlation leaves out
+OTHER_SENSOR = "The calibration is not of the sensor that took this background"
+OWN_CALIBRATION = (
+    "If frames agree with this background, no new one helps: use this sensor's own calibration. If it is the same unit, its "
+    "gel or lights have moved, so calibrate again."
+)
 MIN_FRAMES = (
     8  # smallest number of frames, each touched elsewhere, whose median is nearly the background image
 )
@@ -75,14 +80,13 @@ def check_own_background(background: NDArray[Any], calibrated: NDArray[Any]) -> 
     message has the figure.
     """
     today, untouched = block_means(background), block_means(calibrated)
-    compared(today, untouched)
+    compared(today, untouched, own=True)
     gain = gain_from_blocks(today, untouched)
     differs = gain.middle_pattern
     if np.isfinite(differs) and differs > PATTERN_REFUSE:
         raise CalibrationError(
-            f"This background is not of the calibrated sensor. After a common gain ({_times(gain.gain)}), half of it "
-            f"differs by {100 * differs:.1f} % or more (expected under {100 * PATTERN_REFUSE:g} %). Use this sensor's own "
-            "calibration. If it is the same unit, its gel or lights have moved, so calibrate again."
+            f"{OTHER_SENSOR}: after a common gain ({_times(gain.gain)}), half of the background given differs from the "
+            f"calibration's by {100 * differs:.1f} % or more (expected under {100 * PATTERN_REFUSE:g} %). {OWN_CALIBRATION}"
         )
     check_untouched(background, calibrated)
     findings = list(_exposure_findings(gain))
@@ -159,14 +163,20 @@ def background_digest(background: NDArray[Any]) -> str:
 
 
 def compared(
-    image: NDArray[np.float32], untouched: NDArray[np.float32], usual: FrameLight | None = None
+    image: NDArray[np.float32],
+    untouched: NDArray[np.float32],
+    usual: FrameLight | None = None,
+    own: bool = False,
 ) -> tuple[FrameLight, tuple[Finding, ...]]:
-    """Light and findings of an image compared with the background image, as in `light_from_blocks`."""
+    """Light and findings of an image compared with the background image, as in `light_from_blocks`.
+
+    `own`: the image is today's background, and `untouched` the calibration's; an error then blames the calibration.
+    """
     light = light_from_blocks(image, untouched, usual)
     if light.least_change > UNLIKE:
         _refuse_gray(image, untouched)
         check_upright(orientation_from_blocks(image, untouched))
-    _refuse_unlike(light, _correlation(image, untouched, light))
+    _refuse_unlike(light, _correlation(image, untouched, light), own)
     # The light of another unit of the make is not far from a tilt.
     pattern = light.least_pattern if light.tilt.any() else light.least_change
     return light, (*_light_findings(light), *_pattern_findings(pattern))
@@ -198,14 +208,9 @@ def check_viewed_image(
 def check_upright(orientation: Orientation | None) -> None:
     """Raise a CalibrationError that names how an image lies, if it is known and not as the background image does."""
     if orientation is not None and not orientation.is_upright:
-        way = (
-            "the view's turn and flip"
-            if orientation.flip != "none" or orientation.transposed
-            else "batch's --bgr"
-        )
         raise CalibrationError(
             f"The image is {orientation.named} compared with the background: so it fits it best of 16 readings. Undo it "
-            f"where images are read, by {orientation.remedy} or {way}."
+            f"where images are read: {orientation.remedy}."
         )
 
 
@@ -217,18 +222,27 @@ def _refuse_gray(image: NDArray[np.float32], untouched: NDArray[np.float32]) -> 
         )
 
 
-def _refuse_unlike(light: FrameLight, correlation: float | None) -> None:
+def _refuse_unlike(light: FrameLight, correlation: float | None, own: bool) -> None:
+    what, than = (
+        (OTHER_SENSOR, "the calibration's")
+        if own
+        else ("The background is not of this image", "the background")
+    )
     gains = light.gain.tolist()
     if min(gains) < RATIO_REFUSE[0] or max(gains) > RATIO_REFUSE[1]:
+        remedy = (
+            f"{OWN_CALIBRATION} Or set exposure and white balance as they were at calibration."
+            if own
+            else "Take a new background with the same exposure, white balance and lights."
+        )
         raise CalibrationError(
-            f"The background is not of this image: pixels at rest are {_times(light.gain)} times as bright as in "
-            f"the background (expected {RATIO_REFUSE[0]}-{RATIO_REFUSE[1]}). Take a new background with the "
-            "same exposure, white balance and lights."
+            f"{what}: pixels at rest are {_times(light.gain)} times as bright as in {than} "
+            f"(expected {RATIO_REFUSE[0]}-{RATIO_REFUSE[1]}). {remedy}"
         )
     if correlation is not None and correlation < CORRELATION_REFUSE:
         raise CalibrationError(
-            f"The background is not of this image: the two correlate by {correlation:.2f} on pixels at rest "
-            f"(expected {CORRELATION_REFUSE} or more). Is it of another sensor, or shifted?"
+            f"{what}: the two correlate by {correlation:.2f} on pixels at rest (expected {CORRELATION_REFUSE} or more). "
+            + (OWN_CALIBRATION if own else "Is it of another sensor, or shifted?")
         )
 
 

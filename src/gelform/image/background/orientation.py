@@ -35,6 +35,14 @@ TOUCHED_CHANGE = (
 )
 ROUNDS = 6  # of the fit, each with the touched blocks of the last
 
+# The view's flip and turn that do what the transpose and a flip do.
+VIEW_OF_TRANSPOSED = {
+    "none": ("y", "right"),
+    "x": ("none", "right"),
+    "y": ("none", "left"),
+    "xy": ("x", "right"),
+}
+
 
 class Orientation(NamedTuple):
     """A reading of an image.
@@ -69,13 +77,13 @@ class Orientation(NamedTuple):
 
     @property
     def remedy(self) -> str:
-        """The expression that undoes it."""
-        image = "image.transpose(1, 0, 2)" if self.transposed else "image"
-        rows = "::-1" if "y" in self.flip else ":"
-        columns = "::-1" if "x" in self.flip else ":"
-        if self.flip == "none":
-            return image + ("[..., ::-1]" if self.reversed else "")
-        return f"{image}[{rows}, {columns}{', ::-1' if self.reversed else ''}]"
+        """What undoes it: the view's flip and turn, and the exchange of red and blue."""
+        flip, turn = VIEW_OF_TRANSPOSED[self.flip] if self.transposed else (self.flip, "none")
+        words = [f'{name} "{value}"' for name, value in (("flip", flip), ("turn", turn)) if value != "none"]
+        parts = [f"the view's {' and '.join(words)}"] if words else []
+        if self.reversed:
+            parts.append("red and blue exchanged (--bgr of the commands that reconstruct)")
+        return ", and ".join(parts)
 
     def undone(self, image: NDArray[Any]) -> NDArray[Any]:
         """The image (H, W, 3) as it should be."""

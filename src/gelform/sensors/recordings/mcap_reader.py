@@ -91,7 +91,9 @@ def mcap_file_in(path: Path) -> Path:
 
 
 def end_missing(path: Path) -> str:
-    """A sentence about a recording (*.mcap) without its end, which may lack any number of frames; "" for a whole one."""
+    """A sentence about a recording (*.mcap) without its end, which lacks frames; "" for a whole one or a video."""
+    if path.suffix.lower() != ".mcap":
+        return ""
     try:
         with path.open("rb") as file:
             file.seek(-len(MAGIC), os.SEEK_END)

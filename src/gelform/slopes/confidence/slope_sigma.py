@@ -18,7 +18,7 @@ CLEAN_FRACTION = 0.95  # fraction of the pixels in contact whose confidence is 1
 # Quantiles of the slopes that presses have shown: beyond the first a model of other units is doubted, beyond the second
 # every model. With 0.5 the faces of a cube's edge escape the doubt of a model whose own presses are deep, with 0.3 balls are
 # doubted too; from 0.75 on, balls of the own unit were doubted in every second frame.
-SHOWN = 0.4, 0.86
+SHOWN = 0.4, 0.8
 LEAST_SIGMA = 1e-5  # mm/mm, least deviation: float32 rounds slopes to less
 LEAST_FACTOR = 0.3  # smallest factor of solved slopes; errors that have no curl stay
 
@@ -72,7 +72,7 @@ class SlopeSigma:
     solved_factor : deviation of the solved depth's slopes over that of the slopes as read; a surface cannot follow errors
         that have curl
     depth_factor : deviation of depth far from contacts over the one that the slopes there make; see `gelform.depth.sigma`
-    shown : (mm/mm, mm/mm) quantiles 0.4 and 0.86 of the slopes that presses have shown
+    shown : (mm/mm, mm/mm) quantiles 0.4 and 0.8 of the slopes that presses have shown
     gain_sigma : relative error that slopes of one size share around a press, RMS over sizes and presses, beyond what errors
         of single slopes explain; depth is off in proportion
     full_confidence_sigma : deviation that 95 % of the pixels in contact stay under; confidence is 1 up to it
