@@ -45,8 +45,8 @@ def progress_shown(quiet: bool) -> Iterator[Progress]:
 
         def report(done: int, total: int, what: str) -> None:
             if what not in tasks:
-                tasks[what] = bars.add_task(printable(what), total=total)
-            bars.update(tasks[what], completed=done, total=total)
+                tasks[what] = bars.add_task(printable(what), total=total or None)
+            bars.update(tasks[what], completed=done, total=total or None)
 
         yield report
 

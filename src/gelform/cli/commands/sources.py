@@ -265,11 +265,10 @@ def _recorded(
         def going_on(now: RecordStats) -> bool:
             nonlocal stats
             stats = now
-            done, total = round(now.duration_s), round(wanted["seconds"] or 0)
-            if wanted["frames"]:
-                done, total = now.frames, wanted["frames"]
-            running = grabber.state == "running"
-            progress(done, total, f"recording, {now.frames} frames" if running else grabber.state)
+            done, total, unit = now.frames, wanted["frames"] or 0, "frames"
+            if wanted["seconds"] and not total:
+                done, total, unit = round(now.duration_s), round(wanted["seconds"]), "seconds"
+            progress(done, total, f"recording, {unit}" if grabber.state == "running" else grabber.state)
             return True
 
         try:
