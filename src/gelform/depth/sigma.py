@@ -69,7 +69,7 @@ class DepthSigma:
         gain_sigma: float,
     ) -> None:
         self.coarse = coarse = coarse_of(shape)
-        self.factor, self._mm_per_px = factor, np.float32(mm_per_px)
+        self._mm_per_px = np.float32(mm_per_px)
         self._rows, self._columns = (
             np.rint(np.linspace(0, size, cells + 1)).astype(np.int32)
             for size, cells in zip(shape, coarse.shape)

@@ -102,13 +102,6 @@ class SlopeDeviations(NamedTuple):
     solved: NDArray[np.float32]
     at_rest: NDArray[np.bool_]
 
-    @classmethod
-    def of(
-        cls, read: NDArray[np.float32] | None, solved: NDArray[np.float32] | None, at_rest: NDArray[np.bool_]
-    ) -> SlopeDeviations | None:
-        """Those of a result's maps (H, W, 2), of whose components the larger counts; None if they are unknown."""
-        return None if read is None or solved is None else cls(_larger(read), _larger(solved), at_rest)
-
 
 def contact_from_depth(
     depth_mm: ArrayLike,
@@ -347,11 +340,6 @@ def _divergence(length: float, smoothing: float) -> float:
     """
     square = smoothing**2 + 0.25
     return 2 * length**2 / (2 * square + length**2) ** 2 if length > 0.5 else 1 / (4 * np.pi * square**2)
-
-
-def _larger(sigma: NDArray[np.float32]) -> NDArray[np.float32]:
-    alike = sigma.strides[-1] == 0  # one map for both components, broadcast
-    return np.ascontiguousarray(sigma[..., 0] if alike else sigma.max(axis=-1))
 
 
 def _noise_mm(depth: NDArray[np.float32]) -> float:
