@@ -76,6 +76,8 @@ static inline void store_in_turn(float *values, lanes p, lanes q) {
 #define INDEPENDENT
 #endif
 
+static inline float square_of(float x) { return x * x; }
+
 // Written as comparisons, which become one vector instruction each; fminf and fmaxf treat NaN specially and do not.
 static inline float smaller(float a, float b) { return a < b ? a : b; }
 static inline float larger(float a, float b) { return a > b ? a : b; }

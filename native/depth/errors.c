@@ -9,8 +9,6 @@ struct numbers {
   float full, spill, rest_share, spill_of_contact, gain, doubted;
 };
 
-static inline float square_of(float x) { return x * x; }
-
 static inline void add_row(const struct numbers *restrict n, const float *restrict slopes, const float *restrict depth,
                            const bool *restrict at_rest, const bool *restrict known, const float *restrict read,
                            const float *restrict steep, float *restrict sums, ptrdiff_t w) {

@@ -103,7 +103,7 @@ class FromBackground:
         self._pixels = as_levels(background)
         sigma = fixed.slope_sigma
         self.budget = PreparedBudget(
-            sigma, noise_at_rest(self.model, self.untouched_image, noise), background, change,
+            sigma, noise_at_rest(self.model, self.untouched_image, noise), self.untouched_image,
             walls=fixed.known is not None, slope_per_change=fixed.slope_per_change, spread=calibration.unit_spread,
             carried=calibration.carried,
         )  # fmt: skip

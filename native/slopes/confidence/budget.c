@@ -5,7 +5,7 @@
 enum { PIECE = 64 };  // pixels of a row at a time
 
 struct budget {
-  float per_step, per_size, solved, highest, outlier, unknown, unseen, full, noise, per_bend, bend_from, spread, shown,
+  float per_step, per_size, solved, unknown, outlier, unseen, full, noise, per_bend, bend_from, spread, shown,
       per_excess, doubted, steepest, carried;
   int32_t reach;
 };
@@ -13,8 +13,6 @@ struct budget {
 struct lines {
   float bend[2 * PIECE], wall[PIECE], outlier[PIECE], slope[PIECE], read[PIECE];
 };
-
-static inline float square_of(float x) { return x * x; }
 
 static inline void add_squares(float *restrict sums, const float *restrict here, const float *restrict there, int first, int end) {
   for (int i = first; i < end; i++) sums[i] += square_of(there[i] - here[i]);
@@ -81,7 +79,7 @@ static inline void add_rows(const struct budget *restrict c, struct lines *restr
 // model is another unit's. An error of the slope's size is stated of both components: a face may lean either way.
 static inline void finish(const struct budget *restrict c, const struct lines *restrict l, float *restrict read,
                           float *restrict solved, float *restrict steep, float *restrict confidence, int n) {
-  const float full = square_of(c->full), most = square_of(c->highest), per_fade = 1 / c->full;
+  const float full = square_of(c->full), most = square_of(c->unknown), per_fade = 1 / c->full;
   const float spread = square_of(c->spread), factor = square_of(c->solved);
   for (int k = 0; k < n; k++) {
     const float size = sqrtf(l->slope[k]), beyond = larger(size - c->shown, 0) * c->per_excess;
@@ -107,10 +105,10 @@ static inline void write_roots(float *restrict map, const float *restrict varian
 EXPORT int slope_budget(const float *gradients, const bool *at_rest, const float *rest, const float *of_step, const float *of_model,
                         const float *residual, const bool *unseen, const float *gain, const float *light, float *read,
                         float *solved, float *steep, float *confidence, float *walls, float *outliers, float per_step,
-                        float per_size, float solved_factor, float highest, float outlier, float unknown, float unseen_sigma,
+                        float per_size, float solved_factor, float unknown, float outlier, float unseen_sigma,
                         float full, float noise, float per_bend, float bend_from, float spread, float shown,
                         float per_excess, float doubted, float steepest, float carried, int32_t reach, ptrdiff_t h, ptrdiff_t w) {
-  const struct budget c = {per_step, per_size,  solved_factor, highest, outlier,    unknown, unseen_sigma, full,    noise,
+  const struct budget c = {per_step, per_size,  solved_factor, unknown, outlier,    unseen_sigma, full,    noise,
                            per_bend, bend_from, spread,        shown,   per_excess, doubted, steepest,     carried, reach};
   if (reach < 1 || !(outlier > 0) || !(full > 0)) return WRONG_SIZE;
   struct lines l = {0};

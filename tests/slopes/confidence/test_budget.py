@@ -59,9 +59,8 @@ def slopes_of(size=0.0, at_rest=False, **more):
 
 
 def prepared(law=LAW, background=GRAY, **settings):
-    return PreparedBudget(
-        law, np.full(background.shape[:2], 4e-4, np.float32), background, CHANGE, **settings
-    )
+    noise = np.full(background.shape[:2], 4e-4, np.float32)
+    return PreparedBudget(law, noise, PreparedBackground(background, CHANGE), **settings)
 
 
 @pytest.mark.parametrize("size", [0.0, 0.2, 0.5])
@@ -226,7 +225,7 @@ def numpy_weights(residual, of_model, unseen, weight, outlier, unknown, full, le
 
 def numpy_budget(
     gradients, at_rest, rest, of_step, of_model, residual, unseen, gain, light, read, solved, steep, confidence, walls,
-    outliers, per_step, per_size, factor, highest, outlier, unknown, unseen_sigma, full, noise, per_bend,
+    outliers, per_step, per_size, factor, unknown, outlier, unseen_sigma, full, noise, per_bend,
     bend_from, spread, shown, per_excess, doubted, steepest, carried, reach,
 ):  # fmt: skip
     """What the kernel should give, in float64."""
@@ -248,10 +247,10 @@ def numpy_budget(
     total = total if light is None else total + light.astype(float) ** 2
     own = per_excess * np.maximum(size - shown, 0)
     other = carried * np.clip((size - doubted) / full + 1, 0, 1) * np.maximum(steepest - size, 0)
-    missing = np.where(total < highest**2, np.minimum(own**2 + other**2, highest**2), 0)
+    missing = np.where(total < unknown**2, np.minimum(own**2 + other**2, unknown**2), 0)
     unit = spread**2 * size**2
     maps = [
-        np.sqrt(total), np.sqrt(np.minimum(factor**2 * total, highest**2) + unit), np.sqrt(missing),
+        np.sqrt(total), np.sqrt(np.minimum(factor**2 * total, unknown**2) + unit), np.sqrt(missing),
         np.minimum(full**2 / (total + unit + missing), 1),
     ]  # fmt: skip
     return (*maps, np.sqrt(bend), np.sqrt(off))
@@ -274,7 +273,7 @@ def test_the_kernels_agree_with_numpy(optional, shape):
     assert_kernel_agrees(
         budget._slope_budget, numpy_budget, gradients, chosen(), uniform(1e-5, 1e-3), some(uniform(0.3, 3)),
         some(uniform(0.01, 0.06)), some(uniform(0, 30)), some(chosen()), uniform(0.005, 0.02), some(uniform(0, 0.05)),
-        *out, 9e-4, 4e-3, 0.8, 1.0, 9.0, 1.0, 50.0, 0.05, 2.0, 1.75 if optional else 0.0, 0.1, 0.1, 0.5, 1.25, 0.3,
+        *out, 9e-4, 4e-3, 0.8, 1.0, 9.0, 50.0, 0.05, 2.0, 1.75 if optional else 0.0, 0.1, 0.1, 0.5, 1.25, 0.3,
         1.4, 0.3, 2,
     )  # fmt: skip
     assert_kernel_agrees(

@@ -139,6 +139,10 @@ class PreparedBackground:
     background : (H, W, 3), RGB, 0-255
     settings : of the conversion from an image to a color change
     usual : the light of the frames before, or None
+
+    Attributes
+    ----------
+    gain : (H, W, 3), factor of each pixel's difference, as `gain_from_background`
     """
 
     def __init__(
@@ -147,7 +151,7 @@ class PreparedBackground:
         self.settings, self._usual = settings, usual
         self.background = check_image(background, name="background").astype(np.float32, order="C")
         self._light = linear_light(self.background, settings)
-        self._gain = gain_from_background(self.background, settings)
+        self.gain = gain_from_background(self.background, settings)
         self._taps = blur_taps(settings.blur_px)
         self._blocks = block_means(self.background)
 
@@ -202,7 +206,7 @@ class PreparedBackground:
         image = np.ascontiguousarray(image, dtype=np.uint8 if is_bytes else np.float32)
         either = (image, None) if is_bytes else (None, image)
         return PendingChange(
-            (*either, scale_of_light(image.shape, values / response), self._light, self._gain, self._taps)
+            (*either, scale_of_light(image.shape, values / response), self._light, self.gain, self._taps)
         )
 
 

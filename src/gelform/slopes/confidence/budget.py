@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from gelform._native import Kernel
 from gelform.foundations.checks import HIGHEST_SLOPE, check_slopes
-from gelform.image.background.change import ChangeSettings, PreparedBackground, gain_from_background
+from gelform.image.background.change import PreparedBackground
 from gelform.image.background.untouched import Reference
 from gelform.slopes.color_models.seam import PreparedColorModel
 from gelform.slopes.confidence.slope_sigma import SlopeSigma
@@ -56,7 +56,7 @@ _slope_budget = Kernel(
     "f32[h,w,2] gradients, bool[h,w] at_rest, f32[h,w] rest, f32[h,w]? of_step, f32[h,w]? of_model, f32[h,w]? residual, "
     "bool[h,w]? unseen, f32[h,w] gain, f32[h,w]? light, out f32[h,w] read, out f32[h,w] solved, out f32[h,w] steep, "
     "out f32[h,w] confidence, out f32[h,w]? walls, out f32[h,w]? outliers, f32 per_step, f32 per_size, f32 solved_factor, "
-    "f32 highest, f32 outlier, f32 unknown, f32 unseen_sigma, f32 full, f32 noise, f32 per_bend, "
+    "f32 unknown, f32 outlier, f32 unseen_sigma, f32 full, f32 noise, f32 per_bend, "
     "f32 bend_from, f32 spread, f32 shown, f32 per_excess, f32 doubted, f32 steepest, f32 carried, i32 reach",
 )
 
@@ -126,8 +126,7 @@ class PreparedBudget:
     ----------
     sigma : of the calibration
     noise : (H, W), variance of a slope at rest from the image's noise alone, as `noise_at_rest` gives it
-    background : (H, W, 3), 0-255, in use
-    change : settings of the conversion of images to color changes
+    untouched : the background in use
     walls : whether sharply bending slopes are blurred; False for imported color models, whose blur is unknown
     slope_per_change : slope for a color change of 1, mm/mm
     spread : relative standard deviation of slopes between units, of a starter
@@ -143,8 +142,7 @@ class PreparedBudget:
         self,
         sigma: SlopeSigma,
         noise: NDArray[np.float32],
-        background: NDArray[np.float32],
-        change: ChangeSettings,
+        untouched: PreparedBackground,
         *,
         walls: bool = True,
         slope_per_change: float = 1.0,
@@ -153,16 +151,17 @@ class PreparedBudget:
     ) -> None:
         self.full_confidence_sigma = sigma.full_confidence_sigma
         self.rest_variance = np.float32(sigma.rest**2) + np.float32(sigma.rest_per_noise**2) * noise
-        gain = gain_from_background(background, change).mean(axis=-1) * np.float32(slope_per_change)
+        gain = untouched.gain.mean(axis=-1) * np.float32(slope_per_change)
         self._gain = np.ascontiguousarray(gain, dtype=np.float32)
         doubted, shown = sigma.shown
+        reach = max(1, round(REACH_BLURS * untouched.settings.blur_px))
         self._numbers = {
             "per_step": sigma.per_step**2, "per_size": (sigma.per_step * sigma.per_slope) ** 2,
-            "solved_factor": sigma.solved_factor, "highest": STEEPEST_GEL, "unknown": STEEPEST_GEL,
-            "unseen_sigma": sigma.full_confidence_sigma / LEAST_WEIGHT**0.5, "full": sigma.full_confidence_sigma,
+            "solved_factor": sigma.solved_factor, "unknown": STEEPEST_GEL,
+            "unseen_sigma": unseen_sigma(sigma.full_confidence_sigma), "full": sigma.full_confidence_sigma,
             "per_bend": ERROR_OF_DIFFERENCE if walls else 0.0, "bend_from": DIFFERENCE_FROM,
             "spread": spread, "shown": shown, "per_excess": PER_EXCESS, "doubted": doubted,
-            "steepest": STEEPEST_FACE, "carried": carried / 2, "reach": max(1, round(REACH_BLURS * change.blur_px)),
+            "steepest": STEEPEST_FACE, "carried": carried / 2, "reach": reach,
         }  # fmt: skip
 
     def __call__(
@@ -249,6 +248,11 @@ def noise_at_rest(
         off = model.gradients_from_color(background.change(brighter))[0] - rest
         variance += off[..., 0] ** 2 + off[..., 1] ** 2
     return np.asarray(cv2.GaussianBlur(variance / 2, (0, 0), NOISE_BLUR_PX, borderType=cv2.BORDER_REPLICATE))
+
+
+def unseen_sigma(full_confidence_sigma: float) -> float:
+    """Standard deviation of a slope that nothing shows, mm/mm: its confidence is the least weight."""
+    return full_confidence_sigma / LEAST_WEIGHT**0.5
 
 
 def for_both(sigma: NDArray[Any]) -> NDArray[Any]:

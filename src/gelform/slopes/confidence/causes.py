@@ -143,8 +143,8 @@ class ClippedChannels:
     Parameters
     ----------
     blur_px : of the color change
-    learned : (2, 3) bool, red, green, blue at the lower and the upper end whether it
-        was clipped in the calibration's own presses, so that the model learned it; None: nowhere
+    learnt : (2, 3) bool, whether red, green, blue was clipped at the lower and the upper end in the calibration's own
+        presses, so that the model learnt it; None: nowhere
     spare : number of channels that a slope can be read without: 1 with a forward response's step, else 0
     outside : (H, W) bool, pixels without light at rest, where dark is no fault; None: none
     """

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from gelform.foundations.findings import Finding
 from gelform.image.health import BELOW, BLOCK_PX, LIT
-from gelform.slopes.confidence.budget import LEAST_WEIGHT, Budget
+from gelform.slopes.confidence.budget import Budget, unseen_sigma
 from gelform.slopes.confidence.causes import CAUSES, SATURATED_FROM, bloom_disc
 
 LAW = "law"
@@ -110,7 +110,7 @@ def explanation_of(
     """
     assert budget.walls is not None
     assert budget.outliers is not None
-    nothing, unseen = np.zeros_like(budget.read), np.float32(full_confidence_sigma / LEAST_WEIGHT**0.5)
+    nothing, unseen = np.zeros_like(budget.read), np.float32(unseen_sigma(full_confidence_sigma))
     found = dict.fromkeys(CAUSES, nothing) | dict(rows) | {"wall": budget.walls, "steep": budget.steep}
     size = np.sqrt(np.mean(np.square(shown.color_change), axis=-1))
     common = shown.color_change.mean(axis=-1) / np.maximum(size, 1e-12)
