@@ -23,8 +23,14 @@ def fitted():
     return first, first.equations(second, pose(0.2))
 
 
+def covariance_of(first, at, mm, directions=6):
+    seen = np.eye(6)[:, :directions]
+    inverse = seen @ np.linalg.inv(seen.T @ at.information @ seen) @ seen.T
+    return pose_covariance(first, at, inverse, mm)
+
+
 def test_the_place_adds_to_x_and_y_and_to_turns_over_the_contact(fitted):
-    plain, placed = (pose_covariance(*fitted, np.eye(6), mm) for mm in (0.0, 0.1))
+    plain, placed = (covariance_of(*fitted, mm) for mm in (0.0, 0.1))
     away = fitted[0].points - fitted[0].middle
     turns = 0.01 * np.square([0.25, 0.25, 0.7]) / np.mean(np.sum(np.square(away), axis=1))
     np.testing.assert_allclose(placed - plain, np.diag([0.01, 0.01, 0, *turns]), rtol=1e-5, atol=1e-12)
@@ -43,12 +49,11 @@ def test_what_all_slopes_have_in_common(fitted):
             by = np.linalg.solve(at.information, right)
             wanted += np.outer(by, by)
     sure = replace(at, residual=np.zeros_like(at.residual))
-    np.testing.assert_allclose(pose_covariance(first, sure, np.eye(6), 0.0), wanted, rtol=1e-3, atol=1e-12)
+    np.testing.assert_allclose(covariance_of(first, sure, 0.0), wanted, rtol=1e-3, atol=1e-12)
 
 
 def test_unseen_directions_have_no_variance(fitted):
-    seen = np.eye(6)[:, :5]
-    covariance = pose_covariance(*fitted, seen, 0.0)
+    covariance = covariance_of(*fitted, 0.0, directions=5)
     assert np.abs(covariance[5]).max() < 1e-12
     assert covariance[0, 0] > 0
 

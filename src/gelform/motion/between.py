@@ -153,7 +153,7 @@ def motion_of(
     found = _fitted(first, second, start, np.eye(6))
     if isinstance(found, Motion):
         return found
-    blind, freely = blind_directions(first, second, found)
+    blind, freely = blind_directions(first, found)
     if blind:
         found = _fitted(first, second, start, freely)
         if isinstance(found, Motion):
@@ -162,12 +162,13 @@ def motion_of(
     stated, _, undetermined = determined_by(freely.T @ found.information @ freely)
     if undetermined.any():
         return lost("the part that both frames touch does not determine the motion", shared)
-    pose = pose_of_step(freely @ stated @ freely.T @ found.right, found.center) @ found.pose
+    inverse = freely @ stated @ freely.T
+    pose = pose_of_step(inverse @ found.right, found.center) @ found.pose
     center = moved(pose, first.middle)
     travel = float(np.linalg.norm((center - first.middle)[:2]))
     if (misfit := found.misfit) > MOST_MISFIT:
         return lost(f"the surfaces differ by {misfit:.1f} times their errors: is it another object?", shared)
-    own = pose_covariance(first, found, freely, travel * place_error)
+    own = pose_covariance(first, found, inverse, travel * place_error)
     if filled := blind_depth(first, second):
         own[2, 2] += UNKNOWN_MM**2
     along = np.linalg.inv(np.column_stack([freely, *(one.direction for one in blind)]))[: freely.shape[1]]

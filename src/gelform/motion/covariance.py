@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from gelform.foundations.information import determined_by
 from gelform.motion.rigid import Array, moved
 from gelform.motion.surface import MOVED_PX, Equations, TouchedSurface
 
@@ -23,9 +22,8 @@ OFFSET, GAIN = 0.003, 0.02  # mm/mm, and of a slope: standard deviations of what
 PLACE_TILT, PLACE_YAW = 0.25, 0.7
 
 
-def pose_covariance(surface: TouchedSurface, equations: Equations, seen: Array, place_mm: float) -> Array:
-    """Covariance (6, 6) of a step, from the equations at the best pose; `seen` (6, k): where it was fitted."""
-    inverse = seen @ determined_by(seen.T @ equations.information @ seen).covariance @ seen.T
+def pose_covariance(surface: TouchedSurface, equations: Equations, inverse: Array, place_mm: float) -> Array:
+    """Covariance (6, 6) of a step, from the equations at the best pose and the inverse (6, 6) of their information."""
     weighted = equations.jacobian * equations.weight[..., None]
     scores = np.einsum("nki,nk->ni", weighted, equations.residual)
     row, col = surface.pixels.T // BLOCK_PX

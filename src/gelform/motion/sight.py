@@ -38,16 +38,14 @@ class Blind:
     words: str
 
 
-def blind_directions(
-    first: TouchedSurface, second: TouchedSurface, at: Equations
-) -> tuple[tuple[Blind, ...], Array]:
+def blind_directions(first: TouchedSurface, at: Equations) -> tuple[tuple[Blind, ...], Array]:
     """The directions that the equations at the best pose of two contacts cannot tell, and the others (6, k).
 
     The others do not turn about the axes of blind turns, and do not shift along blind shifts.
     """
     scale = first.scale
     _, directions, undetermined = determined_by(at.information, scale)
-    alike = np.where(undetermined, 0.0, _correlations(first, second, at, directions))
+    alike = np.where(undetermined, 0.0, _correlations(first, at, directions))
     chosen = alike < LEAST_CORRELATION
     if chosen.any() and (ball := _ball(first, at)) is not None:
         pivot, shape = ball
@@ -79,7 +77,7 @@ def has_moved(surface: TouchedSurface, pose: Array) -> bool:
     return float(np.linalg.norm(shifts_px)) > MOVED_PX * np.sqrt(len(shifts_px))
 
 
-def _correlations(first: TouchedSurface, second: TouchedSurface, at: Equations, directions: Array) -> Array:
+def _correlations(first: TouchedSurface, at: Equations, directions: Array) -> Array:
     """Correlation, for each direction (column), of the changes that both frames' own slopes predict.
 
     The axes of the slopes stay those of the sensor: a turn of ten degrees changes the correlation by 0.02.
