@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from gelform.depth.force.model import (
     KINDS,
+    SHAPES,
     Dots,
     Force,
     ForceModel,
@@ -149,8 +150,9 @@ def _matched(presses: Sequence[Any], loads: Sequence[Load]) -> tuple[list[Touch]
 def _check_load(load: Load) -> None:
     if not isinstance(load.object, str):
         raise TypeError(f"Expected each load's object as a name, got {load.object!r:.60}.")
-    for name, count in (("normal_n", 1), ("shear_n", 2), ("torsion_n_mm", 1)):
-        if (value := getattr(load, name)) is None:
+    for kind, unit in KINDS.items():
+        name, count, value = f"{kind}_{unit}", SHAPES[kind][0], _value(load, kind)
+        if value is None:
             continue
         numbers = [check_number(one, name) for one in (check_list(value, name) if count == 2 else [value])]
         if len(numbers) != count or not all(abs(one) <= LARGEST_LOAD for one in numbers):
