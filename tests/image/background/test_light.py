@@ -207,35 +207,6 @@ def test_a_mirrored_frame_is_not_taken_for_a_tilted_one(data):
             check_background(read_image(path)[:, ::-1], rest)
 
 
-def lit_by_numpy(blocks, untouched, step, dark, bright, found, medians, work):
-    few, rest = blocks[::step, ::step], untouched[::step, ::step]
-    chosen = (np.minimum(few, rest).min(-1) > dark) & (np.maximum(few, rest).max(-1) < bright)
-    x, y = (
-        np.broadcast_to(one[::step, ::step, 0], chosen.shape)
-        for one in np.broadcast_arrays(*places(blocks.shape))
-    )
-    found[:, : chosen.sum()] = np.vstack([few[chosen].T, rest[chosen].T, x[chosen], y[chosen]])
-    return found, np.median(few[chosen] / rest[chosen], axis=0)
-
-
-@pytest.mark.parametrize("step", [1, 2])
-def test_the_lit_blocks_are_those_of_numpy(step):
-    rng = np.random.default_rng(2)
-    seen, rest = rng.uniform(1, 254, (2, 9, 12, 3)).astype(np.float32)
-    size = -(-9 // step) * -(-12 // step) + 1
-    kept, medians, work = (
-        np.zeros((8, size), np.float32),
-        np.zeros(3, np.float32),
-        np.empty(2 * size, np.float32),
-    )
-    count = light._lit_blocks(seen, rest, step, 20.0, 240.0, kept, medians, work)
-    expected = lit_by_numpy(seen, rest, step, 20.0, 240.0, np.zeros_like(kept), None, None)
-    assert 0 < count < size - 1
-    np.testing.assert_allclose(kept[:, :count], expected[0][:, :count], atol=1e-6)
-    np.testing.assert_allclose(medians, expected[1], rtol=1e-6)
-    assert not expected[0][:, count:].any()
-
-
 def step_by_numpy(
     found,
     count,
@@ -307,31 +278,30 @@ def test_the_means_of_bytes_are_those_of_opencv(shape, step):
     assert_kernel_agrees(light._means_of_bytes, by_opencv, image, step, work, means)
 
 
-@pytest.mark.parametrize(("shape", "step"), [((5, 7), 1), ((12, 17), 2), ((1, 1), 1)])
-def test_lit_blocks_agree_with_numpy(shape, step):
-    rng = np.random.default_rng(3)
-    blocks, untouched = rng.uniform(0, 260, (2, *shape, 3)).astype(np.float32)
+def lit_by_numpy(blocks, untouched, step, dark, bright, lit, medians, work):
     both = np.concatenate([blocks, untouched], axis=-1)[::step, ::step]
-    kept = ((both > 8) & (both < 250)).all(axis=-1)
-    y, x = np.meshgrid(*((2 * np.arange(n) + 1) / n - 1 for n in shape), indexing="ij")
-    columns = np.concatenate([both[kept].T, x[::step, ::step][kept][None], y[::step, ::step][kept][None]])
-    size = kept.size + 1
-    lit = np.zeros((8, size), np.float32)
+    y, x = np.meshgrid(*((2 * np.arange(n) + 1) / n - 1 for n in blocks.shape[:2]), indexing="ij")
+    kept = ((both > dark) & (both < bright)).all(axis=-1)
+    found = np.zeros_like(lit)
+    found[:, : kept.sum()] = [*both[kept].T, x[::step, ::step][kept], y[::step, ::step][kept]]
+    return found, np.median(both[kept][:, :3] / both[kept][:, 3:], axis=0)
 
-    def by_numpy(blocks, untouched, step, dark, bright, lit, medians, work):
-        found = np.zeros_like(lit)
-        found[:, : columns.shape[1]] = columns
-        return found, np.median(columns[:3] / columns[3:6], axis=1)
 
-    count = light._lit_blocks(
-        blocks, untouched, step, 8.0, 250.0, lit, np.empty(3, np.float32), np.empty(2 * size, np.float32)
-    )
-    assert count == kept.sum()
+@pytest.mark.parametrize(
+    ("shape", "step"), [((5, 7), 1), ((12, 17), 2), ((9, 12), 1), ((9, 12), 2), ((1, 1), 1)]
+)
+def test_lit_blocks_agree_with_numpy(shape, step):
+    blocks, untouched = np.random.default_rng(3).uniform(1, 254, (2, *shape, 3)).astype(np.float32)
+    blocks[0, 0], untouched[0, 0] = 110, 100
+    size = blocks[::step, ::step, 0].size + 1
+    out = np.zeros((8, size), np.float32), np.zeros(3, np.float32), np.empty(2 * size, np.float32)
+    asked = step, 20.0, 240.0, *out
+    count = light._lit_blocks(blocks, untouched, *asked)
+    lit, medians = lit_by_numpy(blocks, untouched, *asked)
+    assert count == np.count_nonzero(lit[0])
+    assert 0 < count < size - (shape != (1, 1))
+    np.testing.assert_allclose(out[0][:, :count], lit[:, :count], atol=1e-6)
+    np.testing.assert_allclose(out[1], medians, rtol=1e-6)
     # What a block leaves behind the last lit one counts no more: of one that is lit to the end there is none.
-    whole = np.clip(blocks, 20, 200), np.clip(untouched, 20, 200)
-    both, kept = np.concatenate(whole, axis=-1)[::step, ::step], np.ones(kept.shape, bool)
-    columns = np.concatenate([both[kept].T, x[::step, ::step][kept][None], y[::step, ::step][kept][None]])
-    assert_kernel_agrees(
-        light._lit_blocks, by_numpy, *whole, step, 8.0, 250.0, np.zeros((8, size), np.float32),
-        np.empty(3, np.float32), np.empty(2 * size, np.float32),
-    )  # fmt: skip
+    whole = np.clip(blocks, 30, 200), np.clip(untouched, 30, 200)
+    assert_kernel_agrees(light._lit_blocks, lit_by_numpy, *whole, *asked)
