@@ -7,10 +7,8 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
-from websockets.sync.client import connect
-
 from live.server import Live, running
-from live.viewer import Viewer
+from live.viewer import Viewer, connected
 
 CLIENTS, CLICKS_EACH = 3, 8
 SPAN_S, SETTLE_S = 20.0, 5.0
@@ -55,10 +53,7 @@ def _click(live: Live) -> tuple[int, float]:
 
 def _answers(live: Live, command: dict[str, Any], clicks: int) -> tuple[int, float]:
     """How many answers to a page's clicks came in time, and seconds to the last one."""
-    origin = f"http://{live.address}"
-    with connect(
-        f"ws://{live.address}/ws", origin=origin, max_size=None, proxy=None, ping_interval=None
-    ) as socket:
+    with connected(live) as socket:
         for _ in range(clicks):
             socket.send(json.dumps(command))
         began_s, came, last_s = time.monotonic(), 0, SPAN_S

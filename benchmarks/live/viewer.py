@@ -7,12 +7,20 @@ import threading
 import time
 from typing import Any
 
-from websockets.sync.client import connect
+from websockets.sync.client import ClientConnection, connect
 
 from gelform.live.web.wire import read_message
 from live.server import Live
 
 WATCH = {"do": "watch", "planes": ["depth", "flags", "image"], "encoding": "raw"}
+
+
+def connected(live: Live) -> ClientConnection:
+    """A connection as a page has it; it asks for no answers of its own, which a busy machine gives late."""
+    address = live.address
+    return connect(
+        f"ws://{address}/ws", origin=f"http://{address}", max_size=None, proxy=None, ping_interval=None
+    )
 
 
 class Viewer(threading.Thread):
@@ -28,10 +36,7 @@ class Viewer(threading.Thread):
         self.stop = threading.Event()
 
     def run(self) -> None:
-        origin = f"http://{self.live.address}"
-        with connect(
-            f"ws://{self.live.address}/ws", origin=origin, max_size=None, proxy=None, ping_interval=None
-        ) as socket:
+        with connected(self.live) as socket:
             socket.send(json.dumps(self.watch))
             for _ in range(2):
                 socket.send(json.dumps({"do": "credit"}))
