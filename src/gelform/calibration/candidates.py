@@ -30,7 +30,7 @@ from gelform.calibration.starters import (
     starter_for,
     starter_names,
 )
-from gelform.calibration.starters.starter import make_name
+from gelform.calibration.starters.starter import Starter, make_name
 from gelform.calibration_file import Calibration, as_calibration
 from gelform.depth.stepped import CoarseDepth
 from gelform.errors import CalibrationError
@@ -82,6 +82,11 @@ class Start:
     by: str
     offered: bool = False
     note: str = ""
+
+    @property
+    def subject(self) -> str:
+        """Its origin, at the head of a sentence."""
+        return f"{self.by[0].upper()}{self.by[1:]}"
 
 
 @dataclass(frozen=True)
@@ -254,40 +259,46 @@ def starter_start(presses: Presses, color_model: str) -> Start | None:
     It is offered to fits of the default color model, except for the presses that it was made from.
     """
     starter = starter_for(presses.make, presses.image_shape)
-    if starter is None:
-        return None
-    try:
-        check_light(presses.background, starter.light, starter.make)
-    except CalibrationError:
+    if starter is None or _why_other_light(starter, presses):
         return None  # a make that is named wrongly does not make it that sensor; a start given by name raises the error
     light, _ = light_from_background(presses.background)
     model, forward = starter.models_for(light, presses.mm_per_px)
-    made = starter.calibration
-    unseen = set(made.training_digests).isdisjoint(press.digest for press in presses.presses)
-    offered = unseen and color_model in (AUTO, DEFAULT_MODEL)
+    offered = not _why_not_offered(starter, presses, color_model)
     by = f"the starter of a {starter.make}"
-    return Start(model, forward, made.digest, starter.spread, by, offered)
+    return Start(model, forward, starter.calibration.digest, starter.spread, by, offered)
 
 
 def starter_note(presses: Presses, color_model: str) -> tuple[str, ...]:
     """A note why the starter of a known make was not tried; () if it was, or if the make has none."""
     if presses.make not in starter_names():
         return ()
-    starter, why = load_starter(presses.make), ""
-    made = starter.calibration
-    if made.image_shape != presses.image_shape:
-        (high, wide), (own_high, own_wide) = made.image_shape, presses.image_shape
+    starter = load_starter(presses.make)
+    shape = starter.calibration.image_shape
+    if shape != presses.image_shape:
+        (high, wide), (own_high, own_wide) = shape, presses.image_shape
         why = f"it is for images of {high}x{wide} px, and these are {own_high}x{own_wide} px"
-    elif color_model not in (AUTO, DEFAULT_MODEL):
-        why = f"it is of the color model {DEFAULT_MODEL}, and {color_model} was asked for"
-    elif not set(made.training_digests).isdisjoint(press.digest for press in presses.presses):
-        why = "it was made from these presses"
     else:
-        try:
-            check_light(presses.background, starter.light, starter.make)
-        except CalibrationError as problem:
-            why = str(problem)
+        why = _why_not_offered(starter, presses, color_model) or _why_other_light(starter, presses)
     return (f"The starter of a {starter.make} was not tried, because {why.rstrip('.')}.",) if why else ()
+
+
+def _why_not_offered(starter: Starter, presses: Presses, color_model: str) -> str:
+    """The reason that a starter is not offered to a fit of presses of its sensor; "" if it is."""
+    if color_model not in (AUTO, DEFAULT_MODEL):
+        return f"it is of the color model {DEFAULT_MODEL}, and {color_model} was asked for"
+    seen = set(starter.calibration.training_digests)
+    return (
+        "" if seen.isdisjoint(press.digest for press in presses.presses) else "it was made from these presses"
+    )
+
+
+def _why_other_light(starter: Starter, presses: Presses) -> str:
+    """The reason that presses are not of a starter's light; "" if they are."""
+    try:
+        check_light(presses.background, starter.light, starter.make)
+    except CalibrationError as problem:
+        return str(problem)
+    return ""
 
 
 def start_from(start: Calibration | str | PathLike[str], presses: Presses, color_model: str) -> Start:

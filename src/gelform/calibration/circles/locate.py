@@ -114,7 +114,7 @@ def locate(presses: Presses, start: Start | None = None, *, progress: Progress =
         alone = refine(prepared, found, excluded=excluded)
         if len(alone.accepted) > len(refined.accepted):
             notes += (
-                f"{start.by[0].upper()}{start.by[1:]} was not used: {len(refined.accepted)} presses fit with it, "
+                f"{start.subject} was not used: {len(refined.accepted)} presses fit with it, "
                 f"{len(alone.accepted)} without it.",
             )
             refined, model, start = alone, None, None

@@ -131,15 +131,16 @@ def _of_starter(fitted: Fitted, offered: Start | None) -> tuple[str, ...]:
     if offered is None:
         return ()
     selection, errors = fitted.selection, {}
-    by = f"{offered.by[0].upper()}{offered.by[1:]}"
     if all(one.candidate.start is not None for one in selection.trials):
-        return (f"{by} was used. With under {NEEDED.edge.presses} presses no fit without it is tried.",)
+        return (
+            f"{offered.subject} was used. With under {NEEDED.edge.presses} presses no fit without it is tried.",
+        )
     for begun in (True, False):
         own = [one.mean_log() for one in selection.trials if (one.candidate.start is not None) == begun]
         errors[begun] = float(np.exp(min(own))) if own else float("nan")
     used = "was used" if selection.chosen.start is not None else "was not used"
     return (
-        f"{by} {used}. Held-out slopes are off by {errors[True]:.3f} with it and by "
+        f"{offered.subject} {used}. Held-out slopes are off by {errors[True]:.3f} with it and by "
         f"{errors[False]:.3f} without it.",
     )
 
