@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from gelform.calibration.circles.find import (
     ContactCircle,
+    about_median,
     find_contact,
     imprint_aspect,
     magnitude,
@@ -133,7 +134,7 @@ def contact_in_background(presses: Presses) -> ContactCircle | None:
     if why_no_contact(found) is not None:
         return None
     inside = _disc(presses.image_shape, found, 1.2)
-    size = magnitude(change - np.median(change, axis=(0, 1)).astype(np.float32))
+    size = magnitude(about_median(change))
     rougher = _roughness(presses.background, inside) / max(_roughness(untouched, inside), 1e-9)
     return found if float(size[inside].mean()) > MIN_CHANGE and rougher > MIN_ROUGHER else None
 

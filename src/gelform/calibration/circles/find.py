@@ -75,11 +75,16 @@ def find_contact(color_change: NDArray[np.float32]) -> ContactCircle:
     DataError: it is too small to hold a contact.
     """
     check_room(color_change.shape)
-    change = color_change - np.median(color_change, axis=(0, 1)).astype(np.float32)
+    change = about_median(color_change)
     x, y, antisymmetry = _antisymmetry_center(change)
     size = magnitude(change)
     radius = contact_radius(size, x, y)
     return ContactCircle(x, y, radius, antisymmetry, _signal(size, x, y, radius))
+
+
+def about_median(color_change: NDArray[np.float32]) -> NDArray[np.float32]:
+    """A color change (H, W, 3) minus its median over the image."""
+    return np.asarray(color_change - np.median(color_change, axis=(0, 1)).astype(np.float32))
 
 
 def marked_contact(

@@ -13,6 +13,7 @@ from gelform.calibration.circles.find import (
     AGREES,
     MIN_EVIDENCE,
     ContactCircle,
+    about_median,
     find_contact,
     magnitude,
     marked_contact,
@@ -78,11 +79,13 @@ def prepare(
             change, usable = changes(press.image)
         except CalibrationError as problem:
             change, usable, refused = np.zeros((*presses.image_shape, 3), np.float32), None, str(problem)
-        size = magnitude(change - np.median(change, axis=(0, 1)).astype(np.float32))
+        size = magnitude(about_median(change))
         radius_px = press.ball_diameter_mm / 2 / presses.mm_per_px
-        prepared.append(PreparedPress(press.name, change, size, radius_px, usable, presses.background))
         mark = press.label if press.center_px is None else (*press.center_px, None)
-        prepared[-1] = replace(prepared[-1], mark=mark, refused=refused)
+        rest = presses.background
+        prepared.append(
+            PreparedPress(press.name, change, size, radius_px, usable, rest, mark=mark, refused=refused)
+        )
         progress(done + 1, len(presses.presses), "preparing")
     others = [(one.name, one.refused) for one in prepared if one.refused is not None]
     if 2 * len(others) >= len(prepared):

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import irfft2, next_fast_len, rfft2
 
-from gelform.calibration.circles.find import parabola_offset
+from gelform.calibration.circles.find import about_median, parabola_offset
 from gelform.calibration.circles.samples import PreparedPress
 from gelform.foundations.filters import CHANGE_OFFSET
 
@@ -78,7 +78,7 @@ def _balanced(press: PreparedPress) -> NDArray[np.float32]:
     change = press.color_change
     if press.background is not None:
         change = change * ((press.background + CHANGE_OFFSET) / (press.background + DARK)).astype(np.float32)
-    return np.asarray(change - np.median(change, axis=(0, 1)).astype(np.float32))
+    return about_median(change)
 
 
 def _noise(pictures: NDArray[np.float32], circles: Sequence[Circle | None]) -> NDArray[np.float32]:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from gelform.calibration.circles.find import (
     ContactCircle,
+    about_median,
     find_contact,
     magnitude,
     marked_contact,
@@ -97,7 +98,7 @@ class Judge:
             return Look(None, False, moving, "")
         contact = find_contact(change)
         if clicked is not None:
-            size = magnitude(change - np.median(change, axis=(0, 1)).astype(np.float32))
+            size = magnitude(about_median(change))
             contact = marked_contact(contact, size, *clicked, None)
         if why_no_contact(contact) is not None:
             return Look(
