@@ -39,6 +39,14 @@ def test_sigma_has_that_of_the_volume_and_half_of_a_falling_force():
     assert falling.normal_sigma_n == pytest.approx(np.hypot(1.0, 0.4))
 
 
+def test_torsion_is_none_of_the_volume():
+    at = GRID - GRID.mean(axis=0)
+    touch = touch_from_result(dotted(0.05 * at[:, ::-1] * (-1, 1)))
+    for one in (touch, replace(touch, volume_sigma_mm3=0.3), replace(touch, falling=True)):
+        force = force_from_result(one, replace(MODEL, torsion=replace(TORSION, relative=0.1)))
+        assert force.torsion_sigma_n_mm == pytest.approx(np.hypot(0.1 * 2.5, 1.0), rel=1e-3)
+
+
 def test_torsion_has_the_sign_of_the_turn():
     at = GRID - GRID.mean(axis=0)
     force = force_from_result(dotted(0.05 * at[:, ::-1] * (-1, 1)), MODEL)

@@ -59,10 +59,10 @@ class ForcePart:
         high, loads = check_positive(high, "range"), int(check_positive(stored["loads"], "loads"))
         return cls(tuple(map(tuple, weights.tolist())), (low, high), relative, floor, loads)
 
-    def sigma(self, force: NDArray[np.float64], touch: Touch) -> float:
-        """The standard deviation of each component of a force; a normal one has that of the touch's volume too."""
+    def sigma(self, force: NDArray[np.float64], touch: Touch | None = None) -> float:
+        """The standard deviation of each component of a force; one of a touch's volume has that of the volume too."""
         size, relative = np.linalg.norm(force), self.relative
-        if len(force) == 1 and touch.volume_mm3:
+        if touch is not None and touch.volume_mm3:
             relative = max(self.relative, FALLING_SIGMA) if touch.falling else self.relative
             relative = np.hypot(relative, touch.volume_sigma_mm3 / touch.volume_mm3)
         return float(np.hypot(relative * size, self.floor))
@@ -212,7 +212,7 @@ def force_from_result(result: Any, model: ForceModel | None) -> Force:
             if np.linalg.norm(force) <= BEYOND_RANGE * part.range[1]:
                 value = force.tolist()
                 found[f"{kind}_{unit}"] = value[0] if len(value) == 1 else tuple(value)
-                found[f"{kind}_sigma_{unit}"] = part.sigma(force, touch)
+                found[f"{kind}_sigma_{unit}"] = part.sigma(force, touch if kind == "normal" else None)
             else:
                 reason = f"beyond the calibrated range: loads were up to {part.range[1]:.3g}"
         found[f"{kind}_reason"] = reason
