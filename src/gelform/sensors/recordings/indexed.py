@@ -5,8 +5,9 @@ from __future__ import annotations
 import os
 from collections import OrderedDict
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from threading import Lock
 from typing import Any, NamedTuple
 
 import cv2
@@ -37,7 +38,7 @@ class Indexed:
     path : file or folder
     facts : of the camera
     times_s : time of each frame, counted from the first, increasing
-    frame : number from 0 -> Frame; DataError if it is damaged
+    frame : number from 0 -> Frame, in any thread; DataError if it is damaged
     """
 
     path: Path
@@ -76,7 +77,13 @@ def indexed(path: Path) -> Indexed:
         raise DataError(f"{path} is no video, no folder of images and no recording (*.mcap).{way_for(path)}")
     if not found.times_s:
         raise DataError(f"{path} holds no frame.")
-    return found
+    alone = Lock()  # decoders keep their place, and a recording may be shared while it plays
+
+    def frame(number: int) -> Frame:
+        with alone:
+            return found.frame(number)
+
+    return replace(found, frame=frame)
 
 
 def _of_images(path: Path) -> Indexed:
