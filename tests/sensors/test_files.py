@@ -3,6 +3,7 @@
 import shutil
 import struct
 import zlib
+from concurrent.futures import ThreadPoolExecutor
 from io import BytesIO
 
 import cv2
@@ -13,7 +14,7 @@ import gelform
 from gelform.errors import DataError
 from gelform.exchange.plots.canvas import save_picture
 from gelform.image.view import View
-from gelform.sensors.declared import tiff_of_page, tiff_pages
+from gelform.sensors.declared import begin_tiff_at, tiff_pages
 from gelform.sensors.files import (
     SensorSettings,
     averaged_background,
@@ -75,6 +76,10 @@ def test_all_images_of_a_file_are_frames(tmp_path, stack, suffix):
     np.testing.assert_array_equal([frame.image for frame in frames], stack)
     assert [frame.time_s for frame in frames] == [k / 25 for k in range(4)]
     np.testing.assert_array_equal(indexed(path).frame(2).image, stack[2])
+    numbers = [k % 4 for k in range(200)]
+    with ThreadPoolExecutor(4) as threads:  # a recording may be shared while it plays
+        together = list(threads.map(indexed(path).frame, numbers))
+    np.testing.assert_array_equal([frame.image for frame in together], stack[numbers])
     with pytest.raises(
         DataError, match=r"holds several images\. Give it to gelform reconstruct, batch or live"
     ):
@@ -93,7 +98,10 @@ def test_pages_are_counted_in_either_order_of_bytes_and_up_to_damage(tmp_path, s
     assert tiff_pages(BytesIO(b"MM\0*" + struct.pack(">I", 8) + empty + struct.pack(">HI", 0, 0))) == (8, 14)
     big = b"II+\0" + struct.pack("<HHQ", 8, 0, 16) + struct.pack("<QQ", 0, 32) + struct.pack("<QQ", 0, 0)
     assert tiff_pages(BytesIO(big)) == (16, 32)
-    assert tiff_of_page(big, 32)[8:16] == struct.pack("<Q", 32)
+    assert tiff_pages(BytesIO(big), 1) == (16,)
+    begun = bytearray(big)
+    begin_tiff_at(begun, 32)
+    assert begun == big[:8] + struct.pack("<Q", 32) + big[16:]
     loop = b"II*\0" + struct.pack("<I", 8) + struct.pack("<HI", 0, 8)
     assert tiff_pages(BytesIO(loop)) == (8,)
     assert tiff_pages(BytesIO(b"\x89PNG" + bytes(30))) == ()

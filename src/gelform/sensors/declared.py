@@ -74,18 +74,20 @@ def _of_webp(content: bytes) -> tuple[int, int]:
     return int.from_bytes(content[27:30], "little") + 1, int.from_bytes(content[24:27], "little") + 1
 
 
-def tiff_pages(file: BinaryIO) -> tuple[int, ...]:
-    """Places of the directories of a TIFF's pages, classic or BigTIFF; () for another file, and up to damage."""
+def tiff_pages(file: BinaryIO, most: int = MAX_PAGES) -> tuple[int, ...]:
+    """Places of the directories of a TIFF's first pages, classic or BigTIFF; () for another file, and up to damage."""
     start = file.read(16)
     order = {b"II": "<", b"MM": ">"}.get(start[:2], "")
     big = start[2:4] in (b"+\0", b"\0+")
     if not order or not (big or start[2:4] in (b"*\0", b"\0*")):
         return ()
     pages: list[int] = []
+    seen: set[int] = set()  # a damaged file may lead back
     try:
         (at,) = struct.unpack_from(f"{order}{'Q' if big else 'I'}", start, 8 if big else 4)
-        while at and at not in pages and len(pages) < MAX_PAGES:
+        while at and at not in seen and len(pages) < most:
             pages.append(at)
+            seen.add(at)
             file.seek(at)
             (count,) = struct.unpack(f"{order}{'Q' if big else 'H'}", file.read(8 if big else 2))
             file.seek(at + (8 + 20 * count if big else 2 + 12 * count))
@@ -95,8 +97,7 @@ def tiff_pages(file: BinaryIO) -> tuple[int, ...]:
     return tuple(pages)
 
 
-def tiff_of_page(content: bytes, place: int) -> bytes:
-    """The same TIFF, beginning with the page at a place: readers of one picture take the first."""
+def begin_tiff_at(content: bytearray, place: int) -> None:
+    """Make a TIFF begin with the page at a place: readers of one picture take the first."""
     order, big = "<" if content[:2] == b"II" else ">", content[2:4] in (b"+\0", b"\0+")
-    at, first = (8, struct.pack(f"{order}Q", place)) if big else (4, struct.pack(f"{order}I", place))
-    return content[:at] + first + content[at + len(first) :]
+    struct.pack_into(f"{order}{'Q' if big else 'I'}", content, 8 if big else 4, place)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, fields
 from io import BytesIO
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import cv2
 import numpy as np
@@ -28,7 +28,7 @@ from gelform.foundations.whole_files import bytes_of
 from gelform.image.background.average import Background, background_from_frames
 from gelform.image.view import View
 from gelform.image.view.view import MAX_PIXELS
-from gelform.sensors.declared import check_declared, tiff_of_page, tiff_pages
+from gelform.sensors.declared import begin_tiff_at, check_declared, tiff_pages
 from gelform.sensors.jpeg import SIGNATURE as JPEG
 from gelform.sensors.jpeg import is_gray_jpeg, pixels_of_jpeg
 from gelform.sensors.png_bytes import SIGNATURE as PNG
@@ -148,7 +148,7 @@ def is_stack(path: Path) -> bool:
         return npy_values(path).ndim == 4
     try:
         with path.open("rb") as file:
-            return len(tiff_pages(file)) > 1
+            return len(tiff_pages(file, 2)) > 1
     except OSError:
         return False  # reading it says why
 
@@ -156,13 +156,22 @@ def is_stack(path: Path) -> bool:
 def images_of_stack(
     path: Path, most_pixels: float = MAX_PIXELS
 ) -> tuple[Callable[[int], NDArray[np.uint8]], int]:
-    """(number -> image, number of images) of a file as in `is_stack`; errors as in `read_image`."""
+    """(number -> image, for one thread at a time, and number of images) of a file as in `is_stack`.
+
+    Errors as in `read_image`.
+    """
     if is_npy(path):
         values = npy_values(path, most_pixels)
         return lambda number: image_of_npy(values[number], f"Image {number} of {path}"), len(values)
     content = _picture_bytes(path, most_pixels)
     pages = tiff_pages(BytesIO(content))
-    return lambda number: _image_in(tiff_of_page(content, pages[number]), path, most_pixels), len(pages)
+    begun = bytearray(content)  # changed in place: a copy of a large file takes longer than decoding a page
+
+    def image(number: int) -> NDArray[np.uint8]:
+        begin_tiff_at(begun, pages[number])
+        return _image_in(cast("bytes", begun), path, most_pixels)
+
+    return image, len(pages)
 
 
 def _images_in(path: Path) -> Iterator[NDArray[Any]]:
