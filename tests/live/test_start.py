@@ -17,9 +17,11 @@ from gelform.calibration.library.library import add_calibration
 from gelform.calibration_file import load_calibration
 from gelform.errors import CalibrationError, DataError
 from gelform.exchange.plots.canvas import save_picture
+from gelform.live import actions
 from gelform.live.start import Options, start
 from gelform.sensors.cameras import camera as plugged_in
 from gelform.sensors.cameras.camera import Camera
+from gelform.sensors.recordings.indexed import indexed
 from live_waiting import until
 from made.mjpeg_server import MjpegServer, jpeg, part
 
@@ -112,6 +114,10 @@ def test_a_folder_of_blue_green_red_frames_is_shown_in_rgb_and_has_its_controls(
         station.player.seek(1)
         until(lambda: (one := station.newest) and one.frame.number == 1)
         np.testing.assert_array_equal(station.newest.frame.image, image)
+        hub.folder = tmp_path
+        actions.share(hub, 0)
+        shared = until(lambda: next(tmp_path.glob("shared*.mcap"), None))
+        np.testing.assert_array_equal(indexed(shared).frame(1).image, image)
 
 
 @pytest.mark.slow

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -23,7 +23,7 @@ from gelform.sensors.recordings.indexed import Indexed, indexed, is_recording
 from gelform.sensors.recordings.mcap_reader import end_missing
 from gelform.sensors.recordings.player import Player
 from gelform.sensors.simulated.source import RATE_HZ, SimulatedSource
-from gelform.sensors.source import FromBgr, Source, device_of, open_source, simulated_sensor_of
+from gelform.sensors.source import Source, device_of, in_rgb, open_source, simulated_sensor_of
 from gelform.simulate import SimulatedSensor
 
 READY = "simulated sensor"
@@ -141,8 +141,9 @@ def _opening(
 ) -> Opening:
     """How to open the source. It is opened once now, so that a mistake is also reported in the terminal."""
     if isinstance(known, Indexed):
-        player = partial(Player, known, may_begin=hub.watched)
-        return Opening((lambda: FromBgr(player())) if options.bgr else player, NEVER_S)
+        as_given = known.frame
+        shown = replace(known, frame=lambda number: in_rgb(as_given(number))) if options.bgr else known
+        return Opening(partial(Player, shown, may_begin=hub.watched), NEVER_S)
     if known is not None:
         return Opening(
             lambda: SimulatedSource(known, rate_hz=options.rate_hz, seed=number), SIMULATED_STALL_S

@@ -24,7 +24,7 @@ from gelform.sensors.cameras.camera import Camera
 from gelform.sensors.grabber import STALL_S, Grabber
 from gelform.sensors.recordings.player import Player
 from gelform.sensors.recordings.record import KEPT_FRAMES
-from gelform.sensors.source import FromBgr, Source
+from gelform.sensors.source import Source
 from gelform.sensors.streams.feed import NewestFrames
 from gelform.sensors.streams.memory import Memory, Timed, Work
 from gelform.sensors.streams.pipeline import Pipeline
@@ -245,8 +245,7 @@ class Station:
     @property
     def player(self) -> Player | None:
         """The source if it is a recording with controls; None for a sensor."""
-        source = self.source.source if isinstance(self.source, FromBgr) else self.source
-        return source if isinstance(source, Player) else None
+        return self.source if isinstance(self.source, Player) else None
 
     @property
     def grabber(self) -> Grabber:

@@ -10,6 +10,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Protocol
 
+import numpy as np
+
 from gelform.errors import DataError, SensorError
 from gelform.foundations.checks import check_path
 from gelform.foundations.foreign_files import way_for
@@ -63,11 +65,13 @@ class Source(Protocol):
     ) -> None: ...
 
 
-class FromBgr:
-    """A source whose frames come as blue, green, red, in RGB; everything else is the source's own.
+def in_rgb(frame: Frame) -> Frame:
+    """A frame that came as blue, green, red; the camera's JPEG is left out, because its colors are the wrong ones."""
+    return replace(frame, image=np.ascontiguousarray(frame.image[..., ::-1]), encoded=None)
 
-    The camera's JPEG is left out, because its colors are the wrong ones. `source` is the source as it is.
-    """
+
+class FromBgr:
+    """A source whose frames come as blue, green, red, in RGB; everything else is the source's own."""
 
     def __init__(self, source: Source) -> None:
         self.source = source
@@ -76,8 +80,7 @@ class FromBgr:
         return getattr(self.source, name)
 
     def __iter__(self) -> Iterator[Frame]:
-        for frame in self.source:
-            yield replace(frame, image=frame.image[..., ::-1].copy(), encoded=None)
+        return map(in_rgb, self.source)
 
     def __enter__(self) -> FromBgr:
         self.source.__enter__()

@@ -9,7 +9,6 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from gelform.batch.inputs.containers import hdf5_values, is_zarr, zarr_values
@@ -25,7 +24,7 @@ from gelform.image.frame import Frame
 from gelform.image.view import image_from_frame
 from gelform.image.view.view import MAX_PIXELS
 from gelform.sensors.files import read_background, read_image
-from gelform.sensors.source import open_source
+from gelform.sensors.source import in_rgb, open_source
 from gelform.sensors.values import image_from_values
 
 BACKGROUND_COLUMNS = ("sequence", "background")
@@ -92,8 +91,7 @@ def _in_rgb(frames: Iterator[NamedFrame], bgr: bool) -> Iterator[NamedFrame]:
     """The frames with red first, for files whose channels are blue, green, red."""
     for named in frames:
         if bgr and named.frame is not None:
-            image = np.ascontiguousarray(named.frame.image[..., ::-1])
-            named = replace(named, frame=replace(named.frame, image=image, encoded=None))
+            named = replace(named, frame=in_rgb(named.frame))
         yield named
 
 
