@@ -47,7 +47,7 @@ def image_from_values(values: NDArray[Any] | DataError, most_pixels: float = MAX
     if values.min() >= 0 and values.max() <= 1 and np.abs(levels - 255.0 * values).max() <= SAME_LEVEL:
         return levels.astype(np.uint8)
     raise DataError(
-        f"Expected whole numbers from 0 to 255, or such levels over 255,, got {values.dtype} "
+        f"Expected whole numbers from 0 to 255, or such levels over 255, got {values.dtype} "
         f"{values.shape} from {values.min()} to {values.max()}. Write it as uint8."
     )
 
