@@ -175,18 +175,22 @@ def test_a_terminal_that_closes_ends_a_recording_with_its_index(tmp_path):
     command = [*GELFORM.split(), "record", "simulated", "-o", str(path)]
     ran = subprocess.Popen(command, stdin=there, stdout=there, stderr=there, start_new_session=True)
     os.close(there)
-    deadline, rows = time.monotonic() + 240, b""
-    while not path.exists() or path.stat().st_size < 200_000:
-        assert time.monotonic() < deadline
-        assert ran.poll() is None
-        if select.select([here], [], [], 0.05)[0]:  # a terminal that nobody reads stops the program
-            rows += os.read(here, 4096)
-    os.close(here)
-    assert b"frames" in rows
-    assert rows.count(b"frames") <= rows.count(b"\r") + 1  # one bar, whatever the number of frames
-    for _ in range(3):
-        os.kill(ran.pid, signal.SIGHUP)
-    assert ran.wait(60) in (0, 1, 130)
+    try:
+        deadline, rows = time.monotonic() + 240, b""
+        while not path.exists() or path.stat().st_size < 200_000:
+            assert time.monotonic() < deadline
+            assert ran.poll() is None
+            if select.select([here], [], [], 0.05)[0]:  # a terminal that nobody reads stops the program
+                rows += os.read(here, 4096)
+        os.close(here)
+        assert b"frames" in rows
+        assert rows.count(b"frames") <= rows.count(b"\r") + 1  # one bar, whatever the number of frames
+        for _ in range(3):
+            os.kill(ran.pid, signal.SIGHUP)
+        assert ran.wait(60) in (0, 1, 130)
+    finally:
+        ran.kill()  # does nothing to one that has ended
+        ran.wait()
     assert mcap_summary(path).finished
     assert end_missing(path) == ""
 
