@@ -237,16 +237,17 @@ def _set_mode(
     for key, which in SIZE.items():
         if key in mode:
             capture.set(which, float(mode[key]))
-    found: dict[str, float | str] = {key: float(capture.get(which)) for key, which in SIZE.items()}
-    found["fourcc"] = fourcc_text(capture.get(cv2.CAP_PROP_FOURCC))
-    for key, value in found.items():
-        asked = wanted.get(key, value)
-        if asked != value if key == "fourcc" else abs(float(value) - float(asked)) > 0.5:
-            raise SensorError(
-                f"{name}: expected {key} {_shown(asked)}, but it has {_shown(value)} afterwards. Choose a mode that "
-                "it offers (v4l2-ctl -d PATH --list-formats-ext shows them on Linux)."
-            )
+    for key, which in SIZE.items():
+        found = float(capture.get(which))
+        if key in wanted and abs(found - float(wanted[key])) > 0.5:
+            raise _other_mode(name, key, f"{float(wanted[key]):g}", f"{found:g}")
+    fourcc = fourcc_text(capture.get(cv2.CAP_PROP_FOURCC))
+    if wanted.get("fourcc", fourcc) != fourcc:
+        raise _other_mode(name, "fourcc", wanted["fourcc"], fourcc)
 
 
-def _shown(value: float | str) -> str:
-    return value if isinstance(value, str) else f"{value:g}"
+def _other_mode(name: str, key: str, wanted: float | str, found: str) -> SensorError:
+    return SensorError(
+        f"{name}: expected {key} {wanted}, but it has {found} afterwards. Choose a mode that it offers "
+        "(v4l2-ctl -d PATH --list-formats-ext shows them on Linux)."
+    )
