@@ -149,9 +149,8 @@ def as_process() -> Iterator[None]:
 
 
 def _interrupt(number: int, _: Any) -> NoReturn:
-    if (
-        number != signal.SIGTERM
-    ):  # the system and the shell both send SIGHUP, and the second must not end the cleaning up
+    # The system and the shell both send SIGHUP, and the second must not end the cleaning up.
+    if number != signal.SIGTERM:
         signal.signal(number, signal.SIG_IGN)
     raise KeyboardInterrupt
 

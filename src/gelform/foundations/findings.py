@@ -16,9 +16,11 @@ DOUBTFUL = frozenset(
         "beyond_gel",
         "camera_moved",
         "contact_unknown",
+        "frozen",
+        "not_this_gel",
+        "other_camera",
+        "other_gel",
     }
-    | {"frozen"}
-    | {"not_this_gel", "other_camera", "other_gel"}
 )
 
 
