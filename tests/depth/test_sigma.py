@@ -11,7 +11,7 @@ from scipy.special import k1
 from gelform.depth import coarse as coarse_module
 from gelform.depth import sigma
 from gelform.depth.coarse import Coarse, coarse_of
-from gelform.depth.sigma import LENGTH, MAPS, PULL, WINDOW, DepthSigma, steep_finding
+from gelform.depth.sigma import LENGTH, MAPS, PULL, WINDOW, DepthSigma, squared_factor, steep_finding
 from gelform.depth.solvers.dct import CosineFilter
 from gelform.errors import ConvergenceError
 from gelform.slopes.gradients import slopes_of_solution
@@ -85,6 +85,20 @@ def test_at_rest_a_slope_counts_up_to_what_it_may_be_off_and_elsewhere_in_part()
         "a border doubles the variance"
     )
     np.testing.assert_allclose(moved.spread / rest.spread, 2 * FULL**2 * 0.72 / (2 * 0.02**2), rtol=1e-3)
+
+
+@pytest.mark.parametrize("own", [0.0, 0.2, 0.4, 1.5])
+def test_the_squared_factor_makes_a_squared_error_the_variance(own):
+    """For a frame without errors of its own, with less, with more, and with so many that slopes add nothing."""
+    found, square = errors_of(bump(0.5)), np.float32(0.3)
+    unit = np.maximum(found.spread, 1e-6)
+    own = np.full_like(unit, own)
+    factor = squared_factor(np.full_like(unit, square), own, unit)
+    local = replace(found, spread=factor * unit, own=own).local_variance
+    if PULL * own[0, 0] > square:
+        assert (factor == 0).all()
+    else:
+        np.testing.assert_allclose(local, square, rtol=1e-4)
 
 
 def test_negative_depth_is_an_error_of_the_frame():

@@ -1,5 +1,5 @@
 // surface -> pressure that holds it up, its mean around each pixel, and where it ends: the outline of contacts.
-#include "../../common.h"
+#include "runs.h"
 
 // Sums over squares of SIDE x SIDE pixels around each pixel, of the rows of some maps one after the other; nothing is outside of the
 // frame. A sum along a side is one of THIRD sums, of each three values.
@@ -181,10 +181,69 @@ EXPORT int contact_outline(const float *pressure, bool *contact, float *work, fl
   return OK;
 }
 
-// The outline with those gaps, which closing it fills, that more than a part of the bed's pressure holds.
-EXPORT int held_gaps(const bool *outline, const bool *closed, const bool *known, const float *mean, const float *smooth, bool *contact,
-                     float least, ptrdiff_t count) {
-  for (ptrdiff_t i = 0; i < count; i++)
-    contact[i] = outline[i] | (closed[i] & known[i] & (mean[i] > least * larger(smooth[i], 0)));
+enum { EDGE = 3, CORNER = 4 };  // distance of pixels that share an edge or a corner (Borgefors, CVGIP 34, 1986)
+
+static inline void take_nearer(uint8_t *map, int32_t *far, ptrdiff_t i, ptrdiff_t from, int32_t step) {
+  if (far[from] + step < far[i]) far[i] = far[from] + step, map[i] = map[from];
+}
+
+// Gives unknown pixel x of row y what its nearest neighbor has, of those before it (`way` 1) or after it (-1) in the map.
+static inline void take_from(uint8_t *map, int32_t *far, ptrdiff_t y, ptrdiff_t x, ptrdiff_t way, ptrdiff_t h, ptrdiff_t w) {
+  const ptrdiff_t i = y * w + x, behind = x - way, row = y - way;
+  const bool beside = behind >= 0 && behind < w, ahead = x + way >= 0 && x + way < w;
+  if (beside) take_nearer(map, far, i, i - way, EDGE);
+  if (row < 0 || row >= h) return;
+  take_nearer(map, far, i, i - way * w, EDGE);
+  if (beside) take_nearer(map, far, i, i - way * w - way, CORNER);
+  if (ahead) take_nearer(map, far, i, i - way * w + way, CORNER);
+}
+
+// Gives each unknown pixel what the nearest known one has, within `reach` pixels; 0 beyond. `far`: h x w.
+static void take_nearest(uint8_t *map, const bool *known, int32_t *far, float reach, ptrdiff_t h, ptrdiff_t w) {
+  for (ptrdiff_t i = 0; i < h * w; i++) far[i] = known[i] ? 0 : (int32_t)(CORNER * (h + w));
+  for (ptrdiff_t y = 0; y < h; y++)
+    if (memchr(known + y * w, 0, (size_t)w) != NULL)
+      for (ptrdiff_t x = 0; x < w; x++)
+        if (!known[y * w + x]) take_from(map, far, y, x, 1, h, w);
+  for (ptrdiff_t y = h - 1; y >= 0; y--)
+    if (memchr(known + y * w, 0, (size_t)w) != NULL)
+      for (ptrdiff_t x = w - 1; x >= 0; x--)
+        if (!known[y * w + x]) take_from(map, far, y, x, -1, h, w);
+  for (ptrdiff_t i = 0; i < h * w; i++) map[i] &= (float)far[i] <= EDGE * reach;
+}
+
+enum { PRESSED = 1, OPEN = 2 };
+
+// Fills the holes of a map of pressed and open pixels that more pressure holds, in all, than a part of the bed's.
+static void fill_holes(uint8_t *map, const float *smooth, const float *bent, struct run *runs, float least, ptrdiff_t h, ptrdiff_t w) {
+  const int32_t count = find_runs(map, OPEN, EDGES, runs, h, w);
+  for (int32_t k = 0; k < count; k++) runs[k].excess = 0;
+  for (int32_t k = 0; k < count; k++) {
+    const struct run *one = runs + k;
+    const ptrdiff_t row = one->y * w;
+    float excess = 0;
+    if (one->y == 0 || one->y == h - 1 || one->from == 0 || one->to == w) excess = -INFINITY;  // no hole, but what is around
+    for (ptrdiff_t x = one->from; x < one->to; x++) excess += bent[row + x] + least * larger(smooth[row + x], 0);
+    runs[first_of(runs, k)].excess += excess;
+  }
+  for (int32_t k = 0; k < count; k++)
+    if (runs[first_of(runs, k)].excess > 0)
+      memset(map + runs[k].y * w + runs[k].from, PRESSED, (size_t)(runs[k].to - runs[k].from));
+}
+
+// The outline with those gaps, which closing it fills, and those holes that the gel's surface does not sag in as free gel does:
+// the pressure there exceeds `least`, for a depth of 1, less than the bed's. Unknown pixels are as the nearest known one, if `reach` pixels
+// or less lie between. `known`: NULL where all are.
+EXPORT int held_outline(const bool *outline, const bool *closed, const bool *known, const float *mean, const float *smooth,
+                        const float *bent, bool *contact, int32_t *work, float stiffness, float share, float reach, ptrdiff_t h,
+                        ptrdiff_t w, ptrdiff_t n) {
+  const float least = share * stiffness;
+  uint8_t *map = (uint8_t *)contact;
+  if (n < runs_work(h, w) || n < h * w) return WRONG_SIZE;
+  for (ptrdiff_t i = 0; i < h * w; i++) map[i] = outline[i] | (closed[i] & (mean[i] > least * larger(smooth[i], 0)));
+  if (known != NULL) take_nearest(map, known, work, reach, h, w);
+  for (ptrdiff_t i = 0; i < h * w; i++) map[i] = map[i] ? PRESSED : OPEN;
+  fill_holes(map, smooth, bent, (struct run *)work, stiffness - least, h, w);
+  for (ptrdiff_t i = 0; i < h * w; i++) map[i] &= PRESSED;
   return OK;
 }

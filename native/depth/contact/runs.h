@@ -5,7 +5,11 @@
 
 // Pixels from ... to - 1 of row y. A run's parent is an earlier run of its region, or itself.
 struct run {
-  int32_t y, from, to, parent, area;
+  int32_t y, from, to, parent;
+  union {
+    int32_t area;
+    float excess;
+  };
 };
 
 enum { RUN_WORDS = sizeof(struct run) / sizeof(int32_t) };

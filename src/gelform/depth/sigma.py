@@ -172,6 +172,10 @@ class DepthErrors:
         """
         return self._root(self._with_own(self.contact_spread, self.own_of_frame), most_mm)
 
+    def own_sigma(self, most_mm: float) -> NDArray[np.float32]:
+        """The part of `contact_sigma` that the frame itself shows, in its negative depths."""
+        return self._root(self._with_own(np.zeros_like(self.spread), self.own_of_frame), most_mm)
+
     def slope_sigma(self, most_mm: float) -> NDArray[np.float32]:
         """The one by the slopes alone, as of a frame whose negative depths are no error."""
         return self._root(self.spread, most_mm)
@@ -194,6 +198,17 @@ class DepthErrors:
         depth = self.coarse.depth_px(np.ascontiguousarray(np.moveaxis(slopes, 0, -1)))
         depth -= medians_where(depth[..., None], self.slopes_off[4] > 0.5)[0]
         return depth * self.mm_per_px
+
+
+def squared_factor(
+    square: NDArray[np.float32], own: NDArray[np.float32], per_unit: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """Squares of the factor at which `DepthErrors.local_variance` is a squared error, mm^2; 0 where `own` alone exceeds it.
+
+    `per_unit` is the variance by the slopes and a factor of 1, `own` that of negative depths.
+    """
+    of_slopes = np.where(square > own, square, (square - np.float32(PULL) * own) / np.float32(1 - PULL))
+    return np.maximum(of_slopes, 0) / per_unit
 
 
 def steep_finding(

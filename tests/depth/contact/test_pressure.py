@@ -8,6 +8,7 @@ from scipy.special import k0
 import gelform
 from gelform.depth.contact import PreparedContact, SlopeDeviations, contact_from_depth
 from gelform.depth.contact import pressure as pressure_module
+from gelform.depth.contact.regions import runs_work
 from kernel_agreement import assert_kernel_agrees
 
 PITCH = 0.0634
@@ -140,14 +141,16 @@ def test_a_noisy_place_is_no_contact_and_hides_none_elsewhere():
     assert taken > 0
 
 
-def test_unknown_pixels_are_no_contact():
+def test_pixels_far_from_what_is_known_are_no_contact():
+    """Within the gel's relaxation length, unknown pixels are as what is beside them."""
     depth, r, radius = cap()
     known = np.ones(depth.shape, bool)
     known[:, 160:] = False
     sensor = PreparedContact((PITCH, PITCH), 0.5, np.ones(depth.shape, np.float32))
     contact = sensor(depth.astype(np.float32), np.full(depth.shape, 0.01, np.float32), None, known)
     assert contact[(r < radius - 3) & known].mean() > 0.98
-    assert not contact[~known].any()
+    assert contact[120, 160:167].all()
+    assert not contact[:, 160 + round(0.5 / PITCH) :].any()
 
 
 def test_dots_are_contact_within_one_and_nowhere_else():
@@ -344,35 +347,49 @@ def test_slope_variance_agrees_with_numpy():
     assert_kernel_agrees(pressure_module._slope_variance, by_numpy, read, solved, rest, np.empty_like(read))
 
 
-def test_gaps_that_an_object_holds_agree_with_numpy():
+def test_held_outlines_agree_with_numpy():
+    """Gaps that are closed and pressed, then holes whose pressure is more than a part of the bed's."""
     rng = np.random.default_rng(0)
-    outline, closed, known = rng.random((3, 19, 23)) < 0.5
-    mean, smooth = rng.normal(0.2, 0.5, (2, 19, 23)).astype(np.float32)
+    outline, closed = rng.random((2, 19, 23)) < 0.5
+    mean, smooth, bent = rng.normal(0.2, 0.5, (3, 19, 23)).astype(np.float32)
 
-    def by_numpy(outline, closed, known, mean, smooth, contact, least):
-        return outline | (closed & known & (mean > least * np.maximum(smooth, 0)))
+    def by_numpy(outline, closed, known, mean, smooth, bent, contact, work, stiffness, share, reach):
+        above = np.maximum(smooth, 0)
+        found = outline | (closed & (mean > share * stiffness * above))
+        labels, count = ndimage.label(~found)
+        around = np.unique(np.r_[labels[0], labels[-1], labels[:, 0], labels[:, -1]])
+        for k in set(range(1, count + 1)) - set(around.tolist()):
+            hole = labels == k
+            found |= hole & ((bent[hole] + (1 - share) * stiffness * above[hole]).sum() > 0)
+        return found
 
-    maps = outline, closed, known, mean, smooth, np.empty_like(known)
-    assert_kernel_agrees(pressure_module._held_gaps, by_numpy, *maps, 1.3)
+    work = np.empty(runs_work(outline.shape), np.int32)
+    arguments = outline, closed, None, mean, smooth, bent, np.empty_like(outline), work, 0.9, 0.4, 5.0
+    assert_kernel_agrees(pressure_module._held_outline, by_numpy, *arguments)
+    assert (by_numpy(*arguments) & ~outline & ~closed).any(), "no hole was filled"
 
 
 @pytest.mark.parametrize("shape", [(1, 7), (14, 1), (40, 53)])
-def test_unknown_pixels_are_added_as_by_numpy(shape):
+def test_unknown_pixels_are_as_the_nearest_known_one(shape):
     rng = np.random.default_rng(1)
     known = ndimage.gaussian_filter(rng.normal(size=shape), 0.7) > -0.25
     pressed = (ndimage.gaussian_filter(rng.normal(size=shape), 2) > 0) & known
+    contact, flat = np.empty(shape, bool), np.zeros(shape, np.float32)
+    work = np.empty(runs_work(shape), np.int32)
+    pressure_module._held_outline(
+        pressed, np.zeros(shape, bool), known, flat, flat, flat - 1, contact, work, 1.0, 0.5, 2.4
+    )
+    y, x = np.indices(shape)
 
-    def by_numpy(known, pressed, contact, work):
-        labels, count = ndimage.label(~known)
-        found, side = pressed.copy(), np.where(known, np.where(pressed, 1, -1), 0)
-        for k in range(1, count + 1):
-            here = np.pad(labels == k, 1)
-            edges = sum(np.roll(here, by, axis) for by in (-1, 1) for axis in (0, 1))[1:-1, 1:-1]
-            found |= (labels == k) & ((edges * side).sum() > 0)
-        return found
+    def far(chosen: np.ndarray) -> np.ndarray:
+        """Distance to the nearest chosen pixel, where an edge is 3 and a corner 4."""
+        across = np.abs(np.stack([y[..., None] - y[chosen], x[..., None] - x[chosen]]))
+        return (4 * across.min(0) + 3 * (across.max(0) - across.min(0))).min(axis=-1, initial=10**6)
 
-    work = np.empty(5 * shape[0] * ((shape[1] + 1) // 2), np.int32)
-    assert_kernel_agrees(pressure_module._add_unknown, by_numpy, known, pressed, np.empty(shape, bool), work)
+    inside, outside = far(pressed), far(known & ~pressed)
+    assert contact[(inside < outside) & (inside <= 3 * 2.4)].all()
+    assert not contact[(inside > outside) | (inside > 3 * 2.4)].any()
+    assert ((~known).any() and (contact & ~known).any()) or min(shape) == 1
 
 
 @pytest.mark.parametrize("shape", [(1, 7), (9, 16), (61, 83)])

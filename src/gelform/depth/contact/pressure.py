@@ -30,7 +30,7 @@ SHARE = (
 )  # of the mean pressure around a pixel, at which a contact ends; three simulated and six real sensors
 NEIGHBORHOOD_PX = 4  # px, half the width of the square around a pixel that means are taken over
 # px, half the width of the square that closes an outline, half the gap beside a cube's crest; and the share of the bed's
-# pressure that holds what is closed: half way between the membrane alone, 0, and a plane face, 1.
+# pressure that holds gaps and holes: half way between the membrane alone, 0, and a plane face, 1.
 CLOSING_PX, HELD_SHARE = 2, 0.5
 VALLEY_SIGMAS = (
     5.0  # standard deviations, by which gel lies over its rest where the background image was pressed
@@ -75,12 +75,10 @@ _sure_pressure = Kernel(
 _contact_outline = Kernel(
     "contact_outline", "f32[h,w] pressure, out bool[h,w] contact, out f32[n] work, f32 share"
 )
-_held_gaps = Kernel(
-    "held_gaps",
-    "bool[...] outline, bool[...] closed, bool[...] known, f32[...] mean, f32[...] smooth, out bool[...] contact, f32 least",
-)
-_add_unknown = Kernel(
-    "add_unknown", "bool[h,w] known, bool[h,w] pressed, out bool[h,w] contact, out i32[n] work"
+_held_outline = Kernel(
+    "held_outline",
+    "bool[h,w] outline, bool[h,w] closed, bool[h,w]? known, f32[h,w] mean, f32[h,w] smooth, f32[h,w] bent, "
+    "out bool[h,w] contact, out i32[n] work, f32 stiffness, f32 share, f32 reach",
 )
 _standing_regions = Kernel(
     "standing_regions",
@@ -120,7 +118,7 @@ def contact_from_depth(
     exceeds its own standard deviation and `noise_factor` times the noise at rest; of a pressure that varies around the pixel
     no more than noise does, the mean counts (Lee, IEEE Trans. PAMI 2, 1980). A contact ends where p is two thirds of its
     mean around the pixel. So gel that an object draws down is no contact, and hollow contacts stay hollow. Narrow gaps
-    where p is more than half of a plane face's, `z/L^2`, belong to the contact.
+    and holes of any size where p is more than half of a plane face's, `z/L^2`, belong to the contact.
 
     A connected region of such pixels stands if its deepest depth exceeds `noise_factor` of its own standard deviations, and
     so do the evidence `p/sd(p)` of a pixel and the depth that the region's own pressure makes. A pressure makes the depth
@@ -190,6 +188,7 @@ class PreparedContact:
     ) -> None:
         length = relaxation_mm or USUAL_RELAXATION_MM
         self._pitch, self._noise, self._factor = pitch, noise, noise_factor
+        self._reach_px = length / max(pitch)  # an object's depth reaches about as far beyond it
         self._stiffness, self._stands = length**-2, Evidence(pitch, length, noise_factor, min_area_mm2)
         # Beside a border, means are taken over fewer pixels that have a pressure of their own.
         side, inner = 2 * NEIGHBORHOOD_PX + 1, np.zeros_like(noise)
@@ -209,9 +208,18 @@ class PreparedContact:
         sigma: NDArray[np.float32] | None,
         slopes: SlopeDeviations | None = None,
         known: NDArray[np.bool_] | None = None,
+        own_sigma: NDArray[np.float32] | None = None,
     ) -> NDArray[np.bool_]:
-        """The contact mask (H, W) of a depth, mm, its standard deviation >= 0, that of its slopes, and its known pixels."""
+        """The contact mask (H, W) of a depth, mm.
+
+        Parameters
+        ----------
+        depth, sigma : (H, W), mm, and its standard deviation >= 0, by which regions stand
+        slopes : deviations of its slopes; known : (H, W), pixels whose depth was not filled in
+        own_sigma : (H, W), mm, the deviation that the frame itself shows, by which outlines are drawn; `sigma` by default
+        """
         sigma = np.full_like(depth, _noise_mm(depth)) if sigma is None else sigma
+        own_sigma = sigma if own_sigma is None else own_sigma
         hidden = known is not None and not known.all()
         known = known if hidden and known is not None else self._everywhere
         variance, at_rest = self._noise, self._everywhere
@@ -224,21 +232,23 @@ class PreparedContact:
             (7, *depth.shape), np.float32
         )
         _pressure_means(
-            smooth, bent, sigma, variance, known if hidden else None, pressure, mean, spread, variance_around, mean_bent,
+            smooth, bent, own_sigma, variance, known if hidden else None, pressure, mean, spread, variance_around, mean_bent,
             self._work(5), stiffness=self._stiffness, sigmas=SIGMAS_OF_DEPTH,
         )  # fmt: skip
         of_mean, of_pixel = (self._gains_of_frame(b, at_rest, k) for b, k in zip((mean_bent, bent), gains))
         if not _sure_pressure(
-            pressure, mean, spread, sigma, variance_around, self._noise, at_rest, known, sure, evidence,
+            pressure, mean, spread, own_sigma, variance_around, self._noise, at_rest, known, sure, evidence,
             self._stiffness, self._factor, *of_mean, *of_pixel,
         ):  # fmt: skip
             return np.zeros(depth.shape, dtype=np.bool_)
         outline, contact = np.empty((2, *depth.shape), dtype=np.bool_)
         _contact_outline(sure, outline, self._work(2), share=SHARE)
         closed = cv2.morphologyEx(outline.view(np.uint8), cv2.MORPH_CLOSE, self._square).view(np.bool_)
-        _held_gaps(outline, closed, known, mean, smooth, contact, least=HELD_SHARE * self._stiffness)
-        if hidden:
-            _add_unknown(known, contact.copy(), contact, np.empty(runs_work(depth.shape), dtype=np.int32))
+        _held_outline(
+            outline, closed, known if hidden else None, mean, smooth, bent, contact,
+            np.empty(runs_work(depth.shape), dtype=np.int32), stiffness=self._stiffness, share=HELD_SHARE,
+            reach=self._reach_px,
+        )  # fmt: skip
         count, labels = labeled(contact)
         stands, deepest = self._stands(Regions(count, labels, depth, sigma, evidence, smooth, bent))
         _standing_regions(labels, stands, deepest, depth, contact, reach=NEIGHBORHOOD_PX)
