@@ -179,15 +179,40 @@ def test_pixels_beyond_the_edge_say_nothing(sample):
     assert one != with_factors(WHITE, spoilt, stated, [], 1.0, None)
 
 
-def test_the_factor_of_depth_is_that_of_two_thirds_of_it_and_presses_count_alike():
+def far_depth(square, own=0.0, common=0.0):
+    """Squared depths far from a contact whose variance by slopes is 1 for a factor of 1."""
+    return np.stack(np.broadcast_arrays(square, own, 1.0, common)).astype(np.float32)
+
+
+def test_the_factor_of_depth_covers_two_thirds_of_it_and_presses_count_alike():
     rng = np.random.default_rng(0)
-    far = [np.square(7 * rng.standard_normal(n)).astype(np.float32) for n in (5000, 50_000)]
-    assert depth_factor(far, 1.0) == pytest.approx(7, rel=0.02)
-    halves = [np.full(n, size**2, np.float32) for n, size in ((100, 2.0), (10_000, 4.0), (100, 3.0))]
-    assert depth_factor(halves, 1.0) == 4
-    spoilt = [*far, np.full(900, 7e4, np.float32)]  # something else lay on the gel
-    assert depth_factor(spoilt, 1.0) == pytest.approx(7, rel=0.02)
-    assert depth_factor([], 11.0) == depth_factor([np.empty(0, np.float32)], 11.0) == 11
+    far = [far_depth(np.square(7 * rng.standard_normal(n))) for n in (5000, 50_000)]
+    assert depth_factor(far, 0.0, 1.0) == pytest.approx(7, rel=0.02)
+    halves = [far_depth(np.full(n, size**2)) for n, size in ((100, 2.0), (10_000, 4.0), (100, 3.0))]
+    assert depth_factor(halves, 0.0, 1.0) == 4
+    spoilt = [*far, far_depth(np.full(900, 7e4))]  # something else lay on the gel
+    assert depth_factor(spoilt, 0.0, 1.0) == pytest.approx(7, rel=0.02)
+    assert depth_factor([], 0.0, 11.0) == depth_factor([np.empty((4, 0), np.float32)], 0.0, 11.0) == 11
+
+
+def test_a_tenth_of_depth_that_is_far_off_widens_the_factor():
+    """Two thirds are within one sigma of 7, but 95 % within two sigma of more only."""
+    squares = np.square(7 * np.random.default_rng(0).standard_normal(50_000))
+    squares[::10] *= 16
+    factor = depth_factor([far_depth(squares)], 0.0, 1.0)
+    assert np.mean(squares < 4 * factor**2) == pytest.approx(0.9545, abs=0.002)
+    assert factor > 8
+
+
+def test_what_is_known_otherwise_does_not_count_in_the_factor_of_depth():
+    squares = np.square(5 * np.random.default_rng(0).standard_normal(50_000))
+    alone, with_common, with_own = (
+        depth_factor([far_depth(squares, **how)], 0.1, 1.0) for how in ({}, {"common": 900.0}, {"own": 20.0})
+    )
+    assert alone == pytest.approx(5, rel=0.02)
+    assert with_common == pytest.approx(4, rel=0.02), "of 25, 9 are in common"
+    assert np.mean(squares < with_own**2 + 0.5 * max(20.0 - with_own**2, 0)) >= 0.68
+    assert with_own <= alone
 
 
 def test_the_errors_of_a_calibration_are_within_what_it_states(calibration, presses):

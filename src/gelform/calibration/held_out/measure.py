@@ -22,6 +22,7 @@ from gelform.calibration.held_out.folds import Fold, circle_sigmas
 from gelform.calibration.held_out.sigma import fraction_trained, slope_sigma_from_folds
 from gelform.calibration.presses.press_set import Press
 from gelform.calibration_file import Calibration
+from gelform.depth.sigma import squared_factor
 from gelform.foundations.progress import Progress, no_progress
 from gelform.image.background.change import PreparedBackground
 from gelform.reconstruct import FrameRecord, Reconstructor
@@ -30,7 +31,7 @@ from gelform.result.metrics import PressErrors, press_errors
 from gelform.result.metrics.ball import STEEPEST_FRACTION, ball_center, ball_gradients, followed_radius
 from gelform.slopes.color_models import ForwardResponse
 from gelform.slopes.confidence import SlopeSigma, noise_at_rest
-from gelform.slopes.confidence.slope_sigma import ONE_SIGMA
+from gelform.slopes.confidence.slope_sigma import ONE_SIGMA, TWO_SIGMA
 
 # Rings of equal steps of slope in a contact: for each of their sizes an object of its own. Pixels, least for a mean, most
 # for pairs of them.
@@ -120,7 +121,8 @@ def measure_held_out(fitted: Fitted, *, progress: Progress = no_progress) -> Jud
     sigma, residual_scale = slope_sigma_from_folds(fits, folds, prepared, held_out.found, noise)
     assert draft.forward is not None
     forward = replace(draft.forward, residual_scale=residual_scale)
-    unlimited = replace(sigma, shown=ANY_SLOPE)  # held-out presses show what slopes there are
+    # Held-out presses show what slopes there are; what these have in common counts in units of the error still to be found.
+    unlimited = replace(sigma, shown=ANY_SLOPE, gain_sigma=1.0)
     draft = replace(draft, forward=forward, slope_sigma=unlimited)
     stated: list[NDArray[np.float32]] = []
     far: list[NDArray[np.float32]] = []
@@ -136,7 +138,7 @@ def measure_held_out(fitted: Fitted, *, progress: Progress = no_progress) -> Jud
                 if into is errors:
                     samples.append(sample_of(i, *measured))
                     stated.append(at_sample(record.budget.read, samples[-1]))
-                    far.append(_depth_over_spread(record, circle))
+                    far.append(_far_depth(record, circle))
         if candidate == chosen:
             saved_errors |= {i: errors[i] for i in fold.held_out if i in errors}
         progress(done + 1, len(folds), "measuring on held-out presses")
@@ -276,7 +278,7 @@ def with_factors(
 
     As in `slope_sigma_from_folds`, the common error is multiplied by the root of the fraction of presses that a fold has
     seen; the factors are those of the folds, because little of the other errors falls with more presses. `stated` are the
-    deviations of the slopes as read at the samples' pixels, `far` those of `_depth_over_spread`.
+    deviations of the slopes as read at the samples' pixels, `far` what `depth_factor` takes.
     """
     ratio = contact_radius_ratio or 1.0
     kept = [one.inside(ratio) for one in samples]
@@ -284,34 +286,44 @@ def with_factors(
     sigma = replace(sigma, gain_sigma=float(np.sqrt(trained)) * common_error(inner, sigma))
     errors = np.concatenate([one.errors for one in inner])
     sigma = sigma.with_solved(errors, np.concatenate([one[k] for one, k in zip(stated, kept)]))
-    return replace(sigma, depth_factor=depth_factor(far, sigma.depth_factor))
+    return replace(sigma, depth_factor=depth_factor(far, sigma.gain_sigma, sigma.depth_factor))
 
 
-def depth_factor(far: Sequence[NDArray[np.float32]], usual: float) -> float:
-    """The factor that leaves 68 % of depth far from contacts within one sigma; presses count alike."""
+def depth_factor(far: Sequence[NDArray[np.float32]], gain_sigma: float, usual: float) -> float:
+    """The smallest factor that leaves 68 % of depth far from contacts within one sigma and 95 % within two.
+
+    `far` has (4, N) for each press, mm^2: squared depth, twice that of negative depths, the variance by the slopes and a
+    factor of 1, and that which slopes have in common for a `gain_sigma` of 1. Presses count alike; some may have no pixels.
+    """
     far = [one for one in far if one.size]
     if not far:
         return usual
-    sizes = np.array([np.mean(one) for one in far])
+    sizes = np.array([np.mean(one[0] / one[2]) for one in far])
     some = [one for one, size in zip(far, sizes) if size <= MOST_FAR**2 * np.median(sizes)]
-    squares = np.concatenate(some)
-    share = np.concatenate([np.full(one.size, 1 / one.size) for one in some])
-    order = np.argsort(squares)
-    enough = int(np.searchsorted(np.cumsum(share[order]), ONE_SIGMA * len(some)))
-    return max(float(np.sqrt(squares[order[min(enough, len(order) - 1)]])), 1.0)
+    weights = np.concatenate([np.full(one.shape[1], 1 / one.shape[1]) for one in some]) / len(some)
+    square, own, unit, common = np.concatenate(some, axis=1)
+    common *= np.float32(gain_sigma**2)
+    needed = 1.0
+    for sigmas, wanted in ((1, ONE_SIGMA), (2, TWO_SIGMA)):
+        factors = squared_factor(square / sigmas**2 - common, own, unit)
+        order = np.argsort(factors)
+        enough = int(np.searchsorted(np.cumsum(weights[order]), wanted))
+        needed = max(needed, float(np.sqrt(factors[order[min(enough, len(order) - 1)]])))
+    return needed
 
 
-def _depth_over_spread(record: FrameRecord, circle_px: tuple[float, float, float]) -> NDArray[np.float32]:
-    """Squared depth at rest far from a contact, over the variance by its slopes and a factor of 1; pixels (N,)."""
+def _far_depth(record: FrameRecord, circle_px: tuple[float, float, float]) -> NDArray[np.float32]:
+    """What `depth_factor` takes of the pixels at rest far from a contact; (4, 0) if they are few."""
     errors = record.depth_errors
     assert errors is not None
     height, width = record.depth_mm.shape
     y, x = np.ogrid[:height, :width]
     far = record.known & (np.hypot(x - circle_px[0], y - circle_px[1]) > FAR_RADII * circle_px[2])
     if np.count_nonzero(far) < LEAST_FAR_PX:
-        return np.empty(0, dtype=np.float32)
-    per_unit = errors.coarse.at_pixels(errors.spread)[far][::EVERY_FAR] / record.depth_factor**2
-    return np.asarray(np.square(record.depth_mm[far][::EVERY_FAR]) / per_unit, dtype=np.float32)
+        return np.empty((4, 0), dtype=np.float32)
+    unit = errors.spread / record.depth_factor**2
+    maps = (errors.coarse.at_pixels(one) for one in (errors.own, unit, np.square(errors.common_mm)))
+    return np.stack([one[far][::EVERY_FAR] for one in (np.square(record.depth_mm), *maps)])
 
 
 def at_sample(values: NDArray[np.float32], sample: HeldOutSample) -> NDArray[np.float32]:

@@ -12,7 +12,10 @@ from numpy.typing import NDArray
 from gelform.foundations.checks import check_values, check_within
 
 SLOPE_BINS = 10  # bins of equal counts
-ONE_SIGMA = 0.6827  # fraction of a normal distribution within one standard deviation
+ONE_SIGMA, TWO_SIGMA = (
+    0.6827,
+    0.9545,
+)  # fractions of a normal distribution within one and two standard deviations
 MIN_IN_BIN = 50  # pixels; fewer do not determine a quantile
 CLEAN_FRACTION = 0.95  # fraction of the pixels in contact whose confidence is 1
 # Quantiles of the slopes that presses have shown: beyond the first a model of other units is doubted, beyond the second
