@@ -188,10 +188,11 @@ class FrameRecord:
 
     @once
     def gradients_sigma(self) -> NDArray[np.float32] | None:
-        """Standard deviation (H, W, 2) of the solved slopes; None if nobody knows that of any."""
+        """Standard deviation (H, W, 2) of the solved slopes; None if neither calibration nor model knows that of all."""
         if self.fixed.known is not None:
             return self.budget.gradients_sigma
-        return None if self.slopes.model_sigma is None else for_both(self.slopes.model_sigma)
+        of_model = self.slopes.model_sigma
+        return None if of_model is None or not of_model.all() else for_both(of_model)
 
     @once
     def depth_errors(self) -> DepthErrors | None:

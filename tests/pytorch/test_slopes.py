@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from gelform.errors import CalibrationError
+from gelform.foundations.checks import HIGHEST_SLOPE
 from gelform.slopes.color_models import HierarchicalModel, LambertianModel, NearLightModel
 
 torch = pytest.importorskip("torch", reason="needs the extra 'torch'")
@@ -30,10 +31,12 @@ def test_photometric_stereo_is_the_models_own(model):
     np.testing.assert_allclose(found.permute(1, 2, 0), expected, rtol=2e-4, atol=1e-5)
 
 
-def test_a_polynomial_is_the_models_own():
-    model = HierarchicalModel(np.random.default_rng(3).normal(0, 0.3, (2, 2, 19, 2)), 3, SHAPE)
+@pytest.mark.parametrize("steepest", [HIGHEST_SLOPE, 0.2])
+def test_a_polynomial_is_the_models_own(steepest):
+    model = HierarchicalModel(np.random.default_rng(3).normal(0, 0.3, (2, 2, 19, 2)), 3, SHAPE, steepest)
     change = np.random.default_rng(0).uniform(-0.3, 0.5, (*SHAPE, 3)).astype(np.float32)
-    expected, _ = model.prepare(BACKGROUND, SHAPE).gradients_from_color(change)
+    expected, over = model.prepare(BACKGROUND, SHAPE).gradients_from_color(change)
+    assert (over is None) == (steepest == HIGHEST_SLOPE)
     found = gradients_module(model, BACKGROUND)(torch.from_numpy(change).permute(2, 0, 1)[None])[0]
     np.testing.assert_allclose(found.permute(1, 2, 0), expected, atol=1e-5)
 

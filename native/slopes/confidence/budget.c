@@ -48,7 +48,7 @@ static inline void variance_of_walls(const struct budget *c, struct lines *restr
   for (int k = 0; k < PIECE; k++) l->wall[k] = square_of(c->per_bend * larger(sqrtf(square[k]) - c->bend_from, 0));
 }
 
-// At rest by place; elsewhere by the step and the slope's size, or by the color model's own deviation if that is larger.
+// At rest by place; elsewhere by the step and the slope's size. What a color model's own deviation exceeds it by is an outlier's.
 static inline void variance_by_law(const struct budget *restrict c, struct lines *restrict l, const float *restrict slopes,
                                    const bool *restrict at_rest, const float *restrict rest, const float *restrict of_step,
                                    const float *restrict of_model, int n) {
@@ -58,7 +58,7 @@ static inline void variance_by_law(const struct budget *restrict c, struct lines
     for (int k = 0; k < n; k++) l->read[k] *= of_step[k];
   for (int k = 0; k < n; k++) l->read[k] = at_rest[k] ? rest[k] : l->read[k];
   if (of_model != NULL)
-    for (int k = 0; k < n; k++) l->read[k] = larger(l->read[k], square_of(of_model[k]));
+    for (int k = 0; k < n; k++) l->outlier[k] += larger(square_of(of_model[k]) - l->read[k], 0);
 }
 
 // Adds the rows that a frame brings. What clips, is hidden or is not lit is no color, so it has no outlier.

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from gelform.errors import CalibrationError
+from gelform.foundations.checks import HIGHEST_SLOPE
 from gelform.image.view.resample import pixel_positions
 from gelform.slopes.color_models import (
     ColorModel,
@@ -52,6 +53,7 @@ class PolynomialGradients(nn.Module):
         maps = model.coefficients_at(*pixel_positions(shape).T).reshape(*shape, -1, 2)
         self.register_buffer("coefficients", _tensor(np.moveaxis(maps, (2, 3), (0, 1))))  # (terms, 2, H, W)
         self.parents = monomial_parents(monomials(3, model.degree)).tolist()
+        self.steepest = model.steepest if isinstance(model, HierarchicalModel) else HIGHEST_SLOPE
 
     def forward(self, color_change: Tensor) -> Tensor:
         """Gradients; each monomial is the product of an earlier one and a channel."""
@@ -61,7 +63,7 @@ class PolynomialGradients(nn.Module):
         for (parent, channel), coefficient in zip(self.parents, self.coefficients):
             products.append(channels[channel] if parent < 0 else products[parent] * channels[channel])
             gradients = gradients + products[-1][:, None] * coefficient
-        return gradients
+        return gradients * (self.steepest / gradients.norm(dim=1, keepdim=True).clamp(min=self.steepest))
 
 
 class LitGradients(nn.Module):

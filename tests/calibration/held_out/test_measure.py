@@ -88,7 +88,7 @@ def test_the_saved_models_errors_are_those_of_its_settings_in_every_fold(
     assert always.saved_errors == always.errors == once.saved_errors
     differing = {i for i in once.errors if once.errors[i] != once.saved_errors[i]}
     assert differing == set(held_out.folds[0].held_out)
-    assert always.slope_sigma.per_step == once.slope_sigma.per_step
+    assert always.slope_sigma == once.slope_sigma, "a factor is of the other candidate's slopes"
     assert always.forward.residual_scale == once.forward.residual_scale
 
 

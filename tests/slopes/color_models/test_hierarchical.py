@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
+from gelform.foundations.checks import HIGHEST_SLOPE
 from gelform.image.background.change import ChangeSettings, PreparedBackground
 from gelform.slopes.color_models import HierarchicalModel, PolynomialModel, hierarchical
 from gelform.slopes.color_models._shared.least_squares import (
@@ -83,6 +84,41 @@ def test_more_ridge_is_less_slope():
     sizes = [np.abs(model.gradients_at(*at)).mean() for model in models]
     assert sizes[0] > sizes[1] > sizes[2]
     assert sizes[2] < 0.01
+
+
+def test_colors_far_beyond_the_presses_are_no_steep_slopes():
+    """Slopes of 0.8 were shown: three times their color is a slope of at most 1.6, and what it is more is its deviation."""
+    samples = ball_samples(shading_change)
+    model = HierarchicalModel.fit(samples, ridge=1e-6)
+    steepest = 2 * np.linalg.norm(samples.gradients, axis=1).max()
+    assert model.steepest == pytest.approx(steepest)
+    change = np.zeros((*SHAPE, 3), np.float32)
+    change[10, 20], change[30, 40] = samples.color_change[0], 3 * samples.color_change[0]
+    free, none = replace(model, steepest=HIGHEST_SLOPE).prepare(change, SHAPE).gradients_from_color(change)
+    found, deviation = model.prepare(change, SHAPE).gradients_from_color(change)
+    assert none is None
+    size = np.linalg.norm(free[30, 40])
+    assert size > 1.2 * steepest, "the test's color has to be off"
+    np.testing.assert_allclose(found[30, 40], free[30, 40] * steepest / size, rtol=1e-5)
+    np.testing.assert_allclose(deviation[30, 40], size - steepest, rtol=1e-5)
+    np.testing.assert_array_equal(found[10, 20], free[10, 20])
+    assert np.count_nonzero(deviation) == 2
+    at = model.gradients_at(change[30, 40][None], np.array([40]), np.array([30]))
+    np.testing.assert_allclose(at[0], found[30, 40], rtol=1e-4)
+
+
+def test_the_bound_is_kept_and_a_start_may_raise_it():
+    samples = ball_samples(lambertian_change)
+    model = HierarchicalModel.fit(samples)
+    arrays, settings = model.to_arrays()
+    assert HierarchicalModel.from_arrays(arrays, settings).steepest == model.steepest
+    settings.pop("steepest")
+    assert HierarchicalModel.from_arrays(arrays, settings).steepest == HIGHEST_SLOPE, "older files have none"
+    gentle = replace(samples, gradients=0.1 * samples.gradients)
+    assert HierarchicalModel.fit(gentle, start=model).steepest == model.steepest
+    assert HierarchicalModel.fit(samples, start=HierarchicalModel.fit(gentle)).steepest == model.steepest
+    wider = model.of_other_unit(np.ones((*model.nodes.shape[:2], 3)), 1.1)
+    assert wider.steepest == model.steepest
 
 
 def test_bad_settings_are_refused():

@@ -239,10 +239,11 @@ def numpy_budget(
     off = np.zeros(at_rest.shape)
     nothing = np.zeros(at_rest.shape, bool) if unseen is None else unseen
     if residual is not None:
-        off = np.minimum(unknown * np.maximum(2 * residual.astype(float) / outlier - 1, 0), unseen_sigma) ** 2
-        off[nothing] = 0
+        off = (unknown * np.maximum(2 * residual.astype(float) / outlier - 1, 0)) ** 2
     law = np.where(at_rest, rest, (per_step + per_size * size**2) * (1 if of_step is None else of_step))
-    law = law if of_model is None else np.maximum(law, of_model.astype(float) ** 2)
+    if of_model is not None:
+        off += np.maximum(of_model.astype(float) ** 2 - law, 0)
+    off = np.where(nothing, 0, np.minimum(off, unseen_sigma**2))
     total = law + bend + off + (noise * gain) ** 2 + nothing * unseen_sigma**2
     total = total if light is None else total + light.astype(float) ** 2
     own = per_excess * np.maximum(size - shown, 0)

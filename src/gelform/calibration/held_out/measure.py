@@ -124,6 +124,7 @@ def measure_held_out(fitted: Fitted, *, progress: Progress = no_progress) -> Jud
     # Held-out presses show what slopes there are; what these have in common counts in units of the error still to be found.
     unlimited = replace(sigma, shown=ANY_SLOPE, gain_sigma=1.0)
     draft = replace(draft, forward=forward, slope_sigma=unlimited)
+    own: list[HeldOutSample] = []
     stated: list[NDArray[np.float32]] = []
     far: list[NDArray[np.float32]] = []
     for done, (fold, candidate) in enumerate(zip(folds, fitted.selection.by_fold)):
@@ -135,9 +136,12 @@ def measure_held_out(fitted: Fitted, *, progress: Progress = no_progress) -> Jud
                 press = fitted.located.presses.presses[i]
                 measured = press, circle, result, draft.known_mm_per_px, prepared[i].contact_radius_ratio
                 into[i] = errors_of(*measured)
+                sample = sample_of(i, *measured)
                 if into is errors:
-                    samples.append(sample_of(i, *measured))
-                    stated.append(at_sample(record.budget.read, samples[-1]))
+                    samples.append(sample)
+                if one == chosen:  # the law of its slopes does not hold for another candidate's
+                    own.append(sample)
+                    stated.append(at_sample(record.budget.read, sample))
                     far.append(_far_depth(record, circle))
         if candidate == chosen:
             saved_errors |= {i: errors[i] for i in fold.held_out if i in errors}
@@ -146,9 +150,7 @@ def measure_held_out(fitted: Fitted, *, progress: Progress = no_progress) -> Jud
         errors,
         saved_errors,
         tuple(samples),
-        with_factors(
-            sigma, samples, stated, far, fraction_trained(folds), draft.settings.contact_radius_ratio
-        ),
+        with_factors(sigma, own, stated, far, fraction_trained(folds), draft.settings.contact_radius_ratio),
         forward,
         circle_sigmas(fitted.located.prepared, held_out.found, folds, fitted.located.refined_by),
     )
