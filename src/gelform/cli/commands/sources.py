@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Argument, BadParameter, Option
 
 from gelform.cli.console import figure, print_json, say
-from gelform.cli.options import MmPerPx, Sensor, ShownOption, ball_diameter, number, usage_errors
+from gelform.cli.options import Bgr, MmPerPx, Sensor, ShownOption, ball_diameter, number, usage_errors
 from gelform.errors import CalibrationError, DataError, GelformError
 
 if TYPE_CHECKING:
@@ -186,6 +186,7 @@ def record(
             help="Camera setting: exposure, gain, white_balance, led_level, width, height, fps, fourcc.",
         ),
     ] = None,
+    bgr: Bgr = False,
     shown: ShownOption,
 ) -> None:
     """Record a camera's frames, or presses for a calibration.
@@ -205,7 +206,7 @@ def record(
     """
     from gelform.sensors.source import open_source
 
-    opened = partial(open_source, source, paced=True, settings=_settings(set_ or []) or None)
+    opened = partial(open_source, source, paced=True, settings=_settings(set_ or []) or None, bgr=bgr)
     if taken.presses:
         _presses(opened, output, taken, shown)
         return
