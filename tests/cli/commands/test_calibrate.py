@@ -59,6 +59,16 @@ def test_a_calibration_and_its_report_whose_circles_can_be_labels(run, folder, t
     assert all(press.label is not None for press in read_presses(folder).presses)
 
 
+def test_a_scale_of_no_sensor_is_a_mistake_of_the_input(fails, folder, calibration_file, tmp_path):
+    """Given, or in sensor.toml, ten times too small."""
+    said = fails("calibrate", folder, "-o", tmp_path / "a.npz", "--mm-per-px", "0.00634")
+    assert f"{folder}: Expected a gel between 3 and 150 mm wide, got 160 px of 0.00634 mm: 1.01 mm." in said
+    assert "1.01 mm" in fails("evaluate", folder, "-c", calibration_file, "--mm-per-px", "0.00634")
+    settings = (folder / "sensor.toml").read_text()
+    (folder / "sensor.toml").write_text(re.sub(r"mm_per_px *= *[\d.]+", "mm_per_px = 0.00634", settings))
+    assert "1.01 mm" in fails("calibrate", folder, "-o", tmp_path / "b.npz")
+
+
 def test_presses_of_blue_green_red_are_the_same_with_bgr(run, run_json, folder, tmp_path):
     turned = tmp_path / "turned"
     shutil.copytree(folder, turned)

@@ -238,7 +238,7 @@ def why_missing(stats: RecordStats, grabbed: GrabberStats) -> str:
     all_of, rate_hz = stats.frames + stats.missing, (stats.frames - 1) / max(stats.duration_s, 1e-9)
     lost = min(grabbed.drops, stats.missing)
     reasons = {
-        "lost on the way from the camera (cable or hub)": lost,
+        "lost before gelform got them (cable, hub, or a machine that is slower than the source)": lost,
         "not written, because this machine or its disk was too slow": stats.missing - lost,
     }
     said = " and ".join(f"{count} {why}" for why, count in reasons.items() if count)
@@ -246,7 +246,7 @@ def why_missing(stats: RecordStats, grabbed: GrabberStats) -> str:
     level = "warning: " if share > MOST_MISSING else ""
     return (
         f"{level}{stats.missing} of {all_of} frames ({100 * share:.2g} %) are missing: {said}. {rate_hz:.3g} frames a "
-        "second were kept; a lower rate or a smaller picture loses fewer: --set fps=..., --set width=..."
+        "second were kept; a lower rate or a smaller picture loses fewer (USB cameras: --set fps=..., --set width=...)."
     )
 
 
