@@ -26,6 +26,7 @@ TABLE, LOG, REST = "loads.csv", "log.csv", "rest.png"
 COLUMNS = ("force_n", "force_x_n", "force_y_n", "torque_n_mm")
 LAGS = range(-3, 9)  # frames, that the gauge may lag behind the images
 LEAST_FRAMES = 5  # of a film that tells its lag
+TOLD = 0.5  # share of the lags at which a film must have as many; at the others it counts as at its worst one
 Row = tuple[str, dict[str, str]]
 
 
@@ -197,8 +198,9 @@ def _lag(films: list[_Film], touches: list[Touch]) -> int | None:
     scatter = np.array(
         [[_scatter(film.loads(lag)[:, 0], volume[film.rows]) for film in films] for lag in LAGS]
     )
-    told = np.isfinite(scatter).all(axis=0)
-    return LAGS[int(scatter[:, told].mean(axis=1).argmin())] if told.any() else None
+    told = scatter[:, np.isfinite(scatter).mean(axis=0) >= TOLD]
+    told = np.where(np.isfinite(told), told, np.nanmax(told, axis=0, initial=0))
+    return LAGS[int(told.mean(axis=1).argmin())] if told.size else None
 
 
 def _scatter(force: NDArray[np.float64], volume: NDArray[np.float64]) -> float:
