@@ -272,10 +272,15 @@ def presses_from_settings(
     view: View,
     **more: Any,
 ) -> Presses:
-    """The press set of a sensor, with the given other fields of `Presses`; DataError for images that hold no contact, or a scale of no sensor."""
+    """The press set of a sensor, with the given other fields of `Presses`.
+
+    DataError: the images are too small to hold a contact, or the scale is of no sensor.
+    """
     check_room(background.shape)
     try:
-        check_gel_width(background.shape[:2], settings.square_mm_per_px, settings.make or make_of(settings.name))
+        check_gel_width(
+            background.shape[:2], settings.square_mm_per_px, settings.make or make_of(settings.name)
+        )
     except ValueError as problem:
         raise DataError(f"{folder}: {problem}") from problem
     return Presses(
