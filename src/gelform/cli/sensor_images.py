@@ -26,7 +26,10 @@ def images_of(inputs: Sequence[Path], background: Path | None) -> list[Path]:
     """The images of files and folders, without the background; DataError for a video or another file of several."""
     images, film = images_or_film(inputs, background)
     if film is not None:
-        raise DataError(f"Expected images, got {film}. Its frames: gelform batch, or gelform reconstruct.")
+        holds = ", which also holds a video or a recording: name its images" if film.is_dir() else ""
+        raise DataError(
+            f"Expected images, got {film}{holds}. Its frames: gelform batch, or gelform reconstruct."
+        )
     return images
 
 
