@@ -349,6 +349,7 @@ def test_the_make_brings_the_starter_whatever_the_sensor_is_called(presses):
     assert starter_start(replace(mine, make="digit"), "auto") is None
     mini = replace(mine, make="gelsight-mini")
     assert starter_note(mine, "auto") == starter_note(mini, "auto") == ()
+    assert starter_note(replace(mine, make="simulated-three-edges"), "auto") == (), "no make that one has"
     (other,) = starter_note(replace(mine, make="digit"), "auto")
     assert (
         "The starter of a DIGIT was not tried, because it is for images of 320x240 px, and these are 240x320"

@@ -117,6 +117,13 @@ def test_a_lag_that_is_known_is_not_fitted_to_the_loads(table, calibration, volu
             read_loads(folder, calibration)
 
 
+def test_a_short_film_tells_its_lag_though_it_has_too_few_frames_at_the_largest(table, calibration, volumes):
+    rise = volumes[: len(RISE_MM)]
+    force = np.interp(np.arange(len(rise)) - 2, np.arange(len(rise)), rise) * K
+    rows = [(f"{k}.png", "ball", 0, k, f) for k, f in enumerate(force)]
+    assert read_loads(table("image,object,grasp,frame,force_n", rows), calibration).lag_frames == 2
+
+
 def test_a_log_with_times(table, calibration, volumes):
     seconds = 0.1 * np.arange(len(volumes))
     log = [(t, K * np.interp(t - 0.2, seconds, volumes)) for t in np.arange(0, 3.5, 0.01)]

@@ -158,5 +158,11 @@ def test_options_that_readers_of_frames_name_exist_where_frames_are_read():
     assert "--dataset" in named
     for command in ("batch", "reconstruct"):
         assert named <= options_of(commands[command]), (command, named - options_of(commands[command]))
-    for command in ("batch", "reconstruct", "explain", "compare", "track", "bag", "ros", "live"):
-        assert "--bgr" in options_of(commands[command])
+
+
+def test_every_command_that_reads_colors_of_frames_takes_bgr():
+    """Those without it read no frame, measure places in it, or one background image beside a table."""
+    without = {name for name, command in all_commands() if "--bgr" not in options_of(command)}
+    library = {f"calibrations {name}" for name in ("list", "add", "remove", "export")}
+    no_frame = {"demo", "design", "cameras", "verify", "export", *library}
+    assert without == {*no_frame, "info", "scale", "lens", "simulate", "import"}

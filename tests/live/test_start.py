@@ -120,6 +120,23 @@ def test_a_folder_of_blue_green_red_frames_is_shown_in_rgb_and_has_its_controls(
         np.testing.assert_array_equal(indexed(shared).frame(1).image, image)
 
 
+def test_bgr_holds_for_recordings_that_are_opened_later_and_not_for_the_pages_own(tmp_path, simulated):
+    """A stack of images states no order of its channels; a recording of the page does."""
+    image = simulated.presses[0].image
+    given, later = tmp_path / "given.npy", tmp_path / "later.npy"
+    for path in (given, later):
+        np.save(path, np.stack([image[..., ::-1]] * 2))
+    with closing(start(Options([str(given)], folder=tmp_path, bgr=True))) as hub:
+        station = hub.stations[0]
+        until(lambda: station.player)
+        actions.share(hub, 0)
+        shared = until(lambda: next(tmp_path.glob("shared*.mcap"), None))
+        for path in (later, shared):
+            actions.open_recording(hub, 0, hub.recordings.add(path))
+            until(lambda path=path: station.player and station.player.recording.path == path)
+            np.testing.assert_array_equal(station.player.recording.frame(0).image, image)
+
+
 @pytest.mark.slow
 def test_two_simulated_sensors_are_touched_apart_from_each_other():
     with closing(start(Options(["simulated", "simulated"], rate_hz=20))) as hub:

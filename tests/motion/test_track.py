@@ -7,6 +7,7 @@ import gelform
 from gelform.motion.between import FOUND, LOST, Motion
 from gelform.motion.rigid import step_of_pose
 from gelform.motion.track import after
+from gelform.simulate import Coin, Pose, Torus, simulate_sequence
 from made.rigid_contacts import ball, contact_of, pose, texture
 
 PATH = [pose(0.35 * k, -0.1 * k, 0.0, 0, 0, 1.5 * k) for k in range(10)]
@@ -33,6 +34,41 @@ def test_a_path_is_followed_over_keyframes(frames):
     first = next(k for k, one in enumerate(found) if one.keyframe)
     sizes = [np.sqrt(one.motion.covariance[0, 0]) for one in found]
     assert sizes[first] > 0.9 * sizes[first - 1], "a new keyframe forgets nothing"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("indenter", "depth_mm", "most_lost"), [(Coin(), 0.35, 0), (Torus(2.8, 0.9), 0.5, 7)]
+)
+def test_an_object_that_is_pressed_in_slowly_is_not_lost(sensor, calibration, indenter, depth_mm, most_lost):
+    """The first touch shows little of its surface; of a ring nothing that fits, and the grown contact takes its place."""
+    pressed = [Pose(float(deep), (0.1, -0.2), 14) for deep in np.linspace(0.02, depth_mm, 24)]
+    slid = [Pose(depth_mm, (0.1 + 0.05 * k, -0.2), 14) for k in range(1, 7)]
+    presses = simulate_sequence(sensor, indenter, pressed + slid, rng=np.random.default_rng(3))
+    reconstruct = gelform.Reconstructor(calibration)
+    found = [one.motion for one in gelform.track(reconstruct(press.image) for press in presses)]
+    touched = next(k for k, one in enumerate(found) if one.state == FOUND)
+    lost = [k for k, one in enumerate(found) if one.state == LOST and k > touched]
+    assert len(lost) <= most_lost
+    assert max(lost, default=0) < 12, "while it is pressed in"
+    slide = found[-1].pose[:2, 3] - found[len(pressed) - 1].pose[:2, 3]
+    np.testing.assert_allclose(slide, [0.3, 0], atol=0.03)
+
+
+def test_a_grown_contact_is_no_new_origin_after_a_break_or_once_a_frame_was_found():
+    """Another object, larger than the first, is not said to be where that was."""
+
+    def states(*touches):
+        contacts = [
+            contact_of(texture(face), radius_mm=radius, seed=k, time_s=0.1 * k, calibration_digest="a")
+            for k, (face, radius) in enumerate(touches)
+        ]
+        return [one.motion.state for one in gelform.track(contacts)]
+
+    first, nothing, other = (0, 1.5), (0, 0.2), (5, 3.0)
+    assert states(first, nothing, other, other) == [FOUND, LOST, LOST, LOST]
+    assert states(first, first, other, other)[2:] == [LOST, LOST]
+    assert states(first, other, other)[1] == FOUND, "as the first touch of one object"
 
 
 def test_nothing_before_a_contact_and_after_it(frames):

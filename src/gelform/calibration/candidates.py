@@ -26,9 +26,8 @@ from gelform.calibration.presses.press_set import Presses
 from gelform.calibration.starters import (
     check_light,
     light_from_background,
-    load_starter,
     starter_for,
-    starter_names,
+    starter_of_make,
 )
 from gelform.calibration.starters.starter import Starter, make_name
 from gelform.calibration_file import Calibration, as_calibration
@@ -270,9 +269,9 @@ def starter_start(presses: Presses, color_model: str) -> Start | None:
 
 def starter_note(presses: Presses, color_model: str) -> tuple[str, ...]:
     """A note why the starter of a known make was not tried; () if it was, or if the make has none."""
-    if presses.make not in starter_names():
+    starter = starter_of_make(presses.make)
+    if starter is None:
         return ()
-    starter = load_starter(presses.make)
     shape = starter.calibration.image_shape
     if shape != presses.image_shape:
         (high, wide), (own_high, own_wide) = shape, presses.image_shape

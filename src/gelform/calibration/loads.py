@@ -26,6 +26,7 @@ TABLE, LOG, REST = "loads.csv", "log.csv", "rest.png"
 COLUMNS = ("force_n", "force_x_n", "force_y_n", "torque_n_mm")
 LAGS = range(-3, 9)  # frames, that the gauge may lag behind the images
 LEAST_FRAMES = 5  # of a film that tells its lag
+TOLD = 0.5  # share of the lags at which a film must have as many; at the others it counts as at its worst one
 Row = tuple[str, dict[str, str]]
 
 
@@ -67,6 +68,7 @@ def read_loads(
     *,
     background: str | PathLike[str] | None = None,
     lag_frames: int | None = None,
+    bgr: bool = False,
     progress: Progress = no_progress,
 ) -> LoadedPresses:
     """Read presses with known loads, and reconstruct their images.
@@ -81,6 +83,7 @@ def read_loads(
         calibration's own
     lag_frames : that the gauge lags behind the images, where the table does not state it, such as a force model's. By
         default it is estimated from the loads, which only a calibration may do
+    bgr : whether all images, the background too, are blue, green, red
     progress : called with (done, total, what)
 
     Raises
@@ -98,7 +101,7 @@ def read_loads(
         list(_films(folder, rows)),
     )
     touches = []
-    for touch in _touches(folder, [row["image"] for _, row in rows], calibration, rest):
+    for touch in _touches(folder, [row["image"] for _, row in rows], calibration, rest, bgr):
         touches.append(touch)
         progress(len(touches), len(rows), "reconstructing presses")
     stated = [_stated_lag(rows, film) for film in films]
@@ -119,7 +122,7 @@ def read_loads(
 
 
 def _touches(
-    folder: Path, images: list[str], calibration: Calibration, given: Path | None
+    folder: Path, images: list[str], calibration: Calibration, given: Path | None, bgr: bool
 ) -> Iterator[Touch]:
     """The touch of each image; a Reconstructor serves all images in a row with the same background."""
     shared = given
@@ -132,9 +135,14 @@ def _touches(
         rest = own if given is None and own.is_file() else shared
         try:
             if prepared is None or prepared[0] != rest:
-                today = None if rest is None else image_from_frame(read_background(rest), calibration.view)
+                today = (
+                    None
+                    if rest is None
+                    else image_from_frame(read_background(rest, bgr=bgr), calibration.view)
+                )
                 prepared = rest, Reconstructor(calibration, today)
-            yield touch_from_result(prepared[1](read_image(image, most_pixels=calibration.most_pixels)))
+            frame = read_image(image, most_pixels=calibration.most_pixels, bgr=bgr)
+            yield touch_from_result(prepared[1](frame))
         except ValueError as problem:
             raise DataError(f"{image}: {problem}") from problem
 
@@ -190,8 +198,9 @@ def _lag(films: list[_Film], touches: list[Touch]) -> int | None:
     scatter = np.array(
         [[_scatter(film.loads(lag)[:, 0], volume[film.rows]) for film in films] for lag in LAGS]
     )
-    told = np.isfinite(scatter).all(axis=0)
-    return LAGS[int(scatter[:, told].mean(axis=1).argmin())] if told.any() else None
+    told = scatter[:, np.isfinite(scatter).mean(axis=0) >= TOLD]
+    told = np.where(np.isfinite(told), told, np.nanmax(told, axis=0, initial=0))
+    return LAGS[int(told.mean(axis=1).argmin())] if told.size else None
 
 
 def _scatter(force: NDArray[np.float64], volume: NDArray[np.float64]) -> float:

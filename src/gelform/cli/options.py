@@ -234,6 +234,12 @@ class PressOptions:
         number("Diameter of the ball, mm, for a video or a folder without presses.csv.", ball_diameter),
     ] = None
     background: Background = None
+    bgr: Annotated[
+        bool,
+        Option(
+            "--bgr", help="All images, the background too, are blue, green, red, as OpenCV writes an array."
+        ),
+    ] = False
 
 
 def flat(function: Callable[..., None]) -> Callable[..., None]:

@@ -26,7 +26,10 @@ def images_of(inputs: Sequence[Path], background: Path | None) -> list[Path]:
     """The images of files and folders, without the background; DataError for a video or another file of several."""
     images, film = images_or_film(inputs, background)
     if film is not None:
-        raise DataError(f"Expected images, got {film}. Its frames: gelform batch, or gelform reconstruct.")
+        holds = ", which also holds a video or a recording: name its images" if film.is_dir() else ""
+        raise DataError(
+            f"Expected images, got {film}{holds}. Its frames: gelform batch, or gelform reconstruct."
+        )
     return images
 
 
@@ -60,8 +63,7 @@ def image_in(path: Path, calibration: Calibration, *, bgr: bool = False) -> NDAr
     """The image (H, W, 3), RGB, of a camera frame in a file; `bgr`: its channels are blue, green, red."""
     from gelform.sensors.files import read_image
 
-    frame = read_image(path, most_pixels=calibration.most_pixels)
-    return _viewed(frame[..., ::-1].copy() if bgr else frame, path, calibration)
+    return _viewed(read_image(path, most_pixels=calibration.most_pixels, bgr=bgr), path, calibration)
 
 
 def background_in(path: Path | None, calibration: Calibration) -> NDArray[np.float32] | None:
@@ -113,17 +115,18 @@ def prepared(calibration: Calibration | Path, background: Path | None, **setting
     return Reconstructor(loaded, background=background_in(background, loaded), **settings)
 
 
-def starter_calibration(sensor: str, background: Path, **known: Any) -> Calibration:
+def starter_calibration(sensor: str, background: Path, *, bgr: bool = False, **known: Any) -> Calibration:
     """The calibration of a unit from an image of its gel at rest, or a folder of several, by its make's starter.
 
     Parameters
     ----------
+    bgr : whether the images are blue, green, red
     known : mm_per_px, serial, gel_id, as `calibration_from_background` takes them
     """
     from gelform.calibration.starters import calibration_from_background
     from gelform.sensors.files import read_background
 
-    untouched = read_background(background)
+    untouched = read_background(background, bgr=bgr)
     try:
         with mistakes_in(background):
             return calibration_from_background(untouched, sensor, **known)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -53,3 +53,13 @@ def whole_levels(image: NDArray[Any]) -> NDArray[Any]:
     """The image (H, W, 3) as uint8 if its floats 0-255 are all whole, so that the same picture has the same bytes."""
     levels = as_levels(image)
     return levels if levels is image or np.array_equal(levels, image) else image
+
+
+def rgb_from_bgr(image: NDArray[Any]) -> NDArray[Any]:
+    """An image (H, W, 3) whose channels are blue, green, red, in RGB."""
+    return np.ascontiguousarray(image[..., ::-1])
+
+
+def in_rgb(frame: Frame) -> Frame:
+    """A frame that came as blue, green, red; the camera's JPEG is left out, because its colors are the wrong ones."""
+    return replace(frame, image=rgb_from_bgr(frame.image), encoded=None)

@@ -248,7 +248,8 @@ def open_recording(hub: Hub, station: int, name: str) -> None:
     chosen = hub.station(station)
     hub.check_idle(station)
     if name:
-        recording = indexed(hub.recordings.path(name))
+        path = hub.recordings.path(name)
+        recording = indexed(path, bgr=hub.bgr and path.suffix.lower() != ".mcap")  # which states its channels
         if said := end_missing(recording.path):
             hub.notice(said, "warning")
         setup = attached_setup(hub, chosen.setup, recording.path)

@@ -102,6 +102,7 @@ class Hub:
     pages : the open pages
     sinks : number of other programs that show the same results
     folder : folder for calibrations and recordings
+    bgr : whether frames that do not state it are blue, green, red
     work : (what, done, total) of long work by the station's number, for the progress display
     notices : (number, level, text), the newest last; level is "info", "warning" or "error"
     """
@@ -116,6 +117,7 @@ class Hub:
     pages: Pages = field(default_factory=Pages)
     sinks: int = 0
     folder: Path = Path(".")
+    bgr: bool = False
     notices: deque[tuple[int, str, str]] = field(default_factory=lambda: deque(maxlen=NOTICES))
     _listeners: list[Callable[[], None]] = field(default_factory=list)
     _lock: threading.Lock = field(default_factory=threading.Lock)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -23,7 +23,7 @@ from gelform.sensors.recordings.indexed import Indexed, indexed, is_recording
 from gelform.sensors.recordings.mcap_reader import end_missing
 from gelform.sensors.recordings.player import Player
 from gelform.sensors.simulated.source import RATE_HZ, SimulatedSource
-from gelform.sensors.source import Source, device_of, in_rgb, open_source, simulated_sensor_of
+from gelform.sensors.source import Source, device_of, open_source, simulated_sensor_of
 from gelform.simulate import SimulatedSensor
 
 READY = "simulated sensor"
@@ -75,6 +75,7 @@ def start(options: Options) -> Hub:
         calibrations=Calibrations(options.calibrations, options.folder, library),
         recordings=Recordings(given, options.folder),
         folder=options.folder or Path("."),
+        bgr=options.bgr,
     )
     if problem:
         hub.notice(problem, "warning")
@@ -83,7 +84,7 @@ def start(options: Options) -> Hub:
         hub.calibrations[name]  # an unreadable one is reported before anything opens
     for number, spec in enumerate(options.sources):
         sensor = simulated_sensor_of(spec)
-        recording = indexed(Path(spec)) if sensor is None and is_recording(spec) else None
+        recording = indexed(Path(spec), bgr=options.bgr) if sensor is None and is_recording(spec) else None
         opening = _opening(hub, spec, sensor or recording, options, number)
         station = Station(number, shown_address(spec), opening, hub.changed, hub.watched)
         station.sensor = options.sensor or ""
@@ -141,9 +142,7 @@ def _opening(
 ) -> Opening:
     """How to open the source. It is opened once now, so that a mistake is also reported in the terminal."""
     if isinstance(known, Indexed):
-        as_given = known.frame
-        shown = replace(known, frame=lambda number: in_rgb(as_given(number))) if options.bgr else known
-        return Opening(partial(Player, shown, may_begin=hub.watched), NEVER_S)
+        return Opening(partial(Player, known, may_begin=hub.watched), NEVER_S)
     if known is not None:
         return Opening(
             lambda: SimulatedSource(known, rate_hz=options.rate_hz, seed=number), SIMULATED_STALL_S

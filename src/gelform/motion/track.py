@@ -53,8 +53,10 @@ def track(
 ) -> Iterator[Tracked]:
     """Follow an object through results in the order of their frames; one `Tracked` for each of them.
 
-    The first frame with a contact is the origin. A frame without a usable motion is "lost" and says why; the next ones are
-    compared with the same keyframe again, from the last pose that was found.
+    The first frame with a contact is the origin. While no frame fits it and its contact grows without a break, as at the
+    first touch of an object, the grown contact takes its place. Each frame is compared with the keyframe, and if that fails
+    with the last frame that was found. A frame without a usable motion is "lost" and says why; the next ones are compared
+    with the same frames again.
 
     Parameters
     ----------
@@ -74,49 +76,78 @@ def track(
         yield follower(result)
 
 
+@dataclass(frozen=True, eq=False)
+class _Placed:
+    """A frame that was found: its surface, its number and its result, and the motion from the first contact to it."""
+
+    surface: TouchedSurface
+    number: int
+    result: Reconstruction
+    found: Motion
+
+
 class Follower:
-    """What `track` remembers: the keyframe and its pose, the last pose from it, and the last frame that was usable."""
+    """What `track` remembers: the keyframe, the last frame that was found, and its pose from the keyframe."""
 
     def __init__(self, prior: Sequence[float] | None = None, place_error: float | None = None) -> None:
         checked_prior(prior)
         self._prior, self._place_error = prior, checked_place_error(place_error)
-        self._key: TouchedSurface | None = None
-        self._origin: Motion  # from the first contact to the keyframe
+        self._key: _Placed | None = None
+        self._last: _Placed
         self._pose: Array  # from the keyframe to the last frame
-        self._last: Reconstruction
-        self._number, self._keyframe = -1, 0
+        self._number = -1
+        self._alone = False  # whether the contact of the origin lasts, and no frame fitted it yet
 
     def __call__(self, result: Reconstruction) -> Tracked:
         """Where the object is in the next frame."""
         self._number += 1
-        keyframe, motion = self._keyframe, self._motion(result)
+        motion, keyframe = self._motion(result)
         return Tracked(result.index, result.time_s, keyframe, motion)
 
-    def _motion(self, result: Reconstruction) -> Motion:
+    def _motion(self, result: Reconstruction) -> tuple[Motion, int]:
+        """The motion from the first contact, and the number of the frame that it was compared with."""
         surface = TouchedSurface(result)
         if self._key is None:
             if surface.count < LEAST_PX:
-                return lost(f"no contact: {surface.count} px touch, {LEAST_PX} are needed")
-            found = Motion(np.eye(4), np.zeros((6, 6)), surface.middle, (), 1.0, FOUND)
-            self._begin(surface, found, result)
-            return found
-        if why := not_comparable(self._last, result):
-            return lost(why)
-        # In blind directions each frame adds to what is not known.
-        frames = np.sqrt(self._number - self._keyframe)
-        prior = checked_prior(None if self._prior is None else [frames * one for one in self._prior])
-        motion = motion_of(self._key, surface, self._pose, prior, self._place_error)
+                return lost(f"no contact: {surface.count} px touch, {LEAST_PX} are needed"), 0
+            return self._first(surface, result)
+        key = self._key
+        if why := not_comparable(self._last.result, result):
+            return lost(why), key.number
+        motion = self._from(key, surface, self._pose)
+        if motion.state == LOST and self._last is not key:
+            # While an object is pressed in, its contact grows, and the first touch no longer shows its surface.
+            nearer = self._from(self._last, surface, np.eye(4))
+            if nearer.state != LOST:
+                key, motion = self._last, nearer
+                self._begin(key)
+        self._alone &= motion.state == LOST and surface.count >= LEAST_PX
+        if self._alone and key.surface.count < KEPT_SHARE * surface.count:
+            return self._first(surface, result)
         if motion.state == LOST or motion.pose is None:
-            return motion
-        self._pose, self._last = motion.pose, result
-        found = after(self._origin, motion)
+            return motion, key.number
+        found = after(key.found, motion)
+        self._pose, self._last = motion.pose, _Placed(surface, self._number, result, found)
         if motion.shared < KEPT_SHARE or turn_deg(motion.pose) > KEPT_TURN_DEG:
-            self._begin(surface, found, result)
-        return found
+            self._begin(self._last)
+        return found, key.number
 
-    def _begin(self, surface: TouchedSurface, found: Motion, result: Reconstruction) -> None:
-        self._key, self._keyframe, self._origin = surface, self._number, found
-        self._pose, self._last = np.eye(4), result
+    def _from(self, key: _Placed, surface: TouchedSurface, start: Array) -> Motion:
+        """The motion from a frame to this one; in blind directions each frame between adds to what is not known."""
+        frames = np.sqrt(self._number - key.number)
+        prior = checked_prior(None if self._prior is None else [frames * one for one in self._prior])
+        return motion_of(key.surface, surface, start, prior, self._place_error)
+
+    def _first(self, surface: TouchedSurface, result: Reconstruction) -> tuple[Motion, int]:
+        """The origin of the path."""
+        found = Motion(np.eye(4), np.zeros((6, 6)), surface.middle, (), 1.0, FOUND)
+        self._begin(_Placed(surface, self._number, result, found))
+        self._alone = True
+        return found, self._number
+
+    def _begin(self, key: _Placed) -> None:
+        self._key = self._last = key
+        self._pose = np.eye(4)
 
 
 def after(first: Motion, then: Motion) -> Motion:

@@ -77,8 +77,6 @@ class StampedResults:
                 self._problem = " ".join(finding.message for finding in health)
                 yield one, stamp_ns
         except (ValueError, TypeError) as problem:
-            if self._tally.frames:
-                raise
             raise DataError(f"{self._source}: {problem}") from problem
         if not self._tally.frames:
             raise DataError(f"No frame arrived from {self._source}: there is nothing to send.")

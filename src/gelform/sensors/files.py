@@ -26,6 +26,7 @@ from gelform.foundations.checks import (
 from gelform.foundations.foreign_files import way_for
 from gelform.foundations.whole_files import bytes_of
 from gelform.image.background.average import Background, background_from_frames
+from gelform.image.frame import rgb_from_bgr
 from gelform.image.view import View
 from gelform.image.view.view import MAX_PIXELS
 from gelform.sensors.declared import begin_tiff_at, check_declared, tiff_pages
@@ -110,13 +111,14 @@ class SensorSettings:
         return view.of_frames(frame_shape).squared(self.mm_per_px)
 
 
-def read_image(path: str | Path, *, most_pixels: float = MAX_PIXELS) -> NDArray[np.uint8]:
+def read_image(path: str | Path, *, most_pixels: float = MAX_PIXELS, bgr: bool = False) -> NDArray[np.uint8]:
     """Read an image file as RGB.
 
     Parameters
     ----------
     path : a PNG, JPEG, BMP, TIFF, WebP or PPM file of 8-bit color, or an array (H, W, 3) of numpy (`.npy`), RGB
     most_pixels : a file that declares more is refused before its pixels take memory
+    bgr : whether its channels are blue, green, red, as OpenCV writes an array
 
     Returns
     -------
@@ -129,6 +131,8 @@ def read_image(path: str | Path, *, most_pixels: float = MAX_PIXELS) -> NDArray[
         transparent, or holds several images; the message says which and what to do.
     """
     path = check_path(path)
+    if bgr:
+        return rgb_from_bgr(read_image(path, most_pixels=most_pixels))
     if is_stack(path):
         raise DataError(f"{path} holds several images. Give it to {STACK_READERS}, which read all of them.")
     if is_npy(path):
@@ -354,12 +358,13 @@ def _opencv_silent() -> Iterator[None]:
         logging.setLogLevel(level)
 
 
-def read_background(paths: str | Path | Sequence[str | Path]) -> NDArray[Any]:
+def read_background(paths: str | Path | Sequence[str | Path], *, bgr: bool = False) -> NDArray[Any]:
     """The background image (H, W, 3), RGB: uint8 from one file, float32 as the robust average of several.
 
     Parameters
     ----------
     paths : an image, a folder of images, a file of several images, or several of either; also `.npy`, RGB
+    bgr : whether their channels are blue, green, red
 
     Raises
     ------
@@ -369,19 +374,26 @@ def read_background(paths: str | Path | Sequence[str | Path]) -> NDArray[Any]:
     """
     files = background_files(paths)
     if len(files) == 1 and not is_stack(files[0]):
-        return next(_images_in(files[0]))
-    return averaged_background(paths).background
+        rest = next(_images_in(files[0]))
+    else:
+        rest = averaged_background(paths).background
+    return rgb_from_bgr(rest) if bgr else rest
 
 
 def averaged_background(paths: str | Path | Sequence[str | Path]) -> Background:
     """As `read_background`, with the noise of one frame and the names of rejected images with their reasons."""
     files = background_files(paths)
-    counts = [images_of_stack(file)[1] if is_stack(file) else 1 for file in files]
-    names = [
-        f"{file} {k}" if count > 1 else str(file) for file, count in zip(files, counts) for k in range(count)
-    ]
+    names: list[str] = []
+
+    def images() -> Iterator[NDArray[Any]]:
+        for file in files:
+            several = is_stack(file)
+            for number, image in enumerate(_images_in(file)):
+                names.append(f"{file} {number}" if several else str(file))
+                yield image
+
     try:
-        return background_from_frames((one for file in files for one in _images_in(file)), names=names)
+        return background_from_frames(images(), names=names)
     except ValueError as problem:  # an image of another size
         raise DataError(f"Images of the gel at rest in {files[0].parent}: {problem}") from problem
 

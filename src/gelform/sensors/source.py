@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 from math import isfinite
 from os import PathLike
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Protocol
 
-import numpy as np
-
 from gelform.errors import DataError, SensorError
 from gelform.foundations.checks import check_path
 from gelform.foundations.foreign_files import way_for
-from gelform.image.frame import Frame
+from gelform.image.frame import Frame, in_rgb
 from gelform.sensors.cameras.camera import camera_named
 from gelform.sensors.cameras.usb import UsbCamera
 from gelform.sensors.files import is_stack
@@ -63,11 +60,6 @@ class Source(Protocol):
     def __exit__(
         self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None, /
     ) -> None: ...
-
-
-def in_rgb(frame: Frame) -> Frame:
-    """A frame that came as blue, green, red; the camera's JPEG is left out, because its colors are the wrong ones."""
-    return replace(frame, image=np.ascontiguousarray(frame.image[..., ::-1]), encoded=None)
 
 
 class FromBgr:

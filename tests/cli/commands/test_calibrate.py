@@ -59,6 +59,35 @@ def test_a_calibration_and_its_report_whose_circles_can_be_labels(run, folder, t
     assert all(press.label is not None for press in read_presses(folder).presses)
 
 
+def test_a_scale_of_no_sensor_is_a_mistake_of_the_input(fails, folder, calibration_file, tmp_path):
+    """Given, or in sensor.toml, ten times too small."""
+    said = fails("calibrate", folder, "-o", tmp_path / "a.npz", "--mm-per-px", "0.00634")
+    assert f"{folder}: Expected a gel between 3 and 150 mm wide, got 160 px of 0.00634 mm: 1.01 mm." in said
+    assert "1.01 mm" in fails("evaluate", folder, "-c", calibration_file, "--mm-per-px", "0.00634")
+    settings = (folder / "sensor.toml").read_text()
+    (folder / "sensor.toml").write_text(re.sub(r"mm_per_px *= *[\d.]+", "mm_per_px = 0.00634", settings))
+    assert "1.01 mm" in fails("calibrate", folder, "-o", tmp_path / "b.npz")
+
+
+def test_presses_of_blue_green_red_are_the_same_with_bgr(run, run_json, folder, tmp_path):
+    turned = tmp_path / "turned"
+    shutil.copytree(folder, turned)
+    for path in turned.rglob("*.png"):
+        cv2.imwrite(str(path), cv2.imread(str(path))[..., ::-1])
+    how = ("--model", "polynomial")
+    right = run_json("calibrate", folder, *how, "-o", tmp_path / "right.npz")
+    said = run_json("calibrate", turned, *how, "-o", tmp_path / "turned.npz", "--bgr")
+    assert said["held_out"] == right["held_out"]
+    found = load_calibration(tmp_path / "turned.npz")
+    assert found.training_digests == load_calibration(tmp_path / "right.npz").training_digests, (
+        "the presses are known again in RGB"
+    )
+    again = run_json("evaluate", turned, "-c", tmp_path / "right.npz", "--bgr")
+    assert again["summary"] == run_json("evaluate", folder, "-c", tmp_path / "right.npz")["summary"]
+    code, _, err = run("evaluate", turned, "-c", tmp_path / "right.npz")
+    assert (code, "(--bgr)" in err) == (1, True), err
+
+
 def test_tables_are_shown_only_if_asked_for(run, folder, tmp_path):
     (folder / "images" / "0003.png").write_bytes((folder / "background.png").read_bytes())
     how = ("--model", "polynomial", "--overwrite", "-o", tmp_path / "cal.npz")

@@ -3,6 +3,7 @@
 import shutil
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -132,6 +133,10 @@ def test_a_grid_tells_lens_and_scale(run_json, presses, tmp_path):
 def test_crosstalk_reaches_the_calibration(run, run_json, presses, leds, tmp_path):
     said = run_json("crosstalk", presses, *leds)
     assert said["matrix"][1][0] > 0.05
+    turned = [tmp_path / led.name for led in leds]
+    for led, path in zip(leds, turned):
+        cv2.imwrite(str(path), cv2.imread(str(led))[..., ::-1])
+    assert run_json("crosstalk", presses, *turned, "--bgr")["matrix"] == said["matrix"]
     made = run_json("calibrate", presses, "-o", tmp_path / "cal.npz", "--model", "polynomial")
     calibration = load_calibration(tmp_path / "cal.npz")
     np.testing.assert_allclose(calibration.change.crosstalk, said["matrix"], atol=1e-6)

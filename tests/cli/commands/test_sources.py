@@ -264,8 +264,8 @@ def test_a_dark_surround_is_named_with_the_crop_that_fits(capsys):
 def test_why_frames_are_missing_is_said_and_is_a_warning_over_5_percent():
     stats = RecordStats(frames=91, missing=9, written_bytes=1, duration_s=3.0)
     said = sources.why_missing(stats, GrabberStats(drops=4))
-    assert said.startswith("warning: 9 of 100 frames (9 %) are missing: 4 lost on the way from the camera")
+    assert said.startswith("warning: 9 of 100 frames (9 %) are missing: 4 lost before gelform got them")
     assert " and 5 not written, because this machine or its disk was too slow. 30 frames a second" in said
     few = sources.why_missing(RecordStats(99, 1, 1, 3.0), GrabberStats(drops=7))
-    assert few.startswith("1 of 100 frames (1 %) are missing: 1 lost on the way")
+    assert few.startswith("1 of 100 frames (1 %) are missing: 1 lost before gelform")
     assert "too slow" not in few

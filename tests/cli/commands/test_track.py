@@ -1,6 +1,7 @@
 """gelform track: the table of poses, one surface of the keyframes, and mistakes in one line."""
 
 import csv
+import shutil
 
 import cv2
 import numpy as np
@@ -63,6 +64,24 @@ def test_frames_of_blue_green_red_give_the_same_track(run, slide, calibration_fi
     for folder, more in ((tmp_path, ()), (tmp_path / "bgr", ("--bgr",))):
         assert run("track", folder, "-c", calibration_file, "-o", folder / "t.csv", *more)[0] == 0
     assert (tmp_path / "bgr" / "t.csv").read_text() == (tmp_path / "t.csv").read_text()
+
+
+def test_frames_of_another_size_are_named_in_every_command_that_plays_them(
+    fails, slide, calibration_file, tmp_path
+):
+    """All of them, or one in the middle of the others."""
+    small = cv2.resize(cv2.imread(str(slide / "003.png")), (80, 60))
+    for name, numbers in (("all", range(2)), ("one", [1])):
+        folder = tmp_path / name
+        folder.mkdir()
+        for k in range(3):
+            shutil.copy(slide / f"{k:03d}.png", folder / f"{k}.png")
+        for k in numbers:
+            cv2.imwrite(str(folder / f"{k}.png"), small)
+        for command, output in (("track", "t.csv"), ("bag", "bag")):
+            said = fails(command, folder, "-c", calibration_file, "-o", tmp_path / f"{name} {output}")
+            assert f"Frame {numbers[0]}: Expected frames of 120x160 px (height x width)" in said
+            assert "got 60x80" in said
 
 
 def test_an_object_that_is_mostly_lost_is_no_success(run, slide, calibration_file, tmp_path):

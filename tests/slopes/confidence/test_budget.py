@@ -12,7 +12,7 @@ from gelform.calibration.starters import load_starter
 from gelform.image.background.change import ChangeSettings, PreparedBackground, gain_from_background
 from gelform.image.background.untouched import Reference
 from gelform.result.metrics.ball import ball_gradients
-from gelform.simulate import Ball, simulate_press
+from gelform.simulate import Ball, BoxEdge, simulate_press
 from gelform.slopes.confidence import budget
 from gelform.slopes.confidence.budget import (
     DIFFERENCE_FROM,
@@ -325,7 +325,7 @@ def starter_of(calibration):
 
 
 def test_doubt_of_steep_slopes_changes_what_is_stated_and_no_depth(calibration, sensor):
-    image = simulate_press(sensor, Ball(3.0), depth_mm=0.8, rng=np.random.default_rng(1)).image
+    image = simulate_press(sensor, BoxEdge(8.0), depth_mm=0.5, rng=np.random.default_rng(1)).image
     doubts = gelform.Reconstructor(starter_of(calibration))
     doubted, plain = doubts.from_image(image), gelform.Reconstructor(calibration).from_image(image)
     for name in ("depth", "gradients", "observed_gradients", "contact", "known"):
@@ -340,6 +340,17 @@ def test_doubt_of_steep_slopes_changes_what_is_stated_and_no_depth(calibration, 
     assert "steep" in {one.name for one in doubted.health}
     assert "steep" not in {one.name for one in plain.health}
     assert "steep" in {one.name for one in doubts.explain(image).findings}
+
+
+def test_the_slopes_of_a_ball_are_not_doubted_though_its_model_is_of_other_units(calibration, sensor):
+    """It shows all slopes up to its steepest without a break, so nothing of its height is missing."""
+    image = simulate_press(sensor, Ball(3.0), depth_mm=0.8, rng=np.random.default_rng(1)).image
+    reconstruct = gelform.Reconstructor(starter_of(calibration))
+    carried, plain = reconstruct.from_image(image), gelform.Reconstructor(calibration).from_image(image)
+    assert "steep" not in {one.name for one in carried.health}
+    assert "steep" not in {one.name for one in reconstruct.explain(image).findings}
+    top = plain.depth_mm.argmax()
+    assert carried.depth_sigma_mm.flat[top] < 1.5 * plain.depth_sigma_mm.flat[top]
 
 
 def test_a_ball_on_its_own_unit_is_not_called_steep(calibration, sensor):

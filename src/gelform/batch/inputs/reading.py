@@ -20,11 +20,11 @@ from gelform.errors import DataError, GelformError, reason
 from gelform.foundations.checks import check_image
 from gelform.image.background.average import background_from_frames
 from gelform.image.background.check import background_digest
-from gelform.image.frame import Frame
+from gelform.image.frame import Frame, in_rgb
 from gelform.image.view import image_from_frame
 from gelform.image.view.view import MAX_PIXELS
 from gelform.sensors.files import read_background, read_image
-from gelform.sensors.source import in_rgb, open_source
+from gelform.sensors.source import open_source
 from gelform.sensors.values import image_from_values
 
 BACKGROUND_COLUMNS = ("sequence", "background")

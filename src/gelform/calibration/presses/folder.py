@@ -74,6 +74,7 @@ def read_presses(
     ball_diameter_mm: float | None = None,
     background: str | PathLike[str] | None = None,
     crop: tuple[float, float, float, float] | None = None,
+    bgr: bool = False,
     progress: Progress = no_progress,
 ) -> Presses:
     """Read ball presses.
@@ -89,6 +90,7 @@ def read_presses(
     background : the background image, or a folder of several; the press folder's `background.png` or `background/`
         by default
     crop : (left, top, width, height) in pixels of the frame
+    bgr : whether all images, the background too, are blue, green, red, as OpenCV writes an array
     progress : called with (done, total, what)
 
     Raises
@@ -100,7 +102,7 @@ def read_presses(
     """
     place = check_path(path)
     rest = None if background is None else check_path(background, "background as a path")
-    options = ReadOptions(sensor, mm_per_px, ball_diameter_mm, rest, crop)
+    options = ReadOptions(sensor, mm_per_px, ball_diameter_mm, rest, crop, bgr)
     kind = kind_of_presses(place)
     if kind == VIDEO:
         return presses_from_video(place, options, progress)
@@ -176,7 +178,7 @@ def _read(place: Path, source: PressSource, options: ReadOptions, progress: Prog
     sizes = {}
     rows: list[Listed | ListedFlat] = [*source.listed, *source.flats]
     for done, listed in enumerate(rows):
-        frame = source.frame(done)
+        frame = options.in_rgb(source.frame(done))
         sizes[listed.name] = (frame.shape[0], frame.shape[1])
         if sizes[listed.name] == frame_shape:
             if isinstance(listed, Listed):
@@ -185,7 +187,7 @@ def _read(place: Path, source: PressSource, options: ReadOptions, progress: Prog
                 flats.append(flat_from_frame(listed, frame, view))
         progress(done + 1, len(rows), "reading presses")
     _check_one_size(sizes, frame_shape)
-    background = image_from_frame(source.background, view).astype(np.float32)
+    background = image_from_frame(options.in_rgb(source.background), view).astype(np.float32)
     more: dict[str, Any] = {"notes": source.notes, "flats": tuple(flats)}
     return presses_from_settings(settings, str(place), presses, background, view, **more)
 

@@ -22,7 +22,7 @@ from gelform.foundations.checks import (
 )
 from gelform.foundations.tables import plain_cell
 from gelform.foundations.whole_files import present_file
-from gelform.image.frame import pixels_digest
+from gelform.image.frame import pixels_digest, rgb_from_bgr
 from gelform.image.view import View, image_from_frame
 from gelform.sensors.files import SensorSettings, read_sensor_toml
 from gelform.sensors.profiles import PROFILES, check_gel_width, make_of, profile_named, view_from_camera
@@ -174,6 +174,7 @@ class ReadOptions:
     ball_diameter_mm : float
     background : path of the background image
     crop : (left, top, width, height) in pixels of the frame
+    bgr : whether all images, the background too, are blue, green, red
     """
 
     sensor: str | None = None
@@ -181,6 +182,11 @@ class ReadOptions:
     ball_diameter_mm: float | None = None
     background: Path | None = None
     crop: tuple[float, float, float, float] | None = None
+    bgr: bool = False
+
+    def in_rgb(self, image: NDArray[Any]) -> NDArray[Any]:
+        """An image as it was read, in RGB."""
+        return rgb_from_bgr(image) if self.bgr else image
 
     def __post_init__(self) -> None:
         if self.mm_per_px is not None:
@@ -266,8 +272,17 @@ def presses_from_settings(
     view: View,
     **more: Any,
 ) -> Presses:
-    """The press set of a sensor, with the given other fields of `Presses`; DataError for images that hold no contact."""
+    """The press set of a sensor, with the given other fields of `Presses`.
+
+    DataError: the images are too small to hold a contact, or the scale is of no sensor.
+    """
     check_room(background.shape)
+    try:
+        check_gel_width(
+            background.shape[:2], settings.square_mm_per_px, settings.make or make_of(settings.name)
+        )
+    except ValueError as problem:
+        raise DataError(f"{folder}: {problem}") from problem
     return Presses(
         folder=folder,
         presses=tuple(presses),

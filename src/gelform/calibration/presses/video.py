@@ -90,7 +90,7 @@ def presses_from_frames(
 def presses_from_video(path: Path, options: ReadOptions, progress: Progress = no_progress) -> Presses:
     """`presses_from_frames` for a video file, read twice; a `sensor.toml` next to it can hold settings."""
     options.ball(str(path))
-    background = None if options.background is None else read_background(options.background)
+    background = None if options.background is None else read_background(options.background, bgr=options.bgr)
     video = Video(path)
     return _presses(video.frames, _ViewOfFrames(options, path), background, str(path), progress)
 
@@ -107,6 +107,7 @@ class _ViewOfFrames:
     def __call__(self, frame: NDArray[Any]) -> NDArray[Any]:
         if self.is_done:
             return frame
+        frame = self.options.in_rgb(frame)
         shape = (frame.shape[0], frame.shape[1])
         if self.view is None:
             self.view, self.frame_shape = self.options.view(self.settings, shape), shape

@@ -13,6 +13,7 @@ __getattr__, __dir__, __all__ = lazy_loader.attach(
             "make_name",
             "starter_for",
             "starter_names",
+            "starter_of_make",
             "starter_of_source",
         ],
     },

@@ -315,15 +315,23 @@ def load_starter(sensor: str) -> Starter:
             f"Expected a sensor with a starter, {', '.join(starter_names())}, got {sensor!r}. "
             "Another one is calibrated with presses of a ball: gelform calibrate."
         )
+    return _packaged(sensor)
+
+
+@cache
+def _packaged(sensor: str) -> Starter:
     return read_starter(str(FOLDER / f"{sensor}.npz"))
+
+
+def starter_of_make(make: str | None) -> Starter | None:
+    """The starter of a real make; None if there is none."""
+    return load_starter(make) if make in PROFILES and make in starter_names() else None
 
 
 def starter_for(make: str | None, image_shape: tuple[int, int]) -> Starter | None:
     """The starter of a real make, for images (H, W); None if there is none."""
-    if make not in PROFILES or make not in starter_names():
-        return None
-    starter = load_starter(make)
-    return starter if starter.calibration.image_shape == tuple(image_shape) else None
+    starter = starter_of_make(make)
+    return starter if starter is not None and starter.calibration.image_shape == tuple(image_shape) else None
 
 
 def starter_of_source(source: Any) -> str | None:

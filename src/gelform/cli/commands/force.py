@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Argument, Option
 
 from gelform.cli.console import figure
-from gelform.cli.options import Background, CalibrationFile, Overwrite, ShownOption
+from gelform.cli.options import Background, Bgr, CalibrationFile, Overwrite, ShownOption
 from gelform.cli.outputs import check_output
 from gelform.cli.process import only_writer
 
@@ -52,6 +52,7 @@ def calibrate(
         ),
     ] = None,
     background: Background = None,
+    bgr: Bgr = False,
     sure_of_unit: Annotated[
         bool, Option("--sure-of-unit", help="The loads are newtons, though the gel seems too hard or soft.")
     ] = False,
@@ -75,7 +76,7 @@ def calibrate(
 
     loaded = load_calibration(calibration)
     with only_writer(output or calibration):
-        found = _read(loads, loaded, background, shown)
+        found = _read(loads, loaded, shown, background=background, bgr=bgr)
         if found.lag_frames in (LAGS[0], LAGS[-1]):
             shown.say(
                 f"warning: a lag of {found.lag_frames} frames is at the end of the range that was tried, so it is doubtful. "
@@ -96,7 +97,12 @@ def calibrate(
 
 
 def evaluate(
-    *, loads: Loads, calibration: CalibrationFile, background: Background = None, shown: ShownOption
+    *,
+    loads: Loads,
+    calibration: CalibrationFile,
+    background: Background = None,
+    bgr: Bgr = False,
+    shown: ShownOption,
 ) -> None:
     """Measure the errors of a calibration's forces.
 
@@ -116,7 +122,8 @@ def evaluate(
     loaded = load_calibration(calibration)
     if loaded.force is None:
         raise CalibrationError(f"{calibration} states no forces: {NO_LOADS}.")
-    found = _read(loads, loaded, background, shown, lag_frames=loaded.force.lag_frames or 0)
+    lag = loaded.force.lag_frames or 0
+    found = _read(loads, loaded, shown, background=background, bgr=bgr, lag_frames=lag)
     errors = evaluate_force(loaded.force, found.touches, found.loads)
     for kind, unit in UNITS.items():
         columns = (
@@ -138,19 +145,11 @@ def evaluate(
     shown.json({"lag_frames": found.lag_frames, "errors_over_sigma": ratio, **errors})
 
 
-def _read(
-    folder: Path,
-    calibration: Calibration,
-    background: Path | None,
-    shown: ShownOption,
-    lag_frames: int | None = None,
-) -> LoadedPresses:
+def _read(folder: Path, calibration: Calibration, shown: ShownOption, **given: Any) -> LoadedPresses:
     from gelform.calibration.loads import read_loads
 
     with shown.progress() as progress:
-        found = read_loads(
-            folder, calibration, background=background, lag_frames=lag_frames, progress=progress
-        )
+        found = read_loads(folder, calibration, progress=progress, **given)
     if found.lag_frames is not None:
         shown.say(f"The gauge lags behind the images by {found.lag_frames} frames; this is removed.")
     return found

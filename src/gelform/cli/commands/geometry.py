@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, BadParameter, Option
 
-from gelform.cli.options import Background, Sensor, ShownOption, number, numbers
+from gelform.cli.options import Background, Bgr, Sensor, ShownOption, number, numbers
 from gelform.cli.process import mistakes_in
 
 if TYPE_CHECKING:
@@ -140,6 +140,7 @@ def crosstalk(
         tuple[Path, Path, Path],
         Argument(metavar="R G B", help="Gel at rest under the red, green, blue LEDs alone."),
     ],
+    bgr: Bgr = False,
     shown: ShownOption,
 ) -> None:
     """Measure the crosstalk of the colors, for `calibrate`.
@@ -152,7 +153,7 @@ def crosstalk(
       gelform crosstalk presses/ red.png green.png blue.png
       gelform crosstalk presses/sensor.toml red.png green.png blue.png --json
     """
-    said = _write_crosstalk(place, led_frames)
+    said = _write_crosstalk(place, led_frames, bgr)
     shown.say(f"{said['crosstalk']}.")
     shown.say(f"Wrote {said['file']}.")
     shown.json(said)
@@ -181,12 +182,13 @@ def _write_grid(
     return {"file": file, "lens": found.describe(), **scale, "residual_px": found.residual_px}
 
 
-def _write_crosstalk(place: Path, led_frames: tuple[Path, Path, Path]) -> dict[str, Any]:
+def _write_crosstalk(place: Path, led_frames: tuple[Path, Path, Path], bgr: bool) -> dict[str, Any]:
     from gelform.calibration.geometry.crosstalk import crosstalk_from_frames
     from gelform.calibration.geometry.files import save_crosstalk
     from gelform.sensors.files import read_image, read_sensor_toml
 
     settings = read_sensor_toml(place / "sensor.toml" if place.is_dir() else place)
     with mistakes_in("R G B"):
-        found = crosstalk_from_frames([read_image(path) for path in led_frames], response=settings.response)
+        frames = [read_image(path, bgr=bgr) for path in led_frames]
+        found = crosstalk_from_frames(frames, response=settings.response)
     return {"file": save_crosstalk(found, place), "crosstalk": found.describe(), "matrix": found.matrix}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -36,6 +37,8 @@ if TYPE_CHECKING:
     from gelform.motion.track import Tracked
     from gelform.result import Reconstruction
     from gelform.robots.send import SentStats
+    from gelform.sensors.streams.memory import StreamFrame
+    from gelform.sensors.streams.stream import Stream
 
 PRIOR = "MM,DEG"
 
@@ -198,7 +201,7 @@ def track(
     results: dict[int, Reconstruction] = {}  # for a surface: of the keyframes, and the last two frames
     opened = partial(open_source, source, bgr=bgr)
     with shown.progress() as progress, stream(opened, loaded, background=known) as running:
-        for number, one in enumerate(running.pairs()):
+        for number, one in enumerate(_frames_of(source, running)):
             poses.append(follow(one.result))
             if surface is not None:
                 results[number] = one.result
@@ -230,6 +233,12 @@ def track(
             "column why of the table."
         )
         raise typer.Exit(DOUBT)
+
+
+def _frames_of(source: str, running: Stream) -> Iterator[StreamFrame]:
+    """The frames of a source; a DataError names it where one is of another size."""
+    with mistakes_in(source):
+        yield from running.pairs()
 
 
 def frames_stated(source: str) -> int:

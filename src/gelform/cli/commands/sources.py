@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Argument, BadParameter, Option
 
 from gelform.cli.console import figure, print_json, say
-from gelform.cli.options import MmPerPx, Sensor, ShownOption, ball_diameter, number, usage_errors
+from gelform.cli.options import Bgr, MmPerPx, Sensor, ShownOption, ball_diameter, number, usage_errors
 from gelform.errors import CalibrationError, DataError, GelformError
 
 if TYPE_CHECKING:
@@ -186,6 +186,7 @@ def record(
             help="Camera setting: exposure, gain, white_balance, led_level, width, height, fps, fourcc.",
         ),
     ] = None,
+    bgr: Bgr = False,
     shown: ShownOption,
 ) -> None:
     """Record a camera's frames, or presses for a calibration.
@@ -205,7 +206,7 @@ def record(
     """
     from gelform.sensors.source import open_source
 
-    opened = partial(open_source, source, paced=True, settings=_settings(set_ or []) or None)
+    opened = partial(open_source, source, paced=True, settings=_settings(set_ or []) or None, bgr=bgr)
     if taken.presses:
         _presses(opened, output, taken, shown)
         return
@@ -237,7 +238,7 @@ def why_missing(stats: RecordStats, grabbed: GrabberStats) -> str:
     all_of, rate_hz = stats.frames + stats.missing, (stats.frames - 1) / max(stats.duration_s, 1e-9)
     lost = min(grabbed.drops, stats.missing)
     reasons = {
-        "lost on the way from the camera (cable or hub)": lost,
+        "lost before gelform got them (cable, hub, or a machine that is slower than the source)": lost,
         "not written, because this machine or its disk was too slow": stats.missing - lost,
     }
     said = " and ".join(f"{count} {why}" for why, count in reasons.items() if count)
@@ -245,7 +246,7 @@ def why_missing(stats: RecordStats, grabbed: GrabberStats) -> str:
     level = "warning: " if share > MOST_MISSING else ""
     return (
         f"{level}{stats.missing} of {all_of} frames ({100 * share:.2g} %) are missing: {said}. {rate_hz:.3g} frames a "
-        "second were kept; a lower rate or a smaller picture loses fewer: --set fps=..., --set width=..."
+        "second were kept; a lower rate or a smaller picture loses fewer (USB cameras: --set fps=..., --set width=...)."
     )
 
 

@@ -8,7 +8,7 @@ from typing import Annotated
 from typer import Argument, Option
 
 from gelform.cli.console import say
-from gelform.cli.options import STARTERS, MmPerPx, NewCalibration, Overwrite, ShownOption, listed, one_of
+from gelform.cli.options import STARTERS, Bgr, MmPerPx, NewCalibration, Overwrite, ShownOption, listed, one_of
 from gelform.cli.outputs import check_output
 
 
@@ -19,6 +19,7 @@ def starter(
         Path, Option(metavar="IMG|DIR", help="The unit's gel at rest: an image, or a folder of several.")
     ],
     output: NewCalibration,
+    bgr: Bgr = False,
     mm_per_px: MmPerPx = None,
     serial: Annotated[str | None, Option(metavar="TEXT", help="Serial number of the unit.")] = None,
     gel: Annotated[str | None, Option(metavar="TEXT", help="Name of its gel.")] = None,
@@ -41,7 +42,9 @@ def starter(
     check_output(output, overwrite=overwrite)
     from gelform.cli.sensor_images import starter_calibration
 
-    calibration = starter_calibration(sensor, background, mm_per_px=mm_per_px, serial=serial, gel_id=gel)
+    calibration = starter_calibration(
+        sensor, background, bgr=bgr, mm_per_px=mm_per_px, serial=serial, gel_id=gel
+    )
     calibration.save(output, overwrite=overwrite)
     if not shown.silent:
         for finding in calibration.findings:

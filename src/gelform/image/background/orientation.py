@@ -82,7 +82,7 @@ class Orientation(NamedTuple):
         words = [f'{name} "{value}"' for name, value in (("flip", flip), ("turn", turn)) if value != "none"]
         parts = [f"the view's {' and '.join(words)}"] if words else []
         if self.reversed:
-            parts.append("red and blue exchanged (--bgr of the commands that reconstruct)")
+            parts.append("red and blue exchanged (--bgr)")
         return ", and ".join(parts)
 
     def undone(self, image: NDArray[Any]) -> NDArray[Any]:

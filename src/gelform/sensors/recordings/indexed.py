@@ -15,7 +15,7 @@ import numpy as np
 
 from gelform.errors import DataError
 from gelform.foundations.foreign_files import way_for
-from gelform.image.frame import Frame
+from gelform.image.frame import Frame, in_rgb
 from gelform.sensors.files import is_stack
 from gelform.sensors.playback import facts_of_video, images_by_number
 from gelform.sensors.recordings.facts import RecordingFacts, reduction_in
@@ -61,8 +61,8 @@ def recordings_in(folder: Path) -> list[Path]:
     return [one for one in found if one.suffix.lower() == ".mcap" or is_video(one) or is_stack(one)]
 
 
-def indexed(path: Path) -> Indexed:
-    """Scan a recording once.
+def indexed(path: Path, *, bgr: bool = False) -> Indexed:
+    """Scan a recording once; `bgr`: its frames are blue, green, red.
 
     DataError: the recording is missing, damaged, empty, or of an unknown kind.
     """
@@ -81,7 +81,7 @@ def indexed(path: Path) -> Indexed:
 
     def frame(number: int) -> Frame:
         with alone:
-            return found.frame(number)
+            return in_rgb(found.frame(number)) if bgr else found.frame(number)
 
     return replace(found, frame=frame)
 

@@ -111,8 +111,8 @@ class Memory:
         expected, given = calibration.view.frame_shape or calibration.image_shape, frame.image.shape[:2]
         if given not in (expected, calibration.image_shape):
             raise ValueError(
-                f"Expected frames of {expected[0]}x{expected[1]} px (height x width) as at the calibration, got "
-                f"{given[0]}x{given[1]}. "
+                f"Frame {frame.index}: Expected frames of {expected[0]}x{expected[1]} px (height x width) as at the "
+                f"calibration, got {given[0]}x{given[1]}. "
                 "Set the camera's width and height as they were then, or calibrate with these frames."
             )
         return view.image_from_frame(frame.image, calibration.view)

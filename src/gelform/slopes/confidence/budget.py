@@ -22,6 +22,7 @@ from gelform.foundations.checks import HIGHEST_SLOPE, check_slopes
 from gelform.image.background.change import PreparedBackground
 from gelform.image.background.untouched import Reference
 from gelform.slopes.color_models.seam import PreparedColorModel
+from gelform.slopes.confidence.ball import slopes_of_ball
 from gelform.slopes.confidence.slope_sigma import SlopeSigma
 from gelform.slopes.gradients import STEEPEST_GEL
 
@@ -170,6 +171,7 @@ class PreparedBudget:
         noise_levels: float = 0.0,
         light: NDArray[np.float32] | None = None,
         *,
+        top: tuple[int, int] | None = None,
         rows: bool = False,
     ) -> Budget:
         """The budget of a frame.
@@ -179,14 +181,19 @@ class PreparedBudget:
         slopes : as read
         noise_levels : its noise beyond the usual, gray levels, from `excess_noise`
         light : (H, W), standard deviation of slopes from what is unsure of the frame's light; None: nothing
+        top : (row, column) of the deepest pixel. Slopes that a ball around it shows are not doubted for being another unit's
         rows : whether to keep the rows of walls and outliers
         """
+        numbers = dict(self._numbers)
+        if numbers["carried"] and top is not None:
+            of_ball = slopes_of_ball(slopes.gradients, top, numbers["doubted"])
+            numbers["doubted"] = max(numbers["doubted"], of_ball)
         read, solved, steep, confidence = (np.empty(slopes.at_rest.shape, np.float32) for _ in range(4))
         walls, outliers = (np.zeros_like(read), np.zeros_like(read)) if rows else (None, None)
         _slope_budget(
             slopes.gradients, slopes.at_rest, self.rest_variance, slopes.variance, slopes.model_sigma, slopes.residual,
             slopes.unseen, self._gain, light, read, solved, steep, confidence, walls, outliers,
-            outlier=slopes.outlier, noise=noise_levels, **self._numbers,
+            outlier=slopes.outlier, noise=noise_levels, **numbers,
         )  # fmt: skip
         return Budget(read, solved, steep, confidence, walls, outliers)
 
