@@ -166,12 +166,12 @@ def use_ray() -> None:
 
 def shown_frame():
     from gelform.image.frame import Frame
-    from gelform.live.shown import Shown, measures_of
+    from gelform.live.shown import Shown
     from gelform.reconstruct import Reconstructor
 
     image = image_of(Touch())
     result = Reconstructor(calibration()).from_image(image)
-    return Shown(3, Frame(image, 12.5, 10**18, 7), image, result, measures=measures_of(result))
+    return Shown(3, Frame(image, 12.5, 10**18, 7), image, result)
 
 
 def use_rerun() -> None:

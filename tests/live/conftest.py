@@ -9,7 +9,7 @@ import pytest
 from gelform.image.frame import Frame
 from gelform.live.hub import Hub
 from gelform.live.lists import Calibrations
-from gelform.live.shown import Shown, measures_of
+from gelform.live.shown import Shown
 from gelform.live.station import Setup, Station
 from gelform.live.web.server import listen
 from gelform.reconstruct import Reconstructor
@@ -25,7 +25,7 @@ def result(calibration, press):
 @pytest.fixture
 def shown(press, result):
     frame = Frame(press.image, 12.5, 10**18, 7)
-    return Shown(3, frame, press.image, result, measures=measures_of(result))
+    return Shown(3, frame, press.image, result)
 
 
 @pytest.fixture

@@ -55,17 +55,17 @@ def test_a_simulated_sensor_rests_while_the_background_is_taken(hub):
 def test_zero_is_set_and_taken_back(hub):
     station = hub.stations[0]
     station.source.press_at(88, 66, 0.4, held_s=600)
-    until(lambda: station.newest.measures.peak > 0.3)
+    until(lambda: station.newest.numbers.peak > 0.3)
     actions.set_zero(hub, 0)
-    until(lambda: station.newest.measures.peak < 0.1)
+    until(lambda: station.newest.numbers.peak < 0.1)
     actions.set_zero(hub, 0)
-    until(lambda: station.newest.measures.peak > 0.3)
+    until(lambda: station.newest.numbers.peak > 0.3)
 
 
 def test_the_motion_is_followed_while_it_is_asked_for_and_seen(hub, monkeypatch):
     station = hub.stations[0]
     station.source.press_at(88, 66, 0.7, held_s=600)
-    until(lambda: station.newest.measures.peak > 0.5)
+    until(lambda: station.newest.numbers.peak > 0.5)
     assert station.newest.header()["motion"] is None
     actions.follow_motion(hub, 0, True)
     until(lambda: station.newest.motion and station.newest.motion["path"])
@@ -83,9 +83,9 @@ def test_the_motion_is_followed_while_it_is_asked_for_and_seen(hub, monkeypatch)
 def test_a_press_is_where_it_was_asked_for(hub, result):
     station = hub.stations[0]
     actions.press(hub, 0, 120.0, 40.0)
-    deep = until(lambda: station.newest if station.newest.measures.peak > 0.35 else None)
-    assert abs(deep.measures.x_px - 120) < 4
-    assert abs(deep.measures.y_px - 40) < 4
+    deep = until(lambda: station.newest if station.newest.numbers.peak > 0.35 else None)
+    assert abs(deep.numbers.x_px - 120) < 4
+    assert abs(deep.numbers.y_px - 40) < 4
 
 
 def test_solver_and_calibration(hub, calibration):
@@ -319,5 +319,5 @@ def test_a_recording_is_calibrated_from_start_to_end(hub, filmed, sensor, tmp_pa
     actions.guide_use(hub, 0)
     assert station.setup.name.startswith("ring_no-serial_")
     actions.seek(hub, 0, UNTOUCHED + HELD // 2)
-    deep = until(lambda: (s := station.newest) and s.measures and s.measures.peak > 0.3 and s.measures)
+    deep = until(lambda: (s := station.newest) and s.numbers and s.numbers.peak > 0.3 and s.numbers)
     assert deep.peak == pytest.approx(0.45, abs=0.12)

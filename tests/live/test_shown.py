@@ -20,20 +20,8 @@ from gelform.live.shown import (
     PLANES,
     Shown,
     Snapshots,
-    measures_of,
     outlines_of,
 )
-
-
-def test_numbers_are_those_of_the_depth(result, press):
-    found = measures_of(result)
-    assert found.peak == result.depth_mm.max()
-    assert result.depth_mm[found.y_px, found.x_px] == found.peak
-    np.testing.assert_allclose((found.x_px, found.y_px), press.center_px, atol=4)
-    assert found.area == pytest.approx(result.contact.sum() * result.mm_per_px**2)
-    volume = result.depth_mm[result.contact].sum() * result.mm_per_px**2
-    assert found.volume == pytest.approx(volume, rel=1e-5)
-    assert measures_of(replace(result, mm_per_px=None)).area == result.contact.sum(), "in pixels"
 
 
 def test_the_force_is_there_with_its_sigma_or_the_reason(shown, result):
@@ -42,7 +30,7 @@ def test_the_force_is_there_with_its_sigma_or_the_reason(shown, result):
     part = ForcePart(((3.0,),), (0.1, 1e4), 0.2, 0.1, 9)
     model = ForceModel(part, None, None, (), ("ball",), result.calibration_digest, "")
     force = replace(shown, result=replace(result, force_model=model), _made={}).header()["force"]
-    assert force["normal_n"] == pytest.approx(3 * measures_of(result).volume, rel=1e-5)
+    assert force["normal_n"] == pytest.approx(3 * result.numbers.volume, rel=1e-5)
     of_model = np.hypot(0.2 * force["normal_n"], 0.1)
     assert of_model < force["normal_sigma_n"] < 1.2 * of_model, "the volume's own is in it"
     assert force["shear_x_n"] is None is force["torsion_n_mm"]
@@ -66,10 +54,10 @@ def test_what_is_not_known_is_told_and_is_no_deepest_point(shown, result):
     _, column = np.unravel_index(result.depth.argmax(), result.shape)
     known[:, column - 3 : column + 4] = False
     partly = replace(result, known=known)
-    measures = measures_of(partly)
-    assert measures.peak == result.depth[known].max() < result.depth.max()
-    assert known[measures.y_px, measures.x_px]
-    again = replace(shown, result=partly, measures=measures, _made={})
+    numbers = partly.numbers
+    assert numbers.peak == result.depth[known].max() < result.depth.max()
+    assert known[numbers.y_px, numbers.x_px]
+    again = replace(shown, result=partly, _made={})
     (plane,) = again.planes(["unknown"], "raw")
     np.testing.assert_array_equal(np.frombuffer(plane.data, np.uint8).reshape(result.shape), ~known)
     (depth,), (plane,) = again.planes(["depth"], "small"), again.planes(["unknown"], "small")
@@ -109,7 +97,7 @@ def test_where_nothing_is_known_there_is_no_map_and_no_figure_but_the_findings(s
     """A flat surface of 0.000 mm would look as untouched gel does."""
     words = Finding("not_this_gel", "This is another gel.", 1.0)
     unknown = replace(result, known=np.zeros_like(result.known), health=(words,))
-    assert measures_of(unknown) is None
+    assert unknown.numbers is None
     found = Shown(1, shown.frame, shown.image, unknown)
     assert [plane.facts["name"] for plane in found.planes(PLANES, "raw")] == ["image"]
     header = found.header()

@@ -49,7 +49,7 @@ def test_the_untouched_gel_is_asked_for_and_depth_follows(never, unpressed):
     assert said(hub)["sensor"] == said(hub)["make"] == MAKE
     actions.take_starter(hub, 0, "")
     show(never, unpressed[0.4])
-    until(lambda: station.newest.measures and station.newest.measures.peak > 0.3)
+    until(lambda: station.newest.numbers and station.newest.numbers.peak > 0.3)
     assert said(hub)["state"] == "used"
     assert said(hub)["percent"] == pytest.approx(100 * load_starter(MAKE).spread)
     assert "starter" in [name for name, *_ in station.newest.header()["health"]]

@@ -130,7 +130,7 @@ def set_zero(hub: Hub, station: int) -> None:
     if memory.zero is not None:
         memory.zero, said = None, "Zero undone: depth is relative to the gel at rest again."
     else:
-        results = [shown.result for shown in _frames(chosen, ZERO_FRAMES) if shown.result and shown.measures]
+        results = [shown.result for shown in _frames(chosen, ZERO_FRAMES) if shown.result and shown.numbers]
         if not results:
             raise GelformError(
                 "There is no depth to set as zero, because the frames could not be reconstructed."

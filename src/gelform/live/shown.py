@@ -23,6 +23,7 @@ from gelform.image.frame import Frame
 from gelform.live.web.wire import Plane, bits_plane, depth_plane, image_plane, level_plane
 from gelform.result import Reconstruction, save_result
 from gelform.result.maps import MAP_PLANES
+from gelform.result.numbers import Numbers
 from gelform.sensors.recordings.player import ReplayedFrame
 from gelform.slopes.confidence.causes import CAUSES
 from gelform.slopes.confidence.explanation import Explanation
@@ -33,49 +34,6 @@ MOST_CONTACTS, MOST_OUTLINES = 8, 32  # sent per frame at most
 SNAPSHOT_FILES = ("frame.png", "result.npz", "surface.ply", "picture.png")
 KEPT_SNAPSHOTS = 16  # snapshots that are kept
 OUTLINE_PX = 0.6  # px, largest distance of an outline from the edge of the pixels
-
-
-@dataclass(frozen=True)
-class Measures:
-    """Numbers of one result.
-
-    Attributes
-    ----------
-    peak : the deepest point, mm (widths of a pixel without a scale)
-    x_px, y_px : its place
-    area : of the contact, mm^2
-    volume : of the gel displaced in the contact, mm^3
-    """
-
-    peak: float
-    x_px: int
-    y_px: int
-    area: float
-    volume: float
-
-    @property
-    def numbers(self) -> dict[str, float]:
-        """The numbers that are plotted over time."""
-        return {"peak": self.peak, "area": self.area, "volume": self.volume}
-
-
-def measures_of(result: Reconstruction) -> Measures | None:
-    """The numbers of a result, in pixels if it has no scale; None if no depth is known.
-
-    The deepest point is one of the known pixels.
-    """
-    if not result.known.any():
-        return None
-    known_depth = np.where(result.known, result.depth, np.float32(-np.inf))
-    row, column = np.unravel_index(int(known_depth.argmax()), result.depth.shape)
-    pixel = float(np.prod(np.broadcast_to(result.mm_per_px or 1.0, 2)))
-    return Measures(
-        float(result.depth[row, column]),
-        int(column),
-        int(row),
-        int(np.count_nonzero(result.contact)) * pixel,
-        float(result.depth[result.contact].sum(dtype=np.float64)) * pixel,
-    )
 
 
 def outlines_of(result: Reconstruction) -> list[list[int]]:
@@ -99,7 +57,6 @@ class Shown:
     frame : from the camera
     image : (H, W, 3) uint8, after the view
     result : Reconstruction or None: no calibration, or this frame could not be reconstructed
-    measures : numbers of the result; None without a result, or if nothing is known, and then no map is shown
     explain : computes the explanation of the image on request, because it takes longer than a frame
     problem : why there is no result; "" if there is one
     learn : learns from the result for the coming frames; None if there is nothing to learn
@@ -110,13 +67,17 @@ class Shown:
     frame: Frame
     image: NDArray[np.uint8]
     result: Reconstruction | None = None
-    measures: Measures | None = None
     explain: Callable[[], Explanation] | None = None
     problem: str = ""
     learn: Callable[[], None] | None = None
     motion: dict[str, Any] | None = None
     _made: dict[Any, Any] = field(default_factory=dict, repr=False)
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
+
+    @property
+    def numbers(self) -> Numbers | None:
+        """The numbers of the result; None without a result, or if nothing is known, and then no map is shown."""
+        return None if self.result is None else self.result.numbers
 
     def planes(self, names: Sequence[str], encoding: str) -> list[Plane]:
         """The planes with those names that this frame has."""
@@ -138,7 +99,7 @@ class Shown:
         result = self.result
         if name == "image":
             return image_plane(self.image, encoding)
-        if result is None or self.measures is None:
+        if result is None or self.numbers is None:
             return None
         if name == "depth":
             return depth_plane(result.depth, encoding)
@@ -173,14 +134,14 @@ class Shown:
         if self.result is None:
             return facts
         findings = [[f.name, f.message, float(f.figure)] for f in self.result.health]
-        if self.measures is None:
+        if (numbers := self.numbers) is None:
             return facts | {"health": findings, "problem": " ".join(f.message for f in self.result.health)}
         pitch = self.result.mm_per_px
         return facts | {
             "unit": "px" if pitch is None else "mm",
             "mm_per_px": None if pitch is None else [float(p) for p in np.broadcast_to(pitch, 2)],
-            **self.measures.numbers,
-            "peak_px": [self.measures.x_px, self.measures.y_px],
+            **numbers.over_time,
+            "peak_px": [numbers.x_px, numbers.y_px],
             "outlines": outlines_of(self.result),
             "contacts": _contact_rows(self.result),
             "markers": _marker_rows(self.result),

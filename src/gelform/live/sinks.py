@@ -119,8 +119,8 @@ class RerunSink:
         if shown.result is not None:
             depth_mm = np.where(shown.result.known, shown.result.depth_mm, np.float32(np.nan))
             log(f"{name}/depth", rerun.DepthImage(depth_mm, meter=PER_METER))
-        if shown.measures is not None:
-            for what, number in shown.measures.numbers.items():
+        if shown.numbers is not None:
+            for what, number in shown.numbers.over_time.items():
                 log(f"{name}/{what}", rerun.Scalars(number))
 
     def close(self) -> None:
@@ -171,8 +171,8 @@ class FoxgloveSink:
             meters = (shown.result.depth_mm * np.float32(1e-3)).astype("<f4")
             meters[~shown.result.known] = np.nan
             self._image(f"/{name}/indentation", meters, "32FC1", stamp)
-        if shown.measures is not None:
-            self._channel(f"/{name}/numbers", None).log(shown.measures.numbers, log_time=stamp)
+        if shown.numbers is not None:
+            self._channel(f"/{name}/numbers", None).log(shown.numbers.over_time, log_time=stamp)
 
     def close(self) -> None:
         """Close the connections."""

@@ -18,7 +18,7 @@ from gelform.calibration_file import Calibration
 from gelform.errors import GelformError
 from gelform.image.frame import Frame
 from gelform.live.moved import MovedSince
-from gelform.live.shown import Shown, measures_of
+from gelform.live.shown import Shown
 from gelform.reconstruct import Reconstructor
 from gelform.sensors.cameras.camera import Camera
 from gelform.sensors.grabber import STALL_S, Grabber
@@ -403,15 +403,13 @@ class Station:
             given = memory.reconstructed(frame, timed, alone=alone)
         except (GelformError, ValueError) as problem:
             return Shown(self._serial, frame, frame.image, problem=str(problem))
-        measures = measures_of(given.result)
-        if measures is not None:
-            self._numbers.append((self._serial, frame.time_s, *measures.numbers.values()))
+        if (numbers := given.result.numbers) is not None:
+            self._numbers.append((self._serial, frame.time_s, *numbers.over_time.values()))
         return Shown(
             self._serial,
             frame,
             given.image,
             given.result,
-            measures,
             explain=partial(memory.reconstruct.explain, given.image),
             learn=None if alone else partial(memory.learn_from, given),
         )

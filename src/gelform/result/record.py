@@ -20,6 +20,7 @@ from gelform.foundations.findings import Finding
 from gelform.foundations.pictures import picture_bytes, shown_in_notebook
 from gelform.image.markers import MarkerFlow
 from gelform.result.maps import BESIDE_DEPTH
+from gelform.result.numbers import Numbers, numbers_of
 from gelform.slopes.normals import normals_from_gradients
 
 # px in a notebook: the picture's width, and the distance of stripes over unknown depth.
@@ -153,6 +154,11 @@ class Reconstruction:
         """
         return self._labeled[0]
 
+    @cached_property
+    def numbers(self) -> Numbers | None:
+        """The deepest point, and the area and volume of all contacts; None if depth is known in no pixel."""
+        return numbers_of(self)
+
     @property
     def contact_labels(self) -> NDArray[np.uint16]:
         """The number (H, W) of each pixel's contact, as in `Contact.label`; 0 where nothing touches."""
@@ -260,27 +266,24 @@ class Reconstruction:
 
     def _figures(self) -> dict[str, str]:
         height, width = self.shape
-        known = self.depth[self.known] if self.known.any() else self.depth
-        low, high, touched = known.min(), known.max(), int(np.count_nonzero(self.contact))
-        if self.mm_per_px is None:
-            size, depth = "scale unknown", f"{low:.2f} to {high:.2f} px"
-            contacts = _counted(touched, "px", len(self.contacts))
-        else:
+        size, unit, digits = "scale unknown", "px", 2
+        if self.mm_per_px is not None:
             x, y = check_mm_per_px(self.mm_per_px)
-            size, depth = f"{height * y:.1f}x{width * x:.1f} mm", f"{low:.3f} to {high:.3f} mm"
-            contacts = _counted(round(touched * x * y, 1), "mm^2", len(self.contacts))
+            size, unit, digits = f"{height * y:.1f}x{width * x:.1f} mm", "mm", 3
+        depth = contacts = "unknown"
+        if (found := self.numbers) is not None:
+            depth = f"{found.lowest:.{digits}f} to {found.peak:.{digits}f} {unit}"
+            area = f"{found.contact_px} px" if unit == "px" else f"{round(found.area, 1)} mm^2"
+            together = " together" if found.contacts > 1 else ""
+            contacts = f"{found.contacts} of {area}{together}" if found.contacts else "none"
         return {
             "height x width": f"{height}x{width} px, {size}",
-            "depth": depth if self.known.any() else "unknown",
-            "contacts": contacts if self.known.any() else "unknown",
+            "depth": depth,
+            "contacts": contacts,
             **({} if self.markers is None else {"markers": self.markers.in_words()}),
             "zero": self.zero,
             "solver": self.solver,
         }
-
-
-def _counted(area: float, unit: str, count: int) -> str:
-    return f"{count} of {area} {unit}" + (" together" if count > 1 else "") if count else "none"
 
 
 def _depth_png(depth: NDArray[np.float32], known: NDArray[np.bool_]) -> bytes:

@@ -69,6 +69,6 @@ def test_the_guide_leads_from_the_ball_to_a_calibration_in_use(visit, hub, tmp_p
     until(lambda: not hub.guides)
     pressed = held(station, 100, 70, 0.45)
     # By the fewest presses that can be fitted.
-    assert pressed.measures.peak == pytest.approx(0.45, abs=0.2)
+    assert pressed.numbers.peak == pytest.approx(0.45, abs=0.2)
     until(lambda: page.evaluate("gelform.frame.header.serial") >= pressed.serial)
-    assert page.evaluate("gelform.frame.header.peak") == pytest.approx(pressed.measures.peak, abs=0.1)
+    assert page.evaluate("gelform.frame.header.peak") == pytest.approx(pressed.numbers.peak, abs=0.1)

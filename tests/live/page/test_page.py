@@ -161,7 +161,7 @@ def test_buttons_do_what_they_say(page, hub):
         page.click(".toast a >> nth=0")
     assert cv2.imread(str(download.value.path())).shape == (*station.newest.result.shape, 3)
     station.source.lift()
-    until(lambda: station.newest.measures.peak < 0.05)
+    until(lambda: station.newest.numbers.peak < 0.05)
     page.keyboard.press("b")
     until(lambda: station.setup.background is not None)
 

@@ -93,7 +93,7 @@ def test_a_background_is_refused_while_something_touches_and_can_be_undone(page,
     assert station.setup.background is None
     assert not page.is_visible("#undo-background")
     station.source.lift()
-    until(lambda: station.newest.measures.peak < 0.05)
+    until(lambda: station.newest.numbers.peak < 0.05)
     page.click("#background")
     until(lambda: page.is_visible("#undo-background"))
     until(lambda: "the average of 15 frames" in page.inner_text("#toasts"))

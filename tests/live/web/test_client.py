@@ -99,7 +99,7 @@ def test_what_was_missed_is_passed_over(running, hub):
 
 def test_depth_is_the_results(running, hub):
     hub.stations[0].source.press_at(90, 60, 0.4, held_s=20)
-    until(lambda: hub.stations[0].newest.measures.peak > 0.3)
+    until(lambda: hub.stations[0].newest.numbers.peak > 0.3)
     hub.stations[0].paused = True
     time.sleep(0.3)
     with opened(running) as socket:

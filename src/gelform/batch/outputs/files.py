@@ -239,23 +239,17 @@ def attributes_of(name: str, settings: BatchSettings) -> dict[str, Any]:
 
 
 def facts_of(result: Reconstruction) -> dict[str, Any]:
-    """Deepest known point (mm, and its pixel), area (mm^2) and volume (mm^3) of all contacts, their number, force, findings.
-
-    If depth is known in no pixel, only the names are given.
-    """
+    """The numbers of a result with a scale, its force and findings; only findings if depth is known in no pixel."""
     health = " ".join(dict.fromkeys(finding.name for finding in result.health))
-    if not result.known.any():
+    if (found := result.numbers) is None:
         return {"health": health}
-    depth_mm = result.depth_mm
-    deepest = int(np.where(result.known, depth_mm, -np.inf).argmax())  # others are filled
-    deepest_y, deepest_x = divmod(deepest, depth_mm.shape[1])
     return {
-        "deepest_mm": float(depth_mm[deepest_y, deepest_x]),
-        "deepest_x_px": deepest_x,
-        "deepest_y_px": deepest_y,
-        "contact_mm2": float(sum(one.area_mm2 or 0.0 for one in result.contacts)),
-        "volume_mm3": float(sum(one.volume_mm3 or 0.0 for one in result.contacts)),
-        "contacts": len(result.contacts),
+        "deepest_mm": result.peak_mm,  # refuses a result without a scale
+        "deepest_x_px": found.x_px,
+        "deepest_y_px": found.y_px,
+        "contact_mm2": found.area,
+        "volume_mm3": found.volume,
+        "contacts": found.contacts,
         **result.force.columns(),
         "health": health,
     }

@@ -148,14 +148,13 @@ def _result(path: Path) -> dict[str, Any]:
     from gelform.result import load_result
 
     result = load_result(path)
-    unit = "depth_mm" if result.mm_per_px is not None else "depth_px"
-    depth = getattr(result, unit)[result.known]
+    found, unit = result.numbers, "depth_mm" if result.mm_per_px is not None else "depth_px"
     return {
         "kind": "result",
         "size_px": list(result.shape),
         "mm_per_px": result.mm_per_px,
         "mm_per_px_sigma": result.mm_per_px_sigma,
-        unit: [round(float(depth.min()), 4), round(float(depth.max()), 4)] if depth.size else None,
+        unit: found and [round(found.lowest, 4), round(found.peak, 4)],
         "contact_px": int(result.contact.sum()),
         "contacts": [asdict(contact) for contact in result.contacts],
         "roughness": _roughness(result),

@@ -238,30 +238,19 @@ def _write(
 
 
 def _row(result: Reconstruction, path: Path, results: dict[str, Path]) -> dict[str, Any]:
-    """The figures of one result, for JSON and for the table."""
+    """The figures of one result, for JSON and for the table: in pixels if the scale is unknown, None if depth is."""
+    peak, area, pixels = ((n := result.numbers) and (n.peak, n.area, n.contact_px)) or (None, None, None)
+    lengths = {"peak_px": peak} if result.mm_per_px is None else {"peak_mm": peak, "contact_mm2": area}
     return {
         "image": str(path),
         "outputs": [str(one) for one in results.values()],
-        **_peak(result),
-        "contact_px": int(result.contact.sum()) if result.known.any() else None,
+        **lengths,
+        "contact_px": pixels,
         "contacts": [asdict(contact) for contact in result.contacts],
         "markers": None if result.markers is None else result.markers.facts(),
         "curl_rms": result.curl_rms,
         "findings": [{"name": f.name, "message": f.message, "figure": f.figure} for f in result.health],
     }
-
-
-def _peak(result: Reconstruction) -> dict[str, Any]:
-    """Deepest point and contact area, in mm, or in pixels if the scale is unknown; None if no depth is known."""
-    known = bool(result.known.any())
-    if result.mm_per_px is None:
-        return {"peak_px": float(result.depth_px[result.known].max()) if known else None}
-    if not known:
-        return {"peak_mm": None, "contact_mm2": None}
-    from gelform.foundations.checks import check_mm_per_px
-
-    pitch = check_mm_per_px(result.mm_per_px)
-    return {"peak_mm": result.peak_mm, "contact_mm2": float(result.contact.sum()) * pitch[0] * pitch[1]}
 
 
 def _report(rows: Sequence[dict[str, Any]], shown: ShownOption) -> None:
