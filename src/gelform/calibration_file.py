@@ -287,6 +287,8 @@ class Calibration:
         """Arrays and settings, in the form of a file."""
         model_arrays, model_settings = self.color_model.to_arrays()
         forward_arrays, forward_settings = ({}, None) if self.forward is None else self.forward.to_arrays()
+        if forward_settings is not None:
+            del forward_settings["shape"]  # image_shape
         arrays: dict[str, NDArray[Any]] = {
             "background": self.background,
             "background_noise": self.background_noise,
@@ -410,7 +412,9 @@ def calibration_from_contents(arrays: dict[str, NDArray[Any]], meta: dict[str, A
         color_model=models[meta["color_model"]].from_arrays(own, meta["model_settings"]),
         forward=None
         if meta["forward_settings"] is None
-        else ForwardResponse.from_arrays(_parts(arrays, "forward_"), meta["forward_settings"], shape),
+        else ForwardResponse.from_arrays(
+            _parts(arrays, "forward_"), {**meta["forward_settings"], "shape": meta["image_shape"]}
+        ),
         slope_sigma=None if meta["slope_sigma"] is None else SlopeSigma.from_dict(meta["slope_sigma"]),
         training_digests=tuple(meta["training_digests"]),
         settings=CalibrationSettings.from_dict(meta["settings"]),

@@ -312,7 +312,7 @@ def test_arrays_make_the_same_response():
     known = replace(response(), residual_scale=1.7, clipped=np.eye(2, 3, dtype=bool))
     for forward in (known, replace(known, clipped=None), replace(known, step_sigma=None)):
         arrays, settings = forward.to_arrays()
-        again = ForwardResponse.from_arrays(arrays, json.loads(json.dumps(settings)), SHAPE)
+        again = ForwardResponse.from_arrays(arrays, json.loads(json.dumps(settings)))
         for part in ("nodes", "covariance", "shape", "step_sigma", "residual_scale", "clipped"):
             np.testing.assert_array_equal(getattr(again, part), getattr(forward, part), err_msg=part)
         assert again.step_sigma == forward.step_sigma

@@ -1,12 +1,18 @@
 """The seam, asked of every model in COLOR_MODELS: no change no slope, frames equal pixels, saved arrays, variants."""
 
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
 from functools import cache
+from typing import ClassVar, Literal
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from gelform.slopes.color_models import COLOR_MODELS, IMPORTED_MODELS
-from gelform.slopes.color_models.seam import check_image_shape
+from gelform.slopes.color_models.seam import Stored, check_image_shape
 from made.color_samples import SHAPE, ball_samples, shading_change
 
 
@@ -51,6 +57,43 @@ def test_saved_arrays_give_the_same_model(name):
         *(m.gradients_at(samples.color_change, samples.x_px, samples.y_px) for m in (model, again))
     ):
         np.testing.assert_array_equal(a, b)
+
+
+@dataclass(frozen=True, eq=False)
+class Record(Stored):
+    nodes: NDArray[np.float64]
+    shape: tuple[int, int]
+    mask: NDArray[np.bool_] | None = None
+    sigma: tuple[float, float] | None = None
+    gain: Literal["none", "some"] = "none"
+
+    name: ClassVar[str] = "record"
+
+
+@pytest.mark.parametrize("more", [{}, {"mask": np.eye(2, dtype=bool), "sigma": (0.5, 2.0), "gain": "some"}])
+def test_a_record_comes_back_from_a_file_with_its_types(more):
+    record = Record(np.arange(3.0), (24, 32), **more)
+    arrays, settings = record.to_arrays()
+    assert arrays.keys() == {"nodes", *(["mask"] if more else [])}
+    assert settings == {"shape": [24, 32], "sigma": (more and [0.5, 2.0]) or None, "gain": record.gain}
+    again = Record.from_arrays(arrays, json.loads(json.dumps(settings)))
+    assert (again.shape, again.sigma, again.gain) == (record.shape, record.sigma, record.gain)
+    np.testing.assert_array_equal(again.nodes, record.nodes)
+    np.testing.assert_array_equal(again.mask, record.mask)
+
+
+def test_a_file_may_lack_what_has_a_default_and_nothing_else():
+    assert Record.from_arrays({"nodes": np.zeros(2)}, {"shape": [1, 2]}).gain == "none"
+    with pytest.raises(KeyError, match="nodes"):
+        Record.from_arrays({}, {"shape": [1, 2]})
+    with pytest.raises(KeyError, match="shape"):
+        Record.from_arrays({"nodes": np.zeros(2)}, {"gain": "some"})
+
+
+@pytest.mark.parametrize("shape", [[24], [24, 32, 3], 24, "ab", None])
+def test_a_tuple_of_another_length_or_kind_is_refused(shape):
+    with pytest.raises(TypeError, match="shape"):
+        Record.from_arrays({"nodes": np.zeros(2)}, {"shape": shape})
 
 
 @pytest.mark.parametrize("name", COLOR_MODELS)

@@ -33,7 +33,7 @@ from gelform.slopes.color_models._shared.least_squares import (
     nodes_at_scale,
     terms_of_orders,
 )
-from gelform.slopes.color_models.seam import Samples
+from gelform.slopes.color_models.seam import Samples, Stored
 
 # Units that make all terms about 1: the RMS of the normal's first two components in contacts, and a usual depth, px.
 NORMAL_UNIT, DEPTH_UNIT_PX = 0.3, 10.0
@@ -71,7 +71,7 @@ class Step(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class ForwardResponse:
+class ForwardResponse(Stored):
     """Color change as a polynomial in the normal and the depth, its coefficients varying over the image.
 
     Attributes
@@ -169,22 +169,6 @@ class ForwardResponse:
         usual = np.exp(np.log(gain).mean(axis=(0, 1)))
         covariance = self.covariance / np.outer(usual, usual)
         return replace(self, nodes=nodes, covariance=covariance)
-
-    def to_arrays(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-        """Arrays and settings for `from_arrays`."""
-        arrays: dict[str, NDArray[Any]] = {"nodes": self.nodes, "covariance": self.covariance}
-        if self.clipped is not None:
-            arrays["clipped"] = self.clipped
-        return arrays, {"step_sigma": self.step_sigma, "residual_scale": self.residual_scale}
-
-    @classmethod
-    def from_arrays(
-        cls, arrays: dict[str, NDArray[Any]], settings: dict[str, Any], shape: tuple[int, int]
-    ) -> ForwardResponse:
-        """The response of `to_arrays`."""
-        sigma, scale = settings["step_sigma"], settings["residual_scale"]
-        step_sigma = None if sigma is None else (sigma[0], sigma[1])
-        return cls(arrays["nodes"], arrays["covariance"], shape, step_sigma, scale, arrays.get("clipped"))
 
     @cached_property
     def slope_per_change(self) -> float:

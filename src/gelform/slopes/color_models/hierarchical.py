@@ -31,7 +31,7 @@ from gelform.slopes.color_models._shared.least_squares import (
     nodes_at_scale,
     terms_of_orders,
 )
-from gelform.slopes.color_models.seam import PendingChange, Samples, check_image_shape
+from gelform.slopes.color_models.seam import PendingChange, Samples, Stored, check_image_shape
 
 RIDGES = (3e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-5)  # ridges that calibration tries, the stiffest first
 # Largest slope over the steepest one of the training. On a wedge with three presses, whose border was read with slopes of
@@ -50,7 +50,7 @@ _hierarchical_from_image = Kernel(
 
 
 @dataclass(frozen=True)
-class HierarchicalModel:
+class HierarchicalModel(Stored):
     """Polynomial in (R, G, B) without a constant; its coefficients are given at nodes and bilinear between them.
 
     Attributes
@@ -68,6 +68,9 @@ class HierarchicalModel:
 
     name: ClassVar[str] = "hierarchical"
     change_offset: ClassVar[float] = CHANGE_OFFSET
+
+    def __post_init__(self) -> None:
+        check_within(self.steepest, "steepest", 1e-12, HIGHEST_SLOPE)
 
     @classmethod
     def fit(
@@ -143,18 +146,6 @@ class HierarchicalModel:
         """Prepare the coefficients of every row of pixels at every 16th column."""
         check_image_shape(shape, self.shape)
         return PreparedHierarchical(self)
-
-    def to_arrays(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-        """The coefficients at the nodes."""
-        settings = {"degree": self.degree, "shape": list(self.shape), "steepest": self.steepest}
-        return {"nodes": self.nodes}, settings
-
-    @classmethod
-    def from_arrays(cls, arrays: dict[str, NDArray[Any]], settings: dict[str, Any]) -> HierarchicalModel:
-        """The model of `to_arrays`."""
-        height, width = settings["shape"]
-        steepest = check_within(settings.get("steepest", HIGHEST_SLOPE), "steepest", 1e-12, HIGHEST_SLOPE)
-        return cls(arrays["nodes"], settings["degree"], (height, width), steepest)
 
 
 def bounded(gradients: NDArray[Any], steepest: float) -> NDArray[np.float32] | None:

@@ -18,17 +18,16 @@ from numpy.typing import NDArray
 from gelform.foundations.filters import CHANGE_OFFSET
 from gelform.image.view.resample import pixel_positions
 from gelform.slopes.color_models._shared.least_squares import HUBER_SLOPE, robust_ridge, unit_position
-from gelform.slopes.color_models.seam import Samples, Untuned, check_image_shape
+from gelform.slopes.color_models.seam import Samples, Stored, Untuned, check_image_shape
 
 NEIGHBORS = 16  # neighbors of a pixel: five times the unknowns of its line
 POINTS = 4000  # samples that are kept, for speed
 CHUNK = 20_000  # pixels at a time, to limit memory
 PRIOR = 0.3  # of the color change's size; neighbors with larger changes count more than the line of all
-ARRAYS, SCALES = ("color", "x_px", "y_px", "gradients", "line"), ("color_scale", "place_scale", "spacing")
 
 
 @dataclass(frozen=True, eq=False)
-class InterpolationModel(Untuned):
+class InterpolationModel(Stored, Untuned):
     """Thinned samples and the line of all of them.
 
     Attributes
@@ -101,18 +100,6 @@ class InterpolationModel(Untuned):
         """Return the model itself, whose search tree is built once."""
         check_image_shape(shape, self.shape)
         return PreparedInterpolation(self)
-
-    def to_arrays(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-        """The samples and the scales."""
-        settings = {name: getattr(self, name) for name in SCALES}
-        return {name: getattr(self, name) for name in ARRAYS}, {**settings, "shape": list(self.shape)}
-
-    @classmethod
-    def from_arrays(cls, arrays: dict[str, NDArray[Any]], settings: dict[str, Any]) -> InterpolationModel:
-        """The model of `to_arrays`."""
-        height, width = settings["shape"]
-        named = {**{name: arrays[name] for name in ARRAYS}, **{name: settings[name] for name in SCALES}}
-        return cls(**named, shape=(height, width))
 
     @cached_property
     def _tree(self) -> Any:

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gelform.foundations.checks import LARGEST, check_response, check_values
 from gelform.slopes.color_models._shared.least_squares import HUBER_SLOPE, robust_ridge
-from gelform.slopes.color_models.seam import Samples, Untuned
+from gelform.slopes.color_models.seam import Samples, Stored, Untuned
 
 MAX_CONDITION = 1e4  # of a light matrix; with a larger one, lights count as coplanar
 MAX_SLOPE = 5.0  # mm/mm, largest slope of pixels in shadow
@@ -44,7 +44,7 @@ def inverse_lights(lights: ArrayLike) -> NDArray[np.float64]:
 
 
 @dataclass(frozen=True)
-class LambertianModel(Untuned):
+class LambertianModel(Stored, Untuned):
     """Three fixed lights, each scaled to l_z = 1.
 
     Attributes
@@ -90,15 +90,6 @@ class LambertianModel(Untuned):
     def prepare(self, background: NDArray[Any], shape: tuple[int, int]) -> PreparedLambertian:
         """Prepare the inverse light matrix, for frames of any shape."""
         return PreparedLambertian(inverse_lights(self.lights).astype(np.float32), self.response)
-
-    def to_arrays(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-        """The lights and the response."""
-        return {"lights": self.lights}, {"response": self.response}
-
-    @classmethod
-    def from_arrays(cls, arrays: dict[str, NDArray[Any]], settings: dict[str, Any]) -> LambertianModel:
-        """The model of `to_arrays`."""
-        return cls(arrays["lights"], settings.get("response", 1.0))
 
 
 @dataclass(frozen=True)

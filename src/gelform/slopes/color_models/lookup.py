@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from gelform.foundations.filters import CHANGE_OFFSET
 from gelform.slopes.color_models._shared.layers import blocks_of
 from gelform.slopes.color_models._shared.least_squares import HUBER_SLOPE
-from gelform.slopes.color_models.seam import Samples, Untuned, check_image_shape
+from gelform.slopes.color_models.seam import Samples, Stored, Untuned, check_image_shape
 from gelform.slopes.gradients import STEEPEST_GEL
 
 HUBER_ROUNDS = 2  # rounds of reweighting by Huber's loss
@@ -127,7 +127,7 @@ PRIOR_SAMPLES = 20.0  # samples that the typical deviation counts for; a node wi
 
 
 @dataclass(frozen=True)
-class LookupModel(Untuned):
+class LookupModel(Stored, Untuned):
     """Slopes at the nodes of a grid over (y, x, R, G, B).
 
     Attributes
@@ -204,20 +204,6 @@ class LookupModel(Untuned):
         check_image_shape(shape, self.shape)
         gain = None if self.gain == "none" else _gain(np.asarray(background, dtype=np.float32))
         return PreparedLookup(self, gain)
-
-    def to_arrays(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-        """The table, its axes, and the background for an imported gain."""
-        arrays: dict[str, NDArray[Any]] = {"table": self.table, "low": self.low, "step": self.step}
-        if self.background is not None:
-            arrays["background"] = self.background
-        return arrays, {"shape": list(self.shape), "gain": self.gain}
-
-    @classmethod
-    def from_arrays(cls, arrays: dict[str, NDArray[Any]], settings: dict[str, Any]) -> LookupModel:
-        """The model of `to_arrays`."""
-        height, width = settings["shape"]
-        axes = arrays["low"], arrays["step"]
-        return cls(arrays["table"], *axes, (height, width), settings["gain"], arrays.get("background"))
 
     def _coordinates(
         self, change: NDArray[Any], x_px: NDArray[Any], y_px: NDArray[Any]

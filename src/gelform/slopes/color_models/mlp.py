@@ -16,11 +16,11 @@ from gelform.foundations.filters import CHANGE_OFFSET
 from gelform.image.view.resample import pixel_positions
 from gelform.slopes.color_models._shared.layers import Layers, RestedNetwork
 from gelform.slopes.color_models._shared.least_squares import unit_position
-from gelform.slopes.color_models.seam import Samples, Untuned, check_image_shape
+from gelform.slopes.color_models.seam import Samples, Stored, Untuned, check_image_shape
 
 
 @dataclass(frozen=True)
-class MlpModel(Untuned):
+class MlpModel(Stored, Untuned):
     """A network of five inputs (color change R, G, B in units of its size; x, y) and two slopes.
 
     Attributes
@@ -83,16 +83,6 @@ class MlpModel(Untuned):
         """Prepare the inputs at rest of a frame, and the network's output for them."""
         check_image_shape(shape, self.shape)
         return PreparedMlp(self, *pixel_positions(shape).T)
-
-    def to_arrays(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-        """Layers and scale."""
-        return {**self.layers.to_arrays(), "change_scale": self.change_scale}, {"shape": list(self.shape)}
-
-    @classmethod
-    def from_arrays(cls, arrays: dict[str, NDArray[Any]], settings: dict[str, Any]) -> MlpModel:
-        """The model of `to_arrays`."""
-        height, width = settings["shape"]
-        return cls(Layers.from_arrays(arrays), arrays["change_scale"], (height, width))
 
 
 class PreparedMlp:

@@ -28,7 +28,7 @@ from gelform.slopes.color_models.lambertian import (
     gradients_from_scaled,
     linear_change,
 )
-from gelform.slopes.color_models.seam import Samples, Untuned, check_image_shape
+from gelform.slopes.color_models.seam import Samples, Stored, Untuned, check_image_shape
 
 LEAST_RATIO = 1e-3  # of the light at rest; a channel with less is set to it
 OFF_DIAGONAL = ~np.eye(3, dtype=bool)
@@ -124,7 +124,7 @@ _near_light_gradients = Kernel(
 
 
 @dataclass(frozen=True)
-class NearLightModel(Untuned):
+class NearLightModel(Stored, Untuned):
     """Three near lights, the mixture of them in each channel, and the camera's response.
 
     Attributes
@@ -197,18 +197,6 @@ class NearLightModel(Untuned):
             inverted_lights(self.lights_at(*pixel_positions(shape).T)).reshape(-1, 9).T.reshape(3, 3, *shape)
         )
         return PreparedNearLight(np.ascontiguousarray(inverse, dtype=np.float32), self.response)
-
-    def to_arrays(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-        """Positions, mixture and exponents."""
-        settings = {"falloff": self.falloff, "response": self.response, "shape": list(self.shape)}
-        return {"positions_px": self.positions_px, "mixture": self.mixture}, settings
-
-    @classmethod
-    def from_arrays(cls, arrays: dict[str, NDArray[Any]], settings: dict[str, Any]) -> NearLightModel:
-        """The model of `to_arrays`."""
-        height, width = settings["shape"]
-        exponents = settings["falloff"], settings["response"]
-        return cls(arrays["positions_px"], arrays["mixture"], *exponents, (height, width))
 
 
 @dataclass(frozen=True)

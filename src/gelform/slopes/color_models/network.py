@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 from gelform.image.view.resample import pixel_positions
 from gelform.slopes.color_models._shared.layers import Layers, RestedNetwork
 from gelform.slopes.color_models.lambertian import MAX_SLOPE
-from gelform.slopes.color_models.seam import check_image_shape
+from gelform.slopes.color_models.seam import Stored, check_image_shape
 
 Position = Literal["xy", "yx", "zeros"]
 Answer = Literal["angles", "normals"]
 
 
 @dataclass(frozen=True)
-class NetworkModel:
+class NetworkModel(Stored):
     """An imported network with the inputs (B, G, R)/255 and place, and two outputs.
 
     Attributes
@@ -73,16 +73,6 @@ class NetworkModel:
             inputs[3:] = place if self.position == "xy" else place[::-1]
         network = RestedNetwork(self.layers, inputs, (2, 1, 0), np.ones(3))
         return PreparedNetwork(network, self.answer, len(x))
-
-    def to_arrays(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-        """The layers and the background, and the meaning of inputs and outputs."""
-        arrays = {**self.layers.to_arrays(), "background": self.background}
-        return arrays, {"position": self.position, "answer": self.answer}
-
-    @classmethod
-    def from_arrays(cls, arrays: dict[str, NDArray[Any]], settings: dict[str, Any]) -> NetworkModel:
-        """The model of `to_arrays`."""
-        return cls(Layers.from_arrays(arrays), arrays["background"], settings["position"], settings["answer"])
 
 
 class PreparedNetwork:

@@ -24,7 +24,7 @@ from gelform.slopes.color_models._shared.least_squares import (
     robust_ridge,
     unit_position,
 )
-from gelform.slopes.color_models.seam import Samples, check_image_shape
+from gelform.slopes.color_models.seam import Samples, Stored, check_image_shape
 
 MAX_POSITION_DEGREE = 5  # 21 functions of the place
 # Position degrees that calibration tries, and the accepted presses that each needs.
@@ -39,7 +39,7 @@ _polynomial_gradients = Kernel(
 
 
 @dataclass(frozen=True)
-class PolynomialModel:
+class PolynomialModel(Stored):
     """Polynomial in (R, G, B, x, y) without a constant: no color change, no slope.
 
     Attributes
@@ -105,17 +105,6 @@ class PolynomialModel:
         """Prepare the coefficients of each row as polynomials in x, so that a frame takes a few products per pixel."""
         check_image_shape(shape, self.shape)
         return PreparedPolynomial(self)
-
-    def to_arrays(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-        """Coefficients, and the degrees that order them."""
-        settings = {"position_degrees": list(self.position_degrees), "shape": list(self.shape)}
-        return {"coefficients": self.coefficients}, settings
-
-    @classmethod
-    def from_arrays(cls, arrays: dict[str, NDArray[Any]], settings: dict[str, Any]) -> PolynomialModel:
-        """The model of `to_arrays`."""
-        height, width = settings["shape"]
-        return cls(arrays["coefficients"], tuple(settings["position_degrees"]), (height, width))
 
 
 class PreparedPolynomial:

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any, ClassVar, Protocol, runtime_checkable
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import MISSING, dataclass, field, fields
+from types import NoneType
+from typing import Any, ClassVar, Protocol, TypeVar, get_args, get_origin, get_type_hints, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gelform.image.background.change import PendingChange
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -108,6 +111,53 @@ class ColorModel(Protocol):
     def from_arrays(cls, arrays: dict[str, NDArray[Any]], settings: dict[str, Any]) -> ColorModel:
         """The model from `to_arrays`. Later additions have a default here, because older files stay readable."""
         ...
+
+
+class Stored:
+    """A dataclass that a file holds as arrays, and as settings that JSON has.
+
+    Its fields are arrays, records of arrays (such as `Layers`), numbers, texts and tuples of them. A file lacks arrays that
+    are None. A field with a default may be missing: older files stay readable.
+    """
+
+    def to_arrays(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+        """Arrays and settings, from which `from_arrays` makes the record again."""
+        arrays: dict[str, NDArray[Any]] = {}
+        settings: dict[str, Any] = {}
+        for name, hint, _ in _fields(type(self)):
+            value = getattr(self, name)
+            if hasattr(hint, "to_arrays"):
+                arrays |= value.to_arrays()
+            elif get_origin(hint) is not np.ndarray:
+                settings[name] = list(value) if isinstance(value, tuple) else value
+            elif value is not None:
+                arrays[name] = value
+        return arrays, settings
+
+    @classmethod
+    def from_arrays(cls: type[T], arrays: dict[str, NDArray[Any]], settings: dict[str, Any]) -> T:
+        """The record of `to_arrays`; KeyError, TypeError or ValueError: they make none."""
+        values: dict[str, Any] = {}
+        for name, hint, needed in _fields(cls):
+            stored = arrays if get_origin(hint) is np.ndarray else settings
+            if hasattr(hint, "from_arrays"):
+                values[name] = hint.from_arrays(arrays)
+            elif needed or stored.get(name) is not None:
+                value, kinds = stored[name], get_args(hint)
+                if get_origin(hint) is tuple:
+                    if not isinstance(value, list) or (... not in kinds and len(value) != len(kinds)):
+                        raise TypeError(f"Expected {name} as a list of {len(kinds)}, got {value!r}.")
+                    value = tuple(value)
+                values[name] = value
+        return cls(**values)
+
+
+def _fields(record: type) -> Iterator[tuple[str, Any, bool]]:
+    """Name and type of each field, X for `X | None`, and whether a file must have it."""
+    hints = get_type_hints(record)
+    for one in fields(record):
+        kinds = get_args(hints[one.name])
+        yield one.name, kinds[0] if NoneType in kinds else hints[one.name], one.default is MISSING
 
 
 class FittableColorModel(ColorModel, Protocol):
