@@ -23,7 +23,7 @@ from gelform.foundations.checks import (
     check_within,
 )
 from gelform.foundations.findings import Finding
-from gelform.foundations.npz_files import digest_of, kind_of_npz, read_npz, write_npz
+from gelform.foundations.npz_files import damaged, digest_of, kind_of_npz, read_npz, write_npz
 from gelform.foundations.pictures import picture_bytes, shown_in_notebook
 from gelform.image.background.change import ChangeSettings
 from gelform.image.background.check import background_digest
@@ -324,23 +324,13 @@ def load_calibration(path: str | PathLike[str]) -> Calibration:
     arrays, meta = read_npz(
         path, kind=KIND, newest_version=FORMAT_VERSION, max_bytes=MAX_BYTES, error=CalibrationError
     )
-    try:
+    with damaged(path, "a calibration", "Restore a copy or calibrate again.", CalibrationError):
         return calibration_from_contents(arrays, meta)
-    except KeyError as problem:
-        raise CalibrationError(f"{path} is damaged: {problem} is missing. {_REMEDY}") from problem
-    except (AttributeError, IndexError, OverflowError, TypeError, ValueError) as problem:
-        raise CalibrationError(f"{path} is damaged: {_own_words(problem)} {_REMEDY}") from problem
 
 
 def is_calibration(path: str | PathLike[str]) -> bool:
     """Whether a file says that it is a calibration; nothing else of it is read."""
     return kind_of_npz(path) == KIND
-
-
-def _own_words(problem: Exception) -> str:
-    """The text of an error of gelform; for any other error, that the content does not fit together."""
-    said = str(problem)
-    return said if said.startswith("Expected") else "what it holds does not make a calibration."
 
 
 def _check_contents(arrays: dict[str, NDArray[Any]], meta: dict[str, Any]) -> None:
@@ -372,7 +362,6 @@ _STORED_AS_THEY_ARE = (
     *("sensor_name", "serial", "gel_id", "mm_per_px", "mm_per_px_sigma", "untouched_change", "held_out"),
     *("library_version", "created_utc"),
 )
-_REMEDY = "Restore a copy or calibrate again."
 _KINDS: tuple[tuple[tuple[str, ...], Any], ...] = (
     (("sensor_name", "color_model", "library_version", "created_utc"), str),
     (("serial", "gel_id"), (str, type(None))),

@@ -319,6 +319,22 @@ def checked_archive(path: str | os.PathLike[str], what: str, max_bytes: int = MA
     return [member.filename for member in members]
 
 
+@contextmanager
+def damaged(
+    path: str | os.PathLike[str], what: str, remedy: str, error: type[GelformError]
+) -> Iterator[None]:
+    """Raise the error for a file whose content, read inside, does not make `what`; words of gelform are quoted."""
+    try:
+        yield
+    except KeyError as problem:
+        raise error(f"{path} is damaged: {problem} is missing. {remedy}") from problem
+    except (AttributeError, IndexError, OverflowError, TypeError, ValueError) as problem:
+        found = (
+            str(problem) if str(problem).startswith("Expected") else f"what it holds does not make {what}."
+        )
+        raise error(f"{path} is damaged: {found} {remedy}") from problem
+
+
 def kind_of_npz(path: str | os.PathLike[str]) -> str | None:
     """The kind that a file names (its `format`), or None if it is no such file; nothing else is read."""
     if not check_path(path).is_file():  # opening a pipe would wait forever

@@ -19,7 +19,7 @@ from gelform.foundations.checks import (
     check_within,
 )
 from gelform.foundations.findings import Finding
-from gelform.foundations.npz_files import read_npz, write_npz
+from gelform.foundations.npz_files import damaged, read_npz, write_npz
 from gelform.image.markers import MarkerFlow
 from gelform.result.maps import BESIDE_DEPTH, MAPS
 from gelform.result.record import Reconstruction
@@ -78,7 +78,7 @@ def load_result(path: str | PathLike[str]) -> Reconstruction:
     arrays, meta = read_npz(
         path, kind=KIND, newest_version=FORMAT_VERSION, max_bytes=MAX_BYTES, error=DataError
     )
-    try:
+    with damaged(path, "a result", "Reconstruct again.", DataError):
         dots = {name: arrays.pop(name) for name in list(arrays) if name.startswith("markers_")}
         _check_contents(arrays, meta)
         mm_per_px = _pitch(arrays["mm_per_px"]) if "depth_px" not in arrays else None
@@ -92,13 +92,6 @@ def load_result(path: str | PathLike[str]) -> Reconstruction:
             **maps,
             **settings,
         )
-    except KeyError as problem:
-        raise DataError(f"{path} is damaged: {problem} is missing. Reconstruct again.") from problem
-    except (TypeError, ValueError) as problem:
-        said = (
-            str(problem) if str(problem).startswith("Expected") else "what it holds does not make a result."
-        )
-        raise DataError(f"{path} is damaged: {said} Reconstruct again.") from problem
 
 
 def _check_contents(arrays: dict[str, NDArray[Any]], meta: dict[str, Any]) -> None:

@@ -27,7 +27,7 @@ from gelform.calibration.starters.light import (
 from gelform.calibration_file import Calibration, calibration_from_contents
 from gelform.errors import CalibrationError, SensorError
 from gelform.foundations.checks import check_image, check_mm_per_px, check_positive
-from gelform.foundations.npz_files import read_npz, write_npz
+from gelform.foundations.npz_files import damaged, read_npz, write_npz
 from gelform.image.background.average import noise_from_image
 from gelform.image.markers import MarkerFollower
 from gelform.image.view import View, image_from_frame
@@ -271,7 +271,7 @@ def read_starter(path: str | PathLike[str]) -> Starter:
     arrays, meta = read_npz(
         path, kind=KIND, newest_version=FORMAT_VERSION, max_bytes=MAX_BYTES, error=CalibrationError
     )
-    try:
+    with damaged(path, "a starter", "Copy it again.", CalibrationError):
         light = np.asarray(arrays.pop("light"), dtype=np.float64)
         shape = tuple(meta["calibration"]["image_shape"])
         arrays = {name: v.astype(np.float64) if name.endswith("nodes") else v for name, v in arrays.items()}
@@ -279,8 +279,6 @@ def read_starter(path: str | PathLike[str]) -> Starter:
         calibration = calibration_from_contents(arrays, meta["calibration"])
         figures = float(meta["spread"]), tuple(meta["units"]), float(meta.get("color_variance", 1))
         return Starter(meta["sensor"], calibration, light, *figures)
-    except (KeyError, ValueError, TypeError, AttributeError) as problem:
-        raise CalibrationError(f"{path} is damaged: what it holds does not make a starter.") from problem
 
 
 @cache
