@@ -8,7 +8,7 @@ import pytest
 
 from gelform.errors import DataError
 from gelform.foundations.findings import Finding
-from gelform.foundations.npz_files import write_npz
+from gelform.foundations.npz_files import read_npz, write_npz
 from gelform.image.markers import MarkerFlow
 from gelform.result import KIND, Reconstruction, load_result, save_result
 from gelform.result.file import FORMAT_VERSION
@@ -48,6 +48,28 @@ def test_every_optional_part_comes_back(tmp_path, result):
     for k, one in enumerate((bare, full, marked)):
         save_result(one, tmp_path / f"{k}.npz")
         same(one, load_result(tmp_path / f"{k}.npz"))
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "said"),
+    [
+        ("markers_seen", np.ones(4, np.float32), "Expected markers_seen of another type, got float32"),
+        ("markers_now_px", np.full((4, 2), np.nan, np.float32), "markers_now_px"),
+        ("markers_sigma_px", np.ones(3, np.float32), "Expected sigma_px of shape"),
+        ("markers_rest_px", None, "what it holds does not make a result"),
+    ],
+)
+def test_damaged_markers_are_refused(tmp_path, result, name, values, said):
+    dots = np.zeros((4, 2), dtype=np.float32)
+    flow = MarkerFlow(dots, dots, np.ones(4, dtype=bool), dots[:, 0], result.mm_per_px)
+    save_result(replace(result, markers=flow), tmp_path / "x.npz")
+    arrays, meta = read_npz(tmp_path / "x.npz", kind=KIND, newest_version=1, max_bytes=1e6, error=DataError)
+    kept = {key: array for key, array in {**arrays, name: values}.items() if array is not None}
+    own = {key: value for key, value in meta.items() if not key.endswith(("format", "version", "digest"))}
+    own["calibration_digest"] = ""
+    write_npz(tmp_path / "y.npz", kept, own, kind=KIND, version=1)
+    with pytest.raises(DataError, match=f"is damaged: .*{said}"):
+        load_result(tmp_path / "y.npz")
 
 
 def test_numpy_reads_the_maps_and_the_scale(tmp_path, result):

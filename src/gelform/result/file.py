@@ -28,6 +28,8 @@ KIND = "gelform result"
 FORMAT_VERSION = 1
 MAX_BYTES = 4 * 2**30  # bytes that a file may declare: far beyond any frame's result
 OPTIONAL = "outside_change"  # that earlier files lack
+MARKERS = "markers_"  # before the names of the arrays of a `MarkerFlow`
+BOOLEAN = {f"{MARKERS}seen", *(one.name for one in MAPS.values() if one.dtype == "bool")}
 _META = (
     "mm_per_px_sigma",
     "zero",
@@ -61,7 +63,7 @@ def save_result(result: Reconstruction, path: str | PathLike[str], *, overwrite:
     else:
         arrays |= {"depth_mm": result.depth, "mm_per_px": np.asarray(result.mm_per_px, dtype=np.float64)}
     if result.markers is not None:
-        arrays |= result.markers.arrays()
+        arrays |= {MARKERS + name: values for name, values in result.markers.arrays().items()}
     meta = {name: getattr(result, name) for name in _META}
     meta["health"] = [asdict(finding) for finding in result.health]
     write_npz(path, arrays, meta, kind=KIND, version=FORMAT_VERSION, overwrite=overwrite, error=DataError)
@@ -79,8 +81,8 @@ def load_result(path: str | PathLike[str]) -> Reconstruction:
         path, kind=KIND, newest_version=FORMAT_VERSION, max_bytes=MAX_BYTES, error=DataError
     )
     with damaged(path, "a result", "Reconstruct again.", DataError):
-        dots = {name: arrays.pop(name) for name in list(arrays) if name.startswith("markers_")}
         _check_contents(arrays, meta)
+        dots = {name.removeprefix(MARKERS): arrays[name] for name in arrays if name.startswith(MARKERS)}
         mm_per_px = _pitch(arrays["mm_per_px"]) if "depth_px" not in arrays else None
         settings = {name: meta[name] for name in _META if name != OPTIONAL or name in meta}
         settings["health"] = tuple(Finding(**finding) for finding in meta["health"])
@@ -88,7 +90,7 @@ def load_result(path: str | PathLike[str]) -> Reconstruction:
         return Reconstruction(
             depth=arrays["depth_px" if mm_per_px is None else "depth_mm"],
             mm_per_px=mm_per_px,
-            markers=MarkerFlow.from_arrays(dots, mm_per_px),
+            markers=MarkerFlow(**dots, mm_per_px=mm_per_px) if dots else None,
             **maps,
             **settings,
         )
@@ -97,7 +99,7 @@ def load_result(path: str | PathLike[str]) -> Reconstruction:
 def _check_contents(arrays: dict[str, NDArray[Any]], meta: dict[str, Any]) -> None:
     """Refuse NaN, arrays of other types and settings of the wrong kind; the record checks the shapes."""
     for name, array in arrays.items():
-        wanted = np.bool_ if name in MAPS and MAPS[name].dtype == "bool" else np.floating
+        wanted = np.bool_ if name in BOOLEAN else np.floating
         if not np.issubdtype(array.dtype, wanted):
             raise TypeError(f"Expected {name} of another type, got {array.dtype}.")
         check_finite(array, name)

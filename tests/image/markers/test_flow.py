@@ -3,7 +3,6 @@
 import json
 
 import numpy as np
-import pytest
 
 from gelform.image.markers import MarkerFlow
 
@@ -37,24 +36,3 @@ def test_facts_are_json():
     assert facts["displacement_px"][1] == [3, 4]
     assert facts["seen"] == [True, True, False]
     assert json.loads(json.dumps(flow(None).facts()))["displacement_mm"] is None
-
-
-def test_arrays_there_and_back():
-    back = MarkerFlow.from_arrays(flow().arrays(), 0.05)
-    np.testing.assert_array_equal(back.now_px, flow().now_px)
-    assert MarkerFlow.from_arrays({}, 0.05) is None
-
-
-@pytest.mark.parametrize(
-    ("name", "values", "problem"),
-    [
-        ("markers_seen", np.ones(3), TypeError),
-        ("markers_now_px", np.full((3, 2), np.nan), ValueError),
-        ("markers_sigma_px", np.ones(2), ValueError),
-    ],
-)
-def test_damaged_arrays_are_refused(name, values, problem):
-    with pytest.raises(problem, match=name.removeprefix("markers_")):
-        MarkerFlow.from_arrays({**flow().arrays(), name: values}, 0.05)
-    with pytest.raises(KeyError):
-        MarkerFlow.from_arrays({k: v for k, v in flow().arrays().items() if k != name}, 0.05)

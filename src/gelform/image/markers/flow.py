@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.foundations.checks import check_finite, check_mm_per_px
+from gelform.foundations.checks import check_mm_per_px
 
 _SHAPES = {"rest_px": (2,), "now_px": (2,), "seen": (), "sigma_px": ()}
 
@@ -80,36 +79,14 @@ class MarkerFlow:
         millimeters = self.displacement_mm
         return {
             "in_words": self.in_words(),
-            **{name: getattr(self, name).tolist() for name in _SHAPES},
+            **{name: values.tolist() for name, values in self.arrays().items()},
             "displacement_px": self.displacement_px.tolist(),
             "displacement_mm": None if millimeters is None else millimeters.tolist(),
         }
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """The arrays of a file, by name; `from_arrays` reads them."""
-        return {f"markers_{name}": getattr(self, name) for name in _SHAPES}
-
-    @classmethod
-    def from_arrays(
-        cls, arrays: Mapping[str, NDArray[Any]], mm_per_px: float | tuple[float, float] | None
-    ) -> MarkerFlow | None:
-        """The flow from `arrays`; None if these contain none.
-
-        Raises
-        ------
-        KeyError
-            One of its arrays is missing, but not all.
-        TypeError, ValueError
-            An array is of another type or shape, or not finite.
-        """
-        if not any(f"markers_{name}" in arrays for name in _SHAPES):
-            return None
-        parts = {name: arrays[f"markers_{name}"] for name in _SHAPES}
-        for name, values in parts.items():
-            if not np.issubdtype(values.dtype, np.bool_ if name == "seen" else np.floating):
-                raise TypeError(f"Expected markers_{name} of another type, got {values.dtype}.")
-            check_finite(values, f"markers_{name}")
-        return cls(**parts, mm_per_px=mm_per_px)
+        """The arrays of a file, by the names of the attributes."""
+        return {name: getattr(self, name) for name in _SHAPES}
 
     @property
     def _pitch(self) -> NDArray[np.float32]:
