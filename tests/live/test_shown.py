@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import cv2
 import numpy as np
@@ -84,6 +84,7 @@ def test_the_header_says_what_the_result_says(shown, result, press):
     assert header["unit"] == "mm"
     assert header["index"] == 7
     assert [one[0] for one in header["health"]] == [finding.name for finding in result.health]
+    assert header["contacts"] == [asdict(contact) for contact in result.contacts]
 
 
 def test_without_a_result_there_is_the_image_and_the_reason(shown):

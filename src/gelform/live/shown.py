@@ -6,7 +6,7 @@ import tempfile
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -143,7 +143,7 @@ class Shown:
             **numbers.over_time,
             "peak_px": [numbers.x_px, numbers.y_px],
             "outlines": outlines_of(self.result),
-            "contacts": _contact_rows(self.result),
+            "contacts": [asdict(contact) for contact in self.result.contacts[:MOST_CONTACTS]],
             "markers": _marker_rows(self.result),
             "force": None if self.result.force_model is None else self.result.force.columns(),
             "motion": self.motion,
@@ -161,19 +161,6 @@ def _cause_bits(explanation: Explanation) -> NDArray[np.uint16]:
     for number, one in enumerate(explanation.maps.values()):
         bits |= np.where(one > explanation.full_confidence_sigma, np.uint16(1 << number), np.uint16(0))
     return bits
-
-
-def _contact_rows(result: Reconstruction) -> list[dict[str, Any]]:
-    return [
-        {
-            "deepest_px": [int(at) for at in contact.deepest_px],
-            "deepest_mm": contact.deepest_mm,
-            "area_mm2": contact.area_mm2,
-            "volume_mm3": contact.volume_mm3,
-            "cut": contact.cut_by_border,
-        }
-        for contact in result.contacts[:MOST_CONTACTS]
-    ]
 
 
 def _marker_rows(result: Reconstruction) -> list[list[float]]:

@@ -1,11 +1,13 @@
 """The page's tools: the ruler, curves of minutes, the surface in full screen."""
 
 import re
+from dataclasses import asdict
 
 import cv2
 import numpy as np
 import pytest
 
+from gelform.depth.contact import contacts_from_mask
 from live_waiting import until
 
 pytestmark = pytest.mark.slow
@@ -27,6 +29,21 @@ def test_the_force_has_its_sigma_or_the_reason(page):
     assert re.search(r"into the gel\s+4\.20 ± 1\.10 N", said)
     assert re.search(r"shear x\s+–", said)
     assert "no dots" in said
+
+
+def test_each_of_several_contacts_has_its_place_size_and_edge(page):
+    mask = np.zeros((40, 60), dtype=bool)
+    mask[4:10, 4:14] = mask[20:30, 50:60] = True
+    contacts, _ = contacts_from_mask(mask, np.where(mask, np.float32(0.25), 0), mm_per_px=0.1)
+    script = """async (contacts) => {
+        (await import('/js/panels/status.js')).drawContacts({ header: { contacts } });
+        return document.getElementById('contacts').innerText;
+    }"""
+    lines = page.evaluate(script, [asdict(one) for one in contacts]).splitlines()
+    assert [line.split() for line in lines] == [
+        ["50,", "20", "0.250", "1.0", "cut", "by", "the", "border"],
+        ["4,", "4", "0.250", "0.6"],
+    ]
 
 
 @pytest.fixture

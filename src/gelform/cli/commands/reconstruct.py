@@ -249,7 +249,7 @@ def _row(result: Reconstruction, path: Path, results: dict[str, Path]) -> dict[s
         "contacts": [asdict(contact) for contact in result.contacts],
         "markers": None if result.markers is None else result.markers.facts(),
         "curl_rms": result.curl_rms,
-        "findings": [{"name": f.name, "message": f.message, "figure": f.figure} for f in result.health],
+        "findings": [asdict(finding) for finding in result.health],
     }
 
 

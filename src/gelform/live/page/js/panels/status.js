@@ -79,7 +79,7 @@ export function drawContacts({ header }) {
   const contacts = (header.contacts ?? []).slice(0, MOST_CONTACTS), card = byId("contacts-card");
   card.hidden = contacts.length < 2; // the numbers above already show a single contact
   if (card.hidden) return;
-  const rows = contacts.map(({ deepest_mm, area_mm2, deepest_px, cut }) => element("tr", {}, ...[`${deepest_px[0]}, ${deepest_px[1]}`, deepest_mm === null ? "–" : fixed(deepest_mm, 3), area_mm2?.toFixed(1) ?? "–", cut ? "cut by the border" : ""].map((text) => element("td", { text }))));
+  const rows = contacts.map(({ deepest_mm, area_mm2, deepest_px, cut_by_border }) => element("tr", {}, ...[`${deepest_px[0]}, ${deepest_px[1]}`, deepest_mm === null ? "–" : fixed(deepest_mm, 3), area_mm2?.toFixed(1) ?? "–", cut_by_border ? "cut by the border" : ""].map((text) => element("td", { text }))));
   byId("contacts").replaceChildren(...rows);
 }
 
