@@ -224,10 +224,9 @@ class FrameRecord:
     @once
     def contact(self) -> NDArray[np.bool_]:
         """Where something touches (H, W)."""
-        own = (
-            None if self.depth_errors is None else self.depth_errors.own_sigma(self.fixed.limit.ignorance_mm)
-        )
-        return self.today.contact(*self._touch(DepthErrors.contact_sigma), self._widened(own))
+        errors, touch = self.depth_errors, self._touch(DepthErrors.contact_sigma)
+        own = None if errors is None else self._widened(errors.own_sigma(self.fixed.limit.ignorance_mm))
+        return self.today.contact(*touch, own_sigma=own)
 
     def _touch(self, sigma_of: Callable[[DepthErrors, float], NDArray[np.float32]]) -> tuple[Any, ...]:
         """Depth, its deviation by `sigma_of`, those of the slopes, and known pixels (H, W)."""

@@ -208,7 +208,7 @@ def squared_factor(
     `per_unit` is the variance by the slopes and a factor of 1, `own` that of negative depths.
     """
     of_slopes = np.where(square > own, square, (square - np.float32(PULL) * own) / np.float32(1 - PULL))
-    return np.maximum(of_slopes, 0) / per_unit
+    return np.asarray(np.maximum(of_slopes, 0) / per_unit, dtype=np.float32)
 
 
 def steep_finding(
