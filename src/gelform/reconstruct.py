@@ -228,7 +228,9 @@ class FrameRecord:
         own = None if errors is None else self._widened(errors.own_sigma(self.fixed.limit.ignorance_mm))
         return self.today.contact(*touch, own_sigma=own)
 
-    def _touch(self, sigma_of: Callable[[DepthErrors, float], NDArray[np.float32]]) -> tuple[Any, ...]:
+    def _touch(
+        self, sigma_of: Callable[[DepthErrors, float], NDArray[np.float32]]
+    ) -> tuple[NDArray[np.float32], Any, SlopeDeviations | None, NDArray[np.bool_]]:
         """Depth, its deviation by `sigma_of`, those of the slopes, and known pixels (H, W)."""
         errors, deviations = self.depth_errors, None
         if self.fixed.known is not None:
