@@ -6,7 +6,7 @@ enum { PIECE = 64 };  // pixels of a row at a time
 
 struct budget {
   float per_step, per_size, solved, unknown, outlier, unseen, full, noise, per_bend, bend_from, spread, shown,
-      per_excess, doubted, steepest, carried;
+      per_excess, doubted, steepest, carried, ball_x, ball_y, ball_radius, of_ball;
   int32_t reach;
 };
 
@@ -76,14 +76,17 @@ static inline void add_rows(const struct budget *restrict c, struct lines *restr
 }
 
 // Steep slopes may be read too small, which no residual shows: those beyond the slopes that presses have shown, and all where the
-// model is another unit's. An error of the slope's size is stated of both components: a face may lean either way.
+// model is another unit's, but within a ball's disc only those that the ball does not show. An error of the slope's size is stated
+// of both components: a face may lean either way.
 static inline void finish(const struct budget *restrict c, const struct lines *restrict l, float *restrict read,
-                          float *restrict solved, float *restrict steep, float *restrict confidence, int n) {
+                          float *restrict solved, float *restrict steep, float *restrict confidence, ptrdiff_t x, ptrdiff_t y, int n) {
   const float full = square_of(c->full), most = square_of(c->unknown), per_fade = 1 / c->full;
   const float spread = square_of(c->spread), factor = square_of(c->solved);
+  const float reach = square_of(c->ball_radius) - square_of((float)y - c->ball_y), left = (float)x - c->ball_x;
   for (int k = 0; k < n; k++) {
     const float size = sqrtf(l->slope[k]), beyond = larger(size - c->shown, 0) * c->per_excess;
-    const float other = c->carried * clamp((size - c->doubted) * per_fade + 1, 0, 1) * larger(c->steepest - size, 0);
+    const float doubted = square_of(left + (float)k) < reach ? c->of_ball : c->doubted;
+    const float other = c->carried * clamp((size - doubted) * per_fade + 1, 0, 1) * larger(c->steepest - size, 0);
     const float seen = l->read[k] < most ? 1 : 0, missing = seen * smaller(square_of(beyond) + square_of(other), most);
     const float of_unit = spread * l->slope[k];
     read[k] = sqrtf(l->read[k]);
@@ -107,9 +110,11 @@ EXPORT int slope_budget(const float *gradients, const bool *at_rest, const float
                         float *solved, float *steep, float *confidence, float *walls, float *outliers, float per_step,
                         float per_size, float solved_factor, float unknown, float outlier, float unseen_sigma,
                         float full, float noise, float per_bend, float bend_from, float spread, float shown,
-                        float per_excess, float doubted, float steepest, float carried, int32_t reach, ptrdiff_t h, ptrdiff_t w) {
+                        float per_excess, float doubted, float steepest, float carried, float ball_x, float ball_y,
+                        float ball_radius, float of_ball, int32_t reach, ptrdiff_t h, ptrdiff_t w) {
   const struct budget c = {per_step, per_size,  solved_factor, unknown, outlier,    unseen_sigma, full,    noise,
-                           per_bend, bend_from, spread,        shown,   per_excess, doubted, steepest,     carried, reach};
+                           per_bend, bend_from, spread,        shown,   per_excess, doubted, steepest,     carried,
+                           ball_x,   ball_y,    ball_radius,   of_ball, reach};
   if (reach < 1 || !(outlier > 0) || !(full > 0)) return WRONG_SIZE;
   struct lines l = {0};
   for (ptrdiff_t y = 0; y < h; y++)
@@ -125,7 +130,7 @@ EXPORT int slope_budget(const float *gradients, const bool *at_rest, const float
       add_rows(&c, &l, gain + at, AT(light), AT(unseen), n);
       write_roots(AT(walls), l.wall, n);
       write_roots(AT(outliers), l.outlier, n);
-      finish(&c, &l, read + at, solved + at, steep + at, confidence + at, n);
+      finish(&c, &l, read + at, solved + at, steep + at, confidence + at, x, y, n);
     }
   return OK;
 }

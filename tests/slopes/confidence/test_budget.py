@@ -12,7 +12,7 @@ from gelform.calibration.starters import load_starter
 from gelform.image.background.change import ChangeSettings, PreparedBackground, gain_from_background
 from gelform.image.background.untouched import Reference
 from gelform.result.metrics.ball import ball_gradients
-from gelform.simulate import Ball, BoxEdge, simulate_press
+from gelform.simulate import Ball, BoxEdge, Placed, Several, simulate_press
 from gelform.slopes.confidence import budget
 from gelform.slopes.confidence.budget import (
     DIFFERENCE_FROM,
@@ -226,7 +226,7 @@ def numpy_weights(residual, of_model, unseen, weight, outlier, unknown, full, le
 def numpy_budget(
     gradients, at_rest, rest, of_step, of_model, residual, unseen, gain, light, read, solved, steep, confidence, walls,
     outliers, per_step, per_size, factor, unknown, outlier, unseen_sigma, full, noise, per_bend,
-    bend_from, spread, shown, per_excess, doubted, steepest, carried, reach,
+    bend_from, spread, shown, per_excess, doubted, steepest, carried, ball_x, ball_y, ball_radius, of_ball, reach,
 ):  # fmt: skip
     """What the kernel should give, in float64."""
     g, (height, width) = gradients.astype(float), at_rest.shape
@@ -247,6 +247,8 @@ def numpy_budget(
     total = law + bend + off + (noise * gain) ** 2 + nothing * unseen_sigma**2
     total = total if light is None else total + light.astype(float) ** 2
     own = per_excess * np.maximum(size - shown, 0)
+    y, x = np.indices(size.shape)
+    doubted = np.where(np.hypot(x - ball_x, y - ball_y) < ball_radius, of_ball, doubted)
     other = carried * np.clip((size - doubted) / full + 1, 0, 1) * np.maximum(steepest - size, 0)
     missing = np.where(total < unknown**2, np.minimum(own**2 + other**2, unknown**2), 0)
     unit = spread**2 * size**2
@@ -275,7 +277,7 @@ def test_the_kernels_agree_with_numpy(optional, shape):
         budget._slope_budget, numpy_budget, gradients, chosen(), uniform(1e-5, 1e-3), some(uniform(0.3, 3)),
         some(uniform(0.01, 0.06)), some(uniform(0, 30)), some(chosen()), uniform(0.005, 0.02), some(uniform(0, 0.05)),
         *out, 9e-4, 4e-3, 0.8, 1.0, 9.0, 50.0, 0.05, 2.0, 1.75 if optional else 0.0, 0.1, 0.1, 0.5, 1.25, 0.3,
-        1.4, 0.3, 2,
+        1.4, 0.3, 3.2, 2.1, 4.3, 0.6, 2,
     )  # fmt: skip
     assert_kernel_agrees(
         budget._slope_weights, numpy_weights, some(uniform(0, 30)), some(uniform(0.01, 0.2)), some(chosen()),
@@ -351,6 +353,24 @@ def test_the_slopes_of_a_ball_are_not_doubted_though_its_model_is_of_other_units
     assert "steep" not in {one.name for one in reconstruct.explain(image).findings}
     top = plain.depth_mm.argmax()
     assert carried.depth_sigma_mm.flat[top] < 1.5 * plain.depth_sigma_mm.flat[top]
+
+
+def test_a_ball_vouches_for_nothing_beside_it(calibration, sensor):
+    """The deepest of two objects is a ball; the slopes of a box beside its gel are as doubtful as without it."""
+    ball, box = (
+        Placed(Ball(3.0), center_mm=(4.5, 0.0)),
+        Placed(BoxEdge(4.0), center_mm=(-5.0, 0.0), back_mm=0.1),
+    )
+    alone, both = (
+        gelform.Reconstructor(starter_of(calibration)).from_image(
+            simulate_press(sensor, face, depth_mm=depth, rng=np.random.default_rng(1)).image
+        )
+        for face, depth in ((Several((replace(box, back_mm=0.0),)), 0.6), (Several((ball, box)), 0.7))
+    )
+    left = np.s_[:, :60]
+    steep = np.linalg.norm(alone.gradients[left], axis=-1) > 0.3
+    assert steep.sum() > 100
+    assert np.median(both.gradients_sigma[left][steep]) > 0.9 * np.median(alone.gradients_sigma[left][steep])
 
 
 def test_a_ball_on_its_own_unit_is_not_called_steep(calibration, sensor):

@@ -22,7 +22,7 @@ from gelform.foundations.checks import HIGHEST_SLOPE, check_slopes
 from gelform.image.background.change import PreparedBackground
 from gelform.image.background.untouched import Reference
 from gelform.slopes.color_models.seam import PreparedColorModel
-from gelform.slopes.confidence.ball import slopes_of_ball
+from gelform.slopes.confidence.ball import NO_BALL, slopes_of_ball
 from gelform.slopes.confidence.slope_sigma import SlopeSigma
 from gelform.slopes.gradients import STEEPEST_GEL
 
@@ -58,7 +58,8 @@ _slope_budget = Kernel(
     "bool[h,w]? unseen, f32[h,w] gain, f32[h,w]? light, out f32[h,w] read, out f32[h,w] solved, out f32[h,w] steep, "
     "out f32[h,w] confidence, out f32[h,w]? walls, out f32[h,w]? outliers, f32 per_step, f32 per_size, f32 solved_factor, "
     "f32 unknown, f32 outlier, f32 unseen_sigma, f32 full, f32 noise, f32 per_bend, "
-    "f32 bend_from, f32 spread, f32 shown, f32 per_excess, f32 doubted, f32 steepest, f32 carried, i32 reach",
+    "f32 bend_from, f32 spread, f32 shown, f32 per_excess, f32 doubted, f32 steepest, f32 carried, "
+    "f32 ball_x, f32 ball_y, f32 ball_radius, f32 of_ball, i32 reach",
 )
 
 
@@ -181,13 +182,14 @@ class PreparedBudget:
         slopes : as read
         noise_levels : its noise beyond the usual, gray levels, from `excess_noise`
         light : (H, W), standard deviation of slopes from what is unsure of the frame's light; None: nothing
-        top : (row, column) of the deepest pixel. Slopes that a ball around it shows are not doubted for being another unit's
+        top : (row, column) of the deepest pixel. Within a ball around it, the slopes that it shows are not doubted for
+            being read by another unit's model
         rows : whether to keep the rows of walls and outliers
         """
-        numbers = dict(self._numbers)
-        if numbers["carried"] and top is not None:
-            of_ball = slopes_of_ball(slopes.gradients, top, numbers["doubted"])
-            numbers["doubted"] = max(numbers["doubted"], of_ball)
+        ball = None
+        if self._numbers["carried"] and top is not None:
+            ball = slopes_of_ball(slopes.gradients, top, self._numbers["doubted"])
+        numbers = self._numbers | (NO_BALL if ball is None else ball)._asdict()
         read, solved, steep, confidence = (np.empty(slopes.at_rest.shape, np.float32) for _ in range(4))
         walls, outliers = (np.zeros_like(read), np.zeros_like(read)) if rows else (None, None)
         _slope_budget(
