@@ -22,7 +22,7 @@ from accuracy.heights import at_least, heights_drawn, walls_drawn
 from accuracy.objects import anchor, deep, objects, walls
 from accuracy.real import calibrated, few, real, sigma
 from gelform.calibration.circles.find import find_contact, scale_of, why_no_contact
-from gelform.image.background.change import ChangeSettings
+from gelform.image.background import ChangeSettings
 from gelform.simulate import LAYOUTS, Ball, Coin, Punch, Screw, simulate_ball_presses, simulate_press
 from presses import DATA, data_is_missing, mini_ball, presses_of, unlabeled
 from report import command_line, parts_asked, recorded, table, write

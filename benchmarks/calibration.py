@@ -18,10 +18,9 @@ import numpy as np
 
 import gelform
 from gelform.calibration.candidates import Candidate, candidates_for, training_samples
-from gelform.calibration.circles.find import ContactCircle, find_contact
+from gelform.calibration.circles.find import ContactCircle, PreparedPress, find_contact
 from gelform.calibration.circles.locate import refine
 from gelform.calibration.circles.prepare import prepare
-from gelform.calibration.circles.samples import PreparedPress
 from gelform.calibration.fitted import untouched_change
 from gelform.calibration.report.record import summary
 from gelform.result.metrics import press_errors

@@ -26,7 +26,7 @@ from confidence import faults
 from confidence.drawn import press
 from gelform.calibration.circles.find import find_contact, why_no_contact
 from gelform.calibration.circles.prepare import ColorChanges
-from gelform.result.metrics.ball import fit_sphere
+from gelform.result.metrics import fit_sphere
 from gelform.sensors.files import read_background
 from gelform.simulate import LAYOUTS, simulate_ball_presses
 from presses import DATA, by_name, data_is_missing, presses_of

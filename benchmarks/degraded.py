@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import gelform
-from gelform.calibration.library.simulated import ready_calibration
-from gelform.sensors.simulated.settings import simulated_sensor_named
+from gelform.calibration.library.library import ready_calibration
+from gelform.sensors.simulated import simulated_sensor_named
 from gelform.sensors.source import DEFAULT_SENSOR
 from gelform.simulate import Ball, simulate_press
 from report import command_line, table, write

@@ -12,7 +12,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from gelform.depth.solvers.system import divergence, edges_from_gradients
+from gelform.depth.solvers.seam import divergence, edges_from_gradients
 
 
 def depth_along_lines(gradients: NDArray[Any], mm_per_px: tuple[float, float]) -> NDArray[np.float32]:

@@ -3,7 +3,7 @@
     python benchmarks/paper.py             # draws paper/figure.png, from a simulated sensor: a minute
     python benchmarks/paper.py --quotes    # prints the quotes
 
-tests/benchmarks/test_paper.py holds the text to the quotes, and lets no other figure in.
+tests/benchmarks/test_scripts.py holds the text to the quotes, and lets no other figure in.
 """
 
 from __future__ import annotations

@@ -35,7 +35,7 @@ import cv2  # noqa: E402
 import gelform  # noqa: E402
 from gelform.cli import main as run_command  # noqa: E402
 from gelform.errors import CalibrationError  # noqa: E402
-from gelform.image.background.orientation import READINGS, Orientation  # noqa: E402
+from gelform.image.agreement import READINGS, Orientation  # noqa: E402
 from hostile.calls import TRACEBACK, inputs_in, is_fault, made_calls  # noqa: E402
 from hostile.commands import prepare  # noqa: E402
 from presses import DATA, data_is_missing  # noqa: E402

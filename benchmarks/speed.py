@@ -30,13 +30,14 @@ import cv2
 import numpy as np
 
 import gelform
-import gelform.depth.frame
+import gelform.depth.integrate
 import gelform.reconstruct
-from gelform.depth.contact import PreparedContact, contacts_from_mask
+from gelform.depth.contact import PreparedContact
+from gelform.depth.regions import contacts_from_mask
 from gelform.depth.sigma import DepthErrors
 from gelform.exchange.exporters.press_folder import save_press_folder
 from gelform.simulate import LAYOUTS, Ball, simulate_ball_presses, simulate_press
-from gelform.slopes.confidence import ReadSlopes
+from gelform.slopes.budget import ReadSlopes
 from presses import DATA, by_name, unlabeled
 from report import dct_pair, median_ms, table, write
 from speed.against import compare
@@ -92,7 +93,7 @@ def stages(calibration: gelform.Calibration, image: np.ndarray) -> dict[str, Cal
         "untouched pixels": (gelform.reconstruct, "without_bias"),
         "weights": (ReadSlopes, "weights"),
         "anchor at rest": (fixed.depth, "_anchor"),
-        "depth (weighted, anchored), curl": (gelform.depth.frame, "integrate_unchecked"),
+        "depth (weighted, anchored), curl": (gelform.depth.integrate, "integrate_unchecked"),
         "slopes of the depth": (gelform.reconstruct, "slopes_of_solution"),
         "noise beyond the usual": (today, "noise_levels"),
         "budget of slopes, confidence": (today, "budget"),

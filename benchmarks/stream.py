@@ -34,7 +34,7 @@ import numpy as np
 import gelform
 from gelform.sensors.files import read_image
 from gelform.simulate import LAYOUTS, simulate_ball_presses
-from gelform.simulate.render import simulate_background
+from gelform.simulate.light import simulate_background
 from presses import DATA, presses_of, unlabeled
 from report import recorded, table, write
 from stream.ffmpeg_camera import why_absent

@@ -15,7 +15,7 @@ import pytest
 import gelform
 from gelform.exchange.exporters.press_folder import save_press_folder
 from gelform.image.frame import Frame
-from gelform.sensors.recordings.facts import RecordingFacts
+from gelform.sensors.playback import RecordingFacts
 from gelform.sensors.recordings.mcap_writer import McapRecording
 from gelform.simulate import (
     LAYOUTS,
@@ -38,7 +38,7 @@ DATA = Path(os.environ.get("GELFORM_DATA", Path(__file__).parents[2] / "shared" 
 LONGEST = (
     "test_examples.py",
     "calibration/test_fit.py",
-    "exchange/exporters/test_taxim.py",
+    "exchange/exporters/test_surface.py",
     "cli/test_process.py",
     "live/page/",
     "robustness/",
@@ -50,7 +50,7 @@ LONGEST = (
 
 
 def pytest_configure(config):
-    """Without the slow tests, a tenth of the hostile cases is tried (`hostile/budget.py`).
+    """Without the slow tests, a tenth of the hostile cases is tried (`hostile/outcome.py`).
 
     A shell's job in the background ignores Ctrl-C, and so would every command that a test starts and interrupts.
     """

@@ -23,7 +23,7 @@ from pathlib import Path
 
 from gelform.cli import main
 from live_waiting import until
-from made.lerobot_set import EPISODES, KEY, write_lerobot_set
+from made.files import EPISODES, KEY, write_lerobot_set
 from made.small_gel import Touch, calibration, image_of, save
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -143,7 +143,7 @@ def use_parquet() -> None:
 
 def use_png() -> None:
     """The decompressor of the extra, where it is; else Python's own, for the same pixels."""
-    from gelform.sensors.png_bytes import inflate, pixels_of_png
+    from gelform.sensors.pictures import inflate, pixels_of_png
 
     assert inflate.__name__ == "isal.isal_zlib", "read by Python's own zlib"
     read = pixels_of_png(Path("frames/1.png").read_bytes())

@@ -2,7 +2,7 @@
 
 import time
 
-from gelform.sensors.simulated.source import PRESS_S
+from gelform.sensors.simulated import PRESS_S
 
 HANGS_S = 120.0  # what has not come by then, in seconds, never will: a busy machine is twenty times slower
 

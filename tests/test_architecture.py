@@ -32,17 +32,18 @@ SHELLS = {"__main__"}  # what starts the command line
 LEVEL = {name: level for level, names in enumerate([*LEVELS, SHELLS]) for name in names}
 INNER = 7  # the last level that neither reads, prints nor draws
 MODULES = sorted(path for path in SOURCE.rglob("*.py") if path != SOURCE / "__init__.py")
-CIRCULAR = {"calibration", "live", "sensors"}  # rooms whose parts import each other; their modules do not
+CIRCULAR = {"calibration", "sensors"}  # rooms whose parts import each other; their modules do not
 INNER_LIBRARIES = {"numpy", "scipy", "cv2", "gelform", "lazy_loader"}
-EXTRAS = {"mlp_training.py": {"torch"}}  # imported where it trains, an extra
+EXTRAS = {"networks.py": {"torch"}}  # imported where it trains, an extra
 READERS = {"calibration_file", "result", "foundations", "_native"}
 MAX_LINES, MAX_FILES = 650, 15
-# What is tested through what it serves: all solvers against one truth, all forms of output.
+# What is tested beside what it serves.
 TESTED_TOGETHER = {
-    "batch/outputs/frame_files.py": "batch/outputs/test_writers.py",
-    "foundations/findings.py": "image/background/test_check.py",
-    "depth/solvers/sparse.py": "depth/solvers/test_seam.py",
-    "depth/solvers/curl_gated.py": "depth/solvers/test_robust.py",
+    "cli/commands/calibrations.py": "cli/commands/test_exchange.py",
+    "cli/commands/force.py": "cli/commands/test_geometry.py",
+    "live/guide.py": "live/test_start.py",
+    "robots/lerobot_depth.py": "robots/test_ros_messages.py",
+    "simulate/presets.py": "simulate/test_press.py",
 }
 PUBLIC = {
     alias.name: f"gelform.{node.module}"

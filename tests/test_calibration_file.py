@@ -13,7 +13,7 @@ import pytest
 import gelform
 from gelform.calibration_file import FORMAT_VERSION, KIND
 from gelform.errors import CalibrationError
-from gelform.foundations.npz_files import write_npz
+from gelform.foundations.files import write_npz
 from made import small_gel
 
 DATA = Path(__file__).parent / "data"

@@ -19,7 +19,7 @@ from gelform.image.frame import Frame
 from gelform.image.view import View
 from gelform.result.maps import MAPS
 from gelform.simulate import Ball, Punch, simulate_press
-from made.dots import grid, image_of_dots
+from made.images import grid, image_of_dots
 
 FLIP_TOML = 'name = "turned"\nmm_per_px = {:.6f}\n[view]\nflip = "x"\n'
 

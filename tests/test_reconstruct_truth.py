@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform.slopes.color_models.lambertian import LambertianModel
+from gelform.slopes.color_models.physical import LambertianModel
 from made.small_gel import LIGHTS, SHAPE, Touch, background, calibration, depth_of, image_of
 
 TOUCH = Touch(depth_mm=0.4, x_px=40, y_px=32)

@@ -1,18 +1,39 @@
-"""`.ci/release`: what it refuses, and what it leaves where a step fails. All of it takes minutes and a network."""
+"""`.ci/release`: what it refuses, and what it leaves where a step fails. All of it takes minutes and a network.
 
+`.ci/wheel_contents.py`: a wheel that is not what its name says is found.
+
+Every extra has a use (`extra_uses.py`), and without its packages the use ends with a sentence that names the extra.
+"""
+
+import base64
+import hashlib
+import importlib.util
 import os
+import re
 import shutil
 import subprocess
 import sys
+import zipfile
 from pathlib import Path
 
 import pytest
 
+from extra_uses import EXTRA_OF, USES, prepared
+from gelform._native import kernel
+
+try:
+    import tomllib
+except ModuleNotFoundError:  # Python 3.10
+    import tomli as tomllib
+
+
 ROOT = Path(__file__).parents[1]
-pytestmark = [
-    pytest.mark.skipif(not (ROOT / ".ci/release").exists(), reason="the source distribution has no .ci"),
-    pytest.mark.skipif(sys.platform == "win32" or not shutil.which("git"), reason="needs bash and git"),
-]
+MARK_RELEASE_1 = pytest.mark.skipif(
+    sys.platform == "win32" or not shutil.which("git"), reason="needs bash and git"
+)
+MARK_RELEASE = pytest.mark.skipif(
+    not (ROOT / ".ci/release").exists(), reason="the source distribution has no .ci"
+)
 
 
 def git(clone, *words):
@@ -42,23 +63,31 @@ def released(clone, *words):
     return done.returncode, done.stdout.strip().splitlines()[-1]
 
 
+@MARK_RELEASE
+@MARK_RELEASE_1
 @pytest.mark.parametrize("version", [(), ("",), ("v0.2.0",), ("0.2",), ("0.2.0.dev0",), ("0.2.0; ls",)])
 def test_what_is_no_version(clone, version):
     expected = f'Expected a version such as 0.1.0, got "{"".join(version)}".'
     assert released(clone, *version) == (1, expected)
 
 
+@MARK_RELEASE
+@MARK_RELEASE_1
 def test_a_clone_that_is_not_clean(clone):
     (clone / "new.txt").write_text("mine")
     expected = "Expected a clean clone: commit or remove what git status shows."
     assert released(clone, "0.2.0") == (1, expected)
 
 
+@MARK_RELEASE
+@MARK_RELEASE_1
 def test_a_version_that_was_released(clone):
     git(clone, "tag", "v0.2.0")
     assert released(clone, "0.2.0") == (1, "The tag v0.2.0 is there already: give another version.")
 
 
+@MARK_RELEASE
+@MARK_RELEASE_1
 def test_nothing_to_say(clone):
     (clone / "CHANGELOG.md").write_text("# Changes\n\n## Unreleased\n\n## 0.1.0\n\n- Old.\n")
     git(clone, "commit", "-q", "-a", "-m", "No news")
@@ -66,6 +95,8 @@ def test_nothing_to_say(clone):
     assert released(clone, "0.2.0") == (1, expected)
 
 
+@MARK_RELEASE
+@MARK_RELEASE_1
 def test_a_release_that_fails_leaves_the_clone_as_it_was(clone, monkeypatch):
     """A python3 that fails stands where the build would begin, after the release is committed."""
     before = git(clone, "rev-parse", "HEAD")
@@ -77,3 +108,132 @@ def test_a_release_that_fails_leaves_the_clone_as_it_was(clone, monkeypatch):
     assert (clone / ".git/reached").read_text() == "Release 0.2.0\n"
     assert git(clone, "rev-parse", "HEAD") == before
     assert git(clone, "status", "--porcelain") + git(clone, "tag") == ""
+
+
+CHECKER = Path(__file__).parents[1] / ".ci/wheel_contents.py"
+MARK_WHEEL_CONTENTS_2 = pytest.mark.skipif(
+    not (Path(kernel.__file__).parent / "kernels_v3.so").exists(), reason="of x86-64"
+)
+MARK_WHEEL_CONTENTS_1 = pytest.mark.skipif(
+    sys.platform != "linux", reason="wraps the libraries of Linux on x86-64"
+)
+MARK_WHEEL_CONTENTS = pytest.mark.skipif(not CHECKER.exists(), reason="the source distribution has no .ci")
+HERE = "manylinux_2_17_x86_64"
+
+
+@pytest.fixture(scope="module")
+def checker():
+    spec = importlib.util.spec_from_file_location("wheel_contents", CHECKER)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # dataclasses look it up
+    spec.loader.exec_module(module)
+    return module
+
+
+def wheel(folder, checker, tag=HERE, says=None, leave_out=(), add=()):
+    """A wheel of the checkout's own libraries."""
+    libraries = Path(kernel.__file__).parent.glob("kernels_*.so")
+    files = {f"gelform/_native/{path.name}": path.read_bytes() for path in libraries}
+    for name in checker.MUST_HOLD:
+        place = f"gelform-1.dist-info/{name}" if name.startswith("licenses") else name
+        files[place] = b"text"
+    files["gelform-1.dist-info/WHEEL"] = f"Root-Is-Purelib: false\nTag: py3-none-{says or tag}\n".encode()
+    files |= dict.fromkeys(add, b"text")
+    files = {name: data for name, data in files.items() if name not in leave_out}
+    rows = [
+        f"{name},sha256={base64.urlsafe_b64encode(hashlib.sha256(data).digest()).rstrip(b'=').decode()},{len(data)}"
+        for name, data in files.items()
+    ]
+    files["gelform-1.dist-info/RECORD"] = "\n".join([*rows, "gelform-1.dist-info/RECORD,,"]).encode()
+    path = folder / f"gelform-1-py3-none-{tag}.whl"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, data in files.items():
+            archive.writestr(name, data)
+    return path
+
+
+@MARK_WHEEL_CONTENTS
+@MARK_WHEEL_CONTENTS_1
+@MARK_WHEEL_CONTENTS_2
+def test_a_right_wheel_has_no_problems(tmp_path, checker):
+    path = wheel(tmp_path, checker)
+    assert checker.problems_of(path) == []
+    assert "x86_64" in checker.description_of(path)
+
+
+@MARK_WHEEL_CONTENTS
+@MARK_WHEEL_CONTENTS_1
+@MARK_WHEEL_CONTENTS_2
+@pytest.mark.parametrize(
+    ("changed", "problem"),
+    [
+        ({"tag": "manylinux_2_17_aarch64"}, "the tag says manylinux_2_17_aarch64"),
+        ({"tag": "win_amd64"}, "kernels_base.dll"),
+        ({"tag": "macosx_11_0_x86_64"}, "it is for manylinux x86_64"),
+        ({"tag": "manylinux_2_1_x86_64"}, "it needs a system of"),
+        ({"says": "linux_x86_64"}, "The file WHEEL says"),
+        ({"leave_out": ["gelform/_native/kernels_v3.so"]}, "Expected the libraries"),
+        ({"leave_out": ["gelform/calibration/starters/digit.npz"]}, "digit.npz is missing"),
+        ({"leave_out": ["gelform-1.dist-info/licenses/NOTICE"]}, "NOTICE is missing"),
+        (
+            {"add": ["tests/depth/test_integrate.py"]},
+            "tests/depth/test_integrate.py does not belong in a wheel",
+        ),
+        ({"add": ["gelform/left.o"]}, "gelform/left.o does not belong in a wheel"),
+    ],
+)
+def test_what_is_wrong_is_said(tmp_path, checker, changed, problem):
+    assert any(problem in said for said in checker.problems_of(wheel(tmp_path, checker, **changed)))
+
+
+@MARK_WHEEL_CONTENTS
+@MARK_WHEEL_CONTENTS_1
+@MARK_WHEEL_CONTENTS_2
+def test_bytes_that_record_does_not_have_are_found(tmp_path, checker):
+    path = wheel(tmp_path, checker)
+    with zipfile.ZipFile(path, "a") as archive:
+        archive.writestr("gelform/added.py", b"1")
+    assert any("gelform/added.py" in said for said in checker.problems_of(path))
+
+
+@MARK_WHEEL_CONTENTS
+@MARK_WHEEL_CONTENTS_1
+@MARK_WHEEL_CONTENTS_2
+def test_a_library_of_another_system_is_no_library(checker):
+    with pytest.raises(ValueError, match="Expected an ELF, Mach-O or PE file"):
+        checker.library_from_bytes(b"\x7fOLF" + bytes(60))
+
+
+PYPROJECT = Path(__file__).parents[1] / "pyproject.toml"
+SCRIPTS = {"docs"}  # of the checkout, which another process runs: `.ci/extras` tries them
+HARMLESS = {"png"}  # without it Python's own zlib reads the same pixels
+IMPORTED_AS = {"rerun-sdk": "rerun", "foxglove-sdk": "foxglove", "eclipse-zenoh": "zenoh"}
+EXTRAS = tomllib.loads(PYPROJECT.read_text(encoding="utf-8"))["project"]["optional-dependencies"]
+
+
+def modules_of(extra):
+    """The modules that an extra brings, as they are imported."""
+    packages = [re.match(r"[\w.-]+", one)[0] for one in EXTRAS[extra]]
+    return {IMPORTED_AS.get(package, package.replace("-", "_")) for package in packages}
+
+
+def test_every_extra_has_a_use():
+    assert set(EXTRAS) - {"dev"} == {EXTRA_OF.get(use, use) for use in USES}
+
+
+@pytest.mark.parametrize("use", sorted(set(USES) - SCRIPTS - HARMLESS))
+def test_without_its_packages_it_is_named(use, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    prepared(tmp_path)
+    extra = EXTRA_OF.get(use, use)
+    missing = modules_of(extra)
+    for module in [*missing, *sys.modules]:
+        if module.split(".")[0] in missing:
+            monkeypatch.setitem(sys.modules, module, None)
+        elif module.startswith("gelform.torch"):
+            monkeypatch.delitem(sys.modules, module)
+    with pytest.raises((Exception, SystemExit)) as refused:
+        USES[use]()
+    said = str(refused.value).removeprefix("gelform: error: ").strip()
+    assert "\n" not in said
+    assert f"gelform[{extra}]" in said

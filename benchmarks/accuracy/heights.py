@@ -17,10 +17,9 @@ import gelform
 from accuracy.objects import FACE, OBJECTS, SEED, height_of, usual_presses, walls
 from gelform.result.metrics import press_errors
 from gelform.simulate import LAYOUTS, SimulatedSensor, simulate_press
-from gelform.simulate.gel.gel import Gel
-from gelform.simulate.render import exposed
-from gelform.simulate.sensor.coating import Coating
-from gelform.simulate.sensor.sensor import led_row
+from gelform.simulate.gel import Gel
+from gelform.simulate.light import exposed
+from gelform.simulate.sensor.sensor import Coating, led_row
 from presses import mini_ball, presses_of, unlabeled
 from report import table
 

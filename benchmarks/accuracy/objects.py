@@ -14,7 +14,7 @@ import numpy as np
 import gelform
 from accuracy.real import MIN_PIXELS, SLOPES, fractions_within
 from gelform.calibration.coverage import COARSE, tile_of
-from gelform.depth.anchor import RestAnchor
+from gelform.depth.coarse import RestAnchor
 from gelform.depth.integrate import integrate
 from gelform.result.metrics import angle_deg
 from gelform.simulate import (

@@ -19,8 +19,7 @@ import numpy as np
 
 import gelform
 from gelform.calibration.coverage import COARSE, tile_of
-from gelform.result.metrics import press_errors, score_slopes
-from gelform.result.metrics.ball import ball_center
+from gelform.result.metrics import ball_center, press_errors, score_slopes
 from presses import DATA, labeled, mini_ball, unlabeled
 from report import table
 

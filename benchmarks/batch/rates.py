@@ -25,8 +25,7 @@ import numpy as np
 import gelform
 from gelform.batch import BatchSettings, verify_output
 from gelform.depth.solvers import SOLVERS
-from gelform.exchange.exporters.folders import write_png
-from gelform.exchange.exporters.press_folder import save_simulated_presses
+from gelform.exchange.exporters.press_folder import save_simulated_presses, write_png
 from gelform.simulate import LAYOUTS, simulate_ball_presses
 
 SHAPE, DIFFERENT = (240, 320), 40

@@ -13,11 +13,11 @@ from pathlib import Path
 import numpy as np
 
 from gelform.calibration.fit import calibrate
-from gelform.calibration.library.simulated import SHIPPED, simulated_presses
+from gelform.calibration.library.library import SHIPPED, simulated_presses
 from gelform.calibration.presses.press_set import presses_from_simulated
 from gelform.calibration_file import load_calibration
-from gelform.image.background.average import noise_from_image
-from gelform.sensors.simulated.settings import simulated_sensor_named
+from gelform.image.background import noise_from_image
+from gelform.sensors.simulated import simulated_sensor_named
 from gelform.sensors.source import DEFAULT_SENSOR
 from gelform.simulate import simulate_background
 

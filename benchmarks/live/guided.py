@@ -11,7 +11,7 @@ import numpy as np
 import gelform
 from gelform.calibration.evaluate import evaluate
 from gelform.calibration.presses.press_set import presses_from_simulated
-from gelform.sensors.simulated.settings import simulated_sensor_named
+from gelform.sensors.simulated import simulated_sensor_named
 from gelform.sensors.source import DEFAULT_SENSOR
 from gelform.simulate import simulate_ball_presses
 

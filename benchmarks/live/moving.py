@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from gelform.calibration.library.simulated import ready_calibration
+from gelform.calibration.library.library import ready_calibration
 from gelform.image.frame import Frame
 from gelform.sensors import simulated_sensor_named
-from gelform.sensors.recordings.facts import RecordingFacts
+from gelform.sensors.playback import RecordingFacts
 from gelform.sensors.recordings.mcap_writer import McapRecording
 from gelform.sensors.source import DEFAULT_SENSOR
 from gelform.simulate import Coin, simulate_press, text_relief

@@ -9,7 +9,7 @@ from typing import Any
 
 from websockets.sync.client import ClientConnection, connect
 
-from gelform.live.web.wire import read_message
+from gelform.live.shown import read_message
 from live.server import Live
 
 WATCH = {"do": "watch", "planes": ["depth", "flags", "image"], "encoding": "raw"}

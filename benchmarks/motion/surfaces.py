@@ -8,7 +8,7 @@ import numpy as np
 from scipy.ndimage import map_coordinates
 
 import gelform
-from gelform.motion.mosaic import layer_of, placed, shape_of
+from gelform.motion.track import layer_of, placed, shape_of
 from gelform.simulate import HeightMap, Pose, simulate_pose
 from motion.judged import pose_at, two, within
 from motion.shapes import simulated_sensor

@@ -13,10 +13,9 @@ import numpy as np
 
 import gelform
 from accuracy.real import EDGES, STEEPEST
-from gelform.calibration.circles.samples import PreparedPress
+from gelform.calibration.circles.find import PreparedPress
 from gelform.calibration.held_out.measure import HeldOutSample
-from gelform.result.metrics import score_slopes
-from gelform.result.metrics.ball import ball_center
+from gelform.result.metrics import ball_center, score_slopes
 from presses import unlabeled
 from real_frames.edges import SURE
 from real_frames.sets import Run, percent

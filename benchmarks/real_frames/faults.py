@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 import gelform
-from gelform.image.background.orientation import READINGS, Orientation, orientation_from_image
+from gelform.image.agreement import READINGS, Orientation, orientation_from_image
 from gelform.image.health import FrameHealth
 from presses import DATA
 from real_frames.contacts import OBJECTS, UNTOUCHED

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 import gelform
-from gelform.image.background.light import block_means
+from gelform.image.light import block_means
 from gelform.sensors.streams.memory import Memory
 from gelform.simulate import LAYOUTS
 from real_frames.contacts import with_noise

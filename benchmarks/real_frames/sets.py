@@ -25,7 +25,8 @@ ROOT = Path(gelform.__file__).parent
 NATIVE = ROOT.parents[1] / "native"
 # What a calibration follows from; a cached one is used again while none of these files changes.
 SOURCES = (
-    "calibration", "slopes/color_models", "slopes/confidence", "image/background", "calibration_file.py", "depth/anchor.py",
+    "calibration", "slopes/color_models", "slopes/budget.py", "slopes/sigma.py", "image/agreement.py", "image/background.py",
+    "image/light.py", "image/registration.py", "calibration_file.py", "depth/coarse.py",
 )  # fmt: skip
 T = TypeVar("T")
 

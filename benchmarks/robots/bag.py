@@ -19,7 +19,7 @@ from gelform.exchange.exporters.surface import points_from_result
 from gelform.image.frame import Frame
 from gelform.reconstruct import Reconstructor
 from gelform.result import Reconstruction
-from gelform.robots.bag_file import BagFile
+from gelform.robots.send import BagFile
 from gelform.robots.topics import TOPICS
 from gelform.simulate import LAYOUTS, Ball, Pose, simulate_ball_presses, simulate_pose
 

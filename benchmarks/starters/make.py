@@ -16,27 +16,32 @@ from unittest.mock import patch
 import numpy as np
 
 import gelform
-from gelform.calibration.balls import INNER
 from gelform.calibration.candidates import SlopeReader, step_sigma_of, training_samples
-from gelform.calibration.circles.find import ContactCircle
+from gelform.calibration.circles.find import (
+    ContactCircle,
+    PreparedPress,
+    contact_samples,
+    joined,
+    with_rest_samples,
+)
 from gelform.calibration.circles.locate import locate
 from gelform.calibration.circles.prepare import ColorChanges, prepared_by_offset
-from gelform.calibration.circles.samples import PreparedPress, contact_samples, joined, with_rest_samples
-from gelform.calibration.starters.light import (
+from gelform.calibration.inputs import INNER
+from gelform.calibration.starters.starter import (
+    Starter,
     gain_between,
     levels_from_light,
     light_from_background,
     pixel_places,
+    starter_from_calibration,
 )
-from gelform.calibration.starters.starter import Starter, starter_from_calibration
-from gelform.depth.stepped import CoarseDepth
-from gelform.result.metrics import score_slopes
-from gelform.result.metrics.ball import ball_center, ball_gradients
+from gelform.depth.coarse import CoarseDepth
+from gelform.result.metrics import ball_center, ball_gradients, score_slopes
 from gelform.simulate import LAYOUTS, SimulatedSensor, simulate_ball_presses
-from gelform.simulate.render import exposed
+from gelform.simulate.light import exposed
 from gelform.slopes.color_models import ForwardResponse, HierarchicalModel, Samples
-from gelform.slopes.color_models._shared.least_squares import at_pixels, interpolation
 from gelform.slopes.color_models.forward_response import RIDGES
+from gelform.slopes.color_models.least_squares import at_pixels, interpolation
 from presses import DATA, presses_of, unlabeled, with_circles
 
 FOLDER = Path(gelform.__file__).parent / "calibration" / "starters"

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.simulate import Ball, SimulatedSensor
-from gelform.simulate.gel.gel import Surface, flat_surface, surface_from_indenter
-from gelform.simulate.render import render
+from gelform.simulate.gel import Surface, flat_surface, surface_from_indenter
+from gelform.simulate.light import render
 
 DRIFT_TIME_S = 100.0, 300.0
 RELAXED_MM, RELAXED_WIDTH_MM = (0.01, 0.03), (3.0, 8.0)

@@ -19,8 +19,7 @@ import numpy as np
 import gelform
 from gelform.image.view import View
 from gelform.sensors.grabber import Grabber
-from gelform.sensors.simulated.settings import simulated_sensor_named
-from gelform.sensors.simulated.source import SimulatedSource
+from gelform.sensors.simulated import SimulatedSource, simulated_sensor_named
 from stream.ffmpeg_camera import FFMPEG, FfmpegCamera
 from stream.rates import resident_mb
 

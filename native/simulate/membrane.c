@@ -1,4 +1,4 @@
-// Projected multigrid for a membrane over an obstacle; see simulate/gel/membrane.py for the equation and the source.
+// Projected multigrid for a membrane over an obstacle; see simulate/gel.py for the equation and the source.
 #include <stdlib.h>
 
 #include "../common.h"

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.depth.force.model import ForceModel
+from gelform.depth.force import ForceModel
 from gelform.errors import CalibrationError
 from gelform.foundations.checks import (
     check_gel_thickness,
@@ -22,16 +22,15 @@ from gelform.foundations.checks import (
     check_values,
     check_within,
 )
+from gelform.foundations.files import damaged, digest_of, kind_of_npz, read_npz, write_npz
 from gelform.foundations.findings import Finding
-from gelform.foundations.npz_files import damaged, digest_of, kind_of_npz, read_npz, write_npz
 from gelform.foundations.pictures import picture_bytes, shown_in_notebook
-from gelform.image.background.change import ChangeSettings
-from gelform.image.background.check import background_digest
+from gelform.image.agreement import background_digest
+from gelform.image.background import ChangeSettings
 from gelform.image.frame import as_levels
-from gelform.image.view import View
-from gelform.image.view.view import MAX_PIXELS
+from gelform.image.view import MAX_PIXELS, View
 from gelform.slopes.color_models import COLOR_MODELS, IMPORTED_MODELS, ColorModel, ForwardResponse
-from gelform.slopes.confidence import SlopeSigma
+from gelform.slopes.sigma import SlopeSigma
 
 KIND = "gelform calibration"
 FORMAT_VERSION = 1

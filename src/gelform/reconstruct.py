@@ -13,40 +13,37 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gelform.calibration_file import Calibration, as_calibration
-from gelform.depth.contact import PreparedContact, SlopeDeviations, Surround, unknown_contact
-from gelform.depth.frame import FrameDepth
-from gelform.depth.integrate import Integration
+from gelform.depth.coarse import SteppedSlopes
+from gelform.depth.contact import PreparedContact, SlopeDeviations
+from gelform.depth.integrate import FrameDepth, Integration, checked_solver
+from gelform.depth.regions import Surround, unknown_contact
 from gelform.depth.sigma import DepthErrors, DepthSigma, steep_finding
-from gelform.depth.solvers.inputs import checked_solver
-from gelform.depth.stepped import SteppedSlopes
 from gelform.foundations.checks import check_image
 from gelform.foundations.findings import Finding
 from gelform.foundations.pool import Pool, keep_freed_memory
-from gelform.image.background.change import PreparedBackground
-from gelform.image.background.check import background_digest, check_own_background, check_viewed_image
-from gelform.image.background.light import FrameLight
-from gelform.image.background.untouched import reference_from_color_change
+from gelform.image.agreement import background_digest, check_own_background, check_viewed_image
+from gelform.image.background import PreparedBackground, reference_from_color_change
 from gelform.image.frame import Frame, as_levels, whole_levels
 from gelform.image.health import DepthLimit, FrameFaults, FrameHealth, check_untouched_image
+from gelform.image.light import FrameLight
 from gelform.image.markers import MarkerFlow, MarkerFollower
 from gelform.image.view import image_from_frame
 from gelform.result import Later, Reconstruction
-from gelform.slopes.color_models.seam import AlbedoModel, gradients_from_pending
-from gelform.slopes.confidence import (
+from gelform.slopes.budget import (
+    OUTLIER,
     Budget,
-    ClippedChannels,
     Explanation,
     PreparedBudget,
     ReadSlopes,
-    SlopeSigma,
+    Shown,
     explanation_of,
+    for_both,
     noise_at_rest,
     without_bias,
 )
-from gelform.slopes.confidence.budget import OUTLIER, for_both
-from gelform.slopes.confidence.causes import Clipped, either, excess_noise, outside_of_gel
-from gelform.slopes.confidence.explanation import Shown
+from gelform.slopes.color_models.seam import AlbedoModel, gradients_from_pending
 from gelform.slopes.gradients import slopes_of_solution
+from gelform.slopes.sigma import Clipped, ClippedChannels, SlopeSigma, either, excess_noise, outside_of_gel
 
 # Values for an imported calibration without its own; they affect the contact mask and the anchor, but no slope.
 USUAL_WIDTH_MM = 20.0  # mm, width of the frame on the gel; about that of a GelSight Mini

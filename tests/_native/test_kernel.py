@@ -1,12 +1,85 @@
-"""The check at the kernels' entry: arguments that do not fit a kernel's declaration never reach C."""
+"""The choice of the library, and the error if there is none.
 
+The check at the kernels' entry: arguments that do not fit a kernel's declaration never reach C.
+
+Each kernel is declared in Python as it is written in C, is used, and has a test against numpy.
+"""
+
+import ast
 import gc
+import platform
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from gelform._native import Handle, Kernel, is_finite, library
+import gelform
+from gelform._native import ISAS, Handle, Kernel, instruction_set, is_finite, library
 from gelform._native.kernel import parameters_of, sizes_of
+from gelform.errors import GelformError
+from kernel_agreement import usable_isas
+
+
+@pytest.fixture
+def anew(monkeypatch):
+    """Nothing is loaded yet; what a test loads is forgotten."""
+    library.cache_clear()
+    instruction_set.cache_clear()
+    yield monkeypatch
+    monkeypatch.undo()
+    library.cache_clear()
+    instruction_set.cache_clear()
+
+
+def test_the_best_is_chosen_unless_the_environment_chooses(anew):
+    anew.delenv("GELFORM_ISA", raising=False)
+    assert instruction_set() == usable_isas()[-1]
+    instruction_set.cache_clear()
+    anew.setenv("GELFORM_ISA", "base")
+    assert instruction_set() == "base"
+
+
+def test_cpu_level_agrees_with_the_system():
+    """An independent witness: what Linux says of the processor."""
+    try:
+        flags = Path("/proc/cpuinfo").read_text()
+    except OSError:
+        pytest.skip("no /proc/cpuinfo here")
+    if platform.machine() != "x86_64":
+        assert library("base").cpu_level() == 1
+        return
+    words = set(flags.split())
+    v3, v4 = {"avx2", "fma"}, {"avx512f", "avx512cd", "avx512bw", "avx512dq", "avx512vl"}
+    assert library("base").cpu_level() == (1 if not v3 <= words else 3 if not v4 <= words else 4)
+
+
+def test_an_unknown_set_is_refused(anew):
+    anew.setenv("GELFORM_ISA", "v9")
+    with pytest.raises(ValueError, match="one of base, v3, v4, got 'v9'"):
+        library(instruction_set())
+
+
+@pytest.mark.parametrize(
+    ("sources", "remedy"),
+    [(Path("native"), r"python hatch_build\.py"), (None, "pip install --force-reinstall --no-deps gelform")],
+)
+def test_a_missing_library_and_one_for_another_platform_say_what_to_do(anew, tmp_path, sources, remedy):
+    anew.setattr("gelform._native.kernel._FOLDER", tmp_path)
+    anew.setattr("gelform._native.kernel.native_folder", lambda: sources)
+    with pytest.raises(GelformError, match=f"are missing .*{remedy}$"):
+        library("base")
+    anew.setattr("gelform._native.kernel._SUFFIX", ".so")
+    (tmp_path / "kernels_base.so").write_bytes(b"MZ of some other system")
+    with pytest.raises(GelformError, match=f"do not load on .*{remedy}$"):
+        library("base")
+
+
+def test_a_processor_without_the_instructions_is_refused(anew):
+    anew.setitem(ISAS, "v3", 99)
+    with pytest.raises(GelformError, match=r"cannot run the kernels for 'v3'. Unset GELFORM_ISA"):
+        library("v3")
+
 
 ZEROS = np.zeros((3, 4), np.float32)
 
@@ -91,7 +164,8 @@ def test_an_optional_array_may_be_none_and_one_that_may_only_be_read_is_taken():
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("place", [0, 15, 16, 30])
 def test_finite_sees_every_place(bad, place, usable_isa, monkeypatch):
-    monkeypatch.setattr("gelform._native.kernel.library", lambda _: library(usable_isa))
+    kernels = library(usable_isa)
+    monkeypatch.setattr("gelform._native.kernel.library", lambda _: kernels)
     values = np.full(31, 3e38, np.float32)
     assert is_finite(values)
     values[place] = bad
@@ -127,3 +201,101 @@ def test_shapes_have_to_agree_with_each_other():
     for parameter, shape in ((mask, (5, 4)), (image, (4, 5, 4)), (mask, (4, 5, 1)), (slopes, (14, 3))):
         with pytest.raises(ValueError, match=f"expected {parameter.name} of shape"):
             parameter.match_axes(shape, dict(sizes))
+
+
+SOURCE = Path(gelform.__file__).parent
+NATIVE = SOURCE.parents[1] / "native"
+TESTS = Path(__file__).parents[1]
+CTYPES = {
+    "f32": "float",
+    "f64": "double",
+    "u8": "uint8_t",
+    "u16": "uint16_t",
+    "i32": "int32_t",
+    "i64": "int64_t",
+    "bool": "bool",
+}
+NOT_KERNELS = {"cpu_level", "sources_digest", "version_digest", "finite_f32"} | {
+    "multigrid_plane"
+}  # called by the door itself; by a test
+
+MARK_DECLARATIONS = pytest.mark.skipif(
+    not NATIVE.is_dir(), reason="gelform is installed without its C sources"
+)
+
+
+def c_functions() -> dict[str, str]:
+    """Exported name -> its parameters as written in C."""
+    found = {}
+    for path in sorted(NATIVE.rglob("*.c")):
+        for returned, name, parameters in re.findall(
+            r"^EXPORT ([\w ]+?[ *]+)(\w+)\(([^)]*)\)", path.read_text(), re.M
+        ):
+            assert name not in found, f"{name} is exported twice"
+            found[name] = " ".join(parameters.split())
+            if not name.endswith(("_new", "_free")):
+                assert returned.strip() == "int", f"{name} returns {returned}, no status"
+    return found
+
+
+def declarations() -> dict[str, tuple[str, Kernel]]:
+    """Exported name -> the variable that holds its kernel in Python, and the kernel."""
+    found = {}
+    for path in sorted(SOURCE.rglob("*.py")):
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.Assign) and ast.unparse(node.value).startswith("Kernel("):
+                name, declaration = (ast.literal_eval(argument) for argument in node.value.args)
+                found[name] = ast.unparse(node.targets[0]), Kernel(name, declaration)
+    return found
+
+
+def prototype(kernel: Kernel) -> str:
+    """The parameters that a declaration promises."""
+    written = []
+    for p in kernel.parameters:
+        if p.is_handle:
+            written.append(f"struct {p.kind} *{p.name}")
+        elif p.axes is None:
+            written.append(f"{CTYPES[p.kind]} {p.name}")
+        else:
+            written.append(f"{'' if p.role == 'out' else 'const '}{CTYPES[p.kind]} *{p.name}")
+    return ", ".join([*written, *(f"ptrdiff_t {size}" for size in kernel.sizes)])
+
+
+C, PYTHON = c_functions(), declarations()
+
+
+@MARK_DECLARATIONS
+@pytest.mark.parametrize("name", PYTHON)
+def test_declared_as_written(name):
+    written = C[name].replace("restrict ", "").replace("const struct", "struct")
+    assert written == prototype(PYTHON[name][1])
+
+
+@MARK_DECLARATIONS
+def test_every_exported_function_is_declared():
+    assert {name for name in C if not name.endswith(("_new", "_free"))} - NOT_KERNELS == PYTHON.keys()
+
+
+@MARK_DECLARATIONS
+def test_handles_are_made_and_freed():
+    kinds = {p.kind for _, kernel in PYTHON.values() for p in kernel.parameters if p.is_handle}
+    assert {f"{kind}_{what}" for kind in kinds for what in ("new", "free")} <= C.keys()
+
+
+@MARK_DECLARATIONS
+def test_every_kernel_is_compared_with_numpy():
+    """But those that work on a handle, which their room tests as a whole."""
+    tests = "\n".join(path.read_text(encoding="utf-8") for path in sorted(TESTS.rglob("test_*.py")))
+    compared = set(re.findall(r"assert_kernel_agrees\(\s*(?:\w+\.)*(\w+)", tests))
+    plain = {
+        variable for variable, kernel in PYTHON.values() if not any(p.is_handle for p in kernel.parameters)
+    }
+    assert plain <= compared
+
+
+@MARK_DECLARATIONS
+def test_no_room_but_the_door_knows_ctypes():
+    for path in SOURCE.rglob("*.py"):
+        if path.parent.name != "_native":
+            assert not re.search(r"^\s*(import|from) ctypes", path.read_text(encoding="utf-8"), re.M), path

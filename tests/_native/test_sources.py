@@ -22,7 +22,7 @@ from gelform._native.sources import (
 
 pytestmark = pytest.mark.skipif(native_folder() is None, reason="gelform is installed without its C sources")
 A_KERNEL = (
-    "import numpy; from gelform.foundations.fill import fill_unknown;"
+    "import numpy; from gelform.foundations.filters import fill_unknown;"
     " fill_unknown(numpy.ones((9, 9, 1)), numpy.eye(9) > 0)"
 )
 

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from made.lerobot_set import EPISODES, encoded, write_lerobot_set
+from made.files import EPISODES, encoded, write_lerobot_set
 from made.small_gel import SHAPE, Touch, calibration, image_of, save
 
 COUNT = 4  # images in each folder

@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 
 from gelform.batch import KEPT, run_batch, verify_output
-from gelform.batch.finish import GAP_PX, LABEL_PX, TILE_PX, contact_sheet, sheet_bytes
 from gelform.batch.manifest import Manifest, begin, only_run, read_manifest
 from gelform.batch.outputs.files import OutputFile
 from gelform.batch.records import (
@@ -28,6 +27,7 @@ from gelform.batch.records import (
     write_record,
     write_table,
 )
+from gelform.batch.run import GAP_PX, LABEL_PX, TILE_PX, contact_sheet, sheet_bytes
 from gelform.batch.settings import BatchSettings
 from gelform.errors import DataError
 from made.small_gel import save
@@ -292,7 +292,7 @@ def test_no_sheet_where_no_depth_was_kept_and_unknown_pixels_are_dark(tree, cal,
     assert not (tmp_path / "out/sheet.png").exists()
     depth = np.full((64, 80), np.nan, np.float32)
     row = {"sequence": "ä", "frame": "0", "deepest_mm": 0.0, "health": ""}
-    monkeypatch.setattr("gelform.batch.finish._choose_frames", lambda *_: [(depth, row)])
+    monkeypatch.setattr("gelform.batch.run._choose_frames", lambda *_: [(depth, row)])
     sheet = cv2.imdecode(np.frombuffer(sheet_bytes(tmp_path, None), np.uint8), cv2.IMREAD_COLOR)
     assert sheet[:100, :TILE_PX].max() < 90
 

@@ -6,13 +6,12 @@ import pytest
 from gelform.calibration.circles.find import find_contact
 from gelform.calibration.circles.prepare import prepare
 from gelform.calibration.fitted import untouched_change
-from gelform.calibration.held_out.folds import make_folds
 from gelform.calibration.held_out.measure import HeldOutSample
-from gelform.calibration.held_out.scores import HeldOutPresses
+from gelform.calibration.held_out.scores import HeldOutPresses, make_folds
 from gelform.calibration.report.content import report_content
 from gelform.calibration.report.learning import learning_curve
 from gelform.calibration.report.page import report_page
-from gelform.result.metrics.ball import ball_gradients
+from gelform.result.metrics import ball_gradients
 
 
 @pytest.fixture(scope="session")

@@ -24,16 +24,16 @@ from gelform.calibration.candidates import (
     training_samples,
     translated,
 )
-from gelform.calibration.circles.samples import ZONE, PreparedPress
+from gelform.calibration.circles.find import ZONE, PreparedPress
 from gelform.calibration.starters.starter import load_starter
 from gelform.errors import CalibrationError
-from gelform.image.background.change import gain_from_background
+from gelform.image.background import gain_from_background
 from gelform.reconstruct import Reconstructor
 from gelform.simulate import Ball, simulate_press
 from gelform.slopes.color_models import COLOR_MODELS, ForwardResponse, HierarchicalModel, hierarchical
-from gelform.slopes.color_models._shared.least_squares import node_positions
 from gelform.slopes.color_models.forward_response import RIDGES, TERMS
-from made.color_samples import ball_samples, lambertian_change
+from gelform.slopes.color_models.least_squares import node_positions
+from made.images import ball_samples, lambertian_change
 
 
 def described(color_model, presses):

@@ -1,4 +1,11 @@
-"""calibrate: from a folder to depth, never with the simulator's own constants."""
+"""calibrate: from a folder to depth, never with the simulator's own constants.
+
+The error of a place, as presses of a ball show it.
+
+The color model and the forward response of all presses, and how large a change an untouched pixel may show.
+
+evaluate: says what was seen, uses labels where there are any, and measures through the whole path.
+"""
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -7,14 +14,30 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform.calibration.circles.edge import contact_radius_ratio
-from gelform.calibration.circles.find import ContactCircle
-from gelform.calibration.circles.locate import Located, Refined, check_places, refine
-from gelform.calibration.circles.samples import USUAL_EDGE
+from gelform.calibration.candidates import Candidate
+from gelform.calibration.circles.find import USUAL_EDGE, ContactCircle, PreparedPress
+from gelform.calibration.circles.locate import Located, Refined, check_places, contact_radius_ratio, refine
+from gelform.calibration.evaluate import face_height_mm
+from gelform.calibration.fit import place_error_from_presses
+from gelform.calibration.fitted import (
+    FIRST_GUESS,
+    USUAL_UNTOUCHED_CHANGE,
+    _settings,
+    fit_all,
+    image_noise,
+    relaxation_from_presses,
+    slopes_around,
+    untouched_change,
+)
+from gelform.calibration.presses.press_set import FlatPress
+from gelform.calibration_file import calibration_from_contents
+from gelform.image.view import View
 from gelform.result.metrics import press_errors
-from gelform.simulate import Ball, simulate_ball_presses, simulate_press
+from gelform.simulate import LAYOUTS, Ball, Punch, simulate_ball_presses, simulate_press
+from gelform.simulate.gel import ball_press, surface_from_indenter
 from gelform.slopes.color_models import COLOR_MODELS
-from made.halved import halved
+from gelform.slopes.color_models.forward_response import RIDGES
+from made.images import halved
 
 
 def test_held_out_errors_are_those_of_new_presses(calibration, simulated):
@@ -221,3 +244,294 @@ def test_what_cannot_be_started_from_is_said(calibration, presses):
     other = replace(calibration, color_model=replace(calibration.color_model, shape=(10, 10)))
     with pytest.raises(ValueError, match=r"10x10 px"):
         gelform.calibrate(presses, start=other)
+
+
+def circles_of(presses, calibration, shift=lambda x, y: (0.0, 0.0)):
+    rows = [row for row in calibration.report.presses if row.accepted]
+    used = [press for press, row in zip(presses.presses, calibration.report.presses) if row.accepted]
+    places = [(row.center_x_px, row.center_y_px, row.contact_radius_px) for row in rows]
+    return used, [
+        ContactCircle(x + shift(x, y)[0], y + shift(x, y)[1], radius, 0.9, 5.0) for x, y, radius in places
+    ]
+
+
+def test_it_is_small_on_a_simulated_sensor_and_kept_in_the_file(calibration):
+    assert 0.0005 < calibration.settings.place_error < 0.03
+    assert calibration_from_contents(*calibration.contents()).settings.place_error == pytest.approx(
+        calibration.settings.place_error
+    )
+
+
+@pytest.mark.slow
+def test_a_wrong_scale_of_the_circles_is_an_error_of_places(presses, calibration):
+    """Circles 3 % nearer to the middle: each axis is off by 3 % of the displacement, over the root of two."""
+    middle = (np.array(calibration.image_shape[::-1]) - 1) / 2
+    nearer = circles_of(presses, calibration, lambda x, y: tuple(-0.03 * (np.array([x, y]) - middle)))
+    found, own = place_error_from_presses(calibration, *nearer), calibration.settings.place_error
+    assert found == pytest.approx(0.03 / np.sqrt(2), abs=1.5 * own + 0.0015)
+
+
+def test_few_presses_do_not_show_it(presses, calibration):
+    used, circles = circles_of(presses, calibration)
+    assert place_error_from_presses(calibration, used[:3], circles[:3]) is None
+
+
+def test_a_file_with_an_impossible_one_is_refused(calibration):
+    arrays, meta = calibration.contents()
+    with pytest.raises(ValueError, match="place_error"):
+        calibration_from_contents(arrays, {**meta, "settings": {**meta["settings"], "place_error": 2.0}})
+
+
+class Change:
+    """A prepared press, as far as its size of change goes."""
+
+    def __init__(self, size):
+        self.size = size
+
+
+def circle(x, y, radius):
+    fields = dict.fromkeys(ContactCircle.__dataclass_fields__, 0.0)
+    return ContactCircle(**{**fields, "x_px": x, "y_px": y, "radius_px": radius})
+
+
+def test_it_is_seen_beyond_three_radii():
+    size = np.full((60, 80), 9.0, dtype=np.float32)
+    rows, columns = np.mgrid[:60, :80]
+    size[np.hypot(columns - 20, rows - 30) > 30] = 0.01
+    assert untouched_change([Change(size)], [circle(20, 30, 10)]) == pytest.approx(0.01)
+    assert untouched_change([Change(size)], [circle(20, 30, 9)]) > 1, (
+        "a ring of touched gel is inside three radii"
+    )
+
+
+def test_a_press_as_large_as_the_image_leaves_the_usual():
+    size = np.ones((20, 30), dtype=np.float32)
+    assert untouched_change([Change(size)], [circle(15, 10, 30)]) == USUAL_UNTOUCHED_CHANGE
+
+
+def test_the_draft_is_of_the_accepted_presses(presses, calibration):
+    digests = [
+        press.digest for press, row in zip(presses.presses, calibration.report.presses) if row.accepted
+    ]
+    assert list(calibration.training_digests) == digests
+    assert calibration.settings["presses"] == len(digests)
+
+
+def test_the_cameras_settings_are_kept(presses, calibration):
+    assert "camera" not in calibration.settings
+    candidate = Candidate("hierarchical", (("ridge", 1e-3),), step_ridge=3e-5)
+    with_camera = replace(presses, camera={"exposure": 50.0})
+    images = [press.image for press in presses.presses]
+    kept = _settings(with_camera, candidate, images, 0.8, relaxation_mm=0.5)
+    assert kept["camera"] == {"exposure": 50.0}
+    assert kept["relaxation_mm"] == 0.5
+    assert (kept["contact_radius_ratio"], kept["ridge"], kept["step_ridge"]) == (0.8, 1e-3, 3e-5)
+    assert "step_ridge" not in _settings(with_camera, replace(candidate, step_ridge=None), images, 0.8)
+
+
+def test_the_noise_of_images_is_found_under_what_is_smooth():
+    rng = np.random.default_rng(0)
+    y, x = np.mgrid[:120, :160] / 20
+    background = (100 + 10 * np.sin(x) + 5 * np.cos(y))[..., None] * np.ones(3)
+    images = [
+        background + (20 * np.sin(x + k))[..., None] + rng.normal(size=(120, 160, 3)) * [1, 2, 3]
+        for k in range(15)
+    ]
+    np.testing.assert_allclose(image_noise(images, background.astype(np.float32)), [1, 2, 3], rtol=0.03)
+
+
+@pytest.fixture(scope="module")
+def drafted(presses, prepared, found):
+    """Makes the draft of the presses, some of their images changed, by a candidate of a given step."""
+    refined = refine(prepared, found)
+
+    def make(step_ridge, change=lambda image: image):
+        candidate = Candidate("polynomial", (("position_degrees", (2, 1)),), step_ridge=step_ridge)
+        changed = tuple(replace(press, image=change(press.image)) for press in presses.presses)
+        own = replace(presses, presses=changed).subset(refined.accepted)
+        return fit_all(own, *refined.of_accepted(prepared), candidate, 0.02)
+
+    return make
+
+
+def test_a_step_is_in_the_draft_where_one_was_chosen(drafted):
+    """The forward response is there all the same: it renders, and says what a fault is."""
+    plain, stepped = drafted(None), drafted(RIDGES[0])
+    assert plain.forward.step_sigma is None
+    at_rest, per_slope = stepped.forward.step_sigma
+    assert 0.001 < at_rest < per_slope < 0.5
+    np.testing.assert_array_equal(plain.forward.nodes, stepped.forward.nodes)
+    assert plain.slope_sigma == FIRST_GUESS
+    assert stepped.slope_sigma.per_step == 1.0, "what the step states, as it states it"
+
+
+def test_channels_that_presses_clip_are_kept(drafted, prepared, found):
+    """At each end, by the share of the pixels that train: what is learned there holds for clipped pixels too."""
+    inside = prepared[0].pixels(found[0], 0.9)
+
+    def clipped(image):
+        changed = np.clip(image, 10, 245)  # all usual levels lie between
+        changed[inside[0], inside[1], 2] = 255
+        changed[inside[0][:3], inside[1][:3], 0] = 0  # of hardly any pixel
+        return changed
+
+    usual = drafted(RIDGES[0], lambda image: np.clip(image, 10, 245)).forward.clipped
+    assert usual.shape == (2, 3)
+    assert not usual.any()
+    np.testing.assert_array_equal(
+        drafted(RIDGES[0], clipped).forward.clipped, [[False, False, False], [False, False, True]]
+    )
+
+
+PITCH = 0.0634
+REST = np.zeros((240, 320, 3), np.float32)
+
+
+class SlopesAsColors:
+    """A color model whose color changes are the slopes themselves."""
+
+    def prepare(self, background, shape):
+        return self
+
+    def gradients_from_color(self, change):
+        return change[..., :2], None
+
+
+def presses(length, noise=0.02, tilt=0.0, centers=((0, 0), (-2, 1), (3, -2))):
+    x_mm, y_mm = LAYOUTS["three-edges"].grid_mm()
+    rng, made, circles = np.random.default_rng(0), [], []
+    for center, radius, depth in zip(centers, (2.5, 4.0, 2.5), (0.3, 0.4, 0.5)):
+        surface = surface_from_indenter(
+            Ball(radius), x_mm, y_mm, center_mm=center, depth_mm=depth, relaxation_mm=length
+        )
+        change = rng.normal(tilt, noise, REST.shape).astype(np.float32)
+        change[..., :2] += surface.gradients
+        made.append(PreparedPress("a", change, np.zeros(REST.shape[:2], np.float32), radius / PITCH))
+        contact_px = ball_press(radius, depth, length).contact_radius_mm / PITCH
+        middle = (center[0] / PITCH + 159.5, center[1] / PITCH + 119.5)
+        circles.append(ContactCircle(*middle, contact_px, 0.9, 5.0))
+    return made, circles
+
+
+@pytest.mark.parametrize("length", [0.3, 0.5, 0.9])
+@pytest.mark.parametrize("tilt", [0.0, 0.05])
+def test_the_length_of_simulated_gels(length, tilt):
+    made, circles = presses(length, tilt=tilt)
+    assert relaxation_from_presses(SlopesAsColors(), made, circles, REST, PITCH) == pytest.approx(
+        length, rel=0.06
+    )
+
+
+def test_nothing_is_said_of_noise_or_of_contacts_that_are_cut():
+    rng = np.random.default_rng(0)
+    made, circles = presses(0.5)
+    for one in made:
+        one.color_change[:] = rng.normal(0, 0.02, REST.shape)
+    assert relaxation_from_presses(SlopesAsColors(), made, circles, REST, PITCH) is None
+    made, circles = presses(0.5, centers=((-10, 0), (10, 1), (0, 7.5)))
+    assert relaxation_from_presses(SlopesAsColors(), made, circles, REST, PITCH) is None
+
+
+def test_rings_hold_the_outward_slope_and_leave_out_what_is_not_usable():
+    y, x = np.mgrid[:240, :320].astype(np.float32)
+    gradients = np.stack([0.1 * (x - 160), 0.1 * (y - 120)], axis=-1)
+    usable = (x + y) % 9 > 0
+    r_mm, slope, pixels = slopes_around(gradients, ContactCircle(160, 120, 20, 0.9, 5.0), usable, PITCH)
+    np.testing.assert_allclose(slope, 0.1 * r_mm / PITCH, rtol=1e-4)
+    assert r_mm[0] > 24 * PITCH
+    assert pixels.sum() == pytest.approx(8 / 9 * np.pi * ((r_mm[-1] / PITCH) ** 2 - 25**2), rel=0.03)
+
+
+def test_seen_presses_are_counted(calibration, presses):
+    evaluation = gelform.evaluate(calibration, presses)
+    assert evaluation.seen == len(calibration.training_digests)
+    other = replace(presses.presses[0], digest="new")
+    assert gelform.evaluate(calibration, replace(presses, presses=(other,))).seen == 0
+
+
+def test_labels_are_used(calibration, presses, simulated):
+    truth = simulated.presses[0]
+    label = (*truth.center_px, truth.contact_radius_px)
+    labeled = replace(presses, presses=(replace(presses.presses[0], label=label),))
+    evaluation = gelform.evaluate(calibration, labeled)
+    assert evaluation.rows[0]["circle_px"] == label
+    assert evaluation.summary["normal_deg"] < 6
+
+
+def test_flat_punches_are_read_beside_the_balls(calibration, presses, sensor):
+    def pressed(center_mm):
+        rng = np.random.default_rng(0)
+        image = simulate_press(sensor, Punch(4.0), depth_mm=0.25, center_mm=center_mm, rng=rng).image
+        flat = FlatPress("flat", image, 0.25, "digest")
+        assert repr(flat) == "FlatPress(flat, 0.25 mm high)"
+        return flat
+
+    flats = pressed((0.0, 0.0)), pressed((9.0, 0.0))
+    evaluation = gelform.evaluate(calibration, replace(presses.subset([0]), flats=flats))
+    whole, cut = evaluation.to_dict()["flats"]
+    assert whole["read_mm"] == pytest.approx(0.25, rel=0.15)
+    assert cut == {"name": "flat", "height_mm": 0.25, "read_mm": None}
+
+
+def tilted_disc(center, radius, height, tilt, around=6.0):
+    """Depth (90, 120) of a disc whose face is tilted along x, and of gel that comes down beside it."""
+    y, x = np.mgrid[:90, :120].astype(float)
+    distance = np.hypot(x - center[0], y - center[1])
+    face = height + tilt * np.clip(x - center[0], -radius, radius)
+    return (face * np.exp(-np.maximum(distance - radius, 0) / around)).astype(np.float32)
+
+
+@pytest.mark.parametrize("tilt", [0.0, 0.002])
+@pytest.mark.parametrize("around", [0.5, 3.0, 6.0])
+def test_the_middle_of_a_face_is_read_whatever_its_tilt_and_its_surroundings(tilt, around):
+    """One that the border cuts has no height."""
+    assert face_height_mm(tilted_disc((70, 40), 20, 0.3, tilt, around)) == pytest.approx(0.3, rel=0.02)
+    for none in (tilted_disc((10, 40), 20, 0.3, 0), np.zeros((90, 120), np.float32)):
+        assert np.isnan(face_height_mm(none))
+
+
+def test_errors_are_counted_inside_the_edge_of_the_calibrations_contacts(calibration, presses):
+    """An imported calibration does not know it: then up to the visible rim."""
+    few = presses.subset([0, 3, 5])
+    ratio = calibration.settings["contact_radius_ratio"]
+    known = gelform.evaluate(calibration, few)
+    assert known.where["contact_radius_ratio"] == ratio
+    assert known.summary["normal_free_deg"] < known.summary["normal_rim_deg"]
+    settings = {name: one for name, one in calibration.settings.items() if name != "contact_radius_ratio"}
+    without = gelform.evaluate(replace(calibration, settings=settings), few)
+    assert without.where["contact_radius_ratio"] == 1
+    assert without.summary["normal_free_deg"] == without.summary["normal_rim_deg"]
+    assert without.where["contact"]["normal_deg"] == without.where["rim"]["normal_deg"]
+
+
+def test_untouched_images_cannot_be_evaluated(calibration, presses):
+    rest = replace(presses.presses[0], image=np.round(presses.background).astype(np.uint8))
+    with pytest.raises(gelform.DataError, match="could be evaluated"):
+        gelform.evaluate(calibration, replace(presses, presses=(rest,)))
+
+
+def test_paths_are_read(calibration, folder, presses, tmp_path):
+    calibration.save(tmp_path / "cal.npz")
+    assert gelform.evaluate(str(tmp_path / "cal.npz"), folder) == gelform.evaluate(calibration, presses)
+    with pytest.raises(TypeError, match="Expected a Calibration or the path of one, got int"):
+        gelform.evaluate(3, presses)
+    with pytest.raises(TypeError, match="Expected presses"):
+        gelform.evaluate(calibration, 3)
+
+
+def test_frames_are_seen_through_the_calibrations_view(calibration, presses, simulated):
+    """Presses without a view of their own, of the size of the view's frames: also where a flip alone changes them."""
+    view = View(presses.image_shape, flip="x")
+    label = (*simulated.presses[0].center_px, simulated.presses[0].contact_radius_px)
+    turned = tuple(
+        replace(press, image=np.ascontiguousarray(press.image[:, ::-1]), label=None)
+        for press in presses.presses[:2]
+    )
+    width = presses.image_shape[1]
+    turned = (replace(turned[0], label=(width - 1 - label[0], *label[1:])), turned[1])
+    frames = replace(presses, presses=turned, background=np.ascontiguousarray(presses.background[:, ::-1]))
+    straight = replace(presses, presses=(replace(presses.presses[0], label=label), presses.presses[1]))
+    found = gelform.evaluate(replace(calibration, view=view), frames)
+    assert found.rows[0]["circle_px"] == pytest.approx(label)
+    assert found.summary == pytest.approx(gelform.evaluate(calibration, straight).summary)
+    assert found.seen == 2

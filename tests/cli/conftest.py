@@ -11,7 +11,7 @@ from gelform.calibration.presses.folder import read_presses
 from gelform.cli import main
 from gelform.exchange.exporters.press_folder import save_simulated_presses
 from gelform.simulate import LAYOUTS, Ball, simulate_ball_presses, simulate_press
-from made.networks import web_file
+from made.files import web_file
 from made.small_gel import save
 
 SMALL = replace(LAYOUTS["three-edges"], shape=(120, 160), mm_per_px=0.1268, name="small")

@@ -1,15 +1,24 @@
-"""All commands: help starts at once, exit statuses, one line for a mistake."""
+"""All commands: help starts at once, exit statuses, one line for a mistake.
 
+Option values are checked when parsed, groups are flat on the command line, names are those of the tables.
+"""
+
+import ast
 import re
 import subprocess
 import sys
+from pathlib import Path
+from typing import Annotated, Optional
 
 import pytest
+import typer
 
+import gelform
 from gelform import __version__
-from gelform.cli import command_names
-from gelform.cli.app import GROUPS
+from gelform.cli import command_names, options
+from gelform.cli.app import GROUPS, app
 from gelform.cli.app import SUBCOMMANDS as WITH_OWN
+from gelform.cli.options import as_written, numbers, one_of, positive
 
 COMMANDS = command_names()
 BELOW = {"calibrations": ("list", "add", "remove", "export"), "force": ("calibrate", "evaluate")}
@@ -103,3 +112,158 @@ def test_an_option_given_twice_is_refused_where_it_would_drop_a_value(fails, run
     assert "'--background': expected once, got 2 times." in said
     assert run("info", rest, "--json", "--json")[0] == 0, "a flag drops nothing"
     assert run("force", "calibrate", "a", "-c", "b", "-c", "d")[0] == 2, "commands of a command too"
+
+
+SOURCE = Path(gelform.__file__).parent
+
+
+def test_numbers_are_read_and_others_refused():
+    assert positive("1e-2") == 0.01
+    assert numbers("1,2.5,-3", "A,B,C", "--x") == (1, 2.5, -3)
+    for text in ("0", "-1", "nan", "inf", "six", "", "1,2"):
+        with pytest.raises(typer.BadParameter, match=r"expected a number > 0, got"):
+            positive(text)
+    for text in ("1,2", "1,2,3,4", "1,b,3", "", "1,nan,3"):
+        with pytest.raises(typer.BadParameter, match="expected A,B,C, got"):
+            numbers(text, "A,B,C", "--x")
+
+
+def test_a_name_has_to_be_known():
+    assert one_of("a", ("a", "b"), "--x") == "a"
+    with pytest.raises(typer.BadParameter, match="expected a or b, got 'c'"):
+        one_of("c", ("a", "b"), "--x")
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "message"),
+    [
+        ("--mm-per-px", "15.8", "up to 1 mm, got 15.8. If these are pixels per mm, give 1/15.8 = 0.06329."),
+        ("--mm-per-px", "px", "expected a number > 0, got 'px'"),
+        ("--mm-per-px", "1e-6", "at least 0.0001 mm, got 1e-06. Is it in mm?"),
+        ("--ball-diameter-mm", "300", "up to 200 mm, got 300."),
+        ("--ball-diameter-mm", "6,35", "got '6,35'. Write it with a decimal point: 6.35."),
+    ],
+)
+def test_a_number_that_no_sensor_or_ball_has_is_said(fails, press_folder, tmp_path, option, value, message):
+    for command, file in (("calibrate", "-o"), ("evaluate", "-c")):
+        said = fails(command, press_folder, file, tmp_path / "c.npz", option, value, status=2)
+        assert option in said
+        assert message in said
+
+
+def test_the_names_are_those_of_the_tables():
+    from gelform.calibration.starters import starter_names
+    from gelform.exchange.importers.calibrations import PACKAGES
+    from gelform.sensors.profiles import SENSORS
+    from gelform.simulate import LAYOUTS
+    from gelform.slopes.color_models import COLOR_MODELS
+
+    assert tuple(starter_names()) == options.STARTERS
+    assert tuple(COLOR_MODELS) == options.COLOR_MODELS
+    assert tuple(PACKAGES) == options.PACKAGES
+    assert tuple(SENSORS) == options.SENSORS
+    assert tuple(LAYOUTS) == options.LAYOUTS
+    assert [sensor.name for sensor in LAYOUTS.values()] == list(LAYOUTS)
+
+
+def test_the_help_names_them_all_as_a_sentence(run):
+    assert [options.listed(tuple(names)) for names in ("a", "ab", "abc")] == ["a", "a or b", "a, b or c"]
+    for command, names in (("calibrate", options.COLOR_MODELS), ("import", options.PACKAGES)):
+        said = " ".join(run(command, "--help")[1].split())
+        assert options.listed(names) in said.replace("auto, ", "")
+
+
+def test_a_table_that_is_none_is_said():
+    with pytest.raises(LookupError, match="Expected a dict THEM"):
+        options.names_in("slopes/color_models/__init__.py", "THEM")
+    with pytest.raises(LookupError, match="keys written out"):
+        options.names_in("slopes/color_models/__init__.py", "__all__")
+
+
+def test_an_options_names_are_found_on_python_3_10():
+    """Its `get_type_hints` puts an Optional around an annotation whose default is None."""
+    written = Annotated[int | None, typer.Option("-c")]
+    assert as_written(written) == written
+    assert as_written(Optional[written]) == written  # noqa: UP045 (as Python 3.10 does)
+    assert as_written(int | None) == int | None
+
+
+def options_of(command):
+    return {name for parameter in command.params for name in (*parameter.opts, *parameter.secondary_opts)}
+
+
+def all_commands():
+    main = typer.main.get_command(app)
+    for name, command in main.commands.items():
+        below = getattr(command, "commands", {})
+        yield from ((f"{name} {inner}", one) for inner, one in below.items()) if below else [(name, command)]
+
+
+def texts_of(path):
+    """Texts of a module that are no docstrings."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    kinds = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
+    docs = {ast.get_docstring(node, clean=False) for node in ast.walk(tree) if isinstance(node, kinds)}
+    found = [
+        node.value
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Constant) and isinstance(node.value, str)
+    ]
+    return [text for text in found if text not in docs]
+
+
+# Options of other programs, and of gelform itself, that messages name.
+FOREIGN = {
+    "--src",
+    "--dst",
+    "--dst-storage",
+    "--list-formats-ext",
+    "--list-ctrls",
+    "--reload-rules",
+    "--debug",
+    "--help",
+}
+FOREIGN |= {"--force-reinstall", "--no-deps", "--version"}
+
+
+def test_options_that_messages_name_exist():
+    known = set().union(*(options_of(command) for _, command in all_commands())) | FOREIGN
+    for path in SOURCE.rglob("*.py"):
+        named = {name for text in texts_of(path) for name in re.findall(r"(?<![\w-])--[a-z][a-z-]+", text)}
+        assert named <= known, (path, named - known)
+
+
+def test_messages_advise_no_python():
+    """They reach the command line. Only what reads files that Python wrote says how to write them anew."""
+    code = re.compile(
+        r"\bnp\.\w|\bnumpy\.(?:moveaxis|rot90|\w*contiguous)|\b(?:image|array|frame)\[|\.astype\("
+    )
+    for path in SOURCE.rglob("*.py"):
+        if "_native" not in path.parts:
+            assert [text for text in texts_of(path) if code.search(text)] == [], path
+
+
+def test_options_that_readers_of_frames_name_exist_where_frames_are_read():
+    """A message of the reader of data sets reaches every command that lists frames."""
+    commands = dict(all_commands())
+    named = (
+        {
+            name
+            for path in (SOURCE / "batch" / "inputs").glob("*.py")
+            for text in texts_of(path)
+            for name in re.findall(r"(?<![\w-])--[a-z][a-z-]+", text)
+        }
+        - FOREIGN
+        - {"--keep"}
+    )
+    assert "--dataset" in named
+    for command in ("batch", "reconstruct"):
+        assert named <= options_of(commands[command]), (command, named - options_of(commands[command]))
+
+
+def test_every_command_that_reads_colors_of_frames_takes_bgr():
+    """Those without it read no frame, measure places in it, or one background image beside a table."""
+    without = {name for name, command in all_commands() if "--bgr" not in options_of(command)}
+    library = {f"calibrations {name}" for name in ("list", "add", "remove", "export")}
+    no_frame = {"demo", "design", "cameras", "verify", "export", *library}
+    assert without == {*no_frame, "info", "scale", "lens", "simulate", "import"}

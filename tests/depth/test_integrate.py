@@ -1,4 +1,11 @@
-"""The door to the solvers: scenes with known depth, offsets, levels, what is reported, what is refused."""
+"""The door to the solvers: scenes with known depth, offsets, levels, what is reported, what is refused.
+
+Where depth is 0, and what is leveled off.
+
+What solvers are given: weights per pixel, per edge, or as a stack; test_integrate has the wrong ones.
+
+One frame's slopes to depth: what the solver is given.
+"""
 
 from __future__ import annotations
 
@@ -7,9 +14,21 @@ from contextlib import suppress
 import numpy as np
 import pytest
 
-from gelform.depth.integrate import depth_from_gradients, edge_residuals, integrate, integrate_unchecked
+from gelform.depth.coarse import RestAnchor
+from gelform.depth.integrate import (
+    FrameDepth,
+    check_weights,
+    depth_from_gradients,
+    edge_residuals,
+    fitted_surface,
+    integrate,
+    integrate_unchecked,
+    median_over,
+    zero_region,
+)
 from gelform.depth.solvers import SOLVERS
 from gelform.errors import ConvergenceError
+from gelform.slopes.budget import ReadSlopes
 from scenes import BALL, BUMP, CUT_BALL, MM_PER_PX, PLANE, SHAPE, SMALL_BALL, gaussian, polynomial, scene
 
 
@@ -263,3 +282,86 @@ def test_where_the_iteration_stalls_the_frame_is_factorised():
     found, exact = (integrate(slopes, mm_per_px=0.1, weights=weights, solver=s) for s in ("auto", "sparse"))
     assert found.solver == "sparse"
     np.testing.assert_array_equal(found.depth_mm, exact.depth_mm)
+
+
+@pytest.mark.linear_algebra
+def test_regions_by_name_and_by_map():
+    assert zero_region("mean", (4, 5)).all()
+    border = zero_region("border", (4, 5))
+    assert border.sum() == 20 - 6
+    assert not border[1:-1, 1:-1].any()
+    assert zero_region("border", (2, 5)).all()
+    own = np.eye(4, dtype=bool)
+    np.testing.assert_array_equal(zero_region(own, (4, 4)), own)
+    with pytest.raises(ValueError, match="'mean', 'border' or a boolean"):
+        zero_region("middle", (4, 4))
+
+
+@pytest.mark.linear_algebra
+def test_the_median_of_a_large_region_is_nearly_that_of_all():
+    rng = np.random.default_rng(0)
+    maps = rng.normal(3, 1, (2, 300, 400)).astype(np.float32)
+    region = rng.random((300, 400)) < 0.7
+    np.testing.assert_allclose(median_over(maps, region), [np.median(one[region]) for one in maps], atol=0.05)
+    small = np.zeros_like(region)
+    small[5, 3:8] = True
+    np.testing.assert_array_equal(median_over(maps, small), np.median(maps[:, small], axis=-1))
+
+
+@pytest.mark.linear_algebra
+@pytest.mark.parametrize("degree", [1, 2])
+def test_a_polynomial_surface_is_found_exactly(degree):
+    y, x = np.mgrid[:20, :30] / 10.0
+    surface = 1 + 0.3 * x - 0.2 * y + (degree == 2) * (0.1 * x * y - 0.05 * y**2)
+    region = np.zeros((20, 30), dtype=bool)
+    region[::3, ::4] = True
+    spoiled = np.where(region, surface, 99.0)
+    np.testing.assert_allclose(fitted_surface(spoiled, region, degree), surface, atol=1e-5)
+    with pytest.raises(ValueError, match="zero pixels to fit a surface, got 1"):
+        fitted_surface(spoiled, np.arange(600).reshape(20, 30) == 7, degree)
+
+
+def test_weights_come_per_pixel_per_edge_or_as_a_stack():
+    assert check_weights(np.ones((4, 5)), (4, 5)).dtype == np.float32
+    assert check_weights(np.ones((3, 4, 5)), (3, 4, 5)).shape == (3, 4, 5)
+    wx, wy = check_weights([np.ones((4, 4)), np.ones((3, 5))], (4, 5))
+    assert (wx.shape, wy.shape) == ((4, 4), (3, 5))
+    wx, wy = check_weights((np.ones((4, 0)), np.ones((3, 1))), (4, 1))
+    assert wx.size == 0
+
+
+SHAPE_FRAME, PITCH, SIGMA = (40, 50), 0.05, 0.04
+
+
+@pytest.fixture
+def slopes():
+    """Of a bump with noise; some are outliers, and some are not seen."""
+    rng = np.random.default_rng(0)
+    y, x = np.mgrid[: SHAPE_FRAME[0], : SHAPE_FRAME[1]] - np.array([20, 25])[:, None, None]
+    depth = 0.3 * np.exp(-(x**2 + y**2) / 60)
+    read = np.stack(np.gradient(depth, PITCH)[::-1], axis=-1) + rng.normal(0, 0.02, (*SHAPE_FRAME, 2))
+    residual = rng.exponential(3, SHAPE_FRAME).astype(np.float32)
+    return ReadSlopes(
+        read.astype(np.float32),
+        x**2 + y**2 > 200,
+        unseen=rng.uniform(size=SHAPE_FRAME) > 0.95,
+        residual=residual,
+    )
+
+
+def test_a_solver_with_weights_gets_them_and_the_anchor(slopes):
+    weights, anchor = (
+        slopes.weights(SIGMA),
+        RestAnchor(SHAPE_FRAME, PITCH, SIGMA)(slopes.gradients, slopes.at_rest),
+    )
+    assert 0 < np.count_nonzero(weights < 0.5) < weights.size / 2
+    wanted = integrate(slopes.gradients, mm_per_px=PITCH, solver="multigrid", weights=weights, anchor=anchor)
+    found = FrameDepth(SHAPE_FRAME, PITCH, "multigrid", SIGMA)(slopes)
+    np.testing.assert_array_equal(found.depth_mm, wanted.depth_mm)
+
+
+def test_a_solver_of_equal_slopes_gets_the_zero_alone(slopes):
+    wanted = integrate(slopes.gradients, mm_per_px=PITCH, solver="dct", zero=slopes.at_rest)
+    np.testing.assert_array_equal(
+        FrameDepth(SHAPE_FRAME, PITCH, "dct", SIGMA)(slopes).depth_mm, wanted.depth_mm
+    )

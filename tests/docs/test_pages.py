@@ -1,12 +1,23 @@
-"""Each Python block of README and docs runs, and each command and link that no site's page holds is there."""
+"""Each Python block of README and docs runs, and each command and link that no site's page holds is there.
 
+A translation has the parts of its English page: the same blocks, formulas, pictures and rows, and a link each way.
+
+The site is built without a warning, a broken link is one, and links mean what they do in the repository.
+"""
+
+import json
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 from typer.main import get_command
 
+from docstrings import rewrite
 from gelform.cli import app
+from links import links_of_the_site
+from versions import write_versions
 
 ROOT = Path(__file__).parents[2]
 FORMS = [*(ROOT / ".github").rglob("*.md"), *(ROOT / ".github").rglob("*.yml")]
@@ -83,3 +94,138 @@ def test_files_behind_the_links_of_pages_off_the_site(page):
     """Sphinx follows the links of all other pages, and README's anchors."""
     targets = re.findall(r"\]\((?!\w+:)([^)#\s]+)", page.read_text(encoding="utf-8"))
     assert [target for target in targets if not (page.parent / target).exists()] == []
+
+
+DOCS = Path(__file__).parents[2] / "docs"
+PARTS = {
+    "blocks of code": r"^```.*?^```",
+    "displayed formulas": r"^\$\$.*?^\$\$",
+    "names of functions": r"(?<=\[)`\w+`(?=\]\()",
+}
+COUNTED = {"headings": r"^#+ ", "rows": r"^\|", "pictures": r"^!\[", "points": r"^- "}
+
+
+def parts(rule, text):
+    return re.findall(rule, text, re.MULTILINE | re.DOTALL)
+
+
+def decimals(text):
+    return sorted(re.findall(r"\d+\.\d+", text))
+
+
+@pytest.mark.parametrize("page", sorted((DOCS / "zh").glob("*.md")), ids=lambda page: page.stem)
+def test_a_translation_has_all_parts_of_its_page(page):
+    translated, english = (path.read_text(encoding="utf-8") for path in (page, DOCS / page.name))
+    first = translated.splitlines()[2]
+    assert re.search(rf"\(\.\./{page.name}\).*\d{{4}}-\d\d-\d\d.*[0-9a-f]{{7}}", first)
+    assert f"(zh/{page.name})" in english
+    for name, rule in PARTS.items():
+        assert parts(rule, translated) == parts(rule, english), name
+    for name, rule in COUNTED.items():
+        assert len(parts(rule, translated)) == len(parts(rule, english)), name
+    assert decimals(translated) == decimals(english)
+
+
+LINKS = {
+    "[`calibrate`](../src/gelform/calibration/fit.py)": "{py:obj}`calibrate <gelform.calibrate>`",
+    "[`zero_region`](../src/gelform/depth/integrate.py)": "`zero_region`",
+    "[a](tutorial.md#x)": "[a](tutorial.md#x)",
+    "[b](../tests)": "b",
+    "[c](../examples/03_stream.py)": "[c](../examples/03_stream.md)",
+    "[d](https://e.org)": "[d](https://e.org)",
+    "[e](decisions)": "[e](decisions/index.md)",
+    "![f](images/coin.png)": "![f](images/coin.png)",
+    "```\n[a](gone.md)\n```": "```\n[a](gone.md)\n```",
+}
+WRONG = {
+    "[a](gone.md)": "leads nowhere: gone.md",
+    "[b](../tests/gone)": "leads nowhere: ../tests/gone",
+    "[`lost`](../src/gelform/depth/integrate.py)": "defines no lost",
+}
+
+
+@pytest.mark.parametrize("text", LINKS)
+def test_links_on_the_site(text):
+    said = []
+    assert links_of_the_site(text, ROOT / "docs" / "routes.md", said.append) == LINKS[text]
+    assert said == []
+
+
+@pytest.mark.parametrize("text", WRONG)
+def test_links_that_lead_nowhere(text):
+    said = []
+    links_of_the_site(text, ROOT / "docs" / "routes.md", said.append)
+    assert [WRONG[text] in one for one in said] == [True]
+
+
+def test_descriptions_and_stars_of_docstrings():
+    lines = [
+        "Open *.mcap.",
+        "",
+        "Parameters",
+        "----------",
+        "a, b : (N, 2) px",
+        "    more",
+        "",
+        "x : no entry",
+    ]
+    rewrite(lines)
+    assert lines[0] == r"Open \*.mcap."
+    assert lines[4:7] == ["a, b", "    (N, 2) px", "    more"]
+
+
+def test_a_sentence_below_a_shape_begins_after_a_full_stop():
+    lines = [
+        "Returns",
+        "-------",
+        "mask : (H, W) bool",
+        "    Pixels of the surface.",
+        "depth_mm : (H, W), mm",
+    ]
+    rewrite(lines)
+    assert lines[2:] == [
+        "``mask``",
+        "    (H, W) bool.",
+        "    Pixels of the surface.",
+        "``depth_mm``",
+        "    (H, W), mm",
+    ]
+
+
+def test_the_versions_of_a_folder(tmp_path):
+    for name in ("0.9.0", "0.10.0", "main", "0.10.0rc1"):
+        (tmp_path / name / "docs").mkdir(parents=True)
+        (tmp_path / name / "index.html").write_text("x")
+    (tmp_path / "main/docs/new.html").write_text("x")
+    write_versions(tmp_path)
+    text = (
+        (tmp_path / "versions.js").read_text().removeprefix("window.gelformVersions = ").removesuffix(";\n")
+    )
+    listed = json.loads(text)
+    assert list(listed) == ["main", "0.10.0", "0.10.0rc1", "0.9.0"]
+    assert listed["main"] == ["docs/new", "index"]
+    assert 'url=0.10.0/index.html"' in (tmp_path / "index.html").read_text()
+
+
+@pytest.mark.slow
+def test_the_site_is_built(tmp_path):
+    for package in ("sphinx", "furo", "myst_parser"):
+        pytest.importorskip(package, reason="needs the extra `docs`")
+    done = subprocess.run(
+        [sys.executable, ROOT / "docs" / "site" / "build.py", tmp_path],
+        capture_output=True, text=True, timeout=600,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    site = tmp_path / "html"
+    theory = (site / "docs" / "from-color-to-depth.html").read_text(encoding="utf-8")
+    assert theory.count("<math") > 15
+    assert "../reference/path.html#gelform.depth_from_gradients" in theory
+    chinese = (site / "docs" / "zh" / "tutorial.html").read_text(encoding="utf-8")
+    assert [re.search(r"<html[^>]* lang=\"(\w+)\"", page)[1] for page in (theory, chinese)] == ["en", "zh"]
+    names = (ROOT / "src" / "gelform" / "__init__.pyi").read_text(encoding="utf-8")
+    interface = "".join(page.read_text(encoding="utf-8") for page in (site / "reference").glob("*.html"))
+    public = re.findall(r"^from .* as (\w+)$", names, re.MULTILINE)
+    assert [name for name in public if f'id="gelform.{name}"' not in interface] == []
+    front = (site / "index.html").read_text(encoding="utf-8")
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert front.count("<tr") == len(re.findall(r"^\|[^-]", readme, re.MULTILINE))

@@ -10,8 +10,8 @@ import numpy as np
 import gelform
 from gelform.calibration.starters import load_starter
 from gelform.exchange.exporters.press_folder import save_press_folder
-from made.checkerboard import checkerboard
-from made.networks import web_file
+from made.files import web_file
+from made.images import checkerboard
 from made.small_gel import MM_PER_PX, Touch, background, calibration, image_of, save
 
 PLACES = [(x, y) for y in (20, 32, 44) for x in (20, 40, 60)]

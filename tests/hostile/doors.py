@@ -12,13 +12,13 @@ import numpy as np
 import gelform
 from gelform.calibration.presses.folder import with_crosstalk, with_view
 from gelform.calibration.starters import load_starter
-from gelform.depth.contact import contacts_from_mask
 from gelform.depth.integrate import edge_residuals
+from gelform.depth.regions import contacts_from_mask
 from gelform.exchange.exporters.press_folder import save_press_folder
-from gelform.exchange.plots.canvas import save_picture
-from gelform.foundations.fill import fill_unknown
-from gelform.image.background.change import ChangeSettings, image_from_color_change
-from gelform.image.background.light import light_from_image
+from gelform.exchange.plots import save_picture
+from gelform.foundations.filters import fill_unknown
+from gelform.image.background import ChangeSettings, image_from_color_change
+from gelform.image.light import light_from_image
 from gelform.image.markers.follower import MarkerFollower
 from gelform.image.view import Lens, frame_from_image
 from gelform.result.metrics import press_errors

@@ -17,9 +17,9 @@ import numpy as np
 import gelform
 from gelform.exchange.exporters.press_folder import save_press_folder
 from gelform.exchange.importers.tables import read_taxim_forward
-from gelform.foundations.npz_files import digest_of
+from gelform.foundations.files import digest_of
 from gelform.sensors.files import read_sensor_toml
-from made.networks import network_arrays, torch_file, web_file
+from made.files import network_arrays, torch_file, web_file
 from made.small_gel import MM_PER_PX, Touch, background, calibration, image_of, save
 
 SENSOR_TOML = (

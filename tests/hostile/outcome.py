@@ -1,4 +1,6 @@
-"""The allowed outcomes of a call with bad input, and the function that judges them.
+"""Number of cases per property: a tenth without the slow tests, others and more with GELFORM_ROBUSTNESS_FACTOR=10.
+
+The allowed outcomes of a call with bad input, and the function that judges them.
 
 Allowed are an error of gelform that explains the fault, a finding, or a right result. Everything else is `Wrong`: an
 error of another library, an unexplained error, a leaked warning, NaN, a silently wrong result.
@@ -7,6 +9,7 @@ error of another library, an unexplained error, a leaked warning, NaN, a silentl
 from __future__ import annotations
 
 import dataclasses
+import os
 import traceback
 import warnings
 from collections import Counter
@@ -15,9 +18,26 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
+from hypothesis import HealthCheck, settings
 
 import gelform
 from gelform import GelformError
+
+FACTOR = float(os.environ.get("GELFORM_ROBUSTNESS_FACTOR", "1"))
+SLOW_IF_ALL = [pytest.mark.slow] if FACTOR >= 1 else []
+
+
+def cases(count: int) -> settings:
+    """Settings of a property that is tried `count` times, always the same ones; a larger budget tries others."""
+    return settings(
+        max_examples=max(1, round(count * FACTOR)),
+        derandomize=FACTOR <= 1,
+        deadline=None,
+        database=None,
+        suppress_health_check=list(HealthCheck),
+    )
+
 
 SOURCE = str(Path(gelform.__file__).parent)
 SHORTEST = 15

@@ -7,7 +7,7 @@ import pytest
 from gelform.image import health as health_module
 from gelform.image.health import DepthLimit, FrameHealth, Levels, Torn
 from kernel_agreement import assert_kernel_agrees
-from made.worn_frames import SHAPE, blocks_of, constant, gel, pressed, with_part
+from made.images import WORN_SHAPE, blocks_of, constant, gel, pressed, with_part
 
 EVERYWHERE = slice(None)
 
@@ -45,7 +45,7 @@ def test_a_frame_of_one_color_says_nothing(health, level, name):
 
 
 def test_darkness_with_noise_and_one_light_that_is_off_are_dark(health):
-    noise = np.random.default_rng(5).integers(0, 5, (*SHAPE, 3), dtype=np.uint8)
+    noise = np.random.default_rng(5).integers(0, 5, (*WORN_SHAPE, 3), dtype=np.uint8)
     assert names(health(noise)) == ["dark"]
     frame = pressed()
     frame[..., 1] = 2
@@ -66,7 +66,7 @@ def test_darkness_with_noise_and_one_light_that_is_off_are_dark(health):
 )
 def test_a_part_of_one_color_is_torn_and_lost(health, part, level):
     faults = health(with_part(pressed(), part, level))
-    true = np.zeros(SHAPE, dtype=bool)
+    true = np.zeros(WORN_SHAPE, dtype=bool)
     true[part] = True
     assert names(faults) == ["torn"]
     assert faults.lost[true].all()
@@ -93,7 +93,7 @@ def test_rows_that_repeat_a_good_one_or_a_band_are_torn_and_the_copy_is_lost(hea
 
 @pytest.mark.parametrize(("displaced", "rows"), [(np.s_[:30], 30), (np.s_[70:], 26)])
 def test_a_part_that_is_displaced_sideways_is_torn(displaced, rows):
-    stripes = gel() + 25 * np.sin(np.arange(SHAPE[1]) / 8)[None, :, None]
+    stripes = gel() + 25 * np.sin(np.arange(WORN_SHAPE[1]) / 8)[None, :, None]
     rest = np.clip(stripes, 0, 255).astype(np.uint8)
     frame = np.clip(rest + np.random.default_rng(3).normal(0, 1.5, rest.shape), 0, 255).astype(np.uint8)
     health = FrameHealth(rest)
@@ -105,7 +105,7 @@ def test_a_part_that_is_displaced_sideways_is_torn(displaced, rows):
 def striped(seed, shift_px=0):
     """A gel that a fine relief, of random height from place to place, presses all over."""
     rng = np.random.default_rng(seed)
-    relief = cv2.GaussianBlur(rng.normal(0, 300, (*SHAPE, 3)), (0, 0), 6)
+    relief = cv2.GaussianBlur(rng.normal(0, 300, (*WORN_SHAPE, 3)), (0, 0), 6)
     return np.clip(gel(seed + 50) + np.roll(relief, shift_px, axis=1), 0, 255).astype(np.uint8)
 
 
@@ -122,7 +122,7 @@ def test_a_part_of_another_moment_is_torn(health, row):
 
 def test_a_seam_is_one_row_and_an_edge_along_the_rows_is_none(health):
     """Both have the same height; optics blur the edge, by 0.7 pixels."""
-    step = np.zeros((*SHAPE, 1), dtype=np.float32)
+    step = np.zeros((*WORN_SHAPE, 1), dtype=np.float32)
     step[40:, 20:90] = 60
     edge = cv2.GaussianBlur(step, (0, 0), 0.7)[..., None]
     found = [names(health(np.clip(gel(3) + one, 0, 255).astype(np.uint8))) for one in (step, edge)]
@@ -173,7 +173,7 @@ def test_the_background_itself_is_frozen_and_a_second_look_is_not():
 
 
 def test_a_quarter_that_saturates_is_found_and_only_it_is_lost(health):
-    glare = np.zeros(SHAPE, dtype=np.float32)
+    glare = np.zeros(WORN_SHAPE, dtype=np.float32)
     glare[:52, :68] = 255
     frame = np.clip(pressed() + cv2.GaussianBlur(glare, (0, 0), 3)[..., None], 0, 255)
     frame[:52, :68] -= np.random.default_rng(6).integers(0, 4, (52, 68, 3))

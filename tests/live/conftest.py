@@ -13,7 +13,7 @@ from gelform.live.shown import Shown
 from gelform.live.station import Setup, Station
 from gelform.live.web.server import listen
 from gelform.reconstruct import Reconstructor
-from gelform.sensors.simulated.source import SimulatedSource
+from gelform.sensors.simulated import SimulatedSource
 from live_waiting import until
 
 

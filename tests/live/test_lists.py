@@ -1,9 +1,13 @@
-"""The lists of calibrations and recordings: names are made here, and nothing else can be opened."""
+"""The list of devices, showing one, settings of a camera.
+
+The lists of calibrations and recordings: names are made here, and nothing else can be opened.
+"""
 
 from __future__ import annotations
 
 import os
 import sys
+import threading
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,9 +15,162 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gelform.errors import CalibrationError, GelformError
-from gelform.live.lists import Calibrations, Recordings
-from gelform.live.web.commands import text
+from gelform.errors import CalibrationError, GelformError, SensorError
+from gelform.live import actions
+from gelform.live.hub import Hub
+from gelform.live.lists import Calibrations, Devices, Recordings, camera_facts, set_camera
+from gelform.live.station import Station
+from gelform.live.web.client import text
+from gelform.sensors.cameras import SETTABLE, Camera
+from gelform.sensors.simulated import SimulatedSource
+from gelform.sensors.source import open_source
+from live_waiting import until
+from stream.ffmpeg_camera import FfmpegCamera, why_absent
+
+LEFT = Camera("DIGIT", "/dev/video0", "D1", by_path="usb-1")
+RIGHT = Camera("DIGIT", "/dev/video2", "D2", by_path="usb-2")
+
+
+class Adjustable(SimulatedSource):
+    """A simulated sensor whose exposure can be set, up to 100, as a camera's."""
+
+    def __init__(self, sensor):
+        super().__init__(sensor, rate_hz=30.0)
+        self.settings["exposure"] = 50.0
+
+    def set_controls(self, settings):
+        if not 0 <= settings.get("exposure", -1) <= 100:
+            raise SensorError("expected exposure within 0 to 100")
+        self.settings |= settings
+        return self.settings
+
+
+@pytest.fixture
+def adjustable(sensor):
+    hub = Hub()
+    hub.stations.append(Station(0, "D1", lambda: Adjustable(sensor), hub.changed))
+    hub.stations[0].start()
+    until(lambda: hub.stations[0].newest)
+    yield hub
+    hub.close()
+
+
+def test_cameras_and_sources_are_listed_with_what_is_known(hub):
+    devices = Devices(hub.stations, lambda: [LEFT, RIGHT])
+    rows = until(lambda: (r := devices.facts()) and r[0]["rate_hz"] and r)
+    simulated = f"simulated {hub.stations[0].source.sensor.name}"
+    assert [row["name"] for row in rows] == [simulated, "DIGIT", "DIGIT"]
+    assert [row["serial"] for row in rows] == [hub.stations[0].source.serial, "D1", "D2"]
+    assert rows[0]["state"] == "running"
+    assert rows[0]["age_ms"] < 10_000
+    assert rows[0]["lost"] == 0 <= rows[0]["skipped"]
+    assert rows[1]["state"] == "not shown"
+
+
+@pytest.fixture
+def choice(hub):
+    """The hub with two cameras on its list; each is a camera of its own that serves one reader alone."""
+    if why_absent() is not None:
+        pytest.skip(str(why_absent()))
+    with FfmpegCamera() as left, FfmpegCamera() as right:
+        urls = {"D1": left.url, "D2": right.url}
+        hub.devices = Devices(
+            hub.stations, lambda: [LEFT, RIGHT], lambda camera, _: open_source(urls[camera.serial])
+        )
+        hub.stations.append(
+            Station(1, "second", lambda: SimulatedSource(hub.stations[0].source.sensor), hub.changed)
+        )
+        hub.stations[1].start()
+        yield hub
+
+
+def numbers_of(hub):
+    return {row["serial"]: row["camera"] for row in hub.devices.facts() if row["camera"] is not None}
+
+
+def test_a_camera_of_the_list_is_shown_with_its_calibration_and_left_again(choice, calibration):
+    hub, station = choice, choice.stations[0]
+    name = hub.calibrations.add("of D2", replace(calibration, serial="D2"))
+    actions.show_camera(hub, 0, numbers_of(hub)["D2"])
+    until(lambda: not station.facts()["simulated"] and station.facts()["state"] == "running")
+    assert station.setup.name == name
+    assert station.facts()["opened"]
+    assert list(numbers_of(hub)) == ["D1"]  # the other one is not offered twice
+    assert hub.notices[-1][2].endswith("shows DIGIT, with its calibration of D2.")
+    actions.open_recording(hub, 0, "")
+    until(lambda: station.facts()["simulated"])
+    assert station.setup.name == "mine"
+    assert set(numbers_of(hub)) == {"D1", "D2"}
+
+
+def test_a_camera_without_a_calibration_shows_its_image(choice):
+    actions.show_camera(choice, 0, numbers_of(choice)["D1"])
+    assert choice.stations[0].setup.calibration is None
+    assert "none in the list has its serial" in choice.notices[-1][2]
+
+
+def test_of_two_pages_that_want_one_camera_the_first_gets_it(choice):
+    number, said = numbers_of(choice)["D1"], []
+    begin = threading.Barrier(2)
+
+    def ask(station):
+        begin.wait()
+        try:
+            actions.show_camera(choice, station, number)
+            said.append("")
+        except GelformError as problem:
+            said.append(str(problem))
+
+    asking = [threading.Thread(target=ask, args=(station,)) for station in (0, 1)]
+    for one in asking:
+        one.start()
+    for one in asking:
+        one.join(20)
+    assert sorted(said)[0] == ""
+    assert "already shows DIGIT" in sorted(said)[1]
+
+
+def test_a_camera_that_is_not_on_the_list_is_not_opened(hub):
+    with pytest.raises(GelformError, match="no longer plugged in"):
+        actions.show_camera(hub, 0, 9)
+    assert hub.stations[0].facts()["simulated"]
+
+
+def test_a_setting_is_set_read_back_and_told_to_everybody(adjustable):
+    actions.set_camera(adjustable, 0, "exposure", 80.0)
+    assert adjustable.notices[-1][2].endswith("80, read back.")
+    assert camera_facts(adjustable.stations[0])["settable"] == {"exposure": 80.0}
+    assert adjustable.stations[0].wanted == {"exposure": 80.0}
+
+
+def test_a_value_that_the_camera_does_not_take_is_not_remembered(adjustable):
+    with pytest.raises(SensorError, match="within"):
+        actions.set_camera(adjustable, 0, "exposure", 1e5)
+    assert adjustable.stations[0].wanted == {}
+    with pytest.raises(GelformError, match="exposure, gain"):
+        set_camera(adjustable.stations[0], "fps", 10.0)
+
+
+def test_a_source_without_settings_says_so(hub):
+    for name in SETTABLE:
+        with pytest.raises(GelformError, match="Only a USB camera"):
+            actions.set_camera(hub, 0, name, 1.0)
+    assert camera_facts(hub.stations[0]) == {"settable": {}}
+
+
+def test_a_camera_set_otherwise_than_calibrated_is_a_finding_of_its_results(adjustable, calibration):
+    station = adjustable.stations[0]
+    settings = {**calibration.settings} | {"camera": {"exposure": 50.0}}
+    station.setup = station.setup.with_calibration(replace(calibration, settings=settings), "mine")
+
+    def said():
+        result = station.newest.result
+        return result and [one.message for one in result.health if one.name == "settings_mismatch"]
+
+    until(lambda: said() == [])
+    set_camera(station, "exposure", 60.0)
+    (message,) = until(said)
+    assert "exposure 60.0 instead of 50.0" in message
 
 
 @pytest.fixture

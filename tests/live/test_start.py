@@ -1,4 +1,9 @@
-"""From arguments to running stations."""
+"""From arguments to running stations.
+
+A station without a calibration asks for the gel at rest; then a starter reads it, and is reported as one.
+
+From the first frame to a calibration in use: the simulated sensor is pressed at the suggested places.
+"""
 
 import json
 import signal
@@ -14,16 +19,20 @@ import pytest
 from websockets.sync.client import connect
 
 from gelform.calibration.library.library import add_calibration
+from gelform.calibration.starters import load_starter
 from gelform.calibration_file import load_calibration
-from gelform.errors import CalibrationError, DataError
-from gelform.exchange.plots.canvas import save_picture
+from gelform.errors import CalibrationError, DataError, GelformError
+from gelform.exchange.plots import save_picture
 from gelform.live import actions
+from gelform.live.hub import Hub
+from gelform.live.lists import Calibrations
 from gelform.live.start import Options, start
-from gelform.sensors.cameras import camera as plugged_in
-from gelform.sensors.cameras.camera import Camera
-from gelform.sensors.recordings.indexed import indexed
+from gelform.live.station import Station
+from gelform.sensors import cameras as plugged_in
+from gelform.sensors.cameras import Camera
+from gelform.sensors.recordings.player import indexed
 from live_waiting import until
-from made.mjpeg_server import MjpegServer, jpeg, part
+from made.sources import ImageSource, MjpegServer, jpeg, part
 
 
 def test_without_arguments_the_simulated_sensor_is_shown_calibrated():
@@ -260,3 +269,207 @@ def test_a_folder_waits_for_the_first_page(tmp_path):
         assert hub.stations[0].player.facts()["number"] == 0
         hub.sinks += 1  # as a page
         until(lambda: hub.stations[0].player.facts()["number"] > 2)
+
+
+MAKE = "simulated-three-edges"
+
+
+@pytest.fixture
+def never(unpressed):
+    """A hub whose one station is a camera that was never calibrated; its `source.images` are what it shows."""
+    made, source = Hub(), ImageSource(unpressed[0.0], rate_hz=40)
+    source.serial = "S1"
+    station = Station(0, "camera", lambda: source, made.changed)
+    made.stations.append(station)
+    station.start()
+    until(lambda: station.newest)
+    yield made, source
+    made.close()
+
+
+def show(never, images):
+    """Let the camera show other images, and wait until those that were on their way are through."""
+    hub, source = never
+    source.images = images
+    after = hub.stations[0].newest.serial + 4
+    until(lambda: hub.stations[0].newest.serial >= after)
+
+
+def said(hub):
+    return hub.facts()["stations"][0]["starter"]
+
+
+def test_the_untouched_gel_is_asked_for_and_depth_follows(never, unpressed):
+    hub, _ = never
+    station = hub.stations[0]
+    assert said(hub) == {"state": "ask", "sensor": "", "make": "", "said": []}
+    with pytest.raises(GelformError, match="Choose the sensor in the list"):
+        actions.take_starter(hub, 0, "")
+    station.sensor = MAKE
+    assert said(hub)["sensor"] == said(hub)["make"] == MAKE
+    actions.take_starter(hub, 0, "")
+    show(never, unpressed[0.4])
+    until(lambda: station.newest.numbers and station.newest.numbers.peak > 0.3)
+    assert said(hub)["state"] == "used"
+    assert said(hub)["percent"] == pytest.approx(100 * load_starter(MAKE).spread)
+    assert "starter" in [name for name, *_ in station.newest.header()["health"]]
+    assert station.setup.calibration.serial == "S1"
+    assert hub.calibrations.names == [station.setup.name]
+
+
+def test_something_that_moves_is_said_and_it_is_taken_again(never, unpressed):
+    hub, _ = never
+    show(never, [*unpressed[0.0], *unpressed[0.4]])
+    actions.take_starter(hub, 0, MAKE)
+    assert said(hub)["state"] == "ask"
+    assert "Something moves" in said(hub)["said"][0]
+    show(never, unpressed[0.0])
+    actions.take_starter(hub, 0, MAKE)
+    assert said(hub)["said"] == []
+    first = hub.stations[0].setup.calibration
+    show(never, [image // 2 for image in unpressed[0.0]])
+    actions.take_background(hub, 0)  # the lamps are half as bright: the starter is brought to them
+    second = hub.stations[0].setup.calibration
+    assert second.background.mean() < 0.6 * first.background.mean()
+    assert len(hub.calibrations.names) == 1
+    actions.undo_background(hub, 0)
+    assert hub.stations[0].setup.calibration is first is hub.calibrations[hub.stations[0].setup.name]
+
+
+def test_a_pressed_gel_is_no_background(never, unpressed):
+    hub, _ = never
+    show(never, unpressed[0.4])
+    actions.take_starter(hub, 0, MAKE)
+    assert said(hub)["state"] == "ask"
+    assert "Something touches the gel" in said(hub)["said"][0]
+
+
+def test_another_make_is_said(never):
+    hub, _ = never
+    actions.take_starter(hub, 0, "digit")
+    assert "background of a DIGIT" in said(hub)["said"][0]
+    actions.take_starter(hub, 0, "gelsight-mini")
+    assert "background of a GelSight Mini" in said(hub)["said"][0]
+    assert said(hub)["state"] == "ask"
+
+
+def test_a_scratched_gel_is_said_beside_the_depth(never, unpressed):
+    hub, _ = never
+    scratched = [image.copy() for image in unpressed[0.0]]
+    for image in scratched:
+        image[100:112] //= 8
+    show(never, scratched)
+    actions.take_starter(hub, 0, MAKE)
+    assert any("scratched" in one for one in said(hub)["said"])
+
+
+def test_the_guide_takes_its_scale(never):
+    hub, _ = never
+    actions.take_starter(hub, 0, MAKE)
+    actions.guide_start(hub, 0, 5.0, MAKE, 0.5)
+    asked = hub.guides[0].guide.asked
+    assert asked.mm_per_px == load_starter(MAKE).calibration.mm_per_px
+    assert (asked.sensor_name, asked.serial) == (MAKE, "S1")
+
+
+def test_a_make_that_was_named_is_asked_for_instead_of_calibrated():
+    hub = start(Options(rate_hz=30, sensor=MAKE))
+    try:
+        assert not hub.work
+        assert said(hub)["sensor"] == MAKE
+        until(lambda: hub.stations[0].newest)
+        actions.take_starter(hub, 0, "")  # the simulated sensor rests meanwhile
+        assert said(hub)["state"] == "used"
+        until(lambda: hub.stations[0].newest.result)
+    finally:
+        hub.close()
+
+
+def test_a_press_is_made_where_the_guide_asks_and_counts(hub, tmp_path):
+    hub.folder = tmp_path
+    actions.guide_start(hub, 0, 5.0, "", 0.0)
+    guide = hub.guides[0].guide
+    until(lambda: guide.target)
+    x, y = guide.target.x_px, guide.target.y_px
+    until(lambda: guide.count >= 1)
+    assert guide.facts()["accepted"][0][:2] == pytest.approx((x, y), abs=4)
+    hub.end_guide(0)
+    assert not hub.guides
+    assert not hub.stations[0].taps
+
+
+def test_what_was_fitted_is_reported_and_used(hub, tmp_path, library, presses, calibration, monkeypatch):
+    hub.folder = tmp_path
+    actions.guide_start(hub, 0, 5.0, "", 0.0)
+    session = hub.guides[0]
+    with pytest.raises(GelformError, match="no calibration to use"):
+        actions.guide_use(hub, 0)
+    monkeypatch.setattr(session.guide, "presses", lambda: presses)
+    monkeypatch.setattr("gelform.calibration.guided.fit.calibrate", lambda *_, **__: calibration)
+    session.guide.fit(hub.folder)
+    assert session.guide.step == "report"
+    assert session.guide.facts()["report"]["folder"] == session.guide.made.folder.name
+    assert not list(library.glob("*"))
+    actions.guide_use(hub, 0)
+    assert hub.stations[0].setup.calibration.digest == calibration.digest
+    (kept,) = library.iterdir()
+    assert hub.stations[0].setup.name == kept.name
+    assert "The library has it too" in hub.notices[-1][2]
+
+
+def test_what_is_not_used_is_used_nowhere(hub, tmp_path, library, presses, calibration, monkeypatch):
+    hub.folder, before = tmp_path, hub.stations[0].setup
+    monkeypatch.setattr("gelform.calibration.guided.fit.calibrate", lambda *_, **__: calibration)
+    actions.guide_start(hub, 0, 5.0, "", 0.0)
+    guide = hub.guides[0].guide
+    monkeypatch.setattr(guide, "presses", lambda: presses)
+    guide.fit(hub.folder)
+    folder = guide.made.folder
+    listed = hub.calibrations.names
+    actions.guide_stop(hub, 0)
+    assert not hub.guides
+    assert not list(library.glob("*"))
+    assert hub.stations[0].setup is before
+    assert hub.calibrations.names == listed
+    assert Calibrations(folder=tmp_path, library=library).names == [], "nor after a restart"
+    assert folder.name in hub.notices[-1][2]
+    assert (folder / "presses.csv").exists()
+
+
+@pytest.mark.slow
+def test_after_the_report_more_presses_are_made_at_its_places(
+    hub, tmp_path, presses, calibration, monkeypatch
+):
+    hub.folder = tmp_path
+    monkeypatch.setattr("gelform.calibration.guided.fit.calibrate", lambda *_, **__: calibration)
+    actions.guide_start(hub, 0, 5.0, "", 0.0)
+    guide = hub.guides[0].guide
+    until(lambda: guide.step == "press")
+    with pytest.raises(GelformError, match="no report yet"):
+        actions.guide_more(hub, 0)
+    guide.wanted = 0
+    monkeypatch.setattr(guide, "presses", lambda: presses)
+    guide.fit(hub.folder)
+    count, marked = guide.count, guide.places
+    assert marked == guide.made.places
+    actions.guide_more(hub, 0)
+    assert (guide.step, guide.made, guide.places, guide.wanted) == (
+        "press",
+        None,
+        marked,
+        count + len(marked),
+    )
+    with pytest.raises(GelformError, match="Press Fit now first"):
+        actions.guide_use(hub, 0)
+    until(lambda: guide.count > count)
+    assert guide.facts()["accepted"][count][:2] == pytest.approx((marked[0].x_px, marked[0].y_px), abs=4)
+
+
+def test_a_fit_that_does_not_succeed_asks_for_more(hub, tmp_path):
+    hub.folder = tmp_path
+    actions.guide_start(hub, 0, 5.0, "", 0.0)
+    session = hub.guides[0]
+    with pytest.raises(GelformError):
+        session.guide.fit(hub.folder)
+    assert session.guide.step == "background"
+    until(lambda: session.guide.step == "press")

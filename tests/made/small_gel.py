@@ -10,12 +10,12 @@ import cv2
 import numpy as np
 
 from gelform.calibration_file import Calibration
-from gelform.image.background.change import ChangeSettings
+from gelform.image.background import ChangeSettings
 from gelform.image.view import View
-from gelform.slopes.color_models._shared.least_squares import monomial_products, monomials, node_positions
 from gelform.slopes.color_models.forward_response import TERMS, ForwardResponse, normal_terms
-from gelform.slopes.color_models.lambertian import LambertianModel
-from gelform.slopes.confidence import SlopeSigma
+from gelform.slopes.color_models.least_squares import monomial_products, monomials, node_positions
+from gelform.slopes.color_models.physical import LambertianModel
+from gelform.slopes.sigma import SlopeSigma
 
 SHAPE = (64, 80)
 MM_PER_PX = 0.1

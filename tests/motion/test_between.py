@@ -1,15 +1,32 @@
-"""Known motions of known bodies: found within their covariance, blind directions named, nothing invented."""
+"""Known motions of known bodies: found within their covariance, blind directions named, nothing invented.
+
+The covariance of a pose: its parts, and that it lies in the seen directions alone.
+
+Which directions are seen, and the words for those that are not.
+"""
 
 import re
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
 import gelform
-from gelform.motion.between import FOUND, LOST, UNSURE
-from gelform.motion.rigid import moved, pose_of_step, step_of_pose
-from made.rigid_contacts import BALL_MM, CENTER, DEPTH_MM, ball, contact_of, cylinder, plate, pose, texture
+from gelform.motion.between import FOUND, LOST, UNSURE, blind_directions, has_moved, pose_covariance
+from gelform.motion.surface import TouchedSurface, moved, pose_of_step, step_of_pose
+from made.rigid_contacts import (
+    BALL_MM,
+    CENTER,
+    DEPTH_MM,
+    SHAPE,
+    ball,
+    contact_of,
+    cylinder,
+    plate,
+    pose,
+    texture,
+)
 
 pytestmark = pytest.mark.linear_algebra
 
@@ -255,3 +272,132 @@ def test_the_pose_is_that_of_the_simulator(sensor, calibration):
     assert found.state == FOUND, found.why
     np.testing.assert_allclose(moved(found.pose, [-0.3, 0.2, 0.4])[:2], (0.1, 0.0), atol=0.04)
     assert np.degrees(np.arctan2(found.pose[1, 0], found.pose[0, 0])) == pytest.approx(4.0, abs=0.8)
+
+
+@pytest.fixture(scope="module")
+def fitted():
+    first, second = (
+        TouchedSurface(contact_of(texture(), one, seed=k)) for k, one in enumerate((None, pose(0.2)))
+    )
+    return first, first.equations(second, pose(0.2))
+
+
+def covariance_of(first, at, mm, directions=6):
+    seen = np.eye(6)[:, :directions]
+    inverse = seen @ np.linalg.inv(seen.T @ at.information @ seen) @ seen.T
+    return pose_covariance(first, at, inverse, mm)
+
+
+def test_the_place_adds_to_x_and_y_and_to_turns_over_the_contact(fitted):
+    plain, placed = (covariance_of(*fitted, mm) for mm in (0.0, 0.1))
+    away = fitted[0].points - fitted[0].middle
+    turns = 0.01 * np.square([0.25, 0.25, 0.7]) / np.mean(np.sum(np.square(away), axis=1))
+    np.testing.assert_allclose(placed - plain, np.diag([0.01, 0.01, 0, *turns]), rtol=1e-5, atol=1e-12)
+    assert (np.linalg.eigvalsh(plain) > 0).all()
+
+
+def test_what_all_slopes_have_in_common(fitted):
+    """Without other errors the covariance is that of slopes off by 0.003, and too steep by 2 %, along each axis."""
+    first, at = fitted
+    wanted = np.zeros((6, 6))
+    for axis in (0, 1):
+        for error in (0.003, 0.02 * first.slopes[:, axis]):
+            wrong = np.zeros_like(at.residual)
+            wrong[:, axis] = error
+            right = np.einsum("nki,nk,nk->i", at.jacobian, at.weight, wrong)
+            by = np.linalg.solve(at.information, right)
+            wanted += np.outer(by, by)
+    sure = replace(at, residual=np.zeros_like(at.residual))
+    np.testing.assert_allclose(covariance_of(first, sure, 0.0), wanted, rtol=1e-3, atol=1e-12)
+
+
+def test_unseen_directions_have_no_variance(fitted):
+    covariance = covariance_of(*fitted, 0.0, directions=5)
+    assert np.abs(covariance[5]).max() < 1e-12
+    assert covariance[0, 0] > 0
+
+
+@pytest.mark.parametrize("shift", [(0.08, 0), (0, -0.12), (0.06, 0.06)])
+def test_what_stays_at_its_place_pulls_the_object_back(shift):
+    """The same errors in both frames match best without a motion, so residuals do not show them; the covariance does."""
+    rng = np.random.default_rng(3)
+    noise = [cv2.GaussianBlur(rng.normal(size=(*SHAPE, 2)), (0, 0), 3) for _ in range(3)]
+    staying, *changing = (0.01 * one / one.std() for one in noise)
+    contacts = [contact_of(lambda x, y: 0.1 * texture(1)(x, y), one) for one in (None, pose(*shift))]
+    first, second = (
+        replace(one, gradients=(one.gradients + staying + 0.7 * errors).astype(np.float32))
+        for one, errors in zip(contacts, changing)
+    )
+    found = gelform.motion_between(first, second, place_error=0.0)
+    direction = np.array(shift) / np.linalg.norm(shift)
+    off = step_of_pose(found.pose @ np.linalg.inv(pose(*shift)), found.center_mm)[:2] @ direction
+    assert off < -0.005, "drawn back"
+    assert 0.5 < -off / np.sqrt(direction @ found.covariance[:2, :2] @ direction) < 2
+
+
+def blind_of(face, seeds=(1, 2), **fields):
+    first, second = (
+        TouchedSurface(contact_of(face, one, seed=k, **fields))
+        for k, one in zip(seeds, (None, pose(0.3, 0.1)))
+    )
+    at = first.equations(second, pose(0.3, 0.1))
+    return blind_directions(first, at)
+
+
+@pytest.mark.slow
+def test_all_turns_of_a_ball_are_blind_and_no_texture_is():
+    values = [one.correlation for seed in range(8) for one in blind_of(ball, (seed, seed + 50))[0]]
+    assert len(values) == 24
+    assert not any(blind_of(texture(seed), (seed, seed + 50))[0] for seed in range(8))
+
+
+def test_the_same_errors_in_both_frames_look_like_shape():
+    """That is why an object has to move: the test could not tell otherwise."""
+    first = TouchedSurface(contact_of(cylinder, seed=1))
+    at = first.equations(first, np.eye(4))
+    assert blind_directions(first, at)[0] == ()
+    assert not has_moved(first, np.eye(4))
+    assert has_moved(first, pose(0.3))
+    assert has_moved(first, pose(yaw=-16)), "a turn moves what is away from its center"
+
+
+def oval(x, y):
+    """A lens with radii of 3 and 5 mm."""
+    return -(x**2) / 6 - y**2 / 10
+
+
+def test_shape_counts_from_the_error_that_slopes_may_carry():
+    """An oval rolls unseen at most, unless its slopes may be as wrong as they would be of a ball."""
+    assert not any("ball" in one.words or "about z" in one.words for one in blind_of(oval)[0])
+    unsure = {"gradients_sigma": np.full((*SHAPE, 2), 0.15, np.float32)}
+    found = [one.words for one in blind_of(oval, **unsure)[0]]
+    assert len(found) == 3
+    assert all(words.startswith("turns about the ball's center") for words in found)
+
+
+def edge(x, y):
+    """A roof whose ridge lies along (1, 0.1)."""
+    return -0.4 * np.abs(y - 0.1 * x)
+
+
+def test_a_blind_shift_turns_nothing():
+    """Its least turn, times a prior of 10 mm, would make a yaw look uncertain that is seen."""
+    for seeds in ((1, 2), (3, 4), (5, 6)):
+        (blind,), seen = blind_of(edge, seeds)
+        assert blind.words.startswith("shifts along"), blind.words
+        np.testing.assert_array_equal(blind.direction[3:], 0)
+        along = blind.direction[:3] / np.sign(blind.direction[0])
+        np.testing.assert_allclose(along, np.array([1, 0.1, 0]) / np.hypot(1, 0.1), atol=0.01)
+        assert np.linalg.matrix_rank(seen[3:]) == 3, "all turns are seen"
+
+
+def test_the_other_directions_are_seen():
+    """Free motions of a ball are shifts; those of a cylinder do not roll, and do not shift along it."""
+    blind, seen = blind_of(ball)
+    assert len(blind) == 3
+    np.testing.assert_array_equal(seen, np.eye(6)[:, :3])
+    blind, seen = blind_of(cylinder)
+    assert (len(blind), seen.shape) == (2, (6, 4))
+    assert np.abs(seen[3]).max() < 0.02
+    assert np.abs(seen[0]).max() < 0.2
+    assert blind_of(texture())[1].shape == (6, 6)

@@ -1,6 +1,11 @@
-"""The module equals the numpy path, batch by batch, and its derivatives equal finite differences."""
+"""The module equals the numpy path, batch by batch, and its derivatives equal finite differences.
 
+The code of docs/torch.md.
+"""
+
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,6 +13,9 @@ import pytest
 import gelform
 
 torch = pytest.importorskip("torch", reason="needs the extra 'torch'")
+
+pytest.importorskip("torch", reason="needs the extra 'torch'")
+
 from gelform.torch import Reconstruct  # noqa: E402
 
 
@@ -106,3 +114,13 @@ def test_it_moves_and_is_saved_as_modules_are(request, name, images):
 def test_wrong_input_is_named(calibration, images):
     with pytest.raises(ValueError, match="Move the channels first"):
         Reconstruct(calibration)(torch.from_numpy(np.stack(images)))
+
+
+PAGE = Path(__file__).parents[2] / "docs/torch.md"
+
+
+def test_the_code_of_the_page_runs(calibration, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    calibration.save("mini.npz")
+    (code,) = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+    exec(compile(code, str(PAGE), "exec"), {})

@@ -11,9 +11,9 @@ import pytest
 
 from gelform.image.frame import Frame
 from gelform.robots.send import save_bag
-from gelform.sensors.recordings.facts import RecordingFacts
+from gelform.sensors.playback import RecordingFacts
 from gelform.simulate import Ball, Pose, simulate_pose
-from made.recorded import recorded
+from made.sources import recorded
 
 START_NS, RATE_HZ = 1_700_000_000_123_456_789, 50
 

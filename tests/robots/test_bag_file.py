@@ -12,7 +12,7 @@ from gelform.errors import DataError
 from gelform.foundations.findings import Finding
 from gelform.image.frame import Frame
 from gelform.result import Reconstruction
-from gelform.robots.bag_file import BagFile
+from gelform.robots.send import BagFile
 from gelform.sensors.source import open_source
 
 Reader = pytest.importorskip("rosbags.rosbag2", reason="the extra ros is not installed").Reader

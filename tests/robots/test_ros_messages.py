@@ -1,4 +1,7 @@
-"""ROS names and messages of a made-up result: units and signs by hand, NaN where unknown, levels of findings."""
+"""ROS names and messages of a made-up result: units and signs by hand, NaN where unknown, levels of findings.
+
+Depth for LeRobot: every whole micrometer is recovered, and nothing is clipped.
+"""
 
 import re
 import subprocess
@@ -7,12 +10,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from gelform.depth.force.model import ForceModel, ForcePart
+from gelform.depth.force import ForceModel, ForcePart
+from gelform.errors import DataError
 from gelform.foundations.findings import Finding
 from gelform.image.frame import Frame
 from gelform.image.markers import MarkerFlow
 from gelform.result import Reconstruction
+from gelform.robots import depth_from_lerobot_levels, lerobot_levels_from_depth
 from gelform.robots.ros_messages import RosMessages, optical_pose
 from gelform.robots.topics import TOPICS, check_sensor_name, check_topics, sensor_name_from
 from made.rigid_contacts import contact_of, pose, texture
@@ -193,3 +200,34 @@ RosMessages("left")
 """
     ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert 'DataError: A message of ROS 2 needs the extra ros: pip install "gelform[ros]"' in ran.stderr
+
+
+EVERY_LEVEL = np.arange(1, 65536, dtype=np.uint16).reshape(1, -1)
+
+
+def test_every_level_comes_back_also_those_that_the_page_names():
+    depth_mm = depth_from_lerobot_levels(EVERY_LEVEL)
+    assert depth_mm.dtype == np.float32
+    np.testing.assert_array_equal(lerobot_levels_from_depth(depth_mm), EVERY_LEVEL)
+    assert depth_from_lerobot_levels(np.array([[1000.5]])) == pytest.approx(0.0005)
+    depth_mm = np.array([[0.0, 0.001, -0.999, 1.0, 64.535]], np.float32)
+    levels = lerobot_levels_from_depth(depth_mm)
+    assert levels.dtype == np.uint16
+    assert levels.tolist() == [[1000, 1001, 1, 2000, 65535]]
+    np.testing.assert_array_equal(depth_from_lerobot_levels(levels), depth_mm)
+
+
+@given(st.floats(-0.99, 64.5, allow_nan=False))
+def test_any_depth_is_rounded_to_half_a_micrometer(depth_mm):
+    back = depth_from_lerobot_levels(lerobot_levels_from_depth([[depth_mm]]))
+    assert abs(float(back[0, 0]) - depth_mm) <= 0.0005 + 4e-6  # float32 at 64 mm
+
+
+def test_out_of_range_or_no_number_is_an_error():
+    for depth_mm in [-1.0, 64.536, -0.9996]:
+        with pytest.raises(DataError, match=r"-0\.999 to 64\.535 mm"):
+            lerobot_levels_from_depth(np.array([[0.0, depth_mm]]))
+    with pytest.raises(ValueError, match="depth_mm"):
+        lerobot_levels_from_depth(np.array([[np.nan]]))
+    with pytest.raises((ValueError, TypeError)):
+        depth_from_lerobot_levels(np.array([["a"]]))

@@ -17,10 +17,9 @@ import gelform
 from gelform.errors import CalibrationError, DataError
 from gelform.exchange.exporters.surface import points_from_result
 from gelform.robots.send import StampedResults, publish, save_bag
-from gelform.sensors.recordings.messages import typestore
-from made.recorded import frames
+from gelform.sensors.recordings.mcap_writer import typestore
 from made.small_gel import save
-from made.sources import ImageSource
+from made.sources import ImageSource, frames
 
 START_NS, RATE_HZ, FRAMES = 1_700_000_000_123_456_789, 50, 4
 

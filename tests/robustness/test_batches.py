@@ -17,10 +17,10 @@ import pytest
 
 from gelform.batch import BatchSettings, run_batch, verify_output
 from gelform.errors import DataError
-from hostile.budget import FACTOR
+from hostile.outcome import FACTOR
 from live_waiting import until
-from made.small_disk import small_disk
 from made.small_gel import Touch, calibration, image_of, save
+from made.sources import small_disk
 
 IMAGES, PART_FRAMES = 24, 3
 KILLS = 2 if FACTOR < 5 else 20

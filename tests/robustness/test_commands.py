@@ -5,8 +5,8 @@ import shlex
 import pytest
 
 from gelform.cli import main
-from hostile.budget import FACTOR
 from hostile.calls import inputs_in, is_fault, known_faults, made_calls
+from hostile.outcome import FACTOR
 
 CALLS = round(30 * FACTOR)
 

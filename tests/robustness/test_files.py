@@ -9,10 +9,9 @@ from hypothesis import strategies as st
 
 import gelform
 from gelform.sensors.files import read_background, read_sensor_toml
-from hostile.budget import SLOW_IF_ALL, cases
 from hostile.damage import ODD_VALUES, byte_damages, damaged, odd_arrays
 from hostile.files import SENSOR_TOML, odd_archives, real_files, sealed, unsealed
-from hostile.outcome import judge
+from hostile.outcome import SLOW_IF_ALL, cases, judge
 from made.small_gel import Touch, image_of
 
 pytestmark = SLOW_IF_ALL

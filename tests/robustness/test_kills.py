@@ -1,25 +1,32 @@
 """Killed at any moment: what is under its name is whole, and what was there stays.
 
 `GELFORM_ROBUSTNESS_FACTOR=5` asks for the 20 kills of each command that the guarantees speak of.
+
+Full and read-only disks, no home: one sentence before the work, and nothing that stays.
 """
 
 from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
 import time
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
 
 import gelform
 from gelform.cli import main
-from hostile.budget import FACTOR
-from hostile.commands import commands, make_work
+from gelform.cli.app import command_names
+from hostile.commands import LIBRARY, SERVERS, WRITE_NOTHING, commands, make_work, prepare
+from hostile.outcome import FACTOR
+from made.sources import small_disk
 
 COMMANDS = ("calibrate", "import", "reconstruct", "simulate")
 KILLS = 2 if FACTOR < 5 else 20
-pytestmark = [pytest.mark.slow, pytest.mark.skipif(not hasattr(os, "fork"), reason="kills a forked process")]
+MARK_KILLS_1 = pytest.mark.skipif(not hasattr(os, "fork"), reason="kills a forked process")
 
 
 @pytest.fixture(scope="module")
@@ -59,6 +66,8 @@ def assert_whole(out):
                 (gelform.load_result if path.parent.name == "results" else gelform.load_calibration)(path)
 
 
+@pytest.mark.slow
+@MARK_KILLS_1
 @pytest.mark.parametrize("name", COMMANDS)
 def test_killed_at_random_moments(work, tmp_path, name):
     rng = np.random.default_rng(11)
@@ -75,6 +84,8 @@ def test_killed_at_random_moments(work, tmp_path, name):
         assert_whole(out)
 
 
+@pytest.mark.slow
+@MARK_KILLS_1
 @pytest.mark.parametrize("step", ["fsync", "replace"])
 @pytest.mark.parametrize("there_before", [False, True])
 def test_killed_at_each_step_of_writing(work, tmp_path, step, there_before):
@@ -94,3 +105,82 @@ def test_killed_at_each_step_of_writing(work, tmp_path, step, there_before):
     assert (target.read_bytes() == before) if there_before else not target.exists()
     assert os.waitpid(start(arguments), 0)[1] == 0  # what is left over is in nobody's way
     gelform.load_calibration(target)
+
+
+MARK_DISKS_1 = pytest.mark.skipif(sys.platform != "linux", reason="mounts a tmpfs")
+WRITERS = tuple(name for name in command_names() if name not in (*WRITE_NOTHING, *LIBRARY, *SERVERS))
+
+
+@pytest.mark.slow
+@MARK_DISKS_1
+def test_every_command_that_writes_is_tried(work):
+    """A new one needs its arguments in hostile/commands.py."""
+    assert set(WRITERS) == set(commands(work, work))
+
+
+@contextmanager
+def disk(folder, kilobytes):
+    """A file system of 1 MB with something to edit, filled but for so many kilobytes."""
+    with small_disk(folder, 1024):
+        prepare(folder)
+        (folder / "filler").write_bytes(bytes((1024 - kilobytes) * 1024 - 4096))
+        yield folder
+
+
+def contents(folder):
+    return {path.name: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def said_by(arguments, capfd):
+    """What a command that fails says, which is one line."""
+    with pytest.raises(SystemExit) as stopped:
+        main([str(one) for one in arguments])
+    said = capfd.readouterr().err
+    assert stopped.value.code == 1
+    assert said.startswith("gelform: error: ")
+    assert said.count("\n") == 1
+    return said
+
+
+FILLS_UP = [("reconstruct", 60), ("simulate", 40), ("import", 40), ("compare", 40)]
+
+
+@pytest.mark.slow
+@MARK_DISKS_1
+@pytest.mark.parametrize(("name", "kilobytes"), [*((name, 0) for name in WRITERS), *FILLS_UP])
+def test_a_full_disk_is_one_sentence_and_nothing_stays(work, tmp_path, capfd, name, kilobytes):
+    with disk(tmp_path / "disk", kilobytes) as out:
+        before = contents(out)
+        assert "No space left on device" in said_by(commands(work, out)[name], capfd)
+        assert contents(out) == before
+
+
+@pytest.mark.slow
+@MARK_DISKS_1
+def test_a_report_that_does_not_fit_leaves_the_calibration_and_says_so(work, tmp_path, capfd):
+    with disk(tmp_path / "disk", 220) as out:
+        said = said_by([*commands(work, out)["calibrate"], "--quiet"], capfd)
+        assert "cal.npz, but not" in said
+        assert contents(out).keys() == {"sensor.toml", "filler", "cal.npz"}
+        assert not list(out.rglob(".*"))
+
+
+@pytest.mark.slow
+@MARK_DISKS_1
+@pytest.mark.parametrize("name", WRITERS)
+def test_a_read_only_disk_is_one_sentence(work, tmp_path, capfd, name):
+    with disk(tmp_path / "disk", 500) as out:
+        subprocess.run(["mount", "-o", "remount,ro", out], check=True)
+        assert "Read-only file system" in said_by(commands(work, out)[name], capfd)
+
+
+@pytest.mark.slow
+@MARK_DISKS_1
+def test_no_home_and_no_cache_are_no_matter(work, tmp_path):
+    """Pictures are drawn all the same, and nothing is said of it."""
+    nowhere = dict.fromkeys(("HOME", "XDG_CACHE_HOME", "XDG_CONFIG_HOME", "MPLCONFIGDIR"), "/dev/null/none")
+    command = [*commands(work, tmp_path)["reconstruct"], "--format", "npz,png", "--quiet"]
+    program = [sys.executable, "-m", "gelform", *map(str, command)]
+    done = subprocess.run(program, capture_output=True, text=True, env={**os.environ, **nowhere})
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    assert len(list((tmp_path / "results").glob("*.png"))) == 3

@@ -1,5 +1,11 @@
-"""Images, background images and sensor settings from files."""
+"""TOML files: each fault is a sentence, of the caller's class.
 
+Video files whose name OpenCV cannot take.
+
+Images, background images and sensor settings from files.
+"""
+
+import os
 import shutil
 import struct
 import zlib
@@ -11,21 +17,98 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform.errors import DataError
-from gelform.exchange.plots.canvas import save_picture
+from gelform.cli import main
+from gelform.errors import DataError, SensorError
+from gelform.exchange.plots import save_picture
 from gelform.image.view import View
-from gelform.sensors.declared import begin_tiff_at, tiff_pages
 from gelform.sensors.files import (
     SensorSettings,
+    Video,
     averaged_background,
     background_in,
     is_stack,
     read_background,
     read_image,
     read_sensor_toml,
+    read_toml,
 )
-from gelform.sensors.recordings.indexed import indexed
+from gelform.sensors.pictures import begin_tiff_at, tiff_pages
+from gelform.sensors.recordings.player import indexed
+from gelform.sensors.source import open_source
 from gelform.simulate import simulate_background
+
+FAULTS = {
+    "nested": (b"a = " + b"[" * 20_000 + b"]" * 20_000, "holds tables inside tables beyond reason"),
+    "dotted": (b"a" + b".a" * 20_000 + b" = 1", "holds tables inside tables beyond reason|is no TOML"),
+    "latin": ("name = 'Pr\u00fcfling'".encode("latin-1"), "is no text in UTF-8: byte 10"),
+    "torn": (b"name = ", "is no TOML file"),
+}
+
+
+@pytest.mark.parametrize("fault", ["nested", "latin", "torn"])
+def test_a_fault_is_a_sentence(tmp_path, fault):
+    path = tmp_path / "sensor.toml"
+    path.write_bytes(FAULTS[fault][0])
+    for error in (DataError, SensorError):
+        with pytest.raises(error, match=FAULTS[fault][1]):
+            read_toml(path, "settings", error)
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.parametrize(
+    "command",
+    [
+        "design {}",
+        "simulate --sensor {} -o out",
+        "info {}/..",
+        "live simulated:{}",
+        "calibrate {}/.. -o a.npz",
+    ],
+)
+def test_every_command_that_reads_one_says_it(tmp_path, capsys, monkeypatch, fault, command):
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / "sensor.toml"
+    path.write_bytes(FAULTS[fault][0])
+    with pytest.raises(SystemExit) as stopped:
+        main(command.replace("{}/..", str(tmp_path)).replace("{}", str(path)).split(" "))
+    assert stopped.value.code in (0, 1, 2), capsys.readouterr().err
+    assert "bug" not in capsys.readouterr().err
+
+
+@pytest.fixture
+def odd_name(tmp_path):
+    """A video that can be decoded, under a name of bytes that are no UTF-8."""
+    path = tmp_path / "presses.avi"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 25, (80, 64))
+    for _ in range(3):
+        writer.write(np.full((64, 80, 3), 100, np.uint8))
+    writer.release()
+    assert len(list(Video(path))) == 3
+    odd = tmp_path / os.fsdecode(b"presses \xff.avi")
+    try:
+        return path.rename(odd)
+    except OSError:
+        pytest.skip("this file system has names in UTF-8 alone")
+
+
+def test_a_name_that_is_no_utf_8_is_refused_by_every_reader(odd_name):
+    for reader in (Video, open_source, indexed):
+        with pytest.raises(DataError, match=r"udcff.avi' is no UTF-8. Rename it"):
+            reader(odd_name)
+
+
+def test_commands_say_so(odd_name, calibration, tmp_path, capsys):
+    calibration.save(tmp_path / "cal.npz")
+    after = ["-c", str(tmp_path / "cal.npz"), "-o", str(tmp_path / "out")]
+    for command in (
+        ["info", str(odd_name)],
+        ["reconstruct", str(odd_name), *after],
+        ["batch", str(odd_name), *after, "--table", "csv"],
+    ):
+        with pytest.raises(SystemExit, match=r"^1$"):
+            main(command)
+    assert "no UTF-8. Rename it" in capsys.readouterr().err
+    assert "no UTF-8. Rename it" in (tmp_path / "out" / "frames.csv").read_text()
 
 
 @pytest.fixture

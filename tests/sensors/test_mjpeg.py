@@ -12,7 +12,7 @@ from gelform.errors import SensorError, SourceLostError
 from gelform.sensors.grabber import Grabber
 from gelform.sensors.mjpeg import MAX_PART_BYTES, Dechunker, HttpBody, MjpegUrl, PartSplitter, shown_address
 from live_waiting import until
-from made.mjpeg_server import HEADER, SEEN, MjpegServer, jpeg, part
+from made.sources import HEADER, SEEN, MjpegServer, jpeg, part
 from stream.ffmpeg_camera import FfmpegCamera, why_absent
 
 RED, GREEN, BLUE = jpeg(color=(200, 0, 0)), jpeg(color=(0, 200, 0)), jpeg(color=(0, 0, 200))

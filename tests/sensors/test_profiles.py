@@ -1,7 +1,15 @@
-"""Profiles crop the same part of the gel from frames of any size, with square pixels."""
+"""Profiles crop the same part of the gel from frames of any size, with square pixels.
+
+A simulated sensor from settings and from TOML.
+
+The simulated sensor as a source: pace, noise, its program, presses on request.
+"""
 
 import subprocess
 import sys
+import threading
+import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,7 +26,16 @@ from gelform.sensors.profiles import (
     profile_named,
     view_from_camera,
 )
-from gelform.simulate import LAYOUTS
+from gelform.sensors.simulated import (
+    REST_IMAGES,
+    SimulatedSource,
+    program,
+    read_simulated_sensor,
+    sensor_from_settings,
+    simulated_sensor_named,
+)
+from gelform.simulate import LAYOUTS, simulate_background, simulate_pose
+from live_waiting import until
 
 
 def test_every_profile_gives_its_image_from_frames_of_any_size_by_a_cut():
@@ -111,3 +128,174 @@ def test_the_names_of_sensors_cost_no_numpy():
     code = "import sys; from gelform.sensors.profiles import SENSORS; print(*sys.modules)"
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert not {"numpy", "scipy", "cv2"} & set(loaded.split())
+
+
+TOML = """
+base = "gelsight-mini"
+name = "mine"
+noise_sd = 0.5
+exposed_levels = [90, 95, 100]
+
+[[leds]]
+position_mm = [-15, 0, 8]
+color = [900, 20, 0]
+
+[[leds]]
+position_mm = [15, 0, 8]
+peak_nm = 525
+power = 800
+beam_power = 1
+
+[[leds]]
+position_mm = [0, 15, 8]
+peak_nm = 465
+power = 800
+
+[gel]
+thickness_mm = 2.5
+bulge = 0.6
+
+[coating]
+marker_pitch_mm = 2.0
+"""
+
+
+def test_a_toml_file_starts_from_a_base_and_changes_it(tmp_path):
+    path = tmp_path / "sensor.toml"
+    path.write_text(TOML)
+    sensor = read_simulated_sensor(path)
+    assert (sensor.name, sensor.noise_sd, sensor.gel.bulge) == ("mine", 0.5, 0.6)
+    assert len(sensor.leds) == 3
+    assert sensor.leds[1].beam_power == 1
+    assert np.argmax(sensor.leds[2].color) == 2
+    assert sensor.coating.marker_pitch_mm == 2.0
+    assert sensor.coating.seed == SENSORS["gelsight-mini"].simulated().coating.seed
+    means = simulate_background(sensor, None, quantise=False).mean((0, 1))
+    np.testing.assert_allclose(means, (90, 95, 100), rtol=0.03)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (("noise_sd", "noise_ds"), "Did you mean 'noise_sd'"),
+        (("bulge", "buldge"), r"\[gel\]. Did you mean 'bulge'"),
+        (("beam_power", "beam_powr"), r"\[\[leds\]\]. Did you mean 'beam_power'"),
+        (("marker_pitch_mm", "marker_pich_mm"), "Did you mean 'marker_pitch_mm'"),
+        (('"gelsight-mini"', '"gelsigt-mini"'), "Did you mean 'gelsight-mini'"),
+        (("[-15, 0, 8]", "[1, 0, 1]"), "outside the gel"),
+        (("[-15, 0, 8]", "[1, 0, -1]"), "camera's side"),
+        (("noise_sd = 0.5", "noise_gain = -0.5"), "noise_gain >= 0"),
+        (("noise_sd = 0.5", 'noise_sd = "low"'), "noise_sd"),
+        (("[gel]", "gel = 3\n[other]"), "gel"),
+        (("[[leds]]", "[[leds]"), "no TOML"),
+        (("peak_nm = 525", "peak_nm = 52"), "peak_nm in 380-750"),
+    ],
+)
+def test_bad_toml_is_refused_with_the_reason(tmp_path, change, message):
+    path = tmp_path / "sensor.toml"
+    path.write_text(TOML.replace(*change, 1))
+    with pytest.raises(SensorError, match=message):
+        read_simulated_sensor(path)
+
+
+def test_without_a_base_leds_are_needed(tmp_path):
+    with pytest.raises(SensorError, match="No file"):
+        read_simulated_sensor(tmp_path / "none.toml")
+    with pytest.raises(ValueError, match="got neither"):
+        sensor_from_settings({"name": "dark"})
+    with pytest.raises(ValueError, match="Did you mean 'digit'"):
+        simulated_sensor_named("digitt")
+
+
+SMALL = replace(LAYOUTS["three-edges"], shape=(48, 64), mm_per_px=0.3)
+UNTOUCHED = simulate_background(SMALL, None).astype(float)
+
+
+@pytest.fixture
+def source():
+    with SimulatedSource(SMALL, rate_hz=200.0) as made:
+        yield made
+
+
+def test_facts_and_range(source):
+    assert (source.name, source.rate_hz) == ("simulated three-edges", 200.0)
+    assert source.serial == "simulated-three-edges"
+    assert source.settings == {"width": 64, "height": 48, "fps": 200.0}
+    with pytest.raises(ValueError, match="rate_hz"):
+        SimulatedSource(SMALL, rate_hz=0.0)
+
+
+def test_frames_come_in_order_at_their_times_and_not_before(source):
+    came = [(frame, time.monotonic()) for _, frame in zip(range(5), source)]
+    times, steps = (np.diff([getattr(f, name) for f, _ in came]) for name in ("time_s", "index"))
+    np.testing.assert_allclose(times, steps / 200)
+    assert (steps >= 1).all()
+    assert all(now >= frame.time_s for frame, now in came)
+    reader = iter(source)
+    before = next(reader).index
+    time.sleep(0.1)
+    assert next(reader).index >= before + 19
+
+
+def test_closed_it_ends_also_just_as_its_loop_begins(source, monkeypatch):
+    reader = iter(source)
+    next(reader)
+    source.close()
+    assert list(reader) == []
+    other, start = SimulatedSource(SMALL), threading.Thread.start
+    monkeypatch.setattr(threading.Thread, "start", lambda thread: (other.close(), start(thread)))
+    assert list(other) == []
+
+
+def test_noise_is_of_the_frame_and_the_seed():
+    one, again, other = (SimulatedSource(SMALL, seed=seed) for seed in (1, 1, 2))
+    for index in (5, 60):  # untouched, and under the ball
+        np.testing.assert_array_equal(one.image_at(index), again.image_at(index))
+    for different in (one.image_at(6), other.image_at(5)):
+        assert (one.image_at(5) != different).mean() > 0.2
+
+
+def test_a_frame_is_the_simulated_image_of_its_touch(source):
+    k = REST_IMAGES + 24
+    touch = program(SMALL)[0][k]
+    truth = simulate_pose(SMALL, touch.indenter, touch.pose, rng=None).image
+    rounds = len(program(SMALL)[0])
+    shown = np.mean([source.image_at(round((k + 0.5 + rounds * n) * 200 / 30)) for n in range(60)], axis=0)
+    assert np.abs(shown - truth).mean() < 0.4  # rounding of the truth, and noise of the mean
+    assert np.abs(shown - UNTOUCHED).max() > 20
+
+
+def test_objects_touch_in_turn_without_going_through_the_gel():
+    sensor = simulated_sensor_named("three-edges")
+    for images in program(sensor):
+        assert images[:REST_IMAGES] == [None] * REST_IMAGES
+        depths = [touch.pose.depth_mm for touch in images[REST_IMAGES:]]
+        assert max(depths) > 0.2
+        assert all(0 < depth < 0.5 * sensor.gel.thickness_mm for depth in depths)
+        assert depths[0] < 0.1
+        assert depths[-1] < 0.1
+
+
+def test_at_rest_nothing_is_computed_ahead(source, monkeypatch):
+    computed = []
+    monkeypatch.setattr(source, "_levels_of_touch", lambda touch: computed.append(touch) or source._untouched)
+    source.rest()
+    images = [frame.image for _, frame in zip(range(40), source)]  # 0.2 s: six touches' time
+    assert computed == []
+    assert np.abs(np.mean(images, axis=0) - UNTOUCHED).mean() < 0.5
+    source.rest(False)
+    until(lambda: computed)
+
+
+def test_a_press_is_where_it_was_asked_for_until_it_is_lifted(source):
+    source.rest()
+    source.press_at(20, 30, 0.5, held_s=60)
+    change = next(
+        one for frame in source if ((one := np.abs(frame.image - UNTOUCHED).sum(axis=-1)) > 60).mean() > 0.01
+    )
+    y, x = np.mgrid[: SMALL.shape[0], : SMALL.shape[1]]
+    weight = np.where(change > 60, change, 0)
+    assert np.average(x, weights=weight) == pytest.approx(20, abs=3)
+    assert np.average(y, weights=weight) == pytest.approx(30, abs=3)
+    source.lift()
+    assert np.abs(source.image_at(0) - UNTOUCHED).mean() < 3

@@ -15,7 +15,7 @@ from lerobot_camera_gelform import GelformCamera, GelformCameraConfig, is_lossle
 from record import camera_of
 
 import gelform
-from gelform.depth.force.model import ForceModel, ForcePart
+from gelform.depth.force import ForceModel, ForcePart
 from gelform.robots import depth_from_lerobot_levels
 
 

@@ -11,7 +11,7 @@ from record import camera_of
 
 import gelform
 from gelform.batch import BatchSettings, run_batch, verify_output
-from gelform.depth.force.model import ForceModel, ForcePart
+from gelform.depth.force import ForceModel, ForcePart
 from gelform.robots import depth_from_lerobot_levels
 
 KEY, RATE_HZ, EPISODES = "observation.images.finger", 30, (7, 5)

@@ -1,6 +1,6 @@
 """Which sources and which version a compiled library was made from, and whether its file is all there.
 
-`hatch_build.py` compiles two digests into each library. `loader` compares them: in a checkout that of native/, in an
+`hatch_build.py` compiles two digests into each library. `kernel` compares them: in a checkout that of native/, in an
 installed package, which has no C sources, that of the version. A library left over from others is refused: called by newer
 Python, it would write where it must not. Nothing else of gelform is imported here, because the build runs without numpy.
 """

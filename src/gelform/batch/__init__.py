@@ -1,11 +1,11 @@
 """Data sets: every frame of a folder tree, of videos and recordings to depth, on several processes, resumable."""
 
-from gelform.batch.engines import Engine
 from gelform.batch.inputs.containers import Sequence
 from gelform.batch.inputs.listing import Listing, listing_of
+from gelform.batch.manifest import Problem, verify_output
 from gelform.batch.run import BatchSummary, RunOptions, run_batch
 from gelform.batch.settings import KEPT, BatchSettings
-from gelform.batch.verify import Problem, verify_output
+from gelform.batch.work import Engine
 
 __all__ = [
     "KEPT",

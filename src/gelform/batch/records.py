@@ -16,8 +16,7 @@ from typing import Any
 
 from gelform.batch.outputs.files import PARTS, OutputFile
 from gelform.errors import DataError
-from gelform.foundations.npz_files import written_file
-from gelform.foundations.tables import table_text
+from gelform.foundations.files import table_text, written_file
 
 PARTS_IN_A_FOLDER = 1000  # records in one folder: folders with millions of files are slow
 COLUMNS: dict[str, str] = {  # name -> type in Parquet

@@ -6,7 +6,7 @@ import sys
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from gelform.depth.solvers.inputs import checked_solver
+from gelform.depth.integrate import checked_solver
 from gelform.foundations.checks import check_choice
 from gelform.result.maps import KEPT_MAPS
 

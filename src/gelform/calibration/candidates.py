@@ -14,14 +14,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.calibration.circles.find import ContactCircle
-from gelform.calibration.circles.samples import (
+from gelform.calibration.circles.find import (
     TOTAL_SAMPLES,
+    ContactCircle,
     PreparedPress,
     contact_samples,
     with_rest_samples,
 )
-from gelform.calibration.enough import NEEDED
+from gelform.calibration.coverage import NEEDED
 from gelform.calibration.presses.press_set import Presses
 from gelform.calibration.starters import (
     check_light,
@@ -31,9 +31,9 @@ from gelform.calibration.starters import (
 )
 from gelform.calibration.starters.starter import Starter, make_name
 from gelform.calibration_file import Calibration, as_calibration
-from gelform.depth.stepped import CoarseDepth
+from gelform.depth.coarse import CoarseDepth
 from gelform.errors import CalibrationError
-from gelform.image.background.change import ChangeSettings, gain_from_background
+from gelform.image.background import ChangeSettings, gain_from_background
 from gelform.sensors.profiles import make_of
 from gelform.slopes.color_models import (
     COLOR_MODELS,
@@ -43,8 +43,8 @@ from gelform.slopes.color_models import (
     Samples,
     StartableModel,
 )
-from gelform.slopes.color_models._shared.least_squares import node_positions
 from gelform.slopes.color_models.forward_response import RIDGES, PreparedStep, Step
+from gelform.slopes.color_models.least_squares import node_positions
 
 AUTO = "auto"
 # Ridges of a fit that is pulled toward another unit's, times its number of presses: the other unit counts as much as this

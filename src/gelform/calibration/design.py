@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from gelform.calibration.fit import calibrate
 from gelform.calibration.presses.press_set import presses_from_simulated
 from gelform.errors import CalibrationError, SensorError
-from gelform.exchange.plots.canvas import canvas, draw_map, pixels_of
+from gelform.exchange.plots import canvas, draw_map, pixels_of
 from gelform.foundations.checks import check_positive
-from gelform.foundations.progress import Progress, no_progress
+from gelform.foundations.findings import Progress, no_progress
 from gelform.reconstruct import Reconstructor
 from gelform.result.metrics import angle_deg
 from gelform.simulate import (
@@ -26,7 +26,7 @@ from gelform.simulate import (
     simulate_background,
     simulate_ball_presses,
 )
-from gelform.simulate.gel.gel import Surface
+from gelform.simulate.gel import Surface
 from gelform.simulate.light import irradiance_from_surface, spread_in_gel
 from gelform.simulate.sensor.camera import levels_from_irradiance
 

@@ -15,11 +15,11 @@ from gelform.calibration.circles.prepare import ColorChanges
 from gelform.calibration.held_out.measure import errors_of, sample_of
 from gelform.calibration.presses.folder import Press, Presses, as_presses, with_view
 from gelform.calibration.presses.press_set import FlatPress
+from gelform.calibration.report.content import errors_where
 from gelform.calibration.report.record import summary
-from gelform.calibration.report.statistics import errors_where
 from gelform.calibration_file import Calibration, as_calibration
 from gelform.errors import DataError
-from gelform.foundations.progress import Progress, no_progress
+from gelform.foundations.findings import Progress, no_progress
 from gelform.reconstruct import Reconstructor
 
 STANDING = 0.5  # of the largest depth; a larger depth is the punch and a narrow strip around it

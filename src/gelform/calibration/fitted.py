@@ -20,21 +20,18 @@ from gelform.calibration.candidates import (
     fitted_responses,
     training_samples,
 )
-from gelform.calibration.circles.find import ContactCircle
+from gelform.calibration.circles.find import ZONE, ContactCircle, PreparedPress
 from gelform.calibration.circles.locate import Located
 from gelform.calibration.circles.prepare import change_settings, prepared_by_offset
-from gelform.calibration.circles.samples import ZONE, PreparedPress
-from gelform.calibration.enough import NEEDED, SAMPLED
-from gelform.calibration.held_out.folds import Fold
-from gelform.calibration.held_out.scores import HeldOutPresses, Selection, select
+from gelform.calibration.coverage import NEEDED, SAMPLED
+from gelform.calibration.held_out.scores import Fold, HeldOutPresses, Selection, select
 from gelform.calibration.presses.press_set import Presses
 from gelform.calibration_file import Calibration, CalibrationSettings
 from gelform.errors import GelformError
-from gelform.foundations.progress import Progress, no_progress
-from gelform.image.background.average import noise_from_image
+from gelform.foundations.findings import Progress, no_progress
+from gelform.image.background import noise_from_image
 from gelform.slopes.color_models import COLOR_MODELS, ColorModel, ForwardResponse
-from gelform.slopes.confidence import SlopeSigma
-from gelform.slopes.confidence.causes import ends_shown
+from gelform.slopes.sigma import SlopeSigma, ends_shown
 
 UNTOUCHED_PERCENTILE = 99.0  # percentile of the size of the color change
 UNTOUCHED_DISTANCE = 3  # contact radii

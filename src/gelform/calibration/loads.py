@@ -12,12 +12,11 @@ from numpy.typing import NDArray
 
 from gelform.calibration.presses.press_set import file_of, number, table_rows
 from gelform.calibration_file import Calibration, as_calibration
-from gelform.depth.force.fit import LEAST_RANGE, LEAST_SHARE, Load
-from gelform.depth.force.model import why_no_normal
-from gelform.depth.force.touch import Touch, touch_from_result, touches_in_order
+from gelform.depth.force import Touch, touch_from_result, touches_in_order, why_no_normal
+from gelform.depth.force_fit import LEAST_RANGE, LEAST_SHARE, Load
 from gelform.errors import DataError
 from gelform.foundations.checks import check_path
-from gelform.foundations.progress import Progress, no_progress
+from gelform.foundations.findings import Progress, no_progress
 from gelform.image.view import image_from_frame
 from gelform.reconstruct import Reconstructor
 from gelform.sensors.files import background_in, read_background, read_image

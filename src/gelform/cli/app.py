@@ -11,7 +11,7 @@ from typer.core import TyperCommand
 
 from gelform.cli.commands import calibrations, force
 from gelform.cli.commands.batch import batch, verify
-from gelform.cli.commands.calibrate import calibrate
+from gelform.cli.commands.calibrate import calibrate, starter
 from gelform.cli.commands.demo import demo
 from gelform.cli.commands.exchange import export, import_
 from gelform.cli.commands.geometry import crosstalk, lens, scale
@@ -22,7 +22,6 @@ from gelform.cli.commands.reconstruct import reconstruct
 from gelform.cli.commands.robots import bag, ros, track
 from gelform.cli.commands.simulate import design, simulate
 from gelform.cli.commands.sources import cameras, record
-from gelform.cli.commands.starter import starter
 from gelform.cli.options import flat
 from gelform.cli.process import DEBUG, ReportedFailures, as_process
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import typer
 
-from gelform.foundations.progress import Progress, no_progress
+from gelform.foundations.findings import Progress, no_progress
 
 # What steers a terminal: control codes (C0, DEL, C1), line separators, and marks that turn the direction of writing.
 _STEERING = re.compile("[\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]")
@@ -96,7 +96,7 @@ def check_pictures() -> None:
     """
     import logging
 
-    from gelform.exchange.plots.canvas import check_matplotlib
+    from gelform.exchange.plots import check_matplotlib
 
     logging.getLogger("matplotlib").setLevel(logging.ERROR)
     check_matplotlib()

@@ -15,7 +15,7 @@ from typing import Annotated, Any, get_args, get_origin, get_type_hints
 from typer import Argument, BadParameter, Option
 
 from gelform.cli.console import print_json, progress_shown, say, show_table
-from gelform.foundations.progress import Progress
+from gelform.foundations.findings import Progress
 from gelform.robots.topics import TOPICS, USUAL
 from gelform.sensors.profiles import PROFILES
 

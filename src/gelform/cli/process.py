@@ -1,4 +1,6 @@
-"""The command as a process: failures, signals, streams of any encoding or none, one writer per file.
+"""The command as a process: failures, signals, streams of any encoding or none, one writer per file, its findings.
+
+The command as a process: failures, signals, streams of any encoding or none, one writer per file.
 
 A mistake in the user's input prints one line and exits with status 1, a bug of gelform with status 70. Results that are
 doubtful in most frames are kept, and end with status 3. A mistake is a
@@ -24,6 +26,7 @@ from typer.core import TyperGroup
 
 from gelform.cli.console import printable, say
 from gelform.errors import DataError, GelformError
+from gelform.foundations.findings import DOUBTFUL, FrameTally
 
 MISTAKE, DOUBT, BUG, INTERRUPTED = 1, 3, 70, 130
 DEBUG = "--debug"
@@ -202,3 +205,34 @@ def only_writer(path: Path) -> Iterator[None]:
         finally:
             with suppress(OSError):  # Windows deletes no open file, but the lock does there
                 lock.unlink()
+
+
+def status_of(tally: FrameTally, *, accept_doubtful: bool, quiet: bool) -> int:
+    """Say the findings and errors of all frames; return the exit status."""
+    by_count = sorted(tally.findings.items(), key=lambda one: (-one[1], one[0]))
+    if by_count:
+        shares = ", ".join(f"{name} {_percent(count, tally.frames)}" for name, count in by_count)
+        say(f"Findings in {tally.frames} frames: {shares}.", quiet)
+    if tally.failed:
+        kind, count = max(tally.reasons.items(), key=lambda one: one[1])
+        all_of = f"{tally.failed} of {tally.frames + tally.failed} frames failed"
+        common = "Each" if count == tally.failed == 1 else f"The commonest reason ({count} frames)"
+        say(f"gelform: error: {all_of}. {common}: {tally.examples[kind]}")
+    if tally.frames and tally.is_useless:
+        say(f"gelform: error: no frame was usable: depth is known in none of {tally.frames}.")
+        return MISTAKE
+    if not tally.is_doubtful:
+        return MISTAKE if tally.failed else 0
+    causes = ", ".join(f"{name} in {count}" for name, count in by_count if name in DOUBTFUL)
+    say(
+        f"gelform: error: the depth of {tally.doubtful} of {tally.frames} frames is doubtful ({causes or 'it is unknown'}). "
+        "Are calibration and background of this sensor, with this gel and light? If they are: --accept-doubtful."
+    )
+    if tally.failed:
+        return MISTAKE
+    return 0 if accept_doubtful else DOUBT
+
+
+def _percent(count: int, frames: int) -> str:
+    share = 100 * count / frames
+    return "under 1 %" if share < 1 else f"{share:.0f} %"

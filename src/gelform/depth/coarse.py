@@ -1,4 +1,12 @@
-"""The grid that is four times coarser than a frame. Depth is smooth, so a sixteenth of the pixels will do."""
+"""Depth on a grid four times coarser than the frame, where it looks like rest, and the slopes of the step by it.
+
+The anchor: how firmly depth is held at 0 where color and coarse depth look like gel at rest.
+
+Color alone cannot show that nothing touches: the flat face of a punch or a coin has the color of gel at rest.
+Therefore a coarse depth is solved first. A region that touched gel encloses, and that lies deeper or higher than rest, is
+a flat face: its edge shows that, and it is not held. Gel next to touched gel is not held either, because it is drawn down
+by less than its color can show.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +19,9 @@ from numpy.typing import NDArray
 
 from gelform._native import Kernel
 from gelform.depth.solvers.dct import DctSolver
+from gelform.foundations.filters import MIN_UNTOUCHED, fill_unknown, medians_where
+from gelform.foundations.pool import Pool
+from gelform.slopes.color_models.forward_response import ForwardResponse, PreparedStep, Step
 
 COARSER = 4  # times fewer rows and columns; the same in native/depth/coarse.c
 
@@ -66,3 +77,156 @@ class Coarse:
 def coarse_of(shape: tuple[int, int]) -> Coarse:
     """The grid of frames of a shape, made once."""
     return Coarse(shape)
+
+
+REST_SIGMA_MM = 0.057  # mm, sigma of depth at pixels with the color of rest, far from contacts
+FACE_MM = (
+    0.02  # mm; an enclosed region farther off rest is a face; slope errors tilt a face of a few mm by less
+)
+REACH_MM = 1.0  # mm; touched gel draws down the gel at this distance, by exp(-(distance/reach)^2)
+UNTOUCHED_FRACTION = 0.5  # of a coarse pixel that has the color of rest: above it is at rest, below touched
+
+_rest_hold = Kernel(
+    "rest_hold",
+    "f32[h,w] depth, f32[h,w] share, f32[h,w]? far, out f32[n] work, out f32[h,w] weight, f32 hold, f32 least, "
+    "f32 face",
+)
+_spread_over_chosen = Kernel(
+    "spread_over_chosen", "f32[rows,columns] coarse, bool[h,w] chosen, out f32[n] work, out f32[h,w] map"
+)
+_distance_to_chosen = Kernel("distance_to_chosen", "bool[h,w] chosen, out f32[n] work, out f32[h,w] distance")
+# Floats of work memory; the same as in native/depth/anchor.
+WORDS_OF_RUN, WORDS_OF_REGION = 6, 4
+
+
+class RestAnchor:
+    """The anchor of a frame. It is prepared once and immutable; threads can share it.
+
+    Parameters
+    ----------
+    shape : (H, W)
+    mm_per_px : float, mm
+    full_confidence_sigma : float, mm/mm; standard deviation of a slope of weight 1
+    """
+
+    def __init__(self, shape: tuple[int, int], mm_per_px: float, full_confidence_sigma: float) -> None:
+        self.shape, self._mm_per_px = shape, np.float32(mm_per_px)
+        self.hold = (full_confidence_sigma * mm_per_px / REST_SIGMA_MM) ** 2
+        self._coarse = coarse_of(shape)
+        rows, columns = self._coarse.shape
+        self._coarse_mm = mm_per_px * sum(self._coarse.pitch_px) / 2
+        runs = rows * ((columns + 1) // 2)
+        of_coarse = runs * (WORDS_OF_RUN + WORDS_OF_REGION) + 4 * rows * columns
+        size = max(4 * shape[1], of_coarse, (rows + 2) * (columns + 2))
+        self._pool = Pool(lambda: np.empty(size, dtype=np.float32))
+
+    def __call__(
+        self,
+        gradients: NDArray[np.float32],
+        at_rest: NDArray[np.bool_],
+    ) -> NDArray[np.float32]:
+        """Anchor (H, W) of slopes (H, W, 2) without bias; 0 where the gel was touched or pressed flat.
+
+        A pixel at rest gets `(full_confidence_sigma mm_per_px / REST_SIGMA_MM)^2`, times `1 - exp(-(d/REACH_MM)^2)` with its
+        distance d from touched gel; in a face it gets 0. If no coarse pixel is at rest, the coarse pixels with the largest
+        fraction at rest are taken instead.
+        """
+        coarse = self._coarse
+        slopes, fraction = coarse.means(gradients), coarse.means(at_rest)
+        depth = coarse.depth_px(slopes) * self._mm_per_px
+        weight, anchor = np.empty(coarse.shape, np.float32), np.empty(self.shape, np.float32)
+        with self._pool.one() as work:
+            far = self._far_from(fraction < min(UNTOUCHED_FRACTION, float(fraction.max())), work)
+            _rest_hold(depth, fraction, far, work, weight, self.hold, UNTOUCHED_FRACTION, FACE_MM)
+            _spread_over_chosen(weight, at_rest, work, anchor)
+        return anchor
+
+    def _far_from(self, touched: NDArray[np.bool_], work: NDArray[np.float32]) -> NDArray[np.float32] | None:
+        """Distance factor (h, w) on the coarse grid: 0 at touched gel, 1 far from it; None if nothing is touched."""
+        if not touched.any():
+            return None
+        distance = np.empty(self._coarse.shape, np.float32)
+        _distance_to_chosen(touched, work, distance)
+        far: NDArray[np.float32] = 1 - np.exp(-np.square(distance * np.float32(self._coarse_mm / REACH_MM)))
+        return far
+
+
+class CoarseDepth:
+    """Least-squares depth of frames; immutable. A color change up to `untouched` means rest, where depth is 0."""
+
+    def __init__(self, shape: tuple[int, int], untouched: float) -> None:
+        self._square = np.float32(untouched**2)
+        self._coarse = coarse_of(shape)
+
+    def __call__(
+        self,
+        color_change: NDArray[np.float32],
+        gradients: NDArray[np.float32],
+        hidden: NDArray[np.bool_] | None = None,
+    ) -> NDArray[np.float32]:
+        """Depth (rows, columns) on the coarser grid, px; its median over the samples at rest is 0, and no depth is less.
+
+        It comes from a color change (H, W, 3) and the gradients (H, W, 2) of a color model. The slopes around hidden pixels
+        (H, W) are continued across them.
+        """
+        means = self._coarse.means
+        change, slopes = means(color_change), means(gradients)
+        if hidden is not None and hidden.any():
+            shown = ~hidden
+            part = means(shown)
+            known = part > 0
+            part[~known] = 1
+            change, slopes = (
+                means(m * shown[..., None]) / part[..., None] for m in (color_change, gradients)
+            )
+            if known.any():
+                change, slopes = fill_unknown(change, known), fill_unknown(slopes, known)
+        change = change - medians_where(change)[0]
+        square = np.einsum("...c,...c->...", change, change)
+        rest = square <= self._square
+        if np.count_nonzero(rest) < MIN_UNTOUCHED * rest.size:
+            rest = square <= np.quantile(square, MIN_UNTOUCHED)
+        depth = self._coarse.depth_px(slopes - medians_where(slopes, rest)[0])
+        depth -= medians_where(depth[..., None], rest)[0]
+        np.maximum(depth, 0, out=depth)
+        return depth
+
+    def at_pixels(
+        self,
+        color_change: NDArray[np.float32],
+        gradients: NDArray[np.float32],
+        hidden: NDArray[np.bool_] | None = None,
+    ) -> NDArray[np.float32]:
+        """The depth at every pixel (H, W)."""
+        return self._coarse.at_pixels(self(color_change, gradients, hidden))
+
+
+class SteppedSlopes:
+    """Steps of the frames of one calibration. It is immutable; threads can share it.
+
+    Without a response or its `step_sigma` there is no step, and slopes stay as they were read.
+    """
+
+    def __init__(self, forward: ForwardResponse | None, shape: tuple[int, int], untouched: float) -> None:
+        self._depth = CoarseDepth(shape, untouched)
+        self._step = None if forward is None or forward.step_sigma is None else PreparedStep(forward)
+
+    @property
+    def steps(self) -> bool:
+        """Whether there is a step."""
+        return self._step is not None
+
+    def __call__(
+        self,
+        color_change: NDArray[np.float32],
+        gradients: NDArray[np.float32],
+        hidden: NDArray[np.bool_] | None = None,
+        clipped: NDArray[np.uint8] | None = None,
+    ) -> Step | None:
+        """The step of a frame, from the gradients (H, W, 2) of the color model; None without a step.
+
+        Pixels without gel are `hidden` (H, W), unusable channels are `clipped` (H, W, 3).
+        """
+        if self._step is None:
+            return None
+        return self._step(color_change, gradients, self._depth(color_change, gradients, hidden), clipped)

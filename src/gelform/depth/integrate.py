@@ -1,33 +1,32 @@
-"""gradients -> depth in millimeters: the only entry to solvers/, the zero reference and leveling."""
+"""gradients -> depth in millimeters: the only entry to solvers/, its checks, the zero reference and leveling."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
-from typing import Any
+from typing import Any, Literal, get_args
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gelform._native import is_finite
+from gelform.depth.coarse import RestAnchor
 from gelform.depth.solvers import SOLVERS, Solution, Solver, Weights
-from gelform.depth.solvers.inputs import check_anchor, check_weights, checked_solver
-from gelform.depth.solvers.seam import Pair
-from gelform.depth.solvers.system import differences, edges_from_gradients, residual_rms
-from gelform.depth.zero import (
-    Level,
-    Zero,
-    checked_level,
-    fitted_surface,
-    median_over,
-    zero_depth,
-    zero_region,
-)
+from gelform.depth.solvers.seam import Pair, differences, edges_from_gradients, residual_rms
 from gelform.errors import ConvergenceError
-from gelform.foundations.checks import check_gradients, check_map, check_mask, check_mm_per_px, check_slopes
-from gelform.foundations.fill import fill_unknown
+from gelform.foundations.checks import (
+    as_array,
+    check_choice,
+    check_gradients,
+    check_map,
+    check_mask,
+    check_mm_per_px,
+    check_slopes,
+)
+from gelform.foundations.filters import MEDIAN_SAMPLES, fill_unknown, lattice_step, medians_where
+from gelform.slopes.budget import ReadSlopes
 from gelform.slopes.gradients import curl_rms
 
 # Pixels of the largest frame that is factorized where the iteration stalls: 13 s and 2.2 GB, measured.
@@ -325,3 +324,148 @@ def _solver_for(solver: str, *, uniform: bool) -> str:
     if checked_solver(solver) == "auto":
         return "dct" if uniform else "multigrid"
     return solver
+
+
+Zero = Literal["mean", "border"]
+Level = Literal["slope", "plane", "quadratic"]
+
+
+def zero_region(zero: Zero | NDArray[np.bool_], shape: tuple[int, int]) -> NDArray[np.bool_]:
+    """The pixels (H, W) bool that define where depth is 0.
+
+    ValueError, TypeError: an unknown word, or a map that is not boolean of that shape.
+    """
+    if isinstance(zero, str):
+        if zero not in ("mean", "border"):
+            raise ValueError(f"Expected zero as 'mean', 'border' or a boolean (H, W), got {zero!r}.")
+        region = np.ones(shape, dtype=bool)
+        if zero == "border" and min(shape) > 2:
+            region[1:-1, 1:-1] = False
+        return region
+    return check_mask(zero, shape=shape, name="zero")
+
+
+def checked_level(level: Any) -> Level | None:
+    """Return the kind of leveling, checked."""
+    if level is not None and not (isinstance(level, str) and level in get_args(Level)):
+        raise ValueError(f"Expected level as None, 'slope', 'plane' or 'quadratic', got {level!r:.60}.")
+    return level  # type: ignore[return-value]
+
+
+def zero_depth(
+    depth: NDArray[np.float32],
+    zero: str | NDArray[np.bool_],
+    region: NDArray[np.bool_],
+    inside: NDArray[np.bool_] | None = None,
+) -> np.float32:
+    """The depth that becomes 0 on one island: the median of its zero pixels, or its mean.
+
+    It is the mean if `zero` is "mean" or the island has no zero pixel. `inside` is the island; None means the whole frame.
+    """
+    within = region if inside is None else region & inside
+    if (isinstance(zero, str) and zero == "mean") or not within.any():
+        return np.float32((depth if inside is None else depth[inside]).mean(dtype=np.float64))
+    return np.float32(median_over(depth, within))
+
+
+def median_over(maps: NDArray[np.float32], region: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Median (...) of maps (..., H, W) over a region; a large region is sampled on a lattice, which is exact enough."""
+    if maps.ndim > 2:
+        return np.stack([median_over(one, region) for one in maps])
+    step = lattice_step(region.size)
+    values = np.ascontiguousarray(maps, dtype=np.float32)[..., None]
+    median, count = medians_where(values, region, step)
+    if count < MEDIAN_SAMPLES / 20 and step > 1:
+        median, _ = medians_where(values, region)
+    return median.reshape(())
+
+
+def fitted_surface(depth: NDArray[Any], region: NDArray[np.bool_], degree: int) -> NDArray[np.float32]:
+    """Least-squares polynomial surface of the depth in the region, evaluated over the frame.
+
+    ValueError: the region has fewer pixels than the surface has terms.
+    """
+    height, width = region.shape
+    x = np.linspace(-1, 1, width)[None, :].repeat(height, 0)
+    y = np.linspace(-1, 1, height)[:, None].repeat(width, 1)
+    terms = np.stack([x**i * y**j for i in range(degree + 1) for j in range(degree + 1 - i)], axis=-1)
+    if np.count_nonzero(region) < terms.shape[-1]:
+        raise ValueError(
+            f"Expected at least {terms.shape[-1]} zero pixels to fit a surface, got {region.sum()}."
+        )
+    rows = depth[..., region].reshape(-1, int(region.sum())).T.astype(np.float64)
+    coefficients = np.linalg.lstsq(terms[region], rows, rcond=None)[0]
+    return np.moveaxis(terms @ coefficients, -1, 0).reshape(depth.shape).astype(np.float32)
+
+
+def checked_solver(solver: str) -> str:
+    """The solver's name, if it is "auto" or in `SOLVERS`; else ValueError."""
+    return check_choice(solver, ("auto", *SOLVERS), "a solver")
+
+
+def takes_weights(solver: str) -> bool:
+    """Whether a solver takes weights, mask and anchor; "auto" does."""
+    return checked_solver(solver) == "auto" or SOLVERS[solver].takes_weights
+
+
+def check_weights(weights: Any, shape: tuple[int, ...]) -> Weights:
+    """Weights in the form that solvers take, for slopes of shape (H, W), or (..., H, W) for a stack.
+
+    ValueError, TypeError: another shape, or a value that is negative or not finite.
+    """
+    height, width = shape[-2:]
+    if (
+        isinstance(weights, (tuple, list))
+        and len(weights) == 2
+        and np.ndim(weights[0]) == np.ndim(weights[1]) == 2
+    ):
+        wx, wy = (np.asarray(w) for w in weights)
+        if wx.shape != (height, width - 1) or wy.shape != (height - 1, width):
+            raise ValueError(
+                f"Expected weights per edge of shapes ({height}, {width - 1}) and ({height - 1}, {width}), "
+                f"got {wx.shape} and {wy.shape}. For weights per pixel give one map ({height}, {width})."
+            )
+        return tuple(  # type: ignore[return-value]
+            check_map(w, "weights", nonnegative=True) if w.size else w.astype(np.float32) for w in (wx, wy)
+        )
+    array = check_map(weights, "weights", shape=(height, width), nonnegative=True)
+    if array.ndim > 2 and array.shape != shape:
+        raise ValueError(f"Expected weights of shape {shape[-2:]} or {shape}, got {array.shape}.")
+    return array
+
+
+def check_anchor(anchor: ArrayLike, shape: tuple[int, int]) -> NDArray[np.float32]:
+    """An anchor map (H, W) from a map or a number."""
+    array = as_array(anchor, "anchor")
+    array = check_map(
+        np.full(shape, array) if array.ndim == 0 else array, "anchor", shape=shape, nonnegative=True
+    )
+    if array.ndim != 2:
+        raise ValueError(f"Expected anchor as a number or of shape {shape}, got {array.shape}.")
+    return array
+
+
+class FrameDepth:
+    """Depth for the frames of one calibration. It is immutable; threads can share it.
+
+    Parameters
+    ----------
+    shape : (H, W)
+    pitch : mm per pixel
+    solver : a checked name; one that treats all slopes alike uses neither weights nor anchor
+    full_confidence_sigma : standard deviation of a slope of confidence 1, mm/mm
+    """
+
+    def __init__(
+        self, shape: tuple[int, int], pitch: float, solver: str, full_confidence_sigma: float
+    ) -> None:
+        self.solver, self._pitch, self._full = solver, pitch, full_confidence_sigma
+        self._anchor = RestAnchor(shape, pitch, full_confidence_sigma) if takes_weights(solver) else None
+
+    def __call__(self, slopes: ReadSlopes) -> Integration:
+        """The depth of a frame's slopes; it is 0 at rest."""
+        how: dict[str, Any] = {"zero": slopes.at_rest}
+        if self._anchor is not None:
+            anchor = self._anchor(slopes.gradients, slopes.at_rest)
+            how = {"weights": slopes.weights(self._full), "anchor": anchor}
+        return integrate_unchecked(slopes.gradients, mm_per_px=self._pitch, solver=self.solver, **how)

@@ -19,8 +19,7 @@ from gelform._native import Kernel, is_finite
 from gelform.depth.coarse import Coarse, coarse_of
 from gelform.depth.solvers.dct import CosineFilter
 from gelform.errors import ConvergenceError
-from gelform.foundations.bessel import bessel_k
-from gelform.foundations.filters import medians_where
+from gelform.foundations.filters import bessel_k, medians_where
 from gelform.foundations.findings import Finding
 
 # Parts of the image's height: the influence's length L, and the standard deviation of the window for negative depths. Depth

@@ -1,9 +1,9 @@
-"""Finding: a fact about an image, a background or a stream that a user should know. FrameTally: those of many frames."""
+"""What work tells its caller: findings, the tally of those of many frames, and the progress of long work."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
 # Findings after which the depth of the whole frame is doubtful: the calibration, the background or the light is not this
@@ -80,3 +80,10 @@ class FrameTally:
     def is_useless(self) -> bool:
         """Whether depth is known in no pixel of any frame."""
         return self.unknown == self.frames
+
+
+Progress = Callable[[int, int, str], None]
+
+
+def no_progress(done: int, total: int, what: str) -> None:
+    """Report nothing."""

@@ -10,26 +10,23 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gelform.calibration.library.choose import unit_of_camera
+from gelform.calibration.library.library import unit_of_camera
 from gelform.depth.solvers import SOLVERS
 from gelform.errors import GelformError
-from gelform.foundations.progress import Progress
-from gelform.image.background.average import USUAL_FRAMES, background_from_frames
-from gelform.image.background.check import check_untouched
-from gelform.live import devices
+from gelform.foundations.findings import Progress
+from gelform.image.agreement import check_untouched
+from gelform.image.background import USUAL_FRAMES, background_from_frames
+from gelform.live import lists
 from gelform.live.hub import Hub, starter_of_station, wait_for_frames
 from gelform.live.lists import shown_name
-from gelform.live.moved import MovedSince
 from gelform.live.shown import Shown
-from gelform.live.station import NEVER_S, Opening, Setup, Station
-from gelform.sensors.recordings.indexed import indexed
+from gelform.live.station import NEVER_S, MovedSince, Opening, Setup, Station
 from gelform.sensors.recordings.mcap_reader import end_missing
-from gelform.sensors.recordings.player import Player
-from gelform.sensors.recordings.record import attached_background, attached_calibration
-from gelform.sensors.recordings.recorder import Recorder
-from gelform.sensors.recordings.recorder import share as share_file
+from gelform.sensors.recordings.player import Player, indexed
+from gelform.sensors.recordings.record import Recorder, attached_background, attached_calibration
+from gelform.sensors.recordings.record import share as share_file
 from gelform.sensors.streams.memory import zero_from_results
-from gelform.sensors.streams.starting import calibration_at_rest
+from gelform.sensors.streams.stream import calibration_at_rest
 
 if TYPE_CHECKING:
     from gelform.calibration.guided.guide import Guide
@@ -177,7 +174,7 @@ def pause(hub: Hub, station: int, paused: bool) -> None:
 
 def set_camera(hub: Hub, station: int, name: str, value: float) -> None:
     """Change one setting of the camera and tell all pages its new value."""
-    found = devices.set_camera(hub.station(station), name, value)
+    found = lists.set_camera(hub.station(station), name, value)
     hub.notice(
         f"{name.replace('_', ' ').capitalize()} of {hub.station(station).grabber.name}: {found:g}, read back."
     )

@@ -18,13 +18,12 @@ from gelform import __version__
 from gelform.calibration.starters import make_name, starter_names, starter_of_source
 from gelform.depth.solvers import SOLVERS
 from gelform.errors import GelformError
-from gelform.foundations.progress import Progress
-from gelform.live.devices import Devices, camera_facts
-from gelform.live.lists import Calibrations, Recordings
+from gelform.foundations.findings import Progress
+from gelform.live.lists import Calibrations, Devices, Recordings, camera_facts
 from gelform.live.shown import Shown, Snapshots
 from gelform.live.station import Station
 from gelform.sensors.profiles import PROFILES
-from gelform.sensors.recordings.recorder import Recorder
+from gelform.sensors.recordings.record import Recorder
 
 if TYPE_CHECKING:
     from gelform.live.guide import GuideSession

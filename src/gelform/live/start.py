@@ -7,11 +7,9 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from gelform.calibration.library.choose import unit_named
-from gelform.calibration.library.library import library_folder
-from gelform.calibration.library.simulated import ready_calibration
+from gelform.calibration.library.library import library_folder, ready_calibration, unit_named
 from gelform.errors import DataError, SensorError
-from gelform.foundations.progress import Progress
+from gelform.foundations.findings import Progress
 from gelform.live import actions
 from gelform.live.hub import Hub
 from gelform.live.lists import Calibrations, Recordings
@@ -19,10 +17,9 @@ from gelform.live.station import NEVER_S, Opening, Station
 from gelform.sensors.grabber import STALL_S
 from gelform.sensors.mjpeg import shown_address
 from gelform.sensors.profiles import PROFILES
-from gelform.sensors.recordings.indexed import Indexed, indexed, is_recording
 from gelform.sensors.recordings.mcap_reader import end_missing
-from gelform.sensors.recordings.player import Player
-from gelform.sensors.simulated.source import RATE_HZ, SimulatedSource
+from gelform.sensors.recordings.player import Indexed, Player, indexed, is_recording
+from gelform.sensors.simulated import RATE_HZ, SimulatedSource
 from gelform.sensors.source import Source, device_of, open_source, simulated_sensor_of
 from gelform.simulate import SimulatedSensor
 

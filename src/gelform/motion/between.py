@@ -1,7 +1,22 @@
 """Where an object moved between two contacts: its pose, the pose's covariance, and what the contacts cannot show.
 
+Where an object moved between two contacts: its pose, the pose's covariance, and what the contacts cannot show.
+
 The touched surface of one frame is moved rigidly onto that of the other, so that its slopes and its depth agree
 (Gauss-Newton, weighted by both frames' standard deviations, Huber's loss). docs/motion-derivation.md has the formulas.
+
+The covariance of a pose: of errors that neighbors share, and of those that residuals cannot show.
+
+No plain estimator is honest here, because errors of slopes are alike over many pixels and partly the same in both frames.
+C = F S F + R D R' + p p' + (f d)^2 E: S from the sums of 16 px blocks (a sandwich), F and D factors that were
+chosen on measured contacts (docs/motion-derivation.md), R the pose's response to slopes that are off everywhere, p the pull
+of errors that stay at their place while the object moves a little, f d the error of a place on the sensor, in proportion to
+the displacement; E = 1 for x and y, and for turns less, over the contact's radius, because the error changes along it.
+
+What two contacts cannot show: the directions of motion that leave their surface as it is, such as turns of a ball.
+
+A direction is seen if the change of slopes that it predicts from one frame correlates with the one from the other: shape
+does, noise does not. A calibration's own error looks like shape too, so turns of a ball are blind up to that error.
 """
 
 from __future__ import annotations
@@ -14,10 +29,18 @@ from numpy.typing import ArrayLike
 
 from gelform.foundations.checks import check_numbers, check_within
 from gelform.foundations.information import determined_by
-from gelform.motion.covariance import BLOCK_PX, pose_covariance
-from gelform.motion.rigid import Array, checked_pose, moved, pose_of_step, step_of_pose, turn_deg
-from gelform.motion.sight import Blind, blind_depth, blind_directions, has_moved
-from gelform.motion.surface import Equations, TouchedSurface
+from gelform.motion.surface import (
+    MOVED_PX,
+    Array,
+    Equations,
+    TouchedSurface,
+    about_other_center,
+    checked_pose,
+    moved,
+    pose_of_step,
+    step_of_pose,
+    turn_deg,
+)
 from gelform.result import Reconstruction
 
 FOUND, LOST, UNSURE = "found", "lost", "cannot tell yet"
@@ -237,3 +260,183 @@ def _too_far(pose: Array, start: Array, center: Array) -> str:
     if (turn := turn_deg(pose)) > MOST_TURN_DEG:
         return f"the object turned by {turn:.1f} degrees, more than {MOST_TURN_DEG:g}: take a later frame as the first"
     return ""
+
+
+BLOCK_PX = 16  # px, side of the blocks whose errors count as independent
+FACTORS = np.array([1, 1, 5.5, 2.8, 2.8, 1])  # of the sandwich's standard deviations: x, y, z, tilts, yaw
+OFFSET, GAIN = 0.003, 0.02  # mm/mm, and of a slope: standard deviations of what all slopes have in common
+# Of the error of a place, by which the ends of a contact err against each other, along it (tilts) and across it (yaw): the
+# latter on pairs of a cube's edge.
+PLACE_TILT, PLACE_YAW = 0.25, 0.7
+
+
+def pose_covariance(surface: TouchedSurface, equations: Equations, inverse: Array, place_mm: float) -> Array:
+    """Covariance (6, 6) of a step, from the equations at the best pose and the inverse (6, 6) of their information."""
+    weighted = equations.jacobian * equations.weight[..., None]
+    scores = np.einsum("nki,nk->ni", weighted, equations.residual)
+    row, col = surface.pixels.T // BLOCK_PX
+    block = row * (int(col.max()) + 1) + col
+    sums = np.stack([np.bincount(block, of) for of in scores.T], axis=1)
+    count = int(np.count_nonzero(np.bincount(block, equations.shared)))
+    sandwich = inverse @ (sums.T @ sums) @ inverse * count / max(count - 6, 1)
+    # Slopes off by a constant, and too steep by a factor, along x and along y; and the pull of what stays.
+    common = [np.stack([np.ones_like(of), of]) @ weighted[:, k] for k, of in enumerate(surface.slopes.T)]
+    response = inverse @ np.vstack([*common, _pull(surface, equations)]).T
+    covariance = sandwich * np.outer(FACTORS, FACTORS)
+    covariance += (response * np.square([OFFSET, GAIN, OFFSET, GAIN, 1])) @ response.T
+    covariance += np.diag(np.square(place_mm * surface.scale * (1, 1, 0, PLACE_TILT, PLACE_TILT, PLACE_YAW)))
+    return np.asarray(covariance, dtype=np.float64)
+
+
+def _pull(surface: TouchedSurface, equations: Equations) -> Array:
+    """The right side (6,) that draws the object back to where it was: errors that stay match best without a motion.
+
+    They are taken to be as large as those that changed: s, the RMS of the slopes' residuals. With errors alike as
+    exp(-d^2 / 2 l^2), l = 3 px, a point that moved by d is drawn back by d exp(-d^2 / 2 l^2) (s / l)^2.
+    """
+    weights, alike_mm = equations.weight[:, :2], MOVED_PX * surface.pitch
+    variance = np.sum(weights * np.square(equations.residual[:, :2])) / np.sum(weights)
+    there = moved(equations.pose, surface.points)
+    shift = (there - surface.points)[:, :2] / alike_mm
+    share = (weights[:, 0] + weights[:, 1]) * np.exp(-np.einsum("nk,nk->n", shift, shift) / 2)
+    drawn = share[:, None] * shift * (variance / alike_mm)
+    x, y = np.ones(len(drawn)) @ drawn
+    lever = (there - equations.center).T @ drawn
+    return np.array([x, y, 0, -lever[2, 1], lever[2, 0], lever[0, 1] - lever[1, 0]])
+
+
+LEAST_CORRELATION = 0.71  # of the predicted changes; blind directions lie below, 97 % of the others above
+MOST_SHAPE = 0.5  # of what turns about a ball's center change; other objects have .6 or more, balls by a starter .5 at most
+FILLED = 0.9  # share of the frame; beyond it no gel at rest is left that depth could be measured from
+SHIFTS = 0.3  # of a shift, beside which a smaller turn is not named
+NEARLY_AXIS = 0.95  # cosine of the angle to an axis that is named
+
+
+@dataclass(frozen=True, eq=False)
+class Blind:
+    """A direction of motion that cannot be seen.
+
+    Attributes
+    ----------
+    direction : (6,) a shift, mm, and a turn, rad, about the contact's middle
+    correlation : value of the test: that of the changes of slope which both frames predict, below 0.71; of a ball, the
+        share of what its turns change that is shape, below 0.5
+    words : what moves so, such as "turns about the ball's center at (0.1, -0.4, -2.6) mm"
+    """
+
+    direction: Array
+    correlation: float
+    words: str
+
+
+def blind_directions(first: TouchedSurface, at: Equations) -> tuple[tuple[Blind, ...], Array]:
+    """The directions that the equations at the best pose of two contacts cannot tell, and the others (6, k).
+
+    The others do not turn about the axes of blind turns, and do not shift along blind shifts.
+    """
+    scale = first.scale
+    _, directions, undetermined = determined_by(at.information, scale)
+    alike = np.where(undetermined, 0.0, _correlations(first, at, directions))
+    chosen = alike < LEAST_CORRELATION
+    if chosen.any() and (ball := _ball(first, at)) is not None:
+        pivot, shape = ball
+        turns = np.concatenate([about_other_center(-pivot)[:3, 3:], np.eye(3)]).T
+        center = f"turns about the ball's center at {_place(at.center + pivot)}"
+        return tuple(Blind(turn, shape, center) for turn in turns), np.eye(6)[:, :3]
+    unseen = directions[:, chosen].T
+    turning = _sizes(unseen[:, 3:] / scale[3:]) > SHIFTS * _sizes(unseen[:, :3])
+    # A small turn beside a shift is noise: times a prior of millimeters, it would make turns uncertain that are seen.
+    shifts = np.linalg.eigh(at.information[:3, :3])[1].T
+    unseen[~turning] = np.pad(shifts[: np.count_nonzero(~turning)], ((0, 0), (0, 3)))
+    held = np.where(turning[:, None], unseen * (0, 0, 0, 1, 1, 1), unseen / scale**2) * scale
+    others = np.linalg.svd(held)[2][len(held) :]
+    words = [_in_words(one, turns_too, at.center) for one, turns_too in zip(unseen, turning)]
+    return tuple(map(Blind, unseen, alike[chosen].tolist(), words)), scale[:, None] * others.T
+
+
+def blind_depth(first: TouchedSurface, second: TouchedSurface) -> tuple[Blind, ...]:
+    """Shifts along z, if a contact fills the view: no gel at rest shows where depth 0 is."""
+    if max(first.share, second.share) <= FILLED:
+        return ()
+    direction = np.array([0, 0, 1.0, 0, 0, 0])
+    return (Blind(direction, 0.0, "shifts along z: the contact fills the view, nothing is at rest"),)
+
+
+def has_moved(surface: TouchedSurface, pose: Array) -> bool:
+    """Whether a surface moved far enough on the sensor that what belongs to a place there is not taken for its shape."""
+    shifts_px = (moved(pose, surface.points) - surface.points)[:, :2] / surface.pitch
+    return float(np.linalg.norm(shifts_px)) > MOVED_PX * np.sqrt(len(shifts_px))
+
+
+def _correlations(first: TouchedSurface, at: Equations, directions: Array) -> Array:
+    """Correlation, for each direction (column), of the changes that both frames' own slopes predict.
+
+    The axes of the slopes stay those of the sensor: a turn of ten degrees changes the correlation by 0.02.
+    """
+    weight = (at.weight * (first.own.inside & at.inside)[:, None]).reshape(-1, 1)
+    turn_back = at.pose[:3, :3].T  # the same steps of the first frame
+    back = np.concatenate([turn_back @ directions[:3], turn_back @ directions[3:]])
+    theirs, ours = (
+        one.jacobian.reshape(-1, 6) @ steps.astype(np.float32)
+        for one, steps in ((at, directions), (first.own, back))
+    )
+    both, *alone = (
+        np.diag((weight * one).T @ other) for one, other in ((theirs, ours), (theirs, theirs), (ours, ours))
+    )
+    return np.asarray(both / np.sqrt(np.maximum(alone[0] * alone[1], 1e-30)), dtype=np.float64)
+
+
+def _ball(first: TouchedSurface, at: Equations) -> tuple[Array, float] | None:
+    """The center, from that of the equations, of a ball that is all that both frames show, and its share of shape.
+
+    Turns about a ball's center change the slopes at a place by moving them, and by turning them, to the same amount. What is
+    left in both frames is shape, or the error of slopes that the calibration carries: more than that error is no ball.
+    """
+    weight = at.weight[:, :2] * (first.own.inside & at.inside)[:, None]
+    of_point = weight.mean(axis=1, dtype=np.float64)
+    if not (total := of_point.sum()):
+        return None
+    normal = np.concatenate([-first.slopes, np.ones_like(first.slopes[:, :1])], axis=1)
+    normal = (normal / _sizes(normal)[:, None]) @ at.pose[:3, :3].T
+    point = moved(at.pose, first.points) - at.center
+    # A ball of radius r: point = pivot + r normal.
+    middle, upward = of_point @ point / total, of_point @ normal / total
+    apart = of_point @ np.square(normal - upward).sum(axis=1)
+    radius = of_point @ ((point - middle) * (normal - upward)).sum(axis=1) / max(apart, 1e-12 * total)
+    pivot = middle - radius * upward
+    turns = np.concatenate([about_other_center(-pivot)[:3, 3:], np.eye(3)])
+    x, y = first.slopes.T.astype(np.float64)
+    turned = np.stack([[x * y, -(1 + x**2), -y], [1 + y**2, -x * y, x]]).transpose(2, 0, 1).reshape(-1, 3)
+    both = [one.jacobian[:, :2].reshape(-1, 6) @ turns for one in (at, first.own)]
+    each = weight.reshape(-1, 1)
+    shape, change = ((each * (both[0] + own)).T @ (both[1] + own) for own in (np.zeros_like(turned), turned))
+    change += (each * turned).T @ turned
+    change += np.eye(3) * (1e-9 * np.trace(change) + 1e-30)
+    left = float(np.linalg.eigvals(np.linalg.solve(change + change.T, shape + shape.T)).real.max())
+    carried = 2 * np.count_nonzero(weight) / max(float(np.sum(weight * np.square(first.slopes))), 1e-30)
+    return (pivot, left) if left < min(MOST_SHAPE, carried) else None
+
+
+def _in_words(direction: Array, turns_too: bool, center: Array) -> str:
+    """What moves in a blind direction (6,)."""
+    shift, turn = direction[:3], direction[3:]
+    if not turns_too:
+        return f"shifts along {_axis(shift)}"
+    return f"turns about {_axis(turn)} through {_place(center + np.cross(turn, shift) / (turn @ turn))}"
+
+
+def _sizes(vectors: Array) -> Array:
+    return np.asarray(np.linalg.norm(vectors, axis=-1))
+
+
+def _place(point: Array) -> str:
+    return f"({', '.join(f'{value:.1f}' for value in point)}) mm"
+
+
+def _axis(direction: Array) -> str:
+    """The name of the nearest axis, or the direction itself."""
+    unit = direction / np.linalg.norm(direction)
+    nearest = int(np.abs(unit).argmax())
+    if abs(unit[nearest]) > NEARLY_AXIS:
+        return "xyz"[nearest]
+    return f"({', '.join(f'{value:.2f}' for value in unit * np.sign(unit[nearest]))})"

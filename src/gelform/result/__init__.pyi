@@ -1,5 +1,5 @@
-from .file import KIND as KIND
-from .file import load_result as load_result
-from .file import save_result as save_result
+from .record import KIND as KIND
 from .record import Later as Later
 from .record import Reconstruction as Reconstruction
+from .record import load_result as load_result
+from .record import save_result as save_result

@@ -15,11 +15,11 @@ from scipy.spatial.transform import Rotation
 from gelform.errors import needed
 from gelform.exchange.exporters.surface import M_PER_MM, points_from_result
 from gelform.image.frame import Frame
-from gelform.motion.rigid import about_other_center
+from gelform.motion.surface import about_other_center
 from gelform.motion.track import Follower
 from gelform.result import Reconstruction
 from gelform.robots.topics import TOPICS
-from gelform.sensors.recordings.messages import header_of, typestore
+from gelform.sensors.recordings.mcap_writer import header_of, typestore
 
 FLOAT32 = 7  # sensor_msgs/PointField
 DIAGNOSTICS_NS = 10**9  # longest time between two messages, as for ROS's own diagnostics

@@ -5,15 +5,17 @@ import lazy_loader
 __getattr__, __dir__, __all__ = lazy_loader.attach(
     __name__,
     submod_attrs={
-        "cameras.camera": ["cameras_there"],
-        "cameras.settings": ["calibrated_settings", "settings_mismatch"],
-        "files": ["SensorSettings", "read_background", "read_image", "read_sensor_toml"],
+        "cameras": ["calibrated_settings", "cameras_there", "settings_mismatch"],
+        "files": ["SensorSettings", "Video", "read_background", "read_image", "read_sensor_toml"],
         "grabber": ["Grabber"],
         "profiles": ["SENSORS"],
         "recordings.record": ["new_recording", "record_frames"],
-        "simulated": ["SimulatedSource"],
-        "simulated.settings": ["read_simulated_sensor", "sensor_from_settings", "simulated_sensor_named"],
+        "simulated": [
+            "SimulatedSource",
+            "read_simulated_sensor",
+            "sensor_from_settings",
+            "simulated_sensor_named",
+        ],
         "source": ["Source", "open_source"],
-        "video_files": ["Video"],
     },
 )

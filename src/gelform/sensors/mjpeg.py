@@ -17,7 +17,7 @@ from urllib.parse import SplitResult, unquote, urlsplit
 
 from gelform.errors import SensorError, SourceLostError
 from gelform.image.frame import Frame
-from gelform.sensors.jpeg import MAX_TORN, image_from_jpeg, jpeg_shape, reduction_of
+from gelform.sensors.pictures import MAX_TORN, image_from_jpeg, jpeg_shape, reduction_of
 
 OPEN_S = 2.0  # s, timeout for the connection and the first picture
 STALL_S = 1.0  # s without data until the camera counts as lost

@@ -11,17 +11,14 @@ from typing import Any, Protocol
 
 from gelform.errors import DataError, SensorError
 from gelform.foundations.checks import check_path
-from gelform.foundations.foreign_files import way_for
+from gelform.foundations.files import way_for
 from gelform.image.frame import Frame, in_rgb
-from gelform.sensors.cameras.camera import camera_named
-from gelform.sensors.cameras.usb import UsbCamera
-from gelform.sensors.files import is_stack
+from gelform.sensors.cameras import UsbCamera, camera_named
+from gelform.sensors.files import is_stack, is_video
 from gelform.sensors.mjpeg import OPEN_S, MjpegUrl, shown_address
 from gelform.sensors.playback import folder_playback, video_playback
 from gelform.sensors.recordings.mcap_reader import is_bag_folder, mcap_file_in, mcap_playback
-from gelform.sensors.simulated.settings import simulated_sensor_named
-from gelform.sensors.simulated.source import RATE_HZ, SimulatedSource
-from gelform.sensors.video_files import is_video
+from gelform.sensors.simulated import RATE_HZ, SimulatedSource, simulated_sensor_named
 from gelform.simulate import SimulatedSensor
 
 SIMULATED, DEFAULT_SENSOR = "simulated", "three-edges"

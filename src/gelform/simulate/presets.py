@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import lru_cache
 
-from gelform.simulate.gel.gel import Gel
-from gelform.simulate.render import exposed
-from gelform.simulate.sensor.coating import Coating
+from gelform.simulate.gel import Gel
+from gelform.simulate.light import exposed
 from gelform.simulate.sensor.sensor import (
     BLUE,
     GREEN,
     RED,
+    Coating,
     Led,
     Optics,
     SimulatedSensor,

@@ -11,14 +11,12 @@ from numpy.typing import NDArray
 
 from gelform.calibration_file import Calibration
 from gelform.foundations.checks import check_positive
-from gelform.image.background.change import image_from_color_change
-from gelform.simulate.gel.gel import Gel
-from gelform.simulate.indenters.faces import Indenter
-from gelform.simulate.indenters.pose import Pose
-from gelform.simulate.press import SimulatedPress, simulate_pose
+from gelform.image.background import image_from_color_change
+from gelform.simulate.gel import Gel
+from gelform.simulate.indenters import Indenter, Pose
+from gelform.simulate.press import SimulatedPress, SimulatedPresses, simulate_ball_presses, simulate_pose
 from gelform.simulate.sensor.camera import draws, normal_table, saturated_from_levels
 from gelform.simulate.sensor.sensor import Led, SimulatedSensor
-from gelform.simulate.sets import SimulatedPresses, simulate_ball_presses
 
 STEEPEST_RENDERED = 1.2  # mm/mm; calibrations are fitted up to about 1, and a cubic is meaningless beyond
 GEL = Gel(thickness_mm=3.5, bulge=0.5)  # a GelSight Mini's, fitted to ball presses

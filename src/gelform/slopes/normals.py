@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gelform.foundations.checks import check_gradients, check_normals, check_values
-from gelform.slopes.color_models.lambertian import inverse_lights
+from gelform.slopes.color_models.physical import inverse_lights
 
 
 def normals_from_image(

@@ -12,7 +12,7 @@ from gelform.calibration_file import Calibration, as_calibration
 from gelform.errors import CalibrationError, GelformError
 from gelform.foundations.checks import check_image
 from gelform.foundations.filters import MIN_UNTOUCHED, lattice_step
-from gelform.image.background.untouched import EXPOSURE_STEP_PX
+from gelform.image.background import EXPOSURE_STEP_PX
 from gelform.image.markers import markers_from_image
 
 try:
@@ -23,10 +23,7 @@ except ModuleNotFoundError as missing:
         'torch is not installed, which gelform.torch needs: pip install "gelform[torch]".'
     ) from missing
 
-from gelform.torch.color_change import ColorChange
-from gelform.torch.forward_step import ForwardStep
-from gelform.torch.maps import PoissonDepth, medians_where
-from gelform.torch.slopes import gradients_module
+from gelform.torch.steps import ColorChange, ForwardStep, PoissonDepth, gradients_module, medians_where
 
 CPU_FRAMES = 2  # frames at a time: their data fits into the processor's cache
 

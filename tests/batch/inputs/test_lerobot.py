@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gelform.batch import run_batch
-from gelform.batch.inputs.lerobot import (
+from gelform.batch.inputs.containers import (
     compression_of,
     is_lerobot_set,
     lerobot_info,
@@ -16,7 +16,7 @@ from gelform.batch.inputs.lerobot import (
 )
 from gelform.batch.inputs.listing import listing_of
 from gelform.errors import DataError
-from gelform.sensors.values import image_from_values
+from gelform.sensors.pictures import image_from_values
 
 pyarrow = pytest.importorskip("pyarrow", reason="the extra data is not installed")
 parquet = pytest.importorskip("pyarrow.parquet", reason="the extra data is not installed")

@@ -9,8 +9,7 @@ import pytest
 import gelform
 from gelform.batch import run_batch
 from gelform.batch.inputs.containers import Sequence
-from gelform.batch.inputs.listing import Listing, listing_of
-from gelform.batch.inputs.plan import plan_of, shard_of
+from gelform.batch.inputs.listing import Listing, listing_of, plan_of, shard_of
 from gelform.batch.inputs.reading import (
     background_of_sequence,
     backgrounds_of,
@@ -19,7 +18,7 @@ from gelform.batch.inputs.reading import (
 from gelform.batch.manifest import read_manifest
 from gelform.errors import DataError
 from gelform.image.frame import Frame
-from gelform.sensors.recordings.facts import RecordingFacts
+from gelform.sensors.playback import RecordingFacts
 from gelform.sensors.recordings.mcap_writer import McapRecording
 from made.small_gel import image_of, save
 

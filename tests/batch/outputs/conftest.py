@@ -3,7 +3,7 @@
 import pytest
 
 import gelform
-from gelform.batch.inputs.plan import Part
+from gelform.batch.inputs.listing import Part
 from gelform.batch.outputs.files import PartTarget
 from gelform.batch.outputs.writers import WRITERS
 from gelform.batch.settings import BatchSettings

@@ -20,7 +20,7 @@ from gelform.batch.outputs.lerobot import (
     video_path,
     write_lerobot_set,
 )
-from gelform.depth.force.model import ForceModel, ForcePart
+from gelform.depth.force import ForceModel, ForcePart
 from gelform.errors import DataError
 from gelform.robots import depth_from_lerobot_levels
 

@@ -1,23 +1,224 @@
-"""A ball of another size than stated: the sentence says how many times as large, where nearly all presses fit it."""
+"""Where the gel leaves the ball, on gels drawn with a known end of the contact.
+
+Frames of one press are one press, however they were taken; presses of other places, or of another ball, are others.
+
+A ball of another size than stated: the sentence says how many times as large, where nearly all presses fit it.
+"""
 
 import re
 from dataclasses import replace
 
+import cv2
+import numpy as np
 import pytest
+from scipy.optimize import brentq
 
+import gelform
 from gelform.calibration.circles import locate as module
+from gelform.calibration.circles.find import USUAL_EDGE, ContactCircle, PreparedPress, magnitude
 from gelform.calibration.circles.locate import (
     BALL_FACTORS,
+    LEAST_GAIN,
     NEARLY_ALL,
+    RINGS,
     Refined,
+    contact_radius_ratio,
+    edge_of_gains,
     mark_notes,
     other_ball_note,
     refine,
+    repeated_presses,
 )
-from gelform.calibration.circles.prepare import find_contacts
+from gelform.calibration.circles.prepare import find_contacts, prepare
 from gelform.calibration.circles.refine import why_impossible
+from gelform.image.frame import pixels_digest
 
-BALL_PX = 40.0
+SHAPE, BALL_PX, CONTACT_PX, FALLS_PX = (120, 160), 40.0, 22.0, 14.0
+TOWARD = np.array([[1.0, 0.1], [-0.5, 0.8], [-0.4, -0.9]])  # of three lights
+MIDDLES = (RINGS[:-1] + RINGS[1:]) / 2
+
+
+def steepness(away):
+    """Of a gel that follows a ball up to 22 px and comes back to rest over some 14 px."""
+    inside = np.minimum(away, CONTACT_PX)
+    return inside / np.sqrt(BALL_PX**2 - inside**2) * np.exp(-np.maximum(away - CONTACT_PX, 0) / FALLS_PX)
+
+
+def left_ball_at_px():
+    """Where the gel's slope is 0.7 of the ball's."""
+    return brentq(lambda r: steepness(r) * np.sqrt(BALL_PX**2 - r**2) / r - LEAST_GAIN, 22, 35)
+
+
+def press(rng, visible_px, ball_px=BALL_PX):
+    """A press somewhere in the frame; its rim is seen where one likes."""
+    x, y = rng.uniform(45, 115), rng.uniform(45, 75)
+    rows, cols = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    u, v = cols - x, rows - y
+    away = np.hypot(u, v)
+    slopes = -(steepness(away) / np.maximum(away, 1e-9))[..., None] * np.stack([u, v], axis=-1)
+    change = slopes @ TOWARD.T + 0.1 * np.square(slopes).sum(-1, keepdims=True)
+    change = (change + rng.normal(0, 0.01, change.shape)).astype(np.float32)
+    contact = ContactCircle(x, y, visible_px, 0.9, 5.0)
+    return PreparedPress("press", change, magnitude(change), ball_px), contact
+
+
+def presses(count, visible_px, seed=3):
+    rng = np.random.default_rng(seed)
+    return zip(*(press(rng, visible_px) for _ in range(count)))
+
+
+@pytest.mark.parametrize(
+    ("count", "visible"), [(12, 1.6), pytest.param(24, 1.6, marks=pytest.mark.slow), (18, 1.25)]
+)
+def test_the_edge_of_a_visible_circle_is_found(count, visible):
+    """Within a ring, whatever part of the visible circle it is."""
+    wanted = left_ball_at_px() / (visible * CONTACT_PX)
+    assert contact_radius_ratio(*presses(count, visible * CONTACT_PX)) == pytest.approx(wanted, abs=0.03)
+
+
+def test_a_gel_that_follows_the_ball_to_the_rim_has_its_edge_there_and_few_presses_do_not_tell():
+    assert contact_radius_ratio(*presses(18, CONTACT_PX)) == pytest.approx(1, abs=0.05)
+    assert contact_radius_ratio(*presses(11, 1.6 * CONTACT_PX)) == USUAL_EDGE
+
+
+def test_what_presses_were_prepared_with_does_not_decide():
+    """The edge is measured up to the visible rim, not up to an edge that was assumed before."""
+    made, contacts = presses(12, 1.3 * CONTACT_PX)
+    assumed = [replace(one, contact_radius_ratio=0.5) for one in made]
+    assert contact_radius_ratio(assumed, contacts) == contact_radius_ratio(made, contacts)
+
+
+def gains_of(curve, presses=3):
+    """The same gains in all presses."""
+    return np.tile(np.asarray(curve, dtype=np.float64), (presses, 1))
+
+
+@pytest.mark.parametrize("read", [1.0, 0.7])
+@pytest.mark.parametrize("edge", [0.52, 0.7, 0.86])
+def test_a_curve_is_cut_where_it_falls_below_what_is_read_further_in(read, edge):
+    """Linear through 0.7 at the edge; a model that reads all slopes too gently says nothing of it."""
+    falls = np.clip(LEAST_GAIN - 4 * (MIDDLES - edge), 0.05, 1)
+    assert edge_of_gains(read * gains_of(falls)) == pytest.approx(edge, abs=1e-6)
+
+
+def test_the_median_press_decides_and_one_that_never_falls_has_its_edge_at_the_rim():
+    flat, falling = np.ones(len(MIDDLES)), np.where(MIDDLES < 0.6, 1, 0.3)
+    assert edge_of_gains(np.stack([flat, flat, falling])) == 1
+    assert edge_of_gains(np.stack([flat, falling, falling])) == edge_of_gains(gains_of(falling))
+    for end in (0.9, 1.3):
+        assert edge_of_gains(gains_of(np.linspace(1, end, len(MIDDLES)))) == 1
+
+
+def test_one_low_ring_is_no_edge():
+    """A scratch, or a cast shadow: two rings in a row have to be below, but for the last one."""
+    curve = np.ones(len(MIDDLES))
+    curve[9] = 0.4
+    assert edge_of_gains(gains_of(curve)) == 1
+    curve[10] = 0.4
+    assert MIDDLES[8] < edge_of_gains(gains_of(curve)) < MIDDLES[9]
+    last = np.ones(len(MIDDLES))
+    last[-1] = 2 * LEAST_GAIN - 1
+    assert edge_of_gains(gains_of(last)) == pytest.approx((MIDDLES[-2] + MIDDLES[-1]) / 2)
+
+
+@pytest.mark.filterwarnings("error")
+def test_rings_that_a_press_does_not_show_do_not_count():
+    """Cut by the border, or steeper than a ball's rim is followed: NaN, in one press or in all."""
+    falling = np.where(MIDDLES < 0.6, 1, 0.3)
+    gains = gains_of(falling, 5)
+    wanted = edge_of_gains(gains)
+    gains[0, :4] = gains[1, 8:14] = gains[2, -3:] = np.nan
+    assert edge_of_gains(gains) == wanted
+    gains[:, -3:] = np.nan
+    assert edge_of_gains(gains) == wanted
+    level = gains_of(np.ones(len(MIDDLES)))
+    level[:, 12:] = np.nan
+    assert edge_of_gains(level) == 1
+
+
+SHAPE_REPEATED = (240, 320)
+
+
+def repeated(presses):
+    prepared = prepare(presses)
+    return repeated_presses(presses, prepared, find_contacts(prepared))
+
+
+def saved_again(press, how):
+    """The same picture, saved in another way."""
+    image = press.image.astype(np.float32)
+    changed = {
+        "as JPEG": lambda: cv2.imdecode(cv2.imencode(".jpg", press.image)[1], cv2.IMREAD_COLOR),
+        "3 gray levels brighter": lambda: image + 3,
+        "redder": lambda: image + np.array([3, 0, 0]),
+        "5 % brighter": lambda: image * 1.05,
+        "a moment later": lambda: image + np.random.default_rng(0).normal(0, 2, image.shape),
+    }[how]()
+    pixels = np.clip(np.rint(changed), 0, 255).astype(np.uint8)
+    return replace(press, name=f"{press.name} {how}", image=pixels, digest=pixels_digest(pixels))
+
+
+@pytest.mark.parametrize(
+    "how", ["as JPEG", "3 gray levels brighter", "redder", "5 % brighter", "a moment later"]
+)
+def test_one_picture_saved_in_two_ways_is_one_press(presses, how):
+    four = presses.subset(range(4))
+    both = replace(four, presses=(*four.presses, *(saved_again(one, how) for one in four.presses)))
+    assert {frozenset(pair) for pair in repeated(both).items()} == {frozenset((k, k + 4)) for k in range(4)}
+    assert repeated(four) == {}
+
+
+def kept(presses, circles, balls=(60.0,) * 9):
+    """The frames that show a press again, and the ones that stay, by circles (x, y, radius) and balls, px."""
+    blank = np.zeros(SHAPE_REPEATED, np.float32)
+    found = [ContactCircle(*circle, 1.0, 9.0) for circle in circles]
+    prepared = [PreparedPress("", blank[..., None], blank, ball) for _, ball in zip(found, balls)]
+    one = presses.presses[0]
+    frames = tuple(replace(one, digest=str(k)) for k in range(len(found)))
+    background = np.zeros((*SHAPE_REPEATED, 3), np.float32)
+    return repeated_presses(replace(presses, presses=frames, background=background), prepared, found)
+
+
+def test_a_press_that_deepens_is_one_and_the_deepest_frame_stays(presses):
+    deepening = [(100, 90, 20), (100.5, 90, 24), (200, 90, 24), (100, 91, 30), (100, 90, 29)]
+    assert kept(presses, deepening) == {0: 3, 1: 3, 4: 3}
+    assert kept(presses, [(100, 90, 30), (100, 90, 61)]) == {1: 0}, "there the gel has left the ball"
+    assert kept(presses, [(100, 90, 30), (100, 90, 30)]) == {1: 0}, "of equal ones the first"
+
+
+def test_the_same_place_is_within_two_pixels_and_of_the_same_ball(presses):
+    assert kept(presses, [(100, 90, 30), (101.9, 90, 30)]) == {1: 0}
+    assert kept(presses, [(100, 90, 30), (102.1, 90, 30)]) == {}
+    assert kept(presses, [(100, 90, 30), (100, 90, 30)], (60.0, 61.0)) == {}
+    drifting = [(100 + 1.5 * k, 90, 30 + 0.1 * k) for k in range(4)]
+    assert kept(presses, drifting) == {0: 3, 1: 3, 2: 3}, "by way of the frames between"
+
+
+def test_frames_without_a_contact_hide_no_press(presses):
+    """Their circles are somewhere; each is rejected for its own reason."""
+    blank = replace(presses.presses[0], digest="blank", image=presses.background.astype(np.uint8))
+    found = [ContactCircle(30, 20, 10, 1.0, 9.0), ContactCircle(30, 20, 14, 0.0, 1.0)]
+    both = replace(presses, presses=(presses.presses[0], blank))
+    assert repeated_presses(both, prepare(both), found) == {}
+    assert repeated_presses(both, prepare(both), found[1:] * 2) == {}
+
+
+def test_one_image_of_two_balls_is_refused(presses):
+    one = presses.presses[0]
+    other = replace(one, name="other", ball_diameter_mm=1.0)
+    with pytest.raises(gelform.CalibrationError, match="same image, listed with balls of 1 and"):
+        repeated(replace(presses, presses=(*presses.presses, other)))
+
+
+@pytest.mark.slow
+def test_real_presses_differ(data):
+    few = gelform.read_presses(data / "mini-ball").subset(range(0, 67, 3))
+    assert repeated(few) == {}
+    again = replace(few, presses=(*few.presses, *(saved_again(one, "as JPEG") for one in few.presses)))
+    assert len(repeated(again)) == len(few.presses)
+
+
+BALL_PX_LOCATE = 40.0
 
 
 def stated(prepared, factor):

@@ -1,29 +1,67 @@
-"""Joint refinement: circles get better, what does not fit is rejected with its reason."""
+"""Clipped channels of a background: their share is said, and said of presses in the place of a wrong ball.
 
+Joint refinement: circles get better, what does not fit is rejected with its reason.
+"""
+
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import gelform
-from gelform.calibration.circles.find import ContactCircle, find_contact
+from gelform.calibration.circles.find import ContactCircle, PreparedPress, find_contact
 from gelform.calibration.circles.locate import ROUNDS, refine
 from gelform.calibration.circles.prepare import prepare
 from gelform.calibration.circles.refine import (
     JOINT_MOVE_PX,
     joint_moves,
+    light_notes,
     misfit_reasons,
     recentered,
     why_impossible,
     why_too_wide,
 )
-from gelform.calibration.circles.samples import PreparedPress
-from gelform.image.background.change import ChangeSettings, color_change_from_image
-from gelform.result.metrics.ball import ball_gradients
+from gelform.image.background import ChangeSettings, color_change_from_image
+from gelform.result.metrics import ball_gradients
 from gelform.simulate import LAYOUTS, Ball, simulate_press
-from gelform.simulate.render import simulate_background
+from gelform.simulate.light import simulate_background
 
-pytestmark = pytest.mark.linear_algebra
+
+@pytest.mark.parametrize(
+    ("channel", "gain", "said"),
+    [
+        (2, 0.04, r"100 % of the background image .* \(blue in 100 % below 8 gray levels\).*raise the light"),
+        (0, 50, r"100 % of the background image .* \(red in 100 % saturated\).*lower"),
+    ],
+)
+def test_a_channel_that_says_little_is_noted(presses, channel, gain, said):
+    assert light_notes(presses.background) == ()
+    gains = np.ones(3, np.float32)
+    gains[channel] = gain
+    (note,) = light_notes(np.minimum(presses.background * gains, 255))
+    assert re.match(said, note)
+    assert "exposure" in note
+
+
+def test_channels_that_are_clipped_in_turn_are_summed_up():
+    """None of them in a tenth of the image; no pixel counts twice."""
+    background = np.full((60, 80, 3), 100, np.float32)
+    background[20:30, 20:60, 0], background[30:40, 20:60, 2], background[30:34, 20:60, 1] = 255, 255, 2
+    (note,) = light_notes(background)
+    assert note.startswith(
+        "17 % of the background image is at an end of the camera's range (green in 3 % below 8"
+    )
+    assert "red in 8 %, blue in 8 % saturated" in note
+    assert light_notes(np.where(background > 200, 100, background)) == ()
+
+
+def test_presses_of_clipped_light_are_not_called_no_ball():
+    """Their slopes read less than the ball's because of the light."""
+    reasons = misfit_reasons([(0.1, 0.4), (0.3, 1.0), (0.05, 1.0)], "17 % of the image is clipped")
+    assert reasons[2] is None
+    assert all("17 % of the image is clipped" in one and "no ball" not in one for one in reasons[:2])
+    assert "it is no ball" in misfit_reasons([(0.1, 0.4), (0.05, 1.0)])[0]
 
 
 def errors_px(contacts, simulated):
@@ -34,6 +72,7 @@ def off_px(contacts, truth):
     return np.linalg.norm(np.array([(c.x_px, c.y_px) for c in contacts]) - truth, axis=1)
 
 
+@pytest.mark.linear_algebra
 def test_refinement_corrects_the_circles_that_the_border_cuts(prepared, found, simulated):
     done = []
     refined = refine(prepared, found, progress=lambda *step: done.append(step[:2]))
@@ -45,6 +84,7 @@ def test_refinement_corrects_the_circles_that_the_border_cuts(prepared, found, s
     assert after[kept].max() < 4.0
 
 
+@pytest.mark.linear_algebra
 @pytest.mark.slow
 def test_a_wrong_ball_is_found_by_the_other_presses(data):
     """One real press under the name of another ball: the others contradict it, and nobody else."""
@@ -57,6 +97,7 @@ def test_a_wrong_ball_is_found_by_the_other_presses(data):
     assert "or its ball_diameter_mm is wrong" in reasons[20]
 
 
+@pytest.mark.linear_algebra
 def test_presses_that_were_rejected_before_keep_their_reason(prepared, found):
     refined = refine(prepared, found, excluded={3: "the same image as another"})
     assert refined.reasons[3] == "the same image as another"
@@ -64,6 +105,7 @@ def test_presses_that_were_rejected_before_keep_their_reason(prepared, found):
     assert refined.contacts[3] == found[3]
 
 
+@pytest.mark.linear_algebra
 def test_double_contact_is_rejected(prepared):
     """Two balls at once: the second is the color change of another press, added far away."""
     prepared = list(prepared)
@@ -76,12 +118,14 @@ def test_double_contact_is_rejected(prepared):
     assert refined.reasons[0] is not None
 
 
+@pytest.mark.linear_algebra
 def test_impossible_contact_is_rejected_and_named(prepared, found):
     refined = refine([replace(press, ball_radius_px=press.ball_radius_px / 4) for press in prepared], found)
     assert not refined.accepted
     assert "ball diameter or mm_per_px is wrong" in refined.reasons[0]
 
 
+@pytest.mark.linear_algebra
 def test_a_circle_beyond_the_frame_is_rejected_and_named(prepared, found):
     outside = replace(found[0], x_px=-2 * found[0].radius_px)
     assert why_impossible(prepared[0], outside) == "contact lies outside the frame"
@@ -100,6 +144,7 @@ class BallElsewhere:
         return ball_gradients(x_px, y_px, *self.ball)
 
 
+@pytest.mark.linear_algebra
 def test_a_circle_moves_to_the_ball_but_not_far(prepared, found):
     """By 12 px at most where the frame is 240 px high, and by a quarter of its radius."""
     press, start = prepared[0], replace(found[0], x_px=60.0, y_px=60.0)
@@ -114,6 +159,7 @@ def test_a_circle_moves_to_the_ball_but_not_far(prepared, found):
     assert np.hypot(far.x_px - 60, far.y_px - 60) == pytest.approx(12 * min(press.size.shape) / 240, abs=0.3)
 
 
+@pytest.mark.linear_algebra
 def test_what_does_not_fit_is_three_times_as_far_off_as_usual():
     """Below 0.1 nothing is, above 0.25 everything."""
     for typical, limit in ((0.02, 0.1), (0.05, 0.15), (0.2, 0.25)):
@@ -143,6 +189,7 @@ def deep():
     return made, prepared, [find_contact(c) for c in change]
 
 
+@pytest.mark.linear_algebra
 def test_deep_presses_are_used_and_their_centers_come_back(deep):
     made, prepared, found = deep
     wide = np.array([c.radius_px for c in found]) / prepared[0].ball_radius_px
@@ -154,6 +201,7 @@ def test_deep_presses_are_used_and_their_centers_come_back(deep):
     assert after[refined.accepted].max() < 0.5 * before.max()
 
 
+@pytest.mark.linear_algebra
 def test_deep_presses_of_another_ball_than_stated_are_refused(deep):
     """Half of the true ball: the gel is steepest far outside of it, which no press of such a ball can be."""
     _, prepared, found = deep
@@ -184,6 +232,7 @@ def circles(centers):
     return [ContactCircle(x, y, CONTACT_PX, 0.8, 10.0) for x, y in centers]
 
 
+@pytest.mark.linear_algebra
 def test_wrong_centers_come_back():
     rng = np.random.default_rng(3)
     presses = [press_at(center) for center in TRUTH]
@@ -195,6 +244,7 @@ def test_wrong_centers_come_back():
     assert off_px(contacts, TRUTH).max() < 0.3
 
 
+@pytest.mark.linear_algebra
 def test_right_centers_stay_and_no_step_is_long():
     presses = [press_at(center) for center in TRUTH]
     stay = joint_moves(presses, circles(TRUTH), 0.8, (1,), total=6000)

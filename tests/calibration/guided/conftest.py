@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gelform.calibration.guided.judge import Judge
+from gelform.calibration.guided.guide import Judge
 from gelform.simulate import Ball, simulate_background, simulate_press
 
 BALL_MM = 5.0

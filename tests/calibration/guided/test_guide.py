@@ -1,4 +1,11 @@
-"""The guide's steps, with simulated images at a camera's pace, faster than real time."""
+"""The content of images during a guided calibration, against simulated presses.
+
+The guide's steps, with simulated images at a camera's pace, faster than real time.
+
+The calibration of guided presses, its files and its figures.
+"""
+
+from __future__ import annotations
 
 import re
 from dataclasses import replace
@@ -6,14 +13,54 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import gelform
+from gelform.calibration.guided import fit
 from gelform.calibration.guided import guide as module
-from gelform.calibration.guided import judge
 from gelform.calibration.guided.guide import LEAST, NEXT_PLACES, STILL_LOOKS, Asked, Guide
 from gelform.calibration.starters import load_starter
 from gelform.errors import GelformError
-from gelform.image.background.average import USUAL_FRAMES
+from gelform.image.background import USUAL_FRAMES
 from gelform.image.frame import Frame
 from gelform.simulate import LAYOUTS, Ball, simulate_background, simulate_press
+
+
+def looked(judge, image, accepted=()):
+    judge.look(image)
+    return judge.look(image, accepted)
+
+
+def test_untouched_is_untouched_whatever_the_noise(judge, sensor):
+    for seed in range(5):
+        look = judge.look(np.asarray(simulate_background(sensor, np.random.default_rng(seed)), np.uint8))
+        assert not look.touched
+
+
+@pytest.mark.parametrize(("x_mm", "y_mm"), [(0, 0), (5, -3), (-6, 4)])
+def test_a_press_is_found_where_it_is(judge, press, x_mm, y_mm):
+    made = press(x_mm, y_mm)
+    look = looked(judge, made.image)
+    assert look.reason == ""
+    assert not look.moving
+    assert look.circle[:2] == pytest.approx(made.center_px, abs=1.5)
+    assert look.circle[2] == pytest.approx(made.contact_radius_px, rel=0.35)
+
+
+def test_a_ball_that_moves_is_not_still(judge, press):
+    judge.look(press(0, 0).image)
+    assert judge.look(press(1.0, 0).image).moving
+    assert not judge.look(press(1.0, 0, seed=2).image).moving
+
+
+def test_reasons_say_what_to_do(judge, press):
+    here = press(2, 1)
+    circle = looked(judge, here.image).circle
+    assert "before" in looked(judge, here.image, [circle]).reason
+    assert "harder" in looked(judge, press(0, 0, depth_mm=0.06).image).reason
+    assert "too deep" in looked(judge, press(0, 0, depth_mm=0.7, diameter_mm=14).image).reason
+
+
+def test_an_image_of_another_sensor_is_refused_with_the_reason(judge, untouched):
+    assert "BGR" in looked(judge, untouched[..., ::-1].copy()).reason
 
 
 @pytest.fixture
@@ -61,10 +108,10 @@ def test_a_click_takes_a_press_where_no_ball_is_seen_and_gives_its_circle(guide,
     """As if its colors were as bright all around; the click is forgotten with the press."""
     see(times=USUAL_FRAMES)
     see(press(3, 2).image, STILL_LOOKS + 1)
-    seen, find = guide.facts()["accepted"][0], judge.find_contact
+    seen, find = guide.facts()["accepted"][0], module.find_contact
     see()
     monkeypatch.setattr(
-        judge, "find_contact", lambda change: replace(find(change), x_px=9.0, antisymmetry=0.1)
+        module, "find_contact", lambda change: replace(find(change), x_px=9.0, antisymmetry=0.1)
     )
     other = press(-3, 2)
     see(other.image, STILL_LOOKS + 1)
@@ -166,3 +213,42 @@ def test_a_background_that_something_touches_is_refused_while_it_does(guide, mon
                 one.look_at(Frame(image, 0.0, 0, k))
             assert one.step == ("background" if k < len(images) - 1 else step)
             assert one.step == "press" or "Something touches the gel" in one.hint
+
+
+@pytest.fixture
+def made(presses, calibration, monkeypatch, tmp_path):
+    """Makes the guided calibration of the shared presses; calibration itself was done once for all."""
+    monkeypatch.setattr(fit, "calibrate", lambda *_, **__: calibration)
+    return lambda: fit.calibrate_guided(presses, tmp_path)
+
+
+def test_its_folder_has_the_calibration_and_the_library_once_it_is_kept(made, library, presses):
+    found = made()
+    assert "<html" in found.report_file.read_text(encoding="utf-8")
+    assert len(gelform.read_presses(found.folder).presses) == len(presses.presses)
+    assert not list(library.glob("*"))
+    path, said = found.keep()
+    assert [path] == list(library.iterdir())
+    assert "The library has it too" in said
+    kept = path
+    saved = gelform.load_calibration(found.folder / "calibration.npz")
+    assert saved.digest == gelform.load_calibration(kept).digest == found.calibration.digest
+
+
+def test_its_figures_are_those_of_the_report(made, library, presses):
+    found = made()
+    assert found.report["accepted"] + len(found.report["rejected"]) == len(presses.presses)
+    assert found.report["level"] in ("good", "fair", "poor")
+    (seen,) = [check["value"] for check in found.report["checks"] if "slope directions" in check["label"]]
+    assert seen == pytest.approx(100 * found.covered.fraction), "one figure"
+    assert 1 <= len(found.places) <= 3
+    page = found.report_file.read_text(encoding="utf-8")
+    assert all(f"{place.x_px:.0f}, {place.y_px:.0f}" in page for place in found.places), "its places 1, 2, 3"
+
+
+def test_a_library_that_cannot_be_written_is_said(made, library):
+    library.write_text("a file where the folder should be")
+    found = made()
+    path, said = found.keep()
+    assert path == found.folder / "calibration.npz"
+    assert "The library does not have it: Expected a folder for the library" in said

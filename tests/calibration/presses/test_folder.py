@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform.calibration.geometry.crosstalk import Crosstalk
+from gelform.calibration.geometry.measured import Crosstalk
 from gelform.calibration.geometry.scale import Scale
 from gelform.calibration.presses.folder import rows_by_folder, with_crosstalk, with_scale, with_view
 from gelform.errors import DataError

@@ -1,10 +1,22 @@
-"""A set of presses: which scale and view it gets from what was asked, beside the data and known by name."""
+"""A set of presses: which scale and view it gets from what was asked, beside the data and known by name.
 
+Other packages' folders give the same presses as a press folder of the same images.
+
+A press folder that grows: what was taken is there, a miss is not taken.
+"""
+
+import io
+import json
+import shutil
+import zipfile
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
+import gelform
+from gelform.calibration.presses.folder import kind_of_presses, read_presses
 from gelform.calibration.presses.press_set import (
     Listed,
     ReadOptions,
@@ -13,9 +25,10 @@ from gelform.calibration.presses.press_set import (
     press_from_frame,
     table_rows,
 )
+from gelform.calibration.presses.taken import TakenPresses, toml_of_settings
 from gelform.errors import DataError, SensorError
 from gelform.image.view import View
-from gelform.sensors.files import SensorSettings
+from gelform.sensors.files import SensorSettings, read_sensor_toml
 from gelform.sensors.profiles import PROFILES
 
 MINI = PROFILES["gelsight-mini"]
@@ -176,3 +189,230 @@ def test_presses_show_themselves_in_a_line(presses):
     press = presses.presses[0]
     assert repr(press) == f"Press({press.name}, ball {press.ball_diameter_mm:g} mm)"
     assert repr(replace(press, label=(1, 2, 3))).endswith(" mm, labeled)")
+
+
+HOW = {"mm_per_px": 0.1, "ball_diameter_mm": 5}
+
+
+@pytest.fixture
+def py3dcal(folder, simulated, tmp_path):
+    """The simulated presses of the first ball as py3DCal lays them out."""
+    target = tmp_path / "py3dcal"
+    for name in ("annotations", "blank_images", "probe_images"):
+        (target / name).mkdir(parents=True)
+    shutil.copy(folder / "background.png", target / "blank_images" / "blank.png")
+    first = simulated.presses[0].ball_diameter_mm
+    rows = ["img_name,x_mm,y_mm,penetration_depth_mm,x_px,y_px"]
+    for k, press in enumerate(simulated.presses):
+        if press.ball_diameter_mm == first:
+            bgr = cv2.cvtColor(press.image, cv2.COLOR_RGB2BGR)
+            cv2.imwrite(str(target / "probe_images" / f"{k}_X1Y2.png"), bgr)
+            x, y = press.center_px
+            rows.append(f"{k}_X1Y2.png,1.0,2.0,0.5,{x},{y}")
+    (target / "annotations" / "annotations.csv").write_text("\n".join(rows) + "\n")
+    facts = {"px_per_mm": 1 / simulated.sensor.mm_per_px, "probe_radius_mm": first / 2}
+    (target / "annotations" / "metadata.json").write_text(json.dumps(facts))
+    return target
+
+
+@pytest.fixture
+def pack(simulated, tmp_path):
+    """The simulated presses as Taxim's dataPack.npz, as arrays to be spoiled and the path to save them at."""
+    arrays = {
+        "f0": simulated.background[..., ::-1],
+        "imgs": np.stack([press.image[..., ::-1] for press in simulated.presses]),
+        "touch_center": np.array([press.center_px for press in simulated.presses]),
+        "touch_radius": np.array([round(press.contact_radius_px) for press in simulated.presses]),
+        "names": np.array([f"frame_{k}.jpg" for k in range(len(simulated.presses))]),
+    }
+    return arrays, tmp_path / "dataPack.npz"
+
+
+def test_py3dcal_folder(py3dcal, simulated):
+    assert kind_of_presses(py3dcal) == "py3DCal folder"
+    read = gelform.read_presses(py3dcal)
+    truth = simulated.presses[::2]
+    assert len(read.presses) == len(truth)
+    for press, true in zip(read.presses, truth):
+        np.testing.assert_array_equal(press.image, true.image)
+        assert press.ball_diameter_mm == pytest.approx(true.ball_diameter_mm)
+        assert press.center_px == pytest.approx(true.center_px)
+        assert press.label is None  # the stage knows where, not how wide
+    assert read.mm_per_px == pytest.approx(simulated.sensor.mm_per_px)
+    np.testing.assert_array_equal(read.background, simulated.background)
+
+
+def test_py3dcal_before_its_annotation_says_what_is_missing(py3dcal):
+    (py3dcal / "annotations" / "annotations.csv").rename(py3dcal / "annotations" / "probe_data.csv")
+    with pytest.raises(
+        gelform.DataError, match=r"annotations\.csv.* is missing\. probe_data\.csv .*Run py3DCal's annotate"
+    ):
+        gelform.read_presses(py3dcal)
+    shutil.move(py3dcal / "annotations" / "probe_data.csv", py3dcal / "probe_data.csv")
+    shutil.rmtree(py3dcal / "annotations")
+    with pytest.raises(gelform.DataError, match=r"is missing\. probe_data\.csv .*Run py3DCal's annotate"):
+        gelform.read_presses(py3dcal)
+
+
+def test_py3dcal_metadata_beside_the_folders_and_what_is_given_goes_first(py3dcal):
+    shutil.move(py3dcal / "annotations" / "metadata.json", py3dcal / "metadata.json")
+    read = gelform.read_presses(py3dcal, mm_per_px=0.2, ball_diameter_mm=4)
+    assert (read.mm_per_px, read.presses[0].ball_diameter_mm) == (0.2, 4)
+
+
+def test_spoilt_py3dcal(py3dcal):
+    facts = py3dcal / "annotations" / "metadata.json"
+    spoilt = ['{"px_per_mm": 0, "probe_radius_mm": 2}', "{not json", "[" * 100_000]
+    for text in (*spoilt, '{"px_per_mm": 1' + "0" * 400 + ', "probe_radius_mm": 2}'):
+        facts.write_text(text)
+        with pytest.raises(gelform.DataError, match="px_per_mm and probe_radius_mm > 0"):
+            gelform.read_presses(py3dcal)
+    facts.unlink()
+    with pytest.raises(gelform.DataError, match=r"No file .*metadata\.json"):
+        gelform.read_presses(py3dcal)
+    (py3dcal / "blank_images" / "blank.png").unlink()
+    with pytest.raises(gelform.DataError, match=r"No background in .*blank_images"):
+        gelform.read_presses(py3dcal)
+
+
+def test_py3dcal_without_annotated_columns(py3dcal):
+    (py3dcal / "annotations" / "annotations.csv").write_text("img_name,x_mm,y_mm\na.png,1,2\n")
+    with pytest.raises(gelform.DataError, match="x_px, y_px missing"):
+        gelform.read_presses(py3dcal)
+
+
+@pytest.mark.parametrize("where", ["file", "folder"])
+def test_taxim_pack_is_turned_to_rgb(pack, simulated, where):
+    arrays, path = pack
+    np.savez(path, **arrays)
+    place = path if where == "file" else path.parent
+    assert kind_of_presses(place) == "Taxim dataPack"
+    read = gelform.read_presses(place, mm_per_px=0.1, ball_diameter_mm=5)
+    np.testing.assert_array_equal(read.background, simulated.background)
+    for k, (press, true) in enumerate(zip(read.presses, simulated.presses)):
+        np.testing.assert_array_equal(press.image, true.image)
+        assert press.name == f"frame_{k}.jpg"
+        assert press.label == pytest.approx((*true.center_px, round(true.contact_radius_px)))
+
+
+def test_what_counts_as_a_taxim_pack(pack, tmp_path):
+    np.savez(tmp_path / "renamed.npz", **pack[0])
+    assert kind_of_presses(tmp_path / "renamed.npz") == "Taxim dataPack"
+    np.savez(tmp_path / "else.npz", depth=np.zeros(3))
+    assert kind_of_presses(tmp_path / "else.npz") is None
+    (tmp_path / "text.npz").write_text("no archive")
+    with pytest.raises(gelform.DataError, match="a file of another kind"):
+        gelform.read_presses(tmp_path / "text.npz")
+
+
+class Trap:
+    def __reduce__(self):
+        return (pytest.fail, ("unpickled",))
+
+
+@pytest.mark.parametrize(
+    ("changed", "how", "message"),
+    [
+        ({}, {"mm_per_px": 0.1}, "which ball pressed"),
+        ({}, {"ball_diameter_mm": 5}, "No scale"),
+        ({"imgs": np.array([Trap()], dtype=object)}, HOW, r"Python objects.*refused"),
+        ({"touch_radius": np.ones(3)}, HOW, r"touch_radius \(N,\)"),
+        ({"f0": None}, HOW, "f0 missing"),
+    ],
+)
+def test_spoilt_taxim_packs_are_refused_and_never_unpickled(pack, changed, how, message):
+    arrays, path = pack
+    np.savez(path, **{name: one for name, one in {**arrays, **changed}.items() if one is not None})
+    with pytest.raises(gelform.DataError, match=message):
+        gelform.read_presses(path, **how)
+    path.write_bytes(path.read_bytes()[:2000])
+    with pytest.raises(gelform.DataError, match="truncated or damaged"):
+        gelform.read_presses(path, **HOW)
+
+
+def test_real_taxim_pack(data):
+    read = gelform.read_presses(data / "taxim-ball-lowres", mm_per_px=0.1, ball_diameter_mm=4)
+    assert len(read.presses) == 49
+    assert read.image_shape == (120, 160)
+    assert all(press.label is not None for press in read.presses)
+
+
+@pytest.mark.parametrize("name", ["f0", "imgs", "touch_center", "touch_radius"])
+def test_a_member_of_a_taxim_pack_that_is_no_array_of_numbers_is_refused(pack, name):
+    arrays, path = pack
+    with zipfile.ZipFile(path, "w") as archive:
+        for other, array in arrays.items():
+            stream = io.BytesIO()
+            np.save(stream, array)
+            archive.writestr(*((other, b"raw") if other == name else (f"{other}.npy", stream.getvalue())))
+    with pytest.raises(gelform.DataError, match=f"Expected {name} as an array of numbers"):
+        gelform.read_presses(path, mm_per_px=0.1, ball_diameter_mm=5.0)
+    np.savez(path, **{**arrays, name: np.array(["a", "b"])})
+    with pytest.raises(gelform.DataError, match=f"Expected {name} as an array of numbers"):
+        gelform.read_presses(path, mm_per_px=0.1, ball_diameter_mm=5.0)
+
+
+SETTINGS = SensorSettings(
+    'A "gel"',
+    0.2,
+    0.001,
+    serial="S1",
+    make="digit",
+    view=View((48, 64), crop=(2, 2, 60, 44)),
+    camera={"exposure": 50, "fourcc": "MJPG"},
+)
+RNG = np.random.default_rng(0)
+
+
+def frame(pressed=False):
+    image = 100 + RNG.normal(0, 1.5, (48, 64, 3))
+    if pressed:
+        image[20:28, 30:40] += 25
+    return np.clip(np.rint(image), 0, 255).astype(np.uint8)
+
+
+@pytest.fixture
+def taken(tmp_path):
+    started = TakenPresses(tmp_path / "p", SETTINGS, 6.35)
+    started.take_background([frame() for _ in range(10)])
+    return started
+
+
+def test_calibrate_reads_what_was_taken(taken):
+    presses = [frame(pressed=True) for _ in range(3)]
+    for image in presses:
+        taken.take_press(image)
+    found = read_presses(taken.folder)
+    assert [press.ball_diameter_mm for press in found.presses] == [6.35] * 3
+    np.testing.assert_array_equal(found.presses[1].image, presses[1][2:46, 2:62])
+    assert found.camera == SETTINGS.camera
+    assert abs(found.background.mean() - 100) < 0.5
+
+
+def test_a_miss_is_not_taken(taken):
+    with pytest.raises(DataError, match="Nothing is pressed"):
+        taken.take_press(frame())
+    assert taken.count == 0
+    assert list((taken.folder / "images").iterdir()) == []
+
+
+def test_the_last_one_can_be_taken_out(taken):
+    assert taken.drop_last() is None
+    for _ in range(2):
+        taken.take_press(frame(pressed=True))
+    assert taken.drop_last() == "images/0001.png"
+    assert len(read_presses(taken.folder).presses) == 1
+    assert taken.take_press(frame(pressed=True)) == "images/0001.png"
+
+
+def test_the_background_comes_first_and_a_folder_with_something_in_it_is_kept(tmp_path):
+    with pytest.raises(DataError, match="background before"):
+        TakenPresses(tmp_path / "p", SETTINGS, 6.0).take_press(frame(pressed=True))
+    (tmp_path / "mine").write_text("x")
+    with pytest.raises(DataError, match="new or empty"):
+        TakenPresses(tmp_path, SETTINGS, 6.0)
+
+
+def test_settings_survive_their_toml(tmp_path):
+    (tmp_path / "sensor.toml").write_text(toml_of_settings(SETTINGS), encoding="utf-8")
+    assert read_sensor_toml(tmp_path / "sensor.toml") == SETTINGS

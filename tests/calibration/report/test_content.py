@@ -1,4 +1,11 @@
-"""The numbers of the report: those of the run, with intervals, in JSON; another folder's presses are refused."""
+"""The numbers of the report: those of the run, with intervals, in JSON; another folder's presses are refused.
+
+Statistics of residuals: truths that are put into samples come out of them.
+
+The verdict: levels at their limits, the worst of normals and radius in front, the first thing to mend.
+
+What a calibration run found, as its report lists it.
+"""
 
 import json
 from dataclasses import replace
@@ -6,7 +13,29 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gelform.calibration.report.content import FORMAT, interval_of, report_content
+from gelform.calibration.held_out.measure import at_sample
+from gelform.calibration.inputs import MOST_SIGMAS, REMEDY, BallReading
+from gelform.calibration.report.content import (
+    FORMAT,
+    HEADLINE,
+    LIMITS,
+    REFUTING,
+    SLOPE_EDGES,
+    checks_of,
+    error_map,
+    errors_where,
+    fraction_within_sigma,
+    gain_curve,
+    interval_of,
+    level_of,
+    limit_in_words,
+    report_content,
+    square_error_by_direction,
+    verdict_of,
+)
+from gelform.calibration.report.record import FIGURES, summary
+from gelform.reconstruct import Reconstructor
+from gelform.result.metrics import PressErrors, angle_deg
 
 
 def test_figures_are_the_runs_own(content, calibration):
@@ -67,3 +96,302 @@ def test_other_presses_and_saved_calibrations_are_refused(presses, calibration):
         report_content(presses.subset([0, 1]), calibration, rng=np.random.default_rng(0))
     with pytest.raises(ValueError, match="a saved one has none"):
         report_content(presses, replace(calibration, report=None), rng=np.random.default_rng(0))
+
+
+SHAPE = (60, 80)
+
+
+@pytest.mark.parametrize("gain", [0.8, 1.0, 1.25])
+def test_a_gain_is_found_in_every_bin_whatever_the_noise(sample, gain):
+    rng = np.random.default_rng(1)
+    samples = [sample(k, gain=gain, noise=0.1, rng=rng) for k in range(6)]
+    curve = gain_curve(samples, np.random.default_rng(0))
+    assert len(curve) >= 5
+    assert {b["slope_from"] for b in curve} <= set(SLOPE_EDGES)
+    for b in curve[1:]:
+        assert b["gain"] == pytest.approx(gain, abs=0.05)
+        assert b["interval"][0] <= b["gain"] <= b["interval"][1]
+        assert b["presses"] == 6
+
+
+def test_intervals_are_over_presses_not_pixels(sample):
+    """Presses that differ make a wide interval, however many pixels each has; bins of few are left out."""
+    alike = gain_curve([sample(k, gain=1.0) for k in range(8)], np.random.default_rng(0))
+    differ = gain_curve([sample(k, gain=0.8 + 0.05 * k) for k in range(8)], np.random.default_rng(0))
+    width = [b["interval"][1] - b["interval"][0] for b in (alike[2], differ[2])]
+    assert width[0] < 1e-3 < 0.1 < width[1]
+    assert gain_curve([sample(0), sample(1)], np.random.default_rng(0)) == []
+
+
+def test_the_error_map_has_the_bias_where_it_is(sample):
+    left = sample(0, bias=(0.1, 0.0), circle=(20.0, 30.0, 18.0))
+    right = sample(1, bias=(0.0, -0.2), circle=(60.0, 30.0, 18.0))
+    errors = error_map([left, right], SHAPE, (1, 2))
+    np.testing.assert_allclose(errors["mean"], [[0.1, 0.0], [0.0, -0.2]], atol=1e-6)
+    np.testing.assert_allclose(errors["rms"], [0.1, 0.2], atol=1e-6)
+    assert errors["pixels"] == [len(left.x_px), len(right.x_px)]
+    assert error_map([left], SHAPE, (1, 2))["rms"][1] is None
+
+
+def test_square_errors_stand_where_and_whither_they_are(sample):
+    """A bias on the left alone: large there in every direction, the overall mean where nothing was measured."""
+    samples = [sample(0, bias=(0.3, 0.0), circle=(20.0, 30.0, 18.0)), sample(1, circle=(60.0, 30.0, 18.0))]
+    errors = square_error_by_direction(samples, SHAPE, (3, 2))
+    pixels = sum(len(one.x_px) for one in samples)
+    overall = 0.09 * len(samples[0].x_px) / pixels
+    assert errors.shape == (3, 2, 8)
+    assert (errors[1, 0] > overall).all()
+    assert (errors[1, 1] < overall).all()
+    assert square_error_by_direction(samples[:1], SHAPE, (3, 2))[0, 1] == pytest.approx([0.09] * 8, rel=1e-5)
+
+
+def test_a_right_sigma_holds_68_percent_everywhere(sample):
+    rng = np.random.default_rng(2)
+    samples = [sample(k, noise=0.01, rng=rng) for k in range(8)]
+    sigmas = [np.full_like(one.gradients, 0.01) for one in samples]
+    share = fraction_within_sigma(samples, sigmas, SHAPE, (2, 2))
+    assert share["all"] == pytest.approx(0.683, abs=0.01)
+    assert all(0.63 < one["share"] < 0.73 for one in share["by_slope"][1:-1])
+    assert all(0.65 < one < 0.72 for one in share["by_place"])
+    halved = fraction_within_sigma(samples, [s / 2 for s in sigmas], SHAPE, (2, 2))
+    assert halved["all"] == pytest.approx(0.383, abs=0.01)
+
+
+def test_sigma_is_what_users_are_told_and_wide_where_clipped(calibration, presses):
+    one, reconstruct = calibration.report.samples[0], Reconstructor(calibration)
+    image = presses.presses[one.index].image
+    sigma = at_sample(reconstruct(image).gradients_sigma, one)
+    assert sigma.shape == one.gradients.shape
+    row, column = int(one.y_px[0]), int(one.x_px[0])
+    np.testing.assert_array_equal(sigma[0], reconstruct(image).gradients_sigma[row, column])
+    clipped = image.copy()
+    clipped[row, column] = 255
+    assert at_sample(reconstruct(clipped).gradients_sigma, one)[0, 0] > 2 * sigma[0, 0]
+
+
+CIRCLE = (40.0, 30.0, 25.0)
+
+
+def with_errors(sample, mask, gain=0.7):
+    gradients = np.where(mask[:, None], gain * sample.true_gradients, sample.true_gradients)
+    return replace(sample, gradients=gradients.astype(np.float32))
+
+
+def rho(sample):
+    return np.hypot(sample.x_px - CIRCLE[0], sample.y_px - CIRCLE[1]) / CIRCLE[2]
+
+
+def test_a_flat_rim_is_up_to_the_rim_and_not_inside_the_edge(sample):
+    one = sample(0, circle=CIRCLE)
+    flat = with_errors(one, rho(one) >= 0.8)
+    where = errors_where([flat], SHAPE, 0.8)
+    expected = angle_deg(flat.gradients, flat.true_gradients)
+    assert where["contact_radius_ratio"] == 0.8
+    assert where["contact"]["normal_deg"] == pytest.approx(0, abs=1e-4)
+    assert where["rim"]["normal_deg"] == pytest.approx(expected.mean(), rel=1e-6)
+    assert expected.mean() > 1
+    steep = where["rim"]["by_slope"][-1]
+    assert steep["gain"] == pytest.approx(0.7, abs=1e-5)
+    assert steep["slope_from"] >= 0.6 > where["contact"]["by_slope"][-1]["slope_from"]
+    assert all(b["gain"] == pytest.approx(1, abs=1e-5) for b in where["contact"]["by_slope"])
+    part = errors_where([flat], SHAPE, 0.9)["contact"]["normal_deg"]
+    assert part == pytest.approx(expected[rho(one) < 0.9].mean(), rel=1e-5), "the edge says what is counted"
+
+
+def test_errors_stand_in_the_slope_bin_that_has_them(sample):
+    one = sample(0, circle=CIRCLE)
+    gentle = with_errors(one, np.linalg.norm(one.true_gradients, axis=1) < 0.2, gain=1.3)
+    for b in errors_where([gentle], SHAPE, 1.0)["contact"]["by_slope"]:
+        assert b["gain"] == pytest.approx(1.3 if b["slope_to"] <= 0.2 else 1.0, abs=1e-5)
+        assert (b["normal_deg"] > 0.1) == (b["slope_to"] <= 0.2)
+
+
+def test_errors_stand_in_the_place_that_has_them(sample):
+    left, right = sample(0, circle=(20.0, 30.0, 18.0)), sample(1, circle=(60.0, 30.0, 18.0), gain=0.8)
+    place = errors_where([left, right], SHAPE, 1.0, (1, 2))["contact"]["by_place"]
+    assert place["pixels"] == [len(left.x_px), len(right.x_px)]
+    assert place["normal_deg"][0] == pytest.approx(0, abs=1e-4)
+    assert place["normal_deg"][1] == pytest.approx(
+        angle_deg(right.gradients, right.true_gradients).mean(), rel=1e-5
+    )
+    assert errors_where([left], SHAPE, 1.0, (1, 2))["contact"]["by_place"]["normal_deg"][1] is None
+
+
+GOOD = {limit.name: limit.good for limit in LIMITS}
+
+
+@pytest.mark.parametrize("limit", LIMITS, ids=lambda limit: limit.name)
+def test_levels_change_at_their_limits(limit):
+    worse = -1 if limit.rising else 1
+    assert level_of(limit, limit.good) == level_of(limit, limit.good + 1e-4 * worse) == "good", "as printed"
+    assert level_of(limit, limit.good + 0.1 * worse) == ("fair" if limit.fair != limit.good else "poor")
+    if np.isfinite(limit.fair):
+        assert level_of(limit, limit.fair) == ("fair" if limit.fair != limit.good else "good")
+        assert level_of(limit, limit.fair + 0.1 * worse) == "poor"
+    assert level_of(limit, None) == level_of(limit, float("nan")) == "fair"
+
+
+def test_the_report_contradicts_a_diameter_where_the_notes_do():
+    """At 1.88 standard deviations, the console had said that they agree, and the report that they do not."""
+    for sigmas in (1.88, MOST_SIGMAS, MOST_SIGMAS + 0.1):
+        reading = BallReading(
+            6.0, 6.0 * np.exp(sigmas * 0.05), 0.05 * 6.0 * np.exp(sigmas * 0.05), "another unit"
+        )
+        assert reading.sigmas == pytest.approx(sigmas)
+        verdict = verdict_of(checks_of({**GOOD, "ball_sigmas": sigmas}))
+        assert ("agrees" in reading.sentence()) == (verdict["level"] == "good")
+        assert (REMEDY in reading.sentence()) == (REMEDY in verdict["next"]) == (sigmas > MOST_SIGMAS)
+
+
+def test_limits_in_words():
+    said = {
+        one["name"]: [limit_in_words(one, level) for level in ("good", "fair")] for one in checks_of(GOOD)
+    }
+    assert said["normal_free_deg"] == ["≤ 3", "≤ 5"]
+    assert said["covered_percent"] == ["≥ 80", "≥ 60"]
+    assert said["scale_off_percent"] == ["≤ 10", "any"]
+
+
+def test_all_good_is_to_be_used_and_what_is_not_known_is_said():
+    verdict = verdict_of(checks_of(GOOD))
+    assert verdict["headline"] == "Good: held-out normals are off by 3.0°, the ball radius by 3.0 %"
+    assert verdict["next"].startswith("Use it.")
+    assert verdict["because"] is None
+    assert verdict["counts"] == {"good": len(LIMITS), "fair": 0, "poor": 0}
+    unknown = verdict_of(checks_of({**GOOD, "scale_percent": None}))
+    assert unknown["because"] == "uncertainty of the scale: not known, fair"
+
+
+def test_the_worse_of_normals_and_radius_is_the_level():
+    assert verdict_of(checks_of({**GOOD, "radius_percent": 9.0}))["level"] == "poor"
+    assert verdict_of(checks_of({**GOOD, "normal_free_deg": 4.0}))["level"] == "fair"
+
+
+@pytest.mark.parametrize("limit", LIMITS, ids=lambda limit: limit.name)
+def test_no_headline_is_good_over_a_poor_check(limit):
+    """They count errors at the places that were pressed, so what else is poor caps them, and is said."""
+    if not np.isfinite(limit.fair):
+        return
+    worse = limit.fair - 1 if limit.rising else 2 * limit.fair
+    verdict = verdict_of(checks_of({**GOOD, limit.name: worse}))
+    assert verdict["level"] == ("poor" if limit.name in (*HEADLINE, *REFUTING) else "fair")
+    assert not verdict["headline"].startswith("Good")
+    if limit.name not in (*HEADLINE, *REFUTING):
+        assert f". Poor checks: {limit.label} (" in verdict["headline"]
+    fair = verdict_of(checks_of({**GOOD, limit.name: limit.fair}))
+    assert fair["level"] == ("fair" if limit.name in HEADLINE else "good")
+    assert "Poor checks" not in fair["headline"]
+
+
+def test_all_poor_checks_are_said_and_a_poor_headline_stays_poor():
+    figures = {"presses_used": 5.0, "covered_percent": 17.2, "normal_free_deg": 2.0}
+    verdict = verdict_of(checks_of({**GOOD, **figures}))
+    assert verdict["headline"] == (
+        "Fair: where presses are (17.2 % of places and slope directions), held-out normals are off by 2.0°, "
+        "the ball radius by 3.0 %. Elsewhere errors are not known. Poor checks: presses used (5), places and "
+        "slope directions that presses show (17.2 %)"
+    )
+    poor = verdict_of(checks_of({**GOOD, **figures, "normal_free_deg": 6.0}))
+    assert poor["headline"].startswith("Poor: where presses are (17.2 %")
+    assert "Poor checks" not in poor["headline"]
+
+
+def test_the_error_of_few_presses_is_said_with_its_own():
+    """From 12 presses on it is small beside the error."""
+    errors = {"normal_free_deg": 0.62}
+    few, more = (verdict_of(checks_of({**GOOD, "presses_used": n}, errors))["headline"] for n in (11.0, 12.0))
+    assert "off by 3.0 ± 0.6°" in few
+    assert "off by 3.0°" in more
+
+
+@pytest.mark.parametrize(
+    ("figures", "because"),
+    [
+        (
+            {"presses_used": 20.0, "normal_free_deg": 9.0},
+            "angle error of the normals, held out: 9°, poor",
+        ),  # poor before fair
+        ({"presses_used": 6.0, "normal_free_deg": 9.0}, "presses used: 6, poor"),  # 5 times, not 3
+        ({"presses_used": 9.0, "radius_percent": 30.0}, "error of the ball's radius, held out: 30 %, poor"),
+        ({"presses_used": 10.0, "cap_free_um": 40.0}, "presses used: 10, fair"),  # alike: the cause
+        ({"presses_used": 29.0, "off_contact_um": 79.0}, "depth error off contact, held out: 79 µm, fair"),
+        (
+            {"scale_percent": None, "ball_sizes": 1.0},
+            "ball sizes: 1, fair",
+        ),  # what is not known is no large fault
+        (
+            {"covered_percent": 0.0, "normal_free_deg": 90.0},
+            "places and slope directions that presses show: 0 %, poor",
+        ),
+    ],
+)
+def test_the_largest_fault_comes_next(figures, because):
+    verdict = verdict_of(checks_of({**GOOD, **figures}))
+    assert verdict["because"] == because
+    named = because.split(":")[0]
+    assert verdict["next"] == next(limit.action for limit in LIMITS if limit.label == named)
+
+
+def test_a_refuted_diameter_makes_all_poor_and_an_unchecked_one_is_said():
+    refuted = verdict_of(checks_of({**GOOD, "ball_sigmas": 9.0, "presses_used": 1.0}))
+    assert refuted["level"] == "poor"
+    assert refuted["headline"].startswith(
+        "Poor: the ball diameter or mm_per_px is wrong. With them, held-out normals are off by 3.0°"
+    )
+    assert refuted["next"].startswith("Check the ball's diameter")
+    assert verdict_of(checks_of({**GOOD, "ball_sigmas": None}))["headline"].endswith(
+        ". Nothing checked the ball diameter"
+    )
+    unusual = verdict_of(checks_of({**GOOD, "scale_off_percent": 25.0}))
+    assert unusual["headline"].endswith(". The mm_per_px is unusual for this sensor")
+
+
+def test_every_press_has_a_row_and_only_accepted_ones_have_errors(presses, calibration):
+    rows = calibration.report.presses
+    assert [row.name for row in rows] == [press.name for press in presses.presses]
+    assert any(row.accepted for row in rows)
+    for row in rows:
+        assert row.accepted == (row.reason is None) == (row.errors is not None)
+        assert (row.center_sigma_px is not None) == row.accepted
+
+
+def test_one_candidate_is_chosen_and_none_has_no_error(calibration):
+    tried = calibration.report.candidates
+    assert sum(one["chosen"] for one in tried) == 1
+    errors = [one["slope_error"] for one in tried]
+    assert errors == sorted(errors), "the best one first"
+    assert errors[0] > 0
+    assert tried[0]["chosen"], "by its error alone"
+    for one in tried:
+        assert 30 * one["slope_error"] < one["normal_free_deg"] < 70 * one["slope_error"], (
+            "of the same slopes"
+        )
+
+
+def test_it_is_json_without_the_samples(calibration):
+    content = json.loads(json.dumps(calibration.report.to_dict()))
+    assert "samples" not in content
+    assert "start" not in content
+    assert content["held_out"]["presses"] == sum(row.accepted for row in calibration.report.presses)
+
+
+def test_the_summary_is_of_all_presses():
+    names = PressErrors.__dataclass_fields__
+    errors = [PressErrors(**dict.fromkeys(names, value)) for value in (1.0, 2.0, 6.0)]
+    said = summary(errors)
+    assert said["presses"] == 3
+    assert said["normal_free_deg"] == pytest.approx(3.0)
+    assert np.isfinite(list(said.values())).all()
+
+
+def test_the_notes_say_how_often_folds_agreed_and_whence_the_scale_is(calibration):
+    report = calibration.report
+    held_out, *others = report.notes
+    assert f"{report.held_out['presses']:.0f} presses in 5 folds" in held_out
+    assert " of 5 folds chose" in held_out
+    assert any("The scale comes from the number given" in note for note in others)
+
+
+def test_every_figure_has_words(calibration):
+    assert list(calibration.report.held_out) == list(FIGURES)
+    assert len(set(FIGURES.values())) == len(FIGURES)

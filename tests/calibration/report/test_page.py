@@ -1,16 +1,37 @@
-"""The page: one file that needs nothing else, the same for the same report, safe with hostile names."""
+"""The page: one file that needs nothing else, the same for the same report, safe with hostile names.
 
+The pictures of the page: their size, their colors, and the names under them.
+
+Charts: a point lies where its value says, every text is escaped, each SVG is well formed.
+"""
+
+import base64
 import json
 import re
+import xml.etree.ElementTree as ElementTree
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
+from gelform.calibration.report.charts import Axes, bar_of, scale_of_errors
 from gelform.calibration.report.content import report_content
-from gelform.calibration.report.page import digits, report_page
+from gelform.calibration.report.page import (
+    HIGH,
+    LOW,
+    WIDTHS_PX,
+    cap_scale_um,
+    cap_url,
+    digits,
+    jpeg_url,
+    press_urls,
+    report_page,
+    short_names,
+    templates,
+)
 from gelform.calibration.report.record import setting_in_words
 
 VOID = {"meta", "img", "input", "br"}
@@ -293,3 +314,193 @@ def backgrounds_behind_text(tab):
     )
     painted = [re.findall(r"[\d.]+", color) for color in colors]
     return [min(float(v) for v in one[:3]) for one in painted if len(one) == 3]
+
+
+@pytest.mark.parametrize(
+    ("names", "short"),
+    [
+        (["a/0/gelsight.png", "a/1/gelsight.png"], ["a/0", "a/1"]),
+        (["0.png", "10.png"], ["0", "10"]),
+        (["0.png", "1.jpg"], ["0.png", "1.jpg"]),
+        (["x10.png", "y10.png"], ["x10", "y10"]),
+        (["x" * 50 + ".png", "y.png"], ["x" * 13 + "…" + "x" * 14, "y"]),
+        (["only.png"], ["only"]),
+        ([".png", "a.png"], [".png", "a"]),
+    ],
+)
+def test_names_lose_what_all_share(names, short):
+    assert short_names(names) == short
+
+
+def decoded(url):
+    data = np.frombuffer(base64.b64decode(url.split(",", 1)[1]), np.uint8)
+    return cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
+
+
+def test_a_jpeg_is_rgb_and_no_wider_than_asked():
+    image = np.zeros((120, 160, 3), dtype=np.uint8)
+    image[:, :80, 0] = 200
+    back = decoded(jpeg_url(image, 80))
+    assert back.shape == (60, 80, 3)
+    assert back[30, 10, 2] > 150 > back[30, 10, 0] + 100
+    assert decoded(jpeg_url(image, 320)).shape == image.shape
+
+
+def test_many_presses_become_small():
+    rng = np.random.default_rng(0)
+    images = [rng.integers(0, 255, (120, 160, 3), dtype=np.uint8) for _ in range(12)]
+    urls = press_urls(images, budget_bytes=60_000)
+    assert sum(map(len, urls)) < 90_000
+    assert decoded(urls[0]).shape[1] in WIDTHS_PX
+    assert decoded(press_urls(images)[0]).shape[1] == 160
+
+
+def test_too_high_is_red_too_low_blue_and_unknown_clear():
+    error = np.zeros((40, 40), dtype=np.float32)
+    error[:, :10], error[:, 30:] = 50, -50
+    error[:10] = np.nan
+    pixels = decoded(cap_url(error, 50.0))
+    assert tuple(pixels[30, 3, 2::-1]) == HIGH
+    assert tuple(pixels[30, 36, 2::-1]) == LOW
+    assert pixels[30, 3, 3] == pixels[30, 36, 3] == 255
+    assert pixels[30, 20, 3] == pixels[4, 3, 3] == 0
+
+
+@pytest.mark.parametrize(("spread", "scale"), [(0.9, 1), (1.2, 1.5), (4.0, 5), (8.0, 10), (25.0, 30)])
+def test_scales_are_round_and_hold_most_pixels(spread, scale):
+    error = np.full((20, 20), spread, dtype=np.float32)
+    error[0] = np.nan
+    assert cap_scale_um([error]) == pytest.approx(scale)
+
+
+CHARTS = templates().get_template("charts.html").module
+SHAPE = (60, 80)
+
+
+def test_axes_run_right_and_up_and_a_band_stays_in_the_plot():
+    axes = Axes((0, 10), (0, 1), (), ())
+    assert axes.x(0) < axes.x(5) < axes.x(10)
+    assert axes.y(0) > axes.y(0.5) > axes.y(1)
+    assert axes.x(5) - axes.x(0) == pytest.approx(axes.x(10) - axes.x(5))
+    ys = [float(pair.split(",")[1]) for pair in axes.band((0, 10), (-5, -5), (9, 9)).split()]
+    assert (min(ys), max(ys)) == pytest.approx((axes.y(1), axes.y(0)), abs=0.1)
+
+
+def elements(drawn, tag, kind):
+    return [e for e in ElementTree.fromstring(drawn.strip()).iter(tag) if e.get("class") == kind]
+
+
+def circles(drawn, kind):
+    return [(float(c.get("cx")), float(c.get("cy"))) for c in elements(drawn, "circle", kind)]
+
+
+def bins_of(name, values):
+    """Bins of slopes a tenth wide, with a figure each."""
+    return [
+        {"slope_from": 0.1 * k, "slope_to": 0.1 * k + 0.1, name: value, "interval": [0.5, 1.3]}
+        for k, value in enumerate(values)
+    ]
+
+
+def test_a_gain_below_one_is_drawn_below_the_line():
+    bins, beyond = bins_of("gain", (1.1, 1.0, 0.9)), bins_of("gain", (0.8, 0.7, 0.6))
+    dots = circles(CHARTS.gain_chart({"contact": bins, "rim": []}), "dot-first")
+    assert [x for x, _ in dots] == sorted(x for x, _ in dots)
+    assert dots[0][1] < dots[1][1] < dots[2][1]
+    assert not CHARTS.gain_chart({"contact": [], "rim": []}).strip()
+    both = CHARTS.gain_chart({"contact": bins, "rim": beyond})
+    assert circles(both, "dot-first") == dots, "one gain: of the contact"
+    assert circles(both, "dot-second") == []
+
+
+def test_the_learning_chart_has_every_draw_and_what_is_expected(learning):
+    drawn = CHARTS.learning_chart({**learning, "sentence": '<script>"&'})
+    assert "<script>" not in drawn
+    assert elements(drawn, "svg", "chart")[0][0].text == 'Learning curve: <script>"&'
+    assert len(circles(drawn, "draw")) == sum(len(p["draws_deg"]) for p in learning["points"])
+    (now, _), (later, _) = circles(drawn, "expected")
+    assert now < later
+    assert f"now: {learning['expected']['presses_now']}" in drawn
+
+
+def test_shares_far_off_stand_out():
+    root = ElementTree.fromstring(
+        CHARTS.sigma_chart({"by_slope": bins_of("share", (0.68, 0.5, 0.2))}).strip()
+    )
+    assert [rect.get("class") for rect in root.iter("rect")] == ["bar", "bar off", "bar far"]
+    assert not CHARTS.sigma_chart({"by_slope": []}).strip()
+
+
+def test_a_share_has_the_color_of_the_percents_that_are_printed():
+    for percent, kind in [
+        (59.4, "bar off"),
+        (59.6, "bar"),
+        (60, "bar"),
+        (76.4, "bar"),
+        (76.6, "bar off"),
+        (44.4, "bar far"),
+    ]:
+        assert bar_of(percent) == kind
+
+
+def test_markers_lie_between_their_limits():
+    (x, _), *_ = circles(CHARTS.limit_bar(2.0, [1.5, 2.5], 3, 5), "marker")
+    (good,) = elements(CHARTS.limit_bar(2.0, [1.5, 2.5], 3, 5), "rect", "zone-good")
+    assert 0 < x < float(good.get("width"))
+    (far, _), *_ = circles(CHARTS.limit_bar(50.0, None, 3, 5), "marker")
+    assert far <= 200
+
+
+def test_ranges_share_a_scale():
+    one, two = (
+        circles(CHARTS.range_bar({"normal_free_deg": v, "chosen": False}, 5), "dot-first")[0][0]
+        for v in (2.0, 4.0)
+    )
+    assert two == pytest.approx(2 * one)
+
+
+def coverage(counts):
+    place = {"x_px": 59.5, "y_px": 14.5, "contact_radius_px": 10.0}
+    return {"rows": 1, "columns": 2, "presses": counts, "next": [place]}
+
+
+def test_a_petal_is_empty_where_no_press_was():
+    drawn = CHARTS.coverage_map(coverage([[0, 1, 2, 3, 9, 0, 0, 0], [1] * 8]), SHAPE)
+    petals = elements(drawn, "path", "petal")
+    assert len(petals) == 12
+    assert len(elements(drawn, "path", "petal none")) == 4
+    opacities = [float(p.get("fill-opacity")) for p in petals[:4]]
+    assert opacities[0] < opacities[1] < opacities[2] == opacities[3]
+
+
+def test_the_next_press_is_drawn_at_its_place_and_octant_zero_points_to_the_right():
+    drawn = CHARTS.coverage_map(coverage([[1] * 8] * 2), SHAPE)
+    mark, scale = elements(drawn, "circle", "next")[0], 560 / 80
+    place = [float(mark.get(name)) for name in ("cx", "cy", "r")]
+    assert place == pytest.approx([60 * scale, 15 * scale, 10 * scale], abs=0.1)
+    first = elements(drawn, "path", "petal")[0].get("d")
+    start, line = (float(first.split(letter)[1].split()[0]) for letter in "ML")
+    assert line > start
+
+
+def test_arrows_point_along_the_error_and_empty_cells_stay_blank():
+    errors = {
+        "rows": 2,
+        "columns": 2,
+        "rms": [0.1, 0.2, None, 0.05],
+        "mean": [[0.1, 0], [0, 0.2], None, [0, 0]],
+    }
+    drawn = CHARTS.slope_error_map(errors, SHAPE)
+    assert len(elements(drawn, "rect", "heat")) == 3
+    right, down, still = elements(drawn, "line", "arrow")
+    assert float(right.get("x2")) > float(right.get("x1"))
+    assert right.get("y2") == right.get("y1")
+    assert float(down.get("y2")) > float(down.get("y1"))
+    assert still.get("x2") == still.get("x1")
+    assert scale_of_errors({"rms": [None]}) == 1.0
+
+
+def test_shares_are_written_into_their_cells():
+    sigma = {"rows": 1, "columns": 3, "by_place": [0.68, None, 0.3]}
+    texts = [e.text for e in elements(CHARTS.share_map(sigma, SHAPE), "text", "cell")]
+    assert texts == ["68 %", "–", "30 %"]

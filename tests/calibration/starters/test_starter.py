@@ -1,4 +1,7 @@
-"""Starters: depth of a unit that was never pressed, from its untouched image and what other units have shown."""
+"""The light of a make: smooth, thirty numbers, and what tells an uneven background from it.
+
+Starters: depth of a unit that was never pressed, from its untouched image and what other units have shown.
+"""
 
 import re
 from dataclasses import replace
@@ -12,6 +15,8 @@ import pytest
 import gelform
 from gelform.calibration.starters import (
     calibration_from_background,
+    check_light,
+    levels_from_light,
     light_from_background,
     load_starter,
     starter_for,
@@ -24,6 +29,36 @@ from gelform.errors import CalibrationError, SensorError
 from gelform.result.metrics import press_errors
 from gelform.sensors.profiles import SENSORS
 from gelform.simulate import LAYOUTS, Ball, Punch, simulate_background, simulate_press
+
+
+def test_an_uneven_background_is_warned_of():
+    make = load_starter("gelsight-mini")
+    touched = make.calibration.background.copy()
+    touched[40:200, 80:140] *= np.float32([1.9, 0.4, 1.6])
+    names = {one.name for one in check_light(touched, make.light, make.make)}
+    assert "uneven_background" in names
+    assert check_light(make.calibration.background, make.light, make.make) == ()
+
+
+def test_a_dark_surround_is_named_with_the_crop_that_fits():
+    make, other = load_starter("gelsight-mini"), load_starter("digit")
+    image = make.calibration.background.copy()
+    image[-20:] = 2
+    found = {one.name: one for one in check_light(image, make.light, make.make)}
+    assert found["dark_surround"].figure == pytest.approx(20 / len(image), abs=0.01)
+    assert "crop the frames to 0,0,320,215" in found["dark_surround"].message
+    with pytest.raises(CalibrationError, match=r"Is it another sensor.*crop the frames to 0,0,320,215"):
+        check_light(image, other.light, other.make)
+
+
+@pytest.mark.parametrize("shape", [(240, 320), (320, 240), (41, 60)])
+def test_a_smooth_light_comes_back_from_its_image(shape):
+    y, x = np.mgrid[: shape[0], : shape[1]] / np.array(shape).reshape(2, 1, 1)
+    logs = np.stack([4 + 0.5 * x - x * y, 4.2 - y**3, 3.9 + 0.3 * x**2 * y], axis=-1)
+    light, rough = light_from_background(np.exp(logs) - 1)
+    assert rough < 5e-3
+    np.testing.assert_allclose(levels_from_light(light, x, y), np.exp(logs) - 1, rtol=0.05)
+
 
 SIMULATED = "simulated-three-edges"
 MAX_BYTES = 300_000

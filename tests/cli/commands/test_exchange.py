@@ -1,14 +1,24 @@
-"""gelform import and gelform export."""
+"""gelform import and gelform export.
+
+gelform calibrations: list, add, remove, export; and the commands that search the library if no calibration is given.
+"""
+
+import io
+import json
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 
 import gelform
+from gelform.calibration.library.library import add_calibration, entries
+from gelform.calibration_file import load_calibration
 from gelform.cli.commands import exchange
 from gelform.exchange.exporters.surface import SURFACES
 from gelform.exchange.exporters.taxim import RENDERERS
 from gelform.result import load_result, save_result
+from made.small_gel import Touch, calibration, image_of, save
 
 
 def images_of(press_folder):
@@ -125,3 +135,151 @@ def test_a_result_as_a_surface(run, fails, calibration_file, result_file):
     assert run("export", result_file, "--to", "tiff", "--overwrite")[0] == 0
     assert "Expected a result to write for ply" in fails("export", calibration_file, "--to", "ply")
     assert "Expected a calibration to write for taxim" in fails("export", result_file, "--to", "taxim")
+
+
+OLD = replace(
+    calibration(),
+    serial="S1",
+    gel_id="1",
+    created_utc="2026-01-02T03:04:05+00:00",
+    held_out={"normal_free_deg": 1.25},
+)
+NEW = replace(OLD, gel_id="2", created_utc="2026-11-12T13:14:15+00:00")
+
+
+@pytest.fixture
+def full(library):
+    for one in (OLD, NEW):
+        add_calibration(one)
+    return library
+
+
+@pytest.fixture
+def presses(tmp_path):
+    """A folder of one image whose sensor.toml says the serial."""
+    save(tmp_path / "presses/images/a.png", image_of(Touch()))
+    (tmp_path / "presses/sensor.toml").write_text('name = "known gel"\nmm_per_px = 0.1\nserial = "S1"\n')
+    return tmp_path / "presses"
+
+
+def test_a_calibration_is_added_once_and_listed(run, run_json, library, tmp_path):
+    calibration().save(tmp_path / "mine.npz")
+    arguments = ("calibrations", "add", tmp_path / "mine.npz", "--serial", "S7", "--gel", "g")
+    (added,) = run_json(*arguments)["added"]
+    assert added["new"]
+    assert "Already in the library" in run(*arguments)[2]
+    (listed,) = run_json("calibrations", "list")["calibrations"]
+    assert (listed["serial"], listed["gel_id"], listed["file"]) == ("S7", "g", added["file"])
+    assert load_calibration(listed["file"]).serial == "S7"
+    assert "--serial SERIAL" in run("calibrations", "add", tmp_path / "mine.npz")[2]
+
+
+def test_the_list_has_figures_and_what_is_damaged(run, run_json, full):
+    (full / "cut.npz").write_text("damaged")
+    code, out, err = run("calibrations", "list", "--gel", "1")
+    assert code == 0
+    assert [word in out for word in ("S1", "2026-01-02 03:04", "1.25", OLD.digest[:10])] == [True] * 4
+    assert "2026-11-12" not in out
+    assert err == ""
+    assert "damaged: cut.npz: " in run("calibrations", "list")[2]
+    listed = run_json("calibrations", "list")["calibrations"]
+    assert [one["gel_id"] for one in listed] == ["2", "1", None]
+    assert listed[1]["held_out"] == {"normal_free_deg": 1.25}
+    assert "truncated or damaged" in listed[2]["problem"]
+
+
+def test_a_serial_that_the_file_contradicts_is_refused(fails, library, tmp_path):
+    OLD.save(tmp_path / "old.npz")
+    said = fails("calibrations", "add", tmp_path / "old.npz", "--serial", "S2")
+    assert "is of serial 'S1', not of 'S2'" in said
+    assert not library.exists()
+
+
+def test_remove_asks_or_is_told(run, fails, full, monkeypatch):
+    assert "2 calibrations match" in fails("calibrations", "remove", "S1", "--yes")
+    for answer in ("n\n", ""):
+        monkeypatch.setattr("sys.stdin", io.StringIO(answer))
+        code, _, err = run("calibrations", "remove", "S1", "--gel", "1")
+        assert code == 1
+        assert "Delete known-gel_S1_1" in err
+    monkeypatch.setattr("sys.stdin", None)
+    assert "--yes" in fails("calibrations", "remove", "S1", "--gel", "1")
+    assert len(entries()) == 2
+    assert run("calibrations", "remove", "S1", "--gel", "1", "--yes")[0] == 0
+    assert [one.gel_id for one in entries()] == ["2"]
+    assert "There: known-gel_S1_2" in fails("calibrations", "remove", "S3")
+
+
+def test_export_gives_the_newest_as_it_is(run, fails, full, tmp_path):
+    assert run("calibrations", "export", "S1", "-o", tmp_path / "out.npz")[0] == 0
+    assert (tmp_path / "out.npz").read_bytes() == entries()[0].path.read_bytes()
+    assert "already there" in fails("calibrations", "export", "S1", "-o", tmp_path / "out.npz")
+    again = ("calibrations", "export", "S1", "--gel", "1", "-o", tmp_path / "out.npz", "--overwrite")
+    assert run(*again)[0] == 0
+    assert load_calibration(tmp_path / "out.npz").digest == OLD.digest
+
+
+def test_reconstruct_takes_the_newest_of_the_images_serial_and_says_so(run, fails, full, presses, tmp_path):
+    image = presses / "images/a.png"
+    code, _, err = run("reconstruct", image, "-o", tmp_path / "out")
+    assert code == 0
+    assert f"{entries()[0].path.name} (gel 2, of 2026-11-12 13:14)" in err
+    assert (tmp_path / "out/a.npz").exists()
+    assert run("reconstruct", image, "-o", tmp_path / "quiet", "--quiet")[2] == ""
+    save(tmp_path / "elsewhere/lone/a.png", image_of(Touch()))
+    said = fails("reconstruct", tmp_path / "elsewhere/lone/a.png", "-o", tmp_path / "out2")
+    assert "nothing says which unit" in said
+    assert "Give --calibration, make one" in said
+
+
+def test_a_batch_takes_it_too_and_goes_on_with_the_same(run, fails, full, presses, tmp_path):
+    command = ("batch", presses / "images", "-o", tmp_path / "depth", "--table", "csv")
+    code, _, err = run(*command)
+    assert code == 0
+    assert "(gel 2, of 2026-11-12 13:14)" in err
+    newer = replace(NEW, gel_id="3", created_utc="2026-11-20T13:14:15+00:00")
+    add_calibration(newer)
+    assert "(gel 2, of" in run(*command)[2]  # begun with it
+    assert "(gel 3, of" in run(*command, "--overwrite")[2]
+    manifest = json.loads((tmp_path / "depth/manifest.json").read_text())
+    assert manifest["calibration_digest"] == newer.digest
+    assert run("batch", "verify", tmp_path / "depth")[0] == run("verify", tmp_path / "depth")[0] == 0
+
+
+@pytest.mark.parametrize("command", ["bag", "ros"])
+def test_what_sends_to_robots_asks_the_library_too(fails, full, presses, command):
+    (presses / "sensor.toml").write_text('name = "known gel"\nmm_per_px = 0.1\nserial = "S9"\n')
+    where = ["-o", full / "bag"] if command == "bag" else []
+    assert "none with serial S9: it has calibrations of S1" in fails(command, presses / "images", *where)
+
+
+def test_the_simulated_sensor_needs_no_calibration(run, library, tmp_path):
+    pytest.importorskip("rosbags", reason="the extra ros is not installed")
+    pytest.importorskip("mcap", reason="the extra mcap is not installed")
+    how = ("-o", tmp_path / "bag", "--seconds", "0.2", "--topics", "indentation")
+    code, _, err = run("bag", "simulated", *how)
+    assert code == 0, err
+    assert "Calibration of the simulated sensor three-edges: gelform's own." in err
+
+
+def test_a_serial_given_later_keeps_the_digest(run_json, library, tmp_path):
+    """So that recordings and results, which name it, still find their calibration."""
+    calibration().save(tmp_path / "mine.npz")
+    run_json("calibrations", "add", tmp_path / "mine.npz")
+    (added,) = run_json("calibrations", "add", tmp_path / "mine.npz", "--serial", "S7")["added"]
+    assert added["new"]
+    listed = run_json("calibrations", "list")["calibrations"]
+    assert {one["digest"] for one in listed} == {calibration().digest}
+    assert sorted(one["serial"] or "" for one in listed) == ["", "S7"]
+
+
+def test_a_file_is_no_library(fails, monkeypatch, tmp_path):
+    calibration().save(tmp_path / "cal.npz")
+    monkeypatch.setenv("GELFORM_CALIBRATIONS", str(tmp_path / "cal.npz"))
+    assert f"got the file {tmp_path / 'cal.npz'}. Name a folder" in fails("calibrations", "list")
+    assert "got the file" in fails("calibrations", "add", tmp_path / "cal.npz")
+
+
+def test_a_folder_that_is_no_absolute_path_is_one_line(fails, monkeypatch):
+    monkeypatch.setenv("GELFORM_CALIBRATIONS", "relative")
+    assert "Expected an absolute path in GELFORM_CALIBRATIONS" in fails("calibrations", "list")

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform.exchange.plots.canvas import save_picture
+from gelform.exchange.plots import save_picture
 from gelform.result import load_result
 from gelform.sensors.files import read_image
 from made.small_gel import calibration, save

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from gelform.calibration.presses.folder import read_presses
-from gelform.exchange.plots.canvas import save_picture
+from gelform.exchange.plots import save_picture
 from gelform.sensors.files import read_image
 from gelform.simulate import LAYOUTS
 

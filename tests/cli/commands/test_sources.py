@@ -20,8 +20,8 @@ from gelform.cli.commands import sources
 from gelform.cli.commands.sources import _at_rest, single_keys
 from gelform.errors import DataError
 from gelform.image.view import image_from_frame
-from gelform.sensors.cameras import camera, usb
-from gelform.sensors.cameras.camera import Camera
+from gelform.sensors import cameras as camera
+from gelform.sensors.cameras import Camera
 from gelform.sensors.files import SensorSettings, read_image, read_sensor_toml
 from gelform.sensors.grabber import Grabber, GrabberStats
 from gelform.sensors.recordings.mcap_reader import mcap_summary
@@ -29,10 +29,8 @@ from gelform.sensors.recordings.record import RecordStats
 from gelform.sensors.source import open_source
 from gelform.simulate import LAYOUTS, Ball, simulate_background, simulate_press
 from live_waiting import until
-from made.capture import Capture
-from made.mjpeg_server import MjpegServer, jpeg, part
-from made.recorded import camera as frames_of
-from made.sources import ImageSource
+from made.sources import Capture, ImageSource, MjpegServer, jpeg, part
+from made.sources import camera as frames_of
 
 termios = pytest.importorskip("termios", reason="no POSIX terminal here")
 
@@ -88,7 +86,7 @@ def test_a_camera_with_its_measured_rate(run, run_json, plugged_in, monkeypatch,
     path = tmp_path / "video0"
     path.write_text("")
     plugged_in(Camera("DIGIT", str(path), "D1", "2833:0209", "/dev/v4l/by-path/p4", "digit"))
-    monkeypatch.setattr(usb, "_opened", lambda _: Capture([IMAGE] * 1000))
+    monkeypatch.setattr(camera, "_opened", lambda _: Capture([IMAGE] * 1000))
     monkeypatch.setattr("gelform.cli.commands.sources.MEASURED_S", 0.02)
     (found,) = run_json("cameras")["cameras"]
     assert (found["serial"], found["sensor"], found["problem"]) == ("D1", "digit", None)
@@ -101,11 +99,11 @@ def test_a_camera_with_its_measured_rate(run, run_json, plugged_in, monkeypatch,
 
 def test_a_camera_that_gives_nothing(run_json, plugged_in, monkeypatch):
     plugged_in(Camera("a camera", "/dev/none", "S1"))
-    monkeypatch.setattr(usb, "UsbCamera", lambda _: frames_of(0)())
+    monkeypatch.setattr(camera, "UsbCamera", lambda _: frames_of(0)())
     monkeypatch.setattr("gelform.cli.commands.sources.FIRST_S", 0.05)
     (found,) = run_json("cameras")["cameras"]
     assert (found["problem"], found["settings"]) == ("it opens, but gives no frame", {"gain": 3.0})
-    monkeypatch.setattr(usb, "UsbCamera", lambda _: pytest.fail("opened"))
+    monkeypatch.setattr(camera, "UsbCamera", lambda _: pytest.fail("opened"))
     (found,) = run_json("cameras", "--no-measure")["cameras"]
     assert (found["rate_hz"], found["problem"]) == (None, None)
 

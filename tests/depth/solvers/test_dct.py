@@ -13,7 +13,7 @@ from scipy.fft import dctn, idct, idctn
 
 from gelform.depth.solvers import dct
 from gelform.depth.solvers.dct import Dct4Solver, DctSolver
-from gelform.depth.solvers.system import differences, divergence, edges_from_gradients
+from gelform.depth.solvers.seam import differences, divergence, edges_from_gradients
 from kernel_agreement import assert_kernel_agrees
 from scenes import gaussian, polynomial, rmse_um, scene
 

@@ -7,10 +7,9 @@ import pytest
 
 from gelform.depth.integrate import depth_from_gradients, integrate
 from gelform.depth.solvers import HuberSolver, L1Solver, RobustSolver, SparseSolver
-from gelform.depth.solvers import curl_gated as curl_gated
-from gelform.depth.solvers.curl_gated import confidence_from_curl, patches_from_jumps
-from gelform.depth.solvers.robust import LOSSES
-from gelform.depth.solvers.system import differences, edges_from_gradients
+from gelform.depth.solvers import robust as curl_gated
+from gelform.depth.solvers.robust import LOSSES, confidence_from_curl, patches_from_jumps
+from gelform.depth.solvers.seam import differences, edges_from_gradients
 from scenes import (
     BALL,
     BALLS,

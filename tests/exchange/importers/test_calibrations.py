@@ -1,17 +1,323 @@
-"""Import of other packages' calibrations: known values, values that stay unknown, refusals."""
+"""Imported networks give their own packages' answers, with gelform's signs.
 
+Import of other packages' calibrations: known values, values that stay unknown, refusals.
+"""
+
+import pickle
+import sys
+import zipfile
+from importlib.util import find_spec
+from itertools import pairwise
+
+import cv2
 import numpy as np
 import pytest
 
 import gelform
-from gelform.exchange.importers.calibrations import UNTOUCHED_CHANGE
+from gelform.exchange.importers.calibrations import (
+    UNTOUCHED_CHANGE,
+    read_gs_sdk,
+    read_gsrobotics,
+    read_gsrobotics_web,
+)
 from gelform.image.view import image_from_frame
 from gelform.sensors.profiles import PROFILES
-from made.networks import web_file
+from made.files import network_arrays, torch_file, web_file
 
-SHAPE = (48, 64)
-BACKGROUND = np.random.default_rng(0).integers(60, 160, (*SHAPE, 3)).astype(np.uint8)
-WEB = {"package": "gsrobotics-web", "background": BACKGROUND, "position": "true"}
+SHAPE = (12, 16)
+BACKGROUND = np.random.default_rng(0).uniform(60, 160, (*SHAPE, 3)).astype(np.float32)
+GENTLE = {name: 0.6 * array for name, array in network_arrays((5, 64, 64, 64, 2)).items()}
+
+
+def image_and_change(seed=1, background=BACKGROUND):
+    image = np.random.default_rng(seed).integers(1, 255, (*SHAPE, 3)).astype(np.float32)
+    return image, (image - background) / np.float32(255)
+
+
+def slopes_of(model, change, background=BACKGROUND):
+    return model.prepare(background, background.shape[:2]).gradients_from_color(change)[0]
+
+
+def answered(arrays, image, position):
+    """The network in plain numpy: B, G, R and two positions in, two numbers out."""
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    places = {"xy": (x / SHAPE[1], y / SHAPE[0]), "yx": (y / SHAPE[0], x / SHAPE[1]), "zeros": (0 * x, 0 * y)}
+    values = np.stack([image[..., 2] / 255, image[..., 1] / 255, image[..., 0] / 255, *places[position]], -1)
+    for k in range(1, 5):
+        values = values @ arrays[f"fc{k}.weight"].T.astype(float) + arrays[f"fc{k}.bias"]
+        values = np.maximum(values, 0) if k < 4 else values
+    return values
+
+
+def test_gs_sdk_angles_go_down_where_pressed(tmp_path):
+    arrays = network_arrays((5, 32, 32, 32, 2))
+    model = read_gs_sdk(torch_file(tmp_path / "nnmodel.pth", arrays), BACKGROUND)
+    image, change = image_and_change()
+    found = slopes_of(model, change)
+    theirs = np.tan(answered(arrays, image, "xy")) - np.tan(answered(arrays, BACKGROUND, "xy"))
+    np.testing.assert_allclose(found, -theirs, atol=2e-5)
+
+
+def by_gsrobotics(arrays, image, position):
+    """Gradients as its network's normals in plain numpy give them."""
+    n = answered(arrays, image, {"true": "yx", "zeros": "zeros"}[position])
+    return -n / np.sqrt(1 - np.sum(n**2, axis=-1, keepdims=True))
+
+
+@pytest.mark.parametrize("position", ["zeros", "true"])
+def test_the_browser_port_of_gsrobotics(tmp_path, position):
+    path = web_file(tmp_path / "weights.bin", GENTLE)
+    image, change = image_and_change()
+    found = slopes_of(read_gsrobotics_web(path, BACKGROUND, position=position), change)
+    theirs = by_gsrobotics(GENTLE, image, position) - by_gsrobotics(GENTLE, BACKGROUND, position)
+    np.testing.assert_allclose(found, theirs, atol=2e-5)
+    path.write_bytes(path.read_bytes()[:-4])
+    with pytest.raises(gelform.DataError, match="Expected 35336 bytes"):
+        read_gsrobotics_web(path, BACKGROUND, position="true")
+
+
+@pytest.mark.parametrize("nested", [True, False])
+def test_gsrobotics_is_its_browser_ports_network(tmp_path, nested):
+    a = read_gsrobotics_web(web_file(tmp_path / "weights.bin", GENTLE), BACKGROUND, position="true")
+    b = read_gsrobotics(torch_file(tmp_path / "n.pt", GENTLE, nested=nested), BACKGROUND, position="true")
+    change = image_and_change()[1]
+    np.testing.assert_array_equal(slopes_of(a, change), slopes_of(b, change))
+
+
+def test_another_background_is_rest_too(tmp_path):
+    model = read_gsrobotics_web(web_file(tmp_path / "w.bin", GENTLE), BACKGROUND, position="true")
+    today, differences = BACKGROUND + 3, []
+    assert np.abs(slopes_of(model, np.zeros_like(today), today)).max() == 0
+    for seed in (1, 7):  # the same image, so only the answer at rest differs
+        now = slopes_of(model, image_and_change(seed, today)[1], today)
+        differences.append(now - slopes_of(model, image_and_change(seed)[1]))
+    np.testing.assert_allclose(*differences, atol=1e-5)
+
+
+def test_normals_that_are_too_long_stay_finite(tmp_path):
+    arrays = network_arrays((5, 64, 64, 64, 2))
+    arrays["fc4.bias"] = np.array([2.0, 0.0], dtype=np.float32)
+    model = read_gsrobotics_web(web_file(tmp_path / "w.bin", arrays), BACKGROUND, position="true")
+    found = slopes_of(model, image_and_change()[1])
+    assert np.isfinite(found).all()
+    assert np.abs(found).max() <= 10.0 + 1e-5
+
+
+def test_frames_equal_scattered_pixels_and_saved_models(tmp_path):
+    model = read_gsrobotics_web(web_file(tmp_path / "w.bin", GENTLE), BACKGROUND, position="true")
+    change = image_and_change()[1]
+    frame = slopes_of(model, change)
+    rows, columns = np.array([0, 3, 11]), np.array([15, 4, 0])
+    scattered = model.gradients_at(change[rows, columns], columns, rows)
+    np.testing.assert_allclose(scattered, frame[rows, columns], atol=1e-6)
+    again = type(model).from_arrays(*model.to_arrays())
+    np.testing.assert_array_equal(slopes_of(again, change), frame)
+    with pytest.raises(ValueError, match="as imported, got 10x10"):
+        model.prepare(np.zeros((10, 10, 3)), (10, 10))
+
+
+def older_network(torch, kind):
+    """gs_sdk's older network, in its 1x1 convolutions or in the form that it trains, after some training data."""
+    torch.manual_seed(0)
+    layer, norm = {
+        "conv": (lambda n_in, n_out: torch.nn.Conv2d(n_in, n_out, 1), torch.nn.BatchNorm2d),
+        "fc": (torch.nn.Linear, torch.nn.BatchNorm1d),
+    }[kind]
+    parts = {}
+    for k, (n_in, n_out) in enumerate(pairwise((5, 128, 32, 32, 2)), start=1):
+        parts[f"{kind}{k}"] = layer(n_in, n_out)
+        if k < 4:
+            parts[f"bn{k}"], parts[f"relu{k}"] = norm(n_out), torch.nn.ReLU()
+            torch.nn.init.uniform_(parts[f"bn{k}"].weight, 0.5, 2)
+            torch.nn.init.uniform_(parts[f"bn{k}"].bias, -0.5, 0.5)
+    network = torch.nn.Sequential()
+    for name, part in parts.items():
+        network.add_module(name, part)
+    for seed in range(20):
+        values = torch.rand((64, 5), generator=torch.Generator().manual_seed(seed))
+        network(values[..., None, None] if kind == "conv" else values)
+    return network.eval()
+
+
+@pytest.mark.parametrize("kind", ["conv", "fc"])
+def test_older_networks_of_gs_sdk_give_what_torch_gives(tmp_path, kind):
+    torch = pytest.importorskip("torch", reason="torch, the extra `torch`, is not installed")
+    network = older_network(torch, kind)
+    torch.save(network.state_dict(), tmp_path / "nnmodel.pth")
+    model = read_gs_sdk(tmp_path / "nnmodel.pth", BACKGROUND)
+    assert [weight.shape[0] for weight in model.layers.weights] == [128, 32, 32, 2]
+
+    def slopes(image):
+        y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
+        values = np.concatenate(
+            [image[..., ::-1] / 255, (x / SHAPE[1])[..., None], (y / SHAPE[0])[..., None]], -1
+        )
+        values = torch.from_numpy(values.reshape(-1, 5).astype(np.float32))
+        with torch.no_grad():
+            angles = network(values[..., None, None] if kind == "conv" else values)
+        return -np.tan(angles.numpy().reshape(*SHAPE, 2))
+
+    image, change = image_and_change()
+    np.testing.assert_allclose(slopes_of(model, change), slopes(image) - slopes(BACKGROUND), atol=2e-5)
+
+
+def test_networks_of_another_kind_are_refused(tmp_path):
+    touchnet = {f"conv{k}.{part}": np.zeros((32, 5, 3, 3)[: 4 if part == "weight" else 1], np.float32)
+                for k in range(1, 5) for part in ("weight", "bias")}  # fmt: skip
+    spoilt = network_arrays((5, 32, 8, 8, 2))
+    spoilt["fc2.weight"][0, 0] = np.nan
+    halved = network_arrays((5, 32, 32, 32, 2)) | {"bn1.running_var": np.ones(32, np.float32)}
+    for arrays, said in (
+        (touchnet, "looks at neighbors"),
+        (network_arrays((5, 32, 2)), "Expected the layers fc1 to fc4"),
+        (network_arrays((3, 32, 8, 8, 2)), "5 inputs and 2 outputs"),
+        (network_arrays((5, 64, 64, 64, 2)), r"32 or 128 units .* is it gsrobotics's\?"),
+        (spoilt, "finite"),
+        (halved, r"lacks bn1\.weight"),
+    ):
+        with pytest.raises(gelform.DataError, match=said):
+            read_gs_sdk(torch_file(tmp_path / "net.pth", arrays), BACKGROUND)
+
+
+class Bomb:
+    def __init__(self, made):
+        self.made = made
+
+    def __reduce__(self):
+        return open, (str(self.made), "w")
+
+
+def test_no_code_of_a_file_runs(tmp_path):
+    torch = pytest.importorskip("torch", reason="torch, the extra `torch`, is not installed")
+    made, path = tmp_path / "made", tmp_path / "net.pth"
+    torch.save({"fc1.weight": Bomb(made)}, path)
+    with pytest.raises(gelform.DataError, match="could run code"):
+        read_gs_sdk(path, BACKGROUND)
+    torch.save(torch.nn.Linear(5, 32), path)
+    with pytest.raises(gelform.DataError, match="could run code"):
+        read_gs_sdk(path, BACKGROUND)
+    torch.save(torch.nn.Linear(5, 32).state_dict(), path, _use_new_zipfile_serialization=False)
+    with pytest.raises(gelform.DataError, match=r"before version 1\.6.*save it again"):
+        read_gs_sdk(path, BACKGROUND)
+    path.write_bytes(pickle.dumps(Bomb(made)))
+    with pytest.raises(gelform.DataError, match="could run code"):
+        read_gs_sdk(path, BACKGROUND)
+    with zipfile.ZipFile(path, "w") as archive:  # as TorchScript's programs are
+        archive.writestr("a/data.pkl", b"\x80\x02}.")
+        archive.writestr("a/constants.pkl", b"\x80\x02).")
+    with pytest.raises(gelform.DataError, match=r"Expected weights of torch\.save"):
+        read_gs_sdk(path, BACKGROUND)
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("a/data.pkl", b"\x80\x02}.")
+        archive.writestr("a/data/0", bytes(5 * 2**20))
+    with pytest.raises(gelform.DataError, match=r"declares 5\.24 MB"):
+        read_gs_sdk(path, BACKGROUND)
+    assert not made.exists()
+
+
+@pytest.mark.parametrize("keep", [0, 10, 300, -30])
+def test_truncated_files_are_refused(tmp_path, keep):
+    path = torch_file(tmp_path / "net.pth", network_arrays((5, 32, 32, 32, 2)))
+    path.write_bytes(path.read_bytes()[:keep])
+    with pytest.raises(gelform.DataError, match="truncated or damaged"):
+        read_gs_sdk(path, BACKGROUND)
+
+
+def test_without_torch_the_extra_is_named(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "torch", None)
+    in_zip(tmp_path / "net.pth", stored(b"K\x04"))
+    with pytest.raises(gelform.DataError, match=r"needs the extra torch: pip install \"gelform\[torch\]\""):
+        read_gs_sdk(tmp_path / "net.pth", BACKGROUND)
+
+
+def read_rgb(path):
+    return cv2.imread(str(path))[..., ::-1].astype(np.float32)
+
+
+@pytest.mark.parametrize("name", ["bead", "key", "seed"])
+def test_real_gs_sdk_answers_as_published(data, name):
+    pytest.importorskip("torch", reason="torch, the extra `torch`, is not installed")
+    reference = np.load(data / "peer-calibrations" / "reference_outputs.npz")[f"gs_sdk_{name}_gradients"]
+    background = read_rgb(data / "mini-objects" / "background.png")
+    change = (read_rgb(data / "mini-objects" / f"{name}.png") - background) / np.float32(255)
+    model = read_gs_sdk(data / "peer-calibrations" / "gs_sdk-mini-c-nnmodel.pth", background)
+    np.testing.assert_allclose(slopes_of(model, change, background), -reference, atol=2e-5)
+
+
+@pytest.mark.parametrize("position", ["zeros", "true"])
+def test_real_gsrobotics_answers_as_published(data, position):
+    pytest.importorskip("torch", reason="torch, the extra `torch`, is not installed")
+    normals = np.load(data / "peer-calibrations" / "reference_outputs.npz")[
+        f"gsrobotics_key_normals_xy_{position}"
+    ].astype(float)
+    background = read_rgb(data / "mini-objects" / "background.png")
+    image = read_rgb(data / "mini-objects" / "key.png")
+    model = read_gsrobotics(
+        data / "peer-calibrations" / "gsrobotics-nnmini.pt", background, position=position
+    )
+    black = np.zeros_like(background)
+    prepared = model.prepare(black, black.shape[:2])
+    found = prepared.gradients_from_color(image / np.float32(255))[0] + prepared._rest.reshape(
+        (*image.shape[:2], 2)
+    )
+    theirs = -normals / np.sqrt(1 - np.sum(normals**2, axis=-1, keepdims=True))
+    np.testing.assert_allclose(found, theirs, atol=1e-4, rtol=1e-4)
+
+
+def stored(count, key=b"0"):
+    """A tensor of a storage that says so many numbers, as torch pickles it."""
+    storage = (
+        b"(X\x07\0\0\0storagectorch\nFloatStorage\nX\x01\0\0\0" + key + b"X\x03\0\0\0cpu" + count + b"tQ"
+    )
+    rest = b"K\x00K\x04\x85K\x01\x85\x89ccollections\nOrderedDict\n)RtR"
+    return b"ctorch._utils\n_rebuild_tensor_v2\n(" + storage + rest
+
+
+def in_zip(path, pickled):
+    """A file of the form of `torch.save` around a dict whose only value is pickled so."""
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("net/data.pkl", b"\x80\x02}X\x01\0\0\0a" + pickled + b"s.")
+        archive.writestr("net/data/0", bytes(16))
+    return path
+
+
+LARGE = b"J\xff\xff\xff\x7f"
+BOMBS = {
+    "a storage of 8 GB": stored(LARGE),
+    "its size from the memory": LARGE + b"q\x050" + stored(b"h\x05"),
+    "its size before another": stored(LARGE + b"0K\x04" + b"0" + LARGE),
+    "a negative one beside it": b"(" + stored(b"J\0\0\0\x80") + stored(LARGE) + b"t",
+    "a thousand large ones": b"("
+    + b"".join(stored(b"J\0\0\x10\0", b"%d" % (k % 10)) for k in range(1000))
+    + b"t",
+    "doubled tuples": b"K\x01\x85" + b"q\x00h\x00\x86" * 40,
+    "an array of bytes": b"cbuiltins\nbytearray\n" + LARGE + b"\x85R",
+}
+
+
+@pytest.mark.parametrize("name", BOMBS)
+def test_a_small_file_cannot_take_the_memory_or_for_ever(tmp_path, name):
+    with pytest.raises(gelform.DataError, match="holds more than tensors in dicts"):
+        read_gs_sdk(in_zip(tmp_path / "net.pth", BOMBS[name]), BACKGROUND)
+
+
+def test_what_torch_writes_is_no_bomb(tmp_path, data):
+    """It is read as far as torch, which may be missing, or to the layers that it lacks."""
+    with pytest.raises(gelform.DataError, match=r"needs the extra torch|Expected the layers"):
+        read_gs_sdk(in_zip(tmp_path / "net.pth", stored(b"K\x04")), BACKGROUND)
+    for path in (data / "peer-calibrations").glob("gs_sdk*.pth"):
+        if find_spec("torch"):
+            assert read_gs_sdk(path, BACKGROUND).layers.inputs == 5
+        else:
+            with pytest.raises(gelform.DataError, match="needs the extra torch"):
+                read_gs_sdk(path, BACKGROUND)
+
+
+SHAPE_CALIBRATIONS = (48, 64)
+BACKGROUND_CALIBRATIONS = (
+    np.random.default_rng(0).integers(60, 160, (*SHAPE_CALIBRATIONS, 3)).astype(np.uint8)
+)
+WEB = {"package": "gsrobotics-web", "background": BACKGROUND_CALIBRATIONS, "position": "true"}
 
 
 @pytest.fixture
@@ -20,9 +326,11 @@ def network(tmp_path):
 
 
 def pressed():
-    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    y, x = np.mgrid[: SHAPE_CALIBRATIONS[0], : SHAPE_CALIBRATIONS[1]]
     bump = 40 * np.exp(-((x - 30) ** 2 + (y - 20) ** 2) / 30)
-    return np.clip(BACKGROUND + bump[..., None] * np.array([1, -0.5, 0.3]), 1, 254).astype(np.uint8)
+    return np.clip(BACKGROUND_CALIBRATIONS + bump[..., None] * np.array([1, -0.5, 0.3]), 1, 254).astype(
+        np.uint8
+    )
 
 
 def test_unknown_stays_unknown_and_with_a_scale_depth_is_in_mm(network, tmp_path):
@@ -45,10 +353,13 @@ def test_the_image_is_recovered_from_the_change(network):
     """Through the color change comes what the network says of the image itself, less what it says at rest."""
     calibration = gelform.import_calibration(network, **WEB)
     model, image = calibration.color_model, pressed()
-    black, full = model.prepare(np.zeros((*SHAPE, 3)), SHAPE), np.float32(255)
-    said = [black.gradients_from_color(one.astype(np.float32) / full)[0] for one in (image, BACKGROUND)]
-    change = gelform.color_change_from_image(image, BACKGROUND, calibration.change)
-    found, _ = model.prepare(BACKGROUND, SHAPE).gradients_from_color(change)
+    black, full = model.prepare(np.zeros((*SHAPE_CALIBRATIONS, 3)), SHAPE_CALIBRATIONS), np.float32(255)
+    said = [
+        black.gradients_from_color(one.astype(np.float32) / full)[0]
+        for one in (image, BACKGROUND_CALIBRATIONS)
+    ]
+    change = gelform.color_change_from_image(image, BACKGROUND_CALIBRATIONS, calibration.change)
+    found, _ = model.prepare(BACKGROUND_CALIBRATIONS, SHAPE_CALIBRATIONS).gradients_from_color(change)
     np.testing.assert_allclose(found, said[0] - said[1], atol=5e-6)
 
 
@@ -62,7 +373,7 @@ def test_options_belong_to_packages(network, tmp_path):
         ("gs_sdk", {"mm_per_px": -1}, "mm_per_px > 0"),
     ):
         with pytest.raises(ValueError, match=why):
-            gelform.import_calibration(network, package, background=BACKGROUND, **options)
+            gelform.import_calibration(network, package, background=BACKGROUND_CALIBRATIONS, **options)
 
 
 def test_untouched_pixels_of_a_real_sensor_are_called_untouched(data):

@@ -18,10 +18,10 @@ from gelform.exchange.importers.tables import (
 )
 from gelform.simulate import Ball, Pose
 from gelform.simulate.twin import Twin
-from gelform.slopes.color_models.lookup import LookupModel
+from gelform.slopes.color_models.tables import LookupModel
 from hostile.files import odd_archives
-from made.color_samples import SHAPE
-from made.taxim_tables import taxim_arrays
+from made.files import taxim_arrays
+from made.images import SHAPE
 
 FLAT = np.full((*SHAPE, 3), 100, dtype=np.float32)
 

@@ -1,32 +1,68 @@
-"""Dots are followed one by one, against simulated truth, and their pixels with them."""
+"""A flow knows its displacements in pixels and mm, says them, and comes back from the arrays of a file.
 
+Dots are followed one by one, against simulated truth, and their pixels with them.
+"""
+
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import gelform
-from gelform.image.markers import MarkerFollower, MarkerTracker
+from gelform.image.markers import MarkerFlow, MarkerFollower, MarkerTracker
 from gelform.image.markers.follower import Neighbors
 from gelform.sensors.profiles import SENSORS
 from gelform.simulate import Ball, Gel, simulate_background, simulate_sequence, slide_poses
-from made.dots import RADIUS, grid, image_of_dots
+from made.images import RADIUS, grid, image_of_dots
 
-REST = grid()
+REST = np.array([[10, 10], [30, 10], [50, 10]], dtype=np.float32)
+MOVED = np.array([[0, 0], [3, 4], [-6, 8]], dtype=np.float32)
+
+
+def flow(mm_per_px=0.05, seen=(True, True, False)):
+    sigma = np.array([0.02, 0.03, 4.0], dtype=np.float32)
+    return MarkerFlow(REST, REST + MOVED, np.array(seen), sigma, mm_per_px)
+
+
+def test_displacements_in_pixels_and_mm():
+    np.testing.assert_array_equal(flow().displacement_px, MOVED)
+    np.testing.assert_allclose(flow().displacement_mm, 0.05 * MOVED)
+    np.testing.assert_allclose(flow((0.1, 0.2)).displacement_mm, MOVED * [0.1, 0.2])
+    np.testing.assert_allclose(flow((0.1, 0.2)).sigma_mm, [0.004, 0.006, 0.8])
+    assert flow(None).displacement_mm is None
+    assert flow(None).sigma_mm is None
+
+
+def test_words_count_what_is_seen():
+    assert flow().in_words() == "2 of 3 seen, moved 0.125 mm (median), 0.250 mm at most"
+    assert flow(None).in_words() == "2 of 3 seen, moved 2.500 px (median), 5.000 px at most"
+    assert flow(seen=(False,) * 3).in_words() == "none of 3 seen"
+    assert "2 of 3" in repr(flow())
+
+
+def test_facts_are_json():
+    facts = json.loads(json.dumps(flow().facts()))
+    assert facts["displacement_px"][1] == [3, 4]
+    assert facts["seen"] == [True, True, False]
+    assert json.loads(json.dumps(flow(None).facts()))["displacement_mm"] is None
+
+
+REST_FOLLOWER = grid()
 
 
 def bump(height_px, reach_px=30.0):
     """A displacement to the right that falls off about the middle."""
-    away = np.sum((REST - [64, 48]) ** 2, axis=1) / reach_px**2
+    away = np.sum((REST_FOLLOWER - [64, 48]) ** 2, axis=1) / reach_px**2
     return np.exp(-away)[:, None] * [height_px, 0.2 * height_px]
 
 
 @pytest.fixture(scope="module")
 def follower():
-    return MarkerFollower(image_of_dots(REST, noise=1.0), 0.1)
+    return MarkerFollower(image_of_dots(REST_FOLLOWER, noise=1.0), 0.1)
 
 
-def order_of(follower, places=REST):
+def order_of(follower, places=REST_FOLLOWER):
     """Which of the places each dot of a follower is."""
     return np.linalg.norm(follower.rest_px[:, None] - places, axis=-1).argmin(axis=1)
 
@@ -34,14 +70,14 @@ def order_of(follower, places=REST):
 @pytest.mark.parametrize("height_px", [0.0, 2.0, 7.0])
 def test_dots_moved_less_than_half_a_spacing(follower, height_px):
     moved = bump(height_px)
-    flow = follower(image_of_dots(REST + moved, noise=1.0, seed=1, light=0.3))
+    flow = follower(image_of_dots(REST_FOLLOWER + moved, noise=1.0, seed=1, light=0.3))
     assert flow.seen.all()
     assert np.abs(flow.displacement_px - moved[order_of(follower)]).max() < 0.12
     np.testing.assert_allclose(flow.displacement_mm, 0.1 * flow.displacement_px)
 
 
 def test_all_dots_moved_alike_by_nearly_half_a_spacing(follower):
-    flow = follower(image_of_dots(np.add(REST, [6.5, 3.0]), noise=1.0, seed=1))
+    flow = follower(image_of_dots(np.add(REST_FOLLOWER, [6.5, 3.0]), noise=1.0, seed=1))
     inside = np.all(np.add(follower.rest_px, [6.5, 3.0]) < [123, 91], axis=1)
     assert flow.seen[inside].all()
     assert np.abs(flow.displacement_px[inside] - [6.5, 3.0]).max() < 0.12
@@ -49,7 +85,7 @@ def test_all_dots_moved_alike_by_nearly_half_a_spacing(follower):
 
 def test_lost_dots_go_with_their_neighbors(follower):
     gone, moved = [17, 24], bump(5.0)
-    flow = follower(image_of_dots(np.delete(REST + moved, gone, axis=0), noise=1.0, seed=1))
+    flow = follower(image_of_dots(np.delete(REST_FOLLOWER + moved, gone, axis=0), noise=1.0, seed=1))
     lost = np.isin(order_of(follower), gone)
     np.testing.assert_array_equal(flow.seen, ~lost)
     assert np.abs(flow.displacement_px - moved[order_of(follower)])[lost].max() < flow.sigma_px[lost].min()
@@ -57,11 +93,11 @@ def test_lost_dots_go_with_their_neighbors(follower):
 
 
 def test_the_mask_goes_with_the_dots(follower):
-    moved = REST + bump(7.0)
+    moved = REST_FOLLOWER + bump(7.0)
     image = image_of_dots(moved, noise=1.0, seed=1)
     mask = follower.hidden(image, follower(image))
     y, x = np.mgrid[:96, :128]
-    apart = np.min([np.hypot(x - px, y - py) for px, py in np.concatenate([REST, moved])], axis=0)
+    apart = np.min([np.hypot(x - px, y - py) for px, py in np.concatenate([REST_FOLLOWER, moved])], axis=0)
     assert mask[apart < RADIUS].all()
     assert not mask[apart > RADIUS + 3].any()
 
@@ -78,7 +114,11 @@ def test_dots_that_the_border_cuts_go_with_their_neighbors():
 
 def test_a_dot_that_leaves_its_neighbors_is_not_taken(follower):
     """By 7.6 px of a spacing of 16: it could be another one's."""
-    flow = follower(image_of_dots(REST + [7.6, 0] * (np.arange(len(REST)) == 18)[:, None], noise=1.0, seed=1))
+    flow = follower(
+        image_of_dots(
+            REST_FOLLOWER + [7.6, 0] * (np.arange(len(REST_FOLLOWER)) == 18)[:, None], noise=1.0, seed=1
+        )
+    )
     np.testing.assert_array_equal(flow.seen, order_of(follower) != 18)
 
 
@@ -94,8 +134,8 @@ def test_no_dots_on_a_dark_image_and_on_a_gel_without_markers(follower):
     assert not flow.seen.any()
     np.testing.assert_array_equal(flow.now_px, flow.rest_px)
     assert np.isfinite(flow.sigma_px).all()
-    tracker = MarkerTracker(image_of_dots(REST[:0], noise=1.0))
-    assert tracker.update(image_of_dots(REST[:0])) is None
+    tracker = MarkerTracker(image_of_dots(REST_FOLLOWER[:0], noise=1.0))
+    assert tracker.update(image_of_dots(REST_FOLLOWER[:0])) is None
     assert len(tracker) == 0
 
 
@@ -142,27 +182,27 @@ def test_real_markers_in_a_frame(data):
     assert pressed.seen.all()
 
 
-LINEAR = REST @ np.array([[0.02, -0.01], [0.03, 0.01]]) + [4.0, -3.0]
+LINEAR = REST_FOLLOWER @ np.array([[0.02, -0.01], [0.03, 0.01]]) + [4.0, -3.0]
 
 
 def only(*dots):
-    return np.isin(np.arange(len(REST)), dots)
+    return np.isin(np.arange(len(REST_FOLLOWER)), dots)
 
 
 def test_linear_motion_is_predicted_and_of_one_sure_dot_its_own():
-    assert Neighbors(REST).spacing_px == 16
+    assert Neighbors(REST_FOLLOWER).spacing_px == 16
     sure = ~only(10, 11, 25)
-    predicted = Neighbors(REST).predicted_px(LINEAR * sure[:, None], sure, ~sure)
+    predicted = Neighbors(REST_FOLLOWER).predicted_px(LINEAR * sure[:, None], sure, ~sure)
     assert np.abs(predicted - LINEAR[~sure]).max() < 0.15
-    predicted = Neighbors(REST).predicted_px(LINEAR, only(12), ~only(12))
+    predicted = Neighbors(REST_FOLLOWER).predicted_px(LINEAR, only(12), ~only(12))
     np.testing.assert_allclose(predicted, np.broadcast_to(LINEAR[12], predicted.shape), atol=1e-9)
 
 
 def test_a_dot_that_moves_otherwise_is_astray_where_its_neighbors_are_sure():
-    astray = Neighbors(REST).astray_px(LINEAR + [16, 0] * only(18)[:, None], ~only())
+    astray = Neighbors(REST_FOLLOWER).astray_px(LINEAR + [16, 0] * only(18)[:, None], ~only())
     assert astray[18] == pytest.approx(16, abs=0.5)
     assert np.delete(astray, 18).max() < 1.5
-    assert Neighbors(REST).astray_px(LINEAR, only(0))[0] == 0
+    assert Neighbors(REST_FOLLOWER).astray_px(LINEAR, only(0))[0] == 0
 
 
 SHAPE = (128, 160)

@@ -1,13 +1,35 @@
-"""A recording in a real browser: opened from the list, scrubbed, stepped, looped, shared, downloaded."""
+"""A recording in a real browser: opened from the list, scrubbed, stepped, looped, shared, downloaded.
 
+The page without WebGL, with a graphics processor, and after the machine slept: the socket is dropped.
+
+Several sensors on one page, several pages on one sensor, devices and settings, in a real browser.
+
+The motion on the page: off at first; then the path and the axes over the maps, and the numbers.
+"""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+
+import numpy as np
 import pytest
 
 import gelform
+from gelform.live.hub import Hub
+from gelform.live.lists import Devices
+from gelform.live.station import Setup, Station
+from gelform.sensors.cameras import Camera
+from gelform.sensors.playback import RecordingFacts
 from gelform.sensors.recordings import attached_calibration
-from gelform.sensors.recordings.facts import RecordingFacts
-from gelform.sensors.recordings.indexed import indexed
 from gelform.sensors.recordings.mcap_writer import McapRecording
+from gelform.sensors.recordings.player import indexed
+from gelform.sensors.simulated import SimulatedSource, Touch
+from gelform.sensors.source import open_source
+from gelform.simulate import Pose, text_relief
 from live_waiting import until
+from stream.ffmpeg_camera import FfmpegCamera, why_absent
 
 pytestmark = pytest.mark.slow
 
@@ -93,3 +115,256 @@ def test_one_file_is_shared_and_downloaded(replay, calibration):
     assert len(indexed(fetched)) == COUNT
     replay.click("#files-back")
     until(lambda: replay.is_hidden("#replay"))
+
+
+NO_WEBGL = """
+const get = HTMLCanvasElement.prototype.getContext;
+HTMLCanvasElement.prototype.getContext = function (kind, ...more) {
+  return /webgl/.test(kind) ? null : get.call(this, kind, ...more);
+};
+"""
+
+
+def test_without_webgl_the_surface_is_a_shaded_relief(visit, hub, picture):
+    hub.stations[0].source.press_at(120, 60, 0.5, held_s=600)
+    page = visit(before=NO_WEBGL)
+    until(lambda: page.evaluate("gelform.frame?.header.peak > 0.4"))
+    assert "no WebGL2" in page.evaluate("gelform.look.renderer")
+    until(lambda: len(np.unique(picture(page, "#surface").reshape(-1, 3) // 16, axis=0)) > 20)
+    page.click("#reset-view")  # does nothing there, without an error
+
+
+GRAPHICS = """
+const get = WebGL2RenderingContext.prototype.getParameter, RENDERER = 0x9246;
+WebGL2RenderingContext.prototype.getParameter = function (name) {
+  return name === RENDERER ? "a graphics processor" : get.call(this, name);
+};
+"""
+
+
+def test_with_a_graphics_processor_every_pixel_is_a_vertex_and_every_frame_is_drawn(visit, hub, picture):
+    """The processor computes it here too, under another name."""
+    hub.stations[0].source.press_at(120, 60, 0.5, held_s=600)
+    page = visit(before=GRAPHICS)
+    until(lambda: page.evaluate("gelform.frame?.header.peak > 0.4"))
+    assert page.evaluate("gelform.look.renderer") == "WebGL2"
+    assert page.evaluate("gelform.connection.ahead") == 2
+    until(lambda: page.evaluate("gelform.surface.grid") == [176, 132])
+    until(
+        lambda: page.evaluate(
+            "gelform.surface.canvas.width === Math.round(gelform.surface.canvas.clientWidth)"
+        )
+    )
+    until(lambda: len(np.unique(picture(page, "#surface").reshape(-1, 3) // 16, axis=0)) > 20)
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGSTOP"), reason="needs signals that stop a process")
+def test_after_sleep_the_page_comes_back_by_itself(visit):
+    """The server's process stands still as a sleeping machine's does: nothing is closed, nothing comes."""
+    command = [sys.executable, "-m", "gelform", "live", "--quiet", "--rate", "20"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
+        try:
+            page = visit(server.stdout.readline().strip())
+            until(lambda: page.evaluate("Boolean(gelform.frame)"))
+            os.kill(server.pid, signal.SIGSTOP)
+            until(lambda: not page.evaluate("gelform.connection.open"))
+            until(lambda: "does not answer" in page.inner_text("#banner"))
+            os.kill(server.pid, signal.SIGCONT)
+            until(lambda: page.evaluate("gelform.connection.open"))
+            serial = page.evaluate("gelform.frame.header.serial")
+            until(lambda: page.evaluate("gelform.frame.header.serial") > serial)
+            until(lambda: page.is_hidden("#banner"))
+        finally:
+            server.kill()
+
+
+@pytest.fixture
+def two(hub, sensor, calibration):
+    """The hub with a second sensor, pressed; its exposure can be set."""
+
+    def opened():
+        source = SimulatedSource(sensor, seed=1)
+        source.rest()
+        source.settings["exposure"] = 50.0
+        source.set_controls = lambda wanted: source.settings.update(wanted) or source.settings
+        return source
+
+    station = Station(1, "right", opened, hub.changed)
+    station.setup = Setup().with_calibration(calibration, "mine")
+    hub.stations.append(station)
+    station.start()
+    until(lambda: station.newest)
+    station.source.press_at(60, 70, 0.45, held_s=600)
+    return hub
+
+
+def test_two_sensors_stand_side_by_side_and_one_is_chosen(two, visit, picture):
+    page = visit()
+    until(lambda: page.evaluate("gelform.stages.length") == 2)
+    until(lambda: page.evaluate("gelform.stages[1].frame?.header.peak > 0.4"))
+    until(lambda: page.evaluate("gelform.stages[0].frame?.header.peak < 0.1"))
+    first, second = (page.locator(one).bounding_box() for one in ("#surface", "#surface-1"))
+    assert first["y"] == second["y"]
+    assert second["x"] >= first["x"] + first["width"]
+    until(lambda: len(np.unique(picture(page, "#surface-1").reshape(-1, 3) // 16, axis=0)) > 20)
+    until(lambda: page.evaluate("Object.keys(gelform.stages[1].frame.planes)") == ["depth"])
+    page.click(".chooser >> nth=1")
+    until(lambda: page.evaluate("gelform.frame.header.station === 1 && gelform.frame.has('image')"))
+    until(lambda: page.locator(".chooser >> nth=1").get_attribute("aria-pressed") == "true")
+    drawn = "() => document.getElementById('{}').toDataURL()"
+    until(lambda: page.inner_text(".whose >> nth=0") == "of sensor 2")
+    until(lambda: page.inner_text("#profile-at").startswith(tuple(f"at ({x}, 7" for x in range(58, 63))))
+    page.locator(".pane .map >> nth=0").click(position={"x": 20, "y": 20})
+    until(lambda: page.get_attribute("#follow", "aria-pressed") == "false")
+    peaks = page.evaluate("gelform.series.peak")
+    assert max(peaks) > 0.4 > 0.1 > page.evaluate("Math.max(...gelform.stages[0].series.peak)")
+    curves = page.evaluate(drawn.format("time"))
+    page.click(".chooser >> nth=0")
+    until(lambda: page.inner_text(".whose >> nth=1") == "of sensor 1")
+    until(
+        lambda: page.get_attribute("#follow", "aria-pressed") == "true"
+    )  # the point was chosen on the other one
+    until(lambda: page.inner_text("#profile-at").startswith("at (88, 66)"))  # the middle: nothing touches it
+    until(lambda: page.evaluate(drawn.format("time")) != curves)
+    page.click(".chooser >> nth=1")
+    until(lambda: page.get_attribute("#follow", "aria-pressed") == "false")
+    page.fill("#set-exposure", "70")
+    page.press("#set-exposure", "Enter")
+    until(lambda: two.stations[1].source.settings["exposure"] == 70)
+    until(lambda: page.inner_text("#now-exposure") == "now 70")
+    page.keyboard.press("Tab")
+    until(lambda: page.locator("#devices tr").count() == 2)
+
+
+@pytest.mark.skipif(why_absent() is not None, reason=str(why_absent()))
+def test_a_camera_of_the_list_is_shown_from_the_page_and_left_again(hub, visit):
+    with FfmpegCamera() as camera:
+        listed = [Camera("Bench camera", "/dev/video7", "S7")]
+        hub.devices = Devices(hub.stations, lambda: listed, lambda *_: open_source(camera.url))
+        page = visit()
+        page.click("#devices button.show")
+        until(lambda: not hub.stations[0].facts()["simulated"])
+        until(lambda: "No calibration yet" in page.inner_text("#stages"))
+        until(lambda: page.locator("#devices button.show").count() == 0)
+        until(lambda: "none in the list has its serial" in page.inner_text("#toasts"))
+        page.click("#devices-back")
+        until(lambda: hub.stations[0].facts()["simulated"])
+        until(lambda: page.is_hidden("#devices-back"))
+        until(lambda: page.evaluate("gelform.facts.stations[0].calibration") == "mine")
+
+
+def test_what_is_in_the_way_of_a_camera_is_said_on_the_page(visit, serving_of):
+    """The sentence that `open_source` gives for a camera that another program has."""
+    from gelform.errors import SensorError
+
+    def busy():
+        raise SensorError(
+            "DIGIT (serial D1, /dev/video0) is in use by python (process 7). Close the other program."
+        )
+
+    hub = Hub()
+    hub.stations.append(Station(0, "D1", busy, hub.changed))
+    hub.stations[0].start()
+    page = visit(serving_of(hub).url)
+    until(lambda: page.is_visible("#banner"))
+    until(lambda: "process 7" in page.inner_text("#banner"))
+    until(lambda: "Any number of pages may show one camera" in page.inner_text("#banner"))
+
+
+LETTERS = text_relief("gel", height_mm=5.0)
+STEPS = 8
+
+
+def touch(hub, step):
+    """Hold the letters at a step of their way, and wait for it to be shown."""
+    station = hub.stations[0]
+    source = station.source
+    held = Touch(LETTERS, Pose(0.35, (0.2 * step - 1, 0.1 * step - 0.5), spin_deg=0.7 * step))
+    source._levels_now = lambda _: source._levels_of_touch(held)
+    before = station.newest.serial
+    until(lambda: station.newest.serial > before + 4)
+
+
+def test_words_for_a_motion_that_is_awaited_small_or_partly_unseen(visit, hub):
+    """As the server sends it: nothing touches, a ball rolls where nothing shows it, and what rounds to zero has no sign."""
+    hub.stations[0].source.press_at(88, 66, 0.5, held_s=600)
+    page = visit()
+    page.click("#motion-on")
+    until(lambda: page.is_visible("#motion-card"))
+    until(
+        lambda: "cannot be seen" in page.inner_text("#motion-card") or "hardly" in page.inner_text("#motion"),
+        20,
+    )
+    hub.stations[0].source.lift()
+    hub.stations[0].source.rest()
+    until(lambda: page.inner_text("#motion") == "Waiting for a touch.", 20)
+    assert not page.is_visible("#motion-more")
+    script = """motion => {
+        gelform.frame.header.motion = motion;
+        document.dispatchEvent(new Event("laidout"));
+    }"""
+    page.click("#pause")
+    until(lambda: page.evaluate("gelform.facts.stations[0].paused"))
+    ball = [
+        "turns about the ball's center at (0.1, -0.4, -2.6) mm",
+        "turns about the ball's center at (0.1, -0.3, -2.6) mm",
+    ]
+    known = {"state": "found", "why": "", "blind": ball, "path": [], "axes": None}
+    numbers = {
+        "shift_mm": [-0.001, 0.3],
+        "shift_sigma_mm": [0.01, 0.01],
+        "turn_deg": None,
+        "turn_sigma_deg": None,
+    }
+    page.evaluate(script, known | numbers)
+    until(
+        lambda: (
+            page.inner_text("#motion")
+            == "Since the touch: moved 0.30 mm down, how far it turned is not known."
+        )
+    )
+    assert page.inner_text("#motion-blind") == "Turns about the ball's center cannot be seen."
+    page.click("#motion-more summary")
+    assert page.inner_text("#motion-numbers") == "x 0.00 ± 0.01 mm, y 0.30 ± 0.01 mm, turn not known"
+
+
+def test_the_path_and_the_turn_of_letters(visit, hub):
+    touch(hub, 0)
+    page = visit()
+    until(lambda: page.evaluate("gelform.frame?.header.peak > 0.2"))
+    assert page.evaluate("gelform.frame.header.motion") is None
+    assert page.is_hidden("#motion-card")
+    page.click("#motion-on")
+    until(lambda: hub.stations[0].moved is not None)
+    until(lambda: page.inner_text("#motion") == "The object has hardly moved.", 20)
+    assert page.evaluate("gelform.frame.header.motion.shift_mm") is None
+    for step in range(1, STEPS):
+        touch(hub, step)
+    said = r"Since the touch: moved 1\.3\d mm right and 0\.[67]\d mm down, turned [45]\.\d° clockwise\."
+    until(lambda: re.fullmatch(said, page.inner_text("#motion")), 20)
+    assert not page.is_visible("#motion-numbers")
+    page.click("#motion-more summary")
+    until(lambda: re.search(r"x 1\.3\d ± ", page.inner_text("#motion-numbers")), 20)
+    motion = page.evaluate("gelform.frame.header.motion")
+    # The letters turned about their own middle by 4.9 degrees: 0.88 mm below it, the contact's moved by 0.08 mm less.
+    np.testing.assert_allclose(motion["shift_mm"], (1.324, 0.7), atol=0.02)
+    assert motion["turn_deg"] == pytest.approx(4.9, abs=1)
+    page.click("#pause")
+    script = """() => {
+        const { shown } = gelform.panes[0], { width, height } = shown, found = [[], []];
+        const { data } = shown.getContext("2d").getImageData(0, 0, width, height);
+        for (let k = 0; k < width * height; k++) {
+            if (data[4 * k] !== 255 || data[4 * k + 1] !== 225 || data[4 * k + 2] !== 77) continue;
+            found[0].push(((k % width) / width) * 176);
+            found[1].push((Math.floor(k / width) / height) * 132);
+        }
+        return found;
+    }"""
+    columns, rows = page.evaluate(script)
+    path = np.array(motion["path"])
+    np.testing.assert_allclose((min(columns), min(rows)), path.min(axis=0), atol=4)
+    np.testing.assert_allclose((max(columns), max(rows)), path.max(axis=0), atol=4)
+    page.click("#pause")
+    page.click("#motion-on")
+    until(lambda: hub.stations[0].moved is None)
+    until(lambda: page.is_hidden("#motion-card"))

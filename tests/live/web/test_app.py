@@ -1,21 +1,78 @@
-"""Requests to the running server: the page's files, headers, hosts, origins, the token, floods of bytes."""
+"""Access to the server: hosts, origins, tokens.
 
+Requests to the running server: the page's files, headers, hosts, origins, the token, floods of bytes.
+
+Where the server listens: ports, hosts, tokens, and the error if it cannot.
+
+Connections that say nothing, half of a request, or bytes that are no text: nobody else waits for them.
+"""
+
+import contextlib
+import json
+import logging
 import os
 import re
 import socket
 import sys
+import time
+from contextlib import closing
 from pathlib import Path
 
 import httpx
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
 
 from gelform.calibration.guided.fit import GuidedCalibration
+from gelform.errors import GelformError
 from gelform.live import actions
+from gelform.live.hub import Hub
 from gelform.live.lists import Recordings
-from gelform.live.web.app import MAX_BODY, page_files
-from gelform.live.web.guard import HEADERS
+from gelform.live.web.app import HEADERS, MAX_BODY, Access, page_files, split_host
+from gelform.live.web.connections import REQUEST_S
+from gelform.live.web.server import MAX_CONNECTIONS, check_extra, is_loopback, listen
+
+
+def test_hosts_of_a_server_on_this_machine():
+    for host in ("127.0.0.1:8765", "localhost:8765", "LOCALHOST:8765", "[::1]:8765"):
+        assert Access(8765).host_allowed(host), host
+    others = "127.0.0.1:8766 127.0.0.1 evil.example:8765 127.0.0.1.evil.example:8765 127.0.0.2:8765"
+    for host in (*others.split(), "", ":8765", "[::1]", "localhost:8765:8765", "localhost:08765x"):
+        assert not Access(8765).host_allowed(host), host
+
+
+def test_a_server_for_all_takes_addresses_but_no_unknown_names():
+    access = Access(80, ["robot"], token="t", any_address=True)
+    assert access.host_allowed("192.168.1.7:80")
+    assert access.host_allowed("robot")
+    assert not access.host_allowed("evil.example")
+
+
+def test_origins_are_the_page_under_the_same_host():
+    assert Access(8765).origin_allowed("http://localhost:8765", "localhost:8765")
+    others = "http://127.0.0.1:8765 https://localhost:8765 http://evil.example null"
+    for origin in (*others.split(), "http://localhost:8765.evil.example"):
+        assert not Access(8765).origin_allowed(origin, "localhost:8765"), origin
+
+
+def test_the_token_is_wanted_whole():
+    access = Access(1, token="secret")
+    assert access.token_allowed("secret")
+    assert access.cookie_allowed("other=1; gelform_1=secret")
+    for cookie in ("", "gelform_1=", "gelform_1=secre", "gelform_1=secrets", "gelform_2=secret", "\0=;;;"):
+        assert not access.cookie_allowed(cookie)
+
+
+@given(st.text(max_size=40))
+def test_any_text_can_be_a_host_or_a_cookie(text):
+    name, port = split_host(text)
+    assert isinstance(name, str)
+    assert -1 <= port <= 99999
+    assert not Access(99999 + 1, token="t").host_allowed(text)
+    assert not Access(1, token="never guessed").cookie_allowed(text)
+
 
 PARTS = ["..", "%2e%2e", ".", "js", "page", "etc", "passwd", "%00", "\\", "app.py", "~"]
 TORN = [
@@ -198,3 +255,130 @@ def raw(running, sent):
         except ConnectionError:
             pass
     return answer
+
+
+def test_beyond_this_machine_there_is_a_token_of_its_own():
+    with closing(listen(port=0)) as server:
+        assert server.token is None
+        assert server.url.startswith("http://127.0.0.1:")
+    tokens = set()
+    for _ in range(2):
+        with closing(listen("0.0.0.0", 0)) as server:
+            tokens.add(server.token)
+            assert f"#token={server.token}" in server.url
+    assert len(tokens) == 2
+    assert all(len(token) >= 40 for token in tokens)
+
+
+def test_a_port_in_use_is_said_where_it_was_asked_for_and_passed_over_where_not():
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        with pytest.raises(GelformError, match=f"Port {port} is in use.*--port {port + 1}"):
+            listen(port=port)
+    first, second = listen(), listen()
+    assert first.address != second.address
+    first.close()
+    second.close()
+
+
+def test_which_hosts_are_this_machine_alone():
+    for host in ("127.0.0.1", "::1", "localhost"):
+        assert is_loopback(host)
+    for host in ("0.0.0.0", "10.0.0.3", "robot"):
+        assert not is_loopback(host)
+    with pytest.raises(GelformError, match="address of this machine"):
+        listen("203.0.113.7", 0)
+
+
+def test_without_the_extra_it_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "uvicorn", None)
+    with pytest.raises(GelformError, match=r"needs the extra live: .*gelform\[live\]"):
+        check_extra()
+
+
+HALVES = {
+    "nothing": b"",
+    "half a header": b"GET / HTTP/1.1\r\nHost: a",
+    "half a body": b"POST /session HTTP/1.1\r\nHost: HERE\r\nContent-Length: 43\r\n\r\nabc",
+    "half a second request": b"GET /js/main.js HTTP/1.1\r\nHost: HERE\r\n\r\nGET / HTTP/1.1\r\nHo",
+}
+
+
+@pytest.fixture
+def empty(serving_of):
+    return serving_of(Hub(), token=True)
+
+
+def connected(running):
+    host, port = running.address.split(":")
+    return socket.create_connection((host, int(port)), timeout=10)
+
+
+def test_many_silent_connections_keep_nobody_out(empty):
+    with contextlib.ExitStack() as held:
+        for _ in range(MAX_CONNECTIONS + 12):
+            held.enter_context(connected(empty))
+        for _ in range(3):
+            assert httpx.get(empty.url + "/").status_code == 200
+            assert httpx.post(empty.url + "/session", content=empty.server.token).status_code == 204
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("sent", HALVES.values(), ids=HALVES)
+def test_a_connection_without_a_whole_request_ends(empty, sent):
+    with connected(empty) as silent:
+        silent.sendall(sent.replace(b"HERE", empty.address.encode()))
+        with contextlib.suppress(ConnectionError):
+            while silent.recv(65536):
+                pass  # ended by the server: reading on would have raised a timeout after 10 s
+    assert httpx.get(empty.url + "/").status_code == 200
+
+
+@pytest.mark.slow
+def test_a_page_that_only_listens_stays(serving_of):
+    running = serving_of(Hub())
+    with connect(f"ws://{running.address}/ws", origin=running.url, proxy=None) as page:
+        until_s = time.monotonic() + REQUEST_S + 1
+        while time.monotonic() < until_s:
+            assert json.loads(page.recv(timeout=5))["kind"] == "state"
+
+
+def test_numbers_beyond_reason_are_no_file(empty, caplog):
+    with httpx.Client(base_url=empty.url) as client:
+        client.post("/session", content=empty.server.token)
+        for path in (
+            "recordings/" + "9" * 5000,
+            "snapshots/" + "9" * 5000 + "/frame.png",
+            "recordings/\u0664",
+        ):
+            assert client.get("/" + path).status_code == 404
+    assert not [one for one in caplog.records if one.exc_info]
+
+
+ODD = {
+    "invalid UTF-8": b"\xff\xfe{}",
+    "a ping at infinity": b'{"do": "ping", "sent": 1e999}',
+    "a ping beyond a float": b'{"do": "ping", "sent": 1' + b"0" * 400 + b"}",
+    "a number beyond a float": b'{"do": "speed", "station": 0, "speed": 1' + b"0" * 400 + b"}",
+    "a number at infinity": b'{"do": "speed", "station": 0, "speed": -1e999}',
+}
+
+
+def until_closed(page):
+    for _ in range(100):
+        page.recv(timeout=5)
+
+
+@pytest.mark.parametrize("sent", ODD.values(), ids=ODD)
+def test_odd_messages_are_answered_without_a_traceback(serving_of, caplog, sent):
+    running = serving_of(Hub())
+    caplog.set_level(logging.INFO)
+    with connect(f"ws://{running.address}/ws", origin=running.url, proxy=None, close_timeout=1) as page:
+        with page.send_context():
+            page.protocol.send_text(sent)
+        with pytest.raises(ConnectionClosed) as ended:
+            until_closed(page)
+    assert ended.value.rcvd.code == 1008
+    assert not [one for one in caplog.records if one.exc_info or "Traceback" in one.getMessage()]

@@ -1,6 +1,10 @@
 """Faults of a sensor: a repeated image, the light, settings of the camera, marks on the gel, another or a moved gel.
 
 The gels and their faults are simulated.
+
+The background image over minutes: it follows LEDs and gel, but no slow press.
+
+Touches do not distort the smooth light. The simulation is much faster than real time.
 """
 
 from __future__ import annotations
@@ -8,22 +12,38 @@ from __future__ import annotations
 from dataclasses import replace
 from types import SimpleNamespace
 
+import cv2
 import numpy as np
 import pytest
 
 import gelform
 from gelform.calibration.presses.taken import TakenPresses
 from gelform.errors import SourceLostError
+from gelform.foundations.findings import Finding
+from gelform.image.light import block_means, light_at_rest, lit, without_light
 from gelform.sensors import SensorSettings
-from gelform.sensors.streams.background_drift import DriftEvidence
-from gelform.sensors.streams.marks import Marks
-from gelform.sensors.streams.same_gel import SameGel
-from gelform.sensors.streams.sensor_health import CameraCheck, Frozen, light_findings, light_from_outside
+from gelform.sensors.streams.background_drift import (
+    AFTER_S,
+    MEAN_IMAGE_S,
+    BackgroundDrift,
+    DriftEvidence,
+    Touched,
+)
+from gelform.sensors.streams.memory import Memory
+from gelform.sensors.streams.sensor_health import (
+    CameraCheck,
+    Frozen,
+    Marks,
+    SameGel,
+    light_findings,
+    light_from_outside,
+)
 from gelform.simulate import simulate_background
-from gelform.simulate.sensor.coating import Coating
+from gelform.simulate.sensor.sensor import Coating
 from live_waiting import until
 from made.sources import ImageSource
 from stream.sensor_faults import CHANGES, ONSET_S, Gel, dust, moved, scratch, tear
+from stream.slow_gel import SlowGel, Touch
 
 SHAPE = (96, 128)
 IMAGE = np.random.default_rng(0).integers(0, 255, (40, 50, 3), dtype=np.uint8)
@@ -281,3 +301,290 @@ def test_a_smooth_gel_in_place_of_a_rough_one(sensor):
         frames = [images + rng.normal(0, 0.4, images.shape) for _ in range(4)]
         names = [finding.name for finding in looks(start, frames)[-1]]
         assert names == ([] if start is smooth else ["other_gel"])
+
+
+def test_evidence_is_the_mean_of_its_frames(reconstruct, at_rest):
+    drift = BackgroundDrift(reconstruct.background)
+    result = reconstruct.from_image(at_rest[0])
+    times_s = np.arange(0, MEAN_IMAGE_S + 0.5, 0.5)
+    for index, time_s in enumerate(times_s):
+        drift(at_rest[index % 10], replace(result, index=index, time_s=float(time_s)))
+    evidence = drift.evidence
+    expected = np.mean([at_rest[i % 10] for i in range(len(times_s))], axis=0)
+    np.testing.assert_allclose(evidence.image, expected, rtol=1e-5)
+    assert evidence.start is reconstruct.background
+    assert not evidence.contact.any()
+    assert evidence.different == 0
+
+
+STEP_S = 5.0
+BLOCKS = (20, 30)
+UNTOUCHED = np.full((*BLOCKS, 3), 100, np.float32)
+NOWHERE = np.zeros(BLOCKS, bool)
+
+
+def run(memory, gel, times_s, seed=5):
+    """The results of the gel's images at these times."""
+    rng, results = np.random.default_rng(seed), []
+    for index, time_s in enumerate(times_s):
+        image = gel.image_at(time_s, rng)
+        result = replace(memory.result_from_image(image), index=index, time_s=float(time_s))
+        results.append(memory(image, result))
+    return results
+
+
+def kept(result, gel):
+    """How deep the result is, in depths of the truth: the best factor over the press."""
+    truth = gel.pressed_at(result.time_s).depth_mm
+    return float((result.depth_mm * truth).sum() / (truth * truth).sum())
+
+
+def rms_um(result):
+    return 1e3 * float(np.sqrt(np.mean(np.square(result.depth_mm))))
+
+
+@pytest.fixture(scope="module")
+def two_presses(sensor):
+    """0.2 mm over 180 s, twice on one place; LEDs drift all the while."""
+    touches = tuple(Touch(start, 180.0, 5.0, 0.2, (1.5, -1.0), 4.0) for start in (30.0, 260.0))
+    return SlowGel.drawn(sensor, np.random.default_rng(11), drift=0.03, touches=touches)
+
+
+@pytest.mark.slow
+def test_slow_presses_are_not_absorbed(reconstruct, two_presses):
+    memory = Memory(reconstruct)
+    results = run(memory, two_presses, np.arange(0, 446, STEP_S))
+    pressed = [r for r in results if two_presses.pressed_at(r.time_s).depth_mm.max() > 0.19]
+    assert len(pressed) >= 3
+    alone = run(Memory(reconstruct), two_presses, [r.time_s for r in pressed][:1])[0]
+    depths = [kept(result, two_presses) for result in pressed]
+    assert min(depths) > 0.95 * kept(alone, two_presses)
+
+
+@pytest.fixture(scope="module")
+def drifting(sensor):
+    """Light that turns across the image by 5 % and a hill of 30 um."""
+    gel = SlowGel.drawn(sensor, np.random.default_rng(4), drift=0.05)
+    ends = np.where(np.arange(len(sensor.leds)) % 4 < 2, 0.08, 0.02)
+    return replace(gel, led_ends=ends, hill_mm=0.03, hill_width_mm=3.0)
+
+
+@pytest.mark.slow
+def test_drift_and_relaxation_are_followed(reconstruct, drifting):
+    memory = Memory(reconstruct)
+    results = run(memory, drifting, np.arange(0, 601, STEP_S))
+    assert max(rms_um(result) for result in results) < 5
+    image = drifting.image_at(600, np.random.default_rng(6))
+    alone, now = reconstruct.from_image(image), memory.reconstruct.from_image(image)
+    assert rms_um(now) < 0.5 * rms_um(alone)
+
+
+def test_smooth_light_is_followed_before_the_quarantine_ends(reconstruct, drifting):
+    memory = Memory(reconstruct)
+    run(memory, drifting, np.arange(0, AFTER_S, STEP_S))
+    truth = block_means(drifting.image_at(AFTER_S - STEP_S, None))
+    start, now = (block_means(r.background) for r in (reconstruct, memory.reconstruct))
+    assert np.abs(now - truth).mean() < 0.4 * np.abs(start - truth).mean()
+
+
+def still(drift, image, result, times_s):
+    """Show one image at these times; the last background that came of it."""
+    found = None
+    for index, time_s in enumerate(times_s):
+        background = drift(image, replace(result, index=index, time_s=float(time_s)))
+        found = found if background is None else background
+    return found
+
+
+@pytest.fixture
+def spot(reconstruct, at_rest):
+    """The gel with a faint spot, too small to be smooth light and too slight to be contact."""
+    spot = np.zeros(at_rest[0].shape[:2], np.float32)
+    cv2.circle(spot, (60, 50), 6, 1.0, -1)
+    rest = np.mean(at_rest, axis=0, dtype=np.float32)
+    return rest, rest * (1 + 0.0015 * spot[..., None]), spot > 0
+
+
+def test_what_is_slight_comes_late_and_slowly(reconstruct, at_rest, spot):
+    rest, spotted, inside = spot
+    result = reconstruct.from_image(at_rest[0])
+    drift = BackgroundDrift(rest)
+    early = still(drift, spotted, result, np.arange(0, AFTER_S, 2.0))
+    assert np.abs(early[inside] / rest[inside] - 1).mean() < 2e-4
+    late = still(drift, spotted, result, np.arange(AFTER_S, 400, 2.0))
+    assert (late[inside] / rest[inside] - 1).mean() == pytest.approx(0.0015, rel=0.15)
+
+
+def test_contact_after_it_keeps_it_out(reconstruct, at_rest, spot):
+    rest, spotted, inside = spot
+    result = reconstruct.from_image(at_rest[0])
+    touched = replace(result, contact=inside)
+    drift = BackgroundDrift(rest)
+    for start in np.arange(0, 400, 50.0):  # touched every 50 s, for a second
+        still(drift, spotted, result, np.arange(start, start + 48, 2.0))
+        found = still(drift, spotted, touched, [start + 48, start + 49])
+    assert np.abs(found[inside] / rest[inside] - 1).max() < 5e-4
+
+
+@pytest.mark.slow
+def test_a_gap_starts_the_quarantine_anew(reconstruct, at_rest, spot):
+    rest, spotted, inside = spot
+    result = reconstruct.from_image(at_rest[0])
+    drift = BackgroundDrift(rest)
+    for start in np.arange(0, 500, 60.0):
+        found = still(drift, spotted, result, np.arange(start, start + 50, 2.0))  # then nobody looks for 10 s
+    assert np.abs(found[inside] / rest[inside] - 1).max() < 5e-4
+
+
+@pytest.mark.parametrize(("part", "gain"), [(0.3, 1.0), (0.0, 1.01)])
+def test_a_gel_that_sinks_around_a_contact_is_no_light(reconstruct, at_rest, part, gain):
+    """Smooth brightness is followed within seconds, unless something presses: then it may be the gel."""
+    rest = np.mean(at_rest, axis=0, dtype=np.float32)
+    contact = np.zeros(rest.shape[:2], dtype=bool)
+    contact[:, : round(part * contact.shape[1])] = True
+    result = replace(reconstruct.from_image(at_rest[0]), contact=contact)
+    found = still(BackgroundDrift(rest), 1.01 * rest, result, np.arange(0, 20, 1.0))
+    np.testing.assert_allclose(found[60:, 60:], gain * rest[60:, 60:], rtol=0.002)
+
+
+def test_frames_that_measure_nothing_teach_nothing(reconstruct, at_rest):
+    rest = np.mean(at_rest, axis=0, dtype=np.float32)
+    torn = replace(reconstruct.from_image(at_rest[0]), health=(Finding("torn", "half of it", 0.5),))
+    assert still(BackgroundDrift(rest), at_rest[0] // 2, torn, np.arange(0, 200, 1.0)) is None
+
+
+def test_light_that_would_be_beyond_white_is_white(reconstruct, at_rest):
+    """A bright corner, all lights up by a quarter: what is smooth elsewhere promises more than a camera shows."""
+    rest = np.mean(at_rest, axis=0, dtype=np.float32)
+    result = reconstruct.from_image(at_rest[0])
+    rest[:12, :12] = 240
+    found = still(BackgroundDrift(rest), np.minimum(1.25 * rest, 255), result, np.arange(0, 20, 1.0))
+    assert found[:12, :12].min() == found.max() == 255
+    np.testing.assert_allclose(found[60:, 60:], 1.25 * rest[60:, 60:], rtol=0.01)
+
+
+def remembered(memory, images, first=0):
+    """The last of 30 results of images at ten a second."""
+    for index in range(first, first + 30):
+        image = images[index % len(images)]
+        last = memory(image, replace(memory.result_from_image(image), index=index, time_s=index / 10))
+    return last
+
+
+def test_a_background_can_be_taken_in_any_light_but_not_of_a_pressed_gel(reconstruct, at_rest, pressed):
+    x = np.linspace(0.85, 0.95, at_rest[0].shape[1])[:, None]
+    dimmed, touched = (
+        [(x * image).astype(np.uint8) for image in images[:10]] for images in (at_rest, pressed)
+    )
+    memory = Memory(reconstruct)
+    memory.take_background()
+    refused = remembered(memory, touched).health[-1]
+    assert refused.name == "background_refused"
+    assert "Something touches the gel" in refused.message
+    np.testing.assert_array_equal(memory.reconstruct.background.mean(), reconstruct.background.mean())
+    memory.take_background()
+    last = remembered(memory, dimmed, 30)
+    assert "background_refused" not in [finding.name for finding in last.health]
+    assert memory.result_from_image(touched[0]).peak_mm == pytest.approx(0.4, abs=0.15)
+    assert abs(memory.result_from_image(dimmed[0]).depth).max() < 0.02
+
+
+def noisy_background_drift(seed=0, levels=0.02):
+    return np.random.default_rng(seed).normal(0, levels / 100, (*BLOCKS, 3)).astype(np.float32)
+
+
+def marked(touched, change, second=1.0, contact=NOWHERE):
+    return touched.mark(float(second), 1.0, contact, change, UNTOUCHED)
+
+
+def test_noise_and_light_that_changes_everywhere_touch_nothing():
+    """Blocks are held against each other: a pattern all over raises what counts as noise."""
+    touched = Touched(BLOCKS)
+    for second in range(200):
+        marked(touched, noisy_background_drift(second), second)
+    assert touched.not_since(0.0).all()
+    x = np.linspace(-0.01, 0.01, BLOCKS[1], dtype=np.float32)[None, :, None]
+    assert not marked(Touched(BLOCKS), x + noisy_background_drift()).any()
+    touched.everywhere(3.0)  # nobody looked
+    assert not touched.not_since(3.0).any()
+    touched.nowhere()
+    assert touched.not_since(0.0).all()
+
+
+def test_contact_counts_with_a_margin():
+    touched, contact = Touched(BLOCKS), NOWHERE.copy()
+    contact[10, 15] = True
+    near = marked(touched, noisy_background_drift(), 50.0, contact)
+    assert near[[10, 12, 10], [15, 15, 13]].all()
+    assert not near[14, 15]
+    assert near.sum() < 30
+    np.testing.assert_array_equal(touched.not_since(50.0), ~near)
+    assert touched.not_since(50.1).all()
+    for blocks in ((1, 1), (3, 40)):
+        rest = np.full((*blocks, 3), 50, np.float32)
+        assert Touched(blocks).mark(0.0, 1.0, np.ones(blocks, bool), rest * 0, rest).all()
+
+
+def test_a_block_that_stands_out_is_touched_and_what_is_slight_is_seen_in_time():
+    """Half the noise limit of a second stands out of the mean of ten."""
+    change = noisy_background_drift()
+    change[5, 7, 1] = 0.004  # in one channel
+    assert marked(Touched(BLOCKS), change)[5, 7]
+    touched, seen = Touched(BLOCKS), []
+    for second in range(30):
+        change = noisy_background_drift(second, levels=0.12)
+        change[5, 7] += 0.0045
+        seen.append(bool(marked(touched, change, second)[5, 7]))
+    assert all(seen[20:])
+
+
+def test_a_strong_touch_is_forgotten_soon():
+    touched, pressed = Touched(BLOCKS), noisy_background_drift()
+    pressed[5, 7] = 0.4
+    for second in range(60):
+        marked(touched, pressed if second < 20 else noisy_background_drift(second), second)
+    assert touched.not_since(45.0).all()
+
+
+LIGHT_BLOCKS = (17, 22)
+TRUTH = np.array([[0.04, 0.02, -0.01, 3.0], [0.0, 0.03, 0.02, 5.0], [-0.02, 0.0, 0.01, -4.0]])
+
+
+def rest_levels():
+    y, x = np.mgrid[: LIGHT_BLOCKS[0], : LIGHT_BLOCKS[1]] / LIGHT_BLOCKS[1]
+    return np.stack([60 + 90 * x, 120 - 40 * y, 80 + 60 * x * y], axis=-1).astype(np.float32)
+
+
+def drifted(rest, noise=0.0):
+    """The rest in another light, tilted and in a lit room."""
+    noisy = lit(rest, TRUTH) + np.random.default_rng(0).normal(0, noise, rest.shape)
+    return noisy.astype(np.float32)
+
+
+def error(seen, rest):
+    """Largest relative error of the gel at rest in the light that is fitted, of all blocks."""
+    found = lit(rest, light_at_rest(seen, rest, np.zeros((3, 4))))
+    return np.abs(found / lit(rest, TRUTH) - 1).max()
+
+
+def test_a_light_is_found_exactly_and_pixels_and_blocks_are_of_one_light():
+    """A block's light is the mean of its pixels': places are counted alike."""
+    rest = rest_levels()
+    assert error(drifted(rest), rest) < 2e-4
+    pixels = lit(np.ones((LIGHT_BLOCKS[0] * 8, LIGHT_BLOCKS[1] * 8, 3), np.float32), TRUTH)
+    blocks = pixels.reshape(LIGHT_BLOCKS[0], 8, LIGHT_BLOCKS[1], 8, 3).mean(axis=(1, 3))
+    np.testing.assert_allclose(blocks, lit(np.ones((*LIGHT_BLOCKS, 3), np.float32), TRUTH), atol=1e-5)
+    np.testing.assert_allclose(without_light(drifted(rest), TRUTH), rest, rtol=1e-5)
+
+
+def test_what_touches_does_not_bend_the_light():
+    """A touched part that nobody named is an outlier; one that was named is 0 and does not count at all."""
+    rest = rest_levels()
+    seen = drifted(rest, noise=0.1)
+    seen[5:9, 4:9] *= [1.3, 0.8, 1.1]
+    assert error(seen, rest) < 2e-3
+    seen[:, 8:] = 0
+    found = light_at_rest(seen, rest, np.zeros((3, 4)))
+    assert (
+        np.abs(lit(rest, found) / lit(rest, TRUTH) - 1).max() < 0.2
+    )  # where nothing is free it is not thrown about

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from gelform.slopes.color_models import Samples, forward_response
-from gelform.slopes.color_models._shared.least_squares import node_positions
 from gelform.slopes.color_models.forward_response import (
     CLIPPED_STEP_SIGMA,
     TERMS,
     ForwardResponse,
     PreparedStep,
 )
+from gelform.slopes.color_models.least_squares import node_positions
 from kernel_agreement import assert_kernel_agrees
 
 pytestmark = pytest.mark.linear_algebra

@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 
 from gelform.foundations.checks import HIGHEST_SLOPE
-from gelform.image.background.change import ChangeSettings, PreparedBackground
+from gelform.image.background import ChangeSettings, PreparedBackground
 from gelform.slopes.color_models import HierarchicalModel, PolynomialModel, hierarchical
-from gelform.slopes.color_models._shared.least_squares import (
+from gelform.slopes.color_models.least_squares import (
     VaryingRegression,
     monomial_parents,
     monomials,
     node_positions,
 )
 from kernel_agreement import assert_kernel_agrees
-from made.color_samples import SHAPE, ball_samples, lambertian_change, shading_change
+from made.images import SHAPE, ball_samples, lambertian_change, shading_change
 
 pytestmark = pytest.mark.linear_algebra
 

@@ -11,21 +11,19 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from gelform.batch.inputs.containers import hdf5_values, is_zarr, zarr_values
-from gelform.batch.inputs.lerobot import stored_images, video_frames
-from gelform.batch.inputs.plan import Part
+from gelform.batch.inputs.containers import hdf5_values, is_zarr, stored_images, video_frames, zarr_values
+from gelform.batch.inputs.listing import Part
 from gelform.calibration.presses.press_set import file_of, table_rows
 from gelform.calibration_file import Calibration
 from gelform.errors import DataError, GelformError, reason
 from gelform.foundations.checks import check_image
-from gelform.image.background.average import background_from_frames
-from gelform.image.background.check import background_digest
+from gelform.image.agreement import background_digest
+from gelform.image.background import background_from_frames
 from gelform.image.frame import Frame, in_rgb
-from gelform.image.view import image_from_frame
-from gelform.image.view.view import MAX_PIXELS
+from gelform.image.view import MAX_PIXELS, image_from_frame
 from gelform.sensors.files import read_background, read_image
+from gelform.sensors.pictures import image_from_values
 from gelform.sensors.source import open_source
-from gelform.sensors.values import image_from_values
 
 BACKGROUND_COLUMNS = ("sequence", "background")
 MOST_NAMED = 3  # sequences that a message names at most

@@ -1,5 +1,7 @@
 """Steps that move circles: the common color model, the best place of each press in it, and the presses that do not fit.
 
+Steps that move circles: the common color model, the best place of each press in it, and the presses that do not fit.
+
 A circle found in one image is off by a pixel or two. A model fitted on all presses averages that out. So each press moves
 to the place where its ball agrees best with the model, and the model is fitted again (`circles.locate`).
 
@@ -17,26 +19,60 @@ import numpy as np
 import scipy  # its parts load at first use
 from numpy.typing import NDArray
 
-from gelform.calibration.circles.clipped import light_notes
-from gelform.calibration.circles.find import ContactCircle, moved, scale_of, steepest_radius, why_no_contact
-from gelform.calibration.circles.samples import (
+from gelform.calibration.circles.find import (
     PRESS_PIXELS,
     TRIAL_SAMPLES,
     ZONE,
+    ContactCircle,
     PreparedPress,
     contact_samples,
     joined,
+    moved,
+    scale_of,
+    steepest_radius,
+    why_no_contact,
     with_rest_samples,
 )
-from gelform.calibration.enough import REFINING
-from gelform.result.metrics.ball import ball_center, center_jacobian, followed_radius
+from gelform.calibration.coverage import REFINING
+from gelform.image.background import surround_of
+from gelform.image.frame import DARK
+from gelform.image.health import CHANNELS
+from gelform.result.metrics import ball_center, center_jacobian, followed_radius
 from gelform.slopes.color_models import COLOR_MODELS, PLAIN_MODEL, ColorModel, Samples, StartableModel
-from gelform.slopes.color_models._shared.least_squares import (
+from gelform.slopes.color_models.least_squares import (
     HUBER_SLOPE,
     normal_equations,
     polynomial_terms,
     unit_position,
 )
+from gelform.slopes.sigma import SATURATED_FROM
+
+MOST_UNUSABLE = 0.1  # of the pixels of the background image
+
+
+def light_notes(background: NDArray[np.float32]) -> tuple[str, ...]:
+    """The share of the gel where a channel is too dark or saturated, and what to do; () for less than a tenth."""
+    outside = surround_of(background)
+    gel = background.reshape(-1, 3) if outside is None else background[~outside]
+    dark, bright = gel < DARK, gel >= SATURATED_FROM
+    share = float((dark | bright).any(axis=-1).mean())
+    if share <= MOST_UNUSABLE:
+        return ()
+    named, remedies = [], []
+    for at, said, remedy in (
+        (dark, f"below {DARK} gray levels", "raise the light or exposure of the dark channels"),
+        (bright, "saturated", "lower the light or exposure of the saturated channels"),
+    ):
+        parts = zip(CHANNELS, at.mean(axis=0))
+        which = [f"{name} in {100 * part:.0f} %" for name, part in parts if part > share / 10]
+        if which:
+            named.append(f"{', '.join(which)} {said}")
+            remedies.append(remedy)
+    return (
+        f"{100 * share:.0f} % of the background image is at an end of the camera's range ({'; '.join(named)}), where slopes "
+        f"hardly change the color: {' and '.join(remedies)}.",
+    )
+
 
 MAX_MOVE_PX = 8.0  # px at 240 rows; usual presses are found within 2, deep ones within 10
 MAX_MOVE_RADII = 0.25  # of the found circle; more is another place than that of a small press

@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.calibration.geometry.crosstalk import Crosstalk
 from gelform.calibration.geometry.lens import GridView
+from gelform.calibration.geometry.measured import Crosstalk
 from gelform.calibration.geometry.scale import Scale
 from gelform.calibration.geometry.toml_text import Table, edited_toml
 from gelform.calibration_file import load_calibration
 from gelform.errors import CalibrationError, DataError
-from gelform.foundations.npz_files import written_file
+from gelform.foundations.files import written_file
 from gelform.image.view import View, image_from_frame
 from gelform.sensors.files import background_in, read_background, read_image, read_sensor_toml
 from gelform.sensors.profiles import check_gel_width, make_of, profile_named

@@ -1,12 +1,125 @@
-"""Measurements of a sensor before its presses: scale, crosstalk, lens; and their sentences for a report."""
+"""Measurements of a sensor before its presses: crosstalk from single LEDs; and sentences of all for a report."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
-from gelform.calibration.geometry.crosstalk import Crosstalk
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gelform.errors import DataError
+from gelform.foundations.checks import check_image, check_list
+from gelform.image.background import ChangeSettings, linear_light
+from gelform.image.frame import BRIGHT
+
+NAMES = ("red", "green", "blue")
+MIN_LEVEL = 20.0  # gray levels that are usable for a ratio
+MIN_USABLE = 0.3  # smallest fraction of usable pixels
+BLOCKS = 4  # parts along either side of the image that are compared
+
+
+@dataclass(frozen=True)
+class Crosstalk:
+    """Crosstalk of a camera's channels.
+
+    Attributes
+    ----------
+    matrix : 3x3, row c, column k: light of LED k in channel c over the same in channel k; the diagonal is 1
+    spread : 3x3, standard deviation of each over 4x4 parts of the image
+        One matrix for the whole image has this error: filters act alike everywhere, but scattered and ambient light
+        vary.
+    """
+
+    matrix: tuple[tuple[float, ...], ...]
+    spread: tuple[tuple[float, ...], ...]
+
+    @property
+    def largest_spread(self) -> float:
+        """The largest standard deviation of an element over the image."""
+        return float(np.max(self.spread))
+
+    def describe(self) -> str:
+        """One line with the figures."""
+        apart = np.asarray(self.matrix) - np.eye(3)
+        channel, led = np.unravel_index(int(np.argmax(apart)), (3, 3))
+        return (
+            f"crosstalk up to {100 * apart.max():.1f} % ({NAMES[led]} light in the {NAMES[channel]} channel), "
+            f"constant over the image to within {100 * self.largest_spread:.1f} %"
+        )
+
+
+def crosstalk_from_frames(
+    frames: Sequence[ArrayLike], *, dark: ArrayLike | None = None, response: float = 1.0
+) -> Crosstalk:
+    """Crosstalk from three frames of the gel at rest: red LEDs alone, green alone, blue alone.
+
+    An element is the median over the pixels of a channel's level over that of the LED's own channel, in linear
+    light: three filters that overlap mix the lights by one matrix at every pixel.
+
+    Parameters
+    ----------
+    frames : three of (H, W, 3), RGB, 0-255; in this order
+    dark : (H, W, 3), optional frame with no LED lit, to subtract, because ambient light is no crosstalk
+    response : exponent of the camera's response, I = 255 (light/255)^response
+
+    Raises
+    ------
+    DataError
+        A frame is too dark or saturated, or brightest in another channel than its own (the order is wrong).
+    """
+    frames = check_list(frames, "frames")
+    if len(frames) != 3:
+        raise ValueError(f"Expected three frames, of the red, green and blue LEDs alone, got {len(frames)}.")
+    linear = ChangeSettings(response=response)
+    first = check_image(frames[0], name="LED frame")
+    images = [check_image(frame, shape=first.shape[:2], name="LED frame") for frame in frames]
+    light = [linear_light(image, linear).astype(np.float64) for image in images]
+    if dark is not None:
+        unlit = linear_light(check_image(dark, shape=first.shape[:2], name="dark frame"), linear)
+        light = [one - unlit for one in light]
+    columns = [_column(light[k], images[k], k) for k in range(3)]
+    matrix, spread = (np.stack([column[i] for column in columns], axis=1) for i in (0, 1))
+    return Crosstalk(_rows(matrix), _rows(spread))
+
+
+def _column(
+    light: NDArray[np.float64], image: NDArray[Any], led: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The response of each channel to one LED, and its spread over the image."""
+    levels = np.median(light.reshape(-1, 3), axis=0)
+    brightest = int(np.argmax(levels))
+    listed = ", ".join(f"{name} {level:.0f}" for name, level in zip(NAMES, levels))
+    if brightest != led:
+        raise DataError(
+            f"Expected the {NAMES[led]} LED's frame brightest in {NAMES[led]}, got {listed}. "
+            "Give the frames in the order red, green, blue, one LED lit in each."
+        )
+    usable = (light[..., led] > MIN_LEVEL) & (image.max(axis=-1) < BRIGHT)
+    if np.mean(usable) < MIN_USABLE:
+        raise DataError(
+            f"Expected the {NAMES[led]} LED's frame at levels of {MIN_LEVEL:g}-{BRIGHT}, got {listed} with "
+            f"{100 * np.mean(usable):.0f} % of the pixels usable. Change the exposure, the same for all three."
+        )
+    ratio = light / np.maximum(light[..., led : led + 1], MIN_LEVEL)
+    parts = [
+        np.median(ratio[rows][:, columns][usable[rows][:, columns]], axis=0)
+        for rows in _blocks(ratio.shape[0])
+        for columns in _blocks(ratio.shape[1])
+        if np.mean(usable[rows][:, columns]) > MIN_USABLE
+    ]
+    return np.median(ratio[usable], axis=0), np.std(parts, axis=0)
+
+
+def _blocks(length: int) -> list[slice]:
+    edges = np.linspace(0, length, BLOCKS + 1).astype(int)
+    return [slice(int(a), int(b)) for a, b in pairwise(edges)]
+
+
+def _rows(matrix: NDArray[np.float64]) -> tuple[tuple[float, ...], ...]:
+    return tuple(tuple(float(value) for value in row) for row in matrix)
 
 
 @dataclass(frozen=True)

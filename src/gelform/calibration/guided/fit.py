@@ -17,9 +17,9 @@ from gelform.calibration.report.page import report_page
 from gelform.calibration_file import Calibration
 from gelform.errors import GelformError
 from gelform.exchange.exporters.press_folder import save_press_folder
-from gelform.foundations.npz_files import written_file
-from gelform.foundations.progress import Progress, no_progress
-from gelform.sensors.recordings.recorder import named_by_time
+from gelform.foundations.files import written_file
+from gelform.foundations.findings import Progress, no_progress
+from gelform.sensors.recordings.record import named_by_time
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,16 @@ import lazy_loader
 __getattr__, __dir__, __all__ = lazy_loader.attach(
     __name__,
     submod_attrs={
-        "choose": ["Choice", "Unit", "choose_calibration", "unit_of"],
-        "library": ["Entry", "add_calibration", "entries", "library_folder", "matching"],
+        "library": [
+            "Choice",
+            "Entry",
+            "Unit",
+            "add_calibration",
+            "choose_calibration",
+            "entries",
+            "library_folder",
+            "matching",
+            "unit_of",
+        ]
     },
 )

@@ -1,20 +1,96 @@
-"""The library: a folder of the user's calibrations, in files named by sensor, unit and gel."""
+"""The library: the user's calibrations in a folder, those of simulated sensors, and the choice for a source of frames.
+
+Calibrations of simulated sensors: shipped for the default one, else made by `calibrate` on simulated presses and cached.
+
+The modules for making one are imported on demand, because that takes longer than the first picture.
+"""
 
 from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from importlib import resources
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from platformdirs import user_data_path
+import numpy as np
+from platformdirs import user_cache_path, user_data_path
 
-from gelform.calibration_file import Calibration, load_calibration
+from gelform import __version__
+from gelform.calibration_file import FORMAT_VERSION, Calibration, load_calibration
 from gelform.errors import CalibrationError, DataError, GelformError
-from gelform.foundations.npz_files import DIGEST_SHOWN, sweep
-from gelform.sensors.cameras.camera import almost
+from gelform.foundations.files import DIGEST_SHOWN, sweep
+from gelform.foundations.findings import Progress, no_progress
+from gelform.sensors.cameras import Camera, almost, camera_named, cameras_there
+from gelform.sensors.files import read_sensor_toml
+from gelform.sensors.grabber import Grabber
+from gelform.sensors.mjpeg import shown_address
+from gelform.sensors.profiles import PROFILES
+from gelform.sensors.recordings.mcap_reader import is_bag_folder, mcap_file_in, picture_topic_of
+from gelform.sensors.recordings.record import attached_calibration
+from gelform.sensors.simulated import serial_of_simulated, simulated_sensor_named
+from gelform.sensors.source import ADDRESSES, DEFAULT_SENSOR, simulated_sensor_of
+from gelform.simulate import SimulatedPresses, SimulatedSensor, simulate_ball_presses
+
+BALLS_MM, COUNT, SEED = (4.0, 6.0), 16, 11  # ball diameters, presses per ball, seed of the places
+SHIPPED = f"{DEFAULT_SENSOR}.npz"  # made by `benchmarks/live.py --calibration`
+COLOR_MODEL = "polynomial"  # half the time of choosing a model; 0.2 degrees worse than the best model here
+
+
+def ready_calibration(sensor: SimulatedSensor, *, progress: Progress = no_progress) -> Calibration:
+    """The calibration of a simulated sensor: shipped, cached, or made in about ten seconds.
+
+    Parameters
+    ----------
+    sensor : SimulatedSensor
+    progress : called with (done, total, what) while the calibration is made
+    """
+    if sensor == simulated_sensor_named(DEFAULT_SENSOR):
+        with resources.as_file(resources.files(__package__) / SHIPPED) as shipped:
+            return load_calibration(shipped)
+    kept = kept_path(sensor)
+    if kept is not None and kept.is_file():
+        try:
+            return load_calibration(kept)
+        except CalibrationError:
+            kept.unlink(missing_ok=True)  # damaged; it is gelform's own file, and is made again
+    from gelform.calibration.fit import calibrate
+    from gelform.calibration.presses.press_set import presses_from_simulated
+
+    made = simulated_presses(sensor, COUNT, progress=progress)
+    calibration = calibrate(presses_from_simulated(made), color_model=COLOR_MODEL, progress=progress)
+    if kept is not None:
+        calibration.save(kept, overwrite=True)
+    return calibration
+
+
+def kept_path(sensor: SimulatedSensor) -> Path | None:
+    """The path of the cached calibration of a sensor; None if the user's cache is not writable."""
+    folder = user_cache_path("gelform", appauthor=False)
+    if not folder.is_absolute():  # a user without a home folder
+        return None
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return None
+    if not os.access(folder, os.W_OK):
+        return None
+    height, width = sensor.shape
+    return folder / f"{sensor.name}-{height}x{width}-{__version__}-{FORMAT_VERSION}.npz"
+
+
+def simulated_presses(
+    sensor: SimulatedSensor, count: int, *, progress: Progress = no_progress
+) -> SimulatedPresses:
+    """Presses of two balls all over the gel, simulated as the live page's objects."""
+    rng = np.random.default_rng(SEED)
+    return simulate_ball_presses(
+        sensor, ball_diameters_mm=BALLS_MM, count=count, rng=rng, oversample=1, progress=progress
+    )
+
 
 FOLDER_VARIABLE = "GELFORM_CALIBRATIONS"
 # Characters of a sensor's name, a serial or a gel in a file name; file systems allow 255 in all.
@@ -232,3 +308,241 @@ def facts_of(entry: Entry) -> dict[str, Any]:
         "held_out": dict(entry.held_out),
         "problem": entry.problem or None,
     }
+
+
+SENSOR_TOML = "sensor.toml"
+HOW_TO = (
+    "Give calibration= (--calibration), make one (gelform live, Calibrate), or add one that you have: "
+    "gelform calibrations add CAL.npz --serial SERIAL."
+)
+
+
+@dataclass(frozen=True)
+class Unit:
+    """The sensor that gave frames, as far as they identify it.
+
+    Attributes
+    ----------
+    said : name for messages, such as "camera DIGIT D20123" or "session.mcap"
+    serial : serial number of the camera; empty if it has none
+    names : names of the sensor, if it has no serial and no other such sensor could be meant
+    digest : digest of the calibration that was in use; empty if unknown
+    gel_id : gel that was on it; empty if unknown
+    carries : the recording that contains a calibration, or None
+    simulated : the simulated sensor that it is, or None
+    """
+
+    said: str
+    serial: str = ""
+    names: tuple[str, ...] = ()
+    digest: str = ""
+    gel_id: str = ""
+    carries: Path | None = None
+    simulated: SimulatedSensor | None = None
+
+    def is_calibrated_by(self, entry: Entry | Calibration) -> bool:
+        """Whether the calibration belongs to this unit and to no other gel."""
+        if self.gel_id and entry.gel_id not in (None, self.gel_id):
+            return False
+        if self.serial:
+            return entry.serial == self.serial
+        return not entry.serial and entry.sensor_name in self.names
+
+
+class NoCalibration(CalibrationError):
+    """The library has no calibration of a unit."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A selected calibration, and the message about it."""
+
+    calibration: Calibration
+    said: str
+    path: Path | None = None
+
+
+def choose_calibration(unit: Unit, folder: Path | None = None, *, ready: bool = True) -> Choice:
+    """The calibration in the recording, else the one that was in use, else the newest one of the unit.
+
+    A unit without a serial uses calibrations without a serial that have its sensor's name. A simulated sensor without any
+    uses the one that gelform has ready, or makes in about ten seconds.
+
+    Parameters
+    ----------
+    unit : see `unit_of`
+    folder : folder of the library; the user's by default
+    ready : whether a simulated sensor may use the one that gelform has ready
+
+    Raises
+    ------
+    NoCalibration
+        There is none; the message lists the library and says what to do.
+    CalibrationError
+        The selected one cannot be read.
+    """
+    if unit.carries is not None:
+        carried = attached_calibration(unit.carries)
+        if carried is not None:
+            made = date_of(carried.created_utc)
+            return Choice(carried, f"Calibration of {unit.said}: its own, gel {_gel(carried)}, of {made}.")
+    there = entries(folder)
+    of_unit = [one for one in there if unit.is_calibrated_by(one)]
+    in_use = [one for one in of_unit if unit.digest and one.digest == unit.digest]
+    if not of_unit and ready and unit.simulated is not None:
+        return Choice(ready_calibration(unit.simulated), f"Calibration of {unit.said}: gelform's own.")
+    if not of_unit:
+        raise NoCalibration(f"No calibration of {unit.said} {_missing(unit, there)} {HOW_TO}")
+    entry = (in_use or of_unit)[0]
+    return Choice(
+        load_calibration(entry.path), f"Calibration of {unit.said}: {entry.described()}.", entry.path
+    )
+
+
+def _gel(calibration: Calibration) -> str:
+    return calibration.gel_id or "not named"
+
+
+def _missing(unit: Unit, there: Sequence[Entry]) -> str:
+    """The end of a sentence about the reason that the library has none."""
+    if not unit.serial and not unit.names:
+        return "was given, and nothing says which unit it is of, so none of the library is taken."
+    damaged = sum(bool(one.problem) for one in there)
+    known = sorted({one.serial for one in there if one.serial})
+    gel = f" and gel {unit.gel_id}" if unit.gel_id else ""
+    by = f"serial {unit.serial}{gel}" if unit.serial else f"no serial, of a sensor {' or '.join(unit.names)}"
+    listed = f"it has calibrations of {', '.join(known)}" if known else "it has none with a serial"
+    unread = f"; {damaged} cannot be read (gelform calibrations list)" if damaged else ""
+    return f"was given, and the library has none with {by}: {listed}{unread}.{almost(unit.serial, known)}"
+
+
+def unit_of(source: Any) -> Unit:
+    """The sensor of a source; this opens no camera.
+
+    Parameters
+    ----------
+    source : an argument of `open_source`; an open Source or Grabber; or a function that opens one, which is called to open
+        it for a moment
+
+    Raises
+    ------
+    SensorError, DataError
+        There is no such camera, file or folder, or it cannot be read.
+    """
+    if not isinstance(source, (str, PathLike)):
+        return _unit_of_open(source)
+    spec = str(source)
+    try:
+        sensor = simulated_sensor_of(spec)
+    except ValueError as problem:
+        raise DataError(str(problem)) from problem
+    if sensor is not None:
+        return Unit(f"the simulated sensor {sensor.name}", serial_of_simulated(sensor), simulated=sensor)
+    if spec.startswith(ADDRESSES):
+        return Unit(shown_address(spec))
+    if os.path.exists(spec) and not spec.startswith("/dev/"):
+        return unit_of_files(Path(source))
+    return unit_of_camera(camera_named(spec), cameras_there())
+
+
+def unit_named(spec: str) -> Unit:
+    """As `unit_of`; a source that is not connected yet may be named by its serial number."""
+    try:
+        return unit_of(spec)
+    except GelformError:
+        return Unit(f"camera {shown_address(spec)}", spec)
+
+
+def _unit_of_open(source: Any) -> Unit:
+    if isinstance(source, Grabber):
+        return _unit_of_open(source.source)
+    if callable(source):
+        with source() as opened:
+            return _unit_of_open(opened)
+    camera = getattr(source, "camera", None)
+    if isinstance(camera, Camera):
+        return unit_of_camera(camera, cameras_there())
+    serial = getattr(source, "serial", None)
+    return Unit(getattr(source, "name", "this source"), serial or "")
+
+
+def unit_of_camera(camera: Camera, cameras: Iterable[Camera]) -> Unit:
+    """The unit of a camera; without a serial it has names only if no other connected camera shares one.
+
+    Parameters
+    ----------
+    cameras : all connected cameras
+    """
+    if camera.serial:
+        return Unit(f"camera {camera.name} {camera.serial}", camera.serial)
+    alike = [one for one in cameras if set(_names(one)) & set(_names(camera)) and one.path != camera.path]
+    if alike:
+        return Unit(f"camera {camera.name} ({camera.path}, no serial, one of {len(alike) + 1} of that name)")
+    return Unit(f"camera {camera.name} ({camera.path}, no serial)", "", _names(camera))
+
+
+def _names(camera: Camera) -> tuple[str, ...]:
+    """Names of the camera's sensor that a calibration may use: its own, and that of the known sensor."""
+    known = PROFILES.get(camera.kind or "")
+    return tuple(dict.fromkeys((camera.name, *([known.name] if known else []))))
+
+
+def unit_of_files(path: Path) -> Unit:
+    """The unit of a recording, or of images with a `sensor.toml` in or above their folder.
+
+    Raises
+    ------
+    DataError
+        The file that names the unit is damaged.
+    """
+    if path.suffix.lower() == ".mcap" or (path.is_dir() and is_bag_folder(path)):
+        facts, _ = picture_topic_of(mcap_file_in(path) if path.is_dir() else path)
+        serial, digest = facts.serial or "", facts.calibration_digest
+        return Unit(str(path), serial, digest=digest, carries=path, simulated=_simulated(serial))
+    folder = path if path.is_dir() else path.parent
+    for place in (folder, folder.parent):  # a press folder has its images in a subfolder
+        if (place / SENSOR_TOML).is_file():
+            settings = read_sensor_toml(place / SENSOR_TOML)
+            return Unit(str(place), settings.serial, gel_id=settings.gel_id)
+    return Unit(str(path))
+
+
+def _simulated(serial: str) -> SimulatedSensor | None:
+    """The ready-made simulated sensor whose frames have this serial number; None for a camera."""
+    try:
+        sensor = simulated_sensor_of(serial.replace("-", ":", 1))
+    except ValueError:
+        return None
+    return sensor if sensor is not None and serial_of_simulated(sensor) == serial else None
+
+
+def unit_of_all(paths: Iterable[Path]) -> Unit:
+    """The one unit of files of images, or of recordings.
+
+    Raises
+    ------
+    DataError
+        They are of several units.
+    """
+    units: dict[tuple[str, ...], Unit] = {}
+    for path in dict.fromkeys(one.parent if one.is_file() and not _is_film(one) else one for one in paths):
+        unit = unit_of_files(path)
+        units.setdefault((unit.serial, unit.gel_id, unit.digest), unit)
+    found = list(units.values())
+    first, last = found[0], found[-1]
+    if len(found) == 1:
+        return first
+    if len({(unit.serial, unit.gel_id) for unit in found}) > 1:
+        both = " and ".join(f"{unit.said} ({_named(unit)})" for unit in (first, last))
+        raise DataError(
+            f"Expected frames of one sensor and gel, got {both}. Do them apart, or give -c CAL.npz."
+        )
+    return Unit(f"{first.said} ... {last.said}", first.serial, gel_id=first.gel_id)
+
+
+def _named(unit: Unit) -> str:
+    return (unit.serial or "no serial") + (f", gel {unit.gel_id}" if unit.gel_id else "")
+
+
+def _is_film(path: Path) -> bool:
+    return path.suffix.lower() == ".mcap"

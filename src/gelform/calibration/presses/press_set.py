@@ -20,8 +20,7 @@ from gelform.foundations.checks import (
     check_sensor_pitch,
     check_sensor_pitches,
 )
-from gelform.foundations.tables import plain_cell
-from gelform.foundations.whole_files import present_file
+from gelform.foundations.files import plain_cell, present_file
 from gelform.image.frame import pixels_digest, rgb_from_bgr
 from gelform.image.view import View, image_from_frame
 from gelform.sensors.files import SensorSettings, read_sensor_toml

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from gelform.calibration.geometry.toml_text import edited_toml
 from gelform.errors import DataError
-from gelform.image.background.average import background_from_frames
+from gelform.image.background import background_from_frames
 from gelform.sensors.files import SensorSettings
 
 BACKGROUND, TABLE, SETTINGS, IMAGES = "background", "presses.csv", "sensor.toml", "images"

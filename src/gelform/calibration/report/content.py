@@ -1,31 +1,360 @@
-"""All numbers of a calibration's report, for report.json and the page."""
+"""All numbers of a calibration's report: statistics of held-out residuals, the verdict, and the next step."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import asdict
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.calibration.coverage import DIRECTIONS, Coverage, press_coverage, press_next, square_tiles
-from gelform.calibration.enough import NEEDED
+from gelform.calibration.coverage import (
+    COARSE,
+    DIRECTIONS,
+    NEEDED,
+    Coverage,
+    direction_of,
+    press_coverage,
+    press_next,
+    square_tiles,
+    tile_of,
+)
 from gelform.calibration.held_out.measure import HeldOutSample, at_sample
+from gelform.calibration.inputs import MOST_SIGMAS, REMEDY
 from gelform.calibration.presses.press_set import Presses
 from gelform.calibration.report.record import CalibrationReport, PressReport
-from gelform.calibration.report.statistics import (
-    DRAWS,
-    error_map,
-    errors_where,
-    fraction_within_sigma,
-    gain_curve,
-    square_error_by_direction,
-)
-from gelform.calibration.report.verdict import checks_of, verdict_of
 from gelform.calibration_file import Calibration
 from gelform.reconstruct import Reconstructor
+from gelform.result.metrics import angle_deg
 from gelform.sensors.profiles import scale_off_make
+from gelform.slopes.sigma import MIN_IN_BIN
+
+SLOPE_EDGES = tuple(round(0.1 * k, 1) for k in range(13))
+DRAWS = 1000  # bootstrap draws of presses, for intervals
+PRIOR_PIXELS = 200  # pixels; the error of a direction in a tile is pulled to the mean of all with this weight
+
+
+def resampled(count: int, rng: np.random.Generator) -> NDArray[np.float64]:
+    """How often each of `count` presses is drawn in each bootstrap, (draws, count)."""
+    return rng.multinomial(count, np.full(count, 1 / count), size=DRAWS).astype(np.float64)
+
+
+def _bins_of(slope: NDArray[Any]) -> Iterator[tuple[dict[str, float], NDArray[np.bool_]]]:
+    """The limits of each bin of slopes that holds enough pixels, and the pixels in it."""
+    for low, high in pairwise(SLOPE_EDGES):
+        member = (slope >= low) & (slope < high)
+        if np.count_nonzero(member) >= MIN_IN_BIN:
+            yield {"slope_from": low, "slope_to": high}, member
+
+
+def _tiles_of(
+    samples: Sequence[HeldOutSample], shape: tuple[int, int], grid: tuple[int, int]
+) -> NDArray[np.intp]:
+    """The number of the tile that each pixel of all samples lies in."""
+    return np.concatenate([tile_of(one.x_px, one.y_px, shape, grid) for one in samples])
+
+
+def gain_curve(samples: Sequence[HeldOutSample], rng: np.random.Generator) -> list[dict[str, Any]]:
+    """Recovered over true slope, by bins of the true slope, with a 95 % interval over presses.
+
+    The gain of a bin is `sum g . t / sum t . t` over its pixels, g the reconstructed and t the true gradient:
+    noise does not raise it, and a regression to the mean at the rim shows as less than 1.
+    """
+    sums = np.zeros((3, len(samples), len(SLOPE_EDGES) - 1))
+    for k, one in enumerate(samples):
+        bins, true = np.linalg.norm(one.true_gradients, axis=1), one.true_gradients.astype(np.float64)
+        for row, weights in enumerate(((one.gradients * true).sum(1), (true**2).sum(1), np.ones(len(true)))):
+            sums[row, k] = np.histogram(bins, SLOPE_EDGES, weights=weights)[0]
+    drawn = resampled(len(samples), rng)
+    curve = []
+    for b, (low, high) in enumerate(pairwise(SLOPE_EDGES)):
+        projected, square, pixels = sums[:, :, b]
+        if not NEEDED.interval.met(int(np.count_nonzero(pixels))) or pixels.sum() < MIN_IN_BIN:
+            continue
+        among = drawn @ square
+        gains = (drawn @ projected)[among > 0] / among[among > 0]
+        curve.append(
+            {
+                "slope_from": low,
+                "slope_to": high,
+                "gain": float(projected.sum() / square.sum()),
+                "interval": [float(v) for v in np.percentile(gains, (2.5, 97.5))],
+                "presses": int(np.count_nonzero(pixels)),
+                "pixels": int(pixels.sum()),
+            }
+        )
+    return curve
+
+
+def error_map(
+    samples: Sequence[HeldOutSample], shape: tuple[int, int], grid: tuple[int, int]
+) -> dict[str, Any]:
+    """Held-out slope errors by tile: mean (dx, dy), RMS length and number of pixels, None where there are few."""
+    tile = _tiles_of(samples, shape, grid)
+    errors = np.concatenate([one.errors for one in samples]).astype(np.float64)
+    count = np.bincount(tile, minlength=grid[0] * grid[1])
+    sums = [np.bincount(tile, w, count.size) for w in (errors[:, 0], errors[:, 1], (errors**2).sum(1))]
+    full = count >= 10
+    mean = [
+        [float(sums[0][i] / count[i]), float(sums[1][i] / count[i])] if full[i] else None
+        for i in range(count.size)
+    ]
+    rms = [float(np.sqrt(sums[2][i] / count[i])) if full[i] else None for i in range(count.size)]
+    return {"rows": grid[0], "columns": grid[1], "mean": mean, "rms": rms, "pixels": count.tolist()}
+
+
+def square_error_by_direction(
+    samples: Sequence[HeldOutSample], shape: tuple[int, int], tiles: tuple[int, int]
+) -> NDArray[np.float64]:
+    """(rows, columns, 8) mean square slope error, drawn to the overall mean where few pixels tell."""
+    size = tiles[0] * tiles[1] * DIRECTIONS
+    total, count = np.zeros(size), np.zeros(size)
+    for one in samples:
+        index = tile_of(one.x_px, one.y_px, shape, tiles) * DIRECTIONS + direction_of(one.true_gradients)
+        total += np.bincount(index, (one.errors.astype(np.float64) ** 2).sum(axis=1), size)
+        count += np.bincount(index, minlength=size)
+    overall = total.sum() / count.sum() if count.any() else 1.0
+    mean: NDArray[np.float64] = (total + PRIOR_PIXELS * overall) / (count + PRIOR_PIXELS)
+    return mean.reshape(*tiles, DIRECTIONS)
+
+
+def fraction_within_sigma(
+    samples: Sequence[HeldOutSample],
+    sigmas: Sequence[NDArray[np.float32]],
+    shape: tuple[int, int],
+    grid: tuple[int, int],
+) -> dict[str, Any]:
+    """Fraction of held-out slopes within one stated standard deviation, by bins of slope and of place; 0.68 is right."""
+    inside = np.concatenate([np.abs(one.errors) <= sigma for one, sigma in zip(samples, sigmas)]).mean(axis=1)
+    slope = np.concatenate([np.linalg.norm(one.gradients, axis=1) for one in samples])
+    by_slope = [{**limits, "share": float(inside[member].mean())} for limits, member in _bins_of(slope)]
+    tile = _tiles_of(samples, shape, grid)
+    by_place = [
+        float(inside[tile == i].mean()) if np.count_nonzero(tile == i) >= MIN_IN_BIN else None
+        for i in range(grid[0] * grid[1])
+    ]
+    return {
+        "all": float(inside.mean()),
+        "by_slope": by_slope,
+        "rows": grid[0],
+        "columns": grid[1],
+        "by_place": by_place,
+    }
+
+
+def errors_where(
+    samples: Sequence[HeldOutSample],
+    shape: tuple[int, int],
+    contact_radius_ratio: float,
+    grid: tuple[int, int] = COARSE,
+) -> dict[str, Any]:
+    """Normal errors of reconstructed presses by slope and by place: `contact` up to its edge, `rim` up to the visible rim.
+
+    Means over pixels, so that a large contact counts for more than a small one; the figures of whole presses are means over
+    presses. Bins of the ball's slope of under 50 pixels are left out, and such cells of the grid (rows, columns) are None.
+    """
+    regions = {"contact": [one.within(contact_radius_ratio) for one in samples], "rim": samples}
+    parts = {name: _part(region, shape, grid) for name, region in regions.items()}
+    return {"contact_radius_ratio": contact_radius_ratio, **parts}
+
+
+def _part(samples: Sequence[HeldOutSample], shape: tuple[int, int], grid: tuple[int, int]) -> dict[str, Any]:
+    true = np.concatenate([one.true_gradients for one in samples])
+    read = np.concatenate([one.gradients for one in samples])
+    angles, true = angle_deg(read, true), true.astype(np.float64)
+    return {
+        "normal_deg": float(angles.mean()) if angles.size else None,
+        "by_slope": [
+            {
+                **limits,
+                "normal_deg": float(angles[member].mean()),
+                "gain": float(np.sum(read[member] * true[member]) / np.sum(true[member] ** 2)),
+                "pixels": int(np.count_nonzero(member)),
+            }
+            for limits, member in _bins_of(np.linalg.norm(true, axis=1))
+        ],
+        "by_place": _by_place(_tiles_of(samples, shape, grid), angles, grid),
+    }
+
+
+def _by_place(tile: NDArray[np.intp], angles: NDArray[np.float64], grid: tuple[int, int]) -> dict[str, Any]:
+    pixels = np.bincount(tile, minlength=grid[0] * grid[1])
+    sums = np.bincount(tile, angles, pixels.size)
+    normal_deg = [float(s / n) if n >= MIN_IN_BIN else None for s, n in zip(sums, pixels)]
+    return {"rows": grid[0], "columns": grid[1], "normal_deg": normal_deg, "pixels": pixels.tolist()}
+
+
+LEVELS = ("good", "fair", "poor")
+
+
+@dataclass(frozen=True)
+class Limit:
+    """The figure of a check, and the limits of good and fair.
+
+    Attributes
+    ----------
+    name, label, unit : of the figure
+    good, fair : largest good and fair figure; the smallest one if `rising`
+    rising : a larger figure is better
+    action : the advice if it is not good
+    """
+
+    name: str
+    label: str
+    unit: str
+    good: float
+    fair: float
+    rising: bool
+    action: str
+
+
+LIMITS = (
+    Limit("rejected_percent", "presses rejected", "%", 10, 20, False,
+          "Look at the rejected presses. Each reason says what to press or to write down differently."),
+    Limit("presses_used", "presses used", "", NEEDED.advised.presses, NEEDED.fair.presses, True,
+          f"Press the ball at more places: {NEEDED.advised.presses} presses or more. Begin at the places marked 1, 2, 3."),
+    Limit("normal_free_deg", "angle error of the normals, held out", "°", 3, 5, False,
+          "Press at the places marked 1, 2, 3. Check that exposure and light did not change. Look for cast shadows."),
+    Limit("ball_sigmas", "stated ball diameter against the measured one", "σ", MOST_SIGMAS, MOST_SIGMAS, False,
+          REMEDY + " Presses of another unit or of another ball contradict them."),
+    Limit("scale_off_percent", "mm_per_px against the make's", "%", 10, math.inf, False,
+          "Check mm_per_px. Images of this make have another value, unless you crop them differently."),
+    Limit("radius_percent", "error of the ball's radius, held out", "%", 3, 6, False,
+          "Check the ball's diameter and the mm per pixel that you gave. Add presses of a second ball of another size."),
+    Limit("covered_percent", "places and slope directions that presses show", "%", 80, 60, True,
+          "Press at the places marked 1, 2, 3. The presses do not show all slope directions there yet."),
+    Limit("gain_percent", "largest deviation of the slope gain from 1", "%", 5, 12, False,
+          "Press a little deeper, or add a smaller ball. Too few presses show the slopes whose gain is wrong."),
+    Limit("cap_free_um", "depth error in the contact, held out", "µm", 20, 40, False,
+          "Press at the places marked 1, 2, 3. Look for a pattern in the depth pictures: dust, a shadow, a scratch."),
+    Limit("off_contact_um", "depth error off contact, held out", "µm", 30, 80, False,
+          "Take a new background image in the same minute as the presses, with exposure and white balance fixed."),
+    Limit("sigma_percent", "largest deviation of the uncertainty from 68 %", "%", 10, 23, False,
+          "Press where the share is far from 68 %, first at places 1, 2, 3. Until then, the uncertainty is rough."),
+    Limit("ball_sizes", "ball sizes", "", 2, 1, True,
+          "Add presses of a second ball of another size. One size alone cannot show a wrong slope scale."),
+    Limit("scale_percent", "uncertainty of the scale", "%", 1, 3, False,
+          "Measure mm_per_px on an object of known size. Write it into sensor.toml, together with mm_per_px_sigma."),
+)  # fmt: skip
+HEADLINE = ("normal_free_deg", "radius_percent")
+# If one is poor, so is the headline, because the other figures rely on the labels.
+REFUTING = ("ball_sigmas",)
+
+
+def level_of(limit: Limit, value: float | None) -> str:
+    """good, fair or poor, of the figure as it is printed; an unknown one is fair."""
+    if value is None or not math.isfinite(value):
+        return "fair"
+    value, sign = float(_printed(value)), -1 if limit.rising else 1
+    if sign * value <= sign * limit.good:
+        return "good"
+    return "fair" if sign * value <= sign * limit.fair else "poor"
+
+
+def checks_of(
+    figures: Mapping[str, float | None], standard_errors: Mapping[str, float] | None = None
+) -> list[dict[str, Any]]:
+    """Every check with its figure (None if unknown), its level and its limits, causes before their effects.
+
+    A check that the sensor does not need, and that has no figure, is left out. Some figures have a standard error.
+    """
+    return [
+        {
+            **asdict(limit),
+            "value": figures[limit.name],
+            "level": level_of(limit, figures[limit.name]),
+            "standard_error": (standard_errors or {}).get(limit.name),
+        }
+        for limit in LIMITS
+        if limit.name in figures
+    ]
+
+
+def verdict_of(checks: list[dict[str, Any]], learning_sentence: str | None = None) -> dict[str, Any]:
+    """The headline: the worse of normals and radius in words, and one sentence about the next step.
+
+    Both are errors at the places that were pressed. So over any other poor check the headline is fair at best, and names it.
+    The next step belongs to the largest fault: a poor check comes before a fair one, and then the check whose figure is the
+    most times its limit. Among equal ones the first counts, because causes come before their effects. If all is good, the
+    sentence says how to keep it so.
+    """
+    named = {check["name"]: check for check in checks}
+    level = max((named[name]["level"] for name in HEADLINE), key=LEVELS.index)
+    poor = [check for check in checks if check["level"] == "poor" and check["name"] not in HEADLINE]
+    refuted = [check for check in poor if check["name"] in REFUTING]
+    if refuted:
+        level = "poor"
+    elif poor and level == "good":
+        level = "fair"
+    first_of = refuted or [check for check in checks if check["level"] != "good"]
+    first = max(first_of, key=_severity, default=None)
+    done = "Use it. Calibrate again after a new gel, another light or another camera setting."
+    return {
+        "level": level,
+        "headline": _headline(level, named, poor, bool(refuted)),
+        "next": first["action"] if first else done,
+        "because": f"{first['label']}: {shown(first)}, {first['level']}" if first else None,
+        "counts": {name: sum(check["level"] == name for check in checks) for name in LEVELS},
+        "learning": learning_sentence,
+    }
+
+
+def _headline(
+    level: str, named: Mapping[str, dict[str, Any]], poor: Sequence[dict[str, Any]], refuted: bool
+) -> str:
+    error, covered = named["normal_free_deg"]["standard_error"], named["covered_percent"]
+    few = error is not None and not NEEDED.edge.met(int(named["presses_used"]["value"]))
+    # What presses do not cover was not held out either.
+    where = (
+        f"where presses are ({shown(covered)} of places and slope directions), "
+        if covered["level"] == "poor"
+        else ""
+    )
+    figures = (
+        f"{where}held-out normals are off by {named['normal_free_deg']['value']:.1f}"
+        f"{f' ± {error:.1f}' if few else ''}°, the ball radius by {named['radius_percent']['value']:.1f} %"
+        f"{'. Elsewhere errors are not known' if where else ''}"
+    )
+    if refuted:
+        return f"Poor: the ball diameter or mm_per_px is wrong. With them, {figures}"
+    said = [f"{level.capitalize()}: {figures}"]
+    if poor and level != "poor":
+        said.append("Poor checks: " + ", ".join(f"{check['label']} ({shown(check)})" for check in poor))
+    if named["ball_sigmas"]["value"] is None:
+        said.append("Nothing checked the ball diameter")
+    if named.get("scale_off_percent", {"level": "good"})["level"] != "good":
+        said.append("The mm_per_px is unusual for this sensor")
+    return ". ".join(said)
+
+
+def _severity(check: Mapping[str, Any]) -> tuple[int, float]:
+    """The severity of a check: its level, then its figure over the limit of good, or the inverse if `rising`."""
+    value, limit = check["value"], check["good"]
+    if value is None or not math.isfinite(value):
+        return LEVELS.index(check["level"]), 1.0
+    part, whole = (value, limit) if check["rising"] else (limit, value)
+    return LEVELS.index(check["level"]), whole / part if part > 0 else math.inf
+
+
+def shown(check: dict[str, Any]) -> str:
+    """A check's figure with its unit."""
+    if check["value"] is None:
+        return "not known"
+    return f"{_printed(check['value'])} {check['unit']}".replace(" °", "°").strip()
+
+
+def _printed(value: float) -> str:
+    return f"{value:.3g}"
+
+
+def limit_in_words(check: Mapping[str, Any], level: str) -> str:
+    """A check's limit of good or fair, such as "≤ 5"; any figure is within an endless one."""
+    side = "≥" if check["rising"] else "≤"
+    return f"{side} {check[level]:g}" if math.isfinite(check[level]) else "any"
+
 
 FORMAT, FORMAT_VERSION = "gelform calibration report", 1
 FIGURES: tuple[tuple[str, Callable[..., NDArray[np.float64]]], ...] = (

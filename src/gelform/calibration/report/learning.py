@@ -20,15 +20,14 @@ from gelform.calibration.candidates import (
     fitted_responses,
     training_samples,
 )
-from gelform.calibration.circles.find import ContactCircle
+from gelform.calibration.circles.find import TRIAL_SAMPLES, ContactCircle, PreparedPress
 from gelform.calibration.circles.locate import refine
 from gelform.calibration.circles.prepare import find_contacts, prepare, prepared_by_offset
-from gelform.calibration.circles.samples import TRIAL_SAMPLES, PreparedPress
-from gelform.calibration.enough import NEEDED
+from gelform.calibration.coverage import NEEDED
 from gelform.calibration.held_out.scores import score_of
 from gelform.calibration.presses.press_set import Presses
 from gelform.calibration_file import Calibration
-from gelform.foundations.progress import Progress, no_progress
+from gelform.foundations.findings import Progress, no_progress
 from gelform.slopes.color_models import COLOR_MODELS
 
 SIZES = (5, 10, 15, 20, 30, 45, 70, 100, 150)  # numbers of training presses

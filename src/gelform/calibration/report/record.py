@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from gelform.calibration.balls import BallReading
 from gelform.calibration.candidates import Start
 from gelform.calibration.circles.locate import Located
-from gelform.calibration.enough import NEEDED
+from gelform.calibration.coverage import NEEDED
 from gelform.calibration.fitted import Fitted
 from gelform.calibration.held_out.measure import HeldOutSample, Judged
 from gelform.calibration.held_out.scores import Selection
-from gelform.foundations.npz_files import DIGEST_SHOWN
+from gelform.calibration.inputs import BallReading
+from gelform.foundations.files import DIGEST_SHOWN
 from gelform.result.metrics import PressErrors
 
 

@@ -171,9 +171,9 @@ def batch(
     """
     given.check(frames.background)
     from gelform.batch import RunOptions, run_batch
-    from gelform.calibration.library.choose import NoCalibration
-    from gelform.cli.sensor_images import starter_given
-    from gelform.cli.tally import status_of
+    from gelform.calibration.library.library import NoCalibration
+    from gelform.cli.files import starter_given
+    from gelform.cli.process import status_of
 
     settings = results.settings(frames)
     table = one_of(results.table, ("auto", "parquet", "csv"), "--table")

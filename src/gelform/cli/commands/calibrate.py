@@ -1,4 +1,4 @@
-"""gelform calibrate: presses of a ball to a calibration."""
+"""gelform calibrate: presses of a ball to a calibration; gelform starter: one without a press."""
 
 from __future__ import annotations
 
@@ -9,8 +9,12 @@ from typing import TYPE_CHECKING, Annotated
 from typer import Argument, Option
 
 from gelform.cli.console import figure, say, show_table
+from gelform.cli.files import REPORT_FILES, check_output, check_report_folder, content_of, write_report
 from gelform.cli.options import (
     COLOR_MODELS,
+    STARTERS,
+    Bgr,
+    MmPerPx,
     NewCalibration,
     Overwrite,
     PressOptions,
@@ -19,7 +23,6 @@ from gelform.cli.options import (
     numbers,
     one_of,
 )
-from gelform.cli.outputs import REPORT_FILES, check_output, check_report_folder, content_of, write_report
 from gelform.cli.process import only_writer
 from gelform.errors import DataError
 
@@ -158,3 +161,46 @@ def _show(calibration: Calibration) -> None:
     show_table("Errors on held-out presses", columns, held_out)
     for note in report.notes:
         say(f"note: {note}")
+
+
+def starter(
+    *,
+    sensor: Annotated[str, Argument(metavar="SENSOR", help=f"Make of the sensor: {listed(STARTERS)}.")],
+    background: Annotated[
+        Path, Option(metavar="IMG|DIR", help="The unit's gel at rest: an image, or a folder of several.")
+    ],
+    output: NewCalibration,
+    bgr: Bgr = False,
+    mm_per_px: MmPerPx = None,
+    serial: Annotated[str | None, Option(metavar="TEXT", help="Serial number of the unit.")] = None,
+    gel: Annotated[str | None, Option(metavar="TEXT", help="Name of its gel.")] = None,
+    overwrite: Overwrite = False,
+    shown: ShownOption,
+) -> None:
+    """Make a calibration of a sensor without any press.
+
+    A starter is a general calibration of a make. The image of this unit's gel at rest adapts it to the unit's light.
+    Slopes and depth may be off by some percent. Every result says so, and its standard deviations include it.
+    For a better calibration, press a ball: gelform calibrate.
+
+    \b
+    Examples:
+      gelform starter gelsight-mini --background rest.png -o unit.npz
+      gelform starter digit --background rest/ -o unit.npz --serial D20123
+      gelform reconstruct frame.png -c unit.npz -o out
+    """
+    one_of(sensor, STARTERS, "SENSOR")
+    check_output(output, overwrite=overwrite)
+    from gelform.cli.files import starter_calibration
+
+    calibration = starter_calibration(
+        sensor, background, bgr=bgr, mm_per_px=mm_per_px, serial=serial, gel_id=gel
+    )
+    calibration.save(output, overwrite=overwrite)
+    if not shown.silent:
+        for finding in calibration.findings:
+            say(f"note: {finding.message}")
+    shown.say(f"Wrote {output}.")
+    described = calibration.describe()
+    kept = ("sensor_name", "serial", "gel_id", "image_shape", "mm_per_px", "settings", "digest")
+    shown.json({"calibration": str(output), **{key: described[key] for key in kept}})

@@ -58,7 +58,7 @@ def list_(
       gelform calibrations list --json
     """
     from gelform.calibration.library.library import date_of, entries, facts_of, library_folder
-    from gelform.foundations.npz_files import DIGEST_SHOWN
+    from gelform.foundations.files import DIGEST_SHOWN
 
     folder = library_folder()
     there = [one for one in entries(folder) if serial in (None, one.serial) and gel in (None, one.gel_id)]
@@ -178,8 +178,8 @@ def export_(
       gelform calibrations export 2BKRXXXX --gel gel-2 -o gel-2.npz
     """
     from gelform.calibration.library.library import matching
-    from gelform.cli.outputs import check_output
-    from gelform.foundations.npz_files import written_file
+    from gelform.cli.files import check_output
+    from gelform.foundations.files import written_file
 
     check_output(output, overwrite=overwrite)
     entry = _newest_whole(matching(which, gel))

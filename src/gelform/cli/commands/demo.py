@@ -10,7 +10,7 @@ from typer import Option
 
 from gelform.cli.console import check_pictures, json_bytes
 from gelform.cli.options import ShownOption
-from gelform.foundations.progress import Progress
+from gelform.foundations.findings import Progress
 
 if TYPE_CHECKING:
     from gelform.calibration_file import Calibration
@@ -38,7 +38,7 @@ def demo(
       gelform demo
       gelform demo -o somewhere --json
     """
-    from gelform.exchange.exporters.folders import written_whole
+    from gelform.exchange.exporters.press_folder import written_whole
 
     check_pictures()
     started = time.monotonic()
@@ -90,7 +90,7 @@ def _simulated(folder: Path, progress: Progress) -> SimulatedSensor:
 def _calibrated(folder: Path, progress: Progress) -> Calibration:
     from gelform.calibration.fit import calibrate
     from gelform.calibration.presses.folder import read_presses
-    from gelform.cli.outputs import content_of, write_report
+    from gelform.cli.files import content_of, write_report
 
     presses = read_presses(folder / "presses", progress=progress)
     calibration = calibrate(presses, progress=progress)
@@ -123,8 +123,7 @@ def _compared(folder: Path, name: str, press: SimulatedPress, calibration: Calib
     """Reconstruct one object with the calibration, and compare it with the truth."""
     import numpy as np
 
-    from gelform.exchange.plots.canvas import save_picture
-    from gelform.exchange.plots.result import picture
+    from gelform.exchange.plots import picture, save_picture
     from gelform.reconstruct import Reconstructor
     from gelform.result import save_result
     from gelform.result.metrics import angle_deg

@@ -8,6 +8,7 @@ from typing import Annotated
 from typer import Argument, BadParameter, Option
 
 from gelform.cli.console import say
+from gelform.cli.files import check_output
 from gelform.cli.options import (
     PACKAGES,
     Background,
@@ -19,7 +20,6 @@ from gelform.cli.options import (
     listed,
     one_of,
 )
-from gelform.cli.outputs import check_output
 from gelform.cli.process import mistakes_in
 from gelform.errors import DataError
 
@@ -138,7 +138,7 @@ def export(
       gelform export out/coin.npz --to stl -o coin.stl
     """
     from gelform.calibration_file import KIND as CALIBRATION
-    from gelform.foundations.npz_files import kind_of_npz
+    from gelform.foundations.files import kind_of_npz
     from gelform.result import KIND as RESULT
 
     to = one_of(to, RENDERERS + FILES, "--to")

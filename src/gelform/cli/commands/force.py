@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Argument, Option
 
 from gelform.cli.console import figure
+from gelform.cli.files import check_output
 from gelform.cli.options import Background, Bgr, CalibrationFile, Overwrite, ShownOption
-from gelform.cli.outputs import check_output
 from gelform.cli.process import only_writer
 
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ def calibrate(
     check_output(output or calibration, overwrite=overwrite)
     from gelform.calibration.loads import LAGS
     from gelform.calibration_file import load_calibration
-    from gelform.depth.force.fit import calibrate_force
+    from gelform.depth.force_fit import calibrate_force
 
     loaded = load_calibration(calibration)
     with only_writer(output or calibration):
@@ -115,8 +115,8 @@ def evaluate(
       gelform force evaluate more_loads/ -c cal.npz --json > errors.json
     """
     from gelform.calibration_file import load_calibration
-    from gelform.depth.force.fit import evaluate_force, sigma_ratio
-    from gelform.depth.force.model import NO_LOADS
+    from gelform.depth.force import NO_LOADS
+    from gelform.depth.force_fit import evaluate_force, sigma_ratio
     from gelform.errors import CalibrationError
 
     loaded = load_calibration(calibration)

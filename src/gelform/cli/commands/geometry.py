@@ -94,7 +94,7 @@ def _scale_of_points(marked: tuple[float, ...]) -> Scale:
 
 
 def _scale_of_images(setup: SensorSetup, paths: list[Path], mm: float) -> Scale:
-    from gelform.calibration.geometry.scale_images import scale_from_stage
+    from gelform.calibration.geometry.scale import scale_from_stage
 
     with mistakes_in("--stage"):
         first, second = (setup.image(path) for path in paths)
@@ -183,8 +183,8 @@ def _write_grid(
 
 
 def _write_crosstalk(place: Path, led_frames: tuple[Path, Path, Path], bgr: bool) -> dict[str, Any]:
-    from gelform.calibration.geometry.crosstalk import crosstalk_from_frames
     from gelform.calibration.geometry.files import save_crosstalk
+    from gelform.calibration.geometry.measured import crosstalk_from_frames
     from gelform.sensors.files import read_image, read_sensor_toml
 
     settings = read_sensor_toml(place / "sensor.toml" if place.is_dir() else place)

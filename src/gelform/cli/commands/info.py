@@ -1,10 +1,15 @@
-"""gelform info: what a file or folder is and what is missing, as readable lines or as JSON."""
+"""gelform info: what a file or folder is and what is missing, and facts of the machine for a bug report."""
 
 from __future__ import annotations
 
+import os
+import platform
+import re
+import sys
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict
+from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,7 +21,130 @@ from gelform.errors import DataError, GelformError
 
 if TYPE_CHECKING:
     from gelform.result import Reconstruction
-    from gelform.sensors.recordings.facts import RecordingSummary
+    from gelform.sensors.playback import RecordingSummary
+
+VARIABLES = ("GELFORM_ISA", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")  # they change speed or kernels
+OPENCV = (
+    "opencv-python",
+    "opencv-contrib-python",
+    "opencv-python-headless",
+    "opencv-contrib-python-headless",
+)
+OF_DEVELOPERS = {"dev", "docs"}  # extras that only developers need
+_REQUIREMENT = re.compile(r"(?P<name>[\w.-]+)[^;]*(?:;(?P<marker>.*))?")
+
+
+def system_facts() -> dict[str, Any]:
+    """Versions, processor, instruction set, extras and cameras of this machine."""
+    from gelform import __version__
+
+    core, extras = _requirements(_declared())
+    return {
+        "kind": "system",
+        "gelform": __version__,
+        "python": f"{platform.python_version()} ({platform.python_implementation()})",
+        "system": platform.platform(),
+        "processor": f"{platform.machine()}, {os.cpu_count()} cores",
+        "kernels": _kernels(),
+        "variables": {name: os.environ[name] for name in VARIABLES if name in os.environ},
+        "packages": {name: _version(name) or "missing" for name in core},
+        "opencv": _opencv(),
+        "extras": {extra: _extra(names) for extra, names in extras.items()},
+        "cameras": _cameras(),
+    }
+
+
+def system_lines(facts: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """One line per fact; several lines for facts with several values."""
+    lines: list[tuple[str, str]] = []
+    for name, value in facts.items():
+        if isinstance(value, dict):
+            lines += [(label, str(text)) for label, text in value.items()]
+        elif isinstance(value, list):
+            lines += [("camera", str(one)) for one in value] or [("camera", "none")]
+        elif name != "kind":
+            lines.append((name, str(value)))
+    return lines
+
+
+def _declared() -> list[str]:
+    """The requirements of the installed gelform; empty for a checkout that is only on the path."""
+    try:
+        return requires("gelform") or []
+    except PackageNotFoundError:
+        return []
+
+
+def _requirements(declared: Iterable[str]) -> tuple[list[str], dict[str, list[str]]]:
+    """Names of the packages that gelform always needs, and those of each extra, for this version of Python."""
+    core: list[str] = []
+    extras: dict[str, list[str]] = {}
+    for requirement in declared:
+        found = _REQUIREMENT.fullmatch(requirement)
+        if found is None or not _for_this_python(found["marker"] or ""):
+            continue
+        extra = re.search(r"extra\s*==\s*['\"]([\w-]+)['\"]", found["marker"] or "")
+        if extra is None:
+            core.append(found["name"])
+        elif extra[1] not in OF_DEVELOPERS:
+            extras.setdefault(extra[1], []).append(found["name"])
+    return core, extras
+
+
+def _for_this_python(marker: str) -> bool:
+    """Whether a marker's condition on Python's version holds here."""
+    for compared, major, minor in re.findall(r"python_version\s*(<|>=)\s*['\"](\d+)\.(\d+)['\"]", marker):
+        below = sys.version_info[:2] < (int(major), int(minor))
+        if below != (compared == "<"):
+            return False
+    return True
+
+
+def _opencv() -> str:
+    """Every installed distribution of OpenCV: all of them write the one folder cv2, and the last one installed wins."""
+    found = [f"{name} {known}" for name in OPENCV if (known := _version(name)) is not None]
+    if len(found) < 2:
+        return ", ".join(found) or "none that pip knows"
+    return f"{', '.join(found)}: they overwrite each other's cv2, so cv2.imshow may be missing (docs/installing.md)"
+
+
+def _version(package: str) -> str | None:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return None
+
+
+def _extra(names: Iterable[str]) -> str:
+    """The versions of an extra's packages, or the missing ones."""
+    found = {name: _version(name) for name in names}
+    missing = [name for name, known in found.items() if known is None]
+    if missing:
+        return f"missing: {', '.join(missing)}"
+    return ", ".join(f"{name} {known}" for name, known in found.items())
+
+
+def _kernels() -> str:
+    """The instruction set in use, or the reason why the kernels cannot be loaded."""
+    from gelform._native import instruction_set, library
+
+    try:
+        chosen = instruction_set()
+        library(chosen)
+    except (GelformError, ValueError) as problem:
+        return str(problem)
+    return chosen
+
+
+def _cameras() -> list[str]:
+    """Name and USB id of each camera; no serial number, because it identifies a unit and perhaps its owner."""
+    from gelform.sensors.cameras import cameras_there
+
+    try:
+        found = cameras_there()
+    except (GelformError, OSError) as problem:
+        return [f"not known: {problem}"]
+    return [f"{one.name} ({one.usb_id or 'not on USB'}, {one.kind or 'no known sensor'})" for one in found]
 
 
 Facts = Mapping[str, Any]
@@ -68,7 +196,6 @@ def info(
 
 
 def _system() -> dict[str, Any]:
-    from gelform.cli.system import system_facts
 
     return system_facts()
 
@@ -81,7 +208,7 @@ def _facts(path: Path) -> dict[str, Any]:
 
 def _file(path: Path) -> dict[str, Any]:
     from gelform.calibration_file import KIND as CALIBRATION
-    from gelform.foundations.npz_files import kind_of_npz
+    from gelform.foundations.files import kind_of_npz
     from gelform.result import KIND as RESULT
 
     kind = kind_of_npz(path)
@@ -101,7 +228,7 @@ def _file(path: Path) -> dict[str, Any]:
 
         return _recording(mcap_summary(path))
     if path.suffix == ".npz":
-        from gelform.foundations.foreign_files import way_for
+        from gelform.foundations.files import way_for
 
         raise DataError(
             f"{path} is neither a calibration nor a result of gelform's, or it is damaged.{way_for(path)}"
@@ -170,7 +297,7 @@ def _result(path: Path) -> dict[str, Any]:
 
 def _roughness(result: Reconstruction) -> dict[str, Any] | None:
     """The roughness of the contact by ISO 25178; None without a scale or if the contact is too small."""
-    from gelform.result.metrics.roughness import LEAST_PX, areal_roughness
+    from gelform.result.metrics import LEAST_PX, areal_roughness
 
     inside = result.contact & result.known
     if not isinstance(result.mm_per_px, float) or int(inside.sum()) < LEAST_PX:
@@ -181,7 +308,7 @@ def _roughness(result: Reconstruction) -> dict[str, Any] | None:
 
 def _video(path: Path) -> dict[str, Any]:
     """The facts that the file states; calibration finds the presses."""
-    from gelform.sensors.video_files import Video
+    from gelform.sensors.files import Video
 
     video = Video(path)
     facts = video.facts
@@ -251,7 +378,7 @@ def _images(names: set[str]) -> int:
 
 def _presses(path: Path, layout: str | None) -> dict[str, Any]:
     """The presses as calibration reads them; an error of the reader is listed as missing."""
-    from gelform.calibration.circles.repeated import count_presses
+    from gelform.calibration.circles.locate import count_presses
     from gelform.calibration.presses.folder import read_presses
 
     try:
@@ -376,7 +503,6 @@ def _plain_lines(facts: Facts) -> Lines:
 
 
 def _system_lines(facts: Facts) -> Lines:
-    from gelform.cli.system import system_lines
 
     return system_lines(facts)
 

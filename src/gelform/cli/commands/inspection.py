@@ -10,6 +10,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Argument, BadParameter, Option
 
 from gelform.cli.console import figure, say
+from gelform.cli.files import (
+    calibration_given,
+    image_in,
+    images_of,
+    make_folder,
+    picture_paths,
+    prepared,
+    reconstruction_of,
+)
 from gelform.cli.options import (
     Background,
     Bgr,
@@ -21,8 +30,6 @@ from gelform.cli.options import (
     PressOptions,
     ShownOption,
 )
-from gelform.cli.outputs import make_folder, picture_paths
-from gelform.cli.sensor_images import calibration_given, image_in, images_of, prepared, reconstruction_of
 from gelform.errors import CalibrationError, DataError
 
 if TYPE_CHECKING:
@@ -227,7 +234,7 @@ def _compare_one(
     names: tuple[str, str],
     bgr: bool,
 ) -> dict[str, Any]:
-    from gelform.exchange.plots.comparison import compare_results, comparison_picture
+    from gelform.exchange.plots import compare_results, comparison_picture
 
     images = [image_in(path, run.calibration, bgr=bgr) for run in pair]
     a, b = (reconstruction_of(run, image, path) for run, image in zip(pair, images))
@@ -263,7 +270,7 @@ def explain(
     given.check(background)
     images = images_of(images, background)
     pictures = _pictures(images, output, [given.calibration, background], overwrite)
-    from gelform.calibration.library.choose import unit_of_all
+    from gelform.calibration.library.library import unit_of_all
 
     used = calibration_given(given, background, lambda: unit_of_all(images), shown.silent)
     run = prepared(used, background)
@@ -296,7 +303,7 @@ def _explain_one(run: Reconstructor, path: Path, picture: NewPicture | None, bgr
     except CalibrationError as problem:
         raise CalibrationError(f"{path}: {problem}") from problem
     if picture is not None:
-        from gelform.exchange.plots.explanation import explanation_picture
+        from gelform.exchange.plots import explanation_picture
 
         picture.save(explanation_picture(found, image))
     return {"image": str(path), "picture": picture and str(picture.path), **found.to_dict()}
@@ -310,7 +317,7 @@ class NewPicture:
     overwrite: bool
 
     def save(self, pixels: NDArray[np.uint8]) -> None:
-        from gelform.exchange.plots.canvas import save_picture
+        from gelform.exchange.plots import save_picture
 
         make_folder(self.path.parent)
         save_picture(self.path, pixels, overwrite=self.overwrite)

@@ -12,6 +12,16 @@ import typer
 from typer import Argument, BadParameter, Option
 
 from gelform.cli.console import check_pictures, figure, say
+from gelform.cli.files import (
+    calibration_given,
+    check_results,
+    image_in,
+    images_or_film,
+    make_folder,
+    prepared,
+    reconstruction_of,
+    result_paths,
+)
 from gelform.cli.options import (
     AcceptDoubtful,
     Background,
@@ -22,9 +32,7 @@ from gelform.cli.options import (
     ShownOption,
     one_of,
 )
-from gelform.cli.outputs import check_results, make_folder, result_paths
 from gelform.cli.process import MISTAKE, one_line
-from gelform.cli.sensor_images import calibration_given, image_in, images_or_film, prepared, reconstruction_of
 from gelform.errors import GelformError, reason
 from gelform.foundations.findings import FrameTally
 
@@ -128,7 +136,7 @@ def reconstruct(
     check_results([*checked, sheet], overwrite=overwrite or skip_existing, protected=protected)
     if "png" in wanted:
         check_pictures()
-    from gelform.calibration.library.choose import unit_of_all
+    from gelform.calibration.library.library import unit_of_all
     from gelform.depth.solvers import SOLVERS
 
     one_of(solver, ("auto", *SOLVERS), "--solver")
@@ -156,8 +164,8 @@ def reconstruct(
         skipped = len(images) - len(todo)
         shown.say(f"{len(rows)} of {len(images)} images done, {skipped} skipped, {len(failed)} failed.")
     if tiles:
-        from gelform.batch.finish import contact_sheet
-        from gelform.foundations.npz_files import written_file
+        from gelform.batch.run import contact_sheet
+        from gelform.foundations.files import written_file
 
         with written_file(sheet["png"], overwrite=overwrite or skip_existing) as file:
             pitch = run.calibration.mm_per_px
@@ -167,7 +175,7 @@ def reconstruct(
     shown.json({"results": rows, "failed": failed})
     if failed or (strict and any(row["findings"] for row in rows)):
         raise typer.Exit(MISTAKE)
-    from gelform.cli.tally import status_of
+    from gelform.cli.process import status_of
 
     raise typer.Exit(status_of(tally, accept_doubtful=accept_doubtful, quiet=True))
 
@@ -231,8 +239,7 @@ def _write(
 
             save_surface(result, results[name], overwrite=overwrite)
     if "png" in results:
-        from gelform.exchange.plots.canvas import save_picture
-        from gelform.exchange.plots.result import picture
+        from gelform.exchange.plots import picture, save_picture
 
         save_picture(results["png"], picture(result, image), overwrite=overwrite)
 

@@ -14,6 +14,7 @@ import typer
 from typer import Argument, Option
 
 from gelform.cli.console import say
+from gelform.cli.files import background_in, calibration_given
 from gelform.cli.options import (
     ALL_TOPICS,
     USUAL_TOPICS,
@@ -28,7 +29,6 @@ from gelform.cli.options import (
     usage_errors,
 )
 from gelform.cli.process import DOUBT, mistakes_in
-from gelform.cli.sensor_images import background_in, calibration_given
 from gelform.errors import DataError
 from gelform.robots.topics import MAX_DOMAIN, ROUTER, TOPICS, check_sensor_name, check_topics
 
@@ -98,7 +98,7 @@ def bag(
       gelform bag video.mp4 --sensor digit --background rest.png -o press_bag
       gelform bag video.mp4 -c cal.npz -o press_bag --topics indentation,diagnostics
     """
-    from gelform.calibration.library.choose import unit_of
+    from gelform.calibration.library.library import unit_of
     from gelform.robots.send import save_bag
 
     wanted = sent.wanted()
@@ -138,7 +138,7 @@ def ros(
       gelform ros 2BKRXXXX -c cal.npz --name left_finger --topics indentation,diagnostics
       gelform ros session.mcap -c cal.npz --router tcp/192.168.1.5:7447 --domain 7
     """
-    from gelform.calibration.library.choose import unit_of
+    from gelform.calibration.library.library import unit_of
     from gelform.robots.send import publish
 
     wanted = sent.wanted()
@@ -181,8 +181,8 @@ def track(
       gelform track video.mp4 -c cal.npz -o track.csv --prior 0.1,0.5
       gelform track session.mcap -c cal.npz -o track.csv --surface plate.ply
     """
-    from gelform.calibration.library.choose import unit_of
-    from gelform.cli.outputs import check_output
+    from gelform.calibration.library.library import unit_of
+    from gelform.cli.files import check_output
     from gelform.motion.between import LOST, checked_prior
     from gelform.motion.track import Follower
     from gelform.sensors.source import open_source
@@ -218,7 +218,7 @@ def track(
         rows = [(reason, str(count)) for reason, count in reasons.most_common()]
         shown.table("Frames without a pose", ("reason", "frames"), rows)
     if surface is not None:
-        from gelform.motion.mosaic import mosaic
+        from gelform.motion.track import mosaic
 
         chosen = [k for k in results if poses[k].motion.pose is not None]
         whole = mosaic([results[k] for k in chosen], [poses[k] for k in chosen])
@@ -243,10 +243,9 @@ def _frames_of(source: str, running: Stream) -> Iterator[StreamFrame]:
 
 def frames_stated(source: str) -> int:
     """The number of frames that a video, a folder or a file of several images has; 0 for other sources."""
-    from gelform.sensors.files import is_stack
+    from gelform.sensors.files import USUAL_RATE_HZ, Video, is_stack, is_video
     from gelform.sensors.playback import images_by_number
     from gelform.sensors.recordings.mcap_reader import is_bag_folder
-    from gelform.sensors.video_files import USUAL_RATE_HZ, Video, is_video
 
     path = Path(source)
     if path.is_file() and is_video(path):
@@ -259,9 +258,8 @@ def frames_stated(source: str) -> int:
 def _write_poses(poses: list[Tracked], path: Path, overwrite: bool) -> None:
     import numpy as np
 
-    from gelform.foundations.npz_files import written_file
-    from gelform.foundations.tables import table_text
-    from gelform.motion.rigid import step_of_pose
+    from gelform.foundations.files import table_text, written_file
+    from gelform.motion.surface import step_of_pose
 
     axes = ("x_mm", "y_mm", "z_mm", "turn_x_deg", "turn_y_deg", "turn_z_deg")
     sigmas = [f"sigma_{one}" for one in axes]
@@ -295,7 +293,7 @@ def _write_surface(whole: Reconstruction, path: Path, overwrite: bool) -> None:
 
 
 def _end(stats: SentStats, sent: Sent, shown: ShownOption) -> NoReturn:
-    from gelform.cli.tally import status_of
+    from gelform.cli.process import status_of
 
     status = status_of(stats.tally, accept_doubtful=sent.accept_doubtful, quiet=shown.silent)
     if stats.problem:

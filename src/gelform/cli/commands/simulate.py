@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 from typer import Argument, BadParameter, Option
 
 from gelform.cli.console import check_pictures, figure, say
+from gelform.cli.files import check_output
 from gelform.cli.options import (
     FORMS,
     LAYOUTS,
@@ -22,7 +23,6 @@ from gelform.cli.options import (
     pitch,
     usage_errors,
 )
-from gelform.cli.outputs import check_output
 from gelform.cli.process import mistakes_in
 
 if TYPE_CHECKING:
@@ -151,11 +151,11 @@ def simulate(
             check_press_depth(made, face.depth_mm)
     with shown.progress() as progress:
         if pressed is not None:
-            from gelform.exchange.exporters.simulated import save_simulated_press
+            from gelform.exchange.exporters.press_folder import save_simulated_press
 
             save_simulated_press(output, made, pressed, depth_mm=face.depth_mm, seed=seed, twin=twin)
         else:
-            from gelform.exchange.exporters.simulated import SetOfPresses, save_simulated_set
+            from gelform.exchange.exporters.press_folder import SetOfPresses, save_simulated_set
 
             oversample = 1 if twin is not None else 3  # a twin answers to the slope at the pixel's center
             diameters = tuple(balls.ball_diameter_mm)
@@ -173,7 +173,7 @@ def simulate(
 
 def sensor_of(name_or_file: str) -> SimulatedSensor:
     """A ready-made sensor by name, or one from a TOML file."""
-    from gelform.sensors.simulated.settings import read_simulated_sensor, simulated_sensor_named
+    from gelform.sensors.simulated import read_simulated_sensor, simulated_sensor_named
 
     if name_or_file.endswith(".toml"):
         return read_simulated_sensor(name_or_file)
@@ -211,7 +211,7 @@ def _twin_of_tables(path: Path, look: LookOptions) -> Twin:
 
 
 def _height_map(path: Path, mm_per_px: float | None) -> HeightMap:
-    from gelform.foundations.npz_files import read_npy
+    from gelform.foundations.files import read_npy
     from gelform.simulate import HeightMap
 
     if mm_per_px is None:
@@ -258,7 +258,7 @@ def design(
         results = compare_designs(chosen, presses=presses, seed=seed, progress=progress)
     if output is not None:
         from gelform.calibration.design import design_picture
-        from gelform.exchange.plots.canvas import save_picture
+        from gelform.exchange.plots import save_picture
 
         save_picture(output, design_picture(results), overwrite=overwrite)
     rows = [

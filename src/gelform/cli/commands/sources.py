@@ -19,7 +19,7 @@ from gelform.cli.options import Bgr, MmPerPx, Sensor, ShownOption, ball_diameter
 from gelform.errors import CalibrationError, DataError, GelformError
 
 if TYPE_CHECKING:
-    from gelform.sensors.cameras.camera import Camera
+    from gelform.sensors.cameras import Camera
     from gelform.sensors.grabber import Grabber, GrabberStats
     from gelform.sensors.recordings.record import RecordStats
 
@@ -97,7 +97,7 @@ def cameras(
       gelform cameras --no-measure
       gelform cameras --json
     """
-    from gelform.sensors.cameras.camera import NOTHING_THERE, cameras_there
+    from gelform.sensors.cameras import NOTHING_THERE, cameras_there
 
     found = [_camera_facts(camera, measure) for camera in cameras_there()]
     if shown.as_json:
@@ -131,7 +131,7 @@ def _camera_facts(camera: Camera, measure: bool) -> dict[str, Any]:
     }
     if not measure:
         return facts
-    from gelform.sensors.cameras.usb import UsbCamera
+    from gelform.sensors.cameras import UsbCamera
     from gelform.sensors.grabber import Grabber
 
     try:
@@ -313,8 +313,7 @@ def _presses(opened: Any, output: Path, wanted: PressesTaken, shown: ShownOption
 def _at_rest(grabber: Grabber, key: Any, settings: Any) -> list[Any]:
     """Frames of the gel at rest; if something seems to touch it, those of the next space bar, [] without one."""
     from gelform.calibration.starters import starter_for
-    from gelform.image.background.average import background_from_frames
-    from gelform.image.background.surround import surround_finding
+    from gelform.image.background import background_from_frames, surround_finding
     from gelform.image.view import image_from_frame
 
     images = _fresh(grabber, BACKGROUND_FRAMES)
@@ -405,7 +404,7 @@ def _settings(pairs: list[str]) -> dict[str, float | str]:
         except ValueError:
             raise BadParameter(f"expected a number in {pair!r}.", param_hint="--set") from None
     if settings:
-        from gelform.sensors.cameras.settings import check_settings
+        from gelform.sensors.cameras import check_settings
 
         with usage_errors("--set"):
             return check_settings(settings)

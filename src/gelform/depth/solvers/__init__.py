@@ -3,13 +3,10 @@
 `docs/choosing-a-solver.md` compares them, `docs/adding-a-solver.md` explains how to write one.
 """
 
-from gelform.depth.solvers.at_least import AtLeastSolver
-from gelform.depth.solvers.curl_gated import CurlGatedSolver
 from gelform.depth.solvers.dct import Dct4Solver, DctSolver
-from gelform.depth.solvers.multigrid import MultigridSolver
-from gelform.depth.solvers.robust import HuberSolver, L1Solver, RobustSolver
+from gelform.depth.solvers.robust import CurlGatedSolver, HuberSolver, L1Solver, RobustSolver
 from gelform.depth.solvers.seam import Solution, Solver, Weights
-from gelform.depth.solvers.sparse import SparseSolver
+from gelform.depth.solvers.weighted import AtLeastSolver, MultigridSolver, SparseSolver
 
 # SOLVERS[name](shape, mm_per_px) prepares a solver.
 SOLVERS: dict[str, type[Solver]] = {

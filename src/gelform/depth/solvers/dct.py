@@ -17,8 +17,7 @@ import scipy  # its parts load at first use; the usual sizes need none of them
 from numpy.typing import NDArray
 
 from gelform._native import Kernel
-from gelform.depth.solvers.seam import Solution, Weights
-from gelform.depth.solvers.system import divergence, edges_from_gradients
+from gelform.depth.solvers.seam import Solution, Weights, divergence, edges_from_gradients
 from gelform.foundations.pool import Pool
 
 # bytes, floats: a row stride that is a multiple of the first maps a column onto a few cache lines, so rows get longer.

@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.errors import DataError, needed
-from gelform.exchange.exporters.folders import write_csv, written_whole
+from gelform.exchange.exporters.press_folder import write_csv, written_whole
 from gelform.foundations.pictures import picture_bytes
 from gelform.image.frame import Frame
-from gelform.sensors.recordings.facts import RecordingFacts
+from gelform.sensors.playback import RecordingFacts
 from gelform.sensors.recordings.mcap_writer import McapRecording
 from gelform.simulate import Indenter, Pose, SimulatedSensor, Twin, simulate_sequence
 

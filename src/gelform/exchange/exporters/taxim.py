@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 
 from gelform.calibration_file import Calibration, as_calibration
 from gelform.errors import CalibrationError
-from gelform.exchange.exporters.folders import written_whole
+from gelform.exchange.exporters.press_folder import written_whole
 from gelform.foundations.checks import check_choice, check_path
 from gelform.foundations.pictures import picture_bytes
-from gelform.image.background.change import image_from_color_change
+from gelform.image.background import image_from_color_change
 from gelform.simulate.twin import STEEPEST_RENDERED
 
 RENDERERS = {  # channel (of R, G, B) that each renderer reads from grad_r, grad_g, grad_b

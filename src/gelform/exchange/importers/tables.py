@@ -23,9 +23,8 @@ from numpy.typing import NDArray
 
 from gelform.errors import DataError, said
 from gelform.foundations.checks import check_numbers, check_path, check_positive
-from gelform.foundations.npz_files import DAMAGED_ARCHIVE, checked_archive, read_npy
-from gelform.foundations.whole_files import MAX_ARRAY_BYTES, bytes_of
-from gelform.slopes.color_models.lookup import LookupModel
+from gelform.foundations.files import DAMAGED_ARCHIVE, MAX_ARRAY_BYTES, bytes_of, checked_archive, read_npy
+from gelform.slopes.color_models.tables import LookupModel
 
 RANGE_LEVELS = (-90.0, 90.0)  # gray levels, the usual range of differences in a look-up table without one
 MATLAB_LEVELS = (

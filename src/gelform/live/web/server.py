@@ -55,9 +55,8 @@ class Server:
         """A uvicorn server of the hub's application, with its limits."""
         import uvicorn
 
-        from gelform.live.web.app import make_app
+        from gelform.live.web.app import Access, make_app
         from gelform.live.web.connections import HttpConnection, WebsocketConnection
-        from gelform.live.web.guard import Access
 
         port = self._socket.getsockname()[1]
         anywhere = self._host in ALL_ADDRESSES

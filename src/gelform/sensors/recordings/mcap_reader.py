@@ -12,21 +12,22 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from gelform.errors import DataError, needed, said
-from gelform.foundations.foreign_files import conversion_of_bag
+from gelform.foundations.files import conversion_of_bag
 from gelform.image.frame import Frame
-from gelform.sensors.playback import Playback
-from gelform.sensors.recordings.facts import (
+from gelform.sensors.playback import (
+    Playback,
     RecordingFacts,
     RecordingSummary,
     image_from_encoded,
     reduction_in,
 )
-from gelform.sensors.recordings.mcap_writer import METADATA, TOPIC
-from gelform.sensors.recordings.messages import (
+from gelform.sensors.recordings.mcap_writer import (
     COLOR_ENCODINGS,
     MESSAGE_ENCODING,
+    METADATA,
     RAW_SCHEMA_NAME,
     SCHEMA_NAME,
+    TOPIC,
     picture_from_message,
     pixels_from_raw,
     raw_image_from_message,

@@ -23,15 +23,8 @@ from numpy.typing import NDArray
 from gelform.errors import CalibrationError
 from gelform.foundations.filters import robust_sigma
 from gelform.foundations.findings import Finding
-from gelform.image.background.check import check_untouched
-from gelform.image.background.light import (
-    FrameLight,
-    block_means,
-    light_at_rest,
-    light_from_blocks,
-    lit,
-    without_light,
-)
+from gelform.image.agreement import check_untouched
+from gelform.image.light import FrameLight, block_means, light_at_rest, light_from_blocks, lit, without_light
 from gelform.result import Reconstruction
 
 STEP_S, MEAN_S = 1.0, 3.0  # s: interval of the light's fits, and averaging time of the blocks for them

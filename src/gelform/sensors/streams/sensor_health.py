@@ -1,23 +1,280 @@
-"""Faults of a sensor that only a sequence of frames shows: named findings with figures."""
+"""Faults of a sensor that only a sequence of frames shows: marks on the gel, another gel, a lamp, a lost rate."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from gelform.calibration_file import Calibration
+from gelform.foundations.filters import robust_sigma
 from gelform.foundations.findings import Finding
-from gelform.image.background.check import room_light_finding
-from gelform.image.background.light import block_means, light_from_blocks
+from gelform.image.agreement import room_light_finding
+from gelform.image.light import block_means, light_from_blocks
+from gelform.image.registration import PreparedRegistration
 from gelform.sensors import settings_mismatch
 from gelform.sensors.grabber import Grabber
 from gelform.sensors.source import Source
 from gelform.sensors.streams.background_drift import DriftEvidence
-from gelform.sensors.streams.marks import Marks
-from gelform.sensors.streams.same_gel import SameGel
+
+SMOOTH_PX, WIDE_PX = 1.0, 8.0  # px, widths of the blur of the image and of its surroundings
+MARK_SIGMAS, LEAST_MARK_CHANGE = 6.0, 0.04  # standard deviations of noise; least fraction of the brightness
+MARK_STAYS = 3  # consecutive evidences, about ten seconds each
+LEAST_AREA_PX = 4  # px; a smaller area is noise
+LONG_PX, THIN = 10.0, 0.4  # a scratch: least length, px, and largest width / length; or ...
+GROOVE_THIN, BOTH_SIGNS = 0.6, 0.4  # ... width / length, if it is bright on one side and dark on the other
+TORN, TORN_AREA = 0.2, 0.0045  # a tear: fraction of the brightness, all channels; of the image
+DARK = 0.06  # mean loss of light by dust, a fraction; a slight bright spot does no harm
+CONTACT_AROUND = 0.5  # fraction of a mark's surroundings in contact; above it an object rests there
+AROUND_PX = 8  # px, width of a mark's surroundings
+BODY_PX = 15  # px; a wider contact is an object
+
+
+@dataclass(frozen=True)
+class Mark:
+    """One connected part of the image that differs from the start.
+
+    Attributes
+    ----------
+    name : "scratch", "dust", "tear"
+    area_px, length_px : int, float
+    change : float, relative, mean of all channels
+    """
+
+    name: str
+    area_px: int
+    length_px: float
+    change: float
+
+
+class Marks:
+    """Counts for how long each pixel has differed from the start without contact around it."""
+
+    def __init__(self) -> None:
+        self._stays: NDArray[np.uint8] | None = None
+
+    def __call__(self, evidence: DriftEvidence) -> tuple[Finding, ...]:
+        """Find `scratch`, `dust` and `tear`.
+
+        Their figures are the largest one's length or diameter, px, and image fraction.
+        """
+        change = np.asarray(evidence.image / np.maximum(evidence.lit, 1) - 1, dtype=np.float32)
+        odd = _stands_out(change, _near_a_body(evidence.contact))
+        if self._stays is None:
+            self._stays = np.zeros(odd.shape, np.uint8)
+        self._stays[:] = np.where(_dilated(odd, 1), np.minimum(self._stays + 1, 250), 0)
+        marks = _marks(odd & (self._stays >= MARK_STAYS), change, evidence.contact)
+        return tuple(_finding(name, marks, odd.size) for name in _WORDS if any(m.name == name for m in marks))
+
+
+_WORDS = {
+    "scratch": "A new line of {length:.0f} px has stayed on the gel: a scratch, or a fiber. Depth along it is wrong.",
+    "dust": "A new spot of {length:.0f} px has stayed on the gel: dust. Clean it.",
+    "tear": "{percent:.1f} % of the image has become {change:+.0f} % brighter and has stayed so. The coating is torn or "
+    "worn. Replace the gel.",
+}
+
+
+def _finding(name: str, marks: list[Mark], pixels: int) -> Finding:
+    largest = max((mark for mark in marks if mark.name == name), key=lambda mark: mark.area_px)
+    fraction = largest.area_px / pixels
+    message = _WORDS[name].format(
+        length=largest.length_px, percent=100 * fraction, change=100 * largest.change
+    )
+    return Finding(name, message, fraction if name == "tear" else largest.length_px)
+
+
+def _near_a_body(contact: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Pixels (H, W) in or near a contact that is wider than a mark: their relief belongs to the touching object."""
+    map8 = contact.view(np.uint8)
+    wide = cv2.morphologyEx(map8, cv2.MORPH_OPEN, np.ones((BODY_PX, BODY_PX), np.uint8))
+    count, labels = cv2.connectedComponents(map8, connectivity=8)
+    bodies = np.zeros(count, np.uint8)
+    bodies[labels[wide > 0]] = 1
+    return _dilated(bodies[labels], BODY_PX)
+
+
+def _dilated(mask: NDArray[Any], by_px: int) -> NDArray[np.bool_]:
+    """A mask (H, W) with a square margin."""
+    wide: NDArray[np.bool_] = cv2.dilate(mask.view(np.uint8), np.ones((2 * by_px + 1,) * 2, np.uint8)).view(
+        np.bool_
+    )
+    return wide
+
+
+def _stands_out(change: NDArray[np.float32], near_a_body: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Pixels (H, W) that are torn, or differ far more than others from their wide surroundings, in any channel."""
+    smooth = cv2.GaussianBlur(change, (0, 0), SMOOTH_PX)
+    height, width = change.shape[:2]
+    step = max(1, round(WIDE_PX / 2))
+    small = cv2.resize(smooth, (max(1, width // step), max(1, height // step)), interpolation=cv2.INTER_AREA)
+    wide = cv2.resize(cv2.medianBlur(small, 5), (width, height), interpolation=cv2.INTER_LINEAR)
+    off = np.abs(smooth - wide)
+    torn = np.abs(smooth).min(axis=-1) > TORN  # wider than the median's window
+    noise = robust_sigma(off[::2, ::2], axis=(0, 1))
+    odd = (off > np.maximum(MARK_SIGMAS * noise, LEAST_MARK_CHANGE)).any(axis=-1)
+    return np.asarray((odd & ~near_a_body) | torn)
+
+
+def _marks(where: NDArray[np.bool_], change: NDArray[np.float32], contact: NDArray[np.bool_]) -> list[Mark]:
+    count, labels, boxes, _ = cv2.connectedComponentsWithStats(where.view(np.uint8), connectivity=8)
+    marks = []
+    for label in range(1, count):
+        area = int(boxes[label][cv2.CC_STAT_AREA])
+        if area < LEAST_AREA_PX:
+            continue
+        mine = labels == label
+        name, length = _kind(mine, change[mine], area)
+        brighter = float(change[mine].mean())
+        if name == "dust" and brighter > -DARK:
+            continue
+        if name == "tear" or not _rests(mine, contact):
+            marks.append(Mark(name, area, length, brighter))
+    return marks
+
+
+def _kind(mine: NDArray[np.bool_], change: NDArray[np.float32], area: int) -> tuple[str, float]:
+    """The name and the length, px, of a mark (H, W) whose pixels changed by (N, 3)."""
+    y, x = np.nonzero(mine)
+    covariance = np.cov(np.stack([x, y])) if area > 1 else np.zeros((2, 2))
+    small, large = np.sqrt(np.maximum(np.linalg.eigvalsh(covariance), 0)) * np.sqrt(12) + 1
+    if area > TORN_AREA * mine.size and abs(change.mean()) > TORN:
+        return "tear", float(large)
+    thin = GROOVE_THIN if _has_both_signs(change) else THIN
+    return ("scratch" if large > LONG_PX and small < thin * large else "dust"), float(large)
+
+
+def _has_both_signs(change: NDArray[np.float32]) -> bool:
+    """Whether pixels (N, 3) became brighter and darker in equal measure, in the channel that changed most."""
+    sizes = np.abs(change).mean(axis=0)
+    most = int(sizes.argmax())
+    return float(abs(change[:, most].mean())) < BOTH_SIGNS * float(sizes[most])
+
+
+def _rests(mine: NDArray[np.bool_], contact: NDArray[np.bool_]) -> bool:
+    """Whether the mark lies inside a wide contact: an object rests on the gel, and the gel itself is unchanged."""
+    around = _dilated(mine, AROUND_PX) & ~mine
+    return float(contact[around].mean()) > CONTACT_AROUND
+
+
+MOVED_PX, TURNED_DEG = 0.5, 0.2  # least motion of a camera that moved
+MOVED_SIGMAS = 4.0  # standard deviations of the registration that the motion must exceed
+FINE_PX, COARSE_PX = 0.8, 2.0  # px, blur widths between which the texture lies
+MARGIN_PX = 12  # px at the border that a blur distorts
+# Correlation of the texture: least expected one, least fraction of it for the same gel, and the limit of that product.
+# The fraction is small because a touch adds its own texture.
+LEAST_EXPECTED, SAME_FRACTION, SAME_GEL = 0.08, 0.4, 0.07
+LEAST_FREE = 0.15  # fraction of the image that must be free of contact
+PATTERN = 0.02  # fraction of the brightness, not explained by smooth light: median over blocks
+PATTERN_PX = 16  # px, width of these blocks
+MOSTLY_DIFFERENT, GEL_STAYS = 0.9, 3  # fraction of the frames of about ten seconds; consecutive times
+OTHER_STAYS = 2  # consecutive times: a step of the light is not followed at once
+
+
+class SameGel:
+    """Compares a sequence's images with the background at its start.
+
+    Parameters
+    ----------
+    start : (H, W, 3) float32, 0-255
+    """
+
+    def __init__(self, start: NDArray[np.float32]) -> None:
+        self._registration = PreparedRegistration(start)
+        self._start = _texture(start)
+        self._before: NDArray[np.float32] | None = None
+        self._different = self._others = 0
+
+    def __call__(self, evidence: DriftEvidence) -> tuple[Finding, ...]:
+        """Find `camera_moved` (figure: px) or `other_gel` (figure: the difference, or the texture's correlation)."""
+        texture, before = _texture(evidence.image), self._before
+        self._before = texture
+        self._different = self._different + 1 if evidence.different > MOSTLY_DIFFERENT else 0
+        if self._different >= GEL_STAYS:
+            return (
+                _other_gel("Nearly all of the image has differed from the background image for long", 0.0),
+            )
+        free = ~evidence.touched
+        free[:MARGIN_PX] = free[-MARGIN_PX:] = free[:, :MARGIN_PX] = free[:, -MARGIN_PX:] = False
+        if free.mean() < LEAST_FREE:
+            return ()
+        moved = self._moved(evidence)
+        if moved:
+            return moved
+        other = self._other_pattern(evidence) or self._other_texture(texture, before, free)
+        self._others = self._others + 1 if other else 0
+        return other if self._others >= OTHER_STAYS else ()
+
+    def _moved(self, evidence: DriftEvidence) -> tuple[Finding, ...]:
+        # The slopes of this image must stay: those of a moved image look like light.
+        gains = evidence.lit.mean(axis=(0, 1)) / evidence.start.mean(axis=(0, 1))
+        found = self._registration(np.clip(evidence.image / gains, 0, 255), evidence.touched)
+        by_px = found.moved_px(MOVED_SIGMAS)
+        turned = abs(found.turn_deg) - MOVED_SIGMAS * found.turn_sigma_deg
+        if by_px < MOVED_PX and turned < TURNED_DEG:
+            return ()
+        x, y = found.shift_px
+        message = (
+            f"The image has moved by {x:+.1f} px in x and {y:+.1f} px in y, and turned by {found.turn_deg:+.2f} degrees "
+            "since the start. The camera, or the gel in its frame, has moved. Move it back, or calibrate again."
+        )
+        return (Finding("camera_moved", message, float(np.hypot(x, y))),)
+
+    def _other_pattern(self, evidence: DriftEvidence) -> tuple[Finding, ...]:
+        """A change of brightness nearly everywhere that smooth light does not explain."""
+        height, width = evidence.touched.shape
+        size = max(1, width // PATTERN_PX), max(1, height // PATTERN_PX)
+        ratio = (evidence.image + 1) / (evidence.lit + 1) - 1
+        blocks = cv2.resize(ratio, size, interpolation=cv2.INTER_AREA)
+        free = cv2.resize(evidence.touched.astype(np.float32), size, interpolation=cv2.INTER_AREA) < 0.5
+        off = float(np.median(np.abs(blocks[free]).max(axis=-1))) if free.any() else 0.0
+        if off < PATTERN:
+            return ()
+        said = (
+            f"Half of the gel at rest differs by {100 * off:.1f} % or more from the start in any smooth light"
+        )
+        return (_other_gel(said, off),)
+
+    def _other_texture(
+        self, now: NDArray[np.float32], before: NDArray[np.float32] | None, free: NDArray[np.bool_]
+    ) -> tuple[Finding, ...]:
+        """Texture that repeats from one evidence to the next, but differs from the start's."""
+        if before is None:
+            return ()
+        stays = _correlation(now[free], before[free])
+        expected = stays * float(np.std(now[free])) / max(float(np.std(self._start[free])), 1e-9)
+        found = _correlation(now[free], self._start[free])
+        if expected < LEAST_EXPECTED or found > min(SAME_FRACTION * expected, SAME_GEL):
+            return ()
+        said = f"The fine texture correlates with the calibration's by {found:.2f}, expected {min(expected, 1.0):.2f}"
+        return (_other_gel(said, found),)
+
+
+def _other_gel(said: str, figure: float) -> Finding:
+    return Finding(
+        "other_gel", f"{said}. The gel or the sensor is not the calibrated one. Calibrate this one.", figure
+    )
+
+
+def _texture(image: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Detail finer than 2 px and coarser than noise, (H, W): relative brightness, channels combined."""
+    logs = np.log(image.mean(axis=-1) + 10)
+    fine = cv2.GaussianBlur(logs, (0, 0), FINE_PX) - cv2.GaussianBlur(logs, (0, 0), COARSE_PX)
+    fine -= cv2.GaussianBlur(fine, (0, 0), 2 * COARSE_PX)  # curved shading is no texture
+    limit = 6 * float(robust_sigma(fine))
+    # Limit a single speck of dust.
+    return np.asarray(np.clip(fine, -limit, limit), dtype=np.float32)
+
+
+def _correlation(a: NDArray[np.float32], b: NDArray[np.float32]) -> float:
+    a, b = a - a.mean(), b - b.mean()
+    size = float(np.sqrt(np.dot(a, a) * np.dot(b, b)))
+    return float(np.dot(a, b)) / size if size > 0 else 0.0
+
 
 FROZEN = "frozen"
 FROZEN_S, FROZEN_FRAMES = 0.25, 3  # s and frames: videos repeat some frames; noise makes all others differ

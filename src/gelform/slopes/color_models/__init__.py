@@ -10,12 +10,8 @@ No color change means no slope, in every model.
 
 from gelform.slopes.color_models.forward_response import ForwardResponse
 from gelform.slopes.color_models.hierarchical import HierarchicalModel
-from gelform.slopes.color_models.interpolation import InterpolationModel
-from gelform.slopes.color_models.lambertian import LambertianModel
-from gelform.slopes.color_models.lookup import LookupModel
-from gelform.slopes.color_models.mlp import MlpModel
-from gelform.slopes.color_models.near_light import NearLightModel
-from gelform.slopes.color_models.network import NetworkModel
+from gelform.slopes.color_models.networks import MlpModel, NetworkModel
+from gelform.slopes.color_models.physical import LambertianModel, NearLightModel
 from gelform.slopes.color_models.polynomial import PolynomialModel
 from gelform.slopes.color_models.seam import (
     ColorModel,
@@ -24,6 +20,7 @@ from gelform.slopes.color_models.seam import (
     Samples,
     StartableModel,
 )
+from gelform.slopes.color_models.tables import InterpolationModel, LookupModel
 
 COLOR_MODELS: dict[str, type[FittableColorModel]] = {
     "lambertian": LambertianModel,

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from gelform._native import Kernel
 from gelform.foundations.checks import check_values, check_within
 from gelform.foundations.information import determined_by
-from gelform.slopes.color_models._shared.least_squares import (
+from gelform.slopes.color_models.least_squares import (
     ORDER_GROWTH,
     Term,
     VaryingRegression,

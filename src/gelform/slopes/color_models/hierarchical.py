@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from gelform._native import Kernel
 from gelform.foundations.checks import HIGHEST_SLOPE, check_within, value_range
 from gelform.foundations.filters import CHANGE_OFFSET
-from gelform.slopes.color_models._shared.least_squares import (
+from gelform.slopes.color_models.least_squares import (
     NODE_PX,
     VaryingRegression,
     at_pixels,

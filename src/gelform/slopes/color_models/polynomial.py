@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from gelform._native import Kernel
 from gelform.foundations.filters import CHANGE_OFFSET
-from gelform.slopes.color_models._shared.least_squares import (
+from gelform.slopes.color_models.least_squares import (
     HUBER_SLOPE,
     monomial_parents,
     monomials,

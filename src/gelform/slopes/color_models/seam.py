@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Protocol, TypeVar, get_args, get_origin, get_t
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.image.background.change import PendingChange
+from gelform.image.background import PendingChange
 
 T = TypeVar("T")
 

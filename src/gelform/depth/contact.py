@@ -1,0 +1,472 @@
+"""depth -> contact: the pixels where the pressure on the gel exceeds its own uncertainty, in regions that stand."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gelform._native import Kernel
+from gelform.depth.regions import labeled, runs_work
+from gelform.foundations.checks import (
+    check_map,
+    check_mm_per_px,
+    check_number,
+    check_positive,
+    check_within,
+    value_range,
+)
+from gelform.foundations.filters import LANES, MEDIAN_SAMPLES, SIGMA_OF_MEDIAN, bessel_k, blur_taps
+from gelform.foundations.findings import Finding
+
+# Chosen on every second or third press of six real sensors and on three simulated ones, so that one ball is one contact and
+# frames at rest have none; docs/contacts.md shows the other frames.
+NOISE_FACTOR = 3.5  # standard deviations: pressures over the noise at rest, depths of regions over their own
+# Noise factors that a region's own depth and its pressure exceed together, as the root of the sum of their squares.
+TOGETHER = 2.0
+INFLUENCE = 6.0  # relaxation lengths, reach of a pressure; beyond, its depth is a thousandth
+
+_region_evidence = Kernel(
+    "region_evidence",
+    "u16[h,w] labels, f32[h,w] depth, f32[h,w] sigma, f32[h,w] evidence, f32[h,w] smooth, f32[h,w] bent, f32[t] influence, "
+    "out f64[n,7] measures, f32 stiffness, f32 per_x, f32 per_y",
+)
+_variance_below = Kernel("variance_below", "f32[...] depth, f32[...] sigma, out f64[1] excess, i64 step")
+
+
+class Regions(NamedTuple):
+    """The regions of an outline, and the maps (H, W) that speak for them.
+
+    Attributes
+    ----------
+    number, labels : of the regions, from 1
+    depth, sigma : mm, and its standard deviation
+    evidence : square of the mean pressure around over its variance
+    smooth, bent : the depth smoothed, and minus its Laplacian
+    """
+
+    number: int
+    labels: NDArray[np.uint16]
+    depth: NDArray[np.float32]
+    sigma: NDArray[np.float32]
+    evidence: NDArray[np.float32]
+    smooth: NDArray[np.float32]
+    bent: NDArray[np.float32]
+
+
+class _Measures(NamedTuple):
+    """What speaks for each region, (n,)."""
+
+    area_px: NDArray[np.float64]
+    depth_mm: NDArray[np.float64]
+    deepest_yx: NDArray[np.int32]  # (n, 2)
+    deviation_mm: NDArray[np.float64]  # standard deviation of that depth
+    sigmas: NDArray[np.float64]  # the most standard deviations that a pressure is above 0
+    own_mm: NDArray[np.float64]  # the depth that its own pressure makes at its deepest pixel
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Which regions stand, by their own uncertainty.
+
+    A region's deepest depth has to exceed `noise_factor` of its own standard deviations. So do the pressure of a pixel and
+    the depth of the region's own pressure: gel that another object draws down has depth without pressure of its own.
+    The depth that a pressure makes at the distance r is `K0(r/L) / (2 pi)`.
+
+    No contact makes a negative depth. What negative depths have more than their standard deviations say, as of dust or of
+    another light, is the frame's own noise, and counts as one more error of the depth that a region makes.
+
+    Attributes
+    ----------
+    pitch : (x, y), mm
+    length_mm : L, the gel's relaxation length
+    noise_factor, min_area_mm2 : as in `contact_from_depth`
+    """
+
+    pitch: tuple[float, float]
+    length_mm: float
+    noise_factor: float
+    min_area_mm2: float
+
+    def __call__(self, regions: Regions) -> tuple[NDArray[np.bool_], NDArray[np.int32]]:
+        """Whether each label (labels + 1,) is a contact, and the (y, x) of its deepest pixel (labels + 1, 2)."""
+        found = self._measured(regions)
+        least_px = self.min_area_mm2 / (self.pitch[0] * self.pitch[1])
+        deep = (found.area_px >= least_px) & (found.depth_mm > self.noise_factor * found.deviation_mm)
+        noise = np.sqrt(found.deviation_mm**2 + self._variance_of_frame(regions))
+        own = np.minimum(found.own_mm, found.depth_mm) / np.maximum(noise, 1e-9)
+        both = np.minimum(own, found.sigmas) > self.noise_factor
+        stands = deep & both & (np.hypot(own, found.sigmas) > TOGETHER * self.noise_factor)
+        return np.append(False, stands), np.vstack([np.zeros((1, 2), np.int32), found.deepest_yx])
+
+    def _variance_of_frame(self, regions: Regions) -> float:
+        """What the negative depths have more than their own variance, mm^2."""
+        depth, excess = regions.depth, np.empty(1)
+        _variance_below(depth, regions.sigma, excess, step=max(1, depth.size // MEDIAN_SAMPLES))
+        return float(excess[0])
+
+    def _measured(self, regions: Regions) -> _Measures:
+        measures, area = np.empty((regions.number, 7)), self.pitch[0] * self.pitch[1]
+        per_x, per_y = (step**2 / area for step in self.pitch)
+        _region_evidence(
+            *regions[1:], influence=self._influence, measures=measures, stiffness=self.length_mm**-2, per_x=per_x,
+            per_y=per_y,
+        )  # fmt: skip
+        pixels, depth, x, y, deviation, square, own = measures.T
+        deepest = np.column_stack([y, x]).astype(np.int32)
+        return _Measures(pixels, depth, deepest, deviation, np.sqrt(square), own)
+
+    @cached_property
+    def _influence(self) -> NDArray[np.float32]:
+        """Depth, mm, that a pressure of 1/mm on a pixel makes, by squared distance in pixels of mean size."""
+        area = self.pitch[0] * self.pitch[1]
+        reach = min(
+            (INFLUENCE * self.length_mm) ** 2 / area, 1e6
+        )  # px^2; no contact is a thousand pixels wide
+        squares = np.arange(int(reach) + 2, dtype=np.float64)
+        squares[0] = 1 / (
+            np.pi * np.e
+        )  # where the logarithm is that of the mean over a disc of a pixel's area
+        depth = bessel_k(0, np.sqrt(squares * area) / self.length_mm) * area / (2 * np.pi)
+        return np.asarray(depth, dtype=np.float32)
+
+
+MIN_AREA_MM2 = 0.05  # mm^2, area of the smallest contact
+SMOOTHING_PX = 0.7  # px, standard deviation of the Gaussian that smooths before the Laplacian
+SHARE = (
+    2 / 3
+)  # of the mean pressure around a pixel, at which a contact ends; three simulated and six real sensors
+NEIGHBORHOOD_PX = 4  # px, half the width of the square around a pixel that means are taken over
+# px, half the width of the square that closes an outline, half the gap beside a cube's crest; and the share of the bed's
+# pressure that holds gaps and holes: half way between the membrane alone, 0, and a plane face, 1.
+CLOSING_PX, HELD_SHARE = 2, 0.5
+VALLEY_SIGMAS = (
+    5.0  # standard deviations, by which gel lies over its rest where the background image was pressed
+)
+SIGMAS_OF_DEPTH = 2.0  # standard deviations; only the part of a depth beyond them presses on the bed
+# mm, relaxation length of a gel that no press showed: the longest of six sensors (0.41 to 0.86). A shorter one than the
+# gel's takes gel that is drawn down for contact.
+USUAL_RELAXATION_MM = 0.86
+FRACTION_AT_REST = (
+    0.3  # smallest fraction of a frame that is taken to be at rest, where the noise is measured in it
+)
+SIGMA_OF_FRACTION = (
+    2.595  # deviation of a normal distribution over the magnitude that 30 % of its values lie below
+)
+SIGMAS_OF_95 = 1.96  # standard deviations of a normal distribution that 95 % of its magnitudes lie below
+LEAST_NOISE = 1e-3  # 1/mm, pressure of a depth without noise: what float32 rounds to
+
+_bent_surface = Kernel(
+    "bent_surface",
+    "f32[h,w] depth, f32[t] taps, out f32[h,w] smooth, out f32[h,w] bent, out f32[n] work, f32 along_x, f32 along_y, "
+    "i64 margin",
+)
+_magnitude_of_share = Kernel(
+    "magnitude_of_share",
+    "f32[...] values, f32[...] units, bool[...]? chosen, out f32[n] work, out f32[1] magnitude, i64 step, f64 share",
+)
+_slope_variance = Kernel(
+    "slope_variance", "f32[...] read, f32[...] solved, bool[...] at_rest, out f32[...] variance"
+)
+_pressure_means = Kernel(
+    "pressure_means",
+    "f32[h,w] smooth, f32[h,w] bent, f32[h,w] sigma, f32[h,w] slopes, bool[h,w]? known, out f32[h,w] pressure, "
+    "out f32[h,w] mean, out f32[h,w] spread, out f32[h,w] variance, out f32[h,w] mean_bent, out f32[n] work, f32 stiffness, "
+    "f32 sigmas",
+)
+_sure_pressure = Kernel(
+    "sure_pressure",
+    "f32[...] pressure, f32[...] mean, f32[...] spread, f32[...] sigma, f32[...] slopes, f32[...] noise, bool[...] at_rest, "
+    "bool[...] known, out f32[...] sure, out f32[...] evidence, f32 stiffness, f32 factor, f32 mean_gain_at_rest, "
+    "f32 mean_gain_elsewhere, f32 gain_at_rest, f32 gain_elsewhere",
+)
+_contact_outline = Kernel(
+    "contact_outline", "f32[h,w] pressure, out bool[h,w] contact, out f32[n] work, f32 share"
+)
+_held_outline = Kernel(
+    "held_outline",
+    "bool[h,w] outline, bool[h,w] closed, bool[h,w]? known, f32[h,w] mean, f32[h,w] smooth, f32[h,w] bent, "
+    "out bool[h,w] contact, out i32[n] work, f32 stiffness, f32 share, f32 reach",
+)
+_standing_regions = Kernel(
+    "standing_regions",
+    "u16[h,w] labels, bool[n] stands, i32[n,2] deepest, f32[h,w] surface, out bool[h,w] contact, i64 reach",
+)
+
+
+class SlopeDeviations(NamedTuple):
+    """Standard deviations (H, W) of a frame's slopes, mm/mm, and where they hold.
+
+    Attributes
+    ----------
+    read : of the slopes as they were read from the image; taken at rest
+    solved : of the slopes of the solved depth; taken elsewhere
+    at_rest : (H, W) bool, pixels at rest
+    """
+
+    read: NDArray[np.float32]
+    solved: NDArray[np.float32]
+    at_rest: NDArray[np.bool_]
+
+
+def contact_from_depth(
+    depth_mm: ArrayLike,
+    *,
+    mm_per_px: float | Sequence[float],
+    depth_sigma_mm: ArrayLike | None = None,
+    relaxation_mm: float | None = None,
+    noise_factor: float = NOISE_FACTOR,
+    min_area_mm2: float = MIN_AREA_MM2,
+) -> NDArray[np.bool_]:
+    """The pixels where something touches the gel.
+
+    Beside an object only the gel holds its surface: a membrane under tension on an elastic bed, whose depth z
+    falls off as `laplace(z) = z/L^2` (Kerr, J. Appl. Mech. 31, 1964). The pressure over the membrane's tension,
+    `p = z/L^2 - laplace(z)`, is 0 there and positive in the contact, for a ball as for a flat face. A pixel counts where p
+    exceeds its own standard deviation and `noise_factor` times the noise at rest; of a pressure that varies around the pixel
+    no more than noise does, the mean counts (Lee, IEEE Trans. PAMI 2, 1980). A contact ends where p is two thirds of its
+    mean around the pixel. So gel that an object draws down is no contact, and hollow contacts stay hollow. Narrow gaps
+    and holes of any size where p is more than half of a plane face's, `z/L^2`, belong to the contact.
+
+    A connected region of such pixels stands if its deepest depth exceeds `noise_factor` of its own standard deviations, and
+    so do the evidence `p/sd(p)` of a pixel and the depth that the region's own pressure makes. A pressure makes the depth
+    `K0(r/L)/(2 pi)` at the distance r. Negative depths tell how much noisier a frame is than `depth_sigma_mm` says. Regions
+    on the slope of one hill are joined along the way up; they are one contact.
+
+    Parameters
+    ----------
+    depth_mm : (H, W), mm, 0 at rest, positive where pressed
+    mm_per_px : float or (x, y), mm
+    depth_sigma_mm : (H, W), mm, standard deviation of the depth; only the part of a depth beyond twice that counts.
+        The default is that of the negative depths, which no contact makes
+    relaxation_mm : L, mm; a calibration holds its gel's as `settings["relaxation_mm"]`. The default is that of a soft gel
+    noise_factor : number of standard deviations that pressures and depths of a contact exceed
+    min_area_mm2 : area of the smallest contact, mm^2
+
+    Returns
+    -------
+    contact : (H, W) bool
+
+    Raises
+    ------
+    ValueError, TypeError
+        Wrong shape, NaN, or a setting outside its range.
+    """
+    depth = check_map(depth_mm, "depth_mm")
+    if depth.ndim != 2:
+        raise ValueError(f"Expected depth_mm of one frame, (H, W), got {depth.shape}.")
+    for name, value in (("noise_factor", noise_factor), ("min_area_mm2", min_area_mm2)):
+        check_number(value, name)
+    if relaxation_mm is not None:
+        check_positive(relaxation_mm, "relaxation_mm")
+        check_within(relaxation_mm, "relaxation_mm", 1e-3, 1e3)  # mm; anything else is a typing error
+    if not (noise_factor > 0 and min_area_mm2 >= 0):
+        raise ValueError(
+            f"Expected noise_factor > 0 and min_area_mm2 >= 0, got {noise_factor} and {min_area_mm2}."
+        )
+    pitch = check_mm_per_px(mm_per_px)
+    depth, sigma = np.ascontiguousarray(depth), None
+    if depth_sigma_mm is not None:
+        sigma = check_map(depth_sigma_mm, "depth_sigma_mm", shape=depth.shape, nonnegative=True)
+        sigma = np.ascontiguousarray(sigma)
+    noise = np.ones_like(depth)
+    return PreparedContact(pitch, relaxation_mm, noise, None, noise_factor, min_area_mm2)(depth, sigma)
+
+
+class PreparedContact:
+    """`contact_from_depth` for the frames of one sensor: float32, finite, in C order. Immutable; threads can share it.
+
+    Parameters
+    ----------
+    pitch : (x, y), mm
+    relaxation_mm : of the gel; None if unknown
+    noise : (H, W) float32, variance of a slope at rest; without `correlation` only its ratios count
+    correlation : of the slopes' errors, as `SlopeSigma.correlation`; None: noise is measured in each frame
+    noise_factor, min_area_mm2 : as in `contact_from_depth`
+    """
+
+    def __init__(
+        self,
+        pitch: tuple[float, float],
+        relaxation_mm: float | None,
+        noise: NDArray[np.float32],
+        correlation: Mapping[str, Any] | None = None,
+        noise_factor: float = NOISE_FACTOR,
+        min_area_mm2: float = MIN_AREA_MM2,
+    ) -> None:
+        length = relaxation_mm or USUAL_RELAXATION_MM
+        self._pitch, self._noise, self._factor = pitch, noise, noise_factor
+        self._reach_px = length / max(pitch)  # an object's depth reaches about as far beyond it
+        self._stiffness, self._stands = length**-2, Evidence(pitch, length, noise_factor, min_area_mm2)
+        # Beside a border, means are taken over fewer pixels that have a pressure of their own.
+        side, inner = 2 * NEIGHBORHOOD_PX + 1, np.zeros_like(noise)
+        margin = _margin(noise.shape)
+        inner[margin : noise.shape[0] - margin, margin : noise.shape[1] - margin] = 1
+        count = cv2.boxFilter(inner, -1, (side, side), normalize=False, borderType=cv2.BORDER_CONSTANT)
+        self._noise = noise * (np.float32(side**2) / np.maximum(count, 1))
+        # The square that means are taken over smooths once more, by its own standard deviation.
+        smoothings = np.hypot(SMOOTHING_PX, [np.sqrt(((2 * NEIGHBORHOOD_PX + 1) ** 2 - 1) / 12), 0])
+        self._gains = None if correlation is None else [_gains(pitch, s, **correlation) for s in smoothings]
+        self._everywhere = np.ones(noise.shape, dtype=np.bool_)
+        self._square = np.ones((2 * CLOSING_PX + 1,) * 2, dtype=np.uint8)
+
+    def __call__(
+        self,
+        depth: NDArray[np.float32],
+        sigma: NDArray[np.float32] | None,
+        slopes: SlopeDeviations | None = None,
+        known: NDArray[np.bool_] | None = None,
+        own_sigma: NDArray[np.float32] | None = None,
+    ) -> NDArray[np.bool_]:
+        """The contact mask (H, W) of a depth, mm.
+
+        Parameters
+        ----------
+        depth, sigma : (H, W), mm, and its standard deviation >= 0, by which regions stand
+        slopes : deviations of its slopes; known : (H, W), pixels whose depth was not filled in
+        own_sigma : (H, W), mm, the deviation that the frame itself shows, by which outlines are drawn; `sigma` by default
+        """
+        sigma = np.full_like(depth, _noise_mm(depth)) if sigma is None else sigma
+        own_sigma = sigma if own_sigma is None else own_sigma
+        hidden = known is not None and not known.all()
+        known = known if hidden and known is not None else self._everywhere
+        variance, at_rest = self._noise, self._everywhere
+        gains: Sequence[list[float] | None] = (None, None)
+        if slopes is not None and self._gains is not None:
+            variance, at_rest, gains = np.empty_like(depth), slopes.at_rest, self._gains
+            _slope_variance(slopes.read, slopes.solved, at_rest, variance)
+        smooth, bent = self._smoothed(depth)
+        pressure, mean, spread, variance_around, mean_bent, sure, evidence = np.empty(
+            (7, *depth.shape), np.float32
+        )
+        _pressure_means(
+            smooth, bent, own_sigma, variance, known if hidden else None, pressure, mean, spread, variance_around, mean_bent,
+            self._work(5), stiffness=self._stiffness, sigmas=SIGMAS_OF_DEPTH,
+        )  # fmt: skip
+        of_mean, of_pixel = (self._gains_of_frame(b, at_rest, k) for b, k in zip((mean_bent, bent), gains))
+        if not _sure_pressure(
+            pressure, mean, spread, own_sigma, variance_around, self._noise, at_rest, known, sure, evidence,
+            self._stiffness, self._factor, *of_mean, *of_pixel,
+        ):  # fmt: skip
+            return np.zeros(depth.shape, dtype=np.bool_)
+        outline, contact = np.empty((2, *depth.shape), dtype=np.bool_)
+        _contact_outline(sure, outline, self._work(2), share=SHARE)
+        closed = cv2.morphologyEx(outline.view(np.uint8), cv2.MORPH_CLOSE, self._square).view(np.bool_)
+        _held_outline(
+            outline, closed, known if hidden else None, mean, smooth, bent, contact,
+            np.empty(runs_work(depth.shape), dtype=np.int32), stiffness=self._stiffness, share=HELD_SHARE,
+            reach=self._reach_px,
+        )  # fmt: skip
+        count, labels = labeled(contact)
+        stands, deepest = self._stands(Regions(count, labels, depth, sigma, evidence, smooth, bent))
+        _standing_regions(labels, stands, deepest, depth, contact, reach=NEIGHBORHOOD_PX)
+        return contact
+
+    def pressed_background(
+        self,
+        depth: NDArray[np.float32],
+        sigma: NDArray[np.float32] | None,
+        slopes: SlopeDeviations | None = None,
+        known: NDArray[np.bool_] | None = None,
+    ) -> tuple[Finding, ...]:
+        """One finding if a valley is deeper than any hill and looks like a contact turned over; arguments of `__call__`.
+
+        Such a valley is a contact of the background image. Beside a contact, the depth's errors are negative, too.
+        """
+        low, high = value_range(depth)
+        if -low <= high:
+            return ()
+        turned = -depth
+        valley = self(turned, sigma, slopes, known)
+        if sigma is not None:
+            valley &= turned > VALLEY_SIGMAS * sigma
+        if not valley.any():
+            return ()
+        deepest = float(turned[valley].max())
+        message = (
+            f"Something touches the gel in the background image: here the gel rises up to {deepest:.2g} mm over it, with a "
+            "contact's outline. Take the background again, with nothing touching the gel."
+        )
+        return (Finding("background_pressed", message, deepest),)
+
+    def _work(self, maps: int) -> NDArray[np.float32]:
+        """Memory for sums of some maps over squares."""
+        width, rows = self._noise.shape[1] + 2 * LANES, 2 * NEIGHBORHOOD_PX + 4
+        return np.empty((maps * rows + 2) * width, dtype=np.float32)
+
+    def _smoothed(self, depth: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """A smoothed depth (H, W), and minus its Laplacian, 1/mm; pixels near borders get that of the next pixel inside."""
+        taps, margin = blur_taps(SMOOTHING_PX), _margin(depth.shape)
+        smooth, bent = np.empty_like(depth), np.empty_like(depth)
+        rows, width = 2 * taps.size - 1, depth.shape[1] + LANES
+        work = np.empty((rows + 1) * width + rows, dtype=np.float32)
+        along_x, along_y = (step**-2 for step in self._pitch)
+        _bent_surface(depth, taps, smooth, bent, work, along_x=along_x, along_y=along_y, margin=margin)
+        return smooth, bent
+
+    def _gains_of_frame(
+        self, bent: NDArray[np.float32], at_rest: NDArray[np.bool_], known: list[float] | None
+    ) -> list[float]:
+        """Variance of the pressure at rest, and elsewhere, for a variance of slopes of 1.
+
+        A frame may have more noise at rest than the calibration's presses, or larger outliers, as after compression: the
+        larger counts. If nothing is known, the smallest magnitudes of the frame tell its noise.
+        """
+        if known is None:
+            return 2 * [
+                max(SIGMA_OF_FRACTION * self._magnitude(bent, None, FRACTION_AT_REST), LEAST_NOISE) ** 2
+            ]
+        return [max(known[0], (self._magnitude(bent, at_rest, 0.95) / SIGMAS_OF_95) ** 2), known[1]]
+
+    def _magnitude(self, bent: NDArray[np.float32], chosen: NDArray[np.bool_] | None, share: float) -> float:
+        step = max(1, bent.size // MEDIAN_SAMPLES)
+        work = np.empty(2 * -(-bent.size // step), dtype=np.float32)
+        magnitude = np.empty(1, dtype=np.float32)
+        _magnitude_of_share(bent, self._noise, chosen, work, magnitude, step=step, share=share)
+        return float(magnitude[0])
+
+
+def _margin(shape: tuple[int, ...]) -> int:
+    """Width of the border, px, where the smoothed depth has no bend of its own."""
+    margin = int(np.ceil(2 * SMOOTHING_PX))
+    return margin if min(shape) > 2 * margin else 0
+
+
+def _gains(
+    pitch: tuple[float, float],
+    smoothing: float,
+    correlation_px: float,
+    correlated_share: float,
+    rest_correlation_px: float,
+    rest_correlated_share: float | None,
+) -> list[float]:
+    """Variance of the pressure of gel at rest, and elsewhere, for a variance of the slopes of 1."""
+    per_mm2 = (pitch[0] ** -2 + pitch[1] ** -2) / 2
+    share_at_rest = correlated_share if rest_correlated_share is None else rest_correlated_share
+    far = _divergence(correlation_px, smoothing)
+    return [
+        per_mm2 * (share * far + (1 - share) * _divergence(near, smoothing))
+        for share, near in ((share_at_rest, rest_correlation_px), (correlated_share, 0.0))
+    ]
+
+
+def _divergence(length: float, smoothing: float) -> float:
+    """Variance, 1/px^2, of the divergence of slopes of variance 1, correlated over a length and smoothed, both px.
+
+    A Gaussian correlation gives `2 l^2 / (2 s^2 + l^2)^2`; white noise, a pixel wide, `1 / (4 pi s^4)`. A slope is the mean
+    of two pixels' and the divergence a difference, which smooth by a quarter of a squared pixel.
+    """
+    square = smoothing**2 + 0.25
+    return 2 * length**2 / (2 * square + length**2) ** 2 if length > 0.5 else 1 / (4 * np.pi * square**2)
+
+
+def _noise_mm(depth: NDArray[np.float32]) -> float:
+    """Standard deviation of gel at rest, mm: from the median of its negative depths, as of half a Gaussian."""
+    sample = depth.ravel()[:: max(1, depth.size // MEDIAN_SAMPLES)]
+    below = sample[sample < 0]
+    return -SIGMA_OF_MEDIAN * float(np.median(below)) if below.size else 0.0

@@ -1,0 +1,395 @@
+"""Touch -> force in newtons, each with its standard deviation, or the reason for none."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+import scipy  # its parts load at first use
+from numpy.typing import ArrayLike, NDArray
+
+from gelform.foundations.checks import (
+    check_mm_per_px,
+    check_numbers,
+    check_positive,
+    check_values,
+    check_within,
+)
+
+IN_LINE = 1e-6  # width over length; dots within it lie in a line, however their places were rounded
+BORDER_FRACTION = 1 / 30  # of the image's height: the width of the band along its border, 8 px of 240
+HELD = 0.9  # of the largest volume of a contact; with less, its force falls
+
+
+class DotMotion(NamedTuple):
+    """The motion of all dots together: mean displacement, mm, turn about the view, rad, and tilt, mm/mm."""
+
+    x_mm: float
+    y_mm: float
+    turn_rad: float
+    tilt_x: float
+    tilt_y: float
+
+
+@dataclass(frozen=True, eq=False)
+class Touch:
+    """The numbers of one result from which a force is read.
+
+    Attributes
+    ----------
+    volume_mm3 : volume of the depth in the contact; 0 without a contact; None without a scale, or from a zero that was set
+    confidence : mean in the contact
+    outside_change : median color change outside the contact, over its mean inside; None without a contact
+    border_share : the part of the volume that lies in the band along the border
+    dots : their motion; None if the gel has none, or fewer than half are seen
+    rest_mm : (N, 2), positions of all dots at rest; None without dots
+    calibration_digest : of the calibration behind the result
+    volume_sigma_mm3 : standard deviation of the volume
+    falling : whether the contact had more volume before, as `touches_in_order` tells; a lone result does not
+    """
+
+    volume_mm3: float | None = None
+    confidence: float = 0.0
+    outside_change: float | None = None
+    border_share: float = 0.0
+    dots: DotMotion | None = None
+    rest_mm: NDArray[np.float64] | None = None
+    calibration_digest: str = ""
+    volume_sigma_mm3: float = 0.0
+    falling: bool = False
+
+
+def touch_from_result(result: Any) -> Touch:
+    """The touch of a result, which is a `Reconstruction`; TypeError: it is none."""
+    if not all(hasattr(result, name) for name in ("contact", "mm_per_px", "zero", "confidence", "depth")):
+        raise TypeError(f"Expected a Reconstruction, got {type(result).__name__}.")
+    contact, pitch = result.contact, result.mm_per_px
+    motion, rest = _dots_of(result)
+    known: dict[str, Any] = {"dots": motion, "rest_mm": rest, "calibration_digest": result.calibration_digest}
+    if pitch is None or result.zero == "set":
+        return Touch(**known)
+    if not contact.any():
+        return Touch(volume_mm3=0.0, **known)
+    x, y, width, height = cv2.boundingRect(contact.view(np.uint8))
+    box = slice(y, y + height), slice(x, x + width)
+    touched, pressed = contact[box], result.depth[box] * contact[box]
+    band, (rows, columns) = max(1, round(BORDER_FRACTION * len(contact))), contact.shape
+    inside = pressed[
+        max(band - y, 0) : max(rows - band - y, 0), max(band - x, 0) : max(columns - band - x, 0)
+    ]
+    # Neighbors err alike, so the volume is as uncertain as the depth.
+    deviation = result.depth_sigma_mm
+    sigma = 0.0 if deviation is None else float(deviation[box][touched].sum(dtype=np.float64))
+    area = float(np.prod(check_mm_per_px(pitch)))
+    whole, inner = float(pressed.sum(dtype=np.float64)), float(inside.sum(dtype=np.float64))
+    return Touch(
+        volume_mm3=whole * area,
+        volume_sigma_mm3=sigma * area,
+        confidence=float(result.confidence[box][touched].mean()),
+        outside_change=result.outside_change,
+        border_share=min(max(1 - inner / whole, 0.0), 1.0) if whole > 0 else 0.0,
+        **known,
+    )
+
+
+def touches_in_order(results: Iterable[Any]) -> Iterator[Touch]:
+    """The touches of results, or of touches, in the order of their frames: they know whether the force falls.
+
+    A gel that is released keeps its force longer than its contact, so a volume says less about a falling force.
+    """
+    largest = 0.0
+    for one in results:
+        touch = one if isinstance(one, Touch) else touch_from_result(one)
+        volume = touch.volume_mm3 or 0.0
+        largest = max(largest, volume) if volume > 0 else 0.0
+        yield replace(touch, falling=volume < HELD * largest)
+
+
+def touch_from_dots(rest_mm: ArrayLike, displacement_mm: ArrayLike) -> Touch:
+    """The touch that dots alone show.
+
+    Parameters
+    ----------
+    rest_mm : (N, 2) or (N, 3), positions of the dots at rest
+    displacement_mm : (N, 3), x, y, and z toward the camera; or (N, 2), which shows no tilt
+
+    Raises
+    ------
+    ValueError, TypeError
+        Wrong shapes, NaN, or fewer than three dots, or all in a line.
+    """
+    rest = np.asarray(check_values(rest_mm, "rest_mm", (), np.float64))
+    moved = np.asarray(check_values(displacement_mm, "displacement_mm", (), np.float64))
+    if rest.shape[-1:] not in ((2,), (3,)) or moved.shape not in ((len(rest), 2), (len(rest), 3)):
+        raise ValueError(f"Expected dots of shape (N, 2) or (N, 3), got {rest.shape} and {moved.shape}.")
+    if (motion := _motion(rest, moved)) is None:
+        raise ValueError("Expected three dots or more that are not in a line.")
+    return Touch(dots=motion, rest_mm=rest[:, :2])
+
+
+def _motion(rest: NDArray[np.float64], moved: NDArray[np.float64]) -> DotMotion | None:
+    """The motion of dots (N, 2 or 3) from rest (N, 2 or more), mm; None for fewer than three, or a line."""
+    if len(rest) < 3:
+        return None
+    places = np.column_stack([rest[:, :2] - rest[:, :2].mean(axis=0), np.ones(len(rest))])
+    along, _, rank, _ = np.linalg.lstsq(places, moved, rcond=IN_LINE)
+    if rank < 3:
+        return None
+    tilt = along[:2, 2] if moved.shape[1] == 3 else np.zeros(2)
+    return DotMotion(*map(float, (*along[2, :2], (along[0, 1] - along[1, 0]) / 2, *tilt)))
+
+
+def _dots_of(result: Any) -> tuple[DotMotion | None, NDArray[np.float64] | None]:
+    """Motion and rest of a result's dots; the depth at a dot is its displacement toward the camera."""
+    flow, scale = result.markers, result.mm_per_px
+    if flow is None or scale is None:
+        return None, None
+    pitch = np.array(check_mm_per_px(scale))
+    rest = flow.rest_px * pitch
+    if 2 * np.count_nonzero(flow.seen) < len(flow):
+        return None, rest
+    height, width = result.depth.shape
+    x, y = np.clip(np.rint(flow.now_px).astype(int), 0, (width - 1, height - 1)).T
+    moved = np.column_stack([flow.displacement_px * pitch, result.depth[y, x]])
+    return _motion(rest[flow.seen], moved[flow.seen]), rest
+
+
+KINDS = {"normal": "n", "shear": "n", "torsion": "n_mm"}  # of force, with their units
+SHAPES = {"normal": (1, 1), "shear": (2, 6), "torsion": (1, 6)}  # of their weights: components, terms
+UNIT = "N"
+# Where no normal force is stated. Of the first, hard objects have .08 to .34 and soft ones .40 to 1.09; docs/force.md has
+# the rates of errors.
+MOST_OUTSIDE_CHANGE = 0.4  # color change outside the contact, over that inside
+LEAST_CONFIDENCE = 0.5  # mean in the contact
+MOST_IN_BORDER = 0.05  # of the volume, in the band along the border
+MOST_VOLUME_SIGMA = 0.4  # of the volume
+FALLING_SIGMA = 0.5  # of a falling normal force
+BEYOND_RANGE = 1.2  # of the largest calibrated load
+DOT_TOLERANCE = 0.15  # of the dots' spacing; a shifted grid of that pitch passes in 7 % (pi 0.15^2)
+NO_LOADS = "no loads were calibrated (gelform force calibrate)"
+
+
+@dataclass(frozen=True)
+class ForcePart:
+    """One kind of force, which is linear in the terms of a touch.
+
+    Attributes
+    ----------
+    weights : one row for each component. Of a normal force, K in N/mm^3, which is empirical, no constant of the material; of
+        shear and torsion, those of x, y, turn, tilt along x and y, and the constant of the gauge
+    range : smallest and largest magnitude of the loads
+    relative, floor : standard deviation over the force, and at no force, learnt by leaving grasps out
+    loads : number of loads that were used
+    """
+
+    weights: tuple[tuple[float, ...], ...]
+    range: tuple[float, float]
+    relative: float
+    floor: float
+    loads: int
+
+    @classmethod
+    def from_dict(cls, stored: Mapping[str, Any], shape: tuple[int, int]) -> ForcePart:
+        """The part from its fields; KeyError, TypeError or ValueError: these are none."""
+        weights = np.asarray(check_values(stored["weights"], "weights", (), np.float64))
+        if weights.shape != shape:
+            raise ValueError(f"Expected weights of shape {shape}, got {weights.shape}.")
+        low, high = check_numbers(stored["range"], "range", 2)
+        relative, floor = (check_within(stored[name], name, 0, 1e6) for name in ("relative", "floor"))
+        high, loads = check_positive(high, "range"), int(check_positive(stored["loads"], "loads"))
+        return cls(tuple(map(tuple, weights.tolist())), (low, high), relative, floor, loads)
+
+    def sigma(self, force: NDArray[np.float64], touch: Touch | None = None) -> float:
+        """The standard deviation of each component of a force; one of a touch's volume has that of the volume too."""
+        size, relative = np.linalg.norm(force), self.relative
+        if touch is not None and touch.volume_mm3:
+            relative = max(self.relative, FALLING_SIGMA) if touch.falling else self.relative
+            relative = np.hypot(relative, touch.volume_sigma_mm3 / touch.volume_mm3)
+        return float(np.hypot(relative * size, self.floor))
+
+
+class Dots:
+    """The dots of a gel, by whose places (N, 2) at rest, mm, it is told from another one."""
+
+    def __init__(self, places: NDArray[np.float64]) -> None:
+        self._tree, self._count = scipy.spatial.cKDTree(places), len(places)
+        spacing = np.median(self._tree.query(places, k=2)[0][:, 1]) if len(places) else 0.0
+        self._near = DOT_TOLERANCE * float(spacing)
+
+    def why_none(self, touch: Touch) -> str:
+        """Why a touch tells no motion of these dots; "" if it does."""
+        if (rest := touch.rest_mm) is None:
+            return "no dots, or no scale"
+        alike = 2 * min(len(rest), self._count) > max(len(rest), self._count)
+        if not alike or np.median(self._tree.query(rest)[0]) > self._near:
+            return f"dots of another gel: {len(rest)} at other places than the calibrated {self._count}"
+        return "few dots: more than half are not seen" if touch.dots is None else ""
+
+
+@dataclass(frozen=True, eq=False)
+class ForceModel:
+    """Converts touches to newtons; it belongs to one calibration and its gel.
+
+    Attributes
+    ----------
+    normal, shear, torsion : of each kind of force; None without loads of that kind
+    rest_mm : positions of the dots at rest, ((x, y), ...); empty without dots
+    objects : what was pressed
+    calibration_digest : of the calibration; results of another one are refused. "" for dots without images
+    created_utc : time
+    lag_frames : that the gauge lagged behind the images of its recordings; None if unknown
+    """
+
+    normal: ForcePart | None
+    shear: ForcePart | None
+    torsion: ForcePart | None
+    rest_mm: tuple[tuple[float, ...], ...]
+    objects: tuple[str, ...]
+    calibration_digest: str
+    created_utc: str
+    lag_frames: int | None = None
+
+    @cached_property
+    def dots(self) -> Dots:
+        """The dots at rest."""
+        return Dots(np.array(self.rest_mm, dtype=np.float64).reshape(-1, 2))
+
+    def to_dict(self) -> dict[str, Any]:
+        """The model, as values that JSON can hold."""
+        return {"unit": UNIT, **asdict(self)}
+
+    @classmethod
+    def from_dict(cls, stored: Mapping[str, Any]) -> ForceModel:
+        """The model from `to_dict`; KeyError, TypeError or ValueError: it is no model."""
+        texts = [stored["unit"], stored["calibration_digest"], stored["created_utc"], *stored["objects"]]
+        if not all(isinstance(text, str) for text in texts) or stored["unit"] != UNIT:
+            raise TypeError(f"Expected a force in {UNIT}, with a digest, a date and objects as texts.")
+        normal, shear, torsion = (
+            None if stored[kind] is None else ForcePart.from_dict(stored[kind], SHAPES[kind])
+            for kind in KINDS
+        )
+        rest = tuple(check_numbers(place, "rest_mm", 2) for place in stored["rest_mm"])
+        _, digest, created, *objects = texts
+        lag = stored.get("lag_frames")
+        lag = None if lag is None else int(check_within(lag, "lag_frames", -1e6, 1e6))
+        return cls(normal, shear, torsion, rest, tuple(objects), digest, created, lag)
+
+
+@dataclass(frozen=True)
+class Force:
+    """The force on the gel; what is not known is None, and has a reason.
+
+    Attributes
+    ----------
+    normal_n, normal_sigma_n : into the gel, N, and its standard deviation
+    shear_n, shear_sigma_n : (x, y) along the gel, in the axes of the loads, N, and the standard deviation of each
+    torsion_n_mm, torsion_sigma_n_mm : about the view, N mm
+    normal_reason, shear_reason, torsion_reason : why the force is None; "" if it is known
+    """
+
+    normal_n: float | None = None
+    normal_sigma_n: float | None = None
+    normal_reason: str = NO_LOADS
+    shear_n: tuple[float, float] | None = None
+    shear_sigma_n: float | None = None
+    shear_reason: str = NO_LOADS
+    torsion_n_mm: float | None = None
+    torsion_sigma_n_mm: float | None = None
+    torsion_reason: str = NO_LOADS
+
+    @property
+    def reason(self) -> str:
+        """Why a part is None, each reason once; "" if all are known."""
+        return "; ".join(
+            dict.fromkeys(filter(None, (self.normal_reason, self.shear_reason, self.torsion_reason)))
+        )
+
+    @property
+    def vector_n(self) -> NDArray[np.float64]:
+        """(3,), N: x and y along the gel, and z; what presses into the gel pushes toward the camera, -z. NaN: not known."""
+        x, y = self.shear_n or (None, None)
+        return np.array([x, y, self.normal_n], dtype=np.float64) * (1, 1, -1)
+
+    def columns(self) -> dict[str, float | str | None]:
+        """The cells of a table, by name: None where a force is not known, and `force_reason`."""
+        cells = {name: value for name, value in vars(self).items() if not name.endswith("_reason")}
+        x, y = cells.pop("shear_n") or (None, None)
+        return {"shear_x_n": x, "shear_y_n": y, **cells, "force_reason": self.reason}
+
+
+def force_from_result(result: Any, model: ForceModel | None) -> Force:
+    """The force of one result.
+
+    Parameters
+    ----------
+    result : a `Reconstruction`, or its touch
+    model : of the result's calibration, `calibration.force`; None if no loads were calibrated
+
+    Returns
+    -------
+    Force
+        With a standard deviation for each part, or None and the reason: a soft object or a contact beyond the view, low
+        confidence, an uncertain volume, a contact at the border, a force beyond the calibrated range, another gel, no dots.
+
+    Raises
+    ------
+    TypeError
+        No result, or no model.
+    """
+    if model is not None and not isinstance(model, ForceModel):
+        raise TypeError(f"Expected a ForceModel or None as model, got {type(model).__name__}.")
+    touch = result if isinstance(result, Touch) else touch_from_result(result)
+    found: dict[str, Any] = {}
+    for kind, unit in KINDS.items():
+        part: ForcePart | None = getattr(model, kind, None)
+        if model is None or part is None:
+            continue
+        reason = _why_other(touch, model) or (
+            why_no_normal(touch) if kind == "normal" else model.dots.why_none(touch)
+        )
+        if reason == "":
+            force = np.asarray(part.weights) @ terms_of(touch, kind)
+            if np.linalg.norm(force) <= BEYOND_RANGE * part.range[1]:
+                value = force.tolist()
+                found[f"{kind}_{unit}"] = value[0] if len(value) == 1 else tuple(value)
+                found[f"{kind}_sigma_{unit}"] = part.sigma(force, touch if kind == "normal" else None)
+            else:
+                reason = f"beyond the calibrated range: loads were up to {part.range[1]:.3g}"
+        found[f"{kind}_reason"] = reason
+    return Force(**found)
+
+
+def terms_of(touch: Touch, kind: str) -> NDArray[np.float64]:
+    """The terms that the weights of a kind of force multiply."""
+    return np.array([touch.volume_mm3] if kind == "normal" else [*(touch.dots or ()), 1.0], dtype=np.float64)
+
+
+def why_no_normal(touch: Touch) -> str:
+    """Why a touch tells no normal force, whatever the model; "" if it does."""
+    if touch.volume_mm3 is None:
+        return "no scale, or a depth from a zero that was set"
+    if touch.volume_mm3 <= 0 or touch.outside_change is None:
+        return "no contact: nothing touches, or something too soft or too flat to be seen"
+    if touch.outside_change >= MOST_OUTSIDE_CHANGE:
+        return (
+            f"a soft object, or a contact beyond the view: the color around the contact changed by "
+            f"{touch.outside_change:.2f} of the change inside"
+        )
+    if touch.confidence < LEAST_CONFIDENCE:
+        return (
+            f"low confidence: its mean in the contact is {touch.confidence:.2f}, below {LEAST_CONFIDENCE:g}"
+        )
+    if (share := touch.volume_sigma_mm3 / touch.volume_mm3) > MOST_VOLUME_SIGMA:
+        return f"an uncertain volume: its standard deviation is {100 * share:.0f} % of it"
+    if touch.border_share > MOST_IN_BORDER:
+        return f"a contact at the border: {100 * touch.border_share:.0f} % of it, so part of it may be out of view"
+    return ""
+
+
+def _why_other(touch: Touch, model: ForceModel) -> str:
+    same = touch.calibration_digest == model.calibration_digest
+    return "" if same else "another gel, or another calibration, than the one of the loads"

@@ -1,1 +1,0 @@
-"""Pictures of results, and of two calibrations side by side (extra `plots`)."""

@@ -1,0 +1,560 @@
+"""Files: read whole after a look at their size, arrays and JSON in one, tables as text, and what other programs write.
+
+Files of arrays and one JSON string, without pickles: written completely or not at all, checked when read.
+
+Calibrations and results are such files. `numpy.load` opens them too.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+import json
+import os
+import re
+import shutil
+import time
+import tokenize
+import zipfile
+import zlib
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path, PurePath
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.errors import DataError, GelformError, said
+from gelform.foundations.checks import check_path
+
+try:
+    import fcntl
+except ImportError:  # Windows: partial files of killed processes stay
+    fcntl = None  # type: ignore[assignment]
+
+
+_PICKLE = (
+    "It is a pickle. Reading one can run code, so gelform does not. If you trust it, save its frames where it was made: "
+    'numpy.save("frames.npy", frames).'
+)
+_ARCHIVE = "It is an archive. Unpack it, and give the folder."
+_WEIGHTS = (
+    "It may be the network of another package. Make a calibration of it: gelform import {name} --from gs_sdk --background "
+    "rest.png -o cal.npz (or --from gsrobotics)."
+)
+
+
+def conversion_of_bag(name: str, stem: str) -> str:
+    """The command that makes a bag that gelform reads."""
+    return f"Convert it: rosbags-convert --src {name} --dst {stem}_mcap --dst-storage mcap (pip install rosbags)."
+
+
+WAYS = {
+    ".npz": "It is an archive of arrays. Save the frames alone: "
+    'numpy.save("frames.npy", numpy.load("{name}")["NAME"]).',
+    **dict.fromkeys((".pkl", ".pickle", ".p"), _PICKLE),
+    **dict.fromkeys((".zip", ".tar", ".tgz", ".gz", ".bz2", ".xz", ".7z", ".rar"), _ARCHIVE),
+    **dict.fromkeys((".pth", ".pt"), _WEIGHTS),
+    ".mat": "It may be the look-up table of another package. Make a calibration of it: gelform import {name} --from lut "
+    "--background rest.png -o cal.npz.",
+    ".tmd": "It is a height map of GelSight's scanner software: measured already, with nothing to reconstruct. "
+    "gelform reads the sensor's images.",
+    ".bag": "It is a bag of ROS 1. " + conversion_of_bag("{name}", "{stem}"),
+    ".db3": "It is a part of a bag of sqlite3. " + conversion_of_bag("FOLDER", "{stem}"),
+    **dict.fromkeys(
+        (".dng", ".raw", ".cr2", ".nef", ".arw", ".heic"), "Save it as PNG, with 8 bits for each color."
+    ),
+}
+
+
+def way_for(path: str | os.PathLike[str]) -> str:
+    """A sentence with what to do with a file of a kind that is not read, after a space; empty for other kinds."""
+    name = PurePath(path)
+    way = WAYS.get(name.suffix.lower(), "")
+    return way and " " + way.replace("{name}", name.name).replace("{stem}", name.stem)
+
+
+MAX_TEXT_BYTES = 2**24  # of settings, of facts about a data set
+MAX_ARRAY_BYTES = 2**28  # of an array in another program's file, or of a table as text
+
+
+def bytes_of(
+    path: str | os.PathLike[str], what: str, max_bytes: float, error: type[GelformError] = DataError
+) -> bytes:
+    """The content of a file of at most `max_bytes`; `what` describes it in errors.
+
+    error: there is no such file, it is a folder, a pipe or a device, larger than that, or cannot be read.
+    """
+    path = present_file(path, what, max_bytes, error)
+    try:
+        return path.read_bytes()
+    except OSError as problem:
+        raise error(f"Cannot read {path}: {problem.strerror or problem}.") from problem
+    except MemoryError:
+        raise error(f"Not enough memory to read {path}.") from None
+
+
+def present_file(
+    path: str | os.PathLike[str],
+    what: str,
+    max_bytes: float = MAX_ARRAY_BYTES,
+    error: type[GelformError] = DataError,
+) -> Path:
+    """The path of a file that exists and is not too large; the error says that `what` was expected."""
+    path = check_path(path)
+    try:
+        if path.is_dir():
+            raise error(f"Expected a file, got the folder {path}.")
+        if path.exists() and not path.is_file():  # reading a pipe or a device could block forever
+            raise error(
+                f"Expected a file, got a pipe or a device: {path}. Save what it gives as a file first."
+            )
+        size = path.stat().st_size
+    except FileNotFoundError:
+        raise error(f"No file {path}: expected {what}. Check the path.") from None
+    except OSError as problem:
+        raise error(f"Cannot read {path}: {problem.strerror or problem}.") from problem
+    if size > max_bytes:
+        raise error(
+            f"Expected {what} of at most {max_bytes / 1e6:.4g} MB, got {path} of {size / 1e6:.4g} MB. It is damaged, or "
+            "another file."
+        )
+    return path
+
+
+# A spreadsheet runs text that begins so (OWASP, CSV injection); one more apostrophe keeps text that has some already.
+_FORMULA = re.compile(r"'*[=+\-@\t\r]")
+
+
+def table_text(rows: Iterable[Iterable[Any]]) -> str:
+    """Rows of cells as lines of a CSV file; an apostrophe comes before text that a spreadsheet would run as a formula."""
+    return "".join(map(_line, rows))
+
+
+def plain_cell(cell: str) -> str:
+    """A cell as it was before `table_text`."""
+    return cell[1:] if cell.startswith("'") and _FORMULA.match(cell) else cell
+
+
+def _line(row: Iterable[Any]) -> str:
+    text = io.StringIO()
+    csv.writer(text).writerow(
+        map(_safe, row)
+    )  # with another end of lines, a lone carriage return would not be quoted
+    return text.getvalue().removesuffix("\r\n") + "\n"
+
+
+def _safe(cell: Any) -> Any:
+    return f"'{cell}" if isinstance(cell, str) and _FORMULA.match(cell) and not _is_number(cell) else cell
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+LEFT_FILE = re.compile(r"\.gelform-[0-9a-f]{12}\.tmp")
+DIGEST_SHOWN = 10  # characters of a digest in names and lists: a million calibrations share one with a chance of one half
+LEFT_AFTER_S = 60.0  # seconds; a younger file may not be locked yet
+MAX_BYTES, MAX_META_BYTES = 2**30, 2**26  # bytes of all members of an archive, and of its settings
+_RESERVED = ("format", "format_version", "gelform_version", "digest")
+# Errors that zipfile, zlib and numpy's reader of arrays raise for a damaged archive.
+DAMAGED_ARCHIVE = (
+    zipfile.BadZipFile,
+    zlib.error,
+    EOFError,
+    NotImplementedError,
+    MemoryError,  # an array may declare more memory than any machine has
+    RuntimeError,
+    SyntaxError,
+    tokenize.TokenError,
+    UnicodeDecodeError,
+)
+_UNREADABLE = (*DAMAGED_ARCHIVE, ValueError, KeyError)
+PICTURE_STARTS = (
+    b"\x89PNG",
+    b"\xff\xd8\xff",
+    b"BM",
+    b"II*\0",
+    b"MM\0*",
+    b"RIFF",
+)  # PNG, JPEG, BMP, TIFF, WebP
+
+
+@contextmanager
+def written_file(
+    path: str | os.PathLike[str],
+    *,
+    overwrite: bool = False,
+    flushed: bool = True,
+    error: type[GelformError] = DataError,
+) -> Iterator[BinaryIO]:
+    """Open a file for writing that appears under its name only if the block succeeds.
+
+    The bytes go to a temporary file in the same folder, which replaces `path` in one step. If anything
+    fails (disk full, an exception in the block), the temporary file is deleted and the file at `path` stays.
+    Without `flushed`, a loss of power may lose the file until the system has written it to the disk.
+
+    error: the file exists and `overwrite` is False, or its folder is missing, not writable or full.
+    """
+    path = check_path(path)
+    check_free(path, overwrite=overwrite, error=error)
+    temporary = path.parent / f".gelform-{os.urandom(6).hex()}.tmp"
+    try:
+        with open(temporary, "x+b") as handle:
+            locked(handle.fileno())
+            yield handle
+            handle.flush()
+            if flushed:
+                os.fsync(handle.fileno())
+            with suppress(OSError):  # a file system without times
+                os.utime(temporary)  # the file has no lock from now on; `sweep` leaves it alone for a minute
+        if not overwrite:  # another process may have been faster
+            check_free(path, overwrite=False, error=error)
+        os.replace(temporary, path)
+    except BaseException as problem:
+        temporary.unlink(missing_ok=True)
+        if not isinstance(problem, OSError):
+            raise
+        why = f"Cannot write {path}: {problem.strerror or problem}. Nothing of it was kept."
+        raise error(why) from problem
+
+
+def locked(descriptor: int) -> bool:
+    """Lock an open file or folder until it is closed or its process ends; False if that is impossible."""
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except (OSError, AttributeError):
+        return False
+    return True
+
+
+@contextmanager
+def locked_folder(folder: Path) -> Iterator[None]:
+    """Lock a partial folder while it is filled, if the system can; `sweep` leaves it alone."""
+    if fcntl is None:
+        yield
+        return
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        locked(descriptor)
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def sweep(folder: Path, target: str = "") -> None:
+    """Delete the partial files that killed processes left in a folder, or the partial folders of a target's name.
+
+    Files that a running process has locked stay, and so do files that changed within the last minute.
+    """
+    names = re.compile(re.escape(f".{target}.partial-") + "([a-z0-9_]{8}|[0-9]+)") if target else LEFT_FILE
+    try:
+        found = [path for path in folder.iterdir() if names.fullmatch(path.name) and not path.is_symlink()]
+    except OSError:  # a folder that can be written to, but not listed
+        return
+    for left in found:
+        if not (left.is_dir() if target else left.is_file()):
+            continue
+        try:
+            descriptor = os.open(left, os.O_RDONLY)
+        except OSError:  # another process has just removed it, or it belongs to another user
+            continue
+        try:
+            # Check the age before and after: the lock must not hinder an owner that is still writing or about to rename.
+            if _is_old(descriptor) and locked(descriptor) and _is_old(descriptor):
+                if target:
+                    shutil.rmtree(left, ignore_errors=True)
+                else:
+                    left.unlink(missing_ok=True)
+        finally:
+            os.close(descriptor)
+
+
+def _is_old(descriptor: int) -> bool:
+    return time.time() - os.fstat(descriptor).st_mtime > LEFT_AFTER_S
+
+
+def check_free(
+    path: str | os.PathLike[str], *, overwrite: bool, error: type[GelformError] = DataError
+) -> None:
+    """Refuse a name that a file already has (unless `overwrite`), or whose folder is missing."""
+    path = check_path(path)
+    if path.is_dir():
+        raise error(f"Expected a file name to write to, got the folder {path}. Add a name: {path / 'name'}.")
+    if path.exists() and not overwrite:
+        raise error(
+            f"{path} is already there. Choose another name, or allow it to be replaced: overwrite=True (--overwrite)."
+        )
+    if not path.parent.is_dir():
+        raise error(f"Cannot write {path}: its folder {path.parent} does not exist. Make it first.")
+
+
+def write_npz(
+    path: str | os.PathLike[str],
+    arrays: Mapping[str, NDArray[Any]],
+    meta: Mapping[str, Any],
+    *,
+    kind: str,
+    version: int,
+    overwrite: bool = False,
+    error: type[GelformError] = DataError,
+) -> None:
+    """Write arrays and settings to one `.npz` without pickles, completely or not at all.
+
+    Parameters
+    ----------
+    arrays : name -> array of numbers, booleans or text
+    meta : JSON-able settings; kept in the member `meta` beside `format` (the kind), `format_version`,
+        `gelform_version` and a `digest` (SHA-256) over the arrays and the settings
+    kind : kind of the file, such as "gelform calibration"
+    version : of the format of this kind, from 1
+    overwrite : whether an existing file is replaced
+    error : class of the error that is raised if the file cannot be written
+
+    Raises
+    ------
+    error
+        See `written_file`.
+    ValueError, TypeError
+        Settings that JSON cannot hold (NaN included), an array of objects, or a reserved name.
+    """
+    members = _members_to_write(arrays, meta, kind, version)
+    with written_file(path, overwrite=overwrite, error=error) as handle:
+        _write_members(handle, members)
+
+
+def npz_bytes(
+    arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any], *, kind: str, version: int
+) -> bytes:
+    """The bytes that `write_npz` writes, without a digest, for a file whose digest is kept elsewhere.
+
+    `read_npz` refuses them.
+    """
+    content = io.BytesIO()
+    _write_members(content, _members_to_write(arrays, meta, kind, version, digest=False))
+    return content.getvalue()
+
+
+def _members_to_write(
+    arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any], kind: str, version: int, digest: bool = True
+) -> dict[str, NDArray[Any]]:
+    from gelform import __version__
+
+    prepared = {name: _storable(name, values) for name, values in arrays.items()}
+    clashes = [name for name in _RESERVED if name in meta] + (["meta"] if "meta" in arrays else [])
+    if clashes:
+        raise ValueError(f"Expected other names than the reserved {', '.join(clashes)}.")
+    full = {"format": kind, "format_version": version, "gelform_version": __version__, **meta}
+    if digest:
+        full = json.loads(_json(full))
+        full["digest"] = digest_of(prepared, full)
+    return {"meta": np.array(_json(full)), **prepared}
+
+
+def read_npz(
+    path: str | os.PathLike[str],
+    *,
+    kind: str,
+    newest_version: int,
+    max_bytes: int = MAX_BYTES,
+    error: type[GelformError] = DataError,
+) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+    """Read a file of `write_npz`: the arrays by name and the settings, after every check.
+
+    The sizes that the file declares are checked before anything is read; nothing is unpickled.
+
+    Parameters
+    ----------
+    kind : the required kind of the file
+    newest_version : the newest format version that the caller reads; older ones are the caller's to convert
+    max_bytes : largest size of all members together
+    error : class of the error that is raised if the file cannot be used
+
+    Raises
+    ------
+    error
+        The file is missing, no file of this kind, truncated, altered, too large, or of a newer format (the
+        message names the version of gelform to install).
+    """
+    path = check_path(path)
+    if not path.is_file():
+        raise error(f"No file {path}: expected a {kind}.")
+    try:
+        with path.open("rb") as file:
+            is_picture = file.read(4).startswith(PICTURE_STARTS)
+        with zipfile.ZipFile(path) as archive:
+            arrays = _members(archive, path, kind, max_bytes, error)
+        meta = json.loads(str(arrays.pop("meta")[()]))
+        _json(meta)
+    except OSError as problem:
+        raise error(f"Cannot read {path}: {problem.strerror or problem}.") from problem
+    except _UNREADABLE as problem:
+        if is_picture:
+            raise error(
+                f"Expected a {kind}, got the picture {path}. gelform.read_image(path) reads pictures."
+            ) from problem
+        if path.suffix != ".npz" and (way := way_for(path)):
+            raise error(f"Expected a {kind}, got {path}.{way}") from problem
+        raise error(
+            f"{path} is truncated or damaged, or no {kind} at all ({said(problem)}). "
+            "Copy it again from where it was made, or make it anew."
+        ) from problem
+    _check_meta(meta, path, kind, newest_version, error)
+    if meta.pop("digest") != digest_of(arrays, meta):
+        raise error(
+            f"{path} was altered after it was written: its digest does not agree with what it holds. "
+            "Copy it again from where it was made, or make it anew."
+        )
+    return arrays, meta
+
+
+def read_npy(path: str | os.PathLike[str], what: str) -> NDArray[Any]:
+    """The array of a `.npy` file; `what` describes it in errors; nothing is unpickled.
+
+    DataError: the file is missing, larger than 256 MB, damaged, an archive, or holds no numbers.
+    """
+    content = bytes_of(path, f"{what} (.npy)", MAX_ARRAY_BYTES)
+    if content.startswith(b"PK"):
+        raise DataError(f"Expected one array (.npy) in {path}, got an archive. Save {what} alone.")
+    try:
+        return _array(content)
+    except ValueError as problem:
+        raise DataError(
+            f"{path} is no array file (.npy) of numbers, or a damaged one: {problem}."
+        ) from problem
+
+
+def checked_archive(path: str | os.PathLike[str], what: str, max_bytes: int = MAX_ARRAY_BYTES) -> list[str]:
+    """The names of an archive's members, which declare at most `max_bytes` together; nothing is read yet.
+
+    DataError: the file is missing, too large, or declares more. The errors of zipfile: it is no archive.
+    """
+    with zipfile.ZipFile(present_file(path, what, max_bytes)) as archive:
+        members = archive.infolist()
+    if (declared := sum(member.file_size for member in members)) > max_bytes:
+        raise DataError(
+            f"{path} declares {declared / 1e6:.4g} MB; {what} has at most {max_bytes / 1e6:.4g} MB."
+        )
+    return [member.filename for member in members]
+
+
+@contextmanager
+def damaged(
+    path: str | os.PathLike[str], what: str, remedy: str, error: type[GelformError]
+) -> Iterator[None]:
+    """Raise the error for a file whose content, read inside, does not make `what`; words of gelform are quoted."""
+    try:
+        yield
+    except KeyError as problem:
+        raise error(f"{path} is damaged: {problem} is missing. {remedy}") from problem
+    except (AttributeError, IndexError, OverflowError, TypeError, ValueError) as problem:
+        found = (
+            str(problem) if str(problem).startswith("Expected") else f"what it holds does not make {what}."
+        )
+        raise error(f"{path} is damaged: {found} {remedy}") from problem
+
+
+def kind_of_npz(path: str | os.PathLike[str]) -> str | None:
+    """The kind that a file names (its `format`), or None if it is no such file; nothing else is read."""
+    if not check_path(path).is_file():  # opening a pipe would wait forever
+        return None
+    try:
+        with zipfile.ZipFile(path) as archive:
+            if archive.getinfo("meta.npy").file_size > MAX_META_BYTES:
+                return None
+            meta = json.loads(str(_array(archive.read("meta.npy"))[()]))
+    except (OSError, *_UNREADABLE):
+        return None
+    kind = meta.get("format") if isinstance(meta, dict) else None
+    return kind if isinstance(kind, str) else None
+
+
+def digest_of(arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any]) -> str:
+    """SHA-256 (hex) over JSON-able settings and named arrays: names, dtypes, shapes and bytes."""
+    sha = hashlib.sha256(_json(meta).encode())
+    for name in sorted(arrays):
+        values = np.ascontiguousarray(arrays[name])
+        sha.update(f"\n{name} {arrays[name].dtype.str} {arrays[name].shape}\n".encode())
+        sha.update(values.tobytes())
+    return sha.hexdigest()
+
+
+def _write_members(handle: BinaryIO, members: Mapping[str, NDArray[Any]]) -> None:
+    """Write as `numpy.savez` does, but close the file properly if the disk is full."""
+    with zipfile.ZipFile(handle, "w") as archive:
+        for name, array in members.items():
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                np.lib.format.write_array(member, array, allow_pickle=False)
+
+
+def _members(
+    archive: zipfile.ZipFile, path: Path, kind: str, max_bytes: int, error: type[GelformError]
+) -> dict[str, NDArray[Any]]:
+    declared = sum(member.file_size for member in archive.infolist())
+    if declared > max_bytes:
+        raise error(
+            f"{path} declares {declared / 1e6:.3g} MB of content; a {kind} has at most "
+            f"{max_bytes / 1e6:.3g} MB. It is damaged or no such file."
+        )
+    if "meta.npy" not in archive.namelist():
+        raise error(f"{path} is no {kind}: it has no member 'meta'.")
+    return {
+        member.filename.removesuffix(".npy"): _array(archive.read(member)) for member in archive.infolist()
+    }
+
+
+_READ_HEADER = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+
+
+def _array(content: bytes) -> NDArray[Any]:
+    """One `.npy` member; its header is compared with its size before anything is allocated."""
+    stream = io.BytesIO(content)
+    try:
+        version = np.lib.format.read_magic(stream)
+        shape, fortran_order, dtype = _READ_HEADER[version](stream)
+    except Exception as problem:  # a damaged header fails in numpy's tokenizer in a dozen ways
+        raise ValueError(f"an unreadable array header: {said(problem)}") from problem
+    body = content[stream.tell() :]
+    if dtype.hasobject:
+        raise ValueError("an array of pickled objects")
+    if dtype.itemsize * int(np.prod(shape, dtype=object)) != len(body):
+        raise ValueError(f"an array of shape {shape} in {len(body)} bytes")
+    return np.frombuffer(body, dtype=dtype).reshape(shape, order="F" if fortran_order else "C").copy()
+
+
+def _check_meta(meta: Any, path: Path, kind: str, newest_version: int, error: type[GelformError]) -> None:
+    if not isinstance(meta, dict) or not {"format", "format_version", "digest"} <= meta.keys():
+        raise error(f"{path} is no {kind}: its member 'meta' names no format, version and digest.")
+    if meta["format"] != kind:
+        raise error(f"Expected a {kind}, got a {meta['format']}: {path}.")
+    version = meta["format_version"]
+    if not isinstance(version, int) or version < 1:
+        raise error(f"{path} is damaged: format version {version!r}.")
+    if version > newest_version:
+        writer = meta.get("gelform_version", "of a newer release")
+        raise error(
+            f"{path} has format version {version}, written by gelform {writer}; this gelform reads up to "
+            f"version {newest_version}. Install that release or a newer one: pip install 'gelform>={writer}'."
+        )
+
+
+def _storable(name: str, values: NDArray[Any]) -> NDArray[Any]:
+    array = np.asarray(values)
+    if array.dtype.hasobject:
+        raise TypeError(f"Expected {name} as numbers, booleans or text, got an array of objects.")
+    return array
+
+
+def _json(meta: Mapping[str, Any]) -> str:
+    try:
+        return json.dumps(meta, sort_keys=True, allow_nan=False)
+    except ValueError as problem:
+        raise ValueError(
+            "expected finite numbers in the settings, as JSON has them, got NaN or infinity"
+        ) from problem

@@ -1,0 +1,550 @@
+"""Whether a background belongs to an image, to a set of frames and to the sensor: how they lie, and with figures.
+
+How an image lies compared with the background image (mirrored, turned, BGR), and the part that is touched.
+
+Sixteen readings of the image compete: eight orientations, each with both orders of the channels. In the right one the image
+is the background times a smooth light, but for what touches the gel. In a wrong one the lamps shine from elsewhere, and no
+light near the usual one explains it. So each reading is scored by its evidence (Bishop, Pattern Recognition and Machine
+Learning, 2006, section 3.4): a light is fitted, a polynomial with a prior, and blocks that it does not explain count as
+touched.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import inf, log
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gelform._native import Kernel
+from gelform.errors import CalibrationError
+from gelform.foundations.checks import check_image
+from gelform.foundations.filters import CHANGE_OFFSET
+from gelform.foundations.findings import Finding
+from gelform.image.frame import BRIGHT, DARK, pixels_digest
+from gelform.image.light import (
+    ALIKE,
+    LIGHT_SIGMAS,
+    MARGIN,
+    REST_SIGMA,
+    TOUCHED_SIGMA,
+    FrameLight,
+    block_means,
+    gain_from_blocks,
+    light_from_blocks,
+    without_light,
+)
+
+# Fraction of the brightness by which all but a quarter of an image differs, if it lies otherwise: 0.048 or more on six
+# sensors. Frames that lie as the background differ by up to 0.036.
+UNLIKE = 0.036
+TOUCHED_CHANGE = (
+    0.06  # of a block's logarithm, root mean square of the channels; light that drifted leaves less
+)
+ROUNDS = 6  # of the fit, each with the touched blocks of the last
+
+# The view's flip and turn that do what the transpose and a flip do.
+VIEW_OF_TRANSPOSED = {
+    "none": ("y", "right"),
+    "x": ("none", "right"),
+    "y": ("none", "left"),
+    "xy": ("x", "right"),
+}
+
+
+class Orientation(NamedTuple):
+    """A reading of an image.
+
+    Attributes
+    ----------
+    flip : "none", "x" (left and right exchanged), "y" (top and bottom), "xy"
+    transposed : whether rows and columns are exchanged, before the flip is undone
+    reversed : whether red and blue are exchanged
+    """
+
+    flip: str
+    transposed: bool
+    reversed: bool
+
+    @property
+    def is_upright(self) -> bool:
+        """Whether nothing is exchanged."""
+        return self == UPRIGHT
+
+    @property
+    def named(self) -> str:
+        """What is exchanged, in words: "BGR", "mirrored left to right", "turned by 90 degrees and BGR"."""
+        words = []
+        if self.transposed:
+            turned = {"x": "turned by 90 degrees counter-clockwise", "y": "turned by 90 degrees clockwise"}
+            words.append(turned.get(self.flip, "turned by 90 degrees and mirrored"))
+        elif self.flip != "none":
+            flipped = {"x": "mirrored left to right", "y": "mirrored top to bottom"}
+            words.append(flipped.get(self.flip, "turned by 180 degrees"))
+        return " and ".join([*words, *(["BGR"] if self.reversed else [])])
+
+    @property
+    def remedy(self) -> str:
+        """What undoes it: the view's flip and turn, and the exchange of red and blue."""
+        flip, turn = VIEW_OF_TRANSPOSED[self.flip] if self.transposed else (self.flip, "none")
+        words = [f'{name} "{value}"' for name, value in (("flip", flip), ("turn", turn)) if value != "none"]
+        parts = [f"the view's {' and '.join(words)}"] if words else []
+        if self.reversed:
+            parts.append("red and blue exchanged (--bgr)")
+        return ", and ".join(parts)
+
+    def undone(self, image: NDArray[Any]) -> NDArray[Any]:
+        """The image (H, W, 3) as it should be."""
+        upright = image.transpose(1, 0, 2) if self.transposed else image
+        upright = upright[:: -1 if "y" in self.flip else 1, :: -1 if "x" in self.flip else 1]
+        return np.ascontiguousarray(upright[..., ::-1] if self.reversed else upright)
+
+
+READINGS = tuple(
+    Orientation(flip, transposed, reversed_)
+    for transposed in (False, True)
+    for flip in ("none", "x", "y", "xy")
+    for reversed_ in (False, True)
+)
+UPRIGHT = READINGS[0]
+
+
+def orientation_from_image(image: NDArray[Any], background: NDArray[Any]) -> Orientation | None:
+    """How an image (H, W, 3) or (W, H, 3), 0-255, lies compared with a background image (H, W, 3).
+
+    Returns
+    -------
+    Orientation
+        None if it cannot be told: the lights are alike from all sides, or the image is of another sensor.
+    """
+    return orientation_from_blocks(block_means(image), block_means(background))
+
+
+def orientation_if_doubtful(image: NDArray[Any], background: NDArray[Any]) -> Orientation | None:
+    """`orientation_from_image` of an image of which not even a quarter is as in the background image; else None.
+
+    It is the cheap question first: no image of six sensors that lies otherwise agrees by so much.
+    """
+    blocks, untouched = block_means(image), block_means(background)
+    if gain_from_blocks(blocks, untouched).least_change <= UNLIKE:
+        return None
+    return orientation_from_blocks(blocks, untouched)
+
+
+def orientation_from_blocks(image: NDArray[np.float32], untouched: NDArray[np.float32]) -> Orientation | None:
+    """`orientation_from_image` for images averaged by `block_means`."""
+    shape = untouched.shape[:2]
+    fitting = [
+        one for one in READINGS if shape == (image.shape[1::-1] if one.transposed else image.shape[:2])
+    ]
+    if not fitting:
+        return None
+    change, lit = _log_change(np.stack([one.undone(image) for one in fitting]), untouched)
+    if not lit.any():
+        return None
+    evidence = _evidence(change, lit, _terms(shape))
+    order = np.argsort(evidence)[::-1]
+    first = evidence[order[0]]
+    others = max(evidence[order[1]], _touched_all_over(change, lit))
+    return fitting[order[0]] if first - others > MARGIN else None
+
+
+class Touched(NamedTuple):
+    """The largest connected region of an image that no light explains.
+
+    Attributes
+    ----------
+    share : of the image, 0-1
+    center : x and y over width and height, 0-1
+    """
+
+    share: float
+    center: tuple[float, float]
+
+
+def largest_touch(image: NDArray[np.float32], untouched: NDArray[np.float32]) -> Touched:
+    """The largest touched region of an image compared with a background image, both from `block_means`, of one size."""
+    shape = untouched.shape[:2]
+    change, lit = _log_change(image[None], untouched)
+    terms = _terms(shape)
+    light, _ = _fitted_light(change, lit, terms)
+    size = np.sqrt(np.mean((change[0] - terms[0] @ light[0]) ** 2, axis=-1))
+    touched = ((size > TOUCHED_CHANGE) & lit[0]).reshape(shape).view(np.uint8)
+    _, _, regions, centers = cv2.connectedComponentsWithStats(touched, connectivity=4)
+    areas = regions[1:, cv2.CC_STAT_AREA]
+    if not len(areas):
+        return Touched(0.0, (0.5, 0.5))
+    x, y = (centers[1 + areas.argmax()] + 0.5) / shape[::-1]
+    return Touched(float(areas.max() / size.size), (float(x), float(y)))
+
+
+def _log_change(
+    images: NDArray[np.float32], untouched: NDArray[np.float32]
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Log ratios (n, N, 3) of images (n, h, w, 3) to the background (h, w, 3), and the blocks (n, N) lit in both."""
+    read, background = images.reshape(len(images), -1, 3), untouched.reshape(1, -1, 3)
+    lit = np.all((background > DARK) & (background < BRIGHT) & (read > DARK) & (read < BRIGHT), axis=-1)
+    return np.log((read + CHANGE_OFFSET) / (background + CHANGE_OFFSET)).astype(np.float64), lit
+
+
+def _terms(shape: tuple[int, int]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Monomials (N, 10) of the place in blocks (h, w), and the weights (10,) of their prior."""
+    y, x = (np.linspace(-1, 1, n) for n in shape)
+    across, down = (part.ravel() for part in np.meshgrid(x, y))
+    powers = [(i, j) for i in range(len(LIGHT_SIGMAS)) for j in range(len(LIGHT_SIGMAS) - i)]
+    terms = np.stack([across**i * down**j for i, j in powers], axis=1)
+    return terms, np.array([LIGHT_SIGMAS[i + j] ** -2 for i, j in powers])
+
+
+def _evidence(
+    change: NDArray[np.float64],
+    lit: NDArray[np.bool_],
+    of_place: tuple[NDArray[np.float64], NDArray[np.float64]],
+) -> NDArray[np.float64]:
+    """Evidence (readings,) of the log changes (readings, N, 3) of lit blocks (readings, N), in nats."""
+    terms, prior = of_place
+    share = ALIKE / np.maximum(lit.sum(axis=1), 1)
+    light, normal = _fitted_light(change, lit, of_place)
+    explained = np.where(lit, np.logaddexp(*_log_likelihoods(change - terms @ light)), 0).sum(axis=1) * share
+    apart = (prior[None, :, None] * light**2).sum(axis=(1, 2)) / 2
+    narrowed = np.linalg.slogdet(normal)[1] - np.log(prior).sum()
+    return np.asarray(explained - apart - 1.5 * narrowed)
+
+
+def _fitted_light(
+    change: NDArray[np.float64],
+    lit: NDArray[np.bool_],
+    of_place: tuple[NDArray[np.float64], NDArray[np.float64]],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Coefficients (readings, 10, 3) of the light that explains most blocks, and their inverse covariance."""
+    terms, prior = of_place
+    share = ALIKE / np.maximum(lit.sum(axis=1), 1)
+    products = (terms[:, :, None] * terms[:, None, :]).reshape(len(terms), -1)
+    light = np.zeros((len(change), terms.shape[1], 3))
+    light[:, 0] = [np.median(one[chosen], axis=0) if chosen.any() else 0 for one, chosen in zip(change, lit)]
+    for _ in range(ROUNDS):
+        sides = _log_likelihoods(change - terms @ light)
+        weight = lit * np.exp(sides[0] - np.logaddexp(*sides)) * share[:, None] / REST_SIGMA**2
+        normal = (weight @ products).reshape(len(change), *2 * (terms.shape[1],)) + np.diag(prior)
+        # definite by the prior
+        light = np.linalg.solve(normal, terms.T @ (weight[..., None] * change))
+    return light, normal
+
+
+def _log_likelihoods(residual: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+    """Of blocks at rest and of touched ones, each half of all, from their residuals (..., 3)."""
+    square = (residual**2).sum(axis=-1)
+    return [-square / (2 * sigma**2) - 3 * np.log(sigma) for sigma in (REST_SIGMA, TOUCHED_SIGMA)]
+
+
+def _touched_all_over(change: NDArray[np.float64], lit: NDArray[np.bool_]) -> float:
+    """Evidence of an image that no reading explains at all."""
+    return float(ALIKE * _log_likelihoods(change[lit])[1].mean())
+
+
+# Gain of the brightness: outside the first range a new background is requested, outside the second the image is refused.
+RATIO_WARN, RATIO_REFUSE = (0.9, 1.1), (0.7, 1.4)
+# Fraction of the brightness, and gray levels of room light; a smaller difference is compensated without a finding.
+GAIN_REPORTED, ROOM_REPORTED = 0.02, 3.0
+SURE_SIGMAS = 3.0  # standard deviations by which tilt and room light exceed these: 0.1 % of false alarms
+CORRELATION_REFUSE = (
+    0.8  # smallest correlation over pixels at rest; with less, an image is another sensor's, or shifted
+)
+# Fractions of the brightness: half of an image differs by more than the first for a warning, the second for a refusal.
+PATTERN_WARN, PATTERN_REFUSE = 0.02, 0.053
+# Fraction of a background image in one region that no light explains: two moments at rest 0.015 or less (223 pairs of a
+# Mini, a wedge and a DIGIT), presses 0.033 or more on six sensors and 0.014-0.05 on a GelSlim.
+TOUCHED_SHARE = 0.025
+TOUCHED_IN_CONTACT = 0.015  # the same where the calibration shows contact
+TOUCHED_FRACTION = 0.4  # fraction of an image that the correlation leaves out
+OTHER_SENSOR = "The calibration is not of the sensor that took this background"
+OWN_CALIBRATION = (
+    "If frames agree with this background, no new one helps: use this sensor's own calibration. If it is the same unit, its "
+    "gel or lights have moved, so calibrate again."
+)
+MIN_FRAMES = (
+    8  # smallest number of frames, each touched elsewhere, whose median is nearly the background image
+)
+
+_least_changed_sums = Kernel(
+    "least_changed_sums",
+    "f32[n,3] seen, f32[n,3] untouched, f32[3] scale, i64 last, out f32[m] work, out f64[3] sums",
+)
+
+
+def check_background(image: NDArray[Any], background: NDArray[Any]) -> tuple[Finding, ...]:
+    """Refuse a background that does not belong to this image; return findings.
+
+    Where nothing touches, the image should be the background times a gain near 1.
+
+    CalibrationError: the image is mirrored, turned or BGR, a channel's gain is outside 0.7-1.4, or the correlation is under
+    0.8. The message has the figure.
+    """
+    return compared(block_means(image), block_means(background))[1]
+
+
+def check_own_background(background: NDArray[Any], calibrated: NDArray[Any]) -> tuple[Finding, ...]:
+    """Refuse a background image that is not of the calibrated sensor; return findings.
+
+    It goes beyond `check_background`: both images show the gel at rest, so that they should be equal everywhere, up to
+    a gain for each channel. Another unit of the same model passes every other check.
+
+    CalibrationError: as `check_background`, half of the image differs by more than 5.3 %, or something touches the gel. The
+    message has the figure.
+    """
+    today, untouched = block_means(background), block_means(calibrated)
+    compared(today, untouched, own=True)
+    gain = gain_from_blocks(today, untouched)
+    differs = gain.middle_pattern
+    if np.isfinite(differs) and differs > PATTERN_REFUSE:
+        raise CalibrationError(
+            f"{OTHER_SENSOR}: after a common gain ({_times(gain.gain)}), half of the background given differs from the "
+            f"calibration's by {100 * differs:.1f} % or more (expected under {100 * PATTERN_REFUSE:g} %). {OWN_CALIBRATION}"
+        )
+    check_untouched(background, calibrated)
+    findings = list(_exposure_findings(gain))
+    if np.isfinite(differs) and differs > PATTERN_WARN:
+        message = (
+            f"Today's background differs from the calibration's by {100 * differs:.1f} % after a common gain. "
+            "The gel or a light may have moved."
+        )
+        findings.append(Finding("background_pattern", message, differs))
+    return tuple(findings)
+
+
+def check_untouched(
+    background: NDArray[Any], calibrated: NDArray[Any], contact: NDArray[np.bool_] | None = None
+) -> None:
+    """Refuse a background image in which something touches the gel, compared with the calibration's.
+
+    Parameters
+    ----------
+    background, calibrated : (H, W, 3), 0-255
+    contact : (H, W), where the calibration shows contact in it; a smaller difference there is enough
+
+    Raises
+    ------
+    CalibrationError
+        The message has the place and the share.
+    """
+    touch = largest_touch(block_means(background), block_means(calibrated))
+    x, y = (int(part * size) for part, size in zip(touch.center, background.shape[1::-1]))
+    least = TOUCHED_SHARE if contact is None or not contact[y, x] else TOUCHED_IN_CONTACT
+    if touch.share > least:
+        raise CalibrationError(
+            f"Something touches the gel in this background image, about ({x}, {y}) px: {100 * touch.share:.1f} % of it "
+            "differ from the calibration's as no light does. Take it again, with nothing touching the gel. If the gel is "
+            "damaged there, calibrate again."
+        )
+
+
+def check_background_of_frames(
+    frames: Sequence[NDArray[Any]], background: NDArray[Any]
+) -> tuple[Finding, ...]:
+    """Refuse a background that is not of the sensor that took the frames; return findings.
+
+    Each frame is touched, at another place. Therefore the blocks' median over eight frames or more is nearly the background
+    image; fewer frames are not checked.
+
+    CalibrationError: the quarter that changed least differs by more than 3.6 %, and half by more than 5.3 %.
+    """
+    if len(frames) < MIN_FRAMES:
+        return ()
+    middle = np.median([block_means(frame) for frame in frames], axis=0).astype(np.float32)
+    light = gain_from_blocks(middle, block_means(background))
+    if light.share and light.least_pattern > UNLIKE and light.middle_pattern > PATTERN_REFUSE:
+        raise CalibrationError(
+            f"The background is not of these images. After a common gain ({_times(light.gain)}), a quarter of "
+            f"their median differs by {100 * light.least_pattern:.1f} % or more, and half by "
+            f"{100 * light.middle_pattern:.1f} % (expected under {100 * UNLIKE:g} and "
+            f"{100 * PATTERN_REFUSE:g} %). Take a background with the same sensor, just before the presses."
+        )
+    if not PATTERN_WARN < light.middle_pattern < inf:
+        return ()
+    message = (
+        f"After a common gain ({_times(light.gain)}), half of the presses' median differs from the background by "
+        f"{100 * light.middle_pattern:.1f} % or more (usual: under {100 * PATTERN_WARN:g} %). Light or gel have "
+        "drifted, or most presses touch the same place. Depth off contact is wrong by as much. Take a background just "
+        "before the presses."
+    )
+    return (Finding("background_drift", message, light.middle_pattern),)
+
+
+def background_digest(background: NDArray[Any]) -> str:
+    """SHA-256 of the pixels of a background image, by which a calibration recognizes its own."""
+    return pixels_digest(np.asarray(background, dtype="<f4"))
+
+
+def compared(
+    image: NDArray[np.float32],
+    untouched: NDArray[np.float32],
+    usual: FrameLight | None = None,
+    own: bool = False,
+) -> tuple[FrameLight, tuple[Finding, ...]]:
+    """Light and findings of an image compared with the background image, as in `light_from_blocks`.
+
+    `own`: the image is today's background, and `untouched` the calibration's; an error then blames the calibration.
+    """
+    light = light_from_blocks(image, untouched, usual)
+    if light.least_change > UNLIKE:
+        _refuse_gray(image, untouched)
+        check_upright(orientation_from_blocks(image, untouched))
+    _refuse_unlike(light, _correlation(image, untouched, light), own)
+    # The light of another unit of the make is not far from a tilt.
+    pattern = light.least_pattern if light.tilt.any() else light.least_change
+    return light, (*_light_findings(light), *_pattern_findings(pattern))
+
+
+def check_viewed_image(
+    background: NDArray[np.float32],
+    frame_shape: tuple[int, int] | None,
+    image: ArrayLike,
+    name: str = "image",
+) -> NDArray[Any]:
+    """Return an RGB image of the background's size, as `check_image` does; the error says if it is a frame.
+
+    ValueError, TypeError: as `check_image`. CalibrationError: the image lies on its side.
+    """
+    shape = background.shape[:2]
+    try:
+        return check_image(image, shape=shape, name=name)
+    except ValueError as problem:
+        got = getattr(image, "shape", ())[:2]
+        if got == shape[::-1] != shape:
+            check_upright(orientation_from_image(check_image(image, name=name), background))
+        if got != frame_shape or frame_shape == shape:
+            raise
+        hint = "It has the size of the camera's frames: image_from_frame(frame, calibration.view) first."
+        raise ValueError(f"{problem} {hint}") from None
+
+
+def check_upright(orientation: Orientation | None) -> None:
+    """Raise a CalibrationError that names how an image lies, if it is known and not as the background image does."""
+    if orientation is not None and not orientation.is_upright:
+        raise CalibrationError(
+            f"The image is {orientation.named} compared with the background: so it fits it best of 16 readings. Undo it "
+            f"where images are read: {orientation.remedy}."
+        )
+
+
+def _refuse_gray(image: NDArray[np.float32], untouched: NDArray[np.float32]) -> None:
+    if np.ptp(image, axis=-1).max() == 0 < np.ptp(untouched, axis=-1).max():
+        raise CalibrationError(
+            "The image is gray: red, green and blue are equal everywhere, and in the background they are not. Slopes are "
+            "read from colors, so read the camera's frames in color."
+        )
+
+
+def _refuse_unlike(light: FrameLight, correlation: float | None, own: bool) -> None:
+    what, than = (
+        (OTHER_SENSOR, "the calibration's")
+        if own
+        else ("The background is not of this image", "the background")
+    )
+    gains = light.gain.tolist()
+    if min(gains) < RATIO_REFUSE[0] or max(gains) > RATIO_REFUSE[1]:
+        remedy = (
+            f"{OWN_CALIBRATION} Or set exposure and white balance as they were at calibration."
+            if own
+            else "Take a new background with the same exposure, white balance and lights."
+        )
+        raise CalibrationError(
+            f"{what}: pixels at rest are {_times(light.gain)} times as bright as in {than} "
+            f"(expected {RATIO_REFUSE[0]}-{RATIO_REFUSE[1]}). {remedy}"
+        )
+    if correlation is not None and correlation < CORRELATION_REFUSE:
+        raise CalibrationError(
+            f"{what}: the two correlate by {correlation:.2f} on pixels at rest (expected {CORRELATION_REFUSE} or more). "
+            + (OWN_CALIBRATION if own else "Is it of another sensor, or shifted?")
+        )
+
+
+def _light_findings(light: FrameLight) -> tuple[Finding, ...]:
+    findings = (*_exposure_findings(light), *room_light_finding(light))
+    tilt = abs(_sure(light.tilt, light.covariance[:, [1, 2], [1, 2]], GAIN_REPORTED))
+    if not tilt:
+        return findings
+    message = (
+        f"The light is tilted by up to {100 * tilt:.0f} % between the middle and a border, as if a lamp had moved. gelform "
+        "compensates it."
+    )
+    return (*findings, Finding("tilted_light", message, tilt))
+
+
+def room_light_finding(light: FrameLight) -> tuple[Finding, ...]:
+    """Find `room_light`: light added to all channels; figure: gray levels, of the channel that changed most.
+
+    The sensor's own light multiplies the background image. Light from outside is added to it, in dark places too.
+    """
+    room = _sure(light.room, light.covariance[:, 3, 3], ROOM_REPORTED)
+    message = (
+        f"Room light changes the colors by up to {room:+.0f} gray levels. gelform removes it. Shade the gel."
+    )
+    return (Finding("room_light", message, room),) if room else ()
+
+
+def _sure(values: NDArray[np.float64], variances: NDArray[np.float64], least: float) -> float:
+    """The value that exceeds `least` most clearly; 0 if none does by `SURE_SIGMAS`."""
+    over = np.abs(values) - SURE_SIGMAS * np.sqrt(variances)
+    at = np.unravel_index(over.argmax(), over.shape)
+    return float(values[at]) if over[at] > least else 0.0
+
+
+def _exposure_findings(light: FrameLight) -> tuple[Finding, ...]:
+    if not light.share:
+        message = "gelform cannot compare the exposure: every part of the image is too dark in some channel, or saturated."
+        return (Finding("exposure_unknown", message, 0.0),)
+    if not light.is_known:
+        message = (
+            f"gelform cannot tell the exposure well, because {100 * light.share:.0f} % of the image is at rest. "
+            "The slopes' sigma contains what an unknown exposure does."
+        )
+        return (Finding("exposure_unknown", message, light.share),)
+    gains = light.gain.tolist()
+    largest = max(gains, key=lambda one: abs(log(one)))
+    if min(gains) < RATIO_WARN[0] or max(gains) > RATIO_WARN[1]:
+        message = f"Pixels at rest are {_times(light.gain)} times as bright as in the background. Take a new background."
+        return (Finding("background_ratio", message, largest),)
+    if abs(largest - 1) > GAIN_REPORTED:
+        percents = ", ".join(f"{name} {100 * (one - 1):+.0f} %" for name, one in zip("RGB", gains))
+        message = f"The exposure differs from the background's by {percents}. gelform compensates it."
+        return (Finding("exposure", message, largest),)
+    return ()
+
+
+def _pattern_findings(least: float) -> tuple[Finding, ...]:
+    if not UNLIKE < least < inf:
+        return ()
+    message = (
+        f"Even the quarter of the image that changed least differs from the background by {100 * least:.1f} %. Either a "
+        "contact fills the image, or the calibration or background is of another sensor."
+    )
+    return (Finding("background_differs", message, least),)
+
+
+def _times(gain: NDArray[np.float64]) -> str:
+    return ", ".join(f"{name} {value:.2f}" for name, value in zip("RGB", gain))
+
+
+def _correlation(
+    image: NDArray[np.float32], untouched: NDArray[np.float32], light: FrameLight
+) -> float | None:
+    """Correlation, without the light, over all blocks but the `TOUCHED_FRACTION` that changed most, channels together.
+
+    None if the background image is featureless, so that nothing can correlate with it. 0 if only the image is featureless.
+    """
+    blocks = image.size // 3
+    if light.is_plain:
+        scale = (1 / light.gain).astype(np.float32)
+    else:
+        image, scale = without_light(image, light.values), np.ones(3, dtype=np.float32)
+    last = min(int((1 - TOUCHED_FRACTION) * blocks), blocks - 1)
+    sums, work = np.empty(3), np.empty(2 * blocks, dtype=np.float32)
+    count = _least_changed_sums(image.reshape(-1, 3), untouched.reshape(-1, 3), scale, last, work, sums)
+    of_image, of_untouched, of_both = sums.tolist()
+    if of_untouched < 1e-4 * count:
+        return None
+    return of_both / (of_image * of_untouched) ** 0.5 if of_image >= 1e-4 * count else 0.0

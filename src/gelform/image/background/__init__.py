@@ -1,1 +1,0 @@
-"""The background image: averaged, compared with a frame, checked."""

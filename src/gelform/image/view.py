@@ -1,0 +1,532 @@
+"""frame -> image and back: the view, its lens, and resampling in one pass.
+
+Resampling of an image in one pass: averages over boxes of whole pixels, then one bilinear remap.
+
+Pixel centers are at integers, so a pixel covers half a pixel on each side of its number, and resizing maps *areas*.
+If an image is reduced strongly, whole pixels are averaged first, which avoids aliasing.
+
+frame -> image: lens, crop, flip and resize in one remap, and back.
+
+Pixel centers are at integers and resizing maps areas: `x_frame = (x_image + 1/2) scale - 1/2 + left`.
+
+With a lens the crop is part of the *rectified* frame, which has the frame's size and square pixels on the gel; each of
+its pixels is looked up in the frame through the perspective and the distortion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from functools import lru_cache
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gelform.foundations.checks import check_choice, check_image, check_is
+
+
+def box_centers(
+    start: float, length: float, available: int, count: int, flipped: bool
+) -> tuple[NDArray[Any], slice, int]:
+    """Positions of image pixels along one axis of a frame, in boxes of whole frame pixels.
+
+    The axis has `count` image pixels, which show a part of a frame of `available` px. If it is flipped, the first of them is
+    at the end of the part. Returns their centers in boxes, the part of the frame to cut out, and the number of frame pixels
+    in a box, which is the integer part of the reduction.
+    """
+    scale = length / count
+    box = max(1, int(scale + 0.5))
+    first = min(int(start), available - 1)
+    last = min(available, int(np.ceil(start + length)))
+    centers = (np.arange(count) + 0.5) * scale + start
+    if flipped:
+        centers = centers[::-1]
+    return (centers - first) / box - 0.5, slice(first, last), box
+
+
+def averaged(pixels: NDArray[Any], box: tuple[int, int]) -> NDArray[Any]:
+    """Mean of pixels (H, W, 3) over boxes (height, width); the last box repeats the border beyond the frame."""
+    if box == (1, 1):
+        return pixels
+    boxes = [-(-pixels.shape[axis] // box[axis]) for axis in (0, 1)]
+    missing = [boxes[axis] * box[axis] - pixels.shape[axis] for axis in (0, 1)]
+    if any(missing):
+        pixels = cv2.copyMakeBorder(pixels, 0, missing[0], 0, missing[1], cv2.BORDER_REPLICATE)
+    averaged: NDArray[Any] = cv2.resize(pixels, (boxes[1], boxes[0]), interpolation=cv2.INTER_AREA)
+    return averaged
+
+
+def pixel_maps(x: NDArray[Any], y: NDArray[Any]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Maps (h, w) of each pixel's position in the source.
+
+    All rows of the maps have the columns x (w,), and all columns the rows y (h,).
+    """
+    map_x, map_y = np.meshgrid(x.astype(np.float32), y.astype(np.float32))
+    return _read_only(map_x), _read_only(map_y)
+
+
+def pixel_positions(shape: tuple[int, int]) -> NDArray[np.int64]:
+    """Positions (H*W, 2), x and y, of the pixels of an image (H, W), row by row."""
+    y, x = np.mgrid[: shape[0], : shape[1]]
+    return np.stack([x.ravel(), y.ravel()], axis=1)
+
+
+def maps_of_positions(
+    positions_px: NDArray[Any], shape: tuple[int, int]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Maps (H, W) of positions (H*W, 2), x and y, in the source, as `remapped` takes them."""
+    map_x, map_y = (positions_px[:, k].reshape(shape).astype(np.float32) for k in (0, 1))
+    return _read_only(map_x), _read_only(map_y)
+
+
+def _read_only(values: NDArray[Any]) -> NDArray[Any]:
+    """The same array, read-only, because threads share prepared maps."""
+    values.setflags(write=False)
+    return values
+
+
+def remapped(pixels: NDArray[Any], map_x: NDArray[Any], map_y: NDArray[Any]) -> NDArray[Any]:
+    """Bilinear values at maps (h, w) of source columns and rows; the border is repeated beyond it."""
+    found: NDArray[Any] = cv2.remap(pixels, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return found
+
+
+IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)  # homography, row by row
+# Rounds of Newton's method at most; it ends with a smaller step, px.
+UNDISTORTION_ROUNDS, UNDISTORTED_PX = 40, 1e-9
+DIFFERENCE_PX = 1e-3  # px, step of central differences: far above rounding, far below a lens's curvature
+LEAST_AREA = 1e-3  # px^2 per px^2; the map is folded where it changes area by less, and has no inverse there
+KEYS = ("camera", "distortion", "perspective")
+
+
+@dataclass(frozen=True)
+class Lens:
+    """A pinhole camera with Brown's distortion that views a plane from any side.
+
+    Attributes
+    ----------
+    camera : (fx, fy, cx, cy), px
+    distortion : (k1, k2, p1, p2, k3), in the order of OpenCV; missing ones at the end are 0
+        Source: D. C. Brown, Photogrammetric Engineering 32(3), 1966.
+    perspective : 9 numbers, row by row
+        Homography from rectified pixels to the pixels of the undistorted frame; identity by default.
+
+    Raises
+    ------
+    ValueError
+        Another count of numbers, a number that is not finite, a focal length <= 0, or a singular perspective.
+    """
+
+    camera: tuple[float, ...]
+    distortion: tuple[float, ...] = ()
+    perspective: tuple[float, ...] = IDENTITY
+
+    def __post_init__(self) -> None:
+        for name, low, high in (("camera", 4, 4), ("distortion", 0, 5), ("perspective", 9, 9)):
+            values = _lens_numbers(getattr(self, name), name)
+            if not low <= len(values) <= high:
+                wanted = f"{low}" if low == high else f"up to {high}"
+                raise ValueError(f"Expected the lens's {name} as {wanted} numbers, got {len(values)}.")
+            object.__setattr__(self, name, values)
+        if min(self.camera[:2]) <= 0:
+            raise ValueError(f"Expected focal lengths > 0 px, got {self.camera[:2]}.")
+        # Of rows of any length: a homography in px has rows of 1, 1000 and 1e-6.
+        lengths = np.prod(np.linalg.norm(self._homography, axis=1))
+        if not abs(np.linalg.det(self._homography)) > 1e-12 * lengths:
+            raise ValueError(
+                f"Expected a perspective that can be undone, got a singular one: {self.perspective}."
+            )
+
+    @property
+    def _homography(self) -> NDArray[np.float64]:
+        return np.asarray(self.perspective, dtype=np.float64).reshape(3, 3)
+
+    def frame_px_from_rectified_px(self, points_px: NDArray[Any]) -> NDArray[np.float64]:
+        """Positions (N, 2), x and y, in the frame of points of the rectified plane."""
+        flat = cv2.perspectiveTransform(np.asarray(points_px, dtype=np.float64)[None], self._homography)[0]
+        return self._distorted(flat)
+
+    def _distorted(self, flat: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Positions in the frame of points of the undistorted frame."""
+        fx, fy, cx, cy = self.camera
+        k1, k2, p1, p2, k3 = (*self.distortion, *[0.0] * (5 - len(self.distortion)))
+        x, y = (flat[:, 0] - cx) / fx, (flat[:, 1] - cy) / fy
+        square = x * x + y * y
+        radial = 1 + square * (k1 + square * (k2 + square * k3))
+        return np.stack(
+            [
+                fx * (x * radial + 2 * p1 * x * y + p2 * (square + 2 * x * x)) + cx,
+                fy * (y * radial + p1 * (square + 2 * y * y) + 2 * p2 * x * y) + cy,
+            ],
+            axis=1,
+        )
+
+    def rectified_px_from_frame_px(self, points_px: NDArray[Any]) -> NDArray[np.float64]:
+        """Positions (N, 2) in the rectified plane of points of the frame: the inverse of `frame_px_from_rectified_px`."""
+        flat = self._undistorted(np.asarray(points_px, dtype=np.float64))
+        back = cv2.perspectiveTransform(flat[None], np.linalg.inv(self._homography))
+        return np.asarray(back[0], dtype=np.float64)
+
+    def _undistorted(self, distorted: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The inverse of `_distorted`, by Newton's method: from the given point it approaches the answer from one side."""
+        flat = distorted.copy()
+        for _ in range(UNDISTORTION_ROUNDS):
+            xx, yx, xy, yy = self._distortion_slopes(flat)
+            excess_x, excess_y = (self._distorted(flat) - distorted).T
+            area = np.maximum(xx * yy - xy * yx, LEAST_AREA)
+            step = (
+                np.stack([yy * excess_x - xy * excess_y, xx * excess_y - yx * excess_x], axis=1)
+                / area[:, None]
+            )
+            flat -= np.clip(step, -min(self.camera[:2]), min(self.camera[:2]))
+            if np.abs(step).max(initial=0) < UNDISTORTED_PX:
+                break
+        return flat
+
+    def _distortion_slopes(self, flat: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
+        """The derivatives dx/dx, dy/dx, dx/dy, dy/dy of `_distorted`, by central differences."""
+        along_x, along_y = np.array([DIFFERENCE_PX, 0.0]), np.array([0.0, DIFFERENCE_PX])
+        by_x = (self._distorted(flat + along_x) - self._distorted(flat - along_x)) / (2 * DIFFERENCE_PX)
+        by_y = (self._distorted(flat + along_y) - self._distorted(flat - along_y)) / (2 * DIFFERENCE_PX)
+        return by_x[:, 0], by_x[:, 1], by_y[:, 0], by_y[:, 1]
+
+    def to_dict(self) -> dict[str, list[float]]:
+        """The settings, as values that JSON and TOML can hold."""
+        return {name: list(getattr(self, name)) for name in KEYS}
+
+    @classmethod
+    def from_dict(cls, settings: Mapping[str, Any]) -> Lens:
+        """A lens from `to_dict` or the `[view.lens]` table of a `sensor.toml`; an unknown key is a ValueError."""
+        if not isinstance(settings, Mapping):
+            raise ValueError(f"Expected a lens as a table of {', '.join(KEYS)}, got {settings!r}.")
+        unknown = [name for name in settings if name not in KEYS]
+        if unknown or "camera" not in settings:
+            raise ValueError(
+                f"Expected settings of a lens among {', '.join(KEYS)} (camera is needed), got {', '.join(settings)}."
+            )
+        return cls(**{name: _lens_numbers(value, name) for name, value in settings.items()})
+
+
+def _lens_numbers(values: Any, name: str) -> tuple[float, ...]:
+    try:
+        numbers = tuple(float(value) for value in values)
+    except (TypeError, ValueError):
+        raise ValueError(f"Expected the lens's {name} as numbers, got {values!r}.") from None
+    if not all(np.isfinite(numbers)):
+        raise ValueError(f"Expected the lens's {name} as finite numbers, got {values!r}.")
+    return numbers
+
+
+MAX_PIXELS = 200e6  # pixels of a frame or an image, at most
+FLIPS = ("none", "x", "y", "xy")
+TURNS = {"none": 0, "left": 1, "right": -1}  # quarter turns counterclockwise
+
+
+@dataclass(frozen=True)
+class View:
+    """The part of a camera's frame that is the image, its orientation and its size in pixels; identity by default.
+
+    Attributes
+    ----------
+    frame_shape : (H, W) of the camera's frames, or None for frames of any size
+        Needed if frames are cropped, resized or have a lens.
+    crop : (left, top, width, height) in frame pixels, or None for the whole frame
+        Fractions of a pixel are allowed, in a size of 1 or more. Counted in the frame as the camera gives it, before flips.
+    flip : "none", "x" (left and right exchanged), "y" (top and bottom), or "xy" (turned by 180 degrees)
+    image_shape : (H, W) of the image, or None for the size of the crop, rounded
+    lens : Lens or None
+        Distortion and perspective to remove; the crop is then in pixels of the rectified frame.
+    turn : "none", "left" (a quarter turn counterclockwise) or "right", after the flip; `image_shape` is that of the
+        turned image
+
+    Raises
+    ------
+    ValueError
+        A crop outside the frame, sizes that are not positive, an unknown flip, or a missing
+        frame_shape.
+    """
+
+    frame_shape: tuple[int, int] | None = None
+    crop: tuple[float, float, float, float] | None = None
+    flip: str = "none"
+    image_shape: tuple[int, int] | None = None
+    lens: Lens | None = None
+    turn: str = "none"
+
+    def __post_init__(self) -> None:
+        if self.lens is not None and not isinstance(self.lens, Lens):
+            object.__setattr__(self, "lens", Lens.from_dict(self.lens))
+        for name in ("frame_shape", "image_shape"):
+            object.__setattr__(self, name, _size_of(getattr(self, name), name))
+        object.__setattr__(self, "crop", _crop_of(self.crop, self.frame_shape))
+        check_choice(self.flip, FLIPS, "the view's flip")
+        check_choice(self.turn, TURNS, "the view's turn")
+        if self.frame_shape is None and (self.crop or self.image_shape or self.lens):
+            raise ValueError(
+                "Expected frame_shape, (height, width) of the frames, in a view that crops, resizes or undoes a lens."
+            )
+
+    @property
+    def shape(self) -> tuple[int, int] | None:
+        """(H, W) of the images of this view; None if any size passes."""
+        if self.image_shape is not None or self.frame_shape is None:
+            return self.image_shape
+        _, _, width, height = self._box
+        shape = max(1, round(height)), max(1, round(width))
+        return shape if self.turn == "none" else shape[::-1]
+
+    @property
+    def is_identity(self) -> bool:
+        """Whether images are unchanged frames."""
+        if self.turn != "none":
+            return False
+        if self.frame_shape is None:
+            return self.flip == "none"
+        height, width = self.frame_shape
+        if self.lens is not None:
+            return False
+        return self.flip == "none" and self._box == (0, 0, width, height) and self.shape == self.frame_shape
+
+    @property
+    def unturned(self) -> View:
+        """The same view without its turn."""
+        if self.turn == "none":
+            return self
+        return replace(self, turn="none", image_shape=self.image_shape and self.image_shape[::-1])
+
+    def of_frames(self, frame_shape: tuple[int, int]) -> View:
+        """This view for frames (H, W), if it does not have their size itself."""
+        return self if self.frame_shape is not None else replace(self, frame_shape=frame_shape)
+
+    def squared(self, mm_per_px: tuple[float, float]) -> View:
+        """This view with square pixels, as wide as the wider side (x, y) of those that it has now.
+
+        The crop loses less than one of the new pixels, so that their sides are exactly equal.
+        """
+        if self.turn != "none":  # the crop counts in the frame, before the turn
+            upright = self.unturned.squared((mm_per_px[1], mm_per_px[0]))
+            return replace(upright, turn=self.turn, image_shape=upright._sizes[1][::-1])
+        (left, top, width, height), (rows, columns) = self._box, self._sizes[1]
+        wider = mm_per_px[0] / max(mm_per_px), mm_per_px[1] / max(mm_per_px)
+        shape = max(1, int(rows * wider[1] + 1e-6)), max(1, int(columns * wider[0] + 1e-6))
+        kept = (
+            width * min(1.0, shape[1] / (columns * wider[0])),
+            height * min(1.0, shape[0] / (rows * wider[1])),
+        )
+        crop = left + (width - kept[0]) / 2, top + (height - kept[1]) / 2, *kept
+        return replace(self, crop=crop, image_shape=shape)
+
+    @property
+    def _sizes(self) -> tuple[tuple[int, int], tuple[int, int]]:
+        """(H, W) of frames and of images, for a view that needs both."""
+        if self.frame_shape is None or self.shape is None:
+            raise ValueError(
+                "Expected a view that knows the size of its frames where points are mapped through it: "
+                "view.of_frames((height, width))."
+            )
+        return self.frame_shape, self.shape
+
+    @property
+    def _box(self) -> tuple[float, float, float, float]:
+        """(left, top, width, height) of the crop, or of the whole frame."""
+        height, width = self.frame_shape or (0, 0)
+        return self.crop or (0.0, 0.0, float(width), float(height))
+
+    def to_dict(self) -> dict[str, Any]:
+        """The settings that differ from the default, as values that JSON and TOML can hold."""
+        plain = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "lens"}
+        settings = {
+            name: list(v) if isinstance(v, tuple) else v
+            for name, v in plain.items()
+            if v not in (None, "none")
+        }
+        return settings if self.lens is None else {**settings, "lens": self.lens.to_dict()}
+
+    @classmethod
+    def from_dict(cls, settings: Mapping[str, Any]) -> View:
+        """A view from `to_dict` or the `[view]` table of a `sensor.toml`; an unknown key is a ValueError."""
+        known = [field.name for field in fields(cls)]
+        unknown = [name for name in settings if name not in known]
+        if unknown:
+            raise ValueError(
+                f"Expected settings of a view among {', '.join(known)}, got {', '.join(unknown)}."
+            )
+        return cls(**settings)
+
+
+def image_from_frame(frame: ArrayLike, view: View) -> NDArray[Any]:
+    """Make the image, which the path works on, from a camera's frame.
+
+    Parameters
+    ----------
+    frame : (H, W, 3) RGB, uint8 or float (0-255)
+        Of `view.frame_shape`, or of any size if the view has none. If frames and images differ in size, an image passes
+        unchanged.
+    view : View
+
+    Returns
+    -------
+    image : view.shape + (3,), dtype of the frame
+
+    Raises
+    ------
+    ValueError, TypeError
+        Another size, or no RGB image (see `checks.check_image`).
+    """
+    check_is(view, View, "view")
+    pixels = check_image(frame, name="frame")
+    shape = (pixels.shape[0], pixels.shape[1])
+    if view.frame_shape not in (None, shape):
+        if shape == view.shape:
+            return pixels
+        raise ValueError(
+            f"Expected a frame of {_text(view.frame_shape)} px (height x width), or an image of {_text(view.shape)} px made "
+            f"of it, got {_text(shape)}. Set the camera to that size, or calibrate with frames of this one."
+        )
+    if view.is_identity:
+        return pixels
+    if view.turn != "none":
+        return np.ascontiguousarray(np.rot90(image_from_frame(pixels, view.unturned), TURNS[view.turn]))
+    view = view.of_frames(shape)
+    if view.lens is not None:
+        box, map_x, map_y = _maps_through_lens(view)
+        return remapped(averaged(pixels, box), map_x, map_y)
+    rows, columns, box, map_x, map_y = _maps_to_image(view)
+    return remapped(averaged(pixels[rows, columns], box), map_x, map_y)
+
+
+def frame_from_image(image: ArrayLike, view: View) -> NDArray[Any]:
+    """Make a frame whose view is the image; `image_from_frame` is the inverse.
+
+    Frame pixels outside the view repeat the nearest pixel inside.
+
+    Parameters
+    ----------
+    image : view.shape + (3,) RGB, uint8 or float (0-255)
+    view : View
+
+    Returns
+    -------
+    frame : view.frame_shape + (3,), dtype of the image
+
+    Raises
+    ------
+    ValueError, TypeError
+        The image does not have the size of the view's images.
+    """
+    check_is(view, View, "view")
+    pixels = check_image(image, shape=view.shape)
+    if view.is_identity:
+        return pixels
+    if view.turn != "none":
+        return np.ascontiguousarray(frame_from_image(np.rot90(pixels, -TURNS[view.turn]), view.unturned))
+    view = view.of_frames((pixels.shape[0], pixels.shape[1]))
+    return remapped(pixels, *_maps_to_frame(view))
+
+
+@lru_cache(maxsize=8)
+def _maps_to_image(view: View) -> tuple[slice, slice, tuple[int, int], NDArray[Any], NDArray[Any]]:
+    """The rows and columns to cut out of the frame, the box to average, and each image pixel's position in the result."""
+    (frame, image), (left, top, width, height) = view._sizes, view._box
+    x, columns, box_x = box_centers(left, width, frame[1], image[1], "x" in view.flip)
+    y, rows, box_y = box_centers(top, height, frame[0], image[0], "y" in view.flip)
+    return rows, columns, (box_y, box_x), *pixel_maps(x, y)
+
+
+@lru_cache(maxsize=8)
+def _maps_through_lens(view: View) -> tuple[tuple[int, int], NDArray[Any], NDArray[Any]]:
+    """The box to average in the whole frame, and each image pixel's position in the result."""
+    shape, (_, _, width, height) = view._sizes[1], view._box
+    box = max(1, int(height / shape[0] + 0.5)), max(1, int(width / shape[1] + 0.5))
+    points = frame_px_from_image_px(pixel_positions(shape), view)
+    in_boxes = (points + 0.5) / (box[1], box[0]) - 0.5
+    return box, *maps_of_positions(in_boxes, shape)
+
+
+def frame_px_from_image_px(points_px: ArrayLike, view: View) -> NDArray[np.float64]:
+    """Positions (N, 2) in the frame, px, of points of the image, x and y."""
+    points = np.asarray(points_px, dtype=np.float64).reshape(-1, 2)
+    if view.is_identity:
+        return points
+    if view.turn != "none":
+        (rows, columns), (x, y) = view._sizes[1], points.T
+        inner = (rows - 1 - y, x) if view.turn == "left" else (y, columns - 1 - x)
+        return frame_px_from_image_px(np.stack(inner, axis=1), view.unturned)
+    shape, (left, top, width, height) = view._sizes[1], view._box
+    scale = np.divide((width, height), (shape[1], shape[0]))
+    rectified = (_flipped(points, view) + 0.5) * scale - 0.5 + (left, top)
+    return rectified if view.lens is None else view.lens.frame_px_from_rectified_px(rectified)
+
+
+def image_px_from_frame_px(points_px: ArrayLike, view: View) -> NDArray[np.float64]:
+    """Positions (N, 2) in the image, px, of points of the frame: the inverse of `frame_px_from_image_px`."""
+    points = np.asarray(points_px, dtype=np.float64).reshape(-1, 2)
+    if view.is_identity:
+        return points
+    if view.turn != "none":
+        (rows, columns), (x, y) = view._sizes[1], image_px_from_frame_px(points, view.unturned).T
+        return np.stack((y, rows - 1 - x) if view.turn == "left" else (columns - 1 - y, x), axis=1)
+    shape, (left, top, width, height) = view._sizes[1], view._box
+    if view.lens is not None:
+        points = view.lens.rectified_px_from_frame_px(points)
+    scale = np.divide((shape[1], shape[0]), (width, height))
+    return _flipped((points + 0.5 - (left, top)) * scale - 0.5, view)
+
+
+def _flipped(points: NDArray[np.float64], view: View) -> NDArray[np.float64]:
+    """Points of the image after its flip; a second flip restores them."""
+    height, width = view._sizes[1]
+    x, y = points.T
+    return np.stack(
+        [width - 1 - x if "x" in view.flip else x, height - 1 - y if "y" in view.flip else y], axis=1
+    )
+
+
+@lru_cache(maxsize=8)
+def _maps_to_frame(view: View) -> tuple[NDArray[Any], NDArray[Any]]:
+    """The position of each frame pixel in the image."""
+    frame_shape = view._sizes[0]
+    points = image_px_from_frame_px(pixel_positions(frame_shape), view)
+    return maps_of_positions(points, frame_shape)
+
+
+def _size_of(value: Any, name: str) -> tuple[int, int] | None:
+    if value is None:
+        return None
+    numbers = _numbers(value, 2, f"{name} as (height, width)")
+    if min(numbers) < 1 or numbers[0] * numbers[1] > MAX_PIXELS or any(n != int(n) for n in numbers):
+        raise ValueError(f"Expected {name} as two whole numbers of pixels, got {value}.")
+    return int(numbers[0]), int(numbers[1])
+
+
+def _crop_of(value: Any, frame_shape: tuple[int, int] | None) -> tuple[float, float, float, float] | None:
+    if value is None:
+        return None
+    left, top, width, height = _numbers(value, 4, "crop as (left, top, width, height)")
+    if left < 0 or top < 0 or width < 1 or height < 1:
+        raise ValueError(
+            f"Expected crop (left, top, width, height), left, top >= 0, a size >= 1 px, got {value}."
+        )
+    height_available, width_available = (np.inf, np.inf) if frame_shape is None else frame_shape
+    if left + width > width_available + 1e-6 or top + height > height_available + 1e-6:
+        raise ValueError(
+            f"Expected a crop within the frame of {_text(frame_shape)} px (height x width), got one ending "
+            f"at column {left + width:g} and row {top + height:g}. A crop is (left, top, width, height)."
+        )
+    return left, top, width, height
+
+
+def _numbers(value: Any, count: int, wanted: str) -> tuple[float, ...]:
+    try:
+        numbers = tuple(float(number) for number in value)
+    except (TypeError, ValueError):
+        raise ValueError(f"Expected {wanted} in pixels, got {value!r}.") from None
+    if len(numbers) != count or not all(np.isfinite(numbers)):
+        raise ValueError(f"Expected {wanted} in pixels, got {value!r}.")
+    return numbers
+
+
+def _text(shape: tuple[int, ...] | None) -> str:
+    return "any" if shape is None else f"{shape[0]}x{shape[1]}"

@@ -1,0 +1,580 @@
+"""USB cameras: list them, choose one, set its controls, and read its frames, from BGR to RGB here."""
+
+from __future__ import annotations
+
+import errno
+import os
+import re
+import stat
+import sys
+import threading
+import time
+import unicodedata
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.errors import SensorError, SourceLostError
+from gelform.foundations.checks import check_number
+from gelform.image.frame import Frame
+from gelform.sensors.pictures import MAX_TORN, image_from_jpeg, reduction_of
+from gelform.sensors.profiles import SENSORS, KnownCamera
+
+NOTHING_THERE = (
+    'No camera is plugged in. Plug one in, look at its cable, or take "simulated", which needs none. A camera of another '
+    "machine is reached by its address (http://...)."
+)
+CLASS, BY_PATH = "sys/class/video4linux", "dev/v4l/by-path"
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A camera as the system lists it.
+
+    Attributes
+    ----------
+    name : the name that the camera reports
+    path : opens the camera: /dev/video0, or its number on systems without paths
+    serial : serial number of the USB device; None if it has none
+    usb_id : vendor and product, such as "0c45:636d"; None if it is not on USB
+    by_path : path named after the USB socket; None if the system has none
+    kind : its row of `SENSORS`; None for a camera of no known sensor
+    """
+
+    name: str
+    path: str
+    serial: str | None = None
+    usb_id: str | None = None
+    by_path: str | None = None
+    kind: str | None = None
+
+    def described(self) -> str:
+        """Name, serial and path for a list."""
+        serial = f"serial {self.serial}" if self.serial else "no serial"
+        return f"{self.name} ({serial}, {self.path}{f', {self.by_path}' if self.by_path else ''})"
+
+
+def chosen_camera(spec: str, cameras: Sequence[Camera]) -> Camera:
+    """Choose one camera.
+
+    Parameters
+    ----------
+    spec : a serial number; else a name, a part of one in any case, or a row of `SENSORS` such as "digit"; else a path, also
+        the one by USB socket. Empty: the only camera
+    cameras : the connected cameras
+
+    Raises
+    ------
+    SensorError
+        No camera or several match; the message lists the connected ones.
+    """
+    if not cameras:
+        raise SensorError(NOTHING_THERE if not spec else f"{_none_named(spec)} {NOTHING_THERE}")
+    if not spec:
+        return _only(list(cameras), "Several cameras are plugged in", cameras)
+    folded = spec.casefold()
+    for matches in (
+        [camera for camera in cameras if camera.serial == spec],
+        [camera for camera in cameras if camera.name == spec],
+        [camera for camera in cameras if camera.kind == folded or folded in camera.name.casefold()],
+        [camera for camera in cameras if spec in (camera.path, camera.by_path)],
+    ):
+        if matches:
+            return _only(matches, f"Several cameras answer to {spec!r}", cameras)
+    said = almost(spec, (camera.serial for camera in cameras))
+    raise SensorError(f"{_none_named(spec)}{said} Plugged in: {listed_cameras(cameras)}.")
+
+
+def almost(word: str, serials: Iterable[str | None]) -> str:
+    """A sentence about a serial that differs from a word only in what the eye does not see or takes for equal, or ""."""
+    for serial in serials:
+        if serial and serial != word and _folded(serial) == _folded(word):
+            return (
+                f" The serial {serial!a} differs from {word!a} in capitals, or in how its letters are coded, and "
+                "serials are compared letter by letter."
+            )
+    return ""
+
+
+def _folded(serial: str) -> str:
+    return unicodedata.normalize("NFKC", serial).casefold().strip()
+
+
+def listed_cameras(cameras: Sequence[Camera]) -> str:
+    """All cameras, as the end of a sentence."""
+    return "; ".join(camera.described() for camera in cameras)
+
+
+def _none_named(spec: str) -> str:
+    """A hint for a name that may be a file's."""
+    return f"No camera {spec!r}, and no file or folder of that name."
+
+
+def _only(matches: list[Camera], several: str, cameras: Sequence[Camera]) -> Camera:
+    if len(matches) == 1:
+        return matches[0]
+    serials = [camera.serial for camera in matches]
+    unique = None not in serials and len(set(serials)) == len(serials)
+    by = "serial" if unique else "path (the one by its socket stays the same)"
+    raise SensorError(f"{several}: name one by its {by}. Plugged in: {listed_cameras(cameras)}.")
+
+
+def cameras_in_sysfs(root: Path = Path("/")) -> list[Camera]:
+    """The cameras of this machine, ordered by number.
+
+    Parameters
+    ----------
+    root : the folder that contains sys and dev
+    """
+    entries = [entry for entry in (root / CLASS).glob("video*") if _text(entry / "index") in ("0", None)]
+    by_path = _links(root)
+    return [_camera(entry, by_path) for entry in sorted(entries, key=_number)]
+
+
+def _camera(entry: Path, by_path: dict[str, str]) -> Camera:
+    """The camera of an entry in sysfs and its USB device."""
+    usb = _usb_device(entry)
+    vendor, product = (_text(usb / name) if usb else None for name in ("idVendor", "idProduct"))
+    usb_id = f"{vendor}:{product}" if vendor and product else None
+    name = (_text(usb / "product") if usb else None) or _text(entry / "name") or entry.name
+    return Camera(
+        name=name,
+        path=f"/dev/{entry.name}",
+        serial=(_text(usb / "serial") if usb else None) or None,
+        usb_id=usb_id,
+        by_path=by_path.get(entry.name),
+        kind=kind_of(usb_id),
+    )
+
+
+def kind_of(usb_id: str | None) -> str | None:
+    """The known sensor with this USB id."""
+    known = (name for name, row in SENSORS.items() if row.camera is not None and row.camera.usb_id == usb_id)
+    return next(known, None)
+
+
+def _usb_device(entry: Path) -> Path | None:
+    """The folder of the USB device: the nearest one above the entry's device that has idVendor."""
+    device = (entry / "device").resolve()
+    return next((folder for folder in (device, *device.parents[:3]) if (folder / "idVendor").is_file()), None)
+
+
+def _links(root: Path) -> dict[str, str]:
+    """Map from videoN to its path by USB socket."""
+    folder = root / BY_PATH
+    links = sorted(folder.iterdir()) if folder.is_dir() else []
+    return {link.resolve().name: f"/{BY_PATH}/{link.name}" for link in reversed(links)}
+
+
+def _number(entry: Path) -> int:
+    digits = re.search(r"\d+$", entry.name)
+    return int(digits.group()) if digits else 0
+
+
+def _text(file: Path) -> str | None:
+    """The only line of a file; None if the file is missing, or vanishes with its device."""
+    try:
+        return file.read_text(encoding="utf-8", errors="replace").strip()
+    except OSError:
+        return None
+
+
+def cameras_there(root: Path = Path("/")) -> list[Camera]:
+    """The cameras of this machine.
+
+    Linux lists them with serial, name and path. On macOS and Windows OpenCV only knows whether camera number n opens. There
+    numbers up to 3 are opened for a moment; the cameras are named "camera 0", "camera 1" ..., and their path is the number.
+    """
+    if sys.platform.startswith("linux"):
+        return cameras_in_sysfs(root)
+    return [Camera(f"camera {number}", str(number)) for number in range(4) if _opens(number)]
+
+
+def _opens(number: int) -> bool:
+    capture = cv2.VideoCapture(number)
+    try:
+        return bool(capture.isOpened())
+    finally:
+        capture.release()
+
+
+def camera_named(spec: str, cameras: list[Camera] | None = None) -> Camera:
+    """The camera with this serial, name or path (see `chosen_camera`); a path may also lie outside the list."""
+    there = cameras_there() if cameras is None else cameras
+    path = Path(spec)
+    if spec.startswith("/dev/") and os.path.exists(path):
+        real = str(path.resolve())
+        listed = next((camera for camera in there if camera.path == real), None)
+        if listed is None and not _is_video_device(path):
+            raise SensorError(f"{spec} is no camera. Plugged in: {listed_cameras(there) or 'none'}.")
+        return listed or Camera(spec, real)
+    return chosen_camera(spec, there)
+
+
+def _is_video_device(path: Path) -> bool:
+    """Whether the kernel lists the path as a video device. True where the kernel cannot be asked: opening will show it."""
+    if not sys.platform.startswith("linux"):
+        return True
+    status = path.stat()
+    # 81 is the major number of video devices (Documentation/admin-guide/devices.txt of the kernel).
+    return stat.S_ISCHR(status.st_mode) and os.major(status.st_rdev) == 81
+
+
+Settings = Mapping[str, float | str]
+# name: (OpenCV's property, the automatic control that must be off)
+CONTROLS = {
+    "exposure": (cv2.CAP_PROP_EXPOSURE, "auto_exposure"),
+    "gain": (cv2.CAP_PROP_GAIN, None),
+    "white_balance": (cv2.CAP_PROP_WB_TEMPERATURE, "auto_white_balance"),
+}
+AUTOMATIC = {"auto_exposure": cv2.CAP_PROP_AUTO_EXPOSURE, "auto_white_balance": cv2.CAP_PROP_AUTO_WB}
+OFF = {"auto_exposure": 1.0, "auto_white_balance": 0.0}  # 1: V4L2_EXPOSURE_MANUAL
+LED = cv2.CAP_PROP_ZOOM  # of a DIGIT: four bits each for red, green and blue
+LED_OF_LEVEL = 0x111  # one brightness step of all three colors
+MODE = ("width", "height", "fps", "fourcc")
+SETTABLE = (*MODE, *CONTROLS, "led_level")
+COMPARED = ("width", "height", "reduced", "fourcc", *CONTROLS, *AUTOMATIC, "led_level")
+UNKNOWN = -1.0  # OpenCV's value of a control that the camera lacks
+
+
+def check_settings(settings: Settings) -> dict[str, float | str]:
+    """Check that settings can be applied; ValueError for an unknown name or a value that is no number or format."""
+    unknown = [name for name in settings if name not in SETTABLE]
+    if unknown:
+        raise ValueError(
+            f"Expected settings of a camera among {', '.join(SETTABLE)}, got {', '.join(unknown)}."
+        )
+    fourcc = str(settings.get("fourcc", "MJPG"))
+    if len(fourcc) != 4 or not fourcc.isascii():
+        raise ValueError(f"Expected fourcc as four letters, such as MJPG or YUYV, got {fourcc!r}.")
+    return {
+        name: str(value) if name == "fourcc" else check_number(float(value), name)
+        for name, value in settings.items()
+    }
+
+
+def set_controls(capture: cv2.VideoCapture, settings: Settings, led_levels: int, name: str) -> None:
+    """Set exposure, gain, white balance and LED level, and read each back.
+
+    Parameters
+    ----------
+    capture : an open camera
+    settings : values by name
+    led_levels : LED steps of the known camera; 0 if its LEDs cannot be set
+    name : the camera's name, for messages
+
+    Raises
+    ------
+    SensorError
+        The camera lacks a control, or reports another value after setting it.
+    """
+    for setting, (which, automatic) in CONTROLS.items():
+        if setting in settings:
+            if automatic is not None:
+                capture.set(AUTOMATIC[automatic], OFF[automatic])
+            _set(capture, which, float(settings[setting]), setting, name)
+    if "led_level" in settings:
+        level = float(settings["led_level"])
+        if not (led_levels and level == int(level) and 0 <= level <= led_levels):
+            allowed = (
+                f"a whole number from 0 to {led_levels}" if led_levels else "none: it cannot be set here"
+            )
+            raise SensorError(f"{name}: expected led_level as {allowed}, got {level:g}.")
+        _set(capture, LED, level * LED_OF_LEVEL, "led_level", name)
+
+
+def controls_of(capture: cv2.VideoCapture, led_levels: int) -> dict[str, float]:
+    """The current values of the controls that the camera has."""
+    properties = {**{name: which for name, (which, _) in CONTROLS.items()}, **AUTOMATIC}
+    found = {name: float(capture.get(which)) for name, which in properties.items()}
+    if led_levels:
+        found["led_level"] = float(capture.get(LED)) / LED_OF_LEVEL
+    return {name: value for name, value in found.items() if value != UNKNOWN}
+
+
+def settings_mismatch(calibrated: Settings, used: Settings) -> dict[str, tuple[Any, Any]]:
+    """Settings in which a camera differs from its calibration: name -> (calibrated, used).
+
+    Parameters
+    ----------
+    calibrated : from the calibration, `calibration.settings.camera or {}`
+    used : from the source, `source.settings`
+
+    Compares the settings that affect colors: size, reduction, picture format, exposure, gain, white balance and LED level. A
+    setting counts only if both sides know it: a video does not record its camera's exposure. Empty: no known difference.
+    """
+    return {
+        name: (calibrated[name], used[name])
+        for name in COMPARED
+        if name in calibrated and name in used and not _same(calibrated[name], used[name])
+    }
+
+
+def calibrated_settings(calibrated: Settings) -> dict[str, float | str]:
+    """Settings for `open_source(settings=...)` that restore the camera's state during calibration.
+
+    Parameters
+    ----------
+    calibrated : from the calibration, `calibration.settings.camera or {}`
+
+    Automatic exposure and white balance are left out, because setting a value would switch them off.
+    """
+    by_hand = {
+        name: automatic is None or calibrated.get(automatic, OFF[automatic]) == OFF[automatic]
+        for name, (_, automatic) in CONTROLS.items()
+    }
+    names = [name for name in SETTABLE if name != "fps" and by_hand.get(name, True)]
+    return {name: calibrated[name] for name in names if name in calibrated}
+
+
+def _set(capture: cv2.VideoCapture, which: int, value: float, setting: str, name: str) -> None:
+    accepted = capture.set(which, value)
+    found = float(capture.get(which))
+    if not accepted or not _same(found, value):
+        why = "it lacks this control" if found == UNKNOWN else f"it has {found:g} afterwards"
+        raise SensorError(
+            f"{name}: expected to set {setting} to {value:g}, but {why}. Choose a value within its range (v4l2-ctl -d "
+            "PATH --list-ctrls shows it on Linux)."
+        )
+
+
+def _same(one: float | str, other: float | str) -> bool:
+    if isinstance(one, str) or isinstance(other, str):
+        return str(one) == str(other)
+    return abs(one - other) <= 1e-3 * max(abs(one), abs(other))
+
+
+RULE_FILE = "/etc/udev/rules.d/60-gelform.rules"
+NAMED_PROGRAMS = 4  # programs that an error message names at most
+JPEG = "MJPG"
+SIZE = {  # OpenCV applies a size only when both sides are set
+    "width": cv2.CAP_PROP_FRAME_WIDTH,
+    "height": cv2.CAP_PROP_FRAME_HEIGHT,
+    "fps": cv2.CAP_PROP_FPS,
+}
+
+
+def udev_rule(usb_id: str | None) -> str:
+    """A udev rule that lets the user at the machine and the group video use a camera."""
+    vendor, _, product = (usb_id or "").partition(":")
+    which = f'ATTRS{{idVendor}}=="{vendor}", ATTRS{{idProduct}}=="{product}", ' if product else ""
+    return f'SUBSYSTEM=="video4linux", {which}MODE="0660", GROUP="video", TAG+="uaccess"'
+
+
+def check_access(camera: Camera) -> None:
+    """Open the camera's path for a moment.
+
+    SensorError: the camera is missing, access is denied (with the udev rule), or another program uses it (named if known).
+    """
+    try:
+        os.close(os.open(camera.path, os.O_RDWR | getattr(os, "O_NONBLOCK", 0)))
+    except OSError as problem:
+        raise SensorError(f"{camera.described()} {_reason(camera, problem)}") from problem
+
+
+def in_use(camera: Camera) -> SensorError:
+    """The error for a camera that opens but gives no frames, because another program reads them."""
+    holders = programs_that_hold(camera.path)
+    holders = holders[:NAMED_PROGRAMS] + ["others"] * (len(holders) > NAMED_PROGRAMS)
+    who = f"by {', '.join(holders)}" if holders else "by another program"
+    return SensorError(
+        f"{camera.described()} is in use {who}, or has no picture format that OpenCV reads. Close the other program; one "
+        "Grabber serves several consumers."
+    )
+
+
+def programs_that_hold(path: str) -> list[str]:
+    """Names and process ids of other programs that have the file open, as far as this user may see."""
+    target, found = os.path.realpath(path), []
+    for process in sorted(Path("/proc").glob("[0-9]*")):
+        if process.name == str(os.getpid()):
+            continue
+        try:
+            if any(os.readlink(link) == target for link in (process / "fd").iterdir()):
+                found.append(f"{(process / 'comm').read_text().strip()} (process {process.name})")
+        except OSError:
+            continue  # another user's process, or it has ended
+    return found
+
+
+def _reason(camera: Camera, problem: OSError) -> str:
+    if problem.errno in (errno.EACCES, errno.EPERM):
+        return (
+            f"may not be opened: permission denied. Write this line into {RULE_FILE}: {udev_rule(camera.usb_id)} "
+            "Then: sudo udevadm control --reload-rules && sudo udevadm trigger, and plug the camera in again; or add "
+            "yourself to the group video."
+        )
+    if problem.errno in (errno.ENOENT, errno.ENODEV, errno.ENXIO):
+        return "is not there any more: it was unplugged. Plug it in again."
+    if problem.errno == errno.EBUSY:
+        return str(in_use(camera)).removeprefix(f"{camera.described()} ")
+    return f"cannot be opened: {problem.strerror}."
+
+
+class UsbCamera:
+    """The frames of a USB camera.
+
+    A known sensor's camera runs in its usual mode, any other camera in its current mode. Large frames that the camera sends
+    as JPEG are decoded at reduced size (see `reduction_of`). `time_s` is the driver's time stamp if it is on the monotonic
+    clock.
+
+    Parameters
+    ----------
+    camera : one of `cameras_there`
+    settings : the values to set: width, height, fps, fourcc, exposure, gain, white_balance, led_level
+
+    Raises
+    ------
+    SensorError
+        The camera is missing, access is denied, it is in use, or it rejects a setting.
+    """
+
+    live = True
+
+    def __init__(self, camera: Camera, settings: Mapping[str, float | str] | None = None) -> None:
+        wanted = check_settings(settings or {})
+        if sys.platform.startswith("linux"):
+            check_access(camera)
+        known = SENSORS[camera.kind].camera if camera.kind is not None else None
+        self._led_levels = known.led_levels if known else 0
+        self.camera, self.name = camera, camera.name
+        self.serial = camera.serial
+        self._lock = threading.Lock()
+        self._closed = False
+        self._capture = _opened(camera)
+        with ExitStack() as undone:
+            undone.callback(self._capture.release)
+            _set_mode(self._capture, wanted, known, camera.name)
+            set_controls(self._capture, wanted, self._led_levels, camera.name)
+            self.settings = self._read_back(known)
+            undone.pop_all()  # everything is set; the camera stays open
+        rate = self._capture.get(cv2.CAP_PROP_FPS)
+        self.rate_hz: float | None = float(rate) if rate > 0 else None
+
+    def __iter__(self) -> Iterator[Frame]:
+        index, torn = -1, 0
+        while not self._closed:
+            with self._lock:
+                grabbed = not self._closed and self._capture.grab()
+                time_s, wall_time_ns = self._captured_s(), time.time_ns()
+                pixels = self._capture.retrieve()[1] if grabbed else None
+            if self._closed:
+                return
+            if not grabbed:
+                raise SourceLostError(f"{self.name} gives no frame: it was unplugged, or hangs.")
+            index += 1
+            frame = self._frame(pixels, time_s, wall_time_ns, index)
+            torn = torn + 1 if frame is None else 0
+            if torn > MAX_TORN:
+                raise SourceLostError(f"{self.name} gave {torn} torn pictures in a row.")
+            if frame is not None:
+                yield frame
+
+    def set_controls(self, settings: Mapping[str, float | str]) -> dict[str, float | str]:
+        """Set exposure, gain, white_balance or led_level between two frames; return all settings as read back.
+
+        SensorError: the camera lacks a control, reports another value after setting it, or is closed.
+        """
+        wanted = check_settings(settings)
+        with self._lock:
+            if self._closed:
+                raise SensorError(f"{self.name} is closed.")
+            try:
+                set_controls(self._capture, wanted, self._led_levels, self.name)
+            finally:
+                self.settings = {**self.settings, **controls_of(self._capture, self._led_levels)}
+            return self.settings
+
+    def close(self) -> None:
+        """Release the camera after the frame that is being read."""
+        self._closed = True
+        with self._lock:
+            self._capture.release()
+
+    def __enter__(self) -> UsbCamera:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _frame(
+        self, pixels: NDArray[Any] | None, time_s: float, wall_time_ns: int, index: int
+    ) -> Frame | None:
+        """The RGB image, decoded if it is a JPEG; None if it is torn."""
+        if pixels is None or pixels.size == 0:
+            return None
+        if not self._undecoded:
+            return Frame(np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB)), time_s, wall_time_ns, index)
+        content = pixels.tobytes()
+        image = image_from_jpeg(content, self._reduction)
+        return None if image is None else Frame(image, time_s, wall_time_ns, index, content)
+
+    def _captured_s(self) -> float:
+        """The driver's time stamp; the current time if it is more than 5 s old, of another clock."""
+        now = time.monotonic()
+        stamp = float(self._capture.get(cv2.CAP_PROP_POS_MSEC)) / 1000
+        return stamp if 0 <= now - stamp < 5 else now
+
+    def _read_back(self, known: KnownCamera | None) -> dict[str, float | str]:
+        """The camera's current settings, once the way of decoding is chosen."""
+        capture = self._capture
+        shape = int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT)), int(capture.get(cv2.CAP_PROP_FRAME_WIDTH))
+        fourcc = fourcc_text(capture.get(cv2.CAP_PROP_FOURCC))
+        self._reduction = reduction_of(shape) if fourcc == JPEG else 1
+        self._undecoded = self._reduction > 1 and bool(capture.set(cv2.CAP_PROP_CONVERT_RGB, 0))
+        self._reduction = self._reduction if self._undecoded else 1
+        facts: dict[str, float | str] = {"width": shape[1], "height": shape[0], "fourcc": fourcc}
+        facts |= {"fps": float(capture.get(cv2.CAP_PROP_FPS)), "reduced": self._reduction}
+        return facts | controls_of(capture, self._led_levels)
+
+
+def fourcc_text(code: float) -> str:
+    """The four letters of a picture format; empty if there are none."""
+    number = int(code) if code > 0 else 0
+    return number.to_bytes(8, "little")[:4].decode("latin-1").rstrip("\0 ")
+
+
+def _opened(camera: Camera) -> cv2.VideoCapture:
+    if sys.platform.startswith("linux"):
+        capture = cv2.VideoCapture(camera.path, cv2.CAP_V4L2)
+    else:
+        capture = cv2.VideoCapture(int(camera.path))
+    if not capture.isOpened():
+        raise in_use(camera)
+    return capture
+
+
+def _set_mode(
+    capture: cv2.VideoCapture, wanted: Mapping[str, float | str], known: KnownCamera | None, name: str
+) -> None:
+    """Set picture format, size and rate: the given ones, else the usual ones of a known camera."""
+    mode: dict[str, float | str] = {}
+    if known is not None:
+        height, width = known.frame_shape
+        mode = {"fourcc": known.fourcc, "height": height, "width": width, "fps": known.rate_hz}
+    mode |= {key: value for key, value in wanted.items() if key in ("fourcc", *SIZE)}
+    if "fourcc" in mode:
+        capture.set(cv2.CAP_PROP_FOURCC, float(cv2.VideoWriter.fourcc(*str(mode["fourcc"]))))
+    for key, which in SIZE.items():
+        if key in mode:
+            capture.set(which, float(mode[key]))
+    for key, which in SIZE.items():
+        found = float(capture.get(which))
+        if key in wanted and abs(found - float(wanted[key])) > 0.5:
+            raise _other_mode(name, key, f"{float(wanted[key]):g}", f"{found:g}")
+    fourcc = fourcc_text(capture.get(cv2.CAP_PROP_FOURCC))
+    if wanted.get("fourcc", fourcc) != fourcc:
+        raise _other_mode(name, "fourcc", wanted["fourcc"], fourcc)
+
+
+def _other_mode(name: str, key: str, wanted: float | str, found: str) -> SensorError:
+    return SensorError(
+        f"{name}: expected {key} {wanted}, but it has {found} afterwards. Choose a mode that it offers "
+        "(v4l2-ctl -d PATH --list-formats-ext shows them on Linux)."
+    )

@@ -1,1 +1,0 @@
-"""USB cameras: list them, choose one, set its controls, and read its frames."""

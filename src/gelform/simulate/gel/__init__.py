@@ -1,1 +1,0 @@
-"""The surface of the gel under an indenter, and its sideways drag."""

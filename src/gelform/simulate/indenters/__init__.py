@@ -1,1 +1,0 @@
-"""Indenters, and their poses."""

@@ -1,0 +1,483 @@
+"""The standard deviation of each slope of a frame: a budget of named variances, and its explanation as maps.
+
+The budget of a frame's slopes: named variances that add up to the standard deviation of each slope.
+
+The rows are the law of the step (or of rest), what a frame brings (light, compression, walls, outliers, unseen pixels), and
+what no residual shows: steep slopes and the spread between units. A color saturates, so slopes beyond those that trained a
+model are read as about the steepest of those. The model of another unit reads a steep face as a usual slope if this unit's
+colors change less. Both are stated, but they are no reason to fill steep slopes from gentle ones: the solver's weights say
+"no slope here", and nothing else.
+
+Slopes that a frame itself shows to be read right: those of a ball, from its top to where the gel leaves it.
+
+A model that reads steep slopes too small bends what is straight: the first two components of a ball's normals are linear in
+the place. The gentle part around the top tells the ball, and how far the readings follow it tells which slopes are right.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform._native import Kernel
+from gelform.foundations.checks import HIGHEST_SLOPE, check_slopes
+from gelform.foundations.findings import Finding
+from gelform.image.background import PreparedBackground, Reference
+from gelform.image.health import BELOW, BLOCK_PX, LIT
+from gelform.slopes.color_models.seam import PreparedColorModel
+from gelform.slopes.gradients import STEEPEST_GEL
+from gelform.slopes.sigma import CAUSES, SATURATED_FROM, SlopeSigma, bloom_disc
+
+USUAL_LEVELS = 2.0  # gray levels, a pixel's noise if the calibration does not know that of its images
+NOISE_BLUR_PX = 8.0  # px, standard deviation of the blur of the map of noise; light and model are smooth
+# Squared residual over its covariance on held-out presses from which no slope is left: three sigma.
+OUTLIER = 9.0
+LEAST_WEIGHT = 1e-6  # of a pixel without information, which solvers treat as none
+# mm/mm: slopes that differ by more from those `reach_px` away are blurred; a small ball's slopes differ by less. Then the
+# error of blurred slopes over the excess of that difference.
+DIFFERENCE_FROM, ERROR_OF_DIFFERENCE = 0.1, 1.75
+REACH_BLURS = 1.6  # blurs, distance of the slopes that a slope is compared with
+# Deviation of a slope over its excess over the shown ones. Measured on three sensors: calibrations trained below slopes of
+# 0.4 and 0.5 have 91 to 98 % of the steeper pixels within two sigma.
+PER_EXCESS = 1.75
+# mm/mm, slope of a face of 54 degrees; two sigma of a slope that another unit's model read reach it. The faces of a cube's
+# edge, which stand at some 45 degrees, are read at 0.2-0.7.
+STEEPEST_FACE = 1.4
+
+_slopes_at_rest = Kernel(
+    "slopes_at_rest",
+    "f32[h,w,3] change, bool[h,w]? hidden, bool[h,w]? given, f32[3] common, f32[2] bias, out f32[h,w,2] gradients, "
+    "out bool[h,w] at_rest, f32 square, f32 highest",
+)
+_slope_weights = Kernel(
+    "slope_weights",
+    "f32[...]? residual, f32[...]? of_model, bool[...]? unseen, out f32[...] weight, f32 outlier, f32 unknown, f32 full, "
+    "f32 least",
+)
+_slope_budget = Kernel(
+    "slope_budget",
+    "f32[h,w,2] gradients, bool[h,w] at_rest, f32[h,w] rest, f32[h,w]? of_step, f32[h,w]? of_model, f32[h,w]? residual, "
+    "bool[h,w]? unseen, f32[h,w] gain, f32[h,w]? light, out f32[h,w] read, out f32[h,w] solved, out f32[h,w] steep, "
+    "out f32[h,w] confidence, out f32[h,w]? walls, out f32[h,w]? outliers, f32 per_step, f32 per_size, f32 solved_factor, "
+    "f32 unknown, f32 outlier, f32 unseen_sigma, f32 full, f32 noise, f32 per_bend, "
+    "f32 bend_from, f32 spread, f32 shown, f32 per_excess, f32 doubted, f32 steepest, f32 carried, "
+    "f32 ball_x, f32 ball_y, f32 ball_radius, f32 of_ball, i32 reach",
+)
+
+
+@dataclass(frozen=True, eq=False)
+class ReadSlopes:
+    """The slopes of a frame without the bias that the pixels at rest show, and what their uncertainty follows from.
+
+    Attributes
+    ----------
+    gradients : (H, W, 2), mm/mm
+    at_rest : (H, W) bool, pixels at rest
+    unseen : (H, W) bool, pixels without gel, or with too few usable channels; None: none
+    variance, residual : (H, W), of the forward response's step, or None; the residual is squared, over its covariance
+    model_sigma : (H, W), a color model's own deviation, or None
+    outlier : squared residual from which no slope is left
+    """
+
+    gradients: NDArray[np.float32]
+    at_rest: NDArray[np.bool_]
+    unseen: NDArray[np.bool_] | None = None
+    variance: NDArray[np.float32] | None = None
+    residual: NDArray[np.float32] | None = None
+    model_sigma: NDArray[np.float32] | None = None
+    outlier: float = OUTLIER
+
+    def weights(self, full_confidence_sigma: float) -> NDArray[np.float32]:
+        """The solver's weight (H, W) of each slope: full^2 / (full^2 + outlier^2), 1e-6 where nothing was seen."""
+        weight = np.empty(self.at_rest.shape, dtype=np.float32)
+        _slope_weights(
+            self.residual, self.model_sigma, self.unseen, weight, outlier=self.outlier, unknown=STEEPEST_GEL,
+            full=full_confidence_sigma, least=LEAST_WEIGHT,
+        )  # fmt: skip
+        return weight
+
+
+@dataclass(frozen=True, eq=False)
+class Budget:
+    """Standard deviations (H, W) of the slopes of a frame, mm/mm, equal for both components.
+
+    Attributes
+    ----------
+    read : of the slopes as they were read, without what no residual shows
+    solved : of the solved depth's slopes, with the spread between units
+    steep : what steep slopes may be read too small
+    confidence : min(1, full_confidence_sigma^2 / (all rows of the slopes as read))
+    walls, outliers : these rows, if they were asked for
+    """
+
+    read: NDArray[np.float32]
+    solved: NDArray[np.float32]
+    steep: NDArray[np.float32]
+    confidence: NDArray[np.float32]
+    walls: NDArray[np.float32] | None = None
+    outliers: NDArray[np.float32] | None = None
+
+    @property
+    def gradients_sigma(self) -> NDArray[np.float32]:
+        """Standard deviation (H, W, 2) of the solved depth's slopes, all rows included; read-only."""
+        return for_both(np.sqrt(np.square(self.solved) + np.square(self.steep)))
+
+
+class PreparedBudget:
+    """Budgets for one calibration and background. It is immutable; threads can share it.
+
+    Parameters
+    ----------
+    sigma : of the calibration
+    noise : (H, W), variance of a slope at rest from the image's noise alone, as `noise_at_rest` gives it
+    untouched : the background in use
+    walls : whether sharply bending slopes are blurred; False for imported color models, whose blur is unknown
+    slope_per_change : slope for a color change of 1, mm/mm
+    spread : relative standard deviation of slopes between units, of a starter
+    carried : share of the model that comes from other units, 0-1
+
+    Attributes
+    ----------
+    rest_variance : (H, W), variance of a slope at rest
+    full_confidence_sigma : standard deviation of a slope of confidence 1, mm/mm
+    """
+
+    def __init__(
+        self,
+        sigma: SlopeSigma,
+        noise: NDArray[np.float32],
+        untouched: PreparedBackground,
+        *,
+        walls: bool = True,
+        slope_per_change: float = 1.0,
+        spread: float = 0.0,
+        carried: float = 0.0,
+    ) -> None:
+        self.full_confidence_sigma = sigma.full_confidence_sigma
+        self.rest_variance = np.float32(sigma.rest**2) + np.float32(sigma.rest_per_noise**2) * noise
+        gain = untouched.gain.mean(axis=-1) * np.float32(slope_per_change)
+        self._gain = np.ascontiguousarray(gain, dtype=np.float32)
+        doubted, shown = sigma.shown
+        reach = max(1, round(REACH_BLURS * untouched.settings.blur_px))
+        self._numbers = {
+            "per_step": sigma.per_step**2, "per_size": (sigma.per_step * sigma.per_slope) ** 2,
+            "solved_factor": sigma.solved_factor, "unknown": STEEPEST_GEL,
+            "unseen_sigma": unseen_sigma(sigma.full_confidence_sigma), "full": sigma.full_confidence_sigma,
+            "per_bend": ERROR_OF_DIFFERENCE if walls else 0.0, "bend_from": DIFFERENCE_FROM,
+            "spread": spread, "shown": shown, "per_excess": PER_EXCESS, "doubted": doubted,
+            "steepest": STEEPEST_FACE, "carried": carried / 2, "reach": reach,
+        }  # fmt: skip
+
+    def __call__(
+        self,
+        slopes: ReadSlopes,
+        noise_levels: float = 0.0,
+        light: NDArray[np.float32] | None = None,
+        *,
+        top: tuple[int, int] | None = None,
+        rows: bool = False,
+    ) -> Budget:
+        """The budget of a frame.
+
+        Parameters
+        ----------
+        slopes : as read
+        noise_levels : its noise beyond the usual, gray levels, from `excess_noise`
+        light : (H, W), standard deviation of slopes from what is unsure of the frame's light; None: nothing
+        top : (row, column) of the deepest pixel. Within a ball around it, the slopes that it shows are not doubted for
+            being read by another unit's model
+        rows : whether to keep the rows of walls and outliers
+        """
+        ball = None
+        if self._numbers["carried"] and top is not None:
+            ball = slopes_of_ball(slopes.gradients, top, self._numbers["doubted"])
+        numbers = self._numbers | (NO_BALL if ball is None else ball)._asdict()
+        read, solved, steep, confidence = (np.empty(slopes.at_rest.shape, np.float32) for _ in range(4))
+        walls, outliers = (np.zeros_like(read), np.zeros_like(read)) if rows else (None, None)
+        _slope_budget(
+            slopes.gradients, slopes.at_rest, self.rest_variance, slopes.variance, slopes.model_sigma, slopes.residual,
+            slopes.unseen, self._gain, light, read, solved, steep, confidence, walls, outliers,
+            outlier=slopes.outlier, noise=noise_levels, **numbers,
+        )  # fmt: skip
+        return Budget(read, solved, steep, confidence, walls, outliers)
+
+    def frame_rows(
+        self, slopes: ReadSlopes, noise_levels: float, light: NDArray[np.float32] | None
+    ) -> dict[str, NDArray[np.float32]]:
+        """The rows (H, W) that follow from a frame's light, its noise and the spread between units, mm/mm."""
+        nothing = np.zeros(slopes.at_rest.shape, dtype=np.float32)
+        of_unit = np.float32(self._numbers["spread"]) * np.linalg.norm(slopes.gradients, axis=-1)
+        return {
+            "light": nothing if light is None else light,
+            "compression": np.float32(noise_levels) * self._gain,
+            "unit": of_unit,
+        }
+
+
+def without_bias(
+    color_change: NDArray[np.float32],
+    gradients: NDArray[np.float32],
+    reference: Reference,
+    hidden: NDArray[np.bool_] | None = None,
+) -> NDArray[np.bool_]:
+    """The pixels (H, W) at rest; the reference's bias is subtracted from the gradients (H, W, 2) in place.
+
+    Hidden pixels are not at rest.
+
+    ValueError: as `check_slopes` of the gradients.
+    """
+    at_rest = np.empty(gradients.shape[:2], dtype=bool)
+    refused = _slopes_at_rest(
+        color_change, hidden, reference.given, reference.common_change, reference.bias, gradients, at_rest,
+        square=reference.threshold**2, highest=HIGHEST_SLOPE,
+    )  # fmt: skip
+    if refused:
+        check_slopes(gradients)
+    return at_rest
+
+
+def noise_at_rest(
+    model: PreparedColorModel, background: PreparedBackground, levels: Sequence[float] | None
+) -> NDArray[np.float32]:
+    """Variance (H, W) of the slopes at rest, if the image's noise were their only error.
+
+    It is larger where light is weak, or where a slope changes the colors little. Noise makes a channel brighter, and the
+    color model's derivative says by how much the slopes change; it is one difference for each channel. The noise counts as
+    alike over the color change's blur, so only the ratio of two places is meant.
+
+    Parameters
+    ----------
+    model : color model, ready for frames over this background
+    background : in use
+    levels : standard deviation of a pixel's red, green and blue, gray levels; None if unknown
+    """
+    rest = model.gradients_from_color(np.zeros_like(background.background))[0].copy()
+    variance = np.zeros(rest.shape[:2], dtype=np.float32)
+    for channel, level in enumerate(levels or (USUAL_LEVELS,) * 3):
+        brighter = background.background.copy()
+        brighter[..., channel] += np.float32(level)
+        off = model.gradients_from_color(background.change(brighter))[0] - rest
+        variance += off[..., 0] ** 2 + off[..., 1] ** 2
+    return np.asarray(cv2.GaussianBlur(variance / 2, (0, 0), NOISE_BLUR_PX, borderType=cv2.BORDER_REPLICATE))
+
+
+def unseen_sigma(full_confidence_sigma: float) -> float:
+    """Standard deviation of a slope that nothing shows, mm/mm: its confidence is the least weight."""
+    return full_confidence_sigma / LEAST_WEIGHT**0.5
+
+
+def for_both(sigma: NDArray[Any]) -> NDArray[Any]:
+    """One map (H, W) for both components (H, W, 2), read-only: as `np.broadcast_to`, in a tenth of its time."""
+    both: NDArray[Any] = np.ndarray((*sigma.shape, 2), sigma.dtype, sigma, 0, (*sigma.strides, 0))
+    both.flags.writeable = False
+    return both
+
+
+REACH = 1 / 3  # of the image's shorter side, half the side of the square around the top that is looked at
+LEAST_PX = 4  # px, radius of the gentle part; less says nothing of its shape
+# RMS of a ball's normals off the fit over their own: .26 at most on presses of four sensors, from .6 on a cube's edge.
+BALL_LIKE = 0.35
+GEL_RADII = (
+    2.0  # radii of the followed part; beyond, gel that hangs from the ball is gentle, or of something else
+)
+FOLLOWED = 0.85  # of the ball's slope that a ring reads; the same share is usual at the edge of contacts of the own unit
+
+
+class ShownBall(NamedTuple):
+    """Center and radius, px, of the disc that a ball and its gel fill, and the slope up to which the ball is followed."""
+
+    ball_x: float
+    ball_y: float
+    ball_radius: float
+    of_ball: float
+
+
+NO_BALL = ShownBall(0.0, 0.0, 0.0, 0.0)
+
+
+def slopes_of_ball(gradients: NDArray[np.float32], top: tuple[int, int], gentle: float) -> ShownBall | None:
+    """How far gradients (H, W, 2) follow a ball around its top (row, column); None where they show none.
+
+    `gentle` is the slope up to which they are trusted.
+    """
+    reach = int(REACH * min(gradients.shape[:2]))
+    rows, columns = (slice(max(at - reach, 0), at + reach + 1) for at in top)
+    gradients = gradients[rows, columns]
+    y, x = (
+        np.arange(n, dtype=np.float32) - (at - part.start)
+        for n, at, part in zip(gradients.shape, top, (rows, columns))
+    )
+    squares = np.einsum("...i,...i", gradients, gradients)
+    ring = np.hypot(y[:, None], x).astype(np.intp)
+    steep = np.flatnonzero(_mean(np.sqrt(squares), ring) >= gentle)
+    if not steep.size or steep[0] < LEAST_PX:
+        return None
+    inner = ring < steep[0]
+    normals = -gradients / np.sqrt(1 + squares)[..., None]
+    place = np.argwhere(inner)[:, ::-1] - np.array([top[1] - columns.start, top[0] - rows.start])
+    turned = normals[inner]
+    away, off = place - place.mean(axis=0), turned - turned.mean(axis=0)
+    per_px = float(np.sum(away * off) / np.sum(np.square(away)))
+    if per_px <= 0 or np.sum(np.square(off - per_px * away)) > BALL_LIKE**2 * np.sum(np.square(off)):
+        return None
+    center = place.mean(axis=0) - turned.mean(axis=0) / per_px
+    v, u = y[:, None] - center[1], x - center[0]
+    from_center = np.hypot(v, u)
+    ring = from_center.astype(np.intp)
+    outward = (normals[..., 0] * u + normals[..., 1] * v) / np.maximum(from_center, 1)
+    share = _mean(outward, ring) / np.maximum(_mean(from_center, ring) * per_px, 1e-6)
+    begin, end = steep[0] // 2, int(FOLLOWED / per_px)  # farther out a ball's slope grows without bound
+    lost = np.flatnonzero(share[begin:end] < FOLLOWED)
+    radius = float(begin + lost[0] if lost.size else min(end, len(share)))
+    sine = per_px * radius
+    slope = float(sine / np.sqrt(1 - sine**2))
+    x_px, y_px = float(top[1] + center[0]), float(top[0] + center[1])
+    return ShownBall(x_px, y_px, GEL_RADII * radius, max(slope, gentle))
+
+
+def _mean(values: NDArray[np.float32], ring: NDArray[np.intp]) -> NDArray[np.float64]:
+    """The mean of each ring."""
+    rings = ring.ravel()
+    return np.asarray(np.bincount(rings, values.ravel()) / np.maximum(np.bincount(rings), 1))
+
+
+LAW = "law"
+# Smallest |mean| of a color change's channels over their RMS for which all are darker (a shadow) or all brighter (a mirror).
+ALIKE = 0.5
+LEAST_NAMED_PX = 12  # smallest number of connected pixels with a cause; noise makes smaller regions
+
+
+@dataclass(frozen=True, eq=False)
+class Explanation:
+    """The reasons for each pixel's confidence.
+
+    Attributes
+    ----------
+    maps : by cause, (H, W) float32, mm/mm: the standard deviation that it adds, in squares, to that of the slopes;
+        0 where it has no part
+    law : (H, W) float32, mm/mm: the rest, by the step and the size of the slope on held-out presses
+    gradients_sigma : (H, W) float32, mm/mm, of the slopes as they were read; the larger of both components
+    confidence : (H, W) float32, 0-1: min(1, (full_confidence_sigma / gradients_sigma)^2)
+    full_confidence_sigma : sigma up to which confidence is 1, mm/mm
+    """
+
+    maps: Mapping[str, NDArray[np.float32]]
+    law: NDArray[np.float32]
+    gradients_sigma: NDArray[np.float32]
+    confidence: NDArray[np.float32]
+    full_confidence_sigma: float
+
+    @cached_property
+    def shares(self) -> dict[str, float]:
+        """Share of the variance of each cause and of the law (`"law"`), averaged over the pixels; the shares add up to 1."""
+        squares = {LAW: np.square(self.law), **{name: np.square(one) for name, one in self.maps.items()}}
+        total = np.maximum(sum(squares.values()), np.float32(1e-12))
+        found = {name: float(np.mean(square / total)) for name, square in squares.items()}
+        return {name: fraction / sum(found.values()) for name, fraction in found.items()}
+
+    @cached_property
+    def findings(self) -> tuple[Finding, ...]:
+        """The important faults, each with the fraction of the frame where it alone leaves no information on a slope."""
+        return tuple(
+            Finding(name, f"{100 * fraction:.1f} % of the frame is {CAUSES[name].sentence}", fraction)
+            for name, one in self.maps.items()
+            if CAUSES[name].sentence and (fraction := _named_fraction(one > CAUSES[name].named_from)) > 0
+        )
+
+    @cached_property
+    def dominant(self) -> NDArray[np.uint8]:
+        """The largest part of each pixel's variance (H, W): 0 for the law, k for the k-th of `maps`."""
+        stack = np.stack([self.law, *self.maps.values()])
+        return np.asarray(stack.argmax(axis=0), dtype=np.uint8)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Its figures, as values that JSON can hold."""
+        return {
+            "full_confidence_sigma": self.full_confidence_sigma,
+            "median_sigma": float(np.median(self.gradients_sigma)),
+            "mean_confidence": float(self.confidence.mean()),
+            "trusted_share": float((self.confidence >= 0.5).mean()),
+            "variance_shares": self.shares,
+            "findings": [asdict(finding) for finding in self.findings],
+        }
+
+
+class Shown(NamedTuple):
+    """What an image showed where slopes are uncertain, in maps (H, W); None: nowhere.
+
+    Attributes
+    ----------
+    pixels : (H, W, 3) uint8, the raw image
+    color_change : (H, W, 3)
+    clipped : (H, W, 3) uint8, the unusable channels
+    markers, lost, outside : bool, hidden by markers, lost by the camera, and without light at rest
+    blur_px : of the color change
+    """
+
+    pixels: NDArray[np.uint8]
+    color_change: NDArray[np.float32]
+    clipped: NDArray[np.uint8] | None
+    markers: NDArray[np.bool_] | None
+    lost: NDArray[np.bool_] | None
+    outside: NDArray[np.bool_] | None
+    blur_px: float
+
+
+def explanation_of(
+    budget: Budget,
+    rows: Mapping[str, NDArray[np.float32]],
+    shown: Shown,
+    full_confidence_sigma: float,
+) -> Explanation:
+    """The rows of a frame's budget under the names of `CAUSES`; `rows` are those of `PreparedBudget.frame_rows`.
+
+    Pixels that show nothing are named for what hides them, and outliers for what their color looks like.
+    """
+    assert budget.walls is not None
+    assert budget.outliers is not None
+    nothing, unseen = np.zeros_like(budget.read), np.float32(unseen_sigma(full_confidence_sigma))
+    found = dict.fromkeys(CAUSES, nothing) | dict(rows) | {"wall": budget.walls, "steep": budget.steep}
+    size = np.sqrt(np.mean(np.square(shown.color_change), axis=-1))
+    common = shown.color_change.mean(axis=-1) / np.maximum(size, 1e-12)
+    darker, brighter = common < -ALIKE, common > ALIKE
+    for name, where in (("shadow", darker), ("specular", brighter), ("off_gamut", ~darker & ~brighter)):
+        found[name] = np.where(where, budget.outliers, nothing)
+    total = np.square(budget.read) + np.square(budget.steep) + np.square(found["unit"])
+    law = np.sqrt(np.maximum(total - sum(np.square(one) for one in found.values()), 0))
+    for name, where in _unseen(shown):
+        found[name] = np.where(where, unseen, found[name])
+    if shown.clipped is not None:
+        cost = np.where(shown.clipped.sum(axis=-1) > 1, unseen, law) * shown.clipped.any(axis=-1)
+        ends = (shown.pixels >= SATURATED_FROM).any(axis=-1).view(np.uint8)
+        bright = cv2.dilate(ends, bloom_disc(shown.blur_px)) > 0
+        for name, where in (("saturated", bright), ("dark", ~bright)):
+            found[name] = np.where(where & (cost > 0), cost, found[name])
+    law = np.sqrt(np.maximum(total - sum(np.square(one) for one in found.values()), 0))
+    return Explanation(found, law, np.sqrt(total), budget.confidence, full_confidence_sigma)
+
+
+def _unseen(shown: Shown) -> Iterator[tuple[str, NDArray[np.bool_]]]:
+    """What hides pixels, by the name of its cause, and where (H, W)."""
+    for name, where in (("marker", shown.markers), ("outside", shown.outside)):
+        if where is not None:
+            yield name, where
+    if shown.lost is not None:
+        level = cv2.blur(shown.pixels, (BLOCK_PX, BLOCK_PX))
+        bright = shown.lost & (level.max(axis=-1) >= BELOW)
+        dark = shown.lost & ~bright & (level.min(axis=-1) <= LIT)
+        yield "saturated", bright
+        yield "dark", dark
+        yield "inconsistent", shown.lost & ~bright & ~dark
+
+
+def _named_fraction(mask: NDArray[np.bool_]) -> float:
+    """Share of the pixels in regions of a mask (H, W) that are large enough to be named."""
+    _, _, boxes, _ = cv2.connectedComponentsWithStats(mask.view(np.uint8), connectivity=8)
+    areas = boxes[1:, cv2.CC_STAT_AREA]
+    return float(areas[areas >= LEAST_NAMED_PX].sum()) / mask.size

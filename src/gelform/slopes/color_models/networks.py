@@ -1,0 +1,394 @@
+"""Networks as color models: their layers in numpy, those of other packages, and one trained here.
+
+A network of another package, trained on raw images: its input is colors and place, and slopes at rest are subtracted.
+
+It needs the image itself, which the color change and the background give: image = background + 255 change
+(a calibration with such a network subtracts, and does not blur).
+
+A small network from color change and place to gradients, trained on presses; its output at rest is zero.
+
+Its raw output for the color of rest at the same place is subtracted, in training too, so that no color change means
+no slope.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.errors import needed
+from gelform.foundations.filters import CHANGE_OFFSET
+from gelform.image.view import pixel_positions
+from gelform.slopes.color_models.least_squares import HUBER_SLOPE, unit_position
+from gelform.slopes.color_models.physical import MAX_SLOPE
+from gelform.slopes.color_models.seam import Samples, Stored, Untuned, check_image_shape
+
+BLOCK_PX = 8192  # pixels at a time; the units of a layer stay in the processor's cache
+
+
+def blocks_of(count: int, each_px: int = 1) -> Iterator[slice]:
+    """Slices of `count` rows of `each_px` pixels, some 8000 pixels each.
+
+    >>> list(blocks_of(5, each_px=4096))
+    [slice(0, 2, None), slice(2, 4, None), slice(4, 5, None)]
+    """
+    rows = max(1, BLOCK_PX // each_px)
+    for start in range(0, count, rows):
+        yield slice(start, min(start + rows, count))
+
+
+MAX_UNITS, MAX_LAYERS = 4096, 16  # largest numbers in a file
+
+
+@dataclass(frozen=True)
+class Layers:
+    """Weights of a fully connected network with ReLU between its layers.
+
+    Attributes
+    ----------
+    weights : layers times (outputs, inputs) float32
+    biases : layers times (outputs,) float32
+    """
+
+    weights: tuple[NDArray[np.float32], ...]
+    biases: tuple[NDArray[np.float32], ...]
+
+    def __post_init__(self) -> None:
+        if not 1 <= len(self.weights) == len(self.biases) <= MAX_LAYERS:
+            raise ValueError(
+                f"Expected 1-{MAX_LAYERS} layers with a bias each, got {len(self.weights)} and {len(self.biases)}."
+            )
+        for k, (weight, bias) in enumerate(zip(self.weights, self.biases)):
+            inputs = weight.shape[-1] if k == 0 else self.weights[k - 1].shape[0]
+            if weight.ndim != 2 or weight.shape[1] != inputs or bias.shape != weight.shape[:1]:
+                raise ValueError(
+                    f"Expected layer {k + 1} to take {inputs} inputs and have a bias for each output, got "
+                    f"weights {weight.shape} and biases {bias.shape}."
+                )
+            if max(weight.shape) > MAX_UNITS or not (np.isfinite(weight).all() and np.isfinite(bias).all()):
+                raise ValueError(f"Expected finite layers of at most {MAX_UNITS} units, got layer {k + 1}.")
+
+    @property
+    def inputs(self) -> int:
+        """The number of inputs."""
+        return int(self.weights[0].shape[1])
+
+    @property
+    def outputs(self) -> int:
+        """The number of outputs."""
+        return int(self.weights[-1].shape[0])
+
+    def check_reads_slopes(self) -> None:
+        """Raise a ValueError unless it makes two numbers from three colors and a place."""
+        if (self.inputs, self.outputs) != (5, 2):
+            raise ValueError(
+                f"Expected a network of 5 inputs and 2 outputs, got {self.inputs} and {self.outputs}."
+            )
+
+    def outputs_from(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
+        """The outputs (outputs, N) for inputs (inputs, N)."""
+        last = len(self.weights) - 1
+        for k, (weight, bias) in enumerate(zip(self.weights, self.biases)):
+            values = weight @ values
+            values += bias[:, None]
+            if k < last:
+                np.maximum(values, 0, out=values)
+        return values
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """Arrays `weight1`, `bias1`, `weight2` ... that `from_arrays` rebuilds the layers from."""
+        numbered = enumerate(zip(self.weights, self.biases), start=1)
+        return {f"{name}{k}": a for k, pair in numbered for name, a in zip(("weight", "bias"), pair)}
+
+    @classmethod
+    def from_arrays(cls, arrays: dict[str, NDArray[Any]]) -> Layers:
+        """The layers from `to_arrays`; other arrays are ignored."""
+        count = sum(name.startswith("weight") for name in arrays)
+        pairs = [(arrays[f"weight{k}"], arrays[f"bias{k}"]) for k in range(1, count + 1)]
+        return cls(*(tuple(np.asarray(a, dtype=np.float32) for a in each) for each in zip(*pairs)))
+
+
+class RestedNetwork:
+    """A network over pixels whose inputs are those at rest plus the color change; immutable.
+
+    Parameters
+    ----------
+    layers : Layers of at least three inputs, the first three being colors
+    rest : (inputs, N) float32, inputs of each pixel at rest
+    channels : of the color change, for the first three inputs: (2, 1, 0) for B, G, R
+    scale : (3,), of the color change in the inputs' units
+    """
+
+    def __init__(
+        self, layers: Layers, rest: NDArray[np.float32], channels: tuple[int, int, int], scale: NDArray[Any]
+    ) -> None:
+        self._layers = layers
+        self._rest = np.asarray(rest, dtype=np.float32)
+        self._channels = np.array(channels)
+        self._scale = np.asarray(scale, dtype=np.float32)
+
+    def outputs_from_color(self, color_change: NDArray[np.float32]) -> NDArray[np.float32]:
+        """The outputs (N, outputs) for the color change (N, 3) of each pixel."""
+        out = np.empty((color_change.shape[0], self._layers.outputs), dtype=np.float32)
+        for part in blocks_of(len(out)):
+            values = self._rest[:, part].copy()
+            values[:3] += (self._scale * color_change[part][:, self._channels]).T
+            out[part] = self._layers.outputs_from(values).T
+        return out
+
+
+Position = Literal["xy", "yx", "zeros"]
+Answer = Literal["angles", "normals"]
+
+
+@dataclass(frozen=True)
+class NetworkModel(Stored):
+    """An imported network with the inputs (B, G, R)/255 and place, and two outputs.
+
+    Attributes
+    ----------
+    layers : five inputs, two outputs
+    background : (H, W, 3) float32, 0-255, the background image that it was imported with
+    position : "xy" for x/W, y/H after the colors, "yx" for y/H, x/W, "zeros" for two zeros
+    answer : "angles" are slope angles in rad of a surface that is lower where pressed; "normals" are n_x, n_y
+    """
+
+    layers: Layers
+    background: NDArray[np.float32]
+    position: Position
+    answer: Answer
+
+    name: ClassVar[str] = "network"
+    change_offset: ClassVar[float] = 0.0
+
+    def __post_init__(self) -> None:
+        self.layers.check_reads_slopes()
+        if self.position not in ("xy", "yx", "zeros") or self.answer not in ("angles", "normals"):
+            raise ValueError(
+                f"Expected position as xy, yx or zeros and answer as angles or normals, got {self.position!r} "
+                f"and {self.answer!r}."
+            )
+
+    def gradients_at(
+        self, color_change: NDArray[Any], x_px: NDArray[Any], y_px: NDArray[Any]
+    ) -> NDArray[np.float64]:
+        """Gradients (N, 2) of scattered pixels over the background that it was imported with."""
+        rows, columns = (np.asarray(v).astype(int) for v in (y_px, x_px))
+        prepared = self._prepared(self.background[rows, columns], np.asarray(x_px), np.asarray(y_px))
+        return prepared.gradients_from_color(np.asarray(color_change, dtype=np.float32))[0].astype(np.float64)
+
+    def prepare(self, background: NDArray[Any], shape: tuple[int, int]) -> PreparedNetwork:
+        """Prepare the inputs at rest, and the network's output for them, for frames of the imported size."""
+        height, width = self.background.shape[:2]
+        check_image_shape(shape, (height, width), made="imported")
+        rest = np.asarray(background, dtype=np.float32).reshape(-1, 3)
+        return self._prepared(rest, *pixel_positions(shape).T)
+
+    def _prepared(self, rest: NDArray[Any], x: NDArray[Any], y: NDArray[Any]) -> PreparedNetwork:
+        height, width = self.background.shape[:2]
+        inputs = np.zeros((5, len(x)), dtype=np.float32)
+        inputs[:3] = rest[:, ::-1].T / np.float32(255)
+        if self.position != "zeros":
+            place = x / width, y / height
+            inputs[3:] = place if self.position == "xy" else place[::-1]
+        network = RestedNetwork(self.layers, inputs, (2, 1, 0), np.ones(3))
+        return PreparedNetwork(network, self.answer, len(x))
+
+
+class PreparedNetwork:
+    """The network with its output at rest. It is immutable; threads can share it."""
+
+    def __init__(self, network: RestedNetwork, answer: Answer, pixels: int) -> None:
+        self._network, self._answer = network, answer
+        self._rest = np.float32(0)
+        self._rest = self._slopes(np.zeros((pixels, 3), dtype=np.float32))
+
+    def gradients_from_color(self, color_change: NDArray[np.float32]) -> tuple[NDArray[np.float32], None]:
+        """Gradients (..., 2) of a color change (..., 3), (I - I0)/255; their deviation is unknown."""
+        slopes = self._slopes(color_change.reshape(-1, 3))
+        return slopes.reshape(*color_change.shape[:-1], 2), None
+
+    def _slopes(self, change: NDArray[np.float32]) -> Any:
+        answer = self._network.outputs_from_color(change)
+        if self._answer == "angles":
+            return -np.tan(answer) - self._rest
+        square = np.sum(answer**2, axis=-1, keepdims=True)
+        down = np.sqrt(np.maximum(1 - square, square / MAX_SLOPE**2))  # the network may give |n| >= 1
+        return -answer / np.maximum(down, np.float32(1e-12)) - self._rest
+
+
+@dataclass(frozen=True)
+class MlpModel(Stored, Untuned):
+    """A network of five inputs (color change R, G, B in units of its size; x, y) and two slopes.
+
+    Attributes
+    ----------
+    layers : five inputs, two outputs
+    change_scale : (3,) float64, divisor of the color change
+    shape : (H, W) of the images it was fitted on
+    """
+
+    layers: Layers
+    change_scale: NDArray[np.float64]
+    shape: tuple[int, int]
+
+    name: ClassVar[str] = "mlp"
+    change_offset: ClassVar[float] = CHANGE_OFFSET
+
+    def __post_init__(self) -> None:
+        self.layers.check_reads_slopes()
+
+    @classmethod
+    def fit(
+        cls,
+        samples: Samples,
+        *,
+        hidden: tuple[int, ...] = (32, 32),
+        steps: int = 3000,
+        weight_decay: float = 0.1,
+        seed: int = 0,
+    ) -> MlpModel:
+        """Train on the samples, in seconds; the same samples, settings and torch give the same network.
+
+        Raises
+        ------
+        GelformError
+            torch is not installed: `pip install "gelform[torch]"`.
+        """
+
+        change = np.asarray(samples.color_change, dtype=np.float64)
+        total = max(float(samples.weight.sum()), 1e-12)
+        scale = np.sqrt(samples.weight @ change**2 / total) + 1e-6
+        place = np.stack(unit_position(samples.x_px, samples.y_px, samples.shape), axis=-1)
+        settings: dict[str, Any] = {
+            "hidden": hidden,
+            "steps": steps,
+            "weight_decay": weight_decay,
+            "seed": seed,
+        }
+        layers = train(change / scale, place, samples.gradients, samples.weight, **settings)
+        return cls(layers, scale, samples.shape)
+
+    def gradients_at(
+        self, color_change: NDArray[Any], x_px: NDArray[Any], y_px: NDArray[Any]
+    ) -> NDArray[np.float64]:
+        """Gradients (N, 2) of scattered pixels."""
+        prepared = PreparedMlp(self, np.asarray(x_px), np.asarray(y_px))
+        return prepared.gradients_from_color(np.asarray(color_change, dtype=np.float32))[0].astype(np.float64)
+
+    def prepare(self, background: NDArray[Any], shape: tuple[int, int]) -> PreparedMlp:
+        """Prepare the inputs at rest of a frame, and the network's output for them."""
+        check_image_shape(shape, self.shape)
+        return PreparedMlp(self, *pixel_positions(shape).T)
+
+
+class PreparedMlp:
+    """The network with its output at rest at given places. It is immutable; threads can share it."""
+
+    def __init__(self, model: MlpModel, x_px: NDArray[Any], y_px: NDArray[Any]) -> None:
+        inputs = np.zeros((5, len(x_px)), dtype=np.float32)
+        inputs[3:] = unit_position(x_px, y_px, model.shape)
+        self._network = RestedNetwork(model.layers, inputs, (0, 1, 2), 1 / model.change_scale)
+        self._rest = self._network.outputs_from_color(np.zeros((len(x_px), 3), dtype=np.float32))
+
+    def gradients_from_color(self, color_change: NDArray[np.float32]) -> tuple[NDArray[np.float32], None]:
+        """Gradients (..., 2) of a color change (..., 3); their deviation is in the calibration."""
+        slopes = self._network.outputs_from_color(color_change.reshape(-1, 3)) - self._rest
+        return slopes.reshape(*color_change.shape[:-1], 2), None
+
+
+BATCH, LEARNING_RATE = 512, 1e-2  # samples of a step; learning rate of AdamW
+
+
+def train(
+    change: NDArray[Any],
+    place: NDArray[Any],
+    gradients: NDArray[Any],
+    weight: NDArray[Any],
+    *,
+    hidden: tuple[int, ...],
+    steps: int,
+    weight_decay: float,
+    seed: int,
+) -> Layers:
+    """Layers whose output for (change, place) minus that for (0, place) is the gradient, in Huber's loss.
+
+    It uses AdamW with a cosine schedule (Loshchilov and Hutter, ICLR 2019) and one thread; all randomness comes from
+    `seed`. The N samples have a color change (N, 3) about 1 in size, a place (N, 2) of -1 to 1, gradients (N, 2) and
+    weights (N,) >= 0.
+    """
+    torch = needed("torch", "torch", "Training the color model mlp")
+    if not hidden or steps < 1 or len(change) < 2:
+        raise ValueError(f"Expected hidden layers, steps and samples, got {hidden}, {steps}, {len(change)}.")
+    with _one_thread(torch):
+        random = torch.Generator().manual_seed(seed)
+        touched, rest, target, relative = _tensors(torch, change, place, gradients, weight)
+        layers = _initial(torch, (touched.shape[1], *hidden, 2), random)
+        optimizer = torch.optim.AdamW(
+            [p for pair in layers for p in pair], lr=LEARNING_RATE, weight_decay=weight_decay
+        )
+        schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, steps)
+        for _ in range(steps):
+            rows = torch.randint(len(touched), (min(BATCH, len(touched)),), generator=random)
+            answers = _forward(torch, layers, torch.cat([touched[rows], rest[rows]]))
+            residual = torch.linalg.norm(answers[: len(rows)] - answers[len(rows) :] - target[rows], dim=1)
+            loss = (relative[rows] * _huber(torch, residual)).mean()
+            optimizer.zero_grad()
+            loss.backward()
+            optimizer.step()
+            schedule.step()
+        weights, biases = zip(*[[p.detach().numpy().copy() for p in pair] for pair in layers])
+    return Layers(weights, biases)
+
+
+@contextmanager
+def _one_thread(torch: Any) -> Iterator[None]:
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
+
+
+def _tensors(
+    torch: Any, change: NDArray[Any], place: NDArray[Any], gradients: NDArray[Any], weight: NDArray[Any]
+) -> tuple[Any, Any, Any, Any]:
+    """Inputs under touch, inputs at rest, targets, and weights of mean 1."""
+    touched = np.concatenate([change, place], axis=1)
+    rest = np.concatenate([np.zeros_like(change), place], axis=1)
+    relative = np.asarray(weight) / max(float(np.mean(weight)), 1e-12)
+    touched, rest, target, relative = (
+        torch.from_numpy(np.ascontiguousarray(a, dtype=np.float32))
+        for a in (touched, rest, gradients, relative)
+    )
+    return touched, rest, target, relative
+
+
+def _initial(torch: Any, sizes: tuple[int, ...], random: Any) -> list[tuple[Any, Any]]:
+    """Weights by He's rule (ICCV 2015), with biases that spread the kinks over the inputs' range."""
+    layers = []
+    for inputs, outputs in pairwise(sizes):
+        weight = torch.randn((outputs, inputs), generator=random) * (2 / inputs) ** 0.5
+        bias = (torch.rand((outputs,), generator=random) - 0.5) * (outputs > 2)
+        layers.append((weight.requires_grad_(), bias.requires_grad_()))
+    return layers
+
+
+def _forward(torch: Any, layers: list[tuple[Any, Any]], values: Any) -> Any:
+    for k, (weight, bias) in enumerate(layers):
+        values = torch.nn.functional.linear(values, weight, bias)
+        values = torch.relu(values) if k + 1 < len(layers) else values
+    return values
+
+
+def _huber(torch: Any, residual: Any) -> Any:
+    """Huber's loss of the residual's length, in units of its threshold."""
+    r = residual / HUBER_SLOPE
+    return torch.where(r < 1, 0.5 * r**2, r - 0.5)

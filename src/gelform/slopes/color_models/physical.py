@@ -1,0 +1,423 @@
+"""Color models that know the lights: distant lights on a matt gel, and lamps near the gel.
+
+Photometric stereo with three fixed lights, on the ratio of the image to the background image.
+
+At rest the normal is (0, 0, 1), so `I/I0 = (l . n)/l_z`: albedo, vignetting and the lights' falloff cancel. The
+three rows `l/l_z = (a, b, 1)` are the only unknowns (Woodham, Optical Engineering 19(1), 1980, eq. 7).
+Crosstalk makes a channel record a mixture of lights, which acts as one light: the rows contain it, exactly if the
+mixture is the same everywhere. A camera whose levels are light^response is made linear first.
+
+Photometric stereo with three near lights, on the ratio of the image to the background image.
+
+A light at S shines on a surface point X from the direction (S - X)/|S - X| with a strength that falls as
+|S - X|^-falloff, so `E = n . (S - X)/|S - X|^(1 + falloff)` (R. Mecca et al., Near field photometric stereo with
+point light sources, SIAM J. Imaging Sciences 7(4), 2014, eq. 3, at constant depth). Positions are in units of half the
+image's larger side, about its center. Crosstalk mixes the lights into each channel; where all of them shine, the channel
+is linear in the normal, with a separate light matrix at every pixel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+import scipy  # its parts load at first use
+from numpy.typing import ArrayLike, NDArray
+
+from gelform._native import Kernel
+from gelform.foundations.checks import LARGEST, check_response, check_values
+from gelform.image.view import pixel_positions
+from gelform.slopes.color_models.least_squares import HUBER_SLOPE, robust_ridge, unit_position
+from gelform.slopes.color_models.seam import Samples, Stored, Untuned, check_image_shape
+
+MAX_CONDITION = 1e4  # of a light matrix; with a larger one, lights count as coplanar
+MAX_SLOPE = 5.0  # mm/mm, largest slope of pixels in shadow
+DARKEST_RATIO = 0.02  # of the light at rest; a darker channel is in shadow, where the law does not hold
+RESPONSES = (0.3, 1.6)  # range of exponents in a fit
+
+
+def inverse_lights(lights: ArrayLike) -> NDArray[np.float64]:
+    """Inverse of the light matrix; an error if the lights are coplanar or nearly so."""
+    matrix = check_values(lights, "lights", (3, 3), np.float64)
+    if matrix.ndim != 2:
+        raise ValueError(f"Expected lights of shape (3, 3), one row per channel, got {matrix.shape}.")
+    condition = float(np.linalg.cond(matrix))
+    if not condition < MAX_CONDITION:
+        raise ValueError(
+            f"Expected three lights from directions that span space, got a light matrix of condition number "
+            f"{condition:.3g} (limit {MAX_CONDITION:g}): the lights are coplanar or two are the same. "
+            "Light the gel from three different sides."
+        )
+    inverse = np.asarray(np.linalg.inv(matrix), dtype=np.float64)
+    if np.abs(inverse).max() > LARGEST:
+        raise ValueError(f"Expected lights that are not all dark, got {np.abs(matrix).max():.3g} at most.")
+    return inverse
+
+
+@dataclass(frozen=True)
+class LambertianModel(Stored, Untuned):
+    """Three fixed lights, each scaled to l_z = 1.
+
+    Attributes
+    ----------
+    lights : (3, 3) float64, rows (a, b, 1) for the channels R, G, B
+    response : exponent of the camera's response, I = light^response
+    """
+
+    lights: NDArray[np.float64]
+    response: float = 1.0
+
+    def __post_init__(self) -> None:
+        check_response(self.response)
+
+    name: ClassVar[str] = "lambertian"
+    change_offset: ClassVar[float] = 0.0
+
+    @classmethod
+    def fit(cls, samples: Samples, *, response: float | None = None) -> LambertianModel:
+        """Lights by robust least squares: `(I/I0) sqrt(1 + p^2 + q^2) - 1 = -(a p + b q)`, shadows left out.
+
+        The response, if not given, is the exponent from 0.3 to 1.6 with the smallest median error.
+        """
+        if response is not None and not response > 0:
+            raise ValueError(f"Expected a response > 0, got {response}.")
+        if response is None:
+            tried = scipy.optimize.minimize_scalar(
+                lambda exponent: _misfit(samples, _fitted_lights(samples, exponent), exponent),
+                bounds=RESPONSES, method="bounded", options={"xatol": 1e-4},
+            )  # fmt: skip
+            response = float(tried.x)
+        lights = _fitted_lights(samples, response)
+        inverse_lights(lights)
+        return cls(lights, response)
+
+    def gradients_at(
+        self, color_change: NDArray[Any], x_px: NDArray[Any], y_px: NDArray[Any]
+    ) -> NDArray[np.float64]:
+        """Gradients (N, 2) of scattered pixels; with fixed lights they do not depend on the place."""
+        change = linear_change(np.asarray(color_change, dtype=np.float64), self.response)
+        return gradients_from_scaled(change, inverse_lights(self.lights))
+
+    def prepare(self, background: NDArray[Any], shape: tuple[int, int]) -> PreparedLambertian:
+        """Prepare the inverse light matrix, for frames of any shape."""
+        return PreparedLambertian(inverse_lights(self.lights).astype(np.float32), self.response)
+
+
+@dataclass(frozen=True)
+class PreparedLambertian:
+    """The inverse of the light matrix, (3, 3) float32, and the camera's response."""
+
+    inverse: NDArray[np.float32]
+    response: float = 1.0
+
+    def gradients_from_color(self, color_change: NDArray[np.float32]) -> tuple[NDArray[np.float32], None]:
+        """Gradients (H, W, 2) of a color change (H, W, 3); their deviation is in the calibration."""
+        return gradients_from_scaled(linear_change(color_change, self.response), self.inverse), None
+
+    def albedo_from_color(self, color_change: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Reflectance (H, W) relative to the gel at rest: the length of `L^-1 (1 + change)`."""
+        g = linear_change(color_change, self.response) @ self.inverse.T + self.inverse.sum(axis=1)
+        return np.linalg.norm(g, axis=-1).astype(np.float32)
+
+
+def linear_change(change: NDArray[Any], response: float) -> NDArray[Any]:
+    """The change of light for a change of gray levels: `(I/I0)^(1/response) - 1`."""
+    if response == 1:
+        return change
+    ratio = np.maximum(1 + change, change.dtype.type(0))
+    linear: NDArray[Any] = ratio ** change.dtype.type(1 / response) - 1
+    return linear
+
+
+def gradients_from_scaled(change: NDArray[Any], inverse: NDArray[Any]) -> NDArray[Any]:
+    """Slopes -g_xy/g_z of `g = L^-1 (1 + change)`; a pixel in shadow, with g_z near 0, gets at most MAX_SLOPE.
+
+    `inverse` is one matrix (3, 3), or one per pixel (..., 3, 3).
+    """
+    g = np.einsum("...ij,...j->...i", inverse, change) if inverse.ndim > 2 else change @ inverse.T
+    g = g + inverse.sum(axis=-1)
+    steepest = np.sqrt(g[..., 0] ** 2 + g[..., 1] ** 2) / MAX_SLOPE
+    gradients: NDArray[Any] = -g[..., :2] / np.maximum(np.maximum(g[..., 2], steepest), 1e-6)[..., None]
+    return gradients
+
+
+def _fitted_lights(samples: Samples, response: float) -> NDArray[np.float64]:
+    """Rows (a, b, 1) for a given response."""
+    ratio = 1 + linear_change(np.asarray(samples.color_change, dtype=np.float64), response)
+    length = np.sqrt(1 + np.sum(samples.gradients**2, axis=1))
+    lights = np.ones((3, 3))
+    for channel in range(3):
+        lit = ratio[:, channel] > DARKEST_RATIO
+        target = (ratio[lit, channel] * length[lit] - 1)[:, None]
+        design, weight = -samples.gradients[lit], samples.weight[lit]
+        lights[channel, :2] = robust_ridge(design, target, weight, ridge=1e-9, huber=HUBER_SLOPE)[:, 0]
+    return lights
+
+
+def _misfit(samples: Samples, lights: NDArray[np.float64], response: float) -> float:
+    """Mean over the channels of the median |predicted - measured| color change where the gel is pressed."""
+    pressed = np.any(samples.gradients != 0, axis=1)
+    normals = np.concatenate([-samples.gradients, np.ones((len(samples.gradients), 1))], axis=1)[pressed]
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    predicted = np.maximum(normals @ lights.T, 0) ** response - 1
+    return float(np.median(np.abs(predicted - samples.color_change[pressed]), axis=0).mean())
+
+
+LEAST_RATIO = 1e-3  # of the light at rest; a channel with less is set to it
+OFF_DIAGONAL = ~np.eye(3, dtype=bool)
+
+
+@dataclass(frozen=True)
+class Toward:
+    """The vectors from pixels to the lights.
+
+    Attributes
+    ----------
+    way : (N, 3 lights, 3) S - X
+    strength : (N, 3 lights) |S|^falloff / |S - X|^(1 + falloff): 1 over the distance, at the center
+    """
+
+    way: NDArray[np.float64]
+    strength: NDArray[np.float64]
+
+    @classmethod
+    def of(
+        cls, x: NDArray[np.float64], y: NDArray[np.float64], positions: NDArray[np.float64], falloff: float
+    ) -> Toward:
+        """Vectors from pixels (N,) to lights at positions (3, 3)."""
+        way = positions - np.stack([x, y, np.zeros_like(x)], axis=-1)[:, None]
+        square = np.einsum("nlk,nlk->nl", way, way)
+        strength = (np.sum(positions**2, axis=1) / square) ** (falloff / 2) / np.sqrt(square)
+        return cls(way, strength)
+
+    @property
+    def light(self) -> NDArray[np.float64]:
+        """The factor (N, 3 lights, 3) of a normal."""
+        return self.strength[..., None] * self.way
+
+
+def light_ratio(
+    normals: NDArray[np.float64],
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    positions: NDArray[np.float64],
+    mixture: NDArray[np.float64],
+    falloff: float,
+) -> NDArray[np.float64]:
+    """Light of each channel over that at rest, (N, 3), for normals (N, 3); a light behind the surface gives nothing."""
+    light = Toward.of(x, y, positions, falloff).light
+    lit = np.maximum(np.einsum("nlk,nk->nl", light, normals), 0)
+    ratio: NDArray[np.float64] = lit @ mixture.T / (light[..., 2] @ mixture.T)
+    return np.maximum(ratio, LEAST_RATIO)
+
+
+def light_ratio_derivatives(
+    normals: NDArray[np.float64],
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    positions: NDArray[np.float64],
+    mixture: NDArray[np.float64],
+    falloff: float,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """`light_ratio` (N, 3), and its derivatives by positions (N, 3, 9) and by the mixture off the diagonal (N, 3, 6)."""
+    toward = Toward.of(x, y, positions, falloff)
+    light = toward.light
+    lit, rest = np.einsum("nlk,nk->nl", light, normals), light[..., 2]
+    square = np.einsum("nlk,nlk->nl", toward.way, toward.way)
+    growth = falloff * positions / np.sum(positions**2, axis=1)[:, None]
+    growth = growth - (1 + falloff) * toward.way / square[..., None]  # of the logarithm of the strength
+    strength = toward.strength[..., None]
+    by_lit = (strength * normals[:, None] + lit[..., None] * growth) * (lit > 0)[..., None]
+    by_rest = strength * np.array([0.0, 0.0, 1.0]) + rest[..., None] * growth
+    lit = np.maximum(lit, 0)
+    whole = rest @ mixture.T
+    ratio = lit @ mixture.T / whole
+    above = (ratio > LEAST_RATIO)[..., None] / whole[..., None]
+    by_position = by_lit[:, None] - ratio[..., None, None] * by_rest[:, None]
+    by_position *= (mixture * above)[..., None]
+    by_mixture = np.zeros((len(x), 3, 3, 3))
+    by_mixture[:, range(3), range(3)] = (lit[:, None] - ratio[..., None] * rest[:, None]) * above
+    return (
+        np.maximum(ratio, LEAST_RATIO),
+        by_position.reshape(-1, 3, 9),
+        by_mixture[:, :, OFF_DIAGONAL],
+    )
+
+
+FITTED_SAMPLES = 4000  # samples at most, because neighbors in a press carry the same information
+LEAST_PRESSED = 30  # samples, twice the number of fitted parameters
+# Lights, in half the image's larger side: smallest height above the gel; largest height, and distance from it.
+LOWEST, FARTHEST = 0.05, 20.0
+
+
+_near_light_gradients = Kernel(
+    "near_light_gradients",
+    "f32[h,w,3] change, f32[3,3,h,w] inverse, out f32[h,w,2] gradients, f32 least_share",
+)
+
+
+@dataclass(frozen=True)
+class NearLightModel(Stored, Untuned):
+    """Three near lights, the mixture of them in each channel, and the camera's response.
+
+    Attributes
+    ----------
+    positions_px : (3, 3) float64, x, y from the image's center and height above the gel, of the main lights of
+        R, G, B; times mm_per_px it is mm
+    mixture : (3, 3) float64, row: channel, column: light; relative strength, 1 on the diagonal
+    falloff : exponent of the distance; 2 is a point light
+    response : exponent of the camera's response, I = light^response
+    shape : (H, W) of the images it was fitted on
+    """
+
+    positions_px: NDArray[np.float64]
+    mixture: NDArray[np.float64]
+    falloff: float
+    response: float
+    shape: tuple[int, int]
+
+    name: ClassVar[str] = "near_light"
+    change_offset: ClassVar[float] = 0.0
+
+    @classmethod
+    def fit(
+        cls, samples: Samples, *, response: float | None = None, crosstalk: bool = True, falloff: float = 2.0
+    ) -> NearLightModel:
+        """Robust (soft l1) nonlinear least squares of the color change, from each channel's linear solution.
+
+        Parameters
+        ----------
+        response : of the camera; estimated within 0.3-1.6 by default. Give it if it is known, because on gentle slopes a
+            smaller exponent looks like higher lights
+        crosstalk : whether a channel may record the other two lights; False: only its own
+        falloff : exponent of the distance
+        """
+        used = _pressed(samples)
+        start = np.concatenate([_start(used, c, response or 1.0) for c in range(3)])
+        free = [*start, *([0.05] * 6 if crosstalk else []), *([] if response else [1.0])]
+        low = [*[-FARTHEST, -FARTHEST, LOWEST] * 3, *([0.0] * 6 if crosstalk else [])]
+        high = [*[FARTHEST, FARTHEST, FARTHEST] * 3, *([2.0] * 6 if crosstalk else [])]
+        if not response:
+            low, high = [*low, RESPONSES[0]], [*high, RESPONSES[1]]
+        residuals, jacobian = _problem(used, crosstalk, response, falloff)
+        limits = {"bounds": (low, high), "x_scale": "jac", "max_nfev": 60}
+        fit = scipy.optimize.least_squares(residuals, free, jacobian, loss="soft_l1", f_scale=0.05, **limits)
+        positions, mixture, exponent = _unpacked(fit.x, crosstalk, response)
+        return cls(positions * max(samples.shape) / 2, mixture, falloff, exponent, samples.shape)
+
+    def positions_mm(self, mm_per_px: float) -> NDArray[np.float64]:
+        """Positions (3, 3) of the lights, mm from the point of the gel at the image's center."""
+        return self.positions_px * mm_per_px
+
+    def lights_at(self, x_px: NDArray[Any], y_px: NDArray[Any]) -> NDArray[np.float64]:
+        """Light matrices (N, 3, 3), rows (a, b, 1) for R, G, B, of equivalent fixed lights at each pixel."""
+        x, y = unit_position(x_px, y_px, self.shape)
+        toward = Toward.of(x, y, 2 * self.positions_px / max(self.shape), self.falloff)
+        lights = np.einsum("cl,nlk->nck", self.mixture, toward.light)
+        return np.asarray(lights / lights[..., 2:], dtype=np.float64)
+
+    def gradients_at(
+        self, color_change: NDArray[Any], x_px: NDArray[Any], y_px: NDArray[Any]
+    ) -> NDArray[np.float64]:
+        """Gradients (N, 2) of scattered pixels."""
+        change = linear_change(np.asarray(color_change, dtype=np.float64), self.response)
+        return gradients_from_scaled(change, inverted_lights(self.lights_at(x_px, y_px)))
+
+    def prepare(self, background: NDArray[Any], shape: tuple[int, int]) -> PreparedNearLight:
+        """Prepare the inverse light matrix of every pixel."""
+        check_image_shape(shape, self.shape)
+        inverse = (
+            inverted_lights(self.lights_at(*pixel_positions(shape).T)).reshape(-1, 9).T.reshape(3, 3, *shape)
+        )
+        return PreparedNearLight(np.ascontiguousarray(inverse, dtype=np.float32), self.response)
+
+
+@dataclass(frozen=True)
+class PreparedNearLight:
+    """The inverse light matrix of every pixel, (3, 3, H, W) float32, and the camera's response."""
+
+    inverse: NDArray[np.float32]
+    response: float
+
+    def gradients_from_color(self, color_change: NDArray[np.float32]) -> tuple[NDArray[np.float32], None]:
+        """Gradients (H, W, 2) of a color change (H, W, 3); their deviation is in the calibration."""
+        gradients = np.empty((*color_change.shape[:2], 2), dtype=np.float32)
+        light = np.ascontiguousarray(linear_change(color_change, self.response))
+        _near_light_gradients(light, self.inverse, gradients, 1 / MAX_SLOPE)
+        return gradients, None
+
+
+def _pressed(samples: Samples) -> Samples:
+    """Some 4000 samples that are pressed and lit, because at rest every light gives the ratio 1."""
+    known = np.any(samples.gradients != 0, axis=1) & np.all(samples.color_change > DARKEST_RATIO - 1, axis=1)
+    chosen = np.flatnonzero(known)
+    if len(chosen) < LEAST_PRESSED:
+        raise ValueError(f"Expected at least {LEAST_PRESSED} pressed and lit samples, got {len(chosen)}.")
+    chosen = chosen[:: max(1, len(chosen) // FITTED_SAMPLES)]
+    change = np.asarray(samples.color_change, dtype=np.float64)[chosen]
+    x_px, y_px = samples.x_px[chosen], samples.y_px[chosen]
+    return Samples(change, x_px, y_px, samples.gradients[chosen], samples.weight[chosen], samples.shape)
+
+
+def _start(samples: Samples, channel: int, response: float) -> list[float]:
+    """A light from one channel alone: `ratio length - 1 = -(a p + b q)` with a = (S_x - x)/S_z, b = (S_y - y)/S_z."""
+    x, y = unit_position(samples.x_px, samples.y_px, samples.shape)
+    p, q = samples.gradients.T
+    ratio = 1 + linear_change(samples.color_change[:, channel], response)
+    target = (ratio * np.sqrt(1 + p * p + q * q) - 1)[:, None]
+    design = np.stack([-p, -q, p * x + q * y], axis=1)
+    a, b, inverse_height = robust_ridge(design, target, samples.weight, ridge=1e-6, huber=HUBER_SLOPE)[:, 0]
+    height = 1 / np.clip(inverse_height, 0.2, 5.0)
+    return [*np.clip([a * height, b * height], -0.9 * FARTHEST, 0.9 * FARTHEST), float(height)]
+
+
+def _problem(
+    samples: Samples, crosstalk: bool, response: float | None, falloff: float
+) -> tuple[
+    Callable[[NDArray[np.float64]], NDArray[np.float64]], Callable[[NDArray[np.float64]], NDArray[np.float64]]
+]:
+    """The least-squares problem for the fitted vector: residuals (3 N,) and their jacobian."""
+    x, y = unit_position(samples.x_px, samples.y_px, samples.shape)
+    normals = np.concatenate([-samples.gradients, np.ones((len(x), 1))], axis=1)
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    weight = np.sqrt(samples.weight)[:, None]
+
+    def residuals(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        positions, mixture, exponent = _unpacked(values, crosstalk, response)
+        predicted = light_ratio(normals, x, y, positions, mixture, falloff) ** exponent - 1
+        return ((predicted - samples.color_change) * weight).ravel()
+
+    def jacobian(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        positions, mixture, exponent = _unpacked(values, crosstalk, response)
+        ratio, by_position, by_mixture = light_ratio_derivatives(normals, x, y, positions, mixture, falloff)
+        by_exponent = (ratio**exponent * np.log(ratio))[..., None]
+        by_ratio = (exponent * ratio ** (exponent - 1))[..., None]
+        parts = [by_ratio * by_position]
+        parts += [by_ratio * by_mixture] if crosstalk else []
+        parts += [] if response else [by_exponent]
+        return (np.concatenate(parts, axis=-1) * weight[..., None]).reshape(3 * len(x), -1)
+
+    return residuals, jacobian
+
+
+def _unpacked(
+    values: NDArray[np.float64], crosstalk: bool, response: float | None
+) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+    """Positions (3, 3), mixture (3, 3), response from the fitted vector."""
+    mixture = np.eye(3)
+    if crosstalk:
+        mixture[OFF_DIAGONAL] = values[9:15]
+    return values[:9].reshape(3, 3), mixture, response or float(values[-1])
+
+
+def inverted_lights(lights: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Inverses of light matrices (N, 3, 3); ValueError: one is nearly singular."""
+    worst = float(np.linalg.cond(lights).max())
+    if not worst < MAX_CONDITION:
+        raise ValueError(
+            f"Expected three lights from directions that span space at every pixel, got a condition number of "
+            f"{worst:.3g} (limit {MAX_CONDITION:g}). Press at more places, or use the color model lambertian."
+        )
+    return np.asarray(np.linalg.inv(lights), dtype=np.float64)

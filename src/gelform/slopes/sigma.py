@@ -1,0 +1,358 @@
+"""The standard deviation of slopes as a calibration states it, and the causes that raise it in a frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import sqrt
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+import scipy  # its parts load at first use
+from numpy.typing import NDArray
+
+from gelform._native import Kernel
+from gelform.foundations.checks import check_values, check_within
+from gelform.image.frame import DARK
+
+SLOPE_BINS = 10  # bins of equal counts
+ONE_SIGMA, TWO_SIGMA = (
+    0.6827,
+    0.9545,
+)  # fractions of a normal distribution within one and two standard deviations
+MIN_IN_BIN = 50  # pixels; fewer do not determine a quantile
+CLEAN_FRACTION = 0.95  # fraction of the pixels in contact whose confidence is 1
+# Quantiles of the slopes that presses have shown: beyond the first a model of other units is doubted, beyond the second
+# every model. With 0.5 the faces of a cube's edge escape the doubt of a model whose own presses are deep, with 0.3 balls are
+# doubted too; from 0.75 on, balls of the own unit were doubted in every second frame.
+SHOWN = 0.4, 0.8
+LEAST_SIGMA = 1e-5  # mm/mm, least deviation: float32 rounds slopes to less
+LEAST_FACTOR = 0.3  # smallest factor of solved slopes; errors that have no curl stay
+
+_RANGES = (
+    ("rest", 1e-9, 1e3),
+    ("rest_per_noise", 0, 1e3),
+    ("per_step", 1e-9, 1e3),
+    ("per_slope", 0, 1e4),
+    ("solved_factor", 1e-3, 1e3),
+    ("depth_factor", 1e-3, 1e4),
+    ("full_confidence_sigma", 1e-9, 1e3),
+    ("correlation_px", 1e-6, 1e4),
+    ("correlated_share", 0, 1),
+    ("gain_sigma", 0, 10),
+    ("rest_correlation_px", 0, 1e4),
+)
+
+
+@dataclass(frozen=True)
+class SlopeErrors:
+    """Errors of slopes on presses that the model has not seen.
+
+    Attributes
+    ----------
+    slopes : (N,) measured |gradient| in contact
+    errors : (N, 2) of its components
+    rest : (M, 2) slopes read at rest, without their bias; they are all error
+    rest_noise : (M,) variance there from the image's noise, by `noise_at_rest`
+    stated : (N,) standard deviation by the step of the forward response; 1 without a step
+    """
+
+    slopes: NDArray[Any]
+    errors: NDArray[Any]
+    rest: NDArray[Any]
+    rest_noise: NDArray[Any]
+    stated: NDArray[Any] | float = 1.0
+
+
+@dataclass(frozen=True)
+class SlopeSigma:
+    """Standard deviation of a slope component: that of its step, times a factor that grows with the slope.
+
+    Without a step, its deviation counts as 1 mm/mm. 68 % of the errors on held-out presses are within the stated deviations:
+    they are fitted to that fraction, because a few bad pixels would dominate the variance.
+
+    Attributes
+    ----------
+    rest, rest_per_noise : deviation of gel at rest: the root of `rest^2 + rest_per_noise^2 noise`, with the variance of
+        the place by `noise_at_rest`. The first part is the model's and alike everywhere, the second is the camera's
+    per_step, per_slope : deviation in contact: `per_step step sqrt(1 + (per_slope |gradient|)^2)`, with the step's own
+    solved_factor : deviation of the solved depth's slopes over that of the slopes as read; a surface cannot follow errors
+        that have curl
+    depth_factor : deviation of depth far from contacts over the one that the slopes there make; see `gelform.depth.sigma`
+    shown : (mm/mm, mm/mm) quantiles 0.4 and 0.8 of the slopes that presses have shown
+    gain_sigma : relative error that slopes of one size share around a press, RMS over sizes and presses, beyond what errors
+        of single slopes explain; depth is off in proportion
+    full_confidence_sigma : deviation that 95 % of the pixels in contact stay under; confidence is 1 up to it
+    correlation_px : over this distance the correlated part falls to exp(-1/2) (a Gaussian)
+    correlated_share : fraction of the variance that is correlated; the rest is white
+    rest_correlation_px, rest_correlated_share : the same for gel at rest, where the color change's blur correlates the
+        noise over a pixel or two. The errors' correlation falls to exp(-1/2) over the first; the second, 0-1, is the
+        share that is correlated over `correlation_px`. None: as in a contact, in calibrations without it
+    """
+
+    rest: float
+    per_step: float
+    full_confidence_sigma: float
+    correlation_px: float
+    per_slope: float = 0.0
+    solved_factor: float = 1.0
+    depth_factor: float = 10.0
+    shown: tuple[float, float] = (0.4, 0.6)
+    correlated_share: float = 1.0
+    gain_sigma: float = 0.0
+    rest_correlation_px: float = 0.0
+    rest_correlated_share: float | None = None
+    rest_per_noise: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name, low, high in _RANGES:
+            check_within(getattr(self, name), name, low, high)
+        if self.rest_correlated_share is not None:
+            check_within(self.rest_correlated_share, "rest_correlated_share", 0, 1)
+        shown = check_values(self.shown, "shown")
+        if not (shown.shape == (2,) and 0 <= shown[0] <= shown[1]):
+            raise ValueError("Expected shown as two slopes >= 0 that grow, got others.")
+
+    @classmethod
+    def fit(cls, held_out: SlopeErrors, correlation_px: float, correlated_share: float) -> SlopeSigma:
+        """Fit the law, so that 68 % of the held-out errors of slopes of any size lie within one sigma."""
+        stated = np.broadcast_to(np.float64(held_out.stated), held_out.slopes.shape)
+        slopes, error = held_out.slopes, np.abs(held_out.errors) / stated[:, None]
+        order = np.array_split(np.argsort(slopes, kind="stable"), SLOPE_BINS)
+        bins = [part for part in order if len(part) >= MIN_IN_BIN] or [np.arange(len(slopes))]
+        squares = np.array([max(np.quantile(error[part], ONE_SIGMA), 1e-9) ** 2 for part in bins])
+        sizes = np.array([np.mean(np.square(slopes[part])) for part in bins])
+        constant, growing = _law(squares, sizes)
+        per_step = max(constant**0.5, LEAST_SIGMA)
+        law = np.sqrt(constant + growing * slopes**2) * stated
+        rest, per_noise = per_step * float(np.median(stated)), 0.0
+        if held_out.rest.size:
+            rest, per_noise = _rest_law(held_out.rest, held_out.rest_noise)
+        low, high = np.quantile(slopes, SHOWN)
+        return cls(
+            rest=max(rest, LEAST_SIGMA),
+            per_step=per_step,
+            per_slope=growing**0.5 / per_step,
+            shown=(float(low), float(high)),
+            full_confidence_sigma=max(float(np.quantile(law, CLEAN_FRACTION)), LEAST_SIGMA),
+            correlation_px=float(correlation_px),
+            correlated_share=float(correlated_share),
+            rest_per_noise=per_noise,
+        )
+
+    @classmethod
+    def from_dict(cls, values: dict[str, Any]) -> SlopeSigma:
+        """Make it from `dataclasses.asdict`."""
+        kept = {name: value for name, value in values.items() if value is not None}
+        return cls(**{**kept, "shown": tuple(kept["shown"])})
+
+    def with_solved(self, errors: NDArray[Any], stated: NDArray[Any]) -> SlopeSigma:
+        """With the factor that leaves 68 % of held-out errors (N, 2) of solved slopes within one sigma.
+
+        `stated` (N,) are the deviations of the slopes as read at the same pixels. Too few pixels change nothing.
+        """
+        if len(stated) < MIN_IN_BIN:
+            return self
+        factor = float(np.quantile(np.abs(errors) / stated[:, None], ONE_SIGMA))
+        return replace(self, solved_factor=max(factor, LEAST_FACTOR))
+
+    @property
+    def correlation(self) -> dict[str, Any]:
+        """The correlation of the errors, as arguments of `PreparedContact`."""
+        names = ("correlation_px", "correlated_share", "rest_correlation_px", "rest_correlated_share")
+        return {name: getattr(self, name) for name in names}
+
+
+def _law(squares: NDArray[Any], variable: NDArray[Any]) -> tuple[float, float]:
+    """Constant and growing part of squared deviations, by nonnegative least squares, each relative to itself."""
+    unit = max(float(variable.mean()), 1e-30)
+    parts, _ = scipy.optimize.nnls(
+        np.stack([1 / squares, variable / unit / squares], axis=1), np.ones(len(squares))
+    )
+    return float(parts[0]), float(parts[1] / unit)
+
+
+def _rest_law(errors: NDArray[Any], noise: NDArray[Any]) -> tuple[float, float]:
+    """The parts of the deviation at rest, from errors (M, 2) at pixels of that variance by noise (M,)."""
+    order = np.array_split(np.argsort(noise, kind="stable"), SLOPE_BINS)
+    bins = [part for part in order if len(part) >= MIN_IN_BIN] or [np.arange(len(noise))]
+    squares = np.array([max(np.quantile(np.abs(errors[part]), ONE_SIGMA), 1e-9) ** 2 for part in bins])
+    from_noise = np.array([np.mean(noise[part], dtype=np.float64) for part in bins])
+    constant, growing = _law(squares, from_noise)
+    return constant**0.5, growing**0.5
+
+
+class Cause(NamedTuple):
+    """One cause of low confidence: its text and color in the command line, the plots and the live page.
+
+    Attributes
+    ----------
+    sentence : sentence about the pixels that it is named for; "" if it is never named
+    named_from : mm/mm, smallest standard deviation that it has to add to a slope to be named
+    color : in pictures, "#rrggbb"
+    """
+
+    sentence: str
+    named_from: float
+    color: str
+
+
+LEAVES_NOTHING = 0.35  # mm/mm, standard deviation that leaves no information; about the slope of a ball's rim
+STEEP = 0.4  # mm/mm, of a slope 0.23 beyond those that presses have shown
+SIX_SIGMA = 7.0  # mm/mm, standard deviation that a residual of 6 sigma adds; rims of real presses reach 5
+# The colors are those of Okabe and Ito, distinct for every kind of color blindness; the last is not theirs.
+CAUSES = {
+    "saturated": Cause(
+        "at the camera's upper end. Lower exposure, gain or the lights.", LEAVES_NOTHING, "#e69f00"
+    ),
+    "dark": Cause(
+        "at the camera's lower end. Is a light off, or the exposure too short?", LEAVES_NOTHING, "#0072b2"
+    ),
+    "shadow": Cause("darker than any slope makes it: a cast shadow.", SIX_SIGMA, "#56b4e9"),
+    "specular": Cause("brighter than any slope makes it: a mirrored light.", SIX_SIGMA, "#f0e442"),
+    "off_gamut": Cause(
+        "of colors that no slope gives: dust, a scratch, another gel, or slopes outside the training zone.",
+        SIX_SIGMA,
+        "#cc79a7",
+    ),
+    "steep": Cause("steeper than the presses have shown: at least about this slope.", STEEP, "#882255"),
+    "inconsistent": Cause(
+        "torn or from another moment: data of the frame were lost.", LEAVES_NOTHING, "#d55e00"
+    ),
+    "marker": Cause("hidden by markers.", LEAVES_NOTHING, "#999999"),
+    "outside": Cause("not lit, or not gel.", LEAVES_NOTHING, "#009e73"),
+    "wall": Cause("", LEAVES_NOTHING, "#000000"),  # an object's edge is no fault
+    "light": Cause("", LEAVES_NOTHING, "#ffd8a8"),  # findings of the light name it
+    "unit": Cause("", LEAVES_NOTHING, "#7f7f00"),  # the finding of a starter names it
+    "compression": Cause(
+        "noisier than the calibrated images. Raise the JPEG quality, or lower the camera's gain.",
+        0.0,
+        "#b08968",
+    ),
+}
+
+LEAST_OUTSIDE_PX = 25  # smallest number of connected pixels; a smaller region is dust
+
+
+def outside_of_gel(background: NDArray[Any]) -> NDArray[np.bool_] | None:
+    """Pixels (H, W) of a background image without light, except regions as small as dust; None if there are none."""
+    unlit = (np.asarray(background).max(axis=-1) <= DARK).astype(np.uint8)
+    count, labels, boxes, _ = cv2.connectedComponentsWithStats(unlit, connectivity=8)
+    large = boxes[:, cv2.CC_STAT_AREA] >= LEAST_OUTSIDE_PX
+    large[0] = False
+    return large[labels] if count > 1 and large.any() else None
+
+
+def either(one: NDArray[np.bool_] | None, other: NDArray[np.bool_] | None) -> NDArray[np.bool_] | None:
+    """Union of two masks (H, W); a mask may be None, which means no pixel."""
+    return one if other is None else other if one is None else one | other
+
+
+JPEG_BLOCK_PX = 8
+LEAST_BLOCKS = 4  # blocks across a frame; the medians over fewer columns are noise
+EVERY_ROW = 4  # one of so many rows is used
+USUAL_NOISE = (
+    1.5  # times the calibrated images' noise; up to it noise is usual, because presses are no flat fields
+)
+LEAST_LEVELS = 1.0  # gray level, one step of the camera; less noise has no effect
+# Standard deviation of a normal distribution over the mean |a - b| of two of its values: sqrt(pi)/2.
+SIGMA_OF_JUMP = 0.8862
+# Smallest jump between blocks over the usual jump.
+JUMP_EXCESS = 1.15
+_column_jumps = Kernel(
+    "column_jumps", "u8[h,w,3] image, u8[h,w,3] rest, out i32[n] work, out f32[8] medians, i32 step"
+)
+
+
+def excess_noise(pixels: NDArray[np.uint8], rest: NDArray[np.uint8], usual_levels: float) -> float:
+    """Noise of an image (H, W, 3) beyond the usual, gray levels: of single pixels, and of JPEG's blocks.
+
+    Blocks of 8x8 pixels are rounded separately and jump at their borders. Such columns come every 8 pixels, at an offset
+    that depends on the crop. The excess of their jumps over those of other columns is twice the blocks' variance.
+    Pixels with an infinite usual deviation from the background image do not count.
+    """
+    width = pixels.shape[1]
+    if (width - 1) // JPEG_BLOCK_PX < LEAST_BLOCKS:
+        return 0.0
+    medians = np.empty(JPEG_BLOCK_PX, dtype=np.float32)
+    _column_jumps(pixels, rest, np.empty(4 * width, dtype=np.int32), medians, EVERY_ROW)
+    by_place = sorted(medians.tolist())
+    usual, most = (by_place[JPEG_BLOCK_PX // 2 - 1] + by_place[JPEG_BLOCK_PX // 2]) / 2, by_place[-1]
+    single = SIGMA_OF_JUMP * usual
+    blocks = SIGMA_OF_JUMP * sqrt(max(most**2 - usual**2, 0.0)) if most > JUMP_EXCESS * usual else 0.0
+    added = sqrt(max(single**2 - (USUAL_NOISE * usual_levels) ** 2, 0.0) + blocks**2)
+    return added if added > LEAST_LEVELS else 0.0
+
+
+DARK_TO, SATURATED_FROM = 2, 254  # gray levels: up to the first and from the second a channel is clipped
+BLOOMS_PX = 1  # px beyond the reach of the color change's blur
+
+_clipped_channels = Kernel(
+    "clipped_channels",
+    "u8[h,w,3] image, bool[3] low, bool[3] high, out u8[h,w,3] clipped, i32 dark_to, i32 saturated_from",
+)
+
+
+class Clipped(NamedTuple):
+    """The clipped parts of a frame that were not clipped in the images of the calibration.
+
+    Attributes
+    ----------
+    channels : (H, W, 3) uint8, 1 where a channel is clipped or a clipped one blurred into it; None: nowhere
+    unseen : (H, W) bool, pixels with too few channels left for two slopes; None: none
+    """
+
+    channels: NDArray[np.uint8] | None
+    unseen: NDArray[np.bool_] | None
+
+
+class ClippedChannels:
+    """Finds clipped channels in frames of one calibration. It is immutable; threads can share it.
+
+    Parameters
+    ----------
+    blur_px : of the color change
+    learnt : (2, 3) bool, whether red, green, blue was clipped at the lower and the upper end in the calibration's own
+        presses, so that the model learnt it; None: nowhere
+    spare : number of channels that a slope can be read without: 1 with a forward response's step, else 0
+    outside : (H, W) bool, pixels without light at rest, where dark is no fault; None: none
+    """
+
+    def __init__(
+        self,
+        blur_px: float,
+        learnt: NDArray[np.bool_] | None,
+        spare: int,
+        outside: NDArray[np.bool_] | None = None,
+    ) -> None:
+        usual = np.ones((2, 3), dtype=bool) if learnt is None else ~np.asarray(learnt, dtype=bool)
+        self._counts, self._spare = [np.ascontiguousarray(row) for row in usual], spare
+        self._outside = outside
+        self._disc = bloom_disc(blur_px)
+
+    def __call__(self, pixels: NDArray[np.uint8], hidden: NDArray[np.bool_] | None) -> Clipped:
+        """The clipped channels of an image (H, W, 3), without those of hidden pixels (H, W)."""
+        channels = np.empty_like(pixels)
+        low, high = self._counts
+        if not _clipped_channels(pixels, low, high, channels, dark_to=DARK_TO, saturated_from=SATURATED_FROM):
+            return Clipped(None, None)
+        for nothing in (hidden, self._outside):
+            if nothing is not None:
+                channels[nothing] = 0
+        if not channels.any():
+            return Clipped(None, None)
+        channels = np.asarray(cv2.dilate(channels, self._disc), dtype=np.uint8)
+        unseen = channels.sum(axis=-1, dtype=np.uint8) > self._spare
+        return Clipped(channels, unseen)
+
+
+def bloom_disc(blur_px: float) -> NDArray[np.uint8]:
+    """Structuring element: the reach of a clipped pixel in a color change of that blur."""
+    size = 2 * (int(np.ceil(2 * blur_px)) + BLOOMS_PX) + 1
+    return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)), dtype=np.uint8)
+
+
+def ends_shown(images: NDArray[Any]) -> NDArray[np.float64]:
+    """Share (2, 3) of pixels (N, 3) whose red, green, blue is at the lower and at the upper end."""
+    levels = np.asarray(images)
+    return np.stack([np.mean(levels <= DARK_TO, axis=0), np.mean(levels >= SATURATED_FROM, axis=0)])

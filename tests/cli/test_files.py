@@ -1,0 +1,226 @@
+"""Output files of commands: names of results, folders, the files of a report.
+
+Image files of a calibrated sensor: an error names the file.
+
+Files of other programs, met by any command: the message has what to do with them.
+"""
+
+import errno
+import os
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gelform.calibration_file import load_calibration
+from gelform.cli import files as outputs
+from gelform.cli.files import (
+    background_in,
+    check_output,
+    check_results,
+    image_in,
+    make_folder,
+    picture_paths,
+    result_paths,
+)
+from gelform.errors import DataError
+from gelform.exchange.plots import save_picture
+
+part = st.sampled_from(["a", "b", "a.b", "gelsight", "ä ö", "0", "1"])
+image = st.builds(
+    lambda folders, stem, suffix: "/".join(["/data", *folders, stem + suffix]),
+    st.lists(part, max_size=3),
+    part,
+    st.sampled_from([".png", ".jpg", ".PNG", ""]),
+)
+
+
+@given(st.lists(image, min_size=1, max_size=12, unique=True))
+def test_names_are_never_shared_and_stay_in_the_folder(tmp_path_factory, inputs):
+    folder = tmp_path_factory.getbasetemp() / "out"
+    try:
+        paths = result_paths([type(folder)(one) for one in inputs], folder, ("npz", "png"))
+    except DataError:  # refused, which test_what_cannot_be_told_apart_is_refused looks at
+        return
+    results = [str(path) for one in paths for path in one.values()]
+    assert len(set(results)) == 2 * len(inputs)
+    assert all(os.path.commonpath([folder, one]) == str(folder) for one in results)
+
+
+@pytest.mark.parametrize(
+    ("inputs", "names"),
+    [
+        (["x/frame.png"], ["frame"]),
+        (["9.5mm/0/gelsight.png", "9.5mm/1/gelsight.png"], ["0/gelsight", "1/gelsight"]),
+        (["a/x.png", "b/c/x.png"], ["a/x", "b/c/x"]),
+        (["a/x.png", "a/x.jpg", "a/y.png"], ["x.png", "x.jpg", "y"]),
+        (["x.tar.png"], ["x.tar"]),
+        (["../up/x.png", "y.png"], ["up/x", "here/y"]),
+    ],
+)
+def test_a_result_lies_below_the_common_folder(tmp_path, monkeypatch, inputs, names):
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    paths = result_paths([type(tmp_path)(one) for one in inputs], tmp_path / "out", ("npz",))
+    assert [one["npz"].relative_to(tmp_path / "out").as_posix() for one in paths] == [
+        f"{name}.npz" for name in names
+    ]
+
+
+def test_what_cannot_be_told_apart_is_refused(tmp_path):
+    with pytest.raises(DataError, match="given twice"):
+        result_paths([tmp_path / "a.png", tmp_path / "b" / ".." / "a.png"], tmp_path, ("npz",))
+    with pytest.raises(DataError, match=r"both be called a\.png"):
+        result_paths([tmp_path / "a.png", tmp_path / "a.jpg", tmp_path / "a.png.bmp"], tmp_path, ("npz",))
+
+
+def test_results_that_are_there_and_inputs_are_protected(tmp_path):
+    first, second, source = (tmp_path / name for name in ("0.npz", "1.npz", "image.png"))
+    first.touch()
+    second.touch()
+    source.touch()
+    with pytest.raises(DataError, match=r"0\.npz is already there and 1 more.*--overwrite"):
+        check_results([{"npz": first}, {"npz": second}], overwrite=False, protected=[source])
+    check_results([{"npz": first}, {"npz": second}], overwrite=True, protected=[source])
+    for overwrite in (False, True):
+        with pytest.raises(DataError, match="would replace an input"):
+            check_results([{"png": tmp_path / "." / "image.png"}], overwrite=overwrite, protected=[source])
+
+
+def test_pictures_replace_neither_images_nor_calibrations(tmp_path):
+    images = [tmp_path / "a.png", tmp_path / "b.png"]
+    assert picture_paths(images, None, overwrite=False, protected=[]) == [None, None]
+    out = tmp_path / "out"
+    named = picture_paths(images, out, overwrite=False, protected=[])
+    assert named == [out / "a.png", out / "b.png"]
+    for folder, protected in ((tmp_path, []), (out, [out / "a.png"])):
+        with pytest.raises(DataError, match="would replace an input"):
+            picture_paths(images, folder, overwrite=True, protected=protected)
+
+
+def test_folders_that_cannot_be_made(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(DataError, match="got the file"):
+        make_folder(tmp_path / "file")
+    with pytest.raises(DataError, match="Cannot make the folder"):
+        make_folder(tmp_path / "file" / "below")
+    assert make_folder(tmp_path / "a" / "b").is_dir()
+
+
+def test_an_output_is_checked_before_the_work(tmp_path):
+    (tmp_path / "there").touch()
+    with pytest.raises(DataError, match="got the folder"):
+        check_output(tmp_path, overwrite=True)
+    with pytest.raises(DataError, match=r"already there.*--overwrite"):
+        check_output(tmp_path / "there", overwrite=False)
+    with pytest.raises(DataError, match="Cannot make the folder"):
+        check_output(tmp_path / "there" / "below" / "x", overwrite=False)
+    check_output(tmp_path / "there", overwrite=True)
+    check_output(tmp_path / "a" / "b", overwrite=False)
+    assert (tmp_path / "a").is_dir()
+
+
+def test_a_folder_that_holds_a_report_is_refused(tmp_path):
+    outputs.check_report_folder(tmp_path / "deep" / "report", overwrite=False)
+    (tmp_path / "deep" / "report" / "circles.csv").touch()
+    outputs.check_report_folder(tmp_path / "deep" / "report", overwrite=True)
+    with pytest.raises(DataError, match=r"circles\.csv is already there.*--overwrite"):
+        outputs.check_report_folder(tmp_path / "deep" / "report", overwrite=False)
+
+
+def test_a_full_disk_leaves_none_of_them(tmp_path, monkeypatch):
+    """The disk is full when the second file is brought to it: the first must not stay."""
+    calls = []
+
+    def full(handle):
+        calls.append(handle)
+        if len(calls) == 2:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(outputs.os, "fsync", full)
+    files = {tmp_path / name: b"text" for name in outputs.REPORT_FILES}
+    with pytest.raises(DataError, match="No space left"):
+        outputs._write_all(files, overwrite=False)
+    assert list(tmp_path.iterdir()) == []
+    monkeypatch.undo()
+    outputs._write_all(files, overwrite=False)
+    assert {path.name for path in tmp_path.iterdir()} == set(outputs.REPORT_FILES)
+
+
+@pytest.fixture
+def calibration(calibration_file):
+    return load_calibration(calibration_file)
+
+
+def test_images_go_through_the_view(calibration, press_folder):
+    path = press_folder / "images" / "0001.png"
+    assert image_in(path, calibration).shape == (120, 160, 3)
+    assert background_in(None, calibration) is None
+    assert background_in(press_folder / "background.png", calibration).shape == (120, 160, 3)
+
+
+def test_another_size_names_the_file(calibration, tmp_path):
+    save_picture(tmp_path / "small.png", np.zeros((60, 80, 3), dtype=np.uint8))
+    for read in (image_in, background_in):
+        with pytest.raises(DataError, match=r"small\.png, for .*120x160.*60x80"):
+            read(tmp_path / "small.png", calibration)
+
+
+BAG = "rosbags-convert --src {} --dst {}_mcap --dst-storage mcap"
+
+
+@pytest.mark.parametrize(
+    ("name", "way"),
+    [
+        ("frames.npz", 'numpy.load("frames.npz")'),
+        ("frames.pkl", "Reading one can run code"),
+        ("frames.zip", "Unpack it"),
+        ("net.pth", "gelform import net.pth --from gs_sdk"),
+        ("table.mat", "gelform import table.mat --from lut"),
+        ("scan.tmd", "nothing to reconstruct"),
+        ("session.bag", BAG.format("session.bag", "session")),
+        ("session_0.db3", BAG.format("FOLDER", "session_0")),
+    ],
+)
+def test_every_command_that_meets_one_says_what_to_do(
+    run, calibration_file, press_folder, tmp_path, name, way
+):
+    path, out = tmp_path / name, tmp_path / "out"
+    path.write_bytes(b"anything at all, long enough to be looked at")
+    if name.endswith(".npz"):
+        np.savez(path, frames=np.zeros((2, 4, 5, 3), np.uint8))
+    for command in (
+        ("info", path),
+        ("reconstruct", path, "-c", calibration_file, "-o", out),
+        ("batch", path, "-c", calibration_file, "-o", out),
+        ("explain", path, "-c", calibration_file, "-o", out),
+        ("calibrate", path, "-o", out),
+        ("track", path, "-c", calibration_file, "-o", out),
+        ("live", path, "-c", calibration_file),
+        ("reconstruct", press_folder / "images" / "0000.png", "-c", path, "-o", out)
+        if not name.endswith(".npz")
+        else ("info", path),
+    ):
+        code, _, err = run(*command)
+        assert code == 1, (command, err)
+        assert way in " ".join(err.split()), command
+
+
+def test_a_bag_of_sqlite3_has_the_converting_line_in_every_command(run, calibration_file, tmp_path):
+    bag = tmp_path / "my_bag"
+    bag.mkdir()
+    (bag / "metadata.yaml").write_text("rosbag2_bagfile_information:\n  version: 9\n")
+    (bag / "my_bag_0.db3").write_bytes(b"SQLite format 3")
+    for command in (
+        ("reconstruct", bag, "-c", calibration_file, "-o", tmp_path / "out"),
+        ("batch", bag, "-c", calibration_file, "-o", tmp_path / "out"),
+        ("calibrate", bag, "-o", tmp_path / "out"),
+        ("track", bag, "-c", calibration_file, "-o", tmp_path / "out.csv"),
+        ("live", bag, "-c", calibration_file),
+        ("bag", bag, "-c", calibration_file, "-o", tmp_path / "out"),
+    ):
+        code, _, err = run(*command)
+        assert code == 1, (command, err)
+        assert BAG.format("my_bag", "my_bag") in " ".join(err.split()), command
+    assert BAG.format("my_bag", "my_bag") in " ".join(run("info", bag)[1].split())

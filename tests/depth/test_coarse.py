@@ -1,0 +1,362 @@
+"""What is held at rest: untouched gel, drifted gel too, but never the flat face of something pressed.
+
+Steps of whole frames: those of the response at each pixel, with the depth of the slopes that were read.
+"""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from gelform.depth import coarse as room
+from gelform.depth.coarse import (
+    COARSER,
+    REACH_MM,
+    REST_SIGMA_MM,
+    CoarseDepth,
+    RestAnchor,
+    SteppedSlopes,
+    coarse_of,
+)
+from gelform.depth.integrate import depth_from_gradients
+from gelform.slopes.color_models.forward_response import TERMS, ForwardResponse, PreparedStep
+from gelform.slopes.color_models.least_squares import node_positions
+from gelform.slopes.gradients import gradients_from_depth
+from kernel_agreement import assert_kernel_agrees
+
+SHAPE, PITCH, CLEAN = (120, 160), 0.1, 0.05
+
+
+def away_from(x, y):
+    """Distance of each pixel, px."""
+    rows, columns = np.indices(SHAPE)
+    return np.hypot(columns - x, rows - y)
+
+
+def read(depth):
+    """The gradients of a depth, and where their color is that of rest."""
+    gradients = gradients_from_depth(depth, mm_per_px=PITCH).astype(np.float32)
+    return gradients, np.linalg.norm(gradients, axis=-1) < 1e-3
+
+
+def plateau(height_mm: float, radius_px: float = 22.0, center=(70, 60)):
+    """A flat punch with sloping walls: its face has the slope, and so the color, of rest."""
+    rho = away_from(*center)
+    depth = height_mm * np.clip((radius_px + 6 - rho) / 6, 0, 1)
+    return depth, *read(depth), rho < radius_px - 2
+
+
+HOLD = (CLEAN * PITCH / REST_SIGMA_MM) ** 2
+EVERYWHERE = np.ones(SHAPE, dtype=bool)
+
+
+def anchored(*maps):
+    return RestAnchor(SHAPE, PITCH, CLEAN)(*maps)
+
+
+def test_untouched_gel_is_held_as_the_units_say():
+    np.testing.assert_allclose(anchored(np.zeros((*SHAPE, 2), np.float32), EVERYWHERE), HOLD, rtol=1e-3)
+
+
+@pytest.mark.parametrize("height_mm", [0.1, -0.1])
+def test_gel_off_rest_that_the_border_cuts_is_held_as_drift(height_mm):
+    """No rim encloses it: a ball's sink beyond the frame would count as pressed flat otherwise."""
+    _, gradients, untouched, face = plateau(height_mm, radius_px=40, center=(0, 60))
+    anchor = anchored(gradients, untouched)
+    assert anchor[face & (away_from(0, 60) < 20)].mean() == pytest.approx(HOLD, rel=0.05)
+
+
+def test_rest_is_where_most_is_untouched_not_where_most_pixels_are():
+    """A press over most of the frame, and nowhere a whole coarse pixel of untouched color: 0 is still the gel's."""
+    _, gradients, _, face = plateau(0.5, radius_px=75)
+    outside = away_from(70, 60) > 84
+    anchor = anchored(gradients, outside & (np.add(*np.indices(SHAPE)) % 2 == 0))
+    assert outside.mean() < 0.3
+    assert face.mean() > 0.6
+    assert anchor[outside].max() > 0.8 * HOLD
+    assert not anchor[face].any()
+
+
+@pytest.mark.parametrize(
+    ("height_mm", "radius_px", "share", "within"),
+    [
+        *((0.15, 22, 0.02, 0.03), (0.5, 22, 0.02, 0.03)),
+        *((0.05, 10, 0.04, 0.01), (-0.05, 10, 0.04, 0.01), (0.1, 10, 0.04, 0.01)),
+    ],
+)
+def test_a_flat_face_is_not_held(height_mm, radius_px, share, within):
+    """Nor 2 mm wide: the rim that encloses it says that it is not at rest, although its color is."""
+    _, gradients, untouched, face = plateau(height_mm, radius_px)
+    anchor = anchored(gradients, untouched)
+    assert untouched[face].all()
+    assert not anchor[~untouched].any()
+    assert anchor.min() >= 0
+    assert anchor[face].max() < share * anchor[:5].mean()
+    found = depth_from_gradients(gradients, mm_per_px=PITCH, anchor=anchor)
+    assert found[face].mean() == pytest.approx(height_mm, rel=within)
+    alike = untouched * np.float32(anchor[:5].mean())
+    naive = depth_from_gradients(gradients, mm_per_px=PITCH, anchor=alike)
+    assert abs(naive[face].mean()) < 0.8 * abs(height_mm)  # what color alone would have made of it
+
+
+def test_gel_that_a_ring_encloses_at_rest_is_held():
+    """Inside an O-ring the gel is where it was: enclosed, and no face."""
+    rho = away_from(70, 60)
+    anchor = anchored(*read(0.3 * np.clip(1 - np.abs(rho - 40) / 6, 0, 1)))
+    assert anchor[rho < 10].mean() > 0.9 * HOLD
+
+
+def test_gel_beside_touched_gel_is_hardly_held():
+    """By 1 - exp(-(d/1 mm)^2) of the distance from what is touched: it is drawn down, by less than its color tells."""
+    depth, gradients, untouched, _ = plateau(0.3)
+    anchor = anchored(gradients, untouched)
+    for beyond_px in (8, 16):
+        ring = np.abs(away_from(70, 60) - 28 - beyond_px) < 0.7
+        expected = 1 - np.exp(-((beyond_px * PITCH / REACH_MM) ** 2))
+        assert not depth[ring].any()
+        assert anchor[ring].mean() == pytest.approx(HOLD * expected, rel=0.25)
+    assert anchor[:4].mean() > 0.99 * HOLD
+
+
+def test_drift_is_taken_out():
+    """Slopes that are wrong by a smooth field lift the far gel; the anchor holds it, the press stays."""
+    depth, gradients, untouched, _ = plateau(0.4)
+    gradients[..., 0] += 0.02 * np.linspace(-1, 1, SHAPE[1], dtype=np.float32)
+
+    def off(hold):
+        z = depth_from_gradients(gradients, mm_per_px=PITCH, anchor=hold, zero=untouched)
+        return np.sqrt(np.mean((z - depth)[away_from(70, 60) > 45] ** 2))
+
+    assert off(anchored(gradients, untouched)) < 0.75 * off(None)
+
+
+@pytest.mark.parametrize("shape", [(1, 9), (9, 1), (7, 5), (61, 83), (3, 200), (200, 3)])
+def test_any_shape(shape):
+    gradients = np.zeros((*shape, 2), dtype=np.float32)
+    anchor = RestAnchor(shape, PITCH, CLEAN)(gradients, np.ones(shape, dtype=bool))
+    assert anchor.shape == shape
+    assert np.isfinite(anchor).all()
+
+
+def hold_by_scipy(depth, share, far, hold, least, face):
+    """Of regions that share an edge; those that touched gel encloses are free where they are off rest in the mean."""
+    rest = share >= min(least, share.max())
+    z = depth.astype(np.float64) - np.median(depth[rest])
+    weight = hold * (np.ones(depth.shape) if far is None else far)
+    labels, count = ndimage.label(rest)
+    border = np.ones(depth.shape, bool)
+    border[1:-1, 1:-1] = False
+    for label in range(1, count + 1):
+        region = labels == label
+        if not (region & border).any() and abs(z[region].mean()) > face:
+            weight[region] = 0
+    return weight
+
+
+@pytest.mark.parametrize("far", [False, True])
+@pytest.mark.parametrize("shape", [(21, 30), (1, 5), (7, 1)])
+def test_the_hold_of_a_coarse_depth(shape, far):
+    rng = np.random.default_rng(1)
+    share = np.where(rng.random(shape) < 0.6, 1, rng.random(shape)).astype(np.float32)
+    depth = rng.normal(0, 0.03, shape).astype(np.float32)
+    near = rng.random(shape).astype(np.float32) if far else None
+    limits = 0.2, 0.9, 0.02
+    expected = hold_by_scipy(depth, share, near, *limits)
+    assert far or shape[0] == 1 or shape[1] == 1 or (expected == 0).any()
+    arguments = depth, share, near, np.empty(20 * depth.size, np.float32), np.empty(shape, np.float32)
+    assert_kernel_agrees(room._rest_hold, lambda *_: expected, *arguments, *limits)
+
+
+@pytest.mark.parametrize(
+    ("coarse", "shape"), [((3, 5), (12, 20)), ((3, 4), (13, 19)), ((1, 2), (3, 9)), ((1, 1), (5, 2))]
+)
+def test_a_coarse_map_is_spread_bilinearly(coarse, shape):
+    rng = np.random.default_rng(2)
+    values, chosen = rng.random(coarse).astype(np.float32), rng.random(shape) < 0.7
+    places = [np.clip((np.arange(n) + 0.5) * m / n - 0.5, 0, m - 1) for n, m in zip(shape, coarse)]
+    spread = ndimage.map_coordinates(values.astype(float), np.meshgrid(*places, indexing="ij"), order=1)
+    work, out = np.empty(4 * shape[1], np.float32), np.empty(shape, np.float32)
+    assert_kernel_agrees(room._spread_over_chosen, lambda *_: chosen * spread, values, chosen, work, out)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 9), (9, 1), (2, 2), (13, 30), (60, 80)])
+def test_distances_are_those_of_opencv(shape):
+    for share in (0.0, 0.03, 0.3):
+        chosen = np.random.default_rng(8).random(shape) < share
+        chosen.flat[chosen.size // 3] = True
+        work = np.empty((shape[0] + 2) * (shape[1] + 2), np.float32)
+
+        def by_opencv(chosen, work, distance):
+            return cv2.distanceTransform((~chosen).view(np.uint8), cv2.DIST_L2, 3).reshape(chosen.shape)
+
+        found = np.zeros(shape, np.float32)
+        assert_kernel_agrees(room._distance_to_chosen, by_opencv, chosen, work, found)
+
+
+SHAPE_STEPPED, UNTOUCHED = (90, 121), 0.02
+
+
+@pytest.fixture(scope="module")
+def response():
+    """Lights from three sides, stronger toward the right, and a pressed gel that is brighter."""
+    rows, columns = (len(axis) for axis in node_positions(SHAPE_STEPPED))
+    nodes = np.zeros((rows, columns, TERMS, 3))
+    nodes[:, :, 0] = [0.3, -0.15, -0.1]
+    nodes[:, :, 1] = [0.0, 0.25, -0.2]
+    nodes *= np.linspace(0.8, 1.2, columns)[:, None, None]
+    nodes[:, :, 2:5] = 0.01
+    nodes[:, :, -3] = [0.1, 0.05, 0.08]
+    nodes[:, :, -2] = 0.02
+    covariance = 1e-4 * np.array([[1.0, 0.3, 0.2], [0.3, 1.5, 0.1], [0.2, 0.1, 0.8]])
+    return ForwardResponse(nodes, covariance, SHAPE_STEPPED, (0.02, 0.1))
+
+
+def pixels():
+    """Columns and rows of all pixels, row by row."""
+    y, x = (axis.ravel() for axis in np.mgrid[: SHAPE_STEPPED[0], : SHAPE_STEPPED[1]])
+    return x, y
+
+
+@pytest.fixture(scope="module")
+def frame(response):
+    """Color change of a bump 5 px deep, its slopes, and what a color model reads there: 10 % too little."""
+    x, y = pixels()
+    depth = 5 * np.exp(-((x - 70) ** 2 + (y - 40) ** 2) / 300)
+    slopes = np.stack([70 - x, 40 - y], axis=1) * (depth / 150)[:, None]
+    change = response.color_from_gradients(slopes, x, y, depth_px=depth)
+    change += np.random.default_rng(0).normal(0, 0.002, change.shape)
+    read = (0.9 * slopes).reshape(*SHAPE_STEPPED, 2).astype(np.float32)
+    return change.reshape(*SHAPE_STEPPED, 3).astype(np.float32), read, slopes.reshape(*SHAPE_STEPPED, 2)
+
+
+def test_a_step_is_that_of_the_response_with_the_frames_depth(response, frame):
+    change, read, _ = frame
+    stepped = SteppedSlopes(response, SHAPE_STEPPED, UNTOUCHED)
+    assert stepped.steps
+    assert 4 < CoarseDepth(SHAPE_STEPPED, UNTOUCHED).at_pixels(change, read).max() < 5
+    depth = CoarseDepth(SHAPE_STEPPED, UNTOUCHED)(change, read)
+    for found, wanted in zip(stepped(change, read), PreparedStep(response)(change, read, depth)):
+        np.testing.assert_array_equal(found, wanted)
+
+
+@pytest.mark.parametrize("stepless", [True, False])
+def test_without_a_response_or_its_prior_no_step_is_taken(response, frame, stepless):
+    change, read, _ = frame
+    plain = SteppedSlopes(replace(response, step_sigma=None) if stepless else None, SHAPE_STEPPED, UNTOUCHED)
+    assert not plain.steps
+    assert plain(change, read) is None
+
+
+def test_what_is_hidden_does_not_reach_the_steps_around_it(response, frame):
+    """Its slopes would be in the depth of the whole frame, and that in all steps."""
+    change, read, _ = frame
+    hidden = np.zeros(SHAPE_STEPPED, dtype=bool)
+    hidden[40:52, 20:32] = True
+    garbled = read.copy()
+    garbled[hidden] = 3.0
+    stepped = SteppedSlopes(response, SHAPE_STEPPED, UNTOUCHED)
+    plain, guarded, open_ = stepped(change, read), stepped(change, garbled, hidden), stepped(change, garbled)
+    apart = [np.abs(one.gradients - plain.gradients)[~hidden].max() for one in (guarded, open_)]
+    assert apart[0] < 0.1 * apart[1]
+    assert apart[0] < 0.003 < 0.02 < apart[1]
+
+
+ODD = (90, 121)
+
+
+def bump(shape=ODD, height_px=4.0, width_px=10.0, center=(70, 40)):
+    """Depth (H, W), px, and slopes (H, W, 2) of a Gaussian bump, and a color change that is there where it is."""
+    y, x = np.mgrid[: shape[0], : shape[1]].astype(float)
+    dx, dy = x - center[0], y - center[1]
+    depth = height_px * np.exp(-(dx**2 + dy**2) / (2 * width_px**2))
+    slopes = np.stack([-dx, -dy], axis=-1) * (depth / width_px**2)[..., None]
+    change = np.repeat(np.linalg.norm(slopes, axis=-1, keepdims=True), 3, axis=-1)
+    return depth, slopes.astype(np.float32), change.astype(np.float32)
+
+
+def coarse(values):
+    """Means over the coarser grid."""
+    return cv2.resize(values, coarse_of(values.shape[:2]).shape[::-1], interpolation=cv2.INTER_AREA)
+
+
+@pytest.mark.parametrize("shape", [(90, 120), (90, 121), (89, 122)])
+def test_the_grid_covers_the_frame(shape):
+    (rows, columns), (x_px, y_px) = coarse_of(shape).shape, coarse_of(shape).pitch_px
+    assert (rows * y_px, columns * x_px) == pytest.approx(shape)
+    assert COARSER <= min(x_px, y_px) <= max(x_px, y_px) < 1.1 * COARSER
+    assert (coarse_of((1, 5)).shape, coarse_of((1, 5)).pitch_px) == ((2, 2), (2.5, 0.5)), "the smallest"
+
+
+@pytest.mark.parametrize("shape", [(90, 120), ODD])
+@pytest.mark.parametrize("offset", [0.0, 0.02])
+def test_depth_is_that_of_the_slopes_and_0_where_the_gel_is_untouched(shape, offset):
+    depth, slopes, change = bump(shape)
+    found = CoarseDepth(shape, 0.01)(change + np.float32(offset), slopes + np.float32(offset))
+    assert found.shape == coarse_of(shape).shape
+    assert found.min() == 0
+    np.testing.assert_allclose(found, coarse(depth), atol=0.15)
+    assert found.max() == pytest.approx(coarse(depth).max(), rel=0.04)
+
+
+def test_nothing_is_below_the_untouched_gel_and_what_is_hidden_altogether_is_level():
+    """A dent and a bulge: the forward response knows pressed gel, so the bulge is at 0."""
+    down, up = bump(center=(30, 40)), bump(center=(90, 45))
+    measure = CoarseDepth(ODD, 0.01)
+    found = measure(down[2] + up[2], down[1] - up[1])
+    np.testing.assert_allclose(found, np.maximum(coarse(down[0] - up[0]), 0), atol=0.25)
+    assert found.min() == 0
+    assert not measure(down[2], down[1], np.ones(ODD, dtype=bool)).any()
+
+
+def test_where_all_of_the_gel_is_touched_the_least_changed_is_at_0():
+    """Gel that is bent everywhere: no color is as little changed as untouched gel's, and 2 % of them are taken for it."""
+    y, x = np.mgrid[: ODD[0], : ODD[1]].astype(float)
+    depth = 3 * np.sin(x / 15) * np.cos(y / 20)
+    slopes = np.stack([np.cos(x / 15) * np.cos(y / 20) / 5, -0.15 * np.sin(x / 15) * np.sin(y / 20)], axis=-1)
+    change = np.concatenate([slopes, np.abs(slopes[..., :1]) + depth[..., None] / 20], axis=-1).astype(
+        np.float32
+    )
+    slopes = slopes.astype(np.float32)
+    means = coarse(change)
+    size = np.linalg.norm(means - np.median(means, axis=(0, 1)), axis=-1)
+    found, known, more = (
+        CoarseDepth(ODD, limit)(change, slopes) for limit in (1e-9, *np.quantile(size, [0.02, 0.9]))
+    )
+    np.testing.assert_allclose(found, known, atol=0.2)
+    assert np.abs(found - more).max() > 0.5, "what is guarded against"
+
+
+def hidden_by(name, shape=ODD):
+    """Markers of 7 px, 15 px apart, all over the frame, or a bar over a flank of the bump."""
+    y, x = np.mgrid[: shape[0], : shape[1]]
+    return np.hypot(x % 15 - 7, y % 15 - 7) < 3.5 if name == "dots" else (x >= 76) & (x < 84)
+
+
+@pytest.mark.parametrize("name", ["dots", "bar"])
+def test_what_hidden_pixels_show_does_not_count(name):
+    """Their slopes and colors are anything: the depth is that of what is seen around them."""
+    depth, slopes, change = bump()
+    hidden, rng = hidden_by(name), np.random.default_rng(0)
+    count = np.count_nonzero(hidden)
+    garbled, colored = slopes.copy(), change.copy()
+    garbled[hidden], colored[hidden] = rng.normal(1, 2, (count, 2)), rng.uniform(-1, 3, (count, 3))
+    measure = CoarseDepth(ODD, 0.01)
+    found = measure(colored, garbled, hidden)
+    np.testing.assert_allclose(found, coarse(depth), atol=0.4)
+    assert np.abs(measure(colored, garbled) - coarse(depth)).max() > 2, "what is guarded against"
+    other = measure(colored[..., ::-1].copy(), np.where(hidden[..., None], -garbled, garbled), hidden)
+    np.testing.assert_allclose(other, found, atol=1e-4)
+
+
+def test_slopes_and_depths_of_a_ruined_frame_give_a_finite_step(response):
+    rng = np.random.default_rng(0)
+    change = rng.normal(0, 10, (*SHAPE_STEPPED, 3)).astype(np.float32)
+    read = (rng.normal(size=(*SHAPE_STEPPED, 2)) * 10 ** rng.uniform(-2, 4, (*SHAPE_STEPPED, 1))).astype(
+        np.float32
+    )
+    depth_px = rng.uniform(0, 1e5, (22, 30)).astype(np.float32)  # such slopes add up to that
+    clipped = (rng.random((*SHAPE_STEPPED, 3)) < 0.1).astype(np.uint8)
+    for values in PreparedStep(response)(change, read, depth_px, clipped):
+        assert np.isfinite(values).all()

@@ -1,0 +1,209 @@
+"""Regions of a contact mask: their labels, and what is measured of each.
+
+The color change around a contact over that inside, of images that are written out.
+"""
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from gelform.depth import regions as regions_module
+from gelform.depth.regions import Surround, contacts_from_mask, unknown_contact
+from kernel_agreement import assert_kernel_agrees
+
+UNEVEN_PITCH = (0.05, 0.08)
+
+
+def ellipse(shape, center, axes_mm, angle_deg):
+    """Mask of an ellipse with full axes in mm, its major axis turned from x toward y."""
+    y, x = np.mgrid[: shape[0], : shape[1]].astype(float)
+    u, v = (x - center[0]) * UNEVEN_PITCH[0], (y - center[1]) * UNEVEN_PITCH[1]
+    c, s = np.cos(np.deg2rad(angle_deg)), np.sin(np.deg2rad(angle_deg))
+    return ((u * c + v * s) * 2 / axes_mm[0]) ** 2 + ((v * c - u * s) * 2 / axes_mm[1]) ** 2 < 1
+
+
+@pytest.mark.parametrize("angle", [-80, -30, 0, 20, 75])
+def test_the_axes_of_an_ellipse(angle):
+    mask = ellipse((120, 200), (90.3, 61.2), (4.0, 2.0), angle)
+    ((found,), _) = contacts_from_mask(mask, np.ones(mask.shape), mm_per_px=UNEVEN_PITCH)
+    assert found.axes_mm == pytest.approx((4, 2), rel=0.01)
+    assert found.angle_deg == pytest.approx(angle, abs=1)
+    assert found.centroid_px == pytest.approx((90.3, 61.2), abs=0.1)
+    assert found.area_mm2 == pytest.approx(np.pi * 2, rel=0.01)
+
+
+def test_volume_and_deepest_place_of_a_paraboloid():
+    y, x = np.mgrid[:120, :200].astype(float)
+    r2 = ((x - 120) * UNEVEN_PITCH[0]) ** 2 + ((y - 40) * UNEVEN_PITCH[1]) ** 2
+    depth = 0.6 * (1 - r2 / 1.5**2)
+    ((found,), _) = contacts_from_mask(depth > 0, depth, mm_per_px=UNEVEN_PITCH)
+    assert found.volume_mm3 == pytest.approx(0.6 * np.pi * 1.5**2 / 2, rel=0.01)
+    assert found.deepest_px == (120, 40)
+    assert found.deepest_mm == pytest.approx(0.6)
+
+
+def test_several_contacts_come_largest_first_and_corners_connect():
+    mask = np.zeros((30, 40), dtype=bool)
+    mask[2:4, 2:4] = mask[4:6, 4:6] = mask[10:20, 10:20] = True
+    found, labels = contacts_from_mask(mask, mask * 0.5, mm_per_px=0.1)
+    assert [one.area_px for one in found] == [100, 8]
+    for one in found:
+        assert (labels == one.label).sum() == one.area_px
+        assert labels[one.deepest_px[::-1]] == one.label
+    assert [one.volume_mm3 for one in found] == pytest.approx([0.5, 0.04])
+
+
+@pytest.mark.parametrize("side", [np.s_[0, 5], np.s_[-1, 5], np.s_[5, 0], np.s_[5, -1]])
+def test_every_border_cuts(side):
+    mask = np.zeros((12, 12), dtype=bool)
+    mask[5, 5] = True
+    assert not contacts_from_mask(mask, mask * 1.0, mm_per_px=1.0)[0][0].cut_by_border
+    mask[side] = True
+    cut = [one.cut_by_border for one in contacts_from_mask(mask, mask * 1.0, mm_per_px=1.0)[0]]
+    assert sum(cut) == 1
+
+
+def test_one_pixel_is_a_contact_of_a_pixel_s_size_and_none_is_no_contact():
+    mask = np.zeros((12, 12), dtype=bool)
+    found, labels = contacts_from_mask(mask, np.zeros(mask.shape), mm_per_px=0.1)
+    assert found == ()
+    assert (labels.shape, labels.dtype, labels.any()) == ((12, 12), np.uint16, False)
+    mask[7, 3] = True
+    ((found,), _) = contacts_from_mask(mask, np.full(mask.shape, -0.2), mm_per_px=0.1)
+    assert found.axes_mm == pytest.approx((0.1 * 4 / 12**0.5,) * 2)
+    assert (found.deepest_mm, found.volume_mm3) == pytest.approx((-0.2, -0.002))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "error", "text"),
+    [
+        ({"contact": np.zeros((8, 8))}, TypeError, "contact as bool"),
+        ({"contact": [[1, 2], [3]]}, ValueError, "contact as an array, got a list of unequal parts"),
+        ({"contact": np.zeros((8, 7), bool)}, ValueError, r"one frame, \(H, W\), got \(8, 7\)"),
+        ({"mm_per_px": 0}, ValueError, "mm_per_px > 0"),
+    ],
+)
+def test_wrong_input(wrong, error, text):
+    usual = {"contact": np.zeros((8, 8), bool), "depth": np.zeros((8, 8)), "mm_per_px": 1.0}
+    with pytest.raises(error, match=text):
+        contacts_from_mask(**usual | wrong)
+
+
+def test_a_gel_that_changed_without_a_contact_is_said():
+    rest, known, none = np.ones((40, 50), bool), np.ones((40, 50), bool), np.zeros((40, 50), bool)
+    assert unknown_contact(none, rest, known, lambda: 0.2) == ()
+    rest[10:30, 10:30] = False
+    (found,) = unknown_contact(none, rest, known, lambda: 0.2)
+    assert (found.name, found.figure) == ("contact_unknown", pytest.approx(0.2))
+    assert unknown_contact(~rest, rest, known, lambda: 0.2) == ()
+    assert (
+        unknown_contact(none, rest, known, lambda: 0.01) == ()
+    )  # changed here and there, as by a video's compression
+    known[5:35, 5:35] = False  # dots, or another fault
+    assert unknown_contact(none, rest, known, lambda: 0.2) == ()
+
+
+def test_moments_agree_with_numpy():
+    rng = np.random.default_rng(0)
+    labels = rng.integers(0, 4, (13, 17)).astype(np.uint16)
+    depth = rng.normal(0, 1, labels.shape).astype(np.float32)
+
+    def by_numpy(labels, depth, moments):
+        y, x = np.mgrid[: labels.shape[0], : labels.shape[1]].astype(float)
+        rows = []
+        for k in range(1, 4):
+            here = labels == k
+            top = np.argmax(np.where(here, depth, -9))
+            u, v, z = x[here], y[here], depth[here].astype(float)
+            sums = [len(u), u.sum(), v.sum(), (u * u).sum(), (u * v).sum(), (v * v).sum(), z.sum(), z.max()]
+            rows.append([*sums, top % 17, top // 17, u.min(), u.max(), v.min(), v.max()])
+        return np.array(rows)
+
+    assert_kernel_agrees(regions_module._region_moments, by_numpy, labels, depth, np.empty((3, 14)))
+
+
+@pytest.mark.parametrize("share", [0.05, 0.35, 0.6, 1.0])
+@pytest.mark.parametrize("shape", [(1, 9), (13, 1), (37, 51)])
+def test_labels_agree_with_scipy(share, shape):
+    mask = np.random.default_rng(0).random(shape) < share
+
+    def by_scipy(mask, labels, work):
+        labels, count = ndimage.label(mask, np.ones((3, 3)))
+        firsts = np.argsort([np.argmax(labels == k) for k in range(1, count + 1)])
+        order = np.zeros(count + 1, np.uint16)
+        order[firsts + 1] = np.arange(1, count + 1)
+        return order[labels]
+
+    work = np.empty(regions_module.runs_work(shape), np.int32)
+    assert_kernel_agrees(regions_module._label_regions, by_scipy, mask, np.empty(shape, np.uint16), work)
+
+
+def test_more_regions_than_labels_are_told():
+    mask = np.zeros((600, 600), bool)
+    mask[::2, ::2] = True
+    with pytest.raises(ValueError, match="at most 65535 separate contacts, got 90000"):
+        regions_module.labeled(mask)
+
+
+def test_a_contact_is_one_short_line():
+    mask = np.zeros((20, 30), bool)
+    mask[5:10, 0:8] = True
+    ((found,), _) = contacts_from_mask(mask, np.full(mask.shape, 0.5), mm_per_px=0.1)
+    assert repr(found) == "Contact(1: 0.4 mm^2, 0.500 mm deep, around (4, 7) px, cut by the border)"
+    ((found,), _) = contacts_from_mask(mask, np.full(mask.shape, 5.0), mm_per_px=None)
+    assert repr(found) == "Contact(1: 40 px, around (4, 7) px, cut by the border)"
+
+
+SHAPE = (120, 160)
+
+
+def images(inside, outside, level=90.0):
+    """Background, image and contact: a square whose gray levels changed by one amount, all else by another."""
+    background = np.full((*SHAPE, 3), level, dtype=np.float32)
+    contact = np.zeros(SHAPE, dtype=bool)
+    contact[42:81, 60:99] = True
+    image = background + np.where(contact, inside, outside)[..., None]
+    return background, image.astype(np.float32), contact
+
+
+@pytest.mark.parametrize(
+    ("inside", "outside", "wanted"), [(40, 0, 0), (40, 10, 0.25), (-40, 20, 0.5), (20, 30, 1.5)]
+)
+def test_the_part_of_the_change_that_is_outside(inside, outside, wanted):
+    background, image, contact = images(inside, outside)
+    assert Surround(background)(image, contact) == pytest.approx(wanted, rel=0.05)
+    whole = image.astype(np.uint8)
+    assert Surround(background)(whole, contact) == pytest.approx(wanted, rel=0.05)
+
+
+def test_a_contact_over_most_of_the_image():
+    background, image, _ = images(0, 0)
+    contact = np.zeros(SHAPE, dtype=bool)
+    contact[6:114, 6:154] = True
+    image = background + np.where(contact, 40, 20)[..., None].astype(np.float32)
+    assert Surround(background)(image, contact) == pytest.approx(0.5, rel=0.05)
+
+
+def test_dark_gel_counts_as_much_as_bright():
+    background, _, contact = images(0, 0)
+    background[:, 80:] = 20
+    change = np.where(contact, 0.5, 0.1)[..., None]
+    assert Surround(background)((background + change * (background + 10)), contact) == pytest.approx(
+        0.2, rel=0.05
+    )
+
+
+def test_none_without_an_inside_or_an_outside():
+    background, image, contact = images(40, 0)
+    assert Surround(background)(image, np.zeros_like(contact)) is None
+    assert Surround(background)(image, np.ones_like(contact)) is None
+    assert Surround(background)(background, contact) is None
+
+
+def test_small_and_odd_images():
+    rest = np.full((37, 53, 3), 90, dtype=np.float32)
+    contact = np.zeros((37, 53), dtype=bool)
+    contact[10:20, 10:20] = True
+    assert Surround(rest)(rest + 20 * contact[..., None].astype(np.float32), contact) == pytest.approx(
+        0, abs=1e-6
+    )

@@ -1,0 +1,363 @@
+"""What to do with files of other programs, by their names.
+
+Whole files: what is no file, too large or unreadable is named before anything is read.
+
+Tables: text comes back as it was, and no cell begins as a formula does.
+
+Files are written whole or not at all, and an altered, cut or future one is refused with the reason.
+"""
+
+import csv
+import io
+import json
+import os
+import sys
+import time
+import zipfile
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from gelform import __version__
+from gelform.errors import CalibrationError, DataError
+from gelform.foundations.files import (
+    WAYS,
+    bytes_of,
+    kind_of_npz,
+    locked_folder,
+    npz_bytes,
+    plain_cell,
+    present_file,
+    read_npz,
+    sweep,
+    table_text,
+    way_for,
+    write_npz,
+    written_file,
+)
+
+
+def test_other_kinds_have_no_way_and_names_stay_as_they_are():
+    assert way_for("a.png") == way_for("folder") == ""
+    assert "rosbags-convert --src {x} 1.bag --dst {x} 1_mcap" in way_for("day/{x} 1.bag")
+    assert all(way_for(f"a{suffix}").startswith(" ") for suffix in WAYS)
+
+
+def test_a_file_of_the_largest_size_is_read_and_a_larger_one_is_not(tmp_path):
+    path = tmp_path / "a.bin"
+    path.write_bytes(bytes(range(100)))
+    assert bytes_of(path, "numbers", 100) == bytes(range(100))
+    assert present_file(path, "numbers") == path
+    with pytest.raises(
+        CalibrationError, match=r"Expected numbers of at most 9\.9e-05 MB, got .*a\.bin of 0\.0001 MB"
+    ):
+        bytes_of(path, "numbers", 99, CalibrationError)
+
+
+def test_what_is_no_file_is_named(tmp_path):
+    with pytest.raises(DataError, match="got the folder"):
+        bytes_of(tmp_path, "numbers", 100)
+    with pytest.raises(DataError, match=r"No file .*none: expected numbers"):
+        bytes_of(tmp_path / "none", "numbers", 100)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no pipes with a name")
+def test_pipes_and_links_to_themselves_are_named(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(DataError, match="a pipe or a device"):
+        bytes_of(tmp_path / "pipe", "numbers", 100)
+    (tmp_path / "link").symlink_to(tmp_path / "link")
+    with pytest.raises(DataError, match=r"Cannot read .*link: Too many levels"):
+        bytes_of(tmp_path / "link", "numbers", 100)
+
+
+TEXT = st.text(st.sampled_from("=+-@'\t\r\n,\"ab1."), max_size=6)
+
+
+@given(st.lists(st.lists(TEXT, min_size=2, max_size=4), min_size=1, max_size=4))
+def test_text_comes_back_and_is_no_formula(rows):
+    read = list(csv.reader(io.StringIO(table_text(rows), newline="")))
+    assert [[plain_cell(cell) for cell in row] for row in read] == rows
+    for cell in (cell for row in read for cell in row if cell[:1] and cell[0] in "=+-@\t\r"):
+        float(cell)  # a number
+
+
+def test_numbers_stay_numbers():
+    assert (
+        table_text([["=1+1", "-1.5", "-1e-3", -2, 0.25, "-x", None, "'a"]])
+        == "'=1+1,-1.5,-1e-3,-2,0.25,'-x,,'a\n"
+    )
+
+
+KIND = "gelform test file"
+ARRAYS = {"depth_mm": np.arange(12, dtype=np.float32).reshape(3, 4), "known": np.eye(3, dtype=bool)}
+META = {"sensor": "Gel é", "view": {"flip": "none"}, "sizes": [1, 2.5, None]}
+
+
+def write(path, arrays=ARRAYS, meta=META, *, version=1, overwrite=False):
+    write_npz(path, arrays, meta, kind=KIND, version=version, overwrite=overwrite)
+
+
+def read(path, *, kind=KIND, newest_version=1, max_bytes=1 << 20, error=DataError):
+    return read_npz(path, kind=kind, newest_version=newest_version, max_bytes=max_bytes, error=error)
+
+
+def members(path):
+    with zipfile.ZipFile(path) as archive:
+        return {name: archive.read(name) for name in archive.namelist()}
+
+
+def rewrite(path, changed):
+    """The same file with some members' bytes replaced: what an editor or a bad disk would leave."""
+    kept = members(path) | changed
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, content in kept.items():
+            archive.writestr(name, content)
+
+
+def npy(array):
+    buffer = io.BytesIO()
+    np.save(buffer, array)
+    return buffer.getvalue()
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    hnp.arrays(
+        st.sampled_from([np.float32, np.float64, np.uint8, np.bool_, np.int64]),
+        hnp.array_shapes(min_dims=0, max_dims=4, min_side=0, max_side=4),
+    )
+)
+def test_what_is_written_comes_back_to_the_bit(tmp_path_factory, array):
+    path = tmp_path_factory.mktemp("npz") / "x.npz"
+    write(path, {"a": array, "f": np.array(array, order="F")})
+    arrays, meta = read(path)
+    for name in ("a", "f"):
+        assert arrays[name].dtype == array.dtype
+        assert arrays[name].shape == array.shape
+        assert arrays[name].tobytes() == array.tobytes()
+    assert {key: meta[key] for key in META} == META
+    assert (meta["format"], meta["format_version"]) == (KIND, 1)
+
+
+def test_numpy_opens_it_without_pickles_and_the_same_content_gives_the_same_bytes(tmp_path):
+    write(tmp_path / "a.npz")
+    write(tmp_path / "b.npz")
+    assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
+    with np.load(tmp_path / "a.npz", allow_pickle=False) as file:
+        assert np.array_equal(file["depth_mm"], ARRAYS["depth_mm"])
+        assert json.loads(str(file["meta"]))["sensor"] == "Gel é"
+
+
+def test_a_truncated_file_is_refused(tmp_path):
+    for kept in (0, 1, 50, 0.3, 0.7, 0.99):
+        path = tmp_path / "x.npz"
+        write(path, overwrite=True)
+        content = path.read_bytes()
+        path.write_bytes(content[: kept if isinstance(kept, int) else int(kept * len(content))])
+        with pytest.raises(DataError, match="truncated or damaged"):
+            read(path)
+
+
+def test_a_flipped_bit_anywhere_in_the_content_is_refused(tmp_path):
+    path = tmp_path / "x.npz"
+    write(path)
+    content = path.read_bytes()
+    for position in range(0, len(content), 97):
+        broken = bytearray(content)
+        broken[position] ^= 4
+        path.write_bytes(bytes(broken))
+        try:
+            arrays, meta = read(path)
+        except DataError:
+            continue
+        # What is left are bits that say nothing of the content, such as a member's time stamp.
+        assert arrays["depth_mm"].tobytes() == ARRAYS["depth_mm"].tobytes()
+        assert {key: meta[key] for key in META} == META
+
+
+def test_altered_arrays_and_altered_settings_are_refused(tmp_path):
+    path = tmp_path / "x.npz"
+    write(path)
+    meta = json.loads(str(np.load(path)["meta"]))
+    for changed in (
+        {"depth_mm.npy": npy(ARRAYS["depth_mm"] + 1)},
+        {"depth_mm.npy": npy(ARRAYS["depth_mm"].reshape(4, 3))},
+        {"extra.npy": npy(np.zeros(2))},
+        {"meta.npy": npy(np.array(json.dumps(meta | {"sensor": "another"})))},
+    ):
+        write(path, overwrite=True)
+        rewrite(path, changed)
+        with pytest.raises(DataError, match="altered after it was written"):
+            read(path)
+
+
+def test_a_future_file_names_the_version_to_install(tmp_path):
+    write(tmp_path / "x.npz", version=3)
+    with pytest.raises(DataError, match=r"format version 3.*up to version 2.*pip install 'gelform>="):
+        read(tmp_path / "x.npz", newest_version=2)
+    assert read(tmp_path / "x.npz", newest_version=3)[1]["format_version"] == 3
+
+
+def test_sizes_are_checked_before_reading(tmp_path):
+    path = tmp_path / "x.npz"
+    write(path, {"big": np.zeros(100_000, dtype=np.uint8)})
+    with pytest.raises(DataError, match=r"declares 0\.101 MB of content"):
+        read(path, max_bytes=50_000)
+    lying = npy(np.zeros(1)).replace(b"(1,), }       ", b"(99999999,), }")
+    assert lying != npy(np.zeros(1))
+    rewrite(path, {"big.npy": lying})
+    with pytest.raises(DataError, match=r"an array of shape \(99999999,\) in 8 bytes"):
+        read(path)
+
+
+def test_pickles_are_never_read(tmp_path):
+    path = tmp_path / "x.npz"
+    write(path)
+    rewrite(path, {"depth_mm.npy": npy(np.array([{"a": 1}], dtype=object))})
+    with pytest.raises(DataError, match="pickled objects"):
+        read(path)
+
+
+@pytest.mark.parametrize("number", ["1e400", "-1e400", "NaN"])
+def test_settings_that_are_not_finite_are_refused(tmp_path, number):
+    path = tmp_path / "x.npz"
+    write(path)
+    said = json.dumps({"format": KIND, "format_version": 1, "digest": ""})
+    rewrite(path, {"meta.npy": npy(np.array(said[:-1] + f', "size": {number}}}'))})
+    with pytest.raises(DataError, match="finite numbers in the settings"):
+        read(path)
+
+
+def test_other_files_are_refused_with_what_they_are(tmp_path):
+    write(tmp_path / "x.npz")
+    with pytest.raises(CalibrationError, match="Expected a gelform calibration, got a gelform test file"):
+        read(tmp_path / "x.npz", kind="gelform calibration", error=CalibrationError)
+    np.savez(tmp_path / "plain.npz", a=np.zeros(3))
+    with pytest.raises(DataError, match="no member 'meta'"):
+        read(tmp_path / "plain.npz")
+    (tmp_path / "text.npz").write_text("hello")
+    with pytest.raises(DataError, match="no gelform test file at all"):
+        read(tmp_path / "text.npz")
+    with pytest.raises(DataError, match="No file"):
+        read(tmp_path / "missing.npz")
+
+
+def test_a_file_says_what_it_is(tmp_path):
+    write(tmp_path / "x.npz")
+    np.savez(tmp_path / "plain.npz", a=np.zeros(3))
+    (tmp_path / "text.npz").write_text("hello")
+    assert kind_of_npz(tmp_path / "x.npz") == KIND
+    for name in ("plain.npz", "text.npz", "missing.npz"):
+        assert kind_of_npz(tmp_path / name) is None
+
+
+def test_an_existing_file_stays_unless_overwritten(tmp_path):
+    path = tmp_path / "x.npz"
+    path.write_text("mine")
+    with pytest.raises(DataError, match=r"already there.*overwrite=True"):
+        write(path)
+    assert path.read_text() == "mine"
+    write(path, overwrite=True)
+    assert read(path)
+
+
+def test_a_failed_write_leaves_nothing_behind(tmp_path):
+    path = tmp_path / "x.npz"
+    path.write_text("mine")
+    with pytest.raises(KeyError), written_file(path, overwrite=True) as handle:
+        handle.write(b"half" + {}["the other half"])
+    assert path.read_text() == "mine"
+    assert [entry.name for entry in tmp_path.iterdir()] == ["x.npz"]
+
+
+def test_a_full_disk_is_said_and_leaves_nothing(tmp_path):
+    resource = pytest.importorskip(
+        "resource", reason="needs a limit on the size of files, which stands for a full disk"
+    )
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 16, hard))
+    try:
+        with pytest.raises(DataError, match="Nothing of it was kept"):
+            write(tmp_path / "x.npz", {"big": np.zeros(1 << 18, dtype=np.uint8)})
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_missing_folders_and_folders_for_names_are_refused(tmp_path):
+    with pytest.raises(DataError, match="does not exist"):
+        write(tmp_path / "no" / "x.npz")
+    with pytest.raises(DataError, match="got the folder"):
+        write(tmp_path)
+
+
+def test_what_json_or_npz_cannot_hold_is_refused(tmp_path):
+    with pytest.raises(ValueError, match="JSON"):
+        write(tmp_path / "x.npz", meta={"value": float("nan")})
+    with pytest.raises(TypeError, match="array of objects"):
+        write(tmp_path / "x.npz", {"a": np.array([None])})
+    with pytest.raises(ValueError, match="reserved digest"):
+        write(tmp_path / "x.npz", meta={"digest": "1"})
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_bytes_are_those_of_a_file_but_for_the_digest(tmp_path):
+    arrays = {"a": np.arange(6.0).reshape(2, 3)}
+    path = tmp_path / "x.npz"
+    path.write_bytes(npz_bytes(arrays, {"name": "y"}, kind="k", version=3))
+    with np.load(path) as file:
+        np.testing.assert_array_equal(file["a"], arrays["a"])
+        meta = json.loads(str(file["meta"]))
+    assert meta == {"format": "k", "format_version": 3, "gelform_version": __version__, "name": "y"}
+    with pytest.raises(DataError, match="digest"):
+        read_npz(path, kind="k", newest_version=3)
+    with pytest.raises(ValueError, match="reserved"):
+        npz_bytes(arrays, {"format": "other"}, kind="k", version=1)
+
+
+def aged(path):
+    """A path as it was left an hour ago."""
+    os.utime(path, (time.time() - 3600,) * 2)
+    return path
+
+
+def test_what_killed_runs_left_is_swept_and_nothing_else(tmp_path):
+    pytest.importorskip("fcntl")
+    names = (
+        ".gelform-0123456789ab.tmp",
+        ".gelform-mine.tmp",
+        "gelform-0123456789ab.tmp",
+        ".gelform-0123456789ac.tmp",
+    )
+    left, first, second, young = (tmp_path / name for name in names)
+    for path in (left, first, second):
+        path.write_text("x")
+        aged(path)
+    young.write_text("x")
+    aged_folder = tmp_path / ".out.partial-abcd_012"
+    folders = [
+        aged_folder,
+        tmp_path / ".out.partial-77",
+        tmp_path / ".other.partial-abcd_012",
+        tmp_path / ".out.partial-mine",
+    ]
+    for folder in folders:
+        (folder / "images").mkdir(parents=True)
+        aged(folder)
+    with written_file(tmp_path / "new.npz") as handle:
+        (held,) = set(tmp_path.glob(".gelform-*.tmp")) - {left, first, young}
+        handle.flush()
+        aged(held)
+        sweep(tmp_path)
+        assert held.exists()
+    assert not left.exists()
+    assert all(path.exists() for path in (first, second, young, *folders))
+    with locked_folder(folders[1]):
+        sweep(tmp_path, "out")
+        assert [folder.exists() for folder in folders] == [False, True, True, True]
+    sweep(tmp_path, "out")
+    assert [folder.exists() for folder in folders] == [False, False, True, True]

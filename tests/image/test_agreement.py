@@ -1,0 +1,420 @@
+"""Sixteen readings of an image: the right one is named, and none where nothing tells them apart.
+
+Backgrounds that do not belong to an image, to a set of frames or to the sensor are refused with the figure.
+"""
+
+import re
+from itertools import permutations
+
+import numpy as np
+import pytest
+
+import gelform
+from gelform.errors import CalibrationError
+from gelform.image import agreement
+from gelform.image.agreement import (
+    READINGS,
+    TOUCHED_SHARE,
+    UNLIKE,
+    UPRIGHT,
+    background_digest,
+    check_background,
+    check_background_of_frames,
+    check_own_background,
+    check_untouched,
+    check_viewed_image,
+    largest_touch,
+    orientation_from_image,
+)
+from gelform.image.light import block_means, gain_from_blocks
+from gelform.image.view import View, image_from_frame
+from gelform.sensors.files import read_image
+from kernel_agreement import assert_kernel_agrees
+from made.images import TOUCHED_SHAPE, halved, scene, touched
+
+SETS = ("mini-ball", "digit-ball", "gelslim", "mini-d", "gelslim-dots", "gelsight-ball-deep")
+
+
+def lying(image, reading):
+    """An image as it is before the reading undoes it."""
+    spoilt = image[..., ::-1] if reading.reversed else image
+    spoilt = spoilt[:: -1 if "y" in reading.flip else 1, :: -1 if "x" in reading.flip else 1]
+    return np.ascontiguousarray(spoilt.transpose(1, 0, 2) if reading.transposed else spoilt)
+
+
+@pytest.mark.parametrize("reading", READINGS)
+def test_words_and_remedy_are_those_of_the_reading(reading):
+    image = np.arange(24).reshape(2, 4, 3)
+    spoilt = lying(image, reading)
+    np.testing.assert_array_equal(reading.undone(spoilt), image)
+    named = dict(re.findall(r'(flip|turn) "(\w+)"', reading.remedy))
+    viewed = image_from_frame(spoilt.astype(np.uint8), View(**named))
+    np.testing.assert_array_equal(viewed[..., :: -1 if "--bgr" in reading.remedy else 1], image)
+    assert ("BGR" in reading.named) == reading.reversed
+    if reading.transposed and reading.flip in ("x", "y"):
+        turns = -1 if "counter" not in reading.named else 1
+        np.testing.assert_array_equal(np.rot90(image, turns)[..., :: -1 if reading.reversed else 1], spoilt)
+
+
+@pytest.mark.parametrize("reading", READINGS)
+def test_a_simulated_press_is_named(press, simulated, reading):
+    assert orientation_from_image(lying(press.image, reading), simulated.background) == reading
+
+
+def test_another_exposure_and_a_tilted_lamp_are_no_orientation(press, simulated):
+    for light in (0.9, 1.1, np.linspace(0.95, 1.05, press.image.shape[1])[:, None]):
+        found = orientation_from_image(np.clip(press.image * light, 0, 255), simulated.background)
+        assert found == UPRIGHT
+
+
+def test_a_light_that_is_alike_from_all_sides_names_nothing():
+    gray = np.full((60, 80, 3), 120.0)
+    assert orientation_from_image(gray[:, ::-1], gray) is None
+    assert orientation_from_image(gray[:50], gray) is None  # another size
+
+
+def test_another_sensor_is_no_orientation_of_this_one(simulated):
+    y, x = np.mgrid[: simulated.background.shape[0], : simulated.background.shape[1]]
+    light = 120 + 60 * np.stack([np.sin(x / 30), np.cos(y / 25), np.sin((x + y) / 35)], axis=-1)
+    noise = np.random.default_rng(1).uniform(40, 200, light.shape)
+    for other in (light, noise):
+        assert orientation_from_image(other, simulated.background) is None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SETS)
+def test_every_reading_of_real_presses_is_named(data, name):
+    presses = gelform.read_presses(data / name)
+    blocks = block_means(presses.background)
+    for press in presses.presses[::12]:
+        for reading in READINGS:
+            image = lying(press.image, reading)
+            assert orientation_from_image(image, presses.background) == reading
+            if not reading.transposed:
+                unlike = gain_from_blocks(block_means(image), blocks).least_change > UNLIKE
+                assert unlike == (reading != UPRIGHT), "the cheap question first loses nothing"
+
+
+def test_a_touch_is_found_at_its_place_under_any_light(press, simulated):
+    height, width = press.image.shape[:2]
+    for light in (1, 1.08, np.linspace(0.96, 1.04, width)[:, None]):
+        touch = largest_touch(*map(block_means, (np.clip(press.image * light, 0, 255), simulated.background)))
+        assert 1 < touch.share / press.contact.mean() < 4  # with the gel that it draws down
+        off = np.multiply(touch.center, (width, height)) - press.center_px
+        assert np.hypot(*off) < press.contact_radius_px
+        untouched = largest_touch(
+            *map(block_means, (np.clip(simulated.background * light, 0, 255), simulated.background))
+        )
+        assert untouched.share < 0.002
+
+
+def test_a_pressed_background_is_refused_with_its_place(press, simulated):
+    with pytest.raises(
+        CalibrationError, match=r"Something touches the gel .* about \(\d+, \d+\) px: \d+\.\d % of it"
+    ):
+        check_own_background(press.image.astype(np.float32), simulated.background)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["mini-ball", "mini-d", "digit-ball", "gelsight-ball-deep"])
+def test_real_presses_are_no_background(data, name):
+    presses = gelform.read_presses(data / name)
+    for press in presses.presses[::5]:
+        with pytest.raises(CalibrationError, match=r"Something touches the gel|is not of"):
+            check_own_background(press.image.astype(np.float32), presses.background)
+
+
+@pytest.mark.slow
+def test_less_is_a_touch_where_the_calibration_shows_contact(data):
+    presses = gelform.read_presses(data / "gelslim")
+    shown = np.ones(presses.background.shape[:2], dtype=bool)
+    light = [
+        image
+        for image in (press.image.astype(np.float32) for press in presses.presses[::4])
+        if largest_touch(block_means(image), block_means(presses.background)).share <= TOUCHED_SHARE
+    ]
+    assert len(light) >= 4
+    for image in light:
+        check_untouched(image, presses.background)
+        check_untouched(image, presses.background, ~shown)
+        with pytest.raises(CalibrationError, match="Something touches the gel"):
+            check_untouched(image, presses.background, shown)
+
+
+def test_own_background_gives_no_finding_with_a_third_of_the_frame_touched():
+    image = scene(1)
+    image[:, :27] += np.array([45, -35, 25], dtype=np.float32)
+    for one in (touched(scene(1)), np.clip(image, 0, 255)):
+        assert check_background(one, scene()) == ()
+
+
+@pytest.mark.parametrize("gain", [0.86, 1.15])
+def test_brightness_drift_is_a_warning_with_its_figure(gain):
+    (finding,) = check_background(np.clip(touched(scene(1)) * gain, 0, 255), scene())
+    assert finding.name == "background_ratio"
+    assert finding.figure == pytest.approx(gain, abs=0.03)
+    assert "new background" in finding.message
+
+
+def test_a_channel_too_dark_to_compare_is_said():
+    """Its ratios would be those of noise."""
+    rest = scene() * np.array([1, 1, 0.02])
+    (finding,) = check_background(rest.astype(np.float32), rest.astype(np.float32))
+    assert (finding.name, finding.figure) == ("exposure_unknown", 0)
+
+
+@pytest.mark.parametrize("gain", [0.6, 1.5])
+def test_other_exposure_is_refused_with_its_figure(gain):
+    with pytest.raises(CalibrationError, match=rf"R {gain:.1f}\d, G [\d.]+, B [\d.]+ times as bright"):
+        check_background(np.clip(touched(scene(1)) * gain, 0, 255), scene())
+
+
+def test_another_scene_is_refused_and_not_as_bgr_if_it_fits_a_little_better_reversed():
+    y, x = np.mgrid[: TOUCHED_SHAPE[0], : TOUCHED_SHAPE[1]]
+    ours = np.stack([np.sin(0.4 * x), np.sin(0.3 * y), np.sin(0.5 * (x + y))], axis=-1)
+    other = np.stack([np.sin(0.35 * (x - y)), np.cos(0.45 * x), np.sin(0.55 * y)], axis=-1)
+    for theirs in (other, 0.6 * ours[..., ::-1] + 0.8 * other):
+        with pytest.raises(CalibrationError, match=r"correlate by -?0\.\d"):
+            check_background(100 + 20 * theirs, 100 + 20 * ours)
+
+
+def test_reversed_channels_are_named_unless_they_fit_about_as_well_as_they_are():
+    """Channels nearly alike: on untouched blocks they correlate by 0.963 as they are, by 0.960 reversed."""
+    with pytest.raises(CalibrationError, match="is BGR compared with the background"):
+        check_background(touched(scene(1))[..., ::-1], scene())
+    y, x = np.mgrid[: TOUCHED_SHAPE[0], : TOUCHED_SHAPE[1]]
+    gray = 100 + 20 * np.sin(0.2 * x + 0.1 * y)[..., None]
+    ours = gray + 2 * np.stack([np.sin(0.3 * x), np.cos(0.25 * y), 0 * x], axis=-1)
+    theirs = ours + 10 * np.cos(0.31 * x - 0.27 * y)[..., None]
+    check_background(theirs.astype(np.float32), ours.astype(np.float32))
+
+
+@pytest.mark.parametrize("gain", [(1.06, 1.06, 1.06), (1.0, 0.95, 1.0)])
+def test_exposure_is_a_finding_with_its_figures(gain):
+    (finding,) = check_background(touched(scene(1)) * gain, scene())
+    assert finding.name == "exposure"
+    assert f"R {100 * (gain[0] - 1):+.0f} %, G {100 * (gain[1] - 1):+.0f} %" in finding.message
+    assert finding.figure == pytest.approx(gain[1], abs=0.005)
+
+
+@pytest.mark.parametrize("at_rest", [0.6, 0.1])
+def test_an_exposure_that_few_pixels_tell_is_compensated(at_rest):
+    rest = scene()
+    change = np.random.default_rng(2).uniform(-0.3, 0.3, rest.shape)
+    change[:, : round(at_rest * TOUCHED_SHAPE[1])] = 0
+    findings = {one.name: one for one in check_background(rest * 1.05 * (1 + change), rest)}
+    assert findings["exposure"].figure == pytest.approx(1.05, abs=0.006)
+
+
+def tilted(background, amount):
+    """The light of another unit: a slope of brightness, another one for each channel."""
+    x = np.linspace(-1, 1, TOUCHED_SHAPE[1])[None, :, None] * np.array([1, -0.5, 0.3])
+    return (background * (1 + amount * x)).astype(np.float32)
+
+
+def test_own_background_of_another_moment_passes_and_another_units_is_refused():
+    assert check_own_background(scene(1), scene()) == ()
+    (finding,) = check_own_background(tilted(scene(1), 0.07), scene())
+    assert finding.name == "background_pattern"
+    assert 0.02 < finding.figure < 0.06
+    expected = r"calibration is not of the sensor .* by \d\d\.\d % or more \(expected under 5.3 %\)"
+    with pytest.raises(CalibrationError, match=expected):
+        check_own_background(tilted(scene(1), 0.3), scene())
+
+
+@pytest.mark.parametrize("gain", [0.6, 1.5])
+def test_a_calibration_of_another_light_is_blamed_and_not_the_background(gain):
+    """A new background would be refused again, for ever."""
+    with pytest.raises(
+        CalibrationError, match=rf"R {gain:.1f}\d, .* as bright as in the calibration's"
+    ) as refused:
+        check_own_background(np.clip(scene(1) * gain, 0, 255).astype(np.float32), scene())
+    assert str(refused.value).startswith("The calibration is not of the sensor that took this background")
+    assert "Take a new background" not in str(refused.value)
+
+
+def test_the_calibration_of_another_real_unit_is_blamed(data):
+    units = ("mini-ball", "mini-d", "mini-edge", "mini-objects")
+    rests = [read_image(data / name / "background.png") for name in units]
+    for ours, theirs in permutations(rests, 2):
+        with pytest.raises(CalibrationError, match="no new one helps: use this sensor's own calibration"):
+            check_own_background(ours, theirs)
+
+
+def presses_of(background, count):
+    rng, images = np.random.default_rng(5), []
+    for row, column in rng.integers(0, [TOUCHED_SHAPE[0] - 20, TOUCHED_SHAPE[1] - 20], (count, 2)):
+        image = background.copy()
+        image[row : row + 20, column : column + 20] += np.array([40, -30, 20], dtype=np.float32)
+        images.append(np.clip(image, 0, 255))
+    return images
+
+
+def test_the_background_of_other_frames_is_refused_and_one_that_drifted_is_said():
+    """The light of `scene` tilts by 7 % over the image: depth far from contacts would be of it."""
+    assert check_background_of_frames(presses_of(scene(1), 10), scene()) == ()
+    with pytest.raises(
+        CalibrationError, match=r"not of these images\. .* a quarter of their median differs by"
+    ):
+        check_background_of_frames(presses_of(tilted(scene(1), 0.3), 10), scene())
+    check_background_of_frames(presses_of(tilted(scene(1), 0.3), 7), scene())  # too few to judge
+    (finding,) = check_background_of_frames(presses_of(tilted(scene(1), 0.07), 10), scene())
+    assert finding.name == "background_drift"
+    assert 0.02 < finding.figure < 0.06
+    assert f"{100 * finding.figure:.1f} %" in finding.message
+
+
+def test_a_frame_in_an_images_place_is_told_the_way():
+    image = np.zeros((4, 6, 3), dtype=np.uint8)
+    rest = image.astype(np.float32)
+    assert check_viewed_image(rest, (8, 12), image) is image
+    with pytest.raises(ValueError, match=r"Expected background of 4x6.*image_from_frame"):
+        check_viewed_image(rest, (8, 12), np.zeros((8, 12, 3), dtype=np.uint8), "background")
+    with pytest.raises(ValueError, match="got 9x12") as other:
+        check_viewed_image(rest, (8, 12), np.zeros((9, 12, 3), dtype=np.uint8))
+    assert "image_from_frame" not in str(other.value)
+
+
+def test_digest_knows_its_own():
+    rest = scene()
+    assert background_digest(rest) == background_digest(rest.copy())
+    assert background_digest(rest.astype(np.uint8)) == background_digest(np.floor(rest))
+    other = rest.copy()
+    other[3, 4, 1] += 1
+    assert background_digest(other) != background_digest(rest)
+    assert background_digest(rest.transpose(1, 0, 2)) != background_digest(rest)
+
+
+def test_reconstructor_says_whose_background(calibration, simulated):
+    assert repr(gelform.Reconstructor(calibration)).endswith(", 132x176 px, the calibration's background)")
+    assert gelform.Reconstructor(calibration).own_background
+    assert gelform.Reconstructor(calibration, simulated.background).own_background
+    today = np.clip(simulated.background.astype(np.float32) * 0.95, 0, 255)
+    other = gelform.Reconstructor(calibration, today)
+    assert not other.own_background
+    assert [finding.name for finding in other.findings] == ["exposure"]
+    assert calibration.describe()["background_digest"] == background_digest(simulated.background)
+
+
+BACKGROUNDS = {
+    "mini A": "mini-ball/background.png",
+    "mini C": "mini-objects/background.png",
+    "digit": "digit-ball/background.png",
+    "bright": "gelsight-ball-deep/background.png",
+}
+
+
+def lying_check(image):
+    return image if image.shape[0] < image.shape[1] else np.ascontiguousarray(np.rot90(image))
+
+
+@pytest.mark.parametrize("ours", BACKGROUNDS)
+@pytest.mark.parametrize("theirs", BACKGROUNDS)
+def test_real_backgrounds_of_other_sensors_are_refused(data, ours, theirs):
+    """All pairs of four sensors, two of them of one model; a later moment of the same one passes, warned of."""
+    background = lying_check(read_image(data / BACKGROUNDS[ours]))
+    other = lying_check(read_image(data / BACKGROUNDS[theirs]))
+    if ours == theirs:
+        assert check_own_background(other, background) == ()
+        return
+    with pytest.raises(CalibrationError, match=r"is not of the sensor|compared with the background"):
+        check_own_background(other, background)
+
+
+@pytest.mark.parametrize("ours", BACKGROUNDS)
+def test_real_frames_of_another_sensor_are_refused_or_warned_of(data, ours):
+    """Another model is refused; another unit of the same model is warned of. Own frames are neither."""
+    frames = {
+        "mini A": sorted((data / "mini-ball").rglob("gelsight.png"))[::20],
+        "mini C": [data / "mini-objects" / f"{name}.png" for name in ("bead", "key", "seed")],
+        "digit": sorted((data / "digit-ball" / "images").iterdir())[::14],
+    }
+    background = lying_check(read_image(data / BACKGROUNDS[ours]))
+    for theirs, paths in frames.items():
+        for path in paths:
+            frame = lying_check(read_image(path))
+            if theirs[:4] != ours[:4]:
+                with pytest.raises(CalibrationError, match=r"not of this image|compared with the background"):
+                    check_background(frame, background)
+                continue
+            warned = "background_differs" in [finding.name for finding in check_background(frame, background)]
+            assert warned == (theirs != ours), path
+
+
+def test_a_real_later_moment_is_warned_of(data):
+    later, ours = (
+        read_image(data / "digit-ball" / name) for name in ("background_other_moment.png", "background.png")
+    )
+    names = [finding.name for finding in check_own_background(later, ours)]
+    assert "background_pattern" in names
+
+
+def test_real_presses_know_their_background(data):
+    images = [read_image(path) for path in sorted((data / "mini-ball").rglob("gelsight.png"))[::4]]
+    assert check_background_of_frames(images, read_image(data / "mini-ball" / "background.png")) == ()
+    with pytest.raises(CalibrationError, match="not of these images"):
+        check_background_of_frames(images, read_image(data / "mini-objects" / "background.png"))
+
+
+def brighter(image, gain=1.08):
+    return np.clip(np.rint(image.astype(float) * gain), 0, 255).astype(np.uint8)
+
+
+def test_another_exposure_gives_the_same_depth(calibration, simulated):
+    """8 % in every channel, rounded again: 2 um, where the depth of the press is 0.3 mm and more."""
+    reconstruct = gelform.Reconstructor(calibration)
+    for press in simulated.presses[:3]:
+        plain, other = reconstruct(press.image), reconstruct(brighter(press.image))
+        assert np.sqrt(np.mean((plain.depth_mm - other.depth_mm) ** 2)) < 0.002
+        (finding,) = [one for one in other.health if one.name == "exposure"]
+        assert finding.figure == pytest.approx(1.08, abs=0.01)
+        assert "R +8 %, G +8 %, B +8 %" in finding.message
+
+
+@pytest.mark.slow
+def test_another_exposure_gives_the_same_depth_of_real_presses(data):
+    """The same on a GelSight Mini, within 4 um; without compensation it is 120 um."""
+    presses = halved(gelform.read_presses(data / "mini-ball"))
+    calibration = gelform.calibrate(presses.subset(range(0, 67, 11)), color_model="polynomial")
+    reconstruct = gelform.Reconstructor(calibration)
+    for press in presses.presses[1::20]:
+        plain, other = reconstruct(press.image), reconstruct(brighter(press.image))
+        assert np.sqrt(np.mean((plain.depth_mm - other.depth_mm) ** 2)) < 0.004
+
+
+def sums_by_numpy(seen, rest, scale, last, *_):
+    scaled = seen * scale
+    distance = np.abs(scaled - rest).sum(axis=1)
+    least = distance <= np.sort(distance)[last]
+    a, b = (values[least].astype(np.float64) for values in (scaled, rest))
+    a, b = a - a.mean(), b - b.mean()
+    return np.array([(a * a).sum(), (b * b).sum(), (a * b).sum()])
+
+
+@pytest.mark.parametrize("last", [0, 17, 79])
+def test_sums_over_the_least_changed_blocks_are_those_of_numpy(last):
+    rng = np.random.default_rng(3)
+    rest = rng.uniform(20, 200, (80, 3)).astype(np.float32)
+    seen = (rest * 1.1 + rng.normal(0, 8, rest.shape)).astype(np.float32)
+    scale = np.array([0.9, 0.91, 0.92], np.float32)
+    work, sums = np.empty(160, np.float32), np.empty(3)
+    assert_kernel_agrees(agreement._least_changed_sums, sums_by_numpy, seen, rest, scale, last, work, sums)
+
+
+def test_slopes_are_less_sure_where_too_few_pixels_tell_the_exposure(calibration, simulated):
+    """Light that changes everywhere: 1 % of exposure is not known, and each slope may be wrong by what it does."""
+    press = simulated.presses[0].image
+    y, x = (np.linspace(-1, 1, n) for n in press.shape[:2])
+    waves = np.sin(
+        5 * x[None, :, None] * np.array([1, -0.7, 0.8]) + 6 * y[:, None, None] * np.array([-0.6, 1, -0.9])
+    )
+    uneven = np.clip(np.rint(press * (1 + 0.2 * waves)), 0, 255).astype(np.uint8)
+    reconstruct = gelform.Reconstructor(calibration)
+    plain, unsure = (reconstruct(image) for image in (press, uneven))
+    expected = 0.01 * calibration.forward.slope_per_change
+    assert plain.gradients_sigma.min() < expected < unsure.gradients_sigma.min()
+    found, sure = (
+        next((f for f in one.health if f.name == "exposure_unknown"), None) for one in (unsure, plain)
+    )
+    assert "cannot tell the exposure well" in found.message
+    assert sure is None

@@ -1,0 +1,459 @@
+"""The budget of slopes: each row by itself, what is weighed, and what presses have not shown.
+
+Slopes that a ball in the frame shows: exact balls, readings that bend, and what is no ball.
+"""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import edges_of_cube
+import gelform
+from gelform.calibration.starters import load_starter
+from gelform.image.background import ChangeSettings, PreparedBackground, Reference, gain_from_background
+from gelform.result.metrics import ball_gradients
+from gelform.simulate import Ball, BoxEdge, Placed, Several, simulate_press
+from gelform.slopes import budget
+from gelform.slopes.budget import (
+    DIFFERENCE_FROM,
+    ERROR_OF_DIFFERENCE,
+    FOLLOWED,
+    GEL_RADII,
+    LEAST_WEIGHT,
+    OUTLIER,
+    PER_EXCESS,
+    STEEPEST_FACE,
+    USUAL_LEVELS,
+    PreparedBudget,
+    ReadSlopes,
+    noise_at_rest,
+    slopes_of_ball,
+    without_bias,
+)
+from gelform.slopes.gradients import STEEPEST_GEL
+from gelform.slopes.sigma import SlopeSigma
+from kernel_agreement import assert_kernel_agrees
+
+SHAPE, CLEAN = (40, 72), 0.05
+LAW = SlopeSigma(
+    rest=0.01, per_step=0.03, per_slope=2.0, solved_factor=0.8, shown=(0.3, 0.5), full_confidence_sigma=CLEAN,
+    correlation_px=8.0,
+)  # fmt: skip
+CHANGE = ChangeSettings(blur_px=1.25)  # compared with slopes 2 px away
+GRAY = np.full((*SHAPE, 3), 100, np.float32)
+NOTHING = Reference(np.zeros(3, np.float32), 0.0, np.zeros(2, np.float32), None, ())  # no pixel is at rest
+
+
+def patch(box=np.s_[10:20, 30:44]):
+    """A mask (H, W), True in the box."""
+    mask = np.zeros(SHAPE, dtype=bool)
+    mask[box] = True
+    return mask
+
+
+def slopes_of(size=0.0, at_rest=False, **more):
+    """Slopes of that size along x, or maps (H, W, 2); what else is known of them."""
+    gradients = np.zeros((*SHAPE, 2), np.float32)
+    if np.ndim(size) == 3:
+        gradients[:] = size
+    else:
+        gradients[..., 0] = size
+    return ReadSlopes(gradients, np.full(SHAPE, at_rest), **more)
+
+
+def prepared(law=LAW, background=GRAY, **settings):
+    noise = np.full(background.shape[:2], 4e-4, np.float32)
+    return PreparedBudget(law, noise, PreparedBackground(background, CHANGE), **settings)
+
+
+@pytest.mark.parametrize("size", [0.0, 0.2, 0.5])
+def test_the_law_is_the_step_s_and_grows_with_the_slope(size):
+    variance = np.random.default_rng(0).uniform(0.3, 3, SHAPE).astype(np.float32)
+    found = prepared()(slopes_of(size, variance=variance))
+    law = 0.03 * np.sqrt(1 + (2 * size) ** 2)
+    np.testing.assert_allclose(found.read, law * np.sqrt(variance), rtol=1e-5)
+    np.testing.assert_allclose(found.solved, 0.8 * found.read, rtol=1e-5)
+    np.testing.assert_allclose(prepared()(slopes_of(size)).read, law, rtol=1e-5)  # without a step
+
+
+def test_gel_at_rest_has_the_deviation_of_its_place():
+    law = replace(LAW, rest_per_noise=0.5)
+    found = prepared(law)(slopes_of(at_rest=True, variance=np.ones(SHAPE, np.float32)))
+    np.testing.assert_allclose(found.read, np.sqrt(0.01**2 + 0.25 * 4e-4), rtol=1e-5)
+
+
+def test_rows_add_up_in_squares():
+    rng = np.random.default_rng(1)
+    slopes = slopes_of(
+        rng.uniform(-0.4, 0.4, (*SHAPE, 2)), residual=rng.exponential(6, SHAPE).astype(np.float32),
+        variance=rng.uniform(0.5, 2, SHAPE).astype(np.float32), unseen=patch(),
+    )  # fmt: skip
+    made = prepared(spread=0.1, carried=0.5, slope_per_change=1.5)
+    light = rng.uniform(0, 0.02, SHAPE).astype(np.float32)
+    found, rows = made(slopes, 3.0, light, rows=True), made.frame_rows(slopes, 3.0, light)
+    law = prepared(walls=False)(replace(slopes, residual=None, unseen=None)).read
+    unseen = np.where(patch(), CLEAN**2 / LEAST_WEIGHT, 0)
+    parts = [law, found.walls, found.outliers, rows["light"], rows["compression"]]
+    read = np.sqrt(sum(np.square(one.astype(float)) for one in parts) + unseen)
+    np.testing.assert_allclose(found.read, read, rtol=1e-4)
+    whole = read**2 + np.square(found.steep) + np.square(rows["unit"])
+    np.testing.assert_allclose(found.confidence, np.minimum(1, CLEAN**2 / whole), rtol=1e-3)
+    np.testing.assert_allclose(
+        found.solved,
+        np.sqrt(np.minimum(0.64 * read**2, STEEPEST_GEL**2) + np.square(rows["unit"])),
+        rtol=1e-4,
+    )
+    np.testing.assert_allclose(found.gradients_sigma[..., 1], np.hypot(found.solved, found.steep), rtol=1e-5)
+    assert all(one.any() for one in (*parts, found.steep, rows["unit"]))
+    plain = made(slopes, 3.0, light)  # asking why changes nothing
+    np.testing.assert_array_equal(plain.confidence, found.confidence)
+
+
+def test_a_weight_says_no_slope_here_and_nothing_else():
+    residual = np.tile(np.linspace(0, 4 * OUTLIER, SHAPE[1], dtype=np.float32), (SHAPE[0], 1))
+    slopes = slopes_of(0.9, residual=residual, unseen=patch())
+    weight = slopes.weights(CLEAN)
+    off = STEEPEST_GEL * np.maximum(2 * residual / OUTLIER - 1, 0)
+    wanted = np.where(patch(), LEAST_WEIGHT, CLEAN**2 / (CLEAN**2 + off**2))
+    np.testing.assert_allclose(weight, wanted, rtol=1e-4)
+    found = prepared()(slopes, rows=True)
+    np.testing.assert_allclose(found.outliers, np.where(patch(), 0, off), atol=1e-5)
+
+
+def test_a_model_s_own_deviation_counts_where_it_is_larger():
+    own = np.full(SHAPE, 0.04, np.float32)
+    own[patch()] = 0.3
+    slopes = slopes_of(0.5, model_sigma=own)
+    np.testing.assert_allclose(prepared()(slopes).read, np.maximum(own, 0.03 * 2**0.5), rtol=1e-5)
+    np.testing.assert_allclose(slopes.weights(CLEAN), np.minimum(1, np.square(CLEAN / own)), rtol=1e-5)
+
+
+def test_where_nothing_is_seen_no_slope_is_less_known_than_the_steepest():
+    found = prepared()(slopes_of(0.2, unseen=patch(), residual=np.full(SHAPE, 1e9, np.float32)))
+    assert found.read[patch()].min() > 40
+    assert found.solved.max() == STEEPEST_GEL
+    assert not found.steep[patch()].any()
+
+
+def wall(height=0.8):
+    slopes = np.zeros((*SHAPE, 2), np.float32)
+    slopes[:, 30:32, 0] = height
+    return slopes
+
+
+def test_a_wall_two_pixels_wide_is_doubted_beside_its_edges_alone():
+    found = prepared()(slopes_of(wall()), rows=True).walls
+    one_side = ERROR_OF_DIFFERENCE * (0.8 / np.sqrt(2) - DIFFERENCE_FROM)
+    both = ERROR_OF_DIFFERENCE * (0.8 - DIFFERENCE_FROM)
+    np.testing.assert_allclose(
+        found[5, 27:35], [0, *[one_side] * 2, *[both] * 2, *[one_side] * 2, 0], rtol=1e-5
+    )
+    assert not found[:, [*range(28), *range(34, SHAPE[1])]].any()
+    assert not prepared(walls=False)(slopes_of(wall()), rows=True).walls.any(), "the blur is unknown"
+
+
+@pytest.mark.parametrize("radius_px", [40.0, 60.0])
+def test_a_ball_is_no_wall_up_to_its_rim(radius_px):
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    found = prepared()(slopes_of(ball_gradients(x, y, (36.0, 20.0), radius_px)), rows=True)
+    assert not found.walls[np.hypot(x - 36, y - 20) < 0.4 * radius_px].any()
+
+
+def test_noise_becomes_slope_by_gain_and_worth():
+    background = GRAY.copy()
+    background[:, 36:] = 50
+    made = prepared(background=background, slope_per_change=1.5)
+    gain = gain_from_background(background, CHANGE).mean(axis=-1)
+    np.testing.assert_allclose(made.frame_rows(slopes_of(), 4.0, None)["compression"], 6 * gain, rtol=1e-5)
+
+
+def steep_at(slopes, **unit):
+    return prepared(replace(LAW, per_slope=0.0), walls=False, **unit)(
+        slopes_of(np.resize(np.float32(slopes), SHAPE[1]))
+    ).steep[0, : len(slopes)]
+
+
+def test_a_unit_s_own_slopes_are_known_as_far_as_presses_showed_them():
+    """An error of a slope's size is stated of both components."""
+    found = steep_at([0.0, 0.3, 0.5, 0.6, 0.7])
+    np.testing.assert_allclose(found, PER_EXCESS * np.array([0, 0, 0, 0.1, 0.2]), atol=1e-6)
+    assert steep_at([50.0])[0] == pytest.approx(STEEPEST_GEL)
+
+
+def test_two_sigma_of_another_unit_s_slopes_reach_the_steepest_face():
+    slopes = np.array([0.3, 0.35, 0.45])
+    found = steep_at(slopes, carried=1.0)
+    np.testing.assert_allclose(slopes + 2 * found, STEEPEST_FACE, rtol=1e-5)
+    np.testing.assert_allclose(steep_at([0.0, 0.1, 0.3 - CLEAN], carried=1.0), 0, atol=1e-6)
+    np.testing.assert_allclose(steep_at(slopes, carried=0.25), found / 4, rtol=1e-5)
+
+
+def test_the_bias_is_subtracted_and_hidden_pixels_are_left_out():
+    gradients = np.full((3, 4, 2), 0.25, dtype=np.float32)
+    reference = NOTHING._replace(bias=np.array([0.25, 0.5], np.float32), threshold=0.1)
+    hidden = np.zeros((3, 4), dtype=bool)
+    hidden[1, 2] = True
+    at_rest = without_bias(np.zeros((3, 4, 3), np.float32), gradients, reference, hidden)
+    np.testing.assert_array_equal(gradients, np.broadcast_to(np.float32([0, -0.25]), (3, 4, 2)))
+    np.testing.assert_array_equal(at_rest, ~hidden)
+    given = np.eye(3, 4, dtype=bool)
+    found = without_bias(np.zeros((3, 4, 3), np.float32), gradients, reference._replace(given=given), hidden)
+    np.testing.assert_array_equal(found, given)
+
+
+@pytest.mark.parametrize("wrong", [np.nan, np.inf, 1e16])
+@pytest.mark.parametrize("component", [0, 1])
+def test_slopes_that_no_sum_can_hold_are_refused(wrong, component):
+    gradients = np.zeros((5, 31, 2), np.float32)
+    gradients[4, 30, component] = wrong
+    with pytest.raises(ValueError, match="Expected slopes up to 1e"):
+        without_bias(np.zeros((5, 31, 3), np.float32), gradients, NOTHING)
+
+
+def numpy_at_rest(change, hidden, given, common, bias, gradients, at_rest, square, highest):
+    near = ((change - common) ** 2).sum(axis=-1) < square
+    return gradients - bias, given if given is not None else near & (True if hidden is None else ~hidden)
+
+
+def numpy_weights(residual, of_model, unseen, weight, outlier, unknown, full, least):
+    off = (
+        np.zeros(weight.shape)
+        if residual is None
+        else unknown * np.maximum(2 * residual.astype(float) / outlier - 1, 0)
+    )
+    square = off**2 + (0 if of_model is None else np.maximum(of_model.astype(float) ** 2 - full**2, 0))
+    found = np.maximum(full**2 / (full**2 + square), least)
+    return (found if unseen is None else np.where(unseen, least, found),)
+
+
+def numpy_budget(
+    gradients, at_rest, rest, of_step, of_model, residual, unseen, gain, light, read, solved, steep, confidence, walls,
+    outliers, per_step, per_size, factor, unknown, outlier, unseen_sigma, full, noise, per_bend,
+    bend_from, spread, shown, per_excess, doubted, steepest, carried, ball_x, ball_y, ball_radius, of_ball, reach,
+):  # fmt: skip
+    """What the kernel should give, in float64."""
+    g, (height, width) = gradients.astype(float), at_rest.shape
+    square, size = np.zeros(at_rest.shape), np.linalg.norm(g, axis=-1)
+    for a, b in np.ndindex(height, width):
+        for y, x in ((a - reach, b), (a + reach, b), (a, b - reach), (a, b + reach)):
+            if 0 <= y < height and 0 <= x < width:
+                square[a, b] += ((g[y, x] - g[a, b]) ** 2).sum() / 2
+    bend = (per_bend * np.maximum(np.sqrt(square) - bend_from, 0)) ** 2 if per_bend > 0 else 0 * square
+    off = np.zeros(at_rest.shape)
+    nothing = np.zeros(at_rest.shape, bool) if unseen is None else unseen
+    if residual is not None:
+        off = (unknown * np.maximum(2 * residual.astype(float) / outlier - 1, 0)) ** 2
+    law = np.where(at_rest, rest, (per_step + per_size * size**2) * (1 if of_step is None else of_step))
+    if of_model is not None:
+        off += np.maximum(of_model.astype(float) ** 2 - law, 0)
+    off = np.where(nothing, 0, np.minimum(off, unseen_sigma**2))
+    total = law + bend + off + (noise * gain) ** 2 + nothing * unseen_sigma**2
+    total = total if light is None else total + light.astype(float) ** 2
+    own = per_excess * np.maximum(size - shown, 0)
+    y, x = np.indices(size.shape)
+    doubted = np.where(np.hypot(x - ball_x, y - ball_y) < ball_radius, of_ball, doubted)
+    other = carried * np.clip((size - doubted) / full + 1, 0, 1) * np.maximum(steepest - size, 0)
+    missing = np.where(total < unknown**2, np.minimum(own**2 + other**2, unknown**2), 0)
+    unit = spread**2 * size**2
+    maps = [
+        np.sqrt(total), np.sqrt(np.minimum(factor**2 * total, unknown**2) + unit), np.sqrt(missing),
+        np.minimum(full**2 / (total + unit + missing), 1),
+    ]  # fmt: skip
+    return (*maps, np.sqrt(bend), np.sqrt(off))
+
+
+@pytest.mark.parametrize("optional", [True, False])
+@pytest.mark.parametrize("shape", [SHAPE, (9, 33), (1, 1), (1, 5), (3, 1), (4, 65)])
+def test_the_kernels_agree_with_numpy(optional, shape):
+    rng = np.random.default_rng(0)
+
+    def uniform(low, high):
+        return rng.uniform(low, high, shape).astype(np.float32)
+
+    def chosen():
+        return rng.uniform(size=shape) > 0.7
+
+    gradients = rng.normal(0, 0.4, (*shape, 2)).astype(np.float32)
+    out = [np.empty(shape, np.float32) for _ in range(6)]
+    some = (lambda one: one) if optional else (lambda one: None)
+    assert_kernel_agrees(
+        budget._slope_budget, numpy_budget, gradients, chosen(), uniform(1e-5, 1e-3), some(uniform(0.3, 3)),
+        some(uniform(0.01, 0.06)), some(uniform(0, 30)), some(chosen()), uniform(0.005, 0.02), some(uniform(0, 0.05)),
+        *out, 9e-4, 4e-3, 0.8, 1.0, 9.0, 50.0, 0.05, 2.0, 1.75 if optional else 0.0, 0.1, 0.1, 0.5, 1.25, 0.3,
+        1.4, 0.3, 3.2, 2.1, 4.3, 0.6, 2,
+    )  # fmt: skip
+    assert_kernel_agrees(
+        budget._slope_weights, numpy_weights, some(uniform(0, 30)), some(uniform(0.01, 0.2)), some(chosen()),
+        np.empty(shape, np.float32), 9.0, 1.0, 0.05, 1e-6,
+    )  # fmt: skip
+    change = rng.normal(0, 0.3, (*shape, 3)).astype(np.float32)
+    for hidden, given in ((None, None), (chosen(), None), (None, chosen())):
+        assert_kernel_agrees(
+            budget._slopes_at_rest, numpy_at_rest, change, hidden, given, np.float32([0.02, 0, 0]),
+            np.float32([0.01, -0.02]), gradients, np.empty(shape, bool), 0.09, 1e15,
+        )  # fmt: skip
+
+
+def linear(matrix):
+    """Slopes from a color change by a fixed matrix (3, 2)."""
+    matrix = np.array(matrix, np.float32)
+    return SimpleNamespace(gradients_from_color=lambda change: (change @ matrix, None))
+
+
+MODEL = linear([[1, 0], [0.3, 2], [0, 0.5]])
+
+
+def untouched(background):
+    return PreparedBackground(background.astype(np.float32), ChangeSettings(method="divide", offset=10.0))
+
+
+def test_noise_at_rest_is_that_of_many_noisy_images():
+    x = np.linspace(60, 200, 96)
+    background = np.stack([np.tile(x, (64, 1)), np.tile(x[::-1], (64, 1)), np.full((64, 96), 90.0)], axis=-1)
+    levels, rng, image = (1.0, 3.0, 2.0), np.random.default_rng(0), untouched(background)
+    slopes = [
+        MODEL.gradients_from_color(image.change(background + rng.normal(0, levels, background.shape)))[0]
+        for _ in range(60)
+    ]
+    found = noise_at_rest(MODEL, image, levels)
+    inner = slice(16, -16)  # the map is smooth over 8 px
+    np.testing.assert_allclose(found[32, inner], np.mean(np.square(slopes), axis=(0, 1, 3))[inner], rtol=0.2)
+    assert found.dtype == np.float32
+    alike = noise_at_rest(MODEL, image, (USUAL_LEVELS,) * 3)
+    np.testing.assert_array_equal(noise_at_rest(MODEL, image, None), alike)
+
+
+def starter_of(calibration):
+    """The same calibration as one of other units."""
+    made = {"sensor": "x", "spread": 0.0, "units": ["others"], "findings": []}
+    return replace(calibration, settings=replace(calibration.settings, starter=made))
+
+
+def test_doubt_of_steep_slopes_changes_what_is_stated_and_no_depth(calibration, sensor):
+    image = simulate_press(sensor, BoxEdge(8.0), depth_mm=0.5, rng=np.random.default_rng(1)).image
+    doubts = gelform.Reconstructor(starter_of(calibration))
+    doubted, plain = doubts.from_image(image), gelform.Reconstructor(calibration).from_image(image)
+    for name in ("depth", "gradients", "observed_gradients", "contact", "known"):
+        np.testing.assert_array_equal(getattr(doubted, name), getattr(plain, name), err_msg=name)
+    slopes = np.linalg.norm(plain.observed_gradients, axis=-1)
+    steeper = (slopes > calibration.slope_sigma.shown[0] + 0.05) & (plain.confidence > 0.9)
+    assert steeper.sum() > 100
+    assert doubted.confidence[steeper].max() < 0.3
+    assert (doubted.gradients_sigma > plain.gradients_sigma)[steeper].all()
+    top = plain.depth_mm.argmax()
+    assert doubted.depth_sigma_mm.flat[top] > 2 * plain.depth_sigma_mm.flat[top]
+    assert "steep" in {one.name for one in doubted.health}
+    assert "steep" not in {one.name for one in plain.health}
+    assert "steep" in {one.name for one in doubts.explain(image).findings}
+
+
+def test_the_slopes_of_a_ball_are_not_doubted_though_its_model_is_of_other_units(calibration, sensor):
+    """It shows all slopes up to its steepest without a break, so nothing of its height is missing."""
+    image = simulate_press(sensor, Ball(3.0), depth_mm=0.8, rng=np.random.default_rng(1)).image
+    reconstruct = gelform.Reconstructor(starter_of(calibration))
+    carried, plain = reconstruct.from_image(image), gelform.Reconstructor(calibration).from_image(image)
+    assert "steep" not in {one.name for one in carried.health}
+    assert "steep" not in {one.name for one in reconstruct.explain(image).findings}
+    top = plain.depth_mm.argmax()
+    assert carried.depth_sigma_mm.flat[top] < 1.5 * plain.depth_sigma_mm.flat[top]
+
+
+def test_a_ball_vouches_for_nothing_beside_it(calibration, sensor):
+    """The deepest of two objects is a ball; the slopes of a box beside its gel are as doubtful as without it."""
+    ball, box = (
+        Placed(Ball(3.0), center_mm=(4.5, 0.0)),
+        Placed(BoxEdge(4.0), center_mm=(-5.0, 0.0), back_mm=0.1),
+    )
+    alone, both = (
+        gelform.Reconstructor(starter_of(calibration)).from_image(
+            simulate_press(sensor, face, depth_mm=depth, rng=np.random.default_rng(1)).image
+        )
+        for face, depth in ((Several((replace(box, back_mm=0.0),)), 0.6), (Several((ball, box)), 0.7))
+    )
+    left = np.s_[:, :60]
+    steep = np.linalg.norm(alone.gradients[left], axis=-1) > 0.3
+    assert steep.sum() > 100
+    assert np.median(both.gradients_sigma[left][steep]) > 0.9 * np.median(alone.gradients_sigma[left][steep])
+
+
+def test_a_ball_on_its_own_unit_is_not_called_steep(calibration, sensor):
+    image = simulate_press(sensor, Ball(4.0), depth_mm=0.5, rng=np.random.default_rng(2)).image
+    reconstruct = gelform.Reconstructor(calibration)
+    assert "steep" not in {one.name for one in reconstruct.from_image(image).health}
+    assert "steep" not in {one.name for one in reconstruct.explain(image).findings}
+
+
+@pytest.mark.slow
+def test_the_faces_of_a_cube_are_never_sure_by_a_starter(data):
+    """They stand at some 45 degrees and are read at half of that; the edge is as much too low."""
+    background, images = edges_of_cube.frames()
+    calibration = load_starter("gelsight-mini").for_unit(background)
+    reconstruct, pitch = gelform.Reconstructor(calibration), calibration.known_mm_per_px
+    rows = []
+    for name in ("0.png", "24.png", "50.png"):
+        result = reconstruct.from_image(images[name])
+        edge = edges_of_cube.edge_in(result.gradients, pitch)
+        error = edges_of_cube.crest_error_mm(edge, result.depth_mm, pitch)
+        assert error > 0.2
+        assert error < 2.5 * result.depth_sigma_mm[edge.crest].mean()
+        assert "steep" in {one.name for one in result.health}
+        for face, true in zip(edge.faces, edge.true_gradients):
+            off = np.abs((result.gradients[face] - true) @ edge.across)
+            assert np.median(off) > 0.2
+            sigma = np.hypot(*(result.gradients_sigma[face] * edge.across).T)
+            rows.append([(off < 2 * sigma).mean(), (result.confidence[face] > 0.3).mean()])
+    within, sure = np.mean(rows, axis=0)
+    assert within > 0.85
+    assert sure < 0.15
+
+
+SHAPE_BALL, RADIUS_PX, GENTLE = (120, 160), 50.0, 0.35
+
+
+def ball_at(center, contact_px=35.0):
+    """Slopes (H, W, 2) of a ball, which fall off where the gel leaves it; and its top."""
+    y, x = np.mgrid[: SHAPE_BALL[0], : SHAPE_BALL[1]].astype(float)
+    away = np.hypot(x - center[0], y - center[1])
+    edge = np.minimum(1, contact_px / np.maximum(away, 1e-9))
+    inside = ball_gradients(
+        center[0] + (x - center[0]) * edge, center[1] + (y - center[1]) * edge, center, RADIUS_PX
+    )
+    fall = np.exp(-np.maximum(away - contact_px, 0) / 5)
+    return (inside * fall[..., None]).astype(np.float32), (round(center[1]), round(center[0]))
+
+
+@pytest.mark.parametrize("center", [(80, 60), (70.4, 51.7), (30, 112)])
+def test_a_ball_is_followed_to_where_the_gel_leaves_it(center):
+    """At (30, 112) the border cuts it."""
+    slopes, top = ball_at(center)
+    steepest = float(np.hypot(*ball_gradients(center[0] + 35.0, center[1], center, RADIUS_PX)))
+    for place in (top, (top[0] + 2, top[1] - 2)):  # noise moves the top
+        found = slopes_of_ball(slopes, place, GENTLE)
+        assert found.of_ball == pytest.approx(steepest, rel=0.12)
+        assert found[:2] == pytest.approx(center, abs=1.5)
+        assert found.ball_radius == pytest.approx(GEL_RADII * 35.0, rel=0.1)
+
+
+def test_readings_that_bend_are_followed_until_they_miss_a_seventh():
+    slopes, top = ball_at((80, 60), contact_px=45.0)
+    size = np.linalg.norm(slopes, axis=-1, keepdims=True)
+    bent = slopes * np.where(size > 0.4, (0.4 + 0.2 * (size - 0.4)) / np.maximum(size, 1e-9), 1).astype(
+        np.float32
+    )
+    found = slopes_of_ball(bent, top, GENTLE).of_ball
+    sine = found / np.sqrt(1 + found**2)
+    read = 0.4 + 0.2 * (found - 0.4)
+    assert read / np.sqrt(1 + read**2) == pytest.approx(FOLLOWED * sine, rel=0.05)
+
+
+def test_a_roof_a_cone_a_cylinder_and_gentle_gel_show_no_ball():
+    y, x = np.mgrid[: SHAPE_BALL[0], : SHAPE_BALL[1]].astype(float)
+    u, v = x - 80, y - 60
+    away = np.maximum(np.hypot(u, v), 1)
+    round_ = ball_gradients(x, 60 + 0 * y, (80, 60), RADIUS_PX)
+    cone = -0.5 * np.stack([u, v], axis=-1) / away[..., None] * np.minimum(1, away / 3)[..., None]
+    roof = np.stack([-0.45 * np.tanh(u / 4), 0 * v], axis=-1)
+    for face in (roof, cone, round_, 0 * roof):
+        assert slopes_of_ball(face.astype(np.float32), (60, 80), GENTLE) is None

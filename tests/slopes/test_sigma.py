@@ -1,0 +1,345 @@
+"""The law of the slopes' standard deviation: recovered from errors of known size.
+
+The table of causes: each is said in words, and everything that lists them lists them all.
+
+Clipped channels: which pixels they reach, and where too few channels are left to tell a slope.
+"""
+
+import re
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from gelform.cli.commands.inspection import explain
+from gelform.image.background import ChangeSettings, PreparedBackground
+from gelform.slopes import sigma
+from gelform.slopes.sigma import (
+    CAUSES,
+    LEAST_FACTOR,
+    ClippedChannels,
+    SlopeErrors,
+    SlopeSigma,
+    ends_shown,
+    outside_of_gel,
+)
+from kernel_agreement import assert_kernel_agrees
+
+LAW = SlopeSigma(rest=0.01, per_step=0.02, per_slope=2.0, full_confidence_sigma=0.03, correlation_px=8.0)
+
+
+def errors_by(law, rest: float = 0.01, count: int = 60_000):
+    """Errors whose deviation is law(|g|)."""
+    rng = np.random.default_rng(0)
+    slopes = rng.uniform(0, 0.8, count)
+    errors = law(slopes)[:, None] * rng.standard_normal((count, 2))
+    return SlopeErrors(slopes, errors, rest * rng.standard_normal((5000, 2)), np.zeros(5000))
+
+
+def law_of(sigma, slopes):
+    """Factor of a step's deviation."""
+    return sigma.per_step * np.sqrt(1 + (sigma.per_slope * np.asarray(slopes)) ** 2)
+
+
+def shares_within(sigma, held_out, bins):
+    stated = held_out.stated * law_of(sigma, held_out.slopes)
+    within = np.abs(held_out.errors) < stated[:, None]
+    return [within[bins == b].mean() for b in np.unique(bins)]
+
+
+@pytest.mark.parametrize(("floor", "growth"), [(0.02, 0.0), (0.02, 0.1), (0.005, 0.2)])
+def test_law_is_recovered(floor, growth):
+    def law(slopes):
+        return np.sqrt(floor**2 + (growth * slopes) ** 2)
+
+    held_out = errors_by(law)
+    sigma = SlopeSigma.fit(held_out, 8.0, 0.7)
+    for slope in (0.1, 0.3, 0.7):
+        assert law_of(sigma, slope) == pytest.approx(law(slope), rel=0.12)
+    assert sigma.rest == pytest.approx(0.01, rel=0.05)
+    assert sigma.full_confidence_sigma == pytest.approx(
+        law(0.95 * 0.8), rel=0.12
+    )  # 95 % of the slopes are gentler
+    assert (sigma.correlation_px, sigma.correlated_share) == (8.0, 0.7)
+    shares = shares_within(sigma, held_out, np.digitize(held_out.slopes, np.linspace(0, 0.8, 9)[1:-1]))
+    assert min(shares) > (0.64 if floor > 0.01 else 0.55)  # within the first bin it varies by four times
+    assert max(shares) < 0.76
+
+
+def test_the_law_is_of_the_deviation_that_a_step_states():
+    """A step that knows how its errors vary leaves nothing to the slope; one that is off by a factor is put right."""
+    held_out = errors_by(lambda s: 0.02 + 0.1 * s)
+    true = 0.02 + 0.1 * held_out.slopes
+    for share in (1.0, 0.4):
+        sigma = SlopeSigma.fit(replace(held_out, stated=share * true), 8.0, 0.5)
+        np.testing.assert_allclose(law_of(sigma, [0.0, 0.4, 0.8]), 1 / share, rtol=0.06)
+        assert sigma.full_confidence_sigma == pytest.approx(np.quantile(true, 0.95), rel=0.05)
+        assert sigma.rest == pytest.approx(0.01, rel=0.05)
+
+
+def test_shown_slopes_are_quantiles_of_the_presses():
+    sigma = SlopeSigma.fit(errors_by(lambda s: 0.02 + 0 * s), 8.0, 0.5)
+    np.testing.assert_allclose(sigma.shown, (0.4 * 0.8, 0.8 * 0.8), rtol=0.02)
+
+
+@pytest.mark.parametrize("factor", [0.5, 1.0, 2.0])
+def test_the_factor_of_solved_slopes_is_recovered(factor):
+    rng = np.random.default_rng(0)
+    stated = rng.uniform(0.01, 0.1, 20_000)
+    errors = factor * stated[:, None] * rng.standard_normal((20_000, 2))
+    assert LAW.with_solved(errors, stated).solved_factor == pytest.approx(factor, rel=0.02)
+    assert LAW.with_solved(errors[:10], stated[:10]) == LAW, "too few"
+    assert LAW.with_solved(0 * errors, stated).solved_factor == LEAST_FACTOR
+
+
+def test_rest_that_no_press_showed_is_as_a_gentle_slope():
+    held_out = replace(errors_by(lambda s: 0.02 + 0 * s), rest=np.zeros((0, 2)), rest_noise=np.zeros(0))
+    assert SlopeSigma.fit(held_out, 8.0, 0.5).rest == pytest.approx(0.02, rel=0.05)
+    stated = replace(held_out, stated=np.full(held_out.slopes.shape, 0.1))
+    assert SlopeSigma.fit(stated, 8.0, 0.5).rest == pytest.approx(0.02, rel=0.05)
+
+
+def test_the_deviation_at_rest_has_a_part_that_grows_with_the_place_s_noise():
+    rng = np.random.default_rng(1)
+    noise = rng.uniform(0.005, 0.05, 20_000) ** 2
+    true = np.sqrt(0.01**2 + 0.3**2 * noise)
+    rest = true[:, None] * rng.standard_normal((20_000, 2))
+    held_out = replace(errors_by(lambda s: 0.02 + 0 * s), rest=rest, rest_noise=noise)
+    sigma = SlopeSigma.fit(held_out, 8.0, 0.5)
+    assert (sigma.rest, sigma.rest_per_noise) == pytest.approx((0.01, 0.3), rel=0.06)
+    alike = SlopeSigma.fit(replace(held_out, rest=0.02 * rest / true[:, None]), 8.0, 0.5)
+    assert (alike.rest, alike.rest_per_noise) == pytest.approx((0.02, 0.0), abs=2e-3, rel=0.05)
+
+
+def test_a_few_wild_errors_do_not_widen_it():
+    held_out = errors_by(lambda s: 0.02 + 0.1 * s)
+    wild = held_out.errors.copy()
+    wild[::50] = 3.0
+    spoilt, right = (SlopeSigma.fit(one, 8.0, 0.5) for one in (replace(held_out, errors=wild), held_out))
+    assert spoilt.full_confidence_sigma == pytest.approx(right.full_confidence_sigma, rel=0.1)
+
+
+def test_a_law_comes_back_from_its_settings():
+    assert SlopeSigma.from_dict(asdict(LAW)) == LAW
+
+
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "confidence.md"
+
+
+@pytest.mark.parametrize("name", CAUSES)
+def test_a_cause_is_said_in_a_sentence_and_not_of_less_than_a_press_shows_itself(name):
+    """After "5 % of the frame is ": no capital, and an end. Those without a sentence are no fault of pixels."""
+    assert re.fullmatch(
+        r"[a-z].*[.?]" if name not in ("wall", "light", "unit") else "", CAUSES[name].sentence
+    )
+    assert name == "compression" or CAUSES[name].named_from > 0.3
+    assert [cause.color for cause in CAUSES.values()].count(CAUSES[name].color) == 1
+
+
+def test_page_and_command_list_them_all_in_their_order():
+    rows = re.findall(r"^\| `(\w+)` \|", PAGE.read_text(encoding="utf-8"), re.M)
+    assert rows == list(CAUSES)
+    listed = re.search(r"each cause: (.*?)\. With", " ".join(explain.__doc__.split()))[1].split(", ")
+    assert sorted(listed) == sorted(CAUSES)
+
+
+SHAPE = (40, 72)
+
+
+def patch(box=np.s_[10:20, 30:44]):
+    """A mask (H, W), True in the box."""
+    mask = np.zeros(SHAPE, dtype=bool)
+    mask[box] = True
+    return mask
+
+
+def test_an_unlit_corner_and_not_a_speck():
+    background = np.full((*SHAPE, 3), 60, np.float32)
+    corner = patch(np.s_[:12, :9])
+    background[corner] = 5
+    background[30:33, 30:33] = 2
+    assert np.array_equal(outside_of_gel(background), corner)
+
+
+def test_unlit_is_up_to_8_levels_of_every_channel_over_25_pixels():
+    background = np.full((*SHAPE, 3), 9, np.float32)
+    background[5:10, 5:10] = 8
+    assert np.array_equal(outside_of_gel(background), patch(np.s_[5:10, 5:10]))
+    background[5, 5, 2] = 9
+    assert outside_of_gel(background) is None
+
+
+def noisy(levels, seed=0):
+    rng = np.random.default_rng(seed)
+    y, x = np.mgrid[:120, :170]
+    scene = 110 + 40 * np.sin(x / 30)[..., None] + 30 * np.cos(y / 25)[..., None] * np.array([1, 0.5, -1])
+    rest = np.clip(scene, 0, 255).astype(np.uint8)
+    image = np.clip(scene + rng.normal(0, levels, scene.shape), 0, 255).astype(np.uint8)
+    return image, rest
+
+
+@pytest.mark.parametrize(
+    ("levels", "usual", "added"),
+    [
+        (3.0, 1.0, np.sqrt(3.0**2 - 1.5**2)),
+        (6.0, 1.0, np.sqrt(6.0**2 - 1.5**2)),
+        (1.5, 1.5, 0),
+        (9.0, np.inf, 0),
+    ],
+)
+def test_the_noise_of_single_pixels_beyond_the_usual(levels, usual, added):
+    image, rest = noisy(levels)
+    assert sigma.excess_noise(image, rest, usual_levels=usual) == pytest.approx(added, rel=0.1)
+    narrow = image[:, :20].copy(), rest[:, :20].copy()
+    assert sigma.excess_noise(*narrow, 1.0) == 0, "too narrow for blocks"
+
+
+@pytest.mark.parametrize("cut", [0, 3, 6])
+def test_blocks_of_a_jpeg_wherever_it_is_cut(cut):
+    image, rest = noisy(3.0)
+
+    def added(quality):
+        _, coded = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])
+        cuts = (one[:, cut:].copy() for one in (cv2.imdecode(coded, cv2.IMREAD_COLOR), rest))
+        return sigma.excess_noise(*cuts, 3.0)
+
+    assert added(10) > 1
+    assert added(95) == 0
+
+
+def test_blocks_that_are_rounded_apart_add_their_deviation():
+    """Each block of 8 pixels is off by 2 levels RMS; the noise in it is the usual 1.5."""
+    _, rest = noisy(0.0)
+    rng = np.random.default_rng(3)
+    off = np.kron(rng.normal(0, 2, (15, 22, 3)), np.ones((8, 8, 1)))[:120, :170]
+    image = np.clip(np.rint(rest + off + rng.normal(0, 1.5, rest.shape)), 0, 255).astype(np.uint8)
+    assert sigma.excess_noise(image, rest, 1.5) == pytest.approx(2.0, rel=0.25)
+
+
+@pytest.mark.parametrize("width", [9, 21, 50])
+def test_jumps_agree_with_numpy(width):
+    rng = np.random.default_rng(1)
+    image, rest = rng.integers(0, 256, (2, 9, width, 3), dtype=np.uint8)
+
+    def by_numpy(image, rest, work, medians, step):
+        apart = image[::step].astype(int) - rest[::step]
+        jumps = np.abs(np.diff(apart, axis=1)).mean(axis=(0, 2))
+        return np.median(jumps[: (width - 1) // 8 * 8].reshape(-1, 8), axis=0)
+
+    work, medians = np.empty(4 * width, np.int32), np.empty(8, np.float32)
+    assert_kernel_agrees(sigma._column_jumps, by_numpy, image, rest, work, medians, 4)
+
+
+FRAME = (41, 61)
+BLURS = [0.0, 0.5, 0.6875, 1.0, 1.25, 2.5]
+
+
+def gray(level=120):
+    return np.full((*FRAME, 3), level, np.uint8)
+
+
+def away_from(y, x):
+    rows, columns = np.mgrid[: FRAME[0], : FRAME[1]]
+    return np.hypot(rows - y, columns - x)
+
+
+@pytest.mark.parametrize(("level", "counts"), [(0, True), (2, True), (3, False), (253, False), (254, True)])
+@pytest.mark.parametrize("channel", [0, 1, 2])
+def test_the_ends_of_the_range(level, counts, channel):
+    image = gray()
+    image[20, 30, channel] = level
+    found, unseen = ClippedChannels(1.25, None, 1)(image, None)
+    if not counts:
+        assert found is unseen is None
+        return
+    assert found[20, 30].tolist() == [c == channel for c in range(3)]
+    assert not unseen.any(), "two channels say enough"
+
+
+@pytest.mark.parametrize("blur_px", BLURS)
+def test_a_channel_is_clipped_as_far_as_its_blur_reaches(blur_px):
+    """Outside it changes a color by less than 6 % of what it changes its own: the tail of a Gaussian at two sigma."""
+    background, image = gray(), gray()
+    image[20, 30, 1] = 255
+    found = ClippedChannels(blur_px, None, 1)(image, None).channels
+    assert not found[..., [0, 2]].any()
+    reached = found[..., 1] > 0
+    prepared = PreparedBackground(background, ChangeSettings(blur_px=blur_px))
+    moved = np.abs(prepared.change(image) - prepared.change(background))[..., 1]
+    assert moved[~reached].max() < 0.06 * moved.max()
+    reach = np.ceil(2 * blur_px) + 1  # with what blooms
+    assert reached[20, 30 - int(reach)]
+    assert reached[20 + int(reach), 30]
+    assert not reached[away_from(20, 30) > reach + 0.5].any()
+
+
+def test_what_training_presses_showed_counts_fully():
+    learnt = np.array([[False, True, False], [True, False, False]])
+    found = ClippedChannels(1.25, learnt, 1)
+    image = gray()
+    image[10, 10], image[30, 40] = (120, 0, 120), (255, 120, 120)
+    assert found(image, None) == (None, None)
+    image[20, 50] = 0, 255, 120
+    channels, _ = found(image, None)
+    assert channels[20, 50].tolist() == [1, 1, 0]
+    assert not channels[away_from(20, 50) > 5].any()
+
+
+@pytest.mark.parametrize(("spare", "enough"), [(0, 3), (1, 2)])
+def test_how_many_channels_a_slope_needs(spare, enough):
+    image = gray()
+    image[20, 30, :2] = 255
+    image[10, 10, 2] = 0
+    _, unseen = ClippedChannels(0.5, None, spare)(image, None)
+    assert unseen[20, 30]
+    assert unseen[10, 10] == (enough == 3)
+
+
+def test_two_pixels_that_miss_one_channel_each_may_leave_too_few_between_them():
+    image = gray()
+    image[20, 30, 0], image[20, 34, 2] = 255, 0
+    channels, unseen = ClippedChannels(1.0, None, 1)(image, None)
+    np.testing.assert_array_equal(unseen, channels.sum(axis=-1) == 2)
+    assert unseen[20, 32]
+    assert not unseen[20, [30, 34]].any()
+
+
+def test_hidden_and_unlit_pixels_do_not_clip():
+    """A marker's black dot, and a corner that no light reaches."""
+    hidden, outside = np.zeros(FRAME, bool), np.zeros(FRAME, bool)
+    hidden[5:8, 5:8], outside[30:, 40:] = True, True
+    image = gray()
+    image[hidden | outside] = 0
+    dark = ClippedChannels(1.25, None, 1, outside)
+    assert dark(image, hidden) == (None, None)
+    assert dark(image, None).unseen[6, 6]
+    image[20, 30] = 0
+    channels, unseen = dark(image, hidden)
+    assert unseen[20, 30]
+    assert not unseen[away_from(20, 30) > 5].any()
+    assert ClippedChannels(1.25, None, 1)(image, hidden).unseen[35, 50]
+    assert channels.dtype == np.uint8
+
+
+def test_the_share_of_pixels_at_either_end():
+    pixels = np.full((200, 3), 100, np.uint8)
+    pixels[:20, 0], pixels[20:30, 0], pixels[:50, 2] = 2, 254, 255
+    np.testing.assert_allclose(ends_shown(pixels), [[0.1, 0, 0], [0.05, 0, 0.25]])
+
+
+def numpy_clipped(image, low, high, clipped, dark_to, saturated_from):
+    return (((image <= dark_to) & low) | ((image >= saturated_from) & high)).astype(np.uint8)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 63), (1, 64), (1, 65), (7, 40)])
+@pytest.mark.parametrize("levels", [(0, 256), (3, 254), (0, 200), (60, 256)])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_the_kernel_agrees_with_numpy_clipped(shape, levels, seed):
+    rng = np.random.default_rng(seed)
+    image = rng.integers(*levels, (*shape, 3), dtype=np.uint8)
+    ends = rng.uniform(size=(2, 3)) > 0.3
+    assert_kernel_agrees(
+        sigma._clipped_channels, numpy_clipped, image, ends[0], ends[1], np.empty_like(image), 2, 254
+    )
