@@ -12,7 +12,7 @@ SOURCE = Path(gelform.__file__).parent
 TESTS = Path(__file__).parent
 ARCHITECTURE = TESTS.parent / "ARCHITECTURE.md"
 LEVELS = [
-    {"errors"},
+    {"arrays", "errors"},
     {"_native"},
     {"foundations"},
     {"image"},
@@ -39,6 +39,7 @@ READERS = {"calibration_file", "result", "foundations", "_native"}
 MAX_LINES, MAX_FILES = 650, 15
 # What is tested beside what it serves.
 TESTED_TOGETHER = {
+    "arrays.py": "test_architecture.py",  # mypy tests it
     "cli/commands/calibrations.py": "cli/commands/test_exchange.py",
     "cli/commands/force.py": "cli/commands/test_geometry.py",
     "live/guide.py": "live/test_start.py",

@@ -10,8 +10,9 @@ from threading import RLock
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from gelform.arrays import Array, Floats, Map, Mask, Slopes
 from gelform.calibration_file import Calibration, as_calibration
 from gelform.depth.coarse import SteppedSlopes
 from gelform.depth.contact import PreparedContact, SlopeDeviations
@@ -83,9 +84,7 @@ class FromCalibration:
 class FromBackground:
     """What follows from today's background image (H, W, 3) and the usual light. It is immutable; threads share it."""
 
-    def __init__(
-        self, fixed: FromCalibration, background: NDArray[np.float32], usual: FrameLight | None = None
-    ) -> None:
+    def __init__(self, fixed: FromCalibration, background: Map, usual: FrameLight | None = None) -> None:
         calibration, forward = fixed.calibration, fixed.calibration.forward
         change, noise = calibration.change, calibration.settings.image_noise
         self.untouched_image = PreparedBackground(background, change, usual)
@@ -110,7 +109,7 @@ class FromBackground:
             (fixed.pitch,) * 2, calibration.settings.relaxation_mm, self.budget.rest_variance, correlation
         )
 
-    def noise_levels(self, image: NDArray[Any]) -> float:
+    def noise_levels(self, image: Array) -> float:
         """The noise of an image (H, W, 3) beyond the calibrated images', gray levels."""
         return excess_noise(as_levels(image), self._pixels, self._levels)
 
@@ -121,14 +120,14 @@ class SeenImage(NamedTuple):
     `image` is without its lost parts and markers; `unseen` are the pixels without gel or with too few usable channels.
     """
 
-    raw: NDArray[Any]
-    image: NDArray[Any]
+    raw: Array
+    image: Array
     faults: FrameFaults
     flow: MarkerFlow | None
-    markers: NDArray[np.bool_] | None
-    hidden: NDArray[np.bool_] | None
+    markers: Mask | None
+    hidden: Mask | None
     clipped: Clipped
-    unseen: NDArray[np.bool_] | None
+    unseen: Mask | None
     light: FrameLight
     findings: tuple[Finding, ...]
 
@@ -162,12 +161,12 @@ class FrameRecord:
     seen: SeenImage
     slopes: ReadSlopes
     solution: Integration
-    depth_mm: NDArray[np.float32]
-    known: NDArray[np.bool_]
+    depth_mm: Map
+    known: Mask
     findings: tuple[Finding, ...]
 
     @once
-    def gradients(self) -> NDArray[np.float32]:
+    def gradients(self) -> Slopes:
         """Slopes (H, W, 2) of the solved depth."""
         return slopes_of_solution(self.depth_mm, (self.fixed.pitch, self.fixed.pitch))
 
@@ -183,14 +182,14 @@ class FrameRecord:
         return row, column
 
     @property
-    def fixed_rows(self) -> tuple[float, NDArray[np.float32] | None]:
+    def fixed_rows(self) -> tuple[float, Floats | None]:
         """The image's noise beyond the usual, gray levels, and the slopes' deviation (H, W) from its light, or None."""
         light = self.today.untouched_image.light_sigma(self.seen.light)
         light = None if light is None else np.float32(self.fixed.slope_per_change) * light
         return self.today.noise_levels(self.seen.raw), light
 
     @once
-    def gradients_sigma(self) -> NDArray[np.float32] | None:
+    def gradients_sigma(self) -> Map | None:
         """Standard deviation (H, W, 2) of the solved slopes; None if neither calibration nor model knows that of all."""
         if self.fixed.known is not None:
             return self.budget.gradients_sigma
@@ -213,21 +212,21 @@ class FrameRecord:
         return self.fixed.slope_sigma.depth_factor
 
     @once
-    def depth_sigma_mm(self) -> NDArray[np.float32] | None:
+    def depth_sigma_mm(self) -> Map | None:
         """Standard deviation (H, W) of the depth, mm."""
         errors = self.depth_errors
         return None if errors is None else self._widened(errors.sigma(self.fixed.limit.ignorance_mm))
 
     @once
-    def contact(self) -> NDArray[np.bool_]:
+    def contact(self) -> Mask:
         """Where something touches (H, W)."""
         errors, touch = self.depth_errors, self._touch(DepthErrors.contact_sigma)
         own = None if errors is None else self._widened(errors.own_sigma(self.fixed.limit.ignorance_mm))
         return self.today.contact(*touch, own_sigma=own)
 
     def _touch(
-        self, sigma_of: Callable[[DepthErrors, float], NDArray[np.float32]]
-    ) -> tuple[NDArray[np.float32], Any, SlopeDeviations | None, NDArray[np.bool_]]:
+        self, sigma_of: Callable[[DepthErrors, float], Map]
+    ) -> tuple[Map, Any, SlopeDeviations | None, Mask]:
         """Depth, its deviation by `sigma_of`, those of the slopes, and known pixels (H, W)."""
         errors, deviations = self.depth_errors, None
         if self.fixed.known is not None:
@@ -252,7 +251,7 @@ class FrameRecord:
         )
 
     @property
-    def confidence(self) -> NDArray[np.float32]:
+    def confidence(self) -> Map:
         """Confidence (H, W) of the slopes as read."""
         return self.budget.confidence
 
@@ -266,7 +265,7 @@ class FrameRecord:
         """Median color change outside the contact over its mean inside."""
         return self.today.surround(self.seen.image, self.contact)
 
-    def difference_sigma(self, region: NDArray[np.bool_]) -> NDArray[np.float32]:
+    def difference_sigma(self, region: Mask) -> Map:
         """Standard deviation (H, W), mm, of the depth minus its mean over a region (H, W)."""
         assert self.depth_errors is not None
         return self._widened(self.depth_errors.difference_sigma(region))
@@ -339,9 +338,7 @@ class Reconstructor:
         whose = "the calibration's" if self.own_background else "a newer"
         return f"Reconstructor({self.calibration.sensor_name}, {height}x{width} px, {whose} background)"
 
-    def with_background(
-        self, background: NDArray[np.float32], usual: FrameLight | None = None
-    ) -> Reconstructor:
+    def with_background(self, background: Map, usual: FrameLight | None = None) -> Reconstructor:
         """The same Reconstructor for a newer background (H, W, 3), 0-255, of the same gel; nothing is checked.
 
         The markers keep their places; the rest is as if it had been made with this background, and takes as long as a
@@ -407,7 +404,7 @@ class Reconstructor:
 
     def record(
         self, image: ArrayLike, markers: MarkerFlow | None = None
-    ) -> tuple[FrameRecord, Callable[[], NDArray[np.float32]] | None]:
+    ) -> tuple[FrameRecord, Callable[[], Map] | None]:
         """The solved depth of an image and all that the rest of its result follows from, with a function for its albedo.
 
         Arguments and errors are those of `from_image`.
@@ -425,7 +422,7 @@ class Reconstructor:
         findings = (*self.findings, *seen.findings, *at_bias, *too_deep)
         return FrameRecord(fixed, today, seen, slopes, solution, depth_mm, known, findings), albedo
 
-    def _seen(self, raw: NDArray[Any], flow: MarkerFlow | None) -> SeenImage:
+    def _seen(self, raw: Array, flow: MarkerFlow | None) -> SeenImage:
         """An image with its faults, markers, light and unusable channels."""
         today = self._today
         faults = today.health(raw)
@@ -441,7 +438,7 @@ class Reconstructor:
         findings = *faults.findings, *drifted
         return SeenImage(raw, image, faults, flow, markers, hidden, clipped, unseen, light, findings)
 
-    def _read(self, seen: SeenImage, change: NDArray[np.float32]) -> tuple[ReadSlopes, tuple[Finding, ...]]:
+    def _read(self, seen: SeenImage, change: Map) -> tuple[ReadSlopes, tuple[Finding, ...]]:
         """The slopes that an image's colors mean, without their bias, and findings; the color change goes to `change`."""
         fixed, today = self._calibrated, self._today
         pending = today.untouched_image.pending(seen.image, seen.light)
@@ -457,7 +454,7 @@ class Reconstructor:
         slopes = ReadSlopes(gradients, at_rest, seen.unseen, variance, residual, of_model, fixed.outlier)
         return slopes, reference.findings
 
-    def result(self, record: FrameRecord, albedo: Callable[[], NDArray[np.float32]] | None) -> Reconstruction:
+    def result(self, record: FrameRecord, albedo: Callable[[], Map] | None) -> Reconstruction:
         """The result of a record: its depth, and the rest on first use."""
         lock, calibration, slopes = RLock(), self.calibration, record.slopes
         later: dict[str, Any] = {name: Later(partial(getattr, record, name), lock) for name in ON_DEMAND}
@@ -501,7 +498,7 @@ class Reconstructor:
 
 
 def _prepared_again(
-    kind: type[Reconstructor], calibration: Calibration, solver: str, background: NDArray[np.float32] | None
+    kind: type[Reconstructor], calibration: Calibration, solver: str, background: Map | None
 ) -> Reconstructor:
     """The unpickled Reconstructor, without its findings and markers, which follow as its state."""
     made = kind(calibration, solver=solver)

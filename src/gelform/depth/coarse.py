@@ -11,13 +11,13 @@ by less than its color can show.
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from gelform._native import Kernel
+from gelform.arrays import Array, Floats, Map, Mask, Slopes
 from gelform.depth.solvers.dct import DctSolver
 from gelform.foundations.filters import MIN_UNTOUCHED, fill_unknown, medians_where
 from gelform.foundations.pool import Pool
@@ -46,7 +46,7 @@ class Coarse:
         self._whole = (COARSER * rows, COARSER * columns) == tuple(shape)
         self._solver = DctSolver(self.shape, self.pitch_px)
 
-    def means(self, values: NDArray[Any]) -> NDArray[np.float32]:
+    def means(self, values: Array) -> Map:
         """Means (rows, columns, ...) over the cells of a map (H, W) or (H, W, C), float32 in C order, or bool."""
         if self._whole:
             cells = np.empty((*self.shape, *values.shape[2:]), dtype=np.float32)
@@ -64,11 +64,11 @@ class Coarse:
             cv2.resize(values, self.shape[::-1], interpolation=cv2.INTER_AREA), dtype=np.float32
         )
 
-    def depth_px(self, slopes: NDArray[np.float32]) -> NDArray[np.float32]:
+    def depth_px(self, slopes: Slopes) -> Map:
         """Least-squares depth (rows, columns) of slopes there (rows, columns, 2), px; its mean is 0."""
         return self._solver(slopes).depth_mm
 
-    def at_pixels(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
+    def at_pixels(self, values: Map) -> Map:
         """A map (rows, columns) at every pixel (H, W), linear between the cells' centers."""
         return np.asarray(cv2.resize(values, self._pixels, interpolation=cv2.INTER_LINEAR))
 
@@ -120,11 +120,7 @@ class RestAnchor:
         size = max(4 * shape[1], of_coarse, (rows + 2) * (columns + 2))
         self._pool = Pool(lambda: np.empty(size, dtype=np.float32))
 
-    def __call__(
-        self,
-        gradients: NDArray[np.float32],
-        at_rest: NDArray[np.bool_],
-    ) -> NDArray[np.float32]:
+    def __call__(self, gradients: Slopes, at_rest: Mask) -> Map:
         """Anchor (H, W) of slopes (H, W, 2) without bias; 0 where the gel was touched or pressed flat.
 
         A pixel at rest gets `(full_confidence_sigma mm_per_px / REST_SIGMA_MM)^2`, times `1 - exp(-(d/REACH_MM)^2)` with its
@@ -141,13 +137,13 @@ class RestAnchor:
             _spread_over_chosen(weight, at_rest, work, anchor)
         return anchor
 
-    def _far_from(self, touched: NDArray[np.bool_], work: NDArray[np.float32]) -> NDArray[np.float32] | None:
+    def _far_from(self, touched: Mask, work: Floats) -> Map | None:
         """Distance factor (h, w) on the coarse grid: 0 at touched gel, 1 far from it; None if nothing is touched."""
         if not touched.any():
             return None
         distance = np.empty(self._coarse.shape, np.float32)
         _distance_to_chosen(touched, work, distance)
-        far: NDArray[np.float32] = 1 - np.exp(-np.square(distance * np.float32(self._coarse_mm / REACH_MM)))
+        far: Map = 1 - np.exp(-np.square(distance * np.float32(self._coarse_mm / REACH_MM)))
         return far
 
 
@@ -158,12 +154,7 @@ class CoarseDepth:
         self._square = np.float32(untouched**2)
         self._coarse = coarse_of(shape)
 
-    def __call__(
-        self,
-        color_change: NDArray[np.float32],
-        gradients: NDArray[np.float32],
-        hidden: NDArray[np.bool_] | None = None,
-    ) -> NDArray[np.float32]:
+    def __call__(self, color_change: Map, gradients: Slopes, hidden: Mask | None = None) -> Map:
         """Depth (rows, columns) on the coarser grid, px; its median over the samples at rest is 0, and no depth is less.
 
         It comes from a color change (H, W, 3) and the gradients (H, W, 2) of a color model. The slopes around hidden pixels
@@ -191,12 +182,7 @@ class CoarseDepth:
         np.maximum(depth, 0, out=depth)
         return depth
 
-    def at_pixels(
-        self,
-        color_change: NDArray[np.float32],
-        gradients: NDArray[np.float32],
-        hidden: NDArray[np.bool_] | None = None,
-    ) -> NDArray[np.float32]:
+    def at_pixels(self, color_change: Map, gradients: Slopes, hidden: Mask | None = None) -> Map:
         """The depth at every pixel (H, W)."""
         return self._coarse.at_pixels(self(color_change, gradients, hidden))
 
@@ -218,9 +204,9 @@ class SteppedSlopes:
 
     def __call__(
         self,
-        color_change: NDArray[np.float32],
-        gradients: NDArray[np.float32],
-        hidden: NDArray[np.bool_] | None = None,
+        color_change: Map,
+        gradients: Slopes,
+        hidden: Mask | None = None,
         clipped: NDArray[np.uint8] | None = None,
     ) -> Step | None:
         """The step of a frame, from the gradients (H, W, 2) of the color model; None without a step.

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gelform._native import Kernel
+from gelform.arrays import Floats, Map, Mask, Numbers
 from gelform.depth.regions import labeled, runs_work
 from gelform.foundations.checks import (
     check_map,
@@ -52,22 +53,22 @@ class Regions(NamedTuple):
 
     number: int
     labels: NDArray[np.uint16]
-    depth: NDArray[np.float32]
-    sigma: NDArray[np.float32]
-    evidence: NDArray[np.float32]
-    smooth: NDArray[np.float32]
-    bent: NDArray[np.float32]
+    depth: Map
+    sigma: Map
+    evidence: Map
+    smooth: Map
+    bent: Map
 
 
 class _Measures(NamedTuple):
     """What speaks for each region, (n,)."""
 
-    area_px: NDArray[np.float64]
-    depth_mm: NDArray[np.float64]
+    area_px: Numbers
+    depth_mm: Numbers
     deepest_yx: NDArray[np.int32]  # (n, 2)
-    deviation_mm: NDArray[np.float64]  # standard deviation of that depth
-    sigmas: NDArray[np.float64]  # the most standard deviations that a pressure is above 0
-    own_mm: NDArray[np.float64]  # the depth that its own pressure makes at its deepest pixel
+    deviation_mm: Numbers  # standard deviation of that depth
+    sigmas: Numbers  # the most standard deviations that a pressure is above 0
+    own_mm: Numbers  # the depth that its own pressure makes at its deepest pixel
 
 
 @dataclass(frozen=True)
@@ -93,7 +94,7 @@ class Evidence:
     noise_factor: float
     min_area_mm2: float
 
-    def __call__(self, regions: Regions) -> tuple[NDArray[np.bool_], NDArray[np.int32]]:
+    def __call__(self, regions: Regions) -> tuple[Mask, NDArray[np.int32]]:
         """Whether each label (labels + 1,) is a contact, and the (y, x) of its deepest pixel (labels + 1, 2)."""
         found = self._measured(regions)
         least_px = self.min_area_mm2 / (self.pitch[0] * self.pitch[1])
@@ -122,7 +123,7 @@ class Evidence:
         return _Measures(pixels, depth, deepest, deviation, np.sqrt(square), own)
 
     @cached_property
-    def _influence(self) -> NDArray[np.float32]:
+    def _influence(self) -> Floats:
         """Depth, mm, that a pressure of 1/mm on a pixel makes, by squared distance in pixels of mean size."""
         area = self.pitch[0] * self.pitch[1]
         reach = min(
@@ -209,9 +210,9 @@ class SlopeDeviations(NamedTuple):
     at_rest : (H, W) bool, pixels at rest
     """
 
-    read: NDArray[np.float32]
-    solved: NDArray[np.float32]
-    at_rest: NDArray[np.bool_]
+    read: Map
+    solved: Map
+    at_rest: Mask
 
 
 def contact_from_depth(
@@ -222,7 +223,7 @@ def contact_from_depth(
     relaxation_mm: float | None = None,
     noise_factor: float = NOISE_FACTOR,
     min_area_mm2: float = MIN_AREA_MM2,
-) -> NDArray[np.bool_]:
+) -> Mask:
     """The pixels where something touches the gel.
 
     Beside an object only the gel holds its surface: a membrane under tension on an elastic bed, whose depth z
@@ -294,7 +295,7 @@ class PreparedContact:
         self,
         pitch: tuple[float, float],
         relaxation_mm: float | None,
-        noise: NDArray[np.float32],
+        noise: Map,
         correlation: Mapping[str, Any] | None = None,
         noise_factor: float = NOISE_FACTOR,
         min_area_mm2: float = MIN_AREA_MM2,
@@ -317,12 +318,12 @@ class PreparedContact:
 
     def __call__(
         self,
-        depth: NDArray[np.float32],
-        sigma: NDArray[np.float32] | None,
+        depth: Map,
+        sigma: Map | None,
         slopes: SlopeDeviations | None = None,
-        known: NDArray[np.bool_] | None = None,
-        own_sigma: NDArray[np.float32] | None = None,
-    ) -> NDArray[np.bool_]:
+        known: Mask | None = None,
+        own_sigma: Map | None = None,
+    ) -> Mask:
         """The contact mask (H, W) of a depth, mm.
 
         Parameters
@@ -368,11 +369,7 @@ class PreparedContact:
         return contact
 
     def pressed_background(
-        self,
-        depth: NDArray[np.float32],
-        sigma: NDArray[np.float32] | None,
-        slopes: SlopeDeviations | None = None,
-        known: NDArray[np.bool_] | None = None,
+        self, depth: Map, sigma: Map | None, slopes: SlopeDeviations | None = None, known: Mask | None = None
     ) -> tuple[Finding, ...]:
         """One finding if a valley is deeper than any hill and looks like a contact turned over; arguments of `__call__`.
 
@@ -394,12 +391,12 @@ class PreparedContact:
         )
         return (Finding("background_pressed", message, deepest),)
 
-    def _work(self, maps: int) -> NDArray[np.float32]:
+    def _work(self, maps: int) -> Floats:
         """Memory for sums of some maps over squares."""
         width, rows = self._noise.shape[1] + 2 * LANES, 2 * NEIGHBORHOOD_PX + 4
         return np.empty((maps * rows + 2) * width, dtype=np.float32)
 
-    def _smoothed(self, depth: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def _smoothed(self, depth: Map) -> tuple[Map, Map]:
         """A smoothed depth (H, W), and minus its Laplacian, 1/mm; pixels near borders get that of the next pixel inside."""
         taps, margin = blur_taps(SMOOTHING_PX), _margin(depth.shape)
         smooth, bent = np.empty_like(depth), np.empty_like(depth)
@@ -409,9 +406,7 @@ class PreparedContact:
         _bent_surface(depth, taps, smooth, bent, work, along_x=along_x, along_y=along_y, margin=margin)
         return smooth, bent
 
-    def _gains_of_frame(
-        self, bent: NDArray[np.float32], at_rest: NDArray[np.bool_], known: list[float] | None
-    ) -> list[float]:
+    def _gains_of_frame(self, bent: Map, at_rest: Mask, known: list[float] | None) -> list[float]:
         """Variance of the pressure at rest, and elsewhere, for a variance of slopes of 1.
 
         A frame may have more noise at rest than the calibration's presses, or larger outliers, as after compression: the
@@ -423,7 +418,7 @@ class PreparedContact:
             ]
         return [max(known[0], (self._magnitude(bent, at_rest, 0.95) / SIGMAS_OF_95) ** 2), known[1]]
 
-    def _magnitude(self, bent: NDArray[np.float32], chosen: NDArray[np.bool_] | None, share: float) -> float:
+    def _magnitude(self, bent: Map, chosen: Mask | None, share: float) -> float:
         step = max(1, bent.size // MEDIAN_SAMPLES)
         work = np.empty(2 * -(-bent.size // step), dtype=np.float32)
         magnitude = np.empty(1, dtype=np.float32)
@@ -465,7 +460,7 @@ def _divergence(length: float, smoothing: float) -> float:
     return 2 * length**2 / (2 * square + length**2) ** 2 if length > 0.5 else 1 / (4 * np.pi * square**2)
 
 
-def _noise_mm(depth: NDArray[np.float32]) -> float:
+def _noise_mm(depth: Map) -> float:
     """Standard deviation of gel at rest, mm: from the median of its negative depths, as of half a Gaussian."""
     sample = depth.ravel()[:: max(1, depth.size // MEDIAN_SAMPLES)]
     below = sample[sample < 0]

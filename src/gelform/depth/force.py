@@ -10,8 +10,9 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 import scipy  # its parts load at first use
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from gelform.arrays import Numbers
 from gelform.foundations.checks import (
     check_mm_per_px,
     check_numbers,
@@ -57,7 +58,7 @@ class Touch:
     outside_change: float | None = None
     border_share: float = 0.0
     dots: DotMotion | None = None
-    rest_mm: NDArray[np.float64] | None = None
+    rest_mm: Numbers | None = None
     calibration_digest: str = ""
     volume_sigma_mm3: float = 0.0
     falling: bool = False
@@ -131,7 +132,7 @@ def touch_from_dots(rest_mm: ArrayLike, displacement_mm: ArrayLike) -> Touch:
     return Touch(dots=motion, rest_mm=rest[:, :2])
 
 
-def _motion(rest: NDArray[np.float64], moved: NDArray[np.float64]) -> DotMotion | None:
+def _motion(rest: Numbers, moved: Numbers) -> DotMotion | None:
     """The motion of dots (N, 2 or 3) from rest (N, 2 or more), mm; None for fewer than three, or a line."""
     if len(rest) < 3:
         return None
@@ -143,7 +144,7 @@ def _motion(rest: NDArray[np.float64], moved: NDArray[np.float64]) -> DotMotion 
     return DotMotion(*map(float, (*along[2, :2], (along[0, 1] - along[1, 0]) / 2, *tilt)))
 
 
-def _dots_of(result: Any) -> tuple[DotMotion | None, NDArray[np.float64] | None]:
+def _dots_of(result: Any) -> tuple[DotMotion | None, Numbers | None]:
     """Motion and rest of a result's dots; the depth at a dot is its displacement toward the camera."""
     flow, scale = result.markers, result.mm_per_px
     if flow is None or scale is None:
@@ -203,7 +204,7 @@ class ForcePart:
         high, loads = check_positive(high, "range"), int(check_positive(stored["loads"], "loads"))
         return cls(tuple(map(tuple, weights.tolist())), (low, high), relative, floor, loads)
 
-    def sigma(self, force: NDArray[np.float64], touch: Touch | None = None) -> float:
+    def sigma(self, force: Numbers, touch: Touch | None = None) -> float:
         """The standard deviation of each component of a force; one of a touch's volume has that of the volume too."""
         size, relative = np.linalg.norm(force), self.relative
         if touch is not None and touch.volume_mm3:
@@ -215,7 +216,7 @@ class ForcePart:
 class Dots:
     """The dots of a gel, by whose places (N, 2) at rest, mm, it is told from another one."""
 
-    def __init__(self, places: NDArray[np.float64]) -> None:
+    def __init__(self, places: Numbers) -> None:
         self._tree, self._count = scipy.spatial.cKDTree(places), len(places)
         spacing = np.median(self._tree.query(places, k=2)[0][:, 1]) if len(places) else 0.0
         self._near = DOT_TOLERANCE * float(spacing)
@@ -309,7 +310,7 @@ class Force:
         )
 
     @property
-    def vector_n(self) -> NDArray[np.float64]:
+    def vector_n(self) -> Numbers:
         """(3,), N: x and y along the gel, and z; what presses into the gel pushes toward the camera, -z. NaN: not known."""
         x, y = self.shear_n or (None, None)
         return np.array([x, y, self.normal_n], dtype=np.float64) * (1, 1, -1)
@@ -363,7 +364,7 @@ def force_from_result(result: Any, model: ForceModel | None) -> Force:
     return Force(**found)
 
 
-def terms_of(touch: Touch, kind: str) -> NDArray[np.float64]:
+def terms_of(touch: Touch, kind: str) -> Numbers:
     """The terms that the weights of a kind of force multiply."""
     return np.array([touch.volume_mm3] if kind == "normal" else [*(touch.dots or ()), 1.0], dtype=np.float64)
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gelform.arrays import Mask, Numbers
 from gelform.depth.force import (
     KINDS,
     SHAPES,
@@ -38,7 +39,6 @@ ONE_SIGMA = 0.683  # of a normal distribution within one standard deviation
 SMALL = 0.25  # of the forces, that tell the floor
 FOLDS = 5  # parts in time of a lone grasp
 LEAST_RELATIVE_N = 2.0  # N; of smaller normal loads no relative error is stated
-Numbers = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -254,7 +254,7 @@ def _weights(terms: Numbers, target: Numbers) -> Numbers:
     return weights
 
 
-def _folds(grasps: NDArray[np.str_]) -> list[NDArray[np.bool_]]:
+def _folds(grasps: NDArray[np.str_]) -> list[Mask]:
     """The presses of each object and grasp (N, 2); of a lone one, its parts in the order of the presses."""
     names, part = np.unique(grasps, axis=0, return_inverse=True)
     if len(names) == 1:

@@ -9,9 +9,10 @@ from typing import Any, Literal, get_args
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from gelform._native import is_finite
+from gelform.arrays import Array, Map, Mask, Slopes
 from gelform.depth.coarse import RestAnchor
 from gelform.depth.solvers import SOLVERS, Solution, Solver, Weights
 from gelform.depth.solvers.seam import Pair, differences, edges_from_gradients, residual_rms
@@ -54,12 +55,12 @@ class Integration:
     The other figures cover known pixels only and are computed on demand.
     """
 
-    depth_mm: NDArray[np.float32]
+    depth_mm: Map
     solver: str
     iterations: int
-    known: NDArray[np.bool_]
+    known: Mask
     tolerance: float
-    gradients: NDArray[np.float32] = field(repr=False)
+    gradients: Slopes = field(repr=False)
     mm_per_px: tuple[float, float]
 
     @cached_property
@@ -79,7 +80,7 @@ class Integration:
         """Number of regions that no known slope connects; for a stack, the most in a frame."""
         return max(int(_islands(known).max()) for known in self._stacked()[2])
 
-    def _stacked(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_]]:
+    def _stacked(self) -> tuple[Map, Map, Mask]:
         """Depth and known (N, H, W), gradients (N, H, W, 2)."""
         shape = (-1, *self.known.shape[-2:])
         return self.depth_mm.reshape(shape), self.gradients.reshape(*shape, 2), self.known.reshape(shape)
@@ -92,10 +93,10 @@ def depth_from_gradients(
     weights: ArrayLike | tuple[ArrayLike, ArrayLike] | None = None,
     mask: ArrayLike | None = None,
     anchor: ArrayLike | None = None,
-    zero: Zero | NDArray[np.bool_] = "mean",
+    zero: Zero | Mask = "mean",
     level: Level | None = None,
     solver: str = "auto",
-) -> NDArray[np.float32]:
+) -> Slopes:
     """Depth from slopes by least squares with a free border; see `integrate` for the arguments."""
     solution = integrate(
         gradients,
@@ -117,7 +118,7 @@ def integrate(
     weights: ArrayLike | tuple[ArrayLike, ArrayLike] | None = None,
     mask: ArrayLike | None = None,
     anchor: ArrayLike | None = None,
-    zero: Zero | NDArray[np.bool_] = "mean",
+    zero: Zero | Mask = "mean",
     level: Level | None = None,
     solver: str = "auto",
 ) -> Integration:
@@ -179,12 +180,12 @@ def integrate(
 
 
 def integrate_unchecked(
-    gradients: NDArray[np.float32],
+    gradients: Slopes,
     *,
     mm_per_px: float,
-    weights: NDArray[np.float32] | None = None,
-    anchor: NDArray[np.float32] | None = None,
-    zero: Zero | NDArray[np.bool_] = "mean",
+    weights: Map | None = None,
+    anchor: Map | None = None,
+    zero: Zero | Mask = "mean",
     solver: str = "auto",
 ) -> Integration:
     """`integrate` for one frame of a Reconstructor, without checks: its values were checked on entry.
@@ -235,13 +236,13 @@ def edge_residuals(depth_mm: ArrayLike, gradients: ArrayLike, *, mm_per_px: floa
 class _Request:
     """The checked arguments of `integrate`."""
 
-    gradients: NDArray[np.float32]
+    gradients: Slopes
     pitch: tuple[float, float]
     weights: Weights
-    mask: NDArray[np.bool_] | None
-    anchor: NDArray[np.float32] | None
-    zero: str | NDArray[np.bool_]
-    region: NDArray[np.bool_]
+    mask: Mask | None
+    anchor: Map | None
+    zero: str | Mask
+    region: Mask
     level: Level | None
     solver: str
     automatic: bool = False
@@ -277,9 +278,7 @@ def _prepared(name: str, shape: tuple[int, int], pitch: tuple[float, float]) -> 
     return SOLVERS[name](shape, pitch)
 
 
-def _solved_frame(
-    solver: Solver, gradients: NDArray[np.float32], weights: Weights, request: _Request
-) -> Solution:
+def _solved_frame(solver: Solver, gradients: Slopes, weights: Weights, request: _Request) -> Solution:
     frame = solver(gradients, weights, request.mask, request.anchor)
     if not is_finite(frame.depth_mm):
         raise ConvergenceError(
@@ -289,7 +288,7 @@ def _solved_frame(
     return frame._replace(depth_mm=_placed(frame.depth_mm, request))
 
 
-def _placed(depth: NDArray[np.float32], request: _Request) -> NDArray[np.float32]:
+def _placed(depth: Map, request: _Request) -> Map:
     """Set the zero of each island, level, then fill beyond the mask."""
     mask = request.mask
     if mask is None:
@@ -305,15 +304,13 @@ def _placed(depth: NDArray[np.float32], request: _Request) -> NDArray[np.float32
     return depth if mask.all() else fill_unknown(depth[..., None], mask)[..., 0]
 
 
-def _levelled(
-    depth: NDArray[np.float32], request: _Request, region: NDArray[np.bool_]
-) -> NDArray[np.float32]:
+def _levelled(depth: Map, request: _Request, region: Mask) -> Map:
     if request.level not in ("plane", "quadratic"):
         return depth
     return depth - fitted_surface(depth, region, 1 if request.level == "plane" else 2)
 
 
-def _islands(known: NDArray[np.bool_]) -> NDArray[Any]:
+def _islands(known: Mask) -> Array:
     """Labels of the 4-connected regions, from 1."""
     if known.all():
         return known.view(np.uint8)
@@ -330,7 +327,7 @@ Zero = Literal["mean", "border"]
 Level = Literal["slope", "plane", "quadratic"]
 
 
-def zero_region(zero: Zero | NDArray[np.bool_], shape: tuple[int, int]) -> NDArray[np.bool_]:
+def zero_region(zero: Zero | Mask, shape: tuple[int, int]) -> Mask:
     """The pixels (H, W) bool that define where depth is 0.
 
     ValueError, TypeError: an unknown word, or a map that is not boolean of that shape.
@@ -352,12 +349,7 @@ def checked_level(level: Any) -> Level | None:
     return level  # type: ignore[return-value]
 
 
-def zero_depth(
-    depth: NDArray[np.float32],
-    zero: str | NDArray[np.bool_],
-    region: NDArray[np.bool_],
-    inside: NDArray[np.bool_] | None = None,
-) -> np.float32:
+def zero_depth(depth: Map, zero: str | Mask, region: Mask, inside: Mask | None = None) -> np.float32:
     """The depth that becomes 0 on one island: the median of its zero pixels, or its mean.
 
     It is the mean if `zero` is "mean" or the island has no zero pixel. `inside` is the island; None means the whole frame.
@@ -368,7 +360,7 @@ def zero_depth(
     return np.float32(median_over(depth, within))
 
 
-def median_over(maps: NDArray[np.float32], region: NDArray[np.bool_]) -> NDArray[np.float32]:
+def median_over(maps: Map, region: Mask) -> Map:
     """Median (...) of maps (..., H, W) over a region; a large region is sampled on a lattice, which is exact enough."""
     if maps.ndim > 2:
         return np.stack([median_over(one, region) for one in maps])
@@ -380,7 +372,7 @@ def median_over(maps: NDArray[np.float32], region: NDArray[np.bool_]) -> NDArray
     return median.reshape(())
 
 
-def fitted_surface(depth: NDArray[Any], region: NDArray[np.bool_], degree: int) -> NDArray[np.float32]:
+def fitted_surface(depth: Array, region: Mask, degree: int) -> Map:
     """Least-squares polynomial surface of the depth in the region, evaluated over the frame.
 
     ValueError: the region has fewer pixels than the surface has terms.
@@ -434,7 +426,7 @@ def check_weights(weights: Any, shape: tuple[int, ...]) -> Weights:
     return array
 
 
-def check_anchor(anchor: ArrayLike, shape: tuple[int, int]) -> NDArray[np.float32]:
+def check_anchor(anchor: ArrayLike, shape: tuple[int, int]) -> Map:
     """An anchor map (H, W) from a map or a number."""
     array = as_array(anchor, "anchor")
     array = check_map(

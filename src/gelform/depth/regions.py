@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gelform._native import Kernel
+from gelform.arrays import Map, Mask, Numbers
 from gelform.foundations.checks import as_array, check_map, check_mm_per_px
 from gelform.foundations.findings import Finding
 from gelform.image.agreement import TOUCHED_SHARE
@@ -103,10 +104,7 @@ def contacts_from_mask(
 
 
 def unknown_contact(
-    contact: NDArray[np.bool_],
-    at_rest: NDArray[np.bool_],
-    known: NDArray[np.bool_],
-    touched_share: Callable[[], float],
+    contact: Mask, at_rest: Mask, known: Mask, touched_share: Callable[[], float]
 ) -> tuple[Finding, ...]:
     """One finding if no contact (H, W) was found, but many known pixels do not have the color of rest.
 
@@ -125,7 +123,7 @@ def unknown_contact(
     return (Finding("contact_unknown", message, touched),)
 
 
-def labeled(mask: NDArray[np.bool_]) -> tuple[int, NDArray[np.uint16]]:
+def labeled(mask: Mask) -> tuple[int, NDArray[np.uint16]]:
     """The number of connected regions of a mask (H, W), and the map of their labels in the order of their first pixels."""
     labels = np.empty(mask.shape, dtype=np.uint16)
     found = _label_regions(
@@ -142,7 +140,7 @@ def runs_work(shape: tuple[int, ...]) -> int:
 
 
 def _contact(
-    label: int, row: NDArray[np.float64], pitch: tuple[float, float], shape: tuple[int, ...], scaled: bool
+    label: int, row: Numbers, pitch: tuple[float, float], shape: tuple[int, ...], scaled: bool
 ) -> Contact:
     count, x, y, xx, xy, yy, volume, deepest, deepest_x, deepest_y, left, right, top, bottom = row.tolist()
     center = x / count, y / count
@@ -172,7 +170,7 @@ def _contact(
     )
 
 
-def _axes(covariance: NDArray[np.float64]) -> tuple[tuple[float, float], float]:
+def _axes(covariance: Numbers) -> tuple[tuple[float, float], float]:
     """Full axes (4 standard deviations) of the ellipse of a covariance, and the angle of the major axis, degrees."""
     (a, b), (_, d) = covariance.tolist()
     mean, apart = (a + d) / 2, float(np.hypot((a - d) / 2, b))
@@ -190,7 +188,7 @@ class Surround:
     The images are as they came: correcting the exposure would hide the change of light around a large soft contact.
     """
 
-    def __init__(self, background: NDArray[np.float32]) -> None:
+    def __init__(self, background: Map) -> None:
         height, width = background.shape[:2]
         step = max(1, height // ROWS)
         self._size = width // step, height // step
@@ -199,7 +197,7 @@ class Surround:
         self._at_rest = rest * self._gain
         self._widened = np.ones((2 * REACH + 1,) * 2, dtype=np.uint8)
 
-    def __call__(self, image: NDArray[np.number], contact: NDArray[np.bool_]) -> float | None:
+    def __call__(self, image: NDArray[np.number], contact: Mask) -> float | None:
         """Median change outside a contact (H, W), over its mean inside; None if there is no inside or no outside."""
         inside = cv2.resize(contact.view(np.uint8), self._size, interpolation=cv2.INTER_NEAREST)
         outside = cv2.dilate(inside, self._widened) == 0
@@ -215,6 +213,6 @@ class Surround:
         middle = len(around) // 2
         return float(np.sqrt(np.partition(around, middle)[middle])) / within if within > 0 else None
 
-    def _coarse(self, image: NDArray[np.number]) -> NDArray[np.float32]:
+    def _coarse(self, image: NDArray[np.number]) -> Map:
         # Means of four pixels: a mean of all would take thirty times as long, and the measures are of large areas.
         return np.asarray(cv2.resize(image, self._size), dtype=np.float32)

@@ -10,12 +10,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gelform._native import Kernel, is_finite
+from gelform.arrays import Array, Floats, Map, Mask, Slopes
 from gelform.depth.coarse import Coarse, coarse_of
 from gelform.depth.solvers.dct import CosineFilter
 from gelform.errors import ConvergenceError
@@ -83,13 +82,7 @@ class DepthSigma:
         self._filter = CosineFilter(np.stack([spread, spread, window, window]))
 
     def __call__(
-        self,
-        slopes: NDArray[np.float32],
-        depth: NDArray[np.float32],
-        at_rest: NDArray[np.bool_],
-        known: NDArray[np.bool_],
-        read: NDArray[np.float32],
-        steep: NDArray[np.float32],
+        self, slopes: Slopes, depth: Map, at_rest: Mask, known: Mask, read: Map, steep: Map
     ) -> DepthErrors:
         """The errors of a depth (H, W), mm.
 
@@ -133,21 +126,21 @@ class DepthErrors:
     """
 
     coarse: Coarse
-    spread: NDArray[np.float32]
-    contact_spread: NDArray[np.float32]
-    own: NDArray[np.float32]
+    spread: Map
+    contact_spread: Map
+    own: Map
     own_of_frame: float
-    slopes_off: NDArray[np.float32] = field(repr=False)
+    slopes_off: Slopes = field(repr=False)
     mm_per_px: np.float32
     gain_sigma: float
 
     @cached_property
-    def common_mm(self) -> NDArray[np.float32]:
+    def common_mm(self) -> Map:
         """Depth that all slopes in proportion and steep ones may be off by together, one standard deviation; 0 at rest."""
         return self._integrated(self.slopes_off[:2])
 
     @cached_property
-    def steep_mm(self) -> NDArray[np.float32]:
+    def steep_mm(self) -> Map:
         """The same of steep slopes alone."""
         return (
             self._integrated(self.slopes_off[2:4])
@@ -156,52 +149,50 @@ class DepthErrors:
         )
 
     @cached_property
-    def local_variance(self) -> NDArray[np.float32]:
+    def local_variance(self) -> Map:
         """Variance at every pixel (H, W), without what is common."""
         return self.coarse.at_pixels(self._with_own(self.spread))
 
-    def sigma(self, most_mm: float) -> NDArray[np.float32]:
+    def sigma(self, most_mm: float) -> Map:
         """Standard deviation (H, W) of the depth, mm, `most_mm` at most."""
         return self._root(self._with_own(self.spread) + np.square(self.common_mm), most_mm)
 
-    def contact_sigma(self, most_mm: float) -> NDArray[np.float32]:
+    def contact_sigma(self, most_mm: float) -> Map:
         """The one that makes no contact less certain for what all depths have in common.
 
         A hill that another light makes may lie far from the valleys that it makes, so the whole frame's error counts.
         """
         return self._root(self._with_own(self.contact_spread, self.own_of_frame), most_mm)
 
-    def own_sigma(self, most_mm: float) -> NDArray[np.float32]:
+    def own_sigma(self, most_mm: float) -> Map:
         """The part of `contact_sigma` that the frame itself shows, in its negative depths."""
         return self._root(self._with_own(np.zeros_like(self.spread), self.own_of_frame), most_mm)
 
-    def slope_sigma(self, most_mm: float) -> NDArray[np.float32]:
+    def slope_sigma(self, most_mm: float) -> Map:
         """The one by the slopes alone, as of a frame whose negative depths are no error."""
         return self._root(self.spread, most_mm)
 
-    def difference_sigma(self, region: NDArray[np.bool_]) -> NDArray[np.float32]:
+    def difference_sigma(self, region: Mask) -> Map:
         """Standard deviation (H, W), mm, of the depth minus its mean over a region (H, W) of some pixels."""
         own, common = self.local_variance, self.coarse.at_pixels(self.common_mm)
         apart = np.abs(own - own[region].mean()) + np.square(common - common[region].mean())
         return np.asarray(np.sqrt(apart))
 
-    def _with_own(self, variance: NDArray[np.float32], at_least: float = 0.0) -> NDArray[np.float32]:
-        own: NDArray[np.float32] = np.maximum(self.own, np.float32(at_least))
+    def _with_own(self, variance: Map, at_least: float = 0.0) -> Map:
+        own: Map = np.maximum(self.own, np.float32(at_least))
         return np.asarray(variance + np.float32(PULL) * np.maximum(own - variance, 0), dtype=np.float32)
 
-    def _root(self, variance: NDArray[np.float32], most_mm: float) -> NDArray[np.float32]:
+    def _root(self, variance: Map, most_mm: float) -> Map:
         found = self.coarse.at_pixels(variance)
         return np.sqrt(np.minimum(found, np.float32(most_mm**2), out=found), out=found)
 
-    def _integrated(self, slopes: NDArray[np.float32]) -> NDArray[np.float32]:
+    def _integrated(self, slopes: Slopes) -> Map:
         depth = self.coarse.depth_px(np.ascontiguousarray(np.moveaxis(slopes, 0, -1)))
         depth -= medians_where(depth[..., None], self.slopes_off[4] > 0.5)[0]
         return depth * self.mm_per_px
 
 
-def squared_factor(
-    square: NDArray[np.float32], own: NDArray[np.float32], per_unit: NDArray[np.float32]
-) -> NDArray[np.float32]:
+def squared_factor(square: Map, own: Map, per_unit: Floats) -> Map:
     """Squares of the factor at which `DepthErrors.local_variance` is a squared error, mm^2; 0 where `own` alone exceeds it.
 
     `per_unit` is the variance by the slopes and a factor of 1, `own` that of negative depths.
@@ -210,9 +201,7 @@ def squared_factor(
     return np.asarray(np.maximum(of_slopes, 0) / per_unit, dtype=np.float32)
 
 
-def steep_finding(
-    depth_mm: NDArray[np.float32], contact: NDArray[np.bool_], steep: NDArray[np.float32], errors: DepthErrors
-) -> tuple[Finding, ...]:
+def steep_finding(depth_mm: Map, contact: Mask, steep: Map, errors: DepthErrors) -> tuple[Finding, ...]:
     """A finding if what steep faces may miss of an object's height exceeds three standard deviations of the rest.
 
     `steep` (H, W) is the deviation of steep slopes, in the depth (H, W) and its contact (H, W).
@@ -234,7 +223,7 @@ def steep_finding(
     return (Finding("steep", message, missing_mm),)
 
 
-def _spread(coarse: Coarse, shape: tuple[int, int]) -> NDArray[np.float32]:
+def _spread(coarse: Coarse, shape: tuple[int, int]) -> Map:
     """Gains of the grid's cosine modes for the mirrored kernel |grad G|^2, averaged over cells, for slopes^2 -> px^2."""
     length, (x_px, y_px) = shape[0] * LENGTH, coarse.pitch_px
     points = (np.arange(SUBCELLS) + 0.5) / SUBCELLS - 0.5
@@ -250,7 +239,7 @@ def _spread(coarse: Coarse, shape: tuple[int, int]) -> NDArray[np.float32]:
     return _mode_gains(kernel * x_px * y_px / SUBCELLS**2)
 
 
-def _beside_border(coarse: Coarse, shape: tuple[int, int]) -> NDArray[np.float32]:
+def _beside_border(coarse: Coarse, shape: tuple[int, int]) -> Map:
     """How much more an error moves depth beside a free border: its mirror image moves it the same way.
 
     At the border both are one, so the variance of their sum is twice the sum of their variances; it falls off over half L.
@@ -264,7 +253,7 @@ def _beside_border(coarse: Coarse, shape: tuple[int, int]) -> NDArray[np.float32
     return np.outer(rows, columns).astype(np.float32)
 
 
-def _window(coarse: Coarse, shape: tuple[int, int]) -> NDArray[np.float32]:
+def _window(coarse: Coarse, shape: tuple[int, int]) -> Map:
     """Gains of the grid's cosine modes for a mirrored Gaussian window."""
     y, x = (np.arange(n) * pitch for n, pitch in zip(coarse.shape, coarse.pitch_px[::-1]))
     bells = [np.exp(-np.square(along / (shape[0] * WINDOW)) / 2) for along in (y, x)]
@@ -272,7 +261,7 @@ def _window(coarse: Coarse, shape: tuple[int, int]) -> NDArray[np.float32]:
     return gains / gains[0, 0]
 
 
-def _mode_gains(kernel: NDArray[Any]) -> NDArray[np.float32]:
+def _mode_gains(kernel: Array) -> Floats:
     """Gains of cosine modes for the convolution with an even kernel, given from its center on."""
     tables = []
     for n in kernel.shape:

@@ -13,8 +13,9 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from gelform.arrays import Array, Image, Map
 from gelform.errors import DataError, needed
 from gelform.foundations.checks import check_image, check_is, check_mm_per_px
 from gelform.foundations.files import written_file
@@ -46,7 +47,7 @@ def canvas(width: float, height: float, *, layout: Any = "constrained") -> Any:
     return figure
 
 
-def pixels_of(figure: Any) -> NDArray[np.uint8]:
+def pixels_of(figure: Any) -> Image:
     """The drawn figure as an RGB picture (h, w, 3)."""
     figure.canvas.draw()
     return np.asarray(figure.canvas.buffer_rgba(), dtype=np.uint8)[..., :3].copy()
@@ -96,7 +97,7 @@ def style_profiles(axes: Any, title: str, unit: str) -> None:
     axes.set_ylabel(f"depth ({unit})")
 
 
-def known_depth(result: Reconstruction, depth: NDArray[np.float32]) -> NDArray[np.float32]:
+def known_depth(result: Reconstruction, depth: Map) -> Map:
     """A depth of the result for drawing: NaN where it was filled without information."""
     return np.where(result.known, depth, np.float32(np.nan))
 
@@ -106,7 +107,7 @@ def in_words(depth: float) -> str:
     return "–" if np.isnan(depth) else f"{depth:.3f}"
 
 
-def deepest_px(depth: NDArray[np.float32]) -> tuple[int, int]:
+def deepest_px(depth: Map) -> tuple[int, int]:
     """Row and column of the deepest point, ignoring single noisy pixels and NaN (unknown).
 
     If all are NaN, the first pixel.
@@ -118,7 +119,7 @@ def deepest_px(depth: NDArray[np.float32]) -> tuple[int, int]:
     return int(row), int(column)
 
 
-def picture(result: Reconstruction, image: ArrayLike | None = None) -> NDArray[np.uint8]:
+def picture(result: Reconstruction, image: ArrayLike | None = None) -> Image:
     """Draw a result: the image, its slopes and its depth.
 
     Shows the image (if given), normals, both slopes, depth with a scale bar and the contact's outline, and the
@@ -178,7 +179,7 @@ def _pitch(result: Reconstruction) -> tuple[float, float]:
     return (1.0, 1.0) if result.mm_per_px is None else check_mm_per_px(result.mm_per_px)
 
 
-def _depth(result: Reconstruction) -> NDArray[np.float32]:
+def _depth(result: Reconstruction) -> Map:
     return known_depth(result, result.depth_mm if result.mm_per_px is not None else result.depth_px)
 
 
@@ -186,13 +187,13 @@ def _unit(result: Reconstruction) -> str:
     return "px" if result.mm_per_px is None else "mm"
 
 
-def _draw_maps(figure: Any, result: Reconstruction, image: NDArray[np.uint8] | None) -> None:
+def _draw_maps(figure: Any, result: Reconstruction, image: Image | None) -> None:
     slopes = result.gradients
     limit = max(0.1, float(np.quantile(np.abs(slopes), 0.998)))
     normals = np.dstack([(result.normals + 1) / 2, result.known])  # unknown pixels are transparent
     slopes = np.where(result.known[..., None], slopes, np.nan)
     style = {"cmap": MAPS["gradients"].colors, "vmin": -limit, "vmax": limit}
-    panels: list[tuple[str, NDArray[Any], dict[str, Any]]] = [
+    panels: list[tuple[str, Array, dict[str, Any]]] = [
         ("normals (x right, y down, z to the camera)", normals, {}),
         ("slope dz/dx", slopes[..., 0], style),
         ("slope dz/dy", slopes[..., 1], style),
@@ -282,7 +283,7 @@ COLORS = ("#e8e8e8", *(cause.color for cause in CAUSES.values()))
 """Colors of the usual noise and of each cause, in the order of `CAUSES`."""
 
 
-def explanation_picture(explanation: Explanation, image: ArrayLike) -> NDArray[np.uint8]:
+def explanation_picture(explanation: Explanation, image: ArrayLike) -> Image:
     """Draw why each pixel has its confidence: image, confidence, sigma, largest cause, and a panel for each cause.
 
     Parameters
@@ -340,7 +341,7 @@ def _headline_of_explanation(explanation: Explanation) -> str:
     return "\n".join([*lines, *(f"! {finding.message}" for finding in explanation.findings)])
 
 
-def _draw_summary(figure: Any, grid: Any, explanation: Explanation, image: NDArray[np.uint8]) -> None:
+def _draw_summary(figure: Any, grid: Any, explanation: Explanation, image: Image) -> None:
     draw_map(grid[0], image, "image")
     confidence = draw_map(
         grid[1], explanation.confidence, "confidence", cmap=MAPS["confidence"].colors, vmin=0, vmax=1
@@ -378,7 +379,7 @@ class Comparison:
     """
 
     unit: str
-    depths: tuple[NDArray[np.float32], NDArray[np.float32]]
+    depths: tuple[Map, Map]
     peak_a: float
     peak_b: float
     difference_rms: float
@@ -423,7 +424,7 @@ def compare_results(a: Reconstruction, b: Reconstruction) -> Comparison:
 
 def comparison_picture(
     a: Reconstruction, b: Reconstruction, image: ArrayLike, *, names: tuple[str, str] = ("A", "B")
-) -> NDArray[np.uint8]:
+) -> Image:
     """The image, both depths on one scale, their difference, and both profiles through A's deepest point.
 
     Parameters

@@ -11,9 +11,10 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from gelform._native import Kernel
+from gelform.arrays import Array, Map, Mask, Slopes
 from gelform.errors import DataError
 
 _range = Kernel("range_f32", "f32[...] values, out f32[2] range")
@@ -22,7 +23,7 @@ POSSIBLE_RESPONSES = (0.05, 20.0)  # exponents of a camera's response curve, lev
 LARGEST = 1e18  # its squares, and sums of those, fit into float32
 
 
-def as_array(values: ArrayLike, name: str) -> NDArray[Any]:
+def as_array(values: ArrayLike, name: str) -> Array:
     """The values as an array, whatever its type; refused if they are no rectangle of values, or partly masked.
 
     ValueError: rows of different lengths, or masked values; a separate mask marks unknown values. TypeError: a path.
@@ -47,7 +48,7 @@ def as_array(values: ArrayLike, name: str) -> NDArray[Any]:
 
 def check_values(
     values: ArrayLike, name: str, trailing: tuple[int, ...] = (), dtype: Any = np.float32
-) -> NDArray[Any]:
+) -> Array:
     """Return finite numbers (..., *trailing), such as lights (3, 3) or color changes (..., 3)."""
     array = as_array(values, name)
     if (
@@ -60,9 +61,7 @@ def check_values(
     return check_finite(_as_float(array, name, dtype), name)
 
 
-def check_image(
-    image: ArrayLike, *, shape: tuple[int, int] | None = None, name: str = "image"
-) -> NDArray[Any]:
+def check_image(image: ArrayLike, *, shape: tuple[int, int] | None = None, name: str = "image") -> Array:
     """Return an RGB image (H, W, 3): uint8 as it is, float (0-255) as float32.
 
     TypeError: the array is neither uint8 nor float.
@@ -101,7 +100,7 @@ def check_image(
 
 def check_gradients(
     gradients: ArrayLike, *, shape: tuple[int, int] | None = None, dtype: Any = np.float32
-) -> NDArray[Any]:
+) -> Array:
     """Return finite gradients (..., H, W, 2) as float32; `shape` is the expected (H, W)."""
     array = as_array(gradients, "gradients")
     wanted = f"({shape[0]}, {shape[1]}, 2)" if shape is not None else "(H, W, 2)"
@@ -115,7 +114,7 @@ def check_gradients(
     return check_finite(_as_float(array, "gradients", dtype), "gradients")
 
 
-def check_normals(normals: ArrayLike) -> NDArray[Any]:
+def check_normals(normals: ArrayLike) -> Map:
     """Return finite normals (..., 3) with n_z > 0 as float32; their length need not be 1."""
     array = as_array(normals, "normals")
     if array.ndim < 1 or array.shape[-1] != 3:
@@ -136,7 +135,7 @@ def check_map(
     shape: tuple[int, int] | None = None,
     nonnegative: bool = False,
     dtype: Any = np.float32,
-) -> NDArray[Any]:
+) -> Array:
     """Return a finite map (..., H, W), such as a depth or weights, as float32."""
     array = as_array(values, name)
     if array.ndim < 2 or 0 in array.shape or (shape is not None and array.shape[-2:] != tuple(shape)):
@@ -151,7 +150,7 @@ def check_map(
 
 def check_mask(
     mask: ArrayLike, *, shape: tuple[int, int], name: str = "mask", may_be_empty: bool = False
-) -> NDArray[np.bool_]:
+) -> Mask:
     """Return a boolean mask (H, W) with at least one True pixel, unless it may be empty."""
     array = as_array(mask, name)
     if array.dtype != np.bool_:
@@ -163,13 +162,13 @@ def check_mask(
     return array
 
 
-def check_finite(array: NDArray[Any], name: str) -> NDArray[Any]:
+def check_finite(array: Array, name: str) -> Array:
     """Return the array if every value is finite, and its square too."""
     finite_range(array, name)
     return array
 
 
-def finite_range(array: NDArray[Any], name: str) -> tuple[float, float]:
+def finite_range(array: Array, name: str) -> tuple[float, float]:
     """The smallest and the largest value of an array, which is refused as by `check_finite`."""
     low, high = value_range(array)
     if not (low >= -LARGEST and high <= LARGEST):
@@ -181,7 +180,7 @@ def finite_range(array: NDArray[Any], name: str) -> tuple[float, float]:
     return low, high
 
 
-def value_range(array: NDArray[Any]) -> tuple[float, float]:
+def value_range(array: Array) -> tuple[float, float]:
     """The smallest and the largest value; NaN if a value is NaN or infinite, 0 if there is none."""
     if not array.size:
         return 0.0, 0.0
@@ -192,7 +191,7 @@ def value_range(array: NDArray[Any]) -> tuple[float, float]:
     return float(found[0]), float(found[1])
 
 
-def _as_float(array: NDArray[Any], name: str, dtype: Any = np.float32) -> NDArray[Any]:
+def _as_float(array: Array, name: str, dtype: Any = np.float32) -> Array:
     if array.dtype == np.bool_ or not (
         np.issubdtype(array.dtype, np.floating) or np.issubdtype(array.dtype, np.integer)
     ):
@@ -203,7 +202,7 @@ def _as_float(array: NDArray[Any], name: str, dtype: Any = np.float32) -> NDArra
         return np.ascontiguousarray(array, dtype=dtype).reshape(array.shape)
 
 
-def _size(array: NDArray[Any]) -> str:
+def _size(array: Array) -> str:
     return f"{array.shape[0]}x{array.shape[1]}"
 
 
@@ -251,7 +250,7 @@ GEL_THICKNESS_MM, PITCH_MM = (0.05, 50.0), (1e-4, 1.0)
 MM_PER_PX = 1e-6, 1e3  # mm; float32 holds sums of such squares, and no sensor comes near
 
 
-def check_mm_per_px(mm_per_px: float | Sequence[float] | NDArray[Any] | None) -> tuple[float, float]:
+def check_mm_per_px(mm_per_px: float | Sequence[float] | Array | None) -> tuple[float, float]:
     """Return the pixel pitch as (x, y) in mm; one number stands for square pixels."""
     if mm_per_px is None:
         raise ValueError("Expected mm_per_px, got None. Give the pixel pitch in mm, for example 0.0634.")
@@ -346,7 +345,7 @@ def check_response(response: float) -> float:
 HIGHEST_SLOPE = 1e15  # mm/mm; the sum of such squares over a frame does not overflow in float32
 
 
-def check_slopes(gradients: NDArray[np.float32]) -> None:
+def check_slopes(gradients: Slopes) -> None:
     """Refuse slopes that are not finite, or whose squares would overflow.
 
     ValueError: a slope is NaN or beyond `HIGHEST_SLOPE`.

@@ -24,8 +24,8 @@ from pathlib import Path, PurePath
 from typing import Any, BinaryIO
 
 import numpy as np
-from numpy.typing import NDArray
 
+from gelform.arrays import Array
 from gelform.errors import DataError, GelformError, said
 from gelform.foundations.checks import check_path
 
@@ -297,7 +297,7 @@ def check_free(
 
 def write_npz(
     path: str | os.PathLike[str],
-    arrays: Mapping[str, NDArray[Any]],
+    arrays: Mapping[str, Array],
     meta: Mapping[str, Any],
     *,
     kind: str,
@@ -329,9 +329,7 @@ def write_npz(
         _write_members(handle, members)
 
 
-def npz_bytes(
-    arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any], *, kind: str, version: int
-) -> bytes:
+def npz_bytes(arrays: Mapping[str, Array], meta: Mapping[str, Any], *, kind: str, version: int) -> bytes:
     """The bytes that `write_npz` writes, without a digest, for a file whose digest is kept elsewhere.
 
     `read_npz` refuses them.
@@ -342,8 +340,8 @@ def npz_bytes(
 
 
 def _members_to_write(
-    arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any], kind: str, version: int, digest: bool = True
-) -> dict[str, NDArray[Any]]:
+    arrays: Mapping[str, Array], meta: Mapping[str, Any], kind: str, version: int, digest: bool = True
+) -> dict[str, Array]:
     from gelform import __version__
 
     prepared = {name: _storable(name, values) for name, values in arrays.items()}
@@ -364,7 +362,7 @@ def read_npz(
     newest_version: int,
     max_bytes: int = MAX_BYTES,
     error: type[GelformError] = DataError,
-) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+) -> tuple[dict[str, Array], dict[str, Any]]:
     """Read a file of `write_npz`: the arrays by name and the settings, after every check.
 
     The sizes that the file declares are checked before anything is read; nothing is unpickled.
@@ -414,7 +412,7 @@ def read_npz(
     return arrays, meta
 
 
-def read_npy(path: str | os.PathLike[str], what: str) -> NDArray[Any]:
+def read_npy(path: str | os.PathLike[str], what: str) -> Array:
     """The array of a `.npy` file; `what` describes it in errors; nothing is unpickled.
 
     DataError: the file is missing, larger than 256 MB, damaged, an archive, or holds no numbers.
@@ -475,7 +473,7 @@ def kind_of_npz(path: str | os.PathLike[str]) -> str | None:
     return kind if isinstance(kind, str) else None
 
 
-def digest_of(arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any]) -> str:
+def digest_of(arrays: Mapping[str, Array], meta: Mapping[str, Any]) -> str:
     """SHA-256 (hex) over JSON-able settings and named arrays: names, dtypes, shapes and bytes."""
     sha = hashlib.sha256(_json(meta).encode())
     for name in sorted(arrays):
@@ -485,7 +483,7 @@ def digest_of(arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any]) -> st
     return sha.hexdigest()
 
 
-def _write_members(handle: BinaryIO, members: Mapping[str, NDArray[Any]]) -> None:
+def _write_members(handle: BinaryIO, members: Mapping[str, Array]) -> None:
     """Write as `numpy.savez` does, but close the file properly if the disk is full."""
     with zipfile.ZipFile(handle, "w") as archive:
         for name, array in members.items():
@@ -495,7 +493,7 @@ def _write_members(handle: BinaryIO, members: Mapping[str, NDArray[Any]]) -> Non
 
 def _members(
     archive: zipfile.ZipFile, path: Path, kind: str, max_bytes: int, error: type[GelformError]
-) -> dict[str, NDArray[Any]]:
+) -> dict[str, Array]:
     declared = sum(member.file_size for member in archive.infolist())
     if declared > max_bytes:
         raise error(
@@ -512,7 +510,7 @@ def _members(
 _READ_HEADER = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 
 
-def _array(content: bytes) -> NDArray[Any]:
+def _array(content: bytes) -> Array:
     """One `.npy` member; its header is compared with its size before anything is allocated."""
     stream = io.BytesIO(content)
     try:
@@ -544,7 +542,7 @@ def _check_meta(meta: Any, path: Path, kind: str, newest_version: int, error: ty
         )
 
 
-def _storable(name: str, values: NDArray[Any]) -> NDArray[Any]:
+def _storable(name: str, values: Array) -> Array:
     array = np.asarray(values)
     if array.dtype.hasobject:
         raise TypeError(f"Expected {name} as numbers, booleans or text, got an array of objects.")

@@ -7,9 +7,10 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from gelform._native import Kernel
+from gelform.arrays import Array, Floats, Map, Mask, Numbers
 from gelform.foundations.checks import check_mask, check_values
 
 # gray levels, added to the divisor of a color change and in logarithms, so that noise of dark pixels is no color
@@ -24,9 +25,7 @@ _medians_where = Kernel(
 )
 
 
-def medians_where(
-    values: NDArray[np.float32], chosen: NDArray[np.bool_] | None = None, step: int = 1
-) -> tuple[NDArray[np.float32], int]:
+def medians_where(values: Map, chosen: Mask | None = None, step: int = 1) -> tuple[Map, int]:
     """Median (C,) of each channel of a map (H, W, C) over selected pixels of every `step`-th row and column; their number.
 
     The map is float32, in C order and without NaN. All pixels are selected by default; without any, medians are 0.
@@ -37,7 +36,7 @@ def medians_where(
     return medians, _medians_where(values, chosen, step, work, medians)
 
 
-def robust_sigma(off: NDArray[Any], axis: Any = None) -> Any:
+def robust_sigma(off: Array, axis: Any = None) -> Any:
     """Standard deviation of noise about 0, from the median magnitude: robust to outliers."""
     return SIGMA_OF_MEDIAN * np.median(np.abs(off), axis=axis)
 
@@ -47,7 +46,7 @@ def lattice_step(pixels: int) -> int:
     return max(1, round((pixels / MEDIAN_SAMPLES) ** 0.5))
 
 
-def log_levels(image: NDArray[Any]) -> NDArray[np.float32]:
+def log_levels(image: Array) -> Map:
     """Logarithm (H, W) of the mean of an image's channels (H, W, 3), `CHANGE_OFFSET` above 0."""
     third = np.full((1, 3), 1 / 3, dtype=np.float32)
     mean = cv2.transform(np.asarray(image, dtype=np.float32), third)
@@ -55,12 +54,12 @@ def log_levels(image: NDArray[Any]) -> NDArray[np.float32]:
 
 
 @lru_cache(maxsize=16)
-def blur_taps(blur_px: float) -> NDArray[np.float32]:
+def blur_taps(blur_px: float) -> Floats:
     """Weights of a Gaussian blur from the middle outward, to 4 standard deviations as in OpenCV; read-only."""
     if blur_px == 0:
         return np.ones(1, dtype=np.float32)
     size = int(np.rint(8 * blur_px + 1)) | 1
-    taps: NDArray[np.float32] = cv2.getGaussianKernel(size, blur_px, cv2.CV_32F)[size // 2 :, 0]
+    taps: Floats = cv2.getGaussianKernel(size, blur_px, cv2.CV_32F)[size // 2 :, 0]
     return np.ascontiguousarray(taps)
 
 
@@ -78,7 +77,7 @@ _fill_from_coarser = Kernel(
 SWEEP_PAIRS = 4
 
 
-def fill_unknown(values: ArrayLike, known: ArrayLike) -> NDArray[np.float32]:
+def fill_unknown(values: ArrayLike, known: ArrayLike) -> Map:
     """Replace unknown pixels of a map by a smooth surface through their neighbors.
 
     Unknown pixels start from the next coarser level of a pyramid of averages of known pixels. They are then
@@ -106,7 +105,7 @@ def fill_unknown(values: ArrayLike, known: ArrayLike) -> NDArray[np.float32]:
     return _filled(array.copy(), where, SWEEP_PAIRS)
 
 
-def _filled(values: NDArray[np.float32], known: NDArray[np.bool_], pairs: int) -> NDArray[np.float32]:
+def _filled(values: Map, known: Mask, pairs: int) -> Map:
     """Fill in place, coarse to fine."""
     if known.all():
         return values
@@ -123,7 +122,7 @@ def _filled(values: NDArray[np.float32], known: NDArray[np.bool_], pairs: int) -
 NODES = 64  # of the trapezoidal rule; half as many leave errors of 1e-7
 
 
-def bessel_k(order: int, x: NDArray[np.float64]) -> NDArray[np.float64]:
+def bessel_k(order: int, x: Numbers) -> Numbers:
     """The modified Bessel function K0 or K1, to 1e-9 for x from 1e-4 to 15.
 
     It is the integral of exp(-x cosh t) cosh(order t) from 0 on by the trapezoidal rule, which converges geometrically here

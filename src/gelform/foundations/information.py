@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from gelform.arrays import Mask, Numbers
+
 # Eigenvalue over the largest, of a matrix in units that make its entries alike. Sums of float32 products are right to
 # 1e-7 of the largest; singular ones leave 1e-16 on one kind of processor and exactly 0 on the next.
 LEAST_INFORMATION = 1e-10
@@ -23,12 +23,12 @@ class Determined(NamedTuple):
     undetermined : (n,) bool, the directions with less than `LEAST_INFORMATION` of the largest information
     """
 
-    covariance: Array
-    directions: Array
-    undetermined: NDArray[np.bool_]
+    covariance: Numbers
+    directions: Numbers
+    undetermined: Mask
 
 
-def determined_by(information: NDArray[Any], scale: NDArray[Any] | None = None) -> Determined:
+def determined_by(information: Numbers, scale: Numbers | None = None) -> Determined:
     """The covariance of an information matrix (n, n), and its directions in units (n,), by default its own.
 
     The own unit of a parameter is its standard deviation if all the others are known.

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Iterable, Sequence
-from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from gelform.arrays import Array
 from gelform.errors import DataError
 
 # PNG with runs of equal bytes and Huffman codes only, because a camera's noise leaves no repetitions to find. Files are a
@@ -17,7 +16,7 @@ from gelform.errors import DataError
 FAST_PNG = (cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE)
 
 
-def picture_bytes(pixels: NDArray[Any], ending: str = ".png", settings: Sequence[int] = ()) -> bytes:
+def picture_bytes(pixels: Array, ending: str = ".png", settings: Sequence[int] = ()) -> bytes:
     """The bytes of a picture file of an RGB image (H, W, 3) or a map (H, W).
 
     `ending` names the format; `settings` are OpenCV's.

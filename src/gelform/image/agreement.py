@@ -13,13 +13,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import inf, log
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from gelform._native import Kernel
+from gelform.arrays import Array, Map, Mask, Numbers
 from gelform.errors import CalibrationError
 from gelform.foundations.checks import check_image
 from gelform.foundations.filters import CHANGE_OFFSET
@@ -96,7 +97,7 @@ class Orientation(NamedTuple):
             parts.append("red and blue exchanged (--bgr)")
         return ", and ".join(parts)
 
-    def undone(self, image: NDArray[Any]) -> NDArray[Any]:
+    def undone(self, image: Array) -> Array:
         """The image (H, W, 3) as it should be."""
         upright = image.transpose(1, 0, 2) if self.transposed else image
         upright = upright[:: -1 if "y" in self.flip else 1, :: -1 if "x" in self.flip else 1]
@@ -112,7 +113,7 @@ READINGS = tuple(
 UPRIGHT = READINGS[0]
 
 
-def orientation_from_image(image: NDArray[Any], background: NDArray[Any]) -> Orientation | None:
+def orientation_from_image(image: Array, background: Array) -> Orientation | None:
     """How an image (H, W, 3) or (W, H, 3), 0-255, lies compared with a background image (H, W, 3).
 
     Returns
@@ -123,7 +124,7 @@ def orientation_from_image(image: NDArray[Any], background: NDArray[Any]) -> Ori
     return orientation_from_blocks(block_means(image), block_means(background))
 
 
-def orientation_if_doubtful(image: NDArray[Any], background: NDArray[Any]) -> Orientation | None:
+def orientation_if_doubtful(image: Array, background: Array) -> Orientation | None:
     """`orientation_from_image` of an image of which not even a quarter is as in the background image; else None.
 
     It is the cheap question first: no image of six sensors that lies otherwise agrees by so much.
@@ -134,7 +135,7 @@ def orientation_if_doubtful(image: NDArray[Any], background: NDArray[Any]) -> Or
     return orientation_from_blocks(blocks, untouched)
 
 
-def orientation_from_blocks(image: NDArray[np.float32], untouched: NDArray[np.float32]) -> Orientation | None:
+def orientation_from_blocks(image: Map, untouched: Map) -> Orientation | None:
     """`orientation_from_image` for images averaged by `block_means`."""
     shape = untouched.shape[:2]
     fitting = [
@@ -165,7 +166,7 @@ class Touched(NamedTuple):
     center: tuple[float, float]
 
 
-def largest_touch(image: NDArray[np.float32], untouched: NDArray[np.float32]) -> Touched:
+def largest_touch(image: Map, untouched: Map) -> Touched:
     """The largest touched region of an image compared with a background image, both from `block_means`, of one size."""
     shape = untouched.shape[:2]
     change, lit = _log_change(image[None], untouched)
@@ -181,16 +182,14 @@ def largest_touch(image: NDArray[np.float32], untouched: NDArray[np.float32]) ->
     return Touched(float(areas.max() / size.size), (float(x), float(y)))
 
 
-def _log_change(
-    images: NDArray[np.float32], untouched: NDArray[np.float32]
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+def _log_change(images: Map, untouched: Map) -> tuple[Numbers, Mask]:
     """Log ratios (n, N, 3) of images (n, h, w, 3) to the background (h, w, 3), and the blocks (n, N) lit in both."""
     read, background = images.reshape(len(images), -1, 3), untouched.reshape(1, -1, 3)
     lit = np.all((background > DARK) & (background < BRIGHT) & (read > DARK) & (read < BRIGHT), axis=-1)
     return np.log((read + CHANGE_OFFSET) / (background + CHANGE_OFFSET)).astype(np.float64), lit
 
 
-def _terms(shape: tuple[int, int]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _terms(shape: tuple[int, int]) -> tuple[Numbers, Numbers]:
     """Monomials (N, 10) of the place in blocks (h, w), and the weights (10,) of their prior."""
     y, x = (np.linspace(-1, 1, n) for n in shape)
     across, down = (part.ravel() for part in np.meshgrid(x, y))
@@ -199,11 +198,7 @@ def _terms(shape: tuple[int, int]) -> tuple[NDArray[np.float64], NDArray[np.floa
     return terms, np.array([LIGHT_SIGMAS[i + j] ** -2 for i, j in powers])
 
 
-def _evidence(
-    change: NDArray[np.float64],
-    lit: NDArray[np.bool_],
-    of_place: tuple[NDArray[np.float64], NDArray[np.float64]],
-) -> NDArray[np.float64]:
+def _evidence(change: Numbers, lit: Mask, of_place: tuple[Numbers, Numbers]) -> Numbers:
     """Evidence (readings,) of the log changes (readings, N, 3) of lit blocks (readings, N), in nats."""
     terms, prior = of_place
     share = ALIKE / np.maximum(lit.sum(axis=1), 1)
@@ -214,11 +209,7 @@ def _evidence(
     return np.asarray(explained - apart - 1.5 * narrowed)
 
 
-def _fitted_light(
-    change: NDArray[np.float64],
-    lit: NDArray[np.bool_],
-    of_place: tuple[NDArray[np.float64], NDArray[np.float64]],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _fitted_light(change: Numbers, lit: Mask, of_place: tuple[Numbers, Numbers]) -> tuple[Numbers, Numbers]:
     """Coefficients (readings, 10, 3) of the light that explains most blocks, and their inverse covariance."""
     terms, prior = of_place
     share = ALIKE / np.maximum(lit.sum(axis=1), 1)
@@ -234,13 +225,13 @@ def _fitted_light(
     return light, normal
 
 
-def _log_likelihoods(residual: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+def _log_likelihoods(residual: Numbers) -> list[Numbers]:
     """Of blocks at rest and of touched ones, each half of all, from their residuals (..., 3)."""
     square = (residual**2).sum(axis=-1)
     return [-square / (2 * sigma**2) - 3 * np.log(sigma) for sigma in (REST_SIGMA, TOUCHED_SIGMA)]
 
 
-def _touched_all_over(change: NDArray[np.float64], lit: NDArray[np.bool_]) -> float:
+def _touched_all_over(change: Numbers, lit: Mask) -> float:
     """Evidence of an image that no reading explains at all."""
     return float(ALIKE * _log_likelihoods(change[lit])[1].mean())
 
@@ -275,7 +266,7 @@ _least_changed_sums = Kernel(
 )
 
 
-def check_background(image: NDArray[Any], background: NDArray[Any]) -> tuple[Finding, ...]:
+def check_background(image: Array, background: Array) -> tuple[Finding, ...]:
     """Refuse a background that does not belong to this image; return findings.
 
     Where nothing touches, the image should be the background times a gain near 1.
@@ -286,7 +277,7 @@ def check_background(image: NDArray[Any], background: NDArray[Any]) -> tuple[Fin
     return compared(block_means(image), block_means(background))[1]
 
 
-def check_own_background(background: NDArray[Any], calibrated: NDArray[Any]) -> tuple[Finding, ...]:
+def check_own_background(background: Array, calibrated: Array) -> tuple[Finding, ...]:
     """Refuse a background image that is not of the calibrated sensor; return findings.
 
     It goes beyond `check_background`: both images show the gel at rest, so that they should be equal everywhere, up to
@@ -315,9 +306,7 @@ def check_own_background(background: NDArray[Any], calibrated: NDArray[Any]) -> 
     return tuple(findings)
 
 
-def check_untouched(
-    background: NDArray[Any], calibrated: NDArray[Any], contact: NDArray[np.bool_] | None = None
-) -> None:
+def check_untouched(background: Array, calibrated: Array, contact: Mask | None = None) -> None:
     """Refuse a background image in which something touches the gel, compared with the calibration's.
 
     Parameters
@@ -341,9 +330,7 @@ def check_untouched(
         )
 
 
-def check_background_of_frames(
-    frames: Sequence[NDArray[Any]], background: NDArray[Any]
-) -> tuple[Finding, ...]:
+def check_background_of_frames(frames: Sequence[Array], background: Array) -> tuple[Finding, ...]:
     """Refuse a background that is not of the sensor that took the frames; return findings.
 
     Each frame is touched, at another place. Therefore the blocks' median over eight frames or more is nearly the background
@@ -373,16 +360,13 @@ def check_background_of_frames(
     return (Finding("background_drift", message, light.middle_pattern),)
 
 
-def background_digest(background: NDArray[Any]) -> str:
+def background_digest(background: Array) -> str:
     """SHA-256 of the pixels of a background image, by which a calibration recognizes its own."""
     return pixels_digest(np.asarray(background, dtype="<f4"))
 
 
 def compared(
-    image: NDArray[np.float32],
-    untouched: NDArray[np.float32],
-    usual: FrameLight | None = None,
-    own: bool = False,
+    image: Map, untouched: Map, usual: FrameLight | None = None, own: bool = False
 ) -> tuple[FrameLight, tuple[Finding, ...]]:
     """Light and findings of an image compared with the background image, as in `light_from_blocks`.
 
@@ -399,11 +383,8 @@ def compared(
 
 
 def check_viewed_image(
-    background: NDArray[np.float32],
-    frame_shape: tuple[int, int] | None,
-    image: ArrayLike,
-    name: str = "image",
-) -> NDArray[Any]:
+    background: Map, frame_shape: tuple[int, int] | None, image: ArrayLike, name: str = "image"
+) -> Array:
     """Return an RGB image of the background's size, as `check_image` does; the error says if it is a frame.
 
     ValueError, TypeError: as `check_image`. CalibrationError: the image lies on its side.
@@ -430,7 +411,7 @@ def check_upright(orientation: Orientation | None) -> None:
         )
 
 
-def _refuse_gray(image: NDArray[np.float32], untouched: NDArray[np.float32]) -> None:
+def _refuse_gray(image: Map, untouched: Map) -> None:
     if np.ptp(image, axis=-1).max() == 0 < np.ptp(untouched, axis=-1).max():
         raise CalibrationError(
             "The image is gray: red, green and blue are equal everywhere, and in the background they are not. Slopes are "
@@ -486,7 +467,7 @@ def room_light_finding(light: FrameLight) -> tuple[Finding, ...]:
     return (Finding("room_light", message, room),) if room else ()
 
 
-def _sure(values: NDArray[np.float64], variances: NDArray[np.float64], least: float) -> float:
+def _sure(values: Numbers, variances: Numbers, least: float) -> float:
     """The value that exceeds `least` most clearly; 0 if none does by `SURE_SIGMAS`."""
     over = np.abs(values) - SURE_SIGMAS * np.sqrt(variances)
     at = np.unravel_index(over.argmax(), over.shape)
@@ -525,13 +506,11 @@ def _pattern_findings(least: float) -> tuple[Finding, ...]:
     return (Finding("background_differs", message, least),)
 
 
-def _times(gain: NDArray[np.float64]) -> str:
+def _times(gain: Numbers) -> str:
     return ", ".join(f"{name} {value:.2f}" for name, value in zip("RGB", gain))
 
 
-def _correlation(
-    image: NDArray[np.float32], untouched: NDArray[np.float32], light: FrameLight
-) -> float | None:
+def _correlation(image: Map, untouched: Map, light: FrameLight) -> float | None:
     """Correlation, without the light, over all blocks but the `TOUCHED_FRACTION` that changed most, channels together.
 
     None if the background image is featureless, so that nothing can correlate with it. 0 if only the image is featureless.

@@ -8,9 +8,10 @@ from typing import Any, Literal, NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from gelform._native import Kernel
+from gelform.arrays import Array, Map, Mask, Numbers, Slopes
 from gelform.errors import DataError
 from gelform.foundations.checks import check_image, check_is, check_response, check_values, check_within
 from gelform.foundations.filters import (
@@ -86,7 +87,7 @@ def _checked_crosstalk(crosstalk: Any) -> Matrix:
     return tuple(tuple(float(value) for value in row) for row in matrix)
 
 
-def linear_light(image: NDArray[Any], settings: ChangeSettings) -> NDArray[Any]:
+def linear_light(image: Array, settings: ChangeSettings) -> Array:
     """The image without response curve and crosstalk, (H, W, 3) float32; the image itself if it has neither.
 
     Linear light keeps the scale of 0-255; the inverse of a crosstalk matrix can make it a little negative.
@@ -103,11 +104,11 @@ def linear_light(image: NDArray[Any], settings: ChangeSettings) -> NDArray[Any]:
     return light
 
 
-def _linear(levels: NDArray[Any], response: float) -> NDArray[np.float32]:
+def _linear(levels: Array, response: float) -> Map:
     return np.asarray(255 * (np.asarray(levels) / 255) ** (1 / response), dtype=np.float32)
 
 
-def gain_from_background(background: ArrayLike, settings: ChangeSettings) -> NDArray[np.float32]:
+def gain_from_background(background: ArrayLike, settings: ChangeSettings) -> Map:
     """The factor of each pixel's difference to the background, (H, W, 3) float32; 0 where the divisor is 0."""
     reference = check_image(background, name="background").astype(np.float32)
     if settings.method == "subtract":
@@ -118,7 +119,7 @@ def gain_from_background(background: ArrayLike, settings: ChangeSettings) -> NDA
 
 def color_change_from_image(
     image: ArrayLike, background: ArrayLike, settings: ChangeSettings | None = None
-) -> NDArray[np.float32]:
+) -> Map:
     """Relative change of color from the background image; zero means the slope of rest.
 
     Parameters
@@ -165,18 +166,18 @@ class PreparedBackground:
         self._taps = blur_taps(settings.blur_px)
         self._blocks = block_means(self.background)
 
-    def compare(self, image: NDArray[Any]) -> tuple[FrameLight, tuple[Finding, ...]]:
+    def compare(self, image: Array) -> tuple[FrameLight, tuple[Finding, ...]]:
         """Compare the frame's light with the background's; return it and findings.
 
         CalibrationError: as `check_background`.
         """
         return compared(block_means(image), self._blocks, self._usual)
 
-    def touched(self, image: NDArray[Any]) -> float:
+    def touched(self, image: Array) -> float:
         """Share of an image (H, W, 3) in its largest region that no light explains."""
         return largest_touch(block_means(image), self._blocks).share
 
-    def bridged(self, image: NDArray[Any], hidden: NDArray[np.bool_]) -> NDArray[Any]:
+    def bridged(self, image: Array, hidden: Mask) -> Array:
         """The image (H, W, 3) with hidden pixels (H, W), such as markers, filled by the color change around them.
 
         A blur of the change then carries nothing from the hidden pixels to others.
@@ -190,21 +191,21 @@ class PreparedBackground:
         bridged[hidden] = np.rint(levels) if np.issubdtype(image.dtype, np.integer) else levels
         return bridged
 
-    def change(self, image: NDArray[Any], light: FrameLight | None = None) -> NDArray[np.float32]:
+    def change(self, image: Array, light: FrameLight | None = None) -> Map:
         """Color change (H, W, 3) float32; with `light`, of the image under the background's light.
 
         It removes room light and tilt, and divides by the gain.
         """
         return self.pending(image, light).write(np.empty(self._light.shape, dtype=np.float32))
 
-    def light_sigma(self, light: FrameLight) -> NDArray[np.float32] | None:
+    def light_sigma(self, light: FrameLight) -> Map | None:
         """Standard deviation (H, W) of the color change from an unsure light; None for a gain that is known."""
         if light.is_plain and light.is_known:
             return None
         sigma, size = light.change_sigma(self._blocks), self._light.shape[1::-1]
         return np.asarray(cv2.resize(sigma, size, interpolation=cv2.INTER_LINEAR), dtype=np.float32)
 
-    def pending(self, image: NDArray[Any], of_frame: FrameLight | None = None) -> PendingChange:
+    def pending(self, image: Array, of_frame: FrameLight | None = None) -> PendingChange:
         """The work of `change` that precedes the pass over the pixels."""
         values, response = np.zeros((3, 4)) if of_frame is None else of_frame.values, self.settings.response
         # The light belongs to the camera's channels, so it acts before response and crosstalk are removed. Factors may wait.
@@ -238,7 +239,7 @@ class PendingChange:
         whole = -(-row // LANES) * LANES
         return row + 6 * radius + LANES + (2 * radius + 1) * whole
 
-    def write(self, out: NDArray[np.float32]) -> NDArray[np.float32]:
+    def write(self, out: Map) -> Map:
         """Compute the color change into `out` (H, W, 3), and return it."""
         _color_change(*self.arguments, np.empty(self.work_size, dtype=np.float32), out)
         return out
@@ -246,7 +247,7 @@ class PendingChange:
 
 def image_from_color_change(
     color_change: ArrayLike, background: ArrayLike, settings: ChangeSettings | None = None
-) -> NDArray[np.float32]:
+) -> Map:
     """The image (H, W, 3) float32, 0-255, of an unblurred color change: the inverse of `color_change_from_image`.
 
     Values are clipped to 0-255, as a camera would.
@@ -303,8 +304,8 @@ class Background(NamedTuple):
     left_out : (name, why) of each frame that is not in the average
     """
 
-    background: NDArray[np.float32]
-    noise: NDArray[np.float64]
+    background: Map
+    noise: Numbers
     left_out: tuple[tuple[str, str], ...]
 
 
@@ -350,7 +351,7 @@ def background_from_frames(
     return Background(average, noise, tuple(left_out.items()))
 
 
-def noise_from_image(image: NDArray[Any]) -> NDArray[np.float64]:
+def noise_from_image(image: Array) -> Numbers:
     """Standard deviation (3,) of a pixel, gray levels, from second differences along rows (robust).
 
     Parameters
@@ -365,9 +366,9 @@ def noise_from_image(image: NDArray[Any]) -> NDArray[np.float64]:
 
 def _kept(
     frames: Iterable[ArrayLike], names: Sequence[str] | None, max_bytes: int
-) -> list[tuple[str, NDArray[Any]]]:
+) -> list[tuple[str, Array]]:
     """Every k-th frame; k is doubled each time the frames would exceed `max_bytes`."""
-    kept: list[tuple[str, NDArray[Any]]] = []
+    kept: list[tuple[str, Array]] = []
     stride = 1
     if not isinstance(frames, Iterable) or isinstance(frames, (str, bytes, Mapping)):
         raise TypeError(f"Expected frames as several images (H, W, 3), got {type(frames).__name__}.")
@@ -381,7 +382,7 @@ def _kept(
     return kept
 
 
-def _odd_ones(kept: Sequence[tuple[str, NDArray[Any]]]) -> dict[str, str]:
+def _odd_ones(kept: Sequence[tuple[str, Array]]) -> dict[str, str]:
     """Names of the frames that differ from the median of all, with the reason."""
     blocks = np.stack([block_means(image) for _, image in kept])
     middle = np.median(blocks, axis=0)
@@ -399,7 +400,7 @@ def _odd_ones(kept: Sequence[tuple[str, NDArray[Any]]]) -> dict[str, str]:
     return odd
 
 
-def trimmed_mean(images: Sequence[NDArray[Any]]) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+def trimmed_mean(images: Sequence[Array]) -> tuple[Map, Numbers]:
     """Mean of frames without the highest and the lowest fifth of each pixel's values, and their noise (3,), gray levels.
 
     No frame is left out; it is for frames that are known to be at rest.
@@ -440,18 +441,15 @@ class Reference(NamedTuple):
     findings : one, if the threshold leaves too few
     """
 
-    common_change: NDArray[np.float32]
+    common_change: Map
     threshold: float
-    bias: NDArray[np.float32]
-    given: NDArray[np.bool_] | None
+    bias: Map
+    given: Mask | None
     findings: tuple[Finding, ...]
 
 
 def reference_from_color_change(
-    color_change: NDArray[np.float32],
-    gradients: NDArray[np.float32],
-    threshold: float,
-    hidden: NDArray[np.bool_] | None = None,
+    color_change: Map, gradients: Slopes, threshold: float, hidden: Mask | None = None
 ) -> Reference:
     """The common properties of the pixels at rest of a frame, from a lattice of some 5000 pixels.
 
@@ -482,7 +480,7 @@ SMALLER_CROP = "a smaller crop in the [view] of sensor.toml"
 BLOCKS = 48  # along the shorter side, whole blocks of which make up a crop
 
 
-def surround_of(background: NDArray[Any]) -> NDArray[np.bool_] | None:
+def surround_of(background: Array) -> Mask | None:
     """Pixels (H, W) outside the gel in a background image (H, W, 3): dark, and joined to its border; None without any."""
     strongest = np.asarray(background, dtype=np.float32).max(axis=-1)
     dark = strongest < max(DARK, DARK_PART * float(np.percentile(strongest, 95)))
@@ -492,7 +490,7 @@ def surround_of(background: NDArray[Any]) -> NDArray[np.bool_] | None:
     return outside if outside.mean() > LEAST_SHARE else None
 
 
-def surround_finding(background: NDArray[Any], remedy: str, *, viewed: bool = False) -> Finding | None:
+def surround_finding(background: Array, remedy: str, *, viewed: bool = False) -> Finding | None:
     """The finding that a background image (H, W, 3) shows more than the gel; `{}` in the remedy is the crop that fits.
 
     Of an image that is already a view of the frame (`viewed`), the crop is not one of the frame, and the view is named.
@@ -508,7 +506,7 @@ def surround_finding(background: NDArray[Any], remedy: str, *, viewed: bool = Fa
     return Finding("dark_surround", message, float(outside.mean()))
 
 
-def crop_inside(outside: NDArray[np.bool_]) -> tuple[int, int, int, int]:
+def crop_inside(outside: Mask) -> tuple[int, int, int, int]:
     """(left, top, width, height) of the largest rectangle, px, that is free of `outside` (H, W) and of its blurred edge."""
     side = -(-min(outside.shape) // BLOCKS)
     rows, columns = (count // side for count in outside.shape)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from gelform.arrays import Array
 
 # Gray levels, of means of pixels: a channel below or above says nothing of slopes, at either end of a camera's range.
 DARK, BRIGHT = 8, 250
@@ -29,14 +30,14 @@ class Frame:
     encoded : the camera's own JPEG, for recorders; None if frames arrive uncompressed
     """
 
-    image: NDArray[Any]
+    image: Array
     time_s: float
     wall_time_ns: int
     index: int
     encoded: bytes | None = field(default=None, repr=False)
 
 
-def pixels_digest(pixels: NDArray[Any]) -> str:
+def pixels_digest(pixels: Array) -> str:
     """SHA-256 (hex) of an image's shape and bytes, which identifies presses and backgrounds.
 
     The same picture in another dtype has another digest.
@@ -44,18 +45,18 @@ def pixels_digest(pixels: NDArray[Any]) -> str:
     return hashlib.sha256(repr(pixels.shape).encode() + np.ascontiguousarray(pixels).tobytes()).hexdigest()
 
 
-def as_levels(image: NDArray[Any]) -> NDArray[np.uint8]:
+def as_levels(image: Array) -> NDArray[np.uint8]:
     """An image (H, W, 3), uint8 or float 0-255, in whole gray levels and C order, as a camera would give it."""
     return np.ascontiguousarray(image if image.dtype == np.uint8 else np.rint(image).astype(np.uint8))
 
 
-def whole_levels(image: NDArray[Any]) -> NDArray[Any]:
+def whole_levels(image: Array) -> Array:
     """The image (H, W, 3) as uint8 if its floats 0-255 are all whole, so that the same picture has the same bytes."""
     levels = as_levels(image)
     return levels if levels is image or np.array_equal(levels, image) else image
 
 
-def rgb_from_bgr(image: NDArray[Any]) -> NDArray[Any]:
+def rgb_from_bgr(image: Array) -> Array:
     """An image (H, W, 3) whose channels are blue, green, red, in RGB."""
     return np.ascontiguousarray(image[..., ::-1])
 

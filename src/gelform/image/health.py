@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import sqrt
-from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from gelform._native import Kernel
+from gelform.arrays import Array, Image, Map, Mask
 from gelform.errors import CalibrationError
 from gelform.foundations.checks import value_range
 from gelform.foundations.findings import Finding
@@ -43,7 +43,7 @@ class ImageBlocks:
     row_digests: NDArray[np.int64]
     row_sums: NDArray[np.uint16]
 
-    def pixels(self, chosen: NDArray[np.bool_], width: int) -> NDArray[np.bool_]:
+    def pixels(self, chosen: Mask, width: int) -> Mask:
         """The pixels (H, W) of selected blocks (h, w); the remainder at the border belongs to the last block."""
         mask = np.zeros((len(self.row_digests), width), dtype=bool)
         if chosen.any():
@@ -52,13 +52,13 @@ class ImageBlocks:
             mask |= chosen[rows[:, None], columns[None, :]]
         return mask
 
-    def centered_in(self, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    def centered_in(self, mask: Mask) -> Mask:
         """The blocks (h, w) whose centers lie in a mask (H, W)."""
         height, width = self.ranges.shape
         return mask[BLOCK_PX // 2 :: BLOCK_PX, BLOCK_PX // 2 :: BLOCK_PX][:height, :width]
 
 
-def blocks_from_image(image: NDArray[np.uint8]) -> ImageBlocks:
+def blocks_from_image(image: Image) -> ImageBlocks:
     """The blocks of an image (H, W, 3)."""
     height, width = image.shape[:2]
     shape = height // BLOCK_PX, width // BLOCK_PX
@@ -101,8 +101,8 @@ class Levels:
         self._may_saturate = rest.means < BELOW
 
     def __call__(
-        self, blocks: ImageBlocks, torn: NDArray[np.bool_] | None = None
-    ) -> tuple[tuple[Finding, ...], NDArray[np.bool_] | None]:
+        self, blocks: ImageBlocks, torn: Mask | None = None
+    ) -> tuple[tuple[Finding, ...], Mask | None]:
         """Findings `dark` and `saturated`, and their blocks (h, w) without the torn ones; None if there are none."""
         dark = blocks.means < self.dark_to
         saturated = blocks.means >= self.saturated_from
@@ -120,7 +120,7 @@ class Levels:
         return named, np.any(dark | saturated, axis=-1) if named else None
 
 
-def _finding(name: str, where: NDArray[np.bool_], what: str, advice: str) -> Finding | None:
+def _finding(name: str, where: Mask, what: str, advice: str) -> Finding | None:
     """A finding; its figure is the fraction of the frame in the channel with the largest fraction."""
     fractions = where.mean(axis=(0, 1)) if where.size else np.zeros(3)
     if fractions.max() < LEAST_CLIPPED:
@@ -145,7 +145,7 @@ LEAST_STEP = 0.25  # gray levels, smallest usual step of 16 pixels' mean; whole 
 class Torn:
     """Finds parts of frames that contain no picture; prepared once for a background image and its blocks."""
 
-    def __init__(self, background: NDArray[Any], rest: ImageBlocks) -> None:
+    def __init__(self, background: Array, rest: ImageBlocks) -> None:
         self._background = background
         self._rest = rest.means.astype(np.int16)
         self._rest_sums = rest.row_sums.reshape(len(rest.row_sums), -1)
@@ -154,7 +154,7 @@ class Torn:
             count.ravel()[place.ravel()] == 1
         )  # rows that occur only once in the background image
 
-    def __call__(self, blocks: ImageBlocks, image: NDArray[Any]) -> NDArray[np.bool_] | None:
+    def __call__(self, blocks: ImageBlocks, image: Array) -> Mask | None:
         """Pixels (H, W) that did not arrive; None if all did."""
         flat, repeated = self.flat(blocks), self.repeated_rows(blocks, image)
         displaced = self.displaced_rows(blocks) if flat is None and repeated is None else None
@@ -167,7 +167,7 @@ class Torn:
                 torn[rows] = True
         return torn
 
-    def flat(self, blocks: ImageBlocks) -> NDArray[np.bool_] | None:
+    def flat(self, blocks: ImageBlocks) -> Mask | None:
         """Blocks (h, w) of one uniform color that is not the background image's; None if they are few."""
         flat = blocks.ranges <= FLAT_RANGE
         least = LEAST_TORN * flat.size
@@ -181,7 +181,7 @@ class Torn:
         flat &= np.abs(means - common).max(axis=-1) <= ALIKE
         return flat if np.count_nonzero(flat) > least else None
 
-    def repeated_rows(self, blocks: ImageBlocks, image: NDArray[Any]) -> NDArray[np.bool_] | None:
+    def repeated_rows(self, blocks: ImageBlocks, image: Array) -> Mask | None:
         """Rows (H,) that repeat another row of the frame; None if they are few.
 
         Among equal rows, the one that fits the background image best counts as the true one. Compression makes rows within
@@ -210,7 +210,7 @@ class Torn:
         least = 2 * BLOCK_PX * LEAST_STEP  # twice the sum of 16 pixels, as the kernel counts
         return _seam(sums, self._rest_sums, work, totals, least=least, factor=SEAM_FACTOR, spill=SPILL)
 
-    def displaced_rows(self, blocks: ImageBlocks) -> NDArray[np.bool_] | None:
+    def displaced_rows(self, blocks: ImageBlocks) -> Mask | None:
         """Rows (H,) on the side of a seam that fits the background image worse; None if there is no seam."""
         row = self.seam(blocks)
         if not row:
@@ -221,7 +221,7 @@ class Torn:
         return below if away[below].mean() > away[~below].mean() else ~below
 
 
-def torn_finding(lost: NDArray[np.bool_]) -> Finding:
+def torn_finding(lost: Mask) -> Finding:
     """The finding `torn`; its figure is the fraction of the frame."""
     fraction = float(lost.mean())
     message = (
@@ -257,21 +257,21 @@ class FrameFaults:
     lost : (H, W) bool, pixels without information, including a margin around torn parts; None if there are none
     """
 
-    image: NDArray[Any]
+    image: Array
     findings: tuple[Finding, ...] = ()
-    lost: NDArray[np.bool_] | None = None
+    lost: Mask | None = None
 
-    def hidden(self, markers: NDArray[np.bool_] | None) -> NDArray[np.bool_] | None:
+    def hidden(self, markers: Mask | None) -> Mask | None:
         """Pixels (H, W) that markers hide or that are lost; None if there are neither."""
         if self.lost is None or markers is None:
             return markers if self.lost is None else self.lost
         return markers | self.lost
 
-    def without_lost(self, known: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    def without_lost(self, known: Mask) -> Mask:
         """The known pixels (H, W), without the lost ones."""
         return known if self.lost is None else known & ~self.lost
 
-    def widen(self, sigma: NDArray[np.float32] | None, least: float) -> None:
+    def widen(self, sigma: Map | None, least: float) -> None:
         """Raise a standard deviation (H, W), in place, to at least `least` at lost pixels."""
         if self.lost is not None and sigma is not None:
             np.maximum(sigma, np.float32(least), out=sigma, where=self.lost)
@@ -288,7 +288,7 @@ class FrameHealth:
     background : (H, W, 3), 0-255, background image
     """
 
-    def __init__(self, background: NDArray[Any]) -> None:
+    def __init__(self, background: Array) -> None:
         self._background = background
         self._pixels = as_levels(background)
         rest = blocks_from_image(self._pixels)
@@ -296,7 +296,7 @@ class FrameHealth:
         self._levels = Levels(rest)
         self._torn = Torn(background, rest)
 
-    def __call__(self, image: NDArray[Any]) -> FrameFaults:
+    def __call__(self, image: Array) -> FrameFaults:
         """The faults of an image (H, W, 3), RGB, 0-255, of the background's size."""
         blocks = blocks_from_image(as_levels(image))
         if self._is_background(blocks, image):
@@ -328,13 +328,13 @@ class FrameHealth:
         few_flat, few_repeated = flat <= LEAST_TORN * blocks.ranges.size, repeated <= LEAST_TORN * rows
         return few_flat and few_repeated and not ending and not self._torn.seam(blocks)
 
-    def _is_background(self, blocks: ImageBlocks, image: NDArray[Any]) -> bool:
+    def _is_background(self, blocks: ImageBlocks, image: Array) -> bool:
         if blocks.row_digests[0] != self._rest_digests[0]:
             return False
         return np.array_equal(image, self._background)
 
 
-def check_untouched_image(image: NDArray[Any], calibrated: NDArray[Any]) -> None:
+def check_untouched_image(image: Array, calibrated: Array) -> None:
     """Refuse a background image (H, W, 3) with parts that are dark, saturated or torn compared with the calibration's.
 
     CalibrationError: its message contains the finding.
@@ -346,10 +346,10 @@ def check_untouched_image(image: NDArray[Any], calibrated: NDArray[Any]) -> None
         )
 
 
-def _grown(lost: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _grown(lost: Mask) -> Mask:
     """The blocks and their neighbors, because a fault may cut blocks in two."""
     kernel = np.ones((2 * BLOCK_PX + 1,) * 2, dtype=np.uint8)
-    grown: NDArray[np.bool_] = cv2.dilate(lost.view(np.uint8), kernel).view(np.bool_)
+    grown: Mask = cv2.dilate(lost.view(np.uint8), kernel).view(np.bool_)
     return grown
 
 
@@ -378,7 +378,7 @@ class DepthLimit:
         """Standard deviation of a depth about which only the limit is known: that of a uniform distribution."""
         return self.limit_mm / sqrt(12)
 
-    def bound(self, depth_mm: NDArray[np.float32]) -> tuple[NDArray[np.float32], tuple[Finding, ...]]:
+    def bound(self, depth_mm: Map) -> tuple[Map, tuple[Finding, ...]]:
         """Clip the depth (H, W) to plus and minus the limit, with a finding if that changed it."""
         low, high = value_range(depth_mm)
         largest = max(high, -low)

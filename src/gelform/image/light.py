@@ -10,13 +10,14 @@ alone unless another beats it clearly. A richer light (cubic) would take the gel
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from gelform._native import Kernel
+from gelform.arrays import Array, Map, Mask, Numbers
 from gelform.foundations.checks import check_image
 from gelform.foundations.filters import CHANGE_OFFSET
 from gelform.image.frame import BRIGHT, DARK
@@ -65,7 +66,7 @@ _fit_light = Kernel(
 )
 
 
-def block_means(image: NDArray[Any]) -> NDArray[np.float32]:
+def block_means(image: Array) -> Map:
     """Means over about 1200 square blocks, (h, w, 3) float32."""
     height, width = image.shape[:2]
     step = max(1.0, (height * width / BLOCKS) ** 0.5)
@@ -93,8 +94,8 @@ class FrameLight:
     least_pattern, middle_pattern : that of the quarter and of the half that changed least, after a gain alone
     """
 
-    values: NDArray[np.float64] = field(default_factory=lambda: np.zeros((3, 4)))
-    covariance: NDArray[np.float64] = field(default_factory=lambda: np.tile(np.diag(GAIN / PRIOR), (3, 1, 1)))
+    values: Numbers = field(default_factory=lambda: np.zeros((3, 4)))
+    covariance: Numbers = field(default_factory=lambda: np.tile(np.diag(GAIN / PRIOR), (3, 1, 1)))
     is_known: bool = False
     share: float = 0.0
     least_change: float = np.inf
@@ -107,21 +108,21 @@ class FrameLight:
         return not self.values[:, 1:].any()
 
     @property
-    def gain(self) -> NDArray[np.float64]:
+    def gain(self) -> Numbers:
         """Brightness (3,) in the middle over the background's, without the room's light."""
         return np.asarray(np.exp(self.values[:, 0]), dtype=np.float64)
 
     @property
-    def tilt(self) -> NDArray[np.float64]:
+    def tilt(self) -> Numbers:
         """Logarithm (3, 2) by which red, green and blue grow from the middle to the right and to the lower border."""
         return self.values[:, 1:3]
 
     @property
-    def room(self) -> NDArray[np.float64]:
+    def room(self) -> Numbers:
         """Gray levels (3,) that the room's light adds to red, green and blue."""
         return self.values[:, 3]
 
-    def change_sigma(self, untouched: NDArray[np.float32]) -> NDArray[np.float32]:
+    def change_sigma(self, untouched: Map) -> Map:
         """Standard deviation (h, w) of the color change from an unsure light, over background blocks (h, w, 3).
 
         It is the root mean square of the channels.
@@ -142,10 +143,10 @@ class _Fit(NamedTuple):
     PRIOR makes the matrices definite; a term that is not free has 1 on the diagonal alone.
     """
 
-    values: NDArray[np.float64]
-    free: NDArray[np.bool_]
-    normal: NDArray[np.float64]
-    far: NDArray[np.float32]
+    values: Numbers
+    free: Mask
+    normal: Numbers
+    far: Map
     rest_sigma: float
     at_rest: float
     likelihood: float
@@ -153,7 +154,7 @@ class _Fit(NamedTuple):
     promised: float
 
     @property
-    def covariance(self) -> NDArray[np.float64]:
+    def covariance(self) -> Numbers:
         """Of the values, (3, 4, 4)."""
         both = np.outer(self.free, self.free)
         return np.asarray(np.linalg.inv(np.where(both, self.normal, np.eye(4))) * both, dtype=np.float64)
@@ -173,9 +174,7 @@ class _Fit(NamedTuple):
 class _Seen:
     """The blocks (h, w, 3) of an image that are neither dark nor saturated in it and in a background image."""
 
-    def __init__(
-        self, blocks: NDArray[np.float32], untouched: NDArray[np.float32], every: int = EVERY
-    ) -> None:
+    def __init__(self, blocks: Map, untouched: Map, every: int = EVERY) -> None:
         height, width = (-(-size // every) for size in blocks.shape[:2])
         self.total, size = height * width, height * width + 1
         self._lit, self._work = np.empty((8, size), np.float32), np.empty(14 * size, np.float32)
@@ -184,10 +183,10 @@ class _Seen:
 
     def fit(
         self,
-        free: NDArray[np.bool_],
-        start: NDArray[np.float64],
+        free: Mask,
+        start: Numbers,
         sigma: float | None = None,
-        widened: NDArray[np.float64] = WIDENED,
+        widened: Numbers = WIDENED,
         most: float = np.inf,
     ) -> _Fit:
         """The light with these terms (4,) from a start (3, 4).
@@ -237,7 +236,7 @@ def light_from_image(image: ArrayLike, background: ArrayLike) -> FrameLight:
     return light_from_blocks(block_means(pressed), block_means(untouched))
 
 
-def gain_from_blocks(blocks: NDArray[np.float32], untouched: NDArray[np.float32]) -> FrameLight:
+def gain_from_blocks(blocks: Map, untouched: Map) -> FrameLight:
     """The light of an image as a gain alone, both from `block_means`."""
     seen = _Seen(blocks, untouched)
     if not seen.count:
@@ -246,9 +245,7 @@ def gain_from_blocks(blocks: NDArray[np.float32], untouched: NDArray[np.float32]
     return seen.light(gain, gain)
 
 
-def light_from_blocks(
-    blocks: NDArray[np.float32], untouched: NDArray[np.float32], usual: FrameLight | None = None
-) -> FrameLight:
+def light_from_blocks(blocks: Map, untouched: Map, usual: FrameLight | None = None) -> FrameLight:
     """The light of an image relative to a background image, both from `block_means`.
 
     Parameters
@@ -276,9 +273,7 @@ def light_from_blocks(
     return seen.light(best if is_better else gain, gain)
 
 
-def light_at_rest(
-    blocks: NDArray[np.float32], untouched: NDArray[np.float32], start: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def light_at_rest(blocks: Map, untouched: Map, start: Numbers) -> Numbers:
     """The light (3, 4) of an untouched gel's blocks (h, w, 3), fitted from one near it; blocks of 0 do not count.
 
     All terms are fitted: where nothing touches, a term too many costs nothing.
@@ -286,7 +281,7 @@ def light_at_rest(
     return _Seen(blocks, untouched, every=1).fit(BOTH, start).values
 
 
-def lit(levels: NDArray[np.float32], light: NDArray[np.float64]) -> NDArray[np.float32]:
+def lit(levels: Map, light: Numbers) -> Map:
     """An image or its blocks (H, W, 3) in another light.
 
     Parameters
@@ -299,13 +294,13 @@ def lit(levels: NDArray[np.float32], light: NDArray[np.float64]) -> NDArray[np.f
     )
 
 
-def without_light(levels: NDArray[Any], light: NDArray[np.float64]) -> NDArray[np.float32]:
+def without_light(levels: Array, light: Numbers) -> Map:
     """The image or the blocks (H, W, 3) that `lit` makes of: its inverse, but 0 for what is darker than the room's light."""
     left = np.maximum(levels - light[:, 3].astype(np.float32), np.float32(0))
     return np.asarray(left / _factor(levels.shape, light), dtype=np.float32)
 
 
-def scale_of_light(shape: tuple[int, ...], light: NDArray[np.float64]) -> NDArray[np.float32]:
+def scale_of_light(shape: tuple[int, ...], light: Numbers) -> Map:
     """What undoes a light of an image (H, W, 3): factors of its columns (3 W,).
 
     After them come, unless the light is a gain, factors of its rows (3 H,), and gray levels (3,) to subtract before.
@@ -317,26 +312,26 @@ def scale_of_light(shape: tuple[int, ...], light: NDArray[np.float64]) -> NDArra
     return np.concatenate([columns, rows, light[None, :, 3]]).ravel().astype(np.float32)
 
 
-def _start(seen: _Seen) -> NDArray[np.float64]:
+def _start(seen: _Seen) -> Numbers:
     """The light (3, 4) of the blocks' median ratio."""
     start = np.zeros((3, 4))
     start[:, 0] = np.log(seen.medians)
     return start
 
 
-def _factor(shape: tuple[int, ...], light: NDArray[np.float64]) -> NDArray[np.float32]:
+def _factor(shape: tuple[int, ...], light: Numbers) -> Map:
     """What a light multiplies pixels or blocks by, (H, W, 3)."""
     y, x = map(_centers, shape[:2])
     columns = np.exp(light[:, 0] + x[:, None] * light[:, 1]).astype(np.float32)
     return np.asarray(columns * np.exp(y[:, None, None] * light[:, 2]).astype(np.float32))
 
 
-def _places(shape: tuple[int, int]) -> NDArray[np.float64]:
+def _places(shape: tuple[int, int]) -> Numbers:
     """1, x and y (3, h w) of blocks (h, w), from -1 to 1."""
     y, x = map(_centers, shape)
     return np.stack([np.ones(len(x) * len(y)), np.tile(x, len(y)), np.repeat(y, len(x))])
 
 
-def _centers(count: int) -> NDArray[np.float64]:
+def _centers(count: int) -> Numbers:
     """The middles of `count` equal parts of -1 to 1."""
     return (2 * np.arange(count) + 1) / count - 1

@@ -13,12 +13,12 @@ Lucas and Kanade, An iterative image registration technique, IJCAI 1981; noisy r
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gelform.arrays import Array, Floats, Map, Mask, Numbers
 from gelform.foundations.checks import check_image, check_mask
 from gelform.foundations.filters import log_levels
 from gelform.foundations.information import determined_by
@@ -49,8 +49,8 @@ class Registration:
     untouched : float, 0-1, fraction of the image at rest, which it was read from; 0: nothing is at rest, nothing is known
     """
 
-    shift_px: NDArray[np.float64]
-    shift_sigma_px: NDArray[np.float64]
+    shift_px: Numbers
+    shift_sigma_px: Numbers
     turn_deg: float
     turn_sigma_deg: float
     stretch: float
@@ -64,7 +64,7 @@ class Registration:
 
 
 def registration_from_image(
-    image: ArrayLike, background: ArrayLike, touched: NDArray[np.bool_] | None = None
+    image: ArrayLike, background: ArrayLike, touched: Mask | None = None
 ) -> Registration:
     """Register an image against the background image.
 
@@ -94,7 +94,7 @@ def registration_from_image(
 class PreparedRegistration:
     """A background prepared for many images; its arguments are those of `registration_from_image`."""
 
-    def __init__(self, background: NDArray[Any]) -> None:
+    def __init__(self, background: Array) -> None:
         self._logs = log_levels(background)
         height, width = self._logs.shape
         if min(height, width) < 2:
@@ -108,7 +108,7 @@ class PreparedRegistration:
         self._window = cv2.createHanningWindow((width, height), cv2.CV_32F)
         self._levels = {blur: self._regressors(blur) for blur in set(BLURS_PX)}
 
-    def __call__(self, image: NDArray[Any], touched: NDArray[np.bool_] | None = None) -> Registration:
+    def __call__(self, image: Array, touched: Mask | None = None) -> Registration:
         """Register an image (H, W, 3), 0-255, of the background's size."""
         logs = log_levels(image)
         motion, covariance, fraction = self._start(logs, touched), PRIOR_PX**2 * np.eye(4), 0.0
@@ -124,7 +124,7 @@ class PreparedRegistration:
                 return _registration(np.zeros(4), PRIOR_PX**2 * np.eye(4), self._half, fraction)
         return _registration(motion, covariance, self._half, fraction)
 
-    def _regressors(self, blur: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def _regressors(self, blur: float) -> tuple[Floats, Floats]:
         """The blurred background, and (H*W, 10): quadratic light, then its change by shift, turn and stretch."""
         logs = cv2.GaussianBlur(self._logs, (0, 0), blur)
         down, across = np.asarray(np.gradient(logs))
@@ -133,7 +133,7 @@ class PreparedRegistration:
         moved = [-across, -down, v * across - u * down, -(u * across + v * down)]
         return logs, np.stack([*light, *moved], axis=-1).reshape(-1, 10)
 
-    def _moved_back(self, logs: NDArray[np.float32], motion: NDArray[np.float64]) -> NDArray[np.float32]:
+    def _moved_back(self, logs: Map, motion: Numbers) -> Map:
         """The image on the pixels of the background: its value at p + motion(p)."""
         shift_x, shift_y, turn, stretch = motion
         x = self._x + np.float32(shift_x) + np.float32(stretch) * self._u - np.float32(turn) * self._v
@@ -141,7 +141,7 @@ class PreparedRegistration:
         # Linear interpolation moves a quarter of a pixel exactly. OpenCV's cubic moves a ramp by up to 0.05 px too far.
         return np.asarray(cv2.remap(logs, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
 
-    def _untouched(self, change: NDArray[np.float32], touched: NDArray[np.bool_] | None) -> NDArray[np.bool_]:
+    def _untouched(self, change: Map, touched: Mask | None) -> Mask:
         """Pixels (H, W) whose surroundings are as bright as before, up to a common factor; the border is excluded."""
         smooth = cv2.GaussianBlur(change, (0, 0), TOUCH_BLUR_PX)
         away = np.abs(smooth - np.median(smooth))
@@ -152,9 +152,7 @@ class PreparedRegistration:
         used[:margin] = used[-margin:] = used[:, :margin] = used[:, -margin:] = False
         return used
 
-    def _fit(
-        self, logs: NDArray[np.float32], motion: NDArray[np.float64], blur: float, used: NDArray[np.bool_]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _fit(self, logs: Map, motion: Numbers, blur: float, used: Mask) -> tuple[Numbers, Numbers]:
         """The correction of the motion (4,), and the covariance of the whole motion."""
         rest, regressors = self._levels[blur]
         now = cv2.GaussianBlur(self._moved_back(logs, motion), (0, 0), blur)
@@ -168,14 +166,14 @@ class PreparedRegistration:
         noise = self._noise(float(residual @ residual) / len(residual), blur, of)
         return _solved(moved, change, residual, noise, self._block[of])
 
-    def _noise(self, variance: float, blur: float, of: NDArray[np.bool_]) -> NDArray[np.float64]:
+    def _noise(self, variance: float, blur: float, of: Mask) -> Numbers:
         """The part of noise in the information on the motion: half of the residual is the background's own."""
         slope = 0.5 * variance / (2 * blur**2)
         radius = float(np.sum(self._u.ravel()[of] ** 2 + self._v.ravel()[of] ** 2))
         count = np.count_nonzero(of)
         return slope * np.diag([count, count, radius, radius])
 
-    def _start(self, logs: NDArray[np.float32], touched: NDArray[np.bool_] | None) -> NDArray[np.float64]:
+    def _start(self, logs: Map, touched: Mask | None) -> Numbers:
         """A start for the shift: the peak of the phase correlation of the fine texture, 0 without one."""
         used = self._untouched(logs - self._logs, touched).astype(np.float32)
         fine = [(part - cv2.GaussianBlur(part, (0, 0), FINE_PX)) * used for part in (self._logs, logs)]
@@ -186,12 +184,8 @@ class PreparedRegistration:
 
 
 def _solved(
-    moved: NDArray[np.float64],
-    change: NDArray[np.float64],
-    residual: NDArray[np.float64],
-    noise: NDArray[np.float64],
-    block: NDArray[np.intp],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    moved: Numbers, change: Numbers, residual: Numbers, noise: Numbers, block: NDArray[np.intp]
+) -> tuple[Numbers, Numbers]:
     """The motion (4,) and its covariance (4, 4), along each direction by itself.
 
     `moved` (N, 4) is the change by each motion, without the part that light can explain. A direction with mostly noise
@@ -207,9 +201,7 @@ def _solved(
     return inverse @ (moved.T @ change), covariance
 
 
-def _registration(
-    motion: NDArray[np.float64], covariance: NDArray[np.float64], half: float, fraction: float
-) -> Registration:
+def _registration(motion: Numbers, covariance: Numbers, half: float, fraction: float) -> Registration:
     sigma = np.minimum(np.sqrt(np.diag(covariance)), PRIOR_PX)
     degrees = np.rad2deg(1 / half)
     return Registration(

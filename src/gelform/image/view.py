@@ -24,12 +24,13 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gelform.arrays import Array, Map, Numbers
 from gelform.foundations.checks import check_choice, check_image, check_is
 
 
 def box_centers(
     start: float, length: float, available: int, count: int, flipped: bool
-) -> tuple[NDArray[Any], slice, int]:
+) -> tuple[Array, slice, int]:
     """Positions of image pixels along one axis of a frame, in boxes of whole frame pixels.
 
     The axis has `count` image pixels, which show a part of a frame of `available` px. If it is flipped, the first of them is
@@ -46,7 +47,7 @@ def box_centers(
     return (centers - first) / box - 0.5, slice(first, last), box
 
 
-def averaged(pixels: NDArray[Any], box: tuple[int, int]) -> NDArray[Any]:
+def averaged(pixels: Array, box: tuple[int, int]) -> Array:
     """Mean of pixels (H, W, 3) over boxes (height, width); the last box repeats the border beyond the frame."""
     if box == (1, 1):
         return pixels
@@ -54,11 +55,11 @@ def averaged(pixels: NDArray[Any], box: tuple[int, int]) -> NDArray[Any]:
     missing = [boxes[axis] * box[axis] - pixels.shape[axis] for axis in (0, 1)]
     if any(missing):
         pixels = cv2.copyMakeBorder(pixels, 0, missing[0], 0, missing[1], cv2.BORDER_REPLICATE)
-    averaged: NDArray[Any] = cv2.resize(pixels, (boxes[1], boxes[0]), interpolation=cv2.INTER_AREA)
+    averaged: Array = cv2.resize(pixels, (boxes[1], boxes[0]), interpolation=cv2.INTER_AREA)
     return averaged
 
 
-def pixel_maps(x: NDArray[Any], y: NDArray[Any]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def pixel_maps(x: Array, y: Array) -> tuple[Map, Map]:
     """Maps (h, w) of each pixel's position in the source.
 
     All rows of the maps have the columns x (w,), and all columns the rows y (h,).
@@ -73,23 +74,21 @@ def pixel_positions(shape: tuple[int, int]) -> NDArray[np.int64]:
     return np.stack([x.ravel(), y.ravel()], axis=1)
 
 
-def maps_of_positions(
-    positions_px: NDArray[Any], shape: tuple[int, int]
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def maps_of_positions(positions_px: Array, shape: tuple[int, int]) -> tuple[Map, Map]:
     """Maps (H, W) of positions (H*W, 2), x and y, in the source, as `remapped` takes them."""
     map_x, map_y = (positions_px[:, k].reshape(shape).astype(np.float32) for k in (0, 1))
     return _read_only(map_x), _read_only(map_y)
 
 
-def _read_only(values: NDArray[Any]) -> NDArray[Any]:
+def _read_only(values: Array) -> Array:
     """The same array, read-only, because threads share prepared maps."""
     values.setflags(write=False)
     return values
 
 
-def remapped(pixels: NDArray[Any], map_x: NDArray[Any], map_y: NDArray[Any]) -> NDArray[Any]:
+def remapped(pixels: Array, map_x: Array, map_y: Array) -> Array:
     """Bilinear values at maps (h, w) of source columns and rows; the border is repeated beyond it."""
-    found: NDArray[Any] = cv2.remap(pixels, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    found: Array = cv2.remap(pixels, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return found
 
 
@@ -140,15 +139,15 @@ class Lens:
             )
 
     @property
-    def _homography(self) -> NDArray[np.float64]:
+    def _homography(self) -> Numbers:
         return np.asarray(self.perspective, dtype=np.float64).reshape(3, 3)
 
-    def frame_px_from_rectified_px(self, points_px: NDArray[Any]) -> NDArray[np.float64]:
+    def frame_px_from_rectified_px(self, points_px: Array) -> Numbers:
         """Positions (N, 2), x and y, in the frame of points of the rectified plane."""
         flat = cv2.perspectiveTransform(np.asarray(points_px, dtype=np.float64)[None], self._homography)[0]
         return self._distorted(flat)
 
-    def _distorted(self, flat: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _distorted(self, flat: Numbers) -> Numbers:
         """Positions in the frame of points of the undistorted frame."""
         fx, fy, cx, cy = self.camera
         k1, k2, p1, p2, k3 = (*self.distortion, *[0.0] * (5 - len(self.distortion)))
@@ -163,13 +162,13 @@ class Lens:
             axis=1,
         )
 
-    def rectified_px_from_frame_px(self, points_px: NDArray[Any]) -> NDArray[np.float64]:
+    def rectified_px_from_frame_px(self, points_px: Array) -> Numbers:
         """Positions (N, 2) in the rectified plane of points of the frame: the inverse of `frame_px_from_rectified_px`."""
         flat = self._undistorted(np.asarray(points_px, dtype=np.float64))
         back = cv2.perspectiveTransform(flat[None], np.linalg.inv(self._homography))
         return np.asarray(back[0], dtype=np.float64)
 
-    def _undistorted(self, distorted: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _undistorted(self, distorted: Numbers) -> Numbers:
         """The inverse of `_distorted`, by Newton's method: from the given point it approaches the answer from one side."""
         flat = distorted.copy()
         for _ in range(UNDISTORTION_ROUNDS):
@@ -185,7 +184,7 @@ class Lens:
                 break
         return flat
 
-    def _distortion_slopes(self, flat: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
+    def _distortion_slopes(self, flat: Numbers) -> tuple[Numbers, ...]:
         """The derivatives dx/dx, dy/dx, dx/dy, dy/dy of `_distorted`, by central differences."""
         along_x, along_y = np.array([DIFFERENCE_PX, 0.0]), np.array([0.0, DIFFERENCE_PX])
         by_x = (self._distorted(flat + along_x) - self._distorted(flat - along_x)) / (2 * DIFFERENCE_PX)
@@ -356,7 +355,7 @@ class View:
         return cls(**settings)
 
 
-def image_from_frame(frame: ArrayLike, view: View) -> NDArray[Any]:
+def image_from_frame(frame: ArrayLike, view: View) -> Array:
     """Make the image, which the path works on, from a camera's frame.
 
     Parameters
@@ -397,7 +396,7 @@ def image_from_frame(frame: ArrayLike, view: View) -> NDArray[Any]:
     return remapped(averaged(pixels[rows, columns], box), map_x, map_y)
 
 
-def frame_from_image(image: ArrayLike, view: View) -> NDArray[Any]:
+def frame_from_image(image: ArrayLike, view: View) -> Array:
     """Make a frame whose view is the image; `image_from_frame` is the inverse.
 
     Frame pixels outside the view repeat the nearest pixel inside.
@@ -427,7 +426,7 @@ def frame_from_image(image: ArrayLike, view: View) -> NDArray[Any]:
 
 
 @lru_cache(maxsize=8)
-def _maps_to_image(view: View) -> tuple[slice, slice, tuple[int, int], NDArray[Any], NDArray[Any]]:
+def _maps_to_image(view: View) -> tuple[slice, slice, tuple[int, int], Array, Array]:
     """The rows and columns to cut out of the frame, the box to average, and each image pixel's position in the result."""
     (frame, image), (left, top, width, height) = view._sizes, view._box
     x, columns, box_x = box_centers(left, width, frame[1], image[1], "x" in view.flip)
@@ -436,7 +435,7 @@ def _maps_to_image(view: View) -> tuple[slice, slice, tuple[int, int], NDArray[A
 
 
 @lru_cache(maxsize=8)
-def _maps_through_lens(view: View) -> tuple[tuple[int, int], NDArray[Any], NDArray[Any]]:
+def _maps_through_lens(view: View) -> tuple[tuple[int, int], Array, Array]:
     """The box to average in the whole frame, and each image pixel's position in the result."""
     shape, (_, _, width, height) = view._sizes[1], view._box
     box = max(1, int(height / shape[0] + 0.5)), max(1, int(width / shape[1] + 0.5))
@@ -445,7 +444,7 @@ def _maps_through_lens(view: View) -> tuple[tuple[int, int], NDArray[Any], NDArr
     return box, *maps_of_positions(in_boxes, shape)
 
 
-def frame_px_from_image_px(points_px: ArrayLike, view: View) -> NDArray[np.float64]:
+def frame_px_from_image_px(points_px: ArrayLike, view: View) -> Numbers:
     """Positions (N, 2) in the frame, px, of points of the image, x and y."""
     points = np.asarray(points_px, dtype=np.float64).reshape(-1, 2)
     if view.is_identity:
@@ -460,7 +459,7 @@ def frame_px_from_image_px(points_px: ArrayLike, view: View) -> NDArray[np.float
     return rectified if view.lens is None else view.lens.frame_px_from_rectified_px(rectified)
 
 
-def image_px_from_frame_px(points_px: ArrayLike, view: View) -> NDArray[np.float64]:
+def image_px_from_frame_px(points_px: ArrayLike, view: View) -> Numbers:
     """Positions (N, 2) in the image, px, of points of the frame: the inverse of `frame_px_from_image_px`."""
     points = np.asarray(points_px, dtype=np.float64).reshape(-1, 2)
     if view.is_identity:
@@ -475,7 +474,7 @@ def image_px_from_frame_px(points_px: ArrayLike, view: View) -> NDArray[np.float
     return _flipped((points + 0.5 - (left, top)) * scale - 0.5, view)
 
 
-def _flipped(points: NDArray[np.float64], view: View) -> NDArray[np.float64]:
+def _flipped(points: Numbers, view: View) -> Numbers:
     """Points of the image after its flip; a second flip restores them."""
     height, width = view._sizes[1]
     x, y = points.T
@@ -485,7 +484,7 @@ def _flipped(points: NDArray[np.float64], view: View) -> NDArray[np.float64]:
 
 
 @lru_cache(maxsize=8)
-def _maps_to_frame(view: View) -> tuple[NDArray[Any], NDArray[Any]]:
+def _maps_to_frame(view: View) -> tuple[Array, Array]:
     """The position of each frame pixel in the image."""
     frame_shape = view._sizes[0]
     points = image_px_from_frame_px(pixel_positions(frame_shape), view)

@@ -10,18 +10,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gelform._native import Kernel
+from gelform.arrays import Array, Floats, Mask, Slopes
 from gelform.errors import GelformError
 from gelform.foundations.checks import check_is, check_mm_per_px, check_values, value_range
 from gelform.result import Reconstruction
 
-Array = NDArray[Any]  # of numbers, whatever their precision
 ORTHONORMAL = 1e-6  # largest entry of R'R - 1 of a rotation, and error of the last row
 
 
@@ -106,16 +105,16 @@ class Equations:
 
     pose: Array
     center: Array
-    residual: NDArray[np.float32]
-    jacobian: NDArray[np.float32]
-    weight: NDArray[np.float32]
-    inside: NDArray[np.bool_]
+    residual: Floats
+    jacobian: Floats
+    weight: Floats
+    inside: Mask
     information: Array
     right: Array
     count: int
 
     @property
-    def shared(self) -> NDArray[np.bool_]:
+    def shared(self) -> Mask:
         return np.asarray(self.weight[:, 2] > 0)
 
     @property
@@ -175,18 +174,18 @@ class TouchedSurface:
         return self.every * np.argwhere(self.contact[:: self.every, :: self.every])
 
     @cached_property
-    def points(self) -> NDArray[np.float32]:
+    def points(self) -> Floats:
         points = np.empty((len(self.pixels), 3), np.float32)
         points[:, :2] = (self.pixels[:, ::-1] - self.origin) * self.pitch
         points[:, 2] = self.depth[tuple(self.pixels.T)]
         return points
 
     @cached_property
-    def slopes(self) -> NDArray[np.float32]:
+    def slopes(self) -> Slopes:
         return self.gradients[tuple(self.pixels.T)]
 
     @cached_property
-    def point_variances(self) -> NDArray[np.float32]:
+    def point_variances(self) -> Floats:
         return self.variances[tuple(self.pixels.T)]
 
     def equations(self, other: TouchedSurface, pose: Array) -> Equations:
@@ -223,18 +222,18 @@ class TouchedSurface:
         return self.equations(self, np.eye(4))
 
     @cached_property
-    def inner(self) -> NDArray[np.bool_]:
+    def inner(self) -> Mask:
         """The touched pixels (h, w) that are not next to the border of the contact."""
         disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * BORDER_PX + 1,) * 2)
         inner = cv2.erode(self.closed.view(np.uint8), disc, borderValue=0)
         return self.contact & inner.view(np.bool_)
 
-    def pixels_at(self, points: Array) -> NDArray[np.float32]:
+    def pixels_at(self, points: Array) -> Floats:
         """Columns and rows (..., 2) in the rectangle at points (..., 3)."""
         return np.asarray(points[..., :2] / self.pitch + self.origin, dtype=np.float32)
 
 
-def _closed(contact: NDArray[np.bool_], pitch: Array) -> NDArray[np.bool_]:
+def _closed(contact: Mask, pitch: Array) -> Mask:
     """A contact (h, w) with the gaps between the tops of a texture, which move with them."""
     across, down = (2 * np.rint(GAP_MM / 2 / pitch) + 1).astype(int).tolist()
     border = (down, down, across, across)
@@ -243,7 +242,7 @@ def _closed(contact: NDArray[np.bool_], pitch: Array) -> NDArray[np.bool_]:
     return closed[down:-down, across:-across].view(np.bool_)
 
 
-def _variances(result: Reconstruction, rows: slice, cols: slice) -> NDArray[np.float32]:
+def _variances(result: Reconstruction, rows: slice, cols: slice) -> Floats:
     """Variances (h, w, 3) of a pixel's slopes and of its depth; a sigma that is not stated counts as 0."""
     sigmas = (result.gradients_sigma, result.depth_sigma_mm)
     maps = (
@@ -256,7 +255,7 @@ def _variances(result: Reconstruction, rows: slice, cols: slice) -> NDArray[np.f
     return cv2.add(known, (SLOPE_FLOOR**2, SLOPE_FLOOR**2, DEPTH_FLOOR_MM**2, 0), dst=known)
 
 
-def _derivatives(gradients: NDArray[np.float32], pitch: Array) -> tuple[Array, Array]:
+def _derivatives(gradients: Slopes, pitch: Array) -> tuple[Array, Array]:
     """Derivatives (H, W, 2) of smoothed slopes along x, and along y."""
     smooth = cv2.getGaussianKernel(7, SMOOTHED_PX)
     difference = np.convolve(smooth.ravel(), [-0.5, 0, 0.5])

@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from gelform.arrays import Map, Slopes
 from gelform.depth.integrate import integrate
 from gelform.errors import GelformError
 from gelform.foundations.checks import check_list
@@ -307,13 +308,13 @@ def layer_of(
     return np.stack([*np.moveaxis(weighted, -1, 0), slope_weight, depth_weight, share])
 
 
-def _pose_variance(away: Array, slopes: NDArray[np.float32], covariance: Array) -> Array:
+def _pose_variance(away: Array, slopes: Slopes, covariance: Array) -> Array:
     """Variance (H, W) of the depth by an error of the pose about a point that is `away` (H, W, 3), mm^2."""
     normal = np.dstack([-slopes, np.ones(slopes.shape[:2])])
     change = np.concatenate([normal, np.cross(away, normal)], axis=-1)
     return np.asarray(np.einsum("...i,ij,...j->...", change, covariance, change), dtype=np.float64)
 
 
-def _sampled(values: NDArray[np.float32], pixel: NDArray[np.float32]) -> NDArray[np.float32]:
+def _sampled(values: Map, pixel: Map) -> Map:
     """Values (h, w) or (h, w, n) at places (H, W, 2), px, between pixels; 0 outside."""
     return np.asarray(cv2.remap(values, pixel, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT))

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import scipy  # its parts load at first use
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import ndimage
 
 from gelform._native import Kernel
+from gelform.arrays import Array, Mask, Numbers
 from gelform.foundations.checks import (
     check_choice,
     check_gradients,
@@ -44,7 +44,7 @@ def followed_radius(contact_radius_px: float, ball_radius_px: float) -> float:
 
 def ball_gradients(
     x_px: ArrayLike, y_px: ArrayLike, center_px: tuple[float, float], radius_px: float | tuple[float, float]
-) -> NDArray[np.float64]:
+) -> Numbers:
     """Slopes `p = -u/sqrt(R^2 - u^2 - v^2)` of a ball, u and v its pixel distances from the center.
 
     Parameters
@@ -65,9 +65,9 @@ def ball_gradients(
 
 
 def ball_center(
-    gradients: NDArray[Any],
-    x_px: NDArray[Any],
-    y_px: NDArray[Any],
+    gradients: Array,
+    x_px: Array,
+    y_px: Array,
     start_px: tuple[float, float],
     radius_px: float,
     *,
@@ -84,7 +84,7 @@ def ball_center(
     return float(center[0]), float(center[1])
 
 
-def radius_from_gradients(gradients: NDArray[Any], x_px: NDArray[Any], y_px: NDArray[Any]) -> float:
+def radius_from_gradients(gradients: Array, x_px: Array, y_px: Array) -> float:
     """Radius, px, of the ball with the slopes closest to gradients (N, 2) at pixel positions (N,); the center is free.
 
     The first two components of a ball's normals are `((x - cx)/R, (y - cy)/R)`. So 1/R is the slope of a line through them,
@@ -102,7 +102,7 @@ def radius_from_gradients(gradients: NDArray[Any], x_px: NDArray[Any], y_px: NDA
     return float(1 / curvature) if curvature else float("inf")
 
 
-def center_jacobian(ball: NDArray[np.float64], radius_px: float | NDArray[np.float64]) -> NDArray[np.float64]:
+def center_jacobian(ball: Numbers, radius_px: float | Numbers) -> Numbers:
     """Derivative (N, 2, 2) of a ball's slopes by its center: `(1 + p^2, p q; p q, 1 + q^2) sqrt(1 + p^2 + q^2)/R`.
 
     R is one radius, or one for each pixel (N,).
@@ -125,7 +125,7 @@ class SphereFit:
 
 
 def fit_sphere(
-    depth_mm: ArrayLike, region: NDArray[np.bool_], *, mm_per_px: float | Sequence[float], radius_mm: float
+    depth_mm: ArrayLike, region: Mask, *, mm_per_px: float | Sequence[float], radius_mm: float
 ) -> SphereFit:
     """Sphere through a region of a depth map, by soft-l1 (20 um) least squares that starts from `radius_mm`."""
     hx, hy = check_mm_per_px(mm_per_px)
@@ -135,7 +135,7 @@ def fit_sphere(
     z = np.asarray(depth_mm, dtype=np.float64)[region]
     x, y = cols * hx, rows * hy
 
-    def distances(t: NDArray[Any]) -> NDArray[Any]:
+    def distances(t: Array) -> Array:
         return np.sqrt((x - t[0]) ** 2 + (y - t[1]) ** 2 + (z - t[2]) ** 2) - t[3]
 
     start = [x.mean(), y.mean(), z.max() - radius_mm, radius_mm]
@@ -143,7 +143,7 @@ def fit_sphere(
     return SphereFit((fit.x[0], fit.x[1], fit.x[2]), float(abs(fit.x[3])))
 
 
-def angle_deg(gradients: ArrayLike, reference: ArrayLike) -> NDArray[np.float64]:
+def angle_deg(gradients: ArrayLike, reference: ArrayLike) -> Numbers:
     """Angle between the normals of two sets of gradients (..., 2), degrees."""
     a, b = np.asarray(gradients, dtype=np.float64), np.asarray(reference, dtype=np.float64)
     difference = a - b
@@ -164,17 +164,13 @@ class SlopeScore:
     """
 
     center_px: tuple[float, float]
-    true_gradients: NDArray[np.float64]
-    errors: NDArray[np.float64]
+    true_gradients: Numbers
+    errors: Numbers
     normal_deg: float
 
 
 def score_slopes(
-    gradients: NDArray[Any],
-    x_px: NDArray[Any],
-    y_px: NDArray[Any],
-    start_px: tuple[float, float],
-    ball_radius_px: float,
+    gradients: Array, x_px: Array, y_px: Array, start_px: tuple[float, float], ball_radius_px: float
 ) -> SlopeScore:
     """Compare slopes (N, 2) at pixels x_px, y_px (N,) of one contact with a ball of known radius.
 
@@ -213,8 +209,8 @@ class PressErrors:
 
 
 def press_errors(
-    depth_mm: NDArray[Any],
-    gradients: NDArray[Any],
+    depth_mm: Array,
+    gradients: Array,
     *,
     circle_px: tuple[float, float, float],
     ball_radius_mm: float,
@@ -261,11 +257,11 @@ def press_errors(
     from_free = [np.hypot(x - c[0], y - c[1]) for c in free]
     inside_free = [distance < reach for distance in from_free]
 
-    def normal(center: tuple[float, float], region: NDArray[np.bool_]) -> float:
+    def normal(center: tuple[float, float], region: Mask) -> float:
         truth = ball_gradients(x[region], y[region], center, ball_px)
         return float(angle_deg(gradients[region], truth).mean())
 
-    def cap(center: tuple[float, float], region: NDArray[np.bool_]) -> float:
+    def cap(center: tuple[float, float], region: Mask) -> float:
         square = (x[region] - center[0]) ** 2 + (y[region] - center[1]) ** 2
         ball = mm_per_px * np.sqrt(np.maximum(ball_px**2 - square, 0))
         return float(1e3 * np.std(depth_mm[region] - ball))
@@ -386,9 +382,7 @@ def areal_roughness(
     )
 
 
-def gaussian_areal_filter(
-    heights: NDArray[Any], cutoff_px: float, inside: NDArray[np.bool_]
-) -> NDArray[np.float64]:
+def gaussian_areal_filter(heights: Array, cutoff_px: float, inside: Mask) -> Numbers:
     """The large scales of heights (H, W): their mean with the weights of ISO 16610-61 around each pixel.
 
     The weights are exp(-pi r^2 / (alpha cutoff)^2) with alpha = sqrt(ln 2 / pi), over the pixels `inside`, normalized to 1.
@@ -402,7 +396,7 @@ def gaussian_areal_filter(
     return np.divide(blurred, weight, out=np.zeros_like(blurred), where=inside)
 
 
-def _developed_area(depth: NDArray[Any], inside: NDArray[np.bool_], pitch: float) -> float:
+def _developed_area(depth: Array, inside: Mask, pitch: float) -> float:
     """Sdr, per cent: the mean of sqrt(1 + slope^2) - 1 over cells of four pixels inside."""
     a, b, c, d = depth[:-1, :-1], depth[:-1, 1:], depth[1:, :-1], depth[1:, 1:]
     slope_x, slope_y = (b - a + d - c) / (2 * pitch), (c - a + d - b) / (2 * pitch)
@@ -411,7 +405,7 @@ def _developed_area(depth: NDArray[Any], inside: NDArray[np.bool_], pitch: float
     return float(100 * np.mean(excess)) if excess.size else 0.0
 
 
-def _form(depth: NDArray[Any], inside: NDArray[np.bool_], degree: int) -> NDArray[np.float64]:
+def _form(depth: Array, inside: Mask, degree: int) -> Numbers:
     """The polynomial (H, W), fitted by least squares to the pixels inside."""
     height, width = depth.shape
     y, x = np.meshgrid(np.linspace(-1, 1, height), np.linspace(-1, 1, width), indexing="ij")

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gelform.arrays import Array, Map, Mask, Slopes
 from gelform.depth.force import Force, ForceModel, force_from_result
 from gelform.depth.regions import Contact, contacts_from_mask
 from gelform.errors import DataError, GelformError
@@ -90,16 +91,16 @@ class Reconstruction:
     albedo_source, difference_source : functions that compute `albedo` and `depth_difference_sigma` on demand; not saved
     """
 
-    depth: NDArray[np.float32]
-    depth_sigma_mm: NDArray[np.float32] | None
-    gradients: NDArray[np.float32]
-    gradients_sigma: NDArray[np.float32] | None
-    confidence: NDArray[np.float32]
-    contact: NDArray[np.bool_]
-    known: NDArray[np.bool_]
+    depth: Map
+    depth_sigma_mm: Map | None
+    gradients: Slopes
+    gradients_sigma: Map | None
+    confidence: Map
+    contact: Mask
+    known: Mask
     mm_per_px: float | tuple[float, float] | None
     mm_per_px_sigma: float | None = None
-    observed_gradients: NDArray[np.float32] | None = None
+    observed_gradients: Slopes | None = None
     zero: str = "untouched"
     solver: str = ""
     # Without an attribute of the class, which would hide that a value is still to be computed.
@@ -112,10 +113,8 @@ class Reconstruction:
     wall_time_ns: int | None = None
     calibration_digest: str = ""
     force_model: ForceModel | None = field(default=None, repr=False)
-    albedo_source: Callable[[], NDArray[np.float32]] | None = field(default=None, repr=False)
-    difference_source: Callable[[NDArray[np.bool_]], NDArray[np.float32]] | None = field(
-        default=None, repr=False
-    )
+    albedo_source: Callable[[], Map] | None = field(default=None, repr=False)
+    difference_source: Callable[[Mask], Map] | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         shape = np.shape(self.depth)
@@ -152,7 +151,7 @@ class Reconstruction:
         return type(self)(**{**values, **changes})
 
     @cached_property
-    def normals(self) -> NDArray[np.float32]:
+    def normals(self) -> Map:
         """Unit normals (H, W, 3), n_z > 0, of the gradients."""
         return normals_from_gradients(self.gradients)
 
@@ -184,14 +183,14 @@ class Reconstruction:
         return force_from_result(self, self.force_model)
 
     @cached_property
-    def albedo(self) -> NDArray[np.float32] | None:
+    def albedo(self) -> Map | None:
         """Reflectance (H, W) relative to the gel at rest, if the color model is photometric stereo.
 
         None for other models, which cannot distinguish a darker gel from a steeper one, and for loaded results.
         """
         return None if self.albedo_source is None else self.albedo_source()
 
-    def depth_difference_sigma(self, region: ArrayLike | None = None) -> NDArray[np.float32]:
+    def depth_difference_sigma(self, region: ArrayLike | None = None) -> Map:
         """Standard deviation (H, W), mm, of the depth minus its mean over a region, that is, of the shape.
 
         Depth is measured from gel at rest, and most of its error is common to all pixels of a contact. That part is in
@@ -217,7 +216,7 @@ class Reconstruction:
         return self.difference_source(pixels)
 
     @property
-    def depth_mm(self) -> NDArray[np.float32]:
+    def depth_mm(self) -> Map:
         """Depth (H, W), mm, 0 at rest, positive where pressed; finite everywhere.
 
         Raises
@@ -234,7 +233,7 @@ class Reconstruction:
         return self.depth
 
     @property
-    def depth_px(self) -> NDArray[np.float32]:
+    def depth_px(self) -> Map:
         """Depth (H, W) in widths of a pixel: depth_mm / mm_per_px; available without a scale too.
 
         Raises
@@ -296,7 +295,7 @@ class Reconstruction:
         }
 
 
-def _depth_png(depth: NDArray[np.float32], known: NDArray[np.bool_]) -> bytes:
+def _depth_png(depth: Map, known: Mask) -> bytes:
     """A small picture of the depth: dark at rest, bright where deep, hatched where unknown."""
     low, high = (float(depth[known].min()), float(depth[known].max())) if known.any() else (0.0, 0.0)
     levels = np.clip((depth - low) * (255 / max(high - low, 1e-9)), 0, 255).astype(np.uint8)
@@ -383,7 +382,7 @@ def load_result(path: str | PathLike[str]) -> Reconstruction:
         )
 
 
-def _check_contents(arrays: dict[str, NDArray[Any]], meta: dict[str, Any]) -> None:
+def _check_contents(arrays: dict[str, Array], meta: dict[str, Any]) -> None:
     """Refuse NaN, arrays of other types and settings of the wrong kind; the record checks the shapes."""
     for name, array in arrays.items():
         wanted = np.bool_ if name in BOOLEAN else np.floating
@@ -403,6 +402,6 @@ def _check_contents(arrays: dict[str, NDArray[Any]], meta: dict[str, Any]) -> No
         check_number(finding["figure"], "figure")
 
 
-def _pitch(stored: NDArray[Any]) -> float | tuple[float, float]:
+def _pitch(stored: Array) -> float | tuple[float, float]:
     x, y = check_mm_per_px(stored)
     return x if stored.ndim == 0 else (x, y)

@@ -26,14 +26,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
 
 import cv2
 import numpy as np
 import scipy  # its parts load at first use
-from numpy.typing import NDArray
 
 from gelform._native import Handle, Kernel
+from gelform.arrays import Array, Mask, Numbers
 from gelform.errors import ConvergenceError
 from gelform.foundations.checks import check_positive
 from gelform.simulate.indenters import Ball, Indenter, Pose
@@ -72,7 +71,7 @@ class BallPress:
     relaxation_mm: float
     thickness_mm: float
 
-    def tail(self, r_mm: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def tail(self, r_mm: Array) -> tuple[Numbers, Numbers]:
         """Depth and slope at distances r >= contact radius."""
         depth, slope = np.zeros(np.shape(r_mm)), np.zeros(np.shape(r_mm))
         for size, length in ((self.tail_mm, self.relaxation_mm), (-self.bulge_mm, self.thickness_mm)):
@@ -118,8 +117,8 @@ def depth_of_ball(
 
 
 def ball_on_grid(
-    press: BallPress, x_mm: NDArray[Any], y_mm: NDArray[Any], center_mm: tuple[float, float]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
+    press: BallPress, x_mm: Array, y_mm: Array, center_mm: tuple[float, float]
+) -> tuple[Numbers, Numbers, Mask]:
     """Depth (H, W), gradients (H, W, 2) and contact of a ball on a grid."""
     a = press.contact_radius_mm
     length = max(press.relaxation_mm, press.thickness_mm) if press.bulge_mm else press.relaxation_mm
@@ -133,7 +132,7 @@ def ball_on_grid(
 
 
 @lru_cache(maxsize=64)
-def _table(press: BallPress, step: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _table(press: BallPress, step: float) -> tuple[Numbers, Numbers]:
     return press.tail(press.contact_radius_mm + step * np.arange(TABLE))
 
 
@@ -159,7 +158,7 @@ def _rim(
 
 
 def _bulge_inside(
-    face: NDArray[Any], a: float, thickness: float, bulge: float, coupling: float, kh: float
+    face: Array, a: float, thickness: float, bulge: float, coupling: float, kh: float
 ) -> tuple[float, float]:
     """The bulge and its slope at the rim, where it obeys `b' = -coupling (g + b) - kh b`."""
     step = a / NODES
@@ -186,7 +185,6 @@ def _apart(thickness_mm: float, relaxation_mm: float) -> float:
 
 TOLERANCE = 1e-5  # largest change by a cycle over the deepest point: 5 nm for a press 0.5 mm deep
 MAX_CYCLES = 100  # V-cycles before a solution fails
-Map = NDArray[np.float64]
 
 _membrane_cycles = Kernel(
     "membrane_cycles",
@@ -196,8 +194,8 @@ _membrane_cycles = Kernel(
 
 
 def membrane_over(
-    obstacle: NDArray[Any], *, relaxation_px: float, bulge: float = 0.0, bulge_px: float = 1.0
-) -> tuple[Map, Map]:
+    obstacle: Array, *, relaxation_px: float, bulge: float = 0.0, bulge_px: float = 1.0
+) -> tuple[Numbers, Numbers]:
     """The membrane w of least energy over an obstacle and the bulge b of its gel; no force across the border.
 
     Solves `w >= g + b`, `4 w - sum of neighbors + w/L^2 >= 0`, one of the two an equality at every sample. b is
@@ -254,8 +252,8 @@ class _Grids:
 
 
 def _solved(
-    g: Map, relaxation_px: float, *, bulge: float, bulge_px: float, guess: bool = False
-) -> tuple[Map, Map]:
+    g: Numbers, relaxation_px: float, *, bulge: float, bulge_px: float, guess: bool = False
+) -> tuple[Numbers, Numbers]:
     """First guess from the grid of half the resolution, then cycles until the change is below the tolerance.
 
     A first guess may stop before that, because on a coarse relief two contacts can alternate forever.
@@ -284,7 +282,7 @@ def _solved(
     return np.maximum(grids.u, grids.lowest), b
 
 
-def spread(values: Map, length_px: float) -> Map:
+def spread(values: Numbers, length_px: float) -> Numbers:
     """Values smoothed by K0(r/h)/(2 pi h^2), mirrored at the border, so that their sum is preserved.
 
     By cosine transform on a coarser grid: the result is smooth over the length.
@@ -308,7 +306,7 @@ def spread(values: Map, length_px: float) -> Map:
     return np.asarray(cv2.resize(smooth, (width, height), interpolation=cv2.INTER_CUBIC), dtype=np.float64)
 
 
-def carried_along(values: Map, fixed: NDArray[np.bool_], length_px: float) -> Map:
+def carried_along(values: Numbers, fixed: Mask, length_px: float) -> Numbers:
     """Values kept where `fixed` and falling off over a length elsewhere: v = h^2 laplace(v), no flux at the border.
 
     The values that are not fixed are the first guess; the result is good to a thousandth of the largest value.
@@ -322,7 +320,7 @@ def carried_along(values: Map, fixed: NDArray[np.bool_], length_px: float) -> Ma
     return grids.u.copy()
 
 
-def _coarse_guess(g: Map, relaxation_px: float, bulge: float, bulge_px: float) -> tuple[Map, Map]:
+def _coarse_guess(g: Numbers, relaxation_px: float, bulge: float, bulge_px: float) -> tuple[Numbers, Numbers]:
     """The solution on a grid of half the resolution, interpolated to this one."""
     if relaxation_px < 2 or min(g.shape) < 8:
         return np.zeros(g.shape), np.zeros(g.shape)
@@ -382,11 +380,11 @@ class Surface:
     contact : (H, W) bool, where gel and indenter touch
     """
 
-    x_mm: NDArray[np.float64]
-    y_mm: NDArray[np.float64]
-    depth_mm: NDArray[np.float64]
-    gradients: NDArray[np.float64]
-    contact: NDArray[np.bool_]
+    x_mm: Numbers
+    y_mm: Numbers
+    depth_mm: Numbers
+    gradients: Numbers
+    contact: Mask
 
     def sampled(self, at: slice) -> Surface:
         """The surface at given rows, and at the same of its columns."""
@@ -403,7 +401,7 @@ class Surface:
         return self if stride == 1 else self.sampled(slice(stride // 2, None, stride))
 
 
-def flat_surface(x_mm: NDArray[np.float64], y_mm: NDArray[np.float64]) -> Surface:
+def flat_surface(x_mm: Numbers, y_mm: Numbers) -> Surface:
     """The surface of the gel at rest."""
     shape = (y_mm.size, x_mm.size)
     return Surface(x_mm, y_mm, np.zeros(shape), np.zeros((*shape, 2)), np.zeros(shape, dtype=bool))
@@ -411,8 +409,8 @@ def flat_surface(x_mm: NDArray[np.float64], y_mm: NDArray[np.float64]) -> Surfac
 
 def surface_from_indenter(
     indenter: Indenter,
-    x_mm: NDArray[np.float64],
-    y_mm: NDArray[np.float64],
+    x_mm: Numbers,
+    y_mm: Numbers,
     *,
     center_mm: tuple[float, float],
     depth_mm: float,
@@ -454,11 +452,11 @@ class Drag:
 
     def __init__(self, gel: Gel) -> None:
         self.gel = gel
-        self._stuck: NDArray[np.float64] | None = None
+        self._stuck: Numbers | None = None
         self._pose: Pose | None = None
-        self._contact: NDArray[np.bool_] | None = None
+        self._contact: Mask | None = None
 
-    def __call__(self, surface: Surface, pose: Pose) -> NDArray[np.float64]:
+    def __call__(self, surface: Surface, pose: Pose) -> Numbers:
         """Displacement (h, w, 2) in mm, x and y, on the surface's grid."""
         x, y = surface.x_mm, surface.y_mm
         pitch = float(x[0, 1] - x[0, 0])
@@ -480,7 +478,7 @@ class Drag:
         self._stuck, self._pose, self._contact = moved, pose, surface.contact
         return moved + self._pressed_away(surface, pitch)
 
-    def _step(self, x: NDArray[Any], y: NDArray[Any], pose: Pose) -> NDArray[np.float64]:
+    def _step(self, x: Array, y: Array, pose: Pose) -> Numbers:
         """Sideways motion of the indenter's surface since the last pose, at each point."""
         last = self._pose or pose
         turn = np.deg2rad(pose.spin_deg - last.spin_deg)
@@ -489,7 +487,7 @@ class Drag:
         step_y = pose.travel_mm[1] - last.travel_mm[1] + np.sin(turn) * dx + (np.cos(turn) - 1) * dy
         return np.stack([step_x, step_y], axis=-1)
 
-    def _pressed_away(self, surface: Surface, pitch: float) -> NDArray[np.float64]:
+    def _pressed_away(self, surface: Surface, pitch: float) -> Numbers:
         """The gel's flow from under the indenter, `-h grad b`, with b from the positive part of the depth."""
         thickness = self.gel.thickness_mm
         bulge = self.gel.bulge * spread(np.maximum(surface.depth_mm, 0), thickness / pitch)
@@ -497,9 +495,7 @@ class Drag:
         return -thickness * np.stack([slope_x, slope_y], axis=-1)
 
 
-def displacement_at(
-    displacement_mm: NDArray[np.float64], surface: Surface, points_mm: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def displacement_at(displacement_mm: Numbers, surface: Surface, points_mm: Numbers) -> Numbers:
     """A displacement field (h, w, 2) at points (N, 2), bilinear; the nearest value outside the border."""
     pitch_x = float(surface.x_mm[0, 1] - surface.x_mm[0, 0])
     pitch_y = float(surface.y_mm[1, 0] - surface.y_mm[0, 0])

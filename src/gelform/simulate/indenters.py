@@ -18,6 +18,7 @@ import scipy  # its parts load at first use
 from numpy.typing import ArrayLike, NDArray
 
 from gelform._native import Kernel
+from gelform.arrays import Array, Numbers
 from gelform.foundations.checks import check_finite, check_map, check_mm_per_px, check_positive
 
 MAX_SIZE_MM = 1000.0  # mm, of an indenter; a larger number is in another unit
@@ -26,7 +27,7 @@ MAX_SIZE_MM = 1000.0  # mm, of an indenter; a larger number is in another unit
 class Indenter(Protocol):
     """Anything with a face."""
 
-    def face_mm(self, x_mm: NDArray[Any], y_mm: NDArray[Any]) -> NDArray[np.float64]:
+    def face_mm(self, x_mm: Array, y_mm: Array) -> Numbers:
         """Height of the face over its foremost point, mm: <= 0, -inf where there is nothing."""
         ...
 
@@ -57,7 +58,7 @@ class Ball(_Sized):
 
     radius_mm: float
 
-    def face_mm(self, x_mm: NDArray[Any], y_mm: NDArray[Any]) -> NDArray[np.float64]:
+    def face_mm(self, x_mm: Array, y_mm: Array) -> Numbers:
         inside = self.radius_mm**2 - x_mm**2 - y_mm**2
         face = np.sqrt(np.maximum(inside, 0)) - self.radius_mm
         return np.where(inside > 0, face, -np.inf)
@@ -86,7 +87,7 @@ class HeightMap:
         object.__setattr__(self, "_spline", spline)
         object.__setattr__(self, "_pitch", check_mm_per_px(self.mm_per_px))
 
-    def face_mm(self, x_mm: NDArray[Any], y_mm: NDArray[Any]) -> NDArray[np.float64]:
+    def face_mm(self, x_mm: Array, y_mm: Array) -> Numbers:
         spline, (hx, hy) = self._spline, self._pitch  # type: ignore[attr-defined]
         height, width = spline.shape
         column, row = np.broadcast_arrays(x_mm / hx + (width - 1) / 2, y_mm / hy + (height - 1) / 2)
@@ -109,7 +110,7 @@ class Coin(_Sized):
     diameter_mm: float = 8.0
     relief_mm: float = 0.15
 
-    def face_mm(self, x_mm: NDArray[Any], y_mm: NDArray[Any]) -> NDArray[np.float64]:
+    def face_mm(self, x_mm: Array, y_mm: Array) -> Numbers:
         x, y = np.broadcast_arrays(x_mm, y_mm)
         radius = self.diameter_mm / 2
         face = np.full(x.shape, -np.inf)
@@ -117,7 +118,7 @@ class Coin(_Sized):
         face[on_disc] = self._relief(x[on_disc], y[on_disc])
         return face
 
-    def _relief(self, x_mm: NDArray[Any], y_mm: NDArray[Any]) -> NDArray[np.float64]:
+    def _relief(self, x_mm: Array, y_mm: Array) -> Numbers:
         radius = self.diameter_mm / 2
         r, angle = np.hypot(x_mm, y_mm), np.arctan2(y_mm, x_mm)
         sector = np.pi / 16
@@ -142,7 +143,7 @@ class Screw(_Sized):
     pitch_mm: float = 1.25
     length_mm: float = 12.0
 
-    def face_mm(self, x_mm: NDArray[Any], y_mm: NDArray[Any]) -> NDArray[np.float64]:
+    def face_mm(self, x_mm: Array, y_mm: Array) -> Numbers:
         major = self.major_diameter_mm / 2
         turn = np.arcsin(np.clip(y_mm / major, -1, 1)) / (2 * np.pi)
         phase = np.abs((x_mm / self.pitch_mm - turn) % 1 - 0.5) * 2  # 0 at the crest, 1 in the groove
@@ -160,7 +161,7 @@ class Cylinder(_Sized):
     radius_mm: float
     length_mm: float
 
-    def face_mm(self, x_mm: NDArray[Any], y_mm: NDArray[Any]) -> NDArray[np.float64]:
+    def face_mm(self, x_mm: Array, y_mm: Array) -> Numbers:
         inside = self.radius_mm**2 - y_mm**2
         there = (inside > 0) & (np.abs(x_mm) <= self.length_mm / 2)
         return np.where(there, np.sqrt(np.maximum(inside, 0)) - self.radius_mm, -np.inf)
@@ -179,7 +180,7 @@ class BoxEdge(_Sized):
     length_mm: float
     angle_deg: float = 90.0
 
-    def face_mm(self, x_mm: NDArray[Any], y_mm: NDArray[Any]) -> NDArray[np.float64]:
+    def face_mm(self, x_mm: Array, y_mm: Array) -> Numbers:
         fall = np.abs(y_mm) / np.tan(np.deg2rad(self.angle_deg) / 2)
         return np.where(np.abs(x_mm) <= self.length_mm / 2, -fall, -np.inf)
 
@@ -191,7 +192,7 @@ class Punch(_Sized):
     diameter_mm: float
     width_mm: float | None = None
 
-    def face_mm(self, x_mm: NDArray[Any], y_mm: NDArray[Any]) -> NDArray[np.float64]:
+    def face_mm(self, x_mm: Array, y_mm: Array) -> Numbers:
         if self.width_mm is None:
             there = x_mm**2 + y_mm**2 <= (self.diameter_mm / 2) ** 2
         else:
@@ -212,7 +213,7 @@ class Pyramid(_Sized):
     base_mm: float
     angle_deg: float = 120.0
 
-    def face_mm(self, x_mm: NDArray[Any], y_mm: NDArray[Any]) -> NDArray[np.float64]:
+    def face_mm(self, x_mm: Array, y_mm: Array) -> Numbers:
         away = np.maximum(np.abs(x_mm), np.abs(y_mm))
         fall = away / np.tan(np.deg2rad(self.angle_deg) / 2)
         return np.where(away <= self.base_mm / 2, -fall, -np.inf)
@@ -231,7 +232,7 @@ class Cone(_Sized):
     diameter_mm: float
     angle_deg: float = 120.0
 
-    def face_mm(self, x_mm: NDArray[Any], y_mm: NDArray[Any]) -> NDArray[np.float64]:
+    def face_mm(self, x_mm: Array, y_mm: Array) -> Numbers:
         r = np.hypot(x_mm, y_mm)
         return np.where(r <= self.diameter_mm / 2, -r / np.tan(np.deg2rad(self.angle_deg) / 2), -np.inf)
 
@@ -249,7 +250,7 @@ class Torus(_Sized):
     ring_radius_mm: float
     tube_radius_mm: float
 
-    def face_mm(self, x_mm: NDArray[Any], y_mm: NDArray[Any]) -> NDArray[np.float64]:
+    def face_mm(self, x_mm: Array, y_mm: Array) -> Numbers:
         inside = self.tube_radius_mm**2 - (np.hypot(x_mm, y_mm) - self.ring_radius_mm) ** 2
         return np.where(inside > 0, np.sqrt(np.maximum(inside, 0)) - self.tube_radius_mm, -np.inf)
 
@@ -283,7 +284,7 @@ def text_relief(text: str, *, height_mm: float, relief_mm: float = 0.3) -> Heigh
     return HeightMap(heights - heights.max(), height_mm / capital_px)
 
 
-def _inside_star(r: NDArray[Any], angle: NDArray[Any], radius: float) -> NDArray[np.float64]:
+def _inside_star(r: Array, angle: Array, radius: float) -> Numbers:
     """Signed distance inside a five-pointed star's edges (their lines), positive inside."""
     sector = np.pi / 5
     folded = np.abs((angle + np.pi / 2 + sector) % (2 * sector) - sector)  # a point of the star at 0
@@ -294,7 +295,7 @@ def _inside_star(r: NDArray[Any], angle: NDArray[Any], radius: float) -> NDArray
     return -((x - radius) * nx + y * ny)
 
 
-def _smooth_step(t: NDArray[Any]) -> NDArray[np.float64]:
+def _smooth_step(t: Array) -> Numbers:
     """0 below 0, 1 above 1, a cubic between."""
     t = np.clip(t, 0, 1)
     return np.asarray(t * t * (3 - 2 * t), dtype=np.float64)
@@ -339,11 +340,11 @@ class Mesh:
         object.__setattr__(self, "vertices_mm", vertices - shift)
         object.__setattr__(self, "triangles", triangles)
 
-    def face_mm(self, x_mm: NDArray[Any], y_mm: NDArray[Any]) -> NDArray[np.float64]:
+    def face_mm(self, x_mm: Array, y_mm: Array) -> Numbers:
         return height_of_triangles(np.asarray(self.vertices_mm), np.asarray(self.triangles), x_mm, y_mm)
 
 
-def check_mesh(vertices: NDArray[Any], triangles: NDArray[Any]) -> None:
+def check_mesh(vertices: Array, triangles: Array) -> None:
     """Refuse a mesh that cannot be pressed; see `Mesh`."""
     if vertices.ndim != 2 or vertices.shape[1] != 3 or triangles.ndim != 2 or triangles.shape[1] != 3:
         raise ValueError(
@@ -366,7 +367,7 @@ def check_mesh(vertices: NDArray[Any], triangles: NDArray[Any]) -> None:
     _check_closed(vertices, triangles)
 
 
-def _check_closed(vertices: NDArray[Any], triangles: NDArray[Any]) -> None:
+def _check_closed(vertices: Array, triangles: Array) -> None:
     _, merged = np.unique(vertices, axis=0, return_inverse=True)  # an STL repeats its vertices
     corners = merged.reshape(-1)[triangles]
     edges = np.sort(np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]]), axis=1)
@@ -380,9 +381,7 @@ def _check_closed(vertices: NDArray[Any], triangles: NDArray[Any]) -> None:
         )
 
 
-def height_of_triangles(
-    vertices: NDArray[np.float64], triangles: NDArray[np.int64], x_mm: NDArray[Any], y_mm: NDArray[Any]
-) -> NDArray[np.float64]:
+def height_of_triangles(vertices: Numbers, triangles: NDArray[np.int64], x_mm: Array, y_mm: Array) -> Numbers:
     """Height of the topmost triangle over each point of a regular grid; -inf where there is none.
 
     Parameters
@@ -469,7 +468,7 @@ class Posed:
             return
         object.__setattr__(self, "_tilted", _tilted(self))
 
-    def face_mm(self, x_mm: NDArray[Any], y_mm: NDArray[Any]) -> NDArray[np.float64]:
+    def face_mm(self, x_mm: Array, y_mm: Array) -> Numbers:
         if isinstance(self.indenter, Ball):
             return self.indenter.face_mm(x_mm, y_mm)
         c, s = np.cos(np.deg2rad(self.spin_deg)), np.sin(np.deg2rad(self.spin_deg))
@@ -504,7 +503,7 @@ class Several:
         if min(part.back_mm for part in self.parts) < 0:
             raise ValueError("Expected back_mm >= 0: 0 for the foremost part, more for those behind.")
 
-    def face_mm(self, x_mm: NDArray[Any], y_mm: NDArray[Any]) -> NDArray[np.float64]:
+    def face_mm(self, x_mm: Array, y_mm: Array) -> Numbers:
         faces = [
             part.indenter.face_mm(x_mm - part.center_mm[0], y_mm - part.center_mm[1]) - part.back_mm
             for part in self.parts
@@ -512,7 +511,7 @@ class Several:
         return np.asarray(np.maximum.reduce(faces), dtype=np.float64)
 
 
-def rotation(spin_deg: float, tilt_deg: Pair) -> NDArray[np.float64]:
+def rotation(spin_deg: float, tilt_deg: Pair) -> Numbers:
     """Rotation (3, 3) in the image frame (x right, y down, z toward the camera): tilt, then spin."""
     ax, ay = np.deg2rad(tilt_deg)
     about_x = np.array([[1, 0, 0], [0, np.cos(ax), -np.sin(ax)], [0, np.sin(ax), np.cos(ax)]])
@@ -522,7 +521,7 @@ def rotation(spin_deg: float, tilt_deg: Pair) -> NDArray[np.float64]:
     return np.asarray(spin @ about_y @ about_x, dtype=np.float64)
 
 
-def _tilted(posed: Posed) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _tilted(posed: Posed) -> tuple[Numbers, NDArray[np.int64]]:
     """Vertices and triangles of a face after its rotation, the foremost at height 0."""
     if isinstance(posed.indenter, Mesh):
         vertices, triangles = np.asarray(posed.indenter.vertices_mm), np.asarray(posed.indenter.triangles)
@@ -541,7 +540,7 @@ def _tilted(posed: Posed) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
 @lru_cache(maxsize=1)  # a press tilts one face repeatedly; its triangles take up to 50 MB
 def _triangulated(
     indenter: Indenter, extent_mm: float, samples: int
-) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
+) -> tuple[Numbers, NDArray[np.int64], NDArray[np.int64]]:
     """A face as vertices and triangles, with walls down to its depth at its ends; and the triangles that are walls."""
     axis = np.linspace(-extent_mm, extent_mm, 2 * samples + 1)
     face = indenter.face_mm(axis[None, :], axis[:, None])

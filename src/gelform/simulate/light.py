@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform._native import Kernel
+from gelform.arrays import Array, Map, Mask, Numbers
 from gelform.simulate.gel import Surface, flat_surface
 from gelform.simulate.sensor.camera import (
     Maps,
@@ -47,12 +48,12 @@ def irradiance_from_surface(
     leds: tuple[Led, ...],
     *,
     oversample: int = 1,
-    texture: NDArray[Any] | None = None,
+    texture: Array | None = None,
     specular: float = 0.0,
     shininess: int = 16,
-    visible: NDArray[np.float32] | None = None,
+    visible: Map | None = None,
     dtype: Any = np.float64,
-) -> NDArray[Any]:
+) -> Array:
     """Light from a surface to the camera, averaged over each pixel.
 
     For an LED of strength I at d mm from a surface point with unit normal n, direction l:
@@ -98,13 +99,8 @@ def irradiance_from_surface(
 
 
 def exact_irradiance(
-    surface: Surface,
-    table: NDArray[np.float64],
-    visible: NDArray[np.float32] | None,
-    oversample: int,
-    specular: float,
-    doublings: int,
-) -> NDArray[np.float64]:
+    surface: Surface, table: Numbers, visible: Map | None, oversample: int, specular: float, doublings: int
+) -> Numbers:
     """The same in double precision, with lights as rows of numbers: the reference for the kernel."""
     p, q = surface.gradients[..., 0], surface.gradients[..., 1]
     cosine = 1 / np.sqrt(1 + p**2 + q**2)
@@ -126,7 +122,7 @@ def exact_irradiance(
 
 
 @lru_cache(maxsize=8)
-def _table(leds: tuple[Led, ...]) -> NDArray[np.float64]:
+def _table(leds: tuple[Led, ...]) -> Numbers:
     """Lights as rows of numbers: position, color, axis, power of the beam."""
     axes = [np.subtract(led.aim_mm, led.position_mm) for led in leds]
     return np.array(
@@ -137,7 +133,7 @@ def _table(leds: tuple[Led, ...]) -> NDArray[np.float64]:
     )
 
 
-def visible_from_surface(surface: Surface, leds: tuple[Led, ...]) -> NDArray[np.float32] | None:
+def visible_from_surface(surface: Surface, leds: tuple[Led, ...]) -> Map | None:
     """The part of each light (lights, H, W), 0-1, that reaches each sample of the surface; None: all of it everywhere.
 
     The ray from each sample to the light is followed sample by sample until it is above the highest point.
@@ -157,9 +153,7 @@ def visible_from_surface(surface: Surface, leds: tuple[Led, ...]) -> NDArray[np.
     return visible if hidden else None
 
 
-def shadowed_from_surface(
-    surface: Surface, leds: tuple[Led, ...], visible: NDArray[np.float32] | None
-) -> NDArray[np.bool_]:
+def shadowed_from_surface(surface: Surface, leds: tuple[Led, ...], visible: Map | None) -> Mask:
     """Pixels (H, W) that lose at least half of some light: behind the surface, or hidden by another part of it."""
     lost = np.zeros(surface.depth_mm.shape, dtype=bool) if visible is None else visible.min(axis=0) < 0.5
     x, y, z, g = surface.x_mm.ravel(), surface.y_mm.ravel(), surface.depth_mm, surface.gradients
@@ -175,7 +169,7 @@ def shadowed_from_surface(
     return lost
 
 
-def _reach(leds: NDArray[np.float64], shape: tuple[int, ...], top: float) -> NDArray[np.int64]:
+def _reach(leds: Numbers, shape: tuple[int, ...], top: float) -> NDArray[np.int64]:
     """Number of samples that a shadow of the highest point can be long, for the pixel farthest from each light."""
     height, width = shape
     far_x = np.maximum(np.abs(leds[:, 0]), np.abs(leds[:, 0] - (width - 1)))
@@ -185,7 +179,7 @@ def _reach(leds: NDArray[np.float64], shape: tuple[int, ...], top: float) -> NDA
     return np.minimum(reach, max(height, width)).astype(np.int64)
 
 
-def spread_in_gel(light: NDArray[Any], coating: Coating, mm_per_px: float) -> NDArray[Any]:
+def spread_in_gel(light: Array, coating: Coating, mm_per_px: float) -> Array:
     """Light after scattering in the gel and one bounce between gel and walls.
 
     Both are wide blurs on a coarser grid; the first preserves the light's sum, the second adds to it.
@@ -211,7 +205,7 @@ def spread_in_gel(light: NDArray[Any], coating: Coating, mm_per_px: float) -> ND
     return np.asarray(cv2.addWeighted(light, 1 - coating.scattering, wide_light, 1, 0))
 
 
-def _blurred(small: NDArray[Any], sigma: float) -> NDArray[Any]:
+def _blurred(small: Array, sigma: float) -> Array:
     """Gaussian blur; a wide one uses a coarser grid."""
     factor = max(1, int(sigma / 3))
     if factor == 1:
@@ -227,14 +221,14 @@ def _blurred(small: NDArray[Any], sigma: float) -> NDArray[Any]:
 class Rendered:
     """An image and its truth, on the image's grid; see `SimulatedPress`."""
 
-    image: NDArray[Any]
-    depth_mm: NDArray[np.float64]
-    gradients: NDArray[np.float64]
-    contact: NDArray[np.bool_]
-    albedo: NDArray[np.float32]
-    shadowed: NDArray[np.bool_]
-    saturated: NDArray[np.bool_]
-    markers_px: NDArray[np.float64]
+    image: Array
+    depth_mm: Numbers
+    gradients: Numbers
+    contact: Mask
+    albedo: Map
+    shadowed: Mask
+    saturated: Mask
+    markers_px: Numbers
 
 
 def render(
@@ -244,7 +238,7 @@ def render(
     rng: np.random.Generator | None,
     oversample: int = 1,
     quantise: bool = True,
-    markers_mm: NDArray[np.float64] | None = None,
+    markers_mm: Numbers | None = None,
     time_s: float = 0.0,
 ) -> Rendered:
     """The image of a gel surface.
@@ -272,7 +266,7 @@ def render(
     )
     markers = sensor.coating.markers_mm(sensor.shape, sensor.mm_per_px) if markers_mm is None else markers_mm
     albedo = _albedo(sensor, markers)
-    lamps: NDArray[Any] = sensor.timing.light_at(time_s, sensor.shape[0]).astype(dtype)
+    lamps: Array = sensor.timing.light_at(time_s, sensor.shape[0]).astype(dtype)
     light = cv2.multiply(light, cv2.merge([albedo * lamps[..., channel] for channel in range(3)]))
     light = spread_in_gel(np.asarray(light), sensor.coating, sensor.mm_per_px)
     maps = maps_from_depth(sensor, coarse.depth_mm)
@@ -291,9 +285,7 @@ def render(
     )
 
 
-def _truth(
-    surface: Surface, albedo: NDArray[np.float32], shadowed: NDArray[np.bool_], maps: Maps | None
-) -> tuple[NDArray[Any], ...]:
+def _truth(surface: Surface, albedo: Map, shadowed: Mask, maps: Maps | None) -> tuple[Array, ...]:
     """Depth, gradients, albedo, contact and shadow at the positions that the pixels see."""
     if maps is None:
         return surface.depth_mm, surface.gradients, albedo, surface.contact, shadowed
@@ -306,7 +298,7 @@ def _truth(
     return depth, looked_at[..., 1:3].astype(np.float64), bright, (flags & 1) > 0, flags > 1
 
 
-def _albedo(sensor: SimulatedSensor, markers_mm: NDArray[np.float64]) -> NDArray[np.float32]:
+def _albedo(sensor: SimulatedSensor, markers_mm: Numbers) -> Map:
     """Reflectance (H, W) on the gel's grid, with the markers at their present positions."""
     albedo = albedo_map(sensor.coating, sensor.shape, sensor.mm_per_px)
     if len(markers_mm) == 0:
@@ -318,7 +310,7 @@ def _albedo(sensor: SimulatedSensor, markers_mm: NDArray[np.float64]) -> NDArray
 
 def simulate_background(
     sensor: SimulatedSensor, rng: np.random.Generator | None, *, frames: int = 1, quantise: bool = True
-) -> NDArray[Any]:
+) -> Array:
     """The background image, the mean of `frames` images if there are several.
 
     Returns

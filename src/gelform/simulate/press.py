@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from gelform.arrays import Image, Numbers
 from gelform.foundations.checks import check_is, check_positive
 from gelform.foundations.findings import Progress, no_progress
 from gelform.simulate.gel import (
@@ -57,12 +57,12 @@ class SimulatedPress(Rendered):
     center_px: tuple[float, float]
     press_depth_mm: float
     contact_radius_px: float | None
-    markers_shift_mm: NDArray[np.float64]
+    markers_shift_mm: Numbers
     pose: Pose
     time_s: float = 0.0
 
     @property
-    def normals(self) -> NDArray[np.float64]:
+    def normals(self) -> Numbers:
         """Unit normals (H, W, 3), n_z > 0."""
         n = np.concatenate([-self.gradients, np.ones_like(self.gradients[..., :1])], axis=-1)
         return np.asarray(n / np.linalg.norm(n, axis=-1, keepdims=True), dtype=np.float64)
@@ -218,7 +218,7 @@ class SimulatedPresses:
     """A background and presses of one simulated sensor: the content of a press folder, and the truth."""
 
     sensor: SimulatedSensor
-    background: NDArray[np.uint8]
+    background: Image
     presses: tuple[SimulatedPress, ...]
 
 
@@ -291,7 +291,7 @@ def _ball_press(
     sensor: SimulatedSensor,
     ball_diameters_mm: Sequence[float],
     k: int,
-    shift: NDArray[np.float64],
+    shift: Numbers,
     rng: np.random.Generator,
     oversample: int,
 ) -> SimulatedPress:
@@ -302,7 +302,7 @@ def _ball_press(
     )
 
 
-def _place(sensor: SimulatedSensor, k: int, shift: NDArray[np.float64]) -> tuple[float, float]:
+def _place(sensor: SimulatedSensor, k: int, shift: Numbers) -> tuple[float, float]:
     """The k-th point of Roberts' R2 sequence (2018), over all but the outermost 2 % of the image."""
     plastic = 1.32471795724474602596
     unit = (shift + (k + 1) / np.array([plastic, plastic**2])) % 1

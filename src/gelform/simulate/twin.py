@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from gelform.arrays import Array, Image, Map, Numbers
 from gelform.calibration_file import Calibration
 from gelform.foundations.checks import check_positive
 from gelform.image.background import image_from_color_change
@@ -37,13 +37,13 @@ class Look(Protocol):
     @property
     def name(self) -> str: ...
     @property
-    def background(self) -> NDArray[np.float32]: ...
+    def background(self) -> Map: ...
     @property
     def mm_per_px(self) -> float: ...
     @property
-    def noise(self) -> NDArray[np.float64]: ...
+    def noise(self) -> Numbers: ...
 
-    def levels(self, gradients: NDArray[Any], depth_mm: NDArray[Any]) -> NDArray[np.float32]:
+    def levels(self, gradients: Array, depth_mm: Array) -> Map:
         """Gray levels (H, W, 3), 0-255, for slopes (H, W, 2) and depths (H, W)."""
         ...
 
@@ -75,12 +75,12 @@ class CalibratedLook:
         known = calibration.settings.image_noise
         self.noise = np.asarray(calibration.background_noise if known is None else known, dtype=np.float64)
 
-    def levels(self, gradients: NDArray[Any], depth_mm: NDArray[Any]) -> NDArray[np.float32]:
+    def levels(self, gradients: Array, depth_mm: Array) -> Map:
         """Gray levels (H, W, 3) for slopes (H, W, 2) and depths (H, W)."""
         change = self.color_change(gradients, depth_mm)
         return image_from_color_change(change, self.background, self.calibration.change)
 
-    def color_change(self, gradients: NDArray[Any], depth_mm: NDArray[Any]) -> NDArray[np.float32]:
+    def color_change(self, gradients: Array, depth_mm: Array) -> Map:
         """Expected color change (H, W, 3) for gradients (H, W, 2), with a limit on steep ones, and depths (H, W)."""
         steepness = np.linalg.norm(gradients, axis=-1, keepdims=True)
         limited = gradients * np.minimum(1, self.steepest / np.maximum(steepness, 1e-12))
@@ -146,7 +146,7 @@ class Twin:
         return replace(made, background=self.background, presses=presses)
 
     @property
-    def background(self) -> NDArray[np.uint8]:
+    def background(self) -> Image:
         """The background image, without noise."""
         return _gray(self.look.background)
 
@@ -160,5 +160,5 @@ class Twin:
         return replace(press, image=_gray(levels), shadowed=nowhere, saturated=saturated_from_levels(levels))
 
 
-def _gray(levels: NDArray[Any]) -> NDArray[np.uint8]:
+def _gray(levels: Array) -> Image:
     return np.clip(np.rint(levels), 0, 255).astype(np.uint8)

@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform._native import Kernel
+from gelform.arrays import Array, Floats, Image, Map, Mask, Numbers, Slopes
 from gelform.foundations.checks import HIGHEST_SLOPE, check_slopes
 from gelform.foundations.findings import Finding
 from gelform.image.background import PreparedBackground, Reference
@@ -85,15 +86,15 @@ class ReadSlopes:
     outlier : squared residual from which no slope is left
     """
 
-    gradients: NDArray[np.float32]
-    at_rest: NDArray[np.bool_]
-    unseen: NDArray[np.bool_] | None = None
-    variance: NDArray[np.float32] | None = None
-    residual: NDArray[np.float32] | None = None
-    model_sigma: NDArray[np.float32] | None = None
+    gradients: Slopes
+    at_rest: Mask
+    unseen: Mask | None = None
+    variance: Map | None = None
+    residual: Map | None = None
+    model_sigma: Map | None = None
     outlier: float = OUTLIER
 
-    def weights(self, full_confidence_sigma: float) -> NDArray[np.float32]:
+    def weights(self, full_confidence_sigma: float) -> Map:
         """The solver's weight (H, W) of each slope: full^2 / (full^2 + outlier^2), 1e-6 where nothing was seen."""
         weight = np.empty(self.at_rest.shape, dtype=np.float32)
         _slope_weights(
@@ -116,15 +117,15 @@ class Budget:
     walls, outliers : these rows, if they were asked for
     """
 
-    read: NDArray[np.float32]
-    solved: NDArray[np.float32]
-    steep: NDArray[np.float32]
-    confidence: NDArray[np.float32]
-    walls: NDArray[np.float32] | None = None
-    outliers: NDArray[np.float32] | None = None
+    read: Map
+    solved: Map
+    steep: Map
+    confidence: Map
+    walls: Map | None = None
+    outliers: Map | None = None
 
     @property
-    def gradients_sigma(self) -> NDArray[np.float32]:
+    def gradients_sigma(self) -> Map:
         """Standard deviation (H, W, 2) of the solved depth's slopes, all rows included; read-only."""
         return for_both(np.sqrt(np.square(self.solved) + np.square(self.steep)))
 
@@ -151,7 +152,7 @@ class PreparedBudget:
     def __init__(
         self,
         sigma: SlopeSigma,
-        noise: NDArray[np.float32],
+        noise: Map,
         untouched: PreparedBackground,
         *,
         walls: bool = True,
@@ -178,7 +179,7 @@ class PreparedBudget:
         self,
         slopes: ReadSlopes,
         noise_levels: float = 0.0,
-        light: NDArray[np.float32] | None = None,
+        light: Map | None = None,
         *,
         top: tuple[int, int] | None = None,
         rows: bool = False,
@@ -207,9 +208,7 @@ class PreparedBudget:
         )  # fmt: skip
         return Budget(read, solved, steep, confidence, walls, outliers)
 
-    def frame_rows(
-        self, slopes: ReadSlopes, noise_levels: float, light: NDArray[np.float32] | None
-    ) -> dict[str, NDArray[np.float32]]:
+    def frame_rows(self, slopes: ReadSlopes, noise_levels: float, light: Map | None) -> dict[str, Floats]:
         """The rows (H, W) that follow from a frame's light, its noise and the spread between units, mm/mm."""
         nothing = np.zeros(slopes.at_rest.shape, dtype=np.float32)
         of_unit = np.float32(self._numbers["spread"]) * np.linalg.norm(slopes.gradients, axis=-1)
@@ -221,11 +220,8 @@ class PreparedBudget:
 
 
 def without_bias(
-    color_change: NDArray[np.float32],
-    gradients: NDArray[np.float32],
-    reference: Reference,
-    hidden: NDArray[np.bool_] | None = None,
-) -> NDArray[np.bool_]:
+    color_change: Map, gradients: Slopes, reference: Reference, hidden: Mask | None = None
+) -> Mask:
     """The pixels (H, W) at rest; the reference's bias is subtracted from the gradients (H, W, 2) in place.
 
     Hidden pixels are not at rest.
@@ -244,7 +240,7 @@ def without_bias(
 
 def noise_at_rest(
     model: PreparedColorModel, background: PreparedBackground, levels: Sequence[float] | None
-) -> NDArray[np.float32]:
+) -> Map:
     """Variance (H, W) of the slopes at rest, if the image's noise were their only error.
 
     It is larger where light is weak, or where a slope changes the colors little. Noise makes a channel brighter, and the
@@ -272,9 +268,9 @@ def unseen_sigma(full_confidence_sigma: float) -> float:
     return full_confidence_sigma / LEAST_WEIGHT**0.5
 
 
-def for_both(sigma: NDArray[Any]) -> NDArray[Any]:
+def for_both(sigma: Array) -> Array:
     """One map (H, W) for both components (H, W, 2), read-only: as `np.broadcast_to`, in a tenth of its time."""
-    both: NDArray[Any] = np.ndarray((*sigma.shape, 2), sigma.dtype, sigma, 0, (*sigma.strides, 0))
+    both: Array = np.ndarray((*sigma.shape, 2), sigma.dtype, sigma, 0, (*sigma.strides, 0))
     both.flags.writeable = False
     return both
 
@@ -301,7 +297,7 @@ class ShownBall(NamedTuple):
 NO_BALL = ShownBall(0.0, 0.0, 0.0, 0.0)
 
 
-def slopes_of_ball(gradients: NDArray[np.float32], top: tuple[int, int], gentle: float) -> ShownBall | None:
+def slopes_of_ball(gradients: Slopes, top: tuple[int, int], gentle: float) -> ShownBall | None:
     """How far gradients (H, W, 2) follow a ball around its top (row, column); None where they show none.
 
     `gentle` is the slope up to which they are trusted.
@@ -341,7 +337,7 @@ def slopes_of_ball(gradients: NDArray[np.float32], top: tuple[int, int], gentle:
     return ShownBall(x_px, y_px, GEL_RADII * radius, max(slope, gentle))
 
 
-def _mean(values: NDArray[np.float32], ring: NDArray[np.intp]) -> NDArray[np.float64]:
+def _mean(values: Map, ring: NDArray[np.intp]) -> Numbers:
     """The mean of each ring."""
     rings = ring.ravel()
     return np.asarray(np.bincount(rings, values.ravel()) / np.maximum(np.bincount(rings), 1))
@@ -367,10 +363,10 @@ class Explanation:
     full_confidence_sigma : sigma up to which confidence is 1, mm/mm
     """
 
-    maps: Mapping[str, NDArray[np.float32]]
-    law: NDArray[np.float32]
-    gradients_sigma: NDArray[np.float32]
-    confidence: NDArray[np.float32]
+    maps: Mapping[str, Map]
+    law: Map
+    gradients_sigma: Map
+    confidence: Map
     full_confidence_sigma: float
 
     @cached_property
@@ -420,20 +416,17 @@ class Shown(NamedTuple):
     blur_px : of the color change
     """
 
-    pixels: NDArray[np.uint8]
-    color_change: NDArray[np.float32]
+    pixels: Image
+    color_change: Map
     clipped: NDArray[np.uint8] | None
-    markers: NDArray[np.bool_] | None
-    lost: NDArray[np.bool_] | None
-    outside: NDArray[np.bool_] | None
+    markers: Mask | None
+    lost: Mask | None
+    outside: Mask | None
     blur_px: float
 
 
 def explanation_of(
-    budget: Budget,
-    rows: Mapping[str, NDArray[np.float32]],
-    shown: Shown,
-    full_confidence_sigma: float,
+    budget: Budget, rows: Mapping[str, Floats], shown: Shown, full_confidence_sigma: float
 ) -> Explanation:
     """The rows of a frame's budget under the names of `CAUSES`; `rows` are those of `PreparedBudget.frame_rows`.
 
@@ -462,7 +455,7 @@ def explanation_of(
     return Explanation(found, law, np.sqrt(total), budget.confidence, full_confidence_sigma)
 
 
-def _unseen(shown: Shown) -> Iterator[tuple[str, NDArray[np.bool_]]]:
+def _unseen(shown: Shown) -> Iterator[tuple[str, Mask]]:
     """What hides pixels, by the name of its cause, and where (H, W)."""
     for name, where in (("marker", shown.markers), ("outside", shown.outside)):
         if where is not None:
@@ -476,7 +469,7 @@ def _unseen(shown: Shown) -> Iterator[tuple[str, NDArray[np.bool_]]]:
         yield "inconsistent", shown.lost & ~bright & ~dark
 
 
-def _named_fraction(mask: NDArray[np.bool_]) -> float:
+def _named_fraction(mask: Mask) -> float:
     """Share of the pixels in regions of a mask (H, W) that are large enough to be named."""
     _, _, boxes, _ = cv2.connectedComponentsWithStats(mask.view(np.uint8), connectivity=8)
     areas = boxes[1:, cv2.CC_STAT_AREA]

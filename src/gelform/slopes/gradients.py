@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from gelform._native import Kernel
+from gelform.arrays import Array, Floats, Map, Mask, Slopes
 from gelform.foundations.checks import (
     check_choice,
     check_gradients,
@@ -34,7 +34,7 @@ _slopes_of_depth = Kernel("slopes_of_depth", "f32[h,w] depth, out f32[h,w,2] gra
 _curl_squares = Kernel("curl_squares", "f32[n,h,w,2] gradients, bool[n,h,w]? known, out f64[2] result")
 
 
-def gradients_from_normals(normals: ArrayLike, *, convention: str = "directx") -> NDArray[np.float32]:
+def gradients_from_normals(normals: ArrayLike, *, convention: str = "directx") -> Slopes:
     """Slopes of a surface from its normals: `p = -n_x/n_z`, `q = -n_y/n_z`.
 
     Parameters
@@ -61,7 +61,7 @@ def gradients_from_normals(normals: ArrayLike, *, convention: str = "directx") -
     return gradients
 
 
-def _check_sign_of_y(gradients: NDArray[np.float32], convention: str) -> None:
+def _check_sign_of_y(gradients: Slopes, convention: str) -> None:
     """Refuse a map whose curl vanishes only with the other sign of y; noise leaves as much with either."""
     if gradients.ndim < 3 or min(gradients.shape[-3:-1]) < LEAST_MAP_PX:
         return
@@ -77,7 +77,7 @@ def _check_sign_of_y(gradients: NDArray[np.float32], convention: str) -> None:
         )
 
 
-def smoothed_gradients(gradients: ArrayLike, *, texture: float = 0.02) -> NDArray[np.float32]:
+def smoothed_gradients(gradients: ArrayLike, *, texture: float = 0.02) -> Slopes:
     """Slopes with faint detail smoothed away and strong detail kept, for smooth objects and for display.
 
     Detail `d = g - G3 g` (G3: a Gaussian of 3 px at 240 rows) is multiplied by `k = |b|^2/(|b|^2 + texture^2)`. Here
@@ -106,16 +106,16 @@ def smoothed_gradients(gradients: ArrayLike, *, texture: float = 0.02) -> NDArra
     coarse = _blurred(slopes, COARSE_PX * scale)
     detail = slopes - coarse
     agreed = np.square(_blurred(detail, AGREED_PX * scale)).sum(axis=-1, keepdims=True)
-    kept: NDArray[np.float32] = coarse + agreed / (agreed + halved) * detail
+    kept: Floats = coarse + agreed / (agreed + halved) * detail
     return kept
 
 
-def _blurred(slopes: NDArray[np.float32], sigma_px: float) -> NDArray[np.float32]:
+def _blurred(slopes: Slopes, sigma_px: float) -> Map:
     blurred = cv2.GaussianBlur(slopes, (0, 0), sigma_px, borderType=cv2.BORDER_REFLECT_101)
     return np.asarray(blurred).reshape(slopes.shape)
 
 
-def gradients_from_depth(depth_mm: ArrayLike, *, mm_per_px: float | Sequence[float]) -> NDArray[np.float32]:
+def gradients_from_depth(depth_mm: ArrayLike, *, mm_per_px: float | Sequence[float]) -> Slopes:
     """Slopes of a depth map: second-order differences, central inside and one-sided on the border.
 
     Parameters
@@ -138,14 +138,14 @@ def gradients_from_depth(depth_mm: ArrayLike, *, mm_per_px: float | Sequence[flo
     return gradients.astype(np.float32)
 
 
-def slopes_of_solution(depth: NDArray[np.float32], mm_per_px: tuple[float, float]) -> NDArray[np.float32]:
+def slopes_of_solution(depth: Map, mm_per_px: tuple[float, float]) -> Slopes:
     """`gradients_from_depth` for one solved depth map (H, W) float32, in single precision."""
     gradients = np.empty((*depth.shape, 2), dtype=np.float32)
     _slopes_of_depth(depth, gradients, 1 / mm_per_px[0], 1 / mm_per_px[1])
     return gradients
 
 
-def curl_from_gradients(gradients: ArrayLike, *, mm_per_px: float | Sequence[float]) -> NDArray[np.float32]:
+def curl_from_gradients(gradients: ArrayLike, *, mm_per_px: float | Sequence[float]) -> Slopes:
     """Integrability check `dp/dy - dq/dx` per pixel, in 1/mm: zero where the slopes belong to a surface.
 
     Parameters
@@ -167,7 +167,7 @@ def curl_from_gradients(gradients: ArrayLike, *, mm_per_px: float | Sequence[flo
     return (_slope(g[..., 0], -2) / hy - _slope(g[..., 1], -1) / hx).astype(np.float32)
 
 
-def curl_rms(gradients: NDArray[np.float32], known: NDArray[np.bool_] | None) -> float:
+def curl_rms(gradients: Slopes, known: Mask | None) -> float:
     """RMS of the curl of gradients (N, H, W, 2) over known pixels (N, H, W) inside the border, slope per pixel.
 
     `known` None means all pixels.
@@ -177,10 +177,10 @@ def curl_rms(gradients: NDArray[np.float32], known: NDArray[np.bool_] | None) ->
     return float(np.sqrt(found[0] / found[1])) if found[1] else 0.0
 
 
-def _slope(values: NDArray[Any], axis: int) -> NDArray[Any]:
+def _slope(values: Array, axis: int) -> Array:
     """Second-order difference per pixel along an axis; of lower order if the axis has fewer than 3 pixels."""
     count = values.shape[axis]
     if count == 1:
         return np.zeros_like(values)
-    slope: NDArray[Any] = np.gradient(values, axis=axis, edge_order=2 if count > 2 else 1)
+    slope: Array = np.gradient(values, axis=axis, edge_order=2 if count > 2 else 1)
     return slope

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from gelform.arrays import Array, Map, Numbers, Slopes
 from gelform.foundations.checks import check_gradients, check_normals, check_values
 from gelform.slopes.color_models.physical import inverse_lights
 
 
-def normals_from_image(
-    image: ArrayLike, lights: ArrayLike
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def normals_from_image(image: ArrayLike, lights: ArrayLike) -> tuple[Map, Map]:
     """Normals and albedo from linear intensities under three fixed lights.
 
     Solves `I = L rho n` for `g = rho n = L^-1 I`; then `n = g/|g|` and `rho = |g|`.
@@ -46,7 +43,7 @@ def normals_from_image(
     return normals.astype(np.float32), albedo.astype(np.float32)
 
 
-def image_from_normals(normals: ArrayLike, lights: ArrayLike, albedo: ArrayLike = 1.0) -> NDArray[np.float32]:
+def image_from_normals(normals: ArrayLike, lights: ArrayLike, albedo: ArrayLike = 1.0) -> Map:
     """Lambertian shading `I_c = rho max(0, n @ l_c)`: what `normals_from_image` inverts.
 
     A pixel that faces away from a light (`n . l < 0`) gets none of it: the attached shadow.
@@ -71,7 +68,7 @@ def image_from_normals(normals: ArrayLike, lights: ArrayLike, albedo: ArrayLike 
     return (_albedo(albedo, n.shape[:-1])[..., None] * shading).astype(np.float32)
 
 
-def normals_from_gradients(gradients: ArrayLike) -> NDArray[np.float32]:
+def normals_from_gradients(gradients: ArrayLike) -> Slopes:
     """Unit normals `(-p, -q, 1)/sqrt(1 + p^2 + q^2)` of slopes p = dz/dx, q = dz/dy.
 
     Parameters
@@ -91,7 +88,7 @@ def normals_from_gradients(gradients: ArrayLike) -> NDArray[np.float32]:
     return _unit(np.concatenate([-g, np.ones_like(g[..., :1])], axis=-1))
 
 
-def lights_from_normals(image: ArrayLike, normals: ArrayLike, albedo: ArrayLike = 1.0) -> NDArray[np.float64]:
+def lights_from_normals(image: ArrayLike, normals: ArrayLike, albedo: ArrayLike = 1.0) -> Numbers:
     """The light matrix L that explains an image of known normals best (least squares per channel).
 
     A channel that sees nothing of its light at a pixel (the attached shadow: value 0) says nothing there
@@ -131,7 +128,7 @@ def lights_from_normals(image: ArrayLike, normals: ArrayLike, albedo: ArrayLike 
     return lights
 
 
-def check_lights(lights: ArrayLike) -> NDArray[Any]:
+def check_lights(lights: ArrayLike) -> Array:
     """Lights (3, 3), finite: row c is the direction toward the light of channel c times its strength."""
     array = check_values(lights, "lights", (3, 3))
     if array.ndim != 2:
@@ -139,7 +136,7 @@ def check_lights(lights: ArrayLike) -> NDArray[Any]:
     return array
 
 
-def _albedo(albedo: ArrayLike, shape: tuple[int, ...]) -> NDArray[Any]:
+def _albedo(albedo: ArrayLike, shape: tuple[int, ...]) -> Array:
     """A scalar, or a map of the image's shape."""
     array = check_values(albedo, "albedo", dtype=np.float64)
     if array.shape not in ((), shape):
@@ -147,5 +144,5 @@ def _albedo(albedo: ArrayLike, shape: tuple[int, ...]) -> NDArray[Any]:
     return array
 
 
-def _unit(vectors: NDArray[Any]) -> NDArray[np.float32]:
+def _unit(vectors: Array) -> Map:
     return (vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)).astype(np.float32)

@@ -12,6 +12,7 @@ import scipy  # its parts load at first use
 from numpy.typing import NDArray
 
 from gelform._native import Kernel
+from gelform.arrays import Array, Image, Mask, Numbers
 from gelform.foundations.checks import check_values, check_within
 from gelform.image.frame import DARK
 
@@ -57,11 +58,11 @@ class SlopeErrors:
     stated : (N,) standard deviation by the step of the forward response; 1 without a step
     """
 
-    slopes: NDArray[Any]
-    errors: NDArray[Any]
-    rest: NDArray[Any]
-    rest_noise: NDArray[Any]
-    stated: NDArray[Any] | float = 1.0
+    slopes: Array
+    errors: Array
+    rest: Array
+    rest_noise: Array
+    stated: Array | float = 1.0
 
 
 @dataclass(frozen=True)
@@ -146,7 +147,7 @@ class SlopeSigma:
         kept = {name: value for name, value in values.items() if value is not None}
         return cls(**{**kept, "shown": tuple(kept["shown"])})
 
-    def with_solved(self, errors: NDArray[Any], stated: NDArray[Any]) -> SlopeSigma:
+    def with_solved(self, errors: Array, stated: Array) -> SlopeSigma:
         """With the factor that leaves 68 % of held-out errors (N, 2) of solved slopes within one sigma.
 
         `stated` (N,) are the deviations of the slopes as read at the same pixels. Too few pixels change nothing.
@@ -163,7 +164,7 @@ class SlopeSigma:
         return {name: getattr(self, name) for name in names}
 
 
-def _law(squares: NDArray[Any], variable: NDArray[Any]) -> tuple[float, float]:
+def _law(squares: Array, variable: Array) -> tuple[float, float]:
     """Constant and growing part of squared deviations, by nonnegative least squares, each relative to itself."""
     unit = max(float(variable.mean()), 1e-30)
     parts, _ = scipy.optimize.nnls(
@@ -172,7 +173,7 @@ def _law(squares: NDArray[Any], variable: NDArray[Any]) -> tuple[float, float]:
     return float(parts[0]), float(parts[1] / unit)
 
 
-def _rest_law(errors: NDArray[Any], noise: NDArray[Any]) -> tuple[float, float]:
+def _rest_law(errors: Array, noise: Array) -> tuple[float, float]:
     """The parts of the deviation at rest, from errors (M, 2) at pixels of that variance by noise (M,)."""
     order = np.array_split(np.argsort(noise, kind="stable"), SLOPE_BINS)
     bins = [part for part in order if len(part) >= MIN_IN_BIN] or [np.arange(len(noise))]
@@ -234,7 +235,7 @@ CAUSES = {
 LEAST_OUTSIDE_PX = 25  # smallest number of connected pixels; a smaller region is dust
 
 
-def outside_of_gel(background: NDArray[Any]) -> NDArray[np.bool_] | None:
+def outside_of_gel(background: Array) -> Mask | None:
     """Pixels (H, W) of a background image without light, except regions as small as dust; None if there are none."""
     unlit = (np.asarray(background).max(axis=-1) <= DARK).astype(np.uint8)
     count, labels, boxes, _ = cv2.connectedComponentsWithStats(unlit, connectivity=8)
@@ -243,7 +244,7 @@ def outside_of_gel(background: NDArray[Any]) -> NDArray[np.bool_] | None:
     return large[labels] if count > 1 and large.any() else None
 
 
-def either(one: NDArray[np.bool_] | None, other: NDArray[np.bool_] | None) -> NDArray[np.bool_] | None:
+def either(one: Mask | None, other: Mask | None) -> Mask | None:
     """Union of two masks (H, W); a mask may be None, which means no pixel."""
     return one if other is None else other if one is None else one | other
 
@@ -264,7 +265,7 @@ _column_jumps = Kernel(
 )
 
 
-def excess_noise(pixels: NDArray[np.uint8], rest: NDArray[np.uint8], usual_levels: float) -> float:
+def excess_noise(pixels: Image, rest: Image, usual_levels: float) -> float:
     """Noise of an image (H, W, 3) beyond the usual, gray levels: of single pixels, and of JPEG's blocks.
 
     Blocks of 8x8 pixels are rounded separately and jump at their borders. Such columns come every 8 pixels, at an offset
@@ -303,7 +304,7 @@ class Clipped(NamedTuple):
     """
 
     channels: NDArray[np.uint8] | None
-    unseen: NDArray[np.bool_] | None
+    unseen: Mask | None
 
 
 class ClippedChannels:
@@ -318,19 +319,13 @@ class ClippedChannels:
     outside : (H, W) bool, pixels without light at rest, where dark is no fault; None: none
     """
 
-    def __init__(
-        self,
-        blur_px: float,
-        learnt: NDArray[np.bool_] | None,
-        spare: int,
-        outside: NDArray[np.bool_] | None = None,
-    ) -> None:
+    def __init__(self, blur_px: float, learnt: Mask | None, spare: int, outside: Mask | None = None) -> None:
         usual = np.ones((2, 3), dtype=bool) if learnt is None else ~np.asarray(learnt, dtype=bool)
         self._counts, self._spare = [np.ascontiguousarray(row) for row in usual], spare
         self._outside = outside
         self._disc = bloom_disc(blur_px)
 
-    def __call__(self, pixels: NDArray[np.uint8], hidden: NDArray[np.bool_] | None) -> Clipped:
+    def __call__(self, pixels: Image, hidden: Mask | None) -> Clipped:
         """The clipped channels of an image (H, W, 3), without those of hidden pixels (H, W)."""
         channels = np.empty_like(pixels)
         low, high = self._counts
@@ -352,7 +347,7 @@ def bloom_disc(blur_px: float) -> NDArray[np.uint8]:
     return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)), dtype=np.uint8)
 
 
-def ends_shown(images: NDArray[Any]) -> NDArray[np.float64]:
+def ends_shown(images: Array) -> Numbers:
     """Share (2, 3) of pixels (N, 3) whose red, green, blue is at the lower and at the upper end."""
     levels = np.asarray(images)
     return np.stack([np.mean(levels <= DARK_TO, axis=0), np.mean(levels >= SATURATED_FROM, axis=0)])

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import cv2
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
+from gelform.arrays import Array, Map
 from gelform.depth.coarse import coarse_of
 from gelform.errors import CalibrationError
 from gelform.foundations.checks import HIGHEST_SLOPE
@@ -47,7 +46,7 @@ from gelform.slopes.color_models.least_squares import at_pixels, interpolation, 
 from gelform.slopes.color_models.physical import MAX_SLOPE, inverse_lights, inverted_lights
 
 
-def planes(values: NDArray[Any]) -> Tensor:
+def planes(values: Array) -> Tensor:
     """(C, H, W) float32 of (H, W, C)."""
     return torch.from_numpy(np.ascontiguousarray(np.moveaxis(values, -1, 0), dtype=np.float32))
 
@@ -149,9 +148,7 @@ class ColorChange(nn.Module):
     constant: no derivative passes through it.
     """
 
-    def __init__(
-        self, background: NDArray[np.float32], settings: ChangeSettings, compensate_exposure: bool
-    ) -> None:
+    def __init__(self, background: Map, settings: ChangeSettings, compensate_exposure: bool) -> None:
         super().__init__()
         self.compensate_exposure = compensate_exposure
         taps = blur_taps(settings.blur_px)
@@ -239,7 +236,7 @@ def _weighted_sum(values: Tensor, taps: list[float], dim: int) -> Tensor:
 LEAST_NORMAL_Z = 1e-6  # as in `gradients_from_scaled`
 
 
-def gradients_module(model: ColorModel, background: NDArray[Any]) -> nn.Module:
+def gradients_module(model: ColorModel, background: Array) -> nn.Module:
     """A color model on a background image (H, W, 3) as a module: color change (N, 3, H, W) -> gradients (N, 2, H, W).
 
     CalibrationError: the color model has no such form.
@@ -282,7 +279,7 @@ class PolynomialGradients(nn.Module):
 class LitGradients(nn.Module):
     """Photometric stereo with the inverse of a light matrix, one for all pixels or one per pixel."""
 
-    def __init__(self, inverse: NDArray[Any], response: float) -> None:
+    def __init__(self, inverse: Array, response: float) -> None:
         super().__init__()
         self.register_buffer(
             "inverse", _tensor(np.moveaxis(inverse, (2, 3), (0, 1)))
@@ -299,7 +296,7 @@ class LitGradients(nn.Module):
         return -g[:, :2] / torch.maximum(g[:, 2], steepest).clamp(min=LEAST_NORMAL_Z)[:, None]
 
 
-def _tensor(values: NDArray[Any]) -> Tensor:
+def _tensor(values: Array) -> Tensor:
     return torch.from_numpy(np.ascontiguousarray(values, dtype=np.float32))
 
 

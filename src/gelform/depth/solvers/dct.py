@@ -10,13 +10,14 @@ SIAM Review 41, 1999), leaves one tridiagonal system per column, which is elimin
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import scipy  # its parts load at first use; the usual sizes need none of them
 from numpy.typing import NDArray
 
 from gelform._native import Kernel
+from gelform.arrays import Array, Floats, Map, Mask
 from gelform.depth.solvers.seam import Solution, Weights, divergence, edges_from_gradients
 from gelform.foundations.pool import Pool
 
@@ -60,11 +61,7 @@ class DctSolver:
         self._pool = Pool(lambda: np.empty((shape[0], self._stride), dtype=np.float32))
 
     def __call__(
-        self,
-        gradients: NDArray[Any],
-        weights: Weights = None,
-        mask: NDArray[np.bool_] | None = None,
-        anchor: NDArray[Any] | None = None,
+        self, gradients: Array, weights: Weights = None, mask: Mask | None = None, anchor: Array | None = None
     ) -> Solution:
         """Depth of one frame of slopes (H, W, 2), mean 0.
 
@@ -89,14 +86,14 @@ class DctSolver:
                 depth = padded[:, :width].copy()
         return Solution(depth, _all_known(self.shape))
 
-    def _solve(self, frame: NDArray[np.float32], work: NDArray[np.float32]) -> None:
+    def _solve(self, frame: Map, work: Floats) -> None:
         """Depth of a frame, in the first columns of a work array (H, stride)."""
         self._write_right_side(frame, work)
         self._transform(work, 0)
         _sweep(work, self._pivots, self._splits, self._last)
         self._transform(work, 1)
 
-    def _write_right_side(self, frame: NDArray[np.float32], work: NDArray[np.float32]) -> None:
+    def _write_right_side(self, frame: Map, work: Floats) -> None:
         hx, hy = self.mm_per_px
         _right_side(frame, work, 0.5 * hy * hy / hx, 0.5 * hy)
 
@@ -107,7 +104,7 @@ class Dct4Solver(DctSolver):
     It is exact on quartics and suits fine texture with slope noise under 0.02.
     """
 
-    def _write_right_side(self, frame: NDArray[np.float32], work: NDArray[np.float32]) -> None:
+    def _write_right_side(self, frame: Map, work: Floats) -> None:
         hy = self.mm_per_px[1]
         work[:, : self.shape[1]] = divergence(
             edges_from_gradients(frame, order=4), self.mm_per_px
@@ -123,7 +120,7 @@ class CosineRows:
         self._tables = _cosines(width) if self._turns is None and width <= PRODUCT_WIDTH else None
         self._work = Pool(lambda: np.empty((3 * width + 1) * ROWS, dtype=np.float32))
 
-    def __call__(self, rows: NDArray[np.float32], inverse: int) -> None:
+    def __call__(self, rows: Floats, inverse: int) -> None:
         """Transform the first columns of rows (N, >= width) in place; `inverse` is 0 or 1."""
         if self._turns is not None:
             with self._work.one() as scratch:
@@ -146,11 +143,11 @@ class CosineFilter:
     gains : (N, h, w) float32, of the modes of each map, the lowest first
     """
 
-    def __init__(self, gains: NDArray[np.float32]) -> None:
+    def __init__(self, gains: Floats) -> None:
         self._gains = np.ascontiguousarray(np.swapaxes(gains, 1, 2), dtype=np.float32)
         self._along, self._across = CosineRows(gains.shape[2]), CosineRows(gains.shape[1])
 
-    def __call__(self, maps: NDArray[np.float32]) -> NDArray[np.float32]:
+    def __call__(self, maps: Map) -> Map:
         """The filtered maps (N, h, w)."""
         modes = np.array(maps, dtype=np.float32, order="C")
         self._along(modes.reshape(-1, modes.shape[2]), 0)
@@ -165,7 +162,7 @@ class CosineFilter:
 
 
 @lru_cache(maxsize=16)
-def _all_known(shape: tuple[int, int]) -> NDArray[np.bool_]:
+def _all_known(shape: tuple[int, int]) -> Mask:
     """A shared map of True that nobody can write to."""
     known = np.ones(shape, dtype=bool)
     known.flags.writeable = False
@@ -182,7 +179,7 @@ def _is_smooth(width: int) -> bool:
 
 
 @lru_cache(maxsize=16)
-def _turns(width: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def _turns(width: int) -> tuple[Floats, Floats]:
     """Roots of 1 for the kernel: of half the width (width/2, 2), of the width and of four times it (width/2 + 1, 4)."""
     k = np.arange(width // 2 + 1)
     roots = [np.exp(-2j * np.pi * k / n) for n in (width // 2, width, 4 * width)]
@@ -191,7 +188,7 @@ def _turns(width: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
 
 
 @lru_cache(maxsize=16)
-def _cosines(width: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def _cosines(width: int) -> tuple[Floats, Floats]:
     """Matrices (width, width) that multiply a row for its DCT-II, not normalized, and for the inverse."""
     forward = 2 * np.cos(np.pi * np.outer(np.arange(width) + 0.5, np.arange(width)) / width)
     inverse = forward.T / (2 * width)
@@ -206,7 +203,7 @@ def _row_stride(width: int) -> int:
 
 def _elimination(
     shape: tuple[int, int], mm_per_px: tuple[float, float]
-) -> tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.float32]]:
+) -> tuple[Floats, NDArray[np.int64], Floats]:
     """Inverse pivots of the tridiagonal systems `-z[i-1] + (2 + lambda_k) z[i] - z[i+1]`, free at both ends.
 
     From row to row they converge, sooner at higher frequencies; `splits[i]` counts the columns that have

@@ -10,12 +10,13 @@ Statistics A6, 1977).
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from gelform.arrays import Array, Floats, Map, Mask
 from gelform.depth.solvers.dct import DctSolver
 from gelform.depth.solvers.seam import (
     EVERY_EDGE,
@@ -33,7 +34,7 @@ from gelform.depth.solvers.weighted import Grid, MultigridSolver
 from gelform.foundations.filters import SIGMA_OF_MEDIAN
 from gelform.foundations.pool import Pool
 
-Loss = Callable[[NDArray[Any]], NDArray[Any]]
+Loss = Callable[[Array], Array]
 
 # Weight of a residual in units of the usual residual; the constants give 95 % efficiency under Gaussian noise.
 LOSSES: dict[str, Loss] = {
@@ -73,11 +74,7 @@ class RobustSolver:
         self._pool = Pool(lambda: Grid(shape))
 
     def __call__(
-        self,
-        gradients: NDArray[Any],
-        weights: Weights = None,
-        mask: NDArray[np.bool_] | None = None,
-        anchor: NDArray[Any] | None = None,
+        self, gradients: Array, weights: Weights = None, mask: Mask | None = None, anchor: Array | None = None
     ) -> Solution:
         """Depth of one frame; given weights multiply those of the loss."""
         problem = _per_edge(problem_from_gradients(gradients, weights, mask, anchor))
@@ -94,7 +91,7 @@ class RobustSolver:
                 iterations += more
         return Solution(depth, problem.known, iterations, error)
 
-    def _load_round(self, grid: Grid, problem: LinearSystem, depth: NDArray[np.float32]) -> None:
+    def _load_round(self, grid: Grid, problem: LinearSystem, depth: Map) -> None:
         """Load new weights from the residuals of a depth, and the remaining right side."""
         assert problem.edges is not None
         assert problem.edge_weights is not None
@@ -165,11 +162,7 @@ class CurlGatedSolver(MultigridSolver):
     """Finds outlier pixels and patches by the curl of the slopes, gives them no weight, and solves by `multigrid`."""
 
     def __call__(
-        self,
-        gradients: NDArray[Any],
-        weights: Weights = None,
-        mask: NDArray[np.bool_] | None = None,
-        anchor: NDArray[Any] | None = None,
+        self, gradients: Array, weights: Weights = None, mask: Mask | None = None, anchor: Array | None = None
     ) -> Solution:
         """Depth of one frame; given weights (per pixel) are multiplied by the confidence from the curl."""
         if isinstance(weights, tuple):
@@ -184,15 +177,15 @@ class CurlGatedSolver(MultigridSolver):
         return super().__call__(gradients, confidence, mask, anchor)
 
 
-def _trusted(weights: NDArray[Any], mask: NDArray[np.bool_] | None) -> NDArray[np.bool_]:
+def _trusted(weights: Array, mask: Mask | None) -> Mask:
     """Pixels whose slopes count: those with weight."""
     inside = weights if mask is None else np.where(mask, weights, 0)
     return np.asarray(inside > FLOOR * inside.max())
 
 
 def confidence_from_curl(
-    gradients: NDArray[Any], mm_per_px: tuple[float, float], trusted: NDArray[np.bool_] | None = None
-) -> NDArray[np.float32]:
+    gradients: Array, mm_per_px: tuple[float, float], trusted: Mask | None = None
+) -> Map:
     """1 where slopes (H, W, 2) can belong to a surface, 0 where they cannot, (H, W) float32.
 
     A surface's slopes add up to 0 around the four loops of edges that meet at a pixel, except at a contact's rim, which the
@@ -221,7 +214,7 @@ def confidence_from_curl(
     return sound.astype(np.float32)
 
 
-def _circulation(g: NDArray[np.float32], mm_per_px: tuple[float, float]) -> NDArray[np.float32]:
+def _circulation(g: Floats, mm_per_px: tuple[float, float]) -> Map:
     """The sum of the edge slopes around each loop of four pixels: (H-1, W-1)."""
     ex, ey = edges_from_gradients(g)
     mean = np.sqrt(mm_per_px[0] * mm_per_px[1])
@@ -230,11 +223,11 @@ def _circulation(g: NDArray[np.float32], mm_per_px: tuple[float, float]) -> NDAr
     return np.asarray(loops)
 
 
-def _squares(difference: NDArray[np.float32]) -> NDArray[np.float32]:
+def _squares(difference: Map) -> Map:
     return np.asarray(difference[..., 0] ** 2 + difference[..., 1] ** 2)
 
 
-def _usual_circulation(circulation: NDArray[np.float32], trusted: NDArray[np.bool_] | None) -> float:
+def _usual_circulation(circulation: Map, trusted: Mask | None) -> float:
     """Standard deviation of the circulation over loops of trusted pixels, from its median."""
     if trusted is None:
         sample = circulation.ravel()
@@ -244,7 +237,7 @@ def _usual_circulation(circulation: NDArray[np.float32], trusted: NDArray[np.boo
     return max(SIGMA_OF_MEDIAN * float(np.median(np.abs(sample))), LEAST_CURL) if sample.size else LEAST_CURL
 
 
-def _around(loops: NDArray[np.float32]) -> NDArray[np.float32]:
+def _around(loops: Map) -> Map:
     """Sum over the four loops that meet at each pixel, fewer on the border: (H, W)."""
     total = np.zeros((loops.shape[0] + 1, loops.shape[1] + 1), dtype=np.float32)
     total[:-1, :-1] = loops
@@ -265,15 +258,11 @@ class Patches(NamedTuple):
         Squares of circulation that the rims of contacts explain.
     """
 
-    outlier: NDArray[np.bool_]
-    explained: NDArray[np.float32]
+    outlier: Mask
+    explained: Map
 
 
-def patches_from_jumps(
-    circulation: NDArray[np.float32],
-    jumps: tuple[NDArray[np.float32], NDArray[np.float32]],
-    usual: float,
-) -> Patches | None:
+def patches_from_jumps(circulation: Map, jumps: tuple[Map, Map], usual: float) -> Patches | None:
     """Judge the regions of a frame; None if no slope jumps.
 
     Its arguments are the circulation (H-1, W-1) around each loop of four pixels, its usual standard deviation, and the
@@ -302,9 +291,7 @@ def patches_from_jumps(
     return Patches(grown.astype(bool), explained)
 
 
-def _regions(
-    jumps_across: NDArray[np.bool_], jumps_down: NDArray[np.bool_]
-) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+def _regions(jumps_across: Mask, jumps_down: Mask) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
     """Numbers (H, W) of regions of connected pixels without jumps, from 1 for the largest down; areas by number.
 
     Both pixels of a jump have the number 0.
@@ -322,7 +309,7 @@ def _regions(
     return number[labels], areas[order]
 
 
-def _regions_around_loops(regions: NDArray[np.int32]) -> tuple[NDArray[Any], NDArray[Any]]:
+def _regions_around_loops(regions: NDArray[np.int32]) -> tuple[Array, Array]:
     """The smallest and the largest region among the 4x4 pixels around each loop: (H-1, W-1) numbers."""
     window = np.ones((4, 4), dtype=np.uint8)
     numbers = regions.astype(np.float32)  # exact: fewer than 2^24
@@ -331,7 +318,7 @@ def _regions_around_loops(regions: NDArray[np.int32]) -> tuple[NDArray[Any], NDA
     return near.astype(np.int32), cv2.erode(numbers, window, anchor=(1, 1))[:-1, :-1]
 
 
-def _sum_around(values: NDArray[np.float32]) -> NDArray[np.float32]:
+def _sum_around(values: Map) -> Map:
     """Sum over 3x3 loops."""
     total = cv2.boxFilter(values, -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
     return np.asarray(total, dtype=np.float32)

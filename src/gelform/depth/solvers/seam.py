@@ -14,16 +14,16 @@ are compared with differences of depth along them. No edge crosses the border of
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any, ClassVar, NamedTuple, Protocol
+from typing import ClassVar, NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gelform._native import Kernel
+from gelform.arrays import Array, Map, Mask, Slopes
 from gelform.foundations.filters import fill_unknown
 
-Pair = tuple[NDArray[Any], NDArray[Any]]  # maps of the edges along x, (H, W-1), and along y, (H-1, W)
-Weights = NDArray[Any] | Pair | None
+Pair = tuple[Array, Array]  # maps of the edges along x, (H, W-1), and along y, (H-1, W)
+Weights = Array | Pair | None
 
 
 class Solution(NamedTuple):
@@ -39,8 +39,8 @@ class Solution(NamedTuple):
         Estimated largest error relative to the range of depth; 0 for a direct method.
     """
 
-    depth_mm: NDArray[np.float32]
-    known: NDArray[np.bool_]
+    depth_mm: Map
+    known: Mask
     iterations: int = 0
     tolerance: float = 0.0
 
@@ -61,11 +61,7 @@ class Solver(Protocol):
         ...
 
     def __call__(
-        self,
-        gradients: NDArray[Any],
-        weights: Weights = None,
-        mask: NDArray[np.bool_] | None = None,
-        anchor: NDArray[Any] | None = None,
+        self, gradients: Array, weights: Weights = None, mask: Mask | None = None, anchor: Array | None = None
     ) -> Solution:
         """Depth of one frame of slopes (H, W, 2); weights (H, W) or per edge ((H, W-1), (H-1, W))."""
         ...
@@ -77,7 +73,7 @@ _residual_squares = Kernel(
 )
 
 
-def edges_from_gradients(gradients: NDArray[Any], *, order: int = 2) -> Pair:
+def edges_from_gradients(gradients: Array, *, order: int = 2) -> Pair:
     """Edge slopes (..., H, W-1) and (..., H-1, W) of gradients, mm/mm.
 
     The mean of the two pixels (order 2, trapezoid) or the four-pixel rule (order 4).
@@ -87,12 +83,12 @@ def edges_from_gradients(gradients: NDArray[Any], *, order: int = 2) -> Pair:
     return rule(gradients[..., 0]), np.swapaxes(edge_y, -1, -2)
 
 
-def differences(depth: NDArray[Any], mm_per_px: tuple[float, float]) -> Pair:
+def differences(depth: Array, mm_per_px: tuple[float, float]) -> Pair:
     """Slopes of a depth map (..., H, W) along its edges, mm/mm: `D z`."""
     return np.diff(depth, axis=-1) / mm_per_px[0], np.diff(depth, axis=-2) / mm_per_px[1]
 
 
-def divergence(edges: Pair, mm_per_px: tuple[float, float]) -> NDArray[Any]:
+def divergence(edges: Pair, mm_per_px: tuple[float, float]) -> Array:
     """Adjoint of `differences`: `D^T e`, (..., H, W)."""
     edge_x, edge_y = edges[0] / mm_per_px[0], edges[1] / mm_per_px[1]
     total = np.zeros((*edge_x.shape[:-1], edge_y.shape[-1]), dtype=edge_x.dtype)
@@ -103,20 +99,18 @@ def divergence(edges: Pair, mm_per_px: tuple[float, float]) -> NDArray[Any]:
     return total
 
 
-def residual_rms(
-    depth: NDArray[np.float32], gradients: NDArray[np.float32], known: NDArray[np.bool_], hx: float, hy: float
-) -> float:
+def residual_rms(depth: Map, gradients: Slopes, known: Mask, hx: float, hy: float) -> float:
     """RMS of recovered minus given slope over the edges between known pixels of a stack (N, H, W)."""
     result = np.empty(2)
     _residual_squares(depth, gradients, known, 1 / hx, 1 / hy, result)
     return float(np.sqrt(result[0] / max(result[1], 1)))
 
 
-def _trapezoid(p: NDArray[Any]) -> NDArray[Any]:
+def _trapezoid(p: Array) -> Array:
     return (p[..., 1:] + p[..., :-1]) * p.dtype.type(0.5)
 
 
-def _four_pixels(p: NDArray[Any]) -> NDArray[Any]:
+def _four_pixels(p: Array) -> Array:
     """Mean over an edge of the cubic through four pixels: (-1, 13, 13, -1)/24, border (9, 19, -5, 1)/24."""
     count = p.shape[-1]
     if count < 4:
@@ -142,13 +136,13 @@ class LinearSystem(NamedTuple):
     It has either `gradients` and `confidence` per pixel, or `edges` and `edge_weights` per edge.
     """
 
-    gradients: NDArray[Any] | None
-    confidence: NDArray[Any] | None
+    gradients: Array | None
+    confidence: Array | None
     edges: Pair | None
     edge_weights: Pair | None
-    mask: NDArray[np.bool_]
-    anchor: NDArray[Any]
-    known: NDArray[np.bool_]
+    mask: Mask
+    anchor: Array
+    known: Mask
 
 
 _scale_weights = Kernel(
@@ -159,7 +153,7 @@ _scale_weights = Kernel(
 
 
 def problem_from_gradients(
-    gradients: NDArray[Any], weights: Weights, mask: NDArray[np.bool_] | None, anchor: NDArray[Any] | None
+    gradients: Array, weights: Weights, mask: Mask | None, anchor: Array | None
 ) -> LinearSystem:
     """Scale the weights, and replace slopes of weight under `FLOOR` by a fill from their neighbors.
 
@@ -188,7 +182,7 @@ def problem_from_gradients(
     return LinearSystem(gradients, confidence, None, None, mask, _relative(anchor, largest), known)
 
 
-def _relative(anchor: NDArray[np.float32], largest: float) -> NDArray[np.float32]:
+def _relative(anchor: Map, largest: float) -> Map:
     """The anchor in units of the largest weight."""
     if largest == 1 or anchor is constant_map(anchor.shape, 0.0):
         return anchor
@@ -202,15 +196,13 @@ def _relative(anchor: NDArray[np.float32], largest: float) -> NDArray[np.float32
 
 
 @lru_cache(maxsize=16, typed=True)
-def constant_map(shape: tuple[int, int], value: float | bool) -> NDArray[Any]:
+def constant_map(shape: tuple[int, int], value: float | bool) -> Array:
     """A shared map of one value, which nobody writes to; unwritten zeros take no memory."""
     dtype = bool if isinstance(value, bool) else np.float32
     return np.full(shape, value, dtype=dtype) if value else np.zeros(shape, dtype=dtype)
 
 
-def _problem_per_edge(
-    gradients: NDArray[Any], weights: Pair, mask: NDArray[np.bool_], anchor: NDArray[Any]
-) -> LinearSystem:
+def _problem_per_edge(gradients: Array, weights: Pair, mask: Mask, anchor: Array) -> LinearSystem:
     inside = mask[:, 1:] & mask[:, :-1], mask[1:] & mask[:-1]
     inner = np.concatenate([w[i] for w, i in zip(weights, inside)])
     largest = _checked_largest(float(inner.max()) if inner.size else 0.0)
@@ -235,9 +227,7 @@ def _checked_largest(largest: float) -> float:
     return largest
 
 
-def edge_system(
-    problem: LinearSystem, mm_per_px: tuple[float, float]
-) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+def edge_system(problem: LinearSystem, mm_per_px: tuple[float, float]) -> tuple[Array, Array, Array]:
     """Couplings (H, W-1) and (H-1, W), and right side (H, W).
 
     An edge between two pixels is weighted by the harmonic mean of their confidence: the variance of an averaged slope.

@@ -19,9 +19,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 import scipy  # its parts load at first use; a weighted solve needs none of them
-from numpy.typing import NDArray
 
 from gelform._native import Handle, Kernel
+from gelform.arrays import Array, Floats, Map, Mask, Numbers
 from gelform.depth.solvers.seam import LinearSystem, Solution, Weights, edge_system, problem_from_gradients
 from gelform.errors import ConvergenceError
 from gelform.foundations.pool import Pool
@@ -38,11 +38,7 @@ class SparseSolver:
         self.mm_per_px = mm_per_px
 
     def __call__(
-        self,
-        gradients: NDArray[Any],
-        weights: Weights = None,
-        mask: NDArray[np.bool_] | None = None,
-        anchor: NDArray[Any] | None = None,
+        self, gradients: Array, weights: Weights = None, mask: Mask | None = None, anchor: Array | None = None
     ) -> Solution:
         """Depth of one frame of slopes (H, W, 2); weights (H, W) or per edge ((H, W-1), (H-1, W))."""
         problem = problem_from_gradients(gradients, weights, mask, anchor)
@@ -62,7 +58,7 @@ class SparseSolver:
 
 def normal_equations(
     problem: LinearSystem, mm_per_px: tuple[float, float]
-) -> tuple[scipy.sparse.csr_matrix, NDArray[np.float64]]:
+) -> tuple[scipy.sparse.csr_matrix, Numbers]:
     """Matrix (H*W, H*W) and right side of the least-squares problem, in float64."""
     height, width = problem.mask.shape
     east, south, right = edge_system(problem, mm_per_px)
@@ -122,13 +118,7 @@ class Grid:
         if _load(self.handle, problem.gradients, problem.confidence, problem.anchor, hx=x_mm, hy=y_mm):
             self.build()
 
-    def load_edges(
-        self,
-        east: NDArray[np.float32],
-        south: NDArray[np.float32],
-        right: NDArray[np.float32],
-        anchor: NDArray[np.float32],
-    ) -> None:
+    def load_edges(self, east: Map, south: Map, right: Map, anchor: Map) -> None:
         """Load couplings (H, W-1) and (H-1, W), right side and anchor (H, W)."""
         _load_edges(self.handle, east, south, anchor, right)
         self.build()
@@ -138,12 +128,8 @@ class Grid:
         _build(self.handle)
 
     def solve(
-        self,
-        tolerance: float,
-        max_iterations: int,
-        start: NDArray[np.float32] | None = None,
-        whole: float = 0.0,
-    ) -> tuple[NDArray[np.float32], int, float]:
+        self, tolerance: float, max_iterations: int, start: Map | None = None, whole: float = 0.0
+    ) -> tuple[Map, int, float]:
         """Depth (H, W) for the loaded right side, added to `start`; iterations; estimated largest error.
 
         The right side is the one that remains after `start`. The error is a fraction of `whole`; if that is 0, of the range
@@ -203,11 +189,7 @@ class MultigridSolver:
         self._pool = Pool(lambda: Grid(shape))
 
     def __call__(
-        self,
-        gradients: NDArray[Any],
-        weights: Weights = None,
-        mask: NDArray[np.bool_] | None = None,
-        anchor: NDArray[Any] | None = None,
+        self, gradients: Array, weights: Weights = None, mask: Mask | None = None, anchor: Array | None = None
     ) -> Solution:
         """Depth of one frame of slopes (H, W, 2); weights (H, W) or per edge ((H, W-1), (H-1, W))."""
         problem = problem_from_gradients(gradients, weights, mask, anchor)
@@ -230,11 +212,7 @@ class AtLeastSolver(MultigridSolver):
         self.rounds = rounds
 
     def __call__(
-        self,
-        gradients: NDArray[Any],
-        weights: Weights = None,
-        mask: NDArray[np.bool_] | None = None,
-        anchor: NDArray[Any] | None = None,
+        self, gradients: Array, weights: Weights = None, mask: Mask | None = None, anchor: Array | None = None
     ) -> Solution:
         """Depth of one frame; without walls it is that of `multigrid`."""
         solution, walls = super().__call__(gradients, weights, mask, anchor), _walls(gradients)
@@ -247,7 +225,7 @@ class AtLeastSolver(MultigridSolver):
         return solution
 
 
-def _walls(gradients: NDArray[Any]) -> NDArray[np.bool_]:
+def _walls(gradients: Array) -> Mask:
     """Pixels (H, W) whose slopes differ by more from those `REACH_PX` away: root of half the sum of squares."""
     squares = np.zeros(gradients.shape[:2], dtype=np.float32)
     for axis in (0, 1):
@@ -258,7 +236,7 @@ def _walls(gradients: NDArray[Any]) -> NDArray[np.bool_]:
     return np.asarray(squares > 2 * WALL_DIFFERENCE**2)
 
 
-def _weighted(weights: Weights, factors: NDArray[np.float32]) -> Weights:
+def _weighted(weights: Weights, factors: Floats) -> Weights:
     """The weights of pixels or edges, times the factors of the pixels; an edge takes the smaller of its two."""
     if isinstance(weights, tuple):
         across, down = weights

@@ -9,8 +9,8 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from gelform.arrays import Array, Image
 from gelform.errors import DataError, needed
 from gelform.exchange.exporters.press_folder import write_csv, written_whole
 from gelform.foundations.pictures import picture_bytes
@@ -25,7 +25,7 @@ STEPS = (5, 6, 30, 31, 35)
 SLID_MM, TURNED_DEG = (0.9, 0.4), 4.0  # while it slides: along x and y, mm, and about z, degrees
 COLUMNS = ("index", "depth_mm", "x_mm", "y_mm", "turn_deg")  # of motion.csv
 START_NS = 1_767_225_600_000_000_000  # ns, UTC of the first frame: 2026-01-01
-Images = Sequence[NDArray[Any]]
+Images = Sequence[Array]
 
 
 def save_moving_press(
@@ -42,7 +42,7 @@ def save_moving_press(
     something or cannot be written.
     """
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0, 1)))
-    images: list[NDArray[np.uint8]] = []
+    images: list[Image] = []
     rows: list[dict[str, str]] = []
     twin = look if isinstance(look, Twin) else None
     sensor = look.sensor if isinstance(look, Twin) else look

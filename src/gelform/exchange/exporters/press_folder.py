@@ -18,8 +18,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from gelform.arrays import Array, Image
 from gelform.errors import DataError
 from gelform.foundations.checks import (
     check_image,
@@ -191,7 +192,7 @@ def write_truth(path: Path, press: SimulatedPress, meta: Mapping[str, Any], **ar
     write_npz(path, members)
 
 
-def truth_from_press(press: SimulatedPress) -> dict[str, NDArray[Any]]:
+def truth_from_press(press: SimulatedPress) -> dict[str, Array]:
     """The saved truth of a simulated press: depth_mm, gradients (float32), contact."""
     return {
         "depth_mm": press.depth_mm.astype(np.float32),
@@ -239,7 +240,7 @@ class SetOfPresses:
             press, np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(k + 2, 0)))
         )
 
-    def background(self) -> NDArray[np.uint8]:
+    def background(self) -> Image:
         """The image of the gel at rest."""
         if self.twin is not None:
             return self.twin.background

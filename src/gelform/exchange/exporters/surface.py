@@ -15,11 +15,11 @@ import zipfile
 from collections.abc import Callable
 from os import PathLike
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gelform.arrays import Array, Floats, Map, Mask
 from gelform.errors import DataError, needed
 from gelform.foundations.checks import check_is, check_mm_per_px, check_path, check_values
 from gelform.foundations.files import written_file
@@ -65,7 +65,7 @@ def levels_from_depth(depth_mm: ArrayLike, known: ArrayLike | None = None) -> ND
     return levels.astype(np.uint16)
 
 
-def depth_from_levels(levels: NDArray[Any]) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+def depth_from_levels(levels: Array) -> tuple[Map, Mask]:
     """Depth (H, W) float32, mm, 0 where unknown, and the map of known pixels, from 16-bit levels.
 
     TypeError: the levels are not uint16.
@@ -163,7 +163,7 @@ def save_surface(result: Reconstruction, path: str | PathLike[str], *, overwrite
     return path
 
 
-def points_from_result(result: Reconstruction) -> NDArray[np.float32]:
+def points_from_result(result: Reconstruction) -> Floats:
     """points_mm (H*W, 3), row by row: (x, y, -depth_mm), right-handed, from the middle of the image."""
     height, width = result.depth.shape
     pitch_x, pitch_y = check_mm_per_px(result.mm_per_px)

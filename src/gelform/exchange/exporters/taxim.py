@@ -13,8 +13,8 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from gelform.arrays import Array, Numbers
 from gelform.calibration_file import Calibration, as_calibration
 from gelform.errors import CalibrationError
 from gelform.exchange.exporters.press_folder import written_whole
@@ -79,7 +79,7 @@ def save_taxim(
     return folder
 
 
-def taxim_table(calibration: Calibration) -> NDArray[np.float64]:
+def taxim_table(calibration: Calibration) -> Numbers:
     """Changes in gray levels, (bins, bins, 3, 6): by angle and direction, for R, G, B, in x^2, y^2, xy, x, y, 1.
 
     Angles run from 0 to 90 degrees, directions of the gradient from -180 to 180, both in BINS - 1 steps. Places are
@@ -110,7 +110,7 @@ def taxim_table(calibration: Calibration) -> NDArray[np.float64]:
     return table
 
 
-def _places(shape: tuple[int, int]) -> tuple[NDArray[Any], NDArray[Any]]:
+def _places(shape: tuple[int, int]) -> tuple[Array, Array]:
     """Rows and columns of 9 x 12 pixels spread over an image, to which the polynomials are fitted."""
     rows, columns = (np.round(np.linspace(0, n - 1, k)) for n, k in zip(shape, (9, 12)))
     grid = np.meshgrid(rows, columns, indexing="ij")

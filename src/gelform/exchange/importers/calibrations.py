@@ -15,9 +15,10 @@ from typing import Any
 from zipfile import ZipFile
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from gelform import __version__
+from gelform.arrays import Map, Numbers
 from gelform.calibration_file import Calibration, CalibrationSettings
 from gelform.errors import DataError, needed, said
 from gelform.exchange.importers.tables import mm_per_px_of_lut, read_lut
@@ -40,7 +41,7 @@ _NUMBERS = ("BININT", "BININT1", "BININT2", "LONG1")
 MAX_BYTES = 4 * 2**20  # of all members of a file: 100 times these networks
 
 
-def read_gs_sdk(path: str | PathLike[str], background: NDArray[np.float32]) -> NetworkModel:
+def read_gs_sdk(path: str | PathLike[str], background: Map) -> NetworkModel:
     """gs_sdk's `nnmodel.pth`: B, G, R, x/W, y/H to slope angles of a surface that goes down where pressed.
 
     Its older networks, 1x1 convolutions of 5-128-32-32-2 with BatchNorm, become layers of the same output.
@@ -48,9 +49,7 @@ def read_gs_sdk(path: str | PathLike[str], background: NDArray[np.float32]) -> N
     return NetworkModel(_layers(path, "gs_sdk"), background, "xy", "angles")
 
 
-def read_gsrobotics(
-    path: str | PathLike[str], background: NDArray[np.float32], *, position: str
-) -> NetworkModel:
+def read_gsrobotics(path: str | PathLike[str], background: Map, *, position: str) -> NetworkModel:
     """gsrobotics' `nnmini.pt`: B, G, R, row/H, column/W to normals n_x, n_y.
 
     Parameters
@@ -60,9 +59,7 @@ def read_gsrobotics(
     return NetworkModel(_layers(path, "gsrobotics"), background, _position(position), "normals")
 
 
-def read_gsrobotics_web(
-    path: str | PathLike[str], background: NDArray[np.float32], *, position: str
-) -> NetworkModel:
+def read_gsrobotics_web(path: str | PathLike[str], background: Map, *, position: str) -> NetworkModel:
     """The browser port's weights: 8834 little-endian float32, W1 (64, 5) by rows, b1, ... W4 (2, 64), b4."""
     wanted = sum(n_in * n_out + n_out for n_in, n_out in pairwise(WEB_SIZES))
     path = present_file(path, f"{wanted} numbers, little-endian float32")
@@ -128,7 +125,7 @@ def _folded(tensors: Mapping[str, Any], kind: str, k: int, path: str | PathLike[
     return weight.astype(np.float32), bias.astype(np.float32)
 
 
-def _array(tensors: Mapping[str, Any], name: str, path: str | PathLike[str]) -> NDArray[np.float64]:
+def _array(tensors: Mapping[str, Any], name: str, path: str | PathLike[str]) -> Numbers:
     if name not in tensors or tensors[name].nbytes > MAX_BYTES:  # a view may repeat its numbers
         raise DataError(f"{path} lacks {name}, or it is of another size.")
     return np.asarray(tensors[name].double().numpy())

@@ -19,8 +19,8 @@ from typing import Any
 
 import numpy as np
 import scipy  # its parts load at first use
-from numpy.typing import NDArray
 
+from gelform.arrays import Array, Map, Numbers
 from gelform.errors import DataError, said
 from gelform.foundations.checks import check_numbers, check_path, check_positive
 from gelform.foundations.files import DAMAGED_ARCHIVE, MAX_ARRAY_BYTES, bytes_of, checked_archive, read_npy
@@ -39,7 +39,7 @@ _DAMAGED = (OSError, *DAMAGED_ARCHIVE, ValueError, AttributeError, TypeError)
 
 def read_lut(
     path: str | PathLike[str],
-    background: NDArray[np.float32],
+    background: Map,
     *,
     depth_sign: int = 1,
     range_levels: Sequence[float] | None = None,
@@ -85,7 +85,7 @@ def read_lut(
     return LookupModel(table, low + step / 2, step, (height, width), "mean_over_background", background)
 
 
-def _ranges(given: Sequence[float] | None) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _ranges(given: Sequence[float] | None) -> tuple[Numbers, Numbers]:
     """Lowest and highest difference (3,) of red, green and blue."""
     given = RANGE_LEVELS if given is None else given
     numbers = check_numbers(given, "range_levels", 6 if len(given) > 2 else 2)
@@ -182,7 +182,7 @@ def _check_inflated(content: bytes) -> None:
         at += 8 + int(size)
 
 
-def _lut(path: str | PathLike[str]) -> NDArray[np.float64]:
+def _lut(path: str | PathLike[str]) -> Numbers:
     array = read_npy(path, "a look-up table")
     shape = array.shape
     if len(shape) != 4 or shape[3] != 2 or len(set(shape[:3])) != 1 or not 4 <= shape[0] <= 200:
@@ -204,10 +204,10 @@ class TaximTables:
     name : name of the tables
     """
 
-    table: NDArray[np.float64]
+    table: Numbers
     name: str = "Taxim tables"
 
-    def level_change(self, gradients: NDArray[Any], *, as_level: bool = False) -> NDArray[np.float64]:
+    def level_change(self, gradients: Array, *, as_level: bool = False) -> Numbers:
         """Change in gray levels (H, W, 3) for slopes (H, W, 2) of an image of the whole gel, in the tables' bins.
 
         With `as_level`, as if each slope were 0 in its own direction.
@@ -241,9 +241,9 @@ class TaximLook:
     """
 
     tables: TaximTables
-    background: NDArray[np.float32]
+    background: Map
     mm_per_px: float
-    noise: NDArray[np.float64]
+    noise: Numbers
 
     def __post_init__(self) -> None:
         check_positive(self.mm_per_px, "mm_per_px")
@@ -259,7 +259,7 @@ class TaximLook:
         """The name of the tables."""
         return self.tables.name
 
-    def levels(self, gradients: NDArray[Any], depth_mm: NDArray[Any]) -> NDArray[np.float32]:
+    def levels(self, gradients: Array, depth_mm: Array) -> Map:
         """Gray levels (H, W, 3), 0-255, of slopes (H, W, 2) and depths (H, W)."""
         level = self.tables.level_change(gradients, as_level=True)
         untouched = 1 - np.clip(depth_mm / 0.1, 0, 1)[..., None]

@@ -31,6 +31,7 @@ import scipy  # its parts load at first use
 from numpy.typing import ArrayLike, NDArray
 
 from gelform._native import Kernel
+from gelform.arrays import Array, Floats, Image, Map, Mask, Numbers
 from gelform.foundations.checks import check_image
 from gelform.foundations.filters import CHANGE_OFFSET, log_levels
 from gelform.image.frame import as_levels
@@ -65,9 +66,9 @@ class Followed(NamedTuple):
     shift_px : (N, 2) float32, from rest; ok : (N,) bool, whether the dot is there; sigma_px : (N,) float32
     """
 
-    shift_px: NDArray[np.float32]
-    ok: NDArray[np.bool_]
-    sigma_px: NDArray[np.float32]
+    shift_px: Floats
+    ok: Mask
+    sigma_px: Floats
 
 
 class MarkerPatches:
@@ -80,7 +81,7 @@ class MarkerPatches:
     radius_px : of a dot
     """
 
-    def __init__(self, logs: NDArray[np.float32], centers_px: NDArray[Any], radius_px: float) -> None:
+    def __init__(self, logs: Map, centers_px: Array, radius_px: float) -> None:
         height, width = self._shape = logs.shape
         half = int(min(np.ceil(SIDE_RADII * radius_px + 1), (MOST_SIDE - 1) // 2, (min(logs.shape) - 1) // 2))
         self.side_px, self._longest = 2 * half + 1, 0.6 * radius_px
@@ -95,9 +96,7 @@ class MarkerPatches:
         self._spread, self._freedom = np.empty(count), np.empty(count)
         self._prepare(logs.astype(np.float64))
 
-    def __call__(
-        self, logs: NDArray[np.float32], start_px: NDArray[Any], of: NDArray[np.intp] | None = None
-    ) -> Followed:
+    def __call__(self, logs: Map, start_px: Array, of: NDArray[np.intp] | None = None) -> Followed:
         """Search for dots in an image's logs from shifts (N, 2); `of` selects dots by number, all by default."""
         chosen = np.arange(len(self.corners_px)) if of is None else of
         shift = np.array(start_px, dtype=np.float32, order="C")
@@ -124,14 +123,14 @@ class MarkerPatches:
         ok &= self.inside(self.centers_px[chosen] + shift)
         return Followed(shift, ok, sigma)
 
-    def inside(self, places: NDArray[Any]) -> NDArray[np.bool_]:
+    def inside(self, places: Array) -> Mask:
         """Whether most of a dot at each position (N, 2) is in the image."""
         margin = 0.7 * self.radius_px
         far = np.array(self._shape[::-1]) - 1 - margin
-        inside: NDArray[np.bool_] = np.all((places >= margin) & (places <= far), axis=1)
+        inside: Mask = np.all((places >= margin) & (places <= far), axis=1)
         return inside
 
-    def _prepare(self, logs: NDArray[np.float64]) -> None:
+    def _prepare(self, logs: Numbers) -> None:
         """Each dot's weights and orthonormal basis: quadratic light, then the patch and its derivatives."""
         half = self.side_px // 2
         down, across = np.asarray(np.gradient(logs))
@@ -159,14 +158,14 @@ class MarkerPatches:
             self._freedom[i] = max(float(np.sum(taper**2) - np.trace(noise)), 1.0)
 
 
-def logs_from_image(image: NDArray[Any]) -> NDArray[np.float32]:
+def logs_from_image(image: Array) -> Map:
     """Logarithm (H, W) of the mean of an image's channels (H, W, 3)."""
     if image.dtype == np.uint8:
         return np.asarray(cv2.LUT(level_from_image(image), _LOGS))
     return log_levels(image)
 
 
-def level_from_image(image: NDArray[Any]) -> NDArray[np.uint8]:
+def level_from_image(image: Array) -> Image:
     """Mean of the channels (H, W), in whole gray levels."""
     return np.asarray(cv2.transform(as_levels(image), _MEAN))
 
@@ -174,11 +173,11 @@ def level_from_image(image: NDArray[Any]) -> NDArray[np.uint8]:
 class StretchedPatches:
     """The dots of one gel, searched for with an affine map; `logs` (H, W) are those of the background image."""
 
-    def __init__(self, logs: NDArray[np.float32], patches: MarkerPatches) -> None:
+    def __init__(self, logs: Map, patches: MarkerPatches) -> None:
         self._logs, self._patches = logs, patches
         self._down, self._across = np.asarray(np.gradient(logs.astype(np.float64)))
 
-    def __call__(self, logs: NDArray[np.float32], start_px: NDArray[Any], of: NDArray[np.intp]) -> Followed:
+    def __call__(self, logs: Map, start_px: Array, of: NDArray[np.intp]) -> Followed:
         """Search for the dots numbered `of` in an image's logs from shifts (M, 2)."""
         found = [self._one(logs, int(i), start) for i, start in zip(of, start_px)]
         shift = np.array([f[0] for f in found], dtype=np.float32).reshape(-1, 2)
@@ -186,7 +185,7 @@ class StretchedPatches:
         sigma = np.array([f[2] for f in found], dtype=np.float32)
         return Followed(shift, ok & self._patches.inside(self._patches.centers_px[of] + shift), sigma)
 
-    def _one(self, logs: NDArray[np.float32], i: int, start: NDArray[Any]) -> tuple[Any, bool, float]:
+    def _one(self, logs: Map, i: int, start: Array) -> tuple[Any, bool, float]:
         """Shift, whether the dot is there, and sigma of one dot."""
         u, weight, columns = self._columns(i)
         normal = columns.T @ columns
@@ -215,7 +214,7 @@ class StretchedPatches:
         variance = left / (len(u) - len(fit)) * np.trace(inverse[SHIFT : SHIFT + 2, SHIFT : SHIFT + 2]) / 2
         return shift, bool(ok and _is_of_rubber(warp)), float(np.sqrt(variance) / max(fit[LIGHT], 0.1))
 
-    def _columns(self, i: int) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+    def _columns(self, i: int) -> tuple[Array, Array, Array]:
         """Positions (P, 2) of a patch's pixels from its dot's center, their weights, and weighted columns (P, 13)."""
         left, top = (int(place) for place in self._patches.corners_px[i])
         side = self._patches.side_px
@@ -230,25 +229,25 @@ class StretchedPatches:
         return u, weight, np.column_stack([*light, dot, across, down, *change]) * weight[:, None]
 
 
-def _sampled(logs: NDArray[np.float32], places: NDArray[np.float32]) -> NDArray[np.float64]:
+def _sampled(logs: Map, places: Floats) -> Numbers:
     """Values (P,) at positions (P, 2); the nearest value beyond the border."""
     x, y = places.T[:, :, None]
     return np.asarray(cv2.remap(logs, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)).ravel() + 0.0
 
 
-def _limited(step: NDArray[np.float64], longest: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _limited(step: Numbers, longest: float) -> tuple[Numbers, Numbers]:
     """A step's shift (2,), limited in length, and its limited change of A (2, 2), because the fit is linear in both."""
     length = max(float(np.linalg.norm(step[:2])), 1e-9)
     return step[:2] * min(1.0, longest / length), np.clip(step[2:], -MOST_CHANGE, MOST_CHANGE).reshape(2, 2)
 
 
-def _is_of_rubber(warp: NDArray[np.float64]) -> bool:
+def _is_of_rubber(warp: Numbers) -> bool:
     """Whether a map (2, 2) stretches and squeezes no more than a gel can."""
     stretch = np.linalg.svd(warp, compute_uv=False)
     return bool(stretch[0] < STRETCH[1] and stretch[1] > STRETCH[0])
 
 
-def _unexplained_energy(columns: NDArray[np.float64], dot: NDArray[np.float64]) -> float:
+def _unexplained_energy(columns: Numbers, dot: Numbers) -> float:
     """Energy of the part of a column (P,) that columns (P, C) do not explain."""
     return float(np.sum((dot - columns @ np.linalg.lstsq(columns, dot, rcond=None)[0]) ** 2))
 
@@ -282,9 +281,9 @@ class Markers:
     mask : (H, W) bool, the pixels that they darken
     """
 
-    centers_px: NDArray[np.float32]
+    centers_px: Floats
     radius_px: float
-    mask: NDArray[np.bool_]
+    mask: Mask
 
     def __len__(self) -> int:
         return len(self.centers_px)
@@ -310,7 +309,7 @@ class MarkerFinder:
         self._peak, self._area = _dots_of_grid(darkness)
         self.untouched = self(image)
 
-    def __call__(self, image: NDArray[Any]) -> Markers:
+    def __call__(self, image: Array) -> Markers:
         """The markers of an image (H, W, 3) of this gel, 0-255; they move with its surface."""
         if not self._peak:
             return Markers(np.zeros((0, 2), np.float32), 0.0, np.zeros(image.shape[:2], dtype=bool))
@@ -329,7 +328,7 @@ class MarkerFinder:
         radius = float(np.sqrt(np.median(sizes) / np.pi)) if len(sizes) else 0.0
         return Markers(np.concatenate(centers).astype(np.float32), radius, mask)
 
-    def mask(self, image: NDArray[Any]) -> NDArray[np.bool_]:
+    def mask(self, image: Array) -> Mask:
         """Pixels (H, W) that the markers darken in the image or in the background: for each frame.
 
         The color change is divided by the background, so a marker in either image makes wrong slopes. This is faster than
@@ -348,11 +347,11 @@ class MarkerFinder:
         dark |= self.untouched.mask.view(np.uint8) * np.uint8(255)
         return dark > 0
 
-    def _darkness(self, image: NDArray[Any]) -> NDArray[np.float32]:
+    def _darkness(self, image: Array) -> Map:
         """Darkness (H, W) relative to the gel around, as a fraction; 0-1."""
         level = level_from_image(image)
         closed = cv2.morphologyEx(level, cv2.MORPH_CLOSE, self._kernel).astype(np.float32)
-        darkness: NDArray[np.float32] = (closed - level) / (closed + np.float32(LEVEL_OFFSET))
+        darkness: Map = (closed - level) / (closed + np.float32(LEVEL_OFFSET))
         return darkness
 
 
@@ -383,7 +382,7 @@ def markers_from_image(image: ArrayLike, background: ArrayLike | None = None) ->
     return MarkerFinder(untouched)(pixels)
 
 
-def _dots_of_grid(darkness: NDArray[np.float32]) -> tuple[float, float]:
+def _dots_of_grid(darkness: Map) -> tuple[float, float]:
     """Typical peak and area of the dots of a regular grid; 0, 0 without one."""
     areas, labels, whole = _dots(darkness, FAINT, None)
     if np.count_nonzero(whole) < MIN_DOTS:
@@ -403,7 +402,7 @@ def _dots_of_grid(darkness: NDArray[np.float32]) -> tuple[float, float]:
     return peak, float(np.median(areas[whole & (areas > SIZE_RANGE[0] * typical)]))
 
 
-def _is_layout(centers_px: NDArray[Any], shape: tuple[int, ...]) -> bool:
+def _is_layout(centers_px: Array, shape: tuple[int, ...]) -> bool:
     """Whether points (N, 2) of an image of a shape are a gel's layout: a grid, or evenly spread all over it."""
     if is_grid(centers_px):
         return True
@@ -411,7 +410,7 @@ def _is_layout(centers_px: NDArray[Any], shape: tuple[int, ...]) -> bool:
     return all_over and len(centers_px) >= MIN_IRREGULAR and evenness(centers_px) > MIN_EVENNESS
 
 
-def evenness(centers_px: NDArray[Any]) -> float:
+def evenness(centers_px: Array) -> float:
     """Mean distance of points (N, 2) to the nearest, over that of random points: about 1 for dust, 2 for a square grid.
 
     Clark and Evans, Ecology 35, 1954. The area is the points' bounding box, half a distance wider.
@@ -421,7 +420,7 @@ def evenness(centers_px: NDArray[Any]) -> float:
     return float(nearest.mean() / (0.5 * np.sqrt(area / len(centers_px))))
 
 
-def is_grid(centers_px: NDArray[Any]) -> bool:
+def is_grid(centers_px: Array) -> bool:
     """Whether points (N, 2) form a regular grid, square or hexagonal, bent or with gaps.
 
     In a grid most points have at least two neighbors at about the usual distance of the nearest one, in
@@ -441,9 +440,7 @@ def is_grid(centers_px: NDArray[Any]) -> bool:
     return bool(order >= MIN_ORDER)
 
 
-def _dots(
-    darkness: NDArray[np.float32], threshold: float, area: float | None
-) -> tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.bool_]]:
+def _dots(darkness: Map, threshold: float, area: float | None) -> tuple[Numbers, NDArray[np.int32], Mask]:
     """Areas of compact dark components, a map of their numbers from 1 (0: none), and whether each is whole."""
     count, labels, stats, _ = cv2.connectedComponentsWithStats((darkness > threshold).astype(np.uint8))
     height, width = darkness.shape
@@ -460,13 +457,13 @@ def _dots(
     return areas[compact], number[labels], whole[compact]
 
 
-def _grown(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _grown(mask: Mask) -> Mask:
     """The mask with two more pixels on each side: about from a dot's core to its edge."""
-    grown: NDArray[np.bool_] = cv2.dilate(mask.view(np.uint8), np.ones((5, 5), dtype=np.uint8)).view(np.bool_)
+    grown: Mask = cv2.dilate(mask.view(np.uint8), np.ones((5, 5), dtype=np.uint8)).view(np.bool_)
     return grown
 
 
-def _peaks(darkness: NDArray[np.float32], labels: NDArray[np.int32], count: int) -> NDArray[np.float64]:
+def _peaks(darkness: Map, labels: NDArray[np.int32], count: int) -> Numbers:
     """Largest darkness of each numbered component (1 to count; each has pixels)."""
     inside = labels > 0
     number = labels[inside]
@@ -476,7 +473,7 @@ def _peaks(darkness: NDArray[np.float32], labels: NDArray[np.int32], count: int)
     return np.asarray(peaks, dtype=np.float64)
 
 
-def _centers(darkness: NDArray[np.float32], labels: NDArray[np.int32], count: int) -> NDArray[np.float64]:
+def _centers(darkness: Map, labels: NDArray[np.int32], count: int) -> Numbers:
     """Centers (N, 2), x and y, weighted by the darkness."""
     rows, cols = np.nonzero(labels)
     number, weight = labels[rows, cols], darkness[rows, cols].astype(np.float64)
@@ -489,19 +486,19 @@ def _centers(darkness: NDArray[np.float32], labels: NDArray[np.int32], count: in
 class CandidateFinder:
     """Finds possible dots: places that are darker than their surroundings, at a dot's size. Prepared for one gel."""
 
-    def __init__(self, logs: NDArray[np.float32], centers_px: NDArray[Any], radius_px: float) -> None:
+    def __init__(self, logs: Map, centers_px: Array, radius_px: float) -> None:
         self._inner, self._outer = (max(1, round(width * radius_px)) | 1 for width in (INNER, OUTER))
         self._near = np.ones((max(3, round(radius_px) | 1),) * 2, dtype=np.uint8)
         column, row = np.rint(centers_px).astype(np.intp).T
         self._threshold = LEAST_RESPONSE * float(np.median(self._response(logs)[row, column]))
 
-    def __call__(self, logs: NDArray[np.float32]) -> NDArray[np.float32]:
+    def __call__(self, logs: Map) -> Map:
         """Candidates (M, 2), x and y, to about a pixel."""
         response = self._response(logs)
         peaks = (response >= cv2.dilate(response, self._near)) & (response > self._threshold)
         row, column = np.nonzero(peaks)
         return np.stack([column, row], axis=-1).astype(np.float32)
 
-    def _response(self, logs: NDArray[np.float32]) -> NDArray[np.float32]:
+    def _response(self, logs: Map) -> Map:
         inner, outer = (cv2.blur(logs, (size, size)) for size in (self._inner, self._outer))
         return np.asarray(outer - inner)

@@ -17,6 +17,7 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike, NDArray
 
+from gelform.arrays import Array, Floats, Map, Mask, Numbers
 from gelform.foundations.checks import check_image, check_mm_per_px
 from gelform.image.markers.finder import (
     CandidateFinder,
@@ -44,10 +45,10 @@ class MarkerFlow:
     mm_per_px : float or (x, y), mm; None if the scale is unknown
     """
 
-    rest_px: NDArray[np.float32]
-    now_px: NDArray[np.float32]
-    seen: NDArray[np.bool_]
-    sigma_px: NDArray[np.float32]
+    rest_px: Floats
+    now_px: Floats
+    seen: Mask
+    sigma_px: Floats
     mm_per_px: float | tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
@@ -64,17 +65,17 @@ class MarkerFlow:
         return f"MarkerFlow({self.in_words()})"
 
     @property
-    def displacement_px(self) -> NDArray[np.float32]:
+    def displacement_px(self) -> Floats:
         """Displacement (N, 2) of each marker from rest, x to the right and y down, pixels."""
         return self.now_px - self.rest_px
 
     @property
-    def displacement_mm(self) -> NDArray[np.float32] | None:
+    def displacement_mm(self) -> Floats | None:
         """Displacement (N, 2) on the gel, mm; None if the scale is unknown."""
         return None if self.mm_per_px is None else self.displacement_px * self._pitch
 
     @property
-    def sigma_mm(self) -> NDArray[np.float32] | None:
+    def sigma_mm(self) -> Floats | None:
         """One standard deviation (N,) of the displacement, mm; None if the scale is unknown."""
         return None if self.mm_per_px is None else self.sigma_px * self._pitch.max()
 
@@ -100,12 +101,12 @@ class MarkerFlow:
             "displacement_mm": None if millimeters is None else millimeters.tolist(),
         }
 
-    def arrays(self) -> dict[str, NDArray[Any]]:
+    def arrays(self) -> dict[str, Array]:
         """The arrays of a file, by the names of the attributes."""
         return {name: getattr(self, name) for name in _SHAPES}
 
     @property
-    def _pitch(self) -> NDArray[np.float32]:
+    def _pitch(self) -> Floats:
         return np.array(check_mm_per_px(self.mm_per_px), dtype=np.float32)
 
 
@@ -125,7 +126,7 @@ WHOLE = 1.0  # radii; dots nearer to the border are cut, and not followed
 class Neighbors:
     """The neighbors of dots; the gel's surface moves smoothly, so a dot moves nearly as they do."""
 
-    def __init__(self, rest_px: NDArray[Any]) -> None:
+    def __init__(self, rest_px: Array) -> None:
         self._rest = np.asarray(rest_px, dtype=np.float64)
         count = len(self._rest)
         found = scipy.spatial.cKDTree(self._rest).query(self._rest, k=min(NEIGHBORS + 1, count))
@@ -133,7 +134,7 @@ class Neighbors:
         self.spacing_px = float(np.median(distance[:, 0]))
         self._near = distance < REACH * np.maximum(self.spacing_px, distance[:, :1])
 
-    def astray_px(self, shift_px: NDArray[Any], sure: NDArray[np.bool_]) -> NDArray[np.float64]:
+    def astray_px(self, shift_px: Array, sure: Mask) -> Numbers:
         """Distance (N,) of each dot's shift from the median of its sure neighbors; 0 without any."""
         theirs = np.where((self._near & sure[self._index])[..., None], shift_px[self._index], np.inf)
         theirs.sort(axis=1)
@@ -144,12 +145,10 @@ class Neighbors:
         middle = (theirs[number, lower] + theirs[number, upper]) / 2
         middle = np.where((count > 0)[:, None], middle, shift_px)
         away = shift_px - middle
-        astray: NDArray[np.float64] = np.hypot(away[:, 0], away[:, 1])
+        astray: Numbers = np.hypot(away[:, 0], away[:, 1])
         return astray
 
-    def predicted_px(
-        self, shift_px: NDArray[Any], sure: NDArray[np.bool_], of: NDArray[np.bool_]
-    ) -> NDArray[np.float64]:
+    def predicted_px(self, shift_px: Array, sure: Mask, of: Mask) -> Numbers:
         """Shifts (M, 2) of some dots (`of`, (N,) bool) from those of the sure ones around.
 
         They lie on a plane through the shifts around, weighted by nearness. It is pulled to their mean where they do not
@@ -165,7 +164,7 @@ class Neighbors:
         spread += FIT_PRIOR * self.spacing_px**2 * np.eye(2)
         lean = np.einsum("mk,mkc,mkd->mcd", weight, offset, shift_px[sure] - mean[:, None])
         slope = np.linalg.solve(spread, lean)  # definite by FIT_PRIOR
-        predicted: NDArray[np.float64] = mean - np.einsum("mc,mcd->md", place, slope)
+        predicted: Numbers = mean - np.einsum("mc,mcd->md", place, slope)
         return predicted
 
 
@@ -216,7 +215,7 @@ class MarkerFollower:
         """Median distance between neighboring dots at rest."""
         return self._neighbors.spacing_px
 
-    def __call__(self, image: NDArray[Any], start_px: NDArray[Any] | None = None) -> MarkerFlow:
+    def __call__(self, image: Array, start_px: Array | None = None) -> MarkerFlow:
         """The positions of the markers in an image (H, W, 3), 0-255.
 
         Parameters
@@ -236,7 +235,7 @@ class MarkerFollower:
         astray = self._neighbors.astray_px(*self._with_cut(flow.displacement_px, flow.seen))[: len(self)]
         return float(np.sum(~flow.seen) + np.sum(astray[flow.seen]) / self.spacing_px)
 
-    def hidden(self, image: NDArray[Any], flow: MarkerFlow | None) -> NDArray[np.bool_] | None:
+    def hidden(self, image: Array, flow: MarkerFlow | None) -> Mask | None:
         """Pixels (H, W) that the markers darken in the image or in the background; None if the gel has no markers.
 
         They include the dots at rest, because the color change is divided by the background, and the dots at the positions
@@ -257,7 +256,7 @@ class MarkerFollower:
         near |= self._finder.untouched.mask.view(np.uint8)
         return near > 0
 
-    def _resolved(self, logs: NDArray[np.float32], expected: NDArray[np.float64]) -> tuple[Any, Any, Any]:
+    def _resolved(self, logs: Map, expected: Numbers) -> tuple[Any, Any, Any]:
         """Shifts (N, 2), whether each dot is seen, and its sigma, from the expected positions."""
         found = self._patches(logs, expected)
         shift, sigma = found.shift_px.astype(np.float64), found.sigma_px.copy()
@@ -297,7 +296,7 @@ class MarkerFollower:
         return shift, seen, sigma
 
     def _with_stretched(
-        self, logs: NDArray[np.float32], starts: NDArray[Any], shift: Any, seen: Any, sigma: Any
+        self, logs: Map, starts: Array, shift: Any, seen: Any, sigma: Any
     ) -> tuple[Any, Any, Any]:
         """Shifts, seen dots and sigma; the lost dots are searched for with an affine map from `starts` (N, 2)."""
         todo = np.nonzero(~seen & self._patches.inside(self.rest_px + starts))[0]
@@ -316,7 +315,7 @@ class MarkerFollower:
         new[todo] = found.sigma_px
         return np.where(taken[:, None], trial, shift), taken, np.where(seen, sigma, new)
 
-    def _at_darkest(self, logs: NDArray[np.float32], shift: Any, seen: Any) -> NDArray[np.float64]:
+    def _at_darkest(self, logs: Map, shift: Any, seen: Any) -> Numbers:
         """Shifts (N, 2) to start from; for lost dots the candidate nearest to their neighbors' prediction."""
         guess = shift.copy()
         todo = np.nonzero(~seen)[0]
@@ -328,13 +327,8 @@ class MarkerFollower:
         return guess
 
     def _at_candidates(
-        self,
-        guess: NDArray[Any],
-        todo: NDArray[np.intp],
-        taken: NDArray[Any],
-        candidates: NDArray[Any],
-        reach: float,
-    ) -> NDArray[np.float64]:
+        self, guess: Array, todo: NDArray[np.intp], taken: Array, candidates: Array, reach: float
+    ) -> Numbers:
         """Shifts (M, 2) to the free candidate nearest to each guess, within reach; else the guess itself."""
         start = guess[todo].copy()
         if len(taken) and len(candidates):
@@ -348,16 +342,16 @@ class MarkerFollower:
             start[near] += away[np.arange(len(todo)), best][near]
         return start
 
-    def _clear(self, places: NDArray[Any], candidates: NDArray[Any]) -> NDArray[np.bool_]:
+    def _clear(self, places: Array, candidates: Array) -> Mask:
         """Whether one candidate is much nearer to each place (M, 2) than any other; never so for crowded dots."""
         if len(candidates) < 2:
             return np.ones(len(places), dtype=bool)
         apart = np.linalg.norm(places[:, None] - candidates, axis=-1)
         apart.partition(1, axis=1)
-        clear: NDArray[np.bool_] = apart[:, 0] < CLEARLY * apart[:, 1]
+        clear: Mask = apart[:, 0] < CLEARLY * apart[:, 1]
         return clear
 
-    def _agreeing(self, shift: NDArray[Any], seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    def _agreeing(self, shift: Array, seen: Mask) -> Mask:
         """The seen dots that move like their neighbors and stand alone; of two dots at one place, the better one stays."""
         astray = self._neighbors.astray_px(*self._with_cut(shift, seen))[: len(self)]
         seen = seen & (astray < MOST_ASTRAY * self.spacing_px)
@@ -369,14 +363,14 @@ class MarkerFollower:
         seen[worse] = False
         return seen
 
-    def _predicted(self, shift: NDArray[Any], seen: NDArray[np.bool_]) -> NDArray[np.float64]:
+    def _predicted(self, shift: Array, seen: Mask) -> Numbers:
         """Shifts of the unseen dots, predicted from the seen ones."""
         full, sure = self._with_cut(shift, seen)
         of = ~sure
         of[len(self) :] = False
         return self._neighbors.predicted_px(full, sure, of)
 
-    def _of_all(self, shift: NDArray[Any], seen: NDArray[np.bool_]) -> NDArray[np.float64]:
+    def _of_all(self, shift: Array, seen: Mask) -> Numbers:
         """Shifts of all dots; those of dots that the border cuts come from their neighbors."""
         full, sure = self._with_cut(shift, seen)
         cut = np.arange(len(full)) >= len(self)
@@ -384,7 +378,7 @@ class MarkerFollower:
             full[cut] = self._neighbors.predicted_px(full, sure, cut)
         return full
 
-    def _with_cut(self, shift: NDArray[Any], seen: NDArray[np.bool_]) -> tuple[Any, Any]:
+    def _with_cut(self, shift: Array, seen: Mask) -> tuple[Any, Any]:
         """Shifts of all dots and whether they are sure; dots that the border cuts at rest come last, not sure."""
         more = len(self._all) - len(self)
         full = np.concatenate([shift, np.zeros((more, 2))])
@@ -446,7 +440,7 @@ class MarkerTracker:
         self._shift, self._seen = flow.displacement_px.astype(np.float64), int(flow.seen.sum())
         return flow
 
-    def _followed(self, pixels: NDArray[Any]) -> MarkerFlow:
+    def _followed(self, pixels: Array) -> MarkerFlow:
         """The likeliest flow from the expected positions and, if some dots are lost, from rest."""
         flow = self._follower(pixels, self._shift + self._velocity)
         if flow.seen.sum() >= self._seen - DOUBTFUL * len(self):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any
 
 import cv2
 import numpy as np
@@ -11,11 +10,12 @@ import scipy  # its parts load at first use
 from numpy.typing import NDArray
 
 from gelform._native import Kernel
+from gelform.arrays import Array, Floats, Image, Map, Mask, Numbers
 from gelform.foundations.checks import check_is
 from gelform.foundations.pictures import picture_bytes
 from gelform.simulate.sensor.sensor import SHADING_DEGREES, SimulatedSensor
 
-Maps = tuple[NDArray[np.float32], NDArray[np.float32]]
+Maps = tuple[Map, Map]
 
 _gray_levels = Kernel(
     "gray_levels",
@@ -24,7 +24,7 @@ _gray_levels = Kernel(
 )
 
 
-def maps_from_depth(sensor: SimulatedSensor, depth_mm: NDArray[Any]) -> Maps | None:
+def maps_from_depth(sensor: SimulatedSensor, depth_mm: Array) -> Maps | None:
     """The position on the gel's grid that each pixel sees, x and y (H, W) in pixels; None: its own position.
 
     A pinhole at height H over the middle sees the surface point at x (1 - z/H) in place of the plane's point x.
@@ -47,9 +47,7 @@ def maps_from_depth(sensor: SimulatedSensor, depth_mm: NDArray[Any]) -> Maps | N
     return at_x, at_y
 
 
-def px_from_mm(
-    sensor: SimulatedSensor, points_mm: NDArray[Any], depth_mm: float = 0.0
-) -> NDArray[np.float64]:
+def px_from_mm(sensor: SimulatedSensor, points_mm: Array, depth_mm: float = 0.0) -> Numbers:
     """Pixels (N, 2) at which the camera sees points (N, 2) of the gel at one depth, mm from its center."""
     points = np.asarray(points_mm, dtype=np.float64).reshape(-1, 2)
     if sensor.optics.height_mm is not None:
@@ -79,9 +77,7 @@ def _undistorted(sensor: SimulatedSensor) -> Maps:
     return at_x.astype(np.float32), at_y.astype(np.float32)
 
 
-def levels_from_irradiance(
-    sensor: SimulatedSensor, irradiance: NDArray[Any], *, maps: Maps | None = None
-) -> NDArray[Any]:
+def levels_from_irradiance(sensor: SimulatedSensor, irradiance: Array, *, maps: Maps | None = None) -> Array:
     """Noise-free, unquantized, linear gray levels (H, W, 3) of the light (H, W, 3) from the gel.
 
     The dtype stays. `maps` has the position in the light that each pixel sees (see `maps_from_depth`); None: its
@@ -99,7 +95,7 @@ def levels_from_irradiance(
 
 
 @lru_cache(maxsize=8)
-def _gain_and_mixing(sensor: SimulatedSensor, dtype: str) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+def _gain_and_mixing(sensor: SimulatedSensor, dtype: str) -> tuple[Array, Array, Array]:
     """Gain over the image (H, W, 3), 3x3 mixing of the channels, and the levels (H, W, 3) of ambient light."""
     gain = _gain(sensor)
     mixing = np.asarray(sensor.crosstalk, dtype=np.float64) * np.asarray(sensor.white_balance)[:, None]
@@ -108,7 +104,7 @@ def _gain_and_mixing(sensor: SimulatedSensor, dtype: str) -> tuple[NDArray[Any],
     return gain.astype(dtype), mixing.astype(dtype), ambient.astype(dtype)
 
 
-def _gain(sensor: SimulatedSensor) -> NDArray[np.float64]:
+def _gain(sensor: SimulatedSensor) -> Numbers:
     """Vignetting, 1 in the middle, 1 - vignetting in the corners, times each channel's shading: (H, W, 3)."""
     x, y = sensor.grid_mm()
     corner = float(x[0, -1] ** 2 + y[-1, 0] ** 2)
@@ -124,8 +120,8 @@ def _gain(sensor: SimulatedSensor) -> NDArray[np.float64]:
 
 
 def image_from_levels(
-    sensor: SimulatedSensor, levels: NDArray[Any], rng: np.random.Generator | None, *, quantise: bool = True
-) -> NDArray[Any]:
+    sensor: SimulatedSensor, levels: Array, rng: np.random.Generator | None, *, quantise: bool = True
+) -> Array:
     """The image of given levels: shot and read noise, response curve, rounded to 0-255, JPEG.
 
     Without `rng` there is no noise; without `quantise` levels are neither rounded, cut nor compressed. Noise is
@@ -153,23 +149,23 @@ def draws(rng: np.random.Generator, count: int) -> NDArray[np.uint16]:
 
 
 @lru_cache(maxsize=1)
-def normal_table() -> NDArray[np.float32]:
+def normal_table() -> Floats:
     """The normal distribution in 65536 equally likely steps, of variance 1: its inverse at their middles."""
     steps = scipy.special.ndtri((np.arange(65536) + 0.5) / 65536)
     return np.asarray(steps / np.sqrt(np.mean(steps**2)), dtype=np.float32)
 
 
 @lru_cache(maxsize=8)
-def response_table(gamma: float) -> NDArray[np.float32]:
+def response_table(gamma: float) -> Floats:
     """Gray levels of the response curve at evenly spaced square roots of the linear level, 0 to 1; measured error 5e-5."""
     return np.asarray(255 * np.linspace(0, 1, 4097) ** (2 / gamma), dtype=np.float32)
 
 
-def saturated_from_levels(levels: NDArray[Any]) -> NDArray[np.bool_]:
+def saturated_from_levels(levels: Array) -> Mask:
     """Pixels (H, W) with some channel cut at 0 or 255."""
     return cv2.inRange(levels, (-0.5,) * 3, (255.5,) * 3) == 0
 
 
-def _compressed(gray: NDArray[np.uint8], quality: int) -> NDArray[np.uint8]:
+def _compressed(gray: Image, quality: int) -> Image:
     code = np.frombuffer(picture_bytes(gray, ".jpg", [cv2.IMWRITE_JPEG_QUALITY, quality]), np.uint8)
     return np.asarray(cv2.cvtColor(cv2.imdecode(code, cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB))

@@ -9,8 +9,9 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from gelform.arrays import Array, Floats, Map, Numbers, Slopes
 from gelform.foundations.checks import check_map, check_mm_per_px, check_positive
 from gelform.simulate.gel import Gel
 
@@ -85,7 +86,7 @@ class Coating:
         if self.albedo is not None and not isinstance(self.albedo, _Albedo):
             object.__setattr__(self, "albedo", _Albedo(self.albedo))
 
-    def markers_mm(self, shape: Grid, mm_per_px: float) -> NDArray[np.float64]:
+    def markers_mm(self, shape: Grid, mm_per_px: float) -> Numbers:
         """Positions (N, 2) of the markers at rest: a grid about the center, to half a pitch beyond the image."""
         if self.marker_pitch_mm == 0:
             return np.zeros((0, 2))
@@ -98,7 +99,7 @@ class Coating:
         away = rng.uniform(-1, 1, places.shape) * self.marker_jitter * self.marker_pitch_mm / 2
         return (places + away)[there]
 
-    def marker_bites(self, count: int) -> NDArray[np.float64]:
+    def marker_bites(self, count: int) -> Numbers:
         """Center (N, 2), in radii, of the round piece of 0.6 of its radius that each marker lost; NaN: it is whole."""
         rng = np.random.default_rng([self.seed, 4])
         angle, broken = rng.uniform(0, 2 * np.pi, count), rng.random(count) < self.marker_broken
@@ -118,7 +119,7 @@ class _Albedo:
 
 
 @lru_cache(maxsize=8)
-def albedo_map(coating: Coating, shape: Grid, mm_per_px: float) -> NDArray[np.float32]:
+def albedo_map(coating: Coating, shape: Grid, mm_per_px: float) -> Map:
     """Reflectance (H, W) of a gel without its markers: the albedo map and dust."""
     albedo = np.ones(shape, dtype=np.float32)
     if coating.albedo is not None:
@@ -135,12 +136,7 @@ def albedo_map(coating: Coating, shape: Grid, mm_per_px: float) -> NDArray[np.fl
     return albedo
 
 
-def with_markers(
-    albedo: NDArray[np.float32],
-    places_px: NDArray[np.float64],
-    radius_px: float,
-    bites: NDArray[np.float64] | None = None,
-) -> NDArray[np.float32]:
+def with_markers(albedo: Map, places_px: Numbers, radius_px: float, bites: Numbers | None = None) -> Map:
     """The reflectance with dark dots at positions (N, 2), x and y, with soft edges; `bites` as `Coating.marker_bites`."""
     out = albedo.copy()
     reach = int(radius_px) + 1
@@ -159,9 +155,7 @@ def with_markers(
 
 
 @lru_cache(maxsize=8)
-def texture_gradients(
-    coating: Coating, shape: Grid, mm_per_px: float, oversample: int
-) -> NDArray[np.float32] | None:
+def texture_gradients(coating: Coating, shape: Grid, mm_per_px: float, oversample: int) -> Slopes | None:
     """Slopes (h, w, 2) of roughness and scratches on the fine grid, or None where there are none.
 
     They are made on a grid of the pixels' pitch and stretched, so that the gel is the same for every oversample.
@@ -183,7 +177,7 @@ def texture_gradients(
     return np.stack(slopes[::-1], axis=-1).astype(np.float32)
 
 
-def _scratch(shape: Grid, mm_per_px: float, rng: np.random.Generator) -> NDArray[np.float32]:
+def _scratch(shape: Grid, mm_per_px: float, rng: np.random.Generator) -> Floats:
     """A groove (H, W), 2-8 um deep, 2-6 mm long, straight."""
     start = rng.uniform(0, 1, 2) * shape[::-1]
     angle, length = rng.uniform(0, np.pi), rng.uniform(2, 6) / mm_per_px
@@ -286,7 +280,7 @@ def led_color(peak_nm: float, width_nm: float = 25.0) -> tuple[float, float, flo
     return float(red), float(green), float(blue)
 
 
-def _triple(values: Any, name: str) -> NDArray[np.float64]:
+def _triple(values: Any, name: str) -> Numbers:
     array = np.asarray(values, dtype=np.float64)
     if array.shape != (3,) or not np.all(np.isfinite(array)):
         raise ValueError(f"Expected {name} as three finite numbers, got {values}.")
@@ -375,12 +369,12 @@ class Timing:
         if np.shape(self.drift) != (3,) or min(self.drift) <= -1:
             raise ValueError(f"Expected drift as three numbers > -1, got {self.drift}.")
 
-    def light_at(self, time_s: float, rows: int) -> NDArray[np.float64]:
+    def light_at(self, time_s: float, rows: int) -> Numbers:
         """The LEDs' light relative to time 0 without flicker, for each row and channel: (rows, 1, 3)."""
         warm = 1 + np.asarray(self.drift) * -np.expm1(-time_s / self.drift_time_s)
         when = time_s + self.readout_s * np.arange(rows) / rows
         swing = 1 + self.flicker * np.sin(2 * np.pi * self.flicker_hz * when)
-        light: NDArray[Any] = swing[:, None, None] * warm
+        light: Array = swing[:, None, None] * warm
         return np.asarray(light, dtype=np.float64)
 
 
@@ -470,9 +464,7 @@ class SimulatedSensor:
         """The same sensor with gray levels in proportion to light: no response curve, no JPEG."""
         return replace(self, optics=replace(self.optics, response_gamma=1.0, jpeg_quality=None))
 
-    def grid_mm(
-        self, oversample: int = 1, margin: int = 0
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def grid_mm(self, oversample: int = 1, margin: int = 0) -> tuple[Numbers, Numbers]:
         """Coordinates of (sub)pixel centers: x as a row (1, w), y as a column (h, 1), mm from the center.
 
         With an odd `oversample` the middle subpixel lies on the pixel's center. `margin` adds subpixels on each

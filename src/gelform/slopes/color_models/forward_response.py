@@ -14,12 +14,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gelform._native import Kernel
+from gelform.arrays import Array, Map, Mask, Numbers, Slopes
 from gelform.foundations.checks import check_values, check_within
 from gelform.foundations.information import determined_by
 from gelform.slopes.color_models.least_squares import (
@@ -65,9 +66,9 @@ class Step(NamedTuple):
     residual : (...) >= 0, squared, of the color change after the step, in units of its covariance: 1 degree of freedom
     """
 
-    gradients: NDArray[Any]
-    variance: NDArray[Any]
-    residual: NDArray[Any]
+    gradients: Array
+    variance: Array
+    residual: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,12 +90,12 @@ class ForwardResponse(Stored):
         the model holds for such pixels too
     """
 
-    nodes: NDArray[np.float64]
-    covariance: NDArray[np.float64]
+    nodes: Numbers
+    covariance: Numbers
     shape: tuple[int, int]
     step_sigma: tuple[float, float] | None = None
     residual_scale: float = 1.0
-    clipped: NDArray[np.bool_] | None = None
+    clipped: Mask | None = None
 
     def __post_init__(self) -> None:
         check_values(self.nodes, "forward_nodes", (3,))
@@ -146,20 +147,15 @@ class ForwardResponse(Stored):
         return found
 
     def color_from_gradients(
-        self,
-        gradients: NDArray[Any],
-        x_px: NDArray[Any],
-        y_px: NDArray[Any],
-        *,
-        depth_px: NDArray[Any] | float = 0.0,
-    ) -> NDArray[np.float64]:
+        self, gradients: Array, x_px: Array, y_px: Array, *, depth_px: Array | float = 0.0
+    ) -> Numbers:
         """Expected color change (N, 3) of gradients (N, 2), and depths (N,), at pixel positions (N,)."""
         v, z = normal_terms(gradients), np.broadcast_to(np.asarray(depth_px) / DEPTH_UNIT_PX, len(gradients))
         coefficients = at_pixels(self.nodes, *interpolation(x_px, y_px, self.shape))
         products = np.stack([*monomial_products(v.T, _POWERS), z, z * v[:, 0], z * v[:, 1]])
         return np.asarray(np.einsum("tn,ntc->nc", products, coefficients))
 
-    def of_other_unit(self, gain: NDArray[np.float64], wider: float) -> ForwardResponse:
+    def of_other_unit(self, gain: Numbers, wider: float) -> ForwardResponse:
         """The response of a unit with smaller color changes and noise, by a gain (rows, columns, 3) at its nodes.
 
         Its pixels are `wider` times as wide on the gel.
@@ -179,7 +175,7 @@ class ForwardResponse(Stored):
         return float(np.sqrt(np.median(variance)))
 
     @cached_property
-    def roots(self) -> NDArray[np.float32]:
+    def roots(self) -> Map:
         """(4, 3, 3): lower factors L of the inverse covariance L L^T of all channels, and without red, green, blue."""
         found = np.zeros((4, 3, 3))
         # Definite: the record refuses any other covariance, and so are its parts.
@@ -207,11 +203,7 @@ class PreparedStep:
         self._work_size = 2 * columns * TERMS * 3 + 4 * TERMS * 3 + 12 * padded
 
     def __call__(
-        self,
-        color_change: NDArray[np.float32],
-        gradients: NDArray[np.float32],
-        depth_px: NDArray[np.float32],
-        clipped: NDArray[np.uint8] | None = None,
+        self, color_change: Map, gradients: Slopes, depth_px: Map, clipped: NDArray[np.uint8] | None = None
     ) -> Step:
         """The step of a frame, from the gradients (H, W, 2) that a color model read of a color change (H, W, 3).
 
@@ -228,14 +220,14 @@ class PreparedStep:
         return Step(stepped, variance, residual)
 
 
-def normal_terms(gradients: NDArray[Any]) -> NDArray[np.float64]:
+def normal_terms(gradients: Array) -> Numbers:
     """The normal's first two components (N, 2), with the sign of the slopes, in the response's unit."""
     slopes = np.asarray(gradients, dtype=np.float64)
     length = np.sqrt(1 + np.sum(slopes**2, axis=-1, keepdims=True))
     return np.asarray(slopes / (NORMAL_UNIT * length))
 
 
-def _terms(gradients: NDArray[Any], depth_px: NDArray[Any]) -> list[Term]:
+def _terms(gradients: Array, depth_px: Array) -> list[Term]:
     v, z = normal_terms(gradients), np.asarray(depth_px, dtype=np.float64) / DEPTH_UNIT_PX
     of_normal = terms_of_orders(
         monomial_products(v.T, _POWERS), [len(term) for term in _POWERS], PLACE_DEGREES

@@ -15,9 +15,9 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gelform._native import Kernel
+from gelform.arrays import Array, Map, Numbers, Slopes
 from gelform.foundations.checks import HIGHEST_SLOPE, check_within, value_range
 from gelform.foundations.filters import CHANGE_OFFSET
 from gelform.slopes.color_models.least_squares import (
@@ -61,7 +61,7 @@ class HierarchicalModel(Stored):
     steepest : > 0, mm/mm, the size that slopes are bounded to; calibrations without it have no bound
     """
 
-    nodes: NDArray[np.float64]
+    nodes: Numbers
     degree: int
     shape: tuple[int, int]
     steepest: float = HIGHEST_SLOPE
@@ -110,7 +110,7 @@ class HierarchicalModel(Stored):
         """One variant for each ridge, the stiffest first."""
         return [{"ridge": ridge} for ridge in RIDGES]
 
-    def of_other_unit(self, gain: NDArray[np.float64], wider: float) -> HierarchicalModel:
+    def of_other_unit(self, gain: Numbers, wider: float) -> HierarchicalModel:
         """The model of a unit whose color changes are smaller by a gain (rows, columns, 3) at its nodes.
 
         Its pixels are `wider` times as wide on the gel.
@@ -129,26 +129,24 @@ class HierarchicalModel(Stored):
                 f"degree {self.degree} for {self.shape[0]}x{self.shape[1]} px."
             )
 
-    def gradients_at(
-        self, color_change: NDArray[Any], x_px: NDArray[Any], y_px: NDArray[Any]
-    ) -> NDArray[np.float64]:
+    def gradients_at(self, color_change: Array, x_px: Array, y_px: Array) -> Numbers:
         """Gradients (N, 2) of scattered pixels."""
         products = color_products(np.asarray(color_change, dtype=np.float64), monomials(3, self.degree))
-        gradients: NDArray[np.float64] = np.einsum("tn,ntk->nk", products, self.coefficients_at(x_px, y_px))
+        gradients: Numbers = np.einsum("tn,ntk->nk", products, self.coefficients_at(x_px, y_px))
         bounded(gradients, self.steepest)
         return gradients
 
-    def coefficients_at(self, x_px: NDArray[Any], y_px: NDArray[Any]) -> NDArray[np.float64]:
+    def coefficients_at(self, x_px: Array, y_px: Array) -> Numbers:
         """Coefficients (N, terms, 2) of each monomial of the color change at pixels."""
         return at_pixels(self.nodes, *interpolation(x_px, y_px, self.shape))
 
-    def prepare(self, background: NDArray[Any], shape: tuple[int, int]) -> PreparedHierarchical:
+    def prepare(self, background: Array, shape: tuple[int, int]) -> PreparedHierarchical:
         """Prepare the coefficients of every row of pixels at every 16th column."""
         check_image_shape(shape, self.shape)
         return PreparedHierarchical(self)
 
 
-def bounded(gradients: NDArray[Any], steepest: float) -> NDArray[np.float32] | None:
+def bounded(gradients: Array, steepest: float) -> Map | None:
     """Shorten gradients (..., 2) to a size, in place; returns what was cut off, (..., 2) for both components, or None."""
     low, high = value_range(gradients)
     if max(high, -low) <= steepest / 2**0.5:  # nearly always
@@ -162,7 +160,7 @@ def bounded(gradients: NDArray[Any], steepest: float) -> NDArray[np.float32] | N
 
 def _regression(
     samples: Samples, position_degrees: tuple[int, ...], start: HierarchicalModel | None
-) -> tuple[VaryingRegression, NDArray[np.float64]]:
+) -> tuple[VaryingRegression, Numbers]:
     """The regression of samples on the monomials of their color change, and the divisor of each monomial (terms,).
 
     The samples keep the last one, because calibration tries one ridge after the other.
@@ -194,18 +192,14 @@ class PreparedHierarchical:
         _, columns, terms, _ = self._nodes.shape
         self._work_size = 2 * columns * terms + 4 * terms + 3 * -(-model.shape[1] // NODE_PX) * NODE_PX
 
-    def gradients_from_color(
-        self, color_change: NDArray[np.float32]
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
+    def gradients_from_color(self, color_change: Map) -> tuple[Slopes, Slopes | None]:
         """Gradients (H, W, 2) of a color change (H, W, 3), and the deviation of bounded ones, or None."""
         gradients = np.empty((*color_change.shape[:2], 2), dtype=np.float32)
         work = np.empty(self._work_size, dtype=np.float32)
         _hierarchical_gradients(color_change, self._nodes, self._parents, work, gradients)
         return gradients, bounded(gradients, self._steepest)
 
-    def gradients_in_one_pass(
-        self, pending: PendingChange, out: NDArray[np.float32]
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
+    def gradients_in_one_pass(self, pending: PendingChange, out: Map) -> tuple[Slopes, Slopes | None]:
         """The same of an image, whose color change is computed in the same pass and written to `out` (H, W, 3)."""
         gradients = np.empty((*out.shape[:2], 2), dtype=np.float32)
         work = np.empty(pending.work_size + self._work_size, dtype=np.float32)

@@ -15,10 +15,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from gelform.arrays import Array, Floats, Numbers
 from gelform.slopes.color_models.seam import Samples
 
 HUBER_SLOPE = 0.05  # mm/mm, about the usual error of a slope; samples with larger errors count less
-Normal = tuple[NDArray[np.float64], NDArray[np.float64]]
+Normal = tuple[Numbers, Numbers]
 
 
 def monomials(channels: int, degree: int) -> list[tuple[int, ...]]:
@@ -49,7 +50,7 @@ def term_count(channels: int, position_degrees: tuple[int, ...]) -> int:
     return sum(len(position_powers(position_degrees[len(term) - 1])) for term in terms)
 
 
-def unit_position(x_px: NDArray[Any], y_px: NDArray[Any], shape: tuple[int, int]) -> tuple[Any, Any]:
+def unit_position(x_px: Array, y_px: Array, shape: tuple[int, int]) -> tuple[Any, Any]:
     """Positions about the image's center in units of half its larger side."""
     height, width = shape
     half = max(height, width) / 2
@@ -58,9 +59,7 @@ def unit_position(x_px: NDArray[Any], y_px: NDArray[Any], shape: tuple[int, int]
     return x, y
 
 
-def polynomial_terms(
-    values: NDArray[Any], x: NDArray[Any], y: NDArray[Any], position_degrees: tuple[int, ...]
-) -> NDArray[np.float64]:
+def polynomial_terms(values: Array, x: Array, y: Array, position_degrees: tuple[int, ...]) -> Numbers:
     """Design matrix (N, terms): each monomial of degree n of the values, times the position terms of its degree.
 
     There is no constant term: values of zero give zero.
@@ -77,17 +76,15 @@ def polynomial_terms(
     return columns.T
 
 
-def monomial_products(channels: NDArray[Any], terms: list[tuple[int, ...]]) -> list[NDArray[Any]]:
+def monomial_products(channels: Array, terms: list[tuple[int, ...]]) -> list[Array]:
     """Each monomial (N,) of channels (C, N), a product of its parent's with one channel."""
-    products: list[NDArray[Any]] = []
+    products: list[Array] = []
     for parent, channel in monomial_parents(terms):
         products.append(channels[channel] if parent < 0 else products[parent] * channels[channel])
     return products
 
 
-def position_terms(
-    x: NDArray[Any], y: NDArray[Any], degree: int
-) -> dict[tuple[int, int], NDArray[np.float64]]:
+def position_terms(x: Array, y: Array, degree: int) -> dict[tuple[int, int], Numbers]:
     """x^i y^j by its exponents, each the product of an earlier one; powers take ten times as long."""
     place = {(0, 0): np.ones(len(x))}
     for i, j in position_powers(degree)[1:]:
@@ -96,14 +93,8 @@ def position_terms(
 
 
 def robust_ridge(
-    design: NDArray[np.float64],
-    target: NDArray[np.float64],
-    weight: NDArray[np.float64],
-    *,
-    ridge: float,
-    huber: float,
-    rounds: int = 3,
-) -> NDArray[np.float64]:
+    design: Numbers, target: Numbers, weight: Numbers, *, ridge: float, huber: float, rounds: int = 3
+) -> Numbers:
     """Coefficients (terms, outputs) of a ridge regression, reweighted by Huber's loss of the residual's length.
 
     The ridge is relative to the size of each column, so it means the same for every term.
@@ -115,14 +106,8 @@ def robust_ridge(
 
 
 def _reweighted(
-    design: NDArray[Any],
-    target: NDArray[np.float64],
-    weight: NDArray[np.float64],
-    whole: Normal,
-    prior: NDArray[np.float64],
-    huber: float,
-    rounds: int,
-) -> NDArray[np.float64]:
+    design: Array, target: Numbers, weight: Numbers, whole: Normal, prior: Numbers, huber: float, rounds: int
+) -> Numbers:
     """Coefficients (terms, outputs) after some rounds of Huber's loss of the residual's length.
 
     Only samples beyond `huber` lose weight, so the loss is subtracted from `whole`, the normal equations of the first round.
@@ -140,14 +125,12 @@ def _reweighted(
     return np.asarray(coefficients, dtype=np.float64)
 
 
-def _rows(design: NDArray[Any], chosen: NDArray[np.intp]) -> NDArray[Any]:
+def _rows(design: Array, chosen: NDArray[np.intp]) -> Array:
     """Some rows of a design, in its own order in memory; gathering across it takes ten times as long."""
     return design[chosen] if design.flags.c_contiguous else np.take(design.T, chosen, axis=1).T
 
 
-def normal_equations(
-    design: NDArray[Any], target: NDArray[np.float64], weight: NDArray[np.float64]
-) -> Normal:
+def normal_equations(design: Array, target: Numbers, weight: Numbers) -> Normal:
     """Weighted sums of products: terms by terms, and terms by outputs."""
     root = np.sqrt(weight).astype(design.dtype)[:, None]
     weighted = design * root
@@ -177,14 +160,14 @@ class Term:
     varies_with_light : whether the coefficient also depends on the background image's logarithm
     """
 
-    values: NDArray[Any]
+    values: Array
     place_degree: int
     ridge: float
     varies_with_light: bool = False
 
 
 def terms_of_orders(
-    products: Sequence[NDArray[Any]], orders: Sequence[int], place_degrees: Sequence[int]
+    products: Sequence[Array], orders: Sequence[int], place_degrees: Sequence[int]
 ) -> list[Term]:
     """Terms of products (N,) of a number of factors, stiffer at higher orders; `place_degrees` by order."""
     return [
@@ -207,20 +190,20 @@ class VaryingRegression:
     places : of each term: its functions at the nodes, (rows, columns, functions)
     """
 
-    columns: NDArray[np.float32]
-    target: NDArray[np.float64]
-    weight: NDArray[np.float64]
-    penalties: NDArray[np.float64]
+    columns: Floats
+    target: Numbers
+    weight: Numbers
+    penalties: Numbers
     ends: NDArray[np.intp]
-    places: tuple[NDArray[np.float64], ...]
+    places: tuple[Numbers, ...]
 
     @classmethod
-    def of(cls, terms: Sequence[Term], target: NDArray[Any], samples: Samples) -> VaryingRegression:
+    def of(cls, terms: Sequence[Term], target: Array, samples: Samples) -> VaryingRegression:
         """Terms (N,) and target (N, K) of at most some 20,000 samples, because neighbors in a press are copies."""
         step = max(1, round(len(samples.x_px) / MAX_SAMPLES))
         light = None if samples.background is None else light_at_nodes(samples.background)
         at = interpolation(samples.x_px[::step], samples.y_px[::step], samples.shape)
-        made: dict[Any, tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]] = {}
+        made: dict[Any, tuple[Numbers, Numbers, Numbers]] = {}
         for term in terms:
             kind = term.place_degree, term.varies_with_light
             if kind not in made:
@@ -240,18 +223,18 @@ class VaryingRegression:
         # In float32: they are sums of squares, and the ridge is far above their rounding.
         return normal_equations(self.columns, self.target, self.weight)
 
-    def coefficients(self, ridge: float) -> NDArray[np.float64]:
+    def coefficients(self, ridge: float) -> Numbers:
         """Coefficients (columns, K) for a ridge, which is relative to the samples' weight."""
         normal, right = self._normal
         prior = np.diag(ridge * float(self.weight.sum()) * self.penalties)
         return np.asarray(np.linalg.solve(normal + prior, right), dtype=np.float64)  # definite by the ridge
 
-    def nodes(self, coefficients: NDArray[np.float64]) -> NDArray[np.float64]:
+    def nodes(self, coefficients: Numbers) -> Numbers:
         """The terms' coefficients at the nodes, (rows, columns, terms, K)."""
         split = np.split(coefficients, self.ends[:-1])
         return np.stack([place @ part for place, part in zip(self.places, split)], axis=2)
 
-    def residual(self, coefficients: NDArray[np.float64]) -> NDArray[np.float64]:
+    def residual(self, coefficients: Numbers) -> Numbers:
         """Target minus the prediction of the coefficients, (N, K)."""
         return np.asarray(self.target - self.columns @ coefficients.astype(np.float32), dtype=np.float64)
 
@@ -263,8 +246,8 @@ def node_positions(shape: tuple[int, int]) -> tuple[NDArray[np.int64], NDArray[n
 
 
 def _places(
-    degree: int, with_light: bool, shape: tuple[int, int], light: NDArray[Any] | None
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    degree: int, with_light: bool, shape: tuple[int, int], light: Array | None
+) -> tuple[Numbers, Numbers]:
     """The functions in a coefficient's sum at the nodes, (rows, columns, functions), and the penalty of each."""
     unit = [
         2 * nodes / (n - 1) - 1 if n > 1 else 0.0 * nodes for nodes, n in zip(node_positions(shape), shape)
@@ -280,14 +263,14 @@ def _places(
     return np.stack(functions, axis=-1), np.array(growth)
 
 
-def light_at_nodes(background: NDArray[Any]) -> NDArray[np.float64]:
+def light_at_nodes(background: Array) -> Numbers:
     """Logarithm of the background image at the nodes, (3, rows, columns), with mean 0 and deviation 1."""
     pixels = np.asarray(background, dtype=np.float32)
     return _light_of_pixels(pixels.tobytes(), pixels.shape)
 
 
 @lru_cache(maxsize=4)  # a calibration fits a hundred models on one background
-def _light_of_pixels(pixels: bytes, shape: tuple[int, ...]) -> NDArray[np.float64]:
+def _light_of_pixels(pixels: bytes, shape: tuple[int, ...]) -> Numbers:
     light = np.maximum(np.frombuffer(pixels, dtype=np.float32).reshape(shape), DARKEST)
     smooth = cv2.GaussianBlur(light, (0, 0), LIGHT_BLUR_PX, borderType=cv2.BORDER_REFLECT_101)
     logarithm = np.log(smooth.astype(np.float64))
@@ -300,12 +283,12 @@ def _light_of_pixels(pixels: bytes, shape: tuple[int, ...]) -> NDArray[np.float6
     return np.moveaxis(values, -1, 0)
 
 
-def color_products(change: NDArray[np.float64], terms: list[tuple[int, ...]]) -> NDArray[np.float64]:
+def color_products(change: Numbers, terms: list[tuple[int, ...]]) -> Numbers:
     """Monomials (terms, N) of a color change (N, 3)."""
     return np.stack(monomial_products(np.ascontiguousarray(change.T), terms))
 
 
-def interpolation(x_px: NDArray[Any], y_px: NDArray[Any], shape: tuple[int, int]) -> tuple[Any, ...]:
+def interpolation(x_px: Array, y_px: Array, shape: tuple[int, int]) -> tuple[Any, ...]:
     """The node at the upper left of each pixel, and the fraction of the way to the next node, 0-1."""
     found: list[Any] = []
     for position, nodes in zip((y_px, x_px), node_positions(shape)):
@@ -315,7 +298,7 @@ def interpolation(x_px: NDArray[Any], y_px: NDArray[Any], shape: tuple[int, int]
     return tuple(found)
 
 
-def nodes_at_scale(nodes: NDArray[Any], shape: tuple[int, int], wider: float) -> NDArray[np.float64]:
+def nodes_at_scale(nodes: Array, shape: tuple[int, int], wider: float) -> Numbers:
     """Nodes (rows, columns, ...) for images (H, W) whose pixels are `wider` times as wide on the gel.
 
     Each place is read where it lies in mm from the image's center; places outside the first image are read at its border.
@@ -328,10 +311,10 @@ def nodes_at_scale(nodes: NDArray[Any], shape: tuple[int, int], wider: float) ->
     return at_pixels(nodes, *interpolation(x, y, shape)).reshape(np.shape(nodes))
 
 
-def at_pixels(nodes: NDArray[Any], row: Any, v: Any, column: Any, u: Any) -> NDArray[np.float64]:
+def at_pixels(nodes: Array, row: Any, v: Any, column: Any, u: Any) -> Numbers:
     """Values (N, ...) between the nodes, bilinear."""
     v, u = (part.reshape(-1, *[1] * (nodes.ndim - 2)) for part in (v, u))
     above = nodes[row, column] * (1 - u) + nodes[row, column + 1] * u
     below = nodes[row + 1, column] * (1 - u) + nodes[row + 1, column + 1] * u
-    values: NDArray[np.float64] = above * (1 - v) + below * v
+    values: Numbers = above * (1 - v) + below * v
     return values

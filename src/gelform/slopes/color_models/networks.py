@@ -20,8 +20,8 @@ from itertools import pairwise
 from typing import Any, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from gelform.arrays import Array, Floats, Map, Numbers, Slopes
 from gelform.errors import needed
 from gelform.foundations.filters import CHANGE_OFFSET
 from gelform.image.view import pixel_positions
@@ -56,8 +56,8 @@ class Layers:
     biases : layers times (outputs,) float32
     """
 
-    weights: tuple[NDArray[np.float32], ...]
-    biases: tuple[NDArray[np.float32], ...]
+    weights: tuple[Floats, ...]
+    biases: tuple[Floats, ...]
 
     def __post_init__(self) -> None:
         if not 1 <= len(self.weights) == len(self.biases) <= MAX_LAYERS:
@@ -91,7 +91,7 @@ class Layers:
                 f"Expected a network of 5 inputs and 2 outputs, got {self.inputs} and {self.outputs}."
             )
 
-    def outputs_from(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
+    def outputs_from(self, values: Floats) -> Map:
         """The outputs (outputs, N) for inputs (inputs, N)."""
         last = len(self.weights) - 1
         for k, (weight, bias) in enumerate(zip(self.weights, self.biases)):
@@ -101,13 +101,13 @@ class Layers:
                 np.maximum(values, 0, out=values)
         return values
 
-    def to_arrays(self) -> dict[str, NDArray[Any]]:
+    def to_arrays(self) -> dict[str, Array]:
         """Arrays `weight1`, `bias1`, `weight2` ... that `from_arrays` rebuilds the layers from."""
         numbered = enumerate(zip(self.weights, self.biases), start=1)
         return {f"{name}{k}": a for k, pair in numbered for name, a in zip(("weight", "bias"), pair)}
 
     @classmethod
-    def from_arrays(cls, arrays: dict[str, NDArray[Any]]) -> Layers:
+    def from_arrays(cls, arrays: dict[str, Array]) -> Layers:
         """The layers from `to_arrays`; other arrays are ignored."""
         count = sum(name.startswith("weight") for name in arrays)
         pairs = [(arrays[f"weight{k}"], arrays[f"bias{k}"]) for k in range(1, count + 1)]
@@ -125,15 +125,13 @@ class RestedNetwork:
     scale : (3,), of the color change in the inputs' units
     """
 
-    def __init__(
-        self, layers: Layers, rest: NDArray[np.float32], channels: tuple[int, int, int], scale: NDArray[Any]
-    ) -> None:
+    def __init__(self, layers: Layers, rest: Map, channels: tuple[int, int, int], scale: Array) -> None:
         self._layers = layers
         self._rest = np.asarray(rest, dtype=np.float32)
         self._channels = np.array(channels)
         self._scale = np.asarray(scale, dtype=np.float32)
 
-    def outputs_from_color(self, color_change: NDArray[np.float32]) -> NDArray[np.float32]:
+    def outputs_from_color(self, color_change: Map) -> Map:
         """The outputs (N, outputs) for the color change (N, 3) of each pixel."""
         out = np.empty((color_change.shape[0], self._layers.outputs), dtype=np.float32)
         for part in blocks_of(len(out)):
@@ -160,7 +158,7 @@ class NetworkModel(Stored):
     """
 
     layers: Layers
-    background: NDArray[np.float32]
+    background: Map
     position: Position
     answer: Answer
 
@@ -175,22 +173,20 @@ class NetworkModel(Stored):
                 f"and {self.answer!r}."
             )
 
-    def gradients_at(
-        self, color_change: NDArray[Any], x_px: NDArray[Any], y_px: NDArray[Any]
-    ) -> NDArray[np.float64]:
+    def gradients_at(self, color_change: Array, x_px: Array, y_px: Array) -> Numbers:
         """Gradients (N, 2) of scattered pixels over the background that it was imported with."""
         rows, columns = (np.asarray(v).astype(int) for v in (y_px, x_px))
         prepared = self._prepared(self.background[rows, columns], np.asarray(x_px), np.asarray(y_px))
         return prepared.gradients_from_color(np.asarray(color_change, dtype=np.float32))[0].astype(np.float64)
 
-    def prepare(self, background: NDArray[Any], shape: tuple[int, int]) -> PreparedNetwork:
+    def prepare(self, background: Array, shape: tuple[int, int]) -> PreparedNetwork:
         """Prepare the inputs at rest, and the network's output for them, for frames of the imported size."""
         height, width = self.background.shape[:2]
         check_image_shape(shape, (height, width), made="imported")
         rest = np.asarray(background, dtype=np.float32).reshape(-1, 3)
         return self._prepared(rest, *pixel_positions(shape).T)
 
-    def _prepared(self, rest: NDArray[Any], x: NDArray[Any], y: NDArray[Any]) -> PreparedNetwork:
+    def _prepared(self, rest: Array, x: Array, y: Array) -> PreparedNetwork:
         height, width = self.background.shape[:2]
         inputs = np.zeros((5, len(x)), dtype=np.float32)
         inputs[:3] = rest[:, ::-1].T / np.float32(255)
@@ -209,12 +205,12 @@ class PreparedNetwork:
         self._rest = np.float32(0)
         self._rest = self._slopes(np.zeros((pixels, 3), dtype=np.float32))
 
-    def gradients_from_color(self, color_change: NDArray[np.float32]) -> tuple[NDArray[np.float32], None]:
+    def gradients_from_color(self, color_change: Map) -> tuple[Slopes, None]:
         """Gradients (..., 2) of a color change (..., 3), (I - I0)/255; their deviation is unknown."""
         slopes = self._slopes(color_change.reshape(-1, 3))
         return slopes.reshape(*color_change.shape[:-1], 2), None
 
-    def _slopes(self, change: NDArray[np.float32]) -> Any:
+    def _slopes(self, change: Map) -> Any:
         answer = self._network.outputs_from_color(change)
         if self._answer == "angles":
             return -np.tan(answer) - self._rest
@@ -235,7 +231,7 @@ class MlpModel(Stored, Untuned):
     """
 
     layers: Layers
-    change_scale: NDArray[np.float64]
+    change_scale: Numbers
     shape: tuple[int, int]
 
     name: ClassVar[str] = "mlp"
@@ -275,14 +271,12 @@ class MlpModel(Stored, Untuned):
         layers = train(change / scale, place, samples.gradients, samples.weight, **settings)
         return cls(layers, scale, samples.shape)
 
-    def gradients_at(
-        self, color_change: NDArray[Any], x_px: NDArray[Any], y_px: NDArray[Any]
-    ) -> NDArray[np.float64]:
+    def gradients_at(self, color_change: Array, x_px: Array, y_px: Array) -> Numbers:
         """Gradients (N, 2) of scattered pixels."""
         prepared = PreparedMlp(self, np.asarray(x_px), np.asarray(y_px))
         return prepared.gradients_from_color(np.asarray(color_change, dtype=np.float32))[0].astype(np.float64)
 
-    def prepare(self, background: NDArray[Any], shape: tuple[int, int]) -> PreparedMlp:
+    def prepare(self, background: Array, shape: tuple[int, int]) -> PreparedMlp:
         """Prepare the inputs at rest of a frame, and the network's output for them."""
         check_image_shape(shape, self.shape)
         return PreparedMlp(self, *pixel_positions(shape).T)
@@ -291,13 +285,13 @@ class MlpModel(Stored, Untuned):
 class PreparedMlp:
     """The network with its output at rest at given places. It is immutable; threads can share it."""
 
-    def __init__(self, model: MlpModel, x_px: NDArray[Any], y_px: NDArray[Any]) -> None:
+    def __init__(self, model: MlpModel, x_px: Array, y_px: Array) -> None:
         inputs = np.zeros((5, len(x_px)), dtype=np.float32)
         inputs[3:] = unit_position(x_px, y_px, model.shape)
         self._network = RestedNetwork(model.layers, inputs, (0, 1, 2), 1 / model.change_scale)
         self._rest = self._network.outputs_from_color(np.zeros((len(x_px), 3), dtype=np.float32))
 
-    def gradients_from_color(self, color_change: NDArray[np.float32]) -> tuple[NDArray[np.float32], None]:
+    def gradients_from_color(self, color_change: Map) -> tuple[Slopes, None]:
         """Gradients (..., 2) of a color change (..., 3); their deviation is in the calibration."""
         slopes = self._network.outputs_from_color(color_change.reshape(-1, 3)) - self._rest
         return slopes.reshape(*color_change.shape[:-1], 2), None
@@ -307,10 +301,10 @@ BATCH, LEARNING_RATE = 512, 1e-2  # samples of a step; learning rate of AdamW
 
 
 def train(
-    change: NDArray[Any],
-    place: NDArray[Any],
-    gradients: NDArray[Any],
-    weight: NDArray[Any],
+    change: Array,
+    place: Array,
+    gradients: Array,
+    weight: Array,
     *,
     hidden: tuple[int, ...],
     steps: int,
@@ -358,7 +352,7 @@ def _one_thread(torch: Any) -> Iterator[None]:
 
 
 def _tensors(
-    torch: Any, change: NDArray[Any], place: NDArray[Any], gradients: NDArray[Any], weight: NDArray[Any]
+    torch: Any, change: Array, place: Array, gradients: Array, weight: Array
 ) -> tuple[Any, Any, Any, Any]:
     """Inputs under touch, inputs at rest, targets, and weights of mean 1."""
     touched = np.concatenate([change, place], axis=1)

@@ -20,13 +20,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import scipy  # its parts load at first use
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from gelform._native import Kernel
+from gelform.arrays import Array, Map, Numbers, Slopes
 from gelform.foundations.checks import LARGEST, check_response, check_values
 from gelform.image.view import pixel_positions
 from gelform.slopes.color_models.least_squares import HUBER_SLOPE, robust_ridge, unit_position
@@ -38,7 +39,7 @@ DARKEST_RATIO = 0.02  # of the light at rest; a darker channel is in shadow, whe
 RESPONSES = (0.3, 1.6)  # range of exponents in a fit
 
 
-def inverse_lights(lights: ArrayLike) -> NDArray[np.float64]:
+def inverse_lights(lights: ArrayLike) -> Numbers:
     """Inverse of the light matrix; an error if the lights are coplanar or nearly so."""
     matrix = check_values(lights, "lights", (3, 3), np.float64)
     if matrix.ndim != 2:
@@ -66,7 +67,7 @@ class LambertianModel(Stored, Untuned):
     response : exponent of the camera's response, I = light^response
     """
 
-    lights: NDArray[np.float64]
+    lights: Numbers
     response: float = 1.0
 
     def __post_init__(self) -> None:
@@ -93,14 +94,12 @@ class LambertianModel(Stored, Untuned):
         inverse_lights(lights)
         return cls(lights, response)
 
-    def gradients_at(
-        self, color_change: NDArray[Any], x_px: NDArray[Any], y_px: NDArray[Any]
-    ) -> NDArray[np.float64]:
+    def gradients_at(self, color_change: Array, x_px: Array, y_px: Array) -> Numbers:
         """Gradients (N, 2) of scattered pixels; with fixed lights they do not depend on the place."""
         change = linear_change(np.asarray(color_change, dtype=np.float64), self.response)
         return gradients_from_scaled(change, inverse_lights(self.lights))
 
-    def prepare(self, background: NDArray[Any], shape: tuple[int, int]) -> PreparedLambertian:
+    def prepare(self, background: Array, shape: tuple[int, int]) -> PreparedLambertian:
         """Prepare the inverse light matrix, for frames of any shape."""
         return PreparedLambertian(inverse_lights(self.lights).astype(np.float32), self.response)
 
@@ -109,29 +108,29 @@ class LambertianModel(Stored, Untuned):
 class PreparedLambertian:
     """The inverse of the light matrix, (3, 3) float32, and the camera's response."""
 
-    inverse: NDArray[np.float32]
+    inverse: Map
     response: float = 1.0
 
-    def gradients_from_color(self, color_change: NDArray[np.float32]) -> tuple[NDArray[np.float32], None]:
+    def gradients_from_color(self, color_change: Map) -> tuple[Slopes, None]:
         """Gradients (H, W, 2) of a color change (H, W, 3); their deviation is in the calibration."""
         return gradients_from_scaled(linear_change(color_change, self.response), self.inverse), None
 
-    def albedo_from_color(self, color_change: NDArray[np.float32]) -> NDArray[np.float32]:
+    def albedo_from_color(self, color_change: Map) -> Map:
         """Reflectance (H, W) relative to the gel at rest: the length of `L^-1 (1 + change)`."""
         g = linear_change(color_change, self.response) @ self.inverse.T + self.inverse.sum(axis=1)
         return np.linalg.norm(g, axis=-1).astype(np.float32)
 
 
-def linear_change(change: NDArray[Any], response: float) -> NDArray[Any]:
+def linear_change(change: Array, response: float) -> Array:
     """The change of light for a change of gray levels: `(I/I0)^(1/response) - 1`."""
     if response == 1:
         return change
     ratio = np.maximum(1 + change, change.dtype.type(0))
-    linear: NDArray[Any] = ratio ** change.dtype.type(1 / response) - 1
+    linear: Array = ratio ** change.dtype.type(1 / response) - 1
     return linear
 
 
-def gradients_from_scaled(change: NDArray[Any], inverse: NDArray[Any]) -> NDArray[Any]:
+def gradients_from_scaled(change: Array, inverse: Array) -> Array:
     """Slopes -g_xy/g_z of `g = L^-1 (1 + change)`; a pixel in shadow, with g_z near 0, gets at most MAX_SLOPE.
 
     `inverse` is one matrix (3, 3), or one per pixel (..., 3, 3).
@@ -139,11 +138,11 @@ def gradients_from_scaled(change: NDArray[Any], inverse: NDArray[Any]) -> NDArra
     g = np.einsum("...ij,...j->...i", inverse, change) if inverse.ndim > 2 else change @ inverse.T
     g = g + inverse.sum(axis=-1)
     steepest = np.sqrt(g[..., 0] ** 2 + g[..., 1] ** 2) / MAX_SLOPE
-    gradients: NDArray[Any] = -g[..., :2] / np.maximum(np.maximum(g[..., 2], steepest), 1e-6)[..., None]
+    gradients: Array = -g[..., :2] / np.maximum(np.maximum(g[..., 2], steepest), 1e-6)[..., None]
     return gradients
 
 
-def _fitted_lights(samples: Samples, response: float) -> NDArray[np.float64]:
+def _fitted_lights(samples: Samples, response: float) -> Numbers:
     """Rows (a, b, 1) for a given response."""
     ratio = 1 + linear_change(np.asarray(samples.color_change, dtype=np.float64), response)
     length = np.sqrt(1 + np.sum(samples.gradients**2, axis=1))
@@ -156,7 +155,7 @@ def _fitted_lights(samples: Samples, response: float) -> NDArray[np.float64]:
     return lights
 
 
-def _misfit(samples: Samples, lights: NDArray[np.float64], response: float) -> float:
+def _misfit(samples: Samples, lights: Numbers, response: float) -> float:
     """Mean over the channels of the median |predicted - measured| color change where the gel is pressed."""
     pressed = np.any(samples.gradients != 0, axis=1)
     normals = np.concatenate([-samples.gradients, np.ones((len(samples.gradients), 1))], axis=1)[pressed]
@@ -179,13 +178,11 @@ class Toward:
     strength : (N, 3 lights) |S|^falloff / |S - X|^(1 + falloff): 1 over the distance, at the center
     """
 
-    way: NDArray[np.float64]
-    strength: NDArray[np.float64]
+    way: Numbers
+    strength: Numbers
 
     @classmethod
-    def of(
-        cls, x: NDArray[np.float64], y: NDArray[np.float64], positions: NDArray[np.float64], falloff: float
-    ) -> Toward:
+    def of(cls, x: Numbers, y: Numbers, positions: Numbers, falloff: float) -> Toward:
         """Vectors from pixels (N,) to lights at positions (3, 3)."""
         way = positions - np.stack([x, y, np.zeros_like(x)], axis=-1)[:, None]
         square = np.einsum("nlk,nlk->nl", way, way)
@@ -193,34 +190,24 @@ class Toward:
         return cls(way, strength)
 
     @property
-    def light(self) -> NDArray[np.float64]:
+    def light(self) -> Numbers:
         """The factor (N, 3 lights, 3) of a normal."""
         return self.strength[..., None] * self.way
 
 
 def light_ratio(
-    normals: NDArray[np.float64],
-    x: NDArray[np.float64],
-    y: NDArray[np.float64],
-    positions: NDArray[np.float64],
-    mixture: NDArray[np.float64],
-    falloff: float,
-) -> NDArray[np.float64]:
+    normals: Numbers, x: Numbers, y: Numbers, positions: Numbers, mixture: Numbers, falloff: float
+) -> Numbers:
     """Light of each channel over that at rest, (N, 3), for normals (N, 3); a light behind the surface gives nothing."""
     light = Toward.of(x, y, positions, falloff).light
     lit = np.maximum(np.einsum("nlk,nk->nl", light, normals), 0)
-    ratio: NDArray[np.float64] = lit @ mixture.T / (light[..., 2] @ mixture.T)
+    ratio: Numbers = lit @ mixture.T / (light[..., 2] @ mixture.T)
     return np.maximum(ratio, LEAST_RATIO)
 
 
 def light_ratio_derivatives(
-    normals: NDArray[np.float64],
-    x: NDArray[np.float64],
-    y: NDArray[np.float64],
-    positions: NDArray[np.float64],
-    mixture: NDArray[np.float64],
-    falloff: float,
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    normals: Numbers, x: Numbers, y: Numbers, positions: Numbers, mixture: Numbers, falloff: float
+) -> tuple[Numbers, Numbers, Numbers]:
     """`light_ratio` (N, 3), and its derivatives by positions (N, 3, 9) and by the mixture off the diagonal (N, 3, 6)."""
     toward = Toward.of(x, y, positions, falloff)
     light = toward.light
@@ -272,8 +259,8 @@ class NearLightModel(Stored, Untuned):
     shape : (H, W) of the images it was fitted on
     """
 
-    positions_px: NDArray[np.float64]
-    mixture: NDArray[np.float64]
+    positions_px: Numbers
+    mixture: Numbers
     falloff: float
     response: float
     shape: tuple[int, int]
@@ -307,25 +294,23 @@ class NearLightModel(Stored, Untuned):
         positions, mixture, exponent = _unpacked(fit.x, crosstalk, response)
         return cls(positions * max(samples.shape) / 2, mixture, falloff, exponent, samples.shape)
 
-    def positions_mm(self, mm_per_px: float) -> NDArray[np.float64]:
+    def positions_mm(self, mm_per_px: float) -> Numbers:
         """Positions (3, 3) of the lights, mm from the point of the gel at the image's center."""
         return self.positions_px * mm_per_px
 
-    def lights_at(self, x_px: NDArray[Any], y_px: NDArray[Any]) -> NDArray[np.float64]:
+    def lights_at(self, x_px: Array, y_px: Array) -> Numbers:
         """Light matrices (N, 3, 3), rows (a, b, 1) for R, G, B, of equivalent fixed lights at each pixel."""
         x, y = unit_position(x_px, y_px, self.shape)
         toward = Toward.of(x, y, 2 * self.positions_px / max(self.shape), self.falloff)
         lights = np.einsum("cl,nlk->nck", self.mixture, toward.light)
         return np.asarray(lights / lights[..., 2:], dtype=np.float64)
 
-    def gradients_at(
-        self, color_change: NDArray[Any], x_px: NDArray[Any], y_px: NDArray[Any]
-    ) -> NDArray[np.float64]:
+    def gradients_at(self, color_change: Array, x_px: Array, y_px: Array) -> Numbers:
         """Gradients (N, 2) of scattered pixels."""
         change = linear_change(np.asarray(color_change, dtype=np.float64), self.response)
         return gradients_from_scaled(change, inverted_lights(self.lights_at(x_px, y_px)))
 
-    def prepare(self, background: NDArray[Any], shape: tuple[int, int]) -> PreparedNearLight:
+    def prepare(self, background: Array, shape: tuple[int, int]) -> PreparedNearLight:
         """Prepare the inverse light matrix of every pixel."""
         check_image_shape(shape, self.shape)
         inverse = (
@@ -338,10 +323,10 @@ class NearLightModel(Stored, Untuned):
 class PreparedNearLight:
     """The inverse light matrix of every pixel, (3, 3, H, W) float32, and the camera's response."""
 
-    inverse: NDArray[np.float32]
+    inverse: Map
     response: float
 
-    def gradients_from_color(self, color_change: NDArray[np.float32]) -> tuple[NDArray[np.float32], None]:
+    def gradients_from_color(self, color_change: Map) -> tuple[Slopes, None]:
         """Gradients (H, W, 2) of a color change (H, W, 3); their deviation is in the calibration."""
         gradients = np.empty((*color_change.shape[:2], 2), dtype=np.float32)
         light = np.ascontiguousarray(linear_change(color_change, self.response))
@@ -375,21 +360,19 @@ def _start(samples: Samples, channel: int, response: float) -> list[float]:
 
 def _problem(
     samples: Samples, crosstalk: bool, response: float | None, falloff: float
-) -> tuple[
-    Callable[[NDArray[np.float64]], NDArray[np.float64]], Callable[[NDArray[np.float64]], NDArray[np.float64]]
-]:
+) -> tuple[Callable[[Numbers], Numbers], Callable[[Numbers], Numbers]]:
     """The least-squares problem for the fitted vector: residuals (3 N,) and their jacobian."""
     x, y = unit_position(samples.x_px, samples.y_px, samples.shape)
     normals = np.concatenate([-samples.gradients, np.ones((len(x), 1))], axis=1)
     normals /= np.linalg.norm(normals, axis=1)[:, None]
     weight = np.sqrt(samples.weight)[:, None]
 
-    def residuals(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def residuals(values: Numbers) -> Numbers:
         positions, mixture, exponent = _unpacked(values, crosstalk, response)
         predicted = light_ratio(normals, x, y, positions, mixture, falloff) ** exponent - 1
         return ((predicted - samples.color_change) * weight).ravel()
 
-    def jacobian(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def jacobian(values: Numbers) -> Numbers:
         positions, mixture, exponent = _unpacked(values, crosstalk, response)
         ratio, by_position, by_mixture = light_ratio_derivatives(normals, x, y, positions, mixture, falloff)
         by_exponent = (ratio**exponent * np.log(ratio))[..., None]
@@ -402,9 +385,7 @@ def _problem(
     return residuals, jacobian
 
 
-def _unpacked(
-    values: NDArray[np.float64], crosstalk: bool, response: float | None
-) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+def _unpacked(values: Numbers, crosstalk: bool, response: float | None) -> tuple[Numbers, Numbers, float]:
     """Positions (3, 3), mixture (3, 3), response from the fitted vector."""
     mixture = np.eye(3)
     if crosstalk:
@@ -412,7 +393,7 @@ def _unpacked(
     return values[:9].reshape(3, 3), mixture, response or float(values[-1])
 
 
-def inverted_lights(lights: NDArray[np.float64]) -> NDArray[np.float64]:
+def inverted_lights(lights: Numbers) -> Numbers:
     """Inverses of light matrices (N, 3, 3); ValueError: one is nearly singular."""
     worst = float(np.linalg.cond(lights).max())
     if not worst < MAX_CONDITION:

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gelform._native import Kernel
+from gelform.arrays import Array, Map, Numbers, Slopes
 from gelform.foundations.filters import CHANGE_OFFSET
 from gelform.slopes.color_models.least_squares import (
     HUBER_SLOPE,
@@ -49,7 +49,7 @@ class PolynomialModel(Stored):
     shape : (H, W) of the images it was fitted on
     """
 
-    coefficients: NDArray[np.float64]
+    coefficients: Numbers
     position_degrees: tuple[int, ...]
     shape: tuple[int, int]
 
@@ -74,14 +74,10 @@ class PolynomialModel(Stored):
         carried = [degrees for degrees, needed in DEGREES if presses >= needed] or [DEGREES[0][0]]
         return [{"position_degrees": degrees} for degrees in carried]
 
-    def gradients_at(
-        self, color_change: NDArray[Any], x_px: NDArray[Any], y_px: NDArray[Any]
-    ) -> NDArray[np.float64]:
+    def gradients_at(self, color_change: Array, x_px: Array, y_px: Array) -> Numbers:
         """Gradients (N, 2) of scattered pixels."""
         x, y = unit_position(x_px, y_px, self.shape)
-        gradients: NDArray[np.float64] = (
-            polynomial_terms(color_change, x, y, self.position_degrees) @ self.coefficients
-        )
+        gradients: Numbers = polynomial_terms(color_change, x, y, self.position_degrees) @ self.coefficients
         return gradients
 
     @property
@@ -89,7 +85,7 @@ class PolynomialModel(Stored):
         """Degree of the polynomial in color."""
         return len(self.position_degrees)
 
-    def coefficients_at(self, x_px: NDArray[Any], y_px: NDArray[Any]) -> NDArray[np.float64]:
+    def coefficients_at(self, x_px: Array, y_px: Array) -> Numbers:
         """Coefficients (N, terms, 2) of each monomial of the color change at pixels."""
         x, y = unit_position(x_px, y_px, self.shape)
         place = position_terms(x, y, max(self.position_degrees))
@@ -101,7 +97,7 @@ class PolynomialModel(Stored):
         ]
         return np.stack(maps, axis=1)
 
-    def prepare(self, background: NDArray[Any], shape: tuple[int, int]) -> PreparedPolynomial:
+    def prepare(self, background: Array, shape: tuple[int, int]) -> PreparedPolynomial:
         """Prepare the coefficients of each row as polynomials in x, so that a frame takes a few products per pixel."""
         check_image_shape(shape, self.shape)
         return PreparedPolynomial(self)
@@ -126,7 +122,7 @@ class PreparedPolynomial:
         self._degrees = np.array([model.position_degrees[len(t) - 1] for t in terms], dtype=np.int32)
         self._parents = monomial_parents(terms)
 
-    def gradients_from_color(self, color_change: NDArray[np.float32]) -> tuple[NDArray[np.float32], None]:
+    def gradients_from_color(self, color_change: Map) -> tuple[Slopes, None]:
         """Gradients (H, W, 2) of a color change (H, W, 3); their deviation is in the calibration."""
         height, width, _ = color_change.shape
         gradients = np.empty((height, width, 2), dtype=np.float32)

@@ -8,8 +8,8 @@ from types import NoneType
 from typing import Any, ClassVar, Protocol, TypeVar, get_args, get_origin, get_type_hints, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from gelform.arrays import Array, Map, Numbers, Slopes
 from gelform.image.background import PendingChange
 
 T = TypeVar("T")
@@ -31,23 +31,21 @@ class Samples:
     shared : what fits on these samples have in common, by the model; a model writes it here for its next fit
     """
 
-    color_change: NDArray[Any]
-    x_px: NDArray[Any]
-    y_px: NDArray[Any]
-    gradients: NDArray[Any]
-    weight: NDArray[Any]
+    color_change: Array
+    x_px: Array
+    y_px: Array
+    gradients: Array
+    weight: Array
     shape: tuple[int, int]
-    background: NDArray[Any] | None = None
-    depth_px: NDArray[Any] | None = None
+    background: Array | None = None
+    depth_px: Array | None = None
     shared: dict[str, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
 
 
 class PreparedColorModel(Protocol):
     """A color model ready for frames of one shape over one background."""
 
-    def gradients_from_color(
-        self, color_change: NDArray[np.float32]
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
+    def gradients_from_color(self, color_change: Map) -> tuple[Slopes, Slopes | None]:
         """Gradients (H, W, 2) of a color change (H, W, 3), and their standard deviation or None."""
         ...
 
@@ -56,9 +54,7 @@ class PreparedColorModel(Protocol):
 class OnePassModel(Protocol):
     """Addition to `PreparedColorModel`: its kernel also computes the color change."""
 
-    def gradients_in_one_pass(
-        self, pending: PendingChange, out: NDArray[np.float32]
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
+    def gradients_in_one_pass(self, pending: PendingChange, out: Map) -> tuple[Slopes, Slopes | None]:
         """As `gradients_from_color`; the color change is written to `out` (H, W, 3)."""
         ...
 
@@ -67,14 +63,14 @@ class OnePassModel(Protocol):
 class AlbedoModel(Protocol):
     """Addition to `PreparedColorModel`: it gives the albedo besides the slopes."""
 
-    def albedo_from_color(self, color_change: NDArray[np.float32]) -> NDArray[np.float32]:
+    def albedo_from_color(self, color_change: Map) -> Map:
         """Albedo (H, W) relative to the gel at rest."""
         ...
 
 
 def gradients_from_pending(
-    model: PreparedColorModel, pending: PendingChange, out: NDArray[np.float32]
-) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
+    model: PreparedColorModel, pending: PendingChange, out: Map
+) -> tuple[Slopes, Slopes | None]:
     """Gradients and their deviation, in one pass if the model can; the color change is written to `out` (H, W, 3)."""
     if isinstance(model, OnePassModel):
         return model.gradients_in_one_pass(pending, out)
@@ -93,22 +89,20 @@ class ColorModel(Protocol):
     name: ClassVar[str]
     change_offset: ClassVar[float]
 
-    def gradients_at(
-        self, color_change: NDArray[Any], x_px: NDArray[Any], y_px: NDArray[Any]
-    ) -> NDArray[np.float64]:
+    def gradients_at(self, color_change: Array, x_px: Array, y_px: Array) -> Numbers:
         """Gradients (N, 2) of scattered pixels."""
         ...
 
-    def prepare(self, background: NDArray[Any], shape: tuple[int, int]) -> PreparedColorModel:
+    def prepare(self, background: Array, shape: tuple[int, int]) -> PreparedColorModel:
         """Everything that does not depend on the frame, computed once."""
         ...
 
-    def to_arrays(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+    def to_arrays(self) -> tuple[dict[str, Array], dict[str, Any]]:
         """Arrays and JSON-able settings, from which `from_arrays` makes the model again."""
         ...
 
     @classmethod
-    def from_arrays(cls, arrays: dict[str, NDArray[Any]], settings: dict[str, Any]) -> ColorModel:
+    def from_arrays(cls, arrays: dict[str, Array], settings: dict[str, Any]) -> ColorModel:
         """The model from `to_arrays`. Later additions have a default here, because older files stay readable."""
         ...
 
@@ -120,9 +114,9 @@ class Stored:
     are None. A field with a default may be missing: older files stay readable.
     """
 
-    def to_arrays(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+    def to_arrays(self) -> tuple[dict[str, Array], dict[str, Any]]:
         """Arrays and settings, from which `from_arrays` makes the record again."""
-        arrays: dict[str, NDArray[Any]] = {}
+        arrays: dict[str, Array] = {}
         settings: dict[str, Any] = {}
         for name, hint, _ in _fields(type(self)):
             value = getattr(self, name)
@@ -135,7 +129,7 @@ class Stored:
         return arrays, settings
 
     @classmethod
-    def from_arrays(cls: type[T], arrays: dict[str, NDArray[Any]], settings: dict[str, Any]) -> T:
+    def from_arrays(cls: type[T], arrays: dict[str, Array], settings: dict[str, Any]) -> T:
         """The record of `to_arrays`; KeyError, TypeError or ValueError: they make none."""
         values: dict[str, Any] = {}
         for name, hint, needed in _fields(cls):
@@ -192,7 +186,7 @@ class StartableModel(ColorModel, Protocol):
         """Degree of the polynomial in color."""
         ...
 
-    def of_other_unit(self, gain: NDArray[np.float64], wider: float) -> StartableModel:
+    def of_other_unit(self, gain: Numbers, wider: float) -> StartableModel:
         """The model of a unit whose color changes are smaller by a gain (rows, columns, 3) at its nodes.
 
         Its pixels are `wider` times as wide on the gel.

@@ -24,6 +24,7 @@ import numpy as np
 import scipy  # its parts load at first use
 from numpy.typing import NDArray
 
+from gelform.arrays import Array, Floats, Map, Numbers, Slopes
 from gelform.foundations.filters import CHANGE_OFFSET
 from gelform.image.view import pixel_positions
 from gelform.slopes.color_models.least_squares import HUBER_SLOPE, robust_ridge, unit_position
@@ -37,7 +38,7 @@ FOLDS, STRETCHES = 2, 24
 CG_TOLERANCE = 1e-3  # of the residual over the right side
 
 
-def corner_weights(coordinates: list[NDArray[np.float64]], sizes: tuple[int, ...]) -> scipy.sparse.csr_matrix:
+def corner_weights(coordinates: list[Numbers], sizes: tuple[int, ...]) -> scipy.sparse.csr_matrix:
     """Multilinear weights (N, nodes) at positions (N,) along each axis, in nodes; constant beyond the grid."""
     count = len(coordinates[0])
     low, part = [], []
@@ -76,9 +77,7 @@ class Lattice:
         free[:, :, zero[0], zero[1], zero[2]] = False
         self.free = np.flatnonzero(free)
 
-    def fitted(
-        self, corners: scipy.sparse.csr_matrix, target: NDArray[np.float64], weight: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def fitted(self, corners: scipy.sparse.csr_matrix, target: Numbers, weight: Numbers) -> Numbers:
         """Slopes (nodes, 2) of samples (N, 2) at `corner_weights`, by conjugate gradients, reweighted by Huber's loss."""
         slopes, current = np.zeros((corners.shape[1], 2)), weight
         scale = self.smoothness * float(weight.sum()) / len(self.free)
@@ -111,11 +110,8 @@ def _squared_differences(sizes: tuple[int, ...], axis: int) -> scipy.sparse.csr_
 
 
 def held_out_residuals(
-    lattice: Lattice,
-    corners: scipy.sparse.csr_matrix,
-    target: NDArray[np.float64],
-    weight: NDArray[np.float64],
-) -> NDArray[np.float64]:
+    lattice: Lattice, corners: scipy.sparse.csr_matrix, target: Numbers, weight: Numbers
+) -> Numbers:
     """Residuals (N, 2) of held-out samples; stretches of them are left out in turn.
 
     Samples are in the order of presses, so a stretch is about one press, and its neighbors in the list are no copies of it.
@@ -150,12 +146,12 @@ class LookupModel(Stored, Untuned):
     background : (H, W, 3) float32, with that gain: the image that it was imported with
     """
 
-    table: NDArray[np.float32]
-    low: NDArray[np.float64]
-    step: NDArray[np.float64]
+    table: Floats
+    low: Numbers
+    step: Numbers
     shape: tuple[int, int]
     gain: Literal["none", "mean_over_background"] = "none"
-    background: NDArray[np.float32] | None = None
+    background: Map | None = None
 
     name: ClassVar[str] = "lookup"
     change_offset: ClassVar[float] = CHANGE_OFFSET
@@ -193,9 +189,7 @@ class LookupModel(Stored, Untuned):
         table = np.concatenate([slopes, sigma[:, None]], axis=1).reshape(*sizes, 3)
         return cls(table.astype(np.float32), low, step, samples.shape)
 
-    def gradients_at(
-        self, color_change: NDArray[Any], x_px: NDArray[Any], y_px: NDArray[Any]
-    ) -> NDArray[np.float64]:
+    def gradients_at(self, color_change: Array, x_px: Array, y_px: Array) -> Numbers:
         """Gradients (N, 2) of scattered pixels."""
         change = np.asarray(color_change, dtype=np.float64)
         if self.background is not None:
@@ -204,20 +198,16 @@ class LookupModel(Stored, Untuned):
         sizes = self.table.shape[:-1]
         corners = corner_weights(self._coordinates(change, x_px, y_px), sizes)
         at_rest = corner_weights(self._coordinates(0 * change, x_px, y_px), sizes)
-        slopes: NDArray[np.float64] = (corners - at_rest) @ self.table.reshape(-1, 3)[:, :2].astype(
-            np.float64
-        )
+        slopes: Numbers = (corners - at_rest) @ self.table.reshape(-1, 3)[:, :2].astype(np.float64)
         return slopes
 
-    def prepare(self, background: NDArray[Any], shape: tuple[int, int]) -> PreparedLookup:
+    def prepare(self, background: Array, shape: tuple[int, int]) -> PreparedLookup:
         """Prepare the gain of each pixel and its position in the table."""
         check_image_shape(shape, self.shape)
         gain = None if self.gain == "none" else _gain(np.asarray(background, dtype=np.float32))
         return PreparedLookup(self, gain)
 
-    def _coordinates(
-        self, change: NDArray[Any], x_px: NDArray[Any], y_px: NDArray[Any]
-    ) -> list[NDArray[np.float64]]:
+    def _coordinates(self, change: Array, x_px: Array, y_px: Array) -> list[Numbers]:
         """Position of samples on the five axes, in nodes."""
         rows, columns = self.table.shape[:2]
         height, width = self.shape
@@ -235,7 +225,7 @@ class LookupModel(Stored, Untuned):
 class PreparedLookup:
     """A table for frames of one shape. It is immutable; threads can share it."""
 
-    def __init__(self, model: LookupModel, gain: NDArray[np.float32] | None) -> None:
+    def __init__(self, model: LookupModel, gain: Map | None) -> None:
         rows, columns, *colors, _ = model.table.shape
         self._gain = gain
         self._measured = bool(model.table[..., 2].any())
@@ -253,9 +243,7 @@ class PreparedLookup:
         self._rest = np.zeros((*model.shape, 2), dtype=np.float32)
         self._rest = self.gradients_from_color(rest)[0]
 
-    def gradients_from_color(
-        self, color_change: NDArray[np.float32]
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
+    def gradients_from_color(self, color_change: Map) -> tuple[Slopes, Slopes | None]:
         """Gradients (H, W, 2) of a color change (H, W, 3), and their standard deviation if the table has one."""
         change = color_change if self._gain is None else color_change * self._gain
         out = np.empty((*change.shape[:2], 3), dtype=np.float32)
@@ -264,7 +252,7 @@ class PreparedLookup:
         sigma = np.repeat(out[..., 2:], 2, axis=-1) if self._measured else None
         return out[..., :2] - self._rest, sigma
 
-    def _read(self, change: NDArray[np.float32], first: NDArray[np.intp]) -> NDArray[np.float32]:
+    def _read(self, change: Map, first: NDArray[np.intp]) -> Map:
         """Multilinear values (h, w, 3), from 8 corners of color in the one or two columns of nodes next to each pixel."""
         node, fraction = _node_and_fraction((change - self._low) / self._step, self._colors)
         _, greens, blues = self._colors
@@ -281,22 +269,20 @@ class PreparedLookup:
         return total
 
 
-def _node_and_fraction(
-    at: NDArray[Any], sizes: int | NDArray[np.intp]
-) -> tuple[NDArray[np.intp], NDArray[Any]]:
+def _node_and_fraction(at: Array, sizes: int | NDArray[np.intp]) -> tuple[NDArray[np.intp], Array]:
     """The node below a position in nodes, and the fraction of the way to the next, 0-1; inside the grid."""
     clipped = np.clip(at, 0, np.asarray(sizes - 1, dtype=at.dtype))
     node = np.minimum(clipped.astype(np.intp), np.maximum(sizes - 2, 0))
     return node, (clipped - node).astype(at.dtype)
 
 
-def _gain(background: NDArray[np.float32]) -> NDArray[np.float32]:
+def _gain(background: Map) -> Map:
     """Factor from (I - I0)/255 to the gray levels of tables in the tradition of Dong and Yuan."""
     level = background + np.float32(1)
     return np.asarray(255 * (1 + 2 * (level.mean() / level - 1)), dtype=np.float32)
 
 
-def _grid(change: NDArray[np.float64], nodes: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _grid(change: Numbers, nodes: int) -> tuple[Numbers, Numbers]:
     """First node and spacing per channel: the samples' range, with a node at no change."""
     low, high = np.percentile(change, RANGE, axis=0)
     low, high = np.minimum(low, -0.02), np.maximum(high, 0.02)
@@ -305,11 +291,8 @@ def _grid(change: NDArray[np.float64], nodes: int) -> tuple[NDArray[np.float64],
 
 
 def _deviation(
-    corners: scipy.sparse.csr_matrix,
-    residual: NDArray[np.float64],
-    weight: NDArray[np.float64],
-    sizes: tuple[int, ...],
-) -> NDArray[np.float64]:
+    corners: scipy.sparse.csr_matrix, residual: Numbers, weight: Numbers, sizes: tuple[int, ...]
+) -> Numbers:
     """Standard deviation (nodes,) of a slope component: the residuals about a node and its neighbors."""
     used = (weight > 0).astype(np.float64)
     size = np.minimum(np.sum(residual**2, axis=1) / 2, STEEPEST_GEL**2)
@@ -346,11 +329,11 @@ class InterpolationModel(Stored, Untuned):
     shape : (H, W) of the images they come from
     """
 
-    color: NDArray[np.float64]
-    x_px: NDArray[np.float64]
-    y_px: NDArray[np.float64]
-    gradients: NDArray[np.float64]
-    line: NDArray[np.float64]
+    color: Numbers
+    x_px: Numbers
+    y_px: Numbers
+    gradients: Numbers
+    line: Numbers
     color_scale: float
     place_scale: float
     spacing: float
@@ -378,15 +361,13 @@ class InterpolationModel(Stored, Untuned):
         apart = draft._tree.query(draft._tree.data, k=[NEIGHBORS // 4])[0]
         return replace(draft, spacing=float(np.median(apart)) + 1e-9)
 
-    def gradients_at(
-        self, color_change: NDArray[Any], x_px: NDArray[Any], y_px: NDArray[Any]
-    ) -> NDArray[np.float64]:
+    def gradients_at(self, color_change: Array, x_px: Array, y_px: Array) -> Numbers:
         """Gradients (N, 2) of scattered pixels."""
         return self.gradients_and_sigma_at(color_change, x_px, y_px)[0]
 
     def gradients_and_sigma_at(
-        self, color_change: NDArray[Any], x_px: NDArray[Any], y_px: NDArray[Any]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        self, color_change: Array, x_px: Array, y_px: Array
+    ) -> tuple[Numbers, Numbers]:
         """Gradients (N, 2) and their standard deviation (N, 2).
 
         The deviation is that of the neighbors about their line. For each typical spacing that a pixel is further
@@ -400,7 +381,7 @@ class InterpolationModel(Stored, Untuned):
             gradients[part], sigma[part] = self._local(color[part], where[part])
         return gradients, sigma
 
-    def prepare(self, background: NDArray[Any], shape: tuple[int, int]) -> PreparedInterpolation:
+    def prepare(self, background: Array, shape: tuple[int, int]) -> PreparedInterpolation:
         """Return the model itself, whose search tree is built once."""
         check_image_shape(shape, self.shape)
         return PreparedInterpolation(self)
@@ -409,15 +390,13 @@ class InterpolationModel(Stored, Untuned):
     def _tree(self) -> Any:
         return scipy.spatial.cKDTree(self._features(self.color, self.x_px, self.y_px))
 
-    def _features(self, color: NDArray[Any], x_px: NDArray[Any], y_px: NDArray[Any]) -> NDArray[np.float64]:
+    def _features(self, color: Array, x_px: Array, y_px: Array) -> Numbers:
         """Coordinates (N, 5): color and place, each in its scale."""
         x, y = unit_position(x_px, y_px, self.shape)
         place = np.stack([x, y], axis=1) / self.place_scale
         return np.concatenate([color / self.color_scale, place], axis=1)
 
-    def _local(
-        self, color: NDArray[np.float64], where: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _local(self, color: Numbers, where: Numbers) -> tuple[Numbers, Numbers]:
         """One ridge regression per pixel on its neighbors, weighted by a Gaussian of the distance."""
         distance, near = self._tree.query(where, k=NEIGHBORS)
         width = np.maximum(distance[:, NEIGHBORS // 2], self.spacing)[:, None]
@@ -441,9 +420,7 @@ class PreparedInterpolation:
 
     model: InterpolationModel
 
-    def gradients_from_color(
-        self, color_change: NDArray[np.float32]
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def gradients_from_color(self, color_change: Map) -> tuple[Slopes, Slopes]:
         """Gradients (H, W, 2) of a color change (H, W, 3), and their standard deviation."""
         shape = color_change.shape[:2]
         found = self.model.gradients_and_sigma_at(color_change.reshape(-1, 3), *pixel_positions(shape).T)
