@@ -41,21 +41,16 @@ _variance_below = Kernel("variance_below", "f32[...] depth, f32[...] sigma, out 
 
 
 class Regions(NamedTuple):
-    """The regions of an outline, and the maps (H, W) that speak for them.
+    """The regions of an outline, and the maps (H, W) that speak for them."""
 
-    Attributes
-    ----------
-    number, labels : of the regions, from 1
-    depth, sigma : mm, and its standard deviation
-    evidence : square of the mean pressure around over its variance
-    smooth, bent : the depth smoothed, and minus its Laplacian
-    """
-
+    # number, labels: of the regions, from 1
     number: int
     labels: NDArray[np.uint16]
+    # depth, sigma: mm, and its standard deviation
     depth: Map
     sigma: Map
-    evidence: Map
+    evidence: Map  # square of the mean pressure around over its variance
+    # smooth, bent: the depth smoothed, and minus its Laplacian
     smooth: Map
     bent: Map
 
@@ -81,16 +76,11 @@ class Evidence:
 
     No contact makes a negative depth. What negative depths have more than their standard deviations say, as of dust or of
     another light, is the frame's own noise, and counts as one more error of the depth that a region makes.
-
-    Attributes
-    ----------
-    pitch : (x, y), mm
-    length_mm : L, the gel's relaxation length
-    noise_factor, min_area_mm2 : as in `contact_from_depth`
     """
 
-    pitch: tuple[float, float]
-    length_mm: float
+    pitch: tuple[float, float]  # (x, y), mm
+    length_mm: float  # L, the gel's relaxation length
+    # noise_factor, min_area_mm2: as in `contact_from_depth`
     noise_factor: float
     min_area_mm2: float
 
@@ -201,18 +191,11 @@ _standing_regions = Kernel(
 
 
 class SlopeDeviations(NamedTuple):
-    """Standard deviations (H, W) of a frame's slopes, mm/mm, and where they hold.
+    """Standard deviations (H, W) of a frame's slopes, mm/mm, and where they hold."""
 
-    Attributes
-    ----------
-    read : of the slopes as they were read from the image; taken at rest
-    solved : of the slopes of the solved depth; taken elsewhere
-    at_rest : (H, W) bool, pixels at rest
-    """
-
-    read: Map
-    solved: Map
-    at_rest: Mask
+    read: Map  # of the slopes as they were read from the image; taken at rest
+    solved: Map  # of the slopes of the solved depth; taken elsewhere
+    at_rest: Mask  # (H, W) bool, pixels at rest
 
 
 def contact_from_depth(

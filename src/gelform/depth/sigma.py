@@ -115,21 +115,17 @@ class DepthSigma:
 
 @dataclass(frozen=True, eq=False)
 class DepthErrors:
-    """The errors of one frame's depth on the coarser grid (r, c).
-
-    Attributes
-    ----------
-    spread, contact_spread : variance by the slopes, mm^2, for depth and for the judgment of contacts
-    own, own_of_frame : twice the mean square of negative depths, around and in the whole frame, mm^2
-    slopes_off : (5, r, c), the slopes that may be common errors in all (p, q), of steep faces alone (p, q), and the share of
-        pixels at rest
-    """
+    """The errors of one frame's depth on the coarser grid (r, c)."""
 
     coarse: Coarse
+    # spread, contact_spread: variance by the slopes, mm^2, for depth and for the judgment of contacts
     spread: Map
     contact_spread: Map
+    # own, own_of_frame: twice the mean square of negative depths, around and in the whole frame, mm^2
     own: Map
     own_of_frame: float
+    # (5, r, c), the slopes that may be common errors in all (p, q), of steep faces alone (p, q), and the share of
+    # pixels at rest
     slopes_off: Slopes = field(repr=False)
     mm_per_px: np.float32
     gain_sigma: float

@@ -35,25 +35,17 @@ class Finding:
 
 @dataclass
 class FrameTally:
-    """Counts of the frames of a data set or a stream.
+    """Counts of the frames of a data set or a stream."""
 
-    Attributes
-    ----------
-    frames, failed : frames with a result, and without one
-    unknown : of `frames`, those whose depth is known in no pixel
-    doubtful : of `frames`, the unknown ones and those with a finding of `DOUBTFUL`
-    findings : frames with each finding, by name
-    reasons : failed frames by reason, without its numbers and paths
-    examples : the first text in full of each reason
-    """
-
+    # frames, failed: frames with a result, and without one
     frames: int = 0
     failed: int = 0
-    unknown: int = 0
-    doubtful: int = 0
-    findings: dict[str, int] = field(default_factory=dict)
+    unknown: int = 0  # of `frames`, those whose depth is known in no pixel
+    doubtful: int = 0  # of `frames`, the unknown ones and those with a finding of `DOUBTFUL`
+    findings: dict[str, int] = field(default_factory=dict)  # frames with each finding, by name
+    # failed frames by reason, without its numbers and paths
     reasons: dict[str, int] = field(default_factory=dict)
-    examples: dict[str, str] = field(default_factory=dict)
+    examples: dict[str, str] = field(default_factory=dict)  # the first text in full of each reason
 
     def add(self, names: Iterable[str], *, known: bool) -> None:
         """Count a frame with a result: the names of its findings, and whether its depth is known anywhere."""

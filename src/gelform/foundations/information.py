@@ -14,17 +14,11 @@ LEAST_INFORMATION = 1e-10
 
 
 class Determined(NamedTuple):
-    """What an information matrix (n, n) determines, from the least to the most determined direction.
+    """What an information matrix (n, n) determines, from the least to the most determined direction."""
 
-    Attributes
-    ----------
-    covariance : (n, n) in the determined directions, 0 in the others
-    directions : (n, n), a column each
-    undetermined : (n,) bool, the directions with less than `LEAST_INFORMATION` of the largest information
-    """
-
-    covariance: Numbers
-    directions: Numbers
+    covariance: Numbers  # (n, n) in the determined directions, 0 in the others
+    directions: Numbers  # (n, n), a column each
+    # (n,) bool, the directions with less than `LEAST_INFORMATION` of the largest information
     undetermined: Mask
 
 

@@ -57,18 +57,11 @@ VIEW_OF_TRANSPOSED = {
 
 
 class Orientation(NamedTuple):
-    """A reading of an image.
+    """A reading of an image."""
 
-    Attributes
-    ----------
-    flip : "none", "x" (left and right exchanged), "y" (top and bottom), "xy"
-    transposed : whether rows and columns are exchanged, before the flip is undone
-    reversed : whether red and blue are exchanged
-    """
-
-    flip: str
-    transposed: bool
-    reversed: bool
+    flip: str  # "none", "x" (left and right exchanged), "y" (top and bottom), "xy"
+    transposed: bool  # whether rows and columns are exchanged, before the flip is undone
+    reversed: bool  # whether red and blue are exchanged
 
     @property
     def is_upright(self) -> bool:
@@ -154,16 +147,10 @@ def orientation_from_blocks(image: Map, untouched: Map) -> Orientation | None:
 
 
 class Touched(NamedTuple):
-    """The largest connected region of an image that no light explains.
+    """The largest connected region of an image that no light explains."""
 
-    Attributes
-    ----------
-    share : of the image, 0-1
-    center : x and y over width and height, 0-1
-    """
-
-    share: float
-    center: tuple[float, float]
+    share: float  # of the image, 0-1
+    center: tuple[float, float]  # x and y over width and height, 0-1
 
 
 def largest_touch(image: Map, untouched: Map) -> Touched:

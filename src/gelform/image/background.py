@@ -41,23 +41,18 @@ _color_change = Kernel(
 
 @dataclass(frozen=True)
 class ChangeSettings:
-    """The settings of the conversion from an image to a color change.
+    """The settings of the conversion from an image to a color change."""
 
-    Attributes
-    ----------
-    method : "divide" gives (I - I0)/(I0 + offset), "subtract" gives (I - I0)/255
-    offset : gray levels added to the divisor, so that dark pixels do not amplify noise
-    blur_px : standard deviation of a Gaussian blur of the change, px; 0 for none
-    crosstalk : 3x3, row c: the fractions of the red, green and blue light that channel c records; None: no crosstalk
-        From `crosstalk_from_frames`. It is removed from image and background before the change is computed.
-    response : exponent of the camera's response curve, I = 255 (light/255)^response; 1: linear
-        It is removed first, so that I and I0 above are linear light, 0-255.
-    """
-
+    # "divide" gives (I - I0)/(I0 + offset), "subtract" gives (I - I0)/255
     method: Literal["divide", "subtract"] = "divide"
+    # gray levels added to the divisor, so that dark pixels do not amplify noise
     offset: float = CHANGE_OFFSET
-    blur_px: float = 0.0
+    blur_px: float = 0.0  # standard deviation of a Gaussian blur of the change, px; 0 for none
+    # 3x3, row c: the fractions of the red, green and blue light that channel c records; None: no crosstalk. It comes
+    # from `crosstalk_from_frames` and is removed from image and background before the change is computed.
     crosstalk: Matrix | None = None
+    # exponent of the camera's response curve, I = 255 (light/255)^response; 1: linear. It is removed first, so that I
+    # and I0 above are linear light, 0-255
     response: float = 1.0
 
     def __post_init__(self) -> None:
@@ -223,14 +218,9 @@ class PreparedBackground:
 
 @dataclass(frozen=True)
 class PendingChange:
-    """A color change without its pass over the pixels, which runs alone or together with a color model.
+    """A color change without its pass over the pixels, which runs alone or together with a color model."""
 
-    Attributes
-    ----------
-    arguments : of the kernel `color_change`, up to its work array
-    """
-
-    arguments: tuple[Any, ...]
+    arguments: tuple[Any, ...]  # of the kernel `color_change`, up to its work array
 
     @property
     def work_size(self) -> int:
@@ -430,22 +420,15 @@ _near_common = Kernel(
 
 
 class Reference(NamedTuple):
-    """The common properties of the pixels at rest.
+    """The common properties of the pixels at rest."""
 
-    Attributes
-    ----------
-    common_change : (3,) float32, the color change of most pixels; an exposure step changes all pixels alike
-    threshold : a pixel whose color change differs from it by less is at rest
-    bias : (2,) float32, median slope of the pixels at rest; colors that drifted everywhere are no slope
-    given : (H, W) bool, the pixels that changed least, if the threshold leaves too few pixels at rest; else None
-    findings : one, if the threshold leaves too few
-    """
-
+    # (3,) float32, the color change of most pixels; an exposure step changes all pixels alike
     common_change: Map
-    threshold: float
-    bias: Map
+    threshold: float  # a pixel whose color change differs from it by less is at rest
+    bias: Map  # (2,) float32, median slope of the pixels at rest; colors that drifted everywhere are no slope
+    # (H, W) bool, the pixels that changed least, if the threshold leaves too few pixels at rest; else None
     given: Mask | None
-    findings: tuple[Finding, ...]
+    findings: tuple[Finding, ...]  # one, if the threshold leaves too few
 
 
 def reference_from_color_change(

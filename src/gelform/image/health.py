@@ -26,22 +26,14 @@ _blocks = Kernel(
 
 @dataclass(frozen=True)
 class ImageBlocks:
-    """An image (H, W) in h x w whole blocks of 16x16 pixels.
+    """An image (H, W) in h x w whole blocks of 16x16 pixels."""
 
-    Attributes
-    ----------
-    means : (h, w, 3) uint8, gray levels
-    ranges : (h, w) uint8
-        Largest minus smallest value within a block, in the channel with the largest range. Noise alone gives 3 or more.
-    row_digests : (H,) int64
-        Rows of equal pixels have equal digests.
-    row_sums : (H, w, 3) uint16, sums over 16 pixels of a row, gray levels
-    """
-
-    means: NDArray[np.uint8]
+    means: NDArray[np.uint8]  # (h, w, 3) uint8, gray levels
+    # (h, w) uint8: largest minus smallest value within a block, in the channel with the largest range. Noise alone
+    # gives 3 or more.
     ranges: NDArray[np.uint8]
-    row_digests: NDArray[np.int64]
-    row_sums: NDArray[np.uint16]
+    row_digests: NDArray[np.int64]  # (H,) int64: rows of equal pixels have equal digests
+    row_sums: NDArray[np.uint16]  # (H, w, 3) uint16, sums over 16 pixels of a row, gray levels
 
     def pixels(self, chosen: Mask, width: int) -> Mask:
         """The pixels (H, W) of selected blocks (h, w); the remainder at the border belongs to the last block."""
@@ -248,17 +240,12 @@ _seam = Kernel(
 
 @dataclass(frozen=True, eq=False)
 class FrameFaults:
-    """The faults of a frame.
+    """The faults of a frame."""
 
-    Attributes
-    ----------
-    image : (H, W, 3), with the background image in place of lost pixels, so that these give no slopes
-    findings : `dark`, `saturated`, `torn` (figure: fraction of the frame), `frozen` (figure 1)
-    lost : (H, W) bool, pixels without information, including a margin around torn parts; None if there are none
-    """
-
-    image: Array
+    image: Array  # (H, W, 3), with the background image in place of lost pixels, so that these give no slopes
+    # `dark`, `saturated`, `torn` (figure: fraction of the frame), `frozen` (figure 1)
     findings: tuple[Finding, ...] = ()
+    # (H, W) bool, pixels without information, including a margin around torn parts; None if there are none
     lost: Mask | None = None
 
     def hidden(self, markers: Mask | None) -> Mask | None:
@@ -355,16 +342,10 @@ def _grown(lost: Mask) -> Mask:
 
 @dataclass(frozen=True)
 class DepthLimit:
-    """The largest possible depth, mm.
+    """The largest possible depth, mm."""
 
-    Attributes
-    ----------
-    limit_mm : the gel's thickness if known, else the shorter side of the field of view
-    is_thickness : whether it is the thickness
-    """
-
-    limit_mm: float
-    is_thickness: bool
+    limit_mm: float  # the gel's thickness if known, else the shorter side of the field of view
+    is_thickness: bool  # whether it is the thickness
 
     @classmethod
     def of(cls, shape: tuple[int, int], mm_per_px: float, thickness_mm: float | None = None) -> DepthLimit:

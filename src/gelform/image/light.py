@@ -81,24 +81,18 @@ def block_means(image: Array) -> Map:
 
 @dataclass(frozen=True)
 class FrameLight:
-    """The light of a frame relative to the background's.
+    """The light of a frame relative to the background's."""
 
-    Attributes
-    ----------
-    values : (3, 4), as those of `lit`
-    covariance : (3, 4, 4), of each channel's values; 0 for a tilt and room light that were not fitted
-    is_known : whether the gain's standard deviation in this tilt and room light is 1 % or less
-    share : of the image that is at rest in this light, 0-1; 0 if each block is dark or saturated in one of the images
-    least_change : of the quarter of the image that changed least, after this light; 0.01 is one per cent of its brightness
-        It is noise and small drift for a frame of this sensor, whatever touches it; it is more for another sensor.
-    least_pattern, middle_pattern : that of the quarter and of the half that changed least, after a gain alone
-    """
-
-    values: Numbers = field(default_factory=lambda: np.zeros((3, 4)))
+    values: Numbers = field(default_factory=lambda: np.zeros((3, 4)))  # (3, 4), as those of `lit`
+    # (3, 4, 4), of each channel's values; 0 for a tilt and room light that were not fitted
     covariance: Numbers = field(default_factory=lambda: np.tile(np.diag(GAIN / PRIOR), (3, 1, 1)))
-    is_known: bool = False
+    is_known: bool = False  # whether the gain's standard deviation in this tilt and room light is 1 % or less
+    # of the image that is at rest in this light, 0-1; 0 if each block is dark or saturated in one of the images
     share: float = 0.0
+    # of the quarter of the image that changed least, after this light; 0.01 is one per cent of its brightness: it is
+    # noise and small drift for a frame of this sensor, whatever touches it; it is more for another sensor
     least_change: float = np.inf
+    # least_pattern, middle_pattern: that of the quarter and of the half that changed least, after a gain alone
     least_pattern: float = np.inf
     middle_pattern: float = np.inf
 

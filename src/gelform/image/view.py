@@ -104,22 +104,18 @@ KEYS = ("camera", "distortion", "perspective")
 class Lens:
     """A pinhole camera with Brown's distortion that views a plane from any side.
 
-    Attributes
-    ----------
-    camera : (fx, fy, cx, cy), px
-    distortion : (k1, k2, p1, p2, k3), in the order of OpenCV; missing ones at the end are 0
-        Source: D. C. Brown, Photogrammetric Engineering 32(3), 1966.
-    perspective : 9 numbers, row by row
-        Homography from rectified pixels to the pixels of the undistorted frame; identity by default.
-
     Raises
     ------
     ValueError
         Another count of numbers, a number that is not finite, a focal length <= 0, or a singular perspective.
     """
 
-    camera: tuple[float, ...]
+    camera: tuple[float, ...]  # (fx, fy, cx, cy), px
+    # (k1, k2, p1, p2, k3), in the order of OpenCV; missing ones at the end are 0 (D. C. Brown,
+    # Photogrammetric Engineering 32(3), 1966)
     distortion: tuple[float, ...] = ()
+    # 9 numbers, row by row: homography from rectified pixels to the pixels of the undistorted frame; identity by
+    # default
     perspective: tuple[float, ...] = IDENTITY
 
     def __post_init__(self) -> None:

@@ -314,19 +314,13 @@ NEARLY_AXIS = 0.95  # cosine of the angle to an axis that is named
 
 @dataclass(frozen=True, eq=False)
 class Blind:
-    """A direction of motion that cannot be seen.
+    """A direction of motion that cannot be seen."""
 
-    Attributes
-    ----------
-    direction : (6,) a shift, mm, and a turn, rad, about the contact's middle
-    correlation : value of the test: that of the changes of slope which both frames predict, below 0.71; of a ball, the
-        share of what its turns change that is shape, below 0.5
-    words : what moves so, such as "turns about the ball's center at (0.1, -0.4, -2.6) mm"
-    """
-
-    direction: Array
+    direction: Array  # (6,) a shift, mm, and a turn, rad, about the contact's middle
+    # value of the test: that of the changes of slope which both frames predict, below 0.71; of a ball, the share of
+    # what its turns change that is shape, below 0.5
     correlation: float
-    words: str
+    words: str  # what moves so, such as "turns about the ball's center at (0.1, -0.4, -2.6) mm"
 
 
 def blind_directions(first: TouchedSurface, at: Equations) -> tuple[tuple[Blind, ...], Array]:

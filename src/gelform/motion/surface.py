@@ -90,28 +90,18 @@ _motion_rows = Kernel(
 
 @dataclass(frozen=True, eq=False)
 class Equations:
-    """What a small further step (6,) about a center changes at the points of a moved surface.
+    """What a small further step (6,) about a center changes at the points of a moved surface."""
 
-    Attributes
-    ----------
-    pose, center : (4, 4) and (3,), where the equations hold
-    residual : (N, 3) slope along x and y, depth: the other surface minus the moved one
-    jacobian : (N, 3, 6) their change with the step
-    weight : (N, 3), 0 where the other surface was not touched
-    inside : (N,) bool, whether a point is in the inner part of the other contact
-    information : (6, 6), right : (6,), of the normal equations
-    count : number of points that the other surface has too; shared : (N,) bool, which
-    """
-
+    # pose, center: (4, 4) and (3,), where the equations hold
     pose: Array
     center: Array
-    residual: Floats
-    jacobian: Floats
-    weight: Floats
-    inside: Mask
-    information: Array
+    residual: Floats  # (N, 3) slope along x and y, depth: the other surface minus the moved one
+    jacobian: Floats  # (N, 3, 6) their change with the step
+    weight: Floats  # (N, 3), 0 where the other surface was not touched
+    inside: Mask  # (N,) bool, whether a point is in the inner part of the other contact
+    information: Array  # (6, 6), of the normal equations, and right (6,)
     right: Array
-    count: int
+    count: int  # number of points that the other surface has too, and shared (N,): which
 
     @property
     def shared(self) -> Mask:

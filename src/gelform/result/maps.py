@@ -7,34 +7,22 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class ResultMap:
-    """One map of a result.
+    """One map of a result."""
 
-    Attributes
-    ----------
-    name : name of the attribute of `Reconstruction`, and in files; the depth of a result without a scale is `depth_px`
-    dtype : "float32" or "bool"
-    unit : "" if it has none
-    meaning : in words
-    axes : sizes after (H, W)
-    optional : whether a result can lack it
-    derived : whether it follows from other maps, so that a result's file omits it
-    kept_as : name of the map in the choice of a batch; "" if a batch keeps it only in complete results
-    plane : name of the map on the live page; "" if the page does not draw it by itself
-    plane_step : step of the page's 8-bit levels, in the map's unit; 0 if the page converts it in another way
-    colors : matplotlib's name of the color map; "" if no picture shows the map by itself
-    """
-
+    # name of the attribute of `Reconstruction`, and in files; the depth of a result without a scale is `depth_px`
     name: str
-    dtype: str
-    unit: str
-    meaning: str
-    axes: tuple[int, ...] = ()
-    optional: bool = False
-    derived: bool = False
+    dtype: str  # "float32" or "bool"
+    unit: str  # "" if it has none
+    meaning: str  # in words
+    axes: tuple[int, ...] = ()  # sizes after (H, W)
+    optional: bool = False  # whether a result can lack it
+    derived: bool = False  # whether it follows from other maps, so that a result's file omits it
+    # name of the map in the choice of a batch; "" if a batch keeps it only in complete results
     kept_as: str = ""
-    plane: str = ""
+    plane: str = ""  # name of the map on the live page; "" if the page does not draw it by itself
+    # step of the page's 8-bit levels, in the map's unit; 0 if the page converts it in another way
     plane_step: float = 0.0
-    colors: str = ""
+    colors: str = ""  # matplotlib's name of the color map; "" if no picture shows the map by itself
 
 
 MAPS: dict[str, ResultMap] = {

@@ -52,22 +52,17 @@ class BallPress:
     """A ball in the gel, as depth over the distance r from its axis.
 
     Inside the contact radius `z = depth - R + sqrt(R^2 - r^2)`, beyond it a sum of two Bessel functions K0.
-
-    Attributes
-    ----------
-    radius_mm, depth_mm : radius of the ball, and its depth in the gel
-    contact_radius_mm : of the circle in which they touch
-    tail_mm : depth at the rim that falls off over the relaxation length: the membrane, less the part of the
-        bulge with the same length
-    bulge_mm : height at the rim of the part of the bulge that falls off over the thickness
-    relaxation_mm, thickness_mm : the lengths over which the two fall off
     """
 
+    # radius_mm, depth_mm: radius of the ball, and its depth in the gel
     radius_mm: float
     depth_mm: float
-    contact_radius_mm: float
+    contact_radius_mm: float  # of the circle in which they touch
+    # depth at the rim that falls off over the relaxation length: the membrane, less the part of the bulge with the
+    # same length
     tail_mm: float
-    bulge_mm: float
+    bulge_mm: float  # height at the rim of the part of the bulge that falls off over the thickness
+    # relaxation_mm, thickness_mm: the lengths over which the two fall off
     relaxation_mm: float
     thickness_mm: float
 

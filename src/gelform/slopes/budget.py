@@ -74,25 +74,17 @@ _slope_budget = Kernel(
 
 @dataclass(frozen=True, eq=False)
 class ReadSlopes:
-    """The slopes of a frame without the bias that the pixels at rest show, and what their uncertainty follows from.
+    """The slopes of a frame without the bias that the pixels at rest show, and what their uncertainty follows from."""
 
-    Attributes
-    ----------
-    gradients : (H, W, 2), mm/mm
-    at_rest : (H, W) bool, pixels at rest
-    unseen : (H, W) bool, pixels without gel, or with too few usable channels; None: none
-    variance, residual : (H, W), of the forward response's step, or None; the residual is squared, over its covariance
-    model_sigma : (H, W), a color model's own deviation, or None
-    outlier : squared residual from which no slope is left
-    """
-
-    gradients: Slopes
-    at_rest: Mask
-    unseen: Mask | None = None
+    gradients: Slopes  # (H, W, 2), mm/mm
+    at_rest: Mask  # (H, W) bool, pixels at rest
+    unseen: Mask | None = None  # (H, W) bool, pixels without gel, or with too few usable channels; None: none
+    # variance, residual: (H, W), of the forward response's step, or None; the residual is squared, over its
+    # covariance
     variance: Map | None = None
     residual: Map | None = None
-    model_sigma: Map | None = None
-    outlier: float = OUTLIER
+    model_sigma: Map | None = None  # (H, W), a color model's own deviation, or None
+    outlier: float = OUTLIER  # squared residual from which no slope is left
 
     def weights(self, full_confidence_sigma: float) -> Map:
         """The solver's weight (H, W) of each slope: full^2 / (full^2 + outlier^2), 1e-6 where nothing was seen."""
@@ -106,21 +98,13 @@ class ReadSlopes:
 
 @dataclass(frozen=True, eq=False)
 class Budget:
-    """Standard deviations (H, W) of the slopes of a frame, mm/mm, equal for both components.
+    """Standard deviations (H, W) of the slopes of a frame, mm/mm, equal for both components."""
 
-    Attributes
-    ----------
-    read : of the slopes as they were read, without what no residual shows
-    solved : of the solved depth's slopes, with the spread between units
-    steep : what steep slopes may be read too small
-    confidence : min(1, full_confidence_sigma^2 / (all rows of the slopes as read))
-    walls, outliers : these rows, if they were asked for
-    """
-
-    read: Map
-    solved: Map
-    steep: Map
-    confidence: Map
+    read: Map  # of the slopes as they were read, without what no residual shows
+    solved: Map  # of the solved depth's slopes, with the spread between units
+    steep: Map  # what steep slopes may be read too small
+    confidence: Map  # min(1, full_confidence_sigma^2 / (all rows of the slopes as read))
+    # walls, outliers: these rows, if they were asked for
     walls: Map | None = None
     outliers: Map | None = None
 
@@ -405,24 +389,16 @@ class Explanation:
 
 
 class Shown(NamedTuple):
-    """What an image showed where slopes are uncertain, in maps (H, W); None: nowhere.
+    """What an image showed where slopes are uncertain, in maps (H, W); None: nowhere."""
 
-    Attributes
-    ----------
-    pixels : (H, W, 3) uint8, the raw image
-    color_change : (H, W, 3)
-    clipped : (H, W, 3) uint8, the unusable channels
-    markers, lost, outside : bool, hidden by markers, lost by the camera, and without light at rest
-    blur_px : of the color change
-    """
-
-    pixels: Image
-    color_change: Map
-    clipped: NDArray[np.uint8] | None
+    pixels: Image  # (H, W, 3) uint8, the raw image
+    color_change: Map  # (H, W, 3)
+    clipped: NDArray[np.uint8] | None  # (H, W, 3) uint8, the unusable channels
+    # markers, lost, outside: bool, hidden by markers, lost by the camera, and without light at rest
     markers: Mask | None
     lost: Mask | None
     outside: Mask | None
-    blur_px: float
+    blur_px: float  # of the color change
 
 
 def explanation_of(

@@ -47,21 +47,13 @@ _RANGES = (
 
 @dataclass(frozen=True)
 class SlopeErrors:
-    """Errors of slopes on presses that the model has not seen.
+    """Errors of slopes on presses that the model has not seen."""
 
-    Attributes
-    ----------
-    slopes : (N,) measured |gradient| in contact
-    errors : (N, 2) of its components
-    rest : (M, 2) slopes read at rest, without their bias; they are all error
-    rest_noise : (M,) variance there from the image's noise, by `noise_at_rest`
-    stated : (N,) standard deviation by the step of the forward response; 1 without a step
-    """
-
-    slopes: Array
-    errors: Array
-    rest: Array
-    rest_noise: Array
+    slopes: Array  # (N,) measured |gradient| in contact
+    errors: Array  # (N, 2) of its components
+    rest: Array  # (M, 2) slopes read at rest, without their bias; they are all error
+    rest_noise: Array  # (M,) variance there from the image's noise, by `noise_at_rest`
+    # (N,) standard deviation by the step of the forward response; 1 without a step
     stated: Array | float = 1.0
 
 
@@ -71,36 +63,32 @@ class SlopeSigma:
 
     Without a step, its deviation counts as 1 mm/mm. 68 % of the errors on held-out presses are within the stated deviations:
     they are fitted to that fraction, because a few bad pixels would dominate the variance.
-
-    Attributes
-    ----------
-    rest, rest_per_noise : deviation of gel at rest: the root of `rest^2 + rest_per_noise^2 noise`, with the variance of
-        the place by `noise_at_rest`. The first part is the model's and alike everywhere, the second is the camera's
-    per_step, per_slope : deviation in contact: `per_step step sqrt(1 + (per_slope |gradient|)^2)`, with the step's own
-    solved_factor : deviation of the solved depth's slopes over that of the slopes as read; a surface cannot follow errors
-        that have curl
-    depth_factor : deviation of depth far from contacts over the one that the slopes there make; see `gelform.depth.sigma`
-    shown : (mm/mm, mm/mm) quantiles 0.4 and 0.8 of the slopes that presses have shown
-    gain_sigma : relative error that slopes of one size share around a press, RMS over sizes and presses, beyond what errors
-        of single slopes explain; depth is off in proportion
-    full_confidence_sigma : deviation that 95 % of the pixels in contact stay under; confidence is 1 up to it
-    correlation_px : over this distance the correlated part falls to exp(-1/2) (a Gaussian)
-    correlated_share : fraction of the variance that is correlated; the rest is white
-    rest_correlation_px, rest_correlated_share : the same for gel at rest, where the color change's blur correlates the
-        noise over a pixel or two. The errors' correlation falls to exp(-1/2) over the first; the second, 0-1, is the
-        share that is correlated over `correlation_px`. None: as in a contact, in calibrations without it
     """
 
+    # rest, rest_per_noise: deviation of gel at rest: the root of `rest^2 + rest_per_noise^2 noise`, with the variance
+    # of the place by `noise_at_rest`. The first part is the model's and alike everywhere, the second is the camera's
     rest: float
+    # per_step, per_slope: deviation in contact: `per_step step sqrt(1 + (per_slope |gradient|)^2)`, with the step's
+    # own
     per_step: float
+    # deviation that 95 % of the pixels in contact stay under; confidence is 1 up to it
     full_confidence_sigma: float
-    correlation_px: float
+    correlation_px: float  # over this distance the correlated part falls to exp(-1/2) (a Gaussian)
     per_slope: float = 0.0
+    # deviation of the solved depth's slopes over that of the slopes as read; a surface cannot follow errors that have
+    # curl
     solved_factor: float = 1.0
+    # deviation of depth far from contacts over the one that the slopes there make; see `gelform.depth.sigma`
     depth_factor: float = 10.0
+    # (mm/mm, mm/mm) quantiles 0.4 and 0.8 of the slopes that presses have shown
     shown: tuple[float, float] = (0.4, 0.6)
-    correlated_share: float = 1.0
+    correlated_share: float = 1.0  # fraction of the variance that is correlated; the rest is white
+    # relative error that slopes of one size share around a press, RMS over sizes and presses, beyond what errors of
+    # single slopes explain; depth is off in proportion
     gain_sigma: float = 0.0
+    # rest_correlation_px, rest_correlated_share: the same for gel at rest, where the color change's blur correlates
+    # the noise over a pixel or two. The errors' correlation falls to exp(-1/2) over the first; the second, 0-1, is
+    # the share that is correlated over `correlation_px`. None: as in a contact, in calibrations without it
     rest_correlation_px: float = 0.0
     rest_correlated_share: float | None = None
     rest_per_noise: float = 0.0
@@ -184,18 +172,11 @@ def _rest_law(errors: Array, noise: Array) -> tuple[float, float]:
 
 
 class Cause(NamedTuple):
-    """One cause of low confidence: its text and color in the command line, the plots and the live page.
+    """One cause of low confidence: its text and color in the command line, the plots and the live page."""
 
-    Attributes
-    ----------
-    sentence : sentence about the pixels that it is named for; "" if it is never named
-    named_from : mm/mm, smallest standard deviation that it has to add to a slope to be named
-    color : in pictures, "#rrggbb"
-    """
-
-    sentence: str
-    named_from: float
-    color: str
+    sentence: str  # sentence about the pixels that it is named for; "" if it is never named
+    named_from: float  # mm/mm, smallest standard deviation that it has to add to a slope to be named
+    color: str  # in pictures, "#rrggbb"
 
 
 LEAVES_NOTHING = 0.35  # mm/mm, standard deviation that leaves no information; about the slope of a ball's rim
@@ -295,16 +276,11 @@ _clipped_channels = Kernel(
 
 
 class Clipped(NamedTuple):
-    """The clipped parts of a frame that were not clipped in the images of the calibration.
+    """The clipped parts of a frame that were not clipped in the images of the calibration."""
 
-    Attributes
-    ----------
-    channels : (H, W, 3) uint8, 1 where a channel is clipped or a clipped one blurred into it; None: nowhere
-    unseen : (H, W) bool, pixels with too few channels left for two slopes; None: none
-    """
-
+    # (H, W, 3) uint8, 1 where a channel is clipped or a clipped one blurred into it; None: nowhere
     channels: NDArray[np.uint8] | None
-    unseen: Mask | None
+    unseen: Mask | None  # (H, W) bool, pixels with too few channels left for two slopes; None: none
 
 
 class ClippedChannels:

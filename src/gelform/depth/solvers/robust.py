@@ -248,18 +248,10 @@ def _around(loops: Map) -> Map:
 
 
 class Patches(NamedTuple):
-    """The regions that their rims show to be outliers, and the rims of contacts.
+    """The regions that their rims show to be outliers, and the rims of contacts."""
 
-    Attributes
-    ----------
-    outlier : (H, W) bool
-        Pixels of outlier regions.
-    explained : (H-1, W-1) float32
-        Squares of circulation that the rims of contacts explain.
-    """
-
-    outlier: Mask
-    explained: Map
+    outlier: Mask  # (H, W) bool: pixels of outlier regions
+    explained: Map  # (H-1, W-1) float32: squares of circulation that the rims of contacts explain
 
 
 def patches_from_jumps(circulation: Map, jumps: tuple[Map, Map], usual: float) -> Patches | None:

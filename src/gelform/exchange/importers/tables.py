@@ -194,16 +194,10 @@ def _lut(path: str | PathLike[str]) -> Numbers:
 
 @dataclass(frozen=True, eq=False)
 class TaximTables:
-    """A forward model in Taxim's form.
+    """A forward model in Taxim's form."""
 
-    Attributes
-    ----------
-    table : (bins, bins, 3, 6) float64
-        By slope angle (0 to 90 degrees) and direction (-180 to 180), for red, green and blue: the factors of
-        x^2, y^2, x y, x, y, 1 in pixels of an image of 480x640.
-    name : name of the tables
-    """
-
+    # (bins, bins, 3, 6) float64: by slope angle (0 to 90 degrees) and direction (-180 to 180), for red, green and
+    # blue: the factors of x^2, y^2, x y, x, y, 1 in pixels of an image of 480x640.
     table: Numbers
     name: str = "Taxim tables"
 

@@ -57,17 +57,11 @@ _forward_step = Kernel(
 
 
 class Step(NamedTuple):
-    """Slopes after one step, with their variance and residual.
+    """Slopes after one step, with their variance and residual."""
 
-    Attributes
-    ----------
-    gradients : (..., 2), mm/mm
-    variance : (...), mean of both components' variances
-    residual : (...) >= 0, squared, of the color change after the step, in units of its covariance: 1 degree of freedom
-    """
-
-    gradients: Array
-    variance: Array
+    gradients: Array  # (..., 2), mm/mm
+    variance: Array  # (...), mean of both components' variances
+    # (...) >= 0, squared, of the color change after the step, in units of its covariance: 1 degree of freedom
     residual: Array
 
 

@@ -150,19 +150,12 @@ MAX_SAMPLES = 20_000  # samples of a regression; neighbors in a press are copies
 
 @dataclass(frozen=True, eq=False)
 class Term:
-    """A column of a regression whose coefficient varies over the image.
+    """A column of a regression whose coefficient varies over the image."""
 
-    Attributes
-    ----------
-    values : (N,)
-    place_degree : degree of the Legendre polynomials of the place in its coefficient
-    ridge : ridge of a coefficient that is the same everywhere, relative to the regression's
-    varies_with_light : whether the coefficient also depends on the background image's logarithm
-    """
-
-    values: Array
-    place_degree: int
-    ridge: float
+    values: Array  # (N,)
+    place_degree: int  # degree of the Legendre polynomials of the place in its coefficient
+    ridge: float  # ridge of a coefficient that is the same everywhere, relative to the regression's
+    # whether the coefficient also depends on the background image's logarithm
     varies_with_light: bool = False
 
 
@@ -178,24 +171,14 @@ def terms_of_orders(
 
 @dataclass(frozen=True, eq=False)
 class VaryingRegression:
-    """Penalized least squares on terms whose coefficients vary over the image; one set of columns for all ridges.
+    """Penalized least squares on terms whose coefficients vary over the image; one set of columns for all ridges."""
 
-    Attributes
-    ----------
-    columns : (N, columns) float32
-    target : (N, K) float64
-    weight : (N,)
-    penalties : (columns,), of their ridges
-    ends : the end of each term's columns
-    places : of each term: its functions at the nodes, (rows, columns, functions)
-    """
-
-    columns: Floats
-    target: Numbers
-    weight: Numbers
-    penalties: Numbers
-    ends: NDArray[np.intp]
-    places: tuple[Numbers, ...]
+    columns: Floats  # (N, columns) float32
+    target: Numbers  # (N, K) float64
+    weight: Numbers  # (N,)
+    penalties: Numbers  # (columns,), of their ridges
+    ends: NDArray[np.intp]  # the end of each term's columns
+    places: tuple[Numbers, ...]  # of each term: its functions at the nodes, (rows, columns, functions)
 
     @classmethod
     def of(cls, terms: Sequence[Term], target: Array, samples: Samples) -> VaryingRegression:

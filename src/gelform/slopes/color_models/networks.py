@@ -48,16 +48,10 @@ MAX_UNITS, MAX_LAYERS = 4096, 16  # largest numbers in a file
 
 @dataclass(frozen=True)
 class Layers:
-    """Weights of a fully connected network with ReLU between its layers.
+    """Weights of a fully connected network with ReLU between its layers."""
 
-    Attributes
-    ----------
-    weights : layers times (outputs, inputs) float32
-    biases : layers times (outputs,) float32
-    """
-
-    weights: tuple[Floats, ...]
-    biases: tuple[Floats, ...]
+    weights: tuple[Floats, ...]  # layers times (outputs, inputs) float32
+    biases: tuple[Floats, ...]  # layers times (outputs,) float32
 
     def __post_init__(self) -> None:
         if not 1 <= len(self.weights) == len(self.biases) <= MAX_LAYERS:

@@ -170,16 +170,10 @@ OFF_DIAGONAL = ~np.eye(3, dtype=bool)
 
 @dataclass(frozen=True)
 class Toward:
-    """The vectors from pixels to the lights.
+    """The vectors from pixels to the lights."""
 
-    Attributes
-    ----------
-    way : (N, 3 lights, 3) S - X
-    strength : (N, 3 lights) |S|^falloff / |S - X|^(1 + falloff): 1 over the distance, at the center
-    """
-
-    way: Numbers
-    strength: Numbers
+    way: Numbers  # (N, 3 lights, 3) S - X
+    strength: Numbers  # (N, 3 lights) |S|^falloff / |S - X|^(1 + falloff): 1 over the distance, at the center
 
     @classmethod
     def of(cls, x: Numbers, y: Numbers, positions: Numbers, falloff: float) -> Toward:
