@@ -349,9 +349,10 @@ def force_from_result(result: Any, model: ForceModel | None) -> Force:
         part: ForcePart | None = getattr(model, kind, None)
         if model is None or part is None:
             continue
-        reason = _why_other(touch, model) or (
-            why_no_normal(touch) if kind == "normal" else model.dots.why_none(touch)
-        )
+        if touch.calibration_digest != model.calibration_digest:
+            reason = "another gel, or another calibration, than the one of the loads"
+        else:
+            reason = why_no_normal(touch) if kind == "normal" else model.dots.why_none(touch)
         if reason == "":
             force = np.asarray(part.weights) @ terms_of(touch, kind)
             if np.linalg.norm(force) <= BEYOND_RANGE * part.range[1]:
@@ -389,8 +390,3 @@ def why_no_normal(touch: Touch) -> str:
     if touch.border_share > MOST_IN_BORDER:
         return f"a contact at the border: {100 * touch.border_share:.0f} % of it, so part of it may be out of view"
     return ""
-
-
-def _why_other(touch: Touch, model: ForceModel) -> str:
-    same = touch.calibration_digest == model.calibration_digest
-    return "" if same else "another gel, or another calibration, than the one of the loads"

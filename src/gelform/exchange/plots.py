@@ -145,7 +145,9 @@ def picture(result: Reconstruction, image: ArrayLike | None = None) -> Image:
     shape = check_is(result, Reconstruction, "result").shape
     shown = None if image is None else check_image(image, shape=shape).astype(np.uint8)
     row, column = deepest_px(_depth(result))
-    heights = _heights(shape[0] / shape[1], 3 if shown is None else 4, len(result.health))
+    aspect, panels = shape[0] / shape[1], 3 if shown is None else 4
+    upper = (WIDTH - 1.1) / panels * aspect + 0.75 + 0.2 * len(result.health)  # inches, as the maps need
+    heights = upper, max(4.2, (WIDTH / 2 - 1.5) * aspect + 0.9)
     figure = canvas(WIDTH, sum(heights))
     top, bottom = figure.subfigures(2, 1, height_ratios=heights)
     top.suptitle(_headline_of_result(result, row, column), x=0.012, ha="left", fontsize=11, color=INK)
@@ -154,11 +156,6 @@ def picture(result: Reconstruction, image: ArrayLike | None = None) -> Image:
     _draw_depth(bottom, depth_axes, result, row, column)
     _draw_profiles(profile_axes, result, row, column)
     return pixels_of(figure)
-
-
-def _heights(aspect: float, panels: int, lines: int) -> tuple[float, float]:
-    """Height of the upper and lower row, inches: as the maps need at the picture's width."""
-    return (WIDTH - 1.1) / panels * aspect + 0.75 + 0.2 * lines, max(4.2, (WIDTH / 2 - 1.5) * aspect + 0.9)
 
 
 def _headline_of_result(result: Reconstruction, row: int, column: int) -> str:

@@ -142,7 +142,8 @@ def orientation_from_blocks(image: Map, untouched: Map) -> Orientation | None:
     evidence = _evidence(change, lit, _terms(shape))
     order = np.argsort(evidence)[::-1]
     first = evidence[order[0]]
-    others = max(evidence[order[1]], _touched_all_over(change, lit))
+    unexplained = float(ALIKE * _log_likelihoods(change[lit])[1].mean())  # if no reading explains the image
+    others = max(evidence[order[1]], unexplained)
     return fitting[order[0]] if first - others > MARGIN else None
 
 
@@ -216,11 +217,6 @@ def _log_likelihoods(residual: Numbers) -> list[Numbers]:
     """Of blocks at rest and of touched ones, each half of all, from their residuals (..., 3)."""
     square = (residual**2).sum(axis=-1)
     return [-square / (2 * sigma**2) - 3 * np.log(sigma) for sigma in (REST_SIGMA, TOUCHED_SIGMA)]
-
-
-def _touched_all_over(change: Numbers, lit: Mask) -> float:
-    """Evidence of an image that no reading explains at all."""
-    return float(ALIKE * _log_likelihoods(change[lit])[1].mean())
 
 
 # Gain of the brightness: outside the first range a new background is requested, outside the second the image is refused.

@@ -286,7 +286,7 @@ class FrameHealth:
     def __call__(self, image: Array) -> FrameFaults:
         """The faults of an image (H, W, 3), RGB, 0-255, of the background's size."""
         blocks = blocks_from_image(as_levels(image))
-        if self._is_background(blocks, image):
+        if blocks.row_digests[0] == self._rest_digests[0] and np.array_equal(image, self._background):
             message = "The frame equals the background image in every pixel. The camera is frozen, or it is that image."
             return FrameFaults(image, (Finding("frozen", message, 1.0),))
         if self._is_plainly_sound(blocks):
@@ -314,11 +314,6 @@ class FrameHealth:
         flat, ending, repeated = signs.tolist()
         few_flat, few_repeated = flat <= LEAST_TORN * blocks.ranges.size, repeated <= LEAST_TORN * rows
         return few_flat and few_repeated and not ending and not self._torn.seam(blocks)
-
-    def _is_background(self, blocks: ImageBlocks, image: Array) -> bool:
-        if blocks.row_digests[0] != self._rest_digests[0]:
-            return False
-        return np.array_equal(image, self._background)
 
 
 def check_untouched_image(image: Array, calibrated: Array) -> None:

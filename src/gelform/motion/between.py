@@ -225,15 +225,10 @@ def _with_prior(
     return found, left @ held @ left.T + gain @ own @ gain.T
 
 
-def _information(prior: tuple[float, float]) -> Array:
-    """The information (6,) of standard deviations, mm and rad."""
-    return np.asarray(1 / np.square(np.repeat(prior, 3)))
-
-
 def _fitted(first: TouchedSurface, second: TouchedSurface, start: Array, seen: Array) -> Equations | Motion:
     """The equations about one step from the best pose, in the directions (6, k) alone, held to the start by REACH."""
     # Errors of neighbors are alike, but the equations count each as news: so must what holds them at the start.
-    held = (BLOCK_PX / first.every) ** 2 * _information(REACH)
+    held = (BLOCK_PX / first.every) ** 2 * (1 / np.square(np.repeat(REACH, 3)))
     pose, back = start, np.linalg.inv(start)  # rigid, as every pose: never singular
     for _ in range(MOST_STEPS):
         equations = first.equations(second, pose)

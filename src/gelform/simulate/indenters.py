@@ -127,7 +127,8 @@ class Coin(_Sized):
         inside = np.maximum.reduce(  # distance inside the nearest raised edge, mm
             [r - 0.86 * radius, 0.05 * radius - bead_distance, _inside_star(r, angle, 0.58 * radius)]
         )
-        raised = _smooth_step(inside / (2 * self.relief_mm) + 0.5)
+        t = np.clip(inside / (2 * self.relief_mm) + 0.5, 0, 1)
+        raised = np.asarray(t * t * (3 - 2 * t), dtype=np.float64)  # 0 outside, 1 inside, a cubic between
         return (raised - 1) * self.relief_mm
 
 
@@ -293,12 +294,6 @@ def _inside_star(r: Array, angle: Array, radius: float) -> Numbers:
     edge = np.array([inner * np.cos(sector) - radius, inner * np.sin(sector)])
     nx, ny = np.array([edge[1], -edge[0]]) / np.hypot(*edge)
     return -((x - radius) * nx + y * ny)
-
-
-def _smooth_step(t: Array) -> Numbers:
-    """0 below 0, 1 above 1, a cubic between."""
-    t = np.clip(t, 0, 1)
-    return np.asarray(t * t * (3 - 2 * t), dtype=np.float64)
 
 
 MAX_TRIANGLES = 5_000_000  # of a mesh; a larger file was meant for something else

@@ -56,7 +56,10 @@ class DctSolver:
         self.shape = shape
         self.mm_per_px = mm_per_px
         self._pivots, self._splits, self._last = _elimination(shape, mm_per_px)
-        self._stride = _row_stride(shape[1])
+        aliases = (
+            shape[1] * 4 % ALIASING_BYTES == 0
+        )  # in the cache, where work rows are as long as the frame's
+        self._stride = shape[1] + (STRIDE_PAD if aliases else 0)
         self._transform = CosineRows(shape[1])
         self._pool = Pool(lambda: np.empty((shape[0], self._stride), dtype=np.float32))
 
@@ -194,11 +197,6 @@ def _cosines(width: int) -> tuple[Floats, Floats]:
     inverse = forward.T / (2 * width)
     inverse[0] /= 2
     return forward.astype(np.float32), np.ascontiguousarray(inverse, dtype=np.float32)
-
-
-def _row_stride(width: int) -> int:
-    """Row length of work arrays: longer than the frame's if that would alias in the cache."""
-    return width + (0 if (width * 4) % ALIASING_BYTES else STRIDE_PAD)
 
 
 def _elimination(

@@ -213,15 +213,11 @@ def _tiff(result: Reconstruction) -> bytes:
     return picture_bytes(result.depth_mm, ".tiff")
 
 
-def _png(result: Reconstruction) -> bytes:
-    return picture_bytes(levels_from_depth(result.depth_mm, result.known), ".png")
-
-
 SURFACES: dict[str, Callable[[Reconstruction], bytes]] = {
     ".ply": _ply,
     ".stl": _stl,
     ".tiff": _tiff,
     ".tif": _tiff,
-    ".png": _png,
+    ".png": lambda result: picture_bytes(levels_from_depth(result.depth_mm, result.known), ".png"),
     ".x3p": x3p_bytes,
 }

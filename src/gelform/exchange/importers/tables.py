@@ -242,7 +242,7 @@ class TaximLook:
     def __post_init__(self) -> None:
         check_positive(self.mm_per_px, "mm_per_px")
         shape = np.shape(self.background)
-        if len(shape) != 3 or shape[2] != 3 or not _is_of_tables_aspect(*shape[:2]):
+        if len(shape) != 3 or shape[2] != 3 or abs(shape[1] / shape[0] * HEIGHT / WIDTH - 1) > 0.02:
             raise ValueError(
                 f"Expected a background of shape (H, W, 3) with W/H = 4/3 as the tables', got {shape}. "
                 "Turn an upright one by 90 degrees clockwise, as Taxim's images of that sensor are."
@@ -259,10 +259,6 @@ class TaximLook:
         untouched = 1 - np.clip(depth_mm / 0.1, 0, 1)[..., None]
         levels = self.background + self.tables.level_change(gradients) - untouched * level
         return np.asarray(np.clip(levels, 0, 255), dtype=np.float32)
-
-
-def _is_of_tables_aspect(height: int, width: int) -> bool:
-    return abs(width / height * HEIGHT / WIDTH - 1) <= 0.02
 
 
 def is_taxim_forward(path: str | PathLike[str]) -> bool:

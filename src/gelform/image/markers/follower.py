@@ -200,7 +200,9 @@ class MarkerFollower:
         self._patches = MarkerPatches(logs, self.rest_px, radius)
         self._stretched = StretchedPatches(logs, self._patches)
         self._candidates = CandidateFinder(logs, self.rest_px, radius)
-        self._dark, self._owner = self._pixels_of_dots()
+        # Positions (M, 2) of the pixels that dots darken at rest, and the nearest dot (M,) of each.
+        self._dark = np.stack(np.nonzero(self._finder.untouched.mask)[::-1], axis=-1)
+        self._owner = np.linalg.norm(self._dark[:, None] - self._all, axis=-1).argmin(axis=1)
 
     def __len__(self) -> int:
         return len(self.rest_px)
@@ -383,13 +385,6 @@ class MarkerFollower:
         more = len(self._all) - len(self)
         full = np.concatenate([shift, np.zeros((more, 2))])
         return full, np.concatenate([seen, np.zeros(more, dtype=bool)])
-
-    def _pixels_of_dots(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Positions (M, 2) of the pixels that dots darken at rest, and the nearest dot (M,) of each."""
-        row, column = np.nonzero(self._finder.untouched.mask)
-        places = np.stack([column, row], axis=-1)
-        apart = np.linalg.norm(places[:, None] - self._all, axis=-1)
-        return places, apart.argmin(axis=1)
 
 
 FAST = 0.05  # spacings a frame; slower dots are searched for at their last position, so that noise is not extrapolated

@@ -182,7 +182,8 @@ class LookupModel(Stored, Untuned):
         corners = corner_weights(grid._coordinates(change, samples.x_px, samples.y_px), sizes)
         weight = np.asarray(samples.weight, dtype=np.float64)
         target = np.asarray(samples.gradients, dtype=np.float64)
-        lattice = Lattice(sizes, grid._zero_node(), smoothness)
+        no_change = tuple(np.rint(-low / step).astype(int).tolist())  # its node on the color axes
+        lattice = Lattice(sizes, no_change, smoothness)
         slopes = lattice.fitted(corners, target, weight)
         residual = held_out_residuals(lattice, corners, target, weight)
         sigma = _deviation(corners, residual, weight, sizes)
@@ -216,10 +217,6 @@ class LookupModel(Stored, Untuned):
             np.asarray(x_px, dtype=np.float64) * ((columns - 1) / max(width - 1, 1)),
         ]
         return places + [(change[:, c] - self.low[c]) / self.step[c] for c in range(3)]
-
-    def _zero_node(self) -> tuple[int, ...]:
-        """Indices of the node of no change on the color axes."""
-        return tuple(np.rint(-self.low / self.step).astype(int).tolist())
 
 
 class PreparedLookup:
