@@ -2,17 +2,35 @@
 
 from __future__ import annotations
 
+import ast
+import itertools
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+import gelform
 from gelform._native import ISAS, Kernel, library
+from gelform._native.kernel import DTYPES
+
+MOST, LANES = 40, 16  # the largest size that is drawn, beyond two registers; floats of one
 
 
 def usable_isas() -> list[str]:
     """The instruction sets that this processor runs."""
     return [isa for isa in ISAS if isa == "base" or library("base").cpu_level() >= ISAS[isa]]
+
+
+def declarations() -> dict[str, tuple[str, Kernel]]:
+    """Exported name -> the variable that holds its kernel in Python, and the kernel."""
+    found = {}
+    for path in sorted(Path(gelform.__file__).parent.rglob("*.py")):
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.Assign) and ast.unparse(node.value).startswith("Kernel("):
+                name, declaration = (ast.literal_eval(argument) for argument in node.value.args)
+                found[name] = ast.unparse(node.targets[0]), Kernel(name, declaration)
+    return found
 
 
 def assert_kernel_agrees(
@@ -58,3 +76,181 @@ def _assert_close(got: np.ndarray, wanted: np.ndarray, tolerance: float, name: s
     known = wanted[np.isfinite(wanted)]
     span = max(np.ptp(known), np.abs(known).max()) if known.size else 1.0
     np.testing.assert_allclose(got, wanted, rtol=0, atol=tolerance * span, err_msg=name)
+
+
+# What a declaration cannot say: sizes that are tied, the least work memory that C takes, values in range.
+
+
+def up(n, to=LANES):
+    return -(-n // to) * to
+
+
+def half(n):
+    return -(-n // 2)
+
+
+def stepped(s):
+    """Pixels in every `step`-th row and column."""
+    return -(-s["h"] // s["step"]) * -(-s["w"] // s["step"])
+
+
+def window(maps, rows):
+    """Work of sums over squares of some maps, and of further rows."""
+    return lambda s: {"n": (1 + 11 * maps + rows) * (up(s["w"]) + LANES) + LANES}
+
+
+def stride(s):
+    return {"stride": s["w"] + s["stride"] % 3, "rows": s["h"]}
+
+
+def cells(s):
+    c = s.get("c", 1) % 3 + 1
+    return {"h": 4 * s["r"], "w": 4 * s["k"], "c": c, "n": 4 * s["k"] * c}
+
+
+def coarser(s):
+    return {"rows": half(s["h"]), "columns": half(s["w"]), "of_run": 3}
+
+
+def blurred(s):
+    """A light, taps, and the work of a blur by rows; nodes, and theirs."""
+    t, (h, w) = s["t"] % 4 + 1, (s["h"], s["w"])
+    own = 3 * w + 6 * (t - 1) + LANES + (2 * t - 1) * up(3 * w)
+    return {"s": 3 * w if h % 2 else 3 * (w + h + 1), "t": t, "n": own}
+
+
+def nodes(s):
+    """Nodes over the pixels, and the work of a model's `t` terms or of the forward response's."""
+    r, c = (-(-max(s[name] - 1, 1) // LANES) + 1 for name in ("h", "w"))
+    forward = 102 * c + 6 * up(s["w"]) + 4 * s["w"]
+    return {"r": r, "c": c, "n": 2 * s["t"] * (c + 2) + 3 * up(s["w"]) if "t" in s else forward}
+
+
+def blurred_at_nodes(s):
+    blur = blurred({**s, "t": s["k"]})
+    return {**(of := nodes(s)), "s": blur["s"], "k": blur["t"], "n": blur["n"] + of["n"]}
+
+
+def bent(s):
+    t = s["t"] % 5 + 1
+    work = s["w"] + 2 * (t - 1) + LANES + (2 * t - 1) * up(s["w"])
+    return {"t": t, "n": work, "margin": (min(s["h"], s["w"]) - 1) // 2}
+
+
+def cosines(s):
+    n = [1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 12, 14, 15, 18, 20, 21][s["half"] % 16]
+    return {"half": n, "stride": 2 * n + s["stride"] % 3, "knots": n + 1, "n": (6 * n + 1) * LANES}
+
+
+# Sizes that are not free, and numbers that are tied to them.
+SIZES = {
+    "ball_surface": lambda s: {"points": s["points"] + 1}, "gray_levels": lambda s: {"points": s["points"] + 1},
+    "bent_surface": bent, "cell_means": cells, "cell_shares": cells, "coarser_known": coarser, "fill_from_coarser": coarser,
+    "color_change": blurred, "hierarchical_from_image": blurred_at_nodes,
+    "hierarchical_gradients": nodes, "forward_step": nodes,
+    "column_jumps": lambda s: {"w": (w := s["w"] + 8), "n": 3 * (w - 1) + 2 * ((w - 1) // 8)},
+    "contact_outline": window(2, 2), "pressure_means": window(5, 6),
+    "cosine_rows": cosines, "dct_product": stride, "dct_right_side": stride, "dct_sweep": stride,
+    "depth_errors": lambda s: {"row_ends": s["r"] + 1, "column_ends": s["c"] + 1, "maps": 9, "n": 9 * s["w"]},
+    "distance_to_chosen": lambda s: {"n": (s["h"] + 2) * (s["w"] + 2)},
+    "fit_light": lambda s: {"m": 14 * s["n"], "rounds": s["rounds"] % 4 + 1},
+    "follow_patches": lambda s: {"side": (side := s["pixels"] % 9 + 1), "pixels": side**2},
+    "health_blocks": lambda s: {"h": s["h"] + 15, "w": s["w"] + 15, "bh": (s["h"] + 15) // 16, "bw": (s["w"] + 15) // 16},
+    "health_seam": lambda s: {"m": 3 * s["n"]},
+    "health_signs": lambda s: {"n": 2 ** s["h"].bit_length()},
+    "held_outline": lambda s: {"n": max(5 * s["h"] * half(s["w"]), s["h"] * s["w"])},
+    "irradiance": lambda s: {"oversample": (k := s["lights"] % 3 + 1), "h": k * s["rows"], "w": k * s["columns"]},
+    "label_regions": lambda s: {"n": 5 * s["h"] * half(s["w"])}, "least_changed_sums": lambda s: {"m": 2 * s["n"]},
+    "lit_blocks": lambda s: {"n": (n := stepped(s) + 1), "m": 2 * n}, "medians_where": lambda s: {"n": 2 * stepped(s)},
+    "magnitude_of_share": lambda s: {"n": 2 * -(-s["count"] // s["step"])},
+    "means_of_bytes": lambda s: {"h": s["bh"] * s["step"], "w": (w := s["bw"] * s["step"]), "n": 3 * w},
+    "motion_rows": lambda s: {"h": s["h"] + 1, "w": s["w"] + 1}, "png_rows": lambda s: {"n": (n := 3 * s["n"]), "r": n + 1},
+    "polynomial_gradients": lambda s: {"n": 6 * up(s["w"])},
+    "rasterise": lambda s: {"count": s["count"] + 3},
+    "rest_hold": lambda s: {"n": 9 * s["h"] * half(s["w"]) + 4 * s["h"] * s["w"]},
+    "spread_over_chosen": lambda s: {"n": 4 * s["w"]},
+}  # fmt: skip
+
+
+def whole(low, below):
+    """Whole numbers; `below` may be the name of a size."""
+    return lambda rng, shape, s: rng.integers(low, max(s.get(below, below), low + 1), shape)
+
+
+def real(low, high):
+    return lambda rng, shape, s: rng.uniform(low, high, shape)
+
+
+def ends(of):
+    return lambda rng, shape, s: np.sort(rng.integers(0, s[of] + 1, shape))
+
+
+def parents(rng, shape, s):
+    """Of each term an earlier one or none, and a channel."""
+    return np.stack([rng.integers(-1, np.arange(shape[0])), rng.integers(0, 3, shape[0])], axis=-1)
+
+
+def inside(rng, shape, s):
+    return np.stack([rng.integers(0, s["h"], shape[0]), rng.integers(0, s["w"], shape[0])], axis=-1)
+
+
+def filtered(rng, shape, s):
+    """Rows of a PNG, each behind the number of its filter."""
+    return np.hstack([rng.integers(0, 5, (shape[0], 1)), rng.integers(0, 256, (shape[0], shape[1] - 1))])
+
+
+GRAY, SIGNED = real(0, 255), real(-1, 1)
+# Values that are not free, by the argument's name; others are any unsigned ones, and from 0.05 to 1.
+VALUES = {
+    **dict.fromkeys(["change", "depth", "gradients", "slopes", "nodes", "table", "bent", "pressure", "mean"], SIGNED),
+    **dict.fromkeys(["basis", "shift", "center", "points", "spectrum", "turns", "twists", "texture", "inverse"], SIGNED),
+    **dict.fromkeys(["coarse", "dx", "dy", "normal", "common", "bias", "x"], SIGNED),
+    **dict.fromkeys(["light", "untouched", "blocks", "levels", "lit"], GRAY), "reach": whole(1, 6), "radius": real(1, 2),
+    "parents": parents, "degrees": whole(0, "c"), "corners": whole(-2, MOST), "triangles": whole(0, "count"),
+    "deepest": inside, "labels": whole(0, "n"), "count": whole(0, "n"), "last": whole(0, "n"), "leds": real(1, 9),
+    **dict.fromkeys(["pairs", "steps", "doublings", "flat"], whole(1, 4)), "back": whole(0, 2), "rounds": whole(1, 5),
+    "dark_to": whole(0, 30), "saturated_from": whole(230, 256), "clipped": whole(0, 2), "widened": real(1, 3),
+    "depth_errors rows": ends("h"), "depth_errors columns": ends("w"), "png_rows rows": filtered,
+    "irradiance leds": lambda rng, shape, s: rng.uniform(1, 9, shape) * ([1] * 6 + [-0.1] * 3 + [0.3]),
+    "slope_budget light": real(0, 1), "vertices": real(-1, 40),
+    "dct_sweep splits": whole(1, "w"), "gray_levels curve": real(0, 300),
+}  # fmt: skip
+EITHER = {
+    "color_change": {"image", "light"},
+    "hierarchical_from_image": {"image", "light"},
+}  # one of them is None
+
+
+def absent_in(kernel, turn):
+    """The arguments that are None in a turn through all combinations."""
+    optional = [p.name for p in kernel.parameters if p.optional]
+    chosen = [set(c) for n in range(len(optional) + 1) for c in itertools.combinations(optional, n)]
+    either = EITHER.get(kernel.name)
+    chosen = [c for c in chosen if either is None or len(c & either) == 1]
+    return chosen[turn * 7 % len(chosen)]
+
+
+def drawn(kernel, rng, turn):
+    """Arguments that it takes."""
+    free = {
+        name: int(rng.integers(1, 1 + (MOST if name in "hw" or turn % 2 else 6))) for name in kernel.sizes
+    }
+    sizes = {"step": int(rng.integers(1, 4)), **free}
+    sizes |= SIZES.get(kernel.name, lambda s: {})(sizes)
+    arguments, absent = [], absent_in(kernel, turn)
+    for p in kernel.parameters:
+        shape = tuple(int(a) if a.isdigit() else sizes["count" if a == "..." else a] for a in p.axes or ())
+        dtype = DTYPES[p.kind]
+        draw = VALUES.get(f"{kernel.name} {p.name}", VALUES.get(p.name))
+        if p.kind == "bool":
+            draw = whole(0, 2)
+        elif draw is None or (dtype.kind == "u" and p.name not in ("labels", "clipped", "rows")):
+            draw = (
+                whole(0, 256**dtype.itemsize if dtype.itemsize < 3 else 999)
+                if dtype.kind in "ui"
+                else real(0.05, 1)
+            )
+        value = sizes[p.name] if p.axes is None and p.name in sizes else draw(rng, shape, sizes)
+        value = np.asarray(value).astype(dtype)
+        arguments.append(None if p.name in absent else value if p.axes is not None else value.item())
+    return arguments
