@@ -360,20 +360,9 @@ def brighter(image, gain=1.08):
     return np.clip(np.rint(image.astype(float) * gain), 0, 255).astype(np.uint8)
 
 
-def test_another_exposure_gives_the_same_depth(calibration, simulated):
-    """8 % in every channel, rounded again: 2 um, where the depth of the press is 0.3 mm and more."""
-    reconstruct = gelform.Reconstructor(calibration)
-    for press in simulated.presses[:3]:
-        plain, other = reconstruct(press.image), reconstruct(brighter(press.image))
-        assert np.sqrt(np.mean((plain.depth_mm - other.depth_mm) ** 2)) < 0.002
-        (finding,) = [one for one in other.health if one.name == "exposure"]
-        assert finding.figure == pytest.approx(1.08, abs=0.01)
-        assert "R +8 %, G +8 %, B +8 %" in finding.message
-
-
 @pytest.mark.slow
 def test_another_exposure_gives_the_same_depth_of_real_presses(data):
-    """The same on a GelSight Mini, within 4 um; without compensation it is 120 um."""
+    """Rounded again, on a GelSight Mini, within 4 um; without compensation it is 120 um."""
     presses = halved(gelform.read_presses(data / "mini-ball"))
     calibration = gelform.calibrate(presses.subset(range(0, 67, 11)), color_model="polynomial")
     reconstruct = gelform.Reconstructor(calibration)

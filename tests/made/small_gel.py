@@ -69,8 +69,8 @@ def save(path: Path, image: np.ndarray) -> None:
 
 
 @cache
-def calibration() -> Calibration:
-    """What calibrating perfectly would give."""
+def calibration(signs: tuple[int, int] = (1, 1)) -> Calibration:
+    """What calibrating perfectly would give; with a sign of -1, of the gel whose x or y axis points the other way."""
     return Calibration(
         sensor_name="known gel",
         serial=None,
@@ -79,10 +79,10 @@ def calibration() -> Calibration:
         image_shape=SHAPE,
         mm_per_px=MM_PER_PX,
         mm_per_px_sigma=0.001,
-        background=background(),
+        background=np.ascontiguousarray(background()[:: signs[1], :: signs[0]]),
         background_noise=np.ones(3),
         change=ChangeSettings(offset=0.0),
-        color_model=LambertianModel(LIGHTS),
+        color_model=LambertianModel(LIGHTS * (*signs, 1)),
         forward=None,
         slope_sigma=SlopeSigma(
             rest=0.02,
@@ -102,11 +102,11 @@ def calibration() -> Calibration:
 
 
 @cache
-def stepping() -> Calibration:
+def stepping(signs: tuple[int, int] = (1, 1)) -> Calibration:
     """The same with the forward response of these lights, a step by it, and what is known of slopes after one."""
     slopes = np.stack([axis.ravel() for axis in np.meshgrid(*(np.linspace(-0.8, 0.8, 41),) * 2)], axis=-1)
     normals = np.concatenate([-slopes, np.ones((len(slopes), 1))], axis=1)
-    change = normals @ LIGHTS.T / np.linalg.norm(normals, axis=1, keepdims=True) - 1
+    change = normals @ (LIGHTS * (*signs, 1)).T / np.linalg.norm(normals, axis=1, keepdims=True) - 1
     of_normal = np.stack(monomial_products(normal_terms(slopes).T, monomials(2, 4)), axis=1)
     nodes = np.zeros((*(len(axis) for axis in node_positions(SHAPE)), TERMS, 3))
     nodes[:, :, : of_normal.shape[1]] = np.linalg.lstsq(of_normal, change, rcond=None)[0]
@@ -114,7 +114,7 @@ def stepping() -> Calibration:
     known = SlopeSigma(
         rest=0.01, per_step=1.2, shown=(0.5, 0.9), full_confidence_sigma=0.04, correlation_px=1.0
     )
-    return replace(calibration(), forward=forward, slope_sigma=known)
+    return replace(calibration(signs), forward=forward, slope_sigma=known)
 
 
 def depth_error(depth_mm: np.ndarray, touch: Touch) -> str | None:
