@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ast
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ import gelform
 from gelform._native import ISAS, Kernel, library
 from gelform._native.kernel import DTYPES
 
-MOST, LANES = 40, 16  # the largest size that is drawn, beyond two registers; floats of one
+TURNS, MOST, LANES = 12, 40, 16  # draws; the largest size that is drawn, beyond two registers; floats of one
 
 
 def usable_isas() -> list[str]:
@@ -39,32 +39,31 @@ def assert_kernel_agrees(
     """Run a kernel on every instruction set and in numpy.
 
     `reference` takes the same arguments and returns what the kernel writes into its `out` arrays, in their order (one
-    array, or a tuple). An argument that is a function, `lambda: Handle(...)`, is called anew for each run.
-    An output named `work` is scratch memory and is not compared.
+    array, or a tuple). An output named `work` is scratch memory and is not compared.
+    Without arguments, those of `TURNS` turns are drawn.
     `tolerance` is a fraction of the range of the reference's values.
     """
-    expected = reference(*_fresh(arguments))
-    expected = expected if isinstance(expected, tuple) else (expected,)
-    runs = {isa: _written(kernel.on(isa), arguments) for isa in usable_isas()}
-    for isa, outputs in runs.items():
-        assert len(outputs) == len(expected)
-        for output, baseline, wanted in zip(outputs, runs["base"], expected):
-            assert output.tobytes() == baseline.tobytes(), f"{kernel.name}: {isa} differs from base"
-            _assert_close(output, np.asarray(wanted), tolerance, kernel.name)
+    draws = [drawn(kernel, np.random.default_rng(turn), turn) for turn in range(0 if arguments else TURNS)]
+    for given in draws or [arguments]:
+        expected = reference(*_copies(given))
+        expected = expected if isinstance(expected, tuple) else (expected,)
+        runs = {isa: _written(kernel.on(isa), given) for isa in usable_isas()}
+        for isa, outputs in runs.items():
+            assert len(outputs) == len(expected)
+            for output, baseline, wanted in zip(outputs, runs["base"], expected):
+                if output is not None:
+                    assert output.tobytes() == baseline.tobytes(), f"{kernel.name}: {isa} differs from base"
+                    _assert_close(output, np.asarray(wanted), tolerance, kernel.name)
 
 
-def _written(kernel: Kernel, arguments: tuple[Any, ...]) -> list[np.ndarray]:
-    arguments = _fresh(arguments)
+def _written(kernel: Kernel, arguments: Sequence[Any]) -> list[np.ndarray | None]:
+    arguments = _copies(arguments)
     kernel(*arguments)
-    return [
-        argument
-        for parameter, argument in zip(kernel.parameters, arguments)
-        if parameter.role == "out" and parameter.name != "work"
-    ]
+    return [a for p, a in zip(kernel.parameters, arguments) if p.role == "out" and p.name != "work"]
 
 
-def _fresh(arguments: tuple[Any, ...]) -> tuple[Any, ...]:
-    return tuple(a.copy() if isinstance(a, np.ndarray) else a() if callable(a) else a for a in arguments)
+def _copies(arguments: Sequence[Any]) -> list[Any]:
+    return [a.copy() if isinstance(a, np.ndarray) else a for a in arguments]
 
 
 def _assert_close(got: np.ndarray, wanted: np.ndarray, tolerance: float, name: str) -> None:
@@ -134,7 +133,7 @@ def blurred_at_nodes(s):
 def bent(s):
     t = s["t"] % 5 + 1
     work = s["w"] + 2 * (t - 1) + LANES + (2 * t - 1) * up(s["w"])
-    return {"t": t, "n": work, "margin": (min(s["h"], s["w"]) - 1) // 2}
+    return {"t": t, "n": work, "margin": s["n"] % half(min(s["h"], s["w"]))}
 
 
 def cosines(s):
@@ -181,6 +180,17 @@ def real(low, high):
     return lambda rng, shape, s: rng.uniform(low, high, shape)
 
 
+def taps(rng, shape, s):
+    """Of a symmetric blur, the middle first."""
+    sides = rng.uniform(0.05, 1, shape)
+    return sides / (2 * sides.sum() - sides[0])
+
+
+def some(rng, shape, s):
+    """Few, half or most of them."""
+    return rng.random(shape) < rng.choice([0.1, 0.5, 0.9])
+
+
 def ends(of):
     return lambda rng, shape, s: np.sort(rng.integers(0, s[of] + 1, shape))
 
@@ -205,13 +215,15 @@ VALUES = {
     **dict.fromkeys(["change", "depth", "gradients", "slopes", "nodes", "table", "bent", "pressure", "mean"], SIGNED),
     **dict.fromkeys(["basis", "shift", "center", "points", "spectrum", "turns", "twists", "texture", "inverse"], SIGNED),
     **dict.fromkeys(["coarse", "dx", "dy", "normal", "common", "bias", "x"], SIGNED),
-    **dict.fromkeys(["light", "untouched", "blocks", "levels", "lit"], GRAY), "reach": whole(1, 6), "radius": real(1, 2),
+    **dict.fromkeys(["light", "untouched", "blocks", "lit"], GRAY), "levels": real(-20, 280),
+    "reach": whole(1, 6), "radius": real(1, 2), "taps": taps,
     "parents": parents, "degrees": whole(0, "c"), "corners": whole(-2, MOST), "triangles": whole(0, "count"),
     "deepest": inside, "labels": whole(0, "n"), "count": whole(0, "n"), "last": whole(0, "n"), "leds": real(1, 9),
     **dict.fromkeys(["pairs", "steps", "doublings", "flat"], whole(1, 4)), "back": whole(0, 2), "rounds": whole(1, 5),
     "dark_to": whole(0, 30), "saturated_from": whole(230, 256), "clipped": whole(0, 2), "widened": real(1, 3),
     "depth_errors rows": ends("h"), "depth_errors columns": ends("w"), "png_rows rows": filtered,
     "irradiance leds": lambda rng, shape, s: rng.uniform(1, 9, shape) * ([1] * 6 + [-0.1] * 3 + [0.3]),
+    "sure_pressure slopes": real(0.05, 1), "pressure_means slopes": real(0.05, 1),
     "slope_budget light": real(0, 1), "vertices": real(-1, 40),
     "dct_sweep splits": whole(1, "w"), "gray_levels curve": real(0, 300),
 }  # fmt: skip
@@ -243,7 +255,7 @@ def drawn(kernel, rng, turn):
         dtype = DTYPES[p.kind]
         draw = VALUES.get(f"{kernel.name} {p.name}", VALUES.get(p.name))
         if p.kind == "bool":
-            draw = whole(0, 2)
+            draw = some
         elif draw is None or (dtype.kind == "u" and p.name not in ("labels", "clipped", "rows")):
             draw = (
                 whole(0, 256**dtype.itemsize if dtype.itemsize < 3 else 999)

@@ -155,44 +155,34 @@ def hold_by_scipy(depth, share, far, hold, least, face):
     return weight
 
 
-@pytest.mark.parametrize("far", [False, True])
-@pytest.mark.parametrize("shape", [(21, 30), (1, 5), (7, 1)])
-def test_the_hold_of_a_coarse_depth(shape, far):
-    rng = np.random.default_rng(1)
-    share = np.where(rng.random(shape) < 0.6, 1, rng.random(shape)).astype(np.float32)
-    depth = rng.normal(0, 0.03, shape).astype(np.float32)
-    near = rng.random(shape).astype(np.float32) if far else None
-    limits = 0.2, 0.9, 0.02
-    expected = hold_by_scipy(depth, share, near, *limits)
-    assert far or shape[0] == 1 or shape[1] == 1 or (expected == 0).any()
-    arguments = depth, share, near, np.empty(20 * depth.size, np.float32), np.empty(shape, np.float32)
-    assert_kernel_agrees(room._rest_hold, lambda *_: expected, *arguments, *limits)
+def test_the_hold_of_a_coarse_depth():
+    found = []
+
+    def by_scipy(depth, share, far, work, weight, *limits):
+        found.append(hold_by_scipy(depth, share, far, *limits))
+        return found[-1]
+
+    assert_kernel_agrees(room._rest_hold, by_scipy)
+    assert any((one == 0).any() for one in found)
 
 
-@pytest.mark.parametrize(
-    ("coarse", "shape"), [((3, 5), (12, 20)), ((3, 4), (13, 19)), ((1, 2), (3, 9)), ((1, 1), (5, 2))]
-)
-def test_a_coarse_map_is_spread_bilinearly(coarse, shape):
-    rng = np.random.default_rng(2)
-    values, chosen = rng.random(coarse).astype(np.float32), rng.random(shape) < 0.7
-    places = [np.clip((np.arange(n) + 0.5) * m / n - 0.5, 0, m - 1) for n, m in zip(shape, coarse)]
-    spread = ndimage.map_coordinates(values.astype(float), np.meshgrid(*places, indexing="ij"), order=1)
-    work, out = np.empty(4 * shape[1], np.float32), np.empty(shape, np.float32)
-    assert_kernel_agrees(room._spread_over_chosen, lambda *_: chosen * spread, values, chosen, work, out)
+def test_a_coarse_map_is_spread_bilinearly():
+    def by_scipy(coarse, chosen, *_):
+        places = [
+            np.clip((np.arange(n) + 0.5) * m / n - 0.5, 0, m - 1) for n, m in zip(chosen.shape, coarse.shape)
+        ]
+        at = np.meshgrid(*places, indexing="ij")
+        return chosen * ndimage.map_coordinates(coarse.astype(float), at, order=1)
+
+    assert_kernel_agrees(room._spread_over_chosen, by_scipy)
 
 
-@pytest.mark.parametrize("shape", [(1, 1), (1, 9), (9, 1), (2, 2), (13, 30), (60, 80)])
-def test_distances_are_those_of_opencv(shape):
-    for share in (0.0, 0.03, 0.3):
-        chosen = np.random.default_rng(8).random(shape) < share
-        chosen.flat[chosen.size // 3] = True
-        work = np.empty((shape[0] + 2) * (shape[1] + 2), np.float32)
+def test_distances_are_those_of_opencv():
+    def by_opencv(chosen, work, distance):
+        found = cv2.distanceTransform((~chosen).view(np.uint8), cv2.DIST_L2, 3).reshape(chosen.shape)
+        return found if chosen.any() else np.full(chosen.shape, 2.0**14)
 
-        def by_opencv(chosen, work, distance):
-            return cv2.distanceTransform((~chosen).view(np.uint8), cv2.DIST_L2, 3).reshape(chosen.shape)
-
-        found = np.zeros(shape, np.float32)
-        assert_kernel_agrees(room._distance_to_chosen, by_opencv, chosen, work, found)
+    assert_kernel_agrees(room._distance_to_chosen, by_opencv)
 
 
 SHAPE_STEPPED, UNTOUCHED = (90, 121), 0.02

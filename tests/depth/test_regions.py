@@ -104,29 +104,21 @@ def test_a_gel_that_changed_without_a_contact_is_said():
 
 
 def test_moments_agree_with_numpy():
-    rng = np.random.default_rng(0)
-    labels = rng.integers(0, 4, (13, 17)).astype(np.uint16)
-    depth = rng.normal(0, 1, labels.shape).astype(np.float32)
-
     def by_numpy(labels, depth, moments):
-        y, x = np.mgrid[: labels.shape[0], : labels.shape[1]].astype(float)
-        rows = []
-        for k in range(1, 4):
+        y, x = np.indices(labels.shape).astype(float)
+        rows = np.zeros(moments.shape)
+        for k in set(labels.ravel().tolist()) - {0}:
             here = labels == k
             top = np.argmax(np.where(here, depth, -9))
             u, v, z = x[here], y[here], depth[here].astype(float)
             sums = [len(u), u.sum(), v.sum(), (u * u).sum(), (u * v).sum(), (v * v).sum(), z.sum(), z.max()]
-            rows.append([*sums, top % 17, top // 17, u.min(), u.max(), v.min(), v.max()])
-        return np.array(rows)
+            rows[k - 1] = [*sums, x.flat[top], y.flat[top], u.min(), u.max(), v.min(), v.max()]
+        return rows
 
-    assert_kernel_agrees(regions_module._region_moments, by_numpy, labels, depth, np.empty((3, 14)))
+    assert_kernel_agrees(regions_module._region_moments, by_numpy)
 
 
-@pytest.mark.parametrize("share", [0.05, 0.35, 0.6, 1.0])
-@pytest.mark.parametrize("shape", [(1, 9), (13, 1), (37, 51)])
-def test_labels_agree_with_scipy(share, shape):
-    mask = np.random.default_rng(0).random(shape) < share
-
+def test_labels_agree_with_scipy():
     def by_scipy(mask, labels, work):
         labels, count = ndimage.label(mask, np.ones((3, 3)))
         firsts = np.argsort([np.argmax(labels == k) for k in range(1, count + 1)])
@@ -134,8 +126,7 @@ def test_labels_agree_with_scipy(share, shape):
         order[firsts + 1] = np.arange(1, count + 1)
         return order[labels]
 
-    work = np.empty(regions_module.runs_work(shape), np.int32)
-    assert_kernel_agrees(regions_module._label_regions, by_scipy, mask, np.empty(shape, np.uint16), work)
+    assert_kernel_agrees(regions_module._label_regions, by_scipy)
 
 
 def test_more_regions_than_labels_are_told():

@@ -380,14 +380,8 @@ def sums_by_numpy(seen, rest, scale, last, *_):
     return np.array([(a * a).sum(), (b * b).sum(), (a * b).sum()])
 
 
-@pytest.mark.parametrize("last", [0, 17, 79])
-def test_sums_over_the_least_changed_blocks_are_those_of_numpy(last):
-    rng = np.random.default_rng(3)
-    rest = rng.uniform(20, 200, (80, 3)).astype(np.float32)
-    seen = (rest * 1.1 + rng.normal(0, 8, rest.shape)).astype(np.float32)
-    scale = np.array([0.9, 0.91, 0.92], np.float32)
-    work, sums = np.empty(160, np.float32), np.empty(3)
-    assert_kernel_agrees(agreement._least_changed_sums, sums_by_numpy, seen, rest, scale, last, work, sums)
+def test_sums_over_the_least_changed_blocks_are_those_of_numpy():
+    assert_kernel_agrees(agreement._least_changed_sums, sums_by_numpy)
 
 
 def test_slopes_are_less_sure_where_too_few_pixels_tell_the_exposure(calibration, simulated):

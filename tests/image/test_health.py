@@ -279,13 +279,8 @@ def digest(row):
         return (even + np.uint64(3) * odd).astype(np.int64)
 
 
-@pytest.mark.parametrize("shape", [(240, 320), (35, 50), (16, 16), (20, 18)])
-def test_the_kernel_agrees_with_numpy(shape):
-    image = np.random.default_rng(1).integers(0, 256, (*shape, 3), dtype=np.uint8)
-    out = blocks_of(image)
-    assert_kernel_agrees(
-        health_module._blocks, reference, image, out.means, out.ranges, out.row_digests, out.row_sums
-    )
+def test_the_kernel_agrees_with_numpy():
+    assert_kernel_agrees(health_module._blocks, reference)
 
 
 def without_the_step(sums, rest, work, totals, least, factor, spill):

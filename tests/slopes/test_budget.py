@@ -264,36 +264,10 @@ def numpy_budget(
     return (*maps, np.sqrt(bend), np.sqrt(off))
 
 
-@pytest.mark.parametrize("optional", [True, False])
-@pytest.mark.parametrize("shape", [SHAPE, (9, 33), (1, 1), (1, 5), (3, 1), (4, 65)])
-def test_the_kernels_agree_with_numpy(optional, shape):
-    rng = np.random.default_rng(0)
-
-    def uniform(low, high):
-        return rng.uniform(low, high, shape).astype(np.float32)
-
-    def chosen():
-        return rng.uniform(size=shape) > 0.7
-
-    gradients = rng.normal(0, 0.4, (*shape, 2)).astype(np.float32)
-    out = [np.empty(shape, np.float32) for _ in range(6)]
-    some = (lambda one: one) if optional else (lambda one: None)
-    assert_kernel_agrees(
-        budget._slope_budget, numpy_budget, gradients, chosen(), uniform(1e-5, 1e-3), some(uniform(0.3, 3)),
-        some(uniform(0.01, 0.06)), some(uniform(0, 30)), some(chosen()), uniform(0.005, 0.02), some(uniform(0, 0.05)),
-        *out, 9e-4, 4e-3, 0.8, 1.0, 9.0, 50.0, 0.05, 2.0, 1.75 if optional else 0.0, 0.1, 0.1, 0.5, 1.25, 0.3,
-        1.4, 0.3, 3.2, 2.1, 4.3, 0.6, 2,
-    )  # fmt: skip
-    assert_kernel_agrees(
-        budget._slope_weights, numpy_weights, some(uniform(0, 30)), some(uniform(0.01, 0.2)), some(chosen()),
-        np.empty(shape, np.float32), 9.0, 1.0, 0.05, 1e-6,
-    )  # fmt: skip
-    change = rng.normal(0, 0.3, (*shape, 3)).astype(np.float32)
-    for hidden, given in ((None, None), (chosen(), None), (None, chosen())):
-        assert_kernel_agrees(
-            budget._slopes_at_rest, numpy_at_rest, change, hidden, given, np.float32([0.02, 0, 0]),
-            np.float32([0.01, -0.02]), gradients, np.empty(shape, bool), 0.09, 1e15,
-        )  # fmt: skip
+def test_the_kernels_agree_with_numpy():
+    assert_kernel_agrees(budget._slope_budget, numpy_budget)
+    assert_kernel_agrees(budget._slope_weights, numpy_weights)
+    assert_kernel_agrees(budget._slopes_at_rest, numpy_at_rest)
 
 
 def linear(matrix):

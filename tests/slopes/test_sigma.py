@@ -218,18 +218,13 @@ def test_blocks_that_are_rounded_apart_add_their_deviation():
     assert sigma.excess_noise(image, rest, 1.5) == pytest.approx(2.0, rel=0.25)
 
 
-@pytest.mark.parametrize("width", [9, 21, 50])
-def test_jumps_agree_with_numpy(width):
-    rng = np.random.default_rng(1)
-    image, rest = rng.integers(0, 256, (2, 9, width, 3), dtype=np.uint8)
-
+def test_jumps_agree_with_numpy():
     def by_numpy(image, rest, work, medians, step):
         apart = image[::step].astype(int) - rest[::step]
         jumps = np.abs(np.diff(apart, axis=1)).mean(axis=(0, 2))
-        return np.median(jumps[: (width - 1) // 8 * 8].reshape(-1, 8), axis=0)
+        return np.median(jumps[: (image.shape[1] - 1) // 8 * 8].reshape(-1, 8), axis=0)
 
-    work, medians = np.empty(4 * width, np.int32), np.empty(8, np.float32)
-    assert_kernel_agrees(sigma._column_jumps, by_numpy, image, rest, work, medians, 4)
+    assert_kernel_agrees(sigma._column_jumps, by_numpy)
 
 
 FRAME = (41, 61)
@@ -333,13 +328,5 @@ def numpy_clipped(image, low, high, clipped, dark_to, saturated_from):
     return (((image <= dark_to) & low) | ((image >= saturated_from) & high)).astype(np.uint8)
 
 
-@pytest.mark.parametrize("shape", [(1, 1), (1, 63), (1, 64), (1, 65), (7, 40)])
-@pytest.mark.parametrize("levels", [(0, 256), (3, 254), (0, 200), (60, 256)])
-@pytest.mark.parametrize("seed", [0, 1])
-def test_the_kernel_agrees_with_numpy_clipped(shape, levels, seed):
-    rng = np.random.default_rng(seed)
-    image = rng.integers(*levels, (*shape, 3), dtype=np.uint8)
-    ends = rng.uniform(size=(2, 3)) > 0.3
-    assert_kernel_agrees(
-        sigma._clipped_channels, numpy_clipped, image, ends[0], ends[1], np.empty_like(image), 2, 254
-    )
+def test_the_kernel_agrees_with_numpy_clipped():
+    assert_kernel_agrees(sigma._clipped_channels, numpy_clipped)

@@ -117,13 +117,10 @@ def test_a_product_wider_than_its_work_array_is_refused():
         dct._product(np.zeros((2, 200), np.float32), np.zeros((200, 200), np.float32))
 
 
-@pytest.mark.parametrize("pad", [0, 5])
 @pytest.mark.parametrize("shape", [(1, 1), (1, 6), (6, 1), (2, 2), (9, 40), (33, 47)])
-def test_kernels_agree_with_numpy(shape, pad):
-    rng = np.random.default_rng(6)
-    gradients = rng.standard_normal((*shape, 2)).astype(np.float32)
-    work = rng.standard_normal((shape[0], shape[1] + pad)).astype(np.float32)
-    assert_kernel_agrees(dct._right_side, right_side, gradients, work, 0.7, 0.3)
+def test_kernels_agree_with_numpy(shape):
+    assert_kernel_agrees(dct._right_side, right_side)
+    work = np.random.default_rng(6).standard_normal((shape[0], shape[1] + 5)).astype(np.float32)
     for which, transform in enumerate([scipy_dct, idct]):
         transformed = partial(transformed_rows, transform=transform)
         assert_kernel_agrees(dct._product, transformed, work, dct._cosines(shape[1])[which])

@@ -301,14 +301,8 @@ def squares(depth, gradients, known, per_x, per_y, _):
     return np.array([sum(np.sum(part**2) for part in parts), sum(part.size for part in parts)])
 
 
-@pytest.mark.parametrize("shape", [(1, 1, 1), (2, 1, 20), (1, 20, 1), (3, 9, 16), (2, 12, 37)])
-def test_residuals_are_those_of_numpy(shape):
-    rng = np.random.default_rng(1)
-    depth, gradients = (rng.standard_normal(s).astype(np.float32) for s in (shape, (*shape, 2)))
-    for known in (np.ones(shape, bool), rng.uniform(size=shape) > 0.4, np.zeros(shape, bool)):
-        assert_kernel_agrees(
-            seam._residual_squares, squares, depth, gradients, known, 20.0, 12.5, np.zeros(2)
-        )
+def test_residuals_are_those_of_numpy():
+    assert_kernel_agrees(seam._residual_squares, squares)
 
 
 def test_a_surface_leaves_nothing_and_a_wrong_edge_what_it_is_wrong_by():

@@ -216,14 +216,7 @@ def test_jpeg_leaves_its_blocks():
     assert borders > 1.5 * np.delete(steps, np.arange(7, 79, 8)).mean()
 
 
-@pytest.mark.parametrize("gamma", [1.0, 2.2])
-@pytest.mark.parametrize("noisy", [True, False])
-def test_the_kernel_rounds_what_numpy_makes(noisy, gamma):
-    rng = np.random.default_rng(0)
-    levels = rng.uniform(-20, 280, (30, 41, 3)).astype(np.float32)
-    drawn = draws(rng, levels.size).reshape(levels.shape) if noisy else None
-    curve = None if gamma == 1 else camera.response_table(gamma)
-
+def test_the_kernel_rounds_what_numpy_makes():
     def reference(levels, drawn, normal, curve, gray, variance, gain):
         if drawn is not None:
             levels = levels + np.sqrt(variance + gain * np.maximum(levels, 0)) * normal[drawn]
@@ -233,8 +226,4 @@ def test_the_kernel_rounds_what_numpy_makes(noisy, gamma):
             levels = curve[whole] + (place - whole) * (curve[whole + 1] - curve[whole])
         return np.rint(np.clip(levels, 0, 255)).astype(np.uint8)
 
-    gray = np.empty(levels.shape, np.uint8)
-    assert_kernel_agrees(
-        camera._gray_levels, reference, levels, drawn, normal_table(), curve, gray,
-        np.float32(1.5), np.float32(0.02),
-    )  # fmt: skip
+    assert_kernel_agrees(camera._gray_levels, reference)
