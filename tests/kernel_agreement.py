@@ -223,6 +223,10 @@ VALUES = {
     "dark_to": whole(0, 30), "saturated_from": whole(230, 256), "clipped": whole(0, 2), "widened": real(1, 3),
     "depth_errors rows": ends("h"), "depth_errors columns": ends("w"), "png_rows rows": filtered,
     "irradiance leds": lambda rng, shape, s: rng.uniform(1, 9, shape) * ([1] * 6 + [-0.1] * 3 + [0.3]),
+    "ranges": whole(0, 9), "digests": lambda rng, shape, s: rng.integers(-3, 3, shape) * rng.choice([1, 2**60]),
+    "scale_weights weights": lambda rng, shape, s: 10 ** rng.uniform(-5, 0, shape) * rng.choice([1, 1e-42, 3e38]),
+    "scale_weights anchor": lambda *of: np.maximum(SIGNED(*of), 0), "floor": real(1e-6, 0.1),
+    "contact_outline pressure": lambda rng, shape, s: rng.normal(0, 9, shape).clip(0) * some(rng, (shape[0], 1), s),
     "sure_pressure slopes": real(0.05, 1), "pressure_means slopes": real(0.05, 1),
     "slope_budget light": real(0, 1), "vertices": real(-1, 40),
     "dct_sweep splits": whole(1, "w"), "gray_levels curve": real(0, 300),
@@ -253,15 +257,10 @@ def drawn(kernel, rng, turn):
     for p in kernel.parameters:
         shape = tuple(int(a) if a.isdigit() else sizes["count" if a == "..." else a] for a in p.axes or ())
         dtype = DTYPES[p.kind]
-        draw = VALUES.get(f"{kernel.name} {p.name}", VALUES.get(p.name))
-        if p.kind == "bool":
-            draw = some
-        elif draw is None or (dtype.kind == "u" and p.name not in ("labels", "clipped", "rows")):
-            draw = (
-                whole(0, 256**dtype.itemsize if dtype.itemsize < 3 else 999)
-                if dtype.kind in "ui"
-                else real(0.05, 1)
-            )
+        any_of_kind = {"b": some, "f": real(0.05, 1)}.get(
+            dtype.kind, whole(0, min(256**dtype.itemsize, 2**16))
+        )
+        draw = VALUES.get(f"{kernel.name} {p.name}", VALUES.get(p.name, any_of_kind))
         value = sizes[p.name] if p.axes is None and p.name in sizes else draw(rng, shape, sizes)
         value = np.asarray(value).astype(dtype)
         arguments.append(None if p.name in absent else value if p.axes is not None else value.item())

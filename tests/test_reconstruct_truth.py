@@ -211,7 +211,7 @@ CHANGES = {
     "white balance": (lambda of: (of(), FRAME * (0.94, 1, 1.06)), (1, 1), 1, 5e-4, 2e-2, ("exposure",)),
     "tilted light": (lambda of: (of(), FRAME * TILT), (1, 1), 1, 5e-3, 2e-2, ("tilted_light",)),
     "room light": (lambda of: (of(), FRAME + 20), (1, 1), 1, 8e-3, 3e-2, ("room_light",)),
-    "mm_per_px": (lambda of: (scaled(of(), 1.25), FRAME), (1, 1), 1.25, 1e-3, 2e-2, ()),
+    "mm_per_px": (lambda of: (replace(of(), mm_per_px=0.125, mm_per_px_sigma=1.25e-3), FRAME), (1, 1), 1.25, 1e-3, 2e-2, ()),
 }  # fmt: skip
 
 
@@ -220,10 +220,6 @@ def relit(known, gain, levels=0):
     change = replace(known.change, offset=-float(levels))
     noise = gain * known.background_noise
     return replace(known, background=gain * known.background + levels, background_noise=noise, change=change)
-
-
-def scaled(known, factor):
-    return replace(known, mm_per_px=factor * known.mm_per_px, mm_per_px_sigma=factor * known.mm_per_px_sigma)
 
 
 @pytest.mark.parametrize("known", [calibration, stepping])

@@ -355,21 +355,11 @@ def test_unknown_pixels_are_as_the_nearest_known_one(shape):
     assert ((~known).any() and (contact & ~known).any()) or min(shape) == 1
 
 
-@pytest.mark.parametrize("shape", [(1, 7), (9, 16), (61, 83)])
-@pytest.mark.parametrize("level", [-30.0, 0.2])
-def test_outlines_agree_with_numpy(shape, level):
-    pressure = ndimage.gaussian_filter(np.random.default_rng(3).normal(0, 6, shape), 1.5) + level
-    pressure[shape[0] // 3 : shape[0] // 2] = -1
-    pressure[-2:] += 31  # where the rest has none, the last rows have some
-    pressure = np.maximum(pressure, 0).astype(np.float32)
-
+def test_outlines_agree_with_numpy():
     def by_numpy(pressure, contact, work, share):
         return pressure * around(pressure > 0) > share * around(pressure)
 
-    work = np.empty(100 * (shape[1] + 64), np.float32)
-    assert_kernel_agrees(
-        pressure_module._contact_outline, by_numpy, pressure, np.empty(shape, bool), work, 0.6
-    )
+    assert_kernel_agrees(pressure_module._contact_outline, by_numpy)
 
 
 def standing_regions(labels, stands, deepest, surface, reach=0):

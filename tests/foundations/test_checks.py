@@ -1,5 +1,6 @@
 """The one door: what is let in, as what, and what is said to the rest."""
 
+import itertools
 from pathlib import Path
 
 import numpy as np
@@ -132,16 +133,11 @@ def test_values_by_their_trailing_axes():
         check_values([1j, 0, 0], "light", (3,))
 
 
-@pytest.mark.parametrize("shape", [(1,), (15, 3), (40, 33, 2), (71, 67)])
-def test_the_range_is_that_of_numpy(shape):
-    values = np.random.default_rng(0).standard_normal(shape).astype(np.float32)
-    for extreme in (-7.5, 9.0):
-        values.ravel()[-1] = extreme
-        assert_kernel_agrees(
-            checks._range, lambda v, _: np.array([v.min(), v.max()]), values, np.zeros(2, np.float32)
-        )
-    for bad in (np.nan, np.inf, -np.inf):
-        values.ravel()[len(values.ravel()) // 2] = bad
+def test_the_range_is_that_of_numpy():
+    assert_kernel_agrees(checks._range, lambda v, _: np.array([v.min(), v.max()]))
+    for size, bad in itertools.product((1, 45, 4757), (np.nan, np.inf, -np.inf)):
+        values = np.ones(size, np.float32)
+        values[size // 2] = bad
         assert np.isnan(checks.value_range(values)).all()
     assert checks.value_range(values[:0]) == (0.0, 0.0)
 

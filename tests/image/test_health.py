@@ -219,20 +219,13 @@ def test_presses_of_real_sensors_are_not_torn(data, folder):
     assert [path.name for path in images if "torn" in names(health(read_image(path)))] == []
 
 
-@pytest.mark.parametrize("rows", [1, 40, 240])
-def test_the_signs_of_faults_are_those_of_numpy(rows):
-    rng = np.random.default_rng(9)
-    means, ends = rng.integers(0, 256, (7, 9, 3), np.uint8), rng.integers(0, 256, (2, 7, 9, 3), np.uint8)
-    ranges = rng.integers(0, 9, (7, 9), np.uint8)
-
+def test_the_signs_of_faults_are_those_of_numpy():
     def counted(means, ranges, digests, dark_to, saturated_from, work, signs, flat):
         ended = (means < dark_to) | (means >= saturated_from)
         repeated = len(digests) - len(np.unique(digests))
         return np.array([np.sum(ranges <= flat), ended.sum(), repeated], np.int32)
 
-    for digests in (np.arange(rows), rng.integers(-3, 3, rows), rng.integers(-(2**60), 2**60, rows)):
-        arrays = means, ranges, digests, *ends, np.empty(256, np.int32), np.zeros(3, np.int32)
-        assert_kernel_agrees(health_module._signs, counted, *arrays, 2)
+    assert_kernel_agrees(health_module._signs, counted)
 
 
 def test_the_field_of_view_bounds_where_the_gel_is_unknown():

@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 from gelform.depth.integrate import depth_from_gradients, integrate, takes_weights
 from gelform.depth.solvers import SOLVERS, Solution, seam
 from gelform.depth.solvers.seam import (
-    FLOOR,
     differences,
     edge_system,
     edges_from_gradients,
@@ -255,25 +254,15 @@ def scaled(weights, mask, anchor, floor, confidence, trusted, known, found):
     )
 
 
-@pytest.mark.parametrize("size", [1.0, 1e-42, 3e38])
-@pytest.mark.parametrize("masked", [False, True])
-@pytest.mark.parametrize("shape", [(1, 1), (7, 33), (20, 48)])
-def test_weights_are_scaled_as_in_numpy(shape, masked, size):
-    rng = np.random.default_rng(1)
-    weights = (10 ** rng.uniform(-5, 0, shape) * size).astype(np.float32)
-    mask = rng.uniform(size=shape) > 0.4 if masked else None
-    outputs = np.zeros(shape, np.float32), *np.zeros((2, *shape), bool), np.zeros(2)
-    anchor = np.maximum(rng.uniform(-1, 1, shape), 0).astype(np.float32)
-    for held in (None, anchor):
-        assert_kernel_agrees(seam._scale_weights, scaled, weights, mask, held, FLOOR, *outputs)
+def test_weights_are_scaled_as_in_numpy():
+    """Of all sizes that float32 holds."""
+    assert_kernel_agrees(seam._scale_weights, scaled)
 
 
 def test_weights_of_zero_leave_nothing_trusted():
-    weights, outputs = (
-        np.zeros((3, 4), np.float32),
-        (np.zeros((3, 4), np.float32), *np.zeros((2, 3, 4), bool), np.ones(2)),
-    )
-    assert_kernel_agrees(seam._scale_weights, scaled, weights, None, None, FLOOR, *outputs)
+    blank = np.zeros((3, 4), np.float32)
+    outputs = blank, *np.zeros((2, 3, 4), bool), np.ones(2)
+    assert_kernel_agrees(seam._scale_weights, scaled, blank, None, None, 1e-6, *outputs)
 
 
 def test_edges_of_pixels_are_those_of_their_harmonic_means():
