@@ -23,6 +23,11 @@ from gelform.foundations.checks import (
     check_within,
 )
 
+__all__ = [  # as the reference of the site lists them
+    "FORMS", "PressErrors", "Roughness", "SlopeScore", "angle_deg", "areal_roughness", "gaussian_areal_filter",
+    "press_errors", "score_slopes",
+]  # fmt: skip
+
 _ball_center = Kernel(
     "ball_center",
     "f64[n,2] gradients, f64[n] x, f64[n] y, out f64[2] center, f64 radius, f64 scale, i64 rounds",
