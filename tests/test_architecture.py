@@ -6,6 +6,8 @@ import sys
 from functools import cache
 from pathlib import Path
 
+import pytest
+
 import gelform
 
 SOURCE = Path(gelform.__file__).parent
@@ -120,6 +122,31 @@ def test_the_document_has_the_same_levels():
     listed = re.findall(r"^(\d+) ([\w/]+(?: [\w/]+)*)$", ARCHITECTURE.read_text(encoding="utf-8"), re.M)
     assert [set(names.split()) for _, names in listed] == LEVELS
     assert [int(level) for level, _ in listed] == list(range(len(LEVELS)))
+
+
+def walked() -> list[tuple[str, list[str]]]:
+    """The walks of the document: a function or class of gelform, and the names in it, in their order."""
+    lines = re.findall(r"^[a-z ]* +([\w.]+): ([\w >]+)$", ARCHITECTURE.read_text(encoding="utf-8"), re.M)
+    return [(name, steps.split(" > ")) for name, steps in lines]
+
+
+@pytest.mark.parametrize(("name", "steps"), walked(), ids=lambda value: value if isinstance(value, str) else "")
+def test_the_walks_lead_through_the_code(name, steps):
+    """The function's own code has every step after the one before."""
+    path = max((one for one in MODULES if f"gelform.{name}".startswith(f"{name_of(one)}.")), key=name_of)
+    body: ast.AST = parsed(path)
+    for part in f"gelform.{name}".removeprefix(f"{name_of(path)}.").split("."):
+        body = next(node for node in body.body if getattr(node, "name", "") == part)
+    calls = [node for node in ast.walk(body) if isinstance(node, ast.Call)]
+    names = [(c.end_lineno, c.end_col_offset, ast.unparse(c.func).rpartition(".")[2]) for c in calls]
+    names += [(node.lineno, 0, node.name) for node in ast.walk(body) if isinstance(node, ast.FunctionDef)]
+    found = iter(one for *_, one in sorted(names))
+    missing = [step for step in steps if step not in found]
+    assert not missing, f"{name} has no {missing} in this order"
+
+
+def test_the_walks_are_of_images_presses_and_live_frames():
+    assert {name.split(".")[0] for name, _ in walked()} == {"reconstruct", "calibration", "sensors"}
 
 
 def test_imports_go_down():
