@@ -7,6 +7,7 @@ Files of other programs, met by any command: the message has what to do with the
 
 import errno
 import os
+from functools import partial
 
 import numpy as np
 import pytest
@@ -16,12 +17,12 @@ from hypothesis import strategies as st
 from gelform.calibration_file import load_calibration
 from gelform.cli import files as outputs
 from gelform.cli.files import (
-    background_in,
+    Inputs,
+    NewPicture,
     check_output,
     check_results,
-    image_in,
     make_folder,
-    picture_paths,
+    new_pictures,
     result_paths,
 )
 from gelform.errors import DataError
@@ -90,13 +91,13 @@ def test_results_that_are_there_and_inputs_are_protected(tmp_path):
 
 def test_pictures_replace_neither_images_nor_calibrations(tmp_path):
     images = [tmp_path / "a.png", tmp_path / "b.png"]
-    assert picture_paths(images, None, overwrite=False, protected=[]) == [None, None]
+    assert new_pictures(images, None, overwrite=False) == [None, None]
     out = tmp_path / "out"
-    named = picture_paths(images, out, overwrite=False, protected=[])
-    assert named == [out / "a.png", out / "b.png"]
-    for folder, protected in ((tmp_path, []), (out, [out / "a.png"])):
+    named = new_pictures(images, out, overwrite=False)
+    assert named == [NewPicture(out / "a.png", False), NewPicture(out / "b.png", False)]
+    for folder, read in ((tmp_path, [None]), (out, [None, out / "a.png"])):
         with pytest.raises(DataError, match="would replace an input"):
-            picture_paths(images, folder, overwrite=True, protected=protected)
+            new_pictures(images, folder, overwrite=True, read=read)
 
 
 def test_folders_that_cannot_be_made(tmp_path):
@@ -155,16 +156,18 @@ def calibration(calibration_file):
 
 def test_images_go_through_the_view(calibration, press_folder):
     path = press_folder / "images" / "0001.png"
-    assert image_in(path, calibration).shape == (120, 160, 3)
-    assert background_in(None, calibration) is None
-    assert background_in(press_folder / "background.png", calibration).shape == (120, 160, 3)
+    assert Inputs().image(path, calibration).shape == (120, 160, 3)
+    assert Inputs().background_for(calibration) is None
+    rest = Inputs(background=press_folder / "background.png").background_for(calibration)
+    assert rest.shape == (120, 160, 3)
 
 
 def test_another_size_names_the_file(calibration, tmp_path):
     save_picture(tmp_path / "small.png", np.zeros((60, 80, 3), dtype=np.uint8))
-    for read in (image_in, background_in):
+    small = tmp_path / "small.png"
+    for read in (partial(Inputs().image, small), Inputs(background=small).background_for):
         with pytest.raises(DataError, match=r"small\.png, for .*120x160.*60x80"):
-            read(tmp_path / "small.png", calibration)
+            read(calibration)
 
 
 BAG = "rosbags-convert --src {} --dst {}_mcap --dst-storage mcap"

@@ -4,27 +4,36 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
+
+from typer import BadParameter
 
 from gelform.cli.console import check_pictures, json_bytes, say
-from gelform.cli.options import STARTERS
+from gelform.cli.options import (
+    STARTERS,
+    Background,
+    Bgr,
+    OptionalCalibration,
+    StarterSensor,
+    number,
+    one_of,
+    pitch,
+)
 from gelform.cli.process import mistakes_in
-from gelform.errors import CalibrationError, DataError, GelformError
+from gelform.errors import DataError, GelformError
 from gelform.foundations.findings import Progress
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from gelform.calibration.library.library import Unit
     from gelform.calibration.presses.folder import Presses
     from gelform.calibration_file import Calibration
-    from gelform.cli.options import CalibrationOptions
     from gelform.reconstruct import Reconstructor
-    from gelform.result import Reconstruction
 
 REPORT_FILES = ("report.html", "report.json", "circles.csv")
 
@@ -78,10 +87,25 @@ def check_results(paths: Sequence[dict[str, Path]], *, overwrite: bool, protecte
         sweep(folder)
 
 
-def picture_paths(
-    images: Sequence[Path], folder: Path | None, *, overwrite: bool, protected: Sequence[Path]
-) -> list[Path | None]:
-    """The path of each image's picture; None for each without a folder. Checked before any work.
+@dataclass(frozen=True)
+class NewPicture:
+    """A picture to write."""
+
+    path: Path
+    overwrite: bool
+
+    def save(self, pixels: NDArray[np.uint8]) -> None:
+        """Write it; a missing folder is made."""
+        from gelform.exchange.plots import save_picture
+
+        make_folder(self.path.parent)
+        save_picture(self.path, pixels, overwrite=self.overwrite)
+
+
+def new_pictures(
+    images: Sequence[Path], folder: Path | None, *, overwrite: bool, read: Sequence[Path | None] = ()
+) -> list[NewPicture | None]:
+    """The picture of each image, None for each without a folder; checked before any work, and `read` is not replaced.
 
     Raises
     ------
@@ -94,8 +118,8 @@ def picture_paths(
         return [None] * len(images)
     check_pictures()
     paths = result_paths(images, folder, ["png"])
-    check_results(paths, overwrite=overwrite, protected=[*images, *protected])
-    return [one["png"] for one in paths]
+    check_results(paths, overwrite=overwrite, protected=[*images, *filter(None, read)])
+    return [NewPicture(one["png"], overwrite) for one in paths]
 
 
 def check_output(path: Path, *, overwrite: bool) -> None:
@@ -209,122 +233,145 @@ def _circles_csv(rows: Any) -> bytes:
     return table_text(lines).encode()
 
 
-def images_of(inputs: Sequence[Path], background: Path | None) -> list[Path]:
-    """The images of files and folders, without the background; DataError for a video or another file of several."""
-    images, film = images_or_film(inputs, background)
-    if film is not None:
-        holds = ", which also holds a video or a recording: name its images" if film.is_dir() else ""
-        raise DataError(
-            f"Expected images, got {film}{holds}. Its frames: gelform batch, or gelform reconstruct."
+@dataclass(frozen=True)
+class Inputs:
+    """What reads frames: a calibration (a file, else the library's newest of the unit, else a starter), and a background."""
+
+    calibration: OptionalCalibration = None
+    sensor: StarterSensor = None
+    mm_per_px: Annotated[
+        float | None, number("For a starter: width of an image pixel on the gel, mm.", pitch)
+    ] = None
+    background: Background = None
+    bgr: Bgr = False
+
+    def __post_init__(self) -> None:
+        """Refuse options that exclude each other; a starter needs the background image."""
+        if self.sensor is None:
+            if self.mm_per_px is not None:
+                raise BadParameter("is of a starter: name it with --sensor.", param_hint="--mm-per-px")
+            return
+        one_of(self.sensor, STARTERS, "--sensor")
+        if self.calibration is not None:
+            raise BadParameter(
+                "-c names the calibration already. Leave one of them out.", param_hint="--sensor"
+            )
+        if self.background is None or self.background.suffix.lower() == ".csv":
+            raise BadParameter(
+                "needed with --sensor: an image of the gel at rest, or a folder of several.",
+                param_hint="--background",
+            )
+
+    def calibration_of(self, source: str | Sequence[Path], quiet: bool) -> Calibration:
+        """The calibration for a source or for files of images; says which one it is unless it is a file's."""
+        from gelform.calibration.library.library import (
+            NoCalibration,
+            choose_calibration,
+            unit_of,
+            unit_of_all,
         )
-    return images
+        from gelform.calibration_file import load_calibration
 
+        if self.calibration is not None:
+            return load_calibration(self.calibration)
+        unit = unit_of(source) if isinstance(source, str) else unit_of_all(source)
+        try:
+            chosen = choose_calibration(unit, ready=self.sensor is None)
+        except NoCalibration as problem:
+            return self.starter(unit.serial, problem, quiet)
+        say(chosen.said, quiet)
+        return chosen.calibration
 
-def images_or_film(
-    inputs: Sequence[Path], background: Path | None, dataset: str = ""
-) -> tuple[list[Path], Path | None]:
-    """The images of files, folders and patterns; or the one video, recording or file of several images among them."""
-    import glob
-
-    from gelform.batch.inputs.listing import FILM_SUFFIXES, is_container, listing_of
-    from gelform.sensors.files import is_stack
-
-    images: list[Path] = []
-    leave_out = [] if background is None else [background]
-    for one in inputs:
-        is_pattern = glob.has_magic(str(one)) and not one.exists()
-        is_film = one.suffix.lower() in FILM_SUFFIXES or is_container(one) or is_stack(one)
-        if not (one.is_dir() or is_pattern or is_film):
-            images.append(one)
-            continue
-        for sequence in listing_of(one, leave_out=leave_out, dataset=dataset).sequences:
-            if not sequence.images:
-                if len(inputs) > 1:
-                    raise DataError(f"{sequence.path} is no image. Give it alone, or use gelform batch.")
-                return [], one
-            images += [sequence.path / name for name in sequence.images]
-    return images, None
-
-
-def image_in(path: Path, calibration: Calibration, *, bgr: bool = False) -> NDArray[np.uint8]:
-    """The image (H, W, 3), RGB, of a camera frame in a file; `bgr`: its channels are blue, green, red."""
-    from gelform.sensors.files import read_image
-
-    return _viewed(read_image(path, most_pixels=calibration.most_pixels, bgr=bgr), path, calibration)
-
-
-def background_in(path: Path | None, calibration: Calibration) -> NDArray[np.float32] | None:
-    """The background image from a file or a folder of frames; None without a path."""
-    from gelform.sensors.files import read_background
-
-    return None if path is None else _viewed(read_background(path), path, calibration)
-
-
-def calibration_given(
-    given: CalibrationOptions, background: Path | None, unit: Callable[[], Unit], quiet: bool = False
-) -> Calibration:
-    """The calibration from a file, else from the library, else a starter's; prints which one it is unless it is a file's."""
-    from gelform.calibration.library.library import NoCalibration, choose_calibration
-    from gelform.calibration_file import load_calibration
-
-    given.check(background)
-    if given.calibration is not None:
-        return load_calibration(given.calibration)
-    of = unit()
-    try:
-        chosen = choose_calibration(of, ready=given.sensor is None)
-    except NoCalibration as problem:
-        return starter_given(given, background, of.serial, problem, quiet)
-    say(chosen.said, quiet)
-    return chosen.calibration
-
-
-def starter_given(
-    given: CalibrationOptions, background: Path | None, serial: str, missing: GelformError, quiet: bool
-) -> Calibration:
-    """The requested starter's calibration, announced to the user; raises `missing` with advice if none is requested."""
-    if given.sensor is None or background is None:
-        known = ", ".join(STARTERS)
-        raise type(missing)(
-            f"{missing} Or take a starter, with an image of the gel at rest: --sensor NAME ({known}) --background IMG."
+    def starter(self, serial: str, missing: GelformError, quiet: bool) -> Calibration:
+        """The requested starter's calibration, announced to the user; raises `missing` with advice if none is requested."""
+        if self.sensor is None or self.background is None:
+            known = ", ".join(STARTERS)
+            raise type(missing)(
+                f"{missing} Or take a starter, with an image of the gel at rest: --sensor NAME ({known}) --background IMG."
+            )
+        made = starter_calibration(
+            self.sensor, self.background, mm_per_px=self.mm_per_px, serial=serial or None
         )
-    made = starter_calibration(given.sensor, background, mm_per_px=given.mm_per_px, serial=serial or None)
-    say(f"Calibration: the starter of a {made.sensor_name}, with {background} as its background.", quiet)
-    return made
+        say(
+            f"Calibration: the starter of a {made.sensor_name}, with {self.background} as its background.",
+            quiet,
+        )
+        return made
 
+    def background_for(self, calibration: Calibration) -> NDArray[np.float32] | None:
+        """The background image from the file or the folder of frames; None without one."""
+        from gelform.sensors.files import read_background
 
-def prepared(calibration: Calibration | Path, background: Path | None, **settings: Any) -> Reconstructor:
-    """A Reconstructor from a calibration and, if given, a background image or a folder of them."""
-    from gelform.calibration_file import as_calibration
-    from gelform.reconstruct import Reconstructor
+        path = self.background
+        return None if path is None else _viewed(read_background(path), path, calibration)
 
-    loaded = as_calibration(calibration)
-    return Reconstructor(loaded, background=background_in(background, loaded), **settings)
+    def image(self, path: Path, calibration: Calibration) -> NDArray[np.uint8]:
+        """The image (H, W, 3), RGB, of a camera frame in a file."""
+        from gelform.sensors.files import read_image
+
+        frame = read_image(path, most_pixels=calibration.most_pixels, bgr=self.bgr)
+        return _viewed(frame, path, calibration)
+
+    def reconstructor(self, calibration: Calibration | Path, **settings: Any) -> Reconstructor:
+        """A Reconstructor of a calibration with the background, if there is one."""
+        from gelform.calibration_file import as_calibration
+        from gelform.reconstruct import Reconstructor
+
+        loaded = as_calibration(calibration)
+        return Reconstructor(loaded, background=self.background_for(loaded), **settings)
+
+    def images(self, paths: Sequence[Path]) -> list[Path]:
+        """The images of files and folders, without the background; DataError for a video or another file of several."""
+        images, film = self.images_or_film(paths)
+        if film is not None:
+            holds = ", which also holds a video or a recording: name its images" if film.is_dir() else ""
+            raise DataError(
+                f"Expected images, got {film}{holds}. Its frames: gelform batch, or gelform reconstruct."
+            )
+        return images
+
+    def images_or_film(self, paths: Sequence[Path], dataset: str = "") -> tuple[list[Path], Path | None]:
+        """The images of files, folders and patterns; or the one video, recording or file of several images among them."""
+        import glob
+
+        from gelform.batch.inputs.listing import FILM_SUFFIXES, is_container, listing_of
+        from gelform.sensors.files import is_stack
+
+        images: list[Path] = []
+        leave_out = [] if self.background is None else [self.background]
+        for one in paths:
+            is_pattern = glob.has_magic(str(one)) and not one.exists()
+            is_film = one.suffix.lower() in FILM_SUFFIXES or is_container(one) or is_stack(one)
+            if not (one.is_dir() or is_pattern or is_film):
+                images.append(one)
+                continue
+            for sequence in listing_of(one, leave_out=leave_out, dataset=dataset).sequences:
+                if not sequence.images:
+                    if len(paths) > 1:
+                        raise DataError(f"{sequence.path} is no image. Give it alone, or use gelform batch.")
+                    return [], one
+                images += [sequence.path / name for name in sequence.images]
+        return images, None
 
 
 def starter_calibration(sensor: str, background: Path, *, bgr: bool = False, **known: Any) -> Calibration:
     """The calibration of a unit from an image of its gel at rest, or a folder of several, by its make's starter.
 
-    Parameters
-    ----------
-    bgr : whether the images are blue, green, red
-    known : mm_per_px, serial, gel_id, as `calibration_from_background` takes them
+    `known` are mm_per_px, serial and gel_id, as `calibration_from_background` takes them.
     """
     from gelform.calibration.starters import calibration_from_background
     from gelform.sensors.files import read_background
 
     untouched = read_background(background, bgr=bgr)
-    try:
-        with mistakes_in(background):
-            return calibration_from_background(untouched, sensor, **known)
-    except CalibrationError as problem:
-        raise CalibrationError(f"{background}: {problem}") from problem
+    with mistakes_in(background), named(background):
+        return calibration_from_background(untouched, sensor, **known)
 
 
-def reconstruction_of(run: Reconstructor, image: NDArray[np.uint8], path: Path) -> Reconstruction:
-    """The reconstruction of a file's image; an error names the file."""
+@contextmanager
+def named(path: Path) -> Iterator[None]:
+    """Name the file in an error of gelform's."""
     try:
-        return run.from_image(image)
+        yield
     except GelformError as problem:
         raise type(problem)(f"{path}: {problem}") from problem
 

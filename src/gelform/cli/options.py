@@ -196,34 +196,6 @@ class ShownOption:
 
 
 @dataclass(frozen=True)
-class CalibrationOptions:
-    """The calibration for the images: a file, else the library's newest of the unit, else a starter."""
-
-    calibration: OptionalCalibration = None
-    sensor: StarterSensor = None
-    mm_per_px: Annotated[
-        float | None, number("For a starter: width of an image pixel on the gel, mm.", pitch)
-    ] = None
-
-    def check(self, background: Path | None) -> None:
-        """Refuse options that exclude each other; a starter needs the background image."""
-        if self.sensor is None:
-            if self.mm_per_px is not None:
-                raise BadParameter("is of a starter: name it with --sensor.", param_hint="--mm-per-px")
-            return
-        one_of(self.sensor, STARTERS, "--sensor")
-        if self.calibration is not None:
-            raise BadParameter(
-                "-c names the calibration already. Leave one of them out.", param_hint="--sensor"
-            )
-        if background is None or background.suffix.lower() == ".csv":
-            raise BadParameter(
-                "needed with --sensor: an image of the gel at rest, or a folder of several.",
-                param_hint="--background",
-            )
-
-
-@dataclass(frozen=True)
 class PressOptions:
     """Facts about presses that their folder may lack: keywords of `read_presses`."""
 

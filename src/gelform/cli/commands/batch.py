@@ -15,15 +15,8 @@ import typer
 from typer import Argument, BadParameter, Option
 
 from gelform.cli.console import progress_shown, say
-from gelform.cli.options import (
-    AcceptDoubtful,
-    Bgr,
-    CalibrationOptions,
-    Dataset,
-    ShownOption,
-    one_of,
-    usage_errors,
-)
+from gelform.cli.files import Inputs
+from gelform.cli.options import AcceptDoubtful, Dataset, ShownOption, one_of, usage_errors
 from gelform.cli.process import MISTAKE
 from gelform.result.maps import KEPT_MAPS
 
@@ -43,11 +36,9 @@ def _shard(text: str) -> tuple[int, int]:
 
 
 @dataclass(frozen=True)
-class Frames:
-    """The places of frames and background images in the input."""
+class Frames(Inputs):
+    """Inputs of many sequences: also the places of frames and of background images."""
 
-    dataset: Dataset = ""
-    bgr: Bgr = False
     background: Annotated[
         Path | None,
         Option(
@@ -55,6 +46,7 @@ class Frames:
             help="Gel at rest: an image, a folder of several, or a table of sequence,background.",
         ),
     ] = None
+    dataset: Dataset = ""
     background_frames: Annotated[
         int, Option(metavar="N", min=0, help="Average the first N frames of each sequence as its background.")
     ] = 0
@@ -137,9 +129,8 @@ def batch(
             metavar="INPUT", help="Folder, video, recording, HDF5, Zarr, LeRobot, or a pattern in quotes."
         ),
     ],
-    given: CalibrationOptions,
+    given: Frames,
     output: Annotated[Path, Option("--output", "-o", metavar="DIR", help="Folder for the results.")],
-    frames: Frames,
     results: Results,
     machines: Machines,
     run: Run,
@@ -169,13 +160,11 @@ def batch(
       gelform batch sessions/ --sensor gelsight-mini --background rest.png -o depth
       gelform batch sessions/ -c cal.npz -o depth --shard 3/16
     """
-    given.check(frames.background)
     from gelform.batch import RunOptions, run_batch
     from gelform.calibration.library.library import NoCalibration
-    from gelform.cli.files import starter_given
     from gelform.cli.process import status_of
 
-    settings = results.settings(frames)
+    settings = results.settings(given)
     table = one_of(results.table, ("auto", "parquet", "csv"), "--table")
     with _progress(shown.silent) as progress:
         work = partial(
@@ -183,8 +172,8 @@ def batch(
             source,
             output=output,
             settings=settings,
-            background=frames.background,
-            dataset=frames.dataset,
+            background=given.background,
+            dataset=given.dataset,
             table=table,
             engine=machines.made(),
             options=RunOptions(shard=machines.shard, **vars(run)),
@@ -194,8 +183,7 @@ def batch(
         try:
             summary = work(calibration=given.calibration)
         except NoCalibration as problem:
-            starter = starter_given(given, frames.background, "", problem, shown.silent)
-            summary = work(calibration=starter)
+            summary = work(calibration=given.starter("", problem, shown.silent))
     shown.json({"output": output, **asdict(summary)})
     _report(summary, output, run.max_errors, shown.silent)
     if table == "auto" and summary.complete and summary.table.endswith(".csv"):

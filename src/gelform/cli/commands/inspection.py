@@ -3,39 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, BadParameter, Option
 
 from gelform.cli.console import figure, say
-from gelform.cli.files import (
-    calibration_given,
-    image_in,
-    images_of,
-    make_folder,
-    picture_paths,
-    prepared,
-    reconstruction_of,
-)
+from gelform.cli.files import Inputs, NewPicture, named, new_pictures
 from gelform.cli.options import (
     Background,
     Bgr,
     CalibrationFile,
-    CalibrationOptions,
     Images,
     Overwrite,
     PictureFolder,
     PressOptions,
     ShownOption,
 )
-from gelform.errors import CalibrationError, DataError
+from gelform.errors import DataError
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
     from gelform.calibration.presses.press_set import Presses
     from gelform.calibration_file import Calibration
     from gelform.reconstruct import Reconstructor
@@ -210,15 +197,16 @@ def compare(
     """
     if len(calibrations) != 2:
         raise BadParameter(f"expected two, got {len(calibrations)}.", param_hint="--calibration")
-    images = images_of(images, background)
-    pictures = _pictures(images, output, [*calibrations, background], overwrite)
+    given = Inputs(background=background, bgr=bgr)
+    images = given.images(images)
+    pictures = new_pictures(images, output, overwrite=overwrite, read=[*calibrations, background])
     with shown.progress() as progress:
         progress(0, len(images), "starting")
-        pair = [prepared(path, background) for path in calibrations]
+        pair = [given.reconstructor(path) for path in calibrations]
         names = (calibrations[0].stem, calibrations[1].stem)
         rows = []
         for done, (image, picture) in enumerate(zip(images, pictures)):
-            rows.append(_compare_one(pair, image, picture, names, bgr))
+            rows.append(_compare_one(given, pair, image, picture, names))
             progress(done + 1, len(images), "comparing")
     table = [(row["image"], *(figure(row[key]) for key in COMPARED)) for row in rows]
     columns = [column.format(u=rows[0]["unit"]) for column in COMPARED.values()]
@@ -228,16 +216,17 @@ def compare(
 
 
 def _compare_one(
+    given: Inputs,
     pair: Sequence[Reconstructor],
     path: Path,
     picture: NewPicture | None,
     names: tuple[str, str],
-    bgr: bool,
 ) -> dict[str, Any]:
     from gelform.exchange.plots import compare_results, comparison_picture
 
-    images = [image_in(path, run.calibration, bgr=bgr) for run in pair]
-    a, b = (reconstruction_of(run, image, path) for run, image in zip(pair, images))
+    images = [given.image(path, run.calibration) for run in pair]
+    with named(path):
+        a, b = (run.from_image(image) for run, image in zip(pair, images))
     compared = compare_results(a, b)
     if picture is not None:
         picture.save(comparison_picture(a, b, images[0], names=names))
@@ -247,10 +236,8 @@ def _compare_one(
 def explain(
     *,
     images: Images,
-    given: CalibrationOptions,
+    given: Inputs,
     output: PictureFolder = None,
-    background: Background = None,
-    bgr: Bgr = False,
     overwrite: Overwrite = False,
     shown: ShownOption,
 ) -> None:
@@ -267,14 +254,11 @@ def explain(
       gelform explain frame.png --sensor digit --background rest.png -o why
       gelform explain frame.png -c cal.npz --background today_rest.png -o why --overwrite
     """
-    given.check(background)
-    images = images_of(images, background)
-    pictures = _pictures(images, output, [given.calibration, background], overwrite)
-    from gelform.calibration.library.library import unit_of_all
-
-    used = calibration_given(given, background, lambda: unit_of_all(images), shown.silent)
-    run = prepared(used, background)
-    rows = [_explain_one(run, path, picture, bgr) for path, picture in zip(images, pictures)]
+    images = given.images(images)
+    read = [given.calibration, given.background]
+    pictures = new_pictures(images, output, overwrite=overwrite, read=read)
+    run = given.reconstructor(given.calibration_of(images, shown.silent))
+    rows = [_explain_one(given, run, path, picture) for path, picture in zip(images, pictures)]
     for row in rows:
         for finding in row["findings"]:
             if not shown.silent:
@@ -296,40 +280,15 @@ def explain(
     shown.json({"calibration": given.calibration and str(given.calibration), "images": rows})
 
 
-def _explain_one(run: Reconstructor, path: Path, picture: NewPicture | None, bgr: bool) -> dict[str, Any]:
-    image = image_in(path, run.calibration, bgr=bgr)
-    try:
+def _explain_one(given: Inputs, run: Reconstructor, path: Path, picture: NewPicture | None) -> dict[str, Any]:
+    image = given.image(path, run.calibration)
+    with named(path):
         found = run.explain(image)
-    except CalibrationError as problem:
-        raise CalibrationError(f"{path}: {problem}") from problem
     if picture is not None:
         from gelform.exchange.plots import explanation_picture
 
         picture.save(explanation_picture(found, image))
     return {"image": str(path), "picture": picture and str(picture.path), **found.to_dict()}
-
-
-@dataclass(frozen=True)
-class NewPicture:
-    """A picture to write."""
-
-    path: Path
-    overwrite: bool
-
-    def save(self, pixels: NDArray[np.uint8]) -> None:
-        from gelform.exchange.plots import save_picture
-
-        make_folder(self.path.parent)
-        save_picture(self.path, pixels, overwrite=self.overwrite)
-
-
-def _pictures(
-    images: Sequence[Path], folder: Path | None, read: Sequence[Path | None], overwrite: bool
-) -> list[NewPicture | None]:
-    """The picture of each image; None for each without a folder. Checked before any work."""
-    protected = [path for path in read if path is not None]
-    paths = picture_paths(images, folder, overwrite=overwrite, protected=protected)
-    return [None if path is None else NewPicture(path, overwrite) for path in paths]
 
 
 def _say_pictures(rows: Sequence[Any], output: Path | None, shown: ShownOption) -> None:

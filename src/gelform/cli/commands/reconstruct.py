@@ -12,26 +12,8 @@ import typer
 from typer import Argument, BadParameter, Option
 
 from gelform.cli.console import check_pictures, figure, say
-from gelform.cli.files import (
-    calibration_given,
-    check_results,
-    image_in,
-    images_or_film,
-    make_folder,
-    prepared,
-    reconstruction_of,
-    result_paths,
-)
-from gelform.cli.options import (
-    AcceptDoubtful,
-    Background,
-    Bgr,
-    CalibrationOptions,
-    Dataset,
-    Overwrite,
-    ShownOption,
-    one_of,
-)
+from gelform.cli.files import Inputs, check_results, make_folder, named, result_paths
+from gelform.cli.options import AcceptDoubtful, Dataset, Overwrite, ShownOption, one_of
 from gelform.cli.process import MISTAKE, one_line
 from gelform.errors import GelformError, reason
 from gelform.foundations.findings import FrameTally
@@ -40,6 +22,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from gelform.cli.commands.batch import Frames
     from gelform.result import Reconstruction
 
 SURFACES = ("ply", "stl", "tiff", "x3p")  # of exporters.surface; png is a picture here, not depth
@@ -65,9 +48,8 @@ def reconstruct(
             metavar="INPUT...", help="Images, folders, patterns in quotes; or one video, stack or recording."
         ),
     ],
-    given: CalibrationOptions,
+    given: Inputs,
     output: Annotated[Path, Option("--output", "-o", metavar="DIR", help="Folder for the results.")],
-    background: Background = None,
     solver: Annotated[str, Option(help="Solver from slopes to depth; auto chooses.")] = "auto",
     formats: Annotated[
         str,
@@ -76,7 +58,6 @@ def reconstruct(
         ),
     ] = "npz",
     dataset: Dataset = "",
-    bgr: Bgr = False,
     skip_existing: Annotated[
         bool, Option("--skip-existing", help="Skip images that have results, to continue a run.")
     ] = False,
@@ -111,23 +92,22 @@ def reconstruct(
       gelform reconstruct today/*.png -c cal.npz --background today_rest.png -o out --json
     """
     wanted = _formats(formats)
-    given.check(background)
-    images, film = images_or_film(inputs, background, dataset)
+    images, film = given.images_or_film(inputs, dataset)
     if film is not None:
         if wanted != ["npz"] or strict or skip_existing:
             only = "of a video or a recording, results are npz, and a run continues by itself."
             raise BadParameter(only, param_hint="--format, --strict, --skip-existing")
         from gelform.cli.commands.batch import Frames
 
-        frames = Frames(dataset=dataset, background=background, bgr=bgr)
+        frames = Frames(**vars(given), dataset=dataset)
         how = {"overwrite": overwrite, "accept_doubtful": accept_doubtful, "view": view}
-        _film(inputs[0], given, output, frames, solver, shown, **how)
+        _film(inputs[0], frames, output, solver, shown, **how)
     if dataset:
         raise BadParameter("is for an HDF5 file, a Zarr store or a LeRobot data set.", param_hint="--dataset")
     if view and len(images) == 1 and "png" not in wanted:
         wanted.append("png")
     paths = result_paths(images, output, wanted)
-    protected = [*images, *(one for one in (given.calibration, background) if one)]
+    protected = [*images, *filter(None, (given.calibration, given.background))]
     todo = list(zip(images, paths))
     if skip_existing:
         todo = [pair for pair in todo if not all(path.exists() for path in pair[1].values())]
@@ -136,18 +116,18 @@ def reconstruct(
     check_results([*checked, sheet], overwrite=overwrite or skip_existing, protected=protected)
     if "png" in wanted:
         check_pictures()
-    from gelform.calibration.library.library import unit_of_all
     from gelform.depth.solvers import SOLVERS
 
     one_of(solver, ("auto", *SOLVERS), "--solver")
-    used = calibration_given(given, background, lambda: unit_of_all(images), shown.quiet)
+    used = given.calibration_of(images, shown.quiet)
     with shown.progress() as progress:
-        run = prepared(used, background, solver=solver)
+        run = given.reconstructor(used, solver=solver)
         rows, failed, tiles, tally = [], [], [], FrameTally()
         for done, (path, results) in enumerate(todo):
             try:
-                image = image_in(path, run.calibration, bgr=bgr)
-                result = reconstruction_of(run, image, path)
+                image = given.image(path, run.calibration)
+                with named(path):
+                    result = run.from_image(image)
             except (GelformError, MemoryError) as problem:
                 failed.append({"image": str(path), "error": one_line(reason(problem))})
             else:
@@ -182,9 +162,8 @@ def reconstruct(
 
 def _film(
     source: Path,
-    given: CalibrationOptions,
+    given: Frames,
     output: Path,
-    frames: Any,
     solver: str,
     shown: ShownOption,
     *,
@@ -200,7 +179,6 @@ def _film(
             source=str(source),
             given=given,
             output=output,
-            frames=frames,
             results=Results(keep="all", solver=solver),
             machines=Machines(shard=(1, 1)),
             run=Run(overwrite=overwrite),

@@ -14,14 +14,11 @@ import typer
 from typer import Argument, Option
 
 from gelform.cli.console import say
-from gelform.cli.files import background_in, calibration_given
+from gelform.cli.files import Inputs, check_output
 from gelform.cli.options import (
     ALL_TOPICS,
     USUAL_TOPICS,
     AcceptDoubtful,
-    Background,
-    Bgr,
-    CalibrationOptions,
     Overwrite,
     ShownOption,
     number,
@@ -45,7 +42,7 @@ PRIOR = "MM,DEG"
 
 @dataclass(frozen=True)
 class Sent:
-    """Topics of a source, their prefix, the duration, the background image, and the order of the channels."""
+    """Topics of a source, their prefix, and the duration."""
 
     topics: Annotated[str, Option(metavar="A,B", help=f"Topics, of {ALL_TOPICS}.")] = USUAL_TOPICS
     name: Annotated[
@@ -53,8 +50,6 @@ class Sent:
         Option(metavar="NAME", help="Prefix of topics and frames; else the calibration's sensor."),
     ] = None
     seconds: Annotated[float | None, number("Duration in seconds; else to the end or Ctrl-C.")] = None
-    background: Background = None
-    bgr: Bgr = False
     accept_doubtful: AcceptDoubtful = False
 
     def wanted(self) -> tuple[str, ...]:
@@ -66,11 +61,11 @@ class Sent:
                 check_sensor_name(self.name)
         return wanted
 
-    def settings(self, calibration: Calibration) -> dict[str, Any]:
+    def settings(self, given: Inputs, calibration: Calibration) -> dict[str, Any]:
         """Keywords of `save_bag` and `publish`."""
-        background = background_in(self.background, calibration)
+        background = given.background_for(calibration)
         named = {"topics": self.wanted(), "sensor": self.name, "seconds": self.seconds}
-        return {**named, "background": background, "bgr": self.bgr}
+        return {**named, "background": background, "bgr": given.bgr}
 
 
 def bag(
@@ -78,7 +73,7 @@ def bag(
     source: Annotated[
         str, Argument(metavar="INPUT", help="Recording, video, folder, serial, name, URL, or simulated.")
     ],
-    given: CalibrationOptions,
+    given: Inputs,
     output: Annotated[Path, Option("--output", "-o", metavar="DIR", help="A new folder: the bag of ROS 2.")],
     sent: Sent,
     shown: ShownOption,
@@ -98,13 +93,12 @@ def bag(
       gelform bag video.mp4 --sensor digit --background rest.png -o press_bag
       gelform bag video.mp4 -c cal.npz -o press_bag --topics indentation,diagnostics
     """
-    from gelform.calibration.library.library import unit_of
     from gelform.robots.send import save_bag
 
     wanted = sent.wanted()
-    loaded = calibration_given(given, sent.background, lambda: unit_of(source), shown.quiet)
+    loaded = given.calibration_of(source, shown.quiet)
     with shown.progress() as progress:
-        stats = save_bag(source, loaded, output, **sent.settings(loaded), progress=progress)
+        stats = save_bag(source, loaded, output, **sent.settings(given, loaded), progress=progress)
     shown.say(f"Wrote {output}: {stats.frames} frames in {stats.duration_s:.1f} s, {stats.drops} dropped.")
     if not stats.stamped:
         shown.say("The frames have no capture time, so their stamps begin now.")
@@ -114,7 +108,7 @@ def bag(
 
 def ros(
     *,
-    given: CalibrationOptions,
+    given: Inputs,
     source: Annotated[
         str, Argument(metavar="[SOURCE]", help="Serial, name, URL, recording, video, folder, or simulated.")
     ] = "simulated",
@@ -138,13 +132,12 @@ def ros(
       gelform ros 2BKRXXXX -c cal.npz --name left_finger --topics indentation,diagnostics
       gelform ros session.mcap -c cal.npz --router tcp/192.168.1.5:7447 --domain 7
     """
-    from gelform.calibration.library.library import unit_of
     from gelform.robots.send import publish
 
     wanted = sent.wanted()
-    loaded = calibration_given(given, sent.background, lambda: unit_of(source), shown.quiet)
+    loaded = given.calibration_of(source, shown.quiet)
     with mistakes_in("ros"), shown.progress() as progress:
-        settings = {**sent.settings(loaded), "router": router, "domain": domain}
+        settings = {**sent.settings(given, loaded), "router": router, "domain": domain}
         stats = publish(source, loaded, **settings, progress=progress)
     shown.say(f"Published {stats.frames} frames in {stats.duration_s:.1f} s, {stats.drops} dropped.")
     shown.json({**asdict(stats), "topics": [TOPICS[one].of(stats.sensor) for one in wanted]})
@@ -154,7 +147,7 @@ def ros(
 def track(
     *,
     source: Annotated[str, Argument(metavar="INPUT", help="Recording, video, folder, serial, name or URL.")],
-    given: CalibrationOptions,
+    given: Inputs,
     output: Annotated[Path, Option("--output", "-o", metavar="CSV", help="Table of the poses.")],
     surface: Annotated[
         Path | None,
@@ -164,8 +157,6 @@ def track(
         str | None,
         Option(metavar=PRIOR, help="Motion from a frame to the next, standard deviations in mm and degrees."),
     ] = None,
-    background: Background = None,
-    bgr: Bgr = False,
     overwrite: Overwrite = False,
     shown: ShownOption,
 ) -> None:
@@ -181,8 +172,6 @@ def track(
       gelform track video.mp4 -c cal.npz -o track.csv --prior 0.1,0.5
       gelform track session.mcap -c cal.npz -o track.csv --surface plate.ply
     """
-    from gelform.calibration.library.library import unit_of
-    from gelform.cli.files import check_output
     from gelform.motion.between import LOST, checked_prior
     from gelform.motion.track import Follower
     from gelform.sensors.source import open_source
@@ -194,12 +183,12 @@ def track(
         checked_prior(in_rad)
     for path in filter(None, (output, surface)):
         check_output(path, overwrite=overwrite)
-    loaded = calibration_given(given, background, lambda: unit_of(source), shown.quiet)
-    known, follow = background_in(background, loaded), Follower(in_rad, loaded.settings.place_error)
+    loaded = given.calibration_of(source, shown.quiet)
+    known, follow = given.background_for(loaded), Follower(in_rad, loaded.settings.place_error)
     poses: list[Tracked] = []
     total = frames_stated(source)
     results: dict[int, Reconstruction] = {}  # for a surface: of the keyframes, and the last two frames
-    opened = partial(open_source, source, bgr=bgr)
+    opened = partial(open_source, source, bgr=given.bgr)
     with shown.progress() as progress, stream(opened, loaded, background=known) as running:
         for number, one in enumerate(_frames_of(source, running)):
             poses.append(follow(one.result))
