@@ -6,7 +6,7 @@ import json
 import math
 import re
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -62,8 +62,13 @@ def show(text: str) -> None:
     typer.echo(printable(text))
 
 
-def show_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """Print a table on standard output; its first column is text, the others are numbers."""
+def show_table(
+    title: str, columns: Mapping[str, str] | Sequence[str], rows: Iterable[Mapping[str, Any] | Sequence[Any]]
+) -> None:
+    """Print a table on standard output; its first column is text, the others are numbers.
+
+    Each row is a record, and `columns` has the headings of its keys; or it has a value for each heading.
+    """
     from rich.console import Console
     from rich.table import Table
 
@@ -75,10 +80,11 @@ def show_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]
         pad_edge=False,
         padding=(0, 2, 0, 0),
     )
-    for k, column in enumerate(columns):
+    for k, column in enumerate(columns.values() if isinstance(columns, Mapping) else columns):
         table.add_column(column, justify="left" if k == 0 else "right", overflow="fold")
     for row in rows:
-        table.add_row(*map(printable, row))
+        cells = [row[name] for name in columns] if isinstance(row, Mapping) else row
+        table.add_row(*(printable(figure(cell)) for cell in cells))
     on_screen = sys.stdout is not None and sys.stdout.isatty()
     wide = None if on_screen else 400  # in a file or a pipe no name is wrapped
     console = Console(highlight=False, markup=False, width=wide)
@@ -117,8 +123,8 @@ def json_bytes(content: Mapping[str, Any]) -> bytes:
 
 
 def figure(value: Any) -> str:
-    """A number for a table; a dash for None and NaN."""
-    if value is None or (isinstance(value, float) and not math.isfinite(value)):
+    """A number for a table; a dash for None, NaN and an empty text."""
+    if value is None or value == "" or (isinstance(value, float) and not math.isfinite(value)):
         return "-"
     return f"{value:.3g}" if isinstance(value, float) else str(value)
 

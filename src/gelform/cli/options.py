@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 import inspect
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from functools import wraps
@@ -180,10 +180,10 @@ class ShownOption:
         """Print a line for the user."""
         say(text, self.quiet)
 
-    def table(self, title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-        """Print a table for the user."""
+    def table(self, *table: Any) -> None:
+        """Print a table for the user, as `show_table`."""
         if not self.silent:
-            show_table(title, columns, rows)
+            show_table(*table)
 
     def json(self, content: Mapping[str, Any]) -> None:
         """Print the numbers as JSON, if requested."""

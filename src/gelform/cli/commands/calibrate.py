@@ -149,14 +149,12 @@ def _show(calibration: Calibration) -> None:
     if rejected:
         show_table("Rejected presses", ("press", "reason"), rejected)
     tried = [
-        (one["candidate"] + (" (chosen)" if one["chosen"] else ""), figure(one["normal_free_deg"]))
+        (one["candidate"] + (" (chosen)" if one["chosen"] else ""), one["normal_free_deg"])
         for one in report.candidates
     ]
     show_table("Color models tried", ("model", "held-out normal error (°)"), tried)
-    held_out = [
-        (FIGURES[name], figure(saved), figure(report.held_out[name]))
-        for name, saved in report.held_out_saved.items()
-    ]
+    saved = report.held_out_saved.items()
+    held_out = [(FIGURES[name], error, report.held_out[name]) for name, error in saved]
     columns = ("held-out error", "saved model", "whole procedure")
     show_table("Errors on held-out presses", columns, held_out)
     for note in report.notes:

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer import Argument, BadParameter, Option
 
-from gelform.cli.console import figure, print_json, printable
+from gelform.cli.console import print_json, printable
 from gelform.cli.options import NewCalibration, Overwrite, ShownOption
 from gelform.errors import DataError
 
@@ -68,10 +68,10 @@ def list_(
     rows = [
         (
             one.sensor_name,
-            one.serial or "-",
-            one.gel_id or "-",
+            one.serial,
+            one.gel_id,
             date_of(one.created_utc),
-            *(figure(one.held_out.get(name)) for name in COLUMNS),
+            *map(one.held_out.get, COLUMNS),
             one.digest[:DIGEST_SHOWN],
         )
         for one in there

@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Option
 
-from gelform.cli.console import figure
 from gelform.cli.files import check_output
 from gelform.cli.options import Background, Bgr, CalibrationFile, Overwrite, ShownOption
 from gelform.cli.process import only_writer
@@ -136,8 +135,7 @@ def evaluate(
         )
         if errors[kind]:
             shown.table(f"Errors of the force: {kind}", columns, [_row(row) for row in errors[kind]])
-    reasons = [(reason, str(count)) for reason, count in errors["reasons"].items()]
-    shown.table("Without a normal force", ("reason", "presses"), reasons)
+    shown.table("Without a normal force", ("reason", "presses"), errors["reasons"].items())
     ratio = sigma_ratio(loaded.force, found.touches, found.loads)
     if ratio is not None:
         remedy = "" if ratio < DOUBTED_RATIO else " Calibrate again, with these objects too."
@@ -155,11 +153,10 @@ def _read(folder: Path, calibration: Calibration, shown: ShownOption, **given: A
     return found
 
 
-def _row(row: Mapping[str, Any]) -> Sequence[str]:
+def _row(row: Mapping[str, Any]) -> Sequence[Any]:
     errors = row.get("mae"), row.get("constant", {}).get("mae")
     shares = [None if row.get(name) is None else 100 * row[name] for name in ("refused", *SHARES)]
-    refused, *others = map(figure, shares)
-    return row["object"], str(row["presses"]), refused, *map(figure, errors), *others
+    return row["object"], row["presses"], shares[0], *errors, *shares[1:]
 
 
 COMMANDS = (calibrate, evaluate)

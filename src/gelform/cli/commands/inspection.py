@@ -40,6 +40,7 @@ SEEN = (
     "fits all circles together; here each circle is found in its own image."
 )
 COMPARED = {  # {u}: the unit of depth
+    "image": "image",
     "peak_a": "peak A ({u})",
     "peak_b": "peak B ({u})",
     "difference_rms": "RMS of B - A ({u})",
@@ -89,7 +90,7 @@ def evaluate(
         (
             f"{row['name']}{' (used)' if row['seen'] else ''}",
             f"{row['ball_diameter_mm']:g}",
-            *(figure(row["errors"][name]) if row["reason"] is None else "-" for name in COLUMNS),
+            *(row["errors"][name] if row["reason"] is None else None for name in COLUMNS),
         )
         for row in evaluation.rows
     ]
@@ -97,12 +98,16 @@ def evaluate(
     left_out = [(row["name"], row["reason"]) for row in evaluation.rows if row["reason"] is not None]
     if left_out:
         shown.table("Rejected presses", ("press", "reason"), left_out)
-    summary = [(FIGURES[name], figure(value)) for name, value in evaluation.summary.items()]
+    summary = [(FIGURES[name], value) for name, value in evaluation.summary.items()]
     shown.table("Over all presses", ("error", "value"), summary)
     _show_where(evaluation.where, shown)
     shown.say(verdict_of(evaluation.summary, loaded.held_out))
     if evaluation.flats:
-        heights = [_height_row(**flat) for flat in evaluation.flats]
+        heights = []
+        for flat in evaluation.flats:
+            name, height, read = flat["name"], flat["height_mm"], flat["read_mm"]
+            measured = (None, None) if read is None else (f"{read:.3f}", 100 * read / height)
+            heights.append((name, f"{height:g}", *measured))
         shown.table("Flat punches", ("press", "height (mm)", "measured (mm)", "measured/height (%)"), heights)
 
 
@@ -120,12 +125,6 @@ def verdict_of(found: Mapping[str, float], held_out: Mapping[str, Any]) -> str:
     )
 
 
-def _height_row(name: str, height_mm: float, read_mm: float | None) -> tuple[str, str, str, str]:
-    if read_mm is None:
-        return name, f"{height_mm:g}", "-", "-"
-    return name, f"{height_mm:g}", f"{read_mm:.3f}", figure(100 * read_mm / height_mm)
-
-
 def _show_where(where: dict[str, Any], shown: ShownOption) -> None:
     """Show normal errors by the ball's slope and by place: inside the contact edge and up to the visible rim."""
     to_rim = {b["slope_from"]: b for b in where["rim"]["by_slope"]}
@@ -134,10 +133,10 @@ def _show_where(where: dict[str, Any], shown: ShownOption) -> None:
     rows = [
         (
             f"{b['slope_from']:g}-{b['slope_to']:g}",
-            figure(b["normal_deg"]),
-            figure(b["gain"]),
-            figure(to_rim[b["slope_from"]]["normal_deg"]) if b["slope_from"] in to_rim else "-",
-            str(b["pixels"]),
+            b["normal_deg"],
+            b["gain"],
+            to_rim.get(b["slope_from"], {}).get("normal_deg"),
+            b["pixels"],
         )
         for b in where["contact"]["by_slope"]
     ]
@@ -208,9 +207,8 @@ def compare(
         for done, (image, picture) in enumerate(zip(images, pictures)):
             rows.append(_compare_one(given, pair, image, picture, names))
             progress(done + 1, len(images), "comparing")
-    table = [(row["image"], *(figure(row[key]) for key in COMPARED)) for row in rows]
-    columns = [column.format(u=rows[0]["unit"]) for column in COMPARED.values()]
-    shown.table("Comparison", ("image", *columns), table)
+    columns = {name: column.format(u=rows[0]["unit"]) for name, column in COMPARED.items()}
+    shown.table("Comparison", columns, rows)
     _say_pictures(rows, output, shown)
     shown.json({"a": str(calibrations[0]), "b": str(calibrations[1]), "images": rows})
 
@@ -267,9 +265,9 @@ def explain(
     table = [
         (
             row["image"],
-            figure(100 * row["trusted_share"]),
-            figure(row["median_sigma"]),
-            *(figure(100 * row["variance_shares"][name]) for name in names),
+            100 * row["trusted_share"],
+            row["median_sigma"],
+            *(100 * row["variance_shares"][name] for name in names),
         )
         for row in rows
     ]

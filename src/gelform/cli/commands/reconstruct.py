@@ -247,7 +247,7 @@ def _report(rows: Sequence[dict[str, Any]], shown: ShownOption) -> None:
         say(f"warning ({count} of {len(rows)} images): {message}")
     scaled = "peak_mm" in rows[0]
     keys = ("peak_mm", "contact_mm2") if scaled else ("peak_px", "contact_px")
-    table = [(row["outputs"][0], *(figure(row[key]) for key in (*keys, "curl_rms"))) for row in rows]
+    table = [(row["outputs"][0], *(row[key] for key in (*keys, "curl_rms"))) for row in rows]
     columns = ("peak (mm)", "contact (mm²)") if scaled else ("peak (px)", "contact (px)")
     shown.table("Results", ("file", *columns, "curl (1/px)"), table)
     if not (scaled or shown.silent):

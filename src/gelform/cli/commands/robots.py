@@ -204,8 +204,7 @@ def track(
     shown.say(f"Wrote {output}: {', '.join(f'{count} {state}' for state, count in states.items())}.")
     reasons = Counter(pose.motion.why.partition(":")[0] for pose in poses if pose.motion.state == LOST)
     if reasons:
-        rows = [(reason, str(count)) for reason, count in reasons.most_common()]
-        shown.table("Frames without a pose", ("reason", "frames"), rows)
+        shown.table("Frames without a pose", ("reason", "frames"), reasons.most_common())
     if surface is not None:
         from gelform.motion.track import mosaic
 

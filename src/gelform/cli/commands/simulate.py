@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from typer import Argument, BadParameter, Option
 
-from gelform.cli.console import check_pictures, figure, say
+from gelform.cli.console import check_pictures, say
 from gelform.cli.files import check_output
 from gelform.cli.options import (
     FORMS,
@@ -33,15 +33,14 @@ if TYPE_CHECKING:
 GRAY_SHAPE, GRAY_LEVEL = (240, 320, 3), 110.0  # background for tables without one: shape and gray level
 TABLES_NOISE = 1.0  # gray levels, assumed noise: the tables state none
 
-# headings of the table of `gelform design`, in the order of its JSON keys
-DESIGN_COLUMNS = (
-    "design",
-    "depth RMSE (um)",
-    "its standard error (um)",
-    "normal error (°)",
-    "slope noise (mm/mm)",
-    "condition number (1 is best)",
-)
+DESIGN_COLUMNS = {
+    "design": "design",
+    "depth_rmse_um": "depth RMSE (um)",
+    "depth_rmse_se_um": "its standard error (um)",
+    "normal_deg": "normal error (°)",
+    "slope_sigma": "slope noise (mm/mm)",
+    "condition": "condition number (1 is best)",
+}
 
 
 @dataclass(frozen=True)
@@ -273,7 +272,6 @@ def design(
         for result in results
     ]
     shown.json({"sensor": chosen.name, "designs": rows})
-    lines = [[str(row["design"]), *(figure(row[name]) for name in list(row)[1:])] for row in rows]  # type: ignore[arg-type]
-    shown.table(f"Designs of {chosen.name}", DESIGN_COLUMNS, lines)
+    shown.table(f"Designs of {chosen.name}", DESIGN_COLUMNS, rows)
     if output is not None and not shown.as_json:
         shown.say(f"Wrote {output}.")

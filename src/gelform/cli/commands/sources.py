@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, BadParameter, Option
 
-from gelform.cli.console import figure, print_json, say
+from gelform.cli.console import print_json, say
 from gelform.cli.options import Bgr, MmPerPx, Sensor, ShownOption, ball_diameter, number, usage_errors
 from gelform.errors import CalibrationError, DataError, GelformError
 
@@ -106,11 +106,8 @@ def cameras(
     if not found:
         shown.say(NOTHING_THERE)
         return
-    rows = [
-        (one["name"], one["serial"] or "-", one["path"], one["sensor"] or "-", figure(one["rate_hz"]))
-        for one in found
-    ]
-    shown.table("Cameras", ("name", "serial", "path", "sensor", "measured Hz"), rows)
+    columns = ("name", "serial", "path", "sensor")
+    shown.table("Cameras", {**dict(zip(columns, columns)), "rate_hz": "measured Hz"}, found)
     for one in found:
         if one["problem"]:
             shown.say(f"{one['path']}: {one['problem']}")
