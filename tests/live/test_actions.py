@@ -265,9 +265,9 @@ def test_a_ball_of_no_size_is_refused_and_without_a_guide_there_is_nothing_to_fi
 
 def test_the_simulated_sensor_knows_its_scale(hub, sensor):
     actions.guide_start(hub, 0, 5.0, "", 0.0)
-    assert hub.guides[0].guide.asked.mm_per_px == sensor.mm_per_px
+    assert hub.guides[0].guide.settings.mm_per_px == sensor.mm_per_px
     actions.guide_start(hub, 0, 6.0, "", 0.0)
-    assert hub.guides[0].guide.asked.ball_diameter_mm == 6.0
+    assert hub.guides[0].guide.ball_diameter_mm == 6.0
     assert len(hub.stations[0].taps) == 1
 
 

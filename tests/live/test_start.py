@@ -367,9 +367,9 @@ def test_the_guide_takes_its_scale(never):
     hub, _ = never
     actions.take_starter(hub, 0, MAKE)
     actions.guide_start(hub, 0, 5.0, MAKE, 0.5)
-    asked = hub.guides[0].guide.asked
-    assert asked.mm_per_px == load_starter(MAKE).calibration.mm_per_px
-    assert (asked.sensor_name, asked.serial) == (MAKE, "S1")
+    known = hub.guides[0].guide.settings
+    assert known.mm_per_px == load_starter(MAKE).calibration.mm_per_px
+    assert (known.name, known.serial) == (MAKE, "S1")
 
 
 def test_a_make_that_was_named_is_asked_for_instead_of_calibrated():

@@ -313,23 +313,24 @@ def guide_start(hub: Hub, station: int, ball_diameter_mm: float, profile: str, m
 
     The scale is the profile's, or the given one, or the simulated sensor's own.
     """
-    from gelform.calibration.guided.guide import Asked, Guide
+    from gelform.calibration.guided.guide import Guide
     from gelform.live.guide import GuideSession
 
     chosen = hub.station(station)
     if chosen.newest is None or chosen.source is None:
         raise GelformError("There is no frame yet. Connect the sensor first.")
     height, width = chosen.newest.frame.image.shape[:2]
-    asked = Asked.of(
+    guide = Guide.of(
         chosen.source,
         (height, width),
         ball_diameter_mm,
         profile=profile,
         mm_per_px=mm_per_px,
         begun=chosen.setup.calibration,
+        on_changed=hub.changed,
     )
     hub.end_guide(station)
-    hub.guides[station] = GuideSession(chosen, Guide(asked, hub.changed))
+    hub.guides[station] = GuideSession(chosen, guide)
     if chosen.player is not None:
         chosen.player.loop(False)
         chosen.player.seek(0)

@@ -55,7 +55,7 @@ class GuideSession:
             self._simulated.lift()
             return
         self._pressed_s = now
-        radius = guide.asked.ball_diameter_mm / 2
+        radius = guide.ball_diameter_mm / 2
         fraction = RIM_FRACTIONS[guide.count % len(RIM_FRACTIONS)]
         depth = DEPTH_RATIO * radius * fraction**2 + 0.05
         self._simulated.press_at(target.x_px, target.y_px, depth, ball_diameter_mm=2 * radius, held_s=HELD_S)

@@ -16,11 +16,12 @@ import pytest
 import gelform
 from gelform.calibration.guided import fit
 from gelform.calibration.guided import guide as module
-from gelform.calibration.guided.guide import LEAST, NEXT_PLACES, STILL_LOOKS, Asked, Guide
+from gelform.calibration.guided.guide import LEAST, NEXT_PLACES, STILL_LOOKS, Guide
 from gelform.calibration.starters import load_starter
 from gelform.errors import GelformError
 from gelform.image.background import USUAL_FRAMES
 from gelform.image.frame import Frame
+from gelform.sensors.files import SensorSettings
 from gelform.simulate import LAYOUTS, Ball, simulate_background, simulate_press
 
 
@@ -66,7 +67,7 @@ def test_an_image_of_another_sensor_is_refused_with_the_reason(judge, untouched)
 @pytest.fixture
 def guide(sensor, monkeypatch):
     monkeypatch.setattr(module, "LOOK_EVERY_S", 0.0)
-    return Guide(Asked(5.0, sensor.mm_per_px, sensor_name="small", make="gelsight-mini"))
+    return Guide(SensorSettings("small", sensor.mm_per_px, make="gelsight-mini"), 5.0)
 
 
 @pytest.fixture
@@ -157,7 +158,7 @@ def test_presses_fill_the_coverage_and_move_the_target_away(guide, see, press):
     assert len(targets) > 3
     made = guide.presses()
     assert len(made.presses) == LEAST
-    assert (made.mm_per_px, made.make) == (guide.asked.mm_per_px, "gelsight-mini")
+    assert (made.mm_per_px, made.make) == (guide.settings.mm_per_px, "gelsight-mini")
 
 
 def test_presses_that_show_little_are_never_enough(guide, see, press, monkeypatch):
@@ -207,7 +208,7 @@ def test_a_background_that_something_touches_is_refused_while_it_does(guide, mon
     touched = np.asarray(simulate_press(layout, Ball(2.5), depth_mm=0.5, rng=rng).image)
     rest = np.asarray(simulate_background(layout, rng))
     for images, step in (([touched], "background"), ([touched, rest], "press"), ([touched] * 6, "press")):
-        one = Guide(guide.asked)
+        one = Guide(guide.settings, 5.0)
         for k, image in enumerate(images):
             for _ in range(USUAL_FRAMES):
                 one.look_at(Frame(image, 0.0, 0, k))

@@ -24,22 +24,13 @@ from gelform.sensors.recordings.record import named_by_time
 
 @dataclass(frozen=True, eq=False)
 class GuidedCalibration:
-    """A calibration of guided presses.
-
-    Attributes
-    ----------
-    calibration : Calibration
-    folder : has the presses, calibration.npz and report.html
-    report : the figures that the live page shows; the full report is a file
-    covered : the coverage of the presses that it was fitted on
-    places : the next places to press, which the report marks 1, 2, 3
-    """
+    """A calibration of guided presses."""
 
     calibration: Calibration
-    folder: Path
-    report: dict[str, Any]
-    covered: Coverage
-    places: tuple[PressPlace, ...]
+    folder: Path  # has the presses, calibration.npz and report.html
+    report: dict[str, Any]  # the figures that the live page shows; the full report is a file
+    covered: Coverage  # of the presses that it was fitted on
+    places: tuple[PressPlace, ...]  # the next ones to press, which the report marks 1, 2, 3
 
     @property
     def report_file(self) -> Path:

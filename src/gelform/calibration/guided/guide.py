@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,8 @@ from gelform.calibration.circles.find import (
 from gelform.calibration.circles.prepare import BLUR_PX, USUAL_OFFSET, ColorChanges
 from gelform.calibration.coverage import NEEDED, Coverage, PressPlace, press_coverage, press_next
 from gelform.calibration.guided.fit import GuidedCalibration, calibrate_guided
-from gelform.calibration.presses.press_set import Press, Presses, check_ball_diameter
+from gelform.calibration.presses.press_set import Press, Presses, check_ball_diameter, presses_from_settings
+from gelform.calibration.presses.taken import settings_of
 from gelform.calibration.report.content import LIMITS, level_of
 from gelform.calibration.starters import starter_for, starter_names
 from gelform.calibration_file import Calibration
@@ -34,8 +35,9 @@ from gelform.foundations.checks import check_sensor_pitch
 from gelform.foundations.findings import Finding, Progress, no_progress
 from gelform.image.background import USUAL_FRAMES, ChangeSettings, background_from_frames, surround_finding
 from gelform.image.frame import Frame, pixels_digest
-from gelform.image.view import View, image_from_frame
-from gelform.sensors.profiles import check_gel_width, make_of, profile_named
+from gelform.image.view import image_from_frame
+from gelform.sensors.files import SensorSettings
+from gelform.sensors.profiles import check_gel_width, make_of
 from gelform.sensors.simulated import SimulatedSource
 from gelform.sensors.source import Source
 
@@ -53,22 +55,13 @@ Circle = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Look:
-    """The content of an image.
+    """The content of an image."""
 
-    Attributes
-    ----------
-    circle : the contact (x, y, radius) in px, or None
-    touched : whether anything touches the gel
-    marked : whether the circle's center is the one that was clicked
-    moving : whether it differs from the previous image
-    reason : why this press is not accepted; "" if it is
-    """
-
-    circle: Circle | None
-    touched: bool
-    moving: bool
-    reason: str
-    marked: bool = False
+    circle: Circle | None  # the contact (x, y, radius), px
+    touched: bool  # whether anything touches the gel
+    moving: bool  # whether it differs from the previous image
+    reason: str  # why this press is not accepted; "" if it is
+    marked: bool = False  # whether the circle's center is the one that was clicked
 
 
 class Judge:
@@ -164,76 +157,13 @@ MOST_REFUSALS = (
 COVERED = next(limit for limit in LIMITS if limit.name == "covered_percent")
 
 
-@dataclass(frozen=True)
-class Asked:
-    """The user's input before the first press.
-
-    Attributes
-    ----------
-    ball_diameter_mm : of the ball
-    mm_per_px, mm_per_px_sigma : scale of the images
-    view : from frames to images
-    sensor_name, serial : of the sensor
-    make : name of its profile; None if unknown
-    """
-
-    ball_diameter_mm: float
-    mm_per_px: float
-    mm_per_px_sigma: float | None = None
-    view: View = field(default_factory=View)
-    sensor_name: str = "sensor"
-    serial: str | None = None
-    make: str | None = None
-
-    @classmethod
-    def of(
-        cls,
-        source: Source,
-        frame_shape: tuple[int, int],
-        ball_diameter_mm: float,
-        *,
-        profile: str = "",
-        mm_per_px: float = 0.0,
-        begun: Calibration | None = None,
-    ) -> Asked:
-        """What is known of a source's sensor; the scale is the simulated sensor's, the profile's, or the given one.
-
-        Parameters
-        ----------
-        frame_shape : (H, W) of its frames
-        profile : name of a sensor; "": unknown
-        mm_per_px : for a sensor without a profile
-        begun : the calibration in use; if the profile's starter made it, its scale and view are taken
-
-        Raises
-        ------
-        GelformError
-            The ball or the scale is impossible, or the profile is unknown.
-        """
-        try:
-            diameter = check_ball_diameter(ball_diameter_mm)
-            if isinstance(source, SimulatedSource):
-                return cls(diameter, source.sensor.mm_per_px, None, View(), source.sensor.name, source.serial)
-            if begun is not None and begun.settings.starter and begun.settings.starter["sensor"] == profile:
-                known_scale = begun.known_mm_per_px, begun.mm_per_px_sigma, begun.view
-                return cls(diameter, *known_scale, begun.sensor_name, source.serial, profile)
-            if profile:
-                known = profile_named(profile)
-                view = known.view(frame_shape)
-                scale = known.mm_per_px, known.mm_per_px_sigma
-                return cls(diameter, *scale, view, known.name, source.serial, profile)
-            check_gel_width(frame_shape, check_sensor_pitch(mm_per_px), make_of(source.name))
-            return cls(diameter, float(mm_per_px), None, View(), source.name, source.serial)
-        except (ValueError, TypeError) as problem:
-            raise GelformError(str(problem)) from problem
-
-
 class Guide:
     """One guided calibration, from the background to the files.
 
     Parameters
     ----------
-    asked : Asked
+    settings : of the sensor, as far as they are known
+    ball_diameter_mm : of the ball
     on_changed : called when the page has something new to show
 
     Attributes
@@ -246,12 +176,14 @@ class Guide:
     made : the calibration and its files, None before the fit
     """
 
-    def __init__(self, asked: Asked, on_changed: Callable[[], None] = lambda: None) -> None:
-        self.asked = asked
+    def __init__(
+        self, settings: SensorSettings, ball_diameter_mm: float, on_changed: Callable[[], None] = lambda: None
+    ) -> None:
+        self.settings, self.ball_diameter_mm = settings, ball_diameter_mm
         self.step, self.hint = "background", "Touch nothing while the page takes the background."
         self.places: tuple[PressPlace, ...] = ()
         self.covered: Coverage | None = None
-        self.wanted = WANTED if asked.make not in starter_names() else NEEDED.started.presses
+        self.wanted = WANTED if settings.make not in starter_names() else NEEDED.started.presses
         self.made: GuidedCalibration | None = None
         self._changed = on_changed
         self._lock = threading.Lock()
@@ -270,6 +202,51 @@ class Guide:
         self._still = 0
         self._lifted = True
         self._looked_at = 0.0
+
+    @classmethod
+    def of(
+        cls,
+        source: Source,
+        frame_shape: tuple[int, int],
+        ball_diameter_mm: float,
+        *,
+        profile: str = "",
+        mm_per_px: float = 0.0,
+        begun: Calibration | None = None,
+        on_changed: Callable[[], None] = lambda: None,
+    ) -> Guide:
+        """A guide for a source's sensor; the scale is the simulated sensor's, the profile's, or the given one.
+
+        Parameters
+        ----------
+        frame_shape : (H, W) of its frames
+        profile : name of a sensor; "": unknown
+        mm_per_px : for a sensor without a profile
+        begun : the calibration in use; if the profile's starter made it, its scale and view are taken
+
+        Raises
+        ------
+        GelformError
+            The ball or the scale is impossible, or the profile is unknown.
+        """
+        serial = source.serial or ""
+        try:
+            diameter = check_ball_diameter(ball_diameter_mm)
+            if isinstance(source, SimulatedSource):
+                settings = SensorSettings(source.sensor.name, source.sensor.mm_per_px, serial=serial)
+            elif begun is not None and begun.settings.starter and begun.settings.starter["sensor"] == profile:
+                scale = begun.known_mm_per_px, begun.mm_per_px_sigma
+                settings = SensorSettings(
+                    begun.sensor_name, *scale, make=profile, serial=serial, view=begun.view
+                )
+            elif profile:
+                settings = settings_of(source, frame_shape, profile)
+            else:
+                check_gel_width(frame_shape, check_sensor_pitch(mm_per_px), make_of(source.name))
+                settings = settings_of(source, frame_shape, mm_per_px=float(mm_per_px))
+        except (ValueError, TypeError) as problem:
+            raise GelformError(str(problem)) from problem
+        return cls(settings, diameter, on_changed)
 
     @property
     def target(self) -> PressPlace | None:
@@ -292,7 +269,7 @@ class Guide:
         if self.step not in ("background", "press") or now - self._looked_at < LOOK_EVERY_S:
             return
         self._looked_at = now
-        image = np.ascontiguousarray(image_from_frame(frame.image, self.asked.view), dtype=np.uint8)
+        image = np.ascontiguousarray(image_from_frame(frame.image, self.settings.view), dtype=np.uint8)
         with self._lock:
             if self.step == "background":
                 self._add_untouched(image)
@@ -313,23 +290,13 @@ class Guide:
                 raise GelformError(
                     f"Expected at least {LEAST} presses, got {len(self._images)}. Press again."
                 )
-            diameter = self.asked.ball_diameter_mm
-            return Presses(
-                folder="guided presses",
-                presses=tuple(
-                    Press(f"images/{k:04d}.png", image, diameter, None, pixels_digest(image), click)
-                    for k, (image, click) in enumerate(zip(self._images, self._clicks))
-                ),
-                background=self._background,
-                mm_per_px=self.asked.mm_per_px,
-                mm_per_px_sigma=self.asked.mm_per_px_sigma,
-                sensor_name=self.asked.sensor_name,
-                serial=self.asked.serial,
-                gel_id=None,
-                view=self.asked.view,
-                background_noise=self._noise,
-                make=self.asked.make,
-            )
+            diameter = self.ball_diameter_mm
+            presses = [
+                Press(f"images/{k:04d}.png", image, diameter, None, pixels_digest(image), click)
+                for k, (image, click) in enumerate(zip(self._images, self._clicks))
+            ]
+            what = "guided presses", presses, self._background, self.settings.view
+            return presses_from_settings(self.settings, *what, background_noise=self._noise)
 
     def fit(self, folder: Path, progress: Progress = no_progress) -> None:
         """Calibrate on the accepted presses, and write the files to a new folder below `folder`.
@@ -399,7 +366,7 @@ class Guide:
             return
         try:
             taken = background_from_frames(self._untouched)
-            starter = starter_for(self.asked.sensor_name, taken.background.shape[:2])
+            starter = starter_for(self.settings.name, taken.background.shape[:2])
             if starter is not None and self._refusals < MOST_REFUSALS:
                 self._refusals += 1
                 starter.check_untouched(taken.background)
@@ -410,7 +377,7 @@ class Guide:
         self._surround = surround_finding(
             self._background,
             "--crop {} of gelform calibrate, with presses from gelform record --presses",
-            viewed=not self.asked.view.is_identity,
+            viewed=not self.settings.view.is_identity,
         )
         self._judge = Judge(self._background, image, float(taken.noise.max()), self._ball_radius_px)
         self.step = "press"
@@ -468,7 +435,7 @@ class Guide:
 
     @property
     def _ball_radius_px(self) -> float:
-        return self.asked.ball_diameter_mm / 2 / self.asked.mm_per_px
+        return self.ball_diameter_mm / 2 / self.settings.square_mm_per_px
 
     def _radius(self) -> float:
         if self._circles:

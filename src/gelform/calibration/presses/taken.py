@@ -13,7 +13,11 @@ from numpy.typing import NDArray
 from gelform.calibration.geometry.toml_text import edited_toml
 from gelform.errors import DataError
 from gelform.image.background import background_from_frames
+from gelform.image.view import View
 from gelform.sensors.files import SensorSettings
+from gelform.sensors.grabber import Grabber
+from gelform.sensors.profiles import profile_named
+from gelform.sensors.source import Source
 
 BACKGROUND, TABLE, SETTINGS, IMAGES = "background", "presses.csv", "sensor.toml", "images"
 # A press is visible if this fraction of the pixels differs by so many standard deviations of the background, and levels.
@@ -99,6 +103,26 @@ class TakenPresses:
             path.write_bytes(content.tobytes())
         except OSError as problem:
             raise DataError(f"Cannot write {path}: {problem.strerror}.") from problem
+
+
+def settings_of(
+    source: Source | Grabber,
+    frame_shape: tuple[int, int],
+    make: str | None = None,
+    mm_per_px: float | None = None,
+) -> SensorSettings:
+    """What is known of a source's sensor: the make's scale and view of frames (H, W), and the serial number.
+
+    A given scale takes the place of the make's; one of them is needed. ValueError: the make is unknown.
+    """
+    profile = None if make is None else profile_named(make)
+    view = View() if profile is None else profile.view(frame_shape)
+    pitch, sigma = mm_per_px, None
+    if profile is not None and mm_per_px is None:
+        pitch, sigma = profile.mm_per_px, profile.mm_per_px_sigma
+    assert pitch is not None
+    name = source.name if profile is None else profile.name
+    return SensorSettings(name, pitch, sigma, make=make or "", serial=source.serial or "", view=view)
 
 
 def toml_of_settings(settings: SensorSettings) -> str:

@@ -7,7 +7,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -359,9 +359,8 @@ def _fresh(grabber: Grabber, count: int) -> list[Any]:
 
 def _sensor_settings(grabber: Grabber, wanted: PressesTaken) -> Any:
     """The content of sensor.toml: the known sensor's scale and view, the serial number, the camera's settings."""
-    from gelform.image.view import View
-    from gelform.sensors.files import SensorSettings
-    from gelform.sensors.profiles import check_gel_width, profile_named
+    from gelform.calibration.presses.taken import settings_of
+    from gelform.sensors.profiles import check_gel_width
 
     sensor, mm_per_px = wanted.sensor, wanted.mm_per_px
     if sensor is None and mm_per_px is None:
@@ -369,24 +368,14 @@ def _sensor_settings(grabber: Grabber, wanted: PressesTaken) -> Any:
             "expected a known sensor or the width of a pixel: ball presses alone do not give the scale.",
             param_hint="--sensor, --mm-per-px",
         )
-    frame = _fresh(grabber, 1)[0]
-    profile = profile_named(sensor) if sensor is not None else None
-    view = View() if profile is None else profile.view((frame.shape[0], frame.shape[1]))
+    height, width = _fresh(grabber, 1)[0].shape[:2]
+    settings = settings_of(grabber, (height, width), sensor, mm_per_px)
     if mm_per_px is not None:
         with usage_errors("--mm-per-px"):
-            doubt = check_gel_width(view.shape or (frame.shape[0], frame.shape[1]), mm_per_px, sensor)
+            doubt = check_gel_width(settings.view.shape or (height, width), mm_per_px, sensor)
         if doubt:
             say(f"note: {doubt}")
-    sigma = profile.mm_per_px_sigma if profile is not None and mm_per_px is None else None
-    return SensorSettings(
-        profile.name if profile is not None else grabber.name,
-        mm_per_px if mm_per_px is not None else profile.mm_per_px,  # type: ignore[union-attr]
-        sigma,
-        make=sensor or "",
-        serial=grabber.serial or "",
-        view=view,
-        camera=grabber.settings,
-    )
+    return replace(settings, camera=grabber.settings)
 
 
 def _settings(pairs: list[str]) -> dict[str, float | str]:
