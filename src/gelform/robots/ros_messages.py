@@ -45,7 +45,7 @@ class RosMessages:
         self.store = typestore()
         self.sensor, self.hardware_id = sensor, hardware_id
         self.camera_frame, self.gel_frame = f"{sensor}_camera_optical_frame", f"{sensor}_gel_optical_frame"
-        self._said: tuple[tuple[str, ...], int] | None = None
+        self._said: tuple[tuple[str, ...] | None, int] = (None, 0)
         self._follow = Follower()
 
     def due(
@@ -60,13 +60,13 @@ class RosMessages:
 
     def image(self, frame: Frame, result: Reconstruction, stamp_ns: int) -> memoryview:
         """The frame from the camera: sensor_msgs/Image, rgb8."""
-        return self._image(frame.image, "rgb8", self._header(stamp_ns, self.camera_frame))
+        return self._image("image", frame.image, "rgb8", stamp_ns, self.camera_frame)
 
     def indentation(self, frame: Frame, result: Reconstruction, stamp_ns: int) -> memoryview:
         """Depth in meters, positive where pressed, NaN where unknown: sensor_msgs/Image, 32FC1."""
         meters = (result.depth_mm * M_PER_MM).astype("<f4")
         meters[~result.known] = np.nan
-        return self._image(meters, "32FC1", self._header(stamp_ns, self.gel_frame))
+        return self._image("indentation", meters, "32FC1", stamp_ns, self.gel_frame)
 
     def points(self, frame: Frame, result: Reconstruction, stamp_ns: int) -> memoryview:
         """The surface, row by row: (x, y, -depth), meters; NaN where unknown: sensor_msgs/PointCloud2."""
@@ -75,8 +75,10 @@ class RosMessages:
         points[~result.known.ravel()] = np.nan
         field = self._type("sensor_msgs/msg/PointField")
         fields = [field(name=n, offset=4 * k, datatype=FLOAT32, count=1) for k, n in enumerate("xyz")]
-        message = self._type(TOPICS["points"].type)(
-            header=self._header(stamp_ns, self.gel_frame),
+        return self._message(
+            "points",
+            stamp_ns,
+            self.gel_frame,
             height=height,
             width=width,
             fields=fields,
@@ -86,7 +88,6 @@ class RosMessages:
             data=points.view(np.uint8).ravel(),
             is_dense=bool(result.known.all()),
         )
-        return self._encoded(message)
 
     def wrench(self, frame: Frame, result: Reconstruction, stamp_ns: int) -> memoryview | None:
         """The force on the gel, N, and its torsion, N m; NaN where unknown: geometry_msgs/WrenchStamped.
@@ -102,10 +103,7 @@ class RosMessages:
             force=vector(**dict(zip("xyz", result.force.vector_n.tolist()))),
             torque=vector(x=nan, y=nan, z=torsion),
         )
-        message = self._type(TOPICS["wrench"].type)(
-            header=self._header(stamp_ns, self.gel_frame), wrench=wrench
-        )
-        return self._encoded(message)
+        return self._message("wrench", stamp_ns, self.gel_frame, wrench=wrench)
 
     def diagnostics(self, frame: Frame, result: Reconstruction, stamp_ns: int) -> memoryview:
         """The findings of `health`, each as a value, and why a force is unknown: diagnostic_msgs/DiagnosticArray.
@@ -126,8 +124,7 @@ class RosMessages:
                 *([pair(key="no_force", value=why)] if why else []),
             ],
         )
-        message = self._type(TOPICS["diagnostics"].type)(header=self._header(stamp_ns, ""), status=[status])
-        return self._encoded(message)
+        return self._message("diagnostics", stamp_ns, "", status=[status])
 
     def pose(self, frame: Frame, result: Reconstruction, stamp_ns: int) -> memoryview | None:
         """Where the object is that touched first, in the frame of the gel: geometry_msgs/PoseWithCovarianceStamped.
@@ -143,47 +140,34 @@ class RosMessages:
             position=point(*place.tolist()), orientation=quaternion(*turn.tolist())
         )
         known = self._type("geometry_msgs/msg/PoseWithCovariance")(pose=at, covariance=covariance.ravel())
-        message = self._type(TOPICS["pose"].type)(header=self._header(stamp_ns, self.gel_frame), pose=known)
-        return self._encoded(message)
+        return self._message("pose", stamp_ns, self.gel_frame, pose=known)
 
     def _diagnostics_are_due(self, result: Reconstruction, stamp_ns: int) -> bool:
         """Whether the findings have changed since the last message, or a second has passed."""
         names = tuple(finding.name for finding in result.health)
-        if (
-            self._said is not None
-            and self._said[0] == names
-            and abs(stamp_ns - self._said[1]) < DIAGNOSTICS_NS
-        ):
+        before, said_ns = self._said
+        if before == names and abs(stamp_ns - said_ns) < DIAGNOSTICS_NS:
             return False
         self._said = (names, stamp_ns)
         return True
 
-    def _image(self, pixels: NDArray[Any], encoding: str, header: Any) -> memoryview:
+    def _image(
+        self, topic: str, pixels: NDArray[Any], encoding: str, stamp_ns: int, frame_id: str
+    ) -> memoryview:
         height, width = pixels.shape[:2]
         data = np.ascontiguousarray(pixels).view(np.uint8).ravel()
-        image = self._type(TOPICS["image"].type)
-        step = data.size // height
-        return self._encoded(
-            image(
-                header=header,
-                height=height,
-                width=width,
-                encoding=encoding,
-                is_bigendian=0,
-                step=step,
-                data=data,
-            )
-        )
+        size = {"height": height, "width": width, "step": data.size // height}
+        return self._message(topic, stamp_ns, frame_id, **size, encoding=encoding, is_bigendian=0, data=data)
 
-    def _header(self, stamp_ns: int, frame_id: str) -> Any:
-        return header_of(self.store, stamp_ns, frame_id)
+    def _message(self, topic: str, stamp_ns: int, frame_id: str, **fields: Any) -> memoryview:
+        """The message of a topic with a header and these fields, encoded."""
+        kind = TOPICS[topic].type
+        header = header_of(self.store, stamp_ns, frame_id)
+        encoded: memoryview = self.store.serialize_cdr(self._type(kind)(header=header, **fields), kind)
+        return encoded
 
     def _type(self, name: str) -> Any:
         return self.store.types[name]
-
-    def _encoded(self, message: Any) -> memoryview:
-        encoded: memoryview = self.store.serialize_cdr(message, message.__msgtype__)
-        return encoded
 
 
 def optical_pose(

@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from os import PathLike
-from pathlib import Path
 from types import TracebackType
 from typing import Any
 
@@ -72,6 +71,8 @@ class BagFile:
     ) -> None:
         self.path = check_path(path)
         self._messages = RosMessages(check_sensor_name(sensor), hardware_id)
+        from rosbags.rosbag2 import StoragePlugin, Writer  # of the extra, which the messages needed
+
         self._topics = check_topics(topics)
         if os.path.lexists(self.path):
             raise DataError(f"{self.path} is there already. Choose another name, or remove it.")
@@ -82,7 +83,12 @@ class BagFile:
             sweep(self.path.parent, self.path.name)
             self._unfinished.mkdir()
             self._lock.enter_context(locked_folder(self._unfinished))
-            self._writer = _writer(self._unfinished / self.path.name)
+            self._writer = Writer(
+                self._unfinished / self.path.name,
+                version=METADATA_VERSION,
+                storage_plugin=StoragePlugin.MCAP,
+            )
+            self._writer.open()
             self._connections = {name: self._connection(name) for name in self._topics}
         except OSError as problem:
             raise self._unwritable(problem) from problem
@@ -149,14 +155,6 @@ class BagFile:
         return DataError(f"Cannot write {self.path}: {problem.strerror or problem}. Nothing was kept.")
 
 
-def _writer(path: Path) -> Any:
-    from rosbags.rosbag2 import StoragePlugin, Writer
-
-    writer = Writer(path, version=METADATA_VERSION, storage_plugin=StoragePlugin.MCAP)
-    writer.open()
-    return writer
-
-
 def _offered() -> Any:
     """Reliable, volatile, keep the last ten: a player with these settings serves subscribers of either reliability."""
     from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
@@ -210,8 +208,8 @@ class StampedResults:
 
     def __init__(self, running: Stream, source: object, seconds: float | None) -> None:
         self._running, self._source, self._seconds = running, source, seconds
-        self._stamps = _Stamps()
-        self._tally, self._last_s, self._problem = FrameTally(), 0.0, ""
+        self._stamped, self._start_ns, self._first_s, self._last_s = True, 0, 0.0, 0.0
+        self._tally, self._problem = FrameTally(), ""
 
     def __iter__(self) -> Iterator[tuple[StreamFrame, int]]:
         """Each result with its frame, and its stamp, ns.
@@ -220,8 +218,8 @@ class StampedResults:
         """
         try:
             for one in self._running.pairs():
-                stamp_ns = self._stamps(one.frame)
-                if self._seconds is not None and one.time_s - self._stamps.first_s >= self._seconds:
+                stamp_ns = self._stamp_ns(one.frame)
+                if self._seconds is not None and one.time_s - self._first_s >= self._seconds:
                     break
                 health, self._last_s = one.result.health, one.time_s
                 self._tally.add((finding.name for finding in health), known=bool(one.result.known.any()))
@@ -246,24 +244,21 @@ class StampedResults:
     def stats(self, sensor: str) -> SentStats:
         """The figures of the loop."""
         tally, drops = self._tally, self._running.stats.drops
-        duration_s = self._last_s - self._stamps.first_s if tally.frames else 0.0
+        duration_s = self._last_s - self._first_s if tally.frames else 0.0
         problem = self._problem if tally.is_useless else ""
-        return SentStats(sensor, tally.frames, duration_s, drops, self._stamps.known, tally, problem)
+        return SentStats(sensor, tally.frames, duration_s, drops, self._stamped, tally, problem)
 
-
-class _Stamps:
-    """Capture times of frames, UTC, ns; without them, times from now on at the frames' own distances."""
-
-    def __init__(self) -> None:
-        self.known, self.first_s = True, 0.0
-        self._start_ns = 0
-
-    def __call__(self, frame: Frame) -> int:
+    def _stamp_ns(self, frame: Frame) -> int:
+        """The capture time, UTC, ns; without one, times from the first frame on at the frames' own distances."""
         if not self._start_ns:
-            self._start_ns, self.first_s, self.known = time.time_ns(), frame.time_s, frame.wall_time_ns > 0
-        if self.known:
+            self._start_ns, self._first_s, self._stamped = (
+                time.time_ns(),
+                frame.time_s,
+                frame.wall_time_ns > 0,
+            )
+        if self._stamped:
             return frame.wall_time_ns
-        return self._start_ns + round((frame.time_s - self.first_s) * 1e9)
+        return self._start_ns + round((frame.time_s - self._first_s) * 1e9)
 
 
 def save_bag(
