@@ -169,7 +169,7 @@ class ShownOption:
     """The output of a command: results on standard output, the rest on standard error."""
 
     quiet: Quiet = False
-    as_json: Annotated[bool, Option("--json", help="Print the numbers as JSON on standard output.")] = False
+    as_json: Json = False
 
     @property
     def silent(self) -> bool:

@@ -1,7 +1,5 @@
 """The command as a process: failures, signals, streams of any encoding or none, one writer per file, its findings.
 
-The command as a process: failures, signals, streams of any encoding or none, one writer per file.
-
 A mistake in the user's input prints one line and exits with status 1, a bug of gelform with status 70. Results that are
 doubtful in most frames are kept, and end with status 3. A mistake is a
 GelformError, an OSError about a file, or a ValueError that a command converts with `mistakes_in`. Any other exception is a
@@ -83,7 +81,9 @@ def _report(problem: BaseException) -> int:
     if isinstance(problem, MemoryError):
         return _said("error: not enough memory for this. Use smaller images, or fewer at a time.", MISTAKE)
     if isinstance(problem, OSError):
-        return _said(f"error: {_sentence(problem)}", MISTAKE)
+        named = f": {problem.filename}" if problem.filename is not None else ""
+        sentence = f"{problem.strerror}{named}." if problem.strerror else str(problem)
+        return _said(f"error: {sentence}", MISTAKE)
     if isinstance(problem, GelformError):
         return _said(f"error: {problem}", MISTAKE)
     where = _place(problem)
@@ -107,12 +107,6 @@ def one_line(text: object) -> str:
 def in_options(text: str) -> str:
     """A library message in the words of the command line: "give mm_per_px= (--mm-per-px)" becomes the option alone."""
     return re.sub(r"\b\w+=\w* \((--[a-z-]+)\)", r"\1", text)
-
-
-def _sentence(problem: OSError) -> str:
-    """The system's message without its number: "Permission denied: /root/x.npz"."""
-    named = f": {problem.filename}" if problem.filename is not None else ""
-    return f"{problem.strerror}{named}." if problem.strerror else str(problem)
 
 
 def _place(problem: BaseException) -> str:

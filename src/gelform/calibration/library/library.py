@@ -130,17 +130,11 @@ def library_folder() -> Path:
 
 @dataclass(frozen=True)
 class Entry:
-    """A file of the library.
-
-    Attributes
-    ----------
-    path : of the file
-    problem : the reason that it cannot be read; empty if it can
-    sensor_name, serial, gel_id, created_utc, digest, held_out : from the `Calibration`; empty if it cannot be read
-    """
+    """A file of the library."""
 
     path: Path
-    problem: str = ""
+    problem: str = ""  # the reason that it cannot be read; empty if it can
+    # from the `Calibration`; empty if it cannot be read
     sensor_name: str = ""
     serial: str | None = None
     gel_id: str | None = None
@@ -171,22 +165,11 @@ def described(name: str, one: Entry | Calibration) -> str:
 def entry_of(path: Path) -> Entry:
     """The entry of a file of the library; for an unreadable file it has the reason."""
     try:
-        return _entry(path, load_calibration(path))
+        one = load_calibration(path)
     except GelformError as problem:
         return Entry(path, str(problem))
-
-
-def _entry(path: Path, calibration: Calibration) -> Entry:
-    return Entry(
-        path,
-        "",
-        calibration.sensor_name,
-        calibration.serial,
-        calibration.gel_id,
-        calibration.created_utc,
-        calibration.digest,
-        dict(calibration.held_out),
-    )
+    named = one.sensor_name, one.serial, one.gel_id
+    return Entry(path, "", *named, one.created_utc, one.digest, dict(one.held_out))
 
 
 def entries(folder: Path | None = None) -> list[Entry]:
@@ -319,25 +302,14 @@ HOW_TO = (
 
 @dataclass(frozen=True)
 class Unit:
-    """The sensor that gave frames, as far as they identify it.
+    """The sensor that gave frames, as far as they identify it; a text is empty if unknown."""
 
-    Attributes
-    ----------
-    said : name for messages, such as "camera DIGIT D20123" or "session.mcap"
-    serial : serial number of the camera; empty if it has none
-    names : names of the sensor, if it has no serial and no other such sensor could be meant
-    digest : digest of the calibration that was in use; empty if unknown
-    gel_id : gel that was on it; empty if unknown
-    carries : the recording that contains a calibration, or None
-    simulated : the simulated sensor that it is, or None
-    """
-
-    said: str
-    serial: str = ""
-    names: tuple[str, ...] = ()
-    digest: str = ""
-    gel_id: str = ""
-    carries: Path | None = None
+    said: str  # name for messages, such as "camera DIGIT D20123" or "session.mcap"
+    serial: str = ""  # of the camera
+    names: tuple[str, ...] = ()  # of the sensor, without a serial, if no other such sensor could be meant
+    digest: str = ""  # of the calibration that was in use
+    gel_id: str = ""  # the gel that was on it
+    carries: Path | None = None  # the recording that contains a calibration
     simulated: SimulatedSensor | None = None
 
     def is_calibrated_by(self, entry: Entry | Calibration) -> bool:
@@ -384,8 +356,8 @@ def choose_calibration(unit: Unit, folder: Path | None = None, *, ready: bool = 
     if unit.carries is not None:
         carried = attached_calibration(unit.carries)
         if carried is not None:
-            made = date_of(carried.created_utc)
-            return Choice(carried, f"Calibration of {unit.said}: its own, gel {_gel(carried)}, of {made}.")
+            gel, made = carried.gel_id or "not named", date_of(carried.created_utc)
+            return Choice(carried, f"Calibration of {unit.said}: its own, gel {gel}, of {made}.")
     there = entries(folder)
     of_unit = [one for one in there if unit.is_calibrated_by(one)]
     in_use = [one for one in of_unit if unit.digest and one.digest == unit.digest]
@@ -397,10 +369,6 @@ def choose_calibration(unit: Unit, folder: Path | None = None, *, ready: bool = 
     return Choice(
         load_calibration(entry.path), f"Calibration of {unit.said}: {entry.described()}.", entry.path
     )
-
-
-def _gel(calibration: Calibration) -> str:
-    return calibration.gel_id or "not named"
 
 
 def _missing(unit: Unit, there: Sequence[Entry]) -> str:
@@ -525,7 +493,8 @@ def unit_of_all(paths: Iterable[Path]) -> Unit:
         They are of several units.
     """
     units: dict[tuple[str, ...], Unit] = {}
-    for path in dict.fromkeys(one.parent if one.is_file() and not _is_film(one) else one for one in paths):
+    apart = (one if one.suffix.lower() == ".mcap" or not one.is_file() else one.parent for one in paths)
+    for path in dict.fromkeys(apart):
         unit = unit_of_files(path)
         units.setdefault((unit.serial, unit.gel_id, unit.digest), unit)
     found = list(units.values())
@@ -542,7 +511,3 @@ def unit_of_all(paths: Iterable[Path]) -> Unit:
 
 def _named(unit: Unit) -> str:
     return (unit.serial or "no serial") + (f", gel {unit.gel_id}" if unit.gel_id else "")
-
-
-def _is_film(path: Path) -> bool:
-    return path.suffix.lower() == ".mcap"

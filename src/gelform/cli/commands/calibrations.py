@@ -23,7 +23,6 @@ from gelform.cli.options import NewCalibration, Overwrite, ShownOption
 from gelform.errors import DataError
 
 if TYPE_CHECKING:
-    from gelform.calibration.library.library import Entry
     from gelform.calibration_file import Calibration
 
 SUMMARY = "List, add, remove and export calibrations by serial."
@@ -182,18 +181,14 @@ def export_(
     from gelform.foundations.files import written_file
 
     check_output(output, overwrite=overwrite)
-    entry = _newest_whole(matching(which, gel))
+    found = matching(which, gel)
+    entry = next((one for one in found if not one.problem), None)
+    if entry is None:
+        raise DataError(f"{found[0].path.name} cannot be read: {found[0].problem}")
     with written_file(output, overwrite=overwrite) as handle:
         handle.write(entry.path.read_bytes())
     shown.say(f"Wrote {output}: {entry.described()}.")
     shown.json({"file": output, "from": entry.path, "serial": entry.serial, "gel_id": entry.gel_id})
-
-
-def _newest_whole(found: list[Entry]) -> Entry:
-    whole = [one for one in found if not one.problem]
-    if not whole:
-        raise DataError(f"{found[0].path.name} cannot be read: {found[0].problem}")
-    return whole[0]
 
 
 COMMANDS = (list_, add, remove, export_)

@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Literal
 
 from typer import Argument, BadParameter, Option
 
 from gelform.cli.options import Background, Bgr, Sensor, ShownOption, number, numbers
 from gelform.cli.process import mistakes_in
-
-if TYPE_CHECKING:
-    from gelform.calibration.geometry.files import SensorSetup
-    from gelform.calibration.geometry.scale import Scale
 
 
 def scale(
@@ -57,16 +53,17 @@ def scale(
         raise BadParameter("expected --points, --stage or both.", param_hint="scale")
     marked = [numbers(text, "X1,Y1,X2,Y2,MM", "--points") for text in points or ()]
     pressed = [_images_and_mm(text) for text in stage or ()]
-    from gelform.calibration.geometry.scale import combined_scale
+    from gelform.calibration.geometry.files import read_setup, save_scale, width_note
+    from gelform.calibration.geometry.scale import combined_scale, scale_from_points, scale_from_stage
 
-    scales = [_scale_of_points(one) for one in marked]
+    with mistakes_in("--points"):
+        scales = [scale_from_points((x1, y1), (x2, y2), mm) for x1, y1, x2, y2, mm in marked]
     if pressed:
-        from gelform.calibration.geometry.files import read_setup
-
         setup = read_setup(place, background=background, sensor=sensor)
-        scales += [_scale_of_images(setup, *one) for one in pressed]
-    from gelform.calibration.geometry.files import save_scale, width_note
-
+        with mistakes_in("--stage"):
+            for paths, mm in pressed:
+                first, second = (setup.image(path) for path in paths)
+                scales.append(scale_from_stage(first, second, setup.background, mm))
     found = combined_scale(scales)
     written = save_scale(found, place)
     if doubt := width_note(found.mm_per_px, place):
@@ -83,22 +80,6 @@ def _images_and_mm(text: str) -> tuple[list[Path], float]:
     if len(paths) != 2:
         raise BadParameter(f"expected A,B,MM, got {text!r}.", param_hint="--stage")
     return [Path(path) for path in paths], numbers(length, "MM", "--stage")[0]
-
-
-def _scale_of_points(marked: tuple[float, ...]) -> Scale:
-    from gelform.calibration.geometry.scale import scale_from_points
-
-    x1, y1, x2, y2, mm = marked
-    with mistakes_in("--points"):
-        return scale_from_points((x1, y1), (x2, y2), mm)
-
-
-def _scale_of_images(setup: SensorSetup, paths: list[Path], mm: float) -> Scale:
-    from gelform.calibration.geometry.scale import scale_from_stage
-
-    with mistakes_in("--stage"):
-        first, second = (setup.image(path) for path in paths)
-        return scale_from_stage(first, second, setup.background, mm)
 
 
 def lens(
@@ -125,10 +106,23 @@ def lens(
       gelform lens presses/ --image grid.png --grid 9x6 --pitch-mm 1
       gelform lens presses/sensor.toml --image flat.png --image tilted.png --grid 12x9 --pitch-mm 0.8 --dots
     """
-    said = _write_grid(place, images, _columns_rows(grid), pitch_mm, "dots" if dots else "checkerboard")
-    shown.say(f"{said['lens']}.")
-    shown.say(f"Wrote {said['file']}.")
-    shown.json(said)
+    try:
+        columns, rows = (int(count) for count in grid.split("x"))
+    except ValueError:
+        raise BadParameter(f"expected COLUMNSxROWS, got {grid!r}.", param_hint="--grid") from None
+    from gelform.calibration.geometry.files import save_grid_view
+    from gelform.calibration.geometry.lens import view_from_grid
+    from gelform.sensors.files import read_image
+
+    frames = [read_image(path) for path in images]
+    kind: Literal["dots", "checkerboard"] = "dots" if dots else "checkerboard"
+    with mistakes_in("--image, --grid"):
+        found = view_from_grid(frames, pattern=(columns, rows), pitch_mm=pitch_mm, kind=kind)
+    file = save_grid_view(found, place)
+    shown.say(f"{found.describe()}.")
+    shown.say(f"Wrote {file}.")
+    known = {"mm_per_px": found.scale.mm_per_px, "mm_per_px_sigma": found.scale.sigma}
+    shown.json({"file": file, "lens": found.describe(), **known, "residual_px": found.residual_px})
 
 
 def crosstalk(
@@ -153,36 +147,6 @@ def crosstalk(
       gelform crosstalk presses/ red.png green.png blue.png
       gelform crosstalk presses/sensor.toml red.png green.png blue.png --json
     """
-    said = _write_crosstalk(place, led_frames, bgr)
-    shown.say(f"{said['crosstalk']}.")
-    shown.say(f"Wrote {said['file']}.")
-    shown.json(said)
-
-
-def _columns_rows(text: str) -> tuple[int, int]:
-    try:
-        columns, rows = (int(count) for count in text.split("x"))
-    except ValueError:
-        raise BadParameter(f"expected COLUMNSxROWS, got {text!r}.", param_hint="--grid") from None
-    return columns, rows
-
-
-def _write_grid(
-    place: Path, images: list[Path], pattern: tuple[int, int], pitch_mm: float, kind: Any
-) -> dict[str, Any]:
-    from gelform.calibration.geometry.files import save_grid_view
-    from gelform.calibration.geometry.lens import view_from_grid
-    from gelform.sensors.files import read_image
-
-    frames = [read_image(path) for path in images]
-    with mistakes_in("--image, --grid"):
-        found = view_from_grid(frames, pattern=pattern, pitch_mm=pitch_mm, kind=kind)
-    file = save_grid_view(found, place)
-    scale = {"mm_per_px": found.scale.mm_per_px, "mm_per_px_sigma": found.scale.sigma}
-    return {"file": file, "lens": found.describe(), **scale, "residual_px": found.residual_px}
-
-
-def _write_crosstalk(place: Path, led_frames: tuple[Path, Path, Path], bgr: bool) -> dict[str, Any]:
     from gelform.calibration.geometry.files import save_crosstalk
     from gelform.calibration.geometry.measured import crosstalk_from_frames
     from gelform.sensors.files import read_image, read_sensor_toml
@@ -191,4 +155,7 @@ def _write_crosstalk(place: Path, led_frames: tuple[Path, Path, Path], bgr: bool
     with mistakes_in("R G B"):
         frames = [read_image(path, bgr=bgr) for path in led_frames]
         found = crosstalk_from_frames(frames, response=settings.response)
-    return {"file": save_crosstalk(found, place), "crosstalk": found.describe(), "matrix": found.matrix}
+    file = save_crosstalk(found, place)
+    shown.say(f"{found.describe()}.")
+    shown.say(f"Wrote {file}.")
+    shown.json({"file": file, "crosstalk": found.describe(), "matrix": found.matrix})

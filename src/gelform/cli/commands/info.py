@@ -38,7 +38,11 @@ def system_facts() -> dict[str, Any]:
     """Versions, processor, instruction set, extras and cameras of this machine."""
     from gelform import __version__
 
-    core, extras = _requirements(_declared())
+    try:
+        declared = requires("gelform") or []
+    except PackageNotFoundError:  # a checkout that is only on the path
+        declared = []
+    core, extras = _requirements(declared)
     return {
         "kind": "system",
         "gelform": __version__,
@@ -52,27 +56,6 @@ def system_facts() -> dict[str, Any]:
         "extras": {extra: _extra(names) for extra, names in extras.items()},
         "cameras": _cameras(),
     }
-
-
-def system_lines(facts: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """One line per fact; several lines for facts with several values."""
-    lines: list[tuple[str, str]] = []
-    for name, value in facts.items():
-        if isinstance(value, dict):
-            lines += [(label, str(text)) for label, text in value.items()]
-        elif isinstance(value, list):
-            lines += [("camera", str(one)) for one in value] or [("camera", "none")]
-        elif name != "kind":
-            lines.append((name, str(value)))
-    return lines
-
-
-def _declared() -> list[str]:
-    """The requirements of the installed gelform; empty for a checkout that is only on the path."""
-    try:
-        return requires("gelform") or []
-    except PackageNotFoundError:
-        return []
 
 
 def _requirements(declared: Iterable[str]) -> tuple[list[str], dict[str, list[str]]]:
@@ -149,6 +132,7 @@ def _cameras() -> list[str]:
 
 Facts = Mapping[str, Any]
 Lines = list[tuple[str, str]]
+BALL_MISSING = "the ball's diameter (--ball-diameter-mm)"
 LISTED = 8  # largest contacts that are printed; --json gives all
 HELD_OUT = {
     "normal_free_deg": "normals {:.1f}°",
@@ -185,7 +169,7 @@ def info(
     """
     if (path is None) != system:
         raise BadParameter("Expected a file or folder, or --system, and not both.")
-    facts = _system() if path is None else _facts(path)
+    facts = system_facts() if path is None else _facts(path)
     if as_json:
         print_json(facts)
         return
@@ -193,11 +177,6 @@ def info(
     width = max(len(label) for label, _ in lines)
     for label, text in lines:
         show(f"{label:<{width}}  {text}")
-
-
-def _system() -> dict[str, Any]:
-
-    return system_facts()
 
 
 def _facts(path: Path) -> dict[str, Any]:
@@ -248,15 +227,14 @@ def _recording(summary: RecordingSummary) -> dict[str, Any]:
     from gelform.sensors.recordings.mcap_reader import CUT
 
     facts = summary.facts
+    cut = f"no: its recorder was killed, or it was copied in part. {CUT}"
     return {
         "kind": "recording",
         "camera": facts.name,
         "serial": facts.serial,
         "frames": summary.frames,
         "duration_s": summary.duration_s,
-        "finished": "yes"
-        if summary.finished
-        else f"no: its recorder was killed, or it was copied in part. {CUT}",
+        "finished": "yes" if summary.finished else cut,
         "settings": dict(facts.settings),
         "calibration": facts.calibration_digest,
         "gelform": facts.library_version,
@@ -320,10 +298,7 @@ def _video(path: Path) -> dict[str, Any]:
         "frames": facts.count,
         "frame_rate_hz": facts.frame_rate_hz,
         "duration_s": seconds,
-        "missing": [
-            "the ball's diameter (--ball-diameter-mm)",
-            *([] if scale else ["the scale (--mm-per-px or --sensor)"]),
-        ],
+        "missing": [BALL_MISSING] if scale else [BALL_MISSING, "the scale (--mm-per-px or --sensor)"],
     }
 
 
@@ -503,8 +478,16 @@ def _plain_lines(facts: Facts) -> Lines:
 
 
 def _system_lines(facts: Facts) -> Lines:
-
-    return system_lines(facts)
+    """One line per fact; several lines for facts with several values."""
+    lines: Lines = []
+    for name, value in facts.items():
+        if isinstance(value, dict):
+            lines += [(label, str(text)) for label, text in value.items()]
+        elif isinstance(value, list):
+            lines += [("camera", str(one)) for one in value] or [("camera", "none")]
+        elif name != "kind":
+            lines.append((name, str(value)))
+    return lines
 
 
 WORDS: dict[str, Callable[[Facts], Lines]] = {
@@ -535,8 +518,6 @@ def _noise(sigma: Facts | None) -> str:
 
 
 def _said(value: Any) -> str:
-    from gelform.calibration.report.record import (
-        setting_in_words,  # imports numpy; --help does not wait for it
-    )
+    from gelform.calibration.report.record import setting_in_words  # imports numpy, too slow for --help
 
     return setting_in_words(value)

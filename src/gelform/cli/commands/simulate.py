@@ -49,10 +49,7 @@ class LookOptions:
 
     like: Annotated[
         Path | None,
-        Option(
-            metavar="CAL.npz",
-            help="Imitate this calibrated sensor, or Taxim's tables.",
-        ),
+        Option(metavar="CAL.npz", help="Imitate this calibrated sensor, or Taxim's tables."),
     ] = None
     background: Annotated[
         Path | None, Option(metavar="IMG", help="Background image for Taxim's tables. Default: gray.")
@@ -88,7 +85,16 @@ class Face:
 
     def read(self) -> HeightMap | None:
         """The object to press; None for balls."""
-        return None if self.height_map is None else _height_map(self.height_map, self.height_map_mm_per_px)
+        from gelform.foundations.files import read_npy
+        from gelform.simulate import HeightMap
+
+        if self.height_map is None:
+            return None
+        if self.height_map_mm_per_px is None:
+            raise BadParameter("needed with --height-map.", param_hint="--height-map-mm-per-px")
+        heights = read_npy(self.height_map, "heights in mm")
+        with mistakes_in(self.height_map):
+            return HeightMap(heights, self.height_map_mm_per_px)
 
 
 def simulate(
@@ -207,17 +213,6 @@ def _twin_of_tables(path: Path, look: LookOptions) -> Twin:
     noise = np.full(3, TABLES_NOISE)
     tables = read_taxim_forward(path)
     return Twin(TaximLook(tables, untouched.astype(np.float32), look.mm_per_px, noise))
-
-
-def _height_map(path: Path, mm_per_px: float | None) -> HeightMap:
-    from gelform.foundations.files import read_npy
-    from gelform.simulate import HeightMap
-
-    if mm_per_px is None:
-        raise BadParameter("needed with --height-map.", param_hint="--height-map-mm-per-px")
-    heights = read_npy(path, "heights in mm")
-    with mistakes_in(path):
-        return HeightMap(heights, mm_per_px)
 
 
 def design(
