@@ -93,13 +93,7 @@ def show_table(
 
 
 def check_pictures() -> None:
-    """Check that pictures can be drawn, and silence matplotlib's warning about its cache where HOME is read-only.
-
-    Raises
-    ------
-    GelformError
-        matplotlib is not installed.
-    """
+    """Check that matplotlib can draw pictures, and silence its warning about its cache where HOME is read-only."""
     import logging
 
     from gelform.exchange.plots import check_matplotlib

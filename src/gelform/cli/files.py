@@ -42,11 +42,7 @@ def result_paths(inputs: Sequence[Path], folder: Path, formats: Sequence[str]) -
     """The path of each input's result, in each format: `folder/<path below the common folder>.<format>`.
 
     If two inputs differ only in their suffix (a.png, a.jpg), the suffix stays in the name (a.png.npz, a.jpg.npz).
-
-    Raises
-    ------
-    DataError
-        An input is given twice, or two inputs would get the same name.
+    DataError: an input is given twice, or two inputs would get the same name.
     """
     full = [Path(os.path.abspath(path)) for path in inputs]
     twice = [str(path) for path, count in Counter(full).items() if count > 1]
@@ -66,11 +62,6 @@ def check_results(paths: Sequence[dict[str, Path]], *, overwrite: bool, protecte
     """Refuse results that exist (unless `overwrite`), and any that would replace an input.
 
     Temporary files of killed runs are deleted there.
-
-    Raises
-    ------
-    DataError
-        The message names the first existing result and their number.
     """
     from gelform.foundations.files import sweep
 
@@ -105,15 +96,7 @@ class NewPicture:
 def new_pictures(
     images: Sequence[Path], folder: Path | None, *, overwrite: bool, read: Sequence[Path | None] = ()
 ) -> list[NewPicture | None]:
-    """The picture of each image, None for each without a folder; checked before any work, and `read` is not replaced.
-
-    Raises
-    ------
-    DataError
-        As `result_paths` and `check_results`.
-    GelformError
-        matplotlib is not installed.
-    """
+    """The picture of each image, None for each without a folder; checked before any work, and `read` is not replaced."""
     if folder is None:
         return [None] * len(images)
     check_pictures()
@@ -125,12 +108,8 @@ def new_pictures(
 def check_output(path: Path, *, overwrite: bool) -> None:
     """Refuse a file name that cannot be written, before the work; a missing folder is made.
 
-    Temporary files of killed runs in that folder are deleted.
-
-    Raises
-    ------
-    DataError
-        The name is a folder's, the file exists (unless `overwrite`), or nothing can be written there.
+    Temporary files of killed runs in that folder are deleted. DataError: the name is a folder's, the file exists (unless
+    `overwrite`), or nothing can be written there.
     """
     from gelform.foundations.files import sweep
 
@@ -143,13 +122,7 @@ def check_output(path: Path, *, overwrite: bool) -> None:
 
 
 def make_folder(folder: Path) -> Path:
-    """Make a folder and its parents, and check that it is writable.
-
-    Raises
-    ------
-    DataError
-        The folder cannot be made or written to; the message says why.
-    """
+    """Make a folder and its parents, and check that it is writable; a DataError says why not."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except FileExistsError as problem:

@@ -24,14 +24,9 @@ ALL_TOPICS, USUAL_TOPICS = ",".join(TOPICS), ",".join(USUAL)
 
 
 def names_in(file: str, table: str) -> tuple[str, ...]:
-    """The keys of a dict literal in a file of the package, in its order; the file is not imported.
+    """The keys of a dict literal in a file of the package, in its order; LookupError if there is none.
 
-    `--help` must start at once, and the tables hold classes that need numpy.
-
-    Raises
-    ------
-    LookupError
-        There is no such table, or it is no dict with literal keys.
+    `--help` must start at once, and the tables hold classes that need numpy, so the file is not imported.
     """
     for node in ast.parse((PACKAGE / file).read_text(encoding="utf-8")).body:
         if isinstance(node, ast.Assign | ast.AnnAssign) and isinstance(node.value, ast.Dict):

@@ -175,10 +175,7 @@ def _lose_output(problem: OSError) -> None:
 def only_writer(path: Path) -> Iterator[None]:
     """Reserve a file's name while the file is made; the system releases it however the process ends.
 
-    Raises
-    ------
-    DataError
-        Another process is making the same file, or the folder cannot be written to.
+    DataError: another process is making the same file, or the folder cannot be written to.
     """
     from filelock import FileLock, Timeout  # takes a tenth of a second, and most commands lock nothing
 

@@ -27,17 +27,9 @@ OK, WARN, ERROR = 0, 1, 2  # diagnostic_msgs/DiagnosticStatus
 
 
 class RosMessages:
-    """Messages of one sensor.
+    """Messages of one sensor, named as in ROS; `hardware_id` of the diagnostics is such as the serial number.
 
-    Parameters
-    ----------
-    sensor : a ROS name; frames are `<sensor>_camera_optical_frame` and `<sensor>_gel_optical_frame`
-    hardware_id : of the diagnostics, such as the serial number
-
-    Raises
-    ------
-    DataError
-        The extra `ros` is not installed.
+    DataError: the extra `ros` is not installed.
     """
 
     def __init__(self, sensor: str, hardware_id: str = "") -> None:

@@ -197,13 +197,9 @@ class SentStats:
 
 
 class StampedResults:
-    """Loops over a running stream for at most `seconds`, and keeps the figures.
+    """Loops over a running stream for at most `seconds` by its frames' times, and keeps the figures.
 
-    Parameters
-    ----------
-    running : stream of the source
-    source : the user's name for it, for messages
-    seconds : duration by the times of the frames; None: to the end
+    `source` is the user's name for it, for messages.
     """
 
     def __init__(self, running: Stream, source: object, seconds: float | None) -> None:

@@ -54,12 +54,8 @@ def calibrate_guided(
 ) -> GuidedCalibration:
     """Calibrate on presses, and write them with the calibration and its report to a new folder.
 
-    The new folder is below `folder`, and is named by the time.
-
-    Raises
-    ------
-    GelformError
-        The presses do not fit, or the folder cannot be written.
+    The new folder is below `folder`, and is named by the time. GelformError: the presses do not fit, or the folder cannot be
+    written.
     """
     calibration = calibrate(presses, progress=progress)
     folder = folder / named_by_time("calibration")

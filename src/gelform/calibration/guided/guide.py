@@ -65,21 +65,15 @@ class Look:
 
 
 class Judge:
-    """Analyzes the images of one sensor in sequence.
-
-    Parameters
-    ----------
-    background : (H, W, 3) float32, the background image
-    untouched : (H, W, 3) uint8, one frame at rest, which shows how much noise changes the colors
-    noise : standard deviation of a pixel in one frame, gray levels
-    ball_radius_px : of the ball that presses
-    """
+    """Analyzes the images of one sensor in sequence."""
 
     def __init__(
         self,
-        background: NDArray[np.float32],
-        untouched: NDArray[np.uint8],
-        noise: float,
+        background: NDArray[np.float32],  # (H, W, 3)
+        untouched: NDArray[
+            np.uint8
+        ],  # (H, W, 3), one frame at rest, which shows how much noise changes the colors
+        noise: float,  # standard deviation of a pixel in one frame, gray levels
         ball_radius_px: float,
     ) -> None:
         self._shape = background.shape[:2]
@@ -217,17 +211,8 @@ class Guide:
     ) -> Guide:
         """A guide for a source's sensor; the scale is the simulated sensor's, the profile's, or the given one.
 
-        Parameters
-        ----------
-        frame_shape : (H, W) of its frames
-        profile : name of a sensor; "": unknown
-        mm_per_px : for a sensor without a profile
-        begun : the calibration in use; if the profile's starter made it, its scale and view are taken
-
-        Raises
-        ------
-        GelformError
-            The ball or the scale is impossible, or the profile is unknown.
+        `frame_shape` is (H, W) of its frames, `mm_per_px` for a sensor without a profile. If the profile's starter made the
+        calibration in use (`begun`), its scale and view are taken. GelformError: the ball or the scale is impossible.
         """
         serial = source.serial or ""
         try:
@@ -278,13 +263,7 @@ class Guide:
         self._changed()
 
     def presses(self) -> Presses:
-        """The accepted presses, in the form that calibration reads.
-
-        Raises
-        ------
-        GelformError
-            There are too few.
-        """
+        """The accepted presses, in the form that calibration reads; GelformError if there are too few."""
         with self._lock:
             if self._background is None or len(self._images) < LEAST:
                 raise GelformError(
@@ -301,10 +280,7 @@ class Guide:
     def fit(self, folder: Path, progress: Progress = no_progress) -> None:
         """Calibrate on the accepted presses, and write the files to a new folder below `folder`.
 
-        Raises
-        ------
-        GelformError
-            There are too few presses, or they do not fit; the guide continues to ask for presses.
+        GelformError: there are too few presses, or they do not fit; the guide continues to ask for presses.
         """
         before = self.step
         self.step, self.hint = "fit", "gelform calibrates. This takes a moment."
@@ -323,13 +299,7 @@ class Guide:
             self._click, self._still = (x_px, y_px), 0
 
     def press_more(self) -> None:
-        """Ask for presses at the report's places, in addition to the accepted ones, and for another fit.
-
-        Raises
-        ------
-        GelformError
-            There is no report yet.
-        """
+        """Ask for presses at the report's places, in addition to the accepted ones, and for another fit."""
         if self.made is None:
             raise GelformError("There is no report yet. Press Fit now first.")
         with self._lock:
@@ -340,7 +310,9 @@ class Guide:
     def facts(self) -> dict[str, Any]:
         """The guide's state for the page."""
         with self._lock:
-            live, radius = self._live, self._radius()
+            live, radius = self._live, FIRST_RADIUS * self._ball_radius_px
+            if self._circles:
+                radius = float(np.median([of_press for _, _, of_press in self._circles]))
             return {
                 "step": self.step,
                 "hint": self.hint,
@@ -436,11 +408,6 @@ class Guide:
     @property
     def _ball_radius_px(self) -> float:
         return self.ball_diameter_mm / 2 / self.settings.square_mm_per_px
-
-    def _radius(self) -> float:
-        if self._circles:
-            return float(np.median([radius for _, _, radius in self._circles]))
-        return FIRST_RADIUS * self._ball_radius_px
 
     def _coverage_facts(self, covered: Coverage) -> dict[str, Any]:
         """Number of the eight slope directions in each tile, the share of all, and how good it is."""

@@ -41,13 +41,7 @@ COLOR_MODEL = "polynomial"  # half the time of choosing a model; 0.2 degrees wor
 
 
 def ready_calibration(sensor: SimulatedSensor, *, progress: Progress = no_progress) -> Calibration:
-    """The calibration of a simulated sensor: shipped, cached, or made in about ten seconds.
-
-    Parameters
-    ----------
-    sensor : SimulatedSensor
-    progress : called with (done, total, what) while the calibration is made
-    """
+    """The calibration of a simulated sensor: shipped, cached, or made in about ten seconds."""
     if sensor == simulated_sensor_named(DEFAULT_SENSOR):
         with resources.as_file(resources.files(__package__) / SHIPPED) as shipped:
             return load_calibration(shipped)
@@ -130,11 +124,17 @@ def library_folder() -> Path:
 
 @dataclass(frozen=True)
 class Entry:
-    """A file of the library."""
+    """A file of the library.
+
+    Attributes
+    ----------
+    path : of the file
+    problem : the reason that it cannot be read; empty if it can
+    sensor_name, serial, gel_id, created_utc, digest, held_out : from the `Calibration`; empty if it cannot be read
+    """
 
     path: Path
-    problem: str = ""  # the reason that it cannot be read; empty if it can
-    # from the `Calibration`; empty if it cannot be read
+    problem: str = ""
     sensor_name: str = ""
     serial: str | None = None
     gel_id: str | None = None
@@ -302,14 +302,25 @@ HOW_TO = (
 
 @dataclass(frozen=True)
 class Unit:
-    """The sensor that gave frames, as far as they identify it; a text is empty if unknown."""
+    """The sensor that gave frames, as far as they identify it.
 
-    said: str  # name for messages, such as "camera DIGIT D20123" or "session.mcap"
-    serial: str = ""  # of the camera
-    names: tuple[str, ...] = ()  # of the sensor, without a serial, if no other such sensor could be meant
-    digest: str = ""  # of the calibration that was in use
-    gel_id: str = ""  # the gel that was on it
-    carries: Path | None = None  # the recording that contains a calibration
+    Attributes
+    ----------
+    said : name for messages, such as "camera DIGIT D20123" or "session.mcap"
+    serial : serial number of the camera; empty if it has none
+    names : names of the sensor, if it has no serial and no other such sensor could be meant
+    digest : digest of the calibration that was in use; empty if unknown
+    gel_id : gel that was on it; empty if unknown
+    carries : the recording that contains a calibration, or None
+    simulated : the simulated sensor that it is, or None
+    """
+
+    said: str
+    serial: str = ""
+    names: tuple[str, ...] = ()
+    digest: str = ""
+    gel_id: str = ""
+    carries: Path | None = None
     simulated: SimulatedSensor | None = None
 
     def is_calibrated_by(self, entry: Entry | Calibration) -> bool:
@@ -435,12 +446,7 @@ def _unit_of_open(source: Any) -> Unit:
 
 
 def unit_of_camera(camera: Camera, cameras: Iterable[Camera]) -> Unit:
-    """The unit of a camera; without a serial it has names only if no other connected camera shares one.
-
-    Parameters
-    ----------
-    cameras : all connected cameras
-    """
+    """The unit of a camera; without a serial it has names only if no other of all connected cameras shares one."""
     if camera.serial:
         return Unit(f"camera {camera.name} {camera.serial}", camera.serial)
     alike = [one for one in cameras if set(_names(one)) & set(_names(camera)) and one.path != camera.path]
@@ -456,13 +462,7 @@ def _names(camera: Camera) -> tuple[str, ...]:
 
 
 def unit_of_files(path: Path) -> Unit:
-    """The unit of a recording, or of images with a `sensor.toml` in or above their folder.
-
-    Raises
-    ------
-    DataError
-        The file that names the unit is damaged.
-    """
+    """The unit of a recording, or of images with a `sensor.toml` in or above their folder; DataError if that is damaged."""
     if path.suffix.lower() == ".mcap" or (path.is_dir() and is_bag_folder(path)):
         facts, _ = picture_topic_of(mcap_file_in(path) if path.is_dir() else path)
         serial, digest = facts.serial or "", facts.calibration_digest
@@ -485,13 +485,7 @@ def _simulated(serial: str) -> SimulatedSensor | None:
 
 
 def unit_of_all(paths: Iterable[Path]) -> Unit:
-    """The one unit of files of images, or of recordings.
-
-    Raises
-    ------
-    DataError
-        They are of several units.
-    """
+    """The one unit of files of images, or of recordings; DataError if they are of several."""
     units: dict[tuple[str, ...], Unit] = {}
     apart = (one if one.suffix.lower() == ".mcap" or not one.is_file() else one.parent for one in paths)
     for path in dict.fromkeys(apart):

@@ -34,16 +34,7 @@ BACKGROUND_FRAMES, FRESH_S = 10, 5.0  # frames to average; s within which a fram
 def single_keys(purpose: str) -> Iterator[Callable[[], str]]:
     """Yield a function that waits for a key; it returns "" at the end of the input.
 
-    The end of the block restores the terminal's settings.
-
-    Parameters
-    ----------
-    purpose : of the keys, for the message
-
-    Raises
-    ------
-    DataError
-        Standard input is no terminal.
+    The end of the block restores the terminal's settings. DataError, with the keys' purpose: standard input is no terminal.
     """
     if sys.stdin is None or not sys.stdin.isatty():
         raise DataError(
