@@ -301,7 +301,7 @@ def filmed(sensor, tmp_path):
 
 @pytest.mark.slow
 def test_a_recording_is_calibrated_from_start_to_end(hub, filmed, sensor, tmp_path, monkeypatch):
-    monkeypatch.setattr("gelform.calibration.guided.guide.LOOK_EVERY_S", 0.0)
+    monkeypatch.setattr("gelform.calibration.guide.LOOK_EVERY_S", 0.0)
     hub.folder = tmp_path
     station = hub.stations[0]
     actions.open_recording(hub, 0, hub.recordings.add(filmed))

@@ -405,7 +405,7 @@ def test_what_was_fitted_is_reported_and_used(hub, tmp_path, library, presses, c
     with pytest.raises(GelformError, match="no calibration to use"):
         actions.guide_use(hub, 0)
     monkeypatch.setattr(session.guide, "presses", lambda: presses)
-    monkeypatch.setattr("gelform.calibration.guided.fit.calibrate", lambda *_, **__: calibration)
+    monkeypatch.setattr("gelform.calibration.guide.calibrate", lambda *_, **__: calibration)
     session.guide.fit(hub.folder)
     assert session.guide.step == "report"
     assert session.guide.facts()["report"]["folder"] == session.guide.made.folder.name
@@ -419,7 +419,7 @@ def test_what_was_fitted_is_reported_and_used(hub, tmp_path, library, presses, c
 
 def test_what_is_not_used_is_used_nowhere(hub, tmp_path, library, presses, calibration, monkeypatch):
     hub.folder, before = tmp_path, hub.stations[0].setup
-    monkeypatch.setattr("gelform.calibration.guided.fit.calibrate", lambda *_, **__: calibration)
+    monkeypatch.setattr("gelform.calibration.guide.calibrate", lambda *_, **__: calibration)
     actions.guide_start(hub, 0, 5.0, "", 0.0)
     guide = hub.guides[0].guide
     monkeypatch.setattr(guide, "presses", lambda: presses)
@@ -441,7 +441,7 @@ def test_after_the_report_more_presses_are_made_at_its_places(
     hub, tmp_path, presses, calibration, monkeypatch
 ):
     hub.folder = tmp_path
-    monkeypatch.setattr("gelform.calibration.guided.fit.calibrate", lambda *_, **__: calibration)
+    monkeypatch.setattr("gelform.calibration.guide.calibrate", lambda *_, **__: calibration)
     actions.guide_start(hub, 0, 5.0, "", 0.0)
     guide = hub.guides[0].guide
     until(lambda: guide.step == "press")

@@ -29,7 +29,7 @@ from gelform.sensors.streams.memory import zero_from_results
 from gelform.sensors.streams.stream import calibration_at_rest
 
 if TYPE_CHECKING:
-    from gelform.calibration.guided.guide import Guide
+    from gelform.calibration.guide import Guide
 
 ZERO_FRAMES = 8  # frames that are averaged
 NOT_CALIBRATED = "This sensor has no calibration yet. Make one on the page Calibrate."
@@ -313,7 +313,7 @@ def guide_start(hub: Hub, station: int, ball_diameter_mm: float, profile: str, m
 
     The scale is the profile's, or the given one, or the simulated sensor's own.
     """
-    from gelform.calibration.guided.guide import Guide
+    from gelform.calibration.guide import Guide
     from gelform.live.guide import GuideSession
 
     chosen = hub.station(station)

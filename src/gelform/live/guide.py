@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from gelform.calibration.guided.guide import Guide
+from gelform.calibration.guide import Guide
 from gelform.live.shown import Shown
 from gelform.live.station import Station
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform.calibration.guided.guide import LEAST
+from gelform.calibration.guide import LEAST
 from gelform.calibration.starters import load_starter
 from gelform.live.start import Options, start
 from live_waiting import held, until

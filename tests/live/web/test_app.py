@@ -25,7 +25,7 @@ from hypothesis import strategies as st
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
-from gelform.calibration.guided.fit import GuidedCalibration
+from gelform.calibration.guide import GuidedCalibration
 from gelform.errors import GelformError
 from gelform.live import actions
 from gelform.live.hub import Hub

@@ -27,16 +27,7 @@ LEAST_FRACTION, LEAST_SIGMAS, LEAST_LEVELS = 0.002, 6.0, 4.0
 class TakenPresses:
     """Writes a press folder image by image, so that a later failure loses no image.
 
-    Parameters
-    ----------
-    folder : a new or empty one
-    settings : of the sensor, written into sensor.toml
-    ball_diameter_mm : diameter of the ball
-
-    Raises
-    ------
-    DataError
-        The folder is not empty, or cannot be written.
+    DataError: the folder is not empty, or cannot be written.
     """
 
     def __init__(self, folder: Path, settings: SensorSettings, ball_diameter_mm: float) -> None:

@@ -14,15 +14,38 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform.calibration.guided import fit
-from gelform.calibration.guided import guide as module
-from gelform.calibration.guided.guide import LEAST, NEXT_PLACES, STILL_LOOKS, Guide
+from gelform.calibration import guide as module
+from gelform.calibration.guide import LEAST, NEXT_PLACES, STILL_LOOKS, Guide, Judge
 from gelform.calibration.starters import load_starter
 from gelform.errors import GelformError
 from gelform.image.background import USUAL_FRAMES
 from gelform.image.frame import Frame
 from gelform.sensors.files import SensorSettings
 from gelform.simulate import LAYOUTS, Ball, simulate_background, simulate_press
+
+BALL_MM = 5.0
+
+
+@pytest.fixture(scope="session")
+def untouched(sensor):
+    return np.asarray(simulate_background(sensor, np.random.default_rng(31)), np.uint8)
+
+
+@pytest.fixture
+def judge(sensor, untouched):
+    background = np.asarray(simulate_background(sensor, None), np.float32)
+    return Judge(background, untouched, sensor.noise_sd, BALL_MM / 2 / sensor.mm_per_px)
+
+
+@pytest.fixture
+def press(sensor):
+    """An image of a ball pressed somewhere (mm from the middle), with its truth."""
+
+    def made(x_mm=0.0, y_mm=0.0, depth_mm=0.4, seed=1, diameter_mm=BALL_MM):
+        ball, rng = Ball(diameter_mm / 2), np.random.default_rng(seed)
+        return simulate_press(sensor, ball, depth_mm=depth_mm, center_mm=(x_mm, y_mm), rng=rng, oversample=1)
+
+    return made
 
 
 def looked(judge, image, accepted=()):
@@ -219,8 +242,8 @@ def test_a_background_that_something_touches_is_refused_while_it_does(guide, mon
 @pytest.fixture
 def made(presses, calibration, monkeypatch, tmp_path):
     """Makes the guided calibration of the shared presses; calibration itself was done once for all."""
-    monkeypatch.setattr(fit, "calibrate", lambda *_, **__: calibration)
-    return lambda: fit.calibrate_guided(presses, tmp_path)
+    monkeypatch.setattr(module, "calibrate", lambda *_, **__: calibration)
+    return lambda: module.calibrate_guided(presses, tmp_path)
 
 
 def test_its_folder_has_the_calibration_and_the_library_once_it_is_kept(made, library, presses):

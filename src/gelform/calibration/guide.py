@@ -1,4 +1,4 @@
-"""The guide: what an image shows, its current step, its requests and the accepted presses, from a station's frames."""
+"""Presses of a ball under guidance: what an image shows, the next place, the accepted presses, and their calibration."""
 
 from __future__ import annotations
 
@@ -24,20 +24,25 @@ from gelform.calibration.circles.find import (
 )
 from gelform.calibration.circles.prepare import BLUR_PX, USUAL_OFFSET, ColorChanges
 from gelform.calibration.coverage import NEEDED, Coverage, PressPlace, press_coverage, press_next
-from gelform.calibration.guided.fit import GuidedCalibration, calibrate_guided
+from gelform.calibration.fit import calibrate
+from gelform.calibration.library.library import add_calibration
 from gelform.calibration.presses.press_set import Press, Presses, check_ball_diameter, presses_from_settings
 from gelform.calibration.presses.taken import settings_of
-from gelform.calibration.report.content import LIMITS, level_of
+from gelform.calibration.report.content import LIMITS, level_of, report_content, report_coverage
+from gelform.calibration.report.page import report_page
 from gelform.calibration.starters import starter_for, starter_names
 from gelform.calibration_file import Calibration
 from gelform.errors import CalibrationError, GelformError
+from gelform.exchange.exporters.press_folder import save_press_folder
 from gelform.foundations.checks import check_sensor_pitch
+from gelform.foundations.files import written_file
 from gelform.foundations.findings import Finding, Progress, no_progress
 from gelform.image.background import USUAL_FRAMES, ChangeSettings, background_from_frames, surround_finding
 from gelform.image.frame import Frame, pixels_digest
 from gelform.image.view import image_from_frame
 from gelform.sensors.files import SensorSettings
 from gelform.sensors.profiles import check_gel_width, make_of
+from gelform.sensors.recordings.record import named_by_time
 from gelform.sensors.simulated import SimulatedSource
 from gelform.sensors.source import Source
 
@@ -149,6 +154,82 @@ MOST_REFUSALS = (
     5  # of backgrounds that something seems to touch, some seconds; then it is taken as damage of the gel
 )
 COVERED = next(limit for limit in LIMITS if limit.name == "covered_percent")
+
+
+@dataclass(frozen=True, eq=False)
+class GuidedCalibration:
+    """A calibration of guided presses."""
+
+    calibration: Calibration
+    folder: Path  # has the presses, calibration.npz and report.html
+    report: dict[str, Any]  # the figures that the live page shows; the full report is a file
+    covered: Coverage  # of the presses that it was fitted on
+    places: tuple[PressPlace, ...]  # the next ones to press, which the report marks 1, 2, 3
+
+    @property
+    def report_file(self) -> Path:
+        """The report's page."""
+        return self.folder / "report.html"
+
+    def keep(self) -> tuple[Path, str]:
+        """Add it to the library; return its path, and a sentence. If that fails, it still is in the folder."""
+        try:
+            path, _ = add_calibration(self.calibration)
+        except GelformError as problem:
+            return (
+                self.folder / "calibration.npz",
+                f"The library does not have it: {problem} Name it with -c.",
+            )
+        return path, "The library has it too, so this sensor uses it from now on."
+
+
+def calibrate_guided(
+    presses: Presses, folder: Path, *, progress: Progress = no_progress
+) -> GuidedCalibration:
+    """Calibrate on presses, and write them with the calibration and its report to a new folder.
+
+    The new folder is below `folder`, and is named by the time. GelformError: the presses do not fit, or the folder cannot be
+    written.
+    """
+    calibration = calibrate(presses, progress=progress)
+    folder = folder / named_by_time("calibration")
+    content = report_content(presses, calibration, rng=np.random.default_rng(0))
+    save_press_folder(
+        folder,
+        background=presses.background,
+        images=[press.image for press in presses.presses],
+        ball_diameters_mm=[press.ball_diameter_mm for press in presses.presses],
+        mm_per_px=presses.mm_per_px,
+        name=presses.sensor_name,
+        serial=presses.serial or "",
+    )
+    calibration.save(folder / "calibration.npz")
+    with written_file(folder / "report.html") as handle:
+        handle.write(report_page(content, presses, calibration).encode())
+    covered = report_coverage(calibration.report, calibration.image_shape, calibration.known_mm_per_px)
+    places = tuple(
+        PressPlace(place["name"], place["x_px"], place["y_px"]) for place in content["coverage"]["next"]
+    )
+    return GuidedCalibration(
+        calibration, folder, _report_facts(calibration, content, folder.name), covered, places
+    )
+
+
+def _report_facts(calibration: Calibration, content: dict[str, Any], name: str) -> dict[str, Any]:
+    verdict = content["verdict"]
+    shown = ("label", "unit", "value", "level")
+    return {
+        "folder": name,
+        "level": verdict["level"],
+        "headline": verdict["headline"],
+        "next": verdict["next"],
+        "checks": [{key: check[key] for key in shown} for check in content["checks"]],
+        "model": calibration.color_model.name,
+        "accepted": sum(row.accepted for row in calibration.report.presses),
+        "rejected": [
+            [row.name, row.reason] for row in calibration.report.presses if row.reason and not row.repeats
+        ],
+    }
 
 
 class Guide:
