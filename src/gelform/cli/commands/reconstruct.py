@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer import Argument, BadParameter, Option
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from gelform.cli.commands.batch import Frames
     from gelform.result import Reconstruction
 
 SURFACES = ("ply", "stl", "tiff", "x3p")  # of exporters.surface; png is a picture here, not depth
@@ -97,11 +96,23 @@ def reconstruct(
         if wanted != ["npz"] or strict or skip_existing:
             only = "of a video or a recording, results are npz, and a run continues by itself."
             raise BadParameter(only, param_hint="--format, --strict, --skip-existing")
-        from gelform.cli.commands.batch import Frames
+        from gelform.cli.commands.batch import Frames, Machines, Results, Run, batch
 
-        frames = Frames(**vars(given), dataset=dataset)
-        how = {"overwrite": overwrite, "accept_doubtful": accept_doubtful, "view": view}
-        _film(inputs[0], frames, output, solver, shown, **how)
+        try:
+            batch(
+                source=str(inputs[0]),
+                given=Frames(**vars(given), dataset=dataset),
+                output=output,
+                results=Results(keep="all", solver=solver),
+                machines=Machines(shard=(1, 1)),
+                run=Run(overwrite=overwrite),
+                accept_doubtful=accept_doubtful,
+                shown=shown,
+            )
+        finally:
+            if view and (output / SHEET).exists():
+                _open(output / SHEET, shown)
+        return
     if dataset:
         raise BadParameter("is for an HDF5 file, a Zarr store or a LeRobot data set.", param_hint="--dataset")
     if view and len(images) == 1 and "png" not in wanted:
@@ -158,37 +169,6 @@ def reconstruct(
     from gelform.cli.process import status_of
 
     raise typer.Exit(status_of(tally, accept_doubtful=accept_doubtful, quiet=True))
-
-
-def _film(
-    source: Path,
-    given: Frames,
-    output: Path,
-    solver: str,
-    shown: ShownOption,
-    *,
-    overwrite: bool,
-    accept_doubtful: bool,
-    view: bool,
-) -> NoReturn:
-    """Do as gelform batch does, and end."""
-    from gelform.cli.commands.batch import Machines, Results, Run, batch
-
-    try:
-        batch(
-            source=str(source),
-            given=given,
-            output=output,
-            results=Results(keep="all", solver=solver),
-            machines=Machines(shard=(1, 1)),
-            run=Run(overwrite=overwrite),
-            accept_doubtful=accept_doubtful,
-            shown=shown,
-        )
-    finally:
-        if view and (output / SHEET).exists():
-            _open(output / SHEET, shown)
-    raise typer.Exit
 
 
 def _open(picture: Path, shown: ShownOption) -> None:

@@ -192,6 +192,7 @@ def record(
       gelform record http://192.168.0.7:8080/stream -o session.mcap
       gelform record D20123 --presses -o presses --ball-diameter-mm 6.35 --sensor digit
     """
+    from gelform.calibration_file import load_calibration
     from gelform.sensors.source import open_source
 
     opened = partial(open_source, source, paced=True, settings=_settings(set_ or []) or None, bgr=bgr)
@@ -206,7 +207,8 @@ def record(
         if given is not None:
             raise BadParameter("is for --presses only.", param_hint=option)
     wanted = {"seconds": seconds, "frames": frames}
-    stats, grabbed = _recorded(opened, output, wanted, _digest(calibration), shown)
+    digest = "" if calibration is None else load_calibration(calibration).digest
+    stats, grabbed = _recorded(opened, output, wanted, digest, shown)
     reopened = grabbed.reopened
     if stats.frames == 0:
         raise DataError(f"No frame arrived, so {output} holds none. Check the camera with gelform cameras.")
@@ -386,11 +388,3 @@ def _settings(pairs: list[str]) -> dict[str, float | str]:
         with usage_errors("--set"):
             return check_settings(settings)
     return settings
-
-
-def _digest(calibration: Path | None) -> str:
-    if calibration is None:
-        return ""
-    from gelform.calibration_file import load_calibration
-
-    return load_calibration(calibration).digest
