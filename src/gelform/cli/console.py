@@ -9,12 +9,14 @@ import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import typer
 
 from gelform.foundations.findings import Progress, no_progress
 
+Columns: TypeAlias = Mapping[str, str] | Sequence[str]
+Rows: TypeAlias = Iterable[Mapping[str, Any] | Sequence[Any]]
 # What steers a terminal: control codes (C0, DEL, C1), line separators, and marks that turn the direction of writing.
 _STEERING = re.compile("[\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]")
 
@@ -62,9 +64,7 @@ def show(text: str) -> None:
     typer.echo(printable(text))
 
 
-def show_table(
-    title: str, columns: Mapping[str, str] | Sequence[str], rows: Iterable[Mapping[str, Any] | Sequence[Any]]
-) -> None:
+def show_table(title: str, columns: Columns, rows: Rows) -> None:
     """Print a table on standard output; its first column is text, the others are numbers.
 
     Each row is a record, and `columns` has the headings of its keys; or it has a value for each heading.

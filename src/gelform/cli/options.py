@@ -14,7 +14,7 @@ from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 from typer import Argument, BadParameter, Option
 
-from gelform.cli.console import print_json, progress_shown, say, show_table
+from gelform.cli.console import Columns, Rows, print_json, progress_shown, say, show_table
 from gelform.foundations.findings import Progress
 from gelform.robots.topics import TOPICS, USUAL
 from gelform.sensors.profiles import PROFILES
@@ -175,10 +175,10 @@ class ShownOption:
         """Print a line for the user."""
         say(text, self.quiet)
 
-    def table(self, *table: Any) -> None:
-        """Print a table for the user, as `show_table`."""
+    def table(self, title: str, columns: Columns, rows: Rows) -> None:
+        """Print a table for the user."""
         if not self.silent:
-            show_table(*table)
+            show_table(title, columns, rows)
 
     def json(self, content: Mapping[str, Any]) -> None:
         """Print the numbers as JSON, if requested."""
