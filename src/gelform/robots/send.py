@@ -322,31 +322,19 @@ def publish(
     """Reconstruct the frames of a source, and publish the newest results as ROS 2 topics until it ends.
 
     Nodes with the middleware rmw_zenoh (Jazzy and later) receive them. Recordings, videos and folders play at their
-    own pace. An interrupt (Ctrl-C) ends it normally.
+    own pace. An interrupt (Ctrl-C) ends it normally; see `save_bag` for the arguments and errors that are not here.
 
     Parameters
     ----------
-    source : argument of `open_source`
-    calibration : of the sensor, or the path of its file
-    topics : names of TOPICS; `pose` only if it is named
-    sensor : a ROS name, the prefix of topics and frames; by default made from the calibration's sensor name
     router : address of the zenoh router
     domain : the subscribers' ROS_DOMAIN_ID
-    seconds : duration; None: no limit
-    background : (H, W, 3), 0-255, a current background image; by default the calibration's own
-    bgr : whether the frames are blue, green, red
-    progress : called with the number of frames so far
 
     Raises
     ------
     GelformError
         No router answers.
-    SensorError, DataError
-        The source cannot be opened, or gives no frame or frames of another size; the extra `ros` is not installed.
-    CalibrationError
-        The calibration cannot be read or is of another sensor; or it has no scale, which indentation and points need.
     ValueError
-        A topic is unknown, the sensor is no ROS name, the domain or the address is invalid, or `seconds` is no time.
+        The domain or the address is invalid.
     """
     calibration, topics, name = _checked(calibration, topics, sensor, seconds)
     hardware_id = calibration.serial or ""

@@ -10,6 +10,8 @@ from typer import Argument, BadParameter, Option
 from gelform.cli.options import Background, Bgr, Sensor, ShownOption, number, numbers
 from gelform.cli.process import mistakes_in
 
+Place = Annotated[Path, Argument(metavar="PLACE", help="Press folder, or its sensor.toml, to write into.")]
+
 
 def scale(
     *,
@@ -84,9 +86,7 @@ def _images_and_mm(text: str) -> tuple[list[Path], float]:
 
 def lens(
     *,
-    place: Annotated[
-        Path, Argument(metavar="PLACE", help="Press folder, or its sensor.toml, to write into.")
-    ],
+    place: Place,
     images: Annotated[
         list[Path],
         Option("--image", metavar="IMG", help="Whole frame with the grid on the gel; may be repeated."),
@@ -127,9 +127,7 @@ def lens(
 
 def crosstalk(
     *,
-    place: Annotated[
-        Path, Argument(metavar="PLACE", help="Press folder, or its sensor.toml, to write into.")
-    ],
+    place: Place,
     led_frames: Annotated[
         tuple[Path, Path, Path],
         Argument(metavar="R G B", help="Gel at rest under the red, green, blue LEDs alone."),
