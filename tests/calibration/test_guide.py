@@ -1,9 +1,4 @@
-"""The content of images during a guided calibration, against simulated presses.
-
-The guide's steps, with simulated images at a camera's pace, faster than real time.
-
-The calibration of guided presses, its files and its figures.
-"""
+"""A guided calibration: what its images show, its steps faster than real time, its files and figures."""
 
 from __future__ import annotations
 

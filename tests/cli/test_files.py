@@ -158,8 +158,8 @@ def test_images_go_through_the_view(calibration, press_folder):
     path = press_folder / "images" / "0001.png"
     assert Inputs().image(path, calibration).shape == (120, 160, 3)
     assert Inputs().background_for(calibration) is None
-    rest = Inputs(background=press_folder / "background.png").background_for(calibration)
-    assert rest.shape == (120, 160, 3)
+    given = Inputs(background=press_folder / "background.png")
+    assert given.background_for(calibration).shape == (120, 160, 3)
 
 
 def test_another_size_names_the_file(calibration, tmp_path):
