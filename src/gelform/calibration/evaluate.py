@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from gelform.calibration.circles.find import find_contact, why_no_contact
 from gelform.calibration.circles.prepare import ColorChanges
-from gelform.calibration.held_out.measure import errors_of, sample_of
+from gelform.calibration.held_out.measure import errors_of, held_out_pixels
 from gelform.calibration.presses.folder import Press, Presses, as_presses, with_view
 from gelform.calibration.presses.press_set import FlatPress
 from gelform.calibration.report.content import errors_where
@@ -84,7 +84,7 @@ def evaluate(
     reconstruct = Reconstructor(calibration, presses.background)
     changes = ColorChanges(reconstruct.background, calibration.change)
     ratio = calibration.settings.contact_radius_ratio or 1.0
-    rows, errors, samples = [], [], []
+    rows, errors, pixels = [], [], []
     for done, press in enumerate(presses.presses):
         circle, reason = _circle(press, changes)
         row: dict[str, Any] = {
@@ -98,7 +98,7 @@ def evaluate(
             result = reconstruct.from_image(press.image)
             measured = press, circle, result, mm_per_px, ratio
             errors.append(errors_of(*measured))
-            samples.append(sample_of(done, *measured))
+            pixels.append(held_out_pixels(done, *measured)[0])
             row["errors"] = asdict(errors[-1])
         rows.append(row)
         progress(done + 1, len(presses.presses), "reconstructing presses")
@@ -107,7 +107,7 @@ def evaluate(
         raise DataError(f"No press of {presses.folder} could be evaluated; the first: {reason}.")
     seen = sum(row["seen"] for row in rows if row["reason"] is None)
     findings = tuple(finding.message for finding in reconstruct.findings)
-    where = errors_where(samples, calibration.image_shape, ratio)
+    where = errors_where(np.concatenate(pixels), calibration.image_shape, ratio)
     flats = tuple(_height_of(flat, reconstruct) for flat in presses.flats)
     return Evaluation(tuple(rows), summary(errors), where, seen, reconstruct.own_background, findings, flats)
 
