@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from gelform.calibration.circles.find import find_contact
+from gelform.calibration.circles.locate import Located, Refined
 from gelform.calibration.circles.prepare import prepare
-from gelform.calibration.fitted import untouched_change
 from gelform.calibration.held_out.measure import PIXEL, table
 from gelform.calibration.held_out.scores import HeldOutPresses, make_folds
 from gelform.calibration.report.content import report_content
@@ -47,8 +47,13 @@ def page(content, presses, calibration):
 
 
 @pytest.fixture(scope="session")
-def held_out(prepared, found, folds):
-    return HeldOutPresses({10.0: prepared}, found, folds, {10.0: untouched_change(prepared, found)})
+def located(presses, prepared, found):
+    return Located(presses, prepared, found, Refined(tuple(found), (None,) * len(found), None))
+
+
+@pytest.fixture(scope="session")
+def held_out(located, folds):
+    return HeldOutPresses(located, folds)
 
 
 @pytest.fixture(scope="session")

@@ -22,7 +22,7 @@ from gelform.calibration.candidates import (
 )
 from gelform.calibration.circles.find import ZONE, ContactCircle, PreparedPress
 from gelform.calibration.circles.locate import Located
-from gelform.calibration.circles.prepare import change_settings, prepared_by_offset
+from gelform.calibration.circles.prepare import change_settings
 from gelform.calibration.coverage import NEEDED, SAMPLED
 from gelform.calibration.held_out.scores import Fold, HeldOutPresses, Selection, select
 from gelform.calibration.presses.press_set import Presses
@@ -33,9 +33,6 @@ from gelform.image.background import noise_from_image
 from gelform.slopes.color_models import COLOR_MODELS, ColorModel, ForwardResponse
 from gelform.slopes.sigma import SlopeSigma, ends_shown
 
-UNTOUCHED_PERCENTILE = 99.0  # percentile of the size of the color change
-UNTOUCHED_DISTANCE = 3  # contact radii
-USUAL_UNTOUCHED_CHANGE = 0.03  # if no press leaves room for the measurement
 CLIPPED_SHARE = 0.01  # of the training pixels; fewer do not teach the effect of a clipped channel
 # Weights of slopes before held-out presses are measured; roughly those of any sensor.
 FIRST_GUESS = SlopeSigma(rest=0.02, per_step=0.04, full_confidence_sigma=0.04, correlation_px=10.0)
@@ -83,22 +80,15 @@ def fit(
     begun = [] if start is None else [candidates_from(start, accepted)]
     choice = start is None or (start.offered and NEEDED.edge.met(accepted))
     alone = [candidates_for(color_model, accepted)] if choice else []
-    offsets = {one.change_offset for group in (*begun, *alone) for one in group}
-    if compare:
-        offsets |= {float(one.change_offset) for one in COLOR_MODELS.values()}
-    by_offset = prepared_by_offset(located.presses, located.prepared, offsets)
-    untouched = {
-        offset: untouched_change(*located.refined.of_accepted(own)) for offset, own in by_offset.items()
-    }
-    held_out = HeldOutPresses(by_offset, located.found, folds, untouched)
+    held_out = HeldOutPresses(located, folds)
     selection = select([*begun, *alone], held_out, progress=progress)
     notes: tuple[str, ...] = ()
     if compare:
         selection, notes = _compared(selection, held_out, accepted, progress)
-    offset = selection.chosen.change_offset
-    used, contacts = located.refined.of_accepted(by_offset[offset])
+    prepared, untouched = held_out.prepared_for(selection.chosen)
+    used, contacts = located.refined.of_accepted(prepared)
     own = located.presses.subset(located.refined.accepted)
-    calibration = fit_all(own, used, contacts, selection.chosen, untouched[offset])
+    calibration = fit_all(own, used, contacts, selection.chosen, untouched)
     shown = set(located.refined.accepted)  # a frame that shows a used press again is no new one either
     digests = [
         one.digest for i, one in enumerate(located.presses.presses) if located.repeated.get(i, i) in shown
@@ -202,19 +192,6 @@ def _settings(
         others=dict(chosen.settings),
         **presses.geometry.settings(),
     )
-
-
-def untouched_change(presses: Sequence[PreparedPress], contacts: Sequence[ContactCircle]) -> float:
-    """Largest color change of pixels at rest, beyond three contact radii."""
-    sizes = []
-    for press, contact in zip(presses, contacts):
-        height, width = press.size.shape
-        rows, cols = np.ogrid[:height, :width]
-        reach = UNTOUCHED_DISTANCE * contact.radius_px
-        far = (cols - contact.x_px) ** 2 + (rows - contact.y_px) ** 2 > reach**2
-        if far.any():
-            sizes.append(float(np.percentile(press.size[far], UNTOUCHED_PERCENTILE)))
-    return float(np.median(sizes)) if sizes else USUAL_UNTOUCHED_CHANGE
 
 
 def image_noise(images: Sequence[NDArray[Any]], background: NDArray[np.float32]) -> NDArray[np.float64]:

@@ -12,7 +12,6 @@ from scipy.ndimage import gaussian_filter
 import gelform
 from gelform.calibration.candidates import Candidate
 from gelform.calibration.circles.find import ContactCircle, PreparedPress, magnitude
-from gelform.calibration.circles.locate import Located, Refined
 from gelform.calibration.fitted import FIRST_GUESS, Fitted
 from gelform.calibration.held_out import measure as module
 from gelform.calibration.held_out.measure import (
@@ -242,10 +241,8 @@ def test_each_press_is_reconstructed_once(presses, monkeypatch):
 
 
 @pytest.fixture(scope="module")
-def judged(presses, prepared, found, held_out):
+def judged(located, held_out):
     """Judges a calibration with what was selected."""
-    refined = Refined(tuple(found), (None,) * len(found), None)
-    located = Located(presses, prepared, found, refined)
     return lambda draft, chosen, by_fold: measure_held_out(
         Fitted(located, held_out, Selection(chosen, by_fold, ()), draft)
     )

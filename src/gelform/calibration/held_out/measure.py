@@ -244,12 +244,13 @@ def measure_held_out(fitted: Fitted, *, progress: Progress = no_progress) -> Jud
     errors: dict[int, PressErrors] = {}
     saved_errors: dict[int, PressErrors] = {}
     held_out, chosen, draft = fitted.held_out, fitted.selection.chosen, fitted.calibration
-    prepared, folds = held_out.presses[chosen.change_offset], held_out.folds
+    folds, found = held_out.folds, fitted.located.found
+    prepared, _ = held_out.prepared_for(chosen)
     fits = held_out.fitted(chosen)
     model = draft.color_model.prepare(draft.background, draft.image_shape)
     untouched = PreparedBackground(draft.background, draft.change)
     noise = noise_at_rest(model, untouched, draft.settings.image_noise)
-    sigma, residual_scale = slope_sigma_from_folds(fits, folds, prepared, held_out.found, noise)
+    sigma, residual_scale = slope_sigma_from_folds(fits, folds, prepared, found, noise)
     assert draft.forward is not None
     forward = replace(draft.forward, residual_scale=residual_scale)
     # Held-out presses show what slopes there are; what these have in common counts in units of the error still to be found.
@@ -286,7 +287,7 @@ def measure_held_out(fitted: Fitted, *, progress: Progress = no_progress) -> Jud
         caps_um,
         with_factors(sigma, np.concatenate(own), far, trained, ratio),
         forward,
-        circle_sigmas(fitted.located.prepared, held_out.found, folds, fitted.located.refined_by),
+        circle_sigmas(fitted.located.prepared, found, folds, fitted.located.refined_by),
     )
 
 
@@ -296,7 +297,10 @@ def _reconstructed(
     """Index, circle, record and result of each press of a fold, by a calibration that was fitted without the fold."""
     held_out, presses, known = fitted.held_out, fitted.located.presses, draft.forward
     ((reader, forward),) = held_out.fit(fold, [candidate])
-    change = change_settings(presses, candidate.change_offset)
+    change, (prepared, _) = (
+        change_settings(presses, candidate.change_offset),
+        held_out.prepared_for(candidate),
+    )
     assert known is not None
     own = replace(known, step_sigma=None) if forward is None else forward
     own = replace(own, clipped=known.clipped, residual_scale=known.residual_scale)
@@ -304,7 +308,7 @@ def _reconstructed(
     for i in fold.held_out:
         record, albedo = reconstruct.record(presses.presses[i].image)
         result = reconstruct.result(record, albedo)
-        circle = _free_circle(held_out.presses[candidate.change_offset][i], held_out.found[i], result)
+        circle = _free_circle(prepared[i], fitted.located.found[i], result)
         yield i, circle, record, result
 
 

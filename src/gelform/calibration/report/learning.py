@@ -22,7 +22,7 @@ from gelform.calibration.candidates import (
 )
 from gelform.calibration.circles.find import TRIAL_SAMPLES, ContactCircle, PreparedPress
 from gelform.calibration.circles.locate import refine
-from gelform.calibration.circles.prepare import find_contacts, prepare, prepared_by_offset
+from gelform.calibration.circles.prepare import find_contacts, prepare, prepared_with
 from gelform.calibration.coverage import NEEDED
 from gelform.calibration.held_out.scores import score_of
 from gelform.calibration.presses.press_set import Presses
@@ -70,7 +70,7 @@ def learning_curve(
     ratio = calibration.settings["contact_radius_ratio"]
     to_refine = [replace(press, contact_radius_ratio=ratio) for press in prepare(own)]
     offset = COLOR_MODELS[calibration.color_model.name].change_offset
-    to_fit = prepared_by_offset(own, to_refine, [offset])[offset]
+    to_fit = prepared_with(own, to_refine, offset)
     found = find_contacts(to_refine)
     sizes = sizes_for(len(own.presses))
     orders = [rng.permutation(len(own.presses)) for _ in range(DRAWS)]
