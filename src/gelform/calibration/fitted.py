@@ -45,22 +45,13 @@ LEAST_EXPLAINED = 0.5  # of the slopes' sum of squares
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """The selected color model and forward response, fitted on all accepted presses, and without each fold.
+    """The selected color model and forward response, fitted on all accepted presses, and without each fold."""
 
-    Attributes
-    ----------
-    located : the presses and their circles
-    held_out : the presses, split into folds, with the fits without each
-    selection : the selected candidate
-    calibration : of all accepted presses, without its errors yet
-    notes : the color models that could not be compared, with the reasons
-    """
-
-    located: Located
-    held_out: HeldOutPresses
-    selection: Selection
-    calibration: Calibration
-    notes: tuple[str, ...] = ()
+    located: Located  # the presses and their circles
+    held_out: HeldOutPresses  # the presses, split into folds, with the fits without each
+    selection: Selection  # the selected candidate
+    calibration: Calibration  # of all accepted presses, without its errors yet
+    notes: tuple[str, ...] = ()  # the color models that could not be compared, with the reasons
 
 
 def fit(

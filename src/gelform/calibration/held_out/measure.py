@@ -213,25 +213,19 @@ FAR_RADII, LEAST_FAR_PX, EVERY_FAR, MOST_FAR = 2.5, 200, 7, 5.0
 
 @dataclass(frozen=True)
 class Judged:
-    """The errors of a fit on held-out presses.
+    """The errors of a fit on held-out presses."""
 
-    Attributes
-    ----------
-    errors : index of the press -> its errors through the whole path, with the candidate selected without its fold
-    saved_errors : the same by the saved model's kind, settings and zone, fitted without its fold
-    pixels : (N,) some of each press (`PIXEL`), with the candidate selected without its fold
-    caps_um : index of the press -> (h, w) depth minus the ball's cap in the contact's box, as `held_out_pixels` gives it
-    slope_sigma : standard deviation of the slopes of the chosen color model, and of those of the solved depth
-    forward : the forward response, its residuals in the unit of those of held-out presses
-    circle_sigmas : index of the press -> standard deviations, px, of its circle's center and radius
-    """
-
+    # index of the press -> its errors through the whole path, with the candidate selected without its fold
     errors: Mapping[int, PressErrors]
+    # the same by the saved model's kind, settings and zone, fitted without its fold
     saved_errors: Mapping[int, PressErrors]
-    pixels: NDArray[Any]
+    pixels: NDArray[Any]  # (N,) some of each press (`PIXEL`), with the candidate selected without its fold
+    # index of the press -> (h, w) depth minus the ball's cap in the contact's box, as `held_out_pixels` gives it
     caps_um: Mapping[int, NDArray[np.float32]]
+    # standard deviation of the slopes of the chosen color model, and of those of the solved depth
     slope_sigma: SlopeSigma
-    forward: ForwardResponse
+    forward: ForwardResponse  # its residuals in the unit of those of held-out presses
+    # index of the press -> standard deviations, px, of its circle's center and radius
     circle_sigmas: Mapping[int, tuple[float, float]]
 
 

@@ -184,23 +184,15 @@ LEVELS = ("good", "fair", "poor")
 
 @dataclass(frozen=True)
 class Limit:
-    """The figure of a check, and the limits of good and fair.
-
-    Attributes
-    ----------
-    name, label, unit : of the figure
-    good, fair : largest good and fair figure; the smallest one if `rising`
-    rising : a larger figure is better
-    action : the advice if it is not good
-    """
+    """The figure of a check, and the limits of good and fair."""
 
     name: str
     label: str
     unit: str
-    good: float
+    good: float  # largest good figure; the smallest one if `rising`
     fair: float
-    rising: bool
-    action: str
+    rising: bool  # a larger figure is better
+    action: str  # the advice if it is not good
 
 
 LIMITS = (
