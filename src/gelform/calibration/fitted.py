@@ -30,7 +30,7 @@ from gelform.calibration_file import Calibration, CalibrationSettings
 from gelform.errors import GelformError
 from gelform.foundations.findings import Progress, no_progress
 from gelform.image.background import noise_from_image
-from gelform.slopes.color_models import COLOR_MODELS, ColorModel, ForwardResponse
+from gelform.slopes.color_models import COLOR_MODELS, ColorModel
 from gelform.slopes.sigma import SlopeSigma, ends_shown
 
 CLIPPED_SHARE = 0.01  # of the training pixels; fewer do not teach the effect of a clipped channel
@@ -119,10 +119,11 @@ def fit_all(
     reader = SlopeReader(model, prepared[0], untouched)
     (forward,) = fitted_responses(reader, prepared, contacts, [step.step_ridge], start=chosen.start)
     images = [press.image for press in presses.presses]
+    levels = [image[one.pixels(contact, ZONE)] for image, one, contact in zip(images, prepared, contacts)]
     forward = replace(
         forward,
         step_sigma=None if chosen.step_ridge is None else forward.step_sigma,
-        clipped=_clipped(images, prepared, contacts),
+        clipped=np.asarray(ends_shown(np.concatenate(levels)) > CLIPPED_SHARE),
     )
     relaxation_mm = relaxation_from_presses(model, prepared, contacts, presses.background, presses.mm_per_px)
     return Calibration(
@@ -138,7 +139,7 @@ def fit_all(
         change=change_settings(presses, chosen.change_offset),
         color_model=model,
         forward=forward,
-        slope_sigma=_first_guess(forward),
+        slope_sigma=FIRST_GUESS if forward.step_sigma is None else replace(FIRST_GUESS, per_step=1.0),
         untouched_change=untouched,
         held_out={},
         training_digests=tuple(press.digest for press in presses.presses),
@@ -146,21 +147,6 @@ def fit_all(
         library_version=__version__,
         created_utc=datetime.now(timezone.utc).isoformat(timespec="seconds"),
     )
-
-
-def _first_guess(forward: ForwardResponse) -> SlopeSigma:
-    """Weights of slopes before held-out presses are measured: the step's own deviation, or a usual one."""
-    if forward.step_sigma is None:
-        return FIRST_GUESS
-    return replace(FIRST_GUESS, per_step=1.0)
-
-
-def _clipped(
-    images: Sequence[NDArray[Any]], presses: Sequence[PreparedPress], contacts: Sequence[ContactCircle]
-) -> NDArray[np.bool_]:
-    """Channels (2, 3) that more than a hundredth of the training pixels show at the camera's lower and upper end."""
-    levels = [image[press.pixels(contact, ZONE)] for image, press, contact in zip(images, presses, contacts)]
-    return np.asarray(ends_shown(np.concatenate(levels)) > CLIPPED_SHARE)
 
 
 def _settings(

@@ -24,7 +24,6 @@ from gelform.calibration.held_out.measure import (
     depth_factor,
     errors_of,
     fraction_trained,
-    held_out_pixels,
     measure_held_out,
     press_errors_as_read,
     rest_correlation,
@@ -304,9 +303,8 @@ def first(calibration, presses):
 
 def test_thinning_keeps_the_press_and_an_empty_picture_is_no_crash(calibration, presses, first):
     stated = first[2].gradients_sigma[..., 0]
-    (full, cap), (thin, same) = (
-        held_out_pixels(4, *first, calibration.mm_per_px, 0.85, stated=stated, max_pixels=n)
-        for n in (10**6, 150)
+    (_, full, cap), (_, thin, same) = (
+        errors_of(4, *first, calibration.mm_per_px, 0.85, stated=stated, max_pixels=n) for n in (10**6, 150)
     )
     assert 75 <= len(thin) <= 160 < len(full)
     assert set(full["press"]) == set(thin["press"]) == {4}
@@ -316,7 +314,7 @@ def test_thinning_keeps_the_press_and_an_empty_picture_is_no_crash(calibration, 
     np.testing.assert_array_equal(thin["stated"], at_pixels(stated, thin))
     blank = replace(first[0], image=presses.background.astype(np.uint8))
     result = Reconstructor(calibration).from_image(blank.image)
-    assert held_out_pixels(0, blank, first[1], result, calibration.mm_per_px, 0.85)[1].ndim == 2
+    assert errors_of(0, blank, first[1], result, calibration.mm_per_px, 0.85)[2].ndim == 2
 
 
 def test_errors_are_counted_inside_the_edge(calibration, first):
@@ -325,7 +323,7 @@ def test_errors_are_counted_inside_the_edge(calibration, first):
     y, x = np.mgrid[: result.shape[0], : result.shape[1]]
     beyond = np.hypot(x - circle[0], y - circle[1]) > 0.75 * circle[2]
     spoilt = replace(result, gradients=np.where(beyond[..., None], 0, result.gradients).astype(np.float32))
-    plain, rim = (errors_of(press, circle, one, calibration.mm_per_px, 0.7) for one in (result, spoilt))
+    plain, rim = (errors_of(0, press, circle, one, calibration.mm_per_px, 0.7)[0] for one in (result, spoilt))
     assert plain.normal_free_deg == pytest.approx(rim.normal_free_deg, rel=0.02)
     assert rim.normal_rim_deg > plain.normal_rim_deg + 3
 

@@ -75,7 +75,9 @@ def contact_radius_ratio(presses: Sequence[PreparedPress], contacts: Sequence[Co
     gains = []
     for group in range(FOLDS):
         others = [i for i in range(len(visible)) if i % FOLDS != group]
-        model = _of_inner_half([visible[i] for i in others], [contacts[i] for i in others])
+        training = [visible[i] for i in others], [contacts[i] for i in others]
+        samples = with_rest_samples(contact_samples(*training, INNER, total=TRIAL_SAMPLES), *training)
+        model = COLOR_MODELS[DEFAULT_MODEL].fit(samples)
         gains += [_gains(visible[i], contacts[i], model) for i in range(group, len(visible), FOLDS)]
     return edge_of_gains(np.array(gains))
 
@@ -95,11 +97,6 @@ def edge_of_gains(gains: NDArray[np.float64]) -> float:
     last = max(int(both[0]), 1)
     part = (relative[last - 1] - LEAST_GAIN) / max(relative[last - 1] - relative[last], 1e-12)
     return float(np.interp(np.clip(part, 0, 1), (0, 1), middles[last - 1 : last + 1]))
-
-
-def _of_inner_half(presses: Sequence[PreparedPress], contacts: Sequence[ContactCircle]) -> ColorModel:
-    samples = contact_samples(presses, contacts, INNER, total=TRIAL_SAMPLES)
-    return COLOR_MODELS[DEFAULT_MODEL].fit(with_rest_samples(samples, presses, contacts))
 
 
 def _gains(press: PreparedPress, contact: ContactCircle, model: ColorModel) -> NDArray[np.float64]:

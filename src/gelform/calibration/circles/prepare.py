@@ -312,7 +312,9 @@ def find_contacts(prepared: list[PreparedPress], *, progress: Progress = no_prog
         found.append(contact)
         progress(done + 1, len(prepared), "finding contact circles")
     known = [
-        None if contact.is_weak and press.refused is None and not _has_radius(press) else contact.circle_px
+        None
+        if contact.is_weak and press.refused is None and (press.mark is None or press.mark[2] is None)
+        else contact.circle_px
         for press, contact in zip(prepared, found)
     ]
     for k, (circle, evidence) in find_by_templates(prepared, known).items():
@@ -323,10 +325,6 @@ def find_contacts(prepared: list[PreparedPress], *, progress: Progress = no_prog
         elif evidence >= MIN_EVIDENCE and not found[k].marked:
             found[k] = replace(found[k], x_px=x, y_px=y, radius_px=radius, evidence=evidence)
     return found
-
-
-def _has_radius(press: PreparedPress) -> bool:
-    return press.mark is not None and press.mark[2] is not None
 
 
 def change_without_markers(

@@ -220,7 +220,7 @@ class Judged:
     # the same by the saved model's kind, settings and zone, fitted without its fold
     saved_errors: Mapping[int, PressErrors]
     pixels: NDArray[Any]  # (N,) some of each press (`PIXEL`), with the candidate selected without its fold
-    # index of the press -> (h, w) depth minus the ball's cap in the contact's box, as `held_out_pixels` gives it
+    # index of the press -> (h, w) depth minus the ball's cap in the contact's box, as `errors_of` gives it
     caps_um: Mapping[int, NDArray[np.float32]]
     # standard deviation of the slopes of the chosen color model, and of those of the solved depth
     slope_sigma: SlopeSigma
@@ -262,8 +262,7 @@ def measure_held_out(fitted: Fitted, *, progress: Progress = no_progress) -> Jud
             for i, circle, record, result in _reconstructed(draft, fitted, one, fold):
                 press = fitted.located.presses.presses[i]
                 measured = press, circle, result, draft.known_mm_per_px, prepared[i].contact_radius_ratio
-                into[i] = errors_of(*measured)
-                solved, cap_um = held_out_pixels(i, *measured, stated=record.budget.read)
+                into[i], solved, cap_um = errors_of(i, *measured, stated=record.budget.read)
                 if into is errors:
                     pixels.append(solved)
                     caps_um[i] = cap_um
@@ -291,10 +290,8 @@ def _reconstructed(
     """Index, circle, record and result of each press of a fold, by a calibration that was fitted without the fold."""
     held_out, presses, known = fitted.held_out, fitted.located.presses, draft.forward
     ((reader, forward),) = held_out.fit(fold, [candidate])
-    change, (prepared, _) = (
-        change_settings(presses, candidate.change_offset),
-        held_out.prepared_for(candidate),
-    )
+    change = change_settings(presses, candidate.change_offset)
+    prepared, _ = held_out.prepared_for(candidate)
     assert known is not None
     own = replace(known, step_sigma=None) if forward is None else forward
     own = replace(own, clipped=known.clipped, residual_scale=known.residual_scale)
@@ -302,39 +299,15 @@ def _reconstructed(
     for i in fold.held_out:
         record, albedo = reconstruct.record(presses.presses[i].image)
         result = reconstruct.result(record, albedo)
-        circle = _free_circle(prepared[i], fitted.located.found[i], result)
-        yield i, circle, record, result
-
-
-def _free_circle(
-    press: PreparedPress, found: ContactCircle, result: Reconstruction
-) -> tuple[float, float, float]:
-    """The circle found in the held-out press alone, with the center of the solved slopes; its radius is not refined."""
-    rows, cols = press.pixels(found, ZONE, PRESS_PIXELS)
-    start = found.x_px, found.y_px
-    x, y = ball_center(result.gradients[rows, cols], cols, rows, start, press.ball_radius_px)
-    return x, y, found.radius_px
+        # The circle found in the press alone, with the center of the solved slopes; its radius is not refined.
+        found = fitted.located.found[i]
+        rows, cols = prepared[i].pixels(found, ZONE, PRESS_PIXELS)
+        start, radius = (found.x_px, found.y_px), prepared[i].ball_radius_px
+        center = ball_center(result.gradients[rows, cols], cols, rows, start, radius)
+        yield i, (*center, found.radius_px), record, result
 
 
 def errors_of(
-    press: Press,
-    circle_px: tuple[float, float, float],
-    result: Reconstruction,
-    mm_per_px: float,
-    contact_radius_ratio: float,
-) -> PressErrors:
-    """Errors of a reconstructed press whose visible circle (center x, center y, radius, px) is known."""
-    return press_errors(
-        result.depth_mm,
-        result.gradients,
-        circle_px=circle_px,
-        ball_radius_mm=press.ball_diameter_mm / 2,
-        mm_per_px=mm_per_px,
-        contact_radius_ratio=contact_radius_ratio,
-    )
-
-
-def held_out_pixels(
     index: int,
     press: Press,
     circle_px: tuple[float, float, float],
@@ -344,13 +317,21 @@ def held_out_pixels(
     *,
     stated: NDArray[np.float32] | None = None,
     max_pixels: int = PRESS_PIXELS,
-) -> tuple[NDArray[Any], NDArray[np.float32]]:
-    """About `max_pixels` pixels (`PIXEL`) of a reconstructed press up to the visible rim, and depth minus the ball's cap.
+) -> tuple[PressErrors, NDArray[Any], NDArray[np.float32]]:
+    """Errors of a reconstructed press with a visible circle (center x, y, radius, px), its pixels, and depth minus the cap.
 
-    That region and the free centers, fitted inside the contact edge, are those of `gelform.result.metrics.press_errors`.
-    `stated` (H, W) is the deviation of the slopes as read. The second result is (h, w), um, in the contact's box, of mean 0
-    and NaN outside it; empty if the fitted ball lies outside the frame.
+    The pixels (`PIXEL`) are about `max_pixels` up to the visible rim. That region and the free centers, fitted inside the
+    contact edge, are those of `press_errors`. `stated` (H, W) is the deviation of the slopes as read. Depth minus the ball's
+    cap is (h, w), um, in the contact's box, of mean 0 and NaN outside it; empty if the fitted ball lies outside the frame.
     """
+    errors = press_errors(
+        result.depth_mm,
+        result.gradients,
+        circle_px=circle_px,
+        ball_radius_mm=press.ball_diameter_mm / 2,
+        mm_per_px=mm_per_px,
+        contact_radius_ratio=contact_radius_ratio,
+    )
     ball_px = press.ball_diameter_mm / 2 / mm_per_px
     height, width = result.depth_mm.shape
     followed = followed_radius(circle_px[2], ball_px)
@@ -372,7 +353,7 @@ def held_out_pixels(
         stated=np.nan if stated is None else stated[rows, cols],
         solved=result.gradients[rows, cols],
     )
-    return pixels, _cap_error_um(result.depth_mm, inside, start, reach, ball_px, mm_per_px)
+    return errors, pixels, _cap_error_um(result.depth_mm, inside, start, reach, ball_px, mm_per_px)
 
 
 def _cap_error_um(

@@ -67,25 +67,13 @@ def make_folds(
     folds = []
     for f in range(count):
         held_out = tuple(ordered[f::count])
-        folds.append(_fold(presses, found, held_out, [i for i in ordered if i not in held_out], start))
+        training = [i for i in ordered if i not in held_out]
+        refined = refine([presses[i] for i in training], [found[i] for i in training], start=start)
+        kept = refined.accepted
+        contacts = tuple(refined.contacts[k] for k in kept)
+        folds.append(Fold(held_out, tuple(training[k] for k in kept), contacts))
         progress(f + 1, count, "holding presses out")
     return folds
-
-
-def _fold(
-    presses: Sequence[PreparedPress],
-    found: Sequence[ContactCircle],
-    held_out: tuple[int, ...],
-    training: Sequence[int],
-    start: StartableModel | None,
-) -> Fold:
-    refined = refine([presses[i] for i in training], [found[i] for i in training], start=start)
-    kept = refined.accepted
-    return Fold(
-        held_out=held_out,
-        training=tuple(training[k] for k in kept),
-        contacts=tuple(refined.contacts[k] for k in kept),
-    )
 
 
 def check_folds(located: Located, folds: Sequence[Fold]) -> None:

@@ -65,7 +65,7 @@ class CalibrationReport:
     held_out_saved : the same for the saved model's kind and settings, fitted without each press; a little too
         small, because those were selected on the same presses; empty in reports from before it was measured
     pixels : some of each press that was held out (`PIXEL`), with their slopes; not in `to_dict`, not saved
-    caps_um : index of the press -> depth minus the ball's cap (`held_out_pixels`); not in `to_dict`, not saved
+    caps_um : index of the press -> depth minus the ball's cap (`errors_of`); not in `to_dict`, not saved
     balls : each stated diameter, the diameter that was read, and the model that read it; empty if nothing could check it
     start : another unit's model that the fit began with, or None; not in `to_dict`, not saved
     offered : the starter's model that was offered to it, or None; not in `to_dict`, not saved
