@@ -66,14 +66,23 @@ def make_folds(
     count = FOLDS if NEEDED.edge.met(len(ordered)) else len(ordered)
     folds = []
     for f in range(count):
-        held_out = tuple(ordered[f::count])
-        training = [i for i in ordered if i not in held_out]
-        refined = refine([presses[i] for i in training], [found[i] for i in training], start=start)
-        kept = refined.accepted
-        contacts = tuple(refined.contacts[k] for k in kept)
-        folds.append(Fold(held_out, tuple(training[k] for k in kept), contacts))
+        held_out = ordered[f::count]
+        folds.append(fold_of(presses, found, held_out, [i for i in ordered if i not in held_out], start))
         progress(f + 1, count, "holding presses out")
     return folds
+
+
+def fold_of(
+    presses: Sequence[PreparedPress],
+    found: Sequence[ContactCircle],
+    held_out: Sequence[int],
+    training: Sequence[int],
+    start: StartableModel | None,
+) -> Fold:
+    """The fold of some held-out presses, with those of the training presses that fit each other."""
+    refined = refine([presses[i] for i in training], [found[i] for i in training], start=start)
+    kept = refined.accepted
+    return Fold(tuple(held_out), tuple(training[k] for k in kept), tuple(refined.contacts[k] for k in kept))
 
 
 def check_folds(located: Located, folds: Sequence[Fold]) -> None:
@@ -134,6 +143,11 @@ class Trial:
 
     candidate: Candidate
     scores: Mapping[int, HeldOutSlopeScore]
+
+    @property
+    def normal_deg(self) -> float:
+        """Mean angle error over the presses."""
+        return float(np.mean([score.normal_deg for score in self.scores.values()]))
 
     def mean_log(self, without: Sequence[int] = ()) -> float:
         """Mean logarithm of the slope error, without some presses."""
@@ -202,19 +216,18 @@ class HeldOutPresses:
         """Fit a candidate without each fold."""
         return [self.fit(fold, [candidate])[0] for fold in self.folds]
 
-    def try_candidates(self, candidates: Sequence[Candidate]) -> list[Trial]:
-        """Fit candidates that differ only in their settings without each fold, and score them on that fold."""
+    def try_candidates(
+        self, candidates: Sequence[Candidate], folds: Sequence[Fold] | None = None
+    ) -> list[Trial]:
+        """Fit candidates that differ only in their settings without each fold, its own or others, and score them on it."""
         scores: list[dict[int, HeldOutSlopeScore]] = [{} for _ in candidates]
         prepared, found = self.prepared_for(candidates[0])[0], self.located.found
-        for fold in self.folds:
+        for fold in self.folds if folds is None else folds:
             readers: dict[SlopeReader, list[int]] = {}
             fits = self.fit(fold, candidates)
             for k, fit in enumerate(fits):
                 readers.setdefault(fit.reader, []).append(k)
-            for (
-                reader,
-                members,
-            ) in readers.items():  # candidates that differ only by their steps are read once
+            for reader, members in readers.items():  # candidates that differ only by steps are read once
                 for i in fold.held_out:
                     frames = reader.frames(prepared[i], [fits[k].forward for k in members])
                     for k, frame in zip(members, frames):

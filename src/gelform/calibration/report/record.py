@@ -198,7 +198,7 @@ def _candidate_rows(selection: Selection) -> tuple[dict[str, Any], ...]:
         {
             "candidate": trial.candidate.describe(),
             "slope_error": float(np.exp(trial.mean_log())),
-            "normal_free_deg": float(np.mean([score.normal_deg for score in trial.scores.values()])),
+            "normal_free_deg": trial.normal_deg,
             "chosen": trial.candidate == selection.chosen,
         }
         for trial in selection.trials
