@@ -47,8 +47,7 @@ LEAST_EXPLAINED = 0.5  # of the slopes' sum of squares
 class Fitted:
     """The selected color model and forward response, fitted on all accepted presses, and without each fold."""
 
-    located: Located  # the presses and their circles
-    held_out: HeldOutPresses  # the presses, split into folds, with the fits without each
+    held_out: HeldOutPresses  # the located presses, split into folds, with the fits without each
     selection: Selection  # the selected candidate
     calibration: Calibration  # of all accepted presses, without its errors yet
     notes: tuple[str, ...] = ()  # the color models that could not be compared, with the reasons
@@ -85,7 +84,7 @@ def fit(
         one.digest for i, one in enumerate(located.presses.presses) if located.repeated.get(i, i) in shown
     ]
     calibration = replace(calibration, training_digests=tuple(digests))
-    return Fitted(located, held_out, selection, calibration, notes)
+    return Fitted(held_out, selection, calibration, notes)
 
 
 def _compared(

@@ -240,10 +240,10 @@ def test_each_press_is_reconstructed_once(presses, monkeypatch):
 
 
 @pytest.fixture(scope="module")
-def judged(located, held_out):
+def judged(held_out):
     """Judges a calibration with what was selected."""
     return lambda draft, chosen, by_fold: measure_held_out(
-        Fitted(located, held_out, Selection(chosen, by_fold, ()), draft)
+        Fitted(held_out, Selection(chosen, by_fold, ()), draft)
     )
 
 

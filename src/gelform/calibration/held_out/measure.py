@@ -25,7 +25,7 @@ from gelform.calibration.circles.find import (
 )
 from gelform.calibration.circles.prepare import change_settings
 from gelform.calibration.fitted import Fitted
-from gelform.calibration.held_out.scores import Fold, circle_sigmas
+from gelform.calibration.held_out.scores import Fold, HeldOutPresses, circle_sigmas
 from gelform.calibration.presses.press_set import Press
 from gelform.calibration_file import Calibration
 from gelform.depth.sigma import squared_factor
@@ -238,9 +238,9 @@ def measure_held_out(fitted: Fitted, *, progress: Progress = no_progress) -> Jud
     errors: dict[int, PressErrors] = {}
     saved_errors: dict[int, PressErrors] = {}
     held_out, chosen, draft = fitted.held_out, fitted.selection.chosen, fitted.calibration
-    folds, found = held_out.folds, fitted.located.found
+    folds, located, found = held_out.folds, held_out.located, held_out.located.found
     prepared, _ = held_out.prepared_for(chosen)
-    fits = held_out.fitted(chosen)
+    fits = [held_out.fit(fold, [chosen])[0] for fold in folds]
     model = draft.color_model.prepare(draft.background, draft.image_shape)
     untouched = PreparedBackground(draft.background, draft.change)
     noise = noise_at_rest(model, untouched, draft.settings.image_noise)
@@ -259,8 +259,8 @@ def measure_held_out(fitted: Fitted, *, progress: Progress = no_progress) -> Jud
         if candidate != chosen:
             runs.append((chosen, saved_errors))
         for one, into in runs:
-            for i, circle, record, result in _reconstructed(draft, fitted, one, fold):
-                press = fitted.located.presses.presses[i]
+            for i, circle, record, result in _reconstructed(draft, held_out, one, fold):
+                press = located.presses.presses[i]
                 measured = press, circle, result, draft.known_mm_per_px, prepared[i].contact_radius_ratio
                 into[i], solved, cap_um = errors_of(i, *measured, stated=record.budget.read)
                 if into is errors:
@@ -280,15 +280,15 @@ def measure_held_out(fitted: Fitted, *, progress: Progress = no_progress) -> Jud
         caps_um,
         with_factors(sigma, np.concatenate(own), far, trained, ratio),
         forward,
-        circle_sigmas(fitted.located.prepared, found, folds, fitted.located.refined_by),
+        circle_sigmas(located.prepared, found, folds, located.refined_by),
     )
 
 
 def _reconstructed(
-    draft: Calibration, fitted: Fitted, candidate: Candidate, fold: Fold
+    draft: Calibration, held_out: HeldOutPresses, candidate: Candidate, fold: Fold
 ) -> Iterator[tuple[int, tuple[float, float, float], FrameRecord, Reconstruction]]:
     """Index, circle, record and result of each press of a fold, by a calibration that was fitted without the fold."""
-    held_out, presses, known = fitted.held_out, fitted.located.presses, draft.forward
+    known, presses = draft.forward, held_out.located.presses
     ((reader, forward),) = held_out.fit(fold, [candidate])
     change = change_settings(presses, candidate.change_offset)
     prepared, _ = held_out.prepared_for(candidate)
@@ -300,7 +300,7 @@ def _reconstructed(
         record, albedo = reconstruct.record(presses.presses[i].image)
         result = reconstruct.result(record, albedo)
         # The circle found in the press alone, with the center of the solved slopes; its radius is not refined.
-        found = fitted.located.found[i]
+        found = held_out.located.found[i]
         rows, cols = prepared[i].pixels(found, ZONE, PRESS_PIXELS)
         start, radius = (found.x_px, found.y_px), prepared[i].ball_radius_px
         center = ball_center(result.gradients[rows, cols], cols, rows, start, radius)

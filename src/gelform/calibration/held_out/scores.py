@@ -212,10 +212,6 @@ class HeldOutPresses:
                         self._fits[fold, one] = FittedSlopes(reader, forward)
         return [self._fits[fold, one] for one in candidates]
 
-    def fitted(self, candidate: Candidate) -> list[FittedSlopes]:
-        """Fit a candidate without each fold."""
-        return [self.fit(fold, [candidate])[0] for fold in self.folds]
-
     def try_candidates(
         self, candidates: Sequence[Candidate], folds: Sequence[Fold] | None = None
     ) -> list[Trial]:

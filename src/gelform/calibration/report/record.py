@@ -94,19 +94,20 @@ def report_of_run(
     fitted: Fitted, judged: Judged, balls: Sequence[BallReading], *, notes: Sequence[str], seconds: float
 ) -> CalibrationReport:
     """The report of a calibration run from the results of its steps; `notes` follow its own."""
-    presses, begun = fitted.located.presses, fitted.located.start
+    located = fitted.held_out.located
+    presses, begun = located.presses, located.start
     offered = begun if begun is not None and begun.offered else None
     return CalibrationReport(
-        presses=_press_rows(fitted.located, judged),
+        presses=_press_rows(located, judged),
         candidates=_candidate_rows(fitted.selection),
         held_out=summary(list(judged.errors.values())),
         seconds=seconds,
         notes=(
             _how_held_out(len(judged.errors), fitted.selection),
-            *_of_repeated(fitted.located),
+            *_of_repeated(located),
             *_of_starter(fitted, offered),
             *presses.geometry.notes(presses.response, presses.mm_per_px_sigma),
-            *fitted.located.notes,
+            *located.notes,
             *fitted.notes,
             *notes,
         ),
