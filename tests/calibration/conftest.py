@@ -71,4 +71,4 @@ def _sample(index=0, *, gain=1.0, noise=0.0, bias=(0.0, 0.0), circle=(40.0, 30.0
     if noise:
         seen = seen + noise * rng.standard_normal(true.shape)
     rho = np.hypot(x - circle[0], y - circle[1]) / circle[2]
-    return table(PIXEL, press=index, x_px=x, y_px=y, rho=rho, stated=np.nan, true=true, solved=seen)
+    return table(PIXEL, len(x), press=index, x_px=x, y_px=y, rho=rho, true=true, solved=seen, stated=np.nan)

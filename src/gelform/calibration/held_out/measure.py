@@ -53,7 +53,6 @@ SHORTEST_PX = 0.3  # px, shortest of that correlation, which noise and blur caus
 # Fraction of squared residuals of 1 degree of freedom, and their limit.
 MOST, CHI_SQUARE_AT_MOST = 0.95, 3.84
 
-
 # Pixels of presses, each solved by a model that has not seen its press.
 PIXEL = np.dtype(
     [
@@ -68,9 +67,9 @@ PIXEL = np.dtype(
 )
 
 
-def table(columns: np.dtype[Any], **values: Any) -> NDArray[Any]:
-    """A structured array; the last value is no scalar."""
-    made = np.empty(len(next(reversed(values.values()))), columns)
+def table(columns: np.dtype[Any], rows: int, **values: Any) -> NDArray[Any]:
+    """A structured array of so many rows, from the values of its columns."""
+    made = np.empty(rows, columns)
     for name, column in values.items():
         made[name] = column
     return made
@@ -172,6 +171,7 @@ def press_errors_as_read(
     rows, cols = rows[thin], cols[thin]
     pixels = table(
         HELD_OUT,
+        len(rows),
         slope=np.linalg.norm(gradients[thin], axis=-1),
         error=error[thin],
         stated=np.sqrt(frame.variance[rows, cols]),
@@ -187,7 +187,7 @@ def press_errors_as_read(
     there = np.isfinite(slopes[::every, ::every, 0])
     known = slopes[::every, ::every][there]
     bias = np.median(known, axis=0) if len(known) else np.zeros(2)
-    rest = table(AT_REST, error=known - bias, noise=noise[::every, ::every][there])
+    rest = table(AT_REST, len(known), error=known - bias, noise=noise[::every, ::every][there])
     return pixels, rest, _lag_products(box, step), _lag_products(slopes[apart // 2 :: apart] - bias, 1)
 
 
@@ -345,13 +345,14 @@ def errors_of(
     rows, cols = rows[thin], cols[thin]
     pixels = table(
         PIXEL,
+        len(rows),
         press=index,
         x_px=cols,
         y_px=rows,
         rho=np.hypot(cols - center[0], rows - center[1]) / followed,
         true=ball_gradients(cols, rows, center, ball_px),
-        stated=np.nan if stated is None else stated[rows, cols],
         solved=result.gradients[rows, cols],
+        stated=np.nan if stated is None else stated[rows, cols],
     )
     return errors, pixels, _cap_error_um(result.depth_mm, inside, start, reach, ball_px, mm_per_px)
 
