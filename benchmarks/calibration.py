@@ -20,8 +20,7 @@ import gelform
 from gelform.calibration.candidates import Candidate, candidates_for, training_samples
 from gelform.calibration.circles.find import ContactCircle, PreparedPress, find_contact
 from gelform.calibration.circles.locate import refine
-from gelform.calibration.circles.prepare import prepare
-from gelform.calibration.fitted import untouched_change
+from gelform.calibration.circles.prepare import prepare, untouched_change
 from gelform.calibration.report.record import summary
 from gelform.result.metrics import press_errors
 from gelform.slopes.color_models import COLOR_MODELS

@@ -130,7 +130,9 @@ def walked() -> list[tuple[str, list[str]]]:
     return [(name, steps.split(" > ")) for name, steps in lines]
 
 
-@pytest.mark.parametrize(("name", "steps"), walked(), ids=lambda value: value if isinstance(value, str) else "")
+@pytest.mark.parametrize(
+    ("name", "steps"), walked(), ids=lambda value: value if isinstance(value, str) else ""
+)
 def test_the_walks_lead_through_the_code(name, steps):
     """The function's own code has every step after the one before."""
     path = max((one for one in MODULES if f"gelform.{name}".startswith(f"{name_of(one)}.")), key=name_of)

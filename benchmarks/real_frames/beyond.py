@@ -14,7 +14,7 @@ import numpy as np
 import gelform
 from accuracy.real import EDGES, STEEPEST
 from gelform.calibration.circles.find import PreparedPress
-from gelform.calibration.held_out.measure import HeldOutSample
+from gelform.calibration.held_out import measure
 from gelform.result.metrics import ball_center, score_slopes
 from presses import unlabeled
 from real_frames.edges import SURE
@@ -62,15 +62,18 @@ def beyond(run: Run) -> dict[str, Any]:
 
 def below(presses: Any, limit: float) -> gelform.Calibration:
     """A calibration that has seen, and judged itself by, the slopes below a limit alone."""
-    radius, inside = PreparedPress.contact_radius, HeldOutSample.inside
+    radius, factors = PreparedPress.contact_radius, measure.with_factors
 
     def near(self: PreparedPress, contact: Any) -> float:
         return min(radius(self, contact), float(np.sin(np.arctan(limit))) * self.ball_radius_px)
 
-    def gentle(self: HeldOutSample, zone: float) -> np.ndarray:
-        return inside(self, zone) & (np.linalg.norm(self.true_gradients, axis=1) < limit)
+    def of_gentle(sigma: Any, pixels: np.ndarray, *others: Any) -> Any:
+        return factors(sigma, pixels[np.linalg.norm(pixels["true"], axis=1) < limit], *others)
 
-    with patch.object(PreparedPress, "contact_radius", near), patch.object(HeldOutSample, "inside", gentle):
+    with (
+        patch.object(PreparedPress, "contact_radius", near),
+        patch.object(measure, "with_factors", of_gentle),
+    ):
         return gelform.calibrate(unlabeled(presses), start=None)
 
 

@@ -25,7 +25,7 @@ from gelform.calibration.circles.find import (
     with_rest_samples,
 )
 from gelform.calibration.circles.locate import locate
-from gelform.calibration.circles.prepare import ColorChanges, prepared_by_offset
+from gelform.calibration.circles.prepare import ColorChanges, prepared_with
 from gelform.calibration.inputs import INNER
 from gelform.calibration.starters.starter import (
     Starter,
@@ -238,8 +238,7 @@ def common_models(
 def pressed_of(presses: gelform.Presses, offset: float) -> tuple[list[PreparedPress], list[ContactCircle]]:
     """The accepted presses of a unit and their circles."""
     located = locate(unlabeled(presses))
-    prepared = prepared_by_offset(located.presses, located.prepared, {offset})[offset]
-    return located.refined.of_accepted(prepared)
+    return located.refined.of_accepted(prepared_with(located.presses, located.prepared, offset))
 
 
 def as_first(samples: Samples, mean: Starter, presses: gelform.Presses) -> Samples:

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from gelform.calibration.circles.find import find_contact
+from gelform.calibration.circles.locate import Located, Refined
 from gelform.calibration.circles.prepare import prepare
-from gelform.calibration.fitted import untouched_change
-from gelform.calibration.held_out.measure import HeldOutSample
+from gelform.calibration.held_out.measure import PIXEL, table
 from gelform.calibration.held_out.scores import HeldOutPresses, make_folds
 from gelform.calibration.report.content import report_content
 from gelform.calibration.report.learning import learning_curve
@@ -47,8 +47,13 @@ def page(content, presses, calibration):
 
 
 @pytest.fixture(scope="session")
-def held_out(prepared, found, folds):
-    return HeldOutPresses({10.0: prepared}, found, folds, {10.0: untouched_change(prepared, found)})
+def located(presses, prepared, found):
+    return Located(presses, prepared, found, Refined(tuple(found), (None,) * len(found), None))
+
+
+@pytest.fixture(scope="session")
+def held_out(located, folds):
+    return HeldOutPresses(located, folds)
 
 
 @pytest.fixture(scope="session")
@@ -60,10 +65,10 @@ def sample():
 def _sample(index=0, *, gain=1.0, noise=0.0, bias=(0.0, 0.0), circle=(40.0, 30.0, 25.0), rng=None):
     y, x = (axis.ravel() for axis in np.mgrid[:60, :80])
     inside = np.hypot(x - circle[0], y - circle[1]) < circle[2] - 2
-    x, y = x[inside].astype(np.float32), y[inside].astype(np.float32)
+    x, y = x[inside], y[inside]
     true = ball_gradients(x, y, circle[:2], 40.0)
     seen = gain * true + np.asarray(bias)
     if noise:
         seen = seen + noise * rng.standard_normal(true.shape)
-    empty = np.zeros((3, 3), dtype=np.float32)
-    return HeldOutSample(index, circle, x, y, true.astype(np.float32), seen.astype(np.float32), empty)
+    rho = np.hypot(x - circle[0], y - circle[1]) / circle[2]
+    return table(PIXEL, len(x), press=index, x_px=x, y_px=y, rho=rho, true=true, solved=seen, stated=np.nan)

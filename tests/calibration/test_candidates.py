@@ -188,7 +188,7 @@ def test_a_response_for_each_ridge_knows_the_depth_that_the_model_reads(some, he
     """The one with the smaller ridge explains more of the presses that it was fitted to."""
     presses, contacts = some
     model = Candidate("hierarchical").fit(training_samples(presses, contacts, total=6000))
-    reader = SlopeReader(model, presses[0], held_out.untouched[10.0])
+    reader = SlopeReader(model, presses[0], held_out.prepared_for(Candidate("polynomial"))[1])
     responses = fitted_responses(reader, presses, contacts, RIDGES[::3], total=6000)
     assert len(responses) == 2
     assert {response.shape for response in responses} == {presses[0].size.shape}
@@ -202,7 +202,7 @@ def test_the_responses_step_has_the_prior_of_the_model(some, held_out):
     presses, contacts = some
     samples = training_samples(presses, contacts, total=6000)
     model = Candidate("polynomial", (("position_degrees", (1,)),)).fit(samples)
-    reader = SlopeReader(model, presses[0], held_out.untouched[10.0])
+    reader = SlopeReader(model, presses[0], held_out.prepared_for(Candidate("polynomial"))[1])
     (response,) = fitted_responses(reader, presses, contacts, RIDGES[:1], total=6000)
     assert response.step_sigma == pytest.approx(step_sigma_of(model, samples))
     assert 0.003 < response.step_sigma[0] < 0.03 < response.step_sigma[1] < 0.5

@@ -17,17 +17,16 @@ import gelform
 from gelform.calibration.candidates import Candidate
 from gelform.calibration.circles.find import USUAL_EDGE, ContactCircle, PreparedPress
 from gelform.calibration.circles.locate import Located, Refined, check_places, contact_radius_ratio, refine
+from gelform.calibration.circles.prepare import USUAL_UNTOUCHED_CHANGE, untouched_change
 from gelform.calibration.evaluate import face_height_mm
 from gelform.calibration.fit import place_error_from_presses
 from gelform.calibration.fitted import (
     FIRST_GUESS,
-    USUAL_UNTOUCHED_CHANGE,
     _settings,
     fit_all,
     image_noise,
     relaxation_from_presses,
     slopes_around,
-    untouched_change,
 )
 from gelform.calibration.presses.press_set import FlatPress
 from gelform.calibration_file import calibration_from_contents

@@ -6,7 +6,7 @@ Clipped channels: which pixels they reach, and where too few channels are left t
 """
 
 import re
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 
 import cv2
@@ -17,10 +17,11 @@ from gelform.cli.commands.inspection import explain
 from gelform.image.background import ChangeSettings, PreparedBackground
 from gelform.slopes import sigma
 from gelform.slopes.sigma import (
+    AT_REST,
     CAUSES,
+    HELD_OUT,
     LEAST_FACTOR,
     ClippedChannels,
-    SlopeErrors,
     SlopeSigma,
     ends_shown,
     outside_of_gel,
@@ -31,11 +32,21 @@ LAW = SlopeSigma(rest=0.01, per_step=0.02, per_slope=2.0, full_confidence_sigma=
 
 
 def errors_by(law, rest: float = 0.01, count: int = 60_000):
-    """Errors whose deviation is law(|g|)."""
+    """Errors whose deviation is law(|g|), and those of gel at rest."""
     rng = np.random.default_rng(0)
-    slopes = rng.uniform(0, 0.8, count)
-    errors = law(slopes)[:, None] * rng.standard_normal((count, 2))
-    return SlopeErrors(slopes, errors, rest * rng.standard_normal((5000, 2)), np.zeros(5000))
+    pixels, at_rest = np.ones(count, HELD_OUT), np.zeros(5000, AT_REST)
+    pixels["slope"] = rng.uniform(0, 0.8, count)
+    pixels["error"] = law(pixels["slope"])[:, None] * rng.standard_normal((count, 2))
+    at_rest["error"] = rest * rng.standard_normal((5000, 2))
+    return pixels, at_rest
+
+
+def changed(rows, **columns):
+    """The table with other columns."""
+    other = rows.copy()
+    for name, values in columns.items():
+        other[name] = values
+    return other
 
 
 def law_of(sigma, slopes):
@@ -43,9 +54,9 @@ def law_of(sigma, slopes):
     return sigma.per_step * np.sqrt(1 + (sigma.per_slope * np.asarray(slopes)) ** 2)
 
 
-def shares_within(sigma, held_out, bins):
-    stated = held_out.stated * law_of(sigma, held_out.slopes)
-    within = np.abs(held_out.errors) < stated[:, None]
+def shares_within(sigma, pixels, bins):
+    stated = pixels["stated"] * law_of(sigma, pixels["slope"])
+    within = np.abs(pixels["error"]) < stated[:, None]
     return [within[bins == b].mean() for b in np.unique(bins)]
 
 
@@ -54,8 +65,8 @@ def test_law_is_recovered(floor, growth):
     def law(slopes):
         return np.sqrt(floor**2 + (growth * slopes) ** 2)
 
-    held_out = errors_by(law)
-    sigma = SlopeSigma.fit(held_out, 8.0, 0.7)
+    pixels, rest = errors_by(law)
+    sigma = SlopeSigma.fit(pixels, rest, 8.0, 0.7)
     for slope in (0.1, 0.3, 0.7):
         assert law_of(sigma, slope) == pytest.approx(law(slope), rel=0.12)
     assert sigma.rest == pytest.approx(0.01, rel=0.05)
@@ -63,24 +74,24 @@ def test_law_is_recovered(floor, growth):
         law(0.95 * 0.8), rel=0.12
     )  # 95 % of the slopes are gentler
     assert (sigma.correlation_px, sigma.correlated_share) == (8.0, 0.7)
-    shares = shares_within(sigma, held_out, np.digitize(held_out.slopes, np.linspace(0, 0.8, 9)[1:-1]))
+    shares = shares_within(sigma, pixels, np.digitize(pixels["slope"], np.linspace(0, 0.8, 9)[1:-1]))
     assert min(shares) > (0.64 if floor > 0.01 else 0.55)  # within the first bin it varies by four times
     assert max(shares) < 0.76
 
 
 def test_the_law_is_of_the_deviation_that_a_step_states():
     """A step that knows how its errors vary leaves nothing to the slope; one that is off by a factor is put right."""
-    held_out = errors_by(lambda s: 0.02 + 0.1 * s)
-    true = 0.02 + 0.1 * held_out.slopes
+    pixels, rest = errors_by(lambda s: 0.02 + 0.1 * s)
+    true = 0.02 + 0.1 * pixels["slope"]
     for share in (1.0, 0.4):
-        sigma = SlopeSigma.fit(replace(held_out, stated=share * true), 8.0, 0.5)
+        sigma = SlopeSigma.fit(changed(pixels, stated=share * true), rest, 8.0, 0.5)
         np.testing.assert_allclose(law_of(sigma, [0.0, 0.4, 0.8]), 1 / share, rtol=0.06)
         assert sigma.full_confidence_sigma == pytest.approx(np.quantile(true, 0.95), rel=0.05)
         assert sigma.rest == pytest.approx(0.01, rel=0.05)
 
 
 def test_shown_slopes_are_quantiles_of_the_presses():
-    sigma = SlopeSigma.fit(errors_by(lambda s: 0.02 + 0 * s), 8.0, 0.5)
+    sigma = SlopeSigma.fit(*errors_by(lambda s: 0.02 + 0 * s), 8.0, 0.5)
     np.testing.assert_allclose(sigma.shown, (0.4 * 0.8, 0.8 * 0.8), rtol=0.02)
 
 
@@ -95,29 +106,29 @@ def test_the_factor_of_solved_slopes_is_recovered(factor):
 
 
 def test_rest_that_no_press_showed_is_as_a_gentle_slope():
-    held_out = replace(errors_by(lambda s: 0.02 + 0 * s), rest=np.zeros((0, 2)), rest_noise=np.zeros(0))
-    assert SlopeSigma.fit(held_out, 8.0, 0.5).rest == pytest.approx(0.02, rel=0.05)
-    stated = replace(held_out, stated=np.full(held_out.slopes.shape, 0.1))
-    assert SlopeSigma.fit(stated, 8.0, 0.5).rest == pytest.approx(0.02, rel=0.05)
+    pixels, none = errors_by(lambda s: 0.02 + 0 * s)[0], np.zeros(0, AT_REST)
+    for stated in (1.0, 0.1):
+        sigma = SlopeSigma.fit(changed(pixels, stated=stated), none, 8.0, 0.5)
+        assert sigma.rest == pytest.approx(0.02, rel=0.05)
 
 
 def test_the_deviation_at_rest_has_a_part_that_grows_with_the_place_s_noise():
     rng = np.random.default_rng(1)
-    noise = rng.uniform(0.005, 0.05, 20_000) ** 2
-    true = np.sqrt(0.01**2 + 0.3**2 * noise)
-    rest = true[:, None] * rng.standard_normal((20_000, 2))
-    held_out = replace(errors_by(lambda s: 0.02 + 0 * s), rest=rest, rest_noise=noise)
-    sigma = SlopeSigma.fit(held_out, 8.0, 0.5)
+    pixels, rest = errors_by(lambda s: 0.02 + 0 * s)[0], np.zeros(20_000, AT_REST)
+    rest["noise"] = rng.uniform(0.005, 0.05, 20_000) ** 2
+    true = np.sqrt(0.01**2 + 0.3**2 * rest["noise"])[:, None]
+    rest["error"] = true * rng.standard_normal((20_000, 2))
+    sigma = SlopeSigma.fit(pixels, rest, 8.0, 0.5)
     assert (sigma.rest, sigma.rest_per_noise) == pytest.approx((0.01, 0.3), rel=0.06)
-    alike = SlopeSigma.fit(replace(held_out, rest=0.02 * rest / true[:, None]), 8.0, 0.5)
+    alike = SlopeSigma.fit(pixels, changed(rest, error=0.02 * rest["error"] / true), 8.0, 0.5)
     assert (alike.rest, alike.rest_per_noise) == pytest.approx((0.02, 0.0), abs=2e-3, rel=0.05)
 
 
 def test_a_few_wild_errors_do_not_widen_it():
-    held_out = errors_by(lambda s: 0.02 + 0.1 * s)
-    wild = held_out.errors.copy()
-    wild[::50] = 3.0
-    spoilt, right = (SlopeSigma.fit(one, 8.0, 0.5) for one in (replace(held_out, errors=wild), held_out))
+    pixels, rest = errors_by(lambda s: 0.02 + 0.1 * s)
+    wild = pixels.copy()
+    wild["error"][::50] = 3.0
+    spoilt, right = (SlopeSigma.fit(one, rest, 8.0, 0.5) for one in (wild, pixels))
     assert spoilt.full_confidence_sigma == pytest.approx(right.full_confidence_sigma, rel=0.1)
 
 

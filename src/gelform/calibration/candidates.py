@@ -61,26 +61,15 @@ UNIT_SPREAD = 0.10
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """Another unit's fitted model, where a fit may begin; equal to itself alone.
+    """Another unit's fitted model, where a fit may begin; equal to itself alone."""
 
-    Attributes
-    ----------
-    model : color model for this unit's color changes
-    forward : forward response for them
-    digest : digest of its calibration
-    spread : relative standard deviation of slopes between units
-    by : description of its origin
-    offered : whether a fit without it is tried too, and kept if it reads held-out presses better
-    note : for the user, if it is of another gel
-    """
-
-    model: StartableModel
-    forward: ForwardResponse
-    digest: str
-    spread: float
-    by: str
-    offered: bool = False
-    note: str = ""
+    model: StartableModel  # color model for this unit's color changes
+    forward: ForwardResponse  # for them
+    digest: str  # of its calibration
+    spread: float  # relative standard deviation of slopes between units
+    by: str  # description of its origin
+    offered: bool = False  # whether a fit without it is tried too, and kept if held-out presses prefer it
+    note: str = ""  # for the user, if it is of another gel
 
     @property
     def subject(self) -> str:
@@ -90,20 +79,12 @@ class Start:
 
 @dataclass(frozen=True)
 class Candidate:
-    """A color model with its settings, its start, and the forward response of its step.
+    """A color model with its settings, its start, and the forward response of its step."""
 
-    Attributes
-    ----------
-    model : a name in `COLOR_MODELS`
-    settings : keywords of the model's `fit`, as pairs
-    start : another unit's model, or None
-    step_ridge : ridge of the forward response; None: no step
-    """
-
-    model: str
-    settings: tuple[tuple[str, Any], ...] = ()
-    start: Start | None = None
-    step_ridge: float | None = None
+    model: str  # a name in `COLOR_MODELS`
+    settings: tuple[tuple[str, Any], ...] = ()  # keywords of the model's `fit`, as pairs
+    start: Start | None = None  # another unit's model, or None
+    step_ridge: float | None = None  # ridge of the forward response; None: no step
 
     @property
     def plain(self) -> Candidate:

@@ -138,20 +138,13 @@ class PressPlace:
 
 @dataclass(frozen=True)
 class Coverage:
-    """The coverage of the image by presses.
+    """The coverage of the image by presses."""
 
-    Attributes
-    ----------
-    shape : (H, W) of the images
-    circles : (x, y, contact radius) in px of the presses that count
-    zone : fraction of the contact radius that counts
-    counts : (rows, columns, 8) int, number of presses that show a direction in a tile; direction 0 rises to the right
-        (dz/dx > 0), the next ones turn clockwise by 45 degrees
-    """
-
-    shape: tuple[int, int]
-    circles: tuple[Circle, ...]
-    zone: float
+    shape: tuple[int, int]  # (H, W) of the images
+    circles: tuple[Circle, ...]  # (x, y, contact radius) in px of the presses that count
+    zone: float  # fraction of the contact radius that counts
+    # (rows, columns, 8) int, number of presses that show a direction in a tile; direction 0 rises to the right (dz/dx > 0),
+    # the next ones turn clockwise by 45 degrees
     counts: NDArray[np.int_]
 
     @property

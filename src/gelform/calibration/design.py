@@ -157,8 +157,10 @@ def compare_designs(
             f"Expected presses >= 4, tests >= 1 and a variation, got {presses}, {tests}, {len(variations)}."
         )
     results = []
-    given = _halved(sensor) if halved else sensor
-    for k, (variation, design) in enumerate([(one, _design(one, given)) for one in variations]):
+    if halved:
+        (height, width), pitch, blur_px = sensor.shape, 2 * sensor.mm_per_px, sensor.blur_px / 2
+        sensor = replace(sensor, shape=(height // 2, width // 2), mm_per_px=pitch, blur_px=blur_px)
+    for k, (variation, design) in enumerate([(one, _design(one, sensor)) for one in variations]):
         progress(k, len(variations), variation.name)
         train_rng, test_rng = np.random.default_rng(seed).spawn(2)
         balls = list(ball_diameters_mm)
@@ -224,13 +226,6 @@ def _levels_of_slope(sensor: SimulatedSensor, p: float, q: float) -> NDArray[np.
     return np.asarray(levels_from_irradiance(sensor, spread_in_gel(light, coating, sensor.mm_per_px)))
 
 
-def _halved(sensor: SimulatedSensor) -> SimulatedSensor:
-    height, width = sensor.shape
-    return replace(
-        sensor, shape=(height // 2, width // 2), mm_per_px=2 * sensor.mm_per_px, blur_px=sensor.blur_px / 2
-    )
-
-
 def _errors(press: SimulatedPress, result: Any) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
     """Positions (N, 2), depth errors in mm and angle errors in degrees of the contact's pixels."""
     inside = press.contact
@@ -282,7 +277,9 @@ def design_picture(results: Sequence[DesignResult]) -> NDArray[np.uint8]:
         low = np.nanmin([np.nanmin(v) for v in values])
         high = np.nanmax([np.nanquantile(v, 0.98) for v in values])
         for column, (value, result) in enumerate(zip(values, results)):
-            drawn = _draw(axes[row, column], value, result, low, high)
+            height, width = (n * result.sensor.mm_per_px / 2 for n in result.sensor.shape)
+            extent = (-width, width, height, -height)
+            drawn = draw_map(axes[row, column], value, "", cmap="viridis", vmin=low, vmax=high, extent=extent)
             if row == len(rows) - 1:
                 _draw_leds(axes[row, column], result)
             axes[row, column].set_xlabel(f"median {np.nanmedian(value):.3g}", fontsize=8)
@@ -291,12 +288,6 @@ def design_picture(results: Sequence[DesignResult]) -> NDArray[np.uint8]:
         title = f"{result.name}\n{result.depth_rmse_um:.0f} ± {result.depth_rmse_se_um:.0f} um, {result.normal_deg:.1f}°"
         axes[0, column].set_title(title, fontsize=9)
     return pixels_of(figure)
-
-
-def _draw(axes: Any, values: NDArray[Any], result: DesignResult, low: float, high: float) -> Any:
-    height, width = (n * result.sensor.mm_per_px / 2 for n in result.sensor.shape)
-    extent = (-width, width, height, -height)
-    return draw_map(axes, values, "", cmap="viridis", vmin=low, vmax=high, extent=extent)
 
 
 def _draw_leds(axes: Any, result: DesignResult) -> None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from gelform.calibration.circles.find import find_contact, why_no_contact
 from gelform.calibration.circles.prepare import ColorChanges
-from gelform.calibration.held_out.measure import errors_of, sample_of
+from gelform.calibration.held_out.measure import errors_of
 from gelform.calibration.presses.folder import Press, Presses, as_presses, with_view
 from gelform.calibration.presses.press_set import FlatPress
 from gelform.calibration.report.content import errors_where
@@ -79,12 +79,14 @@ def evaluate(
         The presses are not of the calibrated sensor, or of another image size, or none.
     """
     calibration = as_calibration(calibration)
-    presses = _through_view_of(calibration, as_presses(presses, progress=progress))
+    presses, view = as_presses(presses, progress=progress), calibration.view
+    if presses.view != view and presses.view.is_identity and presses.image_shape == view.frame_shape:
+        presses = with_view(presses, view, presses.geometry.lens)
     mm_per_px = calibration.known_mm_per_px
     reconstruct = Reconstructor(calibration, presses.background)
     changes = ColorChanges(reconstruct.background, calibration.change)
     ratio = calibration.settings.contact_radius_ratio or 1.0
-    rows, errors, samples = [], [], []
+    rows, errors, pixels = [], [], []
     for done, press in enumerate(presses.presses):
         circle, reason = _circle(press, changes)
         row: dict[str, Any] = {
@@ -96,10 +98,10 @@ def evaluate(
         }
         if reason is None:
             result = reconstruct.from_image(press.image)
-            measured = press, circle, result, mm_per_px, ratio
-            errors.append(errors_of(*measured))
-            samples.append(sample_of(done, *measured))
-            row["errors"] = asdict(errors[-1])
+            found, solved, _ = errors_of(done, press, circle, result, mm_per_px, ratio)
+            errors.append(found)
+            pixels.append(solved)
+            row["errors"] = asdict(found)
         rows.append(row)
         progress(done + 1, len(presses.presses), "reconstructing presses")
     if not errors:
@@ -107,7 +109,7 @@ def evaluate(
         raise DataError(f"No press of {presses.folder} could be evaluated; the first: {reason}.")
     seen = sum(row["seen"] for row in rows if row["reason"] is None)
     findings = tuple(finding.message for finding in reconstruct.findings)
-    where = errors_where(samples, calibration.image_shape, ratio)
+    where = errors_where(np.concatenate(pixels), calibration.image_shape, ratio)
     flats = tuple(_height_of(flat, reconstruct) for flat in presses.flats)
     return Evaluation(tuple(rows), summary(errors), where, seen, reconstruct.own_background, findings, flats)
 
@@ -135,14 +137,6 @@ def face_height_mm(depth_mm: NDArray[np.float32]) -> float:
     rows, columns = np.ogrid[: depth_mm.shape[0], : depth_mm.shape[1]]
     square = (columns - centers[largest][0]) ** 2 + (rows - centers[largest][1]) ** 2
     return float(depth_mm[square <= max(MIDDLE**2 * area / np.pi, 1.0)].mean())
-
-
-def _through_view_of(calibration: Calibration, presses: Presses) -> Presses:
-    """The presses as the calibration sees them: frames of its view become images, images stay."""
-    view = calibration.view
-    if presses.view != view and presses.view.is_identity and presses.image_shape == view.frame_shape:
-        return with_view(presses, view, presses.geometry.lens)
-    return presses
 
 
 def _circle(press: Press, changes: ColorChanges) -> tuple[tuple[float, float, float], str | None]:

@@ -22,7 +22,7 @@ from gelform.calibration.candidates import (
 )
 from gelform.calibration.circles.find import ZONE, ContactCircle, PreparedPress
 from gelform.calibration.circles.locate import Located
-from gelform.calibration.circles.prepare import change_settings, prepared_by_offset
+from gelform.calibration.circles.prepare import change_settings
 from gelform.calibration.coverage import NEEDED, SAMPLED
 from gelform.calibration.held_out.scores import Fold, HeldOutPresses, Selection, select
 from gelform.calibration.presses.press_set import Presses
@@ -30,12 +30,9 @@ from gelform.calibration_file import Calibration, CalibrationSettings
 from gelform.errors import GelformError
 from gelform.foundations.findings import Progress, no_progress
 from gelform.image.background import noise_from_image
-from gelform.slopes.color_models import COLOR_MODELS, ColorModel, ForwardResponse
+from gelform.slopes.color_models import COLOR_MODELS, ColorModel
 from gelform.slopes.sigma import SlopeSigma, ends_shown
 
-UNTOUCHED_PERCENTILE = 99.0  # percentile of the size of the color change
-UNTOUCHED_DISTANCE = 3  # contact radii
-USUAL_UNTOUCHED_CHANGE = 0.03  # if no press leaves room for the measurement
 CLIPPED_SHARE = 0.01  # of the training pixels; fewer do not teach the effect of a clipped channel
 # Weights of slopes before held-out presses are measured; roughly those of any sensor.
 FIRST_GUESS = SlopeSigma(rest=0.02, per_step=0.04, full_confidence_sigma=0.04, correlation_px=10.0)
@@ -48,22 +45,12 @@ LEAST_EXPLAINED = 0.5  # of the slopes' sum of squares
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """The selected color model and forward response, fitted on all accepted presses, and without each fold.
+    """The selected color model and forward response, fitted on all accepted presses, and without each fold."""
 
-    Attributes
-    ----------
-    located : the presses and their circles
-    held_out : the presses, split into folds, with the fits without each
-    selection : the selected candidate
-    calibration : of all accepted presses, without its errors yet
-    notes : the color models that could not be compared, with the reasons
-    """
-
-    located: Located
-    held_out: HeldOutPresses
-    selection: Selection
-    calibration: Calibration
-    notes: tuple[str, ...] = ()
+    held_out: HeldOutPresses  # the located presses, split into folds, with the fits without each
+    selection: Selection  # the selected candidate
+    calibration: Calibration  # of all accepted presses, without its errors yet
+    notes: tuple[str, ...] = ()  # the color models that could not be compared, with the reasons
 
 
 def fit(
@@ -83,28 +70,21 @@ def fit(
     begun = [] if start is None else [candidates_from(start, accepted)]
     choice = start is None or (start.offered and NEEDED.edge.met(accepted))
     alone = [candidates_for(color_model, accepted)] if choice else []
-    offsets = {one.change_offset for group in (*begun, *alone) for one in group}
-    if compare:
-        offsets |= {float(one.change_offset) for one in COLOR_MODELS.values()}
-    by_offset = prepared_by_offset(located.presses, located.prepared, offsets)
-    untouched = {
-        offset: untouched_change(*located.refined.of_accepted(own)) for offset, own in by_offset.items()
-    }
-    held_out = HeldOutPresses(by_offset, located.found, folds, untouched)
+    held_out = HeldOutPresses(located, folds)
     selection = select([*begun, *alone], held_out, progress=progress)
     notes: tuple[str, ...] = ()
     if compare:
         selection, notes = _compared(selection, held_out, accepted, progress)
-    offset = selection.chosen.change_offset
-    used, contacts = located.refined.of_accepted(by_offset[offset])
+    prepared, untouched = held_out.prepared_for(selection.chosen)
+    used, contacts = located.refined.of_accepted(prepared)
     own = located.presses.subset(located.refined.accepted)
-    calibration = fit_all(own, used, contacts, selection.chosen, untouched[offset])
+    calibration = fit_all(own, used, contacts, selection.chosen, untouched)
     shown = set(located.refined.accepted)  # a frame that shows a used press again is no new one either
     digests = [
         one.digest for i, one in enumerate(located.presses.presses) if located.repeated.get(i, i) in shown
     ]
     calibration = replace(calibration, training_digests=tuple(digests))
-    return Fitted(located, held_out, selection, calibration, notes)
+    return Fitted(held_out, selection, calibration, notes)
 
 
 def _compared(
@@ -138,10 +118,11 @@ def fit_all(
     reader = SlopeReader(model, prepared[0], untouched)
     (forward,) = fitted_responses(reader, prepared, contacts, [step.step_ridge], start=chosen.start)
     images = [press.image for press in presses.presses]
+    levels = [image[one.pixels(contact, ZONE)] for image, one, contact in zip(images, prepared, contacts)]
     forward = replace(
         forward,
         step_sigma=None if chosen.step_ridge is None else forward.step_sigma,
-        clipped=_clipped(images, prepared, contacts),
+        clipped=np.asarray(ends_shown(np.concatenate(levels)) > CLIPPED_SHARE),
     )
     relaxation_mm = relaxation_from_presses(model, prepared, contacts, presses.background, presses.mm_per_px)
     return Calibration(
@@ -157,7 +138,7 @@ def fit_all(
         change=change_settings(presses, chosen.change_offset),
         color_model=model,
         forward=forward,
-        slope_sigma=_first_guess(forward),
+        slope_sigma=FIRST_GUESS if forward.step_sigma is None else replace(FIRST_GUESS, per_step=1.0),
         untouched_change=untouched,
         held_out={},
         training_digests=tuple(press.digest for press in presses.presses),
@@ -165,21 +146,6 @@ def fit_all(
         library_version=__version__,
         created_utc=datetime.now(timezone.utc).isoformat(timespec="seconds"),
     )
-
-
-def _first_guess(forward: ForwardResponse) -> SlopeSigma:
-    """Weights of slopes before held-out presses are measured: the step's own deviation, or a usual one."""
-    if forward.step_sigma is None:
-        return FIRST_GUESS
-    return replace(FIRST_GUESS, per_step=1.0)
-
-
-def _clipped(
-    images: Sequence[NDArray[Any]], presses: Sequence[PreparedPress], contacts: Sequence[ContactCircle]
-) -> NDArray[np.bool_]:
-    """Channels (2, 3) that more than a hundredth of the training pixels show at the camera's lower and upper end."""
-    levels = [image[press.pixels(contact, ZONE)] for image, press, contact in zip(images, presses, contacts)]
-    return np.asarray(ends_shown(np.concatenate(levels)) > CLIPPED_SHARE)
 
 
 def _settings(
@@ -202,19 +168,6 @@ def _settings(
         others=dict(chosen.settings),
         **presses.geometry.settings(),
     )
-
-
-def untouched_change(presses: Sequence[PreparedPress], contacts: Sequence[ContactCircle]) -> float:
-    """Largest color change of pixels at rest, beyond three contact radii."""
-    sizes = []
-    for press, contact in zip(presses, contacts):
-        height, width = press.size.shape
-        rows, cols = np.ogrid[:height, :width]
-        reach = UNTOUCHED_DISTANCE * contact.radius_px
-        far = (cols - contact.x_px) ** 2 + (rows - contact.y_px) ** 2 > reach**2
-        if far.any():
-            sizes.append(float(np.percentile(press.size[far], UNTOUCHED_PERCENTILE)))
-    return float(np.median(sizes)) if sizes else USUAL_UNTOUCHED_CHANGE
 
 
 def image_noise(images: Sequence[NDArray[Any]], background: NDArray[np.float32]) -> NDArray[np.float64]:

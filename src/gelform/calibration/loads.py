@@ -30,17 +30,12 @@ Row = tuple[str, dict[str, str]]
 
 
 class LoadedPresses(NamedTuple):
-    """Presses with known loads.
-
-    Attributes
-    ----------
-    touches, loads, names : of the presses, their loads, and the names of their images
-    lag_frames : that the gauge lags behind the images, already removed; None if no film tells it, or each states its own
-    """
+    """Presses with known loads, and the names of their images."""
 
     touches: list[Touch]
     loads: list[Load]
     names: list[str]
+    # that the gauge lags behind the images, already removed; None if no film tells it, or each states its own
     lag_frames: int | None
 
 

@@ -45,16 +45,17 @@ _RANGES = (
 )
 
 
-@dataclass(frozen=True)
-class SlopeErrors:
-    """Errors of slopes on presses that the model has not seen."""
-
-    slopes: Array  # (N,) measured |gradient| in contact
-    errors: Array  # (N, 2) of its components
-    rest: Array  # (M, 2) slopes read at rest, without their bias; they are all error
-    rest_noise: Array  # (M,) variance there from the image's noise, by `noise_at_rest`
-    # (N,) standard deviation by the step of the forward response; 1 without a step
-    stated: Array | float = 1.0
+# Pixels in contact of presses that the model has not seen.
+HELD_OUT = np.dtype(
+    [
+        ("slope", "f8"),  # |gradient| as read, mm/mm
+        ("error", "f8", 2),  # of its components
+        ("stated", "f8"),  # standard deviation by the step of the forward response; 1 without a step
+        ("residual", "f4"),  # squared, of the color change after the step
+    ]
+)
+# Pixels of gel at rest: slopes without their bias, which are all error, and variance from the image's noise.
+AT_REST = np.dtype([("error", "f8", 2), ("noise", "f4")])
 
 
 @dataclass(frozen=True)
@@ -103,10 +104,13 @@ class SlopeSigma:
             raise ValueError("Expected shown as two slopes >= 0 that grow, got others.")
 
     @classmethod
-    def fit(cls, held_out: SlopeErrors, correlation_px: float, correlated_share: float) -> SlopeSigma:
-        """Fit the law, so that 68 % of the held-out errors of slopes of any size lie within one sigma."""
-        stated = np.broadcast_to(np.float64(held_out.stated), held_out.slopes.shape)
-        slopes, error = held_out.slopes, np.abs(held_out.errors) / stated[:, None]
+    def fit(cls, pixels: Array, rest: Array, correlation_px: float, correlated_share: float) -> SlopeSigma:
+        """Fit the law, so that 68 % of the held-out errors of slopes of any size lie within one sigma.
+
+        `pixels` in contact have the columns of `HELD_OUT`, those of `rest` the columns of `AT_REST`.
+        """
+        slopes, stated = pixels["slope"], pixels["stated"]
+        error = np.abs(pixels["error"]) / stated[:, None]
         order = np.array_split(np.argsort(slopes, kind="stable"), SLOPE_BINS)
         bins = [part for part in order if len(part) >= MIN_IN_BIN] or [np.arange(len(slopes))]
         squares = np.array([max(np.quantile(error[part], ONE_SIGMA), 1e-9) ** 2 for part in bins])
@@ -114,12 +118,12 @@ class SlopeSigma:
         constant, growing = _law(squares, sizes)
         per_step = max(constant**0.5, LEAST_SIGMA)
         law = np.sqrt(constant + growing * slopes**2) * stated
-        rest, per_noise = per_step * float(np.median(stated)), 0.0
-        if held_out.rest.size:
-            rest, per_noise = _rest_law(held_out.rest, held_out.rest_noise)
+        at_rest, per_noise = per_step * float(np.median(stated)), 0.0
+        if rest.size:
+            at_rest, per_noise = _rest_law(rest["error"], rest["noise"])
         low, high = np.quantile(slopes, SHOWN)
         return cls(
-            rest=max(rest, LEAST_SIGMA),
+            rest=max(at_rest, LEAST_SIGMA),
             per_step=per_step,
             per_slope=growing**0.5 / per_step,
             shown=(float(low), float(high)),

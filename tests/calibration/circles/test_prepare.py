@@ -28,7 +28,7 @@ from gelform.calibration.circles.prepare import (
     find_by_templates,
     find_contacts,
     prepare,
-    prepared_by_offset,
+    prepared_with,
 )
 from gelform.calibration.presses.press_set import presses_from_simulated
 from gelform.image.background import ChangeSettings, PreparedBackground, color_change_from_image
@@ -166,16 +166,15 @@ def test_the_blur_grows_with_the_image(few):
     assert change_settings(taller).blur_px == pytest.approx(2 * change_settings(few).blur_px)
 
 
-def test_each_offset_is_prepared_once_with_the_edge_of_the_contacts(few):
+def test_another_offset_has_the_edge_of_the_contacts(few):
     """It is measured once, in what circles are found in."""
     usual = [replace(press, contact_radius_ratio=0.7) for press in prepare(few, USUAL_OFFSET)]
-    found = prepared_by_offset(few, usual, [USUAL_OFFSET, 0.0, 0.0])
-    assert found.keys() == {USUAL_OFFSET, 0.0}
-    assert found[USUAL_OFFSET] is usual
-    assert [(press.name, press.contact_radius_ratio) for press in found[0.0]] == [
+    assert prepared_with(few, usual, USUAL_OFFSET) is usual
+    found = prepared_with(few, usual, 0.0)
+    assert [(press.name, press.contact_radius_ratio) for press in found] == [
         (press.name, 0.7) for press in usual
     ]
-    assert not np.array_equal(found[0.0][0].color_change, usual[0].color_change)
+    assert not np.array_equal(found[0].color_change, usual[0].color_change)
 
 
 def test_a_circle_for_each_press_and_progress_for_each(few):
@@ -195,14 +194,13 @@ def test_nothing_is_learnt_where_a_background_of_0_divides(few, marked, monkeypa
     usual, plain = prepare(few), ColorChanges.__call__
     if marked:
         monkeypatch.setattr(ColorChanges, "__call__", lambda self, image: (plain(self, image)[0], free))
-    found = prepared_by_offset(replace(few, background=black), usual, [0.0, 0.5])
-    for press in found[0.0]:
+    divided, other = (prepared_with(replace(few, background=black), usual, offset) for offset in (0.0, 0.5))
+    for press in divided:
         assert np.argwhere(~press.usable).tolist() == [[5, 7], *([[20, 30]] if marked else [])]
         assert np.isfinite(press.color_change).all()
         assert press.color_change[5, 7, 1] == pytest.approx(0, abs=0.05), "its neighbors', by the blur"
-    for press in found[0.5]:
+    for press in other:
         assert press.usable is None if not marked else not press.usable[20, 30]
-    assert found[USUAL_OFFSET] is usual
 
 
 def test_the_press_that_is_of_another_sensor_is_named(few):

@@ -11,23 +11,22 @@ from scipy.ndimage import gaussian_filter
 
 import gelform
 from gelform.calibration.candidates import Candidate
-from gelform.calibration.circles.find import PRESS_PIXELS, ContactCircle, PreparedPress, magnitude
-from gelform.calibration.circles.locate import Located, Refined
+from gelform.calibration.circles.find import ContactCircle, PreparedPress, magnitude
 from gelform.calibration.fitted import FIRST_GUESS, Fitted
 from gelform.calibration.held_out import measure as module
 from gelform.calibration.held_out.measure import (
     LAGS,
     _lag_products,
-    at_sample,
+    at_pixels,
+    by_press,
     common_error,
     correlation_from_products,
     depth_factor,
     errors_of,
     fraction_trained,
     measure_held_out,
-    press_residuals,
+    press_errors_as_read,
     rest_correlation,
-    sample_of,
     slope_sigma_from_folds,
     with_factors,
 )
@@ -165,23 +164,23 @@ def test_the_residuals_scale_is_that_of_the_95_percent(six):
     )
 
 
-def test_columns_are_thinned_pixels_of_the_contact():
+def test_pixels_as_read_are_thinned_ones_of_the_contact(monkeypatch):
+    monkeypatch.setattr(module, "PRESS_PIXELS", 300)
     press, contact = press_at(60, 70)
-    reader = Reader()
-    residuals = press_residuals(press, contact, reader.frame(press), NOISE)
-    slopes, errors, stated, residual = residuals.columns()
-    assert 600 < len(slopes) <= 2 * 2000
-    thin = slice(None, None, max(1, len(residuals.rows) // PRESS_PIXELS))
-    pixels = residuals.rows[thin], residuals.cols[thin]
-    np.testing.assert_array_equal(residual, reader.frame(press).residual[pixels])
-    np.testing.assert_allclose(stated, 0.03)
-    true = np.linalg.norm(press.color_change[pixels], axis=1)
-    assert np.abs(slopes - 0.93 * true).mean() < 0.05
-    assert errors.shape == (len(slopes), 2)
-    away = np.hypot(pixels[1] - 60, pixels[0] - 70)
+    frame = Reader().frame(press)
+    pixels, rest, _, _ = press_errors_as_read(press, contact, frame, NOISE, 1)
+    assert 300 <= len(pixels) < 600
+    rows, cols = press.pixels(contact, 1.0)
+    at = rows[:: len(rows) // 300], cols[:: len(rows) // 300]
+    np.testing.assert_array_equal(pixels["residual"], frame.residual[at].astype(np.float32))
+    np.testing.assert_allclose(pixels["stated"], 0.03)
+    true = press.color_change[at][:, :2]
+    assert np.abs(pixels["slope"] - 0.93 * np.linalg.norm(true, axis=1)).mean() < 0.05
+    np.testing.assert_allclose(pixels["error"], frame.gradients[at] - true, atol=0.05)
+    away = np.hypot(cols - 60, rows - 70)
     assert 17 < away.max() < 18, "up to the edge of the contact"
-    assert np.abs(np.median(residuals.untouched, axis=0)).max() < 1e-9
-    assert len(residuals.untouched) > 500
+    assert np.abs(np.median(rest["error"], axis=0)).max() < 1e-9
+    assert 100 < len(rest) < 300
 
 
 @pytest.mark.parametrize(("short", "share"), [slow(1.8, 0.0), (1.8, 0.3), slow(0.3, 0.2)])
@@ -204,23 +203,24 @@ def test_the_share_that_folds_have_seen():
     assert fraction_trained(folds) == pytest.approx((0.8 + 0.6) / 2)
 
 
-def off_deg(sample):
+def off_deg(pixels):
     """Mean angle to the ball's normals."""
-    return angle_deg(sample.gradients, sample.true_gradients).mean()
+    return angle_deg(pixels["solved"], pixels["true"]).mean()
 
 
-def test_samples_carry_the_errors_of_the_report(calibration):
+def test_pixels_carry_the_errors_of_the_report(calibration):
     """Those up to the visible rim; inside the contact's edge they are the figures that the report counts first."""
     report, ratio = calibration.report, calibration.settings["contact_radius_ratio"]
-    assert len(report.samples) > 3
-    assert "samples" not in report.to_dict()
-    assert {one.index for one in report.samples} == {i for i, row in enumerate(report.presses) if row.errors}
-    for one in report.samples:
-        errors = report.presses[one.index].errors
-        assert off_deg(one) == pytest.approx(errors["normal_rim_deg"], rel=0.02)
-        assert off_deg(one.within(ratio)) == pytest.approx(errors["normal_free_deg"], rel=0.02)
-        assert np.nanstd(one.cap_error_um) > 0.9 * errors["cap_free_um"], "its rim is counted"
-        assert np.nanmean(one.cap_error_um) == pytest.approx(0, abs=1e-2)
+    parts = {int(part["press"][0]): part for part in by_press(report.pixels)}
+    assert len(parts) > 3
+    assert not {"pixels", "caps_um"} & report.to_dict().keys()
+    assert parts.keys() == report.caps_um.keys() == {i for i, row in enumerate(report.presses) if row.errors}
+    for i, part in parts.items():
+        errors, cap_um = report.presses[i].errors, report.caps_um[i]
+        assert off_deg(part) == pytest.approx(errors["normal_rim_deg"], rel=0.02)
+        assert off_deg(part[part["rho"] < ratio]) == pytest.approx(errors["normal_free_deg"], rel=0.02)
+        assert np.nanstd(cap_um) > 0.9 * errors["cap_free_um"], "its rim is counted"
+        assert np.nanmean(cap_um) == pytest.approx(0, abs=1e-2)
 
 
 @pytest.mark.slow
@@ -240,12 +240,10 @@ def test_each_press_is_reconstructed_once(presses, monkeypatch):
 
 
 @pytest.fixture(scope="module")
-def judged(presses, prepared, found, held_out):
+def judged(held_out):
     """Judges a calibration with what was selected."""
-    refined = Refined(tuple(found), (None,) * len(found), None)
-    located = Located(presses, prepared, found, refined)
     return lambda draft, chosen, by_fold: measure_held_out(
-        Fitted(located, held_out, Selection(chosen, by_fold, ()), draft)
+        Fitted(held_out, Selection(chosen, by_fold, ()), draft)
     )
 
 
@@ -304,14 +302,19 @@ def first(calibration, presses):
 
 
 def test_thinning_keeps_the_press_and_an_empty_picture_is_no_crash(calibration, presses, first):
-    full, thin = (sample_of(0, *first, calibration.mm_per_px, 0.85, max_pixels=n) for n in (10**6, 150))
-    assert 75 <= len(thin.x_px) <= 160 < len(full.x_px)
-    assert thin.circle_px == full.circle_px
+    stated = first[2].gradients_sigma[..., 0]
+    (_, full, cap), (_, thin, same) = (
+        errors_of(4, *first, calibration.mm_per_px, 0.85, stated=stated, max_pixels=n) for n in (10**6, 150)
+    )
+    assert 75 <= len(thin) <= 160 < len(full)
+    assert set(full["press"]) == set(thin["press"]) == {4}
+    np.testing.assert_array_equal(cap, same)
     assert off_deg(thin) == pytest.approx(off_deg(full), rel=0.15)
-    assert {*zip(thin.x_px, thin.y_px)} <= {*zip(full.x_px, full.y_px)}
+    assert {*zip(thin["x_px"], thin["y_px"])} <= {*zip(full["x_px"], full["y_px"])}
+    np.testing.assert_array_equal(thin["stated"], at_pixels(stated, thin))
     blank = replace(first[0], image=presses.background.astype(np.uint8))
     result = Reconstructor(calibration).from_image(blank.image)
-    assert sample_of(0, blank, first[1], result, calibration.mm_per_px, 0.85).cap_error_um.ndim == 2
+    assert errors_of(0, blank, first[1], result, calibration.mm_per_px, 0.85)[2].ndim == 2
 
 
 def test_errors_are_counted_inside_the_edge(calibration, first):
@@ -320,40 +323,32 @@ def test_errors_are_counted_inside_the_edge(calibration, first):
     y, x = np.mgrid[: result.shape[0], : result.shape[1]]
     beyond = np.hypot(x - circle[0], y - circle[1]) > 0.75 * circle[2]
     spoilt = replace(result, gradients=np.where(beyond[..., None], 0, result.gradients).astype(np.float32))
-    plain, rim = (errors_of(press, circle, one, calibration.mm_per_px, 0.7) for one in (result, spoilt))
+    plain, rim = (errors_of(0, press, circle, one, calibration.mm_per_px, 0.7)[0] for one in (result, spoilt))
     assert plain.normal_free_deg == pytest.approx(rim.normal_free_deg, rel=0.02)
     assert rim.normal_rim_deg > plain.normal_rim_deg + 3
-
-
-def test_within_keeps_the_middle(sample):
-    one = sample()
-    half = one.within(0.5)
-    assert 0 < len(half.x_px) < len(one.x_px)
-    assert np.hypot(half.x_px - 40, half.y_px - 30).max() < 12.5
 
 
 @pytest.mark.parametrize("factor", [0.5, 2.0])
 def test_the_factor_of_solved_slopes_leaves_68_percent_within(sample, factor):
     rng = np.random.default_rng(0)
-    samples = [sample(k, noise=0.05 * factor, rng=rng) for k in range(8)]
-    stated = [np.full(len(one.x_px), 0.05, np.float32) for one in samples]
-    found = with_factors(WHITE, samples, stated, [], 1.0, None)
-    within = [np.mean(np.abs(one.errors) < 0.05 * found.solved_factor) for one in samples]
-    assert np.mean(within) == pytest.approx(ONE_SIGMA, abs=0.02)
+    pixels = np.concatenate([sample(k, noise=0.05 * factor, rng=rng) for k in range(8)])
+    pixels["stated"] = 0.05
+    found = with_factors(WHITE, pixels, [], 1.0, None)
+    within = np.abs(pixels["solved"] - pixels["true"]) < 0.05 * found.solved_factor
+    assert within.mean() == pytest.approx(ONE_SIGMA, abs=0.02)
     assert found.depth_factor == WHITE.depth_factor, "no press left room for it"
 
 
 def test_pixels_beyond_the_edge_say_nothing(sample):
     """There the gel has left the ball: errors as large as one likes leave the factor as it is."""
     rng, ratio = np.random.default_rng(0), 0.7
-    plain = [sample(k, noise=0.05, rng=rng) for k in range(4)]
-    stated = [np.full(len(one.x_px), 0.05, np.float32) for one in plain]
-    spoilt = [
-        replace(one, gradients=one.gradients + np.float32(~one.inside(ratio))[:, None]) for one in plain
-    ]
-    one, other = (with_factors(WHITE, samples, stated, [], 1.0, ratio) for samples in (plain, spoilt))
+    plain = np.concatenate([sample(k, noise=0.05, rng=rng) for k in range(4)])
+    plain["stated"] = 0.05
+    spoilt = plain.copy()
+    spoilt["solved"] += (plain["rho"] >= ratio)[:, None]
+    one, other = (with_factors(WHITE, pixels, [], 1.0, ratio) for pixels in (plain, spoilt))
     assert one == other
-    assert one != with_factors(WHITE, spoilt, stated, [], 1.0, None)
+    assert one != with_factors(WHITE, spoilt, [], 1.0, None)
 
 
 def far_depth(square, own=0.0, common=0.0):
@@ -396,11 +391,13 @@ def test_the_errors_of_a_calibration_are_within_what_it_states(calibration, pres
     """Of slopes and of depth far from contacts, on the presses that it was made of."""
     reconstruct = Reconstructor(calibration)
     shares, far = [], []
-    for one in calibration.report.samples:
-        result, inner = reconstruct.from_image(presses.presses[one.index].image), one.within(0.85)
-        shares.append(np.mean(np.abs(inner.errors) < at_sample(result.gradients_sigma, inner)))
+    for one in by_press(calibration.report.pixels):
+        i, inner = one["press"][0], one[one["rho"] < 0.85]
+        result, row = reconstruct.from_image(presses.presses[i].image), calibration.report.presses[i]
+        sigma = at_pixels(result.gradients_sigma, inner)
+        shares.append(np.mean(np.abs(inner["solved"] - inner["true"]) < sigma))
         y, x = np.ogrid[: result.shape[0], : result.shape[1]]
-        away = np.hypot(x - one.circle_px[0], y - one.circle_px[1]) > 2.5 * one.circle_px[2]
+        away = np.hypot(x - row.center_x_px, y - row.center_y_px) > 2.5 * row.contact_radius_px
         if away.any():
             far.append(np.mean(np.abs(result.depth_mm[away]) < result.depth_sigma_mm[away]))
     assert 0.64 < np.mean(shares) < 0.84  # the presses are those of the fit
@@ -416,18 +413,18 @@ WHITE = SlopeSigma(
 def test_what_slopes_of_one_size_share_is_common_and_their_noise_is_not(sample):
     rng = np.random.default_rng(0)
     noisy = [sample(k, gain=1 + 0.1 * (-1) ** k, noise=0.1, rng=rng) for k in range(8)]
-    assert common_error(noisy, WHITE) == pytest.approx(0.1, rel=0.1)
+    assert common_error(np.concatenate(noisy), WHITE) == pytest.approx(0.1, rel=0.1)
     clean = [sample(k, noise=0.1, rng=rng) for k in range(8)]
-    assert common_error(clean, WHITE) < 0.03
-    assert common_error([sample().within(0)], WHITE) == 0
+    assert common_error(np.concatenate(clean), WHITE) < 0.03
+    assert common_error(sample()[:0], WHITE) == 0
 
 
 def test_errors_that_cancel_in_the_height_of_a_ball_are_common_to_slopes_of_one_size(sample):
     """Gentle slopes are read too steep, and steep ones too gentle."""
-    one = sample()
-    size = np.linalg.norm(one.true_gradients, axis=1)[:, None]
-    turned = replace(one, gradients=one.true_gradients * (1 + 0.1 * np.where(size < 0.4, 1, -1)))
-    assert common_error([turned], WHITE) == pytest.approx(0.1, rel=0.2)
+    turned = sample()
+    size = np.linalg.norm(turned["true"], axis=1)[:, None]
+    turned["solved"] = turned["true"] * (1 + 0.1 * np.where(size < 0.4, 1, -1))
+    assert common_error(turned, WHITE) == pytest.approx(0.1, rel=0.2)
 
 
 def test_correlated_errors_count_once(sample):
@@ -436,20 +433,17 @@ def test_correlated_errors_count_once(sample):
     fields = np.float32(rng.standard_normal((30, 60, 80, 2)))
     fields = gaussian_filter(fields, (0, 5 / 2**0.5, 5 / 2**0.5, 0))
     fields *= 0.1 / fields.std()
-    samples = []
-    for field in fields:
-        one = sample()
-        there = field[one.y_px.astype(int), one.x_px.astype(int)]
-        samples.append(replace(one, gradients=one.true_gradients + there))
-    alike = replace(WHITE, correlation_px=5.0, correlated_share=1.0)
-    assert common_error(samples, alike) < 0.5 * common_error(samples, WHITE)
+    presses = [sample(k) for k in range(len(fields))]
+    for one, field in zip(presses, fields):
+        one["solved"] = one["true"] + at_pixels(field, one)
+    alike, pixels = replace(WHITE, correlation_px=5.0, correlated_share=1.0), np.concatenate(presses)
+    assert common_error(pixels, alike) < 0.5 * common_error(pixels, WHITE)
 
 
 def test_the_common_error_of_the_folds_is_that_of_the_depth(calibration):
-    samples = calibration.report.samples
-    off = [replace(one, gradients=0.7 * one.true_gradients) for one in samples]
-    stated = [np.full(len(one.x_px), 0.05, np.float32) for one in samples]
+    off = calibration.report.pixels.copy()
+    off["solved"], off["stated"] = 0.7 * off["true"], 0.05
     for trained in (1.0, 0.5):
-        sigma = with_factors(calibration.slope_sigma, off, stated, [], trained, 0.85)
+        sigma = with_factors(calibration.slope_sigma, off, [], trained, 0.85)
         assert sigma.gain_sigma == pytest.approx(0.3 * np.sqrt(trained), rel=0.2)
     assert 0 < calibration.slope_sigma.gain_sigma < 0.12

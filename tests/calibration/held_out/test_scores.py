@@ -16,7 +16,7 @@ from gelform.calibration.candidates import (
     training_samples,
 )
 from gelform.calibration.circles.find import TRIAL_SAMPLES, ContactCircle, PreparedPress, magnitude
-from gelform.calibration.circles.locate import Located, Refined, refine
+from gelform.calibration.circles.locate import refine
 from gelform.calibration.coverage import FOLDS
 from gelform.calibration.held_out import scores as module
 from gelform.calibration.held_out.scores import (
@@ -76,13 +76,13 @@ def test_presses_that_were_rejected_are_in_no_fold(prepared, found):
     assert done == [(k, FOLDS) for k in range(1, FOLDS + 1)]
 
 
-def test_few_presses_are_left_out_one_by_one_and_have_to_fit_without_each_other(presses, prepared, found):
+def test_few_presses_are_left_out_one_by_one_and_have_to_fit_without_each_other(located):
+    prepared, found, presses = located.prepared, located.found, located.presses
     usable = list(range(0, len(prepared), 2))
     folds = make_folds(prepared, found, usable)
     assert sorted(fold.held_out for fold in folds) == [(i,) for i in usable]
     assert len(folds) == 7 > FOLDS
-    refined = Refined(tuple(found), (None,) * len(found), None)
-    located = Located(presses, prepared, found, refined, notes=("The light is clipped.",))
+    located = replace(located, notes=("The light is clipped.",))
     check_folds(located, folds)
     alone = [Fold((usable[0],), (usable[1],), (found[usable[1]],)), *folds[1:]]
     expected = f"without {presses.presses[0].name} only 1 of the other .* The light is clipped"
@@ -238,7 +238,7 @@ def test_scores_are_those_of_models_that_have_not_seen_the_press(held_out, folds
     of_plain, of_stepped = held_out.try_candidates([plain, stepped])
     assert (of_plain.candidate, of_stepped.candidate) == (plain, stepped)
     assert set(of_plain.scores) == set(of_stepped.scores) == set(range(len(prepared)))
-    fold, untouched = folds[0], held_out.untouched[10.0]
+    fold, untouched = folds[0], held_out.prepared_for(plain)[1]
     training = [prepared[i] for i in fold.training]
     model = plain.fit(training_samples(training, fold.contacts, total=TRIAL_SAMPLES))
     ridges = [RIDGES[0]]
@@ -261,12 +261,12 @@ def test_a_model_that_saw_the_press_flatters_itself(held_out, folds, prepared, f
     assert seen < np.median([score.slope_error for score in unseen.scores.values()])
 
 
-def test_each_candidate_is_fitted_once_for_each_fold(prepared, found, folds, held_out, monkeypatch):
+def test_each_candidate_is_fitted_once_for_each_fold(located, folds, monkeypatch):
     """And all its steps with the model of the one without."""
     fits = []
     plain_fit = Candidate.fit
     monkeypatch.setattr(Candidate, "fit", lambda self, samples: fits.append(self) or plain_fit(self, samples))
-    own = HeldOutPresses({10.0: prepared}, found, folds[:2], held_out.untouched)
+    own = HeldOutPresses(located, folds[:2])
     candidate = Candidate("polynomial", (("position_degrees", (1,)),))
     steps = [replace(candidate, step_ridge=ridge) for ridge in RIDGES[:2]]
     first = own.try_candidates([candidate])

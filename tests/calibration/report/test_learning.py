@@ -8,7 +8,7 @@ import pytest
 
 from gelform.calibration.candidates import START_RIDGES, Start
 from gelform.calibration.circles.locate import refine
-from gelform.calibration.report import learning as learning_module
+from gelform.calibration.held_out import scores as scores_module
 from gelform.calibration.report.learning import (
     _with_expectation,
     candidates_of,
@@ -112,7 +112,7 @@ def test_a_start_is_part_of_the_curve(presses, calibration, monkeypatch):
         began.append(start)
         return refine(*args, start=start)
 
-    monkeypatch.setattr(learning_module, "refine", refined)
+    monkeypatch.setattr(scores_module, "refine", refined)
     learning_curve(presses, started, rng=np.random.default_rng(0))
     assert began
     assert all(one is start.model for one in began)
@@ -162,13 +162,13 @@ def test_presses_train_and_are_scored_inside_the_edge_of_the_calibration(presses
     edges = []
 
     def noted(name, presses_of):
-        plain = getattr(learning_module, name)
+        plain = getattr(scores_module, name)
 
         def call(first, *others, **more):
             edges.extend(press.contact_radius_ratio for press in presses_of(first))
             return plain(first, *others, **more)
 
-        monkeypatch.setattr(learning_module, name, call)
+        monkeypatch.setattr(scores_module, name, call)
 
     noted("training_samples", lambda used: used)
     noted("score_of", lambda press: [press])

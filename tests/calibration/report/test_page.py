@@ -123,7 +123,9 @@ def test_hostile_names_stay_text(presses, calibration):
         for k, row in enumerate(report.presses)
     )
     rows = (replace(rows[0], accepted=False, errors=None), *rows[1:])
-    noted = replace(report, presses=rows, notes=(evil,), samples=report.samples[1:])
+    noted = replace(
+        report, presses=rows, notes=(evil,), caps_um={i: cap for i, cap in report.caps_um.items() if i}
+    )
     renamed = replace(presses, presses=tuple(replace(p, name=r.name) for p, r in zip(presses.presses, rows)))
     hostile = replace(calibration, report=noted, sensor_name=evil, serial=evil, gel_id=evil)
     content = report_content(renamed, hostile, rng=np.random.default_rng(0))
@@ -131,7 +133,7 @@ def test_hostile_names_stay_text(presses, calibration):
     page = report_page(content, renamed, hostile)
     found = Page(page)
     assert "script" not in found.tags
-    assert found.tags.count("img") == 1 + len(noted.samples)
+    assert found.tags.count("img") == 1 + len(noted.caps_um)
     assert found.text.count("<script>") >= len(rows)
 
 
@@ -176,7 +178,7 @@ def test_circles_are_in_image_pixels_and_rejected_presses_come_first_with_their_
     rows = [dict(row) for row in content["presses"]]
     rows[0]["errors"] = {**rows[0]["errors"], "normal_free_deg": 90.0, "off_contact_um": float("nan")}
     rows[-1] |= {"accepted": False, "reason": "not a ball <b>", "errors": None}
-    bare = replace(calibration, report=replace(calibration.report, samples=()))
+    bare = replace(calibration, report=replace(calibration.report, caps_um={}))
     drawn = " ".join(report_page({**content, "presses": rows}, presses, bare).split())
     assert "<figcaption>" not in drawn, "no depth of what was not held out"
     assert "Left out: 1" in drawn

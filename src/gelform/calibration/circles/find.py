@@ -38,31 +38,16 @@ AGREES = 0.5  # radii; a circle by hand or a stage's center this near to a clear
 
 @dataclass(frozen=True)
 class ContactCircle:
-    """A contact circle.
+    """A contact circle."""
 
-    Attributes
-    ----------
-    x_px, y_px : float
-        Center, px; may lie outside the frame.
-    radius_px : float
-        Radius at which the color change falls most steeply: the visible rim.
-    antisymmetry : float, 0-1
-        Share of the color change's energy that is odd about the center; a ball cut by the border keeps less.
-    signal : float
-        Color change inside the circle over that outside; about 1 if nothing is pressed.
-    evidence : float or None
-        Of templates for a ball there, if they found it (`circles.prepare`).
-    marked : bool
-        Whether its center is a person's or a stage's.
-    """
-
-    x_px: float
+    x_px: float  # center, px; may lie outside the frame
     y_px: float
-    radius_px: float
+    radius_px: float  # at which the color change falls most steeply: the visible rim
+    # 0-1, share of the color change's energy that is odd about the center; a ball cut by the border keeps less
     antisymmetry: float
-    signal: float
-    evidence: float | None = None
-    marked: bool = False
+    signal: float  # color change inside the circle over that outside; about 1 if nothing is pressed
+    evidence: float | None = None  # of templates for a ball there, if they found it (`circles.prepare`)
+    marked: bool = False  # whether its center is a person's or a stage's
 
     @property
     def is_weak(self) -> bool:
@@ -236,30 +221,19 @@ REST_DISTANCE = 2.0  # visible radii
 
 @dataclass(frozen=True)
 class PreparedPress:
-    """One press, ready to be fitted: its color change and its ball.
-
-    Attributes
-    ----------
-    name : str
-    color_change : (H, W, 3) float32, blurred
-    size : (H, W) float32, |color change - its median|
-    ball_radius_px : float
-    usable : (H, W) bool, False on markers; None if all pixels are
-    background : (H, W, 3) float32, the background image of all presses; or None
-    contact_radius_ratio : radius of the contact edge over that of the visible circle; the same for all presses
-    mark : (x, y, radius) px of the circle by a person; (x, y, None) of a stage's center; or None
-    refused : the reason that the image is not of this background, or None
-    """
+    """One press, ready to be fitted: its color change and its ball."""
 
     name: str
-    color_change: NDArray[np.float32]
-    size: NDArray[np.float32]
+    color_change: NDArray[np.float32]  # (H, W, 3) float32, blurred
+    size: NDArray[np.float32]  # (H, W) float32, |color change - its median|
     ball_radius_px: float
-    usable: NDArray[np.bool_] | None = None
-    background: NDArray[np.float32] | None = None
+    usable: NDArray[np.bool_] | None = None  # (H, W) bool, False on markers; None if all pixels are
+    background: NDArray[np.float32] | None = None  # (H, W, 3), the background image of all presses; or None
+    # radius of the contact edge over that of the visible circle; the same for all presses
     contact_radius_ratio: float = USUAL_EDGE
+    # (x, y, radius) px of the circle by a person; (x, y, None) of a stage's center; or None
     mark: tuple[float, float, float | None] | None = None
-    refused: str | None = None
+    refused: str | None = None  # the reason that the image is not of this background, or None
 
     def contact_radius(self, contact: ContactCircle) -> float:
         """Radius, px, up to which the gel follows the ball."""

@@ -75,7 +75,9 @@ def contact_radius_ratio(presses: Sequence[PreparedPress], contacts: Sequence[Co
     gains = []
     for group in range(FOLDS):
         others = [i for i in range(len(visible)) if i % FOLDS != group]
-        model = _of_inner_half([visible[i] for i in others], [contacts[i] for i in others])
+        training = [visible[i] for i in others], [contacts[i] for i in others]
+        samples = with_rest_samples(contact_samples(*training, INNER, total=TRIAL_SAMPLES), *training)
+        model = COLOR_MODELS[DEFAULT_MODEL].fit(samples)
         gains += [_gains(visible[i], contacts[i], model) for i in range(group, len(visible), FOLDS)]
     return edge_of_gains(np.array(gains))
 
@@ -95,11 +97,6 @@ def edge_of_gains(gains: NDArray[np.float64]) -> float:
     last = max(int(both[0]), 1)
     part = (relative[last - 1] - LEAST_GAIN) / max(relative[last - 1] - relative[last], 1e-12)
     return float(np.interp(np.clip(part, 0, 1), (0, 1), middles[last - 1 : last + 1]))
-
-
-def _of_inner_half(presses: Sequence[PreparedPress], contacts: Sequence[ContactCircle]) -> ColorModel:
-    samples = contact_samples(presses, contacts, INNER, total=TRIAL_SAMPLES)
-    return COLOR_MODELS[DEFAULT_MODEL].fit(with_rest_samples(samples, presses, contacts))
 
 
 def _gains(press: PreparedPress, contact: ContactCircle, model: ColorModel) -> NDArray[np.float64]:
@@ -183,18 +180,11 @@ STATED_SIZE = 0.07  # |log| of a factor; one step of the sweep either way still 
 
 @dataclass(frozen=True)
 class Refined:
-    """The presses after refinement.
+    """The presses after refinement."""
 
-    Attributes
-    ----------
-    contacts : one per press, refined if it was accepted, else as found
-    reasons : the reason that a press was rejected, or None
-    model : the model that refined them
-    """
-
-    contacts: tuple[ContactCircle, ...]
-    reasons: tuple[str | None, ...]
-    model: ColorModel | None
+    contacts: tuple[ContactCircle, ...]  # one per press, refined if it was accepted, else as found
+    reasons: tuple[str | None, ...]  # the reason that a press was rejected, or None
+    model: ColorModel | None  # the model that refined them
 
     @property
     def accepted(self) -> list[int]:
@@ -210,28 +200,17 @@ class Refined:
 
 @dataclass(frozen=True, eq=False)
 class Located:
-    """Presses with their circles, and the reasons for rejected presses.
+    """Presses with their circles, and the reasons for rejected presses."""
 
-    Attributes
-    ----------
-    presses : as read
-    prepared : with their color changes and the measured edge of their contacts
-    found : the circle found in each image by itself
-    refined : circles that agree with each other, and reasons
-    repeated : the frames that show another one's press again, with the one that stays
-    start : another unit's model that a fit may begin with, or None
-    refined_by : the model of it that circles were refined with, or None
-    notes : notes for the user
-    """
-
-    presses: Presses
-    prepared: list[PreparedPress]
-    found: list[ContactCircle]
-    refined: Refined
+    presses: Presses  # as read
+    prepared: list[PreparedPress]  # with their color changes and the measured edge of their contacts
+    found: list[ContactCircle]  # the circle found in each image by itself
+    refined: Refined  # circles that agree with each other, and reasons
+    # the frames that show another one's press again, with the one that stays
     repeated: Mapping[int, int] = field(default_factory=dict)
-    start: Start | None = None
-    refined_by: StartableModel | None = None
-    notes: tuple[str, ...] = ()
+    start: Start | None = None  # another unit's model that a fit may begin with, or None
+    refined_by: StartableModel | None = None  # the model of it that circles were refined with, or None
+    notes: tuple[str, ...] = ()  # notes for the user
 
 
 def locate(presses: Presses, start: Start | None = None, *, progress: Progress = no_progress) -> Located:

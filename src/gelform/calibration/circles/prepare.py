@@ -14,7 +14,7 @@ their own circles: rims, specks, clipped light.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 from typing import Any
@@ -203,6 +203,9 @@ def _resized(image: NDArray[np.float32], factor: float) -> NDArray[np.float32]:
 
 BLUR_PX = 1.25  # px at 240 rows; it reduces a camera's noise, not the gel's edges
 USUAL_OFFSET = COLOR_MODELS[PLAIN_MODEL].change_offset
+UNTOUCHED_PERCENTILE = 99.0  # percentile of the size of the color change
+UNTOUCHED_DISTANCE = 3  # contact radii
+USUAL_UNTOUCHED_CHANGE = 0.03  # if no press leaves room for the measurement
 
 
 class ColorChanges:
@@ -269,27 +272,34 @@ def prepare(
     return prepared
 
 
-def prepared_by_offset(
-    presses: Presses, prepared: list[PreparedPress], offsets: Iterable[float]
-) -> dict[float, list[PreparedPress]]:
-    """The presses by the offset of the division that color models need: `prepared` and the missing ones.
+def prepared_with(presses: Presses, prepared: list[PreparedPress], offset: float) -> list[PreparedPress]:
+    """The presses, which are `prepared` with the usual offset, with the one that a color model needs.
 
     Pixels with background 0 cannot be divided with the offset 0; they are not usable then.
     """
-    by_offset = {USUAL_OFFSET: prepared}
+    if offset == USUAL_OFFSET:
+        return prepared
     divides = np.asarray((presses.background > 0).all(axis=-1), dtype=bool)
-    for offset in set(offsets) - by_offset.keys():
-        own = [
-            replace(press, contact_radius_ratio=prepared[0].contact_radius_ratio)
-            for press in prepare(presses, offset)
-        ]
+    own = []
+    for press in prepare(presses, offset):
+        usable = press.usable
         if offset == 0 and not divides.all():
-            own = [
-                replace(p, usable=np.asarray(divides if p.usable is None else p.usable & divides))
-                for p in own
-            ]
-        by_offset[offset] = own
-    return by_offset
+            usable = divides if usable is None else usable & divides
+        own.append(replace(press, usable=usable, contact_radius_ratio=prepared[0].contact_radius_ratio))
+    return own
+
+
+def untouched_change(presses: Sequence[PreparedPress], contacts: Sequence[ContactCircle]) -> float:
+    """Largest color change of pixels at rest, beyond three contact radii."""
+    sizes = []
+    for press, contact in zip(presses, contacts):
+        height, width = press.size.shape
+        rows, cols = np.ogrid[:height, :width]
+        reach = UNTOUCHED_DISTANCE * contact.radius_px
+        far = (cols - contact.x_px) ** 2 + (rows - contact.y_px) ** 2 > reach**2
+        if far.any():
+            sizes.append(float(np.percentile(press.size[far], UNTOUCHED_PERCENTILE)))
+    return float(np.median(sizes)) if sizes else USUAL_UNTOUCHED_CHANGE
 
 
 def find_contacts(prepared: list[PreparedPress], *, progress: Progress = no_progress) -> list[ContactCircle]:
@@ -302,7 +312,9 @@ def find_contacts(prepared: list[PreparedPress], *, progress: Progress = no_prog
         found.append(contact)
         progress(done + 1, len(prepared), "finding contact circles")
     known = [
-        None if contact.is_weak and press.refused is None and not _has_radius(press) else contact.circle_px
+        None
+        if contact.is_weak and press.refused is None and (press.mark is None or press.mark[2] is None)
+        else contact.circle_px
         for press, contact in zip(prepared, found)
     ]
     for k, (circle, evidence) in find_by_templates(prepared, known).items():
@@ -313,10 +325,6 @@ def find_contacts(prepared: list[PreparedPress], *, progress: Progress = no_prog
         elif evidence >= MIN_EVIDENCE and not found[k].marked:
             found[k] = replace(found[k], x_px=x, y_px=y, radius_px=radius, evidence=evidence)
     return found
-
-
-def _has_radius(press: PreparedPress) -> bool:
-    return press.mark is not None and press.mark[2] is not None
 
 
 def change_without_markers(

@@ -27,21 +27,14 @@ MIN_CROP = 0.5  # fraction of the frame that has to be visible
 
 @dataclass(frozen=True)
 class GridView:
-    """The view and the scale, estimated from a grid.
+    """The view and the scale, estimated from a grid."""
 
-    Attributes
-    ----------
-    view : from frames to images with square pixels on the gel, one remap; cropped to the part that the camera saw
-    scale : mm per pixel of those images, and its standard deviation
-    residual_px, residual_mm : root mean square distance of the grid's points from the model, in the frame and on the gel
-    points : number of points and of images that were used
-    """
-
+    # from frames to images with square pixels on the gel, one remap; cropped to the part that the camera saw
     view: View
-    scale: Scale
-    residual_px: float
-    residual_mm: float
-    points: int
+    scale: Scale  # mm per pixel of those images, and its standard deviation
+    residual_px: float  # root mean square distance of the grid's points from the model, in the frame
+    residual_mm: float  # and on the gel
+    points: int  # number of points and of images that were used
 
     def describe(self) -> str:
         """One line with the figures."""

@@ -23,17 +23,12 @@ BLOCKS = 4  # parts along either side of the image that are compared
 
 @dataclass(frozen=True)
 class Crosstalk:
-    """Crosstalk of a camera's channels.
+    """Crosstalk of a camera's channels."""
 
-    Attributes
-    ----------
-    matrix : 3x3, row c, column k: light of LED k in channel c over the same in channel k; the diagonal is 1
-    spread : 3x3, standard deviation of each over 4x4 parts of the image
-        One matrix for the whole image has this error: filters act alike everywhere, but scattered and ambient light
-        vary.
-    """
-
+    # 3x3, row c, column k: light of LED k in channel c over the same in channel k; the diagonal is 1
     matrix: tuple[tuple[float, ...], ...]
+    # 3x3, standard deviation of each over 4x4 parts of the image. One matrix for the whole image has this error: filters act
+    # alike everywhere, but scattered and ambient light vary.
     spread: tuple[tuple[float, ...], ...]
 
     @property
@@ -124,20 +119,13 @@ def _rows(matrix: NDArray[np.float64]) -> tuple[tuple[float, ...], ...]:
 
 @dataclass(frozen=True)
 class Geometry:
-    """Measurements apart from the presses; none by default.
+    """Measurements apart from the presses; none by default."""
 
-    Attributes
-    ----------
-    scale_source : target that mm_per_px was measured on, with the figures; empty: given as a number
-    crosstalk : removed before the color model; None: the color model absorbs it
-    lens : target that distortion and perspective were measured on, with the residual; empty: none is removed
-    gel_thickness_mm : thickness of the gel at rest, mm; None if unknown
-    """
-
-    scale_source: str = ""
-    crosstalk: Crosstalk | None = None
+    scale_source: str = ""  # target that mm_per_px was measured on, with figures; empty: given as a number
+    crosstalk: Crosstalk | None = None  # removed before the color model; None: the color model absorbs it
+    # target that distortion and perspective were measured on, with the residual; empty: none is removed
     lens: str = ""
-    gel_thickness_mm: float | None = None
+    gel_thickness_mm: float | None = None  # thickness of the gel at rest, mm; None if unknown
 
     @classmethod
     def from_settings(cls, measured: Mapping[str, Any], gel_thickness_mm: float | None = None) -> Geometry:

@@ -177,7 +177,8 @@ def scale_from_stage(
         The two images do not show the same object, because nothing aligns.
     """
     a, b = (_change_of(image, background) for image in (first, second))
-    shifts = [_aligned(a[..., c], b[..., c], _coarse_shift(a, b)) for c in range(3)]
+    start = _coarse_shift(a, b)
+    shifts = [_aligned(a[..., c], b[..., c], start) for c in range(3)]
     found = np.array([shift for shift in shifts if shift is not None])
     if not len(found):
         raise DataError(

@@ -1,9 +1,8 @@
-"""Errors on held-out presses, each reconstructed once without itself; their standard deviation by step and slope.
+"""Errors on held-out presses, each reconstructed once by a calibration that was selected and fitted without it.
 
-Errors on held-out presses: each is reconstructed once, by a calibration selected and fitted without it.
-
-Some of its pixels are kept with their slopes, the ball's own slopes, and the depth minus the cap. They stay in the report
-of the run, unsaved; the report's statistics are binned from them.
+Some pixels of all presses are one table (`PIXEL`). It stays in the report of the run, unsaved; the report's statistics and
+the factors of the deviation are made from it. The deviation by step and slope comes first, from slopes as the folds' models
+read them, because it weighs the slopes that are solved.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ from gelform.calibration.circles.find import (
 )
 from gelform.calibration.circles.prepare import change_settings
 from gelform.calibration.fitted import Fitted
-from gelform.calibration.held_out.scores import Fold, circle_sigmas
+from gelform.calibration.held_out.scores import Fold, HeldOutPresses, circle_sigmas
 from gelform.calibration.presses.press_set import Press
 from gelform.calibration_file import Calibration
 from gelform.depth.sigma import squared_factor
@@ -46,7 +45,7 @@ from gelform.result.metrics import (
 from gelform.slopes.budget import noise_at_rest
 from gelform.slopes.color_models import ForwardResponse
 from gelform.slopes.color_models.forward_response import Step
-from gelform.slopes.sigma import ONE_SIGMA, TWO_SIGMA, SlopeErrors, SlopeSigma
+from gelform.slopes.sigma import AT_REST, HELD_OUT, ONE_SIGMA, TWO_SIGMA, SlopeSigma
 
 LAGS = 24  # steps, px at 240 rows; errors in a contact correlate over 3-10
 ROWS = 8  # rows of gel at rest, for the correlation of errors there
@@ -54,38 +53,32 @@ SHORTEST_PX = 0.3  # px, shortest of that correlation, which noise and blur caus
 # Fraction of squared residuals of 1 degree of freedom, and their limit.
 MOST, CHI_SQUARE_AT_MOST = 0.95, 3.84
 
+# Pixels of presses, each solved by a model that has not seen its press.
+PIXEL = np.dtype(
+    [
+        ("press", "i4"),  # index in its folder
+        ("x_px", "f4"),
+        ("y_px", "f4"),
+        ("rho", "f8"),  # distance from the ball's center over the visible radius, or over `followed_radius`
+        ("true", "f4", 2),  # the ball's slopes, mm/mm
+        ("solved", "f4", 2),  # those of the solved depth
+        ("stated", "f4"),  # standard deviation of the slopes as read; NaN if unknown
+    ]
+)
 
-@dataclass(frozen=True)
-class PressResiduals:
-    """The slopes that a model reads on a held-out press, and their errors.
 
-    Attributes
-    ----------
-    slopes, errors : (h, w, 2) in the contact's bounding box, mm/mm, NaN outside its edge
-    stated : (N,) standard deviation by the step; 1 without a step
-    residual : (N,) squared, of the color change after the step
-    rows, cols : (N,) of the pixels of that part, in the image
-    untouched : (M, 2) slopes read far from the contact, where 0 is true, their median removed
-    untouched_noise : (M,) their variance from the image's noise
-    untouched_rows : (rows, W, 2) the same of whole rows of the image, NaN near the contact
-    """
+def table(columns: np.dtype[Any], rows: int, **values: Any) -> NDArray[Any]:
+    """A structured array of so many rows, from the values of its columns."""
+    made = np.empty(rows, columns)
+    for name, column in values.items():
+        made[name] = column
+    return made
 
-    slopes: NDArray[np.float64]
-    errors: NDArray[np.float64]
-    stated: NDArray[np.float64]
-    residual: NDArray[np.float64]
-    rows: NDArray[np.intp]
-    cols: NDArray[np.intp]
-    untouched: NDArray[np.float64]
-    untouched_noise: NDArray[np.float32]
-    untouched_rows: NDArray[np.float64]
 
-    def columns(self) -> tuple[NDArray[np.float64], ...]:
-        """Slope, errors, stated deviation and residual of some pixels."""
-        thin = slice(None, None, max(1, len(self.rows) // PRESS_PIXELS))
-        at = self.rows[thin] - self.rows.min(), self.cols[thin] - self.cols.min()
-        slopes = np.linalg.norm(self.slopes[at], axis=-1)
-        return slopes, self.errors[at], self.stated[thin], self.residual[thin]
+def by_press(pixels: NDArray[Any]) -> list[NDArray[Any]]:
+    """The parts of a table that are of one press each, none of them empty."""
+    parts = np.split(pixels, np.flatnonzero(np.diff(pixels["press"])) + 1)
+    return [part for part in parts if len(part)]
 
 
 def slope_sigma_from_folds(
@@ -98,29 +91,22 @@ def slope_sigma_from_folds(
     """Standard deviation and correlation of the slopes, and the scale of the residual, on held-out presses.
 
     A fold's model has seen fewer presses than the final one, and is worse for it. So its errors are multiplied by the root
-    of
-    the fraction of presses, the rate at which errors of estimation fall. `noise` (H, W) is as `noise_at_rest` gives it.
+    of the fraction of presses, the rate at which errors of estimation fall. `noise` (H, W) is as `noise_at_rest` gives it.
     """
-    trained = fraction_trained(folds)
-    shape = presses[0].size.shape
-    step = max(1, round(scale_of(shape)))
-    residuals = {
-        i: press_residuals(presses[i], found[i], fit.frame(presses[i]), noise)
+    step = max(1, round(scale_of(presses[0].size.shape)))
+    measured = [
+        press_errors_as_read(presses[i], found[i], fit.frame(presses[i]), noise, step)
         for fit, fold in zip(fits, folds)
         for i in fold.held_out
-    }
-    products = [_lag_products(one.errors, step) for one in residuals.values()]
-    parts = [one.columns() for one in residuals.values()]
-    slopes, errors, stated, residual = (np.concatenate(column) for column in zip(*parts))
-    untouched = np.concatenate([one.untouched for one in residuals.values()])
-    there = np.concatenate([one.untouched_noise for one in residuals.values()])
-    held_out = SlopeErrors(slopes, np.sqrt(trained) * errors, untouched, there, stated)
+    ]
+    contacts, at_rest, products, rest_products = zip(*measured)
+    pixels = np.concatenate(contacts)
+    pixels["error"] *= np.sqrt(fraction_trained(folds))
     length, fraction = correlation_from_products(np.mean(products, axis=0), step)
-    fitted = SlopeSigma.fit(held_out, length, fraction)
-    at_rest = np.mean([_lag_products(one.untouched_rows, 1) for one in residuals.values()], axis=0)
-    rest_length, rest_fraction = rest_correlation(at_rest, length)
+    rest_length, rest_fraction = rest_correlation(np.mean(rest_products, axis=0), length)
+    fitted = SlopeSigma.fit(pixels, np.concatenate(at_rest), length, fraction)
     fitted = replace(fitted, rest_correlation_px=rest_length, rest_correlated_share=rest_fraction)
-    return fitted, max(float(np.quantile(residual, MOST)) / CHI_SQUARE_AT_MOST, 1.0)
+    return fitted, max(float(np.quantile(pixels["residual"], MOST)) / CHI_SQUARE_AT_MOST, 1.0)
 
 
 def fraction_trained(folds: Sequence[Fold]) -> float:
@@ -167,43 +153,42 @@ def rest_correlation(products: NDArray[np.float64], length: float) -> tuple[floa
     return best[1], best[2]
 
 
-def press_residuals(
-    press: PreparedPress, found: ContactCircle, frame: Step, noise: NDArray[np.float32]
-) -> PressResiduals:
-    """The slopes read on a held-out press and their errors; its center is free, because labels are off by a pixel."""
+def press_errors_as_read(
+    press: PreparedPress, found: ContactCircle, frame: Step, noise: NDArray[np.float32], step: int
+) -> tuple[NDArray[Any], NDArray[Any], NDArray[np.float64], NDArray[np.float64]]:
+    """Some pixels of a held-out press (`HELD_OUT`), and some far from its contact (`AT_REST`), as a fold's model reads them.
+
+    They are followed by the mean products of errors in the contact at lags of so many px, and at rest at lags of 1 px. The
+    press's center is free, because labels are off by a pixel. At rest 0 is true, and the median is removed as in the
+    Reconstructor.
+    """
     rows, cols = press.pixels(found, 1.0)
     gradients = frame.gradients[rows, cols].astype(np.float64)
     error = score_slopes(gradients, cols, rows, (found.x_px, found.y_px), press.ball_radius_px).errors
-    box = (int(np.ptp(rows)) + 1, int(np.ptp(cols)) + 1, 2)
-    maps = np.full((2, *box), np.nan)
-    for values, into in zip((gradients, error), maps):
-        into[rows - rows.min(), cols - cols.min()] = values
-    stated, residual = np.sqrt(frame.variance[rows, cols]), frame.residual[rows, cols]
-    untouched = _untouched_slopes(press, found, frame.gradients, noise)
-    return PressResiduals(maps[0], maps[1], stated, residual, rows, cols, *untouched)
-
-
-def _untouched_slopes(
-    press: PreparedPress, found: ContactCircle, gradients: NDArray[np.float32], noise: NDArray[np.float32]
-) -> tuple[NDArray[np.float64], NDArray[np.float32], NDArray[np.float64]]:
-    """Slopes (N, 2) read far from the contact, minus their median as in the Reconstructor, with the noise there.
-
-    They are followed by the noise (N,), and by the slopes (rows, W, 2) of whole rows.
-    """
+    box = np.full((int(np.ptp(rows)) + 1, int(np.ptp(cols)) + 1, 2), np.nan)
+    box[rows - rows.min(), cols - cols.min()] = error
+    thin = slice(None, None, max(1, len(rows) // PRESS_PIXELS))
+    rows, cols = rows[thin], cols[thin]
+    pixels = table(
+        HELD_OUT,
+        len(rows),
+        slope=np.linalg.norm(gradients[thin], axis=-1),
+        error=error[thin],
+        stated=np.sqrt(frame.variance[rows, cols]),
+        residual=frame.residual[rows, cols],
+    )
     height, width = press.size.shape
-    step = max(1, int(np.sqrt(height * width / PRESS_PIXELS)))
-    apart = max(1, height // ROWS)
+    every, apart = max(1, int(np.sqrt(height * width / PRESS_PIXELS))), max(1, height // ROWS)
     y, x = np.ogrid[:height, :width]
     far = np.hypot(x - found.x_px, y - found.y_px) > (REST_DISTANCE + 1) * found.radius_px
     if press.usable is not None:
         far &= press.usable
-    slopes = np.where(far[..., None], gradients, np.nan).astype(np.float64)
-    some, bias = slopes[::step, ::step], np.zeros(2)
-    there = np.isfinite(some[..., 0])
-    known = some[there]
-    if len(known):
-        bias = np.median(known, axis=0)
-    return known - bias, noise[::step, ::step][there], slopes[apart // 2 :: apart] - bias
+    slopes = np.where(far[..., None], frame.gradients, np.nan).astype(np.float64)
+    there = np.isfinite(slopes[::every, ::every, 0])
+    known = slopes[::every, ::every][there]
+    bias = np.median(known, axis=0) if len(known) else np.zeros(2)
+    rest = table(AT_REST, len(known), error=known - bias, noise=noise[::every, ::every][there])
+    return pixels, rest, _lag_products(box, step), _lag_products(slopes[apart // 2 :: apart] - bias, 1)
 
 
 def _lag_products(error: NDArray[np.float64], step: int) -> NDArray[np.float64]:
@@ -226,64 +211,21 @@ ANY_SLOPE = 1e3, 1e3  # mm/mm, beyond any
 FAR_RADII, LEAST_FAR_PX, EVERY_FAR, MOST_FAR = 2.5, 200, 7, 5.0
 
 
-@dataclass(frozen=True, eq=False)
-class HeldOutSample:
-    """Pixels of one press, reconstructed with a model that has not seen it; the ball's center is free.
-
-    Attributes
-    ----------
-    index : of the press in its folder
-    circle_px : (center x, center y, contact radius), px; for a deep press, the radius that the gel follows
-    x_px, y_px : (N,) float32, inside the contact, 3 px (at 240 rows) inside its rim
-    true_gradients, gradients : (N, 2) float32, the ball's slopes there and the reconstructed ones
-    cap_error_um : (h, w) float32, depth minus the ball's cap in the contact's box, mean 0, NaN outside it;
-        empty if the fitted ball lies outside the frame
-    """
-
-    index: int
-    circle_px: tuple[float, float, float]
-    x_px: NDArray[np.float32]
-    y_px: NDArray[np.float32]
-    true_gradients: NDArray[np.float32]
-    gradients: NDArray[np.float32]
-    cap_error_um: NDArray[np.float32]
-
-    @property
-    def errors(self) -> NDArray[np.float32]:
-        """(N, 2) reconstructed minus true slopes."""
-        return self.gradients - self.true_gradients
-
-    def inside(self, zone: float) -> NDArray[np.bool_]:
-        """Which pixels (N,) are inside a fraction of the contact radius."""
-        x, y, radius = self.circle_px
-        return np.hypot(self.x_px - x, self.y_px - y) < zone * radius
-
-    def within(self, zone: float) -> HeldOutSample:
-        """The pixels inside a fraction of the contact radius."""
-        keep = self.inside(zone)
-        kept = {name: getattr(self, name)[keep] for name in ("x_px", "y_px", "true_gradients", "gradients")}
-        return replace(self, **kept)
-
-
 @dataclass(frozen=True)
 class Judged:
-    """The errors of a fit on held-out presses.
+    """The errors of a fit on held-out presses."""
 
-    Attributes
-    ----------
-    errors : index of the press -> its errors through the whole path, with the candidate selected without its fold
-    saved_errors : the same by the saved model's kind, settings and zone, fitted without its fold
-    samples : some pixels of each press
-    slope_sigma : standard deviation of the slopes of the chosen color model, and of those of the solved depth
-    forward : the forward response, its residuals in the unit of those of held-out presses
-    circle_sigmas : index of the press -> standard deviations, px, of its circle's center and radius
-    """
-
+    # index of the press -> its errors through the whole path, with the candidate selected without its fold
     errors: Mapping[int, PressErrors]
+    # the same by the saved model's kind, settings and zone, fitted without its fold
     saved_errors: Mapping[int, PressErrors]
-    samples: tuple[HeldOutSample, ...]
+    pixels: NDArray[Any]  # (N,) some of each press (`PIXEL`), with the candidate selected without its fold
+    # index of the press -> (h, w) depth minus the ball's cap in the contact's box, as `errors_of` gives it
+    caps_um: Mapping[int, NDArray[np.float32]]
+    # standard deviation of the slopes of the chosen color model, and of those of the solved depth
     slope_sigma: SlopeSigma
-    forward: ForwardResponse
+    forward: ForwardResponse  # its residuals in the unit of those of held-out presses
+    # index of the press -> standard deviations, px, of its circle's center and radius
     circle_sigmas: Mapping[int, tuple[float, float]]
 
 
@@ -295,58 +237,61 @@ def measure_held_out(fitted: Fitted, *, progress: Progress = no_progress) -> Jud
     """
     errors: dict[int, PressErrors] = {}
     saved_errors: dict[int, PressErrors] = {}
-    samples: list[HeldOutSample] = []
     held_out, chosen, draft = fitted.held_out, fitted.selection.chosen, fitted.calibration
-    prepared, folds = held_out.presses[chosen.change_offset], held_out.folds
-    fits = held_out.fitted(chosen)
+    folds, located, found = held_out.folds, held_out.located, held_out.located.found
+    prepared, _ = held_out.prepared_for(chosen)
+    fits = [held_out.fit(fold, [chosen])[0] for fold in folds]
     model = draft.color_model.prepare(draft.background, draft.image_shape)
     untouched = PreparedBackground(draft.background, draft.change)
     noise = noise_at_rest(model, untouched, draft.settings.image_noise)
-    sigma, residual_scale = slope_sigma_from_folds(fits, folds, prepared, held_out.found, noise)
+    sigma, residual_scale = slope_sigma_from_folds(fits, folds, prepared, found, noise)
     assert draft.forward is not None
     forward = replace(draft.forward, residual_scale=residual_scale)
     # Held-out presses show what slopes there are; what these have in common counts in units of the error still to be found.
     unlimited = replace(sigma, shown=ANY_SLOPE, gain_sigma=1.0)
     draft = replace(draft, forward=forward, slope_sigma=unlimited)
-    own: list[HeldOutSample] = []
-    stated: list[NDArray[np.float32]] = []
+    pixels: list[NDArray[Any]] = []
+    own: list[NDArray[Any]] = []
     far: list[NDArray[np.float32]] = []
+    caps_um: dict[int, NDArray[np.float32]] = {}
     for done, (fold, candidate) in enumerate(zip(folds, fitted.selection.by_fold)):
         runs = [(candidate, errors)]
         if candidate != chosen:
             runs.append((chosen, saved_errors))
         for one, into in runs:
-            for i, circle, record, result in _reconstructed(draft, fitted, one, fold):
-                press = fitted.located.presses.presses[i]
+            for i, circle, record, result in _reconstructed(draft, held_out, one, fold):
+                press = located.presses.presses[i]
                 measured = press, circle, result, draft.known_mm_per_px, prepared[i].contact_radius_ratio
-                into[i] = errors_of(*measured)
-                sample = sample_of(i, *measured)
+                into[i], solved, cap_um = errors_of(i, *measured, stated=record.budget.read)
                 if into is errors:
-                    samples.append(sample)
+                    pixels.append(solved)
+                    caps_um[i] = cap_um
                 if one == chosen:  # the law of its slopes does not hold for another candidate's
-                    own.append(sample)
-                    stated.append(at_sample(record.budget.read, sample))
+                    own.append(solved)
                     far.append(_far_depth(record, circle))
         if candidate == chosen:
             saved_errors |= {i: errors[i] for i in fold.held_out if i in errors}
         progress(done + 1, len(folds), "measuring on held-out presses")
+    trained, ratio = fraction_trained(folds), draft.settings.contact_radius_ratio
     return Judged(
         errors,
         saved_errors,
-        tuple(samples),
-        with_factors(sigma, own, stated, far, fraction_trained(folds), draft.settings.contact_radius_ratio),
+        np.concatenate(pixels),
+        caps_um,
+        with_factors(sigma, np.concatenate(own), far, trained, ratio),
         forward,
-        circle_sigmas(fitted.located.prepared, held_out.found, folds, fitted.located.refined_by),
+        circle_sigmas(located.prepared, found, folds, located.refined_by),
     )
 
 
 def _reconstructed(
-    draft: Calibration, fitted: Fitted, candidate: Candidate, fold: Fold
+    draft: Calibration, held_out: HeldOutPresses, candidate: Candidate, fold: Fold
 ) -> Iterator[tuple[int, tuple[float, float, float], FrameRecord, Reconstruction]]:
     """Index, circle, record and result of each press of a fold, by a calibration that was fitted without the fold."""
-    held_out, presses, known = fitted.held_out, fitted.located.presses, draft.forward
+    known, presses = draft.forward, held_out.located.presses
     ((reader, forward),) = held_out.fit(fold, [candidate])
     change = change_settings(presses, candidate.change_offset)
+    prepared, _ = held_out.prepared_for(candidate)
     assert known is not None
     own = replace(known, step_sigma=None) if forward is None else forward
     own = replace(own, clipped=known.clipped, residual_scale=known.residual_scale)
@@ -354,39 +299,15 @@ def _reconstructed(
     for i in fold.held_out:
         record, albedo = reconstruct.record(presses.presses[i].image)
         result = reconstruct.result(record, albedo)
-        circle = _free_circle(held_out.presses[candidate.change_offset][i], held_out.found[i], result)
-        yield i, circle, record, result
-
-
-def _free_circle(
-    press: PreparedPress, found: ContactCircle, result: Reconstruction
-) -> tuple[float, float, float]:
-    """The circle found in the held-out press alone, with the center of the solved slopes; its radius is not refined."""
-    rows, cols = press.pixels(found, ZONE, PRESS_PIXELS)
-    start = found.x_px, found.y_px
-    x, y = ball_center(result.gradients[rows, cols], cols, rows, start, press.ball_radius_px)
-    return x, y, found.radius_px
+        # The circle found in the press alone, with the center of the solved slopes; its radius is not refined.
+        found = held_out.located.found[i]
+        rows, cols = prepared[i].pixels(found, ZONE, PRESS_PIXELS)
+        start, radius = (found.x_px, found.y_px), prepared[i].ball_radius_px
+        center = ball_center(result.gradients[rows, cols], cols, rows, start, radius)
+        yield i, (*center, found.radius_px), record, result
 
 
 def errors_of(
-    press: Press,
-    circle_px: tuple[float, float, float],
-    result: Reconstruction,
-    mm_per_px: float,
-    contact_radius_ratio: float,
-) -> PressErrors:
-    """Errors of a reconstructed press whose visible circle (center x, center y, radius, px) is known."""
-    return press_errors(
-        result.depth_mm,
-        result.gradients,
-        circle_px=circle_px,
-        ball_radius_mm=press.ball_diameter_mm / 2,
-        mm_per_px=mm_per_px,
-        contact_radius_ratio=contact_radius_ratio,
-    )
-
-
-def sample_of(
     index: int,
     press: Press,
     circle_px: tuple[float, float, float],
@@ -394,12 +315,23 @@ def sample_of(
     mm_per_px: float,
     contact_radius_ratio: float,
     *,
+    stated: NDArray[np.float32] | None = None,
     max_pixels: int = PRESS_PIXELS,
-) -> HeldOutSample:
-    """Pixels of a reconstructed press for its errors, up to the visible rim; about `max_pixels`.
+) -> tuple[PressErrors, NDArray[Any], NDArray[np.float32]]:
+    """Errors of a reconstructed press with a visible circle (center x, y, radius, px), its pixels, and depth minus the cap.
 
-    That region and the free centers, fitted inside the contact edge, are those of `gelform.result.metrics.press_errors`.
+    The pixels (`PIXEL`) are about `max_pixels` up to the visible rim. That region and the free centers, fitted inside the
+    contact edge, are those of `press_errors`. `stated` (H, W) is the deviation of the slopes as read. Depth minus the ball's
+    cap is (h, w), um, in the contact's box, of mean 0 and NaN outside it; empty if the fitted ball lies outside the frame.
     """
+    errors = press_errors(
+        result.depth_mm,
+        result.gradients,
+        circle_px=circle_px,
+        ball_radius_mm=press.ball_diameter_mm / 2,
+        mm_per_px=mm_per_px,
+        contact_radius_ratio=contact_radius_ratio,
+    )
     ball_px = press.ball_diameter_mm / 2 / mm_per_px
     height, width = result.depth_mm.shape
     followed = followed_radius(circle_px[2], ball_px)
@@ -408,24 +340,21 @@ def sample_of(
     start = circle_px[:2]
     inside = np.hypot(x - start[0], y - start[1]) < min(contact_radius_ratio * followed, reach)
     center = ball_center(result.gradients[inside], x[inside], y[inside], start, ball_px)
-    rows, cols = _thinned(np.hypot(x - center[0], y - center[1]) < reach, max_pixels)
-    return HeldOutSample(
-        index,
-        (*center, followed),
-        cols.astype(np.float32),
-        rows.astype(np.float32),
-        ball_gradients(cols, rows, center, ball_px).astype(np.float32),
-        result.gradients[rows, cols],
-        _cap_error_um(result.depth_mm, inside, start, reach, ball_px, mm_per_px),
+    rows, cols = np.nonzero(np.hypot(x - center[0], y - center[1]) < reach)
+    thin = (cols + 3 * rows) % max(-(-len(rows) // max_pixels), 1) == 0
+    rows, cols = rows[thin], cols[thin]
+    pixels = table(
+        PIXEL,
+        len(rows),
+        press=index,
+        x_px=cols,
+        y_px=rows,
+        rho=np.hypot(cols - center[0], rows - center[1]) / followed,
+        true=ball_gradients(cols, rows, center, ball_px),
+        solved=result.gradients[rows, cols],
+        stated=np.nan if stated is None else stated[rows, cols],
     )
-
-
-def _thinned(region: NDArray[np.bool_], count: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Rows and columns of at most about `count` pixels of a region, on a regular lattice."""
-    rows, cols = np.nonzero(region)
-    stride = -(-len(rows) // count)
-    keep = (cols + 3 * rows) % max(stride, 1) == 0
-    return rows[keep], cols[keep]
+    return errors, pixels, _cap_error_um(result.depth_mm, inside, start, reach, ball_px, mm_per_px)
 
 
 def _cap_error_um(
@@ -454,8 +383,7 @@ def _cap_error_um(
 
 def with_factors(
     sigma: SlopeSigma,
-    samples: Sequence[HeldOutSample],
-    stated: Sequence[NDArray[np.float32]],
+    pixels: NDArray[Any],
     far: Sequence[NDArray[np.float32]],
     trained: float,
     contact_radius_ratio: float | None,
@@ -463,15 +391,12 @@ def with_factors(
     """The deviation of slopes with the factors of the solved depth's slopes and of depth, and the common error of slopes.
 
     As in `slope_sigma_from_folds`, the common error is multiplied by the root of the fraction of presses that a fold has
-    seen; the factors are those of the folds, because little of the other errors falls with more presses. `stated` are the
-    deviations of the slopes as read at the samples' pixels, `far` what `depth_factor` takes.
+    seen; the factors are those of the folds, because little of the other errors falls with more presses. `pixels` are
+    `PIXEL`, `far` what `depth_factor` takes.
     """
-    ratio = contact_radius_ratio or 1.0
-    kept = [one.inside(ratio) for one in samples]
-    inner = [one.within(ratio) for one in samples]
+    inner = pixels[pixels["rho"] < (contact_radius_ratio or 1.0)]
     sigma = replace(sigma, gain_sigma=float(np.sqrt(trained)) * common_error(inner, sigma))
-    errors = np.concatenate([one.errors for one in inner])
-    sigma = sigma.with_solved(errors, np.concatenate([one[k] for one, k in zip(stated, kept)]))
+    sigma = sigma.with_solved(inner["solved"] - inner["true"], inner["stated"])
     return replace(sigma, depth_factor=depth_factor(far, sigma.gain_sigma, sigma.depth_factor))
 
 
@@ -512,41 +437,41 @@ def _far_depth(record: FrameRecord, circle_px: tuple[float, float, float]) -> ND
     return np.stack([one[far][::EVERY_FAR] for one in (np.square(record.depth_mm), *maps)])
 
 
-def at_sample(values: NDArray[np.float32], sample: HeldOutSample) -> NDArray[np.float32]:
-    """A map (H, W) at the pixels of a sample."""
-    return values[sample.y_px.astype(np.intp), sample.x_px.astype(np.intp)]
+def at_pixels(values: NDArray[np.float32], pixels: NDArray[Any]) -> NDArray[np.float32]:
+    """A map (H, W) at the places of a table."""
+    return values[pixels["y_px"].astype(np.intp), pixels["x_px"].astype(np.intp)]
 
 
-def common_error(samples: Sequence[HeldOutSample], sigma: SlopeSigma) -> float:
+def common_error(pixels: NDArray[Any], sigma: SlopeSigma) -> float:
     """Relative error that slopes of one size share around a press, RMS, beyond what errors of single slopes explain.
 
     A ball has slopes of all sizes, whose errors partly cancel in its height. Another object may stand on slopes of one size.
     """
-    errors = [np.abs(one.errors) for one in samples if len(one.x_px)]
-    if not errors:
+    if not pixels.size:
         return 0.0
-    single = float(np.quantile(np.concatenate(errors), ONE_SIGMA)) ** 2
-    squares = [square for one in samples if len(one.x_px) for square in _ring_squares(one, sigma, single)]
+    single = float(np.quantile(np.abs(pixels["solved"] - pixels["true"]), ONE_SIGMA)) ** 2
+    squares = [square for press in by_press(pixels) for square in _ring_squares(press, sigma, single)]
     return max(sum(squares) / max(len(squares), 1), 0.0) ** 0.5
 
 
-def _ring_squares(sample: HeldOutSample, sigma: SlopeSigma, single: float) -> Iterator[float]:
+def _ring_squares(press: NDArray[Any], sigma: SlopeSigma, single: float) -> Iterator[float]:
     """Square of each ring's mean error along the slope, less that of errors of variance `single`, over its slope's square.
 
     In the innermost ring slopes are too gentle for a relative error.
     """
-    slopes = np.linalg.norm(sample.true_gradients.astype(np.float64), axis=1)
+    slopes = np.linalg.norm(press["true"].astype(np.float64), axis=1)
     rings = np.digitize(slopes, np.linspace(0, slopes.max(), RINGS + 1)[1:-1])
     for ring in range(1, RINGS):
-        pixels = np.flatnonzero(rings == ring)
-        if len(pixels) < RING_PIXELS[0]:
+        member = np.flatnonzero(rings == ring)
+        if len(member) < RING_PIXELS[0]:
             continue
-        along = sample.true_gradients[pixels] / slopes[pixels, None]
-        error = float(np.sum(sample.errors[pixels] * along, axis=1).mean())
+        pixels, size = press[member], slopes[member]
+        along = pixels["true"] / size[:, None]
+        error = float(np.sum((pixels["solved"] - pixels["true"]) * along, axis=1).mean())
         some = slice(None, None, -(-len(pixels) // RING_PIXELS[1]))
-        x, y = sample.x_px[pixels][some], sample.y_px[pixels][some]
+        x, y = pixels["x_px"][some], pixels["y_px"][some]
         square_px = (x[:, None] - x) ** 2 + (y[:, None] - y) ** 2
         alike = np.exp(-square_px / (2 * sigma.correlation_px**2)) * (along[some] @ along[some].T)
         share = sigma.correlated_share
         explained = single * (share * float(alike.mean()) + (1 - share) / len(pixels))
-        yield (error**2 - explained) / float(slopes[pixels].mean()) ** 2
+        yield (error**2 - explained) / float(size.mean()) ** 2

@@ -30,6 +30,7 @@ from gelform.calibration.candidates import (
 )
 from gelform.calibration.circles.find import PRESS_PIXELS, TRIAL_SAMPLES, ContactCircle, PreparedPress
 from gelform.calibration.circles.locate import ROUNDS, Located, refine
+from gelform.calibration.circles.prepare import prepared_with, untouched_change
 from gelform.calibration.circles.refine import fit_model, recentered
 from gelform.calibration.coverage import FOLDS, NEEDED
 from gelform.errors import CalibrationError
@@ -65,26 +66,23 @@ def make_folds(
     count = FOLDS if NEEDED.edge.met(len(ordered)) else len(ordered)
     folds = []
     for f in range(count):
-        held_out = tuple(ordered[f::count])
-        folds.append(_fold(presses, found, held_out, [i for i in ordered if i not in held_out], start))
+        held_out = ordered[f::count]
+        folds.append(fold_of(presses, found, held_out, [i for i in ordered if i not in held_out], start))
         progress(f + 1, count, "holding presses out")
     return folds
 
 
-def _fold(
+def fold_of(
     presses: Sequence[PreparedPress],
     found: Sequence[ContactCircle],
-    held_out: tuple[int, ...],
+    held_out: Sequence[int],
     training: Sequence[int],
     start: StartableModel | None,
 ) -> Fold:
+    """The fold of some held-out presses, with those of the training presses that fit each other."""
     refined = refine([presses[i] for i in training], [found[i] for i in training], start=start)
     kept = refined.accepted
-    return Fold(
-        held_out=held_out,
-        training=tuple(training[k] for k in kept),
-        contacts=tuple(refined.contacts[k] for k in kept),
-    )
+    return Fold(tuple(held_out), tuple(training[k] for k in kept), tuple(refined.contacts[k] for k in kept))
 
 
 def check_folds(located: Located, folds: Sequence[Fold]) -> None:
@@ -146,6 +144,11 @@ class Trial:
     candidate: Candidate
     scores: Mapping[int, HeldOutSlopeScore]
 
+    @property
+    def normal_deg(self) -> float:
+        """Mean angle error over the presses."""
+        return float(np.mean([score.normal_deg for score in self.scores.values()]))
+
     def mean_log(self, without: Sequence[int] = ()) -> float:
         """Mean logarithm of the slope error, without some presses."""
         errors = [score.slope_error for i, score in self.scores.items() if i not in without]
@@ -163,32 +166,33 @@ class Selection:
 
 @dataclass(frozen=True, eq=False)
 class HeldOutPresses:
-    """The presses and their folds.
+    """The presses and their folds, from `make_folds`, with all that is fitted without a fold."""
 
-    Attributes
-    ----------
-    presses : prepared, by the `change_offset` of candidates
-    found : the circles found in single images, one per press
-    folds : from `make_folds`
-    untouched : largest color change of gel at rest, by the offset too
-    """
-
-    presses: Mapping[float, Sequence[PreparedPress]]
-    found: Sequence[ContactCircle]
+    located: Located
     folds: Sequence[Fold]
-    untouched: Mapping[float, float]
+    _prepared: dict[float, tuple[list[PreparedPress], float]] = field(
+        default_factory=dict, init=False, repr=False
+    )
     _fits: dict[tuple[Fold, Candidate], FittedSlopes] = field(default_factory=dict, init=False, repr=False)
+
+    def prepared_for(self, candidate: Candidate) -> tuple[list[PreparedPress], float]:
+        """The presses with the color changes that a candidate reads, and the largest change of gel at rest; kept."""
+        offset = candidate.change_offset
+        if offset not in self._prepared:
+            own = prepared_with(self.located.presses, self.located.prepared, offset)
+            self._prepared[offset] = own, untouched_change(*self.located.refined.of_accepted(own))
+        return self._prepared[offset]
 
     def fit(self, fold: Fold, candidates: Sequence[Candidate]) -> list[FittedSlopes]:
         """Fit candidates that differ only in their settings on a fold's training presses; the fits are kept."""
         new = [one for one in dict.fromkeys(candidates) if (fold, one) not in self._fits]
         if new:
-            offset = new[0].change_offset
-            training = [self.presses[offset][i] for i in fold.training]
+            presses, untouched = self.prepared_for(new[0])
+            training = [presses[i] for i in fold.training]
             samples = training_samples(training, fold.contacts, total=TRIAL_SAMPLES)
             for plain in dict.fromkeys(one.plain for one in new):
                 if (fold, plain) not in self._fits:
-                    reader = SlopeReader(plain.fit(samples), self.presses[offset][0], self.untouched[offset])
+                    reader = SlopeReader(plain.fit(samples), presses[0], untouched)
                     self._fits[fold, plain] = FittedSlopes(reader, None)
             for plain in dict.fromkeys(one.plain for one in new):
                 reader = self._fits[fold, plain].reader
@@ -208,27 +212,22 @@ class HeldOutPresses:
                         self._fits[fold, one] = FittedSlopes(reader, forward)
         return [self._fits[fold, one] for one in candidates]
 
-    def fitted(self, candidate: Candidate) -> list[FittedSlopes]:
-        """Fit a candidate without each fold."""
-        return [self.fit(fold, [candidate])[0] for fold in self.folds]
-
-    def try_candidates(self, candidates: Sequence[Candidate]) -> list[Trial]:
-        """Fit candidates that differ only in their settings without each fold, and score them on that fold."""
+    def try_candidates(
+        self, candidates: Sequence[Candidate], folds: Sequence[Fold] | None = None
+    ) -> list[Trial]:
+        """Fit candidates that differ only in their settings without each fold, its own or others, and score them on it."""
         scores: list[dict[int, HeldOutSlopeScore]] = [{} for _ in candidates]
-        prepared = self.presses[candidates[0].change_offset]
-        for fold in self.folds:
+        prepared, found = self.prepared_for(candidates[0])[0], self.located.found
+        for fold in self.folds if folds is None else folds:
             readers: dict[SlopeReader, list[int]] = {}
             fits = self.fit(fold, candidates)
             for k, fit in enumerate(fits):
                 readers.setdefault(fit.reader, []).append(k)
-            for (
-                reader,
-                members,
-            ) in readers.items():  # candidates that differ only by their steps are read once
+            for reader, members in readers.items():  # candidates that differ only by steps are read once
                 for i in fold.held_out:
                     frames = reader.frames(prepared[i], [fits[k].forward for k in members])
                     for k, frame in zip(members, frames):
-                        scores[k][i] = score_of(prepared[i], self.found[i], frame)
+                        scores[k][i] = score_of(prepared[i], found[i], frame)
         return [Trial(candidate, of) for candidate, of in zip(candidates, scores)]
 
 

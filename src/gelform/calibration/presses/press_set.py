@@ -164,24 +164,14 @@ def presses_from_simulated(made: SimulatedPresses) -> Presses:
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """Options of `read_presses`; each overrides the folder.
+    """Options of `read_presses`; each overrides the folder."""
 
-    Attributes
-    ----------
-    sensor : name of a profile
-    mm_per_px : float, or (x, y)
-    ball_diameter_mm : float
-    background : path of the background image
-    crop : (left, top, width, height) in pixels of the frame
-    bgr : whether all images, the background too, are blue, green, red
-    """
-
-    sensor: str | None = None
-    mm_per_px: float | tuple[float, float] | None = None
+    sensor: str | None = None  # name of a profile
+    mm_per_px: float | tuple[float, float] | None = None  # or (x, y)
     ball_diameter_mm: float | None = None
-    background: Path | None = None
-    crop: tuple[float, float, float, float] | None = None
-    bgr: bool = False
+    background: Path | None = None  # path of the background image
+    crop: tuple[float, float, float, float] | None = None  # (left, top, width, height) in pixels of the frame
+    bgr: bool = False  # whether all images, the background too, are blue, green, red
 
     def in_rgb(self, image: NDArray[Any]) -> NDArray[Any]:
         """An image as it was read, in RGB."""
@@ -320,24 +310,15 @@ class ListedFlat:
 
 @dataclass(frozen=True)
 class PressSource:
-    """Presses as a reader finds them.
+    """Presses as a reader finds them."""
 
-    Attributes
-    ----------
-    background : (H, W, 3) uint8, RGB, frame of the gel at rest
-    listed : the presses
-    frame : function of the number of a press to its frame, (H, W, 3) uint8, RGB; flat punches follow the balls
-    known : settings of the sensor in the data, if any
-    flats : presses of a flat punch
-    notes : notes for the user about the list
-    """
-
-    background: NDArray[Any]
-    listed: Sequence[Listed]
+    background: NDArray[Any]  # (H, W, 3) uint8, RGB, frame of the gel at rest
+    listed: Sequence[Listed]  # the presses
+    # function of the number of a press to its frame, (H, W, 3) uint8, RGB; flat punches follow the balls
     frame: Callable[[int], NDArray[Any]]
-    known: SensorSettings | None = None
-    flats: Sequence[ListedFlat] = ()
-    notes: tuple[str, ...] = ()
+    known: SensorSettings | None = None  # settings of the sensor in the data, if any
+    flats: Sequence[ListedFlat] = ()  # presses of a flat punch
+    notes: tuple[str, ...] = ()  # notes for the user about the list
 
 
 def press_from_frame(listed: Listed, frame: NDArray[Any], view: View) -> Press:

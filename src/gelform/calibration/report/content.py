@@ -22,7 +22,7 @@ from gelform.calibration.coverage import (
     square_tiles,
     tile_of,
 )
-from gelform.calibration.held_out.measure import HeldOutSample, at_sample
+from gelform.calibration.held_out.measure import at_pixels, by_press
 from gelform.calibration.inputs import MOST_SIGMAS, REMEDY
 from gelform.calibration.presses.press_set import Presses
 from gelform.calibration.report.record import CalibrationReport, PressReport
@@ -50,29 +50,23 @@ def _bins_of(slope: NDArray[Any]) -> Iterator[tuple[dict[str, float], NDArray[np
             yield {"slope_from": low, "slope_to": high}, member
 
 
-def _tiles_of(
-    samples: Sequence[HeldOutSample], shape: tuple[int, int], grid: tuple[int, int]
-) -> NDArray[np.intp]:
-    """The number of the tile that each pixel of all samples lies in."""
-    return np.concatenate([tile_of(one.x_px, one.y_px, shape, grid) for one in samples])
-
-
-def gain_curve(samples: Sequence[HeldOutSample], rng: np.random.Generator) -> list[dict[str, Any]]:
+def gain_curve(pixels: NDArray[Any], rng: np.random.Generator) -> list[dict[str, Any]]:
     """Recovered over true slope, by bins of the true slope, with a 95 % interval over presses.
 
     The gain of a bin is `sum g . t / sum t . t` over its pixels, g the reconstructed and t the true gradient:
     noise does not raise it, and a regression to the mean at the rim shows as less than 1.
     """
-    sums = np.zeros((3, len(samples), len(SLOPE_EDGES) - 1))
-    for k, one in enumerate(samples):
-        bins, true = np.linalg.norm(one.true_gradients, axis=1), one.true_gradients.astype(np.float64)
-        for row, weights in enumerate(((one.gradients * true).sum(1), (true**2).sum(1), np.ones(len(true)))):
+    presses = by_press(pixels)
+    sums = np.zeros((3, len(presses), len(SLOPE_EDGES) - 1))
+    for k, one in enumerate(presses):
+        bins, true = np.linalg.norm(one["true"], axis=1), one["true"].astype(np.float64)
+        for row, weights in enumerate(((one["solved"] * true).sum(1), (true**2).sum(1), np.ones(len(true)))):
             sums[row, k] = np.histogram(bins, SLOPE_EDGES, weights=weights)[0]
-    drawn = resampled(len(samples), rng)
+    drawn = resampled(len(presses), rng)
     curve = []
     for b, (low, high) in enumerate(pairwise(SLOPE_EDGES)):
-        projected, square, pixels = sums[:, :, b]
-        if not NEEDED.interval.met(int(np.count_nonzero(pixels))) or pixels.sum() < MIN_IN_BIN:
+        projected, square, count = sums[:, :, b]
+        if not NEEDED.interval.met(int(np.count_nonzero(count))) or count.sum() < MIN_IN_BIN:
             continue
         among = drawn @ square
         gains = (drawn @ projected)[among > 0] / among[among > 0]
@@ -82,19 +76,17 @@ def gain_curve(samples: Sequence[HeldOutSample], rng: np.random.Generator) -> li
                 "slope_to": high,
                 "gain": float(projected.sum() / square.sum()),
                 "interval": [float(v) for v in np.percentile(gains, (2.5, 97.5))],
-                "presses": int(np.count_nonzero(pixels)),
-                "pixels": int(pixels.sum()),
+                "presses": int(np.count_nonzero(count)),
+                "pixels": int(count.sum()),
             }
         )
     return curve
 
 
-def error_map(
-    samples: Sequence[HeldOutSample], shape: tuple[int, int], grid: tuple[int, int]
-) -> dict[str, Any]:
+def error_map(pixels: NDArray[Any], shape: tuple[int, int], grid: tuple[int, int]) -> dict[str, Any]:
     """Held-out slope errors by tile: mean (dx, dy), RMS length and number of pixels, None where there are few."""
-    tile = _tiles_of(samples, shape, grid)
-    errors = np.concatenate([one.errors for one in samples]).astype(np.float64)
+    tile = tile_of(pixels["x_px"], pixels["y_px"], shape, grid)
+    errors = (pixels["solved"] - pixels["true"]).astype(np.float64)
     count = np.bincount(tile, minlength=grid[0] * grid[1])
     sums = [np.bincount(tile, w, count.size) for w in (errors[:, 0], errors[:, 1], (errors**2).sum(1))]
     full = count >= 10
@@ -107,31 +99,29 @@ def error_map(
 
 
 def square_error_by_direction(
-    samples: Sequence[HeldOutSample], shape: tuple[int, int], tiles: tuple[int, int]
+    pixels: NDArray[Any], shape: tuple[int, int], tiles: tuple[int, int]
 ) -> NDArray[np.float64]:
     """(rows, columns, 8) mean square slope error, drawn to the overall mean where few pixels tell."""
     size = tiles[0] * tiles[1] * DIRECTIONS
-    total, count = np.zeros(size), np.zeros(size)
-    for one in samples:
-        index = tile_of(one.x_px, one.y_px, shape, tiles) * DIRECTIONS + direction_of(one.true_gradients)
-        total += np.bincount(index, (one.errors.astype(np.float64) ** 2).sum(axis=1), size)
-        count += np.bincount(index, minlength=size)
+    index = tile_of(pixels["x_px"], pixels["y_px"], shape, tiles) * DIRECTIONS + direction_of(pixels["true"])
+    square = ((pixels["solved"] - pixels["true"]).astype(np.float64) ** 2).sum(axis=1)
+    total, count = np.bincount(index, square, size), np.bincount(index, minlength=size)
     overall = total.sum() / count.sum() if count.any() else 1.0
     mean: NDArray[np.float64] = (total + PRIOR_PIXELS * overall) / (count + PRIOR_PIXELS)
     return mean.reshape(*tiles, DIRECTIONS)
 
 
 def fraction_within_sigma(
-    samples: Sequence[HeldOutSample],
-    sigmas: Sequence[NDArray[np.float32]],
-    shape: tuple[int, int],
-    grid: tuple[int, int],
+    pixels: NDArray[Any], sigma: NDArray[np.float32], shape: tuple[int, int], grid: tuple[int, int]
 ) -> dict[str, Any]:
-    """Fraction of held-out slopes within one stated standard deviation, by bins of slope and of place; 0.68 is right."""
-    inside = np.concatenate([np.abs(one.errors) <= sigma for one, sigma in zip(samples, sigmas)]).mean(axis=1)
-    slope = np.concatenate([np.linalg.norm(one.gradients, axis=1) for one in samples])
+    """Fraction of held-out slopes within one stated standard deviation, by bins of slope and of place; 0.68 is right.
+
+    `sigma` (N, 2) is that of each pixel's slope.
+    """
+    inside = (np.abs(pixels["solved"] - pixels["true"]) <= sigma).mean(axis=1)
+    slope = np.linalg.norm(pixels["solved"], axis=1)
     by_slope = [{**limits, "share": float(inside[member].mean())} for limits, member in _bins_of(slope)]
-    tile = _tiles_of(samples, shape, grid)
+    tile = tile_of(pixels["x_px"], pixels["y_px"], shape, grid)
     by_place = [
         float(inside[tile == i].mean()) if np.count_nonzero(tile == i) >= MIN_IN_BIN else None
         for i in range(grid[0] * grid[1])
@@ -146,7 +136,7 @@ def fraction_within_sigma(
 
 
 def errors_where(
-    samples: Sequence[HeldOutSample],
+    pixels: NDArray[Any],
     shape: tuple[int, int],
     contact_radius_ratio: float,
     grid: tuple[int, int] = COARSE,
@@ -156,15 +146,19 @@ def errors_where(
     Means over pixels, so that a large contact counts for more than a small one; the figures of whole presses are means over
     presses. Bins of the ball's slope of under 50 pixels are left out, and such cells of the grid (rows, columns) are None.
     """
-    regions = {"contact": [one.within(contact_radius_ratio) for one in samples], "rim": samples}
-    parts = {name: _part(region, shape, grid) for name, region in regions.items()}
-    return {"contact_radius_ratio": contact_radius_ratio, **parts}
+    return {
+        "contact_radius_ratio": contact_radius_ratio,
+        "contact": _part(pixels[pixels["rho"] < contact_radius_ratio], shape, grid),
+        "rim": _part(pixels, shape, grid),
+    }
 
 
-def _part(samples: Sequence[HeldOutSample], shape: tuple[int, int], grid: tuple[int, int]) -> dict[str, Any]:
-    true = np.concatenate([one.true_gradients for one in samples])
-    read = np.concatenate([one.gradients for one in samples])
-    angles, true = angle_deg(read, true), true.astype(np.float64)
+def _part(pixels: NDArray[Any], shape: tuple[int, int], grid: tuple[int, int]) -> dict[str, Any]:
+    read, true = pixels["solved"], pixels["true"].astype(np.float64)
+    angles = angle_deg(read, pixels["true"])
+    tile = tile_of(pixels["x_px"], pixels["y_px"], shape, grid)
+    count = np.bincount(tile, minlength=grid[0] * grid[1])
+    sums = np.bincount(tile, angles, count.size)
     return {
         "normal_deg": float(angles.mean()) if angles.size else None,
         "by_slope": [
@@ -176,15 +170,13 @@ def _part(samples: Sequence[HeldOutSample], shape: tuple[int, int], grid: tuple[
             }
             for limits, member in _bins_of(np.linalg.norm(true, axis=1))
         ],
-        "by_place": _by_place(_tiles_of(samples, shape, grid), angles, grid),
+        "by_place": {
+            "rows": grid[0],
+            "columns": grid[1],
+            "normal_deg": [float(s / n) if n >= MIN_IN_BIN else None for s, n in zip(sums, count)],
+            "pixels": count.tolist(),
+        },
     }
-
-
-def _by_place(tile: NDArray[np.intp], angles: NDArray[np.float64], grid: tuple[int, int]) -> dict[str, Any]:
-    pixels = np.bincount(tile, minlength=grid[0] * grid[1])
-    sums = np.bincount(tile, angles, pixels.size)
-    normal_deg = [float(s / n) if n >= MIN_IN_BIN else None for s, n in zip(sums, pixels)]
-    return {"rows": grid[0], "columns": grid[1], "normal_deg": normal_deg, "pixels": pixels.tolist()}
 
 
 LEVELS = ("good", "fair", "poor")
@@ -192,23 +184,15 @@ LEVELS = ("good", "fair", "poor")
 
 @dataclass(frozen=True)
 class Limit:
-    """The figure of a check, and the limits of good and fair.
-
-    Attributes
-    ----------
-    name, label, unit : of the figure
-    good, fair : largest good and fair figure; the smallest one if `rising`
-    rising : a larger figure is better
-    action : the advice if it is not good
-    """
+    """The figure of a check, and the limits of good and fair."""
 
     name: str
     label: str
     unit: str
-    good: float
+    good: float  # largest good figure; the smallest one if `rising`
     fair: float
-    rising: bool
-    action: str
+    rising: bool  # a larger figure is better
+    action: str  # the advice if it is not good
 
 
 LIMITS = (
@@ -380,7 +364,7 @@ def report_content(
     Parameters
     ----------
     presses : the presses of the calibration, in the same order
-    calibration : with its `report` and its held-out samples
+    calibration : with its `report` and its held-out pixels
     rng : generator that draws presses for the intervals
     learning : from `learning_curve`
 
@@ -393,10 +377,10 @@ def report_content(
     Raises
     ------
     ValueError
-        The calibration has no report with samples, or it is of other presses.
+        The calibration has no report with pixels, or it is of other presses.
     """
     report = calibration.report
-    if report is None or not report.samples:
+    if report is None or report.pixels is None:
         raise ValueError(
             "Expected a calibration fresh from calibrate(), with its report: a saved one has none."
         )
@@ -405,16 +389,16 @@ def report_content(
         raise ValueError(
             f"Expected the {len(report.presses)} presses of the report, got {len(names)} others."
         )
-    samples: tuple[HeldOutSample, ...] = report.samples
-    ratio = float(calibration.settings["contact_radius_ratio"])
-    inner = [one.within(ratio) for one in samples]
-    reconstruct = Reconstructor(calibration)
-    sigmas = []
-    for one in inner:
-        sigma = reconstruct.from_image(presses.presses[one.index].image).gradients_sigma
+    pixels, ratio = report.pixels, float(calibration.settings["contact_radius_ratio"])
+    inner, reconstruct, sigmas = pixels[pixels["rho"] < ratio], Reconstructor(calibration), []
+    for one in by_press(inner):
+        sigma = reconstruct.from_image(presses.presses[one["press"][0]].image).gradients_sigma
         assert sigma is not None  # presses were measured
-        sigmas.append(at_sample(sigma, one))
+        sigmas.append(at_pixels(sigma, one))
     shape = calibration.image_shape
+    coverage = report_coverage(report, shape, calibration.known_mm_per_px)
+    rows, columns = coverage.counts.shape[:2]
+    errors = square_error_by_direction(pixels, shape, (rows, columns))
     content = {
         "format": FORMAT,
         "format_version": FORMAT_VERSION,
@@ -422,19 +406,30 @@ def report_content(
         "figures": _figures(report.presses, rng),
         "calibration": _facts(presses, calibration),
         "background": _background(calibration),
-        "coverage": _coverage(report, shape, calibration.known_mm_per_px),
+        # number of presses that show each slope direction in each tile, and the next places to press at
+        "coverage": {
+            "rows": rows,
+            "columns": columns,
+            "directions": DIRECTIONS,
+            "presses": coverage.counts.reshape(-1, DIRECTIONS).tolist(),
+            "covered": coverage.fraction,
+            "next": [
+                {**asdict(place), "contact_radius_px": coverage.contact_radius_px}
+                for place in press_next(coverage, 3, errors)
+            ],
+        },
         "gain": {
             "contact_radius_ratio": ratio,
             "contact": gain_curve(inner, rng),
-            "rim": gain_curve(samples, rng),
+            "rim": gain_curve(pixels, rng),
         },
-        "where": errors_where(samples, shape, ratio),
-        "error_map": error_map(samples, shape, square_tiles(shape, 16)),
-        "sigma": fraction_within_sigma(inner, sigmas, shape, square_tiles(shape, 4)),
+        "where": errors_where(pixels, shape, ratio),
+        "error_map": error_map(pixels, shape, square_tiles(shape, 16)),
+        "sigma": fraction_within_sigma(inner, np.concatenate(sigmas), shape, square_tiles(shape, 4)),
         "learning": learning,
     }
-    errors = {name: one["standard_error"] for name, one in content["figures"].items()}
-    checks = checks_of(_checked_figures(content), errors)
+    standard_errors = {name: one["standard_error"] for name, one in content["figures"].items()}
+    checks = checks_of(_checked_figures(content), standard_errors)
     return {**content, "checks": checks, "verdict": verdict_of(checks, (learning or {}).get("sentence"))}
 
 
@@ -498,24 +493,6 @@ def report_coverage(report: CalibrationReport, shape: tuple[int, int], mm_per_px
     used = [row for row in report.presses if row.accepted]
     circles = [(r.center_x_px, r.center_y_px, r.contact_radius_px) for r in used]
     return press_coverage(circles, [r.ball_diameter_mm / 2 / mm_per_px for r in used], shape)
-
-
-def _coverage(report: CalibrationReport, shape: tuple[int, int], mm_per_px: float) -> dict[str, Any]:
-    """Number of presses that show each slope direction in each tile, and the next places to press at."""
-    coverage = report_coverage(report, shape, mm_per_px)
-    rows, columns = coverage.counts.shape[:2]
-    errors = square_error_by_direction(report.samples, shape, (rows, columns))
-    return {
-        "rows": rows,
-        "columns": columns,
-        "directions": DIRECTIONS,
-        "presses": coverage.counts.reshape(-1, DIRECTIONS).tolist(),
-        "covered": coverage.fraction,
-        "next": [
-            {**asdict(place), "contact_radius_px": coverage.contact_radius_px}
-            for place in press_next(coverage, 3, errors)
-        ],
-    }
 
 
 def _checked_figures(content: dict[str, Any]) -> dict[str, float | None]:

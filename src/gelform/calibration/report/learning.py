@@ -7,28 +7,21 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from gelform.calibration.candidates import (
     Candidate,
-    FittedSlopes,
-    SlopeReader,
     Start,
     candidates_for,
     candidates_from,
-    fitted_responses,
-    training_samples,
 )
-from gelform.calibration.circles.find import TRIAL_SAMPLES, ContactCircle, PreparedPress
-from gelform.calibration.circles.locate import refine
-from gelform.calibration.circles.prepare import find_contacts, prepare, prepared_by_offset
+from gelform.calibration.circles.locate import Located, Refined
+from gelform.calibration.circles.prepare import find_contacts, prepare
 from gelform.calibration.coverage import NEEDED
-from gelform.calibration.held_out.scores import score_of
+from gelform.calibration.held_out.scores import HeldOutPresses, fold_of
 from gelform.calibration.presses.press_set import Presses
 from gelform.calibration_file import Calibration
 from gelform.foundations.findings import Progress, no_progress
-from gelform.slopes.color_models import COLOR_MODELS
 
 SIZES = (5, 10, 15, 20, 30, 45, 70, 100, 150)  # numbers of training presses
 DRAWS = 3  # draws of presses for each size
@@ -68,20 +61,28 @@ def learning_curve(
         return None
     own = presses.subset(accepted)
     ratio = calibration.settings["contact_radius_ratio"]
-    to_refine = [replace(press, contact_radius_ratio=ratio) for press in prepare(own)]
-    offset = COLOR_MODELS[calibration.color_model.name].change_offset
-    to_fit = prepared_by_offset(own, to_refine, [offset])[offset]
-    found = find_contacts(to_refine)
+    prepared = [replace(press, contact_radius_ratio=ratio) for press in prepare(own)]
+    found = find_contacts(prepared)
+    circles = tuple(
+        replace(one, x_px=row.center_x_px, y_px=row.center_y_px, radius_px=row.contact_radius_px)
+        for one, row in zip(found, (row for row in calibration.report.presses if row.accepted))
+    )
+    refined = Refined(circles, (None,) * len(circles), None)
+    held_out = HeldOutPresses(Located(own, prepared, found, refined), ())
     sizes = sizes_for(len(own.presses))
-    orders = [rng.permutation(len(own.presses)) for _ in range(DRAWS)]
+    orders = [rng.permutation(len(own.presses)).tolist() for _ in range(DRAWS)]
     begun, offered = calibration.report.start, calibration.report.offered
     other_start = offered if begun is None else None
 
     def point_of(size: int, start: Start | None) -> list[dict[str, Any]]:
-        candidates, untouched = candidates_of(calibration, size, start), calibration.untouched_change
-        parts = [(order[:size], order[-held_out_count(len(order)) :]) for order in orders]
-        draws = [_one_draw(candidates, *part, to_refine, to_fit, found, untouched) for part in parts]
-        return _best_point(candidates, size, [draw for draw in draws if draw is not None])
+        candidates, draws = candidates_of(calibration, size, start), []
+        for order in orders:
+            tested, training = order[-held_out_count(len(order)) :], order[:size]
+            fold = fold_of(prepared, found, tested, training, None if start is None else start.model)
+            if NEEDED.model.met(len(fold.training)):
+                trials = held_out.try_candidates(candidates, [fold])
+                draws.append([trial.normal_deg for trial in trials])
+        return _best_point(candidates, size, draws)
 
     points, others = [], []
     for done, size in enumerate(sizes):
@@ -125,36 +126,6 @@ def candidates_of(calibration: Calibration, presses: int, start: Start | None) -
     if NEEDED.settings.met(presses):
         return [chosen]
     return options[: options.index(chosen) + 1] if chosen in options else [*options, chosen]
-
-
-def _one_draw(
-    candidates: Sequence[Candidate],
-    training: NDArray[np.intp],
-    tested: NDArray[np.intp],
-    to_refine: Sequence[PreparedPress],
-    to_fit: Sequence[PreparedPress],
-    found: Sequence[ContactCircle],
-    untouched: float,
-) -> list[float] | None:
-    """Each candidate's mean normal error on held-out presses, inside the contact edge, fitted on others."""
-    start = None if candidates[0].start is None else candidates[0].start.model
-    refined = refine([to_refine[i] for i in training], [found[i] for i in training], start=start)
-    kept = refined.accepted
-    if not NEEDED.model.met(len(kept)):
-        return None
-    used, contacts = [to_fit[training[k]] for k in kept], [refined.contacts[k] for k in kept]
-    degrees, samples = [], training_samples(used, contacts, total=TRIAL_SAMPLES)
-    for candidate in candidates:
-        fit = FittedSlopes(SlopeReader(candidate.fit(samples), used[0], untouched), None)
-        if candidate.step_ridge is not None:
-            ridges = [candidate.step_ridge]
-            responses = fitted_responses(
-                fit.reader, used, contacts, ridges, start=candidate.start, total=TRIAL_SAMPLES
-            )
-            fit = FittedSlopes(fit.reader, responses[0])
-        scores = [score_of(to_fit[i], found[i], fit.frame(to_fit[i])) for i in tested]
-        degrees.append(float(np.mean([score.normal_deg for score in scores])))
-    return degrees
 
 
 def _best_point(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,6 @@ import jinja2
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.calibration.held_out.measure import HeldOutSample
 from gelform.calibration.presses.folder import Presses
 from gelform.calibration.report import charts
 from gelform.calibration.report.content import limit_in_words, shown
@@ -137,23 +136,22 @@ def report_page(content: dict[str, Any], presses: Presses, calibration: Calibrat
             labels={name: figure.replace("(um)", "(µm)") for name, figure in FIGURES.items()},
             tiles=[{"row": row, "name": name, "url": url} for row, name, url in zip(rows, names, urls)],
             worse_deg=2 * float(np.median(errors)) if errors else np.inf,
-            caps=_caps(rows, names, calibration.report.samples),
+            caps=_caps(rows, names, calibration.report.caps_um),
             background_url=jpeg_url(background, width_px=320),
         )
     )
 
 
 def _caps(
-    rows: Sequence[dict[str, Any]], names: Sequence[str], samples: Sequence[HeldOutSample]
+    rows: Sequence[dict[str, Any]], names: Sequence[str], caps_um: Mapping[int, NDArray[np.float32]]
 ) -> dict[str, Any] | None:
     """Pictures of depth minus the ball's cap of every held-out press, on one scale; None without any."""
-    known = sorted((one for one in samples if one.cap_error_um.size), key=lambda one: one.index)
+    known = {i: cap for i, cap in sorted(caps_um.items()) if cap.size}
     if not known:
         return None
-    scale_um = cap_scale_um([one.cap_error_um for one in known])
+    scale_um = cap_scale_um([*known.values()])
     pictures = [
-        (names[one.index], rows[one.index]["errors"]["cap_free_um"], cap_url(one.cap_error_um, scale_um))
-        for one in known
+        (names[i], rows[i]["errors"]["cap_free_um"], cap_url(cap, scale_um)) for i, cap in known.items()
     ]
     return {"scale_um": scale_um, "pictures": pictures}
 

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gelform.calibration.candidates import Start
 from gelform.calibration.circles.locate import Located
 from gelform.calibration.coverage import NEEDED
 from gelform.calibration.fitted import Fitted
-from gelform.calibration.held_out.measure import HeldOutSample, Judged
+from gelform.calibration.held_out.measure import Judged
 from gelform.calibration.held_out.scores import Selection
 from gelform.calibration.inputs import BallReading
 from gelform.foundations.files import DIGEST_SHOWN
@@ -63,7 +64,8 @@ class CalibrationReport:
     notes : notes for the reader
     held_out_saved : the same for the saved model's kind and settings, fitted without each press; a little too
         small, because those were selected on the same presses; empty in reports from before it was measured
-    samples : of each press that was held out, some pixels with their slopes; not in `to_dict`, not saved
+    pixels : some of each press that was held out (`PIXEL`), with their slopes; not in `to_dict`, not saved
+    caps_um : index of the press -> depth minus the ball's cap (`errors_of`); not in `to_dict`, not saved
     balls : each stated diameter, the diameter that was read, and the model that read it; empty if nothing could check it
     start : another unit's model that the fit began with, or None; not in `to_dict`, not saved
     offered : the starter's model that was offered to it, or None; not in `to_dict`, not saved
@@ -75,15 +77,16 @@ class CalibrationReport:
     seconds: float
     notes: tuple[str, ...] = ()
     held_out_saved: dict[str, float] = field(default_factory=dict)
-    samples: tuple[HeldOutSample, ...] = field(default=(), repr=False)
+    pixels: NDArray[Any] | None = field(default=None, repr=False, compare=False)
+    caps_um: Mapping[int, NDArray[np.float32]] = field(default_factory=dict, repr=False, compare=False)
     balls: tuple[BallReading, ...] = ()
     start: Start | None = field(default=None, repr=False)
     offered: Start | None = field(default=None, repr=False)
 
     def to_dict(self) -> dict[str, Any]:
-        """The report, as values that JSON can hold, without the samples and the start."""
-        content = asdict(replace(self, samples=(), start=None, offered=None))
-        del content["samples"], content["start"], content["offered"]
+        """The report, as values that JSON can hold, without the pixels, the caps and the start."""
+        content = asdict(replace(self, pixels=None, caps_um={}, start=None, offered=None))
+        del content["pixels"], content["caps_um"], content["start"], content["offered"]
         return {**content, "balls": [one.to_dict() for one in self.balls]}
 
 
@@ -91,24 +94,26 @@ def report_of_run(
     fitted: Fitted, judged: Judged, balls: Sequence[BallReading], *, notes: Sequence[str], seconds: float
 ) -> CalibrationReport:
     """The report of a calibration run from the results of its steps; `notes` follow its own."""
-    presses, begun = fitted.located.presses, fitted.located.start
+    located = fitted.held_out.located
+    presses, begun = located.presses, located.start
     offered = begun if begun is not None and begun.offered else None
     return CalibrationReport(
-        presses=_press_rows(fitted.located, judged),
+        presses=_press_rows(located, judged),
         candidates=_candidate_rows(fitted.selection),
         held_out=summary(list(judged.errors.values())),
         seconds=seconds,
         notes=(
             _how_held_out(len(judged.errors), fitted.selection),
-            *_of_repeated(fitted.located),
+            *_of_repeated(located),
             *_of_starter(fitted, offered),
             *presses.geometry.notes(presses.response, presses.mm_per_px_sigma),
-            *fitted.located.notes,
+            *located.notes,
             *fitted.notes,
             *notes,
         ),
         held_out_saved=summary(list(judged.saved_errors.values())),
-        samples=judged.samples,
+        pixels=judged.pixels,
+        caps_um=judged.caps_um,
         balls=tuple(balls),
         start=fitted.selection.chosen.start,
         offered=offered,
@@ -194,7 +199,7 @@ def _candidate_rows(selection: Selection) -> tuple[dict[str, Any], ...]:
         {
             "candidate": trial.candidate.describe(),
             "slope_error": float(np.exp(trial.mean_log())),
-            "normal_free_deg": float(np.mean([score.normal_deg for score in trial.scores.values()])),
+            "normal_free_deg": trial.normal_deg,
             "chosen": trial.candidate == selection.chosen,
         }
         for trial in selection.trials
