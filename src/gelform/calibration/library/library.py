@@ -496,7 +496,7 @@ def unit_of_files(path: Path) -> Unit:
         The file that names the unit is damaged.
     """
     if path.suffix.lower() == ".mcap" or (path.is_dir() and is_bag_folder(path)):
-        facts, _ = picture_topic_of(mcap_file_in(path) if path.is_dir() else path)
+        facts, _ = picture_topic_of(mcap_file_in(path))
         serial, digest = facts.serial or "", facts.calibration_digest
         return Unit(str(path), serial, digest=digest, carries=path, simulated=_simulated(serial))
     folder = path if path.is_dir() else path.parent

@@ -31,7 +31,8 @@ from gelform.foundations.findings import Progress, no_progress
 from gelform.image.background import trimmed_mean
 from gelform.image.frame import Frame
 from gelform.image.view import View, image_from_frame
-from gelform.sensors.files import Video, read_background
+from gelform.sensors.files import read_background
+from gelform.sensors.films import Video
 
 THUMB_ROWS = 36  # px of a thumbnail's shorter side
 MAX_THUMBS = 6000  # thumbnails that are kept: four minutes at 25 frames a second
