@@ -33,16 +33,18 @@ Shapes = Mapping[str, tuple[tuple[int, ...], str]]  # path inside -> (shape, dty
 
 
 @dataclass(frozen=True)
-class Sequence:
-    """Frames that belong together: the images of one folder, a video, a recording, or an episode in a larger file.
+class FilmRef:
+    """A film that is not open: the images of one folder, a video, a recording, or an episode in a larger file.
 
     Attributes
     ----------
     name : its path below the input, with /; empty for the input's own folder
     path : the folder of its images, the video, the recording, or the HDF5 file, Zarr store or LeRobot video
-    images : names of the images in natural order; otherwise empty. The frames of a video are not counted yet
+    images : names of the images in natural order; otherwise empty
     dataset : path inside the file or store; for LeRobot the camera; empty for images, videos and recordings
-    offset, count : range of frames in the dataset; count is 0 if the file is unreadable, and reading it gives the error
+    offset : its first frame in the dataset
+    count : number of frames; 0 for a video or a recording, which are not counted yet, and for an unreadable file, whose
+        reading gives the error
     rate_hz : frames per second of LeRobot's episodes; otherwise 0
     """
 
@@ -55,7 +57,7 @@ class Sequence:
     rate_hz: int = 0
 
     def __post_init__(self) -> None:
-        if self.count > MAX_FRAMES:
+        if self.dataset and self.count > MAX_FRAMES:
             raise DataError(
                 f"{self.path} states {self.count} frames of {self.name}; at most {MAX_FRAMES:g} are read."
             )
@@ -64,6 +66,11 @@ class Sequence:
             raise DataError(
                 f"{self.path} names frames {self.name}, which leads out of any folder. Do not trust this file."
             )
+
+    @property
+    def is_timed(self) -> bool:
+        """Whether its frames have the times of their recording."""
+        return self.rate_hz > 0 or not (self.images or self.dataset)
 
 
 def leads_out(name: str) -> bool:
@@ -144,7 +151,7 @@ def _shape(shape: Iterable[int]) -> str:
     return "x".join(map(str, shape))
 
 
-def hdf5_sequences(path: Path, name: str, wanted: str) -> list[Sequence]:
+def hdf5_sequences(path: Path, name: str, wanted: str) -> list[FilmRef]:
     """A sequence for each matching dataset of the file, in natural order; DataError if there is none."""
     there: dict[str, tuple[tuple[int, ...], str]] = {}
     with _opened_hdf5(path) as file:
@@ -158,7 +165,7 @@ def hdf5_sequences(path: Path, name: str, wanted: str) -> list[Sequence]:
         for one in found:
             if not file[one].is_virtual:  # whose frames are in other files
                 _check_stored(path, file[one], file[one].id.get_storage_size())
-    return [Sequence(f"{name}/{one}", path, dataset=one, count=there[one][0][0]) for one in found]
+    return [FilmRef(f"{name}/{one}", path, dataset=one, count=there[one][0][0]) for one in found]
 
 
 def hdf5_values(path: Path, dataset: str, start: int, count: int) -> Iterator[NDArray[Any] | DataError]:
@@ -201,17 +208,17 @@ def is_zarr(path: Path) -> bool:
     return path.name.endswith(ZIPPED) or any((path / name).is_file() for name in NODES)
 
 
-def zarr_sequences(path: Path, name: str, wanted: str) -> list[Sequence]:
+def zarr_sequences(path: Path, name: str, wanted: str) -> list[FilmRef]:
     """A sequence for each episode of each matching array; DataError if there is none, or its episodes do not fit."""
     group = _opened_zarr(path)
     arrays = dict(_arrays(group))
     there = {one: (a.shape, str(a.dtype)) for one, a in arrays.items() if is_frames(a.shape, a.dtype)}
-    sequences: list[Sequence] = []
+    sequences: list[FilmRef] = []
     for one in sorted(matching(path, there, wanted), key=natural):
         _check_stored(path, arrays[one], arrays[one].nbytes_stored())
         length = there[one][0][0]
         if ENDS not in arrays:
-            sequences.append(Sequence(f"{name}/{one}", path, dataset=one, count=length))
+            sequences.append(FilmRef(f"{name}/{one}", path, dataset=one, count=length))
             continue
         ends = np.asarray(arrays[ENDS][:]).tolist()
         starts = [0, *ends[:-1]]
@@ -220,7 +227,7 @@ def zarr_sequences(path: Path, name: str, wanted: str) -> list[Sequence]:
                 f"Expected {ENDS} of {path} to end at the {length} frames of {one}, got {ends[-1:]}."
             )
         sequences += [
-            Sequence(f"{name}/{one}/{k:06d}", path, dataset=one, offset=a, count=b - a)
+            FilmRef(f"{name}/{one}/{k:06d}", path, dataset=one, offset=a, count=b - a)
             for k, (a, b) in enumerate(zip(starts, ends))
         ]
     return sequences
@@ -294,7 +301,7 @@ def lerobot_episodes(root: Path, columns: list[str]) -> list[dict[str, Any]]:
     return sorted(rows, key=lambda row: row["episode_index"])
 
 
-def lerobot_sequences(root: Path, wanted: str) -> list[Sequence]:
+def lerobot_sequences(root: Path, wanted: str) -> list[FilmRef]:
     """A sequence for each episode of each matching camera, from videos or images; DataError if there is none."""
     info = lerobot_info(root)
     cameras = {
@@ -303,7 +310,7 @@ def lerobot_sequences(root: Path, wanted: str) -> list[Sequence]:
         if feature.get("dtype") in _PLACES and not _is_depth(feature)
     }
     return [
-        Sequence(
+        FilmRef(
             f"{key}/episode_{episode:06d}",
             root / path,
             dataset=key,
@@ -371,7 +378,7 @@ def compression_of(root: Path, key: str) -> str:
     return f"{codec} {pixels}" + ("" if crf is None else f" crf {crf}")
 
 
-def lossy_warnings(root: Path, sequences: Iterable[Sequence]) -> tuple[str, ...]:
+def lossy_warnings(root: Path, sequences: Iterable[FilmRef]) -> tuple[str, ...]:
     """The measured cost of each camera's compression (`benchmarks/batch.py lossy`); nothing if it is lossless."""
     said = []
     for key in dict.fromkeys(one.dataset for one in sequences):

@@ -6,18 +6,16 @@ import glob
 import hashlib
 import os
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator
-from collections.abc import Sequence as Several
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import takewhile
 from pathlib import Path
-from typing import Any
 
 from gelform.batch.inputs.containers import (
     HDF5_SUFFIXES,
     NODES,
     ContainerError,
-    Sequence,
+    FilmRef,
     hdf5_sequences,
     is_lerobot_set,
     is_zarr,
@@ -49,7 +47,7 @@ class Listing:
     """
 
     root: Path
-    sequences: tuple[Sequence, ...]
+    sequences: tuple[FilmRef, ...]
     searched: bool = False
     warnings: tuple[str, ...] = ()
 
@@ -124,19 +122,19 @@ def is_container(path: Path) -> bool:
     return path.suffix.lower() in HDF5_SUFFIXES or is_zarr(path)
 
 
-def _in_container(path: Path, name: str, dataset: str) -> list[Sequence]:
+def _in_container(path: Path, name: str, dataset: str) -> list[FilmRef]:
     return (zarr_sequences if is_zarr(path) else hdf5_sequences)(path, name, dataset)
 
 
-def _among_others(path: Path, name: str, dataset: str) -> list[Sequence]:
+def _among_others(path: Path, name: str, dataset: str) -> list[FilmRef]:
     """The same; if one of several is unreadable, it becomes a sequence whose only row holds the error."""
     try:
         return _in_container(path, name, dataset)
     except ContainerError:
-        return [Sequence(name, path, dataset=dataset)]
+        return [FilmRef(name, path, dataset=dataset)]
 
 
-def _containers_in_tree(root: Path, dataset: str) -> Iterator[Sequence]:
+def _containers_in_tree(root: Path, dataset: str) -> Iterator[FilmRef]:
     folders = [root]
     while folders:
         folder = folders.pop()
@@ -164,7 +162,7 @@ def _of_found(found: list[Path], hidden: set[str], dataset: str, root: Path) -> 
     return Listing(root, tuple(one for path, name in named for one in _among_others(path, name, dataset)))
 
 
-def _in_tree(root: Path, hidden: set[str]) -> Iterator[Sequence]:
+def _in_tree(root: Path, hidden: set[str]) -> Iterator[FilmRef]:
     """Folder by folder, each before its subfolders."""
     folders = [root]
     while folders:
@@ -193,17 +191,17 @@ def _entries(folder: Path) -> tuple[list[str], list[str]]:
     return files, folders
 
 
-def _of_folder(name: str, folder: Path, files: Iterable[str], *, named: bool = False) -> Iterator[Sequence]:
+def _of_folder(name: str, folder: Path, files: Iterable[str], *, named: bool = False) -> Iterator[FilmRef]:
     """The sequences of files in a folder; arrays of numpy only if each is named, because others may hold anything."""
     kinds = [(os.path.splitext(one)[1].lower(), one) for one in sorted(files, key=natural)]
     image_suffixes = (*IMAGE_SUFFIXES, ".npy") if named else IMAGE_SUFFIXES
     stacks = {one for suffix, one in kinds if suffix in image_suffixes and is_stack(folder / one)}
     images = tuple(one for suffix, one in kinds if suffix in image_suffixes and one not in stacks)
     if images:
-        yield Sequence(name, folder, images)
+        yield FilmRef(name, folder, images, count=len(images))
     for suffix, one in kinds:
         if suffix in FILM_SUFFIXES or one in stacks:
-            yield Sequence(f"{name}/{one}" if name else one, folder / one)
+            yield FilmRef(f"{name}/{one}" if name else one, folder / one)
 
 
 def _of_files(paths: Iterable[Path], hidden: set[str], root: Path) -> Listing:
@@ -213,7 +211,7 @@ def _of_files(paths: Iterable[Path], hidden: set[str], root: Path) -> Listing:
     inside: dict[Path, list[str]] = {}
     for path in wanted:
         inside.setdefault(path.parent, []).append(path.name)
-    sequences: list[Sequence] = []
+    sequences: list[FilmRef] = []
     for folder in sorted(inside, key=lambda one: natural(one.as_posix())):
         name = "" if folder == root else folder.relative_to(root).as_posix()
         sequences += _of_folder(name, folder, inside[folder], named=True)
@@ -231,106 +229,81 @@ def _is_frames(path: Path) -> bool:
 
 @dataclass(frozen=True)
 class Part:
-    """Some images of a sequence, or a whole video or recording; small, so that it can be sent to another process.
+    """Some frames of a film, or a whole video or recording; small, so that it can be sent to another process.
 
     Attributes
     ----------
     number : its position in the plan, from 0; independent of shards
-    sequence : the name of its sequence
-    path : the folder of its images, the video, or the recording
-    start : position of its first image in the sequence
-    images : names of its images; empty for a video or a recording
+    film : the film, with this part's images alone
+    start : position of its first frame in the film
+    count : frames of the part; 0 if not counted yet
     names : name of each image's output, without ending
-    first : the first images of the sequence, if they make its background
-    total : frames of the whole sequence; 0 if not counted yet
-    dataset, offset : place of the sequence in a larger file (see `Sequence`); empty for images, videos and recordings
-    count : frames of such a part
-    rate_hz : frames per second of a LeRobot data set; else 0
+    first : the first images of the film, if they make its background
     bgr : whether its channels are in the order blue, green, red
     """
 
     number: int
-    sequence: str
-    path: Path
+    film: FilmRef
     start: int = 0
-    images: tuple[str, ...] = ()
+    count: int = 0
     names: tuple[str, ...] = ()
     first: tuple[str, ...] = ()
-    total: int = 0
-    dataset: str = ""
-    offset: int = 0
-    count: int = 0
-    rate_hz: int = 0
     bgr: bool = False
 
-    @property
-    def frames(self) -> int:
-        """Number of frames in the part; 0 if not counted yet."""
-        return len(self.images) or self.count
+    def name_of(self, index: int) -> str:
+        """Name of a frame's output, without ending, by its position in the film."""
+        return self.names[index - self.start] if self.names else f"{index:06d}"
+
+    def beginning(self, count: int) -> Part:
+        """The first frames of the film, at most so many; of a video or a recording all."""
+        film = replace(self.film, images=self.first)
+        return replace(self, film=film, start=0, count=min(count, film.count), names=())
 
     def input_digest(self) -> str:
         """SHA-256 of its files' names and sizes; if a file was replaced, it differs and the part is done again."""
-        sha = hashlib.sha256(os.fsencode(self.sequence))
+        film, sha = self.film, hashlib.sha256(os.fsencode(self.film.name))
         for path in self._files():
             try:
                 size = os.stat(path).st_size
             except OSError:
                 size = -1  # reading it gives the error
             sha.update(os.fsencode(f"\n{os.path.basename(path)} {size}"))
-        sha.update(
-            os.fsencode(f"\n{self.dataset} {self.offset} {self.start} {self.count}") if self.dataset else b""
-        )
+        if film.dataset:
+            sha.update(os.fsencode(f"\n{film.dataset} {film.offset} {self.start} {self.count}"))
         return sha.hexdigest()
 
     def _files(self) -> list[str]:
         """Paths as text, because there may be millions."""
-        folder = os.fspath(self.path)
-        if self.images:
-            return [f"{folder}/{one}" for one in (*self.first, *self.images)]
-        if self.dataset and self.path.is_dir():
-            return [f"{folder}/{self.dataset}/{name}" for name in NODES]
-        return sorted(f"{folder}/{one}" for one in os.listdir(folder)) if self.path.is_dir() else [folder]
+        film, folder = self.film, os.fspath(self.film.path)
+        if film.images:
+            return [f"{folder}/{one}" for one in (*self.first, *film.images)]
+        if film.dataset and film.path.is_dir():
+            return [f"{folder}/{film.dataset}/{name}" for name in NODES]
+        return sorted(f"{folder}/{one}" for one in os.listdir(folder)) if film.path.is_dir() else [folder]
 
 
 def plan_of(listing: Listing, part_frames: int, background_frames: int = 0, bgr: bool = False) -> list[Part]:
-    """All parts with at most `part_frames` images, in the order of the listing, with the first frames for a background."""
+    """All parts with at most `part_frames` frames, in the order of the listing, with the first images for a background.
+
+    A video, a recording or an unreadable dataset is one part. An image's output has the file's stem, if that is unique in
+    its film.
+    """
     parts: list[Part] = []
-    for sequence in listing.sequences:
-        pieces = _ranges if sequence.dataset else _pieces
-        for piece in pieces(sequence, part_frames):
-            where: dict[str, Any] = {"number": len(parts), "sequence": sequence.name, "path": sequence.path}
-            first = sequence.images[:background_frames]
-            total = len(sequence.images) or sequence.count
-            parts.append(Part(**where, **piece, first=first, total=total, bgr=bgr))
+    for film in listing.sequences:
+        stems = [os.path.splitext(one)[0] for one in film.images]
+        counts = Counter(stems)
+        names = [one if counts[stem] > 1 else stem for one, stem in zip(film.images, stems)]
+        for start in range(0, max(1, film.count), part_frames):
+            stop = min(start + part_frames, film.count)
+            piece = replace(film, images=film.images[start:stop])
+            first = film.images[:background_frames]
+            parts.append(Part(len(parts), piece, start, stop - start, tuple(names[start:stop]), first, bgr))
     return parts
 
 
-def shard_of(parts: Several[Part], shard: tuple[int, int]) -> list[Part]:
+def shard_of(parts: Sequence[Part], shard: tuple[int, int]) -> list[Part]:
     """The parts of shard i of N, counted from 1: every N-th, which spreads long sequences. DataError if out of range."""
     number, count = shard
     if not 1 <= number <= count:
         raise DataError(f"Expected a shard from 1/{count} to {count}/{count}, got {number}/{count}.")
     return list(parts[number - 1 :: count])
-
-
-def _pieces(sequence: Sequence, part_frames: int) -> Iterator[dict[str, Any]]:
-    """Pieces of a folder of images, or a whole video. A name is the file's stem if that is unique in the sequence."""
-    if not sequence.images:
-        yield {}
-    stems = [os.path.splitext(one)[0] for one in sequence.images]
-    counts = Counter(stems)
-    names = [one if counts[stem] > 1 else stem for one, stem in zip(sequence.images, stems)]
-    for start in range(0, len(names), part_frames):
-        stop = start + part_frames
-        yield {
-            "start": start,
-            "images": sequence.images[start:stop],
-            "names": tuple(names[start:stop]),
-        }
-
-
-def _ranges(sequence: Sequence, part_frames: int) -> Iterator[dict[str, Any]]:
-    """Ranges of a dataset; an unreadable dataset is one part, whose reading gives the error."""
-    inside = {"dataset": sequence.dataset, "offset": sequence.offset, "rate_hz": sequence.rate_hz}
-    for start in range(0, max(1, sequence.count), part_frames):
-        yield {**inside, "start": start, "count": min(part_frames, sequence.count - start)}

@@ -1,10 +1,10 @@
-"""The frames of a part, each with its name or its error, and the background image of a sequence."""
+"""The frames of a part, each with its position or its error, and the background image of a sequence."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -22,42 +22,57 @@ from gelform.image.background import background_from_frames
 from gelform.image.frame import Frame, in_rgb
 from gelform.image.view import MAX_PIXELS, image_from_frame
 from gelform.sensors.files import read_background, read_image
+from gelform.sensors.films import open_film
 from gelform.sensors.pictures import image_from_values
-from gelform.sensors.source import open_source
 
 BACKGROUND_COLUMNS = ("sequence", "background")
 MOST_NAMED = 3  # sequences that a message names at most
 
 
-@dataclass(frozen=True)
-class NamedFrame:
-    """A frame of a sequence, or its error.
+def frames_of_part(
+    part: Part, most_pixels: float = MAX_PIXELS
+) -> Iterator[tuple[int, Frame | BaseException]]:
+    """Position in the film, and frame or error, of each frame of a part; larger pictures are not decoded.
 
-    Attributes
-    ----------
-    name : name of its output, without ending
-    index : its position in the sequence, from 0
-    frame : None if it is unreadable; images of a folder have no times
-    error : the reason; empty if there is a frame
-    timed : whether the frame has the times of its recording
+    A video ends at its first unreadable frame. Images of a folder have no times.
     """
+    index = part.start
+    try:
+        for frame in _frames(part, most_pixels):
+            yield index, in_rgb(frame) if part.bgr and isinstance(frame, Frame) else frame
+            index += 1
+    except (GelformError, OSError, MemoryError) as problem:
+        for missed in range(index, max(part.start + part.count, index + 1)):
+            yield missed, problem
 
-    name: str
-    index: int
-    frame: Frame | None
-    error: str = ""
-    timed: bool = False
 
-
-def frames_of_part(part: Part, most_pixels: float = MAX_PIXELS) -> Iterator[NamedFrame]:
-    """The frames of a part in order; a video ends at its first unreadable frame, and larger pictures are not decoded."""
-    if part.images:
-        frames = _images(part.path, part.images, part.names, part.start, most_pixels)
-    elif part.dataset:
-        frames = _dataset(part, part.start, part.count, most_pixels)
+def _frames(part: Part, most_pixels: float) -> Iterator[Frame | BaseException]:
+    film = part.film
+    if not (film.images or film.dataset):
+        yield from open_film(film.path)
+        return
+    pictures: Iterable[tuple[float, Callable[..., NDArray[Any]], Any]]
+    if film.images:
+        pictures = ((0.0, read_image, film.path / one) for one in film.images)
     else:
-        frames = _film(part.path)
-    yield from _in_rgb(frames, part.bgr)
+        pictures = ((time_s, image_from_values, values) for time_s, values in _values(part))
+    for index, (time_s, image_from, stored) in enumerate(pictures, part.start):
+        frame: Frame | BaseException
+        try:
+            frame = Frame(image_from(stored, most_pixels=most_pixels), time_s, 0, index)
+        except (GelformError, MemoryError) as problem:
+            frame = problem
+        yield frame
+
+
+def _values(part: Part) -> Iterator[tuple[float, NDArray[Any] | DataError]]:
+    film, begin = part.film, part.film.offset + part.start
+    if film.path.suffix == ".mp4":
+        return video_frames(film.path, film.offset, part.start, part.count)
+    if film.path.suffix == ".parquet":
+        return stored_images(film.path, film.dataset, film.offset, part.start, part.count)
+    values = zarr_values if is_zarr(film.path) else hdf5_values
+    return ((0.0, one) for one in values(film.path, film.dataset, begin, part.count))
 
 
 def image_of_calibration(frame: Frame, calibration: Calibration) -> NDArray[Any]:
@@ -74,80 +89,15 @@ def background_of_sequence(part: Part, count: int, calibration: Calibration) -> 
 
     DataError if none is readable, one has another size, or they differ because something touches the gel.
     """
-    first = list(islice(_in_rgb(_from_the_first(part, count, calibration.most_pixels), part.bgr), count))
-    images = [image_of_calibration(one.frame, calibration) for one in first if one.frame is not None]
+    first = [one for _, one in islice(frames_of_part(part.beginning(count), calibration.most_pixels), count)]
+    images = [image_of_calibration(one, calibration) for one in first if isinstance(one, Frame)]
     if not images:
-        why = first[0].error if first else "there is none."
+        why = next((reason(one) for one in first if not isinstance(one, Frame)), "there is none.")
         raise DataError(f"No background: none of the first {count} frames can be read: {why}")
     try:
         return background_from_frames(images).background
     except DataError as problem:
         raise DataError(f"No background from the first {count} frames: {problem}") from problem
-
-
-def _in_rgb(frames: Iterator[NamedFrame], bgr: bool) -> Iterator[NamedFrame]:
-    """The frames with red first, for files whose channels are blue, green, red."""
-    for named in frames:
-        if bgr and named.frame is not None:
-            named = replace(named, frame=in_rgb(named.frame))
-        yield named
-
-
-def _from_the_first(part: Part, count: int, most_pixels: float) -> Iterator[NamedFrame]:
-    """Frames of a part's sequence from its start."""
-    if part.images:
-        return _images(part.path, part.first, part.first, 0, most_pixels)
-    if part.dataset:
-        return _dataset(part, 0, min(count, part.total), most_pixels)
-    return _film(part.path)
-
-
-def _dataset(part: Part, start: int, count: int, most_pixels: float) -> Iterator[NamedFrame]:
-    """Frames of a sequence in a larger file, each with its image or its error."""
-    index, timed = start, part.rate_hz > 0
-    try:
-        for seconds, values in _values(part, start, count):
-            try:
-                frame = Frame(image_from_values(values, most_pixels), seconds, 0, index)
-                yield NamedFrame(f"{index:06d}", index, frame, timed=timed)
-            except (DataError, MemoryError) as problem:
-                yield NamedFrame(f"{index:06d}", index, None, reason(problem))
-            index += 1
-    except (GelformError, OSError, MemoryError) as problem:
-        for missed in range(index, max(start + count, index + 1)):
-            yield NamedFrame(f"{missed:06d}", missed, None, reason(problem))
-
-
-def _values(part: Part, start: int, count: int) -> Iterator[tuple[float, NDArray[Any] | DataError]]:
-    if part.path.suffix == ".mp4":
-        return video_frames(part.path, part.offset, start, count)
-    if part.path.suffix == ".parquet":
-        return stored_images(part.path, part.dataset, part.offset, start, count)
-    values = zarr_values if is_zarr(part.path) else hdf5_values
-    return ((0.0, one) for one in values(part.path, part.dataset, part.offset + start, count))
-
-
-def _images(
-    folder: Path, images: Sequence[str], names: Sequence[str], start: int, most_pixels: float
-) -> Iterator[NamedFrame]:
-    for index, (image, name) in enumerate(zip(images, names), start):
-        try:
-            frame = Frame(read_image(folder / image, most_pixels=most_pixels), 0.0, 0, index)
-        except (GelformError, MemoryError) as problem:
-            yield NamedFrame(name, index, None, reason(problem))
-        else:
-            yield NamedFrame(name, index, frame)
-
-
-def _film(path: Path) -> Iterator[NamedFrame]:
-    count = 0
-    try:
-        with open_source(path) as source:
-            for frame in source:
-                yield NamedFrame(f"{count:06d}", count, frame, timed=True)
-                count += 1
-    except (GelformError, OSError, MemoryError) as problem:
-        yield NamedFrame(f"{count:06d}", count, None, reason(problem))
 
 
 @dataclass(frozen=True)

@@ -51,7 +51,7 @@ class PartTarget:
     @property
     def folder(self) -> Path:
         """The folder of the part's sequence."""
-        return self.output / FRAMES / self.part.sequence
+        return self.output / FRAMES / self.part.film.name
 
     def name_of(self, path: Path) -> str:
         """A path in the form of the records and the table."""
