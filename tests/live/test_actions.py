@@ -22,7 +22,7 @@ from gelform.live.start import Options, start
 from gelform.live.station import Setup, Station
 from gelform.sensors.films import open_film
 from gelform.sensors.playback import RecordingFacts
-from gelform.sensors.recordings import attached_calibration
+from gelform.sensors.record import attached_calibration
 from gelform.sensors.recordings.mcap_writer import McapRecording
 from gelform.simulate import Ball, simulate_background, simulate_press
 from live_waiting import until

@@ -22,10 +22,10 @@ from gelform.live.lists import shown_name
 from gelform.live.shown import Shown
 from gelform.live.station import NEVER_S, MovedSince, Opening, Setup, Station
 from gelform.sensors.films import open_film
+from gelform.sensors.record import Recorder, attached_background, attached_calibration
+from gelform.sensors.record import share as share_file
 from gelform.sensors.recordings.mcap_reader import end_missing
 from gelform.sensors.recordings.player import Player
-from gelform.sensors.recordings.record import Recorder, attached_background, attached_calibration
-from gelform.sensors.recordings.record import share as share_file
 from gelform.sensors.streams.memory import zero_from_results
 from gelform.sensors.streams.stream import calibration_at_rest
 

@@ -10,7 +10,7 @@ __getattr__, __dir__, __all__ = lazy_loader.attach(
         "files": ["SensorSettings", "read_background", "read_image", "read_sensor_toml"],
         "grabber": ["Grabber"],
         "profiles": ["SENSORS"],
-        "recordings.record": ["new_recording", "record_frames"],
+        "record": ["new_recording", "record_frames"],
         "simulated": [
             "SimulatedSource",
             "read_simulated_sensor",

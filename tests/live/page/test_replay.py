@@ -23,7 +23,7 @@ from gelform.live.station import Setup, Station
 from gelform.sensors.cameras import Camera
 from gelform.sensors.films import open_film
 from gelform.sensors.playback import RecordingFacts
-from gelform.sensors.recordings import attached_calibration
+from gelform.sensors.record import attached_calibration
 from gelform.sensors.recordings.mcap_writer import McapRecording
 from gelform.sensors.simulated import SimulatedSource, Touch
 from gelform.sensors.source import open_source

@@ -19,7 +19,7 @@ from gelform.errors import GelformError
 from gelform.exchange.exporters.press_folder import save_press_folder
 from gelform.foundations.files import written_file
 from gelform.foundations.findings import Progress, no_progress
-from gelform.sensors.recordings.record import named_by_time
+from gelform.sensors.record import named_by_time
 
 
 @dataclass(frozen=True, eq=False)

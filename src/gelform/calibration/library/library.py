@@ -29,8 +29,8 @@ from gelform.sensors.files import read_sensor_toml
 from gelform.sensors.grabber import Grabber
 from gelform.sensors.mjpeg import shown_address
 from gelform.sensors.profiles import PROFILES
+from gelform.sensors.record import attached_calibration
 from gelform.sensors.recordings.mcap_reader import is_bag_folder, mcap_file_in, picture_topic_of
-from gelform.sensors.recordings.record import attached_calibration
 from gelform.sensors.simulated import serial_of_simulated, simulated_sensor_named
 from gelform.sensors.source import ADDRESSES, DEFAULT_SENSOR, simulated_sensor_of
 from gelform.simulate import SimulatedPresses, SimulatedSensor, simulate_ball_presses

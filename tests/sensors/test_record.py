@@ -28,7 +28,17 @@ from gelform.sensors.playback import (
     image_from_encoded,
     reduction_in,
 )
-from gelform.sensors.recordings import attached_background, attached_calibration
+from gelform.sensors.record import (
+    KEPT_FRAMES,
+    Recorder,
+    attached_background,
+    attached_calibration,
+    attached_to,
+    attachments_of,
+    new_recording,
+    record_frames,
+    share,
+)
 from gelform.sensors.recordings.mcap_reader import end_missing
 from gelform.sensors.recordings.mcap_writer import (
     McapRecording,
@@ -36,15 +46,6 @@ from gelform.sensors.recordings.mcap_writer import (
     picture_from_message,
     pixels_from_raw,
     raw_image_from_message,
-)
-from gelform.sensors.recordings.record import (
-    KEPT_FRAMES,
-    Recorder,
-    attached_to,
-    attachments_of,
-    new_recording,
-    record_frames,
-    share,
 )
 from gelform.sensors.source import open_source
 from live_waiting import until
@@ -105,7 +106,7 @@ def test_what_is_no_attachment_or_of_no_size_is_refused(tmp_path, monkeypatch):
     (tmp_path / "background.png").write_bytes(b"x")
     assert attached_to(tmp_path) == {}
     path = written(tmp_path / "a.mcap", {"calibration.npz": bytes(2000)})
-    monkeypatch.setattr("gelform.sensors.recordings.record.MAX_ATTACHMENT_BYTES", 1000)
+    monkeypatch.setattr("gelform.sensors.record.MAX_ATTACHMENT_BYTES", 1000)
     with pytest.raises(DataError, match="at most"):
         attached_to(path)
 
@@ -190,7 +191,7 @@ def test_the_file_holds_frames_times_and_calibration(form, forms, frames, calibr
 
 
 def test_progress_is_told_and_nothing_is_left_of_a_share_that_failed(forms, tmp_path, monkeypatch):
-    monkeypatch.setattr("gelform.sensors.recordings.record.named_by_time", lambda _: "a")
+    monkeypatch.setattr("gelform.sensors.record.named_by_time", lambda _: "a")
     said = []
     recording = open_film(forms["mcap"])
     path = share(recording, tmp_path, calibration=None, progress=lambda *what: said.append(what[:2]))
@@ -198,7 +199,7 @@ def test_progress_is_told_and_nothing_is_left_of_a_share_that_failed(forms, tmp_
     again = share(recording, tmp_path, calibration=None)  # in the same second
     assert (again.name, len(open_film(again).times_s)) == ("a-2.mcap", 7)
     assert attached_calibration(path) is None
-    monkeypatch.setattr("gelform.sensors.recordings.record.named_by_time", lambda _: "b")
+    monkeypatch.setattr("gelform.sensors.record.named_by_time", lambda _: "b")
 
     def stop(done, *_):
         if done == 3:
@@ -233,7 +234,7 @@ def test_it_ends_when_it_is_large_enough_or_no_longer_wanted(frames, calibration
 
 def test_two_sensors_in_one_second_are_both_kept(forms, frames, calibration, tmp_path, monkeypatch):
     """Recorded and shared at the same time, by two stations' threads."""
-    monkeypatch.setattr("gelform.sensors.recordings.record.named_by_time", lambda kind: kind)
+    monkeypatch.setattr("gelform.sensors.record.named_by_time", lambda kind: kind)
     images, recording = [frame.image for frame in frames], open_film(forms["mcap"])
     with Grabber(lambda: ImageSource(images), keep=KEPT_FRAMES) as grabber:
         recorders = [Recorder(grabber, tmp_path, calibration=calibration, max_bytes=1) for _ in range(2)]
