@@ -12,26 +12,22 @@ from itertools import takewhile
 from pathlib import Path
 
 from gelform.batch.inputs.containers import (
-    HDF5_SUFFIXES,
     NODES,
     ContainerError,
     FilmRef,
-    hdf5_sequences,
+    films_in_container,
+    films_in_lerobot_set,
+    is_container,
     is_lerobot_set,
-    is_zarr,
-    lerobot_sequences,
     lossy_warnings,
     natural,
-    zarr_sequences,
 )
 from gelform.errors import DataError
 from gelform.foundations.checks import check_path
 from gelform.foundations.files import way_for
-from gelform.sensors.files import IMAGE_SUFFIXES, VIDEO_SUFFIXES, is_stack
+from gelform.sensors.files import FILM_SUFFIXES, IMAGE_SUFFIXES, is_stack
 from gelform.sensors.pictures import is_npy
 from gelform.sensors.recordings.mcap_reader import end_missing, refuse_bag
-
-FILM_SUFFIXES = (*VIDEO_SUFFIXES, ".mcap")
 
 
 @dataclass(frozen=True)
@@ -84,10 +80,10 @@ def listing_of(
     """
     path, hidden = check_path(source), {os.path.realpath(one) for one in leave_out}
     if is_lerobot_set(path):
-        episodes = tuple(lerobot_sequences(path, dataset))
+        episodes = tuple(films_in_lerobot_set(path, dataset))
         return Listing(path, episodes, searched=True, warnings=lossy_warnings(path, episodes))
     if path.exists() and is_container(path):
-        return Listing(path.parent, tuple(_in_container(path, path.name, dataset)))
+        return Listing(path.parent, tuple(films_in_container(path, path.name, dataset)))
     if path.is_dir():
         tree = _containers_in_tree(path, dataset) if dataset else _in_tree(path, hidden)
         listing = Listing(path, tuple(tree), searched=True)
@@ -117,33 +113,21 @@ def listing_of(
     return replace(listing, warnings=tuple(filter(None, map(end_missing, recordings))))
 
 
-def is_container(path: Path) -> bool:
-    """Whether a path is an HDF5 file or a Zarr store, which hold frames under a path inside."""
-    return path.suffix.lower() in HDF5_SUFFIXES or is_zarr(path)
-
-
-def _in_container(path: Path, name: str, dataset: str) -> list[FilmRef]:
-    return (zarr_sequences if is_zarr(path) else hdf5_sequences)(path, name, dataset)
-
-
 def _among_others(path: Path, name: str, dataset: str) -> list[FilmRef]:
     """The same; if one of several is unreadable, it becomes a sequence whose only row holds the error."""
     try:
-        return _in_container(path, name, dataset)
+        return films_in_container(path, name, dataset)
     except ContainerError:
         return [FilmRef(name, path, dataset=dataset)]
 
 
 def _containers_in_tree(root: Path, dataset: str) -> Iterator[FilmRef]:
-    folders = [root]
-    while folders:
-        folder = folders.pop()
-        files, inside = _entries(folder)
-        here = [folder / one for one in sorted((*files, *inside), key=natural) if is_container(folder / one)]
-        for path in here:
+    for folder, files, inside in _walked(root):
+        for one in [one for one in sorted((*files, *inside), key=natural) if is_container(folder / one)]:
+            path = folder / one
             yield from _among_others(path, path.relative_to(root).as_posix(), dataset)
-        below = [folder / one for one in sorted(inside, key=natural, reverse=True)]
-        folders += [one for one in below if one not in here]
+            if one in inside:
+                inside.remove(one)
 
 
 def _begin(pattern: Path) -> Path:
@@ -163,15 +147,20 @@ def _of_found(found: list[Path], hidden: set[str], dataset: str, root: Path) -> 
 
 
 def _in_tree(root: Path, hidden: set[str]) -> Iterator[FilmRef]:
-    """Folder by folder, each before its subfolders."""
-    folders = [root]
-    while folders:
-        folder = folders.pop()
+    for folder, files, _ in _walked(root):
         name = "" if folder == root else folder.relative_to(root).as_posix()
-        files, inside = _entries(folder)
         if hidden:
             files = [one for one in files if os.path.realpath(folder / one) not in hidden]
         yield from _of_folder(name, folder, files)
+
+
+def _walked(root: Path) -> Iterator[tuple[Path, list[str], list[str]]]:
+    """Each folder, before those in it, with the names of its files and of its folders; one removed is not entered."""
+    folders = [root]
+    while folders:
+        folder = folders.pop()
+        files, inside = _entries(folder)
+        yield folder, files, inside
         folders += [folder / one for one in sorted(inside, key=natural, reverse=True)]
 
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from gelform.batch.inputs.containers import hdf5_values, is_zarr, stored_images, video_frames, zarr_values
+from gelform.batch.inputs.containers import container_values, stored_images, video_frames
 from gelform.batch.inputs.listing import Part
 from gelform.calibration.presses.press_set import file_of, table_rows
 from gelform.calibration_file import Calibration
@@ -71,8 +71,7 @@ def _values(part: Part) -> Iterator[tuple[float, NDArray[Any] | DataError]]:
         return video_frames(film.path, film.offset, part.start, part.count)
     if film.path.suffix == ".parquet":
         return stored_images(film.path, film.dataset, film.offset, part.start, part.count)
-    values = zarr_values if is_zarr(film.path) else hdf5_values
-    return ((0.0, one) for one in values(film.path, film.dataset, begin, part.count))
+    return ((0.0, one) for one in container_values(film.path, film.dataset, begin, part.count))
 
 
 def image_of_calibration(frame: Frame, calibration: Calibration) -> NDArray[Any]:
