@@ -21,7 +21,7 @@ from typing import Any
 
 from batch.faults import corrupt, kills, lossy
 from batch.rates import DIFFERENT, make_input, rates
-from gelform.batch.inputs.listing import listing_of, plan_of
+from gelform.batch.inputs import listing_of, plan_of
 from gelform.batch.records import COLUMNS, PartRecord, write_record
 from gelform.batch.run import BatchSummary, _not_done
 from report import command_line, parts_asked, recorded, write

@@ -14,8 +14,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.batch.inputs.listing import Listing, Part, listing_of, plan_of, shard_of
-from gelform.batch.inputs.reading import backgrounds_of, frames_of_part, image_of_calibration
+from gelform.batch.inputs import (
+    Listing,
+    Part,
+    backgrounds_of,
+    frames_of_part,
+    image_of_calibration,
+    listing_of,
+    plan_of,
+    shard_of,
+)
 from gelform.batch.manifest import Manifest, begin, only_run, read_manifest
 from gelform.batch.outputs.files import FRAMES, PARTS, check_names, output_file, write_output
 from gelform.batch.outputs.lerobot import EPISODES, check_lerobot_source

@@ -21,8 +21,8 @@ from typing import Any, Protocol
 import cv2
 from numpy.typing import NDArray
 
-from gelform.batch.inputs.listing import Part
-from gelform.batch.inputs.reading import (
+from gelform.batch.inputs import (
+    Part,
     background_of_file,
     background_of_sequence,
     frames_of_part,

@@ -226,8 +226,8 @@ def images_or_film(
     """The images of files, folders and patterns; or the one video, recording or file of several images among them."""
     import glob
 
-    from gelform.batch.inputs.containers import is_container
-    from gelform.batch.inputs.listing import listing_of
+    from gelform.batch.containers import is_container
+    from gelform.batch.inputs import listing_of
     from gelform.sensors.files import FILM_SUFFIXES, is_stack
 
     images: list[Path] = []

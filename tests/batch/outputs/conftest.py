@@ -3,8 +3,8 @@
 import pytest
 
 import gelform
-from gelform.batch.inputs.containers import FilmRef
-from gelform.batch.inputs.listing import Part
+from gelform.batch.containers import FilmRef
+from gelform.batch.inputs import Part
 from gelform.batch.outputs.files import PartTarget
 from gelform.batch.outputs.writers import WRITERS
 from gelform.batch.settings import BatchSettings

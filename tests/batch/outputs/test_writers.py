@@ -18,8 +18,8 @@ import pytest
 
 import gelform
 from gelform.batch import RunOptions, run_batch, verify_output
-from gelform.batch.inputs.containers import FilmRef
-from gelform.batch.inputs.listing import Part
+from gelform.batch.containers import FilmRef
+from gelform.batch.inputs import Part
 from gelform.batch.outputs import files as output_files
 from gelform.batch.outputs.array_files import hdf5_index, shard_frames
 from gelform.batch.outputs.files import (

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform.batch.inputs.containers import (
+from gelform.batch.containers import (
     container_values,
     films_in_container,
     films_in_lerobot_set,

@@ -15,7 +15,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.batch.inputs.listing import Part
+from gelform.batch.inputs import Part
 from gelform.batch.settings import BatchSettings
 from gelform.errors import DataError
 from gelform.exchange.exporters.surface import MM_PER_LEVEL, UNKNOWN, ZERO_LEVEL, levels_from_depth

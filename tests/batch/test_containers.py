@@ -10,7 +10,7 @@ import pytest
 
 import gelform
 from gelform.batch import BatchSettings, run_batch
-from gelform.batch.inputs.containers import (
+from gelform.batch.containers import (
     blocks,
     container_values,
     films_in_container,
@@ -18,7 +18,7 @@ from gelform.batch.inputs.containers import (
     matching,
     natural,
 )
-from gelform.batch.inputs.listing import listing_of
+from gelform.batch.inputs import listing_of
 from gelform.errors import DataError
 
 IMAGE = np.random.default_rng(0).integers(0, 256, (6, 8, 3), dtype=np.uint8)

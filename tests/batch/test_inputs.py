@@ -8,12 +8,15 @@ import pytest
 
 import gelform
 from gelform.batch import run_batch
-from gelform.batch.inputs.containers import FilmRef
-from gelform.batch.inputs.listing import Listing, listing_of, plan_of, shard_of
-from gelform.batch.inputs.reading import (
+from gelform.batch.containers import FilmRef
+from gelform.batch.inputs import (
+    Listing,
     background_of_sequence,
     backgrounds_of,
     frames_of_part,
+    listing_of,
+    plan_of,
+    shard_of,
 )
 from gelform.batch.manifest import read_manifest
 from gelform.errors import DataError

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gelform.batch import run_batch
-from gelform.batch.inputs.containers import (
+from gelform.batch.containers import (
     compression_of,
     films_in_lerobot_set,
     is_lerobot_set,
@@ -14,7 +14,7 @@ from gelform.batch.inputs.containers import (
     stored_images,
     video_frames,
 )
-from gelform.batch.inputs.listing import listing_of
+from gelform.batch.inputs import listing_of
 from gelform.errors import DataError
 from gelform.sensors.pictures import image_from_values
 
