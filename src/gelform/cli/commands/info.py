@@ -215,6 +215,8 @@ def _file(path: Path) -> dict[str, Any]:
         return _calibration(path)
     if kind == RESULT:
         return _result(path)
+    if path.suffix.lower() == ".mcap":
+        return _recording(path)
     from gelform.calibration.presses.folder import TAXIM, VIDEO, kind_of_presses
 
     layout = kind_of_presses(path)
@@ -222,8 +224,6 @@ def _file(path: Path) -> dict[str, Any]:
         return _video(path)
     if layout == TAXIM:
         return _presses(path, layout)
-    if path.suffix.lower() == ".mcap":
-        return _recording(path)
     if path.suffix == ".npz":
         from gelform.foundations.files import way_for
 
