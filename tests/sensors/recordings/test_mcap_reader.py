@@ -249,7 +249,7 @@ from dataclasses import replace
 from pathlib import Path
 from gelform.sensors.playback import RecordingFacts
 from gelform.sensors.recordings.mcap_writer import McapRecording
-from made.recorded import frames
+from made.sources import frames
 recording, index = McapRecording(Path(sys.argv[1]), RecordingFacts("camera")), 0
 while True:
     frame = replace(frames(1)[0], time_s=time.monotonic(), wall_time_ns=time.time_ns(), index=index)
