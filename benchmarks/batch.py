@@ -21,7 +21,7 @@ from typing import Any
 
 from batch.faults import corrupt, kills, lossy
 from batch.rates import DIFFERENT, make_input, rates
-from gelform.batch.inputs.listing import listing_of, plan_of
+from gelform.batch.inputs import listing_of, plan_of
 from gelform.batch.records import COLUMNS, PartRecord, write_record
 from gelform.batch.run import BatchSummary, _not_done
 from report import command_line, parts_asked, recorded, write
@@ -38,7 +38,7 @@ def scan(folder: Path, quick: bool) -> dict[str, Any]:
             (output / "frames" / path.parent.name).mkdir(parents=True)
         os.close(os.open(path, os.O_CREAT))
     for part in plan_of(listing_of(source), 256):
-        rows = [_row(part.sequence, name, part.start + k) for k, name in enumerate(part.names)]
+        rows = [_row(part.film.name, name, part.start + k) for k, name in enumerate(part.names)]
         for row in rows:
             os.close(os.open(output / row["output"], os.O_CREAT))
         write_record(output, part.number, PartRecord(part.input_digest(), tuple(rows)))

@@ -34,7 +34,7 @@ SHELLS = {"__main__"}  # what starts the command line
 LEVEL = {name: level for level, names in enumerate([*LEVELS, SHELLS]) for name in names}
 INNER = 7  # the last level that neither reads, prints nor draws
 MODULES = sorted(path for path in SOURCE.rglob("*.py") if path != SOURCE / "__init__.py")
-CIRCULAR = {"calibration", "sensors"}  # rooms whose parts import each other; their modules do not
+CIRCULAR = {"calibration"}  # whose parts import each other; their modules do not
 INNER_LIBRARIES = {"numpy", "scipy", "cv2", "gelform", "lazy_loader"}
 EXTRAS = {"networks.py": {"torch"}}  # imported where it trains, an extra
 READERS = {"calibration_file", "result", "foundations", "_native"}

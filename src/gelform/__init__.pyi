@@ -3,7 +3,7 @@
 __version__: str
 
 from .sensors.files import read_image as read_image
-from .sensors.files import Video as Video
+from .sensors.films import Video as Video
 from .image.frame import Frame as Frame
 from .sensors.source import open_source as open_source
 from .sensors.grabber import Grabber as Grabber

@@ -18,7 +18,7 @@ import pytest
 
 import gelform
 from gelform.batch import BatchSettings, RunOptions, run_batch
-from gelform.batch.inputs.listing import listing_of, plan_of
+from gelform.batch.inputs import listing_of, plan_of
 from gelform.batch.manifest import verify_output
 from gelform.batch.records import read_record, record_path
 from gelform.batch.work import Engine, Job, Stopped, Worker, WorkerLostError, done_parts

@@ -249,7 +249,7 @@ def test_options_that_readers_of_frames_name_exist_where_frames_are_read():
     named = (
         {
             name
-            for path in (SOURCE / "batch" / "inputs").glob("*.py")
+            for path in (SOURCE / "batch" / "inputs.py", SOURCE / "batch" / "containers.py")
             for text in texts_of(path)
             for name in re.findall(r"(?<![\w-])--[a-z][a-z-]+", text)
         }

@@ -20,10 +20,10 @@ from gelform.live import actions
 from gelform.live.hub import GRACE_S, Hub, Pages, page_named, sentence_for_page, wait_for_frames
 from gelform.live.start import Options, start
 from gelform.live.station import Setup, Station
+from gelform.sensors.films import open_film
 from gelform.sensors.playback import RecordingFacts
-from gelform.sensors.recordings import attached_calibration
+from gelform.sensors.record import attached_calibration
 from gelform.sensors.recordings.mcap_writer import McapRecording
-from gelform.sensors.recordings.player import indexed
 from gelform.simulate import Ball, simulate_background, simulate_press
 from live_waiting import until
 from made.sources import ImageSource
@@ -141,7 +141,7 @@ def number_shown(station):
 def test_the_result_is_that_of_the_frame_alone(replayed, forms, calibration):
     """Whatever was shown before: forward, backward, twice."""
     station = replayed.stations[0]
-    wanted = gelform.Reconstructor(calibration)(indexed(forms["mcap"]).frame(2)).depth_mm
+    wanted = gelform.Reconstructor(calibration)(open_film(forms["mcap"])[2]).depth_mm
     np.testing.assert_array_equal(station.newest.result.depth_mm, wanted)
     actions.step(replayed, 0, 1)
     until(lambda: number_shown(station) == 3)

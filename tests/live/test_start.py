@@ -30,7 +30,7 @@ from gelform.live.start import Options, start
 from gelform.live.station import Station
 from gelform.sensors import cameras as plugged_in
 from gelform.sensors.cameras import Camera
-from gelform.sensors.recordings.player import indexed
+from gelform.sensors.films import open_film
 from live_waiting import until
 from made.sources import ImageSource, MjpegServer, jpeg, part
 
@@ -126,7 +126,7 @@ def test_a_folder_of_blue_green_red_frames_is_shown_in_rgb_and_has_its_controls(
         hub.folder = tmp_path
         actions.share(hub, 0)
         shared = until(lambda: next(tmp_path.glob("shared*.mcap"), None))
-        np.testing.assert_array_equal(indexed(shared).frame(1).image, image)
+        np.testing.assert_array_equal(open_film(shared)[1].image, image)
 
 
 def test_bgr_holds_for_recordings_that_are_opened_later_and_not_for_the_pages_own(tmp_path, simulated):
@@ -143,7 +143,7 @@ def test_bgr_holds_for_recordings_that_are_opened_later_and_not_for_the_pages_ow
         for path in (later, shared):
             actions.open_recording(hub, 0, hub.recordings.add(path))
             until(lambda path=path: station.player and station.player.recording.path == path)
-            np.testing.assert_array_equal(station.player.recording.frame(0).image, image)
+            np.testing.assert_array_equal(station.player.recording[0].image, image)
 
 
 @pytest.mark.slow

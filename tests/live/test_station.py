@@ -16,7 +16,7 @@ from gelform.image.frame import Frame
 from gelform.live.station import UNWATCHED_S, MovedSince, Setup, Station
 from gelform.motion.between import FOUND, LOST, UNSURE
 from gelform.motion.surface import pose_of_step
-from gelform.sensors.recordings.record import Recorder
+from gelform.sensors.record import Recorder
 from gelform.simulate import simulate_background
 from live_waiting import until
 from made.rigid_contacts import MM_PER_PX, SHAPE, ball, contact_of, cylinder, pose, texture

@@ -173,7 +173,7 @@ def recorded(path, given, facts=None, attached=None):
 
 def camera(count=6, **how):
     """A function that opens a source of those frames, at their pace."""
-    return lambda: Playback(lambda: frames(count, **how), FACTS, paced=True)
+    return lambda: Playback(frames(count, **how), FACTS, paced=True)
 
 
 class ImageSource:

@@ -23,7 +23,6 @@ from gelform.exchange.plots import save_picture
 from gelform.image.view import View
 from gelform.sensors.files import (
     SensorSettings,
-    Video,
     averaged_background,
     background_in,
     is_stack,
@@ -32,8 +31,8 @@ from gelform.sensors.files import (
     read_sensor_toml,
     read_toml,
 )
+from gelform.sensors.films import Video, open_film
 from gelform.sensors.pictures import begin_tiff_at, tiff_pages
-from gelform.sensors.recordings.player import indexed
 from gelform.sensors.source import open_source
 from gelform.simulate import simulate_background
 
@@ -92,7 +91,7 @@ def odd_name(tmp_path):
 
 
 def test_a_name_that_is_no_utf_8_is_refused_by_every_reader(odd_name):
-    for reader in (Video, open_source, indexed):
+    for reader in (Video, open_source, open_film):
         with pytest.raises(DataError, match=r"udcff.avi' is no UTF-8. Rename it"):
             reader(odd_name)
 
@@ -158,10 +157,10 @@ def test_all_images_of_a_file_are_frames(tmp_path, stack, suffix):
         frames = list(source)
     np.testing.assert_array_equal([frame.image for frame in frames], stack)
     assert [frame.time_s for frame in frames] == [k / 25 for k in range(4)]
-    np.testing.assert_array_equal(indexed(path).frame(2).image, stack[2])
+    np.testing.assert_array_equal(open_film(path)[2].image, stack[2])
     numbers = [k % 4 for k in range(200)]
     with ThreadPoolExecutor(4) as threads:  # a recording may be shared while it plays
-        together = list(threads.map(indexed(path).frame, numbers))
+        together = list(threads.map(open_film(path).__getitem__, numbers))
     np.testing.assert_array_equal([frame.image for frame in together], stack[numbers])
     with pytest.raises(
         DataError, match=r"holds several images\. Give it to gelform reconstruct, batch or live"

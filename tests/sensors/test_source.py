@@ -19,7 +19,7 @@ from gelform.image.frame import Frame
 from gelform.sensors import playback
 from gelform.sensors.files import is_video
 from gelform.sensors.grabber import Grabber
-from gelform.sensors.playback import Pace, Playback, RecordingFacts, folder_playback, video_playback
+from gelform.sensors.playback import Pace, Playback, RecordingFacts
 from gelform.sensors.source import open_source
 from live_waiting import until
 from made.sources import ImageSource
@@ -95,7 +95,7 @@ RED = np.array([200, 30, 10], dtype=np.uint8)  # RGB
 
 def frames(count, rate_hz=50.0):
     image = np.zeros((4, 6, 3), np.uint8)
-    return lambda: (Frame(image + k, 7.0 + k / rate_hz, 0, k) for k in range(count))
+    return (Frame(image + k, 7.0 + k / rate_hz, 0, k) for k in range(count))
 
 
 @pytest.fixture
@@ -139,13 +139,13 @@ def test_a_late_reader_gets_the_frame_that_is_due_and_closing_ends_the_loop():
 
 
 def test_a_folder_in_the_order_of_names_in_rgb_and_one_without_images(folder):
-    taken = list(folder_playback(folder, rate_hz=10.0))
+    taken = list(open_source(folder, rate_hz=10.0))
     assert [int(frame.image[0, 0, 0]) for frame in taken] == [201, 200, 202]
     np.testing.assert_array_equal(taken[1].image[3, 3], RED)
     assert [frame.time_s for frame in taken] == pytest.approx([0, 0.1, 0.2])
     (folder / "empty").mkdir()
     with pytest.raises(DataError, match="Expected images"):
-        folder_playback(folder / "empty")
+        open_source(folder / "empty")
 
 
 def write(path, frames, rate_hz=25.0):
@@ -170,7 +170,7 @@ def smooth():
 
 def test_frames_are_rgb_in_order_with_times_also_in_part(tmp_path, smooth):
     write(tmp_path / "a.avi", smooth)
-    video, source = gelform.Video(tmp_path / "a.avi"), video_playback(tmp_path / "a.avi")
+    video, source = gelform.Video(tmp_path / "a.avi"), open_source(tmp_path / "a.avi")
     assert (source.rate_hz, source.settings) == (25.0, {"width": 64, "height": 48})
     read = list(source)
     assert [frame.index for frame in read] == list(range(12))

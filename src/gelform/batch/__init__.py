@@ -1,7 +1,7 @@
 """Data sets: every frame of a folder tree, of videos and recordings to depth, on several processes, resumable."""
 
-from gelform.batch.inputs.containers import Sequence
-from gelform.batch.inputs.listing import Listing, listing_of
+from gelform.batch.containers import FilmRef
+from gelform.batch.inputs import Listing, listing_of
 from gelform.batch.manifest import Problem, verify_output
 from gelform.batch.run import BatchSummary, RunOptions, run_batch
 from gelform.batch.settings import KEPT, BatchSettings
@@ -12,10 +12,10 @@ __all__ = [
     "BatchSettings",
     "BatchSummary",
     "Engine",
+    "FilmRef",
     "Listing",
     "Problem",
     "RunOptions",
-    "Sequence",
     "listing_of",
     "run_batch",
     "verify_output",

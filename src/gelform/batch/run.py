@@ -14,8 +14,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.batch.inputs.listing import Listing, Part, listing_of, plan_of, shard_of
-from gelform.batch.inputs.reading import backgrounds_of, frames_of_part, image_of_calibration
+from gelform.batch.inputs import (
+    Listing,
+    Part,
+    backgrounds_of,
+    frames_of_part,
+    image_of_calibration,
+    listing_of,
+    plan_of,
+    shard_of,
+)
 from gelform.batch.manifest import Manifest, begin, only_run, read_manifest
 from gelform.batch.outputs.files import FRAMES, PARTS, check_names, output_file, write_output
 from gelform.batch.outputs.lerobot import EPISODES, check_lerobot_source
@@ -40,6 +48,7 @@ from gelform.exchange.exporters.press_folder import check_room
 from gelform.foundations.checks import check_path
 from gelform.foundations.findings import FrameTally
 from gelform.foundations.pictures import picture_bytes
+from gelform.image.frame import Frame
 
 Pitch = float | Sequence[float]
 SHEET = "sheet.png"
@@ -324,16 +333,16 @@ def check_apart(listing: Listing, output: Path) -> None:
 
 def _check_size(plan: Sequence[Part], calibration: Calibration) -> None:
     """Refuse, before writing anything, an input without frames of the calibrated size."""
-    first = {part.sequence: part for part in reversed(plan)}
+    first = {part.film.name: part for part in reversed(plan)}
     problems = []
     for part in islice(reversed(first.values()), LOOKED_AT):
-        named = next(frames_of_part(part, calibration.most_pixels), None)
-        if named is None or named.frame is None:
+        index, frame = next(frames_of_part(part, calibration.most_pixels), (0, None))
+        if not isinstance(frame, Frame):
             continue
         try:
-            image_of_calibration(named.frame, calibration)
+            image_of_calibration(frame, calibration)
         except DataError as problem:
-            problems.append(f"{part.path}, {named.name}: {problem}")
+            problems.append(f"{part.film.path}, {part.name_of(index)}: {problem}")
         else:
             return
     if problems:
@@ -377,9 +386,9 @@ def _clean(output: Path, todo: Sequence[Part], form: str) -> None:
     """Delete the temporary files of a killed run."""
     # LeRobot's copies more than the parts write, and keeps what they say of each episode in folders of its own.
     deep = {output / FRAMES, output / PARTS / EPISODES} if form == "lerobot" else set()
-    shallow = {output / FRAMES / part.sequence for part in todo} - deep
+    shallow = {output / FRAMES / part.film.name for part in todo} - deep
     if form == "zarr":  # its shards are in folders of their own, and the groups above have files too
-        above = {output / FRAMES / one for part in todo for one in PurePosixPath(part.sequence).parents}
+        above = {output / FRAMES / one for part in todo for one in PurePosixPath(part.film.name).parents}
         deep, shallow = shallow, above
     shallow |= {record_path(output, part.number).parent for part in todo} | {output, output / PARTS}
     for folders, pattern in ((deep, f"**/{LEFTOVERS}"), (shallow, LEFTOVERS)):

@@ -21,9 +21,8 @@ from typing import Any, Protocol
 import cv2
 from numpy.typing import NDArray
 
-from gelform.batch.inputs.listing import Part
-from gelform.batch.inputs.reading import (
-    NamedFrame,
+from gelform.batch.inputs import (
+    Part,
     background_of_file,
     background_of_sequence,
     frames_of_part,
@@ -37,8 +36,8 @@ from gelform.calibration_file import Calibration
 from gelform.errors import GelformError, needed, reason
 from gelform.foundations.checks import check_choice
 from gelform.foundations.processes import WorkerLostError, interrupt_held, worker_processes
+from gelform.image.frame import Frame
 from gelform.reconstruct import Reconstructor
-from gelform.result import Reconstruction
 
 
 class Stopped(Exception):
@@ -68,10 +67,10 @@ class Worker:
         """Write the outputs of a part, then its record, with the same bytes each time; Stopped if `stop()` returns True."""
         digest, rows = part.input_digest(), []
         with WRITERS[self.job.settings.form].writer(self._target(part)) as writer:
-            for named in frames_of_part(part, self.job.calibration.most_pixels):
+            for index, frame in frames_of_part(part, self.job.calibration.most_pixels):
                 if stop():
                     raise Stopped
-                rows.append(self._row(part, named, writer))
+                rows.append(self._row(part, index, frame, writer))
         record = PartRecord(digest, tuple(rows), tuple(writer.files))
         write_record(self.job.output, part.number, record)
         return record
@@ -81,36 +80,33 @@ class Worker:
         facts = {"mm_per_px": calibration.mm_per_px, "calibration_digest": calibration.digest}
         return PartTarget(self.job.output, part, self.job.settings, calibration.image_shape, facts)
 
-    def _row(self, part: Part, named: NamedFrame, writer: PartWriter) -> dict[str, Any]:
+    def _row(
+        self, part: Part, index: int, frame: Frame | BaseException, writer: PartWriter
+    ) -> dict[str, Any]:
         """Write a frame's output; return its row for the table and the record."""
         row: dict[str, Any] = dict.fromkeys(COLUMNS, "")
-        row |= {"sequence": part.sequence, "frame": named.name, "index": named.index}
-        error, prepared, facts = named.error, None, {}
-        if named.frame is not None:
-            if named.timed:
-                row |= {"time_s": named.frame.time_s, "wall_time_ns": named.frame.wall_time_ns}
+        row |= {"sequence": part.film.name, "frame": part.name_of(index), "index": index}
+        error, prepared, facts = "", None, {}
+        if isinstance(frame, Frame):
+            times = {"time_s": frame.time_s, "wall_time_ns": frame.wall_time_ns} if part.film.is_timed else {}
+            row |= times
             try:
-                result = self._result(part, named)
+                image = image_of_calibration(frame, self.job.calibration)
+                result = self._prepared(part).from_image(image).changed(index=frame.index, **times)
                 prepared, facts = writer.prepared(result), facts_of(result)
             except (GelformError, MemoryError) as problem:
                 error = reason(problem)
             except Exception as problem:  # a bug with one frame must not end a run of a million
                 error = f"bug of gelform: {type(problem).__name__}: {problem}"
+        else:
+            error = reason(frame)
         row |= {**facts, "error": " ".join(error.split())} if prepared is None else facts
-        return row | writer.add(named.name, named.index, prepared)
-
-    def _result(self, part: Part, named: NamedFrame) -> Reconstruction:
-        frame = named.frame
-        assert frame is not None
-        image = image_of_calibration(frame, self.job.calibration)
-        result = self._prepared(part).from_image(image)
-        times = {"time_s": frame.time_s, "wall_time_ns": frame.wall_time_ns} if named.timed else {}
-        return result.changed(index=frame.index, **times)
+        return row | writer.add(part.name_of(index), index, prepared)
 
     def _prepared(self, part: Part) -> Reconstructor:
         """The Reconstructor of a part's sequence; a refused background raises its error again."""
         per_sequence = self.job.settings.background_frames or self.job.background_files
-        own = part.sequence if per_sequence else None
+        own = part.film.name if per_sequence else None
         if self._prepared_for != (own,):
             self._prepared_for = (own,)
             try:
@@ -126,7 +122,7 @@ class Worker:
         if settings.background_frames:
             background = background_of_sequence(part, settings.background_frames, self.job.calibration)
         elif self.job.background_files:
-            background = background_of_file(self.job.background_files[part.sequence], self.job.calibration)
+            background = background_of_file(self.job.background_files[part.film.name], self.job.calibration)
         return Reconstructor(
             self.job.calibration,
             background=background,

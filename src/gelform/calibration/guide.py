@@ -42,7 +42,7 @@ from gelform.image.frame import Frame, pixels_digest
 from gelform.image.view import image_from_frame
 from gelform.sensors.files import SensorSettings
 from gelform.sensors.profiles import check_gel_width, make_of
-from gelform.sensors.recordings.record import named_by_time
+from gelform.sensors.record import named_by_time
 from gelform.sensors.simulated import SimulatedSource
 from gelform.sensors.source import Source
 

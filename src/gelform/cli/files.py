@@ -307,8 +307,9 @@ class Inputs:
         """The images of files, folders and patterns; or the one video, recording or file of several images among them."""
         import glob
 
-        from gelform.batch.inputs.listing import FILM_SUFFIXES, is_container, listing_of
-        from gelform.sensors.files import is_stack
+        from gelform.batch.containers import is_container
+        from gelform.batch.inputs import listing_of
+        from gelform.sensors.files import FILM_SUFFIXES, is_stack
 
         images: list[Path] = []
         leave_out = [] if self.background is None else [self.background]

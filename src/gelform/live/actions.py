@@ -21,10 +21,11 @@ from gelform.live.hub import Hub, starter_of_station, wait_for_frames
 from gelform.live.lists import shown_name
 from gelform.live.shown import Shown
 from gelform.live.station import NEVER_S, MovedSince, Opening, Setup, Station
+from gelform.sensors.films import open_film
+from gelform.sensors.record import Recorder, attached_background, attached_calibration
+from gelform.sensors.record import share as share_file
 from gelform.sensors.recordings.mcap_reader import end_missing
-from gelform.sensors.recordings.player import Player, indexed
-from gelform.sensors.recordings.record import Recorder, attached_background, attached_calibration
-from gelform.sensors.recordings.record import share as share_file
+from gelform.sensors.recordings.player import Player
 from gelform.sensors.streams.memory import zero_from_results
 from gelform.sensors.streams.stream import calibration_at_rest
 
@@ -246,7 +247,8 @@ def open_recording(hub: Hub, station: int, name: str) -> None:
     hub.check_idle(station)
     if name:
         path = hub.recordings.path(name)
-        recording = indexed(path, bgr=hub.bgr and path.suffix.lower() != ".mcap")  # which states its channels
+        bgr = hub.bgr and path.suffix.lower() != ".mcap"  # which states its channels
+        recording = open_film(path, bgr=bgr, scan=True)
         if said := end_missing(recording.path):
             hub.notice(said, "warning")
         setup = attached_setup(hub, chosen.setup, recording.path)

@@ -23,7 +23,7 @@ from gelform.live.lists import Calibrations, Devices, Recordings, camera_facts
 from gelform.live.shown import Shown, Snapshots
 from gelform.live.station import Station
 from gelform.sensors.profiles import PROFILES
-from gelform.sensors.recordings.record import Recorder
+from gelform.sensors.record import Recorder
 
 if TYPE_CHECKING:
     from gelform.live.guide import GuideSession

@@ -15,7 +15,7 @@ from gelform.calibration_file import Calibration, is_calibration, load_calibrati
 from gelform.errors import GelformError
 from gelform.live.station import Opening, Setup, Station
 from gelform.sensors.cameras import CONTROLS, Camera, UsbCamera, cameras_in_sysfs
-from gelform.sensors.recordings.player import recordings_in
+from gelform.sensors.films import films_in
 from gelform.sensors.source import Source
 
 LOOK_EVERY_S = 0.5  # s between searches for connected cameras
@@ -262,7 +262,7 @@ class Recordings:
         for path in given:
             self.add(path)
         own = set(files_of(folder))
-        for path in recordings_in(folder) if folder is not None else ():
+        for path in films_in(folder) if folder is not None else ():
             if path in own:
                 self.add(path)
 

@@ -14,11 +14,13 @@ from gelform.live import actions
 from gelform.live.hub import Hub
 from gelform.live.lists import Calibrations, Recordings
 from gelform.live.station import NEVER_S, Opening, Station
+from gelform.sensors.films import is_film, open_film
 from gelform.sensors.grabber import STALL_S
 from gelform.sensors.mjpeg import shown_address
+from gelform.sensors.playback import Film
 from gelform.sensors.profiles import PROFILES
 from gelform.sensors.recordings.mcap_reader import end_missing
-from gelform.sensors.recordings.player import Indexed, Player, indexed, is_recording
+from gelform.sensors.recordings.player import Player
 from gelform.sensors.simulated import RATE_HZ, SimulatedSource
 from gelform.sensors.source import Source, device_of, open_source, simulated_sensor_of
 from gelform.simulate import SimulatedSensor
@@ -66,7 +68,7 @@ def start(options: Options) -> Hub:
             f"got {len(options.calibrations)}."
         )
     _check_named_once(options.sources)
-    given = [Path(spec) for spec in options.sources if is_recording(spec)]
+    given = [Path(spec) for spec in options.sources if is_film(spec)]
     library, problem = _library()
     hub = Hub(
         calibrations=Calibrations(options.calibrations, options.folder, library),
@@ -81,7 +83,8 @@ def start(options: Options) -> Hub:
         hub.calibrations[name]  # an unreadable one is reported before anything opens
     for number, spec in enumerate(options.sources):
         sensor = simulated_sensor_of(spec)
-        recording = indexed(Path(spec), bgr=options.bgr) if sensor is None and is_recording(spec) else None
+        is_recorded = sensor is None and is_film(spec)
+        recording = open_film(Path(spec), bgr=options.bgr, scan=True) if is_recorded else None
         opening = _opening(hub, spec, sensor or recording, options, number)
         station = Station(number, shown_address(spec), opening, hub.changed, hub.watched)
         station.sensor = options.sensor or ""
@@ -122,7 +125,7 @@ def _check_named_once(specs: Sequence[str]) -> None:
     """Refuse a camera that is named twice, even by two names. A recording may be named twice."""
     named: dict[str, str] = {}
     for spec in specs:
-        if simulated_sensor_of(spec) or is_recording(spec):
+        if simulated_sensor_of(spec) or is_film(spec):
             continue
         camera = device_of(spec)
         if camera in named:
@@ -135,10 +138,10 @@ def _check_named_once(specs: Sequence[str]) -> None:
 
 
 def _opening(
-    hub: Hub, spec: str, known: SimulatedSensor | Indexed | None, options: Options, number: int
+    hub: Hub, spec: str, known: SimulatedSensor | Film | None, options: Options, number: int
 ) -> Opening:
     """How to open the source. It is opened once now, so that a mistake is also reported in the terminal."""
-    if isinstance(known, Indexed):
+    if isinstance(known, Film):
         return Opening(partial(Player, known, may_begin=hub.watched), NEVER_S)
     if known is not None:
         return Opening(

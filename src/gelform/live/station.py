@@ -25,8 +25,8 @@ from gelform.reconstruct import Reconstructor
 from gelform.result import Reconstruction
 from gelform.sensors.cameras import Camera
 from gelform.sensors.grabber import STALL_S, Grabber
+from gelform.sensors.record import KEPT_FRAMES
 from gelform.sensors.recordings.player import Player
-from gelform.sensors.recordings.record import KEPT_FRAMES
 from gelform.sensors.source import Source
 from gelform.sensors.streams.memory import Memory, Timed, Work
 from gelform.sensors.streams.pipeline import NewestFrames, Pipeline

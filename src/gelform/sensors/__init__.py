@@ -6,10 +6,11 @@ __getattr__, __dir__, __all__ = lazy_loader.attach(
     __name__,
     submod_attrs={
         "cameras": ["calibrated_settings", "cameras_there", "settings_mismatch"],
-        "files": ["SensorSettings", "Video", "read_background", "read_image", "read_sensor_toml"],
+        "films": ["Video"],
+        "files": ["SensorSettings", "read_background", "read_image", "read_sensor_toml"],
         "grabber": ["Grabber"],
         "profiles": ["SENSORS"],
-        "recordings.record": ["new_recording", "record_frames"],
+        "record": ["new_recording", "record_frames"],
         "simulated": [
             "SimulatedSource",
             "read_simulated_sensor",

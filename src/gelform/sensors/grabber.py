@@ -1,14 +1,15 @@
-"""The newest frame of a source: one thread per device reads it, and reopens it after a loss."""
+"""What does not end: its newest value, and the newest frame of a source, which one thread reads and reopens."""
 
 from __future__ import annotations
 
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from os import PathLike
+from typing import Generic, TypeVar
 
 from gelform.errors import SensorError, SourceLostError
 from gelform.foundations.checks import check_within
@@ -16,6 +17,95 @@ from gelform.image.frame import Frame
 from gelform.sensors.source import Source, checked_frame, open_source
 
 STALL_S = 0.5  # s without a frame until "reconnecting"; robots' recorders give up after as long
+
+Value = TypeVar("Value")
+
+
+def rate_hz_of(times_s: Sequence[float]) -> float:
+    """How often something happened per second, from its last times, s; 0 before the second one."""
+    span_s = times_s[-1] - times_s[0] if len(times_s) > 1 else 0.0
+    return (len(times_s) - 1) / span_s if span_s > 0 else 0.0
+
+
+class Newest(Generic[Value]):
+    """Keeps the newest value for any number of readers; each reader remembers the last number that it read.
+
+    Parameters
+    ----------
+    keep : number of values held, for readers of each one
+    every : True: a value stays until someone has read it. For recordings, of which no frame may be lost
+
+    Attributes
+    ----------
+    number : of the newest value; -1 before the first
+    unseen : number of values that newer ones replaced before anyone asked for them
+    ended : whether no more values will come
+    error : the error that ended it, or None
+    """
+
+    def __init__(self, *, keep: int = 1, every: bool = False) -> None:
+        self.changed = threading.Condition()
+        self.number, self.unseen, self.ended = -1, 0, False
+        self.error: BaseException | None = None
+        self._every = every
+        self._held: deque[tuple[int, Value]] = deque(maxlen=keep)
+        self._asked = self._expected = -1
+
+    def expect(self, number: int) -> None:
+        """Announce that the value of this number is being made: readers wait for it instead of taking an older one."""
+        with self.changed:
+            self._expected = number
+
+    def put(self, number: int, value: Value) -> None:
+        """Make this the newest value; numbers grow from 0."""
+        with self.changed:
+            if self._every:
+                self.changed.wait_for(lambda: self._asked >= self.number or self.ended)
+            self.unseen += self.number > self._asked and len(self._held) == self._held.maxlen
+            self.number = number
+            self._held.append((number, value))
+            self.changed.notify_all()
+
+    def after(
+        self, number: int = -1, timeout_s: float | None = None, *, oldest: bool = False
+    ) -> tuple[int, Value] | None:
+        """The newest, or the oldest held, value above a number, with its own; None at the end or after the timeout.
+
+        If a newer value was being made at the time of the call, this waits for it, because a stored value ages. The
+        stored one is returned only if the timeout passes first.
+
+        BaseException: the error that ended the writing thread, once the reader has had every value.
+        """
+        with self.changed:
+            least = max(number + 1, self._expected)
+            self.changed.wait_for(lambda: self.number >= least or self.ended, timeout_s)
+            if self.number > number:
+                found = next(one for one in self._held if one[0] > number) if oldest else self._held[-1]
+                self._asked = max(self._asked, found[0])
+                self.changed.notify_all()
+                return found
+            if self.error is not None:
+                raise self.error
+            return None
+
+    def newest(self, after: int = -1, timeout_s: float | None = None) -> Value | None:
+        """The newest value above a number, as `after` has it."""
+        found = self.after(after, timeout_s)
+        return None if found is None else found[1]
+
+    def __iter__(self) -> Iterator[Value]:
+        """Values until the end; of several that arrived during the loop's body, only the newest."""
+        number = -1
+        while (found := self.after(number)) is not None:
+            number, value = found
+            yield value
+
+    def end(self, error: BaseException | None = None) -> None:
+        """End the values, with `error` if one caused it. Wakes all readers; only the first end counts."""
+        with self.changed:
+            if not self.ended:
+                self.ended, self.error = True, error
+            self.changed.notify_all()
 
 
 @dataclass(frozen=True)
@@ -72,15 +162,14 @@ class Grabber:
         self._open_again = source if callable(source) else partial(open_source, source, timeout_s=0.25)
         self._finds_serials = not callable(source)
         self._stall_s = stall_s
-        self._changed = threading.Condition()
-        self._held: deque[Frame] = deque(maxlen=int(keep))
+        self._frames: Newest[Frame] = Newest(keep=int(keep))
+        self._changed = self._frames.changed
         self._times_s: deque[float] = deque(maxlen=60)
         self._state, self._reason = "starting", ""
         self._stats = GrabberStats()
-        self._asked = -1  # index of the last frame that a consumer received
+        self._captured_s = 0.0  # of the newest frame
         self._heard_s = time.monotonic()
         self._stop = threading.Event()
-        self._error: Exception | None = None
         self._thread: threading.Thread | None = None
         self._source: Source | None = None
 
@@ -128,11 +217,9 @@ class Grabber:
     def stats(self) -> GrabberStats:
         """Current figures."""
         with self._changed:
-            span = self._times_s[-1] - self._times_s[0] if len(self._times_s) > 1 else 0.0
-            age = time.monotonic() - self._held[-1].time_s if self._held else None
-            return replace(
-                self._stats, rate_hz=(len(self._times_s) - 1) / span if span > 0 else 0.0, age_s=age
-            )
+            age_s = time.monotonic() - self._captured_s if self._stats.frames else None
+            rate_hz, unseen = rate_hz_of(self._times_s), self._frames.unseen
+            return replace(self._stats, unseen=unseen, rate_hz=rate_hz, age_s=age_s)
 
     def newest(self, after_index: int = -1, timeout_s: float | None = None) -> Frame | None:
         """The newest frame with a number above `after_index`.
@@ -144,25 +231,12 @@ class Grabber:
         DataError, SensorError
             The error that ended the source, such as a damaged file.
         """
-        return self._awaited(after_index, timeout_s, oldest=False)
+        return self._frames.newest(after_index, timeout_s)
 
     def following(self, after_index: int = -1, timeout_s: float | None = None) -> Frame | None:
         """The oldest held frame with a number above `after_index`, for recorders; otherwise as `newest`."""
-        return self._awaited(after_index, timeout_s, oldest=True)
-
-    def _awaited(self, after_index: int, timeout_s: float | None, oldest: bool) -> Frame | None:
-        with self._changed:
-            self._changed.wait_for(lambda: self._has_after(after_index) or self._state == "ended", timeout_s)
-            if not self._has_after(after_index):
-                if self._state == "ended" and self._error is not None:
-                    raise self._error
-                return None
-            frame = next(f for f in self._held if f.index > after_index) if oldest else self._held[-1]
-            self._asked = max(self._asked, frame.index)
-            return frame
-
-    def _has_after(self, index: int) -> bool:
-        return bool(self._held) and self._held[-1].index > index
+        found = self._frames.after(after_index, timeout_s, oldest=True)
+        return None if found is None else found[1]
 
     def _stalled(self) -> bool:
         return time.monotonic() - self._heard_s > self._stall_s
@@ -186,7 +260,7 @@ class Grabber:
             self._source.close()  # this ends its loop
         if self._thread is not None and self._thread is not threading.current_thread():
             self._thread.join(2.0)
-        self._set("ended", self._reason or "closed")
+        self._end(self._reason or "closed")
 
     def _run(self) -> None:
         assert self._source is not None
@@ -199,17 +273,15 @@ class Grabber:
                     self._set("reconnecting", str(problem))
                 self._source.close()
                 self._reopen()
-            self._set("ended", "closed" if self._stop.is_set() else "the source has no more frames")
+            self._end("closed" if self._stop.is_set() else "the source has no more frames")
         except Exception as problem:  # consumers raise it: an exception must not vanish in a thread
-            self._error = problem
-            self._set("ended", str(problem))
+            self._end(str(problem), problem)
         finally:
             self._source.close()
 
     def _read(self, source: Source) -> None:
         """Read frames until the source ends, is lost, or the grabber is closed."""
-        base = self._held[-1].index + 1 if self._held else 0
-        last = -1
+        base, last = self._frames.number + 1, -1
         for frame in source:
             if self._stop.is_set():
                 return
@@ -218,20 +290,12 @@ class Grabber:
 
     def _keep(self, frame: Frame) -> None:
         with self._changed:
-            before = self._held[-1].index if self._held else -1
-            unseen = int(before > self._asked and len(self._held) == self._held.maxlen)
-            drops = frame.index - before - 1
-            self._stats = replace(
-                self._stats,
-                frames=self._stats.frames + 1,
-                drops=self._stats.drops + drops,
-                unseen=self._stats.unseen + unseen,
-            )
-            self._held.append(frame)
+            drops = self._stats.drops + frame.index - self._frames.number - 1
+            self._stats = replace(self._stats, frames=self._stats.frames + 1, drops=drops)
             self._times_s.append(frame.time_s)
-            self._heard_s = time.monotonic()
+            self._captured_s, self._heard_s = frame.time_s, time.monotonic()
             self._state, self._reason = "running", ""
-            self._changed.notify_all()
+            self._frames.put(frame.index, frame)
 
     def _reopen(self) -> None:
         """Reopen the source as soon as it is available."""
@@ -268,4 +332,8 @@ class Grabber:
     def _set(self, state: str, reason: str) -> None:
         with self._changed:
             self._state, self._reason = state, reason
-            self._changed.notify_all()
+
+    def _end(self, reason: str, error: Exception | None = None) -> None:
+        with self._changed:
+            self._set("ended", reason)
+            self._frames.end(error)

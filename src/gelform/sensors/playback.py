@@ -1,12 +1,14 @@
-"""Frames from files as a source, at any pace or their own; and the facts of a recording about its camera."""
+"""Frames that end: what every film is, its camera, and a source that plays it, at any pace or its own."""
 
 from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
+from threading import Lock
 from typing import Any
 
 import cv2
@@ -14,10 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.errors import DataError
-from gelform.foundations.checks import check_positive
 from gelform.foundations.pictures import FAST_PNG, picture_bytes
-from gelform.image.frame import Frame
-from gelform.sensors.files import IMAGE_SUFFIXES, USUAL_RATE_HZ, Video, images_of_stack, read_image
+from gelform.image.frame import Frame, in_rgb
+from gelform.sensors.files import USUAL_RATE_HZ
 from gelform.sensors.pictures import check_declared, image_from_jpeg
 
 FORMAT_VERSION = 1
@@ -65,16 +66,6 @@ class RecordingFacts:
             return cls(**content)
         except (ValueError, TypeError, KeyError, AttributeError) as problem:
             raise DataError(f"{where} is damaged: its facts about the camera cannot be read.") from problem
-
-
-@dataclass(frozen=True)
-class RecordingSummary:
-    """Summary of a recording: camera, number of frames, seconds from first to last, whether it was finished."""
-
-    facts: RecordingFacts
-    frames: int
-    duration_s: float
-    finished: bool
 
 
 def encoded_from_frame(frame: Frame) -> tuple[str, bytes]:
@@ -133,24 +124,62 @@ class Pace:
         return time.monotonic() - self._start_s - after_s
 
 
-class Playback:
-    """Recorded frames.
+class Film:
+    """Frames that end, in the order of time; a loop reads them from the start, `film[number]` gives any, in any thread.
+
+    A kind of film has `_frame`, the one of a number, and, unless its frames are counted and evenly spaced, `_read` and
+    `times_s`.
 
     Parameters
     ----------
-    frames : each call returns the frames from the start
+    path : file or folder
+    camera : facts of the camera, as far as they are known
+
+    Attributes
+    ----------
+    count : number of frames that it states, or 0; a damaged file may hold fewer
+    bgr : whether its frames are blue, green, red; they come in RGB
+    """
+
+    count = 0
+    bgr = False
+
+    def __init__(self, path: Path, camera: RecordingFacts) -> None:
+        self.path, self.camera = path, camera
+        self._alone = Lock()  # decoders keep their place, and a film may be shared while it plays
+
+    def __iter__(self) -> Iterator[Frame]:
+        return map(in_rgb, self._read()) if self.bgr else self._read()
+
+    def __getitem__(self, number: int) -> Frame:
+        """The frame of a number from 0; DataError if it is damaged."""
+        with self._alone:
+            return in_rgb(self._frame(number)) if self.bgr else self._frame(number)
+
+    @cached_property
+    def times_s(self) -> Sequence[float]:
+        """Time of each frame, counted from the first, increasing; asking for it scans the file."""
+        return tuple(number / (self.camera.rate_hz or USUAL_RATE_HZ) for number in range(self.count))
+
+    def _read(self) -> Iterator[Frame]:
+        return map(self._frame, range(self.count))
+
+    def _frame(self, number: int) -> Frame:
+        raise NotImplementedError
+
+
+class Playback:
+    """A film, or other frames that end, as a source.
+
+    Parameters
+    ----------
+    frames : from the start
     facts : of the recording camera, as far as they are known
     paced : False: each frame as fast as it can be read, with the file's `time_s`. True: at the original pace, `time_s` on
         the monotonic clock; frames more than one frame period late are skipped
     """
 
-    def __init__(
-        self,
-        frames: Callable[[], Iterable[Frame]],
-        facts: RecordingFacts,
-        *,
-        paced: bool = False,
-    ) -> None:
+    def __init__(self, frames: Iterable[Frame], facts: RecordingFacts, *, paced: bool = False) -> None:
         self.name, self.serial, self.rate_hz = facts.name, facts.serial, facts.rate_hz
         self.settings = dict(facts.settings)
         self.live = paced
@@ -158,14 +187,14 @@ class Playback:
         self._closed = False
 
     def __iter__(self) -> Iterator[Frame]:
-        for frame in self._paced() if self.live else self._frames():
+        for frame in self._paced() if self.live else self._frames:
             if self._closed:
                 return
             yield frame
 
     def _paced(self) -> Iterator[Frame]:
         pace, first_s = Pace(self.rate_hz or USUAL_RATE_HZ), None
-        for frame in self._frames():
+        for frame in self._frames:
             first_s = frame.time_s if first_s is None else first_s
             after_s = frame.time_s - first_s
             if pace.late_s(after_s) > 1 / (self.rate_hz or USUAL_RATE_HZ) and after_s > 0:
@@ -182,46 +211,3 @@ class Playback:
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-
-def video_playback(path: Path, *, paced: bool = False) -> Playback:
-    """The frames of a video file; DataError if it is no video (see `Video`)."""
-    video = Video(path)
-    return Playback(lambda: video, facts_of_video(video), paced=paced)
-
-
-def facts_of_video(video: Video) -> RecordingFacts:
-    """What a video file tells of its camera."""
-    height, width = map(float, video.facts.shape)
-    rate = video.facts.frame_rate_hz or None
-    return RecordingFacts(video.path.name, settings={"width": width, "height": height}, rate_hz=rate)
-
-
-def folder_playback(path: Path, *, rate_hz: float | None = None, paced: bool = False) -> Playback:
-    """The images of a folder, ordered by name, or of a file of several images, evenly spaced in time.
-
-    Parameters
-    ----------
-    path : a folder of images, a TIFF of several pages, or an array (N, H, W, 3) of numpy (`.npy`)
-    rate_hz : images per second; 25 by default
-
-    Raises
-    ------
-    DataError
-        The folder contains no image; in a loop: an image cannot be read.
-    """
-    rate = check_positive(rate_hz or USUAL_RATE_HZ, "rate_hz")
-    frame, count = images_by_number(path, rate)
-    facts = RecordingFacts(path.resolve().name, rate_hz=rate)
-    return Playback(lambda: map(frame, range(count)), facts, paced=paced)
-
-
-def images_by_number(path: Path, rate_hz: float) -> tuple[Callable[[int], Frame], int]:
-    """(number -> frame, number of frames) of a folder's images, ordered by name, or of a file's; DataError for none."""
-    if path.is_file():
-        image, count = images_of_stack(path)
-        return lambda number: Frame(image(number), number / rate_hz, 0, number), count
-    files = sorted(file for file in path.iterdir() if file.suffix.lower() in IMAGE_SUFFIXES)
-    if not files:
-        raise DataError(f"Expected images ({', '.join(IMAGE_SUFFIXES)}) in the folder {path}, got none.")
-    return lambda number: Frame(read_image(files[number]), number / rate_hz, 0, number), len(files)

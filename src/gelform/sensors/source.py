@@ -11,13 +11,12 @@ from typing import Any, Protocol
 
 from gelform.errors import DataError, SensorError
 from gelform.foundations.checks import check_path
-from gelform.foundations.files import way_for
 from gelform.image.frame import Frame, in_rgb
 from gelform.sensors.cameras import UsbCamera, camera_named
-from gelform.sensors.files import is_stack, is_video
+from gelform.sensors.files import FILM_SUFFIXES
+from gelform.sensors.films import is_film, open_film
 from gelform.sensors.mjpeg import OPEN_S, MjpegUrl, shown_address
-from gelform.sensors.playback import folder_playback, video_playback
-from gelform.sensors.recordings.mcap_reader import is_bag_folder, mcap_file_in, mcap_playback
+from gelform.sensors.playback import Playback
 from gelform.sensors.simulated import RATE_HZ, SimulatedSource, simulated_sensor_named
 from gelform.simulate import SimulatedSensor
 
@@ -172,22 +171,11 @@ def _without_settings(
 
 
 def _of_files(path: Path, paced: bool, rate_hz: float | None) -> Source | None:
-    """A recording, a video or a folder; None if the path can only be a camera's name."""
-    if path.suffix.lower() == ".mcap":
-        return mcap_playback(path, paced=paced)
-    if path.is_dir():
-        if is_bag_folder(path):
-            return mcap_playback(mcap_file_in(path), paced=paced)
-        return folder_playback(path, rate_hz=rate_hz, paced=paced)
-    if is_stack(path):
-        return folder_playback(path, rate_hz=rate_hz, paced=paced)
-    if is_video(path):
-        return video_playback(path, paced=paced)
-    if str(path).startswith("/dev/"):
-        return None
-    if path.exists():
-        raise DataError(f"{path} is no video, no folder of images and no recording (*.mcap).{way_for(path)}")
-    if path.parent != Path():
+    """A film; None if the path can only be a camera's name."""
+    if is_film(str(path)) or path.suffix.lower() in FILM_SUFFIXES:
+        film = open_film(path, rate_hz=rate_hz)
+        return Playback(film, film.camera, paced=paced)
+    if path.parent != Path() and not str(path).startswith("/dev/"):
         raise DataError(f"No file or folder {path}. Check the path.")
     return None
 

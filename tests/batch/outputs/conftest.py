@@ -3,7 +3,8 @@
 import pytest
 
 import gelform
-from gelform.batch.inputs.listing import Part
+from gelform.batch.containers import FilmRef
+from gelform.batch.inputs import Part
 from gelform.batch.outputs.files import PartTarget
 from gelform.batch.outputs.writers import WRITERS
 from gelform.batch.settings import BatchSettings
@@ -35,7 +36,8 @@ def written(results, tmp_path):
         **settings,
     ):
         images = tuple(map(str, range(COUNT))) if counted else ()
-        part = Part(0, sequence, tmp_path, images=images, names=images, total=len(images), rate_hz=30)
+        film = FilmRef(sequence, tmp_path, images, count=len(images), rate_hz=30)
+        part = Part(0, film, count=len(images), names=images)
         facts = {"mm_per_px": MM_PER_PX, "calibration_digest": "abc"}
         target = PartTarget(
             folder, part, BatchSettings(form, part_frames=part_frames, **settings), SHAPE, facts

@@ -18,7 +18,8 @@ import pytest
 
 import gelform
 from gelform.batch import RunOptions, run_batch, verify_output
-from gelform.batch.inputs.listing import Part
+from gelform.batch.containers import FilmRef
+from gelform.batch.inputs import Part
 from gelform.batch.outputs import files as output_files
 from gelform.batch.outputs.array_files import hdf5_index, shard_frames
 from gelform.batch.outputs.files import (
@@ -44,7 +45,7 @@ from made.small_gel import MM_PER_PX, SHAPE, Touch, depth_of
 
 
 def test_a_file_as_written(tmp_path):
-    target = PartTarget(tmp_path, Part(0, "a/b", tmp_path), BatchSettings(), (1, 1), {})
+    target = PartTarget(tmp_path, Part(0, FilmRef("a/b", tmp_path)), BatchSettings(), (1, 1), {})
     content = b"abc" * (1 << 20)
     file = target.write(target.folder / "x", content)
     assert file == OutputFile("frames/a/b/x", len(content), hashlib.sha256(content).hexdigest())
@@ -339,7 +340,7 @@ def test_no_shard_belongs_to_two_parts():
 
 
 def target(folder, shape):
-    return PartTarget(folder, Part(0, "a", folder), BatchSettings("lerobot"), shape, {})
+    return PartTarget(folder, Part(0, FilmRef("a", folder)), BatchSettings("lerobot"), shape, {})
 
 
 def test_levels_of_any_width_come_back_from_a_video(av, tmp_path):

@@ -43,8 +43,8 @@ from gelform.sensors import cameras as plugged_in
 from gelform.sensors.cameras import Camera
 from gelform.sensors.grabber import Grabber
 from gelform.sensors.playback import RecordingFacts
+from gelform.sensors.record import attachments_of
 from gelform.sensors.recordings.mcap_writer import McapRecording
-from gelform.sensors.recordings.record import attachments_of
 from gelform.sensors.simulated import simulated_sensor_named
 from gelform.simulate import Ball, simulate_press
 from made.small_gel import Touch, calibration, image_of, save

@@ -26,6 +26,8 @@ from gelform.calibration.presses.video import (
 )
 from gelform.image.background import ChangeSettings, color_change_from_image
 from gelform.image.frame import Frame
+from gelform.sensors.playback import RecordingFacts
+from gelform.sensors.recordings.mcap_writer import McapRecording
 from gelform.simulate import (
     Ball,
     Pose,
@@ -288,6 +290,20 @@ def test_a_list_and_an_iterator_of_frames_give_the_same_cropped_once(filmed, how
     for press, whole in zip(cropped.presses, one.presses, strict=True):
         np.testing.assert_array_equal(press.image, filmed.images[frame_of(press)][6:126, 10:170])
         np.testing.assert_array_equal(whole.image, filmed.images[frame_of(whole)])
+
+
+def test_a_recording_whose_numbers_have_gaps_gives_the_same_as_its_frames(filmed, how, tmp_path):
+    pytest.importorskip("mcap", reason="the extra mcap is not installed")
+    images = filmed.images[: filmed.holds[2][1] + REST]
+    recording = McapRecording(tmp_path / "presses.mcap", RecordingFacts("ring"))
+    for k, image in enumerate(images):
+        recording.write(gelform.Frame(image, 5 + k / 25, k, 7 + k + 3 * (k > 20)))
+    recording.close()
+    read = gelform.read_presses(tmp_path / "presses.mcap", **how)
+    wanted = gelform.presses_from_frames(frames_of(images), **how)
+    assert [frame_of(p) for p in read.presses] == [frame_of(p) for p in wanted.presses]
+    assert [p.digest for p in read.presses] == [p.digest for p in wanted.presses]
+    np.testing.assert_array_equal(read.background, wanted.background)
 
 
 @pytest.mark.slow

@@ -16,7 +16,12 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform.batch.inputs.containers import hdf5_sequences, hdf5_values, lerobot_sequences, stored_images
+from gelform.batch.containers import (
+    container_values,
+    films_in_container,
+    films_in_lerobot_set,
+    stored_images,
+)
 from gelform.calibration.presses.folder import read_presses
 from gelform.errors import DataError
 from gelform.exchange.exporters import save_simulated_press
@@ -279,13 +284,13 @@ def test_a_recording_has_the_pixels_of_the_video(video, sensor, tmp_path):
 
 def test_hdf5_has_the_pixels_of_the_video(video, sensor, tmp_path):
     images = [frame.image for frame in frames_of(video / "moving.avi")]
-    (sequence,) = hdf5_sequences(made(tmp_path, sensor, "hdf5") / "moving.h5", "moving", "data/*/obs/gel")
-    assert np.array_equal(list(hdf5_values(sequence.path, sequence.dataset, 0, sequence.count)), images)
+    (sequence,) = films_in_container(made(tmp_path, sensor, "hdf5") / "moving.h5", "moving", "data/*/obs/gel")
+    assert np.array_equal(list(container_values(sequence.path, sequence.dataset, 0, sequence.count)), images)
 
 
 def test_lerobot_has_the_pixels_of_the_video(video, sensor, tmp_path):
     images = [frame.image for frame in frames_of(video / "moving.avi")]
-    (one,) = lerobot_sequences(made(tmp_path, sensor, "lerobot") / "lerobot", "*")
+    (one,) = films_in_lerobot_set(made(tmp_path, sensor, "lerobot") / "lerobot", "*")
     stored = list(stored_images(one.path, one.dataset, 0, 0, one.count))
     assert one.rate_hz == 25
     assert [time_s for time_s, _ in stored] == pytest.approx(np.arange(len(images)) / 25)

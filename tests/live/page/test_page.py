@@ -16,7 +16,8 @@ import gelform
 from gelform.errors import SourceLostError
 from gelform.exchange.plots import save_picture
 from gelform.live.station import NEVER_S, Opening, Station
-from gelform.sensors.recordings.player import Player, indexed
+from gelform.sensors.films import open_film
+from gelform.sensors.recordings.player import Player
 from live_waiting import until
 
 pytestmark = pytest.mark.slow
@@ -243,7 +244,7 @@ def test_nothing_serious_for_those_who_see_or_point_badly(page, hub, theme, simu
         pytest.skip(f"no axe-core in {AXE}: npm install axe-core, or set GELFORM_AXE")
     for k, press in enumerate(simulated.presses[:2]):
         save_picture(tmp_path / f"{k}.png", press.image)
-    opening = Opening(lambda: Player(indexed(tmp_path)), NEVER_S)
+    opening = Opening(lambda: Player(open_film(tmp_path)), NEVER_S)
     hub.stations.append(Station(1, "second", opening, hub.changed))
     hub.stations[1].start()
     (tmp_path / "session.mcap").write_bytes(bytes(2000))

@@ -21,10 +21,10 @@ from gelform.live.hub import Hub
 from gelform.live.lists import Devices
 from gelform.live.station import Setup, Station
 from gelform.sensors.cameras import Camera
+from gelform.sensors.films import open_film
 from gelform.sensors.playback import RecordingFacts
-from gelform.sensors.recordings import attached_calibration
+from gelform.sensors.record import attached_calibration
 from gelform.sensors.recordings.mcap_writer import McapRecording
-from gelform.sensors.recordings.player import indexed
 from gelform.sensors.simulated import SimulatedSource, Touch
 from gelform.sensors.source import open_source
 from gelform.simulate import Pose, text_relief
@@ -77,7 +77,7 @@ def test_it_is_scrubbed_stepped_played_and_looped(replay, hub, recording, calibr
     replay.evaluate(seek)
     until(lambda: number(replay) == 4)
     until(lambda: replay.inner_text("#replay-at").startswith("5 / 9, 0:00.40"))
-    wanted = gelform.Reconstructor(calibration)(indexed(recording).frame(4)).depth_mm
+    wanted = gelform.Reconstructor(calibration)(open_film(recording)[4]).depth_mm
     peak = pytest.approx(wanted.max(), abs=1e-5)
     until(lambda: replay.evaluate("gelform.frame.header.peak") == peak)
     shown = f"{wanted.max():.3f}"  # no later frame draws it
@@ -112,7 +112,7 @@ def test_one_file_is_shared_and_downloaded(replay, calibration):
     fetched = saved.with_name("fetched.mcap")
     saved.rename(fetched)
     assert attached_calibration(fetched).digest == calibration.digest
-    assert len(indexed(fetched)) == COUNT
+    assert len(open_film(fetched).times_s) == COUNT
     replay.click("#files-back")
     until(lambda: replay.is_hidden("#replay"))
 

@@ -32,8 +32,8 @@ from gelform.live.web.client import (
     thinned,
 )
 from gelform.live.web.client import station as number_of_station
-from gelform.sensors.recordings.mcap_reader import mcap_playback
 from gelform.sensors.simulated import SimulatedSource
+from gelform.sensors.source import open_source
 from live_waiting import until
 from made.sources import small_disk
 
@@ -272,7 +272,7 @@ def test_a_disk_that_fills_up_ends_the_recording_on_the_page_too(running, hub, t
         assert "No space left on device. Its first" in state["notices"][-1][2]
         assert state["recordings"] == {}
         (name,) = hub.recordings.facts()
-        kept = len(list(mcap_playback(hub.recordings.path(name["name"]))))
+        kept = len(list(open_source(hub.recordings.path(name["name"]))))
         assert f"Recorded {kept} frames: {name['name']}" in state["notices"][-1][2]
 
 

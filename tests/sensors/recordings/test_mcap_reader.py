@@ -25,12 +25,11 @@ from gelform.sensors.recordings.mcap_reader import (
     end_missing,
     is_bag_folder,
     mcap_file_in,
-    mcap_playback,
     mcap_records,
-    mcap_summary,
     picture_topic_of,
 )
 from gelform.sensors.recordings.mcap_writer import McapRecording, message_from_picture
+from gelform.sensors.source import open_source
 from made.files import image_file, raw_message
 from made.sources import FACTS, START_NS, frames, jpeg, small_disk
 from made.sources import recorded as recorded_file
@@ -142,7 +141,7 @@ def test_a_copy_in_part_is_named(tmp_path, recorded):
 
 def test_a_paced_replay_keeps_the_timing(tmp_path, recorded):
     given = frames(6)
-    taken = list(mcap_playback(recorded(tmp_path / "a.mcap", given), paced=True))
+    taken = list(open_source(recorded(tmp_path / "a.mcap", given), paced=True))
     spaced = {frame.index: frame.time_s - given[0].time_s for frame in given}
     for frame in taken:
         assert frame.time_s - taken[0].time_s == pytest.approx(spaced[frame.index], abs=1e-6)
@@ -154,7 +153,7 @@ def test_a_file_cut_anywhere_gives_the_frames_before(tmp_path, recorded):
     for end in np.linspace(FIRST_CHUNK_END, len(content) - 1, 25).astype(int):
         cut = tmp_path / "cut.mcap"
         cut.write_bytes(content[:end])
-        counts.append(len(list(mcap_playback(cut))))
+        counts.append(len(list(open_source(cut))))
     assert counts == sorted(counts)
     assert counts[-1] == 6
     assert 0 < counts[12] < 6
@@ -166,16 +165,16 @@ def test_changed_bytes_and_a_recorder_killed_before_the_first_frame_are_said(tmp
     content[len(content) // 2] ^= 0x55
     path.write_bytes(content)
     with pytest.raises(DataError, match="damaged"):
-        list(mcap_playback(path))
+        list(open_source(path))
     McapRecording(tmp_path / "b.mcap", FACTS)
     with pytest.raises(DataError, match="no frame yet"):
-        mcap_playback(tmp_path / "b.mcap")
+        open_source(tmp_path / "b.mcap")
 
 
 def test_a_bag_of_raw_pictures_is_read_and_counted(tmp_path):
     given = [frame.image for frame in frames(3)]
     stamped = [raw_message(image, "bgr8", wall_time_ns=k + 5) for k, image in enumerate(given)]
-    taken = list(mcap_playback(image_file(tmp_path / "a.mcap", {"/image_raw": stamped})))
+    taken = list(open_source(image_file(tmp_path / "a.mcap", {"/image_raw": stamped})))
     assert [frame.index for frame in taken] == [0, 1, 2]  # though every message is numbered 0
     assert [frame.wall_time_ns for frame in taken] == [5, 6, 7]
     assert [frame.time_s for frame in taken] == [0.0, 0.01, 0.02]
@@ -183,7 +182,7 @@ def test_a_bag_of_raw_pictures_is_read_and_counted(tmp_path):
         np.testing.assert_array_equal(frame.image, image[..., ::-1])
     changing = [raw_message(given[0]), raw_message(given[0], "8UC3")]
     with pytest.raises(DataError, match=r"Frame 1 of .*got 8UC3"):
-        list(mcap_playback(image_file(tmp_path / "b.mcap", {"/a": changing})))
+        list(open_source(image_file(tmp_path / "b.mcap", {"/a": changing})))
 
 
 def chunk_file(path, compression, data, size):
@@ -241,7 +240,7 @@ def test_another_tools_compressed_file_is_read(tmp_path):
         channel = written.register_channel("/camera", "cdr", schema)
         written.add_message(channel, 10**9, message_from_picture(jpeg(), "jpeg", 7, "x"), 0, 0)
         written.finish()
-    assert len(list(mcap_playback(tmp_path / "one.mcap"))) == 1
+    assert len(list(open_source(tmp_path / "one.mcap"))) == 1
 
 
 RECORDER = """
@@ -250,7 +249,7 @@ from dataclasses import replace
 from pathlib import Path
 from gelform.sensors.playback import RecordingFacts
 from gelform.sensors.recordings.mcap_writer import McapRecording
-from made.recorded import frames
+from made.sources import frames
 recording, index = McapRecording(Path(sys.argv[1]), RecordingFacts("camera")), 0
 while True:
     frame = replace(frames(1)[0], time_s=time.monotonic(), wall_time_ns=time.time_ns(), index=index)
@@ -273,7 +272,7 @@ def test_other_readers_find_topic_schema_and_index(tmp_path):
 
 def test_stamps_follow_the_monotonic_clock_where_the_other_is_set(tmp_path):
     back = [replace(one, wall_time_ns=one.wall_time_ns - k * 10**12) for k, one in enumerate(frames(3))]
-    times = [frame.time_s for frame in mcap_playback(recorded_mcap_writer(tmp_path / "a.mcap", back))]
+    times = [frame.time_s for frame in open_source(recorded_mcap_writer(tmp_path / "a.mcap", back))]
     assert times == pytest.approx([0, 0.023, 0.04], abs=1e-6)
 
 
@@ -292,9 +291,9 @@ def test_what_a_killed_recorder_wrote_is_read_up_to_the_last_second(tmp_path):
         recorder.send_signal(signal.SIGKILL)
         rest = recorder.communicate()[0].split()
     last = int(rest[-1]) if rest else written
-    taken = list(mcap_playback(path))
+    taken = list(open_source(path))
     assert [frame.index for frame in taken] == list(range(len(taken)))
-    assert not mcap_summary(path).finished
+    assert end_missing(path)
     assert len(taken) >= 20
     seconds = (last - taken[-1].index) * 0.01
     assert seconds < 1.0
@@ -338,7 +337,7 @@ def test_a_full_disk_says_so_and_leaves_what_it_says(tmp_path, kilobytes):
         if path.exists():
             (recording,) = recordings
             assert f"Its first {recording.frames} frames can be read." in str(full.value)
-            assert len(list(mcap_playback(path))) == recording.frames > 0
+            assert len(list(open_source(path))) == recording.frames > 0
             assert recording.frames % 9 == 0
             recording.close()
         else:

@@ -8,16 +8,17 @@ from __future__ import annotations
 import shutil
 import threading
 import time
-from dataclasses import replace
+from copy import copy
 
 import numpy as np
 import pytest
 
 import gelform
 from gelform.errors import DataError, GelformError
+from gelform.sensors.films import is_film, open_film
 from gelform.sensors.playback import RecordingFacts
 from gelform.sensors.recordings.mcap_writer import McapRecording
-from gelform.sensors.recordings.player import McapIndex, Player, indexed, is_recording
+from gelform.sensors.recordings.player import Player
 from live_waiting import until
 
 ORDER = (0, 4, 3, 6, 1, 1, 5, 2)
@@ -25,12 +26,12 @@ ORDER = (0, 4, 3, 6, 1, 1, 5, 2)
 
 @pytest.mark.parametrize("form", ["mcap", "images", "video"])
 def test_any_frame_in_any_order_has_the_number_of_open_source(form, forms, frames):
-    recording = indexed(forms[form])
+    recording = open_film(forms[form])
     with gelform.open_source(forms[form]) as source:
         played = list(source)
-    assert len(recording) == len(played) == len(frames)
+    assert len(recording.times_s) == len(played) == len(frames)
     for number in ORDER:
-        found = recording.frame(number)
+        found = recording[number]
         np.testing.assert_array_equal(found.image, frames[number].image)
         np.testing.assert_array_equal(found.image, played[number].image)
         assert found.time_s == pytest.approx(recording.times_s[number])
@@ -38,10 +39,10 @@ def test_any_frame_in_any_order_has_the_number_of_open_source(form, forms, frame
 
 @pytest.mark.parametrize(("form", "rate_hz"), [("mcap", 20), ("video", 20), ("images", 25)])
 def test_times_and_camera_are_those_of_the_recording(form, rate_hz, forms, frames):
-    recording = indexed(forms[form])
+    recording = open_film(forms[form])
     np.testing.assert_allclose(recording.times_s, np.arange(len(frames)) / rate_hz, atol=1e-3)
     if form == "mcap":
-        facts = recording.facts
+        facts = recording.camera
         assert (facts.name, facts.serial, dict(facts.settings)) == ("ring", "S7", {"exposure": 50.0})
 
 
@@ -50,19 +51,19 @@ def test_what_is_no_recording_is_said(tmp_path):
     (tmp_path / "empty").mkdir()
     for name, words in (("notes.txt", "no video"), ("empty", "Expected images")):
         with pytest.raises(DataError, match=words):
-            indexed(tmp_path / name)
-    assert is_recording(str(tmp_path / "empty"))
-    assert not is_recording("/dev/null")
-    assert not is_recording("2BKRXXXX")
-    assert not is_recording("http://a/?" + "9" * 5000)
+            open_film(tmp_path / name)
+    assert is_film(str(tmp_path / "empty"))
+    assert not is_film("/dev/null")
+    assert not is_film("2BKRXXXX")
+    assert not is_film("http://a/?" + "9" * 5000)
 
 
 def test_an_image_that_was_removed_meanwhile_is_said(forms, tmp_path):
     copied = shutil.copytree(forms["images"], tmp_path / "copy")
-    recording = indexed(copied)
+    recording = open_film(copied)
     (copied / "003.png").unlink()
     with pytest.raises(DataError, match=r"003\.png"):
-        recording.frame(3)
+        recording[3]
 
 
 @pytest.fixture
@@ -77,9 +78,9 @@ def many_chunks(frames, tmp_path, monkeypatch):
 
 
 def test_frames_are_found_across_chunks(many_chunks, frames):
-    index = McapIndex(many_chunks)
+    index = open_film(many_chunks)
     for number in (6, 0, 5, 1, 4):
-        found = index.frame(number)
+        found = index[number]
         np.testing.assert_array_equal(found.image, frames[number].image)
         assert found.index == number
 
@@ -88,25 +89,25 @@ def test_a_killed_recorders_file_has_its_whole_chunks(many_chunks, frames, tmp_p
     whole = many_chunks.read_bytes()
     torn = tmp_path / "torn.mcap"
     torn.write_bytes(whole[: int(0.6 * len(whole))])
-    index = McapIndex(torn)
+    index = open_film(torn)
     assert 2 <= len(index.times_s) < len(frames)
-    np.testing.assert_array_equal(index.frame(1).image, frames[1].image)
+    np.testing.assert_array_equal(index[1].image, frames[1].image)
 
 
 def test_damaged_bytes_and_a_file_replaced_meanwhile_are_noticed(many_chunks, forms):
-    index, content = McapIndex(many_chunks), bytearray(many_chunks.read_bytes())
+    index, content = open_film(many_chunks, scan=True), bytearray(many_chunks.read_bytes())
     many_chunks.write_bytes(forms["mcap"].read_bytes())
     with pytest.raises(DataError):
-        index.frame(5)
+        index[5]
     content[len(content) // 2] ^= 0xFF
     many_chunks.write_bytes(bytes(content))
     with pytest.raises(DataError, match=r"many\.mcap"):
-        McapIndex(many_chunks).frame(3)
+        open_film(many_chunks)[3]
 
 
 @pytest.fixture
 def recording(forms):
-    return indexed(forms["mcap"])
+    return open_film(forms["mcap"])
 
 
 class Shown:
@@ -204,9 +205,11 @@ def test_a_damaged_frame_is_said_and_passed_over(recording):
     def frame(number):
         if number == 2:
             raise DataError("Frame 2 is damaged.")
-        return recording.frame(number)
+        return recording[number]
 
-    made = Shown(Player(replace(recording, frame=frame)))
+    damaged = copy(recording)
+    damaged._alone, damaged._frame = threading.Lock(), frame
+    made = Shown(Player(damaged))
     try:
         made.player.seek(2)
         until(lambda: made.player.problem)

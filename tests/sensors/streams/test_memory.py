@@ -21,6 +21,7 @@ from gelform import Reconstructor, depth_from_gradients
 from gelform.image.frame import Frame
 from gelform.image.health import DepthLimit
 from gelform.result import Reconstruction
+from gelform.sensors.grabber import Newest
 from gelform.sensors.streams.memory import (
     NOT_THIS_GEL,
     Memory,
@@ -29,7 +30,7 @@ from gelform.sensors.streams.memory import (
     result_from_image,
     zero_from_results,
 )
-from gelform.sensors.streams.pipeline import HandOver, Meter, Pipeline, feed_from_source
+from gelform.sensors.streams.pipeline import Meter, Pipeline, feed_from_source
 from gelform.sensors.streams.stream import Stream
 from made.images import grid, image_of_dots
 from made.sources import ImageSource
@@ -279,7 +280,7 @@ def running(feed, memory):
 
 
 def test_late_readers_get_the_newest_alone_and_do_not_take_from_each_other():
-    values = HandOver()
+    values = Newest()
     for number, value in enumerate("abc"):
         values.put(number, value)
     assert values.newest() == values.newest(after=1) == next(iter(values)) == "c"
@@ -287,10 +288,10 @@ def test_late_readers_get_the_newest_alone_and_do_not_take_from_each_other():
 
 
 def test_where_every_value_counts_the_writer_waits():
-    values, done = HandOver(every=True), Event()
+    values, done = Newest(every=True), Event()
     started(lambda: ([values.put(k, value) for k, value in enumerate("abc")], done.set()))
     assert [values.newest(k - 1, timeout_s=5) for k in range(2)] == ["a", "b"]
-    unread = HandOver(every=True)
+    unread = Newest(every=True)
     unread.put(0, "a")
     writer = started(lambda: unread.put(1, "b"))
     writer.join(0.05)
@@ -302,12 +303,12 @@ def test_where_every_value_counts_the_writer_waits():
 
 
 def test_the_end_wakes_readers_and_its_error_comes_after_the_last_value():
-    values, found = HandOver(), []
+    values, found = Newest(), []
     reader = started(lambda: found.append(values.newest()))
     values.end()
     reader.join(5)
     assert found == [None]
-    values = HandOver()
+    values = Newest()
     values.put(0, "a")
     values.end(ValueError("broken"))
     values.end()
@@ -319,7 +320,7 @@ def test_the_end_wakes_readers_and_its_error_comes_after_the_last_value():
 
 def test_a_value_that_is_being_made_is_waited_for():
     """What lies here gets older while the new one is made: a reader gets the new one, where it comes in time."""
-    values, found = HandOver(), []
+    values, found = Newest(), []
     values.put(0, "old")
     values.expect(1)
     assert values.newest(timeout_s=0) == values.newest(timeout_s=0.02) == "old"

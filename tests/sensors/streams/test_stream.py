@@ -18,7 +18,7 @@ from gelform.errors import CalibrationError, DataError, SensorError, StaleError
 from gelform.image.view import View
 from gelform.sensors import new_recording, record_frames
 from gelform.sensors.grabber import Grabber
-from gelform.sensors.recordings.record import KEPT_FRAMES
+from gelform.sensors.record import KEPT_FRAMES
 from gelform.sensors.streams.pipeline import feed_from_source
 from live_waiting import until
 from made.sources import ImageSource

@@ -76,7 +76,7 @@ class Hdf5Files(PartWriter):
         for name, blank in self._blank.items():
             dataset = self._file.create_dataset(
                 name,
-                shape=(self._target.part.frames, *blank.shape),
+                shape=(self._target.part.count, *blank.shape),
                 maxshape=(None, *blank.shape),
                 chunks=(1, *blank.shape),
                 dtype=blank.dtype,
@@ -186,13 +186,13 @@ class ZarrArrays(PartWriter):
 
     def _write_nodes(self) -> None:
         """Write the metadata of the arrays and of the groups above; every part of a sequence writes the same bytes."""
-        target, frames = self._target, self._target.part.total or self._count
+        target, frames = self._target, self._target.part.film.count or self._count
         for name, blank in self._blank.items():
             attributes = {**attributes_of(name, target.settings), **target.facts}
             node = _array_node(blank, frames, self._length, attributes)
             self.files.append(self._later.write(target.folder / name / NODE, _json(node)))
         group = _json({"zarr_format": 3, "node_type": "group", "attributes": {}})
-        for above in (target.part.sequence, *map(str, PurePosixPath(target.part.sequence).parents)):
+        for above in (target.part.film.name, *map(str, PurePosixPath(target.part.film.name).parents)):
             self.files.append(self._later.write(target.output / FRAMES / above / NODE, group))
 
 

@@ -15,7 +15,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.batch.inputs.listing import Part
+from gelform.batch.inputs import Part
 from gelform.batch.settings import BatchSettings
 from gelform.errors import DataError
 from gelform.exchange.exporters.surface import MM_PER_LEVEL, UNKNOWN, ZERO_LEVEL, levels_from_depth
@@ -51,7 +51,7 @@ class PartTarget:
     @property
     def folder(self) -> Path:
         """The folder of the part's sequence."""
-        return self.output / FRAMES / self.part.sequence
+        return self.output / FRAMES / self.part.film.name
 
     def name_of(self, path: Path) -> str:
         """A path in the form of the records and the table."""

@@ -29,8 +29,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.batch.inputs.containers import EPISODES as EPISODE_TABLES
-from gelform.batch.inputs.containers import INFO, STATS, lerobot_info
+from gelform.batch.containers import EPISODES as EPISODE_TABLES
+from gelform.batch.containers import INFO, STATS, lerobot_info
 from gelform.batch.outputs.files import (
     FRAMES,
     PARTS,
@@ -163,9 +163,9 @@ class LerobotVideo(VideoWriter):
     """Writes an episode's video, and its statistics and feature for the tables of the data set."""
 
     def __init__(self, target: PartTarget) -> None:
-        self._key, self._episode = episode_of(target.part.sequence)
+        self._key, self._episode = episode_of(target.part.film.name)
         path = target.output / FRAMES / video_path(self._key + SUFFIX, self._episode)
-        super().__init__(target, path, CODEC, target.part.rate_hz, needed("av", "data", "LeRobot"))
+        super().__init__(target, path, CODEC, target.part.film.rate_hz, needed("av", "data", "LeRobot"))
         self._counts = np.zeros(MAX_CODE + 1, dtype=np.int64)
         self._forces: list[NDArray[np.float64] | None] = []
 
@@ -200,7 +200,7 @@ class LerobotVideo(VideoWriter):
                 "stats": statistics(self._counts, self._count),
                 "forces": self._known_forces(),
             }
-            path = self._target.output / PARTS / EPISODES / f"{self._target.part.sequence}.json"
+            path = self._target.output / PARTS / EPISODES / f"{self._target.part.film.name}.json"
             self.files.append(self._target.write(path, json.dumps(facts).encode()))
 
     def _known_forces(self) -> list[list[float | None]]:
@@ -222,7 +222,7 @@ class LerobotVideo(VideoWriter):
             "video_backend": "pyav",
         }
         codes = {"depth_min": 0.0, "depth_max": MAX_CODE / 1000, "shift": 0.0, "use_log": False}
-        more = {"fps": self._target.part.rate_hz, "extra_options": {"x265-params": X265}}
+        more = {"fps": self._target.part.film.rate_hz, "extra_options": {"x265-params": X265}}
         said = {f"video.{name}": value for name, value in {**video, **more, **encoder, **codes}.items()}
         ours = {f"gelform.{name}": value for name, value in self._target.facts.items()}
         ours["gelform.encoding"] = "1000 + depth in um, which LeRobot calls mm; 0: unknown"

@@ -29,8 +29,8 @@ from gelform.sensors.files import read_sensor_toml
 from gelform.sensors.grabber import Grabber
 from gelform.sensors.mjpeg import shown_address
 from gelform.sensors.profiles import PROFILES
+from gelform.sensors.record import attached_calibration
 from gelform.sensors.recordings.mcap_reader import is_bag_folder, mcap_file_in, picture_topic_of
-from gelform.sensors.recordings.record import attached_calibration
 from gelform.sensors.simulated import serial_of_simulated, simulated_sensor_named
 from gelform.sensors.source import ADDRESSES, DEFAULT_SENSOR, simulated_sensor_of
 from gelform.simulate import SimulatedPresses, SimulatedSensor, simulate_ball_presses
@@ -464,7 +464,7 @@ def _names(camera: Camera) -> tuple[str, ...]:
 def unit_of_files(path: Path) -> Unit:
     """The unit of a recording, or of images with a `sensor.toml` in or above their folder; DataError if that is damaged."""
     if path.suffix.lower() == ".mcap" or (path.is_dir() and is_bag_folder(path)):
-        facts, _ = picture_topic_of(mcap_file_in(path) if path.is_dir() else path)
+        facts, _ = picture_topic_of(mcap_file_in(path))
         serial, digest = facts.serial or "", facts.calibration_digest
         return Unit(str(path), serial, digest=digest, carries=path, simulated=_simulated(serial))
     folder = path if path.is_dir() else path.parent

@@ -1,4 +1,4 @@
-"""Read presses of a ball from a press folder, other packages' folders, plain images or a video."""
+"""Read presses of a ball from a press folder, other packages' folders, plain images, a video or a recording."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from gelform.calibration.presses.press_set import (
     presses_from_settings,
     table_rows,
 )
-from gelform.calibration.presses.video import presses_from_video
+from gelform.calibration.presses.video import presses_from_film
 from gelform.errors import DataError, said
 from gelform.foundations.checks import check_is, check_path, check_positive, check_sensor_pitch
 from gelform.foundations.files import DAMAGED_ARCHIVE, MAX_TEXT_BYTES, bytes_of, checked_archive, way_for
@@ -43,13 +43,13 @@ from gelform.foundations.findings import Progress, no_progress
 from gelform.image.frame import pixels_digest
 from gelform.image.view import View, image_from_frame, image_px_from_frame_px
 from gelform.sensors.files import (
+    FILM_SUFFIXES,
     IMAGE_SUFFIXES,
     SensorSettings,
     background_in,
     images_of_stack,
     is_likely_background,
     is_stack,
-    is_video,
     read_background,
     read_image,
 )
@@ -251,7 +251,7 @@ def read_presses(
     ----------
     path : a press folder (`presses.csv` with the columns image, ball_diameter_mm), gs_sdk's (`catalog.csv`) or
         py3DCal's folder, Taxim's `dataPack.npz`, or a folder of plain images, a TIFF of several pages, frames of numpy
-        (`.npy`) or a video with `ball_diameter_mm`
+        (`.npy`), a video or a recording (`*.mcap`) with `ball_diameter_mm`
     sensor : name of a profile, which has the view and mm_per_px
     mm_per_px : pixel pitch, mm, or (x, y) of pixels that are not square; overrides sensor.toml and the profile
     ball_diameter_mm : for data without it
@@ -273,14 +273,14 @@ def read_presses(
     options = ReadOptions(sensor, mm_per_px, ball_diameter_mm, rest, crop, bgr)
     kind = kind_of_presses(place)
     if kind == VIDEO:
-        return presses_from_video(place, options, progress)
+        return presses_from_film(place, options, progress)
     if kind is None:
         is_picture = place.suffix.lower() in IMAGE_SUFFIXES
         is_file = "one picture: give the folder of all" if is_picture else "a file of another kind"
         is_what = is_file if place.exists() else "not there"
         raise DataError(
-            f"Expected a folder of presses, a video or a Taxim dataPack.npz, got {place}, which is {is_what}."
-            f"{way_for(place) if place.exists() else ''}"
+            f"Expected a folder of presses, a video, a recording (*.mcap) or a Taxim dataPack.npz, got {place}, which is "
+            f"{is_what}.{way_for(place) if place.exists() else ''}"
         )
     refuse_bag(place)
     return _read(place, SOURCES[kind](place, options), options, progress)
@@ -310,7 +310,7 @@ def as_presses(presses: Presses | str | PathLike[str], *, progress: Progress = n
 
 def kind_of_presses(place: Path) -> str | None:
     """The layout of presses at a path: VIDEO, a name in `SOURCES`, or None."""
-    if place.is_file() and is_video(place):
+    if place.is_file() and place.suffix.lower() in FILM_SUFFIXES:
         return VIDEO
     if is_stack(place):
         return STACK

@@ -9,7 +9,7 @@ in gray levels: the mean over the pixels that changed most, after subtracting th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Iterable, Iterator, Sequence
+from collections.abc import Container, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -31,7 +31,8 @@ from gelform.foundations.findings import Progress, no_progress
 from gelform.image.background import trimmed_mean
 from gelform.image.frame import Frame
 from gelform.image.view import View, image_from_frame
-from gelform.sensors.files import Video, read_background
+from gelform.sensors.files import read_background
+from gelform.sensors.films import Video, open_film
 
 THUMB_ROWS = 36  # px of a thumbnail's shorter side
 MAX_THUMBS = 6000  # thumbnails that are kept: four minutes at 25 frames a second
@@ -318,8 +319,6 @@ BACKGROUND_FRAMES = 60  # frames that are averaged at most
 MAX_KEPT_BYTES = 1 << 30  # bytes of images kept from an iterator
 DRIFT_WARN = 0.03  # relative change of the brightness of the gel at rest
 
-Reader = Callable[[Container[int] | None], Iterable[Frame]]
-
 
 def presses_from_frames(
     frames: Iterable[Frame],
@@ -361,15 +360,15 @@ def presses_from_frames(
     view = _ViewOfFrames(ReadOptions(sensor, mm_per_px, ball_diameter_mm, None, crop), place)
     if iter(frames) is frames:
         frames = _kept(frames, view)
-    return _presses(lambda only: _selected(frames, only), view, background, name, progress)
+    return _presses(frames, view, background, name, progress)
 
 
-def presses_from_video(path: Path, options: ReadOptions, progress: Progress = no_progress) -> Presses:
-    """`presses_from_frames` for a video file, read twice; a `sensor.toml` next to it can hold settings."""
+def presses_from_film(path: Path, options: ReadOptions, progress: Progress = no_progress) -> Presses:
+    """`presses_from_frames` for a video or a recording, read twice; a `sensor.toml` next to it can hold settings."""
     options.ball(str(path))
     background = None if options.background is None else read_background(options.background, bgr=options.bgr)
-    video = Video(path)
-    return _presses(video.frames, _ViewOfFrames(options, path), background, str(path), progress)
+    film = open_film(path)
+    return _presses(film, _ViewOfFrames(options, path), background, str(path), progress)
 
 
 class _ViewOfFrames:
@@ -415,7 +414,11 @@ def _kept(frames: Iterable[Frame], view: _ViewOfFrames) -> list[Frame]:
     return kept
 
 
-def _selected(frames: Iterable[Frame], only: Container[int] | None) -> Iterator[Frame]:
+def _selected(frames: Iterable[Frame], only: Container[int] | None = None) -> Iterator[Frame]:
+    """The frames, or those at a position in `only`; each has its position as its number."""
+    if isinstance(frames, Video):  # decodes no others
+        yield from frames.frames(only)
+        return
     for position, frame in enumerate(frames):
         check_is(frame, Frame, "each frame")
         if not isinstance(frame.time_s, (int, float)) or not np.isfinite(frame.time_s):
@@ -428,10 +431,14 @@ def _selected(frames: Iterable[Frame], only: Container[int] | None) -> Iterator[
 
 
 def _presses(
-    read: Reader, view: _ViewOfFrames, background: NDArray[Any] | None, name: str, progress: Progress
+    frames: Iterable[Frame],
+    view: _ViewOfFrames,
+    background: NDArray[Any] | None,
+    name: str,
+    progress: Progress,
 ) -> Presses:
     thumbs, shape = Thumbnails(), (0, 0)
-    for count, frame in enumerate(read(None)):
+    for count, frame in enumerate(_selected(frames)):
         image = view(frame.image)
         shape = image.shape
         thumbs.add(image, frame.index, frame.time_s)
@@ -449,7 +456,7 @@ def _presses(
     at_rest = _spread(np.flatnonzero(rest), BACKGROUND_FRAMES)
     wanted = {thumbs.index[k] for k in at_rest} | picked.keys()
     presses, rest_images = [], []
-    for frame in read(wanted):
+    for frame in _selected(frames, wanted):
         if frame.index in picked:
             assert view.view is not None
             listed = Listed(f"{Path(name).stem}, frame {frame.index}", view.options.ball(name))

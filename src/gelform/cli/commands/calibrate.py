@@ -34,7 +34,9 @@ MODELS = ("auto", *COLOR_MODELS)
 
 def calibrate(
     *,
-    presses: Annotated[Path, Argument(metavar="PRESSES", help="Ball presses: a folder or a video.")],
+    presses: Annotated[
+        Path, Argument(metavar="PRESSES", help="Ball presses: a folder, a video or a recording.")
+    ],
     output: NewCalibration,
     model: Annotated[str, Option(metavar="NAME", help=f"Color model: {listed(MODELS)}.")] = "auto",
     start: Annotated[
@@ -69,7 +71,7 @@ def calibrate(
 
     PRESSES contains background.png (the gel at rest), images, presses.csv (columns image,ball_diameter_mm) and
     sensor.toml (name, mm_per_px). These also work: a plain folder of images, with --ball-diameter-mm and --mm-per-px
-    or --sensor; a video that begins with the gel at rest; gs_sdk's and py3DCal's folders; Taxim's
+    or --sensor; a video or a recording (*.mcap) that begins with the gel at rest; gs_sdk's and py3DCal's folders; Taxim's
     dataPack.npz. Take 20 presses all over the gel (angle error about 2 degrees). With a start, 5 do (about 2.4).
     Measure scale, lens and crosstalk first, with `gelform scale`, `gelform lens` and `gelform crosstalk`.
 

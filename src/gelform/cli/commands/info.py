@@ -21,7 +21,6 @@ from gelform.errors import DataError, GelformError
 
 if TYPE_CHECKING:
     from gelform.result import Reconstruction
-    from gelform.sensors.playback import RecordingSummary
 
 VARIABLES = ("GELFORM_ISA", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")  # they change speed or kernels
 OPENCV = (
@@ -195,6 +194,8 @@ def _file(path: Path) -> dict[str, Any]:
         return _calibration(path)
     if kind == RESULT:
         return _result(path)
+    if path.suffix.lower() == ".mcap":
+        return _recording(path)
     from gelform.calibration.presses.folder import TAXIM, VIDEO, kind_of_presses
 
     layout = kind_of_presses(path)
@@ -202,10 +203,6 @@ def _file(path: Path) -> dict[str, Any]:
         return _video(path)
     if layout == TAXIM:
         return _presses(path, layout)
-    if path.suffix.lower() == ".mcap":
-        from gelform.sensors.recordings.mcap_reader import mcap_summary
-
-        return _recording(mcap_summary(path))
     if path.suffix == ".npz":
         from gelform.foundations.files import way_for
 
@@ -222,19 +219,20 @@ def _file(path: Path) -> dict[str, Any]:
     return {"kind": "image", "size_px": list(image.shape[:2]), "mean_rgb": levels}
 
 
-def _recording(summary: RecordingSummary) -> dict[str, Any]:
+def _recording(path: Path) -> dict[str, Any]:
     """The facts of a recording; its frames are counted, but not decoded."""
-    from gelform.sensors.recordings.mcap_reader import CUT
+    from gelform.sensors.recordings.mcap_reader import CUT, Recording, end_missing
 
-    facts = summary.facts
+    recording = Recording(path)
+    facts, times_s = recording.camera, recording.times_s
     cut = f"no: its recorder was killed, or it was copied in part. {CUT}"
     return {
         "kind": "recording",
         "camera": facts.name,
         "serial": facts.serial,
-        "frames": summary.frames,
-        "duration_s": summary.duration_s,
-        "finished": "yes" if summary.finished else cut,
+        "frames": len(times_s),
+        "duration_s": times_s[-1] if times_s else 0.0,
+        "finished": cut if end_missing(path) else "yes",
         "settings": dict(facts.settings),
         "calibration": facts.calibration_digest,
         "gelform": facts.library_version,
@@ -286,7 +284,7 @@ def _roughness(result: Reconstruction) -> dict[str, Any] | None:
 
 def _video(path: Path) -> dict[str, Any]:
     """The facts that the file states; calibration finds the presses."""
-    from gelform.sensors.files import Video
+    from gelform.sensors.films import Video
 
     video = Video(path)
     facts = video.facts

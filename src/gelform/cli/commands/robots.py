@@ -231,16 +231,9 @@ def _frames_of(source: str, running: Stream) -> Iterator[StreamFrame]:
 
 def frames_stated(source: str) -> int:
     """The number of frames that a video, a folder or a file of several images has; 0 for other sources."""
-    from gelform.sensors.files import USUAL_RATE_HZ, Video, is_stack, is_video
-    from gelform.sensors.playback import images_by_number
-    from gelform.sensors.recordings.mcap_reader import is_bag_folder
+    from gelform.sensors.films import is_film, open_film
 
-    path = Path(source)
-    if path.is_file() and is_video(path):
-        return Video(path).facts.count
-    if is_stack(path) or (path.is_dir() and not is_bag_folder(path)):
-        return images_by_number(path, USUAL_RATE_HZ)[1]
-    return 0
+    return open_film(Path(source)).count if is_film(source) else 0
 
 
 def _write_poses(poses: list[Tracked], path: Path, overwrite: bool) -> None:

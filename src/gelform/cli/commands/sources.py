@@ -21,7 +21,7 @@ from gelform.errors import CalibrationError, DataError, GelformError
 if TYPE_CHECKING:
     from gelform.sensors.cameras import Camera
     from gelform.sensors.grabber import Grabber, GrabberStats
-    from gelform.sensors.recordings.record import RecordStats
+    from gelform.sensors.record import RecordStats
 
 
 MEASURED_S, FIRST_S = 1.0, 3.0  # s: time in which frames are counted; longest wait for the first frame
@@ -245,7 +245,7 @@ def _recorded(
 ) -> tuple[RecordStats, GrabberStats]:
     """The figures of a recording until its end or Ctrl-C, and those of the source."""
     from gelform.sensors.grabber import Grabber
-    from gelform.sensors.recordings.record import KEPT_FRAMES, RecordStats, new_recording, record_frames
+    from gelform.sensors.record import KEPT_FRAMES, RecordStats, new_recording, record_frames
 
     stats = RecordStats(0, 0, 0, 0.0)
     with Grabber(opened, keep=KEPT_FRAMES) as grabber, shown.progress() as progress:

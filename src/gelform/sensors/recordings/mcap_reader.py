@@ -4,23 +4,19 @@ from __future__ import annotations
 
 import os
 import struct
-from collections.abc import Iterator
+from collections import OrderedDict
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import chain
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, NamedTuple
 
 from gelform.errors import DataError, needed, said
 from gelform.foundations.files import conversion_of_bag
 from gelform.image.frame import Frame
-from gelform.sensors.playback import (
-    Playback,
-    RecordingFacts,
-    RecordingSummary,
-    image_from_encoded,
-    reduction_in,
-)
+from gelform.sensors.playback import Film, RecordingFacts, image_from_encoded, reduction_in
 from gelform.sensors.recordings.mcap_writer import (
     COLOR_ENCODINGS,
     MESSAGE_ENCODING,
@@ -64,10 +60,12 @@ def refuse_bag(path: Path) -> None:
 
 
 def mcap_file_in(path: Path) -> Path:
-    """The only MCAP file of a rosbag2 folder.
+    """A file unchanged, or the only MCAP file of a rosbag2 folder.
 
     DataError: its files are of sqlite3, compressed as a whole, several or missing; the message says what to do.
     """
+    if not path.is_dir():
+        return path
     files = sorted(file for file in path.iterdir() if file.is_file() and file.name != METADATA_FILE)
     whole = [file for file in files if file.suffix == ".mcap"]
     if len(whole) == 1:
@@ -304,60 +302,84 @@ def _refusal(path: Path, found: _Found, topics: list[str]) -> str:
     )
 
 
-def mcap_playback(path: Path, *, paced: bool = False) -> Playback:
-    """The frames of an MCAP file, with `time_s` counted from the first.
+class MessagePlace(NamedTuple):
+    """Place of a message: its time, the file offset of its record (a chunk, or itself), its number within the record."""
 
-    If the recorder was killed, the file is read up to its last complete chunk. Frames of other tools' files are numbered in
-    their order, because the numbers in their messages are unreliable.
+    log_time: int
+    offset: int
+    nth: int
+
+
+class Recording(Film):
+    """The frames of an MCAP file, or of the one in a rosbag2 folder, in its order or by number.
+
+    If the recorder was killed, it has the frames up to the last complete chunk. Frames of other tools' files are numbered in
+    their order, because the numbers in their messages are unreliable. For any frame the file is scanned once; 32 bytes per
+    frame and the two last used chunks stay in memory.
 
     DataError: the file is missing, no MCAP file, has no readable topic of pictures (or several, none of them gelform's), or
     the extra `mcap` is not installed; in a loop: its bytes are damaged.
     """
-    facts, topic = picture_topic_of(path)
-    return Playback(lambda: _frames(path, topic, facts), facts, paced=paced)
 
+    def __init__(self, path: Path) -> None:
+        self._file = mcap_file_in(path)
+        camera, self._topic = picture_topic_of(self._file)
+        super().__init__(path, camera)
+        self._channels: set[int] = set()
+        self._chunks: OrderedDict[int, list[Any]] = OrderedDict()
 
-def mcap_summary(path: Path) -> RecordingSummary:
-    """Read a whole recording without decoding its pictures."""
-    facts, topic = picture_topic_of(path)
-    stamps, finished = [], False
-    for record in mcap_records(path):
-        finished = type(record).__name__ == "Footer"
-        if _is_message_of(record, topic):
-            stamps.append(record.message.log_time)
-    return RecordingSummary(
-        facts, len(stamps), (max(stamps) - min(stamps)) / 1e9 if stamps else 0.0, finished
-    )
+    def _read(self) -> Iterator[Frame]:
+        first_ns: int | None = None
+        placed = (one for one in mcap_records(self._file) if isinstance(one, PlacedMessage))
+        for number, one in enumerate(one.message for one in placed if one.topic == self._topic.name):
+            first_ns = one.log_time if first_ns is None else first_ns
+            yield self._frame_of(one, (one.log_time - first_ns) / 1e9, number)
 
+    @cached_property
+    def times_s(self) -> Sequence[float]:
+        """Time of each frame, counted from the first."""
+        self._places = sorted(
+            MessagePlace(message.log_time, offset, nth)
+            for offset, inside in records_from(self._file)
+            for nth, message in enumerate(self._wanted(inside))
+        )
+        return tuple((place.log_time - self._places[0].log_time) / 1e9 for place in self._places)
 
-def _frames(path: Path, topic: PictureTopic, facts: RecordingFacts) -> Iterator[Frame]:
-    first_ns: int | None = None
-    reduction, count = reduction_in(facts.settings), 0
-    for record in mcap_records(path):
-        if not _is_message_of(record, topic):
-            continue
-        message = record.message
-        first_ns = message.log_time if first_ns is None else first_ns
-        index = message.sequence if topic.numbered else count
-        time_s = (message.log_time - first_ns) / 1e9
-        yield frame_from_message(message.data, topic, reduction, time_s, index, f"Frame {index} of {path}")
-        count += 1
+    def _frame(self, number: int) -> Frame:
+        time_s, place = self.times_s[number], self._places[number]
+        messages = self._messages_at(place.offset)
+        if place.nth >= len(messages) or messages[place.nth].log_time != place.log_time:
+            raise DataError(f"{self._file} was changed while it was open. Open it again.")
+        return self._frame_of(messages[place.nth], time_s, number)
 
+    def _frame_of(self, message: Any, time_s: float, number: int) -> Frame:
+        """The frame of a message with a picture; DataError if it is damaged."""
+        index = message.sequence if self._topic.numbered else number
+        where = f"Frame {index} of {self._file}"
+        try:
+            if self._topic.raw:
+                raw = raw_image_from_message(message.data)
+                return Frame(pixels_from_raw(raw), time_s, raw.wall_time_ns, index)
+            content, wall_time_ns = picture_from_message(message.data)
+        except ValueError as problem:
+            raise DataError(f"{where} is damaged: {problem}") from problem
+        encoded = content if content.startswith(b"\xff\xd8") else None
+        image = image_from_encoded(content, reduction_in(self.camera.settings), where)
+        return Frame(image, time_s, wall_time_ns, index, encoded)
 
-def frame_from_message(
-    data: bytes, topic: PictureTopic, reduction: int, time_s: float, index: int, where: str
-) -> Frame:
-    """The frame of a message with a picture; DataError, naming `where`, if it is damaged."""
-    try:
-        if topic.raw:
-            raw = raw_image_from_message(data)
-            return Frame(pixels_from_raw(raw), time_s, raw.wall_time_ns, index)
-        content, wall_time_ns = picture_from_message(data)
-    except ValueError as problem:
-        raise DataError(f"{where} is damaged: {problem}") from problem
-    encoded = content if content.startswith(b"\xff\xd8") else None
-    return Frame(image_from_encoded(content, reduction, where), time_s, wall_time_ns, index, encoded)
+    def _messages_at(self, offset: int) -> list[Any]:
+        if offset not in self._chunks:
+            self._chunks[offset] = list(self._wanted(next(records_from(self._file, offset))[1]))
+            while len(self._chunks) > 2:
+                self._chunks.popitem(last=False)
+        self._chunks.move_to_end(offset)
+        return self._chunks[offset]
 
-
-def _is_message_of(record: Any, topic: PictureTopic) -> bool:
-    return isinstance(record, PlacedMessage) and record.topic == topic.name
+    def _wanted(self, inside: list[Any]) -> Iterator[Any]:
+        """The topic's messages among records; also notes the numbers of its channels."""
+        for one in inside:
+            kind = type(one).__name__
+            if kind == "Channel" and one.topic == self._topic.name:
+                self._channels.add(one.id)
+            elif kind == "Message" and one.channel_id in self._channels:
+                yield one

@@ -9,11 +9,11 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from os import PathLike
 from statistics import median
-from threading import Condition, Event, Lock, Thread
+from threading import Event, Lock, Thread
 from typing import Any, Generic, Protocol, TypeVar
 
 from gelform.image.frame import Frame
-from gelform.sensors.grabber import Grabber
+from gelform.sensors.grabber import Grabber, Newest, rate_hz_of
 from gelform.sensors.source import Source, checked_frame, open_source
 from gelform.sensors.streams.memory import Timed, Work
 
@@ -229,9 +229,7 @@ class Meter:
     def stats(self, state: str, reason: str, skipped: int = 0, *, live: bool = False) -> StreamStats:
         """The figures so far; `skipped` is the feed's, `live` says whether it is a sensor's."""
         with self._lock:
-            span = self._given[-1] - self._given[0] if len(self._given) > 1 else 0.0
-            if span > 0 and live and time.monotonic() - self._given[-1] > STALE_S:
-                span = 0.0
+            stale = live and bool(self._given) and time.monotonic() - self._given[-1] > STALE_S
             captured = self._last_captured
             return StreamStats(
                 state=state,
@@ -239,84 +237,11 @@ class Meter:
                 results=self._results,
                 drops=self._drops,
                 skipped=skipped,
-                rate_hz=(len(self._given) - 1) / span if span > 0 else 0.0,
+                rate_hz=0.0 if stale else rate_hz_of(self._given),
                 age_s=float("inf") if captured is None else time.monotonic() - captured,
                 latency_ms=1e3 * median(self._latencies) if self._latencies else float("nan"),
                 stage_ms={name: 1e3 * median(times) for name, times in self._stages.items()},
             )
-
-
-class HandOver(Generic[Value]):
-    """Keeps the newest value for any number of readers; each reader remembers the last number that it read.
-
-    Parameters
-    ----------
-    every : True: a value stays until someone has read it. For recordings, of which no frame may be lost
-
-    Attributes
-    ----------
-    ended : whether no more values will come
-    error : the error that ended it, or None
-    """
-
-    def __init__(self, *, every: bool = False) -> None:
-        self.ended = False
-        self.error: BaseException | None = None
-        self._every = every
-        self._changed = Condition()
-        self._value: Value | None = None
-        self._number = self._expected = -1
-        self._read = True
-
-    def expect(self, number: int) -> None:
-        """Announce that the value of this number is being made: readers wait for it instead of taking an older one."""
-        with self._changed:
-            self._expected = number
-
-    def put(self, number: int, value: Value) -> None:
-        """Make this the newest value; numbers grow from 0."""
-        with self._changed:
-            if self._every:
-                self._changed.wait_for(lambda: self._read or self.ended)
-            self._number, self._value, self._read = number, value, False
-            self._changed.notify_all()
-
-    def newest(self, after: int = -1, timeout_s: float | None = None) -> Value | None:
-        """The newest value with a number above `after`; None at the end or after the timeout.
-
-        If a newer value was being made at the time of the call, this waits for it, because a stored value ages. The
-        stored one is returned only if the timeout passes first.
-
-        BaseException: the error that ended the writing thread, once the reader has had every value.
-        """
-        found = self._numbered(after, timeout_s)
-        return None if found is None else found[1]
-
-    def __iter__(self) -> Iterator[Value]:
-        """Values until the end; of several that arrived during the loop's body, only the newest."""
-        number = -1
-        while (found := self._numbered(number, None)) is not None:
-            number, value = found
-            yield value
-
-    def _numbered(self, after: int, timeout_s: float | None) -> tuple[int, Value] | None:
-        with self._changed:
-            least = max(after + 1, self._expected)
-            self._changed.wait_for(lambda: self._number >= least or self.ended, timeout_s)
-            if self._value is not None and self._number > after:
-                self._read = True
-                self._changed.notify_all()
-                return self._number, self._value
-            if self.error is not None:
-                raise self.error
-            return None
-
-    def end(self, error: BaseException | None = None) -> None:
-        """End the values, with `error` if one caused it. Wakes all readers; only the first end counts."""
-        with self._changed:
-            if not self.ended:
-                self.ended, self.error = True, error
-            self._changed.notify_all()
 
 
 class RunningSequence(Protocol[Value]):
@@ -350,10 +275,10 @@ class Pipeline(Generic[Value]):
         self.feed = feed
         self.sequence = sequence
         self.meter = Meter()
-        self.results: HandOver[Value] = HandOver(every=feed.every)
+        self.results: Newest[Value] = Newest(every=feed.every)
         self.recent: deque[Value] = deque(maxlen=keep)
-        self._to_learn: HandOver[Value] = HandOver()
-        self._checks: HandOver[Work] = HandOver()
+        self._to_learn: Newest[Value] = Newest()
+        self._checks: Newest[Work] = Newest()
         self._checks_asked = 0
         self._stop = Event()
         stages = {"reconstruct": self._reconstruct}

@@ -10,16 +10,15 @@ import pytest
 
 import gelform
 from gelform.batch import BatchSettings, run_batch
-from gelform.batch.inputs.containers import (
+from gelform.batch.containers import (
     blocks,
-    hdf5_sequences,
-    hdf5_values,
+    container_values,
+    films_in_container,
     is_frames,
     matching,
     natural,
-    zarr_sequences,
 )
-from gelform.batch.inputs.listing import listing_of
+from gelform.batch.inputs import listing_of
 from gelform.errors import DataError
 
 IMAGE = np.random.default_rng(0).integers(0, 256, (6, 8, 3), dtype=np.uint8)
@@ -84,7 +83,7 @@ def demos(h5py, tmp_path, images):
 
 
 def test_demonstrations_are_sequences_and_give_the_same_depth_as_by_hand(demos, cal, images, tmp_path):
-    found = hdf5_sequences(demos, "demos.hdf5", "data/*/obs/gelsight")
+    found = films_in_container(demos, "demos.hdf5", "data/*/obs/gelsight")
     assert [one.name for one in found] == [f"demos.hdf5/data/demo_{k}/obs/gelsight" for k in (0, 2, 10)]
     assert [one.count for one in found] == [3, 3, 4]
     settings = BatchSettings(part_frames=3)
@@ -156,7 +155,7 @@ def test_hdf5_that_cannot_be_is_said(demos, tmp_path):
     with pytest.raises(DataError, match="say with --dataset which dataset"):
         listing_of(tmp_path)
     with pytest.raises(DataError, match="got none"):
-        next(hdf5_values(demos, "data/demo_1/obs/gelsight", 0, 1))
+        next(container_values(demos, "data/demo_1/obs/gelsight", 0, 1))
     demos.write_bytes(demos.read_bytes()[:900])
     with pytest.raises(DataError, match="It is damaged, cut off"):
         listing_of(demos, dataset="data/*/obs/gelsight")
@@ -219,7 +218,7 @@ def replay(zarr, tmp_path, images, request):
 def test_episodes_of_zarr_are_sequences_and_give_the_same_depth_as_by_hand(
     replay, zarr, cal, images, tmp_path
 ):
-    found = zarr_sequences(replay, "replay.zarr", "data/gel")
+    found = films_in_container(replay, "replay.zarr", "data/gel")
     assert [(one.name, one.offset, one.count) for one in found] == [
         ("replay.zarr/data/gel/000000", 0, 3),
         ("replay.zarr/data/gel/000001", 3, 2),

@@ -8,12 +8,15 @@ import pytest
 
 import gelform
 from gelform.batch import run_batch
-from gelform.batch.inputs.containers import Sequence
-from gelform.batch.inputs.listing import Listing, listing_of, plan_of, shard_of
-from gelform.batch.inputs.reading import (
+from gelform.batch.containers import FilmRef
+from gelform.batch.inputs import (
+    Listing,
     background_of_sequence,
     backgrounds_of,
     frames_of_part,
+    listing_of,
+    plan_of,
+    shard_of,
 )
 from gelform.batch.manifest import read_manifest
 from gelform.errors import DataError
@@ -68,24 +71,26 @@ def test_nothing_to_do_is_said(tmp_path):
 
 
 IMAGES = tuple(f"{k}.png" for k in range(10))
-LISTING = Listing(Path(), (Sequence("a", Path("a"), IMAGES), Sequence("b.mp4", Path("b.mp4"))))
+LISTING = Listing(
+    Path(), (FilmRef("a", Path("a"), IMAGES, count=len(IMAGES)), FilmRef("b.mp4", Path("b.mp4")))
+)
 
 
 @pytest.mark.parametrize("name", ["../up", "demos.h5/data/../../up", "/etc/up", ".."])
 def test_no_name_leads_out_of_the_output(name):
     with pytest.raises(DataError, match="leads out of any folder"):
-        Sequence(name, Path("demos.h5"), dataset="data")
+        FilmRef(name, Path("demos.h5"), dataset="data")
 
 
 def test_every_image_is_in_one_part_under_a_name_of_its_own():
     for part_frames in [1, 3, 5, 10, 256]:
         parts = plan_of(LISTING, part_frames)
-        assert tuple(chain.from_iterable(part.images for part in parts)) == IMAGES
+        assert tuple(chain.from_iterable(part.film.images for part in parts)) == IMAGES
         assert [part.number for part in parts] == list(range(len(parts)))
-        assert [IMAGES[part.start] for part in parts[:-1]] == [part.images[0] for part in parts[:-1]]
-        assert (parts[-1].sequence, parts[-1].images) == ("b.mp4", ())
+        assert [IMAGES[part.start] for part in parts[:-1]] == [part.film.images[0] for part in parts[:-1]]
+        assert (parts[-1].film.name, parts[-1].film.images) == ("b.mp4", ())
     images = ("a.jpg", "a.png", "b.png")
-    parts = plan_of(Listing(Path(), (Sequence("", Path(), images),)), 1)
+    parts = plan_of(Listing(Path(), (FilmRef("", Path(), images, count=3),)), 1)
     assert [part.names for part in parts] == [("a.jpg",), ("a.png",), ("b",)]
 
 
@@ -118,22 +123,22 @@ def parts_of(source, part_frames=256, background_frames=0):
 
 
 def test_images_in_their_order(tree, images):
-    found = [one for part in parts_of(tree, 3)[:2] for one in frames_of_part(part)]
-    assert [one.name for one in found] == ["frame1", "frame2", "frame10", "frame11"]
-    assert [one.index for one in found] == [0, 1, 2, 3]
-    for one, image in zip(found, images):
-        np.testing.assert_array_equal(one.frame.image, image)
+    found = [(part, *one) for part in parts_of(tree, 3)[:2] for one in frames_of_part(part)]
+    assert [part.name_of(index) for part, index, _ in found] == ["frame1", "frame2", "frame10", "frame11"]
+    assert [index for _, index, _ in found] == [0, 1, 2, 3]
+    for (_, _, frame), image in zip(found, images):
+        np.testing.assert_array_equal(frame.image, image)
 
 
 def test_a_video_and_a_damaged_one_which_is_one_frame_with_its_error(film, images):
-    found = list(frames_of_part(parts_of(film)[0]))
-    assert [one.name for one in found] == ["000000", "000001", "000002", "000003"]
-    assert np.abs(found[2].frame.image.astype(int) - images[2]).max() <= 1
-    assert found[2].frame.time_s == pytest.approx(0.08)
+    (part,) = parts_of(film)
+    found = list(frames_of_part(part))
+    assert [part.name_of(index) for index, _ in found] == ["000000", "000001", "000002", "000003"]
+    assert np.abs(found[2][1].image.astype(int) - images[2]).max() <= 1
+    assert found[2][1].time_s == pytest.approx(0.08)
     film.write_bytes(film.read_bytes()[:40])
-    (only,) = frames_of_part(parts_of(film)[0])
-    assert only.frame is None
-    assert "press.avi" in only.error
+    ((_, error),) = frames_of_part(parts_of(film)[0])
+    assert "press.avi" in str(error)
 
 
 def test_a_recording_with_its_times(tmp_path, images):
@@ -142,8 +147,8 @@ def test_a_recording_with_its_times(tmp_path, images):
         recording.write(Frame(image, 5 + 0.1 * index, 1000 + index, 7 + index))
     recording.close()
     found = list(frames_of_part(parts_of(tmp_path / "a.mcap")[0]))
-    assert [one.frame.wall_time_ns for one in found] == [1000, 1001, 1002, 1003]
-    assert found[3].frame.time_s == pytest.approx(0.3)
+    assert [frame.wall_time_ns for _, frame in found] == [1000, 1001, 1002, 1003]
+    assert found[3][1].time_s == pytest.approx(0.3)
 
 
 def test_the_background_is_the_average_of_the_first_frames(tmp_path, cal):

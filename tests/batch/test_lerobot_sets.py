@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from gelform.batch import run_batch
-from gelform.batch.inputs.containers import (
+from gelform.batch.containers import (
     compression_of,
+    films_in_lerobot_set,
     is_lerobot_set,
     lerobot_info,
-    lerobot_sequences,
     stored_images,
     video_frames,
 )
-from gelform.batch.inputs.listing import listing_of
+from gelform.batch.inputs import listing_of
 from gelform.errors import DataError
 from gelform.sensors.pictures import image_from_values
 
@@ -32,7 +32,7 @@ def changed(root, **more):
 def test_episodes_are_sequences_of_a_video_and_of_tables(lerobot):
     root, _ = lerobot
     assert is_lerobot_set(root)
-    found = [(one.name, one.offset, one.count) for one in lerobot_sequences(root, KEY)]
+    found = [(one.name, one.offset, one.count) for one in films_in_lerobot_set(root, KEY)]
     assert found == [(f"{KEY}/episode_{k:06d}", *place) for k, place in enumerate(((0, 3), (3, 4), (7, 2)))]
     listed = listing_of(root, dataset=STORED)
     found = [(one.path.name, one.offset, one.count) for one in listed.sequences]
@@ -73,7 +73,7 @@ def test_a_pattern_names_files_below_the_set_alone(lerobot, pattern):
     changed(root, video_path=pattern, data_path=pattern)
     for key in (KEY, STORED):
         with pytest.raises(DataError, match="to name files below the data set"):
-            lerobot_sequences(root, key)
+            films_in_lerobot_set(root, key)
 
 
 def test_a_video_that_is_cut_off_ends_with_a_reason(lerobot, cal, tmp_path, encode):

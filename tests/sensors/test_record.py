@@ -19,6 +19,7 @@ import pytest
 import gelform
 from gelform.errors import CalibrationError, DataError
 from gelform.image.frame import Frame
+from gelform.sensors.films import open_film
 from gelform.sensors.grabber import Grabber
 from gelform.sensors.playback import (
     Playback,
@@ -27,24 +28,24 @@ from gelform.sensors.playback import (
     image_from_encoded,
     reduction_in,
 )
-from gelform.sensors.recordings import attached_background, attached_calibration
-from gelform.sensors.recordings.mcap_reader import mcap_summary
+from gelform.sensors.record import (
+    KEPT_FRAMES,
+    Recorder,
+    attached_background,
+    attached_calibration,
+    attached_to,
+    attachments_of,
+    new_recording,
+    record_frames,
+    share,
+)
+from gelform.sensors.recordings.mcap_reader import end_missing
 from gelform.sensors.recordings.mcap_writer import (
     McapRecording,
     message_from_picture,
     picture_from_message,
     pixels_from_raw,
     raw_image_from_message,
-)
-from gelform.sensors.recordings.player import indexed
-from gelform.sensors.recordings.record import (
-    KEPT_FRAMES,
-    Recorder,
-    attached_to,
-    attachments_of,
-    new_recording,
-    record_frames,
-    share,
 )
 from gelform.sensors.source import open_source
 from live_waiting import until
@@ -72,9 +73,9 @@ def test_frames_are_played_as_they_were_recorded(tmp_path):
             assert after.image.shape == ((24, 32, 3) if encoded else before.image.shape)
             if not encoded:
                 np.testing.assert_array_equal(after.image, before.image)
-        summary = mcap_summary(path)
-        assert (summary.frames, summary.finished, summary.facts) == (6, True, facts)
-        assert summary.duration_s == pytest.approx(6 / 50)
+        film = open_film(path)
+        assert (len(film.times_s), end_missing(path), film.camera) == (6, "", facts)
+        assert film.times_s[-1] == pytest.approx(6 / 50)
         with pytest.raises(DataError, match="there already"):
             recorded(path, given, facts)
 
@@ -105,7 +106,7 @@ def test_what_is_no_attachment_or_of_no_size_is_refused(tmp_path, monkeypatch):
     (tmp_path / "background.png").write_bytes(b"x")
     assert attached_to(tmp_path) == {}
     path = written(tmp_path / "a.mcap", {"calibration.npz": bytes(2000)})
-    monkeypatch.setattr("gelform.sensors.recordings.record.MAX_ATTACHMENT_BYTES", 1000)
+    monkeypatch.setattr("gelform.sensors.record.MAX_ATTACHMENT_BYTES", 1000)
     with pytest.raises(DataError, match="at most"):
         attached_to(path)
 
@@ -160,7 +161,7 @@ def test_a_recording_that_is_read_slowly_is_not_cut_by_our_clock(tmp_path):
             written.set()
         return True
 
-    with Grabber(lambda: Playback(frames, RecordingFacts("x", rate_hz=100.0)), keep=KEPT_FRAMES) as grabber:
+    with Grabber(lambda: Playback(frames(), RecordingFacts("x", rate_hz=100.0)), keep=KEPT_FRAMES) as grabber:
         recording = new_recording(tmp_path / "r.mcap", grabber)
         stats = record_frames(grabber, recording, seconds=0.045, going_on=going_on)
     assert stats.frames == 5
@@ -176,29 +177,29 @@ def test_the_name_is_that_of_an_mcap_file(tmp_path):
 
 @pytest.mark.parametrize("form", ["mcap", "images", "video"])
 def test_the_file_holds_frames_times_and_calibration(form, forms, frames, calibration, tmp_path):
-    recording = indexed(forms[form])
+    recording = open_film(forms[form])
     background = np.rint(calibration.background)
     path = share(recording, tmp_path, calibration=calibration, background=background)
-    again = indexed(path)
+    again = open_film(path)
     np.testing.assert_allclose(again.times_s, recording.times_s, atol=1e-6)
-    np.testing.assert_array_equal(again.frame(4).image, frames[4].image)
+    np.testing.assert_array_equal(again[4].image, frames[4].image)
     assert attached_calibration(path).digest == calibration.digest
     np.testing.assert_array_equal(attached_background(path), background)
-    here = gelform.Reconstructor(calibration, background=background)(recording.frame(4))
+    here = gelform.Reconstructor(calibration, background=background)(recording[4])
     there = gelform.Reconstructor(attached_calibration(path), background=attached_background(path))
-    np.testing.assert_array_equal(there(again.frame(4)).depth_mm, here.depth_mm)
+    np.testing.assert_array_equal(there(again[4]).depth_mm, here.depth_mm)
 
 
 def test_progress_is_told_and_nothing_is_left_of_a_share_that_failed(forms, tmp_path, monkeypatch):
-    monkeypatch.setattr("gelform.sensors.recordings.record.named_by_time", lambda _: "a")
+    monkeypatch.setattr("gelform.sensors.record.named_by_time", lambda _: "a")
     said = []
-    recording = indexed(forms["mcap"])
+    recording = open_film(forms["mcap"])
     path = share(recording, tmp_path, calibration=None, progress=lambda *what: said.append(what[:2]))
     assert said[-1] == (6, 7)
     again = share(recording, tmp_path, calibration=None)  # in the same second
-    assert (again.name, len(indexed(again))) == ("a-2.mcap", 7)
+    assert (again.name, len(open_film(again).times_s)) == ("a-2.mcap", 7)
     assert attached_calibration(path) is None
-    monkeypatch.setattr("gelform.sensors.recordings.record.named_by_time", lambda _: "b")
+    monkeypatch.setattr("gelform.sensors.record.named_by_time", lambda _: "b")
 
     def stop(done, *_):
         if done == 3:
@@ -233,8 +234,8 @@ def test_it_ends_when_it_is_large_enough_or_no_longer_wanted(frames, calibration
 
 def test_two_sensors_in_one_second_are_both_kept(forms, frames, calibration, tmp_path, monkeypatch):
     """Recorded and shared at the same time, by two stations' threads."""
-    monkeypatch.setattr("gelform.sensors.recordings.record.named_by_time", lambda kind: kind)
-    images, recording = [frame.image for frame in frames], indexed(forms["mcap"])
+    monkeypatch.setattr("gelform.sensors.record.named_by_time", lambda kind: kind)
+    images, recording = [frame.image for frame in frames], open_film(forms["mcap"])
     with Grabber(lambda: ImageSource(images), keep=KEPT_FRAMES) as grabber:
         recorders = [Recorder(grabber, tmp_path, calibration=calibration, max_bytes=1) for _ in range(2)]
         for one in recorders:
@@ -245,8 +246,8 @@ def test_two_sensors_in_one_second_are_both_kept(forms, frames, calibration, tmp
         for one in recorders:
             one.close()
     assert len({*shared, *(one.path for one in recorders)}) == 6
-    assert [len(indexed(path)) for path in shared] == [7] * 4
-    assert all(len(indexed(one.path)) >= 1 for one in recorders)
+    assert [len(open_film(path).times_s) for path in shared] == [7] * 4
+    assert all(len(open_film(one.path).times_s) >= 1 for one in recorders)
 
 
 def test_facts_of_the_first_format_are_read_for_ever_and_damaged_ones_say_so():

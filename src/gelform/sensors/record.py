@@ -24,10 +24,16 @@ from gelform.foundations.findings import Progress, no_progress
 from gelform.foundations.pictures import picture_bytes
 from gelform.image.frame import Frame
 from gelform.sensors.grabber import Grabber
-from gelform.sensors.playback import ATTACHABLE, BACKGROUND, CALIBRATION, RecordingFacts, image_from_encoded
+from gelform.sensors.playback import (
+    ATTACHABLE,
+    BACKGROUND,
+    CALIBRATION,
+    Film,
+    RecordingFacts,
+    image_from_encoded,
+)
 from gelform.sensors.recordings.mcap_reader import PlacedMessage, is_bag_folder, mcap_file_in, mcap_records
 from gelform.sensors.recordings.mcap_writer import McapRecording
-from gelform.sensors.recordings.player import Indexed
 
 MAX_ATTACHMENT_BYTES = 64 * 2**20
 KEPT_FRAMES = 32  # held by the grabber for `record_frames`: bridges half a second in which the disk stalls
@@ -62,7 +68,7 @@ def attached_to(path: Path) -> dict[str, bytes]:
     """
     if path.suffix.lower() != ".mcap" and not is_bag_folder(path):
         return {}
-    found = _in_mcap(mcap_file_in(path) if path.is_dir() else path)
+    found = _in_mcap(mcap_file_in(path))
     for name, content in found.items():
         if len(content) > MAX_ATTACHMENT_BYTES:
             raise DataError(
@@ -293,7 +299,7 @@ class Recorder:
 
 
 def share(
-    recording: Indexed,
+    recording: Film,
     folder: Path,
     *,
     calibration: Calibration | None,
@@ -316,7 +322,7 @@ def share(
     DataError
         The file cannot be written, a frame is damaged, or the extra `mcap` is missing.
     """
-    facts = replace(recording.facts, calibration_digest=_digest_of(calibration), library_version=__version__)
+    facts = replace(recording.camera, calibration_digest=_digest_of(calibration), library_version=__version__)
     path = new_file(folder, "shared")
     check_free(path, overwrite=False)
     now_ns, attached = time.time_ns(), attachments_of(calibration, background)
@@ -324,8 +330,8 @@ def share(
     try:
         with closing(McapRecording(unfinished, facts, attached)) as out:
             for number, time_s in enumerate(recording.times_s):
-                progress(number, len(recording), "one file to share")
-                frame = recording.frame(number)
+                progress(number, len(recording.times_s), "one file to share")
+                frame = recording[number]
                 stamp = frame.wall_time_ns or now_ns + round(1e9 * time_s)
                 out.write(Frame(frame.image, time_s, stamp, number, frame.encoded))
         os.replace(unfinished, path)

@@ -6,10 +6,11 @@ import json
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,16 +34,18 @@ Shapes = Mapping[str, tuple[tuple[int, ...], str]]  # path inside -> (shape, dty
 
 
 @dataclass(frozen=True)
-class Sequence:
-    """Frames that belong together: the images of one folder, a video, a recording, or an episode in a larger file.
+class FilmRef:
+    """A film that is not open: the images of one folder, a video, a recording, or an episode in a larger file.
 
     Attributes
     ----------
     name : its path below the input, with /; empty for the input's own folder
     path : the folder of its images, the video, the recording, or the HDF5 file, Zarr store or LeRobot video
-    images : names of the images in natural order; otherwise empty. The frames of a video are not counted yet
+    images : names of the images in natural order; otherwise empty
     dataset : path inside the file or store; for LeRobot the camera; empty for images, videos and recordings
-    offset, count : range of frames in the dataset; count is 0 if the file is unreadable, and reading it gives the error
+    offset : its first frame in the dataset
+    count : number of frames; 0 for a video or a recording, which are not counted yet, and for an unreadable file, whose
+        reading gives the error
     rate_hz : frames per second of LeRobot's episodes; otherwise 0
     """
 
@@ -55,7 +58,7 @@ class Sequence:
     rate_hz: int = 0
 
     def __post_init__(self) -> None:
-        if self.count > MAX_FRAMES:
+        if self.dataset and self.count > MAX_FRAMES:
             raise DataError(
                 f"{self.path} states {self.count} frames of {self.name}; at most {MAX_FRAMES:g} are read."
             )
@@ -64,6 +67,11 @@ class Sequence:
             raise DataError(
                 f"{self.path} names frames {self.name}, which leads out of any folder. Do not trust this file."
             )
+
+    @property
+    def is_timed(self) -> bool:
+        """Whether its frames have the times of their recording."""
+        return self.rate_hz > 0 or not (self.images or self.dataset)
 
 
 def leads_out(name: str) -> bool:
@@ -144,34 +152,57 @@ def _shape(shape: Iterable[int]) -> str:
     return "x".join(map(str, shape))
 
 
-def hdf5_sequences(path: Path, name: str, wanted: str) -> list[Sequence]:
-    """A sequence for each matching dataset of the file, in natural order; DataError if there is none."""
-    there: dict[str, tuple[tuple[int, ...], str]] = {}
-    with _opened_hdf5(path) as file:
-
-        def look(inside: str, one: Any) -> None:
-            if hasattr(one, "shape") and is_frames(one.shape, one.dtype):
-                there[inside] = (one.shape, str(one.dtype))
-
-        file.visititems(look)
-        found = sorted(matching(path, there, wanted), key=natural)
-        for one in found:
-            if not file[one].is_virtual:  # whose frames are in other files
-                _check_stored(path, file[one], file[one].id.get_storage_size())
-    return [Sequence(f"{name}/{one}", path, dataset=one, count=there[one][0][0]) for one in found]
+def is_zarr(path: Path) -> bool:
+    """Whether a path is a Zarr store: a folder with its metadata, or one in a zip."""
+    return path.name.endswith(ZIPPED) or any((path / name).is_file() for name in NODES)
 
 
-def hdf5_values(path: Path, dataset: str, start: int, count: int) -> Iterator[NDArray[Any] | DataError]:
+def is_container(path: Path) -> bool:
+    """Whether a path is an HDF5 file or a Zarr store, which hold frames under a path inside."""
+    return path.suffix.lower() in HDF5_SUFFIXES or is_zarr(path)
+
+
+def films_in_container(path: Path, name: str, wanted: str) -> list[FilmRef]:
+    """The film of each matching dataset, or of each episode of a Zarr store's, in natural order.
+
+    DataError: no dataset matches, one states frames that it does not hold, or the episodes do not fit.
+    """
+    films: list[FilmRef] = []
+    with _opened(path) as group:
+        arrays = _arrays(group)
+        there = {one: (a.shape, str(a.dtype)) for one, a in arrays.items() if is_frames(a.shape, a.dtype)}
+        for one in sorted(matching(path, there, wanted), key=natural):
+            _check_stored(path, arrays[one])
+            length = there[one][0][0]
+            if not is_zarr(path) or ENDS not in arrays:
+                films.append(FilmRef(f"{name}/{one}", path, dataset=one, count=length))
+                continue
+            ends = np.asarray(arrays[ENDS][:]).tolist()
+            if sorted(ends) != ends or ends[-1:] != [length]:
+                raise DataError(
+                    f"Expected {ENDS} of {path} to end at the {length} frames of {one}, got {ends[-1:]}."
+                )
+            films += [
+                FilmRef(f"{name}/{one}/{k:06d}", path, dataset=one, offset=a, count=b - a)
+                for k, (a, b) in enumerate(zip([0, *ends[:-1]], ends))
+            ]
+    return films
+
+
+def container_values(path: Path, dataset: str, start: int, count: int) -> Iterator[NDArray[Any] | DataError]:
     """The values of a dataset for each frame of a range, or the error that prevents reading them."""
-    with _opened_hdf5(path) as file:
-        if dataset not in file:
+    with _opened(path) as group:
+        if dataset not in group:
             raise DataError(f"Expected {dataset} in {path}, got none.")
-        values = file[dataset]
+        values = group[dataset]
         yield from blocks(values, start, count, (values.chunks or (BLOCK_FRAMES,))[0])
 
 
-def _check_stored(path: Path, dataset: Any, stored: int) -> None:
+def _check_stored(path: Path, dataset: Any) -> None:
     """Refuse a dataset that states more than its stored bytes can hold, or chunks that fill the memory; DataError."""
+    if getattr(dataset, "is_virtual", False):  # whose frames are in other files
+        return
+    stored = dataset.nbytes_stored() if is_zarr(path) else dataset.id.get_storage_size()
     count, shape = dataset.shape[0], dataset.shape[1:]
     if dataset.nbytes > MAX_PACKING * stored:
         raise DataError(
@@ -186,71 +217,34 @@ def _check_stored(path: Path, dataset: Any, stored: int) -> None:
         )
 
 
-def _opened_hdf5(path: Path) -> Any:
-    h5py = needed("h5py", "data", "HDF5")
-    try:
-        return h5py.File(path, "r")
-    except OSError as problem:
-        raise ContainerError(
-            f"Cannot read {path} as HDF5: {problem}. It is damaged, cut off, or of another kind."
-        ) from problem
-
-
-def is_zarr(path: Path) -> bool:
-    """Whether a path is a Zarr store: a folder with its metadata, or one in a zip."""
-    return path.name.endswith(ZIPPED) or any((path / name).is_file() for name in NODES)
-
-
-def zarr_sequences(path: Path, name: str, wanted: str) -> list[Sequence]:
-    """A sequence for each episode of each matching array; DataError if there is none, or its episodes do not fit."""
-    group = _opened_zarr(path)
-    arrays = dict(_arrays(group))
-    there = {one: (a.shape, str(a.dtype)) for one, a in arrays.items() if is_frames(a.shape, a.dtype)}
-    sequences: list[Sequence] = []
-    for one in sorted(matching(path, there, wanted), key=natural):
-        _check_stored(path, arrays[one], arrays[one].nbytes_stored())
-        length = there[one][0][0]
-        if ENDS not in arrays:
-            sequences.append(Sequence(f"{name}/{one}", path, dataset=one, count=length))
-            continue
-        ends = np.asarray(arrays[ENDS][:]).tolist()
-        starts = [0, *ends[:-1]]
-        if sorted(ends) != ends or ends[-1:] != [length]:
-            raise DataError(
-                f"Expected {ENDS} of {path} to end at the {length} frames of {one}, got {ends[-1:]}."
-            )
-        sequences += [
-            Sequence(f"{name}/{one}/{k:06d}", path, dataset=one, offset=a, count=b - a)
-            for k, (a, b) in enumerate(zip(starts, ends))
-        ]
-    return sequences
-
-
-def zarr_values(path: Path, dataset: str, start: int, count: int) -> Iterator[NDArray[Any] | DataError]:
-    """The values of an array for each frame of a range, or the error that prevents reading them."""
-    array = dict(_arrays(_opened_zarr(path))).get(dataset)
-    if array is None:
-        raise DataError(f"Expected {dataset} in {path}, got none.")
-    yield from blocks(array, start, count, array.chunks[0])
-
-
-def _opened_zarr(path: Path) -> Any:
+def _opened(path: Path) -> AbstractContextManager[Any]:
+    """An HDF5 file or a Zarr group; ContainerError if it is neither."""
+    if not is_zarr(path):
+        h5py = needed("h5py", "data", "HDF5")
+        try:
+            return cast("AbstractContextManager[Any]", h5py.File(path, "r"))
+        except OSError as problem:
+            raise ContainerError(
+                f"Cannot read {path} as HDF5: {problem}. It is damaged, cut off, or of another kind."
+            ) from problem
     zarr = needed("zarr", "data", "Zarr")
     try:
-        if path.suffix == ".zip":
-            return zarr.open_group(zarr.storage.ZipStore(path, mode="r"), mode="r")
-        return zarr.open_group(str(path), mode="r")
+        store = zarr.storage.ZipStore(path, mode="r") if path.suffix == ".zip" else str(path)
+        return nullcontext(zarr.open_group(store, mode="r"))
     except Exception as problem:  # a dozen classes, depending on the version of zarr
         raise ContainerError(
             f"Cannot read {path} as a Zarr group: {problem}. It is damaged, or of another kind."
         ) from problem
 
 
-def _arrays(group: Any, above: str = "") -> Iterator[tuple[str, Any]]:
-    for name, array in group.arrays():
-        yield f"{above}{name}", array
-    for name, inside in group.groups():
-        yield from _arrays(inside, f"{above}{name}/")
+def _arrays(group: Any) -> dict[str, Any]:
+    """The arrays of a file or group by their paths inside."""
+    found: dict[str, Any] = {}
+    if hasattr(group, "visititems"):
+        group.visititems(found.__setitem__)
+    else:
+        found.update(group.members(max_depth=None))
+    return {inside: one for inside, one in found.items() if hasattr(one, "shape")}
 
 
 PENALTY = "av1 yuv420p crf 30 moves depth in contact by 27 um, h264 yuv420p crf 23 by 38 um, h264 yuv444p crf 10 by 7 um"
@@ -294,8 +288,8 @@ def lerobot_episodes(root: Path, columns: list[str]) -> list[dict[str, Any]]:
     return sorted(rows, key=lambda row: row["episode_index"])
 
 
-def lerobot_sequences(root: Path, wanted: str) -> list[Sequence]:
-    """A sequence for each episode of each matching camera, from videos or images; DataError if there is none."""
+def films_in_lerobot_set(root: Path, wanted: str) -> list[FilmRef]:
+    """A film for each episode of each matching camera, from videos or images; DataError if there is none."""
     info = lerobot_info(root)
     cameras = {
         key: (tuple(feature["shape"]), feature["dtype"])
@@ -303,7 +297,7 @@ def lerobot_sequences(root: Path, wanted: str) -> list[Sequence]:
         if feature.get("dtype") in _PLACES and not _is_depth(feature)
     }
     return [
-        Sequence(
+        FilmRef(
             f"{key}/episode_{episode:06d}",
             root / path,
             dataset=key,
@@ -371,7 +365,7 @@ def compression_of(root: Path, key: str) -> str:
     return f"{codec} {pixels}" + ("" if crf is None else f" crf {crf}")
 
 
-def lossy_warnings(root: Path, sequences: Iterable[Sequence]) -> tuple[str, ...]:
+def lossy_warnings(root: Path, sequences: Iterable[FilmRef]) -> tuple[str, ...]:
     """The measured cost of each camera's compression (`benchmarks/batch.py lossy`); nothing if it is lossless."""
     said = []
     for key in dict.fromkeys(one.dataset for one in sequences):

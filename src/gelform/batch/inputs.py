@@ -1,0 +1,454 @@
+"""The input of a batch: its films are listed without opening them, split into parts, and read frame by frame."""
+
+from __future__ import annotations
+
+import glob
+import hashlib
+import os
+from collections import Counter
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import islice, takewhile
+from pathlib import Path
+from typing import Any
+
+from numpy.typing import NDArray
+
+from gelform.batch.containers import (
+    NODES,
+    ContainerError,
+    FilmRef,
+    container_values,
+    films_in_container,
+    films_in_lerobot_set,
+    is_container,
+    is_lerobot_set,
+    lossy_warnings,
+    natural,
+    stored_images,
+    video_frames,
+)
+from gelform.calibration.presses.press_set import file_of, table_rows
+from gelform.calibration_file import Calibration
+from gelform.errors import DataError, GelformError, reason
+from gelform.foundations.checks import check_image, check_path
+from gelform.foundations.files import way_for
+from gelform.image.agreement import background_digest
+from gelform.image.background import background_from_frames
+from gelform.image.frame import Frame, in_rgb
+from gelform.image.view import MAX_PIXELS, image_from_frame
+from gelform.sensors.files import FILM_SUFFIXES, IMAGE_SUFFIXES, is_stack, read_background, read_image
+from gelform.sensors.films import open_film
+from gelform.sensors.pictures import image_from_values, is_npy
+from gelform.sensors.recordings.mcap_reader import end_missing, refuse_bag
+
+BACKGROUND_COLUMNS = ("sequence", "background")
+MOST_NAMED = 3  # sequences that a message names at most
+
+
+@dataclass(frozen=True)
+class Listing:
+    """All sequences of an input below one folder, in natural order.
+
+    Attributes
+    ----------
+    root : the folder that the sequences' names are relative to
+    sequences : in the order of the work
+    searched : whether every folder below `root` belongs to the input
+    warnings : messages about the input for the user
+    """
+
+    root: Path
+    sequences: tuple[FilmRef, ...]
+    searched: bool = False
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of all names; it changes when files are added, removed or renamed."""
+        sha = hashlib.sha256()
+        for sequence in self.sequences:
+            inside = (sequence.dataset, str(sequence.offset), str(sequence.count)) if sequence.dataset else ()
+            sha.update(os.fsencode("\0".join(("", sequence.name, *sequence.images, *inside)) + "\n"))
+        return sha.hexdigest()
+
+
+def listing_of(
+    source: str | os.PathLike[str], *, leave_out: Collection[Path] = (), dataset: str = ""
+) -> Listing:
+    """List the frames of a batch.
+
+    Parameters
+    ----------
+    source : a folder (with all folders below it), a video, a recording, an image, or a pattern such as "day*/*.png",
+        where ** stands for any number of folders; an HDF5 file, a Zarr store, a LeRobot data set (version 3.0); a TIFF of
+        several pages, or frames of numpy (*.npy), the latter not in folders
+    leave_out : files to exclude, such as the background
+    dataset : datasets of HDF5 or Zarr, or cameras of LeRobot; * matches one name ("data/*/obs/gelsight"). With it, only the
+        HDF5 files and Zarr stores of a folder are read
+
+    Hidden files and other kinds of files are skipped; folders that are links are not entered.
+
+    Raises
+    ------
+    DataError
+        The source is missing, unreadable, or contains no frames.
+    """
+    path, hidden = check_path(source), {os.path.realpath(one) for one in leave_out}
+    if is_lerobot_set(path):
+        episodes = tuple(films_in_lerobot_set(path, dataset))
+        return Listing(path, episodes, searched=True, warnings=lossy_warnings(path, episodes))
+    if path.exists() and is_container(path):
+        return Listing(path.parent, tuple(films_in_container(path, path.name, dataset)))
+    if path.is_dir():
+        tree = _containers_in_tree(path, dataset) if dataset else _in_tree(path, hidden)
+        listing = Listing(path, tuple(tree), searched=True)
+        what = f"the folder {path}"
+    elif path.exists():
+        listing, what = _of_files([path], hidden, _absolute(path).parent), f"the file {path}"
+    elif glob.has_magic(str(path)):
+        found = [Path(one) for one in glob.glob(str(path), recursive=True)]
+        listing, what = _of_found(found, hidden, dataset, _begin(path)), f"the pattern {path}"
+        listing = replace(listing, searched="**" in path.parts)
+    else:
+        raise DataError(f"No file or folder {path}. Check the path; put a pattern in quotes.")
+    if not listing.sequences:
+        refuse_bag(path)
+        suffixes = ", ".join((*IMAGE_SUFFIXES, *FILM_SUFFIXES))
+        if way := way_for(path):
+            raise DataError(f"Expected images, videos or recordings ({suffixes}), got {what}.{way}")
+        if dataset:
+            raise DataError(
+                f"Expected HDF5 files or Zarr stores in {what} for --dataset {dataset}, got none."
+            )
+        raise DataError(
+            f"Expected images, videos or recordings ({suffixes}) in {what}, got none. Of HDF5 files and Zarr stores, "
+            "say with --dataset which dataset."
+        )
+    recordings = [one.path for one in listing.sequences if one.path.suffix.lower() == ".mcap"]
+    return replace(listing, warnings=tuple(filter(None, map(end_missing, recordings))))
+
+
+def _among_others(path: Path, name: str, dataset: str) -> list[FilmRef]:
+    """The same; if one of several is unreadable, it becomes a sequence whose only row holds the error."""
+    try:
+        return films_in_container(path, name, dataset)
+    except ContainerError:
+        return [FilmRef(name, path, dataset=dataset)]
+
+
+def _containers_in_tree(root: Path, dataset: str) -> Iterator[FilmRef]:
+    for folder, files, inside in _walked(root):
+        for one in [one for one in sorted((*files, *inside), key=natural) if is_container(folder / one)]:
+            path = folder / one
+            yield from _among_others(path, path.relative_to(root).as_posix(), dataset)
+            if one in inside:
+                inside.remove(one)
+
+
+def _begin(pattern: Path) -> Path:
+    """The folder below which a pattern searches; names do not depend on the number of matches."""
+    return Path(*takewhile(lambda one: not glob.has_magic(one), _absolute(pattern).parent.parts))
+
+
+def _of_found(found: list[Path], hidden: set[str], dataset: str, root: Path) -> Listing:
+    """The listing of a pattern's matches."""
+    if not dataset:
+        return _of_files(found, hidden, root)
+    paths = sorted(
+        (path for path in map(_absolute, found) if is_container(path)), key=lambda p: natural(str(p))
+    )
+    named = [(path, path.relative_to(root).as_posix()) for path in paths]
+    return Listing(root, tuple(one for path, name in named for one in _among_others(path, name, dataset)))
+
+
+def _in_tree(root: Path, hidden: set[str]) -> Iterator[FilmRef]:
+    for folder, files, _ in _walked(root):
+        name = "" if folder == root else folder.relative_to(root).as_posix()
+        if hidden:
+            files = [one for one in files if os.path.realpath(folder / one) not in hidden]
+        yield from _of_folder(name, folder, files)
+
+
+def _walked(root: Path) -> Iterator[tuple[Path, list[str], list[str]]]:
+    """Each folder, before those in it, with the names of its files and of its folders; one removed is not entered."""
+    folders = [root]
+    while folders:
+        folder = folders.pop()
+        files, inside = _entries(folder)
+        yield folder, files, inside
+        folders += [folder / one for one in sorted(inside, key=natural, reverse=True)]
+
+
+def _entries(folder: Path) -> tuple[list[str], list[str]]:
+    """Names of the files and of the folders in a folder."""
+    files: list[str] = []
+    folders: list[str] = []
+    try:
+        with os.scandir(folder) as entries:
+            for entry in entries:
+                if not entry.name.startswith("."):
+                    (folders if entry.is_dir(follow_symlinks=False) else files).append(entry.name)
+    except OSError as problem:
+        raise DataError(
+            f"Cannot list {folder}: {problem.strerror}. Allow reading it, or give the other folders."
+        ) from problem
+    return files, folders
+
+
+def _of_folder(name: str, folder: Path, files: Iterable[str], *, named: bool = False) -> Iterator[FilmRef]:
+    """The sequences of files in a folder; arrays of numpy only if each is named, because others may hold anything."""
+    kinds = [(os.path.splitext(one)[1].lower(), one) for one in sorted(files, key=natural)]
+    image_suffixes = (*IMAGE_SUFFIXES, ".npy") if named else IMAGE_SUFFIXES
+    stacks = {one for suffix, one in kinds if suffix in image_suffixes and is_stack(folder / one)}
+    images = tuple(one for suffix, one in kinds if suffix in image_suffixes and one not in stacks)
+    if images:
+        yield FilmRef(name, folder, images, count=len(images))
+    for suffix, one in kinds:
+        if suffix in FILM_SUFFIXES or one in stacks:
+            yield FilmRef(f"{name}/{one}" if name else one, folder / one)
+
+
+def _of_files(paths: Iterable[Path], hidden: set[str], root: Path) -> Listing:
+    """Files of images and recordings, grouped by their parent folder."""
+    wanted = [path for path in map(_absolute, paths) if os.path.realpath(path) not in hidden]
+    wanted = [path for path in wanted if _is_frames(path)]
+    inside: dict[Path, list[str]] = {}
+    for path in wanted:
+        inside.setdefault(path.parent, []).append(path.name)
+    sequences: list[FilmRef] = []
+    for folder in sorted(inside, key=lambda one: natural(one.as_posix())):
+        name = "" if folder == root else folder.relative_to(root).as_posix()
+        sequences += _of_folder(name, folder, inside[folder], named=True)
+    return Listing(root, tuple(sequences))
+
+
+def _absolute(path: Path) -> Path:
+    return Path(os.path.abspath(path))
+
+
+def _is_frames(path: Path) -> bool:
+    suffix = path.suffix.lower()
+    return path.is_file() and (suffix in (*IMAGE_SUFFIXES, *FILM_SUFFIXES) or is_npy(path))
+
+
+@dataclass(frozen=True)
+class Part:
+    """Some frames of a film, or a whole video or recording; small, so that it can be sent to another process.
+
+    Attributes
+    ----------
+    number : its position in the plan, from 0; independent of shards
+    film : the film, with this part's images alone
+    start : position of its first frame in the film
+    count : frames of the part; 0 if not counted yet
+    names : name of each image's output, without ending
+    first : the first images of the film, if they make its background
+    bgr : whether its channels are in the order blue, green, red
+    """
+
+    number: int
+    film: FilmRef
+    start: int = 0
+    count: int = 0
+    names: tuple[str, ...] = ()
+    first: tuple[str, ...] = ()
+    bgr: bool = False
+
+    def name_of(self, index: int) -> str:
+        """Name of a frame's output, without ending, by its position in the film."""
+        return self.names[index - self.start] if self.names else f"{index:06d}"
+
+    def beginning(self, count: int) -> Part:
+        """The first frames of the film, at most so many; of a video or a recording all."""
+        film = replace(self.film, images=self.first)
+        return replace(self, film=film, start=0, count=min(count, film.count), names=())
+
+    def input_digest(self) -> str:
+        """SHA-256 of its files' names and sizes; if a file was replaced, it differs and the part is done again."""
+        film, sha = self.film, hashlib.sha256(os.fsencode(self.film.name))
+        for path in self._files():
+            try:
+                size = os.stat(path).st_size
+            except OSError:
+                size = -1  # reading it gives the error
+            sha.update(os.fsencode(f"\n{os.path.basename(path)} {size}"))
+        if film.dataset:
+            sha.update(os.fsencode(f"\n{film.dataset} {film.offset} {self.start} {self.count}"))
+        return sha.hexdigest()
+
+    def _files(self) -> list[str]:
+        """Paths as text, because there may be millions."""
+        film, folder = self.film, os.fspath(self.film.path)
+        if film.images:
+            return [f"{folder}/{one}" for one in (*self.first, *film.images)]
+        if film.dataset and film.path.is_dir():
+            return [f"{folder}/{film.dataset}/{name}" for name in NODES]
+        return sorted(f"{folder}/{one}" for one in os.listdir(folder)) if film.path.is_dir() else [folder]
+
+
+def plan_of(listing: Listing, part_frames: int, background_frames: int = 0, bgr: bool = False) -> list[Part]:
+    """All parts with at most `part_frames` frames, in the order of the listing, with the first images for a background.
+
+    A video, a recording or an unreadable dataset is one part. An image's output has the file's stem, if that is unique in
+    its film.
+    """
+    parts: list[Part] = []
+    for film in listing.sequences:
+        stems = [os.path.splitext(one)[0] for one in film.images]
+        counts = Counter(stems)
+        names = [one if counts[stem] > 1 else stem for one, stem in zip(film.images, stems)]
+        for start in range(0, max(1, film.count), part_frames):
+            stop = min(start + part_frames, film.count)
+            piece = replace(film, images=film.images[start:stop])
+            first = film.images[:background_frames]
+            parts.append(Part(len(parts), piece, start, stop - start, tuple(names[start:stop]), first, bgr))
+    return parts
+
+
+def shard_of(parts: Sequence[Part], shard: tuple[int, int]) -> list[Part]:
+    """The parts of shard i of N, counted from 1: every N-th, which spreads long sequences. DataError if out of range."""
+    number, count = shard
+    if not 1 <= number <= count:
+        raise DataError(f"Expected a shard from 1/{count} to {count}/{count}, got {number}/{count}.")
+    return list(parts[number - 1 :: count])
+
+
+def frames_of_part(
+    part: Part, most_pixels: float = MAX_PIXELS
+) -> Iterator[tuple[int, Frame | BaseException]]:
+    """Position in the film, and frame or error, of each frame of a part; larger pictures are not decoded.
+
+    A video ends at its first unreadable frame. Images of a folder have no times.
+    """
+    index = part.start
+    try:
+        for frame in _frames(part, most_pixels):
+            yield index, in_rgb(frame) if part.bgr and isinstance(frame, Frame) else frame
+            index += 1
+    except (GelformError, OSError, MemoryError) as problem:
+        for missed in range(index, max(part.start + part.count, index + 1)):
+            yield missed, problem
+
+
+def _frames(part: Part, most_pixels: float) -> Iterator[Frame | BaseException]:
+    film = part.film
+    if not (film.images or film.dataset):
+        yield from open_film(film.path)
+        return
+    pictures: Iterable[tuple[float, Callable[..., NDArray[Any]], Any]]
+    if film.images:
+        pictures = ((0.0, read_image, film.path / one) for one in film.images)
+    else:
+        pictures = ((time_s, image_from_values, values) for time_s, values in _values(part))
+    for index, (time_s, image_from, stored) in enumerate(pictures, part.start):
+        frame: Frame | BaseException
+        try:
+            frame = Frame(image_from(stored, most_pixels=most_pixels), time_s, 0, index)
+        except (GelformError, MemoryError) as problem:
+            frame = problem
+        yield frame
+
+
+def _values(part: Part) -> Iterator[tuple[float, NDArray[Any] | DataError]]:
+    film, begin = part.film, part.film.offset + part.start
+    if film.path.suffix == ".mp4":
+        return video_frames(film.path, film.offset, part.start, part.count)
+    if film.path.suffix == ".parquet":
+        return stored_images(film.path, film.dataset, film.offset, part.start, part.count)
+    return ((0.0, one) for one in container_values(film.path, film.dataset, begin, part.count))
+
+
+def image_of_calibration(frame: Frame, calibration: Calibration) -> NDArray[Any]:
+    """The image (H, W, 3) of a frame, through the calibration's view; DataError for a frame of another size."""
+    try:
+        image = image_from_frame(frame.image, calibration.view)
+        return check_image(image, shape=calibration.image_shape, name="frame")
+    except ValueError as problem:
+        raise DataError(str(problem)) from problem
+
+
+def background_of_sequence(part: Part, count: int, calibration: Calibration) -> NDArray[Any]:
+    """The average (H, W, 3) of the first readable frames of a part's sequence.
+
+    DataError if none is readable, one has another size, or they differ because something touches the gel.
+    """
+    first = [one for _, one in islice(frames_of_part(part.beginning(count), calibration.most_pixels), count)]
+    images = [image_of_calibration(one, calibration) for one in first if isinstance(one, Frame)]
+    if not images:
+        why = next((reason(one) for one in first if not isinstance(one, Frame)), "there is none.")
+        raise DataError(f"No background: none of the first {count} frames can be read: {why}")
+    try:
+        return background_from_frames(images).background
+    except DataError as problem:
+        raise DataError(f"No background from the first {count} frames: {problem}") from problem
+
+
+@dataclass(frozen=True)
+class Backgrounds:
+    """Files of the gel at rest.
+
+    Attributes
+    ----------
+    of_all : an image or a folder of several, for every sequence; or None
+    by_sequence : the same for each sequence that a table names
+    """
+
+    of_all: Path | None = None
+    by_sequence: Mapping[str, Path] = field(default_factory=dict)
+
+    @property
+    def files(self) -> list[Path]:
+        """All files."""
+        return [*self.by_sequence.values()] + ([] if self.of_all is None else [self.of_all])
+
+    def read(self, sequences: Collection[str], calibration: Calibration) -> tuple[NDArray[Any] | None, str]:
+        """The image (H, W, 3) for all sequences, if there is one, and a digest of all; DataError for unknown sequences."""
+        if self.of_all is not None:
+            image = background_of_file(self.of_all, calibration)
+            return image, background_digest(image)
+        if not self.by_sequence:
+            return None, ""
+        without = [one for one in sequences if one not in self.by_sequence]
+        _refuse(without, "The table of backgrounds has no row for")
+        _refuse(
+            self.by_sequence.keys() - set(sequences), "The table of backgrounds names, and the input lacks,"
+        )
+        sha = hashlib.sha256()
+        for name, path in sorted(self.by_sequence.items()):
+            sha.update(f"{name}\0{background_digest(background_of_file(path, calibration))}\n".encode())
+        return None, sha.hexdigest()
+
+
+def backgrounds_of(path: Path | None) -> Backgrounds:
+    """Read `--background`: an image, a folder of several, or a CSV table of `sequence,background` (DataError if neither).
+
+    Paths in a table are relative to its folder; sequences have their names in the batch's own table.
+    """
+    if path is None or path.suffix.lower() != ".csv":
+        return Backgrounds(path)
+    rows = [row for _, row in table_rows(path, BACKGROUND_COLUMNS)]
+    if not rows:
+        raise DataError(
+            f"Expected rows with the columns {' and '.join(BACKGROUND_COLUMNS)} in {path}. Name an image of the untouched "
+            "gel for each sequence."
+        )
+    found = {row["sequence"]: path.parent / file_of(path.parent, row["background"]) for row in rows}
+    if len(found) < len(rows):
+        raise DataError(f"Expected each sequence once in {path}, got {len(rows)} rows of {len(found)}.")
+    return Backgrounds(by_sequence=found)
+
+
+def background_of_file(path: Path, calibration: Calibration) -> NDArray[Any]:
+    """The background image (H, W, 3) from a file, through the calibration's view; DataError if that fails."""
+    try:
+        return image_of_calibration(Frame(read_background(path), 0.0, 0, 0), calibration)
+    except GelformError as problem:
+        raise DataError(f"The background {path}: {problem}") from problem
+
+
+def _refuse(sequences: Collection[str], said: str) -> None:
+    if sequences:
+        named = ", ".join(repr(one) for one in sorted(sequences)[:MOST_NAMED])
+        more = f" and {len(sequences) - MOST_NAMED} more" if len(sequences) > MOST_NAMED else ""
+        raise DataError(f"{said} {named}{more}. Names are those of the table frames.csv of a batch.")

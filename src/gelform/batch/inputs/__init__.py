@@ -1,1 +1,0 @@
-"""The input of a batch: sequences of frames are listed, split into parts and read."""

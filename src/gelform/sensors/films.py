@@ -1,0 +1,227 @@
+"""The kinds of films, and opening one: folders and files of images, videos, recordings."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Container, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from gelform.errors import DataError
+from gelform.foundations.checks import check_path, check_positive
+from gelform.foundations.files import way_for
+from gelform.image.frame import Frame
+from gelform.sensors.files import (
+    FILM_SUFFIXES,
+    IMAGE_SUFFIXES,
+    USUAL_RATE_HZ,
+    images_of_stack,
+    is_stack,
+    is_video,
+    read_image,
+)
+from gelform.sensors.playback import Film, RecordingFacts
+from gelform.sensors.recordings.mcap_reader import Recording, is_bag_folder
+
+
+def open_film(path: Path, *, rate_hz: float | None = None, bgr: bool = False, scan: bool = False) -> Film:
+    """Open a folder of images, a file of several, a video or a recording (*.mcap, or a rosbag2 folder).
+
+    Parameters
+    ----------
+    path : of it
+    rate_hz : frames per second of images; 25 by default
+    bgr : whether its frames are blue, green, red
+    scan : whether to scan it now, so that a damaged or empty one is refused
+
+    Raises
+    ------
+    DataError
+        It is missing, damaged, of an unknown kind, or without a frame.
+    """
+    film: Film
+    if path.suffix.lower() == ".mcap" or is_bag_folder(path):
+        film = Recording(path)
+    elif path.is_dir() or is_stack(path):
+        film = Images(path, rate_hz or USUAL_RATE_HZ)
+    elif is_video(path):
+        film = Video(path)
+    else:
+        raise DataError(f"{path} is no video, no folder of images and no recording (*.mcap).{way_for(path)}")
+    film.bgr = bgr
+    if scan and not film.times_s:
+        raise DataError(f"{path} holds no frame.")
+    return film
+
+
+def is_film(spec: str) -> bool:
+    """Whether a spec is a file or a folder of frames, not a device."""
+    return os.path.exists(spec) and not spec.startswith("/dev/")
+
+
+def films_in(folder: Path) -> list[Path]:
+    """The recordings, videos and files of several images in a folder."""
+    found = sorted(folder.iterdir()) if folder.is_dir() else []
+    return [one for one in found if one.suffix.lower() in FILM_SUFFIXES or is_stack(one)]
+
+
+class Images(Film):
+    """The images of a folder, ordered by name, or of a file of several images, evenly spaced in time.
+
+    Parameters
+    ----------
+    path : a folder of images, a TIFF of several pages, or an array (N, H, W, 3) of numpy (`.npy`)
+    rate_hz : images per second
+
+    Raises
+    ------
+    DataError
+        The folder contains no image; in a loop: an image cannot be read.
+    """
+
+    def __init__(self, path: Path, rate_hz: float = USUAL_RATE_HZ) -> None:
+        rate = check_positive(rate_hz, "rate_hz")
+        super().__init__(path, RecordingFacts(path.resolve().name, rate_hz=rate))
+        if path.is_file():
+            self._image, self.count = images_of_stack(path)
+        else:
+            files = sorted(file for file in path.iterdir() if file.suffix.lower() in IMAGE_SUFFIXES)
+            if not files:
+                raise DataError(
+                    f"Expected images ({', '.join(IMAGE_SUFFIXES)}) in the folder {path}, got none."
+                )
+            self._image, self.count = lambda number: read_image(files[number]), len(files)
+
+    def _frame(self, number: int) -> Frame:
+        return Frame(self._image(number), self.times_s[number], 0, number)
+
+
+@dataclass(frozen=True)
+class VideoFacts:
+    """Facts that a video file states: shape (H, W), frame rate in Hz, number of frames; 0 where unknown."""
+
+    shape: tuple[int, int]
+    frame_rate_hz: float
+    count: int
+
+
+class Video(Film):
+    """The frames of a video file; each loop over it reads them from the start, and `video[number]` gives any.
+
+    `for frame in Video("presses.avi")` gives `Frame`s: image (H, W, 3) uint8 RGB, `time_s` from the file's time stamps,
+    `index` from 0, `wall_time_ns` 0, because a file does not store its recording time.
+
+    Parameters
+    ----------
+    path : a file that this build of OpenCV can decode (AVI, MP4, MOV, MKV, WebM ...)
+
+    Raises
+    ------
+    DataError
+        The file is missing, empty or cannot be decoded; in a loop also: its frames end well before the declared number, or
+        change their size.
+
+    Most frames of a video are stored as changes against others. OpenCV seeks by time, which is inexact in some files. If
+    the frame after a seek has another time than in the first pass, the video is read again from its start.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = check_path(path)
+        capture = self._opened()
+        width, height, rate, count = (
+            capture.get(which)
+            for which in (
+                cv2.CAP_PROP_FRAME_WIDTH,
+                cv2.CAP_PROP_FRAME_HEIGHT,
+                cv2.CAP_PROP_FPS,
+                cv2.CAP_PROP_FRAME_COUNT,
+            )
+        )
+        capture.release()
+        rate = float(rate) if np.isfinite(rate) and 0 < rate < 1000 else 0.0
+        self.facts = VideoFacts((int(height), int(width)), rate, max(0, int(count)))
+        self.count, settings = self.facts.count, {"width": float(int(width)), "height": float(int(height))}
+        super().__init__(self.path, RecordingFacts(self.path.name, settings=settings, rate_hz=rate or None))
+
+    def _read(self) -> Iterator[Frame]:
+        return self.frames()
+
+    def frames(self, only: Container[int] | None = None) -> Iterator[Frame]:
+        """The frames, or those with an index in `only`; the others are not decoded."""
+        capture = self._opened()
+        index = 0
+        try:
+            while capture.grab():
+                if only is None or index in only:
+                    time_s = capture.get(cv2.CAP_PROP_POS_MSEC) / 1000
+                    if index and not time_s > 0:  # no time stamps: use the frame rate
+                        time_s = index / (self.facts.frame_rate_hz or USUAL_RATE_HZ)
+                    yield self._grabbed(capture, float(time_s), index)
+                index += 1
+        finally:
+            capture.release()
+        if index == 0:
+            raise DataError(f"{self.path} has no frame that can be decoded. Record it again, as AVI or MP4.")
+        if index < 0.9 * self.facts.count:  # containers may declare a few too many
+            raise DataError(
+                f"{self.path} ends after {index} of {self.facts.count} frames: truncated or damaged. "
+                "Copy or record it again."
+            )
+
+    def _opened(self) -> cv2.VideoCapture:
+        if not self.path.is_file():
+            raise DataError(f"No video file {self.path}. Check the path.")
+        if self.path.stat().st_size == 0:
+            raise DataError(f"{self.path} is empty. Copy or record it again.")
+        try:
+            str(self.path).encode()
+        except UnicodeEncodeError:  # on which OpenCV crashes
+            raise DataError(f"The name of the video {str(self.path)!a} is no UTF-8. Rename it.") from None
+        capture = cv2.VideoCapture(str(self.path))
+        if not capture.isOpened():
+            raise DataError(
+                f"{self.path} cannot be decoded as a video: damaged, or a codec that OpenCV lacks here. "
+                "Record it as AVI (MJPG) or MP4."
+            )
+        return capture
+
+    @cached_property
+    def times_s(self) -> Sequence[float]:
+        """Time of each frame, counted from the first."""
+        self._capture, self._stamps = self._opened(), list[float]()
+        while self._capture.grab():
+            self._stamps.append(self._capture.get(cv2.CAP_PROP_POS_MSEC))
+        self._next = len(self._stamps)
+        if self._next >= 2 and np.diff(self._stamps).min() <= 0:  # no time stamps
+            rate_hz = self.facts.frame_rate_hz or USUAL_RATE_HZ
+            return tuple(number / rate_hz for number in range(self._next))
+        return tuple((stamp - self._stamps[0]) / 1000 for stamp in self._stamps)
+
+    def _frame(self, number: int) -> Frame:
+        time_s = self.times_s[number]
+        if number != self._next:
+            self._capture.set(cv2.CAP_PROP_POS_FRAMES, number)
+        if not self._is_next(number):  # a seek that missed: from the start
+            self._capture.release()
+            self._capture = self._opened()
+            for _ in range(number):
+                self._capture.grab()
+            if not self._is_next(number):
+                raise DataError(f"Frame {number} of {self.path} cannot be read again.")
+        return self._grabbed(self._capture, time_s, number)
+
+    def _is_next(self, number: int) -> bool:
+        """Whether the next frame has the time of that number; it is grabbed."""
+        self._next = number + 1
+        grabbed = self._capture.grab()
+        return grabbed and abs(self._capture.get(cv2.CAP_PROP_POS_MSEC) - self._stamps[number]) < 0.5
+
+    def _grabbed(self, capture: cv2.VideoCapture, time_s: float, number: int) -> Frame:
+        decoded, pixels = capture.retrieve()
+        if not decoded or pixels is None or pixels.ndim != 3 or pixels.shape[2] != 3:
+            raise DataError(f"Frame {number} of {self.path} is damaged or no color. Record the video again.")
+        return Frame(np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB)), time_s, 0, number)
