@@ -193,7 +193,7 @@ def test_torsion_has_the_sign_of_the_turn():
 
 
 REFUSED = {
-    "soft": (pressed(outside_change=0.4), "soft"),
+    "soft": (pressed(outside_change=0.3), "soft"),
     "low confidence": (pressed(confidence=np.full((60, 80), 0.49, np.float32)), "confidence"),
     "an uncertain volume": (
         replace(pressed(), depth_sigma_mm=np.full((60, 80), 0.21, np.float32)),
@@ -218,7 +218,7 @@ def test_where_no_normal_force_is_stated(name):
 
 
 def test_just_within_the_limits_it_is_stated():
-    result = pressed(depth_mm=2.9, outside_change=0.39, confidence=np.full((60, 80), 0.51, np.float32))
+    result = pressed(depth_mm=2.9, outside_change=0.29, confidence=np.full((60, 80), 0.51, np.float32))
     assert force_from_result(result, MODEL).normal_n == pytest.approx(11.6, rel=1e-5)
 
 
