@@ -194,7 +194,7 @@ def _lag(films: list[_Film], touches: list[Touch]) -> int | None:
     )
     told = scatter[:, np.isfinite(scatter).mean(axis=0) >= TOLD]
     told = np.where(np.isfinite(told), told, np.nanmax(told, axis=0, initial=0))
-    return LAGS[int(told.mean(axis=1).argmin())] if told.size else None
+    return LAGS[int(np.median(told, axis=1).argmin())] if told.size else None  # one film may slip
 
 
 def _scatter(force: NDArray[np.float64], volume: NDArray[np.float64]) -> float:
