@@ -64,7 +64,7 @@ class _Needed(NamedTuple):
     started: Need = Need(
         5,
         "what gelform advises with a start: the starter of a make, or another unit's calibration",
-        "the angle error in the contact is 2.4 degrees with 5 presses, as with 10 without a start; 1.9 with 12",
+        "the angle error in the contact is 2.5 degrees with 5 presses, as with 12 without a start; 2.1 with 12",
     )
     whole: Need = Need(
         6,

@@ -72,7 +72,7 @@ def calibrate(
     PRESSES contains background.png (the gel at rest), images, presses.csv (columns image,ball_diameter_mm) and
     sensor.toml (name, mm_per_px). These also work: a plain folder of images, with --ball-diameter-mm and --mm-per-px
     or --sensor; a video or a recording (*.mcap) that begins with the gel at rest; gs_sdk's and py3DCal's folders; Taxim's
-    dataPack.npz. Take 20 presses all over the gel (angle error about 2 degrees). With a start, 5 do (about 2.4).
+    dataPack.npz. Take 20 presses all over the gel (angle error about 2 degrees). With a start, 5 do (about 2.5).
     Measure scale, lens and crosstalk first, with `gelform scale`, `gelform lens` and `gelform crosstalk`.
 
     \b

@@ -58,7 +58,7 @@ function startForm(_, station, facts, does) {
   show();
   const begin = (event) => { event.preventDefault(); does.send("guide_start", { ball_diameter_mm: Number(ball.value), profile: begun ? begun.sensor : station.simulated ? "" : profile.value, mm_per_px: Number(pitch.value) }); };
   const begun = station.starter?.state === "used" ? station.starter : null;
-  const sensor = begun ? [element("p", { text: `The starter knows the scale of a ${begun.make}. Five presses can be fitted, with an angle error of about 2.4 degrees; more fit better.` })] : station.simulated ? [element("p", { text: "The simulated sensor knows its scale. It presses itself where the guide asks." })] : [element("label", {}, "Sensor", profile), scale];
+  const sensor = begun ? [element("p", { text: `The starter knows the scale of a ${begun.make}. Five presses can be fitted, with an angle error of about 2.5 degrees; more fit better.` })] : station.simulated ? [element("p", { text: "The simulated sensor knows its scale. It presses itself where the guide asks." })] : [element("label", {}, "Sensor", profile), scale];
   return [element("form", { onsubmit: begin }, element("p", { text: HELP.start }), element("label", {}, "Ball diameter (mm)", ball), ...sensor, element("button", { class: "main", id: "guide-start", text: "Start" }))];
 }
 
