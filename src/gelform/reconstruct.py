@@ -173,13 +173,7 @@ class FrameRecord:
     @once
     def budget(self) -> Budget:
         """Standard deviations of the slopes."""
-        return self.today.budget(self.slopes, *self.fixed_rows, top=self.top)
-
-    @property
-    def top(self) -> tuple[int, int]:
-        """Row and column of the deepest pixel."""
-        row, column = divmod(int(np.argmax(self.depth_mm)), self.depth_mm.shape[1])
-        return row, column
+        return self.today.budget(self.slopes, *self.fixed_rows, depth=self.depth_mm)
 
     @property
     def fixed_rows(self) -> tuple[float, Floats | None]:
@@ -490,7 +484,7 @@ class Reconstructor:
         noise, light = record.fixed_rows
         rows = today.budget.frame_rows(slopes, noise, light)
         return explanation_of(
-            today.budget(slopes, noise, light, top=record.top, rows=True),
+            today.budget(slopes, noise, light, depth=record.depth_mm, rows=True),
             rows,
             shown,
             today.budget.full_confidence_sigma,

@@ -140,7 +140,7 @@ def picture(result: Reconstruction, image: ArrayLike | None = None) -> Image:
     GelformError
         matplotlib is not installed.
     ValueError
-            The image and the result differ in size.
+        The image and the result differ in size.
     """
     shape = check_is(result, Reconstruction, "result").shape
     shown = None if image is None else check_image(image, shape=shape).astype(np.uint8)

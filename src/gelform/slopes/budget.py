@@ -156,7 +156,7 @@ class PreparedBudget:
             "unseen_sigma": unseen_sigma(sigma.full_confidence_sigma), "full": sigma.full_confidence_sigma,
             "per_bend": ERROR_OF_DIFFERENCE if walls else 0.0, "bend_from": DIFFERENCE_FROM,
             "spread": spread, "shown": shown, "per_excess": PER_EXCESS, "doubted": doubted,
-            "steepest": STEEPEST_FACE, "carried": carried / 2, "reach": reach,
+            "steepest": STEEPEST_FACE, "carried": carried / 2, "reach": reach, **NO_BALL._asdict(),
         }  # fmt: skip
 
     def __call__(
@@ -165,7 +165,7 @@ class PreparedBudget:
         noise_levels: float = 0.0,
         light: Map | None = None,
         *,
-        top: tuple[int, int] | None = None,
+        depth: Map | None = None,
         rows: bool = False,
     ) -> Budget:
         """The budget of a frame.
@@ -175,14 +175,15 @@ class PreparedBudget:
         slopes : as read
         noise_levels : its noise beyond the usual, gray levels, from `excess_noise`
         light : (H, W), standard deviation of slopes from what is unsure of the frame's light; None: nothing
-        top : (row, column) of the deepest pixel. Within a ball around it, the slopes that it shows are not doubted for
+        depth : (H, W), solved. Within a ball around its deepest pixel, the slopes that the ball shows are not doubted for
             being read by another unit's model
         rows : whether to keep the rows of walls and outliers
         """
-        ball = None
-        if self._numbers["carried"] and top is not None:
-            ball = slopes_of_ball(slopes.gradients, top, self._numbers["doubted"])
-        numbers = self._numbers | (NO_BALL if ball is None else ball)._asdict()
+        numbers = self._numbers
+        if numbers["carried"] and depth is not None:
+            row, column = divmod(int(np.argmax(depth)), depth.shape[1])
+            ball = slopes_of_ball(slopes.gradients, (row, column), numbers["doubted"])
+            numbers = numbers if ball is None else numbers | ball._asdict()
         read, solved, steep, confidence = (np.empty(slopes.at_rest.shape, np.float32) for _ in range(4))
         walls, outliers = (np.zeros_like(read), np.zeros_like(read)) if rows else (None, None)
         _slope_budget(
