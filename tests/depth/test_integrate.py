@@ -17,12 +17,12 @@ import pytest
 from gelform.depth.coarse import RestAnchor
 from gelform.depth.integrate import (
     FrameDepth,
+    Problem,
     check_weights,
     depth_from_gradients,
     edge_residuals,
     fitted_surface,
     integrate,
-    integrate_unchecked,
     median_over,
     zero_region,
 )
@@ -235,14 +235,14 @@ def test_tiny_weights_count_as_any_others():
     assert np.array_equal(tiny, usual)
 
 
-def test_what_a_reconstructor_made_is_solved_alike_unchecked():
+def test_a_problem_of_ones_own_is_solved_alike():
     _, gradients, pitch = scene(BALL)
     rng = np.random.default_rng(3)
     g = gradients.astype(np.float32)
     weights, anchor = (rng.uniform(0.1, 1, g.shape[:2]).astype(np.float32) for _ in range(2))
     rest = rng.random(g.shape[:2]) < 0.5
     for how in ({"weights": weights, "anchor": anchor}, {"zero": rest}):
-        quick, checked = (f(g, mm_per_px=pitch[0], **how) for f in (integrate_unchecked, integrate))
+        quick, checked = Problem(g, pitch, **how).solved(), integrate(g, mm_per_px=pitch, **how)
         assert np.array_equal(quick.depth_mm, checked.depth_mm)
         assert (quick.solver, quick.curl_rms) == (checked.solver, checked.curl_rms)
 

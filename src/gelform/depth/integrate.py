@@ -156,55 +156,24 @@ def integrate(
     ConvergenceError
         The solver did not reach its tolerance.
     """
-    pitch = check_mm_per_px(mm_per_px)
     g = check_gradients(gradients)
     check_slopes(g)
     shape = (g.shape[-3], g.shape[-2])
-    level = checked_level(level)
+    if level is not None and not (isinstance(level, str) and level in get_args(Level)):
+        raise ValueError(f"Expected level as None, 'slope', 'plane' or 'quadratic', got {level!r:.60}.")
     region = zero_region(zero, shape)
     if level == "slope":
         g = g - np.stack([median_over(g[..., c], region) for c in (0, 1)], axis=-1)[..., None, None, :]
-    request = _Request(
+    return Problem(
         gradients=g,
-        pitch=pitch,
+        mm_per_px=check_mm_per_px(mm_per_px),
         weights=None if weights is None else check_weights(weights, g.shape[:-1]),
         mask=None if mask is None else check_mask(mask, shape=shape),
         anchor=None if anchor is None else check_anchor(anchor, shape),
         zero=zero,
-        region=region,
         level=level,
-        solver=_solver_for(solver, uniform=weights is None and mask is None and anchor is None),
-        automatic=solver == "auto",
-    )
-    return request.solved()
-
-
-def integrate_unchecked(
-    gradients: Slopes,
-    *,
-    mm_per_px: float,
-    weights: Map | None = None,
-    anchor: Map | None = None,
-    zero: Zero | Mask = "mean",
-    solver: str = "auto",
-) -> Integration:
-    """`integrate` for one frame of a Reconstructor, without checks: its values were checked on entry.
-
-    The gradients are in C order and pass `check_slopes`; weights and anchor (H, W) are in C order, finite and >= 0.
-    """
-    request = _Request(
-        gradients=gradients,
-        pitch=(mm_per_px, mm_per_px),
-        weights=weights,
-        mask=None,
-        anchor=anchor,
-        zero=zero,
-        region=zero_region(zero, gradients.shape[:2]),
-        level=None,
-        solver=_solver_for(solver, uniform=weights is None and anchor is None),
-        automatic=solver == "auto",
-    )
-    return request.solved()
+        solver=checked_solver(solver),
+    ).solved()
 
 
 def edge_residuals(depth_mm: ArrayLike, gradients: ArrayLike, *, mm_per_px: float | Sequence[float]) -> Pair:
@@ -233,44 +202,82 @@ def edge_residuals(depth_mm: ArrayLike, gradients: ArrayLike, *, mm_per_px: floa
 
 
 @dataclass(frozen=True)
-class _Request:
-    """The checked arguments of `integrate`."""
+class Problem:
+    """Checked arguments of `integrate`, which explains them. A Reconstructor makes one of a frame's own values.
+
+    All arrays are finite and in C order, slopes within what `check_slopes` allows, weights and anchor >= 0.
+    """
 
     gradients: Slopes
-    pitch: tuple[float, float]
-    weights: Weights
-    mask: Mask | None
-    anchor: Map | None
-    zero: str | Mask
-    region: Mask
-    level: Level | None
-    solver: str
-    automatic: bool = False
+    mm_per_px: tuple[float, float]
+    weights: Weights = None
+    mask: Mask | None = None
+    anchor: Map | None = None  # (H, W)
+    zero: Zero | Mask = "mean"
+    level: Level | None = None
+    solver: str = "auto"
 
     def solved(self) -> Integration:
-        """Solve each frame of the stack and set its zero."""
+        """Solve each frame of the stack and set its zero.
+
+        ConvergenceError: the solver did not reach its tolerance.
+        """
+        if self.solver != "auto":
+            return self._solved_by(self.solver)
+        if self.weights is None and self.mask is None and self.anchor is None:
+            return self._solved_by("dct")
         try:
-            return self._solved()
+            return self._solved_by("multigrid")
         except ConvergenceError:
             height, width = self.gradients.shape[-3:-1]
-            if not self.automatic or self.solver == "dct" or height * width > MOST_DIRECT_PX:
+            if height * width > MOST_DIRECT_PX:
                 raise
-            return replace(self, solver="sparse", automatic=False)._solved()
+            return self._solved_by("sparse")
 
-    def _solved(self) -> Integration:
+    def _solved_by(self, solver: str) -> Integration:
         g, weights = self.gradients, self.weights
-        solver = _prepared(self.solver, (g.shape[-3], g.shape[-2]), self.pitch)
         if g.ndim == 3:
-            depth, known, iterations, tolerance = _solved_frame(solver, g, weights, self)
+            depth, known, iterations, tolerance = self._frame(solver, g, weights)
         else:
             stacked = isinstance(weights, np.ndarray) and weights.ndim > 2
             frames = [
-                _solved_frame(solver, g[index], weights[index] if stacked else weights, self)  # type: ignore[index,call-overload]
+                self._frame(solver, g[index], weights[index] if stacked else weights)  # type: ignore[index,call-overload]
                 for index in np.ndindex(g.shape[:-3])
             ]
             depth, known = (np.stack(maps).reshape(g.shape[:-1]) for maps in list(zip(*frames))[:2])
             iterations, tolerance = max(f.iterations for f in frames), max(f.tolerance for f in frames)
-        return Integration(depth, self.solver, iterations, known, tolerance, g, self.pitch)
+        return Integration(depth, solver, iterations, known, tolerance, g, self.mm_per_px)
+
+    def _frame(self, solver: str, gradients: Slopes, weights: Weights) -> Solution:
+        prepared = _prepared(solver, (gradients.shape[0], gradients.shape[1]), self.mm_per_px)
+        frame = prepared(gradients, weights, self.mask, self.anchor)
+        if not is_finite(frame.depth_mm):
+            raise ConvergenceError(
+                f"Expected finite depth, got infinity or NaN from solver {solver!r}. Slopes, weights, anchor "
+                "or mm_per_px differ by more than float32 holds: check their scales."
+            )
+        return frame._replace(depth_mm=self._placed(frame.depth_mm))
+
+    def _placed(self, depth: Map) -> Map:
+        """Set the zero of each island that no anchor holds, level, then fill beyond the mask."""
+        region = zero_region(self.zero, depth.shape)  # type: ignore[arg-type]
+        mask, held = self.mask, False if self.anchor is None else self.anchor > 0
+        if mask is None:
+            if not np.any(held):
+                depth -= zero_depth(depth, self.zero, region)
+            return self._levelled(depth, region)
+        labels = _islands(mask)
+        for island in range(1, int(labels.max()) + 1):
+            inside = labels == island
+            if not np.any(held & inside):
+                depth[inside] -= zero_depth(depth, self.zero, region, inside)
+        depth = self._levelled(depth, region & mask)
+        return depth if mask.all() else fill_unknown(depth[..., None], mask)[..., 0]
+
+    def _levelled(self, depth: Map, region: Mask) -> Map:
+        if self.level not in ("plane", "quadratic"):
+            return depth
+        return depth - fitted_surface(depth, region, 1 if self.level == "plane" else 2)
 
 
 @lru_cache(maxsize=8)
@@ -278,49 +285,11 @@ def _prepared(name: str, shape: tuple[int, int], pitch: tuple[float, float]) -> 
     return SOLVERS[name](shape, pitch)
 
 
-def _solved_frame(solver: Solver, gradients: Slopes, weights: Weights, request: _Request) -> Solution:
-    frame = solver(gradients, weights, request.mask, request.anchor)
-    if not is_finite(frame.depth_mm):
-        raise ConvergenceError(
-            f"Expected finite depth, got infinity or NaN from solver {request.solver!r}. Slopes, weights, anchor "
-            "or mm_per_px differ by more than float32 holds: check their scales."
-        )
-    return frame._replace(depth_mm=_placed(frame.depth_mm, request))
-
-
-def _placed(depth: Map, request: _Request) -> Map:
-    """Set the zero of each island, level, then fill beyond the mask."""
-    mask = request.mask
-    if mask is None:
-        if request.anchor is None or not request.anchor.max() > 0:
-            depth -= zero_depth(depth, request.zero, request.region)
-        return _levelled(depth, request, request.region)
-    labels = _islands(mask)
-    for island in range(1, int(labels.max()) + 1):
-        inside = labels == island
-        if request.anchor is None or not request.anchor[inside].any():
-            depth[inside] -= zero_depth(depth, request.zero, request.region, inside)
-    depth = _levelled(depth, request, request.region & mask)
-    return depth if mask.all() else fill_unknown(depth[..., None], mask)[..., 0]
-
-
-def _levelled(depth: Map, request: _Request, region: Mask) -> Map:
-    if request.level not in ("plane", "quadratic"):
-        return depth
-    return depth - fitted_surface(depth, region, 1 if request.level == "plane" else 2)
-
-
 def _islands(known: Mask) -> Array:
     """Labels of the 4-connected regions, from 1."""
     if known.all():
         return known.view(np.uint8)
     return cv2.connectedComponents(known.astype(np.uint8), connectivity=4)[1]
-
-
-def _solver_for(solver: str, *, uniform: bool) -> str:
-    if checked_solver(solver) == "auto":
-        return "dct" if uniform else "multigrid"
-    return solver
 
 
 Zero = Literal["mean", "border"]
@@ -340,13 +309,6 @@ def zero_region(zero: Zero | Mask, shape: tuple[int, int]) -> Mask:
             region[1:-1, 1:-1] = False
         return region
     return check_mask(zero, shape=shape, name="zero")
-
-
-def checked_level(level: Any) -> Level | None:
-    """Return the kind of leveling, checked."""
-    if level is not None and not (isinstance(level, str) and level in get_args(Level)):
-        raise ValueError(f"Expected level as None, 'slope', 'plane' or 'quadratic', got {level!r:.60}.")
-    return level  # type: ignore[return-value]
 
 
 def zero_depth(depth: Map, zero: str | Mask, region: Mask, inside: Mask | None = None) -> np.float32:
@@ -456,8 +418,10 @@ class FrameDepth:
 
     def __call__(self, slopes: ReadSlopes) -> Integration:
         """The depth of a frame's slopes; it is 0 at rest."""
-        how: dict[str, Any] = {"zero": slopes.at_rest}
+        problem = Problem(
+            slopes.gradients, (self._pitch, self._pitch), zero=slopes.at_rest, solver=self.solver
+        )
         if self._anchor is not None:
-            anchor = self._anchor(slopes.gradients, slopes.at_rest)
-            how = {"weights": slopes.weights(self._full), "anchor": anchor}
-        return integrate_unchecked(slopes.gradients, mm_per_px=self._pitch, solver=self.solver, **how)
+            weights, anchor = slopes.weights(self._full), self._anchor(slopes.gradients, slopes.at_rest)
+            problem = replace(problem, weights=weights, anchor=anchor, zero="mean")
+        return problem.solved()
