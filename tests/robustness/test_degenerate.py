@@ -19,20 +19,22 @@ from gelform.calibration.circles.find import find_contact
 from gelform.calibration.presses.folder import read_presses
 from gelform.cli import main
 from gelform.errors import CalibrationError, DataError, GelformError
+from gelform.exchange.exporters.press_folder import save_press_folder
 from gelform.exchange.importers.tables import is_taxim_forward, read_lut, read_taxim_forward
 from gelform.foundations.files import write_npz
 from gelform.sensors.files import read_sensor_toml
 from gelform.sensors.simulated import read_simulated_sensor
 from hostile.doors import (
     CHANGE,
-    DOORS,
     FOLDER_OF_PRESSES,
     FORCE,
     IMAGE,
     REST,
     RESULT,
     UNTOUCHED,
-    saved_presses,
+    called,
+    fresh_folder,
+    right_arguments,
 )
 from hostile.outcome import judge
 from made.images import image_of_dots
@@ -58,7 +60,6 @@ FRAMES = dict.fromkeys(
     ("flat", "black", "one frame twice", "flat now", "a ramp", "a row", "a column"), "finding"
 )
 FRAMES |= {"one pixel": "right", "2 px": "right"}
-MORE = {"registration_from_image": {"touched": None}}
 LINES = {
     "a row": (1.0, 0.0),
     "a slanted line": (0.1, 0.37),
@@ -81,9 +82,8 @@ def calibrated(images: list[np.ndarray], rest: np.ndarray = UNTOUCHED) -> gelfor
         **FOLDER_OF_PRESSES, "background": rest, "images": images, "ball_diameters_mm": [8.0] * len(images),
         "centers_px": None, "contact_radii_px": None,
     }  # fmt: skip
-    return gelform.calibrate(
-        gelform.read_presses(saved_presses(**presses), mm_per_px=MM_PER_PX), color_model="lambertian"
-    )
+    folder = save_press_folder(fresh_folder(), **presses)
+    return gelform.calibrate(gelform.read_presses(folder, mm_per_px=MM_PER_PX), color_model="lambertian")
 
 
 @pytest.mark.linear_algebra
@@ -92,9 +92,7 @@ def calibrated(images: list[np.ndarray], rest: np.ndarray = UNTOUCHED) -> gelfor
 def test_an_image_that_shows_nothing(name, what):
     image, rest = IMAGES[what]
     asked = {"image": image, "background": rest.astype(np.float32)}
-    assert judge(f"{name} of {what}", lambda: DOORS[name][0](**asked, **MORE.get(name, {}))) == OUTCOMES[
-        name
-    ].get(what, "right")
+    assert judge(f"{name} of {what}", lambda: called(name, asked)) == OUTCOMES[name].get(what, "right")
 
 
 @pytest.mark.linear_algebra
@@ -176,12 +174,9 @@ def test_a_mosaic_of_results_without_contact():
 def test_a_perspective_that_cannot_be_undone(scale):
     """Its determinant is a rounding error, which is no measure by itself."""
     flattened = scale * np.array([[0.1, 0.7, 0], [0.3, 2.1, 0], [0, 0, 1]])
-    door, asked = DOORS["Lens"]
-    assert judge("flattened", lambda: door(**{**asked, "perspective": tuple(flattened.ravel())})) == "error"
-    assert (
-        judge("level", lambda: door(**{**asked, "perspective": tuple((scale * np.eye(3)).ravel())}))
-        == "right"
-    )
+    for outcome, perspective in (("error", flattened), ("right", scale * np.eye(3))):
+        asked = right_arguments("Lens") | {"perspective": tuple(perspective.ravel())}
+        assert judge(outcome, lambda asked=asked: called("Lens", asked)) == outcome
 
 
 TERABYTE = 2**40

@@ -13,7 +13,14 @@ from numpy.typing import ArrayLike
 from gelform._native import Kernel
 from gelform.arrays import Array, Map, Mask, Numbers, Slopes
 from gelform.errors import DataError
-from gelform.foundations.checks import check_image, check_is, check_response, check_values, check_within
+from gelform.foundations.checks import (
+    check_image,
+    check_is,
+    check_list,
+    check_response,
+    check_values,
+    check_within,
+)
 from gelform.foundations.filters import (
     CHANGE_OFFSET,
     LANES,
@@ -326,7 +333,7 @@ def background_from_frames(
     ValueError, TypeError
         A frame that is no RGB image, or of another size than the first.
     """
-    kept = _kept(frames, names, max_bytes)
+    kept = _kept(frames, None if names is None else check_list(names, "names", str), max_bytes)
     if not kept:
         raise DataError("Expected frames of the gel at rest, got none.")
     left_out = _odd_ones(kept)
@@ -366,6 +373,8 @@ def _kept(
         if number % stride:
             continue
         image = check_image(frame, shape=kept[0][1].shape[:2] if kept else None, name="frame")
+        if names is not None and number >= len(names):
+            raise ValueError(f"Expected a name for each frame, got {len(names)} names for more frames.")
         kept.append((names[number] if names is not None else f"frame {number}", image.copy()))
         if len(kept) > 8 and sum(one.nbytes for _, one in kept) > max_bytes:
             kept, stride = kept[::2], 2 * stride

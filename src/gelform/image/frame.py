@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gelform.arrays import Array
+from gelform.foundations.checks import check_number
 
 # Gray levels, of means of pixels: a channel below or above says nothing of slopes, at either end of a camera's range.
 DARK, BRIGHT = 8, 250
@@ -35,6 +37,11 @@ class Frame:
     wall_time_ns: int
     index: int
     encoded: bytes | None = field(default=None, repr=False)
+
+    def __post_init__(self) -> None:
+        for name in ("time_s", "wall_time_ns", "index"):
+            if not math.isfinite(check_number(getattr(self, name), name)):
+                raise ValueError(f"Expected a finite {name} of the frame, got {getattr(self, name)}.")
 
 
 def pixels_digest(pixels: Array) -> str:

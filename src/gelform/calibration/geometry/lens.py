@@ -13,7 +13,7 @@ from scipy.optimize import least_squares
 
 from gelform.calibration.geometry.scale import Scale
 from gelform.errors import DataError
-from gelform.foundations.checks import check_image, check_list, check_numbers, check_positive
+from gelform.foundations.checks import check_image, check_list, check_numbers, check_within
 from gelform.image.view import Lens, View
 
 MAX_RESIDUAL_PX = 0.5  # px RMS of a grid's points
@@ -77,7 +77,7 @@ def view_from_grid(
         raise ValueError(
             f"Expected kind 'checkerboard' or 'dots' and a pattern of 3x3 points or more, got {kind!r}, {pattern}."
         )
-    pitch = check_positive(pitch_mm, "pitch_mm")
+    pitch = check_within(pitch_mm, "pitch_mm", 1e-3, 1e3)  # beyond, no homography is found
     frames = [check_image(image, name="grid image") for image in check_list(images, "images")]
     if not frames or any(frame.shape != frames[0].shape for frame in frames):
         raise ValueError("Expected one grid image or more, all of one size.")

@@ -50,6 +50,8 @@ class Scale:
     def __post_init__(self) -> None:
         check_positive(self.mm_per_px, "mm_per_px")
         check_positive(self.sigma, "sigma")
+        if self.along_x is not None:
+            check_within(self.along_x, "along_x", 0, 1)
 
 
 def scale_from_profile(name: str) -> Scale:
