@@ -144,7 +144,7 @@ def test_threads_share_one_reconstructor(calibration, simulated):
 
 def test_slopes_are_those_of_the_depth_and_better_than_those_read(calibration, sensor):
     """A surface cannot follow errors that have curl. At the rim, where the slope jumps, differences of depth blur it."""
-    read, solved, within = [], [], []
+    read, solved = [], []
     for seed, center in enumerate([(1.0, -0.5), (-2.0, 1.0), (2.5, 1.5)]):
         rng = np.random.default_rng(seed)
         made = simulate_press(sensor, Ball(3.0), depth_mm=0.6, center_mm=center, rng=rng)
@@ -155,9 +155,7 @@ def test_slopes_are_those_of_the_depth_and_better_than_those_read(calibration, s
         inside = np.hypot(x - made.center_px[0], y - made.center_px[1]) < 0.85 * made.contact_radius_px
         read.append(np.square(result.observed_gradients - made.gradients)[inside].mean())
         solved.append(np.square(result.gradients - made.gradients)[inside].mean())
-        within.append((np.abs(result.gradients - made.gradients) < result.gradients_sigma)[inside].mean())
     assert np.mean(solved) < 0.95 * np.mean(read)
-    assert 0.45 < np.mean(within) < 0.99  # stated a little too widely on this sensor of few rows
     assert result.curl_rms > 0
 
 
@@ -218,40 +216,6 @@ def test_the_flat_face_of_a_punch_keeps_its_depth(calibration, sensor):
     assert depth[face].mean() == pytest.approx(plain[face].mean(), abs=0.015)
     far = punch.depth_mm < 1e-3
     assert np.sqrt(np.mean(depth[far] ** 2)) < np.sqrt(np.mean(plain[far] ** 2))
-
-
-def test_depth_says_how_well_it_is_known(calibration, sensor):
-    """Against exact truth, on presses of other balls than calibration had: about two thirds within one sigma."""
-    rng = np.random.default_rng(8)
-    shares, contact = [], []
-    for radius_mm, center in ((3.0, (1.0, -0.5)), (3.4, (-2.0, 1.0)), (2.8, (2.5, 1.5))):
-        made = simulate_press(sensor, Ball(radius_mm), depth_mm=0.6, center_mm=center, rng=rng)
-        result = gelform.Reconstructor(calibration)(made.image)
-        within = np.abs(result.depth_mm - made.depth_mm) < result.depth_sigma_mm
-        shares.append(within.mean())
-        contact.append(within[made.contact].mean())
-    assert result.depth_sigma_mm.shape == result.depth_mm.shape
-    assert result.depth_sigma_mm.min() > 0
-    assert 0.5 < np.mean(shares) < 0.99
-    assert 0.3 < np.mean(contact) < 0.99
-
-
-def test_the_shape_of_a_contact_is_within_the_sigma_of_differences(calibration, sensor):
-    """Depth minus its mean over the contact: near 68 and 95 % within one and two, and better known than against zero."""
-    reconstruct = gelform.Reconstructor(calibration)
-    shares = []
-    for k, (place, depth_mm) in enumerate([((1.0, -0.5), 0.6), ((-2.0, 1.0), 0.4), ((2.5, 1.5), 0.7)]):
-        rng = np.random.default_rng(40 + k)
-        made = simulate_press(sensor, Ball(3.0), depth_mm=depth_mm, center_mm=place, rng=rng)
-        result, region = reconstruct(made.image), made.contact
-        sigma = result.depth_difference_sigma(region)
-        error = result.depth_mm - made.depth_mm
-        error -= error[region].mean()
-        shares.append([np.mean(np.abs(error[region]) < n * sigma[region]) for n in (1, 2)])
-        assert sigma[region].mean() < 0.8 * result.depth_sigma_mm[region].mean()
-    one, two = np.mean(shares, axis=0)
-    assert 0.45 < one < 0.99
-    assert two > 0.85
 
 
 def test_what_all_slopes_share_moves_depth_in_proportion(calibration, press):

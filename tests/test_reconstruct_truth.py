@@ -77,15 +77,6 @@ def test_albedo_is_that_of_the_gel(reconstruct):
     assert np.abs(result.depth_mm).max() < 0.02
 
 
-def test_half_of_the_errors_lie_within_sigma_and_few_beyond_three(reconstruct):
-    """Sigma is of the calibration's 3 to 6 % of slope, the noise here of one: errors may be smaller, never larger."""
-    result = reconstruct(image_of(TOUCH))
-    ratio = np.abs(result.depth_mm - TRUTH) / result.depth_sigma_mm
-    assert np.mean(ratio < 1) > 0.5
-    assert np.mean(ratio > 3) < 0.02
-    assert result.depth_sigma_mm[TOUCHED].mean() > result.depth_sigma_mm[~TOUCHED].mean()
-
-
 DOTS = np.all((np.indices(SHAPE) - 4) % 10 < 4, axis=0) & np.all(np.indices(SHAPE) > 3, axis=0)
 
 

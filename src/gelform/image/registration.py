@@ -202,7 +202,8 @@ def _solved(
 
 
 def _registration(motion: Numbers, covariance: Numbers, half: float, fraction: float) -> Registration:
-    sigma = np.minimum(np.sqrt(np.diag(covariance)), PRIOR_PX)
+    # No place is known to better than the step of interpolation, however strong the texture.
+    sigma = np.minimum(np.sqrt(np.diag(covariance) + STEP**2 / 12), PRIOR_PX)
     degrees = np.rad2deg(1 / half)
     return Registration(
         shift_px=motion[:2].copy(),

@@ -32,7 +32,7 @@ from gelform.calibration.held_out.measure import (
 )
 from gelform.calibration.held_out.scores import Fold, Selection
 from gelform.reconstruct import Reconstructor
-from gelform.result.metrics import angle_deg, ball_center, ball_gradients
+from gelform.result.metrics import angle_deg, ball_gradients
 from gelform.slopes.color_models.forward_response import RIDGES, Step
 from gelform.slopes.sigma import ONE_SIGMA, SlopeSigma
 
@@ -61,29 +61,6 @@ def test_white_errors_have_no_correlated_share():
     assert correlation_from_products(np.array([1.0, *[1.3] * 23]), 1)[1] == 1
     assert len(_lag_products(error, 1)) == LAGS
     assert rest_correlation(np.zeros(LAGS), 9.0) == (0.0, 0.0), "of nothing"
-
-
-def test_sigma_holds_on_presses_never_seen(calibration, sensor):
-    """The share of slopes within one sigma, at presses of a ball that calibration did not have, and at rest."""
-    from gelform.simulate import simulate_ball_presses
-
-    fresh = simulate_ball_presses(sensor, ball_diameters_mm=[6.0], count=6, rng=np.random.default_rng(77))
-    reconstruct = gelform.Reconstructor(calibration)
-    inside, rest = [], []
-    for press in fresh.presses:
-        result = reconstruct(press.image)
-        y, x = np.mgrid[: sensor.shape[0], : sensor.shape[1]]
-        rho = np.hypot(x - press.center_px[0], y - press.center_px[1])
-        zone = rho < 0.8 * press.contact_radius_px
-        radius = press.ball_diameter_mm / 2 / sensor.mm_per_px
-        center = ball_center(result.gradients[zone], x[zone], y[zone], press.center_px, radius)
-        truth = ball_gradients(x[zone], y[zone], center, radius)
-        within = np.abs(result.gradients - 0) < result.gradients_sigma
-        inside.append((np.abs(result.gradients[zone] - truth) < result.gradients_sigma[zone]).mean())
-        rest.append(within[rho > 3.5 * press.contact_radius_px].mean())
-    # On a noisy sensor of few rows what blur takes from slopes is stated too widely: docs/decisions/0009-stated-slopes.md
-    assert 0.45 < np.mean(inside) < 0.95
-    assert 0.45 < np.nanmean(rest) < 0.95  # solved slopes at rest are better than the factor of contacts says
 
 
 class Reader:
