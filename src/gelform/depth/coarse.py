@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform._native import Kernel
-from gelform.arrays import Array, Floats, Map, Mask, Slopes
+from gelform.arrays import Array, Map, Mask, Slopes
 from gelform.depth.solvers.dct import DctSolver
 from gelform.foundations.filters import MIN_UNTOUCHED, fill_unknown, medians_where
 from gelform.foundations.pool import Pool
@@ -30,39 +30,29 @@ _cell_shares = Kernel("cell_shares", "bool[h,w] mask, out f32[r,k] cells")
 
 
 class Coarse:
-    """Means of frames (H, W), least-squares depth of them, and maps at pixels again; immutable, threads can share it.
-
-    Attributes
-    ----------
-    shape : (rows, columns)
-    pitch_px : (x, y), distance of its cells, px
-    """
+    """Means of frames (H, W), least-squares depth of them, and maps at pixels again; immutable, threads can share it."""
 
     def __init__(self, shape: tuple[int, int]) -> None:
         rows, columns = (max(2, size // COARSER) for size in shape)
         self.shape = rows, columns
-        self.pitch_px = shape[1] / columns, shape[0] / rows
+        self.pitch_px = shape[1] / columns, shape[0] / rows  # (x, y), distance of its cells
         self._pixels = shape[1], shape[0]
         self._whole = (COARSER * rows, COARSER * columns) == tuple(shape)
         self._solver = DctSolver(self.shape, self.pitch_px)
 
     def means(self, values: Array) -> Map:
         """Means (rows, columns, ...) over the cells of a map (H, W) or (H, W, C), float32 in C order, or bool."""
-        if self._whole:
-            cells = np.empty((*self.shape, *values.shape[2:]), dtype=np.float32)
-            if values.dtype == np.bool_:
-                _cell_shares(values, cells)
-            else:
-                channels = values.shape[2] if values.ndim == 3 else 1
-                work = np.empty(values.shape[1] * channels, dtype=np.float32)
-                _cell_means(
-                    values.reshape(*values.shape[:2], channels), work, cells.reshape(*self.shape, channels)
-                )
-            return cells
-        values = values.astype(np.float32, copy=False)
-        return np.asarray(
-            cv2.resize(values, self.shape[::-1], interpolation=cv2.INTER_AREA), dtype=np.float32
-        )
+        if not self._whole:
+            values = values.astype(np.float32, copy=False)
+            return np.asarray(cv2.resize(values, self.shape[::-1], interpolation=cv2.INTER_AREA), np.float32)
+        cells = np.empty((*self.shape, *values.shape[2:]), dtype=np.float32)
+        if values.dtype == np.bool_:
+            _cell_shares(values, cells)
+        else:
+            rows = values.reshape(*values.shape[:2], -1)
+            work = np.empty(rows.shape[1] * rows.shape[2], dtype=np.float32)
+            _cell_means(rows, work, cells.reshape(*self.shape, -1))
+        return cells
 
     def depth_px(self, slopes: Slopes) -> Map:
         """Least-squares depth (rows, columns) of slopes there (rows, columns, 2), px; its mean is 0."""
@@ -80,9 +70,6 @@ def coarse_of(shape: tuple[int, int]) -> Coarse:
 
 
 REST_SIGMA_MM = 0.057  # mm, sigma of depth at pixels with the color of rest, far from contacts
-FACE_MM = (
-    0.02  # mm; an enclosed region farther off rest is a face; slope errors tilt a face of a few mm by less
-)
 REACH_MM = 1.0  # mm; touched gel draws down the gel at this distance, by exp(-(distance/reach)^2)
 UNTOUCHED_FRACTION = 0.5  # of a coarse pixel that has the color of rest: above it is at rest, below touched
 
@@ -95,19 +82,10 @@ _spread_over_chosen = Kernel(
     "spread_over_chosen", "f32[rows,columns] coarse, bool[h,w] chosen, out f32[n] work, out f32[h,w] map"
 )
 _distance_to_chosen = Kernel("distance_to_chosen", "bool[h,w] chosen, out f32[n] work, out f32[h,w] distance")
-# Floats of work memory; the same as in native/depth/anchor.
-WORDS_OF_RUN, WORDS_OF_REGION = 6, 4
 
 
 class RestAnchor:
-    """The anchor of a frame. It is prepared once and immutable; threads can share it.
-
-    Parameters
-    ----------
-    shape : (H, W)
-    mm_per_px : float, mm
-    full_confidence_sigma : float, mm/mm; standard deviation of a slope of weight 1
-    """
+    """The anchor of frames (H, W). It is prepared once and immutable; threads can share it."""
 
     def __init__(self, shape: tuple[int, int], mm_per_px: float, full_confidence_sigma: float) -> None:
         self.shape, self._mm_per_px = shape, np.float32(mm_per_px)
@@ -115,8 +93,8 @@ class RestAnchor:
         self._coarse = coarse_of(shape)
         rows, columns = self._coarse.shape
         self._coarse_mm = mm_per_px * sum(self._coarse.pitch_px) / 2
-        runs = rows * ((columns + 1) // 2)
-        of_coarse = runs * (WORDS_OF_RUN + WORDS_OF_REGION) + 4 * rows * columns
+        # Six floats for a run of pixels and four for a region, as in native/depth/anchor.
+        of_coarse = (6 + 4) * rows * ((columns + 1) // 2) + 4 * rows * columns
         size = max(4 * shape[1], of_coarse, (rows + 2) * (columns + 2))
         self._pool = Pool(lambda: np.empty(size, dtype=np.float32))
 
@@ -127,24 +105,20 @@ class RestAnchor:
         distance d from touched gel; in a face it gets 0. If no coarse pixel is at rest, the coarse pixels with the largest
         fraction at rest are taken instead.
         """
-        coarse = self._coarse
+        coarse, far = self._coarse, None
         slopes, fraction = coarse.means(gradients), coarse.means(at_rest)
         depth = coarse.depth_px(slopes) * self._mm_per_px
-        weight, anchor = np.empty(coarse.shape, np.float32), np.empty(self.shape, np.float32)
+        weight, distance = np.empty((2, *coarse.shape), np.float32)
+        anchor = np.empty(self.shape, np.float32)
+        touched = fraction < min(UNTOUCHED_FRACTION, float(fraction.max()))
         with self._pool.one() as work:
-            far = self._far_from(fraction < min(UNTOUCHED_FRACTION, float(fraction.max())), work)
-            _rest_hold(depth, fraction, far, work, weight, self.hold, UNTOUCHED_FRACTION, FACE_MM)
+            if touched.any():
+                _distance_to_chosen(touched, work, distance)
+                far = 1 - np.exp(-np.square(distance * np.float32(self._coarse_mm / REACH_MM)))
+            # An enclosed region farther than 0.02 mm off rest is a face; slope errors tilt a face of a few mm by less.
+            _rest_hold(depth, fraction, far, work, weight, self.hold, least=UNTOUCHED_FRACTION, face=0.02)
             _spread_over_chosen(weight, at_rest, work, anchor)
         return anchor
-
-    def _far_from(self, touched: Mask, work: Floats) -> Map | None:
-        """Distance factor (h, w) on the coarse grid: 0 at touched gel, 1 far from it; None if nothing is touched."""
-        if not touched.any():
-            return None
-        distance = np.empty(self._coarse.shape, np.float32)
-        _distance_to_chosen(touched, work, distance)
-        far: Map = 1 - np.exp(-np.square(distance * np.float32(self._coarse_mm / REACH_MM)))
-        return far
 
 
 class CoarseDepth:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gelform._native import Kernel
-from gelform.arrays import Floats, Map, Mask, Numbers
+from gelform.arrays import Floats, Map, Mask
 from gelform.depth.regions import labeled, runs_work
 from gelform.foundations.checks import (
     check_map,
@@ -28,9 +28,9 @@ from gelform.foundations.findings import Finding
 # Chosen on every second or third press of six real sensors and on three simulated ones, so that one ball is one contact and
 # frames at rest have none; docs/contacts.md shows the other frames.
 NOISE_FACTOR = 3.5  # standard deviations: pressures over the noise at rest, depths of regions over their own
-# Noise factors that a region's own depth and its pressure exceed together, as the root of the sum of their squares.
-TOGETHER = 2.0
-INFLUENCE = 6.0  # relaxation lengths, reach of a pressure; beyond, its depth is a thousandth
+MIN_AREA_MM2 = 0.05  # mm^2, area of the smallest contact
+SMOOTHING_PX = 0.7  # px, standard deviation of the Gaussian that smooths before the Laplacian
+NEIGHBORHOOD_PX = 4  # px, half the width of the square around a pixel that means are taken over
 
 _region_evidence = Kernel(
     "region_evidence",
@@ -38,120 +38,6 @@ _region_evidence = Kernel(
     "out f64[n,7] measures, f32 stiffness, f32 per_x, f32 per_y",
 )
 _variance_below = Kernel("variance_below", "f32[...] depth, f32[...] sigma, out f64[1] excess, i64 step")
-
-
-class Regions(NamedTuple):
-    """The regions of an outline, and the maps (H, W) that speak for them."""
-
-    # number, labels: of the regions, from 1
-    number: int
-    labels: NDArray[np.uint16]
-    # depth, sigma: mm, and its standard deviation
-    depth: Map
-    sigma: Map
-    evidence: Map  # square of the mean pressure around over its variance
-    # smooth, bent: the depth smoothed, and minus its Laplacian
-    smooth: Map
-    bent: Map
-
-
-class _Measures(NamedTuple):
-    """What speaks for each region, (n,)."""
-
-    area_px: Numbers
-    depth_mm: Numbers
-    deepest_yx: NDArray[np.int32]  # (n, 2)
-    deviation_mm: Numbers  # standard deviation of that depth
-    sigmas: Numbers  # the most standard deviations that a pressure is above 0
-    own_mm: Numbers  # the depth that its own pressure makes at its deepest pixel
-
-
-@dataclass(frozen=True)
-class Evidence:
-    """Which regions stand, by their own uncertainty.
-
-    A region's deepest depth has to exceed `noise_factor` of its own standard deviations. So do the pressure of a pixel and
-    the depth of the region's own pressure: gel that another object draws down has depth without pressure of its own.
-    The depth that a pressure makes at the distance r is `K0(r/L) / (2 pi)`.
-
-    No contact makes a negative depth. What negative depths have more than their standard deviations say, as of dust or of
-    another light, is the frame's own noise, and counts as one more error of the depth that a region makes.
-    """
-
-    pitch: tuple[float, float]  # (x, y), mm
-    length_mm: float  # L, the gel's relaxation length
-    # noise_factor, min_area_mm2: as in `contact_from_depth`
-    noise_factor: float
-    min_area_mm2: float
-
-    def __call__(self, regions: Regions) -> tuple[Mask, NDArray[np.int32]]:
-        """Whether each label (labels + 1,) is a contact, and the (y, x) of its deepest pixel (labels + 1, 2)."""
-        found = self._measured(regions)
-        least_px = self.min_area_mm2 / (self.pitch[0] * self.pitch[1])
-        deep = (found.area_px >= least_px) & (found.depth_mm > self.noise_factor * found.deviation_mm)
-        noise = np.sqrt(found.deviation_mm**2 + self._variance_of_frame(regions))
-        own = np.minimum(found.own_mm, found.depth_mm) / np.maximum(noise, 1e-9)
-        both = np.minimum(own, found.sigmas) > self.noise_factor
-        stands = deep & both & (np.hypot(own, found.sigmas) > TOGETHER * self.noise_factor)
-        return np.append(False, stands), np.vstack([np.zeros((1, 2), np.int32), found.deepest_yx])
-
-    def _variance_of_frame(self, regions: Regions) -> float:
-        """What the negative depths have more than their own variance, mm^2."""
-        depth, excess = regions.depth, np.empty(1)
-        _variance_below(depth, regions.sigma, excess, step=max(1, depth.size // MEDIAN_SAMPLES))
-        return float(excess[0])
-
-    def _measured(self, regions: Regions) -> _Measures:
-        measures, area = np.empty((regions.number, 7)), self.pitch[0] * self.pitch[1]
-        per_x, per_y = (step**2 / area for step in self.pitch)
-        _region_evidence(
-            *regions[1:], influence=self._influence, measures=measures, stiffness=self.length_mm**-2, per_x=per_x,
-            per_y=per_y,
-        )  # fmt: skip
-        pixels, depth, x, y, deviation, square, own = measures.T
-        deepest = np.column_stack([y, x]).astype(np.int32)
-        return _Measures(pixels, depth, deepest, deviation, np.sqrt(square), own)
-
-    @cached_property
-    def _influence(self) -> Floats:
-        """Depth, mm, that a pressure of 1/mm on a pixel makes, by squared distance in pixels of mean size."""
-        area = self.pitch[0] * self.pitch[1]
-        reach = min(
-            (INFLUENCE * self.length_mm) ** 2 / area, 1e6
-        )  # px^2; no contact is a thousand pixels wide
-        squares = np.arange(int(reach) + 2, dtype=np.float64)
-        squares[0] = 1 / (
-            np.pi * np.e
-        )  # where the logarithm is that of the mean over a disc of a pixel's area
-        depth = bessel_k(0, np.sqrt(squares * area) / self.length_mm) * area / (2 * np.pi)
-        return np.asarray(depth, dtype=np.float32)
-
-
-MIN_AREA_MM2 = 0.05  # mm^2, area of the smallest contact
-SMOOTHING_PX = 0.7  # px, standard deviation of the Gaussian that smooths before the Laplacian
-SHARE = (
-    2 / 3
-)  # of the mean pressure around a pixel, at which a contact ends; three simulated and six real sensors
-NEIGHBORHOOD_PX = 4  # px, half the width of the square around a pixel that means are taken over
-# px, half the width of the square that closes an outline, half the gap beside a cube's crest; and the share of the bed's
-# pressure that holds gaps and holes: half way between the membrane alone, 0, and a plane face, 1.
-CLOSING_PX, HELD_SHARE = 2, 0.5
-VALLEY_SIGMAS = (
-    5.0  # standard deviations, by which gel lies over its rest where the background image was pressed
-)
-SIGMAS_OF_DEPTH = 2.0  # standard deviations; only the part of a depth beyond them presses on the bed
-# mm, relaxation length of a gel that no press showed: the longest of six sensors (0.41 to 0.86). A shorter one than the
-# gel's takes gel that is drawn down for contact.
-USUAL_RELAXATION_MM = 0.86
-FRACTION_AT_REST = (
-    0.3  # smallest fraction of a frame that is taken to be at rest, where the noise is measured in it
-)
-SIGMA_OF_FRACTION = (
-    2.595  # deviation of a normal distribution over the magnitude that 30 % of its values lie below
-)
-SIGMAS_OF_95 = 1.96  # standard deviations of a normal distribution that 95 % of its magnitudes lie below
-LEAST_NOISE = 1e-3  # 1/mm, pressure of a depth without noise: what float32 rounds to
-
 _bent_surface = Kernel(
     "bent_surface",
     "f32[h,w] depth, f32[t] taps, out f32[h,w] smooth, out f32[h,w] bent, out f32[n] work, f32 along_x, f32 along_y, "
@@ -188,6 +74,69 @@ _standing_regions = Kernel(
     "standing_regions",
     "u16[h,w] labels, bool[n] stands, i32[n,2] deepest, f32[h,w] surface, out bool[h,w] contact, i64 reach",
 )
+
+
+class Regions(NamedTuple):
+    """The regions of an outline, and the maps (H, W) that speak for them."""
+
+    number: int
+    labels: NDArray[np.uint16]  # from 1
+    depth: Map  # mm
+    sigma: Map  # mm, its standard deviation
+    evidence: Map  # square of the mean pressure around over its variance
+    smooth: Map  # the depth smoothed
+    bent: Map  # minus its Laplacian
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Which regions stand, by their own uncertainty.
+
+    A region's deepest depth has to exceed `noise_factor` of its own standard deviations. So do the pressure of a pixel and
+    the depth of the region's own pressure: gel that another object draws down has depth without pressure of its own.
+    The depth that a pressure makes at the distance r is `K0(r/L) / (2 pi)`.
+
+    No contact makes a negative depth. What negative depths have more than their standard deviations say, as of dust or of
+    another light, is the frame's own noise, and counts as one more error of the depth that a region makes.
+    """
+
+    pitch: tuple[float, float]  # (x, y), mm
+    length_mm: float  # L, the gel's relaxation length
+    # noise_factor, min_area_mm2: as in `contact_from_depth`
+    noise_factor: float
+    min_area_mm2: float
+
+    def __call__(self, regions: Regions) -> tuple[Mask, NDArray[np.int32]]:
+        """Whether each label (labels + 1,) is a contact, and the (y, x) of its deepest pixel (labels + 1, 2)."""
+        depth, factor, area = regions.depth, self.noise_factor, self.pitch[0] * self.pitch[1]
+        measures, excess = np.empty((regions.number, 7)), np.empty(1)
+        per_x, per_y = (step**2 / area for step in self.pitch)
+        _region_evidence(
+            *regions[1:], influence=self._influence, measures=measures, stiffness=self.length_mm**-2, per_x=per_x,
+            per_y=per_y,
+        )  # fmt: skip
+        _variance_below(depth, regions.sigma, excess, step=max(1, depth.size // MEDIAN_SAMPLES))
+        pixels, deepest_mm, x, y, deviation, evidence, own_mm = measures.T
+        deep = (pixels >= self.min_area_mm2 / area) & (deepest_mm > factor * deviation)
+        noise, sigmas = np.sqrt(deviation**2 + excess), np.sqrt(evidence)
+        own = np.minimum(own_mm, deepest_mm) / np.maximum(noise, 1e-9)
+        # A region's own depth and its pressure exceed two noise factors together, as the root of the sum of their squares.
+        stands = deep & (np.minimum(own, sigmas) > factor) & (np.hypot(own, sigmas) > 2 * factor)
+        deepest_yx = np.column_stack([y, x]).astype(np.int32)
+        return np.append(False, stands), np.vstack([np.zeros((1, 2), np.int32), deepest_yx])
+
+    @cached_property
+    def _influence(self) -> Floats:
+        """Depth, mm, that a pressure of 1/mm on a pixel makes, by squared distance in pixels of mean size."""
+        area = self.pitch[0] * self.pitch[1]
+        # px^2. Beyond six relaxation lengths a pressure's depth is a thousandth; no contact is a thousand pixels wide.
+        reach = min((6 * self.length_mm) ** 2 / area, 1e6)
+        squares = np.arange(int(reach) + 2, dtype=np.float64)
+        squares[0] = 1 / (
+            np.pi * np.e
+        )  # where the logarithm is that of the mean over a disc of a pixel's area
+        depth = bessel_k(0, np.sqrt(squares * area) / self.length_mm) * area / (2 * np.pi)
+        return np.asarray(depth, dtype=np.float32)
 
 
 class SlopeDeviations(NamedTuple):
@@ -244,47 +193,37 @@ def contact_from_depth(
     depth = check_map(depth_mm, "depth_mm")
     if depth.ndim != 2:
         raise ValueError(f"Expected depth_mm of one frame, (H, W), got {depth.shape}.")
-    for name, value in (("noise_factor", noise_factor), ("min_area_mm2", min_area_mm2)):
-        check_number(value, name)
     if relaxation_mm is not None:
-        check_positive(relaxation_mm, "relaxation_mm")
-        check_within(relaxation_mm, "relaxation_mm", 1e-3, 1e3)  # mm; anything else is a typing error
-    if not (noise_factor > 0 and min_area_mm2 >= 0):
+        length = check_positive(relaxation_mm, "relaxation_mm")
+        check_within(length, "relaxation_mm", 1e-3, 1e3)  # mm; anything else is a typing error
+    if not (
+        check_number(noise_factor, "noise_factor") > 0 and check_number(min_area_mm2, "min_area_mm2") >= 0
+    ):
         raise ValueError(
             f"Expected noise_factor > 0 and min_area_mm2 >= 0, got {noise_factor} and {min_area_mm2}."
         )
-    pitch = check_mm_per_px(mm_per_px)
-    depth, sigma = np.ascontiguousarray(depth), None
+    pitch, noise, sigma = check_mm_per_px(mm_per_px), np.ones_like(depth), None
     if depth_sigma_mm is not None:
         sigma = check_map(depth_sigma_mm, "depth_sigma_mm", shape=depth.shape, nonnegative=True)
-        sigma = np.ascontiguousarray(sigma)
-    noise = np.ones_like(depth)
     return PreparedContact(pitch, relaxation_mm, noise, None, noise_factor, min_area_mm2)(depth, sigma)
 
 
 class PreparedContact:
-    """`contact_from_depth` for the frames of one sensor: float32, finite, in C order. Immutable; threads can share it.
-
-    Parameters
-    ----------
-    pitch : (x, y), mm
-    relaxation_mm : of the gel; None if unknown
-    noise : (H, W) float32, variance of a slope at rest; without `correlation` only its ratios count
-    correlation : of the slopes' errors, as `SlopeSigma.correlation`; None: noise is measured in each frame
-    noise_factor, min_area_mm2 : as in `contact_from_depth`
-    """
+    """`contact_from_depth` for the frames of one sensor: float32, finite, in C order. Immutable; threads can share it."""
 
     def __init__(
         self,
-        pitch: tuple[float, float],
-        relaxation_mm: float | None,
-        noise: Map,
-        correlation: Mapping[str, Any] | None = None,
+        pitch: tuple[float, float],  # (x, y), mm
+        relaxation_mm: float | None,  # of the gel; None if unknown
+        noise: Map,  # (H, W), variance of a slope at rest; without `correlation` only its ratios count
+        correlation: Mapping[str, Any] | None = None,  # of `SlopeSigma`; None: each frame's noise is measured
         noise_factor: float = NOISE_FACTOR,
         min_area_mm2: float = MIN_AREA_MM2,
     ) -> None:
-        length = relaxation_mm or USUAL_RELAXATION_MM
-        self._pitch, self._noise, self._factor = pitch, noise, noise_factor
+        # mm, of a gel that no press showed: the longest of six sensors (0.41 to 0.86). A shorter length than the gel's takes
+        # gel that is drawn down for contact.
+        length = relaxation_mm or 0.86
+        self._pitch, self._factor = pitch, noise_factor
         self._reach_px = length / max(pitch)  # an object's depth reaches about as far beyond it
         self._stiffness, self._stands = length**-2, Evidence(pitch, length, noise_factor, min_area_mm2)
         # Beside a border, means are taken over fewer pixels that have a pressure of their own.
@@ -294,28 +233,24 @@ class PreparedContact:
         count = cv2.boxFilter(inner, -1, (side, side), normalize=False, borderType=cv2.BORDER_CONSTANT)
         self._noise = noise * (np.float32(side**2) / np.maximum(count, 1))
         # The square that means are taken over smooths once more, by its own standard deviation.
-        smoothings = np.hypot(SMOOTHING_PX, [np.sqrt(((2 * NEIGHBORHOOD_PX + 1) ** 2 - 1) / 12), 0])
+        smoothings = np.hypot(SMOOTHING_PX, [np.sqrt((side**2 - 1) / 12), 0])
         self._gains = None if correlation is None else [_gains(pitch, s, **correlation) for s in smoothings]
         self._everywhere = np.ones(noise.shape, dtype=np.bool_)
-        self._square = np.ones((2 * CLOSING_PX + 1,) * 2, dtype=np.uint8)
+        self._square = np.ones((5, 5), dtype=np.uint8)  # px, closes half the gap beside a cube's crest
 
     def __call__(
         self,
-        depth: Map,
-        sigma: Map | None,
+        depth: Map,  # (H, W), mm
+        sigma: Map | None,  # (H, W), mm, its standard deviation >= 0, by which regions stand
         slopes: SlopeDeviations | None = None,
-        known: Mask | None = None,
-        own_sigma: Map | None = None,
+        known: Mask | None = None,  # (H, W), pixels whose depth was not filled in
+        own_sigma: Map | None = None,  # the one that the frame itself shows, by which outlines are drawn
     ) -> Mask:
-        """The contact mask (H, W) of a depth, mm.
-
-        Parameters
-        ----------
-        depth, sigma : (H, W), mm, and its standard deviation >= 0, by which regions stand
-        slopes : deviations of its slopes; known : (H, W), pixels whose depth was not filled in
-        own_sigma : (H, W), mm, the deviation that the frame itself shows, by which outlines are drawn; `sigma` by default
-        """
-        sigma = np.full_like(depth, _noise_mm(depth)) if sigma is None else sigma
+        """The contact mask (H, W) of a depth."""
+        if sigma is None:  # the median of negative depths tells the noise, as of half a Gaussian
+            sample = depth.ravel()[:: max(1, depth.size // MEDIAN_SAMPLES)]
+            below = sample[sample < 0]
+            sigma = np.full_like(depth, -SIGMA_OF_MEDIAN * float(np.median(below)) if below.size else 0.0)
         own_sigma = sigma if own_sigma is None else own_sigma
         hidden = known is not None and not known.all()
         known = known if hidden and known is not None else self._everywhere
@@ -325,26 +260,25 @@ class PreparedContact:
             variance, at_rest, gains = np.empty_like(depth), slopes.at_rest, self._gains
             _slope_variance(slopes.read, slopes.solved, at_rest, variance)
         smooth, bent = self._smoothed(depth)
-        pressure, mean, spread, variance_around, mean_bent, sure, evidence = np.empty(
-            (7, *depth.shape), np.float32
-        )
+        pressure, mean, spread, around, mean_bent, sure, evidence = np.empty((7, *depth.shape), np.float32)
         _pressure_means(
-            smooth, bent, own_sigma, variance, known if hidden else None, pressure, mean, spread, variance_around, mean_bent,
-            self._work(5), stiffness=self._stiffness, sigmas=SIGMAS_OF_DEPTH,
+            smooth, bent, own_sigma, variance, known if hidden else None, pressure, mean, spread, around, mean_bent,
+            self._work(5), stiffness=self._stiffness, sigmas=2.0,  # only depth beyond them presses on the bed
         )  # fmt: skip
         of_mean, of_pixel = (self._gains_of_frame(b, at_rest, k) for b, k in zip((mean_bent, bent), gains))
         if not _sure_pressure(
-            pressure, mean, spread, own_sigma, variance_around, self._noise, at_rest, known, sure, evidence,
+            pressure, mean, spread, own_sigma, around, self._noise, at_rest, known, sure, evidence,
             self._stiffness, self._factor, *of_mean, *of_pixel,
         ):  # fmt: skip
             return np.zeros(depth.shape, dtype=np.bool_)
         outline, contact = np.empty((2, *depth.shape), dtype=np.bool_)
-        _contact_outline(sure, outline, self._work(2), share=SHARE)
+        # A contact ends at this share of the mean pressure around a pixel: three simulated and six real sensors.
+        _contact_outline(sure, outline, self._work(2), share=2 / 3)
         closed = cv2.morphologyEx(outline.view(np.uint8), cv2.MORPH_CLOSE, self._square).view(np.bool_)
+        # The share of the bed's pressure that holds gaps and holes is half way between the membrane alone and a plane face.
         _held_outline(
             outline, closed, known if hidden else None, mean, smooth, bent, contact,
-            np.empty(runs_work(depth.shape), dtype=np.int32), stiffness=self._stiffness, share=HELD_SHARE,
-            reach=self._reach_px,
+            np.empty(runs_work(depth.shape), dtype=np.int32), stiffness=self._stiffness, share=0.5, reach=self._reach_px,
         )  # fmt: skip
         count, labels = labeled(contact)
         stands, deepest = self._stands(Regions(count, labels, depth, sigma, evidence, smooth, bent))
@@ -364,7 +298,7 @@ class PreparedContact:
         turned = -depth
         valley = self(turned, sigma, slopes, known)
         if sigma is not None:
-            valley &= turned > VALLEY_SIGMAS * sigma
+            valley &= turned > 5 * sigma
         if not valley.any():
             return ()
         deepest = float(turned[valley].max())
@@ -393,20 +327,17 @@ class PreparedContact:
         """Variance of the pressure at rest, and elsewhere, for a variance of slopes of 1.
 
         A frame may have more noise at rest than the calibration's presses, or larger outliers, as after compression: the
-        larger counts. If nothing is known, the smallest magnitudes of the frame tell its noise.
+        larger counts. If nothing is known, the smallest magnitudes of the frame tell its noise: at least 30 % are at rest.
         """
-        if known is None:
-            return 2 * [
-                max(SIGMA_OF_FRACTION * self._magnitude(bent, None, FRACTION_AT_REST), LEAST_NOISE) ** 2
-            ]
-        return [max(known[0], (self._magnitude(bent, at_rest, 0.95) / SIGMAS_OF_95) ** 2), known[1]]
-
-    def _magnitude(self, bent: Map, chosen: Mask | None, share: float) -> float:
-        step = max(1, bent.size // MEDIAN_SAMPLES)
+        chosen, share = (None, 0.3) if known is None else (at_rest, 0.95)
+        step, found = max(1, bent.size // MEDIAN_SAMPLES), np.empty(1, dtype=np.float32)
         work = np.empty(2 * -(-bent.size // step), dtype=np.float32)
-        magnitude = np.empty(1, dtype=np.float32)
-        _magnitude_of_share(bent, self._noise, chosen, work, magnitude, step=step, share=share)
-        return float(magnitude[0])
+        _magnitude_of_share(bent, self._noise, chosen, work, found, step=step, share=share)
+        # Of normal noise, 30 % of the magnitudes lie below 1/2.595 deviations, 95 % below 1.96. A depth without noise has
+        # 1e-3 1/mm, to which float32 rounds.
+        if known is None:
+            return 2 * [max(2.595 * float(found[0]), 1e-3) ** 2]
+        return [max(known[0], (float(found[0]) / 1.96) ** 2), known[1]]
 
 
 def _margin(shape: tuple[int, ...]) -> int:
@@ -441,10 +372,3 @@ def _divergence(length: float, smoothing: float) -> float:
     """
     square = smoothing**2 + 0.25
     return 2 * length**2 / (2 * square + length**2) ** 2 if length > 0.5 else 1 / (4 * np.pi * square**2)
-
-
-def _noise_mm(depth: Map) -> float:
-    """Standard deviation of gel at rest, mm: from the median of its negative depths, as of half a Gaussian."""
-    sample = depth.ravel()[:: max(1, depth.size // MEDIAN_SAMPLES)]
-    below = sample[sample < 0]
-    return -SIGMA_OF_MEDIAN * float(np.median(below)) if below.size else 0.0

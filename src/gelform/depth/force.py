@@ -21,10 +21,6 @@ from gelform.foundations.checks import (
     check_within,
 )
 
-IN_LINE = 1e-6  # width over length; dots within it lie in a line, however their places were rounded
-BORDER_FRACTION = 1 / 30  # of the image's height: the width of the band along its border, 8 px of 240
-HELD = 0.9  # of the largest volume of a contact; with less, its force falls
-
 
 class DotMotion(NamedTuple):
     """The motion of all dots together: mean displacement, mm, turn about the view, rad, and tilt, mm/mm."""
@@ -38,30 +34,19 @@ class DotMotion(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Touch:
-    """The numbers of one result from which a force is read.
+    """The numbers of one result from which a force is read."""
 
-    Attributes
-    ----------
-    volume_mm3 : volume of the depth in the contact; 0 without a contact; None without a scale, or from a zero that was set
-    confidence : mean in the contact
-    outside_change : median color change outside the contact, over its mean inside; None without a contact
-    border_share : the part of the volume that lies in the band along the border
-    dots : their motion; None if the gel has none, or fewer than half are seen
-    rest_mm : (N, 2), positions of all dots at rest; None without dots
-    calibration_digest : of the calibration behind the result
-    volume_sigma_mm3 : standard deviation of the volume
-    falling : whether the contact had more volume before, as `touches_in_order` tells; a lone result does not
-    """
-
-    volume_mm3: float | None = None
-    confidence: float = 0.0
-    outside_change: float | None = None
-    border_share: float = 0.0
-    dots: DotMotion | None = None
-    rest_mm: Numbers | None = None
-    calibration_digest: str = ""
-    volume_sigma_mm3: float = 0.0
-    falling: bool = False
+    volume_mm3: float | None = (
+        None  # of the depth in the contact, or 0; None: no scale, or a zero that was set
+    )
+    confidence: float = 0.0  # mean in the contact
+    outside_change: float | None = None  # median outside the contact over the mean inside; None: no contact
+    border_share: float = 0.0  # the part of the volume that lies in the band along the border
+    dots: DotMotion | None = None  # None if the gel has none, or fewer than half are seen
+    rest_mm: Numbers | None = None  # (N, 2), positions of all dots at rest; None without dots
+    calibration_digest: str = ""  # of the calibration behind the result
+    volume_sigma_mm3: float = 0.0  # standard deviation of the volume
+    falling: bool = False  # whether the contact had more volume before, as `touches_in_order` tells
 
 
 def touch_from_result(result: Any) -> Touch:
@@ -78,7 +63,7 @@ def touch_from_result(result: Any) -> Touch:
     x, y, width, height = cv2.boundingRect(contact.view(np.uint8))
     box = slice(y, y + height), slice(x, x + width)
     touched, pressed = contact[box], result.depth[box] * contact[box]
-    band, (rows, columns) = max(1, round(BORDER_FRACTION * len(contact))), contact.shape
+    band, (rows, columns) = max(1, round(len(contact) / 30)), contact.shape  # 8 px of 240 along the border
     inside = pressed[
         max(band - y, 0) : max(rows - band - y, 0), max(band - x, 0) : max(columns - band - x, 0)
     ]
@@ -100,14 +85,15 @@ def touch_from_result(result: Any) -> Touch:
 def touches_in_order(results: Iterable[Any]) -> Iterator[Touch]:
     """The touches of results, or of touches, in the order of their frames: they know whether the force falls.
 
-    A gel that is released keeps its force longer than its contact, so a volume says less about a falling force.
+    A gel that is released keeps its force longer than its contact, so a volume says less about a falling force. It falls with
+    less than 0.9 of the largest volume of the contact.
     """
     largest = 0.0
     for one in results:
         touch = one if isinstance(one, Touch) else touch_from_result(one)
         volume = touch.volume_mm3 or 0.0
         largest = max(largest, volume) if volume > 0 else 0.0
-        yield replace(touch, falling=volume < HELD * largest)
+        yield replace(touch, falling=volume < 0.9 * largest)
 
 
 def touch_from_dots(rest_mm: ArrayLike, displacement_mm: ArrayLike) -> Touch:
@@ -137,7 +123,8 @@ def _motion(rest: Numbers, moved: Numbers) -> DotMotion | None:
     if len(rest) < 3:
         return None
     places = np.column_stack([rest[:, :2] - rest[:, :2].mean(axis=0), np.ones(len(rest))])
-    along, _, rank, _ = np.linalg.lstsq(places, moved, rcond=IN_LINE)
+    # Dots within 1e-6 of their length lie in a line, however their places were rounded.
+    along, _, rank, _ = np.linalg.lstsq(places, moved, rcond=1e-6)
     if rank < 3:
         return None
     tilt = along[:2, 2] if moved.shape[1] == 3 else np.zeros(2)
@@ -162,15 +149,6 @@ def _dots_of(result: Any) -> tuple[DotMotion | None, Numbers | None]:
 KINDS = {"normal": "n", "shear": "n", "torsion": "n_mm"}  # of force, with their units
 SHAPES = {"normal": (1, 1), "shear": (2, 6), "torsion": (1, 6)}  # of their weights: components, terms
 UNIT = "N"
-# Where no normal force is stated. Of the first, nine of ten touches of hard objects have less than .28 and of soft ones more
-# than .32, on a GelSight Wedge; docs/force.md has the rates of errors.
-MOST_OUTSIDE_CHANGE = 0.3  # color change outside the contact, over that inside
-LEAST_CONFIDENCE = 0.5  # mean in the contact
-MOST_IN_BORDER = 0.05  # of the volume, in the band along the border
-MOST_VOLUME_SIGMA = 0.4  # of the volume
-FALLING_SIGMA = 0.5  # of a falling normal force
-BEYOND_RANGE = 1.2  # of the largest calibrated load
-DOT_TOLERANCE = 0.15  # of the dots' spacing; a shifted grid of that pitch passes in 7 % (pi 0.15^2)
 NO_LOADS = "no loads were calibrated (gelform force calibrate)"
 
 
@@ -178,20 +156,15 @@ NO_LOADS = "no loads were calibrated (gelform force calibrate)"
 class ForcePart:
     """One kind of force, which is linear in the terms of a touch.
 
-    Attributes
-    ----------
-    weights : one row for each component. Of a normal force, K in N/mm^3, which is empirical, no constant of the material; of
-        shear and torsion, those of x, y, turn, tilt along x and y, and the constant of the gauge
-    range : smallest and largest magnitude of the loads
-    relative, floor : standard deviation over the force, and at no force, learnt by leaving grasps out
-    loads : number of loads that were used
+    Each component has a row of weights. Of a normal force it is K in N/mm^3, which is empirical, no constant of the material;
+    of shear and torsion, those of x, y, turn, tilt along x and y, and the constant of the gauge.
     """
 
     weights: tuple[tuple[float, ...], ...]
-    range: tuple[float, float]
-    relative: float
-    floor: float
-    loads: int
+    range: tuple[float, float]  # smallest and largest magnitude of the loads
+    relative: float  # standard deviation over the force, learnt by leaving grasps out
+    floor: float  # the one at no force
+    loads: int  # number of loads that were used
 
     @classmethod
     def from_dict(cls, stored: Mapping[str, Any], shape: tuple[int, int]) -> ForcePart:
@@ -208,7 +181,7 @@ class ForcePart:
         """The standard deviation of each component of a force; one of a touch's volume has that of the volume too."""
         size, relative = np.linalg.norm(force), self.relative
         if touch is not None and touch.volume_mm3:
-            relative = max(self.relative, FALLING_SIGMA) if touch.falling else self.relative
+            relative = max(self.relative, 0.5) if touch.falling else self.relative
             relative = np.hypot(relative, touch.volume_sigma_mm3 / touch.volume_mm3)
         return float(np.hypot(relative * size, self.floor))
 
@@ -219,7 +192,7 @@ class Dots:
     def __init__(self, places: Numbers) -> None:
         self._tree, self._count = scipy.spatial.cKDTree(places), len(places)
         spacing = np.median(self._tree.query(places, k=2)[0][:, 1]) if len(places) else 0.0
-        self._near = DOT_TOLERANCE * float(spacing)
+        self._near = 0.15 * float(spacing)  # a shifted grid of that pitch passes in 7 % (pi 0.15^2)
 
     def why_none(self, touch: Touch) -> str:
         """Why a touch tells no motion of these dots; "" if it does."""
@@ -282,23 +255,15 @@ class ForceModel:
 
 @dataclass(frozen=True)
 class Force:
-    """The force on the gel; what is not known is None, and has a reason.
+    """The force on the gel with its standard deviations; what is not known is None, and has a reason."""
 
-    Attributes
-    ----------
-    normal_n, normal_sigma_n : into the gel, N, and its standard deviation
-    shear_n, shear_sigma_n : (x, y) along the gel, in the axes of the loads, N, and the standard deviation of each
-    torsion_n_mm, torsion_sigma_n_mm : about the view, N mm
-    normal_reason, shear_reason, torsion_reason : why the force is None; "" if it is known
-    """
-
-    normal_n: float | None = None
+    normal_n: float | None = None  # into the gel, N
     normal_sigma_n: float | None = None
-    normal_reason: str = NO_LOADS
-    shear_n: tuple[float, float] | None = None
-    shear_sigma_n: float | None = None
+    normal_reason: str = NO_LOADS  # why it is None; "" if it is known
+    shear_n: tuple[float, float] | None = None  # (x, y) along the gel, in the axes of the loads, N
+    shear_sigma_n: float | None = None  # of each
     shear_reason: str = NO_LOADS
-    torsion_n_mm: float | None = None
+    torsion_n_mm: float | None = None  # about the view, N mm
     torsion_sigma_n_mm: float | None = None
     torsion_reason: str = NO_LOADS
 
@@ -355,7 +320,7 @@ def force_from_result(result: Any, model: ForceModel | None) -> Force:
             reason = why_no_normal(touch) if kind == "normal" else model.dots.why_none(touch)
         if reason == "":
             force = np.asarray(part.weights) @ terms_of(touch, kind)
-            if np.linalg.norm(force) <= BEYOND_RANGE * part.range[1]:
+            if np.linalg.norm(force) <= 1.2 * part.range[1]:
                 value = force.tolist()
                 found[f"{kind}_{unit}"] = value[0] if len(value) == 1 else tuple(value)
                 found[f"{kind}_sigma_{unit}"] = part.sigma(force, touch if kind == "normal" else None)
@@ -371,22 +336,21 @@ def terms_of(touch: Touch, kind: str) -> Numbers:
 
 
 def why_no_normal(touch: Touch) -> str:
-    """Why a touch tells no normal force, whatever the model; "" if it does."""
+    """Why a touch tells no normal force, whatever the model; "" if it does. docs/force.md has the rates of errors."""
     if touch.volume_mm3 is None:
         return "no scale, or a depth from a zero that was set"
     if touch.volume_mm3 <= 0 or touch.outside_change is None:
         return "no contact: nothing touches, or something too soft or too flat to be seen"
-    if touch.outside_change >= MOST_OUTSIDE_CHANGE:
+    # On a GelSight Wedge nine of ten touches of hard objects have less than .28 and of soft ones more than .32.
+    if touch.outside_change >= 0.3:
         return (
             f"a soft object, or a contact beyond the view: the color around the contact changed by "
             f"{touch.outside_change:.2f} of the change inside"
         )
-    if touch.confidence < LEAST_CONFIDENCE:
-        return (
-            f"low confidence: its mean in the contact is {touch.confidence:.2f}, below {LEAST_CONFIDENCE:g}"
-        )
-    if (share := touch.volume_sigma_mm3 / touch.volume_mm3) > MOST_VOLUME_SIGMA:
+    if touch.confidence < 0.5:
+        return f"low confidence: its mean in the contact is {touch.confidence:.2f}, below 0.5"
+    if (share := touch.volume_sigma_mm3 / touch.volume_mm3) > 0.4:
         return f"an uncertain volume: its standard deviation is {100 * share:.0f} % of it"
-    if touch.border_share > MOST_IN_BORDER:
+    if touch.border_share > 0.05:
         return f"a contact at the border: {100 * touch.border_share:.0f} % of it, so part of it may be out of view"
     return ""

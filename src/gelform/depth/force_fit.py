@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime, timezone
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -32,13 +33,7 @@ LEAST_LOADS, LEAST_RANGE = 3, 3.0  # loads, and the largest over the smallest
 LEAST_SHARE = 0.05  # of the largest normal load; smaller ones, also below 0, are the gauge's zero
 LARGEST_LOAD = 1e9  # N and N mm; no press has more, and its square is far from the end of numbers
 KNOWN_K = 0.045  # N/mm^3, middle of hard objects on the studied gel (.036 to .051)
-PER_NEWTON = {"grams": 1000 / 9.80665, "kilograms": 1 / 9.80665}
-LOADS_PER_TERM = 3  # loads for each weight of a dot force; with fewer, only its first term is fitted
-LONE_SPREAD = 0.30  # least relative standard deviation with one object, which does not show what others do
 ONE_SIGMA = 0.683  # of a normal distribution within one standard deviation
-SMALL = 0.25  # of the forces, that tell the floor
-FOLDS = 5  # parts in time of a lone grasp
-LEAST_RELATIVE_N = 2.0  # N; of smaller normal loads no relative error is stated
 
 
 @dataclass(frozen=True)
@@ -91,8 +86,16 @@ def calibrate_force(
     normal, shear, torsion = (_fit(kind, touches, loads) for kind in KINDS)
     if normal is None and shear is None and torsion is None:
         raise DataError("Expected loads: a column force_n, or force_x_n and force_y_n.")
-    if normal is not None and not sure_of_unit:
-        _check_unit(normal.weights[0][0])
+    for unit, per_newton in (("grams", 1000 / 9.80665), ("kilograms", 1 / 9.80665)):
+        k = 0.0 if normal is None or sure_of_unit else normal.weights[0][0]
+        if (
+            k and np.log(k / KNOWN_K) / np.log(per_newton) > 0.5
+        ):  # nearer to that unit than to newtons, on the known gel
+            raise DataError(
+                f"The loads look like {unit}: {k:.3g} of their unit for each mm^3, where newtons give about {KNOWN_K:g}. "
+                f"Multiply them by {1 / per_newton:.4g} to get newtons. If they are newtons, say so: sure_of_unit=True "
+                "(--sure-of-unit)."
+            )
     rest = next((one.rest_mm for one in touches if one.rest_mm is not None), np.empty((0, 2)))
     objects = tuple(sorted({load.object for load in loads}))
     now = datetime.now(timezone.utc).isoformat(timespec="seconds")
@@ -140,20 +143,13 @@ def sigma_ratio(model: ForceModel, presses: Sequence[Any], loads: Sequence[Load]
 
 
 def _matched(presses: Sequence[Any], loads: Sequence[Load]) -> tuple[list[Touch], list[Load]]:
+    """The touches of presses and their loads, checked."""
     known, given = check_list(loads, "loads", Load), check_list(presses, "presses")
-    for load in known:
-        _check_load(load)
-    if len(given) != len(known):
-        raise ValueError(f"Expected one load for each press, got {len(known)} for {len(given)} presses.")
-    return [one if isinstance(one, Touch) else touch_from_result(one) for one in given], known
-
-
-def _check_load(load: Load) -> None:
-    if not isinstance(load.object, str):
-        raise TypeError(f"Expected each load's object as a name, got {load.object!r:.60}.")
-    for kind, unit in KINDS.items():
-        name, count, value = f"{kind}_{unit}", SHAPES[kind][0], _value(load, kind)
-        if value is None:
+    for load, kind in product(known, KINDS):
+        if not isinstance(load.object, str):
+            raise TypeError(f"Expected each load's object as a name, got {load.object!r:.60}.")
+        name, count = f"{kind}_{KINDS[kind]}", SHAPES[kind][0]
+        if (value := getattr(load, name)) is None:
             continue
         numbers = [check_number(one, name) for one in (check_list(value, name) if count == 2 else [value])]
         if len(numbers) != count or not all(abs(one) <= LARGEST_LOAD for one in numbers):
@@ -161,6 +157,9 @@ def _check_load(load: Load) -> None:
                 f"Expected a load's {name} as {count} finite number{'s' * (count > 1)} of at most {LARGEST_LOAD:g}, got "
                 f"{value!r:.60}. Leave it out if it was not measured."
             )
+    if len(given) != len(known):
+        raise ValueError(f"Expected one load for each press, got {len(known)} for {len(given)} presses.")
+    return [one if isinstance(one, Touch) else touch_from_result(one) for one in given], known
 
 
 def _value(one: Load | Force, kind: str) -> Any:
@@ -202,8 +201,8 @@ def _fit(kind: str, touches: list[Touch], loads: list[Load]) -> ForcePart | None
     for out in _folds(grasps):
         predicted[out] = terms[out] @ solve(terms[~out], target[~out])
     relative, floor = _spread(predicted, target)
-    if len(set(grasps[:, 0])) == 1:
-        relative = max(relative, LONE_SPREAD)
+    if len(set(grasps[:, 0])) == 1:  # one object does not show what others do
+        relative = max(relative, 0.3)
     weights = tuple(map(tuple, solve(terms, target).T.tolist()))
     return ForcePart(weights, (float(size.min()), float(size.max())), relative, floor, len(target))
 
@@ -228,17 +227,6 @@ def _check_signs(force: Numbers) -> None:
         )
 
 
-def _check_unit(k: float) -> None:
-    """Refuse loads that give a stiffness nearer to that of grams or kilograms than of newtons, on the known gel."""
-    for unit, per_newton in PER_NEWTON.items():
-        if np.log(k / KNOWN_K) / np.log(per_newton) > 0.5:
-            raise DataError(
-                f"The loads look like {unit}: {k:.3g} of their unit for each mm^3, where newtons give about {KNOWN_K:g}. "
-                f"Multiply them by {1 / per_newton:.4g} to get newtons. If they are newtons, say so: sure_of_unit=True "
-                "(--sure-of-unit)."
-            )
-
-
 def _stiffness(terms: Numbers, target: Numbers) -> Numbers:
     return np.exp(np.median(np.log(target) - np.log(terms), axis=0, keepdims=True))
 
@@ -246,7 +234,7 @@ def _stiffness(terms: Numbers, target: Numbers) -> Numbers:
 def _weights(terms: Numbers, target: Numbers) -> Numbers:
     """Weights (terms, components): all of them, or with few loads only k_t of the displacement, or of the turn."""
     count, components = terms.shape[1], target.shape[1]
-    if len(terms) >= LOADS_PER_TERM * count:
+    if len(terms) >= 3 * count:
         return np.asarray(np.linalg.lstsq(terms, target, rcond=None)[0])
     weights, first = np.zeros((count, components)), [0, 1] if components == 2 else [2]
     own = terms[:, first]
@@ -255,10 +243,10 @@ def _weights(terms: Numbers, target: Numbers) -> Numbers:
 
 
 def _folds(grasps: NDArray[np.str_]) -> list[Mask]:
-    """The presses of each object and grasp (N, 2); of a lone one, its parts in the order of the presses."""
+    """The presses of each object and grasp (N, 2); of a lone one, five parts in the order of the presses."""
     names, part = np.unique(grasps, axis=0, return_inverse=True)
     if len(names) == 1:
-        part = np.arange(len(grasps)) * min(FOLDS, len(grasps)) // len(grasps)
+        part = np.arange(len(grasps)) * min(5, len(grasps)) // len(grasps)
     return [part.ravel() == k for k in np.unique(part)]
 
 
@@ -270,7 +258,7 @@ def _spread(force: Numbers, truth: Numbers) -> tuple[float, float]:
     error, size = np.abs(force - truth), np.linalg.norm(force, axis=1)[:, None]
     larger = np.maximum(size, np.linalg.norm(truth, axis=1)[:, None])
     relative = float(np.quantile(error / np.maximum(larger, 1e-12), ONE_SIGMA))
-    small = (larger <= np.quantile(larger, SMALL))[:, 0]
+    small = (larger <= np.quantile(larger, 0.25))[:, 0]
     left = np.maximum(error[small] ** 2 - (relative * size[small]) ** 2, 0)
     return relative, float(np.sqrt(np.quantile(left, ONE_SIGMA)))
 
@@ -292,14 +280,12 @@ def _row(kind: str, name: str, parts: list[tuple[Force, Load]], center: Numbers)
     if not known:
         return row
     force, truth = (
-        np.array([_value(part[k], kind) for part in known]).reshape(len(known), -1) for k in (0, 1)
+        np.array([_value(one, kind) for one in column]).reshape(len(known), -1) for column in zip(*known)
     )
     sigma = np.array([getattr(f, f"{kind}_sigma_{KINDS[kind]}") for f, _ in known])[:, None]
-    off, least = (
-        np.abs(force - truth) / np.maximum(sigma, 1e-12),
-        LEAST_RELATIVE_N if kind == "normal" else 0.0,
-    )
+    off = np.abs(force - truth) / np.maximum(sigma, 1e-12)
     within = {f"within_{n}": float(np.mean(off <= n)) for n in (1, 2)}
+    least = 2.0 if kind == "normal" else 0.0  # N; of smaller loads no relative error is stated
     constant = _errors(np.broadcast_to(center, truth.shape), truth, least)
     return row | _errors(force, truth, least) | within | {"constant": constant}
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -16,9 +17,6 @@ from gelform.foundations.findings import Finding
 from gelform.image.agreement import TOUCHED_SHARE
 from gelform.image.background import CHANGE_OFFSET
 
-MOST_CONTACTS = 65_535  # labels are uint16
-TOUCHED = 0.05  # fraction of the known pixels; noise leaves the color of rest at 0.1 % of them
-RUN_WORDS = 5  # 32-bit words; as in native/depth/contact/runs.h
 _label_regions = Kernel("label_regions", "bool[h,w] mask, out u16[h,w] labels, out i32[n] work")
 _region_moments = Kernel("region_moments", "u16[h,w] labels, f32[h,w] depth, out f64[n,14] moments")
 
@@ -95,11 +93,11 @@ def contacts_from_mask(
         )
     if mask.dtype != np.bool_:
         raise TypeError(f"Expected contact as bool, got {mask.dtype}. Convert it: contact > 0.")
-    pitch = (1.0, 1.0) if mm_per_px is None else check_mm_per_px(mm_per_px)
+    pitch = None if mm_per_px is None else check_mm_per_px(mm_per_px)
     count, labels = labeled(mask)
     moments = np.empty((count, 14))
-    _region_moments(labels, np.ascontiguousarray(height), moments)
-    found = [_contact(k + 1, row, pitch, mask.shape, mm_per_px is not None) for k, row in enumerate(moments)]
+    _region_moments(labels, height, moments)
+    found = [_contact(k, row, pitch, mask.shape) for k, row in enumerate(moments, start=1)]
     return tuple(sorted(found, key=lambda one: (-one.area_px, one.label))), labels
 
 
@@ -114,7 +112,7 @@ def unknown_contact(
     if contact.any():
         return ()
     touched = float(np.count_nonzero(known & ~at_rest)) / max(float(np.count_nonzero(known)), 1.0)
-    if touched < TOUCHED or touched_share() < TOUCHED_SHARE:
+    if touched < 0.05 or touched_share() < TOUCHED_SHARE:  # noise leaves the color of rest at 0.1 %
         return ()
     message = (
         f"Something touches the gel: {100 * touched:.0f} % of it changed. Where it presses and how deep is not known, "
@@ -129,57 +127,40 @@ def labeled(mask: Mask) -> tuple[int, NDArray[np.uint16]]:
     found = _label_regions(
         np.ascontiguousarray(mask), labels, np.empty(runs_work(labels.shape), dtype=np.int32)
     )
-    if found > MOST_CONTACTS:
-        raise ValueError(f"Expected at most {MOST_CONTACTS} separate contacts, got {found}: is this noise?")
+    if found > np.iinfo(np.uint16).max:
+        raise ValueError(f"Expected at most 65535 separate contacts, got {found}: is this noise?")
     return found, labels
 
 
 def runs_work(shape: tuple[int, ...]) -> int:
-    """Words of memory for the largest number of runs of pixels that a map (H, W) can have."""
-    return RUN_WORDS * shape[0] * ((shape[1] + 1) // 2)
+    """Words of memory for the largest number of runs of pixels that a map (H, W) can have: five a run, as in runs.h."""
+    return 5 * shape[0] * ((shape[1] + 1) // 2)
 
 
-def _contact(
-    label: int, row: Numbers, pitch: tuple[float, float], shape: tuple[int, ...], scaled: bool
-) -> Contact:
+def _contact(label: int, row: Numbers, pitch: tuple[float, float] | None, shape: tuple[int, ...]) -> Contact:
+    """A region of the moments that `region_moments` sums; without measures in mm if there is no pitch."""
     count, x, y, xx, xy, yy, volume, deepest, deepest_x, deepest_y, left, right, top, bottom = row.tolist()
-    center = x / count, y / count
+    center, (x_mm, y_mm) = (x / count, y / count), pitch or (1.0, 1.0)
     # A pixel is a square, not a point: its own second moment is 1/12.
-    covariance = np.array(
-        [
-            [xx / count - center[0] ** 2 + 1 / 12, xy / count - center[0] * center[1]],
-            [xy / count - center[0] * center[1], yy / count - center[1] ** 2 + 1 / 12],
-        ]
-    )
-    lengths, angle = _axes(covariance * np.outer(pitch, pitch))
-    area = count * pitch[0] * pitch[1]
-    in_mm = {
-        "area_mm2": area,
-        "volume_mm3": volume * pitch[0] * pitch[1],
+    a = (xx / count - center[0] ** 2 + 1 / 12) * (x_mm * x_mm)
+    b = (xy / count - center[0] * center[1]) * (x_mm * y_mm)
+    d = (yy / count - center[1] ** 2 + 1 / 12) * (y_mm * y_mm)
+    mean, apart = (a + d) / 2, float(np.hypot((a - d) / 2, b))
+    in_mm: dict[str, Any] = {
+        "area_mm2": count * x_mm * y_mm,
+        "volume_mm3": volume * x_mm * y_mm,
         "deepest_mm": deepest,
-        "axes_mm": lengths,
+        "axes_mm": tuple(4 * float(np.sqrt(max(square, 0.0))) for square in (mean + apart, mean - apart)),
     }
     return Contact(
         label=label,
         area_px=int(count),
         centroid_px=center,
         deepest_px=(int(deepest_x), int(deepest_y)),
-        angle_deg=angle,
+        angle_deg=float(np.rad2deg(np.arctan2(2 * b, a - d)) / 2),
         cut_by_border=left == 0 or top == 0 or right == shape[1] - 1 or bottom == shape[0] - 1,
-        **(in_mm if scaled else {}),
+        **(in_mm if pitch else {}),
     )
-
-
-def _axes(covariance: Numbers) -> tuple[tuple[float, float], float]:
-    """Full axes (4 standard deviations) of the ellipse of a covariance, and the angle of the major axis, degrees."""
-    (a, b), (_, d) = covariance.tolist()
-    mean, apart = (a + d) / 2, float(np.hypot((a - d) / 2, b))
-    angle = float(np.rad2deg(np.arctan2(2 * b, a - d)) / 2)
-    return (4 * float(np.sqrt(mean + apart)), 4 * float(np.sqrt(max(mean - apart, 0.0)))), angle
-
-
-ROWS = 40  # of the coarse images; the measure is one of large areas
-REACH = 1  # coarse pixels that the contact is widened by
 
 
 class Surround:
@@ -190,17 +171,16 @@ class Surround:
 
     def __init__(self, background: Map) -> None:
         height, width = background.shape[:2]
-        step = max(1, height // ROWS)
+        step = max(1, height // 40)  # to 40 rows: the measure is one of large areas
         self._size = width // step, height // step
         rest = self._coarse(np.asarray(background, dtype=np.float32))
         self._gain = 1 / (rest + np.float32(CHANGE_OFFSET))
         self._at_rest = rest * self._gain
-        self._widened = np.ones((2 * REACH + 1,) * 2, dtype=np.uint8)
 
     def __call__(self, image: NDArray[np.number], contact: Mask) -> float | None:
         """Median change outside a contact (H, W), over its mean inside; None if there is no inside or no outside."""
         inside = cv2.resize(contact.view(np.uint8), self._size, interpolation=cv2.INTER_NEAREST)
-        outside = cv2.dilate(inside, self._widened) == 0
+        outside = cv2.dilate(inside, np.ones((3, 3), dtype=np.uint8)) == 0  # but for a coarse pixel around it
         if not inside.any() or not outside.any():
             return None
         change = self._coarse(image)

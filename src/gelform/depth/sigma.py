@@ -24,17 +24,11 @@ from gelform.foundations.findings import Finding
 # Parts of the image's height: the influence's length L, and the standard deviation of the window for negative depths. Depth
 # off contact is covered alike with half and twice of either, on twelve real sets.
 LENGTH, WINDOW = 1 / 8, 1 / 12
-SPILL = 0.3  # share of a slope that is an error elsewhere than at rest; on real Minis, beside contacts
-# For contacts, whose own noise is judged at their place: the share of the variance at rest that counts, and the spill.
-REST_OF_CONTACT, SPILL_OF_CONTACT = 0.2, 0.6
 PULL = 0.5  # share of what negative depths have beyond the variance; half of all errors are positive
 LEAST_FREE = 0.05  # share of pixels around a cell that may be negative; fewer do not tell an error
 # mm/mm, deviation of a steep slope from which on depth may be missing: nearly none on balls of the own unit, whose depth is
 # right, but on faces that another unit's model reads.
 DOUBTED = 0.28
-LEAST_MM2 = np.float32(1e-14)  # mm^2, least variance; the filter rounds
-SUBCELLS = 8  # points along a cell's side, over which the kernel is averaged
-LEAST_PX = 0.6  # px, distance below which the kernel is cut: a pixel's own slopes do not move it further
 
 _depth_errors = Kernel(
     "depth_errors",
@@ -46,25 +40,16 @@ MAPS = 9  # that `depth_errors` sums; the same as in native/depth/errors.c
 
 
 class DepthSigma:
-    """Standard deviations of depth for the frames of one calibration. It is immutable; threads can share it.
-
-    Parameters
-    ----------
-    shape : (H, W)
-    mm_per_px : mm
-    full_confidence_sigma : standard deviation of a slope of confidence 1, mm/mm
-    factor : k of the calibration: `depth_factor` of its `SlopeSigma`
-    gain_sigma : relative error that slopes share
-    """
+    """Standard deviations of depth for the frames of one calibration. It is immutable; threads can share it."""
 
     def __init__(
         self,
         shape: tuple[int, int],
         mm_per_px: float,
         *,
-        full_confidence_sigma: float,
-        factor: float,
-        gain_sigma: float,
+        full_confidence_sigma: float,  # of a slope of confidence 1, mm/mm
+        factor: float,  # k of the calibration: `depth_factor` of its `SlopeSigma`
+        gain_sigma: float,  # relative error that slopes share
     ) -> None:
         self.coarse = coarse = coarse_of(shape)
         self._mm_per_px = np.float32(mm_per_px)
@@ -72,26 +57,29 @@ class DepthSigma:
             np.rint(np.linspace(0, size, cells + 1)).astype(np.int32)
             for size, cells in zip(shape, coarse.shape)
         )
+        # `spill` is the share of a slope that is an error elsewhere than at rest; on real Minis, beside contacts. For contacts,
+        # whose own noise is judged at their place, another share counts, and `rest_share` of the variance at rest.
         self.numbers = {
-            "full": full_confidence_sigma, "spill": SPILL, "rest_share": REST_OF_CONTACT,
-            "spill_of_contact": SPILL_OF_CONTACT, "gain": gain_sigma, "doubted": DOUBTED,
+            "full": full_confidence_sigma, "spill": 0.3, "rest_share": 0.2, "spill_of_contact": 0.6,
+            "gain": gain_sigma, "doubted": DOUBTED,
         }  # fmt: skip
-        spread = _spread(coarse, shape) * np.float32((factor * mm_per_px) ** 2)
         self._beside_border = _beside_border(coarse, shape)
-        window = _window(coarse, shape)
+        spread, window = (
+            _spread(coarse, shape) * np.float32((factor * mm_per_px) ** 2),
+            _window(coarse, shape),
+        )
         self._filter = CosineFilter(np.stack([spread, spread, window, window]))
 
     def __call__(
-        self, slopes: Slopes, depth: Map, at_rest: Mask, known: Mask, read: Map, steep: Map
+        self,
+        slopes: Slopes,  # (H, W, 2), of the depth
+        depth: Map,  # (H, W), mm
+        at_rest: Mask,  # (H, W), pixels at rest
+        known: Mask,  # (H, W), pixels whose depth was not filled in
+        read: Map,  # (H, W), deviation of the slopes as read
+        steep: Map,  # (H, W), the one of steep slopes
     ) -> DepthErrors:
-        """The errors of a depth (H, W), mm.
-
-        Parameters
-        ----------
-        slopes : (H, W, 2), of the depth
-        at_rest, known : (H, W) bool, pixels at rest, and those whose depth was not filled in
-        read, steep : (H, W), deviation of the slopes as read, and the one of steep slopes
-        """
+        """The errors of a depth; ConvergenceError: float32 cannot hold them."""
         cells = np.empty((MAPS, *self.coarse.shape), dtype=np.float32)
         work = np.empty(MAPS * depth.shape[1], dtype=np.float32)
         _depth_errors(
@@ -105,12 +93,10 @@ class DepthSigma:
         anywhere, of_contact, below, free = self._filter(cells[:4])
         own = below / np.maximum(free, np.float32(LEAST_FREE))
         of_frame = float(cells[2].mean()) / max(float(cells[3].mean()), LEAST_FREE)
-        anywhere, of_contact = (
-            np.maximum(one * self._beside_border, LEAST_MM2) for one in (anywhere, of_contact)
-        )
-        return DepthErrors(
-            self.coarse, anywhere, of_contact, own, of_frame, cells[4:], self._mm_per_px, self.numbers["gain"]
-        )
+        least = np.float32(1e-14)  # mm^2; the filter rounds
+        spreads = (np.maximum(one * self._beside_border, least) for one in (anywhere, of_contact))
+        gain = self.numbers["gain"]
+        return DepthErrors(self.coarse, *spreads, own, of_frame, cells[4:], self._mm_per_px, gain)
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,12 +104,10 @@ class DepthErrors:
     """The errors of one frame's depth on the coarser grid (r, c)."""
 
     coarse: Coarse
-    # spread, contact_spread: variance by the slopes, mm^2, for depth and for the judgment of contacts
-    spread: Map
-    contact_spread: Map
-    # own, own_of_frame: twice the mean square of negative depths, around and in the whole frame, mm^2
-    own: Map
-    own_of_frame: float
+    spread: Map  # variance by the slopes, mm^2
+    contact_spread: Map  # the same for the judgment of contacts
+    own: Map  # twice the mean square of negative depths around, mm^2
+    own_of_frame: float  # the same in the whole frame
     # (5, r, c), the slopes that may be common errors in all (p, q), of steep faces alone (p, q), and the share of
     # pixels at rest
     slopes_off: Slopes = field(repr=False)
@@ -138,11 +122,8 @@ class DepthErrors:
     @cached_property
     def steep_mm(self) -> Map:
         """The same of steep slopes alone."""
-        return (
-            self._integrated(self.slopes_off[2:4])
-            if self.slopes_off[2:4].any()
-            else np.zeros_like(self.spread)
-        )
+        steep = self.slopes_off[2:4]
+        return self._integrated(steep) if steep.any() else np.zeros_like(self.spread)
 
     @cached_property
     def local_variance(self) -> Map:
@@ -222,17 +203,18 @@ def steep_finding(depth_mm: Map, contact: Mask, steep: Map, errors: DepthErrors)
 def _spread(coarse: Coarse, shape: tuple[int, int]) -> Map:
     """Gains of the grid's cosine modes for the mirrored kernel |grad G|^2, averaged over cells, for slopes^2 -> px^2."""
     length, (x_px, y_px) = shape[0] * LENGTH, coarse.pitch_px
-    points = (np.arange(SUBCELLS) + 0.5) / SUBCELLS - 0.5
+    points = (np.arange(8) + 0.5) / 8 - 0.5  # along a cell's side
     y, x = np.arange(coarse.shape[0]) * y_px, np.arange(coarse.shape[1]) * x_px
+    least_px = 0.6  # the kernel is cut below: a pixel's own slopes do not move it further
     # K1 is smooth in a logarithmic table, and falls to nothing within 15 lengths.
-    table = np.geomspace(LEAST_PX / length, 15.0, 400)
+    table = np.geomspace(least_px / length, 15.0, 400)
     squares = np.square(bessel_k(1, table) / (2 * np.pi * length))
     kernel = np.zeros(coarse.shape)
     for below in points * y_px:
         for right in points * x_px:
-            distance = np.maximum(np.hypot(y[:, None] + below, x + right), LEAST_PX) / length
+            distance = np.maximum(np.hypot(y[:, None] + below, x + right), least_px) / length
             kernel += np.exp(np.interp(np.log(distance), np.log(table), np.log(squares)))
-    return _mode_gains(kernel * x_px * y_px / SUBCELLS**2)
+    return _mode_gains(kernel * x_px * y_px / points.size**2)
 
 
 def _beside_border(coarse: Coarse, shape: tuple[int, int]) -> Map:
@@ -251,9 +233,8 @@ def _beside_border(coarse: Coarse, shape: tuple[int, int]) -> Map:
 
 def _window(coarse: Coarse, shape: tuple[int, int]) -> Map:
     """Gains of the grid's cosine modes for a mirrored Gaussian window."""
-    y, x = (np.arange(n) * pitch for n, pitch in zip(coarse.shape, coarse.pitch_px[::-1]))
-    bells = [np.exp(-np.square(along / (shape[0] * WINDOW)) / 2) for along in (y, x)]
-    gains = _mode_gains(np.outer(*bells))
+    steps = (np.arange(n) * pitch for n, pitch in zip(coarse.shape, coarse.pitch_px[::-1]))
+    gains = _mode_gains(np.outer(*(np.exp(-np.square(px / (shape[0] * WINDOW)) / 2) for px in steps)))
     return gains / gains[0, 0]
 
 
