@@ -85,8 +85,8 @@ def touch_from_result(result: Any) -> Touch:
 def touches_in_order(results: Iterable[Any]) -> Iterator[Touch]:
     """The touches of results, or of touches, in the order of their frames: they know whether the force falls.
 
-    A gel that is released keeps its force longer than its contact, so a volume says less about a falling force. It falls with
-    less than 0.9 of the largest volume of the contact.
+    A gel that is released keeps its force longer than its contact, so a volume says less about a falling force. It falls
+    with less than 0.9 of the largest volume of the contact.
     """
     largest = 0.0
     for one in results:
@@ -156,8 +156,8 @@ NO_LOADS = "no loads were calibrated (gelform force calibrate)"
 class ForcePart:
     """One kind of force, which is linear in the terms of a touch.
 
-    Each component has a row of weights. Of a normal force it is K in N/mm^3, which is empirical, no constant of the material;
-    of shear and torsion, those of x, y, turn, tilt along x and y, and the constant of the gauge.
+    Each component has a row of weights. Of a normal force it is K in N/mm^3, which is empirical, no constant of the
+    material; of shear and torsion, those of x, y, turn, tilt along x and y, and the constant of the gauge.
     """
 
     weights: tuple[tuple[float, ...], ...]

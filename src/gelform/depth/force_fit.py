@@ -86,11 +86,9 @@ def calibrate_force(
     normal, shear, torsion = (_fit(kind, touches, loads) for kind in KINDS)
     if normal is None and shear is None and torsion is None:
         raise DataError("Expected loads: a column force_n, or force_x_n and force_y_n.")
+    k = KNOWN_K if normal is None or sure_of_unit else normal.weights[0][0]
     for unit, per_newton in (("grams", 1000 / 9.80665), ("kilograms", 1 / 9.80665)):
-        k = 0.0 if normal is None or sure_of_unit else normal.weights[0][0]
-        if (
-            k and np.log(k / KNOWN_K) / np.log(per_newton) > 0.5
-        ):  # nearer to that unit than to newtons, on the known gel
+        if np.log(k / KNOWN_K) / np.log(per_newton) > 0.5:  # nearer to that unit than to newtons
             raise DataError(
                 f"The loads look like {unit}: {k:.3g} of their unit for each mm^3, where newtons give about {KNOWN_K:g}. "
                 f"Multiply them by {1 / per_newton:.4g} to get newtons. If they are newtons, say so: sure_of_unit=True "

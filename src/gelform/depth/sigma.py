@@ -57,18 +57,15 @@ class DepthSigma:
             np.rint(np.linspace(0, size, cells + 1)).astype(np.int32)
             for size, cells in zip(shape, coarse.shape)
         )
-        # `spill` is the share of a slope that is an error elsewhere than at rest; on real Minis, beside contacts. For contacts,
-        # whose own noise is judged at their place, another share counts, and `rest_share` of the variance at rest.
+        # `spill` is the share of a slope that is an error elsewhere than at rest; on real Minis, beside contacts. For
+        # contacts, whose own noise is judged at their place, another one counts, and `rest_share` of the variance at rest.
         self.numbers = {
             "full": full_confidence_sigma, "spill": 0.3, "rest_share": 0.2, "spill_of_contact": 0.6,
             "gain": gain_sigma, "doubted": DOUBTED,
         }  # fmt: skip
         self._beside_border = _beside_border(coarse, shape)
-        spread, window = (
-            _spread(coarse, shape) * np.float32((factor * mm_per_px) ** 2),
-            _window(coarse, shape),
-        )
-        self._filter = CosineFilter(np.stack([spread, spread, window, window]))
+        spread = _spread(coarse, shape) * np.float32((factor * mm_per_px) ** 2)
+        self._filter = CosineFilter(np.stack([spread, spread, *[_window(coarse, shape)] * 2]))
 
     def __call__(
         self,

@@ -18,15 +18,10 @@ from numpy.typing import NDArray
 
 from gelform._native import Kernel
 from gelform.arrays import Array, Floats, Map, Mask
-from gelform.depth.solvers.seam import Solution, Weights, divergence, edges_from_gradients
+from gelform.depth.solvers.seam import Solution, Weights, constant_map, divergence, edges_from_gradients
 from gelform.foundations.pool import Pool
 
-# bytes, floats: a row stride that is a multiple of the first maps a column onto a few cache lines, so rows get longer.
-ALIASING_BYTES, STRIDE_PAD = 1024, 16
-# MOST_PRIME: the largest prime of half an even width that the kernel of native/depth/solvers/cosine.c transforms, in half
-# the time of scipy's. ROWS: rows that it transforms side by side. PRODUCT_WIDTH: other rows up to this width use a
-# matrix product, because importing scipy.fft takes 0.3 s.
-MOST_PRIME, ROWS, PRODUCT_WIDTH = 7, 16, 128
+ROWS = 16  # that the kernel of native/depth/solvers/cosine.c transforms side by side
 
 _right_side = Kernel(
     "dct_right_side", "f32[h,w,2] gradients, out f32[h,stride] right, f32 scale_x, f32 scale_y"
@@ -43,11 +38,6 @@ class DctSolver:
     """A solver for frames of one shape and pitch; its depth has mean 0.
 
     An edge's slope is the mean of its two pixels' slopes: exact on quadratics, best under noise.
-
-    Parameters
-    ----------
-    shape : (H, W)
-    mm_per_px : (x, y), mm
     """
 
     takes_weights: ClassVar[bool] = False
@@ -56,23 +46,15 @@ class DctSolver:
         self.shape = shape
         self.mm_per_px = mm_per_px
         self._pivots, self._splits, self._last = _elimination(shape, mm_per_px)
-        aliases = (
-            shape[1] * 4 % ALIASING_BYTES == 0
-        )  # in the cache, where work rows are as long as the frame's
-        self._stride = shape[1] + (STRIDE_PAD if aliases else 0)
+        # Rows of a multiple of 1024 bytes map a column onto a few cache lines: work rows are longer.
+        self._stride = shape[1] + (16 if shape[1] * 4 % 1024 == 0 else 0)
         self._transform = CosineRows(shape[1])
         self._pool = Pool(lambda: np.empty((shape[0], self._stride), dtype=np.float32))
 
     def __call__(
         self, gradients: Array, weights: Weights = None, mask: Mask | None = None, anchor: Array | None = None
     ) -> Solution:
-        """Depth of one frame of slopes (H, W, 2), mean 0.
-
-        Raises
-        ------
-        ValueError
-            Weights, a mask or an anchor were given.
-        """
+        """Depth of one frame of slopes (H, W, 2), mean 0; ValueError: weights, a mask or an anchor were given."""
         if not (weights is None and mask is None and anchor is None):
             raise ValueError(
                 "Expected no weights, mask or anchor for a dct solver, which treats all slopes alike, got some. "
@@ -87,7 +69,7 @@ class DctSolver:
             with self._pool.one() as padded:
                 self._solve(frame, padded)
                 depth = padded[:, :width].copy()
-        return Solution(depth, _all_known(self.shape))
+        return Solution(depth, constant_map(self.shape, True))
 
     def _solve(self, frame: Map, work: Floats) -> None:
         """Depth of a frame, in the first columns of a work array (H, stride)."""
@@ -108,10 +90,8 @@ class Dct4Solver(DctSolver):
     """
 
     def _write_right_side(self, frame: Map, work: Floats) -> None:
-        hy = self.mm_per_px[1]
-        work[:, : self.shape[1]] = divergence(
-            edges_from_gradients(frame, order=4), self.mm_per_px
-        ) * np.float32(hy * hy)
+        right = divergence(edges_from_gradients(frame, order=4), self.mm_per_px)
+        work[:, : self.shape[1]] = right * np.float32(self.mm_per_px[1] * self.mm_per_px[1])
 
 
 class CosineRows:
@@ -120,7 +100,8 @@ class CosineRows:
     def __init__(self, width: int) -> None:
         self.width = width
         self._turns = _turns(width) if _is_smooth(width) else None
-        self._tables = _cosines(width) if self._turns is None and width <= PRODUCT_WIDTH else None
+        # Narrow rows use a matrix product, because importing scipy.fft takes 0.3 s.
+        self._tables = _cosines(width) if self._turns is None and width <= 128 else None
         self._work = Pool(lambda: np.empty((3 * width + 1) * ROWS, dtype=np.float32))
 
     def __call__(self, rows: Floats, inverse: int) -> None:
@@ -141,9 +122,7 @@ class CosineRows:
 class CosineFilter:
     """Multiplies the cosine modes of maps (N, h, w), as a convolution with mirrored borders does; threads can share it.
 
-    Parameters
-    ----------
-    gains : (N, h, w) float32, of the modes of each map, the lowest first
+    The gains (N, h, w) are those of the modes of each map, the lowest first.
     """
 
     def __init__(self, gains: Floats) -> None:
@@ -164,18 +143,10 @@ class CosineFilter:
         return filtered
 
 
-@lru_cache(maxsize=16)
-def _all_known(shape: tuple[int, int]) -> Mask:
-    """A shared map of True that nobody can write to."""
-    known = np.ones(shape, dtype=bool)
-    known.flags.writeable = False
-    return known
-
-
 def _is_smooth(width: int) -> bool:
-    """Whether a row of that width is transformed by the kernel."""
+    """Whether the kernel transforms a row of that width: half of it has no prime beyond 7. It takes half of scipy's time."""
     half, odd = divmod(width, 2)
-    for prime in range(2, MOST_PRIME + 1):
+    for prime in range(2, 8):
         while half and half % prime == 0:
             half //= prime
     return not odd and half == 1

@@ -1,10 +1,8 @@
 """Depth without known confidence: outliers are found by their residuals, or by the curl of the slopes.
 
-Robust depth without known confidence: iteratively reweighted least squares around `multigrid`.
-
-Each round computes an edge's weight from its residual by the loss, relative to the usual residual of the frame
-(P. W. Holland and R. E. Welsch, Robust regression using iteratively reweighted least-squares, Communications in
-Statistics A6, 1977).
+Residuals are those of iteratively reweighted least squares around `multigrid`. Each round computes an edge's weight from
+its residual by the loss, relative to the usual residual of the frame (P. W. Holland and R. E. Welsch, Robust regression
+using iteratively reweighted least-squares, Communications in Statistics A6, 1977).
 """
 
 from __future__ import annotations
@@ -22,53 +20,34 @@ from gelform.depth.solvers.seam import (
     EVERY_EDGE,
     FLOOR,
     LinearSystem,
-    Pair,
     Solution,
     Weights,
     differences,
     divergence,
     edges_from_gradients,
+    per_edge,
     problem_from_gradients,
 )
 from gelform.depth.solvers.weighted import Grid, MultigridSolver
 from gelform.foundations.filters import SIGMA_OF_MEDIAN
 from gelform.foundations.pool import Pool
 
-Loss = Callable[[Array], Array]
-
 # Weight of a residual in units of the usual residual; the constants give 95 % efficiency under Gaussian noise.
-LOSSES: dict[str, Loss] = {
+LOSSES: dict[str, Callable[[Array], Array]] = {
     "huber": lambda r: 1.345 / np.maximum(np.abs(r), 1.345),
     "cauchy": lambda r: 1 / (1 + (r / 2.385) ** 2),
     "l1": lambda r: 0.1 / np.maximum(np.abs(r), 0.1),
 }
-# Fraction of the range of depth, in each round and in the last; the weights change more from round to round.
-TOLERANCE, LAST_TOLERANCE = 3e-3, 1e-3
 
 
 class RobustSolver:
-    """A solver that repeats four steps with Cauchy's loss: residuals, usual residual, weights, solve.
-
-    Parameters
-    ----------
-    shape : (H, W)
-    mm_per_px : (x, y), mm
-    rounds : int
-    """
+    """A solver that repeats four steps with Cauchy's loss: residuals, usual residual, weights, solve."""
 
     takes_weights: ClassVar[bool] = True
     loss: ClassVar[str] = "cauchy"
 
-    def __init__(
-        self,
-        shape: tuple[int, int],
-        mm_per_px: tuple[float, float],
-        *,
-        rounds: int = 3,
-    ) -> None:
-        self.shape = shape
-        self.mm_per_px = mm_per_px
-        self.rounds = rounds
+    def __init__(self, shape: tuple[int, int], mm_per_px: tuple[float, float], *, rounds: int = 3) -> None:
+        self.shape, self.mm_per_px, self.rounds = shape, mm_per_px, rounds
         self._weight = LOSSES[self.loss]
         self._uniform = DctSolver(shape, mm_per_px)
         self._pool = Pool(lambda: Grid(shape))
@@ -77,30 +56,32 @@ class RobustSolver:
         self, gradients: Array, weights: Weights = None, mask: Mask | None = None, anchor: Array | None = None
     ) -> Solution:
         """Depth of one frame; given weights multiply those of the loss."""
-        problem = _per_edge(problem_from_gradients(gradients, weights, mask, anchor))
+        problem = problem_from_gradients(gradients, weights, mask, anchor)
+        edges, edge_weights = per_edge(problem, np.float32)
+        problem = problem._replace(edges=edges, edge_weights=edge_weights)
+        usual = 3e-3  # tolerance, of the range of depth: the weights change more from round to round
         with self._pool.one() as grid:
             if weights is None and mask is None and anchor is None:
                 depth, iterations, error = self._uniform(gradients).depth_mm, 0, 0.0
             else:
                 grid.load(problem, self.mm_per_px)
-                depth, iterations, error = grid.solve(TOLERANCE, 1000)
+                depth, iterations, error = grid.solve(usual, 1000)
             for turn in range(self.rounds):
                 self._load_round(grid, problem, depth)
-                tolerance = LAST_TOLERANCE if turn == self.rounds - 1 else TOLERANCE
+                tolerance = 1e-3 if turn == self.rounds - 1 else usual
                 depth, more, error = grid.solve(tolerance, 1000, depth, float(np.ptp(depth)))
                 iterations += more
         return Solution(depth, problem.known, iterations, error)
 
     def _load_round(self, grid: Grid, problem: LinearSystem, depth: Map) -> None:
         """Load new weights from the residuals of a depth, and the remaining right side."""
-        assert problem.edges is not None
-        assert problem.edge_weights is not None
-        pitch = self.mm_per_px
-        residual = tuple(e - d for e, d in zip(problem.edges, differences(depth, pitch)))
-        usual = _usual(residual, problem.edge_weights)  # type: ignore[arg-type]
-        weights = tuple(
-            w * np.maximum(self._weight(r / usual), FLOOR) for w, r in zip(problem.edge_weights, residual)
-        )
+        pitch, (edges, given) = self.mm_per_px, per_edge(problem)
+        residual = tuple(e - d for e, d in zip(edges, differences(depth, pitch)))
+        # Usual: the median size of the residuals with weight, as a standard deviation; tiny if all are 0.
+        sample = [(r.ravel()[::EVERY_EDGE], w.ravel()[::EVERY_EDGE]) for r, w in zip(residual, given)]
+        sizes = np.concatenate([np.abs(r[w > 0]) for r, w in sample])
+        usual = np.float32(max(SIGMA_OF_MEDIAN * float(np.median(sizes)) if sizes.size else 0.0, 1e-6))
+        weights = tuple(w * np.maximum(self._weight(r / usual), FLOOR) for w, r in zip(given, residual))
         flux = tuple(w * r for w, r in zip(weights, residual))
         right = divergence(flux, pitch) * np.float32(pitch[0] * pitch[1])  # type: ignore[arg-type]
         stretched = weights[0] * (pitch[1] / pitch[0]), weights[1] * (pitch[0] / pitch[1])
@@ -120,42 +101,8 @@ class L1Solver(RobustSolver):
     loss: ClassVar[str] = "l1"
 
 
-def _per_edge(problem: LinearSystem) -> LinearSystem:
-    """The same problem, with edge slopes and weights."""
-    if problem.edges is not None:
-        return problem
-    assert problem.gradients is not None
-    c = problem.confidence
-    assert c is not None
-    weights = tuple(
-        2 * a * b / np.maximum(a + b, np.float32(1e-30)) for a, b in ((c[:, 1:], c[:, :-1]), (c[1:], c[:-1]))
-    )
-    return problem._replace(edges=edges_from_gradients(problem.gradients), edge_weights=weights)
-
-
-def _usual(residual: Pair, weights: Pair) -> np.float32:
-    """Usual residual: the median size of the residuals with weight, as a standard deviation; tiny if all are 0."""
-    sample = [(r.ravel()[::EVERY_EDGE], w.ravel()[::EVERY_EDGE]) for r, w in zip(residual, weights)]
-    sizes = np.concatenate([np.abs(r[w > 0]) for r, w in sample])
-    return np.float32(max(SIGMA_OF_MEDIAN * float(np.median(sizes)) if sizes.size else 0.0, 1e-6))
-
-
-# Multiple of the frame's usual curl above which a pixel is an outlier: 2 keeps 99 % of pixels under Gaussian noise, which
-# costs 2 % of accuracy.
-TIMES_USUAL = 2.0
-LEAST_CURL = (
-    0.014  # slope per pixel, curl of slopes with errors of 0.01; a smaller curl never makes an outlier
-)
-# A slope jumps if two neighbors differ by more than JUMP times the usual circulation (noise alone does that to 1 % of
-# pairs), and by more than LEAST_JUMP, mm/mm, which is more than surfaces without noise bend from pixel to pixel.
-JUMP, LEAST_JUMP = 3.0, 0.1
-ALONG_RIM = 0.1  # fraction of the square of the jump that lies along the rim; no surface has more
-# Fraction of a region's rim with such jumps that makes the region an outlier. Contacts have 0 to 0.3, more where patches
-# touch their rim; outlier patches have 0.3 to 0.7. A region below SMALL of the frame needs only SMALL_RIM, because little is
-# lost if it was right.
-RIM, SMALL_RIM, SMALL = 0.36, 0.2, 0.005
-# Fewest loops of a contact's rim, and the fraction of the square of the jump that single loops of it show.
-CONTACT_LOOPS, KINK = 12, 0.2
+# Slope per pixel, curl of slopes with errors of 0.01; a smaller curl never makes an outlier.
+LEAST_CURL = 0.014
 
 
 class CurlGatedSolver(MultigridSolver):
@@ -169,18 +116,14 @@ class CurlGatedSolver(MultigridSolver):
             raise ValueError(
                 "Expected weights per pixel (H, W) for solver 'curl_gated', got weights per edge."
             )
-        given = np.ones(self.shape, dtype=np.float32) if weights is None else weights
-        trusted = None if weights is None and mask is None else _trusted(given, mask)
+        given, trusted = np.ones(self.shape, dtype=np.float32) if weights is None else weights, None
+        if weights is not None or mask is not None:
+            inside = given if mask is None else np.where(mask, given, 0)
+            trusted = np.asarray(inside > FLOOR * inside.max())
         confidence = confidence_from_curl(gradients, self.mm_per_px, trusted) * given
         if not np.any(confidence if mask is None else confidence[mask]):
             confidence = given  # a few pixels, all of them outliers: the curl cannot separate them
         return super().__call__(gradients, confidence, mask, anchor)
-
-
-def _trusted(weights: Array, mask: Mask | None) -> Mask:
-    """Pixels whose slopes count: those with weight."""
-    inside = weights if mask is None else np.where(mask, weights, 0)
-    return np.asarray(inside > FLOOR * inside.max())
 
 
 def confidence_from_curl(
@@ -205,7 +148,8 @@ def confidence_from_curl(
         circulation *= across[1:] & across[:-1]
         jumps = jumps[0] * across, jumps[1] * down
     patches = patches_from_jumps(circulation, jumps, usual)
-    limit = np.full_like(circulation, (TIMES_USUAL * usual) ** 2)
+    # An outlier has twice the usual curl: that keeps 99 % of pixels under Gaussian noise, which costs 2 % of accuracy.
+    limit = np.full_like(circulation, (2 * usual) ** 2)
     if patches is not None:
         limit += patches.explained
     sound = _around(circulation**2) < _around(limit)
@@ -261,24 +205,32 @@ def patches_from_jumps(circulation: Map, jumps: tuple[Map, Map], usual: float) -
     squares of the differences of slope between neighbors, (H, W-1) and (H-1, W).
     """
     across, down = jumps
-    limit = np.float32(max(JUMP * usual, LEAST_JUMP) ** 2)
+    # Noise alone makes neighbors differ by more than 3 times the usual circulation in 1 % of pairs; surfaces without noise
+    # bend by less than 0.1 from pixel to pixel.
+    limit = np.float32(max(3 * usual, 0.1) ** 2)
     jumps_across, jumps_down = across > limit, down > limit
     if not (jumps_across.any() or jumps_down.any()):
         return None
     regions, areas = _regions(jumps_across, jumps_down)
-    near, far = _regions_around_loops(regions)
+    # The largest and the smallest region among the 4x4 pixels around each loop.
+    window, numbers = np.ones((4, 4), dtype=np.uint8), regions.astype(np.float32)  # exact: fewer than 2^24
+    near = cv2.dilate(numbers, window, anchor=(1, 1))[:-1, :-1].astype(np.int32)
+    numbers[regions == 0] = regions.size
+    far = cv2.erode(numbers, window, anchor=(1, 1))[:-1, :-1]
     jumping = jumps_across[1:] | jumps_across[:-1] | jumps_down[:, 1:] | jumps_down[:, :-1]
     rim = np.flatnonzero(jumping & (far < near))
     square = 0.5 * (across[1:] + across[:-1] + down[:, 1:] + down[:, :-1])
     along, whole = _sum_around(circulation), _sum_around(np.sqrt(square) * jumping)
-    along_rim = along.ravel()[rim] ** 2 > ALONG_RIM * whole.ravel()[rim] ** 2
+    along_rim = along.ravel()[rim] ** 2 > 0.1 * whole.ravel()[rim] ** 2  # no surface has more along its rim
     owner = near.ravel()[rim]
     count = np.bincount(owner, minlength=areas.size)
-    needed = np.where(areas < SMALL * regions.size, SMALL_RIM, RIM)
+    # Share of a region's rim with such jumps: contacts have 0 to 0.3, more where patches touch their rim; outlier patches
+    # have 0.3 to 0.7. A small region needs less, because little is lost if it was right.
+    needed = np.where(areas < 0.005 * regions.size, 0.2, 0.36)
     outlier = np.bincount(owner, along_rim, minlength=areas.size) > needed * count
-    contact = rim[count[owner] >= CONTACT_LOOPS]
+    contact = rim[count[owner] >= 12]
     explained = np.zeros(circulation.shape, dtype=np.float32)
-    explained.ravel()[contact] = KINK * square.ravel()[contact]
+    explained.ravel()[contact] = 0.2 * square.ravel()[contact]  # the most that single loops of its rim show
     grown = cv2.dilate(outlier[regions].astype(np.uint8), np.ones((3, 3), np.uint8))
     return Patches(grown.astype(bool), explained)
 
@@ -299,15 +251,6 @@ def _regions(jumps_across: Mask, jumps_down: Mask) -> tuple[NDArray[np.int32], N
     number = np.empty(count, dtype=np.int32)
     number[order] = np.arange(count)
     return number[labels], areas[order]
-
-
-def _regions_around_loops(regions: NDArray[np.int32]) -> tuple[Array, Array]:
-    """The smallest and the largest region among the 4x4 pixels around each loop: (H-1, W-1) numbers."""
-    window = np.ones((4, 4), dtype=np.uint8)
-    numbers = regions.astype(np.float32)  # exact: fewer than 2^24
-    near = cv2.dilate(numbers, window, anchor=(1, 1))[:-1, :-1]
-    numbers[regions == 0] = regions.size
-    return near.astype(np.int32), cv2.erode(numbers, window, anchor=(1, 1))[:-1, :-1]
 
 
 def _sum_around(values: Map) -> Map:

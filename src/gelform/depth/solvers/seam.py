@@ -1,7 +1,5 @@
 """Solver: the protocol of all solvers, and the weighted least-squares problem of one frame that they solve.
 
-The weighted least-squares problem of one frame: its edge slopes and their weights.
-
     E(z) = sum wx (z_x - p)^2 + wy (z_y - q)^2 + sum anchor z^2 / (hx hy)
 
 The sum is over edges; the normal equations are `A z = f` with `A = D^T W D + diag(anchor)`, `f = D^T W e`. All
@@ -14,7 +12,7 @@ are compared with differences of depth along them. No edge crosses the border of
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import ClassVar, NamedTuple, Protocol
+from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
@@ -27,31 +25,18 @@ Weights = Array | Pair | None
 
 
 class Solution(NamedTuple):
-    """The answer of a solver for one frame.
+    """The answer of a solver for one frame; a direct method has no iterations and no tolerance."""
 
-    Attributes
-    ----------
-    depth_mm : (H, W) float32; each island up to a constant; 0 outside the mask
-    known : (H, W) bool; False outside the mask and where neither a slope nor an anchor counts
-    iterations : int
-        0 for a direct method.
-    tolerance : float
-        Estimated largest error relative to the range of depth; 0 for a direct method.
-    """
-
-    depth_mm: Map
-    known: Mask
+    depth_mm: Map  # (H, W) float32; each island up to a constant; 0 outside the mask
+    known: Mask  # (H, W) bool; False outside the mask and where neither a slope nor an anchor counts
     iterations: int = 0
-    tolerance: float = 0.0
+    tolerance: float = 0.0  # estimated largest error relative to the range of depth
 
 
 class Solver(Protocol):
     """A method, prepared for frames of one shape; threads can share it.
 
-    Attributes
-    ----------
-    takes_weights : whether it uses weights, mask and anchor; a solver that treats all slopes alike
-        refuses them with a ValueError
+    One that does not take weights, mask and anchor treats all slopes alike, and refuses them with a ValueError.
     """
 
     takes_weights: ClassVar[bool]
@@ -197,9 +182,11 @@ def _relative(anchor: Map, largest: float) -> Map:
 
 @lru_cache(maxsize=16, typed=True)
 def constant_map(shape: tuple[int, int], value: float | bool) -> Array:
-    """A shared map of one value, which nobody writes to; unwritten zeros take no memory."""
+    """A shared map of one value that nobody can write to; unwritten zeros take no memory."""
     dtype = bool if isinstance(value, bool) else np.float32
-    return np.full(shape, value, dtype=dtype) if value else np.zeros(shape, dtype=dtype)
+    shared = np.full(shape, value, dtype=dtype) if value else np.zeros(shape, dtype=dtype)
+    shared.flags.writeable = False
+    return shared
 
 
 def _problem_per_edge(gradients: Array, weights: Pair, mask: Mask, anchor: Array) -> LinearSystem:
@@ -227,20 +214,23 @@ def _checked_largest(largest: float) -> float:
     return largest
 
 
-def edge_system(problem: LinearSystem, mm_per_px: tuple[float, float]) -> tuple[Array, Array, Array]:
-    """Couplings (H, W-1) and (H-1, W), and right side (H, W).
+def per_edge(problem: LinearSystem, dtype: Any = np.float64) -> tuple[Pair, Pair]:
+    """Slopes and weights of the edges; one between two pixels has the harmonic mean of their confidence.
 
-    An edge between two pixels is weighted by the harmonic mean of their confidence: the variance of an averaged slope.
+    That is the variance of an averaged slope.
     """
-    edges, weights = problem.edges, problem.edge_weights
-    if edges is None or weights is None:
-        assert problem.gradients is not None
-        assert problem.confidence is not None
-        c = problem.confidence.astype(np.float64)
-        pairs = (c[:, 1:], c[:, :-1]), (c[1:], c[:-1])
-        edges = edges_from_gradients(problem.gradients.astype(np.float64))
-        across, down = (2 * a * b / np.maximum(a + b, 1e-30) for a, b in pairs)
-        weights = across, down
-    hx, hy = mm_per_px
+    if problem.edges is not None and problem.edge_weights is not None:
+        return problem.edges, problem.edge_weights
+    assert problem.gradients is not None
+    assert problem.confidence is not None
+    c = problem.confidence.astype(dtype)
+    pairs = (c[:, 1:], c[:, :-1]), (c[1:], c[:-1])
+    across, down = (2 * a * b / np.maximum(a + b, dtype(1e-30)) for a, b in pairs)
+    return edges_from_gradients(problem.gradients.astype(dtype)), (across, down)
+
+
+def edge_system(problem: LinearSystem, mm_per_px: tuple[float, float]) -> tuple[Array, Array, Array]:
+    """Couplings (H, W-1) and (H-1, W), and right side (H, W)."""
+    (edges, weights), (hx, hy) = per_edge(problem), mm_per_px
     flux = edges[0] * weights[0], edges[1] * weights[1]
     return weights[0] * (hy / hx), weights[1] * (hx / hy), divergence(flux, mm_per_px) * (hx * hy)

@@ -1,15 +1,12 @@
 """Weighted least squares: by elimination as the reference, at video rate by multigrid, and with walls that are steep.
 
-Weighted least squares at video rate: conjugate gradients, preconditioned by black-box multigrid.
-
-J. E. Dendy, Black box multigrid, J. Comput. Phys. 48, 1982; R. Kettler, in Multigrid Methods, LNM 960, 1982
-(as a preconditioner). With the operator-dependent interpolation, 3 to 5 iterations suffice at jumps of
-the weights by 1000; plain multigrid needs 24 to 80 or stalls.
-
-Depth with walls at least as steep as the slopes read there: rounds of `multigrid` with inequality terms.
+The video rate is that of conjugate gradients, preconditioned by black-box multigrid: J. E. Dendy, Black box multigrid,
+J. Comput. Phys. 48, 1982; R. Kettler, in Multigrid Methods, LNM 960, 1982 (as a preconditioner). With the
+operator-dependent interpolation, 3 to 5 iterations suffice at jumps of the weights by 1000; plain multigrid needs 24 to 80
+or stalls.
 
 Shading saturates with the slope, and the optics mix a wall with its surroundings. So a wall reads too flat, never too
-steep. Where the slopes of the depth exceed the slopes read on a wall, in their direction, those lose their weight in the
+steep, and `at_least` adds rounds of `multigrid` with inequality terms. Where the slopes of the depth exceed the slopes read on a wall, in their direction, those lose their weight in the
 next round; elsewhere they keep it (an active set: J. Nocedal and S. Wright, Numerical Optimization, 2006, ch. 16).
 """
 
@@ -21,7 +18,7 @@ import numpy as np
 import scipy  # its parts load at first use; a weighted solve needs none of them
 
 from gelform._native import Handle, Kernel
-from gelform.arrays import Array, Floats, Map, Mask, Numbers
+from gelform.arrays import Array, Map, Mask, Numbers
 from gelform.depth.solvers.seam import LinearSystem, Solution, Weights, edge_system, problem_from_gradients
 from gelform.errors import ConvergenceError
 from gelform.foundations.pool import Pool
@@ -116,15 +113,11 @@ class Grid:
             return
         x_mm, y_mm = mm_per_px
         if _load(self.handle, problem.gradients, problem.confidence, problem.anchor, hx=x_mm, hy=y_mm):
-            self.build()
+            _build(self.handle)
 
     def load_edges(self, east: Map, south: Map, right: Map, anchor: Map) -> None:
-        """Load couplings (H, W-1) and (H-1, W), right side and anchor (H, W)."""
+        """Load couplings (H, W-1) and (H-1, W), right side and anchor (H, W), and compute the coarse levels."""
         _load_edges(self.handle, east, south, anchor, right)
-        self.build()
-
-    def build(self) -> None:
-        """Compute the coarse levels from the finest."""
         _build(self.handle)
 
     def solve(
@@ -158,18 +151,7 @@ class Grid:
 class MultigridSolver:
     """A solver for frames of one shape and pitch; it takes weights, mask and anchor with each frame.
 
-    Parameters
-    ----------
-    shape : (H, W)
-    mm_per_px : (x, y), mm
-    tolerance : float
-        Largest error, relative to the range of depth, as estimated when the iteration stops.
-    max_iterations : int
-
-    Raises
-    ------
-    ConvergenceError
-        The tolerance was not reached; the message names a cause and remedies.
+    ConvergenceError: the tolerance was not reached; the message names a cause and remedies.
     """
 
     takes_weights: ClassVar[bool] = True
@@ -179,13 +161,11 @@ class MultigridSolver:
         shape: tuple[int, int],
         mm_per_px: tuple[float, float],
         *,
-        tolerance: float = 4e-4,
+        tolerance: float = 4e-4,  # largest error, relative to the range of depth, as estimated at the end
         max_iterations: int = 1000,
     ) -> None:
-        self.shape = shape
-        self.mm_per_px = mm_per_px
-        self.tolerance = tolerance
-        self.max_iterations = max_iterations
+        self.shape, self.mm_per_px = shape, mm_per_px
+        self.tolerance, self.max_iterations = tolerance, max_iterations
         self._pool = Pool(lambda: Grid(shape))
 
     def __call__(
@@ -197,11 +177,6 @@ class MultigridSolver:
             grid.load(problem, self.mm_per_px)
             depth, iterations, error = grid.solve(self.tolerance, self.max_iterations)
         return Solution(depth, problem.known, iterations, error)
-
-
-# px, mm/mm: a slope that differs by more from one at this distance belongs to a wall or its edge.
-REACH_PX, WALL_DIFFERENCE = 2, 0.1
-EXCEEDED_WEIGHT = 0.01  # weight of a slope on a wall that the depth's slope exceeds: close to none
 
 
 class AtLeastSolver(MultigridSolver):
@@ -220,28 +195,26 @@ class AtLeastSolver(MultigridSolver):
         for _ in range(self.rounds if walls.any() else 0):
             slopes = slopes_of_solution(solution.depth_mm, self.mm_per_px)
             exceeded = walls & ((slopes * gradients).sum(axis=-1) > square)
-            factors = np.where(exceeded, np.float32(EXCEEDED_WEIGHT), np.float32(1))
-            solution = super().__call__(gradients, _weighted(weights, factors), mask, anchor)
+            factors = np.where(exceeded, np.float32(0.01), np.float32(1))  # close to none
+            given: Weights = factors
+            if isinstance(weights, tuple):  # an edge takes the smaller factor of its two pixels
+                across, down = (
+                    np.minimum(factors[:, 1:], factors[:, :-1]),
+                    np.minimum(factors[1:], factors[:-1]),
+                )
+                given = weights[0] * across, weights[1] * down
+            elif weights is not None:
+                given = np.asarray(weights * factors, dtype=np.float32)
+            solution = super().__call__(gradients, given, mask, anchor)
         return solution
 
 
 def _walls(gradients: Array) -> Mask:
-    """Pixels (H, W) whose slopes differ by more from those `REACH_PX` away: root of half the sum of squares."""
+    """Pixels (H, W) whose slopes differ by 0.1 from those 2 px away: root of half the sum of squares; walls and edges."""
     squares = np.zeros(gradients.shape[:2], dtype=np.float32)
     for axis in (0, 1):
         along, lines = np.moveaxis(gradients, axis, 0), np.moveaxis(squares, axis, 0)
-        apart = np.square(along[REACH_PX:] - along[:-REACH_PX]).sum(axis=-1)
-        lines[REACH_PX:] += apart
+        apart = np.square(along[2:] - along[:-2]).sum(axis=-1)
+        lines[2:] += apart
         lines[: len(apart)] += apart
-    return np.asarray(squares > 2 * WALL_DIFFERENCE**2)
-
-
-def _weighted(weights: Weights, factors: Floats) -> Weights:
-    """The weights of pixels or edges, times the factors of the pixels; an edge takes the smaller of its two."""
-    if isinstance(weights, tuple):
-        across, down = weights
-        return (
-            across * np.minimum(factors[:, 1:], factors[:, :-1]),
-            down * np.minimum(factors[1:], factors[:-1]),
-        )
-    return factors if weights is None else np.asarray(weights * factors, dtype=np.float32)
+    return np.asarray(squares > 2 * 0.1**2)
