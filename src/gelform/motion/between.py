@@ -1,22 +1,17 @@
 """Where an object moved between two contacts: its pose, the pose's covariance, and what the contacts cannot show.
 
-Where an object moved between two contacts: its pose, the pose's covariance, and what the contacts cannot show.
-
 The touched surface of one frame is moved rigidly onto that of the other, so that its slopes and its depth agree
 (Gauss-Newton, weighted by both frames' standard deviations, Huber's loss). docs/motion-derivation.md has the formulas.
 
-The covariance of a pose: of errors that neighbors share, and of those that residuals cannot show.
-
-No plain estimator is honest here, because errors of slopes are alike over many pixels and partly the same in both frames.
-C = F S F + R D R' + p p' + (f d)^2 E: S from the sums of 16 px blocks (a sandwich), F and D factors that were
+No plain estimator of the covariance is honest, because errors of slopes are alike over many pixels and partly the same in
+both frames. C = F S F + R D R' + p p' + (f d)^2 E: S from the sums of 16 px blocks (a sandwich), F and D factors that were
 chosen on measured contacts (docs/motion-derivation.md), R the pose's response to slopes that are off everywhere, p the pull
 of errors that stay at their place while the object moves a little, f d the error of a place on the sensor, in proportion to
 the displacement; E = 1 for x and y, and for turns less, over the contact's radius, because the error changes along it.
 
-What two contacts cannot show: the directions of motion that leave their surface as it is, such as turns of a ball.
-
-A direction is seen if the change of slopes that it predicts from one frame correlates with the one from the other: shape
-does, noise does not. A calibration's own error looks like shape too, so turns of a ball are blind up to that error.
+Blind are the directions of motion that leave a surface as it is, such as turns of a ball. A direction is seen if the change
+of slopes that it predicts from one frame correlates with the one from the other: shape does, noise does not. A
+calibration's own error looks like shape too, so turns of a ball are blind up to that error.
 """
 
 from __future__ import annotations
@@ -47,20 +42,8 @@ FOUND, LOST, UNSURE = "found", "lost", "cannot tell yet"
 LEAST_SHARE, LEAST_PX = 0.25, 300  # of the contact, and pixels, that both frames touch
 # Mm and degrees: farther from the start there are other minima; farther turned, every method drifts by .1-.3 mm, 2-5 deg.
 MOST_FROM_START_MM, MOST_TURN_DEG = 0.5, 10.0
-# Mm and rad: the range of the method, and what is known where nothing is seen and no prior given.
-REACH = (MOST_FROM_START_MM, float(np.radians(MOST_TURN_DEG)))
-NO_PRIOR = (10.0, float(np.radians(MOST_TURN_DEG)))
-# Mm and rad: beyond, the squares of a prior and of what was seen have no common precision.
-PRIORS = (1e-6, 1e6)
-PLACE_ERROR = 0.006  # error of a ball's place over its displacement, the largest of three Minis (two GelSlims .010, .015)
-MOST_MISFIT = 1.0  # of the surfaces after the motion, in their stated errors; .84 at most on real contacts
-UNKNOWN_MM = 1e3  # mm, standard deviation of what is not known at all
-# Share of the covariance by the stated sigmas alone that remains where residuals are 0 or come from one block, which
-# measures none; where it is measured, on textures and balls, it is 1 to 60 times that of the stated sigmas.
-LUCK = 1e-3
-MOST_STEPS = 30
-LONGEST_MM, LONGEST_RAD = 0.5, 0.15  # of a step
 LAST_MM, LAST_RAD = 2e-3, 5e-4  # a smaller step is the last
+BLOCK_PX = 16  # px, side of the blocks whose errors count as independent
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,14 +117,15 @@ def motion_between(
 def checked_prior(prior: Sequence[float] | None) -> tuple[float, float]:
     """Standard deviations of a start, mm and rad; by default those that leave nothing known."""
     if prior is None:
-        return NO_PRIOR
+        return 10.0, float(np.radians(MOST_TURN_DEG))
     shift, turn = check_numbers(prior, "prior", 2)
-    return check_within(shift, "prior's mm", *PRIORS), check_within(turn, "prior's rad", *PRIORS)
+    # Beyond, the squares of a prior and of what was seen have no common precision.
+    return check_within(shift, "prior's mm", 1e-6, 1e6), check_within(turn, "prior's rad", 1e-6, 1e6)
 
 
 def checked_place_error(share: float | None) -> float:
-    """The error of a place over the displacement; None: the largest of three Minis."""
-    return PLACE_ERROR if share is None else check_within(share, "place_error", 0, 1)
+    """The error of a place over the displacement; None: the largest of three Minis (two GelSlims have .010, .015)."""
+    return 0.006 if share is None else check_within(share, "place_error", 0, 1)
 
 
 def sensor_of(result: Reconstruction) -> tuple[object, ...]:
@@ -189,13 +173,17 @@ def motion_of(
     pose = pose_of_step(inverse @ found.right, found.center) @ found.pose
     center = moved(pose, first.middle)
     travel = float(np.linalg.norm((center - first.middle)[:2]))
-    if (misfit := found.misfit) > MOST_MISFIT:
+    if (misfit := found.misfit) > 1:  # .84 at most on real contacts
         return lost(f"the surfaces differ by {misfit:.1f} times their errors: is it another object?", shared)
-    own = pose_covariance(first, found, inverse, travel * place_error)
-    if filled := blind_depth(first, second):
-        own[2, 2] += UNKNOWN_MM**2
+    own, filled = pose_covariance(first, found, inverse, travel * place_error), []
+    if max(first.share, second.share) > 0.9:  # no gel at rest is left that depth could be measured from
+        own[2, 2] += 1e6  # mm^2
+        words = "shifts along z: the contact fills the view, nothing is at rest"
+        filled = [Blind(np.array([0, 0, 1.0, 0, 0, 0]), 0.0, words)]
     along = np.linalg.inv(np.column_stack([freely, *(one.direction for one in blind)]))[: freely.shape[1]]
-    seen = along @ own @ along.T + LUCK * stated
+    # A thousandth of the covariance by the stated sigmas remains where residuals are 0 or come from one block, which
+    # measures none; where it is measured, on textures and balls, it is 1 to 60 times that of the stated sigmas.
+    seen = along @ own @ along.T + 1e-3 * stated
     pose, covariance = _with_prior(pose, start, center, freely, along, seen, prior)
     if why := _too_far(pose, start, center):
         return lost(why, shared)
@@ -226,23 +214,22 @@ def _with_prior(
 
 
 def _fitted(first: TouchedSurface, second: TouchedSurface, start: Array, seen: Array) -> Equations | Motion:
-    """The equations about one step from the best pose, in the directions (6, k) alone, held to the start by REACH."""
+    """The equations about one step from the best pose, in the directions (6, k) alone, held to the start by the range."""
     # Errors of neighbors are alike, but the equations count each as news: so must what holds them at the start.
-    held = (BLOCK_PX / first.every) ** 2 * (1 / np.square(np.repeat(REACH, 3)))
+    reach = np.repeat((MOST_FROM_START_MM, np.radians(MOST_TURN_DEG)), 3)
+    held = (BLOCK_PX / first.every) ** 2 * (1 / np.square(reach))
     pose, back = start, np.linalg.inv(start)  # rigid, as every pose: never singular
-    for _ in range(MOST_STEPS):
+    for _ in range(30):
         equations = first.equations(second, pose)
         share, seen_px = equations.count / len(first.points), equations.count * first.every**2
         if seen_px < LEAST_PX or share < LEAST_SHARE:
-            wanted = f"{LEAST_PX} px and {100 * LEAST_SHARE:.0f} % are needed"
-            return lost(
-                f"both frames touch {seen_px} px of the contact, {100 * share:.0f} %: {wanted}", share
-            )
+            touch = f"both frames touch {seen_px} px of the contact, {100 * share:.0f} %"
+            return lost(f"{touch}: {LEAST_PX} px and {100 * LEAST_SHARE:.0f} % are needed", share)
         step = equations.step(seen, held, step_of_pose(pose @ back, equations.center))
         shift, turn = float(np.linalg.norm(step[:3])), float(np.linalg.norm(step[3:]))
         if shift < LAST_MM and turn < LAST_RAD:
             break
-        step *= min(1.0, LONGEST_MM / max(shift, LAST_MM), LONGEST_RAD / max(turn, LAST_RAD))
+        step *= min(1.0, 0.5 / max(shift, LAST_MM), 0.15 / max(turn, LAST_RAD))
         pose = pose_of_step(step, equations.center) @ pose
     return equations
 
@@ -257,14 +244,6 @@ def _too_far(pose: Array, start: Array, center: Array) -> str:
     return ""
 
 
-BLOCK_PX = 16  # px, side of the blocks whose errors count as independent
-FACTORS = np.array([1, 1, 5.5, 2.8, 2.8, 1])  # of the sandwich's standard deviations: x, y, z, tilts, yaw
-OFFSET, GAIN = 0.003, 0.02  # mm/mm, and of a slope: standard deviations of what all slopes have in common
-# Of the error of a place, by which the ends of a contact err against each other, along it (tilts) and across it (yaw): the
-# latter on pairs of a cube's edge.
-PLACE_TILT, PLACE_YAW = 0.25, 0.7
-
-
 def pose_covariance(surface: TouchedSurface, equations: Equations, inverse: Array, place_mm: float) -> Array:
     """Covariance (6, 6) of a step, from the equations at the best pose and the inverse (6, 6) of their information."""
     weighted = equations.jacobian * equations.weight[..., None]
@@ -277,9 +256,12 @@ def pose_covariance(surface: TouchedSurface, equations: Equations, inverse: Arra
     # Slopes off by a constant, and too steep by a factor, along x and along y; and the pull of what stays.
     common = [np.stack([np.ones_like(of), of]) @ weighted[:, k] for k, of in enumerate(surface.slopes.T)]
     response = inverse @ np.vstack([*common, _pull(surface, equations)]).T
-    covariance = sandwich * np.outer(FACTORS, FACTORS)
-    covariance += (response * np.square([OFFSET, GAIN, OFFSET, GAIN, 1])) @ response.T
-    covariance += np.diag(np.square(place_mm * surface.scale * (1, 1, 0, PLACE_TILT, PLACE_TILT, PLACE_YAW)))
+    factors = np.array([1, 1, 5.5, 2.8, 2.8, 1])  # of standard deviations: x, y, z, tilts, yaw
+    covariance = sandwich * np.outer(factors, factors)
+    offset, gain = 0.003, 0.02  # mm/mm, and of a slope: standard deviations of what all slopes have in common
+    covariance += (response * np.square([offset, gain, offset, gain, 1])) @ response.T
+    # The ends of a contact err against each other, along it (tilts) and across it (yaw), on pairs of a cube's edge.
+    covariance += np.diag(np.square(place_mm * surface.scale * (1, 1, 0, 0.25, 0.25, 0.7)))
     return np.asarray(covariance, dtype=np.float64)
 
 
@@ -300,20 +282,15 @@ def _pull(surface: TouchedSurface, equations: Equations) -> Array:
     return np.array([x, y, 0, -lever[2, 1], lever[2, 0], lever[0, 1] - lever[1, 0]])
 
 
-LEAST_CORRELATION = 0.71  # of the predicted changes; blind directions lie below, 97 % of the others above
-MOST_SHAPE = 0.5  # of what turns about a ball's center change; other objects have .6 or more, balls by a starter .5 at most
-FILLED = 0.9  # share of the frame; beyond it no gel at rest is left that depth could be measured from
-SHIFTS = 0.3  # of a shift, beside which a smaller turn is not named
-NEARLY_AXIS = 0.95  # cosine of the angle to an axis that is named
-
-
 @dataclass(frozen=True, eq=False)
 class Blind:
-    """A direction of motion that cannot be seen."""
+    """A direction of motion that cannot be seen.
+
+    Its correlation is that of the changes of slope which both frames predict, below 0.71; of a ball, the share of what its
+    turns change that is shape, below 0.5.
+    """
 
     direction: Array  # (6,) a shift, mm, and a turn, rad, about the contact's middle
-    # value of the test: that of the changes of slope which both frames predict, below 0.71; of a ball, the share of
-    # what its turns change that is shape, below 0.5
     correlation: float
     words: str  # what moves so, such as "turns about the ball's center at (0.1, -0.4, -2.6) mm"
 
@@ -326,29 +303,26 @@ def blind_directions(first: TouchedSurface, at: Equations) -> tuple[tuple[Blind,
     scale = first.scale
     _, directions, undetermined = determined_by(at.information, scale)
     alike = np.where(undetermined, 0.0, _correlations(first, at, directions))
-    chosen = alike < LEAST_CORRELATION
+    chosen = alike < 0.71  # 97 % of the directions that are not blind lie above
     if chosen.any() and (ball := _ball(first, at)) is not None:
         pivot, shape = ball
         turns = np.concatenate([about_other_center(-pivot)[:3, 3:], np.eye(3)]).T
         center = f"turns about the ball's center at {_place(at.center + pivot)}"
         return tuple(Blind(turn, shape, center) for turn in turns), np.eye(6)[:, :3]
     unseen = directions[:, chosen].T
-    turning = _sizes(unseen[:, 3:] / scale[3:]) > SHIFTS * _sizes(unseen[:, :3])
     # A small turn beside a shift is noise: times a prior of millimeters, it would make turns uncertain that are seen.
+    turning = _sizes(unseen[:, 3:] / scale[3:]) > 0.3 * _sizes(unseen[:, :3])
     shifts = np.linalg.eigh(at.information[:3, :3])[1].T
     unseen[~turning] = np.pad(shifts[: np.count_nonzero(~turning)], ((0, 0), (0, 3)))
     held = np.where(turning[:, None], unseen * (0, 0, 0, 1, 1, 1), unseen / scale**2) * scale
     others = np.linalg.svd(held)[2][len(held) :]
-    words = [_in_words(one, turns_too, at.center) for one, turns_too in zip(unseen, turning)]
+    words = [
+        f"turns about {_axis(turn)} through {_place(at.center + np.cross(turn, shift) / (turn @ turn))}"
+        if turns_too
+        else f"shifts along {_axis(shift)}"
+        for shift, turn, turns_too in zip(unseen[:, :3], unseen[:, 3:], turning)
+    ]
     return tuple(map(Blind, unseen, alike[chosen].tolist(), words)), scale[:, None] * others.T
-
-
-def blind_depth(first: TouchedSurface, second: TouchedSurface) -> tuple[Blind, ...]:
-    """Shifts along z, if a contact fills the view: no gel at rest shows where depth 0 is."""
-    if max(first.share, second.share) <= FILLED:
-        return ()
-    direction = np.array([0, 0, 1.0, 0, 0, 0])
-    return (Blind(direction, 0.0, "shifts along z: the contact fills the view, nothing is at rest"),)
 
 
 def has_moved(surface: TouchedSurface, pose: Array) -> bool:
@@ -403,15 +377,8 @@ def _ball(first: TouchedSurface, at: Equations) -> tuple[Array, float] | None:
     change += np.eye(3) * (1e-9 * np.trace(change) + 1e-30)
     left = float(np.linalg.eigvals(np.linalg.solve(change + change.T, shape + shape.T)).real.max())
     carried = 2 * np.count_nonzero(weight) / max(float(np.sum(weight * np.square(first.slopes))), 1e-30)
-    return (pivot, left) if left < min(MOST_SHAPE, carried) else None
-
-
-def _in_words(direction: Array, turns_too: bool, center: Array) -> str:
-    """What moves in a blind direction (6,)."""
-    shift, turn = direction[:3], direction[3:]
-    if not turns_too:
-        return f"shifts along {_axis(shift)}"
-    return f"turns about {_axis(turn)} through {_place(center + np.cross(turn, shift) / (turn @ turn))}"
+    # Of other objects .6 or more is shape, of balls by a starter .5 at most.
+    return (pivot, left) if left < min(0.5, carried) else None
 
 
 def _sizes(vectors: Array) -> Array:
@@ -426,6 +393,6 @@ def _axis(direction: Array) -> str:
     """The name of the nearest axis, or the direction itself."""
     unit = direction / np.linalg.norm(direction)
     nearest = int(np.abs(unit).argmax())
-    if abs(unit[nearest]) > NEARLY_AXIS:
+    if abs(unit[nearest]) > 0.95:
         return "xyz"[nearest]
     return f"({', '.join(f'{value:.2f}' for value in unit * np.sign(unit[nearest]))})"

@@ -1,9 +1,8 @@
 """Rigid motions, the touched surface of a result as matching needs it, and the equations of a small motion of it.
 
-Rigid motions (4, 4) in mm, and small steps (shift x, y, z in mm; turn about x, y, z in rad) about a center.
-
-The axes are those of a depth map: x to the right, y down, z toward the camera; (0, 0, 0) is the image's middle on the gel
-at rest. A positive turn about z leads from x to y, clockwise in the image.
+Rigid motions are (4, 4) in mm, small steps (shift x, y, z in mm; turn about x, y, z in rad) about a center. The axes are
+those of a depth map: x to the right, y down, z toward the camera; (0, 0, 0) is the image's middle on the gel at rest. A
+positive turn about z leads from x to y, clockwise in the image.
 """
 
 from __future__ import annotations
@@ -67,15 +66,8 @@ def checked_pose(pose: ArrayLike, name: str) -> Array:
     return matrix
 
 
-# What the stated sigma lacks, added to it: of a slope, mm/mm, and of a depth, mm.
-SLOPE_FLOOR, DEPTH_FLOOR_MM = 0.03, 0.005
 LARGEST = 1e6  # mm and mm/mm; sums of squares of larger ones are beyond float32
 LARGEST_SIGMA = 3.0  # mm/mm and mm; what is less certain, or NaN, counts as this
-SMOOTHED_PX = 0.8  # px, standard deviation of the filter before slopes are differentiated
-MOST_POINTS = 1500  # of a contact's pixels; errors of neighbors are alike, so more of them tell little more
-GAP_MM = 1.0  # mm; a narrower gap of a contact lies between tops of one texture
-BORDER_PX = 3  # px inside the contact's border, where slopes change because the contact ends
-HUBER = 3.0  # root mean squares; larger residuals count less
 MOVED_PX = 3.0  # px; errors that belong to a place on the sensor are alike so far, and look like shape
 MARGIN_PX = 4  # px around a contact, for the filters
 
@@ -92,19 +84,19 @@ _motion_rows = Kernel(
 class Equations:
     """What a small further step (6,) about a center changes at the points of a moved surface."""
 
-    # pose, center: (4, 4) and (3,), where the equations hold
-    pose: Array
-    center: Array
+    pose: Array  # (4, 4), where the equations hold
+    center: Array  # (3,)
     residual: Floats  # (N, 3) slope along x and y, depth: the other surface minus the moved one
     jacobian: Floats  # (N, 3, 6) their change with the step
     weight: Floats  # (N, 3), 0 where the other surface was not touched
     inside: Mask  # (N,) bool, whether a point is in the inner part of the other contact
-    information: Array  # (6, 6), of the normal equations, and right (6,)
-    right: Array
-    count: int  # number of points that the other surface has too, and shared (N,): which
+    information: Array  # (6, 6), of the normal equations
+    right: Array  # (6,)
+    count: int  # number of points that the other surface has too
 
     @property
     def shared(self) -> Mask:
+        """The points (N,) that the other surface has too."""
         return np.asarray(self.weight[:, 2] > 0)
 
     @property
@@ -120,14 +112,7 @@ class Equations:
 
 
 class TouchedSurface:
-    """The touched pixels of a result as points, and its maps around them, prepared once.
-
-    Attributes
-    ----------
-    shape : (H, W) of the frame; share : touched share of it; count : touched pixels
-    contact : (h, w) bool, the rectangle around them; origin : (x, y) in px of the rectangle that is 0 mm
-    points : (N, 3) float32, mm; pixels : (N, 2) their rows and columns in the rectangle; slopes : (N, 2)
-    every : one of so many rows and columns is a point
+    """The touched pixels of a result as points, and its maps (h, w) in the rectangle around them, prepared once.
 
     The points are those of a frame that others are compared with; of the other frames, nobody asks for them.
     """
@@ -147,6 +132,7 @@ class TouchedSurface:
         # As read: a solution that smooths a crest moves it.
         slopes = result.gradients if result.observed_gradients is None else result.observed_gradients
         self.gradients = np.ascontiguousarray(slopes[rows, cols])
+        # (x, y) in px of the rectangle that is 0 mm
         self.origin: Array = np.array([(width - 1) / 2 - cols.start, (height - 1) / 2 - rows.start])
         self.variances = _variances(result, rows, cols)
         for size, unit in ((self.depth, "mm"), (self.gradients, "mm/mm")):
@@ -154,17 +140,26 @@ class TouchedSurface:
                 raise GelformError(
                     f"Motion needs depth and slopes up to {LARGEST:.0e}, got {largest:.1e} {unit}: are the units right?"
                 )
-        self.derivatives = _derivatives(self.gradients, self.pitch)
+        # Derivatives (h, w, 2) of smoothed slopes along x, and along y.
+        smooth = cv2.getGaussianKernel(7, 0.8)
+        difference, pitch = np.convolve(smooth.ravel(), [-0.5, 0, 0.5]), self.pitch
+        self.derivatives = (
+            cv2.sepFilter2D(self.gradients, -1, difference / pitch[0], smooth),
+            cv2.sepFilter2D(self.gradients, -1, smooth, difference / pitch[1]),
+        )
         self.count = int(np.count_nonzero(self.contact))
         self.share = self.count / result.contact.size
-        self.every = max(1, int(np.ceil(np.sqrt(self.count / MOST_POINTS))))
+        # One of so many rows and columns is a point: errors of neighbors are alike, so more than 1500 tell little more.
+        self.every = max(1, int(np.ceil(np.sqrt(self.count / 1500))))
 
     @cached_property
     def pixels(self) -> NDArray[np.intp]:
+        """Rows and columns (N, 2) of the points in the rectangle."""
         return self.every * np.argwhere(self.contact[:: self.every, :: self.every])
 
     @cached_property
     def points(self) -> Floats:
+        """Positions (N, 3), mm."""
         points = np.empty((len(self.pixels), 3), np.float32)
         points[:, :2] = (self.pixels[:, ::-1] - self.origin) * self.pitch
         points[:, 2] = self.depth[tuple(self.pixels.T)]
@@ -172,6 +167,7 @@ class TouchedSurface:
 
     @cached_property
     def slopes(self) -> Slopes:
+        """Slopes (N, 2) of the points."""
         return self.gradients[tuple(self.pixels.T)]
 
     @cached_property
@@ -186,7 +182,7 @@ class TouchedSurface:
         count = _motion_rows(
             self.points, self.slopes, self.point_variances, other.gradients, other.depth, *other.derivatives,
             other.variances, other.contact, other.inner, np.ascontiguousarray(pose[:3]), center, self.pitch, other.origin,
-            HUBER, residual, jacobian, weight, inside, normal,
+            3.0, residual, jacobian, weight, inside, normal,  # root mean squares, from which residuals count less
         )  # fmt: skip
         return Equations(pose, center, residual, jacobian, weight, inside, normal[:, :6], normal[:, 6], count)
 
@@ -213,8 +209,8 @@ class TouchedSurface:
 
     @cached_property
     def inner(self) -> Mask:
-        """The touched pixels (h, w) that are not next to the border of the contact."""
-        disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * BORDER_PX + 1,) * 2)
+        """The touched pixels (h, w) more than 3 px inside the border, where slopes change because the contact ends."""
+        disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (7, 7))
         inner = cv2.erode(self.closed.view(np.uint8), disc, borderValue=0)
         return self.contact & inner.view(np.bool_)
 
@@ -224,8 +220,8 @@ class TouchedSurface:
 
 
 def _closed(contact: Mask, pitch: Array) -> Mask:
-    """A contact (h, w) with the gaps between the tops of a texture, which move with them."""
-    across, down = (2 * np.rint(GAP_MM / 2 / pitch) + 1).astype(int).tolist()
+    """A contact (h, w) with the gaps between the tops of a texture, narrower than 1 mm, which move with them."""
+    across, down = (2 * np.rint(0.5 / pitch) + 1).astype(int).tolist()
     border = (down, down, across, across)
     padded = cv2.copyMakeBorder(contact.astype(np.uint8), *border, cv2.BORDER_CONSTANT, value=0)
     closed = cv2.morphologyEx(padded, cv2.MORPH_CLOSE, np.ones((down, across), np.uint8))
@@ -234,20 +230,10 @@ def _closed(contact: Mask, pitch: Array) -> Mask:
 
 def _variances(result: Reconstruction, rows: slice, cols: slice) -> Floats:
     """Variances (h, w, 3) of a pixel's slopes and of its depth; a sigma that is not stated counts as 0."""
-    sigmas = (result.gradients_sigma, result.depth_sigma_mm)
-    maps = (
-        np.zeros_like(of) if sigma is None else sigma
-        for sigma, of in zip(sigmas, (result.gradients, result.depth_mm))
-    )
+    slopes, depth = (result.gradients_sigma, result.gradients), (result.depth_sigma_mm, result.depth_mm)
+    maps = (np.zeros_like(of) if sigma is None else sigma for sigma, of in (slopes, depth))
     known = cv2.merge([one[rows, cols] for one in maps])
     cv2.patchNaNs(known, LARGEST_SIGMA)
     np.square(np.minimum(known, np.float32(LARGEST_SIGMA), out=known), out=known)
-    return cv2.add(known, (SLOPE_FLOOR**2, SLOPE_FLOOR**2, DEPTH_FLOOR_MM**2, 0), dst=known)
-
-
-def _derivatives(gradients: Slopes, pitch: Array) -> tuple[Array, Array]:
-    """Derivatives (H, W, 2) of smoothed slopes along x, and along y."""
-    smooth = cv2.getGaussianKernel(7, SMOOTHED_PX)
-    difference = np.convolve(smooth.ravel(), [-0.5, 0, 0.5])
-    along_x = cv2.sepFilter2D(gradients, -1, difference / pitch[0], smooth)
-    return along_x, cv2.sepFilter2D(gradients, -1, smooth, difference / pitch[1])
+    # What the stated sigma lacks: 0.03 of a slope, and 5 um of a depth.
+    return cv2.add(known, (0.03**2, 0.03**2, 0.005**2, 0), dst=known)

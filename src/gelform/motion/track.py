@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gelform.arrays import Map, Slopes
+from gelform.arrays import Map
 from gelform.depth.integrate import integrate
 from gelform.errors import GelformError
 from gelform.foundations.checks import check_list
@@ -40,7 +40,6 @@ from gelform.result import Reconstruction
 from gelform.slopes.gradients import slopes_of_solution
 
 KEPT_SHARE = 0.6  # of the keyframe's contact; with less in sight the present frame becomes the keyframe
-KEPT_TURN_DEG = MOST_TURN_DEG / 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,7 +143,7 @@ class Follower:
             return motion, key.number
         found = after(key.found, motion)
         self._pose, self._last = motion.pose, _Placed(surface, self._number, result, found)
-        if motion.shared < KEPT_SHARE or turn_deg(motion.pose) > KEPT_TURN_DEG:
+        if motion.shared < KEPT_SHARE or turn_deg(motion.pose) > MOST_TURN_DEG / 2:
             self._begin(self._last)
         return found, key.number
 
@@ -175,11 +174,7 @@ def after(first: Motion, then: Motion) -> Motion:
     return replace(then, pose=poses[1] @ poses[0], covariance=covariance)
 
 
-DEPTH_SHARE = 1e-3  # weight of the mean depth beside the slopes, which know the shape better
-BLENDED_PX = 20.0  # px from its border, over which a contact gains its weight
 MOST_SIDE = 4000  # px, of a mosaic
-STEPS = 5  # until the place in a contact that a pixel shows is known to a fraction of a pixel
-SURE = 0.5  # share of a pixel that must be touched
 TINY = 1e-12  # weight where nothing is known
 Placed = tuple[TouchedSurface, Array, Array, Array]  # with its pose, covariance and center
 
@@ -225,14 +220,14 @@ def mosaic(
     slope_weight, depth_weight = np.maximum(slope_weight, TINY), np.maximum(depth_weight, TINY)
     slopes = np.dstack(slopes_and_depth[:2]) / slope_weight[..., None]
     # Filled beyond the border, or its slopes there would be of a step down to 0.
-    mean = fill_unknown(np.asarray(slopes_and_depth[2] / depth_weight, np.float32)[..., None], known_px)[
-        ..., 0
-    ]
+    mean = np.asarray(slopes_and_depth[2] / depth_weight, np.float32)[..., None]
+    mean = fill_unknown(mean, known_px)[..., 0]
     weight = slope_weight / slope_weight.max()
-    # The anchor holds at 0: what is solved for is the difference from the mean depth.
+    # The anchor holds at 0: what is solved for is the difference from the mean depth. It has a thousandth of the slopes'
+    # weight, which know the shape better.
     solution = integrate(
         slopes - slopes_of_solution(mean, (pitch[0], pitch[1])), mm_per_px=tuple(pitch), weights=weight, mask=known_px,
-        anchor=np.where(known_px, DEPTH_SHARE * depth_weight * pitch.prod() / slope_weight.max(), 0),
+        anchor=np.where(known_px, 1e-3 * depth_weight * pitch.prod() / slope_weight.max(), 0),
     )  # fmt: skip
     depth = np.where(known_px, mean + solution.depth_mm, 0).astype(np.float32)
     # Errors of depth are much alike in all contacts, so several are no surer than one.
@@ -288,7 +283,7 @@ def layer_of(
     row, col = np.mgrid[:height, :width]
     place = np.stack([col - (width - 1) / 2, row - (height - 1) / 2], axis=-1) * surface.pitch
     there = moved(pose, np.dstack([place, np.full(shape, surface.middle[2])]))  # in the contact's frame
-    for _ in range(STEPS):
+    for _ in range(5):  # until the place is known to a fraction of a pixel
         pixel = surface.pixels_at(there)
         there[..., 2] = _sampled(surface.depth, pixel)
         there[..., :2] += (place - moved(back, there)[..., :2]) @ turn[:2, :2].T
@@ -298,21 +293,17 @@ def layer_of(
     )
     touched = cv2.copyMakeBorder(surface.contact.view(np.uint8), 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
     inward_px = _sampled(cv2.distanceTransform(touched, cv2.DIST_L2, 3)[1:-1, 1:-1], pixel)
-    share = np.where(inward_px > SURE, np.minimum(inward_px / BLENDED_PX, 1), 0)
-    of_depth = variances[..., 2] + _pose_variance(there - center, slopes, covariance)
-    normal = np.dstack([-slopes, np.ones(shape)]) @ turn  # turned back
+    share = np.where(inward_px > 0.5, np.minimum(inward_px / 20, 1), 0)  # it gains its weight over 20 px
+    normal = np.dstack([-slopes, np.ones(shape)])
+    change = np.concatenate([normal, np.cross(there - center, normal)], axis=-1)  # by an error of the pose
+    of_pose = np.asarray(np.einsum("...i,ij,...j->...", change, covariance, change), dtype=np.float64)
+    of_depth = variances[..., 2] + of_pose
+    normal = normal @ turn  # turned back
     slope_weight = 2 * share / np.maximum(variances[..., 0] + variances[..., 1], TINY)
     depth_weight = share / np.maximum(of_depth, TINY)
     values = np.dstack([-normal[..., :2] / normal[..., 2:], moved(back, there)[..., 2]])
     weighted = values * np.dstack([slope_weight, slope_weight, depth_weight])
     return np.stack([*np.moveaxis(weighted, -1, 0), slope_weight, depth_weight, share])
-
-
-def _pose_variance(away: Array, slopes: Slopes, covariance: Array) -> Array:
-    """Variance (H, W) of the depth by an error of the pose about a point that is `away` (H, W, 3), mm^2."""
-    normal = np.dstack([-slopes, np.ones(slopes.shape[:2])])
-    change = np.concatenate([normal, np.cross(away, normal)], axis=-1)
-    return np.asarray(np.einsum("...i,ij,...j->...", change, covariance, change), dtype=np.float64)
 
 
 def _sampled(values: Map, pixel: Map) -> Map:

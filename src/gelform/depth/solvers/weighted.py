@@ -6,8 +6,9 @@ operator-dependent interpolation, 3 to 5 iterations suffice at jumps of the weig
 or stalls.
 
 Shading saturates with the slope, and the optics mix a wall with its surroundings. So a wall reads too flat, never too
-steep, and `at_least` adds rounds of `multigrid` with inequality terms. Where the slopes of the depth exceed the slopes read on a wall, in their direction, those lose their weight in the
-next round; elsewhere they keep it (an active set: J. Nocedal and S. Wright, Numerical Optimization, 2006, ch. 16).
+steep, and `at_least` adds rounds of `multigrid` with inequality terms. Where the slopes of the depth exceed the slopes read
+on a wall, in their direction, those lose their weight in the next round; elsewhere they keep it (an active set: J. Nocedal
+and S. Wright, Numerical Optimization, 2006, ch. 16).
 """
 
 from __future__ import annotations
