@@ -1,6 +1,4 @@
-"""The standard deviation of each slope of a frame: a budget of named variances, and its explanation as maps.
-
-The budget of a frame's slopes: named variances that add up to the standard deviation of each slope.
+"""The standard deviation of each slope of a frame: a budget of named variances that add up, and its explanation as maps.
 
 The rows are the law of the step (or of rest), what a frame brings (light, compression, walls, outliers, unseen pixels), and
 what no residual shows: steep slopes and the spread between units. A color saturates, so slopes beyond those that trained a
@@ -8,10 +6,9 @@ model are read as about the steepest of those. The model of another unit reads a
 colors change less. Both are stated, but they are no reason to fill steep slopes from gentle ones: the solver's weights say
 "no slope here", and nothing else.
 
-Slopes that a frame itself shows to be read right: those of a ball, from its top to where the gel leaves it.
-
-A model that reads steep slopes too small bends what is straight: the first two components of a ball's normals are linear in
-the place. The gentle part around the top tells the ball, and how far the readings follow it tells which slopes are right.
+A frame itself shows that the slopes of a ball are read right, from its top to where the gel leaves it. A model that reads
+steep slopes too small bends what is straight: the first two components of a ball's normals are linear in the place. The
+gentle part around the top tells the ball, and how far the readings follow it tells which slopes are right.
 """
 
 from __future__ import annotations
@@ -36,14 +33,12 @@ from gelform.slopes.gradients import STEEPEST_GEL
 from gelform.slopes.sigma import CAUSES, SATURATED_FROM, SlopeSigma, bloom_disc
 
 USUAL_LEVELS = 2.0  # gray levels, a pixel's noise if the calibration does not know that of its images
-NOISE_BLUR_PX = 8.0  # px, standard deviation of the blur of the map of noise; light and model are smooth
 # Squared residual over its covariance on held-out presses from which no slope is left: three sigma.
 OUTLIER = 9.0
 LEAST_WEIGHT = 1e-6  # of a pixel without information, which solvers treat as none
-# mm/mm: slopes that differ by more from those `reach_px` away are blurred; a small ball's slopes differ by less. Then the
+# mm/mm: slopes that differ by more from those 1.6 blurs away are blurred; a small ball's slopes differ by less. Then the
 # error of blurred slopes over the excess of that difference.
 DIFFERENCE_FROM, ERROR_OF_DIFFERENCE = 0.1, 1.75
-REACH_BLURS = 1.6  # blurs, distance of the slopes that a slope is compared with
 # Deviation of a slope over its excess over the shown ones. Measured on three sensors: calibrations trained below slopes of
 # 0.4 and 0.5 have 91 to 98 % of the steeper pixels within two sigma.
 PER_EXCESS = 1.75
@@ -79,10 +74,8 @@ class ReadSlopes:
     gradients: Slopes  # (H, W, 2), mm/mm
     at_rest: Mask  # (H, W) bool, pixels at rest
     unseen: Mask | None = None  # (H, W) bool, pixels without gel, or with too few usable channels; None: none
-    # variance, residual: (H, W), of the forward response's step, or None; the residual is squared, over its
-    # covariance
-    variance: Map | None = None
-    residual: Map | None = None
+    variance: Map | None = None  # (H, W), of the forward response's step, or None
+    residual: Map | None = None  # (H, W), squared, over its covariance
     model_sigma: Map | None = None  # (H, W), a color model's own deviation, or None
     outlier: float = OUTLIER  # squared residual from which no slope is left
 
@@ -104,8 +97,7 @@ class Budget:
     solved: Map  # of the solved depth's slopes, with the spread between units
     steep: Map  # what steep slopes may be read too small
     confidence: Map  # min(1, full_confidence_sigma^2 / (all rows of the slopes as read))
-    # walls, outliers: these rows, if they were asked for
-    walls: Map | None = None
+    walls: Map | None = None  # this row, if it was asked for
     outliers: Map | None = None
 
     @property
@@ -115,41 +107,25 @@ class Budget:
 
 
 class PreparedBudget:
-    """Budgets for one calibration and background. It is immutable; threads can share it.
-
-    Parameters
-    ----------
-    sigma : of the calibration
-    noise : (H, W), variance of a slope at rest from the image's noise alone, as `noise_at_rest` gives it
-    untouched : the background in use
-    walls : whether sharply bending slopes are blurred; False for imported color models, whose blur is unknown
-    slope_per_change : slope for a color change of 1, mm/mm
-    spread : relative standard deviation of slopes between units, of a starter
-    carried : share of the model that comes from other units, 0-1
-
-    Attributes
-    ----------
-    rest_variance : (H, W), variance of a slope at rest
-    full_confidence_sigma : standard deviation of a slope of confidence 1, mm/mm
-    """
+    """Budgets for one calibration and background. It is immutable; threads can share it."""
 
     def __init__(
         self,
         sigma: SlopeSigma,
-        noise: Map,
+        noise: Map,  # (H, W), variance of a slope at rest from the image's noise alone, by `noise_at_rest`
         untouched: PreparedBackground,
         *,
-        walls: bool = True,
-        slope_per_change: float = 1.0,
-        spread: float = 0.0,
-        carried: float = 0.0,
+        walls: bool = True,  # whether bending slopes are blurred; False for imported models of unknown blur
+        slope_per_change: float = 1.0,  # slope for a color change of 1, mm/mm
+        spread: float = 0.0,  # relative standard deviation of slopes between units, of a starter
+        carried: float = 0.0,  # share of the model that comes from other units, 0-1
     ) -> None:
         self.full_confidence_sigma = sigma.full_confidence_sigma
         self.rest_variance = np.float32(sigma.rest**2) + np.float32(sigma.rest_per_noise**2) * noise
         gain = untouched.gain.mean(axis=-1) * np.float32(slope_per_change)
         self._gain = np.ascontiguousarray(gain, dtype=np.float32)
         doubted, shown = sigma.shown
-        reach = max(1, round(REACH_BLURS * untouched.settings.blur_px))
+        reach = max(1, round(1.6 * untouched.settings.blur_px))
         self._numbers = {
             "per_step": sigma.per_step**2, "per_size": (sigma.per_step * sigma.per_slope) ** 2,
             "solved_factor": sigma.solved_factor, "unknown": STEEPEST_GEL,
@@ -162,22 +138,16 @@ class PreparedBudget:
     def __call__(
         self,
         slopes: ReadSlopes,
-        noise_levels: float = 0.0,
-        light: Map | None = None,
+        noise_levels: float = 0.0,  # its noise beyond the usual, gray levels, from `excess_noise`
+        light: Map | None = None,  # (H, W), deviation of slopes from what is unsure of the frame's light
         *,
-        depth: Map | None = None,
-        rows: bool = False,
+        depth: Map | None = None,  # (H, W), solved
+        rows: bool = False,  # whether to keep the rows of walls and outliers
     ) -> Budget:
         """The budget of a frame.
 
-        Parameters
-        ----------
-        slopes : as read
-        noise_levels : its noise beyond the usual, gray levels, from `excess_noise`
-        light : (H, W), standard deviation of slopes from what is unsure of the frame's light; None: nothing
-        depth : (H, W), solved. Within a ball around its deepest pixel, the slopes that the ball shows are not doubted for
-            being read by another unit's model
-        rows : whether to keep the rows of walls and outliers
+        Within a ball around the depth's deepest pixel, the slopes that the ball shows are not doubted for being read by
+        another unit's model.
         """
         numbers = self._numbers
         if numbers["carried"] and depth is not None:
@@ -195,12 +165,10 @@ class PreparedBudget:
 
     def frame_rows(self, slopes: ReadSlopes, noise_levels: float, light: Map | None) -> dict[str, Floats]:
         """The rows (H, W) that follow from a frame's light, its noise and the spread between units, mm/mm."""
-        nothing = np.zeros(slopes.at_rest.shape, dtype=np.float32)
-        of_unit = np.float32(self._numbers["spread"]) * np.linalg.norm(slopes.gradients, axis=-1)
         return {
-            "light": nothing if light is None else light,
+            "light": np.zeros(slopes.at_rest.shape, dtype=np.float32) if light is None else light,
             "compression": np.float32(noise_levels) * self._gain,
-            "unit": of_unit,
+            "unit": np.float32(self._numbers["spread"]) * np.linalg.norm(slopes.gradients, axis=-1),
         }
 
 
@@ -230,13 +198,8 @@ def noise_at_rest(
 
     It is larger where light is weak, or where a slope changes the colors little. Noise makes a channel brighter, and the
     color model's derivative says by how much the slopes change; it is one difference for each channel. The noise counts as
-    alike over the color change's blur, so only the ratio of two places is meant.
-
-    Parameters
-    ----------
-    model : color model, ready for frames over this background
-    background : in use
-    levels : standard deviation of a pixel's red, green and blue, gray levels; None if unknown
+    alike over the color change's blur, so only the ratio of two places is meant. `levels` are the standard deviation of a
+    pixel's red, green and blue, gray levels; None if unknown.
     """
     rest = model.gradients_from_color(np.zeros_like(background.background))[0].copy()
     variance = np.zeros(rest.shape[:2], dtype=np.float32)
@@ -245,7 +208,8 @@ def noise_at_rest(
         brighter[..., channel] += np.float32(level)
         off = model.gradients_from_color(background.change(brighter))[0] - rest
         variance += off[..., 0] ** 2 + off[..., 1] ** 2
-    return np.asarray(cv2.GaussianBlur(variance / 2, (0, 0), NOISE_BLUR_PX, borderType=cv2.BORDER_REPLICATE))
+    # Light and model are smooth.
+    return np.asarray(cv2.GaussianBlur(variance / 2, (0, 0), 8.0, borderType=cv2.BORDER_REPLICATE))
 
 
 def unseen_sigma(full_confidence_sigma: float) -> float:
@@ -260,13 +224,8 @@ def for_both(sigma: Array) -> Array:
     return both
 
 
-REACH = 1 / 3  # of the image's shorter side, half the side of the square around the top that is looked at
-LEAST_PX = 4  # px, radius of the gentle part; less says nothing of its shape
-# RMS of a ball's normals off the fit over their own: .26 at most on presses of four sensors, from .6 on a cube's edge.
-BALL_LIKE = 0.35
-GEL_RADII = (
-    2.0  # radii of the followed part; beyond, gel that hangs from the ball is gentle, or of something else
-)
+# Radii of the followed part; beyond, gel that hangs from the ball is gentle, or of something else.
+GEL_RADII = 2.0
 FOLLOWED = 0.85  # of the ball's slope that a ring reads; the same share is usual at the edge of contacts of the own unit
 
 
@@ -287,7 +246,7 @@ def slopes_of_ball(gradients: Slopes, top: tuple[int, int], gentle: float) -> Sh
 
     `gentle` is the slope up to which they are trusted.
     """
-    reach = int(REACH * min(gradients.shape[:2]))
+    reach = int(min(gradients.shape[:2]) / 3)  # half the side of the square around the top that is looked at
     rows, columns = (slice(max(at - reach, 0), at + reach + 1) for at in top)
     gradients = gradients[rows, columns]
     y, x = (
@@ -297,7 +256,7 @@ def slopes_of_ball(gradients: Slopes, top: tuple[int, int], gentle: float) -> Sh
     squares = np.einsum("...i,...i", gradients, gradients)
     ring = np.hypot(y[:, None], x).astype(np.intp)
     steep = np.flatnonzero(_mean(np.sqrt(squares), ring) >= gentle)
-    if not steep.size or steep[0] < LEAST_PX:
+    if not steep.size or steep[0] < 4:  # px; less says nothing of the gentle part's shape
         return None
     inner = ring < steep[0]
     normals = -gradients / np.sqrt(1 + squares)[..., None]
@@ -305,7 +264,8 @@ def slopes_of_ball(gradients: Slopes, top: tuple[int, int], gentle: float) -> Sh
     turned = normals[inner]
     away, off = place - place.mean(axis=0), turned - turned.mean(axis=0)
     per_px = float(np.sum(away * off) / np.sum(np.square(away)))
-    if per_px <= 0 or np.sum(np.square(off - per_px * away)) > BALL_LIKE**2 * np.sum(np.square(off)):
+    # RMS of a ball's normals off the fit over their own: .26 at most on presses of four sensors, from .6 on a cube's edge.
+    if per_px <= 0 or np.sum(np.square(off - per_px * away)) > 0.35**2 * np.sum(np.square(off)):
         return None
     center = place.mean(axis=0) - turned.mean(axis=0) / per_px
     v, u = y[:, None] - center[1], x - center[0]
@@ -328,36 +288,20 @@ def _mean(values: Map, ring: NDArray[np.intp]) -> Numbers:
     return np.asarray(np.bincount(rings, values.ravel()) / np.maximum(np.bincount(rings), 1))
 
 
-LAW = "law"
-# Smallest |mean| of a color change's channels over their RMS for which all are darker (a shadow) or all brighter (a mirror).
-ALIKE = 0.5
-LEAST_NAMED_PX = 12  # smallest number of connected pixels with a cause; noise makes smaller regions
-
-
 @dataclass(frozen=True, eq=False)
 class Explanation:
-    """The reasons for each pixel's confidence.
+    """The reasons for each pixel's confidence, in maps (H, W) of mm/mm."""
 
-    Attributes
-    ----------
-    maps : by cause, (H, W) float32, mm/mm: the standard deviation that it adds, in squares, to that of the slopes;
-        0 where it has no part
-    law : (H, W) float32, mm/mm: the rest, by the step and the size of the slope on held-out presses
-    gradients_sigma : (H, W) float32, mm/mm, of the slopes as they were read; the larger of both components
-    confidence : (H, W) float32, 0-1: min(1, (full_confidence_sigma / gradients_sigma)^2)
-    full_confidence_sigma : sigma up to which confidence is 1, mm/mm
-    """
-
-    maps: Mapping[str, Map]
-    law: Map
-    gradients_sigma: Map
-    confidence: Map
-    full_confidence_sigma: float
+    maps: Mapping[str, Map]  # by cause: the deviation that it adds, in squares, to that of the slopes
+    law: Map  # the rest, by the step and the size of the slope on held-out presses
+    gradients_sigma: Map  # of the slopes as they were read; the larger of both components
+    confidence: Map  # 0-1: min(1, (full_confidence_sigma / gradients_sigma)^2)
+    full_confidence_sigma: float  # up to which confidence is 1, mm/mm
 
     @cached_property
     def shares(self) -> dict[str, float]:
         """Share of the variance of each cause and of the law (`"law"`), averaged over the pixels; the shares add up to 1."""
-        squares = {LAW: np.square(self.law), **{name: np.square(one) for name, one in self.maps.items()}}
+        squares = {name: np.square(one) for name, one in (("law", self.law), *self.maps.items())}
         total = np.maximum(sum(squares.values()), np.float32(1e-12))
         found = {name: float(np.mean(square / total)) for name, square in squares.items()}
         return {name: fraction / sum(found.values()) for name, fraction in found.items()}
@@ -395,10 +339,9 @@ class Shown(NamedTuple):
     pixels: Image  # (H, W, 3) uint8, the raw image
     color_change: Map  # (H, W, 3)
     clipped: NDArray[np.uint8] | None  # (H, W, 3) uint8, the unusable channels
-    # markers, lost, outside: bool, hidden by markers, lost by the camera, and without light at rest
-    markers: Mask | None
-    lost: Mask | None
-    outside: Mask | None
+    markers: Mask | None  # hidden by markers
+    lost: Mask | None  # lost by the camera
+    outside: Mask | None  # without light at rest
     blur_px: float  # of the color change
 
 
@@ -415,7 +358,7 @@ def explanation_of(
     found = dict.fromkeys(CAUSES, nothing) | dict(rows) | {"wall": budget.walls, "steep": budget.steep}
     size = np.sqrt(np.mean(np.square(shown.color_change), axis=-1))
     common = shown.color_change.mean(axis=-1) / np.maximum(size, 1e-12)
-    darker, brighter = common < -ALIKE, common > ALIKE
+    darker, brighter = common < -0.5, common > 0.5  # all channels: a shadow, or a mirror
     for name, where in (("shadow", darker), ("specular", brighter), ("off_gamut", ~darker & ~brighter)):
         found[name] = np.where(where, budget.outliers, nothing)
     total = np.square(budget.read) + np.square(budget.steep) + np.square(found["unit"])
@@ -447,7 +390,7 @@ def _unseen(shown: Shown) -> Iterator[tuple[str, Mask]]:
 
 
 def _named_fraction(mask: Mask) -> float:
-    """Share of the pixels in regions of a mask (H, W) that are large enough to be named."""
+    """Share of the pixels in regions of a mask (H, W) that are large enough to be named; noise makes smaller ones."""
     _, _, boxes, _ = cv2.connectedComponentsWithStats(mask.view(np.uint8), connectivity=8)
     areas = boxes[1:, cv2.CC_STAT_AREA]
-    return float(areas[areas >= LEAST_NAMED_PX].sum()) / mask.size
+    return float(areas[areas >= 12].sum()) / mask.size

@@ -16,44 +16,13 @@ from gelform.arrays import Array, Image, Mask, Numbers
 from gelform.foundations.checks import check_values, check_within
 from gelform.image.frame import DARK
 
-SLOPE_BINS = 10  # bins of equal counts
-ONE_SIGMA, TWO_SIGMA = (
-    0.6827,
-    0.9545,
-)  # fractions of a normal distribution within one and two standard deviations
+ONE_SIGMA, TWO_SIGMA = 0.6827, 0.9545  # of a normal distribution within one and two standard deviations
 MIN_IN_BIN = 50  # pixels; fewer do not determine a quantile
-CLEAN_FRACTION = 0.95  # fraction of the pixels in contact whose confidence is 1
-# Quantiles of the slopes that presses have shown: beyond the first a model of other units is doubted, beyond the second
-# every model. With 0.5 the faces of a cube's edge escape the doubt of a model whose own presses are deep, with 0.3 balls are
-# doubted too; from 0.75 on, balls of the own unit were doubted in every second frame.
-SHOWN = 0.4, 0.8
 LEAST_SIGMA = 1e-5  # mm/mm, least deviation: float32 rounds slopes to less
 LEAST_FACTOR = 0.3  # smallest factor of solved slopes; errors that have no curl stay
-
-_RANGES = (
-    ("rest", 1e-9, 1e3),
-    ("rest_per_noise", 0, 1e3),
-    ("per_step", 1e-9, 1e3),
-    ("per_slope", 0, 1e4),
-    ("solved_factor", 1e-3, 1e3),
-    ("depth_factor", 1e-3, 1e4),
-    ("full_confidence_sigma", 1e-9, 1e3),
-    ("correlation_px", 1e-6, 1e4),
-    ("correlated_share", 0, 1),
-    ("gain_sigma", 0, 10),
-    ("rest_correlation_px", 0, 1e4),
-)
-
-
-# Pixels in contact of presses that the model has not seen.
-HELD_OUT = np.dtype(
-    [
-        ("slope", "f8"),  # |gradient| as read, mm/mm
-        ("error", "f8", 2),  # of its components
-        ("stated", "f8"),  # standard deviation by the step of the forward response; 1 without a step
-        ("residual", "f4"),  # squared, of the color change after the step
-    ]
-)
+# Pixels in contact of presses that the model has not seen: |gradient| as read, mm/mm; the error of its components; its
+# standard deviation by the step of the forward response, or 1; the squared residual of the color change after the step.
+HELD_OUT = np.dtype([("slope", "f8"), ("error", "f8", 2), ("stated", "f8"), ("residual", "f4")])
 # Pixels of gel at rest: slopes without their bias, which are all error, and variance from the image's noise.
 AT_REST = np.dtype([("error", "f8", 2), ("noise", "f4")])
 
@@ -66,36 +35,35 @@ class SlopeSigma:
     they are fitted to that fraction, because a few bad pixels would dominate the variance.
     """
 
-    # rest, rest_per_noise: deviation of gel at rest: the root of `rest^2 + rest_per_noise^2 noise`, with the variance
-    # of the place by `noise_at_rest`. The first part is the model's and alike everywhere, the second is the camera's
+    # Of gel at rest: the root of `rest^2 + rest_per_noise^2 noise`, with the variance of the place by `noise_at_rest`. The
+    # first part is the model's and alike everywhere, the second is the camera's.
     rest: float
-    # per_step, per_slope: deviation in contact: `per_step step sqrt(1 + (per_slope |gradient|)^2)`, with the step's
-    # own
-    per_step: float
-    # deviation that 95 % of the pixels in contact stay under; confidence is 1 up to it
-    full_confidence_sigma: float
+    per_step: float  # in contact: `per_step step sqrt(1 + (per_slope |gradient|)^2)`, with the step's own
+    full_confidence_sigma: float  # that 95 % of the pixels in contact stay under; confidence is 1 up to it
     correlation_px: float  # over this distance the correlated part falls to exp(-1/2) (a Gaussian)
     per_slope: float = 0.0
-    # deviation of the solved depth's slopes over that of the slopes as read; a surface cannot follow errors that have
-    # curl
-    solved_factor: float = 1.0
-    # deviation of depth far from contacts over the one that the slopes there make; see `gelform.depth.sigma`
+    solved_factor: float = 1.0  # of the solved depth's slopes; a surface cannot follow errors that have curl
+    # Deviation of depth far from contacts over the one that the slopes there make; see `gelform.depth.sigma`.
     depth_factor: float = 10.0
-    # (mm/mm, mm/mm) quantiles 0.4 and 0.8 of the slopes that presses have shown
-    shown: tuple[float, float] = (0.4, 0.6)
+    shown: tuple[float, float] = (0.4, 0.6)  # mm/mm, quantiles 0.4 and 0.8 of the slopes of presses
     correlated_share: float = 1.0  # fraction of the variance that is correlated; the rest is white
-    # relative error that slopes of one size share around a press, RMS over sizes and presses, beyond what errors of
-    # single slopes explain; depth is off in proportion
+    # Relative error that slopes of one size share around a press, RMS over sizes and presses, beyond what errors of single
+    # slopes explain; depth is off in proportion.
     gain_sigma: float = 0.0
-    # rest_correlation_px, rest_correlated_share: the same for gel at rest, where the color change's blur correlates
-    # the noise over a pixel or two. The errors' correlation falls to exp(-1/2) over the first; the second, 0-1, is
-    # the share that is correlated over `correlation_px`. None: as in a contact, in calibrations without it
+    # The same for gel at rest, where the color change's blur correlates the noise over a pixel or two. The errors'
+    # correlation falls to exp(-1/2) over the first; the second, 0-1, is the share that is correlated over `correlation_px`.
+    # None: as in a contact, in calibrations without it.
     rest_correlation_px: float = 0.0
     rest_correlated_share: float | None = None
     rest_per_noise: float = 0.0
 
     def __post_init__(self) -> None:
-        for name, low, high in _RANGES:
+        for name, low, high in (
+            ("rest", 1e-9, 1e3), ("rest_per_noise", 0, 1e3), ("per_step", 1e-9, 1e3), ("per_slope", 0, 1e4),
+            ("solved_factor", 1e-3, 1e3), ("depth_factor", 1e-3, 1e4), ("full_confidence_sigma", 1e-9, 1e3),
+            ("correlation_px", 1e-6, 1e4), ("correlated_share", 0, 1), ("gain_sigma", 0, 10),
+            ("rest_correlation_px", 0, 1e4),
+        ):  # fmt: skip
             check_within(getattr(self, name), name, low, high)
         if self.rest_correlated_share is not None:
             check_within(self.rest_correlated_share, "rest_correlated_share", 0, 1)
@@ -110,24 +78,22 @@ class SlopeSigma:
         `pixels` in contact have the columns of `HELD_OUT`, those of `rest` the columns of `AT_REST`.
         """
         slopes, stated = pixels["slope"], pixels["stated"]
-        error = np.abs(pixels["error"]) / stated[:, None]
-        order = np.array_split(np.argsort(slopes, kind="stable"), SLOPE_BINS)
-        bins = [part for part in order if len(part) >= MIN_IN_BIN] or [np.arange(len(slopes))]
-        squares = np.array([max(np.quantile(error[part], ONE_SIGMA), 1e-9) ** 2 for part in bins])
-        sizes = np.array([np.mean(np.square(slopes[part])) for part in bins])
-        constant, growing = _law(squares, sizes)
+        constant, growing = _law(pixels["error"] / stated[:, None], slopes**2)
         per_step = max(constant**0.5, LEAST_SIGMA)
         law = np.sqrt(constant + growing * slopes**2) * stated
         at_rest, per_noise = per_step * float(np.median(stated)), 0.0
         if rest.size:
-            at_rest, per_noise = _rest_law(rest["error"], rest["noise"])
-        low, high = np.quantile(slopes, SHOWN)
+            at_rest, per_noise = (part**0.5 for part in _law(rest["error"], rest["noise"]))
+        # Beyond the first quantile a model of other units is doubted, beyond the second every model. With 0.5 the faces of a
+        # cube's edge escape the doubt of a model whose own presses are deep, with 0.3 balls are doubted too; from 0.75 on,
+        # balls of the own unit were doubted in every second frame.
+        low, high = np.quantile(slopes, (0.4, 0.8))
         return cls(
             rest=max(at_rest, LEAST_SIGMA),
             per_step=per_step,
             per_slope=growing**0.5 / per_step,
             shown=(float(low), float(high)),
-            full_confidence_sigma=max(float(np.quantile(law, CLEAN_FRACTION)), LEAST_SIGMA),
+            full_confidence_sigma=max(float(np.quantile(law, 0.95)), LEAST_SIGMA),
             correlation_px=float(correlation_px),
             correlated_share=float(correlated_share),
             rest_per_noise=per_noise,
@@ -156,23 +122,19 @@ class SlopeSigma:
         return {name: getattr(self, name) for name in names}
 
 
-def _law(squares: Array, variable: Array) -> tuple[float, float]:
-    """Constant and growing part of squared deviations, by nonnegative least squares, each relative to itself."""
-    unit = max(float(variable.mean()), 1e-30)
-    parts, _ = scipy.optimize.nnls(
-        np.stack([1 / squares, variable / unit / squares], axis=1), np.ones(len(squares))
-    )
-    return float(parts[0]), float(parts[1] / unit)
+def _law(errors: Array, variable: Array) -> tuple[float, float]:
+    """Constant part of the squared deviations of errors (N, 2), and the one that grows with a variable (N,) >= 0.
 
-
-def _rest_law(errors: Array, noise: Array) -> tuple[float, float]:
-    """The parts of the deviation at rest, from errors (M, 2) at pixels of that variance by noise (M,)."""
-    order = np.array_split(np.argsort(noise, kind="stable"), SLOPE_BINS)
-    bins = [part for part in order if len(part) >= MIN_IN_BIN] or [np.arange(len(noise))]
+    It is fitted to ten bins of equal counts by nonnegative least squares, each relative to itself.
+    """
+    order = np.array_split(np.argsort(variable, kind="stable"), 10)
+    bins = [part for part in order if len(part) >= MIN_IN_BIN] or [np.arange(len(variable))]
     squares = np.array([max(np.quantile(np.abs(errors[part]), ONE_SIGMA), 1e-9) ** 2 for part in bins])
-    from_noise = np.array([np.mean(noise[part], dtype=np.float64) for part in bins])
-    constant, growing = _law(squares, from_noise)
-    return constant**0.5, growing**0.5
+    means = np.array([np.mean(variable[part], dtype=np.float64) for part in bins])
+    unit = max(float(means.mean()), 1e-30)
+    design = np.stack([1 / squares, means / unit / squares], axis=1)
+    parts, _ = scipy.optimize.nnls(design, np.ones(len(squares)))
+    return float(parts[0]), float(parts[1] / unit)
 
 
 class Cause(NamedTuple):
@@ -184,7 +146,6 @@ class Cause(NamedTuple):
 
 
 LEAVES_NOTHING = 0.35  # mm/mm, standard deviation that leaves no information; about the slope of a ball's rim
-STEEP = 0.4  # mm/mm, of a slope 0.23 beyond those that presses have shown
 SIX_SIGMA = 7.0  # mm/mm, standard deviation that a residual of 6 sigma adds; rims of real presses reach 5
 # The colors are those of Okabe and Ito, distinct for every kind of color blindness; the last is not theirs.
 CAUSES = {
@@ -201,7 +162,8 @@ CAUSES = {
         SIX_SIGMA,
         "#cc79a7",
     ),
-    "steep": Cause("steeper than the presses have shown: at least about this slope.", STEEP, "#882255"),
+    # Of a slope 0.23 beyond those that presses have shown.
+    "steep": Cause("steeper than the presses have shown: at least about this slope.", 0.4, "#882255"),
     "inconsistent": Cause(
         "torn or from another moment: data of the frame were lost.", LEAVES_NOTHING, "#d55e00"
     ),
@@ -217,14 +179,12 @@ CAUSES = {
     ),
 }
 
-LEAST_OUTSIDE_PX = 25  # smallest number of connected pixels; a smaller region is dust
-
 
 def outside_of_gel(background: Array) -> Mask | None:
     """Pixels (H, W) of a background image without light, except regions as small as dust; None if there are none."""
     unlit = (np.asarray(background).max(axis=-1) <= DARK).astype(np.uint8)
     count, labels, boxes, _ = cv2.connectedComponentsWithStats(unlit, connectivity=8)
-    large = boxes[:, cv2.CC_STAT_AREA] >= LEAST_OUTSIDE_PX
+    large = boxes[:, cv2.CC_STAT_AREA] >= 25
     large[0] = False
     return large[labels] if count > 1 and large.any() else None
 
@@ -235,16 +195,8 @@ def either(one: Mask | None, other: Mask | None) -> Mask | None:
 
 
 JPEG_BLOCK_PX = 8
-LEAST_BLOCKS = 4  # blocks across a frame; the medians over fewer columns are noise
-EVERY_ROW = 4  # one of so many rows is used
-USUAL_NOISE = (
-    1.5  # times the calibrated images' noise; up to it noise is usual, because presses are no flat fields
-)
-LEAST_LEVELS = 1.0  # gray level, one step of the camera; less noise has no effect
 # Standard deviation of a normal distribution over the mean |a - b| of two of its values: sqrt(pi)/2.
 SIGMA_OF_JUMP = 0.8862
-# Smallest jump between blocks over the usual jump.
-JUMP_EXCESS = 1.15
 _column_jumps = Kernel(
     "column_jumps", "u8[h,w,3] image, u8[h,w,3] rest, out i32[n] work, out f32[8] medians, i32 step"
 )
@@ -258,20 +210,20 @@ def excess_noise(pixels: Image, rest: Image, usual_levels: float) -> float:
     Pixels with an infinite usual deviation from the background image do not count.
     """
     width = pixels.shape[1]
-    if (width - 1) // JPEG_BLOCK_PX < LEAST_BLOCKS:
+    if (width - 1) // JPEG_BLOCK_PX < 4:  # the medians over fewer blocks are noise
         return 0.0
     medians = np.empty(JPEG_BLOCK_PX, dtype=np.float32)
-    _column_jumps(pixels, rest, np.empty(4 * width, dtype=np.int32), medians, EVERY_ROW)
+    _column_jumps(pixels, rest, np.empty(4 * width, dtype=np.int32), medians, step=4)
     by_place = sorted(medians.tolist())
     usual, most = (by_place[JPEG_BLOCK_PX // 2 - 1] + by_place[JPEG_BLOCK_PX // 2]) / 2, by_place[-1]
     single = SIGMA_OF_JUMP * usual
-    blocks = SIGMA_OF_JUMP * sqrt(max(most**2 - usual**2, 0.0)) if most > JUMP_EXCESS * usual else 0.0
-    added = sqrt(max(single**2 - (USUAL_NOISE * usual_levels) ** 2, 0.0) + blocks**2)
-    return added if added > LEAST_LEVELS else 0.0
+    blocks = SIGMA_OF_JUMP * sqrt(max(most**2 - usual**2, 0.0)) if most > 1.15 * usual else 0.0
+    # Up to 1.5 times the calibrated images' noise is usual, because presses are no flat fields.
+    added = sqrt(max(single**2 - (1.5 * usual_levels) ** 2, 0.0) + blocks**2)
+    return added if added > 1 else 0.0  # one step of the camera; less has no effect
 
 
 DARK_TO, SATURATED_FROM = 2, 254  # gray levels: up to the first and from the second a channel is clipped
-BLOOMS_PX = 1  # px beyond the reach of the color change's blur
 
 _clipped_channels = Kernel(
     "clipped_channels",
@@ -290,20 +242,15 @@ class Clipped(NamedTuple):
 class ClippedChannels:
     """Finds clipped channels in frames of one calibration. It is immutable; threads can share it.
 
-    Parameters
-    ----------
-    blur_px : of the color change
-    learnt : (2, 3) bool, whether red, green, blue was clipped at the lower and the upper end in the calibration's own
-        presses, so that the model learnt it; None: nowhere
-    spare : number of channels that a slope can be read without: 1 with a forward response's step, else 0
-    outside : (H, W) bool, pixels without light at rest, where dark is no fault; None: none
+    `learnt` (2, 3) is whether red, green, blue was clipped at the lower and the upper end in the calibration's own presses,
+    so that the model learnt it; None: nowhere. A slope can be read without `spare` channels: 1 with a forward response's
+    step, else 0. Pixels without light at rest, where dark is no fault, are `outside` (H, W); None: none.
     """
 
     def __init__(self, blur_px: float, learnt: Mask | None, spare: int, outside: Mask | None = None) -> None:
         usual = np.ones((2, 3), dtype=bool) if learnt is None else ~np.asarray(learnt, dtype=bool)
-        self._counts, self._spare = [np.ascontiguousarray(row) for row in usual], spare
-        self._outside = outside
-        self._disc = bloom_disc(blur_px)
+        self._counts = [np.ascontiguousarray(row) for row in usual]
+        self._spare, self._outside, self._disc = spare, outside, bloom_disc(blur_px)
 
     def __call__(self, pixels: Image, hidden: Mask | None) -> Clipped:
         """The clipped channels of an image (H, W, 3), without those of hidden pixels (H, W)."""
@@ -317,13 +264,12 @@ class ClippedChannels:
         if not channels.any():
             return Clipped(None, None)
         channels = np.asarray(cv2.dilate(channels, self._disc), dtype=np.uint8)
-        unseen = channels.sum(axis=-1, dtype=np.uint8) > self._spare
-        return Clipped(channels, unseen)
+        return Clipped(channels, channels.sum(axis=-1, dtype=np.uint8) > self._spare)
 
 
 def bloom_disc(blur_px: float) -> NDArray[np.uint8]:
-    """Structuring element: the reach of a clipped pixel in a color change of that blur."""
-    size = 2 * (int(np.ceil(2 * blur_px)) + BLOOMS_PX) + 1
+    """Structuring element: the reach of a clipped pixel in a color change of that blur, and a pixel that blooms."""
+    size = 2 * (int(np.ceil(2 * blur_px)) + 1) + 1
     return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)), dtype=np.uint8)
 
 
