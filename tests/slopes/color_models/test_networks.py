@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 import gelform
 from gelform.slopes.color_models import MlpModel
 from gelform.slopes.color_models.least_squares import unit_position
-from gelform.slopes.color_models.networks import BLOCK_PX, Layers, NetworkModel, RestedNetwork, blocks_of
+from gelform.slopes.color_models.networks import BLOCK_PX, Layers, NetworkModel, PreparedNetwork, blocks_of
 from made.files import in_numpy, layers_of
 from made.images import SHAPE as SHAPE_MLP
 from made.images import ball_samples, shading_change
@@ -29,7 +29,7 @@ def test_the_kernel_is_the_network(sizes, count):
     scale, channels = np.array([2.0, 3.0, 0.5]), (2, 0, 1)
     inputs = rest.copy()
     inputs[:, :3] += scale * change[:, channels]
-    network = RestedNetwork(layers, rest.T.astype(np.float32), channels, scale)
+    network = PreparedNetwork(layers, rest.T.astype(np.float32), channels, scale)
     found = network.outputs_from_color(change.astype(np.float32))
     np.testing.assert_allclose(found, in_numpy(layers, inputs), atol=2e-5)
 

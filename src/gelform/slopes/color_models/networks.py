@@ -1,20 +1,15 @@
 """Networks as color models: their layers in numpy, those of other packages, and one trained here.
 
-A network of another package, trained on raw images: its input is colors and place, and slopes at rest are subtracted.
+That of another package was trained on raw images: its input is colors and place. It needs the image itself, which the color
+change and the background give: image = background + 255 change (a calibration with such a network subtracts, and does not
+blur). The one trained here goes from color change and place to gradients.
 
-It needs the image itself, which the color change and the background give: image = background + 255 change
-(a calibration with such a network subtracts, and does not blur).
-
-A small network from color change and place to gradients, trained on presses; its output at rest is zero.
-
-Its raw output for the color of rest at the same place is subtracted, in training too, so that no color change means
-no slope.
+The raw output for the color of rest at the same place is subtracted, in training too: no color change means no slope.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, ClassVar, Literal
@@ -108,53 +103,62 @@ class Layers:
         return cls(*(tuple(np.asarray(a, dtype=np.float32) for a in each) for each in zip(*pairs)))
 
 
-class RestedNetwork:
-    """A network over pixels whose inputs are those at rest plus the color change; immutable.
+Position = Literal["xy", "yx", "zeros"]
+Answer = Literal["angles", "normals"]
 
-    Parameters
-    ----------
-    layers : Layers of at least three inputs, the first three being colors
-    rest : (inputs, N) float32, inputs of each pixel at rest
-    channels : of the color change, for the first three inputs: (2, 1, 0) for B, G, R
-    scale : (3,), of the color change in the inputs' units
-    """
 
-    def __init__(self, layers: Layers, rest: Map, channels: tuple[int, int, int], scale: Array) -> None:
-        self._layers = layers
-        self._rest = np.asarray(rest, dtype=np.float32)
-        self._channels = np.array(channels)
-        self._scale = np.asarray(scale, dtype=np.float32)
+class PreparedNetwork:
+    """A network over pixels whose inputs are those at rest plus the color change. It is immutable; threads can share it."""
+
+    def __init__(
+        self,
+        layers: Layers,  # of at least three inputs, the first three being colors
+        rest: Map,  # (inputs, N), inputs of each pixel at rest
+        channels: tuple[
+            int, int, int
+        ],  # of the color change, for the first three inputs: (2, 1, 0) for B, G, R
+        scale: Array,  # (3,), of the color change in the inputs' units
+        answer: Answer | None = None,  # None: slopes
+    ) -> None:
+        self._layers, self._answer = layers, answer
+        self._inputs = np.asarray(rest, dtype=np.float32)
+        self._channels, self._scale = np.array(channels), np.asarray(scale, dtype=np.float32)
+        self._rest = np.float32(0)
+        self._rest = self._slopes(np.zeros((rest.shape[1], 3), dtype=np.float32))
 
     def outputs_from_color(self, color_change: Map) -> Map:
         """The outputs (N, outputs) for the color change (N, 3) of each pixel."""
         out = np.empty((color_change.shape[0], self._layers.outputs), dtype=np.float32)
         for part in blocks_of(len(out)):
-            values = self._rest[:, part].copy()
+            values = self._inputs[:, part].copy()
             values[:3] += (self._scale * color_change[part][:, self._channels]).T
             out[part] = self._layers.outputs_from(values).T
         return out
 
+    def gradients_from_color(self, color_change: Map) -> tuple[Slopes, None]:
+        """Gradients (..., 2) of a color change (..., 3); their deviation is in the calibration, or unknown."""
+        slopes = self._slopes(color_change.reshape(-1, 3))
+        return slopes.reshape(*color_change.shape[:-1], 2), None
 
-Position = Literal["xy", "yx", "zeros"]
-Answer = Literal["angles", "normals"]
+    def _slopes(self, change: Map) -> Any:
+        answer = self.outputs_from_color(change)
+        if self._answer == "angles":
+            answer = -np.tan(answer)
+        elif self._answer == "normals":
+            square = np.sum(answer**2, axis=-1, keepdims=True)
+            down = np.sqrt(np.maximum(1 - square, square / MAX_SLOPE**2))  # the network may give |n| >= 1
+            answer = -answer / np.maximum(down, np.float32(1e-12))
+        return answer - self._rest
 
 
 @dataclass(frozen=True)
 class NetworkModel(Stored):
-    """An imported network with the inputs (B, G, R)/255 and place, and two outputs.
-
-    Attributes
-    ----------
-    layers : five inputs, two outputs
-    background : (H, W, 3) float32, 0-255, the background image that it was imported with
-    position : "xy" for x/W, y/H after the colors, "yx" for y/H, x/W, "zeros" for two zeros
-    answer : "angles" are slope angles in rad of a surface that is lower where pressed; "normals" are n_x, n_y
-    """
+    """An imported network with the inputs (B, G, R)/255 and place, and two outputs."""
 
     layers: Layers
-    background: Map
-    position: Position
-    answer: Answer
+    background: Map  # (H, W, 3), 0-255, the background image that it was imported with
+    position: Position  # "xy" for x/W, y/H after the colors, "yx" for y/H, x/W, "zeros" for two zeros
+    answer: Answer  # "angles", rad, of a surface that is lower where pressed; "normals" are n_x, n_y
 
     name: ClassVar[str] = "network"
     change_offset: ClassVar[float] = 0.0
@@ -187,46 +191,16 @@ class NetworkModel(Stored):
         if self.position != "zeros":
             place = x / width, y / height
             inputs[3:] = place if self.position == "xy" else place[::-1]
-        network = RestedNetwork(self.layers, inputs, (2, 1, 0), np.ones(3))
-        return PreparedNetwork(network, self.answer, len(x))
-
-
-class PreparedNetwork:
-    """The network with its output at rest. It is immutable; threads can share it."""
-
-    def __init__(self, network: RestedNetwork, answer: Answer, pixels: int) -> None:
-        self._network, self._answer = network, answer
-        self._rest = np.float32(0)
-        self._rest = self._slopes(np.zeros((pixels, 3), dtype=np.float32))
-
-    def gradients_from_color(self, color_change: Map) -> tuple[Slopes, None]:
-        """Gradients (..., 2) of a color change (..., 3), (I - I0)/255; their deviation is unknown."""
-        slopes = self._slopes(color_change.reshape(-1, 3))
-        return slopes.reshape(*color_change.shape[:-1], 2), None
-
-    def _slopes(self, change: Map) -> Any:
-        answer = self._network.outputs_from_color(change)
-        if self._answer == "angles":
-            return -np.tan(answer) - self._rest
-        square = np.sum(answer**2, axis=-1, keepdims=True)
-        down = np.sqrt(np.maximum(1 - square, square / MAX_SLOPE**2))  # the network may give |n| >= 1
-        return -answer / np.maximum(down, np.float32(1e-12)) - self._rest
+        return PreparedNetwork(self.layers, inputs, (2, 1, 0), np.ones(3), self.answer)
 
 
 @dataclass(frozen=True)
 class MlpModel(Stored, Untuned):
-    """A network of five inputs (color change R, G, B in units of its size; x, y) and two slopes.
-
-    Attributes
-    ----------
-    layers : five inputs, two outputs
-    change_scale : (3,) float64, divisor of the color change
-    shape : (H, W) of the images it was fitted on
-    """
+    """A network of five inputs (color change R, G, B in units of its size; x, y) and two slopes."""
 
     layers: Layers
-    change_scale: Numbers
-    shape: tuple[int, int]
+    change_scale: Numbers  # (3,), divisor of the color change
+    shape: tuple[int, int]  # (H, W) of the images it was fitted on
 
     name: ClassVar[str] = "mlp"
     change_offset: ClassVar[float] = CHANGE_OFFSET
@@ -246,117 +220,80 @@ class MlpModel(Stored, Untuned):
     ) -> MlpModel:
         """Train on the samples, in seconds; the same samples, settings and torch give the same network.
 
-        Raises
-        ------
-        GelformError
-            torch is not installed: `pip install "gelform[torch]"`.
+        The output for (change, place) minus that for (0, place) is the gradient, in Huber's loss. It uses AdamW with a
+        cosine schedule (Loshchilov and Hutter, ICLR 2019) and one thread; all randomness comes from `seed`. GelformError:
+        torch is not installed.
         """
-
         change = np.asarray(samples.color_change, dtype=np.float64)
         total = max(float(samples.weight.sum()), 1e-12)
         scale = np.sqrt(samples.weight @ change**2 / total) + 1e-6
         place = np.stack(unit_position(samples.x_px, samples.y_px, samples.shape), axis=-1)
-        settings: dict[str, Any] = {
-            "hidden": hidden,
-            "steps": steps,
-            "weight_decay": weight_decay,
-            "seed": seed,
-        }
-        layers = train(change / scale, place, samples.gradients, samples.weight, **settings)
-        return cls(layers, scale, samples.shape)
+        torch = needed("torch", "torch", "Training the color model mlp")
+        if not hidden or steps < 1 or len(change) < 2:
+            raise ValueError(
+                f"Expected hidden layers, steps and samples, got {hidden}, {steps}, {len(change)}."
+            )
+        arrays = (
+            np.concatenate([change / scale, place], axis=1),
+            np.concatenate([np.zeros_like(change), place], axis=1),
+            samples.gradients,
+            np.asarray(samples.weight) / max(float(np.mean(samples.weight)), 1e-12),
+        )
+        tensors = [torch.from_numpy(np.ascontiguousarray(a, dtype=np.float32)) for a in arrays]
+        threads = torch.get_num_threads()
+        torch.set_num_threads(1)
+        try:
+            return cls(_trained(torch, *tensors, hidden, steps, weight_decay, seed), scale, samples.shape)
+        finally:
+            torch.set_num_threads(threads)
 
     def gradients_at(self, color_change: Array, x_px: Array, y_px: Array) -> Numbers:
         """Gradients (N, 2) of scattered pixels."""
-        prepared = PreparedMlp(self, np.asarray(x_px), np.asarray(y_px))
+        prepared = self._prepared(np.asarray(x_px), np.asarray(y_px))
         return prepared.gradients_from_color(np.asarray(color_change, dtype=np.float32))[0].astype(np.float64)
 
-    def prepare(self, background: Array, shape: tuple[int, int]) -> PreparedMlp:
+    def prepare(self, background: Array, shape: tuple[int, int]) -> PreparedNetwork:
         """Prepare the inputs at rest of a frame, and the network's output for them."""
         check_image_shape(shape, self.shape)
-        return PreparedMlp(self, *pixel_positions(shape).T)
+        return self._prepared(*pixel_positions(shape).T)
 
-
-class PreparedMlp:
-    """The network with its output at rest at given places. It is immutable; threads can share it."""
-
-    def __init__(self, model: MlpModel, x_px: Array, y_px: Array) -> None:
+    def _prepared(self, x_px: Array, y_px: Array) -> PreparedNetwork:
         inputs = np.zeros((5, len(x_px)), dtype=np.float32)
-        inputs[3:] = unit_position(x_px, y_px, model.shape)
-        self._network = RestedNetwork(model.layers, inputs, (0, 1, 2), 1 / model.change_scale)
-        self._rest = self._network.outputs_from_color(np.zeros((len(x_px), 3), dtype=np.float32))
-
-    def gradients_from_color(self, color_change: Map) -> tuple[Slopes, None]:
-        """Gradients (..., 2) of a color change (..., 3); their deviation is in the calibration."""
-        slopes = self._network.outputs_from_color(color_change.reshape(-1, 3)) - self._rest
-        return slopes.reshape(*color_change.shape[:-1], 2), None
+        inputs[3:] = unit_position(x_px, y_px, self.shape)
+        return PreparedNetwork(self.layers, inputs, (0, 1, 2), 1 / self.change_scale)
 
 
-BATCH, LEARNING_RATE = 512, 1e-2  # samples of a step; learning rate of AdamW
-
-
-def train(
-    change: Array,
-    place: Array,
-    gradients: Array,
-    weight: Array,
-    *,
+def _trained(
+    torch: Any,
+    touched: Any,
+    rest: Any,
+    target: Any,
+    weight: Any,
     hidden: tuple[int, ...],
     steps: int,
-    weight_decay: float,
+    decay: float,
     seed: int,
 ) -> Layers:
-    """Layers whose output for (change, place) minus that for (0, place) is the gradient, in Huber's loss.
-
-    It uses AdamW with a cosine schedule (Loshchilov and Hutter, ICLR 2019) and one thread; all randomness comes from
-    `seed`. The N samples have a color change (N, 3) about 1 in size, a place (N, 2) of -1 to 1, gradients (N, 2) and
-    weights (N,) >= 0.
-    """
-    torch = needed("torch", "torch", "Training the color model mlp")
-    if not hidden or steps < 1 or len(change) < 2:
-        raise ValueError(f"Expected hidden layers, steps and samples, got {hidden}, {steps}, {len(change)}.")
-    with _one_thread(torch):
-        random = torch.Generator().manual_seed(seed)
-        touched, rest, target, relative = _tensors(torch, change, place, gradients, weight)
-        layers = _initial(torch, (touched.shape[1], *hidden, 2), random)
-        optimizer = torch.optim.AdamW(
-            [p for pair in layers for p in pair], lr=LEARNING_RATE, weight_decay=weight_decay
-        )
-        schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, steps)
-        for _ in range(steps):
-            rows = torch.randint(len(touched), (min(BATCH, len(touched)),), generator=random)
-            answers = _forward(torch, layers, torch.cat([touched[rows], rest[rows]]))
-            residual = torch.linalg.norm(answers[: len(rows)] - answers[len(rows) :] - target[rows], dim=1)
-            loss = (relative[rows] * _huber(torch, residual)).mean()
-            optimizer.zero_grad()
-            loss.backward()
-            optimizer.step()
-            schedule.step()
-        weights, biases = zip(*[[p.detach().numpy().copy() for p in pair] for pair in layers])
+    """Layers for inputs under touch and at rest (N, 5), the difference of their outputs (N, 2), and weights of mean 1."""
+    random = torch.Generator().manual_seed(seed)
+    layers = _initial(torch, (touched.shape[1], *hidden, 2), random)
+    optimizer = torch.optim.AdamW([p for pair in layers for p in pair], lr=1e-2, weight_decay=decay)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, steps)
+    for _ in range(steps):
+        rows = torch.randint(len(touched), (min(512, len(touched)),), generator=random)
+        values = torch.cat([touched[rows], rest[rows]])
+        for k, (matrix, bias) in enumerate(layers):
+            values = torch.nn.functional.linear(values, matrix, bias)
+            values = torch.relu(values) if k + 1 < len(layers) else values
+        residual = torch.linalg.norm(values[: len(rows)] - values[len(rows) :] - target[rows], dim=1)
+        off = residual / HUBER_SLOPE
+        loss = (weight[rows] * torch.where(off < 1, 0.5 * off**2, off - 0.5)).mean()
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+        schedule.step()
+    weights, biases = zip(*[[p.detach().numpy().copy() for p in pair] for pair in layers])
     return Layers(weights, biases)
-
-
-@contextmanager
-def _one_thread(torch: Any) -> Iterator[None]:
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(threads)
-
-
-def _tensors(
-    torch: Any, change: Array, place: Array, gradients: Array, weight: Array
-) -> tuple[Any, Any, Any, Any]:
-    """Inputs under touch, inputs at rest, targets, and weights of mean 1."""
-    touched = np.concatenate([change, place], axis=1)
-    rest = np.concatenate([np.zeros_like(change), place], axis=1)
-    relative = np.asarray(weight) / max(float(np.mean(weight)), 1e-12)
-    touched, rest, target, relative = (
-        torch.from_numpy(np.ascontiguousarray(a, dtype=np.float32))
-        for a in (touched, rest, gradients, relative)
-    )
-    return touched, rest, target, relative
 
 
 def _initial(torch: Any, sizes: tuple[int, ...], random: Any) -> list[tuple[Any, Any]]:
@@ -367,16 +304,3 @@ def _initial(torch: Any, sizes: tuple[int, ...], random: Any) -> list[tuple[Any,
         bias = (torch.rand((outputs,), generator=random) - 0.5) * (outputs > 2)
         layers.append((weight.requires_grad_(), bias.requires_grad_()))
     return layers
-
-
-def _forward(torch: Any, layers: list[tuple[Any, Any]], values: Any) -> Any:
-    for k, (weight, bias) in enumerate(layers):
-        values = torch.nn.functional.linear(values, weight, bias)
-        values = torch.relu(values) if k + 1 < len(layers) else values
-    return values
-
-
-def _huber(torch: Any, residual: Any) -> Any:
-    """Huber's loss of the residual's length, in units of its threshold."""
-    r = residual / HUBER_SLOPE
-    return torch.where(r < 1, 0.5 * r**2, r - 0.5)

@@ -1,16 +1,13 @@
 """Color models that keep colors in tables: one for all places, and one interpolated between the presses.
 
-A table over color change and place, fitted by lattice regression, read by multilinear interpolation.
+The first is fitted by lattice regression and read by multilinear interpolation. Each sample pulls the corners of its grid
+cell; nodes without samples follow their neighbors, because second differences are kept small (E. Garcia, R. Arora,
+M. R. Gupta, Optimized regression for efficient function evaluation, IEEE Trans. Image Processing 21(9), 2012, section III).
 
-Each sample pulls the corners of its grid cell; nodes without samples follow their neighbors,
-because second differences are kept small (E. Garcia, R. Arora, M. R. Gupta, Optimized regression for efficient
-function evaluation, IEEE Trans. Image Processing 21(9), 2012, section III).
-
-Gradients from the nearest samples in (R, G, B, x, y): a line through the origin of color, fitted at each pixel.
-
-It is local linear regression (W. S. Cleveland, J. Am. Stat. Assoc. 74, 1979) without a constant, pulled to the line of
-all samples where the neighbors do not determine it. Unlike parametric models, it measures the distance of a pixel from
-its samples. It is slow: seconds for a frame.
+The second takes the nearest samples in (R, G, B, x, y): a line through the origin of color, fitted at each pixel. It is
+local linear regression (W. S. Cleveland, J. Am. Stat. Assoc. 74, 1979) without a constant, pulled to the line of all samples
+where the neighbors do not determine it. Unlike parametric models, it measures the distance of a pixel from its samples. It
+is slow: seconds for a frame.
 """
 
 from __future__ import annotations
@@ -32,25 +29,15 @@ from gelform.slopes.color_models.networks import blocks_of
 from gelform.slopes.color_models.seam import Samples, Stored, Untuned, check_image_shape
 from gelform.slopes.gradients import STEEPEST_GEL
 
-HUBER_ROUNDS = 2  # rounds of reweighting by Huber's loss
-# Folds, and stretches of the samples that are split into them; a stretch is about a press or two.
-FOLDS, STRETCHES = 2, 24
-CG_TOLERANCE = 1e-3  # of the residual over the right side
-
 
 def corner_weights(coordinates: list[Numbers], sizes: tuple[int, ...]) -> scipy.sparse.csr_matrix:
     """Multilinear weights (N, nodes) at positions (N,) along each axis, in nodes; constant beyond the grid."""
     count = len(coordinates[0])
-    low, part = [], []
-    for at, size in zip(coordinates, sizes):
-        index, between = _node_and_fraction(at, size)
-        low.append(index)
-        part.append(between)
+    cells = [_node_and_fraction(at, size) for at, size in zip(coordinates, sizes)]
     columns, values = [], []
     for corner in product(*[(0, 1) if size > 1 else (0,) for size in sizes]):
-        node = np.zeros(count, dtype=int)
-        fraction = np.ones(count)
-        for index, between, up, size in zip(low, part, corner, sizes):
+        node, fraction = np.zeros(count, dtype=int), np.ones(count)
+        for (index, between), up, size in zip(cells, corner, sizes):
             node = node * size + index + up
             fraction = fraction * (between if up else 1 - between)
         columns.append(node)
@@ -83,12 +70,12 @@ class Lattice:
         scale = self.smoothness * float(weight.sum()) / len(self.free)
         part = corners[:, self.free]
         stiff = self.roughness[self.free][:, self.free] * scale
-        for _ in range(HUBER_ROUNDS):
+        for _ in range(2):
             normal = (part.T @ scipy.sparse.diags(current) @ part + stiff).tocsr()
             precondition = scipy.sparse.diags(1 / (normal.diagonal() + 1e-12))
             right = part.T @ (current[:, None] * target)
             for c in (0, 1):
-                enough = CG_TOLERANCE * float(np.linalg.norm(right[:, c]))
+                enough = 1e-3 * float(np.linalg.norm(right[:, c]))
                 start = slopes[self.free, c]
                 slopes[self.free, c] = scipy.sparse.linalg.cg(
                     normal, right[:, c], x0=start, atol=enough, maxiter=500, M=precondition
@@ -112,46 +99,33 @@ def _squared_differences(sizes: tuple[int, ...], axis: int) -> scipy.sparse.csr_
 def held_out_residuals(
     lattice: Lattice, corners: scipy.sparse.csr_matrix, target: Numbers, weight: Numbers
 ) -> Numbers:
-    """Residuals (N, 2) of held-out samples; stretches of them are left out in turn.
+    """Residuals (N, 2) of held-out samples; 24 stretches of them are left out in two folds.
 
     Samples are in the order of presses, so a stretch is about one press, and its neighbors in the list are no copies of it.
     """
-    stretch = np.arange(len(target)) * STRETCHES // max(len(target), 1)
-    fold = stretch % FOLDS
+    fold = (np.arange(len(target)) * 24 // max(len(target), 1)) % 2
     residual = np.empty_like(target)
-    for one in range(FOLDS):
-        out = fold == one
+    for out in (fold == 0, fold == 1):
         slopes = lattice.fitted(corners[~out], target[~out], weight[~out])
         residual[out] = corners[out] @ slopes - target[out]
     return residual
-
-
-NODES = 11  # nodes per channel: about one for each tenth of the range
-RANGE = (0.2, 99.8)  # percentiles of the samples' color change that the table spans
-MIN_SAMPLES = 1.0  # smallest weight of samples around a corner; corners with less are off the gamut
-PRIOR_SAMPLES = 20.0  # samples that the typical deviation counts for; a node with fewer has no reliable deviation of its own
 
 
 @dataclass(frozen=True)
 class LookupModel(Stored, Untuned):
     """Slopes at the nodes of a grid over (y, x, R, G, B).
 
-    Attributes
-    ----------
-    table : (rows, columns, reds, greens, blues, 3) float32: two slopes and their standard deviation, which is
-        STEEPEST_GEL without samples; 0 everywhere if unknown
-    low, step : (3,) color change of the first node and between nodes, per channel
-    shape : (H, W) of the images
-    gain : "none", or "mean_over_background" for tables of gray levels times 1 + 2 (mean(I0)/I0 - 1)
-    background : (H, W, 3) float32, with that gain: the image that it was imported with
+    The gain "mean_over_background" is for tables of gray levels times 1 + 2 (mean(I0)/I0 - 1).
     """
 
+    # (rows, columns, reds, greens, blues, 3): two slopes and their standard deviation, which is STEEPEST_GEL without
+    # samples; 0 everywhere if unknown.
     table: Floats
-    low: Numbers
-    step: Numbers
-    shape: tuple[int, int]
+    low: Numbers  # (3,), color change of the first node, per channel
+    step: Numbers  # (3,), between nodes
+    shape: tuple[int, int]  # (H, W) of the images
     gain: Literal["none", "mean_over_background"] = "none"
-    background: Map | None = None
+    background: Map | None = None  # (H, W, 3), with that gain: the image that it was imported with
 
     name: ClassVar[str] = "lookup"
     change_offset: ClassVar[float] = CHANGE_OFFSET
@@ -161,22 +135,22 @@ class LookupModel(Stored, Untuned):
         cls,
         samples: Samples,
         *,
-        nodes: int = NODES,
-        positions: tuple[int, int] = (3, 4),
-        smoothness: float = 0.02,
+        nodes: int = 11,  # per channel: about one for each tenth of the range
+        positions: tuple[int, int] = (
+            3,
+            4,
+        ),  # nodes over (rows, columns); (1, 1) for a table over color alone
+        smoothness: float = 0.02,  # weight of the second differences, relative to the samples
     ) -> LookupModel:
-        """Fit on the samples, in seconds. They are in the order of their presses, so that residuals are of other presses.
-
-        Parameters
-        ----------
-        nodes : nodes per channel
-        positions : nodes over (rows, columns) of the image; (1, 1) for a table over color alone
-        smoothness : weight of the second differences, relative to the samples
-        """
+        """Fit on the samples, in seconds. They are in the order of their presses, so that residuals are of other presses."""
         if nodes < 4 or min(positions) < 1:
             raise ValueError(f"Expected at least 4 nodes and 1 position, got {nodes} and {positions}.")
         change = np.asarray(samples.color_change, dtype=np.float64)
-        low, step = _grid(change, nodes)
+        # The table spans nearly all of the samples' color change, with a node at no change.
+        lowest, highest = np.percentile(change, (0.2, 99.8), axis=0)
+        lowest, highest = np.minimum(lowest, -0.02), np.maximum(highest, 0.02)
+        step = (highest - lowest) / (nodes - 2)
+        low = -np.ceil(-lowest / step) * step
         sizes = (*positions, nodes, nodes, nodes)
         grid = cls(np.zeros((*sizes, 3), np.float32), low, step, samples.shape)
         corners = corner_weights(grid._coordinates(change, samples.x_px, samples.y_px), sizes)
@@ -279,18 +253,14 @@ def _gain(background: Map) -> Map:
     return np.asarray(255 * (1 + 2 * (level.mean() / level - 1)), dtype=np.float32)
 
 
-def _grid(change: Numbers, nodes: int) -> tuple[Numbers, Numbers]:
-    """First node and spacing per channel: the samples' range, with a node at no change."""
-    low, high = np.percentile(change, RANGE, axis=0)
-    low, high = np.minimum(low, -0.02), np.maximum(high, 0.02)
-    step = (high - low) / (nodes - 2)
-    return -np.ceil(-low / step) * step, step
-
-
 def _deviation(
     corners: scipy.sparse.csr_matrix, residual: Numbers, weight: Numbers, sizes: tuple[int, ...]
 ) -> Numbers:
-    """Standard deviation (nodes,) of a slope component: the residuals about a node and its neighbors."""
+    """Standard deviation (nodes,) of a slope component: the residuals about a node and its neighbors.
+
+    Corners with samples of a weight below 1 around them are off the gamut. The typical deviation counts for 20 samples: a
+    node with fewer has no reliable one of its own.
+    """
     used = (weight > 0).astype(np.float64)
     size = np.minimum(np.sum(residual**2, axis=1) / 2, STEEPEST_GEL**2)
     count, sums = (np.asarray(corners.T @ values).reshape(sizes) for values in (used, used * size))
@@ -300,47 +270,33 @@ def _deviation(
                 scipy.ndimage.uniform_filter1d(v, 3, axis=axis, mode="constant") * 3 for v in (count, sums)
             )
     typical = float(np.average(size, weights=used))
-    variance = (sums + PRIOR_SAMPLES * typical) / (count + PRIOR_SAMPLES)
-    return np.where(count >= MIN_SAMPLES, np.sqrt(variance), STEEPEST_GEL).ravel()
+    variance = (sums + 20 * typical) / (count + 20)
+    return np.where(count >= 1, np.sqrt(variance), STEEPEST_GEL).ravel()
 
 
 NEIGHBORS = 16  # neighbors of a pixel: five times the unknowns of its line
-POINTS = 4000  # samples that are kept, for speed
 CHUNK = 20_000  # pixels at a time, to limit memory
-PRIOR = 0.3  # of the color change's size; neighbors with larger changes count more than the line of all
 
 
 @dataclass(frozen=True, eq=False)
 class InterpolationModel(Stored, Untuned):
-    """Thinned samples and the line of all of them.
+    """Thinned samples and the line of all of them. It is its own prepared model: its search tree is built once."""
 
-    Attributes
-    ----------
-    color : (M, 3) float64, color changes of the samples that are kept
-    x_px, y_px : (M,) float64
-    gradients : (M, 2) float64
-    line : (3, 2) float64, gradients = color @ line over all samples
-    color_scale : size of a color change that is as far as `place_scale`
-    place_scale : in half the image's larger side
-    spacing : typical distance between samples, in these units
-    shape : (H, W) of the images they come from
-    """
-
-    color: Numbers
-    x_px: Numbers
-    y_px: Numbers
-    gradients: Numbers
-    line: Numbers
-    color_scale: float
-    place_scale: float
-    spacing: float
-    shape: tuple[int, int]
+    color: Numbers  # (M, 3), color changes of the samples that are kept
+    x_px: Numbers  # (M,)
+    y_px: Numbers  # (M,)
+    gradients: Numbers  # (M, 2)
+    line: Numbers  # (3, 2), gradients = color @ line over all samples
+    color_scale: float  # size of a color change that is as far as `place_scale`
+    place_scale: float  # in half the image's larger side
+    spacing: float  # typical distance between samples, in these units
+    shape: tuple[int, int]  # (H, W) of the images they come from
 
     name: ClassVar[str] = "interpolation"
     change_offset: ClassVar[float] = CHANGE_OFFSET
 
     @classmethod
-    def fit(cls, samples: Samples, *, points: int = POINTS, place_scale: float = 0.5) -> InterpolationModel:
+    def fit(cls, samples: Samples, *, points: int = 4000, place_scale: float = 0.5) -> InterpolationModel:
         """Keep every n-th sample, about `points`; `place_scale` is the distance of neighbors in the image."""
         if points < NEIGHBORS or not place_scale > 0:
             raise ValueError(
@@ -378,10 +334,16 @@ class InterpolationModel(Stored, Untuned):
             gradients[part], sigma[part] = self._local(color[part], where[part])
         return gradients, sigma
 
-    def prepare(self, background: Array, shape: tuple[int, int]) -> PreparedInterpolation:
-        """Return the model itself, whose search tree is built once."""
+    def prepare(self, background: Array, shape: tuple[int, int]) -> InterpolationModel:
+        """Return the model itself."""
         check_image_shape(shape, self.shape)
-        return PreparedInterpolation(self)
+        return self
+
+    def gradients_from_color(self, color_change: Map) -> tuple[Slopes, Slopes]:
+        """Gradients (H, W, 2) of a color change (H, W, 3), and their standard deviation."""
+        found = self.gradients_and_sigma_at(color_change.reshape(-1, 3), *pixel_positions(self.shape).T)
+        gradients, sigma = (part.reshape(*self.shape, 2).astype(np.float32) for part in found)
+        return gradients, sigma
 
     @cached_property
     def _tree(self) -> Any:
@@ -401,25 +363,11 @@ class InterpolationModel(Stored, Untuned):
         weight /= weight.sum(axis=1, keepdims=True)
         c, rest = self.color[near], self.gradients[near] - self.color[near] @ self.line
         weighted = c * weight[..., None]
-        normal = weighted.transpose(0, 2, 1) @ c + (PRIOR * self.color_scale) ** 2 * np.eye(3)
-        # definite by PRIOR
+        # Definite by what neighbors with larger color changes count more than: the line of all.
+        normal = weighted.transpose(0, 2, 1) @ c + (0.3 * self.color_scale) ** 2 * np.eye(3)
         change = np.linalg.solve(normal, weighted.transpose(0, 2, 1) @ rest)
         gradients = color @ self.line + np.einsum("nc,nck->nk", color, change)
         spread = np.einsum("nm,nmk->nk", weight, (rest - c @ change) ** 2)
         extra = np.maximum(distance[:, NEIGHBORS // 4] / self.spacing - 1, 0)[:, None]
         doubt = 0.1 * extra * np.linalg.norm(gradients, axis=1, keepdims=True)
         return gradients, np.sqrt(spread + doubt**2)
-
-
-@dataclass(frozen=True)
-class PreparedInterpolation:
-    """An interpolation and the positions of all pixels."""
-
-    model: InterpolationModel
-
-    def gradients_from_color(self, color_change: Map) -> tuple[Slopes, Slopes]:
-        """Gradients (H, W, 2) of a color change (H, W, 3), and their standard deviation."""
-        shape = color_change.shape[:2]
-        found = self.model.gradients_and_sigma_at(color_change.reshape(-1, 3), *pixel_positions(shape).T)
-        gradients, sigma = (part.reshape(*shape, 2).astype(np.float32) for part in found)
-        return gradients, sigma
