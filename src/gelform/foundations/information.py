@@ -13,6 +13,15 @@ from gelform.arrays import Mask, Numbers
 LEAST_INFORMATION = 1e-10
 
 
+def check_condition(matrices: Numbers, limit: float, expected: str, remedy: str) -> None:
+    """Refuse matrices (..., n, n) of which one is singular or nearly so; ValueError with its condition number."""
+    worst = float(np.linalg.cond(matrices).max())
+    if not worst < limit:
+        raise ValueError(
+            f"Expected {expected}, got a matrix of condition number {worst:.3g} (limit {limit:g}). {remedy}"
+        )
+
+
 class Determined(NamedTuple):
     """What an information matrix (n, n) determines, from the least to the most determined direction."""
 

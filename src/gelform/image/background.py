@@ -32,11 +32,11 @@ from gelform.foundations.filters import (
     medians_where,
 )
 from gelform.foundations.findings import Finding
+from gelform.foundations.information import check_condition
 from gelform.image.agreement import compared, largest_touch
 from gelform.image.frame import DARK
 from gelform.image.light import FrameLight, block_means, scale_of_light, without_light
 
-MAX_CONDITION = 30.0  # of a crosstalk matrix; with a larger one, two channels count as one
 MAX_OFFSET, MAX_BLUR_PX = 1e4, 100.0  # gray levels and px, the largest values that a file may have
 Matrix = tuple[tuple[float, ...], ...]
 _color_change = Kernel(
@@ -80,12 +80,8 @@ def _checked_crosstalk(crosstalk: Any) -> Matrix:
     matrix = check_values(crosstalk, "crosstalk", (3, 3), np.float64)
     if matrix.ndim != 2:
         raise ValueError(f"Expected crosstalk as 3x3 finite numbers, got {crosstalk}.")
-    condition = float(np.linalg.cond(matrix))
-    if not condition < MAX_CONDITION:
-        raise ValueError(
-            f"Expected channels that tell the three lights apart, got a crosstalk matrix of condition number "
-            f"{condition:.3g} (limit {MAX_CONDITION:g}). Are two of the LED frames of the same LED?"
-        )
+    wanted = "crosstalk of channels that tell the three lights apart"
+    check_condition(matrix, 30.0, wanted, "Are two of the LED frames of the same LED?")
     return tuple(tuple(float(value) for value in row) for row in matrix)
 
 

@@ -20,15 +20,9 @@ from gelform.foundations.checks import (
     check_within,
 )
 
-CONVENTIONS = {
-    "directx": (1, 1, 1),
-    "opengl": (1, -1, 1),
-    "opencv": (1, 1, -1),
-}  # signs of normals to gelform's
-# A map's size and curl from which the sign of y shows: steps and noise leave half as much curl in the right one at most.
-LEAST_MAP_PX, MUCH_CURL, CURL_OF_ROUNDING = 16, 2.0, 1e-4
+# Signs of normals to gelform's.
+CONVENTIONS = {"directx": (1, 1, 1), "opengl": (1, -1, 1), "opencv": (1, 1, -1)}
 STEEPEST_GEL = 1.0  # mm/mm, the steepest slope of a gel: where nothing is known, a slope is off by that
-COARSE_PX, AGREED_PX = 3.0, 2.5  # px at 240 rows, standard deviations of G3 and G2.5 in `smoothed_gradients`
 
 _slopes_of_depth = Kernel("slopes_of_depth", "f32[h,w] depth, out f32[h,w,2] gradients, f32 per_x, f32 per_y")
 _curl_squares = Kernel("curl_squares", "f32[n,h,w,2] gradients, bool[n,h,w]? known, out f64[2] result")
@@ -62,13 +56,16 @@ def gradients_from_normals(normals: ArrayLike, *, convention: str = "directx") -
 
 
 def _check_sign_of_y(gradients: Slopes, convention: str) -> None:
-    """Refuse a map whose curl vanishes only with the other sign of y; noise leaves as much with either."""
-    if gradients.ndim < 3 or min(gradients.shape[-3:-1]) < LEAST_MAP_PX:
+    """Refuse a map whose curl vanishes only with the other sign of y; noise leaves as much with either.
+
+    Steps and noise leave half as much curl in the right one at most.
+    """
+    if gradients.ndim < 3 or min(gradients.shape[-3:-1]) < 16:
         return
     p, q = np.moveaxis(gradients.astype(np.float64), -1, 0)
     q_x, p_y = np.gradient(q, axis=-1), np.gradient(p, axis=-2)
     here, other = (float(np.sqrt(np.mean(np.square(q_x + sign * p_y)))) for sign in (-1, 1))
-    if here > MUCH_CURL * other and here > CURL_OF_ROUNDING:
+    if here > 2 * other and here > 1e-4:
         right = "directx" if convention == "opengl" else "opengl"
         raise ValueError(
             f"Expected normals of a surface, got ones that turn (RMS curl {here:.2g} per pixel, {other:.2g} with the other "
@@ -103,9 +100,9 @@ def smoothed_gradients(gradients: ArrayLike, *, texture: float = 0.02) -> Slopes
         raise ValueError(f"Expected gradients of one frame, (H, W, 2), got {slopes.shape}.")
     halved = np.float32(check_within(texture, "texture", 1e-6, 1e6)) ** 2
     scale = min(slopes.shape[:2]) / 240
-    coarse = _blurred(slopes, COARSE_PX * scale)
+    coarse = _blurred(slopes, 3.0 * scale)
     detail = slopes - coarse
-    agreed = np.square(_blurred(detail, AGREED_PX * scale)).sum(axis=-1, keepdims=True)
+    agreed = np.square(_blurred(detail, 2.5 * scale)).sum(axis=-1, keepdims=True)
     kept: Floats = coarse + agreed / (agreed + halved) * detail
     return kept
 

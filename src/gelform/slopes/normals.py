@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from gelform.arrays import Array, Map, Numbers, Slopes
 from gelform.foundations.checks import check_gradients, check_normals, check_values
-from gelform.slopes.color_models.physical import inverse_lights
+from gelform.slopes.color_models.physical import check_lights, inverse_lights
 
 
 def normals_from_image(image: ArrayLike, lights: ArrayLike) -> tuple[Map, Map]:
@@ -38,8 +38,7 @@ def normals_from_image(image: ArrayLike, lights: ArrayLike) -> tuple[Map, Map]:
     g = check_values(image, "image", (3,)) @ inverse_lights(lights).astype(np.float32).T
     albedo = np.linalg.norm(g, axis=-1)
     lit = albedo > 0
-    up = np.array([0, 0, 1], dtype=np.float32)
-    normals = np.where(lit[..., None], g / np.where(lit, albedo, 1)[..., None], up)
+    normals = np.where(lit[..., None], g / np.where(lit, albedo, 1)[..., None], np.float32([0, 0, 1]))
     return normals.astype(np.float32), albedo.astype(np.float32)
 
 
@@ -126,14 +125,6 @@ def lights_from_normals(image: ArrayLike, normals: ArrayLike, albedo: ArrayLike 
             )
         lights[channel] = np.linalg.lstsq(scaled[lit], intensity[lit, channel], rcond=None)[0]
     return lights
-
-
-def check_lights(lights: ArrayLike) -> Array:
-    """Lights (3, 3), finite: row c is the direction toward the light of channel c times its strength."""
-    array = check_values(lights, "lights", (3, 3))
-    if array.ndim != 2:
-        raise ValueError(f"Expected lights of shape (3, 3), one row per channel, got {array.shape}.")
-    return array
 
 
 def _albedo(albedo: ArrayLike, shape: tuple[int, ...]) -> Array:

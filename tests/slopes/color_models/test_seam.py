@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from gelform.slopes.color_models import COLOR_MODELS, IMPORTED_MODELS, PolynomialModel, Samples, polynomial
 from gelform.slopes.color_models.least_squares import (
-    LIGHT_RIDGE,
     MAX_SAMPLES,
     NODE_PX,
     ORDER_GROWTH,
@@ -340,7 +339,7 @@ def test_columns_are_penalised_by_their_degree_in_place(samples):
     background = np.random.default_rng(0).uniform(20, 200, (*SHAPE, 3)).astype(np.float32)
     lit = replace(samples, background=background)
     two = VaryingRegression.of([Term(np.ones(6000), 0, 3.0, True)] * 2, law(samples), lit)
-    assert two.penalties.tolist() == [3, *[3 * LIGHT_RIDGE] * 3] * 2
+    assert two.penalties.tolist() == [3, *[3 * PLACE_GROWTH] * 3] * 2
     assert two.ends.tolist() == [4, 8]
     assert regression(samples, law(samples), varies_with_light=True).columns.shape[1] == 6, (
         "of no light nothing varies"

@@ -38,8 +38,7 @@ from gelform.slopes.color_models.seam import Samples, Stored
 
 # Units that make all terms about 1: the RMS of the normal's first two components in contacts, and a usual depth, px.
 NORMAL_UNIT, DEPTH_UNIT_PX = 0.3, 10.0
-# degrees in place of terms of order 1 to 4 in the normal, and of the depth
-PLACE_DEGREES, DEPTH_PLACE_DEGREE = (5, 4, 3, 2), 4
+PLACE_DEGREES = 5, 4, 3, 2  # degrees in place of terms of order 1 to 4 in the normal
 RIDGES = (3e-4, 1e-4, 3e-5, 1e-5)  # ridges that calibration tries, the stiffest first
 # Prior of a slope with one of three channels clipped, mm/mm: a wide one. Also the longest step: a longer one explains a
 # mirrored light or dust by a slope of its color.
@@ -61,44 +60,33 @@ class Step(NamedTuple):
 
     gradients: Array  # (..., 2), mm/mm
     variance: Array  # (...), mean of both components' variances
-    # (...) >= 0, squared, of the color change after the step, in units of its covariance: 1 degree of freedom
-    residual: Array
+    residual: Array  # (...), squared, of the color change, in units of its covariance: 1 degree of freedom
 
 
 @dataclass(frozen=True, eq=False)
 class ForwardResponse(Stored):
-    """Color change as a polynomial in the normal and the depth, its coefficients varying over the image.
+    """Color change as a polynomial in the normal and the depth, its coefficients varying over the image."""
 
-    Attributes
-    ----------
-    nodes : (rows, columns, 17, 3) float64, coefficients at every 16th pixel, bilinear between: 14 monomials of the
-        normal, the depth, and the depth times the normal
-    covariance : (3, 3), of the color change about it on the presses it was fitted to
-    shape : (H, W)
-    step_sigma : (at rest, per slope), the prior of a step: slopes g of the color model have a standard
-        deviation of hypot(at rest, per slope |g|), mm/mm; None without a step, because it did not improve held-out
-        presses
-    residual_scale : squared residuals on held-out presses over those that the covariance predicts, at the 95 % that
-        usual pixels stay under: the unit for judging outliers
-    clipped : (2, 3) bool, whether the training presses show red, green, blue at the camera's lower and upper end: if so,
-        the model holds for such pixels too
-    """
-
+    # (rows, columns, 17, 3), coefficients at every 16th pixel, bilinear between: 14 monomials of the normal, the depth, and
+    # the depth times the normal.
     nodes: Numbers
-    covariance: Numbers
-    shape: tuple[int, int]
+    covariance: Numbers  # (3, 3), of the color change about it on the presses it was fitted to
+    shape: tuple[int, int]  # (H, W)
+    # (at rest, per slope), the prior of a step: slopes g of the color model have a standard deviation of
+    # hypot(at rest, per slope |g|), mm/mm. None without a step, because it did not improve held-out presses.
     step_sigma: tuple[float, float] | None = None
+    # Squared residuals on held-out presses over those that the covariance predicts, at the 95 % that usual pixels stay
+    # under: the unit for judging outliers.
     residual_scale: float = 1.0
+    # (2, 3), whether the training presses show red, green, blue at the camera's lower and upper end: if so, the model holds
+    # for such pixels too.
     clipped: Mask | None = None
 
     def __post_init__(self) -> None:
         check_values(self.nodes, "forward_nodes", (3,))
         covariance = check_values(self.covariance, "forward_covariance", (3,))
-        if (
-            np.shape(self.nodes)[2:] != (TERMS, 3)
-            or covariance.shape != (3, 3)
-            or determined_by(covariance).undetermined.any()
-        ):
+        right = np.shape(self.nodes)[2:] == (TERMS, 3) and covariance.shape == (3, 3)
+        if not right or determined_by(covariance).undetermined.any():
             raise ValueError(
                 f"Expected forward nodes (rows, columns, {TERMS}, 3) and a covariance (3, 3), got others."
             )
@@ -123,14 +111,12 @@ class ForwardResponse(Stored):
         its own instead of to 0.
         """
         assert samples.depth_px is not None
-        target, from_nodes = samples.color_change, 0 if start is None else start.nodes
+        g, z, target, from_nodes = samples.gradients, samples.depth_px, samples.color_change, 0
         if start is not None:
-            places = samples.x_px, samples.y_px
-            target = target - start.color_from_gradients(
-                samples.gradients, *places, depth_px=samples.depth_px
-            )
-        regression = VaryingRegression.of(_terms(samples.gradients, samples.depth_px), target, samples)
-        pressed = np.any(samples.gradients != 0, axis=1)[:: round(len(samples.x_px) / len(regression.target))]
+            target = target - start.color_from_gradients(g, samples.x_px, samples.y_px, depth_px=z)
+            from_nodes = start.nodes
+        regression = VaryingRegression.of(_terms(g, z), target, samples)
+        pressed = np.any(g != 0, axis=1)[:: round(len(samples.x_px) / len(regression.target))]
         found = []
         for ridge in ridges:
             coefficients = regression.coefficients(ridge)
@@ -189,12 +175,9 @@ class PreparedStep:
         self._nodes = np.ascontiguousarray(forward.nodes, dtype=np.float32)
         self._roots = forward.roots
         at_rest, per_slope = forward.step_sigma
-        self._priors = {
-            "at_rest": at_rest**2, "per_slope": per_slope**2, "clipped_prior": 1 / CLIPPED_STEP_SIGMA**2
-        }  # fmt: skip
-        columns = self._nodes.shape[1]
+        self._priors = at_rest**2, per_slope**2, 1 / CLIPPED_STEP_SIGMA**2
         padded = -(-forward.shape[1] // 16) * 16
-        self._work_size = 2 * columns * TERMS * 3 + 4 * TERMS * 3 + 12 * padded
+        self._work_size = 2 * self._nodes.shape[1] * TERMS * 3 + 4 * TERMS * 3 + 12 * padded
 
     def __call__(
         self, color_change: Map, gradients: Slopes, depth_px: Map, clipped: NDArray[np.uint8] | None = None
@@ -209,7 +192,7 @@ class PreparedStep:
         work = np.empty(self._work_size, np.float32)
         _forward_step(
             color_change, gradients, depth_px, clipped, self._nodes, self._roots, work, stepped, variance, residual,
-            **self._priors,
+            *self._priors,
         )  # fmt: skip
         return Step(stepped, variance, residual)
 
@@ -223,11 +206,9 @@ def normal_terms(gradients: Array) -> Numbers:
 
 def _terms(gradients: Array, depth_px: Array) -> list[Term]:
     v, z = normal_terms(gradients), np.asarray(depth_px, dtype=np.float64) / DEPTH_UNIT_PX
-    of_normal = terms_of_orders(
-        monomial_products(v.T, _POWERS), [len(term) for term in _POWERS], PLACE_DEGREES
-    )
+    orders = [len(term) for term in _POWERS]
     return [
-        *of_normal,
-        Term(z, DEPTH_PLACE_DEGREE, ORDER_GROWTH),
+        *terms_of_orders(monomial_products(v.T, _POWERS), orders, PLACE_DEGREES),
+        Term(z, 4, ORDER_GROWTH),
         *(Term(z * one, 0, ORDER_GROWTH**2) for one in v.T),
     ]

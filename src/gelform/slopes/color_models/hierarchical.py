@@ -34,9 +34,6 @@ from gelform.slopes.color_models.least_squares import (
 from gelform.slopes.color_models.seam import PendingChange, Samples, Stored, check_image_shape
 
 RIDGES = (3e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-5)  # ridges that calibration tries, the stiffest first
-# Largest slope over the steepest one of the training. On a wedge with three presses, whose border was read with slopes of
-# 47, 2-2.5 leave 69-71 of 93 frames one contact, 1.25-1.5 46-53, none 32. On six other sensors errors stay or fall at 2.
-BOUND = 2.0
 
 _hierarchical_gradients = Kernel(
     "hierarchical_gradients",
@@ -51,20 +48,12 @@ _hierarchical_from_image = Kernel(
 
 @dataclass(frozen=True)
 class HierarchicalModel(Stored):
-    """Polynomial in (R, G, B) without a constant; its coefficients are given at nodes and bilinear between them.
+    """Polynomial in (R, G, B) without a constant; its coefficients are given at nodes and bilinear between them."""
 
-    Attributes
-    ----------
-    nodes : (rows, columns, terms, 2) float64, coefficients at every 16th pixel, the last beyond the border
-    degree : degree of the polynomial in color
-    shape : (H, W) of the images it was fitted on
-    steepest : > 0, mm/mm, the size that slopes are bounded to; calibrations without it have no bound
-    """
-
-    nodes: Numbers
-    degree: int
-    shape: tuple[int, int]
-    steepest: float = HIGHEST_SLOPE
+    nodes: Numbers  # (rows, columns, terms, 2), coefficients at every 16th pixel, the last beyond the border
+    degree: int  # of the polynomial in color
+    shape: tuple[int, int]  # (H, W) of the images it was fitted on
+    steepest: float = HIGHEST_SLOPE  # mm/mm, the size that slopes are bounded to, if at all
 
     name: ClassVar[str] = "hierarchical"
     change_offset: ClassVar[float] = CHANGE_OFFSET
@@ -77,20 +66,19 @@ class HierarchicalModel(Stored):
         cls,
         samples: Samples,
         *,
-        position_degrees: tuple[int, ...] = (5, 4, 3),
+        position_degrees: tuple[int, ...] = (
+            5,
+            4,
+            3,
+        ),  # in (x, y), of the linear, quadratic, cubic color terms
         ridge: float = 3e-4,
         start: HierarchicalModel | None = None,
     ) -> HierarchicalModel:
-        """Penalized least squares.
+        """Penalized least squares; of samples with `background`, the light at each place is used too.
 
-        Parameters
-        ----------
-        samples : with `background`, the light at each place is used too
-        position_degrees : degree in (x, y) of the linear, quadratic, cubic color terms; each may be large,
-            since the ridge is 4 times stronger per degree in place and 3 times per degree in color
-        ridge : > 0, of a coefficient that is the same everywhere, relative to the samples' weight, for a color change
-            of RMS 1
-        start : the model of another unit of the same sensor; the coefficients are pulled to its own instead of to 0
+        Position degrees may be large, since the ridge is 4 times stronger per degree in place and 3 times per degree in
+        color. It is > 0, of a coefficient that is the same everywhere, relative to the samples' weight, for a color change
+        of RMS 1. With the `start` of another unit of the sensor, the coefficients are pulled to its own instead of to 0.
         """
         if not position_degrees or min(position_degrees) < 0 or not ridge > 0:
             raise ValueError(
@@ -100,7 +88,9 @@ class HierarchicalModel(Stored):
             start.check_like(len(position_degrees), samples.shape)
         regression, scales = _regression(samples, tuple(position_degrees), start)
         nodes = regression.nodes(regression.coefficients(ridge)) / scales[:, None]
-        steepest = BOUND * float(np.linalg.norm(samples.gradients, axis=1).max()) + 1e-12
+        # On a wedge with three presses, whose border was read with slopes of 47, bounds of 2-2.5 times the steepest training
+        # slope leave 69-71 of 93 frames one contact, 1.25-1.5 46-53, none 32. On six other sensors errors stay or fall at 2.
+        steepest = 2 * float(np.linalg.norm(samples.gradients, axis=1).max()) + 1e-12
         if start is not None:
             nodes, steepest = nodes + start.nodes, max(steepest, start.steepest)
         return cls(nodes, len(position_degrees), samples.shape, steepest)
@@ -115,11 +105,9 @@ class HierarchicalModel(Stored):
 
         Its pixels are `wider` times as wide on the gel.
         """
-        factors = np.stack(
-            [gain[..., list(term)].prod(axis=-1) for term in monomials(3, self.degree)], axis=-1
-        )
+        factors = [gain[..., list(term)].prod(axis=-1) for term in monomials(3, self.degree)]
         nodes = nodes_at_scale(self.nodes, self.shape, wider)
-        return replace(self, nodes=nodes * factors[..., None])
+        return replace(self, nodes=nodes * np.stack(factors, axis=-1)[..., None])
 
     def check_like(self, degree: int, shape: tuple[int, int]) -> None:
         """Raise a ValueError if a model of a degree and an image shape cannot start from this one."""

@@ -99,35 +99,21 @@ def robust_ridge(
 
     The ridge is relative to the size of each column, so it means the same for every term.
     """
-    whole = normal_equations(design, target, weight)
+    normal, right = whole = normal_equations(design, target, weight)
     total = float(weight.sum())
-    size = np.sqrt(np.diag(whole[0]) / total) + 1e-12
-    return _reweighted(design, target, weight, whole, np.diag(ridge * total * size**2), huber, rounds)
-
-
-def _reweighted(
-    design: Array, target: Numbers, weight: Numbers, whole: Normal, prior: Numbers, huber: float, rounds: int
-) -> Numbers:
-    """Coefficients (terms, outputs) after some rounds of Huber's loss of the residual's length.
-
-    Only samples beyond `huber` lose weight, so the loss is subtracted from `whole`, the normal equations of the first round.
-    """
-    normal, right = whole
-    for done in range(1, rounds + 1):
-        coefficients = np.linalg.solve(normal + prior, right)  # definite by the ridge
-        if done == rounds:
-            break
+    size = np.sqrt(np.diag(normal) / total) + 1e-12
+    prior = np.diag(ridge * total * size**2)
+    coefficients = np.linalg.solve(normal + prior, right)  # definite by the ridge
+    for _ in range(rounds - 1):
         residual = np.linalg.norm(design @ coefficients.astype(design.dtype) - target, axis=1)
+        # Only samples beyond `huber` lose weight, so the loss is subtracted from the equations of the first round.
         beyond = np.flatnonzero(residual > huber)
         lost = weight[beyond] * (1 - huber / residual[beyond])
-        less = normal_equations(_rows(design, beyond), target[beyond], lost)
-        normal, right = whole[0] - less[0], whole[1] - less[1]
+        # In the design's own order in memory: gathering across it takes ten times as long.
+        rows = design[beyond] if design.flags.c_contiguous else np.take(design.T, beyond, axis=1).T
+        less = normal_equations(rows, target[beyond], lost)
+        coefficients = np.linalg.solve(whole[0] - less[0] + prior, whole[1] - less[1])
     return np.asarray(coefficients, dtype=np.float64)
-
-
-def _rows(design: Array, chosen: NDArray[np.intp]) -> Array:
-    """Some rows of a design, in its own order in memory; gathering across it takes ten times as long."""
-    return design[chosen] if design.flags.c_contiguous else np.take(design.T, chosen, axis=1).T
 
 
 def normal_equations(design: Array, target: Numbers, weight: Numbers) -> Normal:
@@ -139,12 +125,8 @@ def normal_equations(design: Array, target: Numbers, weight: Numbers) -> Normal:
 
 
 NODE_PX = 16  # px between nodes, as in native/slopes/color_models/nodes.h
-LIGHT_BLUR_PX = 8.0  # px, standard deviation of the blur of the background image; lamps are broad
-# Growth of the ridge, per degree in place and per order of the term.
+# Growth of the ridge, per degree in place (and for the light) and per order of the term.
 PLACE_GROWTH, ORDER_GROWTH = 4.0, 3.0
-# Logarithm of the background image: its ridge, as for a degree in place, and the orders of the terms that vary with it.
-LIGHT_RIDGE, LIGHT_ORDERS = 4.0, 2
-DARKEST = 1.0  # gray level; the logarithm of less is noise
 MAX_SAMPLES = 20_000  # samples of a regression; neighbors in a press are copies
 
 
@@ -155,8 +137,7 @@ class Term:
     values: Array  # (N,)
     place_degree: int  # degree of the Legendre polynomials of the place in its coefficient
     ridge: float  # ridge of a coefficient that is the same everywhere, relative to the regression's
-    # whether the coefficient also depends on the background image's logarithm
-    varies_with_light: bool = False
+    varies_with_light: bool = False  # whether the coefficient also depends on the background's logarithm
 
 
 def terms_of_orders(
@@ -164,7 +145,7 @@ def terms_of_orders(
 ) -> list[Term]:
     """Terms of products (N,) of a number of factors, stiffer at higher orders; `place_degrees` by order."""
     return [
-        Term(product, place_degrees[order - 1], ORDER_GROWTH ** (order - 1), order <= LIGHT_ORDERS)
+        Term(product, place_degrees[order - 1], ORDER_GROWTH ** (order - 1), order <= 2)
         for product, order in zip(products, orders)
     ]
 
@@ -232,9 +213,8 @@ def _places(
     degree: int, with_light: bool, shape: tuple[int, int], light: Array | None
 ) -> tuple[Numbers, Numbers]:
     """The functions in a coefficient's sum at the nodes, (rows, columns, functions), and the penalty of each."""
-    unit = [
-        2 * nodes / (n - 1) - 1 if n > 1 else 0.0 * nodes for nodes, n in zip(node_positions(shape), shape)
-    ]
+    positions = zip(node_positions(shape), shape)
+    unit = [2 * nodes / (n - 1) - 1 if n > 1 else 0.0 * nodes for nodes, n in positions]
     size = np.sqrt(2 * np.arange(degree + 1) + 1)
     along_y, along_x = (np.polynomial.legendre.legvander(u, degree) * size for u in unit)
     powers = position_powers(degree)
@@ -242,7 +222,7 @@ def _places(
     growth = [PLACE_GROWTH ** (i + j) for i, j in powers]
     if with_light and light is not None:
         functions += list(light)
-        growth += [LIGHT_RIDGE] * 3
+        growth += [PLACE_GROWTH] * 3
     return np.stack(functions, axis=-1), np.array(growth)
 
 
@@ -254,14 +234,14 @@ def light_at_nodes(background: Array) -> Numbers:
 
 @lru_cache(maxsize=4)  # a calibration fits a hundred models on one background
 def _light_of_pixels(pixels: bytes, shape: tuple[int, ...]) -> Numbers:
-    light = np.maximum(np.frombuffer(pixels, dtype=np.float32).reshape(shape), DARKEST)
-    smooth = cv2.GaussianBlur(light, (0, 0), LIGHT_BLUR_PX, borderType=cv2.BORDER_REFLECT_101)
+    # The logarithm of less than a gray level is noise; lamps are broad.
+    light = np.maximum(np.frombuffer(pixels, dtype=np.float32).reshape(shape), np.float32(1))
+    smooth = cv2.GaussianBlur(light, (0, 0), 8.0, borderType=cv2.BORDER_REFLECT_101)
     logarithm = np.log(smooth.astype(np.float64))
     logarithm -= logarithm.mean(axis=(0, 1))
     deviation = logarithm.std(axis=(0, 1))
-    rows, columns = (
-        np.minimum(n, limit - 1) for n, limit in zip(node_positions(light.shape[:2]), light.shape)
-    )
+    places = zip(node_positions(light.shape[:2]), light.shape)
+    rows, columns = (np.minimum(nodes, n - 1) for nodes, n in places)
     values = logarithm[np.ix_(rows, columns)] / np.maximum(deviation, 0.01)  # even light has no information
     return np.moveaxis(values, -1, 0)
 

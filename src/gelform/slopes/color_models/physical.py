@@ -1,15 +1,12 @@
 """Color models that know the lights: distant lights on a matt gel, and lamps near the gel.
 
-Photometric stereo with three fixed lights, on the ratio of the image to the background image.
+Both are photometric stereo on the ratio of the image to the background image. At rest the normal is (0, 0, 1), so for fixed
+lights `I/I0 = (l . n)/l_z`: albedo, vignetting and the lights' falloff cancel. The three rows `l/l_z = (a, b, 1)` are the
+only unknowns (Woodham, Optical Engineering 19(1), 1980, eq. 7). Crosstalk makes a channel record a mixture of lights, which
+acts as one light: the rows contain it, exactly if the mixture is the same everywhere. A camera whose levels are
+light^response is made linear first.
 
-At rest the normal is (0, 0, 1), so `I/I0 = (l . n)/l_z`: albedo, vignetting and the lights' falloff cancel. The
-three rows `l/l_z = (a, b, 1)` are the only unknowns (Woodham, Optical Engineering 19(1), 1980, eq. 7).
-Crosstalk makes a channel record a mixture of lights, which acts as one light: the rows contain it, exactly if the
-mixture is the same everywhere. A camera whose levels are light^response is made linear first.
-
-Photometric stereo with three near lights, on the ratio of the image to the background image.
-
-A light at S shines on a surface point X from the direction (S - X)/|S - X| with a strength that falls as
+A near light at S shines on a surface point X from the direction (S - X)/|S - X| with a strength that falls as
 |S - X|^-falloff, so `E = n . (S - X)/|S - X|^(1 + falloff)` (R. Mecca et al., Near field photometric stereo with
 point light sources, SIAM J. Imaging Sciences 7(4), 2014, eq. 3, at constant depth). Positions are in units of half the
 image's larger side, about its center. Crosstalk mixes the lights into each channel; where all of them shine, the channel
@@ -20,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import scipy  # its parts load at first use
@@ -29,46 +26,48 @@ from numpy.typing import ArrayLike
 from gelform._native import Kernel
 from gelform.arrays import Array, Map, Numbers, Slopes
 from gelform.foundations.checks import LARGEST, check_response, check_values
+from gelform.foundations.information import check_condition
 from gelform.image.view import pixel_positions
 from gelform.slopes.color_models.least_squares import HUBER_SLOPE, robust_ridge, unit_position
 from gelform.slopes.color_models.seam import Samples, Stored, Untuned, check_image_shape
 
-MAX_CONDITION = 1e4  # of a light matrix; with a larger one, lights count as coplanar
 MAX_SLOPE = 5.0  # mm/mm, largest slope of pixels in shadow
 DARKEST_RATIO = 0.02  # of the light at rest; a darker channel is in shadow, where the law does not hold
 RESPONSES = (0.3, 1.6)  # range of exponents in a fit
 
 
-def inverse_lights(lights: ArrayLike) -> Numbers:
-    """Inverse of the light matrix; an error if the lights are coplanar or nearly so."""
-    matrix = check_values(lights, "lights", (3, 3), np.float64)
+def check_lights(lights: ArrayLike, dtype: Any = np.float32) -> Array:
+    """Lights (3, 3), finite: row c is the direction toward the light of channel c times its strength."""
+    matrix = check_values(lights, "lights", (3, 3), dtype)
     if matrix.ndim != 2:
         raise ValueError(f"Expected lights of shape (3, 3), one row per channel, got {matrix.shape}.")
-    condition = float(np.linalg.cond(matrix))
-    if not condition < MAX_CONDITION:
-        raise ValueError(
-            f"Expected three lights from directions that span space, got a light matrix of condition number "
-            f"{condition:.3g} (limit {MAX_CONDITION:g}): the lights are coplanar or two are the same. "
-            "Light the gel from three different sides."
-        )
-    inverse = np.asarray(np.linalg.inv(matrix), dtype=np.float64)
+    return matrix
+
+
+def inverse_lights(lights: ArrayLike) -> Numbers:
+    """Inverse of one light matrix (3, 3), checked; errors as of `inverted_lights`."""
+    return inverted_lights(check_lights(lights, np.float64))
+
+
+def inverted_lights(lights: Numbers) -> Numbers:
+    """Inverses of light matrices (..., 3, 3); ValueError: lights are all dark, or coplanar or nearly so."""
+    remedy = (
+        "The lights are coplanar, or two are the same: light the gel from three different sides. If near lights were "
+        "fitted, press at more places, or use the color model lambertian."
+    )
+    check_condition(lights, 1e4, "three lights from directions that span space", remedy)
+    inverse = np.asarray(np.linalg.inv(lights), dtype=np.float64)
     if np.abs(inverse).max() > LARGEST:
-        raise ValueError(f"Expected lights that are not all dark, got {np.abs(matrix).max():.3g} at most.")
+        raise ValueError(f"Expected lights that are not all dark, got {np.abs(lights).max():.3g} at most.")
     return inverse
 
 
 @dataclass(frozen=True)
 class LambertianModel(Stored, Untuned):
-    """Three fixed lights, each scaled to l_z = 1.
+    """Three fixed lights, each scaled to l_z = 1."""
 
-    Attributes
-    ----------
-    lights : (3, 3) float64, rows (a, b, 1) for the channels R, G, B
-    response : exponent of the camera's response, I = light^response
-    """
-
-    lights: Numbers
-    response: float = 1.0
+    lights: Numbers  # (3, 3), rows (a, b, 1) for the channels R, G, B
+    response: float = 1.0  # exponent of the camera's response, I = light^response
 
     def __post_init__(self) -> None:
         check_response(self.response)
@@ -131,10 +130,7 @@ def linear_change(change: Array, response: float) -> Array:
 
 
 def gradients_from_scaled(change: Array, inverse: Array) -> Array:
-    """Slopes -g_xy/g_z of `g = L^-1 (1 + change)`; a pixel in shadow, with g_z near 0, gets at most MAX_SLOPE.
-
-    `inverse` is one matrix (3, 3), or one per pixel (..., 3, 3).
-    """
+    """Slopes -g_xy/g_z of `g = L^-1 (1 + change)`, of one matrix (3, 3) or one per pixel; MAX_SLOPE at most in shadow."""
     g = np.einsum("...ij,...j->...i", inverse, change) if inverse.ndim > 2 else change @ inverse.T
     g = g + inverse.sum(axis=-1)
     steepest = np.sqrt(g[..., 0] ** 2 + g[..., 1] ** 2) / MAX_SLOPE
@@ -227,11 +223,8 @@ def light_ratio_derivatives(
     )
 
 
-FITTED_SAMPLES = 4000  # samples at most, because neighbors in a press carry the same information
 LEAST_PRESSED = 30  # samples, twice the number of fitted parameters
-# Lights, in half the image's larger side: smallest height above the gel; largest height, and distance from it.
-LOWEST, FARTHEST = 0.05, 20.0
-
+FARTHEST = 20.0  # in half the image's larger side, height and distance of a light
 
 _near_light_gradients = Kernel(
     "near_light_gradients",
@@ -241,23 +234,14 @@ _near_light_gradients = Kernel(
 
 @dataclass(frozen=True)
 class NearLightModel(Stored, Untuned):
-    """Three near lights, the mixture of them in each channel, and the camera's response.
+    """Three near lights, the mixture of them in each channel, and the camera's response."""
 
-    Attributes
-    ----------
-    positions_px : (3, 3) float64, x, y from the image's center and height above the gel, of the main lights of
-        R, G, B; times mm_per_px it is mm
-    mixture : (3, 3) float64, row: channel, column: light; relative strength, 1 on the diagonal
-    falloff : exponent of the distance; 2 is a point light
-    response : exponent of the camera's response, I = light^response
-    shape : (H, W) of the images it was fitted on
-    """
-
+    # (3, 3), x, y from the image's center and height above the gel, of the main lights of R, G, B; times mm_per_px it is mm
     positions_px: Numbers
-    mixture: Numbers
-    falloff: float
-    response: float
-    shape: tuple[int, int]
+    mixture: Numbers  # (3, 3), row: channel, column: light; relative strength, 1 on the diagonal
+    falloff: float  # exponent of the distance; 2 is a point light
+    response: float  # exponent of the camera's response, I = light^response
+    shape: tuple[int, int]  # (H, W) of the images it was fitted on
 
     name: ClassVar[str] = "near_light"
     change_offset: ClassVar[float] = 0.0
@@ -268,20 +252,14 @@ class NearLightModel(Stored, Untuned):
     ) -> NearLightModel:
         """Robust (soft l1) nonlinear least squares of the color change, from each channel's linear solution.
 
-        Parameters
-        ----------
-        response : of the camera; estimated within 0.3-1.6 by default. Give it if it is known, because on gentle slopes a
-            smaller exponent looks like higher lights
-        crosstalk : whether a channel may record the other two lights; False: only its own
-        falloff : exponent of the distance
+        The response is estimated within 0.3-1.6 by default. Give it if it is known, because on gentle slopes a smaller
+        exponent looks like higher lights. Without `crosstalk` a channel records no more than its own light.
         """
         used = _pressed(samples)
-        start = np.concatenate([_start(used, c, response or 1.0) for c in range(3)])
-        free = [*start, *([0.05] * 6 if crosstalk else []), *([] if response else [1.0])]
-        low = [*[-FARTHEST, -FARTHEST, LOWEST] * 3, *([0.0] * 6 if crosstalk else [])]
-        high = [*[FARTHEST, FARTHEST, FARTHEST] * 3, *([2.0] * 6 if crosstalk else [])]
-        if not response:
-            low, high = [*low, RESPONSES[0]], [*high, RESPONSES[1]]
+        free = [value for c in range(3) for value in _start(used, c, response or 1.0)]
+        low, high = [-FARTHEST, -FARTHEST, 0.05] * 3, [FARTHEST] * 9
+        for count, start, least, most in ((6 * crosstalk, 0.05, 0.0, 2.0), (not response, 1.0, *RESPONSES)):
+            free, low, high = free + count * [start], low + count * [least], high + count * [most]
         residuals, jacobian = _problem(used, crosstalk, response, falloff)
         limits = {"bounds": (low, high), "x_scale": "jac", "max_nfev": 60}
         fit = scipy.optimize.least_squares(residuals, free, jacobian, loss="soft_l1", f_scale=0.05, **limits)
@@ -307,10 +285,9 @@ class NearLightModel(Stored, Untuned):
     def prepare(self, background: Array, shape: tuple[int, int]) -> PreparedNearLight:
         """Prepare the inverse light matrix of every pixel."""
         check_image_shape(shape, self.shape)
-        inverse = (
-            inverted_lights(self.lights_at(*pixel_positions(shape).T)).reshape(-1, 9).T.reshape(3, 3, *shape)
-        )
-        return PreparedNearLight(np.ascontiguousarray(inverse, dtype=np.float32), self.response)
+        inverse = inverted_lights(self.lights_at(*pixel_positions(shape).T)).transpose(1, 2, 0)
+        inverse = np.ascontiguousarray(inverse.reshape(3, 3, *shape), dtype=np.float32)
+        return PreparedNearLight(inverse, self.response)
 
 
 @dataclass(frozen=True)
@@ -329,12 +306,12 @@ class PreparedNearLight:
 
 
 def _pressed(samples: Samples) -> Samples:
-    """Some 4000 samples that are pressed and lit, because at rest every light gives the ratio 1."""
+    """Some 4000 samples that are pressed and lit, because at rest every light gives the ratio 1; neighbors say the same."""
     known = np.any(samples.gradients != 0, axis=1) & np.all(samples.color_change > DARKEST_RATIO - 1, axis=1)
     chosen = np.flatnonzero(known)
     if len(chosen) < LEAST_PRESSED:
         raise ValueError(f"Expected at least {LEAST_PRESSED} pressed and lit samples, got {len(chosen)}.")
-    chosen = chosen[:: max(1, len(chosen) // FITTED_SAMPLES)]
+    chosen = chosen[:: max(1, len(chosen) // 4000)]
     change = np.asarray(samples.color_change, dtype=np.float64)[chosen]
     x_px, y_px = samples.x_px[chosen], samples.y_px[chosen]
     return Samples(change, x_px, y_px, samples.gradients[chosen], samples.weight[chosen], samples.shape)
@@ -385,14 +362,3 @@ def _unpacked(values: Numbers, crosstalk: bool, response: float | None) -> tuple
     if crosstalk:
         mixture[OFF_DIAGONAL] = values[9:15]
     return values[:9].reshape(3, 3), mixture, response or float(values[-1])
-
-
-def inverted_lights(lights: Numbers) -> Numbers:
-    """Inverses of light matrices (N, 3, 3); ValueError: one is nearly singular."""
-    worst = float(np.linalg.cond(lights).max())
-    if not worst < MAX_CONDITION:
-        raise ValueError(
-            f"Expected three lights from directions that span space at every pixel, got a condition number of "
-            f"{worst:.3g} (limit {MAX_CONDITION:g}). Press at more places, or use the color model lambertian."
-        )
-    return np.asarray(np.linalg.inv(lights), dtype=np.float64)

@@ -30,7 +30,6 @@ MAX_POSITION_DEGREE = 5  # 21 functions of the place
 # Position degrees that calibration tries, and the accepted presses that each needs.
 DEGREES = (((1,), 3), ((2, 1), 6), ((3, 2, 0), 9), ((4, 3, 1), 18), ((5, 4, 3), 30))
 
-PIXELS = 16  # pixels of a row at a time, as in native/slopes/color_models/polynomial.c
 _polynomial_gradients = Kernel(
     "polynomial_gradients",
     "f32[h,w,3] change, f32[w] x, f32[h,2,t,c] table, i32[t] degrees, i32[t,2] parents, out f32[n] work, "
@@ -40,18 +39,11 @@ _polynomial_gradients = Kernel(
 
 @dataclass(frozen=True)
 class PolynomialModel(Stored):
-    """Polynomial in (R, G, B, x, y) without a constant: no color change, no slope.
+    """Polynomial in (R, G, B, x, y) without a constant: no color change, no slope."""
 
-    Attributes
-    ----------
-    coefficients : (terms, 2) float64
-    position_degrees : degree in (x, y) of the linear, quadratic, cubic ... color terms, such as (4, 3, 1)
-    shape : (H, W) of the images it was fitted on
-    """
-
-    coefficients: Numbers
-    position_degrees: tuple[int, ...]
-    shape: tuple[int, int]
+    coefficients: Numbers  # (terms, 2)
+    position_degrees: tuple[int, ...]  # in (x, y), of the linear, quadratic, cubic ... color terms
+    shape: tuple[int, int]  # (H, W) of the images it was fitted on
 
     name: ClassVar[str] = "polynomial"
     change_offset: ClassVar[float] = CHANGE_OFFSET
@@ -126,7 +118,8 @@ class PreparedPolynomial:
         """Gradients (H, W, 2) of a color change (H, W, 3); their deviation is in the calibration."""
         height, width, _ = color_change.shape
         gradients = np.empty((height, width, 2), dtype=np.float32)
-        work = np.empty(6 * (width + PIXELS), dtype=np.float32)
+        # For 16 pixels of a row at a time, as in native/slopes/color_models/polynomial.c.
+        work = np.empty(6 * (width + 16), dtype=np.float32)
         _polynomial_gradients(
             color_change, self._x, self._table, self._degrees, self._parents, work, gradients
         )

@@ -17,28 +17,17 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Samples:
-    """Pixels whose gradient is known.
+    """Pixels whose gradient is known."""
 
-    Attributes
-    ----------
-    color_change : (N, 3) float32
-    x_px, y_px : (N,) float32, pixel positions
-    gradients : (N, 2) float64, mm/mm
-    weight : (N,) float64, >= 0
-    shape : (H, W) of the images they come from
-    background : (H, W, 3) float32, the background image, for models that use the light at a place; or None
-    depth_px : (N,) float32, >= 0, depth in pixels from a plain model, for models that use it; or None
-    shared : what fits on these samples have in common, by the model; a model writes it here for its next fit
-    """
-
-    color_change: Array
-    x_px: Array
+    color_change: Array  # (N, 3) float32
+    x_px: Array  # (N,) float32, pixel positions
     y_px: Array
-    gradients: Array
-    weight: Array
-    shape: tuple[int, int]
-    background: Array | None = None
-    depth_px: Array | None = None
+    gradients: Array  # (N, 2) float64, mm/mm
+    weight: Array  # (N,) float64, >= 0
+    shape: tuple[int, int]  # (H, W) of the images they come from
+    background: Array | None = None  # (H, W, 3) float32, for models that use the light at a place
+    depth_px: Array | None = None  # (N,) float32, >= 0, from a plain model, for models that use it
+    # What fits on these samples have in common, by the model; a model writes it here for its next fit.
     shared: dict[str, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
 
 
@@ -78,16 +67,12 @@ def gradients_from_pending(
 
 
 class ColorModel(Protocol):
-    """A fitted color model; immutable.
+    """A fitted color model; immutable."""
 
-    Attributes
-    ----------
-    name : name for users and calibration files
-    change_offset : gray levels c of its color change `(I - I0)/(I0 + c)`; 0 for laws of physics
-    """
-
-    name: ClassVar[str]
-    change_offset: ClassVar[float]
+    name: ClassVar[str]  # for users and calibration files
+    change_offset: ClassVar[
+        float
+    ]  # gray levels c of its color change `(I - I0)/(I0 + c)`; 0 for laws of physics
 
     def gradients_at(self, color_change: Array, x_px: Array, y_px: Array) -> Numbers:
         """Gradients (N, 2) of scattered pixels."""
