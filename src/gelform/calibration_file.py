@@ -32,52 +32,30 @@ from gelform.image.view import MAX_PIXELS, View
 from gelform.slopes.color_models import COLOR_MODELS, IMPORTED_MODELS, ColorModel, ForwardResponse
 from gelform.slopes.sigma import SlopeSigma
 
-KIND = "gelform calibration"
-FORMAT_VERSION = 1
-MAX_BYTES = 512 * 2**20
-FULL_FRAME_PIXELS = 25e6  # of a whole camera frame, whose refusal says more than that of its size
-CARRIED_PRESSES = 2.0  # presses of a unit that halve the share of a model that began on other units
-SHOWN_PX = 240  # width of the background image in a notebook
+KIND, FORMAT_VERSION = "gelform calibration", 1
 
 
 @dataclass(frozen=True, eq=False)
 class CalibrationSettings(Mapping[str, Any]):
-    """The inputs and choices of a calibration; also a mapping of those that are known, by their names in files.
+    """The inputs and choices of a calibration; also a mapping of those that are known, by their names in files."""
 
-    Attributes
-    ----------
-    contact_radius_ratio : radius of the contact edge over the radius of the visible rim
-    step_ridge : ridge of the forward response that the step of slopes uses
-    start : digest of the calibration of another unit from which this one began
-    presses : number of presses used
-    response : exponent of the camera's response curve
-    camera : settings of the camera, as they were read back
-    scale_source, lens : source of mm_per_px, and of distortion and perspective
-    gel_thickness_mm : thickness of the gel at rest, mm
-    crosstalk : description of the crosstalk that is removed before the color model
-    relaxation_mm : length over which the gel falls off around a contact, mm
-    place_error : error of a ball's center over its displacement, for the covariance of motions
-    image_noise : (3,) standard deviation of a pixel of an image, gray levels
-    starter : only if other units of the make were calibrated and this one was not: the make (`sensor`), the relative
-        standard
-        deviation of slopes between units (`spread`), the `units`, and the `findings` about this unit's background
-    others : settings of the color model, options of an importer, and values that other releases wrote
-    """
-
-    contact_radius_ratio: float | None = None
-    step_ridge: float | None = None
-    start: str | None = None
-    presses: int | None = None
-    response: float | None = None
-    camera: Mapping[str, Any] | None = None
-    scale_source: str | None = None
-    lens: str | None = None
-    gel_thickness_mm: float | None = None
-    crosstalk: str | None = None
-    relaxation_mm: float | None = None
-    place_error: float | None = None
-    image_noise: Sequence[float] | None = None
+    contact_radius_ratio: float | None = None  # radius of the contact edge over that of the visible rim
+    step_ridge: float | None = None  # ridge of the forward response that the step of slopes uses
+    start: str | None = None  # digest of the calibration of another unit from which this one began
+    presses: int | None = None  # number of presses used
+    response: float | None = None  # exponent of the camera's response curve
+    camera: Mapping[str, Any] | None = None  # settings of the camera, as they were read back
+    scale_source: str | None = None  # source of mm_per_px
+    lens: str | None = None  # source of distortion and perspective
+    gel_thickness_mm: float | None = None  # thickness of the gel at rest, mm
+    crosstalk: str | None = None  # description of the crosstalk that is removed before the color model
+    relaxation_mm: float | None = None  # length over which the gel falls off around a contact, mm
+    place_error: float | None = None  # of a ball's center over its displacement, for motions' covariance
+    image_noise: Sequence[float] | None = None  # (3,) deviation of a pixel of an image, gray levels
+    # Only if other units of the make were calibrated and this one was not: the make (`sensor`), the relative standard
+    # deviation of slopes between units (`spread`), the `units`, and the `findings` about this unit's background.
     starter: Mapping[str, Any] | None = None
+    # Settings of the color model, options of an importer, and values that other releases wrote.
     others: Mapping[str, Any] = field(default_factory=dict)
 
     @classmethod
@@ -162,17 +140,16 @@ class Calibration:
         """A notebook's view of the calibration: its background image and its figures; nothing is fetched."""
         findings = ((finding.name, finding.message) for finding in self.findings)
         height, width = self.image_shape
-        size = SHOWN_PX, max(1, round(SHOWN_PX * height / width))
+        size = 240, max(1, round(240 * height / width))
         picture = cv2.resize(as_levels(self.background), size, interpolation=cv2.INTER_AREA)
         return shown_in_notebook("background", picture_bytes(picture), (*self._figures().items(), *findings))
 
     def _figures(self) -> dict[str, str]:
         height, width = self.image_shape
-        scale = "unknown" if self.mm_per_px is None else f"{self.mm_per_px:.4g} mm per pixel"
         figures = {
             "sensor": " ".join(filter(None, (self.sensor_name, self.serial, self.gel_id))),
             "size": f"{height}x{width} px",
-            "scale": scale,
+            "scale": "unknown" if self.mm_per_px is None else f"{self.mm_per_px:.4g} mm per pixel",
             "color model": self.color_model.name,
         }
         if self.settings.presses is not None:
@@ -201,7 +178,7 @@ class Calibration:
         if self.settings.starter is None and self.settings.start is None:
             return 0.0
         own = self.settings.presses if self.settings.starter is None else 0
-        return 1 / (1 + (own or 0) / CARRIED_PRESSES)
+        return 1 / (1 + (own or 0) / 2)  # two presses halve it
 
     @property
     def findings(self) -> tuple[Finding, ...]:
@@ -220,7 +197,8 @@ class Calibration:
     def most_pixels(self) -> float:
         """Pixels of a picture that can be meant for this sensor; a file that states more is refused before decoding."""
         height, width = self.view.frame_shape or self.image_shape
-        return min(MAX_PIXELS, max(4 * height * width, FULL_FRAME_PIXELS))
+        # The refusal of a whole camera frame says more than that of its size.
+        return min(MAX_PIXELS, max(4 * height * width, 25e6))
 
     @property
     def known_mm_per_px(self) -> float:
@@ -320,9 +298,8 @@ def load_calibration(path: str | PathLike[str]) -> Calibration:
     CalibrationError
         The file is missing, truncated, altered, not a calibration, or of a newer format: the message says which.
     """
-    arrays, meta = read_npz(
-        path, kind=KIND, newest_version=FORMAT_VERSION, max_bytes=MAX_BYTES, error=CalibrationError
-    )
+    version, most = FORMAT_VERSION, 512 * 2**20
+    arrays, meta = read_npz(path, kind=KIND, newest_version=version, max_bytes=most, error=CalibrationError)
     with damaged(path, "a calibration", "Restore a copy or calibrate again.", CalibrationError):
         return calibration_from_contents(arrays, meta)
 
@@ -338,17 +315,18 @@ def _check_contents(arrays: dict[str, NDArray[Any]], meta: dict[str, Any]) -> No
         for name in names:
             if not isinstance(meta[name], kinds):
                 raise TypeError(f"Expected {name} of another type, got {type(meta[name]).__name__}.")
+    settings = meta["settings"]
     if meta["mm_per_px"] is not None:
         check_mm_per_px(check_positive(meta["mm_per_px"], "mm_per_px"))
     if meta["mm_per_px_sigma"] is not None:
         check_within(meta["mm_per_px_sigma"], "mm_per_px_sigma", 0, 1e3)
     check_within(meta["untouched_change"], "untouched_change", 0, 1e3)
-    if "starter" in meta["settings"]:
-        check_within(meta["settings"]["starter"]["spread"], "spread", 0, 1)
-    if "place_error" in meta["settings"]:
-        check_within(meta["settings"]["place_error"], "place_error", 0, 1)
-    if "gel_thickness_mm" in meta["settings"]:
-        check_gel_thickness(meta["settings"]["gel_thickness_mm"])
+    if "starter" in settings:
+        check_within(settings["starter"]["spread"], "spread", 0, 1)
+    if "place_error" in settings:
+        check_within(settings["place_error"], "place_error", 0, 1)
+    if "gel_thickness_mm" in settings:
+        check_gel_thickness(settings["gel_thickness_mm"])
     shape = tuple(meta["image_shape"])
     if len(shape) != 2 or not all(type(size) is int and size > 0 for size in shape):
         raise ValueError(f"Expected image_shape as two whole numbers, got {meta['image_shape']}.")
@@ -384,31 +362,29 @@ def calibration_from_contents(arrays: dict[str, NDArray[Any]], meta: dict[str, A
 
     KeyError, TypeError or ValueError: the contents do not fit together.
     """
+
+    def parts(prefix: str) -> dict[str, NDArray[Any]]:
+        return {name.removeprefix(prefix): one for name, one in arrays.items() if name.startswith(prefix)}
+
     _check_contents(arrays, meta)
-    shape: tuple[int, int] = (int(meta["image_shape"][0]), int(meta["image_shape"][1]))
+    height, width = meta["image_shape"]
     models = {**COLOR_MODELS, **IMPORTED_MODELS}
     if meta["color_model"] not in models:
         raise ValueError(f"unknown color model {meta['color_model']!r}, known are {', '.join(models)}")
-    own = _parts(arrays, "model_")
+    forward, slope_sigma = meta["forward_settings"], meta["slope_sigma"]
+    if forward is not None:
+        forward = ForwardResponse.from_arrays(parts("forward_"), {**forward, "shape": [height, width]})
     return Calibration(
         **{name: meta[name] for name in _STORED_AS_THEY_ARE},
         view=View.from_dict(meta["view"]),
-        image_shape=shape,
+        image_shape=(height, width),
         background=arrays["background"],
         background_noise=arrays["background_noise"],
         change=ChangeSettings(**meta["change"]),
-        color_model=models[meta["color_model"]].from_arrays(own, meta["model_settings"]),
-        forward=None
-        if meta["forward_settings"] is None
-        else ForwardResponse.from_arrays(
-            _parts(arrays, "forward_"), {**meta["forward_settings"], "shape": meta["image_shape"]}
-        ),
-        slope_sigma=None if meta["slope_sigma"] is None else SlopeSigma.from_dict(meta["slope_sigma"]),
+        color_model=models[meta["color_model"]].from_arrays(parts("model_"), meta["model_settings"]),
+        forward=forward,
+        slope_sigma=None if slope_sigma is None else SlopeSigma.from_dict(slope_sigma),
         training_digests=tuple(meta["training_digests"]),
         settings=CalibrationSettings.from_dict(meta["settings"]),
         force=ForceModel.from_dict(meta["force"]) if "force" in meta else None,
     )
-
-
-def _parts(arrays: dict[str, NDArray[Any]], prefix: str) -> dict[str, NDArray[Any]]:
-    return {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}

@@ -46,18 +46,9 @@ from gelform.slopes.color_models.seam import AlbedoModel, gradients_from_pending
 from gelform.slopes.gradients import slopes_of_solution
 from gelform.slopes.sigma import Clipped, ClippedChannels, SlopeSigma, either, excess_noise, outside_of_gel
 
-# Values for an imported calibration without its own; they affect the contact mask and the anchor, but no slope.
-USUAL_WIDTH_MM = 20.0  # mm, width of the frame on the gel; about that of a GelSight Mini
-USUAL_SIGMA = 0.05  # mm/mm, standard deviation of a slope
-BYTES_PER_PX = 80  # bytes that one frame allocates in all
 ON_DEMAND = (  # what a result computes on first use
     "gradients", "gradients_sigma", "confidence", "depth_sigma_mm", "contact", "health", "outside_change", "curl_rms",
 )  # fmt: skip
-
-
-def _usual_sigma() -> SlopeSigma:
-    one = USUAL_SIGMA
-    return SlopeSigma(rest=one, per_step=one, full_confidence_sigma=one, correlation_px=1.0, shown=(1e3, 1e3))
 
 
 class FromCalibration:
@@ -65,9 +56,13 @@ class FromCalibration:
 
     def __init__(self, calibration: Calibration, solver: str) -> None:
         self.calibration, self.known = calibration, calibration.slope_sigma
-        shape, forward, sigma = calibration.image_shape, calibration.forward, self.known or _usual_sigma()
-        self.slope_sigma = sigma
-        self.pitch = calibration.mm_per_px or USUAL_WIDTH_MM / shape[1]
+        shape, forward = calibration.image_shape, calibration.forward
+        # An imported calibration without its own has a slope's deviation of 0.05 and a width of 20 mm, as of a GelSight
+        # Mini: they affect the contact mask and the anchor, but no slope.
+        self.slope_sigma = sigma = self.known or SlopeSigma(
+            rest=0.05, per_step=0.05, full_confidence_sigma=0.05, correlation_px=1.0, shown=(1e3, 1e3)
+        )
+        self.pitch = calibration.mm_per_px or 20.0 / shape[1]
         self.stepped = SteppedSlopes(forward, shape, calibration.untouched_change)
         self.outlier = OUTLIER if forward is None else OUTLIER * forward.residual_scale
         self.slope_per_change = 1.0 if forward is None else forward.slope_per_change
@@ -115,19 +110,16 @@ class FromBackground:
 
 
 class SeenImage(NamedTuple):
-    """What an image shows, and what may be wrong with it: the first stage of reading its slopes.
-
-    `image` is without its lost parts and markers; `unseen` are the pixels without gel or with too few usable channels.
-    """
+    """What an image shows, and what may be wrong with it: the first stage of reading its slopes."""
 
     raw: Array
-    image: Array
+    image: Array  # without its lost parts and markers
     faults: FrameFaults
     flow: MarkerFlow | None
     markers: Mask | None
     hidden: Mask | None
     clipped: Clipped
-    unseen: Mask | None
+    unseen: Mask | None  # pixels without gel or with too few usable channels
     light: FrameLight
     findings: tuple[Finding, ...]
 
@@ -148,22 +140,16 @@ class once:
 
 @dataclass(frozen=True, eq=False)
 class FrameRecord:
-    """What the depth of a frame was solved from. The rest of its result follows from it, on first use; threads can share it.
-
-    Attributes
-    ----------
-    depth_mm : (H, W), within the limit
-    findings : those that are known with the depth
-    """
+    """What the depth of a frame was solved from. The rest of its result follows on first use; threads can share it."""
 
     fixed: FromCalibration
     today: FromBackground
     seen: SeenImage
     slopes: ReadSlopes
     solution: Integration
-    depth_mm: Map
+    depth_mm: Map  # (H, W), within the limit
     known: Mask
-    findings: tuple[Finding, ...]
+    findings: tuple[Finding, ...]  # those that are known with the depth
 
     @once
     def gradients(self) -> Slopes:
@@ -195,10 +181,8 @@ class FrameRecord:
         """The errors of the depth; None if the calibration does not know those of slopes, or has no scale."""
         if self.fixed.depth_sigma is None:
             return None
-        budget = self.budget
-        return self.fixed.depth_sigma(
-            self.gradients, self.depth_mm, self.slopes.at_rest, self.known, budget.read, budget.steep
-        )
+        maps = self.gradients, self.depth_mm, self.slopes.at_rest, self.known
+        return self.fixed.depth_sigma(*maps, self.budget.read, self.budget.steep)
 
     @property
     def depth_factor(self) -> float:
@@ -238,11 +222,8 @@ class FrameRecord:
                 *self.today.contact.pressed_background(*self._touch(DepthErrors.slope_sigma)),
             )
         touched = partial(self.today.untouched_image.touched, self.seen.image)
-        return (
-            *self.findings,
-            *of_depth,
-            *unknown_contact(self.contact, self.slopes.at_rest, self.known, touched),
-        )
+        unknown = unknown_contact(self.contact, self.slopes.at_rest, self.known, touched)
+        return *self.findings, *of_depth, *unknown
 
     @property
     def confidence(self) -> Map:
@@ -325,7 +306,7 @@ class Reconstructor:
         self._today = FromBackground(self._calibrated, self.background)
         self.markers = MarkerFollower(self.background, calibration.mm_per_px)
         self._pool = Pool(lambda: np.empty((*calibration.image_shape, 3), dtype=np.float32))
-        keep_freed_memory(BYTES_PER_PX * int(np.prod(calibration.image_shape)))
+        keep_freed_memory(80 * int(np.prod(calibration.image_shape)))  # bytes that one frame allocates in all
 
     def __repr__(self) -> str:
         height, width = self.calibration.image_shape
@@ -483,12 +464,8 @@ class Reconstructor:
         )  # fmt: skip
         noise, light = record.fixed_rows
         rows = today.budget.frame_rows(slopes, noise, light)
-        return explanation_of(
-            today.budget(slopes, noise, light, depth=record.depth_mm, rows=True),
-            rows,
-            shown,
-            today.budget.full_confidence_sigma,
-        )
+        budget = today.budget(slopes, noise, light, depth=record.depth_mm, rows=True)
+        return explanation_of(budget, rows, shown, today.budget.full_confidence_sigma)
 
 
 def _prepared_again(

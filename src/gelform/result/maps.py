@@ -9,19 +9,16 @@ from dataclasses import dataclass
 class ResultMap:
     """One map of a result."""
 
-    # name of the attribute of `Reconstruction`, and in files; the depth of a result without a scale is `depth_px`
-    name: str
+    name: str  # of the attribute of `Reconstruction`, and in files; without a scale the depth is `depth_px`
     dtype: str  # "float32" or "bool"
     unit: str  # "" if it has none
     meaning: str  # in words
     axes: tuple[int, ...] = ()  # sizes after (H, W)
     optional: bool = False  # whether a result can lack it
     derived: bool = False  # whether it follows from other maps, so that a result's file omits it
-    # name of the map in the choice of a batch; "" if a batch keeps it only in complete results
-    kept_as: str = ""
+    kept_as: str = ""  # its name in the choice of a batch; "" if a batch keeps it only in complete results
     plane: str = ""  # name of the map on the live page; "" if the page does not draw it by itself
-    # step of the page's 8-bit levels, in the map's unit; 0 if the page converts it in another way
-    plane_step: float = 0.0
+    plane_step: float = 0.0  # of the page's 8-bit levels, in the map's unit; 0 if there are none
     colors: str = ""  # matplotlib's name of the color map; "" if no picture shows the map by itself
 
 

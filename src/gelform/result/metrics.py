@@ -50,17 +50,10 @@ def followed_radius(contact_radius_px: float, ball_radius_px: float) -> float:
 def ball_gradients(
     x_px: ArrayLike, y_px: ArrayLike, center_px: tuple[float, float], radius_px: float | tuple[float, float]
 ) -> Numbers:
-    """Slopes `p = -u/sqrt(R^2 - u^2 - v^2)` of a ball, u and v its pixel distances from the center.
+    """Slopes `p = -u/sqrt(R^2 - u^2 - v^2)` (..., 2) of a ball, u and v its pixel distances from the center.
 
-    Parameters
-    ----------
-    x_px, y_px : (...) pixel positions
-    center_px : (x, y)
-    radius_px : the ball's radius, px; or (x, y) if pixels are not square
-
-    Returns
-    -------
-    gradients : (..., 2) float64; beyond 0.97 R the slope stays constant, because it grows without bound at R
+    Beyond 0.97 R the slope stays constant, because it grows without bound at R. The radius R is one, or (x, y) if pixels are
+    not square.
     """
     rx, ry = np.broadcast_to(np.asarray(radius_px, dtype=np.float64), (2,))
     u = (np.asarray(x_px, dtype=np.float64) - center_px[0]) / rx
@@ -273,11 +266,7 @@ def press_errors(
 
     sphere = fit_sphere(depth_mm, inside, mm_per_px=mm_per_px, radius_mm=ball_radius_mm)
     far = rho > 2.5 * contact
-    off = (
-        float(1e3 * np.sqrt(np.mean(np.square(depth_mm[far], dtype=np.float64))))
-        if far.any()
-        else float("nan")
-    )
+    off = 1e3 * np.sqrt(np.mean(np.square(depth_mm[far], dtype=np.float64))) if far.any() else np.nan
     return PressErrors(
         normal_deg=normal((cx, cy), inside),
         normal_free_deg=normal(free[0], inside_free[0]),
@@ -285,7 +274,7 @@ def press_errors(
         cap_um=cap((cx, cy), inside),
         cap_free_um=cap(free[1], inside_free[1]),
         radius_percent=100 * (sphere.radius_mm - ball_radius_mm) / ball_radius_mm,
-        off_contact_um=off,
+        off_contact_um=float(off),
     )
 
 

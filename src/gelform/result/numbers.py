@@ -36,7 +36,6 @@ def numbers_of(result: Any) -> Numbers | None:
     touched = int(np.count_nonzero(result.contact))
     area, volume = float(touched), float(depth[result.contact].sum(dtype=np.float64))
     if result.mm_per_px is not None:
-        area, volume = (
-            float(sum(getattr(one, name) for one in found)) for name in ("area_mm2", "volume_mm3")
-        )
+        area = float(sum(one.area_mm2 for one in found))
+        volume = float(sum(one.volume_mm3 for one in found))
     return Numbers(float(depth[y, x]), float(depth[known].min()), x, y, area, volume, len(found), touched)

@@ -34,17 +34,13 @@ from gelform.result.maps import BESIDE_DEPTH, MAPS
 from gelform.result.numbers import Numbers, numbers_of
 from gelform.slopes.normals import normals_from_gradients
 
-# px in a notebook: the picture's width, and the distance of stripes over unknown depth.
-THUMBNAIL_PX, HATCH_PX = 240, 8
+THUMBNAIL_PX = 240  # the picture's width in a notebook
 
 
 class Later:
     """A value of a result that is computed on first use. Copies of the result share it; threads can ask for it at once.
 
-    Parameters
-    ----------
-    make : computes it
-    lock : held meanwhile; values that follow from the same things have one lock
+    Values that follow from the same things have one lock, which is held meanwhile.
     """
 
     def __init__(self, make: Callable[[], Any], lock: RLock | None = None) -> None:
@@ -133,8 +129,7 @@ class Reconstruction:
 
     def __getattr__(self, name: str) -> Any:
         """Compute what is not there yet."""
-        later = vars(self).get("_later", {}).get(name)
-        if later is None:
+        if (later := vars(self).get("_later", {}).get(name)) is None:
             raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
         vars(self)[name] = value = later()
         return value
@@ -259,13 +254,10 @@ class Reconstruction:
     @property
     def peak_mm(self) -> float:
         """The largest depth of the known pixels, mm; NaN if none is known."""
-        return (
-            float(self.depth_mm.max(where=self.known, initial=-np.inf)) if self.known.any() else float("nan")
-        )
+        return float(self.depth_mm.max(where=self.known, initial=-np.inf)) if self.known.any() else np.nan
 
     def __repr__(self) -> str:
-        figures = ", ".join(f"{name}: {value}" for name, value in self._figures().items())
-        return f"Reconstruction({figures})"
+        return f"Reconstruction({', '.join(f'{name}: {value}' for name, value in self._figures().items())})"
 
     def _repr_html_(self) -> str:
         """A notebook's view of the result: a small picture of the depth and its figures; nothing is fetched."""
@@ -304,30 +296,19 @@ def _depth_png(depth: Map, known: Mask) -> bytes:
     small = cv2.resize(levels, size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR)
     colors = np.asarray(cv2.applyColorMap(small, cv2.COLORMAP_VIRIDIS))
     row, col = np.ogrid[: size[1], : size[0]]
-    hatch = np.where((row + col) % HATCH_PX < 2, np.uint8(150), np.uint8(225))
+    hatch = np.where((row + col) % 8 < 2, np.uint8(150), np.uint8(225))
     unknown = cv2.resize(known.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) == 0
     colors[unknown] = hatch[unknown][:, np.newaxis]
     return picture_bytes(colors[..., ::-1])  # OpenCV colors are BGR
 
 
-KIND = "gelform result"
-FORMAT_VERSION = 1
-MAX_BYTES = 4 * 2**30  # bytes that a file may declare: far beyond any frame's result
+KIND, FORMAT_VERSION = "gelform result", 1
 OPTIONAL = "outside_change"  # that earlier files lack
 MARKERS = "markers_"  # before the names of the arrays of a `MarkerFlow`
-BOOLEAN = {f"{MARKERS}seen", *(one.name for one in MAPS.values() if one.dtype == "bool")}
 _META = (
-    "mm_per_px_sigma",
-    "zero",
-    "solver",
-    "curl_rms",
-    "health",
-    "outside_change",
-    "index",
-    "time_s",
-    "wall_time_ns",
+    "mm_per_px_sigma", "zero", "solver", "curl_rms", "health", "outside_change", "index", "time_s", "wall_time_ns",
     "calibration_digest",
-)
+)  # fmt: skip
 
 
 def save_result(result: Reconstruction, path: str | PathLike[str], *, overwrite: bool = False) -> None:
@@ -363,13 +344,15 @@ def load_result(path: str | PathLike[str]) -> Reconstruction:
     DataError
         The file is missing, truncated, altered, no result, or of a newer format; the message says which.
     """
-    arrays, meta = read_npz(
-        path, kind=KIND, newest_version=FORMAT_VERSION, max_bytes=MAX_BYTES, error=DataError
-    )
+    most = 4 * 2**30  # bytes that a file may declare: far beyond any frame's result
+    arrays, meta = read_npz(path, kind=KIND, newest_version=FORMAT_VERSION, max_bytes=most, error=DataError)
     with damaged(path, "a result", "Reconstruct again.", DataError):
         _check_contents(arrays, meta)
         dots = {name.removeprefix(MARKERS): arrays[name] for name in arrays if name.startswith(MARKERS)}
-        mm_per_px = _pitch(arrays["mm_per_px"]) if "depth_px" not in arrays else None
+        mm_per_px: float | tuple[float, float] | None = None
+        if "depth_px" not in arrays:
+            x, y = check_mm_per_px(arrays["mm_per_px"])
+            mm_per_px = x if arrays["mm_per_px"].ndim == 0 else (x, y)
         settings = {name: meta[name] for name in _META if name != OPTIONAL or name in meta}
         settings["health"] = tuple(Finding(**finding) for finding in meta["health"])
         maps: dict[str, Any] = {one.name: arrays.get(one.name) for one in BESIDE_DEPTH}
@@ -384,8 +367,9 @@ def load_result(path: str | PathLike[str]) -> Reconstruction:
 
 def _check_contents(arrays: dict[str, Array], meta: dict[str, Any]) -> None:
     """Refuse NaN, arrays of other types and settings of the wrong kind; the record checks the shapes."""
+    boolean = {f"{MARKERS}seen", *(one.name for one in MAPS.values() if one.dtype == "bool")}
     for name, array in arrays.items():
-        wanted = np.bool_ if name in BOOLEAN else np.floating
+        wanted = np.bool_ if name in boolean else np.floating
         if not np.issubdtype(array.dtype, wanted):
             raise TypeError(f"Expected {name} of another type, got {array.dtype}.")
         check_finite(array, name)
@@ -400,8 +384,3 @@ def _check_contents(arrays: dict[str, Array], meta: dict[str, Any]) -> None:
         if not isinstance(finding["name"], str) or not isinstance(finding["message"], str):
             raise TypeError("Expected findings with a name and a message.")
         check_number(finding["figure"], "figure")
-
-
-def _pitch(stored: Array) -> float | tuple[float, float]:
-    x, y = check_mm_per_px(stored)
-    return x if stored.ndim == 0 else (x, y)
