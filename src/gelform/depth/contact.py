@@ -129,12 +129,11 @@ class Evidence:
     def _influence(self) -> Floats:
         """Depth, mm, that a pressure of 1/mm on a pixel makes, by squared distance in pixels of mean size."""
         area = self.pitch[0] * self.pitch[1]
-        # px^2. Beyond six relaxation lengths a pressure's depth is a thousandth; no contact is a thousand pixels wide.
+        # px^2. Beyond six relaxation lengths a pressure's depth is a thousandth; no contact is a thousand pixels wide. At 0
+        # the logarithm is that of the mean over a disc of a pixel's area.
         reach = min((6 * self.length_mm) ** 2 / area, 1e6)
         squares = np.arange(int(reach) + 2, dtype=np.float64)
-        squares[0] = 1 / (
-            np.pi * np.e
-        )  # where the logarithm is that of the mean over a disc of a pixel's area
+        squares[0] = 1 / (np.pi * np.e)
         depth = bessel_k(0, np.sqrt(squares * area) / self.length_mm) * area / (2 * np.pi)
         return np.asarray(depth, dtype=np.float32)
 

@@ -91,9 +91,9 @@ class DepthSigma:
         own = below / np.maximum(free, np.float32(LEAST_FREE))
         of_frame = float(cells[2].mean()) / max(float(cells[3].mean()), LEAST_FREE)
         least = np.float32(1e-14)  # mm^2; the filter rounds
-        spreads = (np.maximum(one * self._beside_border, least) for one in (anywhere, of_contact))
-        gain = self.numbers["gain"]
-        return DepthErrors(self.coarse, *spreads, own, of_frame, cells[4:], self._mm_per_px, gain)
+        anywhere, of_contact = (np.maximum(m * self._beside_border, least) for m in (anywhere, of_contact))
+        numbers = own, of_frame, cells[4:], self._mm_per_px, self.numbers["gain"]
+        return DepthErrors(self.coarse, anywhere, of_contact, *numbers)
 
 
 @dataclass(frozen=True, eq=False)

@@ -42,6 +42,7 @@ FOUND, LOST, UNSURE = "found", "lost", "cannot tell yet"
 LEAST_SHARE, LEAST_PX = 0.25, 300  # of the contact, and pixels, that both frames touch
 # Mm and degrees: farther from the start there are other minima; farther turned, every method drifts by .1-.3 mm, 2-5 deg.
 MOST_FROM_START_MM, MOST_TURN_DEG = 0.5, 10.0
+NO_PRIOR = 10.0, float(np.radians(MOST_TURN_DEG))  # mm and rad, what is known where nothing is seen
 LAST_MM, LAST_RAD = 2e-3, 5e-4  # a smaller step is the last
 BLOCK_PX = 16  # px, side of the blocks whose errors count as independent
 
@@ -117,7 +118,7 @@ def motion_between(
 def checked_prior(prior: Sequence[float] | None) -> tuple[float, float]:
     """Standard deviations of a start, mm and rad; by default those that leave nothing known."""
     if prior is None:
-        return 10.0, float(np.radians(MOST_TURN_DEG))
+        return NO_PRIOR
     shift, turn = check_numbers(prior, "prior", 2)
     # Beyond, the squares of a prior and of what was seen have no common precision.
     return check_within(shift, "prior's mm", 1e-6, 1e6), check_within(turn, "prior's rad", 1e-6, 1e6)

@@ -38,7 +38,8 @@ def normals_from_image(image: ArrayLike, lights: ArrayLike) -> tuple[Map, Map]:
     g = check_values(image, "image", (3,)) @ inverse_lights(lights).astype(np.float32).T
     albedo = np.linalg.norm(g, axis=-1)
     lit = albedo > 0
-    normals = np.where(lit[..., None], g / np.where(lit, albedo, 1)[..., None], np.float32([0, 0, 1]))
+    up = np.array([0, 0, 1], dtype=np.float32)
+    normals = np.where(lit[..., None], g / np.where(lit, albedo, 1)[..., None], up)
     return normals.astype(np.float32), albedo.astype(np.float32)
 
 

@@ -111,10 +111,10 @@ class ForwardResponse(Stored):
         its own instead of to 0.
         """
         assert samples.depth_px is not None
-        g, z, target, from_nodes = samples.gradients, samples.depth_px, samples.color_change, 0
+        g, z, target = samples.gradients, samples.depth_px, samples.color_change
+        from_nodes = 0 if start is None else start.nodes
         if start is not None:
             target = target - start.color_from_gradients(g, samples.x_px, samples.y_px, depth_px=z)
-            from_nodes = start.nodes
         regression = VaryingRegression.of(_terms(g, z), target, samples)
         pressed = np.any(g != 0, axis=1)[:: round(len(samples.x_px) / len(regression.target))]
         found = []

@@ -243,7 +243,7 @@ class MlpModel(Stored, Untuned):
         threads = torch.get_num_threads()
         torch.set_num_threads(1)
         try:
-            return cls(_trained(torch, *tensors, hidden, steps, weight_decay, seed), scale, samples.shape)
+            return cls(_trained(torch, tensors, hidden, steps, weight_decay, seed), scale, samples.shape)
         finally:
             torch.set_num_threads(threads)
 
@@ -264,17 +264,10 @@ class MlpModel(Stored, Untuned):
 
 
 def _trained(
-    torch: Any,
-    touched: Any,
-    rest: Any,
-    target: Any,
-    weight: Any,
-    hidden: tuple[int, ...],
-    steps: int,
-    decay: float,
-    seed: int,
+    torch: Any, samples: list[Any], hidden: tuple[int, ...], steps: int, decay: float, seed: int
 ) -> Layers:
     """Layers for inputs under touch and at rest (N, 5), the difference of their outputs (N, 2), and weights of mean 1."""
+    touched, rest, target, weight = samples
     random = torch.Generator().manual_seed(seed)
     layers = _initial(torch, (touched.shape[1], *hidden, 2), random)
     optimizer = torch.optim.AdamW([p for pair in layers for p in pair], lr=1e-2, weight_decay=decay)

@@ -286,8 +286,8 @@ class NearLightModel(Stored, Untuned):
         """Prepare the inverse light matrix of every pixel."""
         check_image_shape(shape, self.shape)
         inverse = inverted_lights(self.lights_at(*pixel_positions(shape).T)).transpose(1, 2, 0)
-        inverse = np.ascontiguousarray(inverse.reshape(3, 3, *shape), dtype=np.float32)
-        return PreparedNearLight(inverse, self.response)
+        inverse_maps = np.ascontiguousarray(inverse.reshape(3, 3, *shape), dtype=np.float32)
+        return PreparedNearLight(inverse_maps, self.response)
 
 
 @dataclass(frozen=True)
