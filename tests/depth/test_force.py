@@ -30,6 +30,8 @@ from gelform.errors import DataError
 from gelform.image.markers import MarkerFlow
 from gelform.result import Reconstruction
 
+pytestmark = pytest.mark.linear_algebra
+
 SHAPE, PITCH = (60, 80), 0.1
 GRID = np.stack(np.meshgrid(np.arange(6.0), np.arange(5.0)), axis=-1).reshape(-1, 2) * 1.2 + 0.8
 STILL = DotMotion(0, 0, 0, 0, 0)
@@ -56,7 +58,6 @@ def dotted(moved_mm, seen=None, **known):
     return pressed(markers=flow, **known)
 
 
-@pytest.mark.linear_algebra
 def test_the_volume_of_a_block():
     touch = touch_from_result(pressed())
     assert touch.volume_mm3 == pytest.approx(1.0 * 2.0 * 0.5, rel=1e-6)
@@ -65,14 +66,12 @@ def test_the_volume_of_a_block():
     assert touch.dots is None is touch.rest_mm
 
 
-@pytest.mark.linear_algebra
 def test_uneven_pixels_and_depth_outside_the_contact():
     result = pressed(mm_per_px=(0.1, 0.2))
     result.depth[:10] = -0.3
     assert touch_from_result(result).volume_mm3 == pytest.approx(2.0, rel=1e-6)
 
 
-@pytest.mark.linear_algebra
 def test_a_volume_is_as_uncertain_as_its_depth():
     """Whose deviation has what depth below 0 shows beside the contact."""
     sigma = np.full(SHAPE, 0.03, np.float32)
@@ -83,27 +82,23 @@ def test_a_volume_is_as_uncertain_as_its_depth():
     assert touch_from_result(pressed()).volume_sigma_mm3 == 0, "nothing is stated of the depth"
 
 
-@pytest.mark.linear_algebra
 def test_a_force_falls_from_a_tenth_below_the_largest_volume_of_a_contact():
     touches = [Touch(volume_mm3=volume) for volume in (0, 1, 2, 1.9, 1.7, 0, 1, None, 0.5)]
     falling = [touch.falling for touch in touches_in_order(touches)]
     assert falling == [False, False, False, False, True, False, False, False, False]
 
 
-@pytest.mark.linear_algebra
 def test_the_part_of_a_contact_at_the_border():
     assert touch_from_result(pressed(np.s_[0:20, 30:50])).border_share == pytest.approx(2 / 20)
     assert touch_from_result(pressed(np.s_[20:30, -1:])).border_share == 1
     assert touch_from_result(pressed(np.s_[2:58, 2:78])).border_share == 0
 
 
-@pytest.mark.linear_algebra
 @pytest.mark.parametrize(("known", "volume"), [({"depth_mm": 0}, 0), ({"mm_per_px": None}, None)])
 def test_no_contact_and_no_scale(known, volume):
     assert touch_from_result(pressed(**known)).volume_mm3 == volume
 
 
-@pytest.mark.linear_algebra
 def test_dots_that_turn_slide_and_tilt():
     angle, middle = 0.02, GRID.mean(axis=0)
     at = GRID - middle
@@ -116,7 +111,6 @@ def test_dots_that_turn_slide_and_tilt():
     )
 
 
-@pytest.mark.linear_algebra
 def test_the_dots_of_a_result_rise_with_its_depth():
     y, x = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(np.float32) * PITCH
     result = dotted((0.3, -0.2))
@@ -125,7 +119,6 @@ def test_the_dots_of_a_result_rise_with_its_depth():
     assert motion == pytest.approx((0.3, -0.2, 0, 0.03, -0.02), abs=1e-4)
 
 
-@pytest.mark.linear_algebra
 def test_unseen_dots_do_not_count_and_too_few_say_nothing():
     seen = np.arange(len(GRID)) % 2 == 0
     moved = np.where(seen[:, None], (0.3, -0.2), (9.0, 9.0))
@@ -135,7 +128,6 @@ def test_unseen_dots_do_not_count_and_too_few_say_nothing():
     assert few.rest_mm.shape == GRID.shape
 
 
-@pytest.mark.linear_algebra
 @pytest.mark.parametrize(
     ("rest", "same"),
     [(GRID + 0.05, True), (GRID[3:], True), (GRID + 0.5, False), (GRID * 1.4, False), (GRID[:10], False)],
@@ -144,7 +136,6 @@ def test_the_same_dots_and_others(rest, same):
     assert (Dots(GRID).why_none(Touch(rest_mm=rest, dots=STILL)) == "") is same
 
 
-@pytest.mark.linear_algebra
 @pytest.mark.parametrize(
     ("rest", "moved"), [(GRID, GRID[:4]), (GRID[:2], GRID[:2]), (GRID[:6], GRID[:6]), (GRID[0], GRID[0])]
 )
@@ -308,7 +299,6 @@ def dragged(count, rng, weights, object="recording"):
 WEIGHTS = np.array([[-1.5, 0.1, 3], [0.1, -1.4, 0], [1, 2, 150], [3, 0, 0], [0, 3, 0], [0.05, -0.1, 1]])
 
 
-@pytest.mark.linear_algebra
 def test_the_stiffness_is_the_median_and_sigma_that_of_left_out_objects():
     model = calibrate_force(*weighed())
     assert model.normal.weights[0][0] == pytest.approx(0.045)
@@ -322,12 +312,10 @@ def test_the_stiffness_is_the_median_and_sigma_that_of_left_out_objects():
     assert force.shear_n is None
 
 
-@pytest.mark.linear_algebra
 def test_one_object_states_thirty_percent():
     assert calibrate_force(*weighed({"ball": 0.04})).normal.relative == 0.3
 
 
-@pytest.mark.linear_algebra
 def test_sigma_is_that_of_left_out_grasps():
     """Two objects of the same stiffness on average, each with a stiff and a soft grasp."""
     touches, loads = weighed({"ball": 0.04, "cube": 0.04})
@@ -338,7 +326,6 @@ def test_sigma_is_that_of_left_out_grasps():
     assert calibrate_force(touches, loads).normal.relative < 0.01
 
 
-@pytest.mark.linear_algebra
 def test_falling_forces_do_not_count():
     touches, loads = weighed()
     touches += [pressed_fit(100, falling=True)] * 9
@@ -346,7 +333,6 @@ def test_falling_forces_do_not_count():
     assert calibrate_force(touches, loads).normal == calibrate_force(*weighed()).normal
 
 
-@pytest.mark.linear_algebra
 def test_refused_touches_and_the_gauge_s_zero_do_not_count():
     touches, loads = weighed()
     touches += [
@@ -383,7 +369,6 @@ BAD = {
 }
 
 
-@pytest.mark.linear_algebra
 @pytest.mark.parametrize("name", BAD)
 def test_bad_input_gets_a_sentence(name):
     given, said = BAD[name]
@@ -391,13 +376,11 @@ def test_bad_input_gets_a_sentence(name):
         calibrate_force(*given)
 
 
-@pytest.mark.linear_algebra
 def test_who_is_sure_of_newtons_may_have_a_hard_gel():
     stiff = weighed({name: 100 * k for name, k in K.items()})
     assert calibrate_force(*stiff, sure_of_unit=True).normal.weights[0][0] == pytest.approx(4.5)
 
 
-@pytest.mark.linear_algebra
 def test_other_counts_and_kinds():
     touches, loads = weighed()
     with pytest.raises(ValueError, match="one load for each press"):
@@ -406,7 +389,6 @@ def test_other_counts_and_kinds():
         calibrate_force(touches, [1.0] * len(touches))
 
 
-@pytest.mark.linear_algebra
 def test_shear_and_torsion_come_back():
     rng = np.random.default_rng(3)
     parts = [dragged(30, rng, WEIGHTS, f"recording {k}") for k in range(3)]
@@ -417,7 +399,6 @@ def test_shear_and_torsion_come_back():
     assert model.normal is None
 
 
-@pytest.mark.linear_algebra
 def test_with_few_loads_only_k_t():
     rng = np.random.default_rng(4)
     model = calibrate_force(*dragged(9, rng, WEIGHTS))
@@ -427,7 +408,6 @@ def test_with_few_loads_only_k_t():
     assert model.shear.relative >= 0.3
 
 
-@pytest.mark.linear_algebra
 def test_dots_of_two_gels_are_refused():
     touches, loads = dragged(20, np.random.default_rng(5), WEIGHTS)
     touches[7] = replace(touches[7], rest_mm=GRID + 0.6)
@@ -435,7 +415,6 @@ def test_dots_of_two_gels_are_refused():
         calibrate_force(touches, loads)
 
 
-@pytest.mark.linear_algebra
 def test_errors_stand_beside_those_of_the_best_constant():
     model = calibrate_force(*weighed())
     touches = [pressed_fit(v) for v in (100, 150, 250, 100, 20, 20)]
@@ -468,7 +447,6 @@ LOADS = st.builds(
 )
 
 
-@pytest.mark.linear_algebra
 @pytest.mark.slow
 @settings(max_examples=200, deadline=None)
 @given(st.lists(st.tuples(TOUCHES, LOADS), min_size=1, max_size=12))
@@ -490,7 +468,6 @@ def test_any_input_gives_a_finite_model_or_a_sentence(rows):
             assert value is None or np.isfinite([*np.ravel(value), sigma]).all()
 
 
-@pytest.mark.linear_algebra
 @pytest.mark.slow
 def test_shear_of_a_real_recording_that_was_left_out(data):
     parts = []

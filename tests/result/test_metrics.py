@@ -26,6 +26,8 @@ from gelform.result.metrics import (
 )
 from kernel_agreement import assert_kernel_agrees
 
+pytestmark = pytest.mark.linear_algebra
+
 MM_PER_PX = 0.06
 BALL_MM = 3.0
 SHAPE = (120, 160)
@@ -42,7 +44,6 @@ def cap(contact_px=30.0):
     return np.where(inside, height * MM_PER_PX, 0), ball_gradients(x, y, CENTER, radius), inside
 
 
-@pytest.mark.linear_algebra
 def test_ball_slopes_are_those_of_its_depth():
     depth, gradients, inside = cap()
     numeric = np.stack(np.gradient(depth, MM_PER_PX)[::-1], axis=-1)
@@ -51,7 +52,6 @@ def test_ball_slopes_are_those_of_its_depth():
     assert inside.sum() > core.sum()
 
 
-@pytest.mark.linear_algebra
 @given(st.floats(-30, 30), st.floats(-30, 30), st.floats(40, 90))
 def test_slopes_are_odd_and_bounded(u, v, radius):
     """Opposite pixels have opposite slopes, and beyond the rim the slope is held instead of growing without bound."""
@@ -60,7 +60,6 @@ def test_slopes_are_odd_and_bounded(u, v, radius):
     assert np.hypot(*one) <= np.hypot(u, v) / radius / np.sqrt(1 - 0.97**2) + 1e-12
 
 
-@pytest.mark.linear_algebra
 def test_center_is_found_despite_a_bad_third():
     y, x = (axis.ravel() for axis in np.mgrid[40:80, 60:100])
     gradients = ball_gradients(x, y, (80.3, 59.6), 50.0)
@@ -75,7 +74,6 @@ def test_center_is_found_despite_a_bad_third():
     np.testing.assert_allclose(exact, (80.3, 59.6), atol=1e-3)
 
 
-@pytest.mark.linear_algebra
 def test_sphere_fit_recovers_the_ball():
     depth, _, inside = cap()
     fit = fit_sphere(depth, inside, mm_per_px=MM_PER_PX, radius_mm=2.0)
@@ -83,7 +81,6 @@ def test_sphere_fit_recovers_the_ball():
     np.testing.assert_allclose(fit.center_mm[:2], (80.3 * MM_PER_PX, 59.6 * MM_PER_PX), atol=1e-3)
 
 
-@pytest.mark.linear_algebra
 def test_the_gel_follows_the_visible_circle_unless_that_is_as_wide_as_the_ball():
     assert followed_radius(60.0, 100.0) == 60
     assert followed_radius(96.0, 100.0) == 96
@@ -108,7 +105,6 @@ def center_by_numpy(gradients, x, y, center, radius, scale, rounds):
     return found
 
 
-@pytest.mark.linear_algebra
 @pytest.mark.parametrize("start", [(77.0, 62.0), (40.0, 20.0), (130.0, 59.0)])
 @pytest.mark.parametrize("rounds", [1, 3, 30])
 def test_the_kernel_finds_the_center_as_numpy_does(start, rounds):

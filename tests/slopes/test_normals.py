@@ -26,10 +26,11 @@ from gelform.slopes.normals import (
 from kernel_agreement import assert_kernel_agrees
 from scenes import PEAKS, QUADRATIC, polynomial, scene
 
+pytestmark = pytest.mark.linear_algebra
+
 LIGHTS = np.array([[0.8, 0.1, 0.9], [-0.5, 0.6, 0.8], [-0.2, -0.9, 1.1]])
 
 
-@pytest.mark.linear_algebra
 @settings(max_examples=40, deadline=None)
 @given(st.integers(0, 2**31), st.floats(0.2, 3.0))
 def test_photometric_stereo_round_trip(seed, albedo):
@@ -42,7 +43,6 @@ def test_photometric_stereo_round_trip(seed, albedo):
     np.testing.assert_allclose(found_albedo, albedo, rtol=2e-5)
 
 
-@pytest.mark.linear_algebra
 def test_albedo_may_be_a_map():
     rng = np.random.default_rng(0)
     normals = normals_from_gradients(rng.uniform(-0.35, 0.35, (5, 6, 2)))
@@ -52,7 +52,6 @@ def test_albedo_may_be_a_map():
     np.testing.assert_allclose(lights_from_normals(image, normals, albedo), LIGHTS, atol=1e-5)
 
 
-@pytest.mark.linear_algebra
 def test_a_black_pixel_looks_up():
     image = image_from_normals(normals_from_gradients(np.zeros((2, 3, 2))), LIGHTS)
     image[1, 2] = 0
@@ -61,7 +60,6 @@ def test_a_black_pixel_looks_up():
     assert albedo[1, 2] == 0
 
 
-@pytest.mark.linear_algebra
 def test_attached_shadow_gets_no_light():
     steep = normals_from_gradients(np.array([[[4.0, 0.0]]]))  # its normal points to -x, away from light 0
     image = image_from_normals(steep, LIGHTS)
@@ -69,7 +67,6 @@ def test_attached_shadow_gets_no_light():
     assert (image[0, 0, 1:] > 0).all()
 
 
-@pytest.mark.linear_algebra
 def test_lights_come_back_from_a_ball():
     y, x = np.mgrid[-1:1:41j, -1:1:41j]
     inside = x**2 + y**2 < 0.6
@@ -80,14 +77,12 @@ def test_lights_come_back_from_a_ball():
     np.testing.assert_allclose(lights_from_normals(image, normals), LIGHTS, atol=1e-5)
 
 
-@pytest.mark.linear_algebra
 def test_lights_need_normals_that_span_space():
     flat = np.broadcast_to([0.0, 0.0, 1.0], (50, 3))
     with pytest.raises(ValueError, match="press of a ball"):
         lights_from_normals(image_from_normals(flat, LIGHTS), flat)
 
 
-@pytest.mark.linear_algebra
 def test_three_normals_determine_the_lights():
     normals = np.array([[0.0, 0.0, 1.0], [0.2, 0.1, 1.0], [-0.1, 0.3, 1.0]])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
@@ -96,7 +91,6 @@ def test_three_normals_determine_the_lights():
     )
 
 
-@pytest.mark.linear_algebra
 def test_slightly_curved_is_enough_but_rounding_is_not():
     """A tolerance in proportion to the length of a column: the same for few pixels and for many."""
     rng = np.random.default_rng(0)

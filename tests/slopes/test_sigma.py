@@ -70,9 +70,8 @@ def test_law_is_recovered(floor, growth):
     for slope in (0.1, 0.3, 0.7):
         assert law_of(sigma, slope) == pytest.approx(law(slope), rel=0.12)
     assert sigma.rest == pytest.approx(0.01, rel=0.05)
-    assert sigma.full_confidence_sigma == pytest.approx(
-        law(0.95 * 0.8), rel=0.12
-    )  # 95 % of the slopes are gentler
+    # 95 % of the slopes are gentler.
+    assert sigma.full_confidence_sigma == pytest.approx(law(0.95 * 0.8), rel=0.12)
     assert (sigma.correlation_px, sigma.correlated_share) == (8.0, 0.7)
     shares = shares_within(sigma, pixels, np.digitize(pixels["slope"], np.linspace(0, 0.8, 9)[1:-1]))
     assert min(shares) > (0.64 if floor > 0.01 else 0.55)  # within the first bin it varies by four times
@@ -90,11 +89,6 @@ def test_the_law_is_of_the_deviation_that_a_step_states():
         assert sigma.rest == pytest.approx(0.01, rel=0.05)
 
 
-def test_shown_slopes_are_quantiles_of_the_presses():
-    sigma = SlopeSigma.fit(*errors_by(lambda s: 0.02 + 0 * s), 8.0, 0.5)
-    np.testing.assert_allclose(sigma.shown, (0.4 * 0.8, 0.8 * 0.8), rtol=0.02)
-
-
 @pytest.mark.parametrize("factor", [0.5, 1.0, 2.0])
 def test_the_factor_of_solved_slopes_is_recovered(factor):
     rng = np.random.default_rng(0)
@@ -110,6 +104,7 @@ def test_rest_that_no_press_showed_is_as_a_gentle_slope():
     for stated in (1.0, 0.1):
         sigma = SlopeSigma.fit(changed(pixels, stated=stated), none, 8.0, 0.5)
         assert sigma.rest == pytest.approx(0.02, rel=0.05)
+        np.testing.assert_allclose(sigma.shown, (0.4 * 0.8, 0.8 * 0.8), rtol=0.02)  # quantiles of the presses
 
 
 def test_the_deviation_at_rest_has_a_part_that_grows_with_the_place_s_noise():
@@ -142,9 +137,8 @@ PAGE = Path(__file__).resolve().parents[2] / "docs" / "confidence.md"
 @pytest.mark.parametrize("name", CAUSES)
 def test_a_cause_is_said_in_a_sentence_and_not_of_less_than_a_press_shows_itself(name):
     """After "5 % of the frame is ": no capital, and an end. Those without a sentence are no fault of pixels."""
-    assert re.fullmatch(
-        r"[a-z].*[.?]" if name not in ("wall", "light", "unit") else "", CAUSES[name].sentence
-    )
+    wanted = r"[a-z].*[.?]" if name not in ("wall", "light", "unit") else ""
+    assert re.fullmatch(wanted, CAUSES[name].sentence)
     assert name == "compression" or CAUSES[name].named_from > 0.3
     assert [cause.color for cause in CAUSES.values()].count(CAUSES[name].color) == 1
 
@@ -166,18 +160,10 @@ def patch(box=np.s_[10:20, 30:44]):
     return mask
 
 
-def test_an_unlit_corner_and_not_a_speck():
-    background = np.full((*SHAPE, 3), 60, np.float32)
-    corner = patch(np.s_[:12, :9])
-    background[corner] = 5
-    background[30:33, 30:33] = 2
-    assert np.array_equal(outside_of_gel(background), corner)
-
-
 def test_unlit_is_up_to_8_levels_of_every_channel_over_25_pixels():
     background = np.full((*SHAPE, 3), 9, np.float32)
-    background[5:10, 5:10] = 8
-    assert np.array_equal(outside_of_gel(background), patch(np.s_[5:10, 5:10]))
+    background[5:10, 5:10], background[30:33, 30:33] = 8, 2
+    assert np.array_equal(outside_of_gel(background), patch(np.s_[5:10, 5:10])), "and no speck"
     background[5, 5, 2] = 9
     assert outside_of_gel(background) is None
 
@@ -335,9 +321,8 @@ def test_the_share_of_pixels_at_either_end():
     np.testing.assert_allclose(ends_shown(pixels), [[0.1, 0, 0], [0.05, 0, 0.25]])
 
 
-def numpy_clipped(image, low, high, clipped, dark_to, saturated_from):
-    return (((image <= dark_to) & low) | ((image >= saturated_from) & high)).astype(np.uint8)
+def test_clipped_channels_agree_with_numpy():
+    def by_numpy(image, low, high, clipped, dark_to, saturated_from):
+        return (((image <= dark_to) & low) | ((image >= saturated_from) & high)).astype(np.uint8)
 
-
-def test_the_kernel_agrees_with_numpy_clipped():
-    assert_kernel_agrees(sigma._clipped_channels, numpy_clipped)
+    assert_kernel_agrees(sigma._clipped_channels, by_numpy)
