@@ -17,6 +17,7 @@ import gelform
 from gelform.depth.sigma import DepthSigma
 from gelform.image.frame import Frame
 from gelform.image.view import View
+from gelform.reconstruct import ON_DEMAND
 from gelform.result.maps import MAPS
 from gelform.simulate import Ball, Punch, simulate_press
 from made.images import grid, image_of_dots
@@ -66,19 +67,10 @@ def test_the_order_of_questions_and_what_the_caller_writes_change_nothing(calibr
     """A result's other maps follow from the frame, not from arrays that its caller may write to."""
     reconstruct, image = gelform.Reconstructor(calibration), press.image.copy()
     forward, backward = (reconstruct.from_image(image) for _ in range(2))
-    names = (
-        "gradients",
-        "gradients_sigma",
-        "confidence",
-        "depth_sigma_mm",
-        "contact",
-        "health",
-        "outside_change",
-    )
-    wanted = {name: getattr(forward, name) for name in names}
+    wanted = {name: getattr(forward, name) for name in ON_DEMAND}
     image[:] = 0
     backward.depth_mm[:] = 9
-    for name in reversed(names):
+    for name in reversed(ON_DEMAND):
         np.testing.assert_array_equal(getattr(backward, name), wanted[name], err_msg=name)
     with pytest.raises(ValueError, match="read-only"):
         backward.observed_gradients[:] = 0
@@ -206,9 +198,8 @@ def test_bad_images_are_refused(calibration, press, spoil, error, message):
 
 def test_the_flat_face_of_a_punch_keeps_its_depth(calibration, sensor):
     """Its color is that of rest: an anchor that goes by color alone would pull it to 0."""
-    punch = simulate_press(
-        sensor, Punch(4.0), depth_mm=0.3, center_mm=(-1.0, 0.5), rng=np.random.default_rng(6)
-    )
+    where = {"depth_mm": 0.3, "center_mm": (-1.0, 0.5)}
+    punch = simulate_press(sensor, Punch(4.0), **where, rng=np.random.default_rng(6))
     depth = gelform.Reconstructor(calibration)(punch.image).depth_mm
     plain = gelform.Reconstructor(calibration, solver="dct")(punch.image).depth_mm
     face = punch.depth_mm > 0.295
@@ -281,15 +272,18 @@ def test_each_door_names_the_other(calibration, simulated):
 def test_a_path_is_a_calibration_and_a_wrong_solver_is_refused_at_once(calibration, simulated, tmp_path):
     calibration.save(tmp_path / "cal.npz")
     image = simulated.presses[0].image
-    for path in (tmp_path / "cal.npz", str(tmp_path / "cal.npz")):
-        again = gelform.Reconstructor(path, solver="dct")(image)
-    np.testing.assert_array_equal(
-        again.depth_mm, gelform.Reconstructor(calibration, solver="dct")(image).depth_mm
+    known, *others = (
+        gelform.Reconstructor(one, solver="dct")(image).depth_mm
+        for one in (calibration, tmp_path / "cal.npz", str(tmp_path / "cal.npz"))
     )
-    with pytest.raises(gelform.CalibrationError, match=r"No file .*nothing\.npz"):
-        gelform.Reconstructor(tmp_path / "nothing.npz")
-    with pytest.raises(TypeError, match=r"Expected a Calibration or the path of one, got dict"):
-        gelform.Reconstructor({})
+    for again in others:
+        np.testing.assert_array_equal(again, known)
+    for given, error, said in (
+        ((tmp_path / "nothing.npz",), gelform.CalibrationError, r"No file .*nothing\.npz"),
+        (({},), TypeError, "Expected a Calibration or the path of one, got dict"),
+    ):
+        with pytest.raises(error, match=said):
+            gelform.Reconstructor(*given)
     with pytest.raises(ValueError, match=r"Expected a solver among auto, .*got 'poisson'"):
         gelform.Reconstructor(calibration, solver="poisson")
 

@@ -52,10 +52,8 @@ class Tilted(LambertianModel):
     """A color model that reads a slope of rest: the lights have moved a little since."""
 
     def prepare(self, background, shape):
-        exact = super().prepare(background, shape).gradients_from_color
-        return SimpleNamespace(
-            gradients_from_color=lambda change: (exact(change)[0] + np.float32([0.04, -0.03]), None)
-        )
+        exact, off = super().prepare(background, shape).gradients_from_color, np.float32([0.04, -0.03])
+        return SimpleNamespace(gradients_from_color=lambda change: (exact(change)[0] + off, None))
 
 
 def test_slopes_that_are_read_at_rest_are_taken_off_everywhere():

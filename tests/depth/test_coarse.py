@@ -81,10 +81,7 @@ def test_rest_is_where_most_is_untouched_not_where_most_pixels_are():
 
 @pytest.mark.parametrize(
     ("height_mm", "radius_px", "share", "within"),
-    [
-        *((0.15, 22, 0.02, 0.03), (0.5, 22, 0.02, 0.03)),
-        *((0.05, 10, 0.04, 0.01), (-0.05, 10, 0.04, 0.01), (0.1, 10, 0.04, 0.01)),
-    ],
+    [(0.15, 22, 0.02, 0.03), (0.5, 22, 0.02, 0.03), *((mm, 10, 0.04, 0.01) for mm in (0.05, -0.05, 0.1))],
 )
 def test_a_flat_face_is_not_held(height_mm, radius_px, share, within):
     """Nor 2 mm wide: the rim that encloses it says that it is not at rest, although its color is."""
@@ -168,9 +165,8 @@ def test_the_hold_of_a_coarse_depth():
 
 def test_a_coarse_map_is_spread_bilinearly():
     def by_scipy(coarse, chosen, *_):
-        places = [
-            np.clip((np.arange(n) + 0.5) * m / n - 0.5, 0, m - 1) for n, m in zip(chosen.shape, coarse.shape)
-        ]
+        sizes = zip(chosen.shape, coarse.shape)
+        places = [np.clip((np.arange(n) + 0.5) * m / n - 0.5, 0, m - 1) for n, m in sizes]
         at = np.meshgrid(*places, indexing="ij")
         return chosen * ndimage.map_coordinates(coarse.astype(float), at, order=1)
 
@@ -305,9 +301,7 @@ def test_where_all_of_the_gel_is_touched_the_least_changed_is_at_0():
     y, x = np.mgrid[: ODD[0], : ODD[1]].astype(float)
     depth = 3 * np.sin(x / 15) * np.cos(y / 20)
     slopes = np.stack([np.cos(x / 15) * np.cos(y / 20) / 5, -0.15 * np.sin(x / 15) * np.sin(y / 20)], axis=-1)
-    change = np.concatenate([slopes, np.abs(slopes[..., :1]) + depth[..., None] / 20], axis=-1).astype(
-        np.float32
-    )
+    change = np.dstack([slopes, np.abs(slopes[..., 0]) + depth / 20]).astype(np.float32)
     slopes = slopes.astype(np.float32)
     means = coarse(change)
     size = np.linalg.norm(means - np.median(means, axis=(0, 1)), axis=-1)
@@ -343,10 +337,8 @@ def test_what_hidden_pixels_show_does_not_count(name):
 def test_slopes_and_depths_of_a_ruined_frame_give_a_finite_step(response):
     rng = np.random.default_rng(0)
     change = rng.normal(0, 10, (*SHAPE_STEPPED, 3)).astype(np.float32)
-    read = (rng.normal(size=(*SHAPE_STEPPED, 2)) * 10 ** rng.uniform(-2, 4, (*SHAPE_STEPPED, 1))).astype(
-        np.float32
-    )
+    read = rng.normal(size=(*SHAPE_STEPPED, 2)) * 10 ** rng.uniform(-2, 4, (*SHAPE_STEPPED, 1))
     depth_px = rng.uniform(0, 1e5, (22, 30)).astype(np.float32)  # such slopes add up to that
     clipped = (rng.random((*SHAPE_STEPPED, 3)) < 0.1).astype(np.uint8)
-    for values in PreparedStep(response)(change, read, depth_px, clipped):
+    for values in PreparedStep(response)(change, read.astype(np.float32), depth_px, clipped):
         assert np.isfinite(values).all()

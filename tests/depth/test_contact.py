@@ -13,9 +13,8 @@ PITCH, LENGTH, FACTOR = 0.05, 0.6, 3.5
 
 
 def judge(**how):
-    return Evidence(
-        **{"pitch": (PITCH, PITCH), "length_mm": LENGTH, "noise_factor": FACTOR, "min_area_mm2": 0.05, **how}
-    )
+    usual = {"pitch": (PITCH, PITCH), "length_mm": LENGTH, "noise_factor": FACTOR, "min_area_mm2": 0.05}
+    return Evidence(**usual | how)
 
 
 def distance(x, y, shape=(120, 140)):
@@ -29,9 +28,7 @@ def depth_of(pressure):
     rows, columns = np.nonzero(pressure)
     for y, x in zip(rows, columns):
         square = (np.arange(pressure.shape[0])[:, None] - y) ** 2 + (np.arange(pressure.shape[1]) - x) ** 2
-        depth += pressure[y, x] * np.where(
-            square < len(influence), influence[np.minimum(square, len(influence) - 1)], 0
-        )
+        depth += pressure[y, x] * np.append(influence, 0)[np.minimum(square, len(influence))]
     return depth
 
 
@@ -53,14 +50,7 @@ def test_the_depth_of_a_pressed_disc_is_that_of_the_analytic_one():
     radius, measures = 1.0, np.empty((1, 7))
     mask = distance(70, 60) < radius
     regions = regions_of(mask, depth_of(0.8 * mask), 0.01, 0.8 * mask)
-    evidence_module._region_evidence(
-        *regions[1:],
-        influence=judge()._influence,
-        measures=measures,
-        stiffness=LENGTH**-2,
-        per_x=1.0,
-        per_y=1.0,
-    )
+    evidence_module._region_evidence(*regions[1:], judge()._influence, measures, LENGTH**-2, 1.0, 1.0)
     wanted = 0.8 * LENGTH**2 * (1 - radius / LENGTH * k1(radius / LENGTH))
     assert measures[0, 6] == pytest.approx(wanted, rel=0.01)
     assert tuple(measures[0, 2:4]) == (70, 60)

@@ -13,11 +13,8 @@ from kernel_agreement import assert_kernel_agrees, drawn
 
 PITCH = 0.0634
 CORRELATION = {
-    "correlation_px": 6.0,
-    "correlated_share": 0.5,
-    "rest_correlation_px": 1.0,
-    "rest_correlated_share": 0.1,
-}
+    "correlation_px": 6.0, "correlated_share": 0.5, "rest_correlation_px": 1.0, "rest_correlated_share": 0.1,
+}  # fmt: skip
 
 
 def cap(*, center=(160, 120), ball_mm=4.0, depth_mm=0.8):
@@ -238,10 +235,9 @@ def test_wrong_depth_and_settings(wrong, text):
 
 def test_bending_agrees_with_numpy():
     def by_numpy(depth, taps, smooth, bent, work, along_x, along_y, margin):
-        whole = np.concatenate([taps[:0:-1], taps]).astype(float)
-        smooth = ndimage.convolve1d(
-            ndimage.convolve1d(depth.astype(float), whole, 0, mode="nearest"), whole, 1, mode="nearest"
-        )
+        whole, smooth = np.concatenate([taps[:0:-1], taps]).astype(float), depth.astype(float)
+        for axis in (0, 1):
+            smooth = ndimage.convolve1d(smooth, whole, axis, mode="nearest")
         bent = -along_x * ndimage.convolve1d(smooth, [1, -2, 1], 1, mode="mirror")
         bent -= along_y * ndimage.convolve1d(smooth, [1, -2, 1], 0, mode="mirror")
         y, x = (np.clip(np.arange(n), margin, n - 1 - margin) for n in smooth.shape)
@@ -362,19 +358,6 @@ def test_outlines_agree_with_numpy():
     assert_kernel_agrees(pressure_module._contact_outline, by_numpy)
 
 
-def standing_regions(labels, stands, deepest, surface, reach=0):
-    contact = np.empty(labels.shape, bool)
-    pressure_module._standing_regions(
-        labels.astype(np.uint16),
-        np.array(stands),
-        np.array(deepest, np.int32),
-        surface.astype(np.float32),
-        contact,
-        reach,
-    )
-    return contact
-
-
 def test_the_mask_is_that_of_the_regions_that_stand():
     labels = np.random.default_rng(0).integers(0, 5, (13, 17)).astype(np.uint16)
     stands, deepest = np.array([False, True, False, True, False]), np.zeros((5, 2), np.int32)
@@ -395,7 +378,9 @@ def test_regions_of_one_hill_are_joined_up_its_slope(valley, stands, count):
     surface = np.exp(-((x - 50.0) ** 2 + (y - 20) ** 2) / 500) - valley * (np.abs(x - 35) < 3)
     labels = 1 * (np.abs(y - 20) + np.abs(x - 55) < 12) + 2 * (np.hypot(y - 20, x - 25) < 5)
     lower = np.unravel_index(np.argmax(np.where(labels == 2, surface, -9)), labels.shape)
-    contact = standing_regions(labels, [False, True, stands], [(0, 0), (20, 50), lower], surface)
+    regions = labels.astype(np.uint16), np.array([False, True, stands])
+    deepest, contact = np.array([(0, 0), (20, 50), lower], np.int32), np.empty(labels.shape, bool)
+    pressure_module._standing_regions(*regions, deepest, surface.astype(np.float32), contact, 0)
     assert contact[labels == 1].all()
     assert contact[labels == 2].all() == stands
     assert ndimage.label(contact, np.ones((3, 3)))[1] == count
@@ -412,14 +397,11 @@ def test_the_pressure_s_variance_is_that_of_noisy_slopes():
             slopes = ndimage.gaussian_filter(slopes, (blur, blur, 0)) * 2 * np.sqrt(np.pi) * blur
         length = np.sqrt(2) * blur  # the correlation of a blurred white noise falls to exp(-1/2) there
         smoothing = np.hypot(0.7, np.sqrt(80 / 12) if averaged else 0)
-        at_rest, elsewhere = pressure_module._gains(
-            (PITCH, PITCH), smoothing, length, 1.0 if blur else 0.0, 0.0, None
-        )
+        noise = length, 1.0 if blur else 0.0, 0.0, None
+        at_rest, elsewhere = pressure_module._gains((PITCH, PITCH), smoothing, *noise)
         assert at_rest == elsewhere
         depth = gelform.depth_from_gradients(0.01 * slopes.astype(np.float32), mm_per_px=PITCH)
         _, bent = sensor._smoothed(depth)
         bent = ndimage.uniform_filter(bent, 9) if averaged else bent
-        found = np.var(bent[40:-40, 40:-40]) / 0.01**2
-        assert found == pytest.approx(
-            at_rest, rel=0.35
-        )  # the five points of a Laplacian blur white noise, too
+        # The five points of a Laplacian blur white noise, too.
+        assert np.var(bent[40:-40, 40:-40]) / 0.01**2 == pytest.approx(at_rest, rel=0.35)

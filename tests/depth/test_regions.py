@@ -96,9 +96,7 @@ def test_a_gel_that_changed_without_a_contact_is_said():
     (found,) = unknown_contact(none, rest, known, lambda: 0.2)
     assert (found.name, found.figure) == ("contact_unknown", pytest.approx(0.2))
     assert unknown_contact(~rest, rest, known, lambda: 0.2) == ()
-    assert (
-        unknown_contact(none, rest, known, lambda: 0.01) == ()
-    )  # changed here and there, as by a video's compression
+    assert unknown_contact(none, rest, known, lambda: 0.01) == (), "here and there, as by compression"
     known[5:35, 5:35] = False  # dots, or another fault
     assert unknown_contact(none, rest, known, lambda: 0.2) == ()
 
@@ -162,9 +160,8 @@ def images(inside, outside, level=90.0):
 )
 def test_the_part_of_the_change_that_is_outside(inside, outside, wanted):
     background, image, contact = images(inside, outside)
-    assert Surround(background)(image, contact) == pytest.approx(wanted, rel=0.05)
-    whole = image.astype(np.uint8)
-    assert Surround(background)(whole, contact) == pytest.approx(wanted, rel=0.05)
+    for given in (image, image.astype(np.uint8)):
+        assert Surround(background)(given, contact) == pytest.approx(wanted, rel=0.05)
 
 
 def test_a_contact_over_most_of_the_image():
@@ -178,10 +175,8 @@ def test_a_contact_over_most_of_the_image():
 def test_dark_gel_counts_as_much_as_bright():
     background, _, contact = images(0, 0)
     background[:, 80:] = 20
-    change = np.where(contact, 0.5, 0.1)[..., None]
-    assert Surround(background)((background + change * (background + 10)), contact) == pytest.approx(
-        0.2, rel=0.05
-    )
+    change = np.where(contact, 0.5, 0.1)[..., None] * (background + 10)
+    assert Surround(background)(background + change, contact) == pytest.approx(0.2, rel=0.05)
 
 
 def test_none_without_an_inside_or_an_outside():
@@ -195,6 +190,5 @@ def test_small_and_odd_images():
     rest = np.full((37, 53, 3), 90, dtype=np.float32)
     contact = np.zeros((37, 53), dtype=bool)
     contact[10:20, 10:20] = True
-    assert Surround(rest)(rest + 20 * contact[..., None].astype(np.float32), contact) == pytest.approx(
-        0, abs=1e-6
-    )
+    touched = rest + 20 * contact[..., None].astype(np.float32)
+    assert Surround(rest)(touched, contact) == pytest.approx(0, abs=1e-6)

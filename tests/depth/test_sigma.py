@@ -81,9 +81,7 @@ def test_at_rest_a_slope_counts_up_to_what_it_may_be_off_and_elsewhere_in_part()
     rest, moved = errors_of(ramp), errors_of(ramp, ~ALL)
     alike = rest.spread / sigma._beside_border(coarse_of(SHAPE), SHAPE)
     np.testing.assert_allclose(alike, alike[0, 0], rtol=1e-3)
-    assert rest.spread[15, 0] == pytest.approx(2 * rest.spread[15, 20], rel=0.15), (
-        "a border doubles the variance"
-    )
+    assert rest.spread[15, 0] == pytest.approx(2 * rest.spread[15, 20], rel=0.15), "a border doubles it"
     np.testing.assert_allclose(moved.spread / rest.spread, 2 * FULL**2 * 0.72 / (2 * 0.02**2), rtol=1e-3)
 
 

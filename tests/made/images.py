@@ -46,6 +46,12 @@ def ball_samples(change_of, count: int = 4000, seed: int = 0) -> Samples:
     return Samples(change_of(gradients, x, y), x, y, gradients, np.ones(count), SHAPE)
 
 
+def part_of(samples, which=slice(None)) -> Samples:
+    """Some of the samples, in arrays of their own, of which nothing is remembered."""
+    parts = ("color_change", "x_px", "y_px", "gradients", "weight")
+    return replace(samples, **{part: getattr(samples, part)[which].copy() for part in parts})
+
+
 def lambertian_change(gradients, x, y):
     """I/I0 - 1 of a Lambertian gel under three fixed lights."""
     length = np.sqrt(1 + np.sum(gradients**2, axis=-1))

@@ -109,9 +109,8 @@ def test_what_fills_the_view_has_no_depth():
     a, b = (contact_of(texture(), one, radius_mm=20, seed=3) for one in (None, pose(0.3, z=0.05)))
     found = gelform.motion_between(a, b)
     assert found.state == FOUND, found.why
-    assert [one.words for one in found.blind] == [
-        "shifts along z: the contact fills the view, nothing is at rest"
-    ]
+    (blind,) = found.blind
+    assert blind.words == "shifts along z: the contact fills the view, nothing is at rest"
     assert np.sqrt(found.covariance[2, 2]) > 9
     assert found.pose[0, 3] == pytest.approx(0.3, abs=0.01)
 
@@ -188,9 +187,8 @@ def test_slopes_count_as_they_were_read():
     """The solved ones may have a crest at another place."""
     first, second = contact_of(texture(), seed=1), contact_of(texture(), pose(0.3), seed=2)
     solved = np.roll(second.gradients, 2, axis=1)
-    found = gelform.motion_between(
-        first, replace(second, gradients=solved, observed_gradients=second.gradients)
-    )
+    second = replace(second, gradients=solved, observed_gradients=second.gradients)
+    found = gelform.motion_between(first, second)
     assert found.pose[0, 3] == pytest.approx(0.3, abs=0.01)
 
 
@@ -226,17 +224,11 @@ def test_no_motion_is_invented(why):
     assert re.search(why, found.why), found.why
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        *({"prior": prior} for prior in [(0.1,), (0.1, 0), (1e-300, 0.1), (0.1, 1e9)]),
-        {"start": np.zeros((4, 4))},
-        {"place_error": -1},
-    ],
-)
-def test_wrong_arguments_are_errors(wrong):
-    with pytest.raises(ValueError, match="Expected"):
-        gelform.motion_between(touch(), touch(), **wrong)
+def test_wrong_arguments_are_errors():
+    priors = [{"prior": prior} for prior in [(0.1,), (0.1, 0), (1e-300, 0.1), (0.1, 1e9)]]
+    for wrong in (*priors, {"start": np.zeros((4, 4))}, {"place_error": -1}):
+        with pytest.raises(ValueError, match="Expected"):
+            gelform.motion_between(touch(), touch(), **wrong)
 
 
 def test_the_pose_is_that_of_the_simulator(sensor, calibration):
@@ -247,10 +239,8 @@ def test_the_pose_is_that_of_the_simulator(sensor, calibration):
     y, x = (np.mgrid[:121, :121] - 60) * 0.05
     relief = HeightMap(texture(3)(0.6 * x, 0.6 * y) - 5 * (np.hypot(x, y) >= 2.6), 0.05)
     at = [Pose(0.5, (-0.3, 0.2)), Pose(0.5, (0.1, 0.0), spin_deg=4.0)]
-    reconstruct = gelform.Reconstructor(calibration)
-    a, b = (
-        reconstruct.from_image(simulate_pose(sensor, relief, one, rng=rng, oversample=1).image) for one in at
-    )
+    frames = (simulate_pose(sensor, relief, one, rng=rng, oversample=1).image for one in at)
+    a, b = map(gelform.Reconstructor(calibration).from_image, frames)
     found = gelform.motion_between(a, b, start=pose(0.3, -0.1))
     assert found.state == FOUND, found.why
     np.testing.assert_allclose(moved(found.pose, [-0.3, 0.2, 0.4])[:2], (0.1, 0.0), atol=0.04)
@@ -259,9 +249,8 @@ def test_the_pose_is_that_of_the_simulator(sensor, calibration):
 
 @pytest.fixture(scope="module")
 def fitted():
-    first, second = (
-        TouchedSurface(contact_of(texture(), one, seed=k)) for k, one in enumerate((None, pose(0.2)))
-    )
+    contacts = (contact_of(texture(), one, seed=k) for k, one in enumerate((None, pose(0.2))))
+    first, second = map(TouchedSurface, contacts)
     return first, first.equations(second, pose(0.2))
 
 
@@ -319,12 +308,9 @@ def test_what_stays_at_its_place_pulls_the_object_back(shift):
 
 
 def blind_of(face, seeds=(1, 2), **fields):
-    first, second = (
-        TouchedSurface(contact_of(face, one, seed=k, **fields))
-        for k, one in zip(seeds, (None, pose(0.3, 0.1)))
-    )
-    at = first.equations(second, pose(0.3, 0.1))
-    return blind_directions(first, at)
+    poses = zip(seeds, (None, pose(0.3, 0.1)))
+    first, second = (TouchedSurface(contact_of(face, one, seed=k, **fields)) for k, one in poses)
+    return blind_directions(first, first.equations(second, pose(0.3, 0.1)))
 
 
 @pytest.mark.slow

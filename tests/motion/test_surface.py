@@ -57,16 +57,13 @@ def test_what_is_no_rigid_motion_is_refused(wrong):
 
 @pytest.fixture(scope="module")
 def surfaces():
-    return TouchedSurface(contact_of(texture(), seed=1)), TouchedSurface(
-        contact_of(texture(), pose(0.2, -0.1, 0.02, 1, -1, 3), seed=2)
-    )
+    moved = contact_of(texture(), pose(0.2, -0.1, 0.02, 1, -1, 3), seed=2)
+    return TouchedSurface(contact_of(texture(), seed=1)), TouchedSurface(moved)
 
 
 def between(values, x, y):
     """Bilinear interpolation at places inside the map."""
-    col, row = (
-        np.minimum(v.astype(int), size - 2) for v, size in ((x, values.shape[1]), (y, values.shape[0]))
-    )
+    row, col = (np.minimum(v.astype(int), size - 2) for v, size in zip((y, x), values.shape))
     a, b = (v.reshape(-1, *(1,) * (values.ndim - 2)) for v in (x - col, y - row))
     top = values[row, col] * (1 - a) + values[row, col + 1] * a
     return top * (1 - b) + b * (values[row + 1, col] * (1 - a) + values[row + 1, col + 1] * a)
@@ -88,9 +85,8 @@ def reference(
     g, z = between(gradients.astype(float), x, y), between(depth.astype(float), x, y)
     change = np.stack([between(one.astype(float), x, y) for one in (along_x, along_y)], axis=2)
     basis = np.eye(3)
-    moves = np.stack(
-        [*(np.broadcast_to(e, q.shape) for e in basis), *(np.cross(e, q - center) for e in basis)], 2
-    )
+    shifts = [np.broadcast_to(e, q.shape) for e in basis]
+    moves = np.stack([*shifts, *(np.cross(e, q - center) for e in basis)], 2)
     turns = np.stack([np.zeros_like(n)] * 3 + [np.cross(e, n) for e in basis], 2)
     slope = -n[:, :2] / n[:, 2:]
     of_normal = -(turns[:, :2] + slope[..., None] * turns[:, 2:]) / n[:, 2, None, None]
@@ -99,9 +95,8 @@ def reference(
     residual = np.column_stack([g - slope, z - q[:, 2]])
     both = variance + between(variances.astype(float), x, y)
     weight = 1 / both
-    rows, residual, weight = (
-        np.where(there.reshape(-1, *(1,) * (v.ndim - 1)), v, 0) for v in (rows, residual, weight)
-    )
+    there_too = there[:, None]
+    rows, residual, weight = rows * there_too[..., None], residual * there_too, weight * there_too
     off = np.sqrt(weight) * np.abs(residual)
     most = huber * np.sqrt(np.sum(off**2) / (3 * there.sum()))
     weight = weight * np.where(off > most, most / np.maximum(off, 1e-12), 1)

@@ -83,8 +83,9 @@ def test_a_grown_contact_is_no_new_origin_after_a_break_or_once_a_frame_was_foun
 
 
 def test_nothing_before_a_contact_and_after_it(frames):
-    none = contact_of(texture(), radius_mm=0.2, time_s=0.0, calibration_digest="a")
-    gone = contact_of(texture(), radius_mm=0.2, time_s=0.05, calibration_digest="a")
+    none, gone = (
+        contact_of(texture(), radius_mm=0.2, time_s=at, calibration_digest="a") for at in (0.0, 0.05)
+    )
     found = list(gelform.track([none, frames[0], gone, frames[1]]))
     assert [one.motion.state for one in found] == [LOST, FOUND, LOST, FOUND]
     assert "no contact" in found[2].motion.why
@@ -184,22 +185,19 @@ def test_it_is_a_result_with_its_files(parts, tmp_path):
 
 
 @pytest.mark.linear_algebra
-def test_lost_frames_are_left_out(parts):
+def test_lost_frames_are_left_out_and_what_does_not_go_together_is_refused(parts):
     lost = gelform.motion_between(parts[0], contact_of(texture(), radius_mm=0.1))
     both = gelform.mosaic(parts, [*PATH_MOSAIC[:4], lost])
     np.testing.assert_array_equal(both.depth_mm, gelform.mosaic(parts[:4], PATH_MOSAIC[:4]).depth_mm)
-    with pytest.raises(gelform.GelformError, match="no surface"):
-        gelform.mosaic(parts[:1], [lost])
-
-
-@pytest.mark.linear_algebra
-def test_what_does_not_go_together_is_refused(parts):
-    with pytest.raises(ValueError, match="one pose for each"):
-        gelform.mosaic(parts, PATH_MOSAIC[:2])
-    with pytest.raises(ValueError, match="one sensor"):
-        gelform.mosaic([parts[0], contact_of(texture(), calibration_digest="b")], PATH_MOSAIC[:2])
-    with pytest.raises(ValueError, match="poses in mm"):
-        gelform.mosaic(parts[:2], [PATH_MOSAIC[0], pose(2000.0)])
+    others = [parts[0], contact_of(texture(), calibration_digest="b")]
+    for results, poses, said in (
+        (parts[:1], [lost], "no surface"),
+        (parts, PATH_MOSAIC[:2], "one pose for each"),
+        (others, PATH_MOSAIC[:2], "one sensor"),
+        (parts[:2], [PATH_MOSAIC[0], pose(2000.0)], "poses in mm"),
+    ):
+        with pytest.raises((ValueError, gelform.GelformError), match=said):
+            gelform.mosaic(results, poses)
 
 
 MM_PER_PX_REAL_BALLS, RADIUS_MM = 0.0634, 6.31 / 2
@@ -214,19 +212,12 @@ def presses_real_balls(data):
     starter = load_starter("gelsight-mini").for_unit(background, mm_per_px=MM_PER_PX_REAL_BALLS)
     reconstruct = gelform.Reconstructor(starter)
     with (folder / "reference_circles.csv").open() as file:
-        circles = {
-            row["image"]: (float(row["center_x_px"]), float(row["center_y_px"]))
-            for row in csv.DictReader(file)
-        }
+        rows = list(csv.DictReader(file))
+    circles = {row["image"]: np.float64([row["center_x_px"], row["center_y_px"]]) for row in rows}
     names = [f"6.310mm/{k}/gelsight.png" for k in PRESSES]
     middle = (np.array(background.shape[1::-1]) - 1) / 2
-    return [
-        (
-            reconstruct.from_image(gelform.read_image(folder / name)),
-            (np.array(circles[name]) - middle) * MM_PER_PX_REAL_BALLS,
-        )
-        for name in names
-    ]
+    results = [reconstruct.from_image(gelform.read_image(folder / name)) for name in names]
+    return [(one, (circles[n] - middle) * MM_PER_PX_REAL_BALLS) for n, one in zip(names, results)]
 
 
 @pytest.mark.slow

@@ -21,7 +21,10 @@ def test_depth_is_that_of_known_pixels(pressed):
     assert (numbers.peak, numbers.lowest) == (np.float32(0.9), np.float32(-0.2))
     assert (numbers.x_px, numbers.y_px) == (20, 5)
     assert numbers.peak == pressed.peak_mm
-    assert replace(pressed, known=np.zeros_like(pressed.known)).numbers is None
+    assert "3.77" not in repr(pressed)
+    unknown = replace(pressed, known=np.zeros_like(pressed.known))
+    assert unknown.numbers is None
+    assert np.isnan(unknown.peak_mm)
 
 
 @pytest.mark.parametrize("mm_per_px", [0.0634, (0.05, 0.08), None])

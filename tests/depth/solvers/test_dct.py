@@ -92,9 +92,8 @@ def swept(spectrum, pivots, splits, end):
     """In numpy, float64: forward and backward through the rows, column 0 on its own."""
     v = spectrum[:, : pivots.shape[1]].astype(np.float64)
     first = -np.concatenate([[0], np.cumsum(np.cumsum(v[:-1, 0]))])
-    mine = [
-        np.where(np.arange(pivots.shape[1]) < split, row, pivots[-1]) for split, row in zip(splits, pivots)
-    ]
+    column = np.arange(pivots.shape[1])
+    mine = [np.where(column < split, row, pivots[-1]) for split, row in zip(splits, pivots)]
     mine[-1] = end
     for i in range(len(v)):
         v[i] = (v[i] + (v[i - 1] if i else 0)) * mine[i]
@@ -146,10 +145,9 @@ def test_rows_of_smooth_widths_are_transformed_as_scipy_does(shape, pad):
 def test_widths_that_the_kernel_cannot_transform_are_refused():
     assert [w for w in range(1, 50) if not dct._is_smooth(w) and w % 2 == 0] == [22, 26, 34, 38, 44, 46]
     for width in (22, 26):
+        rows, work = np.zeros((1, width), np.float32), np.empty(4000, np.float32)
         with pytest.raises(ValueError, match="do not fit"):
-            dct._cosine_rows(
-                np.zeros((1, width), np.float32), *dct._turns(width), np.empty(4000, np.float32), 0
-            )
+            dct._cosine_rows(rows, *dct._turns(width), work, 0)
 
 
 def test_few_columns_and_smooth_widths_take_no_transform_of_scipy():

@@ -95,11 +95,8 @@ def dense_answer(gradients, wx, wy, anchor, pitch):
     dx, dy = differences(unit, pitch)
     ex, ey = edges_from_gradients(gradients)
     area = np.sqrt(pitch[0] * pitch[1])
-    rows = [
-        (dx * np.sqrt(wx)).reshape(height * width, -1).T,
-        (dy * np.sqrt(wy)).reshape(height * width, -1).T,
-        np.diag(np.sqrt(anchor).ravel()) / area,
-    ]
+    rows = [(d * np.sqrt(w)).reshape(height * width, -1).T for d, w in ((dx, wx), (dy, wy))]
+    rows.append(np.diag(np.sqrt(anchor).ravel()) / area)
     right = [(ex * np.sqrt(wx)).ravel(), (ey * np.sqrt(wy)).ravel(), np.zeros(height * width)]
     return np.linalg.lstsq(np.concatenate(rows), np.concatenate(right), rcond=None)[0].reshape(height, width)
 
@@ -172,9 +169,7 @@ def test_hole_of_lies_stays_smooth(solver):
 
 ISLANDS = {  # boxes of a mask's islands
     "three": [[np.s_[3:14, 2:18]], [np.s_[17:29, 20:39]], [np.s_[5:6, 30:31]]],
-    "a channel one pixel wide": [
-        [np.s_[1:8, 1:9], np.s_[24:29, 33:39], np.s_[5:6, 8:36], np.s_[5:26, 35:36]]
-    ],
+    "a narrow channel": [[np.s_[1:8, 1:9], np.s_[24:29, 33:39], np.s_[5:6, 8:36], np.s_[5:26, 35:36]]],
     "one pixel": [[np.s_[4:5, 5:6]]],
 }
 
@@ -227,12 +222,8 @@ class TestAnchor:
         untouched = np.abs(truth) < 1e-3
         anchor = np.where(untouched, 1e-2, 0)
         biased = gradients + np.array([0.01, -0.006])
-        both, alone = (
-            depth_from_gradients(
-                biased, mm_per_px=pitch, anchor=anchor, zero=untouched, level=level, solver=solver
-            )
-            for level in ("slope", None)
-        )
+        how = {"mm_per_px": pitch, "anchor": anchor, "zero": untouched, "solver": solver}
+        both, alone = (depth_from_gradients(biased, level=level, **how) for level in ("slope", None))
         touched = ~untouched
         assert np.abs(both - truth)[touched].max() < 0.25 * np.abs(alone - truth)[touched].max()
 
@@ -246,12 +237,8 @@ def scaled(weights, mask, anchor, floor, confidence, trusted, known, found):
     share = np.where(inside, weights, 0) / largest
     enough = share >= np.float32(floor)
     count = np.count_nonzero(inside & (share < np.float32(floor)))
-    return (
-        np.maximum(share, np.float32(floor)) * inside,
-        enough,
-        enough if anchor is None else enough | (anchor > 0),
-        np.array([largest, count]),
-    )
+    known = enough if anchor is None else enough | (anchor > 0)
+    return np.maximum(share, np.float32(floor)) * inside, enough, known, np.array([largest, count])
 
 
 def test_weights_are_scaled_as_in_numpy():

@@ -50,9 +50,8 @@ def enlarged(depth, shape):
     for axis, n in enumerate(shape):
         known = depth.shape[axis]
         places = (np.arange(n) + 0.5) * known / n - 0.5
-        depth = np.apply_along_axis(
-            lambda line, at=places: np.interp(at, np.arange(len(line)), line), axis, depth
-        )
+        lines = [np.interp(places, np.arange(known), line) for line in np.moveaxis(depth, axis, -1)]
+        depth = np.moveaxis(np.array(lines), -1, axis)
     return depth
 
 
@@ -71,12 +70,8 @@ def scene(forward, noise=1.0, seed=1):
     at_pixels = enlarged(depth, forward.shape).ravel()
     change = forward.color_from_gradients(truth, x, y, depth_px=at_pixels)
     change += noise * rng.normal(size=change.shape) @ NOISE.T
-    return (
-        truth.reshape(height, width, 2),
-        read.reshape(height, width, 2).astype(np.float32),
-        depth,
-        change.reshape(height, width, 3).astype(np.float32),
-    )
+    truth, read, change = (one.reshape(height, width, -1) for one in (truth, read, change))
+    return truth, read.astype(np.float32), depth, change.astype(np.float32)
 
 
 def scattered_step(forward, change, read, depth):
@@ -94,12 +89,9 @@ def scattered_step(forward, change, read, depth):
     prior = 1 / (forward.step_sigma[0] ** 2 + forward.step_sigma[1] ** 2 * np.sum(slopes**2, axis=1))
     weighted = np.einsum("ncm,ck->nmk", jacobian, inverse)
     information = weighted @ jacobian + prior[:, None, None] * np.eye(2)
-    diagonal = (
-        information[:, 0, 0] * information[:, 1, 1]
-    )  # a millionth of it keeps the kernel's determinant from 0
-    covariance = (
-        np.linalg.inv(information) * (1 - 1e-6 * diagonal / np.linalg.det(information))[:, None, None]
-    )
+    # A millionth of the diagonal keeps the kernel's determinant from 0.
+    share = 1e-6 * information[:, 0, 0] * information[:, 1, 1] / np.linalg.det(information)
+    covariance = np.linalg.inv(information) * (1 - share)[:, None, None]
     step = (covariance @ (weighted @ left[..., None]))[..., 0]
     step *= np.minimum(1, CLIPPED_STEP_SIGMA / np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-9))
     left = left - np.einsum("ncm,nm->nc", jacobian, step)
@@ -227,9 +219,8 @@ def test_what_is_left_of_usual_colors_is_chi_square_of_one_degree_of_freedom():
 def test_a_color_that_no_slope_gives_is_left_over():
     forward = response()
     _, read, depth, change = scene(forward)
-    usual, brighter = (
-        PreparedStep(forward)(change + more, read, depth).residual for more in (0, np.float32(0.1))
-    )
+    changes = change, change + np.float32(0.1)
+    usual, brighter = (PreparedStep(forward)(one, read, depth).residual for one in changes)
     assert np.quantile(brighter, 0.01) > 10 * np.quantile(usual, 0.99)
 
 

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from gelform.slopes.color_models import COLOR_MODELS, IMPORTED_MODELS, PolynomialModel, Samples, polynomial
+from gelform.slopes.color_models import COLOR_MODELS, IMPORTED_MODELS, PolynomialModel, polynomial
 from gelform.slopes.color_models.least_squares import (
     MAX_SAMPLES,
     NODE_PX,
@@ -80,10 +80,8 @@ def test_saved_arrays_give_the_same_model(name):
     model = model_of(name)
     again = COLOR_MODELS[name].from_arrays(*model.to_arrays())
     samples = ball_samples(shading_change, seed=2)
-    for a, b in zip(
-        *(m.gradients_at(samples.color_change, samples.x_px, samples.y_px) for m in (model, again))
-    ):
-        np.testing.assert_array_equal(a, b)
+    at = samples.color_change, samples.x_px, samples.y_px
+    np.testing.assert_array_equal(again.gradients_at(*at), model.gradients_at(*at))
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,9 +138,7 @@ def test_models_are_listed_under_their_own_names():
     assert not COLOR_MODELS.keys() & IMPORTED_MODELS.keys()
 
 
-@pytest.mark.parametrize(
-    "name", [name for name in COLOR_MODELS if name != "lambertian"]
-)  # one law everywhere
+@pytest.mark.parametrize("name", [n for n in COLOR_MODELS if n != "lambertian"])  # one law everywhere
 def test_images_of_another_size_are_refused(name):
     with pytest.raises(ValueError, match="as calibrated, got 10x10"):
         model_of(name).prepare(np.zeros((10, 10, 3)), (10, 10))
@@ -169,35 +165,24 @@ def test_it_recovers_a_polynomial_exactly():
     degrees = (5, 3, 1)
     truth = PolynomialModel(rng.normal(size=(term_count(3, degrees), 2)), degrees, SHAPE)
     samples = ball_samples(lambertian_change, count=3000)
-    gradients = truth.gradients_at(samples.color_change, samples.x_px, samples.y_px)
-    samples = Samples(samples.color_change, samples.x_px, samples.y_px, gradients, samples.weight, SHAPE)
+    at = samples.color_change, samples.x_px, samples.y_px
+    samples = replace(samples, gradients=truth.gradients_at(*at))
     model = PolynomialModel.fit(samples, position_degrees=degrees, ridge=1e-13)
-    np.testing.assert_allclose(
-        model.gradients_at(samples.color_change, samples.x_px, samples.y_px), gradients, rtol=1e-4, atol=1e-4
-    )
-
-
-@pytest.mark.linear_algebra
-def test_bad_settings_are_refused():
+    np.testing.assert_allclose(model.gradients_at(*at), samples.gradients, rtol=1e-4, atol=1e-4)
     with pytest.raises(ValueError, match="position degrees"):
-        PolynomialModel.fit(ball_samples(lambertian_change), position_degrees=(9,))
+        PolynomialModel.fit(samples, position_degrees=(9,))
 
 
 @pytest.mark.linear_algebra
 @pytest.mark.parametrize(
     ("presses", "largest"),
-    [
-        *[(2, (1,)), (5, (1,)), (6, (2, 1)), (8, (2, 1)), (9, (3, 2, 0)), (17, (3, 2, 0))],
-        *[(18, (4, 3, 1)), (29, (4, 3, 1)), (30, (5, 4, 3))],
-    ],
+    [(5, (1,)), (6, (2, 1)), (8, (2, 1)), (9, (3, 2, 0)), (17, (3, 2, 0)), (29, (4, 3, 1)), (30, (5, 4, 3))],
 )
 def test_more_presses_carry_more_terms(presses, largest):
-    variants = PolynomialModel.variants(presses)
+    variants, samples = PolynomialModel.variants(presses), ball_samples(lambertian_change)
     assert variants[0] == {"position_degrees": (1,)}
     assert variants[-1] == {"position_degrees": largest}
-    sizes = [
-        len(PolynomialModel.fit(ball_samples(lambertian_change), **one).coefficients) for one in variants
-    ]
+    sizes = [len(PolynomialModel.fit(samples, **one).coefficients) for one in variants]
     assert sizes == sorted(set(sizes)), "the simplest first"
 
 
@@ -341,9 +326,8 @@ def test_columns_are_penalised_by_their_degree_in_place(samples):
     two = VaryingRegression.of([Term(np.ones(6000), 0, 3.0, True)] * 2, law(samples), lit)
     assert two.penalties.tolist() == [3, *[3 * PLACE_GROWTH] * 3] * 2
     assert two.ends.tolist() == [4, 8]
-    assert regression(samples, law(samples), varies_with_light=True).columns.shape[1] == 6, (
-        "of no light nothing varies"
-    )
+    unlit = regression(samples, law(samples), varies_with_light=True)
+    assert unlit.columns.shape[1] == 6, "of no light nothing varies"
 
 
 def test_neighbors_are_left_out_where_they_are_many():

@@ -12,7 +12,7 @@ import gelform
 from gelform.slopes.color_models import InterpolationModel, Samples
 from gelform.slopes.color_models.tables import Lattice, LookupModel, corner_weights, held_out_residuals
 from gelform.slopes.gradients import STEEPEST_GEL
-from made.images import SHAPE, ball_samples, lambertian_change, shading_change
+from made.images import SHAPE, ball_samples, lambertian_change, part_of, shading_change
 
 FLAT = np.full((*SHAPE, 3), 100, dtype=np.float32)
 
@@ -29,12 +29,6 @@ def linear_samples(count=4000, seed=0, noise=0.0):
 
 def gradients_of(model, samples):
     return model.gradients_at(samples.color_change, samples.x_px, samples.y_px)
-
-
-def part_of(samples, kept):
-    """The samples of a mask."""
-    parts = ("color_change", "x_px", "y_px", "gradients", "weight")
-    return replace(samples, **{part: getattr(samples, part)[kept] for part in parts})
 
 
 def test_a_multilinear_law_is_met():
@@ -112,9 +106,14 @@ def test_the_reconstructor_lowers_confidence_off_gamut(calibration, simulated):
 
 
 def test_settings_out_of_range():
-    for settings in ({"nodes": 3}, {"positions": (0, 2)}):
-        with pytest.raises(ValueError, match="Expected at least 4 nodes"):
-            LookupModel.fit(linear_samples(100), **settings)
+    for model, settings, said in (
+        (LookupModel, {"nodes": 3}, "Expected at least 4 nodes"),
+        (LookupModel, {"positions": (0, 2)}, "Expected at least 4 nodes"),
+        (InterpolationModel, {"points": 3}, "points >= 16"),
+        (InterpolationModel, {"place_scale": 0.0}, "place_scale > 0"),
+    ):
+        with pytest.raises(ValueError, match=said):
+            model.fit(linear_samples(100), **settings)
 
 
 def test_the_table_spans_the_colors_and_one_wild_press_is_no_larger_doubt():
@@ -149,9 +148,8 @@ def test_corner_weights_are_multilinear():
 
 
 def test_beyond_the_grid_the_nearest_face_counts():
-    beyond, face = (
-        corner_weights([np.array([v]) for v in at], SIZES) for at in ([3, 0, -2, 9, 1], [1, 0, 0, 4, 1])
-    )
+    places = [3, 0, -2, 9, 1], [1, 0, 0, 4, 1]
+    beyond, face = (corner_weights([np.array([v]) for v in at], SIZES) for at in places)
     np.testing.assert_array_equal(beyond.toarray(), face.toarray())
 
 
@@ -182,22 +180,18 @@ def test_nodes_without_samples_follow_the_others_and_outliers_count_little():
 MATRIX = np.array([[1.0, 0.2, -0.7], [0.1, 0.9, 0.8]])
 
 
-def at(model, samples):
-    return model.gradients_at(samples.color_change, samples.x_px, samples.y_px)
-
-
 @pytest.mark.linear_algebra
 def test_a_line_is_exact():
     model = InterpolationModel.fit(ball_samples(lambda g, x, y: g @ MATRIX))
     unseen = ball_samples(lambda g, x, y: g @ MATRIX, seed=1, count=500)
-    np.testing.assert_allclose(at(model, unseen), unseen.gradients, atol=2e-3)
+    np.testing.assert_allclose(gradients_of(model, unseen), unseen.gradients, atol=2e-3)
 
 
 @pytest.mark.linear_algebra
 def test_shading_that_turns_over_the_image_is_followed():
     model = InterpolationModel.fit(ball_samples(shading_change))
     unseen = ball_samples(shading_change, seed=1, count=500)
-    error = np.median(np.linalg.norm(at(model, unseen) - unseen.gradients, axis=1))
+    error = np.median(np.linalg.norm(gradients_of(model, unseen) - unseen.gradients, axis=1))
     line = np.median(np.linalg.norm(unseen.color_change @ model.line - unseen.gradients, axis=1))
     assert error < 0.03
     assert error < 0.4 * line
@@ -214,23 +208,14 @@ def test_far_from_the_samples_the_slope_is_doubted():
 
 
 @pytest.mark.linear_algebra
-def test_bad_settings_are_refused():
-    samples = ball_samples(shading_change)
-    with pytest.raises(ValueError, match="points >= 16"):
-        InterpolationModel.fit(samples, points=3)
-    with pytest.raises(ValueError, match="place_scale > 0"):
-        InterpolationModel.fit(samples, place_scale=0.0)
-
-
-@pytest.mark.linear_algebra
 def test_gray_levels_of_another_size_give_the_same_slopes():
     """How near a sample is in color is judged by the samples' own range."""
     samples, unseen = ball_samples(shading_change), ball_samples(shading_change, seed=1, count=300)
-    wider = replace(samples, color_change=8 * samples.color_change)
-    found = InterpolationModel.fit(wider, points=500).gradients_at(
-        8 * unseen.color_change, unseen.x_px, unseen.y_px
+    wider, wide = (replace(one, color_change=8 * one.color_change) for one in (samples, unseen))
+    found = gradients_of(InterpolationModel.fit(wider, points=500), wide)
+    np.testing.assert_allclose(
+        found, gradients_of(InterpolationModel.fit(samples, points=500), unseen), atol=1e-6
     )
-    np.testing.assert_allclose(found, at(InterpolationModel.fit(samples, points=500), unseen), atol=1e-6)
 
 
 @pytest.mark.linear_algebra
