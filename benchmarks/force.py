@@ -23,9 +23,8 @@ import numpy as np
 import gelform
 from gelform.calibration.loads import LoadedPresses
 from gelform.calibration.presses.press_set import table_rows
-from gelform.depth.force import force_from_result, why_no_normal
-from gelform.depth.force_fit import Load
-from gelform.depth.regions import Surround
+from gelform.depth.contact import Surround
+from gelform.depth.force import Load, force_from_result, why_no_normal
 from presses import DATA, data_is_missing
 from report import RESULTS, command_line, machine, median_ms, parts_asked, table
 

@@ -32,8 +32,7 @@ import numpy as np
 import gelform
 import gelform.depth.integrate
 import gelform.reconstruct
-from gelform.depth.contact import PreparedContact
-from gelform.depth.regions import contacts_from_mask
+from gelform.depth.contact import PreparedContact, contacts_from_mask
 from gelform.depth.sigma import DepthErrors
 from gelform.exchange.exporters.press_folder import save_press_folder
 from gelform.simulate import LAYOUTS, Ball, simulate_ball_presses, simulate_press

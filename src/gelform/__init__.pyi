@@ -26,12 +26,12 @@ from .depth.integrate import depth_from_gradients as depth_from_gradients
 from .depth.integrate import integrate as integrate
 from .depth.integrate import Integration as Integration
 from .depth.contact import contact_from_depth as contact_from_depth
-from .depth.regions import Contact as Contact
+from .depth.contact import Contact as Contact
 from .depth.force import touch_from_result as touch_from_result
 from .depth.force import touch_from_dots as touch_from_dots
-from .depth.force_fit import Load as Load
-from .depth.force_fit import calibrate_force as calibrate_force
-from .depth.force_fit import evaluate_force as evaluate_force
+from .depth.force import Load as Load
+from .depth.force import calibrate_force as calibrate_force
+from .depth.force import evaluate_force as evaluate_force
 from .depth.force import ForceModel as ForceModel
 from .depth.force import force_from_result as force_from_result
 from .calibration.presses.folder import read_presses as read_presses

@@ -10,14 +10,13 @@ from threading import RLock
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from gelform.arrays import Array, Floats, Map, Mask, Slopes
 from gelform.calibration_file import Calibration, as_calibration
-from gelform.depth.coarse import SteppedSlopes
-from gelform.depth.contact import PreparedContact, SlopeDeviations
+from gelform.depth.coarse import CoarseDepth
+from gelform.depth.contact import PreparedContact, SlopeDeviations, Surround, unknown_contact
 from gelform.depth.integrate import FrameDepth, Integration, checked_solver
-from gelform.depth.regions import Surround, unknown_contact
 from gelform.depth.sigma import DepthErrors, DepthSigma, steep_finding
 from gelform.foundations.checks import check_image
 from gelform.foundations.findings import Finding
@@ -42,6 +41,7 @@ from gelform.slopes.budget import (
     noise_at_rest,
     without_bias,
 )
+from gelform.slopes.color_models.forward_response import PreparedStep
 from gelform.slopes.color_models.seam import AlbedoModel, gradients_from_pending
 from gelform.slopes.gradients import slopes_of_solution
 from gelform.slopes.sigma import Clipped, ClippedChannels, SlopeSigma, either, excess_noise, outside_of_gel
@@ -63,7 +63,8 @@ class FromCalibration:
             rest=0.05, per_step=0.05, full_confidence_sigma=0.05, correlation_px=1.0, shown=(1e3, 1e3)
         )
         self.pitch = calibration.mm_per_px or 20.0 / shape[1]
-        self.stepped = SteppedSlopes(forward, shape, calibration.untouched_change)
+        self.step = None if forward is None or forward.step_sigma is None else PreparedStep(forward)
+        self.coarse_depth = CoarseDepth(shape, calibration.untouched_change)
         self.outlier = OUTLIER if forward is None else OUTLIER * forward.residual_scale
         self.slope_per_change = 1.0 if forward is None else forward.slope_per_change
         self.depth = FrameDepth(shape, self.pitch, checked_solver(solver), sigma.full_confidence_sigma)
@@ -74,6 +75,18 @@ class FromCalibration:
                 shape, self.pitch, full_confidence_sigma=sigma.full_confidence_sigma,
                 factor=sigma.depth_factor, gain_sigma=sigma.gain_sigma,
             )  # fmt: skip
+
+    def stepped(
+        self, change: Map, gradients: Slopes, hidden: Mask | None, clipped: NDArray[np.uint8] | None
+    ) -> tuple[Slopes, Map | None, Map | None]:
+        """Slopes (H, W, 2) after a step by the forward response with the frame's depth, their variance and residual.
+
+        Without a response or its `step_sigma` slopes stay as they were read. Pixels without gel are `hidden` (H, W),
+        unusable channels are `clipped` (H, W, 3).
+        """
+        if self.step is None:
+            return gradients, None, None
+        return self.step(change, gradients, self.coarse_depth(change, gradients, hidden), clipped)
 
 
 class FromBackground:
@@ -86,7 +99,7 @@ class FromBackground:
         self.model = calibration.color_model.prepare(background, calibration.image_shape)
         self.health = FrameHealth(background)
         # If crosstalk is removed, a clipped channel affects all three.
-        spare = int(fixed.stepped.steps and change.crosstalk is None)
+        spare = int(fixed.step is not None and change.crosstalk is None)
         learnt = None if forward is None else forward.clipped
         self.outside = outside_of_gel(background)
         self.clipped = ClippedChannels(change.blur_px, learnt, spare, self.outside)
@@ -183,11 +196,6 @@ class FrameRecord:
             return None
         maps = self.gradients, self.depth_mm, self.slopes.at_rest, self.known
         return self.fixed.depth_sigma(*maps, self.budget.read, self.budget.steep)
-
-    @property
-    def depth_factor(self) -> float:
-        """The calibration's factor of the depth's deviation."""
-        return self.fixed.slope_sigma.depth_factor
 
     @once
     def depth_sigma_mm(self) -> Map | None:
@@ -419,11 +427,9 @@ class Reconstructor:
         pending = today.untouched_image.pending(seen.image, seen.light)
         direct, model_sigma = gradients_from_pending(today.model, pending, out=change)
         hidden = either(seen.hidden, seen.clipped.unseen)
-        step = fixed.stepped(change, direct, hidden, seen.clipped.channels)
-        gradients, variance, residual = (direct, None, None) if step is None else step
-        reference = reference_from_color_change(
-            change, gradients, self.calibration.untouched_change, seen.hidden
-        )
+        gradients, variance, residual = fixed.stepped(change, direct, hidden, seen.clipped.channels)
+        untouched = self.calibration.untouched_change
+        reference = reference_from_color_change(change, gradients, untouched, seen.hidden)
         at_rest = without_bias(change, gradients, reference, seen.hidden)
         of_model = None if model_sigma is None else np.ascontiguousarray(model_sigma.max(axis=-1))
         slopes = ReadSlopes(gradients, at_rest, seen.unseen, variance, residual, of_model, fixed.outlier)

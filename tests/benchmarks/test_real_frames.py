@@ -10,7 +10,7 @@ from scipy import ndimage
 
 import gelform
 from edges_of_cube import Edge
-from gelform.depth.regions import contacts_from_mask
+from gelform.depth.contact import contacts_from_mask
 from gelform.simulate import LAYOUTS, simulate_ball_presses, simulate_press
 from presses import unlabeled
 from real_frames import following, page

@@ -9,8 +9,7 @@ import pytest
 
 import gelform
 from gelform.calibration.loads import read_loads
-from gelform.depth.force import force_from_result, why_no_normal
-from gelform.depth.force_fit import calibrate_force, evaluate_force, sigma_ratio
+from gelform.depth.force import calibrate_force, evaluate_force, force_from_result, sigma_ratio, why_no_normal
 from gelform.errors import DataError
 from gelform.simulate import Ball, simulate_press
 

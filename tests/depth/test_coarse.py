@@ -1,9 +1,7 @@
 """What is held at rest: untouched gel, drifted gel too, but never the flat face of something pressed.
 
-Steps of whole frames: those of the response at each pixel, with the depth of the slopes that were read.
+Coarse depth of whole frames, by which the steps of the response go.
 """
-
-from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -17,7 +15,6 @@ from gelform.depth.coarse import (
     REST_SIGMA_MM,
     CoarseDepth,
     RestAnchor,
-    SteppedSlopes,
     coarse_of,
 )
 from gelform.depth.integrate import depth_from_gradients
@@ -217,24 +214,6 @@ def frame(response):
     return change.reshape(*SHAPE_STEPPED, 3).astype(np.float32), read, slopes.reshape(*SHAPE_STEPPED, 2)
 
 
-def test_a_step_is_that_of_the_response_with_the_frames_depth(response, frame):
-    change, read, _ = frame
-    stepped = SteppedSlopes(response, SHAPE_STEPPED, UNTOUCHED)
-    assert stepped.steps
-    assert 4 < CoarseDepth(SHAPE_STEPPED, UNTOUCHED).at_pixels(change, read).max() < 5
-    depth = CoarseDepth(SHAPE_STEPPED, UNTOUCHED)(change, read)
-    for found, wanted in zip(stepped(change, read), PreparedStep(response)(change, read, depth)):
-        np.testing.assert_array_equal(found, wanted)
-
-
-@pytest.mark.parametrize("stepless", [True, False])
-def test_without_a_response_or_its_prior_no_step_is_taken(response, frame, stepless):
-    change, read, _ = frame
-    plain = SteppedSlopes(replace(response, step_sigma=None) if stepless else None, SHAPE_STEPPED, UNTOUCHED)
-    assert not plain.steps
-    assert plain(change, read) is None
-
-
 def test_what_is_hidden_does_not_reach_the_steps_around_it(response, frame):
     """Its slopes would be in the depth of the whole frame, and that in all steps."""
     change, read, _ = frame
@@ -242,7 +221,12 @@ def test_what_is_hidden_does_not_reach_the_steps_around_it(response, frame):
     hidden[40:52, 20:32] = True
     garbled = read.copy()
     garbled[hidden] = 3.0
-    stepped = SteppedSlopes(response, SHAPE_STEPPED, UNTOUCHED)
+    depth, step = CoarseDepth(SHAPE_STEPPED, UNTOUCHED), PreparedStep(response)
+    assert 4 < depth.at_pixels(change, read).max() < 5
+
+    def stepped(*maps):
+        return step(*maps[:2], depth(*maps))
+
     plain, guarded, open_ = stepped(change, read), stepped(change, garbled, hidden), stepped(change, garbled)
     apart = [np.abs(one.gradients - plain.gradients)[~hidden].max() for one in (guarded, open_)]
     assert apart[0] < 0.1 * apart[1]

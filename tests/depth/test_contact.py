@@ -5,8 +5,7 @@ import pytest
 from scipy.special import k1
 
 from gelform.depth import contact as evidence_module
-from gelform.depth.contact import Evidence, Regions
-from gelform.depth.regions import labeled
+from gelform.depth.contact import Evidence, Regions, labeled
 from kernel_agreement import assert_kernel_agrees
 
 PITCH, LENGTH, FACTOR = 0.05, 0.6, 3.5

@@ -20,13 +20,15 @@ from gelform.depth.force import (
     Dots,
     ForceModel,
     ForcePart,
+    Load,
     Touch,
+    calibrate_force,
+    evaluate_force,
     force_from_result,
     touch_from_dots,
     touch_from_result,
     touches_in_order,
 )
-from gelform.depth.force_fit import Load, calibrate_force, evaluate_force
 from gelform.errors import DataError
 from gelform.image.markers import MarkerFlow
 from gelform.result import Reconstruction

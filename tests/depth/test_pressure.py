@@ -7,8 +7,7 @@ from scipy.special import k0
 
 import gelform
 from gelform.depth import contact as pressure_module
-from gelform.depth.contact import PreparedContact, SlopeDeviations, contact_from_depth
-from gelform.depth.regions import runs_work
+from gelform.depth.contact import PreparedContact, SlopeDeviations, contact_from_depth, runs_work
 from kernel_agreement import assert_kernel_agrees, drawn
 
 PITCH = 0.0634

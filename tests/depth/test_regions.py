@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from gelform.depth import regions as regions_module
-from gelform.depth.regions import Surround, contacts_from_mask, unknown_contact
+from gelform.depth import contact as regions_module
+from gelform.depth.contact import Surround, contacts_from_mask, unknown_contact
 from kernel_agreement import assert_kernel_agrees
 
 UNEVEN_PITCH = (0.05, 0.08)

@@ -14,8 +14,8 @@ import numpy as np
 import gelform
 from gelform.calibration.presses.folder import with_crosstalk, with_view
 from gelform.calibration.starters import load_starter
+from gelform.depth.contact import contacts_from_mask
 from gelform.depth.integrate import edge_residuals
-from gelform.depth.regions import contacts_from_mask
 from gelform.exchange.exporters.press_folder import save_press_folder
 from gelform.exchange.plots import save_picture
 from gelform.foundations.filters import fill_unknown

@@ -12,8 +12,15 @@ from numpy.typing import NDArray
 
 from gelform.calibration.presses.press_set import file_of, number, table_rows
 from gelform.calibration_file import Calibration, as_calibration
-from gelform.depth.force import Touch, touch_from_result, touches_in_order, why_no_normal
-from gelform.depth.force_fit import LEAST_RANGE, LEAST_SHARE, Load
+from gelform.depth.force import (
+    LEAST_RANGE,
+    LEAST_SHARE,
+    Load,
+    Touch,
+    touch_from_result,
+    touches_in_order,
+    why_no_normal,
+)
 from gelform.errors import DataError
 from gelform.foundations.checks import check_path
 from gelform.foundations.findings import Progress, no_progress

@@ -1,6 +1,4 @@
-"""Depth on a grid four times coarser than the frame, where it looks like rest, and the slopes of the step by it.
-
-The anchor: how firmly depth is held at 0 where color and coarse depth look like gel at rest.
+"""Depth on a grid four times coarser than the frame, and how firmly it is held at 0 where it looks like gel at rest.
 
 Color alone cannot show that nothing touches: the flat face of a punch or a coin has the color of gel at rest.
 Therefore a coarse depth is solved first. A region that touched gel encloses, and that lies deeper or higher than rest, is
@@ -14,14 +12,12 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from gelform._native import Kernel
 from gelform.arrays import Array, Map, Mask, Slopes
 from gelform.depth.solvers.dct import DctSolver
 from gelform.foundations.filters import MIN_UNTOUCHED, fill_unknown, medians_where
 from gelform.foundations.pool import Pool
-from gelform.slopes.color_models.forward_response import ForwardResponse, PreparedStep, Step
 
 COARSER = 4  # times fewer rows and columns; the same in native/depth/coarse.c
 
@@ -159,34 +155,3 @@ class CoarseDepth:
     def at_pixels(self, color_change: Map, gradients: Slopes, hidden: Mask | None = None) -> Map:
         """The depth at every pixel (H, W)."""
         return self._coarse.at_pixels(self(color_change, gradients, hidden))
-
-
-class SteppedSlopes:
-    """Steps of the frames of one calibration. It is immutable; threads can share it.
-
-    Without a response or its `step_sigma` there is no step, and slopes stay as they were read.
-    """
-
-    def __init__(self, forward: ForwardResponse | None, shape: tuple[int, int], untouched: float) -> None:
-        self._depth = CoarseDepth(shape, untouched)
-        self._step = None if forward is None or forward.step_sigma is None else PreparedStep(forward)
-
-    @property
-    def steps(self) -> bool:
-        """Whether there is a step."""
-        return self._step is not None
-
-    def __call__(
-        self,
-        color_change: Map,
-        gradients: Slopes,
-        hidden: Mask | None = None,
-        clipped: NDArray[np.uint8] | None = None,
-    ) -> Step | None:
-        """The step of a frame, from the gradients (H, W, 2) of the color model; None without a step.
-
-        Pixels without gel are `hidden` (H, W), unusable channels are `clipped` (H, W, 3).
-        """
-        if self._step is None:
-            return None
-        return self._step(color_change, gradients, self._depth(color_change, gradients, hidden), clipped)

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gelform.arrays import Array, Map, Mask, Slopes
+from gelform.depth.contact import Contact, contacts_from_mask
 from gelform.depth.force import Force, ForceModel, force_from_result
-from gelform.depth.regions import Contact, contacts_from_mask
 from gelform.errors import DataError, GelformError
 from gelform.foundations.checks import (
     check_finite,

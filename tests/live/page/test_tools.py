@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from gelform.depth.regions import contacts_from_mask
+from gelform.depth.contact import contacts_from_mask
 from live_waiting import until
 
 pytestmark = pytest.mark.slow

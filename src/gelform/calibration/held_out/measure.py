@@ -432,7 +432,7 @@ def _far_depth(record: FrameRecord, circle_px: tuple[float, float, float]) -> ND
     far = record.known & (np.hypot(x - circle_px[0], y - circle_px[1]) > FAR_RADII * circle_px[2])
     if np.count_nonzero(far) < LEAST_FAR_PX:
         return np.empty((4, 0), dtype=np.float32)
-    unit = errors.spread / record.depth_factor**2
+    unit = errors.spread / record.fixed.slope_sigma.depth_factor**2
     maps = (errors.coarse.at_pixels(one) for one in (errors.own, unit, np.square(errors.common_mm)))
     return np.stack([one[far][::EVERY_FAR] for one in (np.square(record.depth_mm), *maps)])
 

@@ -71,7 +71,7 @@ def calibrate(
     check_output(output or calibration, overwrite=overwrite)
     from gelform.calibration.loads import LAGS
     from gelform.calibration_file import load_calibration
-    from gelform.depth.force_fit import calibrate_force
+    from gelform.depth.force import calibrate_force
 
     loaded = load_calibration(calibration)
     with only_writer(output or calibration):
@@ -114,8 +114,7 @@ def evaluate(
       gelform force evaluate more_loads/ -c cal.npz --json > errors.json
     """
     from gelform.calibration_file import load_calibration
-    from gelform.depth.force import NO_LOADS
-    from gelform.depth.force_fit import evaluate_force, sigma_ratio
+    from gelform.depth.force import NO_LOADS, evaluate_force, sigma_ratio
     from gelform.errors import CalibrationError
 
     loaded = load_calibration(calibration)
