@@ -235,10 +235,8 @@ class Calibration:
                 "forward response: what color a slope gives is not known. Calibrate on presses of a ball."
             )
         height, width = self.image_shape
-        if np.shape(gradients) != (height, width, 2):
-            raise ValueError(
-                f"Expected gradients of shape ({height}, {width}, 2), got {np.shape(gradients)}."
-            )
+        if (given := np.shape(gradients)) != (height, width, 2):
+            raise ValueError(f"Expected gradients of shape ({height}, {width}, 2), got {given}.")
         y, x = (axis.ravel() for axis in np.mgrid[:height, :width])
         change = self.forward.color_from_gradients(np.reshape(gradients, (-1, 2)), x, y)
         return change.reshape(height, width, 3).astype(np.float32)

@@ -433,9 +433,8 @@ def test_shear_of_a_real_recording_that_was_left_out(data):
     parts = []
     for k in range(3):
         with np.load(data / "force-dots" / f"recording-{k}.npz") as file:
-            rest, moved, force, torque = (
-                file[n] for n in ("rest_mm", "displacement_mm", "force_n", "torque")
-            )
+            names = "rest_mm", "displacement_mm", "force_n", "torque"
+            rest, moved, force, torque = (file[name] for name in names)
         touches = [touch_from_dots(rest, one) for one in moved[::5]]
         loads = [
             Load(f"recording {k}", shear_n=(float(f[0]), float(f[1])), torsion_n_mm=1e3 * float(t[2]))

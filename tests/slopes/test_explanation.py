@@ -99,9 +99,7 @@ def test_what_markers_hide_and_what_is_not_lit():
     assert (found.law[~patch()] < 0.04).all()
 
 
-@pytest.mark.parametrize(
-    ("level", "name"), [(254, "saturated"), (255, "saturated"), (0, "dark"), (2, "dark")]
-)
+@pytest.mark.parametrize(("level", "name"), [(254, "saturated"), (0, "dark"), (2, "dark")])
 def test_a_channel_that_is_left_out_costs_what_the_others_do_not_say(level, name):
     image, clipped = GRAY.copy(), np.zeros((*SHAPE, 3), np.uint8)
     image[patch(), 1], clipped[patch(), 1] = level, 1

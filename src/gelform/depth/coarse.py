@@ -133,13 +133,11 @@ class CoarseDepth:
         means = self._coarse.means
         change, slopes = means(color_change), means(gradients)
         if hidden is not None and hidden.any():
-            shown = ~hidden
-            part = means(shown)
+            seen = ~hidden
+            part = means(seen)
             known = part > 0
             part[~known] = 1
-            change, slopes = (
-                means(m * shown[..., None]) / part[..., None] for m in (color_change, gradients)
-            )
+            change, slopes = (means(m * seen[..., None]) / part[..., None] for m in (color_change, gradients))
             if known.any():
                 change, slopes = fill_unknown(change, known), fill_unknown(slopes, known)
         change = change - medians_where(change)[0]

@@ -95,18 +95,16 @@ def contacts_from_mask(
     ValueError, TypeError
         Wrong shapes, NaN, or a pitch that is not positive.
     """
-    height = check_map(depth, "depth")
+    z = check_map(depth, "depth")
     mask = as_array(contact, "contact")
-    if height.ndim != 2 or mask.shape != height.shape:
-        raise ValueError(
-            f"Expected contact and depth of one frame, (H, W), got {mask.shape} and {height.shape}."
-        )
+    if z.ndim != 2 or mask.shape != z.shape:
+        raise ValueError(f"Expected contact and depth of one frame, (H, W), got {mask.shape} and {z.shape}.")
     if mask.dtype != np.bool_:
         raise TypeError(f"Expected contact as bool, got {mask.dtype}. Convert it: contact > 0.")
     pitch = None if mm_per_px is None else check_mm_per_px(mm_per_px)
     count, labels = labeled(mask)
     moments = np.empty((count, 14))
-    _region_moments(labels, height, moments)
+    _region_moments(labels, z, moments)
     found = [_contact(k, row, pitch, mask.shape) for k, row in enumerate(moments, start=1)]
     return tuple(sorted(found, key=lambda one: (-one.area_px, one.label))), labels
 
@@ -134,9 +132,8 @@ def unknown_contact(
 def labeled(mask: Mask) -> tuple[int, NDArray[np.uint16]]:
     """The number of connected regions of a mask (H, W), and the map of their labels in the order of their first pixels."""
     labels = np.empty(mask.shape, dtype=np.uint16)
-    found = _label_regions(
-        np.ascontiguousarray(mask), labels, np.empty(runs_work(labels.shape), dtype=np.int32)
-    )
+    work = np.empty(runs_work(labels.shape), dtype=np.int32)
+    found = _label_regions(np.ascontiguousarray(mask), labels, work)
     if found > np.iinfo(np.uint16).max:
         raise ValueError(f"Expected at most 65535 separate contacts, got {found}: is this noise?")
     return found, labels

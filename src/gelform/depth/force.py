@@ -67,10 +67,8 @@ def touch_from_result(result: Any) -> Touch:
     x, y, width, height = cv2.boundingRect(contact.view(np.uint8))
     box = slice(y, y + height), slice(x, x + width)
     touched, pressed = contact[box], result.depth[box] * contact[box]
-    band, (rows, columns) = max(1, round(len(contact) / 30)), contact.shape  # 8 px of 240 along the border
-    inside = pressed[
-        max(band - y, 0) : max(rows - band - y, 0), max(band - x, 0) : max(columns - band - x, 0)
-    ]
+    rim, (rows, columns) = max(1, round(len(contact) / 30)), contact.shape  # 8 px of 240 along the border
+    inside = pressed[max(rim - y, 0) : max(rows - rim - y, 0), max(rim - x, 0) : max(columns - rim - x, 0)]
     # Neighbors err alike, so the volume is as uncertain as the depth.
     deviation = result.depth_sigma_mm
     sigma = 0.0 if deviation is None else float(deviation[box][touched].sum(dtype=np.float64))
@@ -274,9 +272,8 @@ class Force:
     @property
     def reason(self) -> str:
         """Why a part is None, each reason once; "" if all are known."""
-        return "; ".join(
-            dict.fromkeys(filter(None, (self.normal_reason, self.shear_reason, self.torsion_reason)))
-        )
+        reasons = self.normal_reason, self.shear_reason, self.torsion_reason
+        return "; ".join(dict.fromkeys(filter(None, reasons)))
 
     @property
     def vector_n(self) -> Numbers:
@@ -608,9 +605,7 @@ def _row(kind: str, name: str, parts: list[tuple[Force, Load]], center: Numbers)
     row: dict[str, Any] = {"object": name, "presses": len(parts), "refused": 1 - len(known) / len(parts)}
     if not known:
         return row
-    force, truth = (
-        np.array([_value(one, kind) for one in column]).reshape(len(known), -1) for column in zip(*known)
-    )
+    force, truth = (np.array([_value(one, kind) for one in of]).reshape(len(known), -1) for of in zip(*known))
     sigma = np.array([getattr(f, f"{kind}_sigma_{KINDS[kind]}") for f, _ in known])[:, None]
     off = np.abs(force - truth) / np.maximum(sigma, 1e-12)
     within = {f"within_{n}": float(np.mean(off <= n)) for n in (1, 2)}

@@ -60,9 +60,7 @@ def checked_pose(pose: ArrayLike, name: str) -> Array:
     wrong = matrix.shape != (4, 4) or np.abs(matrix[3] - (0, 0, 0, 1)).max() > ORTHONORMAL
     turn = np.zeros((3, 3)) if wrong else matrix[:3, :3]
     if np.abs(turn.T @ turn - np.eye(3)).max() > ORTHONORMAL or np.linalg.det(turn) < 0:
-        raise ValueError(
-            f"Expected {name} as a rigid motion (4, 4): a rotation, a shift in mm and 0, 0, 0, 1."
-        )
+        raise ValueError(f"Expected {name} as a rigid motion (4, 4): rotation, shift in mm and 0, 0, 0, 1.")
     return matrix
 
 

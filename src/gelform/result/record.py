@@ -240,9 +240,7 @@ class Reconstruction:
             return self.depth
         pitch_x, pitch_y = check_mm_per_px(self.mm_per_px)
         if pitch_x != pitch_y:
-            raise GelformError(
-                f"Expected square pixels for a depth in pixels, got mm_per_px={self.mm_per_px}."
-            )
+            raise GelformError(f"Expected square pixels for depth in pixels, got mm_per_px={self.mm_per_px}.")
         return (self.depth / np.float32(pitch_x)).astype(np.float32)
 
     @property

@@ -145,16 +145,12 @@ class Cause(NamedTuple):
     color: str  # in pictures, "#rrggbb"
 
 
-LEAVES_NOTHING = 0.35  # mm/mm, standard deviation that leaves no information; about the slope of a ball's rim
+BLIND = 0.35  # mm/mm, standard deviation that leaves no information; about the slope of a ball's rim
 SIX_SIGMA = 7.0  # mm/mm, standard deviation that a residual of 6 sigma adds; rims of real presses reach 5
 # The colors are those of Okabe and Ito, distinct for every kind of color blindness; the last is not theirs.
 CAUSES = {
-    "saturated": Cause(
-        "at the camera's upper end. Lower exposure, gain or the lights.", LEAVES_NOTHING, "#e69f00"
-    ),
-    "dark": Cause(
-        "at the camera's lower end. Is a light off, or the exposure too short?", LEAVES_NOTHING, "#0072b2"
-    ),
+    "saturated": Cause("at the camera's upper end. Lower exposure, gain or the lights.", BLIND, "#e69f00"),
+    "dark": Cause("at the camera's lower end. Is a light off, or the exposure too short?", BLIND, "#0072b2"),
     "shadow": Cause("darker than any slope makes it: a cast shadow.", SIX_SIGMA, "#56b4e9"),
     "specular": Cause("brighter than any slope makes it: a mirrored light.", SIX_SIGMA, "#f0e442"),
     "off_gamut": Cause(
@@ -164,14 +160,12 @@ CAUSES = {
     ),
     # Of a slope 0.23 beyond those that presses have shown.
     "steep": Cause("steeper than the presses have shown: at least about this slope.", 0.4, "#882255"),
-    "inconsistent": Cause(
-        "torn or from another moment: data of the frame were lost.", LEAVES_NOTHING, "#d55e00"
-    ),
-    "marker": Cause("hidden by markers.", LEAVES_NOTHING, "#999999"),
-    "outside": Cause("not lit, or not gel.", LEAVES_NOTHING, "#009e73"),
-    "wall": Cause("", LEAVES_NOTHING, "#000000"),  # an object's edge is no fault
-    "light": Cause("", LEAVES_NOTHING, "#ffd8a8"),  # findings of the light name it
-    "unit": Cause("", LEAVES_NOTHING, "#7f7f00"),  # the finding of a starter names it
+    "inconsistent": Cause("torn or from another moment: data of the frame were lost.", BLIND, "#d55e00"),
+    "marker": Cause("hidden by markers.", BLIND, "#999999"),
+    "outside": Cause("not lit, or not gel.", BLIND, "#009e73"),
+    "wall": Cause("", BLIND, "#000000"),  # an object's edge is no fault
+    "light": Cause("", BLIND, "#ffd8a8"),  # findings of the light name it
+    "unit": Cause("", BLIND, "#7f7f00"),  # the finding of a starter names it
     "compression": Cause(
         "noisier than the calibrated images. Raise the JPEG quality, or lower the camera's gain.",
         0.0,

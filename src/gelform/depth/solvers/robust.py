@@ -113,9 +113,7 @@ class CurlGatedSolver(MultigridSolver):
     ) -> Solution:
         """Depth of one frame; given weights (per pixel) are multiplied by the confidence from the curl."""
         if isinstance(weights, tuple):
-            raise ValueError(
-                "Expected weights per pixel (H, W) for solver 'curl_gated', got weights per edge."
-            )
+            raise ValueError("Expected weights per pixel (H, W) for solver 'curl_gated', got some per edge.")
         given, trusted = np.ones(self.shape, dtype=np.float32) if weights is None else weights, None
         if weights is not None or mask is not None:
             inside = given if mask is None else np.where(mask, given, 0)
@@ -141,7 +139,7 @@ def confidence_from_curl(
     if min(height, width) < 2:
         return np.ones((height, width), dtype=np.float32)
     circulation = _circulation(g, mm_per_px)
-    jumps = _squares(g[:, 1:] - g[:, :-1]), _squares(g[1:] - g[:-1])
+    jumps = tuple(np.square(d).sum(axis=-1) for d in (g[:, 1:] - g[:, :-1], g[1:] - g[:-1]))
     usual = _usual_circulation(circulation, trusted)
     if trusted is not None:
         across, down = trusted[:, 1:] & trusted[:, :-1], trusted[1:] & trusted[:-1]
@@ -165,10 +163,6 @@ def _circulation(g: Floats, mm_per_px: tuple[float, float]) -> Map:
     loops = np.float32(mm_per_px[0] / mean) * (ex[:-1] - ex[1:])
     loops += np.float32(mm_per_px[1] / mean) * (ey[:, 1:] - ey[:, :-1])
     return np.asarray(loops)
-
-
-def _squares(difference: Map) -> Map:
-    return np.asarray(difference[..., 0] ** 2 + difference[..., 1] ** 2)
 
 
 def _usual_circulation(circulation: Map, trusted: Mask | None) -> float:

@@ -24,9 +24,9 @@ from gelform.slopes.color_models.least_squares import (
     NODE_PX,
     VaryingRegression,
     at_pixels,
-    color_products,
     interpolation,
     monomial_parents,
+    monomial_products,
     monomials,
     nodes_at_scale,
     terms_of_orders,
@@ -81,9 +81,7 @@ class HierarchicalModel(Stored):
         of RMS 1. With the `start` of another unit of the sensor, the coefficients are pulled to its own instead of to 0.
         """
         if not position_degrees or min(position_degrees) < 0 or not ridge > 0:
-            raise ValueError(
-                f"Expected position degrees >= 0 and ridge > 0, got {position_degrees} and {ridge}."
-            )
+            raise ValueError(f"Expected position degrees >= 0, ridge > 0, got {position_degrees}, {ridge}.")
         if start is not None:
             start.check_like(len(position_degrees), samples.shape)
         regression, scales = _regression(samples, tuple(position_degrees), start)
@@ -119,7 +117,8 @@ class HierarchicalModel(Stored):
 
     def gradients_at(self, color_change: Array, x_px: Array, y_px: Array) -> Numbers:
         """Gradients (N, 2) of scattered pixels."""
-        products = color_products(np.asarray(color_change, dtype=np.float64), monomials(3, self.degree))
+        change = np.asarray(color_change, dtype=np.float64)
+        products = np.stack(monomial_products(change.T, monomials(3, self.degree)))
         gradients: Numbers = np.einsum("tn,ntk->nk", products, self.coefficients_at(x_px, y_px))
         bounded(gradients, self.steepest)
         return gradients
@@ -161,7 +160,7 @@ def _regression(
     terms = monomials(3, len(position_degrees))
     scale = float(np.sqrt(np.average(np.mean(change**2, axis=1), weights=samples.weight))) + 1e-12
     orders = [len(term) for term in terms]
-    products = terms_of_orders(list(color_products(change / scale, terms)), orders, position_degrees)
+    products = terms_of_orders(monomial_products((change / scale).T, terms), orders, position_degrees)
     target = np.asarray(samples.gradients, dtype=np.float64)
     if start is not None:
         target = target - start.gradients_at(samples.color_change, samples.x_px, samples.y_px)

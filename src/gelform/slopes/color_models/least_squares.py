@@ -78,7 +78,7 @@ def polynomial_terms(values: Array, x: Array, y: Array, position_degrees: tuple[
 
 def monomial_products(channels: Array, terms: list[tuple[int, ...]]) -> list[Array]:
     """Each monomial (N,) of channels (C, N), a product of its parent's with one channel."""
-    products: list[Array] = []
+    products, channels = [], np.ascontiguousarray(channels)
     for parent, channel in monomial_parents(terms):
         products.append(channels[channel] if parent < 0 else products[parent] * channels[channel])
     return products
@@ -244,11 +244,6 @@ def _light_of_pixels(pixels: bytes, shape: tuple[int, ...]) -> Numbers:
     rows, columns = (np.minimum(nodes, n - 1) for nodes, n in places)
     values = logarithm[np.ix_(rows, columns)] / np.maximum(deviation, 0.01)  # even light has no information
     return np.moveaxis(values, -1, 0)
-
-
-def color_products(change: Numbers, terms: list[tuple[int, ...]]) -> Numbers:
-    """Monomials (terms, N) of a color change (N, 3)."""
-    return np.stack(monomial_products(np.ascontiguousarray(change.T), terms))
 
 
 def interpolation(x_px: Array, y_px: Array, shape: tuple[int, int]) -> tuple[Any, ...]:

@@ -120,7 +120,6 @@ class PreparedPolynomial:
         gradients = np.empty((height, width, 2), dtype=np.float32)
         # For 16 pixels of a row at a time, as in native/slopes/color_models/polynomial.c.
         work = np.empty(6 * (width + 16), dtype=np.float32)
-        _polynomial_gradients(
-            color_change, self._x, self._table, self._degrees, self._parents, work, gradients
-        )
+        tables = self._x, self._table, self._degrees, self._parents
+        _polynomial_gradients(color_change, *tables, work, gradients)
         return gradients, None

@@ -183,9 +183,7 @@ class StartableModel(ColorModel, Protocol):
         ...
 
 
-def check_image_shape(shape: tuple[int, int], expected: tuple[int, int], *, made: str = "calibrated") -> None:
+def check_image_shape(shape: tuple[int, int], own: tuple[int, int], *, made: str = "calibrated") -> None:
     """Raise a ValueError if a model is prepared for images of another size than its own."""
-    if tuple(shape) != tuple(expected):
-        raise ValueError(
-            f"Expected images of {expected[0]}x{expected[1]} px, as {made}, got {shape[0]}x{shape[1]}."
-        )
+    if tuple(shape) != tuple(own):
+        raise ValueError(f"Expected images of {own[0]}x{own[1]} px, as {made}, got {shape[0]}x{shape[1]}.")

@@ -203,9 +203,8 @@ class PreparedLookup:
         self._low, self._step = model.low.astype(np.float32), model.step.astype(np.float32)
         self._colors, self._columns = np.array(colors), columns
         top, down = _node_and_fraction(np.linspace(0, rows - 1, model.shape[0], dtype=np.float32), rows)
-        left, self._right = _node_and_fraction(
-            np.linspace(0, columns - 1, model.shape[1], dtype=np.float32), columns
-        )
+        across = np.linspace(0, columns - 1, model.shape[1], dtype=np.float32)
+        left, self._right = _node_and_fraction(across, columns)
         below = model.table[np.minimum(top + 1, rows - 1)]
         by_row = model.table[top] + down[:, None, None, None, None, None] * (below - model.table[top])
         self._values = np.ascontiguousarray(by_row.reshape(-1, 3))  # (image row, column, R, G, B) -> 3 values
@@ -299,9 +298,7 @@ class InterpolationModel(Stored, Untuned):
     def fit(cls, samples: Samples, *, points: int = 4000, place_scale: float = 0.5) -> InterpolationModel:
         """Keep every n-th sample, about `points`; `place_scale` is the distance of neighbors in the image."""
         if points < NEIGHBORS or not place_scale > 0:
-            raise ValueError(
-                f"Expected points >= {NEIGHBORS} and place_scale > 0, got {points}, {place_scale}."
-            )
+            raise ValueError(f"Expected points >= {NEIGHBORS}, place_scale > 0, got {points}, {place_scale}.")
         color = np.asarray(samples.color_change, dtype=np.float64)
         line = robust_ridge(color, samples.gradients, samples.weight, ridge=1e-4, huber=HUBER_SLOPE)
         scale = float(np.sqrt(np.mean(color**2))) + 1e-12
