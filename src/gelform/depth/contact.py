@@ -77,23 +77,8 @@ def contacts_from_mask(
     """The connected regions of a contact mask, the largest first, and the map of their labels.
 
     Pixels that touch at a corner are connected. Holes stay holes: a ring is one contact whose area and volume leave
-    out the region that it encloses.
-
-    Parameters
-    ----------
-    contact : (H, W) bool
-    depth : (H, W), positive where pressed; mm if `mm_per_px` is not None
-    mm_per_px : float or (x, y), mm; None where the scale is unknown
-
-    Returns
-    -------
-    contacts : sorted by area, the largest first
-    labels : (H, W) uint16, 0 where nothing touches
-
-    Raises
-    ------
-    ValueError, TypeError
-        Wrong shapes, NaN, or a pitch that is not positive.
+    out the region that it encloses. The depth (H, W) is positive where pressed, in mm if the scale is known. ValueError,
+    TypeError: wrong shapes, NaN, or a pitch that is not positive.
     """
     z = check_map(depth, "depth")
     mask = as_array(contact, "contact")

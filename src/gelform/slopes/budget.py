@@ -13,7 +13,7 @@ gentle part around the top tells the ball, and how far the readings follow it te
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -363,8 +363,14 @@ def explanation_of(
         found[name] = np.where(where, budget.outliers, nothing)
     total = np.square(budget.read) + np.square(budget.steep) + np.square(found["unit"])
     law = np.sqrt(np.maximum(total - sum(np.square(one) for one in found.values()), 0))
-    for name, where in _unseen(shown):
-        found[name] = np.where(where, unseen, found[name])
+    hidden = [("marker", shown.markers), ("outside", shown.outside)]
+    if shown.lost is not None:
+        level = cv2.blur(shown.pixels, (BLOCK_PX, BLOCK_PX))
+        bright = shown.lost & (level.max(axis=-1) >= BELOW)
+        dark = shown.lost & ~bright & (level.min(axis=-1) <= LIT)
+        hidden += [("saturated", bright), ("dark", dark), ("inconsistent", shown.lost & ~bright & ~dark)]
+    for name, where in hidden:
+        found[name] = found[name] if where is None else np.where(where, unseen, found[name])
     if shown.clipped is not None:
         cost = np.where(shown.clipped.sum(axis=-1) > 1, unseen, law) * shown.clipped.any(axis=-1)
         ends = (shown.pixels >= SATURATED_FROM).any(axis=-1).view(np.uint8)
@@ -373,20 +379,6 @@ def explanation_of(
             found[name] = np.where(where & (cost > 0), cost, found[name])
     law = np.sqrt(np.maximum(total - sum(np.square(one) for one in found.values()), 0))
     return Explanation(found, law, np.sqrt(total), budget.confidence, full_confidence_sigma)
-
-
-def _unseen(shown: Shown) -> Iterator[tuple[str, Mask]]:
-    """What hides pixels, by the name of its cause, and where (H, W)."""
-    for name, where in (("marker", shown.markers), ("outside", shown.outside)):
-        if where is not None:
-            yield name, where
-    if shown.lost is not None:
-        level = cv2.blur(shown.pixels, (BLOCK_PX, BLOCK_PX))
-        bright = shown.lost & (level.max(axis=-1) >= BELOW)
-        dark = shown.lost & ~bright & (level.min(axis=-1) <= LIT)
-        yield "saturated", bright
-        yield "dark", dark
-        yield "inconsistent", shown.lost & ~bright & ~dark
 
 
 def _named_fraction(mask: Mask) -> float:

@@ -50,28 +50,20 @@ def gradients_from_normals(normals: ArrayLike, *, convention: str = "directx") -
     if check_choice(convention, CONVENTIONS, "a convention") != "directx":
         normals = check_values(normals, "normals", (3,)) * np.array(CONVENTIONS[convention], np.float32)
     n = check_normals(normals)
-    gradients = -n[..., :2] / n[..., 2:]
-    _check_sign_of_y(gradients, convention)
-    return gradients
-
-
-def _check_sign_of_y(gradients: Slopes, convention: str) -> None:
-    """Refuse a map whose curl vanishes only with the other sign of y; noise leaves as much with either.
-
-    Steps and noise leave half as much curl in the right one at most.
-    """
+    gradients: Slopes = -n[..., :2] / n[..., 2:]
     if gradients.ndim < 3 or min(gradients.shape[-3:-1]) < 16:
-        return
+        return gradients
+    # The curl vanishes only with the right sign of y; noise leaves as much with either, steps and noise half at most.
     p, q = np.moveaxis(gradients.astype(np.float64), -1, 0)
     q_x, p_y = np.gradient(q, axis=-1), np.gradient(p, axis=-2)
     here, other = (float(np.sqrt(np.mean(np.square(q_x + sign * p_y)))) for sign in (-1, 1))
     if here > 2 * other and here > 1e-4:
-        right = "directx" if convention == "opengl" else "opengl"
+        points, right = ("down", "directx") if convention == "opengl" else ("up", "opengl")
         raise ValueError(
             f"Expected normals of a surface, got ones that turn (RMS curl {here:.2g} per pixel, {other:.2g} with the other "
-            f"sign of y). Does y point {'down' if convention == 'opengl' else 'up'}? Then give convention={right!r}, or "
-            "change the sign of n_y."
+            f"sign of y). Does y point {points}? Then give convention={right!r}, or change the sign of n_y."
         )
+    return gradients
 
 
 def smoothed_gradients(gradients: ArrayLike, *, texture: float = 0.02) -> Slopes:

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.arrays import Array, Floats, Map, Mask
+from gelform.arrays import Array, Map, Mask
 from gelform.depth.solvers.dct import DctSolver
 from gelform.depth.solvers.seam import (
     EVERY_EDGE,
@@ -138,7 +138,10 @@ def confidence_from_curl(
     height, width = g.shape[:2]
     if min(height, width) < 2:
         return np.ones((height, width), dtype=np.float32)
-    circulation = _circulation(g, mm_per_px)
+    # The sum of the edge slopes around each loop of four pixels: (H-1, W-1).
+    (ex, ey), mean = edges_from_gradients(g), np.sqrt(mm_per_px[0] * mm_per_px[1])
+    circulation = np.float32(mm_per_px[0] / mean) * (ex[:-1] - ex[1:])
+    circulation += np.float32(mm_per_px[1] / mean) * (ey[:, 1:] - ey[:, :-1])
     jumps = tuple(np.square(d).sum(axis=-1) for d in (g[:, 1:] - g[:, :-1], g[1:] - g[:-1]))
     usual = _usual_circulation(circulation, trusted)
     if trusted is not None:
@@ -154,15 +157,6 @@ def confidence_from_curl(
     if patches is not None:
         sound &= ~patches.outlier
     return sound.astype(np.float32)
-
-
-def _circulation(g: Floats, mm_per_px: tuple[float, float]) -> Map:
-    """The sum of the edge slopes around each loop of four pixels: (H-1, W-1)."""
-    ex, ey = edges_from_gradients(g)
-    mean = np.sqrt(mm_per_px[0] * mm_per_px[1])
-    loops = np.float32(mm_per_px[0] / mean) * (ex[:-1] - ex[1:])
-    loops += np.float32(mm_per_px[1] / mean) * (ey[:, 1:] - ey[:, :-1])
-    return np.asarray(loops)
 
 
 def _usual_circulation(circulation: Map, trusted: Mask | None) -> float:

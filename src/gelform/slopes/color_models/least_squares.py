@@ -78,7 +78,8 @@ def polynomial_terms(values: Array, x: Array, y: Array, position_degrees: tuple[
 
 def monomial_products(channels: Array, terms: list[tuple[int, ...]]) -> list[Array]:
     """Each monomial (N,) of channels (C, N), a product of its parent's with one channel."""
-    products, channels = [], np.ascontiguousarray(channels)
+    products: list[Array] = []
+    channels = np.ascontiguousarray(channels)
     for parent, channel in monomial_parents(terms):
         products.append(channels[channel] if parent < 0 else products[parent] * channels[channel])
     return products

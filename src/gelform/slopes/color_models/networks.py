@@ -268,8 +268,12 @@ def _trained(
 ) -> Layers:
     """Layers for inputs under touch and at rest (N, 5), the difference of their outputs (N, 2), and weights of mean 1."""
     touched, rest, target, weight = samples
-    random = torch.Generator().manual_seed(seed)
-    layers = _initial(torch, (touched.shape[1], *hidden, 2), random)
+    random, layers = torch.Generator().manual_seed(seed), []
+    # By He's rule (ICCV 2015), with biases that spread the kinks over the inputs' range.
+    for inputs, outputs in pairwise((touched.shape[1], *hidden, 2)):
+        matrix = torch.randn((outputs, inputs), generator=random) * (2 / inputs) ** 0.5
+        bias = (torch.rand((outputs,), generator=random) - 0.5) * (outputs > 2)
+        layers.append((matrix.requires_grad_(), bias.requires_grad_()))
     optimizer = torch.optim.AdamW([p for pair in layers for p in pair], lr=1e-2, weight_decay=decay)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, steps)
     for _ in range(steps):
@@ -287,13 +291,3 @@ def _trained(
         schedule.step()
     weights, biases = zip(*[[p.detach().numpy().copy() for p in pair] for pair in layers])
     return Layers(weights, biases)
-
-
-def _initial(torch: Any, sizes: tuple[int, ...], random: Any) -> list[tuple[Any, Any]]:
-    """Weights by He's rule (ICCV 2015), with biases that spread the kinks over the inputs' range."""
-    layers = []
-    for inputs, outputs in pairwise(sizes):
-        weight = torch.randn((outputs, inputs), generator=random) * (2 / inputs) ** 0.5
-        bias = (torch.rand((outputs,), generator=random) - 0.5) * (outputs > 2)
-        layers.append((weight.requires_grad_(), bias.requires_grad_()))
-    return layers

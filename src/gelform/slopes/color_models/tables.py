@@ -58,8 +58,13 @@ class Lattice:
         self.smoothness = smoothness
         self.roughness = scipy.sparse.csr_matrix((int(np.prod(sizes)),) * 2)
         for axis, size in enumerate(sizes):
-            if size > 1:
-                self.roughness = self.roughness + _squared_differences(sizes, axis)
+            if size > 1:  # D^T D of second differences along the axis, first ones for two nodes
+                order = [1.0, -2.0, 1.0] if size > 2 else [-1.0, 1.0]
+                rows = size - len(order) + 1
+                line = scipy.sparse.diags(order, list(range(len(order))), shape=(rows, size))
+                before, after = (scipy.sparse.eye(int(np.prod(n))) for n in (sizes[:axis], sizes[axis + 1 :]))
+                along = scipy.sparse.kron(scipy.sparse.kron(before, line.T @ line), after)
+                self.roughness = self.roughness + scipy.sparse.csr_matrix(along)
         free = np.ones(sizes, dtype=bool)
         free[:, :, zero[0], zero[1], zero[2]] = False
         self.free = np.flatnonzero(free)
@@ -83,17 +88,6 @@ class Lattice:
             residual = np.linalg.norm(corners @ slopes - target, axis=1)
             current = weight * np.minimum(1, HUBER_SLOPE / np.maximum(residual, 1e-12))
         return slopes
-
-
-def _squared_differences(sizes: tuple[int, ...], axis: int) -> scipy.sparse.csr_matrix:
-    """D^T D of second differences along one axis (first ones for two nodes), over all nodes."""
-    size = sizes[axis]
-    order = [1.0, -2.0, 1.0] if size > 2 else [-1.0, 1.0]
-    line = scipy.sparse.diags(order, list(range(len(order))), shape=(size - len(order) + 1, size))
-    before, after = (int(np.prod(part)) for part in (sizes[:axis], sizes[axis + 1 :]))
-    return scipy.sparse.csr_matrix(
-        scipy.sparse.kron(scipy.sparse.kron(scipy.sparse.eye(before), line.T @ line), scipy.sparse.eye(after))
-    )
 
 
 def held_out_residuals(
