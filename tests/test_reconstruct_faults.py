@@ -1,7 +1,5 @@
 """Frames that say nothing, or only in part: findings, large sigma, bounded depth; never an exception, never NaN.
-
 Channels at an end of the camera's range: left out where training did not show them so, on a gel that is known exactly.
-
 Calibrations without a scale, a forward response or a deviation, as importers make them; and old files.
 """
 

@@ -1,6 +1,5 @@
-"""What is held at rest: untouched gel, drifted gel too, but never the flat face of something pressed.
-
-Coarse depth of whole frames, by which the steps of the response go.
+"""What is held at rest: untouched gel, drifted gel too, but never the flat face of something pressed. Coarse depth of
+whole frames, by which the steps of the response go.
 """
 
 import cv2

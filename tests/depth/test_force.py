@@ -1,8 +1,6 @@
 """The numbers of a touch: its volume, its place, and the motion of the dots, on maps and motions that are written out.
-
-Forces of touches by a model that is written out: their values, their standard deviations, and each refusal.
-
-Models fitted to touches whose forces are written out, what is refused, and the real recordings of dots.
+Forces of touches by a model that is written out: their values, their standard deviations, and each refusal. Models
+fitted to touches whose forces are written out, what is refused, and the real recordings of dots.
 """
 
 import json

@@ -1,10 +1,6 @@
-"""The door to the solvers: scenes with known depth, offsets, levels, what is reported, what is refused.
-
-Where depth is 0, and what is leveled off.
-
-What solvers are given: weights per pixel, per edge, or as a stack; test_integrate has the wrong ones.
-
-One frame's slopes to depth: what the solver is given.
+"""The door to the solvers: scenes with known depth, offsets, levels, what is reported, what is refused. Where depth is
+0, and what is leveled off. What solvers are given: weights per pixel, per edge, or as a stack; test_integrate has the
+wrong ones. One frame's slopes to depth: what the solver is given.
 """
 
 from __future__ import annotations

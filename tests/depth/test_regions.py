@@ -1,6 +1,5 @@
-"""Regions of a contact mask: their labels, and what is measured of each.
-
-The color change around a contact over that inside, of images that are written out.
+"""Regions of a contact mask: their labels, and what is measured of each. The color change around a contact over that
+inside, of images that are written out.
 """
 
 import numpy as np

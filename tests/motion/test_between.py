@@ -1,8 +1,6 @@
-"""Known motions of known bodies: found within their covariance, blind directions named, nothing invented.
-
-The covariance of a pose: its parts, and that it lies in the seen directions alone.
-
-Which directions are seen, and the words for those that are not.
+"""Known motions of known bodies: found within their covariance, blind directions named, nothing invented. The
+covariance of a pose: its parts, and that it lies in the seen directions alone. Which directions are seen, and the words
+for those that are not.
 """
 
 import re

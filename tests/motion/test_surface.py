@@ -1,6 +1,5 @@
-"""Rigid motions as matrices and as steps about a center.
-
-The equations of a small motion: the kernel against numpy, and the derivatives against differences.
+"""Rigid motions as matrices and as steps about a center. The equations of a small motion: the kernel against numpy, and
+the derivatives against differences.
 """
 
 import numpy as np

@@ -1,8 +1,6 @@
-"""A path of many frames: keyframes, what is lost, and covariances that grow.
-
-Several contacts of one body as one surface.
-
-Presses of a real ball on a GelSight Mini, by the starter: its center moves as the circles say, its turns are blind.
+"""A path of many frames: keyframes, what is lost, and covariances that grow. Several contacts of one body as one
+surface. Presses of a real ball on a GelSight Mini, by the starter: its center moves as the circles say, its turns are
+blind.
 """
 
 import csv

@@ -1,8 +1,5 @@
-"""A ball's slopes, its center found from slopes, and the sphere through its depth.
-
-Angles and errors of a press against what they must be.
-
-Areal roughness of surfaces whose figures are known, and against the standard's formulas written out.
+"""A ball's slopes, its center found from slopes, and the sphere through its depth. Angles and errors of a press against
+what they must be. Areal roughness of surfaces whose figures are known, and against the standard's formulas written out.
 """
 
 import numpy as np

@@ -1,8 +1,5 @@
-"""What a result works out when asked, and which parts it refuses.
-
-A result comes back from its file to the bit; files of every format are read.
-
-The one table of a result's maps: it says what a result, its file and the documents say.
+"""What a result works out when asked, and which parts it refuses. A result comes back from its file to the bit; files
+of every format are read. The one table of a result's maps: it says what a result, its file and the documents say.
 """
 
 import base64

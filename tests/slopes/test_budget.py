@@ -1,6 +1,5 @@
-"""The budget of slopes: each row by itself, what is weighed, and what presses have not shown.
-
-Slopes that a ball in the frame shows: exact balls, readings that bend, and what is no ball.
+"""The budget of slopes: each row by itself, what is weighed, and what presses have not shown. Slopes that a ball in the
+frame shows: exact balls, readings that bend, and what is no ball.
 """
 
 from dataclasses import replace

@@ -1,6 +1,5 @@
-"""Photometric stereo with known lights, forward and backward.
-
-Slopes: from normals and depth, their curl, and smoothing.
+"""Photometric stereo with known lights, forward and backward. Slopes: from normals and depth, their curl, and
+smoothing.
 """
 
 from __future__ import annotations

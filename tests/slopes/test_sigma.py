@@ -1,8 +1,6 @@
-"""The law of the slopes' standard deviation: recovered from errors of known size.
-
-The table of causes: each is said in words, and everything that lists them lists them all.
-
-Clipped channels: which pixels they reach, and where too few channels are left to tell a slope.
+"""The law of the slopes' standard deviation: recovered from errors of known size. The table of causes: each is said in
+words, and everything that lists them lists them all. Clipped channels: which pixels they reach, and where too few
+channels are left to tell a slope.
 """
 
 import re

@@ -1,6 +1,5 @@
-"""What every solver owes: agreement where all are right, one call shape, a place in the guide.
-
-The problem that all weighted solvers share: scaled weights, what is trusted, couplings.
+"""What every solver owes: agreement where all are right, one call shape, a place in the guide. The problem that all
+weighted solvers share: scaled weights, what is trusted, couplings.
 """
 
 from __future__ import annotations

@@ -1,5 +1,4 @@
 """The grid in C: coarse operators are P^T A P, the V-cycle is symmetric, few iterations suffice, no state is left.
-
 Walls that are read too flat: at least as steep as they are read, and nothing else changes.
 """
 

@@ -1,8 +1,6 @@
-"""Small networks: the kernel is the network in plain numpy, layers that do not fit are refused.
-
-An imported network: what it is fed, how its answer is read, and that no change is no slope.
-
-The mlp: a network in plain numpy agrees, training is repeatable and learns, torch is asked for by name.
+"""Small networks: the kernel is the network in plain numpy, layers that do not fit are refused. An imported network:
+what it is fed, how its answer is read, and that no change is no slope. The mlp: a network in plain numpy agrees,
+training is repeatable and learns, torch is asked for by name.
 """
 
 import sys

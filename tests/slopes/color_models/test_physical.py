@@ -1,6 +1,5 @@
-"""Lambertian: the camera's exponent and the crosstalk come back, exact on its own law.
-
-Near lights: the simulator's LEDs are found again; frames equal pixels; crosstalk and response come back.
+"""Lambertian: the camera's exponent and the crosstalk come back, exact on its own law. Near lights: the simulator's
+LEDs are found again; frames equal pixels; crosstalk and response come back.
 """
 
 from dataclasses import replace

@@ -1,8 +1,6 @@
 """The seam, asked of every model in COLOR_MODELS: no change no slope, frames equal pixels, saved arrays, variants.
-
-Polynomial: exact on its own law, follows lights that turn over the image.
-
-Regressions that color models share, and the terms they are made of.
+Polynomial: exact on its own law, follows lights that turn over the image. Regressions that color models share, and the
+terms they are made of.
 """
 
 from __future__ import annotations

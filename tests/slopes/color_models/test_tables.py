@@ -1,6 +1,5 @@
-"""The lookup table: a multilinear law is met, smooth at zero, honest off its gamut.
-
-Interpolation: exact on a line, close on shading, and it knows when it is far from its samples.
+"""The lookup table: a multilinear law is met, smooth at zero, honest off its gamut. Interpolation: exact on a line,
+close on shading, and it knows when it is far from its samples.
 """
 
 from dataclasses import replace
