@@ -157,12 +157,8 @@ def test_new_background_takes_a_larger_drift(calibration, press, simulated):
     result = gelform.Reconstructor(calibration, background=today)(image)
     plain = gelform.Reconstructor(calibration)(press.image)
     assert np.sqrt(np.mean((result.depth_mm - plain.depth_mm) ** 2)) < 0.01
-
-
-def test_drift_is_a_named_finding(calibration, press):
-    result = gelform.Reconstructor(calibration)(np.clip(press.image * 0.85, 0, 255))
-    assert [finding.name for finding in result.health] == ["background_ratio"]
-    assert result.health[0].figure == pytest.approx(0.85, abs=0.02)
+    (finding,) = gelform.Reconstructor(calibration)(np.clip(press.image * 0.85, 0, 255)).health
+    assert (finding.name, finding.figure) == ("background_ratio", pytest.approx(0.85, abs=0.02))
 
 
 def test_frame_times_pass_through(calibration, press):

@@ -52,10 +52,6 @@ def anchored(*maps):
     return RestAnchor(SHAPE, PITCH, CLEAN)(*maps)
 
 
-def test_untouched_gel_is_held_as_the_units_say():
-    np.testing.assert_allclose(anchored(np.zeros((*SHAPE, 2), np.float32), EVERYWHERE), HOLD, rtol=1e-3)
-
-
 @pytest.mark.parametrize("height_mm", [0.1, -0.1])
 def test_gel_off_rest_that_the_border_cuts_is_held_as_drift(height_mm):
     """No rim encloses it: a ball's sink beyond the frame would count as pressed flat otherwise."""
@@ -94,8 +90,9 @@ def test_a_flat_face_is_not_held(height_mm, radius_px, share, within):
     assert abs(naive[face].mean()) < 0.8 * abs(height_mm)  # what color alone would have made of it
 
 
-def test_gel_that_a_ring_encloses_at_rest_is_held():
+def test_untouched_gel_is_held_as_the_units_say_within_a_ring_too():
     """Inside an O-ring the gel is where it was: enclosed, and no face."""
+    np.testing.assert_allclose(anchored(np.zeros((*SHAPE, 2), np.float32), EVERYWHERE), HOLD, rtol=1e-3)
     rho = away_from(70, 60)
     anchor = anchored(*read(0.3 * np.clip(1 - np.abs(rho - 40) / 6, 0, 1)))
     assert anchor[rho < 10].mean() > 0.9 * HOLD

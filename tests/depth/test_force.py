@@ -65,12 +65,9 @@ def test_the_volume_of_a_block():
     assert touch.confidence == pytest.approx(0.8)
     assert (touch.outside_change, touch.border_share, touch.calibration_digest) == (0.1, 0, "a")
     assert touch.dots is None is touch.rest_mm
-
-
-def test_uneven_pixels_and_depth_outside_the_contact():
-    result = pressed(mm_per_px=(0.1, 0.2))
-    result.depth[:10] = -0.3
-    assert touch_from_result(result).volume_mm3 == pytest.approx(2.0, rel=1e-6)
+    uneven = pressed(mm_per_px=(0.1, 0.2))
+    uneven.depth[:10] = -0.3  # outside the contact
+    assert touch_from_result(uneven).volume_mm3 == pytest.approx(2.0, rel=1e-6)
 
 
 def test_a_volume_is_as_uncertain_as_its_depth():

@@ -151,9 +151,6 @@ def test_it_is_bounded_and_the_contact_s_is_without_what_is_common():
     found = errors_of(depth, at_rest, gain=0.5)
     assert found.sigma(0.01).max() == pytest.approx(0.01)
     assert found.contact_sigma(9.0)[60, 80] < 0.5 * found.sigma(9.0)[60, 80]
-
-
-def test_what_no_float_holds_is_refused():
     with pytest.raises(ConvergenceError, match="Expected a finite standard deviation of depth"):
         errors_of(1e25 * bump(-1.0))
 

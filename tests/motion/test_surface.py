@@ -28,6 +28,9 @@ def test_a_step_and_its_pose():
     np.testing.assert_allclose(step_of_pose(pose, CENTER), STEP, atol=1e-12)
     np.testing.assert_allclose(moved(pose, CENTER), CENTER + STEP[:3])
     assert turn_deg(pose) == pytest.approx(np.degrees(np.linalg.norm(STEP[3:])))
+    offset, small = np.array([0.7, -0.3, 1.1]), 1e-5 * STEP  # about another center it is the same motion
+    same = pose_of_step(about_other_center(offset) @ small, CENTER + offset)
+    np.testing.assert_allclose(same, pose_of_step(small, CENTER), atol=1e-9)
 
 
 def test_turns_lead_from_x_to_y_to_z():
@@ -36,14 +39,6 @@ def test_turns_lead_from_x_to_y_to_z():
         step[3 + k] = 0.1
         axis = np.eye(3)[first]
         assert moved(pose_of_step(step, np.zeros(3)), axis)[then] == pytest.approx(np.sin(0.1))
-
-
-def test_a_small_step_about_another_center_is_the_same_motion():
-    offset = np.array([0.7, -0.3, 1.1])
-    small = 1e-5 * STEP
-    there = about_other_center(offset) @ small
-    same = pose_of_step(there, CENTER + offset)
-    np.testing.assert_allclose(same, pose_of_step(small, CENTER), atol=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -276,10 +276,7 @@ def test_a_result_of_the_first_format_is_read():
     assert (first.mm_per_px, first.health) == (0.1, (Finding("exposure", "Exposure differs.", 1.05),))
     np.testing.assert_array_equal(first.markers.displacement_px, [[1, 1], [1, 1]])
     assert list(first.markers.seen) == [True, False]
-
-
-def test_a_file_of_every_format_is_kept():
-    """With a new format comes a file of the one before, written by the release that wrote it."""
+    # With a new format comes a file of the one before, written by the release that wrote it.
     kept = {int(path.stem.rsplit("-", 1)[1]) for path in DATA.glob("result-version-*.npz")}
     assert kept == set(range(1, FORMAT_VERSION + 1))
 
@@ -332,10 +329,7 @@ def test_the_table_has_every_map_of_a_result_and_its_file(result, tmp_path):
         assert MAPS.keys() - derived - {"depth_sigma_mm"} <= set(file.files)
 
 
-def test_the_documents_list_what_a_batch_keeps():
+def test_the_documents_list_what_a_batch_keeps_and_help_reads_the_table_without_numpy():
     assert f"any of {', '.join(KEPT_MAPS)} |" in (DOCS / "batch.md").read_text(encoding="utf-8")
-
-
-def test_help_reads_the_table_without_numpy():
     program = "import sys, gelform.result.maps; sys.exit('numpy' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0

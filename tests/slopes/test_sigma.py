@@ -4,7 +4,6 @@ channels are left to tell a slope.
 """
 
 import re
-from dataclasses import asdict
 from pathlib import Path
 
 import cv2
@@ -123,10 +122,6 @@ def test_a_few_wild_errors_do_not_widen_it():
     wild["error"][::50] = 3.0
     spoilt, right = (SlopeSigma.fit(one, rest, 8.0, 0.5) for one in (wild, pixels))
     assert spoilt.full_confidence_sigma == pytest.approx(right.full_confidence_sigma, rel=0.1)
-
-
-def test_a_law_comes_back_from_its_settings():
-    assert SlopeSigma.from_dict(asdict(LAW)) == LAW
 
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "confidence.md"

@@ -114,12 +114,6 @@ def test_exact_slopes_are_trusted_beside_hidden_outliers_too():
     assert confidence_from_curl(gradients, pitch, trusted).all()
 
 
-def test_gate_refuses_weights_per_edge():
-    edges = np.ones((4, 4)), np.ones((3, 5))
-    with pytest.raises(ValueError, match="Expected weights per pixel"):
-        depth_from_gradients(np.zeros((4, 5, 2)), mm_per_px=0.1, weights=edges, solver="curl_gated")
-
-
 ROWS, COLS = np.mgrid[: SHAPE[0], : SHAPE[1]]
 
 
@@ -180,6 +174,9 @@ def test_nothing_that_jumps_is_nothing_to_judge():
     circulation = np.zeros((5, 6), dtype=np.float32)
     jumps = np.zeros((6, 6), dtype=np.float32), np.zeros((5, 7), dtype=np.float32)
     assert patches_from_jumps(circulation, jumps, 0.1) is None
+    edges = np.ones((4, 4)), np.ones((3, 5))
+    with pytest.raises(ValueError, match="Expected weights per pixel"):
+        depth_from_gradients(np.zeros((4, 5, 2)), mm_per_px=0.1, weights=edges, solver="curl_gated")
 
 
 @pytest.mark.parametrize("shape", [(2, 2), (2, 9), (3, 4), (5, 31)])

@@ -131,17 +131,14 @@ def samples_of(mixture=None, response=1.0, count=4000, seed=0, slope=0.4):
     return Samples(ratio**response - 1, x, y, gradients, np.ones(count), SHAPE_NEAR_LIGHT)
 
 
-def test_led_positions_come_back_in_mm():
-    model = NearLightModel.fit(samples_of())
-    np.testing.assert_allclose(model.positions_mm(MM_PER_PX), LEDS, atol=0.02)
-    assert model.response == pytest.approx(1, abs=1e-3)
-
-
-def test_crosstalk_and_response_come_back_too():
-    model = NearLightModel.fit(samples_of(MIXTURE, response=0.6))
-    assert model.response == pytest.approx(0.6, abs=0.01)
-    np.testing.assert_allclose(model.positions_mm(MM_PER_PX), LEDS, atol=0.3)
-    np.testing.assert_allclose(model.mixture, MIXTURE, atol=0.03)
+@pytest.mark.parametrize(
+    ("mixture", "response", "off_mm", "off"), [(np.eye(3), 1.0, 0.02, 1e-3), (MIXTURE, 0.6, 0.3, 0.01)]
+)
+def test_positions_in_mm_crosstalk_and_response_come_back(mixture, response, off_mm, off):
+    model = NearLightModel.fit(samples_of(mixture, response))
+    np.testing.assert_allclose(model.positions_mm(MM_PER_PX), LEDS, atol=off_mm)
+    np.testing.assert_allclose(model.mixture, mixture, atol=3 * off)
+    assert model.response == pytest.approx(response, abs=off)
 
 
 def test_a_channel_may_see_another_light_more_than_its_own():
@@ -218,11 +215,7 @@ def test_a_point_light_falls_with_the_square_of_the_distance(pixels):
     distance = np.linalg.norm(way, axis=-1)
     np.testing.assert_allclose(np.linalg.norm(light, axis=-1), np.sum(POSITIONS**2, axis=1) / distance**2)
     np.testing.assert_allclose(np.cross(light, way), 0, atol=1e-12)
-
-
-def test_the_untouched_gel_has_the_ratio_one(pixels):
-    _, x, y = pixels
-    up = np.tile([0.0, 0.0, 1.0], (40, 1))
+    up = np.tile([0.0, 0.0, 1.0], (40, 1))  # of untouched gel
     np.testing.assert_allclose(light_ratio(up, x, y, POSITIONS, LEAKS, 2.0), 1)
 
 

@@ -5,9 +5,7 @@
 
 from gelform.depth.solvers.dct import Dct4Solver, DctSolver
 from gelform.depth.solvers.robust import CurlGatedSolver, HuberSolver, L1Solver, RobustSolver
-from gelform.depth.solvers.seam import Solution as Solution
-from gelform.depth.solvers.seam import Solver
-from gelform.depth.solvers.seam import Weights as Weights
+from gelform.depth.solvers.seam import Solution, Solver, Weights
 from gelform.depth.solvers.weighted import AtLeastSolver, MultigridSolver, SparseSolver
 
 # SOLVERS[name](shape, mm_per_px) prepares a solver.
@@ -22,3 +20,5 @@ SOLVERS: dict[str, type[Solver]] = {
     "curl_gated": CurlGatedSolver,
     "at_least": AtLeastSolver,
 }
+
+__all__ = ["SOLVERS", "Solution", "Solver", "Weights"]

@@ -8,14 +8,12 @@ A model is fitted on samples of ball presses, where the gradient is known, and p
 No color change means no slope, in every model.
 """
 
-from gelform.slopes.color_models.forward_response import ForwardResponse as ForwardResponse
+from gelform.slopes.color_models.forward_response import ForwardResponse
 from gelform.slopes.color_models.hierarchical import HierarchicalModel
 from gelform.slopes.color_models.networks import MlpModel, NetworkModel
 from gelform.slopes.color_models.physical import LambertianModel, NearLightModel
 from gelform.slopes.color_models.polynomial import PolynomialModel
-from gelform.slopes.color_models.seam import ColorModel, FittableColorModel
-from gelform.slopes.color_models.seam import Samples as Samples
-from gelform.slopes.color_models.seam import StartableModel as StartableModel
+from gelform.slopes.color_models.seam import ColorModel, FittableColorModel, Samples, StartableModel
 from gelform.slopes.color_models.tables import InterpolationModel, LookupModel
 
 COLOR_MODELS: dict[str, type[FittableColorModel]] = {
@@ -34,3 +32,5 @@ DEFAULT_MODEL, PLAIN_MODEL = "hierarchical", "polynomial"
 
 # Models that other packages made and `importers` reads; they are never fitted here.
 IMPORTED_MODELS: dict[str, type[ColorModel]] = {"network": NetworkModel}
+
+__all__ = ["COLOR_MODELS", "IMPORTED_MODELS", "ColorModel", "ForwardResponse", "Samples", "StartableModel"]
