@@ -1,6 +1,6 @@
 """Small networks: the kernel is the network in plain numpy, layers that do not fit are refused. An imported network:
 what it is fed, how its answer is read, and that no change is no slope. The mlp: a network in plain numpy agrees,
-training is repeatable and learns, torch is asked for by name.
+training is repeatable, learns and heeds weights, torch is asked for by name.
 """
 
 import sys
@@ -142,6 +142,18 @@ def test_training_learns_lights_that_turn_and_repeats_itself():
     assert np.sqrt(np.mean((found[0] - unseen.gradients) ** 2)) < 0.03
     np.testing.assert_array_equal(found[0], found[1])
     assert np.abs(found[0] - found[2]).max() > 1e-4
+
+
+def test_weights_count_in_training():
+    pytest.importorskip("torch", reason="torch, the extra `torch`, is not installed")
+    samples = ball_samples(shading_change, count=2000)
+    turned = samples.gradients * np.where(np.arange(2000) % 2, -1, 1)[:, None]
+    weight = (np.arange(2000) % 2 == 0).astype(float)
+    spoilt = type(samples)(samples.color_change, samples.x_px, samples.y_px, turned, weight, SHAPE_MLP)
+    found = MlpModel.fit(spoilt, steps=300).gradients_at(samples.color_change, samples.x_px, samples.y_px)
+    assert np.sqrt(np.mean((found - samples.gradients) ** 2)) < 0.05
+    with pytest.raises(ValueError, match="Expected hidden layers, steps and samples"):
+        MlpModel.fit(samples, steps=0)
 
 
 def test_without_torch_the_extra_is_named(monkeypatch):
