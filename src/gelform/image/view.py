@@ -1,13 +1,8 @@
-"""frame -> image and back: the view, its lens, and resampling in one pass.
+"""frame -> image: lens, crop, flip and resize in one remap, then a quarter turn; and points there and back.
 
-Resampling of an image in one pass: averages over boxes of whole pixels, then one bilinear remap.
-
-Pixel centers are at integers, so a pixel covers half a pixel on each side of its number, and resizing maps *areas*.
-If an image is reduced strongly, whole pixels are averaged first, which avoids aliasing.
-
-frame -> image: lens, crop, flip and resize in one remap, and back.
-
-Pixel centers are at integers and resizing maps areas: `x_frame = (x_image + 1/2) scale - 1/2 + left`.
+Pixel centers are at integers, so a pixel covers half a pixel on each side of its number, and resizing maps *areas*:
+`x_frame = (x_image + 1/2) scale - 1/2 + left`. If an image is reduced strongly, whole pixels are averaged first, which
+avoids aliasing.
 
 With a lens the crop is part of the *rectified* frame, which has the frame's size and square pixels on the gel; each of
 its pixels is looked up in the frame through the perspective and the distortion.
@@ -15,7 +10,7 @@ its pixels is looked up in the frame through the perspective and the distortion.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from typing import Any
@@ -38,7 +33,7 @@ def box_centers(
     in a box, which is the integer part of the reduction.
     """
     scale = length / count
-    box = max(1, int(scale + 0.5))
+    box = _box_px(scale)
     first = min(int(start), available - 1)
     last = min(available, int(np.ceil(start + length)))
     centers = (np.arange(count) + 0.5) * scale + start
@@ -47,25 +42,20 @@ def box_centers(
     return (centers - first) / box - 0.5, slice(first, last), box
 
 
+def _box_px(reduction: float) -> int:
+    """Whole pixels that are averaged along an axis which is reduced by a factor."""
+    return max(1, int(reduction + 0.5))
+
+
 def averaged(pixels: Array, box: tuple[int, int]) -> Array:
     """Mean of pixels (H, W, 3) over boxes (height, width); the last box repeats the border beyond the frame."""
     if box == (1, 1):
         return pixels
-    boxes = [-(-pixels.shape[axis] // box[axis]) for axis in (0, 1)]
-    missing = [boxes[axis] * box[axis] - pixels.shape[axis] for axis in (0, 1)]
-    if any(missing):
-        pixels = cv2.copyMakeBorder(pixels, 0, missing[0], 0, missing[1], cv2.BORDER_REPLICATE)
-    averaged: Array = cv2.resize(pixels, (boxes[1], boxes[0]), interpolation=cv2.INTER_AREA)
-    return averaged
-
-
-def pixel_maps(x: Array, y: Array) -> tuple[Map, Map]:
-    """Maps (h, w) of each pixel's position in the source.
-
-    All rows of the maps have the columns x (w,), and all columns the rows y (h,).
-    """
-    map_x, map_y = np.meshgrid(x.astype(np.float32), y.astype(np.float32))
-    return _read_only(map_x), _read_only(map_y)
+    down, across = (-size % side for size, side in zip(pixels.shape, box))
+    if down or across:
+        pixels = cv2.copyMakeBorder(pixels, 0, down, 0, across, cv2.BORDER_REPLICATE)
+    size = pixels.shape[1] // box[1], pixels.shape[0] // box[0]
+    return np.asarray(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA))
 
 
 def pixel_positions(shape: tuple[int, int]) -> NDArray[np.int64]:
@@ -74,19 +64,7 @@ def pixel_positions(shape: tuple[int, int]) -> NDArray[np.int64]:
     return np.stack([x.ravel(), y.ravel()], axis=1)
 
 
-def maps_of_positions(positions_px: Array, shape: tuple[int, int]) -> tuple[Map, Map]:
-    """Maps (H, W) of positions (H*W, 2), x and y, in the source, as `remapped` takes them."""
-    map_x, map_y = (positions_px[:, k].reshape(shape).astype(np.float32) for k in (0, 1))
-    return _read_only(map_x), _read_only(map_y)
-
-
-def _read_only(values: Array) -> Array:
-    """The same array, read-only, because threads share prepared maps."""
-    values.setflags(write=False)
-    return values
-
-
-def remapped(pixels: Array, map_x: Array, map_y: Array) -> Array:
+def remapped(pixels: Array, map_x: Map, map_y: Map) -> Array:
     """Bilinear values at maps (h, w) of source columns and rows; the border is repeated beyond it."""
     found: Array = cv2.remap(pixels, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return found
@@ -119,12 +97,13 @@ class Lens:
     perspective: tuple[float, ...] = IDENTITY
 
     def __post_init__(self) -> None:
-        for name, low, high in (("camera", 4, 4), ("distortion", 0, 5), ("perspective", 9, 9)):
-            values = _lens_numbers(getattr(self, name), name)
-            if not low <= len(values) <= high:
-                wanted = f"{low}" if low == high else f"up to {high}"
-                raise ValueError(f"Expected the lens's {name} as {wanted} numbers, got {len(values)}.")
-            object.__setattr__(self, name, values)
+        for name, counts, words in (
+            ("camera", (4,), "4"),
+            ("distortion", range(6), "up to 5"),
+            ("perspective", (9,), "9"),
+        ):
+            wanted = f"the lens's {name} as {words} finite numbers"
+            object.__setattr__(self, name, _numbers(getattr(self, name), counts, wanted))
         if min(self.camera[:2]) <= 0:
             raise ValueError(f"Expected focal lengths > 0 px, got {self.camera[:2]}.")
         # Of rows of any length: a homography in px has rows of 1, 1000 and 1e-6.
@@ -201,17 +180,7 @@ class Lens:
             raise ValueError(
                 f"Expected settings of a lens among {', '.join(KEYS)} (camera is needed), got {', '.join(settings)}."
             )
-        return cls(**{name: _lens_numbers(value, name) for name, value in settings.items()})
-
-
-def _lens_numbers(values: Any, name: str) -> tuple[float, ...]:
-    try:
-        numbers = tuple(float(value) for value in values)
-    except (TypeError, ValueError):
-        raise ValueError(f"Expected the lens's {name} as numbers, got {values!r}.") from None
-    if not all(np.isfinite(numbers)):
-        raise ValueError(f"Expected the lens's {name} as finite numbers, got {values!r}.")
-    return numbers
+        return cls(**settings)
 
 
 MAX_PIXELS = 200e6  # pixels of a frame or an image, at most
@@ -275,14 +244,12 @@ class View:
     @property
     def is_identity(self) -> bool:
         """Whether images are unchanged frames."""
-        if self.turn != "none":
+        if self.flip != "none" or self.turn != "none" or self.lens is not None:
             return False
         if self.frame_shape is None:
-            return self.flip == "none"
+            return True
         height, width = self.frame_shape
-        if self.lens is not None:
-            return False
-        return self.flip == "none" and self._box == (0, 0, width, height) and self.shape == self.frame_shape
+        return self._box == (0, 0, width, height) and self.shape == self.frame_shape
 
     @property
     def unturned(self) -> View:
@@ -384,60 +351,30 @@ def image_from_frame(frame: ArrayLike, view: View) -> Array:
         return pixels
     if view.turn != "none":
         return np.ascontiguousarray(np.rot90(image_from_frame(pixels, view.unturned), TURNS[view.turn]))
-    view = view.of_frames(shape)
-    if view.lens is not None:
-        box, map_x, map_y = _maps_through_lens(view)
-        return remapped(averaged(pixels, box), map_x, map_y)
-    rows, columns, box, map_x, map_y = _maps_to_image(view)
-    return remapped(averaged(pixels[rows, columns], box), map_x, map_y)
+    cut, box, *maps = _maps_to_image(view.of_frames(shape))
+    return remapped(averaged(pixels[cut], box), *maps)
 
 
-def frame_from_image(image: ArrayLike, view: View) -> Array:
-    """Make a frame whose view is the image; `image_from_frame` is the inverse.
+@lru_cache(maxsize=8)
+def _maps_to_image(view: View) -> tuple[tuple[slice, slice], tuple[int, int], Map, Map]:
+    """The part of the frame to cut out, the box to average, and maps (h, w) of each image pixel's place in the result.
 
-    Frame pixels outside the view repeat the nearest pixel inside.
-
-    Parameters
-    ----------
-    image : view.shape + (3,) RGB, uint8 or float (0-255)
-    view : View
-
-    Returns
-    -------
-    frame : view.frame_shape + (3,), dtype of the image
-
-    Raises
-    ------
-    ValueError, TypeError
-        The image does not have the size of the view's images.
+    The maps are read-only, because threads share them.
     """
-    check_is(view, View, "view")
-    pixels = check_image(image, shape=view.shape)
-    if view.is_identity:
-        return pixels
-    if view.turn != "none":
-        return np.ascontiguousarray(frame_from_image(np.rot90(pixels, -TURNS[view.turn]), view.unturned))
-    view = view.of_frames((pixels.shape[0], pixels.shape[1]))
-    return remapped(pixels, *_maps_to_frame(view))
-
-
-@lru_cache(maxsize=8)
-def _maps_to_image(view: View) -> tuple[slice, slice, tuple[int, int], Array, Array]:
-    """The rows and columns to cut out of the frame, the box to average, and each image pixel's position in the result."""
     (frame, image), (left, top, width, height) = view._sizes, view._box
-    x, columns, box_x = box_centers(left, width, frame[1], image[1], "x" in view.flip)
-    y, rows, box_y = box_centers(top, height, frame[0], image[0], "y" in view.flip)
-    return rows, columns, (box_y, box_x), *pixel_maps(x, y)
-
-
-@lru_cache(maxsize=8)
-def _maps_through_lens(view: View) -> tuple[tuple[int, int], Array, Array]:
-    """The box to average in the whole frame, and each image pixel's position in the result."""
-    shape, (_, _, width, height) = view._sizes[1], view._box
-    box = max(1, int(height / shape[0] + 0.5)), max(1, int(width / shape[1] + 0.5))
-    points = frame_px_from_image_px(pixel_positions(shape), view)
-    in_boxes = (points + 0.5) / (box[1], box[0]) - 0.5
-    return box, *maps_of_positions(in_boxes, shape)
+    if view.lens is None:
+        x, columns, box_x = box_centers(left, width, frame[1], image[1], "x" in view.flip)
+        y, rows, box_y = box_centers(top, height, frame[0], image[0], "y" in view.flip)
+        cut, box = (rows, columns), (box_y, box_x)
+        places = np.meshgrid(x, y)
+    else:
+        cut, box = (slice(None), slice(None)), (_box_px(height / image[0]), _box_px(width / image[1]))
+        points = frame_px_from_image_px(pixel_positions(image), view)
+        places = ((points + 0.5) / box[::-1] - 0.5).T.reshape(2, *image)
+    map_x, map_y = (place.astype(np.float32) for place in places)
+    map_x.setflags(write=False)
+    map_y.setflags(write=False)
+    return cut, box, map_x, map_y
 
 
 def frame_px_from_image_px(points_px: ArrayLike, view: View) -> Numbers:
@@ -479,18 +416,10 @@ def _flipped(points: Numbers, view: View) -> Numbers:
     )
 
 
-@lru_cache(maxsize=8)
-def _maps_to_frame(view: View) -> tuple[Array, Array]:
-    """The position of each frame pixel in the image."""
-    frame_shape = view._sizes[0]
-    points = image_px_from_frame_px(pixel_positions(frame_shape), view)
-    return maps_of_positions(points, frame_shape)
-
-
 def _size_of(value: Any, name: str) -> tuple[int, int] | None:
     if value is None:
         return None
-    numbers = _numbers(value, 2, f"{name} as (height, width)")
+    numbers = _numbers(value, (2,), f"{name} as (height, width) in pixels")
     if min(numbers) < 1 or numbers[0] * numbers[1] > MAX_PIXELS or any(n != int(n) for n in numbers):
         raise ValueError(f"Expected {name} as two whole numbers of pixels, got {value}.")
     return int(numbers[0]), int(numbers[1])
@@ -499,7 +428,7 @@ def _size_of(value: Any, name: str) -> tuple[int, int] | None:
 def _crop_of(value: Any, frame_shape: tuple[int, int] | None) -> tuple[float, float, float, float] | None:
     if value is None:
         return None
-    left, top, width, height = _numbers(value, 4, "crop as (left, top, width, height)")
+    left, top, width, height = _numbers(value, (4,), "crop as (left, top, width, height) in pixels")
     if left < 0 or top < 0 or width < 1 or height < 1:
         raise ValueError(
             f"Expected crop (left, top, width, height), left, top >= 0, a size >= 1 px, got {value}."
@@ -513,13 +442,13 @@ def _crop_of(value: Any, frame_shape: tuple[int, int] | None) -> tuple[float, fl
     return left, top, width, height
 
 
-def _numbers(value: Any, count: int, wanted: str) -> tuple[float, ...]:
+def _numbers(values: Any, counts: Collection[int], wanted: str) -> tuple[float, ...]:
     try:
-        numbers = tuple(float(number) for number in value)
+        numbers = tuple(float(value) for value in values)
     except (TypeError, ValueError):
-        raise ValueError(f"Expected {wanted} in pixels, got {value!r}.") from None
-    if len(numbers) != count or not all(np.isfinite(numbers)):
-        raise ValueError(f"Expected {wanted} in pixels, got {value!r}.")
+        numbers = (np.nan,)
+    if len(numbers) not in counts or not all(np.isfinite(numbers)):
+        raise ValueError(f"Expected {wanted}, got {values!r}.")
     return numbers
 
 
