@@ -20,7 +20,6 @@ from gelform.exchange.exporters.press_folder import save_press_folder
 from gelform.exchange.plots import save_picture
 from gelform.foundations.filters import fill_unknown
 from gelform.image.background import ChangeSettings, image_from_color_change
-from gelform.image.light import light_from_image
 from gelform.image.markers.follower import MarkerFollower
 from gelform.image.view import Lens
 from gelform.result.metrics import press_errors
@@ -67,7 +66,7 @@ def fresh_folder() -> Path:
 
 # Of modules below gelform, beside its own names.
 DEEPER = (
-    ChangeSettings, contacts_from_mask, edge_residuals, light_from_image, fill_unknown,
+    ChangeSettings, contacts_from_mask, edge_residuals, fill_unknown,
     image_from_color_change, Lens, MarkerFollower, press_errors, read_background, save_picture, save_press_folder,
     with_crosstalk, with_view,
 )  # fmt: skip
@@ -156,7 +155,6 @@ USES: dict[str, Callable[[Any], Any]] = {
     "ChangeSettings": lambda settings: gelform.color_change_from_image(IMAGE, REST, settings),
     "Frame": lambda frame: gelform.Reconstructor(CALIBRATION)(frame),
     "Lens": lambda lens: gelform.image_from_frame(IMAGE, gelform.View(SHAPE, lens=lens)),
-    "light_from_image": lambda light: light.gain,
     "open_source": all_frames,
     "Reconstructor": lambda reconstruct: reconstruct(IMAGE),
     "registration_from_image": lambda registration: registration.shift_px,

@@ -177,7 +177,7 @@ class PreparedBackground:
 
     def touched(self, image: Array) -> float:
         """Share of an image (H, W, 3) in its largest region that no light explains."""
-        return largest_touch(block_means(image), self._blocks).share
+        return largest_touch(block_means(image), self._blocks)[0]
 
     def bridged(self, image: Array, hidden: Mask) -> Array:
         """The image (H, W, 3) with hidden pixels (H, W), such as markers, filled by the color change around them.
