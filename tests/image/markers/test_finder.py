@@ -14,7 +14,6 @@ from gelform.image.markers import MarkerFollower, finder
 from gelform.image.markers.finder import (
     MarkerFinder,
     MarkerPatches,
-    StretchedPatches,
     is_grid,
     level_from_image,
     logs_from_image,
@@ -171,7 +170,7 @@ def turned(longer, shorter, degrees):
 def test_a_stretched_dot_is_found_where_it_is(longer, shorter, degrees):
     patches = MarkerPatches(LOGS, FEW, FEW_RADIUS)
     logs = logs_from_image(image_of_stretched(turned(longer, shorter, degrees)))
-    found = StretchedPatches(LOGS, patches)(logs, MOVED[None] + [[1.5, -1.0]], np.array([DOT]))
+    found = patches.stretched(logs, MOVED[None] + [[1.5, -1.0]], np.array([DOT]))
     assert found.ok[0]
     assert np.abs(found.shift_px[0] - MOVED).max() < 0.1
     assert found.sigma_px[0] < 0.1
@@ -195,8 +194,8 @@ def test_no_dot_is_none():
     empty = logs_from_image(
         image_of_dots(np.delete(FEW, DOT, 0), radii=FEW_RADIUS, shape=(160, 192), noise=1.0)
     )
-    assert not StretchedPatches(LOGS, patches)(empty, np.zeros((1, 2)), np.array([DOT])).ok[0]
-    none = StretchedPatches(LOGS, patches)(empty, np.zeros((0, 2)), np.zeros(0, np.intp))
+    assert not patches.stretched(empty, np.zeros((1, 2)), np.array([DOT])).ok[0]
+    none = patches.stretched(empty, np.zeros((0, 2)), np.zeros(0, np.intp))
     assert len(none.shift_px) == len(none.ok) == 0
 
 
