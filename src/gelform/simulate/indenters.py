@@ -1,6 +1,4 @@
-"""Indenters: the height of a face over a plane; meshes, poses, and several at once.
-
-Indenters: each one is the height of its face over a plane.
+"""Indenters: each is the height of its face over a plane; meshes, poses, and several at once.
 
 An indenter has the method `face_mm(x_mm, y_mm)`: the height of its face relative to its foremost point, in mm. It is 0 at
 that point, negative elsewhere, and -inf outside. x is to the right, y down, with the origin at its center.
@@ -18,7 +16,7 @@ import scipy  # its parts load at first use
 from numpy.typing import ArrayLike, NDArray
 
 from gelform._native import Kernel
-from gelform.arrays import Array, Numbers
+from gelform.arrays import Array, Mask, Numbers
 from gelform.foundations.checks import check_finite, check_map, check_mm_per_px, check_positive
 
 MAX_SIZE_MM = 1000.0  # mm, of an indenter; a larger number is in another unit
@@ -52,6 +50,16 @@ class _Sized:
                 raise ValueError(f"Expected {one.name} in 0-180 degrees (both excluded), got {value}.")
 
 
+def _arc(inside: Numbers, radius_mm: float, there: Mask | bool = True) -> Numbers:
+    """A round face: `inside` is the square of its radius less that of the distance from its middle."""
+    return np.where((inside > 0) & there, np.sqrt(np.maximum(inside, 0)) - radius_mm, -np.inf)
+
+
+def _flank(away: Numbers, angle_deg: float, there: Mask) -> Numbers:
+    """A straight flank that falls with the distance `away`; `angle_deg` is the opening between it and the opposite one."""
+    return np.where(there, -away / np.tan(np.deg2rad(angle_deg) / 2), -np.inf)
+
+
 @dataclass(frozen=True)
 class Ball(_Sized):
     """A ball of the given radius in mm."""
@@ -59,9 +67,7 @@ class Ball(_Sized):
     radius_mm: float
 
     def face_mm(self, x_mm: Array, y_mm: Array) -> Numbers:
-        inside = self.radius_mm**2 - x_mm**2 - y_mm**2
-        face = np.sqrt(np.maximum(inside, 0)) - self.radius_mm
-        return np.where(inside > 0, face, -np.inf)
+        return _arc(self.radius_mm**2 - x_mm**2 - y_mm**2, self.radius_mm)
 
 
 @dataclass(frozen=True)
@@ -112,15 +118,9 @@ class Coin(_Sized):
 
     def face_mm(self, x_mm: Array, y_mm: Array) -> Numbers:
         x, y = np.broadcast_arrays(x_mm, y_mm)
-        radius = self.diameter_mm / 2
-        face = np.full(x.shape, -np.inf)
+        radius, face = self.diameter_mm / 2, np.full(x.shape, -np.inf)
         on_disc = x**2 + y**2 <= radius**2
-        face[on_disc] = self._relief(x[on_disc], y[on_disc])
-        return face
-
-    def _relief(self, x_mm: Array, y_mm: Array) -> Numbers:
-        radius = self.diameter_mm / 2
-        r, angle = np.hypot(x_mm, y_mm), np.arctan2(y_mm, x_mm)
+        r, angle = np.hypot(x[on_disc], y[on_disc]), np.arctan2(y[on_disc], x[on_disc])
         sector = np.pi / 16
         bead_angle = (angle + sector) % (2 * sector) - sector
         bead_distance = np.hypot(r * np.cos(bead_angle) - 0.74 * radius, r * np.sin(bead_angle))
@@ -128,8 +128,9 @@ class Coin(_Sized):
             [r - 0.86 * radius, 0.05 * radius - bead_distance, _inside_star(r, angle, 0.58 * radius)]
         )
         t = np.clip(inside / (2 * self.relief_mm) + 0.5, 0, 1)
-        raised = np.asarray(t * t * (3 - 2 * t), dtype=np.float64)  # 0 outside, 1 inside, a cubic between
-        return (raised - 1) * self.relief_mm
+        raised = t * t * (3 - 2 * t)  # 0 outside, 1 inside, a cubic between
+        face[on_disc] = (raised - 1) * self.relief_mm
+        return face
 
 
 @dataclass(frozen=True)
@@ -150,9 +151,7 @@ class Screw(_Sized):
         phase = np.abs((x_mm / self.pitch_mm - turn) % 1 - 0.5) * 2  # 0 at the crest, 1 in the groove
         sharp = np.sqrt(3) / 2 * self.pitch_mm
         radius = major - np.clip(phase * sharp - sharp / 8, 0, 0.625 * sharp)
-        inside = radius**2 - y_mm**2
-        there = (inside > 0) & (np.abs(x_mm) <= self.length_mm / 2)
-        return np.where(there, np.sqrt(np.maximum(inside, 0)) - major, -np.inf)
+        return _arc(radius**2 - y_mm**2, major, np.abs(x_mm) <= self.length_mm / 2)
 
 
 @dataclass(frozen=True)
@@ -163,9 +162,7 @@ class Cylinder(_Sized):
     length_mm: float
 
     def face_mm(self, x_mm: Array, y_mm: Array) -> Numbers:
-        inside = self.radius_mm**2 - y_mm**2
-        there = (inside > 0) & (np.abs(x_mm) <= self.length_mm / 2)
-        return np.where(there, np.sqrt(np.maximum(inside, 0)) - self.radius_mm, -np.inf)
+        return _arc(self.radius_mm**2 - y_mm**2, self.radius_mm, np.abs(x_mm) <= self.length_mm / 2)
 
 
 @dataclass(frozen=True)
@@ -182,8 +179,7 @@ class BoxEdge(_Sized):
     angle_deg: float = 90.0
 
     def face_mm(self, x_mm: Array, y_mm: Array) -> Numbers:
-        fall = np.abs(y_mm) / np.tan(np.deg2rad(self.angle_deg) / 2)
-        return np.where(np.abs(x_mm) <= self.length_mm / 2, -fall, -np.inf)
+        return _flank(np.abs(y_mm), self.angle_deg, np.abs(x_mm) <= self.length_mm / 2)
 
 
 @dataclass(frozen=True)
@@ -216,8 +212,7 @@ class Pyramid(_Sized):
 
     def face_mm(self, x_mm: Array, y_mm: Array) -> Numbers:
         away = np.maximum(np.abs(x_mm), np.abs(y_mm))
-        fall = away / np.tan(np.deg2rad(self.angle_deg) / 2)
-        return np.where(away <= self.base_mm / 2, -fall, -np.inf)
+        return _flank(away, self.angle_deg, away <= self.base_mm / 2)
 
 
 @dataclass(frozen=True)
@@ -235,7 +230,7 @@ class Cone(_Sized):
 
     def face_mm(self, x_mm: Array, y_mm: Array) -> Numbers:
         r = np.hypot(x_mm, y_mm)
-        return np.where(r <= self.diameter_mm / 2, -r / np.tan(np.deg2rad(self.angle_deg) / 2), -np.inf)
+        return _flank(r, self.angle_deg, r <= self.diameter_mm / 2)
 
 
 @dataclass(frozen=True)
@@ -252,8 +247,8 @@ class Torus(_Sized):
     tube_radius_mm: float
 
     def face_mm(self, x_mm: Array, y_mm: Array) -> Numbers:
-        inside = self.tube_radius_mm**2 - (np.hypot(x_mm, y_mm) - self.ring_radius_mm) ** 2
-        return np.where(inside > 0, np.sqrt(np.maximum(inside, 0)) - self.tube_radius_mm, -np.inf)
+        away = np.hypot(x_mm, y_mm) - self.ring_radius_mm
+        return _arc(self.tube_radius_mm**2 - away**2, self.tube_radius_mm)
 
 
 def text_relief(text: str, *, height_mm: float, relief_mm: float = 0.3) -> HeightMap:
@@ -274,8 +269,7 @@ def text_relief(text: str, *, height_mm: float, relief_mm: float = 0.3) -> Heigh
         raise ValueError(f"Expected text of printable ASCII letters, got {text!r}.")
     check_size(height_mm, "height_mm")
     check_size(relief_mm, "relief_mm")
-    capital_px = 48  # px, height of a capital letter in the map
-    font, thickness = cv2.FONT_HERSHEY_SIMPLEX, 6
+    capital_px, font, thickness = 48, cv2.FONT_HERSHEY_SIMPLEX, 6
     scale = capital_px / 22.0  # this font's capitals are 22 px high at scale 1
     (width, height), below = cv2.getTextSize(text, font, scale, thickness)
     border = capital_px // 2
@@ -295,9 +289,6 @@ def _inside_star(r: Array, angle: Array, radius: float) -> Numbers:
     nx, ny = np.array([edge[1], -edge[0]]) / np.hypot(*edge)
     return -((x - radius) * nx + y * ny)
 
-
-MAX_TRIANGLES = 5_000_000  # of a mesh; a larger file was meant for something else
-MIN_SIZE_MM = 0.01  # mm, of a mesh; a smaller number is in another unit
 
 _rasterise = Kernel(
     "rasterise",
@@ -347,25 +338,21 @@ def check_mesh(vertices: Array, triangles: Array) -> None:
         )
     if len(triangles) == 0:
         raise ValueError("Expected a mesh with triangles, got an empty one.")
-    if len(triangles) > MAX_TRIANGLES:
+    if len(triangles) > 5_000_000:  # it was meant for something else
         raise ValueError(
-            f"Expected at most {MAX_TRIANGLES} triangles, got {len(triangles)}. Simplify the mesh first."
+            f"Expected at most 5000000 triangles, got {len(triangles)}. Simplify the mesh first."
         )
     if triangles.min() < 0 or triangles.max() >= len(vertices):
         raise ValueError(f"Expected triangles with indices in 0-{len(vertices) - 1}.")
     size = float(np.ptp(vertices, axis=0).max())
-    if not MIN_SIZE_MM <= size <= MAX_SIZE_MM:
+    if not 0.01 <= size <= MAX_SIZE_MM:
         raise ValueError(
-            f"Expected a mesh of {MIN_SIZE_MM}-{MAX_SIZE_MM:g} mm, got {size:.4g} mm. Is it in another unit? "
+            f"Expected a mesh of 0.01-{MAX_SIZE_MM:g} mm, got {size:.4g} mm. Is it in another unit? "
             "Scale it: meters x 1000, inches x 25.4."
         )
-    _check_closed(vertices, triangles)
-
-
-def _check_closed(vertices: Array, triangles: Array) -> None:
     _, merged = np.unique(vertices, axis=0, return_inverse=True)  # an STL repeats its vertices
     corners = merged.reshape(-1)[triangles]
-    edges = np.sort(np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]]), axis=1)
+    edges = np.sort(corners[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     edges = edges[edges[:, 0] != edges[:, 1]]
     _, count = np.unique(edges, axis=0, return_counts=True)
     open_edges = int(np.count_nonzero(count % 2))

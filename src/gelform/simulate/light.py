@@ -62,19 +62,10 @@ def irradiance_from_surface(
     adds `specular max(0, n . h)^s I/d^2`, with h halfway between l and the view (J. F. Blinn,
     Models of light reflection for computer synthesized pictures, SIGGRAPH 1977).
 
-    Parameters
-    ----------
-    surface : Surface on the subpixel grid
-    leds : lights; `color` is I per channel
-    oversample : subpixels per pixel along each axis
-    texture : (h, w, 2), slopes that shade in addition to those of the surface, on the subpixel grid
-    specular, shininess : of the gloss
-    visible : (lights, H, W), the part of each light that reaches a pixel; see `visible_from_surface`
-    dtype : of the result: float32 is twice as fast and good to 1e-6
-
-    Returns
-    -------
-    irradiance : (H, W, 3), gray levels before vignetting
+    `oversample` are the subpixels per pixel along each axis, on whose grid are the surface and `texture` (h, w, 2), slopes
+    that shade in addition to those of the surface. `visible` (lights, H, W) is the part of each light that reaches a pixel
+    (`visible_from_surface`). float32 as `dtype` is twice as fast as float64, and good to 1e-6. Returns (H, W, 3), gray
+    levels before vignetting, where a light's `color` is I per channel.
     """
     doublings = int(shininess).bit_length() - 1
     table = _table(leds).astype(dtype)
@@ -125,12 +116,8 @@ def exact_irradiance(
 def _table(leds: tuple[Led, ...]) -> Numbers:
     """Lights as rows of numbers: position, color, axis, power of the beam."""
     axes = [np.subtract(led.aim_mm, led.position_mm) for led in leds]
-    return np.array(
-        [
-            (*led.position_mm, *led.color, *(axis / np.linalg.norm(axis)), float(led.beam_power))
-            for led, axis in zip(leds, axes)
-        ]
-    )
+    axes = [axis / np.linalg.norm(axis) for axis in axes]
+    return np.array([(*led.position_mm, *led.color, *axis, led.beam_power) for led, axis in zip(leds, axes)])
 
 
 def visible_from_surface(surface: Surface, leds: tuple[Led, ...]) -> Map | None:
@@ -184,37 +171,35 @@ def spread_in_gel(light: Array, coating: Coating, mm_per_px: float) -> Array:
 
     Both are wide blurs on a coarser grid; the first preserves the light's sum, the second adds to it.
     """
-    wide = [
-        (part, length_mm / mm_per_px)
-        for part, length_mm in (
-            (coating.scattering, coating.scattering_mm),
-            (coating.interreflection, coating.interreflection_mm),
-        )
-        if part > 0
-    ]
+    spreads = (
+        (coating.scattering, coating.scattering_mm / mm_per_px),
+        (coating.interreflection, coating.interreflection_mm / mm_per_px),
+    )
+    wide = [(part, sigma) for part, sigma in spreads if part > 0]
     if not wide:
         return light
-    height, width = light.shape[:2]
-    factor = max(1, int(min(sigma for _, sigma in wide) / 2))
-    size = (max(width // factor, 2), max(height // factor, 2))
-    small = cv2.resize(light, size, interpolation=cv2.INTER_AREA)
-    added = sum(part * _blurred(small, sigma * size[0] / width) for part, sigma in wide)
-    wide_light = cv2.resize(
-        np.asarray(added, dtype=light.dtype), (width, height), interpolation=cv2.INTER_CUBIC
-    )
-    return np.asarray(cv2.addWeighted(light, 1 - coating.scattering, wide_light, 1, 0))
+    width = light.shape[1]
+    small = _coarser(light, min(sigma for _, sigma in wide) / 2)
+    added = np.asarray(sum(part * _blurred(small, sigma * small.shape[1] / width) for part, sigma in wide))
+    added = cv2.resize(added.astype(light.dtype), light.shape[1::-1], interpolation=cv2.INTER_CUBIC)
+    return np.asarray(cv2.addWeighted(light, 1 - coating.scattering, added, 1, 0))
 
 
-def _blurred(small: Array, sigma: float) -> Array:
+def _blurred(image: Array, sigma: float) -> Array:
     """Gaussian blur; a wide one uses a coarser grid."""
-    factor = max(1, int(sigma / 3))
-    if factor == 1:
-        return np.asarray(cv2.GaussianBlur(small, (0, 0), sigma, borderType=cv2.BORDER_REFLECT))
-    height, width = small.shape[:2]
-    size = (max(width // factor, 2), max(height // factor, 2))
-    tiny = cv2.resize(small, size, interpolation=cv2.INTER_AREA)
-    tiny = cv2.GaussianBlur(tiny, (0, 0), sigma * size[0] / width, borderType=cv2.BORDER_REFLECT)
-    return np.asarray(cv2.resize(tiny, (width, height), interpolation=cv2.INTER_CUBIC))
+    if sigma < 6:
+        return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma, borderType=cv2.BORDER_REFLECT))
+    small = _coarser(image, sigma / 3)
+    sigma = sigma * small.shape[1] / image.shape[1]
+    small = cv2.GaussianBlur(small, (0, 0), sigma, borderType=cv2.BORDER_REFLECT)
+    return np.asarray(cv2.resize(small, image.shape[1::-1], interpolation=cv2.INTER_CUBIC))
+
+
+def _coarser(image: Array, factor: float) -> Array:
+    """Means of an image over squares of as many whole pixels as the factor; not under two a side are left."""
+    height, width = image.shape[:2]
+    size = max(width // max(1, int(factor)), 2), max(height // max(1, int(factor)), 2)
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA))
 
 
 @dataclass(frozen=True)
@@ -241,15 +226,11 @@ def render(
     markers_mm: Numbers | None = None,
     time_s: float = 0.0,
 ) -> Rendered:
-    """The image of a gel surface.
+    """The image of a gel surface on the grid of `sensor.grid_mm(oversample)`.
 
-    Parameters
-    ----------
-    surface : on the grid of `sensor.grid_mm(oversample)`
-    rng : for the noise; None: no noise
-    quantise : False: levels in double precision, neither rounded, cut nor compressed
-    markers_mm : (N, 2), positions of the markers; None: at rest
-    time_s : time since the LEDs were switched on, for their drift and flicker
+    Without `rng` there is no noise; without `quantise` levels are in double precision, neither rounded, cut nor compressed.
+    `markers_mm` (N, 2) are the positions of the markers, at rest by default, and `time_s` is that since the LEDs were
+    switched on, for their drift and flicker.
     """
     dtype = np.float32 if quantise else np.float64
     coarse = surface.middles(oversample)

@@ -202,9 +202,8 @@ def _rim(sensor: SimulatedSensor, indenter: Indenter, depth_mm: float) -> tuple[
     """Contact radius of a ball in the image, and the depth of the rim, mm; None and 0 for others."""
     if not isinstance(indenter, Ball) or depth_mm <= 0:
         return None, 0.0
-    gel, radius = sensor.gel, indenter.radius_mm
-    lengths = {"thickness_mm": gel.thickness_mm, "bulge": gel.bulge}
-    a = ball_press(radius, depth_mm, sensor.relaxation_mm, **lengths).contact_radius_mm
+    radius = indenter.radius_mm
+    a = ball_press(radius, depth_mm, sensor.relaxation_mm, sensor.gel).contact_radius_mm
     rim = depth_mm - radius + float(np.sqrt(radius**2 - a**2))
     height = sensor.optics.height_mm
     return (a if height is None else a / (1 - rim / height)), rim
@@ -266,15 +265,10 @@ def largest_ball_mm(sensor: SimulatedSensor) -> float:
     low, high = 0.0, 1000.0
     for _ in range(40):  # halvings of the interval, to 1e-9 mm
         middle = (low + high) / 2
-        deep = _depth(sensor, middle / 2, RIM_SLOPES[1]) >= sensor.gel.thickness_mm
+        deepest = depth_of_ball(middle / 2, RIM_SLOPES[1], sensor.relaxation_mm, sensor.gel)
+        deep = deepest >= sensor.gel.thickness_mm
         low, high = (low, middle) if deep else (middle, high)
     return low
-
-
-def _depth(sensor: SimulatedSensor, radius_mm: float, rim_slope: float) -> float:
-    """Depth of a ball with a given slope at its rim, mm."""
-    gel = {"thickness_mm": sensor.gel.thickness_mm, "bulge": sensor.gel.bulge}
-    return depth_of_ball(radius_mm, rim_slope, sensor.relaxation_mm, **gel)
 
 
 def ball_press_of_set(
@@ -295,20 +289,18 @@ def _ball_press(
     rng: np.random.Generator,
     oversample: int,
 ) -> SimulatedPress:
+    """The k-th press: a ball of its turn, at the k-th point of Roberts' R2 sequence (2018).
+
+    The points fill all but the outermost 2 % of the image.
+    """
     ball = Ball(ball_diameters_mm[k % len(ball_diameters_mm)] / 2)
-    depth = _depth(sensor, ball.radius_mm, rng.uniform(*RIM_SLOPES))
-    return simulate_press(
-        sensor, ball, depth_mm=depth, center_mm=_place(sensor, k, shift), rng=rng, oversample=oversample
-    )
-
-
-def _place(sensor: SimulatedSensor, k: int, shift: Numbers) -> tuple[float, float]:
-    """The k-th point of Roberts' R2 sequence (2018), over all but the outermost 2 % of the image."""
+    depth = depth_of_ball(ball.radius_mm, rng.uniform(*RIM_SLOPES), sensor.relaxation_mm, sensor.gel)
     plastic = 1.32471795724474602596
     unit = (shift + (k + 1) / np.array([plastic, plastic**2])) % 1
     height, width = sensor.shape
     x, y = (unit - 0.5) * 0.96 * np.array([width, height]) * sensor.mm_per_px
-    return float(x), float(y)
+    center = float(x), float(y)
+    return simulate_press(sensor, ball, depth_mm=depth, center_mm=center, rng=rng, oversample=oversample)
 
 
 def simulate_sequence(
@@ -342,32 +334,28 @@ def simulate_sequence(
 
 def press_poses(depth_mm: float, count: int, *, center_mm: Pair = (0.0, 0.0)) -> tuple[Pose, ...]:
     """Poses from first touch to `depth_mm` in equal steps."""
-    return tuple(Pose(float(d), center_mm) for d in np.linspace(0, depth_mm, _check_count(count)))
+    return tuple(Pose(d, center_mm) for d in _steps(0, depth_mm, count))
 
 
 def slide_poses(depth_mm: float, start_mm: Pair, end_mm: Pair, count: int) -> tuple[Pose, ...]:
     """Poses along a line at one depth, which drag the surface."""
-    return tuple(Pose(depth_mm, at) for at in _line(start_mm, end_mm, count))
+    return tuple(Pose(depth_mm, (x, y)) for x, y in _steps(start_mm, end_mm, count))
 
 
 def roll_poses(depth_mm: float, start_mm: Pair, end_mm: Pair, count: int) -> tuple[Pose, ...]:
     """Poses along a line at one depth of a rolling ball or cylinder; the touched side does not move."""
-    return tuple(Pose(depth_mm, at, carried_mm=start_mm) for at in _line(start_mm, end_mm, count))
+    return tuple(Pose(depth_mm, (x, y), carried_mm=start_mm) for x, y in _steps(start_mm, end_mm, count))
 
 
 def twist_poses(
     depth_mm: float, angle_deg: float, count: int, *, center_mm: Pair = (0.0, 0.0)
 ) -> tuple[Pose, ...]:
     """Poses that turn in place about the view axis, from 0 to `angle_deg`."""
-    return tuple(Pose(depth_mm, center_mm, float(a)) for a in np.linspace(0, angle_deg, _check_count(count)))
+    return tuple(Pose(depth_mm, center_mm, angle) for angle in _steps(0, angle_deg, count))
 
 
-def _line(start_mm: Pair, end_mm: Pair, count: int) -> Sequence[Pair]:
-    points = np.linspace(start_mm, end_mm, _check_count(count))
-    return [(float(x), float(y)) for x, y in points]
-
-
-def _check_count(count: int) -> int:
+def _steps(start: float | Pair, end: float | Pair, count: int) -> list[Any]:
     if count < 1:
         raise ValueError(f"Expected count >= 1 poses, got {count}.")
-    return count
+    steps: list[Any] = np.linspace(start, end, count).tolist()
+    return steps

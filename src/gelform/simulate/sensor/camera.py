@@ -10,7 +10,7 @@ import scipy  # its parts load at first use
 from numpy.typing import NDArray
 
 from gelform._native import Kernel
-from gelform.arrays import Array, Floats, Image, Map, Mask, Numbers
+from gelform.arrays import Array, Floats, Map, Mask, Numbers
 from gelform.foundations.checks import check_is
 from gelform.foundations.pictures import picture_bytes
 from gelform.simulate.sensor.sensor import SHADING_DEGREES, SimulatedSensor
@@ -97,26 +97,21 @@ def levels_from_irradiance(sensor: SimulatedSensor, irradiance: Array, *, maps: 
 @lru_cache(maxsize=8)
 def _gain_and_mixing(sensor: SimulatedSensor, dtype: str) -> tuple[Array, Array, Array]:
     """Gain over the image (H, W, 3), 3x3 mixing of the channels, and the levels (H, W, 3) of ambient light."""
-    gain = _gain(sensor)
+    x, y = sensor.grid_mm()
+    corner = float(x[0, -1] ** 2 + y[-1, 0] ** 2)
+    # Vignetting, 1 in the middle, 1 - vignetting in the corners, times each channel's shading.
+    gain = (1 - sensor.vignetting * (x**2 + y**2) / corner)[..., None].repeat(3, axis=-1)
+    if sensor.shading is not None:
+        u, v = np.broadcast_arrays(x / x[0, -1], y / y[-1, 0])
+        degree = SHADING_DEGREES[len(sensor.shading[0])]
+        terms = np.stack([u ** (d - k) * v**k for d in range(degree + 1) for k in range(d + 1)], axis=-1)
+        coefficients = np.asarray(sensor.shading, dtype=np.float64)
+        scaled = np.concatenate([coefficients[:, :1], coefficients[:, :1] * coefficients[:, 1:]], axis=1)
+        gain = gain * np.maximum(terms @ scaled.T, 0)
     mixing = np.asarray(sensor.crosstalk, dtype=np.float64) * np.asarray(sensor.white_balance)[:, None]
     mixing = mixing * sensor.optics.exposure
     ambient = (gain * np.asarray(sensor.ambient)) @ mixing.T  # neither blur nor lens changes uniform light
     return gain.astype(dtype), mixing.astype(dtype), ambient.astype(dtype)
-
-
-def _gain(sensor: SimulatedSensor) -> Numbers:
-    """Vignetting, 1 in the middle, 1 - vignetting in the corners, times each channel's shading: (H, W, 3)."""
-    x, y = sensor.grid_mm()
-    corner = float(x[0, -1] ** 2 + y[-1, 0] ** 2)
-    vignette = (1 - sensor.vignetting * (x**2 + y**2) / corner)[..., None]
-    if sensor.shading is None:
-        return np.asarray(np.repeat(vignette, 3, axis=-1), dtype=np.float64)
-    u, v = np.broadcast_arrays(x / x[0, -1], y / y[-1, 0])
-    degree = SHADING_DEGREES[len(sensor.shading[0])]
-    terms = np.stack([u ** (d - k) * v**k for d in range(degree + 1) for k in range(d + 1)], axis=-1)
-    coefficients = np.asarray(sensor.shading, dtype=np.float64)
-    scaled = np.concatenate([coefficients[:, :1], coefficients[:, :1] * coefficients[:, 1:]], axis=1)
-    return np.asarray(vignette * np.maximum(terms @ scaled.T, 0), dtype=np.float64)
 
 
 def image_from_levels(
@@ -139,7 +134,11 @@ def image_from_levels(
     gray = np.empty(levels.shape, dtype=np.uint8)
     curve = None if gamma == 1 else response_table(gamma)
     _gray_levels(levels, drawn, normal_table(), curve, gray, variance, gain)
-    return gray if sensor.optics.jpeg_quality is None else _compressed(gray, sensor.optics.jpeg_quality)
+    if sensor.optics.jpeg_quality is None:
+        return gray
+    code = picture_bytes(gray, ".jpg", [cv2.IMWRITE_JPEG_QUALITY, sensor.optics.jpeg_quality])
+    compressed = cv2.imdecode(np.frombuffer(code, np.uint8), cv2.IMREAD_COLOR)
+    return np.asarray(cv2.cvtColor(compressed, cv2.COLOR_BGR2RGB))
 
 
 def draws(rng: np.random.Generator, count: int) -> NDArray[np.uint16]:
@@ -164,8 +163,3 @@ def response_table(gamma: float) -> Floats:
 def saturated_from_levels(levels: Array) -> Mask:
     """Pixels (H, W) with some channel cut at 0 or 255."""
     return cv2.inRange(levels, (-0.5,) * 3, (255.5,) * 3) == 0
-
-
-def _compressed(gray: Image, quality: int) -> Image:
-    code = np.frombuffer(picture_bytes(gray, ".jpg", [cv2.IMWRITE_JPEG_QUALITY, quality]), np.uint8)
-    return np.asarray(cv2.cvtColor(cv2.imdecode(code, cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB))

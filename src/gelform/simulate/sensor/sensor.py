@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gelform.arrays import Array, Floats, Map, Numbers, Slopes
+from gelform.arrays import Array, Map, Numbers, Slopes
 from gelform.foundations.checks import check_map, check_mm_per_px, check_positive
 from gelform.simulate.gel import Gel
 
@@ -23,6 +23,13 @@ def check_not_negative(settings: Any, *names: str) -> None:
     for name in names:
         if not 0 <= getattr(settings, name) < np.inf:
             raise ValueError(f"Expected {name} >= 0, got {getattr(settings, name)}.")
+
+
+def check_fraction(settings: Any, *names: str) -> None:
+    """Refuse settings of these names that are not in 0-1, 1 excluded."""
+    for name in names:
+        if not 0 <= getattr(settings, name) < 1:
+            raise ValueError(f"Expected {name} in 0-1 (1 excluded), got {getattr(settings, name)}.")
 
 
 @dataclass(frozen=True)
@@ -74,9 +81,9 @@ class Coating:
 
     def __post_init__(self) -> None:
         check_not_negative(self, "specular", "roughness", "marker_pitch_mm", "scratches", "dust", "seed")
-        for name in ("scattering", "interreflection", "marker_missing", "marker_broken", "marker_jitter"):
-            if not 0 <= getattr(self, name) < 1:
-                raise ValueError(f"Expected {name} in 0-1 (1 excluded), got {getattr(self, name)}.")
+        check_fraction(
+            self, "scattering", "interreflection", "marker_missing", "marker_broken", "marker_jitter"
+        )
         for name in ("scattering_mm", "interreflection_mm", "grain_mm", "marker_radius_mm"):
             check_positive(getattr(self, name), name)
         if self.shininess not in [2**k for k in range(11)]:
@@ -123,9 +130,8 @@ def albedo_map(coating: Coating, shape: Grid, mm_per_px: float) -> Map:
     """Reflectance (H, W) of a gel without its markers: the albedo map and dust."""
     albedo = np.ones(shape, dtype=np.float32)
     if coating.albedo is not None:
-        albedo = cv2.resize(coating.albedo.values, shape[::-1], interpolation=cv2.INTER_LINEAR).astype(
-            np.float32
-        )
+        stretched = cv2.resize(coating.albedo.values, shape[::-1], interpolation=cv2.INTER_LINEAR)
+        albedo = stretched.astype(np.float32)
     rng = np.random.default_rng([coating.seed, 1])
     for _ in range(coating.dust):
         at, size = rng.uniform(0, 1, 2) * shape[::-1], rng.uniform(0.04, 0.12) / mm_per_px
@@ -165,28 +171,20 @@ def texture_gradients(coating: Coating, shape: Grid, mm_per_px: float, oversampl
     height = np.zeros(shape, dtype=np.float32)
     rng = np.random.default_rng([coating.seed, 2])
     if coating.roughness > 0:
-        grain = cv2.GaussianBlur(
-            rng.standard_normal(shape).astype(np.float32), (0, 0), max(coating.grain_mm / mm_per_px, 0.5)
-        )
+        white = rng.standard_normal(shape).astype(np.float32)
+        grain = cv2.GaussianBlur(white, (0, 0), max(coating.grain_mm / mm_per_px, 0.5))
         slope = np.std(np.gradient(grain, mm_per_px), dtype=np.float64)
         height += grain * np.float32(coating.roughness / slope)
-    for _ in range(coating.scratches):
-        height -= _scratch(shape, mm_per_px, rng)
+    for _ in range(coating.scratches):  # grooves 2-8 um deep, 2-6 mm long, straight
+        start = rng.uniform(0, 1, 2) * shape[::-1]
+        angle, length = rng.uniform(0, np.pi), rng.uniform(2, 6) / mm_per_px
+        end = start + length * np.array([np.cos(angle), np.sin(angle)])
+        groove = np.zeros(shape, dtype=np.float32)
+        cv2.line(groove, *[(round(float(x)), round(float(y))) for x, y in (start, end)], 1.0, 1, cv2.LINE_8)
+        height -= cv2.GaussianBlur(groove, (0, 0), 0.8) * np.float32(rng.uniform(0.002, 0.008))
     size = (shape[1] * oversample, shape[0] * oversample)
     slopes = [cv2.resize(s, size, interpolation=cv2.INTER_LINEAR) for s in np.gradient(height, mm_per_px)]
     return np.stack(slopes[::-1], axis=-1).astype(np.float32)
-
-
-def _scratch(shape: Grid, mm_per_px: float, rng: np.random.Generator) -> Floats:
-    """A groove (H, W), 2-8 um deep, 2-6 mm long, straight."""
-    start = rng.uniform(0, 1, 2) * shape[::-1]
-    angle, length = rng.uniform(0, np.pi), rng.uniform(2, 6) / mm_per_px
-    end = start + length * np.array([np.cos(angle), np.sin(angle)])
-    drawing = np.zeros(shape, dtype=np.float32)
-    points = [(round(float(x)), round(float(y))) for x, y in (start, end)]
-    cv2.line(drawing, points[0], points[1], 1.0, 1, cv2.LINE_8)
-    depth_mm = np.float32(rng.uniform(0.002, 0.008))
-    return np.asarray(cv2.GaussianBlur(drawing, (0, 0), 0.8) * depth_mm, dtype=np.float32)
 
 
 Triple = tuple[float, float, float]
@@ -226,8 +224,7 @@ class Led:
         position, color = _triple(self.position_mm, "position_mm"), _triple(self.color, "color")
         if position[2] <= 0:
             raise ValueError(
-                f"Expected an LED on the camera's side of the gel (z > 0 mm), got position_mm="
-                f"{self.position_mm}. "
+                f"Expected an LED on the camera's side of the gel (z > 0 mm), got position_mm={self.position_mm}. "
                 "z points from the gel toward the camera."
             )
         if min(color) < 0 or max(color) == 0:
@@ -358,14 +355,9 @@ class Timing:
             check_positive(getattr(self, name), name)
         if not 0 <= self.readout_s <= 1 / self.frame_rate_hz:
             raise ValueError(
-                "Expected readout_s between 0 and the frame's time "
-                f"1/{self.frame_rate_hz:g} s, got {self.readout_s}."
+                f"Expected readout_s between 0 and the frame's time 1/{self.frame_rate_hz:g} s, got {self.readout_s}."
             )
-        if not 0 <= self.flicker < 1 or not 0 <= self.drop_probability < 1:
-            raise ValueError(
-                f"Expected flicker and drop_probability in 0-1 (1 excluded), got {self.flicker} and "
-                f"{self.drop_probability}."
-            )
+        check_fraction(self, "flicker", "drop_probability")
         if np.shape(self.drift) != (3,) or min(self.drift) <= -1:
             raise ValueError(f"Expected drift as three numbers > -1, got {self.drift}.")
 
@@ -453,12 +445,17 @@ class SimulatedSensor:
         if np.shape(self.crosstalk) != (3, 3):
             raise ValueError(f"Expected crosstalk of shape (3, 3), got {np.shape(self.crosstalk)}.")
         check_not_negative(self, "blur_px", "noise_sd", "noise_gain")
-        for led in self.leds:
-            _check_outside_gel(led, self)
+        half_height, half_width = (n * self.mm_per_px / 2 for n in self.shape)
+        for x, y, z in (led.position_mm for led in self.leds):
+            # A light outside the gel may be at any height.
+            if z < self.gel.thickness_mm and abs(x) < half_width and abs(y) < half_height:
+                raise ValueError(
+                    f"Expected every LED outside the gel, got one at {(x, y, z)} mm in a gel that is "
+                    f"{self.gel.thickness_mm:g} mm thick: raise it, or move it beside the image."
+                )
         if self.shading is not None and np.shape(self.shading) not in [(3, n) for n in SHADING_DEGREES]:
             raise ValueError(f"Expected shading as three tuples of 6 or 15 numbers, got {self.shading}.")
-        if not 0 <= self.vignetting < 1:
-            raise ValueError(f"Expected vignetting in 0-1 (1 excluded), got {self.vignetting}.")
+        check_fraction(self, "vignetting")
 
     def linear(self) -> SimulatedSensor:
         """The same sensor with gray levels in proportion to light: no response curve, no JPEG."""
@@ -482,18 +479,8 @@ def settings_from_sensor(sensor: SimulatedSensor) -> dict[str, Any]:
 
     `gelform.sensors.simulated.sensor_from_settings` is the inverse.
     """
-    return {one.name: _plain(getattr(sensor, one.name)) for one in fields(sensor)}
-
-
-def _check_outside_gel(led: Led, sensor: SimulatedSensor) -> None:
-    """Refuse a light between the gel's two faces; a light outside the gel may be at any height."""
-    x, y, z = led.position_mm
-    half_height, half_width = (n * sensor.mm_per_px / 2 for n in sensor.shape)
-    if z < sensor.gel.thickness_mm and abs(x) < half_width and abs(y) < half_height:
-        raise ValueError(
-            f"Expected every LED outside the gel, got one at {led.position_mm} mm in a gel that is "
-            f"{sensor.gel.thickness_mm:g} mm thick: raise it, or move it beside the image."
-        )
+    settings: dict[str, Any] = _plain(sensor)
+    return settings
 
 
 def _plain(value: Any) -> Any:
