@@ -46,9 +46,6 @@ def exact(sensor, ball_mm=3.0, **settings):
     )
 
 
-LEDS = Led((4, 1, 5), (90, 10, 0)), Led((-3, 2, 4), (0, 50, 20)), Led((0, -5, 6), (5, 0, 70))
-
-
 def plane(x, y, slope_x, slope_y):
     z = slope_x * x + slope_y * y
     gradients = np.empty((*z.shape, 2))

@@ -21,9 +21,8 @@ from gelform.simulate.gel import (
     surface_from_indenter,
 )
 from gelform.simulate.indenters import Ball, Indenter, Pair, Pose, Posed
-from gelform.simulate.light import Rendered, render, simulate_background
-from gelform.simulate.sensor.camera import px_from_mm
-from gelform.simulate.sensor.sensor import SimulatedSensor
+from gelform.simulate.light import Rendered, px_from_mm, render, simulate_background
+from gelform.simulate.sensor import SimulatedSensor
 
 
 @dataclass(frozen=True)

@@ -14,9 +14,9 @@ from gelform.foundations.checks import check_positive
 from gelform.image.background import image_from_color_change
 from gelform.simulate.gel import Gel
 from gelform.simulate.indenters import Indenter, Pose
+from gelform.simulate.light import draws, normal_table, saturated_from_levels
 from gelform.simulate.press import SimulatedPress, SimulatedPresses, simulate_ball_presses, simulate_pose
-from gelform.simulate.sensor.camera import draws, normal_table, saturated_from_levels
-from gelform.simulate.sensor.sensor import Led, SimulatedSensor
+from gelform.simulate.sensor import Led, SimulatedSensor
 
 STEEPEST_RENDERED = 1.2  # mm/mm; calibrations are fitted up to about 1, and a cubic is meaningless beyond
 

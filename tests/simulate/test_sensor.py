@@ -24,19 +24,19 @@ from gelform.simulate import (
     Timing,
     exposed,
     led_color,
+    light,
     simulate_background,
     simulate_pose,
     simulate_press,
 )
-from gelform.simulate.sensor import camera
-from gelform.simulate.sensor.camera import (
+from gelform.simulate.light import (
     draws,
     maps_from_depth,
     normal_table,
     px_from_mm,
     saturated_from_levels,
 )
-from gelform.simulate.sensor.sensor import led_ring, settings_from_sensor, texture_gradients
+from gelform.simulate.sensor import led_ring, settings_from_sensor, texture_gradients
 from kernel_agreement import assert_kernel_agrees
 from made.sources import PLAIN, SMALL
 
@@ -226,4 +226,4 @@ def test_the_kernel_rounds_what_numpy_makes():
             levels = curve[whole] + (place - whole) * (curve[whole + 1] - curve[whole])
         return np.rint(np.clip(levels, 0, 255)).astype(np.uint8)
 
-    assert_kernel_agrees(camera._gray_levels, reference)
+    assert_kernel_agrees(light._gray_levels, reference)
