@@ -42,12 +42,9 @@ class Gel:
 
     Attributes
     ----------
-    thickness_mm : float
-        The displaced gel rises within about this distance of the contact.
-    bulge : float, 0 to 0.95
-        Part of the displaced volume that rises around the contact: 0 for a foam, near 1 for rubber.
-    friction : float, >= 0
-        Distance that the surface is dragged before it slips, per mm of depth.
+    thickness_mm : the displaced gel rises within about this distance of the contact
+    bulge : part of the displaced volume that rises around the contact, 0 to 0.95: 0 for a foam, near 1 for rubber
+    friction : distance that the surface is dragged before it slips, per mm of depth; >= 0
     """
 
     thickness_mm: float = 3.0

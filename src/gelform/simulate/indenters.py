@@ -108,9 +108,8 @@ class Coin(_Sized):
 
     Attributes
     ----------
-    diameter_mm : float
-    relief_mm : float
-        Height of rim, star and beads over the disc; their flanks are twice as wide as they are high.
+    diameter_mm : of the disc
+    relief_mm : height of rim, star and beads over the disc; their flanks are twice as wide as they are high
     """
 
     diameter_mm: float = 8.0

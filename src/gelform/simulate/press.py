@@ -38,10 +38,8 @@ class SimulatedPress(Rendered):
     indenter : the pressed indenter
     center_mm : (x, y), position of its center, mm from the gel's center
     center_px : (x, y), the same in pixels
-    press_depth_mm : float
-        Depth of its foremost point in the gel.
-    contact_radius_px : float or None
-        Radius of the circle in which gel and ball touch; None for other indenters.
+    press_depth_mm : depth of its foremost point in the gel
+    contact_radius_px : of the circle in which gel and ball touch; None for other indenters
     albedo : (H, W) float32, reflectance with dust and markers; 1 is the clean coating
     shadowed : (H, W) bool, where at least half of some light is lost to the surface
     saturated : (H, W) bool, where some channel is cut at 0 or 255
@@ -93,17 +91,12 @@ def simulate_press(
 
     Parameters
     ----------
-    depth_mm : float
-        Depth of the indenter's foremost point in the gel.
-    center_mm : (x, y)
-        Position of the indenter, from the gel's center, x to the right, y down.
-    rng : Generator or None
-        For the noise; None: no noise.
-    spin_deg, tilt_deg : float, (about x, about y)
-        Turn of the indenter; see `Posed`.
+    depth_mm : depth of the indenter's foremost point in the gel
+    center_mm : (x, y), position of the indenter from the gel's center, x to the right, y down
+    rng : for the noise; None: no noise
+    spin_deg, tilt_deg : float, (about x, about y), turn of the indenter; see `Posed`
     oversample : odd int
-    quantise : bool
-        False: float64 levels, neither rounded nor cut at 0 and 255.
+    quantise : False: float64 levels, neither rounded nor cut at 0 and 255
 
     Raises
     ------
@@ -128,9 +121,8 @@ def simulate_press(
 def check_press_depth(sensor: SimulatedSensor, depth_mm: float) -> None:
     """Refuse (ValueError) a press through the gel."""
     if depth_mm >= sensor.gel.thickness_mm:
-        raise ValueError(
-            f"Expected depth_mm less than the gel's thickness, {sensor.gel.thickness_mm:g} mm, got {depth_mm:g}."
-        )
+        thickness = f"{sensor.gel.thickness_mm:g} mm"
+        raise ValueError(f"Expected depth_mm less than the gel's thickness, {thickness}, got {depth_mm:g}.")
 
 
 def simulate_pose(

@@ -38,27 +38,20 @@ class Coating:
 
     Attributes
     ----------
-    specular : float, >= 0
-        Strength of the gloss relative to the diffuse light (Blinn-Phong).
-    shininess : int, 1-1024, a power of two
-        Exponent of the gloss: larger is sharper.
+    specular : float, >= 0, strength of the gloss relative to the diffuse light (Blinn-Phong)
+    shininess : int, 1-1024, a power of two, exponent of the gloss: larger is sharper
     scattering : float, 0-1, scattering_mm : float
         Part of the light that spreads in the gel before it is visible, and the length (standard deviation).
     interreflection : float, 0-1, interreflection_mm : float
         Part of the reflected light that returns from gel and walls in one bounce, and the length of its spread.
-    roughness : float
-        Standard deviation of the coating's own slopes, mm/mm, that shade but are no depth; `grain_mm` is the
-        size of the grains.
-    scratches, dust : int
-        Number of them; dust is dark or bright specks.
-    marker_pitch_mm, marker_radius_mm : float
-        Dark dots on a grid; 0 pitch: none.
+    roughness : standard deviation of the coating's own slopes, mm/mm, that shade but are no depth
+    grain_mm : size of the roughness's grains
+    scratches, dust : number of them; dust is dark or bright specks
+    marker_pitch_mm, marker_radius_mm : of dark dots on a grid; 0 pitch: none
     marker_missing, marker_broken, marker_jitter : float, 0-1
         Fractions of dots that are missing and that lost a piece; distance of dots from the grid, in pitches.
-    albedo : (h, w) or None
-        Reflectance 0-1 over the image, stretched to its size.
-    seed : int
-        Seed of this gel's own roughness, scratches and dust; another gel needs another seed.
+    albedo : (h, w) or None, reflectance 0-1 over the image, stretched to its size
+    seed : of this gel's own roughness, scratches and dust; another gel needs another seed
     """
 
     specular: float = 0.0
@@ -201,17 +194,13 @@ class Led:
 
     Attributes
     ----------
-    position_mm : (x, y, z)
-        From the gel's center; x to the right, y down, z toward the camera: z > 0.
+    position_mm : (x, y, z), from the gel's center; x to the right, y down, z toward the camera: z > 0
     color : (red, green, blue)
         Strength in each channel, >= 0: gray levels that a white surface facing it gives at 1 mm.
     beam_power : int, 0-64
-        Falls off from its axis with this power of the cosine: 0 not at all, 1 Lambert's emitter, more:
-        narrow.
-    aim_mm : (x, y, z)
-        The point that its axis goes through; the gel's center by default.
-    size_mm : float
-        Its diameter; it affects only cast shadows: larger is softer.
+        Falls off from its axis with this power of the cosine: 0 not at all, 1 Lambert's emitter, more: narrow.
+    aim_mm : (x, y, z), the point that its axis goes through; the gel's center by default
+    size_mm : diameter; it affects only cast shadows: larger is softer
     """
 
     position_mm: Triple
@@ -295,12 +284,9 @@ class Optics:
     distortion : (k1, k2)
         Radial, Brown's model: a point at distance r from the middle appears at r (1 + k1 r^2 + k2 r^4), r in
         units of half the image's diagonal; k1 < 0 is a barrel.
-    response_gamma : float
-        Gray level = 255 (linear level/255)^(1/gamma): 1 is linear, 2.2 about sRGB.
-    exposure : float
-        Factor of the light; noise changes with its signal.
-    jpeg_quality : int 1-100, or None
-        Quality of the camera's compression; None: none.
+    response_gamma : gray level = 255 (linear level/255)^(1/gamma): 1 is linear, 2.2 about sRGB
+    exposure : factor of the light; noise changes with its signal
+    jpeg_quality : int 1-100, or None, of the camera's compression; None: none
     """
 
     height_mm: float | None = None
@@ -332,14 +318,12 @@ class Timing:
     Attributes
     ----------
     frame_rate_hz : float
-    readout_s : float
-        From the first row's exposure to the last row's (rolling shutter); 0: all rows at once.
+    readout_s : from the first row's exposure to the last row's (rolling shutter); 0: all rows at once
     flicker : float, 0-1, flicker_hz : float
         The LEDs' light swings by this part of its mean, at this rate.
     drift : (red, green, blue), drift_time_s : float
         Final change of the light as a part of it, and the time constant of its exponential approach (warming up).
-    drop_probability : float, 0-1
-        Probability that a frame is lost; its index is skipped.
+    drop_probability : float, 0-1, of a lost frame; its index is skipped
     """
 
     frame_rate_hz: float = 25.0
@@ -378,39 +362,25 @@ class SimulatedSensor:
     ----------
     leds : tuple of Led
     name : str
-    shape : (H, W)
-        Pixels of the image.
-    mm_per_px : float
-        Pixel pitch on the gel, mm.
-    ambient : (red, green, blue)
-        Gray levels of light from all sides (scattered in the gel), before vignetting.
-    white_balance : (red, green, blue)
-        Gain of each channel after the crosstalk; `exposed` finds it.
+    shape : (H, W), pixels of the image
+    mm_per_px : pixel pitch on the gel, mm
+    ambient : (red, green, blue), gray levels of light from all sides (scattered in the gel), before vignetting
+    white_balance : (red, green, blue), gain of each channel after the crosstalk; `exposed` finds it
     vignetting : float, 0-1
         Part of the light lost in the image's corners, growing with the square of the distance to the center.
-    crosstalk : 3x3, >= 0
-        Row c: the fractions of the red, green, blue light that channel c records.
-    blur_px : float
-        Standard deviation of the optics' blur.
-    noise_sd : float
-        Read noise, gray levels.
-    noise_gain : float
-        Shot noise: variance per gray level of signal.
-    relaxation_mm : float
-        Length over which the gel's surface relaxes around the contact.
-    gel : Gel
-        Thickness, bulge, friction.
-    coating : Coating
-        Appearance of the gel's surface: gloss, scattering, roughness, scratches, dust, markers, albedo.
-    optics : Optics
-        Projection, distortion, response curve, exposure, JPEG.
-    timing : Timing
-        Frame rate, flicker, drift, dropped frames; only sequences use it.
+    crosstalk : 3x3, >= 0, row c: the fractions of the red, green, blue light that channel c records
+    blur_px : standard deviation of the optics' blur
+    noise_sd : read noise, gray levels
+    noise_gain : shot noise: variance per gray level of signal
+    relaxation_mm : length over which the gel's surface relaxes around the contact
+    gel : Gel, thickness, bulge, friction
+    coating : Coating, the surface's gloss, scattering, roughness, scratches, dust, markers, albedo
+    optics : Optics, projection, distortion, response curve, exposure, JPEG
+    timing : Timing, frame rate, flicker, drift, dropped frames; only sequences use it
     shading : three tuples of 6 or 15 numbers, or None
         Gain over the image for each channel, for light guides and lenses that no LED position explains: the
         first number times `1 + a x + b y + c x^2 + d x y + e y^2` (or to the fourth degree), x and y in -1..1.
-    cast_shadows : bool
-        Whether the surface shades itself; attached shadows are always there.
+    cast_shadows : whether the surface shades itself; attached shadows are always there
     """
 
     leds: tuple[Led, ...]
