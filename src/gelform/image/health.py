@@ -127,14 +127,17 @@ class Torn:
     def __call__(self, blocks: ImageBlocks, image: Array) -> Mask | None:
         """Pixels (H, W) that did not arrive; None if all did."""
         flat, repeated = self.flat(blocks), self.repeated_rows(blocks, image)
-        displaced = self.displaced_rows(blocks) if flat is None and repeated is None else None
-        if flat is None and repeated is None and displaced is None:
+        row = self.seam(blocks) if flat is None and repeated is None else 0
+        if flat is None and repeated is None and not row:
             return None
-        width = image.shape[1]
-        torn = np.zeros(image.shape[:2], dtype=bool) if flat is None else blocks.pixels(flat, width)
-        for rows in (repeated, displaced):
-            if rows is not None:
-                torn[rows] = True
+        torn = np.zeros(image.shape[:2], dtype=bool) if flat is None else blocks.pixels(flat, image.shape[1])
+        if repeated is not None:
+            torn[repeated] = True
+        if row:  # the side of the seam that fits the background image worse
+            sums = blocks.row_sums.reshape(self._rest_sums.shape)
+            away = np.abs(np.subtract(sums, self._rest_sums, dtype=np.int32)).mean(axis=1)
+            below = np.arange(len(away)) >= row
+            torn[below if away[below].mean() > away[~below].mean() else ~below] = True
         return torn
 
     def flat(self, blocks: ImageBlocks) -> Mask | None:
@@ -184,16 +187,6 @@ class Torn:
         work, totals = (np.empty(size, dtype=np.float32) for size in (3 * sums.shape[1], len(sums)))
         least = 2 * BLOCK_PX * 0.25  # twice the sum of 16 pixels, as the kernel counts
         return _seam(sums, self._rest_sums, work, totals, least=least, factor=3.0, spill=0.125)
-
-    def displaced_rows(self, blocks: ImageBlocks) -> Mask | None:
-        """Rows (H,) on the side of a seam that fits the background image worse; None if there is no seam."""
-        row = self.seam(blocks)
-        if not row:
-            return None
-        change = np.subtract(blocks.row_sums.reshape(self._rest_sums.shape), self._rest_sums, dtype=np.int32)
-        away = np.abs(change).mean(axis=1)
-        below = np.arange(len(away)) >= row
-        return below if away[below].mean() > away[~below].mean() else ~below
 
 
 _signs = Kernel(

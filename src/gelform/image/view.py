@@ -64,17 +64,7 @@ def pixel_positions(shape: tuple[int, int]) -> NDArray[np.int64]:
     return np.stack([x.ravel(), y.ravel()], axis=1)
 
 
-def remapped(pixels: Array, map_x: Map, map_y: Map) -> Array:
-    """Bilinear values at maps (h, w) of source columns and rows; the border is repeated beyond it."""
-    found: Array = cv2.remap(pixels, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return found
-
-
 IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)  # homography, row by row
-# Rounds of Newton's method at most; it ends with a smaller step, px.
-UNDISTORTION_ROUNDS, UNDISTORTED_PX = 40, 1e-9
-DIFFERENCE_PX = 1e-3  # px, step of central differences: far above rounding, far below a lens's curvature
-LEAST_AREA = 1e-3  # px^2 per px^2; the map is folded where it changes area by less, and has no inverse there
 KEYS = ("camera", "distortion", "perspective")
 
 
@@ -145,26 +135,23 @@ class Lens:
 
     def _undistorted(self, distorted: Numbers) -> Numbers:
         """The inverse of `_distorted`, by Newton's method: from the given point it approaches the answer from one side."""
-        flat = distorted.copy()
-        for _ in range(UNDISTORTION_ROUNDS):
-            xx, yx, xy, yy = self._distortion_slopes(flat)
+        flat, step_px = (
+            distorted.copy(),
+            1e-3,
+        )  # of central differences: far above rounding, far below a lens's curvature
+        along_x, along_y = np.array([step_px, 0.0]), np.array([0.0, step_px])
+        for _ in range(40):
+            by_x = (self._distorted(flat + along_x) - self._distorted(flat - along_x)) / (2 * step_px)
+            by_y = (self._distorted(flat + along_y) - self._distorted(flat - along_y)) / (2 * step_px)
+            (xx, yx), (xy, yy) = by_x.T, by_y.T
             excess_x, excess_y = (self._distorted(flat) - distorted).T
-            area = np.maximum(xx * yy - xy * yx, LEAST_AREA)
-            step = (
-                np.stack([yy * excess_x - xy * excess_y, xx * excess_y - yx * excess_x], axis=1)
-                / area[:, None]
-            )
+            # The map is folded where it changes area by less than 1e-3, and has no inverse there.
+            area = np.maximum(xx * yy - xy * yx, 1e-3)[:, None]
+            step = np.stack([yy * excess_x - xy * excess_y, xx * excess_y - yx * excess_x], axis=1) / area
             flat -= np.clip(step, -min(self.camera[:2]), min(self.camera[:2]))
-            if np.abs(step).max(initial=0) < UNDISTORTED_PX:
+            if np.abs(step).max(initial=0) < 1e-9:
                 break
         return flat
-
-    def _distortion_slopes(self, flat: Numbers) -> tuple[Numbers, ...]:
-        """The derivatives dx/dx, dy/dx, dx/dy, dy/dy of `_distorted`, by central differences."""
-        along_x, along_y = np.array([DIFFERENCE_PX, 0.0]), np.array([0.0, DIFFERENCE_PX])
-        by_x = (self._distorted(flat + along_x) - self._distorted(flat - along_x)) / (2 * DIFFERENCE_PX)
-        by_y = (self._distorted(flat + along_y) - self._distorted(flat - along_y)) / (2 * DIFFERENCE_PX)
-        return by_x[:, 0], by_x[:, 1], by_y[:, 0], by_y[:, 1]
 
     def to_dict(self) -> dict[str, list[float]]:
         """The settings, as values that JSON and TOML can hold."""
@@ -223,8 +210,14 @@ class View:
         if self.lens is not None and not isinstance(self.lens, Lens):
             object.__setattr__(self, "lens", Lens.from_dict(self.lens))
         for name in ("frame_shape", "image_shape"):
-            object.__setattr__(self, name, _size_of(getattr(self, name), name))
-        object.__setattr__(self, "crop", _crop_of(self.crop, self.frame_shape))
+            if (value := getattr(self, name)) is not None:
+                height, width = _numbers(value, (2,), f"{name} as (height, width) in pixels")
+                whole = height == int(height) and width == int(width)
+                if min(height, width) < 1 or height * width > MAX_PIXELS or not whole:
+                    raise ValueError(f"Expected {name} as two whole numbers of pixels, got {value}.")
+                object.__setattr__(self, name, (int(height), int(width)))
+        if self.crop is not None:
+            object.__setattr__(self, "crop", _checked_crop(self.crop, self.frame_shape))
         check_choice(self.flip, FLIPS, "the view's flip")
         check_choice(self.turn, TURNS, "the view's turn")
         if self.frame_shape is None and (self.crop or self.image_shape or self.lens):
@@ -352,7 +345,8 @@ def image_from_frame(frame: ArrayLike, view: View) -> Array:
     if view.turn != "none":
         return np.ascontiguousarray(np.rot90(image_from_frame(pixels, view.unturned), TURNS[view.turn]))
     cut, box, *maps = _maps_to_image(view.of_frames(shape))
-    return remapped(averaged(pixels[cut], box), *maps)
+    source = averaged(pixels[cut], box)
+    return np.asarray(cv2.remap(source, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
 
 
 @lru_cache(maxsize=8)
@@ -416,18 +410,7 @@ def _flipped(points: Numbers, view: View) -> Numbers:
     )
 
 
-def _size_of(value: Any, name: str) -> tuple[int, int] | None:
-    if value is None:
-        return None
-    numbers = _numbers(value, (2,), f"{name} as (height, width) in pixels")
-    if min(numbers) < 1 or numbers[0] * numbers[1] > MAX_PIXELS or any(n != int(n) for n in numbers):
-        raise ValueError(f"Expected {name} as two whole numbers of pixels, got {value}.")
-    return int(numbers[0]), int(numbers[1])
-
-
-def _crop_of(value: Any, frame_shape: tuple[int, int] | None) -> tuple[float, float, float, float] | None:
-    if value is None:
-        return None
+def _checked_crop(value: Any, frame_shape: tuple[int, int] | None) -> tuple[float, float, float, float]:
     left, top, width, height = _numbers(value, (4,), "crop as (left, top, width, height) in pixels")
     if left < 0 or top < 0 or width < 1 or height < 1:
         raise ValueError(

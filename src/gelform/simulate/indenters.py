@@ -319,7 +319,29 @@ class Mesh:
     def __post_init__(self) -> None:
         vertices = check_finite(np.ascontiguousarray(self.vertices_mm, dtype=np.float64), "vertices_mm")
         triangles = np.ascontiguousarray(self.triangles, dtype=np.int64)
-        check_mesh(vertices, triangles)
+        if vertices.ndim != 2 or vertices.shape[1] != 3 or triangles.ndim != 2 or triangles.shape[1] != 3:
+            raise ValueError(
+                f"Expected vertices_mm (V, 3) and triangles (T, 3), got {vertices.shape} and {triangles.shape}."
+            )
+        if not 0 < len(triangles) <= 5_000_000:  # a larger file was meant for something else
+            got = f"got {len(triangles)}. Simplify the mesh first" if len(triangles) else "got an empty one"
+            raise ValueError(f"Expected a mesh with triangles, 5000000 at most, {got}.")
+        if triangles.min() < 0 or triangles.max() >= len(vertices):
+            raise ValueError(f"Expected triangles with indices in 0-{len(vertices) - 1}.")
+        size = float(np.ptp(vertices, axis=0).max())
+        if not 0.01 <= size <= MAX_SIZE_MM:
+            raise ValueError(
+                f"Expected a mesh of 0.01-{MAX_SIZE_MM:g} mm, got {size:.4g} mm. Is it in another unit? "
+                "Scale it: meters x 1000, inches x 25.4."
+            )
+        _, merged = np.unique(vertices, axis=0, return_inverse=True)  # an STL repeats its vertices
+        edges = np.sort(merged.reshape(-1)[triangles][:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+        _, count = np.unique(edges[edges[:, 0] != edges[:, 1]], axis=0, return_counts=True)
+        if open_edges := int(np.count_nonzero(count % 2)):
+            raise ValueError(
+                f"Expected a closed mesh, got one with {open_edges} edges that border only one triangle. "
+                "Close its holes first (in trimesh: mesh.fill_holes())."
+            )
         low, high = vertices.min(axis=0), vertices.max(axis=0)
         shift = np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, high[2]])
         object.__setattr__(self, "vertices_mm", vertices - shift)
@@ -327,39 +349,6 @@ class Mesh:
 
     def face_mm(self, x_mm: Array, y_mm: Array) -> Numbers:
         return height_of_triangles(np.asarray(self.vertices_mm), np.asarray(self.triangles), x_mm, y_mm)
-
-
-def check_mesh(vertices: Array, triangles: Array) -> None:
-    """Refuse a mesh that cannot be pressed; see `Mesh`."""
-    if vertices.ndim != 2 or vertices.shape[1] != 3 or triangles.ndim != 2 or triangles.shape[1] != 3:
-        raise ValueError(
-            f"Expected vertices_mm (V, 3) and triangles (T, 3), got {vertices.shape} and {triangles.shape}."
-        )
-    if len(triangles) == 0:
-        raise ValueError("Expected a mesh with triangles, got an empty one.")
-    if len(triangles) > 5_000_000:  # it was meant for something else
-        raise ValueError(
-            f"Expected at most 5000000 triangles, got {len(triangles)}. Simplify the mesh first."
-        )
-    if triangles.min() < 0 or triangles.max() >= len(vertices):
-        raise ValueError(f"Expected triangles with indices in 0-{len(vertices) - 1}.")
-    size = float(np.ptp(vertices, axis=0).max())
-    if not 0.01 <= size <= MAX_SIZE_MM:
-        raise ValueError(
-            f"Expected a mesh of 0.01-{MAX_SIZE_MM:g} mm, got {size:.4g} mm. Is it in another unit? "
-            "Scale it: meters x 1000, inches x 25.4."
-        )
-    _, merged = np.unique(vertices, axis=0, return_inverse=True)  # an STL repeats its vertices
-    corners = merged.reshape(-1)[triangles]
-    edges = np.sort(corners[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    edges = edges[edges[:, 0] != edges[:, 1]]
-    _, count = np.unique(edges, axis=0, return_counts=True)
-    open_edges = int(np.count_nonzero(count % 2))
-    if open_edges:
-        raise ValueError(
-            f"Expected a closed mesh, got one with {open_edges} edges that border only one triangle. "
-            "Close its holes first (in trimesh: mesh.fill_holes())."
-        )
 
 
 def height_of_triangles(vertices: Numbers, triangles: NDArray[np.int64], x_mm: Array, y_mm: Array) -> Numbers:
