@@ -72,10 +72,7 @@ KEYS = ("camera", "distortion", "perspective")
 class Lens:
     """A pinhole camera with Brown's distortion that views a plane from any side.
 
-    Raises
-    ------
-    ValueError
-        Another count of numbers, a number that is not finite, a focal length <= 0, or a singular perspective.
+    ValueError: another count of numbers, a number that is not finite, a focal length <= 0, or a singular perspective.
     """
 
     camera: tuple[float, ...]  # (fx, fy, cx, cy), px

@@ -211,27 +211,16 @@ def membrane_over(
     `b - h^2 laplace(b) = bulge w`. The surface is w - b: the obstacle where they touch, and its volume over the
     whole grid is (1 - bulge) times that of w.
 
-    On a grid of half the resolution begins the first guess, then cycles go on until the change is below the tolerance. A
-    first guess (`guess`) may stop before that, because on a coarse relief two contacts can alternate forever.
+    The first guess comes from the grid of half the resolution; cycles go on until the change is below the tolerance. A guess
+    (`guess`) may stop before that, because on a coarse relief two contacts can alternate forever.
 
     R. Kornhuber, Monotone multigrid methods for elliptic variational inequalities I, Numer. Math. 69, 1994,
     truncated: coarse grids correct only samples without contact. The smoother is C. W. Cryer's projected
     relaxation (SIAM J. Control 9(3), 1971), red-black.
 
-    Parameters
-    ----------
-    obstacle : (H, W), g; below 0 where the gel would be touched only if it rises
-    relaxation_px, bulge_px : the lengths L and h in samples
-    bulge : 0 (compressible) to 1 (incompressible), 1 excluded
-
-    Returns
-    -------
-    membrane, bulge : (H, W) float64 each; without a bulge the obstacle itself bit for bit where they touch
-
-    Raises
-    ------
-    ConvergenceError
-        The cycles did not converge.
+    `obstacle` (H, W) is g, below 0 where the gel would be touched only if it rises; `relaxation_px` and `bulge_px` are L and
+    h in samples; `bulge` is 0 (compressible) to 1 (incompressible), 1 excluded. Returns w and b (H, W); without a bulge w is
+    the obstacle itself bit for bit where they touch. ConvergenceError: the cycles did not converge.
     """
     g = np.ascontiguousarray(obstacle, dtype=np.float64)
     u, b = _coarse_guess(g, relaxation_px, bulge, bulge_px)

@@ -166,13 +166,7 @@ class Cylinder(_Sized):
 
 @dataclass(frozen=True)
 class BoxEdge(_Sized):
-    """A long edge of a box, along x: a roof with two equal sides.
-
-    Attributes
-    ----------
-    length_mm : of the edge
-    angle_deg : between the two sides, 90 for a box
-    """
+    """A long edge of a box, along x: a roof with two equal sides, `angle_deg` between them, 90 for a box."""
 
     length_mm: float
     angle_deg: float = 90.0
@@ -198,13 +192,7 @@ class Punch(_Sized):
 
 @dataclass(frozen=True)
 class Pyramid(_Sized):
-    """A square pyramid, its point toward the camera.
-
-    Attributes
-    ----------
-    base_mm : side of the base
-    angle_deg : between opposite sides at the point
-    """
+    """A square pyramid on a base of that side, its point toward the camera; `angle_deg` is between opposite sides there."""
 
     base_mm: float
     angle_deg: float = 120.0
@@ -216,13 +204,7 @@ class Pyramid(_Sized):
 
 @dataclass(frozen=True)
 class Cone(_Sized):
-    """A cone, its point toward the camera.
-
-    Attributes
-    ----------
-    diameter_mm : of the base
-    angle_deg : the opening at the point
-    """
+    """A cone, its point toward the camera: the diameter of its base, and the opening `angle_deg` at the point."""
 
     diameter_mm: float
     angle_deg: float = 120.0
@@ -234,13 +216,7 @@ class Cone(_Sized):
 
 @dataclass(frozen=True)
 class Torus(_Sized):
-    """A ring lying flat.
-
-    Attributes
-    ----------
-    ring_radius_mm : from the axis to the middle of the tube
-    tube_radius_mm : of the tube
-    """
+    """A ring lying flat; `ring_radius_mm` is from its axis to the middle of the tube, `tube_radius_mm` that of the tube."""
 
     ring_radius_mm: float
     tube_radius_mm: float
@@ -352,12 +328,9 @@ class Mesh:
 
 
 def height_of_triangles(vertices: Numbers, triangles: NDArray[np.int64], x_mm: Array, y_mm: Array) -> Numbers:
-    """Height of the topmost triangle over each point of a regular grid; -inf where there is none.
+    """Height of the topmost of triangles (T, 3) with vertices (V, 3) over each point of a grid; -inf where there is none.
 
-    Parameters
-    ----------
-    vertices : (V, 3), triangles : (T, 3)
-    x_mm, y_mm : (1, W) and (H, 1), evenly spaced
+    x_mm (1, W) and y_mm (H, 1) are evenly spaced.
     """
     x, y = np.ravel(x_mm).astype(np.float64), np.ravel(y_mm).astype(np.float64)
     if np.shape(x_mm) != (1, x.size) or np.shape(y_mm) != (y.size, 1):
