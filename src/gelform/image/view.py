@@ -341,9 +341,9 @@ def image_from_frame(frame: ArrayLike, view: View) -> Array:
         return pixels
     if view.turn != "none":
         return np.ascontiguousarray(np.rot90(image_from_frame(pixels, view.unturned), TURNS[view.turn]))
-    cut, box, *maps = _maps_to_image(view.of_frames(shape))
+    cut, box, map_x, map_y = _maps_to_image(view.of_frames(shape))
     source = averaged(pixels[cut], box)
-    return np.asarray(cv2.remap(source, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
+    return np.asarray(cv2.remap(source, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
 
 
 @lru_cache(maxsize=8)
@@ -357,12 +357,12 @@ def _maps_to_image(view: View) -> tuple[tuple[slice, slice], tuple[int, int], Ma
         x, columns, box_x = box_centers(left, width, frame[1], image[1], "x" in view.flip)
         y, rows, box_y = box_centers(top, height, frame[0], image[0], "y" in view.flip)
         cut, box = (rows, columns), (box_y, box_x)
-        places = np.meshgrid(x, y)
+        x, y = np.meshgrid(x, y)
     else:
         cut, box = (slice(None), slice(None)), (_box_px(height / image[0]), _box_px(width / image[1]))
         points = frame_px_from_image_px(pixel_positions(image), view)
-        places = ((points + 0.5) / box[::-1] - 0.5).T.reshape(2, *image)
-    map_x, map_y = (place.astype(np.float32) for place in places)
+        x, y = ((points + 0.5) / box[::-1] - 0.5).T.reshape(2, *image)
+    map_x, map_y = x.astype(np.float32), y.astype(np.float32)
     map_x.setflags(write=False)
     map_y.setflags(write=False)
     return cut, box, map_x, map_y

@@ -24,6 +24,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import cv2
 import numpy as np
@@ -342,7 +343,8 @@ class Surface:
 
     def sampled(self, at: slice) -> Surface:
         """The surface at given rows, and at the same of its columns."""
-        maps = (np.ascontiguousarray(one[at, at]) for one in (self.depth_mm, self.gradients, self.contact))
+        whole = self.depth_mm, self.gradients, self.contact
+        maps: list[Any] = [np.ascontiguousarray(one[at, at]) for one in whole]
         return Surface(self.x_mm[:, at], self.y_mm[at], *maps)
 
     def middles(self, stride: int) -> Surface:

@@ -172,8 +172,9 @@ def texture_gradients(coating: Coating, shape: Grid, mm_per_px: float, oversampl
         start = rng.uniform(0, 1, 2) * shape[::-1]
         angle, length = rng.uniform(0, np.pi), rng.uniform(2, 6) / mm_per_px
         end = start + length * np.array([np.cos(angle), np.sin(angle)])
+        first, last = np.rint([start, end]).astype(int).tolist()
         groove = np.zeros(shape, dtype=np.float32)
-        cv2.line(groove, *[(round(float(x)), round(float(y))) for x, y in (start, end)], 1.0, 1, cv2.LINE_8)
+        cv2.line(groove, first, last, 1.0, 1, cv2.LINE_8)
         height -= cv2.GaussianBlur(groove, (0, 0), 0.8) * np.float32(rng.uniform(0.002, 0.008))
     size = (shape[1] * oversample, shape[0] * oversample)
     slopes = [cv2.resize(s, size, interpolation=cv2.INTER_LINEAR) for s in np.gradient(height, mm_per_px)]
