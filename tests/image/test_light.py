@@ -223,7 +223,7 @@ def test_the_fit_agrees_with_numpy(is_free):
     rest = rng.uniform(60, 180, (9, 12, 3)).astype(np.float32)
     image = (rest * 1.03 + rng.normal(0, 3, rest.shape)).astype(np.float32)
     image[:3] += 20
-    seen = light._Seen(image, rest, every=1)
+    seen = light._LitBlocks(image, rest, every=1)
     values = np.array([[0.02, 0.01, 0, 3], [0.03, 0, -0.02, 1], [0.01, 0.02, 0.01, 2]])
     size = seen._lit.shape[1]
     empty = np.empty((3, 4, 4)), np.zeros(size, np.float32), np.empty(5), np.empty(14 * size, np.float32)

@@ -152,7 +152,7 @@ class _Fit(NamedTuple):
         return bool((np.abs(self.values[:, 1:]) <= 2.0 * PRIOR[1:] ** -0.5).all())
 
 
-class _Seen:
+class _LitBlocks:
     """The blocks (h, w, 3) of an image that are neither dark nor saturated in it and in a background image."""
 
     def __init__(self, blocks: Map, untouched: Map, every: int = EVERY) -> None:
@@ -203,11 +203,11 @@ class _Seen:
 
 def gain_from_blocks(blocks: Map, untouched: Map) -> FrameLight:
     """The light of an image as a gain alone, both from `block_means`."""
-    seen = _Seen(blocks, untouched)
-    if not seen.count:
+    lit_blocks = _LitBlocks(blocks, untouched)
+    if not lit_blocks.count:
         return FrameLight()
-    gain = seen.gain()
-    return seen.light(gain, gain)
+    gain = lit_blocks.gain()
+    return lit_blocks.light(gain, gain)
 
 
 def light_from_blocks(blocks: Map, untouched: Map, usual: FrameLight | None = None) -> FrameLight:
@@ -217,25 +217,25 @@ def light_from_blocks(blocks: Map, untouched: Map, usual: FrameLight | None = No
     and the covariance says how little is known. `usual` is the light of the moments before: it stays, but for the gain,
     if it fits better than a gain and no light clearly better.
     """
-    seen = _Seen(blocks, untouched)
-    if not seen.count:
+    lit_blocks = _LitBlocks(blocks, untouched)
+    if not lit_blocks.count:
         return FrameLight()
-    gain = seen.gain()
+    gain = lit_blocks.gain()
     if usual is not None and not usual.is_plain:
-        again = seen.fit(GAIN, usual.values, most=REST_SIGMA)
-        alone = seen.fit(GAIN, gain.values, again.rest_sigma, WIDENED[2:])
+        again = lit_blocks.fit(GAIN, usual.values, most=REST_SIGMA)
+        alone = lit_blocks.fit(GAIN, gain.values, again.rest_sigma, WIDENED[2:])
         if again.promised <= MARGIN and again.likelihood > alone.likelihood:
-            return replace(seen.light(again, gain), covariance=usual.covariance)
+            return replace(lit_blocks.light(again, gain), covariance=usual.covariance)
     if gain.promised <= MARGIN:
-        return seen.light(gain, gain)
-    both = seen.fit(BOTH, gain.values)
+        return lit_blocks.light(gain, gain)
+    both = lit_blocks.fit(BOTH, gain.values)
     alone, *others = (
-        seen.fit(free, np.where(free, start.values, 0), both.rest_sigma, WIDENED[2:])
+        lit_blocks.fit(free, np.where(free, start.values, 0), both.rest_sigma, WIDENED[2:])
         for free, start in ((GAIN, gain), (TILTED, both), (WITH_ROOM, both), (BOTH, both))
     )
     best = max((one for one in others if one.has_room or not one.free[3]), key=lambda one: one.evidence)
     is_better = best.evidence - alone.evidence > MARGIN and best.is_likely
-    return seen.light(best if is_better else gain, gain)
+    return lit_blocks.light(best if is_better else gain, gain)
 
 
 def light_at_rest(blocks: Map, untouched: Map, start: Numbers) -> Numbers:
@@ -243,7 +243,7 @@ def light_at_rest(blocks: Map, untouched: Map, start: Numbers) -> Numbers:
 
     All terms are fitted: where nothing touches, a term too many costs nothing.
     """
-    return _Seen(blocks, untouched, every=1).fit(BOTH, start).values
+    return _LitBlocks(blocks, untouched, every=1).fit(BOTH, start).values
 
 
 def lit(levels: Map, light: Numbers) -> Map:
