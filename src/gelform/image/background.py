@@ -247,9 +247,8 @@ def image_from_color_change(
         )
     gain = gain_from_background(untouched, settings)
     # Where nothing can be divided by, the change says nothing.
-    light = linear_light(untouched, settings) + np.divide(
-        change, gain, out=np.zeros_like(change), where=gain > 0
-    )
+    change = np.divide(change, gain, out=np.zeros_like(change), where=gain > 0)
+    light = linear_light(untouched, settings) + change
     if settings.crosstalk is not None:
         light = cv2.transform(light, np.asarray(settings.crosstalk))
     light = np.clip(light, 0, 255)
@@ -258,9 +257,8 @@ def image_from_color_change(
 
 
 USUAL_FRAMES = 15  # frames at rest that are averaged where they come by themselves
-OTHER_LEVEL = (
-    0.03  # fraction of the brightness: a touched block, or a frame of another exposure, differs by more
-)
+# Fraction of the brightness: a touched block, or a frame of another exposure, differs by more.
+OTHER_LEVEL = 0.03
 
 
 class Background(NamedTuple):

@@ -125,17 +125,13 @@ class Lens:
         )
 
     def rectified_px_from_frame_px(self, points_px: Array) -> Numbers:
-        """Positions (N, 2) in the rectified plane of points of the frame: the inverse of `frame_px_from_rectified_px`."""
-        flat = self._undistorted(np.asarray(points_px, dtype=np.float64))
-        back = cv2.perspectiveTransform(flat[None], np.linalg.inv(self._homography))
-        return np.asarray(back[0], dtype=np.float64)
+        """Positions (N, 2) in the rectified plane of points of the frame: the inverse of `frame_px_from_rectified_px`.
 
-    def _undistorted(self, distorted: Numbers) -> Numbers:
-        """The inverse of `_distorted`, by Newton's method: from the given point it approaches the answer from one side."""
-        flat, step_px = (
-            distorted.copy(),
-            1e-3,
-        )  # of central differences: far above rounding, far below a lens's curvature
+        By Newton's method: from the given point it approaches the answer from one side.
+        """
+        distorted = np.asarray(points_px, dtype=np.float64)
+        flat = distorted.copy()
+        step_px = 1e-3  # of central differences: far above rounding, far below a lens's curvature
         along_x, along_y = np.array([step_px, 0.0]), np.array([0.0, step_px])
         for _ in range(40):
             by_x = (self._distorted(flat + along_x) - self._distorted(flat - along_x)) / (2 * step_px)
@@ -148,7 +144,8 @@ class Lens:
             flat -= np.clip(step, -min(self.camera[:2]), min(self.camera[:2]))
             if np.abs(step).max(initial=0) < 1e-9:
                 break
-        return flat
+        back = cv2.perspectiveTransform(flat[None], np.linalg.inv(self._homography))
+        return np.asarray(back[0], dtype=np.float64)
 
     def to_dict(self) -> dict[str, list[float]]:
         """The settings, as values that JSON and TOML can hold."""
