@@ -80,23 +80,12 @@ class MarkerPatches:
 
     def __call__(self, logs: Map, start_px: Array, of: NDArray[np.intp] | None = None) -> Followed:
         """Search for dots in an image's logs from shifts (N, 2); `of` selects dots by number, all by default."""
-        chosen = np.arange(len(self.corners_px)) if of is None else of
+        chosen = slice(None) if of is None else of
         shift = np.array(start_px, dtype=np.float32, order="C")
-        fit = np.zeros((len(chosen), 4), dtype=np.float32)
+        fit = np.zeros((len(shift), 4), dtype=np.float32)
         parts = (self.corners_px, self.weights, self._basis, self._triangle)
-        corners, weight, basis, triangle = parts if of is None else (part[chosen] for part in parts)
-        _follow_patches(
-            logs,
-            corners,
-            weight,
-            basis,
-            triangle,
-            shift,
-            fit,
-            side=self.side_px,
-            steps=8,
-            longest=self._longest,
-        )
+        of_chosen = [part[chosen] for part in parts]
+        _follow_patches(logs, *of_chosen, shift, fit, side=self.side_px, steps=8, longest=self._longest)
         strength, left, own, last = fit.T
         noise = np.sqrt(left / self._freedom[chosen])
         sigma = (noise / np.maximum(strength, 0.1) * self._spread[chosen]).astype(np.float32)

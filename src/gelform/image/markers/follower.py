@@ -241,7 +241,7 @@ class MarkerFollower:
                 todo = todo[self._clear(self.rest_px[todo] + guess[todo], candidates)]
             if not len(todo):
                 break
-            start = self._at_candidates(guess, todo, shift[seen] + self.rest_px[seen], candidates, reach)
+            start = self._at_candidates(guess, seen, todo, candidates, reach)
             again = self._patches(logs, start, todo)
             close = np.linalg.norm(again.shift_px - guess[todo], axis=1) < reach
             trial, taken = shift.copy(), seen.copy()
@@ -265,8 +265,7 @@ class MarkerFollower:
         guess, lost = shift.copy(), np.nonzero(~seen)[0]
         guess[lost] = self._predicted(shift, seen)
         reach, darkest = AGAIN * self.spacing_px, shift.copy()
-        taken = shift[seen] + self.rest_px[seen]
-        darkest[lost] = self._at_candidates(guess, lost, taken, self._candidates(logs), reach)
+        darkest[lost] = self._at_candidates(guess, seen, lost, self._candidates(logs), reach)
         for starts in (expected, darkest):
             todo = np.nonzero(~seen & self._patches.inside(self.rest_px + starts))[0]
             if not len(todo):
@@ -282,10 +281,10 @@ class MarkerFollower:
         return shift, seen, sigma
 
     def _at_candidates(
-        self, guess: Array, todo: NDArray[np.intp], taken: Array, candidates: Array, reach: float
+        self, guess: Array, seen: Mask, todo: NDArray[np.intp], candidates: Array, reach: float
     ) -> Numbers:
-        """Shifts (M, 2) to the free candidate nearest to each guess, within reach; else the guess itself."""
-        start = guess[todo].copy()
+        """Shifts (M, 2) to the candidate, free of seen dots, that is nearest to each guess, within reach; else the guess."""
+        start, taken = guess[todo].copy(), (self.rest_px + guess)[seen]
         if len(taken) and len(candidates):
             apart = np.linalg.norm(candidates[:, None] - taken, axis=-1).min(axis=1)
             candidates = candidates[apart > self.radius_px]
