@@ -53,8 +53,7 @@ def test_darkness_with_noise_and_one_light_that_is_off_are_dark(health):
 
 
 @pytest.mark.parametrize(
-    ("part", "level"),
-    [(np.s_[:24], 0), (np.s_[60:], 128), (np.s_[:, 70:], 0), (np.s_[80:], (0, 135, 0))],
+    ("part", "level"), [(np.s_[:24], 0), (np.s_[60:], 128), (np.s_[:, 70:], 0), (np.s_[80:], (0, 135, 0))]
 )
 def test_a_part_of_one_color_is_torn_and_lost(health, part, level):
     faults = health(with_part(pressed(), part, level))

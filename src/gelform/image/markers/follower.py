@@ -351,9 +351,7 @@ class MarkerTracker:
     """
 
     def __init__(
-        self,
-        background: ArrayLike | MarkerFollower,
-        mm_per_px: float | tuple[float, float] | None = None,
+        self, background: ArrayLike | MarkerFollower, mm_per_px: float | tuple[float, float] | None = None
     ) -> None:
         if not isinstance(background, MarkerFollower):
             background, mm_per_px = MarkerFollower(background, mm_per_px), None
