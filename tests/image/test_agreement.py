@@ -18,11 +18,11 @@ from gelform.image.agreement import (
     UNLIKE,
     UPRIGHT,
     background_digest,
-    check_background,
     check_background_of_frames,
     check_own_background,
     check_untouched,
     check_viewed_image,
+    compared,
     largest_touch,
     orientation_from_image,
 )
@@ -33,6 +33,11 @@ from kernel_agreement import assert_kernel_agrees
 from made.images import TOUCHED_SHAPE, halved, scene, touched
 
 SETS = ("mini-ball", "digit-ball", "gelslim", "mini-d", "gelslim-dots", "gelsight-ball-deep")
+
+
+def check_background(image, background):
+    """The findings of an image compared with a background."""
+    return compared(block_means(image), block_means(background))[1]
 
 
 def lying(image, reading):

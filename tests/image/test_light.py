@@ -15,7 +15,6 @@ from scipy.ndimage import map_coordinates
 import gelform
 from gelform.errors import CalibrationError
 from gelform.image import light
-from gelform.image.agreement import check_background
 from gelform.image.background import ChangeSettings, PreparedBackground
 from gelform.image.light import block_means, gain_from_blocks, light_from_blocks
 from gelform.image.registration import PreparedRegistration, registration_from_image
@@ -186,7 +185,7 @@ def test_a_mirrored_frame_is_not_taken_for_a_tilted_one(data):
     rest = read_image(data / "mini-ball" / "background.png")
     for path in sorted((data / "mini-ball").rglob("gelsight.png"))[::20]:
         with pytest.raises(CalibrationError, match="mirrored left to right"):
-            check_background(read_image(path)[:, ::-1], rest)
+            PreparedBackground(rest, ChangeSettings()).compare(read_image(path)[:, ::-1])
 
 
 def step_by_numpy(found, count, prior, is_free, widened, values, normal, farthest, *more):

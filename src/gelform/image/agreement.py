@@ -228,24 +228,13 @@ _least_changed_sums = Kernel(
 )
 
 
-def check_background(image: Array, background: Array) -> tuple[Finding, ...]:
-    """Refuse a background that does not belong to this image; return findings.
-
-    Where nothing touches, the image should be the background times a gain near 1.
-
-    CalibrationError: the image is mirrored, turned or BGR, a channel's gain is outside 0.7-1.4, or the correlation is under
-    0.8. The message has the figure.
-    """
-    return compared(block_means(image), block_means(background))[1]
-
-
 def check_own_background(background: Array, calibrated: Array) -> tuple[Finding, ...]:
     """Refuse a background image that is not of the calibrated sensor; return findings.
 
-    It goes beyond `check_background`: both images show the gel at rest, so that they should be equal everywhere, up to
+    It goes beyond `compared`: both images show the gel at rest, so that they should be equal everywhere, up to
     a gain for each channel. Another unit of the same model passes every other check.
 
-    CalibrationError: as `check_background`, half of the image differs by more than 5.3 %, or something touches the gel. The
+    CalibrationError: as `compared`, half of the image differs by more than 5.3 %, or something touches the gel. The
     message has the figure.
     """
     today, untouched = block_means(background), block_means(calibrated)
@@ -322,9 +311,11 @@ def background_digest(background: Array) -> str:
 def compared(
     image: Map, untouched: Map, usual: FrameLight | None = None, own: bool = False
 ) -> tuple[FrameLight, tuple[Finding, ...]]:
-    """Light and findings of an image compared with the background image, as in `light_from_blocks`.
+    """Light and findings of an image compared with the background image, both from `block_means`, as `light_from_blocks`.
 
-    `own`: the image is today's background, and `untouched` the calibration's; an error then blames the calibration.
+    Where nothing touches, the image should be the background times a gain near 1. CalibrationError: the image is mirrored,
+    turned or BGR, a channel's gain is outside 0.7-1.4, or the correlation is under 0.8; the message has the figure.
+    `own`: the image is today's background, and `untouched` the calibration's; the error then blames the calibration.
     """
     light = light_from_blocks(image, untouched, usual)
     if light.least_change > UNLIKE:

@@ -159,7 +159,7 @@ class PreparedBackground:
     def compare(self, image: Array) -> tuple[FrameLight, tuple[Finding, ...]]:
         """Compare the frame's light with the background's; return it and findings.
 
-        CalibrationError: as `check_background`.
+        CalibrationError: as `agreement.compared`.
         """
         return compared(block_means(image), self._blocks, self._usual)
 
