@@ -282,18 +282,15 @@ def test_the_steps_of_rows_are_those_of_numpy(shape):
     assert_kernel_agrees(health_module._seam, without_the_step, sums, rest, work, totals, 8.0, 3.0, 0.1)
 
 
-def test_floats_are_rounded_as_a_camera_would():
+def test_blocks_are_of_levels_rounded_as_a_camera_would_and_reach_the_border():
     image = np.random.default_rng(4).uniform(0, 255, (32, 32, 3)).astype(np.float32)
-    rounded = np.rint(image).astype(np.uint8)
-    np.testing.assert_array_equal(blocks_of(image).means, blocks_of(rounded).means)
-
-
-def test_pixels_of_blocks_reach_the_border():
+    np.testing.assert_array_equal(blocks_of(image).means, blocks_of(np.rint(image).astype(np.uint8)).means)
     found = blocks_of(np.zeros((40, 60, 3), dtype=np.uint8))
-    mask = found.pixels(np.array([[False, False, False], [False, False, True]]), 60)
-    assert mask.shape == (40, 60)
-    assert mask[16:, 32:].all()
-    assert np.count_nonzero(mask) == 24 * 28
+    last = np.zeros((2, 3), dtype=bool)
+    last[1, 2] = True
+    expected = np.zeros((40, 60), dtype=bool)
+    expected[16:, 32:] = True
+    np.testing.assert_array_equal(found.pixels(last, 60), expected)
     small = blocks_of(np.zeros((5, 7, 3), dtype=np.uint8))
     assert small.means.shape == (0, 0, 3)
     assert not small.pixels(np.zeros((0, 0), dtype=bool), 7).any()
@@ -327,18 +324,15 @@ def torn_of(background):
     return Torn(background.astype(np.float32), blocks_of(background))
 
 
-def test_flat_blocks_with_the_rest_images_color_are_sound():
+def test_flat_blocks_of_the_rest_image_s_color_or_of_many_are_a_picture():
     rest, corner = gel(), np.s_[:48, :48]
     own = rest[corner].mean(axis=(0, 1)).round().astype(np.uint8)
     flat, other = (torn_of(rest).flat(blocks_of(with_part(rest, corner, color))) for color in (own, 20))
     assert flat is None or np.count_nonzero(flat) < 9
     assert np.count_nonzero(other) == 9
-
-
-def test_flat_blocks_of_many_colors_are_a_picture():
     colors = np.random.default_rng(3).integers(0, 256, (6, 8, 3), dtype=np.uint8)
-    found = torn_of(gel()).flat(blocks_of(np.kron(colors, np.ones((16, 16, 1), np.uint8))))
-    assert found is None or found.mean() < 0.1
+    many = torn_of(rest).flat(blocks_of(np.kron(colors, np.ones((16, 16, 1), np.uint8))))
+    assert many is None or many.mean() < 0.1
 
 
 def test_neighboring_rows_that_are_alike_are_what_video_does():

@@ -81,7 +81,10 @@ class Levels:
     def __call__(
         self, blocks: ImageBlocks, torn: Mask | None = None
     ) -> tuple[tuple[Finding, ...], Mask | None]:
-        """Findings `dark` and `saturated`, and their blocks (h, w) without the torn ones; None if there are none."""
+        """Findings `dark` and `saturated`, and their blocks (h, w) without the torn ones; None if there are none.
+
+        A finding's figure is the fraction of the frame in the channel with the largest fraction.
+        """
         dark = blocks.means < self.dark_to
         saturated = blocks.means >= self.saturated_from
         if not (dark.any() or saturated.any()):
@@ -89,24 +92,19 @@ class Levels:
         saturated &= self._may_saturate
         if torn is not None:
             dark[torn] = saturated[torn] = False
-        below, end = f"below {DARK} of 255 gray levels", "at the camera's upper end"
-        findings = [
-            _finding("dark", dark, below, "Is a light off, or the lens covered?"),
-            _finding("saturated", saturated, end, "Lower exposure, gain or the lights."),
-        ]
-        named = tuple(finding for finding in findings if finding is not None)
-        return named, np.any(dark | saturated, axis=-1) if named else None
-
-
-def _finding(name: str, where: Mask, what: str, advice: str) -> Finding | None:
-    """A finding; its figure is the fraction of the frame in the channel with the largest fraction."""
-    fractions = where.mean(axis=(0, 1)) if where.size else np.zeros(3)
-    if fractions.max() < 0.05:  # on good sensors a hard contact saturates or shades less
-        return None
-    said = ", ".join(
-        f"{channel} {100 * fraction:.0f} %" for channel, fraction in zip(CHANNELS, fractions) if fraction > 0
-    )
-    return Finding(name, f"Parts of the frame are {what}: {said}. {advice}", float(fractions.max()))
+        findings = []
+        for name, where, what, advice in (
+            ("dark", dark, f"below {DARK} of 255 gray levels", "Is a light off, or the lens covered?"),
+            ("saturated", saturated, "at the camera's upper end", "Lower exposure, gain or the lights."),
+        ):
+            fractions = where.mean(axis=(0, 1))
+            if fractions.max() < 0.05:  # on good sensors a hard contact saturates or shades less
+                continue
+            shares = zip(CHANNELS, fractions)
+            said = ", ".join(f"{channel} {100 * share:.0f} %" for channel, share in shares if share > 0)
+            message = f"Parts of the frame are {what}: {said}. {advice}"
+            findings.append(Finding(name, message, float(fractions.max())))
+        return tuple(findings), np.any(dark | saturated, axis=-1) if findings else None
 
 
 FLAT_RANGE = 2  # gray levels within a block; a camera's noise alone gives more
