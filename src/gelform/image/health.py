@@ -261,10 +261,8 @@ class FrameHealth:
             findings.append(Finding("torn", message, fraction))
             # With the blocks around, because a fault may cut blocks in two.
             lost |= cv2.dilate(torn.view(np.uint8), np.ones((2 * BLOCK_PX + 1,) * 2, dtype=np.uint8)) > 0
-            height, width = blocks.ranges.shape
-            torn = torn[BLOCK_PX // 2 :: BLOCK_PX, BLOCK_PX // 2 :: BLOCK_PX][
-                :height, :width
-            ]  # the blocks' centers
+            (height, width), middle = blocks.ranges.shape, BLOCK_PX // 2
+            torn = torn[middle::BLOCK_PX, middle::BLOCK_PX][:height, :width]  # at the blocks' centers
         levels, clipped = self._levels(blocks, torn)
         if clipped is not None:
             lost |= blocks.pixels(clipped, image.shape[1])
