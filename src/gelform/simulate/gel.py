@@ -401,20 +401,22 @@ class Drag:
 
     def __init__(self, gel: Gel) -> None:
         self.gel = gel
-        self._stuck: Numbers | None = None
-        self._pose: Pose | None = None
-        self._contact: Mask | None = None
+        self._last: tuple[Numbers, Mask, Pose] | None = None  # displacement, contact and pose
 
     def __call__(self, surface: Surface, pose: Pose) -> Numbers:
         """Displacement (h, w, 2) in mm, x and y, on the surface's grid."""
-        x, y = surface.x_mm, surface.y_mm
+        x, y, shape = surface.x_mm, surface.y_mm, surface.depth_mm.shape
         pitch = float(x[0, 1] - x[0, 0])
-        if self._stuck is None:
-            self._stuck = np.zeros((*surface.depth_mm.shape, 2))
-        elif self._stuck.shape[:2] != surface.depth_mm.shape:
+        stuck, touched, last = self._last or (np.zeros((*shape, 2)), np.zeros(shape, dtype=bool), pose)
+        if stuck.shape[:2] != shape:
             raise ValueError("Expected surfaces on one grid, got another: use one Drag per sequence.")
-        touched = np.zeros_like(surface.contact) if self._contact is None else surface.contact & self._contact
-        moved = np.where(touched[..., None], self._stuck + self._step(x, y, pose), self._stuck)
+        # Sideways motion of the indenter's surface since the last pose, at each point.
+        turn = np.deg2rad(pose.spin_deg - last.spin_deg)
+        dx, dy = np.broadcast_arrays(x - pose.center_mm[0], y - pose.center_mm[1])
+        step_x = pose.travel_mm[0] - last.travel_mm[0] - np.sin(turn) * dy + (np.cos(turn) - 1) * dx
+        step_y = pose.travel_mm[1] - last.travel_mm[1] + np.sin(turn) * dx + (np.cos(turn) - 1) * dy
+        still = (surface.contact & touched)[..., None]
+        moved = np.where(still, stuck + np.stack([step_x, step_y], axis=-1), stuck)
         limit = self.gel.friction * np.maximum(surface.depth_mm, 0)
         length = np.linalg.norm(moved, axis=-1)
         moved *= np.minimum(1, limit / np.maximum(length, 1e-12))[..., None]
@@ -424,19 +426,10 @@ class Drag:
             moved = np.stack(parts, axis=-1)
         else:
             moved = np.zeros_like(moved)
-        self._stuck, self._pose, self._contact = moved, pose, surface.contact
+        self._last = moved, surface.contact, pose
         bulge = self.gel.bulge * spread(np.maximum(surface.depth_mm, 0), thickness_px)
         slope_y, slope_x = np.gradient(bulge, pitch)
-        return moved + -self.gel.thickness_mm * np.stack([slope_x, slope_y], axis=-1)
-
-    def _step(self, x: Array, y: Array, pose: Pose) -> Numbers:
-        """Sideways motion of the indenter's surface since the last pose, at each point."""
-        last = self._pose or pose
-        turn = np.deg2rad(pose.spin_deg - last.spin_deg)
-        dx, dy = np.broadcast_arrays(x - pose.center_mm[0], y - pose.center_mm[1])
-        step_x = pose.travel_mm[0] - last.travel_mm[0] - np.sin(turn) * dy + (np.cos(turn) - 1) * dx
-        step_y = pose.travel_mm[1] - last.travel_mm[1] + np.sin(turn) * dx + (np.cos(turn) - 1) * dy
-        return np.stack([step_x, step_y], axis=-1)
+        return moved - self.gel.thickness_mm * np.stack([slope_x, slope_y], axis=-1)
 
 
 def displacement_at(displacement_mm: Numbers, surface: Surface, points_mm: Numbers) -> Numbers:
