@@ -127,8 +127,7 @@ def simulated(sensor, made_once) -> SimulatedPresses:
     """Presses of two balls all over the gel, some cut by the border."""
     rng = np.random.default_rng(3)
     return made_once(
-        "simulated",
-        lambda _: simulate_ball_presses(sensor, ball_diameters_mm=[5.0, 8.0], count=14, rng=rng),
+        "simulated", lambda _: simulate_ball_presses(sensor, ball_diameters_mm=[5.0, 8.0], count=14, rng=rng)
     )
 
 

@@ -107,11 +107,8 @@ def use_zenoh() -> None:
     import zenoh
 
     config = zenoh.Config()
-    for key, value in {
-        "scouting/multicast/enabled": False,
-        "mode": "router",
-        "listen/endpoints": [address],
-    }.items():
+    options = {"scouting/multicast/enabled": False, "mode": "router", "listen/endpoints": [address]}
+    for key, value in options.items():
         config.insert_json5(key, json.dumps(value))
     heard: list[str] = []
     shown = shown_frame()
@@ -152,9 +149,8 @@ def use_png() -> None:
 
 
 def use_lerobot() -> None:
-    with contextlib.suppress(
-        ImportError
-    ):  # without the extra there is nothing to make one with, and the command says so
+    # Without the extra there is nothing to make one with, and the command says so.
+    with contextlib.suppress(ImportError):
         write_lerobot_set(Path("set"), [image_of(Touch(seed=k)) for k in range(sum(EPISODES))])
     command("batch", "set", "--dataset", KEY, "-c", "cal.npz", "-o", "out", "--format", "lerobot", "-q")
     command("batch", "verify", "out", "-q")
@@ -239,14 +235,11 @@ def use_live() -> None:
 
 
 def use_docs() -> None:
-    run_script("docs/site/build.py", str(Path("site").resolve()))
-    assert Path("site/html/index.html").exists()
-
-
-def run_script(path: str, *arguments: str) -> None:
-    done = subprocess.run([sys.executable, str(ROOT / path), *arguments], capture_output=True, text=True)
+    build = [sys.executable, str(ROOT / "docs/site/build.py"), str(Path("site").resolve())]
+    done = subprocess.run(build, capture_output=True, text=True)
     if done.returncode:
         raise SystemExit(done.stdout + done.stderr)
+    assert Path("site/html/index.html").exists()
 
 
 USES: dict[str, Callable[[], None]] = {

@@ -89,13 +89,10 @@ def test_the_whole_path_keeps_them(calibration, sensor, press):
     assert col > sensor.shape[1] / 2 + 10
     assert row < sensor.shape[0] / 2 - 5
     np.testing.assert_allclose((col, row), press.center_px, atol=4)
-    for name, dtype in {
-        "depth_mm": "f4",
-        "gradients": "f4",
-        "confidence": "f4",
-        "contact": "?",
-        "known": "?",
-    }.items():
+    dtypes = dict.fromkeys(("depth_mm", "gradients", "confidence"), "f4") | dict.fromkeys(
+        ("contact", "known"), "?"
+    )
+    for name, dtype in dtypes.items():
         assert getattr(result, name).dtype == np.dtype(dtype), name
     assert 0 <= result.confidence.min() <= result.confidence.max() <= 1
     assert result.mm_per_px == sensor.mm_per_px
@@ -147,10 +144,8 @@ def test_a_package_that_is_not_installed_names_its_extra():
 
 
 ROOT = Path(__file__).parents[1]
-STUB = Path(gelform.__file__).with_suffix(".pyi")
-LISTED = [
-    node for node in ast.parse(STUB.read_text(encoding="utf-8")).body if isinstance(node, ast.ImportFrom)
-]
+STUB = ast.parse(Path(gelform.__file__).with_suffix(".pyi").read_text(encoding="utf-8"))
+LISTED = [node for node in STUB.body if isinstance(node, ast.ImportFrom)]
 
 
 def test_the_names_of_the_stub_are_those_of_the_package():

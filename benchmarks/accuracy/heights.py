@@ -19,7 +19,7 @@ from gelform.result.metrics import press_errors
 from gelform.simulate import LAYOUTS, SimulatedSensor, simulate_press
 from gelform.simulate.gel import Gel
 from gelform.simulate.light import exposed
-from gelform.simulate.sensor.sensor import Coating, led_row
+from gelform.simulate.sensor import Coating, led_row
 from presses import mini_ball, presses_of, unlabeled
 from report import table
 

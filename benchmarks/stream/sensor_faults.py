@@ -13,7 +13,7 @@ from gelform.calibration_file import Calibration
 from gelform.reconstruct import Reconstructor
 from gelform.sensors.streams.memory import Memory
 from gelform.simulate import SimulatedSensor, simulate_background
-from gelform.simulate.sensor.sensor import Coating
+from gelform.simulate.sensor import Coating
 
 Image = NDArray[np.float64]
 ONSET_S, RATE_HZ = 12.0, 1.0

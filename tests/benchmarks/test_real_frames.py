@@ -52,14 +52,8 @@ def test_contacts_are_counted():
     area = {one: np.count_nonzero(Found([one]).contact_labels) for one in (ball, speck, hollow)}
     far = 2 * area[speck] + area[hollow]
     assert beyond == pytest.approx(100 * far / (far + 2 * area[ball]))
-    assert list(found.values()) == [
-        4,
-        50,
-        25,
-        0.5,
-        1,
-        25,
-    ]  # the speck alone is one contact, but not on the ball
+    # The speck alone is one contact, but not on the ball.
+    assert list(found.values()) == [4, 50, 25, 0.5, 1, 25]
     assert ratio == pytest.approx(10 / 12, abs=0.02)
     assert counted(results)["one, on the ball %"] is None
 
@@ -95,11 +89,8 @@ def test_torn_frames_are_counted():
     gray[48:] = 128
     sound = rest_image.copy()
     sound[40, 60] += 1
-    assert torn(rest_image, [sound, gray, sound]) == {
-        "frames": 3,
-        "torn": 1,
-        "percent": pytest.approx(100 / 3),
-    }
+    expected = {"frames": 3, "torn": 1, "percent": pytest.approx(100 / 3)}
+    assert torn(rest_image, [sound, gray, sound]) == expected
 
 
 def test_faces_of_a_cube_are_judged_by_their_sigma():
@@ -120,9 +111,8 @@ def test_faces_of_a_cube_are_judged_by_their_sigma():
     assert (found["frames"], found["angle of faces, deg"]) == (2, pytest.approx(180 - 53.13, abs=0.01))
     assert found["within 2 sigma, %"] == pytest.approx(100 * 18 / 35)
     assert found["confidence > 0.3, %"] == pytest.approx(100 * 17 / 35)
-    assert found["crest too low by, um"] == pytest.approx(
-        1e3 * 19.5 * MINI_MM_PER_PX
-    )  # of faces of 18 and 17 px
+    # Of faces of 18 and 17 px.
+    assert found["crest too low by, um"] == pytest.approx(1e3 * 19.5 * MINI_MM_PER_PX)
     assert found["crest within 2 depth sigma, %"] == 0
     assert summary([]) == {"frames": 0}
 
@@ -182,10 +172,8 @@ def test_a_contact_counts_as_found_if_it_covers_half():
     result = Found([(40, 30, 10, 0.5), (10, 10, 5, 0.2)])
     y, x = np.mgrid[:60, :80]
     big, small = np.hypot(x - 40, y - 30) < 10, np.hypot(x - 10, y - 10) < 5
-    assert [label_over(result, one) for one in (small, big)] == [
-        result.contact_labels[10, 10],
-        result.contact_labels[30, 40],
-    ]
+    expected = [result.contact_labels[10, 10], result.contact_labels[30, 40]]
+    assert [label_over(result, one) for one in (small, big)] == expected
     assert label_over(result, np.hypot(x - 40, y - 30) < 16) == 0
     assert label_over(Found([]), big) == 0
 
@@ -203,12 +191,18 @@ def test_two_balls_touch_a_gap_apart():
             assert centers == pytest.approx(apart, abs=0.1)
 
 
-@pytest.mark.slow
-def test_quick_parts_run_on_one_set(data):
+@pytest.fixture
+def quick(data):
+    """A run on twelve presses of a real set."""
     run = Run(("mini-ball",), quick=True)
     twelve = run.presses("mini-ball").subset(range(0, 67, 6))
     run.kept("mini-ball", lambda: gelform.calibrate(unlabeled(twelve)))
-    found = {part.__name__: part(run) for part in (contacts, rest, exposure, tears)}
+    return run
+
+
+@pytest.mark.slow
+def test_quick_parts_run_on_one_set(quick):
+    found = {part.__name__: part(quick) for part in (contacts, rest, exposure, tears)}
     assert found["contacts"]["balls"]["mini-ball"]["frames"] == 12
     assert found["contacts"]["balls"]["mini-ball"]["none %"] == 0
     assert found["rest"]["mini-ball, background and noise"]["frames"] == 4
@@ -274,11 +268,9 @@ def test_slopes_beyond_the_training_are_judged_alone(sensor, presses, calibratio
     whole = [one for one in new.presses if all(40 < c < n - 40 for c, n in zip(one.center_px, (176, 132)))]
     known = [
         SimpleNamespace(
-            image=one.image,
-            label=(*one.center_px, one.contact_radius_px),
-            ball_diameter_mm=one.ball_diameter_mm,
+            image=p.image, label=(*p.center_px, p.contact_radius_px), ball_diameter_mm=p.ball_diameter_mm
         )
-        for one in whole
+        for p in whole
     ]
     counts = [steeper(calibration, known, 0.9, least)["pixels"] for least in (0, limit, 2)]
     assert counts[0] > counts[1] > counts[2] == 0
@@ -295,13 +287,10 @@ def test_slopes_beyond_the_training_are_judged_alone(sensor, presses, calibratio
 
 
 @pytest.mark.slow
-def test_a_stream_s_memory_is_judged_against_the_truth_and_against_none(data, monkeypatch):
+def test_a_stream_s_memory_is_judged_against_the_truth_and_against_none(quick, monkeypatch):
     for name, value in (("STEP_S", 5.0), ("PRESSES", 1), ("DRIFTING", 1), ("DRIFT_S", 30.0)):
         monkeypatch.setattr(following, name, value)
-    run = Run(("mini-ball",), quick=True)
-    twelve = run.presses("mini-ball").subset(range(0, 67, 6))
-    run.kept("mini-ball", lambda: gelform.calibrate(unlabeled(twelve)))
-    pressed, real, drift = following.following(run).values()
+    pressed, real, drift = following.following(quick).values()
     for row in pressed.values():
         assert row["held, memory"] == pytest.approx(row["held, no memory"], rel=0.5)
         assert 0 < row["held, no memory"] < 10

@@ -137,25 +137,21 @@ def cube(widths_px, light=1.0, top=80.0):
         change += (away > 0)[..., None] * color * np.exp(-beyond / 8)[..., None]
         faces |= (away > 0) & (away < border) & (np.abs(x - 120) < 80)
     image = light * (background + change) + rng.normal(0, 1, change.shape)
-    return (
-        np.clip(image, 0, 255).astype(np.uint8),
-        background,
-        faces,
-        np.array([(40, top + 3), (200, top - 3)]),
-    )
+    ends = np.array([(40, top + 3), (200, top - 3)])
+    return np.clip(image, 0, 255).astype(np.uint8), background, faces, ends
 
 
-@pytest.mark.parametrize(("widths", "light"), [((20, 20), 1.0), ((12, 24), 1.0), ((20, 20), 1.12)])
-def test_faces_end_where_their_color_begins_to_decay(widths, light):
-    image, background, faces, ends = cube(widths, light)
-    found = faces_of_cube.touched_faces(image, background, ends)
-    assert np.count_nonzero(found & faces) / np.count_nonzero(found | faces) > 0.9
-
-
-def test_what_lies_outside_of_the_frame_is_no_color_of_a_face():
-    image, background, faces, ends = cube(
-        (30, 20), top=120.0
-    )  # a face whose border is 10 px from the frame's
+@pytest.mark.parametrize(
+    ("widths", "light", "top"),
+    [
+        ((20, 20), 1.0, 80.0),
+        ((12, 24), 1.0, 80.0),
+        ((20, 20), 1.12, 80.0),
+        ((30, 20), 1.0, 120.0),  # a face whose border is 10 px from the frame's
+    ],
+)
+def test_faces_end_where_their_color_begins_to_decay(widths, light, top):
+    image, background, faces, ends = cube(widths, light, top)
     found = faces_of_cube.touched_faces(image, background, ends)
     assert np.count_nonzero(found & faces) / np.count_nonzero(found | faces) > 0.9
 

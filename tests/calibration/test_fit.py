@@ -32,7 +32,7 @@ from gelform.calibration.presses.press_set import FlatPress
 from gelform.calibration_file import calibration_from_contents
 from gelform.image.view import View
 from gelform.result.metrics import press_errors
-from gelform.simulate import LAYOUTS, Ball, Punch, simulate_ball_presses, simulate_press
+from gelform.simulate import LAYOUTS, Ball, Gel, Punch, simulate_ball_presses, simulate_press
 from gelform.simulate.gel import ball_press, surface_from_indenter
 from gelform.slopes.color_models import COLOR_MODELS
 from gelform.slopes.color_models.forward_response import RIDGES
@@ -406,7 +406,7 @@ def presses(length, noise=0.02, tilt=0.0, centers=((0, 0), (-2, 1), (3, -2))):
         change = rng.normal(tilt, noise, REST.shape).astype(np.float32)
         change[..., :2] += surface.gradients
         made.append(PreparedPress("a", change, np.zeros(REST.shape[:2], np.float32), radius / PITCH))
-        contact_px = ball_press(radius, depth, length).contact_radius_mm / PITCH
+        contact_px = ball_press(radius, depth, length, Gel()).contact_radius_mm / PITCH
         middle = (center[0] / PITCH + 159.5, center[1] / PITCH + 119.5)
         circles.append(ContactCircle(*middle, contact_px, 0.9, 5.0))
     return made, circles

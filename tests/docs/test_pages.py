@@ -71,9 +71,7 @@ CALLS = {
     "`gelform info --system --json`": [],
     "`gelform inform FILE`": ["inform"],
     "```sh\npip install . && gelform info --sistem | less\n```": ["info --sistem"],
-    "```sh\ngelform calibrate presses \\\n  -o cal.npz --rapport report  # --no such\n```": [
-        "calibrate --rapport"
-    ],
+    "```sh\ngelform calibrate a \\\n  -o cal.npz --rapport report  # --no\n```": ["calibrate --rapport"],
     "`gelform calibrations lost`": ["calibrations lost"],
     "`gelform NAME --help`": [],
 }
@@ -96,7 +94,7 @@ def test_files_behind_the_links_of_pages_off_the_site(page):
     assert [target for target in targets if not (page.parent / target).exists()] == []
 
 
-DOCS = Path(__file__).parents[2] / "docs"
+DOCS = ROOT / "docs"
 PARTS = {
     "blocks of code": r"^```.*?^```",
     "displayed formulas": r"^\$\$.*?^\$\$",
@@ -158,7 +156,8 @@ def test_links_that_lead_nowhere(text):
     assert [WRONG[text] in one for one in said] == [True]
 
 
-def test_descriptions_and_stars_of_docstrings():
+def test_entries_and_stars_of_docstrings():
+    """A description that is no type goes below its name; a shape before a sentence gets its full stop."""
     lines = [
         "Open *.mcap.",
         "",
@@ -172,9 +171,6 @@ def test_descriptions_and_stars_of_docstrings():
     rewrite(lines)
     assert lines[0] == r"Open \*.mcap."
     assert lines[4:7] == ["a, b", "    (N, 2) px", "    more"]
-
-
-def test_a_sentence_below_a_shape_begins_after_a_full_stop():
     lines = [
         "Returns",
         "-------",
@@ -183,13 +179,8 @@ def test_a_sentence_below_a_shape_begins_after_a_full_stop():
         "depth_mm : (H, W), mm",
     ]
     rewrite(lines)
-    assert lines[2:] == [
-        "``mask``",
-        "    (H, W) bool.",
-        "    Pixels of the surface.",
-        "``depth_mm``",
-        "    (H, W), mm",
-    ]
+    below = ["    (H, W) bool.", "    Pixels of the surface."]
+    assert lines[2:] == ["``mask``", *below, "``depth_mm``", "    (H, W), mm"]
 
 
 def test_the_versions_of_a_folder(tmp_path):
@@ -198,10 +189,8 @@ def test_the_versions_of_a_folder(tmp_path):
         (tmp_path / name / "index.html").write_text("x")
     (tmp_path / "main/docs/new.html").write_text("x")
     write_versions(tmp_path)
-    text = (
-        (tmp_path / "versions.js").read_text().removeprefix("window.gelformVersions = ").removesuffix(";\n")
-    )
-    listed = json.loads(text)
+    text = (tmp_path / "versions.js").read_text()
+    listed = json.loads(text.removeprefix("window.gelformVersions = ").removesuffix(";\n"))
     assert list(listed) == ["main", "0.10.0", "0.10.0rc1", "0.9.0"]
     assert listed["main"] == ["docs/new", "index"]
     assert 'url=0.10.0/index.html"' in (tmp_path / "index.html").read_text()

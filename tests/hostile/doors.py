@@ -20,9 +20,8 @@ from gelform.exchange.exporters.press_folder import save_press_folder
 from gelform.exchange.plots import save_picture
 from gelform.foundations.filters import fill_unknown
 from gelform.image.background import ChangeSettings, image_from_color_change
-from gelform.image.light import light_from_image
 from gelform.image.markers.follower import MarkerFollower
-from gelform.image.view import Lens, frame_from_image
+from gelform.image.view import Lens
 from gelform.result.metrics import press_errors
 from gelform.sensors.files import read_background
 from made.images import grid, image_of_dots
@@ -67,7 +66,7 @@ def fresh_folder() -> Path:
 
 # Of modules below gelform, beside its own names.
 DEEPER = (
-    ChangeSettings, contacts_from_mask, edge_residuals, light_from_image, fill_unknown, frame_from_image,
+    ChangeSettings, contacts_from_mask, edge_residuals, fill_unknown,
     image_from_color_change, Lens, MarkerFollower, press_errors, read_background, save_picture, save_press_folder,
     with_crosstalk, with_view,
 )  # fmt: skip
@@ -120,7 +119,6 @@ OTHERS: dict[str, dict[str, Any]] = {
     "force_from_result": {"result": TOUCHES[0]},
     "ChangeSettings": {"crosstalk": None},
     "Frame": {"time_s": 0.0, "wall_time_ns": 0, "index": 0},
-    "frame_from_image": {"view": gelform.View(SHAPE, flip="x")},
     "integrate": {"anchor": WEIGHTS, "zero": MASK},
     "Lens": {
         "camera": (80.0, 80.0, 40.0, 32.0), "distortion": (0.01, 0.0, 0.0, 0.0),
@@ -157,7 +155,6 @@ USES: dict[str, Callable[[Any], Any]] = {
     "ChangeSettings": lambda settings: gelform.color_change_from_image(IMAGE, REST, settings),
     "Frame": lambda frame: gelform.Reconstructor(CALIBRATION)(frame),
     "Lens": lambda lens: gelform.image_from_frame(IMAGE, gelform.View(SHAPE, lens=lens)),
-    "light_from_image": lambda light: light.gain,
     "open_source": all_frames,
     "Reconstructor": lambda reconstruct: reconstruct(IMAGE),
     "registration_from_image": lambda registration: registration.shift_px,

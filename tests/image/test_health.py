@@ -9,8 +9,6 @@ from gelform.image.health import DepthLimit, FrameHealth, Levels, Torn
 from kernel_agreement import assert_kernel_agrees
 from made.images import WORN_SHAPE, blocks_of, constant, gel, pressed, with_part
 
-EVERYWHERE = slice(None)
-
 
 @pytest.fixture(scope="module")
 def health():
@@ -28,11 +26,10 @@ def assert_torn(faults, lost, share=None):
     assert share is None or faults.findings[0].figure == pytest.approx(share, abs=0.01)
 
 
-@pytest.mark.parametrize("frame", [gel(7), pressed()], ids=["untouched", "pressed"])
-def test_a_sound_frame_has_no_faults(health, frame):
-    faults = health(frame)
-    assert names(faults) == []
-    assert faults.lost is None
+def test_a_sound_frame_and_a_small_bright_spot_have_no_faults(health):
+    spot = with_part(pressed(), np.s_[20:30, 20:30], 255)
+    for faults in map(health, (gel(7), pressed(), spot)):
+        assert (names(faults), faults.lost) == ([], None)
 
 
 @pytest.mark.parametrize(
@@ -56,20 +53,13 @@ def test_darkness_with_noise_and_one_light_that_is_off_are_dark(health):
 
 
 @pytest.mark.parametrize(
-    ("part", "level"),
-    [
-        ((slice(0, 24), EVERYWHERE), 0),
-        ((slice(60, None), EVERYWHERE), 128),
-        ((EVERYWHERE, slice(70, None)), 0),
-        ((slice(80, None), EVERYWHERE), (0, 135, 0)),
-    ],
+    ("part", "level"), [(np.s_[:24], 0), (np.s_[60:], 128), (np.s_[:, 70:], 0), (np.s_[80:], (0, 135, 0))]
 )
 def test_a_part_of_one_color_is_torn_and_lost(health, part, level):
     faults = health(with_part(pressed(), part, level))
     true = np.zeros(WORN_SHAPE, dtype=bool)
     true[part] = True
-    assert names(faults) == ["torn"]
-    assert faults.lost[true].all()
+    assert_torn(faults, true)
     assert faults.findings[0].figure == pytest.approx(true.mean(), abs=0.08)
     assert np.count_nonzero(faults.lost & ~true) < 0.4 * true.size
 
@@ -183,21 +173,15 @@ def test_a_quarter_that_saturates_is_found_and_only_it_is_lost(health):
     assert np.array_equal(np.argwhere(faults.lost).max(axis=0), [47, 63])
 
 
-def test_a_small_bright_spot_is_no_finding(health):
-    assert names(health(with_part(pressed(), (slice(20, 30), slice(20, 30)), 255))) == []
-
-
 def test_frames_of_real_sensors_raise_no_false_alarm(data):
     from gelform import Video, read_image
 
-    ball = data / "mini-ball"
-    objects = data / "mini-objects"
-    sets = [
-        (ball / "background.png", sorted(ball.glob("*/*/gelsight.png"))),
-        (objects / "background.png", [objects / f"{name}.png" for name in ("bead", "key", "seed")]),
-    ]
-    for background, images in sets:
-        health = FrameHealth(read_image(background))
+    ball, objects = data / "mini-ball", data / "mini-objects"
+    for folder, images in (
+        (ball, sorted(ball.glob("*/*/gelsight.png"))),
+        (objects, [objects / f"{name}.png" for name in ("bead", "key", "seed")]),
+    ):
+        health = FrameHealth(read_image(folder / "background.png"))
         assert images
         assert [path.name for path in images if health(read_image(path)).findings] == []
     video = list(Video(data / "mini-markers-video" / "mini_example.avi"))
@@ -228,21 +212,15 @@ def test_the_signs_of_faults_are_those_of_numpy():
     assert_kernel_agrees(health_module._signs, counted)
 
 
-def test_the_field_of_view_bounds_where_the_gel_is_unknown():
-    limit = DepthLimit.of((240, 320), 0.05)
-    assert limit == DepthLimit(pytest.approx(12.0), False)
+def test_depth_is_bounded_by_the_gels_thickness_or_else_the_field_of_view():
+    assert DepthLimit.of((240, 320), 0.05) == DepthLimit(pytest.approx(12.0), False)
     anything = np.random.default_rng(0).uniform(0, 6.0, 100_000)
     assert DepthLimit(6.0, True).ignorance_mm == pytest.approx(anything.std(), rel=0.01)
-
-
-def test_the_gels_thickness_goes_first():
     limit = DepthLimit.of((240, 320), 0.05, thickness_mm=3.5)
-    assert limit.limit_mm == 3.5
     bounded, (finding,) = limit.bound(np.array([[1.0, 4.0], [-9.0, 0.0]], dtype=np.float32))
     np.testing.assert_array_equal(bounded, [[1.0, 3.5], [-3.5, 0.0]])
     assert (finding.name, finding.figure) == ("beyond_gel", 9.0)
-    assert "3.5 mm" in finding.message
-    assert "thickness of the gel" in finding.message
+    assert "thickness of the gel (3.5 mm)" in finding.message
     within = np.array([[0.0, 3.0]], dtype=np.float32)
     assert limit.bound(within) == (within, ())
 
@@ -304,31 +282,26 @@ def test_the_steps_of_rows_are_those_of_numpy(shape):
     assert_kernel_agrees(health_module._seam, without_the_step, sums, rest, work, totals, 8.0, 3.0, 0.1)
 
 
-def test_floats_are_rounded_as_a_camera_would():
+def test_blocks_are_of_levels_rounded_as_a_camera_would_and_reach_the_border():
     image = np.random.default_rng(4).uniform(0, 255, (32, 32, 3)).astype(np.float32)
-    rounded = np.rint(image).astype(np.uint8)
-    np.testing.assert_array_equal(blocks_of(image).means, blocks_of(rounded).means)
-
-
-def test_pixels_of_blocks_reach_the_border():
+    np.testing.assert_array_equal(blocks_of(image).means, blocks_of(np.rint(image).astype(np.uint8)).means)
     found = blocks_of(np.zeros((40, 60, 3), dtype=np.uint8))
-    mask = found.pixels(np.array([[False, False, False], [False, False, True]]), 60)
-    assert mask.shape == (40, 60)
-    assert mask[16:, 32:].all()
-    assert np.count_nonzero(mask) == 24 * 28
+    last = np.zeros((2, 3), dtype=bool)
+    last[1, 2] = True
+    expected = np.zeros((40, 60), dtype=bool)
+    expected[16:, 32:] = True
+    np.testing.assert_array_equal(found.pixels(last, 60), expected)
     small = blocks_of(np.zeros((5, 7, 3), dtype=np.uint8))
     assert small.means.shape == (0, 0, 3)
     assert not small.pixels(np.zeros((0, 0), dtype=bool), 7).any()
-
-
-DIM, BRIGHT = np.minimum(gel(), 12), constant(250)
 
 
 @pytest.mark.parametrize(
     ("rest", "level", "found"),
     [
         *((gel(), 7, ["dark"]), (gel(), 9, []), (gel(), 251, []), (gel(), 253, ["saturated"])),
-        *((DIM, 0, []), (BRIGHT, 255, [])),  # which the untouched image is itself
+        # Which the untouched image is itself.
+        *((np.minimum(gel(), 12), 0, []), (constant(250), 255, [])),
     ],
 )
 def test_the_levels_that_count(rest, level, found):
@@ -351,18 +324,15 @@ def torn_of(background):
     return Torn(background.astype(np.float32), blocks_of(background))
 
 
-def test_flat_blocks_with_the_rest_images_color_are_sound():
+def test_flat_blocks_of_the_rest_image_s_color_or_of_many_are_a_picture():
     rest, corner = gel(), np.s_[:48, :48]
     own = rest[corner].mean(axis=(0, 1)).round().astype(np.uint8)
     flat, other = (torn_of(rest).flat(blocks_of(with_part(rest, corner, color))) for color in (own, 20))
     assert flat is None or np.count_nonzero(flat) < 9
     assert np.count_nonzero(other) == 9
-
-
-def test_flat_blocks_of_many_colors_are_a_picture():
     colors = np.random.default_rng(3).integers(0, 256, (6, 8, 3), dtype=np.uint8)
-    found = torn_of(gel()).flat(blocks_of(np.kron(colors, np.ones((16, 16, 1), np.uint8))))
-    assert found is None or found.mean() < 0.1
+    many = torn_of(rest).flat(blocks_of(np.kron(colors, np.ones((16, 16, 1), np.uint8))))
+    assert many is None or many.mean() < 0.1
 
 
 def test_neighboring_rows_that_are_alike_are_what_video_does():

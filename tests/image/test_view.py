@@ -1,10 +1,6 @@
 """A view maps pixel areas: what is seen stays where it was to a fraction of a pixel, there and back.
 
-Averages over boxes and one bilinear remap: areas are kept, and planes stay planes.
-
-A lens shows a plane where the formula says, and is undone exactly.
-
-Frames, and the identity of their pixels.
+A lens shows a plane where the formula says, and is undone exactly. Frames, and the identity of their pixels.
 """
 
 from dataclasses import replace
@@ -15,22 +11,19 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from gelform.image.frame import Frame, pixels_digest
+from gelform.image.frame import pixels_digest
 from gelform.image.view import (
     FLIPS,
     Lens,
     View,
     averaged,
     box_centers,
-    frame_from_image,
     frame_px_from_image_px,
     image_from_frame,
     image_px_from_frame_px,
-    maps_of_positions,
-    pixel_maps,
     pixel_positions,
-    remapped,
 )
+from made.images import frame_from_image
 
 
 def ramp(shape, *, per_x=0.31, per_y=0.17, start=40.0):
@@ -67,23 +60,18 @@ VIEWS = [
 IDEAL = Lens((380.0, 390.0, 190.0, 160.0))  # without distortion, straight above: it shows what no lens shows
 
 
-def test_a_plane_is_seen_where_it_is():
-    for view in (*VIEWS, *(replace(view, lens=IDEAL) for view in VIEWS)):
-        image = image_from_frame(ramp(view.frame_shape), view)
-        inner = np.s_[1:-1, 1:-1]
+@pytest.mark.parametrize("view", VIEWS, ids=str)
+def test_a_plane_is_seen_where_it_is(view):
+    seen = ramp_seen_through(view)
+    for lens in (None, IDEAL):
+        image = image_from_frame(ramp(view.frame_shape), replace(view, lens=lens))
         # remap places a sample to 1/32 px; half a pixel of shift would be 0.15 gray levels per unit of scale
         scale = max(1, view.frame_shape[1] / view.shape[1])
-        assert np.abs(image - ramp_seen_through(view))[inner].max() < 0.02 * scale
+        assert np.abs(image - seen)[1:-1, 1:-1].max() < 0.02 * scale
         assert image.shape == (*view.shape, 3)
-
-
-def test_points_lie_where_the_plane_says():
-    """The frame's plane at the point that an image pixel comes from is what that pixel shows."""
-    for view in VIEWS:
-        y, x = np.mgrid[: view.shape[0], : view.shape[1]]
-        there = frame_px_from_image_px(np.stack([x.ravel(), y.ravel()], axis=1), view)
-        plane = 40 + 0.31 * (there[:, 0] + 0.5) + 0.17 * (there[:, 1] + 0.5)
-        np.testing.assert_allclose(plane.reshape(view.shape), ramp_seen_through(view)[..., 0], atol=1e-9)
+    x, y = frame_px_from_image_px(pixel_positions(view.shape), view).T
+    plane = (40 + 0.31 * (x + 0.5) + 0.17 * (y + 0.5)).reshape(view.shape)
+    np.testing.assert_allclose(plane, seen[..., 0], atol=1e-9)
 
 
 @settings(max_examples=60, deadline=None)
@@ -139,7 +127,6 @@ def test_a_flip_alone_takes_frames_of_any_size():
             view = View(flip=flip)
             image = image_from_frame(frame, view)
             np.testing.assert_array_equal(image, image_from_frame(frame, View(shape, flip=flip)))
-            np.testing.assert_array_equal(frame_from_image(image, view), frame)
             assert view.is_identity == (flip == "none")
             points = np.array([[0.0, 0.0], [3.0, 5.0]])
             np.testing.assert_array_equal(
@@ -154,7 +141,6 @@ def test_a_flip_alone_takes_frames_of_any_size():
 def test_identity_passes_the_frame_itself():
     frame = np.zeros((12, 16, 3), dtype=np.uint8)
     assert image_from_frame(frame, View()) is frame
-    assert frame_from_image(frame, View()) is frame
     assert image_from_frame(frame, View((12, 16))) is frame
     assert View((12, 16), crop=(0, 0, 16, 12), image_shape=(12, 16)).is_identity
 
@@ -169,8 +155,6 @@ def test_images_pass_and_frames_of_another_size_are_refused():
         image_from_frame(np.zeros((20, 30, 3), dtype=np.uint8), view)
     with pytest.raises(ValueError, match="gray"):
         image_from_frame(np.zeros((48, 64), dtype=np.uint8), view)
-    with pytest.raises(ValueError, match="24x32"):
-        frame_from_image(np.zeros((48, 64, 3), dtype=np.uint8), view)
 
 
 def test_settings_come_back():
@@ -179,26 +163,6 @@ def test_settings_come_back():
         assert View.from_dict(settings) == view
         assert all(value is not None for value in settings.values())  # TOML has no null
         assert hash(View.from_dict(settings)) == hash(view)
-
-
-def test_wrong_settings_are_refused():
-    for wrong, text in (
-        ({"frameshape": [1, 2]}, "among frame_shape, crop, flip, image_shape, lens, turn, got frameshape"),
-        ({"flip": "z", "frame_shape": [4, 4]}, "none, x, y, xy, got 'z'"),
-        ({"crop": [0, 0, 4, 4]}, "Expected frame_shape"),
-        ({"frame_shape": [4]}, r"\(height, width\)"),
-        ({"frame_shape": [4, 0]}, "whole numbers"),
-        ({"frame_shape": [4, 4.5]}, "whole numbers"),
-        ({"frame_shape": "big"}, r"\(height, width\)"),
-        ({"frame_shape": [4, 4], "crop": [0, 0, 5, 4]}, "ending at column 5 and row 4"),
-        ({"frame_shape": [4, 4], "crop": [0, 0, 0.99, 4]}, "size >= 1 px"),
-        ({"frame_shape": [4, 4], "crop": [0, 0, 4, 1e-9]}, "size >= 1 px"),
-        ({"frame_shape": [4, 4], "crop": [-1, 0, 4, 4]}, "left, top >= 0"),
-        ({"frame_shape": [4, 4], "crop": [0, -1, 4, 4]}, "left, top >= 0"),
-        ({"frame_shape": [4, 4], "crop": [0, 0, float("nan"), 4]}, "left, top, width, height"),
-    ):
-        with pytest.raises(ValueError, match=text):
-            View.from_dict(wrong)
 
 
 def test_a_quarter_turn_is_exact_and_undone():
@@ -210,20 +174,7 @@ def test_a_quarter_turn_is_exact_and_undone():
         image = image_from_frame(frame, view)
         np.testing.assert_array_equal(image, np.rot90(image_from_frame(frame, lying), quarters))
         assert image.flags.c_contiguous
-        points = np.array([[0.0, 0.0], [9.0, 0.0], [3.5, 12.25]])
-        there = frame_px_from_image_px(points, view)
-        np.testing.assert_allclose(image_px_from_frame_px(there, view), points, atol=1e-9)
-        x, y = 3, 12
-        marked = np.zeros((30, 40, 3), np.uint8)
-        at = np.rint(frame_px_from_image_px([[x, y]], View((30, 40), turn=turn))[0]).astype(int)
-        marked[at[1], at[0]] = 255
-        assert image_from_frame(marked, View((30, 40), turn=turn))[y, x].min() == 255
         assert View.from_dict(view.to_dict()) == view
-        alone = View(turn=turn)
-        np.testing.assert_array_equal(frame_from_image(image_from_frame(frame, alone), alone), frame)
-    for wrong in ("up", [], np.zeros(2), None):
-        with pytest.raises(ValueError, match="turn among none, left, right, got"):
-            View(turn=wrong)
 
 
 @pytest.mark.parametrize("turn", ["none", "left", "right"])
@@ -241,11 +192,6 @@ def test_squared_pixels_are_as_wide_as_high(pitch, flip, turn):
     lost = (130 - width) * in_frame[0], (91 - height) * in_frame[1]
     assert 0 <= min(lost) <= max(lost) < max(pitch)
     assert image_from_frame(np.zeros((97, 141, 3), np.uint8), squared).shape[:2] == squared.shape
-
-
-def plane(shape):
-    y, x = np.mgrid[: shape[0], : shape[1]]
-    return np.repeat((40 + 0.7 * x + 0.3 * y)[..., None], 3, axis=-1).astype(np.float32)
 
 
 @given(st.integers(4, 60), st.integers(1, 60), st.booleans(), st.data())
@@ -271,27 +217,17 @@ def test_averages_are_means_of_boxes_and_repeat_the_border():
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.float32])
-def test_a_remap_reads_between_pixels_and_repeats_beyond(dtype):
-    source = plane((12, 16)).astype(dtype)
-    same = remapped(source, *maps_of_positions(pixel_positions((12, 16)), (12, 16)))
-    np.testing.assert_array_equal(same, source)
-    assert same.dtype == dtype
-    beyond = remapped(source, *pixel_maps(np.array([-5.0, 99.0]), np.array([0.0])))
-    np.testing.assert_array_equal(beyond[0], source[0, [0, -1]])
-
-
-def test_maps_of_a_plane_are_exact_and_read_only():
-    map_x, map_y = pixel_maps(np.array([1.5, 2.25, 9.0]), np.array([4.0, 6.5]))
-    found = remapped(plane((12, 16)), map_x, map_y)[..., 0]
-    np.testing.assert_allclose(found, 40 + 0.7 * map_x + 0.3 * map_y, rtol=1e-5)
-    with pytest.raises(ValueError, match="read-only"):
-        map_x[0, 0] = 1
+def test_an_enlarged_image_repeats_the_frame_s_border(dtype):
+    frame = ramp((12, 16), per_x=2, per_y=1).astype(dtype)
+    image = image_from_frame(frame, View((12, 16), image_shape=(48, 64)))
+    assert image.dtype == dtype
+    np.testing.assert_array_equal(image[::47, ::63], frame[::11, ::15])
 
 
 CAMERA = (220.0, 210.0, 158.0, 121.0)
 
 
-def test_distortion_is_browns():
+def test_distortion_is_browns_after_the_perspective():
     """Worked out from the formula: radial and decentring terms, then the camera matrix."""
     lens = Lens(CAMERA, (-0.2, 0.05, 0.003, -0.002, 0.01))
     x, y = (250.0 - 158) / 220, (40.0 - 121) / 210
@@ -301,16 +237,6 @@ def test_distortion_is_browns():
     yd = y * radial + 0.003 * (r2 + 2 * y * y) + 2 * -0.002 * x * y
     seen = lens.frame_px_from_rectified_px(np.array([[250.0, 40.0]]))[0]
     np.testing.assert_allclose(seen, [220 * xd + 158, 210 * yd + 121], atol=1e-9)
-
-
-def test_a_principal_point_may_lie_outside_the_frame():
-    """Of a frame cut from a larger one."""
-    points = np.array([[250.0, 40.0], [10.0, 200.0]])
-    seen = Lens((220.0, 210.0, -158.0, -121.0)).frame_px_from_rectified_px(points)
-    np.testing.assert_allclose(seen, points, atol=1e-9)
-
-
-def test_perspective_comes_first():
     homography = (1.02, 0.03, -4.0, -0.02, 0.97, 3.0, 1e-4, -2e-4, 1.0)
     x, y, w = np.reshape(homography, (3, 3)) @ [100.0, 200.0, 1.0]
     seen = Lens(CAMERA, (), homography).frame_px_from_rectified_px(np.array([[100.0, 200.0]]))[0]
@@ -323,18 +249,9 @@ numbers = st.floats(-1, 1)
 @settings(max_examples=30, deadline=None)
 @given(st.tuples(*[numbers] * 10))
 def test_every_point_comes_back(u):
-    distortion = (0.25 * u[0], 0.05 * u[1], 0.01 * u[2], 0.01 * u[3])
-    tilt = (
-        1 + 0.1 * u[4],
-        0.1 * u[5],
-        10 * u[6],
-        0.1 * u[7],
-        1 + 0.1 * u[4],
-        10,
-        3e-4 * u[8],
-        3e-4 * u[9],
-        1,
-    )
+    a, b, c, d, e, f, g, h, i, j = u
+    distortion = (0.25 * a, 0.05 * b, 0.01 * c, 0.01 * d)
+    tilt = (1 + 0.1 * e, 0.1 * f, 10 * g, 0.1 * h, 1 + 0.1 * e, 10, 3e-4 * i, 3e-4 * j, 1)
     lens = Lens(CAMERA, distortion, tilt)
     points = np.random.default_rng(0).uniform([40, 30], [280, 210], (50, 2))
     flat = Lens(CAMERA, (), tilt).frame_px_from_rectified_px(points)
@@ -345,76 +262,80 @@ def test_every_point_comes_back(u):
     np.testing.assert_allclose(back, points, atol=1e-6)
 
 
-VIEWS_LENS = [
-    View((240, 320), lens=Lens(CAMERA, (-0.2, 0.03))),
-    View((240, 320), (20, 15, 280, 200), "x", lens=Lens(CAMERA, (-0.2, 0.03))),
-    View((240, 320), (20, 15, 280, 200), "xy", (100, 140), Lens(CAMERA, (0.1,))),
-    View((240, 320), (20.5, 15, 280, 200), "y", (100, 140)),
-]
+LENS = Lens(CAMERA, (-0.2, 0.03))
 
 
-@pytest.mark.parametrize("view", VIEWS_LENS, ids=str)
-def test_points_of_image_and_frame_are_inverse(view):
-    points = np.random.default_rng(1).uniform([5, 5], [view.shape[1] - 5, view.shape[0] - 5], (30, 2))
-    there = frame_px_from_image_px(points, view)
-    np.testing.assert_allclose(image_px_from_frame_px(there, view), points, atol=1e-6)
-
-
-@pytest.mark.parametrize("view", VIEWS_LENS, ids=str)
-def test_the_image_shows_what_the_points_say(view):
+@pytest.mark.parametrize(
+    "view",
+    [
+        View((240, 320), lens=LENS),
+        View((240, 320), (20, 15, 280, 200), "x", lens=LENS),
+        View((240, 320), (20, 15, 280, 200), "xy", (100, 140), Lens(CAMERA, (0.1,))),
+        View((240, 320), (20.5, 15, 280, 200), "y", (100, 140)),
+        View((240, 320), (20, 15, 280, 200), "x", (140, 100), LENS, "left"),
+        View((240, 320), (20, 15, 280, 200), "y", turn="right"),
+    ],
+    ids=str,
+)
+def test_the_image_shows_what_the_points_say_and_they_come_back(view):
     """A smooth pattern of the frame is seen in the image at the place that the point maps give."""
 
     def pattern(x, y):
         return 120 + 60 * np.sin(x / 25) * np.cos(y / 20)
 
-    y, x = np.mgrid[:240, :320]
-    frame = np.repeat(pattern(x, y)[..., None], 3, axis=-1).astype(np.float32)
+    frame = pattern(*pixel_positions((240, 320)).T).reshape(240, 320, 1).repeat(3, -1).astype(np.float32)
     image = image_from_frame(frame, view)
-    rows, columns = np.mgrid[8 : view.shape[0] - 8 : 7, 8 : view.shape[1] - 8 : 7]
-    there = frame_px_from_image_px(np.stack([columns.ravel(), rows.ravel()], axis=1), view)
+    columns, rows = (axis.ravel() for axis in np.mgrid[8 : view.shape[1] - 8 : 7, 8 : view.shape[0] - 8 : 7])
+    points = np.stack([columns, rows], axis=1)
+    there = frame_px_from_image_px(points, view)
+    np.testing.assert_allclose(image_px_from_frame_px(there, view), points, atol=1e-6)
     inside = ((there > 2) & (there < [317, 237])).all(axis=1)
     assert inside.mean() > 0.8
-    expected = pattern(there[:, 0], there[:, 1])[inside]
-    assert np.abs(image[rows.ravel(), columns.ravel(), 0][inside] - expected).max() < 1.2
+    assert np.abs(image[rows, columns, 0] - pattern(*there.T))[inside].max() < 1.2
 
 
 @pytest.mark.parametrize(
-    ("given", "text"),
+    ("wrong", "text"),
     [
-        ({"camera": [1, 2, 3]}, "camera as 4 numbers, got 3"),
-        ({"camera": [*CAMERA, 1]}, "camera as 4 numbers, got 5"),
-        ({"camera": [0, 200, 1, 1]}, "focal lengths > 0"),
-        ({"camera": [200, 0, 1, 1]}, "focal lengths > 0"),
-        ({"camera": CAMERA, "perspective": [1, 0, 0, 0, 1, 0, 0, 0, 1, 0]}, "9 numbers, got 10"),
-        ({"camera": CAMERA, "distortion": [0] * 8}, "up to 5 numbers, got 8"),
-        ({"camera": CAMERA, "perspective": [1, 0, 0, 1, 0, 0, 0, 0, 1]}, "singular"),
-        ({"camera": CAMERA, "distortion": ["a"]}, "distortion as numbers"),
-        ({"distortion": [0.1]}, "camera is needed"),
-        ({"camera": CAMERA, "k1": 1}, "among camera, distortion, perspective"),
+        ({"frameshape": [1, 2]}, "among frame_shape, crop, flip, image_shape, lens, turn, got frameshape"),
+        ({"flip": "z"}, "none, x, y, xy, got 'z'"),
+        *(({"turn": turn}, "turn among none, left, right, got") for turn in ("up", [], np.zeros(2), None)),
+        ({"frame_shape": None, "crop": [0, 0, 4, 4]}, "Expected frame_shape"),
+        ({"frame_shape": [4]}, r"\(height, width\)"),
+        ({"frame_shape": [4, 0]}, "whole numbers"),
+        ({"frame_shape": [4, 4.5]}, "whole numbers"),
+        ({"frame_shape": "big"}, r"\(height, width\)"),
+        ({"crop": [0, 0, 5, 4]}, "ending at column 5 and row 4"),
+        ({"crop": [0, 0, 0.99, 4]}, "size >= 1 px"),
+        ({"crop": [0, 0, 4, 1e-9]}, "size >= 1 px"),
+        ({"crop": [-1, 0, 4, 4]}, "left, top >= 0"),
+        ({"crop": [0, -1, 4, 4]}, "left, top >= 0"),
+        ({"crop": [0, 0, float("nan"), 4]}, "left, top, width, height"),
+        ({"lens": {"camera": [1, 2, 3]}}, r"camera as 4 finite numbers, got \[1, 2, 3\]"),
+        ({"lens": {"camera": [*CAMERA, 1]}}, "camera as 4 finite numbers"),
+        ({"lens": {"camera": [0, 200, 1, 1]}}, "focal lengths > 0"),
+        ({"lens": {"camera": [200, 0, 1, 1]}}, "focal lengths > 0"),
+        ({"lens": {"camera": CAMERA, "perspective": [1, 0, 0, 0, 1, 0, 0, 0, 1, 0]}}, "9 finite numbers"),
+        ({"lens": {"camera": CAMERA, "distortion": [0] * 8}}, "up to 5 finite numbers"),
+        ({"lens": {"camera": CAMERA, "perspective": [1, 0, 0, 1, 0, 0, 0, 0, 1]}}, "singular"),
+        ({"lens": {"camera": CAMERA, "distortion": ["a"]}}, r"distortion as .* numbers, got \['a'\]"),
+        ({"lens": {"distortion": [0.1]}}, "camera is needed"),
+        ({"lens": {"camera": CAMERA, "k1": 1}}, "among camera, distortion, perspective"),
+        ({"lens": 3}, "a lens as a table"),
     ],
+    ids=str,
 )
-def test_wrong_lenses_are_refused(given, text):
+def test_wrong_settings_are_refused(wrong, text):
     with pytest.raises(ValueError, match=text):
-        View.from_dict({"frame_shape": [240, 320], "lens": given})
+        View.from_dict({"frame_shape": [4, 4], **wrong})
 
 
-def test_the_digest_tells_values_shapes_and_dtypes_apart():
+def test_the_digest_is_of_values_shape_and_dtype_and_not_of_the_layout():
     image = np.arange(24, dtype=np.uint8).reshape(2, 4, 3)
     changed = image.copy()
     changed[1, 2, 0] += 1
-    others = [changed, image.reshape(4, 2, 3), image.astype(np.float32)]
-    digests = {pixels_digest(one) for one in (image, *others)}
-    assert len(digests) == 4
+    others = changed, image.reshape(4, 2, 3), image.astype(np.float32), image[:, ::-1]
+    assert len({pixels_digest(one) for one in (image, *others)}) == 5
     assert pixels_digest(image.copy()) == pixels_digest(image)
-
-
-def test_the_digest_is_of_the_pixels_not_of_their_layout():
-    image = np.arange(48, dtype=np.uint8).reshape(4, 4, 3)
     assert pixels_digest(image[:, ::-1]) == pixels_digest(np.ascontiguousarray(image[:, ::-1]))
     assert len(pixels_digest(image)) == 64
-
-
-def test_a_frame_does_not_change():
-    frame = Frame(np.zeros((2, 2, 3), dtype=np.uint8), time_s=1.0, wall_time_ns=2, index=3)
-    with pytest.raises(AttributeError):
-        frame.index = 4

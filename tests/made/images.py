@@ -9,6 +9,8 @@ Real presses at half their size: four times as fast to calibrate, for tests that
 A background and an image with a contact.
 
 A background image with a camera's noise, and damaged frames of the same gel.
+
+A camera's frame whose view is an image.
 """
 
 from dataclasses import replace
@@ -19,6 +21,7 @@ import numpy as np
 from gelform.exchange.plots import save_picture
 from gelform.image.frame import as_levels
 from gelform.image.health import ImageBlocks, blocks_from_image
+from gelform.image.view import image_px_from_frame_px, pixel_positions
 from gelform.slopes.color_models import Samples
 
 
@@ -150,3 +153,10 @@ def with_part(image: np.ndarray, part: tuple[slice, slice], level: int | tuple[i
 def blocks_of(image: np.ndarray) -> ImageBlocks:
     """The image's blocks."""
     return blocks_from_image(as_levels(image))
+
+
+def frame_from_image(image, view):
+    """A frame whose view is the image; pixels outside the view repeat the nearest one inside."""
+    places = image_px_from_frame_px(pixel_positions(view.frame_shape), view)
+    map_x, map_y = places.T.reshape(2, *view.frame_shape).astype(np.float32)
+    return cv2.remap(image, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)

@@ -52,7 +52,6 @@ IMAGES = {
 }  # fmt: skip
 OUTCOMES = {
     "markers_from_image": {},
-    "light_from_image": {},
     "color_change_from_image": {},
     "registration_from_image": {"a row": "error", "a column": "error"},
 }

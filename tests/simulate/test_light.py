@@ -1,7 +1,4 @@
-"""Light on a surface against analytic light; cast shadows; scattering.
-
-The untouched gel, its exposure, and the truth behind a lens.
-"""
+"""Light on a surface against analytic light; cast shadows; scattering; the untouched gel and its exposure."""
 
 from dataclasses import replace
 
@@ -46,9 +43,6 @@ def exact(sensor, ball_mm=3.0, **settings):
     )
 
 
-LEDS = Led((4, 1, 5), (90, 10, 0)), Led((-3, 2, 4), (0, 50, 20)), Led((0, -5, 6), (5, 0, 70))
-
-
 def plane(x, y, slope_x, slope_y):
     z = slope_x * x + slope_y * y
     gradients = np.empty((*z.shape, 2))
@@ -56,7 +50,7 @@ def plane(x, y, slope_x, slope_y):
     return Surface(x, y, z, gradients, np.zeros(z.shape, dtype=bool))
 
 
-@pytest.mark.parametrize(("slope_x", "slope_y"), [(0.0, 0.0), (0.3, -0.2), (-0.5, 0.4), (0.9, 2.0)])
+@pytest.mark.parametrize(("slope_x", "slope_y"), [(0.0, 0.0), (0.3, -0.2), (-0.5, 0.4), (0.9, 2.0), (3, -3)])
 def test_one_light_on_a_plane_is_lamberts_law(slope_x, slope_y):
     light, strength = np.array([4.0, -3.0, 6.0]), 100.0
     sensor = sensor_with(Led(tuple(light), (strength, 0, 0)))
@@ -69,15 +63,7 @@ def test_one_light_on_a_plane_is_lamberts_law(slope_x, slope_y):
     expected = strength * np.maximum(to_light @ normal, 0) / distance**3
     np.testing.assert_allclose(levels[..., 0], expected, rtol=1e-12)
     assert np.all(levels[..., 1:] == 0)
-
-
-def test_no_light_from_behind():
-    sensor = sensor_with(Led((20, 0, 2), WHITE))
-    x, y = sensor.grid_mm()
-    away = irradiance_from_surface(plane(x, y, 0.5, 0.0), sensor.leds)
-    towards = irradiance_from_surface(plane(x, y, -0.5, 0.0), sensor.leds)
-    assert np.all(away == 0)
-    assert np.all(towards > 0)
+    assert np.all(levels[..., 0] == 0) == (slope_x == 3), "no light from behind"
 
 
 def test_far_lights_agree_with_the_packages_own_shading():
@@ -102,10 +88,8 @@ def test_a_pixel_is_the_mean_of_its_subpixels():
 
 def test_a_beam_falls_off_with_its_power_of_the_cosine():
     led = Led((0, 0, 5), (1000, 0, 0))
-    wide, narrow = (
-        simulate_background(replace(PLAIN, leds=(replace(led, beam_power=m),)), None, quantise=False)
-        for m in (0, 3)
-    )
+    beams = (replace(PLAIN, leds=(replace(led, beam_power=power),)) for power in (0, 3))
+    wide, narrow = (simulate_background(one, None, quantise=False) for one in beams)
     x, y = PLAIN.grid_mm()
     cosine = 5 / np.sqrt(x**2 + y**2 + 25)
     np.testing.assert_allclose(narrow[..., 0], wide[..., 0] * cosine**3, rtol=1e-9)
@@ -253,12 +237,6 @@ def test_lights_at_the_border_and_under_the_surface_are_seen():
     assert np.all(seen[1, 5] == 1)
     assert np.all(seen[2, 2:4, 3:5] == 1)
     assert seen[0].min() == 0
-
-
-def test_single_and_double_precision_agree():
-    gray = simulate_press(PLAIN, Ball(2), depth_mm=0.5, rng=None).image
-    exact = simulate_press(PLAIN, Ball(2), depth_mm=0.5, rng=None, quantise=False).image
-    assert np.abs(gray - np.clip(exact, 0, 255)).max() < 0.501
 
 
 def test_the_truth_says_which_pixels_are_saturated():

@@ -27,8 +27,7 @@ from gelform.simulate import (
     simulate_ball_presses,
 )
 from gelform.simulate.gel import Surface
-from gelform.simulate.light import irradiance_from_surface, spread_in_gel
-from gelform.simulate.sensor.camera import levels_from_irradiance
+from gelform.simulate.light import irradiance_from_surface, levels_from_irradiance, spread_in_gel
 
 __all__ = [
     "DesignResult",

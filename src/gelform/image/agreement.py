@@ -1,12 +1,10 @@
-"""Whether a background belongs to an image, to a set of frames and to the sensor: how they lie, and with figures.
+"""Whether a background belongs to an image, to a set of frames and to the sensor; and how an image lies.
 
-How an image lies compared with the background image (mirrored, turned, BGR), and the part that is touched.
-
-Sixteen readings of the image compete: eight orientations, each with both orders of the channels. In the right one the image
-is the background times a smooth light, but for what touches the gel. In a wrong one the lamps shine from elsewhere, and no
-light near the usual one explains it. So each reading is scored by its evidence (Bishop, Pattern Recognition and Machine
-Learning, 2006, section 3.4): a light is fitted, a polynomial with a prior, and blocks that it does not explain count as
-touched.
+Sixteen readings of an image compete: eight orientations (mirrored, turned), each with both orders of the channels. In the
+right one the image is the background times a smooth light, but for what touches the gel. In a wrong one the lamps shine
+from elsewhere, and no light near the usual one explains it. So each reading is scored by its evidence (Bishop, Pattern
+Recognition and Machine Learning, 2006, section 3.4): a light is fitted, a polynomial with a prior, and blocks that it does
+not explain count as touched.
 """
 
 from __future__ import annotations
@@ -42,17 +40,18 @@ from gelform.image.light import (
 # Fraction of the brightness by which all but a quarter of an image differs, if it lies otherwise: 0.048 or more on six
 # sensors. Frames that lie as the background differ by up to 0.036.
 UNLIKE = 0.036
-TOUCHED_CHANGE = (
-    0.06  # of a block's logarithm, root mean square of the channels; light that drifted leaves less
-)
-ROUNDS = 6  # of the fit, each with the touched blocks of the last
 
-# The view's flip and turn that do what the transpose and a flip do.
-VIEW_OF_TRANSPOSED = {
-    "none": ("y", "right"),
-    "x": ("none", "right"),
-    "y": ("none", "left"),
-    "xy": ("x", "right"),
+
+# Whether rows and columns are exchanged, and the flip then: in words, and the view's flip and turn that undo it.
+LYING = {
+    (False, "none"): ("", "none", "none"),
+    (False, "x"): ("mirrored left to right", "x", "none"),
+    (False, "y"): ("mirrored top to bottom", "y", "none"),
+    (False, "xy"): ("turned by 180 degrees", "xy", "none"),
+    (True, "none"): ("turned by 90 degrees and mirrored", "y", "right"),
+    (True, "x"): ("turned by 90 degrees counter-clockwise", "none", "right"),
+    (True, "y"): ("turned by 90 degrees clockwise", "none", "left"),
+    (True, "xy"): ("turned by 90 degrees and mirrored", "x", "right"),
 }
 
 
@@ -71,19 +70,13 @@ class Orientation(NamedTuple):
     @property
     def named(self) -> str:
         """What is exchanged, in words: "BGR", "mirrored left to right", "turned by 90 degrees and BGR"."""
-        words = []
-        if self.transposed:
-            turned = {"x": "turned by 90 degrees counter-clockwise", "y": "turned by 90 degrees clockwise"}
-            words.append(turned.get(self.flip, "turned by 90 degrees and mirrored"))
-        elif self.flip != "none":
-            flipped = {"x": "mirrored left to right", "y": "mirrored top to bottom"}
-            words.append(flipped.get(self.flip, "turned by 180 degrees"))
-        return " and ".join([*words, *(["BGR"] if self.reversed else [])])
+        words = LYING[self.transposed, self.flip][0], "BGR" if self.reversed else ""
+        return " and ".join(filter(None, words))
 
     @property
     def remedy(self) -> str:
         """What undoes it: the view's flip and turn, and the exchange of red and blue."""
-        flip, turn = VIEW_OF_TRANSPOSED[self.flip] if self.transposed else (self.flip, "none")
+        _, flip, turn = LYING[self.transposed, self.flip]
         words = [f'{name} "{value}"' for name, value in (("flip", flip), ("turn", turn)) if value != "none"]
         parts = [f"the view's {' and '.join(words)}"] if words else []
         if self.reversed:
@@ -98,10 +91,7 @@ class Orientation(NamedTuple):
 
 
 READINGS = tuple(
-    Orientation(flip, transposed, reversed_)
-    for transposed in (False, True)
-    for flip in ("none", "x", "y", "xy")
-    for reversed_ in (False, True)
+    Orientation(flip, transposed, reversed_) for transposed, flip in LYING for reversed_ in (False, True)
 )
 UPRIGHT = READINGS[0]
 
@@ -109,10 +99,7 @@ UPRIGHT = READINGS[0]
 def orientation_from_image(image: Array, background: Array) -> Orientation | None:
     """How an image (H, W, 3) or (W, H, 3), 0-255, lies compared with a background image (H, W, 3).
 
-    Returns
-    -------
-    Orientation
-        None if it cannot be told: the lights are alike from all sides, or the image is of another sensor.
+    None if it cannot be told: the lights are alike from all sides, or the image is of another sensor.
     """
     return orientation_from_blocks(block_means(image), block_means(background))
 
@@ -147,27 +134,25 @@ def orientation_from_blocks(image: Map, untouched: Map) -> Orientation | None:
     return fitting[order[0]] if first - others > MARGIN else None
 
 
-class Touched(NamedTuple):
-    """The largest connected region of an image that no light explains."""
+def largest_touch(image: Map, untouched: Map) -> tuple[float, tuple[float, float]]:
+    """The largest connected region of an image that no light explains, compared with a background image.
 
-    share: float  # of the image, 0-1
-    center: tuple[float, float]  # x and y over width and height, 0-1
-
-
-def largest_touch(image: Map, untouched: Map) -> Touched:
-    """The largest touched region of an image compared with a background image, both from `block_means`, of one size."""
+    Both are from `block_means`, of one size. Returns its share of the image, 0-1, and its center, x and y over width and
+    height, 0-1.
+    """
     shape = untouched.shape[:2]
     change, lit = _log_change(image[None], untouched)
     terms = _terms(shape)
     light, _ = _fitted_light(change, lit, terms)
     size = np.sqrt(np.mean((change[0] - terms[0] @ light[0]) ** 2, axis=-1))
-    touched = ((size > TOUCHED_CHANGE) & lit[0]).reshape(shape).view(np.uint8)
+    # Of a block's logarithm, root mean square of the channels; light that drifted leaves less.
+    touched = ((size > 0.06) & lit[0]).reshape(shape).view(np.uint8)
     _, _, regions, centers = cv2.connectedComponentsWithStats(touched, connectivity=4)
     areas = regions[1:, cv2.CC_STAT_AREA]
     if not len(areas):
-        return Touched(0.0, (0.5, 0.5))
+        return 0.0, (0.5, 0.5)
     x, y = (centers[1 + areas.argmax()] + 0.5) / shape[::-1]
-    return Touched(float(areas.max() / size.size), (float(x), float(y)))
+    return float(areas.max() / size.size), (float(x), float(y))
 
 
 def _log_change(images: Map, untouched: Map) -> tuple[Numbers, Mask]:
@@ -204,7 +189,7 @@ def _fitted_light(change: Numbers, lit: Mask, of_place: tuple[Numbers, Numbers])
     products = (terms[:, :, None] * terms[:, None, :]).reshape(len(terms), -1)
     light = np.zeros((len(change), terms.shape[1], 3))
     light[:, 0] = [np.median(one[chosen], axis=0) if chosen.any() else 0 for one, chosen in zip(change, lit)]
-    for _ in range(ROUNDS):
+    for _ in range(6):  # rounds, each with the touched blocks of the last
         sides = _log_likelihoods(change - terms @ light)
         weight = lit * np.exp(sides[0] - np.logaddexp(*sides)) * share[:, None] / REST_SIGMA**2
         normal = (weight @ products).reshape(len(change), *2 * (terms.shape[1],)) + np.diag(prior)
@@ -223,24 +208,18 @@ def _log_likelihoods(residual: Numbers) -> list[Numbers]:
 RATIO_WARN, RATIO_REFUSE = (0.9, 1.1), (0.7, 1.4)
 # Fraction of the brightness, and gray levels of room light; a smaller difference is compensated without a finding.
 GAIN_REPORTED, ROOM_REPORTED = 0.02, 3.0
-SURE_SIGMAS = 3.0  # standard deviations by which tilt and room light exceed these: 0.1 % of false alarms
-CORRELATION_REFUSE = (
-    0.8  # smallest correlation over pixels at rest; with less, an image is another sensor's, or shifted
-)
+# Smallest correlation over pixels at rest; with less, an image is another sensor's, or shifted.
+CORRELATION_REFUSE = 0.8
 # Fractions of the brightness: half of an image differs by more than the first for a warning, the second for a refusal.
 PATTERN_WARN, PATTERN_REFUSE = 0.02, 0.053
 # Fraction of a background image in one region that no light explains: two moments at rest 0.015 or less (223 pairs of a
 # Mini, a wedge and a DIGIT), presses 0.033 or more on six sensors and 0.014-0.05 on a GelSlim.
 TOUCHED_SHARE = 0.025
 TOUCHED_IN_CONTACT = 0.015  # the same where the calibration shows contact
-TOUCHED_FRACTION = 0.4  # fraction of an image that the correlation leaves out
 OTHER_SENSOR = "The calibration is not of the sensor that took this background"
 OWN_CALIBRATION = (
     "If frames agree with this background, no new one helps: use this sensor's own calibration. If it is the same unit, its "
     "gel or lights have moved, so calibrate again."
-)
-MIN_FRAMES = (
-    8  # smallest number of frames, each touched elsewhere, whose median is nearly the background image
 )
 
 _least_changed_sums = Kernel(
@@ -249,38 +228,27 @@ _least_changed_sums = Kernel(
 )
 
 
-def check_background(image: Array, background: Array) -> tuple[Finding, ...]:
-    """Refuse a background that does not belong to this image; return findings.
-
-    Where nothing touches, the image should be the background times a gain near 1.
-
-    CalibrationError: the image is mirrored, turned or BGR, a channel's gain is outside 0.7-1.4, or the correlation is under
-    0.8. The message has the figure.
-    """
-    return compared(block_means(image), block_means(background))[1]
-
-
 def check_own_background(background: Array, calibrated: Array) -> tuple[Finding, ...]:
     """Refuse a background image that is not of the calibrated sensor; return findings.
 
-    It goes beyond `check_background`: both images show the gel at rest, so that they should be equal everywhere, up to
+    It goes beyond `compared`: both images show the gel at rest, so that they should be equal everywhere, up to
     a gain for each channel. Another unit of the same model passes every other check.
 
-    CalibrationError: as `check_background`, half of the image differs by more than 5.3 %, or something touches the gel. The
+    CalibrationError: as `compared`, half of the image differs by more than 5.3 %, or something touches the gel. The
     message has the figure.
     """
     today, untouched = block_means(background), block_means(calibrated)
     compared(today, untouched, own=True)
     gain = gain_from_blocks(today, untouched)
     differs = gain.middle_pattern
-    if np.isfinite(differs) and differs > PATTERN_REFUSE:
+    if PATTERN_REFUSE < differs < inf:
         raise CalibrationError(
             f"{OTHER_SENSOR}: after a common gain ({_times(gain.gain)}), half of the background given differs from the "
             f"calibration's by {100 * differs:.1f} % or more (expected under {100 * PATTERN_REFUSE:g} %). {OWN_CALIBRATION}"
         )
     check_untouched(background, calibrated)
     findings = list(_exposure_findings(gain))
-    if np.isfinite(differs) and differs > PATTERN_WARN:
+    if PATTERN_WARN < differs < inf:
         message = (
             f"Today's background differs from the calibration's by {100 * differs:.1f} % after a common gain. "
             "The gel or a light may have moved."
@@ -290,24 +258,16 @@ def check_own_background(background: Array, calibrated: Array) -> tuple[Finding,
 
 
 def check_untouched(background: Array, calibrated: Array, contact: Mask | None = None) -> None:
-    """Refuse a background image in which something touches the gel, compared with the calibration's.
+    """Refuse a background image (H, W, 3) in which something touches the gel, compared with the calibration's.
 
-    Parameters
-    ----------
-    background, calibrated : (H, W, 3), 0-255
-    contact : (H, W), where the calibration shows contact in it; a smaller difference there is enough
-
-    Raises
-    ------
-    CalibrationError
-        The message has the place and the share.
+    Where the calibration shows `contact` (H, W) in it, a smaller difference is enough. CalibrationError: the message has the
+    place and the share.
     """
-    touch = largest_touch(block_means(background), block_means(calibrated))
-    x, y = (int(part * size) for part, size in zip(touch.center, background.shape[1::-1]))
-    least = TOUCHED_SHARE if contact is None or not contact[y, x] else TOUCHED_IN_CONTACT
-    if touch.share > least:
+    share, center = largest_touch(block_means(background), block_means(calibrated))
+    x, y = (int(part * size) for part, size in zip(center, background.shape[1::-1]))
+    if share > (TOUCHED_SHARE if contact is None or not contact[y, x] else TOUCHED_IN_CONTACT):
         raise CalibrationError(
-            f"Something touches the gel in this background image, about ({x}, {y}) px: {100 * touch.share:.1f} % of it "
+            f"Something touches the gel in this background image, about ({x}, {y}) px: {100 * share:.1f} % of it "
             "differ from the calibration's as no light does. Take it again, with nothing touching the gel. If the gel is "
             "damaged there, calibrate again."
         )
@@ -321,7 +281,7 @@ def check_background_of_frames(frames: Sequence[Array], background: Array) -> tu
 
     CalibrationError: the quarter that changed least differs by more than 3.6 %, and half by more than 5.3 %.
     """
-    if len(frames) < MIN_FRAMES:
+    if len(frames) < 8:
         return ()
     middle = np.median([block_means(frame) for frame in frames], axis=0).astype(np.float32)
     light = gain_from_blocks(middle, block_means(background))
@@ -351,18 +311,38 @@ def background_digest(background: Array) -> str:
 def compared(
     image: Map, untouched: Map, usual: FrameLight | None = None, own: bool = False
 ) -> tuple[FrameLight, tuple[Finding, ...]]:
-    """Light and findings of an image compared with the background image, as in `light_from_blocks`.
+    """Light and findings of an image compared with the background image, both from `block_means`, as `light_from_blocks`.
 
-    `own`: the image is today's background, and `untouched` the calibration's; an error then blames the calibration.
+    Where nothing touches, the image should be the background times a gain near 1. CalibrationError: the image is mirrored,
+    turned or BGR, a channel's gain is outside 0.7-1.4, or the correlation is under 0.8; the message has the figure.
+    `own`: the image is today's background, and `untouched` the calibration's; the error then blames the calibration.
     """
     light = light_from_blocks(image, untouched, usual)
     if light.least_change > UNLIKE:
-        _refuse_gray(image, untouched)
+        if np.ptp(image, axis=-1).max() == 0 < np.ptp(untouched, axis=-1).max():
+            raise CalibrationError(
+                "The image is gray: red, green and blue are equal everywhere, and in the background they are not. Slopes "
+                "are read from colors, so read the camera's frames in color."
+            )
         check_upright(orientation_from_blocks(image, untouched))
     _refuse_unlike(light, _correlation(image, untouched, light), own)
+    findings = [*_exposure_findings(light), *room_light_finding(light)]
+    tilt = abs(_sure(light.tilt, light.covariance[:, [1, 2], [1, 2]], GAIN_REPORTED))
+    if tilt:
+        message = (
+            f"The light is tilted by up to {100 * tilt:.0f} % between the middle and a border, as if a lamp had moved. "
+            "gelform compensates it."
+        )
+        findings.append(Finding("tilted_light", message, tilt))
     # The light of another unit of the make is not far from a tilt.
-    pattern = light.least_pattern if light.tilt.any() else light.least_change
-    return light, (*_light_findings(light), *_pattern_findings(pattern))
+    least = light.least_pattern if light.tilt.any() else light.least_change
+    if UNLIKE < least < inf:
+        message = (
+            f"Even the quarter of the image that changed least differs from the background by {100 * least:.1f} %. Either a "
+            "contact fills the image, or the calibration or background is of another sensor."
+        )
+        findings.append(Finding("background_differs", message, least))
+    return light, tuple(findings)
 
 
 def check_viewed_image(
@@ -394,14 +374,6 @@ def check_upright(orientation: Orientation | None) -> None:
         )
 
 
-def _refuse_gray(image: Map, untouched: Map) -> None:
-    if np.ptp(image, axis=-1).max() == 0 < np.ptp(untouched, axis=-1).max():
-        raise CalibrationError(
-            "The image is gray: red, green and blue are equal everywhere, and in the background they are not. Slopes are "
-            "read from colors, so read the camera's frames in color."
-        )
-
-
 def _refuse_unlike(light: FrameLight, correlation: float | None, own: bool) -> None:
     what, than = (
         (OTHER_SENSOR, "the calibration's")
@@ -426,18 +398,6 @@ def _refuse_unlike(light: FrameLight, correlation: float | None, own: bool) -> N
         )
 
 
-def _light_findings(light: FrameLight) -> tuple[Finding, ...]:
-    findings = (*_exposure_findings(light), *room_light_finding(light))
-    tilt = abs(_sure(light.tilt, light.covariance[:, [1, 2], [1, 2]], GAIN_REPORTED))
-    if not tilt:
-        return findings
-    message = (
-        f"The light is tilted by up to {100 * tilt:.0f} % between the middle and a border, as if a lamp had moved. gelform "
-        "compensates it."
-    )
-    return (*findings, Finding("tilted_light", message, tilt))
-
-
 def room_light_finding(light: FrameLight) -> tuple[Finding, ...]:
     """Find `room_light`: light added to all channels; figure: gray levels, of the channel that changed most.
 
@@ -451,8 +411,8 @@ def room_light_finding(light: FrameLight) -> tuple[Finding, ...]:
 
 
 def _sure(values: Numbers, variances: Numbers, least: float) -> float:
-    """The value that exceeds `least` most clearly; 0 if none does by `SURE_SIGMAS`."""
-    over = np.abs(values) - SURE_SIGMAS * np.sqrt(variances)
+    """The value that exceeds `least` most clearly; 0 if none does by 3 sigma, with 0.1 % of false alarms."""
+    over = np.abs(values) - 3.0 * np.sqrt(variances)
     at = np.unravel_index(over.argmax(), over.shape)
     return float(values[at]) if over[at] > least else 0.0
 
@@ -479,22 +439,12 @@ def _exposure_findings(light: FrameLight) -> tuple[Finding, ...]:
     return ()
 
 
-def _pattern_findings(least: float) -> tuple[Finding, ...]:
-    if not UNLIKE < least < inf:
-        return ()
-    message = (
-        f"Even the quarter of the image that changed least differs from the background by {100 * least:.1f} %. Either a "
-        "contact fills the image, or the calibration or background is of another sensor."
-    )
-    return (Finding("background_differs", message, least),)
-
-
 def _times(gain: Numbers) -> str:
     return ", ".join(f"{name} {value:.2f}" for name, value in zip("RGB", gain))
 
 
 def _correlation(image: Map, untouched: Map, light: FrameLight) -> float | None:
-    """Correlation, without the light, over all blocks but the `TOUCHED_FRACTION` that changed most, channels together.
+    """Correlation, without the light, over the 60 % of the blocks that changed least, channels together.
 
     None if the background image is featureless, so that nothing can correlate with it. 0 if only the image is featureless.
     """
@@ -503,7 +453,7 @@ def _correlation(image: Map, untouched: Map, light: FrameLight) -> float | None:
         scale = (1 / light.gain).astype(np.float32)
     else:
         image, scale = without_light(image, light.values), np.ones(3, dtype=np.float32)
-    last = min(int((1 - TOUCHED_FRACTION) * blocks), blocks - 1)
+    last = min(int(0.6 * blocks), blocks - 1)
     sums, work = np.empty(3), np.empty(2 * blocks, dtype=np.float32)
     count = _least_changed_sums(image.reshape(-1, 3), untouched.reshape(-1, 3), scale, last, work, sums)
     of_image, of_untouched, of_both = sums.tolist()

@@ -37,7 +37,6 @@ from gelform.image.agreement import compared, largest_touch
 from gelform.image.frame import DARK
 from gelform.image.light import FrameLight, block_means, scale_of_light, without_light
 
-MAX_OFFSET, MAX_BLUR_PX = 1e4, 100.0  # gray levels and px, the largest values that a file may have
 Matrix = tuple[tuple[float, ...], ...]
 _color_change = Kernel(
     "color_change",
@@ -65,24 +64,21 @@ class ChangeSettings:
     def __post_init__(self) -> None:
         if self.method not in ("divide", "subtract"):
             raise ValueError(f"Expected method 'divide' or 'subtract', got {self.method!r}.")
-        check_within(self.offset, "offset", 0, MAX_OFFSET)
-        check_within(self.blur_px, "blur_px", 0, MAX_BLUR_PX)
+        check_within(self.offset, "offset", 0, 1e4)
+        check_within(self.blur_px, "blur_px", 0, 100.0)
         check_response(self.response)
-        if self.crosstalk is not None:
-            object.__setattr__(self, "crosstalk", _checked_crosstalk(self.crosstalk))
+        if self.crosstalk is None:
+            return
+        matrix = check_values(self.crosstalk, "crosstalk", (3, 3), np.float64)
+        if matrix.ndim != 2:
+            raise ValueError(f"Expected crosstalk as 3x3 finite numbers, got {self.crosstalk}.")
+        wanted = "crosstalk of channels that tell the three lights apart"
+        check_condition(matrix, 30.0, wanted, "Are two of the LED frames of the same LED?")
+        object.__setattr__(self, "crosstalk", tuple(map(tuple, matrix.tolist())))
 
 
 def _checked_settings(settings: ChangeSettings | None) -> ChangeSettings:
     return ChangeSettings() if settings is None else check_is(settings, ChangeSettings, "settings")
-
-
-def _checked_crosstalk(crosstalk: Any) -> Matrix:
-    matrix = check_values(crosstalk, "crosstalk", (3, 3), np.float64)
-    if matrix.ndim != 2:
-        raise ValueError(f"Expected crosstalk as 3x3 finite numbers, got {crosstalk}.")
-    wanted = "crosstalk of channels that tell the three lights apart"
-    check_condition(matrix, 30.0, wanted, "Are two of the LED frames of the same LED?")
-    return tuple(tuple(float(value) for value in row) for row in matrix)
 
 
 def linear_light(image: Array, settings: ChangeSettings) -> Array:
@@ -141,17 +137,9 @@ def color_change_from_image(
 
 
 class PreparedBackground:
-    """The background image and everything about it that does not depend on the frame; immutable.
+    """The background image (H, W, 3) and everything about it that does not depend on the frame; immutable.
 
-    Parameters
-    ----------
-    background : (H, W, 3), RGB, 0-255
-    settings : of the conversion from an image to a color change
-    usual : the light of the frames before, or None
-
-    Attributes
-    ----------
-    gain : (H, W, 3), factor of each pixel's difference, as `gain_from_background`
+    `usual` is the light of the frames before, `gain` (H, W, 3) the factor of each pixel's difference.
     """
 
     def __init__(
@@ -167,13 +155,13 @@ class PreparedBackground:
     def compare(self, image: Array) -> tuple[FrameLight, tuple[Finding, ...]]:
         """Compare the frame's light with the background's; return it and findings.
 
-        CalibrationError: as `check_background`.
+        CalibrationError: as `agreement.compared`.
         """
         return compared(block_means(image), self._blocks, self._usual)
 
     def touched(self, image: Array) -> float:
         """Share of an image (H, W, 3) in its largest region that no light explains."""
-        return largest_touch(block_means(image), self._blocks).share
+        return largest_touch(block_means(image), self._blocks)[0]
 
     def bridged(self, image: Array, hidden: Mask) -> Array:
         """The image (H, W, 3) with hidden pixels (H, W), such as markers, filled by the color change around them.
@@ -243,18 +231,8 @@ def image_from_color_change(
 ) -> Map:
     """The image (H, W, 3) float32, 0-255, of an unblurred color change: the inverse of `color_change_from_image`.
 
-    Values are clipped to 0-255, as a camera would.
-
-    Parameters
-    ----------
-    color_change : (H, W, 3), from `color_change_from_image` with the same settings
-    background : (H, W, 3), RGB, 0-255
-    settings : of the conversion; (I - I0)/(I0 + 10) by default
-
-    Raises
-    ------
-    ValueError, TypeError
-        A change or background of another shape, or not finite.
+    Values are clipped to 0-255, as a camera would. ValueError, TypeError: a change or background of another shape, or not
+    finite.
     """
     settings = _checked_settings(settings)
     untouched = check_image(background, name="background").astype(np.float32)
@@ -264,7 +242,9 @@ def image_from_color_change(
             f"Expected color_change of the background's shape {untouched.shape}, got {change.shape}."
         )
     gain = gain_from_background(untouched, settings)
-    light = linear_light(untouched, settings) + change / gain
+    # Where nothing can be divided by, the change says nothing.
+    change = np.divide(change, gain, out=np.zeros_like(change), where=gain > 0)
+    light = linear_light(untouched, settings) + change
     if settings.crosstalk is not None:
         light = cv2.transform(light, np.asarray(settings.crosstalk))
     light = np.clip(light, 0, 255)
@@ -273,37 +253,20 @@ def image_from_color_change(
 
 
 USUAL_FRAMES = 15  # frames at rest that are averaged where they come by themselves
-# Bytes of frames that are held, and of rows that are sorted at once.
-MAX_BYTES, ROWS_BYTES = 192 * 2**20, 32 * 2**20
-TRIMMED_FRACTION = 0.2  # fraction of a pixel's values that is cut off at each end
-# A block is touched if it is off by 3 % of its level, 1.5 gray levels and 6 sigma of noise; a frame is touched if such a
-# fraction of its blocks is.
-BLOCK_LEVELS, BLOCK_SIGMAS, TOUCHED_BLOCKS = 1.5, 6.0, 0.01
-OTHER_LEVEL = (
-    0.03  # fraction of the brightness: a touched block, or a frame of another exposure, differs by more
-)
-KEPT_VARIANCES = (
-    0.99  # fraction of the pixels; one in a hundred may flicker, such as a fiber or an edge that trembles
-)
+# Fraction of the brightness: a touched block, or a frame of another exposure, differs by more.
+OTHER_LEVEL = 0.03
 
 
 class Background(NamedTuple):
-    """An average of frames of the gel at rest.
+    """An average of frames of the gel at rest."""
 
-    Attributes
-    ----------
-    background : (H, W, 3) float32, 0-255
-    noise : (3,) float64, standard deviation of a pixel in one frame, gray levels
-    left_out : (name, why) of each frame that is not in the average
-    """
-
-    background: Map
-    noise: Numbers
-    left_out: tuple[tuple[str, str], ...]
+    background: Map  # (H, W, 3) float32, 0-255
+    noise: Numbers  # (3,) float64, standard deviation of a pixel in one frame, gray levels
+    left_out: tuple[tuple[str, str], ...]  # (name, why) of each frame that is not in the average
 
 
 def background_from_frames(
-    frames: Iterable[ArrayLike], *, names: Sequence[str] | None = None, max_bytes: int = MAX_BYTES
+    frames: Iterable[ArrayLike], *, names: Sequence[str] | None = None, max_bytes: int = 192 * 2**20
 ) -> Background:
     """A robust average of frames of the gel at rest.
 
@@ -347,9 +310,7 @@ def background_from_frames(
 def noise_from_image(image: Array) -> Numbers:
     """Standard deviation (3,) of a pixel, gray levels, from second differences along rows (robust).
 
-    Parameters
-    ----------
-    image : (H, W, 3), or the difference of two images; smooth along rows except for its noise
+    The image (H, W, 3), or the difference of two images, is smooth along rows except for its noise.
     """
     pixels = np.asarray(image, dtype=np.float32)
     second = pixels[:, 2:] - 2 * pixels[:, 1:-1] + pixels[:, :-2]
@@ -386,9 +347,10 @@ def _odd_ones(kept: Sequence[tuple[str, Array]]) -> dict[str, str]:
         gain = np.median((own + 1) / (middle + 1), axis=(0, 1))
         off = np.abs(own - gain * middle)
         noise = SIGMA_OF_MEDIAN * np.median(off, axis=(0, 1))
-        touched = (off > OTHER_LEVEL * middle + BLOCK_LEVELS + BLOCK_SIGMAS * noise).any(axis=-1).mean()
+        # A block is touched if it is off by 3 % of its level, 1.5 gray levels and 6 sigma of noise.
+        touched = (off > OTHER_LEVEL * middle + 1.5 + 6.0 * noise).any(axis=-1).mean()
         brighter = float(gain[np.argmax(np.abs(gain - 1))] - 1)
-        if touched > TOUCHED_BLOCKS:
+        if touched > 0.01:
             odd[name] = f"{100 * touched:.1f} % of it differs, by a touch or a shadow"
         elif abs(brighter) > OTHER_LEVEL:
             odd[name] = f"another exposure, {100 * brighter:+.0f} %"
@@ -402,18 +364,17 @@ def trimmed_mean(images: Sequence[Array]) -> tuple[Map, Numbers]:
     """
     if len(images) == 1:
         return images[0].astype(np.float32), noise_from_image(images[0])
-    height = images[0].shape[0]
-    cut = int(TRIMMED_FRACTION * len(images))
-    rows = max(1, ROWS_BYTES // (len(images) * images[0][0].nbytes))
+    cut = int(0.2 * len(images))
+    rows = max(1, 32 * 2**20 // (len(images) * images[0][0].nbytes))  # that are sorted at once, in 32 MiB
     average = np.empty(images[0].shape, dtype=np.float32)
     variances = []
-    for first in range(0, height, rows):
+    for first in range(0, len(average), rows):
         stack = np.sort(np.stack([image[first : first + rows] for image in images]), axis=0)
         average[first : first + rows] = stack[cut : len(images) - cut].mean(axis=0, dtype=np.float64)
         variances.append(stack.var(axis=0, ddof=1, dtype=np.float64).reshape(-1, 3))
     variance = np.sort(np.concatenate(variances), axis=0)
-    kept = max(1, int(KEPT_VARIANCES * len(variance)))
-    return average, np.sqrt(variance[:kept].mean(axis=0))
+    # One pixel in a hundred may flicker, such as a fiber or an edge that trembles.
+    return average, np.sqrt(variance[: max(1, int(0.99 * len(variance)))].mean(axis=0))
 
 
 EXPOSURE_STEP_PX = 8  # px, lattice step for the common change
@@ -461,21 +422,15 @@ def reference_from_color_change(
     return Reference(common, threshold, medians_where(gradients, least)[0], least, (finding,))
 
 
-DARK_PART = 0.15  # of the image's light; the darkest corners of six real sensors have over 0.25 of it
-LEAST_SHARE = 0.03  # of the image; a smaller surround costs no press
-EDGE_PX = 5  # px; a gel's edge is blurred
-SMALLER_CROP = "a smaller crop in the [view] of sensor.toml"
-BLOCKS = 48  # along the shorter side, whole blocks of which make up a crop
-
-
 def surround_of(background: Array) -> Mask | None:
     """Pixels (H, W) outside the gel in a background image (H, W, 3): dark, and joined to its border; None without any."""
     strongest = np.asarray(background, dtype=np.float32).max(axis=-1)
-    dark = strongest < max(DARK, DARK_PART * float(np.percentile(strongest, 95)))
+    # The darkest corners of six real sensors have over 0.25 of the image's light.
+    dark = strongest < max(DARK, 0.15 * float(np.percentile(strongest, 95)))
     _, labels = cv2.connectedComponents(dark.astype(np.uint8))
     at_border = np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
     outside = np.isin(labels, np.setdiff1d(at_border, 0))
-    return outside if outside.mean() > LEAST_SHARE else None
+    return outside if outside.mean() > 0.03 else None  # a smaller surround costs no press
 
 
 def surround_finding(background: Array, remedy: str, *, viewed: bool = False) -> Finding | None:
@@ -486,7 +441,9 @@ def surround_finding(background: Array, remedy: str, *, viewed: bool = False) ->
     outside = surround_of(background)
     if outside is None:
         return None
-    crop = SMALLER_CROP if viewed else remedy.format(",".join(map(str, crop_inside(outside))))
+    crop = "a smaller crop in the [view] of sensor.toml"
+    if not viewed:
+        crop = remedy.format(",".join(map(str, crop_inside(outside))))
     message = (
         f"{100 * outside.mean():.0f} % of the image are outside the gel: dark, and joined to its border. Leave them out: "
         f"{crop}. If the camera sees the gel at an angle, undo that too: gelform lens."
@@ -495,10 +452,13 @@ def surround_finding(background: Array, remedy: str, *, viewed: bool = False) ->
 
 
 def crop_inside(outside: Mask) -> tuple[int, int, int, int]:
-    """(left, top, width, height) of the largest rectangle, px, that is free of `outside` (H, W) and of its blurred edge."""
-    side = -(-min(outside.shape) // BLOCKS)
+    """(left, top, width, height) of the largest rectangle, px, that is free of `outside` (H, W) and of its blurred edge.
+
+    It is made up of whole blocks, 48 along the shorter side.
+    """
+    side = -(-min(outside.shape) // 48)
     rows, columns = (count // side for count in outside.shape)
-    near = cv2.dilate(outside.astype(np.uint8), np.ones((EDGE_PX, EDGE_PX), dtype=np.uint8))
+    near = cv2.dilate(outside.astype(np.uint8), np.ones((5, 5), dtype=np.uint8))
     free = near[: rows * side, : columns * side].reshape(rows, side, columns, side).max(axis=(1, 3)) == 0
     area, best = 0, (0, 0, 0, 0)
     for top in range(rows):

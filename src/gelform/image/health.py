@@ -44,11 +44,6 @@ class ImageBlocks:
             mask |= chosen[rows[:, None], columns[None, :]]
         return mask
 
-    def centered_in(self, mask: Mask) -> Mask:
-        """The blocks (h, w) whose centers lie in a mask (H, W)."""
-        height, width = self.ranges.shape
-        return mask[BLOCK_PX // 2 :: BLOCK_PX, BLOCK_PX // 2 :: BLOCK_PX][:height, :width]
-
 
 def blocks_from_image(image: Image) -> ImageBlocks:
     """The blocks of an image (H, W, 3)."""
@@ -66,36 +61,30 @@ def blocks_from_image(image: Image) -> ImageBlocks:
 
 # Gray levels of the background image's block: from LIT on it can be too dark, below BELOW saturated.
 LIT, BELOW = 16, 240
-SATURATED = 252  # gray levels of a block: lower ones still show slopes of a bright gel
-# Fraction of the frame; on good sensors a hard contact saturates or shades less.
-LEAST_CLIPPED = 0.05
 CHANNELS = ("red", "green", "blue")
 
 
 class Levels:
-    """Finds dark and saturated blocks of frames; prepared once for a background image.
+    """Finds dark and saturated blocks of frames; prepared once for a background image, of which `rest` are the blocks.
 
-    One channel is enough for a block to count, because slopes need all three lights.
-
-    Parameters
-    ----------
-    rest : blocks of the background image
-
-    Attributes
-    ----------
-    dark_to, saturated_from : (h, w, 3) uint8, a block with a mean below the first is dark, from the second on saturated
+    One channel is enough for a block to count, because slopes need all three lights. A block (h, w, 3) with a mean below
+    `dark_to` is dark, from `saturated_from` on saturated. A saturated one begins at 252: lower ones still show slopes of a
+    bright gel.
     """
 
     def __init__(self, rest: ImageBlocks) -> None:
         # Levels are compared as integers of the blocks' own type, which cannot hold -1 or 256.
         self.dark_to = np.where(rest.means >= LIT, DARK, 0).astype(np.uint8)
-        self.saturated_from = np.where(rest.means < BELOW, SATURATED, 255).astype(np.uint8)
+        self.saturated_from = np.where(rest.means < BELOW, 252, 255).astype(np.uint8)
         self._may_saturate = rest.means < BELOW
 
     def __call__(
         self, blocks: ImageBlocks, torn: Mask | None = None
     ) -> tuple[tuple[Finding, ...], Mask | None]:
-        """Findings `dark` and `saturated`, and their blocks (h, w) without the torn ones; None if there are none."""
+        """Findings `dark` and `saturated`, and their blocks (h, w) without the torn ones; None if there are none.
+
+        A finding's figure is the fraction of the frame in the channel with the largest fraction.
+        """
         dark = blocks.means < self.dark_to
         saturated = blocks.means >= self.saturated_from
         if not (dark.any() or saturated.any()):
@@ -103,35 +92,23 @@ class Levels:
         saturated &= self._may_saturate
         if torn is not None:
             dark[torn] = saturated[torn] = False
-        below, end = f"below {DARK} of 255 gray levels", "at the camera's upper end"
-        findings = [
-            _finding("dark", dark, below, "Is a light off, or the lens covered?"),
-            _finding("saturated", saturated, end, "Lower exposure, gain or the lights."),
-        ]
-        named = tuple(finding for finding in findings if finding is not None)
-        return named, np.any(dark | saturated, axis=-1) if named else None
-
-
-def _finding(name: str, where: Mask, what: str, advice: str) -> Finding | None:
-    """A finding; its figure is the fraction of the frame in the channel with the largest fraction."""
-    fractions = where.mean(axis=(0, 1)) if where.size else np.zeros(3)
-    if fractions.max() < LEAST_CLIPPED:
-        return None
-    said = ", ".join(
-        f"{channel} {100 * fraction:.0f} %" for channel, fraction in zip(CHANNELS, fractions) if fraction > 0
-    )
-    return Finding(name, f"Parts of the frame are {what}: {said}. {advice}", float(fractions.max()))
+        findings = []
+        for name, where, what, advice in (
+            ("dark", dark, f"below {DARK} of 255 gray levels", "Is a light off, or the lens covered?"),
+            ("saturated", saturated, "at the camera's upper end", "Lower exposure, gain or the lights."),
+        ):
+            fractions = where.mean(axis=(0, 1))
+            if fractions.max() < 0.05:  # on good sensors a hard contact saturates or shades less
+                continue
+            shares = zip(CHANNELS, fractions)
+            said = ", ".join(f"{channel} {100 * share:.0f} %" for channel, share in shares if share > 0)
+            message = f"Parts of the frame are {what}: {said}. {advice}"
+            findings.append(Finding(name, message, float(fractions.max())))
+        return tuple(findings), np.any(dark | saturated, axis=-1) if findings else None
 
 
 FLAT_RANGE = 2  # gray levels within a block; a camera's noise alone gives more
-# gray levels: largest difference of alike flat blocks, smallest difference of a flat block from the background
-ALIKE, UNLIKE = 4, 10
 LEAST_TORN = 0.03  # smallest fraction of the frame
-# Squared step of a seam, summed over its row, over that of any other row: real frames of twelve sensors reach 2.3, with
-# dots, ridges and compression.
-SEAM_FACTOR = 3.0
-SPILL = 0.125  # fraction of a seam in the rows beside it; an edge that optics blur by 0.6 px leaves 0.16
-LEAST_STEP = 0.25  # gray levels, smallest usual step of 16 pixels' mean; whole levels alone give 0.16
 
 
 class Torn:
@@ -142,21 +119,23 @@ class Torn:
         self._rest = rest.means.astype(np.int16)
         self._rest_sums = rest.row_sums.reshape(len(rest.row_sums), -1)
         _, place, count = np.unique(rest.row_digests, return_inverse=True, return_counts=True)
-        self._own_rows = (
-            count.ravel()[place.ravel()] == 1
-        )  # rows that occur only once in the background image
+        # Rows that occur only once in the background image.
+        self._own_rows = count.ravel()[place.ravel()] == 1
 
     def __call__(self, blocks: ImageBlocks, image: Array) -> Mask | None:
         """Pixels (H, W) that did not arrive; None if all did."""
         flat, repeated = self.flat(blocks), self.repeated_rows(blocks, image)
-        displaced = self.displaced_rows(blocks) if flat is None and repeated is None else None
-        if flat is None and repeated is None and displaced is None:
+        row = self.seam(blocks) if flat is None and repeated is None else 0
+        if flat is None and repeated is None and not row:
             return None
-        width = image.shape[1]
-        torn = np.zeros(image.shape[:2], dtype=bool) if flat is None else blocks.pixels(flat, width)
-        for rows in (repeated, displaced):
-            if rows is not None:
-                torn[rows] = True
+        torn = np.zeros(image.shape[:2], dtype=bool) if flat is None else blocks.pixels(flat, image.shape[1])
+        if repeated is not None:
+            torn[repeated] = True
+        if row:  # the side of the seam that fits the background image worse
+            sums = blocks.row_sums.reshape(self._rest_sums.shape)
+            away = np.abs(np.subtract(sums, self._rest_sums, dtype=np.int32)).mean(axis=1)
+            below = np.arange(len(away)) >= row
+            torn[below if away[below].mean() > away[~below].mean() else ~below] = True
         return torn
 
     def flat(self, blocks: ImageBlocks) -> Mask | None:
@@ -166,11 +145,11 @@ class Torn:
         if np.count_nonzero(flat) <= least:
             return None
         means = blocks.means.astype(np.int16)
-        flat &= np.abs(means - self._rest).max(axis=-1) > UNLIKE
+        flat &= np.abs(means - self._rest).max(axis=-1) > 10
         if np.count_nonzero(flat) <= least:
             return None
         common = np.median(means[flat], axis=0)
-        flat &= np.abs(means - common).max(axis=-1) <= ALIKE
+        flat &= np.abs(means - common).max(axis=-1) <= 4
         return flat if np.count_nonzero(flat) > least else None
 
     def repeated_rows(self, blocks: ImageBlocks, image: Array) -> Mask | None:
@@ -196,35 +175,16 @@ class Torn:
 
         There the change from the background image steps from one row to the next, further than at any other row. An
         object's edge, even one along the rows, is blurred over several rows, and markers and compression step at many.
+
+        The squared step, summed over its row, is 3 times that of any other row or more: real frames of twelve sensors reach
+        2.3, with dots, ridges and compression. At most an eighth of it is in the rows beside it: an edge that optics blur by
+        0.6 px leaves 0.16. The usual step of 16 pixels' mean counts as 0.25 gray levels at least; whole levels alone give
+        0.16.
         """
         sums = blocks.row_sums.reshape(len(blocks.row_sums), -1)
         work, totals = (np.empty(size, dtype=np.float32) for size in (3 * sums.shape[1], len(sums)))
-        least = 2 * BLOCK_PX * LEAST_STEP  # twice the sum of 16 pixels, as the kernel counts
-        return _seam(sums, self._rest_sums, work, totals, least=least, factor=SEAM_FACTOR, spill=SPILL)
-
-    def displaced_rows(self, blocks: ImageBlocks) -> Mask | None:
-        """Rows (H,) on the side of a seam that fits the background image worse; None if there is no seam."""
-        row = self.seam(blocks)
-        if not row:
-            return None
-        change = np.subtract(blocks.row_sums.reshape(self._rest_sums.shape), self._rest_sums, dtype=np.int32)
-        away = np.abs(change).mean(axis=1)
-        below = np.arange(len(away)) >= row
-        return below if away[below].mean() > away[~below].mean() else ~below
-
-
-def torn_finding(lost: Mask) -> Finding:
-    """The finding `torn`; its figure is the fraction of the frame."""
-    fraction = float(lost.mean())
-    message = (
-        f"{100 * fraction:.0f} % of the frame is torn: it has one color, repeats other rows, or is of another moment. "
-        "Check the cable, and whether other devices share the camera's bandwidth."
-    )
-    return Finding("torn", message, fraction)
-
-
-# Fraction of the frame; a whole frame of one color is dark or saturated if the color is an end of the range.
-MOST_TORN = 0.95
+        least = 2 * BLOCK_PX * 0.25  # twice the sum of 16 pixels, as the kernel counts
+        return _seam(sums, self._rest_sums, work, totals, least=least, factor=3.0, spill=0.125)
 
 
 _signs = Kernel(
@@ -265,14 +225,10 @@ class FrameFaults:
 
 
 class FrameHealth:
-    """Finds faults of the frames of one sensor. It is prepared once and immutable; threads can share it.
+    """Finds faults of the frames of one sensor, from its background image (H, W, 3), 0-255; threads can share it.
 
     It is a pure function of the frame; a stream finds faults that need memory, such as a camera that repeats one image.
     Only a repetition of the background image itself is found here.
-
-    Parameters
-    ----------
-    background : (H, W, 3), 0-255, background image
     """
 
     def __init__(self, background: Array) -> None:
@@ -292,16 +248,27 @@ class FrameHealth:
         if self._is_plainly_sound(blocks):
             return FrameFaults(image)
         torn = self._torn(blocks, image)
-        if torn is not None and torn.mean() > MOST_TORN and self._levels(blocks)[1] is not None:
+        # A whole frame of one color is dark or saturated if the color is an end of the range.
+        if torn is not None and torn.mean() > 0.95 and self._levels(blocks)[1] is not None:
             torn = None
-        levels, clipped = self._levels(blocks, None if torn is None else blocks.centered_in(torn))
-        if torn is None and clipped is None:
-            return FrameFaults(image)
-        lost = np.zeros(image.shape[:2], dtype=bool) if torn is None else _grown(torn)
+        lost, findings = np.zeros(image.shape[:2], dtype=bool), []
+        if torn is not None:
+            fraction = float(torn.mean())
+            message = (
+                f"{100 * fraction:.0f} % of the frame is torn: it has one color, repeats other rows, or is of another "
+                "moment. Check the cable, and whether other devices share the camera's bandwidth."
+            )
+            findings.append(Finding("torn", message, fraction))
+            # With the blocks around, because a fault may cut blocks in two.
+            lost |= cv2.dilate(torn.view(np.uint8), np.ones((2 * BLOCK_PX + 1,) * 2, dtype=np.uint8)) > 0
+            (height, width), middle = blocks.ranges.shape, BLOCK_PX // 2
+            torn = torn[middle::BLOCK_PX, middle::BLOCK_PX][:height, :width]  # at the blocks' centers
+        levels, clipped = self._levels(blocks, torn)
         if clipped is not None:
             lost |= blocks.pixels(clipped, image.shape[1])
-        findings = (*(() if torn is None else (torn_finding(torn),)), *levels)
-        return FrameFaults(np.where(lost[..., None], self._pixels, image), findings, lost)
+        if torn is None and clipped is None:
+            return FrameFaults(image)
+        return FrameFaults(np.where(lost[..., None], self._pixels, image), (*findings, *levels), lost)
 
     def _is_plainly_sound(self, blocks: ImageBlocks) -> bool:
         """Whether the frame shows no sign of a fault: true for nearly every frame, a tenth of the time."""
@@ -326,13 +293,6 @@ def check_untouched_image(image: Array, calibrated: Array) -> None:
         raise CalibrationError(
             f"This image cannot be a background. {faults.findings[0].message} Take it again, with nothing touching the gel."
         )
-
-
-def _grown(lost: Mask) -> Mask:
-    """The blocks and their neighbors, because a fault may cut blocks in two."""
-    kernel = np.ones((2 * BLOCK_PX + 1,) * 2, dtype=np.uint8)
-    grown: Mask = cv2.dilate(lost.view(np.uint8), kernel).view(np.bool_)
-    return grown
 
 
 @dataclass(frozen=True)

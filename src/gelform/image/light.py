@@ -14,20 +14,16 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike
 
 from gelform._native import Kernel
 from gelform.arrays import Array, Map, Mask, Numbers
-from gelform.foundations.checks import check_image
 from gelform.foundations.filters import CHANGE_OFFSET
 from gelform.image.frame import BRIGHT, DARK
 
-BLOCKS = 1200  # blocks of an image: each averages out the noise and is smaller than a contact
 EVERY = 2  # one of so many rows and columns of blocks is used; neighbors share their errors
 # Standard deviation of a light's logarithm by degree, from the same unit's exposure, white balance and lamps, and from
 # those of other units of a make.
 LIGHT_SIGMAS = (0.15, 0.08, 0.05, 0.04)
-ROOM_SIGMA = 20.0  # gray levels, standard deviation of a room's light
 REST_SIGMA = 0.0165  # of a block's logarithm at rest, beyond the light; the largest of four sensors
 LEAST_REST = 0.004  # a block's logarithm at rest never agrees better
 TOUCHED_SIGMA = 0.6  # of that of a touched block; half of the blocks may be touched
@@ -38,14 +34,8 @@ WIDENED = np.array([8.0, 3, 1, 1, 1, 1])
 # and a sensor of another light. Of six sensors, 71 of 71 frames win by 13 or more; of other units none wins by as much in a
 # wrong reading.
 MARGIN = 10.0
-LEAST_OF_ROOM = (
-    0.2  # of the channel that a room lights most; on a GelSlim, a shadow in red alone looks like room light
-)
-# Standard deviations of the prior that a tilt or room light may have: a mirrored image of four sensors needs 2.4 or more.
-MOST = 2.0
-# Standard deviation of a gain's logarithm above which the exposure is called unknown: less than a tenth of the image agrees.
-KNOWN_SIGMA = 0.01
-PRIOR = np.array([LIGHT_SIGMAS[0], LIGHT_SIGMAS[1], LIGHT_SIGMAS[1], ROOM_SIGMA]) ** -2.0
+# Of the prior of gain, tilt to the right and down (logarithms), and room light (gray levels).
+PRIOR = np.array([LIGHT_SIGMAS[0], LIGHT_SIGMAS[1], LIGHT_SIGMAS[1], 20.0]) ** -2.0
 GAIN, WITH_ROOM, TILTED, BOTH = (
     np.array([True, tilted, tilted, room]) for tilted in (False, True) for room in (False, True)
 )
@@ -67,9 +57,9 @@ _fit_light = Kernel(
 
 
 def block_means(image: Array) -> Map:
-    """Means over about 1200 square blocks, (h, w, 3) float32."""
+    """Means over about 1200 square blocks, (h, w, 3) float32: each averages out the noise and is smaller than a contact."""
     height, width = image.shape[:2]
-    step = max(1.0, (height * width / BLOCKS) ** 0.5)
+    step = max(1.0, (height * width / 1200) ** 0.5)
     size = (max(1, round(width / step)), max(1, round(height / step)))
     block = width // size[0]  # OpenCV rounds halves up for 2x2 pixels, to even for more
     if image.dtype == np.uint8 and (height, width) == (block * size[1], block * size[0]) and 2 < block <= 256:
@@ -121,31 +111,25 @@ class FrameLight:
 
         It is the root mean square of the channels.
         """
-        per_level = 1 / (untouched.reshape(-1, 3).T[:, None] + CHANGE_OFFSET)
-        places = np.broadcast_to(_places(untouched.shape[:2]), (3, 3, per_level.shape[-1]))
-        terms = np.concatenate([places, per_level], axis=1)
+        y, x = (place.ravel() for place in np.meshgrid(*map(_centers, untouched.shape[:2]), indexing="ij"))
+        per_level = 1 / (untouched.reshape(-1, 3).T + CHANGE_OFFSET)
+        terms = np.stack(np.broadcast_arrays(1.0, x, y, per_level), axis=1)
         square = ((self.covariance @ terms) * terms).sum(axis=(0, 1)) / 3
         return np.sqrt(square).reshape(untouched.shape[:2]).astype(np.float32)
 
 
 class _Fit(NamedTuple):
-    """A fitted light: values (3, 4), free terms (4,), normal matrices (3, 4, 4), and what the kernel says of it.
+    """A fitted light, and what the kernel says of it; PRIOR makes its normal matrices definite."""
 
-    `far` (n,) are the blocks' changes beyond it, as fractions, of the channel that changed most; `promised` the nats by
-    which a tilt and room light would fit better.
-
-    PRIOR makes the matrices definite; a term that is not free has 1 on the diagonal alone.
-    """
-
-    values: Numbers
-    free: Mask
-    normal: Numbers
-    far: Map
+    values: Numbers  # (3, 4)
+    free: Mask  # (4,), terms; one that is not free has 1 on the matrices' diagonal alone
+    normal: Numbers  # (3, 4, 4)
+    far: Map  # (n,), the blocks' changes beyond it, as fractions, of the channel that changed most
     rest_sigma: float
     at_rest: float
     likelihood: float
     evidence: float
-    promised: float
+    promised: float  # nats by which a tilt and room light would fit better
 
     @property
     def covariance(self) -> Numbers:
@@ -155,25 +139,34 @@ class _Fit(NamedTuple):
 
     @property
     def has_room(self) -> bool:
-        """Whether the light that is added can be a room's: it reaches all channels, with one sign."""
+        """Whether the light that is added can be a room's: it reaches all channels, with one sign.
+
+        Each has over 0.2 of the most that one has; on a GelSlim, a shadow in red alone looks like room light.
+        """
         room = self.values[:, 3] * np.sign(self.values[:, 3].sum())
-        return bool(room.min() > LEAST_OF_ROOM * room.max())
+        return bool(room.min() > 0.2 * room.max())
 
     @property
     def is_likely(self) -> bool:
-        """Whether tilt and room light are as large as they occur."""
-        return bool((np.abs(self.values[:, 1:]) <= MOST * PRIOR[1:] ** -0.5).all())
+        """Whether tilt and room light are within 2 sigma of the prior; mirrored images of four sensors need 2.4 or more."""
+        return bool((np.abs(self.values[:, 1:]) <= 2.0 * PRIOR[1:] ** -0.5).all())
 
 
-class _Seen:
+class _LitBlocks:
     """The blocks (h, w, 3) of an image that are neither dark nor saturated in it and in a background image."""
 
     def __init__(self, blocks: Map, untouched: Map, every: int = EVERY) -> None:
         height, width = (-(-size // every) for size in blocks.shape[:2])
         self.total, size = height * width, height * width + 1
         self._lit, self._work = np.empty((8, size), np.float32), np.empty(14 * size, np.float32)
-        self.medians = np.empty(3, np.float32)
-        self.count = _lit_blocks(blocks, untouched, every, DARK, BRIGHT, self._lit, self.medians, self._work)
+        self._medians = np.empty(3, np.float32)
+        self.count = _lit_blocks(blocks, untouched, every, DARK, BRIGHT, self._lit, self._medians, self._work)
+
+    def gain(self) -> _Fit:
+        """The light as a gain alone, from the blocks' median ratio."""
+        start = np.zeros((3, 4))
+        start[:, 0] = np.log(self._medians)
+        return self.fit(GAIN, start, most=REST_SIGMA)
 
     def fit(
         self,
@@ -201,70 +194,48 @@ class _Seen:
         changes = np.partition(gain.far, (quarter, half))
         least = changes[quarter] if fit is gain else np.partition(fit.far, quarter)[quarter]
         pattern = float(changes[quarter]), float(changes[half])
-        is_known = bool(fit.normal[:, 0, 0].min() >= KNOWN_SIGMA**-2)
+        # With a deviation of the gain's logarithm above 0.01, less than a tenth of the image agrees.
+        is_known = bool(fit.normal[:, 0, 0].min() >= 0.01**-2)
         return FrameLight(
             fit.values, fit.covariance, is_known, fit.at_rest / self.total, float(least), *pattern
         )
 
 
-def light_from_image(image: ArrayLike, background: ArrayLike) -> FrameLight:
-    """The light of an image relative to that of a background image, from the blocks at rest.
-
-    Parameters
-    ----------
-    image, background : (H, W, 3), RGB, 0-255
-
-    Returns
-    -------
-    FrameLight
-        A large contact does not bias the gain, but can leave too few pixels at rest to measure it. Then `is_known` is
-        False, and the covariance says how little is known.
-
-    Raises
-    ------
-    ValueError, TypeError
-        The image or the background is no (H, W, 3) of numbers in 0-255, or they differ in size.
-    """
-    untouched = check_image(background, name="background")
-    pressed = check_image(image, shape=untouched.shape[:2])
-    return light_from_blocks(block_means(pressed), block_means(untouched))
-
-
 def gain_from_blocks(blocks: Map, untouched: Map) -> FrameLight:
     """The light of an image as a gain alone, both from `block_means`."""
-    seen = _Seen(blocks, untouched)
-    if not seen.count:
+    lit_blocks = _LitBlocks(blocks, untouched)
+    if not lit_blocks.count:
         return FrameLight()
-    gain = seen.fit(GAIN, _start(seen), most=REST_SIGMA)
-    return seen.light(gain, gain)
+    gain = lit_blocks.gain()
+    return lit_blocks.light(gain, gain)
 
 
 def light_from_blocks(blocks: Map, untouched: Map, usual: FrameLight | None = None) -> FrameLight:
-    """The light of an image relative to a background image, both from `block_means`.
+    """The light of an image relative to a background image, both from `block_means`; of the blocks at rest.
 
-    Parameters
-    ----------
-    usual : of the moments before: it stays, but for the gain, if it fits better than a gain and no light clearly better
+    A large contact does not bias the gain, but can leave too few blocks at rest to measure it. Then `is_known` is False,
+    and the covariance says how little is known. `usual` is the light of the moments before: it stays, but for the gain,
+    if it fits better than a gain and no light clearly better.
     """
-    seen = _Seen(blocks, untouched)
-    if not seen.count:
+    lit_blocks = _LitBlocks(blocks, untouched)
+    if not lit_blocks.count:
         return FrameLight()
-    gain = seen.fit(GAIN, _start(seen), most=REST_SIGMA)
+    gain = lit_blocks.gain()
     if usual is not None and not usual.is_plain:
-        again = seen.fit(GAIN, usual.values, most=REST_SIGMA)
-        alone = seen.fit(GAIN, gain.values, again.rest_sigma, WIDENED[2:])
+        again = lit_blocks.fit(GAIN, usual.values, most=REST_SIGMA)
+        alone = lit_blocks.fit(GAIN, gain.values, again.rest_sigma, WIDENED[2:])
         if again.promised <= MARGIN and again.likelihood > alone.likelihood:
-            return replace(seen.light(again, gain), covariance=usual.covariance)
+            return replace(lit_blocks.light(again, gain), covariance=usual.covariance)
     if gain.promised <= MARGIN:
-        return seen.light(gain, gain)
-    both = seen.fit(BOTH, gain.values)
+        return lit_blocks.light(gain, gain)
+    both = lit_blocks.fit(BOTH, gain.values)
     alone, *others = (
-        seen.fit(free, np.where(free, start.values, 0), both.rest_sigma, WIDENED[2:])
+        lit_blocks.fit(free, np.where(free, start.values, 0), both.rest_sigma, WIDENED[2:])
         for free, start in ((GAIN, gain), (TILTED, both), (WITH_ROOM, both), (BOTH, both))
     )
     best = max((one for one in others if one.has_room or not one.free[3]), key=lambda one: one.evidence)
     is_better = best.evidence - alone.evidence > MARGIN and best.is_likely
-    return seen.light(best if is_better else gain, gain)
+    return lit_blocks.light(best if is_better else gain, gain)
 
 
 def light_at_rest(blocks: Map, untouched: Map, start: Numbers) -> Numbers:
@@ -272,16 +243,14 @@ def light_at_rest(blocks: Map, untouched: Map, start: Numbers) -> Numbers:
 
     All terms are fitted: where nothing touches, a term too many costs nothing.
     """
-    return _Seen(blocks, untouched, every=1).fit(BOTH, start).values
+    return _LitBlocks(blocks, untouched, every=1).fit(BOTH, start).values
 
 
 def lit(levels: Map, light: Numbers) -> Map:
-    """An image or its blocks (H, W, 3) in another light.
+    """An image or its blocks (H, W, 3) in another light (3, 4).
 
-    Parameters
-    ----------
-    light : (3, 4), of each channel: the logarithm by which it is brighter in the middle, what is added to this to the right
-        border and to the lower border, and the gray levels that a room's light adds
+    A light is, of each channel: the logarithm by which it is brighter in the middle, what is added to this to the right
+    border and to the lower border, and the gray levels that a room's light adds.
     """
     return np.asarray(
         levels * _factor(levels.shape, light) + light[:, 3].astype(np.float32), dtype=np.float32
@@ -306,24 +275,11 @@ def scale_of_light(shape: tuple[int, ...], light: Numbers) -> Map:
     return np.concatenate([columns, rows, light[None, :, 3]]).ravel().astype(np.float32)
 
 
-def _start(seen: _Seen) -> Numbers:
-    """The light (3, 4) of the blocks' median ratio."""
-    start = np.zeros((3, 4))
-    start[:, 0] = np.log(seen.medians)
-    return start
-
-
 def _factor(shape: tuple[int, ...], light: Numbers) -> Map:
     """What a light multiplies pixels or blocks by, (H, W, 3)."""
     y, x = map(_centers, shape[:2])
     columns = np.exp(light[:, 0] + x[:, None] * light[:, 1]).astype(np.float32)
     return np.asarray(columns * np.exp(y[:, None, None] * light[:, 2]).astype(np.float32))
-
-
-def _places(shape: tuple[int, int]) -> Numbers:
-    """1, x and y (3, h w) of blocks (h, w), from -1 to 1."""
-    y, x = map(_centers, shape)
-    return np.stack([np.ones(len(x) * len(y)), np.tile(x, len(y)), np.repeat(y, len(x))])
 
 
 def _centers(count: int) -> Numbers:

@@ -1,13 +1,8 @@
-"""frame -> image and back: the view, its lens, and resampling in one pass.
+"""frame -> image: lens, crop, flip and resize in one remap, then a quarter turn; and points there and back.
 
-Resampling of an image in one pass: averages over boxes of whole pixels, then one bilinear remap.
-
-Pixel centers are at integers, so a pixel covers half a pixel on each side of its number, and resizing maps *areas*.
-If an image is reduced strongly, whole pixels are averaged first, which avoids aliasing.
-
-frame -> image: lens, crop, flip and resize in one remap, and back.
-
-Pixel centers are at integers and resizing maps areas: `x_frame = (x_image + 1/2) scale - 1/2 + left`.
+Pixel centers are at integers, so a pixel covers half a pixel on each side of its number, and resizing maps *areas*:
+`x_frame = (x_image + 1/2) scale - 1/2 + left`. If an image is reduced strongly, whole pixels are averaged first, which
+avoids aliasing.
 
 With a lens the crop is part of the *rectified* frame, which has the frame's size and square pixels on the gel; each of
 its pixels is looked up in the frame through the perspective and the distortion.
@@ -15,7 +10,7 @@ its pixels is looked up in the frame through the perspective and the distortion.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from typing import Any
@@ -38,7 +33,7 @@ def box_centers(
     in a box, which is the integer part of the reduction.
     """
     scale = length / count
-    box = max(1, int(scale + 0.5))
+    box = _box_px(scale)
     first = min(int(start), available - 1)
     last = min(available, int(np.ceil(start + length)))
     centers = (np.arange(count) + 0.5) * scale + start
@@ -47,25 +42,20 @@ def box_centers(
     return (centers - first) / box - 0.5, slice(first, last), box
 
 
+def _box_px(reduction: float) -> int:
+    """Whole pixels that are averaged along an axis which is reduced by a factor."""
+    return max(1, int(reduction + 0.5))
+
+
 def averaged(pixels: Array, box: tuple[int, int]) -> Array:
     """Mean of pixels (H, W, 3) over boxes (height, width); the last box repeats the border beyond the frame."""
     if box == (1, 1):
         return pixels
-    boxes = [-(-pixels.shape[axis] // box[axis]) for axis in (0, 1)]
-    missing = [boxes[axis] * box[axis] - pixels.shape[axis] for axis in (0, 1)]
-    if any(missing):
-        pixels = cv2.copyMakeBorder(pixels, 0, missing[0], 0, missing[1], cv2.BORDER_REPLICATE)
-    averaged: Array = cv2.resize(pixels, (boxes[1], boxes[0]), interpolation=cv2.INTER_AREA)
-    return averaged
-
-
-def pixel_maps(x: Array, y: Array) -> tuple[Map, Map]:
-    """Maps (h, w) of each pixel's position in the source.
-
-    All rows of the maps have the columns x (w,), and all columns the rows y (h,).
-    """
-    map_x, map_y = np.meshgrid(x.astype(np.float32), y.astype(np.float32))
-    return _read_only(map_x), _read_only(map_y)
+    down, across = (-size % side for size, side in zip(pixels.shape, box))
+    if down or across:
+        pixels = cv2.copyMakeBorder(pixels, 0, down, 0, across, cv2.BORDER_REPLICATE)
+    size = pixels.shape[1] // box[1], pixels.shape[0] // box[0]
+    return np.asarray(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA))
 
 
 def pixel_positions(shape: tuple[int, int]) -> NDArray[np.int64]:
@@ -74,29 +64,7 @@ def pixel_positions(shape: tuple[int, int]) -> NDArray[np.int64]:
     return np.stack([x.ravel(), y.ravel()], axis=1)
 
 
-def maps_of_positions(positions_px: Array, shape: tuple[int, int]) -> tuple[Map, Map]:
-    """Maps (H, W) of positions (H*W, 2), x and y, in the source, as `remapped` takes them."""
-    map_x, map_y = (positions_px[:, k].reshape(shape).astype(np.float32) for k in (0, 1))
-    return _read_only(map_x), _read_only(map_y)
-
-
-def _read_only(values: Array) -> Array:
-    """The same array, read-only, because threads share prepared maps."""
-    values.setflags(write=False)
-    return values
-
-
-def remapped(pixels: Array, map_x: Array, map_y: Array) -> Array:
-    """Bilinear values at maps (h, w) of source columns and rows; the border is repeated beyond it."""
-    found: Array = cv2.remap(pixels, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return found
-
-
 IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)  # homography, row by row
-# Rounds of Newton's method at most; it ends with a smaller step, px.
-UNDISTORTION_ROUNDS, UNDISTORTED_PX = 40, 1e-9
-DIFFERENCE_PX = 1e-3  # px, step of central differences: far above rounding, far below a lens's curvature
-LEAST_AREA = 1e-3  # px^2 per px^2; the map is folded where it changes area by less, and has no inverse there
 KEYS = ("camera", "distortion", "perspective")
 
 
@@ -104,10 +72,7 @@ KEYS = ("camera", "distortion", "perspective")
 class Lens:
     """A pinhole camera with Brown's distortion that views a plane from any side.
 
-    Raises
-    ------
-    ValueError
-        Another count of numbers, a number that is not finite, a focal length <= 0, or a singular perspective.
+    ValueError: another count of numbers, a number that is not finite, a focal length <= 0, or a singular perspective.
     """
 
     camera: tuple[float, ...]  # (fx, fy, cx, cy), px
@@ -119,12 +84,13 @@ class Lens:
     perspective: tuple[float, ...] = IDENTITY
 
     def __post_init__(self) -> None:
-        for name, low, high in (("camera", 4, 4), ("distortion", 0, 5), ("perspective", 9, 9)):
-            values = _lens_numbers(getattr(self, name), name)
-            if not low <= len(values) <= high:
-                wanted = f"{low}" if low == high else f"up to {high}"
-                raise ValueError(f"Expected the lens's {name} as {wanted} numbers, got {len(values)}.")
-            object.__setattr__(self, name, values)
+        for name, counts, words in (
+            ("camera", (4,), "4"),
+            ("distortion", range(6), "up to 5"),
+            ("perspective", (9,), "9"),
+        ):
+            wanted = f"the lens's {name} as {words} finite numbers"
+            object.__setattr__(self, name, _numbers(getattr(self, name), counts, wanted))
         if min(self.camera[:2]) <= 0:
             raise ValueError(f"Expected focal lengths > 0 px, got {self.camera[:2]}.")
         # Of rows of any length: a homography in px has rows of 1, 1000 and 1e-6.
@@ -159,33 +125,27 @@ class Lens:
         )
 
     def rectified_px_from_frame_px(self, points_px: Array) -> Numbers:
-        """Positions (N, 2) in the rectified plane of points of the frame: the inverse of `frame_px_from_rectified_px`."""
-        flat = self._undistorted(np.asarray(points_px, dtype=np.float64))
+        """Positions (N, 2) in the rectified plane of points of the frame: the inverse of `frame_px_from_rectified_px`.
+
+        By Newton's method: from the given point it approaches the answer from one side.
+        """
+        distorted = np.asarray(points_px, dtype=np.float64)
+        flat = distorted.copy()
+        step_px = 1e-3  # of central differences: far above rounding, far below a lens's curvature
+        along_x, along_y = np.array([step_px, 0.0]), np.array([0.0, step_px])
+        for _ in range(40):
+            by_x = (self._distorted(flat + along_x) - self._distorted(flat - along_x)) / (2 * step_px)
+            by_y = (self._distorted(flat + along_y) - self._distorted(flat - along_y)) / (2 * step_px)
+            (xx, yx), (xy, yy) = by_x.T, by_y.T
+            excess_x, excess_y = (self._distorted(flat) - distorted).T
+            # The map is folded where it changes area by less than 1e-3, and has no inverse there.
+            area = np.maximum(xx * yy - xy * yx, 1e-3)[:, None]
+            step = np.stack([yy * excess_x - xy * excess_y, xx * excess_y - yx * excess_x], axis=1) / area
+            flat -= np.clip(step, -min(self.camera[:2]), min(self.camera[:2]))
+            if np.abs(step).max(initial=0) < 1e-9:
+                break
         back = cv2.perspectiveTransform(flat[None], np.linalg.inv(self._homography))
         return np.asarray(back[0], dtype=np.float64)
-
-    def _undistorted(self, distorted: Numbers) -> Numbers:
-        """The inverse of `_distorted`, by Newton's method: from the given point it approaches the answer from one side."""
-        flat = distorted.copy()
-        for _ in range(UNDISTORTION_ROUNDS):
-            xx, yx, xy, yy = self._distortion_slopes(flat)
-            excess_x, excess_y = (self._distorted(flat) - distorted).T
-            area = np.maximum(xx * yy - xy * yx, LEAST_AREA)
-            step = (
-                np.stack([yy * excess_x - xy * excess_y, xx * excess_y - yx * excess_x], axis=1)
-                / area[:, None]
-            )
-            flat -= np.clip(step, -min(self.camera[:2]), min(self.camera[:2]))
-            if np.abs(step).max(initial=0) < UNDISTORTED_PX:
-                break
-        return flat
-
-    def _distortion_slopes(self, flat: Numbers) -> tuple[Numbers, ...]:
-        """The derivatives dx/dx, dy/dx, dx/dy, dy/dy of `_distorted`, by central differences."""
-        along_x, along_y = np.array([DIFFERENCE_PX, 0.0]), np.array([0.0, DIFFERENCE_PX])
-        by_x = (self._distorted(flat + along_x) - self._distorted(flat - along_x)) / (2 * DIFFERENCE_PX)
-        by_y = (self._distorted(flat + along_y) - self._distorted(flat - along_y)) / (2 * DIFFERENCE_PX)
-        return by_x[:, 0], by_x[:, 1], by_y[:, 0], by_y[:, 1]
 
     def to_dict(self) -> dict[str, list[float]]:
         """The settings, as values that JSON and TOML can hold."""
@@ -201,17 +161,7 @@ class Lens:
             raise ValueError(
                 f"Expected settings of a lens among {', '.join(KEYS)} (camera is needed), got {', '.join(settings)}."
             )
-        return cls(**{name: _lens_numbers(value, name) for name, value in settings.items()})
-
-
-def _lens_numbers(values: Any, name: str) -> tuple[float, ...]:
-    try:
-        numbers = tuple(float(value) for value in values)
-    except (TypeError, ValueError):
-        raise ValueError(f"Expected the lens's {name} as numbers, got {values!r}.") from None
-    if not all(np.isfinite(numbers)):
-        raise ValueError(f"Expected the lens's {name} as finite numbers, got {values!r}.")
-    return numbers
+        return cls(**settings)
 
 
 MAX_PIXELS = 200e6  # pixels of a frame or an image, at most
@@ -254,8 +204,14 @@ class View:
         if self.lens is not None and not isinstance(self.lens, Lens):
             object.__setattr__(self, "lens", Lens.from_dict(self.lens))
         for name in ("frame_shape", "image_shape"):
-            object.__setattr__(self, name, _size_of(getattr(self, name), name))
-        object.__setattr__(self, "crop", _crop_of(self.crop, self.frame_shape))
+            if (value := getattr(self, name)) is not None:
+                height, width = _numbers(value, (2,), f"{name} as (height, width) in pixels")
+                whole = height == int(height) and width == int(width)
+                if min(height, width) < 1 or height * width > MAX_PIXELS or not whole:
+                    raise ValueError(f"Expected {name} as two whole numbers of pixels, got {value}.")
+                object.__setattr__(self, name, (int(height), int(width)))
+        if self.crop is not None:
+            object.__setattr__(self, "crop", _checked_crop(self.crop, self.frame_shape))
         check_choice(self.flip, FLIPS, "the view's flip")
         check_choice(self.turn, TURNS, "the view's turn")
         if self.frame_shape is None and (self.crop or self.image_shape or self.lens):
@@ -275,14 +231,12 @@ class View:
     @property
     def is_identity(self) -> bool:
         """Whether images are unchanged frames."""
-        if self.turn != "none":
+        if self.flip != "none" or self.turn != "none" or self.lens is not None:
             return False
         if self.frame_shape is None:
-            return self.flip == "none"
+            return True
         height, width = self.frame_shape
-        if self.lens is not None:
-            return False
-        return self.flip == "none" and self._box == (0, 0, width, height) and self.shape == self.frame_shape
+        return self._box == (0, 0, width, height) and self.shape == self.frame_shape
 
     @property
     def unturned(self) -> View:
@@ -384,60 +338,31 @@ def image_from_frame(frame: ArrayLike, view: View) -> Array:
         return pixels
     if view.turn != "none":
         return np.ascontiguousarray(np.rot90(image_from_frame(pixels, view.unturned), TURNS[view.turn]))
-    view = view.of_frames(shape)
-    if view.lens is not None:
-        box, map_x, map_y = _maps_through_lens(view)
-        return remapped(averaged(pixels, box), map_x, map_y)
-    rows, columns, box, map_x, map_y = _maps_to_image(view)
-    return remapped(averaged(pixels[rows, columns], box), map_x, map_y)
+    cut, box, map_x, map_y = _maps_to_image(view.of_frames(shape))
+    source = averaged(pixels[cut], box)
+    return np.asarray(cv2.remap(source, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
 
 
-def frame_from_image(image: ArrayLike, view: View) -> Array:
-    """Make a frame whose view is the image; `image_from_frame` is the inverse.
+@lru_cache(maxsize=8)
+def _maps_to_image(view: View) -> tuple[tuple[slice, slice], tuple[int, int], Map, Map]:
+    """The part of the frame to cut out, the box to average, and maps (h, w) of each image pixel's place in the result.
 
-    Frame pixels outside the view repeat the nearest pixel inside.
-
-    Parameters
-    ----------
-    image : view.shape + (3,) RGB, uint8 or float (0-255)
-    view : View
-
-    Returns
-    -------
-    frame : view.frame_shape + (3,), dtype of the image
-
-    Raises
-    ------
-    ValueError, TypeError
-        The image does not have the size of the view's images.
+    The maps are read-only, because threads share them.
     """
-    check_is(view, View, "view")
-    pixels = check_image(image, shape=view.shape)
-    if view.is_identity:
-        return pixels
-    if view.turn != "none":
-        return np.ascontiguousarray(frame_from_image(np.rot90(pixels, -TURNS[view.turn]), view.unturned))
-    view = view.of_frames((pixels.shape[0], pixels.shape[1]))
-    return remapped(pixels, *_maps_to_frame(view))
-
-
-@lru_cache(maxsize=8)
-def _maps_to_image(view: View) -> tuple[slice, slice, tuple[int, int], Array, Array]:
-    """The rows and columns to cut out of the frame, the box to average, and each image pixel's position in the result."""
     (frame, image), (left, top, width, height) = view._sizes, view._box
-    x, columns, box_x = box_centers(left, width, frame[1], image[1], "x" in view.flip)
-    y, rows, box_y = box_centers(top, height, frame[0], image[0], "y" in view.flip)
-    return rows, columns, (box_y, box_x), *pixel_maps(x, y)
-
-
-@lru_cache(maxsize=8)
-def _maps_through_lens(view: View) -> tuple[tuple[int, int], Array, Array]:
-    """The box to average in the whole frame, and each image pixel's position in the result."""
-    shape, (_, _, width, height) = view._sizes[1], view._box
-    box = max(1, int(height / shape[0] + 0.5)), max(1, int(width / shape[1] + 0.5))
-    points = frame_px_from_image_px(pixel_positions(shape), view)
-    in_boxes = (points + 0.5) / (box[1], box[0]) - 0.5
-    return box, *maps_of_positions(in_boxes, shape)
+    if view.lens is None:
+        x, columns, box_x = box_centers(left, width, frame[1], image[1], "x" in view.flip)
+        y, rows, box_y = box_centers(top, height, frame[0], image[0], "y" in view.flip)
+        cut, box = (rows, columns), (box_y, box_x)
+        x, y = np.meshgrid(x, y)
+    else:
+        cut, box = (slice(None), slice(None)), (_box_px(height / image[0]), _box_px(width / image[1]))
+        points = frame_px_from_image_px(pixel_positions(image), view)
+        x, y = ((points + 0.5) / box[::-1] - 0.5).T.reshape(2, *image)
+    map_x, map_y = x.astype(np.float32), y.astype(np.float32)
+    map_x.setflags(write=False)
+    map_y.setflags(write=False)
+    return cut, box, map_x, map_y
 
 
 def frame_px_from_image_px(points_px: ArrayLike, view: View) -> Numbers:
@@ -479,27 +404,8 @@ def _flipped(points: Numbers, view: View) -> Numbers:
     )
 
 
-@lru_cache(maxsize=8)
-def _maps_to_frame(view: View) -> tuple[Array, Array]:
-    """The position of each frame pixel in the image."""
-    frame_shape = view._sizes[0]
-    points = image_px_from_frame_px(pixel_positions(frame_shape), view)
-    return maps_of_positions(points, frame_shape)
-
-
-def _size_of(value: Any, name: str) -> tuple[int, int] | None:
-    if value is None:
-        return None
-    numbers = _numbers(value, 2, f"{name} as (height, width)")
-    if min(numbers) < 1 or numbers[0] * numbers[1] > MAX_PIXELS or any(n != int(n) for n in numbers):
-        raise ValueError(f"Expected {name} as two whole numbers of pixels, got {value}.")
-    return int(numbers[0]), int(numbers[1])
-
-
-def _crop_of(value: Any, frame_shape: tuple[int, int] | None) -> tuple[float, float, float, float] | None:
-    if value is None:
-        return None
-    left, top, width, height = _numbers(value, 4, "crop as (left, top, width, height)")
+def _checked_crop(value: Any, frame_shape: tuple[int, int] | None) -> tuple[float, float, float, float]:
+    left, top, width, height = _numbers(value, (4,), "crop as (left, top, width, height) in pixels")
     if left < 0 or top < 0 or width < 1 or height < 1:
         raise ValueError(
             f"Expected crop (left, top, width, height), left, top >= 0, a size >= 1 px, got {value}."
@@ -513,13 +419,13 @@ def _crop_of(value: Any, frame_shape: tuple[int, int] | None) -> tuple[float, fl
     return left, top, width, height
 
 
-def _numbers(value: Any, count: int, wanted: str) -> tuple[float, ...]:
+def _numbers(values: Any, counts: Collection[int], wanted: str) -> tuple[float, ...]:
     try:
-        numbers = tuple(float(number) for number in value)
+        numbers = tuple(float(value) for value in values)
     except (TypeError, ValueError):
-        raise ValueError(f"Expected {wanted} in pixels, got {value!r}.") from None
-    if len(numbers) != count or not all(np.isfinite(numbers)):
-        raise ValueError(f"Expected {wanted} in pixels, got {value!r}.")
+        numbers = (np.nan,)
+    if len(numbers) not in counts or not all(np.isfinite(numbers)):
+        raise ValueError(f"Expected {wanted}, got {values!r}.")
     return numbers
 
 

@@ -14,7 +14,7 @@ from gelform.errors import SensorError
 
 if TYPE_CHECKING:
     from gelform.image.view import View
-    from gelform.simulate.sensor.sensor import SimulatedSensor
+    from gelform.simulate.sensor import SimulatedSensor
 
 
 # mm, widths of sensors' gels: usual ones, and the limits of what is believed. Of a known make half to twice is believed:

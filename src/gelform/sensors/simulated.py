@@ -33,10 +33,9 @@ from gelform.simulate import (
     text_relief,
 )
 from gelform.simulate.gel import Gel
-from gelform.simulate.light import exposed
+from gelform.simulate.light import exposed, image_from_levels
 from gelform.simulate.presets import LAYOUTS
-from gelform.simulate.sensor.camera import image_from_levels
-from gelform.simulate.sensor.sensor import Coating, Led, Optics, Timing, led_color
+from gelform.simulate.sensor import Coating, Led, Optics, Timing, led_color
 
 SECTIONS = {"gel": Gel, "coating": Coating, "optics": Optics, "timing": Timing}
 OWN_KEYS = ("base", "exposed_levels")

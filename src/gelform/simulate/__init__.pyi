@@ -31,10 +31,10 @@ from .press import simulate_press as simulate_press
 from .press import simulate_sequence as simulate_sequence
 from .press import slide_poses as slide_poses
 from .press import twist_poses as twist_poses
-from .sensor.sensor import Coating as Coating
-from .sensor.sensor import Led as Led
-from .sensor.sensor import Optics as Optics
-from .sensor.sensor import SimulatedSensor as SimulatedSensor
-from .sensor.sensor import Timing as Timing
-from .sensor.sensor import led_color as led_color
+from .sensor import Coating as Coating
+from .sensor import Led as Led
+from .sensor import Optics as Optics
+from .sensor import SimulatedSensor as SimulatedSensor
+from .sensor import Timing as Timing
+from .sensor import led_color as led_color
 from .twin import Twin as Twin

@@ -1,7 +1,5 @@
 """The gel: its surface follows the indenter in the contact, relaxes around it, and is dragged along.
 
-The gel: its surface follows the indenter in the contact, relaxes around it, and is dragged along.
-
 The surface is a membrane under tension on an elastic bed, held up by the indenter: of all surfaces u that do
 not enter the indenter's face g, the one of least energy
 
@@ -26,6 +24,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import cv2
 import numpy as np
@@ -37,8 +36,31 @@ from gelform.errors import ConvergenceError
 from gelform.foundations.checks import check_positive
 from gelform.simulate.indenters import Ball, Indenter, Pose
 
+
+@dataclass(frozen=True)
+class Gel:
+    """The material of the gel.
+
+    Attributes
+    ----------
+    thickness_mm : the displaced gel rises within about this distance of the contact
+    bulge : part of the displaced volume that rises around the contact, 0 to 0.95: 0 for a foam, near 1 for rubber
+    friction : distance that the surface is dragged before it slips, per mm of depth; >= 0
+    """
+
+    thickness_mm: float = 3.0
+    bulge: float = 0.0
+    friction: float = 0.8
+
+    def __post_init__(self) -> None:
+        check_positive(self.thickness_mm, "thickness_mm")
+        if not 0 <= self.bulge <= 0.95:
+            raise ValueError(f"Expected bulge in 0-0.95, got {self.bulge}.")
+        if not 0 <= self.friction < np.inf:
+            raise ValueError(f"Expected friction >= 0, got {self.friction}.")
+
+
 NODES = 200  # of the differences that solve the bulge inside the contact; measured error 3e-6 of its height
-TABLE = 4096  # distances at which depth outside the contact is tabulated; measured error 25 nm
 
 _ball_surface = Kernel(
     "ball_surface",
@@ -54,15 +76,13 @@ class BallPress:
     Inside the contact radius `z = depth - R + sqrt(R^2 - r^2)`, beyond it a sum of two Bessel functions K0.
     """
 
-    # radius_mm, depth_mm: radius of the ball, and its depth in the gel
     radius_mm: float
     depth_mm: float
     contact_radius_mm: float  # of the circle in which they touch
-    # depth at the rim that falls off over the relaxation length: the membrane, less the part of the bulge with the
-    # same length
+    # Depth at the rim that falls off over `relaxation_mm`: the membrane, less the part of the bulge with the same length;
+    # and height there of the part of the bulge that falls off over `thickness_mm`.
     tail_mm: float
-    bulge_mm: float  # height at the rim of the part of the bulge that falls off over the thickness
-    # relaxation_mm, thickness_mm: the lengths over which the two fall off
+    bulge_mm: float
     relaxation_mm: float
     thickness_mm: float
 
@@ -79,56 +99,49 @@ class BallPress:
 
 
 @lru_cache(maxsize=256)
-def ball_press(
-    radius_mm: float, depth_mm: float, relaxation_mm: float, *, thickness_mm: float = 3.0, bulge: float = 0.0
-) -> BallPress:
+def ball_press(radius_mm: float, depth_mm: float, relaxation_mm: float, gel: Gel) -> BallPress:
     """The press of a ball whose foremost point stands `depth_mm` in a gel; lengths in mm."""
-    thickness_mm = _apart(thickness_mm, relaxation_mm)
+    thickness_mm = _thickness(gel, relaxation_mm)
+
+    def rim(a: float) -> tuple[float, float, float]:
+        return _rim(a, radius_mm, depth_mm, relaxation_mm, thickness_mm, gel.bulge)
 
     def mismatch(a: float) -> float:
-        cosine = np.sqrt(radius_mm**2 - a**2)
-        return float(_rim(a, radius_mm, depth_mm, relaxation_mm, thickness_mm, bulge)[0] * cosine)
+        return float(rim(a)[0] * np.sqrt(radius_mm**2 - a**2))
 
     limits = 1e-6 * radius_mm, radius_mm * (1 - 1e-12)
     a = float(scipy.optimize.brentq(mismatch, *limits, xtol=1e-12 * radius_mm))
-    _, membrane, risen = _rim(a, radius_mm, depth_mm, relaxation_mm, thickness_mm, bulge)
-    follows = bulge * membrane / (1 - (thickness_mm / relaxation_mm) ** 2)
+    _, membrane, risen = rim(a)
+    follows = gel.bulge * membrane / (1 - (thickness_mm / relaxation_mm) ** 2)
     return BallPress(radius_mm, depth_mm, a, membrane - follows, risen - follows, relaxation_mm, thickness_mm)
 
 
-def depth_of_ball(
-    radius_mm: float,
-    rim_slope: float,
-    relaxation_mm: float,
-    *,
-    thickness_mm: float = 3.0,
-    bulge: float = 0.0,
-) -> float:
+def depth_of_ball(radius_mm: float, rim_slope: float, relaxation_mm: float, gel: Gel) -> float:
     """Depth of a ball, mm, at which its slope at the contact's rim is `rim_slope`."""
-    thickness_mm = _apart(thickness_mm, relaxation_mm)
-    a = rim_slope * radius_mm / np.hypot(1, rim_slope)
-    at_0, at_1 = (_rim(a, radius_mm, d, relaxation_mm, thickness_mm, bulge)[0] for d in (0.0, 1.0))
+    a, thickness_mm = rim_slope * radius_mm / np.hypot(1, rim_slope), _thickness(gel, relaxation_mm)
+    at_0, at_1 = (_rim(a, radius_mm, d, relaxation_mm, thickness_mm, gel.bulge)[0] for d in (0.0, 1.0))
     return float(at_0 / (at_0 - at_1))  # the mismatch is linear in the depth
 
 
-def ball_on_grid(
-    press: BallPress, x_mm: Array, y_mm: Array, center_mm: tuple[float, float]
-) -> tuple[Numbers, Numbers, Mask]:
-    """Depth (H, W), gradients (H, W, 2) and contact of a ball on a grid."""
-    a = press.contact_radius_mm
+def _surface_of_ball(
+    press: BallPress, x_mm: Numbers, y_mm: Numbers, center_mm: tuple[float, float]
+) -> Surface:
     length = max(press.relaxation_mm, press.thickness_mm) if press.bulge_mm else press.relaxation_mm
-    step = 16 * length / (TABLE - 1)  # e^-16: beyond, the gel is at rest
-    depth, slope = _table(press, step)
-    z, gradients = np.zeros((y_mm.size, x_mm.size)), np.zeros((y_mm.size, x_mm.size, 2))
-    touching = np.zeros(z.shape, dtype=bool)
+    table = _table(press, 16 * length)  # e^-16: beyond, the gel is at rest
+    surface = flat_surface(x_mm, y_mm)
     dx, dy = np.ravel(x_mm) - center_mm[0], np.ravel(y_mm) - center_mm[1]
-    _ball_surface(dx, dy, depth, slope, z, gradients, touching, press.radius_mm, press.depth_mm, a, step)
-    return z, gradients, touching
+    _ball_surface(
+        dx, dy, *table[1:], surface.depth_mm, surface.gradients, surface.contact, press.radius_mm, press.depth_mm,
+        press.contact_radius_mm, table[0],
+    )  # fmt: skip
+    return surface
 
 
 @lru_cache(maxsize=64)
-def _table(press: BallPress, step: float) -> tuple[Numbers, Numbers]:
-    return press.tail(press.contact_radius_mm + step * np.arange(TABLE))
+def _table(press: BallPress, reach_mm: float) -> tuple[float, Numbers, Numbers]:
+    """Step, depth and slope at 4096 distances beyond the contact; measured error 25 nm."""
+    step = reach_mm / 4095
+    return step, *press.tail(press.contact_radius_mm + step * np.arange(4096))
 
 
 def _rim(
@@ -173,9 +186,10 @@ def _bulge_inside(
     return b, -coupling * (float(face[-1]) + b) - kh * b
 
 
-def _apart(thickness_mm: float, relaxation_mm: float) -> float:
+def _thickness(gel: Gel, relaxation_mm: float) -> float:
     """The thickness, changed by a thousandth if it equals the relaxation length, because the formula has a pole there."""
-    return relaxation_mm * (1 + 1e-3) if abs(thickness_mm / relaxation_mm - 1) < 1e-3 else thickness_mm
+    apart = abs(gel.thickness_mm / relaxation_mm - 1)
+    return relaxation_mm * (1 + 1e-3) if apart < 1e-3 else gel.thickness_mm
 
 
 TOLERANCE = 1e-5  # largest change by a cycle over the deepest point: 5 nm for a press 0.5 mm deep
@@ -189,7 +203,7 @@ _membrane_cycles = Kernel(
 
 
 def membrane_over(
-    obstacle: Array, *, relaxation_px: float, bulge: float = 0.0, bulge_px: float = 1.0
+    obstacle: Array, *, relaxation_px: float, bulge: float = 0.0, bulge_px: float = 1.0, guess: bool = False
 ) -> tuple[Numbers, Numbers]:
     """The membrane w of least energy over an obstacle and the bulge b of its gel; no force across the border.
 
@@ -198,29 +212,40 @@ def membrane_over(
     `b - h^2 laplace(b) = bulge w`. The surface is w - b: the obstacle where they touch, and its volume over the
     whole grid is (1 - bulge) times that of w.
 
-    Parameters
-    ----------
-    obstacle : (H, W), g; below 0 where the gel would be touched only if it rises
-    relaxation_px, bulge_px : the lengths L and h in samples
-    bulge : 0 (compressible) to 1 (incompressible), 1 excluded
+    The first guess comes from the grid of half the resolution; cycles go on until the change is below the tolerance. A guess
+    (`guess`) may stop before that, because on a coarse relief two contacts can alternate forever.
 
-    Returns
-    -------
-    membrane, bulge : (H, W) float64 each; without a bulge the obstacle itself bit for bit where they touch
-
-    Raises
-    ------
-    ConvergenceError
-        The cycles did not converge.
-
-    Notes
-    -----
     R. Kornhuber, Monotone multigrid methods for elliptic variational inequalities I, Numer. Math. 69, 1994,
     truncated: coarse grids correct only samples without contact. The smoother is C. W. Cryer's projected
     relaxation (SIAM J. Control 9(3), 1971), red-black.
+
+    `obstacle` (H, W) is g, below 0 where the gel would be touched only if it rises; `relaxation_px` and `bulge_px` are L and
+    h in samples; `bulge` is 0 (compressible) to 1 (incompressible), 1 excluded. Returns w and b (H, W); without a bulge w is
+    the obstacle itself bit for bit where they touch. ConvergenceError: the cycles did not converge.
     """
     g = np.ascontiguousarray(obstacle, dtype=np.float64)
-    return _solved(g, relaxation_px, bulge=bulge, bulge_px=bulge_px)
+    u, b = _coarse_guess(g, relaxation_px, bulge, bulge_px)
+    grids = _Grids(g.shape, relaxation_px)
+    np.maximum(g + b, 0, out=grids.lowest)
+    grids.u[:] = np.maximum(u, grids.lowest)
+    target = TOLERANCE * max(float(g.max()), 1e-12)
+    most = MAX_CYCLES // 4 if guess else MAX_CYCLES
+    if bulge == 0:
+        change = grids.cycle(target, most)
+    for _ in range(most if bulge > 0 else 0):
+        change = grids.cycle(target, 1)
+        risen = spread(grids.u, bulge_px) * bulge
+        change = max(change, float(np.abs(risen - b).max()))
+        b = risen
+        np.maximum(g + b, 0, out=grids.lowest)
+        if change <= target:
+            break
+    if change > target and not guess:
+        raise ConvergenceError(
+            f"The gel's surface did not settle in {MAX_CYCLES} cycles (change {change:.3g}). "
+            f"Its relaxation length is {relaxation_px:.3g} samples: simulate with another oversample."
+        )
+    return np.maximum(grids.u, grids.lowest), b
 
 
 class _Grids:
@@ -246,56 +271,21 @@ class _Grids:
         return float(self._change[0])
 
 
-def _solved(
-    g: Numbers, relaxation_px: float, *, bulge: float, bulge_px: float, guess: bool = False
-) -> tuple[Numbers, Numbers]:
-    """First guess from the grid of half the resolution, then cycles until the change is below the tolerance.
-
-    A first guess may stop before that, because on a coarse relief two contacts can alternate forever.
-    """
-    u, b = _coarse_guess(g, relaxation_px, bulge, bulge_px)
-    grids = _Grids(g.shape, relaxation_px)
-    np.maximum(g + b, 0, out=grids.lowest)
-    grids.u[:] = np.maximum(u, grids.lowest)
-    target = TOLERANCE * max(float(g.max()), 1e-12)
-    most = MAX_CYCLES // 4 if guess else MAX_CYCLES
-    if bulge == 0:
-        change = grids.cycle(target, most)
-    for _ in range(most if bulge > 0 else 0):
-        change = grids.cycle(target, 1)
-        risen = spread(grids.u, bulge_px) * bulge
-        change = max(change, float(np.abs(risen - b).max()))
-        b = risen
-        np.maximum(g + b, 0, out=grids.lowest)
-        if change <= target:
-            break
-    if change > target and not guess:
-        raise ConvergenceError(
-            f"The gel's surface did not settle in {MAX_CYCLES} cycles (change {change:.3g}). "
-            f"Its relaxation length is {relaxation_px:.3g} samples: simulate with another oversample."
-        )
-    return np.maximum(grids.u, grids.lowest), b
-
-
 def spread(values: Numbers, length_px: float) -> Numbers:
     """Values smoothed by K0(r/h)/(2 pi h^2), mirrored at the border, so that their sum is preserved.
 
     By cosine transform on a coarser grid: the result is smooth over the length.
     """
-    factor = max(
-        1, int(length_px / 12)
-    )  # twelve samples per length are enough for a result that is smooth over it
+    factor = max(1, int(length_px / 12))  # twelve samples per length are enough
     height, width = values.shape
-    small = cv2.resize(
-        values, (max(2, width // factor), max(2, height // factor)), interpolation=cv2.INTER_AREA
-    )
+    size = max(2, width // factor), max(2, height // factor)
+    small = cv2.resize(values, size, interpolation=cv2.INTER_AREA)
     rows, columns = small.shape
     ky = 2 - 2 * np.cos(np.pi * np.arange(rows) / rows)
     kx = 2 - 2 * np.cos(np.pi * np.arange(columns) / columns)
     hy, hx = length_px * rows / height, length_px * columns / width
-    smooth = scipy.fft.idctn(
-        scipy.fft.dctn(small, type=2) / (1 + hy**2 * ky[:, None] + hx**2 * kx[None, :]), type=2
-    )
+    damping = 1 + hy**2 * ky[:, None] + hx**2 * kx[None, :]
+    smooth = scipy.fft.idctn(scipy.fft.dctn(small, type=2) / damping, type=2)
     if smooth.shape == values.shape:
         return np.asarray(smooth, dtype=np.float64)
     return np.asarray(cv2.resize(smooth, (width, height), interpolation=cv2.INTER_CUBIC), dtype=np.float64)
@@ -322,35 +312,11 @@ def _coarse_guess(g: Numbers, relaxation_px: float, bulge: float, bulge_px: floa
     height, width = g.shape
     even = np.pad(g, ((0, height % 2), (0, width % 2)), mode="edge")
     halved = even.reshape(even.shape[0] // 2, 2, even.shape[1] // 2, 2).max(axis=(1, 3))
-    coarse = _solved(halved, relaxation_px / 2, bulge=bulge, bulge_px=bulge_px / 2, guess=True)
+    coarse = membrane_over(
+        halved, relaxation_px=relaxation_px / 2, bulge=bulge, bulge_px=bulge_px / 2, guess=True
+    )
     fine = [cv2.resize(part, even.shape[::-1], interpolation=cv2.INTER_LINEAR) for part in coarse]
     return np.asarray(fine[0][:height, :width]), np.asarray(fine[1][:height, :width])
-
-
-@dataclass(frozen=True)
-class Gel:
-    """The material of the gel.
-
-    Attributes
-    ----------
-    thickness_mm : float
-        The displaced gel rises within about this distance of the contact.
-    bulge : float, 0 to 0.95
-        Part of the displaced volume that rises around the contact: 0 for a foam, near 1 for rubber.
-    friction : float, >= 0
-        Distance that the surface is dragged before it slips, per mm of depth.
-    """
-
-    thickness_mm: float = 3.0
-    bulge: float = 0.0
-    friction: float = 0.8
-
-    def __post_init__(self) -> None:
-        check_positive(self.thickness_mm, "thickness_mm")
-        if not 0 <= self.bulge <= 0.95:
-            raise ValueError(f"Expected bulge in 0-0.95, got {self.bulge}.")
-        if not 0 <= self.friction < np.inf:
-            raise ValueError(f"Expected friction >= 0, got {self.friction}.")
 
 
 def relaxation_from_gel(tension_n_per_m: float, stiffness_kpa: float, thickness_mm: float) -> float:
@@ -365,31 +331,21 @@ def relaxation_from_gel(tension_n_per_m: float, stiffness_kpa: float, thickness_
 
 @dataclass(frozen=True)
 class Surface:
-    """A gel surface on a regular grid.
+    """A gel surface on a regular grid."""
 
-    Attributes
-    ----------
-    x_mm, y_mm : (1, W) and (H, 1), coordinates of the samples
-    depth_mm : (H, W) float64, positive where pressed, negative where the gel rises around the contact
-    gradients : (H, W, 2) float64, mm/mm
-    contact : (H, W) bool, where gel and indenter touch
-    """
-
-    x_mm: Numbers
-    y_mm: Numbers
-    depth_mm: Numbers
-    gradients: Numbers
-    contact: Mask
+    x_mm: Numbers  # (1, W), coordinates of the samples
+    y_mm: Numbers  # (H, 1)
+    depth_mm: (
+        Numbers  # (H, W) float64, positive where pressed, negative where the gel rises around the contact
+    )
+    gradients: Numbers  # (H, W, 2) float64, mm/mm
+    contact: Mask  # (H, W), where gel and indenter touch
 
     def sampled(self, at: slice) -> Surface:
         """The surface at given rows, and at the same of its columns."""
-        return Surface(
-            self.x_mm[:, at],
-            self.y_mm[at],
-            np.ascontiguousarray(self.depth_mm[at, at]),
-            np.ascontiguousarray(self.gradients[at, at]),
-            np.ascontiguousarray(self.contact[at, at]),
-        )
+        whole = self.depth_mm, self.gradients, self.contact
+        maps: list[Any] = [np.ascontiguousarray(one[at, at]) for one in whole]
+        return Surface(self.x_mm[:, at], self.y_mm[at], *maps)
 
     def middles(self, stride: int) -> Surface:
         """The surface at the middle of each `stride` samples, for an odd number per pixel: at the pixels' centers."""
@@ -415,14 +371,12 @@ def surface_from_indenter(
     """The pressed gel under an indenter: the membrane solved on the grid, its slopes by central differences.
 
     The grid must extend some relaxation lengths beyond the region of interest, because no force acts across its border.
-    Under a
-    ball the surface is known in closed form: a cap, then Bessel functions K0 of r over the gel's lengths.
+    Under a ball the surface is known in closed form: a cap, then Bessel functions K0 of r over the gel's lengths.
     """
     gel = gel or Gel()
     if isinstance(indenter, Ball):
-        lengths = {"thickness_mm": gel.thickness_mm, "bulge": gel.bulge}
-        press = ball_press(indenter.radius_mm, depth_mm, relaxation_mm, **lengths)
-        return Surface(x_mm, y_mm, *ball_on_grid(press, x_mm, y_mm, center_mm))
+        press = ball_press(indenter.radius_mm, depth_mm, relaxation_mm, gel)
+        return _surface_of_ball(press, x_mm, y_mm, center_mm)
     face = depth_mm + indenter.face_mm(x_mm - center_mm[0], y_mm - center_mm[1])
     pitch = float(x_mm[0, 1] - x_mm[0, 0])
     obstacle = np.maximum(face, -depth_mm if gel.bulge else 0)  # the gel never rises that far
@@ -447,20 +401,22 @@ class Drag:
 
     def __init__(self, gel: Gel) -> None:
         self.gel = gel
-        self._stuck: Numbers | None = None
-        self._pose: Pose | None = None
-        self._contact: Mask | None = None
+        self._last: tuple[Numbers, Mask, Pose] | None = None  # displacement, contact and pose
 
     def __call__(self, surface: Surface, pose: Pose) -> Numbers:
         """Displacement (h, w, 2) in mm, x and y, on the surface's grid."""
-        x, y = surface.x_mm, surface.y_mm
+        x, y, shape = surface.x_mm, surface.y_mm, surface.depth_mm.shape
         pitch = float(x[0, 1] - x[0, 0])
-        if self._stuck is None:
-            self._stuck = np.zeros((*surface.depth_mm.shape, 2))
-        elif self._stuck.shape[:2] != surface.depth_mm.shape:
+        stuck, touched, last = self._last or (np.zeros((*shape, 2)), np.zeros(shape, dtype=bool), pose)
+        if stuck.shape[:2] != shape:
             raise ValueError("Expected surfaces on one grid, got another: use one Drag per sequence.")
-        touched = np.zeros_like(surface.contact) if self._contact is None else surface.contact & self._contact
-        moved = np.where(touched[..., None], self._stuck + self._step(x, y, pose), self._stuck)
+        # Sideways motion of the indenter's surface since the last pose, at each point.
+        turn = np.deg2rad(pose.spin_deg - last.spin_deg)
+        dx, dy = np.broadcast_arrays(x - pose.center_mm[0], y - pose.center_mm[1])
+        step_x = pose.travel_mm[0] - last.travel_mm[0] - np.sin(turn) * dy + (np.cos(turn) - 1) * dx
+        step_y = pose.travel_mm[1] - last.travel_mm[1] + np.sin(turn) * dx + (np.cos(turn) - 1) * dy
+        still = (surface.contact & touched)[..., None]
+        moved = np.where(still, stuck + np.stack([step_x, step_y], axis=-1), stuck)
         limit = self.gel.friction * np.maximum(surface.depth_mm, 0)
         length = np.linalg.norm(moved, axis=-1)
         moved *= np.minimum(1, limit / np.maximum(length, 1e-12))[..., None]
@@ -470,24 +426,10 @@ class Drag:
             moved = np.stack(parts, axis=-1)
         else:
             moved = np.zeros_like(moved)
-        self._stuck, self._pose, self._contact = moved, pose, surface.contact
-        return moved + self._pressed_away(surface, pitch)
-
-    def _step(self, x: Array, y: Array, pose: Pose) -> Numbers:
-        """Sideways motion of the indenter's surface since the last pose, at each point."""
-        last = self._pose or pose
-        turn = np.deg2rad(pose.spin_deg - last.spin_deg)
-        dx, dy = np.broadcast_arrays(x - pose.center_mm[0], y - pose.center_mm[1])
-        step_x = pose.travel_mm[0] - last.travel_mm[0] - np.sin(turn) * dy + (np.cos(turn) - 1) * dx
-        step_y = pose.travel_mm[1] - last.travel_mm[1] + np.sin(turn) * dx + (np.cos(turn) - 1) * dy
-        return np.stack([step_x, step_y], axis=-1)
-
-    def _pressed_away(self, surface: Surface, pitch: float) -> Numbers:
-        """The gel's flow from under the indenter, `-h grad b`, with b from the positive part of the depth."""
-        thickness = self.gel.thickness_mm
-        bulge = self.gel.bulge * spread(np.maximum(surface.depth_mm, 0), thickness / pitch)
+        self._last = moved, surface.contact, pose
+        bulge = self.gel.bulge * spread(np.maximum(surface.depth_mm, 0), thickness_px)
         slope_y, slope_x = np.gradient(bulge, pitch)
-        return -thickness * np.stack([slope_x, slope_y], axis=-1)
+        return moved - self.gel.thickness_mm * np.stack([slope_x, slope_y], axis=-1)
 
 
 def displacement_at(displacement_mm: Numbers, surface: Surface, points_mm: Numbers) -> Numbers:

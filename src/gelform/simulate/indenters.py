@@ -1,6 +1,4 @@
-"""Indenters: the height of a face over a plane; meshes, poses, and several at once.
-
-Indenters: each one is the height of its face over a plane.
+"""Indenters: each is the height of its face over a plane; meshes, poses, and several at once.
 
 An indenter has the method `face_mm(x_mm, y_mm)`: the height of its face relative to its foremost point, in mm. It is 0 at
 that point, negative elsewhere, and -inf outside. x is to the right, y down, with the origin at its center.
@@ -18,7 +16,7 @@ import scipy  # its parts load at first use
 from numpy.typing import ArrayLike, NDArray
 
 from gelform._native import Kernel
-from gelform.arrays import Array, Numbers
+from gelform.arrays import Array, Mask, Numbers
 from gelform.foundations.checks import check_finite, check_map, check_mm_per_px, check_positive
 
 MAX_SIZE_MM = 1000.0  # mm, of an indenter; a larger number is in another unit
@@ -52,6 +50,16 @@ class _Sized:
                 raise ValueError(f"Expected {one.name} in 0-180 degrees (both excluded), got {value}.")
 
 
+def _arc(inside: Numbers, radius_mm: float, there: Mask | bool = True) -> Numbers:
+    """A round face: `inside` is the square of its radius less that of the distance from its middle."""
+    return np.where((inside > 0) & there, np.sqrt(np.maximum(inside, 0)) - radius_mm, -np.inf)
+
+
+def _flank(away: Numbers, angle_deg: float, there: Mask) -> Numbers:
+    """A straight flank that falls with the distance `away`; `angle_deg` is the opening between it and the opposite one."""
+    return np.where(there, -away / np.tan(np.deg2rad(angle_deg) / 2), -np.inf)
+
+
 @dataclass(frozen=True)
 class Ball(_Sized):
     """A ball of the given radius in mm."""
@@ -59,9 +67,7 @@ class Ball(_Sized):
     radius_mm: float
 
     def face_mm(self, x_mm: Array, y_mm: Array) -> Numbers:
-        inside = self.radius_mm**2 - x_mm**2 - y_mm**2
-        face = np.sqrt(np.maximum(inside, 0)) - self.radius_mm
-        return np.where(inside > 0, face, -np.inf)
+        return _arc(self.radius_mm**2 - x_mm**2 - y_mm**2, self.radius_mm)
 
 
 @dataclass(frozen=True)
@@ -102,9 +108,8 @@ class Coin(_Sized):
 
     Attributes
     ----------
-    diameter_mm : float
-    relief_mm : float
-        Height of rim, star and beads over the disc; their flanks are twice as wide as they are high.
+    diameter_mm : of the disc
+    relief_mm : height of rim, star and beads over the disc; their flanks are twice as wide as they are high
     """
 
     diameter_mm: float = 8.0
@@ -112,15 +117,9 @@ class Coin(_Sized):
 
     def face_mm(self, x_mm: Array, y_mm: Array) -> Numbers:
         x, y = np.broadcast_arrays(x_mm, y_mm)
-        radius = self.diameter_mm / 2
-        face = np.full(x.shape, -np.inf)
+        radius, face = self.diameter_mm / 2, np.full(x.shape, -np.inf)
         on_disc = x**2 + y**2 <= radius**2
-        face[on_disc] = self._relief(x[on_disc], y[on_disc])
-        return face
-
-    def _relief(self, x_mm: Array, y_mm: Array) -> Numbers:
-        radius = self.diameter_mm / 2
-        r, angle = np.hypot(x_mm, y_mm), np.arctan2(y_mm, x_mm)
+        r, angle = np.hypot(x[on_disc], y[on_disc]), np.arctan2(y[on_disc], x[on_disc])
         sector = np.pi / 16
         bead_angle = (angle + sector) % (2 * sector) - sector
         bead_distance = np.hypot(r * np.cos(bead_angle) - 0.74 * radius, r * np.sin(bead_angle))
@@ -128,8 +127,9 @@ class Coin(_Sized):
             [r - 0.86 * radius, 0.05 * radius - bead_distance, _inside_star(r, angle, 0.58 * radius)]
         )
         t = np.clip(inside / (2 * self.relief_mm) + 0.5, 0, 1)
-        raised = np.asarray(t * t * (3 - 2 * t), dtype=np.float64)  # 0 outside, 1 inside, a cubic between
-        return (raised - 1) * self.relief_mm
+        raised = t * t * (3 - 2 * t)  # 0 outside, 1 inside, a cubic between
+        face[on_disc] = (raised - 1) * self.relief_mm
+        return face
 
 
 @dataclass(frozen=True)
@@ -150,9 +150,7 @@ class Screw(_Sized):
         phase = np.abs((x_mm / self.pitch_mm - turn) % 1 - 0.5) * 2  # 0 at the crest, 1 in the groove
         sharp = np.sqrt(3) / 2 * self.pitch_mm
         radius = major - np.clip(phase * sharp - sharp / 8, 0, 0.625 * sharp)
-        inside = radius**2 - y_mm**2
-        there = (inside > 0) & (np.abs(x_mm) <= self.length_mm / 2)
-        return np.where(there, np.sqrt(np.maximum(inside, 0)) - major, -np.inf)
+        return _arc(radius**2 - y_mm**2, major, np.abs(x_mm) <= self.length_mm / 2)
 
 
 @dataclass(frozen=True)
@@ -163,27 +161,18 @@ class Cylinder(_Sized):
     length_mm: float
 
     def face_mm(self, x_mm: Array, y_mm: Array) -> Numbers:
-        inside = self.radius_mm**2 - y_mm**2
-        there = (inside > 0) & (np.abs(x_mm) <= self.length_mm / 2)
-        return np.where(there, np.sqrt(np.maximum(inside, 0)) - self.radius_mm, -np.inf)
+        return _arc(self.radius_mm**2 - y_mm**2, self.radius_mm, np.abs(x_mm) <= self.length_mm / 2)
 
 
 @dataclass(frozen=True)
 class BoxEdge(_Sized):
-    """A long edge of a box, along x: a roof with two equal sides.
-
-    Attributes
-    ----------
-    length_mm : of the edge
-    angle_deg : between the two sides, 90 for a box
-    """
+    """A long edge of a box, along x: a roof with two equal sides, `angle_deg` between them, 90 for a box."""
 
     length_mm: float
     angle_deg: float = 90.0
 
     def face_mm(self, x_mm: Array, y_mm: Array) -> Numbers:
-        fall = np.abs(y_mm) / np.tan(np.deg2rad(self.angle_deg) / 2)
-        return np.where(np.abs(x_mm) <= self.length_mm / 2, -fall, -np.inf)
+        return _flank(np.abs(y_mm), self.angle_deg, np.abs(x_mm) <= self.length_mm / 2)
 
 
 @dataclass(frozen=True)
@@ -203,57 +192,38 @@ class Punch(_Sized):
 
 @dataclass(frozen=True)
 class Pyramid(_Sized):
-    """A square pyramid, its point toward the camera.
-
-    Attributes
-    ----------
-    base_mm : side of the base
-    angle_deg : between opposite sides at the point
-    """
+    """A square pyramid on a base of that side, its point toward the camera; `angle_deg` is between opposite sides there."""
 
     base_mm: float
     angle_deg: float = 120.0
 
     def face_mm(self, x_mm: Array, y_mm: Array) -> Numbers:
         away = np.maximum(np.abs(x_mm), np.abs(y_mm))
-        fall = away / np.tan(np.deg2rad(self.angle_deg) / 2)
-        return np.where(away <= self.base_mm / 2, -fall, -np.inf)
+        return _flank(away, self.angle_deg, away <= self.base_mm / 2)
 
 
 @dataclass(frozen=True)
 class Cone(_Sized):
-    """A cone, its point toward the camera.
-
-    Attributes
-    ----------
-    diameter_mm : of the base
-    angle_deg : the opening at the point
-    """
+    """A cone, its point toward the camera: the diameter of its base, and the opening `angle_deg` at the point."""
 
     diameter_mm: float
     angle_deg: float = 120.0
 
     def face_mm(self, x_mm: Array, y_mm: Array) -> Numbers:
         r = np.hypot(x_mm, y_mm)
-        return np.where(r <= self.diameter_mm / 2, -r / np.tan(np.deg2rad(self.angle_deg) / 2), -np.inf)
+        return _flank(r, self.angle_deg, r <= self.diameter_mm / 2)
 
 
 @dataclass(frozen=True)
 class Torus(_Sized):
-    """A ring lying flat.
-
-    Attributes
-    ----------
-    ring_radius_mm : from the axis to the middle of the tube
-    tube_radius_mm : of the tube
-    """
+    """A ring lying flat; `ring_radius_mm` is from its axis to the middle of the tube, `tube_radius_mm` that of the tube."""
 
     ring_radius_mm: float
     tube_radius_mm: float
 
     def face_mm(self, x_mm: Array, y_mm: Array) -> Numbers:
-        inside = self.tube_radius_mm**2 - (np.hypot(x_mm, y_mm) - self.ring_radius_mm) ** 2
-        return np.where(inside > 0, np.sqrt(np.maximum(inside, 0)) - self.tube_radius_mm, -np.inf)
+        away = np.hypot(x_mm, y_mm) - self.ring_radius_mm
+        return _arc(self.tube_radius_mm**2 - away**2, self.tube_radius_mm)
 
 
 def text_relief(text: str, *, height_mm: float, relief_mm: float = 0.3) -> HeightMap:
@@ -274,8 +244,7 @@ def text_relief(text: str, *, height_mm: float, relief_mm: float = 0.3) -> Heigh
         raise ValueError(f"Expected text of printable ASCII letters, got {text!r}.")
     check_size(height_mm, "height_mm")
     check_size(relief_mm, "relief_mm")
-    capital_px = 48  # px, height of a capital letter in the map
-    font, thickness = cv2.FONT_HERSHEY_SIMPLEX, 6
+    capital_px, font, thickness = 48, cv2.FONT_HERSHEY_SIMPLEX, 6
     scale = capital_px / 22.0  # this font's capitals are 22 px high at scale 1
     (width, height), below = cv2.getTextSize(text, font, scale, thickness)
     border = capital_px // 2
@@ -295,9 +264,6 @@ def _inside_star(r: Array, angle: Array, radius: float) -> Numbers:
     nx, ny = np.array([edge[1], -edge[0]]) / np.hypot(*edge)
     return -((x - radius) * nx + y * ny)
 
-
-MAX_TRIANGLES = 5_000_000  # of a mesh; a larger file was meant for something else
-MIN_SIZE_MM = 0.01  # mm, of a mesh; a smaller number is in another unit
 
 _rasterise = Kernel(
     "rasterise",
@@ -329,7 +295,29 @@ class Mesh:
     def __post_init__(self) -> None:
         vertices = check_finite(np.ascontiguousarray(self.vertices_mm, dtype=np.float64), "vertices_mm")
         triangles = np.ascontiguousarray(self.triangles, dtype=np.int64)
-        check_mesh(vertices, triangles)
+        if vertices.ndim != 2 or vertices.shape[1] != 3 or triangles.ndim != 2 or triangles.shape[1] != 3:
+            raise ValueError(
+                f"Expected vertices_mm (V, 3) and triangles (T, 3), got {vertices.shape} and {triangles.shape}."
+            )
+        if not 0 < len(triangles) <= 5_000_000:  # a larger file was meant for something else
+            got = f"got {len(triangles)}. Simplify the mesh first" if len(triangles) else "got an empty one"
+            raise ValueError(f"Expected a mesh with triangles, 5000000 at most, {got}.")
+        if triangles.min() < 0 or triangles.max() >= len(vertices):
+            raise ValueError(f"Expected triangles with indices in 0-{len(vertices) - 1}.")
+        size = float(np.ptp(vertices, axis=0).max())
+        if not 0.01 <= size <= MAX_SIZE_MM:
+            raise ValueError(
+                f"Expected a mesh of 0.01-{MAX_SIZE_MM:g} mm, got {size:.4g} mm. Is it in another unit? "
+                "Scale it: meters x 1000, inches x 25.4."
+            )
+        _, merged = np.unique(vertices, axis=0, return_inverse=True)  # an STL repeats its vertices
+        edges = np.sort(merged.reshape(-1)[triangles][:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+        _, count = np.unique(edges[edges[:, 0] != edges[:, 1]], axis=0, return_counts=True)
+        if open_edges := int(np.count_nonzero(count % 2)):
+            raise ValueError(
+                f"Expected a closed mesh, got one with {open_edges} edges that border only one triangle. "
+                "Close its holes first (in trimesh: mesh.fill_holes())."
+            )
         low, high = vertices.min(axis=0), vertices.max(axis=0)
         shift = np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, high[2]])
         object.__setattr__(self, "vertices_mm", vertices - shift)
@@ -339,50 +327,10 @@ class Mesh:
         return height_of_triangles(np.asarray(self.vertices_mm), np.asarray(self.triangles), x_mm, y_mm)
 
 
-def check_mesh(vertices: Array, triangles: Array) -> None:
-    """Refuse a mesh that cannot be pressed; see `Mesh`."""
-    if vertices.ndim != 2 or vertices.shape[1] != 3 or triangles.ndim != 2 or triangles.shape[1] != 3:
-        raise ValueError(
-            f"Expected vertices_mm (V, 3) and triangles (T, 3), got {vertices.shape} and {triangles.shape}."
-        )
-    if len(triangles) == 0:
-        raise ValueError("Expected a mesh with triangles, got an empty one.")
-    if len(triangles) > MAX_TRIANGLES:
-        raise ValueError(
-            f"Expected at most {MAX_TRIANGLES} triangles, got {len(triangles)}. Simplify the mesh first."
-        )
-    if triangles.min() < 0 or triangles.max() >= len(vertices):
-        raise ValueError(f"Expected triangles with indices in 0-{len(vertices) - 1}.")
-    size = float(np.ptp(vertices, axis=0).max())
-    if not MIN_SIZE_MM <= size <= MAX_SIZE_MM:
-        raise ValueError(
-            f"Expected a mesh of {MIN_SIZE_MM}-{MAX_SIZE_MM:g} mm, got {size:.4g} mm. Is it in another unit? "
-            "Scale it: meters x 1000, inches x 25.4."
-        )
-    _check_closed(vertices, triangles)
-
-
-def _check_closed(vertices: Array, triangles: Array) -> None:
-    _, merged = np.unique(vertices, axis=0, return_inverse=True)  # an STL repeats its vertices
-    corners = merged.reshape(-1)[triangles]
-    edges = np.sort(np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]]), axis=1)
-    edges = edges[edges[:, 0] != edges[:, 1]]
-    _, count = np.unique(edges, axis=0, return_counts=True)
-    open_edges = int(np.count_nonzero(count % 2))
-    if open_edges:
-        raise ValueError(
-            f"Expected a closed mesh, got one with {open_edges} edges that border only one triangle. "
-            "Close its holes first (in trimesh: mesh.fill_holes())."
-        )
-
-
 def height_of_triangles(vertices: Numbers, triangles: NDArray[np.int64], x_mm: Array, y_mm: Array) -> Numbers:
-    """Height of the topmost triangle over each point of a regular grid; -inf where there is none.
+    """Height of the topmost of triangles (T, 3) with vertices (V, 3) over each point of a grid; -inf where there is none.
 
-    Parameters
-    ----------
-    vertices : (V, 3), triangles : (T, 3)
-    x_mm, y_mm : (1, W) and (H, 1), evenly spaced
+    x_mm (1, W) and y_mm (H, 1) are evenly spaced.
     """
     x, y = np.ravel(x_mm).astype(np.float64), np.ravel(y_mm).astype(np.float64)
     if np.shape(x_mm) != (1, x.size) or np.shape(y_mm) != (y.size, 1):

@@ -7,7 +7,7 @@ from functools import lru_cache
 
 from gelform.simulate.gel import Gel
 from gelform.simulate.light import exposed
-from gelform.simulate.sensor.sensor import (
+from gelform.simulate.sensor import (
     BLUE,
     GREEN,
     RED,

@@ -21,9 +21,8 @@ from gelform.simulate.gel import (
     surface_from_indenter,
 )
 from gelform.simulate.indenters import Ball, Indenter, Pair, Pose, Posed
-from gelform.simulate.light import Rendered, render, simulate_background
-from gelform.simulate.sensor.camera import px_from_mm
-from gelform.simulate.sensor.sensor import SimulatedSensor
+from gelform.simulate.light import Rendered, px_from_mm, render, simulate_background
+from gelform.simulate.sensor import SimulatedSensor
 
 
 @dataclass(frozen=True)
@@ -39,10 +38,8 @@ class SimulatedPress(Rendered):
     indenter : the pressed indenter
     center_mm : (x, y), position of its center, mm from the gel's center
     center_px : (x, y), the same in pixels
-    press_depth_mm : float
-        Depth of its foremost point in the gel.
-    contact_radius_px : float or None
-        Radius of the circle in which gel and ball touch; None for other indenters.
+    press_depth_mm : depth of its foremost point in the gel
+    contact_radius_px : of the circle in which gel and ball touch; None for other indenters
     albedo : (H, W) float32, reflectance with dust and markers; 1 is the clean coating
     shadowed : (H, W) bool, where at least half of some light is lost to the surface
     saturated : (H, W) bool, where some channel is cut at 0 or 255
@@ -94,17 +91,12 @@ def simulate_press(
 
     Parameters
     ----------
-    depth_mm : float
-        Depth of the indenter's foremost point in the gel.
-    center_mm : (x, y)
-        Position of the indenter, from the gel's center, x to the right, y down.
-    rng : Generator or None
-        For the noise; None: no noise.
-    spin_deg, tilt_deg : float, (about x, about y)
-        Turn of the indenter; see `Posed`.
+    depth_mm : depth of the indenter's foremost point in the gel
+    center_mm : (x, y), position of the indenter from the gel's center, x to the right, y down
+    rng : for the noise; None: no noise
+    spin_deg, tilt_deg : float, (about x, about y), turn of the indenter; see `Posed`
     oversample : odd int
-    quantise : bool
-        False: float64 levels, neither rounded nor cut at 0 and 255.
+    quantise : False: float64 levels, neither rounded nor cut at 0 and 255
 
     Raises
     ------
@@ -129,9 +121,8 @@ def simulate_press(
 def check_press_depth(sensor: SimulatedSensor, depth_mm: float) -> None:
     """Refuse (ValueError) a press through the gel."""
     if depth_mm >= sensor.gel.thickness_mm:
-        raise ValueError(
-            f"Expected depth_mm less than the gel's thickness, {sensor.gel.thickness_mm:g} mm, got {depth_mm:g}."
-        )
+        thickness = f"{sensor.gel.thickness_mm:g} mm"
+        raise ValueError(f"Expected depth_mm less than the gel's thickness, {thickness}, got {depth_mm:g}.")
 
 
 def simulate_pose(
@@ -202,9 +193,8 @@ def _rim(sensor: SimulatedSensor, indenter: Indenter, depth_mm: float) -> tuple[
     """Contact radius of a ball in the image, and the depth of the rim, mm; None and 0 for others."""
     if not isinstance(indenter, Ball) or depth_mm <= 0:
         return None, 0.0
-    gel, radius = sensor.gel, indenter.radius_mm
-    lengths = {"thickness_mm": gel.thickness_mm, "bulge": gel.bulge}
-    a = ball_press(radius, depth_mm, sensor.relaxation_mm, **lengths).contact_radius_mm
+    radius = indenter.radius_mm
+    a = ball_press(radius, depth_mm, sensor.relaxation_mm, sensor.gel).contact_radius_mm
     rim = depth_mm - radius + float(np.sqrt(radius**2 - a**2))
     height = sensor.optics.height_mm
     return (a if height is None else a / (1 - rim / height)), rim
@@ -266,15 +256,10 @@ def largest_ball_mm(sensor: SimulatedSensor) -> float:
     low, high = 0.0, 1000.0
     for _ in range(40):  # halvings of the interval, to 1e-9 mm
         middle = (low + high) / 2
-        deep = _depth(sensor, middle / 2, RIM_SLOPES[1]) >= sensor.gel.thickness_mm
+        deepest = depth_of_ball(middle / 2, RIM_SLOPES[1], sensor.relaxation_mm, sensor.gel)
+        deep = deepest >= sensor.gel.thickness_mm
         low, high = (low, middle) if deep else (middle, high)
     return low
-
-
-def _depth(sensor: SimulatedSensor, radius_mm: float, rim_slope: float) -> float:
-    """Depth of a ball with a given slope at its rim, mm."""
-    gel = {"thickness_mm": sensor.gel.thickness_mm, "bulge": sensor.gel.bulge}
-    return depth_of_ball(radius_mm, rim_slope, sensor.relaxation_mm, **gel)
 
 
 def ball_press_of_set(
@@ -295,20 +280,18 @@ def _ball_press(
     rng: np.random.Generator,
     oversample: int,
 ) -> SimulatedPress:
+    """The k-th press: a ball of its turn, at the k-th point of Roberts' R2 sequence (2018).
+
+    The points fill all but the outermost 2 % of the image.
+    """
     ball = Ball(ball_diameters_mm[k % len(ball_diameters_mm)] / 2)
-    depth = _depth(sensor, ball.radius_mm, rng.uniform(*RIM_SLOPES))
-    return simulate_press(
-        sensor, ball, depth_mm=depth, center_mm=_place(sensor, k, shift), rng=rng, oversample=oversample
-    )
-
-
-def _place(sensor: SimulatedSensor, k: int, shift: Numbers) -> tuple[float, float]:
-    """The k-th point of Roberts' R2 sequence (2018), over all but the outermost 2 % of the image."""
+    depth = depth_of_ball(ball.radius_mm, rng.uniform(*RIM_SLOPES), sensor.relaxation_mm, sensor.gel)
     plastic = 1.32471795724474602596
     unit = (shift + (k + 1) / np.array([plastic, plastic**2])) % 1
     height, width = sensor.shape
     x, y = (unit - 0.5) * 0.96 * np.array([width, height]) * sensor.mm_per_px
-    return float(x), float(y)
+    center = float(x), float(y)
+    return simulate_press(sensor, ball, depth_mm=depth, center_mm=center, rng=rng, oversample=oversample)
 
 
 def simulate_sequence(
@@ -342,32 +325,28 @@ def simulate_sequence(
 
 def press_poses(depth_mm: float, count: int, *, center_mm: Pair = (0.0, 0.0)) -> tuple[Pose, ...]:
     """Poses from first touch to `depth_mm` in equal steps."""
-    return tuple(Pose(float(d), center_mm) for d in np.linspace(0, depth_mm, _check_count(count)))
+    return tuple(Pose(d, center_mm) for d in _steps(0, depth_mm, count))
 
 
 def slide_poses(depth_mm: float, start_mm: Pair, end_mm: Pair, count: int) -> tuple[Pose, ...]:
     """Poses along a line at one depth, which drag the surface."""
-    return tuple(Pose(depth_mm, at) for at in _line(start_mm, end_mm, count))
+    return tuple(Pose(depth_mm, (x, y)) for x, y in _steps(start_mm, end_mm, count))
 
 
 def roll_poses(depth_mm: float, start_mm: Pair, end_mm: Pair, count: int) -> tuple[Pose, ...]:
     """Poses along a line at one depth of a rolling ball or cylinder; the touched side does not move."""
-    return tuple(Pose(depth_mm, at, carried_mm=start_mm) for at in _line(start_mm, end_mm, count))
+    return tuple(Pose(depth_mm, (x, y), carried_mm=start_mm) for x, y in _steps(start_mm, end_mm, count))
 
 
 def twist_poses(
     depth_mm: float, angle_deg: float, count: int, *, center_mm: Pair = (0.0, 0.0)
 ) -> tuple[Pose, ...]:
     """Poses that turn in place about the view axis, from 0 to `angle_deg`."""
-    return tuple(Pose(depth_mm, center_mm, float(a)) for a in np.linspace(0, angle_deg, _check_count(count)))
+    return tuple(Pose(depth_mm, center_mm, angle) for angle in _steps(0, angle_deg, count))
 
 
-def _line(start_mm: Pair, end_mm: Pair, count: int) -> Sequence[Pair]:
-    points = np.linspace(start_mm, end_mm, _check_count(count))
-    return [(float(x), float(y)) for x, y in points]
-
-
-def _check_count(count: int) -> int:
+def _steps(start: float | Pair, end: float | Pair, count: int) -> list[Any]:
     if count < 1:
         raise ValueError(f"Expected count >= 1 poses, got {count}.")
-    return count
+    steps: list[Any] = np.linspace(start, end, count).tolist()
+    return steps

@@ -14,34 +14,24 @@ from gelform.foundations.checks import check_positive
 from gelform.image.background import image_from_color_change
 from gelform.simulate.gel import Gel
 from gelform.simulate.indenters import Indenter, Pose
+from gelform.simulate.light import draws, normal_table, saturated_from_levels
 from gelform.simulate.press import SimulatedPress, SimulatedPresses, simulate_ball_presses, simulate_pose
-from gelform.simulate.sensor.camera import draws, normal_table, saturated_from_levels
-from gelform.simulate.sensor.sensor import Led, SimulatedSensor
+from gelform.simulate.sensor import Led, SimulatedSensor
 
 STEEPEST_RENDERED = 1.2  # mm/mm; calibrations are fitted up to about 1, and a cubic is meaningless beyond
-GEL = Gel(thickness_mm=3.5, bulge=0.5)  # a GelSight Mini's, fitted to ball presses
-RELAXATION_MM = 0.5  # mm, of that gel, from the same presses
 
 
 class Look(Protocol):
-    """The response of one sensor to a surface, which a twin shows.
-
-    Attributes
-    ----------
-    name : name of the sensor
-    background : (H, W, 3), background image
-    mm_per_px : pixel pitch, mm
-    noise : (3,), standard deviation of an image's pixel, gray levels
-    """
+    """The response of one sensor to a surface, which a twin shows."""
 
     @property
-    def name(self) -> str: ...
+    def name(self) -> str: ...  # of the sensor
     @property
-    def background(self) -> Map: ...
+    def background(self) -> Map: ...  # (H, W, 3), background image
     @property
     def mm_per_px(self) -> float: ...
     @property
-    def noise(self) -> Numbers: ...
+    def noise(self) -> Numbers: ...  # (3,), standard deviation of an image's pixel, gray levels
 
     def levels(self, gradients: Array, depth_mm: Array) -> Map:
         """Gray levels (H, W, 3), 0-255, for slopes (H, W, 2) and depths (H, W)."""
@@ -52,13 +42,7 @@ class CalibratedLook:
     """The look that a calibration has learned: its forward response to slope and depth.
 
     An imported response may depend on slope alone. The noise is that of the calibration's images, or that of its background
-    if the former is unknown.
-
-    Parameters
-    ----------
-    calibration : of the real sensor
-    steepest : float
-        Steeper slopes are rendered with this slope, because the response was fitted on gentler ones.
+    if the former is unknown. Slopes over `steepest` are rendered with it, because the response was fitted on gentler ones.
     """
 
     def __init__(self, calibration: Calibration, *, steepest: float = STEEPEST_RENDERED) -> None:
@@ -76,7 +60,6 @@ class CalibratedLook:
         self.noise = np.asarray(calibration.background_noise if known is None else known, dtype=np.float64)
 
     def levels(self, gradients: Array, depth_mm: Array) -> Map:
-        """Gray levels (H, W, 3) for slopes (H, W, 2) and depths (H, W)."""
         change = self.color_change(gradients, depth_mm)
         return image_from_color_change(change, self.background, self.calibration.change)
 
@@ -88,9 +71,8 @@ class CalibratedLook:
         if forward is None:
             return self.calibration.color_from_gradients(limited)
         y, x = (axis.ravel() for axis in np.mgrid[: depth_mm.shape[0], : depth_mm.shape[1]])
-        change = forward.color_from_gradients(
-            limited.reshape(-1, 2), x, y, depth_px=depth_mm.ravel() / self.mm_per_px
-        )
+        depth_px = depth_mm.ravel() / self.mm_per_px
+        change = forward.color_from_gradients(limited.reshape(-1, 2), x, y, depth_px=depth_px)
         return change.reshape(*depth_mm.shape, 3).astype(np.float32)
 
 
@@ -103,15 +85,11 @@ class Twin:
     Parameters
     ----------
     look : a Calibration, or any `Look`, such as another package's tables
-    gel, relaxation_mm : of its gel
+    gel, relaxation_mm : of its gel; by default of a GelSight Mini's, fitted to ball presses
     """
 
     def __init__(
-        self,
-        look: Calibration | Look,
-        *,
-        gel: Gel | None = None,
-        relaxation_mm: float = RELAXATION_MM,
+        self, look: Calibration | Look, *, gel: Gel | None = None, relaxation_mm: float = 0.5
     ) -> None:
         if not isinstance(look, Calibration) and not hasattr(look, "levels"):
             raise TypeError(
@@ -126,7 +104,7 @@ class Twin:
             shape=(height, width),
             mm_per_px=self.look.mm_per_px,
             relaxation_mm=relaxation_mm,
-            gel=gel or GEL,
+            gel=gel or Gel(thickness_mm=3.5, bulge=0.5),
         )
 
     def press(

@@ -12,7 +12,7 @@ from gelform.calibration.geometry.measured import Crosstalk, Geometry, crosstalk
 from gelform.errors import DataError
 from gelform.image.background import ChangeSettings, color_change_from_image
 from gelform.simulate import LAYOUTS, Ball, Optics, simulate_background, simulate_press
-from gelform.simulate.sensor.sensor import IDENTITY
+from gelform.simulate.sensor import IDENTITY
 
 MIXING = ((1.0, 0.15, 0.02), (0.1, 1.0, 0.2), (0.0, 0.12, 1.0))
 PURE = replace(LAYOUTS["three-edges"], shape=(120, 160), mm_per_px=0.1268, ambient=(0, 0, 0))

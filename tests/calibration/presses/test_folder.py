@@ -13,10 +13,11 @@ from gelform.calibration.geometry.measured import Crosstalk
 from gelform.calibration.geometry.scale import Scale
 from gelform.calibration.presses.folder import rows_by_folder, with_crosstalk, with_scale, with_view
 from gelform.errors import DataError
-from gelform.image.view import Lens, View, frame_from_image, image_px_from_frame_px
+from gelform.image.view import Lens, View, image_px_from_frame_px
 from gelform.result.metrics import press_errors
 from gelform.sensors.profiles import SENSORS
 from gelform.simulate import LAYOUTS, Optics, exposed, simulate_ball_presses
+from made.images import frame_from_image
 
 
 @pytest.fixture

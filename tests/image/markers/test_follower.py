@@ -1,7 +1,4 @@
-"""A flow knows its displacements in pixels and mm, says them, and comes back from the arrays of a file.
-
-Dots are followed one by one, against simulated truth, and their pixels with them.
-"""
+"""Dots are followed one by one, against simulated truth, and their pixels with them; a flow says how far they moved."""
 
 import json
 from dataclasses import replace
@@ -34,17 +31,13 @@ def test_displacements_in_pixels_and_mm():
     assert flow(None).sigma_mm is None
 
 
-def test_words_count_what_is_seen():
+def test_words_count_what_is_seen_and_facts_are_json():
     assert flow().in_words() == "2 of 3 seen, moved 0.125 mm (median), 0.250 mm at most"
     assert flow(None).in_words() == "2 of 3 seen, moved 2.500 px (median), 5.000 px at most"
     assert flow(seen=(False,) * 3).in_words() == "none of 3 seen"
     assert "2 of 3" in repr(flow())
-
-
-def test_facts_are_json():
     facts = json.loads(json.dumps(flow().facts()))
-    assert facts["displacement_px"][1] == [3, 4]
-    assert facts["seen"] == [True, True, False]
+    assert (facts["displacement_px"][1], facts["seen"]) == ([3, 4], [True, True, False])
     assert json.loads(json.dumps(flow(None).facts()))["displacement_mm"] is None
 
 
@@ -114,11 +107,9 @@ def test_dots_that_the_border_cuts_go_with_their_neighbors():
 
 def test_a_dot_that_leaves_its_neighbors_is_not_taken(follower):
     """By 7.6 px of a spacing of 16: it could be another one's."""
-    flow = follower(
-        image_of_dots(
-            REST_FOLLOWER + [7.6, 0] * (np.arange(len(REST_FOLLOWER)) == 18)[:, None], noise=1.0, seed=1
-        )
-    )
+    moved = REST_FOLLOWER.copy()
+    moved[18, 0] += 7.6
+    flow = follower(image_of_dots(moved, noise=1.0, seed=1))
     np.testing.assert_array_equal(flow.seen, order_of(follower) != 18)
 
 
@@ -171,12 +162,11 @@ def test_simulated_shear_to_a_tenth_of_a_pixel(sheared):
 
 
 def test_real_markers_in_a_frame(data):
-    frames = [
-        f.image for f in gelform.Video(data / "mini-markers-video" / "mini_example.avi").frames({0, 2, 200})
-    ]
-    follower = MarkerFollower(frames[0])
+    video = gelform.Video(data / "mini-markers-video" / "mini_example.avi")
+    first, *others = (frame.image for frame in video.frames({0, 2, 200}))
+    follower = MarkerFollower(first)
     assert len(follower) == 70
-    rest, pressed = follower(frames[1]), follower(frames[2])
+    rest, pressed = map(follower, others)
     assert rest.seen.all()
     assert np.sqrt(np.mean(rest.displacement_px**2)) < 0.03
     assert pressed.seen.all()

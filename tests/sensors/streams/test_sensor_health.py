@@ -39,7 +39,7 @@ from gelform.sensors.streams.sensor_health import (
     light_from_outside,
 )
 from gelform.simulate import simulate_background
-from gelform.simulate.sensor.sensor import Coating
+from gelform.simulate.sensor import Coating
 from live_waiting import until
 from made.sources import ImageSource
 from stream.sensor_faults import CHANGES, ONSET_S, Gel, dust, moved, scratch, tear

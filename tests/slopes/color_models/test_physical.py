@@ -9,7 +9,7 @@ import pytest
 
 from gelform.image.background import ChangeSettings, PreparedBackground
 from gelform.simulate import Ball, SimulatedSensor, simulate_background, simulate_press
-from gelform.simulate.sensor.sensor import Led
+from gelform.simulate.sensor import Led
 from gelform.slopes.color_models import LambertianModel, NearLightModel, Samples, physical
 from gelform.slopes.color_models.physical import (
     OFF_DIAGONAL,

@@ -45,7 +45,7 @@ from gelform.simulate import (
     simulate_press,
 )
 from gelform.simulate.press import ball_press_of_set, check_balls
-from gelform.simulate.sensor.sensor import settings_from_sensor
+from gelform.simulate.sensor import settings_from_sensor
 
 
 @contextmanager

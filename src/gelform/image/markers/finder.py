@@ -1,6 +1,9 @@
-"""Markers on the gel, found by their darkness; and a dot's patch, searched for in another image.
+"""Markers on the gel, found by their darkness; and a dot's patch, searched for in another image to fractions of a pixel.
 
-A dot's patch of the background image, searched for in another image to fractions of a pixel.
+A marker is darker in all channels than the gel around it; a contact is bright on one side and dark on the other. So
+the mean of the channels is compared with its closing (the largest value nearby, then the smallest of those), which
+is the gel without anything small and dark on it. Dots are markers only if they form a grid or are spread evenly;
+dust does not.
 
 In the logarithm of the gray level a patch is the light, which is smooth, plus the dot's own darkness, which moves with
 the gel. So the patch at a shift d is fitted with a quadratic (the light, whatever a contact makes of it), the rest
@@ -11,19 +14,12 @@ explain a dot, its patch is fitted at x = c + d + (1 + A) u instead of c + d + u
 the patch). That fit has four more unknowns, and a nearly round dot hardly determines its rotation.
 
 Baker and Matthews, Lucas-Kanade 20 years on, IJCV 56, 2004 (inverse compositional, with linear appearance; affine warp).
-
-Markers on the gel, found by their darkness in the background image and in other images.
-
-A marker is darker in all channels than the gel around it; a contact is bright on one side and dark on the other. So
-the mean of the channels is compared with its closing (the largest value nearby, then the smallest of those), which
-is the gel without anything small and dark on it. Dots are markers only if they form a grid or are spread evenly;
-dust does not.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -36,19 +32,9 @@ from gelform.foundations.checks import check_image
 from gelform.foundations.filters import CHANGE_OFFSET, log_levels
 from gelform.image.frame import as_levels
 
-STEPS, STRETCHED_STEPS = 8, 15  # largest number of steps of the fit, for a shift and for an affine map
-SIDE_RADII = 1.35  # half a patch, in radii of a dot
-MOST_SIDE, BASIS = 63, 9  # as in native/image/markers/follow.c
 # Range of a present dot's strength over that at rest: turned away it is fainter, stretched it is stronger.
 STRENGTH = (0.3, 2.2)
-# Largest unexplained fraction of the energy of dot and rest together, because dots are stretched and turned. An affine map
-# explains that, so its fraction is smaller.
-MOST_LEFT, MOST_LEFT_STRETCHED = 0.8, 0.35
-# px, largest last step of a valid fit, and the step that ends a fit.
-LAST_STEP_PX, ENOUGH_PX = 0.1, 0.02
-MOST_CHANGE = 0.25  # of A in one step; the fit is linear in it
-DAMPING = 0.02  # of the patch's energy in each column of A; it keeps the rotation of a round dot
-STRETCH = (0.35, 2.2)  # singular values of 1 + A within the reach of rubber
+LAST_STEP_PX = 0.1  # the largest last step of a valid fit
 LIGHT, SHIFT = 6, 7  # columns: quadratic light, the dot, its derivatives (2), their products with u (4)
 
 _MEAN = np.full((1, 3), 1 / 3, dtype=np.float32)  # mean of the channels
@@ -61,29 +47,23 @@ _follow_patches = Kernel(
 
 
 class Followed(NamedTuple):
-    """Patches found in an image.
+    """Patches found in an image."""
 
-    shift_px : (N, 2) float32, from rest; ok : (N,) bool, whether the dot is there; sigma_px : (N,) float32
-    """
-
-    shift_px: Floats
-    ok: Mask
-    sigma_px: Floats
+    shift_px: Floats  # (N, 2) float32, from rest
+    ok: Mask  # (N,), whether the dot is there
+    sigma_px: Floats  # (N,) float32
 
 
 class MarkerPatches:
-    """The patches of a gel's dots, prepared once.
+    """The patches of a gel's dots, prepared once from `logs_from_image` of its background image.
 
-    Parameters
-    ----------
-    logs : (H, W) float32, of the background image: `logs_from_image`
-    centers_px : (N, 2) x and y
-    radius_px : of a dot
+    `centers_px` (N, 2) are x and y, `radius_px` is that of a dot.
     """
 
     def __init__(self, logs: Map, centers_px: Array, radius_px: float) -> None:
         height, width = self._shape = logs.shape
-        half = int(min(np.ceil(SIDE_RADII * radius_px + 1), (MOST_SIDE - 1) // 2, (min(logs.shape) - 1) // 2))
+        # Half a patch is 1.35 radii and a pixel; 63 pixels a side are the most of native/image/markers/follow.c.
+        half = int(min(np.ceil(1.35 * radius_px + 1), 31, (min(logs.shape) - 1) // 2))
         self.side_px, self._longest = 2 * half + 1, 0.6 * radius_px
         self.radius_px = radius_px
         most = np.array([width, height]) - self.side_px
@@ -91,37 +71,84 @@ class MarkerPatches:
         self.centers_px = np.asarray(centers_px, dtype=np.float32)
         count = len(self.corners_px)
         self.weights = np.empty((count, self.side_px**2), dtype=np.float32)
-        self._basis = np.empty((count, BASIS, self.side_px**2), dtype=np.float32)
+        self._basis = np.empty((count, SHIFT + 2, self.side_px**2), dtype=np.float32)
         self._triangle = np.empty((count, 3, 3), dtype=np.float32)
         self._spread, self._freedom = np.empty(count), np.empty(count)
-        self._prepare(logs.astype(np.float64))
+        down, across = np.asarray(np.gradient(logs.astype(np.float64)))
+        self._parts = logs.astype(np.float64), across, down
+        self._prepare()
 
     def __call__(self, logs: Map, start_px: Array, of: NDArray[np.intp] | None = None) -> Followed:
         """Search for dots in an image's logs from shifts (N, 2); `of` selects dots by number, all by default."""
-        chosen = np.arange(len(self.corners_px)) if of is None else of
+        chosen = slice(None) if of is None else of
         shift = np.array(start_px, dtype=np.float32, order="C")
-        fit = np.zeros((len(chosen), 4), dtype=np.float32)
+        fit = np.zeros((len(shift), 4), dtype=np.float32)
         parts = (self.corners_px, self.weights, self._basis, self._triangle)
-        corners, weight, basis, triangle = parts if of is None else (part[chosen] for part in parts)
-        _follow_patches(
-            logs,
-            corners,
-            weight,
-            basis,
-            triangle,
-            shift,
-            fit,
-            side=self.side_px,
-            steps=STEPS,
-            longest=self._longest,
-        )
+        of_chosen = [part[chosen] for part in parts]
+        _follow_patches(logs, *of_chosen, shift, fit, side=self.side_px, steps=8, longest=self._longest)
         strength, left, own, last = fit.T
         noise = np.sqrt(left / self._freedom[chosen])
         sigma = (noise / np.maximum(strength, 0.1) * self._spread[chosen]).astype(np.float32)
         ok = (strength > STRENGTH[0]) & (strength < STRENGTH[1]) & (last < LAST_STEP_PX)
-        ok &= left < MOST_LEFT * (left + own)
+        # Of the energy of dot and rest together; dots are stretched and turned.
+        ok &= left < 0.8 * (left + own)
         ok &= self.inside(self.centers_px[chosen] + shift)
         return Followed(shift, ok, sigma)
+
+    def stretched(self, logs: Map, start_px: Array, of: NDArray[np.intp]) -> Followed:
+        """Search for the dots numbered `of` in an image's logs from shifts (M, 2), with an affine map."""
+        found = [self._stretched(logs, int(i), start) for i, start in zip(of, start_px)]
+        shift = np.array([f[0] for f in found], dtype=np.float32).reshape(-1, 2)
+        ok = np.array([f[1] for f in found], dtype=bool)
+        sigma = np.array([f[2] for f in found], dtype=np.float32)
+        return Followed(shift, ok & self.inside(self.centers_px[of] + shift), sigma)
+
+    def _stretched(self, logs: Map, i: int, start: Array) -> tuple[Numbers, bool, float]:
+        """Shift, whether the dot is there, and sigma of one dot."""
+        u, weight, columns = self._columns(i)
+        normal = columns.T @ columns
+        # The damping keeps the rotation of a round dot.
+        normal[np.diag_indices(len(normal))] += [1e-9] * (SHIFT + 2) + [0.02 * np.sum(weight**2)] * 4
+        inverse = np.linalg.inv(normal)  # definite by what the diagonal got
+        shift, warp = np.array(start, dtype=np.float64), np.eye(2)
+        for _ in range(15):
+            x, y = (self.centers_px[i] + shift + u @ warp.T).astype(np.float32).T[:, :, None]
+            seen = cv2.remap(logs, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+            evidence = weight * (np.asarray(seen).ravel() + 0.0)
+            fit = inverse @ (columns.T @ evidence)
+            # The fit is linear in the step and in A, so both are limited.
+            step = fit[SHIFT:] / max(fit[LIGHT], STRENGTH[0])
+            change = np.clip(step[2:], -0.25, 0.25).reshape(2, 2)
+            step = step[:2] * min(1.0, self._longest / max(float(np.linalg.norm(step[:2])), 1e-9))
+            warp = warp @ np.linalg.inv(np.eye(2) + change)  # never singular, as changes are small
+            shift = shift - warp @ step
+            last = float(np.linalg.norm(step) + self.radius_px * np.abs(change).max())
+            if last < 0.02 or not _is_of_rubber(warp):
+                break
+        left = float(np.sum((evidence - columns @ fit) ** 2))
+        light, dot = columns[:, :LIGHT], columns[:, LIGHT]
+        own = float(np.sum((dot - light @ np.linalg.lstsq(light, dot, rcond=None)[0]) ** 2))
+        unexplained = left / (left + fit[LIGHT] ** 2 * own)
+        ok = STRENGTH[0] < fit[LIGHT] < STRENGTH[1] and last < LAST_STEP_PX and unexplained < 0.35
+        variance = left / (len(u) - len(fit)) * np.trace(inverse[SHIFT : SHIFT + 2, SHIFT : SHIFT + 2]) / 2
+        return shift, bool(ok and _is_of_rubber(warp)), float(np.sqrt(variance) / max(fit[LIGHT], 0.1))
+
+    def _columns(self, i: int) -> tuple[Numbers, Numbers, Numbers]:
+        """Positions (P, 2) of a patch's pixels from its dot's center, their weights, and weighted columns (P, 13)."""
+        at = self._at(i)
+        row, column = np.mgrid[at]
+        u = np.stack([column.ravel(), row.ravel()], axis=-1) - self.centers_px[i].astype(np.float64)
+        weight = self.weights[i].astype(np.float64)
+        x, y = u.T / (self.side_px // 2)
+        dot, across, down = (part[at].ravel() for part in self._parts)
+        light = [np.ones_like(x), x, y, x * x, x * y, y * y]
+        change = [across * u[:, 0], across * u[:, 1], down * u[:, 0], down * u[:, 1]]
+        return u, weight, np.column_stack([*light, dot, across, down, *change]) * weight[:, None]
+
+    def _at(self, i: int) -> tuple[slice, slice]:
+        """Rows and columns of a patch."""
+        left, top = self.corners_px[i].tolist()
+        return slice(top, top + self.side_px), slice(left, left + self.side_px)
 
     def inside(self, places: Array) -> Mask:
         """Whether most of a dot at each position (N, 2) is in the image."""
@@ -130,28 +157,24 @@ class MarkerPatches:
         inside: Mask = np.all((places >= margin) & (places <= far), axis=1)
         return inside
 
-    def _prepare(self, logs: Numbers) -> None:
+    def _prepare(self) -> None:
         """Each dot's weights and orthonormal basis: quadratic light, then the patch and its derivatives."""
         half = self.side_px // 2
-        down, across = np.asarray(np.gradient(logs))
         y, x = np.mgrid[-half : half + 1, -half : half + 1] / max(half, 1)
         away = half * np.hypot(x, y).ravel()
-        taper = 1 / (
-            1 + np.exp((away - 1.6 * self.radius_px) / (0.3 * self.radius_px))
-        )  # of other dots that come near
+        # Of other dots that come near.
+        taper = 1 / (1 + np.exp((away - 1.6 * self.radius_px) / (0.3 * self.radius_px)))
         light = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1).reshape(-1, 6)
-        for i, (left, top) in enumerate(self.corners_px):
-            at = slice(top, top + self.side_px), slice(left, left + self.side_px)
-            weight = taper * np.exp(logs[at]).ravel()  # the noise of a logarithm falls with the level
+        for i in range(len(self.corners_px)):
+            parts = [part[self._at(i)].ravel() for part in self._parts]
+            weight = taper * np.exp(parts[0])  # the noise of a logarithm falls with the level
             weight /= weight.mean()
-            columns = np.column_stack([light, *(part[at].ravel() for part in (logs, across, down))])
-            basis, triangle = np.linalg.qr(columns * weight[:, None])
+            basis, triangle = np.linalg.qr(np.column_stack([light, *parts]) * weight[:, None])
             sign = np.sign(np.diag(triangle))
             self.weights[i], self._basis[i] = weight, (basis * sign).T
             self._triangle[i] = (triangle * sign[:, None])[6:, 6:]
-            noise = (
-                basis * taper[:, None] ** 2
-            ).T @ basis  # of the coordinates, where the noise is tapered too
+            # Of the coordinates, where the noise is tapered too.
+            noise = (basis * taper[:, None] ** 2).T @ basis
             # A dot is round and dark, as the finder made sure: quadratic light gives neither it nor its derivatives.
             inverse = np.asarray(np.linalg.inv(triangle))[7:]
             self._spread[i] = np.sqrt(np.trace(inverse @ noise @ inverse.T) / 2)
@@ -170,140 +193,40 @@ def level_from_image(image: Array) -> Image:
     return np.asarray(cv2.transform(as_levels(image), _MEAN))
 
 
-class StretchedPatches:
-    """The dots of one gel, searched for with an affine map; `logs` (H, W) are those of the background image."""
-
-    def __init__(self, logs: Map, patches: MarkerPatches) -> None:
-        self._logs, self._patches = logs, patches
-        self._down, self._across = np.asarray(np.gradient(logs.astype(np.float64)))
-
-    def __call__(self, logs: Map, start_px: Array, of: NDArray[np.intp]) -> Followed:
-        """Search for the dots numbered `of` in an image's logs from shifts (M, 2)."""
-        found = [self._one(logs, int(i), start) for i, start in zip(of, start_px)]
-        shift = np.array([f[0] for f in found], dtype=np.float32).reshape(-1, 2)
-        ok = np.array([f[1] for f in found], dtype=bool)
-        sigma = np.array([f[2] for f in found], dtype=np.float32)
-        return Followed(shift, ok & self._patches.inside(self._patches.centers_px[of] + shift), sigma)
-
-    def _one(self, logs: Map, i: int, start: Array) -> tuple[Any, bool, float]:
-        """Shift, whether the dot is there, and sigma of one dot."""
-        u, weight, columns = self._columns(i)
-        normal = columns.T @ columns
-        normal[np.diag_indices(len(normal))] += [1e-9] * (SHIFT + 2) + [DAMPING * np.sum(weight**2)] * 4
-        inverse = np.linalg.inv(normal)  # definite by what the diagonal got
-        shift, warp, radius = np.array(start, dtype=np.float64), np.eye(2), self._patches.radius_px
-        for _ in range(STRETCHED_STEPS):
-            places = (self._patches.centers_px[i] + shift + u @ warp.T).astype(np.float32)
-            evidence = weight * _sampled(logs, places)
-            fit = inverse @ (columns.T @ evidence)
-            step, change = _limited(fit[SHIFT:] / max(fit[LIGHT], STRENGTH[0]), 0.6 * radius)
-            warp = warp @ np.linalg.inv(np.eye(2) + change)  # changes are below MOST_CHANGE
-            shift = shift - warp @ step
-            last = float(np.linalg.norm(step) + radius * np.abs(change).max())
-            if last < ENOUGH_PX or not _is_of_rubber(warp):
-                break
-        left = float(np.sum((evidence - columns @ fit) ** 2))
-        unexplained = left / (
-            left + fit[LIGHT] ** 2 * _unexplained_energy(columns[:, :LIGHT], columns[:, LIGHT])
-        )
-        ok = (
-            STRENGTH[0] < fit[LIGHT] < STRENGTH[1]
-            and last < LAST_STEP_PX
-            and unexplained < MOST_LEFT_STRETCHED
-        )
-        variance = left / (len(u) - len(fit)) * np.trace(inverse[SHIFT : SHIFT + 2, SHIFT : SHIFT + 2]) / 2
-        return shift, bool(ok and _is_of_rubber(warp)), float(np.sqrt(variance) / max(fit[LIGHT], 0.1))
-
-    def _columns(self, i: int) -> tuple[Array, Array, Array]:
-        """Positions (P, 2) of a patch's pixels from its dot's center, their weights, and weighted columns (P, 13)."""
-        left, top = (int(place) for place in self._patches.corners_px[i])
-        side = self._patches.side_px
-        at = slice(top, top + side), slice(left, left + side)
-        row, column = np.mgrid[at]
-        u = np.stack([column.ravel(), row.ravel()], axis=-1) - self._patches.centers_px[i].astype(np.float64)
-        weight = self._patches.weights[i].astype(np.float64)
-        x, y = u.T / (side // 2)
-        dot, across, down = (part[at].ravel() for part in (self._logs, self._across, self._down))
-        light = [np.ones_like(x), x, y, x * x, x * y, y * y]
-        change = [across * u[:, 0], across * u[:, 1], down * u[:, 0], down * u[:, 1]]
-        return u, weight, np.column_stack([*light, dot, across, down, *change]) * weight[:, None]
-
-
-def _sampled(logs: Map, places: Floats) -> Numbers:
-    """Values (P,) at positions (P, 2); the nearest value beyond the border."""
-    x, y = places.T[:, :, None]
-    return np.asarray(cv2.remap(logs, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)).ravel() + 0.0
-
-
-def _limited(step: Numbers, longest: float) -> tuple[Numbers, Numbers]:
-    """A step's shift (2,), limited in length, and its limited change of A (2, 2), because the fit is linear in both."""
-    length = max(float(np.linalg.norm(step[:2])), 1e-9)
-    return step[:2] * min(1.0, longest / length), np.clip(step[2:], -MOST_CHANGE, MOST_CHANGE).reshape(2, 2)
-
-
 def _is_of_rubber(warp: Numbers) -> bool:
-    """Whether a map (2, 2) stretches and squeezes no more than a gel can."""
+    """Whether the singular values of a map (2, 2) are within the reach of rubber."""
     stretch = np.linalg.svd(warp, compute_uv=False)
-    return bool(stretch[0] < STRETCH[1] and stretch[1] > STRETCH[0])
+    return bool(stretch[0] < 2.2 and stretch[1] > 0.35)
 
 
-def _unexplained_energy(columns: Numbers, dot: Numbers) -> float:
-    """Energy of the part of a column (P,) that columns (P, C) do not explain."""
-    return float(np.sum((dot - columns @ np.linalg.lstsq(columns, dot, rcond=None)[0]) ** 2))
-
-
-CLOSING_FRACTION = 0.13  # of the shorter side; wider than any dot
 LEVEL_OFFSET = 5.0  # gray levels; noise of dark pixels is no darkness
-# Darkness, as a fraction: smallest of a pixel of a dot, and of a dot's darkest pixel.
-FAINT, MIN_PEAK = 0.12, 0.2
 MIN_DOTS, MIN_AREA_PX = 9, 5  # fewer dots form no grid, smaller ones are noise
 SIZE_RANGE = (0.4, 2.5)  # of a dot's area over the typical one
-MIN_ORDER = 0.5  # |mean of exp(i k angle)| over neighbors of a grid, k 4 or 6: 1 for an even grid, 0 for scattered points
-# Dots without a grid: fraction of the image that they span, their number and their evenness; dust is less even.
-SPAN, MIN_IRREGULAR, MIN_EVENNESS = 0.6, 25, 1.4
-# Range of a neighbor's distance over the usual one; smallest fraction of a grid's dots with two such neighbors.
-NEIGHBORS, MIN_WITH_NEIGHBORS = (0.7, 1.3), 0.7
 # Of a dot's peak; the first is its edge, the others separate it from a shadow next to it.
 LEVELS = (0.3, 0.5, 0.7)
-# Widths of the two boxes whose means are compared at a candidate, in radii of a dot.
-INNER, OUTER = 1.3, 3.6
-LEAST_RESPONSE = 0.35  # of the typical dot's difference
 
 
 @dataclass(frozen=True)
 class Markers:
-    """Markers of one image.
+    """Markers of one image."""
 
-    Attributes
-    ----------
-    centers_px : (N, 2) float32, x and y; N is 0 if the gel has no markers
-    radius_px : of a dot, from their median area; 0 if there are none
-    mask : (H, W) bool, the pixels that they darken
-    """
-
-    centers_px: Floats
-    radius_px: float
-    mask: Mask
+    centers_px: Floats  # (N, 2) float32, x and y; N is 0 if the gel has no markers
+    radius_px: float  # of a dot, from their median area; 0 if there are none
+    mask: Mask  # (H, W), the pixels that they darken
 
     def __len__(self) -> int:
         return len(self.centers_px)
 
 
 class MarkerFinder:
-    """Finds a gel's markers in its images, if its background has any. It is prepared once for all frames.
+    """Finds a gel's markers in its images, if its background image (H, W, 3), 0-255, has any; prepared once for all frames.
 
-    Parameters
-    ----------
-    background : (H, W, 3), 0-255, background image
-
-    Attributes
-    ----------
-    untouched : the markers at rest; none if they neither form a grid nor are evenly spread
+    `untouched` are the markers at rest; none if they neither form a grid nor are evenly spread.
     """
 
     def __init__(self, background: ArrayLike) -> None:
         image = check_image(background, name="background")
-        size = max(3, int(CLOSING_FRACTION * min(image.shape[:2])) | 1)
+        size = max(3, int(0.13 * min(image.shape[:2])) | 1)  # px, wider than any dot
         self._kernel = np.ones((size, size), dtype=np.uint8)
         darkness = self._darkness(image)
         self._peak, self._area = _dots_of_grid(darkness)
@@ -321,7 +244,9 @@ class MarkerFinder:
             new = _peaks(darkness, labels, len(dots)) > 0.5 * self._peak
             new &= np.bincount(labels[mask], minlength=len(dots) + 1)[1:] == 0
             found = np.concatenate([[False], new])[labels]
-            mask |= found if level == LEVELS[0] else _grown(found)
+            if level != LEVELS[0]:  # from a dot's core to about its edge
+                found = cv2.dilate(found.view(np.uint8), np.ones((5, 5), dtype=np.uint8)) > 0
+            mask |= found
             centers.append(_centers(darkness, labels, len(dots))[new])
             areas.append(dots[new & whole])
         sizes = areas[1] if len(areas[1]) else np.concatenate(areas)
@@ -333,8 +258,7 @@ class MarkerFinder:
 
         The color change is divided by the background, so a marker in either image makes wrong slopes. This is faster than
         calling the finder (half of a bare DCT pair at 240x320), because it checks no single dot: it also includes a narrow,
-        deep
-        shadow.
+        deep shadow.
         """
         if not self._peak:
             return np.zeros(image.shape[:2], dtype=bool)
@@ -383,31 +307,27 @@ def markers_from_image(image: ArrayLike, background: ArrayLike | None = None) ->
 
 
 def _dots_of_grid(darkness: Map) -> tuple[float, float]:
-    """Typical peak and area of the dots of a regular grid; 0, 0 without one."""
-    areas, labels, whole = _dots(darkness, FAINT, None)
+    """Typical peak and area of the dots of a gel's layout: a grid, or evenly spread all over it; 0, 0 without one."""
+    areas, labels, whole = _dots(darkness, 0.12, None)
     if np.count_nonzero(whole) < MIN_DOTS:
         return 0.0, 0.0
     peaks = _peaks(darkness, labels, len(areas))
-    strong = whole & (peaks > max(MIN_PEAK, 0.5 * float(np.percentile(peaks[whole], 80))))
+    strong = whole & (peaks > max(0.2, 0.5 * float(np.percentile(peaks[whole], 80))))
     if np.count_nonzero(strong) < MIN_DOTS:
         return 0.0, 0.0
     typical = float(np.median(areas[strong]))
     alike = strong & (areas > SIZE_RANGE[0] * typical) & (areas < SIZE_RANGE[1] * typical)
-    if np.count_nonzero(alike) < MIN_DOTS or not _is_layout(
-        _centers(darkness, labels, len(areas))[alike], darkness.shape
-    ):
+    if np.count_nonzero(alike) < MIN_DOTS:
         return 0.0, 0.0
+    centers = _centers(darkness, labels, len(areas))[alike]
+    if not is_grid(centers):
+        # Dots without a grid span 0.6 of the image, and dust is less even.
+        all_over = np.all(np.ptp(centers, axis=0) > 0.6 * np.array(darkness.shape[::-1]))
+        if not (all_over and len(centers) >= 25 and evenness(centers) > 1.4):
+            return 0.0, 0.0
     peak = float(np.median(peaks[alike]))
     areas, _, whole = _dots(darkness, LEVELS[0] * peak, None)
     return peak, float(np.median(areas[whole & (areas > SIZE_RANGE[0] * typical)]))
-
-
-def _is_layout(centers_px: Array, shape: tuple[int, ...]) -> bool:
-    """Whether points (N, 2) of an image of a shape are a gel's layout: a grid, or evenly spread all over it."""
-    if is_grid(centers_px):
-        return True
-    all_over = bool(np.all(np.ptp(centers_px, axis=0) > SPAN * np.array(shape[::-1])))
-    return all_over and len(centers_px) >= MIN_IRREGULAR and evenness(centers_px) > MIN_EVENNESS
 
 
 def evenness(centers_px: Array) -> float:
@@ -423,7 +343,7 @@ def evenness(centers_px: Array) -> float:
 def is_grid(centers_px: Array) -> bool:
     """Whether points (N, 2) form a regular grid, square or hexagonal, bent or with gaps.
 
-    In a grid most points have at least two neighbors at about the usual distance of the nearest one, in
+    In a grid 70 % of the points or more have at least two neighbors at about the usual distance of the nearest one, in
     directions that repeat every 90 or 60 degrees.
     """
     if len(centers_px) < MIN_DOTS:
@@ -431,13 +351,13 @@ def is_grid(centers_px: Array) -> bool:
     found = scipy.spatial.cKDTree(centers_px).query(centers_px, k=min(7, len(centers_px)))
     distance, neighbor = np.asarray(found[0]), np.asarray(found[1])
     pitch = float(np.median(distance[:, 1]))
-    near = (distance[:, 1:] > NEIGHBORS[0] * pitch) & (distance[:, 1:] < NEIGHBORS[1] * pitch)
-    if np.mean(near.sum(axis=1) >= 2) < MIN_WITH_NEIGHBORS:
+    near = (distance[:, 1:] > 0.7 * pitch) & (distance[:, 1:] < 1.3 * pitch)
+    if np.mean(near.sum(axis=1) >= 2) < 0.7:
         return False
     step = centers_px[neighbor[:, 1:]] - centers_px[:, None]
     angle = np.arctan2(step[..., 1], step[..., 0])[near]
-    order = max(abs(np.mean(np.exp(1j * fold * angle))) for fold in (4, 6))
-    return bool(order >= MIN_ORDER)
+    # 1 for an even grid, 0 for scattered points
+    return bool(max(abs(np.mean(np.exp(1j * fold * angle))) for fold in (4, 6)) >= 0.5)
 
 
 def _dots(darkness: Map, threshold: float, area: float | None) -> tuple[Numbers, NDArray[np.int32], Mask]:
@@ -457,40 +377,27 @@ def _dots(darkness: Map, threshold: float, area: float | None) -> tuple[Numbers,
     return areas[compact], number[labels], whole[compact]
 
 
-def _grown(mask: Mask) -> Mask:
-    """The mask with two more pixels on each side: about from a dot's core to its edge."""
-    grown: Mask = cv2.dilate(mask.view(np.uint8), np.ones((5, 5), dtype=np.uint8)).view(np.bool_)
-    return grown
-
-
 def _peaks(darkness: Map, labels: NDArray[np.int32], count: int) -> Numbers:
-    """Largest darkness of each numbered component (1 to count; each has pixels)."""
-    inside = labels > 0
-    number = labels[inside]
-    order = np.argsort(number, kind="stable")
-    starts = np.searchsorted(number[order], np.arange(1, count + 1))
-    peaks = np.maximum.reduceat(darkness[inside][order], starts) if count else np.zeros(0)
+    """Largest darkness of each numbered component (1 to count)."""
+    peaks = scipy.ndimage.maximum(darkness, labels, np.arange(1, count + 1))
     return np.asarray(peaks, dtype=np.float64)
 
 
 def _centers(darkness: Map, labels: NDArray[np.int32], count: int) -> Numbers:
     """Centers (N, 2), x and y, weighted by the darkness."""
-    rows, cols = np.nonzero(labels)
-    number, weight = labels[rows, cols], darkness[rows, cols].astype(np.float64)
-    total, x, y = (
-        np.bincount(number, w, minlength=count + 1)[1:] for w in (weight, weight * cols, weight * rows)
-    )
-    return np.stack([x, y], axis=-1) / np.maximum(total, 1e-9)[:, None]
+    centers = scipy.ndimage.center_of_mass(darkness, labels, np.arange(1, count + 1))
+    return np.array(centers, dtype=np.float64).reshape(-1, 2)[:, ::-1]
 
 
 class CandidateFinder:
     """Finds possible dots: places that are darker than their surroundings, at a dot's size. Prepared for one gel."""
 
     def __init__(self, logs: Map, centers_px: Array, radius_px: float) -> None:
-        self._inner, self._outer = (max(1, round(width * radius_px)) | 1 for width in (INNER, OUTER))
+        # Widths of the two boxes whose means are compared at a candidate.
+        self._inner, self._outer = (max(1, round(width * radius_px)) | 1 for width in (1.3, 3.6))
         self._near = np.ones((max(3, round(radius_px) | 1),) * 2, dtype=np.uint8)
         column, row = np.rint(centers_px).astype(np.intp).T
-        self._threshold = LEAST_RESPONSE * float(np.median(self._response(logs)[row, column]))
+        self._threshold = 0.35 * float(np.median(self._response(logs)[row, column]))
 
     def __call__(self, logs: Map) -> Map:
         """Candidates (M, 2), x and y, to about a pixel."""

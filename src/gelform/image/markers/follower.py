@@ -1,6 +1,4 @@
-"""The markers of one gel, prepared once: their positions at rest and in an image, and the pixels that they darken.
-
-The markers of one gel, prepared once: their positions in an image, and the pixels that they darken.
+"""The markers of one gel, prepared once: their positions in an image, and the pixels that they darken.
 
 Each dot is searched for near its expected position. A dot that is not found there is searched for at the candidates
 nearest to the prediction of its neighbors, ring by ring. A dot is rejected if it moves unlike its neighbors, or if another
@@ -19,13 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gelform.arrays import Array, Floats, Map, Mask, Numbers
 from gelform.foundations.checks import check_image, check_mm_per_px
-from gelform.image.markers.finder import (
-    CandidateFinder,
-    MarkerFinder,
-    MarkerPatches,
-    StretchedPatches,
-    logs_from_image,
-)
+from gelform.image.markers.finder import CandidateFinder, MarkerFinder, MarkerPatches, logs_from_image
 
 _SHAPES = {"rest_px": (2,), "now_px": (2,), "seen": (), "sigma_px": ()}
 
@@ -35,21 +27,13 @@ class MarkerFlow:
     """The displacement of each marker of a gel from rest, which shows the shear of the surface.
 
     Markers keep their order from frame to frame.
-
-    Attributes
-    ----------
-    rest_px : (N, 2) float32, x and y, positions at rest
-    now_px : (N, 2) float32, positions in this image; that of an unseen marker is predicted from its neighbors
-    seen : (N,) bool, whether the marker itself was measured
-    sigma_px : (N,) float32, one standard deviation of `now_px`, for x and y alike; large if not seen
-    mm_per_px : float or (x, y), mm; None if the scale is unknown
     """
 
-    rest_px: Floats
-    now_px: Floats
-    seen: Mask
-    sigma_px: Floats
-    mm_per_px: float | tuple[float, float] | None = None
+    rest_px: Floats  # (N, 2) float32, x and y, positions at rest
+    now_px: Floats  # (N, 2) float32, in this image; that of an unseen marker is predicted from its neighbors
+    seen: Mask  # (N,), whether the marker itself was measured
+    sigma_px: Floats  # (N,) float32, one standard deviation of `now_px`, for x and y alike; large if not seen
+    mm_per_px: float | tuple[float, float] | None = None  # or (x, y); None if the scale is unknown
 
     def __post_init__(self) -> None:
         count = len(self.rest_px)
@@ -110,17 +94,9 @@ class MarkerFlow:
         return np.array(check_mm_per_px(self.mm_per_px), dtype=np.float32)
 
 
-NEIGHBORS, REACH = 8, 1.7  # neighbors of a dot at most; spacings within which they count
-# Spacings: a dot further from its neighbors' motion is another one; so is a dot found further from its search position, and
-# a dot that memory has lost further from its neighbors' prediction.
-MOST_ASTRAY, HALF, AGAIN = 0.45, 0.5, 0.3
-FIT_PRIOR = 0.3  # spacings squared; neighbors that spread less do not determine a plane
-RINGS = 8  # rings of lost dots that are searched for from those around, one after the other
-CLEARLY = 0.5  # of the distance to the next candidate; a nearer candidate is the dot itself
-# A fit's residual is no white noise: factor of its sigma, and smallest sigma, px; measured on simulated shear.
-SIGMA_FACTOR, SIGMA_FLOOR_PX = 1.5, 0.01
-UNSEEN_SIGMA = 0.2  # spacings, sigma of a dot that was not found
-WHOLE = 1.0  # radii; dots nearer to the border are cut, and not followed
+# Spacings: a dot found further from its search position is another one; so is one that memory has lost and that is found
+# further from its neighbors' prediction.
+HALF, AGAIN = 0.5, 0.3
 
 
 class Neighbors:
@@ -129,24 +105,22 @@ class Neighbors:
     def __init__(self, rest_px: Array) -> None:
         self._rest = np.asarray(rest_px, dtype=np.float64)
         count = len(self._rest)
-        found = scipy.spatial.cKDTree(self._rest).query(self._rest, k=min(NEIGHBORS + 1, count))
+        found = scipy.spatial.cKDTree(self._rest).query(self._rest, k=min(9, count))
         distance, self._index = np.asarray(found[0])[:, 1:], np.asarray(found[1])[:, 1:]
         self.spacing_px = float(np.median(distance[:, 0]))
-        self._near = distance < REACH * np.maximum(self.spacing_px, distance[:, :1])
+        # Within 1.7 spacings, and at most eight.
+        self._near = distance < 1.7 * np.maximum(self.spacing_px, distance[:, :1])
 
     def astray_px(self, shift_px: Array, sure: Mask) -> Numbers:
         """Distance (N,) of each dot's shift from the median of its sure neighbors; 0 without any."""
         theirs = np.where((self._near & sure[self._index])[..., None], shift_px[self._index], np.inf)
         theirs.sort(axis=1)
         count = np.count_nonzero(np.isfinite(theirs[..., 0]), axis=1)
-        lower, upper = (np.maximum(count - 1, 0) // 2, count // 2)
+        lower, upper = np.maximum(count - 1, 0) // 2, np.minimum(count // 2, theirs.shape[1] - 1)
         number = np.arange(len(theirs))
-        upper = np.minimum(upper, theirs.shape[1] - 1)
         middle = (theirs[number, lower] + theirs[number, upper]) / 2
-        middle = np.where((count > 0)[:, None], middle, shift_px)
-        away = shift_px - middle
-        astray: Numbers = np.hypot(away[:, 0], away[:, 1])
-        return astray
+        away = shift_px - np.where((count > 0)[:, None], middle, shift_px)
+        return np.asarray(np.hypot(away[:, 0], away[:, 1]))
 
     def predicted_px(self, shift_px: Array, sure: Mask, of: Mask) -> Numbers:
         """Shifts (M, 2) of some dots (`of`, (N,) bool) from those of the sure ones around.
@@ -161,24 +135,17 @@ class Neighbors:
         mean, place = weight @ shift_px[sure], np.einsum("mk,mkc->mc", weight, away)
         offset = away - place[:, None]
         spread = np.einsum("mk,mkc,mkd->mcd", weight, offset, offset)
-        spread += FIT_PRIOR * self.spacing_px**2 * np.eye(2)
+        spread += 0.3 * self.spacing_px**2 * np.eye(2)  # neighbors that spread less do not determine a plane
         lean = np.einsum("mk,mkc,mkd->mcd", weight, offset, shift_px[sure] - mean[:, None])
-        slope = np.linalg.solve(spread, lean)  # definite by FIT_PRIOR
-        predicted: Numbers = mean - np.einsum("mc,mcd->md", place, slope)
-        return predicted
+        slope = np.linalg.solve(spread, lean)  # definite by what was added
+        return np.asarray(mean - np.einsum("mc,mcd->md", place, slope))
 
 
 class MarkerFollower:
     """Finds the moved markers of a gel: a pure function of the image and of the start of the search.
 
-    Parameters
-    ----------
-    background : (H, W, 3), 0-255, background image
-    mm_per_px : float or (x, y), mm; None if unknown
-
-    Attributes
-    ----------
-    rest_px : (N, 2) float32, markers completely inside the background image; N is 0 if the gel has no markers
+    It is prepared for a background image (H, W, 3), 0-255. `rest_px` (N, 2) float32 are the markers that are completely
+    inside it; N is 0 if the gel has no markers. `mm_per_px` is None if it is unknown.
     """
 
     def __init__(self, background: ArrayLike, mm_per_px: float | tuple[float, float] | None = None) -> None:
@@ -188,8 +155,8 @@ class MarkerFollower:
         self.mm_per_px = mm_per_px
         self._finder = MarkerFinder(image)
         found, radius = self._finder.untouched.centers_px, self._finder.untouched.radius_px
-        far = np.array(image.shape[1::-1]) - 1 - WHOLE * radius
-        whole = np.all((found >= WHOLE * radius) & (found <= far), axis=1)
+        far = np.array(image.shape[1::-1]) - 1 - radius
+        whole = np.all((found >= radius) & (found <= far), axis=1)
         self.rest_px = found[whole]
         if len(self) < 2:
             self.rest_px = found[:0]
@@ -198,7 +165,6 @@ class MarkerFollower:
         self._neighbors = Neighbors(self._all)
         logs = logs_from_image(image)
         self._patches = MarkerPatches(logs, self.rest_px, radius)
-        self._stretched = StretchedPatches(logs, self._patches)
         self._candidates = CandidateFinder(logs, self.rest_px, radius)
         # Positions (M, 2) of the pixels that dots darken at rest, and the nearest dot (M,) of each.
         self._dark = np.stack(np.nonzero(self._finder.untouched.mask)[::-1], axis=-1)
@@ -220,15 +186,14 @@ class MarkerFollower:
     def __call__(self, image: Array, start_px: Array | None = None) -> MarkerFlow:
         """The positions of the markers in an image (H, W, 3), 0-255.
 
-        Parameters
-        ----------
-        start_px : (N, 2), displacements at the start of the search; 0 by default, which finds dots that have moved
-            less than half a spacing
+        `start_px` (N, 2) are displacements at the start of the search; 0 by default, which finds dots that have moved less
+        than half a spacing.
         """
         expected = np.zeros((len(self), 2)) if start_px is None else np.asarray(start_px, dtype=np.float64)
         shift, seen, sigma = self._resolved(logs_from_image(image), expected)
-        sigma = np.hypot(SIGMA_FACTOR * sigma, SIGMA_FLOOR_PX).astype(np.float32)
-        sigma[~seen] = UNSEEN_SIGMA * self.spacing_px
+        # A fit's residual is no white noise; both numbers were measured on simulated shear.
+        sigma = np.hypot(1.5 * sigma, 0.01).astype(np.float32)
+        sigma[~seen] = 0.2 * self.spacing_px
         now = (self.rest_px + shift).astype(np.float32)
         return MarkerFlow(self.rest_px, now, seen, sigma, self.mm_per_px)
 
@@ -241,8 +206,7 @@ class MarkerFollower:
         """Pixels (H, W) that the markers darken in the image or in the background; None if the gel has no markers.
 
         They include the dots at rest, because the color change is divided by the background, and the dots at the positions
-        of
-        the flow. Around the latter all pixels as dark as a dot are included, because contacts stretch dots.
+        of the flow. Around the latter all pixels as dark as a dot are included, because contacts stretch dots.
         """
         if flow is None or not len(self):
             return None
@@ -266,12 +230,9 @@ class MarkerFollower:
         seen = self._agreeing(shift, found.ok & close)
         reach = (HALF if not expected.any() else AGAIN) * self.spacing_px
         candidates = None
-        for _ in range(RINGS):
+        for _ in range(8):  # rings of lost dots, each searched for from those around
             guess = shift.copy()
-            if seen.any():
-                guess[~seen] = self._predicted(shift, seen)
-            else:
-                guess[~seen] = expected[~seen]
+            guess[~seen] = self._predicted(shift, seen) if seen.any() else expected[~seen]
             todo = np.nonzero(~seen & self._patches.inside(self.rest_px + guess))[0]
             if not len(todo):
                 break
@@ -280,7 +241,7 @@ class MarkerFollower:
                 todo = todo[self._clear(self.rest_px[todo] + guess[todo], candidates)]
             if not len(todo):
                 break
-            start = self._at_candidates(guess, todo, shift[seen] + self.rest_px[seen], candidates, reach)
+            start = self._at_candidates(guess, seen, todo, candidates, reach)
             again = self._patches(logs, start, todo)
             close = np.linalg.norm(again.shift_px - guess[todo], axis=1) < reach
             trial, taken = shift.copy(), seen.copy()
@@ -291,48 +252,39 @@ class MarkerFollower:
             shift[taken], sigma[todo], seen = trial[taken], again.sigma_px, taken
         if not seen.any():
             return expected.copy(), seen, sigma
-        for starts in (expected, self._at_darkest(logs, shift, seen)):
-            shift, seen, sigma = self._with_stretched(logs, starts, shift, seen, sigma)
+        if not seen.all():
+            shift, seen, sigma = self._with_stretched(logs, expected, shift, seen, sigma)
         if not seen.all():
             shift[~seen] = self._predicted(shift, seen)
         return shift, seen, sigma
 
     def _with_stretched(
-        self, logs: Map, starts: Array, shift: Any, seen: Any, sigma: Any
+        self, logs: Map, expected: Numbers, shift: Any, seen: Any, sigma: Any
     ) -> tuple[Any, Any, Any]:
-        """Shifts, seen dots and sigma; the lost dots are searched for with an affine map from `starts` (N, 2)."""
-        todo = np.nonzero(~seen & self._patches.inside(self.rest_px + starts))[0]
-        if not len(todo):
-            return shift, seen, sigma
-        guess = shift.copy()
-        guess[~seen] = self._predicted(shift, seen)
-        found = self._stretched(logs, starts[todo], todo)
-        trial, taken = shift.copy(), seen.copy()
-        trial[todo] = found.shift_px
-        taken[todo] = found.ok & (
-            np.linalg.norm(found.shift_px - guess[todo], axis=1) < AGAIN * self.spacing_px
-        )
-        taken = self._agreeing(trial, taken) | seen
-        new = sigma.copy()
-        new[todo] = found.sigma_px
-        return np.where(taken[:, None], trial, shift), taken, np.where(seen, sigma, new)
-
-    def _at_darkest(self, logs: Map, shift: Any, seen: Any) -> Numbers:
-        """Shifts (N, 2) to start from; for lost dots the candidate nearest to their neighbors' prediction."""
-        guess = shift.copy()
-        todo = np.nonzero(~seen)[0]
-        if not len(todo):
-            return guess
-        guess[todo] = self._predicted(shift, seen)
-        taken = shift[seen] + self.rest_px[seen]
-        guess[todo] = self._at_candidates(guess, todo, taken, self._candidates(logs), AGAIN * self.spacing_px)
-        return guess
+        """The same of lost dots with an affine map: from where they are expected, then from the candidates."""
+        guess, lost = shift.copy(), np.nonzero(~seen)[0]
+        guess[lost] = self._predicted(shift, seen)
+        reach, darkest = AGAIN * self.spacing_px, shift.copy()
+        darkest[lost] = self._at_candidates(guess, seen, lost, self._candidates(logs), reach)
+        for starts in (expected, darkest):
+            todo = np.nonzero(~seen & self._patches.inside(self.rest_px + starts))[0]
+            if not len(todo):
+                continue
+            guess = shift.copy()
+            guess[~seen] = self._predicted(shift, seen)
+            found = self._patches.stretched(logs, starts[todo], todo)
+            trial, ok = shift.copy(), seen.copy()
+            trial[todo], sigma[todo] = found.shift_px, found.sigma_px
+            ok[todo] = found.ok & (np.linalg.norm(found.shift_px - guess[todo], axis=1) < reach)
+            seen = self._agreeing(trial, ok) | seen
+            shift = np.where(seen[:, None], trial, shift)
+        return shift, seen, sigma
 
     def _at_candidates(
-        self, guess: Array, todo: NDArray[np.intp], taken: Array, candidates: Array, reach: float
+        self, guess: Array, seen: Mask, todo: NDArray[np.intp], candidates: Array, reach: float
     ) -> Numbers:
-        """Shifts (M, 2) to the free candidate nearest to each guess, within reach; else the guess itself."""
-        start = guess[todo].copy()
+        """Shifts (M, 2) to the candidate, free of seen dots, that is nearest to each guess, within reach; else the guess."""
+        start, taken = guess[todo].copy(), (self.rest_px + guess)[seen]
         if len(taken) and len(candidates):
             apart = np.linalg.norm(candidates[:, None] - taken, axis=-1).min(axis=1)
             candidates = candidates[apart > self.radius_px]
@@ -350,13 +302,12 @@ class MarkerFollower:
             return np.ones(len(places), dtype=bool)
         apart = np.linalg.norm(places[:, None] - candidates, axis=-1)
         apart.partition(1, axis=1)
-        clear: Mask = apart[:, 0] < CLEARLY * apart[:, 1]
-        return clear
+        return np.asarray(apart[:, 0] < 0.5 * apart[:, 1])
 
     def _agreeing(self, shift: Array, seen: Mask) -> Mask:
         """The seen dots that move like their neighbors and stand alone; of two dots at one place, the better one stays."""
         astray = self._neighbors.astray_px(*self._with_cut(shift, seen))[: len(self)]
-        seen = seen & (astray < MOST_ASTRAY * self.spacing_px)
+        seen = seen & (astray < 0.45 * self.spacing_px)
         number = np.nonzero(seen)[0]
         place = (self.rest_px + shift)[number]
         apart = np.linalg.norm(place[:, None] - place, axis=-1)
@@ -387,10 +338,6 @@ class MarkerFollower:
         return full, np.concatenate([seen, np.zeros(more, dtype=bool)])
 
 
-FAST = 0.05  # spacings a frame; slower dots are searched for at their last position, so that noise is not extrapolated
-DOUBTFUL = 0.1  # fraction of the dots lost since the last frame; with more, rest is tried too
-
-
 class MarkerTracker:
     """Follows the markers of one gel through a sequence of images.
 
@@ -404,9 +351,7 @@ class MarkerTracker:
     """
 
     def __init__(
-        self,
-        background: ArrayLike | MarkerFollower,
-        mm_per_px: float | tuple[float, float] | None = None,
+        self, background: ArrayLike | MarkerFollower, mm_per_px: float | tuple[float, float] | None = None
     ) -> None:
         if not isinstance(background, MarkerFollower):
             background, mm_per_px = MarkerFollower(background, mm_per_px), None
@@ -428,17 +373,15 @@ class MarkerTracker:
         pixels = check_image(image)
         if not len(self):
             return None
-        flow = self._followed(pixels)
+        flow = self._follower(pixels, self._shift + self._velocity)
+        if flow.seen.sum() < self._seen - 0.1 * len(
+            self
+        ):  # too many dots are lost: they may be where they were, or at rest
+            others = [self._follower(pixels, self._shift), self._follower(pixels)]
+            flow = min((flow, *others), key=self._follower.unlikeliness)
         moved = flow.displacement_px - self._shift
-        fast = np.linalg.norm(moved, axis=1) > FAST * self._follower.spacing_px
+        # Slower dots are searched for at their last position, so that noise is not extrapolated.
+        fast = np.linalg.norm(moved, axis=1) > 0.05 * self._follower.spacing_px
         self._velocity = np.where((fast & flow.seen)[:, None], moved, 0)
         self._shift, self._seen = flow.displacement_px.astype(np.float64), int(flow.seen.sum())
         return flow
-
-    def _followed(self, pixels: Array) -> MarkerFlow:
-        """The likeliest flow from the expected positions and, if some dots are lost, from rest."""
-        flow = self._follower(pixels, self._shift + self._velocity)
-        if flow.seen.sum() >= self._seen - DOUBTFUL * len(self):
-            return flow
-        others = [self._follower(pixels, self._shift), self._follower(pixels)]
-        return min((flow, *others), key=self._follower.unlikeliness)

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gelform.arrays import Array, Floats, Map, Numbers, Slopes
+from gelform.arrays import Array, Map, Numbers, Slopes
 from gelform.foundations.checks import check_map, check_mm_per_px, check_positive
 from gelform.simulate.gel import Gel
 
@@ -25,33 +25,33 @@ def check_not_negative(settings: Any, *names: str) -> None:
             raise ValueError(f"Expected {name} >= 0, got {getattr(settings, name)}.")
 
 
+def check_fraction(settings: Any, *names: str) -> None:
+    """Refuse settings of these names that are not in 0-1, 1 excluded."""
+    for name in names:
+        if not 0 <= getattr(settings, name) < 1:
+            raise ValueError(f"Expected {name} in 0-1 (1 excluded), got {getattr(settings, name)}.")
+
+
 @dataclass(frozen=True)
 class Coating:
     """The reflecting layer on the gel. With all zeros it is perfectly white and Lambertian.
 
     Attributes
     ----------
-    specular : float, >= 0
-        Strength of the gloss relative to the diffuse light (Blinn-Phong).
-    shininess : int, 1-1024, a power of two
-        Exponent of the gloss: larger is sharper.
+    specular : float, >= 0, strength of the gloss relative to the diffuse light (Blinn-Phong)
+    shininess : int, 1-1024, a power of two, exponent of the gloss: larger is sharper
     scattering : float, 0-1, scattering_mm : float
         Part of the light that spreads in the gel before it is visible, and the length (standard deviation).
     interreflection : float, 0-1, interreflection_mm : float
         Part of the reflected light that returns from gel and walls in one bounce, and the length of its spread.
-    roughness : float
-        Standard deviation of the coating's own slopes, mm/mm, that shade but are no depth; `grain_mm` is the
-        size of the grains.
-    scratches, dust : int
-        Number of them; dust is dark or bright specks.
-    marker_pitch_mm, marker_radius_mm : float
-        Dark dots on a grid; 0 pitch: none.
+    roughness : standard deviation of the coating's own slopes, mm/mm, that shade but are no depth
+    grain_mm : size of the roughness's grains
+    scratches, dust : number of them; dust is dark or bright specks
+    marker_pitch_mm, marker_radius_mm : of dark dots on a grid; 0 pitch: none
     marker_missing, marker_broken, marker_jitter : float, 0-1
         Fractions of dots that are missing and that lost a piece; distance of dots from the grid, in pitches.
-    albedo : (h, w) or None
-        Reflectance 0-1 over the image, stretched to its size.
-    seed : int
-        Seed of this gel's own roughness, scratches and dust; another gel needs another seed.
+    albedo : (h, w) or None, reflectance 0-1 over the image, stretched to its size
+    seed : of this gel's own roughness, scratches and dust; another gel needs another seed
     """
 
     specular: float = 0.0
@@ -74,9 +74,9 @@ class Coating:
 
     def __post_init__(self) -> None:
         check_not_negative(self, "specular", "roughness", "marker_pitch_mm", "scratches", "dust", "seed")
-        for name in ("scattering", "interreflection", "marker_missing", "marker_broken", "marker_jitter"):
-            if not 0 <= getattr(self, name) < 1:
-                raise ValueError(f"Expected {name} in 0-1 (1 excluded), got {getattr(self, name)}.")
+        check_fraction(
+            self, "scattering", "interreflection", "marker_missing", "marker_broken", "marker_jitter"
+        )
         for name in ("scattering_mm", "interreflection_mm", "grain_mm", "marker_radius_mm"):
             check_positive(getattr(self, name), name)
         if self.shininess not in [2**k for k in range(11)]:
@@ -123,9 +123,8 @@ def albedo_map(coating: Coating, shape: Grid, mm_per_px: float) -> Map:
     """Reflectance (H, W) of a gel without its markers: the albedo map and dust."""
     albedo = np.ones(shape, dtype=np.float32)
     if coating.albedo is not None:
-        albedo = cv2.resize(coating.albedo.values, shape[::-1], interpolation=cv2.INTER_LINEAR).astype(
-            np.float32
-        )
+        stretched = cv2.resize(coating.albedo.values, shape[::-1], interpolation=cv2.INTER_LINEAR)
+        albedo = stretched.astype(np.float32)
     rng = np.random.default_rng([coating.seed, 1])
     for _ in range(coating.dust):
         at, size = rng.uniform(0, 1, 2) * shape[::-1], rng.uniform(0.04, 0.12) / mm_per_px
@@ -165,28 +164,21 @@ def texture_gradients(coating: Coating, shape: Grid, mm_per_px: float, oversampl
     height = np.zeros(shape, dtype=np.float32)
     rng = np.random.default_rng([coating.seed, 2])
     if coating.roughness > 0:
-        grain = cv2.GaussianBlur(
-            rng.standard_normal(shape).astype(np.float32), (0, 0), max(coating.grain_mm / mm_per_px, 0.5)
-        )
+        white = rng.standard_normal(shape).astype(np.float32)
+        grain = cv2.GaussianBlur(white, (0, 0), max(coating.grain_mm / mm_per_px, 0.5))
         slope = np.std(np.gradient(grain, mm_per_px), dtype=np.float64)
         height += grain * np.float32(coating.roughness / slope)
-    for _ in range(coating.scratches):
-        height -= _scratch(shape, mm_per_px, rng)
+    for _ in range(coating.scratches):  # grooves 2-8 um deep, 2-6 mm long, straight
+        start = rng.uniform(0, 1, 2) * shape[::-1]
+        angle, length = rng.uniform(0, np.pi), rng.uniform(2, 6) / mm_per_px
+        end = start + length * np.array([np.cos(angle), np.sin(angle)])
+        first, last = np.rint([start, end]).astype(int).tolist()
+        groove = np.zeros(shape, dtype=np.float32)
+        cv2.line(groove, first, last, 1.0, 1, cv2.LINE_8)
+        height -= cv2.GaussianBlur(groove, (0, 0), 0.8) * np.float32(rng.uniform(0.002, 0.008))
     size = (shape[1] * oversample, shape[0] * oversample)
     slopes = [cv2.resize(s, size, interpolation=cv2.INTER_LINEAR) for s in np.gradient(height, mm_per_px)]
     return np.stack(slopes[::-1], axis=-1).astype(np.float32)
-
-
-def _scratch(shape: Grid, mm_per_px: float, rng: np.random.Generator) -> Floats:
-    """A groove (H, W), 2-8 um deep, 2-6 mm long, straight."""
-    start = rng.uniform(0, 1, 2) * shape[::-1]
-    angle, length = rng.uniform(0, np.pi), rng.uniform(2, 6) / mm_per_px
-    end = start + length * np.array([np.cos(angle), np.sin(angle)])
-    drawing = np.zeros(shape, dtype=np.float32)
-    points = [(round(float(x)), round(float(y))) for x, y in (start, end)]
-    cv2.line(drawing, points[0], points[1], 1.0, 1, cv2.LINE_8)
-    depth_mm = np.float32(rng.uniform(0.002, 0.008))
-    return np.asarray(cv2.GaussianBlur(drawing, (0, 0), 0.8) * depth_mm, dtype=np.float32)
 
 
 Triple = tuple[float, float, float]
@@ -203,17 +195,13 @@ class Led:
 
     Attributes
     ----------
-    position_mm : (x, y, z)
-        From the gel's center; x to the right, y down, z toward the camera: z > 0.
+    position_mm : (x, y, z), from the gel's center; x to the right, y down, z toward the camera: z > 0
     color : (red, green, blue)
         Strength in each channel, >= 0: gray levels that a white surface facing it gives at 1 mm.
     beam_power : int, 0-64
-        Falls off from its axis with this power of the cosine: 0 not at all, 1 Lambert's emitter, more:
-        narrow.
-    aim_mm : (x, y, z)
-        The point that its axis goes through; the gel's center by default.
-    size_mm : float
-        Its diameter; it affects only cast shadows: larger is softer.
+        Falls off from its axis with this power of the cosine: 0 not at all, 1 Lambert's emitter, more: narrow.
+    aim_mm : (x, y, z), the point that its axis goes through; the gel's center by default
+    size_mm : diameter; it affects only cast shadows: larger is softer
     """
 
     position_mm: Triple
@@ -226,8 +214,7 @@ class Led:
         position, color = _triple(self.position_mm, "position_mm"), _triple(self.color, "color")
         if position[2] <= 0:
             raise ValueError(
-                f"Expected an LED on the camera's side of the gel (z > 0 mm), got position_mm="
-                f"{self.position_mm}. "
+                f"Expected an LED on the camera's side of the gel (z > 0 mm), got position_mm={self.position_mm}. "
                 "z points from the gel toward the camera."
             )
         if min(color) < 0 or max(color) == 0:
@@ -298,12 +285,9 @@ class Optics:
     distortion : (k1, k2)
         Radial, Brown's model: a point at distance r from the middle appears at r (1 + k1 r^2 + k2 r^4), r in
         units of half the image's diagonal; k1 < 0 is a barrel.
-    response_gamma : float
-        Gray level = 255 (linear level/255)^(1/gamma): 1 is linear, 2.2 about sRGB.
-    exposure : float
-        Factor of the light; noise changes with its signal.
-    jpeg_quality : int 1-100, or None
-        Quality of the camera's compression; None: none.
+    response_gamma : gray level = 255 (linear level/255)^(1/gamma): 1 is linear, 2.2 about sRGB
+    exposure : factor of the light; noise changes with its signal
+    jpeg_quality : int 1-100, or None, of the camera's compression; None: none
     """
 
     height_mm: float | None = None
@@ -335,14 +319,12 @@ class Timing:
     Attributes
     ----------
     frame_rate_hz : float
-    readout_s : float
-        From the first row's exposure to the last row's (rolling shutter); 0: all rows at once.
+    readout_s : from the first row's exposure to the last row's (rolling shutter); 0: all rows at once
     flicker : float, 0-1, flicker_hz : float
         The LEDs' light swings by this part of its mean, at this rate.
     drift : (red, green, blue), drift_time_s : float
         Final change of the light as a part of it, and the time constant of its exponential approach (warming up).
-    drop_probability : float, 0-1
-        Probability that a frame is lost; its index is skipped.
+    drop_probability : float, 0-1, of a lost frame; its index is skipped
     """
 
     frame_rate_hz: float = 25.0
@@ -358,14 +340,9 @@ class Timing:
             check_positive(getattr(self, name), name)
         if not 0 <= self.readout_s <= 1 / self.frame_rate_hz:
             raise ValueError(
-                "Expected readout_s between 0 and the frame's time "
-                f"1/{self.frame_rate_hz:g} s, got {self.readout_s}."
+                f"Expected readout_s between 0 and the frame's time 1/{self.frame_rate_hz:g} s, got {self.readout_s}."
             )
-        if not 0 <= self.flicker < 1 or not 0 <= self.drop_probability < 1:
-            raise ValueError(
-                f"Expected flicker and drop_probability in 0-1 (1 excluded), got {self.flicker} and "
-                f"{self.drop_probability}."
-            )
+        check_fraction(self, "flicker", "drop_probability")
         if np.shape(self.drift) != (3,) or min(self.drift) <= -1:
             raise ValueError(f"Expected drift as three numbers > -1, got {self.drift}.")
 
@@ -386,39 +363,25 @@ class SimulatedSensor:
     ----------
     leds : tuple of Led
     name : str
-    shape : (H, W)
-        Pixels of the image.
-    mm_per_px : float
-        Pixel pitch on the gel, mm.
-    ambient : (red, green, blue)
-        Gray levels of light from all sides (scattered in the gel), before vignetting.
-    white_balance : (red, green, blue)
-        Gain of each channel after the crosstalk; `exposed` finds it.
+    shape : (H, W), pixels of the image
+    mm_per_px : pixel pitch on the gel, mm
+    ambient : (red, green, blue), gray levels of light from all sides (scattered in the gel), before vignetting
+    white_balance : (red, green, blue), gain of each channel after the crosstalk; `exposed` finds it
     vignetting : float, 0-1
         Part of the light lost in the image's corners, growing with the square of the distance to the center.
-    crosstalk : 3x3, >= 0
-        Row c: the fractions of the red, green, blue light that channel c records.
-    blur_px : float
-        Standard deviation of the optics' blur.
-    noise_sd : float
-        Read noise, gray levels.
-    noise_gain : float
-        Shot noise: variance per gray level of signal.
-    relaxation_mm : float
-        Length over which the gel's surface relaxes around the contact.
-    gel : Gel
-        Thickness, bulge, friction.
-    coating : Coating
-        Appearance of the gel's surface: gloss, scattering, roughness, scratches, dust, markers, albedo.
-    optics : Optics
-        Projection, distortion, response curve, exposure, JPEG.
-    timing : Timing
-        Frame rate, flicker, drift, dropped frames; only sequences use it.
+    crosstalk : 3x3, >= 0, row c: the fractions of the red, green, blue light that channel c records
+    blur_px : standard deviation of the optics' blur
+    noise_sd : read noise, gray levels
+    noise_gain : shot noise: variance per gray level of signal
+    relaxation_mm : length over which the gel's surface relaxes around the contact
+    gel : Gel, thickness, bulge, friction
+    coating : Coating, the surface's gloss, scattering, roughness, scratches, dust, markers, albedo
+    optics : Optics, projection, distortion, response curve, exposure, JPEG
+    timing : Timing, frame rate, flicker, drift, dropped frames; only sequences use it
     shading : three tuples of 6 or 15 numbers, or None
         Gain over the image for each channel, for light guides and lenses that no LED position explains: the
         first number times `1 + a x + b y + c x^2 + d x y + e y^2` (or to the fourth degree), x and y in -1..1.
-    cast_shadows : bool
-        Whether the surface shades itself; attached shadows are always there.
+    cast_shadows : whether the surface shades itself; attached shadows are always there
     """
 
     leds: tuple[Led, ...]
@@ -453,12 +416,17 @@ class SimulatedSensor:
         if np.shape(self.crosstalk) != (3, 3):
             raise ValueError(f"Expected crosstalk of shape (3, 3), got {np.shape(self.crosstalk)}.")
         check_not_negative(self, "blur_px", "noise_sd", "noise_gain")
-        for led in self.leds:
-            _check_outside_gel(led, self)
+        half_height, half_width = (n * self.mm_per_px / 2 for n in self.shape)
+        for x, y, z in (led.position_mm for led in self.leds):
+            # A light outside the gel may be at any height.
+            if z < self.gel.thickness_mm and abs(x) < half_width and abs(y) < half_height:
+                raise ValueError(
+                    f"Expected every LED outside the gel, got one at {(x, y, z)} mm in a gel that is "
+                    f"{self.gel.thickness_mm:g} mm thick: raise it, or move it beside the image."
+                )
         if self.shading is not None and np.shape(self.shading) not in [(3, n) for n in SHADING_DEGREES]:
             raise ValueError(f"Expected shading as three tuples of 6 or 15 numbers, got {self.shading}.")
-        if not 0 <= self.vignetting < 1:
-            raise ValueError(f"Expected vignetting in 0-1 (1 excluded), got {self.vignetting}.")
+        check_fraction(self, "vignetting")
 
     def linear(self) -> SimulatedSensor:
         """The same sensor with gray levels in proportion to light: no response curve, no JPEG."""
@@ -482,18 +450,8 @@ def settings_from_sensor(sensor: SimulatedSensor) -> dict[str, Any]:
 
     `gelform.sensors.simulated.sensor_from_settings` is the inverse.
     """
-    return {one.name: _plain(getattr(sensor, one.name)) for one in fields(sensor)}
-
-
-def _check_outside_gel(led: Led, sensor: SimulatedSensor) -> None:
-    """Refuse a light between the gel's two faces; a light outside the gel may be at any height."""
-    x, y, z = led.position_mm
-    half_height, half_width = (n * sensor.mm_per_px / 2 for n in sensor.shape)
-    if z < sensor.gel.thickness_mm and abs(x) < half_width and abs(y) < half_height:
-        raise ValueError(
-            f"Expected every LED outside the gel, got one at {led.position_mm} mm in a gel that is "
-            f"{sensor.gel.thickness_mm:g} mm thick: raise it, or move it beside the image."
-        )
+    settings: dict[str, Any] = _plain(sensor)
+    return settings
 
 
 def _plain(value: Any) -> Any:
