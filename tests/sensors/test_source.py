@@ -1,12 +1,10 @@
-"""One interface to every source of frames; files and videos play in order, with their times and pace, or give an error.
-
-The newest frame, gaps, and a source that is lost and reopened.
-"""
+"""One interface to every source of frames: files and videos in order, at their pace; the newest one of a lost source."""
 
 import queue
 import re
 import threading
 import time
+from functools import partial
 
 import cv2
 import numpy as np
@@ -18,30 +16,28 @@ from gelform.errors import DataError, SensorError, SourceLostError
 from gelform.image.frame import Frame
 from gelform.sensors import playback
 from gelform.sensors.files import is_video
+from gelform.sensors.films import is_film
 from gelform.sensors.grabber import Grabber
 from gelform.sensors.playback import Pace, Playback, RecordingFacts
 from gelform.sensors.source import open_source
 from live_waiting import until
+from made import sources
 from made.sources import ImageSource
 
 
-def test_a_folder_and_what_cannot_be_set(tmp_path):
-    cv2.imwrite(str(tmp_path / "0.png"), np.zeros((4, 4, 3), np.uint8))
-    assert [frame.index for frame in open_source(tmp_path)] == [0]
+def test_a_folder_also_of_blue_green_red_and_what_cannot_be_set(tmp_path):
+    image = np.arange(48, dtype=np.uint8).reshape(4, 4, 3)
+    cv2.imwrite(str(tmp_path / "0.png"), image)  # it takes the array as blue, green, red
+    ((frame,), (other,)) = (open_source(tmp_path, bgr=bgr) for bgr in (False, True))
+    np.testing.assert_array_equal(frame.image, image[..., ::-1])
+    np.testing.assert_array_equal(other.image, image)
+    with open_source(tmp_path, bgr=True) as source:
+        assert (source.name, source.live, other.encoded) == (tmp_path.name, False, None)
     assert open_source(str(tmp_path), paced=True).live
     for spec in ("simulated", tmp_path):
         with pytest.raises(SensorError, match="is no USB camera: exposure cannot be set"):
             open_source(spec, settings={"exposure": 5})
         open_source(spec, settings={}).close()
-
-
-def test_frames_of_blue_green_red_are_given_as_rgb(tmp_path):
-    image = np.arange(48, dtype=np.uint8).reshape(4, 4, 3)
-    cv2.imwrite(str(tmp_path / "0.png"), image)  # it takes the array as blue, green, red
-    with open_source(tmp_path, bgr=True) as source:
-        (frame,) = source
-    np.testing.assert_array_equal(frame.image, image)
-    assert (source.name, source.live, frame.encoded) == (open_source(tmp_path).name, False, None)
 
 
 def test_what_is_no_source_says_what_is(tmp_path, monkeypatch):
@@ -56,9 +52,14 @@ def test_what_is_no_source_says_what_is(tmp_path, monkeypatch):
         ("D20123", SensorError, r"No camera.*plugged in"),
         ("", SensorError, r"No camera.*plugged in"),
         ("/dev/video77", SensorError, r"No camera.*plugged in"),
+        ("rtsp://10.0.0.7/stream", SensorError, r"begins with http:// or https:// .*got rtsp://.*ffmpeg"),
+        ("udp://@:5000", SensorError, r"begins with http:// or https:// .*got udp://.*ffmpeg"),
+        ("file:///tmp/a.mp4", SensorError, r"begins with http:// or https:// .*got file://.*ffmpeg"),
     ):
         with pytest.raises(error, match=said):
             open_source(spec)
+    assert is_film(str(tmp_path))
+    assert not any(map(is_film, ("/dev/null", "2BKRXXXX", "http://a/?" + "9" * 5000)))
 
 
 class Clock:
@@ -117,14 +118,17 @@ def test_as_fast_as_they_are_read_with_their_own_times():
 
 
 def test_paced_frames_come_at_their_time_on_our_clock():
-    source = Playback(frames(6), RecordingFacts("x", rate_hz=50.0), paced=True)
+    given = sources.frames(6)  # unevenly spaced
+    source = Playback(given, RecordingFacts("x", rate_hz=50.0), paced=True)
     assert source.live
-    ages = [time.monotonic() - frame.time_s for frame in source]
-    assert min(ages) >= 0
-    taken = list(Playback(frames(6), RecordingFacts("x", rate_hz=50.0), paced=True))
-    times, steps = (np.diff([getattr(frame, name) for frame in taken]) for name in ("time_s", "index"))
-    assert times == pytest.approx(0.02 * steps, abs=1e-9)  # a late reader passes over some
-    assert all(abs(time.time_ns() - frame.wall_time_ns) < 10e9 for frame in taken)
+    taken = [(frame, time.monotonic()) for frame in source]
+    for frame, now in taken:  # a late reader passes over some
+        after_s = next(one.time_s for one in given if one.index == frame.index) - given[0].time_s
+        assert frame.time_s - taken[0][0].time_s == pytest.approx(after_s, abs=1e-6)
+        assert now >= frame.time_s
+        assert frame.wall_time_ns == sources.START_NS + round(frame.index / 50 * 1e9)
+    stamped = next(iter(Playback(frames(6), RecordingFacts("x"), paced=True)))
+    assert abs(time.time_ns() - stamped.wall_time_ns) < 10e9
 
 
 def test_a_late_reader_gets_the_frame_that_is_due_and_closing_ends_the_loop():
@@ -162,10 +166,8 @@ def write(path, frames, rate_hz=25.0):
 def smooth():
     """Smooth, colored, no two alike."""
     y, x = np.mgrid[0:48, 0:64]
-    return [
-        np.stack([2 * x + k, 3 * y, 200 - 2 * x - k], axis=-1).clip(0, 255).astype(np.uint8)
-        for k in range(12)
-    ]
+    stacks = (np.stack([2 * x + k, 3 * y, 200 - 2 * x - k], axis=-1) for k in range(12))
+    return [stack.clip(0, 255).astype(np.uint8) for stack in stacks]
 
 
 def test_frames_are_rgb_in_order_with_times_also_in_part(tmp_path, smooth):
@@ -203,18 +205,11 @@ def test_no_file_empty_file_no_video_and_a_truncated_one(tmp_path, smooth):
             list(gelform.Video(tmp_path / "a.avi"))
 
 
-def test_an_address_of_another_kind_says_what_is_read_instead():
-    for address in ("rtsp://10.0.0.7/stream", "udp://@:5000", "file:///tmp/a.mp4"):
-        with pytest.raises(SensorError, match=r"begins with http:// or https:// .*got \w+://.*ffmpeg"):
-            gelform.open_source(address)
-
-
 IMAGE = np.zeros((4, 4, 3), np.uint8)
 WAIT_S = 5.0  # longest wait for what must happen at once
 
 
-def awaited(condition):
-    until(condition, WAIT_S)
+awaited = partial(until, timeout_s=WAIT_S)
 
 
 class Device:
@@ -391,16 +386,12 @@ def test_age_and_rate_are_of_the_capture(device):
         assert least_s <= grabber.stats.age_s <= time.monotonic() - started - 10 / 50
 
 
-def test_takes_what_open_source_takes():
+def test_it_needs_to_be_entered_and_a_source_that_opens_as_open_source_takes_it(device):
     with Grabber("simulated") as grabber:
         assert grabber.newest(-1, WAIT_S).image.shape == (240, 320, 3)
-        assert grabber.name == "simulated three-edges"
+        assert (grabber.name, grabber.serial) == ("simulated three-edges", "simulated-three-edges")
         assert grabber.settings["fps"] == 60.0
-        assert grabber.serial == "simulated-three-edges"
     assert grabber.state == "ended"
-
-
-def test_it_needs_a_source_that_opens_and_to_be_entered(device):
     with pytest.raises(RuntimeError, match="with Grabber"):
         _ = Grabber(device.open).name
     for keep in (0, 2**70):

@@ -9,48 +9,39 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from threading import Lock
-from typing import Any
+from typing import Any, TypeVar
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from gelform.arrays import Image
 from gelform.errors import DataError
 from gelform.foundations.pictures import FAST_PNG, picture_bytes
 from gelform.image.frame import Frame, in_rgb
 from gelform.sensors.files import USUAL_RATE_HZ
 from gelform.sensors.pictures import check_declared, image_from_jpeg
 
+Own = TypeVar("Own", bound="Closing")
 FORMAT_VERSION = 1
 CALIBRATION, BACKGROUND = "calibration.npz", "background.png"
-ATTACHABLE = {
-    CALIBRATION: "application/x-npz",
-    BACKGROUND: "image/png",
-}  # facts that a recording may contain, with their types
+# What a recording may carry, with its types.
+ATTACHABLE = {CALIBRATION: "application/x-npz", BACKGROUND: "image/png"}
 
 
 @dataclass(frozen=True)
 class RecordingFacts:
-    """The recorded camera and its settings.
-
-    Attributes
-    ----------
-    name, serial, settings, rate_hz : as of a `Source`
-    calibration_digest : digest of the calibration in use; empty without one
-    library_version : gelform's version
-    """
+    """The recorded camera, with what a `Source` tells of it."""
 
     name: str
     serial: str | None = None
     settings: Mapping[str, float | str] = field(default_factory=dict)
     rate_hz: float | None = None
-    calibration_digest: str = ""
-    library_version: str = ""
+    calibration_digest: str = ""  # of the calibration in use; empty without one
+    library_version: str = ""  # gelform's
 
     def to_json(self) -> str:
         """All facts as one JSON object."""
-        content = {**vars(self), "settings": dict(self.settings), "format_version": FORMAT_VERSION}
-        return json.dumps(content)
+        return json.dumps({**vars(self), "settings": dict(self.settings), "format_version": FORMAT_VERSION})
 
     @classmethod
     def from_json(cls, text: str, where: str) -> RecordingFacts:
@@ -75,7 +66,7 @@ def encoded_from_frame(frame: Frame) -> tuple[str, bytes]:
     return "png", picture_bytes(frame.image, settings=FAST_PNG)
 
 
-def image_from_encoded(content: bytes, reduction: int, where: str) -> NDArray[np.uint8]:
+def image_from_encoded(content: bytes, reduction: int, where: str) -> Image:
     """The pixels (H, W, 3) uint8 RGB of the result of `encoded_from_frame`; JPEGs are reduced as the camera's frames were.
 
     DataError: the bytes are damaged.
@@ -106,7 +97,7 @@ class Pace:
         self._rate_hz, self._start_s = rate_hz, time.monotonic()
 
     def wait_for(self, index: int) -> float:
-        """Wait for the time of a frame; return that time, on the clock."""
+        """As `wait_until` for the time of a frame."""
         return self.wait_until(index / self._rate_hz)
 
     def wait_until(self, after_s: float) -> float:
@@ -128,21 +119,11 @@ class Film:
     """Frames that end, in the order of time; a loop reads them from the start, `film[number]` gives any, in any thread.
 
     A kind of film has `_frame`, the one of a number, and, unless its frames are counted and evenly spaced, `_read` and
-    `times_s`.
-
-    Parameters
-    ----------
-    path : file or folder
-    camera : facts of the camera, as far as they are known
-
-    Attributes
-    ----------
-    count : number of frames that it states, or 0; a damaged file may hold fewer
-    bgr : whether its frames are blue, green, red; they come in RGB
+    `times_s`. It knows the facts of its camera as far as they are known.
     """
 
-    count = 0
-    bgr = False
+    count = 0  # number of frames that it states, or 0; a damaged file may hold fewer
+    bgr = False  # whether its frames are blue, green, red; they come in RGB
 
     def __init__(self, path: Path, camera: RecordingFacts) -> None:
         self.path, self.camera = path, camera
@@ -168,15 +149,24 @@ class Film:
         raise NotImplementedError
 
 
-class Playback:
-    """A film, or other frames that end, as a source.
+class Closing:
+    """A source that the end of a `with` block closes."""
 
-    Parameters
-    ----------
-    frames : from the start
-    facts : of the recording camera, as far as they are known
-    paced : False: each frame as fast as it can be read, with the file's `time_s`. True: at the original pace, `time_s` on
-        the monotonic clock; frames more than one frame period late are skipped
+    def __enter__(self: Own) -> Own:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        raise NotImplementedError
+
+
+class Playback(Closing):
+    """A film, or other frames that end, as a source, with the facts of the camera as far as they are known.
+
+    Each frame comes as fast as it can be read, with the file's `time_s`; paced, at the original pace and with `time_s` on
+    the monotonic clock. Paced frames more than one frame period late are skipped.
     """
 
     def __init__(self, frames: Iterable[Frame], facts: RecordingFacts, *, paced: bool = False) -> None:
@@ -187,27 +177,20 @@ class Playback:
         self._closed = False
 
     def __iter__(self) -> Iterator[Frame]:
-        for frame in self._paced() if self.live else self._frames:
+        rate_hz, first_s = self.rate_hz or USUAL_RATE_HZ, None
+        pace = Pace(rate_hz)
+        for frame in self._frames:
+            if self.live:
+                first_s = frame.time_s if first_s is None else first_s
+                after_s = frame.time_s - first_s
+                if after_s > 0 and pace.late_s(after_s) > 1 / rate_hz:
+                    continue
+                time_s = pace.wait_until(after_s)
+                frame = replace(frame, time_s=time_s, wall_time_ns=frame.wall_time_ns or time.time_ns())
             if self._closed:
                 return
             yield frame
 
-    def _paced(self) -> Iterator[Frame]:
-        pace, first_s = Pace(self.rate_hz or USUAL_RATE_HZ), None
-        for frame in self._frames:
-            first_s = frame.time_s if first_s is None else first_s
-            after_s = frame.time_s - first_s
-            if pace.late_s(after_s) > 1 / (self.rate_hz or USUAL_RATE_HZ) and after_s > 0:
-                continue
-            time_s = pace.wait_until(after_s)
-            yield replace(frame, time_s=time_s, wall_time_ns=frame.wall_time_ns or time.time_ns())
-
     def close(self) -> None:
         """End the loop over this source."""
         self._closed = True
-
-    def __enter__(self) -> Playback:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()

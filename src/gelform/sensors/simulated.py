@@ -13,39 +13,27 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from gelform import simulate
+from gelform.arrays import Array, Image
 from gelform.errors import SensorError
 from gelform.foundations.checks import check_positive
 from gelform.image.frame import Frame
 from gelform.sensors.files import read_toml
-from gelform.sensors.playback import Pace
+from gelform.sensors.playback import Closing, Pace
 from gelform.sensors.profiles import SENSORS
-from gelform.simulate import (
-    Ball,
-    Coin,
-    Indenter,
-    Pose,
-    Screw,
-    SimulatedSensor,
-    Torus,
-    simulate_pose,
-    text_relief,
-)
-from gelform.simulate.gel import Gel
-from gelform.simulate.light import exposed, image_from_levels
-from gelform.simulate.presets import LAYOUTS
-from gelform.simulate.sensor import Coating, Led, Optics, Timing, led_color
+from gelform.simulate import LAYOUTS, Ball, Indenter, Led, Pose, SimulatedSensor
+from gelform.simulate.light import image_from_levels
 
-SECTIONS = {"gel": Gel, "coating": Coating, "optics": Optics, "timing": Timing}
+SECTIONS = {
+    "gel": simulate.Gel,
+    "coating": simulate.Coating,
+    "optics": simulate.Optics,
+    "timing": simulate.Timing,
+}
 OWN_KEYS = ("base", "exposed_levels")
 LED_KEYS = ("peak_nm", "width_nm", "power")
-KINDS: tuple[tuple[str, Any], ...] = (
-    ("true or false", bool),
-    ("a number", (int, float)),
-    ("text", str),
-    ("a list", (list, tuple)),
-)
+KINDS: Any = (("true or false", bool), ("a number", (int, float)), ("text", str), ("a list", (list, tuple)))
 
 
 def simulated_sensor_named(name: str) -> SimulatedSensor:
@@ -87,11 +75,13 @@ def sensor_from_settings(settings: Mapping[str, Any]) -> SimulatedSensor:
         A key is unknown (the nearest known one is suggested), or a value has the wrong type or is out of range.
     """
     _check(settings, SimulatedSensor, "the sensor", OWN_KEYS)
-    given = {
-        key: _frozen(value) for key, value in settings.items() if key not in (*OWN_KEYS, *SECTIONS, "leds")
-    }
+    taken = (*OWN_KEYS, *SECTIONS, "leds")
+    given = {key: _frozen(value) for key, value in settings.items() if key not in taken}
     if "leds" in settings:
-        given["leds"] = tuple(_led(led) for led in _tables(settings["leds"]))
+        leds = settings["leds"]
+        if not isinstance(leds, Sequence) or not all(isinstance(led, Mapping) for led in leds):
+            raise TypeError(f"Expected leds as tables, [[leds]], got {leds!r}.")
+        given["leds"] = tuple(map(_led, leds))
     base = simulated_sensor_named(str(settings["base"])) if "base" in settings else None
     if base is None and "leds" not in given:
         raise ValueError(
@@ -101,7 +91,8 @@ def sensor_from_settings(settings: Mapping[str, Any]) -> SimulatedSensor:
         if name in settings:
             given[name] = _section(name, kind, settings[name], base)
     sensor = SimulatedSensor(**given) if base is None else replace(base, **given)
-    return exposed(sensor, _frozen(settings["exposed_levels"])) if "exposed_levels" in settings else sensor
+    levels = _frozen(settings.get("exposed_levels"))
+    return simulate.exposed(sensor, levels) if "exposed_levels" in settings else sensor
 
 
 def _section(name: str, kind: Any, table: Any, base: SimulatedSensor | None) -> Any:
@@ -126,14 +117,8 @@ def _led(table: Mapping[str, Any]) -> Led:
     if "peak_nm" not in table:
         raise ValueError("Expected color = [red, green, blue] or peak_nm in every [[leds]], got one without.")
     strength = float(table.get("power", 1.0))
-    red, green, blue = led_color(float(table["peak_nm"]), float(table.get("width_nm", 25.0)))
+    red, green, blue = simulate.led_color(float(table["peak_nm"]), float(table.get("width_nm", 25.0)))
     return Led(color=(strength * red, strength * green, strength * blue), **values)
-
-
-def _tables(leds: Any) -> Sequence[Mapping[str, Any]]:
-    if not isinstance(leds, Sequence) or not all(isinstance(led, Mapping) for led in leds):
-        raise TypeError(f"Expected leds as tables, [[leds]], got {leds!r}.")
-    return leds
 
 
 def _check(given: Mapping[str, Any], kind: Any, where: str, own: Sequence[str] = ()) -> None:
@@ -204,7 +189,7 @@ def serial_of_simulated(sensor: SimulatedSensor) -> str:
     return f"simulated-{sensor.name}"
 
 
-class SimulatedSource:
+class SimulatedSource(Closing):
     """Frames of a simulated sensor, evenly spaced in time, each with its own noise; late frames are skipped.
 
     A ball rolls, then a coin, a screw, letters and a ring are pressed, in a loop, until a press or rest is requested. Images
@@ -231,9 +216,9 @@ class SimulatedSource:
         self._linear = sensor.linear()
         self._objects = program(sensor)
         self._images = self._objects[0]
-        self._levels: dict[Touch, NDArray[Any]] = {}
-        self._pressed_levels = lru_cache(maxsize=64)(self._levels_of_press)
-        self._untouched = self._pressed_levels(BALL, 0.0, 0.0, 0.0)
+        self._levels: dict[Touch, Array] = {}
+        self._pressed = lru_cache(maxsize=64)(self._levels_of_press)
+        self._untouched = self._pressed(BALL, 0.0, 0.0, 0.0)
         self._asked: AskedPress | None = None
         self.resting = False
         self._closed = threading.Event()
@@ -250,7 +235,7 @@ class SimulatedSource:
             yield Frame(image, time_s, time.time_ns(), index)
             index = pace.next_after(index)
 
-    def image_at(self, index: int) -> NDArray[np.uint8]:
+    def image_at(self, index: int) -> Image:
         """The image (H, W, 3) uint8 RGB of a frame number."""
         levels = self._levels_now(index / self._rate_hz).astype(np.float32)
         return np.asarray(image_from_levels(self.sensor, levels, np.random.default_rng([self._seed, index])))
@@ -283,39 +268,31 @@ class SimulatedSource:
         if self._ahead is not None:
             self._ahead.join(2.0)
 
-    def __enter__(self) -> SimulatedSource:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def _levels_now(self, time_s: float) -> NDArray[Any]:
+    def _levels_now(self, time_s: float) -> Array:
         """Linear gray levels (H, W, 3) of the current touch, before noise, response curve and rounding."""
         asked = self._asked
         depth_mm = None if asked is None else asked.depth_at(time.monotonic())
         if asked is not None and depth_mm is not None:
             depth_mm = STEP_MM * round(depth_mm / STEP_MM)
-            if depth_mm > 0:
-                return self._pressed_levels(asked.ball, depth_mm, asked.x_px, asked.y_px)
-            return self._untouched
+            if depth_mm <= 0:
+                return self._untouched
+            return self._pressed(asked.ball, depth_mm, asked.x_px, asked.y_px)
         images, at = self._images, int((time_s + 0.7 * self._seed) * IMAGE_RATE_HZ)  # seeds start 0.7 s apart
         touch = None if self.resting else images[at % len(images)]
         return self._untouched if touch is None else self._levels_of_touch(touch)
 
-    def _levels_of_touch(self, touch: Touch) -> NDArray[Any]:
+    def _levels_of_touch(self, touch: Touch) -> Array:
         if touch not in self._levels:
             self._levels[touch] = self._simulated(touch.indenter, touch.pose)
         return self._levels[touch]
 
-    def _levels_of_press(self, ball: Ball, depth_mm: float, x_px: float, y_px: float) -> NDArray[Any]:
+    def _levels_of_press(self, ball: Ball, depth_mm: float, x_px: float, y_px: float) -> Array:
         height, width = self.sensor.shape
-        x_mm, y_mm = (
-            (at - (size - 1) / 2) * self.sensor.mm_per_px for at, size in ((x_px, width), (y_px, height))
-        )
-        return self._simulated(ball, Pose(depth_mm, (x_mm, y_mm)))
+        middle_mm = np.array([x_px - (width - 1) / 2, y_px - (height - 1) / 2]) * self.sensor.mm_per_px
+        return self._simulated(ball, Pose(depth_mm, tuple(middle_mm.tolist())))
 
-    def _simulated(self, indenter: Indenter, pose: Pose) -> NDArray[Any]:
-        press = simulate_pose(self._linear, indenter, pose, rng=None, quantise=False)
+    def _simulated(self, indenter: Indenter, pose: Pose) -> Array:
+        press = simulate.simulate_pose(self._linear, indenter, pose, rng=None, quantise=False)
         return press.image.astype(np.float16)  # steps of 1/8 of a gray level: finer than the noise
 
     def _compute_ahead(self) -> None:
@@ -332,12 +309,20 @@ class SimulatedSource:
 
 def program(sensor: SimulatedSensor) -> list[list[Touch | None]]:
     """The touches of each object, image by image; None: nothing touches. Pressed objects leave the way they came."""
-    objects = [[*[None] * REST_IMAGES, *(Touch(BALL, pose) for pose in _rolling(sensor))]]
+    height, width = (size * sensor.mm_per_px for size in sensor.shape)
+    turn = np.linspace(0, 2 * np.pi, 48, endpoint=False)
+    depths_mm = 0.55 * np.minimum(1, np.minimum(np.arange(48), np.arange(48)[::-1]) / 8)
+    # A ball goes in, rolls once around the middle, and goes out.
+    rolling = [
+        Pose(max(d, 0.02), (ROLL * width * float(np.cos(a)), ROLL * height * float(np.sin(a))))
+        for d, a in zip(depths_mm.tolist(), turn)
+    ]
+    objects = [[*[None] * REST_IMAGES, *(Touch(BALL, pose) for pose in rolling)]]
     for indenter, depth_mm, steps, spin_deg, tilt_deg in (
-        (Coin(), 0.35, 14, 0.0, 0.0),
-        (Screw(), 0.45, 14, 25.0, 0.0),
-        (text_relief("gelform", height_mm=2.0), 0.3, 12, 0.0, 0.0),
-        (Torus(2.8, 0.9), 0.5, 14, 0.0, 4.0),
+        (simulate.Coin(), 0.35, 14, 0.0, 0.0),
+        (simulate.Screw(), 0.45, 14, 25.0, 0.0),
+        (simulate.text_relief("gelform", height_mm=2.0), 0.3, 12, 0.0, 0.0),
+        (simulate.Torus(2.8, 0.9), 0.5, 14, 0.0, 4.0),
     ):
         fractions = np.sin(np.linspace(0, np.pi / 2, steps + 1)[1:]) ** 2
         going_in = [
@@ -346,14 +331,3 @@ def program(sensor: SimulatedSensor) -> list[list[Touch | None]]:
         ]
         objects.append([*[None] * REST_IMAGES, *going_in, *going_in[::-1]])
     return objects
-
-
-def _rolling(sensor: SimulatedSensor) -> list[Pose]:
-    """Poses of a ball that goes in, rolls once around the middle, and goes out."""
-    height, width = (size * sensor.mm_per_px for size in sensor.shape)
-    turn = np.linspace(0, 2 * np.pi, 48, endpoint=False)
-    depth_mm = 0.55 * np.minimum(1, np.minimum(np.arange(48), np.arange(48)[::-1]) / 8)
-    return [
-        Pose(max(float(d), 0.02), (ROLL * width * float(np.cos(a)), ROLL * height * float(np.sin(a))))
-        for d, a in zip(depth_mm, turn)
-    ]

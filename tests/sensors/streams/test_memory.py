@@ -1,7 +1,4 @@
-"""The effect of a sequence on results.
-
-Smoothing reduces noise as its sigma states, and follows a step at once. In a frame that the Reconstructor refuses nothing is
-known, and the reason is given.
+"""The effect of a sequence on results: smoothing, a zero, refused frames.
 
 The threads of a stream: effect of an error, duration of a close, the result that a reader gets, the counts.
 """
@@ -30,7 +27,7 @@ from gelform.sensors.streams.memory import (
     result_from_image,
     zero_from_results,
 )
-from gelform.sensors.streams.pipeline import Meter, Pipeline, feed_from_source
+from gelform.sensors.streams.pipeline import Pipeline, feed_from_source
 from gelform.sensors.streams.stream import Stream
 from made.images import grid, image_of_dots
 from made.sources import ImageSource
@@ -43,13 +40,6 @@ def remembered(memory, images, rate_hz=25.0):
         result = replace(memory.result_from_image(image), index=index, time_s=index / rate_hz)
         results.append(memory(image, result))
     return results
-
-
-def test_results_of_a_short_sequence_are_the_reconstructor_s(reconstruct, pressed):
-    memory = Memory(reconstruct)
-    np.testing.assert_array_equal(memory.image_from_frame(Frame(pressed[0], 0.0, 0, 0)), pressed[0])
-    results = remembered(memory, pressed[:3])
-    np.testing.assert_array_equal(results[2].depth, reconstruct.from_image(pressed[2]).depth)
 
 
 def test_smoothing_is_asked_for(reconstruct, at_rest):
@@ -74,13 +64,9 @@ def zeroed(reconstruct, at_rest, pressed):
     """Results before and after a tilt of the gel at rest was set as zero: of the tilt itself, and of a press over it."""
     rest, press = (reconstruct.from_image(images[0]) for images in (at_rest, pressed))
     x = np.arange(rest.shape[1], dtype=np.float32)
-    tilt = {
-        "depth": rest.depth + 0.002 * x,
-        "gradients": rest.gradients + np.float32([0.002 / rest.mm_per_px, 0]),
-    }
-    tilted = replace(rest, **tilt)
-    over = replace(
-        press, depth=press.depth + 0.002 * x, gradients=press.gradients + tilt["gradients"] - rest.gradients
+    slope = np.float32([0.002 / rest.mm_per_px, 0])
+    tilted, over = (
+        replace(one, depth=one.depth + 0.002 * x, gradients=one.gradients + slope) for one in (rest, press)
     )
     zero = zero_from_results([tilted, tilted])
     return press, over, against_zero(tilted, zero), against_zero(over, zero)
@@ -234,31 +220,7 @@ def test_results_of_the_frame_itself_stay():
     seen = Smoothing(0.5)(result)
     assert (seen.index, seen.time_s) == (3, result.time_s)
     assert seen.contact is result.contact
-    without = Smoothing(0.5)(replace(result, depth_sigma_mm=None))
-    assert without.depth_sigma_mm is None
-
-
-def test_results_drops_ages_and_the_median_of_each_stage_are_counted():
-    meter = Meter()
-    stats = meter.stats("starting", "")
-    assert (stats.results, stats.drops, stats.rate_hz, stats.stage_ms) == (0, 0, 0, {})
-    assert stats.age_s == math.inf
-    assert math.isnan(stats.latency_ms)
-    for index in (5, 6, 9, 10):  # what came before the first result is no drop of the stream's
-        meter.given(index, time.monotonic() - 3)
-    stats = meter.stats("running", "")
-    assert (stats.results, stats.drops) == (4, 2)
-    assert stats.rate_hz > 0
-    assert 3 <= stats.age_s < 60
-    assert 3000 <= stats.latency_ms < 60_000
-    meter = Meter()
-    for seconds in (0.001, 0.002, 0.5):
-        meter.add("view", seconds)
-    with meter.timed("reconstruct"):
-        pass
-    stage_ms = meter.stats("running", "all is well").stage_ms
-    assert stage_ms["view"] == pytest.approx(2)
-    assert 0 <= stage_ms["reconstruct"] < 60_000
+    assert Smoothing(0.5)(replace(result, depth_sigma_mm=None)).depth_sigma_mm is None
 
 
 def started(act):
@@ -277,6 +239,28 @@ def running(feed, memory):
         yield pipeline
     finally:
         pipeline.close()
+
+
+def test_results_drops_ages_and_the_median_of_each_stage_are_counted(reconstruct, at_rest):
+    feed = Stepwise()
+    with running(feed, Memory(reconstruct)) as pipeline:
+        stats = pipeline.stats()
+        assert (stats.results, stats.drops, stats.rate_hz, stats.stage_ms) == (0, 0, 0, {})
+        assert stats.age_s == math.inf
+        assert math.isnan(stats.latency_ms)
+        for index in (5, 6, 9, 10):  # what came before the first result is no drop of the stream's
+            feed.frames.append(Frame(at_rest[0], time.monotonic() - 3, 0, index))
+            assert pipeline.results.newest(index - 1, timeout_s=60).index == index
+        for seconds in (0.001, 0.002, 0.5):
+            pipeline.took("mine", seconds)
+        stats = pipeline.stats()
+    assert (stats.results, stats.drops) == (4, 2)
+    assert stats.rate_hz > 0
+    assert 3 <= stats.age_s < 60
+    assert 3000 <= stats.latency_ms < 60_000
+    assert stats.stage_ms["mine"] == pytest.approx(2)
+    assert stats.stage_ms.keys() - {"learn", "mine"} == {"wait", "view", "reconstruct", "remember"}
+    assert min(stats.stage_ms["reconstruct"], stats.stage_ms["view"]) > 0
 
 
 def test_late_readers_get_the_newest_alone_and_do_not_take_from_each_other():
@@ -343,28 +327,19 @@ class Failing(Memory):
 
 
 class Hanging(Memory):
-    """A stage that does not come back before it is let go."""
+    """A stage that does not come back before it is let go: `remembered` or `learn`."""
 
-    def __init__(self, reconstruct):
+    def __init__(self, reconstruct, stage="remembered"):
         super().__init__(reconstruct)
         self.entered, self.let_go = Event(), Event()
+        own = getattr(self, stage)
 
-    def remembered(self, image, result):
-        self.entered.set()
-        self.let_go.wait(60)
-        return result
+        def hang(image, result):
+            self.entered.set()
+            self.let_go.wait(60)
+            return own(image, result)
 
-
-class SlowToLearn(Memory):
-    """Learns until it is let go."""
-
-    def __init__(self, reconstruct):
-        super().__init__(reconstruct)
-        self.learning, self.let_go = Event(), Event()
-
-    def learn(self, image, result):
-        self.learning.set()
-        self.let_go.wait(60)
+        setattr(self, stage, hang)
 
 
 class Stepwise:
@@ -416,20 +391,11 @@ def test_close_ends_every_wait(reconstruct, at_rest):
     assert unused.feed.state == "ended"
 
 
-def test_stages_are_timed(reconstruct, at_rest):
-    with running(ImageSource(at_rest), Memory(reconstruct)) as pipeline:
-        pipeline.results.newest(timeout_s=60)
-        stats = pipeline.stats()
-    assert stats.stage_ms.keys() - {"learn"} == {"wait", "view", "reconstruct", "remember"}
-    assert min(stats.stage_ms["reconstruct"], stats.stage_ms["view"]) > 0
-    assert stats.latency_ms >= stats.stage_ms["reconstruct"]
-
-
 def test_a_result_is_given_before_it_is_learned_from(reconstruct, at_rest):
-    memory = SlowToLearn(reconstruct)
+    memory = Hanging(reconstruct, "learn")
     with running(ImageSource(at_rest), memory) as pipeline:
         first = pipeline.results.newest(timeout_s=60)
-        assert memory.learning.wait(60)
+        assert memory.entered.wait(60)
         assert pipeline.results.newest(first.index, timeout_s=60).index > first.index
         memory.let_go.set()
 

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import os
 import struct
-from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 from itertools import chain
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
@@ -24,20 +23,18 @@ from gelform.sensors.recordings.mcap_writer import (
     RAW_SCHEMA_NAME,
     SCHEMA_NAME,
     TOPIC,
-    picture_from_message,
+    decoded,
     pixels_from_raw,
-    raw_image_from_message,
+    time_ns_of,
     way_for_encoding,
 )
 
 MAGIC = b"\x89MCAP0\r\n"  # at the start and the end of a file (MCAP specification)
 CUT = "The frames before that are read; how many follow is not known."
 METADATA_FILE, METADATA_KEY = "metadata.yaml", "rosbag2_bagfile_information"
-MAX_RECORD_BYTES = (
-    256 * 2**20
-)  # of a record or a decompressed chunk; a larger one is damaged and would fill the memory
+# Bytes of a record or a decompressed chunk; a larger one is damaged and would fill the memory.
+MAX_RECORD_BYTES = 256 * 2**20
 SAMPLED_RECORDS = 200  # records that are read to find which pictures a file contains
-DEPTH_SUFFIX = "/compressedDepth"  # of image_transport: the message type is a picture's, the content is not a plain picture
 
 
 def is_bag_folder(path: Path) -> bool:
@@ -122,10 +119,8 @@ class PlacedMessage:
 def mcap_records(path: Path) -> Iterator[Any]:
     """Channels, messages with their topic, and all other records as the library returns them.
 
-    DataError: the file is missing, no MCAP file or damaged, or the extra `mcap` is not installed.
+    DataError: as `records_from`.
     """
-    if not path.is_file():
-        raise DataError(f"No recording {path}. Check the path.")
     schemas: dict[int, str] = {}
     topics: dict[int, str] = {}
     for record in chain.from_iterable(records for _, records in records_from(path)):
@@ -146,7 +141,11 @@ def records_from(path: Path, offset: int = 0) -> Iterator[tuple[int, list[Any]]]
     """(offset, contents) of each record from an offset on; the contents are the record itself or those of a chunk.
 
     The first offset is 0, or one that this function returned before.
+
+    DataError: the file is missing, no MCAP file or damaged, or the extra `mcap` is not installed.
     """
+    if not path.is_file():
+        raise DataError(f"No recording {path}. Check the path.")
     mcap = needed("mcap.stream_reader", "mcap", "An MCAP file")
     with path.open("rb") as file, _faults_named(path):
         file.seek(offset)
@@ -160,10 +159,8 @@ def records_from(path: Path, offset: int = 0) -> Iterator[tuple[int, list[Any]]]
         begins = offset or 8  # after the magic at the start
         for record in reader.records:
             is_chunk = type(record).__name__ == "Chunk"
-            yield (
-                begins,
-                mcap.breakup_chunk(_decompressed(record), validate_crc=True) if is_chunk else [record],
-            )
+            inside = mcap.breakup_chunk(_decompressed(record), validate_crc=True) if is_chunk else [record]
+            yield begins, inside
             begins = file.tell()
 
 
@@ -225,76 +222,56 @@ class PictureTopic:
     numbered: bool = False
 
 
-@dataclass
-class _Found:
-    """Facts, topics and encodings that the first records state."""
-
-    facts: RecordingFacts | None = None
-    compressed: list[str] = field(default_factory=list)
-    encodings: dict[str, str] = field(default_factory=dict)  # of raw pictures; "" until the first message
-    others: list[str] = field(default_factory=list)
-
-    @property
-    def colored(self) -> list[str]:
-        return [topic for topic, encoding in self.encodings.items() if encoding in COLOR_ENCODINGS]
-
-    @property
-    def undecided(self) -> bool:
-        return "" in self.encodings.values()
-
-
 def picture_topic_of(path: Path) -> tuple[RecordingFacts, PictureTopic]:
     """The facts and the topic of pictures, from the first records: gelform's own topic, else the only one.
 
     DataError: there is no readable topic, or several; the message names them and says what to do.
     """
-    found = _Found()
+    facts: RecordingFacts | None = None
+    compressed, others = list[str](), list[str]()
+    encodings: dict[str, str] = {}  # of raw pictures; "" until the first message
     for count, record in enumerate(mcap_records(path)):
-        _add(found, record, path)
-        if TOPIC in found.compressed or (count > SAMPLED_RECORDS and not found.undecided):
+        if type(record).__name__ == "Metadata" and record.name == METADATA:
+            facts = RecordingFacts.from_json(record.metadata.get("facts", ""), str(path))
+        elif isinstance(record, Channel):
+            # image_transport's compressed depth has the message type of a picture.
+            is_depth = record.topic.endswith("/compressedDepth")
+            readable = record.encoding == MESSAGE_ENCODING and not is_depth
+            if readable and record.schema == RAW_SCHEMA_NAME:
+                encodings[record.topic] = ""
+            else:
+                (compressed if readable and record.schema == SCHEMA_NAME else others).append(record.topic)
+        elif isinstance(record, PlacedMessage) and encodings.get(record.topic) == "":
+            try:
+                encodings[record.topic] = decoded(record.message.data, RAW_SCHEMA_NAME).encoding
+            except ValueError as problem:
+                raise DataError(f"{path}: {record.topic} cannot be read. {problem}") from problem
+        if TOPIC in compressed or (count > SAMPLED_RECORDS and "" not in encodings.values()):
             break
-    if TOPIC in found.compressed:
-        return found.facts or RecordingFacts(path.name), PictureTopic(TOPIC, numbered=found.facts is not None)
-    topics = [*found.compressed, *found.colored]
+    if TOPIC in compressed:
+        return facts or RecordingFacts(path.name), PictureTopic(TOPIC, numbered=facts is not None)
+    topics = [*compressed, *(topic for topic, encoding in encodings.items() if encoding in COLOR_ENCODINGS)]
     if len(topics) == 1:
-        return RecordingFacts(path.name), PictureTopic(topics[0], raw=topics[0] in found.encodings)
-    raise DataError(_refusal(path, found, topics))
+        return RecordingFacts(path.name), PictureTopic(topics[0], raw=topics[0] in encodings)
+    if facts is not None and not topics:
+        raise DataError(f"{path} holds no frame yet: its recorder ended, or was killed, before the first.")
+    raise DataError(_refusal(path, topics, encodings, others))
 
 
-def _add(found: _Found, record: Any, path: Path) -> None:
-    if type(record).__name__ == "Metadata" and record.name == METADATA:
-        found.facts = RecordingFacts.from_json(record.metadata.get("facts", ""), str(path))
-    elif isinstance(record, Channel):
-        readable = record.encoding == MESSAGE_ENCODING and not record.topic.endswith(DEPTH_SUFFIX)
-        if readable and record.schema == SCHEMA_NAME:
-            found.compressed.append(record.topic)
-        elif readable and record.schema == RAW_SCHEMA_NAME:
-            found.encodings[record.topic] = ""
-        else:
-            found.others.append(record.topic)
-    elif isinstance(record, PlacedMessage) and found.encodings.get(record.topic) == "":
-        try:
-            found.encodings[record.topic] = raw_image_from_message(record.message.data).encoding
-        except ValueError as problem:
-            raise DataError(f"{path}: {record.topic} cannot be read. {problem}") from problem
-
-
-def _refusal(path: Path, found: _Found, topics: list[str]) -> str:
+def _refusal(path: Path, topics: list[str], encodings: dict[str, str], others: list[str]) -> str:
     """Why there is no readable topic, and what to do."""
-    if found.facts is not None and not topics:
-        return f"{path} holds no frame yet: its recorder ended, or was killed, before the first."
     if topics:
         return (
             f"Expected one topic of pictures in {path}, got {', '.join(topics)}. Keep the sensor's alone, for example: "
             f"mcap filter {path.name} -y {topics[0]} -o one.mcap"
         )
-    wrong = [f"{topic} ({encoding})" for topic, encoding in found.encodings.items() if encoding]
+    wrong = [f"{topic} ({encoding})" for topic, encoding in encodings.items() if encoding]
     if wrong:
         return (
             f"Expected pictures of encoding {' or '.join(COLOR_ENCODINGS)} in {path}, got {', '.join(wrong)}."
-            + way_for_encoding(next(filter(None, found.encodings.values())))
+            + way_for_encoding(next(filter(None, encodings.values())))
         )
-    beside = ", ".join([*found.encodings, *found.others])
+    beside = ", ".join([*encodings, *others])
     return (
         f"Expected a topic of {SCHEMA_NAME} (PNG, JPEG) or {RAW_SCHEMA_NAME} with messages in {path}, got none"
         + (f", beside {beside}." if beside else ".")
@@ -303,11 +280,11 @@ def _refusal(path: Path, found: _Found, topics: list[str]) -> str:
 
 
 class MessagePlace(NamedTuple):
-    """Place of a message: its time, the file offset of its record (a chunk, or itself), its number within the record."""
+    """Place of a message in a file."""
 
     log_time: int
-    offset: int
-    nth: int
+    offset: int  # of its record: a chunk, or itself
+    nth: int  # message of that record
 
 
 class Recording(Film):
@@ -326,14 +303,14 @@ class Recording(Film):
         camera, self._topic = picture_topic_of(self._file)
         super().__init__(path, camera)
         self._channels: set[int] = set()
-        self._chunks: OrderedDict[int, list[Any]] = OrderedDict()
+        self._messages_at = lru_cache(maxsize=2)(self._messages_of)
 
     def _read(self) -> Iterator[Frame]:
         first_ns: int | None = None
-        placed = (one for one in mcap_records(self._file) if isinstance(one, PlacedMessage))
-        for number, one in enumerate(one.message for one in placed if one.topic == self._topic.name):
-            first_ns = one.log_time if first_ns is None else first_ns
-            yield self._frame_of(one, (one.log_time - first_ns) / 1e9, number)
+        messages = chain.from_iterable(self._wanted(inside) for _, inside in records_from(self._file))
+        for number, message in enumerate(messages):
+            first_ns = message.log_time if first_ns is None else first_ns
+            yield self._frame_of(message, (message.log_time - first_ns) / 1e9, number)
 
     @cached_property
     def times_s(self) -> Sequence[float]:
@@ -358,22 +335,18 @@ class Recording(Film):
         where = f"Frame {index} of {self._file}"
         try:
             if self._topic.raw:
-                raw = raw_image_from_message(message.data)
-                return Frame(pixels_from_raw(raw), time_s, raw.wall_time_ns, index)
-            content, wall_time_ns = picture_from_message(message.data)
+                raw = decoded(message.data, RAW_SCHEMA_NAME)
+                return Frame(pixels_from_raw(raw), time_s, time_ns_of(raw), index)
+            picture = decoded(message.data, SCHEMA_NAME)
         except ValueError as problem:
             raise DataError(f"{where} is damaged: {problem}") from problem
+        content = picture.data.tobytes()
         encoded = content if content.startswith(b"\xff\xd8") else None
         image = image_from_encoded(content, reduction_in(self.camera.settings), where)
-        return Frame(image, time_s, wall_time_ns, index, encoded)
+        return Frame(image, time_s, time_ns_of(picture), index, encoded)
 
-    def _messages_at(self, offset: int) -> list[Any]:
-        if offset not in self._chunks:
-            self._chunks[offset] = list(self._wanted(next(records_from(self._file, offset))[1]))
-            while len(self._chunks) > 2:
-                self._chunks.popitem(last=False)
-        self._chunks.move_to_end(offset)
-        return self._chunks[offset]
+    def _messages_of(self, offset: int) -> list[Any]:
+        return list(self._wanted(next(records_from(self._file, offset))[1]))
 
     def _wanted(self, inside: list[Any]) -> Iterator[Any]:
         """The topic's messages among records; also notes the numbers of its channels."""
