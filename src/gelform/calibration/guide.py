@@ -38,7 +38,7 @@ from gelform.foundations.checks import check_sensor_pitch
 from gelform.foundations.files import written_file
 from gelform.foundations.findings import Finding, Progress, no_progress
 from gelform.image.background import USUAL_FRAMES, ChangeSettings, background_from_frames, surround_finding
-from gelform.image.frame import Frame, pixels_digest
+from gelform.image.frame import Frame
 from gelform.image.view import image_from_frame
 from gelform.sensors.files import SensorSettings
 from gelform.sensors.profiles import check_gel_width, make_of
@@ -352,7 +352,7 @@ class Guide:
                 )
             diameter = self.ball_diameter_mm
             presses = [
-                Press(f"images/{k:04d}.png", image, diameter, None, pixels_digest(image), click)
+                Press(f"images/{k:04d}.png", image, diameter, center_px=click)
                 for k, (image, click) in enumerate(zip(self._images, self._clicks))
             ]
             what = "guided presses", presses, self._background, self.settings.view

@@ -11,7 +11,8 @@ import pytest
 import gelform
 from gelform.calibration.geometry.measured import Crosstalk
 from gelform.calibration.geometry.scale import Scale
-from gelform.calibration.presses.folder import rows_by_folder, with_crosstalk, with_scale, with_view
+from gelform.calibration.presses.folder import with_crosstalk, with_scale, with_view
+from gelform.calibration.presses.layouts import rows_by_folder
 from gelform.errors import DataError
 from gelform.image.view import Lens, View, frame_from_image, image_px_from_frame_px
 from gelform.result.metrics import press_errors

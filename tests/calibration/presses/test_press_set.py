@@ -16,15 +16,9 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform.calibration.presses.folder import kind_of_presses, read_presses
-from gelform.calibration.presses.press_set import (
-    Listed,
-    ReadOptions,
-    diameter,
-    number,
-    press_from_frame,
-    table_rows,
-)
+from gelform.calibration.presses.folder import read_presses
+from gelform.calibration.presses.layouts import ReadOptions, diameter, kind_of_presses
+from gelform.calibration.presses.press_set import number, table_rows
 from gelform.calibration.presses.taken import TakenPresses, toml_of_settings
 from gelform.errors import DataError, SensorError
 from gelform.image.view import View
@@ -75,14 +69,6 @@ def test_a_ball_and_a_scale_have_to_be_known(tmp_path):
     assert ReadOptions(ball_diameter_mm=6.35).ball("x") == 6.35
     with pytest.raises(DataError, match=r"x: which ball pressed\?.*--ball-diameter-mm"):
         ReadOptions().ball("x")
-
-
-def test_a_press_is_its_frame_through_the_view():
-    frame = np.random.default_rng(0).integers(0, 256, (4, 6, 3), dtype=np.uint8)
-    press = press_from_frame(Listed("a.png", 6.0), frame, View((4, 6), flip="x"))
-    np.testing.assert_array_equal(press.image, frame[:, ::-1])
-    again = press_from_frame(Listed("b.png", 6.0), frame[:, ::-1], View())
-    assert press.digest == again.digest != press_from_frame(Listed("a.png", 6.0), frame, View()).digest
 
 
 def test_a_subset_is_of_the_same_sensor_and_a_pitch_that_nothing_has_is_refused(presses):

@@ -17,7 +17,6 @@ from gelform.calibration.presses.video import (
     center_of,
     distances,
     noise_of,
-    presses_from_frames,
     runs,
     stretches,
     thumbnail,
@@ -385,7 +384,7 @@ def test_frames_without_a_time_are_named(time_s, how):
     frames = [Frame(image, time_s if k == 1 else k / 25, 0, k) for k, image in enumerate(images)]
     for given in (frames, iter(frames)):
         with pytest.raises(TypeError, match="Expected time_s of frame 1 in seconds"):
-            presses_from_frames(given, **how)
+            gelform.presses_from_frames(given, **how)
 
 
 def test_light_that_drifts_is_noted(filmed, how):
