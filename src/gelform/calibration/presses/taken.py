@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.calibration.geometry.toml_text import edited_toml
+from gelform.calibration.geometry.files import edited_toml
 from gelform.errors import DataError
 from gelform.foundations.files import written_file
 from gelform.foundations.pictures import picture_bytes
