@@ -141,7 +141,7 @@ def _refined_corners(
     return refined
 
 
-def _projected(homography: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
+def _projected(homography: NDArray[Any], points: NDArray[np.float64]) -> NDArray[np.float64]:
     moved = np.column_stack([points, np.ones(len(points))]) @ homography.T
     return np.asarray(moved[:, :2] / moved[:, 2:])
 
