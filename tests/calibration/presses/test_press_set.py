@@ -16,8 +16,7 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform.calibration.presses.folder import read_presses
-from gelform.calibration.presses.layouts import ReadOptions, diameter, kind_of_presses
+from gelform.calibration.presses.folder import ReadOptions, diameter, kind_of_presses, read_presses
 from gelform.calibration.presses.press_set import number, table_rows
 from gelform.calibration.presses.taken import TakenPresses, toml_of_settings
 from gelform.errors import DataError, SensorError

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import json
+import re
+import zipfile
 from collections import Counter
-from collections.abc import Iterable, Mapping
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from os import PathLike
 from pathlib import Path
@@ -13,24 +16,153 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.calibration.geometry.measured import Crosstalk
 from gelform.calibration.geometry.scale import Scale
-from gelform.calibration.presses.layouts import SOURCES, VIDEO, PressSource, ReadOptions, kind_of_presses
-from gelform.calibration.presses.press_set import FlatPress, Press, Presses, presses_from_settings
+from gelform.calibration.presses.press_set import (
+    Circle,
+    FlatPress,
+    Press,
+    Presses,
+    check_ball_diameter,
+    file_of,
+    number,
+    presses_from_settings,
+    table_rows,
+)
 from gelform.calibration.presses.video import presses_in_film
-from gelform.errors import DataError
-from gelform.foundations.checks import check_is, check_path
-from gelform.foundations.files import way_for
+from gelform.errors import DataError, said
+from gelform.foundations.checks import (
+    check_is,
+    check_path,
+    check_positive,
+    check_sensor_pitch,
+    check_sensor_pitches,
+)
+from gelform.foundations.files import DAMAGED_ARCHIVE, MAX_TEXT_BYTES, bytes_of, checked_archive, way_for
 from gelform.foundations.findings import Progress, no_progress
-from gelform.image.frame import Frame
+from gelform.image.frame import Frame, rgb_from_bgr
 from gelform.image.view import View, image_from_frame, image_px_from_frame_px
-from gelform.sensors.files import IMAGE_SUFFIXES, background_in, read_background, read_image
+from gelform.sensors.files import (
+    FILM_SUFFIXES,
+    IMAGE_SUFFIXES,
+    SensorSettings,
+    background_in,
+    images_of_stack,
+    is_likely_background,
+    is_stack,
+    read_background,
+    read_image,
+    read_sensor_toml,
+)
 from gelform.sensors.films import open_film
+from gelform.sensors.profiles import PROFILES, profile_named
 from gelform.sensors.recordings.mcap_reader import refuse_bag
 
 __all__ = ["Press", "Presses", "as_presses", "kind_of_presses", "read_presses"]
 
+PRESS_FOLDER, GS_SDK, PY3DCAL = "press folder", "gs_sdk folder", "py3DCal folder"
+TAXIM, PLAIN, STACK, VIDEO = "Taxim dataPack", "folder of images", "file of several images", "video"
+TAXIM_ARRAYS = ("f0", "imgs", "touch_center", "touch_radius")
+LABEL_COLUMNS = ("center_x_px", "center_y_px", "contact_radius_px")
+DIAMETER = re.compile(r"(?<![\d.,])(\d+(?:[.,]\d+)?)[ _-]?mm(?![a-z])", re.IGNORECASE)  # in a folder's name
 NAMED_ODD = 5  # images of another size that a message lists
+_DAMAGED = (OSError, *DAMAGED_ARCHIVE)
+
+
+@dataclass(frozen=True)
+class ReadOptions:
+    """Options of `read_presses`; each overrides what lies beside the data."""
+
+    sensor: str | None = None  # name of a profile
+    mm_per_px: float | tuple[float, float] | None = None  # or (x, y)
+    ball_diameter_mm: float | None = None
+    background: Path | None = None  # path of the background image
+    crop: tuple[float, float, float, float] | None = None  # (left, top, width, height) in pixels of the frame
+    bgr: bool = False  # whether all images, the background too, are blue, green, red
+
+    def __post_init__(self) -> None:
+        for name, check in (("mm_per_px", check_sensor_pitches), ("ball_diameter_mm", check_ball_diameter)):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, check(getattr(self, name)))
+
+    def settings(self, place: Path, known: SensorSettings | None = None) -> SensorSettings:
+        """sensor.toml next to the data, else the data's own settings, else the profile.
+
+        A given scale and the name of a profile override them.
+        """
+        profile = None if self.sensor is None else profile_named(self.sensor)
+        toml = place / "sensor.toml" if place.is_dir() else place.parent / "sensor.toml"
+        settings = read_sensor_toml(toml) if toml.is_file() else known
+        if settings is None and profile is not None:
+            scale, thickness_mm = (profile.mm_per_px, profile.mm_per_px_sigma), profile.gel_thickness_mm
+            settings = SensorSettings(profile.name, *scale, gel_thickness_mm=thickness_mm)
+        if settings is None and self.mm_per_px is not None:
+            settings = SensorSettings(place.resolve().stem, self.mm_per_px)
+        if settings is None:
+            raise DataError(
+                f"No scale for {place}: presses of a ball alone do not tell it. Write name and mm_per_px into "
+                f"{toml}, give mm_per_px= (--mm-per-px) or sensor= (--sensor), or measure it on two marked points "
+                "or a stage's step (gelform scale), or on a grid (gelform lens)."
+            )
+        if self.sensor is not None:
+            settings = replace(settings, make=self.sensor)
+        if self.mm_per_px is not None:
+            others = {name: value for name, value in settings.measured.items() if name != "scale"}
+            settings = replace(settings, mm_per_px=self.mm_per_px, mm_per_px_sigma=None, measured=others)
+        return settings
+
+    def view(self, settings: SensorSettings, frame_shape: tuple[int, int]) -> View:
+        """The requested crop, else sensor.toml's view, else the profile's if the images are frames of it; square pixels.
+
+        They are frames of the profile if the user names it, or if their scale is that of its images.
+        """
+        view, make = settings.view, self.sensor or settings.make
+        if self.crop is not None:
+            try:
+                view = View(frame_shape=frame_shape, crop=self.crop)
+            except ValueError as problem:  # the frame shows it, not the option alone
+                raise DataError(f"{problem} It is crop= (--crop).") from problem
+        elif view.is_identity and (
+            self.sensor is not None or (make and PROFILES[make].is_cropped_scale(settings.square_mm_per_px))
+        ):
+            view = profile_named(make).view(frame_shape)
+        return settings.squared(view, frame_shape)
+
+    def ball(self, what: str) -> float:
+        """The ball's diameter, for data without it."""
+        if self.ball_diameter_mm is None:
+            raise DataError(
+                f"{what}: which ball pressed? Give ball_diameter_mm= (--ball-diameter-mm), or write presses.csv "
+                "with the columns image,ball_diameter_mm."
+            )
+        return self.ball_diameter_mm
+
+    def in_rgb(self, image: NDArray[Any]) -> NDArray[Any]:
+        """An image as it was read, in RGB."""
+        return rgb_from_bgr(image) if self.bgr else image
+
+
+@dataclass(frozen=True)
+class Listed:
+    """A press before its image is read: of a ball, or of a flat punch if it has a height."""
+
+    name: str  # and all else as in `Press` or `FlatPress`
+    ball_diameter_mm: float = 0.0
+    label: Circle | None = None
+    center_px: tuple[float, float] | None = None
+    height_mm: float | None = None
+
+
+@dataclass(frozen=True)
+class PressSource:
+    """Presses as a reader finds them; frames are (H, W, 3) uint8 as they are stored."""
+
+    listed: Sequence[Listed]
+    background: Path | NDArray[Any] | None = None  # of the gel at rest; None: the one in the folder
+    frame: Callable[[int], NDArray[Any]] | None = (
+        None  # of a number in the list; None: in the file of its name
+    )
+    known: SensorSettings | None = None  # settings of the sensor in the data, if any
+    notes: tuple[str, ...] = ()  # for the user, about the list
 
 
 def read_presses(
@@ -220,51 +352,29 @@ def with_scale(presses: Presses | str | PathLike[str], scale: Scale) -> Presses:
     """The presses, or those at a path, with a measured scale."""
     check_is(scale, Scale, "scale")
     presses = as_presses(presses)
-    return replace(
-        presses,
-        mm_per_px=scale.mm_per_px,
-        mm_per_px_sigma=scale.sigma,
-        geometry=replace(presses.geometry, scale_source=scale.source),
-    )
+    geometry = replace(presses.geometry, scale_source=scale.source)
+    return replace(presses, mm_per_px=scale.mm_per_px, mm_per_px_sigma=scale.sigma, geometry=geometry)
 
 
-def with_crosstalk(presses: Presses | str | PathLike[str], crosstalk: Crosstalk) -> Presses:
-    """The presses with a known crosstalk, which the calibration removes before its color model."""
-    check_is(crosstalk, Crosstalk, "crosstalk")
-    presses = as_presses(presses)
-    return replace(presses, geometry=replace(presses.geometry, crosstalk=crosstalk))
+def with_view(presses: Presses, view: View, source: str) -> Presses:
+    """Presses that were read without a view, through one that removes the lens; labels move with their pixels.
 
-
-def with_view(presses: Presses | str | PathLike[str], view: View, source: str) -> Presses:
-    """The presses through a view that removes the lens distortion; labels move with their pixels.
-
-    Parameters
-    ----------
-    presses : as they were read, without a view
-    view : from the presses' frames to images
-    source : target that the view was measured on, for the report
-
-    Raises
-    ------
-    DataError
-        The presses have a view of their own already, or are of another size than the view's frames.
+    `view` is of their frames, measured on the target `source`.
     """
-    check_is(view, View, "view")
-    check_is(source, str, "source")
-    presses = as_presses(presses)
-    if not presses.view.is_identity:
-        raise DataError(
-            "Expected presses without a view where the lens is undone, got a [view] or --crop: undo it on whole "
-            "frames (leave the view out), and crop by the lens's view."
-        )
-    if presses.image_shape != view.frame_shape:
-        raise DataError(
-            f"Expected presses of the size of the grid's images, {view.frame_shape} px, got {presses.image_shape} px "
-            "(height, width). Take both with the same camera settings."
-        )
+
+    def through(press: Press) -> Press:
+        label = None
+        if press.label is not None:
+            x, y, radius = press.label
+            ring = np.array([(x, y), (x + radius, y), (x - radius, y), (x, y + radius), (x, y - radius)])
+            center, *rim = image_px_from_frame_px(ring, view)
+            distances = [float(np.hypot(*(point - center))) for point in rim]
+            label = (float(center[0]), float(center[1]), float(np.mean(distances)))
+        return replace(press, image=_seen(press.image, view), label=label)
+
     return replace(
         presses,
-        presses=tuple(_through(press, view) for press in presses.presses),
+        presses=tuple(map(through, presses.presses)),
         flats=tuple(replace(flat, image=_seen(flat.image, view)) for flat in presses.flats),
         background=image_from_frame(presses.background, view).astype(np.float32),
         view=view,
@@ -272,16 +382,251 @@ def with_view(presses: Presses | str | PathLike[str], view: View, source: str) -
     )
 
 
-def _through(press: Press, view: View) -> Press:
-    label = None
-    if press.label is not None:
-        x, y, radius = press.label
-        ring = np.array([(x, y), (x + radius, y), (x - radius, y), (x, y + radius), (x, y - radius)])
-        center, *rim = image_px_from_frame_px(ring, view)
-        distances = [float(np.hypot(*(point - center))) for point in rim]
-        label = (float(center[0]), float(center[1]), float(np.mean(distances)))
-    return replace(press, image=_seen(press.image, view), label=label)
-
-
 def _seen(frame: NDArray[Any], view: View) -> NDArray[Any]:
     return np.ascontiguousarray(image_from_frame(frame, view))
+
+
+def kind_of_presses(place: Path) -> str | None:
+    """The layout of presses at a path: VIDEO, a name in `SOURCES`, or None."""
+    if place.is_file() and place.suffix.lower() in FILM_SUFFIXES:
+        return VIDEO
+    if is_stack(place):
+        return STACK
+    if (place / "presses.csv").is_file():
+        return PRESS_FOLDER
+    if (place / "catalog.csv").is_file():
+        return GS_SDK
+    of_stage = (place / "annotations").is_dir() or (place / "probe_data.csv").is_file()
+    if (place / "probe_images").is_dir() and of_stage:
+        return PY3DCAL
+    if taxim_pack_in(place) is not None:
+        return TAXIM
+    return PLAIN if place.is_dir() else None
+
+
+def press_folder_source(folder: Path, options: ReadOptions) -> PressSource:
+    """A press folder: `presses.csv` (image, ball_diameter_mm, optional labels, flat punches), `background.png`, images."""
+    listed: list[Listed] = []
+    left_out: Counter[str] = Counter()
+    for where, row in table_rows(folder / "presses.csv", ("image", "ball_diameter_mm")):
+        name, indenter = file_of(folder, row["image"]), row.get("indenter", "")
+        if indenter in ("", "ball"):
+            label = None
+            if all(row.get(column) for column in LABEL_COLUMNS):
+                x, y, radius = (number(row[column], column, where) for column in LABEL_COLUMNS)
+                label = (x, y, radius)
+            listed.append(Listed(name, diameter(row["ball_diameter_mm"], where), label))
+        elif indenter == "flat" and row.get("height_mm"):
+            height_mm = number(row["height_mm"], "height_mm", where)
+            if not 0.01 <= height_mm <= 20:
+                raise DataError(
+                    f"Expected height_mm of 0.01 to 20 mm, got {height_mm:g}. Is it in mm? ({where})"
+                )
+            listed.append(Listed(name, height_mm=height_mm))
+        else:  # not measured, or for evaluation by other means
+            left_out["flat without height_mm" if indenter == "flat" else indenter] += 1
+    notes = tuple(
+        f"gelform left out rows of presses.csv with the indenter {name}: {count} (it knows ball, and flat with "
+        "height_mm)."
+        for name, count in left_out.items()
+    )
+    return PressSource(listed, notes=notes)
+
+
+def diameter(text: str, where: str) -> float:
+    """A ball's diameter in mm, from a table."""
+    try:
+        return check_ball_diameter(number(text, "ball diameter", where))
+    except ValueError as problem:
+        raise DataError(f"{problem} ({where})") from None
+
+
+def gs_sdk_source(folder: Path, options: ReadOptions) -> PressSource:
+    """gs_sdk's folder: `catalog.csv` (experiment_reldir, diameter(mm)), `<dir>/gelsight.png`, `background.png`."""
+    listed = []
+    for where, row in table_rows(folder / "catalog.csv", ("experiment_reldir", "diameter(mm)")):
+        name = file_of(folder, row["experiment_reldir"])
+        path = folder / name / "label.npz"
+        label = _gs_sdk_label(path) if path.is_file() else None
+        listed.append(Listed(f"{name}/gelsight.png", diameter(row["diameter(mm)"], where), label))
+    return PressSource(listed)
+
+
+def _gs_sdk_label(path: Path) -> Circle:
+    try:
+        checked_archive(path, "the label of a press")
+        with path.open("rb") as handle, np.load(handle, allow_pickle=False) as label:
+            x, y = (float(v) for v in np.ravel(label["center"]))
+            circle = x, y, float(label["radius"])
+            if not np.isfinite(circle).all():
+                raise ValueError(circle)
+            return circle
+    except _DAMAGED as problem:
+        raise DataError(
+            f"{path} is truncated or damaged. Copy it again, or label the press again."
+        ) from problem
+    except (KeyError, TypeError, ValueError) as problem:
+        raise DataError(
+            f"Expected center (x, y) and radius as numbers in {path}. Label the press again."
+        ) from problem
+
+
+def py3dcal_source(folder: Path, options: ReadOptions) -> PressSource:
+    """py3DCal's folder: a printer pressed one probe at the positions of a stage.
+
+    `annotations/annotations.csv` (img_name, x_px, y_px), `annotations/metadata.json` (px_per_mm,
+    probe_radius_mm), `blank_images/blank.png`, `probe_images/`.
+    """
+    table = folder / "annotations" / "annotations.csv"
+    if not table.is_file():
+        positions = any(
+            file.is_file() for file in (table.with_name("probe_data.csv"), folder / "probe_data.csv")
+        )
+        there = " probe_data.csv has the positions of the stage only." if positions else ""
+        raise DataError(
+            f"{folder} is a py3DCal folder before its annotation: annotations/annotations.csv, the centers of the "
+            f"presses in pixels, is missing.{there} Run py3DCal's annotate on the folder first; it writes metadata.json "
+            "too."
+        )
+    rest = options.background or _blank_in(folder / "blank_images")
+    facts = _py3dcal_facts(folder)
+    ball = options.ball_diameter_mm or check_ball_diameter(2 * facts["probe_radius_mm"])
+    listed = []
+    for where, row in table_rows(table, ("img_name", "x_px", "y_px")):
+        center = (number(row["x_px"], "x_px", where), number(row["y_px"], "y_px", where))
+        listed.append(Listed(f"probe_images/{row['img_name']}", ball, center_px=center))
+    known = SensorSettings(folder.resolve().name, check_sensor_pitch(1 / facts["px_per_mm"]))
+    return PressSource(listed, rest, known=known)
+
+
+def _blank_in(folder: Path) -> Path:
+    if (folder / "blank.png").is_file():
+        return folder / "blank.png"
+    images = sorted(p for p in folder.glob("*") if p.suffix.lower() in IMAGE_SUFFIXES)
+    if not images:
+        raise DataError(
+            f"No background in {folder}: expected blank.png, an image of the gel at rest. "
+            "Take one, or name it with background= (--background)."
+        )
+    return images[0]
+
+
+def _py3dcal_facts(folder: Path) -> dict[str, float]:
+    """px_per_mm and probe_radius_mm; the package stores its metadata in either of two places."""
+    places = [folder / "annotations" / "metadata.json", folder / "metadata.json"]
+    path = next((place for place in places if place.is_file()), places[0])
+    try:
+        facts = json.loads(bytes_of(path, "metadata of py3DCal", MAX_TEXT_BYTES))
+        return {name: check_positive(float(facts[name]), name) for name in ("px_per_mm", "probe_radius_mm")}
+    except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as problem:
+        raise DataError(
+            f"Expected px_per_mm and probe_radius_mm > 0 in {path}, got: {said(problem)}."
+        ) from problem
+
+
+def taxim_pack_in(path: Path) -> Path | None:
+    """The `dataPack.npz` at or in a path, under this name or another; or None."""
+    pack = path / "dataPack.npz" if path.is_dir() else path
+    if not pack.is_file() or pack.suffix != ".npz":
+        return None
+    if pack.name == "dataPack.npz":
+        return pack
+    try:
+        with zipfile.ZipFile(pack) as archive:
+            return pack if {"f0.npy", "imgs.npy"} <= set(archive.namelist()) else None
+    except _DAMAGED:
+        return None
+
+
+def taxim_source(path: Path, options: ReadOptions) -> PressSource:
+    """Taxim's `dataPack.npz`: f0, imgs (BGR, as OpenCV read them), touch_center (x, y), touch_radius, names.
+
+    Nothing is unpickled: a member of Python objects is refused.
+    """
+    pack = taxim_pack_in(path)
+    assert pack is not None
+    arrays = _plain_arrays(pack)
+    images, centers = arrays["imgs"], arrays["touch_center"]
+    radii = arrays["touch_radius"].astype(float)
+    for name in ("f0", "imgs"):
+        if arrays[name].dtype != np.uint8:
+            raise DataError(
+                f"Expected {name} as uint8 in {pack}, got {arrays[name].dtype}. Scale it to 0-255 and convert it: "
+                "other values would wrap around."
+            )
+    if images.ndim != 4 or centers.shape != (len(images), 2) or radii.shape != (len(images),):
+        raise DataError(
+            f"Expected imgs (N, H, W, 3), touch_center (N, 2) and touch_radius (N,) in {pack}, got "
+            f"{images.shape}, {centers.shape} and {radii.shape}."
+        )
+    ball = options.ball(str(pack))
+    names = [str(name) for name in arrays.get("names", np.arange(len(images)))]
+    listed = [Listed(n, ball, (float(x), float(y), float(r))) for n, (x, y), r in zip(names, centers, radii)]
+    return PressSource(listed, rgb_from_bgr(arrays["f0"]), lambda k: rgb_from_bgr(images[k]))
+
+
+def _plain_arrays(pack: Path) -> dict[str, NDArray[Any]]:
+    try:
+        checked_archive(pack, "a dataPack", 4 << 30)
+        with pack.open("rb") as handle, np.load(handle, allow_pickle=False) as data:
+            missing = [name for name in TAXIM_ARRAYS if name not in data.files]
+            if missing:
+                raise DataError(
+                    f"Expected the arrays {', '.join(TAXIM_ARRAYS)} in {pack}, {', '.join(missing)} missing."
+                )
+            arrays = {name: data[name] for name in (*TAXIM_ARRAYS, "names") if name in data.files}
+    except _DAMAGED as problem:
+        raise DataError(f"{pack} is truncated or damaged: {said(problem)}.") from problem
+    except ValueError as problem:
+        raise DataError(
+            f"{pack} holds Python objects, which could run code when read: refused. Save it again with plain "
+            f"arrays (numpy.asarray(imgs, dtype=numpy.uint8) ...). ({problem})"
+        ) from problem
+    for name in TAXIM_ARRAYS:  # numpy gives the bytes of a member that is no array
+        if not isinstance(arrays[name], np.ndarray) or arrays[name].dtype.kind not in "uif":
+            raise DataError(
+                f"Expected {name} as an array of numbers in {pack}. Save it again with numpy.savez."
+            )
+    return arrays
+
+
+def plain_source(folder: Path, options: ReadOptions) -> PressSource:
+    """A folder of images of one ball, one press each, and `background.png`."""
+    if rows := rows_by_folder(folder):
+        raise DataError(
+            f"{folder} has folders whose names are diameters, and no presses.csv. Write the lines that they suggest: "
+            f"{'; '.join(rows[:6])} ... (gelform info {folder} prints all {len(rows)}), if they are right."
+        )
+    rest_path = options.background or background_in(folder)
+    images = [p for p in sorted(folder.iterdir()) if p.suffix.lower() in IMAGE_SUFFIXES]
+    images = [p for p in images if p.stem != "background" and p.resolve() != rest_path.resolve()]
+    ball = options.ball(f"{folder} has images but no presses.csv") if images else 0.0
+    return PressSource([Listed(path.name, ball) for path in images], rest_path)
+
+
+def rows_by_folder(folder: Path) -> list[str]:
+    """The lines of a presses.csv that folders such as `5mm/` suggest, its header first; [] without such folders."""
+    rows = []
+    for below in sorted(folder.iterdir()):
+        words = DIAMETER.search(below.name)
+        images = sorted(below.iterdir()) if words and below.is_dir() else []
+        named = [p for p in images if p.suffix.lower() in IMAGE_SUFFIXES and not is_likely_background(p)]
+        rows += [f"{below.name}/{p.name},{words[1].replace(',', '.')}" for p in named if words]
+    return rows and ["image,ball_diameter_mm", *rows]
+
+
+def stack_source(file: Path, options: ReadOptions) -> PressSource:
+    """A TIFF of several pages, or an array of frames (`.npy`), of one ball, one press each."""
+    image, count = images_of_stack(file)
+    ball = options.ball(f"{file} has images but no presses.csv")
+    return PressSource([Listed(f"image {k}", ball) for k in range(count)], frame=image)
+
+
+SOURCES: Mapping[str, Callable[[Path, ReadOptions], PressSource]] = {
+    PRESS_FOLDER: press_folder_source,
+    GS_SDK: gs_sdk_source,
+    PY3DCAL: py3dcal_source,
+    TAXIM: taxim_source,
+    PLAIN: plain_source,
+    STACK: stack_source,
+}

@@ -196,7 +196,7 @@ def _file(path: Path) -> dict[str, Any]:
         return _result(path)
     if path.suffix.lower() == ".mcap":
         return _recording(path)
-    from gelform.calibration.presses.layouts import TAXIM, VIDEO, kind_of_presses
+    from gelform.calibration.presses.folder import TAXIM, VIDEO, kind_of_presses
 
     layout = kind_of_presses(path)
     if layout == VIDEO:
@@ -302,7 +302,7 @@ def _video(path: Path) -> dict[str, Any]:
 
 def _folder(path: Path) -> dict[str, Any]:
     """The facts of a bag or presses; for any other folder, the files that would make it a press folder."""
-    from gelform.calibration.presses.layouts import PLAIN, PRESS_FOLDER, kind_of_presses, rows_by_folder
+    from gelform.calibration.presses.folder import PLAIN, PRESS_FOLDER, kind_of_presses, rows_by_folder
     from gelform.cli.process import in_options
     from gelform.sensors.files import likely_background
     from gelform.sensors.recordings.mcap_reader import is_bag_folder
