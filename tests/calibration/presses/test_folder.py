@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform.calibration.geometry.measured import Crosstalk
 from gelform.calibration.geometry.scale import Scale
 from gelform.calibration.presses.folder import rows_by_folder, with_scale, with_view
 from gelform.errors import DataError
@@ -181,12 +180,6 @@ def test_a_crop_beyond_the_frame_or_without_room_is_refused(copy, crop):
         gelform.read_presses(copy, crop=crop)
 
 
-def test_a_name_that_no_file_has_is_refused(copy):
-    rewrite(copy, lambda header, rows: (header, [["images/0\0.png", *rows[0][1:]]]))
-    with pytest.raises(gelform.DataError):
-        gelform.read_presses(copy)
-
-
 def test_crop_and_view_of_the_settings(copy):
     cropped = gelform.read_presses(copy, crop=(10, 20, 100, 80))
     assert cropped.image_shape == (80, 100)
@@ -263,7 +256,9 @@ SPOILT = {
     "diameter of 0": (lambda h, r: (h, [[r[0][0], "0"], *r[1:]]), r"ball_diameter_mm > 0, got 0.* line 2"),
     "diameter in words": (lambda h, r: (h, [[r[0][0], "small"], *r[1:]]), "as a number, got 'small'"),
     "diameter of nan": (lambda h, r: (h, [[r[0][0], "nan"], *r[1:]]), "finite number"),
+    "infinite diameter": (lambda h, r: (h, [[r[0][0], "1e999"], *r[1:]]), "finite number"),
     "negative diameter": (lambda h, r: (h, [[r[0][0], "-5"], *r[1:]]), "> 0"),
+    "diameter in um": (lambda h, r: (h, [[r[0][0], "6350"], *r[1:]]), r"up to 200 mm, got 6350.* line 2"),
     "missing image": (lambda h, r: (h, [["nowhere.png", "5"], *r[1:]]), r"No file .*nowhere\.png"),
     "no rows": (lambda h, r: (h, []), "No press of a ball in"),
     "punches alone": (lambda h, r: only(h, r, "flat", "0.5"), "beside 1 of flat punches"),
@@ -424,21 +419,12 @@ def test_labels_move_with_their_pixels(sensor, tmp_path):
         assert press.digest not in {one.digest for one in presses.presses}
 
 
-def test_scale_and_crosstalk_are_recorded(presses):
-    crosstalk = Crosstalk(((1, 0.1, 0), (0, 1, 0.2), (0, 0, 1)), ((0, 0.01, 0),) * 3)
-    scaled = with_scale(presses, Scale(0.11, 0.001, "two points"))
-    seen = replace(scaled, geometry=replace(scaled.geometry, crosstalk=crosstalk))
-    assert (seen.mm_per_px, seen.mm_per_px_sigma) == (0.11, 0.001)
-    assert seen.geometry.settings()["scale_source"] == "two points"
-    notes = " ".join(seen.geometry.notes(1.0, seen.mm_per_px_sigma))
-    assert "The scale comes from two points. Its standard deviation is 0.001 mm/px" in notes
-    assert "gelform removes crosstalk up to 20.0 %" in notes
-    assert "absorbs" in " ".join(presses.geometry.notes(1.0, None))
-
-
-def test_a_path_is_read_and_nothing_else_is_taken(folder):
-    scale = Scale(0.1, 0.001, "x")
-    assert with_scale(str(folder), scale).mm_per_px == 0.1
+def test_a_scale_is_of_presses_or_of_those_at_a_path(folder, presses):
+    scale = Scale(0.11, 0.001, "two points")
+    for some in (presses, str(folder)):
+        seen = with_scale(some, scale)
+        assert (seen.mm_per_px, seen.mm_per_px_sigma) == (0.11, 0.001)
+        assert seen.geometry.scale_source == "two points"
     for nothing in (None, [1], 3):
         with pytest.raises(TypeError, match="Expected presses"):
             with_scale(nothing, scale)

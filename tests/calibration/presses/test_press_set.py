@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform.calibration.presses.folder import ReadOptions, diameter, kind_of_presses, read_presses
-from gelform.calibration.presses.press_set import number, table_rows
+from gelform.calibration.presses.folder import ReadOptions, kind_of_presses, read_presses
+from gelform.calibration.presses.press_set import table_rows
 from gelform.calibration.presses.taken import TakenPresses, toml_of_settings
 from gelform.errors import DataError, SensorError
 from gelform.image.view import View
@@ -114,16 +114,6 @@ def test_rows_come_with_their_line(tmp_path):
 def test_what_is_no_such_table_is_refused(tmp_path, text, said):
     with pytest.raises(DataError, match=said):
         list(table_rows(table(tmp_path, text), COLUMNS))
-
-
-def test_numbers_are_finite_and_balls_have_a_size():
-    for text in ("nan", "inf", "six", "", "1e999"):
-        with pytest.raises(DataError, match=r"radius as a .*number, got .* \(line 3\)"):
-            number(text, "radius", "line 3")
-    for text in ("0", "-6", "300", "nan"):
-        with pytest.raises(DataError, match="line 3"):
-            diameter(text, "line 3")
-    assert diameter("6.35", "line 3") == 6.35
 
 
 def test_a_make_is_named_beside_the_data_asked_for_or_the_start_of_a_name(beside, presses):

@@ -14,13 +14,10 @@ import gelform
 from gelform.calibration.circles.find import find_contact
 from gelform.calibration.presses.video import (
     Thumbnails,
-    center_of,
     distances,
     noise_of,
-    runs,
     stretches,
     thumbnail,
-    touch_threshold,
     untouched,
 )
 from gelform.image.background import ChangeSettings, color_change_from_image
@@ -156,13 +153,6 @@ def test_flicker_of_all_pixels_is_no_touch():
     assert noise_of(motion) < 4
 
 
-def test_threshold_grows_with_the_noise_and_the_strongest_touch():
-    quiet = np.full(50, 0.5)
-    assert touch_threshold(quiet, 0.5) == 3.0
-    assert touch_threshold(quiet, 2.0) == 8.0
-    assert touch_threshold(np.full(50, 100.0), 0.5) == pytest.approx(12.0)
-
-
 def test_thumbnails_average_and_are_thinned():
     thumbs = Thumbnails(most=10)
     image = np.zeros((72, 96, 3), np.uint8)
@@ -174,14 +164,6 @@ def test_thumbnails_average_and_are_thinned():
     assert thumbs.factor == 2
     checks = (np.indices((72, 96)).sum(axis=0) % 2 * 255)[..., None].repeat(3, axis=-1).astype(np.uint8)
     np.testing.assert_allclose(thumbnail(checks), 127.5, atol=0.5)
-
-
-def test_center_and_runs():
-    rng = np.random.default_rng(2)
-    x, y = center_of(gel(rng, (30.3, 11.6, 50)), gel(rng))
-    assert (x, y) == pytest.approx((30.3, 11.6), abs=0.5)
-    assert runs(np.array([1, 1, 0, 1, 0, 0, 1], dtype=bool)) == [(0, 2), (3, 4), (6, 7)]
-    assert runs(np.zeros(3, dtype=bool)) == []
 
 
 COUNT = 9
