@@ -103,7 +103,7 @@ def place(folder, tmp_path):
 
 
 def test_the_scale_is_read_again_with_its_source(place):
-    assert save_scale(SCALE, place) == (place / "sensor.toml", None)
+    assert save_scale(SCALE, place) == place / "sensor.toml"
     presses = gelform.read_presses(place)
     assert (presses.mm_per_px, presses.mm_per_px_sigma) == (0.0634, 0.0004)
     assert presses.geometry.scale_source == "a punch of 5 mm"

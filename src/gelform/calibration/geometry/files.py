@@ -58,11 +58,10 @@ def edited_toml(text: str, changes: Mapping[Table, Mapping[str, Any]], drop: Seq
     return edited
 
 
-def save_scale(scale: Scale, place: str | PathLike[str]) -> tuple[Path, str | None]:
-    """Write a scale into a `sensor.toml` or an imported calibration, in one step.
+def save_scale(scale: Scale, place: str | PathLike[str]) -> Path:
+    """Write a scale into a `sensor.toml` or an imported calibration, in one step; return the written file.
 
     `place` is a folder, its `sensor.toml` (created if missing, for a sensor of the folder's name), or a calibration.
-    Returns the written file, and a note if no usual gel is as wide as this scale makes it (`check_gel_width`).
 
     Raises
     ------
@@ -72,7 +71,7 @@ def save_scale(scale: Scale, place: str | PathLike[str]) -> tuple[Path, str | No
         The file cannot be read, edited or written, or the gel would have a width that no sensor has.
     """
     place = Path(place)
-    note = _width_note(scale.mm_per_px, place)
+    width_note(scale.mm_per_px, place)
     if place.suffix != ".npz":
         file = _toml_in(place)
         if file.is_file() and isinstance(read_sensor_toml(file).mm_per_px, tuple):
@@ -80,7 +79,7 @@ def save_scale(scale: Scale, place: str | PathLike[str]) -> tuple[Path, str | No
                 f"Expected one mm_per_px in {file}, got a pair for pixels that are not square, which one scale does not "
                 "give. Measure x and y and write both, or take gelform lens."
             )
-        return _save_in_toml(file, _scale_values(scale)), note
+        return _save_in_toml(file, _scale_values(scale))
     calibration = load_calibration(place)
     if calibration.training_digests:
         raise CalibrationError(
@@ -91,11 +90,11 @@ def save_scale(scale: Scale, place: str | PathLike[str]) -> tuple[Path, str | No
     settings = replace(calibration.settings, scale_source=scale.source)
     scaled = replace(calibration, mm_per_px=scale.mm_per_px, mm_per_px_sigma=scale.sigma, settings=settings)
     scaled.save(place, overwrite=True)
-    return place, note
+    return place
 
 
-def _width_note(mm_per_px: float, place: Path) -> str | None:
-    """The note of `check_gel_width` on a scale of the images at a place; None where none is seen.
+def width_note(mm_per_px: float, place: Path) -> str | None:
+    """The note of `check_gel_width` on a scale of the images at a place as in `save_scale`; None where none is seen.
 
     DataError: no sensor's gel is that wide.
     """

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 from gelform.calibration.geometry.measured import Geometry
 from gelform.errors import DataError
 from gelform.foundations.checks import check_positive, check_sensor_pitch
-from gelform.foundations.files import plain_cell, present_file
+from gelform.foundations.files import MAX_ARRAY_BYTES, bytes_of, plain_cell
 from gelform.image.frame import pixels_digest
 from gelform.image.view import View
 from gelform.sensors.files import SensorSettings
@@ -186,40 +187,38 @@ def table_rows(path: Path, columns: tuple[str, ...]) -> Iterator[tuple[str, dict
     the comma is the decimal sign.
     """
     try:
-        with present_file(path, "a table").open(newline="", encoding="utf-8-sig") as file:
-            header = file.readline()
-            file.seek(0)
-            semicolons = header.count(";") > header.count(",")
-            reader = csv.DictReader(file, delimiter=";" if semicolons else ",")
-            names = list(reader.fieldnames or [])
-            missing = [name for name in columns if name not in names]
-            if missing:
+        file = io.StringIO(bytes_of(path, "a table", MAX_ARRAY_BYTES).decode("utf-8-sig"), newline="")
+        header = file.readline()
+        file.seek(0)
+        semicolons = header.count(";") > header.count(",")
+        reader = csv.DictReader(file, delimiter=";" if semicolons else ",")
+        names = list(reader.fieldnames or [])
+        missing = [name for name in columns if name not in names]
+        if missing:
+            raise DataError(
+                f"Expected the columns {', '.join(columns)} in {path}, got {', '.join(names) or 'none'}: "
+                f"{', '.join(missing)} missing."
+            )
+        for row in reader:
+            fields = [*(value for value in row.values() if isinstance(value, str)), *row.get(None, ())]
+            if not any(value.strip() for value in fields):
+                continue
+            where = f"{path}, line {reader.line_num}"
+            if len(fields) != len(names):
                 raise DataError(
-                    f"Expected the columns {', '.join(columns)} in {path}, got {', '.join(names) or 'none'}: "
-                    f"{', '.join(missing)} missing."
+                    f"Expected {len(names)} fields, got {len(fields)} ({where}). Was a decimal comma meant? Write "
+                    "6.35, quote texts that have commas, and keep the commas of empty fields."
                 )
-            for row in reader:
-                fields = [*(value for value in row.values() if isinstance(value, str)), *row.get(None, ())]
-                if not any(value.strip() for value in fields):
-                    continue
-                where = f"{path}, line {reader.line_num}"
-                if len(fields) != len(names):
-                    raise DataError(
-                        f"Expected {len(names)} fields, got {len(fields)} ({where}). Was a decimal comma meant? Write "
-                        "6.35, quote texts that have commas, and keep the commas of empty fields."
-                    )
-                cells = {name: plain_cell(value.strip()) for name, value in row.items()}
-                if semicolons:
-                    cells = {k: re.sub(r"\A([+-]?\d+),(\d+)\Z", r"\1.\2", cell) for k, cell in cells.items()}
-                yield where, cells
+            cells = {name: plain_cell(value.strip()) for name, value in row.items()}
+            if semicolons:
+                cells = {k: re.sub(r"\A([+-]?\d+),(\d+)\Z", r"\1.\2", cell) for k, cell in cells.items()}
+            yield where, cells
     except UnicodeDecodeError as problem:
         raise DataError(
             f"{path} is no table of text in UTF-8: byte {problem.start} is none. Save it as UTF-8."
         ) from problem
     except csv.Error as problem:
         raise DataError(f"{path} is no table of comma-separated text: {problem}.") from problem
-    except OSError as problem:
-        raise DataError(f"Cannot read {path}: {problem.strerror or problem}.") from problem
 
 
 def file_of(folder: Path, name: str) -> str:

@@ -400,12 +400,10 @@ def load_starter(sensor: str) -> Starter:
             f"Expected a sensor with a starter, {', '.join(starter_names())}, got {sensor!r}. "
             "Another one is calibrated with presses of a ball: gelform calibrate."
         )
-    return _packaged(sensor)
+    return _packaged(str(FOLDER / f"{sensor}.npz"))
 
 
-@cache
-def _packaged(sensor: str) -> Starter:
-    return read_starter(str(FOLDER / f"{sensor}.npz"))
+_packaged = cache(read_starter)
 
 
 def starter_of_make(make: str | None) -> Starter | None:

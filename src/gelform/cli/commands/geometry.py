@@ -55,7 +55,7 @@ def scale(
         raise BadParameter("expected --points, --stage or both.", param_hint="scale")
     marked = [numbers(text, "X1,Y1,X2,Y2,MM", "--points") for text in points or ()]
     pressed = [_images_and_mm(text) for text in stage or ()]
-    from gelform.calibration.geometry.files import read_setup, save_scale
+    from gelform.calibration.geometry.files import read_setup, save_scale, width_note
     from gelform.calibration.geometry.scale import combined_scale, scale_from_points, scale_from_stage
 
     with mistakes_in("--points"):
@@ -67,8 +67,8 @@ def scale(
                 first, second = (setup.image(path) for path in paths)
                 scales.append(scale_from_stage(first, second, setup.background, mm))
     found = combined_scale(scales)
-    written, doubt = save_scale(found, place)
-    if doubt:
+    written = save_scale(found, place)
+    if doubt := width_note(found.mm_per_px, place):
         shown.say(f"note: {doubt}")
     shown.say(f"{found.mm_per_px:.5g} +- {found.sigma:.2g} mm per pixel, from {found.source}.")
     shown.say(f"Wrote {written}.")
