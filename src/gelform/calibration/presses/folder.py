@@ -37,7 +37,14 @@ from gelform.foundations.checks import (
     check_sensor_pitch,
     check_sensor_pitches,
 )
-from gelform.foundations.files import DAMAGED_ARCHIVE, MAX_TEXT_BYTES, bytes_of, checked_archive, way_for
+from gelform.foundations.files import (
+    DAMAGED_ARCHIVE,
+    MAX_ARRAY_BYTES,
+    MAX_TEXT_BYTES,
+    bytes_of,
+    checked_archive,
+    way_for,
+)
 from gelform.foundations.findings import Progress, no_progress
 from gelform.image.frame import Frame, rgb_from_bgr
 from gelform.image.view import View, image_from_frame, image_px_from_frame_px
@@ -61,11 +68,9 @@ __all__ = ["Press", "Presses", "as_presses", "kind_of_presses", "read_presses"]
 
 PRESS_FOLDER, GS_SDK, PY3DCAL = "press folder", "gs_sdk folder", "py3DCal folder"
 TAXIM, PLAIN, STACK, VIDEO = "Taxim dataPack", "folder of images", "file of several images", "video"
-TAXIM_ARRAYS = ("f0", "imgs", "touch_center", "touch_radius")
 LABEL_COLUMNS = ("center_x_px", "center_y_px", "contact_radius_px")
 DIAMETER = re.compile(r"(?<![\d.,])(\d+(?:[.,]\d+)?)[ _-]?mm(?![a-z])", re.IGNORECASE)  # in a folder's name
 NAMED_ODD = 5  # images of another size that a message lists
-_DAMAGED = (OSError, *DAMAGED_ARCHIVE)
 
 
 @dataclass(frozen=True)
@@ -445,30 +450,53 @@ def gs_sdk_source(folder: Path, options: ReadOptions) -> PressSource:
     """gs_sdk's folder: `catalog.csv` (experiment_reldir, diameter(mm)), `<dir>/gelsight.png`, `background.png`."""
     listed = []
     for where, row in table_rows(folder / "catalog.csv", ("experiment_reldir", "diameter(mm)")):
-        name = file_of(folder, row["experiment_reldir"])
+        name, label = file_of(folder, row["experiment_reldir"]), None
         path = folder / name / "label.npz"
-        label = _gs_sdk_label(path) if path.is_file() else None
+        if path.is_file():
+            arrays = arrays_of(path, "the label of a press", ("center", "radius"))
+            circle = [float(value) for one in arrays.values() for value in np.ravel(one)]
+            if len(circle) != 3 or not np.isfinite(circle).all():
+                raise DataError(
+                    f"Expected center (x, y) and radius as numbers in {path}. Label the press again."
+                )
+            label = (circle[0], circle[1], circle[2])
         listed.append(Listed(f"{name}/gelsight.png", diameter(row["diameter(mm)"], where), label))
     return PressSource(listed)
 
 
-def _gs_sdk_label(path: Path) -> Circle:
+def arrays_of(
+    path: Path,
+    what: str,
+    names: Sequence[str],
+    optional: Sequence[str] = (),
+    max_bytes: int = MAX_ARRAY_BYTES,
+) -> dict[str, NDArray[Any]]:
+    """Arrays of numbers by name in another program's .npz, and optional ones of anything.
+
+    Nothing is unpickled: a member of Python objects is refused. DataError: one is missing, or the file is damaged.
+    """
     try:
-        checked_archive(path, "the label of a press")
-        with path.open("rb") as handle, np.load(handle, allow_pickle=False) as label:
-            x, y = (float(v) for v in np.ravel(label["center"]))
-            circle = x, y, float(label["radius"])
-            if not np.isfinite(circle).all():
-                raise ValueError(circle)
-            return circle
-    except _DAMAGED as problem:
+        checked_archive(path, what, max_bytes)
+        with path.open("rb") as handle, np.load(handle, allow_pickle=False) as data:
+            missing = [name for name in names if name not in data.files]
+            if missing:
+                raise DataError(
+                    f"Expected the arrays {', '.join(names)} in {path}, {', '.join(missing)} missing."
+                )
+            arrays = {name: data[name] for name in (*names, *optional) if name in data.files}
+    except (OSError, *DAMAGED_ARCHIVE) as problem:
+        raise DataError(f"{path} is truncated or damaged: {said(problem)}. Copy it again.") from problem
+    except ValueError as problem:
         raise DataError(
-            f"{path} is truncated or damaged. Copy it again, or label the press again."
+            f"{path} holds Python objects, which could run code when read: refused. Save it again with plain "
+            f"arrays (numpy.asarray(imgs, dtype=numpy.uint8) ...). ({problem})"
         ) from problem
-    except (KeyError, TypeError, ValueError) as problem:
-        raise DataError(
-            f"Expected center (x, y) and radius as numbers in {path}. Label the press again."
-        ) from problem
+    for name in names:  # numpy gives the bytes of a member that is no array
+        if not isinstance(arrays[name], np.ndarray) or arrays[name].dtype.kind not in "uif":
+            raise DataError(
+                f"Expected {name} as an array of numbers in {path}. Save it again with numpy.savez."
+            )
+    return arrays
 
 
 def py3dcal_source(folder: Path, options: ReadOptions) -> PressSource:
@@ -534,18 +562,16 @@ def taxim_pack_in(path: Path) -> Path | None:
     try:
         with zipfile.ZipFile(pack) as archive:
             return pack if {"f0.npy", "imgs.npy"} <= set(archive.namelist()) else None
-    except _DAMAGED:
+    except (OSError, *DAMAGED_ARCHIVE):
         return None
 
 
 def taxim_source(path: Path, options: ReadOptions) -> PressSource:
-    """Taxim's `dataPack.npz`: f0, imgs (BGR, as OpenCV read them), touch_center (x, y), touch_radius, names.
-
-    Nothing is unpickled: a member of Python objects is refused.
-    """
+    """Taxim's `dataPack.npz`: f0, imgs (BGR, as OpenCV read them), touch_center (x, y), touch_radius, names."""
     pack = taxim_pack_in(path)
     assert pack is not None
-    arrays = _plain_arrays(pack)
+    needed = ("f0", "imgs", "touch_center", "touch_radius")
+    arrays = arrays_of(pack, "a dataPack", needed, ("names",), 4 << 30)
     images, centers = arrays["imgs"], arrays["touch_center"]
     radii = arrays["touch_radius"].astype(float)
     for name in ("f0", "imgs"):
@@ -563,31 +589,6 @@ def taxim_source(path: Path, options: ReadOptions) -> PressSource:
     names = [str(name) for name in arrays.get("names", np.arange(len(images)))]
     listed = [Listed(n, ball, (float(x), float(y), float(r))) for n, (x, y), r in zip(names, centers, radii)]
     return PressSource(listed, rgb_from_bgr(arrays["f0"]), lambda k: rgb_from_bgr(images[k]))
-
-
-def _plain_arrays(pack: Path) -> dict[str, NDArray[Any]]:
-    try:
-        checked_archive(pack, "a dataPack", 4 << 30)
-        with pack.open("rb") as handle, np.load(handle, allow_pickle=False) as data:
-            missing = [name for name in TAXIM_ARRAYS if name not in data.files]
-            if missing:
-                raise DataError(
-                    f"Expected the arrays {', '.join(TAXIM_ARRAYS)} in {pack}, {', '.join(missing)} missing."
-                )
-            arrays = {name: data[name] for name in (*TAXIM_ARRAYS, "names") if name in data.files}
-    except _DAMAGED as problem:
-        raise DataError(f"{pack} is truncated or damaged: {said(problem)}.") from problem
-    except ValueError as problem:
-        raise DataError(
-            f"{pack} holds Python objects, which could run code when read: refused. Save it again with plain "
-            f"arrays (numpy.asarray(imgs, dtype=numpy.uint8) ...). ({problem})"
-        ) from problem
-    for name in TAXIM_ARRAYS:  # numpy gives the bytes of a member that is no array
-        if not isinstance(arrays[name], np.ndarray) or arrays[name].dtype.kind not in "uif":
-            raise DataError(
-                f"Expected {name} as an array of numbers in {pack}. Save it again with numpy.savez."
-            )
-    return arrays
 
 
 def plain_source(folder: Path, options: ReadOptions) -> PressSource:
