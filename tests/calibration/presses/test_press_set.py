@@ -245,14 +245,12 @@ def test_spoilt_py3dcal(py3dcal):
     facts.unlink()
     with pytest.raises(gelform.DataError, match=r"No file .*metadata\.json"):
         gelform.read_presses(py3dcal)
-    (py3dcal / "blank_images" / "blank.png").unlink()
-    with pytest.raises(gelform.DataError, match=r"No background in .*blank_images"):
-        gelform.read_presses(py3dcal)
-
-
-def test_py3dcal_without_annotated_columns(py3dcal):
+    facts.write_text('{"px_per_mm": 10, "probe_radius_mm": 2}')
     (py3dcal / "annotations" / "annotations.csv").write_text("img_name,x_mm,y_mm\na.png,1,2\n")
     with pytest.raises(gelform.DataError, match="x_px, y_px missing"):
+        gelform.read_presses(py3dcal)
+    (py3dcal / "blank_images" / "blank.png").unlink()
+    with pytest.raises(gelform.DataError, match=r"No background in .*blank_images"):
         gelform.read_presses(py3dcal)
 
 
