@@ -74,9 +74,7 @@ class Judge:
     def __init__(
         self,
         background: NDArray[np.float32],  # (H, W, 3)
-        untouched: NDArray[
-            np.uint8
-        ],  # (H, W, 3), a frame at rest, which shows how much noise changes the colors
+        untouched: NDArray[np.uint8],  # (H, W, 3), a frame at rest, with the colors' change by noise
         noise: float,  # standard deviation of a pixel in one frame, gray levels
         ball_radius_px: float,
     ) -> None:
@@ -212,9 +210,7 @@ class Guide:
         self.settings, self.ball_diameter_mm = settings, ball_diameter_mm
         self.step = "background"  # or "press", "fit", "report", "failed"
         self.hint = "Touch nothing while the page takes the background."  # instruction for the user
-        self.places: tuple[
-            PressPlace, ...
-        ] = ()  # to press, the most helpful one first; chosen again after each press
+        self.places: tuple[PressPlace, ...] = ()  # to press, chosen after each; the most helpful one first
         self.covered: Coverage | None = None  # of the accepted presses, None before the background exists
         # number of presses to fit well; `press_more` raises it
         needed = NEEDED.advised if settings.make not in starter_names() else NEEDED.started
