@@ -32,6 +32,25 @@ def rewrite(folder, change):
         csv.writer(file).writerows([header, *rows])
 
 
+def resize(folder, change):
+    """All images of a press folder in another size, which `change` makes of width and height."""
+    for path in [folder / "background.png", *(folder / "images").iterdir()]:
+        height, width = (image := cv2.imread(str(path))).shape[:2]
+        cv2.imwrite(str(path), cv2.resize(image, change(width, height), interpolation=cv2.INTER_CUBIC))
+
+
+def gs_sdk(folder, background, presses):
+    """The presses as gs_sdk lays them out."""
+    rows = ["experiment_reldir,diameter(mm)"]
+    for k, press in enumerate(presses):
+        (folder / f"5mm/{k}").mkdir(parents=True)
+        cv2.imwrite(str(folder / f"5mm/{k}/gelsight.png"), press.image[..., ::-1])
+        rows.append(f"5mm/{k},{press.ball_diameter_mm}")
+    cv2.imwrite(str(folder / "background.png"), background[..., ::-1])
+    (folder / "catalog.csv").write_text("\n".join(rows) + "\n")
+    return folder
+
+
 def test_press_folder_is_read_as_it_was_written(presses, simulated):
     assert len(presses.presses) == len(simulated.presses)
     for press, truth in zip(presses.presses, simulated.presses):
@@ -54,21 +73,21 @@ def test_presses_in_one_file_are_read_as_their_images(copy, presses, tmp_path):
         gelform.read_presses(tmp_path / "stack.npy", mm_per_px=presses.mm_per_px)
 
 
-def test_gs_sdk_folder_is_read_as_it_is(copy, presses, tmp_path):
-    target = tmp_path / "gs_sdk"
-    target.mkdir()
-    shutil.copy(copy / "background.png", target)
-    rows = ["experiment_reldir,diameter(mm)"]
-    for i, press in enumerate(presses.presses):
-        (target / f"5mm/{i}").mkdir(parents=True)
-        shutil.copy(copy / press.name, target / f"5mm/{i}/gelsight.png")
-        rows.append(f"5mm/{i},{press.ball_diameter_mm}")
+def test_gs_sdk_folder_is_read_as_it_is(presses, tmp_path):
+    target = gs_sdk(tmp_path, presses.background, presses.presses)
     np.savez(target / "5mm/0/label.npz", center=np.array([80.5, 60.0]), radius=21)
-    (target / "catalog.csv").write_text("\n".join(rows) + "\n")
     read = gelform.read_presses(target, mm_per_px=presses.mm_per_px)
     assert [p.digest for p in read.presses] == [p.digest for p in presses.presses]
     assert read.presses[0].label == (80.5, 60.0, 21.0)
     assert read.presses[1].label is None
+    for label, message in (
+        ({"center": np.zeros(2)}, "radius missing"),
+        ({"center": np.zeros(3), "radius": 21}, r"center \(x, y\) and radius as numbers"),
+        ({"center": np.array([1, np.nan]), "radius": 21}, r"center \(x, y\) and radius as numbers"),
+    ):
+        np.savez(target / "5mm/0/label.npz", **label)
+        with pytest.raises(DataError, match=message):
+            gelform.read_presses(target, mm_per_px=presses.mm_per_px)
 
 
 def test_plain_folder_needs_a_ball_and_a_scale(copy, presses):
@@ -90,11 +109,9 @@ def test_plain_folder_needs_a_ball_and_a_scale(copy, presses):
     np.testing.assert_array_equal(read.presses[0].image, presses.presses[0].image)
 
 
-def test_profile_gives_scale_and_view(copy, presses):
+def test_profile_gives_scale_and_view(copy):
     (copy / "sensor.toml").unlink()
-    for path in [copy / "background.png", *(copy / press.name for press in presses.presses)]:
-        image = cv2.imread(str(path))
-        cv2.imwrite(str(path), cv2.resize(image, (336, 252)))
+    resize(copy, lambda *_: (336, 252))
     read = gelform.read_presses(copy, sensor="gelsight-mini")
     assert read.mm_per_px == 0.0634
     assert read.image_shape == (240, 320)
@@ -109,13 +126,7 @@ def test_a_folder_of_a_make_s_images_calibrates_its_camera(tmp_path):
     made = simulate_ball_presses(
         mini.simulated(), ball_diameters_mm=[5.0, 8.0], count=13, rng=np.random.default_rng(2)
     )
-    rows = ["experiment_reldir,diameter(mm)"]
-    cv2.imwrite(str(tmp_path / "background.png"), made.background[..., ::-1])
-    for k, press in enumerate(made.presses[:-1]):
-        (tmp_path / str(k)).mkdir()
-        cv2.imwrite(str(tmp_path / f"{k}/gelsight.png"), press.image[..., ::-1])
-        rows.append(f"{k},{press.ball_diameter_mm}")
-    (tmp_path / "catalog.csv").write_text("\n".join(rows))
+    gs_sdk(tmp_path, made.background, made.presses[:-1])
     (tmp_path / "sensor.toml").write_text('name = "mine"\nmm_per_px = 0.0634\nmake = "gelsight-mini"\n')
     calibration = gelform.calibrate(tmp_path)
     assert calibration.view == mini.profile.view(mini.camera.frame_shape)
@@ -131,9 +142,7 @@ def test_a_folder_of_a_make_s_images_calibrates_its_camera(tmp_path):
 @pytest.fixture
 def wide(copy):
     """The same folder from a camera whose pixels are 1.25 times as high as wide."""
-    for path in [copy / "background.png", *(copy / "images").iterdir()]:
-        height, width = (image := cv2.imread(str(path))).shape[:2]
-        cv2.imwrite(str(path), cv2.resize(image, (5 * width // 4, height), interpolation=cv2.INTER_CUBIC))
+    resize(copy, lambda width, height: (5 * width // 4, height))
     return copy
 
 
