@@ -153,12 +153,9 @@ def untouched(levels: NDArray[np.float32], motion: NDArray[np.float64]) -> NDArr
     # times that each state is entered; a single odd frame does not leave it
     visits = [np.count_nonzero(np.diff(np.flatnonzero(state)) > 3) for state in states]
     often = [state for state, count in zip(states, visits) if count == max(visits)]
-    return often[0] if len(often) == 1 else min(often, key=lambda state: _roughness(levels[state]))
-
-
-def _roughness(levels: NDArray[np.float32]) -> float:
-    mean = levels.mean(axis=0)
-    return float(np.abs(np.diff(mean, axis=0)).mean() + np.abs(np.diff(mean, axis=1)).mean())
+    means = [levels[state].mean(axis=0) for state in often]
+    rough = [np.abs(np.diff(one, axis=0)).mean() + np.abs(np.diff(one, axis=1)).mean() for one in means]
+    return often[int(np.argmin(rough))]
 
 
 def touch_threshold(touch: NDArray[np.float64], noise: float) -> float:
@@ -178,7 +175,9 @@ def stretches(
     touch = distances(levels, rest)
     shortest = max(MIN_STILL, round(MIN_STILL_S * rate_hz))
     found = []
-    for start, stop in runs(touch > touch_threshold(touch, noise)):
+    touched = np.concatenate([[False], touch > touch_threshold(touch, noise), [False]])
+    edges = np.flatnonzero(np.diff(touched)).reshape(-1, 2)  # from False to True, and back
+    for start, stop in edges.tolist():
         stills = []
         for first, last in _still_runs(levels, touch, start, stop, noise, shortest):
             of_still = levels[first:last]
@@ -195,12 +194,6 @@ def stretches(
             reason = _why_no_still(levels[start:stop], rest, touch[start:stop], factor)
         kept.append(Stretch(start, stop, firm, reason))
     return kept
-
-
-def runs(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """(start, stop) of every run of True."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(np.int8), [0]])))
-    return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2])]
 
 
 def _still_runs(
