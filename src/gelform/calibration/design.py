@@ -29,14 +29,7 @@ from gelform.simulate.gel import Surface
 from gelform.simulate.light import irradiance_from_surface, spread_in_gel
 from gelform.simulate.sensor.camera import levels_from_irradiance
 
-__all__ = [
-    "DesignResult",
-    "VARIATIONS",
-    "Variation",
-    "compare_designs",
-    "design_picture",
-    "light_quality",
-]
+__all__ = ["DesignResult", "VARIATIONS", "Variation", "compare_designs", "design_picture", "light_quality"]
 
 CELLS = (6, 8)  # rows and columns of the map of depth errors; each cell holds some presses
 

@@ -88,10 +88,7 @@ class Judge:
         self._touched = max(TOUCHED, 1.6 * _largest(self._changes(untouched)[0]))
 
     def look(
-        self,
-        image: NDArray[Any],
-        accepted: Sequence[Circle] = (),
-        clicked: tuple[float, float] | None = None,
+        self, image: NDArray[Any], accepted: Sequence[Circle] = (), clicked: tuple[float, float] | None = None
     ) -> Look:
         """Judge an image (H, W, 3), given the accepted presses, and the center (x, y) that was clicked or None."""
         height, width = self._shape

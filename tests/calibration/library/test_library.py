@@ -54,12 +54,7 @@ def test_the_one_shipped_is_right():
     sensor = simulated_sensor_named("three-edges")
     calibration = ready_calibration(sensor)
     press = simulate_press(
-        sensor,
-        Ball(2.5),
-        depth_mm=0.5,
-        center_mm=(3.0, 2.0),
-        rng=np.random.default_rng(5),
-        oversample=1,
+        sensor, Ball(2.5), depth_mm=0.5, center_mm=(3.0, 2.0), rng=np.random.default_rng(5), oversample=1
     )
     found = Reconstructor(calibration).from_image(press.image)
     assert np.sqrt(np.mean((found.depth_mm - press.depth_mm) ** 2)) < 0.012

@@ -12,14 +12,7 @@ import pytest
 
 import gelform
 from gelform.calibration.circles.find import find_contact
-from gelform.calibration.presses.video import (
-    Thumbnails,
-    distances,
-    noise_of,
-    stretches,
-    thumbnail,
-    untouched,
-)
+from gelform.calibration.presses.video import Thumbnails, distances, noise_of, stretches, thumbnail, untouched
 from gelform.image.background import ChangeSettings, color_change_from_image
 from gelform.image.frame import Frame
 from gelform.sensors.playback import RecordingFacts

@@ -197,12 +197,7 @@ def stretches(
 
 
 def _still_runs(
-    levels: NDArray[np.float32],
-    touch: NDArray[np.float64],
-    start: int,
-    end: int,
-    noise: float,
-    shortest: int,
+    levels: NDArray[np.float32], touch: NDArray[np.float64], start: int, end: int, noise: float, shortest: int
 ) -> Iterator[tuple[int, int]]:
     """Runs before `end` in which no frame differs from the first by more than a small part of the contact's change."""
     while start + shortest <= end:
