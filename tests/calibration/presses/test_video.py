@@ -318,6 +318,16 @@ def test_a_background_that_is_given_is_used(filmed, sensor, tmp_path):
     assert len(read.presses) == 3
 
 
+def test_a_video_of_blue_green_red_is_read_so(filmed, read, how, tmp_path):
+    write(tmp_path / "bgr.avi", [image[..., ::-1] for image in filmed.images[: filmed.holds[2][1] + REST]])
+    swapped = gelform.read_presses(tmp_path / "bgr.avi", **how, bgr=True)
+    assert [frame_of(press) for press in swapped.presses] == [frame_of(press) for press in read.presses[:3]]
+    for one, other in zip(
+        (swapped.background, swapped.presses[0].image), (read.background, read.presses[0].image)
+    ):
+        assert np.abs(one - other.astype(float)).mean() < 2
+
+
 @pytest.mark.parametrize(
     ("parts", "message"),
     [
