@@ -66,8 +66,7 @@ from gelform.sensors.recordings.mcap_reader import refuse_bag
 
 __all__ = ["Press", "Presses", "as_presses", "kind_of_presses", "read_presses"]
 
-PRESS_FOLDER, GS_SDK, PY3DCAL = "press folder", "gs_sdk folder", "py3DCal folder"
-TAXIM, PLAIN, STACK, VIDEO = "Taxim dataPack", "folder of images", "file of several images", "video"
+PRESS_FOLDER, TAXIM, PLAIN, VIDEO = "press folder", "Taxim dataPack", "folder of images", "video"
 LABEL_COLUMNS = ("center_x_px", "center_y_px", "contact_radius_px")
 DIAMETER = re.compile(r"(?<![\d.,])(\d+(?:[.,]\d+)?)[ _-]?mm(?![a-z])", re.IGNORECASE)  # in a folder's name
 NAMED_ODD = 5  # images of another size that a message lists
@@ -220,7 +219,8 @@ def read_presses(
             f"{is_what}.{way_for(place) if place.exists() else ''}"
         )
     refuse_bag(place)
-    return _presses_of_images(SOURCES[kind](place, options), place, options, progress)
+    _, source = LAYOUTS[kind]
+    return _presses_of_images(source(place, options), place, options, progress)
 
 
 def presses_from_frames(
@@ -391,24 +391,6 @@ def _seen(frame: NDArray[Any], view: View) -> NDArray[Any]:
     return np.ascontiguousarray(image_from_frame(frame, view))
 
 
-def kind_of_presses(place: Path) -> str | None:
-    """The layout of presses at a path: VIDEO, a name in `SOURCES`, or None."""
-    if place.is_file() and place.suffix.lower() in FILM_SUFFIXES:
-        return VIDEO
-    if is_stack(place):
-        return STACK
-    if (place / "presses.csv").is_file():
-        return PRESS_FOLDER
-    if (place / "catalog.csv").is_file():
-        return GS_SDK
-    of_stage = (place / "annotations").is_dir() or (place / "probe_data.csv").is_file()
-    if (place / "probe_images").is_dir() and of_stage:
-        return PY3DCAL
-    if taxim_pack_in(place) is not None:
-        return TAXIM
-    return PLAIN if place.is_dir() else None
-
-
 def press_folder_source(folder: Path, options: ReadOptions) -> PressSource:
     """A press folder: `presses.csv` (image, ball_diameter_mm, optional labels, flat punches), `background.png`, images."""
     listed: list[Listed] = []
@@ -497,6 +479,12 @@ def arrays_of(
                 f"Expected {name} as an array of numbers in {path}. Save it again with numpy.savez."
             )
     return arrays
+
+
+def is_py3dcal(folder: Path) -> bool:
+    """Whether a folder is py3DCal's, annotated or not."""
+    of_stage = (folder / "annotations").is_dir() or (folder / "probe_data.csv").is_file()
+    return (folder / "probe_images").is_dir() and of_stage
 
 
 def py3dcal_source(folder: Path, options: ReadOptions) -> PressSource:
@@ -623,11 +611,19 @@ def stack_source(file: Path, options: ReadOptions) -> PressSource:
     return PressSource([Listed(f"image {k}", ball) for k in range(count)], frame=image)
 
 
-SOURCES: Mapping[str, Callable[[Path, ReadOptions], PressSource]] = {
-    PRESS_FOLDER: press_folder_source,
-    GS_SDK: gs_sdk_source,
-    PY3DCAL: py3dcal_source,
-    TAXIM: taxim_source,
-    PLAIN: plain_source,
-    STACK: stack_source,
+# How to tell each layout, and how to read it; of several that fit, the first.
+LAYOUTS: Mapping[str, tuple[Callable[[Path], bool], Callable[[Path, ReadOptions], PressSource]]] = {
+    "file of several images": (is_stack, stack_source),
+    PRESS_FOLDER: (lambda place: (place / "presses.csv").is_file(), press_folder_source),
+    "gs_sdk folder": (lambda place: (place / "catalog.csv").is_file(), gs_sdk_source),
+    "py3DCal folder": (is_py3dcal, py3dcal_source),
+    TAXIM: (lambda place: taxim_pack_in(place) is not None, taxim_source),
+    PLAIN: (Path.is_dir, plain_source),
 }
+
+
+def kind_of_presses(place: Path) -> str | None:
+    """The layout of presses at a path: VIDEO, a name in `LAYOUTS`, or None."""
+    if place.is_file() and place.suffix.lower() in FILM_SUFFIXES:
+        return VIDEO
+    return next((name for name, (is_it, _) in LAYOUTS.items() if is_it(place)), None)
