@@ -300,6 +300,7 @@ def _presses_of_images(source: PressSource, place: Path, options: ReadOptions, p
             f"The view of {place} is of frames of {_px(view.frame_shape)}, and its background is {_px(frame_shape)}. "
             "Correct the view in sensor.toml, or leave it out where the images need none."
         )
+    background = image_from_frame(rest, view).astype(np.float32)
     presses: list[Press] = []
     flats: list[FlatPress] = []
     sizes = {}
@@ -307,14 +308,13 @@ def _presses_of_images(source: PressSource, place: Path, options: ReadOptions, p
         frame = options.in_rgb(read_image(place / one.name) if source.frame is None else source.frame(k))
         sizes[one.name] = (frame.shape[0], frame.shape[1])
         if sizes[one.name] == frame_shape:
-            image = _seen(frame, view)
+            image = np.ascontiguousarray(image_from_frame(frame, view))
             if one.height_mm is None:
                 presses.append(Press(one.name, image, one.ball_diameter_mm, one.label, one.center_px))
             else:
                 flats.append(FlatPress(one.name, image, one.height_mm))
         progress(k + 1, len(source.listed), "reading presses")
     _check_one_size(sizes, frame_shape)
-    background = image_from_frame(rest, view).astype(np.float32)
     more: dict[str, Any] = {"notes": source.notes, "flats": tuple(flats)}
     return presses_from_settings(settings, str(place), presses, background, view, **more)
 
@@ -367,6 +367,9 @@ def with_view(presses: Presses, view: View, source: str) -> Presses:
     `view` is of their frames, measured on the target `source`.
     """
 
+    def seen(frame: NDArray[Any]) -> NDArray[Any]:
+        return np.ascontiguousarray(image_from_frame(frame, view))
+
     def through(press: Press) -> Press:
         label = None
         if press.label is not None:
@@ -375,20 +378,16 @@ def with_view(presses: Presses, view: View, source: str) -> Presses:
             center, *rim = image_px_from_frame_px(ring, view)
             distances = [float(np.hypot(*(point - center))) for point in rim]
             label = (float(center[0]), float(center[1]), float(np.mean(distances)))
-        return replace(press, image=_seen(press.image, view), label=label)
+        return replace(press, image=seen(press.image), label=label)
 
     return replace(
         presses,
         presses=tuple(map(through, presses.presses)),
-        flats=tuple(replace(flat, image=_seen(flat.image, view)) for flat in presses.flats),
+        flats=tuple(replace(flat, image=seen(flat.image)) for flat in presses.flats),
         background=image_from_frame(presses.background, view).astype(np.float32),
         view=view,
         geometry=replace(presses.geometry, lens=source),
     )
-
-
-def _seen(frame: NDArray[Any], view: View) -> NDArray[Any]:
-    return np.ascontiguousarray(image_from_frame(frame, view))
 
 
 def press_folder_source(folder: Path, options: ReadOptions) -> PressSource:
