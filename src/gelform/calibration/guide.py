@@ -46,7 +46,6 @@ from gelform.sensors.record import named_by_time
 from gelform.sensors.simulated import SimulatedSource
 from gelform.sensors.source import Source
 
-TOUCHED = 0.05  # color change of a touch
 SMALL = 8  # px, width of the blocks that are compared for motion
 LEAST = NEEDED.guided.presses
 LOOK_EVERY_S = 0.08  # s between analyzed frames; an analysis takes some 10 ms
@@ -85,7 +84,7 @@ class Judge:
         self._still = 1.0 + 0.9 * noise  # gray levels, largest change of a still block
         self._ball_px = ball_radius_px
         self._before: NDArray[np.float32] | None = None
-        self._touched = max(TOUCHED, 1.6 * _largest(self._changes(untouched)[0]))
+        self._touched = max(0.05, 1.6 * _largest(self._changes(untouched)[0]))  # color change
 
     def look(
         self, image: NDArray[Any], accepted: Sequence[Circle] = (), clicked: tuple[float, float] | None = None

@@ -90,9 +90,7 @@ UNCHECKED = (
 
 def ball_readings(located: Located, known: Start | None) -> tuple[BallReading, ...]:
     """Each stated diameter with the one that another unit's model reads, or else the presses of the other sizes."""
-    if known is not None:
-        return _by_model(located, known)
-    return _by_sizes(located)
+    return _by_sizes(located) if known is None else _by_model(located, known)
 
 
 def notes_of(readings: Sequence[BallReading]) -> tuple[str, ...]:
@@ -109,9 +107,8 @@ def _by_model(located: Located, known: Start) -> tuple[BallReading, ...]:
     for stated, members in _by_size(located, chosen).items():
         logs = _log_ratios(located, members, known.model)
         if logs.size:
-            of_median = (
-                1.2533 * float(logs.std()) / np.sqrt(logs.size)
-            )  # its standard error, of normal errors
+            # standard error of the median of normal errors
+            of_median = 1.2533 * float(logs.std()) / np.sqrt(logs.size)
             read = stated * float(np.exp(np.median(logs)))
             sigma = read * float(np.hypot(known.spread, of_median))
             readings.append(BallReading(stated, read, sigma, known.by))
@@ -158,15 +155,11 @@ def _log_ratios(located: Located, members: Sequence[int], model: ColorModel) -> 
     return np.log([ratio for ratio in ratios if 0 < ratio < np.inf])
 
 
-MIN_CHANGE = 0.08  # of color, mean over a contact in the background
-MIN_ROUGHER = 1.3  # roughness of the background over that of the presses' median
-EARLY_EDGE = 0.75  # of the visible radius; a contact edge further in is worth a note
 # |log| of the median imprint's width over its height, and its standard errors. Six real sets have 0.10 or less, and 0.19 or
 # more where one side of their pixels is made 1.25 times as long.
 ELLIPTIC, ELLIPTIC_SIGMAS = 0.15, 3.0
 # Change of color per slope, of the middle channel. Nine real sets have 0.4 to 1.3; a ball ten times too large 4 or more.
 MAX_RESPONSE = 3.0
-MIN_SINE = 0.3  # sum over the lights' turns; 2.6 for equal angles; less may be noise
 
 
 def check_inputs(presses: Presses) -> None:
@@ -244,7 +237,7 @@ def contact_in_background(presses: Presses) -> ContactCircle | None:
     inside = np.hypot(cols - found.x_px, rows - found.y_px) < 1.2 * found.radius_px
     size = magnitude(about_median(change))
     rougher = _roughness(presses.background, inside) / max(_roughness(untouched, inside), 1e-9)
-    return found if float(size[inside].mean()) > MIN_CHANGE and rougher > MIN_ROUGHER else None
+    return found if size[inside].mean() > 0.08 and rougher > 1.3 else None
 
 
 def _some(count: int) -> NDArray[np.intp]:
@@ -278,8 +271,8 @@ def surround_notes(presses: Presses) -> tuple[str, ...]:
 
 
 def _edge_notes(prepared: Sequence[PreparedPress]) -> tuple[str, ...]:
-    """A note if the contact edge lies far inside the visible rim."""
-    if not prepared or prepared[0].contact_radius_ratio >= EARLY_EDGE:
+    """A note if the contact edge lies far inside the visible rim, at less than three quarters of its radius."""
+    if not prepared or prepared[0].contact_radius_ratio >= 0.75:
         return ()
     one_size = len({press.ball_radius_px for press in prepared}) == 1
     alike = " A ball that is smaller than stated looks the same. Measure it, or press a second size."
@@ -346,7 +339,7 @@ def light_order_note(
         return None
     turn = light_turn(prepared, contacts)
     turned = "clockwise" if turn > 0 else "counter-clockwise"
-    if abs(turn) < MIN_SINE or turned == expected:
+    if abs(turn) < 0.3 or turned == expected:  # less may be noise
         return None
     return (
         f"Red, green and blue lights follow each other {turned} around the gel. In a {PROFILES[presses.make].name} the "

@@ -23,8 +23,6 @@ from gelform.sensors.files import background_in, read_background, read_image
 
 COLUMNS = ("force_n", "force_x_n", "force_y_n", "torque_n_mm")
 LAGS = range(-3, 9)  # frames, that the gauge may lag behind the images
-LEAST_FRAMES = 5  # of a film that tells its lag
-TOLD = 0.5  # share of the lags at which a film must have as many; at the others it counts as at its worst one
 Row = tuple[str, dict[str, str]]
 
 
@@ -182,12 +180,15 @@ def _stated_lag(rows: list[Row], film: _Film) -> int | None:
 
 
 def _lag(films: list[_Film], touches: list[Touch]) -> int | None:
-    """The lag at which force over volume is steadiest within the films; None if no film has changing loads."""
+    """The lag at which force over volume is steadiest within the films; None if no film has changing loads.
+
+    A film tells it if it has enough frames at half of the lags; at the others it counts as at its worst one.
+    """
     volume = np.array([0.0 if why_no_normal(touch) else float(touch.volume_mm3 or 0) for touch in touches])
     scatter = np.array(
         [[_scatter(film.loads(lag)[:, 0], volume[film.rows]) for film in films] for lag in LAGS]
     )
-    told = scatter[:, np.isfinite(scatter).mean(axis=0) >= TOLD]
+    told = scatter[:, np.isfinite(scatter).mean(axis=0) >= 0.5]
     told = np.where(np.isfinite(told), told, np.nanmax(told, axis=0, initial=0))
     return LAGS[int(np.median(told, axis=1).argmin())] if told.size else None  # one film may slip
 
@@ -196,7 +197,7 @@ def _scatter(force: NDArray[np.float64], volume: NDArray[np.float64]) -> float:
     """Median distance of log F - log V from its median; NaN for few frames, or still ones."""
     there = np.isfinite(force) & (volume > 0) & (force > 0)
     there &= force >= LEAST_SHARE * np.max(force[there], initial=0)
-    if np.count_nonzero(there) < LEAST_FRAMES or force[there].max() < LEAST_RANGE * force[there].min():
+    if np.count_nonzero(there) < 5 or force[there].max() < LEAST_RANGE * force[there].min():
         return float("nan")
     ratio = np.log(force[there]) - np.log(volume[there])
     return float(np.median(np.abs(ratio - np.median(ratio))))

@@ -17,12 +17,6 @@ from gelform.foundations.checks import check_image, check_list, check_numbers, c
 from gelform.image.view import Lens, View
 
 MAX_RESIDUAL_PX = 0.5  # px RMS of a grid's points
-PITCH_SIGMA = 0.002  # relative, of a printed grid
-MOST_POINTS = 1000  # along a side
-CENTER_PRIOR = (
-    0.05  # of the frame's width, standard deviation of the optical axis from its middle; of k1 and k2: 1
-)
-MIN_CROP = 0.5  # fraction of the frame that has to be visible
 
 
 @dataclass(frozen=True)
@@ -70,10 +64,7 @@ def view_from_grid(
         The grid is not found in an image, or its points are over 0.5 px off the model: it is bent, or another pattern.
     """
     columns, rows = (int(number) for number in check_numbers(pattern, "pattern", 2))
-    if (
-        kind not in ("checkerboard", "dots")
-        or not 3 <= min(columns, rows) <= max(columns, rows) <= MOST_POINTS
-    ):
+    if kind not in ("checkerboard", "dots") or not 3 <= min(columns, rows) <= max(columns, rows) <= 1000:
         raise ValueError(
             f"Expected kind 'checkerboard' or 'dots' and a pattern of 3x3 points or more, got {kind!r}, {pattern}."
         )
@@ -94,7 +85,7 @@ def view_from_grid(
     lens, mm_per_px = _rectifying(bare, homography, shape)
     spread = float(np.sqrt(np.mean(np.sum((grid / mm_per_px) ** 2, axis=1))))
     fitted = residual / spread / np.sqrt(len(grid))
-    known = PITCH_SIGMA if pitch_sigma_mm is None else pitch_sigma_mm / pitch
+    known = 0.002 if pitch_sigma_mm is None else pitch_sigma_mm / pitch
     source = f"a {kind} of {columns}x{rows} points, pitch {pitch:g} mm"
     scale = Scale(mm_per_px, float(mm_per_px * np.hypot(fitted, known)), source)
     view = _cropped(View(shape, lens=lens))
@@ -168,8 +159,9 @@ def _fitted(
             square = np.sum(unit**2, axis=1, keepdims=True)
             frame_px = unit * (1 + k1 * square + k2 * square**2) * focal + center
             residuals.append((frame_px - of_image).ravel())
-        # without distortion its center is anywhere, and so is k2 over a small grid: weak priors of 0.1 px noise
-        prior = 0.1 * (numbers[:4] - start[:4]) / [1.0, 1.0, *[CENTER_PRIOR * focal] * 2]
+        # without distortion its center is anywhere, and so is k2 over a small grid: weak priors of 0.1 px noise, with
+        # standard deviations of 1 for k1 and k2, and of 5 % of the frame for the center
+        prior = 0.1 * (numbers[:4] - start[:4]) / [1, 1, *[0.05 * focal] * 2]
         return np.concatenate([*residuals, prior])
 
     fitted = least_squares(off, start, x_scale="jac", method="lm", max_nfev=4000)
@@ -200,7 +192,7 @@ def _cropped(view: View) -> View:
     assert view.frame_shape is not None
     assert view.lens is not None
     height, width = view.frame_shape
-    for fraction in np.arange(1.0, MIN_CROP, -0.005):
+    for fraction in np.arange(1.0, 0.5, -0.005):
         left, top = int(np.ceil(width * (1 - fraction) / 2)), int(np.ceil(height * (1 - fraction) / 2))
         x, y = np.arange(left, width - left, dtype=float), np.arange(top, height - top, dtype=float)
         rim = np.concatenate(

@@ -18,7 +18,6 @@ from gelform.image.frame import BRIGHT
 NAMES = ("red", "green", "blue")
 MIN_LEVEL = 20.0  # gray levels that are usable for a ratio
 MIN_USABLE = 0.3  # smallest fraction of usable pixels
-BLOCKS = 4  # parts along either side of the image that are compared
 
 
 @dataclass(frozen=True)
@@ -94,7 +93,7 @@ def _column(
             f"{100 * np.mean(usable):.0f} % of the pixels usable. Change the exposure, the same for all three."
         )
     ratio = light / np.maximum(light[..., led : led + 1], MIN_LEVEL)
-    rows, columns = (np.linspace(0, length, BLOCKS + 1).astype(int) for length in usable.shape)
+    rows, columns = (np.linspace(0, length, 5).astype(int) for length in usable.shape)
     blocks = [np.s_[top:end, left:right] for top, end in pairwise(rows) for left, right in pairwise(columns)]
     parts = [
         np.median(ratio[one][usable[one]], axis=0) for one in blocks if np.mean(usable[one]) > MIN_USABLE

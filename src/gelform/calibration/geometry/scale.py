@@ -22,9 +22,6 @@ from gelform.foundations.checks import (
 from gelform.image.background import ChangeSettings, PreparedBackground
 from gelform.sensors.profiles import profile_named
 
-ACROSS = (
-    0.5  # difference of cos^2 between two lengths that shows x and y apart; 1 for lengths along both axes
-)
 MAX_DISAGREEMENT = 4.0  # standard deviations between two scales
 
 
@@ -132,7 +129,7 @@ def combined_scale(scales: Sequence[Scale]) -> Scale:
 def _not_square(scales: Sequence[Scale]) -> str:
     """What to write if lengths in several directions agree on pixels that are not square; empty if they do not."""
     along = np.array([scale.along_x for scale in scales if scale.along_x is not None])
-    if len(along) < len(scales) or np.ptp(along) < ACROSS:
+    if len(along) < len(scales) or np.ptp(along) < 0.5:  # of cos^2; it is 1 for lengths along both axes
         return ""
     pitch, sigma = (np.array([getattr(scale, name) for scale in scales]) for name in ("mm_per_px", "sigma"))
     design = np.stack([along, 1 - along], axis=1)  # pitch^2 = x^2 cos^2 + y^2 sin^2
@@ -148,10 +145,6 @@ def _not_square(scales: Sequence[Scale]) -> str:
     )
 
 
-STEP_SIGMA_PX = 0.1  # px, uncertainty of the shift from the similarity of the images
-MIN_LIKENESS = 0.5  # correlation, 0-1
-
-
 def scale_from_stage(
     first: NDArray[Any],
     second: NDArray[Any],
@@ -164,7 +157,7 @@ def scale_from_stage(
 
     The shift is the peak of the correlation of the two changes of color, then refined for each channel by
     aligning the images (G. D. Evangelidis and E. Z. Psarakis, IEEE Trans. PAMI 30(10), 2008); the channels' spread
-    is its uncertainty.
+    is its uncertainty, with 0.1 px of the images' similarity.
 
     Parameters
     ----------
@@ -189,7 +182,7 @@ def scale_from_stage(
             "to the same depth, whole in both images."
         )
     dx, dy = np.median(found, axis=0)
-    sigma_px = float(np.hypot(STEP_SIGMA_PX, np.linalg.norm(found.std(axis=0))))
+    sigma_px = float(np.hypot(0.1, np.linalg.norm(found.std(axis=0))))
     length = float(np.hypot(dx, dy))
     if length < 10 * sigma_px:
         raise DataError(
@@ -227,6 +220,6 @@ def _aligned(
         )
     except cv2.error:  # raised by OpenCV if the images have nothing in common
         return None
-    if likeness < MIN_LIKENESS or np.hypot(matrix[0, 2] - start[0], matrix[1, 2] - start[1]) > 3:
+    if likeness < 0.5 or np.hypot(matrix[0, 2] - start[0], matrix[1, 2] - start[1]) > 3:
         return None
     return float(matrix[0, 2]), float(matrix[1, 2])

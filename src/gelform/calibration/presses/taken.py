@@ -20,9 +20,6 @@ from gelform.sensors.grabber import Grabber
 from gelform.sensors.profiles import profile_named
 from gelform.sensors.source import Source
 
-# A press is visible if this fraction of the pixels differs by so many standard deviations of the background, and levels.
-LEAST_FRACTION, LEAST_SIGMAS, LEAST_LEVELS = 0.002, 6.0, 4.0
-
 
 class TakenPresses:
     """Writes a press folder image by image, so that a later failure loses no image.
@@ -34,7 +31,7 @@ class TakenPresses:
         self.folder, self.ball_diameter_mm = folder, ball_diameter_mm
         self.count = 0
         self._rest: NDArray[np.float32] | None = None
-        self._limit: NDArray[np.float64] | None = None  # of the difference of a pixel at rest, gray levels
+        self._limit: NDArray[np.float64] | None = None  # gray levels, least difference of a touched pixel
         try:
             folder.mkdir(parents=True, exist_ok=True)
             if any(folder.iterdir()):
@@ -49,7 +46,7 @@ class TakenPresses:
         """Keep images (H, W, 3) uint8 RGB of the gel at rest; a DataError if they disagree, because something moved."""
         average = background_from_frames(images)
         self._rest = average.background
-        self._limit = np.maximum(LEAST_SIGMAS * np.asarray(average.noise), LEAST_LEVELS)
+        self._limit = np.maximum(6.0 * np.asarray(average.noise), 4.0)
         (self.folder / "background").mkdir(exist_ok=True)
         for k, image in enumerate(images):
             self._write(f"background/{k:02d}.png", picture_bytes(image))
@@ -61,7 +58,7 @@ class TakenPresses:
         """
         if self._rest is None:
             raise DataError("Expected the background before the presses.")
-        if (np.abs(image - self._rest) > self._limit).any(axis=-1).mean() < LEAST_FRACTION:
+        if (np.abs(image - self._rest) > self._limit).any(axis=-1).mean() < 0.002:  # of the pixels
             raise DataError("Nothing is pressed: the image shows the gel at rest.")
         name = f"images/{self.count:04d}.png"
         self._write(name, picture_bytes(image))

@@ -1,7 +1,7 @@
 """Presses in a film, or in live frames: the gel at rest, and one still frame of each press.
 
 The film is searched in thumbnails, because a contact changes a large area and noise averages out in them. All distances are
-in gray levels: the mean over the pixels that changed most, after subtracting the change that all pixels share
+in gray levels: the mean over the 0.7 % of pixels that changed most, after subtracting the change that all pixels share
 (flicker, exposure).
 """
 
@@ -23,25 +23,13 @@ from gelform.image.frame import Frame, in_rgb
 from gelform.image.view import View, image_from_frame
 from gelform.sensors.films import Video
 
-THUMB_ROWS = 36  # px of a thumbnail's shorter side
 MAX_THUMBS = 6000  # thumbnails that are kept: four minutes at 25 frames a second
 STEPS = 64  # steps of a gray level that thumbnails keep
 CHUNK = 64  # thumbnails compared at once, to limit memory
-MOST_CHANGED = 0.007  # fraction of a thumbnail's pixels that changed most
 MIN_TOUCH = 3.0  # gray levels, smallest change by a contact
-TOUCH_OVER_NOISE = 4.0  # times the noise
-TOUCH_OVER_STRONGEST = 0.12  # of the strongest contact's change
 MIN_STILL = 5  # frames
-MIN_STILL_S = 0.2  # seconds
-MOVED_OVER_TOUCH = 0.08  # of the contact's change; more is motion
-SAME_PLACE_PX = 2.0  # px of a thumbnail; closer contacts are at the same place
-MOVED_PX = 0.6  # px of a thumbnail; a contact that moved more slid or rolled
-LIGHT_TOUCH = 0.35  # of the median contact's change; less is too light
-MAX_STATES = 80  # states that are tried as the one at rest
-MAX_NOISE = 2.0  # gray levels of a thumbnail
 BACKGROUND_FRAMES = 60  # frames that are averaged at most
 MAX_KEPT_BYTES = 1 << 30  # bytes of images kept from an iterator
-DRIFT_WARN = 0.03  # relative change of the brightness of the gel at rest
 
 
 class Thumbnails:
@@ -95,7 +83,7 @@ class Stretch:
 def thumbnail(image: NDArray[Any]) -> NDArray[np.float32]:
     """The image averaged down to 36 rows (or columns, whichever are fewer), float32."""
     height, width = image.shape[:2]
-    scale = min(1.0, THUMB_ROWS / min(height, width))
+    scale = min(1.0, 36 / min(height, width))
     size = (max(1, round(width * scale)), max(1, round(height * scale)))
     return np.asarray(cv2.resize(image.astype(np.float32), size, interpolation=cv2.INTER_AREA))
 
@@ -107,7 +95,7 @@ def distances(levels: NDArray[np.float32], reference: NDArray[np.float32]) -> ND
     for at in range(0, len(levels), CHUNK):
         chunk = levels[at : at + CHUNK]
         size = _changed(chunk, references[at : at + CHUNK]).reshape(len(chunk), -1)
-        top = max(3, int(MOST_CHANGED * size.shape[1]))
+        top = max(3, int(0.007 * size.shape[1]))
         strongest = np.partition(size, size.shape[1] - top, axis=1)[:, -top:]
         parts.append(strongest.mean(axis=1).astype(np.float64))
     return np.concatenate(parts)
@@ -125,9 +113,9 @@ def _changed(a: NDArray[np.float32], b: NDArray[np.float32]) -> NDArray[np.float
 def noise_of(motion: NDArray[np.float64]) -> float:
     """Noise: the distance of two frames without an event; a tenth of the steps are that quiet.
 
-    If everything moves, that is no noise: averaged over a thumbnail's pixel, noise never exceeds `MAX_NOISE`.
+    If everything moves, that is no noise: averaged over a thumbnail's pixel, noise never exceeds 2 gray levels.
     """
-    return min(float(np.percentile(motion, 10)), MAX_NOISE) if len(motion) else 0.0
+    return min(float(np.percentile(motion, 10)), 2.0) if len(motion) else 0.0
 
 
 def untouched(levels: NDArray[np.float32], motion: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -140,7 +128,7 @@ def untouched(levels: NDArray[np.float32], motion: NDArray[np.float64]) -> NDArr
     quiet = np.concatenate([[True], motion <= tolerance]) & np.concatenate([motion <= tolerance, [True]])
     states: list[NDArray[np.bool_]] = []
     unassigned = quiet.copy()
-    while unassigned.any() and len(states) < MAX_STATES:
+    while unassigned.any() and len(states) < 80:  # so many are tried
         first = int(np.argmax(unassigned))
         near = quiet.copy()
         near[quiet] = distances(levels[quiet], levels[first]) <= tolerance
@@ -159,21 +147,21 @@ def untouched(levels: NDArray[np.float32], motion: NDArray[np.float64]) -> NDArr
 
 
 def touch_threshold(touch: NDArray[np.float64], noise: float) -> float:
-    """Gray levels from which the gel counts as touched."""
+    """Gray levels from which the gel counts as touched: well over the noise, and an eighth of the strongest contact's."""
     strongest = float(np.percentile(touch, 98)) if len(touch) else 0.0
-    return max(MIN_TOUCH, TOUCH_OVER_NOISE * noise, TOUCH_OVER_STRONGEST * strongest)
+    return max(MIN_TOUCH, 4 * noise, 0.12 * strongest)
 
 
 def stretches(
     levels: NDArray[np.float32], rest: NDArray[np.float32], noise: float, *, rate_hz: float, factor: float
 ) -> list[Stretch]:
-    """Stretches of contact, with their stills; much lighter ones than the others' are left out.
+    """Stretches of contact, with their stills of 0.2 s or more, without those much lighter than the others.
 
     `levels` (n, h, w, 3) are thumbnails in the order of time, `rate_hz` per second, each pixel `factor` image pixels wide;
     `rest` (h, w, 3) is the one at rest.
     """
     touch = distances(levels, rest)
-    shortest = max(MIN_STILL, round(MIN_STILL_S * rate_hz))
+    shortest = max(MIN_STILL, round(0.2 * rate_hz))
     found = []
     touched = np.concatenate([[False], touch > touch_threshold(touch, noise), [False]])
     edges = np.flatnonzero(np.diff(touched)).reshape(-1, 2)  # from False to True, and back
@@ -185,7 +173,7 @@ def stretches(
             stills.append(Still(best, float(np.median(touch[first:last])), center_of(levels[best], rest)))
         found.append((start, stop, _deepest_per_place(stills)))
     touches = [still.touch for _, _, stills in found for still in stills]
-    limit = LIGHT_TOUCH * float(np.median(touches)) if touches else 0.0
+    limit = 0.35 * float(np.median(touches)) if touches else 0.0
     kept = []
     for start, stop, stills in found:
         firm = tuple(still for still in stills if still.touch >= limit)
@@ -199,9 +187,9 @@ def stretches(
 def _still_runs(
     levels: NDArray[np.float32], touch: NDArray[np.float64], start: int, end: int, noise: float, shortest: int
 ) -> Iterator[tuple[int, int]]:
-    """Runs before `end` in which no frame differs from the first by more than a small part of the contact's change."""
+    """Runs before `end` in which no frame differs from the first by more than 8 % of the contact's change."""
     while start + shortest <= end:
-        tolerance, stop = max(3 * noise, MOVED_OVER_TOUCH * float(touch[start])), end
+        tolerance, stop = max(3 * noise, 0.08 * float(touch[start])), end
         for at in range(start, end, CHUNK):
             far = distances(levels[at : min(at + CHUNK, end)], levels[start]) > tolerance
             if far.any():
@@ -224,10 +212,10 @@ def center_of(level: NDArray[np.float32], rest: NDArray[np.float32]) -> tuple[fl
 
 
 def _deepest_per_place(stills: Sequence[Still]) -> list[Still]:
-    """The deepest of the stills at one place, because a hand that pauses on its way down makes no second press."""
+    """The deepest of the stills at one place (2 px), because a hand that pauses on its way down makes no second press."""
     kept: list[Still] = []
     for still in sorted(stills, key=lambda one: -one.touch):
-        if all(np.hypot(*np.subtract(still.center_px, one.center_px)) > SAME_PLACE_PX for one in kept):
+        if all(np.hypot(*np.subtract(still.center_px, one.center_px)) > 2 for one in kept):
             kept.append(still)
     return sorted(kept, key=lambda one: one.best)
 
@@ -237,7 +225,7 @@ def _why_no_still(
 ) -> str:
     firm = np.flatnonzero(touch > 0.5 * touch.max())
     moved = float(np.hypot(*np.ptp([center_of(levels[k], rest) for k in firm], axis=0)))
-    if len(firm) >= 3 and moved > MOVED_PX:
+    if len(firm) >= 3 and moved > 0.6:  # px of a thumbnail
         return f"the contact moved by {moved * factor:.0f} px without resting: it slid or rolled"
     if len(levels) <= MIN_STILL:
         return f"the contact lasted {len(levels)} frames: too short"
@@ -404,14 +392,14 @@ def _left_out(thumbs: Thumbnails, found: list[Stretch]) -> list[str]:
 
 
 def _drift(thumbs: Thumbnails, rest: NDArray[np.bool_]) -> list[str]:
-    """A note if the brightness of the gel at rest changes from start to end."""
+    """A note if the brightness of the gel at rest changes by over 3 % from start to end."""
     (times,) = np.nonzero(rest)
     if len(times) < 2 * MIN_STILL:
         return []
     levels = thumbs.levels()
     first, last = (levels[part].mean(axis=(0, 1, 2)) for part in (times[:MIN_STILL], times[-MIN_STILL:]))
     ratio = last / np.maximum(first, 1)
-    if np.abs(ratio - 1).max() <= DRIFT_WARN:
+    if np.abs(ratio - 1).max() <= 0.03:
         return []
     figures = ", ".join(f"{name} {value:.2f}" for name, value in zip("RGB", ratio))
     return [
