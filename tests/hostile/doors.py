@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 import gelform
-from gelform.calibration.presses.folder import with_view
 from gelform.calibration.starters import load_starter
 from gelform.depth.integrate import edge_residuals
 from gelform.depth.regions import contacts_from_mask
@@ -69,7 +68,6 @@ def fresh_folder() -> Path:
 DEEPER = (
     ChangeSettings, contacts_from_mask, edge_residuals, light_from_image, fill_unknown, frame_from_image,
     image_from_color_change, Lens, MarkerFollower, press_errors, read_background, save_picture, save_press_folder,
-    with_view,
 )  # fmt: skip
 # What no argument of a user's goes into: records of results, made by the functions, and a Protocol.
 RECORDS = {
@@ -142,7 +140,6 @@ OTHERS: dict[str, dict[str, Any]] = {
     "scale_from_stage": {"distance_mm": 0.8},
     "View": {"frame_shape": SHAPE},
     "view_from_grid": {"kind": "dots"},
-    "with_view": {"view": gelform.View(SHAPE), "source": "a grid"},
 }  # fmt: skip
 
 

@@ -248,6 +248,7 @@ class _Images:
 
     def __init__(self, frames: Iterable[Frame], view_of: Callable[[tuple[int, int]], View]) -> None:
         self._frames, self._view_of = frames, view_of
+        self._once = iter(frames) is frames
         self.view: View | None = None  # from the first frame on
         self._shape: tuple[int, ...] = ()  # (H, W) of the frames
         self._kept: list[Frame] = []
@@ -257,7 +258,7 @@ class _Images:
         """An image in the place of each frame, which has its position as its number."""
         for frame in self._numbered(None):
             image = self._through_view(frame)
-            if iter(self._frames) is self._frames:
+            if self._once:
                 self._kept_bytes += image.image.nbytes
                 if self._kept_bytes > MAX_KEPT_BYTES:
                     raise DataError(
@@ -297,9 +298,8 @@ class _Images:
                 f"Expected frames of one size, got {height}x{width} after {self._shape[0]}x{self._shape[1]} px. "
                 "Record without changing the camera's mode."
             )
-        return replace(
-            frame, image=np.ascontiguousarray(image_from_frame(frame.image, self.view)), encoded=None
-        )
+        image = np.ascontiguousarray(image_from_frame(frame.image, self.view))
+        return replace(frame, image=image, encoded=None)
 
 
 def presses_in_film(
