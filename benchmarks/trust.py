@@ -18,7 +18,6 @@ import numpy as np
 
 import gelform
 from gelform.calibration.report import report_content
-from gelform.image.frame import pixels_digest
 from gelform.simulate import LAYOUTS, SimulatedSensor, simulate_ball_presses
 from presses import data_is_missing, mini_ball, presses_of, unlabeled
 from report import command_line, parts_asked, recorded, table, write
@@ -56,7 +55,7 @@ def _frame(press: Any, rng: np.random.Generator) -> Any:
         press.image.astype(np.float32), move, (width, height), borderMode=cv2.BORDER_REFLECT
     )
     image = np.clip(np.rint(image + rng.normal(0, 1.5, image.shape)), 0, 255).astype(np.uint8)
-    return replace(press, image=image, digest=pixels_digest(image))
+    return replace(press, image=image)
 
 
 def second_unit() -> dict[str, Any]:

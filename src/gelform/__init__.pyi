@@ -35,7 +35,7 @@ from .depth.force import evaluate_force as evaluate_force
 from .depth.force import ForceModel as ForceModel
 from .depth.force import force_from_result as force_from_result
 from .calibration.presses.folder import read_presses as read_presses
-from .calibration.presses.video import presses_from_frames as presses_from_frames
+from .calibration.presses.folder import presses_from_frames as presses_from_frames
 from .calibration.geometry.scale import Scale as Scale
 from .calibration.geometry.scale import combined_scale as combined_scale
 from .calibration.geometry.scale import scale_from_profile as scale_from_profile

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 import gelform
-from gelform.calibration.presses.folder import with_crosstalk, with_view
 from gelform.calibration.starters import load_starter
 from gelform.depth.contact import contacts_from_mask
 from gelform.depth.integrate import edge_residuals
@@ -68,7 +67,6 @@ def fresh_folder() -> Path:
 DEEPER = (
     ChangeSettings, contacts_from_mask, edge_residuals, fill_unknown,
     image_from_color_change, Lens, MarkerFollower, press_errors, read_background, save_picture, save_press_folder,
-    with_crosstalk, with_view,
 )  # fmt: skip
 # What no argument of a user's goes into: records of results, made by the functions, and a Protocol.
 RECORDS = {
@@ -140,7 +138,6 @@ OTHERS: dict[str, dict[str, Any]] = {
     "scale_from_stage": {"distance_mm": 0.8},
     "View": {"frame_shape": SHAPE},
     "view_from_grid": {"kind": "dots"},
-    "with_view": {"view": gelform.View(SHAPE), "source": "a grid"},
 }  # fmt: skip
 
 

@@ -18,7 +18,6 @@ from gelform.foundations.findings import Progress, no_progress
 from gelform.reconstruct import Reconstructor
 from gelform.result.metrics import angle_deg
 from gelform.simulate import (
-    Led,
     Optics,
     SimulatedPress,
     SimulatedSensor,
@@ -29,14 +28,7 @@ from gelform.simulate import (
 from gelform.simulate.gel import Surface
 from gelform.simulate.light import irradiance_from_surface, levels_from_irradiance, spread_in_gel
 
-__all__ = [
-    "DesignResult",
-    "VARIATIONS",
-    "Variation",
-    "compare_designs",
-    "design_picture",
-    "light_quality",
-]
+__all__ = ["DesignResult", "VARIATIONS", "Variation", "compare_designs", "design_picture", "light_quality"]
 
 CELLS = (6, 8)  # rows and columns of the map of depth errors; each cell holds some presses
 
@@ -66,12 +58,19 @@ class Variation:
 
     def of(self, sensor: SimulatedSensor) -> SimulatedSensor:
         """The changed sensor, exposed to the same mean levels."""
+        leds = []
+        for led in sensor.leds:
+            x, y, z = led.position_mm
+            place = (x * self.led_distance, y * self.led_distance, z * self.led_height)
+            gray = sum(led.color) / 3
+            red, green, blue = ((1 - self.whiteness) * c + self.whiteness * gray for c in led.color)
+            leds.append(replace(led, position_mm=place, color=(red, green, blue)))
         crosstalk = np.asarray(sensor.crosstalk, dtype=np.float64)
         mixed = crosstalk * np.where(np.eye(3) > 0, 1, self.crosstalk)
         rows: Any = tuple((float(a), float(b), float(c)) for a, b, c in mixed)
         changed = replace(
             sensor,
-            leds=tuple(self._moved(led) for led in sensor.leds),
+            leds=tuple(leds),
             noise_sd=sensor.noise_sd * self.noise,
             noise_gain=sensor.noise_gain * self.noise**2,
             crosstalk=rows,
@@ -79,13 +78,6 @@ class Variation:
         )
         means = simulate_background(sensor, None, quantise=False).mean(axis=(0, 1))
         return exposed(changed, (float(means[0]), float(means[1]), float(means[2])))
-
-    def _moved(self, led: Led) -> Led:
-        x, y, z = led.position_mm
-        place = (x * self.led_distance, y * self.led_distance, z * self.led_height)
-        gray = sum(led.color) / 3
-        red, green, blue = ((1 - self.whiteness) * c + self.whiteness * gray for c in led.color)
-        return replace(led, position_mm=place, color=(red, green, blue))
 
 
 VARIATIONS = (
@@ -155,11 +147,16 @@ def compare_designs(
         raise ValueError(
             f"Expected presses >= 4, tests >= 1 and a variation, got {presses}, {tests}, {len(variations)}."
         )
-    results = []
     if halved:
         (height, width), pitch, blur_px = sensor.shape, 2 * sensor.mm_per_px, sensor.blur_px / 2
         sensor = replace(sensor, shape=(height // 2, width // 2), mm_per_px=pitch, blur_px=blur_px)
-    for k, (variation, design) in enumerate([(one, _design(one, sensor)) for one in variations]):
+    designs, results = [], []
+    for variation in variations:
+        try:
+            designs.append(variation.of(sensor))
+        except ValueError as problem:
+            raise SensorError(f"The design {variation.name!r} cannot be made. {problem}") from problem
+    for k, (variation, design) in enumerate(zip(variations, designs)):
         progress(k, len(variations), variation.name)
         train_rng, test_rng = np.random.default_rng(seed).spawn(2)
         balls = list(ball_diameters_mm)
@@ -180,13 +177,6 @@ def compare_designs(
     return tuple(results)
 
 
-def _design(variation: Variation, sensor: SimulatedSensor) -> SimulatedSensor:
-    try:
-        return variation.of(sensor)
-    except ValueError as problem:
-        raise SensorError(f"The design {variation.name!r} cannot be made. {problem}") from problem
-
-
 def light_quality(sensor: SimulatedSensor) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Condition number (H, W) of the light matrix, and the least noise (H, W) of a slope.
 
@@ -202,9 +192,7 @@ def light_quality(sensor: SimulatedSensor) -> tuple[NDArray[np.float64], NDArray
         (_levels_of_slope(plain, px, py) - _levels_of_slope(plain, -px, -py)) / (2 * step)
         for px, py in ((step, 0.0), (0.0, step))
     ]
-    variance = (
-        sensor.noise_sd**2 + sensor.noise_gain * rest + 1 / 12
-    )  # the last term: rounding to gray levels
+    variance = sensor.noise_sd**2 + sensor.noise_gain * rest + 1 / 12  # of rounding to gray levels
     matrix = np.stack(columns, axis=-1) / np.sqrt(variance)[..., None]
     singular = np.linalg.svd(matrix, compute_uv=False)
     smallest = np.maximum(singular[..., 1], 1e-9 * singular[..., 0])
@@ -245,9 +233,8 @@ def _summed(
     mean = np.divide(square, count, out=np.full(square.shape, np.nan), where=count > 0)
     rmse = float(np.sqrt(np.mean(depth**2)))
     squares = [np.mean(one**2) for _, one, _ in errors]
-    scatter = float(
-        np.std(squares) / np.sqrt(len(squares)) / (2 * rmse)
-    )  # by the derivative of the square root
+    # by the derivative of the square root
+    scatter = float(np.std(squares) / np.sqrt(len(squares)) / (2 * rmse))
     return 1000 * rmse, 1000 * scatter, 1000 * np.sqrt(mean).reshape(CELLS), float(angle.mean())
 
 

@@ -38,7 +38,7 @@ from gelform.foundations.checks import check_sensor_pitch
 from gelform.foundations.files import written_file
 from gelform.foundations.findings import Finding, Progress, no_progress
 from gelform.image.background import USUAL_FRAMES, ChangeSettings, background_from_frames, surround_finding
-from gelform.image.frame import Frame, pixels_digest
+from gelform.image.frame import Frame
 from gelform.image.view import image_from_frame
 from gelform.sensors.files import SensorSettings
 from gelform.sensors.profiles import check_gel_width, make_of
@@ -46,14 +46,12 @@ from gelform.sensors.record import named_by_time
 from gelform.sensors.simulated import SimulatedSource
 from gelform.sensors.source import Source
 
-LEAST_RADIUS_PX = 9.0  # px, radius of a contact, at 240 rows
-DEEPEST = 0.87  # contact radius over ball radius: pressed in by half the radius
-APART = 0.4  # of the contact radius: a smaller distance to an earlier press is the same place
-OUTSIDE = 0.2  # of the contact radius: largest distance of its center beyond the border
-TOUCHED, NOISE_FACTOR = 0.05, 1.6  # color change of a touch; multiple of the change by noise
-TOUCHED_PART = 500  # a touch covers at least 1/500 of the image
-STILL_LEVELS, STILL_NOISE = 1.0, 0.9  # largest change of a still block: gray levels, times noise
-SMALL = 8  # px, width of such a block
+SMALL = 8  # px, width of the blocks that are compared for motion
+LEAST = NEEDED.guided.presses
+LOOK_EVERY_S = 0.08  # s between analyzed frames; an analysis takes some 10 ms
+STILL_LOOKS = 3  # consecutive still frames until a press counts
+NEXT_PLACES = 3  # suggested places on the page: the next one, and those after it
+COVERED = next(limit for limit in LIMITS if limit.name == "covered_percent")
 
 Circle = tuple[float, float, float]
 
@@ -75,9 +73,7 @@ class Judge:
     def __init__(
         self,
         background: NDArray[np.float32],  # (H, W, 3)
-        untouched: NDArray[
-            np.uint8
-        ],  # (H, W, 3), one frame at rest, which shows how much noise changes the colors
+        untouched: NDArray[np.uint8],  # (H, W, 3), a frame at rest, with the colors' change by noise
         noise: float,  # standard deviation of a pixel in one frame, gray levels
         ball_radius_px: float,
     ) -> None:
@@ -85,19 +81,19 @@ class Judge:
         self._scale = scale_of((self._shape[0], self._shape[1]))
         settings = ChangeSettings("divide", USUAL_OFFSET, BLUR_PX * self._scale)
         self._changes = ColorChanges(background, settings)
-        self._still = STILL_LEVELS + STILL_NOISE * noise
+        self._still = 1.0 + 0.9 * noise  # gray levels, largest change of a still block
         self._ball_px = ball_radius_px
         self._before: NDArray[np.float32] | None = None
-        self._touched = max(TOUCHED, NOISE_FACTOR * _largest(self._changes(untouched)[0]))
+        self._touched = max(0.05, 1.6 * _largest(self._changes(untouched)[0]))  # color change
 
     def look(
-        self,
-        image: NDArray[Any],
-        accepted: Sequence[Circle] = (),
-        clicked: tuple[float, float] | None = None,
+        self, image: NDArray[Any], accepted: Sequence[Circle] = (), clicked: tuple[float, float] | None = None
     ) -> Look:
         """Judge an image (H, W, 3), given the accepted presses, and the center (x, y) that was clicked or None."""
-        moving = self._moves(image)
+        height, width = self._shape
+        small = cv2.resize(image, (width // SMALL, height // SMALL), interpolation=cv2.INTER_AREA)
+        before, self._before = self._before, small.astype(np.float32)
+        moving = before is None or float(np.abs(self._before - before).max()) > self._still
         try:
             change, _ = self._changes(image)
         except CalibrationError as refusal:
@@ -106,54 +102,32 @@ class Judge:
             return Look(None, False, moving, "")
         contact = find_contact(change)
         if clicked is not None:
-            size = magnitude(about_median(change))
-            contact = marked_contact(contact, size, *clicked, None)
-        if why_no_contact(contact) is not None:
-            return Look(
-                None,
-                True,
-                moving,
-                "No ball is clearly visible. Press it a little harder, straight down. Or click the middle of its imprint.",
-            )
-        return Look(contact.circle_px, True, moving, self._reason(contact, accepted), contact.marked)
-
-    def _moves(self, image: NDArray[Any]) -> bool:
-        height, width = self._shape
-        small = cv2.resize(image, (width // SMALL, height // SMALL), interpolation=cv2.INTER_AREA)
-        small = small.astype(np.float32)
-        before, self._before = self._before, small
-        return before is None or float(np.abs(small - before).max()) > self._still
+            contact = marked_contact(contact, magnitude(about_median(change)), *clicked, None)
+        if why_no_contact(contact) is None:
+            return Look(contact.circle_px, True, moving, self._reason(contact, accepted), contact.marked)
+        reason = "No ball is clearly visible. Press it a little harder, straight down. Or click the middle of its imprint."
+        return Look(None, True, moving, reason)
 
     def _reason(self, contact: ContactCircle, accepted: Sequence[Circle]) -> str:
         x, y, radius = contact.circle_px
-        (height, width), by = self._shape, OUTSIDE * radius
-        if not (-by < x < width + by and -by < y < height + by):
+        height, width = self._shape
+        beyond = 0.2 * radius  # the border
+        if not (-beyond < x < width + beyond and -beyond < y < height + beyond):
             return "The press is too far outside. Press at the circle."
-        if radius < LEAST_RADIUS_PX * self._scale:
+        if radius < 9.0 * self._scale:  # px at 240 rows
             return "The press is too light. Press a little harder."
-        if radius > DEEPEST * self._ball_px:
+        if radius > 0.87 * self._ball_px:  # pressed in by half the radius
             return "The press is too deep, or the ball has another size. Press at most half the ball's radius deep."
-        if any(np.hypot(x - ax, y - ay) < APART * max(radius, ar) for ax, ay, ar in accepted):
+        if any(np.hypot(x - ax, y - ay) < 0.4 * max(radius, ar) for ax, ay, ar in accepted):
             return "You pressed here before. Press at the circle."
         return ""
 
 
 def _largest(change: NDArray[np.float32]) -> float:
-    """The size that a five-hundredth of a color change's pixels exceed."""
+    """The size that a five-hundredth of a color change's pixels exceed; a touch covers at least as many."""
     size = np.abs(change).max(axis=-1)
-    rank = size.size - size.size // TOUCHED_PART - 1
+    rank = size.size - size.size // 500 - 1
     return float(np.partition(size, rank, axis=None)[rank])
-
-
-WANTED, LEAST = NEEDED.advised.presses, NEEDED.guided.presses
-LOOK_EVERY_S = 0.08  # s between analyzed frames; an analysis takes some 10 ms
-STILL_LOOKS = 3  # consecutive still frames until a press counts
-NEXT_PLACES = 3  # suggested places on the page: the next one, and those after it
-FIRST_RADIUS = 0.55  # radius of the target over the ball's radius, before the first press
-MOST_REFUSALS = (
-    5  # of backgrounds that something seems to touch, some seconds; then it is taken as damage of the gel
-)
-COVERED = next(limit for limit in LIMITS if limit.name == "covered_percent")
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,10 +150,8 @@ class GuidedCalibration:
         try:
             path, _ = add_calibration(self.calibration)
         except GelformError as problem:
-            return (
-                self.folder / "calibration.npz",
-                f"The library does not have it: {problem} Name it with -c.",
-            )
+            said = f"The library does not have it: {problem} Name it with -c."
+            return self.folder / "calibration.npz", said
         return path, "The library has it too, so this sensor uses it from now on."
 
 
@@ -207,59 +179,39 @@ def calibrate_guided(
     with written_file(folder / "report.html") as handle:
         handle.write(report_page(content, presses, calibration).encode())
     covered = report_coverage(calibration.report, calibration.image_shape, calibration.known_mm_per_px)
-    places = tuple(
-        PressPlace(place["name"], place["x_px"], place["y_px"]) for place in content["coverage"]["next"]
-    )
-    return GuidedCalibration(
-        calibration, folder, _report_facts(calibration, content, folder.name), covered, places
-    )
-
-
-def _report_facts(calibration: Calibration, content: dict[str, Any], name: str) -> dict[str, Any]:
-    verdict = content["verdict"]
-    shown = ("label", "unit", "value", "level")
-    return {
-        "folder": name,
-        "level": verdict["level"],
-        "headline": verdict["headline"],
-        "next": verdict["next"],
-        "checks": [{key: check[key] for key in shown} for check in content["checks"]],
-        "model": calibration.color_model.name,
-        "accepted": sum(row.accepted for row in calibration.report.presses),
-        "rejected": [
-            [row.name, row.reason] for row in calibration.report.presses if row.reason and not row.repeats
+    places = tuple(PressPlace(one["name"], one["x_px"], one["y_px"]) for one in content["coverage"]["next"])
+    rows = calibration.report.presses
+    facts = {
+        "folder": folder.name,
+        **{key: content["verdict"][key] for key in ("level", "headline", "next")},
+        "checks": [
+            {key: check[key] for key in ("label", "unit", "value", "level")} for check in content["checks"]
         ],
+        "model": calibration.color_model.name,
+        "accepted": sum(row.accepted for row in rows),
+        "rejected": [[row.name, row.reason] for row in rows if row.reason and not row.repeats],
     }
+    return GuidedCalibration(calibration, folder, facts, covered, places)
 
 
 class Guide:
-    """One guided calibration, from the background to the files.
+    """One guided calibration of a sensor, from the background to the files.
 
-    Parameters
-    ----------
-    settings : of the sensor, as far as they are known
-    ball_diameter_mm : of the ball
-    on_changed : called when the page has something new to show
-
-    Attributes
-    ----------
-    step : "background", "press", "fit", "report" or "failed"
-    hint : instruction for the user
-    places : suggested places for presses, the most helpful one first; later ones are chosen again after each press
-    covered : Coverage of the accepted presses, None before the background exists
-    wanted : number of presses to fit well; `press_more` raises it
-    made : the calibration and its files, None before the fit
+    `settings` are of the sensor, as far as they are known; `on_changed` is called when the page has something new to show.
     """
 
     def __init__(
         self, settings: SensorSettings, ball_diameter_mm: float, on_changed: Callable[[], None] = lambda: None
     ) -> None:
         self.settings, self.ball_diameter_mm = settings, ball_diameter_mm
-        self.step, self.hint = "background", "Touch nothing while the page takes the background."
-        self.places: tuple[PressPlace, ...] = ()
-        self.covered: Coverage | None = None
-        self.wanted = WANTED if settings.make not in starter_names() else NEEDED.started.presses
-        self.made: GuidedCalibration | None = None
+        self.step = "background"  # or "press", "fit", "report", "failed"
+        self.hint = "Touch nothing while the page takes the background."  # instruction for the user
+        self.places: tuple[PressPlace, ...] = ()  # to press, chosen after each; the most helpful one first
+        self.covered: Coverage | None = None  # of the accepted presses, None before the background exists
+        # number of presses to fit well; `press_more` raises it
+        needed = NEEDED.advised if settings.make not in starter_names() else NEEDED.started
+        self.wanted = needed.presses
+        self.made: GuidedCalibration | None = None  # the calibration and its files, None before the fit
         self._changed = on_changed
         self._lock = threading.Lock()
         self._untouched: list[NDArray[np.uint8]] = []
@@ -268,9 +220,8 @@ class Guide:
         self._noise: NDArray[np.float64] | None = None
         self._surround: Finding | None = None
         self._judge: Judge | None = None
-        self._images: list[NDArray[np.uint8]] = []
+        self._presses: list[Press] = []
         self._circles: list[Circle] = []
-        self._clicks: list[tuple[float, float] | None] = []
         self._click: tuple[float, float] | None = None
         self._verdicts: list[tuple[Circle, str]] = []
         self._live: Look | None = None
@@ -346,16 +297,9 @@ class Guide:
     def presses(self) -> Presses:
         """The accepted presses, in the form that calibration reads; GelformError if there are too few."""
         with self._lock:
-            if self._background is None or len(self._images) < LEAST:
-                raise GelformError(
-                    f"Expected at least {LEAST} presses, got {len(self._images)}. Press again."
-                )
-            diameter = self.ball_diameter_mm
-            presses = [
-                Press(f"images/{k:04d}.png", image, diameter, None, pixels_digest(image), click)
-                for k, (image, click) in enumerate(zip(self._images, self._clicks))
-            ]
-            what = "guided presses", presses, self._background, self.settings.view
+            if self._background is None or self.count < LEAST:
+                raise GelformError(f"Expected at least {LEAST} presses, got {self.count}. Press again.")
+            what = "guided presses", self._presses, self._background, self.settings.view
             return presses_from_settings(self.settings, *what, background_noise=self._noise)
 
     def fit(self, folder: Path, progress: Progress = no_progress) -> None:
@@ -391,23 +335,35 @@ class Guide:
     def facts(self) -> dict[str, Any]:
         """The guide's state for the page."""
         with self._lock:
-            live, radius = self._live, FIRST_RADIUS * self._ball_radius_px
+            live, coverage = self._live, None
+            radius = 0.55 * self._ball_radius_px  # of the target, before the first press
             if self._circles:
                 radius = float(np.median([of_press for _, _, of_press in self._circles]))
+            if (
+                self.covered is not None
+            ):  # number of the eight slope directions in each tile, the share of all
+                directions = (self.covered.counts > 0).sum(axis=-1)
+                coverage = {
+                    "tiles": list(directions.shape),
+                    "directions": directions.ravel().tolist(),
+                    "share": self.covered.fraction,
+                    "level": self._coverage_level,
+                    "wanted": COVERED.fair,
+                }
             return {
                 "step": self.step,
                 "hint": self.hint,
-                "count": len(self._circles),
+                "count": self.count,
                 "wanted": self.wanted,
                 "enough": self.enough,
-                "can_fit": len(self._circles) >= LEAST,
+                "can_fit": self.count >= LEAST,
                 "untouched": [len(self._untouched), USUAL_FRAMES],
                 "places": [[place.x_px, place.y_px, radius, place.name] for place in self.places],
                 "live": None if live is None or live.circle is None else list(live.circle),
                 "still": self._still / STILL_LOOKS,
                 "accepted": [list(circle) for circle in self._circles],
                 "rejected": [[*circle, reason] for circle, reason in self._verdicts[-5:]],
-                "coverage": None if self.covered is None else self._coverage_facts(self.covered),
+                "coverage": coverage,
                 "report": None if self.made is None else self.made.report,
             }
 
@@ -420,7 +376,7 @@ class Guide:
         try:
             taken = background_from_frames(self._untouched)
             starter = starter_for(self.settings.name, taken.background.shape[:2])
-            if starter is not None and self._refusals < MOST_REFUSALS:
+            if starter is not None and self._refusals < 5:  # some seconds; then the gel is damaged
                 self._refusals += 1
                 starter.check_untouched(taken.background)
         except GelformError as problem:
@@ -437,6 +393,7 @@ class Guide:
         self._ask_next()
 
     def _judge_press(self, image: NDArray[np.uint8]) -> None:
+        """Accept or reject a press that is held still."""
         assert self._judge is not None
         look = self._live = self._judge.look(image, self._circles, self._click)
         if not look.touched:
@@ -447,32 +404,26 @@ class Guide:
         elif look.moving:
             self._still = 0
             self.hint = "Hold still."
-        else:
+        elif self._still + 1 < STILL_LOOKS:
             self._still += 1
-            if self._still >= STILL_LOOKS:
-                self._decide(image, look)
-
-    def _decide(self, image: NDArray[np.uint8], look: Look) -> None:
-        """Accept or reject a press that was held still."""
-        self._still = 0
-        if look.reason or look.circle is None:
-            self.hint = look.reason
-            if look.circle is not None and (
-                not self._verdicts or self._verdicts[-1] != (look.circle, look.reason)
-            ):
-                self._verdicts.append((look.circle, look.reason))
-            return
-        self._images.append(image)
-        self._circles.append(look.circle)
-        self._clicks.append(self._click if look.marked else None)
-        self._lifted = False
-        self._ask_next()
-        self.hint = "Accepted. Lift the ball."
+        else:
+            self._still = 0
+            if look.reason or look.circle is None:
+                self.hint = look.reason
+                if look.circle is not None and self._verdicts[-1:] != [(look.circle, look.reason)]:
+                    self._verdicts.append((look.circle, look.reason))
+                return
+            name, click = f"images/{self.count:04d}.png", self._click if look.marked else None
+            self._presses.append(Press(name, image, self.ball_diameter_mm, center_px=click))
+            self._circles.append(look.circle)
+            self._lifted = False
+            self._ask_next()
+            self.hint = "Accepted. Lift the ball."
 
     def _ask_next(self) -> None:
         assert self._background is not None
         shape = (self._background.shape[0], self._background.shape[1])
-        self.covered = press_coverage(self._circles, [self._ball_radius_px] * len(self._circles), shape)
+        self.covered = press_coverage(self._circles, [self._ball_radius_px] * self.count, shape)
         self.places = press_next(self.covered, NEXT_PLACES)
         self.hint = self._asking()
 
@@ -489,14 +440,3 @@ class Guide:
     @property
     def _ball_radius_px(self) -> float:
         return self.ball_diameter_mm / 2 / self.settings.square_mm_per_px
-
-    def _coverage_facts(self, covered: Coverage) -> dict[str, Any]:
-        """Number of the eight slope directions in each tile, the share of all, and how good it is."""
-        directions = (covered.counts > 0).sum(axis=-1)
-        return {
-            "tiles": list(directions.shape),
-            "directions": directions.ravel().tolist(),
-            "share": covered.fraction,
-            "level": self._coverage_level,
-            "wanted": COVERED.fair,
-        }

@@ -1,10 +1,9 @@
 """Faults of a whole set of presses, which no single image shows; and of the stated ball diameter.
 
-Check of the stated ball diameter against the diameter that colors of other units or presses give.
-
-A calibration believes its labels: with every diameter doubled it reads every slope half as steep, and its own held-out
-presses with small errors. Other units of the make, or presses of another size, do not share that mistake. An image shows
-only the ratio of diameter to pixel pitch, so either may be wrong.
+The diameter is checked against the one that colors of other units or presses give. A calibration believes its labels: with
+every diameter doubled it reads every slope half as steep, and its own held-out presses with small errors. Other units of the
+make, or presses of another size, do not share that mistake. An image shows only the ratio of diameter to pixel pitch, so
+either may be wrong.
 """
 
 from __future__ import annotations
@@ -44,20 +43,20 @@ from gelform.slopes.color_models import COLOR_MODELS, DEFAULT_MODEL, ColorModel
 INNER = 0.6  # fraction of the visible circle; the gel follows the ball inside it on every sensor
 # Relative error of the ratio of two sizes, each read by the other's presses: 0.034 on a real GelSight Mini.
 SIZE_SIGMA = 0.05
-# Largest difference of a stated diameter from the one read, in standard deviations: the only limit, also of the report's
-# check. And what to do beyond it.
-MOST_SIGMAS = 2.0
+MOST_SIGMAS = (
+    2.0  # of a stated diameter from the one read, standard deviations; the limit of the report's check too
+)
 REMEDY = "Check the ball's diameter and mm_per_px."
 
 
 @dataclass(frozen=True)
 class BallReading:
-    """A ball's stated diameter, the diameter that was read, and the model that read it."""
+    """A ball's stated diameter, and the one that was read."""
 
     stated_mm: float
     read_mm: float
     sigma_mm: float
-    by: str
+    by: str  # the model that read it
 
     def to_dict(self) -> dict[str, float | str]:
         """Its fields and `sigmas`."""
@@ -91,9 +90,7 @@ UNCHECKED = (
 
 def ball_readings(located: Located, known: Start | None) -> tuple[BallReading, ...]:
     """Each stated diameter with the one that another unit's model reads, or else the presses of the other sizes."""
-    if known is not None:
-        return _by_model(located, known)
-    return _by_sizes(located)
+    return _by_sizes(located) if known is None else _by_model(located, known)
 
 
 def notes_of(readings: Sequence[BallReading]) -> tuple[str, ...]:
@@ -110,31 +107,29 @@ def _by_model(located: Located, known: Start) -> tuple[BallReading, ...]:
     for stated, members in _by_size(located, chosen).items():
         logs = _log_ratios(located, members, known.model)
         if logs.size:
-            of_median = (
-                1.2533 * float(logs.std()) / np.sqrt(logs.size)
-            )  # standard error of the median of normal errors
+            # standard error of the median of normal errors
+            of_median = 1.2533 * float(logs.std()) / np.sqrt(logs.size)
             read = stated * float(np.exp(np.median(logs)))
-            readings.append(
-                BallReading(stated, read, read * float(np.hypot(known.spread, of_median)), known.by)
-            )
+            sigma = read * float(np.hypot(known.spread, of_median))
+            readings.append(BallReading(stated, read, sigma, known.by))
     return tuple(readings)
 
 
 def _by_sizes(located: Located) -> tuple[BallReading, ...]:
     """The second size, and further ones, read by the first one's presses, and vice versa: the mean of both."""
-    sizes = {
-        stated: members
-        for stated, members in _by_size(located, located.refined.accepted).items()
-        if NEEDED.size.met(len(members))
-    }
+    sizes = _by_size(located, located.refined.accepted).items()
+    enough = [(stated, members) for stated, members in sizes if NEEDED.size.met(len(members))]
     readings = []
-    for stated in list(sizes)[1:]:
-        (first, own), other = next(iter(sizes.items())), sizes[stated]
-        forth, back = (
-            float(np.median(_log_ratios(located, read, _fitted_on(located, training))))
-            for training, read in ((own, other), (other, own))
-        )
-        read = stated * float(np.exp((forth - back) / 2))
+    for stated, other in enough[1:]:
+        first, own = enough[0]
+        logs = []
+        for training, members in ((own, other), (other, own)):
+            presses = [located.prepared[i] for i in training]
+            contacts = [located.refined.contacts[i] for i in training]
+            samples = training_samples(presses, contacts, total=TRIAL_SAMPLES)
+            model = COLOR_MODELS[DEFAULT_MODEL].fit(samples)
+            logs.append(float(np.median(_log_ratios(located, members, model))))
+        read = stated * float(np.exp((logs[0] - logs[1]) / 2))
         readings.append(BallReading(stated, read, SIZE_SIGMA * read, f"the presses of {first:g} mm"))
     return tuple(readings)
 
@@ -147,34 +142,24 @@ def _by_size(located: Located, chosen: Sequence[int]) -> dict[float, list[int]]:
     return dict(sorted(sizes.items(), key=lambda pair: -len(pair[1])))
 
 
-def _fitted_on(located: Located, members: Sequence[int]) -> ColorModel:
-    presses, contacts = [located.prepared[i] for i in members], [located.refined.contacts[i] for i in members]
-    return COLOR_MODELS[DEFAULT_MODEL].fit(training_samples(presses, contacts, total=TRIAL_SAMPLES))
-
-
 def _log_ratios(located: Located, members: Sequence[int], model: ColorModel) -> NDArray[np.float64]:
     """Logarithms of the radius that a model reads over the stated one, of the presses that show a ball."""
-    ratios = [_ratio(located.prepared[i], located.refined.contacts[i], model) for i in members]
+    ratios = []
+    for i in members:
+        press = located.prepared[i]
+        inner = replace(press, contact_radius_ratio=INNER)
+        rows, cols = inner.pixels(located.refined.contacts[i], 1.0, PRESS_PIXELS)
+        if len(rows) >= 30:
+            radius = radius_from_gradients(press.gradients(model, rows, cols), cols, rows)
+            ratios.append(radius / press.ball_radius_px)
     return np.log([ratio for ratio in ratios if 0 < ratio < np.inf])
 
 
-def _ratio(press: PreparedPress, contact: ContactCircle, model: ColorModel) -> float:
-    inner = replace(press, contact_radius_ratio=INNER)
-    rows, cols = inner.pixels(contact, 1.0, PRESS_PIXELS)
-    if len(rows) < 30:
-        return float("nan")
-    return radius_from_gradients(press.gradients(model, rows, cols), cols, rows) / press.ball_radius_px
-
-
-MIN_CHANGE = 0.08  # of color, mean over a contact in the background
-MIN_ROUGHER = 1.3  # roughness of the background over that of the presses' median
-EARLY_EDGE = 0.75  # of the visible radius; a contact edge further in is worth a note
 # |log| of the median imprint's width over its height, and its standard errors. Six real sets have 0.10 or less, and 0.19 or
 # more where one side of their pixels is made 1.25 times as long.
 ELLIPTIC, ELLIPTIC_SIGMAS = 0.15, 3.0
 # Change of color per slope, of the middle channel. Nine real sets have 0.4 to 1.3; a ball ten times too large 4 or more.
 MAX_RESPONSE = 3.0
-MIN_SINE = 0.3  # sum over the lights' turns; 2.6 for equal angles; less may be noise
 
 
 def check_inputs(presses: Presses) -> None:
@@ -182,27 +167,13 @@ def check_inputs(presses: Presses) -> None:
 
     The CalibrationError names the images or the place of the contact, and the remedy.
     """
-    _check_any(presses)
-    _check_flats(presses)
-    _check_colored(presses)
-    _check_orientation(presses)
-    _check_untouched(presses)
-
-
-def _check_any(presses: Presses) -> None:
     if not presses.presses:
-        flats = (
-            f", got {len(presses.flats)} of flat punches, which gelform only evaluates"
-            if presses.flats
-            else ""
-        )
+        count = len(presses.flats)
+        flats = f"{count} of flat punches, which gelform only evaluates" if count else "none"
         raise CalibrationError(
-            f"Expected presses of a ball in {presses.folder}{flats or ', got none'}. "
-            f"Press a ball at {NEEDED.advised.presses} places and add a row for each to presses.csv."
+            f"Expected presses of a ball in {presses.folder}, got {flats}. Press a ball at {NEEDED.advised.presses} places "
+            "and add a row for each to presses.csv."
         )
-
-
-def _check_flats(presses: Presses) -> None:
     names = {press.digest: press.name for press in presses.presses}
     for flat in presses.flats:
         if flat.digest in names:
@@ -211,13 +182,18 @@ def _check_flats(presses: Presses) -> None:
                 f"{names[flat.digest]}. Correct the table: one row for each press."
             )
         names[flat.digest] = flat.name
-
-
-def _check_colored(presses: Presses) -> None:
     if all(np.ptp(press.image, axis=-1).max() == 0 for press in presses.presses):
         raise CalibrationError(
             f"The {len(presses.presses)} presses of {presses.folder} are gray: red, green and blue are equal "
             "everywhere. gelform reads slopes from light of three colors from three sides. Use a color camera's images."
+        )
+    _check_orientation(presses)
+    found = contact_in_background(presses)
+    if found is not None:
+        raise CalibrationError(
+            f"The background of {presses.folder} has a contact in it, about ({found.x_px:.0f}, {found.y_px:.0f}) px, "
+            f"radius {found.radius_px:.0f} px. There it differs from most presses. Take the background image again, with "
+            "nothing touching the gel, or name another one with background= (--background)."
         )
 
 
@@ -240,39 +216,33 @@ def _check_orientation(presses: Presses) -> None:
         )
 
 
-def _check_untouched(presses: Presses) -> None:
-    found = contact_in_background(presses)
-    if found is not None:
-        raise CalibrationError(
-            f"The background of {presses.folder} has a contact in it, about ({found.x_px:.0f}, {found.y_px:.0f}) px, "
-            f"radius {found.radius_px:.0f} px. There it differs from most presses. Take the background image again, with "
-            "nothing touching the gel, or name another one with background= (--background)."
-        )
-
-
 def contact_in_background(presses: Presses) -> ContactCircle | None:
     """The contact in the background, or None; five presses or more are needed to find it.
 
     Each place is at rest in most presses, so their median shows the gel at rest. The background is touched if it differs
-    from
-    the median as a contact does, and is the rougher of the two. The second condition excludes presses at one place, whose
-    median is itself touched.
+    from the median as a contact does, and is the rougher of the two. The second condition excludes presses at one place,
+    whose median is itself touched.
     """
     count = len(presses.presses)
     if not NEEDED.median.met(count):
         return None
-    chosen = np.unique(np.linspace(0, count - 1, min(count, SAMPLED)).round().astype(int))
-    images = np.stack([presses.presses[k].image for k in chosen])
+    images = np.stack([presses.presses[k].image for k in _some(count)])
     untouched = np.median(images, axis=0).astype(np.float32)
     change = color_change_from_image(presses.background, untouched)
     change = cv2.GaussianBlur(change, (0, 0), 1.25 * scale_of(presses.image_shape))
     found = find_contact(change)
     if why_no_contact(found) is not None:
         return None
-    inside = _disc(presses.image_shape, found, 1.2)
+    rows, cols = np.ogrid[: change.shape[0], : change.shape[1]]
+    inside = np.hypot(cols - found.x_px, rows - found.y_px) < 1.2 * found.radius_px
     size = magnitude(about_median(change))
     rougher = _roughness(presses.background, inside) / max(_roughness(untouched, inside), 1e-9)
-    return found if float(size[inside].mean()) > MIN_CHANGE and rougher > MIN_ROUGHER else None
+    return found if size[inside].mean() > 0.08 and rougher > 1.3 else None
+
+
+def _some(count: int) -> NDArray[np.intp]:
+    """Up to `SAMPLED` numbers below a count, evenly spaced."""
+    return np.unique(np.linspace(0, count - 1, min(count, SAMPLED)).round().astype(int))
 
 
 def input_notes(located: Located) -> tuple[str, ...]:
@@ -280,14 +250,12 @@ def input_notes(located: Located) -> tuple[str, ...]:
     presses = located.presses
     prepared, contacts = located.refined.of_accepted(located.prepared)
     circles = [contact.circle_px for contact in contacts]
-    covered = coverage_notes(circles, presses.image_shape, started=located.start is not None)
     order = light_order_note(presses, prepared, contacts)
     found = check_background_of_frames([press.image for press in presses.presses], presses.background)
-    drift = [finding.message for finding in found]
     return (
         *presses.notes,
-        *covered,
-        *drift,
+        *coverage_notes(circles, presses.image_shape, started=located.start is not None),
+        *(finding.message for finding in found),
         *_edge_notes(prepared),
         *shape_notes(prepared, contacts),
         *_scale_notes(presses),
@@ -303,8 +271,8 @@ def surround_notes(presses: Presses) -> tuple[str, ...]:
 
 
 def _edge_notes(prepared: Sequence[PreparedPress]) -> tuple[str, ...]:
-    """A note if the contact edge lies far inside the visible rim."""
-    if not prepared or prepared[0].contact_radius_ratio >= EARLY_EDGE:
+    """A note if the contact edge lies far inside the visible rim, at less than three quarters of its radius."""
+    if not prepared or prepared[0].contact_radius_ratio >= 0.75:
         return ()
     one_size = len({press.ball_radius_px for press in prepared}) == 1
     alike = " A ball that is smaller than stated looks the same. Measure it, or press a second size."
@@ -319,12 +287,10 @@ def shape_notes(prepared: Sequence[PreparedPress], contacts: Sequence[ContactCir
     shallow = [(press, contact) for press, contact in zip(prepared, contacts) if not is_deep(press, contact)]
     if not NEEDED.edge.met(len(shallow)):
         return ()
-    chosen = np.unique(np.linspace(0, len(shallow) - 1, min(len(shallow), SAMPLED)).round().astype(int))
-    logs = np.log([imprint_aspect(shallow[k][0].size, shallow[k][1]) for k in chosen])
+    logs = np.log([imprint_aspect(shallow[k][0].size, shallow[k][1]) for k in _some(len(shallow))])
     middle = float(np.median(logs))
-    error = (
-        1.86 * float(np.median(np.abs(logs - middle))) / len(logs) ** 0.5
-    )  # of a median, from absolute deviations
+    # of a median, from absolute deviations
+    error = 1.86 * float(np.median(np.abs(logs - middle))) / len(logs) ** 0.5
     if abs(middle) < max(ELLIPTIC, ELLIPTIC_SIGMAS * error):
         return ()
     how = "wider than high" if middle > 0 else "higher than wide"
@@ -369,13 +335,11 @@ def light_order_note(
     of each light is the slope direction that brightens its channel most.
     """
     expected = light_order_of(presses.make)
-    if expected is None or presses.make is None or not contacts:
+    if presses.make is None or not contacts:
         return None
     turn = light_turn(prepared, contacts)
-    if abs(turn) < MIN_SINE:
-        return None
     turned = "clockwise" if turn > 0 else "counter-clockwise"
-    if turned == expected:
+    if abs(turn) < 0.3 or turned == expected:  # less may be noise
         return None
     return (
         f"Red, green and blue lights follow each other {turned} around the gel. In a {PROFILES[presses.make].name} the "
@@ -400,12 +364,6 @@ def light_response(
     """Change of color of each channel per slope (2, 3), by least squares over the balls."""
     samples = contact_samples(prepared, contacts, total=TRIAL_SAMPLES)
     return np.asarray(np.linalg.lstsq(samples.gradients, samples.color_change, rcond=None)[0])
-
-
-def _disc(shape: tuple[int, int], contact: ContactCircle, fraction: float) -> NDArray[np.bool_]:
-    rows, cols = np.ogrid[: shape[0], : shape[1]]
-    inside = np.hypot(cols - contact.x_px, rows - contact.y_px) < fraction * contact.radius_px
-    return np.asarray(inside)
 
 
 def _roughness(image: NDArray[np.float32], inside: NDArray[np.bool_]) -> float:

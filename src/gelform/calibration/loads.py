@@ -28,11 +28,8 @@ from gelform.image.view import image_from_frame
 from gelform.reconstruct import Reconstructor
 from gelform.sensors.files import background_in, read_background, read_image
 
-TABLE, LOG, REST = "loads.csv", "log.csv", "rest.png"
 COLUMNS = ("force_n", "force_x_n", "force_y_n", "torque_n_mm")
 LAGS = range(-3, 9)  # frames, that the gauge may lag behind the images
-LEAST_FRAMES = 5  # of a film that tells its lag
-TOLD = 0.5  # share of the lags at which a film must have as many; at the others it counts as at its worst one
 Row = tuple[str, dict[str, str]]
 
 
@@ -96,11 +93,9 @@ def read_loads(
     """
     folder, calibration = check_path(path), as_calibration(calibration)
     rest = None if background is None else check_path(background, "background as a path")
-    rows = list(table_rows(folder / TABLE, ("image", "object")))
-    known, films = (
-        np.array([_loads_of(row) for row in rows]).reshape(-1, len(COLUMNS)),
-        list(_films(folder, rows)),
-    )
+    rows = list(table_rows(folder / "loads.csv", ("image", "object")))
+    known = np.array([_loads_of(row) for row in rows]).reshape(-1, len(COLUMNS))
+    films = list(_films(folder, rows))
     touches = []
     for touch in _touches(folder, [row["image"] for _, row in rows], calibration, rest, bgr):
         touches.append(touch)
@@ -117,8 +112,14 @@ def read_loads(
             touches[i] = touch
     kept = np.flatnonzero(np.isfinite(known).any(axis=1))
     if not kept.size:
-        raise DataError(f"Expected loads in {folder / TABLE}: a column force_n, or force_x_n and force_y_n.")
-    loads = [_load(rows[i][1], known[i]) for i in kept]
+        raise DataError(
+            f"Expected loads in {folder / 'loads.csv'}: a column force_n, or force_x_n and force_y_n."
+        )
+    loads = []
+    for i in kept:
+        normal, x, y, torsion = (one if np.isfinite(one) else None for one in known[i].tolist())
+        shear = None if x is None or y is None else (x, y)
+        loads.append(Load(rows[i][1]["object"], normal, shear, torsion, rows[i][1].get("grasp") or ""))
     return LoadedPresses([touches[i] for i in kept], loads, [rows[i][1]["image"] for i in kept], lag)
 
 
@@ -129,21 +130,18 @@ def _touches(
     shared = given
     if shared is None and any(entry.stem == "background" for entry in folder.iterdir()):
         shared = background_in(folder)
-    prepared: tuple[Path | None, Reconstructor] | None = None
+    reconstruct, before = None, None
     for name in images:
         image = folder / file_of(folder, name)
-        own = image.parent / REST
+        own = image.parent / "rest.png"
         rest = own if given is None and own.is_file() else shared
         try:
-            if prepared is None or prepared[0] != rest:
-                today = (
-                    None
-                    if rest is None
-                    else image_from_frame(read_background(rest, bgr=bgr), calibration.view)
-                )
-                prepared = rest, Reconstructor(calibration, today)
+            if reconstruct is None or rest != before:
+                frame = None if rest is None else read_background(rest, bgr=bgr)
+                today = None if frame is None else image_from_frame(frame, calibration.view)
+                reconstruct, before = Reconstructor(calibration, today), rest
             frame = read_image(image, most_pixels=calibration.most_pixels, bgr=bgr)
-            yield touch_from_result(prepared[1](frame))
+            yield touch_from_result(reconstruct(frame))
         except ValueError as problem:
             raise DataError(f"{image}: {problem}") from problem
 
@@ -153,22 +151,17 @@ def _loads_of(row: Row) -> list[float]:
     return [number(cells[name], name, where) if cells.get(name) else np.nan for name in COLUMNS]
 
 
-def _load(cells: dict[str, str], values: NDArray[np.float64]) -> Load:
-    normal, x, y, torsion = (value if np.isfinite(value) else None for value in values.tolist())
-    shear = None if x is None or y is None else (x, y)
-    return Load(cells["object"], normal, shear, torsion, cells.get("grasp") or "")
-
-
 def _films(folder: Path, rows: list[Row]) -> Iterator[_Film]:
     """The films among the rows: one by `time_s` with a log, else by object, `grasp` and `frame`."""
-    if (folder / LOG).is_file():
-        log = list(table_rows(folder / LOG, ("time_s", "force_n")))
+    path = folder / "log.csv"
+    if path.is_file():
+        log = list(table_rows(path, ("time_s", "force_n")))
         at, images_at = (
             np.array([number(row.get("time_s", ""), "time_s", where) for where, row in one])
             for one in (log, rows)
         )
         if len(at) < 2 or (np.diff(at) <= 0).any() or not np.ptp(images_at) > 0:
-            raise DataError(f"Expected rising times in {folder / LOG}, and images at several times.")
+            raise DataError(f"Expected rising times in {path}, and images at several times.")
         frame_s = float(np.median(np.diff(np.unique(images_at))))
         loads = np.array([_loads_of(row) for row in log])
         yield _Film(np.arange(len(rows)), images_at / frame_s, at / frame_s, loads)
@@ -194,12 +187,15 @@ def _stated_lag(rows: list[Row], film: _Film) -> int | None:
 
 
 def _lag(films: list[_Film], touches: list[Touch]) -> int | None:
-    """The lag at which force over volume is steadiest within the films; None if no film has changing loads."""
+    """The lag at which force over volume is steadiest within the films; None if no film has changing loads.
+
+    A film tells it if it has enough frames at half of the lags; at the others it counts as at its worst one.
+    """
     volume = np.array([0.0 if why_no_normal(touch) else float(touch.volume_mm3 or 0) for touch in touches])
     scatter = np.array(
         [[_scatter(film.loads(lag)[:, 0], volume[film.rows]) for film in films] for lag in LAGS]
     )
-    told = scatter[:, np.isfinite(scatter).mean(axis=0) >= TOLD]
+    told = scatter[:, np.isfinite(scatter).mean(axis=0) >= 0.5]
     told = np.where(np.isfinite(told), told, np.nanmax(told, axis=0, initial=0))
     return LAGS[int(np.median(told, axis=1).argmin())] if told.size else None  # one film may slip
 
@@ -208,7 +204,7 @@ def _scatter(force: NDArray[np.float64], volume: NDArray[np.float64]) -> float:
     """Median distance of log F - log V from its median; NaN for few frames, or still ones."""
     there = np.isfinite(force) & (volume > 0) & (force > 0)
     there &= force >= LEAST_SHARE * np.max(force[there], initial=0)
-    if np.count_nonzero(there) < LEAST_FRAMES or force[there].max() < LEAST_RANGE * force[there].min():
+    if np.count_nonzero(there) < 5 or force[there].max() < LEAST_RANGE * force[there].min():
         return float("nan")
     ratio = np.log(force[there]) - np.log(volume[there])
     return float(np.median(np.abs(ratio - np.median(ratio))))

@@ -32,9 +32,6 @@ def test_two_points():
     # 25 mm +- 0.05 over 500 px +- 0.707: 0.2 % and 0.1414 %
     assert scale.sigma / scale.mm_per_px == pytest.approx(np.hypot(0.002, np.sqrt(0.5) / 500))
     assert "500.0 px and 25 mm" in scale.source
-
-
-def test_points_too_near_are_refused():
     with pytest.raises(ValueError, match=r"at least 5 px apart, got 4 px"):
         scale_from_points((0, 0), (4, 0), 1.0)
 

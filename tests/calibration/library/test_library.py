@@ -16,8 +16,7 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform.calibration.library import library as choose
-from gelform.calibration.library import library as ready
+from gelform.calibration.library import library as module
 from gelform.calibration.library.library import (
     NoCalibration,
     Unit,
@@ -55,12 +54,7 @@ def test_the_one_shipped_is_right():
     sensor = simulated_sensor_named("three-edges")
     calibration = ready_calibration(sensor)
     press = simulate_press(
-        sensor,
-        Ball(2.5),
-        depth_mm=0.5,
-        center_mm=(3.0, 2.0),
-        rng=np.random.default_rng(5),
-        oversample=1,
+        sensor, Ball(2.5), depth_mm=0.5, center_mm=(3.0, 2.0), rng=np.random.default_rng(5), oversample=1
     )
     found = Reconstructor(calibration).from_image(press.image)
     assert np.sqrt(np.mean((found.depth_mm - press.depth_mm) ** 2)) < 0.012
@@ -71,7 +65,7 @@ def test_the_one_shipped_is_right():
 def test_another_sensors_is_made_once_and_kept(monkeypatch, tmp_path, sensor, simulated, calibration):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     made = []
-    monkeypatch.setattr(ready, "simulated_presses", lambda *_, **__: simulated)
+    monkeypatch.setattr(module, "simulated_presses", lambda *_, **__: simulated)
     monkeypatch.setattr("gelform.calibration.fit.calibrate", lambda *_, **__: made.append(1) or calibration)
     assert ready_calibration(sensor).digest == calibration.digest
     assert ready_calibration(sensor).digest == calibration.digest
@@ -205,17 +199,15 @@ def test_a_folder_that_cannot_be_made_is_said(tmp_path):
     assert entries(tmp_path / "nowhere") == []
 
 
-OLD_CHOOSE = replace(calibration(), serial="S1", gel_id="1", created_utc="2026-01-02T03:04:05+00:00")
-NEW_CHOOSE = replace(OLD_CHOOSE, gel_id="2", created_utc="2026-11-12T13:14:15+00:00")
-OTHER = replace(OLD_CHOOSE, serial="S2", created_utc="2026-11-13T13:14:15+00:00")
-NAMELESS = replace(OLD_CHOOSE, serial=None, sensor_name="DIGIT", created_utc="2026-11-14T13:14:15+00:00")
+OTHER = replace(OLD, serial="S2", created_utc="2026-11-13T13:14:15+00:00")
+NAMELESS = replace(OLD, serial=None, sensor_name="DIGIT", created_utc="2026-11-14T13:14:15+00:00")
 DIGIT = Camera("DIGIT", "/dev/video0", kind="digit")
 
 
 @pytest.fixture
 def full(library):
     """A library of four calibrations, and a damaged one."""
-    for one in (OLD_CHOOSE, NEW_CHOOSE, OTHER, NAMELESS):
+    for one in (OLD, NEW, OTHER, NAMELESS):
         add_calibration(one)
     (library / "a.npz").write_text("damaged")
     return library
@@ -223,11 +215,11 @@ def full(library):
 
 def test_the_newest_of_the_serial_is_taken_and_said(full):
     choice = choose_calibration(Unit("camera X", "S1"))
-    assert choice.calibration.digest == NEW_CHOOSE.digest
+    assert choice.calibration.digest == NEW.digest
     assert choice.said == f"Calibration of camera X: {choice.path.name} (gel 2, of 2026-11-12 13:14)."
-    assert choose_calibration(Unit("camera X", "S1", gel_id="1")).calibration.digest == OLD_CHOOSE.digest
-    in_use = Unit("a recording", "S1", digest=OLD_CHOOSE.digest)
-    assert choose_calibration(in_use).calibration.digest == OLD_CHOOSE.digest
+    assert choose_calibration(Unit("camera X", "S1", gel_id="gel/1")).calibration.digest == OLD.digest
+    in_use = Unit("a recording", "S1", digest=OLD.digest)
+    assert choose_calibration(in_use).calibration.digest == OLD.digest
 
 
 def test_no_match_says_what_to_do(full):
@@ -261,8 +253,8 @@ def test_a_camera_without_a_serial_is_known_by_its_name_where_it_is_alone(full):
 
 
 def test_cameras_are_asked_without_being_opened(full, monkeypatch):
-    for module in (plugged_in, choose):
-        monkeypatch.setattr(module, "cameras_there", lambda: [replace(DIGIT, serial="S1")])
+    for one in (plugged_in, module):
+        monkeypatch.setattr(one, "cameras_there", lambda: [replace(DIGIT, serial="S1")])
     assert unit_of("digit").serial == unit_of("S1").serial == unit_of("").serial == "S1"
     for nowhere in ("S7", "S" * 5000, "/dev/" + "S" * 5000):
         with pytest.raises(SensorError, match=f"No camera '{nowhere[:6]}"):
@@ -295,24 +287,24 @@ def test_recordings_say_their_camera_and_the_calibration_in_use(full, tmp_path):
     for serial in ("simulated-none", "simulated", "S1"):
         other = recorded(f"{serial}.mcap", RecordingFacts("sim", serial, {}, 50.0, ""), None)
         assert unit_of(other).simulated is None
-    path = recorded("1.mcap", RecordingFacts("ring", "S1", {}, 50.0, OLD_CHOOSE.digest), None)
-    assert choose_calibration(unit_of(path)).calibration.digest == OLD_CHOOSE.digest
+    path = recorded("1.mcap", RecordingFacts("ring", "S1", {}, 50.0, OLD.digest), None)
+    assert choose_calibration(unit_of(path)).calibration.digest == OLD.digest
     path = recorded("2.mcap", RecordingFacts("ring"), attachments_of(OTHER))
     choice = choose_calibration(unit_of(path))
     assert choice.calibration.digest == OTHER.digest
-    assert "its own, gel 1, of 2026-11-13 13:14" in choice.said
+    assert "its own, gel gel/1, of 2026-11-13 13:14" in choice.said
 
 
 def test_images_are_of_the_sensor_that_their_folder_names(full, tmp_path):
     for number in (1, 2):
         save(tmp_path / f"{number}/images/a.png", image_of(Touch()))
         (tmp_path / f"{number}/sensor.toml").write_text(
-            f'name = "known gel"\nmm_per_px = 0.1\nserial = "S{number}"\ngel_id = "1"\n'
+            f'name = "known gel"\nmm_per_px = 0.1\nserial = "S{number}"\ngel_id = "gel/1"\n'
         )
     first, second = (tmp_path / f"{number}/images/a.png" for number in (1, 2))
-    assert choose_calibration(unit_of_all([first])).calibration.digest == OLD_CHOOSE.digest
+    assert choose_calibration(unit_of_all([first])).calibration.digest == OLD.digest
     assert unit_of_all([first, tmp_path / "1"]).serial == "S1"
-    with pytest.raises(DataError, match=r"S1, gel 1.* and .*S2, gel 1"):
+    with pytest.raises(DataError, match=r"S1, gel gel/1.* and .*S2, gel gel/1"):
         unit_of_all([first, second])
     save(tmp_path / "3/lone/a.png", image_of(Touch()))
     assert unit_of_all([tmp_path / "3/lone/a.png"]).serial == ""
@@ -322,8 +314,8 @@ def test_a_stream_takes_it_where_none_is_given(full):
     source = ImageSource([image_of(Touch())] * 3)
     source.serial = "S1"
     with gelform.stream(source) as stream:
-        assert stream.calibration.digest == NEW_CHOOSE.digest
-        assert next(iter(stream)).calibration_digest == NEW_CHOOSE.digest
+        assert stream.calibration.digest == NEW.digest
+        assert next(iter(stream)).calibration_digest == NEW.digest
     source.serial = "S9"
     with pytest.raises(CalibrationError, match="serial S9"):
         gelform.stream(source)
@@ -338,5 +330,5 @@ def test_the_simulated_sensor_has_its_own_unless_the_library_has_one_or_a_starte
     unit = unit_of("simulated")
     with pytest.raises(NoCalibration, match="serial simulated-three-edges"):
         choose_calibration(unit, ready=False)
-    add_calibration(replace(OLD_CHOOSE, serial=unit.serial))
-    assert choose_calibration(unit).calibration.digest == OLD_CHOOSE.digest
+    add_calibration(replace(OLD, serial=unit.serial))
+    assert choose_calibration(unit).calibration.digest == OLD.digest

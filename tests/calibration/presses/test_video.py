@@ -12,18 +12,7 @@ import pytest
 
 import gelform
 from gelform.calibration.circles.find import find_contact
-from gelform.calibration.presses.video import (
-    Thumbnails,
-    center_of,
-    distances,
-    noise_of,
-    presses_from_frames,
-    runs,
-    stretches,
-    thumbnail,
-    touch_threshold,
-    untouched,
-)
+from gelform.calibration.presses.video import Thumbnails, distances, noise_of, stretches, thumbnail, untouched
 from gelform.image.background import ChangeSettings, color_change_from_image
 from gelform.image.frame import Frame
 from gelform.sensors.playback import RecordingFacts
@@ -157,13 +146,6 @@ def test_flicker_of_all_pixels_is_no_touch():
     assert noise_of(motion) < 4
 
 
-def test_threshold_grows_with_the_noise_and_the_strongest_touch():
-    quiet = np.full(50, 0.5)
-    assert touch_threshold(quiet, 0.5) == 3.0
-    assert touch_threshold(quiet, 2.0) == 8.0
-    assert touch_threshold(np.full(50, 100.0), 0.5) == pytest.approx(12.0)
-
-
 def test_thumbnails_average_and_are_thinned():
     thumbs = Thumbnails(most=10)
     image = np.zeros((72, 96, 3), np.uint8)
@@ -175,14 +157,6 @@ def test_thumbnails_average_and_are_thinned():
     assert thumbs.factor == 2
     checks = (np.indices((72, 96)).sum(axis=0) % 2 * 255)[..., None].repeat(3, axis=-1).astype(np.uint8)
     np.testing.assert_allclose(thumbnail(checks), 127.5, atol=0.5)
-
-
-def test_center_and_runs():
-    rng = np.random.default_rng(2)
-    x, y = center_of(gel(rng, (30.3, 11.6, 50)), gel(rng))
-    assert (x, y) == pytest.approx((30.3, 11.6), abs=0.5)
-    assert runs(np.array([1, 1, 0, 1, 0, 0, 1], dtype=bool)) == [(0, 2), (3, 4), (6, 7)]
-    assert runs(np.zeros(3, dtype=bool)) == []
 
 
 COUNT = 9
@@ -344,6 +318,16 @@ def test_a_background_that_is_given_is_used(filmed, sensor, tmp_path):
     assert len(read.presses) == 3
 
 
+def test_a_video_of_blue_green_red_is_read_so(filmed, read, how, tmp_path):
+    write(tmp_path / "bgr.avi", [image[..., ::-1] for image in filmed.images[: filmed.holds[2][1] + REST]])
+    swapped = gelform.read_presses(tmp_path / "bgr.avi", **how, bgr=True)
+    assert [frame_of(press) for press in swapped.presses] == [frame_of(press) for press in read.presses[:3]]
+    for one, other in zip(
+        (swapped.background, swapped.presses[0].image), (read.background, read.presses[0].image)
+    ):
+        assert np.abs(one - other.astype(float)).mean() < 2
+
+
 @pytest.mark.parametrize(
     ("parts", "message"),
     [
@@ -385,7 +369,7 @@ def test_frames_without_a_time_are_named(time_s, how):
     frames = [Frame(image, time_s if k == 1 else k / 25, 0, k) for k, image in enumerate(images)]
     for given in (frames, iter(frames)):
         with pytest.raises(TypeError, match="Expected time_s of frame 1 in seconds"):
-            presses_from_frames(given, **how)
+            gelform.presses_from_frames(given, **how)
 
 
 def test_light_that_drifts_is_noted(filmed, how):

@@ -261,7 +261,7 @@ def test_a_number_for_a_view_or_a_name_is_named(name: str, expected: str) -> Non
     starter = load_starter("gelsight-mini")
     background = starter.calibration.background
     wrong: dict[str, Any] = {name: 3}
-    with pytest.raises(TypeError, match=f"{name} must be a {expected}"):
+    with pytest.raises(TypeError, match=f"Expected {name} as {expected}"):
         starter.for_unit(background, **wrong)
 
 

@@ -1,7 +1,11 @@
-"""Write measurements apart from the presses to a `sensor.toml` or a calibration."""
+"""Write measurements apart from the presses to a `sensor.toml` or a calibration, and read the setup for them.
+
+A TOML file keeps its comments, its order and all other keys.
+"""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from os import PathLike
@@ -9,12 +13,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import tomlkit
 from numpy.typing import NDArray
+from tomlkit.exceptions import TOMLKitError
 
 from gelform.calibration.geometry.lens import GridView
 from gelform.calibration.geometry.measured import Crosstalk
 from gelform.calibration.geometry.scale import Scale
-from gelform.calibration.geometry.toml_text import Table, edited_toml
 from gelform.calibration_file import load_calibration
 from gelform.errors import CalibrationError, DataError
 from gelform.foundations.files import written_file
@@ -22,8 +27,38 @@ from gelform.image.view import View, image_from_frame
 from gelform.sensors.files import background_in, read_background, read_image, read_sensor_toml
 from gelform.sensors.profiles import check_gel_width, make_of, profile_named
 
+Table = tuple[str, ...]
 
-def save_scale(scale: Scale, place: str | PathLike[str], *, sensor_name: str | None = None) -> Path:
+
+def edited_toml(text: str, changes: Mapping[Table, Mapping[str, Any]], drop: Sequence[Table] = ()) -> str:
+    """TOML text with some values changed; "" stands for a new file.
+
+    `changes` are, by table (a path of names, () for the top level), numbers, texts, or lists of them by key; the tables
+    `drop` are removed first. ValueError: the text is no TOML, or has a value where a table is meant.
+    """
+
+    def table_in(document: Any, path: Table) -> Any:
+        for name in path:
+            if name not in document:
+                document[name] = tomlkit.table()
+            document = document[name]
+        return document
+
+    try:
+        document = tomlkit.parse(text)
+        for path in drop:
+            table_in(document, path[:-1]).pop(path[-1], None)
+        for path, values in changes.items():
+            table_in(document, path).update(json.loads(json.dumps(values)))
+    except (TOMLKitError, TypeError, AttributeError) as problem:
+        raise ValueError(f"the settings cannot be written into it: {problem}") from problem
+    edited = tomlkit.dumps(document)
+    if tomlkit.parse(edited).unwrap() != document.unwrap():
+        raise ValueError("the settings cannot be written into it. Put each key on a line of its own.")
+    return edited
+
+
+def save_scale(scale: Scale, place: str | PathLike[str]) -> Path:
     """Write a scale into a `sensor.toml` or an imported calibration, in one step; return the written file.
 
     `place` is a folder, its `sensor.toml` (created if missing, for a sensor of the folder's name), or a calibration.
@@ -37,36 +72,45 @@ def save_scale(scale: Scale, place: str | PathLike[str], *, sensor_name: str | N
     """
     place = Path(place)
     width_note(scale.mm_per_px, place)
-    if place.suffix == ".npz":
-        return _save_in_calibration(scale, place)
-    file = _toml_in(place)
-    if file.is_file() and isinstance(read_sensor_toml(file).mm_per_px, tuple):
-        raise DataError(
-            f"Expected one mm_per_px in {file}, got a pair for pixels that are not square, which one scale does not give. "
-            "Measure x and y and write both, or take gelform lens."
+    if place.suffix != ".npz":
+        file = _toml_in(place)
+        if file.is_file() and isinstance(read_sensor_toml(file).mm_per_px, tuple):
+            raise DataError(
+                f"Expected one mm_per_px in {file}, got a pair for pixels that are not square, which one scale does not "
+                "give. Measure x and y and write both, or take gelform lens."
+            )
+        return _save_in_toml(file, _scale_values(scale))
+    calibration = load_calibration(place)
+    if calibration.training_digests:
+        raise CalibrationError(
+            f"Expected a calibration without presses of its own (an imported one), got {place}, whose slopes were read "
+            f"off balls at {calibration.mm_per_px:g} mm/px: another scale would leave them wrong. Write the scale into "
+            "the presses' sensor.toml and calibrate again."
         )
-    return _save_in_toml(place, _scale_values(scale), sensor_name)
+    settings = replace(calibration.settings, scale_source=scale.source)
+    scaled = replace(calibration, mm_per_px=scale.mm_per_px, mm_per_px_sigma=scale.sigma, settings=settings)
+    scaled.save(place, overwrite=True)
+    return place
 
 
-def width_note(mm_per_px: float, place: str | PathLike[str]) -> str | None:
+def width_note(mm_per_px: float, place: Path) -> str | None:
     """The note of `check_gel_width` on a scale of the images at a place as in `save_scale`; None where none is seen.
 
     DataError: no sensor's gel is that wide.
     """
-    place = Path(place)
+    make = None
     if place.suffix == ".npz":
         calibration = load_calibration(place)
         shape, make = calibration.image_shape, make_of(calibration.sensor_name)
     else:
         file = _toml_in(place)
-        settings = read_sensor_toml(file) if file.is_file() else None
         try:
             rest = read_background(background_in(file.parent))
         except DataError:  # no background yet: calibrate looks again
             return None
         shape = (rest.shape[0], rest.shape[1])
-        make = None
-        if settings is not None:
+        if file.is_file():
+            settings = read_sensor_toml(file)
             shape, make = settings.view.shape or shape, settings.make or make_of(settings.name)
     try:
         return check_gel_width(shape, mm_per_px, make)
@@ -74,10 +118,10 @@ def width_note(mm_per_px: float, place: str | PathLike[str]) -> str | None:
         raise DataError(f"{place}: {problem}") from problem
 
 
-def save_grid_view(found: GridView, place: str | PathLike[str], *, sensor_name: str | None = None) -> Path:
-    """Write the lens and the scale of a grid into a `sensor.toml`, in place of an earlier lens.
+def save_grid_view(found: GridView, place: str | PathLike[str]) -> Path:
+    """Write the lens and the scale of a grid into a `sensor.toml`, in place of an earlier lens; return the file.
 
-    Parameters and errors are those of `save_scale`. It also raises a DataError if the `[view]` there crops, flips or resizes
+    `place` and errors are those of `save_scale`. It also raises a DataError if the `[view]` there crops, flips or resizes
     without a lens, and a CalibrationError for a calibration, because its background and color model belong to other images.
     """
     place = Path(place)
@@ -95,15 +139,15 @@ def save_grid_view(found: GridView, place: str | PathLike[str], *, sensor_name: 
                 "[view] out: the lens brings its own."
             )
     view_values = found.view.to_dict()
+    changes = _scale_values(found.scale)
+    changes[("measured",)]["lens"] = found.describe()
     lens_values = view_values.pop("lens")
-    changes: dict[Table, dict[str, Any]] = {**_scale_values(found.scale)}
-    changes[("measured",)] = {**changes[("measured",)], "lens": found.describe()}
     changes |= {("view",): view_values, ("view", "lens"): lens_values}
-    return _save_in_toml(place, changes, sensor_name, drop=[("view",)])
+    return _save_in_toml(file, changes, drop=[("view",)])
 
 
 def save_crosstalk(crosstalk: Crosstalk, place: str | PathLike[str]) -> Path:
-    """Write a crosstalk into an existing `sensor.toml`; parameters and errors as in `save_scale`."""
+    """Write a crosstalk into an existing `sensor.toml`, and return that; `place` and errors as in `save_scale`."""
     place = Path(place)
     if place.suffix == ".npz" or not _toml_in(place).is_file():
         raise DataError(
@@ -111,7 +155,7 @@ def save_crosstalk(crosstalk: Crosstalk, place: str | PathLike[str]) -> Path:
             "into sensor.toml first."
         )
     values = {"crosstalk": crosstalk.matrix, "crosstalk_spread": crosstalk.spread}
-    return _save_in_toml(place, {("measured",): values})
+    return _save_in_toml(_toml_in(place), {("measured",): values})
 
 
 def _scale_values(scale: Scale) -> dict[Table, dict[str, Any]]:
@@ -123,18 +167,12 @@ def _toml_in(place: Path) -> Path:
     return place if place.suffix == ".toml" else place / "sensor.toml"
 
 
-def _save_in_toml(
-    place: Path,
-    changes: Mapping[Table, Mapping[str, Any]],
-    sensor_name: str | None = None,
-    drop: Sequence[Table] = (),
-) -> Path:
-    file = _toml_in(place)
+def _save_in_toml(file: Path, changes: Mapping[Table, Mapping[str, Any]], drop: Sequence[Table] = ()) -> Path:
     if file.is_file():
         read_sensor_toml(file)  # raises the usual errors for the file
         text = file.read_bytes().decode("utf-8")
     else:
-        text = edited_toml("", {(): {"name": sensor_name or file.parent.resolve().name}})
+        text = edited_toml("", {(): {"name": file.parent.resolve().name}})
     try:
         edited = edited_toml(text, changes, drop)
     except ValueError as problem:
@@ -144,64 +182,38 @@ def _save_in_toml(
     return file
 
 
-def _save_in_calibration(scale: Scale, place: Path) -> Path:
-    calibration = load_calibration(place)
-    if calibration.training_digests:
-        raise CalibrationError(
-            f"Expected a calibration without presses of its own (an imported one), got {place}, whose slopes were read "
-            f"off balls at {calibration.mm_per_px:g} mm/px: another scale would leave them wrong. Write the scale into "
-            "the presses' sensor.toml and calibrate again."
-        )
-    settings = replace(calibration.settings, scale_source=scale.source)
-    replace(calibration, mm_per_px=scale.mm_per_px, mm_per_px_sigma=scale.sigma, settings=settings).save(
-        place, overwrite=True
-    )
-    return place
-
-
 @dataclass(frozen=True)
 class SensorSetup:
-    """The setup of a sensor: the view from its frames to images, and its background image (H, W, 3) float32."""
+    """The setup of a sensor."""
 
-    view: View
-    background: NDArray[np.float32]
+    view: View  # from its frames to images
+    background: NDArray[np.float32]  # (H, W, 3)
 
-    def image(self, path: str | PathLike[str]) -> NDArray[Any]:
+    def image(self, path: Path) -> NDArray[Any]:
         """The image (H, W, 3) of a frame in a file."""
-        return image_from_frame(read_image(Path(path)), self.view)
+        return image_from_frame(read_image(path), self.view)
 
 
-def read_setup(
-    place: str | PathLike[str],
-    *,
-    background: str | PathLike[str] | None = None,
-    sensor: str | None = None,
-) -> SensorSetup:
+def read_setup(place: Path, *, background: Path | None = None, sensor: str | None = None) -> SensorSetup:
     """The view and the background image of a press folder, its `sensor.toml` or a calibration.
 
     `background` is the background frame, if it is not the folder's `background.png`; `sensor` names a profile, for the
-    view of a folder without a `sensor.toml`. A DataError or CalibrationError means that one is missing or unreadable.
+    view of a folder without one in a `sensor.toml`. DataError, CalibrationError: one is missing or unreadable.
     """
-    place = Path(place)
     if place.suffix == ".npz":
         calibration = load_calibration(place)
         if background is None:
             return SensorSetup(calibration.view, calibration.background)
-        view = calibration.view
-        return SensorSetup(view, image_from_frame(read_background(Path(background)), view).astype(np.float32))
-    folder = place.parent if place.suffix == ".toml" else place
-    if not folder.is_dir():
-        raise DataError(
-            f"Expected a folder, its sensor.toml or a calibration, got {place}, which is not there."
-        )
-    frame = read_background(Path(background) if background is not None else background_in(folder))
-    view = _view_of(folder / "sensor.toml", sensor, (frame.shape[0], frame.shape[1]))
+        view, frame = calibration.view, read_background(background)
+    else:
+        folder = place.parent if place.suffix == ".toml" else place
+        if not folder.is_dir():
+            raise DataError(
+                f"Expected a folder, its sensor.toml or a calibration, got {place}, which is not there."
+            )
+        frame = read_background(background or background_in(folder))
+        toml = folder / "sensor.toml"
+        view = read_sensor_toml(toml).view if toml.is_file() else View()
+        if view.is_identity and sensor is not None:
+            view = profile_named(sensor).view((frame.shape[0], frame.shape[1]))
     return SensorSetup(view, image_from_frame(frame, view).astype(np.float32))
-
-
-def _view_of(settings: Path, sensor: str | None, frame_shape: tuple[int, int]) -> View:
-    if settings.is_file():
-        view = read_sensor_toml(settings).view
-        if not view.is_identity:
-            return view
-    return View() if sensor is None else profile_named(sensor).view(frame_shape)

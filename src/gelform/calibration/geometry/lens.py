@@ -17,12 +17,6 @@ from gelform.foundations.checks import check_image, check_list, check_numbers, c
 from gelform.image.view import Lens, View
 
 MAX_RESIDUAL_PX = 0.5  # px RMS of a grid's points
-PITCH_SIGMA = 0.002  # relative, of a printed grid
-MOST_POINTS = 1000  # along a side
-# Standard deviation of the optical axis from the frame's middle, as a fraction of its width.
-CENTER_PRIOR = 0.05
-DISTORTION_PRIOR = 1.0  # standard deviation of k1 and k2
-MIN_CROP = 0.5  # fraction of the frame that has to be visible
 
 
 @dataclass(frozen=True)
@@ -70,10 +64,7 @@ def view_from_grid(
         The grid is not found in an image, or its points are over 0.5 px off the model: it is bent, or another pattern.
     """
     columns, rows = (int(number) for number in check_numbers(pattern, "pattern", 2))
-    if (
-        kind not in ("checkerboard", "dots")
-        or not 3 <= min(columns, rows) <= max(columns, rows) <= MOST_POINTS
-    ):
+    if kind not in ("checkerboard", "dots") or not 3 <= min(columns, rows) <= max(columns, rows) <= 1000:
         raise ValueError(
             f"Expected kind 'checkerboard' or 'dots' and a pattern of 3x3 points or more, got {kind!r}, {pattern}."
         )
@@ -85,16 +76,16 @@ def view_from_grid(
     y, x = np.mgrid[:rows, :columns] * pitch
     grid = np.stack([x.ravel() - x.mean(), y.ravel() - y.mean()], axis=1)
     shape = (frames[0].shape[0], frames[0].shape[1])
-    model, residual = _fitted(grid, points, shape)
+    bare, homography, residual = _fitted(grid, points, shape)
     if residual > MAX_RESIDUAL_PX:
         raise DataError(
             f"Expected the points of a flat, regular grid, got points {residual:.2f} px off one (limit "
             f"{MAX_RESIDUAL_PX:g}). Is it flat on the gel, and the pattern {columns}x{rows}?"
         )
-    lens, mm_per_px = _rectifying(model, shape)
+    lens, mm_per_px = _rectifying(bare, homography, shape)
     spread = float(np.sqrt(np.mean(np.sum((grid / mm_per_px) ** 2, axis=1))))
     fitted = residual / spread / np.sqrt(len(grid))
-    known = PITCH_SIGMA if pitch_sigma_mm is None else pitch_sigma_mm / pitch
+    known = 0.002 if pitch_sigma_mm is None else pitch_sigma_mm / pitch
     source = f"a {kind} of {columns}x{rows} points, pitch {pitch:g} mm"
     scale = Scale(mm_per_px, float(mm_per_px * np.hypot(fitted, known)), source)
     view = _cropped(View(shape, lens=lens))
@@ -112,8 +103,14 @@ def _points_of_grid(
         if found:
             points = _refined_corners(gray, np.asarray(points, dtype=np.float32).reshape(-1, 1, 2), pattern)
     else:
+        blobs: Any = cv2  # OpenCV's stubs lack its blob detector
+        settings = blobs.SimpleBlobDetector_Params()
+        settings.minArea, settings.maxArea = 8.0, max(gray.size / 40, 9.0)
+        settings.minDistBetweenBlobs = 3.0
+        settings.thresholdStep = 5.0
+        detector = blobs.SimpleBlobDetector_create(settings)
         found, points = cv2.findCirclesGrid(
-            gray, pattern, flags=cv2.CALIB_CB_SYMMETRIC_GRID, blobDetector=_dot_detector(gray.size)
+            gray, pattern, flags=cv2.CALIB_CB_SYMMETRIC_GRID, blobDetector=detector
         )
     if not found:
         raise DataError(
@@ -135,90 +132,57 @@ def _refined_corners(
     return refined
 
 
-def _dot_detector(pixels: int) -> Any:
-    blobs: Any = cv2  # OpenCV's stubs lack its blob detector
-    settings = blobs.SimpleBlobDetector_Params()
-    settings.minArea, settings.maxArea = 8.0, max(pixels / 40, 9.0)
-    settings.minDistBetweenBlobs = 3.0
-    settings.thresholdStep = 5.0
-    return blobs.SimpleBlobDetector_create(settings)
-
-
-@dataclass(frozen=True)
-class _Model:
-    """Grid (mm) -> undistorted px by a homography, then radial distortion about the center."""
-
-    homographies: NDArray[np.float64]
-    distortion: tuple[float, float]
-    center: tuple[float, float]
-    focal: float
-
-    @classmethod
-    def from_numbers(cls, numbers: NDArray[np.float64], focal: float) -> _Model:
-        homographies = np.concatenate(
-            [numbers[4:].reshape(-1, 8), np.ones((len(numbers[4:]) // 8, 1))], axis=1
-        )
-        k1, k2, cx, cy = (float(value) for value in numbers[:4])
-        return cls(homographies.reshape(-1, 3, 3), (k1, k2), (cx, cy), focal)
-
-    def frame_px(self, grid: NDArray[np.float64], number: int) -> NDArray[np.float64]:
-        """Positions in image `number` of points of the grid, px."""
-        flat = _projected(self.homographies[number], grid)
-        unit = (flat - self.center) / self.focal
-        square = np.sum(unit**2, axis=1, keepdims=True)
-        k1, k2 = self.distortion
-        return np.asarray(unit * (1 + k1 * square + k2 * square**2) * self.focal + self.center)
-
-
-def _projected(homography: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
+def _projected(homography: NDArray[Any], points: NDArray[np.float64]) -> NDArray[np.float64]:
     moved = np.column_stack([points, np.ones(len(points))]) @ homography.T
     return np.asarray(moved[:, :2] / moved[:, 2:])
 
 
 def _fitted(
     grid: NDArray[np.float64], points: Sequence[NDArray[np.float64]], shape: tuple[int, int]
-) -> tuple[_Model, float]:
-    """The model of all images and the root mean square residual, px."""
+) -> tuple[Lens, NDArray[np.float64], float]:
+    """The lens of all images, the homography (3, 3) of the first, and the root mean square residual, px.
+
+    The grid (mm) maps to undistorted px by a homography for each image, and then by radial distortion about the center.
+    """
     focal, middle = float(max(shape)), ((shape[1] - 1) / 2, (shape[0] - 1) / 2)
     starts = [cv2.findHomography(grid, of_image)[0] for of_image in points]
     start = np.concatenate([[0.0, 0.0, *middle], *[(h / h[2, 2]).ravel()[:8] for h in starts]])
 
+    def homography(numbers: NDArray[np.float64], k: int) -> NDArray[np.float64]:
+        return np.append(numbers[4 + 8 * k : 12 + 8 * k], 1.0).reshape(3, 3)
+
     def off(numbers: NDArray[np.float64]) -> NDArray[np.float64]:
-        model = _Model.from_numbers(numbers, focal)
-        residuals = [(model.frame_px(grid, k) - of_image).ravel() for k, of_image in enumerate(points)]
-        # without distortion its center is anywhere, and so is k2 over a small grid: weak priors of 0.1 px noise
-        prior = (
-            0.1
-            * (numbers[:4] - start[:4])
-            / [DISTORTION_PRIOR, DISTORTION_PRIOR, *[CENTER_PRIOR * focal] * 2]
-        )
+        (k1, k2), center = numbers[:2], numbers[2:4]
+        residuals = []
+        for k, of_image in enumerate(points):
+            unit = (_projected(homography(numbers, k), grid) - center) / focal
+            square = np.sum(unit**2, axis=1, keepdims=True)
+            frame_px = unit * (1 + k1 * square + k2 * square**2) * focal + center
+            residuals.append((frame_px - of_image).ravel())
+        # without distortion its center is anywhere, and so is k2 over a small grid: weak priors of 0.1 px noise, with
+        # standard deviations of 1 for k1 and k2, and of 5 % of the frame for the center
+        prior = 0.1 * (numbers[:4] - start[:4]) / [1, 1, *[0.05 * focal] * 2]
         return np.concatenate([*residuals, prior])
 
     fitted = least_squares(off, start, x_scale="jac", method="lm", max_nfev=4000)
     residual = np.sqrt(np.mean(fitted.fun[:-4] ** 2) * 2)
-    return _Model.from_numbers(fitted.x, focal), float(residual)
+    k1, k2, x, y = (float(value) for value in fitted.x[:4])
+    return Lens((focal, focal, x, y), (k1, k2)), homography(fitted.x, 0), float(residual)
 
 
-def _rectifying(model: _Model, shape: tuple[int, int]) -> tuple[Lens, float]:
+def _rectifying(bare: Lens, homography: NDArray[np.float64], shape: tuple[int, int]) -> tuple[Lens, float]:
     """The lens whose rectified frame keeps size and direction in the middle of the frame, and its mm per px."""
     middle = np.array([(shape[1] - 1) / 2, (shape[0] - 1) / 2])
-    bare = Lens((model.focal, model.focal, *model.center), model.distortion)
-    to_grid = np.linalg.inv(model.homographies[0])  # of a whole grid of points, so never singular
-
-    def grid_mm(frame_px: NDArray[np.float64]) -> NDArray[np.float64]:
-        return _projected(to_grid, bare.rectified_px_from_frame_px(frame_px))
-
+    to_grid = np.linalg.inv(homography)  # of a whole grid of points, so never singular
     steps = np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1.0]])
-    at = grid_mm(middle + steps)
-    jacobian = np.column_stack(
-        [(at[1] - at[2]) / 2, (at[3] - at[4]) / 2]
-    )  # mm of the grid per px of the frame
+    at = _projected(to_grid, bare.rectified_px_from_frame_px(middle + steps))  # mm of the grid
+    jacobian = np.column_stack([(at[1] - at[2]) / 2, (at[3] - at[4]) / 2])  # mm per px of the frame
     mm_per_px = float(np.sqrt(abs(np.linalg.det(jacobian))))
     u, _, v = np.linalg.svd(jacobian)
     turn = mm_per_px * (u @ v)  # the nearest turn, or mirror image, because the first corner is arbitrary
     placed = np.eye(3)
     placed[:2, :2], placed[:2, 2] = turn, at[0] - turn @ middle
-    perspective = model.homographies[0] @ placed
+    perspective = homography @ placed
     perspective /= perspective[2, 2]
     return Lens(bare.camera, bare.distortion, tuple(perspective.ravel())), mm_per_px
 
@@ -228,7 +192,7 @@ def _cropped(view: View) -> View:
     assert view.frame_shape is not None
     assert view.lens is not None
     height, width = view.frame_shape
-    for fraction in np.arange(1.0, MIN_CROP, -0.005):
+    for fraction in np.arange(1.0, 0.5, -0.005):
         left, top = int(np.ceil(width * (1 - fraction) / 2)), int(np.ceil(height * (1 - fraction) / 2))
         x, y = np.arange(left, width - left, dtype=float), np.arange(top, height - top, dtype=float)
         rim = np.concatenate(

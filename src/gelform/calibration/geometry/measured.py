@@ -18,7 +18,6 @@ from gelform.image.frame import BRIGHT
 NAMES = ("red", "green", "blue")
 MIN_LEVEL = 20.0  # gray levels that are usable for a ratio
 MIN_USABLE = 0.3  # smallest fraction of usable pixels
-BLOCKS = 4  # parts along either side of the image that are compared
 
 
 @dataclass(frozen=True)
@@ -31,18 +30,13 @@ class Crosstalk:
     # alike everywhere, but scattered and ambient light vary.
     spread: tuple[tuple[float, ...], ...]
 
-    @property
-    def largest_spread(self) -> float:
-        """The largest standard deviation of an element over the image."""
-        return float(np.max(self.spread))
-
     def describe(self) -> str:
         """One line with the figures."""
         apart = np.asarray(self.matrix) - np.eye(3)
         channel, led = np.unravel_index(int(np.argmax(apart)), (3, 3))
         return (
             f"crosstalk up to {100 * apart.max():.1f} % ({NAMES[led]} light in the {NAMES[channel]} channel), "
-            f"constant over the image to within {100 * self.largest_spread:.1f} %"
+            f"constant over the image to within {100 * np.max(self.spread):.1f} %"
         )
 
 
@@ -99,21 +93,15 @@ def _column(
             f"{100 * np.mean(usable):.0f} % of the pixels usable. Change the exposure, the same for all three."
         )
     ratio = light / np.maximum(light[..., led : led + 1], MIN_LEVEL)
+    rows, columns = (np.linspace(0, length, 5).astype(int) for length in usable.shape)
+    blocks = [np.s_[top:end, left:right] for top, end in pairwise(rows) for left, right in pairwise(columns)]
     parts = [
-        np.median(ratio[rows][:, columns][usable[rows][:, columns]], axis=0)
-        for rows in _blocks(ratio.shape[0])
-        for columns in _blocks(ratio.shape[1])
-        if np.mean(usable[rows][:, columns]) > MIN_USABLE
+        np.median(ratio[one][usable[one]], axis=0) for one in blocks if np.mean(usable[one]) > MIN_USABLE
     ]
     return np.median(ratio[usable], axis=0), np.std(parts, axis=0)
 
 
-def _blocks(length: int) -> list[slice]:
-    edges = np.linspace(0, length, BLOCKS + 1).astype(int)
-    return [slice(int(a), int(b)) for a, b in pairwise(edges)]
-
-
-def _rows(matrix: NDArray[np.float64]) -> tuple[tuple[float, ...], ...]:
+def _rows(matrix: Any) -> tuple[tuple[float, ...], ...]:
     return tuple(tuple(float(value) for value in row) for row in matrix)
 
 
@@ -133,9 +121,7 @@ class Geometry:
         crosstalk = None
         if "crosstalk" in measured:
             spread = measured.get("crosstalk_spread", ((0.0,) * 3,) * 3)
-            crosstalk = Crosstalk(
-                *(tuple(tuple(map(float, row)) for row in m) for m in (measured["crosstalk"], spread))
-            )
+            crosstalk = Crosstalk(_rows(measured["crosstalk"]), _rows(spread))
         return cls(measured.get("scale", ""), crosstalk, measured.get("lens", ""), gel_thickness_mm)
 
     @property
@@ -145,10 +131,12 @@ class Geometry:
 
     def settings(self) -> dict[str, Any]:
         """The record of it in a calibration, by the names of `CalibrationSettings`."""
-        said: dict[str, Any] = {"scale_source": self.scale_source, "lens": self.lens}
-        said["gel_thickness_mm"] = self.gel_thickness_mm
-        if self.crosstalk is not None:
-            said["crosstalk"] = self.crosstalk.describe()
+        said: dict[str, Any] = {
+            "scale_source": self.scale_source,
+            "lens": self.lens,
+            "gel_thickness_mm": self.gel_thickness_mm,
+            "crosstalk": None if self.crosstalk is None else self.crosstalk.describe(),
+        }
         return {name: value for name, value in said.items() if value}
 
     def notes(self, response: float, mm_per_px_sigma: float | None) -> tuple[str, ...]:

@@ -22,11 +22,6 @@ from gelform.foundations.checks import (
 from gelform.image.background import ChangeSettings, PreparedBackground
 from gelform.sensors.profiles import profile_named
 
-SOURCES = "two marked points, a step of a stage, or a grid"
-MARK_SIGMA_PX = 0.5  # px, of a point marked by hand
-ACROSS = (
-    0.5  # difference of cos^2 between two lengths, that shows x and y apart; 1 for lengths along both axes
-)
 MAX_DISAGREEMENT = 4.0  # standard deviations between two scales
 
 
@@ -65,7 +60,7 @@ def scale_from_points(
     b_px: tuple[float, float],
     distance_mm: float,
     *,
-    sigma_px: float = MARK_SIGMA_PX,
+    sigma_px: float = 0.5,
     sigma_mm: float = 0.0,
 ) -> Scale:
     """The scale from two marked points with a known distance.
@@ -74,7 +69,7 @@ def scale_from_points(
     ----------
     a_px, b_px : (x, y) in pixels of the image, after the view
     distance_mm : between them, on the gel
-    sigma_px : standard deviation of each marked coordinate, px
+    sigma_px : standard deviation of each coordinate that was marked by hand, px
     sigma_mm : standard deviation of the distance, mm
 
     Raises
@@ -114,7 +109,9 @@ def combined_scale(scales: Sequence[Scale]) -> Scale:
     """
     scales = check_list(scales, "scales", Scale)
     if not scales:
-        raise ValueError(f"Expected one scale or more, from {SOURCES}, got none.")
+        raise ValueError(
+            "Expected one scale or more, from two marked points, a step of a stage, or a grid, got none."
+        )
     for i, a in enumerate(scales):
         for b in scales[i + 1 :]:
             apart = abs(a.mm_per_px - b.mm_per_px) / np.hypot(a.sigma, b.sigma)
@@ -132,7 +129,7 @@ def combined_scale(scales: Sequence[Scale]) -> Scale:
 def _not_square(scales: Sequence[Scale]) -> str:
     """What to write if lengths in several directions agree on pixels that are not square; empty if they do not."""
     along = np.array([scale.along_x for scale in scales if scale.along_x is not None])
-    if len(along) < len(scales) or np.ptp(along) < ACROSS:
+    if len(along) < len(scales) or np.ptp(along) < 0.5:  # of cos^2; it is 1 for lengths along both axes
         return ""
     pitch, sigma = (np.array([getattr(scale, name) for scale in scales]) for name in ("mm_per_px", "sigma"))
     design = np.stack([along, 1 - along], axis=1)  # pitch^2 = x^2 cos^2 + y^2 sin^2
@@ -148,11 +145,6 @@ def _not_square(scales: Sequence[Scale]) -> str:
     )
 
 
-BLUR_PX = 1.0  # px, blur of the change of color against noise
-STEP_SIGMA_PX = 0.1  # px, uncertainty of the shift from the similarity of the images
-MIN_LIKENESS = 0.5  # correlation, 0-1
-
-
 def scale_from_stage(
     first: NDArray[Any],
     second: NDArray[Any],
@@ -165,7 +157,7 @@ def scale_from_stage(
 
     The shift is the peak of the correlation of the two changes of color, then refined for each channel by
     aligning the images (G. D. Evangelidis and E. Z. Psarakis, IEEE Trans. PAMI 30(10), 2008); the channels' spread
-    is its uncertainty.
+    is its uncertainty, with 0.1 px of the images' similarity.
 
     Parameters
     ----------
@@ -178,7 +170,9 @@ def scale_from_stage(
     DataError
         The two images do not show the same object, because nothing aligns.
     """
-    a, b = (_change_of(image, background) for image in (first, second))
+    bare = PreparedBackground(background, ChangeSettings(blur_px=1.0))  # the blur is against noise
+    images = [check_image(image, shape=bare.background.shape[:2]) for image in (first, second)]
+    a, b = (bare.change(image, bare.compare(image)[0]) for image in images)  # with the exposure compensated
     start = _coarse_shift(a, b)
     shifts = [_aligned(a[..., c], b[..., c], start) for c in range(3)]
     found = np.array([shift for shift in shifts if shift is not None])
@@ -188,7 +182,7 @@ def scale_from_stage(
             "to the same depth, whole in both images."
         )
     dx, dy = np.median(found, axis=0)
-    sigma_px = float(np.hypot(STEP_SIGMA_PX, np.linalg.norm(found.std(axis=0))))
+    sigma_px = float(np.hypot(0.1, np.linalg.norm(found.std(axis=0))))
     length = float(np.hypot(dx, dy))
     if length < 10 * sigma_px:
         raise DataError(
@@ -198,13 +192,6 @@ def scale_from_stage(
     source = f"a stage step of {distance_mm:g} mm, ({dx:.2f}, {dy:.2f}) px"
     scale = scale_from_lengths(distance_mm, length, sigma_mm, sigma_px, source)
     return replace(scale, along_x=float((dx / length) ** 2))
-
-
-def _change_of(image: NDArray[Any], background: NDArray[Any]) -> NDArray[np.float32]:
-    """Change of color (H, W, 3), with the exposure compensated."""
-    bare = PreparedBackground(background, ChangeSettings(blur_px=BLUR_PX))
-    checked = check_image(image, shape=bare.background.shape[:2])
-    return bare.change(checked, bare.compare(checked)[0])
 
 
 def _coarse_shift(a: NDArray[np.float32], b: NDArray[np.float32]) -> tuple[int, int]:
@@ -233,6 +220,6 @@ def _aligned(
         )
     except cv2.error:  # raised by OpenCV if the images have nothing in common
         return None
-    if likeness < MIN_LIKENESS or np.hypot(matrix[0, 2] - start[0], matrix[1, 2] - start[1]) > 3:
+    if likeness < 0.5 or np.hypot(matrix[0, 2] - start[0], matrix[1, 2] - start[1]) > 3:
         return None
     return float(matrix[0, 2]), float(matrix[1, 2])

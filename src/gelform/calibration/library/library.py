@@ -1,9 +1,4 @@
-"""The library: the user's calibrations in a folder, those of simulated sensors, and the choice for a source of frames.
-
-Calibrations of simulated sensors: shipped for the default one, else made by `calibrate` on simulated presses and cached.
-
-The modules for making one are imported on demand, because that takes longer than the first picture.
-"""
+"""The library: the user's calibrations in a folder, those of simulated sensors, and the choice for a source of frames."""
 
 from __future__ import annotations
 
@@ -35,13 +30,12 @@ from gelform.sensors.simulated import serial_of_simulated, simulated_sensor_name
 from gelform.sensors.source import ADDRESSES, DEFAULT_SENSOR, simulated_sensor_of
 from gelform.simulate import SimulatedPresses, SimulatedSensor, simulate_ball_presses
 
-BALLS_MM, COUNT, SEED = (4.0, 6.0), 16, 11  # ball diameters, presses per ball, seed of the places
 SHIPPED = f"{DEFAULT_SENSOR}.npz"  # made by `benchmarks/live.py --calibration`
-COLOR_MODEL = "polynomial"  # half the time of choosing a model; 0.2 degrees worse than the best model here
+FOLDER_VARIABLE = "GELFORM_CALIBRATIONS"
 
 
 def ready_calibration(sensor: SimulatedSensor, *, progress: Progress = no_progress) -> Calibration:
-    """The calibration of a simulated sensor: shipped, cached, or made in about ten seconds."""
+    """The calibration of a simulated sensor: shipped for the default one, cached, or made in about ten seconds."""
     if sensor == simulated_sensor_named(DEFAULT_SENSOR):
         with resources.as_file(resources.files(__package__) / SHIPPED) as shipped:
             return load_calibration(shipped)
@@ -51,11 +45,12 @@ def ready_calibration(sensor: SimulatedSensor, *, progress: Progress = no_progre
             return load_calibration(kept)
         except CalibrationError:
             kept.unlink(missing_ok=True)  # damaged; it is gelform's own file, and is made again
-    from gelform.calibration.fit import calibrate
+    from gelform.calibration.fit import calibrate  # importing it takes longer than the first picture
     from gelform.calibration.presses.press_set import presses_from_simulated
 
-    made = simulated_presses(sensor, COUNT, progress=progress)
-    calibration = calibrate(presses_from_simulated(made), color_model=COLOR_MODEL, progress=progress)
+    presses = presses_from_simulated(simulated_presses(sensor, 16, progress=progress))
+    # half the time of choosing a model; 0.2 degrees worse than the best model here
+    calibration = calibrate(presses, color_model="polynomial", progress=progress)
     if kept is not None:
         calibration.save(kept, overwrite=True)
     return calibration
@@ -80,15 +75,10 @@ def simulated_presses(
     sensor: SimulatedSensor, count: int, *, progress: Progress = no_progress
 ) -> SimulatedPresses:
     """Presses of two balls all over the gel, simulated as the live page's objects."""
-    rng = np.random.default_rng(SEED)
+    rng = np.random.default_rng(11)
     return simulate_ball_presses(
-        sensor, ball_diameters_mm=BALLS_MM, count=count, rng=rng, oversample=1, progress=progress
+        sensor, ball_diameters_mm=(4.0, 6.0), count=count, rng=rng, oversample=1, progress=progress
     )
-
-
-FOLDER_VARIABLE = "GELFORM_CALIBRATIONS"
-# Characters of a sensor's name, a serial or a gel in a file name; file systems allow 255 in all.
-MAX_PART = 40
 
 
 def library_folder() -> Path:
@@ -107,12 +97,10 @@ def library_folder() -> Path:
     except (RuntimeError, OSError):  # neither HOME nor an entry for the user
         folder = Path(given or "")
     if not folder.is_absolute():
-        if given:
-            raise DataError(
-                f"Expected an absolute path in {FOLDER_VARIABLE}, got {folder}. Begin it at the root."
-            )
         raise DataError(
-            "Expected a home folder for the library of calibrations, got none that begins at the root. "
+            f"Expected an absolute path in {FOLDER_VARIABLE}, got {folder}. Begin it at the root."
+            if given
+            else "Expected a home folder for the library of calibrations, got none that begins at the root. "
             f"Name a folder in {FOLDER_VARIABLE}."
         )
     if folder.is_file():
@@ -259,13 +247,10 @@ def file_name(calibration: Calibration, number: int = 1) -> str:
     """Sensor, serial, gel, date and beginning of the digest; numbered from the second file of the same name on."""
     made = re.sub(r"[^0-9T]", "", calibration.created_utc[:16])
     parts = [calibration.sensor_name, calibration.serial or "no-serial", calibration.gel_id or "no-gel", made]
-    named = "_".join(_plain(part) for part in parts)
-    return f"{named}_{calibration.digest[:DIGEST_SHOWN]}{f'_{number}' if number > 1 else ''}.npz"
-
-
-def _plain(text: str) -> str:
-    """The text with only the characters that every file system accepts in a name."""
-    return re.sub(r"[^A-Za-z0-9.]+", "-", text).strip("-.")[:MAX_PART] or "unnamed"
+    # only characters that every file system accepts, which allow 255 in all
+    plain = [re.sub(r"[^A-Za-z0-9.]+", "-", part).strip("-.")[:40] or "unnamed" for part in parts]
+    again = f"_{number}" if number > 1 else ""
+    return f"{'_'.join(plain)}_{calibration.digest[:DIGEST_SHOWN]}{again}.npz"
 
 
 def remove_calibration(entry: Entry) -> None:
@@ -291,13 +276,6 @@ def facts_of(entry: Entry) -> dict[str, Any]:
         "held_out": dict(entry.held_out),
         "problem": entry.problem or None,
     }
-
-
-SENSOR_TOML = "sensor.toml"
-HOW_TO = (
-    "Give calibration= (--calibration), make one (gelform live, Calibrate), or add one that you have: "
-    "gelform calibrations add CAL.npz --serial SERIAL."
-)
 
 
 @dataclass(frozen=True)
@@ -375,7 +353,10 @@ def choose_calibration(unit: Unit, folder: Path | None = None, *, ready: bool = 
     if not of_unit and ready and unit.simulated is not None:
         return Choice(ready_calibration(unit.simulated), f"Calibration of {unit.said}: gelform's own.")
     if not of_unit:
-        raise NoCalibration(f"No calibration of {unit.said} {_missing(unit, there)} {HOW_TO}")
+        raise NoCalibration(
+            f"No calibration of {unit.said} {_missing(unit, there)} Give calibration= (--calibration), make one (gelform "
+            "live, Calibrate), or add one that you have: gelform calibrations add CAL.npz --serial SERIAL."
+        )
     entry = (in_use or of_unit)[0]
     return Choice(
         load_calibration(entry.path), f"Calibration of {unit.said}: {entry.described()}.", entry.path
@@ -408,8 +389,16 @@ def unit_of(source: Any) -> Unit:
     SensorError, DataError
         There is no such camera, file or folder, or it cannot be read.
     """
+    if isinstance(source, Grabber):
+        return unit_of(source.source)
+    if callable(source):
+        with source() as opened:
+            return unit_of(opened)
     if not isinstance(source, (str, PathLike)):
-        return _unit_of_open(source)
+        camera, serial = getattr(source, "camera", None), getattr(source, "serial", None)
+        if isinstance(camera, Camera):
+            return unit_of_camera(camera, cameras_there())
+        return Unit(getattr(source, "name", "this source"), serial or "")
     spec = str(source)
     try:
         sensor = simulated_sensor_of(spec)
@@ -430,19 +419,6 @@ def unit_named(spec: str) -> Unit:
         return unit_of(spec)
     except GelformError:
         return Unit(f"camera {shown_address(spec)}", spec)
-
-
-def _unit_of_open(source: Any) -> Unit:
-    if isinstance(source, Grabber):
-        return _unit_of_open(source.source)
-    if callable(source):
-        with source() as opened:
-            return _unit_of_open(opened)
-    camera = getattr(source, "camera", None)
-    if isinstance(camera, Camera):
-        return unit_of_camera(camera, cameras_there())
-    serial = getattr(source, "serial", None)
-    return Unit(getattr(source, "name", "this source"), serial or "")
 
 
 def unit_of_camera(camera: Camera, cameras: Iterable[Camera]) -> Unit:
@@ -469,8 +445,8 @@ def unit_of_files(path: Path) -> Unit:
         return Unit(str(path), serial, digest=digest, carries=path, simulated=_simulated(serial))
     folder = path if path.is_dir() else path.parent
     for place in (folder, folder.parent):  # a press folder has its images in a subfolder
-        if (place / SENSOR_TOML).is_file():
-            settings = read_sensor_toml(place / SENSOR_TOML)
+        if (place / "sensor.toml").is_file():
+            settings = read_sensor_toml(place / "sensor.toml")
             return Unit(str(place), settings.serial, gel_id=settings.gel_id)
     return Unit(str(path))
 
@@ -496,12 +472,11 @@ def unit_of_all(paths: Iterable[Path]) -> Unit:
     if len(found) == 1:
         return first
     if len({(unit.serial, unit.gel_id) for unit in found}) > 1:
-        both = " and ".join(f"{unit.said} ({_named(unit)})" for unit in (first, last))
+        both = " and ".join(
+            f"{unit.said} ({unit.serial or 'no serial'}{f', gel {unit.gel_id}' if unit.gel_id else ''})"
+            for unit in (first, last)
+        )
         raise DataError(
             f"Expected frames of one sensor and gel, got {both}. Do them apart, or give -c CAL.npz."
         )
     return Unit(f"{first.said} ... {last.said}", first.serial, gel_id=first.gel_id)
-
-
-def _named(unit: Unit) -> str:
-    return (unit.serial or "no serial") + (f", gel {unit.gel_id}" if unit.gel_id else "")

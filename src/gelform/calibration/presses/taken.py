@@ -6,22 +6,19 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.calibration.geometry.toml_text import edited_toml
+from gelform.calibration.geometry.files import edited_toml
 from gelform.errors import DataError
+from gelform.foundations.files import written_file
+from gelform.foundations.pictures import picture_bytes
 from gelform.image.background import background_from_frames
 from gelform.image.view import View
 from gelform.sensors.files import SensorSettings
 from gelform.sensors.grabber import Grabber
 from gelform.sensors.profiles import profile_named
 from gelform.sensors.source import Source
-
-BACKGROUND, TABLE, SETTINGS, IMAGES = "background", "presses.csv", "sensor.toml", "images"
-# A press is visible if this fraction of the pixels differs by so many standard deviations of the background, and levels.
-LEAST_FRACTION, LEAST_SIGMAS, LEAST_LEVELS = 0.002, 6.0, 4.0
 
 
 class TakenPresses:
@@ -34,39 +31,37 @@ class TakenPresses:
         self.folder, self.ball_diameter_mm = folder, ball_diameter_mm
         self.count = 0
         self._rest: NDArray[np.float32] | None = None
-        self._noise: NDArray[np.float64] | None = None
+        self._limit: NDArray[np.float64] | None = None  # gray levels, least difference of a touched pixel
         try:
             folder.mkdir(parents=True, exist_ok=True)
             if any(folder.iterdir()):
                 raise DataError(f"Expected a new or empty folder, got {folder}. Choose another name.")
-            (folder / SETTINGS).write_text(toml_of_settings(settings), encoding="utf-8")
-            (folder / IMAGES).mkdir()
-            self._write_table()
+            (folder / "images").mkdir()
         except OSError as problem:
             raise DataError(f"Cannot write {folder}: {problem.strerror}.") from problem
+        self._write("sensor.toml", toml_of_settings(settings).encode())
+        self._write_table()
 
     def take_background(self, images: Sequence[NDArray[np.uint8]]) -> None:
         """Keep images (H, W, 3) uint8 RGB of the gel at rest; a DataError if they disagree, because something moved."""
         average = background_from_frames(images)
-        self._rest, self._noise = average.background, np.asarray(average.noise)
-        (self.folder / BACKGROUND).mkdir(exist_ok=True)
+        self._rest = average.background
+        self._limit = np.maximum(6.0 * np.asarray(average.noise), 4.0)
+        (self.folder / "background").mkdir(exist_ok=True)
         for k, image in enumerate(images):
-            self._write(self.folder / BACKGROUND / f"{k:02d}.png", image)
+            self._write(f"background/{k:02d}.png", picture_bytes(image))
 
     def take_press(self, image: NDArray[np.uint8]) -> str:
         """Keep an image (H, W, 3) uint8 RGB of a press, and return its name in the folder.
 
         DataError: nothing is pressed.
         """
-        if self._rest is None or self._noise is None:
+        if self._rest is None:
             raise DataError("Expected the background before the presses.")
-        apart = np.abs(image - self._rest)
-        limit = np.maximum(LEAST_SIGMAS * self._noise, LEAST_LEVELS)
-        fraction = float((apart > limit).any(axis=-1).mean())
-        if fraction < LEAST_FRACTION:
+        if (np.abs(image - self._rest) > self._limit).any(axis=-1).mean() < 0.002:  # of the pixels
             raise DataError("Nothing is pressed: the image shows the gel at rest.")
-        name = f"{IMAGES}/{self.count:04d}.png"
-        self._write(self.folder / name, image)
+        name = f"images/{self.count:04d}.png"
+        self._write(name, picture_bytes(image))
         self.count += 1
         self._write_table()
         return name
@@ -77,23 +72,18 @@ class TakenPresses:
             return None
         self.count -= 1
         self._write_table()
-        name = f"{IMAGES}/{self.count:04d}.png"
+        name = f"images/{self.count:04d}.png"
         (self.folder / name).unlink()
         return name
 
     def _write_table(self) -> None:
-        """Write the table anew, so that it is complete or the previous one."""
-        rows = "".join(f"{IMAGES}/{k:04d}.png,{self.ball_diameter_mm:.6g}\n" for k in range(self.count))
-        partial = self.folder / f".{TABLE}.partial"
-        partial.write_text(f"image,ball_diameter_mm\n{rows}", encoding="ascii")
-        partial.replace(self.folder / TABLE)
+        rows = "".join(f"images/{k:04d}.png,{self.ball_diameter_mm:.6g}\n" for k in range(self.count))
+        self._write("presses.csv", f"image,ball_diameter_mm\n{rows}".encode())
 
-    def _write(self, path: Path, image: NDArray[np.uint8]) -> None:
-        content = cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))[1]
-        try:
-            path.write_bytes(content.tobytes())
-        except OSError as problem:
-            raise DataError(f"Cannot write {path}: {problem.strerror}.") from problem
+    def _write(self, name: str, content: bytes) -> None:
+        """Write a file so that it is complete, or the previous one."""
+        with written_file(self.folder / name, overwrite=True) as handle:
+            handle.write(content)
 
 
 def settings_of(
@@ -106,14 +96,14 @@ def settings_of(
 
     A given scale takes the place of the make's; one of them is needed. ValueError: the make is unknown.
     """
-    profile = None if make is None else profile_named(make)
-    view = View() if profile is None else profile.view(frame_shape)
-    pitch, sigma = mm_per_px, None
-    if profile is not None and mm_per_px is None:
-        pitch, sigma = profile.mm_per_px, profile.mm_per_px_sigma
-    assert pitch is not None
-    name = source.name if profile is None else profile.name
-    return SensorSettings(name, pitch, sigma, make=make or "", serial=source.serial or "", view=view)
+    view, sigma, name = View(), None, source.name
+    if make is not None:
+        profile = profile_named(make)
+        view, name = profile.view(frame_shape), profile.name
+        if mm_per_px is None:
+            mm_per_px, sigma = profile.mm_per_px, profile.mm_per_px_sigma
+    assert mm_per_px is not None
+    return SensorSettings(name, mm_per_px, sigma, make=make or "", serial=source.serial or "", view=view)
 
 
 def toml_of_settings(settings: SensorSettings) -> str:
@@ -123,7 +113,5 @@ def toml_of_settings(settings: SensorSettings) -> str:
         top["mm_per_px_sigma"] = settings.mm_per_px_sigma
     top |= {name: text for name in ("make", "serial", "gel_id") if (text := getattr(settings, name))}
     tables: dict[tuple[str, ...], Mapping[str, Any]] = {(): top}
-    for name, table in (("view", settings.view.to_dict()), ("camera", settings.camera)):
-        if table:
-            tables[(name,)] = table
-    return edited_toml("", tables)
+    tables |= {("view",): settings.view.to_dict(), ("camera",): settings.camera}
+    return edited_toml("", {path: table for path, table in tables.items() if table})

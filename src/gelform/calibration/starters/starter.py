@@ -1,16 +1,12 @@
 """Starter: a calibration of other units of a make, which today's background image turns into one of this unit.
 
-The light of a make of sensor on gel at rest: thirty numbers that units share up to brightness and white balance.
-
-A smooth surface is fitted to the logarithm of each channel of a background image. Two units of one make differ in the
-brightness of each channel, in dust and in scratches. The pattern of colors over the gel is the same, because it follows
-from the positions of the lamps. No pixel of an image can be recovered from it.
-
-Starter: a calibration of other units of a make, which today's background image turns into one of this unit.
-
 Units share the positions of their lamps around the gel, and therefore the color of each slope, to some per cent. They
 do not share the background image, which takes a second to photograph. So a starter holds the color models, the smooth
 light of the make and the spread between units. With a unit's background it becomes a calibration that is marked as such.
+
+The light of a make on gel at rest is thirty numbers: a smooth surface that is fitted to the logarithm of each channel of a
+background image. Units differ in the brightness of each channel, in dust and in scratches; the pattern of colors over the
+gel is the same. No pixel of an image can be recovered from it.
 """
 
 from __future__ import annotations
@@ -27,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gelform.calibration_file import Calibration, calibration_from_contents
 from gelform.errors import CalibrationError, SensorError
-from gelform.foundations.checks import check_image, check_mm_per_px, check_positive
+from gelform.foundations.checks import check_image, check_is, check_mm_per_px, check_positive
 from gelform.foundations.files import damaged, read_npz, write_npz
 from gelform.foundations.findings import Finding
 from gelform.image.agreement import READINGS
@@ -54,10 +50,8 @@ ROUGH = 0.12
 def light_from_background(background: NDArray[Any]) -> tuple[NDArray[np.float64], float]:
     """The light of a background image (H, W, 3), 0-255, and the image's distance from it.
 
-    Returns
-    -------
-    light : (10, 3) coefficients of each channel's logarithm, polynomials of the third degree in x and y
-    rough : RMS difference of the logarithms of about 16 x 12 blocks; dust, scratches and touches raise it
+    The light is (10, 3) coefficients of each channel's logarithm, polynomials of the third degree in x and y. The distance
+    is the RMS difference of the logarithms of about 16 x 12 blocks; dust, scratches and touches raise it.
     """
     height, width = background.shape[:2]
     step = max(height, width) / BLOCKS
@@ -74,6 +68,11 @@ def levels_from_light(light: NDArray[np.float64], x: NDArray[Any], y: NDArray[An
     """Gray levels (..., 3) of a light at positions 0-1 across the width and down the height, of equal shapes (...)."""
     levels = np.exp(_terms(x, y) @ light) - OFFSET
     return np.clip(levels, 0, 255).astype(np.float32).reshape(*np.shape(x), 3)
+
+
+def image_of_light(light: NDArray[np.float64], shape: tuple[int, int]) -> NDArray[np.float32]:
+    """The smooth background image (H, W, 3) of a light."""
+    return levels_from_light(light, *pixel_places(np.arange(shape[1]), np.arange(shape[0]), shape))
 
 
 def pixel_places(
@@ -111,11 +110,7 @@ def check_light(background: NDArray[Any], light: NDArray[np.float64], make: str)
     """Refuse a background image without the colors of a make of sensor; return findings.
 
     Brightness and white balance are free: the pattern of colors over the gel is compared, not the pixels.
-
-    Raises
-    ------
-    CalibrationError
-        Another make, a turned or mirrored image, or BGR. The message has the figure.
+    CalibrationError: another make, a turned or mirrored image, or BGR. The message has the figure.
     """
     own, rough = light_from_background(background)
     alike = _alike(own, light)
@@ -189,29 +184,19 @@ KIND, FORMAT_VERSION, MAX_BYTES = "gelform starter", 1, 4 * 2**20
 # Depth over its mean around it, and over its median, in the inner part of a background image that is read against its own
 # smooth light. Five units at rest 0.05-0.18 mm, presses of a ball on three of them 0.34 mm or more, a cube's edge 0.25 mm.
 TOUCHED_MM = 0.2
-BORDER = 8  # an eighth of the image at each side, where a smooth light fits worst
 FOLDER = files("gelform") / "calibration" / "starters"
 
 
 @dataclass(frozen=True, eq=False)
 class Starter:
-    """The common properties of the units of one make of sensor.
+    """The common properties of the units of one make of sensor."""
 
-    Attributes
-    ----------
-    sensor : name, as in `starter_names`
-    calibration : calibration of the units that it was made from; its background is rendered from `light`
-    light : (10, 3), light on the gel at rest, from `light_from_background`
-    spread : relative standard deviation of the slopes of one unit about those of the make
-    units : description of the units that it was made from
-    color_variance : variance of a unit's colors about the forward response, over that of the units that it was fitted to
-    """
-
-    sensor: str
-    calibration: Calibration
-    light: NDArray[np.float64]
-    spread: float
-    units: tuple[str, ...]
+    sensor: str  # name, as in `starter_names`
+    calibration: Calibration  # of the units that it was made from; its background is rendered from `light`
+    light: NDArray[np.float64]  # (10, 3), light on the gel at rest, from `light_from_background`
+    spread: float  # relative standard deviation of the slopes of one unit about those of the make
+    units: tuple[str, ...]  # description of the units that it was made from
+    # variance of a unit's colors about the forward response, over that of the units that it was fitted to
     color_variance: float = 1.0
 
     @property
@@ -222,10 +207,7 @@ class Starter:
     def view(self, frame_shape: tuple[int, int]) -> View:
         """The view of frames (H, W) of such a sensor's camera; identity if they already have the size of images.
 
-        Raises
-        ------
-        SensorError
-            Frames have another aspect than the make's.
+        SensorError: frames have another aspect than the make's.
         """
         profile = PROFILES.get(self.sensor)
         view = View() if profile is None else profile.view(frame_shape)
@@ -250,29 +232,17 @@ class Starter:
         serial: str | None = None,
         gel_id: str | None = None,
     ) -> Calibration:
-        """The calibration of a unit of this make, from its background image alone.
+        """The calibration of a unit of this make, from its background image (H, W, 3) alone, 0-255, of the starter's size.
 
-        In addition to their noise, its slopes have an error of `spread`; the standard deviations of results include it.
+        `view` makes images of its frames (identity by default); `mm_per_px` is the make's by default. In addition to their
+        noise, its slopes have an error of `spread`; the standard deviations of results include it.
 
-        Parameters
-        ----------
-        background : (H, W, 3), 0-255, the background image, of the starter's size
-        view : conversion of frames to images; identity by default
-        mm_per_px : by default the make's
-        serial, gel_id : of the unit and its gel
-
-        Raises
-        ------
-        CalibrationError
-            The image is of another make, dark or saturated in parts; see `check_light`. Or something touches the gel.
-        ValueError, TypeError
-            No RGB image, or of another size; a view that is no `View`; a serial or gel that is no text.
+        CalibrationError: the image is of another make, or dark or saturated in parts (`check_light`), or something touches
+        the gel. ValueError, TypeError: no RGB image, or another size; no `View`; a serial or gel that is no text.
         """
-        for name, value, expected in (("view", view, View), ("serial", serial, str), ("gel_id", gel_id, str)):
-            if value is not None and not isinstance(value, expected):
-                raise TypeError(
-                    f"{name} must be a {expected.__name__} or None, not {type(value).__name__} {value!r}."
-                )
+        for name, value, kind in (("view", view, View), ("serial", serial, str), ("gel_id", gel_id, str)):
+            if value is not None:
+                check_is(value, kind, name)
         made = self.calibration
         image = check_image(background, shape=made.image_shape, name="background").astype(np.float32)
         findings = check_light(image, self.light, self.make)
@@ -319,19 +289,14 @@ class Starter:
         """Refuse a background image (H, W, 3) in which something touches the gel, as far as one image shows it.
 
         It is read against its own smooth light, from which an object stands out. Markers, or the gel's rim in sight, stand
-        out as well, and nothing is refused then.
-
-        Raises
-        ------
-        CalibrationError
-            The message has the place and the depth.
+        out as well, and nothing is refused then. CalibrationError: the message has the place and the depth.
         """
         made = self.calibration
         if len(MarkerFollower(background, made.known_mm_per_px)):
             return
         light, _ = light_from_background(background)
-        smooth = levels_from_light(light, *_all_places(made.image_shape))
         model, forward = self.models_for(light, made.known_mm_per_px)
+        smooth = image_of_light(light, made.image_shape)
         unit = replace(made, background=smooth, color_model=model, forward=forward)
         try:
             result = Reconstructor(unit).from_image(np.clip(np.rint(background), 0, 255).astype(np.uint8))
@@ -339,11 +304,10 @@ class Starter:
             return  # too uneven to be read so; `uneven_background` says it
         if any(finding.name == "few_untouched" for finding in result.health):
             return
-        top, left = (n // BORDER for n in made.image_shape)
+        top, left = (n // 8 for n in made.image_shape)  # at the border a smooth light fits worst
         depth, around = np.where(result.known, result.depth_mm, np.float32(0)), made.image_shape[0] // 2
-        level = np.maximum(
-            cv2.blur(depth, (around, around)), np.median(depth)
-        )  # a scratch lowers what is around it
+        # a scratch lowers what is around it
+        level = np.maximum(cv2.blur(depth, (around, around)), np.median(depth))
         over = (depth - level)[top:-top, left:-left]
         row, column = np.unravel_index(int(over.argmax()), over.shape)
         if over[row, column] > TOUCHED_MM:
@@ -370,29 +334,16 @@ class Starter:
     def save(self, path: str | PathLike[str], *, overwrite: bool = False) -> None:
         """Write one .npz without the background, in single precision.
 
-        Raises
-        ------
-        CalibrationError
-            The file exists and `overwrite` is False, or it cannot be written.
+        CalibrationError: the file exists and `overwrite` is False, or it cannot be written.
         """
         arrays, meta = self.calibration.contents()
-        kept = {
-            name: v.astype(np.float32) if name.endswith("nodes") else v
-            for name, v in arrays.items()
-            if name != "background"
-        }
+        del arrays["background"]
+        arrays = {name: v.astype(np.float32) if name.endswith("nodes") else v for name, v in arrays.items()}
+        arrays["light"] = self.light
         own = {name: getattr(self, name) for name in ("sensor", "spread", "color_variance")}
         meta = {"calibration": meta, **own, "units": list(self.units)}
-        everything = {**kept, "light": self.light}
-        write_npz(
-            path,
-            everything,
-            meta,
-            kind=KIND,
-            version=FORMAT_VERSION,
-            error=CalibrationError,
-            overwrite=overwrite,
-        )
+        error = CalibrationError
+        write_npz(path, arrays, meta, kind=KIND, version=FORMAT_VERSION, error=error, overwrite=overwrite)
 
 
 def starter_from_calibration(
@@ -405,27 +356,21 @@ def starter_from_calibration(
 ) -> Starter:
     """Make a starter from one unit's calibration; its background is replaced by thirty numbers."""
     light, _ = light_from_background(calibration.background)
-    smooth = levels_from_light(light, *_all_places(calibration.image_shape))
+    smooth = image_of_light(light, calibration.image_shape)
     plain = replace(calibration, background=smooth, view=View(), serial=None, gel_id=None, report=None)
     return Starter(sensor, plain, light, check_positive(spread, "spread"), units, color_variance)
 
 
 def read_starter(path: str | PathLike[str]) -> Starter:
-    """Read a starter's file.
-
-    Raises
-    ------
-    CalibrationError
-        The file is missing, damaged, of another kind, or of a newer format.
-    """
+    """Read a starter's file; CalibrationError: it is missing, damaged, of another kind, or of a newer format."""
     arrays, meta = read_npz(
         path, kind=KIND, newest_version=FORMAT_VERSION, max_bytes=MAX_BYTES, error=CalibrationError
     )
     with damaged(path, "a starter", "Copy it again.", CalibrationError):
         light = np.asarray(arrays.pop("light"), dtype=np.float64)
-        shape = tuple(meta["calibration"]["image_shape"])
+        height, width = meta["calibration"]["image_shape"]
         arrays = {name: v.astype(np.float64) if name.endswith("nodes") else v for name, v in arrays.items()}
-        arrays["background"] = levels_from_light(light, *_all_places(shape))
+        arrays["background"] = image_of_light(light, (height, width))
         calibration = calibration_from_contents(arrays, meta["calibration"])
         figures = float(meta["spread"]), tuple(meta["units"]), float(meta.get("color_variance", 1))
         return Starter(meta["sensor"], calibration, light, *figures)
@@ -444,15 +389,7 @@ def make_name(sensor: str) -> str:
 
 
 def load_starter(sensor: str) -> Starter:
-    """The starter of a sensor by its name.
-
-    Raises
-    ------
-    SensorError
-        There is none; the message lists the sensors that have one.
-    TypeError
-        No name.
-    """
+    """The starter of a sensor by its name; SensorError: there is none, of those that the message lists."""
     if not isinstance(sensor, str):
         raise TypeError(
             f"Expected sensor as a name, such as {starter_names()[0]!r}, got a {type(sensor).__name__}. In "
@@ -463,12 +400,10 @@ def load_starter(sensor: str) -> Starter:
             f"Expected a sensor with a starter, {', '.join(starter_names())}, got {sensor!r}. "
             "Another one is calibrated with presses of a ball: gelform calibrate."
         )
-    return _packaged(sensor)
+    return _packaged(str(FOLDER / f"{sensor}.npz"))
 
 
-@cache
-def _packaged(sensor: str) -> Starter:
-    return read_starter(str(FOLDER / f"{sensor}.npz"))
+_packaged = cache(read_starter)
 
 
 def starter_of_make(make: str | None) -> Starter | None:
@@ -483,12 +418,7 @@ def starter_for(make: str | None, image_shape: tuple[int, int]) -> Starter | Non
 
 
 def starter_of_source(source: Any) -> str | None:
-    """The name of the starter of a source of frames, by its camera's USB id or by its own name; None without one.
-
-    Parameters
-    ----------
-    source : object with a `name` and, for a camera of this machine, a `camera`
-    """
+    """The name of the starter of a source of frames, by its camera's USB id or by its own name; None without one."""
     kind = getattr(getattr(source, "camera", None), "kind", None) or make_of(str(getattr(source, "name", "")))
     return kind if kind in starter_names() else None
 
@@ -530,8 +460,3 @@ def calibration_from_background(
         No RGB image, or of a size that the make does not have.
     """
     return load_starter(sensor).for_frame(background, mm_per_px=mm_per_px, serial=serial, gel_id=gel_id)
-
-
-def _all_places(shape: tuple[int, ...]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    height, width = shape
-    return pixel_places(np.arange(width), np.arange(height), (height, width))
