@@ -17,11 +17,17 @@ from typing import Any
 import numpy as np
 
 import gelform
-from gelform.calibration.candidates import Candidate, candidates_for, training_samples
-from gelform.calibration.circles.find import ContactCircle, PreparedPress, find_contact
+from gelform.calibration.circles.find import (
+    ContactCircle,
+    PreparedPress,
+    find_contact,
+    prepare,
+    training_samples,
+    untouched_change,
+)
 from gelform.calibration.circles.locate import refine
-from gelform.calibration.circles.prepare import prepare, untouched_change
 from gelform.calibration.report.record import summary
+from gelform.calibration.selection import Candidate, candidates_for
 from gelform.result.metrics import press_errors
 from gelform.slopes.color_models import COLOR_MODELS
 from presses import DATA, by_name, reference_circles

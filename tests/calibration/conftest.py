@@ -3,14 +3,13 @@
 import numpy as np
 import pytest
 
-from gelform.calibration.circles.find import find_contact
+from gelform.calibration.circles.find import find_contact, prepare
 from gelform.calibration.circles.locate import Located, Refined
-from gelform.calibration.circles.prepare import prepare
-from gelform.calibration.held_out.measure import PIXEL, table
-from gelform.calibration.held_out.scores import HeldOutPresses, make_folds
+from gelform.calibration.held_out import PIXEL, table
 from gelform.calibration.report.content import report_content
 from gelform.calibration.report.learning import learning_curve
 from gelform.calibration.report.page import report_page
+from gelform.calibration.selection import HeldOutPresses, make_folds
 from gelform.result.metrics import ball_gradients
 
 

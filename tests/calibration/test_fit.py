@@ -14,10 +14,14 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform.calibration.candidates import Candidate
-from gelform.calibration.circles.find import USUAL_EDGE, ContactCircle, PreparedPress
+from gelform.calibration.circles.find import (
+    USUAL_EDGE,
+    USUAL_UNTOUCHED_CHANGE,
+    ContactCircle,
+    PreparedPress,
+    untouched_change,
+)
 from gelform.calibration.circles.locate import Located, Refined, check_places, contact_radius_ratio, refine
-from gelform.calibration.circles.prepare import USUAL_UNTOUCHED_CHANGE, untouched_change
 from gelform.calibration.evaluate import face_height_mm
 from gelform.calibration.fit import place_error_from_presses
 from gelform.calibration.fitted import (
@@ -29,6 +33,7 @@ from gelform.calibration.fitted import (
     slopes_around,
 )
 from gelform.calibration.presses.press_set import FlatPress
+from gelform.calibration.selection import Candidate
 from gelform.calibration_file import calibration_from_contents
 from gelform.image.view import View
 from gelform.result.metrics import press_errors

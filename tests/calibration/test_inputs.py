@@ -11,11 +11,8 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform.calibration.candidates import Start, starter_start
-from gelform.calibration.circles.find import find_contact
-from gelform.calibration.circles.locate import Located, Refined, locate, refine
-from gelform.calibration.circles.prepare import prepare
-from gelform.calibration.circles.refine import light_notes
+from gelform.calibration.circles.find import find_contact, prepare
+from gelform.calibration.circles.locate import Located, Refined, light_notes, locate, refine
 from gelform.calibration.inputs import (
     MOST_SIGMAS,
     REMEDY,
@@ -37,6 +34,7 @@ from gelform.calibration.presses.press_set import FlatPress, presses_from_simula
 from gelform.calibration.report.content import report_content
 from gelform.calibration.report.learning import learning_curve
 from gelform.calibration.report.record import used_in_words
+from gelform.calibration.start import Start, starter_start
 from gelform.calibration.starters.starter import starter_from_calibration
 from gelform.errors import CalibrationError
 from gelform.image.view import View
@@ -145,7 +143,7 @@ def test_a_starter_helps_five_presses_of_another_unit(data, monkeypatch):
     ball = halved(ball.subset(range(0, len(ball.presses), 5)))
     own = gelform.calibrate(ball, start=None)
     made = starter_from_calibration(own, "gelsight-mini", spread=0.06, units=("mini-ball",))
-    monkeypatch.setattr("gelform.calibration.candidates.starter_for", lambda *sensor: made)
+    monkeypatch.setattr("gelform.calibration.start.starter_for", lambda *sensor: made)
     alone, begun = (gelform.calibrate(five, start=start) for start in (None, "auto"))
     assert alone.settings.start is None
     assert begun.settings.start is not None

@@ -10,9 +10,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.calibration.circles.find import find_contact, why_no_contact
-from gelform.calibration.circles.prepare import ColorChanges
-from gelform.calibration.held_out.measure import errors_of
+from gelform.calibration.circles.find import ColorChanges, find_contact, why_no_contact
+from gelform.calibration.held_out import errors_of
 from gelform.calibration.presses.folder import Press, Presses, as_presses, with_view
 from gelform.calibration.presses.press_set import FlatPress
 from gelform.calibration.report.content import errors_where

@@ -17,18 +17,17 @@ from os import PathLike
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.calibration.candidates import AUTO, candidates_for, start_from, starter_note, starter_start
 from gelform.calibration.circles.find import ContactCircle
-from gelform.calibration.circles.locate import check_places, locate
-from gelform.calibration.circles.refine import light_notes
+from gelform.calibration.circles.locate import check_places, light_notes, locate
 from gelform.calibration.coverage import SAMPLED
 from gelform.calibration.fitted import fit
-from gelform.calibration.held_out.measure import measure_held_out
-from gelform.calibration.held_out.scores import check_folds, make_folds
+from gelform.calibration.held_out import measure_held_out
 from gelform.calibration.inputs import ball_readings, check_inputs, input_notes, notes_of, surround_notes
 from gelform.calibration.presses.folder import Presses, as_presses
 from gelform.calibration.presses.press_set import Press
 from gelform.calibration.report.record import report_of_run
+from gelform.calibration.selection import candidates_for, check_folds, make_folds
+from gelform.calibration.start import AUTO, start_from, starter_note, starter_start
 from gelform.calibration_file import Calibration
 from gelform.foundations.findings import Progress, no_progress
 from gelform.motion.between import motion_between
@@ -126,7 +125,7 @@ def place_error_from_presses(
     whole = [
         (press, np.array([circle.x_px, circle.y_px]))
         for press, circle in zip(presses[::step], contacts[::step])
-        if _is_whole(circle, calibration.image_shape)
+        if circle.is_whole_in(calibration.image_shape)
     ]
     whole.sort(key=lambda one: one[0].ball_diameter_mm)
     shares: list[NDArray[np.float64]] = []
@@ -142,9 +141,3 @@ def place_error_from_presses(
             center = np.array([*(from_px - middle) * pitch, first.peak_mm - one.ball_diameter_mm / 2])
             shares.append((moved(pose, center)[:2] - (to_px - middle) * pitch) / distance)
     return float(np.sqrt(np.mean(np.square(shares)))) if len(shares) >= LEAST_PAIRS else None
-
-
-def _is_whole(circle: ContactCircle, shape: tuple[int, int]) -> bool:
-    """Whether a circle lies inside an image (H, W), so that its center is sure."""
-    x, y, radius = circle.circle_px
-    return radius <= x <= shape[1] - 1 - radius and radius <= y <= shape[0] - 1 - radius

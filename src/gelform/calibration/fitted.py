@@ -12,20 +12,27 @@ import scipy  # its parts load at first use
 from numpy.typing import NDArray
 
 from gelform import __version__
-from gelform.calibration.candidates import (
+from gelform.calibration.circles.find import (
+    ZONE,
+    ContactCircle,
+    PreparedPress,
+    change_settings,
+    training_samples,
+)
+from gelform.calibration.circles.locate import Located
+from gelform.calibration.coverage import NEEDED, SAMPLED
+from gelform.calibration.presses.press_set import Presses
+from gelform.calibration.selection import (
     Candidate,
+    Fold,
+    HeldOutPresses,
+    Selection,
     SlopeReader,
     candidates_for,
     candidates_from,
     fitted_responses,
-    training_samples,
+    select,
 )
-from gelform.calibration.circles.find import ZONE, ContactCircle, PreparedPress
-from gelform.calibration.circles.locate import Located
-from gelform.calibration.circles.prepare import change_settings
-from gelform.calibration.coverage import NEEDED, SAMPLED
-from gelform.calibration.held_out.scores import Fold, HeldOutPresses, Selection, select
-from gelform.calibration.presses.press_set import Presses
 from gelform.calibration_file import Calibration, CalibrationSettings
 from gelform.errors import GelformError
 from gelform.foundations.findings import Progress, no_progress

@@ -16,7 +16,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.calibration.candidates import Start, training_samples
 from gelform.calibration.circles.find import (
     PRESS_PIXELS,
     TRIAL_SAMPLES,
@@ -28,12 +27,13 @@ from gelform.calibration.circles.find import (
     imprint_aspect,
     magnitude,
     scale_of,
+    training_samples,
     why_no_contact,
 )
 from gelform.calibration.circles.locate import Located
-from gelform.calibration.circles.refine import is_deep
 from gelform.calibration.coverage import NEEDED, SAMPLED, coverage_notes
 from gelform.calibration.presses.press_set import Presses
+from gelform.calibration.start import Start
 from gelform.errors import CalibrationError
 from gelform.image.agreement import check_background_of_frames, orientation_if_doubtful
 from gelform.image.background import color_change_from_image, surround_finding
@@ -316,7 +316,7 @@ def _edge_notes(prepared: Sequence[PreparedPress]) -> tuple[str, ...]:
 
 def shape_notes(prepared: Sequence[PreparedPress], contacts: Sequence[ContactCircle]) -> tuple[str, ...]:
     """A note if imprints of a ball are elliptic, as in pixels that are not square; deep ones are no ellipses."""
-    shallow = [(press, contact) for press, contact in zip(prepared, contacts) if not is_deep(press, contact)]
+    shallow = [(press, contact) for press, contact in zip(prepared, contacts) if not press.is_deep(contact)]
     if not NEEDED.edge.met(len(shallow)):
         return ()
     chosen = np.unique(np.linspace(0, len(shallow) - 1, min(len(shallow), SAMPLED)).round().astype(int))

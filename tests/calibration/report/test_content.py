@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gelform.calibration.held_out.measure import at_pixels
+from gelform.calibration.held_out import at_pixels
 from gelform.calibration.inputs import MOST_SIGMAS, REMEDY, BallReading
 from gelform.calibration.report.content import (
     FORMAT,

@@ -6,9 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gelform.calibration.candidates import START_RIDGES, Start
+from gelform.calibration import selection as module
 from gelform.calibration.circles.locate import refine
-from gelform.calibration.held_out import scores as scores_module
 from gelform.calibration.report.learning import (
     _with_expectation,
     candidates_of,
@@ -17,6 +16,7 @@ from gelform.calibration.report.learning import (
     learning_curve,
     sizes_for,
 )
+from gelform.calibration.start import Start
 from gelform.slopes.color_models import PolynomialModel
 
 
@@ -105,14 +105,14 @@ def test_a_start_is_part_of_the_curve(presses, calibration, monkeypatch):
     few = of_first(calibration, 8)
     started = replace(few, report=replace(few.report, start=start))
     assert [c.start for c in candidates_of(started, 5, start)] == [start]
-    assert [c.start for c in candidates_of(started, 12, start)] == [start] * len(START_RIDGES)
+    assert [c.start for c in candidates_of(started, 12, start)] == [start] * 3
     began = []
 
     def refined(*args, start=None):
         began.append(start)
         return refine(*args, start=start)
 
-    monkeypatch.setattr(scores_module, "refine", refined)
+    monkeypatch.setattr(module, "refine", refined)
     learning_curve(presses, started, rng=np.random.default_rng(0))
     assert began
     assert all(one is start.model for one in began)
@@ -162,13 +162,13 @@ def test_presses_train_and_are_scored_inside_the_edge_of_the_calibration(presses
     edges = []
 
     def noted(name, presses_of):
-        plain = getattr(scores_module, name)
+        plain = getattr(module, name)
 
         def call(first, *others, **more):
             edges.extend(press.contact_radius_ratio for press in presses_of(first))
             return plain(first, *others, **more)
 
-        monkeypatch.setattr(scores_module, name, call)
+        monkeypatch.setattr(module, name, call)
 
     noted("training_samples", lambda used: used)
     noted("score_of", lambda press: [press])

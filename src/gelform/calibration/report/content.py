@@ -22,7 +22,7 @@ from gelform.calibration.coverage import (
     square_tiles,
     tile_of,
 )
-from gelform.calibration.held_out.measure import at_pixels, by_press
+from gelform.calibration.held_out import at_pixels, by_press
 from gelform.calibration.inputs import MOST_SIGMAS, REMEDY
 from gelform.calibration.presses.press_set import Presses
 from gelform.calibration.report.record import CalibrationReport, PressReport

@@ -9,17 +9,12 @@ from typing import Any
 import numpy as np
 from scipy.optimize import nnls
 
-from gelform.calibration.candidates import (
-    Candidate,
-    Start,
-    candidates_for,
-    candidates_from,
-)
+from gelform.calibration.circles.find import find_contacts, prepare
 from gelform.calibration.circles.locate import Located, Refined
-from gelform.calibration.circles.prepare import find_contacts, prepare
 from gelform.calibration.coverage import NEEDED
-from gelform.calibration.held_out.scores import HeldOutPresses, fold_of
 from gelform.calibration.presses.press_set import Presses
+from gelform.calibration.selection import Candidate, HeldOutPresses, candidates_for, candidates_from, fold_of
+from gelform.calibration.start import Start
 from gelform.calibration_file import Calibration
 from gelform.foundations.findings import Progress, no_progress
 

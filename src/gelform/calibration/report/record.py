@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.calibration.candidates import Start
 from gelform.calibration.circles.locate import Located
 from gelform.calibration.coverage import NEEDED
 from gelform.calibration.fitted import Fitted
-from gelform.calibration.held_out.measure import Judged
-from gelform.calibration.held_out.scores import Selection
+from gelform.calibration.held_out import Judged
 from gelform.calibration.inputs import BallReading
+from gelform.calibration.selection import Selection
+from gelform.calibration.start import Start
 from gelform.foundations.files import DIGEST_SHOWN
 from gelform.result.metrics import PressErrors
 

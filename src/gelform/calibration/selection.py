@@ -1,11 +1,11 @@
-"""Folds of held-out presses, and the selection of stiffness and forward response by their slopes on them.
+"""Candidates of a calibration, and the selection among them by the slopes that they read on held-out presses.
 
-Folds of held-out presses.
+A candidate is a color model with its settings, its start, and the forward response of its step. The model's own class has
+the settings to try (`variants`). "auto" is `DEFAULT_MODEL` for any number of presses: on four real sensors its errors with 8
+and 11 presses are smaller than those of a polynomial in 14 of 16 draws, with 5 in 4 of 8.
 
-The circles of the other presses are refined from scratch for each fold. So neither a pixel of a scored press nor a circle
-that it helped to place is ever in the model that scores it.
-
-Selection of the stiffness of the color model and the forward response by their slopes on held-out presses.
+For each fold of held-out presses the circles of the other presses are refined from scratch. So neither a pixel of a scored
+press nor a circle that it helped to place is ever in the model that scores it.
 
 The score is the mean logarithm of each press's slope error inside the contact edge. One press with a wrong circle can
 dominate a mean of errors, but moves a mean of logarithms only by a few per cent.
@@ -17,27 +17,187 @@ other folds' presses select.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from itertools import chain
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from gelform.calibration.candidates import (
-    Candidate,
-    FittedSlopes,
-    SlopeReader,
-    fitted_responses,
+from gelform.calibration.circles.find import (
+    PRESS_PIXELS,
+    TOTAL_SAMPLES,
+    TRIAL_SAMPLES,
+    ContactCircle,
+    PreparedPress,
+    prepared_with,
     training_samples,
+    untouched_change,
 )
-from gelform.calibration.circles.find import PRESS_PIXELS, TRIAL_SAMPLES, ContactCircle, PreparedPress
-from gelform.calibration.circles.locate import ROUNDS, Located, refine
-from gelform.calibration.circles.prepare import prepared_with, untouched_change
-from gelform.calibration.circles.refine import fit_model, recentered
+from gelform.calibration.circles.locate import ROUNDS, Located, fit_model, recentered, refine
 from gelform.calibration.coverage import FOLDS, NEEDED
+from gelform.calibration.start import AUTO, Start
+from gelform.depth.coarse import CoarseDepth
 from gelform.errors import CalibrationError
 from gelform.foundations.findings import Progress, no_progress
 from gelform.result.metrics import score_slopes
-from gelform.slopes.color_models import StartableModel
-from gelform.slopes.color_models.forward_response import Step
+from gelform.slopes.color_models import (
+    COLOR_MODELS,
+    DEFAULT_MODEL,
+    ColorModel,
+    ForwardResponse,
+    Samples,
+    StartableModel,
+)
+from gelform.slopes.color_models.forward_response import RIDGES, PreparedStep, Step
+
+STEP_SIGMAS = 1.25  # times the color model's residual on its training slopes; 1.0-1.5 give the same errors on nine sensors
+LEAST_STEP_SIGMA = 1e-4  # mm/mm, for images without noise
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A color model with its settings, its start, and the forward response of its step."""
+
+    model: str  # a name in `COLOR_MODELS`
+    settings: tuple[tuple[str, Any], ...] = ()  # keywords of the model's `fit`, as pairs
+    start: Start | None = None  # another unit's model, or None
+    step_ridge: float | None = None  # ridge of the forward response; None: no step
+
+    @property
+    def plain(self) -> Candidate:
+        """The same candidate without a step."""
+        return replace(self, step_ridge=None)
+
+    @property
+    def change_offset(self) -> float:
+        """Gray levels added to the background in the divisor of its color changes."""
+        return float(COLOR_MODELS[self.model].change_offset)
+
+    def with_steps(self, presses: int) -> list[Candidate]:
+        """The same candidate with each step to try for a number of presses, the stiffest first."""
+        ridges = RIDGES if self.start is None else start_ridges(presses)
+        return [replace(self, step_ridge=ridge) for ridge in ridges]
+
+    def may_not_step(self, presses: int) -> bool:
+        """Whether the candidate is also tried without a step; folds of few presses cannot decide it."""
+        return self.start is None or NEEDED.edge.met(presses)
+
+    def fit(self, samples: Samples) -> ColorModel:
+        """The color model, fitted on samples."""
+        start = {} if self.start is None else {"start": self.start.model}
+        return COLOR_MODELS[self.model].fit(samples, **dict(self.settings), **start)
+
+    def describe(self) -> str:
+        """Name and settings, short."""
+        settings = ["-".join(map(str, v)) if isinstance(v, tuple) else f"{k} {v:g}" for k, v in self.settings]
+        step = [] if self.step_ridge is None else [f"step {self.step_ridge:g}"]
+        begun = [] if self.start is None else [f"from {self.start.by}"]
+        return " ".join([self.model, *settings, *step, *begun])
+
+
+def color_model_names() -> list[str]:
+    """The names that `calibrate` takes as its color model."""
+    return [AUTO, *COLOR_MODELS]
+
+
+def candidates_for(color_model: str, presses: int) -> list[Candidate]:
+    """The candidates for a number of accepted presses, simplest first: all variants of a color model, or those of "auto".
+
+    ValueError: the name is unknown.
+    """
+    if color_model not in color_model_names():
+        raise ValueError(f"Expected color_model among {', '.join(color_model_names())}, got {color_model!r}.")
+    name = DEFAULT_MODEL if color_model == AUTO else color_model
+    return [Candidate(name, tuple(variant.items())) for variant in COLOR_MODELS[name].variants(presses)]
+
+
+def candidates_from(start: Start, presses: int) -> list[Candidate]:
+    """The candidates for a second unit, stiffest first: the first unit's model, changed more and more freely."""
+    return [Candidate(start.model.name, (("ridge", ridge),), start) for ridge in start_ridges(presses)]
+
+
+def start_ridges(presses: int) -> list[float]:
+    """Ridges of a fit that is pulled toward another unit's, for a number of presses, the stiffest first.
+
+    The other unit counts as much as a part of a press: that of each ridge, times the presses. Folds of few presses cannot
+    choose one.
+    """
+    parts = (0.6, 0.06, 0.006) if NEEDED.edge.met(presses) else (0.6,)
+    return [part / presses for part in parts]
+
+
+class SlopeReader:
+    """Reads whole presses of one sensor by a fitted color model and steps of forward responses, as a Reconstructor does.
+
+    `press` is any press that it will read; a color change up to `untouched` means rest.
+    """
+
+    def __init__(self, model: ColorModel, press: PreparedPress, untouched: float) -> None:
+        shape = press.size.shape
+        background = np.zeros((*shape, 3), np.float32) if press.background is None else press.background
+        self.model = model
+        self._prepared = model.prepare(background, shape)
+        self._depth = CoarseDepth(shape, untouched)
+
+    def frames(self, press: PreparedPress, responses: Sequence[ForwardResponse | None]) -> list[Step]:
+        """Slopes of the whole press by the step of each response; without a step, variance is 1 and residual 0."""
+        change = np.ascontiguousarray(press.color_change)
+        slopes, _ = self._prepared.gradients_from_color(change)
+        ones, zeros = np.ones(slopes.shape[:2], np.float32), np.zeros(slopes.shape[:2], np.float32)
+        stepping = any(one is not None and one.step_sigma is not None for one in responses)
+        depth = self._depth(change, slopes) if stepping else None
+        return [
+            Step(slopes, ones, zeros)
+            if depth is None or one is None or one.step_sigma is None
+            else PreparedStep(one)(change, slopes, depth)
+            for one in responses
+        ]
+
+    def depth_px(self, press: PreparedPress) -> NDArray[np.float32]:
+        """Depth (H, W), px, from the slopes of the color model, for the fit of forward responses."""
+        change = np.ascontiguousarray(press.color_change)
+        return self._depth.at_pixels(change, self._prepared.gradients_from_color(change)[0])
+
+
+class FittedSlopes(NamedTuple):
+    """A fitted candidate: the reader with its color model, and the forward response of its step or None."""
+
+    reader: SlopeReader
+    forward: ForwardResponse | None
+
+    def frame(self, press: PreparedPress) -> Step:
+        """Slopes of the whole press."""
+        return self.reader.frames(press, [self.forward])[0]
+
+
+def fitted_responses(
+    reader: SlopeReader,
+    presses: Sequence[PreparedPress],
+    contacts: Sequence[ContactCircle],
+    ridges: Sequence[float],
+    *,
+    start: Start | None = None,
+    total: int = TOTAL_SAMPLES,
+) -> list[ForwardResponse]:
+    """Forward responses of presses, one for each ridge, with the depths from the reader's color model.
+
+    The model was fitted on the same presses, from the same start; about `total` pixels are used.
+    """
+    depths = [reader.depth_px(press) for press in presses]
+    samples = training_samples(presses, contacts, total=total, depths_px=depths)
+    sigma = step_sigma_of(reader.model, samples)
+    forward = None if start is None else start.forward
+    return ForwardResponse.fit_each(samples, ridges, step_sigma=sigma, start=forward)
+
+
+def step_sigma_of(model: ColorModel, samples: Samples) -> tuple[float, float]:
+    """Standard deviations for a step's prior: error of a component of the color model's slopes, at rest and per slope."""
+    error = model.gradients_at(samples.color_change, samples.x_px, samples.y_px) - samples.gradients
+    square, slope = np.mean(error**2, axis=1), np.sum(np.square(samples.gradients), axis=1)
+    at_rest, pressed = (float(square[part].mean()) if part.any() else 0.0 for part in (slope == 0, slope > 0))
+    growth = max(pressed - at_rest, 0.0) / float(slope[slope > 0].mean())
+    return STEP_SIGMAS * max(at_rest, LEAST_STEP_SIGMA**2) ** 0.5, STEP_SIGMAS * growth**0.5
 
 
 @dataclass(frozen=True)
@@ -129,8 +289,7 @@ def _jackknife(circles: np.ndarray) -> tuple[float, float]:
     return float(np.sqrt(variance[:2].mean())), float(np.sqrt(variance[2]))
 
 
-@dataclass(frozen=True)
-class HeldOutSlopeScore:
+class HeldOutSlopeScore(NamedTuple):
     """RMS error, mm/mm, and mean angle of the slopes of one press; its center is free, since labels are off by a pixel."""
 
     slope_error: float
@@ -194,21 +353,13 @@ class HeldOutPresses:
                 if (fold, plain) not in self._fits:
                     reader = SlopeReader(plain.fit(samples), presses[0], untouched)
                     self._fits[fold, plain] = FittedSlopes(reader, None)
-            for plain in dict.fromkeys(one.plain for one in new):
                 reader = self._fits[fold, plain].reader
-                ridges = {
-                    one.step_ridge: one for one in new if one.plain == plain and one.step_ridge is not None
-                }
-                if ridges:
+                stepped = {s.step_ridge: s for s in new if s.plain == plain and s.step_ridge is not None}
+                if stepped:
                     responses = fitted_responses(
-                        reader,
-                        training,
-                        fold.contacts,
-                        list(ridges),
-                        start=plain.start,
-                        total=TRIAL_SAMPLES,
+                        reader, training, fold.contacts, list(stepped), start=plain.start, total=TRIAL_SAMPLES
                     )
-                    for one, forward in zip(ridges.values(), responses):
+                    for one, forward in zip(stepped.values(), responses):
                         self._fits[fold, one] = FittedSlopes(reader, forward)
         return [self._fits[fold, one] for one in candidates]
 
@@ -248,16 +399,17 @@ def select(
 
     If groups read held-out presses equally well, the first one is selected.
     """
-    presses = sum(len(fold.held_out) for fold in held_out.folds)
+    left_out = [*(fold.held_out for fold in held_out.folds), ()]
+    presses = sum(map(len, left_out))
     plain = [held_out.try_candidates(group) for group in groups]
     progress(1, 2, f"tried {groups[0][0].model}")
     stepped: dict[Candidate, list[Trial]] = {}
     for trials in plain:
-        for leader in dict.fromkeys(_best(trials, without) for without in _left_out(held_out)):
+        for leader in dict.fromkeys(_best(trials, without) for without in left_out):
             stepped[leader] = held_out.try_candidates(leader.with_steps(presses))
     progress(2, 2, "tried the forward response")
 
-    def chosen(without: Sequence[int] = ()) -> Candidate:
+    def chosen(without: Sequence[int]) -> Candidate:
         finalists = []
         for trials in plain:
             leader = _best(trials, without)
@@ -265,16 +417,10 @@ def select(
             finalists += [*without_step, *stepped[leader]]
         return _best(finalists, without)
 
-    by_fold = tuple(chosen(fold.held_out) for fold in held_out.folds)
-    everything = (*plain, *stepped.values())
-    return Selection(chosen(), by_fold, tuple(trial for trials in everything for trial in trials))
+    *by_fold, by_all = map(chosen, left_out)
+    return Selection(by_all, tuple(by_fold), tuple(chain(*plain, *stepped.values())))
 
 
-def _left_out(held_out: HeldOutPresses) -> list[Sequence[int]]:
-    """Each fold's presses in turn, then none."""
-    return [*(fold.held_out for fold in held_out.folds), ()]
-
-
-def _best(trials: Sequence[Trial], without: Sequence[int] = ()) -> Candidate:
+def _best(trials: Sequence[Trial], without: Sequence[int]) -> Candidate:
     """The candidate with the smallest mean logarithm; the first one if there are too few presses."""
     return min(trials, key=lambda trial: trial.mean_log(without)).candidate

@@ -10,11 +10,10 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 import gelform
-from gelform.calibration.candidates import Candidate
+from gelform.calibration import held_out as module
 from gelform.calibration.circles.find import ContactCircle, PreparedPress, magnitude
 from gelform.calibration.fitted import FIRST_GUESS, Fitted
-from gelform.calibration.held_out import measure as module
-from gelform.calibration.held_out.measure import (
+from gelform.calibration.held_out import (
     LAGS,
     _lag_products,
     at_pixels,
@@ -30,7 +29,7 @@ from gelform.calibration.held_out.measure import (
     slope_sigma_from_folds,
     with_factors,
 )
-from gelform.calibration.held_out.scores import Fold, Selection
+from gelform.calibration.selection import Candidate, Fold, Selection
 from gelform.reconstruct import Reconstructor
 from gelform.result.metrics import angle_deg, ball_gradients
 from gelform.slopes.color_models.forward_response import RIDGES, Step
