@@ -108,10 +108,6 @@ def calibrate(
     )
 
 
-LEAST_MM = 1.0  # of a displacement; the circles' own errors matter below
-LEAST_PAIRS = 4
-
-
 def place_error_from_presses(
     calibration: Calibration, presses: Sequence[Press], contacts: Sequence[ContactCircle]
 ) -> float | None:
@@ -134,10 +130,10 @@ def place_error_from_presses(
         start = np.eye(4)
         start[:2, 3] = travel = (to_px - from_px) * pitch
         distance = float(np.linalg.norm(travel))
-        if one.ball_diameter_mm != other.ball_diameter_mm or distance < LEAST_MM:
-            continue
+        if one.ball_diameter_mm != other.ball_diameter_mm or distance < 1:
+            continue  # in less than 1 mm the circles' own errors matter
         pose = motion_between(first, second, start=start).pose
         if pose is not None:
             center = np.array([*(from_px - middle) * pitch, first.peak_mm - one.ball_diameter_mm / 2])
             shares.append((moved(pose, center)[:2] - (to_px - middle) * pitch) / distance)
-    return float(np.sqrt(np.mean(np.square(shares)))) if len(shares) >= LEAST_PAIRS else None
+    return float(np.sqrt(np.mean(np.square(shares)))) if len(shares) >= 4 else None

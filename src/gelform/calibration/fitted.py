@@ -40,14 +40,9 @@ from gelform.image.background import noise_from_image
 from gelform.slopes.color_models import COLOR_MODELS, ColorModel
 from gelform.slopes.sigma import SlopeSigma, ends_shown
 
-CLIPPED_SHARE = 0.01  # of the training pixels; fewer do not teach the effect of a clipped channel
 # Weights of slopes before held-out presses are measured; roughly those of any sensor.
 FIRST_GUESS = SlopeSigma(rest=0.02, per_step=0.04, full_confidence_sigma=0.04, correlation_px=10.0)
 LENGTHS_MM = np.geomspace(0.15, 2.0, 53)
-BLURRED_PX = 4.0  # px around a contact where the blurred image still shows the ball
-REACH_MM = 3.0  # mm around a contact; the gel is level beyond
-LEAST_SEEN = 0.75  # of a ring's pixels; a tilt of all slopes cancels over a whole ring
-LEAST_EXPLAINED = 0.5  # of the slopes' sum of squares
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,10 +121,11 @@ def fit_all(
     (forward,) = fitted_responses(reader, prepared, contacts, [step.step_ridge], start=chosen.start)
     images = [press.image for press in presses.presses]
     levels = [image[one.pixels(contact, ZONE)] for image, one, contact in zip(images, prepared, contacts)]
+    shares = ends_shown(np.concatenate(levels))  # under 1 % do not teach the effect of a clipped channel
     forward = replace(
         forward,
         step_sigma=None if chosen.step_ridge is None else forward.step_sigma,
-        clipped=np.asarray(ends_shown(np.concatenate(levels)) > CLIPPED_SHARE),
+        clipped=np.asarray(shares > 0.01),
     )
     relaxation_mm = relaxation_from_presses(model, prepared, contacts, presses.background, presses.mm_per_px)
     return Calibration(
@@ -209,7 +205,7 @@ def relaxation_from_presses(
             errors += [_misfit(r, slope, pixels, length) for length in LENGTHS_MM]
             squares += float(pixels @ slope**2)
     best = int(np.argmin(errors))
-    explained = 0 < best < errors.size - 1 and errors[best] < (1 - LEAST_EXPLAINED) * squares
+    explained = 0 < best < errors.size - 1 and errors[best] < 0.5 * squares
     return float(LENGTHS_MM[best]) if explained else None
 
 
@@ -223,14 +219,16 @@ def slopes_around(
     r = np.hypot(dx, dy)
     outward = (gradients[..., 0] * dx + gradients[..., 1] * dy) / np.maximum(r, 1)
     ring = r.astype(np.intp)
-    first, last = int(contact.radius_px + BLURRED_PX) + 1, int(contact.radius_px + REACH_MM / mm_per_px)
+    # From 4 px on, within which the blurred image still shows the ball; beyond 3 mm the gel is level.
+    first, last = int(contact.radius_px + 4) + 1, int(contact.radius_px + 3 / mm_per_px)
     inside = (ring >= first) & (ring < last) & (True if usable is None else usable)
     at, size = ring[inside] - first, max(last - first, 1)
     count, sums, far = (
         np.bincount(at, weights=of, minlength=size)
         for of in (None, outward[inside].astype(np.float64), r[inside].astype(np.float64))
     )
-    known = count > LEAST_SEEN * 2 * np.pi * (first + np.arange(size) + 0.5)
+    whole = 2 * np.pi * (first + np.arange(size) + 0.5)
+    known = count > 0.75 * whole  # a tilt of all slopes cancels over a whole ring
     n = count[known].astype(np.float64)
     return far[known] / n * mm_per_px, sums[known] / n, n
 

@@ -118,13 +118,7 @@ def correlation_from_products(products: NDArray[np.float64], step: float) -> tup
     below = np.nonzero(correlation[1:] < 0.05)[0]
     last = max(3, int(below[0]) + 1 if below.size else LAGS)
     lags = step * np.arange(1, last)
-    best = (np.inf, float(step), 0.0)
-    for length in step * np.geomspace(0.7, LAGS, 60):
-        shape = np.exp(-(lags**2) / (2 * length**2))
-        fraction = float(np.clip(shape @ correlation[1:last] / max(shape @ shape, 1e-30), 0, 1))
-        misfit = float(np.square(fraction * shape - correlation[1:last]).sum())
-        best = min(best, (misfit, float(length), fraction))
-    return best[1], best[2]
+    return _best_length(step * np.geomspace(0.7, LAGS, 60), lags, correlation[1:last])
 
 
 def rest_correlation(products: NDArray[np.float64], length: float) -> tuple[float, float]:
@@ -135,16 +129,25 @@ def rest_correlation(products: NDArray[np.float64], length: float) -> tuple[floa
     if products[0] <= 0:
         return 0.0, 0.0
     lags = np.arange(1, len(products))
-    wanted = products[1:] / products[0]
+    shorts = np.geomspace(0.3, max(length / 2, 0.3), 60)  # px, from what noise and blur cause on
     far = np.exp(-(lags**2) / (2 * length**2))
-    best = (np.inf, 0.0, 0.0)
-    for short in np.geomspace(0.3, max(length / 2, 0.3), 60):  # px, from what noise and blur cause on
-        near = np.exp(-(lags**2) / (2 * short**2))
-        apart = far - near
-        fraction = float(np.clip(apart @ (wanted - near) / max(apart @ apart, 1e-30), 0, 1))
-        misfit = float(np.square(near + fraction * apart - wanted).sum())
-        best = min(best, (misfit, float(short), fraction))
-    return best[1], best[2]
+    return _best_length(shorts, lags, products[1:] / products[0], far)
+
+
+def _best_length(
+    lengths: NDArray[np.float64],
+    lags: NDArray[Any],
+    wanted: NDArray[np.float64],
+    far: NDArray[np.float64] | None = None,
+) -> tuple[float, float]:
+    """Length L and fraction a, 0-1, of `a g(L)` or `(1 - a) g(L) + a far` that are closest to a correlation at lags."""
+    trials = []
+    for length in lengths:
+        shape = np.exp(-(lags**2) / (2 * length**2))
+        base, along = (0.0 * shape, shape) if far is None else (shape, far - shape)
+        fraction = float(np.clip(along @ (wanted - base) / max(along @ along, 1e-30), 0, 1))
+        trials.append((float(np.square(base + fraction * along - wanted).sum()), float(length), fraction))
+    return min(trials)[1:]
 
 
 def press_errors_as_read(
