@@ -16,11 +16,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from gelform.arrays import Array, Mask, Numbers
 from gelform.result.metrics import followed_radius
 
 
@@ -138,7 +139,7 @@ class Coverage:
     zone: float  # fraction of the contact radius that counts
     # (rows, columns, 8) int, number of presses that show a direction in a tile; direction 0 rises to the right (dz/dx > 0),
     # the next ones turn clockwise by 45 degrees
-    counts: NDArray[np.int_]
+    counts: Array
 
     @property
     def fraction(self) -> float:
@@ -152,11 +153,7 @@ class Coverage:
 
 
 def coverage_from_circles(
-    circles: Sequence[Circle],
-    shape: tuple[int, int],
-    *,
-    tiles: tuple[int, int] = COARSE,
-    zone: float = 0.8,
+    circles: Sequence[Circle], shape: tuple[int, int], *, tiles: tuple[int, int] = COARSE, zone: float = 0.8
 ) -> Coverage:
     """Coverage of an image (H, W), on tiles (rows, columns), by `zone` of contact circles (x, y, radius), px."""
     counts = np.zeros((*tiles, DIRECTIONS), dtype=np.int_)
@@ -184,25 +181,21 @@ def square_tiles(shape: tuple[int, int], longer: int = 8) -> tuple[int, int]:
     return longer, max(2, round(longer * width / height))
 
 
-def tile_of(
-    x_px: ArrayLike, y_px: ArrayLike, shape: tuple[int, int], tiles: tuple[int, int]
-) -> NDArray[np.intp]:
+def tile_of(x_px: ArrayLike, y_px: ArrayLike, shape: tuple[int, int], tiles: tuple[int, int]) -> Array:
     """Flat index of the tile that each pixel of an image (H, W) lies in."""
     row = np.clip((np.asarray(y_px) + 0.5) * tiles[0] / shape[0], 0, tiles[0] - 1).astype(np.intp)
     column = np.clip((np.asarray(x_px) + 0.5) * tiles[1] / shape[1], 0, tiles[1] - 1).astype(np.intp)
     return row * tiles[1] + column
 
 
-def direction_of(gradients: NDArray[Any]) -> NDArray[np.intp]:
+def direction_of(gradients: Array) -> Array:
     """Direction 0-7 of slopes (N, 2): 0 rises to the right, 2 downwards (image rows run down)."""
     turn = np.arctan2(gradients[:, 1], gradients[:, 0]) / (2 * np.pi / DIRECTIONS)
-    direction: NDArray[np.intp] = np.round(turn).astype(np.intp) % DIRECTIONS
+    direction: Array = np.round(turn).astype(np.intp) % DIRECTIONS
     return direction
 
 
-def shown_by(
-    circle: Circle, shape: tuple[int, int], tiles: tuple[int, int], zone: float
-) -> NDArray[np.bool_]:
+def shown_by(circle: Circle, shape: tuple[int, int], tiles: tuple[int, int], zone: float) -> Mask:
     """The directions (rows, columns, 8) that a press shows in each tile, on at least 0.07 % of the image's pixels."""
     step = 2  # px between the counted pixels
     y, x = (axis.ravel() for axis in np.mgrid[: shape[0] : step, : shape[1] : step])
@@ -212,12 +205,12 @@ def shown_by(
     upwards = np.stack([circle[0] - x, circle[1] - y], axis=1)  # a ball is highest in the middle
     index = tile_of(x, y, shape, tiles) * DIRECTIONS + direction_of(upwards)
     pixels = step**2 * np.bincount(index, minlength=tiles[0] * tiles[1] * DIRECTIONS)
-    shown: NDArray[np.bool_] = pixels >= max(step**2, 0.0007 * shape[0] * shape[1])
+    shown: Mask = pixels >= max(step**2, 0.0007 * shape[0] * shape[1])
     return shown.reshape(*tiles, DIRECTIONS)
 
 
 def press_next(
-    coverage: Coverage, count: int = NAMED_PLACES, square_error: NDArray[np.float64] | None = None
+    coverage: Coverage, count: int = NAMED_PLACES, square_error: Numbers | None = None
 ) -> tuple[PressPlace, ...]:
     """The next places to press at, each the one that helps most after those before it.
 
@@ -318,7 +311,7 @@ def one_part(circles: Sequence[Circle], shape: tuple[int, int]) -> str | None:
     return name
 
 
-def _holding(centers: NDArray[np.float64]) -> int | None:
+def _holding(centers: Numbers) -> int | None:
     """1 where all centers, as fractions of a side, lie in its middle third, 0 or 2 in its first or last half; else None."""
     low, high = float(centers.min()), float(centers.max())
     if low >= 1 / 3 and high <= 2 / 3:

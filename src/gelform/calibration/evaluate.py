@@ -8,8 +8,8 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from gelform.arrays import Map
 from gelform.calibration.circles.find import ColorChanges, find_contact, why_no_contact
 from gelform.calibration.held_out import errors_of
 from gelform.calibration.presses.folder import Presses, as_presses, with_view
@@ -110,7 +110,7 @@ def evaluate(
     return Evaluation(tuple(rows), summary(errors), where, seen, own, findings, tuple(flats))
 
 
-def face_height_mm(depth_mm: NDArray[np.float32]) -> float:
+def face_height_mm(depth_mm: Map) -> float:
     """Mean depth in the middle of the largest flat face of a depth map (H, W); NaN if the border cuts it.
 
     A small tilt does not change the mean about the middle. A punch has to be about as wide as it is long.

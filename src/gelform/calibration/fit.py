@@ -15,8 +15,8 @@ from itertools import pairwise
 from os import PathLike
 
 import numpy as np
-from numpy.typing import NDArray
 
+from gelform.arrays import Numbers
 from gelform.calibration.circles.find import ContactCircle
 from gelform.calibration.circles.locate import check_places, light_notes, locate
 from gelform.calibration.coverage import SAMPLED
@@ -124,7 +124,7 @@ def place_error_from_presses(
         if circle.is_whole_in(calibration.image_shape)
     ]
     whole.sort(key=lambda one: one[0].ball_diameter_mm)
-    shares: list[NDArray[np.float64]] = []
+    shares: list[Numbers] = []
     results = [reconstruct.from_image(press.image) for press, _ in whole]
     for (first, second), ((one, from_px), (other, to_px)) in zip(pairwise(results), pairwise(whole)):
         start = np.eye(4)

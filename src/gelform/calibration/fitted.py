@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 import scipy  # its parts load at first use
-from numpy.typing import NDArray
 
 from gelform import __version__
+from gelform.arrays import Array, Map, Mask, Numbers, Slopes
 from gelform.calibration.circles.find import (
     ZONE,
     ContactCircle,
@@ -173,7 +173,7 @@ def _settings(
     )
 
 
-def image_noise(images: Sequence[NDArray[Any]], background: NDArray[np.float32]) -> NDArray[np.float64]:
+def image_noise(images: Sequence[Array], background: Map) -> Numbers:
     """Standard deviation (3,) of an image's pixel, gray levels: the median over some of the images.
 
     A background is often an average of frames, with less noise than the images of presses.
@@ -187,7 +187,7 @@ def relaxation_from_presses(
     model: ColorModel,
     presses: Sequence[PreparedPress],
     contacts: Sequence[ContactCircle],
-    background: NDArray[np.float32],
+    background: Map,
     mm_per_px: float,
 ) -> float | None:
     """The gel's relaxation length L in mm; None if the surroundings of the contacts do not show it.
@@ -210,8 +210,8 @@ def relaxation_from_presses(
 
 
 def slopes_around(
-    gradients: NDArray[np.float32], contact: ContactCircle, usable: NDArray[np.bool_] | None, mm_per_px: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    gradients: Slopes, contact: ContactCircle, usable: Mask | None, mm_per_px: float
+) -> tuple[Numbers, Numbers, Numbers]:
     """Distance (mm), mean outward slope and number of visible pixels of rings around a contact, 1 px wide."""
     height, width = gradients.shape[:2]
     dx = np.arange(width, dtype=np.float32) - np.float32(contact.x_px)
@@ -233,9 +233,7 @@ def slopes_around(
     return far[known] / n * mm_per_px, sums[known] / n, n
 
 
-def _misfit(
-    r_mm: NDArray[np.float64], slope: NDArray[np.float64], weight: NDArray[np.float64], length_mm: float
-) -> float:
+def _misfit(r_mm: Numbers, slope: Numbers, weight: Numbers, length_mm: float) -> float:
     """Sum of squares that remains after the best -A K1(r/L) with A >= 0."""
     shape = scipy.special.k1e(r_mm / length_mm) * np.exp((r_mm[0] - r_mm) / length_mm)
     size = max(-float(weight @ (slope * shape)) / float(weight @ shape**2), 0.0)

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from gelform.arrays import Array, Map, Numbers
 from gelform.calibration.circles.find import (
     PRESS_PIXELS,
     REST_DISTANCE,
@@ -61,7 +61,7 @@ PIXEL = np.dtype(
 )
 
 
-def table(columns: np.dtype[Any], rows: int, **values: Any) -> NDArray[Any]:
+def table(columns: np.dtype[Any], rows: int, **values: Any) -> Array:
     """A structured array of so many rows, from the values of its columns."""
     made = np.empty(rows, columns)
     for name, column in values.items():
@@ -69,7 +69,7 @@ def table(columns: np.dtype[Any], rows: int, **values: Any) -> NDArray[Any]:
     return made
 
 
-def by_press(pixels: NDArray[Any]) -> list[NDArray[Any]]:
+def by_press(pixels: Array) -> list[Array]:
     """The parts of a table that are of one press each, none of them empty."""
     parts = np.split(pixels, np.flatnonzero(np.diff(pixels["press"])) + 1)
     return [part for part in parts if len(part)]
@@ -80,7 +80,7 @@ def slope_sigma_from_folds(
     folds: Sequence[Fold],
     presses: Sequence[PreparedPress],
     found: Sequence[ContactCircle],
-    noise: NDArray[np.float32],
+    noise: Map,
 ) -> tuple[SlopeSigma, float]:
     """Standard deviation and correlation of the slopes, and the scale of the residual, on held-out presses.
 
@@ -109,7 +109,7 @@ def fraction_trained(folds: Sequence[Fold]) -> float:
     return float(np.mean([len(f.training) / (len(f.training) + len(f.held_out)) for f in folds]))
 
 
-def correlation_from_products(products: NDArray[np.float64], step: float) -> tuple[float, float]:
+def correlation_from_products(products: Numbers, step: float) -> tuple[float, float]:
     """Length (px) and fraction (0-1) of the correlated part of errors: `fraction exp(-lag^2 / (2 length^2))` from lag 1 on.
 
     The rest is white, with no correlation at the first lag. Products are at lags of 0, 1, 2 ... steps (px).
@@ -121,7 +121,7 @@ def correlation_from_products(products: NDArray[np.float64], step: float) -> tup
     return _best_length(step * np.geomspace(0.7, LAGS, 60), lags, correlation[1:last])
 
 
-def rest_correlation(products: NDArray[np.float64], length: float) -> tuple[float, float]:
+def rest_correlation(products: Numbers, length: float) -> tuple[float, float]:
     """Short length (px), and fraction a, of errors of gel at rest: `(1 - a) exp(-lag^2/(2 short^2)) + a exp(...)`.
 
     The second term falls off over the given length, as errors in a contact do. Products are at lags of 0, 1, 2 ... px.
@@ -135,10 +135,7 @@ def rest_correlation(products: NDArray[np.float64], length: float) -> tuple[floa
 
 
 def _best_length(
-    lengths: NDArray[np.float64],
-    lags: NDArray[Any],
-    wanted: NDArray[np.float64],
-    far: NDArray[np.float64] | None = None,
+    lengths: Numbers, lags: Array, wanted: Numbers, far: Numbers | None = None
 ) -> tuple[float, float]:
     """Length L and fraction a, 0-1, of `a g(L)` or `(1 - a) g(L) + a far` that are closest to a correlation at lags."""
     trials = []
@@ -151,8 +148,8 @@ def _best_length(
 
 
 def press_errors_as_read(
-    press: PreparedPress, found: ContactCircle, frame: Step, noise: NDArray[np.float32], step: int
-) -> tuple[NDArray[Any], NDArray[Any], NDArray[np.float64], NDArray[np.float64]]:
+    press: PreparedPress, found: ContactCircle, frame: Step, noise: Map, step: int
+) -> tuple[Array, Array, Numbers, Numbers]:
     """Some pixels of a held-out press (`HELD_OUT`), and some far from its contact (`AT_REST`), as a fold's model reads them.
 
     They are followed by the mean products of errors in the contact at lags of so many px, and at rest at lags of 1 px. The
@@ -188,7 +185,7 @@ def press_errors_as_read(
     return pixels, rest, _lag_products(box, step), _lag_products(slopes[apart // 2 :: apart] - bias, 1)
 
 
-def _lag_products(error: NDArray[np.float64], step: int) -> NDArray[np.float64]:
+def _lag_products(error: Numbers, step: int) -> Numbers:
     """Mean product of errors `lag * step` pixels apart along a row, for lags 0 .. LAGS-1."""
     width = error.shape[1]
     products = np.zeros(LAGS)
@@ -210,9 +207,9 @@ class Judged:
     errors: Mapping[int, PressErrors]
     # the same by the saved model's kind, settings and zone, fitted without its fold
     saved_errors: Mapping[int, PressErrors]
-    pixels: NDArray[Any]  # (N,) some of each press (`PIXEL`), with the candidate selected without its fold
+    pixels: Array  # (N,) some of each press (`PIXEL`), with the candidate selected without its fold
     # index of the press -> (h, w) depth minus the ball's cap in the contact's box, as `errors_of` gives it
-    caps_um: Mapping[int, NDArray[np.float32]]
+    caps_um: Mapping[int, Map]
     # standard deviation of the slopes of the chosen color model, and of those of the solved depth
     slope_sigma: SlopeSigma
     forward: ForwardResponse  # its residuals in the unit of those of held-out presses
@@ -295,9 +292,9 @@ def errors_of(
     mm_per_px: float,
     contact_radius_ratio: float,
     *,
-    stated: NDArray[np.float32] | None = None,
+    stated: Map | None = None,
     max_pixels: int = PRESS_PIXELS,
-) -> tuple[PressErrors, NDArray[Any], NDArray[np.float32]]:
+) -> tuple[PressErrors, Array, Map]:
     """Errors of a reconstructed press with a visible circle (center x, y, radius, px), its pixels, and depth minus the cap.
 
     The pixels (`PIXEL`) are about `max_pixels` up to the visible rim, about the fitted center as in `press_errors`. `stated`
@@ -327,17 +324,13 @@ def errors_of(
     region = square < fit.reach_px**2
     if not region.any():
         return fit.errors, pixels, np.empty((0, 0), dtype=np.float32)
-    cap_um: NDArray[np.float32] = np.where(region, error - error[region].mean(), np.nan).astype(np.float32)
+    cap_um: Map = np.where(region, error - error[region].mean(), np.nan).astype(np.float32)
     rows, cols = np.nonzero(region)
     return fit.errors, pixels, cap_um[rows.min() : rows.max() + 1, cols.min() : cols.max() + 1]
 
 
 def with_factors(
-    sigma: SlopeSigma,
-    pixels: NDArray[Any],
-    far: Sequence[NDArray[np.float32]],
-    trained: float,
-    contact_radius_ratio: float | None,
+    sigma: SlopeSigma, pixels: Array, far: Sequence[Map], trained: float, contact_radius_ratio: float | None
 ) -> SlopeSigma:
     """The deviation of slopes with the factors of the solved depth's slopes and of depth, and the common error of slopes.
 
@@ -351,7 +344,7 @@ def with_factors(
     return replace(sigma, depth_factor=depth_factor(far, sigma.gain_sigma, sigma.depth_factor))
 
 
-def depth_factor(far: Sequence[NDArray[np.float32]], gain_sigma: float, usual: float) -> float:
+def depth_factor(far: Sequence[Map], gain_sigma: float, usual: float) -> float:
     """The smallest factor that leaves 68 % of depth far from contacts within one sigma and 95 % within two.
 
     `far` has (4, N) for each press, mm^2: squared depth, twice that of negative depths, the variance by the slopes and a
@@ -376,7 +369,7 @@ def depth_factor(far: Sequence[NDArray[np.float32]], gain_sigma: float, usual: f
     return needed
 
 
-def _far_depth(record: FrameRecord, circle_px: tuple[float, float, float]) -> NDArray[np.float32]:
+def _far_depth(record: FrameRecord, circle_px: tuple[float, float, float]) -> Map:
     """What `depth_factor` takes of the pixels at rest far from a contact; (4, 0) if they are few."""
     errors = record.depth_errors
     assert errors is not None
@@ -390,12 +383,12 @@ def _far_depth(record: FrameRecord, circle_px: tuple[float, float, float]) -> ND
     return np.stack([one[far][::7] for one in (np.square(record.depth_mm), *maps)])
 
 
-def at_pixels(values: NDArray[np.float32], pixels: NDArray[Any]) -> NDArray[np.float32]:
+def at_pixels(values: Map, pixels: Array) -> Map:
     """A map (H, W) at the places of a table."""
     return values[pixels["y_px"].astype(np.intp), pixels["x_px"].astype(np.intp)]
 
 
-def common_error(pixels: NDArray[Any], sigma: SlopeSigma) -> float:
+def common_error(pixels: Array, sigma: SlopeSigma) -> float:
     """Relative error that slopes of one size share around a press, RMS, beyond what errors of single slopes explain.
 
     A ball has slopes of all sizes, whose errors partly cancel in its height. Another object may stand on slopes of one size.
@@ -407,7 +400,7 @@ def common_error(pixels: NDArray[Any], sigma: SlopeSigma) -> float:
     return max(sum(squares) / max(len(squares), 1), 0.0) ** 0.5
 
 
-def _ring_squares(press: NDArray[Any], sigma: SlopeSigma, single: float) -> Iterator[float]:
+def _ring_squares(press: Array, sigma: SlopeSigma, single: float) -> Iterator[float]:
     """Square of each ring's mean error along the slope, less that of errors of variance `single`, over its slope's square.
 
     In the innermost ring slopes are too gentle for a relative error.

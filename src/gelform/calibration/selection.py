@@ -22,8 +22,8 @@ from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from gelform.arrays import Map
 from gelform.calibration.circles.find import (
     PRESS_PIXELS,
     TOTAL_SAMPLES,
@@ -154,7 +154,7 @@ class SlopeReader:
             for one in responses
         ]
 
-    def depth_px(self, press: PreparedPress) -> NDArray[np.float32]:
+    def depth_px(self, press: PreparedPress) -> Map:
         """Depth (H, W), px, from the slopes of the color model, for the fit of forward responses."""
         change = np.ascontiguousarray(press.color_change)
         return self._depth.at_pixels(change, self._prepared.gradients_from_color(change)[0])

@@ -27,10 +27,10 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.fft import irfft2, next_fast_len, rfft2
 from scipy.ndimage import gaussian_filter1d
 
+from gelform.arrays import Array, Map, Mask, Numbers
 from gelform.calibration.presses.press_set import Presses, check_room
 from gelform.errors import CalibrationError
 from gelform.foundations.filters import CHANGE_OFFSET
@@ -104,11 +104,11 @@ class PreparedPress:
     """One press, ready to be fitted: its color change and its ball."""
 
     name: str
-    color_change: NDArray[np.float32]  # (H, W, 3) float32, blurred
-    size: NDArray[np.float32]  # (H, W) float32, |color change - its median|
+    color_change: Map  # (H, W, 3) float32, blurred
+    size: Map  # (H, W) float32, |color change - its median|
     ball_radius_px: float
-    usable: NDArray[np.bool_] | None = None  # (H, W) bool, False on markers; None if all pixels are
-    background: NDArray[np.float32] | None = None  # (H, W, 3), the background image of all presses; or None
+    usable: Mask | None = None  # (H, W) bool, False on markers; None if all pixels are
+    background: Map | None = None  # (H, W, 3), the background image of all presses; or None
     # radius of the contact edge over that of the visible circle; the same for all presses
     contact_radius_ratio: float = USUAL_EDGE
     # (x, y, radius) px of the circle by a person; (x, y, None) of a stage's center; or None
@@ -123,9 +123,7 @@ class PreparedPress:
         """Whether the visible circle is at least as wide as the ball; then the gel leaves the ball inside of it."""
         return followed_radius(contact.radius_px, self.ball_radius_px) < contact.radius_px
 
-    def pixels(
-        self, contact: ContactCircle, zone: float, count: int | None = None
-    ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    def pixels(self, contact: ContactCircle, zone: float, count: int | None = None) -> tuple[Array, Array]:
         """Rows and columns of about `count` pixels inside `zone` of the contact's radius, on a regular lattice."""
         radius = zone * self.contact_radius(contact)
         height, width = self.size.shape
@@ -141,25 +139,16 @@ class PreparedPress:
         found_rows, found_cols = np.nonzero(inside)
         return found_rows + top, found_cols + left
 
-    def ball_gradients(
-        self, contact: ContactCircle, rows: NDArray[np.intp], cols: NDArray[np.intp]
-    ) -> NDArray[np.float64]:
+    def ball_gradients(self, contact: ContactCircle, rows: Array, cols: Array) -> Numbers:
         """The ball's slopes at pixels."""
         return ball_gradients(cols, rows, (contact.x_px, contact.y_px), self.ball_radius_px)
 
-    def gradients(
-        self, model: ColorModel, rows: NDArray[np.intp], cols: NDArray[np.intp]
-    ) -> NDArray[np.float64]:
+    def gradients(self, model: ColorModel, rows: Array, cols: Array) -> Numbers:
         """The slopes that a color model reads there."""
         return model.gradients_at(self.color_change[rows, cols], cols, rows)
 
     def samples(
-        self,
-        rows: NDArray[np.intp],
-        cols: NDArray[np.intp],
-        gradients: NDArray[np.float64],
-        weight: float,
-        depth_px: NDArray[Any] | None = None,
+        self, rows: Array, cols: Array, gradients: Numbers, weight: float, depth_px: Array | None = None
     ) -> Samples:
         """Pixels of known gradients (N, 2), all of one weight, with their depths if those (H, W) are given."""
         weights, depth = np.full(len(rows), weight), None if depth_px is None else depth_px[rows, cols]
@@ -170,11 +159,11 @@ class PreparedPress:
 class ColorChanges:
     """Color changes of images from one background image (H, W, 3), 0-255; markers are bridged."""
 
-    def __init__(self, background: NDArray[np.float32], settings: ChangeSettings) -> None:
+    def __init__(self, background: Map, settings: ChangeSettings) -> None:
         self._rest = PreparedBackground(background, settings)
         self._finder = MarkerFinder(background)
 
-    def __call__(self, image: NDArray[Any]) -> tuple[NDArray[np.float32], NDArray[np.bool_] | None]:
+    def __call__(self, image: Array) -> tuple[Map, Mask | None]:
         """The color change (H, W, 3) of an image, and the pixels off markers; None if all are.
 
         CalibrationError: the background is not of this image.
@@ -184,8 +173,8 @@ class ColorChanges:
 
 
 def change_without_markers(
-    image: NDArray[Any], rest: PreparedBackground, light: FrameLight | None, finder: MarkerFinder
-) -> tuple[NDArray[np.float32], NDArray[np.bool_] | None]:
+    image: Array, rest: PreparedBackground, light: FrameLight | None, finder: MarkerFinder
+) -> tuple[Map, Mask | None]:
     """The color change (H, W, 3) of an image, smooth across markers, and the pixels on no marker of either image.
 
     The second is None on a gel without markers. `light` from `rest.compare(image)` is compensated, if it is not None.
@@ -269,12 +258,12 @@ def scale_of(shape: tuple[int, int]) -> float:
     return min(shape) / 240
 
 
-def about_median(color_change: NDArray[np.float32]) -> NDArray[np.float32]:
+def about_median(color_change: Map) -> Map:
     """A color change (H, W, 3) minus its median over the image."""
     return np.asarray(color_change - np.median(color_change, axis=(0, 1)).astype(np.float32))
 
 
-def magnitude(change: NDArray[np.float32]) -> NDArray[np.float32]:
+def magnitude(change: Map) -> Map:
     """Size (H, W) of a color change."""
     return np.asarray(np.sqrt(np.einsum("...c,...c->...", change, change)))
 
@@ -300,7 +289,7 @@ def find_contacts(prepared: list[PreparedPress], *, progress: Progress = no_prog
     return found
 
 
-def find_contact(color_change: NDArray[np.float32]) -> ContactCircle:
+def find_contact(color_change: Map) -> ContactCircle:
     """Contact circle of one ball press, in a color change (H, W, 3) that is blurred by about 1.25 px at 240 rows.
 
     The center c maximizes -sum_v d(c + v) . d(c - v), by one zero-padded FFT per channel. DataError: the image is too small
@@ -322,7 +311,7 @@ def find_contact(color_change: NDArray[np.float32]) -> ContactCircle:
 
 
 def marked_contact(
-    found: ContactCircle, size: NDArray[np.float32], x_px: float, y_px: float, radius_px: float | None
+    found: ContactCircle, size: Map, x_px: float, y_px: float, radius_px: float | None
 ) -> ContactCircle:
     """The contact about a center that a person or a stage gives, if the found one is weak or agrees; else the found one.
 
@@ -336,7 +325,7 @@ def marked_contact(
     return replace(found, x_px=x_px, y_px=y_px, radius_px=radius, signal=signal, marked=True)
 
 
-def moved(contact: ContactCircle, size: NDArray[np.float32], x_px: float, y_px: float) -> ContactCircle:
+def moved(contact: ContactCircle, size: Map, x_px: float, y_px: float) -> ContactCircle:
     """The contact with another center, and its radius measured again about it."""
     radius = contact_radius(size, x_px, y_px, contact.radius_px)
     return replace(contact, x_px=x_px, y_px=y_px, radius_px=radius)
@@ -356,9 +345,7 @@ def why_no_contact(contact: ContactCircle) -> str | None:
     return None
 
 
-def contact_radius(
-    size: NDArray[np.float32], x_px: float, y_px: float, near_px: float | None = None
-) -> float:
+def contact_radius(size: Map, x_px: float, y_px: float, near_px: float | None = None) -> float:
     """Radius of the steepest descent of the ring mean of |change| about a center; near a given one if any."""
     scale, last = scale_of(size.shape), int(0.6 * min(size.shape))
     low, high = 6 * scale, last - 5 * scale
@@ -371,7 +358,7 @@ def contact_radius(
     return peak + parabola_offset(slope, peak)
 
 
-def imprint_aspect(size: NDArray[np.float32], contact: ContactCircle) -> float:
+def imprint_aspect(size: Map, contact: ContactCircle) -> float:
     """Width of an imprint over its height, from |change|: that of the ellipses at which the ring mean falls most steeply."""
     scale, falls, logs = scale_of(size.shape), [], np.linspace(-0.4, 0.4, 9)
     low, high = int(0.6 * contact.radius_px), int(1.4 * contact.radius_px + 2 * scale)
@@ -385,8 +372,8 @@ def imprint_aspect(size: NDArray[np.float32], contact: ContactCircle) -> float:
 
 
 def ring_mean(
-    values: NDArray[np.float32], x_px: float, y_px: float, aspect: float = 1.0, count: int | None = None
-) -> NDArray[np.float64]:
+    values: Map, x_px: float, y_px: float, aspect: float = 1.0, count: int | None = None
+) -> Numbers:
     """Mean of a map on rings of 1 px about a center, `count` or out to 0.6 of the shorter side; of a width over height."""
     count = int(0.6 * min(values.shape)) if count is None else count
     reach = count * max(aspect, 1 / aspect) ** 0.5 + 1
@@ -401,7 +388,7 @@ def ring_mean(
     return total / np.maximum(pixels, 1)
 
 
-def _signal(size: NDArray[np.float32], x: float, y: float, radius: float) -> float:
+def _signal(size: Map, x: float, y: float, radius: float) -> float:
     height, width = size.shape
     rows, cols = np.ogrid[:height, :width]
     rho = np.hypot(cols - x, rows - y) / radius
@@ -411,7 +398,7 @@ def _signal(size: NDArray[np.float32], x: float, y: float, radius: float) -> flo
     return float(inside.mean() / max(float(np.percentile(outside, 80)), 1e-6))
 
 
-def parabola_offset(values: NDArray[np.floating], index: int) -> float:
+def parabola_offset(values: Array, index: int) -> float:
     """Sub-sample offset of an extremum from its two neighbors, within half a sample."""
     if not 0 < index < len(values) - 1:
         return 0.0
@@ -455,7 +442,7 @@ def find_by_templates(
     return found
 
 
-def _noise(pictures: NDArray[np.float32], circles: Sequence[Circle | None]) -> NDArray[np.float32]:
+def _noise(pictures: Map, circles: Sequence[Circle | None]) -> Map:
     """Noise (N, H, W, 3) of each pixel: the frame's own, and what changes there in most frames of another place."""
     size = np.abs(pictures)
     own = np.maximum(1.4826 * np.median(size, axis=(1, 2)), 0.01)[:, None, None]  # of the color change
@@ -491,13 +478,11 @@ def _prepared(shape: tuple[int, int], radius: float) -> tuple[Any, ...]:
     return np.conj(rfft2(templates, s=size)), reach, size, np.linalg.inv(gram), gram[..., 0, 0]
 
 
-def _correlated(spectra: Any, other: Any, size: Any, shape: tuple[int, int]) -> NDArray[Any]:
+def _correlated(spectra: Any, other: Any, size: Any, shape: tuple[int, int]) -> Array:
     return np.asarray(irfft2(spectra * other, s=size)[..., : shape[0], : shape[1]])
 
 
-def _evidence(
-    picture: NDArray[np.float32], noise: NDArray[np.float32], radius: float, power: float
-) -> NDArray[np.float64]:
+def _evidence(picture: Map, noise: Map, radius: float, power: float) -> Numbers:
     """Evidence (H, W) for a ball of a visible radius at each place, in pixels of the picture."""
     shape, channels = (picture.shape[0], picture.shape[1]), picture.shape[2]
     spectra, reach, size, inverse, pixels = _prepared(shape, float(radius))
@@ -514,9 +499,7 @@ def _evidence(
     return np.asarray(pixels**power * np.log((total + unit) / (left + unit)))
 
 
-def _peak(
-    maps: NDArray[np.float64], radii: NDArray[np.float64], near: NDArray[np.bool_] | None = None
-) -> tuple[Circle, float]:
+def _peak(maps: Numbers, radii: Numbers, near: Mask | None = None) -> tuple[Circle, float]:
     """The circle of the largest value of maps (radii, H, W), between the samples, and that value."""
     looked = maps if near is None else np.where(near, maps, -1)
     i, y, x = (int(k) for k in np.unravel_index(int(looked.argmax()), maps.shape))
@@ -525,7 +508,7 @@ def _peak(
     return (*at, float(radius)), float(maps[i, y, x])
 
 
-def _refined(change: NDArray[np.float32], noise: NDArray[np.float32], circle: Circle) -> Circle:
+def _refined(change: Map, noise: Map, circle: Circle) -> Circle:
     """The circle found again in a part of the image where its radius is 12 px, twice."""
     noise = cv2.resize(noise, change.shape[1::-1])
     x, y, radius = circle
@@ -550,7 +533,7 @@ def _scaled(circle: Circle, across: float, down: float, factor: float) -> Circle
     return (circle[0] + 0.5) * across - 0.5, (circle[1] + 0.5) * down - 0.5, circle[2] * factor
 
 
-def _resized(image: NDArray[np.float32], factor: float) -> NDArray[np.float32]:
+def _resized(image: Map, factor: float) -> Map:
     kind = cv2.INTER_AREA if factor < 1 else cv2.INTER_LINEAR
     return np.asarray(cv2.resize(image, None, fx=factor, fy=factor, interpolation=kind))
 
@@ -561,7 +544,7 @@ def contact_samples(
     zone: float = ZONE,
     *,
     total: int = TOTAL_SAMPLES,
-    depths_px: Sequence[NDArray[Any]] | None = None,
+    depths_px: Sequence[Array] | None = None,
 ) -> Samples:
     """Samples inside the contacts, labeled by the balls: about `total`, shared evenly by the presses.
 
@@ -581,7 +564,7 @@ def training_samples(
     zone: float = ZONE,
     *,
     total: int = TOTAL_SAMPLES,
-    depths_px: Sequence[NDArray[Any]] | None = None,
+    depths_px: Sequence[Array] | None = None,
 ) -> Samples:
     """The samples that models are fitted on: pixels inside the contacts, as `contact_samples`, and pixels at rest."""
     inside = contact_samples(presses, contacts, zone, total=total, depths_px=depths_px)
@@ -592,7 +575,7 @@ def with_rest_samples(
     samples: Samples,
     presses: Sequence[PreparedPress],
     contacts: Sequence[ContactCircle],
-    depths_px: Sequence[NDArray[Any]] | None = None,
+    depths_px: Sequence[Array] | None = None,
 ) -> Samples:
     """The samples and up to half as many of the gel at rest, where the gradient is 0, at a lower weight."""
     parts = [samples]

@@ -26,10 +26,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import scipy  # its parts load at first use
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 from scipy.sparse.csgraph import connected_components
 
+from gelform.arrays import Array, Map, Numbers
 from gelform.calibration.circles.find import (
     PRESS_PIXELS,
     TRIAL_SAMPLES,
@@ -58,13 +58,7 @@ from gelform.image.background import surround_of
 from gelform.image.frame import DARK
 from gelform.image.health import CHANNELS
 from gelform.result.metrics import STEEPEST_FRACTION, ball_center, ball_gradients, center_jacobian
-from gelform.slopes.color_models import (
-    COLOR_MODELS,
-    DEFAULT_MODEL,
-    PLAIN_MODEL,
-    ColorModel,
-    StartableModel,
-)
+from gelform.slopes.color_models import COLOR_MODELS, DEFAULT_MODEL, PLAIN_MODEL, ColorModel, StartableModel
 from gelform.slopes.color_models.least_squares import (
     HUBER_SLOPE,
     normal_equations,
@@ -298,9 +292,7 @@ def _jointly_centered(
 
 
 def fit_model(
-    presses: Sequence[PreparedPress],
-    contacts: Sequence[ContactCircle],
-    start: StartableModel | None = None,
+    presses: Sequence[PreparedPress], contacts: Sequence[ContactCircle], start: StartableModel | None = None
 ) -> ColorModel:
     """The model that refines circles: a polynomial, or one that follows a start closely."""
     samples = training_samples(presses, contacts, total=TRIAL_SAMPLES)
@@ -411,12 +403,12 @@ def agreement(press: PreparedPress, contact: ContactCircle, model: ColorModel) -
     """Median slope error inside the contact, and the slope of model on ball (1 if they agree)."""
     rows, cols = press.pixels(contact, ZONE, PRESS_PIXELS)
     ball = press.ball_gradients(contact, rows, cols)
-    seen: NDArray[np.float64] = press.gradients(model, rows, cols)
+    seen: Numbers = press.gradients(model, rows, cols)
     error = np.linalg.norm(seen - ball, axis=1)
     return float(np.median(error)), float(np.sum(seen * ball) / max(np.sum(ball * ball), 1e-12))
 
 
-def light_notes(background: NDArray[np.float32]) -> tuple[str, ...]:
+def light_notes(background: Map) -> tuple[str, ...]:
     """The share of the gel where a channel is too dark or saturated, and what to do; () for less than a tenth."""
     outside = surround_of(background)
     gel = background.reshape(-1, 3) if outside is None else background[~outside]
@@ -493,7 +485,7 @@ def contact_radius_ratio(presses: Sequence[PreparedPress], contacts: Sequence[Co
     return edge_of_gains(np.array(gains))
 
 
-def edge_of_gains(gains: NDArray[np.float64]) -> float:
+def edge_of_gains(gains: Numbers) -> float:
     """The edge from gains (presses, rings), read slopes over the ball's; NaN where a press has no pixels in a ring."""
     known = np.isfinite(gains).any(axis=0)
     median = np.full(gains.shape[1], np.nan)
@@ -510,7 +502,7 @@ def edge_of_gains(gains: NDArray[np.float64]) -> float:
     return float(np.interp(np.clip(part, 0, 1), (0, 1), middles[last - 1 : last + 1]))
 
 
-def _gains(press: PreparedPress, contact: ContactCircle, model: ColorModel) -> NDArray[np.float64]:
+def _gains(press: PreparedPress, contact: ContactCircle, model: ColorModel) -> Numbers:
     """Gains of each ring, read slopes over the ball's by least squares, about the center fitted to the inner half."""
     rows, cols = press.pixels(contact, 1.0, PRESS_PIXELS)
     read, radius = press.gradients(model, rows, cols), press.contact_radius(contact)
@@ -529,7 +521,7 @@ def _gains(press: PreparedPress, contact: ContactCircle, model: ColorModel) -> N
     return np.where(square > 0, along / np.maximum(square, 1e-12), np.nan)
 
 
-def joint_moves(presses: Sequence[PreparedPress], contacts: Sequence[ContactCircle]) -> NDArray[np.float64]:
+def joint_moves(presses: Sequence[PreparedPress], contacts: Sequence[ContactCircle]) -> Numbers:
     """Moves (N, 2) of the centers, px, that agree best with one polynomial of all presses, at most 3 px at 240 rows.
 
     It is one Gauss-Newton step of Huber's loss of the slope errors, at pixels in the contacts and at rest. The polynomial is
@@ -557,13 +549,8 @@ def joint_moves(presses: Sequence[PreparedPress], contacts: Sequence[ContactCirc
 
 
 def _solved(
-    design: NDArray[np.float64],
-    target: NDArray[np.float64],
-    weight: NDArray[np.float64],
-    owner: NDArray[np.intp],
-    jacobian: NDArray[np.float64],
-    count: int,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    design: Numbers, target: Numbers, weight: Numbers, owner: Array, jacobian: Numbers, count: int
+) -> tuple[Numbers, Numbers]:
     """Coefficients (terms, 2) and moves (N, 2) that minimize `sum weight |design w - target - jacobian move|^2`."""
     normal, right = normal_equations(design, target, weight)
     # Definite by the ridge, and so is what it leaves of the moves, but for rounding: far below 1e-9.

@@ -9,8 +9,8 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from gelform.arrays import Array, Map, Mask, Numbers
 from gelform.calibration.coverage import (
     COARSE,
     DIRECTIONS,
@@ -36,7 +36,7 @@ SLOPE_EDGES = tuple(round(0.1 * k, 1) for k in range(13))
 DRAWS = 1000  # bootstrap draws of presses, for intervals
 
 
-def _bins_of(slope: NDArray[Any]) -> Iterator[tuple[dict[str, float], NDArray[np.bool_]]]:
+def _bins_of(slope: Array) -> Iterator[tuple[dict[str, float], Mask]]:
     """The limits of each bin of slopes that holds enough pixels, and the pixels in it."""
     for low, high in pairwise(SLOPE_EDGES):
         member = (slope >= low) & (slope < high)
@@ -45,7 +45,7 @@ def _bins_of(slope: NDArray[Any]) -> Iterator[tuple[dict[str, float], NDArray[np
 
 
 def _tile_means(
-    pixels: NDArray[Any], shape: tuple[int, int], grid: tuple[int, int], *values: Any, least: int = MIN_IN_BIN
+    pixels: Array, shape: tuple[int, int], grid: tuple[int, int], *values: Any, least: int = MIN_IN_BIN
 ) -> list[list[Any]]:
     """Number of pixels in each tile, row by row, and their means of some values (N,); None where they are few."""
     tile = tile_of(pixels["x_px"], pixels["y_px"], shape, grid)
@@ -57,7 +57,7 @@ def _tile_means(
     ]
 
 
-def gain_curve(pixels: NDArray[Any], rng: np.random.Generator) -> list[dict[str, Any]]:
+def gain_curve(pixels: Array, rng: np.random.Generator) -> list[dict[str, Any]]:
     """Recovered over true slope, by bins of the true slope, with a 95 % interval over presses.
 
     The gain of a bin is `sum g . t / sum t . t` over its pixels, g the reconstructed and t the true gradient:
@@ -93,7 +93,7 @@ def gain_curve(pixels: NDArray[Any], rng: np.random.Generator) -> list[dict[str,
     return curve
 
 
-def error_map(pixels: NDArray[Any], shape: tuple[int, int], grid: tuple[int, int]) -> dict[str, Any]:
+def error_map(pixels: Array, shape: tuple[int, int], grid: tuple[int, int]) -> dict[str, Any]:
     """Held-out slope errors by tile: mean (dx, dy), RMS length and number of pixels, None where there are few."""
     errors = (pixels["solved"] - pixels["true"]).astype(np.float64)
     parts = errors[:, 0], errors[:, 1], (errors**2).sum(1)
@@ -103,21 +103,19 @@ def error_map(pixels: NDArray[Any], shape: tuple[int, int], grid: tuple[int, int
     return {"rows": grid[0], "columns": grid[1], "mean": mean, "rms": rms, "pixels": count}
 
 
-def square_error_by_direction(
-    pixels: NDArray[Any], shape: tuple[int, int], tiles: tuple[int, int]
-) -> NDArray[np.float64]:
+def square_error_by_direction(pixels: Array, shape: tuple[int, int], tiles: tuple[int, int]) -> Numbers:
     """(rows, columns, 8) mean square slope error, drawn to the overall mean, which counts as 200 pixels."""
     size = tiles[0] * tiles[1] * DIRECTIONS
     index = tile_of(pixels["x_px"], pixels["y_px"], shape, tiles) * DIRECTIONS + direction_of(pixels["true"])
     square = ((pixels["solved"] - pixels["true"]).astype(np.float64) ** 2).sum(axis=1)
     total, count = np.bincount(index, square, size), np.bincount(index, minlength=size)
     overall = total.sum() / count.sum() if count.any() else 1.0
-    mean: NDArray[np.float64] = (total + 200 * overall) / (count + 200)
+    mean: Numbers = (total + 200 * overall) / (count + 200)
     return mean.reshape(*tiles, DIRECTIONS)
 
 
 def fraction_within_sigma(
-    pixels: NDArray[Any], sigma: NDArray[np.float32], shape: tuple[int, int], grid: tuple[int, int]
+    pixels: Array, sigma: Map, shape: tuple[int, int], grid: tuple[int, int]
 ) -> dict[str, Any]:
     """Fraction of held-out slopes within one stated standard deviation, by bins of slope and of place; 0.68 is right.
 
@@ -136,10 +134,7 @@ def fraction_within_sigma(
 
 
 def errors_where(
-    pixels: NDArray[Any],
-    shape: tuple[int, int],
-    contact_radius_ratio: float,
-    grid: tuple[int, int] = COARSE,
+    pixels: Array, shape: tuple[int, int], contact_radius_ratio: float, grid: tuple[int, int] = COARSE
 ) -> dict[str, Any]:
     """Normal errors of reconstructed presses by slope and by place: `contact` up to its edge, `rim` up to the visible rim.
 
@@ -153,7 +148,7 @@ def errors_where(
     }
 
 
-def _part(pixels: NDArray[Any], shape: tuple[int, int], grid: tuple[int, int]) -> dict[str, Any]:
+def _part(pixels: Array, shape: tuple[int, int], grid: tuple[int, int]) -> dict[str, Any]:
     read, true = pixels["solved"], pixels["true"].astype(np.float64)
     angles = angle_deg(read, pixels["true"])
     count, by_place = _tile_means(pixels, shape, grid, angles)
@@ -431,9 +426,7 @@ def _figures(rows: Sequence[PressReport], rng: np.random.Generator) -> dict[str,
     return figures
 
 
-def interval_of(
-    values: NDArray[np.float64], middle: Callable[..., NDArray[np.float64]], rng: np.random.Generator
-) -> list[float]:
+def interval_of(values: Numbers, middle: Callable[..., Numbers], rng: np.random.Generator) -> list[float]:
     """95 % bootstrap interval of a mean or median over presses."""
     drawn = values[rng.integers(0, values.size, size=(DRAWS, values.size))]
     return [float(v) for v in np.percentile(middle(drawn, axis=1), (2.5, 97.5))]

@@ -23,11 +23,7 @@ MORE = 10  # presses, whose gain is predicted
 
 
 def learning_curve(
-    presses: Presses,
-    calibration: Calibration,
-    *,
-    rng: np.random.Generator,
-    progress: Progress = no_progress,
+    presses: Presses, calibration: Calibration, *, rng: np.random.Generator, progress: Progress = no_progress
 ) -> dict[str, Any] | None:
     """Error of held-out presses by the number of training presses, of a calibration's presses in the same order.
 

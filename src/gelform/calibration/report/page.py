@@ -12,8 +12,8 @@ from typing import Any
 import cv2
 import jinja2
 import numpy as np
-from numpy.typing import NDArray
 
+from gelform.arrays import Image, Map
 from gelform.calibration.presses.folder import Presses
 from gelform.calibration.report import charts
 from gelform.calibration.report.content import limit_in_words, shown
@@ -38,7 +38,7 @@ def short_names(names: Sequence[str], length: int = 28) -> list[str]:
     ]
 
 
-def jpeg_url(image: NDArray[np.uint8], width_px: int) -> str:
+def jpeg_url(image: Image, width_px: int) -> str:
     """An RGB image, not wider than `width_px`, as a JPEG data URL."""
     height, width = image.shape[:2]
     if width > width_px:
@@ -49,7 +49,7 @@ def jpeg_url(image: NDArray[np.uint8], width_px: int) -> str:
     return "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode()
 
 
-def press_urls(images: Sequence[NDArray[np.uint8]], budget_bytes: int = 1_300_000) -> list[str]:
+def press_urls(images: Sequence[Image], budget_bytes: int = 1_300_000) -> list[str]:
     """All presses as wide as the page's budget allows, which keeps it under 3 MB; hundreds become small."""
     for width in WIDTHS_PX:
         each = len(jpeg_url(images[len(images) // 2], width))
@@ -58,14 +58,14 @@ def press_urls(images: Sequence[NDArray[np.uint8]], budget_bytes: int = 1_300_00
     return [jpeg_url(image, width) for image in images]
 
 
-def cap_scale_um(maps: Sequence[NDArray[np.float32]]) -> float:
+def cap_scale_um(maps: Sequence[Map]) -> float:
     """The depth error of the tiles' full color: a round figure that few pixels exceed."""
     typical = float(np.nanquantile(np.abs(np.concatenate([one[::2, ::2].ravel() for one in maps])), 0.97))
     power = 10.0 ** np.floor(np.log10(max(typical, 1e-3)))
     return float(next(step * power for step in (1, 1.5, 2, 3, 5, 7, 10) if step * power >= typical))
 
 
-def cap_url(error_um: NDArray[np.float32], scale_um: float) -> str:
+def cap_url(error_um: Map, scale_um: float) -> str:
     """Depth minus the cap as a PNG data URL: red above the ball, blue below, clear where it agrees or is unknown."""
     known = np.isfinite(error_um)
     ratio = np.where(known, np.clip(np.nan_to_num(error_um) / scale_um, -1, 1), 0)
@@ -143,7 +143,7 @@ def report_page(content: dict[str, Any], presses: Presses, calibration: Calibrat
 
 
 def _caps(
-    rows: Sequence[dict[str, Any]], names: Sequence[str], caps_um: Mapping[int, NDArray[np.float32]]
+    rows: Sequence[dict[str, Any]], names: Sequence[str], caps_um: Mapping[int, Map]
 ) -> dict[str, Any] | None:
     """Pictures of depth minus the ball's cap of every held-out press, on one scale; None without any."""
     known = {i: cap for i, cap in sorted(caps_um.items()) if cap.size}

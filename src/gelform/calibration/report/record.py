@@ -7,8 +7,8 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from gelform.arrays import Array, Map
 from gelform.calibration.circles.locate import Located
 from gelform.calibration.coverage import NEEDED
 from gelform.calibration.fitted import Fitted
@@ -55,11 +55,9 @@ class CalibrationReport:
     # The same errors for the saved model's kind and settings, fitted without each press; a little too small, because those
     # were selected on the same presses; empty in reports from before it was measured.
     held_out_saved: dict[str, float] = field(default_factory=dict)
-    pixels: NDArray[Any] | None = field(
-        default=None, repr=False, compare=False
-    )  # some of each press (`PIXEL`)
+    pixels: Array | None = field(default=None, repr=False, compare=False)  # some of each press (`PIXEL`)
     # index of the press -> depth minus the ball's cap (`errors_of`)
-    caps_um: Mapping[int, NDArray[np.float32]] = field(default_factory=dict, repr=False, compare=False)
+    caps_um: Mapping[int, Map] = field(default_factory=dict, repr=False, compare=False)
     balls: tuple[BallReading, ...] = ()  # of each stated diameter; empty if nothing could check it
     start: Start | None = field(default=None, repr=False)  # another unit's model that the fit began with
     offered: Start | None = field(default=None, repr=False)  # the starter's model that was offered to it
