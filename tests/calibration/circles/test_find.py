@@ -1,10 +1,6 @@
-"""Contact circles found in one image, against simulated truth and real labels.
+"""Color changes of presses, contact circles found in one image, by templates too, and samples of known slopes.
 
-Samples carry what color models learn from.
-
-Templates of a ball: presses whose imprint is as bright on one side as on the other, and frames without one.
-
-Color changes of presses: taken once, as each color model wants them.
+They are held to simulated truth and to real labels.
 """
 
 import csv
@@ -55,32 +51,33 @@ def change_of(image, background):
     return color_change_from_image(image, background, settings)
 
 
-def is_whole(press, shape):
-    x, y = press.center_px
-    margin = 1.2 * press.contact_radius_px
-    return margin < x < shape[1] - margin and margin < y < shape[0] - margin
+@pytest.fixture(scope="module")
+def whole(simulated):
+    """The presses that the border does not cut, with their color changes."""
+    height, width = simulated.sensor.shape
+    pairs = [(press, change_of(press.image, simulated.background)) for press in simulated.presses]
+    margins = [1.2 * press.contact_radius_px for press, _ in pairs]
+    return [
+        (press, change)
+        for (press, change), margin in zip(pairs, margins)
+        if all(margin < at < n - margin for at, n in zip(press.center_px, (width, height)))
+    ]
 
 
-def test_whole_contacts_are_found(simulated):
-    whole = [p for p in simulated.presses if is_whole(p, simulated.sensor.shape)]
+def test_whole_contacts_are_found_and_circles_move_with_the_image(whole):
+    """Every constant in pixels scales, and nothing depends on the place but the light."""
     assert len(whole) >= 6
-    for press in whole:
-        found = find_contact(change_of(press.image, simulated.background))
+    for press, change in whole:
+        found = find_contact(change)
         assert why_no_contact(found) is None
         assert np.hypot(found.x_px - press.center_px[0], found.y_px - press.center_px[1]) < 1.5
         assert 0.9 < found.radius_px / press.contact_radius_px < 1.35
-
-
-def test_circle_moves_with_the_image(simulated):
-    """Every constant in pixels scales, and nothing depends on the place but the light."""
-    press = next(p for p in simulated.presses if is_whole(p, simulated.sensor.shape))
-    change = change_of(press.image, simulated.background)
-    plain = find_contact(change)
-    shifted = find_contact(np.roll(change, (3, -5), axis=(0, 1)))
+    change = whole[0][1]
+    plain, shifted = find_contact(change), find_contact(np.roll(change, (3, -5), axis=(0, 1)))
     np.testing.assert_allclose((shifted.x_px - plain.x_px, shifted.y_px - plain.y_px), (-5, 3), atol=0.3)
     turned = find_contact(np.ascontiguousarray(change[:, ::-1]))
-    assert turned.x_px == pytest.approx(change.shape[1] - 1 - plain.x_px, abs=1e-3)
-    assert turned.y_px == pytest.approx(plain.y_px, abs=1e-3)
+    mirrored = (change.shape[1] - 1 - plain.x_px, plain.y_px)
+    assert (turned.x_px, turned.y_px) == pytest.approx(mirrored, abs=1e-3)
 
 
 def test_untouched_gel_has_no_contact(simulated):
@@ -89,18 +86,14 @@ def test_untouched_gel_has_no_contact(simulated):
     assert why_no_contact(find_contact(change_of(image, simulated.background))) is not None
 
 
-def test_radius_is_where_a_disc_ends():
+def test_radius_is_where_a_disc_ends_and_of_two_rims_the_one_near_a_known_radius():
+    """Of the whole, the outer rim, which is steeper."""
     y, x = np.mgrid[:120, :160]
-    disc = (np.hypot(x - 70.4, y - 61.7) < 24).astype(np.float32)
+    away = np.hypot(x - 70.4, y - 61.7)
+    disc = (away < 24).astype(np.float32)
     assert contact_radius(disc, 70.4, 61.7) == pytest.approx(24, abs=0.5)
     np.testing.assert_allclose(ring_mean(disc, 70.4, 61.7)[1:22], 1)
     np.testing.assert_allclose(ring_mean(disc, 70.4, 61.7)[27:], 0)
-
-
-def test_the_rim_near_a_known_radius_is_taken():
-    """Two rims, the outer one steeper: of the whole the outer, near 20 px the inner."""
-    y, x = np.mgrid[:120, :160]
-    away = np.hypot(x - 70.4, y - 61.7)
     discs = (away < 22).astype(np.float32) + 2 * (away < 45)
     assert contact_radius(discs, 70.4, 61.7) == pytest.approx(45, abs=0.5)
     assert contact_radius(discs, 70.4, 61.7, near_px=20) == pytest.approx(22, abs=0.5)
@@ -145,31 +138,13 @@ def test_very_deep_real_presses(data):
     assert scatter.max() < 10
 
 
-def test_samples_carry_the_balls_slopes_and_the_untouched_image():
-    background = np.full((60, 80, 3), 90, np.float32)
-    change = np.zeros((60, 80, 3), np.float32)
-    press = PreparedPress("one", change, change[..., 0], 40.0, None, background, 0.9)
-    contact = ContactCircle(40.0, 30.0, 15.0, 1.0, 9.0)
-    samples = contact_samples([press], [contact], 0.8)
-    assert samples.background is background
-    u, v = samples.x_px - 40, samples.y_px - 30
-    assert 9.8 < np.hypot(u, v).max() < 0.8 * 0.9 * 15
-    np.testing.assert_allclose(
-        samples.gradients, -np.stack([u, v], 1) / np.sqrt(1600 - u**2 - v**2)[:, None], rtol=1e-6
-    )
-    rested = with_rest_samples(samples, [press], [contact])
-    assert rested.background is background
-    assert len(rested.x_px) > len(samples.x_px)
-    assert not rested.gradients[len(samples.x_px) :].any()
-
-
 SMALL = (60, 80)
 
 
-def press_of(usable=None, ball_radius_px=40.0):
-    """A press whose gel follows the ball up to the visible rim."""
+def press_of(usable=None, ball_radius_px=40.0, ratio=1.0):
+    """A press whose gel follows the ball up to the visible rim, before a background of 90."""
     change = np.zeros((*SMALL, 3), np.float32)
-    return PreparedPress("one", change, change[..., 0], ball_radius_px, usable, contact_radius_ratio=1.0)
+    return PreparedPress("one", change, change[..., 0], ball_radius_px, usable, change + 90, ratio)
 
 
 def within(contact, radius_px):
@@ -200,6 +175,7 @@ def test_a_count_thins_the_pixels_evenly_and_the_steepest_rim_of_a_ball_is_left_
 
 
 def test_presses_share_the_samples_and_rest_gives_half_as_many():
+    """All carry the untouched image; at rest slopes are 0, in a contact they are the ball's."""
     contacts = [ContactCircle(20.0, 30.0, 15.0, 1.0, 9.0), ContactCircle(55.0, 30.0, 20.0, 1.0, 9.0)]
     presses = [press_of(np.arange(80)[None, :].repeat(60, axis=0) != 70), press_of()]
     samples = contact_samples(presses, contacts, 1.0, total=800)
@@ -207,10 +183,12 @@ def test_presses_share_the_samples_and_rest_gives_half_as_many():
     first = within(contacts[0], 15.0)[samples.y_px, samples.x_px]
     assert 0.35 < first.mean() < 0.65
     rested = with_rest_samples(samples, presses, contacts)
+    assert samples.background is rested.background is presses[0].background
     count = len(samples.x_px)
     assert 0.1 * count < len(rested.x_px) - count <= 0.5 * count
     assert (rested.weight[:count] == 1).all()
     assert (rested.weight[count:] < 1).all()
+    assert not rested.gradients[count:].any()
     x, y = rested.x_px[count:], rested.y_px[count:]
     distance = [np.hypot(x - c.x_px, y - c.y_px) / c.radius_px for c in contacts]
     assert np.maximum(*distance).min() > 2
@@ -234,12 +212,13 @@ def test_depths_come_with_the_pixels_that_they_belong_to():
 @pytest.mark.parametrize("ratio", [0.5, USUAL_EDGE, 1.0])
 def test_nothing_trains_beyond_the_edge_of_the_contact(ratio):
     """Of a press too deep for its visible circle, the edge is that share of what the gel certainly follows."""
-    contact = ContactCircle(40.0, 30.0, 20.0, 1.0, 9.0)
-    press = replace(press_of(), contact_radius_ratio=ratio)
+    contact, press = ContactCircle(40.0, 30.0, 20.0, 1.0, 9.0), press_of(ratio=ratio)
     assert press.contact_radius(contact) == ratio * 20
     samples = contact_samples([press], [contact], total=10**6)
-    away = np.hypot(samples.x_px - 40, samples.y_px - 30)
-    assert 0.95 * ratio * 20 - 1 < away.max() < 0.95 * ratio * 20
+    u, v = samples.x_px - 40, samples.y_px - 30
+    assert 0.95 * ratio * 20 - 1 < np.hypot(u, v).max() < 0.95 * ratio * 20
+    slopes = -np.stack([u, v], 1) / np.sqrt(1600 - u**2 - v**2)[:, None]
+    np.testing.assert_allclose(samples.gradients, slopes, rtol=1e-6)
     deep = replace(press, ball_radius_px=15.0)
     assert deep.contact_radius(contact) == ratio * followed_radius(20.0, 15.0) < ratio * 15
     assert PreparedPress("one", press.color_change, press.size, 40.0).contact_radius_ratio == USUAL_EDGE
@@ -359,8 +338,9 @@ def test_the_change_is_that_of_the_path(few):
     exposure, _ = rest.compare(few.presses[0].image)
     np.testing.assert_array_equal(change, rest.change(few.presses[0].image, exposure))
     calls = []
-    (one,) = prepare(few.subset([0]), progress=lambda *call: calls.append(call[:2]))
-    assert calls == [(1, 1)]
+    one, _ = prepared = prepare(few, progress=lambda *call: calls.append(call[:2]))
+    assert len(find_contacts(prepared, progress=lambda *call: calls.append(call[:2]))) == 2
+    assert calls == [(1, 2), (2, 2)] * 2
     assert one.ball_radius_px == few.presses[0].ball_diameter_mm / 2 / few.mm_per_px
     np.testing.assert_array_equal(one.color_change, change)
     np.testing.assert_allclose(
@@ -380,17 +360,8 @@ def test_another_offset_has_the_edge_of_the_contacts(few):
     usual = [replace(press, contact_radius_ratio=0.7) for press in prepare(few, USUAL_OFFSET)]
     assert prepared_with(few, usual, USUAL_OFFSET) is usual
     found = prepared_with(few, usual, 0.0)
-    assert [(press.name, press.contact_radius_ratio) for press in found] == [
-        (press.name, 0.7) for press in usual
-    ]
+    assert [(one.name, one.contact_radius_ratio) for one in found] == [(one.name, 0.7) for one in usual]
     assert not np.array_equal(found[0].color_change, usual[0].color_change)
-
-
-def test_a_circle_for_each_press_and_progress_for_each(few):
-    calls = []
-    found = find_contacts(prepare(few, USUAL_OFFSET), progress=lambda *call: calls.append(call[:2]))
-    assert len(found) == 2
-    assert calls == [(1, 2), (2, 2)]
 
 
 @pytest.mark.parametrize("marked", [False, True])
@@ -412,19 +383,14 @@ def test_nothing_is_learnt_where_a_background_of_0_divides(few, marked, monkeypa
         assert press.usable is None if not marked else not press.usable[20, 30]
 
 
-def test_the_press_that_is_of_another_sensor_is_named(few):
+def test_presses_of_another_sensor_are_named_and_one_of_another_light_is_rejected(presses, few):
+    """The one had ended the calibration of all others."""
     turned = replace(few.presses[1], image=np.ascontiguousarray(few.presses[1].image[::-1, ::-1]))
     with pytest.raises(gelform.CalibrationError, match=f"1 of 2 presses do not fit .* {few.presses[1].name}"):
         prepare(replace(few, presses=(few.presses[0], turned)))
-
-
-def test_one_frame_of_another_light_is_one_rejected_press(presses):
-    """It had ended the calibration of all others."""
     dark = replace(presses.presses[1], image=(presses.presses[1].image * 0.4).astype(np.uint8))
-    some = replace(presses, presses=(presses.presses[0], dark, *presses.presses[2:6]))
-    prepared = prepare(some)
-    assert [one.refused is None for one in prepared] == [True, False, True, True, True, True]
-    located = locate(some)
+    located = locate(replace(presses, presses=(presses.presses[0], dark, *presses.presses[2:6])))
+    assert [one.refused is None for one in located.prepared] == [True, False, True, True, True, True]
     assert "times as bright as in the background" in located.refined.reasons[1]
     assert located.refined.accepted == [0, 2, 3, 4, 5]
 
@@ -473,6 +439,10 @@ def dotted(sensor):
 
 def test_the_change_is_that_of_the_unmarked_gel(plain, dotted):
     background, rest = dotted[1].background, plain[1].background
+    image = plain[0].presses[0].image
+    change, usable = unmarked(image, rest)
+    assert usable is None
+    np.testing.assert_array_equal(change, color_change_from_image(image, rest, SETTINGS))
     spoilt, errors, left_out = [], [], []
     for clean, press in zip(plain[0].presses, dotted[0].presses):
         change, usable = unmarked(press.image, background)
@@ -507,13 +477,6 @@ def test_dots_that_were_dragged_are_left_out_where_they_are_and_where_they_were(
     assert np.mean(MarkerFinder(rest).mask(press.image)[spoilt > 0.2]) > 0.9  # the fast way sees them too
 
 
-def test_an_unmarked_gel_is_left_as_it_is(plain):
-    image, background = plain[0].presses[0].image, plain[1].background
-    change, usable = unmarked(image, background)
-    assert usable is None
-    np.testing.assert_array_equal(change, color_change_from_image(image, background, SETTINGS))
-
-
 @pytest.mark.parametrize("blur_px", [0.0, 0.7, 2.0])
 def test_only_dots_are_left_out_and_a_blur_carries_nothing_of_them(blur_px):
     background = image_of_dots(grid(), noise=1.0)
@@ -525,9 +488,7 @@ def test_only_dots_are_left_out_and_a_blur_carries_nothing_of_them(blur_px):
     far = cv2.erode(usable.view(np.uint8), np.ones((11, 11), np.uint8)) > 0
     assert np.count_nonzero(far) > 50
     np.testing.assert_allclose(change[far], plain[far], atol=2e-3)
-    assert (
-        np.sqrt(np.mean(change[usable] ** 2)) < 0.045
-    )  # nothing changed but the noise, 3 levels of some 130
+    assert np.sqrt(np.mean(change[usable] ** 2)) < 0.045, "but the noise of 3 levels in 130, nothing changed"
     if blur_px > 1:
         assert np.sqrt(np.mean(plain[usable] ** 2)) > 0.06
 
@@ -542,17 +503,6 @@ def test_samples_leave_the_dots_out(dotted):
         assert (true.albedo < 0.5).any()
 
 
-def slope_error(calibration, made, presses):
-    """Median slope error in the contacts against the exact truth, on the pixels without dots."""
-    errors = []
-    for true, press in zip(made.presses, prepare(presses, calibration.change.offset)):
-        usable = np.ones(true.contact.shape, bool) if press.usable is None else press.usable
-        inside = np.argwhere(true.contact & usable)
-        found = press.gradients(calibration.color_model, inside[:, 0], inside[:, 1])
-        errors.append(np.linalg.norm(found - true.gradients[inside[:, 0], inside[:, 1]], axis=1))
-    return float(np.median(np.concatenate(errors)))
-
-
 @pytest.mark.slow
 def test_calibration_and_evaluation_of_a_marked_gel(dotted):
     """Slopes as good as without dots: there the median error is 0.038."""
@@ -563,8 +513,12 @@ def test_calibration_and_evaluation_of_a_marked_gel(dotted):
         if row.accepted:
             off = np.hypot(row.center_x_px - true.center_px[0], row.center_y_px - true.center_px[1])
             assert off < 4
-    others, unseen = replace(made, presses=made.presses[1::2]), presses.subset(range(1, 20, 2))
-    assert slope_error(calibration, others, unseen) < 1.5 * 0.038
+    unseen, errors = presses.subset(range(1, 20, 2)), []
+    for true, press in zip(made.presses[1::2], prepare(unseen, calibration.change.offset)):
+        at = np.nonzero(true.contact & (True if press.usable is None else press.usable))
+        found = press.gradients(calibration.color_model, *at)
+        errors.append(np.linalg.norm(found - true.gradients[at], axis=1))
+    assert np.median(np.concatenate(errors)) < 1.5 * 0.038
     circles = np.array([row["circle_px"] for row in gelform.evaluate(calibration, unseen).rows])
-    true = np.array([press.center_px for press in others.presses])
+    true = np.array([press.center_px for press in made.presses[1::2]])
     assert np.median(np.linalg.norm(circles[:, :2] - true, axis=1)) < 1.5

@@ -1,12 +1,6 @@
-"""Where the gel leaves the ball, on gels drawn with a known end of the contact.
+"""Refinement: circles get better, what does not fit is rejected with its reason, and the gel's end of the contact is found.
 
-Frames of one press are one press, however they were taken; presses of other places, or of another ball, are others.
-
-A ball of another size than stated: the sentence says how many times as large, where nearly all presses fit it.
-
-Clipped channels of a background: their share is said, and said of presses in the place of a wrong ball.
-
-Joint refinement: circles get better, what does not fit is rejected with its reason.
+Frames of one press are one press; a ball of another size than stated is named.
 """
 
 import re
@@ -66,11 +60,6 @@ def steepness(away):
     return inside / np.sqrt(BALL_PX**2 - inside**2) * np.exp(-np.maximum(away - CONTACT_PX, 0) / FALLS_PX)
 
 
-def left_ball_at_px():
-    """Where the gel's slope is 0.7 of the ball's."""
-    return brentq(lambda r: steepness(r) * np.sqrt(BALL_PX**2 - r**2) / r - LEAST_GAIN, 22, 35)
-
-
 def press(rng, visible_px, ball_px=BALL_PX):
     """A press somewhere in the frame; its rim is seen where one likes."""
     x, y = rng.uniform(45, 115), rng.uniform(45, 75)
@@ -90,21 +79,18 @@ def presses(count, visible_px, seed=3):
 
 
 @pytest.mark.parametrize(
-    ("count", "visible"), [(12, 1.6), pytest.param(24, 1.6, marks=pytest.mark.slow), (18, 1.25)]
+    ("count", "visible"), [(12, 1.6), pytest.param(24, 1.6, marks=pytest.mark.slow), (18, 1.25), (18, 1.0)]
 )
 def test_the_edge_of_a_visible_circle_is_found(count, visible):
-    """Within a ring, whatever part of the visible circle it is."""
-    wanted = left_ball_at_px() / (visible * CONTACT_PX)
+    """Within a ring, whatever part of the visible circle it is: where the gel's slope is 0.75 of the ball's."""
+    left_ball_px = brentq(lambda r: steepness(r) * np.sqrt(BALL_PX**2 - r**2) / r - LEAST_GAIN, 22, 35)
+    wanted = min(left_ball_px / (visible * CONTACT_PX), 1)
     assert contact_radius_ratio(*presses(count, visible * CONTACT_PX)) == pytest.approx(wanted, abs=0.03)
 
 
-def test_a_gel_that_follows_the_ball_to_the_rim_has_its_edge_there_and_few_presses_do_not_tell():
-    assert contact_radius_ratio(*presses(18, CONTACT_PX)) == pytest.approx(1, abs=0.05)
-    assert contact_radius_ratio(*presses(11, 1.6 * CONTACT_PX)) == USUAL_EDGE
-
-
-def test_what_presses_were_prepared_with_does_not_decide():
+def test_what_presses_were_prepared_with_does_not_decide_and_few_presses_do_not_tell():
     """The edge is measured up to the visible rim, not up to an edge that was assumed before."""
+    assert contact_radius_ratio(*presses(11, 1.6 * CONTACT_PX)) == USUAL_EDGE
     made, contacts = presses(12, 1.3 * CONTACT_PX)
     assumed = [replace(one, contact_radius_ratio=0.5) for one in made]
     assert contact_radius_ratio(assumed, contacts) == contact_radius_ratio(made, contacts)
@@ -123,8 +109,11 @@ def test_a_curve_is_cut_where_it_falls_below_what_is_read_further_in(read, edge)
     assert edge_of_gains(read * gains_of(falls)) == pytest.approx(edge, abs=1e-6)
 
 
+FALLING = np.where(MIDDLES < 0.6, 1, 0.3)
+
+
 def test_the_median_press_decides_and_one_that_never_falls_has_its_edge_at_the_rim():
-    flat, falling = np.ones(len(MIDDLES)), np.where(MIDDLES < 0.6, 1, 0.3)
+    flat, falling = np.ones(len(MIDDLES)), FALLING
     assert edge_of_gains(np.stack([flat, flat, falling])) == 1
     assert edge_of_gains(np.stack([flat, falling, falling])) == edge_of_gains(gains_of(falling))
     for end in (0.9, 1.3):
@@ -146,8 +135,7 @@ def test_one_low_ring_is_no_edge():
 @pytest.mark.filterwarnings("error")
 def test_rings_that_a_press_does_not_show_do_not_count():
     """Cut by the border, or steeper than a ball's rim is followed: NaN, in one press or in all."""
-    falling = np.where(MIDDLES < 0.6, 1, 0.3)
-    gains = gains_of(falling, 5)
+    gains = gains_of(FALLING, 5)
     wanted = edge_of_gains(gains)
     gains[0, :4] = gains[1, 8:14] = gains[2, -3:] = np.nan
     assert edge_of_gains(gains) == wanted
@@ -158,31 +146,26 @@ def test_rings_that_a_press_does_not_show_do_not_count():
     assert edge_of_gains(level) == 1
 
 
-SHAPE_REPEATED = (240, 320)
-
-
 def repeated(presses):
     prepared = prepare(presses)
     return repeated_presses(presses, prepared, find_contacts(prepared))
 
 
+SAVED = {  # the same picture, in another way
+    "as JPEG": lambda image: cv2.imdecode(cv2.imencode(".jpg", image)[1], cv2.IMREAD_COLOR),
+    "3 gray levels brighter": lambda image: image + 3.0,
+    "redder": lambda image: image + np.array([3.0, 0, 0]),
+    "5 % brighter": lambda image: image * 1.05,
+    "a moment later": lambda image: image + np.random.default_rng(0).normal(0, 2, image.shape),
+}
+
+
 def saved_again(press, how):
-    """The same picture, saved in another way."""
-    image = press.image.astype(np.float32)
-    changed = {
-        "as JPEG": lambda: cv2.imdecode(cv2.imencode(".jpg", press.image)[1], cv2.IMREAD_COLOR),
-        "3 gray levels brighter": lambda: image + 3,
-        "redder": lambda: image + np.array([3, 0, 0]),
-        "5 % brighter": lambda: image * 1.05,
-        "a moment later": lambda: image + np.random.default_rng(0).normal(0, 2, image.shape),
-    }[how]()
-    pixels = np.clip(np.rint(changed), 0, 255).astype(np.uint8)
+    pixels = np.clip(np.rint(SAVED[how](press.image)), 0, 255).astype(np.uint8)
     return replace(press, name=f"{press.name} {how}", image=pixels, digest=pixels_digest(pixels))
 
 
-@pytest.mark.parametrize(
-    "how", ["as JPEG", "3 gray levels brighter", "redder", "5 % brighter", "a moment later"]
-)
+@pytest.mark.parametrize("how", SAVED)
 def test_one_picture_saved_in_two_ways_is_one_press(presses, how):
     four = presses.subset(range(4))
     both = replace(four, presses=(*four.presses, *(saved_again(one, how) for one in four.presses)))
@@ -192,12 +175,12 @@ def test_one_picture_saved_in_two_ways_is_one_press(presses, how):
 
 def kept(presses, circles, balls=(60.0,) * 9):
     """The frames that show a press again, and the ones that stay, by circles (x, y, radius) and balls, px."""
-    blank = np.zeros(SHAPE_REPEATED, np.float32)
+    blank = np.zeros((240, 320), np.float32)
     found = [ContactCircle(*circle, 1.0, 9.0) for circle in circles]
     prepared = [PreparedPress("", blank[..., None], blank, ball) for _, ball in zip(found, balls)]
     one = presses.presses[0]
     frames = tuple(replace(one, digest=str(k)) for k in range(len(found)))
-    background = np.zeros((*SHAPE_REPEATED, 3), np.float32)
+    background = np.zeros((240, 320, 3), np.float32)
     return repeated_presses(replace(presses, presses=frames, background=background), prepared, found)
 
 
@@ -285,36 +268,26 @@ def test_circles_by_hand_of_other_places_and_sizes_are_named(prepared, found):
     assert why_impossible(right[0], found[0]) is None
 
 
-class Judged:
-    """Refinement of ten presses and their agreement, given by how many times as large the ball is as at first."""
-
-    def __init__(self, press, contact, accepted, error):
-        self.presses, self.contacts, self.accepted, self.error = (
-            [press] * 10,
-            (contact,) * 10,
-            accepted,
-            error,
-        )
-
-    def refine(self, presses, found):
-        refused = 10 - self.accepted(presses[0].ball_radius_px / self.presses[0].ball_radius_px)
-        reasons = ("too wide",) * refused + (None,) * (10 - refused)
-        return Refined(tuple(found), reasons[-len(presses) :], "model")
-
-    def agreement(self, press, contact, model):
-        assert model == "model"
-        return self.error(press.ball_radius_px / self.presses[0].ball_radius_px), 1.0
-
-    def note(self, monkeypatch, excluded=()):
-        for name in ("refine", "agreement"):
-            monkeypatch.setattr(module, name, getattr(self, name))
-        refined = self.refine(self.presses, self.contacts)
-        return other_ball_note(self.presses, self.contacts, refined, excluded)
-
-
 @pytest.fixture
-def judged(prepared, found):
-    return lambda accepted, error: Judged(prepared[0], found[0], accepted, error)
+def note_of(prepared, found, monkeypatch):
+    """The note on ten presses, by how many are accepted and how well, for a ball so many times as large as at first."""
+
+    def note_of(accepted, error, excluded=()):
+        presses, contacts = [prepared[0]] * 10, [found[0]] * 10
+
+        def factor_of(press):
+            return press.ball_radius_px / presses[0].ball_radius_px
+
+        def refine(presses, found):
+            refused = 10 - accepted(factor_of(presses[0]))
+            reasons = ("too wide",) * refused + (None,) * (10 - refused)
+            return Refined(tuple(found), reasons[-len(presses) :], "model")
+
+        monkeypatch.setattr(module, "refine", refine)
+        monkeypatch.setattr(module, "agreement", lambda press, *_: (error(factor_of(press)), 1.0))
+        return other_ball_note(presses, contacts, refine(presses, contacts), excluded)
+
+    return note_of
 
 
 def best_at(factor):
@@ -322,41 +295,43 @@ def best_at(factor):
     return lambda tried: 0.01 * (3 + abs(tried - factor)) / tried
 
 
+def for_another(accepted, stated=0):
+    """So many presses are accepted for any other ball than the stated one."""
+    return lambda tried: stated if abs(tried - 1) < 0.01 else accepted
+
+
 @pytest.mark.parametrize("factor", [BALL_FACTORS[3], BALL_FACTORS[13], BALL_FACTORS[-1]])
-def test_of_all_that_fit_the_best_one_is_named(judged, monkeypatch, factor):
-    note = judged(lambda tried: 0 if tried == 1 else 10, best_at(factor)).note(monkeypatch)
-    assert note.startswith(f"10 of 10 presses fit a ball {factor:.2f} times as large as stated")
+def test_of_all_that_fit_the_best_one_is_named(note_of, factor):
+    said = f"10 of 10 presses fit a ball {factor:.2f} times as large as stated"
+    assert note_of(for_another(10), best_at(factor)).startswith(said)
 
 
-def test_the_best_has_to_fit_nearly_all(judged, monkeypatch):
+def test_the_best_has_to_fit_nearly_all(note_of):
     """One that eight of ten fit is passed over, however well they do."""
     better, good = BALL_FACTORS[15], BALL_FACTORS[13]
     counts = {better: 8, good: 9}
-    note = judged(
+    note = note_of(
         lambda tried: counts.get(min(BALL_FACTORS, key=lambda f: abs(f - tried)), 0), best_at(better)
     )
-    assert note.note(monkeypatch).startswith(f"9 of 10 presses fit a ball {good:.2f} times")
+    assert note.startswith(f"9 of 10 presses fit a ball {good:.2f} times")
 
 
-def test_a_ball_that_hardly_differs_is_the_stated_one_and_one_that_fits_none_no_other(judged, monkeypatch):
+def test_a_ball_that_hardly_differs_is_the_stated_one_and_one_that_fits_none_no_other(note_of):
     """A step of the sweep either way: what is wrong is something else."""
     for factor in BALL_FACTORS[9:12]:
-        assert judged(lambda tried: 0 if tried == 1 else 10, best_at(factor)).note(monkeypatch) is None
-    assert judged(lambda tried: 0, best_at(1.5)).note(monkeypatch) is None
+        assert note_of(for_another(10), best_at(factor)) is None
+    assert note_of(lambda tried: 0, best_at(1.5)) is None
 
 
 @pytest.mark.parametrize(("refused", "said"), [(2, False), (3, True)])
-def test_some_presses_are_always_refused(judged, monkeypatch, refused, said):
-    note = judged(lambda tried: 10 - refused if abs(tried - 1) < 0.01 else 10, best_at(1.5)).note(monkeypatch)
-    assert (note is not None) == said
+def test_some_presses_are_always_refused(note_of, refused, said):
+    assert (note_of(for_another(10, 10 - refused), best_at(1.5)) is not None) == said
 
 
-def test_presses_that_were_refused_before_do_not_count(judged, monkeypatch):
+def test_presses_that_were_refused_before_do_not_count(note_of):
     """The same image listed twice is refused with any ball: it neither asks for another one nor speaks for it."""
-    twice = judged(lambda tried: 5 if abs(tried - 1) < 0.01 else 10, best_at(1.5))
-    assert twice.note(monkeypatch, excluded=range(5)) is None
-    three_of_five = judged(lambda tried: 2 if abs(tried - 1) < 0.01 else 10, best_at(BALL_FACTORS[16]))
-    assert three_of_five.note(monkeypatch, excluded=range(5)).startswith("5 of 5 presses fit")
+    assert note_of(for_another(10, 5), best_at(1.5), range(5)) is None
+    assert note_of(for_another(10, 2), best_at(BALL_FACTORS[16]), range(5)).startswith("5 of 5 presses fit")
 
 
 @pytest.mark.parametrize(
