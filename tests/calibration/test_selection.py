@@ -1,8 +1,6 @@
-"""Candidates: what a color model's class says is what is tried, and the forward response that each may get a step by.
+"""Candidates, and the selection among them by presses that were not seen, whatever one of them says.
 
-Folds: no press trains what scores it, and another unit's model counts where it is left out too.
-
-Choosing: by presses that were not seen, whatever one of them says, and no fold's own presses decide what scores them.
+No press trains what scores it, and no fold's own presses decide what scores them.
 """
 
 from dataclasses import replace
@@ -53,24 +51,15 @@ from gelform.slopes.color_models.least_squares import node_positions
 from made.images import ball_samples, lambertian_change
 
 
-def described(color_model, presses):
-    return [candidate.describe() for candidate in candidates_for(color_model, presses)]
-
-
-@pytest.mark.parametrize("presses", [3, 12, 100])
-def test_auto_tries_the_ridges_of_one_model(presses):
-    """The stiffest first: what is chosen of equals."""
-    ridges = [dict(c.settings)["ridge"] for c in candidates_for("auto", presses)]
-    assert ridges == sorted(hierarchical.RIDGES, reverse=True)
-    assert {c.model for c in candidates_for("auto", presses)} == {"hierarchical"}
-
-
 @pytest.mark.parametrize("presses", [2, 3, 6, 12, 17, 18, 29, 30, 100])
 @pytest.mark.parametrize("name", ["auto", *COLOR_MODELS])
 def test_something_is_always_tried(name, presses):
+    """Of "auto" the ridges of one model, the stiffest first, which is chosen of equals."""
     candidates = candidates_for(name, presses)
-    assert candidates
-    assert name == "auto" or {c.model for c in candidates} == {name}
+    assert {c.model for c in candidates} == {"hierarchical" if name == "auto" else name}
+    if name == "auto":
+        ridges = [dict(c.settings)["ridge"] for c in candidates]
+        assert ridges == sorted(hierarchical.RIDGES, reverse=True)
     assert {(c.step_ridge, c.start) for c in candidates} == {(None, None)}, "steps are of what was chosen"
 
 
@@ -85,22 +74,23 @@ def test_the_class_says_what_is_tried(monkeypatch):
             return [{"strength": 2}, {"strength": presses}]
 
     monkeypatch.setitem(COLOR_MODELS, "mine", Mine)
-    assert described("mine", 40) == ["mine strength 2", "mine strength 40"]
-    assert {c.change_offset for c in candidates_for("mine", 40)} == {4.0}
+    candidates = candidates_for("mine", 40)
+    assert [one.describe() for one in candidates] == ["mine strength 2", "mine strength 40"]
+    assert {one.change_offset for one in candidates} == {4.0}
     assert color_model_names() == ["auto", *COLOR_MODELS]
     assert "mine" not in {c.model for c in candidates_for("auto", 40)}
 
 
-def no_response(shape):
-    """A forward response without color: of every slope."""
-    rows, columns = (len(at) for at in node_positions(shape))
-    return ForwardResponse(np.zeros((rows, columns, TERMS, 3)), np.eye(3), shape)
+def start_at(model):
+    """Another unit's model, with a forward response without color."""
+    rows, columns = (len(at) for at in node_positions(model.shape))
+    response = ForwardResponse(np.zeros((rows, columns, TERMS, 3)), np.eye(3), model.shape)
+    return Start(model, response, "digest", 0.1, "another")
 
 
 def test_another_units_model_is_followed_less_and_less():
     """More presses outweigh the other unit; under 12 they do not choose by how much."""
-    model = HierarchicalModel.fit(ball_samples(lambertian_change))
-    start = Start(model, no_response(model.shape), "digest", 0.1, "another")
+    start = start_at(HierarchicalModel.fit(ball_samples(lambertian_change)))
     ridges = [dict(c.settings)["ridge"] for c in candidates_from(start, 12)]
     assert ridges == sorted(ridges, reverse=True)
     assert len(ridges) == 3
@@ -117,8 +107,7 @@ def test_a_fit_begins_at_the_other_units_model_where_there_is_one():
     """Slopes of which the other unit's model reads half: followed closely, and not at all."""
     samples = ball_samples(lambertian_change)
     whole = HierarchicalModel.fit(samples)
-    half = replace(whole, nodes=0.5 * whole.nodes)
-    start = Start(half, no_response(whole.shape), "digest", 0.1, "another")
+    start = start_at(replace(whole, nodes=0.5 * whole.nodes))
     held = replace(candidates_from(start, 6)[0], settings=(("ridge", 1e6),)).fit(samples)
     np.testing.assert_allclose(held.nodes, start.model.nodes, atol=1e-3)
     alone = candidates_for("hierarchical", 6)[-1].fit(samples)
@@ -126,10 +115,14 @@ def test_a_fit_begins_at_the_other_units_model_where_there_is_one():
     assert ratio == pytest.approx(1, abs=0.05)
 
 
+def polynomial(*degrees, step_ridge=None):
+    return Candidate("polynomial", (("position_degrees", degrees),), step_ridge=step_ridge)
+
+
 def test_a_candidate_says_its_settings_and_its_step():
-    candidate = Candidate("polynomial", (("position_degrees", (2, 1)),))
+    candidate = polynomial(2, 1)
     assert candidate.describe() == "polynomial 2-1"
-    assert replace(candidate, step_ridge=3e-5).describe() == "polynomial 2-1 step 3e-05"
+    assert polynomial(2, 1, step_ridge=3e-5).describe() == "polynomial 2-1 step 3e-05"
     assert candidate.change_offset == COLOR_MODELS["polynomial"].change_offset
     assert Candidate("lambertian").change_offset == 0
 
@@ -218,7 +211,7 @@ def test_the_responses_step_has_the_prior_of_the_model(some, held_out):
     """By the slopes that train and the untouched gel beside them, where every model is nearly right."""
     presses, contacts = some
     samples = training_samples(presses, contacts, total=6000)
-    model = Candidate("polynomial", (("position_degrees", (1,)),)).fit(samples)
+    model = polynomial(1).fit(samples)
     reader = SlopeReader(model, presses[0], held_out.prepared_for(Candidate("polynomial"))[1])
     (response,) = fitted_responses(reader, presses, contacts, RIDGES[:1], total=6000)
     assert response.step_sigma == pytest.approx(step_sigma_of(model, samples))
@@ -472,17 +465,15 @@ def test_folds_choose_without_their_own_presses():
 
 
 def test_scores_are_those_of_models_that_have_not_seen_the_press(held_out, folds, prepared, found):
-    plain = Candidate("polynomial", (("position_degrees", (2, 1)),))
-    stepped = replace(plain, step_ridge=RIDGES[0])
+    plain, stepped = polynomial(2, 1), polynomial(2, 1, step_ridge=RIDGES[0])
     of_plain, of_stepped = held_out.try_candidates([plain, stepped])
     assert (of_plain.candidate, of_stepped.candidate) == (plain, stepped)
     assert set(of_plain.scores) == set(of_stepped.scores) == set(range(len(prepared)))
     fold, untouched = folds[0], held_out.prepared_for(plain)[1]
     training = [prepared[i] for i in fold.training]
     model = plain.fit(training_samples(training, fold.contacts, total=TRIAL_SAMPLES))
-    ridges = [RIDGES[0]]
     reader = SlopeReader(model, prepared[0], untouched)
-    (forward,) = fitted_responses(reader, training, fold.contacts, ridges, total=TRIAL_SAMPLES)
+    (forward,) = fitted_responses(reader, training, fold.contacts, [RIDGES[0]], total=TRIAL_SAMPLES)
     for trial_, response in ((of_plain, None), (of_stepped, forward)):
         for i in fold.held_out:
             frame = FittedSlopes(reader, response).frame(prepared[i])
@@ -492,7 +483,7 @@ def test_scores_are_those_of_models_that_have_not_seen_the_press(held_out, folds
 
 def test_a_model_that_saw_the_press_flatters_itself(held_out, folds, prepared, found):
     """Why all this: the same candidate scores better on the presses that it was fitted on."""
-    candidate = Candidate("polynomial", (("position_degrees", (3, 2, 0)),))
+    candidate = polynomial(3, 2, 0)
     (fit,) = held_out.fit(folds[0], [candidate])
     scores = [score_of(prepared[i], found[i], fit.frame(prepared[i])) for i in folds[0].training]
     seen = np.median([score.slope_error for score in scores])
@@ -506,7 +497,7 @@ def test_each_candidate_is_fitted_once_for_each_fold(located, folds, monkeypatch
     plain_fit = Candidate.fit
     monkeypatch.setattr(Candidate, "fit", lambda self, samples: fits.append(self) or plain_fit(self, samples))
     own = HeldOutPresses(located, folds[:2])
-    candidate = Candidate("polynomial", (("position_degrees", (1,)),))
+    candidate = polynomial(1)
     steps = [replace(candidate, step_ridge=ridge) for ridge in RIDGES[:2]]
     first = own.try_candidates([candidate])
     own.try_candidates(steps)
