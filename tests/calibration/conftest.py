@@ -24,8 +24,8 @@ def found(prepared):
 
 
 @pytest.fixture(scope="session")
-def folds(prepared, found):
-    return make_folds(prepared, found, range(len(prepared)))
+def folds(located):
+    return make_folds(located)
 
 
 @pytest.fixture(scope="session")

@@ -26,7 +26,7 @@ from gelform.calibration.inputs import ball_readings, check_inputs, input_notes,
 from gelform.calibration.presses.folder import Presses, as_presses
 from gelform.calibration.presses.press_set import Press
 from gelform.calibration.report.record import report_of_run
-from gelform.calibration.selection import candidates_for, check_folds, make_folds
+from gelform.calibration.selection import candidates_for, make_folds
 from gelform.calibration.start import AUTO, start_from, starter_note, starter_start
 from gelform.calibration_file import Calibration
 from gelform.foundations.findings import Progress, no_progress
@@ -88,10 +88,7 @@ def calibrate(
     of_image = *surround_notes(presses), *light_notes(presses.background)
     located = replace(located, notes=(*of_image, *notes_of(balls), *untried, *located.notes))
     check_places(located)
-    folds = make_folds(
-        located.prepared, located.found, located.refined.accepted, start=located.refined_by, progress=progress
-    )
-    check_folds(located, folds)
+    folds = make_folds(located, progress=progress)
     fitted = fit(located, folds, color_model, compare=compare, progress=progress)
     judged = measure_held_out(fitted, progress=progress)
     notes = input_notes(located)

@@ -257,7 +257,7 @@ def measure_held_out(fitted: Fitted, *, progress: Progress = no_progress) -> Jud
         {i: cap_um for i, (_, _, cap_um) in measured.items()},
         with_factors(sigma, own, far, trained, ratio),
         forward,
-        circle_sigmas(located.prepared, found, folds, located.refined_by),
+        circle_sigmas(located, folds),
     )
 
 

@@ -28,6 +28,7 @@ from gelform.calibration.circles.find import (
     PRESS_PIXELS,
     TOTAL_SAMPLES,
     TRIAL_SAMPLES,
+    Circle,
     ContactCircle,
     PreparedPress,
     prepared_with,
@@ -47,7 +48,6 @@ from gelform.slopes.color_models import (
     ColorModel,
     ForwardResponse,
     Samples,
-    StartableModel,
 )
 from gelform.slopes.color_models.forward_response import RIDGES, PreparedStep, Step
 
@@ -209,76 +209,55 @@ class Fold:
     contacts: tuple[ContactCircle, ...]
 
 
-def make_folds(
-    presses: Sequence[PreparedPress],
-    found: Sequence[ContactCircle],
-    usable: Sequence[int],
-    *,
-    start: StartableModel | None = None,
-    progress: Progress = no_progress,
-) -> list[Fold]:
-    """Split the usable presses into folds, each size of ball evenly, and refine each fold's training circles.
+def make_folds(located: Located, *, progress: Progress = no_progress) -> list[Fold]:
+    """Split the accepted presses into folds, each size of ball evenly, and refine each fold's training circles.
 
-    Of under 12 presses each is a fold by itself, because a fold of two would leave too few to train. No two usable presses
-    show the same contact (`circles.locate`). `start` is another unit's model.
+    Of under 12 presses each is a fold by itself, because a fold of two would leave too few to train. No two accepted presses
+    show the same contact (`circles.locate`). CalibrationError: the presses agree with each other only because of a few.
     """
-    ordered = sorted(usable, key=lambda i: presses[i].ball_radius_px)
+    ordered = sorted(located.refined.accepted, key=lambda i: located.prepared[i].ball_radius_px)
     count = FOLDS if NEEDED.edge.met(len(ordered)) else len(ordered)
     folds = []
     for f in range(count):
         held_out = ordered[f::count]
-        folds.append(fold_of(presses, found, held_out, [i for i in ordered if i not in held_out], start))
+        folds.append(fold_of(located, held_out, [i for i in ordered if i not in held_out]))
         progress(f + 1, count, "holding presses out")
-    return folds
-
-
-def fold_of(
-    presses: Sequence[PreparedPress],
-    found: Sequence[ContactCircle],
-    held_out: Sequence[int],
-    training: Sequence[int],
-    start: StartableModel | None,
-) -> Fold:
-    """The fold of some held-out presses, with those of the training presses that fit each other."""
-    refined = refine([presses[i] for i in training], [found[i] for i in training], start=start)
-    kept = refined.accepted
-    return Fold(tuple(held_out), tuple(training[k] for k in kept), tuple(refined.contacts[k] for k in kept))
-
-
-def check_folds(located: Located, folds: Sequence[Fold]) -> None:
-    """Raise a CalibrationError if the presses agree with each other only because of a few of them."""
     for fold in folds:
         if not NEEDED.model.met(len(fold.training)):
             names = ", ".join(located.presses.presses[i].name for i in fold.held_out)
             raise CalibrationError(
                 f"Expected presses of a ball that fit each other, but without {names} only {len(fold.training)} of the "
-                f"other {len(located.refined.accepted) - len(fold.held_out)} do. {' '.join(located.notes)} Press a ball of "
-                "known diameter firmly at more places."
+                f"other {len(ordered) - len(fold.held_out)} do. {' '.join(located.notes)} Press a ball of known diameter "
+                "firmly at more places."
             )
+    return folds
 
 
-def circle_sigmas(
-    presses: Sequence[PreparedPress],
-    found: Sequence[ContactCircle],
-    folds: Sequence[Fold],
-    start: StartableModel | None = None,
-) -> dict[int, tuple[float, float]]:
-    """Standard deviations, px, of each usable press's center (either axis) and of its visible radius.
+def fold_of(located: Located, held_out: Sequence[int], training: Sequence[int]) -> Fold:
+    """The fold of some held-out presses, with those of the training presses that fit each other."""
+    presses, found = [located.prepared[i] for i in training], [located.found[i] for i in training]
+    refined = refine(presses, found, start=located.refined_by)
+    kept = refined.accepted
+    return Fold(tuple(held_out), tuple(training[k] for k in kept), tuple(refined.contacts[k] for k in kept))
+
+
+def circle_sigmas(located: Located, folds: Sequence[Fold]) -> dict[int, tuple[float, float]]:
+    """Standard deviations, px, of each accepted press's center (either axis) and of its visible radius.
 
     It is a delete-a-group jackknife (B. Efron, The Jackknife, SIAM 1982, eq. 3.6) of the joint refinement: each circle is
     refined without each fold; without its own fold, it is fitted to a model that has not seen it. An error common to all
     refinements is not in it; on simulated presses distances to the truth are about 1.5 times as large.
     """
-    circles: dict[int, list[tuple[float, float, float]]] = {}
+    circles: dict[int, list[Circle]] = {}
     for fold in folds:
         for i, contact in zip(fold.training, fold.contacts):
             circles.setdefault(i, []).append(contact.circle_px)
         if fold.training:
-            model = fit_model([presses[i] for i in fold.training], fold.contacts, start)
+            model = fit_model([located.prepared[i] for i in fold.training], fold.contacts, located.refined_by)
             for i in fold.held_out:
-                contact = found[i]
+                contact = found = located.found[i]
                 for _ in range(ROUNDS):
-                    contact = recentered(presses[i], contact, found[i], model)
+                    contact = recentered(located.prepared[i], contact, found, model)
                 circles.setdefault(i, []).append(contact.circle_px)
     return {i: _jackknife(np.array(known)) for i, known in circles.items() if len(known) > 1}
 

@@ -33,6 +33,7 @@ from gelform.calibration.circles.find import (
     prepared_with,
     ring_mean,
     scale_of,
+    training_samples,
     why_no_contact,
     with_rest_samples,
 )
@@ -199,14 +200,14 @@ def test_depths_come_with_the_pixels_that_they_belong_to():
     contacts = [ContactCircle(20.0, 30.0, 10.0, 1.0, 9.0), ContactCircle(55.0, 30.0, 10.0, 1.0, 9.0)]
     presses, depths = [press_of(), press_of()], [depth, -depth]
     inside = contact_samples(presses, contacts, depths_px=depths)
-    samples = with_rest_samples(inside, presses, contacts, depths)
+    samples = training_samples(presses, contacts, depths_px=depths)
     assert len(samples.depth_px) == len(samples.x_px) > len(inside.x_px)
     at = samples.y_px.astype(int), samples.x_px.astype(int)
     np.testing.assert_array_equal(np.abs(samples.depth_px), depth[at])
     own = within(contacts[1], 10.0)[at]  # of the second press, but for what both leave untouched
     assert (samples.depth_px[: len(inside.x_px)] < 0).tolist() == own[: len(inside.x_px)].tolist()
     assert contact_samples(presses, contacts).depth_px is None
-    assert with_rest_samples(contact_samples(presses, contacts), presses, contacts).depth_px is None
+    assert training_samples(presses, contacts).depth_px is None
 
 
 @pytest.mark.parametrize("ratio", [0.5, USUAL_EDGE, 1.0])

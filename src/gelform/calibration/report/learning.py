@@ -49,7 +49,8 @@ def learning_curve(
         for one, row in zip(found, rows)
     )
     refined = Refined(circles, (None,) * len(circles), None)
-    held_out = HeldOutPresses(Located(own, prepared, found, refined), ())
+    located = Located(own, prepared, found, refined)
+    held_out = HeldOutPresses(located, ())
     sizes = sizes_for(len(own.presses))
     orders = [rng.permutation(len(own.presses)).tolist() for _ in range(DRAWS)]
     begun, offered = calibration.report.start, calibration.report.offered
@@ -57,9 +58,9 @@ def learning_curve(
 
     def point_of(size: int, start: Start | None) -> list[dict[str, Any]]:
         candidates, draws = candidates_of(calibration, size, start), []
+        begun_so = replace(located, refined_by=None if start is None else start.model)
         for order in orders:
-            tested, training = order[-held_out_count(len(order)) :], order[:size]
-            fold = fold_of(prepared, found, tested, training, None if start is None else start.model)
+            fold = fold_of(begun_so, order[-held_out_count(len(order)) :], order[:size])
             if NEEDED.model.met(len(fold.training)):
                 trials = held_out.try_candidates(candidates, [fold])
                 draws.append([trial.normal_deg for trial in trials])
