@@ -20,16 +20,16 @@ from gelform.calibration.circles.find import (
 from gelform.calibration.circles.locate import Located, Refined, check_places, contact_radius_ratio, refine
 from gelform.calibration.evaluate import face_height_mm
 from gelform.calibration.fit import place_error_from_presses
-from gelform.calibration.fitted import (
+from gelform.calibration.presses.press_set import FlatPress
+from gelform.calibration.selection import (
     FIRST_GUESS,
+    Candidate,
     _settings,
     fit_all,
     image_noise,
     relaxation_from_presses,
     slopes_around,
 )
-from gelform.calibration.presses.press_set import FlatPress
-from gelform.calibration.selection import Candidate
 from gelform.calibration_file import calibration_from_contents
 from gelform.image.view import View
 from gelform.result.metrics import press_errors
@@ -140,7 +140,7 @@ def test_all_color_models_can_be_compared_and_the_choice_stays(presses, monkeypa
     """Beside the trials of what was asked for, those of all others, on the same folds; what cannot be tried is named."""
     slow = ("near_light", "interpolation", "lookup")
     quick = {name: model for name, model in COLOR_MODELS.items() if name not in slow}
-    monkeypatch.setattr("gelform.calibration.fitted.COLOR_MODELS", quick)
+    monkeypatch.setattr("gelform.calibration.selection.COLOR_MODELS", quick)
 
     def refuse(*samples, **settings):
         raise gelform.GelformError("Training needs what is not installed.")

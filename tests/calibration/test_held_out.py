@@ -12,7 +12,6 @@ from scipy.ndimage import gaussian_filter
 import gelform
 from gelform.calibration import held_out as module
 from gelform.calibration.circles.find import ContactCircle, PreparedPress, magnitude
-from gelform.calibration.fitted import FIRST_GUESS, Fitted
 from gelform.calibration.held_out import (
     LAGS,
     _lag_products,
@@ -29,7 +28,7 @@ from gelform.calibration.held_out import (
     slope_sigma_from_folds,
     with_factors,
 )
-from gelform.calibration.selection import Candidate, Fold, Selection
+from gelform.calibration.selection import FIRST_GUESS, Candidate, Fitted, Fold, Selection
 from gelform.reconstruct import Reconstructor
 from gelform.result.metrics import angle_deg, ball_gradients
 from gelform.slopes.color_models.forward_response import RIDGES, Step

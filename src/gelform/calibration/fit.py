@@ -20,13 +20,12 @@ from gelform.arrays import Numbers
 from gelform.calibration.circles.find import ContactCircle
 from gelform.calibration.circles.locate import check_places, light_notes, locate
 from gelform.calibration.coverage import SAMPLED
-from gelform.calibration.fitted import fit
 from gelform.calibration.held_out import measure_held_out
 from gelform.calibration.inputs import ball_readings, check_inputs, input_notes, notes_of, surround_notes
 from gelform.calibration.presses.folder import Presses, as_presses
 from gelform.calibration.presses.press_set import Press
 from gelform.calibration.report.record import report_of_run
-from gelform.calibration.selection import candidates_for, make_folds
+from gelform.calibration.selection import candidates_for, fit, make_folds
 from gelform.calibration.start import AUTO, start_from, starter_note, starter_start
 from gelform.calibration_file import Calibration
 from gelform.foundations.findings import Progress, no_progress

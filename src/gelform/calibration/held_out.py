@@ -23,9 +23,8 @@ from gelform.calibration.circles.find import (
     change_settings,
     scale_of,
 )
-from gelform.calibration.fitted import Fitted
 from gelform.calibration.presses.press_set import Press
-from gelform.calibration.selection import Candidate, FittedSlopes, Fold, HeldOutPresses, circle_sigmas
+from gelform.calibration.selection import Candidate, Fitted, FittedSlopes, Fold, HeldOutPresses, circle_sigmas
 from gelform.calibration_file import Calibration
 from gelform.depth.sigma import squared_factor
 from gelform.foundations.findings import Progress, no_progress

@@ -11,10 +11,9 @@ import numpy as np
 from gelform.arrays import Array, Map
 from gelform.calibration.circles.locate import Located
 from gelform.calibration.coverage import NEEDED
-from gelform.calibration.fitted import Fitted
 from gelform.calibration.held_out import Judged
 from gelform.calibration.inputs import BallReading
-from gelform.calibration.selection import Selection
+from gelform.calibration.selection import Fitted, Selection
 from gelform.calibration.start import Start
 from gelform.foundations.files import DIGEST_SHOWN
 from gelform.result.metrics import PressErrors
