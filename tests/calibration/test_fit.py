@@ -70,11 +70,14 @@ def test_forward_response_renders_what_the_sensor_shows(calibration, simulated):
     assert error < 0.35 * np.sqrt(np.mean(seen[inside] ** 2))
 
 
-def test_one_model_can_be_asked_for(presses, lambertian_calibration):
+def test_one_model_can_be_asked_for_and_what_is_no_presses_is_said(presses, lambertian_calibration):
     assert lambertian_calibration.color_model.name == "lambertian"
     assert lambertian_calibration.held_out["normal_free_deg"] < 6
     with pytest.raises(ValueError, match=r"auto, lambertian, .*polynomial, .*got 'magic'"):
         gelform.calibrate(presses, color_model="magic")
+    for wrong in (None, [1, 2], np.zeros((3, 4))):
+        with pytest.raises(TypeError, match=r"Expected presses, from gelform.read_presses\(path\)"):
+            gelform.calibrate(wrong)
 
 
 @pytest.mark.slow
@@ -95,12 +98,6 @@ def test_same_folder_same_calibration_and_progress_in_words(presses):
     assert first == second
     assert {what for _, _, what in calls} >= {"finding contact circles", "measuring on held-out presses"}
     assert all(0 < done <= total for done, total, _ in calls)
-
-
-@pytest.mark.parametrize("wrong", [None, [1, 2], np.zeros((3, 4))])
-def test_what_is_no_presses_is_said(wrong):
-    with pytest.raises(TypeError, match=r"Expected presses, from gelform.read_presses\(path\)"):
-        gelform.calibrate(wrong)
 
 
 def test_folder_without_a_ball_is_refused_with_counts(presses):

@@ -167,11 +167,6 @@ def test_correlation_at_rest_is_recovered(short, share):
     assert found_share == pytest.approx(share, abs=0.05)
 
 
-def test_the_share_that_folds_have_seen():
-    folds = [Fold((0, 1), tuple(range(2, 10)), ()), Fold((2, 3, 4, 5), (0, 1, 6, 7, 8, 9), ())]
-    assert fraction_trained(folds) == pytest.approx((0.8 + 0.6) / 2)
-
-
 def off_deg(pixels):
     """Mean angle to the ball's normals."""
     return angle_deg(pixels["solved"], pixels["true"]).mean()
@@ -391,10 +386,7 @@ def test_what_slopes_of_one_size_share_is_common_and_their_noise_is_not(sample):
     clean = [sample(k, noise=0.1, rng=rng) for k in range(8)]
     assert common_error(np.concatenate(clean), WHITE) < 0.03
     assert common_error(sample()[:0], WHITE) == 0
-
-
-def test_errors_that_cancel_in_the_height_of_a_ball_are_common_to_slopes_of_one_size(sample):
-    """Gentle slopes are read too steep, and steep ones too gentle."""
+    # Gentle slopes that are read too steep, and steep ones too gentle, cancel in the height of a ball.
     turned = sample()
     size = np.linalg.norm(turned["true"], axis=1)[:, None]
     turned["solved"] = turned["true"] * (1 + 0.1 * np.where(size < 0.4, 1, -1))
@@ -414,7 +406,9 @@ def test_correlated_errors_count_once(sample):
     assert common_error(pixels, alike) < 0.5 * common_error(pixels, WHITE)
 
 
-def test_the_common_error_of_the_folds_is_that_of_the_depth(calibration):
+def test_the_common_error_is_that_of_the_depth_by_the_share_of_presses_that_folds_have_seen(calibration):
+    folds = [Fold((0, 1), tuple(range(2, 10)), ()), Fold((2, 3, 4, 5), (0, 1, 6, 7, 8, 9), ())]
+    assert fraction_trained(folds) == pytest.approx((0.8 + 0.6) / 2)
     off = calibration.report.pixels.copy()
     off["solved"], off["stated"] = 0.7 * off["true"], 0.05
     for trained in (1.0, 0.5):

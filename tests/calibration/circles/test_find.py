@@ -20,6 +20,7 @@ from gelform.calibration.circles.find import (
     ContactCircle,
     PreparedPress,
     _signal,
+    about_median,
     change_settings,
     change_without_markers,
     contact_radius,
@@ -27,6 +28,7 @@ from gelform.calibration.circles.find import (
     find_by_templates,
     find_contact,
     find_contacts,
+    magnitude,
     marked_contact,
     parabola_offset,
     prepare,
@@ -293,7 +295,7 @@ def test_a_stage_s_center_stays_and_templates_give_its_radius(even):
     rows, cols = np.mgrid[: SHAPE[0], : SHAPE[1]]
     ring = (np.hypot(cols - x, rows - y) < 45)[..., None] * np.float32([0.0, 0.35, 0.0])
     first = even[0].color_change + ring.astype(np.float32)
-    size = np.linalg.norm(first - np.median(first, axis=(0, 1)), axis=-1).astype(np.float32)
+    size = magnitude(about_median(first))
     staged = replace(even[0], color_change=first, size=size, mark=(x + 1, y - 1, None))
     contact = find_contacts([staged, *even[1:]])[0]
     assert contact.marked
@@ -348,12 +350,9 @@ def test_the_change_is_that_of_the_path(few):
         one.size, np.linalg.norm(change - np.median(change, (0, 1)), axis=-1), atol=1e-6
     )
     assert clear is None, "a gel without markers has no pixel to leave out"
-
-
-def test_the_blur_grows_with_the_image(few):
-    assert change_settings(few).blur_px == pytest.approx(1.25 * few.image_shape[0] / 240)
+    assert settings.blur_px == pytest.approx(1.25 * few.image_shape[0] / 240)
     taller = replace(few, background=np.repeat(np.repeat(few.background, 2, 0), 2, 1))
-    assert change_settings(taller).blur_px == pytest.approx(2 * change_settings(few).blur_px)
+    assert change_settings(taller).blur_px == pytest.approx(2 * settings.blur_px)
 
 
 def test_another_offset_has_the_edge_of_the_contacts(few):
@@ -404,16 +403,16 @@ def marked(sensor, pitch_mm):
     return replace(sensor, coating=replace(sensor.coating, marker_pitch_mm=pitch_mm, marker_radius_mm=0.25))
 
 
-def presses_of(sensor, pitch_mm):
-    gel = replace(sensor.gel, bulge=0.5)  # a bulge moves the dots
-    made = simulate_ball_presses(
-        replace(marked(sensor, pitch_mm), gel=gel),
-        ball_diameters_mm=[5.0],
-        count=20,
-        rng=np.random.default_rng(3),
-        oversample=1,
-    )
-    return made, presses_from_simulated(made)
+@pytest.fixture(scope="module")
+def plain_and_dotted(sensor):
+    """Presses of a gel without markers and with them."""
+    pairs = []
+    for pitch_mm in (0.0, 2.2):
+        bulging = replace(marked(sensor, pitch_mm), gel=replace(sensor.gel, bulge=0.5))  # it moves the dots
+        how = {"ball_diameters_mm": [5.0], "count": 20, "rng": np.random.default_rng(3), "oversample": 1}
+        made = simulate_ball_presses(bulging, **how)
+        pairs.append((made, presses_from_simulated(made)))
+    return pairs
 
 
 def unmarked(image, background, settings=SETTINGS):
@@ -428,17 +427,8 @@ def spoilt_by_dots(image, background, clean, clean_background):
     return np.abs(raw - color_change_from_image(clean, clean_background, SETTINGS)).mean(axis=-1)
 
 
-@pytest.fixture(scope="module")
-def plain(sensor):
-    return presses_of(sensor, 0.0)
-
-
-@pytest.fixture(scope="module")
-def dotted(sensor):
-    return presses_of(sensor, 2.2)
-
-
-def test_the_change_is_that_of_the_unmarked_gel(plain, dotted):
+def test_the_change_is_that_of_the_unmarked_gel(plain_and_dotted):
+    plain, dotted = plain_and_dotted
     background, rest = dotted[1].background, plain[1].background
     image = plain[0].presses[0].image
     change, usable = unmarked(image, rest)
@@ -494,8 +484,8 @@ def test_only_dots_are_left_out_and_a_blur_carries_nothing_of_them(blur_px):
         assert np.sqrt(np.mean(plain[usable] ** 2)) > 0.06
 
 
-def test_samples_leave_the_dots_out(dotted):
-    made, presses = dotted
+def test_samples_leave_the_dots_out(plain_and_dotted):
+    made, presses = plain_and_dotted[1]
     for true, press in zip(made.presses, prepare(presses, 10.0)):
         contact = ContactCircle(*true.center_px, true.contact_radius_px, 1.0, 9.0)
         rows, cols = press.pixels(contact, 0.8)
@@ -505,9 +495,9 @@ def test_samples_leave_the_dots_out(dotted):
 
 
 @pytest.mark.slow
-def test_calibration_and_evaluation_of_a_marked_gel(dotted):
+def test_calibration_and_evaluation_of_a_marked_gel(plain_and_dotted):
     """Slopes as good as without dots: there the median error is 0.038."""
-    made, presses = dotted
+    made, presses = plain_and_dotted[1]
     calibration = gelform.calibrate(presses.subset(range(0, 20, 2)), color_model="polynomial")
     assert sum(row.accepted for row in calibration.report.presses) >= 9
     for row, true in zip(calibration.report.presses, made.presses[::2]):

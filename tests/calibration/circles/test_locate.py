@@ -17,6 +17,7 @@ from gelform.calibration.circles.find import (
     USUAL_EDGE,
     ContactCircle,
     PreparedPress,
+    about_median,
     find_contact,
     find_contacts,
     magnitude,
@@ -370,10 +371,6 @@ def test_presses_of_clipped_light_are_not_called_no_ball():
     assert "it is no ball" in misfit_reasons([(0.1, 0.4), (0.05, 1.0)])[0]
 
 
-def errors_px(contacts, simulated):
-    return off_px(contacts, [p.center_px for p in simulated.presses])
-
-
 def off_px(contacts, truth):
     return np.linalg.norm(np.array([(c.x_px, c.y_px) for c in contacts]) - truth, axis=1)
 
@@ -383,7 +380,8 @@ def test_refinement_corrects_the_circles_that_the_border_cuts(prepared, found, s
     done = []
     refined = refine(prepared, found, progress=lambda *step: done.append(step[:2]))
     assert done == [(k, ROUNDS) for k in range(1, ROUNDS + 1)]
-    before, after = errors_px(found, simulated), errors_px(refined.contacts, simulated)
+    truth = [press.center_px for press in simulated.presses]
+    before, after = off_px(found, truth), off_px(refined.contacts, truth)
     kept = refined.accepted
     assert len(kept) >= len(prepared) - 2
     assert after[kept].mean() < 0.7 * before[kept].mean()
@@ -418,25 +416,20 @@ def test_double_contact_is_rejected(prepared):
     shape = prepared[0].size.shape
     other = np.roll(prepared[0].color_change, (shape[0] // 4, shape[1] // 8), axis=(0, 1))
     doubled = prepared[0].color_change + other
-    size = np.linalg.norm(doubled - np.median(doubled, axis=(0, 1)), axis=-1).astype(np.float32)
-    prepared[0] = replace(prepared[0], color_change=doubled, size=size)
+    prepared[0] = replace(prepared[0], color_change=doubled, size=magnitude(about_median(doubled)))
     refined = refine(prepared, [find_contact(press.color_change) for press in prepared])
     assert refined.reasons[0] is not None
 
 
 @pytest.mark.linear_algebra
-def test_impossible_contact_is_rejected_and_named(prepared, found):
-    refined = refine([replace(press, ball_radius_px=press.ball_radius_px / 4) for press in prepared], found)
+def test_impossible_contacts_are_rejected_and_named(prepared, found):
+    refined = refine(stated(prepared, 0.25), found)
     assert not refined.accepted
     assert "ball diameter or mm_per_px is wrong" in refined.reasons[0]
-
-
-@pytest.mark.linear_algebra
-def test_a_circle_beyond_the_frame_is_rejected_and_named(prepared, found):
     outside = replace(found[0], x_px=-2 * found[0].radius_px)
     assert why_impossible(prepared[0], outside) == "contact lies outside the frame"
     assert why_impossible(prepared[0], found[0]) is None
-    inches = replace(prepared[0], ball_radius_px=prepared[0].ball_radius_px / 25.4)
+    (inches,) = stated(prepared[:1], 1 / 25.4)
     assert "ball_diameter_mm is in inches" in why_impossible(inches, found[0])
 
 
@@ -469,9 +462,8 @@ def test_a_circle_moves_to_the_ball_but_not_far(prepared, found):
 def test_what_does_not_fit_is_three_times_as_far_off_as_usual():
     """Below 0.1 nothing is, above 0.25 everything."""
     for typical, limit in ((0.02, 0.1), (0.05, 0.15), (0.2, 0.25)):
-        *others, below, above = misfit_reasons(
-            [*[(typical, 1.0)] * 8, (limit - 0.01, 1.0), (limit + 0.01, 1.0)]
-        )
+        errors = [*[typical] * 8, limit - 0.01, limit + 0.01]
+        *others, below, above = misfit_reasons([(error, 1.0) for error in errors])
         assert others == [None] * 8
         assert below is None
         assert f"limit {limit:.2f}" in above
@@ -484,14 +476,11 @@ def deep():
     sensor = replace(LAYOUTS["homemade"], shape=(120, 160), mm_per_px=0.11, relaxation_mm=1.2)
     rng = np.random.default_rng(5)
     centers = [(x, y) for y in (-3.8, 0.3, 4.1) for x in (-6.1, -2.2, 2.3, 6.4)]
-    made = [
-        simulate_press(sensor, Ball(2.0), depth_mm=2 * rng.uniform(0.8, 1.3), center_mm=c, rng=rng)
-        for c in centers
-    ]
+    depths = ((center, 2 * rng.uniform(0.8, 1.3)) for center in centers)
+    made = [simulate_press(sensor, Ball(2.0), depth_mm=z, center_mm=at, rng=rng) for at, z in depths]
     rest = simulate_background(sensor, rng).astype(np.float32)
     change = [color_change_from_image(one.image, rest, ChangeSettings(blur_px=0.6)) for one in made]
-    sizes = [np.linalg.norm(c - np.median(c, axis=(0, 1)), axis=-1).astype(np.float32) for c in change]
-    prepared = [PreparedPress(str(k), c, s, 2.0 / 0.11) for k, (c, s) in enumerate(zip(change, sizes))]
+    prepared = [PreparedPress("", one, magnitude(about_median(one)), 2.0 / 0.11) for one in change]
     return made, prepared, [find_contact(c) for c in change]
 
 
@@ -511,8 +500,7 @@ def test_deep_presses_are_used_and_their_centers_come_back(deep):
 def test_deep_presses_of_another_ball_than_stated_are_refused(deep):
     """Half of the true ball: the gel is steepest far outside of it, which no press of such a ball can be."""
     _, prepared, found = deep
-    smaller = [replace(press, ball_radius_px=press.ball_radius_px / 2) for press in prepared]
-    reasons = why_too_wide(smaller, found)
+    reasons = why_too_wide(stated(prepared, 0.5), found)
     assert all("ball diameter or mm_per_px is wrong" in reason for reason in reasons)
     assert not any(why_too_wide(prepared, found))
 
@@ -539,21 +527,15 @@ def circles(centers):
 
 
 @pytest.mark.linear_algebra
-def test_wrong_centers_come_back():
+def test_wrong_centers_come_back_right_ones_stay_and_no_step_is_long():
     rng = np.random.default_rng(3)
     presses = [press_at(center) for center in TRUTH]
+    assert np.hypot(*joint_moves(presses, circles(TRUTH)).T).max() < 0.1
+    far = circles([(x + 9, y) for x, y in TRUTH])
+    assert np.hypot(*joint_moves(presses, far).T).max() <= JOINT_MOVE_PX / 2 + 1e-9
     contacts = circles(np.array(TRUTH) + rng.uniform(-3, 3, (len(TRUTH), 2)))
     assert np.median(off_px(contacts, TRUTH)) > 1.5
     for _ in range(4):
         moves = joint_moves(presses, contacts)
         contacts = circles([(c.x_px + dx, c.y_px + dy) for c, (dx, dy) in zip(contacts, moves)])
     assert off_px(contacts, TRUTH).max() < 0.3
-
-
-@pytest.mark.linear_algebra
-def test_right_centers_stay_and_no_step_is_long():
-    presses = [press_at(center) for center in TRUTH]
-    stay = joint_moves(presses, circles(TRUTH))
-    assert np.hypot(*stay.T).max() < 0.1
-    far = circles([(x + 9, y) for x, y in TRUTH])
-    assert np.hypot(*joint_moves(presses, far).T).max() <= JOINT_MOVE_PX / 2 + 1e-9

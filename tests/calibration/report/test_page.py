@@ -435,16 +435,13 @@ def coverage(counts):
     return {"rows": 1, "columns": 2, "presses": counts, "next": [place]}
 
 
-def test_a_petal_is_empty_where_no_press_was():
+def test_a_petal_is_empty_where_no_press_was_octant_zero_is_on_the_right_and_the_next_press_at_its_place():
     drawn = CHARTS.coverage_map(coverage([[0, 1, 2, 3, 9, 0, 0, 0], [1] * 8]), SHAPE)
     petals = elements(drawn, "path", "petal")
     assert len(petals) == 12
     assert len(elements(drawn, "path", "petal none")) == 4
     opacities = [float(p.get("fill-opacity")) for p in petals[:4]]
     assert opacities[0] < opacities[1] < opacities[2] == opacities[3]
-
-
-def test_the_next_press_is_drawn_at_its_place_and_octant_zero_points_to_the_right():
     drawn = CHARTS.coverage_map(coverage([[1] * 8] * 2), SHAPE)
     mark, scale = elements(drawn, "circle", "next")[0], 560 / 80
     place = [float(mark.get(name)) for name in ("cx", "cy", "r")]
