@@ -1,11 +1,7 @@
 """How many presses each part of a calibration needs, where they have been, and the next places to press.
 
-The number of presses that each part of a calibration needs, with the reasons.
-
-They count accepted presses (`circles.locate`), and frames of one press once (`circles.locate`), except where a row says
-something else. docs/press-folder.md shows the same table. A color model states the needs of its own settings (`variants`).
-
-Coverage: the places and slope directions that presses of a ball have shown, and the next places to press.
+Needs count accepted presses (`circles.locate`), and frames of one press once, except where a row says something else.
+docs/press-folder.md shows the same table, with the reasons. A color model states the needs of its own settings (`variants`).
 
 The lights are near, so a color means another slope at another place; a calibration knows only the places that were
 pressed. The image is divided into tiles, the slopes into eight directions. A press shows a direction in a tile if enough
@@ -290,24 +286,16 @@ def one_part(circles: Sequence[Circle], shape: tuple[int, int]) -> str | None:
     if not NEEDED.spread.met(len(circles)):
         return None
     x, y, radius = np.array(circles).T
-    low_x, low_y = max(0, (x - radius).min()), max(0, (y - radius).min())
-    high_x, high_y = min(shape[1], (x + radius).max()), min(shape[0], (y + radius).max())
-    spans_x, spans_y = high_x - low_x > 0.65 * shape[1], high_y - low_y > 0.65 * shape[0]
-    if spans_x and spans_y:
+    thirds = []
+    for centers, n in ((x, shape[1]), (y, shape[0])):
+        extent = min(n, (centers + radius).max()) - max(0, (centers - radius).min())
+        thirds.append(None if extent > 0.65 * n else _holding(centers / n))
+    if thirds == [None, None]:
         return None
-    third_x, third_y = (
-        None if spans else _holding(centers / n)
-        for spans, centers, n in ((spans_x, x, shape[1]), (spans_y, y, shape[0]))
-    )
-    if third_x is None and third_y is None:
-        return None
-    place = [
-        n * (0.5 if third is None else (third + 0.5) / 3)
-        for third, n in ((third_x, shape[1]), (third_y, shape[0]))
-    ]
+    place = [n * (0.5 if third is None else (third + 0.5) / 3) for third, n in zip(thirds, shape[::-1])]
     name = name_of_place(place[0], place[1], shape)
-    if name == "middle" and (third_x is None or third_y is None):
-        return "middle row" if third_x is None else "middle column"
+    if name == "middle" and None in thirds:
+        return "middle row" if thirds[0] is None else "middle column"
     return name
 
 

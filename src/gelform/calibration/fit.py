@@ -1,10 +1,4 @@
-"""calibrate: from presses of a ball to a Calibration, without a click.
-
-The error of a place on the sensor, in proportion to a displacement, as a calibration's own presses show it.
-
-A ball's center is found from the contact's slopes (`gelform.motion`) and from the circle in the image. Slopes are wrong by
-a little more at one place than at another, so the two differ by more, the farther the ball moved.
-"""
+"""calibrate: from presses of a ball to a Calibration, without a click; and how wrong it is about the ball's places."""
 
 from __future__ import annotations
 
@@ -109,7 +103,9 @@ def place_error_from_presses(
 ) -> float | None:
     """Root mean square error of a ball's center along an axis, over its displacement; None: too few pairs.
 
-    Each press is compared with the next one of the same ball, from where the circles say that it is.
+    Each press is compared with the next one of the same ball. Its center is found from the contact's slopes
+    (`gelform.motion`) and from the circle in the image. Slopes are wrong by a little more at one place than at another, so
+    the two differ by more, the farther the ball moved.
     """
     reconstruct, pitch = Reconstructor(calibration), calibration.known_mm_per_px
     middle = (np.array(calibration.image_shape[::-1]) - 1) / 2

@@ -18,6 +18,7 @@ from gelform.calibration.circles.find import (
     PRESS_PIXELS,
     REST_DISTANCE,
     ZONE,
+    Circle,
     ContactCircle,
     PreparedPress,
     change_settings,
@@ -262,7 +263,7 @@ def measure_held_out(fitted: Fitted, *, progress: Progress = no_progress) -> Jud
 
 def _reconstructed(
     draft: Calibration, held_out: HeldOutPresses, candidate: Candidate, fold: Fold
-) -> Iterator[tuple[int, tuple[float, float, float], FrameRecord, Reconstruction]]:
+) -> Iterator[tuple[int, Circle, FrameRecord, Reconstruction]]:
     """Index, circle, record and result of each press of a fold, by a calibration that was fitted without the fold."""
     known, presses = draft.forward, held_out.located.presses
     ((reader, forward),) = held_out.fit(fold, [candidate])
@@ -286,7 +287,7 @@ def _reconstructed(
 def errors_of(
     index: int,
     press: Press,
-    circle_px: tuple[float, float, float],
+    circle_px: Circle,
     result: Reconstruction,
     mm_per_px: float,
     contact_radius_ratio: float,
@@ -368,7 +369,7 @@ def depth_factor(far: Sequence[Map], gain_sigma: float, usual: float) -> float:
     return needed
 
 
-def _far_depth(record: FrameRecord, circle_px: tuple[float, float, float]) -> Map:
+def _far_depth(record: FrameRecord, circle_px: Circle) -> Map:
     """What `depth_factor` takes of the pixels at rest far from a contact; (4, 0) if they are few."""
     errors = record.depth_errors
     assert errors is not None
