@@ -20,8 +20,8 @@ import gelform
 from gelform.calibration.circles.find import (
     ContactCircle,
     PreparedPress,
-    find_contact,
     prepare,
+    prepared_with,
     training_samples,
     untouched_change,
 )
@@ -52,8 +52,8 @@ class Bench:
 
     def __init__(self) -> None:
         self.presses = gelform.read_presses(DATA / "mini-ball")
-        self.prepared = {offset: prepare(self.presses, offset) for offset in (10.0, 0.0)}
-        self.found = [find_contact(press.color_change) for press in self.prepared[10.0]]
+        prepared = prepare(self.presses)
+        self.prepared = {offset: prepared_with(self.presses, prepared, offset) for offset in (10.0, 0.0)}
         circles = reference_circles()
         self.circles = [circles[press.name] for press in self.presses.presses]
         self.order = by_name(self.presses)
@@ -75,7 +75,7 @@ class Bench:
 
     def refined(self, training: list[int]) -> tuple[list[int], list[ContactCircle]]:
         """The presses that fit, and their circles."""
-        refined = refine([self.prepared[10.0][i] for i in training], [self.found[i] for i in training])
+        refined = refine([self.prepared[10.0][i] for i in training])
         return [training[k] for k in refined.accepted], [refined.contacts[k] for k in refined.accepted]
 
     def errors(

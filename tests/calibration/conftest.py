@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gelform.calibration.circles.find import find_contact, prepare
+from gelform.calibration.circles.find import prepare
 from gelform.calibration.circles.locate import Located, Refined
 from gelform.calibration.held_out import PIXEL, table
 from gelform.calibration.report.content import report_content
@@ -15,12 +15,12 @@ from gelform.result.metrics import ball_gradients
 
 @pytest.fixture(scope="session")
 def prepared(presses):
-    return prepare(presses, 10.0)
+    return prepare(presses)
 
 
 @pytest.fixture(scope="session")
 def found(prepared):
-    return [find_contact(press.color_change) for press in prepared]
+    return [press.found for press in prepared]
 
 
 @pytest.fixture(scope="session")
@@ -47,7 +47,7 @@ def page(content, presses, calibration):
 
 @pytest.fixture(scope="session")
 def located(presses, prepared, found):
-    return Located(presses, prepared, found, Refined(tuple(found), (None,) * len(found), None))
+    return Located(presses, prepared, Refined(tuple(found), (None,) * len(found), None))
 
 
 @pytest.fixture(scope="session")

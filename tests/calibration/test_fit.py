@@ -120,13 +120,13 @@ def test_reasons_are_counted_together_and_the_first_is_given_in_full(presses):
     noted = r"; 1 like .* no ball found\. The ball is twice as large\. Press a ball"
     for notes, message in (((), first), (("The ball is twice as large.",), noted)):
         with pytest.raises(gelform.CalibrationError, match=message):
-            check_places(Located(presses, [], [], refined, notes=notes))
+            check_places(Located(presses, [], refined, notes=notes))
 
 
 @pytest.mark.slow
 def test_presses_train_up_to_the_measured_edge(calibration, presses, prepared, found):
     """That of the presses that fit; fewer than 12 are taken to have the usual one."""
-    accepted = refine(prepared, found).of_accepted(prepared)
+    accepted = refine(prepared).of_accepted(prepared)
     assert calibration.settings["contact_radius_ratio"] == contact_radius_ratio(*accepted) != USUAL_EDGE
     few = gelform.calibrate(presses.subset(range(7)))
     assert few.settings["contact_radius_ratio"] == USUAL_EDGE
@@ -278,10 +278,9 @@ def test_an_untouched_pixel_is_seen_beyond_three_radii_and_a_press_as_large_as_t
     size = np.full((60, 80), 9.0, dtype=np.float32)
     rows, columns = np.mgrid[:60, :80]
     size[np.hypot(columns - 20, rows - 30) > 30] = 0.01
-    press = PreparedPress("one", size[..., None], size, 40.0)
-    beyond, within, none = (
-        untouched_change([press], [ContactCircle(20, 30, radius, 0.9, 5.0)]) for radius in (10, 9, 30)
-    )
+    circles = [ContactCircle(20, 30, radius, 0.9, 5.0) for radius in (10, 9, 30)]
+    press = PreparedPress("one", size[..., None], size, 40.0, circles[0])
+    beyond, within, none = (untouched_change([press], [one]) for one in circles)
     assert beyond == pytest.approx(0.01)
     assert within > 1, "a ring of touched gel is inside three radii"
     assert none == USUAL_UNTOUCHED_CHANGE
@@ -315,9 +314,9 @@ def test_the_noise_of_images_is_found_under_what_is_smooth():
 
 
 @pytest.fixture(scope="module")
-def drafted(presses, prepared, found):
+def drafted(presses, prepared):
     """Makes the draft of the presses, some of their images changed, by a candidate of a given step."""
-    refined = refine(prepared, found)
+    refined = refine(prepared)
 
     def make(step_ridge, change=lambda image: image):
         candidate = Candidate("polynomial", (("position_degrees", (2, 1)),), step_ridge=step_ridge)
@@ -380,10 +379,10 @@ def relaxation_of(length, tilt=0.0, centers=((0, 0), (-2, 1), (3, -2)), strength
         )
         change = rng.normal(tilt, 0.02, REST.shape).astype(np.float32)
         change[..., :2] += strength * surface.gradients
-        made.append(PreparedPress("a", change, np.zeros(REST.shape[:2], np.float32), radius / PITCH))
         contact_px = ball_press(radius, depth, length).contact_radius_mm / PITCH
         middle = (center[0] / PITCH + 159.5, center[1] / PITCH + 119.5)
         circles.append(ContactCircle(*middle, contact_px, 0.9, 5.0))
+        made.append(PreparedPress("a", change, REST[..., 0], radius / PITCH, circles[-1]))
     return relaxation_from_presses(SlopesAsColors(), made, circles, REST, PITCH)
 
 

@@ -94,15 +94,16 @@ def press_at(x_px, y_px):
     slopes = np.where((away < 18)[..., None], ball_gradients(x, y, (x_px, y_px), 40.0), 0)
     slopes[(away >= 18) & (away < 2.8 * 18) & (y < y_px)] += 0.1  # gel that is drawn down around the ball
     change = np.concatenate([slopes, 0 * slopes[..., :1]], axis=-1).astype(np.float32)
-    return PreparedPress("one", change, magnitude(change), 40.0, contact_radius_ratio=0.8), contact
+    return PreparedPress("one", change, magnitude(change), 40.0, contact, contact_radius_ratio=0.8)
 
 
 @pytest.fixture(scope="module")
 def six():
-    """Presses, their circles and two folds."""
+    """Presses and two folds."""
     places = [(30, 30), (80, 60), (130, 90), (40, 85), (120, 35), (75, 95)]
-    presses, found = zip(*(press_at(*place) for place in places))
-    return presses, found, [Fold((0, 1, 2), (3, 4, 5), found[3:]), Fold((3, 4, 5), (0, 1, 2), found[:3])]
+    presses = [press_at(*place) for place in places]
+    found = tuple(press.found for press in presses)
+    return presses, [Fold((0, 1, 2), (3, 4, 5), found[3:]), Fold((3, 4, 5), (0, 1, 2), found[:3])]
 
 
 @pytest.mark.parametrize("stated", [1.0, 0.5, 3.0])
@@ -111,8 +112,8 @@ def test_the_law_is_that_of_the_errors_that_were_made(six, stated):
 
     What a step states is multiplied by factors, so that they come out the same whatever it says.
     """
-    presses, found, folds = six
-    sigma, _ = slope_sigma_from_folds([Reader(stated)] * 2, folds, presses, found, NOISE)
+    presses, folds = six
+    sigma, _ = slope_sigma_from_folds([Reader(stated)] * 2, folds, presses, NOISE)
     assert sigma.rest == pytest.approx(0.03, rel=0.1)
     gentle = sigma.per_step * np.hypot(1, 0.1 * sigma.per_slope) * 0.03 * stated
     assert gentle == pytest.approx(0.03 / np.sqrt(2), rel=0.25)
@@ -122,9 +123,9 @@ def test_the_law_is_that_of_the_errors_that_were_made(six, stated):
 
 def test_the_residuals_scale_is_that_of_the_95_percent(six):
     """A tenth of the pixels has fifty times the usual square: the 95 % are reached among them, far below the largest."""
-    presses, found, folds = six
-    _, scale = slope_sigma_from_folds([Reader()] * 2, folds, presses, found, NOISE)
-    left = [Reader().frame(p).residual[p.pixels(c, 1.0)] for p, c in zip(presses, found)]
+    presses, folds = six
+    _, scale = slope_sigma_from_folds([Reader()] * 2, folds, presses, NOISE)
+    left = [Reader().frame(p).residual[p.pixels(p.found, 1.0)] for p in presses]
     at_most = np.quantile(np.concatenate(left), 0.95)
     assert scale == pytest.approx(at_most / 3.84, rel=1e-6)
     assert 3 < scale < 15
@@ -133,17 +134,17 @@ def test_the_residuals_scale_is_that_of_the_95_percent(six):
         def frame(self, press):
             return super().frame(press)._replace(residual=np.full(press.size.shape, 0.1))
 
-    _, least = slope_sigma_from_folds([Usual()] * 2, folds, presses, found, NOISE)
+    _, least = slope_sigma_from_folds([Usual()] * 2, folds, presses, NOISE)
     assert least == 1, "at least what the covariance says"
 
 
 def test_pixels_as_read_are_thinned_ones_of_the_contact(monkeypatch):
     monkeypatch.setattr(module, "PRESS_PIXELS", 300)
-    press, contact = press_at(60, 70)
+    press = press_at(60, 70)
     frame = Reader().frame(press)
-    pixels, rest, _, _ = press_errors_as_read(press, contact, frame, NOISE, 1)
+    pixels, rest, _, _ = press_errors_as_read(press, frame, NOISE, 1)
     assert 300 <= len(pixels) < 600
-    rows, cols = press.pixels(contact, 1.0)
+    rows, cols = press.pixels(press.found, 1.0)
     at = rows[:: len(rows) // 300], cols[:: len(rows) // 300]
     np.testing.assert_array_equal(pixels["residual"], frame.residual[at].astype(np.float32))
     np.testing.assert_allclose(pixels["stated"], 0.03)

@@ -251,7 +251,7 @@ def test_untouched_backgrounds_pass_and_few_presses_cannot_tell(presses):
 
 
 def turn_of(presses):
-    prepared = prepare(presses, 10.0)
+    prepared = prepare(presses)
     contacts = [find_contact(press.color_change) for press in prepared]
     return prepared, contacts, light_turn(prepared, contacts)
 
@@ -285,7 +285,7 @@ def test_presses_in_one_corner_are_noted(presses, simulated):
     assert len(corner) >= 3
     prepared, contacts, _ = turn_of(presses.subset(corner))
     refined = Refined(tuple(contacts), (None,) * len(contacts), None)
-    notes = input_notes(Located(presses, prepared, [], refined))
+    notes = input_notes(Located(presses, prepared, refined))
     assert any(f"All {len(corner)} presses lie in the" in note and "bottom right (" in note for note in notes)
 
 
@@ -323,7 +323,7 @@ def test_real_sets_pass_and_are_caught_when_spoilt(data):
 
 
 def drift_notes(presses):
-    notes = input_notes(Located(presses, [], [], Refined((), (), None)))
+    notes = input_notes(Located(presses, [], Refined((), (), None)))
     return [note for note in notes if "have drifted" in note]
 
 
@@ -404,7 +404,7 @@ def edge_notes(presses, prepared):
     """Of the presses, whose contacts end where they were prepared with."""
     contact = find_contact(prepared[0].color_change)
     refined = Refined((contact,) * len(prepared), (None,) * len(prepared), None)
-    notes = input_notes(Located(presses, prepared, [], refined))
+    notes = input_notes(Located(presses, prepared, refined))
     return [note for note in notes if "contact edge" in note]
 
 
@@ -438,7 +438,7 @@ def imprints(presses, wide=1.0, high=1.0):
     images = [replace(press, image=resized(press.image)) for press in presses.presses]
     presses = replace(presses, presses=tuple(images), background=resized(presses.background))
     prepared = prepare(presses)
-    refined = refine(prepared, [find_contact(press.color_change) for press in prepared])
+    refined = refine(prepared)
     return shape_notes(*refined.of_accepted(prepared))
 
 
@@ -477,7 +477,7 @@ def test_a_ball_ten_times_too_large_changes_color_too_much(prepared, found):
 @pytest.mark.parametrize("name", ["mini-ball", "digit-ball", "gelslim", "gelslim-dots", "gelsight-ball-deep"])
 def test_real_imprints_change_color_as_on_their_ball_and_no_ten_times_larger_one(data, name):
     presses = gelform.read_presses(data / name)
-    prepared = prepare(presses.subset(range(0, len(presses.presses), 5)), 10.0)
+    prepared = prepare(presses.subset(range(0, len(presses.presses), 5)))
     contacts = [find_contact(press.color_change) for press in prepared]
     assert imprint_notes(prepared, contacts) == ()
     larger = [replace(press, ball_radius_px=10 * press.ball_radius_px) for press in prepared]

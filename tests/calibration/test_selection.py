@@ -13,6 +13,7 @@ from gelform.calibration.circles.find import (
     TRIAL_SAMPLES,
     ContactCircle,
     PreparedPress,
+    find_contact,
     magnitude,
     training_samples,
 )
@@ -241,7 +242,8 @@ def test_the_depth_is_that_of_the_slopes_that_the_model_reads(background):
     depth = 4 * np.exp(-((x - 70) ** 2 + (y - 40) ** 2) / 200)
     slopes = np.stack([70 - x, 40 - y], axis=-1) * (depth / 100)[..., None]
     change = np.concatenate([slopes, slopes[..., :1]], axis=-1).astype(np.float32)
-    press = PreparedPress("bump", change, np.linalg.norm(change, axis=-1), 40.0, background=background)
+    size = np.linalg.norm(change, axis=-1)
+    press = PreparedPress("bump", change, size, 40.0, find_contact(change), background=background)
     found = SlopeReader(Reads(), press, 0.01).depth_px(press)
     np.testing.assert_allclose(found, depth, atol=0.3)
     assert found.min() == 0
@@ -267,12 +269,12 @@ def test_held_out_presses_train_nothing_and_every_fold_has_both_balls(folds, pre
 
 
 @pytest.mark.slow
-def test_circles_are_refined_from_the_other_units_model(located, prepared, found, start):
+def test_circles_are_refined_from_the_other_units_model(located, prepared, start):
     fold = make_folds(replace(located, refined_by=start))[0]
     training = [i for i in range(len(prepared)) if i not in fold.held_out]
     training.sort(key=lambda i: prepared[i].ball_radius_px)
-    pairs = [prepared[i] for i in training], [found[i] for i in training]
-    own, alone = refine(*pairs, start=start), refine(*pairs)
+    others = [prepared[i] for i in training]
+    own, alone = refine(others, start=start), refine(others)
     assert fold.contacts == tuple(own.contacts[k] for k in own.accepted)
     assert fold.contacts != tuple(alone.contacts[k] for k in alone.accepted)
 
@@ -347,12 +349,13 @@ DRAWN = pytest.approx((np.sqrt(25 / 4 / 2), 0))
 def test_a_press_that_is_left_out_is_placed_by_the_others(monkeypatch, folds, sigma):
     """By a model that has not seen it, which draws its circle 1 px to the right whenever it is asked."""
 
-    def drawn(press, contact, found, model):
+    def drawn(press, contact, model):
         return replace(contact, x_px=contact.x_px + 1.0)
 
     monkeypatch.setattr(module, "fit_model", lambda *_: None)
     monkeypatch.setattr(module, "recentered", drawn)
-    located = Located(None, [None] * 2, [CIRCLE] * 2, None)
+    blank = np.zeros((24, 20), np.float32)
+    located = Located(None, [PreparedPress("", blank[..., None], blank, 8.0, CIRCLE)] * 2, None)
     assert circle_sigmas(located, folds) == sigma
 
 
@@ -446,7 +449,7 @@ def test_folds_choose_without_their_own_presses():
     assert {found.chosen, *found.by_fold} <= {one.candidate for one in found.trials}
 
 
-def test_scores_are_those_of_models_that_have_not_seen_the_press(held_out, folds, prepared, found):
+def test_scores_are_those_of_models_that_have_not_seen_the_press(held_out, folds, prepared):
     plain, stepped = polynomial(2, 1), polynomial(2, 1, step_ridge=RIDGES[0])
     of_plain, of_stepped = held_out.try_candidates([plain, stepped])
     assert (of_plain.candidate, of_stepped.candidate) == (plain, stepped)
@@ -459,7 +462,7 @@ def test_scores_are_those_of_models_that_have_not_seen_the_press(held_out, folds
     for trial_, response in ((of_plain, None), (of_stepped, forward)):
         for i in fold.held_out:
             frame = FittedSlopes(reader, response).frame(prepared[i])
-            assert trial_.scores[i] == score_of(prepared[i], found[i], frame)
+            assert trial_.scores[i] == score_of(prepared[i], frame)
     assert of_plain.scores != of_stepped.scores
 
 
@@ -488,13 +491,13 @@ def test_scores_are_the_errors_that_were_put_in():
     away = np.hypot(cols - 61, rows - 44)
     slopes[away > 18] = 0.0  # the gel has left the ball
     change = np.concatenate([slopes, slopes[..., :1]], axis=-1).astype(np.float32)
-    press = PreparedPress("one", change, magnitude(change), 40.0, contact_radius_ratio=0.7)
     contact = ContactCircle(61.4, 43.8, 25.0, 1.0, 9.0)
-    exact, steep = (score_of(press, contact, Step(factor * slopes, None, None)) for factor in (1.0, 1.1))
+    press = PreparedPress("one", change, magnitude(change), 40.0, contact, contact_radius_ratio=0.7)
+    exact, steep = (score_of(press, Step(factor * slopes, None, None)) for factor in (1.0, 1.1))
     assert exact.slope_error < 1e-4
     assert exact.normal_deg < 0.01
     inside = np.linalg.norm(slopes[away < 0.7 * 25], axis=-1)
     assert steep.slope_error == pytest.approx(0.1 * np.sqrt(np.mean(inside**2)), rel=0.05)
     assert 0.5 < steep.normal_deg < 2
-    blind = score_of(press, contact, Step(0 * slopes, None, None))
+    blind = score_of(press, Step(0 * slopes, None, None))
     assert blind.slope_error == pytest.approx(np.sqrt(np.mean(inside**2)), rel=0.1)

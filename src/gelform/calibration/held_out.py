@@ -19,7 +19,6 @@ from gelform.calibration.circles.find import (
     REST_DISTANCE,
     ZONE,
     Circle,
-    ContactCircle,
     PreparedPress,
     change_settings,
     scale_of,
@@ -76,11 +75,7 @@ def by_press(pixels: Array) -> list[Array]:
 
 
 def slope_sigma_from_folds(
-    fits: Sequence[FittedSlopes],
-    folds: Sequence[Fold],
-    presses: Sequence[PreparedPress],
-    found: Sequence[ContactCircle],
-    noise: Map,
+    fits: Sequence[FittedSlopes], folds: Sequence[Fold], presses: Sequence[PreparedPress], noise: Map
 ) -> tuple[SlopeSigma, float]:
     """Standard deviation and correlation of the slopes, and the scale of the residual, on held-out presses.
 
@@ -89,7 +84,7 @@ def slope_sigma_from_folds(
     """
     step = max(1, round(scale_of(presses[0].size.shape)))
     measured = [
-        press_errors_as_read(presses[i], found[i], fit.frame(presses[i]), noise, step)
+        press_errors_as_read(presses[i], fit.frame(presses[i]), noise, step)
         for fit, fold in zip(fits, folds)
         for i in fold.held_out
     ]
@@ -148,7 +143,7 @@ def _best_length(
 
 
 def press_errors_as_read(
-    press: PreparedPress, found: ContactCircle, frame: Step, noise: Map, step: int
+    press: PreparedPress, frame: Step, noise: Map, step: int
 ) -> tuple[Array, Array, Numbers, Numbers]:
     """Some pixels of a held-out press (`HELD_OUT`), and some far from its contact (`AT_REST`), as a fold's model reads them.
 
@@ -156,6 +151,7 @@ def press_errors_as_read(
     press's center is free, because labels are off by a pixel. At rest 0 is true, and the median is removed as in the
     Reconstructor.
     """
+    found = press.found
     rows, cols = press.pixels(found, 1.0)
     gradients = frame.gradients[rows, cols].astype(np.float64)
     error = score_slopes(gradients, cols, rows, (found.x_px, found.y_px), press.ball_radius_px).errors
@@ -224,13 +220,13 @@ def measure_held_out(fitted: Fitted, *, progress: Progress = no_progress) -> Jud
     errors of the reconstructed presses.
     """
     held_out, chosen, draft = fitted.held_out, fitted.selection.chosen, fitted.calibration
-    folds, located, found = held_out.folds, held_out.located, held_out.located.found
+    folds, located = held_out.folds, held_out.located
     prepared, _ = held_out.prepared_for(chosen)
     fits = [held_out.fit(fold, [chosen])[0] for fold in folds]
     model = draft.color_model.prepare(draft.background, draft.image_shape)
     untouched = PreparedBackground(draft.background, draft.change)
     noise = noise_at_rest(model, untouched, draft.settings.image_noise)
-    sigma, residual_scale = slope_sigma_from_folds(fits, folds, prepared, found, noise)
+    sigma, residual_scale = slope_sigma_from_folds(fits, folds, prepared, noise)
     assert draft.forward is not None
     forward = replace(draft.forward, residual_scale=residual_scale)
     # Held-out presses show what slopes there are; what these have in common counts in units of the error still to be found.
@@ -277,7 +273,7 @@ def _reconstructed(
         record, albedo = reconstruct.record(presses.presses[i].image)
         result = reconstruct.result(record, albedo)
         # The circle found in the press alone, with the center of the solved slopes; its radius is not refined.
-        found = held_out.located.found[i]
+        found = prepared[i].found
         rows, cols = prepared[i].pixels(found, ZONE, PRESS_PIXELS)
         start, radius = (found.x_px, found.y_px), prepared[i].ball_radius_px
         center = ball_center(result.gradients[rows, cols], cols, rows, start, radius)

@@ -104,7 +104,7 @@ def notes_of(readings: Sequence[BallReading]) -> tuple[str, ...]:
 
 def _by_model(located: Located, known: Start) -> tuple[BallReading, ...]:
     chosen = located.refined.accepted or [
-        i for i, contact in enumerate(located.found) if why_no_contact(contact) is None
+        i for i, press in enumerate(located.prepared) if why_no_contact(press.found) is None
     ]
     readings = []
     for stated, members in _by_size(located, chosen).items():

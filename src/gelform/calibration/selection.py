@@ -240,8 +240,7 @@ def make_folds(located: Located, *, progress: Progress = no_progress) -> list[Fo
 
 def fold_of(located: Located, held_out: Sequence[int], training: Sequence[int]) -> Fold:
     """The fold of some held-out presses, with those of the training presses that fit each other."""
-    presses, found = [located.prepared[i] for i in training], [located.found[i] for i in training]
-    refined = refine(presses, found, start=located.refined_by)
+    refined = refine([located.prepared[i] for i in training], start=located.refined_by)
     kept = refined.accepted
     return Fold(tuple(held_out), tuple(training[k] for k in kept), tuple(refined.contacts[k] for k in kept))
 
@@ -260,9 +259,9 @@ def circle_sigmas(located: Located, folds: Sequence[Fold]) -> dict[int, tuple[fl
         if fold.training:
             model = fit_model([located.prepared[i] for i in fold.training], fold.contacts, located.refined_by)
             for i in fold.held_out:
-                contact = found = located.found[i]
+                contact = located.prepared[i].found
                 for _ in range(ROUNDS):
-                    contact = recentered(located.prepared[i], contact, found, model)
+                    contact = recentered(located.prepared[i], contact, model)
                 circles.setdefault(i, []).append(contact.circle_px)
     return {i: _jackknife(np.array(known)) for i, known in circles.items() if len(known) > 1}
 
@@ -352,7 +351,7 @@ class HeldOutPresses:
     ) -> list[Trial]:
         """Fit candidates that differ only in their settings without each fold, its own or others, and score them on it."""
         scores: list[dict[int, HeldOutSlopeScore]] = [{} for _ in candidates]
-        prepared, found = self.prepared_for(candidates[0])[0], self.located.found
+        prepared, _ = self.prepared_for(candidates[0])
         for fold in self.folds if folds is None else folds:
             readers: dict[SlopeReader, list[int]] = {}
             fits = self.fit(fold, candidates)
@@ -362,16 +361,15 @@ class HeldOutPresses:
                 for i in fold.held_out:
                     frames = reader.frames(prepared[i], [fits[k].forward for k in members])
                     for k, frame in zip(members, frames):
-                        scores[k][i] = score_of(prepared[i], found[i], frame)
+                        scores[k][i] = score_of(prepared[i], frame)
         return [Trial(candidate, of) for candidate, of in zip(candidates, scores)]
 
 
-def score_of(press: PreparedPress, found: ContactCircle, frame: Step) -> HeldOutSlopeScore:
+def score_of(press: PreparedPress, frame: Step) -> HeldOutSlopeScore:
     """Errors of the slopes that were read on a press, inside the contact edge."""
-    rows, cols = press.pixels(found, 1.0, PRESS_PIXELS)
-    score = score_slopes(
-        frame.gradients[rows, cols], cols, rows, (found.x_px, found.y_px), press.ball_radius_px
-    )
+    rows, cols = press.pixels(press.found, 1.0, PRESS_PIXELS)
+    start = press.found.circle_px[:2]
+    score = score_slopes(frame.gradients[rows, cols], cols, rows, start, press.ball_radius_px)
     error = float(np.sqrt(np.mean(np.sum(score.errors**2, axis=1))))
     return HeldOutSlopeScore(max(error, 1e-9), score.normal_deg)
 

@@ -27,7 +27,6 @@ from gelform.calibration.circles.find import (
     contact_samples,
     find_by_templates,
     find_contact,
-    find_contacts,
     magnitude,
     marked_contact,
     parabola_offset,
@@ -37,6 +36,7 @@ from gelform.calibration.circles.find import (
     scale_of,
     training_samples,
     why_no_contact,
+    with_contacts,
     with_rest_samples,
 )
 from gelform.calibration.circles.locate import locate
@@ -146,8 +146,8 @@ SMALL = (60, 80)
 
 def press_of(usable=None, ball_radius_px=40.0, ratio=1.0):
     """A press whose gel follows the ball up to the visible rim, before a background of 90."""
-    change = np.zeros((*SMALL, 3), np.float32)
-    return PreparedPress("one", change, change[..., 0], ball_radius_px, usable, change + 90, ratio)
+    change, circle = np.zeros((*SMALL, 3), np.float32), ContactCircle(40.0, 30.0, 20.0, 1.0, 9.0)
+    return PreparedPress("one", change, change[..., 0], ball_radius_px, circle, usable, change + 90, ratio)
 
 
 def within(contact, radius_px):
@@ -215,7 +215,8 @@ def test_depths_come_with_the_pixels_that_they_belong_to():
 @pytest.mark.parametrize("ratio", [0.5, USUAL_EDGE, 1.0])
 def test_nothing_trains_beyond_the_edge_of_the_contact(ratio):
     """Of a press too deep for its visible circle, the edge is that share of what the gel certainly follows."""
-    contact, press = ContactCircle(40.0, 30.0, 20.0, 1.0, 9.0), press_of(ratio=ratio)
+    press = press_of(ratio=ratio)
+    contact = press.found
     assert press.contact_radius(contact) == ratio * 20
     samples = contact_samples([press], [contact], total=10**6)
     u, v = samples.x_px - 40, samples.y_px - 30
@@ -224,7 +225,9 @@ def test_nothing_trains_beyond_the_edge_of_the_contact(ratio):
     np.testing.assert_allclose(samples.gradients, slopes, rtol=1e-6)
     deep = replace(press, ball_radius_px=15.0)
     assert deep.contact_radius(contact) == ratio * followed_radius(20.0, 15.0) < ratio * 15
-    assert PreparedPress("one", press.color_change, press.size, 40.0).contact_radius_ratio == USUAL_EDGE
+    assert (
+        PreparedPress("one", press.color_change, press.size, 40.0, contact).contact_radius_ratio == USUAL_EDGE
+    )
 
 
 SHAPE, RADIUS = (120, 160), 14.0
@@ -240,7 +243,7 @@ def even_press(name, x, y, rng, strength=0.3):
     change[..., 0] = strength * inside * rho**2
     change[..., 2] = 0.2 * strength * inside * (cols - x) / RADIUS
     change += rng.normal(0, 0.01, change.shape).astype(np.float32)
-    return PreparedPress(name, change, np.linalg.norm(change, axis=-1).astype(np.float32), 30.0)
+    return PreparedPress(name, change, magnitude(change), 30.0, find_contact(change))
 
 
 @pytest.fixture(scope="module")
@@ -250,8 +253,8 @@ def even():
 
 
 def test_a_press_that_is_brighter_all_around_is_found(even):
-    found = find_contacts(even)
-    for contact, (x, y) in zip(found, CIRCLES):
+    for press, (x, y) in zip(with_contacts(even), CIRCLES):
+        contact = press.found
         assert contact.antisymmetry < 0.3, "the first finder does not see it"
         assert (contact.x_px, contact.y_px) == pytest.approx((x, y), abs=0.15 * RADIUS)
         assert contact.radius_px == pytest.approx(RADIUS, rel=0.2)
@@ -267,8 +270,8 @@ def test_a_circle_that_is_known_stays_and_noise_is_no_ball(even):
     ((index, (_, evidence)),) = find_by_templates([*even, nothing], [*known, None]).items()
     assert index == 4
     assert evidence < MIN_EVIDENCE
-    (last,) = find_contacts([nothing])
-    assert why_no_contact(last) is not None
+    (last,) = with_contacts([nothing])
+    assert why_no_contact(last.found) is not None
 
 
 def test_what_most_frames_show_is_no_ball(monkeypatch):
@@ -297,7 +300,7 @@ def test_a_stage_s_center_stays_and_templates_give_its_radius(even):
     first = even[0].color_change + ring.astype(np.float32)
     size = magnitude(about_median(first))
     staged = replace(even[0], color_change=first, size=size, mark=(x + 1, y - 1, None))
-    contact = find_contacts([staged, *even[1:]])[0]
+    contact = with_contacts([staged, *even[1:]])[0].found
     assert contact.marked
     assert (contact.x_px, contact.y_px) == (x + 1, y - 1)
     assert contact.radius_px == pytest.approx(RADIUS, rel=0.25)
@@ -324,9 +327,9 @@ def test_presses_of_home_made_sensors_are_found_without_their_circles(data):
     with (folder / "presses.csv").open(encoding="utf-8") as file:
         circles = {row["image"]: [float(v) for v in list(row.values())[2:5]] for row in csv.DictReader(file)}
     bare = tuple(replace(press, label=None) for press in presses.presses)
-    for press, contact in zip(bare, find_contacts(prepare(replace(presses, presses=bare)))):
+    for press in prepare(replace(presses, presses=bare)):
         x, y, radius = circles[press.name]
-        assert np.hypot(contact.x_px - x, contact.y_px - y) < 0.2 * radius  # the circles are by eye
+        assert np.hypot(press.found.x_px - x, press.found.y_px - y) < 0.2 * radius  # the circles are by eye
 
 
 @pytest.fixture(scope="module")
@@ -341,8 +344,7 @@ def test_the_change_is_that_of_the_path(few):
     exposure, _ = rest.compare(few.presses[0].image)
     np.testing.assert_array_equal(change, rest.change(few.presses[0].image, exposure))
     calls = []
-    one, _ = prepared = prepare(few, progress=lambda *call: calls.append(call[:2]))
-    assert len(find_contacts(prepared, progress=lambda *call: calls.append(call[:2]))) == 2
+    one, _ = prepare(few, progress=lambda *call: calls.append(call[:2]))
     assert calls == [(1, 2), (2, 2)] * 2
     assert one.ball_radius_px == few.presses[0].ball_diameter_mm / 2 / few.mm_per_px
     np.testing.assert_array_equal(one.color_change, change)
@@ -357,7 +359,7 @@ def test_the_change_is_that_of_the_path(few):
 
 def test_another_offset_has_the_edge_of_the_contacts(few):
     """It is measured once, in what circles are found in."""
-    usual = [replace(press, contact_radius_ratio=0.7) for press in prepare(few, USUAL_OFFSET)]
+    usual = [replace(press, contact_radius_ratio=0.7) for press in prepare(few)]
     assert prepared_with(few, usual, USUAL_OFFSET) is usual
     found = prepared_with(few, usual, 0.0)
     assert [(one.name, one.contact_radius_ratio) for one in found] == [(one.name, 0.7) for one in usual]
@@ -486,7 +488,7 @@ def test_only_dots_are_left_out_and_a_blur_carries_nothing_of_them(blur_px):
 
 def test_samples_leave_the_dots_out(plain_and_dotted):
     made, presses = plain_and_dotted[1]
-    for true, press in zip(made.presses, prepare(presses, 10.0)):
+    for true, press in zip(made.presses, prepare(presses)):
         contact = ContactCircle(*true.center_px, true.contact_radius_px, 1.0, 9.0)
         rows, cols = press.pixels(contact, 0.8)
         assert len(rows) > 30
@@ -505,7 +507,7 @@ def test_calibration_and_evaluation_of_a_marked_gel(plain_and_dotted):
             off = np.hypot(row.center_x_px - true.center_px[0], row.center_y_px - true.center_px[1])
             assert off < 4
     unseen, errors = presses.subset(range(1, 20, 2)), []
-    for true, press in zip(made.presses[1::2], prepare(unseen, calibration.change.offset)):
+    for true, press in zip(made.presses[1::2], prepare(unseen)):
         at = np.nonzero(true.contact & (True if press.usable is None else press.usable))
         found = press.gradients(calibration.color_model, *at)
         errors.append(np.linalg.norm(found - true.gradients[at], axis=1))

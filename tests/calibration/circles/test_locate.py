@@ -19,9 +19,9 @@ from gelform.calibration.circles.find import (
     PreparedPress,
     about_median,
     find_contact,
-    find_contacts,
     magnitude,
     prepare,
+    with_contacts,
 )
 from gelform.calibration.circles.locate import (
     BALL_FACTORS,
@@ -71,12 +71,13 @@ def press(rng, visible_px, ball_px=BALL_PX):
     change = slopes @ TOWARD.T + 0.1 * np.square(slopes).sum(-1, keepdims=True)
     change = (change + rng.normal(0, 0.01, change.shape)).astype(np.float32)
     contact = ContactCircle(x, y, visible_px, 0.9, 5.0)
-    return PreparedPress("press", change, magnitude(change), ball_px), contact
+    return PreparedPress("press", change, magnitude(change), ball_px, contact)
 
 
 def presses(count, visible_px, seed=3):
     rng = np.random.default_rng(seed)
-    return zip(*(press(rng, visible_px) for _ in range(count)))
+    made = [press(rng, visible_px) for _ in range(count)]
+    return made, [one.found for one in made]
 
 
 @pytest.mark.parametrize(
@@ -148,8 +149,7 @@ def test_rings_that_a_press_does_not_show_do_not_count():
 
 
 def repeated(presses):
-    prepared = prepare(presses)
-    return repeated_presses(presses, prepared, find_contacts(prepared))
+    return repeated_presses(presses, prepare(presses))
 
 
 SAVED = {  # the same picture, in another way
@@ -178,11 +178,11 @@ def kept(presses, circles, balls=(60.0,) * 9):
     """The frames that show a press again, and the ones that stay, by circles (x, y, radius) and balls, px."""
     blank = np.zeros((240, 320), np.float32)
     found = [ContactCircle(*circle, 1.0, 9.0) for circle in circles]
-    prepared = [PreparedPress("", blank[..., None], blank, ball) for _, ball in zip(found, balls)]
+    prepared = [PreparedPress("", blank[..., None], blank, *pair) for pair in zip(balls, found)]
     one = presses.presses[0]
     frames = tuple(replace(one, digest=str(k)) for k in range(len(found)))
     background = np.zeros((240, 320, 3), np.float32)
-    return repeated_presses(replace(presses, presses=frames, background=background), prepared, found)
+    return repeated_presses(replace(presses, presses=frames, background=background), prepared)
 
 
 def test_a_press_that_deepens_is_one_and_the_deepest_frame_stays(presses):
@@ -205,8 +205,9 @@ def test_frames_without_a_contact_hide_no_press(presses):
     blank = replace(presses.presses[0], digest="blank", image=presses.background.astype(np.uint8))
     found = [ContactCircle(30, 20, 10, 1.0, 9.0), ContactCircle(30, 20, 14, 0.0, 1.0)]
     both = replace(presses, presses=(presses.presses[0], blank))
-    assert repeated_presses(both, prepare(both), found) == {}
-    assert repeated_presses(both, prepare(both), found[1:] * 2) == {}
+    for circles in (found, found[1:] * 2):
+        shown = [replace(press, found=one) for press, one in zip(prepare(both), circles)]
+        assert repeated_presses(both, shown) == {}
 
 
 def test_one_image_of_two_balls_is_refused(presses):
@@ -232,61 +233,61 @@ def stated(prepared, factor):
 def test_a_ball_that_is_stated_half_as_large_is_named(prepared, found):
     """All presses are refused, and taken with the ball that the sentence names."""
     small = stated(prepared, 0.5)
-    refined = refine(small, found)
+    refined = refine(small)
     assert not refined.accepted
-    note = other_ball_note(small, found, refined)
+    note = other_ball_note(small, refined)
     said = re.match(r"(\d+) of (\d+) presses fit a ball ([\d.]+) times as large as stated", note)
     count, of, factor = (float(one) for one in said.groups())
     assert "Check ball_diameter_mm and mm_per_px" in note
     assert factor > 1.25
     assert of == len(prepared)
     named = BALL_FACTORS[abs(BALL_FACTORS - factor).argmin()]
-    assert len(refine(stated(small, named), found).accepted) == count >= NEARLY_ALL * len(prepared)
+    assert len(refine(stated(small, named)).accepted) == count >= NEARLY_ALL * len(prepared)
 
 
 def test_of_the_right_ball_nothing_is_said(prepared, found, monkeypatch):
     """Nor is another one looked for."""
-    refined = refine(prepared, found)
+    refined = refine(prepared)
     monkeypatch.setattr(module, "refine", None)
-    assert other_ball_note(prepared, found, refined) is None
+    assert other_ball_note(prepared, refined) is None
 
 
 def test_circles_by_hand_of_other_places_and_sizes_are_named(prepared, found):
     circles = [contact.circle_px for contact in found[:6]]
     right = [replace(press, mark=circle) for press, circle in zip(prepared, circles)]
-    assert mark_notes(right, find_contacts(right)) == ()
+    assert mark_notes(with_contacts(right)) == ()
     swapped = [replace(right[0], mark=circles[1]), replace(right[1], mark=circles[0]), *right[2:]]
-    (note,) = mark_notes(swapped, contacts := find_contacts(swapped))
+    (note,) = mark_notes(swapped := with_contacts(swapped))
     assert note.count("radii)") == 2
     assert prepared[0].name in note
-    assert contacts[0].circle_px == pytest.approx(circles[0]), "as without"
+    assert swapped[0].found.circle_px == pytest.approx(circles[0]), "as without"
     wide = [replace(press, mark=(x, y, 2 * radius)) for press, (x, y, radius) in zip(prepared, circles)]
-    (note,) = mark_notes(wide, find_contacts(wide))
+    (note,) = mark_notes(with_contacts(wide))
     assert "was the diameter given?" in note
     x, y, radius = circles[0]
     beyond = replace(prepared[0], mark=(x + 500, y, radius))
-    assert "lies outside the image of 176 px by 132 px" in why_impossible(beyond, found[0])
-    assert why_impossible(right[0], found[0]) is None
+    assert "lies outside the image of 176 px by 132 px" in why_impossible(beyond)
+    assert why_impossible(right[0]) is None
 
 
 @pytest.fixture
-def note_of(prepared, found, monkeypatch):
+def note_of(prepared, monkeypatch):
     """The note on ten presses, by how many are accepted and how well, for a ball so many times as large as at first."""
 
     def note_of(accepted, error, excluded=()):
-        presses, contacts = [prepared[0]] * 10, [found[0]] * 10
+        presses = [prepared[0]] * 10
 
         def factor_of(press):
             return press.ball_radius_px / presses[0].ball_radius_px
 
-        def refine(presses, found):
+        def refine(presses):
             refused = 10 - accepted(factor_of(presses[0]))
             reasons = ("too wide",) * refused + (None,) * (10 - refused)
-            return Refined(tuple(found), reasons[-len(presses) :], "model")
+            return Refined(tuple(press.found for press in presses), reasons[-len(presses) :], "model")
 
         monkeypatch.setattr(module, "refine", refine)
         monkeypatch.setattr(module, "agreement", lambda press, *_: (error(factor_of(press)), 1.0))
-        return other_ball_note(presses, contacts, refine(presses, contacts), excluded)
+        return other_ball_note(presses, refine(presses), excluded)
 
     return note_of
 
@@ -378,7 +379,7 @@ def off_px(contacts, truth):
 @pytest.mark.linear_algebra
 def test_refinement_corrects_the_circles_that_the_border_cuts(prepared, found, simulated):
     done = []
-    refined = refine(prepared, found, progress=lambda *step: done.append(step[:2]))
+    refined = refine(prepared, progress=lambda *step: done.append(step[:2]))
     assert done == [(k, ROUNDS) for k in range(1, ROUNDS + 1)]
     truth = [press.center_px for press in simulated.presses]
     before, after = off_px(found, truth), off_px(refined.contacts, truth)
@@ -393,17 +394,16 @@ def test_refinement_corrects_the_circles_that_the_border_cuts(prepared, found, s
 def test_a_wrong_ball_is_found_by_the_other_presses(data):
     """One real press under the name of another ball: the others contradict it, and nobody else."""
     presses = gelform.read_presses(data / "mini-ball")
-    prepared = prepare(presses, 10.0)
+    prepared = prepare(presses)
     prepared[20] = replace(prepared[20], ball_radius_px=2 * prepared[20].ball_radius_px)
-    found = [find_contact(press.color_change) for press in prepared]
-    reasons = refine(prepared, found).reasons
+    reasons = refine(prepared).reasons
     assert [i for i, reason in enumerate(reasons) if reason is not None] == [20]
     assert "or its ball_diameter_mm is wrong" in reasons[20]
 
 
 @pytest.mark.linear_algebra
 def test_presses_that_were_rejected_before_keep_their_reason(prepared, found):
-    refined = refine(prepared, found, excluded={3: "the same image as another"})
+    refined = refine(prepared, excluded={3: "the same image as another"})
     assert refined.reasons[3] == "the same image as another"
     assert 3 not in refined.accepted
     assert refined.contacts[3] == found[3]
@@ -416,21 +416,22 @@ def test_double_contact_is_rejected(prepared):
     shape = prepared[0].size.shape
     other = np.roll(prepared[0].color_change, (shape[0] // 4, shape[1] // 8), axis=(0, 1))
     doubled = prepared[0].color_change + other
-    prepared[0] = replace(prepared[0], color_change=doubled, size=magnitude(about_median(doubled)))
-    refined = refine(prepared, [find_contact(press.color_change) for press in prepared])
+    size, contact = magnitude(about_median(doubled)), find_contact(doubled)
+    prepared[0] = replace(prepared[0], color_change=doubled, size=size, found=contact)
+    refined = refine(prepared)
     assert refined.reasons[0] is not None
 
 
 @pytest.mark.linear_algebra
 def test_impossible_contacts_are_rejected_and_named(prepared, found):
-    refined = refine(stated(prepared, 0.25), found)
+    refined = refine(stated(prepared, 0.25))
     assert not refined.accepted
     assert "ball diameter or mm_per_px is wrong" in refined.reasons[0]
-    outside = replace(found[0], x_px=-2 * found[0].radius_px)
-    assert why_impossible(prepared[0], outside) == "contact lies outside the frame"
-    assert why_impossible(prepared[0], found[0]) is None
+    outside = replace(prepared[0], found=replace(found[0], x_px=-2 * found[0].radius_px))
+    assert why_impossible(outside) == "contact lies outside the frame"
+    assert why_impossible(prepared[0]) is None
     (inches,) = stated(prepared[:1], 1 / 25.4)
-    assert "ball_diameter_mm is in inches" in why_impossible(inches, found[0])
+    assert "ball_diameter_mm is in inches" in why_impossible(inches)
 
 
 class BallElsewhere:
@@ -446,15 +447,16 @@ class BallElsewhere:
 @pytest.mark.linear_algebra
 def test_a_circle_moves_to_the_ball_but_not_far(prepared, found):
     """By 12 px at most where the frame is 240 px high, and by a quarter of its radius."""
-    press, start = prepared[0], replace(found[0], x_px=60.0, y_px=60.0)
+    start = replace(found[0], x_px=60.0, y_px=60.0)
+    press = replace(prepared[0], found=start)
     most = min(12 * min(press.size.shape) / 240, start.radius_px / 4)
     assert most == start.radius_px / 4
-    near = recentered(press, start, start, BallElsewhere(press, (61.2, 58.5)))
+    near = recentered(press, start, BallElsewhere(press, (61.2, 58.5)))
     assert (near.x_px, near.y_px) == pytest.approx((61.2, 58.5), abs=0.05)
-    far = recentered(press, start, start, BallElsewhere(press, (60 + 1.2 * most, 60 + 1.6 * most)))
+    far = recentered(press, start, BallElsewhere(press, (60 + 1.2 * most, 60 + 1.6 * most)))
     assert (far.x_px, far.y_px) == pytest.approx((60 + 0.6 * most, 60 + 0.8 * most), abs=0.3)
     wide = replace(start, radius_px=3 * start.radius_px)
-    far = recentered(press, wide, wide, BallElsewhere(press, (60 + 12, 60 + 16)))
+    far = recentered(replace(press, found=wide), wide, BallElsewhere(press, (60 + 12, 60 + 16)))
     assert np.hypot(far.x_px - 60, far.y_px - 60) == pytest.approx(12 * min(press.size.shape) / 240, abs=0.3)
 
 
@@ -480,16 +482,16 @@ def deep():
     made = [simulate_press(sensor, Ball(2.0), depth_mm=z, center_mm=at, rng=rng) for at, z in depths]
     rest = simulate_background(sensor, rng).astype(np.float32)
     change = [color_change_from_image(one.image, rest, ChangeSettings(blur_px=0.6)) for one in made]
-    prepared = [PreparedPress("", one, magnitude(about_median(one)), 2.0 / 0.11) for one in change]
-    return made, prepared, [find_contact(c) for c in change]
+    sizes = [magnitude(about_median(one)) for one in change]
+    return made, [PreparedPress("", one, s, 2.0 / 0.11, find_contact(one)) for one, s in zip(change, sizes)]
 
 
 @pytest.mark.linear_algebra
 def test_deep_presses_are_used_and_their_centers_come_back(deep):
-    made, prepared, found = deep
-    wide = np.array([c.radius_px for c in found]) / prepared[0].ball_radius_px
-    assert np.median(wide) > 1.1
-    refined = refine(prepared, found)
+    made, prepared = deep
+    found = [press.found for press in prepared]
+    assert np.median([one.radius_px for one in found]) > 1.1 * prepared[0].ball_radius_px
+    refined = refine(prepared)
     before, after = (off_px(cs, [p.center_px for p in made]) for cs in (found, refined.contacts))
     assert len(refined.accepted) >= len(made) - 1
     assert np.median(after) < 0.6 * np.median(before)
@@ -499,10 +501,10 @@ def test_deep_presses_are_used_and_their_centers_come_back(deep):
 @pytest.mark.linear_algebra
 def test_deep_presses_of_another_ball_than_stated_are_refused(deep):
     """Half of the true ball: the gel is steepest far outside of it, which no press of such a ball can be."""
-    _, prepared, found = deep
-    reasons = why_too_wide(stated(prepared, 0.5), found)
+    _, prepared = deep
+    reasons = why_too_wide(stated(prepared, 0.5))
     assert all("ball diameter or mm_per_px is wrong" in reason for reason in reasons)
-    assert not any(why_too_wide(prepared, found))
+    assert not any(why_too_wide(prepared))
 
 
 JOINT_BALL_PX, JOINT_CONTACT_PX = 26.0, 20.0
@@ -519,7 +521,8 @@ def press_at(center):
     change = strength * (np.cos(turn) * slope[..., 0] + np.sin(turn) * slope[..., 1])
     change += 0.02 * np.sum(slope**2, axis=-1)
     change = np.moveaxis(change, 0, -1).astype(np.float32)
-    return PreparedPress("press", change, np.linalg.norm(change, axis=-1), JOINT_BALL_PX)
+    (contact,) = circles([center])
+    return PreparedPress("press", change, np.linalg.norm(change, axis=-1), JOINT_BALL_PX, contact)
 
 
 def circles(centers):

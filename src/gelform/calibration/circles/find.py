@@ -101,12 +101,13 @@ class ContactCircle:
 
 @dataclass(frozen=True)
 class PreparedPress:
-    """One press, ready to be fitted: its color change and its ball."""
+    """One press, ready to be fitted: its color change, the circle found in it, and its ball."""
 
     name: str
     color_change: Map  # (H, W, 3) float32, blurred
     size: Map  # (H, W) float32, |color change - its median|
     ball_radius_px: float
+    found: ContactCircle  # the circle that the image shows by itself
     usable: Mask | None = None  # (H, W) bool, False on markers; None if all pixels are
     background: Map | None = None  # (H, W, 3), the background image of all presses; or None
     # radius of the contact edge over that of the visible circle; the same for all presses
@@ -191,41 +192,49 @@ def change_settings(presses: Presses, offset: float = USUAL_OFFSET) -> ChangeSet
     return ChangeSettings("divide", offset, blur_px, presses.geometry.matrix, presses.response)
 
 
-def prepare(
-    presses: Presses, offset: float = USUAL_OFFSET, *, progress: Progress = no_progress
-) -> list[PreparedPress]:
-    """The presses with their color changes, each checked against the background, to which `offset` gray levels are added.
+def prepare(presses: Presses, *, progress: Progress = no_progress) -> list[PreparedPress]:
+    """The presses with their color changes, each checked against the background, and the circle found in each.
 
     A press that is of another light is refused, with the reason, and has no color change. CalibrationError: the background
     does not belong to half of the presses or more, of which one is named, or not to all together.
     """
-    changes, rest = ColorChanges(presses.background, change_settings(presses, offset)), presses.background
-    prepared = []
-    for done, press in enumerate(presses.presses):
-        refused = None
-        try:
-            change, usable = changes(press.image)
-        except CalibrationError as problem:
-            change, usable, refused = np.zeros((*presses.image_shape, 3), np.float32), None, str(problem)
+    prepared, changes = [], _color_changes(presses, USUAL_OFFSET, progress)
+    for done, (press, (change, usable, refused)) in enumerate(zip(presses.presses, changes)):
         size = magnitude(about_median(change))
-        radius_px = press.ball_diameter_mm / 2 / presses.mm_per_px
+        ball_px = press.ball_diameter_mm / 2 / presses.mm_per_px
         mark = press.label if press.center_px is None else (*press.center_px, None)
-        prepared.append(
-            PreparedPress(press.name, change, size, radius_px, usable, rest, mark=mark, refused=refused)
+        made = PreparedPress(
+            press.name, change, size, ball_px, find_contact(change), usable, presses.background
         )
+        prepared.append(replace(made, mark=mark, refused=refused))
+        progress(done + 1, len(changes), "finding contact circles")
+    return with_contacts(prepared)
+
+
+def _color_changes(
+    presses: Presses, offset: float, progress: Progress = no_progress
+) -> list[tuple[Map, Mask | None, str | None]]:
+    """The color change of each press with an offset in gray levels, its usable pixels, and the reason that it is refused."""
+    changes = ColorChanges(presses.background, change_settings(presses, offset))
+    made: list[tuple[Map, Mask | None, str | None]] = []
+    for done, press in enumerate(presses.presses):
+        try:
+            made.append((*changes(press.image), None))
+        except CalibrationError as problem:
+            made.append((np.zeros((*presses.image_shape, 3), np.float32), None, str(problem)))
         progress(done + 1, len(presses.presses), "preparing")
-    others = [one for one in prepared if one.refused is not None]
-    if 2 * len(others) >= len(prepared):
+    others = [(press.name, why) for press, (*_, why) in zip(presses.presses, made) if why is not None]
+    if 2 * len(others) >= len(made):
         raise CalibrationError(
-            f"{len(others)} of {len(prepared)} presses do not fit the background. {others[0].name}: {others[0].refused}"
+            f"{len(others)} of {len(made)} presses do not fit the background. {others[0][0]}: {others[0][1]}"
         )
-    kept = [press.image for press, one in zip(presses.presses, prepared) if one.refused is None]
+    kept = [press.image for press, (*_, why) in zip(presses.presses, made) if why is None]
     check_background_of_frames(kept, presses.background)
-    return prepared
+    return made
 
 
 def prepared_with(presses: Presses, prepared: list[PreparedPress], offset: float) -> list[PreparedPress]:
-    """The presses, which are `prepared` with the usual offset, with the one that a color model needs.
+    """The presses, which are `prepared` with the usual offset, with the color changes that a color model needs.
 
     Pixels with background 0 cannot be divided with the offset 0; they are not usable then.
     """
@@ -233,11 +242,11 @@ def prepared_with(presses: Presses, prepared: list[PreparedPress], offset: float
         return prepared
     divides = np.asarray((presses.background > 0).all(axis=-1), dtype=bool)
     own = []
-    for press in prepare(presses, offset):
-        usable = press.usable
+    for press, (change, usable, refused) in zip(prepared, _color_changes(presses, offset)):
         if offset == 0 and not divides.all():
             usable = divides if usable is None else usable & divides
-        own.append(replace(press, usable=usable, contact_radius_ratio=prepared[0].contact_radius_ratio))
+        size = magnitude(about_median(change))
+        own.append(replace(press, color_change=change, size=size, usable=usable, refused=refused))
     return own
 
 
@@ -268,25 +277,25 @@ def magnitude(change: Map) -> Map:
     return np.asarray(np.sqrt(np.einsum("...c,...c->...", change, change)))
 
 
-def find_contacts(prepared: list[PreparedPress], *, progress: Progress = no_progress) -> list[ContactCircle]:
-    """The contact circle of each image: where its color change is odd, else as marked, else by templates of a ball."""
-    found = []
-    known: list[Circle | None] = []
-    for done, press in enumerate(prepared):
-        contact = find_contact(press.color_change)
-        if press.mark is not None:
-            contact = marked_contact(contact, press.size, *press.mark)
-        sought = contact.is_weak and press.refused is None and (press.mark is None or press.mark[2] is None)
-        found.append(contact)
-        known.append(None if sought else contact.circle_px)
-        progress(done + 1, len(prepared), "finding contact circles")
+def with_contacts(prepared: list[PreparedPress]) -> list[PreparedPress]:
+    """The presses with their circles: where color changes are odd, as found; else as marked; else by templates of a ball."""
+    found = [
+        press.found if press.mark is None else marked_contact(press.found, press.size, *press.mark)
+        for press in prepared
+    ]
+    known = [
+        None
+        if contact.is_weak and press.refused is None and (press.mark is None or press.mark[2] is None)
+        else contact.circle_px
+        for press, contact in zip(prepared, found)
+    ]
     for k, ((x, y, radius), evidence) in find_by_templates(prepared, known).items():
         apart = np.hypot(x - found[k].x_px, y - found[k].y_px)
         if found[k].marked and apart < AGREES * radius:
             found[k] = replace(found[k], radius_px=radius)  # a stage knows the center alone
         elif evidence >= MIN_EVIDENCE and not found[k].marked:
             found[k] = replace(found[k], x_px=x, y_px=y, radius_px=radius, evidence=evidence)
-    return found
+    return [replace(press, found=contact) for press, contact in zip(prepared, found)]
 
 
 def find_contact(color_change: Map) -> ContactCircle:

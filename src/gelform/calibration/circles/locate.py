@@ -39,7 +39,6 @@ from gelform.calibration.circles.find import (
     PreparedPress,
     contact_radius,
     contact_samples,
-    find_contacts,
     joined,
     moved,
     prepare,
@@ -106,7 +105,6 @@ class Located:
 
     presses: Presses  # as read
     prepared: list[PreparedPress]  # with their color changes and the measured edge of their contacts
-    found: list[ContactCircle]  # the circle found in each image by itself
     refined: Refined  # circles that agree with each other, and reasons
     repeated: Mapping[int, int] = field(default_factory=dict)  # as `repeated_presses` gives it
     start: Start | None = None  # another unit's model that a fit may begin with, or None
@@ -120,30 +118,29 @@ def locate(presses: Presses, start: Start | None = None, *, progress: Progress =
     An offered start helps with few presses; from 12 on the presses alone determine their circles.
     """
     prepared = prepare(presses, progress=progress)
-    found = find_contacts(prepared, progress=progress)
-    notes = mark_notes(prepared, found)
+    notes = mark_notes(prepared)
     if start is not None and start.note:
         notes += (f"{start.note} Colors of another gel differ; with few presses the start's count.",)
-    repeated, model = repeated_presses(presses, prepared, found), None if start is None else start.model
+    repeated, model = repeated_presses(presses, prepared), None if start is None else start.model
     excluded = {i: f"the same press as {presses.presses[kept].name}" for i, kept in repeated.items()}
-    if start is not None and start.offered and NEEDED.edge.met(len(found) - len(repeated)):
+    if start is not None and start.offered and NEEDED.edge.met(len(prepared) - len(repeated)):
         model = None
-    refined = refine(prepared, found, excluded=excluded, start=model, progress=progress)
+    refined = refine(prepared, excluded=excluded, start=model, progress=progress)
     if start is not None and start.offered and model is not None:
-        alone = refine(prepared, found, excluded=excluded)
+        alone = refine(prepared, excluded=excluded)
         if len(alone.accepted) > len(refined.accepted):
             notes += (
                 f"{start.subject} was not used: {len(refined.accepted)} presses fit with it, "
                 f"{len(alone.accepted)} without it.",
             )
             refined, model, start = alone, None, None
-    other_ball = other_ball_note(prepared, found, refined, excluded)
+    other_ball = other_ball_note(prepared, refined, excluded)
     ratio = contact_radius_ratio(*refined.of_accepted(prepared))
     if ratio != prepared[0].contact_radius_ratio:
         prepared = [replace(press, contact_radius_ratio=ratio) for press in prepared]
-        refined = refine(prepared, found, excluded=excluded, start=model, progress=progress)
+        refined = refine(prepared, excluded=excluded, start=model, progress=progress)
     notes += () if other_ball is None else (other_ball,)
-    return Located(presses, prepared, found, refined, repeated, start, model, notes)
+    return Located(presses, prepared, refined, repeated, start, model, notes)
 
 
 def check_places(located: Located) -> None:
@@ -168,9 +165,7 @@ def check_places(located: Located) -> None:
     )
 
 
-def repeated_presses(
-    presses: Presses, prepared: Sequence[PreparedPress], found: Sequence[ContactCircle]
-) -> dict[int, int]:
+def repeated_presses(presses: Presses, prepared: Sequence[PreparedPress]) -> dict[int, int]:
     """The frames that show another one's press again, and the frame of it that stays.
 
     The deepest one stays, unless its visible circle is as wide as the ball. Frames without a contact are left as they are.
@@ -184,35 +179,37 @@ def repeated_presses(
                 f"{press.name} and {earlier.name} of {presses.folder} are the same image, listed with balls of "
                 f"{press.ball_diameter_mm:g} and {earlier.ball_diameter_mm:g} mm. Correct the table."
             )
-    shown = [i for i, contact in enumerate(found) if why_no_contact(contact) is None]
+    shown = [i for i, press in enumerate(prepared) if why_no_contact(press.found) is None]
     if not shown:
         return {}
-    places = [(prepared[i].ball_radius_px, found[i].x_px, found[i].y_px) for i in shown]
+    places = [(prepared[i].ball_radius_px, *prepared[i].found.circle_px[:2]) for i in shown]
     ball, x, y = np.array(places).T[..., None]
     # px at 240 rows; the circles found in frames of one press, of another moment, exposure or compression, are within 1.8
     near = np.hypot(x - x.T, y - y.T) < 2 * scale_of(presses.image_shape)
     group = connected_components(near & (ball == ball.T), directed=False)[1]
+
+    def depth(k: int) -> tuple[bool, float]:
+        return not prepared[k].is_deep(prepared[k].found), prepared[k].found.radius_px
+
     kept: dict[int, int] = {}
     for i, number in zip(shown, group):
-        kept[number] = max(
-            kept.get(number, i), i, key=lambda k: (not prepared[k].is_deep(found[k]), found[k].radius_px)
-        )
+        kept[number] = max(kept.get(number, i), i, key=depth)
     return {i: kept[number] for i, number in zip(shown, group) if i != kept[number]}
 
 
 def count_presses(presses: Presses) -> int:
     """The number of presses, frames of one press counted once, and frames without a contact as they are."""
     prepared = prepare(presses)
-    return len(prepared) - len(repeated_presses(presses, prepared, find_contacts(prepared)))
+    return len(prepared) - len(repeated_presses(presses, prepared))
 
 
-def mark_notes(presses: Sequence[PreparedPress], found: Sequence[ContactCircle]) -> tuple[str, ...]:
+def mark_notes(presses: Sequence[PreparedPress]) -> tuple[str, ...]:
     """Notes on circles by hand, or stage's centers, that are of another place or size than what the images show."""
     elsewhere, ratios = [], []
-    for press, contact in zip(presses, found):
+    for press in presses:
         if press.mark is None or press.refused is not None:
             continue
-        x, y, radius = press.mark
+        (x, y, radius), contact = press.mark, press.found
         apart = float(np.hypot(contact.x_px - x, contact.y_px - y)) / (radius or contact.radius_px)
         if not contact.marked:
             elsewhere.append(f"{press.name} ({apart:.1f} radii)")
@@ -235,7 +232,6 @@ def mark_notes(presses: Sequence[PreparedPress], found: Sequence[ContactCircle])
 
 def refine(
     presses: Sequence[PreparedPress],
-    found: Sequence[ContactCircle],
     *,
     excluded: Mapping[int, str] | None = None,
     start: StartableModel | None = None,
@@ -247,19 +243,21 @@ def refine(
     moves them and does not judge them. The second one is fitted on them too. Of a few presses, those that the border cuts
     show slopes that no other shows: a model without them refused 1-3 of 12 good ones on two sensors.
     """
-    too_wide = why_too_wide(presses, found)
-    reasons = [why_impossible(press, one) or wide for press, one, wide in zip(presses, found, too_wide)]
+    reasons = [why_impossible(press) or wide for press, wide in zip(presses, why_too_wide(presses))]
     for i, reason in (excluded or {}).items():
         reasons[i] = reason
     candidates = [i for i, reason in enumerate(reasons) if reason is None]
-    whole = [i for i in candidates if found[i].is_whole_in(presses[i].size.shape)]
-    contacts, fit_on = list(found), whole if NEEDED.whole.met(len(whole)) else candidates
+    whole = [i for i in candidates if presses[i].found.is_whole_in(presses[i].size.shape)]
+    contacts, fit_on = (
+        [press.found for press in presses],
+        whole if NEEDED.whole.met(len(whole)) else candidates,
+    )
     contacts = _jointly_centered(presses, contacts, fit_on)
     model: ColorModel | None = None
     for round_ in range(ROUNDS if NEEDED.model.met(len(candidates)) else 0):
         model = fit_model([presses[i] for i in fit_on], [contacts[i] for i in fit_on], start)
         for i in candidates:
-            contacts[i] = recentered(presses[i], contacts[i], found[i], model)
+            contacts[i] = recentered(presses[i], contacts[i], model)
         misfits = why_misfits([presses[i] for i in candidates], [contacts[i] for i in candidates], model)
         late = {i: reason for i, reason in zip(candidates, misfits) if reason is not None}
         unseen = set(candidates) - set(fit_on) if round_ == 0 else set()
@@ -268,7 +266,7 @@ def refine(
     if model is not None:
         for i, reason in late.items():
             reasons[i] = reason
-            contacts[i] = found[i]
+            contacts[i] = presses[i].found
     return Refined(tuple(contacts), tuple(reasons), model)
 
 
@@ -302,15 +300,14 @@ def fit_model(
     return COLOR_MODELS[PLAIN_MODEL].fit(samples, position_degrees=degrees)
 
 
-def recentered(
-    press: PreparedPress, contact: ContactCircle, found: ContactCircle, model: ColorModel
-) -> ContactCircle:
+def recentered(press: PreparedPress, contact: ContactCircle, model: ColorModel) -> ContactCircle:
     """The contact moved to the place near its found one where the ball agrees best with the model."""
     rows, cols = press.pixels(contact, ZONE, PRESS_PIXELS)
     if len(rows) < 30:
         return contact
     gradients = press.gradients(model, rows, cols)
     x, y = ball_center(gradients, cols, rows, (contact.x_px, contact.y_px), press.ball_radius_px, rounds=8)
+    found = press.found
     far = np.hypot(x - found.x_px, y - found.y_px)
     # Deep presses are found within 10 px at 240 rows; over a quarter of a small press's radius is another place.
     limit = min(12.0 * scale_of(press.size.shape), 0.25 * found.radius_px)
@@ -319,7 +316,7 @@ def recentered(
     return moved(found, press.size, x, y)
 
 
-def why_impossible(press: PreparedPress, contact: ContactCircle) -> str | None:
+def why_impossible(press: PreparedPress) -> str | None:
     """The reason that a circle found in one image cannot be a press of this ball, or None."""
     if press.refused is not None:
         return press.refused
@@ -331,6 +328,7 @@ def why_impossible(press: PreparedPress, contact: ContactCircle) -> str | None:
                 f"its circle by hand or stage's center ({x:.0f}, {y:.0f}) lies outside the image of {width} px by {height} "
                 "px: give px of the image, after crop and view"
             )
+    contact = press.found
     reason = why_no_contact(contact)
     if reason is not None or len(press.pixels(contact, ZONE)[0]) >= 30:
         return reason
@@ -342,7 +340,7 @@ def why_impossible(press: PreparedPress, contact: ContactCircle) -> str | None:
     return "contact lies outside the frame"
 
 
-def why_too_wide(presses: Sequence[PreparedPress], found: Sequence[ContactCircle]) -> list[str | None]:
+def why_too_wide(presses: Sequence[PreparedPress]) -> list[str | None]:
     """For each press the reason that its visible circle is too wide for the stated ball, or None.
 
     A circle at least as wide as the ball belongs to a deep press, which draws the gel down around the ball. The gel is
@@ -350,7 +348,8 @@ def why_too_wide(presses: Sequence[PreparedPress], found: Sequence[ContactCircle
     out in half of such presses, the ball is larger than stated, and all of them are refused.
     """
     steepest = {}  # radius at which the ring mean of |change| is largest, up to the visible circle; in ball radii
-    for i, (press, contact) in enumerate(zip(presses, found)):
+    for i, press in enumerate(presses):
+        contact = press.found
         if press.is_deep(contact):
             rings = ring_mean(press.size, contact.x_px, contact.y_px)
             rings = gaussian_filter1d(rings, 2 * scale_of(press.size.shape))[
@@ -359,8 +358,8 @@ def why_too_wide(presses: Sequence[PreparedPress], found: Sequence[ContactCircle
             steepest[i] = float(np.argmax(rings)) / press.ball_radius_px
     all_ = bool(steepest) and float(np.median(list(steepest.values()))) >= STEEPEST_RING
     return [
-        f"contact radius {found[i].radius_px:.1f} px is that of the ball ({press.ball_radius_px:.1f} px) or more, and the "
-        f"gel is steepest {steepest[i]:.2f} ball radii from its center: ball diameter or mm_per_px is wrong"
+        f"contact radius {press.found.radius_px:.1f} px is that of the ball ({press.ball_radius_px:.1f} px) or more, and "
+        f"the gel is steepest {steepest[i]:.2f} ball radii from its center: ball diameter or mm_per_px is wrong"
         if i in steepest and (all_ or steepest[i] >= STEEPEST_RING)
         else None
         for i, press in enumerate(presses)
@@ -433,23 +432,20 @@ def light_notes(background: Map) -> tuple[str, ...]:
 
 
 def other_ball_note(
-    presses: Sequence[PreparedPress],
-    found: Sequence[ContactCircle],
-    refined: Refined,
-    excluded: Container[int] = (),
+    presses: Sequence[PreparedPress], refined: Refined, excluded: Container[int] = ()
 ) -> str | None:
     """A note if many presses are refused, and nearly all fit a ball of another size; else None.
 
     Presses that were excluded before for any ball do not count.
     """
     judged = [i for i in range(len(presses)) if i not in excluded]
-    presses, found, count = [presses[i] for i in judged], [found[i] for i in judged], len(judged)
+    presses, count = [presses[i] for i in judged], len(judged)
     if count - len(refined.accepted) < 0.3 * count:
         return None
     fits = []
     for factor in BALL_FACTORS:
         scaled = [replace(press, ball_radius_px=factor * press.ball_radius_px) for press in presses]
-        other = refine(scaled, found)
+        other = refine(scaled)
         if other.model is not None and len(other.accepted) >= NEARLY_ALL * count:
             error = np.median(
                 [agreement(scaled[i], other.contacts[i], other.model)[0] for i in other.accepted]

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import nnls
 
-from gelform.calibration.circles.find import find_contacts, prepare
+from gelform.calibration.circles.find import prepare
 from gelform.calibration.circles.locate import Located, Refined
 from gelform.calibration.coverage import NEEDED
 from gelform.calibration.presses.press_set import Presses
@@ -42,14 +42,13 @@ def learning_curve(
     own = presses.subset(accepted)
     ratio = calibration.settings["contact_radius_ratio"]
     prepared = [replace(press, contact_radius_ratio=ratio) for press in prepare(own)]
-    found = find_contacts(prepared)
     rows = [calibration.report.presses[i] for i in accepted]
     circles = tuple(
-        replace(one, x_px=row.center_x_px, y_px=row.center_y_px, radius_px=row.contact_radius_px)
-        for one, row in zip(found, rows)
+        replace(one.found, x_px=row.center_x_px, y_px=row.center_y_px, radius_px=row.contact_radius_px)
+        for one, row in zip(prepared, rows)
     )
     refined = Refined(circles, (None,) * len(circles), None)
-    located = Located(own, prepared, found, refined)
+    located = Located(own, prepared, refined)
     held_out = HeldOutPresses(located, ())
     sizes = sizes_for(len(own.presses))
     orders = [rng.permutation(len(own.presses)).tolist() for _ in range(DRAWS)]
