@@ -70,9 +70,8 @@ def gain_curve(pixels: Array, rng: np.random.Generator) -> list[dict[str, Any]]:
         for row, weights in enumerate(((one["solved"] * true).sum(1), (true**2).sum(1), np.ones(len(true)))):
             sums[row, k] = np.histogram(bins, SLOPE_EDGES, weights=weights)[0]
     alike = np.full(len(presses), 1 / len(presses))
-    drawn = rng.multinomial(len(presses), alike, size=DRAWS).astype(
-        np.float64
-    )  # how often each is, (draws, presses)
+    # How often each press is drawn in each bootstrap, (draws, presses).
+    drawn = rng.multinomial(len(presses), alike, size=DRAWS).astype(np.float64)
     curve = []
     for b, (low, high) in enumerate(pairwise(SLOPE_EDGES)):
         projected, square, count = sums[:, :, b]

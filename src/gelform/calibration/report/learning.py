@@ -57,9 +57,9 @@ def learning_curve(
 
     def point_of(size: int, start: Start | None) -> list[dict[str, Any]]:
         candidates, draws = candidates_of(calibration, size, start), []
-        begun_so = replace(located, refined_by=None if start is None else start.model)
+        started = replace(located, refined_by=None if start is None else start.model)
         for order in orders:
-            fold = fold_of(begun_so, order[-held_out_count(len(order)) :], order[:size])
+            fold = fold_of(started, order[-held_out_count(len(order)) :], order[:size])
             if NEEDED.model.met(len(fold.training)):
                 trials = held_out.try_candidates(candidates, [fold])
                 draws.append([trial.normal_deg for trial in trials])
