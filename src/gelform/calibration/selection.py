@@ -266,7 +266,7 @@ def circle_sigmas(located: Located, folds: Sequence[Fold]) -> dict[int, tuple[fl
     return {i: _jackknife(np.array(known)) for i, known in circles.items() if len(known) > 1}
 
 
-def _jackknife(circles: np.ndarray) -> tuple[float, float]:
+def _jackknife(circles: Numbers) -> tuple[float, float]:
     count = len(circles)
     variance = (count - 1) / count * np.sum((circles - circles.mean(axis=0)) ** 2, axis=0)
     return float(np.sqrt(variance[:2].mean())), float(np.sqrt(variance[2]))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -120,40 +120,30 @@ def report_page(content: dict[str, Any], presses: Presses, calibration: Calibrat
     html : str
         At most about 3 MB; hundreds of presses have smaller pictures.
     """
-    rows = content["presses"]
+    rows, report = content["presses"], calibration.report
     urls = press_urls([np.asarray(press.image, dtype=np.uint8) for press in presses.presses])
     names = short_names([row["name"] for row in rows])
     errors = [row["errors"]["normal_free_deg"] for row in rows if row["errors"]]
     background = np.clip(np.round(calibration.background), 0, 255).astype(np.uint8)
-    return (
-        templates()
-        .get_template("page.html")
-        .render(
-            content=content,
-            facts=content["calibration"],
-            used=used_in_words(calibration.report.presses),
-            checks={check["name"]: check for check in content["checks"]},
-            labels={name: figure.replace("(um)", "(µm)") for name, figure in FIGURES.items()},
-            tiles=[{"row": row, "name": name, "url": url} for row, name, url in zip(rows, names, urls)],
-            worse_deg=2 * float(np.median(errors)) if errors else np.inf,
-            caps=_caps(rows, names, calibration.report.caps_um),
-            background_url=jpeg_url(background, width_px=320),
-        )
+    caps, caps_um = None, {i: cap for i, cap in sorted(report.caps_um.items()) if cap.size}
+    if caps_um:  # of every held-out press, on one scale
+        scale_um = cap_scale_um([*caps_um.values()])
+        pictures = [
+            (names[i], rows[i]["errors"]["cap_free_um"], cap_url(cap, scale_um)) for i, cap in caps_um.items()
+        ]
+        caps = {"scale_um": scale_um, "pictures": pictures}
+    page = templates().get_template("page.html")
+    return page.render(
+        content=content,
+        facts=content["calibration"],
+        used=used_in_words(report.presses),
+        checks={check["name"]: check for check in content["checks"]},
+        labels={name: figure.replace("(um)", "(µm)") for name, figure in FIGURES.items()},
+        tiles=[{"row": row, "name": name, "url": url} for row, name, url in zip(rows, names, urls)],
+        worse_deg=2 * float(np.median(errors)) if errors else np.inf,
+        caps=caps,
+        background_url=jpeg_url(background, width_px=320),
     )
-
-
-def _caps(
-    rows: Sequence[dict[str, Any]], names: Sequence[str], caps_um: Mapping[int, Map]
-) -> dict[str, Any] | None:
-    """Pictures of depth minus the ball's cap of every held-out press, on one scale; None without any."""
-    known = {i: cap for i, cap in sorted(caps_um.items()) if cap.size}
-    if not known:
-        return None
-    scale_um = cap_scale_um([*known.values()])
-    pictures = [
-        (names[i], rows[i]["errors"]["cap_free_um"], cap_url(cap, scale_um)) for i, cap in known.items()
-    ]
-    return {"scale_um": scale_um, "pictures": pictures}
 
 
 def digits(value: float) -> str:
