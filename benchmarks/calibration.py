@@ -17,11 +17,17 @@ from typing import Any
 import numpy as np
 
 import gelform
-from gelform.calibration.candidates import Candidate, candidates_for, training_samples
-from gelform.calibration.circles.find import ContactCircle, PreparedPress, find_contact
+from gelform.calibration.circles.find import (
+    ContactCircle,
+    PreparedPress,
+    prepare,
+    prepared_with,
+    training_samples,
+    untouched_change,
+)
 from gelform.calibration.circles.locate import refine
-from gelform.calibration.circles.prepare import prepare, untouched_change
 from gelform.calibration.report.record import summary
+from gelform.calibration.selection import Candidate, candidates_for
 from gelform.result.metrics import press_errors
 from gelform.slopes.color_models import COLOR_MODELS
 from presses import DATA, by_name, reference_circles
@@ -46,8 +52,8 @@ class Bench:
 
     def __init__(self) -> None:
         self.presses = gelform.read_presses(DATA / "mini-ball")
-        self.prepared = {offset: prepare(self.presses, offset) for offset in (10.0, 0.0)}
-        self.found = [find_contact(press.color_change) for press in self.prepared[10.0]]
+        prepared = prepare(self.presses)
+        self.prepared = {offset: prepared_with(self.presses, prepared, offset) for offset in (10.0, 0.0)}
         circles = reference_circles()
         self.circles = [circles[press.name] for press in self.presses.presses]
         self.order = by_name(self.presses)
@@ -69,7 +75,7 @@ class Bench:
 
     def refined(self, training: list[int]) -> tuple[list[int], list[ContactCircle]]:
         """The presses that fit, and their circles."""
-        refined = refine([self.prepared[10.0][i] for i in training], [self.found[i] for i in training])
+        refined = refine([self.prepared[10.0][i] for i in training])
         return [training[k] for k in refined.accepted], [refined.contacts[k] for k in refined.accepted]
 
     def errors(

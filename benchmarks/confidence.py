@@ -24,8 +24,7 @@ import numpy as np
 import gelform
 from confidence import faults
 from confidence.drawn import press
-from gelform.calibration.circles.find import find_contact, why_no_contact
-from gelform.calibration.circles.prepare import ColorChanges
+from gelform.calibration.circles.find import ColorChanges, find_contact, why_no_contact
 from gelform.result.metrics import fit_sphere
 from gelform.sensors.files import read_background
 from gelform.simulate import LAYOUTS, simulate_ball_presses

@@ -18,10 +18,10 @@ import numpy as np
 
 import gelform
 from accuracy.real import EDGES, KEYS, scored, summary
-from gelform.calibration.candidates import start_from
 from gelform.calibration.circles.locate import locate
 from gelform.calibration.inputs import MOST_SIGMAS, ball_readings
 from gelform.calibration.report import report_content
+from gelform.calibration.start import start_from
 from gelform.calibration.starters import load_starter
 from gelform.calibration.starters.starter import Starter, starter_from_calibration
 from gelform.errors import CalibrationError

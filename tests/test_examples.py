@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform.calibration.candidates import candidates_for, color_model_names
+from gelform.calibration.selection import candidates_for, color_model_names
 from gelform.slopes import color_models
 
 EXAMPLES = sorted((Path(__file__).parents[1] / "examples").glob("*.py"))

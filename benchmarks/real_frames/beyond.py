@@ -13,8 +13,8 @@ import numpy as np
 
 import gelform
 from accuracy.real import EDGES, STEEPEST
+from gelform.calibration import held_out
 from gelform.calibration.circles.find import PreparedPress
-from gelform.calibration.held_out import measure
 from gelform.result.metrics import ball_center, score_slopes
 from presses import unlabeled
 from real_frames.edges import SURE
@@ -62,7 +62,7 @@ def beyond(run: Run) -> dict[str, Any]:
 
 def below(presses: Any, limit: float) -> gelform.Calibration:
     """A calibration that has seen, and judged itself by, the slopes below a limit alone."""
-    radius, factors = PreparedPress.contact_radius, measure.with_factors
+    radius, factors = PreparedPress.contact_radius, held_out.with_factors
 
     def near(self: PreparedPress, contact: Any) -> float:
         return min(radius(self, contact), float(np.sin(np.arctan(limit))) * self.ball_radius_px)
@@ -72,7 +72,7 @@ def below(presses: Any, limit: float) -> gelform.Calibration:
 
     with (
         patch.object(PreparedPress, "contact_radius", near),
-        patch.object(measure, "with_factors", of_gentle),
+        patch.object(held_out, "with_factors", of_gentle),
     ):
         return gelform.calibrate(unlabeled(presses), start=None)
 

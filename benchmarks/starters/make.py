@@ -16,17 +16,19 @@ from unittest.mock import patch
 import numpy as np
 
 import gelform
-from gelform.calibration.candidates import SlopeReader, step_sigma_of, training_samples
 from gelform.calibration.circles.find import (
+    ColorChanges,
     ContactCircle,
     PreparedPress,
     contact_samples,
     joined,
+    prepared_with,
+    training_samples,
     with_rest_samples,
 )
 from gelform.calibration.circles.locate import locate
-from gelform.calibration.circles.prepare import ColorChanges, prepared_with
 from gelform.calibration.inputs import INNER
+from gelform.calibration.selection import SlopeReader, step_sigma_of
 from gelform.calibration.starters.starter import (
     Starter,
     gain_between,

@@ -3,30 +3,29 @@
 import numpy as np
 import pytest
 
-from gelform.calibration.circles.find import find_contact
+from gelform.calibration.circles.find import prepare
 from gelform.calibration.circles.locate import Located, Refined
-from gelform.calibration.circles.prepare import prepare
-from gelform.calibration.held_out.measure import PIXEL, table
-from gelform.calibration.held_out.scores import HeldOutPresses, make_folds
+from gelform.calibration.held_out import PIXEL, table
 from gelform.calibration.report.content import report_content
 from gelform.calibration.report.learning import learning_curve
 from gelform.calibration.report.page import report_page
+from gelform.calibration.selection import HeldOutPresses, make_folds
 from gelform.result.metrics import ball_gradients
 
 
 @pytest.fixture(scope="session")
 def prepared(presses):
-    return prepare(presses, 10.0)
+    return prepare(presses)
 
 
 @pytest.fixture(scope="session")
 def found(prepared):
-    return [find_contact(press.color_change) for press in prepared]
+    return [press.found for press in prepared]
 
 
 @pytest.fixture(scope="session")
-def folds(prepared, found):
-    return make_folds(prepared, found, range(len(prepared)))
+def folds(located):
+    return make_folds(located)
 
 
 @pytest.fixture(scope="session")
@@ -48,7 +47,7 @@ def page(content, presses, calibration):
 
 @pytest.fixture(scope="session")
 def located(presses, prepared, found):
-    return Located(presses, prepared, found, Refined(tuple(found), (None,) * len(found), None))
+    return Located(presses, prepared, Refined(tuple(found), (None,) * len(found), None))
 
 
 @pytest.fixture(scope="session")
@@ -59,16 +58,21 @@ def held_out(located, folds):
 @pytest.fixture(scope="session")
 def sample():
     """Makes the pixels of a ball of radius 40 px in an image of 60x80 px, read with a gain, a bias and noise."""
-    return _sample
 
+    def sample(index=0, *, gain=1.0, noise=0.0, bias=(0.0, 0.0), circle=(40.0, 30.0, 25.0), rng=None):
+        y, x = (axis.ravel() for axis in np.mgrid[:60, :80])
+        away = np.hypot(x - circle[0], y - circle[1])
+        x, y, away = (one[away < circle[2] - 2] for one in (x, y, away))
+        true = ball_gradients(x, y, circle[:2], 40.0)
+        seen = gain * true + bias + (noise * rng.standard_normal(true.shape) if noise else 0)
+        columns = {
+            "press": index,
+            "x_px": x,
+            "y_px": y,
+            "rho": away / circle[2],
+            "true": true,
+            "solved": seen,
+        }
+        return table(PIXEL, len(x), **columns, stated=np.nan)
 
-def _sample(index=0, *, gain=1.0, noise=0.0, bias=(0.0, 0.0), circle=(40.0, 30.0, 25.0), rng=None):
-    y, x = (axis.ravel() for axis in np.mgrid[:60, :80])
-    inside = np.hypot(x - circle[0], y - circle[1]) < circle[2] - 2
-    x, y = x[inside], y[inside]
-    true = ball_gradients(x, y, circle[:2], 40.0)
-    seen = gain * true + np.asarray(bias)
-    if noise:
-        seen = seen + noise * rng.standard_normal(true.shape)
-    rho = np.hypot(x - circle[0], y - circle[1]) / circle[2]
-    return table(PIXEL, len(x), press=index, x_px=x, y_px=y, rho=rho, true=true, solved=seen, stated=np.nan)
+    return sample

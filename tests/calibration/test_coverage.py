@@ -1,7 +1,4 @@
-"""How many presses are enough: the docs show the same table, and few presses carry few terms.
-
-Where presses are missing is said: tiles, slope directions, named places; a gap is where to press next.
-"""
+"""How many presses are enough, as the docs show too, and where they are missing: a gap is where to press next."""
 
 import re
 from pathlib import Path
@@ -30,12 +27,9 @@ from gelform.calibration.coverage import (
 PAGE = Path(__file__).parents[2] / "docs" / "press-folder.md"
 
 
-def test_the_docs_show_the_table():
+def test_the_docs_show_the_table_and_enough_begins_at_the_number_of_its_row():
     rows = re.findall(r"^\| (\d+) \| (.*) \| (.*) \|$", PAGE.read_text(encoding="utf-8"), re.M)
     assert rows == [(str(need.presses), need.what, need.why) for need in NEEDED]
-
-
-def test_enough_begins_at_the_number_of_its_row():
     for need in NEEDED:
         assert (need.met(need.presses - 1), need.met(need.presses)) == (False, True)
 
@@ -52,22 +46,16 @@ SHAPE = (240, 320)
 
 def lattice(rows, cols, radius=25, shape=SHAPE):
     """Presses on a regular lattice over the image."""
-    return [
-        ((j + 0.5) * shape[1] / cols, (i + 0.5) * shape[0] / rows, radius)
-        for i in range(rows)
-        for j in range(cols)
-    ]
+    high, wide = shape[0] / rows, shape[1] / cols
+    return [((j + 0.5) * wide, (i + 0.5) * high, radius) for i in range(rows) for j in range(cols)]
 
 
-def test_one_press_shows_every_direction_of_its_cell_and_nothing_else():
+def test_a_press_shows_every_direction_of_its_cell_that_the_border_leaves_and_nothing_else():
+    """Of a center on the left border the right half, where it falls to the right: dz/dx < 0. On the top border dz/dy < 0."""
     coverage = coverage_from_circles([(40.0, 40.0, 25.0)], SHAPE)
     assert (coverage.counts[0, 0] == 1).all()
     assert coverage.counts.sum() == DIRECTIONS
     assert coverage.fraction == pytest.approx(1 / 12)
-
-
-def test_a_press_cut_by_the_border_shows_only_what_is_seen_of_it():
-    """Of a center on the left border the right half, where it falls to the right: dz/dx < 0. On the top border dz/dy < 0."""
     for circle, shown, beside in (((0.0, 40.0, 30.0), 4, 0), ((40.0, 0.0, 30.0), 6, 2)):
         counts = coverage_from_circles([circle], SHAPE).counts[0, 0]
         assert (counts[shown], counts[beside]) == (1, 0)
@@ -75,10 +63,9 @@ def test_a_press_cut_by_the_border_shows_only_what_is_seen_of_it():
 
 def test_presses_add_up():
     one, other = lattice(3, 4), lattice(2, 3)
-    together = coverage_from_circles([*one, *other], SHAPE).counts
-    apart = [coverage_from_circles(c, SHAPE).counts for c in (one, other)]
-    np.testing.assert_array_equal(together, apart[0] + apart[1])
-    assert coverage_from_circles(one, SHAPE).fraction == 1
+    first, second, together = (coverage_from_circles(some, SHAPE) for some in (one, other, [*one, *other]))
+    np.testing.assert_array_equal(together.counts, first.counts + second.counts)
+    assert first.fraction == 1
 
 
 def test_the_place_without_a_press_is_named_first():
@@ -145,17 +132,13 @@ def test_presses_that_reach_over_the_image_are_in_no_part():
 )
 def test_all_presses_lie_in_the_part_that_is_named(x, y, radius):
     part = one_part([(*place, radius) for place in zip(x, y)], SHAPE)
-    for name, share in (
-        ("left", 1 - x / SHAPE[1]),
-        ("right", x / SHAPE[1]),
-        ("top", 1 - y / SHAPE[0]),
-        ("bottom", y / SHAPE[0]),
-    ):
+    across, down = x / SHAPE[1], y / SHAPE[0]
+    for name, share in (("left", 1 - across), ("right", across), ("top", 1 - down), ("bottom", down)):
         assert part is None or name not in part or (share >= 0.5).all()
     if part in ("middle", "middle row"):
-        assert (abs(y / SHAPE[0] - 0.5) <= 1 / 6 + 1e-9).all()
+        assert (abs(down - 0.5) <= 1 / 6 + 1e-9).all()
     if part in ("middle", "middle column"):
-        assert (abs(x / SHAPE[1] - 0.5) <= 1 / 6 + 1e-9).all()
+        assert (abs(across - 0.5) <= 1 / 6 + 1e-9).all()
 
 
 def test_a_note_never_lists_nothing():
@@ -188,13 +171,9 @@ def test_no_press_at_all():
     assert "20 more presses" in coverage_notes([], SHAPE)[0]
 
 
-def test_tiles_are_about_square():
-    assert square_tiles((240, 320)) == (6, 8)
-    assert square_tiles((320, 240)) == (8, 6)
-    assert square_tiles((100, 1000)) == (2, 8)
-
-
-def test_tiles_are_counted_along_rows():
+def test_tiles_are_about_square_and_counted_along_rows():
+    shapes = (240, 320), (320, 240), (100, 1000)
+    assert [square_tiles(shape) for shape in shapes] == [(6, 8), (8, 6), (2, 8)]
     assert tile_of([0, 79, 0, 79], [0, 0, 59, 59], (60, 80), (3, 4)).tolist() == [0, 3, 8, 11]
 
 

@@ -11,11 +11,8 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform.calibration.candidates import Start, starter_start
-from gelform.calibration.circles.find import find_contact
-from gelform.calibration.circles.locate import Located, Refined, locate, refine
-from gelform.calibration.circles.prepare import prepare
-from gelform.calibration.circles.refine import light_notes
+from gelform.calibration.circles.find import find_contact, prepare
+from gelform.calibration.circles.locate import Located, Refined, light_notes, locate, refine
 from gelform.calibration.inputs import (
     MOST_SIGMAS,
     REMEDY,
@@ -37,6 +34,7 @@ from gelform.calibration.presses.press_set import FlatPress, presses_from_simula
 from gelform.calibration.report.content import report_content
 from gelform.calibration.report.learning import learning_curve
 from gelform.calibration.report.record import used_in_words
+from gelform.calibration.start import Start, starter_start
 from gelform.calibration.starters.starter import starter_from_calibration
 from gelform.errors import CalibrationError
 from gelform.image.view import View
@@ -148,7 +146,7 @@ def test_a_starter_helps_five_presses_of_another_unit(data, monkeypatch):
     ball = halved(ball.subset(range(0, len(ball.presses), 5)))
     own = gelform.calibrate(ball, start=None)
     made = starter_from_calibration(own, "gelsight-mini", spread=0.06, units=("mini-ball",))
-    monkeypatch.setattr("gelform.calibration.candidates.starter_for", lambda *sensor: made)
+    monkeypatch.setattr("gelform.calibration.start.starter_for", lambda *sensor: made)
     alone, begun = (gelform.calibrate(five, start=start) for start in (None, "auto"))
     assert alone.settings.start is None
     assert begun.settings.start is not None
@@ -285,7 +283,7 @@ def test_untouched_backgrounds_pass_and_few_presses_cannot_tell(presses):
 
 
 def turn_of(presses):
-    prepared = prepare(presses, 10.0)
+    prepared = prepare(presses)
     contacts = [find_contact(press.color_change) for press in prepared]
     return prepared, contacts, light_turn(prepared, contacts)
 
@@ -319,7 +317,7 @@ def test_presses_in_one_corner_are_noted(presses, simulated):
     assert len(corner) >= 3
     prepared, contacts, _ = turn_of(presses.subset(corner))
     refined = Refined(tuple(contacts), (None,) * len(contacts), None)
-    notes = input_notes(Located(presses, prepared, [], refined))
+    notes = input_notes(Located(presses, prepared, refined))
     assert any(f"All {len(corner)} presses lie in the" in note and "bottom right (" in note for note in notes)
 
 
@@ -350,7 +348,7 @@ def test_real_sets_pass_and_are_caught_when_spoilt(data):
 
 
 def drift_notes(presses):
-    notes = input_notes(Located(presses, [], [], Refined((), (), None)))
+    notes = input_notes(Located(presses, [], Refined((), (), None)))
     return [note for note in notes if "have drifted" in note]
 
 
@@ -413,7 +411,7 @@ def edge_notes(presses, prepared):
     """Of the presses, whose contacts end where they were prepared with."""
     contact = find_contact(prepared[0].color_change)
     refined = Refined((contact,) * len(prepared), (None,) * len(prepared), None)
-    notes = input_notes(Located(presses, prepared, [], refined))
+    notes = input_notes(Located(presses, prepared, refined))
     return [note for note in notes if "contact edge" in note]
 
 
@@ -437,7 +435,7 @@ def imprints(presses, wide=1.0, high=1.0):
         return cv2.resize(image, None, fx=wide, fy=high, interpolation=cv2.INTER_LINEAR)
 
     prepared = prepare(altered(presses, resized, resized))
-    refined = refine(prepared, [find_contact(press.color_change) for press in prepared])
+    refined = refine(prepared)
     return shape_notes(*refined.of_accepted(prepared))
 
 
@@ -476,7 +474,7 @@ def test_a_ball_ten_times_too_large_changes_color_too_much(prepared, found):
 @pytest.mark.parametrize("name", ["mini-ball", "digit-ball", "gelslim", "gelslim-dots", "gelsight-ball-deep"])
 def test_real_imprints_change_color_as_on_their_ball_and_no_ten_times_larger_one(data, name):
     presses = gelform.read_presses(data / name)
-    prepared = prepare(presses.subset(range(0, len(presses.presses), 5)), 10.0)
+    prepared = prepare(presses.subset(range(0, len(presses.presses), 5)))
     contacts = [find_contact(press.color_change) for press in prepared]
     assert imprint_notes(prepared, contacts) == ()
     larger = [replace(press, ball_radius_px=10 * press.ball_radius_px) for press in prepared]

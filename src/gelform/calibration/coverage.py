@@ -1,11 +1,7 @@
 """How many presses each part of a calibration needs, where they have been, and the next places to press.
 
-The number of presses that each part of a calibration needs, with the reasons.
-
-They count accepted presses (`circles.locate`), and frames of one press once (`circles.locate`), except where a row says
-something else. docs/press-folder.md shows the same table. A color model states the needs of its own settings (`variants`).
-
-Coverage: the places and slope directions that presses of a ball have shown, and the next places to press.
+Needs count accepted presses (`circles.locate`), and frames of one press once, except where a row says something else.
+docs/press-folder.md shows the same table, with the reasons. A color model states the needs of its own settings (`variants`).
 
 The lights are near, so a color means another slope at another place; a calibration knows only the places that were
 pressed. The image is divided into tiles, the slopes into eight directions. A press shows a direction in a tile if enough
@@ -16,11 +12,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from gelform.arrays import Array, Mask, Numbers
 from gelform.result.metrics import followed_radius
 
 
@@ -110,16 +107,9 @@ FOLDS = 5  # groups of presses, each held out in turn: the other four fifths tra
 # Position degrees of the polynomial that moves uncertain circles, from a number of presses on.
 REFINING = ((0, (1,)), (6, (2, 1)), (9, (3, 2, 0)))
 
-
 DIRECTIONS = 8  # directions of slopes, 45 degrees each
-LONGER_SIDE = 8  # tiles along the longer side
 COARSE = (3, 4)  # tiles (rows, columns) in notes
-ZONE = 0.8  # fraction of the contact radius that counts
-FLAT = 0.25  # fraction of the contact radius; nearer to its center a ball is level
-STEP = 2  # px between the counted pixels
-ENOUGH = 0.0007  # smallest fraction of the image's pixels
 NAMED_PLACES = 5  # places to press at, in a note
-PART_FRACTION = 0.65  # of a side; contacts that extend over more are not in one part
 
 Circle = tuple[float, float, float]
 
@@ -145,7 +135,7 @@ class Coverage:
     zone: float  # fraction of the contact radius that counts
     # (rows, columns, 8) int, number of presses that show a direction in a tile; direction 0 rises to the right (dz/dx > 0),
     # the next ones turn clockwise by 45 degrees
-    counts: NDArray[np.int_]
+    counts: Array
 
     @property
     def fraction(self) -> float:
@@ -159,11 +149,7 @@ class Coverage:
 
 
 def coverage_from_circles(
-    circles: Sequence[Circle],
-    shape: tuple[int, int],
-    *,
-    tiles: tuple[int, int] = COARSE,
-    zone: float = ZONE,
+    circles: Sequence[Circle], shape: tuple[int, int], *, tiles: tuple[int, int] = COARSE, zone: float = 0.8
 ) -> Coverage:
     """Coverage of an image (H, W), on tiles (rows, columns), by `zone` of contact circles (x, y, radius), px."""
     counts = np.zeros((*tiles, DIRECTIONS), dtype=np.int_)
@@ -183,7 +169,7 @@ def press_coverage(
     return coverage_from_circles(followed, shape, tiles=square_tiles(shape))
 
 
-def square_tiles(shape: tuple[int, int], longer: int = LONGER_SIDE) -> tuple[int, int]:
+def square_tiles(shape: tuple[int, int], longer: int = 8) -> tuple[int, int]:
     """Rows and columns of tiles that are about square; the image's longer side has a given number of them."""
     height, width = shape
     if width >= height:
@@ -191,39 +177,36 @@ def square_tiles(shape: tuple[int, int], longer: int = LONGER_SIDE) -> tuple[int
     return longer, max(2, round(longer * width / height))
 
 
-def tile_of(
-    x_px: ArrayLike, y_px: ArrayLike, shape: tuple[int, int], tiles: tuple[int, int]
-) -> NDArray[np.intp]:
+def tile_of(x_px: ArrayLike, y_px: ArrayLike, shape: tuple[int, int], tiles: tuple[int, int]) -> Array:
     """Flat index of the tile that each pixel of an image (H, W) lies in."""
     row = np.clip((np.asarray(y_px) + 0.5) * tiles[0] / shape[0], 0, tiles[0] - 1).astype(np.intp)
     column = np.clip((np.asarray(x_px) + 0.5) * tiles[1] / shape[1], 0, tiles[1] - 1).astype(np.intp)
     return row * tiles[1] + column
 
 
-def direction_of(gradients: NDArray[Any]) -> NDArray[np.intp]:
+def direction_of(gradients: Array) -> Array:
     """Direction 0-7 of slopes (N, 2): 0 rises to the right, 2 downwards (image rows run down)."""
     turn = np.arctan2(gradients[:, 1], gradients[:, 0]) / (2 * np.pi / DIRECTIONS)
-    direction: NDArray[np.intp] = np.round(turn).astype(np.intp) % DIRECTIONS
+    direction: Array = np.round(turn).astype(np.intp) % DIRECTIONS
     return direction
 
 
-def shown_by(
-    circle: Circle, shape: tuple[int, int], tiles: tuple[int, int], zone: float
-) -> NDArray[np.bool_]:
-    """The directions (rows, columns, 8) that a press shows in each tile."""
-    y, x = (axis.ravel() for axis in np.mgrid[: shape[0] : STEP, : shape[1] : STEP])
+def shown_by(circle: Circle, shape: tuple[int, int], tiles: tuple[int, int], zone: float) -> Mask:
+    """The directions (rows, columns, 8) that a press shows in each tile, on at least 0.07 % of the image's pixels."""
+    step = 2  # px between the counted pixels
+    y, x = (axis.ravel() for axis in np.mgrid[: shape[0] : step, : shape[1] : step])
     rho = np.hypot(x - circle[0], y - circle[1]) / circle[2]
-    inside = (rho > FLAT) & (rho < zone)
+    inside = (rho > 0.25) & (rho < zone)  # nearer to its center a ball is level
     x, y = x[inside], y[inside]
     upwards = np.stack([circle[0] - x, circle[1] - y], axis=1)  # a ball is highest in the middle
     index = tile_of(x, y, shape, tiles) * DIRECTIONS + direction_of(upwards)
-    pixels = STEP**2 * np.bincount(index, minlength=tiles[0] * tiles[1] * DIRECTIONS)
-    shown: NDArray[np.bool_] = pixels >= max(STEP**2, ENOUGH * shape[0] * shape[1])
+    pixels = step**2 * np.bincount(index, minlength=tiles[0] * tiles[1] * DIRECTIONS)
+    shown: Mask = pixels >= max(step**2, 0.0007 * shape[0] * shape[1])
     return shown.reshape(*tiles, DIRECTIONS)
 
 
 def press_next(
-    coverage: Coverage, count: int = NAMED_PLACES, square_error: NDArray[np.float64] | None = None
+    coverage: Coverage, count: int = NAMED_PLACES, square_error: Numbers | None = None
 ) -> tuple[PressPlace, ...]:
     """The next places to press at, each the one that helps most after those before it.
 
@@ -231,10 +214,15 @@ def press_next(
     `error^2 / (1 + n) - error^2 / (2 + n)` for each direction that it shows in a tile and n presses have shown. Otherwise
     the directions that no press has shown count. Among equal places, the one farthest from all presses comes first.
     """
-    tiles = (coverage.counts.shape[0], coverage.counts.shape[1])
-    radius, counts = coverage.contact_radius_px, coverage.counts.astype(np.float64)
-    points = _lattice(coverage.shape, radius)
-    shown = np.array([shown_by((*point, radius), coverage.shape, tiles, coverage.zone) for point in points])
+    shape, radius, counts = coverage.shape, coverage.contact_radius_px, coverage.counts.astype(np.float64)
+    # Tries half a contact radius inside the image, two for each tile along either side.
+    ys, xs = (
+        np.linspace(radius / 2, n - 1 - radius / 2, 2 * tiles).tolist()
+        for n, tiles in zip(shape, square_tiles(shape))
+    )
+    points = [(x, y) for y in ys for x in xs]
+    tiles = counts.shape[0], counts.shape[1]
+    shown = np.array([shown_by((*point, radius), shape, tiles, coverage.zone) for point in points])
     pressed = [(x, y) for x, y, _ in coverage.circles]
     places: list[PressPlace] = []
     for _ in range(count):
@@ -242,25 +230,15 @@ def press_next(
         helped = (shown * gain).sum(axis=(1, 2, 3))
         if helped.max() == 0:
             break
-        best = np.flatnonzero(helped >= (1 - 1e-9) * helped.max())
-        k = int(max(best, key=lambda k: _nearest(points[k], pressed)))
-        places.append(PressPlace(name_of_place(*points[k], coverage.shape), *points[k]))
+        best = np.flatnonzero(helped >= (1 - 1e-9) * helped.max()).tolist()
+        k = max(
+            best,
+            key=lambda k: min((np.hypot(points[k][0] - x, points[k][1] - y) for x, y in pressed), default=0),
+        )
+        places.append(PressPlace(name_of_place(*points[k], shape), *points[k]))
         pressed.append(points[k])
         counts += shown[k]
     return tuple(places)
-
-
-def _lattice(shape: tuple[int, int], radius_px: float) -> list[tuple[float, float]]:
-    """Points half a contact radius inside the image, two for each tile along either side."""
-    rows, columns = square_tiles(shape)
-    inset = 0.5 * radius_px
-    xs = np.linspace(inset, shape[1] - 1 - inset, 2 * columns)
-    ys = np.linspace(inset, shape[0] - 1 - inset, 2 * rows)
-    return [(float(x), float(y)) for y in ys for x in xs]
-
-
-def _nearest(point: tuple[float, float], others: Sequence[tuple[float, float]]) -> float:
-    return min((float(np.hypot(*np.subtract(point, other))) for other in others), default=0.0)
 
 
 def name_of_place(x_px: float, y_px: float, shape: tuple[int, int]) -> str:
@@ -308,28 +286,20 @@ def one_part(circles: Sequence[Circle], shape: tuple[int, int]) -> str | None:
     if not NEEDED.spread.met(len(circles)):
         return None
     x, y, radius = np.array(circles).T
-    low_x, low_y = max(0, (x - radius).min()), max(0, (y - radius).min())
-    high_x, high_y = min(shape[1], (x + radius).max()), min(shape[0], (y + radius).max())
-    spans_x, spans_y = high_x - low_x > PART_FRACTION * shape[1], high_y - low_y > PART_FRACTION * shape[0]
-    if spans_x and spans_y:
+    thirds = []
+    for centers, n in ((x, shape[1]), (y, shape[0])):
+        extent = min(n, (centers + radius).max()) - max(0, (centers - radius).min())
+        thirds.append(None if extent > 0.65 * n else _holding(centers / n))
+    if thirds == [None, None]:
         return None
-    third_x, third_y = (
-        None if spans else _holding(centers / n)
-        for spans, centers, n in ((spans_x, x, shape[1]), (spans_y, y, shape[0]))
-    )
-    if third_x is None and third_y is None:
-        return None
-    place = [
-        n * (0.5 if third is None else (third + 0.5) / 3)
-        for third, n in ((third_x, shape[1]), (third_y, shape[0]))
-    ]
+    place = [n * (0.5 if third is None else (third + 0.5) / 3) for third, n in zip(thirds, shape[::-1])]
     name = name_of_place(place[0], place[1], shape)
-    if name == "middle" and (third_x is None or third_y is None):
-        return "middle row" if third_x is None else "middle column"
+    if name == "middle" and None in thirds:
+        return "middle row" if thirds[0] is None else "middle column"
     return name
 
 
-def _holding(centers: NDArray[np.float64]) -> int | None:
+def _holding(centers: Numbers) -> int | None:
     """1 where all centers, as fractions of a side, lie in its middle third, 0 or 2 in its first or last half; else None."""
     low, high = float(centers.min()), float(centers.max())
     if low >= 1 / 3 and high <= 2 / 3:

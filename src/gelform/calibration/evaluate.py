@@ -8,13 +8,11 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from gelform.calibration.circles.find import find_contact, why_no_contact
-from gelform.calibration.circles.prepare import ColorChanges
-from gelform.calibration.held_out.measure import errors_of
-from gelform.calibration.presses.folder import Press, Presses, as_presses, with_view
-from gelform.calibration.presses.press_set import FlatPress
+from gelform.arrays import Map
+from gelform.calibration.circles.find import ColorChanges, find_contact, why_no_contact
+from gelform.calibration.held_out import errors_of
+from gelform.calibration.presses.folder import Presses, as_presses, with_view
 from gelform.calibration.report.content import errors_where
 from gelform.calibration.report.record import summary
 from gelform.calibration_file import Calibration, as_calibration
@@ -22,33 +20,22 @@ from gelform.errors import DataError
 from gelform.foundations.findings import Progress, no_progress
 from gelform.reconstruct import Reconstructor
 
-STANDING = 0.5  # of the largest depth; a larger depth is the punch and a narrow strip around it
-MIDDLE = 0.6  # of the radius of a disc as large as the standing area: the face without its edge
-SMOOTHED_PX = 5  # px, smoothing of a depth map for its largest depth
-
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Errors on presses.
+    """Errors on presses."""
 
-    Attributes
-    ----------
-    rows : one per press: its name, whether the calibration was made from it, its circle and errors, or the reason for none
-    summary : over the presses that have errors
-    where : their normal errors by the ball's slope and by place, inside the contact edge and up to the visible rim
-    seen : number of presses that the calibration was made from; their errors say little
-    own_background : whether the presses' background is the calibration's own, pixel for pixel
-    findings : findings about a background that is not
-    flats : one per press of a flat punch: its name, its known and its measured height, mm; None if its face is not
-        completely in the image
-    """
-
+    # One per press: its name, whether the calibration was made from it, its circle and errors, or the reason for none.
     rows: tuple[dict[str, Any], ...]
-    summary: dict[str, float]
-    where: dict[str, Any]
-    seen: int
-    own_background: bool = True
-    findings: tuple[str, ...] = ()
+    summary: dict[str, float]  # over the presses that have errors
+    where: dict[
+        str, Any
+    ]  # their normal errors by the ball's slope and by place, as `errors_where` gives them
+    seen: int  # number of presses that the calibration was made from; their errors say little
+    own_background: bool = True  # whether the presses' background is the calibration's own, pixel for pixel
+    findings: tuple[str, ...] = ()  # about a background that is not
+    # One per press of a flat punch: its name, its known and its measured height, mm; None if its face is not completely in
+    # the image.
     flats: tuple[dict[str, Any], ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
@@ -88,7 +75,11 @@ def evaluate(
     ratio = calibration.settings.contact_radius_ratio or 1.0
     rows, errors, pixels = [], [], []
     for done, press in enumerate(presses.presses):
-        circle, reason = _circle(press, changes)
+        if press.label is None:
+            contact = find_contact(changes(press.image)[0])
+            circle, reason = contact.circle_px, why_no_contact(contact)
+        else:
+            circle, reason = press.label, None
         row: dict[str, Any] = {
             "name": press.name,
             "ball_diameter_mm": press.ball_diameter_mm,
@@ -110,23 +101,22 @@ def evaluate(
     seen = sum(row["seen"] for row in rows if row["reason"] is None)
     findings = tuple(finding.message for finding in reconstruct.findings)
     where = errors_where(np.concatenate(pixels), calibration.image_shape, ratio)
-    flats = tuple(_height_of(flat, reconstruct) for flat in presses.flats)
-    return Evaluation(tuple(rows), summary(errors), where, seen, reconstruct.own_background, findings, flats)
+    flats = []
+    for flat in presses.flats:
+        read_mm = face_height_mm(reconstruct.from_image(flat.image).depth_mm)
+        known = {"name": flat.name, "height_mm": flat.height_mm}
+        flats.append({**known, "read_mm": read_mm if np.isfinite(read_mm) else None})
+    own = reconstruct.own_background
+    return Evaluation(tuple(rows), summary(errors), where, seen, own, findings, tuple(flats))
 
 
-def _height_of(flat: FlatPress, reconstruct: Reconstructor) -> dict[str, Any]:
-    read_mm = face_height_mm(reconstruct.from_image(flat.image).depth_mm)
-    known = {"name": flat.name, "height_mm": flat.height_mm}
-    return {**known, "read_mm": read_mm if np.isfinite(read_mm) else None}
-
-
-def face_height_mm(depth_mm: NDArray[np.float32]) -> float:
+def face_height_mm(depth_mm: Map) -> float:
     """Mean depth in the middle of the largest flat face of a depth map (H, W); NaN if the border cuts it.
 
     A small tilt does not change the mean about the middle. A punch has to be about as wide as it is long.
     """
-    top = float(cv2.blur(depth_mm, (SMOOTHED_PX, SMOOTHED_PX)).max())
-    standing = (depth_mm > STANDING * top).astype(np.uint8)
+    top = float(cv2.blur(depth_mm, (5, 5)).max())
+    standing = (depth_mm > 0.5 * top).astype(np.uint8)  # the punch and a narrow strip around it
     count, _, stats, centers = cv2.connectedComponentsWithStats(standing)
     if top <= 0 or count < 2:
         return float("nan")
@@ -136,13 +126,5 @@ def face_height_mm(depth_mm: NDArray[np.float32]) -> float:
         return float("nan")
     rows, columns = np.ogrid[: depth_mm.shape[0], : depth_mm.shape[1]]
     square = (columns - centers[largest][0]) ** 2 + (rows - centers[largest][1]) ** 2
-    return float(depth_mm[square <= max(MIDDLE**2 * area / np.pi, 1.0)].mean())
-
-
-def _circle(press: Press, changes: ColorChanges) -> tuple[tuple[float, float, float], str | None]:
-    """The label, or the circle found in the image, and why it is no contact."""
-    if press.label is not None:
-        return press.label, None
-    change, _ = changes(press.image)
-    contact = find_contact(change)
-    return contact.circle_px, why_no_contact(contact)
+    # Within 0.6 radii of a disc as large as the standing area is the face without its edge.
+    return float(depth_mm[square <= max(0.6**2 * area / np.pi, 1.0)].mean())

@@ -1,10 +1,4 @@
-"""calibrate: from presses of a ball to a Calibration, without a click.
-
-The error of a place on the sensor, in proportion to a displacement, as a calibration's own presses show it.
-
-A ball's center is found from the contact's slopes (`gelform.motion`) and from the circle in the image. Slopes are wrong by
-a little more at one place than at another, so the two differ by more, the farther the ball moved.
-"""
+"""calibrate: from presses of a ball to a Calibration, without a click; and how wrong it is about the ball's places."""
 
 from __future__ import annotations
 
@@ -15,20 +9,18 @@ from itertools import pairwise
 from os import PathLike
 
 import numpy as np
-from numpy.typing import NDArray
 
-from gelform.calibration.candidates import AUTO, candidates_for, start_from, starter_note, starter_start
+from gelform.arrays import Numbers
 from gelform.calibration.circles.find import ContactCircle
-from gelform.calibration.circles.locate import check_places, locate
-from gelform.calibration.circles.refine import light_notes
+from gelform.calibration.circles.locate import check_places, light_notes, locate
 from gelform.calibration.coverage import SAMPLED
-from gelform.calibration.fitted import fit
-from gelform.calibration.held_out.measure import measure_held_out
-from gelform.calibration.held_out.scores import check_folds, make_folds
+from gelform.calibration.held_out import measure_held_out
 from gelform.calibration.inputs import ball_readings, check_inputs, input_notes, notes_of, surround_notes
 from gelform.calibration.presses.folder import Presses, as_presses
 from gelform.calibration.presses.press_set import Press
 from gelform.calibration.report.record import report_of_run
+from gelform.calibration.selection import candidates_for, fit, make_folds
+from gelform.calibration.start import AUTO, start_from, starter_note, starter_start
 from gelform.calibration_file import Calibration
 from gelform.foundations.findings import Progress, no_progress
 from gelform.motion.between import motion_between
@@ -89,10 +81,7 @@ def calibrate(
     of_image = *surround_notes(presses), *light_notes(presses.background)
     located = replace(located, notes=(*of_image, *notes_of(balls), *untried, *located.notes))
     check_places(located)
-    folds = make_folds(
-        located.prepared, located.found, located.refined.accepted, start=located.refined_by, progress=progress
-    )
-    check_folds(located, folds)
+    folds = make_folds(located, progress=progress)
     fitted = fit(located, folds, color_model, compare=compare, progress=progress)
     judged = measure_held_out(fitted, progress=progress)
     notes = input_notes(located)
@@ -109,16 +98,14 @@ def calibrate(
     )
 
 
-LEAST_MM = 1.0  # of a displacement; the circles' own errors matter below
-LEAST_PAIRS = 4
-
-
 def place_error_from_presses(
     calibration: Calibration, presses: Sequence[Press], contacts: Sequence[ContactCircle]
 ) -> float | None:
     """Root mean square error of a ball's center along an axis, over its displacement; None: too few pairs.
 
-    Each press is compared with the next one of the same ball, from where the circles say that it is.
+    Each press is compared with the next one of the same ball. Its center is found from the contact's slopes
+    (`gelform.motion`) and from the circle in the image. Slopes are wrong by a little more at one place than at another, so
+    the two differ by more, the farther the ball moved.
     """
     reconstruct, pitch = Reconstructor(calibration), calibration.known_mm_per_px
     middle = (np.array(calibration.image_shape[::-1]) - 1) / 2
@@ -126,25 +113,19 @@ def place_error_from_presses(
     whole = [
         (press, np.array([circle.x_px, circle.y_px]))
         for press, circle in zip(presses[::step], contacts[::step])
-        if _is_whole(circle, calibration.image_shape)
+        if circle.is_whole_in(calibration.image_shape)
     ]
     whole.sort(key=lambda one: one[0].ball_diameter_mm)
-    shares: list[NDArray[np.float64]] = []
+    shares: list[Numbers] = []
     results = [reconstruct.from_image(press.image) for press, _ in whole]
     for (first, second), ((one, from_px), (other, to_px)) in zip(pairwise(results), pairwise(whole)):
         start = np.eye(4)
         start[:2, 3] = travel = (to_px - from_px) * pitch
         distance = float(np.linalg.norm(travel))
-        if one.ball_diameter_mm != other.ball_diameter_mm or distance < LEAST_MM:
-            continue
+        if one.ball_diameter_mm != other.ball_diameter_mm or distance < 1:
+            continue  # in less than 1 mm the circles' own errors matter
         pose = motion_between(first, second, start=start).pose
         if pose is not None:
             center = np.array([*(from_px - middle) * pitch, first.peak_mm - one.ball_diameter_mm / 2])
             shares.append((moved(pose, center)[:2] - (to_px - middle) * pitch) / distance)
-    return float(np.sqrt(np.mean(np.square(shares)))) if len(shares) >= LEAST_PAIRS else None
-
-
-def _is_whole(circle: ContactCircle, shape: tuple[int, int]) -> bool:
-    """Whether a circle lies inside an image (H, W), so that its center is sure."""
-    x, y, radius = circle.circle_px
-    return radius <= x <= shape[1] - 1 - radius and radius <= y <= shape[0] - 1 - radius
+    return float(np.sqrt(np.mean(np.square(shares)))) if len(shares) >= 4 else None

@@ -14,6 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.calibration.circles.find import (
+    BLUR_PX,
+    USUAL_OFFSET,
+    ColorChanges,
     ContactCircle,
     about_median,
     find_contact,
@@ -22,7 +25,6 @@ from gelform.calibration.circles.find import (
     scale_of,
     why_no_contact,
 )
-from gelform.calibration.circles.prepare import BLUR_PX, USUAL_OFFSET, ColorChanges
 from gelform.calibration.coverage import NEEDED, Coverage, PressPlace, press_coverage, press_next
 from gelform.calibration.fit import calibrate
 from gelform.calibration.library.library import add_calibration

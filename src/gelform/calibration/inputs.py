@@ -15,7 +15,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.calibration.candidates import Start, training_samples
 from gelform.calibration.circles.find import (
     PRESS_PIXELS,
     TRIAL_SAMPLES,
@@ -27,12 +26,13 @@ from gelform.calibration.circles.find import (
     imprint_aspect,
     magnitude,
     scale_of,
+    training_samples,
     why_no_contact,
 )
 from gelform.calibration.circles.locate import Located
-from gelform.calibration.circles.refine import is_deep
 from gelform.calibration.coverage import NEEDED, SAMPLED, coverage_notes
 from gelform.calibration.presses.press_set import Presses
+from gelform.calibration.start import Start
 from gelform.errors import CalibrationError
 from gelform.image.agreement import check_background_of_frames, orientation_if_doubtful
 from gelform.image.background import color_change_from_image, surround_finding
@@ -101,7 +101,7 @@ def notes_of(readings: Sequence[BallReading]) -> tuple[str, ...]:
 
 def _by_model(located: Located, known: Start) -> tuple[BallReading, ...]:
     chosen = located.refined.accepted or [
-        i for i, contact in enumerate(located.found) if why_no_contact(contact) is None
+        i for i, press in enumerate(located.prepared) if why_no_contact(press.found) is None
     ]
     readings = []
     for stated, members in _by_size(located, chosen).items():
@@ -284,7 +284,7 @@ def _edge_notes(prepared: Sequence[PreparedPress]) -> tuple[str, ...]:
 
 def shape_notes(prepared: Sequence[PreparedPress], contacts: Sequence[ContactCircle]) -> tuple[str, ...]:
     """A note if imprints of a ball are elliptic, as in pixels that are not square; deep ones are no ellipses."""
-    shallow = [(press, contact) for press, contact in zip(prepared, contacts) if not is_deep(press, contact)]
+    shallow = [(press, contact) for press, contact in zip(prepared, contacts) if not press.is_deep(contact)]
     if not NEEDED.edge.met(len(shallow)):
         return ()
     logs = np.log([imprint_aspect(shallow[k][0].size, shallow[k][1]) for k in _some(len(shallow))])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import scipy  # its parts load at first use
@@ -230,6 +231,27 @@ def press_errors(
     ValueError
         Fewer than 10 pixels of the contact lie inside the frame.
     """
+    return press_fit(depth_mm, gradients, circle_px, ball_radius_mm, mm_per_px, contact_radius_ratio).errors
+
+
+class PressFit(NamedTuple):
+    """Errors of a reconstructed press, and the centers (x, y), px, of its ball that they were measured about."""
+
+    errors: PressErrors
+    reach_px: float  # up to which slopes are judged: 3 px (at 240 rows) inside the visible rim
+    center_px: tuple[float, float]  # fitted to the gradients inside the contact edge
+    surface_center_px: tuple[float, float]  # fitted to the slopes of the depth map there
+
+
+def press_fit(
+    depth_mm: Array,
+    gradients: Array,
+    circle_px: tuple[float, float, float],
+    ball_radius_mm: float,
+    mm_per_px: float,
+    contact_radius_ratio: float,
+) -> PressFit:
+    """`press_errors`, and where the ball is."""
     depth_mm = check_map(depth_mm, "depth_mm")
     if depth_mm.ndim != 2:
         raise ValueError(f"Expected depth_mm of shape (H, W), got {depth_mm.shape}.")
@@ -267,7 +289,7 @@ def press_errors(
     sphere = fit_sphere(depth_mm, inside, mm_per_px=mm_per_px, radius_mm=ball_radius_mm)
     far = rho > 2.5 * contact
     off = 1e3 * np.sqrt(np.mean(np.square(depth_mm[far], dtype=np.float64))) if far.any() else np.nan
-    return PressErrors(
+    errors = PressErrors(
         normal_deg=normal((cx, cy), inside),
         normal_free_deg=normal(free[0], inside_free[0]),
         normal_rim_deg=normal(free[0], from_free[0] < visible),
@@ -276,6 +298,7 @@ def press_errors(
         radius_percent=100 * (sphere.radius_mm - ball_radius_mm) / ball_radius_mm,
         off_contact_um=float(off),
     )
+    return PressFit(errors, visible, *free)
 
 
 FORMS = {"none": 0, "plane": 1, "quadratic": 2}  # degree of the polynomial

@@ -1,31 +1,52 @@
-"""Contact circles found in one image, against simulated truth and real labels.
+"""Color changes of presses, contact circles found in one image, by templates too, and samples of known slopes.
 
-Samples carry what color models learn from.
+They are held to simulated truth and to real labels.
 """
 
 import csv
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
+import gelform
+from gelform.calibration.circles import find as module
 from gelform.calibration.circles.find import (
+    MIN_EVIDENCE,
     USUAL_EDGE,
+    USUAL_OFFSET,
+    ColorChanges,
     ContactCircle,
     PreparedPress,
     _signal,
+    about_median,
+    change_settings,
+    change_without_markers,
     contact_radius,
     contact_samples,
+    find_by_templates,
     find_contact,
+    magnitude,
+    marked_contact,
     parabola_offset,
+    prepare,
+    prepared_with,
     ring_mean,
     scale_of,
+    training_samples,
     why_no_contact,
+    with_contacts,
     with_rest_samples,
 )
-from gelform.image.background import ChangeSettings, color_change_from_image
+from gelform.calibration.circles.locate import locate
+from gelform.calibration.presses.press_set import presses_from_simulated
+from gelform.image.background import ChangeSettings, PreparedBackground, color_change_from_image
+from gelform.image.markers import MarkerFinder
 from gelform.result.metrics import followed_radius
 from gelform.sensors.files import read_image
+from gelform.simulate import Ball, Pose, simulate_background, simulate_ball_presses, simulate_sequence
+from made.images import grid, image_of_dots
 
 
 def change_of(image, background):
@@ -33,32 +54,33 @@ def change_of(image, background):
     return color_change_from_image(image, background, settings)
 
 
-def is_whole(press, shape):
-    x, y = press.center_px
-    margin = 1.2 * press.contact_radius_px
-    return margin < x < shape[1] - margin and margin < y < shape[0] - margin
+@pytest.fixture(scope="module")
+def whole(simulated):
+    """The presses that the border does not cut, with their color changes."""
+    height, width = simulated.sensor.shape
+    pairs = [(press, change_of(press.image, simulated.background)) for press in simulated.presses]
+    margins = [1.2 * press.contact_radius_px for press, _ in pairs]
+    return [
+        (press, change)
+        for (press, change), margin in zip(pairs, margins)
+        if all(margin < at < n - margin for at, n in zip(press.center_px, (width, height)))
+    ]
 
 
-def test_whole_contacts_are_found(simulated):
-    whole = [p for p in simulated.presses if is_whole(p, simulated.sensor.shape)]
+def test_whole_contacts_are_found_and_circles_move_with_the_image(whole):
+    """Every constant in pixels scales, and nothing depends on the place but the light."""
     assert len(whole) >= 6
-    for press in whole:
-        found = find_contact(change_of(press.image, simulated.background))
+    for press, change in whole:
+        found = find_contact(change)
         assert why_no_contact(found) is None
         assert np.hypot(found.x_px - press.center_px[0], found.y_px - press.center_px[1]) < 1.5
         assert 0.9 < found.radius_px / press.contact_radius_px < 1.35
-
-
-def test_circle_moves_with_the_image(simulated):
-    """Every constant in pixels scales, and nothing depends on the place but the light."""
-    press = next(p for p in simulated.presses if is_whole(p, simulated.sensor.shape))
-    change = change_of(press.image, simulated.background)
-    plain = find_contact(change)
-    shifted = find_contact(np.roll(change, (3, -5), axis=(0, 1)))
+    change = whole[0][1]
+    plain, shifted = find_contact(change), find_contact(np.roll(change, (3, -5), axis=(0, 1)))
     np.testing.assert_allclose((shifted.x_px - plain.x_px, shifted.y_px - plain.y_px), (-5, 3), atol=0.3)
     turned = find_contact(np.ascontiguousarray(change[:, ::-1]))
-    assert turned.x_px == pytest.approx(change.shape[1] - 1 - plain.x_px, abs=1e-3)
-    assert turned.y_px == pytest.approx(plain.y_px, abs=1e-3)
+    mirrored = (change.shape[1] - 1 - plain.x_px, plain.y_px)
+    assert (turned.x_px, turned.y_px) == pytest.approx(mirrored, abs=1e-3)
 
 
 def test_untouched_gel_has_no_contact(simulated):
@@ -67,18 +89,14 @@ def test_untouched_gel_has_no_contact(simulated):
     assert why_no_contact(find_contact(change_of(image, simulated.background))) is not None
 
 
-def test_radius_is_where_a_disc_ends():
+def test_radius_is_where_a_disc_ends_and_of_two_rims_the_one_near_a_known_radius():
+    """Of the whole, the outer rim, which is steeper."""
     y, x = np.mgrid[:120, :160]
-    disc = (np.hypot(x - 70.4, y - 61.7) < 24).astype(np.float32)
+    away = np.hypot(x - 70.4, y - 61.7)
+    disc = (away < 24).astype(np.float32)
     assert contact_radius(disc, 70.4, 61.7) == pytest.approx(24, abs=0.5)
     np.testing.assert_allclose(ring_mean(disc, 70.4, 61.7)[1:22], 1)
     np.testing.assert_allclose(ring_mean(disc, 70.4, 61.7)[27:], 0)
-
-
-def test_the_rim_near_a_known_radius_is_taken():
-    """Two rims, the outer one steeper: of the whole the outer, near 20 px the inner."""
-    y, x = np.mgrid[:120, :160]
-    away = np.hypot(x - 70.4, y - 61.7)
     discs = (away < 22).astype(np.float32) + 2 * (away < 45)
     assert contact_radius(discs, 70.4, 61.7) == pytest.approx(45, abs=0.5)
     assert contact_radius(discs, 70.4, 61.7, near_px=20) == pytest.approx(22, abs=0.5)
@@ -123,35 +141,17 @@ def test_very_deep_real_presses(data):
     assert scatter.max() < 10
 
 
-def test_samples_carry_the_balls_slopes_and_the_untouched_image():
-    background = np.full((60, 80, 3), 90, np.float32)
-    change = np.zeros((60, 80, 3), np.float32)
-    press = PreparedPress("one", change, change[..., 0], 40.0, None, background, 0.9)
-    contact = ContactCircle(40.0, 30.0, 15.0, 1.0, 9.0)
-    samples = contact_samples([press], [contact], 0.8)
-    assert samples.background is background
-    u, v = samples.x_px - 40, samples.y_px - 30
-    assert 9.8 < np.hypot(u, v).max() < 0.8 * 0.9 * 15
-    np.testing.assert_allclose(
-        samples.gradients, -np.stack([u, v], 1) / np.sqrt(1600 - u**2 - v**2)[:, None], rtol=1e-6
-    )
-    rested = with_rest_samples(samples, [press], [contact])
-    assert rested.background is background
-    assert len(rested.x_px) > len(samples.x_px)
-    assert not rested.gradients[len(samples.x_px) :].any()
+SMALL = (60, 80)
 
 
-SHAPE = (60, 80)
-
-
-def press_of(usable=None, ball_radius_px=40.0):
-    """A press whose gel follows the ball up to the visible rim."""
-    change = np.zeros((*SHAPE, 3), np.float32)
-    return PreparedPress("one", change, change[..., 0], ball_radius_px, usable, contact_radius_ratio=1.0)
+def press_of(usable=None, ball_radius_px=40.0, ratio=1.0):
+    """A press whose gel follows the ball up to the visible rim, before a background of 90."""
+    change, circle = np.zeros((*SMALL, 3), np.float32), ContactCircle(40.0, 30.0, 20.0, 1.0, 9.0)
+    return PreparedPress("one", change, change[..., 0], ball_radius_px, circle, usable, change + 90, ratio)
 
 
 def within(contact, radius_px):
-    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    y, x = np.mgrid[: SMALL[0], : SMALL[1]]
     return np.hypot(x - contact.x_px, y - contact.y_px) < radius_px
 
 
@@ -160,9 +160,9 @@ def within(contact, radius_px):
 )
 @pytest.mark.parametrize("marked", [False, True])
 def test_every_usable_pixel_of_the_zone_is_taken_up_to_the_border(center, marked):
-    usable = np.random.default_rng(0).uniform(size=SHAPE) > 0.3 if marked else None
+    usable = np.random.default_rng(0).uniform(size=SMALL) > 0.3 if marked else None
     contact = ContactCircle(*center, 15.0, 1.0, 9.0)
-    taken = np.zeros(SHAPE, dtype=bool)
+    taken = np.zeros(SMALL, dtype=bool)
     taken[press_of(usable).pixels(contact, 0.8)] = True
     np.testing.assert_array_equal(taken, within(contact, 12.0) & (True if usable is None else usable))
 
@@ -178,6 +178,7 @@ def test_a_count_thins_the_pixels_evenly_and_the_steepest_rim_of_a_ball_is_left_
 
 
 def test_presses_share_the_samples_and_rest_gives_half_as_many():
+    """All carry the untouched image; at rest slopes are 0, in a contact they are the ball's."""
     contacts = [ContactCircle(20.0, 30.0, 15.0, 1.0, 9.0), ContactCircle(55.0, 30.0, 20.0, 1.0, 9.0)]
     presses = [press_of(np.arange(80)[None, :].repeat(60, axis=0) != 70), press_of()]
     samples = contact_samples(presses, contacts, 1.0, total=800)
@@ -185,39 +186,332 @@ def test_presses_share_the_samples_and_rest_gives_half_as_many():
     first = within(contacts[0], 15.0)[samples.y_px, samples.x_px]
     assert 0.35 < first.mean() < 0.65
     rested = with_rest_samples(samples, presses, contacts)
+    assert samples.background is rested.background is presses[0].background
     count = len(samples.x_px)
     assert 0.1 * count < len(rested.x_px) - count <= 0.5 * count
     assert (rested.weight[:count] == 1).all()
     assert (rested.weight[count:] < 1).all()
+    assert not rested.gradients[count:].any()
     x, y = rested.x_px[count:], rested.y_px[count:]
     distance = [np.hypot(x - c.x_px, y - c.y_px) / c.radius_px for c in contacts]
     assert np.maximum(*distance).min() > 2
 
 
 def test_depths_come_with_the_pixels_that_they_belong_to():
-    depth = np.arange(SHAPE[0] * SHAPE[1], dtype=np.float32).reshape(SHAPE)
+    depth = np.arange(SMALL[0] * SMALL[1], dtype=np.float32).reshape(SMALL)
     contacts = [ContactCircle(20.0, 30.0, 10.0, 1.0, 9.0), ContactCircle(55.0, 30.0, 10.0, 1.0, 9.0)]
     presses, depths = [press_of(), press_of()], [depth, -depth]
     inside = contact_samples(presses, contacts, depths_px=depths)
-    samples = with_rest_samples(inside, presses, contacts, depths)
+    samples = training_samples(presses, contacts, depths_px=depths)
     assert len(samples.depth_px) == len(samples.x_px) > len(inside.x_px)
     at = samples.y_px.astype(int), samples.x_px.astype(int)
     np.testing.assert_array_equal(np.abs(samples.depth_px), depth[at])
     own = within(contacts[1], 10.0)[at]  # of the second press, but for what both leave untouched
     assert (samples.depth_px[: len(inside.x_px)] < 0).tolist() == own[: len(inside.x_px)].tolist()
     assert contact_samples(presses, contacts).depth_px is None
-    assert with_rest_samples(contact_samples(presses, contacts), presses, contacts).depth_px is None
+    assert training_samples(presses, contacts).depth_px is None
 
 
 @pytest.mark.parametrize("ratio", [0.5, USUAL_EDGE, 1.0])
 def test_nothing_trains_beyond_the_edge_of_the_contact(ratio):
     """Of a press too deep for its visible circle, the edge is that share of what the gel certainly follows."""
-    contact = ContactCircle(40.0, 30.0, 20.0, 1.0, 9.0)
-    press = replace(press_of(), contact_radius_ratio=ratio)
+    press = press_of(ratio=ratio)
+    contact = press.found
     assert press.contact_radius(contact) == ratio * 20
     samples = contact_samples([press], [contact], total=10**6)
-    away = np.hypot(samples.x_px - 40, samples.y_px - 30)
-    assert 0.95 * ratio * 20 - 1 < away.max() < 0.95 * ratio * 20
+    u, v = samples.x_px - 40, samples.y_px - 30
+    assert 0.95 * ratio * 20 - 1 < np.hypot(u, v).max() < 0.95 * ratio * 20
+    slopes = -np.stack([u, v], 1) / np.sqrt(1600 - u**2 - v**2)[:, None]
+    np.testing.assert_allclose(samples.gradients, slopes, rtol=1e-6)
     deep = replace(press, ball_radius_px=15.0)
     assert deep.contact_radius(contact) == ratio * followed_radius(20.0, 15.0) < ratio * 15
-    assert PreparedPress("one", press.color_change, press.size, 40.0).contact_radius_ratio == USUAL_EDGE
+    assert (
+        PreparedPress("one", press.color_change, press.size, 40.0, contact).contact_radius_ratio == USUAL_EDGE
+    )
+
+
+SHAPE, RADIUS = (120, 160), 14.0
+CIRCLES = [(40.0, 35.0), (110.0, 80.0), (75.0, 50.0), (120.0, 30.0)]
+
+
+def even_press(name, x, y, rng, strength=0.3):
+    """A press that is brighter all around in red, and odd by a little in blue, in noise."""
+    rows, cols = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    rho = np.hypot(cols - x, rows - y) / RADIUS
+    inside = np.clip((1 - rho) / 0.1, 0, 1)
+    change = np.zeros((*SHAPE, 3), np.float32)
+    change[..., 0] = strength * inside * rho**2
+    change[..., 2] = 0.2 * strength * inside * (cols - x) / RADIUS
+    change += rng.normal(0, 0.01, change.shape).astype(np.float32)
+    return PreparedPress(name, change, magnitude(change), 30.0, find_contact(change))
+
+
+@pytest.fixture(scope="module")
+def even():
+    rng = np.random.default_rng(4)
+    return [even_press(f"{k}.png", *center, rng) for k, center in enumerate(CIRCLES)]
+
+
+def test_a_press_that_is_brighter_all_around_is_found(even):
+    for press, (x, y) in zip(with_contacts(even), CIRCLES):
+        contact = press.found
+        assert contact.antisymmetry < 0.3, "the first finder does not see it"
+        assert (contact.x_px, contact.y_px) == pytest.approx((x, y), abs=0.15 * RADIUS)
+        assert contact.radius_px == pytest.approx(RADIUS, rel=0.2)
+        assert contact.evidence > 3 * MIN_EVIDENCE
+        assert why_no_contact(contact) is None
+
+
+def test_a_circle_that_is_known_stays_and_noise_is_no_ball(even):
+    rng = np.random.default_rng(5)
+    nothing = even_press("nothing", 0.0, 0.0, rng, strength=0.0)
+    known = [(*center, RADIUS) for center in CIRCLES]
+    assert find_by_templates(even, known) == {}
+    ((index, (_, evidence)),) = find_by_templates([*even, nothing], [*known, None]).items()
+    assert index == 4
+    assert evidence < MIN_EVIDENCE
+    (last,) = with_contacts([nothing])
+    assert why_no_contact(last.found) is not None
+
+
+def test_what_most_frames_show_is_no_ball(monkeypatch):
+    """A disc at one place of every frame, beside three firm presses and a light one."""
+    rows, cols = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    speck = 0.05 * np.clip((1 - np.hypot(cols - 20, rows - 95) / RADIUS) / 0.1, 0, 1)[..., None]
+    rng = np.random.default_rng(4)
+    strengths = (0.4, 0.4, 0.4, 0.08)
+    presses = [even_press("a", *center, rng, strength) for center, strength in zip(CIRCLES, strengths)]
+    framed = [replace(press, color_change=press.color_change + np.float32(speck)) for press in presses]
+
+    def places():
+        found = find_by_templates(framed, [None] * 4)
+        return [np.hypot(*np.subtract(found[k][0][:2], center)) < 4 for k, center in enumerate(CIRCLES)]
+
+    assert places() == [True] * 4
+    monkeypatch.setattr(module, "COMMON", 0.0)
+    assert not places()[3], "without the noise of the place, the light press is taken for the disc"
+
+
+def test_a_stage_s_center_stays_and_templates_give_its_radius(even):
+    """About the center alone, another press's edge would be taken for the rim."""
+    x, y = CIRCLES[0]
+    rows, cols = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    ring = (np.hypot(cols - x, rows - y) < 45)[..., None] * np.float32([0.0, 0.35, 0.0])
+    first = even[0].color_change + ring.astype(np.float32)
+    size = magnitude(about_median(first))
+    staged = replace(even[0], color_change=first, size=size, mark=(x + 1, y - 1, None))
+    contact = with_contacts([staged, *even[1:]])[0].found
+    assert contact.marked
+    assert (contact.x_px, contact.y_px) == (x + 1, y - 1)
+    assert contact.radius_px == pytest.approx(RADIUS, rel=0.25)
+
+
+@pytest.mark.parametrize(
+    ("antisymmetry", "apart", "taken"), [(0.1, 40.0, True), (0.6, 3.0, True), (0.6, 40.0, False)]
+)
+def test_a_circle_by_hand_is_taken_unless_a_clear_ball_is_elsewhere(even, antisymmetry, apart, taken):
+    press, (x, y) = even[0], CIRCLES[0]
+    clear = ContactCircle(x + apart, y, RADIUS, antisymmetry, 5.0)
+    contact = marked_contact(clear, press.size, x, y, RADIUS)
+    assert contact.marked == taken
+    assert (contact.x_px, contact.y_px) == ((x, y) if taken else (x + apart, y))
+    if taken:
+        assert contact.radius_px == pytest.approx(RADIUS, rel=0.15)
+        assert why_no_contact(contact) is None
+
+
+@pytest.mark.slow
+def test_presses_of_home_made_sensors_are_found_without_their_circles(data):
+    folder = data / "homemade-even" / "a"
+    presses = gelform.read_presses(folder)
+    with (folder / "presses.csv").open(encoding="utf-8") as file:
+        circles = {row["image"]: [float(v) for v in list(row.values())[2:5]] for row in csv.DictReader(file)}
+    bare = tuple(replace(press, label=None) for press in presses.presses)
+    for press in prepare(replace(presses, presses=bare)):
+        x, y, radius = circles[press.name]
+        assert np.hypot(press.found.x_px - x, press.found.y_px - y) < 0.2 * radius  # the circles are by eye
+
+
+@pytest.fixture(scope="module")
+def few(presses):
+    return presses.subset([0, 3])
+
+
+def test_the_change_is_that_of_the_path(few):
+    settings = change_settings(few)
+    change, clear = ColorChanges(few.background, settings)(few.presses[0].image)
+    rest = PreparedBackground(few.background, settings)
+    exposure, _ = rest.compare(few.presses[0].image)
+    np.testing.assert_array_equal(change, rest.change(few.presses[0].image, exposure))
+    calls = []
+    one, _ = prepare(few, progress=lambda *call: calls.append(call[:2]))
+    assert calls == [(1, 2), (2, 2)] * 2
+    assert one.ball_radius_px == few.presses[0].ball_diameter_mm / 2 / few.mm_per_px
+    np.testing.assert_array_equal(one.color_change, change)
+    np.testing.assert_allclose(
+        one.size, np.linalg.norm(change - np.median(change, (0, 1)), axis=-1), atol=1e-6
+    )
+    assert clear is None, "a gel without markers has no pixel to leave out"
+    assert settings.blur_px == pytest.approx(1.25 * few.image_shape[0] / 240)
+    taller = replace(few, background=np.repeat(np.repeat(few.background, 2, 0), 2, 1))
+    assert change_settings(taller).blur_px == pytest.approx(2 * settings.blur_px)
+
+
+def test_another_offset_has_the_edge_of_the_contacts(few):
+    """It is measured once, in what circles are found in."""
+    usual = [replace(press, contact_radius_ratio=0.7) for press in prepare(few)]
+    assert prepared_with(few, usual, USUAL_OFFSET) is usual
+    found = prepared_with(few, usual, 0.0)
+    assert [(one.name, one.contact_radius_ratio) for one in found] == [(one.name, 0.7) for one in usual]
+    assert not np.array_equal(found[0].color_change, usual[0].color_change)
+
+
+@pytest.mark.parametrize("marked", [False, True])
+def test_nothing_is_learnt_where_a_background_of_0_divides(few, marked, monkeypatch):
+    """Of the offset 0 those pixels are not usable, beside those on markers; of others all are."""
+    black = few.background.copy()
+    black[5, 7, 1] = 0
+    free = np.ones(few.image_shape, dtype=bool)
+    free[20, 30] = not marked
+    usual, plain = prepare(few), ColorChanges.__call__
+    if marked:
+        monkeypatch.setattr(ColorChanges, "__call__", lambda self, image: (plain(self, image)[0], free))
+    divided, other = (prepared_with(replace(few, background=black), usual, offset) for offset in (0.0, 0.5))
+    for press in divided:
+        assert np.argwhere(~press.usable).tolist() == [[5, 7], *([[20, 30]] if marked else [])]
+        assert np.isfinite(press.color_change).all()
+        assert press.color_change[5, 7, 1] == pytest.approx(0, abs=0.05), "its neighbors', by the blur"
+    for press in other:
+        assert press.usable is None if not marked else not press.usable[20, 30]
+
+
+def test_presses_of_another_sensor_are_named_and_one_of_another_light_is_rejected(presses, few):
+    """The one had ended the calibration of all others."""
+    turned = replace(few.presses[1], image=np.ascontiguousarray(few.presses[1].image[::-1, ::-1]))
+    with pytest.raises(gelform.CalibrationError, match=f"1 of 2 presses do not fit .* {few.presses[1].name}"):
+        prepare(replace(few, presses=(few.presses[0], turned)))
+    dark = replace(presses.presses[1], image=(presses.presses[1].image * 0.4).astype(np.uint8))
+    located = locate(replace(presses, presses=(presses.presses[0], dark, *presses.presses[2:6])))
+    assert [one.refused is None for one in located.prepared] == [True, False, True, True, True, True]
+    assert "times as bright as in the background" in located.refined.reasons[1]
+    assert located.refined.accepted == [0, 2, 3, 4, 5]
+
+
+SETTINGS = ChangeSettings("divide", 10, 0.7)
+
+
+def marked(sensor, pitch_mm):
+    """The sensor with dots at that pitch; 0: none."""
+    return replace(sensor, coating=replace(sensor.coating, marker_pitch_mm=pitch_mm, marker_radius_mm=0.25))
+
+
+@pytest.fixture(scope="module")
+def plain_and_dotted(sensor):
+    """Presses of a gel without markers and with them."""
+    pairs = []
+    for pitch_mm in (0.0, 2.2):
+        bulging = replace(marked(sensor, pitch_mm), gel=replace(sensor.gel, bulge=0.5))  # it moves the dots
+        how = {"ball_diameters_mm": [5.0], "count": 20, "rng": np.random.default_rng(3), "oversample": 1}
+        made = simulate_ball_presses(bulging, **how)
+        pairs.append((made, presses_from_simulated(made)))
+    return pairs
+
+
+def unmarked(image, background, settings=SETTINGS):
+    """Its color change without markers, and which pixels are usable."""
+    rest = PreparedBackground(background, settings)
+    return change_without_markers(image, rest, None, MarkerFinder(background))
+
+
+def spoilt_by_dots(image, background, clean, clean_background):
+    """How far the color change is from that without dots."""
+    raw = color_change_from_image(image, background, SETTINGS)
+    return np.abs(raw - color_change_from_image(clean, clean_background, SETTINGS)).mean(axis=-1)
+
+
+def test_the_change_is_that_of_the_unmarked_gel(plain_and_dotted):
+    plain, dotted = plain_and_dotted
+    background, rest = dotted[1].background, plain[1].background
+    image = plain[0].presses[0].image
+    change, usable = unmarked(image, rest)
+    assert usable is None
+    np.testing.assert_array_equal(change, color_change_from_image(image, rest, SETTINGS))
+    spoilt, errors, left_out = [], [], []
+    for clean, press in zip(plain[0].presses, dotted[0].presses):
+        change, usable = unmarked(press.image, background)
+        wanted = color_change_from_image(clean.image, rest, SETTINGS)
+        spoilt.append(spoilt_by_dots(press.image, background, clean.image, rest))
+        errors.append(np.abs(change - wanted).mean(axis=-1))
+        left_out.append(~usable)
+    spoilt, errors, left_out = (np.stack(maps) for maps in (spoilt, errors, left_out))
+    assert np.count_nonzero(spoilt > 0.2) > 40  # dots that moved
+    assert left_out[spoilt > 0.2].mean() > 0.95
+    assert left_out.mean() < 0.4
+    assert np.mean(errors[spoilt > 0.2]) < 0.5 * np.mean(spoilt[spoilt > 0.2])
+
+
+def test_dots_that_were_dragged_are_left_out_where_they_are_and_where_they_were(sensor):
+    images = []
+    for pitch_mm in (0.0, 2.2):
+        gel = replace(marked(sensor, pitch_mm), noise_sd=0, noise_gain=0)
+        poses = [Pose(0.8, (-3 + 0.25 * k, 0.0)) for k in range(8)]
+        *_, last = simulate_sequence(gel, Ball(4), poses, rng=None)
+        images.append((simulate_background(gel, None).astype(np.float32), last))
+    (clean_rest, clean), (rest, press) = images
+    assert np.abs(press.markers_shift_mm).max() > 0.3  # more than a dot's radius
+    change, usable = unmarked(press.image, rest)
+    spoilt = spoilt_by_dots(press.image, rest, clean.image, clean_rest)
+    assert np.count_nonzero(spoilt > 0.2) > 50
+    assert np.mean(usable[spoilt > 0.2]) < 0.1
+    assert np.mean(usable) > 0.75
+    errors = np.abs(change - color_change_from_image(clean.image, clean_rest, SETTINGS)).mean(axis=-1)
+    assert errors[usable].max() < 0.6 * spoilt[usable].max()
+    assert np.percentile(errors[usable], 99) < 0.7 * np.percentile(spoilt[usable], 99)
+    assert np.mean(MarkerFinder(rest).mask(press.image)[spoilt > 0.2]) > 0.9  # the fast way sees them too
+
+
+@pytest.mark.parametrize("blur_px", [0.0, 0.7, 2.0])
+def test_only_dots_are_left_out_and_a_blur_carries_nothing_of_them(blur_px):
+    background = image_of_dots(grid(), noise=1.0)
+    press = image_of_dots(np.add(grid(), [1.5, 0.5]), noise=3.0, seed=1)
+    settings, finder = ChangeSettings("divide", 10, blur_px), MarkerFinder(background)
+    change, usable = unmarked(press, background, settings)
+    np.testing.assert_array_equal(~usable, finder.untouched.mask | finder(press).mask)
+    plain = PreparedBackground(background, settings).change(press)
+    far = cv2.erode(usable.view(np.uint8), np.ones((11, 11), np.uint8)) > 0
+    assert np.count_nonzero(far) > 50
+    np.testing.assert_allclose(change[far], plain[far], atol=2e-3)
+    assert np.sqrt(np.mean(change[usable] ** 2)) < 0.045, "but the noise of 3 levels in 130, nothing changed"
+    if blur_px > 1:
+        assert np.sqrt(np.mean(plain[usable] ** 2)) > 0.06
+
+
+def test_samples_leave_the_dots_out(plain_and_dotted):
+    made, presses = plain_and_dotted[1]
+    for true, press in zip(made.presses, prepare(presses)):
+        contact = ContactCircle(*true.center_px, true.contact_radius_px, 1.0, 9.0)
+        rows, cols = press.pixels(contact, 0.8)
+        assert len(rows) > 30
+        assert np.mean(true.albedo[rows, cols] < 0.9) < 0.02  # a few pixels of the rims
+        assert (true.albedo < 0.5).any()
+
+
+@pytest.mark.slow
+def test_calibration_and_evaluation_of_a_marked_gel(plain_and_dotted):
+    """Slopes as good as without dots: there the median error is 0.038."""
+    made, presses = plain_and_dotted[1]
+    calibration = gelform.calibrate(presses.subset(range(0, 20, 2)), color_model="polynomial")
+    assert sum(row.accepted for row in calibration.report.presses) >= 9
+    for row, true in zip(calibration.report.presses, made.presses[::2]):
+        if row.accepted:
+            off = np.hypot(row.center_x_px - true.center_px[0], row.center_y_px - true.center_px[1])
+            assert off < 4
+    unseen, errors = presses.subset(range(1, 20, 2)), []
+    for true, press in zip(made.presses[1::2], prepare(unseen)):
+        at = np.nonzero(true.contact & (True if press.usable is None else press.usable))
+        found = press.gradients(calibration.color_model, *at)
+        errors.append(np.linalg.norm(found - true.gradients[at], axis=1))
+    assert np.median(np.concatenate(errors)) < 1.5 * 0.038
+    circles = np.array([row["circle_px"] for row in gelform.evaluate(calibration, unseen).rows])
+    true = np.array([press.center_px for press in made.presses[1::2]])
+    assert np.median(np.linalg.norm(circles[:, :2] - true, axis=1)) < 1.5

@@ -1,11 +1,4 @@
-"""The numbers of the report: those of the run, with intervals, in JSON; another folder's presses are refused.
-
-Statistics of residuals: truths that are put into pixels come out of them.
-
-The verdict: levels at their limits, the worst of normals and radius in front, the first thing to mend.
-
-What a calibration run found, as its report lists it.
-"""
+"""The report in numbers: those of the run with their intervals, statistics of pixels of known truth, and the verdict."""
 
 import json
 from dataclasses import replace
@@ -13,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gelform.calibration.held_out.measure import at_pixels
+from gelform.calibration.held_out import at_pixels
 from gelform.calibration.inputs import MOST_SIGMAS, REMEDY, BallReading
 from gelform.calibration.report.content import (
     FORMAT,
@@ -46,15 +39,23 @@ def test_figures_are_the_runs_own(content, calibration):
 
 
 def test_it_is_json_and_says_what_it_is(content, calibration):
+    """Without the pixels, the pictures and the start."""
     again = json.loads(json.dumps(content))
     assert again["format"] == FORMAT
     assert again["calibration"]["digest"] == calibration.digest
     assert len(again["presses"]) == len(calibration.report.presses)
     assert again["held_out"] == pytest.approx(calibration.report.held_out)
+    of_run = json.loads(json.dumps(calibration.report.to_dict()))
+    assert not {"pixels", "caps_um", "start", "offered"} & of_run.keys()
+    assert of_run["held_out"]["presses"] == sum(row.accepted for row in calibration.report.presses)
 
 
-def test_the_checks_read_the_figures(content):
-    checks = {check["name"]: check["value"] for check in content["checks"]}
+def values_of(content):
+    return {check["name"]: check["value"] for check in content["checks"]}
+
+
+def test_the_checks_read_the_figures(content, presses, calibration):
+    checks = values_of(content)
     used = sum(row["accepted"] for row in content["presses"])
     assert checks["presses_used"] == used
     assert checks["rejected_percent"] == pytest.approx(100 * (1 - used / len(content["presses"])))
@@ -62,24 +63,19 @@ def test_the_checks_read_the_figures(content):
     assert checks["normal_free_deg"] == content["figures"]["normal_free_deg"]["value"]
     assert checks["covered_percent"] == pytest.approx(100 * content["coverage"]["covered"])
     assert checks["scale_percent"] is None
-
-
-def test_a_known_scale_is_a_percentage(presses, calibration):
     known = replace(calibration, mm_per_px_sigma=0.02 * calibration.mm_per_px)
     content = report_content(presses, known, rng=np.random.default_rng(0))
-    assert {c["name"]: c["value"] for c in content["checks"]}["scale_percent"] == pytest.approx(2)
+    assert values_of(content)["scale_percent"] == pytest.approx(2)
 
 
 def test_simulated_slopes_are_read_at_their_size(content):
-    bins = [b for b in content["gain"]["contact"] if b["slope_to"] <= 0.5]
+    gain, settings = content["gain"], content["calibration"]["settings"]
+    bins = [b for b in gain["contact"] if b["slope_to"] <= 0.5]
     assert bins
     assert all(0.85 < b["gain"] < 1.15 for b in bins)
-    up_to_rim = sum(b["pixels"] for b in content["gain"]["rim"])
-    assert up_to_rim > sum(b["pixels"] for b in content["gain"]["contact"]) > 0
-    assert content["gain"]["contact_radius_ratio"] == content["where"]["contact_radius_ratio"]
-    assert (
-        content["gain"]["contact_radius_ratio"] == content["calibration"]["settings"]["contact_radius_ratio"]
-    )
+    assert sum(b["pixels"] for b in gain["rim"]) > sum(b["pixels"] for b in gain["contact"]) > 0
+    ratio = gain["contact_radius_ratio"]
+    assert ratio == content["where"]["contact_radius_ratio"] == settings["contact_radius_ratio"]
 
 
 def test_intervals_cover_the_truth_as_often_as_they_say():
@@ -162,10 +158,11 @@ def test_a_right_sigma_holds_68_percent_everywhere(sample):
 def test_sigma_is_what_users_are_told_and_wide_where_clipped(calibration, presses):
     one, reconstruct = calibration.report.pixels[:1], Reconstructor(calibration)
     image = presses.presses[one["press"][0]].image
-    sigma = at_pixels(reconstruct(image).gradients_sigma, one)
+    stated = reconstruct(image).gradients_sigma
+    sigma = at_pixels(stated, one)
     assert sigma.shape == one["solved"].shape
     row, column = int(one["y_px"][0]), int(one["x_px"][0])
-    np.testing.assert_array_equal(sigma[0], reconstruct(image).gradients_sigma[row, column])
+    np.testing.assert_array_equal(sigma[0], stated[row, column])
     clipped = image.copy()
     clipped[row, column] = 255
     assert at_pixels(reconstruct(clipped).gradients_sigma, one)[0, 0] > 2 * sigma[0, 0]
@@ -217,6 +214,11 @@ def test_errors_stand_in_the_place_that_has_them(sample):
 GOOD = {limit.name: limit.good for limit in LIMITS}
 
 
+def verdict(errors=None, **other):
+    """The verdict on figures that are good but for some."""
+    return verdict_of(checks_of({**GOOD, **other}, errors))
+
+
 @pytest.mark.parametrize("limit", LIMITS, ids=lambda limit: limit.name)
 def test_levels_change_at_their_limits(limit):
     worse = -1 if limit.rising else 1
@@ -231,37 +233,34 @@ def test_levels_change_at_their_limits(limit):
 def test_the_report_contradicts_a_diameter_where_the_notes_do():
     """At 1.88 standard deviations, the console had said that they agree, and the report that they do not."""
     for sigmas in (1.88, MOST_SIGMAS, MOST_SIGMAS + 0.1):
-        reading = BallReading(
-            6.0, 6.0 * np.exp(sigmas * 0.05), 0.05 * 6.0 * np.exp(sigmas * 0.05), "another unit"
-        )
+        read = 6.0 * np.exp(sigmas * 0.05)
+        reading = BallReading(6.0, read, 0.05 * read, "another unit")
         assert reading.sigmas == pytest.approx(sigmas)
-        verdict = verdict_of(checks_of({**GOOD, "ball_sigmas": sigmas}))
-        assert ("agrees" in reading.sentence()) == (verdict["level"] == "good")
-        assert (REMEDY in reading.sentence()) == (REMEDY in verdict["next"]) == (sigmas > MOST_SIGMAS)
+        judged = verdict(ball_sigmas=sigmas)
+        assert ("agrees" in reading.sentence()) == (judged["level"] == "good")
+        assert (REMEDY in reading.sentence()) == (REMEDY in judged["next"]) == (sigmas > MOST_SIGMAS)
 
 
 def test_limits_in_words():
-    said = {
-        one["name"]: [limit_in_words(one, level) for level in ("good", "fair")] for one in checks_of(GOOD)
-    }
-    assert said["normal_free_deg"] == ["≤ 3", "≤ 5"]
-    assert said["covered_percent"] == ["≥ 80", "≥ 60"]
-    assert said["scale_off_percent"] == ["≤ 10", "any"]
+    checks, levels = {one["name"]: one for one in checks_of(GOOD)}, ("good", "fair")
+    for name, said in (
+        ("normal_free_deg", ["≤ 3", "≤ 5"]),
+        ("covered_percent", ["≥ 80", "≥ 60"]),
+        ("scale_off_percent", ["≤ 10", "any"]),
+    ):
+        assert [limit_in_words(checks[name], level) for level in levels] == said
 
 
 def test_all_good_is_to_be_used_and_what_is_not_known_is_said():
-    verdict = verdict_of(checks_of(GOOD))
-    assert verdict["headline"] == "Good: held-out normals are off by 3.0°, the ball radius by 3.0 %"
-    assert verdict["next"].startswith("Use it.")
-    assert verdict["because"] is None
-    assert verdict["counts"] == {"good": len(LIMITS), "fair": 0, "poor": 0}
-    unknown = verdict_of(checks_of({**GOOD, "scale_percent": None}))
-    assert unknown["because"] == "uncertainty of the scale: not known, fair"
-
-
-def test_the_worse_of_normals_and_radius_is_the_level():
-    assert verdict_of(checks_of({**GOOD, "radius_percent": 9.0}))["level"] == "poor"
-    assert verdict_of(checks_of({**GOOD, "normal_free_deg": 4.0}))["level"] == "fair"
+    """The level is the worse of normals and radius."""
+    judged = verdict()
+    assert judged["headline"] == "Good: held-out normals are off by 3.0°, the ball radius by 3.0 %"
+    assert judged["next"].startswith("Use it.")
+    assert judged["because"] is None
+    assert judged["counts"] == {"good": len(LIMITS), "fair": 0, "poor": 0}
+    assert verdict(scale_percent=None)["because"] == "uncertainty of the scale: not known, fair"
+    assert verdict(radius_percent=9.0)["level"] == "poor"
+    assert verdict(normal_free_deg=4.0)["level"] == "fair"
 
 
 @pytest.mark.parametrize("limit", LIMITS, ids=lambda limit: limit.name)
@@ -270,33 +269,31 @@ def test_no_headline_is_good_over_a_poor_check(limit):
     if not np.isfinite(limit.fair):
         return
     worse = limit.fair - 1 if limit.rising else 2 * limit.fair
-    verdict = verdict_of(checks_of({**GOOD, limit.name: worse}))
-    assert verdict["level"] == ("poor" if limit.name in (*HEADLINE, *REFUTING) else "fair")
-    assert not verdict["headline"].startswith("Good")
+    poor, fair = verdict(**{limit.name: worse}), verdict(**{limit.name: limit.fair})
+    assert poor["level"] == ("poor" if limit.name in (*HEADLINE, *REFUTING) else "fair")
+    assert not poor["headline"].startswith("Good")
     if limit.name not in (*HEADLINE, *REFUTING):
-        assert f". Poor checks: {limit.label} (" in verdict["headline"]
-    fair = verdict_of(checks_of({**GOOD, limit.name: limit.fair}))
+        assert f". Poor checks: {limit.label} (" in poor["headline"]
     assert fair["level"] == ("fair" if limit.name in HEADLINE else "good")
     assert "Poor checks" not in fair["headline"]
 
 
 def test_all_poor_checks_are_said_and_a_poor_headline_stays_poor():
     figures = {"presses_used": 5.0, "covered_percent": 17.2, "normal_free_deg": 2.0}
-    verdict = verdict_of(checks_of({**GOOD, **figures}))
-    assert verdict["headline"] == (
+    assert verdict(**figures)["headline"] == (
         "Fair: where presses are (17.2 % of places and slope directions), held-out normals are off by 2.0°, "
         "the ball radius by 3.0 %. Elsewhere errors are not known. Poor checks: presses used (5), places and "
         "slope directions that presses show (17.2 %)"
     )
-    poor = verdict_of(checks_of({**GOOD, **figures, "normal_free_deg": 6.0}))
-    assert poor["headline"].startswith("Poor: where presses are (17.2 %")
-    assert "Poor checks" not in poor["headline"]
+    poor = verdict(**{**figures, "normal_free_deg": 6.0})["headline"]
+    assert poor.startswith("Poor: where presses are (17.2 %")
+    assert "Poor checks" not in poor
 
 
 def test_the_error_of_few_presses_is_said_with_its_own():
     """From 12 presses on it is small beside the error."""
     errors = {"normal_free_deg": 0.62}
-    few, more = (verdict_of(checks_of({**GOOD, "presses_used": n}, errors))["headline"] for n in (11.0, 12.0))
+    few, more = (verdict(errors, presses_used=n)["headline"] for n in (11.0, 12.0))
     assert "off by 3.0 ± 0.6°" in few
     assert "off by 3.0°" in more
 
@@ -304,18 +301,14 @@ def test_the_error_of_few_presses_is_said_with_its_own():
 @pytest.mark.parametrize(
     ("figures", "because"),
     [
-        (
-            {"presses_used": 20.0, "normal_free_deg": 9.0},
-            "angle error of the normals, held out: 9°, poor",
-        ),  # poor before fair
+        # poor before fair
+        ({"presses_used": 20.0, "normal_free_deg": 9.0}, "angle error of the normals, held out: 9°, poor"),
         ({"presses_used": 6.0, "normal_free_deg": 9.0}, "presses used: 6, poor"),  # 5 times, not 3
         ({"presses_used": 9.0, "radius_percent": 30.0}, "error of the ball's radius, held out: 30 %, poor"),
         ({"presses_used": 10.0, "cap_free_um": 40.0}, "presses used: 10, fair"),  # alike: the cause
         ({"presses_used": 29.0, "off_contact_um": 79.0}, "depth error off contact, held out: 79 µm, fair"),
-        (
-            {"scale_percent": None, "ball_sizes": 1.0},
-            "ball sizes: 1, fair",
-        ),  # what is not known is no large fault
+        # what is not known is no large fault
+        ({"scale_percent": None, "ball_sizes": 1.0}, "ball sizes: 1, fair"),
         (
             {"covered_percent": 0.0, "normal_free_deg": 90.0},
             "places and slope directions that presses show: 0 %, poor",
@@ -323,24 +316,21 @@ def test_the_error_of_few_presses_is_said_with_its_own():
     ],
 )
 def test_the_largest_fault_comes_next(figures, because):
-    verdict = verdict_of(checks_of({**GOOD, **figures}))
-    assert verdict["because"] == because
+    judged = verdict(**figures)
+    assert judged["because"] == because
     named = because.split(":")[0]
-    assert verdict["next"] == next(limit.action for limit in LIMITS if limit.label == named)
+    assert judged["next"] == next(limit.action for limit in LIMITS if limit.label == named)
 
 
 def test_a_refuted_diameter_makes_all_poor_and_an_unchecked_one_is_said():
-    refuted = verdict_of(checks_of({**GOOD, "ball_sigmas": 9.0, "presses_used": 1.0}))
+    refuted = verdict(ball_sigmas=9.0, presses_used=1.0)
+    wrong = "Poor: the ball diameter or mm_per_px is wrong. With them, held-out normals are off by 3.0°"
     assert refuted["level"] == "poor"
-    assert refuted["headline"].startswith(
-        "Poor: the ball diameter or mm_per_px is wrong. With them, held-out normals are off by 3.0°"
-    )
+    assert refuted["headline"].startswith(wrong)
     assert refuted["next"].startswith("Check the ball's diameter")
-    assert verdict_of(checks_of({**GOOD, "ball_sigmas": None}))["headline"].endswith(
-        ". Nothing checked the ball diameter"
-    )
-    unusual = verdict_of(checks_of({**GOOD, "scale_off_percent": 25.0}))
-    assert unusual["headline"].endswith(". The mm_per_px is unusual for this sensor")
+    assert verdict(ball_sigmas=None)["headline"].endswith(". Nothing checked the ball diameter")
+    unusual = verdict(scale_off_percent=25.0)["headline"]
+    assert unusual.endswith(". The mm_per_px is unusual for this sensor")
 
 
 def test_every_press_has_a_row_and_only_accepted_ones_have_errors(presses, calibration):
@@ -359,17 +349,8 @@ def test_one_candidate_is_chosen_and_none_has_no_error(calibration):
     assert errors == sorted(errors), "the best one first"
     assert errors[0] > 0
     assert tried[0]["chosen"], "by its error alone"
-    for one in tried:
-        assert 30 * one["slope_error"] < one["normal_free_deg"] < 70 * one["slope_error"], (
-            "of the same slopes"
-        )
-
-
-def test_it_is_json_without_the_pixels(calibration):
-    content = json.loads(json.dumps(calibration.report.to_dict()))
-    assert not {"pixels", "caps_um"} & content.keys()
-    assert "start" not in content
-    assert content["held_out"]["presses"] == sum(row.accepted for row in calibration.report.presses)
+    ratios = [one["normal_free_deg"] / one["slope_error"] for one in tried]
+    assert 30 < min(ratios) < max(ratios) < 70, "of the same slopes"
 
 
 def test_the_summary_is_of_all_presses():
@@ -379,6 +360,8 @@ def test_the_summary_is_of_all_presses():
     assert said["presses"] == 3
     assert said["normal_free_deg"] == pytest.approx(3.0)
     assert np.isfinite(list(said.values())).all()
+    assert list(said) == list(FIGURES), "every figure has words"
+    assert len(set(FIGURES.values())) == len(FIGURES)
 
 
 def test_the_notes_say_how_often_folds_agreed_and_whence_the_scale_is(calibration):
@@ -387,8 +370,3 @@ def test_the_notes_say_how_often_folds_agreed_and_whence_the_scale_is(calibratio
     assert f"{report.held_out['presses']:.0f} presses in 5 folds" in held_out
     assert " of 5 folds chose" in held_out
     assert any("The scale comes from the number given" in note for note in others)
-
-
-def test_every_figure_has_words(calibration):
-    assert list(calibration.report.held_out) == list(FIGURES)
-    assert len(set(FIGURES.values())) == len(FIGURES)

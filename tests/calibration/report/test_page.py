@@ -1,8 +1,6 @@
 """The page: one file that needs nothing else, the same for the same report, safe with hostile names.
 
-The pictures of the page: their size, their colors, and the names under them.
-
-Charts: a point lies where its value says, every text is escaped, each SVG is well formed.
+In its charts, a point lies where its value says, every text is escaped, and each SVG is well formed.
 """
 
 import base64
@@ -83,15 +81,12 @@ def test_sections_are_where_the_links_lead(page):
 
 def test_it_says_the_figures_of_the_json_and_whose_they_are(page, content, calibration):
     text, again, report = Page(page).text, json.loads(json.dumps(content)), calibration.report
-    figures = [
-        again["figures"][name]["value"] for name in ("normal_free_deg", "radius_percent", "cap_free_um")
-    ]
+    main = ("normal_free_deg", "radius_percent", "cap_free_um", "off_contact_um")
     said = [again["verdict"]["headline"], again["verdict"]["next"], again["learning"]["sentence"]]
-    said += [again["calibration"]["digest"], *(f"{value:#.3g}".removesuffix(".") for value in figures)]
+    said += [again["calibration"]["digest"], *(digits(again["figures"][name]["value"]) for name in main[:3])]
     for row in again["candidates"]:
         said += [row["candidate"], f"{row['normal_free_deg']:.3g}"]
     assert [one for one in said if one not in text] == []
-    main = ("normal_free_deg", "radius_percent", "cap_free_um", "off_contact_um")
     for name in main:
         saved = report.held_out_saved[name]
         assert f"<td>{saved:.3g}</td><td>{report.held_out[name]:.3g}</td>" in page
@@ -118,14 +113,10 @@ def test_the_same_report_is_the_same_page(page, presses, calibration, learning):
 def test_hostile_names_stay_text(presses, calibration):
     evil = '"><script>alert(1)</script><img src=x onerror=alert(2)>'
     report = calibration.report
-    rows = tuple(
-        replace(row, name=f"{k}{evil}", reason=evil if k == 0 else row.reason)
-        for k, row in enumerate(report.presses)
-    )
-    rows = (replace(rows[0], accepted=False, errors=None), *rows[1:])
-    noted = replace(
-        report, presses=rows, notes=(evil,), caps_um={i: cap for i, cap in report.caps_um.items() if i}
-    )
+    first, *rows = [replace(row, name=f"{k}{evil}") for k, row in enumerate(report.presses)]
+    rows = (replace(first, reason=evil, accepted=False, errors=None), *rows)
+    caps_um = {i: cap for i, cap in report.caps_um.items() if i}
+    noted = replace(report, presses=rows, notes=(evil,), caps_um=caps_um)
     renamed = replace(presses, presses=tuple(replace(p, name=r.name) for p, r in zip(presses.presses, rows)))
     hostile = replace(calibration, report=noted, sensor_name=evil, serial=evil, gel_id=evil)
     content = report_content(renamed, hostile, rng=np.random.default_rng(0))
@@ -198,7 +189,7 @@ def test_one_model_or_several(content, shown):
         "a &lt;1&gt;",
         "<td>1.5</td><td>0.0213</td>",
         "<td>2</td><td>0.0345</td>",
-        "smallest typical slope error",
+        "smallest typical slope",
     ):
         assert text in drawn
     assert '<tr class="chosen"><td>b step 3e-05 ← chosen' in drawn
@@ -208,16 +199,9 @@ def test_one_model_or_several(content, shown):
 
 def test_places_to_press_are_said_in_words(content, shown):
     place = {"name": "top left", "x_px": 10, "y_px": 20, "contact_radius_px": 9.0}
-    drawn = shown(
-        coverage={**content["coverage"], "next": [place]},
-        calibration={**content["calibration"], "mm_per_px": 0.1},
-    )
+    facts = {**content["calibration"], "mm_per_px": 0.1}
+    drawn = shown(coverage={**content["coverage"], "next": [place]}, calibration=facts)
     assert "<ol> <li>top left: (10, 20) px, 1.0 mm from the left, 2.0 mm from the top</li> </ol>" in drawn
-
-
-def test_the_learning_sentence_is_there_or_why_not(content, shown):
-    assert content["learning"]["sentence"] in shown()
-    assert "There is no learning curve" in shown(learning=None)
 
 
 WHERE = {
@@ -252,9 +236,13 @@ def test_slopes_and_places_stand_in_their_rows_and_a_missing_bin_is_a_dash(shown
         assert other not in page, "a second angle error, or a second slope gain"
 
 
-def test_every_held_out_press_has_its_depth_picture(content, shown):
-    held_out = [f"{row['errors']['cap_free_um']:.0f}" for row in content["presses"] if row["errors"]]
-    assert re.findall(r"<figcaption>(\d+) µm", shown()) == held_out
+def test_every_held_out_press_has_its_depth_picture_and_the_learning_sentence_is_there_or_why_not(
+    content, shown
+):
+    held_out, drawn = [row["errors"]["cap_free_um"] for row in content["presses"] if row["errors"]], shown()
+    assert re.findall(r"<figcaption>(\d+) µm", drawn) == [f"{one:.0f}" for one in held_out]
+    assert content["learning"]["sentence"] in drawn
+    assert "There is no learning curve" in shown(learning=None)
 
 
 @pytest.mark.parametrize(
@@ -303,19 +291,13 @@ def test_a_real_browser_shows_it_without_a_word_or_a_request(page, playwright, t
     assert [url for url in asked if not url.startswith("data:")] == [path.as_uri()]
     tab.emulate_media(media="print", color_scheme="dark")
     assert tab.evaluate("getComputedStyle(document.body).color") == "rgb(0, 0, 0)"
-    assert min(backgrounds_behind_text(tab)) > 150, (
-        "dark ink on a dark ground: it was printed from a dark screen"
-    )
-    browser.close()
-
-
-def backgrounds_behind_text(tab):
-    """Darkest channel of every ground that is painted behind text, 0-255."""
     colors = tab.evaluate(
         "[...document.querySelectorAll('section,.tag,td,body')].map(e => getComputedStyle(e).backgroundColor)"
     )
-    painted = [re.findall(r"[\d.]+", color) for color in colors]
-    return [min(float(v) for v in one[:3]) for one in painted if len(one) == 3]
+    painted = [re.findall(r"[\d.]+", color) for color in colors]  # grounds behind text, 0-255
+    darkest = min(float(v) for one in painted if len(one) == 3 for v in one)
+    assert darkest > 150, "dark ink on a dark ground: it was printed from a dark screen"
+    browser.close()
 
 
 @pytest.mark.parametrize(
@@ -425,24 +407,13 @@ def test_the_learning_chart_has_every_draw_and_what_is_expected(learning):
     assert f"now: {learning['expected']['presses_now']}" in drawn
 
 
-def test_shares_far_off_stand_out():
-    root = ElementTree.fromstring(
-        CHARTS.sigma_chart({"by_slope": bins_of("share", (0.68, 0.5, 0.2))}).strip()
-    )
-    assert [rect.get("class") for rect in root.iter("rect")] == ["bar", "bar off", "bar far"]
+def test_shares_far_off_stand_out_by_the_percents_that_are_printed():
+    drawn = CHARTS.sigma_chart({"by_slope": bins_of("share", (0.68, 0.5, 0.2))})
+    bars = [rect.get("class") for rect in ElementTree.fromstring(drawn.strip()).iter("rect")]
+    assert bars == ["bar", "bar off", "bar far"]
     assert not CHARTS.sigma_chart({"by_slope": []}).strip()
-
-
-def test_a_share_has_the_color_of_the_percents_that_are_printed():
-    for percent, kind in [
-        (59.4, "bar off"),
-        (59.6, "bar"),
-        (60, "bar"),
-        (76.4, "bar"),
-        (76.6, "bar off"),
-        (44.4, "bar far"),
-    ]:
-        assert bar_of(percent) == kind
+    for kind, percents in (("bar", (59.6, 60, 76.4)), ("bar off", (59.4, 76.6)), ("bar far", (44.4,))):
+        assert {bar_of(percent) for percent in percents} == {kind}
 
 
 def test_markers_lie_between_their_limits():
@@ -454,10 +425,8 @@ def test_markers_lie_between_their_limits():
 
 
 def test_ranges_share_a_scale():
-    one, two = (
-        circles(CHARTS.range_bar({"normal_free_deg": v, "chosen": False}, 5), "dot-first")[0][0]
-        for v in (2.0, 4.0)
-    )
+    bars = [CHARTS.range_bar({"normal_free_deg": v, "chosen": False}, 5) for v in (2.0, 4.0)]
+    one, two = (circles(bar, "dot-first")[0][0] for bar in bars)
     assert two == pytest.approx(2 * one)
 
 
@@ -466,16 +435,13 @@ def coverage(counts):
     return {"rows": 1, "columns": 2, "presses": counts, "next": [place]}
 
 
-def test_a_petal_is_empty_where_no_press_was():
+def test_a_petal_is_empty_where_no_press_was_octant_zero_is_on_the_right_and_the_next_press_at_its_place():
     drawn = CHARTS.coverage_map(coverage([[0, 1, 2, 3, 9, 0, 0, 0], [1] * 8]), SHAPE)
     petals = elements(drawn, "path", "petal")
     assert len(petals) == 12
     assert len(elements(drawn, "path", "petal none")) == 4
     opacities = [float(p.get("fill-opacity")) for p in petals[:4]]
     assert opacities[0] < opacities[1] < opacities[2] == opacities[3]
-
-
-def test_the_next_press_is_drawn_at_its_place_and_octant_zero_points_to_the_right():
     drawn = CHARTS.coverage_map(coverage([[1] * 8] * 2), SHAPE)
     mark, scale = elements(drawn, "circle", "next")[0], 560 / 80
     place = [float(mark.get(name)) for name in ("cx", "cy", "r")]
@@ -486,12 +452,8 @@ def test_the_next_press_is_drawn_at_its_place_and_octant_zero_points_to_the_righ
 
 
 def test_arrows_point_along_the_error_and_empty_cells_stay_blank():
-    errors = {
-        "rows": 2,
-        "columns": 2,
-        "rms": [0.1, 0.2, None, 0.05],
-        "mean": [[0.1, 0], [0, 0.2], None, [0, 0]],
-    }
+    means = [[0.1, 0], [0, 0.2], None, [0, 0]]
+    errors = {"rows": 2, "columns": 2, "rms": [0.1, 0.2, None, 0.05], "mean": means}
     drawn = CHARTS.slope_error_map(errors, SHAPE)
     assert len(elements(drawn, "rect", "heat")) == 3
     right, down, still = elements(drawn, "line", "arrow")

@@ -1,12 +1,18 @@
-"""Find the contact circle of a ball press without a click, and take samples with known gradients inside it.
-
-Find the contact circle of a ball press without a click.
+"""Presses, prepared once: their color changes, the contact circle that each image shows, and samples of known slopes.
 
 A ball's color change is antisymmetric about its center, because color is nearly odd in the gradient and the
 gradient is odd about the center. So the color change convolved with itself is most negative at the center,
 and the ring mean of its size falls most steeply at the visible rim.
 
-Samples: pixels of ball presses with known gradients, on which color models are fitted.
+Where the color change is not odd, radial templates find the circle. In a disc of 1.5 radii about each place, the color
+change of each channel is fitted by least squares with
+
+    k + a_x p cos + a_y p sin + b p^2 + c q,        q = 1 in the contact, 0 outside,  p = q distance / radius
+
+p is the slope of a ball. The evidence for a ball at that place is `n^0.5 log((E0 + 3 n) / (E1 + 3 n))`: E0 is the energy
+about the mean, E1 what the templates leave over, both over the noise, n the number of pixels of the disc in the frame. The
+largest evidence over places and radii is the circle. Noise is also what most frames of the set show at a place outside of
+their own circles: rims, specks, clipped light.
 
 Inside the contact edge the gel follows the ball. Near the visible rim it has already left it, so a model trains only
 inside the contact edge, which is measured on held-out presses (`circles.locate`).
@@ -16,24 +22,49 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
+import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.fft import irfft2, next_fast_len, rfft2
 from scipy.ndimage import gaussian_filter1d
 
-from gelform.calibration.presses.press_set import check_room
+from gelform.arrays import Array, Map, Mask, Numbers
+from gelform.calibration.presses.press_set import Presses, check_room
+from gelform.errors import CalibrationError
+from gelform.foundations.filters import CHANGE_OFFSET
+from gelform.foundations.findings import Progress, no_progress
+from gelform.image.agreement import check_background_of_frames
+from gelform.image.background import ChangeSettings, PreparedBackground
+from gelform.image.light import FrameLight
+from gelform.image.markers import MarkerFinder
 from gelform.result.metrics import ball_gradients, followed_radius
-from gelform.slopes.color_models import ColorModel, Samples
+from gelform.slopes.color_models import COLOR_MODELS, PLAIN_MODEL, ColorModel, Samples
 
 MIN_ANTISYMMETRY = 0.2  # 0-1, for a ball with more than half inside the border
-LOG_ASPECTS = np.linspace(-0.4, 0.4, 9)  # of imprints that are tried, log of width over height
 MIN_SIGNAL = 2.0  # change inside over that outside; 1 if nothing is pressed
-WEAK = 0.3  # antisymmetry under which other finders are asked; the lowest of 280 good presses on six sensors has 0.36
 # Evidence of templates for a ball: 7-27 on home-made gels, up to 14 in frames without a press, 43 or more on other sensors.
 MIN_EVIDENCE = 10.0
 AGREES = 0.5  # radii; a circle by hand or a stage's center this near to a clear ball is of the same press
+BLUR_PX = 1.25  # px at 240 rows; it reduces a camera's noise, not the gel's edges
+USUAL_OFFSET = COLOR_MODELS[PLAIN_MODEL].change_offset
+USUAL_UNTOUCHED_CHANGE = 0.03  # if no press leaves room for the measurement
+TOTAL_SAMPLES = 40_000  # pixels of all presses; twice as many fit no better
+TRIAL_SAMPLES = 15_000  # pixels of all presses for a fit that places circles or is tried on held-out presses
+PRESS_PIXELS = 1_500  # pixels of a press that a model is compared with; neighbors are copies
+ZONE = 0.95  # fraction of the contact radius that trains
+# Fraction of the visible radius: 0.74-0.90 on five simulated sensors, 0.81-0.91 as measured on real ones.
+USUAL_EDGE = 0.85
+REST_DISTANCE = 2.0  # visible radii, beyond which gel at rest trains
+
+# The values of the templates are from the study of 58 presses on five home-made sensors, whose circles people marked.
+ROWS = 80  # px, shorter side of the picture that is searched
+RADII = np.geomspace(0.028, 0.36, 12) * ROWS  # px of that picture
+FINE = 12.0  # px of the radius, where a circle is refined
+COMMON = 2.0  # weight, in the noise of a place, of what 70 % of the frames stay below there
+
+Circle = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -46,18 +77,189 @@ class ContactCircle:
     # 0-1, share of the color change's energy that is odd about the center; a ball cut by the border keeps less
     antisymmetry: float
     signal: float  # color change inside the circle over that outside; about 1 if nothing is pressed
-    evidence: float | None = None  # of templates for a ball there, if they found it (`circles.prepare`)
+    evidence: float | None = None  # of templates for a ball there, if they found it
     marked: bool = False  # whether its center is a person's or a stage's
 
     @property
     def is_weak(self) -> bool:
-        """Whether the color change is hardly odd about the center, or hardly larger than around the circle."""
-        return self.antisymmetry < WEAK or self.signal < MIN_SIGNAL
+        """Whether other finders are asked: the color change is hardly odd, or hardly larger than around the circle.
+
+        The lowest antisymmetry of 280 good presses on six sensors is 0.36.
+        """
+        return self.antisymmetry < 0.3 or self.signal < MIN_SIGNAL
 
     @property
-    def circle_px(self) -> tuple[float, float, float]:
+    def circle_px(self) -> Circle:
         """(center x, center y, radius)."""
         return self.x_px, self.y_px, self.radius_px
+
+    def is_whole_in(self, shape: tuple[int, int]) -> bool:
+        """Whether it lies inside an image (H, W); a circle that the border cuts is found too far inside."""
+        x, y, margin = self.circle_px
+        return margin <= x <= shape[1] - 1 - margin and margin <= y <= shape[0] - 1 - margin
+
+
+@dataclass(frozen=True)
+class PreparedPress:
+    """One press, ready to be fitted: its color change, the circle found in it, and its ball."""
+
+    name: str
+    color_change: Map  # (H, W, 3) float32, blurred
+    size: Map  # (H, W) float32, |color change - its median|
+    ball_radius_px: float
+    found: ContactCircle  # the circle that the image shows by itself
+    usable: Mask | None = None  # (H, W) bool, False on markers; None if all pixels are
+    background: Map | None = None  # (H, W, 3), the background image of all presses; or None
+    # radius of the contact edge over that of the visible circle; the same for all presses
+    contact_radius_ratio: float = USUAL_EDGE
+    # (x, y, radius) px of the circle by a person; (x, y, None) of a stage's center; or None
+    mark: tuple[float, float, float | None] | None = None
+    refused: str | None = None  # the reason that the image is not of this background, or None
+
+    def contact_radius(self, contact: ContactCircle) -> float:
+        """Radius, px, up to which the gel follows the ball."""
+        return self.contact_radius_ratio * followed_radius(contact.radius_px, self.ball_radius_px)
+
+    def is_deep(self, contact: ContactCircle) -> bool:
+        """Whether the visible circle is at least as wide as the ball; then the gel leaves the ball inside of it."""
+        return followed_radius(contact.radius_px, self.ball_radius_px) < contact.radius_px
+
+    def pixels(self, contact: ContactCircle, zone: float, count: int | None = None) -> tuple[Array, Array]:
+        """Rows and columns of about `count` pixels inside `zone` of the contact's radius, on a regular lattice."""
+        radius = zone * self.contact_radius(contact)
+        height, width = self.size.shape
+        top, bottom = (int(np.clip(contact.y_px + side * (radius + 1), 0, height)) for side in (-1, 1))
+        left, right = (int(np.clip(contact.x_px + side * (radius + 1), 0, width)) for side in (-1, 1))
+        rows, cols = np.ogrid[top : min(bottom + 1, height), left : min(right + 1, width)]
+        inside = (cols - contact.x_px) ** 2 + (rows - contact.y_px) ** 2 < radius**2
+        if self.usable is not None:
+            inside &= self.usable[rows, cols]
+        stride = 1 if count is None else int(max(1, round(np.count_nonzero(inside) / max(count, 1))))
+        if stride > 1:
+            inside &= (cols + 3 * rows) % stride == 0
+        found_rows, found_cols = np.nonzero(inside)
+        return found_rows + top, found_cols + left
+
+    def ball_gradients(self, contact: ContactCircle, rows: Array, cols: Array) -> Numbers:
+        """The ball's slopes at pixels."""
+        return ball_gradients(cols, rows, (contact.x_px, contact.y_px), self.ball_radius_px)
+
+    def gradients(self, model: ColorModel, rows: Array, cols: Array) -> Numbers:
+        """The slopes that a color model reads there."""
+        return model.gradients_at(self.color_change[rows, cols], cols, rows)
+
+    def samples(
+        self, rows: Array, cols: Array, gradients: Numbers, weight: float, depth_px: Array | None = None
+    ) -> Samples:
+        """Pixels of known gradients (N, 2), all of one weight, with their depths if those (H, W) are given."""
+        weights, depth = np.full(len(rows), weight), None if depth_px is None else depth_px[rows, cols]
+        change, shape = self.color_change[rows, cols], self.size.shape
+        return Samples(change, cols, rows, gradients, weights, shape, self.background, depth)
+
+
+class ColorChanges:
+    """Color changes of images from one background image (H, W, 3), 0-255; markers are bridged."""
+
+    def __init__(self, background: Map, settings: ChangeSettings) -> None:
+        self._rest = PreparedBackground(background, settings)
+        self._finder = MarkerFinder(background)
+
+    def __call__(self, image: Array) -> tuple[Map, Mask | None]:
+        """The color change (H, W, 3) of an image, and the pixels off markers; None if all are.
+
+        CalibrationError: the background is not of this image.
+        """
+        light, _ = self._rest.compare(image)
+        return change_without_markers(image, self._rest, light, self._finder)
+
+
+def change_without_markers(
+    image: Array, rest: PreparedBackground, light: FrameLight | None, finder: MarkerFinder
+) -> tuple[Map, Mask | None]:
+    """The color change (H, W, 3) of an image, smooth across markers, and the pixels on no marker of either image.
+
+    The second is None on a gel without markers. `light` from `rest.compare(image)` is compensated, if it is not None.
+    """
+    if not len(finder.untouched):
+        return rest.change(image, light), None
+    hidden = finder.untouched.mask | finder(image).mask
+    return rest.change(rest.bridged(image, hidden), light), ~hidden
+
+
+def change_settings(presses: Presses, offset: float = USUAL_OFFSET) -> ChangeSettings:
+    """Division by the background, blurred by 1.25 px at 240 rows, after removing known response curve and crosstalk."""
+    blur_px = BLUR_PX * scale_of(presses.image_shape)
+    return ChangeSettings("divide", offset, blur_px, presses.geometry.matrix, presses.response)
+
+
+def prepare(presses: Presses, *, progress: Progress = no_progress) -> list[PreparedPress]:
+    """The presses with their color changes, each checked against the background, and the circle found in each.
+
+    A press that is of another light is refused, with the reason, and has no color change. CalibrationError: the background
+    does not belong to half of the presses or more, of which one is named, or not to all together.
+    """
+    prepared, changes = [], _color_changes(presses, USUAL_OFFSET, progress)
+    for done, (press, (change, usable, refused)) in enumerate(zip(presses.presses, changes)):
+        size = magnitude(about_median(change))
+        ball_px = press.ball_diameter_mm / 2 / presses.mm_per_px
+        mark = press.label if press.center_px is None else (*press.center_px, None)
+        made = PreparedPress(
+            press.name, change, size, ball_px, find_contact(change), usable, presses.background
+        )
+        prepared.append(replace(made, mark=mark, refused=refused))
+        progress(done + 1, len(changes), "finding contact circles")
+    return with_contacts(prepared)
+
+
+def _color_changes(
+    presses: Presses, offset: float, progress: Progress = no_progress
+) -> list[tuple[Map, Mask | None, str | None]]:
+    """The color change of each press with an offset in gray levels, its usable pixels, and the reason that it is refused."""
+    changes = ColorChanges(presses.background, change_settings(presses, offset))
+    made: list[tuple[Map, Mask | None, str | None]] = []
+    for done, press in enumerate(presses.presses):
+        try:
+            made.append((*changes(press.image), None))
+        except CalibrationError as problem:
+            made.append((np.zeros((*presses.image_shape, 3), np.float32), None, str(problem)))
+        progress(done + 1, len(presses.presses), "preparing")
+    others = [(press.name, why) for press, (*_, why) in zip(presses.presses, made) if why is not None]
+    if 2 * len(others) >= len(made):
+        raise CalibrationError(
+            f"{len(others)} of {len(made)} presses do not fit the background. {others[0][0]}: {others[0][1]}"
+        )
+    kept = [press.image for press, (*_, why) in zip(presses.presses, made) if why is None]
+    check_background_of_frames(kept, presses.background)
+    return made
+
+
+def prepared_with(presses: Presses, prepared: list[PreparedPress], offset: float) -> list[PreparedPress]:
+    """The presses, which are `prepared` with the usual offset, with the color changes that a color model needs.
+
+    Pixels with background 0 cannot be divided with the offset 0; they are not usable then.
+    """
+    if offset == USUAL_OFFSET:
+        return prepared
+    divides = np.asarray((presses.background > 0).all(axis=-1), dtype=bool)
+    own = []
+    for press, (change, usable, refused) in zip(prepared, _color_changes(presses, offset)):
+        if offset == 0 and not divides.all():
+            usable = divides if usable is None else usable & divides
+        size = magnitude(about_median(change))
+        own.append(replace(press, color_change=change, size=size, usable=usable, refused=refused))
+    return own
+
+
+def untouched_change(presses: Sequence[PreparedPress], contacts: Sequence[ContactCircle]) -> float:
+    """Largest color change (of 99 % of the pixels) at rest, beyond three contact radii."""
+    sizes = []
+    for press, contact in zip(presses, contacts):
+        height, width = press.size.shape
+        rows, cols = np.ogrid[:height, :width]
+        far = (cols - contact.x_px) ** 2 + (rows - contact.y_px) ** 2 > (3 * contact.radius_px) ** 2
+        if far.any():
+            sizes.append(float(np.percentile(press.size[far], 99.0)))
+    return float(np.median(sizes)) if sizes else USUAL_UNTOUCHED_CHANGE
 
 
 def scale_of(shape: tuple[int, int]) -> float:
@@ -65,26 +267,60 @@ def scale_of(shape: tuple[int, int]) -> float:
     return min(shape) / 240
 
 
-def find_contact(color_change: NDArray[np.float32]) -> ContactCircle:
+def about_median(color_change: Map) -> Map:
+    """A color change (H, W, 3) minus its median over the image."""
+    return np.asarray(color_change - np.median(color_change, axis=(0, 1)).astype(np.float32))
+
+
+def magnitude(change: Map) -> Map:
+    """Size (H, W) of a color change."""
+    return np.asarray(np.sqrt(np.einsum("...c,...c->...", change, change)))
+
+
+def with_contacts(prepared: list[PreparedPress]) -> list[PreparedPress]:
+    """The presses with their circles: where color changes are odd, as found; else as marked; else by templates of a ball."""
+    found = [
+        press.found if press.mark is None else marked_contact(press.found, press.size, *press.mark)
+        for press in prepared
+    ]
+    known = [
+        None
+        if contact.is_weak and press.refused is None and (press.mark is None or press.mark[2] is None)
+        else contact.circle_px
+        for press, contact in zip(prepared, found)
+    ]
+    for k, ((x, y, radius), evidence) in find_by_templates(prepared, known).items():
+        apart = np.hypot(x - found[k].x_px, y - found[k].y_px)
+        if found[k].marked and apart < AGREES * radius:
+            found[k] = replace(found[k], radius_px=radius)  # a stage knows the center alone
+        elif evidence >= MIN_EVIDENCE and not found[k].marked:
+            found[k] = replace(found[k], x_px=x, y_px=y, radius_px=radius, evidence=evidence)
+    return [replace(press, found=contact) for press, contact in zip(prepared, found)]
+
+
+def find_contact(color_change: Map) -> ContactCircle:
     """Contact circle of one ball press, in a color change (H, W, 3) that is blurred by about 1.25 px at 240 rows.
 
-    DataError: it is too small to hold a contact.
+    The center c maximizes -sum_v d(c + v) . d(c - v), by one zero-padded FFT per channel. DataError: the image is too small
+    to hold a contact.
     """
     check_room(color_change.shape)
     change = about_median(color_change)
-    x, y, antisymmetry = _antisymmetry_center(change)
+    height, width = change.shape[:2]
+    padded = (next_fast_len(2 * height, True), next_fast_len(2 * width, True))
+    spectrum = rfft2(change, s=padded, axes=(0, 1))
+    odd = -irfft2(spectrum**2, s=padded, axes=(0, 1)).sum(axis=-1)[: 2 * height - 1, : 2 * width - 1]
+    row, col = (int(i) for i in np.unravel_index(int(odd.argmax()), odd.shape))
+    y = (row + parabola_offset(odd[:, col], row)) / 2
+    x = (col + parabola_offset(odd[row], col)) / 2
+    antisymmetry = float(odd[row, col]) / max(float(np.square(change, dtype=np.float64).sum()), 1e-12)
     size = magnitude(change)
     radius = contact_radius(size, x, y)
     return ContactCircle(x, y, radius, antisymmetry, _signal(size, x, y, radius))
 
 
-def about_median(color_change: NDArray[np.float32]) -> NDArray[np.float32]:
-    """A color change (H, W, 3) minus its median over the image."""
-    return np.asarray(color_change - np.median(color_change, axis=(0, 1)).astype(np.float32))
-
-
 def marked_contact(
-    found: ContactCircle, size: NDArray[np.float32], x_px: float, y_px: float, radius_px: float | None
+    found: ContactCircle, size: Map, x_px: float, y_px: float, radius_px: float | None
 ) -> ContactCircle:
     """The contact about a center that a person or a stage gives, if the found one is weak or agrees; else the found one.
 
@@ -94,9 +330,14 @@ def marked_contact(
     if not found.is_weak and apart > AGREES * (radius_px or found.radius_px):
         return found
     radius = contact_radius(size, x_px, y_px, radius_px)
-    return replace(
-        found, x_px=x_px, y_px=y_px, radius_px=radius, signal=_signal(size, x_px, y_px, radius), marked=True
-    )
+    signal = _signal(size, x_px, y_px, radius)
+    return replace(found, x_px=x_px, y_px=y_px, radius_px=radius, signal=signal, marked=True)
+
+
+def moved(contact: ContactCircle, size: Map, x_px: float, y_px: float) -> ContactCircle:
+    """The contact with another center, and its radius measured again about it."""
+    radius = contact_radius(size, x_px, y_px, contact.radius_px)
+    return replace(contact, x_px=x_px, y_px=y_px, radius_px=radius)
 
 
 def why_no_contact(contact: ContactCircle) -> str | None:
@@ -113,15 +354,7 @@ def why_no_contact(contact: ContactCircle) -> str | None:
     return None
 
 
-def magnitude(change: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Size (H, W) of a color change."""
-    size: NDArray[np.float32] = np.sqrt(np.einsum("...c,...c->...", change, change))
-    return size
-
-
-def contact_radius(
-    size: NDArray[np.float32], x_px: float, y_px: float, near_px: float | None = None
-) -> float:
+def contact_radius(size: Map, x_px: float, y_px: float, near_px: float | None = None) -> float:
     """Radius of the steepest descent of the ring mean of |change| about a center; near a given one if any."""
     scale, last = scale_of(size.shape), int(0.6 * min(size.shape))
     low, high = 6 * scale, last - 5 * scale
@@ -134,35 +367,22 @@ def contact_radius(
     return peak + parabola_offset(slope, peak)
 
 
-def steepest_radius(size: NDArray[np.float32], contact: ContactCircle) -> float:
-    """Radius, px, at which the ring mean of |change| is largest, up to the visible circle; the gel is steepest there."""
-    rings = gaussian_filter1d(ring_mean(size, contact.x_px, contact.y_px), 2 * scale_of(size.shape))
-    return float(np.argmax(rings[: max(1, round(contact.radius_px))]))
-
-
-def moved(contact: ContactCircle, size: NDArray[np.float32], x_px: float, y_px: float) -> ContactCircle:
-    """The contact with another center, and its radius measured again about it."""
-    radius = contact_radius(size, x_px, y_px, contact.radius_px)
-    return replace(contact, x_px=x_px, y_px=y_px, radius_px=radius)
-
-
-def imprint_aspect(size: NDArray[np.float32], contact: ContactCircle) -> float:
+def imprint_aspect(size: Map, contact: ContactCircle) -> float:
     """Width of an imprint over its height, from |change|: that of the ellipses at which the ring mean falls most steeply."""
-    scale, falls = scale_of(size.shape), []
+    scale, falls, logs = scale_of(size.shape), [], np.linspace(-0.4, 0.4, 9)
     low, high = int(0.6 * contact.radius_px), int(1.4 * contact.radius_px + 2 * scale)
-    for aspect in np.exp(LOG_ASPECTS):
-        slope = gaussian_filter1d(
-            ring_mean(size, contact.x_px, contact.y_px, float(aspect)), 2 * scale, order=1
-        )
+    for aspect in np.exp(logs):
+        rings = ring_mean(size, contact.x_px, contact.y_px, float(aspect))
+        slope = gaussian_filter1d(rings, 2 * scale, order=1)
         falls.append(-float(slope[low : min(high, len(slope) - int(5 * scale))].min(initial=0.0)))
     best = int(np.argmax(falls))
-    step = float(LOG_ASPECTS[1] - LOG_ASPECTS[0])
-    return float(np.exp(LOG_ASPECTS[best] + step * parabola_offset(np.array(falls), best)))
+    offset = parabola_offset(np.array(falls), best)
+    return float(np.exp(logs[best] + float(logs[1] - logs[0]) * offset))
 
 
 def ring_mean(
-    values: NDArray[np.float32], x_px: float, y_px: float, aspect: float = 1.0, count: int | None = None
-) -> NDArray[np.float64]:
+    values: Map, x_px: float, y_px: float, aspect: float = 1.0, count: int | None = None
+) -> Numbers:
     """Mean of a map on rings of 1 px about a center, `count` or out to 0.6 of the shorter side; of a width over height."""
     count = int(0.6 * min(values.shape)) if count is None else count
     reach = count * max(aspect, 1 / aspect) ** 0.5 + 1
@@ -177,20 +397,7 @@ def ring_mean(
     return total / np.maximum(pixels, 1)
 
 
-def _antisymmetry_center(change: NDArray[np.float32]) -> tuple[float, float, float]:
-    """Center c that maximizes -sum_v d(c + v) . d(c - v), by one zero-padded FFT per channel."""
-    height, width = change.shape[:2]
-    padded = (next_fast_len(2 * height, True), next_fast_len(2 * width, True))
-    spectrum = rfft2(change, s=padded, axes=(0, 1))
-    odd = -irfft2(spectrum**2, s=padded, axes=(0, 1)).sum(axis=-1)[: 2 * height - 1, : 2 * width - 1]
-    row, col = (int(i) for i in np.unravel_index(int(odd.argmax()), odd.shape))
-    y = (row + parabola_offset(odd[:, col], row)) / 2
-    x = (col + parabola_offset(odd[row], col)) / 2
-    energy = float(np.square(change, dtype=np.float64).sum())
-    return x, y, float(odd[row, col]) / max(energy, 1e-12)
-
-
-def _signal(size: NDArray[np.float32], x: float, y: float, radius: float) -> float:
+def _signal(size: Map, x: float, y: float, radius: float) -> float:
     height, width = size.shape
     rows, cols = np.ogrid[:height, :width]
     rho = np.hypot(cols - x, rows - y) / radius
@@ -200,7 +407,7 @@ def _signal(size: NDArray[np.float32], x: float, y: float, radius: float) -> flo
     return float(inside.mean() / max(float(np.percentile(outside, 80)), 1e-6))
 
 
-def parabola_offset(values: NDArray[np.floating], index: int) -> float:
+def parabola_offset(values: Array, index: int) -> float:
     """Sub-sample offset of an extremum from its two neighbors, within half a sample."""
     if not 0 < index < len(values) - 1:
         return 0.0
@@ -209,79 +416,135 @@ def parabola_offset(values: NDArray[np.floating], index: int) -> float:
     return float(np.clip((before - after) / (2 * curvature), -0.5, 0.5)) if curvature else 0.0
 
 
-TOTAL_SAMPLES = 40_000  # pixels of all presses; twice as many fit no better
-TRIAL_SAMPLES = 15_000  # pixels of all presses for a fit that places circles or is tried on held-out presses
-PRESS_PIXELS = 1_500  # pixels of a press that a model is compared with; neighbors are copies
-ZONE = 0.95  # fraction of the contact radius that trains
-# Fraction of the visible radius: 0.74-0.90 on five simulated sensors, 0.81-0.91 as measured on real ones.
-USUAL_EDGE = 0.85
-REST_WEIGHT = 0.3  # weight of a pixel at rest over that of one in a contact
-REST_DISTANCE = 2.0  # visible radii
+def find_by_templates(
+    presses: Sequence[PreparedPress], known: Sequence[Circle | None]
+) -> dict[int, tuple[Circle, float]]:
+    """The circle of each press of a set whose circle is not known, and the evidence for a ball there, by its index."""
+    sought = [k for k, one in enumerate(known) if one is None]
+    if not sought:
+        return {}
+    changes = []  # about their median, as if dark channels had 30 gray levels in their divisor
+    for press in presses:
+        change = press.color_change
+        if press.background is not None:
+            change = change * ((press.background + CHANGE_OFFSET) / (press.background + 30)).astype(
+                np.float32
+            )
+        changes.append(about_median(change))
+    factor = ROWS / min(changes[0].shape[:2])
+    pictures = np.stack([_resized(change, factor) for change in changes])
+    across = pictures.shape[2] / changes[0].shape[1], pictures.shape[1] / changes[0].shape[0]
+    circles = [None if one is None else _scaled(one, *across, factor) for one in known]
+    evidence = [0.0] * len(presses)
+    for _ in range(3):  # of circles and noise
+        noise = _noise(pictures, circles)
+        radii = [one[2] for one in circles if one is not None and len(presses) >= 3]
+        for k in sought:
+            maps = np.stack([_evidence(pictures[k], noise[k], r, 0.5) for r in RADII])
+            if radii:  # the logarithms of radii in a set have a standard deviation of 0.5
+                maps *= np.exp(-0.5 * (np.log(RADII / np.median(radii)) / 0.5) ** 2)[:, None, None]
+            circles[k], evidence[k] = _peak(maps, RADII)
+    found = {}
+    for k in sought:
+        coarse = _scaled(circles[k] or (0.0, 0.0, 0.0), 1 / across[0], 1 / across[1], 1 / factor)
+        found[k] = _refined(changes[k], noise[k], coarse), evidence[k]
+    return found
 
 
-@dataclass(frozen=True)
-class PreparedPress:
-    """One press, ready to be fitted: its color change and its ball."""
+def _noise(pictures: Map, circles: Sequence[Circle | None]) -> Map:
+    """Noise (N, H, W, 3) of each pixel: the frame's own, and what changes there in most frames of another place."""
+    size = np.abs(pictures)
+    own = np.maximum(1.4826 * np.median(size, axis=(1, 2)), 0.01)[:, None, None]  # of the color change
+    if len(size) < 3 or any(one is None for one in circles):
+        return np.broadcast_to(own, size.shape).astype(np.float32)
+    rows, cols = np.mgrid[: size.shape[1], : size.shape[2]]
+    for one, circle in zip(size, circles):
+        assert circle is not None
+        one[np.hypot(cols - circle[0], rows - circle[1]) < 1.2 * circle[2]] = np.nan
+    seen = np.isfinite(size[..., 0]).any(axis=0)
+    common = np.zeros(size.shape[1:], np.float32)
+    common[seen] = np.nanquantile(size[:, seen], 0.7, axis=0)
+    common = 1.4826 * cv2.GaussianBlur(common, (0, 0), 1.0)
+    return np.sqrt(own**2 + (COMMON * np.clip(common - own, 0, None)) ** 2)
 
-    name: str
-    color_change: NDArray[np.float32]  # (H, W, 3) float32, blurred
-    size: NDArray[np.float32]  # (H, W) float32, |color change - its median|
-    ball_radius_px: float
-    usable: NDArray[np.bool_] | None = None  # (H, W) bool, False on markers; None if all pixels are
-    background: NDArray[np.float32] | None = None  # (H, W, 3), the background image of all presses; or None
-    # radius of the contact edge over that of the visible circle; the same for all presses
-    contact_radius_ratio: float = USUAL_EDGE
-    # (x, y, radius) px of the circle by a person; (x, y, None) of a stage's center; or None
-    mark: tuple[float, float, float | None] | None = None
-    refused: str | None = None  # the reason that the image is not of this background, or None
 
-    def contact_radius(self, contact: ContactCircle) -> float:
-        """Radius, px, up to which the gel follows the ball."""
-        return self.contact_radius_ratio * followed_radius(contact.radius_px, self.ball_radius_px)
+@lru_cache(maxsize=64)
+def _prepared(shape: tuple[int, int], radius: float) -> tuple[Any, ...]:
+    """Templates' spectra, the padding, and at each place the inverse of their products and the number of pixels."""
+    end = 1.5  # radii of the disc
+    reach = int(np.ceil(end * radius))
+    y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1] / radius
+    rho = np.hypot(x, y)
+    disc = (rho <= end).astype(float)
+    contact = disc / (1 + np.exp(np.clip((rho - 0.95) / 0.08, -30, 30)))  # a soft rim, 0.08 radii wide
+    templates = np.stack([disc, contact * x, contact * y, (contact * rho) ** 2, contact])
+    size = [next_fast_len(n + 2 * reach, True) for n in shape]
+    frame = np.zeros(size)
+    frame[reach : reach + shape[0], reach : reach + shape[1]] = 1
+    products = templates[:, None] * templates
+    sums = _correlated(np.conj(rfft2(products, s=size)), rfft2(frame), size, shape)
+    gram = np.moveaxis(sums, (0, 1), (2, 3)) + 1e-3 * np.eye(len(templates))
+    return np.conj(rfft2(templates, s=size)), reach, size, np.linalg.inv(gram), gram[..., 0, 0]
 
-    def pixels(
-        self, contact: ContactCircle, zone: float, count: int | None = None
-    ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Rows and columns of about `count` pixels inside `zone` of the contact's radius, on a regular lattice."""
-        radius = zone * self.contact_radius(contact)
-        height, width = self.size.shape
-        top, bottom = (int(np.clip(contact.y_px + side * (radius + 1), 0, height)) for side in (-1, 1))
-        left, right = (int(np.clip(contact.x_px + side * (radius + 1), 0, width)) for side in (-1, 1))
-        rows, cols = np.ogrid[top : bottom + 1, left : right + 1]
-        inside = (cols - contact.x_px) ** 2 + (rows - contact.y_px) ** 2 < radius**2
-        inside &= (rows < height) & (cols < width)
-        if self.usable is not None:
-            inside &= self.usable[np.minimum(rows, height - 1), np.minimum(cols, width - 1)]
-        stride = 1 if count is None else int(max(1, round(np.count_nonzero(inside) / max(count, 1))))
-        if stride > 1:
-            inside &= (cols + 3 * rows) % stride == 0
-        found_rows, found_cols = np.nonzero(inside)
-        return found_rows + top, found_cols + left
 
-    def ball_gradients(
-        self, contact: ContactCircle, rows: NDArray[np.intp], cols: NDArray[np.intp]
-    ) -> NDArray[np.float64]:
-        """The ball's slopes at pixels."""
-        return ball_gradients(cols, rows, (contact.x_px, contact.y_px), self.ball_radius_px)
+def _correlated(spectra: Any, other: Any, size: Any, shape: tuple[int, int]) -> Array:
+    return np.asarray(irfft2(spectra * other, s=size)[..., : shape[0], : shape[1]])
 
-    def gradients(
-        self, model: ColorModel, rows: NDArray[np.intp], cols: NDArray[np.intp]
-    ) -> NDArray[np.float64]:
-        """The slopes that a color model reads there."""
-        return model.gradients_at(self.color_change[rows, cols], cols, rows)
 
-    def samples(
-        self,
-        rows: NDArray[np.intp],
-        cols: NDArray[np.intp],
-        gradients: NDArray[np.float64],
-        weight: float,
-        depth_px: NDArray[Any] | None = None,
-    ) -> Samples:
-        """Pixels of known gradients (N, 2), all of one weight, with their depths if those (H, W) are given."""
-        weights, depth = np.full(len(rows), weight), None if depth_px is None else depth_px[rows, cols]
-        change, shape = self.color_change[rows, cols], self.size.shape
-        return Samples(change, cols, rows, gradients, weights, shape, self.background, depth)
+def _evidence(picture: Map, noise: Map, radius: float, power: float) -> Numbers:
+    """Evidence (H, W) for a ball of a visible radius at each place, in pixels of the picture."""
+    shape, channels = (picture.shape[0], picture.shape[1]), picture.shape[2]
+    spectra, reach, size, inverse, pixels = _prepared(shape, float(radius))
+    over_noise = np.zeros((channels, *size))
+    over_noise[:, reach : reach + shape[0], reach : reach + shape[1]] = np.moveaxis(picture / noise, -1, 0)
+    sums = _correlated(spectra[:, None], rfft2(over_noise), size, shape)  # (templates, channels, H, W)
+    square = _correlated(spectra[0], rfft2(np.square(over_noise).sum(axis=0)), size, shape)
+    sums = np.moveaxis(sums, (0, 1), (2, 3))
+    mean = np.square(sums[..., 0, :]).sum(axis=-1) / pixels
+    explained = (sums * (inverse @ sums)).sum(axis=(-1, -2)) - mean
+    total = np.clip(square - mean, 0, None)
+    left = np.clip(total - np.clip(explained, 0, None), 0, None)
+    unit = channels * pixels
+    return np.asarray(pixels**power * np.log((total + unit) / (left + unit)))
+
+
+def _peak(maps: Numbers, radii: Numbers, near: Mask | None = None) -> tuple[Circle, float]:
+    """The circle of the largest value of maps (radii, H, W), between the samples, and that value."""
+    looked = maps if near is None else np.where(near, maps, -1)
+    i, y, x = (int(k) for k in np.unravel_index(int(looked.argmax()), maps.shape))
+    radius = radii[i] * (radii[1] / radii[0]) ** parabola_offset(maps[:, y, x], i)
+    at = x + parabola_offset(maps[i, y], x), y + parabola_offset(maps[i, :, x], y)
+    return (*at, float(radius)), float(maps[i, y, x])
+
+
+def _refined(change: Map, noise: Map, circle: Circle) -> Circle:
+    """The circle found again in a part of the image where its radius is 12 px, twice."""
+    noise = cv2.resize(noise, change.shape[1::-1])
+    x, y, radius = circle
+    for low, high in ((0.5, 1.2), (0.85, 1.18)):  # factors of the radius
+        factor, reach = FINE / radius, 2.2 * radius
+        left, top = int(max(0, x - reach)), int(max(0, y - reach))
+        part = slice(top, int(y + reach) + 1), slice(left, int(x + reach) + 1)
+        picture, there = _resized(change[part], factor), _resized(noise[part], factor)
+        across = picture.shape[1] / change[part].shape[1], picture.shape[0] / change[part].shape[0]
+        at = _scaled((x - left, y - top, radius), *across, factor)
+        rows, cols = np.mgrid[: picture.shape[0], : picture.shape[1]]
+        near = np.hypot(cols - at[0], rows - at[1]) < 0.5 * FINE
+        radii = FINE * np.geomspace(low, high, 7)
+        best, _ = _peak(np.stack([_evidence(picture, there, r, 0.0) for r in radii]), radii, near)
+        x, y, radius = _scaled(best, 1 / across[0], 1 / across[1], 1 / factor)
+        x, y = x + left, y + top
+    return x, y, radius
+
+
+def _scaled(circle: Circle, across: float, down: float, factor: float) -> Circle:
+    """A circle in a picture that is resized by a factor, whose pixels have their centers at integers."""
+    return (circle[0] + 0.5) * across - 0.5, (circle[1] + 0.5) * down - 0.5, circle[2] * factor
+
+
+def _resized(image: Map, factor: float) -> Map:
+    kind = cv2.INTER_AREA if factor < 1 else cv2.INTER_LINEAR
+    return np.asarray(cv2.resize(image, None, fx=factor, fy=factor, interpolation=kind))
 
 
 def contact_samples(
@@ -290,7 +553,7 @@ def contact_samples(
     zone: float = ZONE,
     *,
     total: int = TOTAL_SAMPLES,
-    depths_px: Sequence[NDArray[Any]] | None = None,
+    depths_px: Sequence[Array] | None = None,
 ) -> Samples:
     """Samples inside the contacts, labeled by the balls: about `total`, shared evenly by the presses.
 
@@ -299,19 +562,29 @@ def contact_samples(
     parts = []
     for k, (press, contact) in enumerate(zip(presses, contacts)):
         rows, cols = press.pixels(contact, zone, max(200, total // len(presses)))
-        gradients, depth = (
-            press.ball_gradients(contact, rows, cols),
-            None if depths_px is None else depths_px[k],
-        )
-        parts.append(press.samples(rows, cols, gradients, 1.0, depth))
+        depth = None if depths_px is None else depths_px[k]
+        parts.append(press.samples(rows, cols, press.ball_gradients(contact, rows, cols), 1.0, depth))
     return joined(parts)
+
+
+def training_samples(
+    presses: Sequence[PreparedPress],
+    contacts: Sequence[ContactCircle],
+    zone: float = ZONE,
+    *,
+    total: int = TOTAL_SAMPLES,
+    depths_px: Sequence[Array] | None = None,
+) -> Samples:
+    """The samples that models are fitted on: pixels inside the contacts, as `contact_samples`, and pixels at rest."""
+    inside = contact_samples(presses, contacts, zone, total=total, depths_px=depths_px)
+    return with_rest_samples(inside, presses, contacts, depths_px)
 
 
 def with_rest_samples(
     samples: Samples,
     presses: Sequence[PreparedPress],
     contacts: Sequence[ContactCircle],
-    depths_px: Sequence[NDArray[Any]] | None = None,
+    depths_px: Sequence[Array] | None = None,
 ) -> Samples:
     """The samples and up to half as many of the gel at rest, where the gradient is 0, at a lower weight."""
     parts = [samples]
@@ -325,7 +598,7 @@ def with_rest_samples(
         if press.usable is not None:
             far &= press.usable[rows, cols]
         rows, cols, depth = rows[far], cols[far], None if depths_px is None else depths_px[k]
-        parts.append(press.samples(rows, cols, np.zeros((len(rows), 2)), REST_WEIGHT, depth))
+        parts.append(press.samples(rows, cols, np.zeros((len(rows), 2)), 0.3, depth))
     return joined(parts)
 
 

@@ -8,10 +8,11 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+
+from gelform.arrays import Array, Numbers
 
 SHARE_RIGHT, SHARE_FAIR = (60, 76), (45, 90)  # % within one sigma; 68 is right
-Ticks = Sequence[float] | NDArray[Any]
+Ticks = Sequence[float] | Array
 
 
 @dataclass(frozen=True)
@@ -68,7 +69,7 @@ def sigma_axes(sigma: dict[str, Any]) -> Axes | None:
     return Axes((0, end), (0, 100), _slope_ticks(end), (0, 20, 40, 60, 80, 100))
 
 
-def _slope_ticks(end: float) -> NDArray[np.float64]:
+def _slope_ticks(end: float) -> Numbers:
     return np.round(np.arange(0, end + 0.01, 0.2), 1)
 
 

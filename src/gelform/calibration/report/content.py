@@ -9,8 +9,8 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from gelform.arrays import Array, Map, Mask, Numbers
 from gelform.calibration.coverage import (
     COARSE,
     DIRECTIONS,
@@ -22,7 +22,7 @@ from gelform.calibration.coverage import (
     square_tiles,
     tile_of,
 )
-from gelform.calibration.held_out.measure import at_pixels, by_press
+from gelform.calibration.held_out import at_pixels, by_press
 from gelform.calibration.inputs import MOST_SIGMAS, REMEDY
 from gelform.calibration.presses.press_set import Presses
 from gelform.calibration.report.record import CalibrationReport, PressReport
@@ -34,15 +34,9 @@ from gelform.slopes.sigma import MIN_IN_BIN
 
 SLOPE_EDGES = tuple(round(0.1 * k, 1) for k in range(13))
 DRAWS = 1000  # bootstrap draws of presses, for intervals
-PRIOR_PIXELS = 200  # pixels; the error of a direction in a tile is pulled to the mean of all with this weight
 
 
-def resampled(count: int, rng: np.random.Generator) -> NDArray[np.float64]:
-    """How often each of `count` presses is drawn in each bootstrap, (draws, count)."""
-    return rng.multinomial(count, np.full(count, 1 / count), size=DRAWS).astype(np.float64)
-
-
-def _bins_of(slope: NDArray[Any]) -> Iterator[tuple[dict[str, float], NDArray[np.bool_]]]:
+def _bins_of(slope: Array) -> Iterator[tuple[dict[str, float], Mask]]:
     """The limits of each bin of slopes that holds enough pixels, and the pixels in it."""
     for low, high in pairwise(SLOPE_EDGES):
         member = (slope >= low) & (slope < high)
@@ -50,7 +44,20 @@ def _bins_of(slope: NDArray[Any]) -> Iterator[tuple[dict[str, float], NDArray[np
             yield {"slope_from": low, "slope_to": high}, member
 
 
-def gain_curve(pixels: NDArray[Any], rng: np.random.Generator) -> list[dict[str, Any]]:
+def _tile_means(
+    pixels: Array, shape: tuple[int, int], grid: tuple[int, int], *values: Any, least: int = MIN_IN_BIN
+) -> list[list[Any]]:
+    """Number of pixels in each tile, row by row, and their means of some values (N,); None where they are few."""
+    tile = tile_of(pixels["x_px"], pixels["y_px"], shape, grid)
+    count = np.bincount(tile, minlength=grid[0] * grid[1])
+    sums = [np.bincount(tile, one, count.size) for one in values]
+    return [
+        count.tolist(),
+        *([float(s / n) if n >= least else None for s, n in zip(one, count)] for one in sums),
+    ]
+
+
+def gain_curve(pixels: Array, rng: np.random.Generator) -> list[dict[str, Any]]:
     """Recovered over true slope, by bins of the true slope, with a 95 % interval over presses.
 
     The gain of a bin is `sum g . t / sum t . t` over its pixels, g the reconstructed and t the true gradient:
@@ -62,7 +69,9 @@ def gain_curve(pixels: NDArray[Any], rng: np.random.Generator) -> list[dict[str,
         bins, true = np.linalg.norm(one["true"], axis=1), one["true"].astype(np.float64)
         for row, weights in enumerate(((one["solved"] * true).sum(1), (true**2).sum(1), np.ones(len(true)))):
             sums[row, k] = np.histogram(bins, SLOPE_EDGES, weights=weights)[0]
-    drawn = resampled(len(presses), rng)
+    alike = np.full(len(presses), 1 / len(presses))
+    # How often each press is drawn in each bootstrap, (draws, presses).
+    drawn = rng.multinomial(len(presses), alike, size=DRAWS).astype(np.float64)
     curve = []
     for b, (low, high) in enumerate(pairwise(SLOPE_EDGES)):
         projected, square, count = sums[:, :, b]
@@ -83,36 +92,29 @@ def gain_curve(pixels: NDArray[Any], rng: np.random.Generator) -> list[dict[str,
     return curve
 
 
-def error_map(pixels: NDArray[Any], shape: tuple[int, int], grid: tuple[int, int]) -> dict[str, Any]:
+def error_map(pixels: Array, shape: tuple[int, int], grid: tuple[int, int]) -> dict[str, Any]:
     """Held-out slope errors by tile: mean (dx, dy), RMS length and number of pixels, None where there are few."""
-    tile = tile_of(pixels["x_px"], pixels["y_px"], shape, grid)
     errors = (pixels["solved"] - pixels["true"]).astype(np.float64)
-    count = np.bincount(tile, minlength=grid[0] * grid[1])
-    sums = [np.bincount(tile, w, count.size) for w in (errors[:, 0], errors[:, 1], (errors**2).sum(1))]
-    full = count >= 10
-    mean = [
-        [float(sums[0][i] / count[i]), float(sums[1][i] / count[i])] if full[i] else None
-        for i in range(count.size)
-    ]
-    rms = [float(np.sqrt(sums[2][i] / count[i])) if full[i] else None for i in range(count.size)]
-    return {"rows": grid[0], "columns": grid[1], "mean": mean, "rms": rms, "pixels": count.tolist()}
+    parts = errors[:, 0], errors[:, 1], (errors**2).sum(1)
+    count, dx, dy, square = _tile_means(pixels, shape, grid, *parts, least=10)
+    mean = [None if x is None else [x, y] for x, y in zip(dx, dy)]
+    rms = [None if one is None else math.sqrt(one) for one in square]
+    return {"rows": grid[0], "columns": grid[1], "mean": mean, "rms": rms, "pixels": count}
 
 
-def square_error_by_direction(
-    pixels: NDArray[Any], shape: tuple[int, int], tiles: tuple[int, int]
-) -> NDArray[np.float64]:
-    """(rows, columns, 8) mean square slope error, drawn to the overall mean where few pixels tell."""
+def square_error_by_direction(pixels: Array, shape: tuple[int, int], tiles: tuple[int, int]) -> Numbers:
+    """(rows, columns, 8) mean square slope error, drawn to the overall mean, which counts as 200 pixels."""
     size = tiles[0] * tiles[1] * DIRECTIONS
     index = tile_of(pixels["x_px"], pixels["y_px"], shape, tiles) * DIRECTIONS + direction_of(pixels["true"])
     square = ((pixels["solved"] - pixels["true"]).astype(np.float64) ** 2).sum(axis=1)
     total, count = np.bincount(index, square, size), np.bincount(index, minlength=size)
     overall = total.sum() / count.sum() if count.any() else 1.0
-    mean: NDArray[np.float64] = (total + PRIOR_PIXELS * overall) / (count + PRIOR_PIXELS)
+    mean: Numbers = (total + 200 * overall) / (count + 200)
     return mean.reshape(*tiles, DIRECTIONS)
 
 
 def fraction_within_sigma(
-    pixels: NDArray[Any], sigma: NDArray[np.float32], shape: tuple[int, int], grid: tuple[int, int]
+    pixels: Array, sigma: Map, shape: tuple[int, int], grid: tuple[int, int]
 ) -> dict[str, Any]:
     """Fraction of held-out slopes within one stated standard deviation, by bins of slope and of place; 0.68 is right.
 
@@ -120,15 +122,10 @@ def fraction_within_sigma(
     """
     inside = (np.abs(pixels["solved"] - pixels["true"]) <= sigma).mean(axis=1)
     slope = np.linalg.norm(pixels["solved"], axis=1)
-    by_slope = [{**limits, "share": float(inside[member].mean())} for limits, member in _bins_of(slope)]
-    tile = tile_of(pixels["x_px"], pixels["y_px"], shape, grid)
-    by_place = [
-        float(inside[tile == i].mean()) if np.count_nonzero(tile == i) >= MIN_IN_BIN else None
-        for i in range(grid[0] * grid[1])
-    ]
+    _, by_place = _tile_means(pixels, shape, grid, inside)
     return {
         "all": float(inside.mean()),
-        "by_slope": by_slope,
+        "by_slope": [{**limits, "share": float(inside[member].mean())} for limits, member in _bins_of(slope)],
         "rows": grid[0],
         "columns": grid[1],
         "by_place": by_place,
@@ -136,10 +133,7 @@ def fraction_within_sigma(
 
 
 def errors_where(
-    pixels: NDArray[Any],
-    shape: tuple[int, int],
-    contact_radius_ratio: float,
-    grid: tuple[int, int] = COARSE,
+    pixels: Array, shape: tuple[int, int], contact_radius_ratio: float, grid: tuple[int, int] = COARSE
 ) -> dict[str, Any]:
     """Normal errors of reconstructed presses by slope and by place: `contact` up to its edge, `rim` up to the visible rim.
 
@@ -153,12 +147,10 @@ def errors_where(
     }
 
 
-def _part(pixels: NDArray[Any], shape: tuple[int, int], grid: tuple[int, int]) -> dict[str, Any]:
+def _part(pixels: Array, shape: tuple[int, int], grid: tuple[int, int]) -> dict[str, Any]:
     read, true = pixels["solved"], pixels["true"].astype(np.float64)
     angles = angle_deg(read, pixels["true"])
-    tile = tile_of(pixels["x_px"], pixels["y_px"], shape, grid)
-    count = np.bincount(tile, minlength=grid[0] * grid[1])
-    sums = np.bincount(tile, angles, count.size)
+    count, by_place = _tile_means(pixels, shape, grid, angles)
     return {
         "normal_deg": float(angles.mean()) if angles.size else None,
         "by_slope": [
@@ -170,12 +162,7 @@ def _part(pixels: NDArray[Any], shape: tuple[int, int], grid: tuple[int, int]) -
             }
             for limits, member in _bins_of(np.linalg.norm(true, axis=1))
         ],
-        "by_place": {
-            "rows": grid[0],
-            "columns": grid[1],
-            "normal_deg": [float(s / n) if n >= MIN_IN_BIN else None for s, n in zip(sums, count)],
-            "pixels": count.tolist(),
-        },
+        "by_place": {"rows": grid[0], "columns": grid[1], "normal_deg": by_place, "pixels": count},
     }
 
 
@@ -232,7 +219,7 @@ def level_of(limit: Limit, value: float | None) -> str:
     """good, fair or poor, of the figure as it is printed; an unknown one is fair."""
     if value is None or not math.isfinite(value):
         return "fair"
-    value, sign = float(_printed(value)), -1 if limit.rising else 1
+    value, sign = float(f"{value:.3g}"), -1 if limit.rising else 1
     if sign * value <= sign * limit.good:
         return "good"
     return "fair" if sign * value <= sign * limit.fair else "poor"
@@ -327,11 +314,7 @@ def shown(check: dict[str, Any]) -> str:
     """A check's figure with its unit."""
     if check["value"] is None:
         return "not known"
-    return f"{_printed(check['value'])} {check['unit']}".replace(" °", "°").strip()
-
-
-def _printed(value: float) -> str:
-    return f"{value:.3g}"
+    return f"{check['value']:.3g} {check['unit']}".replace(" °", "°").strip()
 
 
 def limit_in_words(check: Mapping[str, Any], level: str) -> str:
@@ -341,15 +324,6 @@ def limit_in_words(check: Mapping[str, Any], level: str) -> str:
 
 
 FORMAT, FORMAT_VERSION = "gelform calibration report", 1
-FIGURES: tuple[tuple[str, Callable[..., NDArray[np.float64]]], ...] = (
-    ("normal_deg", np.mean),
-    ("normal_free_deg", np.mean),
-    ("normal_rim_deg", np.mean),
-    ("cap_um", np.mean),
-    ("cap_free_um", np.mean),
-    ("radius_percent", np.median),
-    ("off_contact_um", np.mean),
-)
 
 
 def report_content(
@@ -435,9 +409,9 @@ def report_content(
 
 def _figures(rows: Sequence[PressReport], rng: np.random.Generator) -> dict[str, dict[str, Any]]:
     """Each figure over the held-out presses with its 95 % interval, by drawing presses with replacement."""
-    scored = [row.errors for row in rows if row.errors]
-    figures = {}
-    for name, middle in FIGURES:
+    scored, figures = [row.errors for row in rows if row.errors], {}
+    for name in scored[0] if scored else ():
+        middle = np.median if name == "radius_percent" else np.mean
         values = np.abs([errors[name] for errors in scored])
         values = values[np.isfinite(values)]
         if values.size:
@@ -451,9 +425,7 @@ def _figures(rows: Sequence[PressReport], rng: np.random.Generator) -> dict[str,
     return figures
 
 
-def interval_of(
-    values: NDArray[np.float64], middle: Callable[..., NDArray[np.float64]], rng: np.random.Generator
-) -> list[float]:
+def interval_of(values: Numbers, middle: Callable[..., Numbers], rng: np.random.Generator) -> list[float]:
     """95 % bootstrap interval of a mean or median over presses."""
     drawn = values[rng.integers(0, values.size, size=(DRAWS, values.size))]
     return [float(v) for v in np.percentile(middle(drawn, axis=1), (2.5, 97.5))]
@@ -499,7 +471,11 @@ def _checked_figures(content: dict[str, Any]) -> dict[str, float | None]:
     """The figure of each check, in its unit; None if unknown."""
     rows, facts = content["presses"], content["calibration"]
     used, different = [row for row in rows if row["accepted"]], [row for row in rows if not row["repeats"]]
-    gains = [abs(b["gain"] - 1) for b in content["gain"]["contact"] if _counts(b)]
+    gains = [  # few pixels of a few presses are too uncertain
+        abs(b["gain"] - 1)
+        for b in content["gain"]["contact"]
+        if NEEDED.judged_gain.met(b["presses"]) and b["pixels"] >= 500 and b["slope_to"] <= 0.8
+    ]
     fractions = [b["share"] for b in content["sigma"]["by_slope"]]
     fractions += [one for one in content["sigma"]["by_place"] if one is not None]
     sigma = facts["mm_per_px_sigma"]
@@ -517,9 +493,3 @@ def _checked_figures(content: dict[str, Any]) -> dict[str, float | None]:
         "ball_sigmas": max((one["sigmas"] for one in content["balls"]), default=None),
         "scale_percent": None if sigma is None else 100 * sigma / facts["mm_per_px"],
     }
-
-
-def _counts(gain: dict[str, Any]) -> bool:
-    """Whether a bin of the gain curve is judged; few pixels of a few presses are too uncertain."""
-    known = NEEDED.judged_gain.met(gain["presses"]) and gain["pixels"] >= 500
-    return bool(known and gain["slope_to"] <= 0.8)

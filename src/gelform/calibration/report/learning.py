@@ -9,52 +9,32 @@ from typing import Any
 import numpy as np
 from scipy.optimize import nnls
 
-from gelform.calibration.candidates import (
-    Candidate,
-    Start,
-    candidates_for,
-    candidates_from,
-)
+from gelform.calibration.circles.find import prepare
 from gelform.calibration.circles.locate import Located, Refined
-from gelform.calibration.circles.prepare import find_contacts, prepare
 from gelform.calibration.coverage import NEEDED
-from gelform.calibration.held_out.scores import HeldOutPresses, fold_of
 from gelform.calibration.presses.press_set import Presses
+from gelform.calibration.selection import Candidate, HeldOutPresses, candidates_for, candidates_from, fold_of
+from gelform.calibration.start import Start
 from gelform.calibration_file import Calibration
 from gelform.foundations.findings import Progress, no_progress
 
-SIZES = (5, 10, 15, 20, 30, 45, 70, 100, 150)  # numbers of training presses
 DRAWS = 3  # draws of presses for each size
 MORE = 10  # presses, whose gain is predicted
-LEAST_HELP = 0.03  # smallest relative gain of ten more presses that counts as help
 
 
 def learning_curve(
-    presses: Presses,
-    calibration: Calibration,
-    *,
-    rng: np.random.Generator,
-    progress: Progress = no_progress,
+    presses: Presses, calibration: Calibration, *, rng: np.random.Generator, progress: Progress = no_progress
 ) -> dict[str, Any] | None:
-    """Error of held-out presses by the number of training presses.
+    """Error of held-out presses by the number of training presses, of a calibration's presses in the same order.
 
-    Three times a quarter of the accepted presses is held out, and 5, 10, 15 ... of the others train the selected
-    color model. Their circles are refined without the held-out presses, so these have no part in the model that they
-    judge. Under 30 presses simpler settings of the same color model are tried too, and the best is kept.
+    Three times a quarter of the accepted presses is held out, as `rng` splits them, and 5, 10, 15 ... of the others train
+    the selected color model, with the same start. Their circles are refined without the held-out presses, so these have no
+    part in the model that they judge. Under 30 presses simpler settings of the same color model are tried too, and the best
+    is kept.
 
-    Parameters
-    ----------
-    presses : the presses of the calibration, in the same order
-    calibration : with its `report`; the curve's models have the same start as it
-    rng : generator that splits the presses
-    progress : called with (done, total, what)
-
-    Returns
-    -------
-    curve : dict or None
-        `points` (presses, model, draws_deg, mean_deg), `expected` (the gain from more presses) and `sentence`; if a
-        starter was offered, also `other_points`, of models with the other choice of start, and `other`, that choice.
-        None with fewer than 8 accepted presses, which leave nothing to hold out.
+    The curve has `points` (presses, model, draws_deg, mean_deg), `expected` (the gain from more presses) and `sentence`; if
+    a starter was offered, also `other_points`, of models with the other choice of start, and `other`, that choice. It is
+    None with fewer than 8 accepted presses, which leave nothing to hold out.
     """
     accepted = [i for i, row in enumerate(calibration.report.presses) if row.accepted]
     if not NEEDED.learning_curve.met(len(accepted)):
@@ -62,13 +42,14 @@ def learning_curve(
     own = presses.subset(accepted)
     ratio = calibration.settings["contact_radius_ratio"]
     prepared = [replace(press, contact_radius_ratio=ratio) for press in prepare(own)]
-    found = find_contacts(prepared)
+    rows = [calibration.report.presses[i] for i in accepted]
     circles = tuple(
-        replace(one, x_px=row.center_x_px, y_px=row.center_y_px, radius_px=row.contact_radius_px)
-        for one, row in zip(found, (row for row in calibration.report.presses if row.accepted))
+        replace(one.found, x_px=row.center_x_px, y_px=row.center_y_px, radius_px=row.contact_radius_px)
+        for one, row in zip(prepared, rows)
     )
     refined = Refined(circles, (None,) * len(circles), None)
-    held_out = HeldOutPresses(Located(own, prepared, found, refined), ())
+    located = Located(own, prepared, refined)
+    held_out = HeldOutPresses(located, ())
     sizes = sizes_for(len(own.presses))
     orders = [rng.permutation(len(own.presses)).tolist() for _ in range(DRAWS)]
     begun, offered = calibration.report.start, calibration.report.offered
@@ -76,13 +57,22 @@ def learning_curve(
 
     def point_of(size: int, start: Start | None) -> list[dict[str, Any]]:
         candidates, draws = candidates_of(calibration, size, start), []
+        started = replace(located, refined_by=None if start is None else start.model)
         for order in orders:
-            tested, training = order[-held_out_count(len(order)) :], order[:size]
-            fold = fold_of(prepared, found, tested, training, None if start is None else start.model)
+            fold = fold_of(started, order[-held_out_count(len(order)) :], order[:size])
             if NEEDED.model.met(len(fold.training)):
                 trials = held_out.try_candidates(candidates, [fold])
                 draws.append([trial.normal_deg for trial in trials])
-        return _best_point(candidates, size, draws)
+        if not draws:
+            return []
+        degrees = np.array(draws)
+        best = int(degrees.mean(axis=0).argmin())
+        point = {
+            "presses": size,
+            "model": candidates[best].describe(),
+            "draws_deg": degrees[:, best].tolist(),
+        }
+        return [{**point, "mean_deg": float(degrees[:, best].mean())}]
 
     points, others = [], []
     for done, size in enumerate(sizes):
@@ -108,7 +98,7 @@ def held_out_count(accepted: int) -> int:
 def sizes_for(accepted: int) -> list[int]:
     """Numbers of training presses; the last one is all that are not held out."""
     most = accepted - held_out_count(accepted)
-    return [size for size in SIZES if size < 0.9 * most] + [most]
+    return [size for size in (5, 10, 15, 20, 30, 45, 70, 100, 150) if size < 0.9 * most] + [most]
 
 
 def candidates_of(calibration: Calibration, presses: int, start: Start | None) -> list[Candidate]:
@@ -126,24 +116,6 @@ def candidates_of(calibration: Calibration, presses: int, start: Start | None) -
     if NEEDED.settings.met(presses):
         return [chosen]
     return options[: options.index(chosen) + 1] if chosen in options else [*options, chosen]
-
-
-def _best_point(
-    candidates: Sequence[Candidate], size: int, draws: Sequence[Sequence[float]]
-) -> list[dict[str, Any]]:
-    """The candidate with the smallest mean over the draws; nothing if no draw could be fitted."""
-    if not draws or not candidates:
-        return []
-    degrees = np.array(draws)
-    best = int(degrees.mean(axis=0).argmin())
-    return [
-        {
-            "presses": size,
-            "model": candidates[best].describe(),
-            "draws_deg": degrees[:, best].tolist(),
-            "mean_deg": float(degrees[:, best].mean()),
-        }
-    ]
 
 
 def floor_and_slope(presses: Sequence[float], degrees: Sequence[float]) -> tuple[float, float]:
@@ -166,6 +138,8 @@ def _with_expectation(points: list[dict[str, Any]], accepted: int) -> dict[str, 
     now, later, (floor, slope) = _expected(used, accepted, None)
     without = [_expected(used, accepted, draw) for draw in range(DRAWS)]
     gains = [1 - late / soon for soon, late, _ in without]
+    # The help of more presses, a gain of over 3 %, is believed only if leaving out any draw gives the same.
+    help_ = "would help" if min(gains) > 0.03 else "would not help much" if max(gains) <= 0.03 else "may help"
     return {
         "points": points,
         "held_out_presses": held_out_count(accepted),
@@ -177,9 +151,9 @@ def _with_expectation(points: list[dict[str, Any]], accepted: int) -> dict[str, 
             "more_deg_range": [min(one[1] for one in without), max(one[1] for one in without)],
             "floor_deg": float(np.sqrt(floor)),
             "square_slope_deg2": slope,
-            "help": _help(gains),
+            "help": help_,
         },
-        "sentence": f"More presses {_help(gains)}. With {MORE} more, gelform expects an angle error of "
+        "sentence": f"More presses {help_}. With {MORE} more, gelform expects an angle error of "
         f"{later:.2f}° instead of {now:.2f}°.",
     }
 
@@ -199,10 +173,3 @@ def _expected(
     floor, slope = floor_and_slope([p["presses"] for p in points], means)
     now, later = (float(np.sqrt(floor + slope / n)) for n in (accepted, accepted + MORE))
     return now, later, (floor, slope)
-
-
-def _help(gains: Sequence[float]) -> str:
-    """The help of more presses, believed only if leaving out any draw gives the same."""
-    if min(gains) > LEAST_HELP:
-        return "would help"
-    return "would not help much" if max(gains) <= LEAST_HELP else "may help"

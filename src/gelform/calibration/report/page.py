@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -12,8 +12,8 @@ from typing import Any
 import cv2
 import jinja2
 import numpy as np
-from numpy.typing import NDArray
 
+from gelform.arrays import Image, Map
 from gelform.calibration.presses.folder import Presses
 from gelform.calibration.report import charts
 from gelform.calibration.report.content import limit_in_words, shown
@@ -38,7 +38,7 @@ def short_names(names: Sequence[str], length: int = 28) -> list[str]:
     ]
 
 
-def jpeg_url(image: NDArray[np.uint8], width_px: int) -> str:
+def jpeg_url(image: Image, width_px: int) -> str:
     """An RGB image, not wider than `width_px`, as a JPEG data URL."""
     height, width = image.shape[:2]
     if width > width_px:
@@ -49,7 +49,7 @@ def jpeg_url(image: NDArray[np.uint8], width_px: int) -> str:
     return "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode()
 
 
-def press_urls(images: Sequence[NDArray[np.uint8]], budget_bytes: int = 1_300_000) -> list[str]:
+def press_urls(images: Sequence[Image], budget_bytes: int = 1_300_000) -> list[str]:
     """All presses as wide as the page's budget allows, which keeps it under 3 MB; hundreds become small."""
     for width in WIDTHS_PX:
         each = len(jpeg_url(images[len(images) // 2], width))
@@ -58,14 +58,14 @@ def press_urls(images: Sequence[NDArray[np.uint8]], budget_bytes: int = 1_300_00
     return [jpeg_url(image, width) for image in images]
 
 
-def cap_scale_um(maps: Sequence[NDArray[np.float32]]) -> float:
+def cap_scale_um(maps: Sequence[Map]) -> float:
     """The depth error of the tiles' full color: a round figure that few pixels exceed."""
     typical = float(np.nanquantile(np.abs(np.concatenate([one[::2, ::2].ravel() for one in maps])), 0.97))
     power = 10.0 ** np.floor(np.log10(max(typical, 1e-3)))
     return float(next(step * power for step in (1, 1.5, 2, 3, 5, 7, 10) if step * power >= typical))
 
 
-def cap_url(error_um: NDArray[np.float32], scale_um: float) -> str:
+def cap_url(error_um: Map, scale_um: float) -> str:
     """Depth minus the cap as a PNG data URL: red above the ball, blue below, clear where it agrees or is unknown."""
     known = np.isfinite(error_um)
     ratio = np.where(known, np.clip(np.nan_to_num(error_um) / scale_um, -1, 1), 0)
@@ -120,40 +120,30 @@ def report_page(content: dict[str, Any], presses: Presses, calibration: Calibrat
     html : str
         At most about 3 MB; hundreds of presses have smaller pictures.
     """
-    rows = content["presses"]
+    rows, report = content["presses"], calibration.report
     urls = press_urls([np.asarray(press.image, dtype=np.uint8) for press in presses.presses])
     names = short_names([row["name"] for row in rows])
     errors = [row["errors"]["normal_free_deg"] for row in rows if row["errors"]]
     background = np.clip(np.round(calibration.background), 0, 255).astype(np.uint8)
-    return (
-        templates()
-        .get_template("page.html")
-        .render(
-            content=content,
-            facts=content["calibration"],
-            used=used_in_words(calibration.report.presses),
-            checks={check["name"]: check for check in content["checks"]},
-            labels={name: figure.replace("(um)", "(µm)") for name, figure in FIGURES.items()},
-            tiles=[{"row": row, "name": name, "url": url} for row, name, url in zip(rows, names, urls)],
-            worse_deg=2 * float(np.median(errors)) if errors else np.inf,
-            caps=_caps(rows, names, calibration.report.caps_um),
-            background_url=jpeg_url(background, width_px=320),
-        )
+    caps, caps_um = None, {i: cap for i, cap in sorted(report.caps_um.items()) if cap.size}
+    if caps_um:  # of every held-out press, on one scale
+        scale_um = cap_scale_um([*caps_um.values()])
+        pictures = [
+            (names[i], rows[i]["errors"]["cap_free_um"], cap_url(cap, scale_um)) for i, cap in caps_um.items()
+        ]
+        caps = {"scale_um": scale_um, "pictures": pictures}
+    page = templates().get_template("page.html")
+    return page.render(
+        content=content,
+        facts=content["calibration"],
+        used=used_in_words(report.presses),
+        checks={check["name"]: check for check in content["checks"]},
+        labels={name: figure.replace("(um)", "(µm)") for name, figure in FIGURES.items()},
+        tiles=[{"row": row, "name": name, "url": url} for row, name, url in zip(rows, names, urls)],
+        worse_deg=2 * float(np.median(errors)) if errors else np.inf,
+        caps=caps,
+        background_url=jpeg_url(background, width_px=320),
     )
-
-
-def _caps(
-    rows: Sequence[dict[str, Any]], names: Sequence[str], caps_um: Mapping[int, NDArray[np.float32]]
-) -> dict[str, Any] | None:
-    """Pictures of depth minus the ball's cap of every held-out press, on one scale; None without any."""
-    known = {i: cap for i, cap in sorted(caps_um.items()) if cap.size}
-    if not known:
-        return None
-    scale_um = cap_scale_um([*known.values()])
-    pictures = [
-        (names[i], rows[i]["errors"]["cap_free_um"], cap_url(cap, scale_um)) for i, cap in known.items()
-    ]
-    return {"scale_um": scale_um, "pictures": pictures}
 
 
 def digits(value: float) -> str:

@@ -7,81 +7,59 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from gelform.calibration.candidates import Start
+from gelform.arrays import Array, Map
 from gelform.calibration.circles.locate import Located
 from gelform.calibration.coverage import NEEDED
-from gelform.calibration.fitted import Fitted
-from gelform.calibration.held_out.measure import Judged
-from gelform.calibration.held_out.scores import Selection
+from gelform.calibration.held_out import Judged
 from gelform.calibration.inputs import BallReading
+from gelform.calibration.selection import Fitted, Selection
+from gelform.calibration.start import Start
 from gelform.foundations.files import DIGEST_SHOWN
 from gelform.result.metrics import PressErrors
 
 
 @dataclass(frozen=True)
 class PressReport:
-    """One press: its circle, whether it was used, and its errors when it was held out.
+    """One press: its circle, whether it was used, and its errors when it was held out."""
 
-    Attributes
-    ----------
-    name : path below the folder
-    ball_diameter_mm : float
-    center_x_px, center_y_px, contact_radius_px : its circle
-    center_sigma_px, contact_radius_sigma_px : its standard deviations (`circle_sigmas`); None if rejected
-    accepted : whether the calibration uses it
-    reason : the reason if not
-    repeats : name of the frame that stays, if this one shows its press again
-    errors : names and values of PressErrors, from a model that has not seen this press; None if rejected
-    """
-
-    name: str
+    name: str  # path below the folder
     ball_diameter_mm: float
     center_x_px: float
     center_y_px: float
     contact_radius_px: float
-    accepted: bool
-    reason: str | None
-    errors: dict[str, float] | None
-    center_sigma_px: float | None = None
+    accepted: bool  # whether the calibration uses it
+    reason: str | None  # the reason if not
+    errors: (
+        dict[str, float] | None
+    )  # as `PressErrors`, from a model that has not seen this press; None if rejected
+    center_sigma_px: float | None = None  # standard deviations (`circle_sigmas`); None if rejected
     contact_radius_sigma_px: float | None = None
-    repeats: str | None = None
+    repeats: str | None = None  # name of the frame that stays, if this one shows its press again
 
 
 @dataclass(frozen=True)
 class CalibrationReport:
-    """A calibration run.
+    """A calibration run; what follows `held_out_saved`, but for `balls`, is neither in `to_dict` nor saved."""
 
-    Attributes
-    ----------
-    presses : every press of the folder
-    candidates : the trials: name, typical (geometric mean) slope error and mean normal error of the slopes that are read
-        on held-out presses, selected or not
-    held_out : errors over the presses (free center), each from a model selected and fitted without it: the errors
-        of the whole procedure on new presses
-    seconds : duration of the run, s
-    notes : notes for the reader
-    held_out_saved : the same for the saved model's kind and settings, fitted without each press; a little too
-        small, because those were selected on the same presses; empty in reports from before it was measured
-    pixels : some of each press that was held out (`PIXEL`), with their slopes; not in `to_dict`, not saved
-    caps_um : index of the press -> depth minus the ball's cap (`errors_of`); not in `to_dict`, not saved
-    balls : each stated diameter, the diameter that was read, and the model that read it; empty if nothing could check it
-    start : another unit's model that the fit began with, or None; not in `to_dict`, not saved
-    offered : the starter's model that was offered to it, or None; not in `to_dict`, not saved
-    """
-
-    presses: tuple[PressReport, ...]
+    presses: tuple[PressReport, ...]  # every press of the folder
+    # The trials, selected or not: name, typical (geometric mean) slope error and mean normal error of the slopes that are
+    # read on held-out presses.
     candidates: tuple[dict[str, Any], ...]
+    # Errors over the presses (free center), each from a model selected and fitted without it: the errors of the whole
+    # procedure on new presses.
     held_out: dict[str, float]
-    seconds: float
-    notes: tuple[str, ...] = ()
+    seconds: float  # duration of the run
+    notes: tuple[str, ...] = ()  # for the reader
+    # The same errors for the saved model's kind and settings, fitted without each press; a little too small, because those
+    # were selected on the same presses; empty in reports from before it was measured.
     held_out_saved: dict[str, float] = field(default_factory=dict)
-    pixels: NDArray[Any] | None = field(default=None, repr=False, compare=False)
-    caps_um: Mapping[int, NDArray[np.float32]] = field(default_factory=dict, repr=False, compare=False)
-    balls: tuple[BallReading, ...] = ()
-    start: Start | None = field(default=None, repr=False)
-    offered: Start | None = field(default=None, repr=False)
+    pixels: Array | None = field(default=None, repr=False, compare=False)  # some of each press (`PIXEL`)
+    # index of the press -> depth minus the ball's cap (`errors_of`)
+    caps_um: Mapping[int, Map] = field(default_factory=dict, repr=False, compare=False)
+    balls: tuple[BallReading, ...] = ()  # of each stated diameter; empty if nothing could check it
+    start: Start | None = field(default=None, repr=False)  # another unit's model that the fit began with
+    offered: Start | None = field(default=None, repr=False)  # the starter's model that was offered to it
 
     def to_dict(self) -> dict[str, Any]:
         """The report, as values that JSON can hold, without the pixels, the caps and the start."""
@@ -97,15 +75,24 @@ def report_of_run(
     located = fitted.held_out.located
     presses, begun = located.presses, located.start
     offered = begun if begun is not None and begun.offered else None
+    candidates: list[dict[str, Any]] = [
+        {
+            "candidate": trial.candidate.describe(),
+            "slope_error": float(np.exp(trial.mean_log())),
+            "normal_free_deg": trial.normal_deg,
+            "chosen": trial.candidate == fitted.selection.chosen,
+        }
+        for trial in fitted.selection.trials
+    ]
     return CalibrationReport(
         presses=_press_rows(located, judged),
-        candidates=_candidate_rows(fitted.selection),
+        candidates=tuple(sorted(candidates, key=lambda row: row["slope_error"])),
         held_out=summary(list(judged.errors.values())),
         seconds=seconds,
         notes=(
             _how_held_out(len(judged.errors), fitted.selection),
             *_of_repeated(located),
-            *_of_starter(fitted, offered),
+            *_of_starter(fitted.selection, offered),
             *presses.geometry.notes(presses.response, presses.mm_per_px_sigma),
             *located.notes,
             *fitted.notes,
@@ -121,7 +108,6 @@ def report_of_run(
 
 
 def _of_repeated(located: Located) -> tuple[str, ...]:
-    """How many frames show a press again, and how many presses there are then."""
     again, all_ = len(located.repeated), len(located.presses.presses)
     if not again:
         return ()
@@ -131,31 +117,28 @@ def _of_repeated(located: Located) -> tuple[str, ...]:
     )
 
 
-def _of_starter(fitted: Fitted, offered: Start | None) -> tuple[str, ...]:
+def _of_starter(selection: Selection, offered: Start | None) -> tuple[str, ...]:
     """Whether the fit began with the starter, and the held-out slope errors behind that decision."""
     if offered is None:
         return ()
-    selection, errors = fitted.selection, {}
-    if all(one.candidate.start is not None for one in selection.trials):
+    with_start, without = (
+        [one.mean_log() for one in selection.trials if (one.candidate.start is not None) == begun]
+        for begun in (True, False)
+    )
+    if not without:
         return (
             f"{offered.subject} was used. With under {NEEDED.edge.presses} presses no fit without it is tried.",
         )
-    for begun in (True, False):
-        own = [one.mean_log() for one in selection.trials if (one.candidate.start is not None) == begun]
-        errors[begun] = float(np.exp(min(own))) if own else float("nan")
     used = "was used" if selection.chosen.start is not None else "was not used"
+    errors = [float(np.exp(min(logs))) if logs else float("nan") for logs in (with_start, without)]
     return (
-        f"{offered.subject} {used}. Held-out slopes are off by {errors[True]:.3f} with it and by "
-        f"{errors[False]:.3f} without it.",
+        f"{offered.subject} {used}. Held-out slopes are off by {errors[0]:.3f} with it and by {errors[1]:.3f} without it.",
     )
 
 
 def _press_rows(located: Located, judged: Judged) -> tuple[PressReport, ...]:
-    rows = []
-    refined = located.refined
-    for i, (press, contact, reason) in enumerate(
-        zip(located.presses.presses, refined.contacts, refined.reasons)
-    ):
+    rows, refined, presses = [], located.refined, located.presses.presses
+    for i, (press, contact, reason) in enumerate(zip(presses, refined.contacts, refined.reasons)):
         sigmas = judged.circle_sigmas.get(i, (None, None)) if reason is None else (None, None)
         rows.append(
             PressReport(
@@ -167,7 +150,7 @@ def _press_rows(located: Located, judged: Judged) -> tuple[PressReport, ...]:
                 errors=asdict(judged.errors[i]) if i in judged.errors else None,
                 center_sigma_px=sigmas[0],
                 contact_radius_sigma_px=sigmas[1],
-                repeats=located.presses.presses[located.repeated[i]].name if i in located.repeated else None,
+                repeats=presses[located.repeated[i]].name if i in located.repeated else None,
             )
         )
     return tuple(rows)
@@ -191,20 +174,6 @@ def setting_in_words(value: Any) -> str:
     text = "none" if value in (None, "") else str(value)
     is_digest = len(text) == 64 and set(text) <= set("0123456789abcdef")
     return f"{text[:DIGEST_SHOWN]}…" if is_digest else text
-
-
-def _candidate_rows(selection: Selection) -> tuple[dict[str, Any], ...]:
-    """The trials, with the smallest held-out slope error first."""
-    rows = [
-        {
-            "candidate": trial.candidate.describe(),
-            "slope_error": float(np.exp(trial.mean_log())),
-            "normal_free_deg": trial.normal_deg,
-            "chosen": trial.candidate == selection.chosen,
-        }
-        for trial in selection.trials
-    ]
-    return tuple(sorted(rows, key=lambda row: row["slope_error"]))
 
 
 def _how_held_out(presses: int, selection: Selection) -> str:
@@ -236,16 +205,13 @@ def summary(errors: list[PressErrors]) -> dict[str, float]:
 
     Off-contact errors are averaged over the presses that leave any of the frame beyond 2.5 contact radii.
     """
-    off = [e.off_contact_um for e in errors if np.isfinite(e.off_contact_um)]
-    radius = [e.radius_percent for e in errors]
-    figures = {
+    means = ("normal_deg", "normal_free_deg", "normal_rim_deg", "cap_um", "cap_free_um")
+    off = [one.off_contact_um for one in errors if np.isfinite(one.off_contact_um)]
+    radius = [one.radius_percent for one in errors]
+    return {
         "presses": float(len(errors)),
-        "normal_deg": float(np.mean([e.normal_deg for e in errors])),
-        "normal_free_deg": float(np.mean([e.normal_free_deg for e in errors])),
-        "normal_rim_deg": float(np.mean([e.normal_rim_deg for e in errors])),
-        "cap_um": float(np.mean([e.cap_um for e in errors])),
-        "cap_free_um": float(np.mean([e.cap_free_um for e in errors])),
+        **{name: float(np.mean([getattr(one, name) for one in errors])) for name in means},
         "radius_percent": float(np.median(np.abs(radius))),
         "radius_signed_percent": float(np.median(radius)),
+        **({"off_contact_um": float(np.mean(off))} if off else {}),
     }
-    return {**figures, "off_contact_um": float(np.mean(off))} if off else figures

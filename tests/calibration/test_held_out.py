@@ -1,6 +1,6 @@
-"""Spread of held-out slopes: correlation length and share recovered, and honest on presses never seen.
+"""Held-out pixels: the same errors as the run's figures, and a deviation that is honest on presses never seen.
 
-Held-out samples: the same errors as the run's figures, and binned truths that are put in come out.
+Correlation lengths, gains and factors that are put into errors come out of them.
 """
 
 from dataclasses import replace
@@ -10,11 +10,9 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 import gelform
-from gelform.calibration.candidates import Candidate
+from gelform.calibration import held_out as module
 from gelform.calibration.circles.find import ContactCircle, PreparedPress, magnitude
-from gelform.calibration.fitted import FIRST_GUESS, Fitted
-from gelform.calibration.held_out import measure as module
-from gelform.calibration.held_out.measure import (
+from gelform.calibration.held_out import (
     LAGS,
     _lag_products,
     at_pixels,
@@ -30,7 +28,7 @@ from gelform.calibration.held_out.measure import (
     slope_sigma_from_folds,
     with_factors,
 )
-from gelform.calibration.held_out.scores import Fold, Selection
+from gelform.calibration.selection import FIRST_GUESS, Candidate, Fitted, Fold, Selection
 from gelform.reconstruct import Reconstructor
 from gelform.result.metrics import angle_deg, ball_gradients
 from gelform.slopes.color_models.forward_response import RIDGES, Step
@@ -41,12 +39,18 @@ def slow(*values):
     return pytest.param(*values, marks=pytest.mark.slow)
 
 
+def correlated(length, size, rng):
+    """Errors of deviation 1, blurred by L/sqrt(2): their correlation is exp(-r^2/(2 L^2))."""
+    field = gaussian_filter(rng.standard_normal((size, size, 2)), (length / 2**0.5,) * 2 + (0,))
+    return field / field.std()
+
+
 @pytest.mark.parametrize(("length", "share"), [slow(4.0, 0.8), (8.0, 0.5), slow(6.0, 1.0)])
 def test_correlation_is_recovered(length, share):
-    """A field blurred by L/sqrt(2) has the correlation exp(-r^2/(2 L^2)); white noise on top is the nugget."""
+    """White noise on top is the nugget."""
     rng = np.random.default_rng(0)
-    smooth = gaussian_filter(rng.standard_normal((1200, 1200, 2)), (length / 2**0.5,) * 2 + (0,))
-    error = np.sqrt(share) * smooth / smooth.std() + np.sqrt(1 - share) * rng.standard_normal(smooth.shape)
+    smooth = correlated(length, 1200, rng)
+    error = np.sqrt(share) * smooth + np.sqrt(1 - share) * rng.standard_normal(smooth.shape)
     error[:, ::50] = np.nan  # not known, as outside of a contact
     found_length, found_share = correlation_from_products(_lag_products(0.04 * error, 1), 1)
     assert found_length == pytest.approx(length, rel=0.1)
@@ -75,36 +79,31 @@ class Reader:
     def frame(self, press):
         rng = np.random.default_rng(round(1e3 * press.size.sum()))
         read = 0.93 * press.color_change[..., :2] + rng.normal(0, 0.03, (*press.size.shape, 2))
-        left = np.square(rng.normal(size=press.size.shape)) * np.where(
-            rng.uniform(size=press.size.shape) < 0.1, 50, 1
-        )
+        left = np.square(rng.normal(size=press.size.shape))
+        left *= np.where(rng.uniform(size=press.size.shape) < 0.1, 50, 1)
         return Step(read, np.full(press.size.shape, (0.03 * self.stated) ** 2), left)
-
-
-VISIBLE_PX = 22.5  # the gel leaves the ball at 18
 
 
 NOISE = np.zeros((120, 160), np.float32)  # of the image: none
 
 
-def press_at(x_px, y_px, shape=(120, 160)):
-    """A press whose color change is its slopes, and the visible circle."""
-    y, x = np.mgrid[: shape[0], : shape[1]]
-    contact = ContactCircle(x_px, y_px, VISIBLE_PX, 1.0, 9.0)
-    inside = np.hypot(x - x_px, y - y_px) < 18
-    slopes = np.where(inside[..., None], ball_gradients(x, y, (x_px, y_px), 40.0), 0)
-    beside = (np.hypot(x - x_px, y - y_px) < 2.8 * 18) & ~inside
-    slopes[beside & (y < y_px)] += 0.1  # gel that is drawn down around the ball
+def press_at(x_px, y_px):
+    """A press whose color change is its slopes, and the visible circle; the gel leaves the ball at 18 px."""
+    y, x = np.mgrid[:120, :160]
+    contact, away = ContactCircle(x_px, y_px, 22.5, 1.0, 9.0), np.hypot(x - x_px, y - y_px)
+    slopes = np.where((away < 18)[..., None], ball_gradients(x, y, (x_px, y_px), 40.0), 0)
+    slopes[(away >= 18) & (away < 2.8 * 18) & (y < y_px)] += 0.1  # gel that is drawn down around the ball
     change = np.concatenate([slopes, 0 * slopes[..., :1]], axis=-1).astype(np.float32)
-    return PreparedPress("one", change, magnitude(change), 40.0, contact_radius_ratio=0.8), contact
+    return PreparedPress("one", change, magnitude(change), 40.0, contact, contact_radius_ratio=0.8)
 
 
 @pytest.fixture(scope="module")
 def six():
-    """Presses, their circles and two folds."""
+    """Presses and two folds."""
     places = [(30, 30), (80, 60), (130, 90), (40, 85), (120, 35), (75, 95)]
-    presses, found = zip(*(press_at(*place) for place in places))
-    return presses, found, [Fold((0, 1, 2), (3, 4, 5), found[3:]), Fold((3, 4, 5), (0, 1, 2), found[:3])]
+    presses = [press_at(*place) for place in places]
+    found = tuple(press.found for press in presses)
+    return presses, [Fold((0, 1, 2), (3, 4, 5), found[3:]), Fold((3, 4, 5), (0, 1, 2), found[:3])]
 
 
 @pytest.mark.parametrize("stated", [1.0, 0.5, 3.0])
@@ -113,8 +112,8 @@ def test_the_law_is_that_of_the_errors_that_were_made(six, stated):
 
     What a step states is multiplied by factors, so that they come out the same whatever it says.
     """
-    presses, found, folds = six
-    sigma, _ = slope_sigma_from_folds([Reader(stated)] * 2, folds, presses, found, NOISE)
+    presses, folds = six
+    sigma, _ = slope_sigma_from_folds([Reader(stated)] * 2, folds, presses, NOISE)
     assert sigma.rest == pytest.approx(0.03, rel=0.1)
     gentle = sigma.per_step * np.hypot(1, 0.1 * sigma.per_slope) * 0.03 * stated
     assert gentle == pytest.approx(0.03 / np.sqrt(2), rel=0.25)
@@ -124,10 +123,9 @@ def test_the_law_is_that_of_the_errors_that_were_made(six, stated):
 
 def test_the_residuals_scale_is_that_of_the_95_percent(six):
     """A tenth of the pixels has fifty times the usual square: the 95 % are reached among them, far below the largest."""
-    presses, found, folds = six
-    _, scale = slope_sigma_from_folds([Reader()] * 2, folds, presses, found, NOISE)
-    reader = Reader()
-    left = [reader.frame(p).residual[p.pixels(c, 1.0)] for p, c in zip(presses, found)]
+    presses, folds = six
+    _, scale = slope_sigma_from_folds([Reader()] * 2, folds, presses, NOISE)
+    left = [Reader().frame(p).residual[p.pixels(p.found, 1.0)] for p in presses]
     at_most = np.quantile(np.concatenate(left), 0.95)
     assert scale == pytest.approx(at_most / 3.84, rel=1e-6)
     assert 3 < scale < 15
@@ -136,18 +134,17 @@ def test_the_residuals_scale_is_that_of_the_95_percent(six):
         def frame(self, press):
             return super().frame(press)._replace(residual=np.full(press.size.shape, 0.1))
 
-    assert slope_sigma_from_folds([Usual()] * 2, folds, presses, found, NOISE)[1] == 1, (
-        "at least what the covariance says"
-    )
+    _, least = slope_sigma_from_folds([Usual()] * 2, folds, presses, NOISE)
+    assert least == 1, "at least what the covariance says"
 
 
 def test_pixels_as_read_are_thinned_ones_of_the_contact(monkeypatch):
     monkeypatch.setattr(module, "PRESS_PIXELS", 300)
-    press, contact = press_at(60, 70)
+    press = press_at(60, 70)
     frame = Reader().frame(press)
-    pixels, rest, _, _ = press_errors_as_read(press, contact, frame, NOISE, 1)
+    pixels, rest, _, _ = press_errors_as_read(press, frame, NOISE, 1)
     assert 300 <= len(pixels) < 600
-    rows, cols = press.pixels(contact, 1.0)
+    rows, cols = press.pixels(press.found, 1.0)
     at = rows[:: len(rows) // 300], cols[:: len(rows) // 300]
     np.testing.assert_array_equal(pixels["residual"], frame.residual[at].astype(np.float32))
     np.testing.assert_allclose(pixels["stated"], 0.03)
@@ -164,20 +161,11 @@ def test_pixels_as_read_are_thinned_ones_of_the_contact(monkeypatch):
 def test_correlation_at_rest_is_recovered(short, share):
     """Blurred noise, and on it what is correlated as in a contact."""
     rng = np.random.default_rng(0)
-    fields = [
-        gaussian_filter(rng.standard_normal((900, 900, 2)), (length / 2**0.5,) * 2 + (0,))
-        for length in (short, 9.0)
-    ]
-    near, far = (field / field.std() for field in fields)
+    near, far = (correlated(length, 900, rng) for length in (short, 9.0))
     products = _lag_products(np.sqrt(1 - share) * near + np.sqrt(share) * far, 1)
     found_short, found_share = rest_correlation(products, 9.0)
     assert found_short == pytest.approx(short, abs=0.25)
     assert found_share == pytest.approx(share, abs=0.05)
-
-
-def test_the_share_that_folds_have_seen():
-    folds = [Fold((0, 1), tuple(range(2, 10)), ()), Fold((2, 3, 4, 5), (0, 1, 6, 7, 8, 9), ())]
-    assert fraction_trained(folds) == pytest.approx((0.8 + 0.6) / 2)
 
 
 def off_deg(pixels):
@@ -216,12 +204,18 @@ def test_each_press_is_reconstructed_once(presses, monkeypatch):
     assert all(seen.count(one) <= 5 for one in seen)
 
 
+PLAIN = Candidate("polynomial", (("position_degrees", (2, 1)),))
+
+
 @pytest.fixture(scope="module")
 def judged(held_out):
-    """Judges a calibration with what was selected."""
-    return lambda draft, chosen, by_fold: measure_held_out(
-        Fitted(held_out, Selection(chosen, by_fold, ()), draft)
-    )
+    """Judges a calibration with what was selected, and by the first fold; the others select the same as all."""
+
+    def judged(draft, chosen, by_first):
+        by_fold = (by_first, *[chosen] * (len(held_out.folds) - 1))
+        return measure_held_out(Fitted(held_out, Selection(chosen, by_fold, ()), draft))
+
+    return judged
 
 
 @pytest.mark.slow
@@ -230,13 +224,9 @@ def test_the_saved_models_errors_are_those_of_its_settings_in_every_fold(
     calibration, held_out, judged, step_ridge
 ):
     """Where a fold chose otherwise the procedure's errors are of that, the saved model's of its own settings."""
-    plain = Candidate("polynomial", (("position_degrees", (2, 1)),), step_ridge=step_ridge)
+    plain = replace(PLAIN, step_ridge=step_ridge)
     other = Candidate("polynomial", (("position_degrees", (1,)),))
-    folds = len(held_out.folds)
-    always, once = (
-        judged(calibration, plain, by_fold)
-        for by_fold in ((plain,) * folds, (other,) + (plain,) * (folds - 1))
-    )
+    always, once = (judged(calibration, plain, by_first) for by_first in (plain, other))
     assert always.saved_errors == always.errors == once.saved_errors
     differing = {i for i in once.errors if once.errors[i] != once.saved_errors[i]}
     assert differing == set(held_out.folds[0].held_out)
@@ -259,11 +249,10 @@ def test_what_is_an_outlier_is_told_as_the_calibration_will_tell_it(
             super().__init__(own, **more)
 
     monkeypatch.setattr(module, "Reconstructor", Reconstructs)
-    plain = Candidate("polynomial", (("position_degrees", (2, 1)),), step_ridge=RIDGES[0])
+    plain = replace(PLAIN, step_ridge=RIDGES[0])
     clipped = np.array([[True, False, False], [False, False, True]])
     draft = replace(calibration, forward=replace(calibration.forward, clipped=clipped, residual_scale=1.0))
-    folds = len(held_out.folds)
-    measured = judged(draft, plain, (plain,) * folds).forward
+    folds, measured = len(held_out.folds), judged(draft, plain, plain).forward
     assert measured.residual_scale > 1.5
     assert {own.forward.residual_scale for own in used} == {measured.residual_scale}
     assert all(own.forward.clipped is clipped for own in used)
@@ -305,11 +294,21 @@ def test_errors_are_counted_inside_the_edge(calibration, first):
     assert rim.normal_rim_deg > plain.normal_rim_deg + 3
 
 
+WHITE = SlopeSigma(
+    rest=0.01, per_step=0.05, full_confidence_sigma=0.05, correlation_px=8.0, correlated_share=0.0
+)
+
+
+def stated(sample, presses, noise, rng):
+    """The pixels of some presses, whose slopes are stated to be off by 0.05."""
+    pixels = np.concatenate([sample(k, noise=noise, rng=rng) for k in range(presses)])
+    pixels["stated"] = 0.05
+    return pixels
+
+
 @pytest.mark.parametrize("factor", [0.5, 2.0])
 def test_the_factor_of_solved_slopes_leaves_68_percent_within(sample, factor):
-    rng = np.random.default_rng(0)
-    pixels = np.concatenate([sample(k, noise=0.05 * factor, rng=rng) for k in range(8)])
-    pixels["stated"] = 0.05
+    pixels = stated(sample, 8, 0.05 * factor, np.random.default_rng(0))
     found = with_factors(WHITE, pixels, [], 1.0, None)
     within = np.abs(pixels["solved"] - pixels["true"]) < 0.05 * found.solved_factor
     assert within.mean() == pytest.approx(ONE_SIGMA, abs=0.02)
@@ -319,8 +318,7 @@ def test_the_factor_of_solved_slopes_leaves_68_percent_within(sample, factor):
 def test_pixels_beyond_the_edge_say_nothing(sample):
     """There the gel has left the ball: errors as large as one likes leave the factor as it is."""
     rng, ratio = np.random.default_rng(0), 0.7
-    plain = np.concatenate([sample(k, noise=0.05, rng=rng) for k in range(4)])
-    plain["stated"] = 0.05
+    plain = stated(sample, 4, 0.05, rng)
     spoilt = plain.copy()
     spoilt["solved"] += (plain["rho"] >= ratio)[:, None]
     one, other = (with_factors(WHITE, pixels, [], 1.0, ratio) for pixels in (plain, spoilt))
@@ -382,11 +380,6 @@ def test_the_errors_of_a_calibration_are_within_what_it_states(calibration, pres
     assert calibration.slope_sigma.depth_factor != FIRST_GUESS.depth_factor
 
 
-WHITE = SlopeSigma(
-    rest=0.01, per_step=0.05, full_confidence_sigma=0.05, correlation_px=8.0, correlated_share=0.0
-)
-
-
 def test_what_slopes_of_one_size_share_is_common_and_their_noise_is_not(sample):
     rng = np.random.default_rng(0)
     noisy = [sample(k, gain=1 + 0.1 * (-1) ** k, noise=0.1, rng=rng) for k in range(8)]
@@ -394,10 +387,7 @@ def test_what_slopes_of_one_size_share_is_common_and_their_noise_is_not(sample):
     clean = [sample(k, noise=0.1, rng=rng) for k in range(8)]
     assert common_error(np.concatenate(clean), WHITE) < 0.03
     assert common_error(sample()[:0], WHITE) == 0
-
-
-def test_errors_that_cancel_in_the_height_of_a_ball_are_common_to_slopes_of_one_size(sample):
-    """Gentle slopes are read too steep, and steep ones too gentle."""
+    # Gentle slopes that are read too steep, and steep ones too gentle, cancel in the height of a ball.
     turned = sample()
     size = np.linalg.norm(turned["true"], axis=1)[:, None]
     turned["solved"] = turned["true"] * (1 + 0.1 * np.where(size < 0.4, 1, -1))
@@ -417,7 +407,9 @@ def test_correlated_errors_count_once(sample):
     assert common_error(pixels, alike) < 0.5 * common_error(pixels, WHITE)
 
 
-def test_the_common_error_of_the_folds_is_that_of_the_depth(calibration):
+def test_the_common_error_is_that_of_the_depth_by_the_share_of_presses_that_folds_have_seen(calibration):
+    folds = [Fold((0, 1), tuple(range(2, 10)), ()), Fold((2, 3, 4, 5), (0, 1, 6, 7, 8, 9), ())]
+    assert fraction_trained(folds) == pytest.approx((0.8 + 0.6) / 2)
     off = calibration.report.pixels.copy()
     off["solved"], off["stated"] = 0.7 * off["true"], 0.05
     for trained in (1.0, 0.5):

@@ -12,21 +12,19 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from gelform.calibration.candidates import Candidate, FittedSlopes
+from gelform.arrays import Array, Map, Numbers
 from gelform.calibration.circles.find import (
     PRESS_PIXELS,
     REST_DISTANCE,
     ZONE,
-    ContactCircle,
+    Circle,
     PreparedPress,
+    change_settings,
     scale_of,
 )
-from gelform.calibration.circles.prepare import change_settings
-from gelform.calibration.fitted import Fitted
-from gelform.calibration.held_out.scores import Fold, HeldOutPresses, circle_sigmas
 from gelform.calibration.presses.press_set import Press
+from gelform.calibration.selection import Candidate, Fitted, FittedSlopes, Fold, HeldOutPresses, circle_sigmas
 from gelform.calibration_file import Calibration
 from gelform.depth.sigma import squared_factor
 from gelform.foundations.findings import Progress, no_progress
@@ -34,12 +32,11 @@ from gelform.image.background import PreparedBackground
 from gelform.reconstruct import FrameRecord, Reconstructor
 from gelform.result import Reconstruction
 from gelform.result.metrics import (
-    STEEPEST_FRACTION,
     PressErrors,
     ball_center,
     ball_gradients,
     followed_radius,
-    press_errors,
+    press_fit,
     score_slopes,
 )
 from gelform.slopes.budget import noise_at_rest
@@ -48,10 +45,6 @@ from gelform.slopes.color_models.forward_response import Step
 from gelform.slopes.sigma import AT_REST, HELD_OUT, ONE_SIGMA, TWO_SIGMA, SlopeSigma
 
 LAGS = 24  # steps, px at 240 rows; errors in a contact correlate over 3-10
-ROWS = 8  # rows of gel at rest, for the correlation of errors there
-SHORTEST_PX = 0.3  # px, shortest of that correlation, which noise and blur cause
-# Fraction of squared residuals of 1 degree of freedom, and their limit.
-MOST, CHI_SQUARE_AT_MOST = 0.95, 3.84
 
 # Pixels of presses, each solved by a model that has not seen its press.
 PIXEL = np.dtype(
@@ -67,7 +60,7 @@ PIXEL = np.dtype(
 )
 
 
-def table(columns: np.dtype[Any], rows: int, **values: Any) -> NDArray[Any]:
+def table(columns: np.dtype[Any], rows: int, **values: Any) -> Array:
     """A structured array of so many rows, from the values of its columns."""
     made = np.empty(rows, columns)
     for name, column in values.items():
@@ -75,18 +68,14 @@ def table(columns: np.dtype[Any], rows: int, **values: Any) -> NDArray[Any]:
     return made
 
 
-def by_press(pixels: NDArray[Any]) -> list[NDArray[Any]]:
+def by_press(pixels: Array) -> list[Array]:
     """The parts of a table that are of one press each, none of them empty."""
     parts = np.split(pixels, np.flatnonzero(np.diff(pixels["press"])) + 1)
     return [part for part in parts if len(part)]
 
 
 def slope_sigma_from_folds(
-    fits: Sequence[FittedSlopes],
-    folds: Sequence[Fold],
-    presses: Sequence[PreparedPress],
-    found: Sequence[ContactCircle],
-    noise: NDArray[np.float32],
+    fits: Sequence[FittedSlopes], folds: Sequence[Fold], presses: Sequence[PreparedPress], noise: Map
 ) -> tuple[SlopeSigma, float]:
     """Standard deviation and correlation of the slopes, and the scale of the residual, on held-out presses.
 
@@ -95,7 +84,7 @@ def slope_sigma_from_folds(
     """
     step = max(1, round(scale_of(presses[0].size.shape)))
     measured = [
-        press_errors_as_read(presses[i], found[i], fit.frame(presses[i]), noise, step)
+        press_errors_as_read(presses[i], fit.frame(presses[i]), noise, step)
         for fit, fold in zip(fits, folds)
         for i in fold.held_out
     ]
@@ -106,7 +95,8 @@ def slope_sigma_from_folds(
     rest_length, rest_fraction = rest_correlation(np.mean(rest_products, axis=0), length)
     fitted = SlopeSigma.fit(pixels, np.concatenate(at_rest), length, fraction)
     fitted = replace(fitted, rest_correlation_px=rest_length, rest_correlated_share=rest_fraction)
-    return fitted, max(float(np.quantile(pixels["residual"], MOST)) / CHI_SQUARE_AT_MOST, 1.0)
+    # 95 % of squared residuals of 1 degree of freedom are below 3.84.
+    return fitted, max(float(np.quantile(pixels["residual"], 0.95)) / 3.84, 1.0)
 
 
 def fraction_trained(folds: Sequence[Fold]) -> float:
@@ -114,7 +104,7 @@ def fraction_trained(folds: Sequence[Fold]) -> float:
     return float(np.mean([len(f.training) / (len(f.training) + len(f.held_out)) for f in folds]))
 
 
-def correlation_from_products(products: NDArray[np.float64], step: float) -> tuple[float, float]:
+def correlation_from_products(products: Numbers, step: float) -> tuple[float, float]:
     """Length (px) and fraction (0-1) of the correlated part of errors: `fraction exp(-lag^2 / (2 length^2))` from lag 1 on.
 
     The rest is white, with no correlation at the first lag. Products are at lags of 0, 1, 2 ... steps (px).
@@ -123,16 +113,10 @@ def correlation_from_products(products: NDArray[np.float64], step: float) -> tup
     below = np.nonzero(correlation[1:] < 0.05)[0]
     last = max(3, int(below[0]) + 1 if below.size else LAGS)
     lags = step * np.arange(1, last)
-    best = (np.inf, float(step), 0.0)
-    for length in step * np.geomspace(0.7, LAGS, 60):
-        shape = np.exp(-(lags**2) / (2 * length**2))
-        fraction = float(np.clip(shape @ correlation[1:last] / max(shape @ shape, 1e-30), 0, 1))
-        misfit = float(np.square(fraction * shape - correlation[1:last]).sum())
-        best = min(best, (misfit, float(length), fraction))
-    return best[1], best[2]
+    return _best_length(step * np.geomspace(0.7, LAGS, 60), lags, correlation[1:last])
 
 
-def rest_correlation(products: NDArray[np.float64], length: float) -> tuple[float, float]:
+def rest_correlation(products: Numbers, length: float) -> tuple[float, float]:
     """Short length (px), and fraction a, of errors of gel at rest: `(1 - a) exp(-lag^2/(2 short^2)) + a exp(...)`.
 
     The second term falls off over the given length, as errors in a contact do. Products are at lags of 0, 1, 2 ... px.
@@ -140,28 +124,34 @@ def rest_correlation(products: NDArray[np.float64], length: float) -> tuple[floa
     if products[0] <= 0:
         return 0.0, 0.0
     lags = np.arange(1, len(products))
-    wanted = products[1:] / products[0]
+    shorts = np.geomspace(0.3, max(length / 2, 0.3), 60)  # px, from what noise and blur cause on
     far = np.exp(-(lags**2) / (2 * length**2))
-    best = (np.inf, 0.0, 0.0)
-    for short in np.geomspace(SHORTEST_PX, max(length / 2, SHORTEST_PX), 60):
-        near = np.exp(-(lags**2) / (2 * short**2))
-        fraction = float(
-            np.clip((far - near) @ (wanted - near) / max((far - near) @ (far - near), 1e-30), 0, 1)
-        )
-        misfit = float(np.square(near + fraction * (far - near) - wanted).sum())
-        best = min(best, (misfit, float(short), fraction))
-    return best[1], best[2]
+    return _best_length(shorts, lags, products[1:] / products[0], far)
+
+
+def _best_length(
+    lengths: Numbers, lags: Array, wanted: Numbers, far: Numbers | None = None
+) -> tuple[float, float]:
+    """Length L and fraction a, 0-1, of `a g(L)` or `(1 - a) g(L) + a far` that are closest to a correlation at lags."""
+    trials = []
+    for length in lengths:
+        shape = np.exp(-(lags**2) / (2 * length**2))
+        base, along = (0.0 * shape, shape) if far is None else (shape, far - shape)
+        fraction = float(np.clip(along @ (wanted - base) / max(along @ along, 1e-30), 0, 1))
+        trials.append((float(np.square(base + fraction * along - wanted).sum()), float(length), fraction))
+    return min(trials)[1:]
 
 
 def press_errors_as_read(
-    press: PreparedPress, found: ContactCircle, frame: Step, noise: NDArray[np.float32], step: int
-) -> tuple[NDArray[Any], NDArray[Any], NDArray[np.float64], NDArray[np.float64]]:
+    press: PreparedPress, frame: Step, noise: Map, step: int
+) -> tuple[Array, Array, Numbers, Numbers]:
     """Some pixels of a held-out press (`HELD_OUT`), and some far from its contact (`AT_REST`), as a fold's model reads them.
 
     They are followed by the mean products of errors in the contact at lags of so many px, and at rest at lags of 1 px. The
     press's center is free, because labels are off by a pixel. At rest 0 is true, and the median is removed as in the
     Reconstructor.
     """
+    found = press.found
     rows, cols = press.pixels(found, 1.0)
     gradients = frame.gradients[rows, cols].astype(np.float64)
     error = score_slopes(gradients, cols, rows, (found.x_px, found.y_px), press.ball_radius_px).errors
@@ -178,7 +168,7 @@ def press_errors_as_read(
         residual=frame.residual[rows, cols],
     )
     height, width = press.size.shape
-    every, apart = max(1, int(np.sqrt(height * width / PRESS_PIXELS))), max(1, height // ROWS)
+    every, apart = max(1, int(np.sqrt(height * width / PRESS_PIXELS))), max(1, height // 8)
     y, x = np.ogrid[:height, :width]
     far = np.hypot(x - found.x_px, y - found.y_px) > (REST_DISTANCE + 1) * found.radius_px
     if press.usable is not None:
@@ -191,7 +181,7 @@ def press_errors_as_read(
     return pixels, rest, _lag_products(box, step), _lag_products(slopes[apart // 2 :: apart] - bias, 1)
 
 
-def _lag_products(error: NDArray[np.float64], step: int) -> NDArray[np.float64]:
+def _lag_products(error: Numbers, step: int) -> Numbers:
     """Mean product of errors `lag * step` pixels apart along a row, for lags 0 .. LAGS-1."""
     width = error.shape[1]
     products = np.zeros(LAGS)
@@ -202,13 +192,7 @@ def _lag_products(error: NDArray[np.float64], step: int) -> NDArray[np.float64]:
     return products
 
 
-# Rings of equal steps of slope in a contact: for each of their sizes an object of its own. Pixels, least for a mean, most
-# for pairs of them.
-RINGS, RING_PIXELS = 6, (10, 200)
-ANY_SLOPE = 1e3, 1e3  # mm/mm, beyond any
-# Contact radii from which on depth is judged at rest, pixels of it that are enough for a press, every one of so many of
-# them, and times the usual RMS of a press above which something else lay on the gel.
-FAR_RADII, LEAST_FAR_PX, EVERY_FAR, MOST_FAR = 2.5, 200, 7, 5.0
+RINGS = 6  # of equal steps of slope in a contact: for each of their sizes an object of its own
 
 
 @dataclass(frozen=True)
@@ -219,9 +203,9 @@ class Judged:
     errors: Mapping[int, PressErrors]
     # the same by the saved model's kind, settings and zone, fitted without its fold
     saved_errors: Mapping[int, PressErrors]
-    pixels: NDArray[Any]  # (N,) some of each press (`PIXEL`), with the candidate selected without its fold
+    pixels: Array  # (N,) some of each press (`PIXEL`), with the candidate selected without its fold
     # index of the press -> (h, w) depth minus the ball's cap in the contact's box, as `errors_of` gives it
-    caps_um: Mapping[int, NDArray[np.float32]]
+    caps_um: Mapping[int, Map]
     # standard deviation of the slopes of the chosen color model, and of those of the solved depth
     slope_sigma: SlopeSigma
     forward: ForwardResponse  # its residuals in the unit of those of held-out presses
@@ -235,58 +219,47 @@ def measure_held_out(fitted: Fitted, *, progress: Progress = no_progress) -> Jud
     The deviation of slopes as read comes from the errors of the folds' models, that of the solved depth's slopes from the
     errors of the reconstructed presses.
     """
-    errors: dict[int, PressErrors] = {}
-    saved_errors: dict[int, PressErrors] = {}
     held_out, chosen, draft = fitted.held_out, fitted.selection.chosen, fitted.calibration
-    folds, located, found = held_out.folds, held_out.located, held_out.located.found
+    folds, located = held_out.folds, held_out.located
     prepared, _ = held_out.prepared_for(chosen)
     fits = [held_out.fit(fold, [chosen])[0] for fold in folds]
     model = draft.color_model.prepare(draft.background, draft.image_shape)
     untouched = PreparedBackground(draft.background, draft.change)
     noise = noise_at_rest(model, untouched, draft.settings.image_noise)
-    sigma, residual_scale = slope_sigma_from_folds(fits, folds, prepared, found, noise)
+    sigma, residual_scale = slope_sigma_from_folds(fits, folds, prepared, noise)
     assert draft.forward is not None
     forward = replace(draft.forward, residual_scale=residual_scale)
     # Held-out presses show what slopes there are; what these have in common counts in units of the error still to be found.
-    unlimited = replace(sigma, shown=ANY_SLOPE, gain_sigma=1.0)
+    unlimited = replace(sigma, shown=(1e3, 1e3), gain_sigma=1.0)
     draft = replace(draft, forward=forward, slope_sigma=unlimited)
-    pixels: list[NDArray[Any]] = []
-    own: list[NDArray[Any]] = []
-    far: list[NDArray[np.float32]] = []
-    caps_um: dict[int, NDArray[np.float32]] = {}
+    measured, saved, far = {}, {}, []
     for done, (fold, candidate) in enumerate(zip(folds, fitted.selection.by_fold)):
-        runs = [(candidate, errors)]
-        if candidate != chosen:
-            runs.append((chosen, saved_errors))
-        for one, into in runs:
+        for one in dict.fromkeys((candidate, chosen)):
             for i, circle, record, result in _reconstructed(draft, held_out, one, fold):
-                press = located.presses.presses[i]
-                measured = press, circle, result, draft.known_mm_per_px, prepared[i].contact_radius_ratio
-                into[i], solved, cap_um = errors_of(i, *measured, stated=record.budget.read)
-                if into is errors:
-                    pixels.append(solved)
-                    caps_um[i] = cap_um
+                how = circle, result, draft.known_mm_per_px, prepared[i].contact_radius_ratio
+                press = errors_of(i, located.presses.presses[i], *how, stated=record.budget.read)
+                if one == candidate:
+                    measured[i] = press
                 if one == chosen:  # the law of its slopes does not hold for another candidate's
-                    own.append(solved)
+                    saved[i] = press
                     far.append(_far_depth(record, circle))
-        if candidate == chosen:
-            saved_errors |= {i: errors[i] for i in fold.held_out if i in errors}
         progress(done + 1, len(folds), "measuring on held-out presses")
     trained, ratio = fraction_trained(folds), draft.settings.contact_radius_ratio
+    own = np.concatenate([pixels for _, pixels, _ in saved.values()])
     return Judged(
-        errors,
-        saved_errors,
-        np.concatenate(pixels),
-        caps_um,
-        with_factors(sigma, np.concatenate(own), far, trained, ratio),
+        {i: errors for i, (errors, _, _) in measured.items()},
+        {i: errors for i, (errors, _, _) in saved.items()},
+        np.concatenate([pixels for _, pixels, _ in measured.values()]),
+        {i: cap_um for i, (_, _, cap_um) in measured.items()},
+        with_factors(sigma, own, far, trained, ratio),
         forward,
-        circle_sigmas(located.prepared, found, folds, located.refined_by),
+        circle_sigmas(located, folds),
     )
 
 
 def _reconstructed(
     draft: Calibration, held_out: HeldOutPresses, candidate: Candidate, fold: Fold
-) -> Iterator[tuple[int, tuple[float, float, float], FrameRecord, Reconstruction]]:
+) -> Iterator[tuple[int, Circle, FrameRecord, Reconstruction]]:
     """Index, circle, record and result of each press of a fold, by a calibration that was fitted without the fold."""
     known, presses = draft.forward, held_out.located.presses
     ((reader, forward),) = held_out.fit(fold, [candidate])
@@ -300,7 +273,7 @@ def _reconstructed(
         record, albedo = reconstruct.record(presses.presses[i].image)
         result = reconstruct.result(record, albedo)
         # The circle found in the press alone, with the center of the solved slopes; its radius is not refined.
-        found = held_out.located.found[i]
+        found = prepared[i].found
         rows, cols = prepared[i].pixels(found, ZONE, PRESS_PIXELS)
         start, radius = (found.x_px, found.y_px), prepared[i].ball_radius_px
         center = ball_center(result.gradients[rows, cols], cols, rows, start, radius)
@@ -310,37 +283,25 @@ def _reconstructed(
 def errors_of(
     index: int,
     press: Press,
-    circle_px: tuple[float, float, float],
+    circle_px: Circle,
     result: Reconstruction,
     mm_per_px: float,
     contact_radius_ratio: float,
     *,
-    stated: NDArray[np.float32] | None = None,
+    stated: Map | None = None,
     max_pixels: int = PRESS_PIXELS,
-) -> tuple[PressErrors, NDArray[Any], NDArray[np.float32]]:
+) -> tuple[PressErrors, Array, Map]:
     """Errors of a reconstructed press with a visible circle (center x, y, radius, px), its pixels, and depth minus the cap.
 
-    The pixels (`PIXEL`) are about `max_pixels` up to the visible rim. That region and the free centers, fitted inside the
-    contact edge, are those of `press_errors`. `stated` (H, W) is the deviation of the slopes as read. Depth minus the ball's
-    cap is (h, w), um, in the contact's box, of mean 0 and NaN outside it; empty if the fitted ball lies outside the frame.
+    The pixels (`PIXEL`) are about `max_pixels` up to the visible rim, about the fitted center as in `press_errors`. `stated`
+    (H, W) is the deviation of the slopes as read. Depth minus the ball's cap is (h, w), um, in the contact's box, of mean 0
+    and NaN outside it; empty if the fitted ball lies outside the frame.
     """
-    errors = press_errors(
-        result.depth_mm,
-        result.gradients,
-        circle_px=circle_px,
-        ball_radius_mm=press.ball_diameter_mm / 2,
-        mm_per_px=mm_per_px,
-        contact_radius_ratio=contact_radius_ratio,
-    )
-    ball_px = press.ball_diameter_mm / 2 / mm_per_px
-    height, width = result.depth_mm.shape
-    followed = followed_radius(circle_px[2], ball_px)
-    reach = min(followed - 3 * min(height, width) / 240, STEEPEST_FRACTION * ball_px)
-    y, x = np.mgrid[:height, :width]
-    start = circle_px[:2]
-    inside = np.hypot(x - start[0], y - start[1]) < min(contact_radius_ratio * followed, reach)
-    center = ball_center(result.gradients[inside], x[inside], y[inside], start, ball_px)
-    rows, cols = np.nonzero(np.hypot(x - center[0], y - center[1]) < reach)
+    ball_mm = press.ball_diameter_mm / 2
+    fit = press_fit(result.depth_mm, result.gradients, circle_px, ball_mm, mm_per_px, contact_radius_ratio)
+    ball_px, center = ball_mm / mm_per_px, fit.center_px
+    y, x = np.ogrid[: result.shape[0], : result.shape[1]]
+    rows, cols = np.nonzero(np.hypot(x - center[0], y - center[1]) < fit.reach_px)
     thin = (cols + 3 * rows) % max(-(-len(rows) // max_pixels), 1) == 0
     rows, cols = rows[thin], cols[thin]
     pixels = table(
@@ -349,44 +310,23 @@ def errors_of(
         press=index,
         x_px=cols,
         y_px=rows,
-        rho=np.hypot(cols - center[0], rows - center[1]) / followed,
+        rho=np.hypot(cols - center[0], rows - center[1]) / followed_radius(circle_px[2], ball_px),
         true=ball_gradients(cols, rows, center, ball_px),
         solved=result.gradients[rows, cols],
         stated=np.nan if stated is None else stated[rows, cols],
     )
-    return errors, pixels, _cap_error_um(result.depth_mm, inside, start, reach, ball_px, mm_per_px)
-
-
-def _cap_error_um(
-    depth_mm: NDArray[Any],
-    inside: NDArray[np.bool_],
-    start_px: tuple[float, float],
-    reach_px: float,
-    ball_px: float,
-    mm_per_px: float,
-) -> NDArray[np.float32]:
-    """Depth minus the cap of a ball whose center is fitted to the slopes of the depth, in the contact's box."""
-    along_y, along_x = np.gradient(depth_mm.astype(np.float64), mm_per_px)
-    slopes = np.stack([along_x, along_y], axis=-1)[inside]
-    y, x = np.mgrid[: depth_mm.shape[0], : depth_mm.shape[1]]
-    center = ball_center(slopes, x[inside], y[inside], start_px, ball_px)
-    square = (x - center[0]) ** 2 + (y - center[1]) ** 2
-    error = 1e3 * (depth_mm - mm_per_px * np.sqrt(np.maximum(ball_px**2 - square, 0)))
-    region = square < reach_px**2
+    square = (x - fit.surface_center_px[0]) ** 2 + (y - fit.surface_center_px[1]) ** 2
+    error = 1e3 * (result.depth_mm - mm_per_px * np.sqrt(np.maximum(ball_px**2 - square, 0)))
+    region = square < fit.reach_px**2
     if not region.any():
-        return np.empty((0, 0), dtype=np.float32)
-    error = np.where(region, error - error[region].mean(), np.nan).astype(np.float32)
+        return fit.errors, pixels, np.empty((0, 0), dtype=np.float32)
+    cap_um: Map = np.where(region, error - error[region].mean(), np.nan).astype(np.float32)
     rows, cols = np.nonzero(region)
-    box: NDArray[np.float32] = error[rows.min() : rows.max() + 1, cols.min() : cols.max() + 1]
-    return box
+    return fit.errors, pixels, cap_um[rows.min() : rows.max() + 1, cols.min() : cols.max() + 1]
 
 
 def with_factors(
-    sigma: SlopeSigma,
-    pixels: NDArray[Any],
-    far: Sequence[NDArray[np.float32]],
-    trained: float,
-    contact_radius_ratio: float | None,
+    sigma: SlopeSigma, pixels: Array, far: Sequence[Map], trained: float, contact_radius_ratio: float | None
 ) -> SlopeSigma:
     """The deviation of slopes with the factors of the solved depth's slopes and of depth, and the common error of slopes.
 
@@ -400,7 +340,7 @@ def with_factors(
     return replace(sigma, depth_factor=depth_factor(far, sigma.gain_sigma, sigma.depth_factor))
 
 
-def depth_factor(far: Sequence[NDArray[np.float32]], gain_sigma: float, usual: float) -> float:
+def depth_factor(far: Sequence[Map], gain_sigma: float, usual: float) -> float:
     """The smallest factor that leaves 68 % of depth far from contacts within one sigma and 95 % within two.
 
     `far` has (4, N) for each press, mm^2: squared depth, twice that of negative depths, the variance by the slopes and a
@@ -410,7 +350,9 @@ def depth_factor(far: Sequence[NDArray[np.float32]], gain_sigma: float, usual: f
     if not far:
         return usual
     sizes = np.array([np.mean(one[0] / one[2]) for one in far])
-    some = [one for one, size in zip(far, sizes) if size <= MOST_FAR**2 * np.median(sizes)]
+    some = [
+        one for one, size in zip(far, sizes) if size <= 25 * np.median(sizes)
+    ]  # else something lay on the gel
     weights = np.concatenate([np.full(one.shape[1], 1 / one.shape[1]) for one in some]) / len(some)
     square, own, unit, common = np.concatenate(some, axis=1)
     common *= np.float32(gain_sigma**2)
@@ -423,26 +365,26 @@ def depth_factor(far: Sequence[NDArray[np.float32]], gain_sigma: float, usual: f
     return needed
 
 
-def _far_depth(record: FrameRecord, circle_px: tuple[float, float, float]) -> NDArray[np.float32]:
+def _far_depth(record: FrameRecord, circle_px: Circle) -> Map:
     """What `depth_factor` takes of the pixels at rest far from a contact; (4, 0) if they are few."""
     errors = record.depth_errors
     assert errors is not None
     height, width = record.depth_mm.shape
     y, x = np.ogrid[:height, :width]
-    far = record.known & (np.hypot(x - circle_px[0], y - circle_px[1]) > FAR_RADII * circle_px[2])
-    if np.count_nonzero(far) < LEAST_FAR_PX:
+    far = record.known & (np.hypot(x - circle_px[0], y - circle_px[1]) > 2.5 * circle_px[2])
+    if np.count_nonzero(far) < 200:
         return np.empty((4, 0), dtype=np.float32)
     unit = errors.spread / record.fixed.slope_sigma.depth_factor**2
     maps = (errors.coarse.at_pixels(one) for one in (errors.own, unit, np.square(errors.common_mm)))
-    return np.stack([one[far][::EVERY_FAR] for one in (np.square(record.depth_mm), *maps)])
+    return np.stack([one[far][::7] for one in (np.square(record.depth_mm), *maps)])
 
 
-def at_pixels(values: NDArray[np.float32], pixels: NDArray[Any]) -> NDArray[np.float32]:
+def at_pixels(values: Map, pixels: Array) -> Map:
     """A map (H, W) at the places of a table."""
     return values[pixels["y_px"].astype(np.intp), pixels["x_px"].astype(np.intp)]
 
 
-def common_error(pixels: NDArray[Any], sigma: SlopeSigma) -> float:
+def common_error(pixels: Array, sigma: SlopeSigma) -> float:
     """Relative error that slopes of one size share around a press, RMS, beyond what errors of single slopes explain.
 
     A ball has slopes of all sizes, whose errors partly cancel in its height. Another object may stand on slopes of one size.
@@ -454,7 +396,7 @@ def common_error(pixels: NDArray[Any], sigma: SlopeSigma) -> float:
     return max(sum(squares) / max(len(squares), 1), 0.0) ** 0.5
 
 
-def _ring_squares(press: NDArray[Any], sigma: SlopeSigma, single: float) -> Iterator[float]:
+def _ring_squares(press: Array, sigma: SlopeSigma, single: float) -> Iterator[float]:
     """Square of each ring's mean error along the slope, less that of errors of variance `single`, over its slope's square.
 
     In the innermost ring slopes are too gentle for a relative error.
@@ -463,12 +405,12 @@ def _ring_squares(press: NDArray[Any], sigma: SlopeSigma, single: float) -> Iter
     rings = np.digitize(slopes, np.linspace(0, slopes.max(), RINGS + 1)[1:-1])
     for ring in range(1, RINGS):
         member = np.flatnonzero(rings == ring)
-        if len(member) < RING_PIXELS[0]:
+        if len(member) < 10:
             continue
         pixels, size = press[member], slopes[member]
         along = pixels["true"] / size[:, None]
         error = float(np.sum((pixels["solved"] - pixels["true"]) * along, axis=1).mean())
-        some = slice(None, None, -(-len(pixels) // RING_PIXELS[1]))
+        some = slice(None, None, -(-len(pixels) // 200))  # pixels of which pairs are taken
         x, y = pixels["x_px"][some], pixels["y_px"][some]
         square_px = (x[:, None] - x) ** 2 + (y[:, None] - y) ** 2
         alike = np.exp(-square_px / (2 * sigma.correlation_px**2)) * (along[some] @ along[some].T)
