@@ -11,7 +11,7 @@ from gelform.batch import run_batch
 from gelform.batch.containers import FilmRef
 from gelform.batch.inputs import (
     Listing,
-    background_of_sequence,
+    background_of_film,
     backgrounds_of,
     frames_of_part,
     listing_of,
@@ -155,7 +155,7 @@ def test_the_background_is_the_average_of_the_first_frames(tmp_path, cal):
     for k in range(3):
         save(tmp_path / f"{k}.png", image_of(None))
     for part in parts_of(tmp_path, 2, 2):
-        np.testing.assert_allclose(background_of_sequence(part, 2, cal), image_of(None), atol=1)
+        np.testing.assert_allclose(background_of_film(part, 2, cal), image_of(None), atol=1)
 
 
 RED = np.array([1.1, 1, 1])

@@ -7,7 +7,6 @@ import pytest
 
 from gelform.batch import run_batch
 from gelform.batch.containers import (
-    compression_of,
     films_in_lerobot_set,
     is_lerobot_set,
     lerobot_info,
@@ -87,11 +86,9 @@ def test_a_video_that_is_cut_off_ends_with_a_reason(lerobot, cal, tmp_path, enco
 
 def test_compression_in_words(lerobot):
     root, _ = lerobot
-    assert compression_of(root, KEY) == ""
     assert listing_of(root, dataset=KEY).warnings == ()
     told = {"video.codec": "av1", "video.pix_fmt": "yuv420p", "video.crf": 30}
     changed(root, features={KEY: {"dtype": "video", "shape": [64, 80, 3], "info": told}})
-    assert compression_of(root, KEY) == "av1 yuv420p crf 30"
     (warning,) = listing_of(root, dataset=KEY).warnings
     assert "av1 yuv420p crf 30, with loss" in warning
     assert "27 um" in warning

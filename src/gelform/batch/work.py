@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from gelform.batch.inputs import (
     Part,
     background_of_file,
-    background_of_sequence,
+    background_of_film,
     frames_of_part,
     image_of_calibration,
 )
@@ -120,7 +120,7 @@ class Worker:
     def _with_background(self, part: Part) -> Reconstructor:
         settings, background = self.job.settings, self.job.background
         if settings.background_frames:
-            background = background_of_sequence(part, settings.background_frames, self.job.calibration)
+            background = background_of_film(part, settings.background_frames, self.job.calibration)
         elif self.job.background_files:
             background = background_of_file(self.job.background_files[part.film.name], self.job.calibration)
         return Reconstructor(
