@@ -18,7 +18,7 @@ from gelform.batch.inputs import (
     plan_of,
     shard_of,
 )
-from gelform.batch.manifest import read_manifest
+from gelform.batch.records import read_manifest
 from gelform.errors import DataError
 from gelform.image.frame import Frame
 from gelform.sensors.playback import RecordingFacts

@@ -14,13 +14,16 @@ import numpy as np
 import pytest
 
 from gelform.batch import KEPT, run_batch, verify_output
-from gelform.batch.manifest import Manifest, begin, only_run, read_manifest
 from gelform.batch.outputs.files import OutputFile
 from gelform.batch.records import (
     COLUMNS,
+    Manifest,
     PartRecord,
-    files_of,
+    begin,
+    done_records,
+    only_run,
     outputs_there,
+    read_manifest,
     read_record,
     record_path,
     table_form,
@@ -122,7 +125,7 @@ def test_a_manifest_that_cannot_be_read_says_what_to_do(output):
 
 
 def test_who_may_run_together(tmp_path, monkeypatch):
-    monkeypatch.setattr("gelform.batch.manifest.WAIT_S", 0.05)
+    monkeypatch.setattr("gelform.batch.records.WAIT_S", 0.05)
     whole = (1, 1)
     for first, second, together in (
         (whole, whole, False),
@@ -160,9 +163,9 @@ def test_as_written_and_outputs_that_went_or_shrank(tmp_path):
 
 def test_damage_and_parts_that_are_not_done_are_noticed(tmp_path):
     write_record(tmp_path, 0, RECORD)
-    assert files_of(tmp_path, 1) == ["0.h5"]
+    assert list(done_records(tmp_path, 1)) == [RECORD]
     with pytest.raises(DataError, match=r"Part 1 .* is not done"):
-        files_of(tmp_path, 2)
+        list(done_records(tmp_path, 2))
     whole = record_path(tmp_path, 0).read_bytes()
     for damaged in (whole[:-9], whole.replace(b'"1"', b'"2"'), b""):
         record_path(tmp_path, 0).write_bytes(damaged)
@@ -287,13 +290,11 @@ def test_a_sheet_has_gaps_a_color_bar_and_a_scale():
     assert not (none[80 + 9, 140:TILE_PX] == 255).all(axis=1).any()
 
 
-def test_no_sheet_where_no_depth_was_kept_and_unknown_pixels_are_dark(tree, cal, tmp_path, monkeypatch):
+def test_no_sheet_where_no_depth_was_kept_and_unknown_pixels_are_dark(tree, cal, tmp_path):
     run_batch(tree, cal, tmp_path / "out", BatchSettings(keep=("contact",)))
     assert not (tmp_path / "out/sheet.png").exists()
     depth = np.full((64, 80), np.nan, np.float32)
-    row = {"sequence": "ä", "frame": "0", "deepest_mm": 0.0, "health": ""}
-    monkeypatch.setattr("gelform.batch.run._choose_frames", lambda *_: [(depth, row)])
-    sheet = cv2.imdecode(np.frombuffer(sheet_bytes(tmp_path, None), np.uint8), cv2.IMREAD_COLOR)
+    sheet = cv2.imdecode(np.frombuffer(contact_sheet([(depth, "ä/0", "")]), np.uint8), cv2.IMREAD_COLOR)
     assert sheet[:100, :TILE_PX].max() < 90
 
 

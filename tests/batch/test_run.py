@@ -19,8 +19,7 @@ import pytest
 import gelform
 from gelform.batch import BatchSettings, RunOptions, run_batch
 from gelform.batch.inputs import listing_of, plan_of
-from gelform.batch.manifest import verify_output
-from gelform.batch.records import read_record, record_path
+from gelform.batch.records import read_record, record_path, verify_output
 from gelform.batch.work import Engine, Job, Stopped, Worker, WorkerLostError, done_parts
 from gelform.errors import DataError
 from gelform.image.frame import Frame
@@ -278,7 +277,7 @@ def command_of(number):
 def test_two_processes_and_one_of_them_killed(tree, cal, tmp_path, visible):
     parts = plan_of(listing_of(tree), 1)
     alone = Job(cal, None, tmp_path / "one", BatchSettings())
-    assert [counts for _, *counts in done_parts(alone, parts, 1)] == [[1, 0]] * len(parts)
+    assert list(done_parts(alone, parts, 1)) == [(1, 0)] * len(parts)
     killed = Job(cal, None, tmp_path / "two", BatchSettings())
     before = children()
     done = done_parts(killed, parts * 50, 2)  # the same again and again: longer than the kill takes
