@@ -21,45 +21,28 @@ from gelform.errors import DataError
 from gelform.exchange.exporters.surface import MM_PER_LEVEL, UNKNOWN, ZERO_LEVEL, levels_from_depth
 from gelform.foundations.files import written_file
 from gelform.result import Reconstruction
-from gelform.result.maps import KEPT_MAPS, MAPS, ResultMap
+from gelform.result.maps import KEPT_MAPS, MAPS
 
 FRAMES, PARTS = "frames", "parts"
-FLUSHED_AT_ONCE = 4  # threads that flush files to the disk
-LEVELS = {"unit": "mm", "scale_factor": MM_PER_LEVEL, "add_offset": -ZERO_LEVEL * MM_PER_LEVEL}
 Maps = Mapping[str, NDArray[Any]]
 
 
 @dataclass(frozen=True)
 class PartTarget:
-    """The data about a part that a writer needs.
+    """The data about a part that a writer needs."""
 
-    Attributes
-    ----------
-    output : folder of the batch
-    part : the part to write
-    settings : of the batch
-    shape : (H, W) of the maps
-    facts : of the calibration, for the files' attributes: mm_per_px and calibration_digest
-    """
-
-    output: Path
+    output: Path  # folder of the batch
     part: Part
     settings: BatchSettings
-    shape: tuple[int, int]
-    facts: Mapping[str, Any]
+    shape: tuple[int, int]  # (H, W) of the maps
+    facts: Mapping[
+        str, Any
+    ]  # of the calibration, for the files' attributes: mm_per_px and calibration_digest
 
     @property
     def folder(self) -> Path:
-        """The folder of the part's sequence."""
+        """The folder of the part's film."""
         return self.output / FRAMES / self.part.film.name
-
-    def name_of(self, path: Path) -> str:
-        """A path in the form of the records and the table."""
-        return path.relative_to(self.output).as_posix()
-
-    def write(self, path: Path, content: bytes) -> OutputFile:
-        """Write a file completely or not at all."""
-        return write_output(self.output, path, content)
 
 
 class FlushedLater:
@@ -71,7 +54,7 @@ class FlushedLater:
 
     def __init__(self, output: Path) -> None:
         self._output = output
-        self._flushing = ThreadPoolExecutor(FLUSHED_AT_ONCE)
+        self._flushing = ThreadPoolExecutor(4)
         self._files: list[Future[None]] = []
 
     def write(self, path: Path, content: bytes) -> OutputFile:
@@ -131,10 +114,8 @@ def output_file(output: Path, path: Path) -> OutputFile:
 class PartWriter(AbstractContextManager["PartWriter"]):
     """Writes the results of a part, frame by frame; a context manager.
 
-    Attributes
-    ----------
-    files : files with several frames, complete once the context ended without an error. After an exception no partial file
-        has its final name.
+    `files` are the files with several frames, complete once the context ended without an error. After an exception no
+    partial file has its final name.
     """
 
     def __init__(self, target: PartTarget) -> None:
@@ -158,7 +139,21 @@ class PartWriter(AbstractContextManager["PartWriter"]):
 
     def _row(self, path: Path, prepared: Any | None) -> dict[str, Any]:
         """The row of a frame in a shared file."""
-        return {} if prepared is None else {"output": self._target.name_of(path)}
+        return {} if prepared is None else {"output": path.relative_to(self._target.output).as_posix()}
+
+
+def _remembering(name: str, otherwise: Callable[..., Any]) -> Any:
+    """The method of a file until one fails; from then on `otherwise` answers."""
+
+    def method(self: RememberingFile, *args: Any) -> Any:
+        if self.problem is None:
+            try:
+                return getattr(self.file, name)(*args)
+            except OSError as problem:
+                self.problem = problem
+        return otherwise(*args)
+
+    return method
 
 
 class RememberingFile:
@@ -168,49 +163,21 @@ class RememberingFile:
     """
 
     def __init__(self, file: BinaryIO) -> None:
-        self._file = file
-        self._problem: OSError | None = None
+        self.file = file
+        self.problem: OSError | None = None
 
     def check(self) -> None:
         """Raise the OSError of a failed write."""
-        if self._problem is not None:
-            raise self._problem
+        if self.problem is not None:
+            raise self.problem
 
-    def write(self, content: Any) -> int:
-        """Write everything, or nothing after an error."""
-        return int(self._tried(self._file.write, content, otherwise=len(content)))
-
-    def seek(self, offset: int, whence: int = 0) -> int:
-        """As a file's method; first writes the buffer."""
-        return int(self._tried(self._file.seek, offset, whence, otherwise=offset))
-
-    def truncate(self, size: int | None = None) -> int:
-        """As a file's method."""
-        return int(self._tried(self._file.truncate, size, otherwise=size or 0))
-
-    def flush(self) -> None:
-        """As a file's method."""
-        self._tried(self._file.flush, otherwise=None)
-
-    def tell(self) -> int:
-        """As a file's method."""
-        return int(self._tried(self._file.tell, otherwise=0))
-
-    def read(self, size: int = -1) -> bytes:
-        """As a file's method."""
-        return bytes(self._tried(self._file.read, size, otherwise=b""))
-
-    def readinto(self, buffer: Any) -> int:
-        """As a file's method."""
-        return int(self._tried(self._file.readinto, buffer, otherwise=0))  # type: ignore[attr-defined]
-
-    def _tried(self, action: Callable[..., Any], *args: Any, otherwise: Any) -> Any:
-        if self._problem is None:
-            try:
-                return action(*args)
-            except OSError as problem:
-                self._problem = problem
-        return otherwise
+    write = _remembering("write", len)
+    seek = _remembering("seek", lambda offset, whence=0: offset)
+    truncate = _remembering("truncate", lambda size=None: size or 0)
+    flush = _remembering("flush", lambda: None)
+    tell = _remembering("tell", lambda: 0)
+    read = _remembering("read", lambda size=-1: b"")
+    readinto = _remembering("readinto", lambda buffer: 0)
 
 
 def maps_of(result: Reconstruction, settings: BatchSettings) -> dict[str, NDArray[Any]]:
@@ -220,21 +187,26 @@ def maps_of(result: Reconstruction, settings: BatchSettings) -> dict[str, NDArra
     """
     if settings.dtype == "uint16":
         return {"depth_mm": levels_from_depth(result.depth_mm, result.known)}
-    return {one.name: _map(result, one.name) for one in _kept(settings)}
+    maps = {}
+    for name in (KEPT_MAPS[one].name for one in settings.keep):
+        if (values := getattr(result, name)) is None:
+            raise DataError(f"This calibration gives no {name}. Leave it out of --keep.")
+        maps[name] = np.asarray(values)
+    return maps
 
 
 def blank_maps(settings: BatchSettings, shape: tuple[int, int]) -> dict[str, NDArray[Any]]:
     """The maps of a frame with an error: NaN, False, or level 0, which means unknown."""
     if settings.dtype == "uint16":
         return {"depth_mm": np.full(shape, UNKNOWN, dtype=np.uint16)}
-    blank = {"bool": False, "float32": np.nan}
-    return {one.name: np.full((*shape, *one.axes), blank[one.dtype], one.dtype) for one in _kept(settings)}
+    kept, blank = [KEPT_MAPS[name] for name in settings.keep], {"bool": False, "float32": np.nan}
+    return {one.name: np.full((*shape, *one.axes), blank[one.dtype], one.dtype) for one in kept}
 
 
 def attributes_of(name: str, settings: BatchSettings) -> dict[str, Any]:
     """Unit of a map, and conversion of levels to mm: scale_factor x level + add_offset, as in the CF conventions."""
     if settings.dtype == "uint16":
-        return dict(LEVELS)
+        return {"unit": "mm", "scale_factor": MM_PER_LEVEL, "add_offset": -ZERO_LEVEL * MM_PER_LEVEL}
     return {"unit": MAPS[name].unit}
 
 
@@ -259,20 +231,8 @@ def check_names(sequences: Iterable[str], settings: BatchSettings) -> None:
     """Refuse (DataError) folders with the names of arrays next to them."""
     if settings.form not in ("zarr", "hdf5"):
         return
-    arrays = {one.name for one in KEPT_MAPS.values()}
     for sequence in sequences:
-        if taken := arrays & set(sequence.split("/")):
+        if taken := {one.name for one in KEPT_MAPS.values()} & set(sequence.split("/")):
             raise DataError(
                 f"The input {sequence} would lie where an array {taken.pop()} does. Rename it, or write npz."
             )
-
-
-def _kept(settings: BatchSettings) -> list[ResultMap]:
-    return [KEPT_MAPS[name] for name in settings.keep]
-
-
-def _map(result: Reconstruction, name: str) -> NDArray[Any]:
-    values = getattr(result, name)
-    if values is None:
-        raise DataError(f"This calibration gives no {name}. Leave it out of --keep.")
-    return np.asarray(values)
