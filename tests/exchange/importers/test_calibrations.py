@@ -278,6 +278,7 @@ def in_zip(path, pickled):
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("net/data.pkl", b"\x80\x02}X\x01\0\0\0a" + pickled + b"s.")
         archive.writestr("net/data/0", bytes(16))
+        archive.writestr("net/version", "3\n")  # newer ones of torch ask for it
     return path
 
 

@@ -114,6 +114,7 @@ def test_other_files_of_matlab_are_refused(tmp_path):
         ({"Zeropoint": -1e-3, "Scale": 5e-3}, "in gray levels, such as -90 and 180"),
         ({"GradDir": None}, "got no GradDir"),
         ({"GradMag": np.zeros((40, 40, 39))}, "shape"),
+        ({"GradMag": 0.1, "GradDir": 0.2}, r"shape \(bins, bins, bins\) in .*, got \(\)"),
         ({"GradMag": np.full((40, 40, 40), np.nan)}, "shape"),
         ({"GradMag": np.full((40, 40, 40), 2.0)}, "angles under pi/2"),
     ):
