@@ -280,7 +280,8 @@ def films_in_lerobot_set(root: Path, wanted: str) -> list[FilmRef]:
         folder, name = (f"videos/{key}", "video_path") if in_video else ("data", "data_path")
         chunk, file = f"{folder}/chunk_index", f"{folder}/file_index"
         begin = f"{folder}/from_timestamp" if in_video else "dataset_from_index"
-        pattern, first = info.get(name), dict[str, int]()  # the first row of each table
+        pattern: Any = info.get(name)
+        first: dict[str, int] = {}  # row of each table
         for row in lerobot_episodes(root, ["episode_index", "length", chunk, file, begin]):
             where = {"chunk_index": row[chunk], "file_index": row[file]}
             is_known = isinstance(pattern, str) and LEROBOT_PATH.fullmatch(pattern)

@@ -14,6 +14,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
+from gelform import Calibration, background_from_frames
 from gelform.batch.containers import (
     NODES,
     ContainerError,
@@ -29,12 +30,10 @@ from gelform.batch.containers import (
     video_frames,
 )
 from gelform.calibration.presses.press_set import file_of, table_rows
-from gelform.calibration_file import Calibration
 from gelform.errors import DataError, GelformError, reason
 from gelform.foundations.checks import check_image, check_path
 from gelform.foundations.files import way_for
 from gelform.image.agreement import background_digest
-from gelform.image.background import background_from_frames
 from gelform.image.frame import Frame, in_rgb
 from gelform.image.view import MAX_PIXELS, image_from_frame
 from gelform.sensors.files import FILM_SUFFIXES, IMAGE_SUFFIXES, is_stack, read_background, read_image

@@ -14,10 +14,9 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from gelform import __version__
+from gelform import DataError, __version__
 from gelform.batch.outputs.array_files import INDEX
 from gelform.batch.outputs.files import FRAMES, PARTS, OutputFile, output_file
-from gelform.errors import DataError
 from gelform.foundations.checks import check_path
 from gelform.foundations.files import table_text, written_file
 from gelform.foundations.findings import Progress, no_progress

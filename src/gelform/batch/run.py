@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from gelform import DataError, Frame
 from gelform.batch.inputs import (
     Listing,
     Part,
@@ -46,12 +47,10 @@ from gelform.batch.settings import BatchSettings
 from gelform.batch.work import Engine, Job
 from gelform.calibration.library.library import choose_calibration, unit_of_all
 from gelform.calibration_file import Calibration, as_calibration
-from gelform.errors import DataError
 from gelform.exchange.exporters.press_folder import check_room
 from gelform.foundations.checks import check_path
 from gelform.foundations.findings import FrameTally
 from gelform.foundations.pictures import picture_bytes
-from gelform.image.frame import Frame
 
 Pitch = float | Sequence[float]
 SHEET = "sheet.png"

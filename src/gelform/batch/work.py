@@ -20,6 +20,7 @@ from typing import Any
 import cv2
 from numpy.typing import NDArray
 
+from gelform import Calibration, Frame, Reconstructor
 from gelform.batch.inputs import (
     Part,
     background_of_file,
@@ -31,12 +32,9 @@ from gelform.batch.outputs.files import PartTarget, PartWriter, facts_of
 from gelform.batch.outputs.writers import WRITERS
 from gelform.batch.records import COLUMNS, PartRecord, write_record
 from gelform.batch.settings import BatchSettings
-from gelform.calibration_file import Calibration
 from gelform.errors import GelformError, needed, reason
 from gelform.foundations.checks import check_choice
 from gelform.foundations.processes import WorkerLostError, interrupt_held, worker_processes
-from gelform.image.frame import Frame
-from gelform.reconstruct import Reconstructor
 
 
 class Stopped(Exception):

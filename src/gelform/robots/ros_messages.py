@@ -12,12 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from gelform import Frame, Reconstruction
 from gelform.errors import needed
 from gelform.exchange.exporters.surface import M_PER_MM, points_from_result
-from gelform.image.frame import Frame
 from gelform.motion.surface import about_other_center
 from gelform.motion.track import Follower
-from gelform.result import Reconstruction
 from gelform.robots.topics import TOPICS
 from gelform.sensors.recordings.mcap_writer import header_of, typestore
 

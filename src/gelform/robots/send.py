@@ -13,13 +13,11 @@ from types import TracebackType
 
 from numpy.typing import ArrayLike
 
+from gelform import DataError, Frame, Reconstruction, Stream, open_source, stream
 from gelform.calibration_file import Calibration, as_calibration
-from gelform.errors import DataError
 from gelform.foundations.checks import check_path, check_positive
 from gelform.foundations.files import locked_folder, sweep
 from gelform.foundations.findings import FrameTally, Progress, no_progress
-from gelform.image.frame import Frame
-from gelform.result import Reconstruction
 from gelform.robots.ros_messages import RosMessages
 from gelform.robots.topics import (
     NEEDS_SCALE,
@@ -31,9 +29,7 @@ from gelform.robots.topics import (
     sensor_name_from,
 )
 from gelform.robots.zenoh_node import ZenohNode
-from gelform.sensors.source import open_source
 from gelform.sensors.streams.memory import StreamFrame
-from gelform.sensors.streams.stream import Stream, stream
 
 
 class BagFile:

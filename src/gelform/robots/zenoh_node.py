@@ -16,9 +16,8 @@ from itertools import count
 from types import TracebackType
 from typing import Any
 
+from gelform import Frame, Reconstruction
 from gelform.errors import GelformError, needed
-from gelform.image.frame import Frame
-from gelform.result import Reconstruction
 from gelform.robots.ros_messages import RosMessages
 from gelform.robots.topics import MAX_DOMAIN, ROUTER, TOPICS, USUAL, check_sensor_name, check_topics
 

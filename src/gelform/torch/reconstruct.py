@@ -8,12 +8,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gelform import CalibrationError, GelformError, markers_from_image
 from gelform.calibration_file import Calibration, as_calibration
-from gelform.errors import CalibrationError, GelformError
 from gelform.foundations.checks import check_image
 from gelform.foundations.filters import MIN_UNTOUCHED, lattice_step
 from gelform.image.background import EXPOSURE_STEP_PX
-from gelform.image.markers import markers_from_image
 
 try:
     import torch

@@ -334,7 +334,8 @@ class ForwardStep(nn.Module):
     def __init__(self, forward: ForwardResponse, untouched: float) -> None:
         super().__init__()
         assert forward.step_sigma is not None
-        places = interpolation(*pixel_positions(forward.shape).T, forward.shape)
+        x, y = pixel_positions(forward.shape).T
+        places = interpolation(x, y, forward.shape)
         maps = at_pixels(forward.nodes @ forward.roots[0], *places)
         self.register_buffer("coefficients", planes(maps.reshape(*forward.shape, -1, 3), 2, 3))
         self.register_buffer("root", torch.from_numpy(forward.roots[0]))

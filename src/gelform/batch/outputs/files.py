@@ -15,12 +15,11 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from gelform import DataError, Reconstruction
 from gelform.batch.inputs import Part
 from gelform.batch.settings import BatchSettings
-from gelform.errors import DataError
 from gelform.exchange.exporters.surface import MM_PER_LEVEL, UNKNOWN, ZERO_LEVEL, levels_from_depth
 from gelform.foundations.files import written_file
-from gelform.result import Reconstruction
 from gelform.result.maps import KEPT_MAPS, MAPS
 
 FRAMES, PARTS = "frames", "parts"

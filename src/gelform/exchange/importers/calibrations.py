@@ -17,7 +17,7 @@ from zipfile import ZipFile
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gelform import __version__
+from gelform import View, __version__, image_from_frame
 from gelform.arrays import Map, Numbers
 from gelform.calibration_file import Calibration, CalibrationSettings
 from gelform.errors import DataError, needed, said
@@ -25,7 +25,6 @@ from gelform.exchange.importers.tables import mm_per_px_of_lut, read_lut
 from gelform.foundations.checks import check_choice, check_image, check_is, check_path, check_sensor_pitch
 from gelform.foundations.files import DAMAGED_ARCHIVE, present_file
 from gelform.image.background import ChangeSettings, noise_from_image
-from gelform.image.view import View, image_from_frame
 from gelform.sensors.profiles import SENSORS, check_gel_width, make_of, view_from_camera
 from gelform.slopes.color_models import ColorModel, NetworkModel
 from gelform.slopes.color_models.networks import Layers
