@@ -62,6 +62,18 @@ def test_the_digest_knows_names_alone(tree):
     assert listing_of(tree).digest != before
 
 
+def test_digests_are_those_that_outputs_already_have(tree):
+    """With others, each output that was begun would be refused, and each of its parts done again."""
+    for path in tree.rglob("*.png"):
+        path.write_bytes(path.name.encode())
+    (tree / "a.h5").write_bytes(bytes(100))
+    episode = FilmRef("a.h5/gel/000001", tree / "a.h5", dataset="gel", offset=3, count=5)
+    listing = Listing(tree, (*listing_of(tree).sequences, episode))
+    assert listing.digest[:8] == "92b21ff9"
+    digests = [part.input_digest()[:8] for part in plan_of(listing, 3, 1)]
+    assert digests == ["439dd6b8", "e5a5f454", "2c7fa515", "2ce2fed2", "6dda209d", "0ee2f627"]
+
+
 def test_nothing_to_do_is_said(tmp_path):
     with pytest.raises(DataError, match=r"No file or folder .*absent. Check the path"):
         listing_of(tmp_path / "absent")
@@ -158,20 +170,6 @@ def test_the_background_is_the_average_of_the_first_frames(tmp_path, cal):
         np.testing.assert_allclose(background_of_film(part, 2, cal), image_of(None), atol=1)
 
 
-RED = np.array([1.1, 1, 1])
-
-
-@pytest.fixture
-def two_lights(tmp_path):
-    """Two sequences of an untouched gel, the second under a brighter red light; their backgrounds lie among them."""
-    for name, factor in (("a", 1), ("b", RED)):
-        image = np.clip(image_of(None) * factor, 0, 255).astype(np.uint8)
-        (tmp_path / "in" / name).mkdir(parents=True)
-        for one in ("0.png", "rest.png"):
-            save(tmp_path / "in" / name / one, image)
-    return tmp_path / "in"
-
-
 def table(folder, *rows):
     path = folder / "rest.csv"
     path.write_text("\n".join(("sequence,background", *rows)) + "\n")
@@ -192,11 +190,13 @@ def test_each_sequence_has_the_background_that_the_table_names(two_lights, cal, 
         run_batch(two_lights, cal, tmp_path / "own", background=swapped)
 
 
-def test_a_table_of_windows_names_the_same_files(two_lights, cal):
-    written = table(two_lights, "a,a/rest.png", "b,b/rest.png")
+def test_tables_name_files_as_windows_and_sequences_as_the_batch_write_them(tmp_path):
+    written = table(tmp_path, "a,a/rest.png", "b,b/rest.png")
     own = backgrounds_of(written)
     written.write_text("sequence;background\r\na;a\\rest.png\r\nb;b\\rest.png\r\n")
     assert backgrounds_of(written) == own
+    found = backgrounds_of(table(tmp_path, "'=a,'-b/rest.png", "plain,rest.png")).by_sequence
+    assert found == {"=a": tmp_path / "-b/rest.png", "plain": tmp_path / "rest.png"}
 
 
 def test_a_table_that_names_one_file_for_all_is_that_file(two_lights, cal, tmp_path):
@@ -206,14 +206,6 @@ def test_a_table_that_names_one_file_for_all_is_that_file(two_lights, cal, tmp_p
     kept = [tmp_path / name / "frames/b/0.npz" for name in ("one", "both")]
     assert kept[0].read_bytes() == kept[1].read_bytes()
     assert all(read_manifest(tmp_path / name).background_digest for name in ("one", "both"))
-
-
-def test_a_table_of_backgrounds_reads_names_as_the_batch_writes_them(two_lights):
-    path = table(two_lights, "'=a,'-b/rest.png", "plain,rest.png")
-    assert backgrounds_of(path).by_sequence == {
-        "=a": path.parent / "-b/rest.png",
-        "plain": path.parent / "rest.png",
-    }
 
 
 def test_refused_before_anything_is_written(two_lights, cal, tmp_path):

@@ -137,27 +137,10 @@ def job(cal, output, **settings):
     return Job(cal, None, output, BatchSettings(**settings))
 
 
-def test_the_same_depth_as_by_hand(tree, cal, images, tmp_path):
-    out = tmp_path / "out"
-    parts = plan_of(listing_of(tree), 256)
-    record = Worker(job(cal, out)).do(parts[1])
-    assert read_record(out, 1) == record
-    assert [row["output"] for row in record.rows][2] == "frames/day2/frame10.npz"
-    wanted = gelform.Reconstructor(cal).from_image(images[2]).depth_mm
-    with np.load(out / "frames/day2/frame10.npz") as file:
-        np.testing.assert_array_equal(file["depth_mm"], wanted)
-
-
-def test_a_background_of_each_sequence(tmp_path, cal):
-    """The gel of the second sequence has a brighter red light: with its own background its rest is flat all the same."""
-    rest = image_of(None)
-    brighter = np.clip(rest * np.array([1.1, 1, 1]), 0, 255).astype(np.uint8)
-    for name, image in (("a", rest), ("b", brighter)):
-        (tmp_path / "in" / name).mkdir(parents=True)
-        for k in range(2):
-            save(tmp_path / "in" / name / f"{k}.png", image)
+def test_a_background_of_each_sequence(two_lights, cal, tmp_path):
+    """With its own background each is flat at rest."""
     worker = Worker(job(cal, tmp_path / "out", background_frames=1))
-    for part in plan_of(listing_of(tmp_path / "in"), 1, 1):
+    for part in plan_of(listing_of(two_lights), 1, 1):
         (row,) = worker.do(part).rows
         assert abs(row["deepest_mm"]) < 0.02, row
 

@@ -11,7 +11,6 @@ import io
 import json
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import pytest
 
@@ -153,13 +152,6 @@ def test_whole_results_and_none_of_an_error(written, results, tmp_path):
     assert len(list((tmp_path / "frames/day/a").iterdir())) == 4
 
 
-def test_depth_in_16_bits(written, results, tmp_path):
-    _, rows = written("png")
-    depth, known = depth_from_levels(cv2.imread(str(tmp_path / rows[0]["output"]), cv2.IMREAD_UNCHANGED))
-    np.testing.assert_array_equal(known, results[0].known)
-    assert np.abs(depth - results[0].depth_mm)[known].max() <= 0.51e-4
-
-
 NEEDS = {"zarr": "numcodecs", "hdf5": "h5py", "lerobot": "av"}
 TO_THE_LEVEL_MM = {"lerobot": 0.501e-3}
 EPISODE = "gel/episode_000001"
@@ -256,11 +248,6 @@ def test_temporary_files_go_wherever_a_killed_run_leaves_them(form, request, cal
     assert [path for path in left if path.exists()] == []
 
 
-@pytest.fixture
-def av():
-    return pytest.importorskip("av", reason="the extra data is not installed")
-
-
 def assert_maps(maps, results):
     """Every map of every result, nothing where there is none."""
     assert {name.removesuffix("_mm") for name in maps} == set(KEPT)
@@ -273,12 +260,6 @@ def assert_maps(maps, results):
                 np.testing.assert_array_equal(stored[k], getattr(result, name))
     assert np.isnan(maps["depth_mm"][2]).all()
     assert maps["depth_mm"].attrs["unit"] == "mm"
-
-
-def assert_levels(levels, result):
-    depth, known = depth_from_levels(levels)
-    np.testing.assert_array_equal(known, result.known)
-    assert np.abs(depth - result.depth_mm)[known].max() <= 0.51e-4
 
 
 @pytest.mark.parametrize("counted", [True, False])
@@ -312,7 +293,9 @@ def test_every_map_as_zarr_reads_it(zarr, written, results, tmp_path, counted, p
 def test_levels_as_zarr_reads_them(zarr, written, results, tmp_path):
     written("zarr", dtype="uint16", keep=("depth",), sequence="")
     array = zarr.open_array(tmp_path / "frames/depth_mm", mode="r")
-    assert_levels(array[1], results[1])
+    depth, known = depth_from_levels(array[1])
+    np.testing.assert_array_equal(known, results[1].known)
+    assert np.abs(depth - results[1].depth_mm)[known].max() <= 0.51e-4
     assert (array[2] == 0).all()
     assert (array.attrs["scale_factor"], array.attrs["add_offset"]) == pytest.approx((1e-4, -3.2768))
 
@@ -342,8 +325,9 @@ def video_of(folder, shape):
     return WRITERS["lerobot"].writer(PartTarget(folder, part, BatchSettings("lerobot"), shape, {}))
 
 
-def test_levels_of_any_width_come_back_from_a_video(av, tmp_path):
+def test_levels_of_any_width_come_back_from_a_video(tmp_path):
     """Rows of odd widths are padded in memory."""
+    av = pytest.importorskip("av", reason="the extra data is not installed")
     for shape in ((48, 64), (50, 70), (33, 41)):
         levels = np.random.default_rng(0).integers(0, 4096, (3, *shape), dtype=np.uint16)
         with video_of(tmp_path / f"{shape[0]}", shape) as video:
@@ -356,7 +340,8 @@ def test_levels_of_any_width_come_back_from_a_video(av, tmp_path):
         np.testing.assert_array_equal([one.to_ndarray(format="gray12le") for one in frames], levels)
 
 
-def test_an_encoder_that_is_not_there(av, tmp_path, monkeypatch):
+def test_an_encoder_that_is_not_there(tmp_path, monkeypatch):
+    import_extra("lerobot")
     monkeypatch.setattr("gelform.batch.outputs.lerobot.ENCODER", "nosuch")
     with pytest.raises(DataError, match="has no encoder nosuch"), video_of(tmp_path, (48, 64)):
         pass
