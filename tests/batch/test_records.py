@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import pytest
 
-from gelform.batch import KEPT, run_batch, verify_output
+from gelform.batch import KEPT, BatchSettings, run_batch, verify_output
 from gelform.batch.outputs.files import OutputFile
 from gelform.batch.records import (
     COLUMNS,
@@ -31,7 +31,6 @@ from gelform.batch.records import (
     write_table,
 )
 from gelform.batch.run import GAP_PX, LABEL_PX, TILE_PX, contact_sheet, sheet_bytes
-from gelform.batch.settings import BatchSettings
 from gelform.errors import DataError
 from made.small_gel import save
 

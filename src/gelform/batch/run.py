@@ -25,7 +25,7 @@ from gelform.batch.inputs import (
     plan_of,
     shard_of,
 )
-from gelform.batch.outputs.files import FRAMES, PARTS, check_names, output_file, write_output
+from gelform.batch.outputs.files import FRAMES, PARTS, BatchSettings, check_names, output_file, write_output
 from gelform.batch.outputs.lerobot import EPISODES, check_lerobot_source
 from gelform.batch.outputs.writers import WRITERS, depth_of_row
 from gelform.batch.records import (
@@ -43,7 +43,6 @@ from gelform.batch.records import (
     write_record,
     write_table,
 )
-from gelform.batch.settings import BatchSettings
 from gelform.batch.work import Engine, Job
 from gelform.calibration.library.library import choose_calibration, unit_of_all
 from gelform.calibration_file import Calibration, as_calibration

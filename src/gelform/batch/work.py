@@ -28,10 +28,9 @@ from gelform.batch.inputs import (
     frames_of_part,
     image_of_calibration,
 )
-from gelform.batch.outputs.files import PartTarget, PartWriter, facts_of
+from gelform.batch.outputs.files import BatchSettings, PartTarget, PartWriter, facts_of
 from gelform.batch.outputs.writers import WRITERS
 from gelform.batch.records import COLUMNS, PartRecord, write_record
-from gelform.batch.settings import BatchSettings
 from gelform.errors import GelformError, needed, reason
 from gelform.foundations.checks import check_choice
 from gelform.foundations.processes import WorkerLostError, interrupt_held, worker_processes

@@ -3,11 +3,10 @@
 import pytest
 
 import gelform
-from gelform.batch.containers import FilmRef
+from gelform.batch import BatchSettings, FilmRef
 from gelform.batch.inputs import Part
 from gelform.batch.outputs.files import PartTarget
 from gelform.batch.outputs.writers import WRITERS
-from gelform.batch.settings import BatchSettings
 from made.small_gel import MM_PER_PX, SHAPE
 
 COUNT = 5

@@ -15,12 +15,12 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform.batch import RunOptions, run_batch, verify_output
-from gelform.batch.containers import FilmRef
+from gelform.batch import KEPT, BatchSettings, FilmRef, RunOptions, run_batch, verify_output
 from gelform.batch.inputs import Part
 from gelform.batch.outputs import files as output_files
 from gelform.batch.outputs.array_files import shard_frames, write_hdf5_index
 from gelform.batch.outputs.files import (
+    FORMATS,
     FlushedLater,
     OutputFile,
     PartTarget,
@@ -35,7 +35,6 @@ from gelform.batch.outputs.files import (
 )
 from gelform.batch.outputs.writers import WRITERS, depth_of_row
 from gelform.batch.records import COLUMNS
-from gelform.batch.settings import FORMATS, KEPT, BatchSettings
 from gelform.depth.force import ForceModel, ForcePart
 from gelform.errors import DataError
 from gelform.exchange.exporters.surface import depth_from_levels

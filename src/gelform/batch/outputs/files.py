@@ -1,9 +1,10 @@
-"""Paths of a part's outputs, the record of each file, and the maps of a result as they are written."""
+"""The settings of a batch, which determine its outputs' bytes; each file, and the maps of a result as they are written."""
 
 from __future__ import annotations
 
 import hashlib
 import os
+import sys
 from abc import abstractmethod
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -17,13 +18,79 @@ from numpy.typing import NDArray
 
 from gelform import DataError, Reconstruction
 from gelform.batch.inputs import Part
-from gelform.batch.settings import BatchSettings
+from gelform.depth.integrate import checked_solver
 from gelform.exchange.exporters.surface import MM_PER_LEVEL, UNKNOWN, ZERO_LEVEL, levels_from_depth
+from gelform.foundations.checks import check_choice
 from gelform.foundations.files import written_file
 from gelform.result.maps import KEPT_MAPS, MAPS
 
 FRAMES, PARTS = "frames", "parts"
+KEPT, FORMATS = tuple(KEPT_MAPS), ("npz", "png", "zarr", "hdf5", "lerobot")
 Maps = Mapping[str, NDArray[Any]]
+
+
+@dataclass(frozen=True)
+class BatchSettings:
+    """Settings of a batch; a continued run must have the same.
+
+    Attributes
+    ----------
+    form : "npz" and "png", a file per frame; "zarr" and "hdf5", whose chunks are frames; "lerobot", a
+        LeRobot data set with an additional column of depth
+    keep : maps among KEPT; ("all",), only for npz: the whole result, which `gelform.load_result` reads
+    dtype : of the kept maps; "uint16" is depth only, (v - 32768) x 1e-4 mm, 0 where unknown: always so in png, never in
+        npz; in lerobot 1000 + depth in um
+    solver : as of a `Reconstructor`
+    background_frames : number of frames at the start of each sequence that are averaged as its background; 0: none
+    bgr : whether the input's channels are in the order blue, green, red, as OpenCV writes an array
+    part_frames : images in one part; a video or a recording is one part
+
+    Raises
+    ------
+    ValueError
+        A setting is invalid; the message says what was expected.
+    """
+
+    form: str = "npz"
+    keep: tuple[str, ...] = ("depth", "known")
+    solver: str = "auto"
+    background_frames: int = 0
+    part_frames: int = 256
+    dtype: str = ""
+    bgr: bool = False
+
+    def __post_init__(self) -> None:
+        check_choice(self.form, FORMATS, "a format")
+        keeps_all = self.keep == ("all",)
+        if not self.keep or not (keeps_all or set(self.keep) <= set(KEPT)):
+            raise ValueError(f"Expected maps to keep among {', '.join(KEPT)}, or all, got {self.keep}.")
+        if keeps_all and self.form != "npz":
+            raise ValueError(
+                f"Expected maps by name in {self.form}, got all. Whole results are written as npz."
+            )
+        usual = "uint16" if self.form in ("png", "lerobot") else "float32"
+        object.__setattr__(self, "dtype", self.dtype or usual)
+        check_choice(self.dtype, ("float32", "uint16"), "a dtype")
+        if self.dtype != usual and self.form not in ("zarr", "hdf5"):
+            raise ValueError(f"Expected {usual} in {self.form}, got {self.dtype}. Zarr and HDF5 hold either.")
+        if self.dtype == "uint16" and set(self.keep) - {"depth", "known"}:
+            raise ValueError(
+                f"Expected depth alone in 16 bits, got {', '.join(self.keep)}. Write float32 as npz, zarr or hdf5."
+            )
+        checked_solver(self.solver)
+        if not 0 <= self.background_frames <= 200:  # which are in memory together
+            raise ValueError(f"Expected 0 to 200 frames for a background, got {self.background_frames}.")
+        if self.part_frames < 1:
+            raise ValueError(f"Expected at least one frame in a part, got {self.part_frames}.")
+
+    @property
+    def frames_in_a_part(self) -> int:
+        """The largest number of images in a part; all of a sequence in LeRobot's form, where that is one file."""
+        return sys.maxsize if self.form == "lerobot" else self.part_frames
+
+    def facts(self) -> dict[str, Any]:
+        """The settings for JSON."""
+        return {**vars(self), "keep": list(self.keep)}
 
 
 @dataclass(frozen=True)
