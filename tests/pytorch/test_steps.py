@@ -27,7 +27,6 @@ from gelform.torch.steps import (  # noqa: E402
     gradients_module,
     medians_where,
     planes,
-    shares,
 )
 
 
@@ -42,12 +41,6 @@ def test_medians_are_the_kernels(share):
     for k, one in enumerate(maps):
         expected, _ = by_kernel(one, None if chosen is None else chosen[k])
         np.testing.assert_allclose(found[k, :, 0, 0], expected, rtol=1e-6)
-
-
-def test_shares_of_blocks_are_means():
-    found = shares(7, 2, cv2.INTER_AREA)
-    np.testing.assert_allclose(found[0], np.array([1, 1, 1, 0.5, 0, 0, 0]) / 3.5, atol=1e-6)
-    np.testing.assert_allclose(found.sum(1), 1, atol=1e-6)
 
 
 def test_the_solve_has_exact_derivatives():
@@ -146,14 +139,15 @@ def response(shape, seed=0, scale=1.0):
     return ForwardResponse(nodes, 1e-4 * (mixed @ mixed.T + np.eye(3)), shape, (0.01, 0.15))
 
 
-def frame(shape, center, seed=1):
-    """Color change (H, W, 3) and slopes (H, W, 2) of a bump some pixels high, with noise."""
+def frame(shape, center, seed=1, tilt=0.0):
+    """Color change (H, W, 3) and slopes (H, W, 2) of a bump 6 px high on gel that tilts a little, with noise."""
     rng = np.random.default_rng(seed)
     y, x = np.mgrid[: shape[0], : shape[1]].astype(float)
     dx, dy = x - center[0], y - center[1]
     slopes = np.stack([-dx, -dy], axis=-1) * (6 / 100 * np.exp(-(dx**2 + dy**2) / 200))[..., None]
-    change = slopes @ rng.uniform(-1, 1, (2, 3)) + rng.normal(0, 0.004, (*shape, 3))
-    return change.astype(np.float32), (slopes + rng.normal(0, 0.003, slopes.shape)).astype(np.float32)
+    change = slopes @ rng.uniform(-1, 1, (2, 3)) + 2 * tilt + rng.normal(0, 0.004, (*shape, 3))
+    slopes += tilt + rng.normal(0, 0.003, slopes.shape)
+    return change.astype(np.float32), slopes.astype(np.float32)
 
 
 def batch(*maps):
@@ -213,29 +207,18 @@ def test_a_gel_at_rest_has_derivatives():
     assert derivative.abs().max() > 0.01
 
 
-def bump(shape, center):
-    """Color change (H, W, 3) and slopes (H, W, 2) of a bump 4 px high on gel that tilts a little, with noise."""
-    rng = np.random.default_rng(shape)
-    y, x = np.mgrid[: shape[0], : shape[1]].astype(float)
-    dx, dy = x - center[0], y - center[1]
-    slopes = np.stack([-dx, -dy], axis=-1) * (4 / 64 * np.exp(-(dx**2 + dy**2) / 128))[..., None]
-    noise = rng.normal(0, 0.004, (*shape, 3))
-    change = slopes @ rng.uniform(-1, 1, (2, 3)) + 0.02 + noise
-    return change.astype(np.float32), (slopes + 0.01 + noise[..., :2]).astype(np.float32)
-
-
 @pytest.mark.parametrize(
     ("shape", "untouched"),
     [((64, 96), 0.01), ((61, 90), 0.01), ((7, 33), 0.01), ((61, 90), 1e-6)],
     ids=["divided", "not_divided", "low", "the_least_changed"],
 )
 def test_depth_is_the_numpy_paths(shape, untouched):
-    frames = [bump(shape, (20, 5)), bump(shape, (12.5, shape[0] / 2))]
+    frames = [frame(shape, center, 7, 0.01) for center in ((20, 5), (12.5, shape[0] / 2))]
     ours, theirs = CoarseDepth(shape, untouched), coarse.CoarseDepth(shape, untouched)
     changes, slopes = (batch(*maps) for maps in zip(*frames))
     found = ours(slopes, ours.rest(changes))
-    for frame, depth, full in zip(frames, found[:, 0], ours.in_full(found)[:, 0]):
-        expected = theirs(*frame)
+    for one, depth, full in zip(frames, found[:, 0], ours.in_full(found)[:, 0]):
+        expected = theirs(*one)
         assert expected.max() > 0.3
         np.testing.assert_allclose(depth, expected, atol=2e-5 * expected.max())
         everywhere = cv2.resize(expected, shape[::-1], interpolation=cv2.INTER_LINEAR)

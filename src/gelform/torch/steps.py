@@ -75,12 +75,7 @@ class PoissonDepth(nn.Module):
 
     The slope of an edge is the mean of its two pixels' slopes. The cosine modes diagonalize the normal equations (B.
     L. Buzbee, G. H. Golub and C. W. Nielson, SIAM J. Numer. Anal. 7, 1970). Each transform is one FFT of the reordered
-    rows (J. Makhoul, IEEE Trans. ASSP 28, 1980).
-
-    Parameters
-    ----------
-    shape : (H, W)
-    mm_per_px : (x, y), mm, or another unit, which depth then has
+    rows (J. Makhoul, IEEE Trans. ASSP 28, 1980). `mm_per_px` is (x, y), mm, or in another unit, which depth then has.
     """
 
     def __init__(self, shape: tuple[int, int], mm_per_px: tuple[float, float]) -> None:
