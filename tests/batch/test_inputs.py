@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import gelform
+from gelform import DataError, Frame
 from gelform.batch import run_batch
 from gelform.batch.containers import FilmRef
 from gelform.batch.inputs import (
@@ -19,8 +20,6 @@ from gelform.batch.inputs import (
     shard_of,
 )
 from gelform.batch.records import read_manifest
-from gelform.errors import DataError
-from gelform.image.frame import Frame
 from gelform.sensors.playback import RecordingFacts
 from gelform.sensors.recordings.mcap_writer import McapRecording
 from made.small_gel import image_of, save

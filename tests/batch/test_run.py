@@ -15,12 +15,11 @@ import numpy as np
 import pytest
 
 import gelform
+from gelform import DataError, Frame
 from gelform.batch import BatchSettings, Engine, RunOptions, listing_of, run_batch, verify_output
 from gelform.batch.inputs import plan_of
 from gelform.batch.records import read_record, record_path
 from gelform.batch.work import Job, Stopped, Worker, WorkerLostError, done_parts
-from gelform.errors import DataError
-from gelform.image.frame import Frame
 from made.small_gel import image_of, save
 from made.sources import recorded
 

@@ -5,9 +5,8 @@ import sys
 import numpy as np
 import pytest
 
-from gelform.errors import DataError, GelformError
+from gelform import DataError, GelformError, read_image
 from gelform.exchange.plots import canvas, deepest_px, draw_map, pixels_of, save_picture
-from gelform.sensors.files import read_image
 
 
 def test_pictures_are_saved_as_they_are(tmp_path):

@@ -13,12 +13,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from gelform import DataError, Frame, Reconstruction
 from gelform.depth.force import ForceModel, ForcePart
-from gelform.errors import DataError
 from gelform.foundations.findings import Finding
-from gelform.image.frame import Frame
 from gelform.image.markers import MarkerFlow
-from gelform.result import Reconstruction
 from gelform.robots import depth_from_lerobot_levels, lerobot_levels_from_depth
 from gelform.robots.ros_messages import RosMessages, optical_pose
 from gelform.robots.topics import TOPICS, check_sensor_name, check_topics, sensor_name_from

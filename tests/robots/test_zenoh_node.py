@@ -11,10 +11,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gelform.errors import GelformError
+from gelform import Frame, GelformError, Reconstruction
 from gelform.foundations.findings import Finding
-from gelform.image.frame import Frame
-from gelform.result import Reconstruction
 from gelform.robots.zenoh_node import Node, ZenohNode, attachment, dds_type, gid_from_token
 from gelform.sensors.recordings.mcap_writer import typestore
 

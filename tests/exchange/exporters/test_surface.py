@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 import gelform
-from gelform.errors import CalibrationError, DataError
+from gelform import CalibrationError, DataError, Reconstruction
 from gelform.exchange.exporters.surface import (
     SURFACES,
     depth_from_levels,
@@ -32,7 +32,6 @@ from gelform.exchange.exporters.surface import (
 from gelform.exchange.exporters.taxim import BINS, save_taxim, taxim_table
 from gelform.exchange.importers.tables import read_taxim_forward
 from gelform.image.background import image_from_color_change
-from gelform.result import Reconstruction
 from gelform.result.metrics import ball_gradients
 from gelform.simulate import Ball, simulate_press
 from made.files import web_file
