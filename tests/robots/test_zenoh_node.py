@@ -1,7 +1,4 @@
-"""Keys and tokens equal those in rmw_zenoh's documentation and in its other implementations.
-
-A node, a router and a subscriber talk over zenoh's own sockets.
-"""
+"""Keys and tokens equal rmw_zenoh's; a node, a router and a subscriber talk over zenoh's own sockets."""
 
 import queue
 import struct
