@@ -12,7 +12,6 @@ from gelform.batch import run_batch
 from gelform.batch.containers import FilmRef
 from gelform.batch.inputs import (
     Listing,
-    background_of_film,
     backgrounds_of,
     frames_of_part,
     listing_of,
@@ -22,7 +21,6 @@ from gelform.batch.inputs import (
 from gelform.batch.records import read_manifest
 from gelform.sensors.playback import RecordingFacts
 from gelform.sensors.recordings.mcap_writer import McapRecording
-from made.small_gel import image_of, save
 
 NATURAL = ("frame1.png", "frame2.png", "frame10.png", "frame11.png")
 
@@ -162,13 +160,6 @@ def test_a_recording_with_its_times(tmp_path, images):
     assert found[3][1].time_s == pytest.approx(0.3)
 
 
-def test_the_background_is_the_average_of_the_first_frames(tmp_path, cal):
-    for k in range(3):
-        save(tmp_path / f"{k}.png", image_of(None))
-    for part in parts_of(tmp_path, 2, 2):
-        np.testing.assert_allclose(background_of_film(part, 2, cal), image_of(None), atol=1)
-
-
 def table(folder, *rows):
     path = folder / "rest.csv"
     path.write_text("\n".join(("sequence,background", *rows)) + "\n")
@@ -200,7 +191,7 @@ def test_tables_name_files_as_windows_and_sequences_as_the_batch_write_them(tmp_
 
 def test_a_table_that_names_one_file_for_all_is_that_file(two_lights, cal, tmp_path):
     same = table(two_lights, "a,a/rest.png", "b,a/rest.png")
-    run_batch(two_lights, cal, tmp_path / "one", background=two_lights / "a/rest.png")
+    assert run_batch(two_lights, cal, tmp_path / "one", background=two_lights / "a/rest.png").frames == 3
     run_batch(two_lights, cal, tmp_path / "both", background=same, table="csv")
     kept = [tmp_path / name / "frames/b/0.npz" for name in ("one", "both")]
     assert kept[0].read_bytes() == kept[1].read_bytes()

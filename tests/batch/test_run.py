@@ -91,14 +91,6 @@ def test_something_else_is_refused_unless_it_may_begin_anew(tree, cal, done, vis
     assert {path.suffix for path in (done / "frames").rglob("*.*")} == {".png"}
 
 
-def test_the_background_given_is_used_and_is_no_frame(tree, cal, tmp_path):
-    save(tree / "rest.png", image_of(None))
-    summary = run_batch(tree, cal, tmp_path / "out", PARTS, background=tree / "rest.png")
-    assert (summary.frames, summary.errors) == (8, 0)
-    with pytest.raises(DataError, match="the background"):
-        run_batch(tree, cal, tmp_path / "out", PARTS, background=tree / "frame1.png")
-
-
 def test_what_cannot_be_an_output_is_refused(tree, cal, tmp_path):
     for inside in ["", "out", "day2/out"]:
         with pytest.raises(DataError, match="is inside the input"):
