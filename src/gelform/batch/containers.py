@@ -22,7 +22,6 @@ MAX_FRAMES = 10**7  # of a sequence: two days at 60 per second; more is a damage
 DAMAGED = (OSError, ValueError, RuntimeError)  # errors of h5py and zarr for a chunk that cannot be decoded
 NODES = (".zgroup", ".zarray", "zarr.json")  # metadata in the folder of a Zarr group or array
 ENDS = "meta/episode_ends"  # next to data/CAMERA, in the layout of diffusion policies
-Shapes = Mapping[str, tuple[tuple[int, ...], str]]  # path inside -> (shape, dtype)
 
 
 @dataclass(frozen=True)
@@ -80,8 +79,8 @@ class ContainerError(DataError):
     """A file of frames cannot be opened."""
 
 
-def matching(path: Path, there: Shapes, wanted: str) -> list[str]:
-    """The datasets that match a pattern such as "data/*/obs/gelsight"; * matches one name.
+def matching(path: Path, there: Mapping[str, tuple[tuple[int, ...], str]], wanted: str) -> list[str]:
+    """The datasets, of `there` with shape and type, that match a pattern ("data/*/obs/gelsight"); * matches one name.
 
     DataError: none does. It lists the datasets; those that differ only in a number appear once.
     """
@@ -252,8 +251,7 @@ def lerobot_info(root: Path) -> dict[str, Any]:
 
 def lerobot_episodes(root: Path, columns: list[str]) -> list[dict[str, Any]]:
     """Rows of `meta/episodes`, ordered by episode; DataError if they are unreadable or lack a column."""
-    parquet = needed("pyarrow.parquet", "data", "LeRobot")
-    pyarrow = needed("pyarrow", "data", "LeRobot")
+    parquet, pyarrow = (needed(name, "data", "LeRobot") for name in ("pyarrow.parquet", "pyarrow"))
     rows: list[dict[str, Any]] = []
     try:
         for path in sorted((root / EPISODES).glob("*/*.parquet")):
@@ -358,8 +356,7 @@ def stored_images(
     Only the needed row groups and columns are read. DataError if the table ends earlier, or its order contradicts the
     table of episodes.
     """
-    parquet = needed("pyarrow.parquet", "data", "LeRobot")
-    pyarrow = needed("pyarrow", "data", "LeRobot")
+    parquet, pyarrow = (needed(name, "data", "LeRobot") for name in ("pyarrow.parquet", "pyarrow"))
     done = 0
     try:
         with parquet.ParquetFile(path) as file:

@@ -382,20 +382,9 @@ def comparison_picture(
 ) -> Image:
     """The image, both depths on one scale, their difference, and both profiles through A's deepest point.
 
-    Parameters
-    ----------
-    a, b : results of the same image
-    image : (H, W, 3) RGB
-    names : of the two calibrations
+    The results are of the same image (H, W, 3) RGB, by the calibrations of these names; the picture is (h, w, 3) uint8, RGB.
 
-    Returns
-    -------
-    picture : (h, w, 3) uint8, RGB
-
-    Raises
-    ------
-    GelformError
-        matplotlib is not installed.
+    GelformError: matplotlib is not installed.
     """
     compared = compare_results(a, b)
     shown = check_image(image, shape=a.shape).astype(np.uint8)

@@ -101,9 +101,7 @@ class PartTarget:
     part: Part
     settings: BatchSettings
     shape: tuple[int, int]  # (H, W) of the maps
-    facts: Mapping[
-        str, Any
-    ]  # of the calibration, for the files' attributes: mm_per_px and calibration_digest
+    facts: Mapping[str, Any]  # mm_per_px and calibration_digest, for the files' attributes
 
     @property
     def folder(self) -> Path:

@@ -304,8 +304,7 @@ def _forces(episodes: Episodes) -> Vectors:
 
 def _write_with_forces(path: Path, target: Path, forces: Vectors) -> None:
     """Write a table of frames with the force on each camera's gel; one row group is in memory at a time."""
-    parquet = needed("pyarrow.parquet", "data", "LeRobot")
-    pyarrow = needed("pyarrow", "data", "LeRobot")
+    parquet, pyarrow = (needed(name, "data", "LeRobot") for name in ("pyarrow.parquet", "pyarrow"))
     vector = pyarrow.list_(pyarrow.float32(), len(AXES))
     with parquet.ParquetFile(path) as file:
         # The metadata repeat the features for Hugging Face's reader, which takes them from the schema without.
@@ -334,8 +333,7 @@ def _of_vectors(rows: NDArray[np.float64]) -> dict[str, Any]:
 
 def _table(path: Path, episodes: Episodes, forces: Vectors) -> bytes:
     """A table of episodes with the places, times and statistics of their depth, and those of their forces."""
-    parquet = needed("pyarrow.parquet", "data", "LeRobot")
-    pyarrow = needed("pyarrow", "data", "LeRobot")
+    parquet, pyarrow = (needed(name, "data", "LeRobot") for name in ("pyarrow.parquet", "pyarrow"))
     table, content = parquet.read_table(path), io.BytesIO()
     numbers, columns = table["episode_index"].to_pylist(), []
     for key, of in episodes.items():

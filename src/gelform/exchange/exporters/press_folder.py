@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gelform.arrays import Array, Image
+from gelform.arrays import Image
 from gelform.errors import DataError
 from gelform.foundations.checks import (
     check_image,
@@ -108,13 +108,6 @@ def write_png(path: Path, image: ArrayLike, shape: tuple[int, int] | None = None
     path.write_bytes(picture_bytes(pixels))
 
 
-def write_npz(path: Path, arrays: Mapping[str, ArrayLike]) -> None:
-    """Write named arrays, compressed."""
-    members: dict[str, Any] = {name: np.asarray(value) for name, value in arrays.items()}
-    with path.open("wb") as file:
-        np.savez_compressed(file, **members)
-
-
 def save_simulated_press(
     folder: str | os.PathLike[str],
     sensor: SimulatedSensor,
@@ -164,20 +157,13 @@ def write_truth(path: Path, press: SimulatedPress, meta: Mapping[str, Any], **ar
         "tilt_deg": list(press.pose.tilt_deg),
         "time_s": press.time_s,
     }
-    members: dict[str, Any] = {
-        **arrays,
-        **truth_from_press(press),
-        "albedo": press.albedo,
-        "shadowed": press.shadowed,
-        "saturated": press.saturated,
-        "markers_px": press.markers_px,
-        "markers_shift_mm": press.markers_shift_mm,
-        "meta": np.array(json.dumps({**meta, **pose, "indenter": repr(press.indenter)}, sort_keys=True)),
-    }
-    write_npz(path, members)
+    names = ("albedo", "shadowed", "saturated", "markers_px", "markers_shift_mm")
+    maps = {**arrays, **truth_from_press(press), **{name: getattr(press, name) for name in names}}
+    text = json.dumps({**meta, **pose, "indenter": repr(press.indenter)}, sort_keys=True)
+    np.savez_compressed(path, **maps, meta=np.array(text))
 
 
-def truth_from_press(press: SimulatedPress) -> dict[str, Array]:
+def truth_from_press(press: SimulatedPress) -> dict[str, Any]:
     """The saved truth of a simulated press: depth_mm, gradients (float32), contact."""
     return {
         "depth_mm": press.depth_mm.astype(np.float32),
@@ -337,7 +323,7 @@ def save_press_folder(
             write_png(partial / rows[k]["image"], image, (height, width))
             if truths is not None:
                 (partial / "truth").mkdir(exist_ok=True)
-                write_npz(partial / "truth" / f"{k:04d}.npz", truths[k])
+                np.savez_compressed(partial / f"truth/{k:04d}.npz", **dict[str, Any](truths[k]))
             progress(k + 1, len(images), "writing presses")
         write_csv(partial / "presses.csv", rows)
         write_sensor_toml(partial / "sensor.toml", name, pitch, serial)
