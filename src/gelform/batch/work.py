@@ -143,9 +143,8 @@ def done_parts(
         with worker_processes(workers, _prepare, shared, stop, kept=NOTHING_LOST) as pool:
             try:
                 with interrupt_held():
-                    waiting = {pool.submit(_do, part) for part in parts}
+                    waiting = [pool.submit(_do, part) for part in parts]
                 for future in as_completed(waiting):
-                    waiting.discard(future)
                     yield future.result()
             finally:
                 stop.value = 1
