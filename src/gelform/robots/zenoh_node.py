@@ -13,7 +13,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from hashlib import blake2b
 from itertools import count
-from types import TracebackType
 from typing import Any
 
 from gelform import Frame, Reconstruction
@@ -130,9 +129,7 @@ class ZenohNode:
     def __enter__(self) -> ZenohNode:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 

@@ -102,19 +102,6 @@ def test_normals_that_are_too_long_stay_finite(tmp_path):
     assert np.abs(found).max() <= 10.0 + 1e-5
 
 
-def test_frames_equal_scattered_pixels_and_saved_models(tmp_path):
-    model = read_gsrobotics_web(web_file(tmp_path / "w.bin", GENTLE), BACKGROUND, position="true")
-    change = image_and_change()[1]
-    frame = slopes_of(model, change)
-    rows, columns = np.array([0, 3, 11]), np.array([15, 4, 0])
-    scattered = model.gradients_at(change[rows, columns], columns, rows)
-    np.testing.assert_allclose(scattered, frame[rows, columns], atol=1e-6)
-    again = type(model).from_arrays(*model.to_arrays())
-    np.testing.assert_array_equal(slopes_of(again, change), frame)
-    with pytest.raises(ValueError, match="as imported, got 10x10"):
-        model.prepare(np.zeros((10, 10, 3)), (10, 10))
-
-
 def older_network(torch, kind):
     """gs_sdk's older network, in its 1x1 convolutions or in the form that it trains, after some training data."""
     torch.manual_seed(0)

@@ -109,7 +109,7 @@ class PartTarget:
         return self.output / FRAMES / self.part.film.name
 
 
-class FlushedLater:
+class FlushedLater(AbstractContextManager["FlushedLater"]):
     """Flushes files to the disk in the background; the end of the context waits until the disk has them all.
 
     Otherwise a worker would wait for the disk after every frame. If power fails before, the part has no record and is done
@@ -126,9 +126,6 @@ class FlushedLater:
         written = write_output(self._output, path, content, flushed=False)
         self._files.append(self._flushing.submit(_flush, path))
         return written
-
-    def __enter__(self) -> FlushedLater:
-        return self
 
     def __exit__(self, *error: object) -> None:
         self._flushing.shutdown(cancel_futures=error[0] is not None)
