@@ -1,7 +1,6 @@
-"""Depth in LeRobot's videos and tables.
+"""Depth in LeRobot's videos and tables: 1 um a code by the formula that LeRobot decodes, with the statistics of all.
 
-Codes are 1 um by the formula that LeRobot decodes, with the statistics of all of them. The data set keeps all its
-content, gains one feature in every table, and is complete after any interruption.
+The data set keeps all its content, gains one feature in every table, and is complete after any interruption.
 """
 
 import json
@@ -123,7 +122,6 @@ def test_everything_else_is_as_it_was_and_the_tables_say_where_depth_is(done, vi
     assert new == {f"videos/{DEPTH}/chunk-000/file-{k:03d}.mp4" for k in range(3)}
     assert "README.md" in after
     assert verify_output(output) == (9, 0, [])
-    root, output = done
     old, new = (json.loads((one / "meta/info.json").read_text()) for one in (root, output / "frames"))
     assert new["features"].pop(DEPTH)["shape"] == [64, 80, 1]
     assert new == old
@@ -160,11 +158,9 @@ def with_force(cal):
     )
 
 
-def test_the_force_on_each_frame_is_in_the_tables(lerobot, with_force, tmp_path, visible):
+def test_the_force_on_each_frame_is_in_the_tables(lerobot, with_force, tmp_path):
     root, frames = lerobot
-    before = visible(root)
     assert run_batch(root, with_force, tmp_path / "out", SETTINGS, dataset=KEY, table="csv").complete
-    assert visible(root) == before
     assert verify_output(tmp_path / "out") == (9, 0, [])
     output = tmp_path / "out/frames"
     reconstruct = gelform.Reconstructor(with_force, solver=SETTINGS.solver)
@@ -234,8 +230,7 @@ def test_what_cannot_be_is_refused(lerobot, tree, cal, tmp_path):
     (root / "meta/info.json").write_text(json.dumps(info))
     with pytest.raises(DataError, match=f"has {DEPTH} already"):
         check_lerobot_source(root, {KEY})
-    info["video_path"] = "films/{video_key}.mp4"
-    (root / "meta/info.json").write_text(json.dumps(info))
+    (root / "meta/info.json").write_text(json.dumps({**info, "video_path": "films/{video_key}.mp4"}))
     with pytest.raises(DataError, match="Expected videos at"):
         check_lerobot_source(root, {KEY})
 

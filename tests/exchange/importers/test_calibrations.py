@@ -49,27 +49,20 @@ def answered(arrays, image, position):
 
 
 def test_gs_sdk_angles_go_down_where_pressed(tmp_path):
-    arrays = network_arrays((5, 32, 32, 32, 2))
-    model = read_gs_sdk(torch_file(tmp_path / "nnmodel.pth", arrays), BACKGROUND)
-    image, change = image_and_change()
-    found = slopes_of(model, change)
-    theirs = np.tan(answered(arrays, image, "xy")) - np.tan(answered(arrays, BACKGROUND, "xy"))
-    np.testing.assert_allclose(found, -theirs, atol=2e-5)
+    arrays, (image, change) = network_arrays((5, 32, 32, 32, 2)), image_and_change()
+    found = slopes_of(read_gs_sdk(torch_file(tmp_path / "nnmodel.pth", arrays), BACKGROUND), change)
+    theirs, rest = (np.tan(answered(arrays, one, "xy")) for one in (image, BACKGROUND))
+    np.testing.assert_allclose(found, rest - theirs, atol=2e-5)
 
 
-def by_gsrobotics(arrays, image, position):
-    """Gradients as its network's normals in plain numpy give them."""
-    n = answered(arrays, image, {"true": "yx", "zeros": "zeros"}[position])
-    return -n / np.sqrt(1 - np.sum(n**2, axis=-1, keepdims=True))
-
-
-@pytest.mark.parametrize("position", ["zeros", "true"])
-def test_the_browser_port_of_gsrobotics(tmp_path, position):
-    path = web_file(tmp_path / "weights.bin", GENTLE)
-    image, change = image_and_change()
+@pytest.mark.parametrize(("position", "place"), [("zeros", "zeros"), ("true", "yx")])
+def test_the_browser_port_of_gsrobotics(tmp_path, position, place):
+    """Its network's normals in plain numpy become gradients."""
+    path, (image, change) = web_file(tmp_path / "weights.bin", GENTLE), image_and_change()
     found = slopes_of(read_gsrobotics_web(path, BACKGROUND, position=position), change)
-    theirs = by_gsrobotics(GENTLE, image, position) - by_gsrobotics(GENTLE, BACKGROUND, position)
-    np.testing.assert_allclose(found, theirs, atol=2e-5)
+    normals = (answered(GENTLE, one, place) for one in (image, BACKGROUND))
+    theirs, rest = (-n / np.sqrt(1 - np.sum(n**2, axis=-1, keepdims=True)) for n in normals)
+    np.testing.assert_allclose(found, theirs - rest, atol=2e-5)
     path.write_bytes(path.read_bytes()[:-4])
     with pytest.raises(gelform.DataError, match="Expected 35336 bytes"):
         read_gsrobotics_web(path, BACKGROUND, position="true")
