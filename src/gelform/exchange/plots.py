@@ -260,8 +260,7 @@ def _draw_profiles(axes: Any, result: Reconstruction, row: int, column: int) -> 
 
 USUAL = "usual noise"  # what no cause explains
 LEAST_SHARE = 5e-4  # fraction of the frame that a cause affects; a smaller one gets no panel
-COLORS = ("#e8e8e8", *(cause.color for cause in CAUSES.values()))
-"""Colors of the usual noise and of each cause, in the order of `CAUSES`."""
+COLORS = ("#e8e8e8", *(cause.color for cause in CAUSES.values()))  # of the usual noise and of each cause
 
 
 def explanation_picture(explanation: Explanation, image: ArrayLike) -> Image:

@@ -265,14 +265,14 @@ def import_calibration(
         check_is(sensor_name, str, "sensor_name")
     frame = check_image(background, name="background").astype(np.float32)
     if package == "lut" and mm_per_px is None:
-        mm_per_px = mm_per_px_of_lut(path, (frame.shape[0], frame.shape[1]))
+        mm_per_px = mm_per_px_of_lut(path, frame.shape[:2])
     if mm_per_px is not None:
         mm_per_px = check_sensor_pitch(mm_per_px)
-    view = _view(MAKES.get(package), (frame.shape[0], frame.shape[1]), mm_per_px)
+    view = _view(MAKES.get(package), frame.shape[:2], mm_per_px)
     image = image_from_frame(frame, view)
     if mm_per_px is not None:
         make = MAKES.get(package) if not view.is_identity else make_of(sensor_name or "")
-        check_gel_width((image.shape[0], image.shape[1]), mm_per_px, make)
+        check_gel_width(image.shape[:2], mm_per_px, make)
     model = PACKAGES[package](path, image, **options)
     # As wide as the 3x3 blur of tables, weights 1/4, 1/2, 1/4.
     blur_px = 0.5**0.5 if package == "lut" else 0.0
@@ -282,7 +282,7 @@ def import_calibration(
         serial=None,
         gel_id=None,
         view=view,
-        image_shape=(image.shape[0], image.shape[1]),
+        image_shape=image.shape[:2],
         mm_per_px=mm_per_px,
         mm_per_px_sigma=None,
         background=image,
@@ -311,9 +311,8 @@ def _view(make: str | None, frame_shape: tuple[int, int], mm_per_px: float | Non
     profile = known.profile
     if frame_shape == profile.image_shape:
         return view_from_camera(make, frame_shape, mm_per_px)
-    if (
-        frame_shape != known.camera.frame_shape
-    ):  # of another sensor, unless the scale says that it is this one
+    # Of another shape it is of another sensor, unless the scale says that it is this one.
+    if frame_shape != known.camera.frame_shape:
         cropped = profile.has_aspect(frame_shape) and profile.is_cropped_scale(mm_per_px)
         return profile.view(frame_shape) if cropped else View()
     if mm_per_px is not None and not profile.is_cropped_scale(mm_per_px):

@@ -64,7 +64,13 @@ def read_lut(
         step = np.full(3, fields["Scale"] / (len(slopes) - 1))
         low = np.full(3, fields["Zeropoint"])
     else:
-        slopes = _lut(path).transpose(2, 1, 0, 3)  # to red, green, blue
+        array = read_npy(path, "a look-up table")
+        shape = array.shape
+        if len(shape) != 4 or shape[3] != 2 or len(set(shape[:3])) != 1 or not 4 <= shape[0] <= 200:
+            raise DataError(f"Expected a table of shape (bins, bins, bins, 2) in {path}, got {shape}.")
+        if not np.issubdtype(array.dtype, np.floating) or not np.isfinite(array).all():
+            raise DataError(f"Expected finite floats in {path}, got {array.dtype} or NaN.")
+        slopes = array.astype(np.float64).transpose(2, 1, 0, 3)  # to red, green, blue
         low, high = _ranges(range_levels)
         step = (high - low) / len(slopes)
     unknown = np.zeros((*slopes.shape[:3], 1))
@@ -163,16 +169,6 @@ def _check_inflated(content: bytes) -> None:
             if left < 0:
                 raise ValueError(f"it takes more than {MAX_ARRAY_BYTES >> 20} MB")
         at += 8 + int(size)
-
-
-def _lut(path: str | PathLike[str]) -> Numbers:
-    array = read_npy(path, "a look-up table")
-    shape = array.shape
-    if len(shape) != 4 or shape[3] != 2 or len(set(shape[:3])) != 1 or not 4 <= shape[0] <= 200:
-        raise DataError(f"Expected a table of shape (bins, bins, bins, 2) in {path}, got {shape}.")
-    if not np.issubdtype(array.dtype, np.floating) or not np.isfinite(array).all():
-        raise DataError(f"Expected finite floats in {path}, got {array.dtype} or NaN.")
-    return np.asarray(array, dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)
