@@ -336,7 +336,7 @@ class Comparison:
     difference_rms: float  # of B minus A over the frame
     angle_deg: (
         float | None
-    )  # mean angle between their normals, inside the contact of either; None if neither has one
+    )  # mean angle between normals inside the contact of either; None if neither has one
     curl_rms_a: float  # deviation of the slopes from those of a surface, slope per pixel
     curl_rms_b: float
 
