@@ -10,6 +10,7 @@ import signal
 import sys
 import threading
 import time
+from multiprocessing import active_children
 
 import numpy as np
 import pytest
@@ -216,29 +217,13 @@ def test_a_recording_that_was_copied_in_part_is_a_warning(tmp_path, cal):
     assert "b.mcap has no end: its recorder was killed, or it was copied in part" in said
 
 
-def test_a_whole_output_and_a_part_that_is_not_done(output, tmp_path):
+def test_a_whole_output_and_a_part_that_is_not_done(output):
     assert verify_output(output) == (8, 4, [])
     record_path(output, 2).unlink()
     assert "1 of 3 parts are not done" in verify_output(output)[2][0].what
-    with pytest.raises(DataError, match="Expected the output folder of gelform batch"):
-        verify_output(tmp_path)
 
 
 MARK_ENGINES = pytest.mark.skipif(os.name != "posix", reason="kills a process")
-
-
-def children():
-    """Processes that this one started, by the system's own list."""
-    listed = f"/proc/self/task/{os.getpid()}/children"
-    if not os.path.exists(listed):
-        pytest.skip("this system does not list a process's children")
-    with open(listed) as file:
-        return {int(number) for number in file.read().split()}
-
-
-def command_of(number):
-    with open(f"/proc/{number}/cmdline", "rb") as file:
-        return file.read()
 
 
 @MARK_ENGINES
@@ -248,12 +233,12 @@ def test_two_processes_and_one_of_them_killed(tree, cal, tmp_path, visible):
     alone = Job(cal, None, tmp_path / "one", BatchSettings())
     assert list(done_parts(alone, parts, 1)) == [(1, 0)] * len(parts)
     killed = Job(cal, None, tmp_path / "two", BatchSettings())
-    before = children()
+    before = set(active_children())
     done = done_parts(killed, parts * 50, 2)  # the same again and again: longer than the kill takes
     next(done)
-    workers = [one for one in children() - before if b"spawn_main" in command_of(one)]
+    workers = set(active_children()) - before
     assert len(workers) == 2
-    os.kill(workers[0], signal.SIGKILL)
+    os.kill(workers.pop().pid, signal.SIGKILL)
     with pytest.raises(WorkerLostError, match="What is done is kept, and not done again"):
         list(done)
     assert any(read_record(killed.output, part.number) for part in parts)
